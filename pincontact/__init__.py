@@ -1,0 +1,1 @@
+"""Persistent point contacts for Pinocchio."""

@@ -1,0 +1,63 @@
+"""Typed errors. Each message names the contact, the frame or the number that was out of bounds."""
+
+
+class ContactError(Exception):
+    """Base of every error raised by pincontact."""
+
+
+class ModelError(ContactError, ValueError):
+    """The robot model, its file or one of its frames cannot be used."""
+
+
+class ContourError(ContactError, ValueError):
+    """A contour's shape, domain or placement is out of bounds."""
+
+
+class PatternError(ContactError, ValueError):
+    """Two contours do not form one of the seven contact patterns, or not the one asked for."""
+
+
+class FrictionError(ContactError, ValueError):
+    """A friction law has a parameter out of bounds."""
+
+
+class StateError(ContactError, ValueError):
+    """A configuration, velocity or torque has the wrong size, is not finite or is not normalised."""
+
+
+class NoContactError(ContactError):
+    """The contours of a contact do not touch in the given configuration.
+
+    gap: distance in m between the contours at the nearest candidate point, NaN if there is none.
+    """
+
+    def __init__(self, message: str, gap: float = float("nan")):
+        super().__init__(message)
+        self.gap = gap
+
+
+class SingularContactError(ContactError):
+    """The location equations (Eq. 6) are singular: the point contact degenerates to a line or an area.
+
+    conditioning: the dimensionless measure of J that fell below its threshold.
+    """
+
+    def __init__(self, message: str, conditioning: float = float("nan")):
+        super().__init__(message)
+        self.conditioning = conditioning
+
+
+class ArgumentError(ContactError, ValueError):
+    """An argument of a call is out of bounds."""
+
+
+class SolverError(ContactError):
+    """A numerical problem has no solution, or none was found; the message carries the residual."""
+
+
+class TrajectoryError(ContactError):
+    """A stored trajectory cannot be read, or what was asked of it was not recorded."""
+
+
+class MissingExtraError(ContactError, ImportError):
+    """An optional package is needed for this call; the message names the extra that installs it."""

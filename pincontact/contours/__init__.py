@@ -2,7 +2,8 @@
 
 from .base import Contour
 from .curves import Circle, Line
+from .parametric import ParametricCurve, ParametricSurface
 from .points import Point
 from .surfaces import Plane, Sphere
 
-__all__ = ["Circle", "Contour", "Line", "Plane", "Point", "Sphere"]
+__all__ = ["Circle", "Contour", "Line", "ParametricCurve", "ParametricSurface", "Plane", "Point", "Sphere"]

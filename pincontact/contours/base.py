@@ -1,7 +1,8 @@
 """What a contour is: a kind, a few numbers, and derivatives up to second order (Defs. 1-4).
 
-A contour is a point, a curve f(u) or a surface f(u1, u2) in its own frame. The compiled kernels see it as one row of
-a flat table: an integer kind, `SHAPE_SIZE` shape parameters and, for kinds with more data, a pool of numbers.
+A contour is a point, a curve f(u) or a surface f(u1, u2) in its own frame. The compiled kernels see it as one
+row of a flat table: an integer kind, `SHAPE_SIZE` shape parameters and, for kinds with more data, a pool of
+numbers.
 """
 
 from __future__ import annotations
@@ -40,9 +41,9 @@ class Contour:
     planar:          the curve lies in its frame's xy-plane (so it may form a planar pattern)
     time_dependent:  f depends on t explicitly
     size:            a characteristic length in m, infinite for planes and lines
-    convex_side:     +1 if the material that this contour bounds is convex and lies on the side opposite to e_3
-                     (e_3 points out of a convex body), -1 if e_3 points into it, 0 if the shape does not decide.
-                     For planar curves the normal is e_1 x k.
+    convex_side:     +1 if the material that this contour bounds is convex and lies on the side opposite to
+                     e_3 (e_3 points out of a convex body), -1 if e_3 points into it, 0 if the shape does not
+                     decide. For planar curves the normal is e_1 x k.
     """
 
     kind: int
@@ -102,3 +103,14 @@ def positive(owner: str, **lengths: Any) -> tuple[float, ...]:
             raise ContourError(f"{owner}: {name} must be positive and finite, got {number}")
         checked.append(number)
     return tuple(checked)
+
+
+def interval(owner: str, name: str, ends: Any) -> tuple[float, float]:
+    """(low, high) as floats with low < high, either of which may be infinite, or a ContourError."""
+    try:
+        low, high = (float(end) for end in ends)
+    except (TypeError, ValueError):
+        raise ContourError(f"{owner}: {name} must be two numbers (low, high), got {ends!r}") from None
+    if not low < high:
+        raise ContourError(f"{owner}: {name} must have low < high, got ({low}, {high})")
+    return low, high

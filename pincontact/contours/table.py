@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from ..jit import INTEGER, REAL, entry_kernel, kernel
-from .base import CIRCLE, LINE, PLANE, POINT, SPHERE
+from .base import CIRCLE, LINE, PLANE, POINT, SPHERE, TAPE_CURVE, TAPE_SURFACE
 from .curves import circle, line
 from .points import point
 from .surfaces import plane, sphere
+from .tape import tape
 
 
 @kernel
@@ -25,11 +26,13 @@ def evaluate(kind, chart, shape, pool, u1, u2, t, out):
         sphere(chart, shape, u1, u2, out)
     elif kind == LINE:
         line(u1, out)
+    elif kind in (TAPE_CURVE, TAPE_SURFACE):
+        tape(pool, u1, u2, t, out)
 
 
 @kernel
 def preferred_chart(kind, chart, shape, u1, u2):
-    """The chart in which the point (u1, u2) of `chart` is best described; `chart` itself where it is good enough."""
+    """The chart in which the point (u1, u2) of `chart` is well described: `chart` itself where it is."""
     return chart
 
 

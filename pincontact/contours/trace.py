@@ -1,0 +1,571 @@
+"""Tracing: running a user's Python function once on symbols turns it into a tape.
+
+The function is called with `Symbol` arguments through a copy whose `math` and NumPy know symbols (in its
+globals, its closure and, recursively, in the plain Python functions that it calls), so that nothing of the
+user's is changed. Whatever asks a symbol for its number (a branch, a call into compiled code) stops the trace
+with `Untraceable`.
+"""
+
+from __future__ import annotations
+
+import builtins
+import functools
+import math
+import types
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from . import tape as ops
+from .base import F_1, F_1T, F_2, F_2T, F_11, F_12, F_22, F_T, F_TT, F
+
+# What a slot's entries are, by the variables of the tape: rows of the derivative array.
+_ROWS = {
+    "u": (F, F_1, F_11),
+    "ut": (F, F_1, F_T, F_11, F_1T, F_TT),
+    "uv": (F, F_1, F_2, F_11, F_12, F_22),
+    "uvt": (F, F_1, F_2, F_T, F_11, F_12, F_1T, F_22, F_2T, F_TT),
+}
+
+
+class Untraceable(Exception):
+    """The function does something with its argument that a tape cannot hold."""
+
+
+@dataclass(frozen=True)
+class Tape:
+    """A traced function.
+
+    pool:            the tape as the kernels read it (writable: it holds its own scratch area)
+    time_dependent:  whether t occurs in it
+    constants:       for each output its value if it does not depend on any variable, else None
+    kinks:           offsets of the scratch slots whose absolute value is taken
+    """
+
+    pool: np.ndarray
+    time_dependent: bool
+    constants: tuple[float | None, ...]
+    kinks: tuple[int, ...]
+
+    @property
+    def instructions(self) -> int:
+        """How many instructions it has."""
+        return int(self.pool[ops.COUNT])
+
+
+def trace(function: Callable[..., Any], variables: str, outputs: int) -> Tape:
+    """The tape of function(*variables) -> `outputs` numbers.
+
+    variables: "u", "ut", "uv" or "uvt".
+    Raises `Untraceable` with the reason where the function does not follow from elementary operations.
+    """
+    graph = _Graph()
+    arguments = [graph.symbol(("variable", name)) for name in variables]
+    try:
+        result = _replace(function, {})(*arguments)
+        components = _components(result, outputs)
+    except Untraceable:
+        raise
+    except Exception as error:  # whatever the user's code raises on a symbol means the same
+        raise Untraceable(f"{type(error).__name__}: {error}") from error
+    return graph.tape(components, variables)
+
+
+def _components(result: Any, outputs: int) -> list[Any]:
+    components = np.asarray(result, dtype=object).reshape(-1).tolist()
+    if len(components) != outputs:
+        raise Untraceable(f"returned {len(components)} numbers instead of {outputs}")
+    return [part if isinstance(part, Symbol) else float(part) for part in components]
+
+
+class _Graph:
+    """Expressions without repetition: a node is (operation, arguments..., constants...)."""
+
+    def __init__(self) -> None:
+        self.nodes: list[tuple[Any, ...]] = []
+        self.known: dict[tuple[Any, ...], int] = {}
+
+    def symbol(self, node: tuple[Any, ...]) -> Symbol:
+        if node not in self.known:
+            self.known[node] = len(self.nodes)
+            self.nodes.append(node)
+        return Symbol(self, self.known[node])
+
+    def scaled(self, index: int) -> tuple[float, int]:
+        """The node as factor times another node, where it is one."""
+        node = self.nodes[index]
+        if node[0] == "affine" and node[3] == 0.0:
+            return node[2], node[1]
+        return 1.0, index
+
+    def affine(self, x: int, factor: float, shift: float) -> Any:
+        if factor == 0.0:
+            return shift
+        if shift == 0.0:
+            inner, x = self.scaled(x)
+            factor *= inner
+            if factor == 1.0:
+                return Symbol(self, x)
+            if abs(factor) == 1.0 and self.nodes[x][0] in ("affine", "linear"):
+                # A change of sign is exact, so it may move into a sum; other factors may not.
+                node = self.nodes[x]
+                if node[0] == "affine":
+                    return self.affine(node[1], factor * node[2], factor * node[3])
+                return self.linear(node[1], node[2], factor * node[3], factor * node[4])
+        else:
+            inner, x = self.scaled(x)
+            factor *= inner
+        return self.symbol(("affine", x, factor, shift))
+
+    def linear(self, x: int, y: int, c: float, d: float) -> Any:
+        (cx, x), (dy, y) = self.scaled(x), self.scaled(y)
+        c, d = c * cx, d * dy
+        if x == y:
+            return self.affine(x, c + d, 0.0)
+        if x > y:
+            x, y, c, d = y, x, d, c
+        return self.symbol(("linear", x, y, c, d))
+
+    def multiply(self, x: int, y: int) -> Any:
+        (c, x), (d, y) = self.scaled(x), self.scaled(y)
+        if x == y:
+            product = self.symbol(("one", ops.SQUARE, x, 0.0))
+        else:
+            product = self.symbol(("two", ops.MULTIPLY, min(x, y), max(x, y)))
+        return self.affine(product.index, c * d, 0.0)
+
+    def tape(self, components: list[Any], variables: str) -> Tape:
+        used = self._reachable([part.index for part in components if isinstance(part, Symbol)])
+        timed = "t" in variables and any(self.nodes[i] == ("variable", "t") for i in used)
+        if not timed:
+            variables = variables.replace("t", "")
+        rows = _ROWS[variables]
+        width, n = len(rows), len(variables)
+
+        order = [i for i in used if self.nodes[i][0] != "variable"]
+        program: list[tuple[int, int, int, float, float]] = []
+        slots: dict[int, int] = {}  # node -> slot
+        pairs: dict[int, int] = {}
+        for name in variables:
+            slots[self.known[("variable", name)]] = variables.index(name)
+        count = n
+        for index in order:
+            node = self.nodes[index]
+            if node[0] == "affine":
+                program.append((ops.AFFINE, slots[node[1]], 0, node[2], node[3]))
+            elif node[0] == "linear":
+                program.append((ops.LINEAR, slots[node[1]], slots[node[2]], node[3], node[4]))
+            elif node[0] in ("sin", "cos"):
+                argument = node[1]
+                if argument not in pairs:
+                    pairs[argument] = count
+                    program.append((ops.SINCOS, slots[argument], 0, 0.0, 0.0))
+                    count += 2
+                slots[index] = pairs[argument] + (node[0] == "cos")
+                continue
+            elif node[0] == "two":
+                program.append((node[1], slots[node[2]], slots[node[3]], 0.0, 0.0))
+            else:
+                program.append((node[1], slots[node[2]], 0, node[3], 0.0))
+            slots[index] = count
+            count += 1
+
+        scratch = ops.INSTRUCTIONS + ops.INSTRUCTION_SIZE * len(program)
+        pool = np.zeros(scratch + count * width)
+        pool[: ops.RESULTS] = len(program), n, width, scratch, len(components)
+        for i, part in enumerate(components):
+            traced = isinstance(part, Symbol)
+            pool[ops.RESULTS + 2 * i] = scratch + width * slots[part.index] if traced else -1.0
+            pool[ops.RESULTS + 2 * i + 1] = 0.0 if traced else part
+        pool[ops.ROWS : ops.ROWS + width] = rows
+        kinks = []
+        for i, (op, a, b, c, d) in enumerate(program):
+            at = ops.INSTRUCTIONS + ops.INSTRUCTION_SIZE * i
+            pool[at : at + 5] = op, scratch + width * a, scratch + width * b, c, d
+            if op == ops.ABS:
+                kinks.append(scratch + width * a)
+        for i in range(n):
+            pool[scratch + width * i + 1 + i] = 1.0
+        constants = tuple(None if isinstance(part, Symbol) else float(part) for part in components)
+        return Tape(pool, timed, constants, tuple(kinks))
+
+    def _reachable(self, roots: list[int]) -> list[int]:
+        """Nodes that the roots depend on; indices grow along dependencies, so sorting orders them."""
+        seen: set[int] = set()
+        stack = list(roots)
+        while stack:
+            index = stack.pop()
+            if index in seen:
+                continue
+            seen.add(index)
+            stack.extend(self._arguments(self.nodes[index]))
+        return sorted(seen)
+
+    @staticmethod
+    def _arguments(node: tuple[Any, ...]) -> tuple[int, ...]:
+        if node[0] == "variable":
+            return ()
+        if node[0] in ("affine", "sin", "cos"):
+            return (node[1],)
+        if node[0] == "linear":
+            return (node[1], node[2])
+        return tuple(node[2:4]) if node[0] == "two" else (node[2],)
+
+
+def _refuse(what: str) -> Callable[..., Any]:
+    def refused(self: Symbol, *_: Any) -> Any:
+        raise Untraceable(f"{what} needs the number of a parameter")
+
+    return refused
+
+
+def _number(value: Any) -> Any:
+    """A symbol as it is, anything else as a float."""
+    if isinstance(value, Symbol):
+        return value
+    if isinstance(value, np.ndarray) and value.dtype == object and value.ndim == 0:
+        return _number(value[()])
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise Untraceable(f"{type(value).__name__} where a number was expected") from None
+
+
+def _operator(method: Callable[[Symbol, Any], Any]) -> Callable[[Symbol, Any], Any]:
+    """An arithmetic operator whose other operand is a number or a symbol; arrays take the operation over."""
+
+    @functools.wraps(method)
+    def operator(self: Symbol, other: Any) -> Any:
+        if isinstance(other, np.ndarray) and other.ndim:
+            return NotImplemented
+        return method(self, _number(other))
+
+    return operator
+
+
+class Symbol:
+    """A number that is not known yet; arithmetic on it extends its graph."""
+
+    __slots__ = ("graph", "index")
+
+    def __init__(self, graph: _Graph, index: int) -> None:
+        self.graph = graph
+        self.index = index
+
+    def one(self, op: int, constant: float = 0.0) -> Symbol:
+        """The function `op` of this symbol."""
+        return self.graph.symbol(("one", op, self.index, constant))
+
+    def _sum(self, other: Any, sign: float) -> Any:
+        if isinstance(other, Symbol):
+            return self.graph.linear(self.index, other.index, 1.0, sign)
+        return self.graph.affine(self.index, 1.0, sign * other)
+
+    @_operator
+    def __add__(self, other: Any) -> Any:
+        return self._sum(other, 1.0)
+
+    __radd__ = __add__
+
+    @_operator
+    def __sub__(self, other: Any) -> Any:
+        return self._sum(other, -1.0)
+
+    @_operator
+    def __rsub__(self, other: Any) -> Any:
+        return self.graph.affine(self.index, -1.0, other)
+
+    @_operator
+    def __mul__(self, other: Any) -> Any:
+        if isinstance(other, Symbol):
+            return self.graph.multiply(self.index, other.index)
+        return self.graph.affine(self.index, other, 0.0)
+
+    __rmul__ = __mul__
+
+    @_operator
+    def __truediv__(self, other: Any) -> Any:
+        if not isinstance(other, Symbol):
+            return self.graph.affine(self.index, 1.0 / other, 0.0)
+        return 1.0 if other.index == self.index else _two(ops.DIVIDE, self, other)
+
+    @_operator
+    def __rtruediv__(self, other: Any) -> Any:
+        return 0.0 if other == 0.0 else self.one(ops.INVERSE, other)
+
+    @_operator
+    def __pow__(self, other: Any) -> Any:
+        if isinstance(other, Symbol):
+            return _two(ops.POWER, self, other)
+        if other == 0.0:
+            return 1.0
+        if other == 1.0:
+            return self
+        if other == 2.0:
+            return self.graph.multiply(self.index, self.index)
+        if other == 0.5:
+            return self.one(ops.SQRT)
+        if other == -1.0:
+            return self.one(ops.INVERSE, 1.0)
+        return self.one(ops.POWER_CONSTANT, other)
+
+    @_operator
+    def __rpow__(self, other: Any) -> Any:
+        if not other > 0.0:
+            raise Untraceable(f"{other} to the power of a parameter is not smooth")
+        exponent = self * math.log(other)
+        return exponent.one(ops.EXP) if isinstance(exponent, Symbol) else 1.0
+
+    def __neg__(self) -> Any:
+        return self.graph.affine(self.index, -1.0, 0.0)
+
+    def __pos__(self) -> Symbol:
+        return self
+
+    def __abs__(self) -> Symbol:
+        return self.one(ops.ABS)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **keywords: Any) -> Any:
+        if method != "__call__" or keywords or ufunc not in _SHIMS:
+            raise Untraceable(f"np.{ufunc.__name__} of a parameter")
+        return _SHIMS[ufunc](*inputs)
+
+    def __hash__(self) -> int:
+        return hash((id(self.graph), self.index))
+
+    __eq__ = _refuse("a comparison")
+    __ne__ = _refuse("a comparison")
+    __lt__ = _refuse("a comparison")
+    __le__ = _refuse("a comparison")
+    __gt__ = _refuse("a comparison")
+    __ge__ = _refuse("a comparison")
+    __bool__ = _refuse("a branch")
+    __float__ = _refuse("a call into compiled code")
+    __complex__ = _refuse("a complex number")
+    __int__ = _refuse("an integer")
+    __index__ = _refuse("an index")
+    __mod__ = __rmod__ = __floordiv__ = __rfloordiv__ = __divmod__ = __rdivmod__ = _refuse("a remainder")
+    __round__ = __floor__ = __ceil__ = __trunc__ = _refuse("rounding")
+
+
+def _two(op: int, x: Any, y: Any) -> Any:
+    """The function `op` of two arguments of which one at least is a symbol."""
+    graph, anchor = (x.graph, x.index) if isinstance(x, Symbol) else (y.graph, y.index)
+    # A constant is a multiple, by zero, of what the other argument is.
+    left, right = (
+        value if isinstance(value, Symbol) else graph.symbol(("affine", anchor, 0.0, value))
+        for value in (x, y)
+    )
+    return graph.symbol(("two", op, left.index, right.index))
+
+
+def _lift(symbolic: Callable[..., Any], plain: Callable[..., Any]) -> Callable[..., Any]:
+    """`plain` extended to symbols, and to arrays of them element by element."""
+
+    def function(*arguments: Any, **keywords: Any) -> Any:
+        arrays = [value for value in arguments if isinstance(value, np.ndarray) and value.ndim]
+        if arrays and any(isinstance(value, Symbol) or _holds_symbols(value) for value in arguments):
+            objects = []
+            for value in arguments:
+                element = np.empty((), dtype=object)
+                element[()] = value
+                objects.append(value.astype(object) if isinstance(value, np.ndarray) else element)
+            return np.frompyfunc(function, len(arguments), 1)(*objects)
+        if not arrays and any(isinstance(value, Symbol) or _holds_symbols(value) for value in arguments):
+            return symbolic(*(_number(value) for value in arguments))
+        return plain(*arguments, **keywords)
+
+    return function
+
+
+def _holds_symbols(value: Any) -> bool:
+    if isinstance(value, np.ndarray):
+        return value.dtype == object
+    if isinstance(value, (list, tuple)):
+        return any(isinstance(part, Symbol) or _holds_symbols(part) for part in value)
+    return False
+
+
+def _hypot(*arguments: Any) -> Any:
+    if len(arguments) == 2:
+        return _two(ops.HYPOT, *arguments)
+    return sum(value * value for value in arguments) ** 0.5
+
+
+def _log(x: Any, base: Any = math.e) -> Any:
+    """Logarithm of a symbol, or to a symbolic base."""
+    x, base = (value.one(ops.LOG) if isinstance(value, Symbol) else math.log(value) for value in (x, base))
+    return x / base
+
+
+_DEGREE = math.pi / 180.0
+
+# Functions of one symbol, under their names in `math` and in NumPy.
+_ELEMENTARY: list[tuple[str, Callable[..., Any]]] = [
+    ("sin", lambda x: x.graph.symbol(("sin", x.index))),
+    ("cos", lambda x: x.graph.symbol(("cos", x.index))),
+    ("tan", lambda x: x.one(ops.TAN)),
+    ("asin arcsin", lambda x: x.one(ops.ASIN)),
+    ("acos arccos", lambda x: 0.5 * math.pi - x.one(ops.ASIN)),
+    ("atan arctan", lambda x: x.one(ops.ATAN)),
+    ("sinh", lambda x: x.one(ops.SINH)),
+    ("cosh", lambda x: x.one(ops.COSH)),
+    ("tanh", lambda x: x.one(ops.TANH)),
+    ("asinh arcsinh", lambda x: x.one(ops.ASINH)),
+    ("acosh arccosh", lambda x: x.one(ops.ACOSH)),
+    ("atanh arctanh", lambda x: x.one(ops.ATANH)),
+    ("exp", lambda x: x.one(ops.EXP)),
+    ("exp2", lambda x: 2.0**x),
+    ("expm1", lambda x: x.one(ops.EXPM1)),
+    ("log", _log),
+    ("log1p", lambda x: x.one(ops.LOG1P)),
+    ("log2", lambda x: x.one(ops.LOG) / math.log(2.0)),
+    ("log10", lambda x: x.one(ops.LOG) / math.log(10.0)),
+    ("sqrt", lambda x: x.one(ops.SQRT)),
+    ("square", lambda x: x * x),
+    ("reciprocal", lambda x: 1.0 / x),
+    ("fabs abs absolute", abs),
+    ("negative", lambda x: -x),
+    ("positive", lambda x: x),
+    ("radians deg2rad", lambda x: x * _DEGREE),
+    ("degrees rad2deg", lambda x: x / _DEGREE),
+    ("atan2 arctan2", functools.partial(_two, ops.ATAN2)),
+    ("hypot", _hypot),
+    ("pow power float_power", lambda x, y: x**y),
+    ("add", lambda x, y: x + y),
+    ("subtract", lambda x, y: x - y),
+    ("multiply", lambda x, y: x * y),
+    ("divide true_divide", lambda x, y: x / y),
+]
+
+
+def _array(value: Any, dtype: Any = None, **keywords: Any) -> Any:
+    return np.array(
+        value, dtype=object if _holds_symbols(value) or isinstance(value, Symbol) else dtype, **keywords
+    )
+
+
+def _filled(number: float) -> Callable[..., Any]:
+    """An array that symbols may be written into."""
+    return lambda shape, *_, **__: np.full(shape, number, dtype=object)
+
+
+def _norm(value: Any, *arguments: Any, **keywords: Any) -> Any:
+    if not _holds_symbols(value):
+        return np.linalg.norm(value, *arguments, **keywords)
+    if arguments or keywords:
+        raise Untraceable("np.linalg.norm of a parameter with options")
+    return sum(part * part for part in np.asarray(value, dtype=object).ravel()) ** 0.5
+
+
+def _sum(values: Any) -> Any:
+    return sum(values) if any(isinstance(value, Symbol) for value in values) else math.fsum(values)
+
+
+class _FloatType(type):
+    def __instancecheck__(cls, value: Any) -> bool:
+        return isinstance(value, (float, Symbol))
+
+
+class _Float(float, metaclass=_FloatType):
+    """`float` that lets symbols through."""
+
+    def __new__(cls, value: Any = 0.0) -> Any:
+        return value if isinstance(value, Symbol) else float(value)
+
+
+# What stands in for a function of the user's names, by the function itself.
+_SHIMS: dict[Any, Callable[..., Any]] = {
+    np.array: _array,
+    np.asarray: _array,
+    np.zeros: _filled(0.0),
+    np.ones: _filled(1.0),
+    np.empty: _filled(0.0),
+    np.linalg.norm: _norm,
+    np.float64: _Float,
+    math.fsum: _sum,
+    float: _Float,
+}
+for _names, _symbolic in _ELEMENTARY:
+    for _module in (math, np):
+        for _name in _names.split():
+            if hasattr(_module, _name):
+                _plain = getattr(_module, _name)
+                _SHIMS[_plain] = _lift(_symbolic, _plain)
+
+
+class _Module(types.ModuleType):
+    """A module whose functions know symbols."""
+
+    def __init__(self, module: types.ModuleType, memo: dict[Any, Any]) -> None:
+        super().__init__(module.__name__)
+        self.__dict__["_origin"] = (module, memo)
+
+    def __getattr__(self, name: str) -> Any:
+        module, memo = self.__dict__["_origin"]
+        return _replace(getattr(module, name), memo)
+
+
+def _replace(value: Any, memo: dict[Any, Any]) -> Any:
+    """`value` as it should look to code that runs on symbols; `memo` keeps what was already replaced."""
+    if isinstance(value, types.ModuleType):
+        return memo.setdefault(value, _Module(value, memo))
+    try:
+        if value in _SHIMS:
+            return _SHIMS[value]
+    except TypeError:  # not hashable
+        pass
+    if isinstance(value, types.FunctionType):
+        # NumPy's own Python functions work on arrays of symbols as they are.
+        return value if value.__module__.startswith("numpy") else _copy(value, memo)
+    if isinstance(value, types.MethodType):
+        return types.MethodType(_replace(value.__func__, memo), value.__self__)
+    if isinstance(value, functools.partial):
+        return functools.partial(_replace(value.func, memo), *value.args, **value.keywords)
+    compiled_from = getattr(value, "py_func", None)  # numba
+    if isinstance(compiled_from, types.FunctionType):
+        return _copy(compiled_from, memo)
+    call = vars(type(value)).get("__call__")
+    if isinstance(call, types.FunctionType):
+        return types.MethodType(_copy(call, memo), value)
+    return value
+
+
+def _copy(function: types.FunctionType, memo: dict[Any, Any]) -> types.FunctionType:
+    """The same code in a world where `math`, NumPy and other plain functions know symbols."""
+    if function in memo:
+        return memo[function]
+
+    def imported(name: str, *arguments: Any, **keywords: Any) -> Any:
+        return _replace(builtins.__import__(name, *arguments, **keywords), memo)
+
+    scope: dict[str, Any] = {
+        "__name__": function.__globals__.get("__name__", ""),
+        "__builtins__": {**vars(builtins), "float": _Float, "__import__": imported},
+    }
+    cells = tuple(types.CellType() for _ in function.__closure__ or ())
+    copy = types.FunctionType(
+        function.__code__, scope, function.__name__, function.__defaults__, cells or None
+    )
+    copy.__kwdefaults__ = function.__kwdefaults__
+    # Known before its names are filled in: functions may call each other.
+    memo[function] = copy
+    for name in _names_in(function.__code__):
+        if name in function.__globals__:
+            scope[name] = _replace(function.__globals__[name], memo)
+    for cell, original in zip(cells, function.__closure__ or ()):
+        try:
+            cell.cell_contents = _replace(original.cell_contents, memo)
+        except ValueError:  # an empty cell stays empty
+            continue
+    return copy
+
+
+def _names_in(code: types.CodeType) -> set[str]:
+    names = set(code.co_names)
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            names |= _names_in(constant)
+    return names

@@ -1,0 +1,702 @@
+"""Coulomb's law at n contacts as a second-order-cone complementarity problem, solved to round-off (Sec. 5.3).
+
+Contact i has three rows in the order (t1, t2, n), orthonormal. Given the Delassus matrix G (3n, 3n), symmetric
+positive semidefinite, b (3n,) and mu (n,), the forces F and u = G F + b (relative accelerations, or velocities
+if F are impulses) satisfy at every contact one of
+
+    open   F = 0,             u_n >= 0
+    stick  |F_t| <= mu F_n,   u = 0
+    slip   F_t = -mu F_n d,   u = (s d, 0),  |d| = 1, s >= 0
+
+which is the complementarity of F in the cone K = {|F_t| <= mu F_n} with u + mu |u_t| n in the dual cone (De
+Saxce's correction). An infinite mu is the limit of large ones: u_t = 0 wherever F_n > 0; the limit leaves one more
+state, a slip that is held up by friction alone, F_n = 0 and F_t = -|F_t| d.
+
+What is solved here is a Newton iteration on the equations of given modes, with the modes corrected as it goes,
+and the judge of the result. Where the modes come from is the business of `solve`.
+
+Scaling. Everything below runs on a problem without units: the forces of contact i are divided by s_i and its u
+multiplied by it, s_i = (trace(G_ii) / 3)^(-1/2), which leaves the cones as they are and makes the diagonal blocks
+unit-sized; then b is divided by its largest entry.
+
+Judge. The residual is that of the two projections
+
+    F_n - max(F_n - u_n, 0)     and     F_t - P_D(F_t - u_t),   D the disk of radius mu max(F_n, 0),
+
+which vanish together exactly where F - P_K(F - (u + mu |u_t| n)) does but, unlike that, stay well-conditioned for
+large mu. It is taken relative to |F_i| + |b_i| + sum_j |G_ij F_j|, the size of the terms that cancel in it, with a
+floor at `FLOOR` times the largest of these over the contacts; hence it does not depend on units.
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, pi, sin, sqrt
+
+from ..jit import INTEGER, REAL, entry_kernel, kernel
+
+OPEN, STICK, SLIP = 0, 1, 2
+WARM, CLASSIFY = 0, 1
+
+# A contact whose forces and velocities are this much smaller than another's is judged on the other's scale.
+FLOOR = 1e-5
+# Newton stops below this residual at once; above it, when a pass no longer improves the residual.
+ROUND_OFF = 1e-14
+# A pivot this much below the largest one is a redundant direction: Delassus matrices carry round-off at 1e-15.
+RANK_TOLERANCE = 1e-12
+# A slip speed this far below zero (scaled) turns slip into stick; less is round-off on a redundant contact.
+SPEED_TOLERANCE = 1e-12
+# Relative changes of the forces above this are a new choice among redundant forces, below it a refinement.
+REFINEMENT = 1e-2
+# Directions tried in the scan for a single contact's slip; the function scanned has four zeros at most.
+SCAN = 64
+CANDIDATES = 12
+HUGE = 1e300
+# Larger coefficients make the QP's facets too steep for it; the modes found are then corrected by Newton.
+QP_FRICTION = 100.0
+
+
+def scratch_size(contacts: int) -> int:
+    """Number of floats of scratch that the kernels need for this many contacts."""
+    rows = 3 * contacts
+    return 3 * rows * rows + 7 * rows + 8 * contacts + 19 + CANDIDATES
+
+
+def scratch_integers(contacts: int) -> int:
+    """Number of integers of scratch that the kernels need for this many contacts."""
+    return 5 * contacts + 4
+
+
+@kernel
+def minimum_norm_solve(a, rhs, n, x, gram, order, tolerance):
+    """x (n,) of least norm with a x = rhs for a consistent system that may be singular; returns the rank.
+
+    Elimination with complete pivoting, stopped at the first pivot below tolerance times the largest, then least
+    norm in the row space. a and gram are (>= n, >= n); a and rhs (n,) are overwritten, gram and order (n,) scratch.
+    """
+    for j in range(n):
+        order[j] = j
+    largest = 0.0
+    rank = 0
+    for k in range(n):
+        pivot = -1.0
+        p = k
+        q = k
+        for i in range(k, n):
+            for j in range(k, n):
+                size = abs(a[i, j])
+                if size > pivot:
+                    pivot = size
+                    p = i
+                    q = j
+        if k == 0:
+            largest = pivot
+        if not pivot > tolerance * largest:
+            break
+        rank += 1
+        if p != k:
+            for j in range(n):
+                swap = a[k, j]
+                a[k, j] = a[p, j]
+                a[p, j] = swap
+            swap = rhs[k]
+            rhs[k] = rhs[p]
+            rhs[p] = swap
+        if q != k:
+            for i in range(n):
+                swap = a[i, k]
+                a[i, k] = a[i, q]
+                a[i, q] = swap
+            swapped = order[k]
+            order[k] = order[q]
+            order[q] = swapped
+        inverse = 1.0 / a[k, k]
+        for j in range(k, n):
+            a[k, j] *= inverse
+        rhs[k] *= inverse
+        for i in range(k + 1, n):
+            factor = a[i, k]
+            if factor != 0.0:
+                for j in range(k, n):
+                    a[i, j] -= factor * a[k, j]
+                rhs[i] -= factor * rhs[k]
+
+    # Now the first `rank` rows of a are unit upper trapezoidal.
+    if rank == n:
+        for k in range(n - 1, -1, -1):
+            total = rhs[k]
+            for j in range(k + 1, n):
+                total -= a[k, j] * rhs[j]
+            rhs[k] = total
+        for j in range(n):
+            x[order[j]] = rhs[j]
+        return rank
+    for i in range(rank):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(i, n):
+                total += a[i, k] * a[j, k]
+            for k in range(j):
+                total -= gram[i, k] * gram[j, k]
+            if i == j:
+                gram[i, i] = sqrt(total)
+            else:
+                gram[i, j] = total / gram[j, j]
+    for i in range(rank):
+        for k in range(i):
+            rhs[i] -= gram[i, k] * rhs[k]
+        rhs[i] /= gram[i, i]
+    for i in range(rank - 1, -1, -1):
+        for k in range(i + 1, rank):
+            rhs[i] -= gram[k, i] * rhs[k]
+        rhs[i] /= gram[i, i]
+    for j in range(n):
+        total = 0.0
+        for k in range(min(j + 1, rank)):
+            total += a[k, j] * rhs[k]
+        x[order[j]] = total
+    return rank
+
+
+@kernel
+def scale_problem(matrix, b, n, scaled, c, scale):
+    """Write the problem without units; returns the factor taken out of b.
+
+    matrix (3n, 3n), b (3n,): the problem; scaled (3n, 3n), c (3n,), scale (n,): output.
+    """
+    for i in range(n):
+        trace = matrix[3 * i, 3 * i] + matrix[3 * i + 1, 3 * i + 1] + matrix[3 * i + 2, 3 * i + 2]
+        scale[i] = sqrt(3.0 / trace) if trace > 0.0 else 1.0
+    largest = 0.0
+    for i in range(n):
+        for r in range(3):
+            c[3 * i + r] = scale[i] * b[3 * i + r]
+            largest = max(largest, abs(c[3 * i + r]))
+    if largest == 0.0:
+        largest = 1.0
+    for i in range(3 * n):
+        c[i] /= largest
+        s = scale[i // 3]
+        for j in range(n):
+            product = s * scale[j]
+            scaled[i, 3 * j] = product * matrix[i, 3 * j]
+            scaled[i, 3 * j + 1] = product * matrix[i, 3 * j + 1]
+            scaled[i, 3 * j + 2] = product * matrix[i, 3 * j + 2]
+    return largest
+
+
+@kernel
+def respond(g, c, f, u, size):
+    """u = g f + c (3n,); in size (n,), per contact, |f| plus the largest sum of absolute terms in u."""
+    n = c.shape[0] // 3
+    for i in range(n):
+        size[i] = 0.0
+        for r in range(3 * i, 3 * i + 3):
+            total = c[r]
+            absolute = abs(c[r])
+            for j in range(3 * n):
+                term = g[r, j] * f[j]
+                total += term
+                absolute += abs(term)
+            u[r] = total
+            size[i] = max(size[i], absolute)
+        size[i] += sqrt(f[3 * i] ** 2 + f[3 * i + 1] ** 2 + f[3 * i + 2] ** 2)
+
+
+@kernel
+def contact_residual(f1, f2, fn, u1, u2, un, mu):
+    """Residual of the two projections (module docstring) at one contact, in the units of f and u."""
+    normal = abs(fn - max(fn - un, 0.0))
+    p1 = f1 - u1
+    p2 = f2 - u2
+    length = sqrt(p1 * p1 + p2 * p2)
+    if mu < HUGE:
+        radius = mu * max(fn, 0.0)
+        shrink = radius / length if length > radius else 1.0
+        return max(normal, sqrt((f1 - shrink * p1) ** 2 + (f2 - shrink * p2) ** 2))
+    stuck = sqrt(u1 * u1 + u2 * u2)
+    # Infinite mu at F_n = 0: the disk may have any radius while u_n = 0 too, and none otherwise.
+    radius = sqrt(f1 * f1 + f2 * f2)
+    shrink = radius / length if length > radius else 1.0
+    sliding = sqrt((f1 - shrink * p1) ** 2 + (f2 - shrink * p2) ** 2)
+    limit = max(max(abs(fn), min(radius, abs(un))), sliding)
+    return max(normal, min(stuck, limit)) if fn > 0.0 else max(normal, limit)
+
+
+@kernel
+def judge(mu, f, u, size):
+    """Largest relative residual over the contacts; NaN if anything is."""
+    n = mu.shape[0]
+    largest = 0.0
+    for i in range(n):
+        largest = max(largest, size[i])
+    worst = 0.0
+    for i in range(n):
+        k = 3 * i
+        unit = max(size[i], FLOOR * largest)
+        if unit > 0.0:
+            ratio = contact_residual(f[k], f[k + 1], f[k + 2], u[k], u[k + 1], u[k + 2], mu[i]) / unit
+            if not ratio <= worst:
+                worst = ratio
+    return worst
+
+
+@kernel
+def cone_angle(mu):
+    """Sine and cosine of the cone's half angle: a force on its boundary is x (-sine d, cosine)."""
+    if mu < HUGE:
+        cosine = 1.0 / sqrt(1.0 + mu * mu)
+        return mu * cosine, cosine
+    return 1.0, 0.0
+
+
+@kernel
+def start_slip(k, mu, f, u, direction, i):
+    """Put the direction with which Newton starts a slip into row i; returns the force's length and the speed."""
+    sine, cosine = cone_angle(mu)
+    d1 = u[k] - f[k]
+    d2 = u[k + 1] - f[k + 1]
+    length = sqrt(d1 * d1 + d2 * d2)
+    if length > 0.0:
+        d1 /= length
+        d2 /= length
+    else:
+        d1 = 1.0
+        d2 = 0.0
+    direction[2 * i] = d1
+    direction[2 * i + 1] = d2
+    x = f[k + 2] * cosine - (d1 * f[k] + d2 * f[k + 1]) * sine
+    return max(x, 0.0), max(d1 * u[k] + d2 * u[k + 1], 0.0)
+
+
+@kernel
+def classify(mu, f, u, modes):
+    """Modes (n,) suggested by approximate forces and velocities: where the projections of the judge land."""
+    n = mu.shape[0]
+    for i in range(n):
+        k = 3 * i
+        p1 = f[k] - u[k]
+        p2 = f[k + 1] - u[k + 1]
+        if not f[k + 2] > u[k + 2]:
+            modes[i] = OPEN
+        elif mu[i] > 0.0 and sqrt(p1 * p1 + p2 * p2) <= mu[i] * f[k + 2]:
+            modes[i] = STICK
+        else:
+            modes[i] = SLIP
+
+
+@kernel
+def newton_step(g, c, mu, modes, f, u, refine, buffers):
+    """One Newton step on the equations of the modes; f (3n,) is updated, and the slips' directions and lengths.
+
+    Unknown are f at sticking contacts and, at slipping ones, the length of the force and its turning (as an arc).
+    With refine false the forces solved for have least norm; with refine true their change has.
+    """
+    direction, length, speed, sine, cosine, a, rhs, x, row_of_g, gram, order, first = buffers[1:]
+    n = mu.shape[0]
+    first[0] = 0
+    for i in range(n):
+        unknowns = 0
+        if modes[i] == STICK:
+            unknowns = 3
+        elif modes[i] == SLIP:
+            unknowns = 2 if mu[i] > 0.0 else 1
+        first[i + 1] = first[i] + unknowns
+
+    source = u if refine else c
+    for i in range(n):
+        k = 3 * i
+        for r in range(first[i + 1] - first[i]):
+            row = first[i] + r
+            d1 = 0.0
+            d2 = 1.0
+            p = k + r
+            q = k + r
+            if modes[i] == SLIP:
+                p = k + 2
+                q = k + 2
+                if r == 1:
+                    # The row of d turned by a right angle: d_perp . u_t = 0.
+                    d1 = direction[2 * i]
+                    d2 = -direction[2 * i + 1]
+                    p = k + 1
+                    q = k
+            rhs[row] = -(d1 * source[p] + d2 * source[q])
+            for j in range(3 * n):
+                row_of_g[j] = d1 * g[p, j] + d2 * g[q, j]
+            for j in range(n):
+                m = 3 * j
+                column = first[j]
+                if modes[j] == STICK:
+                    a[row, column] = row_of_g[m]
+                    a[row, column + 1] = row_of_g[m + 1]
+                    a[row, column + 2] = row_of_g[m + 2]
+                elif modes[j] == SLIP:
+                    e1 = direction[2 * j]
+                    e2 = direction[2 * j + 1]
+                    along = row_of_g[m] * e1 + row_of_g[m + 1] * e2
+                    a[row, column] = cosine[j] * row_of_g[m + 2] - sine[j] * along
+                    if mu[j] > 0.0:
+                        reach = sine[j] * length[j]
+                        total = reach + speed[j]
+                        across = row_of_g[m] * e2 - row_of_g[m + 1] * e1
+                        turned = reach * across
+                        if i == j and r == 1:
+                            # u_t = speed d turns too.
+                            turned -= speed[j]
+                        a[row, column + 1] = turned / total if total > 0.0 else 0.0
+
+    minimum_norm_solve(a, rhs, first[n], x, gram, order, RANK_TOLERANCE)
+
+    for i in range(n):
+        k = 3 * i
+        row = first[i]
+        if modes[i] == OPEN:
+            f[k] = 0.0
+            f[k + 1] = 0.0
+            f[k + 2] = 0.0
+        elif modes[i] == STICK:
+            for r in range(3):
+                f[k + r] = x[row + r] + (f[k + r] if refine else 0.0)
+        else:
+            total = sine[i] * length[i] + speed[i]
+            length[i] = x[row] + (length[i] if refine else 0.0)
+            d1 = direction[2 * i]
+            d2 = direction[2 * i + 1]
+            if mu[i] > 0.0 and total > 0.0:
+                turn = x[row + 1] / total
+                norm = sqrt(1.0 + turn * turn)
+                direction[2 * i] = (d1 - turn * d2) / norm
+                direction[2 * i + 1] = (d2 + turn * d1) / norm
+            f[k] = -sine[i] * length[i] * direction[2 * i]
+            f[k + 1] = -sine[i] * length[i] * direction[2 * i + 1]
+            f[k + 2] = cosine[i] * length[i]
+
+
+@kernel
+def correct_modes(mu, modes, f, u, direction, length, speed):
+    """Change the modes that the forces and velocities contradict; returns how many were changed."""
+    n = mu.shape[0]
+    changes = 0
+    for i in range(n):
+        k = 3 * i
+        if modes[i] == OPEN:
+            if u[k + 2] < 0.0:
+                modes[i] = STICK if mu[i] > 0.0 else SLIP
+                length[i] = 0.0
+                changes += 1
+        elif modes[i] == STICK:
+            if f[k + 2] < 0.0:
+                modes[i] = OPEN
+                changes += 1
+            elif f[k] ** 2 + f[k + 1] ** 2 > (mu[i] * f[k + 2]) ** 2:
+                modes[i] = SLIP
+                length[i], speed[i] = start_slip(k, mu[i], f, u, direction, i)
+                changes += 1
+        else:
+            speed[i] = direction[2 * i] * u[k] + direction[2 * i + 1] * u[k + 1]
+            if length[i] < 0.0:
+                modes[i] = OPEN
+                changes += 1
+            elif mu[i] > 0.0 and speed[i] < -SPEED_TOLERANCE:
+                modes[i] = STICK
+                changes += 1
+            speed[i] = max(speed[i], 0.0)
+    return changes
+
+
+@kernel
+def slip_equation(g, c, mu, angle):
+    """At one contact (3 x 3) slipping along d(angle): d_perp . u_t = 0, freed of fractions.
+
+    The force length x that makes u_n = 0 is -c_n / stiffness; returns (equation, stiffness, d1, d2).
+    """
+    sine, cosine = cone_angle(mu)
+    d1 = cos(angle)
+    d2 = sin(angle)
+    push1 = cosine * g[0, 2] - sine * (g[0, 0] * d1 + g[0, 1] * d2)
+    push2 = cosine * g[1, 2] - sine * (g[1, 0] * d1 + g[1, 1] * d2)
+    stiffness = cosine * g[2, 2] - sine * (g[2, 0] * d1 + g[2, 1] * d2)
+    equation = (d1 * c[1] - d2 * c[0]) * stiffness - c[2] * (d1 * push2 - d2 * push1)
+    return equation, stiffness, d1, d2
+
+
+@kernel
+def slip_angles(g, c, mu, angles):
+    """Angles of d at which one contact (3 x 3) may slip, into angles (at least `CANDIDATES`,); returns how many.
+
+    The slip equations have a root where a trigonometric polynomial of second degree is zero, at most four times; a
+    scan finds these and the places where a pair of them meets. The directions of c_t and of the coupling g_tn
+    cover the singular matrices, for which every direction is a root.
+    """
+    angles[0] = atan2(c[1], c[0])
+    angles[1] = atan2(-c[1], -c[0])
+    angles[2] = atan2(g[1, 2], g[0, 2])
+    angles[3] = atan2(-g[1, 2], -g[0, 2])
+    count = 4
+    step = 2.0 * pi / SCAN
+    before = slip_equation(g, c, mu, -step)[0]
+    here = slip_equation(g, c, mu, 0.0)[0]
+    for k in range(SCAN):
+        angle = k * step
+        after = slip_equation(g, c, mu, angle + step)[0]
+        crosses = (here > 0.0) != (after > 0.0)
+        touches = before * here > 0.0 and here * after > 0.0 and abs(here) <= min(abs(before), abs(after))
+        if (crosses or touches) and count < CANDIDATES:
+            low = angle if crosses else angle - step
+            high = angle + step
+            for _ in range(40):
+                # Bisection where the sign changes, golden section where |equation| is least: Newton does the rest.
+                p = 0.5 * (low + high) if crosses else high - 0.6180339887498949 * (high - low)
+                q = high if crosses else low + 0.6180339887498949 * (high - low)
+                at_p = slip_equation(g, c, mu, p)[0]
+                at_q = slip_equation(g, c, mu, q)[0]
+                if (at_p > 0.0) != (at_q > 0.0) if crosses else abs(at_q) < abs(at_p):
+                    low = p
+                elif crosses:
+                    high = p
+                else:
+                    high = q
+            angles[count] = 0.5 * (low + high)
+            count += 1
+        before = here
+        here = after
+    return count
+
+
+@kernel
+def settle(g, c, mu, modes, f, u, angles, passes, tolerance, buffers):
+    """Newton with corrected modes, from modes (n,) and f (3n,); returns residual, passes used, attempts made.
+
+    One contact is solved exactly: if the start given does not lead to a solution, every other one that there can
+    be is tried until the judge accepts: open, stick, and slip along each of `slip_angles`.
+    """
+    size, direction, length, speed, sine, cosine = buffers[:6]
+    n = mu.shape[0]
+    for i in range(n):
+        sine[i], cosine[i] = cone_angle(mu[i])
+    attempts = 0
+    candidates = 0
+    while True:
+        if attempts == 1 or attempts == 2:
+            modes[0] = OPEN if attempts == 1 else STICK
+            f[0] = 0.0
+            f[1] = 0.0
+            f[2] = 0.0
+        elif attempts > 2:
+            if attempts == 3:
+                candidates = slip_angles(g, c, mu[0], angles)
+            _, stiffness, d1, d2 = slip_equation(g, c, mu[0], angles[attempts - 3])
+            force = -c[2] / stiffness if c[2] * stiffness < 0.0 else 0.0
+            modes[0] = SLIP
+            f[0] = -sine[0] * force * d1
+            f[1] = -sine[0] * force * d2
+            f[2] = cosine[0] * force
+        respond(g, c, f, u, size)
+        for i in range(n):
+            length[i] = 0.0
+            speed[i] = 0.0
+            direction[2 * i] = 1.0
+            direction[2 * i + 1] = 0.0
+            if modes[i] == SLIP:
+                length[i], speed[i] = start_slip(3 * i, mu[i], f, u, direction, i)
+
+        residual = HUGE
+        refine = residual < REFINEMENT
+        for k in range(passes):
+            before = residual
+            newton_step(g, c, mu, modes, f, u, refine, buffers)
+            respond(g, c, f, u, size)
+            residual = judge(mu, f, u, size)
+            stalled = residual > 0.5 * before
+            if residual <= ROUND_OFF or (residual <= tolerance and stalled):
+                return residual, k + 1, attempts
+            if not residual < HUGE or (refine and stalled):
+                break
+            changes = correct_modes(mu, modes, f, u, direction, length, speed)
+            refine = changes == 0 and residual < REFINEMENT
+        if residual <= tolerance:
+            return residual, passes, attempts
+        attempts += 1
+        if n > 1 or (attempts > 3 and attempts >= 3 + candidates):
+            return residual, passes, attempts
+
+
+@kernel
+def sweep_contact(g, f, u, i, g_i, c_i, f_i, u_i):
+    """Cut contact i out of the problem with the other contacts' forces fixed: g_i (3, 3), c_i, f_i, u_i (3,)."""
+    k = 3 * i
+    for r in range(3):
+        c_i[r] = u[k + r]
+        f_i[r] = f[k + r]
+        u_i[r] = u[k + r]
+        for s in range(3):
+            g_i[r, s] = g[k + r, k + s]
+            c_i[r] -= g[k + r, k + s] * f[k + s]
+
+
+@entry_kernel(
+    REAL[:, ::1], REAL[::1], REAL[::1], INTEGER[::1], REAL[::1], REAL[::1],
+    REAL[::1], INTEGER[::1], INTEGER, INTEGER, INTEGER, REAL,
+)  # fmt: skip
+def solve_cones(matrix, b, mu, modes, forces, velocities, work, integers, task, passes, sweeps, tolerance):
+    """Forces and velocities of n contacts from what is known of them; returns the residual.
+
+    matrix (3n, 3n), b (3n,), mu (n,): the problem. task says how it is begun:
+      WARM       from modes (n,) and forces (3n,)
+      CLASSIFY   from forces alone; the modes are read off the judge's projections. If they are refused, up to
+                 `sweeps` Gauss-Seidel sweeps of exact single-contact solutions follow, with new trials in between.
+    On success (residual <= tolerance) modes, forces and velocities (3n,) are written, otherwise none of them is.
+    integers[0] is the number of Newton passes and sweeps used, integers[1] is 1 if a single contact needed the
+    search over its states. work, integers: `scratch_size(n)` floats and `scratch_integers(n)` integers.
+    """
+    n = mu.shape[0]
+    rows = 3 * n
+    area = rows * rows
+    g = work[0:area].reshape(rows, rows)
+    a = work[area : 2 * area].reshape(rows, rows)
+    gram = work[2 * area : 3 * area].reshape(rows, rows)
+    vectors = work[3 * area : 3 * area + 7 * rows].reshape(7, rows)
+    c = vectors[0]
+    f = vectors[1]
+    u = vectors[2]
+    kept = vectors[3]
+    at = 3 * area + 7 * rows
+    scalars = work[at : at + 8 * n].reshape(8, n)
+    local = work[at + 8 * n : at + 8 * n + 19]
+    angles = work[at + 8 * n + 19 : at + 8 * n + 19 + CANDIDATES]
+    order = integers[2 : 2 + rows]
+    first = integers[2 + rows : 3 + rows + n]
+    trial = integers[3 + rows + n : 3 + rows + 2 * n]
+    local_mode = integers[3 + rows + 2 * n : 4 + rows + 2 * n]
+    size = scalars[0]
+    scale = scalars[7]
+    buffers = (
+        size, work[at + 5 * n : at + 7 * n], scalars[1], scalars[2], scalars[3], scalars[4],
+        a, vectors[4], vectors[5], vectors[6], gram, order, first,
+    )  # fmt: skip
+
+    unit = scale_problem(matrix, b, n, g, c, scale)
+    for i in range(n):
+        trial[i] = modes[i]
+        for k in range(3 * i, 3 * i + 3):
+            f[k] = forces[k] / (scale[i] * unit)
+    g_i = local[0:9].reshape(3, 3)
+    c_i = local[9:12]
+    f_i = local[12:15]
+    u_i = local[15:18]
+    mu_i = local[18:19]
+    integers[1] = 0
+    swept = 0
+    attempt = 0
+    while True:
+        if task != WARM:
+            respond(g, c, f, u, size)
+            while swept < attempt:
+                for i in range(n):
+                    sweep_contact(g, f, u, i, g_i, c_i, f_i, u_i)
+                    mu_i[0] = mu[i]
+                    classify(mu_i, f_i, u_i, local_mode)
+                    accuracy, _, _ = settle(g_i, c_i, mu_i, local_mode, f_i, u_i, angles, passes, tolerance, buffers)
+                    if accuracy <= tolerance:
+                        for s in range(3):
+                            k = 3 * i + s
+                            change = f_i[s] - f[k]
+                            f[k] = f_i[s]
+                            for r in range(rows):
+                                u[r] += g[r, k] * change
+                swept += 1
+            classify(mu, f, u, trial)
+            for k in range(rows):
+                kept[k] = f[k]
+        residual, used, tried = settle(g, c, mu, trial, f, u, angles, passes, tolerance, buffers)
+        if residual <= tolerance or swept >= sweeps:
+            break
+        for k in range(rows):
+            f[k] = kept[k]
+        attempt = min(sweeps, swept + 1 + swept // 2)
+    integers[0] = used + swept
+    integers[1] = 1 if tried > 0 else 0
+    if residual <= tolerance:
+        for i in range(n):
+            modes[i] = trial[i]
+            for k in range(3 * i, 3 * i + 3):
+                forces[k] = f[k] * (scale[i] * unit)
+                velocities[k] = u[k] * unit / scale[i]
+    return residual
+
+
+@entry_kernel(
+    REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL, REAL[:, ::1], REAL[::1], REAL[:, ::1], REAL[::1],
+    REAL[::1], REAL[::1],
+)  # fmt: skip
+def assemble_qp(matrix, b, mu, f, proximal, hessian, gradient, facets, upper, unit, work):
+    """The quadratic program around scaled forces f (3n,): min f' H f / 2 + g' f with facets f <= upper.
+
+    Four tangent planes per contact, the first at the direction of f itself; the cone's curvature times its
+    multiplier |u_t| in the Hessian; De Saxce's shift mu |u_t| n and the proximal pull to f in the gradient.
+    hessian (3n, 3n), gradient (3n,), facets (4n, 3n; zero outside the contacts' blocks), upper (4n,): output;
+    unit (3n,): output, the forces that scaled ones are counted in; work: `scratch_size(n)` floats.
+    """
+    n = mu.shape[0]
+    rows = 3 * n
+    c = work[0:rows]
+    u = work[rows : 2 * rows]
+    scale = work[2 * rows : 2 * rows + n]
+    size = work[2 * rows + n : 2 * rows + 2 * n]
+    largest = scale_problem(matrix, b, n, hessian, c, scale)
+    respond(hessian, c, f, u, size)
+    for i in range(n):
+        k = 3 * i
+        friction = min(mu[i], QP_FRICTION)
+        length = sqrt(f[k] ** 2 + f[k + 1] ** 2)
+        d1 = u[k] - f[k]
+        d2 = u[k + 1] - f[k + 1]
+        slip = 0.0
+        if length > 0.0:
+            d1 = -f[k]
+            d2 = -f[k + 1]
+        norm = sqrt(d1 * d1 + d2 * d2)
+        if norm > 0.0:
+            d1 /= norm
+            d2 /= norm
+        else:
+            d1 = 1.0
+            d2 = 0.0
+        if length > 0.0:
+            slip = max(d1 * u[k] + d2 * u[k + 1], 0.0)
+        curvature = min(slip / length, 1e3) if length > 0.0 else 0.0
+        for r in range(3):
+            gradient[k + r] = c[k + r] - proximal * f[k + r]
+            hessian[k + r, k + r] += proximal
+            unit[k + r] = scale[i] * largest
+        gradient[k + 2] += friction * slip
+        hessian[k, k] += curvature * d2 * d2
+        hessian[k, k + 1] -= curvature * d1 * d2
+        hessian[k + 1, k] -= curvature * d1 * d2
+        hessian[k + 1, k + 1] += curvature * d1 * d1
+        sine, cosine = cone_angle(friction)
+        for j in range(4):
+            row = 4 * i + j
+            e1 = (-d1, d1, -d2, d2)[j]
+            e2 = (-d2, d2, d1, -d1)[j]
+            facets[row, k] = cosine * e1
+            facets[row, k + 1] = cosine * e2
+            facets[row, k + 2] = -sine
+            upper[row] = 0.0
+        if friction == 0.0:
+            # No cone is left but F_n >= 0; the tangential forces are decoupled, and stay zero.
+            for j in range(4):
+                row = 4 * i + j
+                upper[row] = 1.0
+                for r in range(3):
+                    facets[row, k + r] = 0.0
+            upper[4 * i] = 0.0
+            facets[4 * i, k + 2] = -1.0
+            hessian[k, k] += 1.0
+            hessian[k + 1, k + 1] += 1.0
+            for r in range(2):
+                gradient[k + r] = 0.0
+                for j in range(rows):
+                    if j != k + r:
+                        hessian[k + r, j] = 0.0
+                        hessian[j, k + r] = 0.0

@@ -44,6 +44,7 @@ class Contour:
     convex_side:     +1 if the material that this contour bounds is convex and lies on the side opposite to
                      e_3 (e_3 points out of a convex body), -1 if e_3 points into it, 0 if the shape does not
                      decide. For planar curves the normal is e_1 x k.
+    fit_error:       how far in m the contour is from the function it was fitted to, 0 where it is exact
     """
 
     kind: int
@@ -56,6 +57,7 @@ class Contour:
     time_dependent: bool = False
     size: float = np.inf
     convex_side: int = 0
+    fit_error: float = 0.0
 
     def evaluate(self, u: Sequence[float] | float = (), t: float = 0.0, chart: int = 0) -> np.ndarray:
         """f and its derivatives at one parameter value.
@@ -71,9 +73,7 @@ class Contour:
             raise ContourError(f"{self.name} has {self.dimension} parameters, got {given.size}")
         parameters[: given.size] = given
         out = np.zeros((DERIVATIVE_ROWS, 3))
-        evaluate_contour(
-            self.kind, chart, self.shape_row(), self.pool, parameters[0], parameters[1], float(t), out
-        )
+        evaluate_contour(self.kind, chart, self.shape_row(), self.pool, parameters[0], parameters[1], float(t), out)
         return out
 
     def point(self, u: Sequence[float] | float = (), t: float = 0.0, chart: int = 0) -> np.ndarray:
@@ -90,17 +90,90 @@ class Contour:
     def name(self) -> str:
         return type(self).__name__
 
+    def samples(self, n: int | Sequence[int] = 50, window: Any = None) -> np.ndarray:
+        """A grid of parameter values that covers the domain of the first chart.
+
+        n:       values along each parameter, or one number for each; ends are included, except that a parameter
+                 that wraps around has its end once
+        window:  ((low, high) for each parameter); needed where the domain is infinite, and cut to the domain
+        Returns (number of points, k), the last parameter running fastest.
+        Raises ContourError for an infinite domain without a window.
+        """
+        axes = self._axes(n, window, closed=False)
+        if not axes:
+            return np.zeros((1, 0))
+        return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+
+    def polyline(self, n: int = 100, window: Any = None, t: float = 0.0) -> np.ndarray:
+        """Points (n, 3) along a curve, both ends included, so that a closed curve ends where it starts.
+
+        window: ((low, high),) as in `samples`. Raises ContourError for anything but a curve.
+        """
+        if self.dimension != 1:
+            raise ContourError(f"{self.name} is not a curve: it has {self.dimension} parameters")
+        (axis,) = self._axes(n, window, closed=True)
+        return np.array([self.point(u, t) for u in axis])
+
+    def mesh(self, n: int | Sequence[int] = 40, window: Any = None, t: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (n1 n2, 3) and triangles (m, 3) of a surface, counter-clockwise seen from outside.
+
+        Seams of parameters that wrap around are closed. window: as in `samples`.
+        Raises ContourError for anything but a surface.
+        """
+        if self.dimension != 2:
+            raise ContourError(f"{self.name} is not a surface: it has {self.dimension} parameters")
+        axes = self._axes(n, window, closed=False)
+        vertices = np.array([self.point((a, b), t) for a in axes[0] for b in axes[1]])
+        n1, n2 = len(axes[0]), len(axes[1])
+        first = np.arange(n1 if self._wraps(0, window) else n1 - 1)
+        second = np.arange(n2 if self._wraps(1, window) else n2 - 1)
+        i, j = (grid.ravel() for grid in np.meshgrid(first, second, indexing="ij"))
+        a, b = i * n2 + j, (i + 1) % n1 * n2 + j
+        c, d = i * n2 + (j + 1) % n2, (i + 1) % n1 * n2 + (j + 1) % n2
+        return vertices, np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
+
+    def _wraps(self, axis: int, window: Any) -> bool:
+        return self.periodic[axis] and (window is None or window[axis] is None)
+
+    def _axes(self, n: int | Sequence[int], window: Any, closed: bool) -> list[np.ndarray]:
+        counts = [n] * self.dimension if isinstance(n, (int, np.integer)) else list(n)
+        if len(counts) != self.dimension or any(count < 2 for count in counts):
+            raise ContourError(f"{self.name}: at least 2 values are needed along each parameter, got {n}")
+        if window is not None and len(window) != self.dimension:
+            raise ContourError(f"{self.name}: window must have {self.dimension} entries, got {len(window)}")
+        axes = []
+        for i, (count, (low, high)) in enumerate(zip(counts, self.domain)):
+            if window is not None and window[i] is not None:
+                start, end = interval(self.name, f"window[{i}]", window[i])
+                low, high = (start, end) if self.periodic[i] else (max(low, start), min(high, end))
+            if not (np.isfinite(low) and np.isfinite(high) and low < high):
+                raise ContourError(
+                    f"{self.name}: parameter {i} runs over ({low}, {high}); a window within its domain is needed"
+                )
+            wraps = self._wraps(i, window) and not closed
+            axes.append(np.linspace(low, high, count, endpoint=not wraps))
+        return axes
+
 
 def positive(owner: str, **lengths: Any) -> tuple[float, ...]:
     """The given lengths as floats, or a ContourError naming the one that is not positive and finite."""
+    checked = finite(owner, **lengths)
+    for name, number in zip(lengths, checked):
+        if not number > 0.0:
+            raise ContourError(f"{owner}: {name} must be positive and finite, got {number}")
+    return checked
+
+
+def finite(owner: str, **numbers: Any) -> tuple[float, ...]:
+    """The given numbers as floats, or a ContourError naming the one that is not finite."""
     checked = []
-    for name, value in lengths.items():
+    for name, value in numbers.items():
         try:
             number = float(value)
         except (TypeError, ValueError):
             raise ContourError(f"{owner}: {name} must be a number, got {value!r}") from None
-        if not (np.isfinite(number) and number > 0.0):
-            raise ContourError(f"{owner}: {name} must be positive and finite, got {number}")
+        if not np.isfinite(number):
+            raise ContourError(f"{owner}: {name} must be finite, got {number}")
         checked.append(number)
     return tuple(checked)
 
@@ -114,3 +187,31 @@ def interval(owner: str, name: str, ends: Any) -> tuple[float, float]:
     if not low < high:
         raise ContourError(f"{owner}: {name} must have low < high, got ({low}, {high})")
     return low, high
+
+
+def half_diagonal(contour: Contour) -> float:
+    """Half the diagonal of the box around a contour of finite domain, else infinity."""
+    if not np.isfinite(contour.domain).all():
+        return np.inf
+    points = np.array([contour.point(u) for u in contour.samples(12 if contour.dimension == 2 else 64)])
+    return 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def turning(contour: Contour) -> int:
+    """`convex_side` of a curve: the sense in which it runs around a convex region, 0 if it does not.
+
+    A closed planar curve is convex if its curvature keeps one sign and its tangent turns around once.
+    """
+    if not (contour.planar and contour.periodic[0]) or contour.time_dependent:
+        return 0
+    low, high = contour.domain[0]
+    n = 720
+    rows = np.array([contour.evaluate(u) for u in np.linspace(low, high, n, endpoint=False)])
+    first, second = rows[:, F_1], rows[:, F_11]
+    bend = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    speed = first[:, 0] ** 2 + first[:, 1] ** 2
+    if not (speed > 0.0).all() or (bend.min() < 0.0 < bend.max()):
+        return 0
+    turns = (high - low) / n * float((bend / speed).sum()) / (2.0 * np.pi)
+    # The sum is exponentially accurate for smooth curves; a whole number of turns is all that matters here.
+    return round(turns) if abs(abs(turns) - 1.0) < 0.25 else 0

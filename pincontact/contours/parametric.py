@@ -1,150 +1,69 @@
-"""Contours from a user's formula: curves f(u) or f(u, t), surfaces f(u1, u2) or f(u1, u2, t)."""
+"""Contours from a user's formula: curves f(u) or f(u, t), surfaces f(u1, u2) or f(u1, u2, t), height fields."""
 
 from __future__ import annotations
 
-import inspect
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from ..errors import ContourError
-from .base import TAPE_CURVE, TAPE_SURFACE, Contour, interval
-from .trace import Tape, Untraceable, trace
-
-# How many parameter values a formula is tried at, and how far along an infinite domain.
-_TRIALS = 25
-_REACH = 3.0
-# A traced formula repeats the user's operations up to rounding; more than this is another function.
-_AGREEMENT = 1e-9
-
-
-class _Formula:
-    """A user's callable, checked: its number of parameters, finite values of the right length."""
-
-    def __init__(self, owner: str, function: Callable[..., Any], parameters: int, outputs: int) -> None:
-        if not callable(function):
-            raise ContourError(f"{owner}: a function is needed, got {function!r}")
-        self.owner = owner
-        self.function = function
-        self.parameters = parameters
-        self.outputs = outputs
-        self.takes_time = _takes_time(owner, function, parameters)
-
-    def __call__(self, *arguments: float) -> np.ndarray:
-        shown = ", ".join(f"{value:.6g}" for value in arguments)
-        try:
-            result = np.asarray(self.function(*arguments), dtype=float).reshape(-1)
-        except Exception as error:
-            raise ContourError(f"{self.owner}: the function raised at ({shown}): {error!r}") from error
-        if result.size != self.outputs:
-            raise ContourError(
-                f"{self.owner}: the function must return {self.outputs} numbers, "
-                f"at ({shown}) it returned {result.size}"
-            )
-        if not np.isfinite(result).all():
-            raise ContourError(f"{self.owner}: the function is not finite at ({shown}): {result}")
-        return result
-
-
-def _takes_time(owner: str, function: Callable[..., Any], parameters: int) -> bool:
-    """Whether the function has one more argument, t, than the contour has parameters."""
-    try:
-        arguments = list(inspect.signature(function).parameters.values())
-    except (TypeError, ValueError):  # some compiled callables have no signature
-        return False
-    positional = [a for a in arguments if a.kind in (a.POSITIONAL_ONLY, a.POSITIONAL_OR_KEYWORD)]
-    needed = [a for a in positional if a.default is a.empty]
-    if len(needed) == parameters + 1 or (len(positional) > parameters and positional[parameters].name == "t"):
-        return True
-    if len(needed) > parameters or (len(positional) < parameters and len(positional) == len(arguments)):
-        raise ContourError(
-            f"{owner}: the function takes {len(needed)} arguments, "
-            f"not {parameters} (or {parameters + 1} with time)"
-        )
-    return False
-
-
-def trial_values(domain: Sequence[tuple[float, float]], count: int) -> np.ndarray:
-    """Reproducible random values (count, len(domain)) of parameters in the domain."""
-    generator = np.random.default_rng(20240229)
-    low, high = window(domain, _REACH)
-    return low + (high - low) * generator.random((count, len(domain)))
-
-
-def window(domain: Sequence[tuple[float, float]], reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """The domain with infinite ends replaced by values `reach` away from the other end or from zero."""
-    low, high = [], []
-    for start, end in domain:
-        low.append(start if math.isfinite(start) else (end - reach if math.isfinite(end) else -reach))
-        high.append(end if math.isfinite(end) else (start + reach if math.isfinite(start) else reach))
-    return np.array(low), np.array(high)
-
-
-def _traced(formula: _Formula, domain: Sequence[tuple[float, float]]) -> Tape:
-    """The formula's tape, compared with the formula itself all over the domain."""
-    variables = ("u" if formula.parameters == 1 else "uv") + ("t" if formula.takes_time else "")
-    tape = trace(formula.function, variables, formula.outputs)
-    kind = TAPE_CURVE if formula.parameters == 1 else TAPE_SURFACE
-    contour = Contour(kind, formula.parameters, pool=tape.pool)
-    signs = np.zeros(len(tape.kinks))
-    for u, t in zip(trial_values(domain, _TRIALS), np.linspace(0.0, _REACH, _TRIALS)):
-        arguments = (*u.tolist(), float(t)) if formula.takes_time else tuple(u.tolist())
-        expected = formula(*arguments)
-        found = contour.evaluate(u, float(t))[0, : formula.outputs]
-        difference = np.abs(found - expected)
-        if not (difference <= _AGREEMENT * (1.0 + np.abs(expected).max())).all():
-            worst = int(np.argmax(difference))
-            raise ContourError(
-                f"{formula.owner}: the traced formula gives {float(found[worst])!r} for component {worst} at "
-                f"{arguments}, the function {float(expected[worst])!r}; it must depend on its arguments alone"
-            )
-        for k, slot in enumerate(tape.kinks):
-            sign = math.copysign(1.0, tape.pool[slot])
-            if signs[k] * sign < 0.0:
-                raise ContourError(
-                    f"{formula.owner}: not smooth: it takes the absolute value of a quantity "
-                    f"that changes sign before {arguments}"
-                )
-            signs[k] = sign
-    return tape
+from .base import F_1, F_2, HEIGHT_FIELD, Contour, F, half_diagonal, interval, turning
+from .curves import ALL
+from .formula import Formula, Program, compiled, takes_time, trials
+from .splines import height_grid
 
 
 class ParametricCurve(Contour):
-    """A curve f(u) or f(u, t) -> (x, y, z) in metres, t in s.
+    """A curve f(u) or f(u, t) -> (x, y, z) in m, t in s.
 
-    f:          written with `math` or NumPy functions of numbers; it is turned into a tape once, so that no
-                Python runs during a simulation and derivatives are exact
-    domain:     (low, high) of u; may be infinite
-    periodic:   f(low) and f(high) are the same point, smoothly joined
+    f:            written with `math` or NumPy functions of numbers. It is traced into a tape once, so that no
+                  Python runs during a simulation and all derivatives are exact. A function that cannot be traced
+                  (it branches on u, or calls compiled code) is fitted to rounding instead; `fit_error` says in m
+                  how well
+    domain:       (low, high) of u; may be infinite if f can be traced
+    periodic:     f(low) and f(high) are the same point, smoothly joined
+    derivatives:  same arguments -> (f_1, f_11), or (f_1, f_t, f_11, f_1t, f_tt) with time. Not needed; if given,
+                  compared with the traced ones, or fitted together with f
+    time_domain:  (first, last) time in s for an f(u, t) that has to be fitted; beyond it the contour goes on with
+                  constant acceleration
 
-    Raises ContourError if f is not finite, not smooth or not made of elementary functions.
+    Raises ContourError if f is not finite or not smooth, does not return three numbers, or is not what was traced.
     """
 
-    def __init__(self, f: Callable[..., Any], domain: tuple[float, float], periodic: bool = False) -> None:
+    def __init__(
+        self,
+        f: Callable[..., Any],
+        domain: tuple[float, float],
+        periodic: bool = False,
+        derivatives: Callable[..., Any] | None = None,
+        time_domain: tuple[float, float] | None = None,
+    ) -> None:
         owner = "ParametricCurve"
         checked = (interval(owner, "domain", domain),)
-        tape = _tape(_Formula(owner, f, 1, 3), checked)
-        planar = tape.constants[2] == 0.0
-        super().__init__(
-            kind=TAPE_CURVE,
-            dimension=1,
-            pool=tape.pool,
-            domain=checked,
-            periodic=(bool(periodic),),
-            planar=planar,
-            time_dependent=tape.time_dependent,
-        )
-        _finish(self)
+        if time_domain is not None:
+            time_domain = interval(owner, "time_domain", time_domain)
+        program = compiled(Formula(owner, f, 1), checked, (periodic,), derivatives, time_domain)
+        _initialise(self, program, checked, (bool(periodic),))
+        planar = program.constants[2] == 0.0
+        if not planar and program.error > 0.0 and not program.time_dependent:
+            # A fit of zeros is zero.
+            planar = all(self.point(u)[2] == 0.0 for u in self.samples(200))
+        object.__setattr__(self, "planar", planar)
+        object.__setattr__(self, "convex_side", turning(self))
 
 
 class ParametricSurface(Contour):
-    """A surface f(u1, u2) or f(u1, u2, t) -> (x, y, z) in metres, t in s; its normal is along f_1 x f_2.
+    """A surface f(u1, u2) or f(u1, u2, t) -> (x, y, z) in m, t in s; its normal is along f_1 x f_2.
 
-    f:          as in `ParametricCurve`
-    domain:     ((low, high) of u1, (low, high) of u2); may be infinite
-    periodic:   which parameters wrap around
+    f:            as for `ParametricCurve`; with time it must be traceable
+    domain:       ((low, high) of u1, (low, high) of u2); may be infinite if f can be traced
+    periodic:     which parameters wrap around
+    derivatives:  same arguments -> (f_1, f_2, f_11, f_12, f_22), or with time (f_1, f_2, f_t, f_11, f_12, f_1t,
+                  f_22, f_2t, f_tt); not needed, see `ParametricCurve`
+
+    Raises ContourError as `ParametricCurve` does.
     """
 
     def __init__(
@@ -152,30 +71,111 @@ class ParametricSurface(Contour):
         f: Callable[..., Any],
         domain: tuple[tuple[float, float], tuple[float, float]],
         periodic: tuple[bool, bool] = (False, False),
+        derivatives: Callable[..., Any] | None = None,
     ) -> None:
         owner = "ParametricSurface"
-        checked = tuple(interval(owner, f"domain[{i}]", part) for i, part in enumerate(domain))
-        tape = _tape(_Formula(owner, f, 2, 3), checked)
+        checked = _rectangle(owner, domain)
+        try:
+            wraps = (bool(periodic[0]), bool(periodic[1]))
+        except (TypeError, IndexError):
+            raise ContourError(f"{owner}: periodic must be a pair of booleans, got {periodic!r}") from None
+        program = compiled(Formula(owner, f, 2), checked, wraps, derivatives)
+        _initialise(self, program, checked, wraps)
+
+
+class HeightField(Contour):
+    """A surface over its frame's xy-plane, (x, y, z(x, y)), normal upwards: from a function or from a grid.
+
+    HeightField(f):        f(x, y) or f(x, y, t) -> z in m, traced or fitted as in `ParametricCurve`;
+                           domain: ((low, high) of x, (low, high) of y), infinite if not given;
+                           derivatives: same arguments -> (f_x, f_y, f_xx, f_xy, f_yy), not needed
+    HeightField(x, y, z):  x (n1,), y (n2,) increasing, z (n1, n2), all in m: a spline of the given degree (at least
+                           4) through the grid
+
+    Raises ContourError for what cannot be traced, fitted or interpolated.
+    """
+
+    def __init__(
+        self,
+        f: Any,
+        y: Any = None,
+        z: Any = None,
+        *,
+        domain: tuple[tuple[float, float], tuple[float, float]] | None = None,
+        degree: int = 5,
+        derivatives: Callable[..., Any] | None = None,
+    ) -> None:
+        owner = "HeightField"
+        if callable(f):
+            if y is not None or z is not None:
+                raise ContourError(f"{owner}: give a function or a grid x, y, z, not both")
+            checked = (ALL, ALL) if domain is None else _rectangle(owner, domain)
+            formula = Formula(owner, _lifted(f, takes_time(owner, f, 2)), 2)
+            second = None if derivatives is None else _lifted_derivatives(derivatives)
+            _initialise(self, compiled(formula, checked, (False, False), second), checked, (False, False))
+            return
+        if y is None or z is None:
+            raise ContourError(f"{owner}: a grid needs x, y and z")
+        if domain is not None or derivatives is not None:
+            raise ContourError(f"{owner}: domain and derivatives go with a function, not with a grid")
+        x, y, pool = height_grid(owner, f, y, z, degree)
         super().__init__(
-            kind=TAPE_SURFACE,
+            kind=HEIGHT_FIELD,
             dimension=2,
-            pool=tape.pool,
-            domain=checked,
-            periodic=(bool(periodic[0]), bool(periodic[1])),
-            time_dependent=tape.time_dependent,
+            pool=pool,
+            domain=((float(x[0]), float(x[-1])), (float(y[0]), float(y[-1]))),
+            periodic=(False, False),
         )
-        _finish(self)
+        object.__setattr__(self, "size", half_diagonal(self))
 
 
-def _tape(formula: _Formula, domain: Sequence[tuple[float, float]]) -> Tape:
+def _lifted(f: Callable[..., Any], timed: bool) -> Callable[..., Any]:
+    """The surface (x, y, f)."""
+    if timed:
+        return lambda x, y, t: (x, y, f(x, y, t))
+    return lambda x, y: (x, y, f(x, y))
+
+
+def _lifted_derivatives(derivatives: Callable[..., Any]) -> Callable[..., Any]:
+    def lifted(*arguments: float) -> np.ndarray:
+        heights = np.asarray(derivatives(*arguments), dtype=float).reshape(-1)
+        rows = np.zeros((len(heights), 3))
+        rows[0, 0] = rows[1, 1] = 1.0
+        rows[:, 2] = heights
+        return rows
+
+    return lifted
+
+
+def _rectangle(owner: str, domain: Any) -> tuple[tuple[float, float], ...]:
     try:
-        return _traced(formula, domain)
-    except Untraceable as reason:
-        raise ContourError(f"{formula.owner}: the function cannot be traced: {reason}") from None
+        first, second = domain
+    except (TypeError, ValueError):
+        raise ContourError(f"{owner}: domain must be ((low, high), (low, high)), got {domain!r}") from None
+    return interval(owner, "domain[0]", first), interval(owner, "domain[1]", second)
 
 
-def _finish(contour: Contour) -> None:
-    """Characteristic size from points all over a finite domain."""
-    if np.isfinite(contour.domain).all():
-        points = np.array([contour.point(u) for u in trial_values(contour.domain, _TRIALS)])
-        object.__setattr__(contour, "size", 0.5 * float(np.linalg.norm(np.ptp(points, axis=0))))
+def _initialise(
+    contour: Contour, program: Program, domain: tuple[tuple[float, float], ...], periodic: tuple[bool, ...]
+) -> None:
+    """Fill in a contour from its compiled formula, and see that it has a tangent or a normal."""
+    Contour.__init__(
+        contour,
+        kind=program.kind,
+        dimension=len(domain),
+        pool=program.pool,
+        domain=domain,
+        periodic=periodic,
+        time_dependent=program.time_dependent,
+        fit_error=program.error,
+    )
+    u, _ = trials(domain)
+    rows = np.array([contour.evaluate(value) for value in u])
+    size, first = np.abs(rows[:, F]).max(), rows[:, F_1]
+    measure = first if len(domain) == 1 else np.cross(first, rows[:, F_2])
+    # One singular point is a matter of taste; a shape that is singular everywhere is not a curve or surface.
+    if not np.linalg.norm(measure, axis=1).max() > 1e-14 * min(size, 1.0):
+        what = "f_1" if len(domain) == 1 else "f_1 x f_2"
+        raise ContourError(f"{contour.name}: {what} vanishes all over the domain")
+    if math.isfinite(np.abs(domain).max()):
+        object.__setattr__(contour, "size", half_diagonal(contour))

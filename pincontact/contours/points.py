@@ -15,6 +15,4 @@ class Point(Contour):
 
 @kernel
 def point(out):
-    out[0, 0] = 0.0
-    out[0, 1] = 0.0
-    out[0, 2] = 0.0
+    out[0, 0], out[0, 1], out[0, 2] = 0.0, 0.0, 0.0

@@ -3,43 +3,59 @@
 from __future__ import annotations
 
 from ..jit import INTEGER, REAL, entry_kernel, kernel
-from .base import CIRCLE, LINE, PLANE, POINT, SPHERE, TAPE_CURVE, TAPE_SURFACE
-from .curves import circle, line
+from .base import (
+    CYCLOID,
+    FOURIER_CURVE,
+    HEIGHT_FIELD,
+    PLANE,
+    POINT,
+    REVOLUTION,
+    TAPE_CURVE,
+    TAPE_SURFACE,
+    TORUS,
+)
+from .charts import convert_chart, preferred_chart
+from .curves import closed_form_curve, fourier_curve
+from .piecewise import piecewise
 from .points import point
-from .surfaces import plane, sphere
+from .revolution import revolution_source, revolve
+from .splines import lift
+from .surfaces import closed_form_surface, plane
 from .tape import tape
+
+__all__ = ["convert_chart", "evaluate", "evaluate_contour", "preferred_chart"]
 
 
 @kernel
 def evaluate(kind, chart, shape, pool, u1, u2, t, out):
     """Fill out (10, 3) with f and its derivatives (rows F .. F_TT of `base`), contour frame.
 
-    Rows of time derivatives are written by time-dependent kinds only; the caller keeps them zero otherwise.
+    Rows of time derivatives are written by time-dependent kinds only; the caller keeps them zero otherwise. Rows
+    of derivatives by parameters that the contour does not have are not written.
     """
     if kind == POINT:
         point(out)
-    elif kind == CIRCLE:
-        circle(shape, u1, out)
+    elif kind <= CYCLOID:
+        closed_form_curve(kind, shape, u1, out)
     elif kind == PLANE:
         plane(u1, u2, out)
-    elif kind == SPHERE:
-        sphere(chart, shape, u1, u2, out)
-    elif kind == LINE:
-        line(u1, out)
-    elif kind in (TAPE_CURVE, TAPE_SURFACE):
-        tape(pool, u1, u2, t, out)
-
-
-@kernel
-def preferred_chart(kind, chart, shape, u1, u2):
-    """The chart in which the point (u1, u2) of `chart` is well described: `chart` itself where it is."""
-    return chart
-
-
-@kernel
-def convert_chart(kind, shape, pool, chart, u1, u2, new_chart):
-    """Parameters (u1, u2) in new_chart of the point that has parameters (u1, u2) in chart."""
-    return u1, u2
+    elif PLANE < kind <= TORUS:
+        closed_form_surface(kind, chart, shape, u1, u2, out)
+    elif kind == FOURIER_CURVE:
+        fourier_curve(shape, pool, u1, out)
+    else:
+        # Kinds made of a tape or of piecewise polynomials; each of the two is compiled in at one place.
+        start, argument, traced = 0, u1, kind in (TAPE_CURVE, TAPE_SURFACE)
+        if kind == REVOLUTION:
+            start, argument, traced = revolution_source(chart, shape, pool, u1, u2)
+        if traced:
+            tape(pool[start:], argument, u2, t, out)
+        else:
+            piecewise(pool[start:], argument, u2, t, out)
+        if kind == REVOLUTION:
+            revolve(chart, shape, pool, u1, u2, out)
+        elif kind == HEIGHT_FIELD:
+            lift(u1, u2, out)
 
 
 @entry_kernel(INTEGER, INTEGER, REAL[::1], REAL[::1], REAL, REAL, REAL, REAL[:, ::1])

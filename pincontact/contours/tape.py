@@ -198,16 +198,18 @@ def run_tape(pool, u1, u2, t):
             for k in range(width):
                 pool[target + k] = c * pool[a + k]
             pool[target] += pool[at + 4]
-        elif op == SINCOS:
-            sine, cosine = math.sin(pool[a]), math.cos(pool[a])
-            chain(pool, a, target, n, sine, cosine, -sine)
-            target += width
-            chain(pool, a, target, n, cosine, -sine, -cosine)
-        elif op < SQUARE:
+        elif op < SQUARE and op != SINCOS:
             f, f_x, f_y, f_xx, f_xy, f_yy = function_of_two(op, pool[a], pool[b])
             chain_two(pool, a, b, target, n, f, f_x, f_y, f_xx, f_xy, f_yy)
         else:
-            f, f_x, f_xx = function_of_one(op, pool[a], c)
+            if op == SINCOS:
+                # Two slots: the sine now, the cosine below.
+                sine, cosine = math.sin(pool[a]), math.cos(pool[a])
+                chain(pool, a, target, n, sine, cosine, -sine)
+                target += width
+                f, f_x, f_xx = cosine, -sine, -cosine
+            else:
+                f, f_x, f_xx = function_of_one(op, pool[a], c)
             chain(pool, a, target, n, f, f_x, f_xx)
         target += width
         at += INSTRUCTION_SIZE

@@ -22,7 +22,7 @@ from . import tape as ops
 from .base import F_1, F_1T, F_2, F_2T, F_11, F_12, F_22, F_T, F_TT, F
 
 # What a slot's entries are, by the variables of the tape: rows of the derivative array.
-_ROWS = {
+ROWS = {
     "u": (F, F_1, F_11),
     "ut": (F, F_1, F_T, F_11, F_1T, F_TT),
     "uv": (F, F_1, F_2, F_11, F_12, F_22),
@@ -141,7 +141,7 @@ class _Graph:
         timed = "t" in variables and any(self.nodes[i] == ("variable", "t") for i in used)
         if not timed:
             variables = variables.replace("t", "")
-        rows = _ROWS[variables]
+        rows = ROWS[variables]
         width, n = len(rows), len(variables)
 
         order = [i for i in used if self.nodes[i][0] != "variable"]
@@ -355,8 +355,7 @@ def _two(op: int, x: Any, y: Any) -> Any:
     graph, anchor = (x.graph, x.index) if isinstance(x, Symbol) else (y.graph, y.index)
     # A constant is a multiple, by zero, of what the other argument is.
     left, right = (
-        value if isinstance(value, Symbol) else graph.symbol(("affine", anchor, 0.0, value))
-        for value in (x, y)
+        value if isinstance(value, Symbol) else graph.symbol(("affine", anchor, 0.0, value)) for value in (x, y)
     )
     return graph.symbol(("two", op, left.index, right.index))
 
@@ -442,9 +441,7 @@ _ELEMENTARY: list[tuple[str, Callable[..., Any]]] = [
 
 
 def _array(value: Any, dtype: Any = None, **keywords: Any) -> Any:
-    return np.array(
-        value, dtype=object if _holds_symbols(value) or isinstance(value, Symbol) else dtype, **keywords
-    )
+    return np.array(value, dtype=object if _holds_symbols(value) or isinstance(value, Symbol) else dtype, **keywords)
 
 
 def _filled(number: float) -> Callable[..., Any]:
@@ -546,9 +543,7 @@ def _copy(function: types.FunctionType, memo: dict[Any, Any]) -> types.FunctionT
         "__builtins__": {**vars(builtins), "float": _Float, "__import__": imported},
     }
     cells = tuple(types.CellType() for _ in function.__closure__ or ())
-    copy = types.FunctionType(
-        function.__code__, scope, function.__name__, function.__defaults__, cells or None
-    )
+    copy = types.FunctionType(function.__code__, scope, function.__name__, function.__defaults__, cells or None)
     copy.__kwdefaults__ = function.__kwdefaults__
     # Known before its names are filled in: functions may call each other.
     memo[function] = copy

@@ -1,0 +1,64 @@
+"""Charts: other parameters for the same surface near the poles of the first ones.
+
+Sphere and ellipsoid: two charts whose poles lie on different axes. Surface of revolution: chart 1 (2) is a smooth
+cap around the pole at the low (high) end of the profile, see `revolution.py`. All other kinds have one chart.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..jit import kernel
+from .base import ELLIPSOID, REVOLUTION, SPHERE
+from .revolution import ENTER, HIGH, HIGH_POLE, LEAVE, LOW, LOW_POLE
+
+# A latitude is left where its cosine falls below this; the other chart's cosine is then at least sqrt(3)/2, which
+# is the hysteresis.
+_POLAR = 0.5
+
+
+@kernel
+def preferred_chart(kind, chart, shape, u1, u2):
+    """The chart in which the point (u1, u2) of `chart` is well described: `chart` itself where it is."""
+    if kind in (SPHERE, ELLIPSOID):
+        return 1 - chart if math.cos(u2) < _POLAR else chart
+    if kind == REVOLUTION:
+        if chart == 0:
+            if shape[LOW_POLE] != 0.0 and u2 - shape[LOW] < shape[ENTER]:
+                return 1
+            if shape[HIGH_POLE] != 0.0 and shape[HIGH] - u2 < shape[ENTER]:
+                return 2
+        elif u1 * u1 + u2 * u2 > shape[LEAVE] * shape[LEAVE]:
+            return 0
+    return chart
+
+
+@kernel
+def convert_chart(kind, shape, pool, chart, u1, u2, new_chart):
+    """Parameters (u1, u2) in new_chart of the point that has parameters (u1, u2) in chart.
+
+    Angles come out in (-pi, pi]. At a pole the angle is arbitrary: zero.
+    """
+    if chart == new_chart:
+        return u1, u2
+    if kind in (SPHERE, ELLIPSOID):
+        # The point on the unit sphere; an ellipsoid's charts are a sphere's, stretched.
+        c2 = math.cos(u2)
+        x, y, z = c2 * math.cos(u1), c2 * math.sin(u1), math.sin(u2)
+        if new_chart == 1:
+            x, y, z = y, z, x
+        else:
+            x, y, z = z, x, y
+        return math.atan2(y, x), math.atan2(z, math.hypot(x, y))
+    if kind == REVOLUTION:
+        if chart != 0:
+            # The cap at the low end turns the other way round its pole.
+            turn = -1.0 if chart == 1 else 1.0
+            distance = math.hypot(u1, u2)
+            u1 = math.atan2(turn * u2, u1)
+            u2 = shape[LOW] + distance if chart == 1 else shape[HIGH] - distance
+        if new_chart != 0:
+            turn = -1.0 if new_chart == 1 else 1.0
+            distance = u2 - shape[LOW] if new_chart == 1 else shape[HIGH] - u2
+            u1, u2 = distance * math.cos(u1), turn * distance * math.sin(u1)
+    return u1, u2

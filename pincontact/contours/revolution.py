@@ -1,0 +1,285 @@
+"""Surfaces of revolution, smooth where the profile meets the axis.
+
+Away from the axis (chart 0) f = (r(s) cos u1, h r(s) sin u1, z(s)), s = u2, h = 1 or -1 so that f_1 x f_2 points
+outwards. A profile that meets the axis at s = e smoothly has r odd and z even in the distance d = |s - e|, so that
+r = d g(d^2) and z = k(d^2) with smooth g and k, and the cap chart f = (u1 g, +-u2 g, k) with d^2 = u1^2 + u2^2 is
+smooth at the pole. Near the pole g and k are Chebyshev fits in d^2; beyond it they come from the profile itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from ..errors import ContourError
+from ..jit import kernel
+from .base import F_1, F_11, REVOLUTION, SPLINE_CURVE, TAPE_CURVE, Contour, F, interval
+from .curves import TURN
+from .formula import Formula, compiled
+from .piecewise import Direction, chebyshev_nodes, pack
+from .splines import array, chords, spline, spline_pool
+from .surfaces import put_revolved
+
+# Shape parameters: h, ends of the profile, cap chart entered and left at these distances, which ends are poles,
+# and whether the profile is a tape (or piecewise polynomials).
+HAND, LOW, HIGH, ENTER, LEAVE, LOW_POLE, HIGH_POLE, TRACED = range(8)
+# Pool: profile's offset, then for each end the offset of (g, k) and the d^2 up to which they hold.
+PROFILE, LOW_CAP, LOW_REACH, HIGH_CAP, HIGH_REACH = range(5)
+POOL_HEADER = 5
+
+
+# The cap chart is entered this part of the profile away from the pole, and left at LEAVE_FACTOR times that.
+_ENTER = 0.25
+_LEAVE_FACTOR = 1.6
+# Degree in d^2 of the fits at a pole, and where they may end, as parts of the distance at which the cap is entered.
+_CAP_DEGREE = 12
+_CAP_REACHES = (0.8, 0.4, 0.2, 0.1)
+# A smooth profile is fitted to rounding; one with the wrong parity misses by many orders more.
+_CAP_ERROR = 1e-12
+_PROFILE_SAMPLES = 400
+
+
+class SurfaceOfRevolution(Contour):
+    """A profile (r, z) turned about the z axis: f = (r(u2) cos u1, +-r(u2) sin u1, z(u2)).
+
+    The sign is such that f_1 x f_2 points out of the body between the profile and the axis (up for a flat disk).
+    Where the profile meets the axis, at an end, it must be smooth as a surface (r odd, z even in the distance from
+    the end, both parameters such as arc length or an angle); charts 1 and 2 cover those poles.
+
+    profile:     callable s -> (r, z) in m, traced or fitted as in `ParametricCurve`; or points (n, 2), joined by a
+                 spline that also passes the axis smoothly where its first or last point has r = 0
+    domain:      (low, high) of s, finite, for a callable
+    periodic:    the profile closes (away from the axis)
+
+    Raises ContourError for a profile that crosses the axis, or meets it with an edge or an apex.
+    """
+
+    def __init__(self, profile: Any, domain: tuple[float, float] | None = None, periodic: bool = False) -> None:
+        owner = "SurfaceOfRevolution"
+        reaches = None
+        if callable(profile):
+            if domain is None:
+                raise ContourError(f"{owner}: a callable profile needs its domain")
+            low, high = interval(owner, "domain", domain)
+            if not (math.isfinite(low) and math.isfinite(high)):
+                raise ContourError(f"{owner}: domain must be finite, got ({low}, {high})")
+            program = compiled(_profile_formula(owner, profile), ((low, high),), (periodic,))
+            kind, pool, error = program.kind, program.pool, program.error
+        else:
+            if domain is not None:
+                raise ContourError(f"{owner}: domain goes with a callable profile, not with points")
+            pool, (low, high), reaches = _spline_profile(owner, profile, periodic)
+            kind, error = SPLINE_CURVE, 0.0
+        curve = Contour(kind, 1, pool=pool, domain=((low, high),))
+        samples = np.linspace(low, high, _PROFILE_SAMPLES)
+        rows = np.array([curve.evaluate(s) for s in samples])[:, [F, F_1, F_11], :2]
+        size = float(np.abs(rows[:, 0]).max())
+        r = rows[:, 0, 0]
+        poles = [not periodic and abs(r[end]) <= 1e-12 * size for end in (0, -1)]
+        inside = r[1:-1] if any(poles) else r
+        if not (inside > 0.0).all():
+            where = int(np.argmin(inside)) + (1 if any(poles) else 0)
+            raise ContourError(f"{owner}: the profile crosses the axis: r = {r[where]} at s = {samples[where]}")
+        caps = []
+        for end, pole in enumerate(poles):
+            reach = _ENTER * (high - low) if reaches is None else reaches[end]
+            caps.append(_cap(owner, curve, (low, high)[end], 1.0 - 2.0 * end, reach, size) if pole else None)
+        hand = _outward(rows, samples)
+        enter = _ENTER * (high - low)
+        super().__init__(
+            kind=REVOLUTION,
+            dimension=2,
+            shape=(
+                hand,
+                low,
+                high,
+                enter,
+                _LEAVE_FACTOR * enter,
+                float(poles[0]),
+                float(poles[1]),
+                float(kind == TAPE_CURVE),
+            ),
+            pool=_assemble(pool, caps),
+            domain=(TURN, (low, high)),
+            periodic=(True, bool(periodic)),
+            size=max(float(r.max()), 0.5 * float(np.ptp(rows[:, 0, 1]))),
+            fit_error=error,
+        )
+        if sum(poles) != 1 and not periodic:
+            object.__setattr__(self, "convex_side", _convex(rows, hand))
+
+
+def _profile_formula(owner: str, profile: Callable[..., Any]) -> Formula:
+    formula = Formula(f"{owner} (profile)", profile, 1, 2)
+    if formula.takes_time:
+        raise ContourError(f"{owner}: the profile must not depend on time")
+    return formula
+
+
+def _spline_profile(
+    owner: str, given: Any, periodic: bool
+) -> tuple[np.ndarray, tuple[float, float], tuple[float, float]]:
+    """Pool and domain of the spline through (r, z) points, and how far it is one polynomial from each end.
+
+    Where the profile starts or ends on the axis it is mirrored there, so that the spline has the parity of a smooth
+    surface. Its degree is even then: knots lie between the points, and none at the pole.
+    """
+    points = array(owner, "profile", given, None, 2)
+    if (points[:, 0] < 0.0).any():
+        i = int(np.argmin(points[:, 0]))
+        raise ContourError(f"{owner}: profile[{i}] is on the other side of the axis, r = {points[i, 0]}")
+    s = chords(points)
+    if not (np.diff(s) > 0.0).all():
+        i = int(np.argmin(np.diff(s)))
+        raise ContourError(f"{owner}: profile points {i} and {i + 1} coincide at {points[i].tolist()}")
+    touches = [not periodic and points[end, 0] <= 1e-12 * np.abs(points).max() for end in (0, -1)]
+    points[[end for end, touch in zip((0, -1), touches) if touch], 0] = 0.0
+    if periodic:
+        points = np.concatenate([points, points[:1]])
+        s = chords(points)
+    mirror = np.array([-1.0, 1.0])
+    low, high = s[0], s[-1]
+    sites, values = s, points
+    if touches[0]:
+        sites = np.concatenate([2.0 * low - s[:0:-1], sites])
+        values = np.concatenate([points[:0:-1] * mirror, values])
+    if touches[1]:
+        sites = np.concatenate([sites, 2.0 * high - s[-2::-1]])
+        values = np.concatenate([values, points[-2::-1] * mirror])
+    whole = spline(owner, sites, values, 6 if any(touches) else 5, periodic)
+    # Only the half on this side is evaluated, up to the chart's overshoot.
+    return spline_pool(whole, periodic), (float(low), float(high)), (0.5 * (s[1] - s[0]), 0.5 * (s[-1] - s[-2]))
+
+
+def _cap(owner: str, curve: Contour, end: float, towards: float, reach: float, size: float) -> tuple[np.ndarray, float]:
+    """Pool of (g, k) as functions of d^2 around the pole at s = end, and the d^2 up to which they hold."""
+    at_pole = curve.evaluate(end)[[F_1, F_11], :2]
+    if not np.isfinite(at_pole).all():
+        raise ContourError(
+            f"{owner}: the profile has no finite derivatives at the axis, s = {end}: parametrise it by arc length "
+            "or an angle"
+        )
+    (r_1, z_1), _ = at_pole
+    if not abs(r_1) * reach > 1e-6 * size:
+        raise ContourError(f"{owner}: the profile reaches the axis tangentially at s = {end}: dr/ds = {r_1}")
+    if abs(z_1) > 1e-9 * abs(r_1):
+        raise ContourError(
+            f"{owner}: the surface has an apex at s = {end}: the profile meets the axis with slope "
+            f"dz/dr = {z_1 / r_1}, not 0; end the domain before it"
+        )
+    nodes = 0.5 + 0.5 * chebyshev_nodes(5 * _CAP_DEGREE)
+    errors = []
+    for part in _CAP_REACHES:
+        length = part * reach
+        d = length * np.sqrt(nodes)
+        values = np.array([curve.point(end + towards * distance)[:2] for distance in d])
+        powers = chebyshev.chebvander(2.0 * nodes - 1.0, _CAP_DEGREE)
+        # Fitting r = d g instead of g keeps the rounding of r near the pole from being divided by d.
+        g = np.linalg.lstsq(d[:, None] / length * powers, values[:, 0] / length, rcond=None)[0]
+        k = np.linalg.lstsq(powers, values[:, 1], rcond=None)[0]
+        errors.append(
+            max(
+                np.abs(d * (powers @ g) - values[:, 0]).max(),
+                np.abs(powers @ k - values[:, 1]).max(),
+            )
+        )
+        if errors[-1] <= _CAP_ERROR * size:
+            direction = Direction.chebyshev(np.array([0.0, length**2]), _CAP_DEGREE)
+            return pack([direction], np.stack([g, k], axis=1)), length**2
+    raise ContourError(
+        f"{owner}: not smooth where the profile meets the axis at s = {end}: r must be odd and z even in the "
+        f"distance from there; the best such functions miss it by {min(errors):.1e} m"
+    )
+
+
+def _assemble(profile_pool: np.ndarray, caps: list[tuple[np.ndarray, float] | None]) -> np.ndarray:
+    header = np.zeros(POOL_HEADER)
+    parts = [header, profile_pool]
+    header[PROFILE] = POOL_HEADER
+    for cap, offset, reach in zip(caps, (LOW_CAP, HIGH_CAP), (LOW_REACH, HIGH_REACH)):
+        if cap is not None:
+            header[offset] = sum(part.size for part in parts)
+            parts.append(cap[0])
+            header[reach] = cap[1]
+    return np.concatenate(parts)
+
+
+def _outward(rows: np.ndarray, s: np.ndarray) -> float:
+    """The sign of the azimuth for which f_1 x f_2 points out of the body around the axis."""
+    r, z_1, r_1 = rows[:, 0, 0], rows[:, 1, 1], rows[:, 1, 0]
+    volume = float(np.trapezoid(r * r * z_1, s))
+    scale = float(np.trapezoid(r * r * np.hypot(r_1, z_1), s))
+    if abs(volume) > 1e-6 * scale:
+        return math.copysign(1.0, volume)
+    return -math.copysign(1.0, float(r_1.sum()))
+
+
+def _convex(rows: np.ndarray, hand: float) -> int:
+    """1 if both principal curvatures bend away from the outward normal everywhere."""
+    (r, _), (r_1, z_1), (r_11, z_11) = (rows[:, i].T for i in range(3))
+    along, around = hand * (z_1 * r_11 - r_1 * z_11), -hand * z_1 * r
+    scale = np.abs(along).max() + np.abs(around).max()
+    return 1 if max(along.max(), around.max()) <= 1e-12 * scale else 0
+
+
+@kernel
+def revolution_source(chart, shape, pool, u1, u2):
+    """What a point of a surface of revolution is made from: the profile, or a cap's (g, k).
+
+    Returns the offset of its pool, the argument and whether it is a tape.
+    """
+    traced = shape[TRACED] != 0.0
+    if chart == 0:
+        return int(pool[PROFILE]), u2, traced
+    w = u1 * u1 + u2 * u2
+    if chart == 1:
+        if w <= pool[LOW_REACH]:
+            return int(pool[LOW_CAP]), w, False
+        return int(pool[PROFILE]), shape[LOW] + math.sqrt(w), traced
+    if w <= pool[HIGH_REACH]:
+        return int(pool[HIGH_CAP]), w, False
+    return int(pool[PROFILE]), shape[HIGH] - math.sqrt(w), traced
+
+
+@kernel
+def revolve(chart, shape, pool, u1, u2, out):
+    """The point of a surface of revolution from what `revolution_source` named.
+
+    That is found, with its derivatives, in columns 0 and 1 of the rows F, F_1, F_11 of out, which this fills.
+    """
+    hand = shape[HAND]
+    g, g_w, g_ww = out[0, 0], out[1, 0], out[3, 0]
+    k, k_w, k_ww = out[0, 1], out[1, 1], out[3, 1]
+    if chart == 0:
+        put_revolved(out, 0, math.cos(u1), math.sin(u1), g, k, g_w, k_w, g_ww, k_ww, 1.0, hand)
+        return
+    w = u1 * u1 + u2 * u2
+    if w > (pool[LOW_REACH] if chart == 1 else pool[HIGH_REACH]):
+        # This is the profile (r, z)(s): by d first, with r = d g, then by w, with dw = 2 d dd.
+        d = math.sqrt(w)
+        towards = 1.0 if chart == 1 else -1.0
+        g /= d
+        g_d = (towards * g_w - g) / d
+        g_w = 0.5 * g_d / d
+        g_ww = 0.25 * ((g_ww - 2.0 * g_d) / d - g_d / d) / w
+        k_d = towards * k_w
+        k_w = 0.5 * k_d / d
+        k_ww = 0.25 * (k_ww - k_d / d) / w
+    a, b = u1, u2
+    # The cap at the low end turns the other way round its pole.
+    hand = -hand if chart == 1 else hand
+    cross = 2.0 * a * b * g_w
+    aa, bb = 4.0 * a * a * g_ww, 4.0 * b * b * g_ww
+    out[0, 0], out[0, 1], out[0, 2] = a * g, hand * b * g, k
+    out[1, 0], out[1, 1], out[1, 2] = g + 2.0 * a * a * g_w, hand * cross, 2.0 * a * k_w
+    out[2, 0], out[2, 1], out[2, 2] = cross, hand * (g + 2.0 * b * b * g_w), 2.0 * b * k_w
+    out[3, 0], out[3, 1] = a * (6.0 * g_w + aa), hand * b * (2.0 * g_w + aa)
+    out[4, 0], out[4, 1] = b * (2.0 * g_w + aa), hand * a * (2.0 * g_w + bb)
+    out[5, 0], out[5, 1] = a * (2.0 * g_w + bb), hand * b * (6.0 * g_w + bb)
+    out[3, 2] = 2.0 * k_w + 4.0 * a * a * k_ww
+    out[4, 2] = 4.0 * a * b * k_ww
+    out[5, 2] = 2.0 * k_w + 4.0 * b * b * k_ww

@@ -1,0 +1,216 @@
+"""Splines through points: curves, surfaces and height fields, at least three times differentiable."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
+from ..errors import ContourError
+from ..jit import kernel
+from .base import (
+    SPLINE_CURVE,
+    SPLINE_SURFACE,
+    Contour,
+    half_diagonal,
+    turning,
+)
+from .piecewise import Direction, chebyshev_nodes, pack
+
+# f has to be three times differentiable: the dynamics use f_11, and their integration one order more.
+_SMOOTHNESS = 3
+
+
+def array(owner: str, name: str, given: Any, *shape: int | None) -> np.ndarray:
+    """`given` as a finite float array of this shape (None: any length), or a ContourError."""
+    try:
+        values = np.array(given, dtype=float)
+    except (TypeError, ValueError):
+        raise ContourError(f"{owner}: {name} must be an array of numbers") from None
+    if values.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, values.shape)):
+        wanted = ", ".join("n" if n is None else str(n) for n in shape)
+        raise ContourError(f"{owner}: {name} must have shape ({wanted}), got {values.shape}")
+    if not np.isfinite(values).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
+        raise ContourError(f"{owner}: {name}{list(where)} is not finite")
+    return values
+
+
+def spline(owner: str, parameters: np.ndarray, values: np.ndarray, degree: int, periodic: bool) -> BSpline:
+    """The interpolating spline along the first axis; a periodic one repeats its first value at the end.
+
+    Raises ContourError for parameters that do not increase, a degree below 4 or too few points.
+    """
+    if not isinstance(degree, (int, np.integer)) or degree <= _SMOOTHNESS:
+        raise ContourError(f"{owner}: degree must be an integer of at least {_SMOOTHNESS + 1}, got {degree!r}")
+    if len(parameters) <= degree:
+        raise ContourError(
+            f"{owner}: {len(parameters)} points are too few for degree {degree}, {degree + 1} are needed"
+        )
+    steps = np.diff(parameters)
+    if not (steps > 0.0).all():
+        i = int(np.argmin(steps))
+        raise ContourError(
+            f"{owner}: parameters must increase, but number {i + 1} is {parameters[i + 1]} after {parameters[i]}"
+        )
+    return make_interp_spline(parameters, values, k=int(degree), bc_type="periodic" if periodic else None)
+
+
+def chords(points: np.ndarray) -> np.ndarray:
+    """Chord lengths accumulated along points (n, d)."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
+def spline_pool(curve: BSpline, periodic: bool) -> np.ndarray:
+    """The pool of a spline of one variable with values (n,), as polynomials on each of its intervals."""
+    low, high = curve.t[curve.k], curve.t[-curve.k - 1]
+    breaks = np.unique(curve.t[(curve.t >= low) & (curve.t <= high)])
+    nodes = chebyshev_nodes(curve.k)
+    inverse = np.linalg.inv(np.polynomial.chebyshev.chebvander(nodes, curve.k))
+    points = 0.5 * (breaks[:-1] + breaks[1:])[:, None] + 0.5 * np.diff(breaks)[:, None] * nodes
+    coefficients = np.einsum("mn,inc->imc", inverse, curve(points))
+    direction = Direction.chebyshev(breaks, curve.k, periodic)
+    return pack([direction], coefficients.reshape(direction.functions, -1))
+
+
+class SplineCurve(Contour):
+    """An interpolating spline through points, or a given B-spline.
+
+    points:      (n, 3) in m, (n, 2) for a curve in the xy-plane, or a `scipy.interpolate.BSpline` with such values
+                 (`degree` and `parameters` are then its own)
+    periodic:    closed: the first point follows the last one (do not repeat it). For a BSpline: its ends meet,
+                 with three derivatives
+    degree:      at least 4; the curve is degree - 1 times differentiable
+    parameters:  (n,) values of u at the points, (n + 1,) if periodic; chord lengths from the first point if not given,
+                 so that u is close to the arc length in m
+
+    Raises ContourError for too few, coincident or non-finite points and for splines less than three times
+    differentiable.
+    """
+
+    def __init__(self, points: Any, periodic: bool = False, degree: int = 5, parameters: Any = None) -> None:
+        owner = "SplineCurve"
+        if isinstance(points, BSpline):
+            curve = _checked(owner, points, periodic)
+        else:
+            columns = 2 if np.ndim(points) == 2 and np.shape(points)[1] == 2 else 3
+            through = np.pad(array(owner, "points", points, None, columns), ((0, 0), (0, 3 - columns)))
+            if periodic:
+                through = np.concatenate([through, through[:1]])
+            if parameters is None:
+                u = chords(through)
+                if not (np.diff(u) > 0.0).all():
+                    i = int(np.argmin(np.diff(u)))
+                    raise ContourError(f"{owner}: points {i} and {i + 1} coincide at {through[i]}")
+            else:
+                u = array(owner, "parameters", parameters, len(through))
+            curve = spline(owner, u, through, degree, periodic)
+        super().__init__(
+            kind=SPLINE_CURVE,
+            dimension=1,
+            pool=spline_pool(curve, periodic),
+            domain=((float(curve.t[curve.k]), float(curve.t[-curve.k - 1])),),
+            periodic=(bool(periodic),),
+            planar=not np.any(curve.c[:, 2]),
+        )
+        object.__setattr__(self, "size", half_diagonal(self))
+        object.__setattr__(self, "convex_side", turning(self))
+
+
+def _checked(owner: str, curve: BSpline, periodic: bool) -> BSpline:
+    """The given B-spline with three components, once it is known to be smooth enough."""
+    values = np.asarray(curve.c, dtype=float)
+    if values.ndim != 2 or values.shape[1] not in (2, 3):
+        raise ContourError(f"{owner}: the B-spline must have 2 or 3 components, got values {values.shape[1:]}")
+    knots = np.asarray(curve.t, dtype=float)
+    low, high = knots[curve.k], knots[-curve.k - 1]
+    inner, repeats = np.unique(knots[(knots > low) & (knots < high)], return_counts=True)
+    least = int(curve.k - repeats.max()) if len(inner) else int(curve.k)
+    if least < _SMOOTHNESS:
+        raise ContourError(
+            f"{owner}: the B-spline is {max(least, 0)} times differentiable at a knot, "
+            f"{_SMOOTHNESS} are needed (degree {curve.k})"
+        )
+    result = BSpline(knots, np.pad(values, ((0, 0), (0, 3 - values.shape[1]))), curve.k)
+    if not np.isfinite(result.c).all() or not np.isfinite(knots).all():
+        raise ContourError(f"{owner}: the B-spline has knots or coefficients that are not finite")
+    if periodic:
+        for order in range(_SMOOTHNESS + 1):
+            ends = result(np.array([low, high]), nu=order)
+            scale = np.abs(result(np.linspace(low, high, 50), nu=order)).max()
+            # Looser than rounding: the coefficients of a closed spline come from a linear solve.
+            if np.abs(ends[1] - ends[0]).max() > 1e-9 * scale:
+                raise ContourError(
+                    f"{owner}: periodic, but derivative {order} is {ends[0]} at one end and {ends[1]} at the other"
+                )
+    return result
+
+
+class SplineSurface(Contour):
+    """A tensor product of interpolating splines through a grid of points.
+
+    points:      (n1, n2, 3) in m; f_1 x f_2 is the outward normal, so the order of the grid's axes decides the side
+    periodic:    which grid directions close (do not repeat the first row or column)
+    degree:      at least 4
+    parameters:  (u1, u2) values at the grid lines, one more than lines where periodic; mean chord lengths if not
+                 given
+
+    Raises ContourError for too few, coincident or non-finite points.
+    """
+
+    def __init__(
+        self,
+        points: Any,
+        periodic: tuple[bool, bool] = (False, False),
+        degree: int = 5,
+        parameters: tuple[Any, Any] | None = None,
+    ) -> None:
+        owner = "SplineSurface"
+        grid = array(owner, "points", points, None, None, 3)
+        lines = []
+        for axis in range(2):
+            if periodic[axis]:
+                grid = np.concatenate([grid, np.take(grid, [0], axis=axis)], axis=axis)
+        for axis in range(2):
+            if parameters is None:
+                steps = np.linalg.norm(np.diff(grid, axis=axis), axis=2).mean(axis=1 - axis)
+                lines.append(np.concatenate([[0.0], np.cumsum(steps)]))
+            else:
+                name = f"parameters[{axis}]"
+                lines.append(array(owner, name, parameters[axis], grid.shape[axis]))
+        super().__init__(
+            kind=SPLINE_SURFACE,
+            dimension=2,
+            pool=_tensor_pool(owner, lines, grid, degree, periodic, first=0),
+            domain=tuple((float(line[0]), float(line[-1])) for line in lines),
+            periodic=(bool(periodic[0]), bool(periodic[1])),
+        )
+        object.__setattr__(self, "size", half_diagonal(self))
+
+
+def _tensor_pool(
+    owner: str, lines: list[np.ndarray], grid: np.ndarray, degree: int, periodic: tuple[bool, bool], first: int
+) -> np.ndarray:
+    """Interpolation along one axis of (n1, n2, components) after the other."""
+    along = spline(f"{owner} (first direction)", lines[0], grid, degree, periodic[0])
+    across = spline(f"{owner} (second direction)", lines[1], np.swapaxes(along.c, 0, 1), degree, periodic[1])
+    directions = [Direction.splines(s.t, s.k, bool(p)) for s, p in zip((along, across), periodic)]
+    return pack(directions, np.swapaxes(across.c, 0, 1), first=first)
+
+
+def height_grid(owner: str, x: Any, y: Any, z: Any, degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x (n1,), y (n2,) and the pool of the spline through z (n1, n2)."""
+    x, y = array(owner, "x", x, None), array(owner, "y", y, None)
+    heights = array(owner, "z", z, len(x), len(y))
+    return x, y, _tensor_pool(owner, [x, y], heights[..., None], degree, (False, False), first=2)
+
+
+@kernel
+def lift(u1, u2, out):
+    """f = (u1, u2, z): complete out, whose column z is there."""
+    for row in range(6):
+        out[row, 0], out[row, 1] = 0.0, 0.0
+    out[0, 0], out[0, 1] = u1, u2
+    out[1, 0] = 1.0
+    out[2, 1] = 1.0

@@ -1,0 +1,233 @@
+"""Plots of a run: one function per kind, each usable alone with `ax=`, and `plot` for several at once.
+
+Every function takes a Trajectory, draws into `ax` (a new figure's if None) and returns the Axes. `contact` names
+one contact; None takes all of them. Matplotlib is imported on the first call; without it MissingExtraError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import ArgumentError, MissingExtraError
+from .replay import MODE_COLORS
+from .sampling import FREE, MODE_NAMES, SLIP
+
+
+def _pyplot() -> Any:
+    try:
+        from matplotlib import pyplot
+    except ImportError as error:
+        raise MissingExtraError(
+            f"plots need matplotlib, which is not installed: pip install pincontact[plot] ({error})"
+        ) from error
+    return pyplot
+
+
+def _axes(ax: Any) -> Any:
+    return _pyplot().subplots(layout="constrained")[1] if ax is None else ax
+
+
+def _tracks(run: Any, contact: str | None) -> dict[str, Any]:
+    """The tracks to draw, by name. Raises ArgumentError for a contact the run does not have."""
+    if contact is None:
+        return dict(run.contacts)
+    if contact not in run.contacts:
+        known = ", ".join(repr(name) for name in run.contacts) or "none"
+        raise ArgumentError(f"the run has no contact {contact!r}; it has {known}")
+    return {contact: run.contacts[contact]}
+
+
+def _finish(ax: Any, ylabel: str, legend: bool = True) -> Any:
+    ax.set_xlabel("t [s]")
+    ax.set_ylabel(ylabel)
+    ax.grid(alpha=0.3)
+    if legend and ax.get_legend_handles_labels()[0]:
+        ax.legend(fontsize="small")
+    return ax
+
+
+def _label(name: str, text: str, tracks: dict[str, Any]) -> str:
+    return text if len(tracks) == 1 else f"{name}: {text}"
+
+
+def limit(run: Any, name: str) -> np.ndarray | None:
+    """Largest friction force in N that the law allows at each time, (n,); None where the law sets no limit.
+
+    Sliding contacts have the sliding coefficient, all others the one up to which they stick.
+    """
+    law = run.scene.contacts[name].friction
+    if law is None or not np.isfinite(law.sticking):
+        return None
+    track = run.contacts[name]
+    coefficient = np.where(np.asarray(track.mode) == SLIP, law.sliding, law.sticking)
+    return coefficient * np.asarray(track.normal_force)
+
+
+def mode_bands(run: Any, contact: str, ax: Any) -> Any:
+    """Shade the times of each mode of one contact: green stick, red slip, blue frictionless, grey free."""
+    mode = np.asarray(_tracks(run, contact)[contact].mode)
+    t = np.asarray(run.t)
+    if len(t) == 0:
+        return ax
+    starts = np.concatenate([[0], 1 + np.flatnonzero(mode[1:] != mode[:-1])])
+    ends = np.concatenate([t[starts[1:]], t[-1:]])
+    named: set[int] = set()
+    for start, end in zip(starts, ends):
+        kind = int(mode[start])
+        label = None if kind in named else MODE_NAMES[kind]
+        ax.axvspan(t[start], end, color=MODE_COLORS[kind], alpha=0.13, linewidth=0.0, label=label)
+        named.add(kind)
+    return ax
+
+
+def motion(run: Any, ax: Any = None, velocities: bool = False) -> Any:
+    """Configuration over time, or the velocity coordinates; named after the joints (m, rad; m/s, rad/s)."""
+    ax = _axes(ax)
+    model = run.scene.model
+    values = np.asarray(run.v if velocities else run.q)
+    for joint in range(1, model.njoints):
+        data = model.joints[joint]
+        first, count = (data.idx_v, data.nv) if velocities else (data.idx_q, data.nq)
+        for k in range(count):
+            label = model.names[joint] if count == 1 else f"{model.names[joint]}[{k}]"
+            ax.plot(run.t, values[:, first + k], label=label)
+    return _finish(ax, "v [m/s, rad/s]" if velocities else "q [m, rad]", legend=values.shape[1] <= 14)
+
+
+def forces(run: Any, contact: str | None = None, ax: Any = None) -> Any:
+    """Normal and friction force in N over time, with the largest friction the law allows (dashed)."""
+    ax = _axes(ax)
+    tracks = _tracks(run, contact)
+    for name, track in tracks.items():
+        (line,) = ax.plot(run.t, track.normal_force, label=_label(name, "normal", tracks))
+        ax.plot(run.t, track.tangential_force, ":", color=line.get_color(), label=_label(name, "friction", tracks))
+        largest = limit(run, name)
+        if largest is not None:
+            ax.plot(
+                run.t,
+                largest,
+                "--",
+                color=line.get_color(),
+                alpha=0.6,
+                label=_label(name, "friction limit", tracks),
+            )
+    return _finish(ax, "force [N]")
+
+
+def friction_cone(run: Any, contact: str | None = None, ax: Any = None) -> Any:
+    """Friction force against normal force, N, coloured by mode, with the cone's edge |F_t| = mu F_n (Sec. 5.3)."""
+    ax = _axes(ax)
+    named: set[int] = set()
+    edges: set[float] = set()
+    for name, track in _tracks(run, contact).items():
+        mode = np.asarray(track.mode)
+        normal, friction = np.asarray(track.normal_force), np.asarray(track.tangential_force)
+        for kind in np.unique(mode[mode != FREE]):
+            at = mode == kind
+            label = None if kind in named else MODE_NAMES[int(kind)]
+            ax.plot(normal[at], friction[at], ".", color=MODE_COLORS[int(kind)], markersize=4, label=label)
+            named.add(kind)
+        law = run.scene.contacts[name].friction
+        for mu in () if law is None else (law.sliding, law.sticking):
+            if np.isfinite(mu) and mu not in edges:
+                edges.add(mu)
+                end = max(float(np.max(normal, initial=0.0)), np.finfo(float).tiny)
+                ax.plot([0.0, end], [0.0, mu * end], "k--", linewidth=1.0, label=f"mu = {mu:g}")
+    _finish(ax, "friction force [N]")
+    ax.set_xlabel("normal force [N]")
+    return ax
+
+
+def slip(run: Any, contact: str | None = None, ax: Any = None) -> Any:
+    """Slip speed in m/s over time; with one contact its modes are shaded."""
+    ax = _axes(ax)
+    tracks = _tracks(run, contact)
+    for name, track in tracks.items():
+        ax.plot(run.t, np.linalg.norm(track.slip_velocity, axis=1), label=_label(name, "slip speed", tracks))
+    if len(tracks) == 1:
+        mode_bands(run, next(iter(tracks)), ax)
+    return _finish(ax, "slip speed [m/s]")
+
+
+def location(run: Any, contact: str | None = None, ax: Any = None) -> Any:
+    """Location parameters of the contact point on both contours over time (m or rad)."""
+    ax = _axes(ax)
+    tracks = _tracks(run, contact)
+    for name, track in tracks.items():
+        values = np.asarray(track.location)
+        for k in range(values.shape[1]):
+            ax.plot(run.t, values[:, k], label=_label(name, f"p{k + 1}", tracks))
+    return _finish(ax, "location [m, rad]")
+
+
+def energy(run: Any, ax: Any = None) -> Any:
+    """Kinetic and potential energy, their sum, and the work of friction, J, over time."""
+    ax = _axes(ax)
+    energies = run.energies()
+    for name in ("kinetic", "potential", "total", "friction_work"):
+        values = getattr(energies, name, None)
+        if values is not None:
+            ax.plot(run.t, values, label=name.replace("_", " "))
+    return _finish(ax, "energy [J]")
+
+
+def residuals(run: Any, ax: Any = None) -> Any:
+    """How far the constraints are from being met, on a logarithmic scale. Exact zeros have no place on it."""
+    ax = _axes(ax)
+    for name, values in run.residuals().items():
+        size = np.abs(np.asarray(values, dtype=float))
+        ax.plot(run.t, np.where(size > 0.0, size, np.nan), label=name)
+    ax.set_yscale("log")
+    return _finish(ax, "residual")
+
+
+KINDS: dict[str, Callable[..., Any]] = {
+    "motion": motion,
+    "forces": forces,
+    "cone": friction_cone,
+    "slip": slip,
+    "location": location,
+    "energy": energy,
+    "residuals": residuals,
+}
+_CONTACT_KINDS = ("forces", "cone", "slip", "location")
+
+
+def plot(run: Any, kinds: str | Sequence[str] | None = None, axes: Any = None) -> np.ndarray:
+    """Several plots of a run, one Axes each.
+
+    kinds: any of "motion", "forces", "cone", "slip", "location", "energy", "residuals"; None draws all that
+           this run has something for
+    axes:  as many Axes to draw into; None makes a figure
+
+    Returns the Axes, (len(kinds),). Raises ArgumentError for an unknown kind or a wrong number of axes,
+    MissingExtraError without matplotlib.
+    """
+    chosen = [kinds] if isinstance(kinds, str) else kinds
+    if chosen is None:
+        chosen = [kind for kind in KINDS if run.contacts or kind not in _CONTACT_KINDS]
+    for kind in chosen:
+        if kind not in KINDS:
+            raise ArgumentError(f"unknown kind of plot {kind!r}; one of {', '.join(KINDS)}")
+    if not chosen:
+        raise ArgumentError("kinds is empty: nothing to plot")
+    if axes is None:
+        columns = 1 if len(chosen) == 1 else 2
+        rows = -(-len(chosen) // columns)
+        _, grid = _pyplot().subplots(
+            rows, columns, figsize=(5.6 * columns, 3.1 * rows), layout="constrained", squeeze=False
+        )
+        axes = grid.reshape(-1)
+        for unused in axes[len(chosen) :]:
+            unused.set_axis_off()
+        axes = axes[: len(chosen)]
+    axes = np.atleast_1d(np.asarray(axes, dtype=object)).reshape(-1)
+    if len(axes) != len(chosen):
+        raise ArgumentError(f"{len(chosen)} kinds of plot need as many axes, got {len(axes)}")
+    for kind, ax in zip(chosen, axes):
+        KINDS[kind](run, ax=ax)
+        ax.set_title(kind, fontsize="medium")
+    return axes

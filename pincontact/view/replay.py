@@ -1,0 +1,556 @@
+"""Replay of a run in Meshcat, live or as one HTML file: bodies, contours, contact points, traces and forces."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import ArgumentError, MissingExtraError
+from . import arrows, meshes
+from .bodies import contour_meshes, contour_opacity, draw_geometry, geometry_reach, shades
+from .drawing import FRONT_SIDE, Command, Drawing, color_number
+from .sampling import (
+    FREE,
+    FRICTIONLESS,
+    MODE_NAMES,
+    SLIP,
+    STICK,
+    ContactFrames,
+    check_positive,
+    configurations,
+    contact_frames,
+    frame_times,
+    joint_placements,
+    quaternions,
+)
+
+PARTS = ("robot", "contours", "points", "traces", "forces")
+ROOT = ("meshcat", "pincontact")
+
+MODE_COLORS = {
+    FREE: (0.75, 0.75, 0.75),
+    FRICTIONLESS: (0.20, 0.45, 0.85),
+    STICK: (0.15, 0.62, 0.30),
+    SLIP: (0.88, 0.25, 0.15),
+}
+_TRACE_COLOR = (0.10, 0.10, 0.14)
+_POINT_COLOR = (0.08, 0.08, 0.10)
+# Drawn over everything else: a contact point is always hidden inside the bodies that touch there.
+_ON_TOP = {"depthTest": False, "transparent": True, "side": FRONT_SIDE, "renderOrder": 10}
+# Pushed back a little, so that curves and traces that lie in a surface are not half swallowed by it.
+_BEHIND_LINES = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 1.0}
+
+_TRACE_POINTS, _TRACE_SIDES = 6000, 6
+_SNAPSHOTS = 40
+
+
+def replay(
+    run: Any,
+    *,
+    fps: float = 30.0,
+    speed: float = 1.0,
+    viewer: Any = None,
+    open: bool = True,
+    force_scale: float | None = None,
+    follow: str | None = None,
+    show: Collection[str] = PARTS,
+    max_frames: int = 3000,
+    repetitions: int = 1,
+) -> Any:
+    """Play a run in a Meshcat viewer.
+
+    run:         a Trajectory
+    fps:         frames per second of the replay
+    speed:       seconds of motion per second of replay
+    viewer:      a meshcat.Visualizer, or Pinocchio's MeshcatVisualizer, to draw into; None starts one
+    open:        open a browser if the viewer was started here
+    force_scale: length of the force arrows in m/N; None fits them to the scene
+    follow:      name of a contact, contour or frame which the camera stays with
+    show:        what to draw, any of "robot", "contours", "points", "traces", "forces"
+    max_frames:  a longer run gets fewer frames per second
+    repetitions: how often it is played before it stops
+
+    Forces are drawn on the body that moves: on the second contour of the contact as it was given, unless that
+    one belongs to the world and the first does not. Green arrows stick, red ones slip, blue ones are frictionless.
+
+    Returns the meshcat.Visualizer; pass it again as `viewer` to draw the next run in the same window.
+    Raises ArgumentError for an argument out of bounds or an unknown name, MissingExtraError without meshcat.
+    """
+    picture = compose(run, fps, speed, max_frames, force_scale, follow, show)
+    if repetitions < 1:
+        raise ArgumentError(f"repetitions must be at least 1, got {repetitions}")
+    own = viewer is None
+    if own:
+        try:
+            import meshcat
+        except ImportError as error:
+            raise MissingExtraError(f"a replay needs meshcat: pip install meshcat ({error})") from error
+        viewer = meshcat.Visualizer()
+    viewer = getattr(viewer, "viewer", viewer)
+    for command in picture.commands(environment=own, repetitions=repetitions, time_scale=1.0 / speed):
+        viewer.window.send(Command(command))
+    if own and open:
+        viewer.open()
+    return viewer
+
+
+def export_html(
+    run: Any,
+    path: str | Path,
+    *,
+    fps: float = 30.0,
+    max_frames: int = 3000,
+    speed: float = 1.0,
+    force_scale: float | None = None,
+    follow: str | None = None,
+    show: Collection[str] = PARTS,
+    title: str = "pincontact",
+) -> Path:
+    """Write a replay as one HTML file that needs neither network nor Python.
+
+    The arguments are those of `replay`. The page has a time slider with a mark at each event, a choice of speeds,
+    and each contact's mode and forces. No server or browser is started. `#t=1.5` after the file's address opens
+    it paused at that time in s.
+
+    Returns the path. Raises ArgumentError for an argument out of bounds or an unknown name, MissingExtraError
+    without meshcat, OSError if the file cannot be written.
+    """
+    from .page import render_page
+
+    picture = compose(run, fps, speed, max_frames, force_scale, follow, show)
+    text = render_page(picture.commands(environment=True), page_info(picture, run, speed), title)
+    target = Path(path)
+    target.write_text(text, encoding="utf-8")
+    return target
+
+
+@dataclass
+class Picture:
+    """A composed replay.
+
+    times: (n,) of the frames, s, from 0; start: time of the first frame in the run, s; size: of the scene, m;
+    low, high: (3,) corners of the box that holds the motion; target: (3,) what the camera looks at first;
+    distance: of the camera, m; contacts: by name; sign: +1 where arrows show the force on the second contour.
+    """
+
+    drawing: Drawing
+    times: np.ndarray
+    start: float
+    size: float
+    low: np.ndarray
+    high: np.ndarray
+    target: np.ndarray
+    distance: float
+    followed: np.ndarray | None
+    has_floor: bool
+    contacts: dict[str, ContactFrames]
+    sign: dict[str, float]
+
+    def commands(self, environment: bool, repetitions: int = 1, time_scale: float = 1.0) -> list[dict[str, Any]]:
+        """All commands. environment: set background, light and camera, too; time_scale: stretches the replay."""
+        drawing = Drawing(self.drawing.root)
+        drawing.delete(drawing.path())
+        if environment:
+            _set_environment(drawing, self)
+        drawing.commands += self.drawing.commands
+        if environment or self.followed is not None:
+            _set_camera(drawing, self)
+        drawing.take_animation(self.drawing)
+        return drawing.finish(repetitions=repetitions, time_scale=time_scale)
+
+
+def compose(
+    run: Any,
+    fps: float,
+    speed: float,
+    max_frames: int,
+    force_scale: float | None,
+    follow: str | None,
+    show: Collection[str],
+) -> Picture:
+    """Everything of a replay that does not depend on where it is shown. Raises ArgumentError."""
+    parts = set([show] if isinstance(show, str) else show)
+    unknown = sorted(parts.difference(PARTS))
+    if unknown:
+        raise ArgumentError(f"show has unknown parts {', '.join(unknown)}; possible: {', '.join(PARTS)}")
+    if force_scale is not None:
+        check_positive(force_scale=force_scale)
+    scene = run.scene
+    model = scene.model
+    t = np.asarray(run.t, dtype=float)
+    frames = frame_times(t, fps, speed, max_frames)
+    placements = joint_placements(model, configurations(run, frames))
+    contacts = {name: contact_frames(run, name, frames) for name in scene.contacts}
+    followed = None if follow is None else _followed_path(scene, follow, placements, contacts)
+
+    size = scene_size(scene, placements, contacts)
+    paths = [placements[:, 1:, :3, 3].reshape(-1, 3)]
+    paths += [c.point[c.touching] for c in contacts.values()]
+    everything = np.concatenate(paths)
+    if len(everything) == 0:
+        everything = np.zeros((1, 3))
+    low, high = everything.min(axis=0) - size, everything.max(axis=0) + size
+    if followed is None:
+        target, distance = 0.5 * (low + high), 1.05 * float(np.linalg.norm(high - low))
+    else:
+        target, distance = followed[0], 4.5 * size
+
+    start = float(frames[0])
+    # A run of no length is shown as a picture that lasts for one frame.
+    times = frames - start if frames[-1] > start else np.array([0.0, 1.0 / fps])
+    drawing = Drawing(ROOT)
+    stage = _Stage(drawing, run, frames, times, placements, contacts, size)
+    stage.move_bodies()
+    if "robot" in parts:
+        stage.draw_robot()
+    has_floor = "contours" in parts and stage.draw_contours(with_robot="robot" in parts)
+    if "points" in parts:
+        stage.draw_points()
+    if "traces" in parts:
+        stage.draw_traces()
+    sign = {name: _arrow_sign(contact) for name, contact in scene.contacts.items()}
+    if "forces" in parts:
+        stage.draw_forces(force_scale or fitting_force_scale(contacts, size), sign)
+    return Picture(drawing, times, start, size, low, high, target, distance, followed, has_floor, contacts, sign)
+
+
+def scene_size(scene: Any, placements: np.ndarray, contacts: dict[str, ContactFrames]) -> float:
+    """A length in m that markers, arrows and lines are scaled with: that of the largest thing that moves."""
+    model = scene.model
+    lengths = [
+        contour.contour.size
+        for contour in scene.contours.values()
+        if np.isfinite(contour.contour.size) and contour.joint != 0
+    ]
+    if scene.visual_model is not None:
+        moving = [g for g in scene.visual_model.geometryObjects if g.parentJoint != 0]
+        lengths += [geometry_reach(geometry) for geometry in moving]
+    if model.njoints > 2:
+        origins = placements[0, 1:, :3, 3]
+        lengths.append(0.5 * float(np.linalg.norm(origins.max(axis=0) - origins.min(axis=0))))
+    largest = max(lengths, default=0.0)
+    if largest > 0.0:
+        return largest
+    # Only points move: a tenth of the way they go.
+    paths = [placements[:, 1:, :3, 3].reshape(-1, 3), *(c.point for c in contacts.values())]
+    points = np.concatenate(paths)
+    extent = float(np.linalg.norm(points.max(axis=0) - points.min(axis=0))) if len(points) else 0.0
+    return 0.1 * extent if extent > 0.0 else 1.0
+
+
+def fitting_force_scale(contacts: dict[str, ContactFrames], size: float) -> float:
+    """Metres per newton that make large forces about as long as the scene's size.
+
+    The 95th percentile decides, so that one impact does not shrink everything else.
+    """
+    forces = [np.linalg.norm(c.normal + c.friction, axis=1)[c.touching] for c in contacts.values()]
+    magnitudes = np.concatenate(forces) if forces else np.zeros(0)
+    magnitudes = magnitudes[magnitudes > 0.0]
+    return 0.9 * size / float(np.percentile(magnitudes, 95.0)) if len(magnitudes) else size
+
+
+def page_info(picture: Picture, run: Any, speed: float) -> dict[str, Any]:
+    """What the bar of the page shows; numbers only, times in s, forces in N."""
+    times = picture.times
+    contacts = []
+    for name, frames in picture.contacts.items():
+        contact = run.scene.contacts[name]
+        contacts.append(
+            {
+                "name": name,
+                "on": (contact.second if picture.sign[name] > 0.0 else contact.first).name,
+                "mode": [int(m) for m in frames.mode],
+                "normal": _short(np.linalg.norm(frames.normal, axis=1)),
+                "friction": _short(np.linalg.norm(frames.friction, axis=1)),
+            }
+        )
+    return {
+        "start": picture.start,
+        "duration": float(times[-1]),
+        "step": float(times[1] - times[0]),
+        "frames": len(times),
+        "speed": float(speed),
+        "contacts": contacts,
+        "events": [[float(e.time), str(e.contact), str(e.kind)] for e in run.events],
+        "modes": {
+            str(mode): {
+                "name": name,
+                "color": f"#{color_number(MODE_COLORS[mode]):06x}",
+            }
+            for mode, name in MODE_NAMES.items()
+        },
+    }
+
+
+def _short(values: np.ndarray) -> list[float]:
+    return [float(f"{x:.5g}") for x in values]
+
+
+def _arrow_sign(contact: Any) -> float:
+    """+1 where the arrows show the force on the second contour, -1 where they show that on the first."""
+    return -1.0 if contact.second.joint == 0 and contact.first.joint != 0 else 1.0
+
+
+def _followed_path(scene: Any, name: str, placements: np.ndarray, contacts: dict[str, ContactFrames]) -> np.ndarray:
+    """World positions, (n, 3), of the contact, contour or frame with this name."""
+    model = scene.model
+    if name in contacts:
+        return contacts[name].point
+    if name in scene.contours:
+        joint, placement = scene.contours[name].joint, scene.contours[name].placement_in_joint.homogeneous
+    elif model.existFrame(name):
+        frame = model.frames[model.getFrameId(name)]
+        joint, placement = frame.parentJoint, frame.placement.homogeneous
+    else:
+        raise ArgumentError(f"follow={name!r} is not the name of a contact, a contour or a frame")
+    return (placements[:, joint] @ placement)[:, :3, 3]
+
+
+class _Stage:
+    """Draws the parts of one run."""
+
+    def __init__(
+        self,
+        drawing: Drawing,
+        run: Any,
+        moments: np.ndarray,
+        times: np.ndarray,
+        placements: np.ndarray,
+        contacts: dict[str, ContactFrames],
+        size: float,
+    ) -> None:
+        self.drawing, self.run, self.scene, self.model = drawing, run, run.scene, run.scene.model
+        self.moments, self.times, self.placements = moments, times, placements
+        self.contacts, self.size = contacts, size
+
+    def body(self, joint: int, *names: str) -> str:
+        return self.drawing.path("bodies", str(self.model.names[joint]), *names)
+
+    def move_bodies(self) -> None:
+        """One animated node a joint; what belongs to the body hangs below it and stands still there."""
+        for joint in range(1, self.model.njoints):
+            placement = self.placements[:, joint]
+            self.drawing.transform(self.body(joint), placement[0])
+            self._animate(self.body(joint), placement)
+
+    def _animate(self, path: str, placement: np.ndarray) -> None:
+        self.drawing.animate_placement(path, self.times, placement[:, :3, 3], quaternions(placement[:, :3, :3]))
+
+    def draw_robot(self) -> None:
+        if self.scene.visual_model is None:
+            return
+        for geometry in self.scene.visual_model.geometryObjects:
+            draw_geometry(self.drawing, self.body(geometry.parentJoint, "visuals", geometry.name), geometry)
+
+    def draw_contours(self, with_robot: bool) -> bool:
+        """All contours of bodies that have no visual geometry, and the curves of those that have.
+
+        Returns whether a plane was drawn.
+        """
+        visuals = self.scene.visual_model.geometryObjects if with_robot and self.scene.visual_model else []
+        pictured = {geometry.parentJoint for geometry in visuals}
+        floor = False
+        for name, attached in self.scene.contours.items():
+            joint, placement = attached.joint, attached.placement_in_joint.homogeneous
+            contour = attached.contour
+            if joint in pictured and contour.dimension == 2 and joint != 0:
+                continue
+            path = self.body(joint, "contours", name)
+            world = self.placements[:, joint] @ placement
+            if attached.motion is not None:
+                moved = self._driven(attached, placement)
+                world = self.placements[:, joint] @ moved
+                self.drawing.transform(path, moved[0])
+                self._animate(path, moved)
+            else:
+                self.drawing.transform(path, placement)
+            near = self._contact_points_in(name, world)
+            filled = joint not in pictured
+            opacity = contour_opacity(contour, joint)
+            moments = [self.moments[0]]
+            if contour.time_dependent:
+                moments = list(self.moments[:: max(1, len(self.moments) // _SNAPSHOTS)])
+            for number, moment in enumerate(moments):
+                parts = contour_meshes(contour, near, self.size, joint, filled, float(moment))
+                nodes = (path, f"at {number}") if len(moments) > 1 else (path,)
+                base = "/".join(nodes)
+                for part, mesh in parts.items():
+                    color = (1.0, 1.0, 1.0) if mesh.colors is not None else tuple(0.75 * shades(joint)[1])
+                    # A see-through surface must not hide from three.js what lies behind it.
+                    extra = {"depthWrite": False} if opacity < 1.0 else _BEHIND_LINES
+                    self.drawing.mesh(f"{base}/{part}", mesh, (*color, opacity), **extra)
+                    floor |= part == "surface" and opacity == 1.0 and joint == 0
+                if len(moments) > 1:
+                    until = moments[number + 1] if number + 1 < len(moments) else np.inf
+                    visible = (self.moments >= moment) & (self.moments < until)
+                    self.drawing.animate_visibility(base, self.times, visible)
+        return floor
+
+    def _driven(self, attached: Any, base: np.ndarray) -> np.ndarray:
+        """Placements in its joint of a contour with a motion of its own, (n, 4, 4)."""
+        return np.array([base @ attached.motion.placement(t).homogeneous for t in self.moments])
+
+    def _contact_points_in(self, name: str, world: np.ndarray) -> np.ndarray:
+        """All contact points of a contour in its own frame, (n, 3); its origin if there are none."""
+        points = []
+        for contact, frames in self.contacts.items():
+            sides = self.scene.contacts[contact]
+            if name in (sides.first.name, sides.second.name) and frames.touching.any():
+                points.append(_into(world, frames.point)[frames.touching])
+        return np.concatenate(points) if points else np.zeros((1, 3))
+
+    def draw_points(self) -> None:
+        marker = meshes.ellipsoid(np.full(3, 0.025 * self.size), 20)
+        for name, frames in self.contacts.items():
+            path = self.drawing.path("contacts", name, "point")
+            self.drawing.mesh(path, marker, _POINT_COLOR, **_ON_TOP)
+            self.drawing.animate(path, "position", "vector3", self.times, frames.point)
+            self.drawing.animate_visibility(path, self.times, frames.touching)
+
+    def draw_traces(self) -> None:
+        """The contact point's way through the world and over each moving body, growing with time."""
+        # Finer than the frames: a wheel turns a good part of a radian between two of them.
+        count = min(4 * (len(self.moments) - 1) + 1, _TRACE_POINTS)
+        moments = np.linspace(self.moments[0], self.moments[-1], count)
+        placements = joint_placements(self.model, configurations(self.run, moments))
+        for name in self.contacts:
+            frames = contact_frames(self.run, name, moments)
+            contact = self.scene.contacts[name]
+            self._trace(self.drawing.path("contacts", name, "trace"), frames.point, frames.touching, moments)
+            for side in (contact.first, contact.second):
+                if side.joint != 0:
+                    path = self.body(side.joint, "traces", f"{name} on {side.name}")
+                    self._trace(path, _into(placements[:, side.joint], frames.point), frames.touching, moments)
+
+    def _trace(self, path: str, points: np.ndarray, touching: np.ndarray, moments: np.ndarray) -> None:
+        tubes, indices, until = [], 0, []
+        for phase in np.split(np.arange(len(points)), 1 + np.flatnonzero(touching[1:] != touching[:-1])):
+            kept = phase[meshes.simplify(points[phase], 0.002 * self.size, 0.2 * self.size)]
+            if not touching[phase[0]] or len(kept) < 2:
+                continue
+            tubes.append(meshes.tube(points[kept], 0.008 * self.size, False, _TRACE_SIDES))
+            ends = indices + 6 * _TRACE_SIDES * np.arange(len(kept))
+            until.append(np.column_stack([moments[kept], ends]))
+            indices = ends[-1]
+        if not tubes:
+            return
+        self.drawing.mesh(path, meshes.join(tubes), _TRACE_COLOR)
+        # What is drawn of it grows: a property of the geometry, below meshcat's own object node.
+        drawn = np.concatenate(until)
+        drawn = np.floor(np.interp(self.moments, drawn[:, 0], drawn[:, 1]))
+        self.drawing.animate(f"{path}/<object>", "geometry[drawRange].count", "number", self.times, drawn)
+
+    def draw_forces(self, scale: float, sign: dict[str, float]) -> None:
+        head = 0.13 * self.size
+        for name, frames in self.contacts.items():
+            for part, vectors in (("normal", frames.normal), ("friction", frames.friction)):
+                modes = [m for m in (FRICTIONLESS, STICK, SLIP) if (frames.mode == m).any()]
+                if part == "friction":
+                    modes = [m for m in modes if m != FRICTIONLESS]
+                arrow = arrows.place_arrow(frames.point, sign[name] * scale * vectors, head)
+                if modes and arrow.visible.any():
+                    self._arrow(self.drawing.path("contacts", name, part), arrow, frames, modes)
+
+    def _arrow(self, path: str, arrow: arrows.Arrow, frames: ContactFrames, modes: list[int]) -> None:
+        drawing, times = self.drawing, self.times
+        drawing.animate_placement(path, times, arrow.tail, arrow.quaternion)
+        drawing.animate_visibility(path, times, arrow.visible & frames.touching)
+        drawing.animate(f"{path}/shaft", "scale", "vector3", times, arrow.shaft_scale)
+        drawing.animate(f"{path}/head", "position", "vector3", times, arrow.head_position)
+        drawing.animate(f"{path}/head", "scale", "vector3", times, arrow.head_scale)
+        for piece, mesh in (("shaft", arrows.unit_shaft()), ("head", arrows.unit_head())):
+            for mode in modes:
+                node = f"{path}/{piece}/{MODE_NAMES[mode]}"
+                drawing.mesh(node, mesh, MODE_COLORS[mode], **_ON_TOP)
+                drawing.animate_visibility(node, times, frames.mode == mode)
+
+
+def _into(placements: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """World points, (n, 3), in the frames placed by (n, 4, 4)."""
+    return np.einsum("nji,nj->ni", placements[:, :3, :3], points - placements[:, :3, 3])
+
+
+def _set_environment(drawing: Drawing, picture: Picture) -> None:
+    """Background and light for a scene of any size; meshcat's own are made for about a metre."""
+    drawing.set_property("/Background", "top_color", [0.78, 0.86, 0.93])
+    drawing.set_property("/Background", "bottom_color", [0.97, 0.98, 0.99])
+    drawing.set_property("/Axes", "visible", False)
+    drawing.set_property("/Grid", "visible", False)
+    for lamp in ("PointLightNegativeX", "PointLightPositiveX", "FillLight"):
+        drawing.set_property(f"/Lights/{lamp}", "visible", False)
+    drawing.set_property("/Lights/AmbientLight/<object>", "intensity", 0.62)
+
+    # A sun that casts shadows. Its shadow camera looks at the origin, where the camera looks, too.
+    if picture.followed is None:
+        low, high = picture.low - picture.target, picture.high - picture.target
+    else:
+        low, high = np.full(3, -5.0 * picture.size), np.full(3, 5.0 * picture.size)
+    corners = np.array(np.meshgrid(*zip(low, high))).reshape(3, -1).T
+    towards = np.array([0.35, -0.45, 1.0])
+    towards /= np.linalg.norm(towards)
+    reach = float(np.abs(corners).max()) * np.sqrt(3.0) + picture.size
+    # three.js orients the camera with its own vertical, which is the world's z here.
+    right = np.cross([0.0, 0.0, 1.0], towards)
+    right /= np.linalg.norm(right)
+    upwards = np.cross(towards, right)
+    x, y = corners @ right, corners @ upwards
+    margin = 0.5 * picture.size
+    sun = {
+        "uuid": "sun",
+        "type": "DirectionalLight",
+        "color": 0xFFFFFF,
+        "intensity": 0.55,
+        "castShadow": True,
+        "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, *(float(c) for c in 2.0 * reach * towards), 1],
+        "shadow": {
+            "mapSize": [2048, 2048],
+            "bias": -0.0005,
+            "normalBias": 0.02 * picture.size,
+            "radius": 2.0,
+            "camera": {
+                "uuid": "sun-camera",
+                "type": "OrthographicCamera",
+                "left": float(x.min()) - margin,
+                "right": float(x.max()) + margin,
+                "top": float(y.max()) + margin,
+                "bottom": float(y.min()) - margin,
+                "near": 0.05 * reach,
+                "far": 4.0 * reach,
+                "zoom": 1,
+            },
+        },
+    }
+    drawing.add(
+        "set_object",
+        "/Lights/Sun",
+        object={
+            "metadata": {"version": 4.5, "type": "Object"},
+            "geometries": [],
+            "materials": [],
+            "object": sun,
+        },
+    )
+
+
+def _set_camera(drawing: Drawing, picture: Picture) -> None:
+    """Look at the motion from in front, right and above; with something to follow, stay with it.
+
+    Meshcat's camera turns about its own origin but looks at the world's, so that moving the camera's node turns
+    it away. What moves is the drawing: the point to look at is brought to the viewer's origin.
+    """
+    camera = "/Cameras/default/rotated/<object>"
+    x, y, z = picture.distance * np.array([0.52, -0.78, 0.42])
+    # The camera's node is turned about x, so that three.js' vertical is the world's z.
+    drawing.set_property(camera, "position", [float(x), float(z), float(-y)])
+    drawing.set_property(camera, "fov", 40.0)
+    drawing.set_property(camera, "near", 0.01 * picture.distance)
+    drawing.set_property(camera, "far", 100.0 * picture.distance)
+    placement = np.eye(4)
+    placement[:3, 3] = -picture.target
+    drawing.transform(drawing.path(), placement)
+    if picture.followed is not None:
+        drawing.animate(drawing.path(), "position", "vector3", picture.times, -picture.followed)

@@ -1,0 +1,754 @@
+"""Replay pages, arrows, resampling and plots, on a run known in closed form."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import subprocess
+import sys
+import warnings
+from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import umsgpack
+from fake_run import (
+    END,
+    GRAVITY,
+    HOP_END,
+    HOP_START,
+    MASS,
+    MU,
+    RADIUS,
+    SLIP_END,
+    SPEED,
+    TURN,
+    fake_run,
+    placement,
+    point,
+)
+
+from pincontact.contours import Circle, Line, Plane, Sphere
+from pincontact.errors import ArgumentError
+from pincontact.view import arrows, export_html, meshes, plots, replay
+from pincontact.view.bodies import geometry_mesh, tile_size
+from pincontact.view.drawing import Drawing
+from pincontact.view.replay import MODE_COLORS, compose, fitting_force_scale, page_info, scene_size
+from pincontact.view.sampling import (
+    FREE,
+    SLIP,
+    STICK,
+    Motion,
+    configurations,
+    contact_frames,
+    frame_times,
+    intervals,
+    joint_placements,
+    split_force,
+)
+
+CONTACT = "rim/floor"
+
+
+@pytest.fixture(scope="module")
+def run():
+    return fake_run()
+
+
+@pytest.fixture(scope="module")
+def page(run, tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "run.html"
+    assert export_html(run, path, title="a <wheel> & its floor") == path
+    return path.read_text(encoding="utf-8")
+
+
+def commands_of(text):
+    """The commands a page carries out, with arrays unpacked."""
+    types = {0x17: np.float32, 0x16: np.uint32, 0x12: np.uint8}
+    handlers = {code: lambda ext, dtype=dtype: np.frombuffer(ext.data, dtype) for code, dtype in types.items()}
+    block = re.search(r"const commands = \[\n(.*?)\n\];", text, re.S).group(1)
+    return [umsgpack.unpackb(base64.b64decode(x), ext_handlers=handlers) for x in re.findall(r'"([^"]*)"', block)]
+
+
+def tracks_of(commands):
+    """(path, property) -> track."""
+    (animation,) = (c for c in commands if c["type"] == "set_animation")
+    return {(a["path"], t["name"]): t for a in animation["animations"] for t in a["clip"]["tracks"]}
+
+
+class Elements(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.elements = []
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+
+
+# Pages
+
+
+def test_page_is_self_contained(page):
+    parser = Elements()
+    parser.feed(page)
+    tags = [tag for tag, _ in parser.elements]
+    assert tags.count("script") == 2
+    assert "link" not in tags and "iframe" not in tags and "img" not in tags
+    for _, attributes in parser.elements:
+        assert not {"src", "href", "srcset", "data"} & set(attributes)
+    assert "MeshCat" in page
+    # A closed element of its own for every script: nothing inside one ended it early.
+    assert page.count("</script>") == 2
+    assert "<title>a &lt;wheel&gt; &amp; its floor</title>" in page
+
+
+def test_page_builds_every_node_before_it_animates(page):
+    commands = commands_of(page)
+    assert commands[-1]["type"] == "set_animation"
+    made = {c["path"] for c in commands if c["type"] == "set_object"}
+    for path, _ in tracks_of(commands):
+        node = path.removesuffix("/<object>")
+        assert any(other == node or other.startswith(node + "/") for other in made), path
+
+
+def test_page_animates_body_point_arrows_and_traces(page):
+    tracks = tracks_of(commands_of(page))
+    body, contact = "/meshcat/pincontact/bodies/root", "/meshcat/pincontact/contacts/rim|floor"
+    expected = {
+        (body, ".position"),
+        (body, ".quaternion"),
+        (f"{contact}/point", ".position"),
+        (f"{contact}/point", ".visible"),
+        (f"{contact}/trace/<object>", ".geometry[drawRange].count"),
+        (f"{body}/traces/rim|floor on rim/<object>", ".geometry[drawRange].count"),
+    }
+    for part in ("normal", "friction"):
+        expected |= {(f"{contact}/{part}", p) for p in (".position", ".quaternion", ".visible")}
+        expected |= {(f"{contact}/{part}/head", ".position"), (f"{contact}/{part}/head", ".scale")}
+        expected.add((f"{contact}/{part}/shaft", ".scale"))
+        for mode in ("stick", "slip"):
+            expected |= {(f"{contact}/{part}/{piece}/{mode}", ".visible") for piece in ("shaft", "head")}
+    assert set(tracks) == expected
+    sizes = {"vector3": 3, "quaternion": 4, "number": 1, "boolean": 1}
+    for track in tracks.values():
+        times = np.asarray(track["times"])
+        assert np.all(np.diff(times) > 0.0)
+        # float32 in the page
+        assert times[0] == 0.0 and times[-1] == pytest.approx(END, rel=1e-6)
+        assert len(track["values"]) == sizes[track["type"]] * len(times)
+        if track["type"] != "boolean":
+            assert np.isfinite(track["values"]).all()
+
+
+def test_page_moves_the_wheel_as_the_run_does(page):
+    tracks = tracks_of(commands_of(page))
+    position = tracks[("/meshcat/pincontact/bodies/root", ".position")]
+    quaternion = tracks[("/meshcat/pincontact/bodies/root", ".quaternion")]
+    rotations = np.asarray(quaternion["values"], dtype=float).reshape(-1, 4)
+    for time, where, turned in zip(position["times"], np.reshape(position["values"], (-1, 3)), rotations):
+        expected = placement(float(time))
+        # Away from the hop's kinks the cubic between rows 0.025 s apart errs by (w h)^4 / 384, some 1e-7; at a
+        # kink by about h dv / 8; float32 adds 1e-7.
+        kink = min(abs(time - HOP_START), abs(time - HOP_END)) < 0.03
+        assert where == pytest.approx(expected.translation, abs=4e-3 if kink else 3e-6)
+        error = pin.log3(expected.rotation.T @ pin.Quaternion(turned / np.linalg.norm(turned)).matrix())
+        assert np.linalg.norm(error) < 1e-5
+
+
+def test_page_arrow_pieces_show_one_mode_at_a_time(page, run):
+    commands = commands_of(page)
+    tracks = tracks_of(commands)
+    colors = {
+        c["path"].rsplit("/", 1)[1]: c["object"]["materials"][0]["color"]
+        for c in commands
+        if c["type"] == "set_object" and "/normal/shaft/" in c["path"]
+    }
+    for mode, name in ((STICK, "stick"), (SLIP, "slip")):
+        red, green, blue = (round(255 * x) for x in MODE_COLORS[mode])
+        assert colors[name] == 65536 * red + 256 * green + blue
+
+    def visible(path, time):
+        track = tracks[("/meshcat/pincontact/contacts/rim|floor/" + path, ".visible")]
+        return track["values"][np.searchsorted(np.asarray(track["times"]), time, side="right") - 1]
+
+    for time, shown, stick in ((0.3, True, False), (1.0, True, True), (2.1, False, None), (2.8, True, True)):
+        assert visible("normal", time) is shown
+        if shown:
+            assert visible("normal/head/stick", time) is stick
+            assert visible("normal/head/slip", time) is not stick
+
+
+def test_page_info_is_what_the_bar_shows(page, run):
+    info = json.loads(re.search(r"^const info = (.*);$", page, re.M).group(1))
+    assert info["duration"] == END and info["frames"] == 91 and info["step"] == pytest.approx(1 / 30)
+    (contact,) = info["contacts"]
+    # The floor belongs to the world, so the arrows show the force on the rim.
+    assert contact["name"] == CONTACT and contact["on"] == "rim"
+    assert contact["mode"][3] == SLIP and contact["mode"][30] == STICK and contact["mode"][63] == FREE
+    # five digits are kept
+    assert contact["normal"][30] == pytest.approx(MASS * GRAVITY, rel=1e-5)
+    assert contact["friction"][3] == pytest.approx(MU * MASS * GRAVITY, rel=1e-5)
+    assert contact["normal"][63] == 0.0
+    assert info["events"][1] == [HOP_START, CONTACT, "separate"]
+
+
+def test_page_text_cannot_end_its_script(tmp_path):
+    text = export_html(fake_run(name="</script><b>"), tmp_path / "x.html").read_text(encoding="utf-8")
+    assert text.count("</script>") == 2
+    info = json.loads(re.search(r"^const info = (.*);$", text, re.M).group(1).replace("<\\/", "</"))
+    assert info["contacts"][0]["name"] == "</script><b>"
+
+
+def test_speed_is_the_viewers_in_a_page_and_in_the_tracks_live(run):
+    picture = compose(run, 30.0, 0.5, 3000, None, None, ("robot",))
+    slowed = picture.commands(environment=False, time_scale=2.0)[-1]
+    # Meshcat divides track times by the rate.
+    assert {a["clip"]["fps"] for a in slowed["animations"]} == {0.5}
+    assert page_info(picture, run, 0.5)["speed"] == 0.5
+    # Half speed at 30 frames per second of replay: 60 per second of motion.
+    assert len(picture.times) == 181
+
+
+def test_following_brings_the_point_to_the_origin(run):
+    picture = compose(run, 30.0, 1.0, 3000, None, CONTACT, ("points",))
+    tracks = tracks_of(picture.commands(environment=True))
+    assert ("/meshcat/pincontact", ".position") in tracks
+    touching = picture.contacts[CONTACT].touching
+    # The contact point moves on a circle; monotone cubics over rows 0.025 s apart follow to (w h)^2 R / 8.
+    assert picture.followed[touching] == pytest.approx(point(picture.times[touching]), abs=1e-4)
+    for name, offset in (("disk", RADIUS), ("rim", RADIUS)):
+        followed = compose(run, 30.0, 1.0, 3000, None, name, ()).followed
+        # to the error of the cubic between rows
+        assert followed[0] == pytest.approx([TURN, 0.0, offset], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"fps": 0.0}, "fps must be positive and finite, got 0.0"),
+        ({"speed": -1.0}, "speed must be positive and finite, got -1.0"),
+        ({"fps": float("nan")}, "fps must be positive and finite, got nan"),
+        ({"max_frames": 1}, "max_frames must be at least 2, got 1"),
+        ({"force_scale": float("inf")}, "force_scale must be positive and finite, got inf"),
+        ({"follow": "hub"}, "'hub' is not the name"),
+        ({"show": ("robots",)}, "unknown parts robots"),
+    ],
+)
+def test_bad_arguments_raise_before_anything_is_written(run, tmp_path, arguments, message):
+    target = tmp_path / "never.html"
+    with pytest.raises(ArgumentError, match=message):
+        export_html(run, target, **arguments)
+    assert not target.exists()
+
+
+def test_show_leaves_out_what_is_not_asked_for(run, tmp_path):
+    text = export_html(run, tmp_path / "x.html", show=["robot"]).read_text(encoding="utf-8")
+    commands = commands_of(text)
+    assert not [c for c in commands if c["type"] == "set_object" and c["path"].startswith("/meshcat")]
+    assert set(tracks_of(commands)) == {("/meshcat/pincontact/bodies/root", p) for p in (".position", ".quaternion")}
+
+
+def test_pages_of_one_run_are_equal(run, page, tmp_path):
+    again = export_html(run, tmp_path / "again.html", title="a <wheel> & its floor")
+    assert again.read_text(encoding="utf-8") == page
+
+
+def test_live_replay_sends_the_same_scene_to_a_given_viewer(run):
+    sent = []
+    window = SimpleNamespace(send=lambda command: sent.append(command.lower()))
+    viewer = SimpleNamespace(window=window)
+    assert replay(run, viewer=viewer, speed=0.5) is viewer
+    assert [c["type"] for c in sent].count("set_animation") == 1 and sent[-1]["type"] == "set_animation"
+    assert sent[0] == {"type": "delete", "path": "/meshcat/pincontact"}
+    # A viewer that is the user's keeps its background, light and camera.
+    assert all(c["path"].startswith("/meshcat/pincontact") for c in sent[:-1])
+    # Pinocchio's visualizer holds one.
+    assert replay(run, viewer=SimpleNamespace(viewer=viewer)) is viewer
+
+
+def test_live_replay_through_a_real_server(run):
+    meshcat = pytest.importorskip("meshcat")
+    viewer = meshcat.Visualizer()
+    try:
+        for _ in range(2):
+            replay(run, viewer=viewer, max_frames=20)
+        # What the server tells a browser that connects now: every node, and then the animation.
+        texts = re.findall(r'base64,([^"]*)"', viewer.static_html().rsplit("new MeshCat.Viewer", 1)[1])
+        kept = [umsgpack.unpackb(base64.b64decode(text)) for text in texts]
+        drawn = {c["path"] for c in kept if c["type"] == "set_object"}
+        assert "/meshcat/pincontact/contacts/rim|floor/trace" in drawn
+        assert [c["type"] for c in kept].count("set_animation") == 1 and kept[-1]["type"] == "set_animation"
+    finally:
+        viewer.window.server_proc.kill()
+        viewer.window.server_proc.communicate()
+
+
+def test_names_with_slashes_stay_apart():
+    drawing = Drawing(("meshcat",))
+    paths = {drawing.path(name) for name in ("a/b", "a|b", "a|b'", "a")}
+    assert len(paths) == 4
+    assert drawing.path("a/b") == drawing.path("a/b") == "/meshcat/a|b"
+    assert all(path.count("/") == 2 for path in paths)
+
+
+# Imports
+
+
+def test_nothing_heavy_is_imported_until_used(tmp_path):
+    code = """
+import sys
+sys.path.insert(0, sys.argv[2])
+import pincontact.view, pincontact.view.plots
+heavy = ("meshcat", "matplotlib", "zmq", "umsgpack", "IPython")
+assert not [name for name in heavy if name in sys.modules], "at import"
+from fake_run import fake_run
+from pincontact.view import export_html
+export_html(fake_run(), sys.argv[1])
+assert not [name for name in ("meshcat", "matplotlib", "zmq", "IPython") if name in sys.modules], "for a page"
+import subprocess, os
+children = subprocess.run(["ps", "--ppid", str(os.getpid()), "-o", "comm="], capture_output=True, text=True)
+assert children.stdout.split() in (["ps"], []), children.stdout
+"""
+    here = str(Path(__file__).parent)
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "run.html"), here], capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_missing_matplotlib_names_the_extra(run, monkeypatch):
+    from pincontact.errors import MissingExtraError
+
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r"pip install pincontact\[plot\]"):
+        plots.plot(run)
+
+
+def test_missing_meshcat_is_said(run, monkeypatch, tmp_path):
+    from pincontact.errors import MissingExtraError
+
+    monkeypatch.setattr("pincontact.view.page.find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match="meshcat"):
+        export_html(run, tmp_path / "x.html")
+
+
+# Arrows
+
+
+def rotate(quaternion, vector):
+    return pin.Quaternion(np.asarray(quaternion)).matrix() @ vector
+
+
+def test_rotation_from_z_closed_forms():
+    half = np.sqrt(0.5)
+    directions = np.array([[0, 0, 1], [1, 0, 0], [0, -1, 0], [0, 0, -1]], dtype=float)
+    expected = np.array([[0, 0, 0, 1], [0, half, 0, half], [half, 0, 0, half], [1, 0, 0, 0]])
+    found = arrows.rotation_from_z(directions)
+    # Up to the sign, which is chosen for continuity.
+    for q, e in zip(found, expected):
+        assert min(np.abs(q - e).max(), np.abs(q + e).max()) < 1e-15
+
+
+def test_rotation_from_z_at_random_and_next_to_minus_z():
+    rng = np.random.default_rng(7)
+    directions = rng.normal(size=(200, 3))
+    tilt = np.array([1e-3, 1e-7, 1e-9, 1e-12, 1e-30, 1e-170])
+    near = np.column_stack([np.sin(tilt), 0.3 * np.sin(tilt), -np.cos(tilt)])
+    directions = np.concatenate([directions, near])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    quaternions = arrows.rotation_from_z(directions)
+    # Each a unit quaternion to a few roundings, with no loss of digits next to -z.
+    assert np.linalg.norm(quaternions, axis=1) == pytest.approx(1.0, abs=4e-16)
+    for q, d in zip(quaternions, directions):
+        assert rotate(q, np.array([0.0, 0.0, 1.0])) == pytest.approx(d, abs=1e-15)
+    products = np.einsum("ij,ij->i", quaternions[1:], quaternions[:-1])
+    assert (products >= 0.0).all()
+
+
+@pytest.mark.parametrize("length", [0.01, 0.15, 0.2, 0.7, 12.0])
+def test_arrow_ends_where_the_vector_ends(length):
+    head = 0.1
+    direction = np.array([2.0, -1.0, 2.0]) / 3.0
+    tail = np.array([[0.3, -0.2, 5.0]])
+    arrow = arrows.place_arrow(tail, length * direction[None], head)
+    tip = np.array([0.0, 0.0, arrow.head_position[0, 2] + arrow.head_scale[0, 2]])
+    # round-off
+    assert tail[0] + rotate(arrow.quaternion[0], tip) == pytest.approx(tail[0] + length * direction, rel=1e-14)
+    # The shaft reaches exactly to the head.
+    assert arrow.shaft_scale[0, 2] == pytest.approx(arrow.head_position[0, 2], rel=1e-14)
+    # From twice the head's length on, the head keeps its size; below, all proportions are kept.
+    size = head * min(1.0, length / (2.0 * head))
+    assert arrow.head_scale[0] == pytest.approx(size * np.array([0.34, 0.34, 1.0]), rel=1e-14)
+    assert arrow.shaft_scale[0, :2] == pytest.approx(0.13 * size, rel=1e-14)
+    assert arrow.visible[0]
+
+
+def test_vanishing_vector_hides_the_arrow_and_keeps_its_direction():
+    vectors = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    arrow = arrows.place_arrow(np.zeros((4, 3)), vectors, 0.1)
+    assert arrow.visible.tolist() == [False, True, False, True]
+    assert rotate(arrow.quaternion[2], np.array([0.0, 0.0, 1.0])) == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)
+    # No scale is zero: its matrix would be singular.
+    assert (arrow.shaft_scale > 0.0).all() and (arrow.head_scale > 0.0).all()
+
+
+def test_arrows_show_the_force_on_the_moving_body(run):
+    picture = compose(run, 30.0, 1.0, 3000, 0.01, None, ("forces",))
+    tracks = tracks_of(picture.commands(environment=False))
+    base = "/meshcat/pincontact/contacts/rim|floor/normal"
+    quaternion = np.reshape(np.frombuffer(tracks[(base, ".quaternion")]["values"].data, np.float32), (-1, 4))
+    head = np.reshape(np.frombuffer(tracks[(base + "/head", ".position")]["values"].data, np.float32), (-1, 3))
+    scale = np.reshape(np.frombuffer(tracks[(base + "/head", ".scale")]["values"].data, np.float32), (-1, 3))
+    # The recorded force is on the floor, downwards; the arrow on the rim points up. float32.
+    assert rotate(quaternion[30].astype(float), np.array([0.0, 0.0, 1.0])) == pytest.approx([0, 0, 1], abs=1e-6)
+    assert head[30, 2] + scale[30, 2] == pytest.approx(0.01 * MASS * GRAVITY, rel=1e-6)
+
+
+def test_fitting_scale_ignores_one_impact(run):
+    contacts = {CONTACT: contact_frames(run, CONTACT, np.linspace(0.0, END, 91))}
+    usual = fitting_force_scale(contacts, 0.3)
+    largest = np.hypot(MASS * GRAVITY, MU * MASS * GRAVITY)
+    # The percentile falls among the frames of slip, which the interpolation bends by some 1e-7 next to its end.
+    assert usual == pytest.approx(0.9 * 0.3 / largest, rel=1e-5)
+    contacts[CONTACT].normal[40] *= 1000.0
+    assert fitting_force_scale(contacts, 0.3) == pytest.approx(usual, rel=1e-5)
+
+
+# Splitting forces
+
+
+def test_split_force_by_pattern():
+    frame = np.array([[[1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]]]).transpose(0, 2, 1)
+    track = SimpleNamespace(force=np.array([[3.0, -2.0, 7.0]]), frame=frame)
+    normal, friction = split_force(SimpleNamespace(pattern=SimpleNamespace(name="3C-S")), track)
+    # e_1 and e_2 are oblique; the split does not depend on them.
+    assert normal.tolist() == [[0.0, 0.0, 7.0]] and friction.tolist() == [[3.0, -2.0, 0.0]]
+    # A bead on a wire: all that is not along the wire is normal.
+    normal, friction = split_force(SimpleNamespace(pattern=SimpleNamespace(name="P-3C")), track)
+    assert normal.tolist() == [[0.0, -2.0, 7.0]] and friction.tolist() == [[3.0, 0.0, 0.0]]
+
+
+# Resampling
+
+
+def test_frame_times_rate_ends_and_cap():
+    t = np.array([1.0, 1.7, 4.0])
+    times = frame_times(t, 30.0, 1.0, 3000)
+    assert len(times) == 91 and times[0] == 1.0 and times[-1] == 4.0
+    assert len(frame_times(t, 30.0, 3.0, 3000)) == 31
+    assert len(frame_times(t, 30.0, 0.1, 3000)) == 901
+    capped = frame_times(np.array([0.0, 1e5]), 60.0, 1.0, 500)
+    assert len(capped) == 500 and capped[-1] == 1e5
+    # A run of one row, or of no length, still makes a picture.
+    assert frame_times(np.array([2.0]), 30.0, 1.0, 10).tolist() == [2.0, 2.0]
+    with pytest.raises(ArgumentError, match="no recorded time"):
+        frame_times(np.zeros(0), 30.0, 1.0, 10)
+
+
+def test_a_run_of_one_row_makes_a_page(tmp_path):
+    run = fake_run(rows=2)
+    still = SimpleNamespace(**{**vars(run), "t": run.t[:1], "q": run.q[:1], "v": run.v[:1]})
+    track = vars(run.contacts[CONTACT])
+    still.contacts = {CONTACT: SimpleNamespace(**{key: value[:1] for key, value in track.items()})}
+    commands = commands_of(export_html(still, tmp_path / "x.html").read_text(encoding="utf-8"))
+    for track in tracks_of(commands).values():
+        assert np.all(np.diff(np.asarray(track["times"])) > 0.0)
+
+
+def test_intervals_take_the_later_row_of_a_repeated_time():
+    t = np.array([0.0, 1.0, 1.0, 2.0])
+    assert intervals(t, np.array([0.0, 0.5, 1.0, 1.5, 2.0])).tolist() == [0, 0, 2, 2, 2]
+
+
+def test_motion_is_fourth_order_and_meets_the_rows():
+    errors = []
+    for rows in (31, 61, 121):
+        run = fake_run(rows)
+        times = np.linspace(0.05, 1.95, 77)
+        q = configurations(run, times)
+        found = joint_placements(run.scene.model, q)[:, 1]
+        gaps = [np.linalg.norm(pin.log6(placement(x).inverse() * pin.SE3(m)).vector) for x, m in zip(times, found)]
+        errors.append(max(gaps))
+        at_rows = configurations(run, run.t)
+        # round-off of one difference and one integrate
+        assert max(np.abs(pin.difference(run.scene.model, a, b)).max() for a, b in zip(at_rows, run.q)) < 1e-13
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    # Nominal order 4; the coarsest pair is within a fifth of it.
+    assert (orders > 3.8).all(), (errors, orders)
+
+
+def test_motion_falls_back_to_the_shortest_path_across_an_impact():
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "slide")
+    # Down at 3 m/s, up at 3 m/s, next to no way in between: the cubic would dive by 0.75 m.
+    motion = Motion(model, np.array([0.0, 1.0]), np.array([[0.2], [0.3]]), np.array([[-3.0], [3.0]]))
+    # exact up to rounding
+    assert motion(0.5, 0) == pytest.approx([0.25], abs=1e-15)
+
+
+def test_contact_frames_keep_phases_apart(run):
+    times = np.linspace(0.0, END, 1201)
+    frames = contact_frames(run, CONTACT, times)
+    free = (times >= HOP_START) & (times < HOP_END)
+    # At a border of phases the mode is that of the row before.
+    inside = (np.abs(times - HOP_START) > 0.026) & (np.abs(times - HOP_END) > 0.026)
+    assert ((frames.mode == FREE) == free)[inside].all()
+    assert (frames.normal[frames.mode == FREE] == 0.0).all() and (frames.friction[frames.mode == FREE] == 0.0).all()
+    assert np.isfinite(frames.point).all()
+    # Never more or less than recorded: nothing leaks in from the free phase. A few roundings of the interpolant.
+    touching = frames.touching
+    assert frames.normal[touching, 2] == pytest.approx(-MASS * GRAVITY, rel=1e-14)
+    recorded = run.contacts[CONTACT].force[:, :2]
+    friction = frames.friction[touching][:, :2]
+    assert (friction <= recorded.max(axis=0) + 1e-13).all() and (friction >= recorded.min(axis=0) - 1e-13).all()
+    # Monotone cubics are second order where a component turns back: (w h)^2 R / 8 is 8e-5 here. Between the last
+    # row of a phase and the next phase there is nothing to interpolate with.
+    compared = touching & inside
+    assert frames.point[compared] == pytest.approx(point(times[compared]), abs=1e-4)
+    # While free, the marker waits where the contact was left.
+    waiting = frames.point[(times > HOP_START + 0.03) & (times < HOP_END - 0.03)]
+    assert (waiting == waiting[0]).all()
+
+
+# Meshes
+
+
+def is_closed(mesh):
+    """Every edge, by position, is used once in each direction."""
+    keys = np.round(mesh.vertices, 9) + 0.0
+    _, names = np.unique(keys, axis=0, return_inverse=True)
+    faces = names.reshape(-1)[mesh.faces]
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).tolist()
+    forward = sorted(map(tuple, edges))
+    return forward == sorted((b, a) for a, b in edges) and len(set(forward)) == len(forward)
+
+
+def volume(mesh):
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    return np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
+
+
+RING = np.column_stack([np.cos(np.arange(200) * np.pi / 100), np.sin(np.arange(200) * np.pi / 100), np.zeros(200)])
+
+
+@pytest.mark.parametrize(
+    ("mesh", "expected"),
+    [
+        (meshes.box(np.array([1.0, 2.0, 3.0])), 6.0),
+        (meshes.cylinder(0.5, 2.0, 200), 0.5 * np.pi),
+        (meshes.cone(0.5, 3.0, 200), 0.25 * np.pi),
+        (meshes.ellipsoid(np.array([1.0, 2.0, 0.5]), 200), 4.0 / 3.0 * np.pi),
+        (meshes.capsule(0.5, 2.0, 200), 0.5 * np.pi + np.pi / 6.0),
+        (arrows.unit_shaft(), np.pi),
+        (arrows.unit_head(), np.pi / 3.0),
+        (meshes.tube(RING, 0.1, True, 100), 2.0 * np.pi**2 * 0.01),
+    ],
+)
+def test_closed_shapes_have_their_volume_and_outward_normals(mesh, expected):
+    assert is_closed(mesh)
+    # A polygon of 20 (shaft) or 28 (head) sides lacks 1.6 % or 0.8 % of its circle; the others under 0.1 %.
+    assert volume(mesh) == pytest.approx(expected, rel=0.02)
+    assert np.linalg.norm(mesh.normals, axis=1) == pytest.approx(1.0, abs=1e-12)
+    corners = mesh.vertices[mesh.faces]
+    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(face_normals, axis=1)
+    solid = area > 1e-12
+    agreement = np.einsum("ij,ij->i", face_normals, mesh.normals[mesh.faces].mean(axis=1))[solid] / area[solid]
+    assert agreement.min() > 0.5
+
+
+def test_closed_tube_of_a_twisted_curve_meets_itself():
+    u = np.linspace(0.0, 2.0 * np.pi, 161)[:-1]
+    knot = np.column_stack([np.sin(u) + 2 * np.sin(2 * u), np.cos(u) - 2 * np.cos(2 * u), -np.sin(3 * u)])
+    mesh = meshes.tube(knot, 0.2, True, 12)
+    assert is_closed(mesh)
+    rows = mesh.vertices.reshape(161, 13, 3)
+    # The last ring is the first one again, vertex by vertex: the transport's twist has been taken out.
+    assert rows[-1] == pytest.approx(rows[0], abs=2e-2)
+
+
+def test_simplify_keeps_within_the_tolerance_and_drops_rest():
+    t = np.linspace(0.0, 6.0, 2000)
+    path = np.column_stack([np.cos(t), np.sin(t), 0.1 * t])
+    kept = meshes.simplify(path, 1e-3, 10.0)
+    assert kept[0] == 0 and len(kept) < 200
+    for a, b in pairwise(kept):
+        chord = path[b] - path[a]
+        offset = path[a : b + 1] - path[a]
+        across = offset - np.outer(np.clip(offset @ chord / (chord @ chord), 0.0, 1.0), chord)
+        assert np.linalg.norm(across, axis=1).max() <= 1e-3
+    line = np.column_stack([np.linspace(0.0, 1.0, 101), np.zeros(101), np.zeros(101)])
+    assert len(meshes.simplify(line, 1e-3, 10.0)) == 2
+    # No chord longer than asked: ten of them.
+    assert len(meshes.simplify(line, 1e-3, 0.1 + 1e-9)) == 11
+    assert meshes.simplify(np.zeros((50, 3)), 1e-3, 1.0).tolist() == [0]
+    there_and_back = np.concatenate([line, line[::-1]])
+    assert 100 in meshes.simplify(there_and_back, 1e-3, 10.0) or 101 in meshes.simplify(there_and_back, 1e-3, 10.0)
+
+
+def test_surface_samples_lie_on_the_surface_with_its_normals():
+    sphere = Sphere(0.7)
+    points, normals = meshes.sample_surface(sphere, np.array(sphere.domain), (13, 9))
+    # round-off, and at the poles the normal from 1e-4 of the way inside
+    assert np.linalg.norm(points, axis=2) == pytest.approx(0.7, abs=1e-15)
+    assert normals == pytest.approx(points / 0.7, abs=3e-4)
+    assert normals[:, 1:-1] == pytest.approx(points[:, 1:-1] / 0.7, abs=1e-14)
+
+
+def test_unbounded_contours_are_cut_around_the_motion():
+    centre, radius = np.array([40.0, -3.0, 0.0]), 2.0
+    low, high = meshes.drawn_domain(Line(), np.array([40.0, 0.0, 0.0]), radius)[0]
+    # The border is found to a step of 64 or 32 over the width, never too narrow.
+    assert 37.9 < low <= 38.0 and 42.0 <= high < 42.1
+    domain = meshes.drawn_domain(Plane(), centre, radius)
+    assert (domain[:, 0] <= centre[:2] - radius).all() and (domain[:, 1] >= centre[:2] + radius).all()
+    assert domain[:, 1] - domain[:, 0] == pytest.approx(2.0 * radius, rel=0.15)
+    # However far away and however small.
+    domain = meshes.drawn_domain(Plane(), np.array([5e3, 5e3, 0.0]), 0.01)
+    assert domain[:, 1] - domain[:, 0] == pytest.approx(0.02, rel=0.15)
+    # A bounded one is drawn whole.
+    assert meshes.drawn_domain(Circle(0.3), centre, radius).tolist() == [[-np.pi, np.pi]]
+
+
+def test_tile_size_is_round():
+    assert [tile_size(x) for x in (0.3, 0.05, 7.0, 1.0, 19.0)] == pytest.approx([0.2, 0.05, 5.0, 1.0, 10.0])
+
+
+def test_geometry_objects_become_meshes():
+    import coal
+
+    shapes = {
+        coal.Box(1.0, 2.0, 3.0): 6.0,
+        coal.Sphere(0.5): np.pi / 6.0,
+        coal.Cylinder(0.5, 2.0): 0.5 * np.pi,
+        coal.Capsule(0.5, 2.0): 0.5 * np.pi + np.pi / 6.0,
+        coal.Cone(0.5, 3.0): 0.25 * np.pi,
+        coal.Ellipsoid(1.0, 2.0, 0.5): 4.0 / 3.0 * np.pi,
+    }
+    for shape, expected in shapes.items():
+        geometry = pin.GeometryObject("x", 0, pin.SE3.Identity(), shape)
+        # 32 to 40 sides: a few per cent less than round
+        assert volume(geometry_mesh(geometry)) == pytest.approx(expected, rel=0.03)
+    assert geometry_mesh(pin.GeometryObject("x", 0, pin.SE3.Identity(), coal.Halfspace())) is None
+
+
+def test_visuals_are_drawn_below_their_joint_and_unknown_ones_named(run, tmp_path):
+    import coal
+
+    visual = pin.GeometryModel()
+    pose = pin.SE3(pin.rpy.rpyToMatrix(0.1, 0.2, 0.3), np.array([0.1, 0.2, 0.3]))
+    box = pin.GeometryObject("hub", 1, pose, coal.Box(0.1, 0.1, 0.1))
+    box.meshColor = np.array([1.0, 0.5, 0.0, 0.5])
+    visual.addGeometryObject(box)
+    visual.addGeometryObject(pin.GeometryObject("ground", 0, pin.SE3.Identity(), coal.Halfspace()))
+    scene = SimpleNamespace(**{**vars(run.scene), "visual_model": visual})
+    robot = SimpleNamespace(**{**vars(run), "scene": scene})
+    with pytest.warns(UserWarning, match="'ground' \\(Halfspace\\) is not drawn"):
+        text = export_html(robot, tmp_path / "x.html").read_text(encoding="utf-8")
+    commands = commands_of(text)
+    path = "/meshcat/pincontact/bodies/root/visuals/hub"
+    (made,) = (c for c in commands if c["type"] == "set_object" and c["path"] == path)
+    material = made["object"]["materials"][0]
+    assert material["color"] == 0xFF8000 and material["opacity"] == 0.5 and material["transparent"]
+    (placed,) = (c for c in commands if c["type"] == "set_transform" and c["path"] == path)
+    matrix = np.reshape(placed["matrix"], (4, 4)).T
+    assert matrix == pytest.approx(pose.homogeneous, abs=1e-15)
+    # A body with a picture of its own keeps its contour's curve, without a disc.
+    drawn = {c["path"] for c in commands if c["type"] == "set_object"}
+    assert "/meshcat/pincontact/bodies/root/contours/rim/curve" in drawn
+    assert "/meshcat/pincontact/bodies/root/contours/rim/disc" not in drawn
+
+
+def test_scene_size_follows_what_moves(run):
+    times = np.linspace(0.0, END, 10)
+    placements = joint_placements(run.scene.model, configurations(run, times))
+    contacts = {CONTACT: contact_frames(run, CONTACT, times)}
+    assert scene_size(run.scene, placements, contacts) == RADIUS
+
+
+# Plots
+
+
+@pytest.fixture
+def pyplot():
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg", force=True)
+    from matplotlib import pyplot
+
+    yield pyplot
+    pyplot.close("all")
+
+
+def lines(ax):
+    return {line.get_label(): np.asarray(line.get_ydata(), dtype=float) for line in ax.get_lines()}
+
+
+def test_plot_draws_every_kind(run, pyplot):
+    axes = plots.plot(run)
+    assert [ax.get_title() for ax in axes] == list(plots.KINDS)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        axes[0].figure.canvas.draw()
+
+
+def test_forces_show_the_limit(run, pyplot):
+    shown = lines(plots.forces(run, CONTACT))
+    assert (shown["normal"] == run.contacts[CONTACT].normal_force).all()
+    assert (shown["friction"] == run.contacts[CONTACT].tangential_force).all()
+    assert (shown["friction limit"] == MU * run.contacts[CONTACT].normal_force).all()
+
+
+def test_limit_depends_on_mode_and_law(run):
+    scene = SimpleNamespace(contacts={CONTACT: SimpleNamespace(friction=SimpleNamespace(sliding=0.3, sticking=0.5))})
+    other = SimpleNamespace(scene=scene, contacts=run.contacts)
+    ratio = plots.limit(other, CONTACT) / (MASS * GRAVITY)
+    # slipping, sticking: exact up to one rounding
+    assert ratio[10] == pytest.approx(0.3, rel=1e-15) and ratio[60] == pytest.approx(0.5, rel=1e-15)
+    for law in (None, SimpleNamespace(sliding=np.inf, sticking=np.inf)):
+        scene.contacts[CONTACT].friction = law
+        assert plots.limit(other, CONTACT) is None
+
+
+def test_cone_has_its_edge_and_colours_by_mode(run, pyplot):
+    ax = plots.friction_cone(run)
+    by_label = {line.get_label(): line for line in ax.get_lines()}
+    x, y = by_label["mu = 0.4"].get_data()
+    assert y[1] / x[1] == MU
+    assert by_label["stick"].get_color() == MODE_COLORS[STICK]
+    assert len(by_label["slip"].get_xdata()) == (run.t < SLIP_END).sum()
+    assert (by_label["stick"].get_ydata() == MASS * SPEED**2 / TURN).all()
+
+
+def test_slip_has_one_band_a_phase(run, pyplot):
+    ax = plots.slip(run, CONTACT)
+    bands = [(p.get_x(), p.get_x() + p.get_width()) for p in ax.patches]
+    # The phases meet, at the rows where the mode changes (rows 0.025 s apart).
+    edges = np.array([0.0, SLIP_END, HOP_START, HOP_END, END])
+    assert np.array(bands) == pytest.approx(np.column_stack([edges[:-1], edges[1:]]), abs=1e-12)
+
+
+def test_single_plots_draw_into_given_axes(run, pyplot):
+    _, ax = pyplot.subplots()
+    for function in plots.KINDS.values():
+        assert function(run, ax=ax) is ax
+    _, grid = pyplot.subplots(1, 2)
+    axes = plots.plot(run, ["energy", "motion"], axes=grid)
+    assert list(axes) == list(grid)
+    assert set(lines(grid[0])) == {"kinetic", "potential", "total", "friction work"}
+
+
+def test_plot_arguments(run, pyplot):
+    with pytest.raises(ArgumentError, match="unknown kind of plot 'power'"):
+        plots.plot(run, ["power"])
+    with pytest.raises(ArgumentError, match="no contact 'hub'; it has 'rim/floor'"):
+        plots.slip(run, "hub")
+    with pytest.raises(ArgumentError, match="2 kinds of plot need as many axes, got 1"):
+        plots.plot(run, ["energy", "motion"], axes=pyplot.subplots()[1])
+    with pytest.raises(ArgumentError, match="empty"):
+        plots.plot(run, [])

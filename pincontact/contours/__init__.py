@@ -2,6 +2,7 @@
 
 from .base import Contour
 from .curves import Circle, Cycloid, Ellipse, FourierCurve, Helix, Line
+from .motion import CallableMotion, ConstantTwist, HarmonicMotion, Motion, SplineMotion
 from .parametric import HeightField, ParametricCurve, ParametricSurface
 from .points import Point
 from .revolution import SurfaceOfRevolution
@@ -9,23 +10,28 @@ from .splines import SplineCurve, SplineSurface
 from .surfaces import Cone, Cylinder, Ellipsoid, Plane, Sphere, Torus
 
 __all__ = [
+    "CallableMotion",
     "Circle",
     "Cone",
+    "ConstantTwist",
     "Contour",
     "Cycloid",
     "Cylinder",
     "Ellipse",
     "Ellipsoid",
     "FourierCurve",
+    "HarmonicMotion",
     "HeightField",
     "Helix",
     "Line",
+    "Motion",
     "ParametricCurve",
     "ParametricSurface",
     "Plane",
     "Point",
     "Sphere",
     "SplineCurve",
+    "SplineMotion",
     "SplineSurface",
     "SurfaceOfRevolution",
     "Torus",

@@ -84,10 +84,10 @@ def fit(
     coefficients: np.ndarray | None = None
     for box in boxes:
         ends = [(b[i], b[i + 1]) for b, i in zip(breaks, box)]
-        piece = pieces[tuple(itertools.chain(*ends))].reshape((*[_DEGREE + 1] * dimension, -1))
+        block: np.ndarray = pieces[tuple(itertools.chain(*ends))].reshape((*[_DEGREE + 1] * dimension, -1))
         if coefficients is None:
-            coefficients = np.empty((*shape, piece.shape[-1]))
-        coefficients[tuple(slice(i * (_DEGREE + 1), (i + 1) * (_DEGREE + 1)) for i in box)] = piece
+            coefficients = np.empty((*shape, block.shape[-1]))
+        coefficients[tuple(slice(i * (_DEGREE + 1), (i + 1) * (_DEGREE + 1)) for i in box)] = block
     assert coefficients is not None
     error = _deviation(function, breaks, directions, coefficients)
     return Fit(pack(directions, coefficients, time=time), error)

@@ -1,10 +1,411 @@
-"""Driven placements."""
+"""Driven contours: a placement as a function of time, with its first two time derivatives.
+
+A motion moves a contour relative to the frame that carries it: a heaving plate, a turntable, a belt, a prescribed
+cam. All vectors are in the axes of the carrier; velocities and accelerations are those of the moving origin, relative
+to the carrier (the acceleration is the second derivative of the position, not a spatial one).
+"""
 
 from __future__ import annotations
 
-from ..jit import kernel
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import ContourError
+from ..jit import INTEGER, REAL, entry_kernel, kernel
+from .base import finite, interval
+from .fits import fit
+from .piecewise import piecewise
+from .splines import array, spline, spline_pool
+
+MOTION_NONE, MOTION_HARMONIC, MOTION_TWIST, MOTION_SPLINE, MOTION_CALLABLE = range(5)
+
+# Row of numbers that the kernel reads, and of what it writes: rotation (row-major), position, velocity, angular
+# velocity, acceleration, angular acceleration.
+MOTION_PARAMETERS = 16
+MOTION_SIZE = 24
+
+# Parameters of a turn about a fixed axis through a fixed point with a translation: both are proportional to time
+# (twist) or to a sine.
+_DIRECTION, _AXIS, _CENTER = 0, 3, 6
+_ANGLE, _RATE, _PHASE, _TURN_RATE, _TURN_PHASE = range(9, 14)
+# A spline's pool: offset of its scratch area, then position and quaternion as piecewise polynomials.
+_SPLINE_SCRATCH = 70
+
+
+class Motion:
+    """A placement of time. Subclasses say which; kind, parameters (16,) and pool are what the kernels read.
+
+    A motion of kind MOTION_CALLABLE is evaluated in Python; all others are compiled.
+    """
+
+    kind: int = MOTION_NONE
+
+    def __init__(self, parameters: Sequence[float] = (), pool: np.ndarray | None = None) -> None:
+        self.parameters = np.zeros(MOTION_PARAMETERS)
+        self.parameters[: len(parameters)] = parameters
+        self.pool = np.zeros(0) if pool is None else pool
+
+    def evaluate(self, t: float, out: np.ndarray | None = None) -> np.ndarray:
+        """Placement and its derivatives at time t in s, as the row (24,) that the kernels use; into out if given.
+
+        rotation (9, row-major) of the contour in its carrier, position (3), linear velocity (3), angular velocity
+        (3), linear acceleration (3), angular acceleration (3), in carrier axes.
+        """
+        if out is None:
+            out = np.zeros(MOTION_SIZE)
+        fill_motion(self.kind, self.parameters, self.pool, float(t), out)
+        return out
+
+    def placement(self, t: float) -> pin.SE3:
+        """Placement of the contour in its carrier."""
+        row = self.evaluate(t)
+        return pin.SE3(row[:9].reshape(3, 3), row[9:12])
+
+
+class ConstantTwist(Motion):
+    """Constant angular velocity about a fixed axis and constant linear velocity: turntable, belt, screw.
+
+    angular:  (3,) angular velocity in rad/s, carrier axes
+    linear:   (3,) velocity in m/s, carrier axes
+    center:   (3,) a point of the axis at t = 0, in m; it moves with `linear`
+
+    The placement at t = 0 is the identity. Raises ContourError for numbers that are not finite.
+    """
+
+    kind = MOTION_TWIST
+
+    def __init__(
+        self,
+        angular: Sequence[float] = (0.0, 0.0, 0.0),
+        linear: Sequence[float] = (0.0, 0.0, 0.0),
+        center: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        omega = array("ConstantTwist", "angular", angular, 3)
+        rate = float(np.linalg.norm(omega))
+        axis = omega / rate if rate > 0.0 else np.array([0.0, 0.0, 1.0])
+        velocity = array("ConstantTwist", "linear", linear, 3)
+        super().__init__([*velocity, *axis, *array("ConstantTwist", "center", center, 3), rate])
+
+
+class HarmonicMotion(Motion):
+    """Oscillation along a direction and about an axis.
+
+    Position: amplitude sin(2 pi frequency t + phase); angle about `axis` through `center`:
+    angle sin(2 pi turn_frequency t + turn_phase).
+
+    amplitude:       (3,) in m, carrier axes
+    frequency:       in Hz;  phase: in rad
+    axis:            (3,) any length but zero, carrier axes
+    angle:           amplitude of the angle in rad
+    turn_frequency:  in Hz, that of the translation if not given;  turn_phase: in rad
+    center:          (3,) a point of the axis, in m
+
+    Raises ContourError for numbers that are not finite, or an angle without an axis.
+    """
+
+    kind = MOTION_HARMONIC
+
+    def __init__(
+        self,
+        amplitude: Sequence[float] = (0.0, 0.0, 0.0),
+        frequency: float = 1.0,
+        phase: float = 0.0,
+        axis: Sequence[float] | None = None,
+        angle: float = 0.0,
+        turn_frequency: float | None = None,
+        turn_phase: float = 0.0,
+        center: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        owner = "HarmonicMotion"
+        frequency, phase, angle, turn_phase = finite(
+            owner, frequency=frequency, phase=phase, angle=angle, turn_phase=turn_phase
+        )
+        (turn_frequency,) = finite(owner, turn_frequency=frequency if turn_frequency is None else turn_frequency)
+        if axis is None and angle != 0.0:
+            raise ContourError(f"{owner}: an oscillating angle of {angle} rad needs an axis")
+        n = array(owner, "axis", (0.0, 0.0, 1.0) if axis is None else axis, 3)
+        length = float(np.linalg.norm(n))
+        if not length > 0.0:
+            raise ContourError(f"{owner}: axis must not be zero, got {n.tolist()}")
+        super().__init__(
+            [
+                *array(owner, "amplitude", amplitude, 3),
+                *(n / length),
+                *array(owner, "center", center, 3),
+                angle,
+                2.0 * math.pi * frequency,
+                phase,
+                2.0 * math.pi * turn_frequency,
+                turn_phase,
+            ]
+        )
+
+
+class SplineMotion(Motion):
+    """A smooth path through placements: quintic splines of the position and of the quaternion, normalised.
+
+    times:     (n,) increasing, in s; n + 1 if periodic, the last one closing the path
+    poses:     n `pin.SE3` or (4, 4) homogeneous matrices, contour in carrier; at least 6
+    periodic:  the path closes and repeats
+
+    Before the first and after the last time a path that is not periodic goes on with constant second derivatives of
+    its splines. Raises ContourError for too few poses, times that do not increase, matrices that are no placements,
+    or two poses half a turn apart.
+    """
+
+    kind = MOTION_SPLINE
+
+    def __init__(self, times: Sequence[float], poses: Sequence[Any], periodic: bool = False) -> None:
+        owner = "SplineMotion"
+        placements = [_placement(owner, f"poses[{i}]", pose) for i, pose in enumerate(poses)]
+        if periodic:
+            placements += placements[:1]
+        t = array(owner, "times", times, len(placements))
+        values = np.array([_coordinates(pose) for pose in placements])
+        for i in range(1, len(values)):
+            overlap = float(values[i, 3:] @ values[i - 1, 3:])
+            # Quaternions of opposite sign are the same rotation; a spline needs the near one.
+            if overlap < 0.0:
+                values[i, 3:] *= -1.0
+            if abs(overlap) < 0.1:
+                raise ContourError(
+                    f"{owner}: poses {i - 1} and {i} are {2.0 * math.acos(abs(overlap)):.3f} rad apart; add a pose "
+                    "between them to say which way to turn"
+                )
+        if periodic and values[-1, 3:] @ values[0, 3:] < 0.0:
+            # An odd number of turns: the quaternion closes after two rounds only.
+            again = values[1:] * np.repeat([1.0, -1.0], [3, 4])
+            values = np.concatenate([values, again])
+            t = np.concatenate([t, t[1:] + (t[-1] - t[0])])
+        path = spline(owner, t, values, 5, periodic)
+        super().__init__((), _motion_pool(spline_pool(path, periodic)))
+
+
+class CallableMotion(Motion):
+    """A motion given by a Python function.
+
+    f(t) -> (pose, velocity, acceleration): pose a `pin.SE3`, velocity (6,) and acceleration (6,) linear before
+    angular, as at the top of this file. It is called in Python once per evaluation of the dynamics.
+
+    f(t) -> pose, with time_domain=(first, last) in s: the pose is fitted there to rounding, once, and no Python runs
+    afterwards; `fit_error` says how well. Beyond the time domain it goes on with constant second derivatives.
+
+    Raises ContourError for a pose without time domain, results of the wrong kind, or derivatives that are not those
+    of the pose.
+    """
+
+    kind = MOTION_CALLABLE
+
+    def __init__(self, f: Callable[[float], Any], time_domain: tuple[float, float] | None = None) -> None:
+        owner = "CallableMotion"
+        if not callable(f):
+            raise ContourError(f"{owner}: a function is needed, got {f!r}")
+        self._function = f
+        self.fit_error = 0.0
+        first, last = (0.0, 1.0) if time_domain is None else interval(owner, "time_domain", time_domain)
+        if not (math.isfinite(first) and math.isfinite(last)):
+            raise ContourError(f"{owner}: time_domain must be finite, got ({first}, {last})")
+        sample = f(first)
+        if isinstance(sample, tuple):
+            super().__init__()
+            for part in (0.137, 0.618):
+                self._check(first + part * (last - first))
+            return
+        if time_domain is None:
+            raise ContourError(f"{owner}: a function that returns a pose only needs time_domain=(first, last)")
+        previous = _coordinates(_placement(owner, f"f({first})", sample))[3:]
+        signs = _QuaternionBranch(lambda t: _coordinates(_placement(owner, f"f({t})", f(t))), first, last, previous)
+        result = fit(owner, signs, [(first, last)], (False,))
+        self.kind = MOTION_SPLINE
+        self.fit_error = result.error
+        super().__init__((), _motion_pool(result.pool))
+
+    def evaluate(self, t: float, out: np.ndarray | None = None) -> np.ndarray:
+        """As `Motion.evaluate`."""
+        if self.kind == MOTION_SPLINE:
+            return super().evaluate(t, out)
+        if out is None:
+            out = np.zeros(MOTION_SIZE)
+        result = self._function(float(t))
+        try:
+            pose, velocity, acceleration = result
+        except (TypeError, ValueError):
+            raise ContourError(
+                f"CallableMotion: f({t}) must be (pose, velocity, acceleration), got {type(result).__name__}"
+            ) from None
+        pose = _placement("CallableMotion", f"the pose of f({t})", pose)
+        out[:9] = pose.rotation.ravel()
+        out[9:12] = pose.translation
+        for start, name, given in ((12, "velocity", velocity), (18, "acceleration", acceleration)):
+            vector = getattr(given, "vector", given)
+            out[start : start + 6] = array("CallableMotion", f"{name} of f({t})", vector, 6)
+        return out
+
+    def _check(self, t: float) -> None:
+        """Compare the derivatives with differences of the pose: catches wrong axes and signs, not digits."""
+        h = 1e-5
+        before, here, after = self.evaluate(t - h), self.evaluate(t), self.evaluate(t + h)
+        turn = after[:9].reshape(3, 3) @ before[:9].reshape(3, 3).T
+        expected = np.concatenate(
+            [
+                (after[9:12] - before[9:12]) / (2.0 * h),
+                pin.log3(turn) / (2.0 * h),
+                (after[12:18] - before[12:18]) / (2.0 * h),
+            ]
+        )
+        names = np.repeat(["velocity", "angular velocity", "acceleration", "angular acceleration"], 3)
+        for i, (found, value) in enumerate(zip(here[12:], expected)):
+            size = np.abs(expected[3 * (i // 3) : 3 * (i // 3) + 3]).max()
+            if not abs(found - value) <= 1e-2 * size + 1e-4:
+                raise ContourError(
+                    f"CallableMotion: {names[i]}[{i % 3}] of f({t}) is {found}, but differences give {value} "
+                    "(carrier axes, acceleration as second derivative of the position)"
+                )
+
+
+class _QuaternionBranch:
+    """Coordinates of a pose with the quaternion's sign continued from the first time.
+
+    Signs are settled once on a fine grid of times; a value in between takes the sign of its nearest neighbour.
+    """
+
+    _GRID = 2000
+
+    def __init__(
+        self, coordinates: Callable[[float], np.ndarray], first: float, last: float, start: np.ndarray
+    ) -> None:
+        self._coordinates = coordinates
+        self._times = np.linspace(first, last, self._GRID)
+        self._quaternions = np.empty((self._GRID, 4))
+        previous = start
+        for i, t in enumerate(self._times):
+            q = coordinates(float(t))[3:]
+            if q @ previous < 0.0:
+                q = -q
+            self._quaternions[i] = previous = q
+
+    def __call__(self, t: float) -> np.ndarray:
+        values = self._coordinates(t)
+        near = self._quaternions[np.abs(self._times - t).argmin()]
+        if values[3:] @ near < 0.0:
+            values[3:] *= -1.0
+        return values
+
+
+def _placement(owner: str, name: str, given: Any) -> pin.SE3:
+    if isinstance(given, pin.SE3):
+        matrix = given.homogeneous
+    else:
+        matrix = array(owner, name, given, 4, 4)
+    rotation = matrix[:3, :3]
+    # Rotations that come from files have six digits; those are taken and made orthogonal by the quaternion.
+    error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if not error < 1e-5 or np.linalg.det(rotation) < 0.0 or np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
+        raise ContourError(f"{owner}: {name} is not a placement: its rotation is off by {error:.1e}")
+    if not np.isfinite(matrix).all():
+        raise ContourError(f"{owner}: {name} is not finite")
+    return pin.SE3(rotation, matrix[:3, 3])
+
+
+def _coordinates(pose: pin.SE3) -> np.ndarray:
+    """Position and quaternion (x, y, z, w)."""
+    quaternion = pin.Quaternion(pose.rotation)
+    quaternion.normalize()
+    return np.concatenate([pose.translation, quaternion.coeffs()])
+
+
+def _motion_pool(path: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.zeros(_SPLINE_SCRATCH), path])
+
+
+@kernel
+def _turn_about(axis, angle, out):
+    """Rotation matrix (9) about a unit axis."""
+    c, s = math.cos(angle), math.sin(angle)
+    half = math.sin(0.5 * angle)
+    v = 2.0 * half * half  # 1 - cos, without cancellation
+    x, y, z = axis[0], axis[1], axis[2]
+    out[0], out[1], out[2] = c + v * x * x, v * x * y - s * z, v * x * z + s * y
+    out[3], out[4], out[5] = v * x * y + s * z, c + v * y * y, v * y * z - s * x
+    out[6], out[7], out[8] = v * x * z - s * y, v * y * z + s * x, c + v * z * z
+
+
+@kernel
+def _fixed_axis(kind, p, t, out):
+    """Turn about a fixed axis through a fixed point, with a translation along a fixed direction."""
+    shift, shift_t, shift_tt = t, 1.0, 0.0
+    angle, angle_t, angle_tt = p[_ANGLE] * t, p[_ANGLE], 0.0
+    if kind == MOTION_HARMONIC:
+        rate, turn_rate = p[_RATE], p[_TURN_RATE]
+        argument, turn = rate * t + p[_PHASE], turn_rate * t + p[_TURN_PHASE]
+        shift, shift_t = math.sin(argument), rate * math.cos(argument)
+        shift_tt = -rate * rate * shift
+        angle, angle_t = p[_ANGLE] * math.sin(turn), p[_ANGLE] * turn_rate * math.cos(turn)
+        angle_tt = -turn_rate * turn_rate * angle
+    axis = p[_AXIS : _AXIS + 3]
+    _turn_about(axis, angle, out)
+    # The axis goes through `center`, so that the origin, -center from it, moves on a circle.
+    x = -(out[0] * p[_CENTER] + out[1] * p[_CENTER + 1] + out[2] * p[_CENTER + 2])
+    y = -(out[3] * p[_CENTER] + out[4] * p[_CENTER + 1] + out[5] * p[_CENTER + 2])
+    z = -(out[6] * p[_CENTER] + out[7] * p[_CENTER + 1] + out[8] * p[_CENTER + 2])
+    # axis x arm, axis x (axis x arm)
+    a, b, c = axis[1] * z - axis[2] * y, axis[2] * x - axis[0] * z, axis[0] * y - axis[1] * x
+    d, e, f = axis[1] * c - axis[2] * b, axis[2] * a - axis[0] * c, axis[0] * b - axis[1] * a
+    out[9], out[10], out[11] = x + p[_CENTER], y + p[_CENTER + 1], z + p[_CENTER + 2]
+    out[12], out[13], out[14] = angle_t * a, angle_t * b, angle_t * c
+    square = angle_t * angle_t
+    out[18], out[19], out[20] = angle_tt * a + square * d, angle_tt * b + square * e, angle_tt * c + square * f
+    for i in range(3):
+        direction = p[_DIRECTION + i]
+        out[9 + i] += shift * direction
+        out[12 + i] += shift_t * direction
+        out[18 + i] += shift_tt * direction
+        out[15 + i] = angle_t * axis[i]
+        out[21 + i] = angle_tt * axis[i]
+
+
+@kernel
+def _spline_motion(pool, t, out):
+    """Position and rotation from piecewise polynomials of a position and a quaternion of any length."""
+    rows = pool[:_SPLINE_SCRATCH].reshape(10, 7)
+    piecewise(pool[_SPLINE_SCRATCH:], t, 0.0, 0.0, rows)
+    for i in range(3):
+        out[9 + i], out[12 + i], out[18 + i] = rows[0, i], rows[1, i], rows[3, i]
+    x, y, z, w = rows[0, 3], rows[0, 4], rows[0, 5], rows[0, 6]
+    x_t, y_t, z_t, w_t = rows[1, 3], rows[1, 4], rows[1, 5], rows[1, 6]
+    x_tt, y_tt, z_tt, w_tt = rows[3, 3], rows[3, 4], rows[3, 5], rows[3, 6]
+    # With s = 2 / |q|^2 nothing has to be normalised; omega = s Im(q_t q*), whose derivative has no q_t q_t* term
+    # since that is real.
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    shrink = -s * (x * x_t + y * y_t + z * z_t + w * w_t)
+    out[0], out[1], out[2] = 1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)
+    out[3], out[4], out[5] = s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)
+    out[6], out[7], out[8] = s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)
+    out[15] = s * (x_t * w - w_t * x + z_t * y - y_t * z)
+    out[16] = s * (y_t * w - w_t * y + x_t * z - z_t * x)
+    out[17] = s * (z_t * w - w_t * z + y_t * x - x_t * y)
+    out[21] = s * (x_tt * w - w_tt * x + z_tt * y - y_tt * z) + shrink * out[15]
+    out[22] = s * (y_tt * w - w_tt * y + x_tt * z - z_tt * x) + shrink * out[16]
+    out[23] = s * (z_tt * w - w_tt * z + y_tt * x - x_tt * y) + shrink * out[17]
 
 
 @kernel
 def evaluate_motion(kind, parameters, pool, t, out):
-    out[0] = 1.0
+    """Fill out (24,) as in `Motion.evaluate`. A callable's row is left alone: Python has filled it."""
+    if kind in (MOTION_HARMONIC, MOTION_TWIST):
+        _fixed_axis(kind, parameters, t, out)
+    elif kind == MOTION_SPLINE:
+        _spline_motion(pool, t, out)
+    elif kind == MOTION_NONE:
+        for i in range(MOTION_SIZE):
+            out[i] = 1.0 if i in (0, 4, 8) else 0.0
+
+
+@entry_kernel(INTEGER, REAL[::1], REAL[::1], REAL, REAL[::1])
+def fill_motion(kind, parameters, pool, t, out):
+    """`evaluate_motion` for callers in Python."""
+    evaluate_motion(kind, parameters, pool, t, out)

@@ -1,1 +1,76 @@
-"""Persistent point contacts for Pinocchio."""
+"""Persistent point contacts for Pinocchio: rolling, sliding and higher pairs, exact and fast."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from .contours import *  # noqa: F403
+from .contours import __all__ as _contours
+from .errors import (
+    ArgumentError,
+    ContactError,
+    ContourError,
+    FrictionError,
+    MissingExtraError,
+    ModelError,
+    NoContactError,
+    PatternError,
+    SingularContactError,
+    SolverError,
+    StateError,
+    TrajectoryError,
+)
+from .friction.laws import Coulomb, FrictionLaw, NoSlip
+from .friction.solve import ContactSolution, solve_contacts
+from .integration.results import Event
+from .scene import AttachedContour, Contact, Scene
+from .simulate import simulate
+from .state import State
+from .trajectory import ContactTrack, Trajectory
+
+if TYPE_CHECKING:
+    from .view.replay import export_html, replay
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "ArgumentError",
+    "AttachedContour",
+    "Contact",
+    "ContactError",
+    "ContactSolution",
+    "ContactTrack",
+    "ContourError",
+    "Coulomb",
+    "Event",
+    "FrictionError",
+    "FrictionLaw",
+    "MissingExtraError",
+    "ModelError",
+    "NoContactError",
+    "NoSlip",
+    "PatternError",
+    "Scene",
+    "SingularContactError",
+    "SolverError",
+    "State",
+    "StateError",
+    "Trajectory",
+    "TrajectoryError",
+    "export_html",
+    "replay",
+    "simulate",
+    "solve_contacts",
+    *_contours,
+]
+
+# The viewer is imported when it is first used: Meshcat costs more than everything else together.
+_LAZY = {"replay": "view.replay", "export_html": "view.replay"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        from importlib import import_module
+
+        return getattr(import_module(f".{_LAZY[name]}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,384 @@
+"""Accelerations and contact forces of one state in given modes (Eqs. 29, 31, 34).
+
+M a = tau - damping v - nle + sum over contacts of rows^T F, with the rows of the normal always constrained, the
+tangential ones in stick, and F_t = -mu |F_n| w_t / |w_t| in slip, which makes the operator unsymmetric:
+J_n M^-1 (J_n - mu d J_t)^T.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..geometry.patterns import ON_CURVE
+from ..geometry.small import dot
+from ..jit import kernel
+from ..layout import (
+    DIRECTION_X,
+    EVENT,
+    FREE,
+    FRICTION_MARGIN,
+    FROZEN,
+    GAP_MARGIN,
+    MODE,
+    MU,
+    NO_FORCE,
+    NORMAL_1,
+    NORMAL_2,
+    NORMAL_MARGIN,
+    NORMAL_SIGN,
+    OK,
+    PATTERN,
+    SLIP_RATE,
+    SLIP_SIGN,
+    SLIP_SPEED,
+    SLIPPING,
+    SPEED_MARGIN,
+    STICK,
+    TANGENTS,
+    UNILATERAL,
+)
+from .linear import backward, forward, solve_semidefinite
+
+# Friction on a point of a spatial curve depends on the length of a two-component normal force: fixed point, quadratic.
+_NORMAL_ITERATIONS = 50
+_NORMAL_CHANGE = 1e-15
+# A slip operator whose pivot falls below this fraction of its frictionless value has lost positivity (Painleve).
+PAINLEVE_LIMIT = 1e-9
+
+
+@kernel
+def slip_direction(integers, numbers, slip, basis, direction):
+    """Unit direction of slip in the tangent plane, components along (t1, second); and the slip speed.
+
+    Patterns with one tangent keep their sign as a mode; a frozen direction (slip about to start) is in world axes.
+    """
+    along, across = dot(basis[0], slip), dot(basis[1], slip)
+    if integers[TANGENTS] == 1:
+        direction[0], direction[1] = float(integers[SLIP_SIGN]), 0.0
+        return direction[0] * along
+    speed = math.hypot(along, across)
+    if integers[FROZEN] != 0 or speed == 0.0:
+        world = numbers[DIRECTION_X : DIRECTION_X + 3]
+        direction[0], direction[1] = dot(basis[0], world), dot(basis[1], world)
+        size = math.hypot(direction[0], direction[1])
+        if size > 0.0:
+            direction[0] /= size
+            direction[1] /= size
+    else:
+        direction[0], direction[1] = along / speed, across / speed
+    return speed
+
+
+@kernel
+def list_rows(contact_int, nc, row_index):
+    """The constrained rows of all contacts, (contact, basis row): normals first, then stuck tangents.
+
+    Returns the number of rows and whether any contact slips.
+    """
+    count = 0
+    slipping = False
+    for c in range(nc):
+        integers = contact_int[c]
+        mode = integers[MODE]
+        if mode == FREE:
+            continue
+        row_index[count, 0], row_index[count, 1] = c, 2
+        count += 1
+        if integers[PATTERN] == ON_CURVE:
+            row_index[count, 0], row_index[count, 1] = c, 1
+            count += 1
+        if mode == STICK:
+            row_index[count, 0], row_index[count, 1] = c, 0
+            count += 1
+            if integers[TANGENTS] == 2:
+                row_index[count, 0], row_index[count, 1] = c, 1
+                count += 1
+        elif mode == SLIPPING:
+            slipping = True
+    return count, slipping
+
+
+@kernel
+def whiten_rows(factor, nv, rows, row_index, count, whitened):
+    """whitened[r] = L^-1 (constraint row r)^T, so that Delassus products are plain dot products."""
+    for r in range(count):
+        forward(factor, nv, rows[row_index[r, 0], row_index[r, 1]], whitened[r])
+
+
+@kernel
+def inner(a, b, n):
+    value = 0.0
+    for k in range(n):
+        value += a[k] * b[k]
+    return value
+
+
+@kernel
+def friction_directions(
+    contact_int,
+    contact_real,
+    slip,
+    basis,
+    rows,
+    row_index,
+    count,
+    factor,
+    nv,
+    whitened,
+    whitened_forces,
+    direction,
+    work,
+):
+    """whitened_forces[r] = L^-1 (direction of the force that multiplier r scales)^T.
+
+    For a slipping contact this is n - mu w_t / |w_t|; |F_n| = sign F_n for one normal and l . F_n, with l the unit
+    normal force of the last iterate, for two.
+    """
+    for r in range(count):
+        c, row = row_index[r, 0], row_index[r, 1]
+        integers, numbers = contact_int[c], contact_real[c]
+        for k in range(nv):
+            whitened_forces[r, k] = whitened[r, k]
+        if integers[MODE] != SLIPPING or numbers[MU] == 0.0:
+            continue
+        numbers[SLIP_SPEED] = slip_direction(integers, numbers, slip[c], basis[c], direction)
+        if integers[PATTERN] == ON_CURVE:
+            share = numbers[NORMAL_1] if row == 2 else numbers[NORMAL_2]
+        else:
+            share = float(integers[NORMAL_SIGN])
+        for k in range(nv):
+            work[k] = direction[0] * rows[c, 0, k]
+        if integers[TANGENTS] == 2:
+            for k in range(nv):
+                work[k] += direction[1] * rows[c, 1, k]
+        forward(factor, nv, work, work)
+        for k in range(nv):
+            whitened_forces[r, k] -= numbers[MU] * share * work[k]
+
+
+@kernel
+def solve_slip(system, n, x, scratch):
+    """Solve the unsymmetric system of slipping contacts by elimination with row pivoting; False if it has lost
+    positivity: a diagonal or the determinant not positive (Painleve: no force, or two)."""
+    determinant_sign = 1.0
+    for i in range(n):
+        scratch[i, n] = x[i]
+        # the frictionless diagonal is in the last column of system
+        if not system[i, i] > PAINLEVE_LIMIT * system[i, n]:
+            return False
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(system[i, k]) > abs(system[pivot, k]):
+                pivot = i
+        if pivot != k:
+            determinant_sign = -determinant_sign
+            for j in range(n):
+                system[k, j], system[pivot, j] = system[pivot, j], system[k, j]
+            scratch[k, n], scratch[pivot, n] = scratch[pivot, n], scratch[k, n]
+        if system[k, k] == 0.0:
+            return False
+        if system[k, k] < 0.0:
+            determinant_sign = -determinant_sign
+        for i in range(k + 1, n):
+            ratio = system[i, k] / system[k, k]
+            for j in range(k + 1, n):
+                system[i, j] -= ratio * system[k, j]
+            scratch[i, n] -= ratio * scratch[k, n]
+    if determinant_sign < 0.0:
+        return False
+    for k in range(n - 1, -1, -1):
+        value = scratch[k, n]
+        for j in range(k + 1, n):
+            value -= system[k, j] * scratch[j, n]
+        scratch[k, n] = value / system[k, k]
+        x[k] = scratch[k, n]
+    return True
+
+
+@kernel
+def right_hand_side(row_index, count, rows, bias, free_acceleration, nv, x):
+    """-(row . a_free + bias): what the multipliers have to make up."""
+    for r in range(count):
+        c, row = row_index[r, 0], row_index[r, 1]
+        x[r] = -(inner(rows[c, row], free_acceleration, nv) + bias[c, row])
+
+
+@kernel
+def contact_dynamics(
+    nv,
+    nc,
+    contact_int,
+    contact_real,
+    slip,
+    basis,
+    gaps,
+    rows,
+    bias,
+    factor,
+    free_acceleration,
+    acceleration,
+    row_index,
+    whitened,
+    whitened_forces,
+    delassus,
+    multipliers,
+    permutation,
+    scratch,
+    force,
+    relative_acceleration,
+    margins,
+    work,
+    direction,
+):
+    """Accelerations, forces on body 2 along each basis, and the margins of the present modes.
+
+    Returns OK, EVENT (a margin is negative) or NO_FORCE.
+    """
+    count, slipping = list_rows(contact_int, nc, row_index)
+    whiten_rows(factor, nv, rows, row_index, count, whitened)
+    iterate = 1
+    if slipping:
+        for c in range(nc):
+            if contact_int[c, MODE] == SLIPPING and contact_int[c, PATTERN] == ON_CURVE and contact_real[c, MU] > 0.0:
+                iterate = _NORMAL_ITERATIONS
+    for _ in range(iterate):
+        right_hand_side(row_index, count, rows, bias, free_acceleration, nv, multipliers)
+        if slipping:
+            friction_directions(
+                contact_int,
+                contact_real,
+                slip,
+                basis,
+                rows,
+                row_index,
+                count,
+                factor,
+                nv,
+                whitened,
+                whitened_forces,
+                direction,
+                work,
+            )
+            for i in range(count):
+                for j in range(count):
+                    delassus[i, j] = inner(whitened[i], whitened_forces[j], nv)
+                delassus[i, count] = inner(whitened[i], whitened[i], nv)
+            if not solve_slip(delassus, count, multipliers, scratch):
+                return NO_FORCE
+        else:
+            for i in range(count):
+                for j in range(i + 1):
+                    delassus[i, j] = inner(whitened[i], whitened[j], nv)
+            solve_semidefinite(delassus, count, permutation, multipliers, scratch)
+        if iterate == 1 or not _update_normal_shares(contact_int, contact_real, row_index, count, multipliers):
+            break
+    for c in range(nc):
+        for i in range(3):
+            force[c, i] = 0.0
+    for k in range(nv):
+        work[k] = 0.0
+    for r in range(count):
+        force[row_index[r, 0], row_index[r, 1]] = multipliers[r]
+        source = whitened_forces if slipping else whitened
+        for k in range(nv):
+            work[k] += source[r, k] * multipliers[r]
+    backward(factor, nv, work, work)
+    for k in range(nv):
+        acceleration[k] = free_acceleration[k] + work[k]
+    return _margins(
+        nv,
+        nc,
+        contact_int,
+        contact_real,
+        slip,
+        basis,
+        gaps,
+        rows,
+        bias,
+        acceleration,
+        force,
+        relative_acceleration,
+        margins,
+        direction,
+    )
+
+
+@kernel
+def _update_normal_shares(contact_int, contact_real, row_index, count, multipliers):
+    """Unit normal force of points on spatial curves from the last multipliers; True while it still changes."""
+    changed = False
+    for r in range(count - 1):
+        c = row_index[r, 0]
+        if row_index[r, 1] != 2 or contact_int[c, PATTERN] != ON_CURVE or contact_int[c, MODE] != SLIPPING:
+            continue
+        first, second = multipliers[r], multipliers[r + 1]
+        size = math.hypot(first, second)
+        if size > 0.0:
+            first, second = first / size, second / size
+            numbers = contact_real[c]
+            if abs(first - numbers[NORMAL_1]) + abs(second - numbers[NORMAL_2]) > _NORMAL_CHANGE:
+                changed = True
+            numbers[NORMAL_1], numbers[NORMAL_2] = first, second
+    return changed
+
+
+@kernel
+def _margins(
+    nv,
+    nc,
+    contact_int,
+    contact_real,
+    slip,
+    basis,
+    gaps,
+    rows,
+    bias,
+    acceleration,
+    force,
+    relative_acceleration,
+    margins,
+    direction,
+):
+    """Complete the forces of slip and fill the event functions."""
+    status = OK
+    for c in range(nc):
+        integers, numbers, value = contact_int[c], contact_real[c], margins[c]
+        for i in range(4):
+            value[i] = 1.0
+        mode = integers[MODE]
+        if mode == FREE:
+            value[GAP_MARGIN] = gaps[c, 0]
+            if value[GAP_MARGIN] < 0.0:
+                status = EVENT
+            continue
+        normal = force[c, 2]
+        size = abs(normal)
+        if integers[PATTERN] == ON_CURVE:
+            size = math.hypot(force[c, 1], normal)
+        if integers[UNILATERAL] != 0:
+            value[NORMAL_MARGIN] = normal
+        if mode == STICK:
+            tangential = force[c, 0] if integers[TANGENTS] == 1 else math.hypot(force[c, 0], force[c, 1])
+            if numbers[MU] < math.inf:
+                value[FRICTION_MARGIN] = numbers[MU] * size - abs(tangential)
+        elif mode == SLIPPING:
+            if integers[UNILATERAL] == 0 and integers[PATTERN] != ON_CURVE:
+                value[NORMAL_MARGIN] = integers[NORMAL_SIGN] * normal
+            speed = slip_direction(integers, numbers, slip[c], basis[c], direction)
+            numbers[SLIP_SPEED] = speed
+            if integers[TANGENTS] == 1:
+                force[c, 0] = -numbers[MU] * size * direction[0]
+                if integers[FROZEN] == 0:
+                    value[SPEED_MARGIN] = speed
+            else:
+                force[c, 0] = -numbers[MU] * size * direction[0]
+                force[c, 1] = -numbers[MU] * size * direction[1]
+            for row in range(3):
+                relative_acceleration[c, row] = inner(rows[c, row], acceleration, nv) + bias[c, row]
+            numbers[SLIP_RATE] = direction[0] * relative_acceleration[c, 0]
+            if integers[TANGENTS] == 2:
+                numbers[SLIP_RATE] += direction[1] * relative_acceleration[c, 1]
+        if value[NORMAL_MARGIN] < 0.0 or value[FRICTION_MARGIN] < 0.0 or value[SPEED_MARGIN] < 0.0:
+            status = EVENT
+    return status

@@ -1,0 +1,337 @@
+"""One evaluation: from Pinocchio's terms at (q, v) to accelerations, contact forces and location rates.
+
+Called right after `pin.computeAllTerms(model, data, q, v)` on the same data; no other work is done for a contact
+that is open than its location and gap.
+"""
+
+from __future__ import annotations
+
+from ..constraints.kinematics import add_point_rows, contact_kinematics
+from ..contours.base import SHAPE_SIZE
+from ..contours.motion import MOTION_PARAMETERS, MOTION_SIZE, evaluate_motion
+from ..geometry.carriers import add_drive, place_on_joint
+from ..geometry.patterns import ON_CURVE
+from ..jit import INTEGER, TABLE, entry_kernel, kernel
+from ..layout import (
+    ACCELERATION,
+    BASIS,
+    BIAS,
+    CONSTRAINT_ROWS,
+    CONTACT_INT,
+    CONTACT_INTS,
+    CONTACT_REAL,
+    CONTACT_REALS,
+    CORRECTION_Q,
+    CORRECTION_SIZE,
+    CORRECTION_V,
+    COUNTERS,
+    DAMPING,
+    DELASSUS,
+    DERIVATIVES,
+    FACTOR,
+    FORCE,
+    FRAMES,
+    FREE,
+    FREE_ACCELERATION,
+    GAP_RESIDUAL,
+    GAPS,
+    GRAVITY,
+    JACOBIAN,
+    JOINT,
+    JOINT_ADDRESSES,
+    LOCAL,
+    LOCATION,
+    MARGINS,
+    MASS,
+    MASS_NOT_POSITIVE,
+    MODE,
+    MOTION_KIND,
+    MOTION_POOL,
+    MOTION_POOL_SIZE,
+    MULTIPLIERS,
+    NC,
+    NJOINTS,
+    NLE,
+    NOT_FINITE,
+    NV,
+    OK,
+    PATTERN,
+    PERMUTATION,
+    RATES,
+    RELATIVE_ACCELERATION,
+    ROW_INDEX,
+    ROWS,
+    SCALARS,
+    SIDE_BASE,
+    SIDE_INT,
+    SIDE_INTS,
+    SIDE_MOTION,
+    SIDE_MOTION_PARAMETERS,
+    SIDE_SHAPE,
+    SIZES,
+    SLIP,
+    SUPPORT,
+    SUPPORT_SIZE,
+    SYSTEM,
+    TAU,
+    VECTORS,
+    VELOCITY_RESIDUAL,
+    WHITENED_FORCES,
+    WHITENED_ROWS,
+    WORK,
+    V,
+)
+from ..memory import cube, integer_matrix, integers, matrix, reals
+from .equations import contact_dynamics, inner, list_rows, whiten_rows
+from .linear import backward, cholesky, forward, solve_semidefinite
+
+
+@kernel
+def evaluate_contacts(table, time, with_rows):
+    """Kinematics of all contacts at the guess in LOCATION; constraint rows only where a force may act.
+
+    Returns the first status that is not OK.
+    """
+    sizes = integers(table[SIZES], 8)
+    nv, nc = sizes[NV], sizes[NC]
+    side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
+    side_shape = matrix(table[SIDE_SHAPE], 2 * nc, SHAPE_SIZE)
+    side_base = matrix(table[SIDE_BASE], 2 * nc, 12)
+    frames = cube(table[FRAMES], 2 * nc, 8, 3)
+    derivatives = cube(table[DERIVATIVES], 2 * nc, 10, 3)
+    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    vectors = matrix(table[VECTORS], 16, 3)
+    scratch = (vectors, matrix(table[LOCAL], 10, 3), matrix(table[SYSTEM], 4, 8))
+    addresses = integer_matrix(table[JOINT_ADDRESSES], sizes[NJOINTS], 4)
+    gravity = reals(table[GRAVITY], 3)
+    location = matrix(table[LOCATION], nc, 4)
+    basis = cube(table[BASIS], nc, 3, 3)
+    slip = matrix(table[SLIP], nc, 3)
+    gaps = matrix(table[GAPS], nc, 2)
+    rates = matrix(table[RATES], nc, 4)
+    bias = matrix(table[BIAS], nc, 3)
+    rows = cube(table[ROWS], nc, 3, nv)
+    jacobian = matrix(table[JACOBIAN], nv, 6)
+    support = integer_matrix(table[SUPPORT], 2 * nc, nv)
+    counters = integers(table[COUNTERS], 4)
+    for c in range(nc):
+        for side in range(2 * c, 2 * c + 2):
+            ints = side_int[side]
+            joint = ints[JOINT]
+            if joint != 0:
+                place_on_joint(
+                    side_base[side],
+                    matrix(addresses[joint, 0], 3, 3),
+                    reals(addresses[joint, 1], 3),
+                    reals(addresses[joint, 2], 6),
+                    reals(addresses[joint, 3], 6),
+                    gravity,
+                    frames[side],
+                    vectors,
+                )
+            if ints[MOTION_KIND] != 0:
+                drive_side(table, side, nc, ints, side_base[side], frames[side], time, vectors)
+        one, two = 2 * c, 2 * c + 1
+        status = contact_kinematics(
+            contact_int[c],
+            contact_real[c],
+            side_int[one],
+            side_int[two],
+            side_shape[one],
+            side_shape[two],
+            frames[one],
+            frames[two],
+            derivatives[one],
+            derivatives[two],
+            location[c],
+            time,
+            basis[c],
+            slip[c],
+            gaps[c],
+            rates[c],
+            bias[c],
+            scratch,
+            counters,
+        )
+        if status != OK:
+            return status
+        if not with_rows and contact_int[c, MODE] == FREE:
+            continue
+        for row in range(3):
+            for k in range(nv):
+                rows[c, row, k] = 0.0
+        for side in range(one, two + 1):
+            if side_int[side, SUPPORT_SIZE] > 0:
+                add_point_rows(
+                    1.0 if side == two else -1.0,
+                    jacobian,
+                    support[side],
+                    side_int[side, SUPPORT_SIZE],
+                    frames[side],
+                    derivatives[side, 0],
+                    basis[c],
+                    rows[c],
+                    vectors,
+                )
+    return OK
+
+
+@kernel
+def drive_side(table, side, nc, ints, base, frame, time, vectors):
+    """Add a driven placement to a side's frame; a world-fixed side starts from its base pose at rest."""
+    motion = matrix(table[SIDE_MOTION], 2 * nc, MOTION_SIZE)[side]
+    if ints[JOINT] == 0:
+        for i in range(3):
+            for j in range(3):
+                frame[i, j] = base[3 * i + j]
+            frame[3, i] = base[9 + i]
+        for row in range(4, 8):
+            for i in range(3):
+                frame[row, i] = 0.0
+    parameters = matrix(table[SIDE_MOTION_PARAMETERS], 2 * nc, MOTION_PARAMETERS)[side]
+    pool = reals(ints[MOTION_POOL], ints[MOTION_POOL_SIZE])
+    evaluate_motion(ints[MOTION_KIND], parameters, pool, time, motion)
+    add_drive(motion, frame, vectors)
+
+
+@kernel
+def evaluate_dynamics(table):
+    """Factor the mass matrix, then accelerations, forces and margins in the present modes."""
+    sizes = integers(table[SIZES], 8)
+    nv, nc = sizes[NV], sizes[NC]
+    factor = matrix(table[FACTOR], nv, nv)
+    if not cholesky(matrix(table[MASS], nv, nv), nv, factor):
+        return MASS_NOT_POSITIVE
+    nle, tau, damping, v = (
+        reals(table[NLE], nv),
+        reals(table[TAU], nv),
+        reals(table[DAMPING], nv),
+        reals(table[V], nv),
+    )
+    free_acceleration = reals(table[FREE_ACCELERATION], nv)
+    acceleration = reals(table[ACCELERATION], nv)
+    for k in range(nv):
+        free_acceleration[k] = tau[k] - damping[k] * v[k] - nle[k]
+    forward(factor, nv, free_acceleration, free_acceleration)
+    backward(factor, nv, free_acceleration, free_acceleration)
+    if nc == 0:
+        for k in range(nv):
+            acceleration[k] = free_acceleration[k]
+        return OK if _finite(acceleration, nv) else NOT_FINITE
+    status = contact_dynamics(
+        nv,
+        nc,
+        integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS),
+        matrix(table[CONTACT_REAL], nc, CONTACT_REALS),
+        matrix(table[SLIP], nc, 3),
+        cube(table[BASIS], nc, 3, 3),
+        matrix(table[GAPS], nc, 2),
+        cube(table[ROWS], nc, 3, nv),
+        matrix(table[BIAS], nc, 3),
+        factor,
+        free_acceleration,
+        acceleration,
+        integer_matrix(table[ROW_INDEX], 3 * nc, 2),
+        matrix(table[WHITENED_ROWS], 3 * nc, nv),
+        matrix(table[WHITENED_FORCES], 3 * nc, nv),
+        matrix(table[DELASSUS], 3 * nc, 3 * nc + 1),
+        reals(table[MULTIPLIERS], 3 * nc),
+        integers(table[PERMUTATION], 3 * nc),
+        matrix(table[CONSTRAINT_ROWS], 3 * nc, 3 * nc + 1),
+        matrix(table[FORCE], nc, 3),
+        matrix(table[RELATIVE_ACCELERATION], nc, 3),
+        matrix(table[MARGINS], nc, 4),
+        reals(table[WORK], nv),
+        reals(table[VECTORS], 3),
+    )
+    return status if _finite(acceleration, nv) else NOT_FINITE
+
+
+@kernel
+def _finite(a, n):
+    total = 0.0
+    for k in range(n):
+        total += a[k]
+    return total - total == 0.0
+
+
+@entry_kernel(TABLE, INTEGER, INTEGER)
+def contact_corrections(table, with_position, with_velocity):
+    """Corrections of q and v in the mass metric from the last evaluation (its rows, gaps, v_c and factor of M).
+
+    Position: gaps of closed contacts to zero. Velocity: normal components of v_c, and tangential ones in stick.
+    The least change in the norm of M: -M^-1 R^T (R M^-1 R^T)^+ residual.
+    """
+    sizes = integers(table[SIZES], 8)
+    nv, nc = sizes[NV], sizes[NC]
+    scalars = reals(table[SCALARS], 8)
+    factor = matrix(table[FACTOR], nv, nv)
+    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    basis = cube(table[BASIS], nc, 3, 3)
+    slip = matrix(table[SLIP], nc, 3)
+    gaps = matrix(table[GAPS], nc, 2)
+    rows = cube(table[ROWS], nc, 3, nv)
+    row_index = integer_matrix(table[ROW_INDEX], 3 * nc, 2)
+    whitened = matrix(table[WHITENED_ROWS], 3 * nc, nv)
+    correction_q = reals(table[CORRECTION_Q], nv)
+    correction_v = reals(table[CORRECTION_V], nv)
+    x = reals(table[MULTIPLIERS], 3 * nc)
+    count, _ = list_rows(contact_int, nc, row_index)
+    whiten_rows(factor, nv, rows, row_index, count, whitened)
+    gap_residual = 0.0
+    velocity_residual = 0.0
+    # positions: normal rows only, which are moved to the front of the list
+    normals = 0
+    for r in range(count):
+        c, row = row_index[r, 0], row_index[r, 1]
+        residual = basis[c, row, 0] * slip[c, 0] + basis[c, row, 1] * slip[c, 1] + basis[c, row, 2] * slip[c, 2]
+        velocity_residual = max(velocity_residual, abs(residual))
+        x[r] = -residual
+        if is_normal_row(contact_int[c, PATTERN], row):
+            gap_residual = max(gap_residual, abs(gaps[c, 2 - row]))
+    scalars[GAP_RESIDUAL] = gap_residual
+    scalars[VELOCITY_RESIDUAL] = velocity_residual
+    if with_velocity != 0:
+        _least_correction(table, nc, nv, count, whitened, x, factor, correction_v)
+    if with_position != 0:
+        for r in range(count):
+            c, row = row_index[r, 0], row_index[r, 1]
+            if is_normal_row(contact_int[c, PATTERN], row):
+                for k in range(nv):
+                    whitened[normals, k] = whitened[r, k]
+                x[normals] = -gaps[c, 2 - row]
+                normals += 1
+        _least_correction(table, nc, nv, normals, whitened, x, factor, correction_q)
+    largest = 0.0
+    for k in range(nv):
+        largest = max(largest, abs(correction_q[k]))
+    scalars[CORRECTION_SIZE] = largest
+    return count
+
+
+@kernel
+def is_normal_row(pattern, row):
+    return row == 2 or (row == 1 and pattern == ON_CURVE)
+
+
+@kernel
+def _least_correction(table, nc, nv, count, whitened, x, factor, out):
+    """out = M^-1 R^T (R M^-1 R^T)^+ x from the whitened rows."""
+    delassus = matrix(table[DELASSUS], 3 * nc, 3 * nc + 1)
+    for i in range(count):
+        for j in range(i + 1):
+            delassus[i, j] = inner(whitened[i], whitened[j], nv)
+    solve_semidefinite(
+        delassus,
+        count,
+        integers(table[PERMUTATION], 3 * nc),
+        x,
+        matrix(table[CONSTRAINT_ROWS], 3 * nc, 3 * nc + 1),
+    )
+    for k in range(nv):
+        value = 0.0
+        for r in range(count):
+            value += whitened[r, k] * x[r]
+        out[k] = value
+    backward(factor, nv, out, out)

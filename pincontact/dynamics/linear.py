@@ -1,0 +1,144 @@
+"""Dense factorisations for the kernels, in place and without allocation."""
+
+from __future__ import annotations
+
+import math
+
+from ..jit import kernel
+
+# A pivot below this fraction of its row's diagonal counts as zero: redundant constraints.
+RANK_TOLERANCE = 1e-11
+
+
+@kernel
+def cholesky(matrix, n, factor):
+    """Lower factor of a symmetric matrix of which the lower triangle is given; False if it is not positive."""
+    for i in range(n):
+        for j in range(i):
+            value = matrix[i, j]
+            for k in range(j):
+                value -= factor[i, k] * factor[j, k]
+            factor[i, j] = value / factor[j, j]
+        value = matrix[i, i]
+        for k in range(i):
+            value -= factor[i, k] * factor[i, k]
+        if not value > 0.0:
+            return False
+        factor[i, i] = math.sqrt(value)
+    return True
+
+
+@kernel
+def forward(factor, n, right, out):
+    """out = L^-1 right (may be the same array)."""
+    for i in range(n):
+        value = right[i]
+        for k in range(i):
+            value -= factor[i, k] * out[k]
+        out[i] = value / factor[i, i]
+
+
+@kernel
+def backward(factor, n, right, out):
+    """out = L^-T right (may be the same array)."""
+    for i in range(n - 1, -1, -1):
+        value = right[i]
+        for k in range(i + 1, n):
+            value -= factor[k, i] * out[k]
+        out[i] = value / factor[i, i]
+
+
+@kernel
+def solve_semidefinite(system, n, permutation, x, scratch):
+    """Minimum-norm solution of a consistent symmetric positive semidefinite system.
+
+    system (n, n): overwritten; x (n,): right-hand side in, solution out; permutation (n,) int and scratch (n, n + 1).
+    Cholesky with diagonal pivoting, A = P L L^T P^T with L of full column rank r; where r < n the solution of
+    least norm is L (L^T L)^-2 L^T b in pivoted order.
+    Returns the rank.
+    """
+    for i in range(n):
+        permutation[i] = i
+        scratch[i, n] = system[i, i]
+    rank = n
+    for k in range(n):
+        pivot = k
+        best = -1.0
+        for i in range(k, n):
+            scale = scratch[permutation[i], n]
+            ratio = system[i, i] / scale if scale > 0.0 else 0.0
+            if ratio > best:
+                best, pivot = ratio, i
+        if not best > RANK_TOLERANCE:
+            rank = k
+            break
+        if pivot != k:
+            permutation[k], permutation[pivot] = permutation[pivot], permutation[k]
+            for j in range(k):
+                system[k, j], system[pivot, j] = system[pivot, j], system[k, j]
+            # swap row and column k and pivot of the remaining lower triangle
+            system[k, k], system[pivot, pivot] = system[pivot, pivot], system[k, k]
+            for j in range(k + 1, pivot):
+                system[j, k], system[pivot, j] = system[pivot, j], system[j, k]
+            for j in range(pivot + 1, n):
+                system[j, k], system[j, pivot] = system[j, pivot], system[j, k]
+        root = math.sqrt(system[k, k])
+        system[k, k] = root
+        for i in range(k + 1, n):
+            system[i, k] /= root
+        for j in range(k + 1, n):
+            for i in range(j, n):
+                system[i, j] -= system[i, k] * system[j, k]
+    for i in range(n):
+        scratch[i, n] = x[permutation[i]]
+    if rank == n:
+        for i in range(n):
+            value = scratch[i, n]
+            for k in range(i):
+                value -= system[i, k] * scratch[k, n]
+            scratch[i, n] = value / system[i, i]
+        for i in range(n - 1, -1, -1):
+            value = scratch[i, n]
+            for k in range(i + 1, n):
+                value -= system[k, i] * scratch[k, n]
+            scratch[i, n] = value / system[i, i]
+    else:
+        _least_norm(system, n, rank, scratch)
+    for i in range(n):
+        x[permutation[i]] = scratch[i, n]
+    return rank
+
+
+@kernel
+def _least_norm(lower, n, rank, scratch):
+    """scratch[:, n] = L (L^T L)^-2 L^T scratch[:, n] for the n x rank trapezoid L."""
+    # y = L^T b, then twice (L^T L)^-1 by its Cholesky factor, then L y
+    for i in range(rank):
+        value = 0.0
+        for k in range(i, n):
+            value += lower[k, i] * scratch[k, n]
+        scratch[i, n] = value
+    for i in range(rank):
+        for j in range(i + 1):
+            value = 0.0
+            for k in range(i, n):
+                value += lower[k, i] * lower[k, j]
+            for k in range(j):
+                value -= scratch[i, k] * scratch[j, k]
+            scratch[i, j] = math.sqrt(value) if i == j else value / scratch[j, j]
+    for _ in range(2):
+        for i in range(rank):
+            value = scratch[i, n]
+            for k in range(i):
+                value -= scratch[i, k] * scratch[k, n]
+            scratch[i, n] = value / scratch[i, i]
+        for i in range(rank - 1, -1, -1):
+            value = scratch[i, n]
+            for k in range(i + 1, rank):
+                value -= scratch[k, i] * scratch[k, n]
+            scratch[i, n] = value / scratch[i, i]
+    for i in range(n - 1, -1, -1):
+        value = 0.0
+        for k in range(min(i + 1, rank)):
+            value += lower[i, k] * scratch[k, n]
+        scratch[i, n] = value

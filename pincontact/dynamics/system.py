@@ -1,0 +1,271 @@
+"""A scene compiled for the kernels: Pinocchio's data read in place, flat tables of contacts, work arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+
+from ..contours.base import DERIVATIVE_ROWS, ELLIPSOID, REVOLUTION, SHAPE_SIZE, SPHERE
+from ..contours.motion import MOTION_CALLABLE, MOTION_PARAMETERS, MOTION_SIZE
+from ..geometry.carriers import place_on_world
+from ..geometry.location import closed_form
+from ..integration.manifold import configuration_blocks
+from ..integration.stages import (
+    MAX_STAGES,
+    NUMBER_OF_WORKS,
+    ONLY_EVALUATE,
+    ONLY_KINEMATICS,
+    evaluate_stage,
+)
+from ..jit import compile_kernels
+from ..layout import (
+    CHART,
+    CLOSED_FORM,
+    CONTACT_INTS,
+    CONTACT_REALS,
+    FREE,
+    FRICTIONLESS,
+    JOINT,
+    K1,
+    K2,
+    KIND,
+    LENGTH,
+    MODE,
+    MOTION_KIND,
+    MOTION_POOL,
+    MOTION_POOL_SIZE,
+    MU,
+    NBLOCKS,
+    NC,
+    NJOINTS,
+    NORMAL_1,
+    NORMAL_SIGN,
+    NQ,
+    NV,
+    NWORK,
+    NY,
+    PATTERN,
+    POOL_ADDRESS,
+    POOL_SIZE,
+    SIDE,
+    SIDE_INTS,
+    SLIP_SIGN,
+    SLOTS,
+    SUPPORT_SIZE,
+    TANGENTS,
+    TIME_DEPENDENT,
+    UNILATERAL,
+)
+from ..memory import Memory, address_of
+from ..scene import characteristic_length
+
+if TYPE_CHECKING:
+    from ..contours.motion import Motion
+    from ..scene import AttachedContour, Contact
+
+# Kinds whose first chart has poles.
+CHARTED_KINDS = (SPHERE, ELLIPSOID, REVOLUTION)
+
+
+class System:
+    """Everything that one run needs, laid out once.
+
+    The arrays named like the slots of `layout.SLOTS` are attributes of `memory`; the ones used from Python are
+    attributes here. `evaluate(t)` runs Pinocchio and one kernel at the state in `q`, `v`, `location`.
+    """
+
+    def __init__(self, model: pin.Model, contacts: Sequence[Contact], works: bool = False) -> None:
+        compile_kernels()
+        self.model = model
+        self.contacts = list(contacts)
+        self.data = model.createData()
+        self.pinocchio_calls = 0
+        nq, nv, nc = model.nq, model.nv, len(self.contacts)
+        self.nq, self.nv, self.nc = nq, nv, nc
+        nwork = NUMBER_OF_WORKS if works else 0
+        ny = nq + nv + 4 * nc + nwork
+        self.ny = ny
+        memory = Memory(SLOTS)
+        self.memory = memory
+        self.table = memory.table
+        sizes = memory.integers("sizes", 8)
+        blocks = configuration_blocks(model)
+        sizes[[NQ, NV, NC, NJOINTS, NBLOCKS, NWORK, NY]] = nq, nv, nc, model.njoints, len(blocks), nwork, ny
+        self.sizes = sizes
+        self.scalars = memory.reals("scalars", 8)
+        self.q = memory.reals("q", nq)
+        self.v = memory.reals("v", nv)
+        self.q[:] = pin.neutral(model)
+        # one call, so that every part of data has its final size before its address is taken
+        pin.computeAllTerms(model, self.data, self.q, self.v)
+        self._map_pinocchio()
+        table = memory.integers("joint_table", max(len(blocks), 1), 4)
+        if blocks:
+            table[:] = blocks
+        self._map_contacts()
+        self._allocate(max(nc, 1), nv, ny)
+        self.charted = any(b.contour.kind in CHARTED_KINDS for c in self.contacts for b in (c.body1, c.body2))
+
+    def _map_pinocchio(self) -> None:
+        memory, data, model = self.memory, self.data, self.model
+        memory.put("mass", data.M)
+        memory.put("nle", data.nle)
+        memory.put("jacobian", data.J)
+        addresses = memory.integers("joint_addresses", model.njoints, 4)
+        for j in range(1, model.njoints):
+            pose = data.oMi[j]
+            parts = (pose.rotation, pose.translation, data.ov[j].vector, data.a_gf[j].vector)
+            addresses[j] = [address_of(part) for part in parts]
+        memory.reals("gravity", 3)[:] = model.gravity.linear
+        self.tau = memory.reals("tau", model.nv)
+        damping = memory.reals("damping", model.nv)
+        damping[:] = model.damping
+
+    def _map_contacts(self) -> None:
+        memory, nc = self.memory, max(self.nc, 1)
+        self.contact_int = memory.integers("contact_int", nc, CONTACT_INTS)
+        self.contact_real = memory.reals("contact_real", nc, CONTACT_REALS)
+        self.side_int = memory.integers("side_int", 2 * nc, SIDE_INTS)
+        self.side_shape = memory.reals("side_shape", 2 * nc, SHAPE_SIZE)
+        self.side_base = memory.reals("side_base", 2 * nc, 12)
+        self.side_motion = memory.reals("side_motion", 2 * nc, MOTION_SIZE)
+        self.python_drives: list[tuple[int, Motion]] = []
+        self.side_motion_parameters = memory.reals("side_motion_parameters", 2 * nc, MOTION_PARAMETERS)
+        self.support = memory.integers("support", 2 * nc, max(self.nv, 1))
+        self.frames = memory.reals("frames", 2 * nc, 8, 3)
+        self._pools: list[np.ndarray] = []
+        for c, contact in enumerate(self.contacts):
+            integers, numbers = self.contact_int[c], self.contact_real[c]
+            one, two = contact.body1, contact.body2
+            integers[PATTERN] = contact.pattern.code
+            integers[K1], integers[K2] = one.contour.dimension, two.contour.dimension
+            integers[TANGENTS] = contact.pattern.tangents
+            integers[MODE] = FRICTIONLESS
+            integers[UNILATERAL] = int(not contact.bilateral)
+            integers[SIDE] = contact.side or 1
+            integers[SLIP_SIGN] = integers[NORMAL_SIGN] = 1
+            integers[CLOSED_FORM] = closed_form(one.contour.kind, two.contour.kind)
+            numbers[MU] = friction_coefficient(contact)
+            numbers[LENGTH] = characteristic_length(contact)
+            numbers[NORMAL_1] = 1.0
+            self._map_side(2 * c, one)
+            self._map_side(2 * c + 1, two)
+
+    def _map_side(self, side: int, attached: AttachedContour) -> None:
+        contour, integers = attached.contour, self.side_int[side]
+        pool = np.array(contour.pool if contour.pool.size else [0.0], dtype=float)
+        self._pools.append(pool)
+        integers[KIND], integers[CHART], integers[JOINT] = contour.kind, 0, attached.joint
+        integers[TIME_DEPENDENT] = int(contour.time_dependent)
+        integers[POOL_ADDRESS], integers[POOL_SIZE] = address_of(pool), pool.size
+        self.side_shape[side] = contour.shape_row()
+        placement = attached.placement_in_joint
+        self.side_base[side, :9] = placement.rotation.ravel()
+        self.side_base[side, 9:] = placement.translation
+        if attached.joint == 0:
+            place_on_world(self.side_base[side], self.frames[side])
+        else:
+            moving = _support(self.model, attached.joint)
+            integers[SUPPORT_SIZE] = len(moving)
+            self.support[side, : len(moving)] = moving
+        if attached.motion is not None:
+            motion = attached.motion
+            parameters = np.asarray(motion.parameters, dtype=float)
+            motion_pool = np.array(motion.pool if motion.pool.size else [0.0], dtype=float)
+            self._pools.append(motion_pool)
+            integers[MOTION_KIND] = motion.kind
+            integers[MOTION_POOL], integers[MOTION_POOL_SIZE] = address_of(motion_pool), motion_pool.size
+            self.side_motion_parameters[side, : parameters.size] = parameters
+            if motion.kind == MOTION_CALLABLE:
+                self.python_drives.append((side, motion))
+
+    def _allocate(self, nc: int, nv: int, ny: int) -> None:
+        memory, rows = self.memory, 3 * nc
+        memory.reals("derivatives", 2 * nc, DERIVATIVE_ROWS, 3)
+        self.derivatives = memory["derivatives"]
+        self.basis = memory.reals("basis", nc, 3, 3)
+        self.slip = memory.reals("slip", nc, 3)
+        self.gaps = memory.reals("gaps", nc, 2)
+        self.rates = memory.reals("rates", nc, 4)
+        self.bias = memory.reals("bias", nc, 3)
+        self.rows = memory.reals("rows", nc, 3, nv)
+        self.force = memory.reals("force", nc, 3)
+        self.relative_acceleration = memory.reals("relative_acceleration", nc, 3)
+        self.margins = memory.reals("margins", nc, 4)
+        self.location = memory.reals("location", nc, 4)
+        self.factor = memory.reals("factor", nv, nv)
+        self.acceleration = memory.reals("acceleration", nv)
+        self.free_acceleration = memory.reals("free_acceleration", nv)
+        memory.reals("constraint_rows", rows, rows + 1)
+        self.whitened_rows = memory.reals("whitened_rows", rows, nv)
+        memory.reals("whitened_forces", rows, nv)
+        memory.reals("delassus", rows, rows + 1)
+        self.multipliers = memory.reals("multipliers", rows)
+        self.row_index = memory.integers("row_index", rows, 2)
+        memory.integers("permutation", rows)
+        self.state = memory.reals("state", ny)
+        self.stage_state = memory.reals("stage_state", ny)
+        self.new_state = memory.reals("new_state", ny)
+        self.slopes = memory.reals("slopes", MAX_STAGES, ny)
+        self.coefficients = memory.reals("coefficients", MAX_STAGES, MAX_STAGES)
+        self.nodes = memory.reals("nodes", MAX_STAGES)
+        self.weights_error = memory.reals("weights_error", 2, MAX_STAGES)
+        self.scale = memory.reals("scale", 2)
+        self.absolute = memory.reals("absolute", ny)
+        memory.reals("system", 4, 8)
+        memory.reals("vectors", 16, 3)
+        memory.reals("local", DERIVATIVE_ROWS, 3)
+        memory.reals("work", max(nv, 1))
+        self.correction_q = memory.reals("correction_q", nv)
+        self.correction_v = memory.reals("correction_v", nv)
+        memory.reals("dense", 8, ny)
+        memory.reals("dense_weights", MAX_STAGES, 8)
+        self.counters = memory.integers("counters", 4)
+
+    def evaluate(self, t: float) -> int:
+        """Accelerations, forces and margins at (q, v) in the present modes; returns a status of `layout`."""
+        self._prepare(t)
+        return evaluate_stage(self.table, t, ONLY_EVALUATE, 0)
+
+    def evaluate_kinematics(self, t: float) -> int:
+        """Location, rows and biases of all contacts at (q, v), open ones too; returns a status of `layout`."""
+        self._prepare(t)
+        return evaluate_stage(self.table, t, ONLY_KINEMATICS, 0)
+
+    def _prepare(self, t: float) -> None:
+        pin.computeAllTerms(self.model, self.data, self.q, self.v)
+        self.pinocchio_calls += 1
+        if self.python_drives:
+            self.fill_drives(t)
+
+    def fill_drives(self, t: float) -> None:
+        """Placements of the drives that are Python functions, at t."""
+        for side, motion in self.python_drives:
+            motion.evaluate(t, self.side_motion[side])
+
+    @property
+    def modes(self) -> np.ndarray:
+        """(nc,) view of the contacts' modes."""
+        return self.contact_int[: self.nc, MODE]
+
+    def closed(self) -> list[int]:
+        """Indices of the contacts that are not open."""
+        return [c for c in range(self.nc) if self.contact_int[c, MODE] != FREE]
+
+
+def friction_coefficient(contact: Contact) -> float:
+    """Kinetic coefficient of a contact: 0 without friction, infinite without slip."""
+    return 0.0 if contact.friction is None else contact.friction.sliding
+
+
+def _support(model: pin.Model, joint: int) -> list[int]:
+    """Velocity coordinates that move a joint."""
+    moving: list[int] = []
+    for j in model.supports[joint]:
+        if j > 0:
+            start = model.joints[j].idx_v
+            moving.extend(range(start, start + model.joints[j].nv))
+    return moving

@@ -1,0 +1,210 @@
+"""All contact points that two contours may have in one configuration: samples, then Newton from the best of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial import cKDTree
+
+from ..layout import BRANCH, CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SIDE
+from .location import NO_CLOSED_FORM, ROUND_ON_PLANE
+from .patterns import CROSSING_CURVES, ON_CURVE
+
+if TYPE_CHECKING:
+    from ..contours import Contour
+    from ..dynamics.system import System
+
+_CURVE_SAMPLES = 241
+_SURFACE_SAMPLES = (61, 31)
+_SEEDS = 24
+# Two candidates closer than this (relative to the contact's length) are one.
+_SAME = 1e-6
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A stationary point of the distance between two contours.
+
+    location (4,): u_1 (2), u_2 (2); gap: signed distance in m along the normal of the side assumed; side: the side of
+    e_3 on which body 1 bends away, 0 where the shapes do not decide; point (3,): world point on body 2;
+    determinant_sign and branch: which solution of the location equations it is.
+    """
+
+    location: np.ndarray
+    gap: float
+    side: int
+    point: np.ndarray
+    determinant_sign: int
+    branch: int
+
+
+def find_candidates(system: System, t: float, guess: np.ndarray) -> list[Candidate]:
+    """Candidates of a system with a single contact at its (q, v), nearest (least |gap|) first.
+
+    guess (4,): location parameters, NaN where unknown. A complete guess is followed alone.
+    """
+    contact = system.contacts[0]
+    k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
+    known = np.concatenate([guess[:k1], guess[2 : 2 + k2]])
+    system.contact_int[0, DETERMINANT_SIGN] = 0
+    if system.contact_int[0, CLOSED_FORM] != NO_CLOSED_FORM:
+        start = np.where(np.isnan(guess), 0.0, guess)
+        branches = (-1, 1) if system.contact_int[0, CLOSED_FORM] == ROUND_ON_PLANE else (1,)
+        found = [c for c in (_refine(system, t, start, branch) for branch in branches) if c is not None]
+        if np.isfinite(known).all() and len(found) > 1 and k1 > 0:
+            # the guess of body 1 names the branch
+            found.sort(key=lambda c: float(np.abs(c.location[:k1] - guess[:k1]).max()))
+            return found[:1]
+    elif np.isfinite(known).all():
+        found = [c for c in (_refine(system, t, guess, 1),) if c is not None]
+    else:
+        found = []
+        for start in _seeds(system, t, guess):
+            candidate = _refine(system, t, start, 1)
+            if candidate is not None and not any(_is_same(candidate, c, system) for c in found):
+                found.append(candidate)
+    return sorted(found, key=lambda c: abs(c.gap))
+
+
+def _is_same(a: Candidate, b: Candidate, system: System) -> bool:
+    length = system.contact_real[0, LENGTH]
+    return abs(a.gap - b.gap) < _SAME * length and bool(np.linalg.norm(a.point - b.point) < _SAME * length)
+
+
+def _refine(system: System, t: float, start: np.ndarray, branch: int) -> Candidate | None:
+    """Newton from a start; None where it fails or leaves a finite domain."""
+    contact = system.contacts[0]
+    integers = system.contact_int[0]
+    integers[BRANCH] = branch
+    system.location[0] = start
+    if system.evaluate_kinematics(t) != OK:
+        return None
+    location = system.location[0].copy()
+    for contour, u in ((contact.body1.contour, location[:2]), (contact.body2.contour, location[2:])):
+        for a in range(contour.dimension):
+            low, high = contour.domain[a]
+            if contour.periodic[a]:
+                u[a] -= (high - low) * math.floor((u[a] - low) / (high - low))
+            elif not low <= u[a] <= high:
+                return None
+    side = _bending_side(system)
+    if system.contact_int[0, CLOSED_FORM] == ROUND_ON_PLANE:
+        side = -branch
+    gap = float(system.gaps[0, 0])
+    if integers[PATTERN] == ON_CURVE:
+        gap = float(np.hypot(*system.gaps[0]))
+    elif side * integers[SIDE] < 0:
+        gap = -gap
+    point = system.frames[1, 3] + system.derivatives[1, 0]
+    return Candidate(location, gap, side, point.copy(), int(np.sign(system.contact_real[0, CONDITION])), branch)
+
+
+def _bending_side(system: System) -> int:
+    """Sign of e_3 . (curvature of body 1 - curvature of body 2): the side towards which body 1 bends away.
+
+    0 for points, for crossing curves, and where the relative curvature has no definite sign.
+    """
+    contact = system.contacts[0]
+    k1 = contact.body1.contour.dimension
+    if k1 == 0 or system.contact_int[0, PATTERN] == CROSSING_CURVES:
+        return 0
+    first, second = system.derivatives[0], system.derivatives[1]
+    e3 = -system.contact_int[0, SIDE] * system.basis[0, 2]
+
+    def form(derivatives: np.ndarray, k: int) -> np.ndarray:
+        rows = [[3, 4], [4, 5]]
+        return np.array([[derivatives[rows[a][b]] @ e3 for b in range(k)] for a in range(k)])
+
+    k2 = contact.body2.contour.dimension
+    tangents1, tangents2 = first[1 : 1 + k1].T, second[1 : 1 + k2].T
+    # body 1's tangents in parameters of body 2
+    map12 = np.linalg.lstsq(tangents2, tangents1, rcond=None)[0]
+    relative = form(first, k1) - map12.T @ form(second, k2) @ map12
+    eigenvalues = np.linalg.eigvalsh(relative)
+    if eigenvalues[0] > 0.0:
+        return 1
+    if eigenvalues[-1] < 0.0:
+        return -1
+    return 0
+
+
+def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
+    """Starts for Newton: sample pairs that are near each other, and near with their tangents aligned."""
+    contact = system.contacts[0]
+    poses = []
+    for body in (contact.body1, contact.body2):
+        pose = system.data.oMi[body.joint] * body.placement_in_joint
+        if body.motion is not None:
+            out = np.zeros(24)
+            body.motion.evaluate(t, out)
+            pose = pose * pin.SE3(out[:9].reshape(3, 3), out[9:12].copy())
+        poses.append(pose)
+    distance = float(np.linalg.norm(poses[0].translation - poses[1].translation))
+    sizes = [b.contour.size if math.isfinite(b.contour.size) else 0.0 for b in (contact.body1, contact.body2)]
+    window = distance + 2.0 * sum(sizes) + 1e-3
+    first = _sample(contact.body1.contour, poses[0], t, window, guess[:2])
+    second = _sample(contact.body2.contour, poses[1], t, window, guess[2:])
+    length = max(system.contact_real[0, LENGTH], 1e-12)
+    tree = cKDTree(second[1])
+    neighbours = min(4, len(second[1]))
+    distances, indices = tree.query(first[1], k=neighbours)
+    distances, indices = distances.reshape(len(first[1]), -1), indices.reshape(len(first[1]), -1)
+    misaligned = np.zeros_like(distances)
+    if contact.body1.contour.dimension > 0 and system.contact_int[0, PATTERN] not in (CROSSING_CURVES, ON_CURVE):
+        normals = second[2]
+        for tangent in first[3]:
+            misaligned = np.maximum(misaligned, np.abs(np.einsum("ik,ijk->ij", tangent, normals[indices])))
+    seeds: list[np.ndarray] = []
+    for weight in (1.0, 0.0, 10.0):
+        order = np.argsort((distances + weight * length * misaligned).ravel())
+        chosen: list[np.ndarray] = []
+        for flat in order:
+            i, j = divmod(int(flat), distances.shape[1])
+            where = np.concatenate([first[1][i], second[1][indices[i, j]]])
+            # seeds apart from each other, or all would fall into one basin
+            if all(np.linalg.norm(where - other) > 0.25 * length for other in chosen):
+                chosen.append(where)
+                seeds.append(np.concatenate([first[0][i], second[0][indices[i, j]]]))
+            if len(chosen) >= _SEEDS // 3:
+                break
+    return seeds
+
+
+def _sample(
+    contour: Contour, pose: pin.SE3, t: float, window: float, guess: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Parameters (n, 2), world points (n, 3), unit normals (n, 3) and unit tangents [(n, 3)] of a contour."""
+    axes = []
+    counts = (_CURVE_SAMPLES,) if contour.dimension == 1 else _SURFACE_SAMPLES
+    for a in range(contour.dimension):
+        low, high = contour.domain[a]
+        if not math.isnan(guess[a]):
+            axes.append(np.array([guess[a]]))
+            continue
+        low, high = (max(low, -window), min(high, window)) if not contour.periodic[a] else (low, high)
+        inset = 1e-3 * (high - low)
+        axes.append(np.linspace(low + inset, high - inset, counts[a]))
+    grid = np.zeros((1, 2))
+    if contour.dimension == 1:
+        grid = np.column_stack([axes[0], np.zeros_like(axes[0])])
+    elif contour.dimension == 2:
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+    values = np.array([contour.evaluate(u[: contour.dimension], t) for u in grid])
+    rotation = pose.rotation
+    points = values[:, 0] @ rotation.T + pose.translation
+    tangents = []
+    for a in range(contour.dimension):
+        tangent = values[:, 1 + a] @ rotation.T
+        size = np.linalg.norm(tangent, axis=1, keepdims=True)
+        tangents.append(tangent / np.where(size > 0.0, size, 1.0))
+    normals = np.zeros_like(points)
+    if contour.dimension == 2:
+        normals = np.cross(tangents[0], tangents[1])
+    elif contour.dimension == 1:
+        normals = np.cross(tangents[0], rotation[:, 2])
+    size = np.linalg.norm(normals, axis=1, keepdims=True)
+    return grid, points, normals / np.where(size > 0.0, size, 1.0), tangents

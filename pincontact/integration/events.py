@@ -1,0 +1,182 @@
+"""Where in a step something happens: sign changes of margins and of the user's functions, found on the dense output
+and refined with true steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from ..errors import ArgumentError
+from ..layout import EVENT, GAP_MARGIN, LENGTH, OK
+from .runge_kutta import RungeKutta
+from .tableaux import Interpolant
+
+# Samples of the dense output between which a margin's sign change is looked for.
+_SCAN = 8
+# Steps that refine an event's time, and the change of time (relative to the step) that ends them.
+_REFINEMENTS = 5
+_REFINED = 1e-14
+_BISECTIONS = 40
+# A gap that is negative by less than this fraction of the contact's length is round-off.
+_GAP_ROUND_OFF = 1e-13
+_XTOL, _RTOL = 1e-15, 8.9e-16
+
+
+@dataclass
+class UserEvent:
+    """A user's function g(t, q, v) with SciPy's attributes `terminal` and `direction`, and its last value."""
+
+    function: Callable[[float, np.ndarray, np.ndarray], float]
+    terminal: bool
+    direction: float
+    value: float = 0.0
+
+    @staticmethod
+    def wrap(events: Any) -> list[UserEvent]:
+        """The events given by the user: None, one function or several; ArgumentError for what cannot be called."""
+        if events is None:
+            return []
+        functions = events if isinstance(events, (list, tuple)) else [events]
+        for i, function in enumerate(functions):
+            if not callable(function):
+                raise ArgumentError(f"events[{i}] is not callable: {function!r}")
+        return [
+            UserEvent(f, bool(getattr(f, "terminal", False)), float(getattr(f, "direction", 0.0))) for f in functions
+        ]
+
+    def crosses(self, value: float) -> bool:
+        """Whether the function went through zero in its direction since its last value."""
+        rises, falls = self.value < 0.0 <= value, self.value > 0.0 >= value
+        return (rises and self.direction >= 0.0) or (falls and self.direction <= 0.0)
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """A sign change at a fraction theta of the step: of margin (contact, kind), or of the user's event number."""
+
+    theta: float
+    margin: tuple[int, int] | None = None
+    user: int = -1
+
+
+class EventLocator:
+    """Finds crossings in the step that its integrator has attempted."""
+
+    def __init__(self, rk: RungeKutta, users: Sequence[UserEvent]) -> None:
+        self.rk, self.users = rk, users
+
+    def value_of_user(self, index: int, t: float) -> float:
+        """The user's function at the system's (q, v)."""
+        system = self.rk.system
+        return float(self.users[index].function(t, system.q.copy(), system.v.copy()))
+
+    def crossed_users(self, t: float) -> list[int]:
+        """Users' events that changed sign up to the system's state at t."""
+        return [i for i, event in enumerate(self.users) if event.crosses(self.value_of_user(i, t))]
+
+    def update_users(self, t: float) -> None:
+        """Take the system's state at t as the one that the next crossing is measured from."""
+        for i, event in enumerate(self.users):
+            event.value = self.value_of_user(i, t)
+
+    def first(self, t: float, step: float, dense: Interpolant, users: list[int]) -> Crossing | None:
+        """Earliest crossing of a margin or of the listed users' events; None where the alarm was false."""
+        found = self._first_margin(t, step, dense)
+        for index in users:
+            theta = self._user_root(t, step, dense, index)
+            if found is None or theta < found.theta:
+                found = Crossing(theta, None, index)
+        return found
+
+    def _margins(self, t: float, step: float, dense: Interpolant, theta: float) -> np.ndarray | None:
+        self.rk.load(dense(theta))
+        if self.rk.evaluate(t + theta * step) > EVENT:
+            return None
+        return self.rk.system.margins[: self.rk.system.nc].copy()
+
+    def _first_margin(self, t: float, step: float, dense: Interpolant) -> Crossing | None:
+        low = 0.0
+        before = self._margins(t, step, dense, 0.0)
+        for i in range(1, _SCAN + 1):
+            high = i / _SCAN
+            after = self._margins(t, step, dense, high)
+            if before is None or after is None:
+                return None
+            crossings = [
+                Crossing(
+                    self._root(t, step, dense, (int(c), int(kind)), low, high, before[c, kind]), (int(c), int(kind))
+                )
+                for c, kind in np.argwhere((after < 0.0) & ((before >= 0.0) | (low == 0.0)))
+                if not (
+                    kind == GAP_MARGIN and after[c, kind] > -_GAP_ROUND_OFF * self.rk.system.contact_real[c, LENGTH]
+                )
+            ]
+            if crossings:
+                return min(crossings, key=lambda crossing: crossing.theta)
+            low, before = high, after
+        return None
+
+    def _root(
+        self,
+        t: float,
+        step: float,
+        dense: Interpolant,
+        margin: tuple[int, int],
+        low: float,
+        high: float,
+        at_low: float,
+    ) -> float:
+        def value(theta: float) -> float:
+            margins = self._margins(t, step, dense, theta)
+            return -1.0 if margins is None else float(margins[margin])
+
+        if at_low <= 0.0:
+            # the mode was entered on its boundary: look for the part where it holds first
+            probe = high
+            for _ in range(_BISECTIONS):
+                probe = low + 0.5 * (probe - low)
+                if value(probe) > 0.0:
+                    low = probe
+                    break
+            else:
+                return low
+        return float(brentq(value, low, high, xtol=_XTOL, rtol=_RTOL))
+
+    def _user_root(self, t: float, step: float, dense: Interpolant, index: int) -> float:
+        def value(theta: float) -> float:
+            self.rk.load(dense(theta))
+            return self.value_of_user(index, t + theta * step)
+
+        if value(0.0) * value(1.0) >= 0.0:
+            return 1.0
+        return float(brentq(value, 0.0, 1.0, xtol=_XTOL, rtol=_RTOL))
+
+    def refine(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> float:
+        """Attempt steps to the crossing, with secants on the true margin there; returns the last one's size.
+
+        The state that the attempt leaves is of the method's full order; only where to stop came from the dense output.
+        """
+        h = crossing.theta * step
+        if crossing.margin is None:
+            self.rk.attempt(t, h)
+            return h
+        back = max(h - 1e-4 * step, 0.5 * h)
+        ends = [self._margins(t, step, dense, x / step) for x in (back, h)]
+        if ends[0] is None or ends[1] is None:
+            self.rk.attempt(t, h)
+            return h
+        slope = float(ends[1][crossing.margin] - ends[0][crossing.margin]) / (h - back)
+        for _ in range(_REFINEMENTS):
+            if self.rk.attempt(t, h) != OK:
+                return h
+            value = float(self.rk.system.margins[crossing.margin])
+            change = -value / slope if slope != 0.0 else 0.0
+            if abs(change) <= _REFINED * step or not 0.0 < h + change <= 1.1 * step:
+                return h
+            h += change
+        self.rk.attempt(t, h)
+        return h

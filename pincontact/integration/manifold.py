@@ -1,0 +1,133 @@
+"""Velocity to configuration rate on Pinocchio's manifold: q' = T(q) v, block by block.
+
+Quaternion and circle blocks are integrated in their ambient space, which keeps the order of any Runge-Kutta method,
+and normalised when a configuration is handed to Pinocchio and at the end of every step.
+"""
+
+from __future__ import annotations
+
+import math
+
+import pinocchio as pin
+
+from ..errors import ModelError
+from ..jit import kernel
+
+# Kinds of blocks of the configuration vector.
+VECTOR, FREE_FLYER, QUATERNION, CIRCLE_BLOCK, PLANAR_BLOCK = range(5)
+
+_BLOCKS = {
+    "JointModelFreeFlyer": FREE_FLYER,
+    "JointModelSpherical": QUATERNION,
+    "JointModelPlanar": PLANAR_BLOCK,
+}
+
+
+def configuration_blocks(model: pin.Model) -> list[tuple[int, int, int, int]]:
+    """(kind, index in q, index in v, coordinates) of every block; neighbouring vector blocks are merged.
+
+    Raises ModelError for a joint whose configuration space is not known.
+    """
+    blocks: list[tuple[int, int, int, int]] = []
+
+    def add(joint: object, idx_q: int, idx_v: int) -> None:
+        name = joint.shortname()  # type: ignore[attr-defined]
+        if name == "JointModelComposite":
+            for child in joint.joints:  # type: ignore[attr-defined]
+                add(child, idx_q, idx_v)
+                idx_q, idx_v = idx_q + child.nq, idx_v + child.nv
+        elif name in _BLOCKS:
+            blocks.append((_BLOCKS[name], idx_q, idx_v, joint.nv))  # type: ignore[attr-defined]
+        elif joint.nq == 2 and joint.nv == 1:  # type: ignore[attr-defined]
+            blocks.append((CIRCLE_BLOCK, idx_q, idx_v, 1))
+        elif joint.nq == joint.nv:  # type: ignore[attr-defined]
+            last = blocks[-1] if blocks else None
+            if last and last[0] == VECTOR and last[1] + last[3] == idx_q and last[2] + last[3] == idx_v:
+                blocks[-1] = (VECTOR, last[1], last[2], last[3] + joint.nv)  # type: ignore[attr-defined]
+            else:
+                blocks.append((VECTOR, idx_q, idx_v, joint.nv))  # type: ignore[attr-defined]
+        else:
+            raise ModelError(f"joint type {name} has a configuration space that pincontact does not know")
+
+    for i in range(1, model.njoints):
+        joint = model.joints[i]
+        add(joint, joint.idx_q, joint.idx_v)
+    return blocks
+
+
+@kernel
+def _rotate_by_quaternion(x, y, z, w, a, b, c):
+    """Rotate (a, b, c) by a unit quaternion."""
+    tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    return a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx
+
+
+@kernel
+def _quaternion_rate(q, wx, wy, wz, out):
+    """out = q (omega, 0) / 2 for q = (x, y, z, w) and omega in body axes."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    out[0] = 0.5 * (w * wx + y * wz - z * wy)
+    out[1] = 0.5 * (w * wy + z * wx - x * wz)
+    out[2] = 0.5 * (w * wz + x * wy - y * wx)
+    out[3] = -0.5 * (x * wx + y * wy + z * wz)
+
+
+@kernel
+def configuration_rate(blocks, q, unit_q, v, out):
+    """out = T(q) v. q: ambient configuration, unit_q: the same with its blocks normalised."""
+    for b in range(blocks.shape[0]):
+        kind, iq, iv, n = blocks[b, 0], blocks[b, 1], blocks[b, 2], blocks[b, 3]
+        if kind == VECTOR:
+            for i in range(n):
+                out[iq + i] = v[iv + i]
+        elif kind == FREE_FLYER:
+            out[iq], out[iq + 1], out[iq + 2] = _rotate_by_quaternion(
+                unit_q[iq + 3], unit_q[iq + 4], unit_q[iq + 5], unit_q[iq + 6], v[iv], v[iv + 1], v[iv + 2]
+            )
+            _quaternion_rate(q[iq + 3 : iq + 7], v[iv + 3], v[iv + 4], v[iv + 5], out[iq + 3 : iq + 7])
+        elif kind == QUATERNION:
+            _quaternion_rate(q[iq : iq + 4], v[iv], v[iv + 1], v[iv + 2], out[iq : iq + 4])
+        elif kind == CIRCLE_BLOCK:
+            out[iq] = -q[iq + 1] * v[iv]
+            out[iq + 1] = q[iq] * v[iv]
+        else:
+            c, s = unit_q[iq + 2], unit_q[iq + 3]
+            out[iq] = c * v[iv] - s * v[iv + 1]
+            out[iq + 1] = s * v[iv] + c * v[iv + 1]
+            out[iq + 2] = -q[iq + 3] * v[iv + 2]
+            out[iq + 3] = q[iq + 2] * v[iv + 2]
+
+
+@kernel
+def normalize(blocks, q, out):
+    """out = q with every quaternion and circle block scaled to unit length (out may be q)."""
+    for b in range(blocks.shape[0]):
+        kind, iq, n = blocks[b, 0], blocks[b, 1], blocks[b, 3]
+        if kind == VECTOR:
+            for i in range(n):
+                out[iq + i] = q[iq + i]
+            continue
+        first, size = iq, 4
+        if kind == FREE_FLYER:
+            first = iq + 3
+        elif kind == CIRCLE_BLOCK:
+            size = 2
+        elif kind == PLANAR_BLOCK:
+            first, size = iq + 2, 2
+        for i in range(iq, first):
+            out[i] = q[i]
+        length = 0.0
+        for i in range(first, first + size):
+            length += q[i] * q[i]
+        length = 1.0 / math.sqrt(length)
+        for i in range(first, first + size):
+            out[i] = q[i] * length
+
+
+@kernel
+def move(blocks, q, step, rate, out):
+    """out = q moved by the small tangent step: first order in ambient space, then normalised (for corrections)."""
+    configuration_rate(blocks, q, q, step, rate)
+    for i in range(q.shape[0]):
+        out[i] = q[i] + rate[i]
+    normalize(blocks, out, out)

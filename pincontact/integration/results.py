@@ -1,0 +1,46 @@
+"""Result codes of a run and the events in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..layout import LOCATION_FAILED, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, SINGULAR
+
+# As `solve_ivp`: 0 finished, 1 ended by a terminal event, negative: the run could not go on.
+FINISHED, TERMINATED = 0, 1
+STEP_TOO_SMALL, STEP_LIMIT, SINGULAR_CONTACT, NO_CONTACT_FORCE, CONTROL_FAILED, CHATTER, MODEL_FAILED = range(
+    -1, -8, -1
+)
+
+FAILURES = {
+    LOCATION_FAILED: (SINGULAR_CONTACT, "the location parameters could not be continued (Newton left its branch)"),
+    SINGULAR: (SINGULAR_CONTACT, "the location equations became singular: the point contact degenerates"),
+    MASS_NOT_POSITIVE: (MODEL_FAILED, "the mass matrix is not positive definite"),
+    NO_FORCE: (NO_CONTACT_FORCE, "no contact force satisfies Coulomb's law (Painleve), or none was found"),
+    NOT_FINITE: (MODEL_FAILED, "the accelerations are not finite"),
+}
+
+
+class Stop(Exception):
+    """Ends a run from within: result code and message. Never leaves `Driver.run`."""
+
+    def __init__(self, code: int, message: str):
+        super().__init__(message)
+        self.code, self.message = code, message
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened at a time (s), to a contact (None for a user's event), with the state there.
+
+    kind: "stick", "slip", "separate", "touch", "singular" or "user"; index: number of the user's event function.
+    """
+
+    time: float
+    contact: str | None
+    kind: str
+    q: np.ndarray
+    v: np.ndarray
+    index: int = -1

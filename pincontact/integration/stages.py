@@ -1,0 +1,299 @@
+"""The compiled part of a Runge-Kutta step: one kernel call after each Pinocchio call.
+
+State: y = (q, v, location parameters, quadratures). q is ambient (see `manifold`). The location parameters ride along
+as the start of Newton's iteration and take part in the error norm; the quadratures are the powers of friction, drive,
+torque and damping when energies are recorded.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..contours.base import SHAPE_SIZE
+from ..contours.charts import convert_chart, preferred_chart
+from ..dynamics.evaluation import evaluate_contacts, evaluate_dynamics
+from ..geometry.small import dot
+from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
+from ..layout import (
+    ABSOLUTE,
+    ACCELERATION,
+    BASIS,
+    CHART,
+    COEFFICIENTS,
+    CONTACT_INT,
+    CONTACT_INTS,
+    CORRECTION_Q,
+    CORRECTION_V,
+    DAMPING,
+    ERROR_NORM,
+    EVENT,
+    FORCE,
+    FREE,
+    JOINT_TABLE,
+    KIND,
+    LOCATION,
+    MODE,
+    NBLOCKS,
+    NC,
+    NEW_STATE,
+    NODES,
+    NOT_FINITE,
+    NQ,
+    NSTAGES,
+    NV,
+    NWORK,
+    NY,
+    OK,
+    POOL_ADDRESS,
+    POOL_SIZE,
+    RATES,
+    ROWS,
+    SCALARS,
+    SCALE,
+    SIDE_INT,
+    SIDE_INTS,
+    SIDE_SHAPE,
+    SIZES,
+    SLIP,
+    SLOPES,
+    STAGE_STATE,
+    STATE,
+    STEP,
+    TAU,
+    WEIGHTS_ERROR,
+    Q,
+    V,
+)
+from ..memory import cube, integer_matrix, integers, matrix, reals
+from .manifold import configuration_rate, move, normalize
+
+# Rows of the coefficient table and of the slopes: 16 for stages and the interpolant, the last one for scratch.
+MAX_STAGES = 17
+FRICTION_WORK, DRIVE_WORK, TORQUE_WORK, DAMPING_WORK = range(4)
+NUMBER_OF_WORKS = 4
+
+
+@kernel
+def hand_over(table, state):
+    """Give a state to Pinocchio (normalised) and to the location solver."""
+    sizes = integers(table[SIZES], 8)
+    nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
+    normalize(integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4), state, reals(table[Q], nq))
+    v = reals(table[V], nv)
+    for k in range(nv):
+        v[k] = state[nq + k]
+    location = reals(table[LOCATION], 4 * nc)
+    for k in range(4 * nc):
+        location[k] = state[nq + nv + k]
+
+
+@kernel
+def fill_slope(table, state, slope):
+    """y' from the last evaluation."""
+    sizes = integers(table[SIZES], 8)
+    nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
+    configuration_rate(
+        integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4),
+        state,
+        reals(table[Q], nq),
+        reals(table[V], nv),
+        slope,
+    )
+    acceleration = reals(table[ACCELERATION], nv)
+    for k in range(nv):
+        slope[nq + k] = acceleration[k]
+    rates = reals(table[RATES], 4 * nc)
+    for k in range(4 * nc):
+        slope[nq + nv + k] = rates[k]
+    if sizes[NWORK] > 0:
+        _powers(table, nv, nc, slope[nq + nv + 4 * nc :])
+
+
+@kernel
+def _powers(table, nv, nc, out):
+    """Powers in W: contact force on v_c, contact force of the drives, user's torques, joint damping."""
+    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    basis = cube(table[BASIS], nc, 3, 3)
+    slip = matrix(table[SLIP], nc, 3)
+    force = matrix(table[FORCE], nc, 3)
+    rows = cube(table[ROWS], nc, 3, nv)
+    v, tau, damping = reals(table[V], nv), reals(table[TAU], nv), reals(table[DAMPING], nv)
+    for i in range(NUMBER_OF_WORKS):
+        out[i] = 0.0
+    for c in range(nc):
+        if contact_int[c, MODE] == FREE:
+            continue
+        for row in range(3):
+            on_slip = force[c, row] * dot(basis[c, row], slip[c])
+            on_joints = 0.0
+            for k in range(nv):
+                on_joints += rows[c, row, k] * v[k]
+            out[FRICTION_WORK] += on_slip
+            out[DRIVE_WORK] += force[c, row] * on_joints - on_slip
+    for k in range(nv):
+        out[TORQUE_WORK] += tau[k] * v[k]
+        out[DAMPING_WORK] -= damping[k] * v[k] * v[k]
+
+
+@kernel
+def build_state(table, index):
+    """State number `index` of the step: y + h sum_j a_ij k_j; index = number of stages gives the new state."""
+    sizes = integers(table[SIZES], 8)
+    ny = sizes[NY]
+    state, out = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
+    slopes = matrix(table[SLOPES], MAX_STAGES, ny)
+    weights = matrix(table[COEFFICIENTS], MAX_STAGES, MAX_STAGES)[index]
+    scalars = reals(table[SCALARS], 8)
+    step = scalars[STEP]
+    for i in range(ny):
+        out[i] = 0.0
+    for j in range(index):
+        weight = weights[j]
+        if weight != 0.0:
+            slope = slopes[j]
+            for i in range(ny):
+                out[i] += weight * slope[i]
+    for i in range(ny):
+        out[i] = state[i] + step * out[i]
+    if index == sizes[NSTAGES]:
+        new_state = reals(table[NEW_STATE], ny)
+        for i in range(ny):
+            new_state[i] = out[i]
+    hand_over(table, out)
+
+
+@kernel
+def error_norm(table, last):
+    """Norm of the step's error estimate, 1 at the tolerance; stages 0 .. last are known.
+
+    Two estimates are blended as for DOP853 (Hairer, Norsett, Wanner, Sec. II.10); a pair with a single one has zero
+    weights in the second.
+    """
+    sizes = integers(table[SIZES], 8)
+    ny = sizes[NY]
+    state, new_state = reals(table[STATE], ny), reals(table[NEW_STATE], ny)
+    slopes = matrix(table[SLOPES], MAX_STAGES, ny)
+    weights = matrix(table[WEIGHTS_ERROR], 2, MAX_STAGES)
+    absolute = reals(table[ABSOLUTE], ny)
+    relative = reals(table[SCALE], 1)[0]
+    first, second = 0.0, 0.0
+    count = 0
+    for i in range(ny):
+        if absolute[i] == 0.0:
+            continue
+        count += 1
+        a, b = 0.0, 0.0
+        for j in range(last + 1):
+            a += weights[0, j] * slopes[j, i]
+            b += weights[1, j] * slopes[j, i]
+        scale = absolute[i] + relative * max(abs(state[i]), abs(new_state[i]))
+        first += (a / scale) ** 2
+        second += (b / scale) ** 2
+    step = abs(reals(table[SCALARS], 8)[STEP])
+    if first == 0.0:
+        return 0.0
+    return step * first / math.sqrt((first + 0.01 * second) * count)
+
+
+# What `evaluate_stage` does besides evaluating: nothing, only the kinematics (open contacts too), or one stage.
+ONLY_EVALUATE, ONLY_KINEMATICS = -1, -2
+
+
+@entry_kernel(TABLE, REAL, INTEGER, INTEGER)
+def evaluate_stage(table, start, index, estimate):
+    """Evaluate at Pinocchio's state; as stage `index` of a step also store its slope and hand over state index + 1.
+
+    One entry for all evaluations, since everything heavy is compiled into it.
+    start: time in s of the step's start (of the state itself without a stage); index: stage, ONLY_EVALUATE or
+    ONLY_KINEMATICS; estimate: nonzero when the error norm is known after this stage.
+    Returns a status of `layout`; after EVENT the stage is complete.
+    """
+    sizes = integers(table[SIZES], 8)
+    time = start
+    if index >= 0:
+        time += reals(table[NODES], MAX_STAGES)[index] * reals(table[SCALARS], 8)[STEP]
+    status = evaluate_contacts(table, time, index == ONLY_KINEMATICS)
+    if status != OK or index == ONLY_KINEMATICS:
+        return status
+    status = evaluate_dynamics(table)
+    if status > EVENT or index == ONLY_EVALUATE:
+        return status
+    fill_slope(table, reals(table[STAGE_STATE], sizes[NY]), matrix(table[SLOPES], MAX_STAGES, sizes[NY])[index])
+    if index < sizes[NSTAGES]:
+        build_state(table, index + 1)
+    if estimate != 0:
+        norm = error_norm(table, index)
+        reals(table[SCALARS], 8)[ERROR_NORM] = norm
+        if not norm < math.inf:
+            return NOT_FINITE
+    return status
+
+
+@entry_kernel(TABLE, INTEGER)
+def begin_stage(table, index):
+    """Hand over state `index` of the step, made from the slopes known so far."""
+    build_state(table, index)
+
+
+@entry_kernel(TABLE, INTEGER)
+def store_slope(table, index):
+    """Slope number `index` from the last evaluation, of the state in STAGE_STATE."""
+    sizes = integers(table[SIZES], 8)
+    fill_slope(table, reals(table[STAGE_STATE], sizes[NY]), matrix(table[SLOPES], MAX_STAGES, sizes[NY])[index])
+
+
+@entry_kernel(TABLE)
+def load_state(table):
+    """Hand over STAGE_STATE to Pinocchio and the location solver."""
+    hand_over(table, reals(table[STAGE_STATE], integers(table[SIZES], 8)[NY]))
+
+
+@entry_kernel(TABLE, INTEGER, INTEGER)
+def correct_state(table, with_position, with_velocity):
+    """Apply the last corrections to STAGE_STATE: v first (its rows belong to the old q), then q; take the location
+    found, moved along with q."""
+    sizes = integers(table[SIZES], 8)
+    nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
+    state = reals(table[STAGE_STATE], sizes[NY])
+    location = reals(table[LOCATION], 4 * nc)
+    for k in range(4 * nc):
+        state[nq + nv + k] = location[k]
+    if with_velocity != 0:
+        correction = reals(table[CORRECTION_V], nv)
+        for k in range(nv):
+            state[nq + k] += correction[k]
+    q = reals(table[Q], nq)
+    if with_position != 0:
+        move(
+            integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4),
+            q,
+            reals(table[CORRECTION_Q], nv),
+            matrix(table[SLOPES], MAX_STAGES, sizes[NY])[MAX_STAGES - 1],
+            q,
+        )
+    for i in range(nq):
+        state[i] = q[i]
+    v = reals(table[V], nv)
+    for k in range(nv):
+        v[k] = state[nq + k]
+
+
+@entry_kernel(TABLE)
+def move_charts(table):
+    """Move the location parameters in STATE to better charts; returns how many contours changed theirs."""
+    sizes = integers(table[SIZES], 8)
+    nc, first = sizes[NC], sizes[NQ] + sizes[NV]
+    state = reals(table[STATE], sizes[NY])
+    side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
+    side_shape = matrix(table[SIDE_SHAPE], 2 * nc, SHAPE_SIZE)
+    changed = 0
+    for side in range(2 * nc):
+        ints = side_int[side]
+        u = state[first + 2 * side : first + 2 * side + 2]
+        chart = preferred_chart(ints[KIND], ints[CHART], side_shape[side], u[0], u[1])
+        if chart != ints[CHART]:
+            pool = reals(ints[POOL_ADDRESS], ints[POOL_SIZE])
+            u[0], u[1] = convert_chart(ints[KIND], side_shape[side], pool, ints[CHART], u[0], u[1], chart)
+            ints[CHART] = chart
+            changed += 1
+    return changed

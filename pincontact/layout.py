@@ -1,0 +1,192 @@
+"""Names of the arrays that kernels share (slots of the address table) and of the columns within them."""
+
+from __future__ import annotations
+
+SLOTS = (
+    "sizes",  # (8,) int: see the SIZE columns
+    "scalars",  # (8,): t, h, error norm, ...
+    # Pinocchio's data, read in place
+    "mass",  # (nv, nv) lower triangle (Pinocchio's upper one, transposed view)
+    "nle",  # (nv,) bias forces
+    "jacobian",  # (nv, 6) one row a velocity coordinate: linear at the world's origin, angular
+    "joint_addresses",  # (njoints, 4) int: rotation, translation, ov, a_gf
+    "gravity",  # (3,)
+    "tau",  # (nv,) joint torques of the user
+    "damping",  # (nv,) viscous joint damping of the model
+    # joints: how q' follows from v
+    "joint_table",  # (nblocks, 4) int: kind, index in q, index in v, coordinates
+    # contacts
+    "contact_int",  # (nc, CONTACT_INTS) int
+    "contact_real",  # (nc, CONTACT_REALS)
+    "side_int",  # (2 nc, SIDE_INTS) int: side 2 c is body 1 of contact c, side 2 c + 1 is body 2
+    "side_shape",  # (2 nc, SHAPE_SIZE)
+    "side_base",  # (2 nc, 12) placement in the joint: rotation (9), position (3)
+    "side_motion",  # (2 nc, 24) driven placement relative to the base, and its derivatives
+    "side_motion_parameters",  # (2 nc, MOTION_PARAMETERS)
+    "support",  # (2 nc, nv) int: velocity coordinates that move the side's joint
+    # results of one evaluation
+    "frames",  # (2 nc, 8, 3): rotation rows, origin, velocity, omega, acceleration, alpha (world)
+    "derivatives",  # (2 nc, 10, 3): the contour's derivatives, world axes, from the contour's origin
+    "basis",  # (nc, 3, 3): rows t1, second, n (world)
+    "slip",  # (nc, 3): v_c = v_2 - v_1, world
+    "gaps",  # (nc, 2): n . (r_2 - r_1); second normal's for a point on a spatial curve
+    "rates",  # (nc, 4): location rates u_1', u_2'
+    "bias",  # (nc, 3): row . gamma plus frame rates, along the basis
+    "rows",  # (nc, 3, nv): basis . (J_2 - J_1)
+    "force",  # (nc, 3): force on body 2 along the basis
+    "relative_acceleration",  # (nc, 3): along the basis, for events
+    "margins",  # (nc, 4): event functions, positive while the mode holds
+    "location",  # (nc, 4): u_1 (2), u_2 (2)
+    # linear algebra
+    "factor",  # (nv, nv) Cholesky factor of the mass matrix
+    "acceleration",  # (nv,)
+    "free_acceleration",  # (nv,)
+    "constraint_rows",  # (3 nc, nv)
+    "whitened_rows",  # (3 nc, nv): L^-1 rows^T, transposed
+    "whitened_forces",  # (3 nc, nv): the same for the force directions
+    "delassus",  # (3 nc, 3 nc + 1)
+    "multipliers",  # (3 nc,)
+    "row_index",  # (3 nc, 2) int: contact and basis row of each constraint row
+    "permutation",  # (3 nc,) int
+    # Runge-Kutta
+    "state",  # (ny,) at the start of the step: q, v, location, quadratures
+    "stage_state",  # (ny,)
+    "new_state",  # (ny,)
+    "slopes",  # (stages, ny)
+    "coefficients",  # (stages, stages)
+    "nodes",  # (stages,)
+    "weights_error",  # (2, stages)
+    "q",  # (nq,) handed to Pinocchio
+    "v",  # (nv,)
+    "scale",  # (2,) rtol, atol
+    "absolute",  # (ny,) absolute tolerance of each component; 0 leaves it out of the norm
+    # scratch
+    "system",  # (4, 8)
+    "vectors",  # (16, 3)
+    "local",  # (10, 3)
+    "work",  # (nv,)
+    "correction_q",  # (nv,)
+    "correction_v",  # (nv,)
+    "dense",  # (8, ny) coefficients of the interpolant
+    "dense_weights",  # (stages, 8)
+    "counters",  # (4,) int
+)
+
+# one integer constant a slot, for the kernels
+(
+    SIZES,
+    SCALARS,
+    MASS,
+    NLE,
+    JACOBIAN,
+    JOINT_ADDRESSES,
+    GRAVITY,
+    TAU,
+    DAMPING,
+    JOINT_TABLE,
+    CONTACT_INT,
+    CONTACT_REAL,
+    SIDE_INT,
+    SIDE_SHAPE,
+    SIDE_BASE,
+    SIDE_MOTION,
+    SIDE_MOTION_PARAMETERS,
+    SUPPORT,
+    FRAMES,
+    DERIVATIVES,
+    BASIS,
+    SLIP,
+    GAPS,
+    RATES,
+    BIAS,
+    ROWS,
+    FORCE,
+    RELATIVE_ACCELERATION,
+    MARGINS,
+    LOCATION,
+    FACTOR,
+    ACCELERATION,
+    FREE_ACCELERATION,
+    CONSTRAINT_ROWS,
+    WHITENED_ROWS,
+    WHITENED_FORCES,
+    DELASSUS,
+    MULTIPLIERS,
+    ROW_INDEX,
+    PERMUTATION,
+    STATE,
+    STAGE_STATE,
+    NEW_STATE,
+    SLOPES,
+    COEFFICIENTS,
+    NODES,
+    WEIGHTS_ERROR,
+    Q,
+    V,
+    SCALE,
+    ABSOLUTE,
+    SYSTEM,
+    VECTORS,
+    LOCAL,
+    WORK,
+    CORRECTION_Q,
+    CORRECTION_V,
+    DENSE,
+    DENSE_WEIGHTS,
+    COUNTERS,
+) = range(len(SLOTS))
+
+# sizes
+NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
+
+# scalars
+TIME, STEP, ERROR_NORM, GAP_RESIDUAL, VELOCITY_RESIDUAL, CORRECTION_SIZE, CONDITIONING = range(7)
+
+# contact_int
+(
+    PATTERN,
+    K1,
+    K2,
+    TANGENTS,
+    MODE,
+    UNILATERAL,
+    SIDE,
+    BRANCH,
+    FROZEN,
+    SLIP_SIGN,
+    NORMAL_SIGN,
+    CLOSED_FORM,
+    DETERMINANT_SIGN,
+) = range(13)
+CONTACT_INTS = 13
+
+# contact_real
+MU, LENGTH, DIRECTION_X, DIRECTION_Y, DIRECTION_Z, CONDITION, NORMAL_1, NORMAL_2, SLIP_SPEED, SLIP_RATE = range(10)
+CONTACT_REALS = 10
+
+# side_int
+(
+    KIND,
+    CHART,
+    JOINT,
+    MOTION_KIND,
+    TIME_DEPENDENT,
+    POOL_ADDRESS,
+    POOL_SIZE,
+    SUPPORT_SIZE,
+    MOTION_POOL,
+    MOTION_POOL_SIZE,
+) = range(10)
+SIDE_INTS = 10
+
+# margins: positive while the mode holds
+NORMAL_MARGIN, FRICTION_MARGIN, GAP_MARGIN, SPEED_MARGIN = range(4)
+
+# modes, as reported in `track.mode`
+FREE, FRICTIONLESS, STICK, SLIPPING = -1, 0, 1, 2
+
+# what an evaluation returns
+OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE = range(7)
+
+# counters
+NEWTON_COUNT, CLOSED_COUNT = range(2)

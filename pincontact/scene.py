@@ -1,0 +1,274 @@
+"""The user's scene: a Pinocchio model, contours on its frames, contacts between contours."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from .contours import Contour
+from .errors import ArgumentError, ContourError, ModelError
+from .friction.laws import FrictionLaw
+from .geometry.patterns import candidate_patterns, find_pattern
+from .geometry.planar import moves_in_plane
+
+if TYPE_CHECKING:
+    from .contours.motion import Motion
+    from .geometry.patterns import Pattern
+    from .state import State
+
+
+@dataclass(frozen=True, eq=False)
+class AttachedContour:
+    """A contour carried by a frame of the model.
+
+    placement: contour in frame. motion: placement of time, applied after it, or None.
+    joint, placement_in_joint: where the frame's joint carries it (joint 0 is the world).
+    """
+
+    name: str
+    contour: Contour
+    frame: str
+    placement: pin.SE3
+    motion: Motion | None
+    joint: int
+    placement_in_joint: pin.SE3
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """A persistent contact of two contours.
+
+    body1, body2: the paper's order (k2 >= k1); swapped says whether the user named them the other way round.
+    side: +1 or -1, on which side of e_3 body 1 lies; None is decided by the initial state.
+    """
+
+    name: str
+    first: AttachedContour
+    second: AttachedContour
+    friction: FrictionLaw | None
+    bilateral: bool
+    pattern: Pattern
+    location: tuple[Any, Any] | None
+    side: int | None
+    restitution: float
+
+    @property
+    def swapped(self) -> bool:
+        return self.first.contour.dimension > self.second.contour.dimension
+
+    @property
+    def body1(self) -> AttachedContour:
+        return self.second if self.swapped else self.first
+
+    @property
+    def body2(self) -> AttachedContour:
+        return self.first if self.swapped else self.second
+
+
+class Scene:
+    """A robot and the contacts it keeps.
+
+    model: a `pin.Model`; it is not copied, and must not be changed once a state has been made.
+    visual_model, collision_model: `pin.GeometryModel` or None, for drawing and for contours from collision shapes.
+    """
+
+    def __init__(
+        self,
+        model: pin.Model,
+        visual_model: pin.GeometryModel | None = None,
+        collision_model: pin.GeometryModel | None = None,
+    ) -> None:
+        if not isinstance(model, pin.Model):
+            raise ModelError(f"Scene needs a pinocchio Model, got {type(model).__name__}")
+        self.model = model
+        self.visual_model = visual_model
+        self.collision_model = collision_model
+        self.contours: dict[str, AttachedContour] = {}
+        self.contacts: dict[str, Contact] = {}
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: str | os.PathLike[str],
+        floating_base: bool = False,
+        package_dirs: str | Sequence[str] | None = None,
+    ) -> Scene:
+        """A scene from a URDF file.
+
+        floating_base: whether the root link moves freely (Pinocchio's free-flyer joint: q starts with position and
+        quaternion x y z w, v with linear and angular velocity in body axes) or is fixed to the world.
+        package_dirs: folders in which `package://` mesh paths are looked up; the file's own folder is always one.
+        Raises ModelError when the file is missing or cannot be read.
+        """
+        file = os.fspath(path)
+        if not os.path.isfile(file):
+            raise ModelError(f"URDF file not found: {file}")
+        folders = [package_dirs] if isinstance(package_dirs, str) else list(package_dirs or [])
+        folders.append(os.path.dirname(os.path.abspath(file)))
+        try:
+            model = (
+                pin.buildModelFromUrdf(file, pin.JointModelFreeFlyer())
+                if floating_base
+                else pin.buildModelFromUrdf(file)
+            )
+        except Exception as error:
+            raise ModelError(f"{file} cannot be read as a URDF: {error}") from error
+        geometries: list[pin.GeometryModel | None] = []
+        for kind in (pin.GeometryType.VISUAL, pin.GeometryType.COLLISION):
+            try:
+                geometries.append(pin.buildGeomFromUrdf(model, file, kind, folders))
+            except (ValueError, RuntimeError, IndexError):
+                # meshes that are not there do not matter to the motion
+                geometries.append(None)
+        return cls(model, geometries[0], geometries[1])
+
+    def add_contour(
+        self,
+        name: str,
+        contour: Contour,
+        frame: str = "universe",
+        placement: pin.SE3 | None = None,
+        motion: Motion | None = None,
+    ) -> AttachedContour:
+        """Attach a contour to a frame of the model ("universe" is the world).
+
+        placement: pose of the contour in the frame; motion: a further pose, of time (a driven contour).
+        Raises ContourError for a name taken or a wrong type, ModelError for a frame the model does not have.
+        """
+        if name in self.contours:
+            raise ContourError(f"there is already a contour named {name!r}")
+        if not isinstance(contour, Contour):
+            raise ContourError(f"contour {name!r}: expected a contour such as Circle(0.3), got {contour!r}")
+        if not self.model.existFrame(frame):
+            names = [f.name for f in self.model.frames]
+            close = difflib.get_close_matches(frame, names, n=3)
+            hint = f"; did you mean {' or '.join(close)}?" if close else f"; frames: {', '.join(names[:20])}"
+            raise ModelError(f"contour {name!r}: the model has no frame {frame!r}{hint}")
+        if placement is None:
+            placement = pin.SE3.Identity()
+        if not isinstance(placement, pin.SE3) or not np.isfinite(placement.homogeneous).all():
+            raise ContourError(f"contour {name!r}: placement must be a finite pinocchio SE3, got {placement!r}")
+        rotation = placement.rotation
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9) or np.linalg.det(rotation) < 0.0:
+            raise ContourError(f"contour {name!r}: the placement's rotation is not a rotation matrix")
+        carrier = self.model.frames[self.model.getFrameId(frame)]
+        attached = AttachedContour(
+            name, contour, frame, placement, motion, int(carrier.parentJoint), carrier.placement * placement
+        )
+        self.contours[name] = attached
+        return attached
+
+    def add_contact(
+        self,
+        name: str,
+        first: AttachedContour | str,
+        second: AttachedContour | str,
+        friction: FrictionLaw | None = None,
+        bilateral: bool = False,
+        pattern: str | None = None,
+        location: tuple[Any, Any] | None = None,
+        side: int | None = None,
+        restitution: float = 0.0,
+    ) -> Contact:
+        """Let two contours keep in touch.
+
+        first, second: attached contours or their names, in any order; reported forces act on the second.
+        friction: None (frictionless), Coulomb(mu) or NoSlip().
+        bilateral: the contact never opens; a point on a spatial curve always is.
+        pattern: one of the seven names, None to infer. location: guess (u_first, u_second), either may be None.
+        side: +1 or -1, on which side of e_3 body 1 (the one with fewer parameters) lies; None to infer.
+        restitution: Newton's coefficient, 0 to 1, when the contact closes again.
+        Raises ArgumentError, PatternError, ContourError.
+        """
+        if name in self.contacts:
+            raise ArgumentError(f"there is already a contact named {name!r}")
+        a, b = self._contour(name, first), self._contour(name, second)
+        if a is b:
+            raise ArgumentError(f"contact {name!r}: contour {a.name!r} cannot touch itself")
+        if friction is not None and not isinstance(friction, FrictionLaw):
+            raise ArgumentError(f"contact {name!r}: friction must be None, Coulomb(mu) or NoSlip(), got {friction!r}")
+        if side not in (None, 1, -1):
+            raise ArgumentError(f"contact {name!r}: side must be +1, -1 or None, got {side!r}")
+        if not (isinstance(restitution, (int, float)) and 0.0 <= restitution <= 1.0):
+            raise ArgumentError(f"contact {name!r}: restitution must lie in [0, 1], got {restitution!r}")
+        if location is not None and (not isinstance(location, (tuple, list)) or len(location) != 2):
+            raise ArgumentError(f"contact {name!r}: location must be a pair (u_first, u_second), got {location!r}")
+        if a.joint == b.joint and a.motion is None and b.motion is None:
+            raise ArgumentError(
+                f"contact {name!r}: contours {a.name!r} and {b.name!r} are fixed to the same body and cannot move "
+                "against each other"
+            )
+        one, two = (b, a) if a.contour.dimension > b.contour.dimension else (a, b)
+        planar = False
+        if len(candidate_patterns(one.contour, two.contour)) > 1:
+            planar = moves_in_plane(self.model, one, two)
+        found = find_pattern(name, one.contour, two.contour, pattern, planar)
+        if location is not None:
+            for owner, guess in ((a, location[0]), (b, location[1])):
+                if guess is not None and (
+                    np.size(guess) != owner.contour.dimension or not np.isfinite(np.asarray(guess, float)).all()
+                ):
+                    raise ArgumentError(
+                        f"contact {name!r}: the location guess of {owner.name!r} needs {owner.contour.dimension} "
+                        f"finite numbers, got {guess!r}"
+                    )
+        contact = Contact(
+            name,
+            a,
+            b,
+            friction,
+            bilateral or found.constraints == 2,
+            found,
+            location,
+            side,
+            float(restitution),
+        )
+        self.contacts[name] = contact
+        return contact
+
+    def _contour(self, contact: str, given: AttachedContour | str) -> AttachedContour:
+        key = given.name if isinstance(given, AttachedContour) else given
+        if not isinstance(key, str) or key not in self.contours:
+            raise ArgumentError(
+                f"contact {contact!r}: unknown contour {given!r}; contours: {', '.join(self.contours) or 'none'}"
+            )
+        attached = self.contours[key]
+        if isinstance(given, AttachedContour) and attached is not given:
+            raise ArgumentError(f"contact {contact!r}: contour {key!r} belongs to another scene")
+        return attached
+
+    def initial_state(
+        self,
+        q: Any,
+        v: Any | None = None,
+        t: float = 0.0,
+        *,
+        free: Sequence[str] = (),
+        max_gap: float | None = None,
+    ) -> State:
+        """A consistent state near (q, v): location parameters found, q and v corrected in the mass metric.
+
+        q (nq,), v (nv,): Pinocchio's configuration and velocity (v defaults to zero). t: time in s.
+        free: names of contacts that start open. max_gap: the largest gap in m that is corrected away; the default is
+        a twentieth of the smaller contour's size (5 cm where neither has one).
+        The state says how far q and v were off (`state.correction`).
+        Raises StateError for bad sizes or numbers, NoContactError (with the gap) where contours do not touch,
+        SingularContactError where the location equations are singular.
+        """
+        from .state import find_state
+
+        return find_state(self, q, v, t, free, max_gap)
+
+
+def characteristic_length(contact: Contact) -> float:
+    """The contact's natural length in m: the smaller contour's size, 1 m if neither has one."""
+    sizes = [s.contour.size for s in (contact.first, contact.second)]
+    finite = [s for s in sizes if math.isfinite(s) and s > 0.0]
+    return min(finite) if finite else 1.0

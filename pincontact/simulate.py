@@ -1,0 +1,214 @@
+"""Run a scene: the call that users make."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .dynamics.system import System
+from .errors import ArgumentError, ContactError
+from .integration.driver import Driver, Options
+from .integration.events import UserEvent
+from .integration.results import CONTROL_FAILED, Stop
+from .integration.runge_kutta import RungeKutta
+from .integration.tableaux import tableau
+from .integration.transitions import Transitions
+from .layout import CLOSED_COUNT, NEWTON_COUNT
+from .scene import Scene
+from .state import State, write_discrete
+from .trajectory import Record, Trajectory
+
+Control = Callable[[float, np.ndarray, np.ndarray], Any]
+
+
+def simulate(
+    scene: Scene,
+    state: State,
+    duration: float,
+    *,
+    rtol: float = 1e-8,
+    atol: float = 1e-10,
+    t_eval: Any | None = None,
+    method: str = "DOP853",
+    control: Control | None = None,
+    events: Any | None = None,
+    progress: bool = False,
+    energies: bool = False,
+    max_step: float = math.inf,
+    first_step: float | None = None,
+    fixed_step: float | None = None,
+    max_steps: int = 1_000_000,
+) -> Trajectory:
+    """Integrate a scene from a state over a duration in s.
+
+    rtol, atol: relative and absolute tolerance of every component of q (tangent to its manifold), v and the location.
+    t_eval: times at which the result is wanted, None for every accepted step. method: "DOP853" or "RK45".
+    control: called as control(t, q, v), returns joint torques (nv,); must be smooth between events.
+    events: functions g(t, q, v) whose zeros are reported; attributes `terminal` and `direction` as in `solve_ivp`.
+    progress: show a bar. energies: integrate the work of friction, drives, torques and damping along (see
+    `Trajectory.energies`). max_step, first_step in s; fixed_step: constant steps without error control;
+    max_steps: accepted and rejected together.
+
+    Returns a Trajectory, also when the run could not go on: see its `status` and `message`.
+    Raises ArgumentError or StateError for bad arguments, before any work is done.
+    """
+    _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps)
+    times = _output_times(t_eval, state.t, duration)
+    users = UserEvent.wrap(events)
+    if control is not None and not callable(control):
+        raise ArgumentError(f"control must be callable as control(t, q, v), got {control!r}")
+    pair = tableau(method)
+    began = time.perf_counter()
+    contacts = list(scene.contacts.values())
+    system = System(scene.model, contacts, works=energies)
+    write_discrete(system, state.discrete)
+    end = system.nq + system.nv
+    system.state[: system.nq], system.state[system.nq : end] = state.q, state.v
+    system.state[end : end + 4 * system.nc] = state.location.ravel()
+    torque = _Torque(control, system) if control is not None else None
+    rk = RungeKutta(system, pair, rtol, atol, torque)
+    record = Record(system, with_torques=control is not None)
+
+    def failed_control(t: float) -> None:
+        if torque is not None and torque.failure is not None:
+            raise Stop(CONTROL_FAILED, torque.failure)
+
+    transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration, failed_control)
+    options = Options(times, max_step, max_steps, fixed_step, first_step)
+    with _Bar(progress, state.t, duration) as bar:
+        driver = Driver(rk, transitions, users, record.add, options, bar.update if progress else None)
+        code, message = driver.run(state.t, state.t + duration)
+    modes = transitions.modes
+    stats = {
+        "rhs": rk.evaluations,
+        "steps": driver.steps,
+        "rejected": driver.rejected,
+        "outputs": driver.outputs,
+        "pinocchio": system.pinocchio_calls,
+        "newton": int(system.counters[NEWTON_COUNT]),
+        "closed_form": int(system.counters[CLOSED_COUNT]),
+        "cone_problems": modes.cone_problems,
+        "qp": modes.solver.qp_count,
+        "cone_residual": modes.worst_residual,
+        "wall_time": time.perf_counter() - began,
+    }
+    return Trajectory.from_record(scene, record, transitions.events, code, message, stats)
+
+
+def _check(
+    scene: Scene,
+    state: State,
+    duration: float,
+    rtol: float,
+    atol: float,
+    max_step: float,
+    first_step: float | None,
+    fixed_step: float | None,
+    max_steps: int,
+) -> None:
+    if not isinstance(scene, Scene):
+        raise ArgumentError(f"the first argument must be a Scene, got {type(scene).__name__}")
+    if not isinstance(state, State):
+        raise ArgumentError(f"the second argument must come from scene.initial_state(q, v), got {type(state).__name__}")
+    if state.scene is not scene or state.location.shape[0] != len(scene.contacts):
+        raise ArgumentError("the state belongs to another scene, or contacts were added after it was made")
+    numbers = {"duration": duration, "rtol": rtol, "atol": atol, "max_step": max_step}
+    numbers |= {k: v for k, v in (("first_step", first_step), ("fixed_step", fixed_step)) if v is not None}
+    for name, value in numbers.items():
+        if not isinstance(value, (int, float, np.floating, np.integer)) or math.isnan(value):
+            raise ArgumentError(f"{name} must be a number, got {value!r}")
+        if value < 0.0 or (value == 0.0 and name not in ("duration", "rtol")):
+            raise ArgumentError(f"{name} must be positive, got {value}")
+    if not math.isfinite(duration) or math.isinf(rtol) or math.isinf(atol):
+        raise ArgumentError(f"duration, rtol and atol must be finite, got {duration}, {rtol}, {atol}")
+    if max_steps < 1:
+        raise ArgumentError(f"max_steps must be at least 1, got {max_steps}")
+
+
+def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray | None:
+    if t_eval is None:
+        return None
+    times = np.array(t_eval, dtype=float).reshape(-1)
+    # the end may be off by round-off, as from linspace
+    slack = 1e-12 * max(abs(t), abs(t + duration), duration)
+    if not np.isfinite(times).all():
+        raise ArgumentError("t_eval has entries that are not finite")
+    if times.size and (times.min() < t - slack or times.max() > t + duration + slack):
+        raise ArgumentError(f"t_eval must lie in [{t}, {t + duration}], got [{times.min()}, {times.max()}]")
+    if (np.diff(times) < 0.0).any():
+        raise ArgumentError("t_eval must not decrease")
+    return np.clip(times, t, t + duration)
+
+
+class _Torque:
+    """Calls the user's control and checks what it returns; a mistake ends the run, with its text."""
+
+    def __init__(self, control: Control, system: System) -> None:
+        self._control, self._system = control, system
+        self.failure: str | None = None
+
+    def __call__(self, t: float) -> bool:
+        system = self._system
+        try:
+            tau = np.asarray(self._control(t, system.q.copy(), system.v.copy()), dtype=float)
+        except ContactError:
+            raise
+        except Exception as error:
+            self.failure = f"t = {t:.9g} s: control raised {type(error).__name__}: {error}"
+            return False
+        if tau.shape != (system.nv,):
+            self.failure = f"t = {t:.9g} s: control returned an array of shape {tau.shape}, not ({system.nv},)"
+            return False
+        if not np.isfinite(tau).all():
+            self.failure = f"t = {t:.9g} s: control returned {tau[int(np.argmin(np.isfinite(tau)))]}"
+            return False
+        system.tau[:] = tau
+        return True
+
+
+class _Bar:
+    """A progress bar over simulated time; tqdm where it is installed, else a line of text."""
+
+    def __init__(self, wanted: bool, t: float, duration: float) -> None:
+        self._wanted, self._t, self._duration = wanted, t, duration
+        self._bar: Any = None
+
+    def __enter__(self) -> _Bar:
+        if self._wanted:
+            try:
+                from tqdm import tqdm
+            except ImportError:
+                tqdm = _PlainBar
+            self._bar = tqdm(
+                total=self._duration, unit="s", bar_format="{l_bar}{bar}| {n:.3g}/{total:.3g} s [{elapsed}]"
+            )
+        return self
+
+    def update(self, t: float) -> None:
+        self._bar.update(t - self._t)
+        self._t = t
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+
+class _PlainBar:
+    """What `progress=True` shows without tqdm: a percentage, at most a hundred times."""
+
+    def __init__(self, total: float, **_: Any) -> None:
+        self._total, self._n, self._shown = total, 0.0, -1
+
+    def update(self, n: float) -> None:
+        self._n += n
+        percent = int(100.0 * self._n / self._total) if self._total > 0.0 else 100
+        if percent > self._shown:
+            self._shown = percent
+            print(f"\rpincontact: {percent:3d} %", end="", flush=True)
+
+    def close(self) -> None:
+        print()

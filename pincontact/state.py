@@ -1,0 +1,253 @@
+"""States of a scene: configuration, velocity, time, and where every contact is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from .dynamics.projection import project
+from .dynamics.system import System
+from .errors import ArgumentError, NoContactError, SingularContactError, StateError
+from .geometry.search import Candidate, find_candidates
+from .integration.manifold import configuration_blocks
+from .layout import (
+    BRANCH,
+    CHART,
+    DETERMINANT_SIGN,
+    FREE,
+    FRICTIONLESS,
+    MODE,
+    NORMAL_SIGN,
+    SIDE,
+    SINGULAR,
+    SLIP_SIGN,
+    STICK,
+)
+from .scene import Contact, Scene, characteristic_length
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+# How far a quaternion's norm may be from 1 before it is taken for a mistake.
+_NORM_TOLERANCE = 1e-6
+_GAP_FRACTION = 0.05
+
+
+@dataclass(frozen=True)
+class Correction:
+    """How far the user's (q, v) was from the constraints, and how far it was moved.
+
+    gaps: contact -> gap in m before the correction; slips: contact -> (normal, tangential) components of v_c in m/s
+    before it; dq, dv: largest component of the change of configuration (tangent space) and velocity.
+    """
+
+    gaps: dict[str, float]
+    slips: dict[str, tuple[float, float]]
+    dq: float
+    dv: float
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A consistent state. Arrays are copies; body order is the paper's (k2 >= k1), `location_of` the user's.
+
+    q (nq,), v (nv,): Pinocchio's. t: s. location (nc, 4): u_1, u_2. discrete (nc, 8) int: per contact mode, charts of
+    both bodies, side, branch, sign of det J, sign of slip, sign of the normal force.
+    candidates: contact -> every contact point found, nearest first (Sec. 6.2: the location is multi-valued).
+    """
+
+    scene: Scene
+    q: np.ndarray
+    v: np.ndarray
+    t: float
+    location: np.ndarray
+    discrete: np.ndarray
+    correction: Correction | None = None
+    candidates: dict[str, list[Candidate]] | None = None
+
+    def location_of(self, contact: str) -> tuple[np.ndarray, np.ndarray]:
+        """(u_first, u_second) of a contact, in the order in which the user named its contours."""
+        names = list(self.scene.contacts)
+        if contact not in names:
+            raise ArgumentError(f"unknown contact {contact!r}; contacts: {', '.join(names) or 'none'}")
+        entry = self.scene.contacts[contact]
+        row = self.location[names.index(contact)]
+        u1 = row[: entry.body1.contour.dimension].copy()
+        u2 = row[2 : 2 + entry.body2.contour.dimension].copy()
+        return (u2, u1) if entry.swapped else (u1, u2)
+
+
+_DISCRETE = (MODE, None, None, SIDE, BRANCH, DETERMINANT_SIGN, SLIP_SIGN, NORMAL_SIGN)
+DISCRETE_COLUMNS = len(_DISCRETE)
+
+
+def read_discrete(system: System) -> np.ndarray:
+    """(nc, 8) the discrete part of a system's contacts."""
+    out = np.zeros((system.nc, DISCRETE_COLUMNS), dtype=np.int64)
+    for column, source in enumerate(_DISCRETE):
+        if source is not None:
+            out[:, column] = system.contact_int[: system.nc, source]
+    out[:, 1] = system.side_int[0 : 2 * system.nc : 2, CHART]
+    out[:, 2] = system.side_int[1 : 2 * system.nc : 2, CHART]
+    return out
+
+
+def write_discrete(system: System, discrete: np.ndarray) -> None:
+    """Set the discrete part of a system's contacts."""
+    for column, source in enumerate(_DISCRETE):
+        if source is not None:
+            system.contact_int[: system.nc, source] = discrete[:, column]
+    system.side_int[0 : 2 * system.nc : 2, CHART] = discrete[:, 1]
+    system.side_int[1 : 2 * system.nc : 2, CHART] = discrete[:, 2]
+
+
+def check_vector(name: str, value: ArrayLike, size: int) -> np.ndarray:
+    """A finite float copy (size,), or a StateError that says what is wrong with it."""
+    try:
+        array = np.array(value, dtype=float).reshape(-1)
+    except (TypeError, ValueError):
+        raise StateError(f"{name} must be {size} numbers, got {value!r}") from None
+    if array.size != size:
+        raise StateError(f"{name} must have {size} entries, got {array.size}")
+    if not np.isfinite(array).all():
+        index = int(np.argmin(np.isfinite(array)))
+        raise StateError(f"{name}[{index}] is {array[index]}")
+    return array
+
+
+def check_configuration(model: pin.Model, q: ArrayLike) -> np.ndarray:
+    """A finite, normalised copy of q, or a StateError."""
+    array = check_vector("q", q, model.nq)
+    for _kind, iq, iv, n in configuration_blocks(model):
+        size = _unit_size(_kind)
+        if size == 0:
+            continue
+        start = iq + {1: 3, 4: 2}.get(_kind, 0)
+        norm = float(np.linalg.norm(array[start : start + size]))
+        if abs(norm - 1.0) > _NORM_TOLERANCE:
+            what = "quaternion (x, y, z, w)" if size == 4 else "(cos, sin) pair"
+            raise StateError(
+                f"q[{start}:{start + size}] is a {what} of norm {norm:.9g}, not 1 (velocity index {iv}, {n})"
+            )
+        array[start : start + size] /= norm
+    return array
+
+
+def _unit_size(kind: int) -> int:
+    return {1: 4, 2: 4, 3: 2, 4: 2}.get(kind, 0)
+
+
+def find_state(scene: Scene, q: Any, v: Any | None, t: float, free: Sequence[str], max_gap: float | None) -> State:
+    """See `Scene.initial_state`."""
+    model = scene.model
+    q = check_configuration(model, q)
+    v = check_vector("v", np.zeros(model.nv) if v is None else v, model.nv)
+    if not math.isfinite(t):
+        raise StateError(f"t must be finite, got {t}")
+    for name in free:
+        if name not in scene.contacts:
+            raise ArgumentError(f"free: unknown contact {name!r}; contacts: {', '.join(scene.contacts) or 'none'}")
+        if scene.contacts[name].bilateral:
+            raise ArgumentError(f"free: contact {name!r} is bilateral and cannot open")
+    contacts = list(scene.contacts.values())
+    system = System(model, contacts)
+    system.q[:], system.v[:] = q, v
+    candidates: dict[str, list[Candidate]] = {}
+    for c, contact in enumerate(contacts):
+        found = _candidates(scene, contact, q, v, t)
+        chosen = _choose(contact, found, contact.name in free, max_gap, system, t)
+        candidates[contact.name] = found
+        integers = system.contact_int[c]
+        integers[SIDE] = contact.side or chosen.side or 1
+        integers[BRANCH], integers[DETERMINANT_SIGN] = chosen.branch, chosen.determinant_sign
+        system.location[c] = chosen.location
+        if contact.name in free:
+            integers[MODE] = FREE
+        else:
+            integers[MODE] = (
+                STICK if contact.friction is not None and math.isinf(contact.friction.sliding) else FRICTIONLESS
+            )
+    correction = _correct(scene, system, q, v, t)
+    return State(
+        scene,
+        system.q.copy(),
+        system.v.copy(),
+        float(t),
+        system.location[: system.nc].copy(),
+        read_discrete(system),
+        correction,
+        candidates,
+    )
+
+
+def _candidates(scene: Scene, contact: Contact, q: np.ndarray, v: np.ndarray, t: float) -> list[Candidate]:
+    single = System(scene.model, [contact])
+    single.q[:], single.v[:] = q, v
+    single.evaluate_kinematics(t)
+    guess = np.full(4, np.nan)
+    if contact.location is not None:
+        given = contact.location[::-1] if contact.swapped else contact.location
+        for offset, part in ((0, given[0]), (2, given[1])):
+            if part is not None:
+                values = np.atleast_1d(np.asarray(part, dtype=float))
+                guess[offset : offset + values.size] = values
+    guess[contact.body1.contour.dimension : 2] = 0.0
+    guess[2 + contact.body2.contour.dimension :] = 0.0
+    return find_candidates(single, t, guess)
+
+
+def _choose(
+    contact: Contact, found: list[Candidate], is_free: bool, max_gap: float | None, system: System, t: float
+) -> Candidate:
+    """The candidate nearest to touching, on the side asked for where the shapes tell sides apart."""
+    pair = f"{contact.first.name!r} and {contact.second.name!r}"
+    if not found:
+        raise NoContactError(
+            f"contact {contact.name!r}: no point at which {pair} could touch was found in this configuration"
+        )
+    fitting = [c for c in found if contact.side is None or c.side in (0, contact.side)] or found
+    chosen = fitting[0]
+    limit = max_gap if max_gap is not None else _GAP_FRACTION * _gap_length(contact)
+    if not is_free and abs(chosen.gap) > limit:
+        raise NoContactError(
+            f"contact {contact.name!r}: {pair} do not touch: the gap is {chosen.gap:.6g} m, more than the {limit:.3g} m "
+            f"that is corrected (max_gap); to start open, pass free=[{contact.name!r}]",
+            chosen.gap,
+        )
+    return chosen
+
+
+def _gap_length(contact: Contact) -> float:
+    return characteristic_length(contact)
+
+
+def _correct(scene: Scene, system: System, q: np.ndarray, v: np.ndarray, t: float) -> Correction:
+    """Project (q, v) of the system onto the constraints; reports the change."""
+    names = [c.name for c in system.contacts]
+    status = system.evaluate(t)
+    if status == SINGULAR:
+        raise SingularContactError("the location equations are singular in this configuration", 0.0)
+    gaps, slips = {}, {}
+    for c, name in enumerate(names):
+        gaps[name] = float(np.hypot(*system.gaps[c]) if system.gaps[c, 1] else system.gaps[c, 0])
+        along = system.basis[c] @ system.slip[c]
+        normal = float(along[2])
+        slips[name] = (normal, float(np.hypot(along[0], along[1])))
+    system.stage_state[: system.nq] = q
+    system.stage_state[system.nq : system.nq + system.nv] = v
+    system.stage_state[system.nq + system.nv : system.nq + system.nv + 4 * system.nc] = system.location[
+        : system.nc
+    ].ravel()
+    if not project(system, t):
+        raise NoContactError(
+            f"the constraints cannot be satisfied near this configuration: gaps {gaps}, after correction "
+            f"{system.gaps[: system.nc, 0].tolist()} m",
+            max((abs(g) for g in gaps.values()), default=math.nan),
+        )
+    dq = pin.difference(scene.model, q, system.q)
+    return Correction(gaps, slips, float(np.abs(dq).max(initial=0.0)), float(np.abs(system.v - v).max(initial=0.0)))

@@ -1,0 +1,431 @@
+"""Results of a run: states, contact tracks, events, counts; stored and read back."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from .dynamics.system import System
+from .errors import TrajectoryError
+from .geometry.frames import contact_frame, dual_basis
+from .integration.results import Event
+from .integration.stages import NUMBER_OF_WORKS
+from .layout import CHART, CONDITION, EVENT, FREE, PATTERN, STICK, TANGENTS
+from .scene import Contact, Scene, characteristic_length
+from .state import Correction, State, read_discrete, write_discrete
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_FORMAT = 1
+
+
+class Record:
+    """Rows written during a run: what is needed to rebuild everything else."""
+
+    def __init__(self, system: System, with_torques: bool) -> None:
+        self.system, self.with_torques = system, with_torques
+        self.t: list[float] = []
+        self.q: list[np.ndarray] = []
+        self.v: list[np.ndarray] = []
+        self.location: list[np.ndarray] = []
+        self.discrete: list[np.ndarray] = []
+        self.works: list[np.ndarray] = []
+        self.torques: list[np.ndarray] = []
+        self._with_works = system.ny > system.nq + system.nv + 4 * system.nc
+
+    def add(self, t: float) -> None:
+        """The state in the system at t."""
+        system = self.system
+        self.t.append(t)
+        self.q.append(system.q.copy())
+        self.v.append(system.v.copy())
+        self.location.append(system.location[: system.nc].copy())
+        self.discrete.append(read_discrete(system))
+        if self._with_works:
+            self.works.append(system.stage_state[-NUMBER_OF_WORKS:].copy())
+        if self.with_torques:
+            self.torques.append(system.tau.copy())
+
+
+@dataclass(frozen=True, eq=False)
+class ContactTrack:
+    """One contact over time, a row per output; world axes, SI units.
+
+    location:        (n, k) location parameters p* = (u_1, u_2) in the paper's order (k2 >= k1), NaN while open
+    location_first, location_second: the same by the user's contours; charts (n, 2) of (body 1, body 2)
+    point:           (n, 3) contact point
+    frame:           (n, 3, 3) e_1, e_2, e_3 of Definition 5 as columns
+    dual_frame:      (n, 3, 3) m^1, m^2, m^3 as columns (Eq. 26)
+    force:           (n, 3) on the second contour named by the user
+    multipliers:     (n, 3) components of that force in the dual frame, F_j = e_j . F (Prop. 6)
+    normal_force, tangential_force: (n,) in N; the normal one is positive in compression (a length for a point on a
+                     spatial curve)
+    slip_velocity:   (n, 3) v_c, of the second contour's material point against the first's
+    mode:            (n,) -1 open, 0 frictionless, 1 stick, 2 slip
+    gap:             (n,) in m, positive when apart
+    conditioning:    (n,) of the location equations, 1 good, 0 singular
+    """
+
+    location: np.ndarray
+    location_first: np.ndarray
+    location_second: np.ndarray
+    charts: np.ndarray
+    point: np.ndarray
+    frame: np.ndarray
+    dual_frame: np.ndarray
+    force: np.ndarray
+    multipliers: np.ndarray
+    normal_force: np.ndarray
+    tangential_force: np.ndarray
+    slip_velocity: np.ndarray
+    mode: np.ndarray
+    gap: np.ndarray
+    conditioning: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Energies:
+    """Energies in J, (n,) each; works are counted from the start, None unless the run recorded them.
+
+    total = kinetic + potential; balance = total - total at the start - all works: what the integration lost or won.
+    """
+
+    kinetic: np.ndarray
+    potential: np.ndarray
+    friction_work: np.ndarray | None = None
+    drive_work: np.ndarray | None = None
+    torque_work: np.ndarray | None = None
+    damping_work: np.ndarray | None = None
+
+    @property
+    def total(self) -> np.ndarray:
+        return self.kinetic + self.potential
+
+    @property
+    def balance(self) -> np.ndarray:
+        works = (self.friction_work, self.drive_work, self.torque_work, self.damping_work)
+        if any(w is None for w in works):
+            raise TrajectoryError("the run did not record works: simulate(..., energies=True)")
+        return self.total - self.total[0] - sum(w for w in works if w is not None)
+
+
+class _Tracks(Mapping[str, ContactTrack]):
+    """Contact tracks by name, computed when first asked for."""
+
+    def __init__(self, run: Trajectory) -> None:
+        self._run = run
+
+    def __getitem__(self, name: str) -> ContactTrack:
+        tracks = self._run._all_tracks()
+        if name not in tracks:
+            raise TrajectoryError(f"unknown contact {name!r}; contacts: {', '.join(tracks) or 'none'}")
+        return tracks[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._run.scene.contacts)
+
+    def __len__(self) -> int:
+        return len(self._run.scene.contacts)
+
+
+class Trajectory:
+    """What `simulate` returns.
+
+    t (n,), q (n, nq), v (n, nv); status: 0 finished, 1 a terminal event, negative: could not go on (message says
+    why); events: list of Event; stats: counts and wall time in s; contacts: name -> ContactTrack.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        t: np.ndarray,
+        q: np.ndarray,
+        v: np.ndarray,
+        location: np.ndarray,
+        discrete: np.ndarray,
+        works: np.ndarray | None,
+        torques: np.ndarray | None,
+        events: list[Event],
+        status: int,
+        message: str,
+        stats: dict[str, Any],
+    ) -> None:
+        self.scene = scene
+        self.t, self.q, self.v = t, q, v
+        self.status, self.message, self.events, self.stats = status, message, events, stats
+        self._location, self._discrete, self._works, self._torques = location, discrete, works, torques
+        self._tracks: dict[str, ContactTrack] | None = None
+        self._residuals: dict[str, dict[str, np.ndarray]] = {}
+        self.contacts: Mapping[str, ContactTrack] = _Tracks(self)
+
+    @classmethod
+    def from_record(
+        cls, scene: Scene, record: Record, events: list[Event], status: int, message: str, stats: dict[str, Any]
+    ) -> Trajectory:
+        """From the rows of a run, however many there are."""
+        n, system = len(record.t), record.system
+
+        def stack(rows: list[np.ndarray], *shape: int) -> np.ndarray:
+            return np.array(rows).reshape(n, *shape) if n else np.zeros((0, *shape))
+
+        return cls(
+            scene,
+            np.array(record.t, dtype=float),
+            stack(record.q, system.nq),
+            stack(record.v, system.nv),
+            stack(record.location, system.nc, 4),
+            stack(record.discrete, system.nc, 8).astype(np.int64),
+            stack(record.works, NUMBER_OF_WORKS) if record.works else None,
+            stack(record.torques, system.nv) if record.torques else None,
+            events,
+            status,
+            message,
+            stats,
+        )
+
+    @property
+    def success(self) -> bool:
+        """Whether the run reached its end or a terminal event."""
+        return self.status >= 0
+
+    def __repr__(self) -> str:
+        return f"<Trajectory of {self.t.size} outputs, {len(self.events)} events, status {self.status}: {self.message}>"
+
+    def state(self, index: int = -1) -> State:
+        """The state of one output, to start another run from."""
+        return State(
+            self.scene,
+            self.q[index].copy(),
+            self.v[index].copy(),
+            float(self.t[index]),
+            self._location[index].copy(),
+            self._discrete[index].copy(),
+            Correction({}, {}, 0.0, 0.0),
+        )
+
+    # ------------------------------------------------------------------ contacts
+
+    def _all_tracks(self) -> dict[str, ContactTrack]:
+        if self._tracks is None:
+            self._tracks, self._residuals = _evaluate_tracks(self)
+        return self._tracks
+
+    def residuals(self) -> dict[str, np.ndarray]:
+        """Worst constraint residual of all closed contacts at every output, (n,) each, without units.
+
+        C1: |r_2 - r_1| and GC: the gap, relative to the contact's length; C2: e_3 . tangents of body 1; VC: constrained
+        components of v_c relative to the speeds.
+        """
+        self._all_tracks()
+        n = self.t.size
+        return {
+            kind: np.max([r[kind] for r in self._residuals.values()], axis=0) if self._residuals else np.zeros(n)
+            for kind in ("C1", "C2", "GC", "VC")
+        }
+
+    # ------------------------------------------------------------------ energies
+
+    def energies(self) -> Energies:
+        """Kinetic and potential energy at every output; works where the run recorded them (energies=True)."""
+        model = self.scene.model
+        data = model.createData()
+        kinetic = np.array([pin.computeKineticEnergy(model, data, q, v) for q, v in zip(self.q, self.v)])
+        potential = np.array([pin.computePotentialEnergy(model, data, q) for q in self.q])
+        works = [None] * NUMBER_OF_WORKS if self._works is None else list(self._works.T)
+        return Energies(kinetic, potential, *works)
+
+    # ------------------------------------------------------------------ files
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything, contact tracks included, to an npz file. The scene itself is not stored."""
+        tracks = self._all_tracks()
+        arrays: dict[str, np.ndarray] = {
+            "t": self.t,
+            "q": self.q,
+            "v": self.v,
+            "location": self._location,
+            "discrete": self._discrete,
+        }
+        if self._works is not None:
+            arrays["works"] = self._works
+        if self._torques is not None:
+            arrays["torques"] = self._torques
+        for i, name in enumerate(self.scene.contacts):
+            for key, value in vars(tracks[name]).items():
+                arrays[f"track{i}.{key}"] = value
+            for key, value in self._residuals[name].items():
+                arrays[f"residual{i}.{key}"] = value
+        arrays["event_q"] = np.array([e.q for e in self.events]).reshape(len(self.events), self.scene.model.nq)
+        arrays["event_v"] = np.array([e.v for e in self.events]).reshape(len(self.events), self.scene.model.nv)
+        header = {
+            "format": _FORMAT,
+            "status": self.status,
+            "message": self.message,
+            "stats": self.stats,
+            "contacts": list(self.scene.contacts),
+            "events": [[e.time, e.contact, e.kind, e.index] for e in self.events],
+        }
+        with open(path, "wb") as file:
+            np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)  # type: ignore[arg-type]
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], scene: Scene | None = None) -> Trajectory:
+        """Read a file of `save`.
+
+        scene: the scene that was simulated, for replay and further runs; without it a bare one stands in, and the
+        stored arrays are all there is.
+        Raises TrajectoryError for a file that is missing or not a stored trajectory.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                header = json.loads(str(file["header"]))
+                arrays = {key: file[key] for key in file.files if key != "header"}
+            if header["format"] != _FORMAT:
+                raise TrajectoryError(f"{os.fspath(path)}: format {header['format']} is not {_FORMAT}")
+            names = header["contacts"]
+            events = [
+                Event(time, contact, kind, q, v, index)
+                for (time, contact, kind, index), q, v in zip(header["events"], arrays["event_q"], arrays["event_v"])
+            ]
+            run = cls(
+                scene if scene is not None else Scene(pin.Model()),
+                *(arrays[key] for key in ("t", "q", "v", "location", "discrete")),
+                arrays.get("works"),
+                arrays.get("torques"),
+                events,
+                header["status"],
+                header["message"],
+                header["stats"],
+            )
+            run._tracks = {name: ContactTrack(**_part(arrays, f"track{i}.")) for i, name in enumerate(names)}
+            run._residuals = {name: _part(arrays, f"residual{i}.") for i, name in enumerate(names)}
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise TrajectoryError(f"{os.fspath(path)} is not a stored trajectory: {error}") from error
+        if scene is not None and list(scene.contacts) != names:
+            raise TrajectoryError(f"the scene's contacts {list(scene.contacts)} are not those stored, {names}")
+        return run
+
+    # ------------------------------------------------------------------ views
+
+    def plot(self, **options: Any) -> Figure:
+        """Figures of the run (needs the extra `plot`); see `pincontact.view.plots.plot`."""
+        from .view.plots import plot
+
+        return plot(self, **options)
+
+
+def _part(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    return {key[len(prefix) :]: value for key, value in arrays.items() if key.startswith(prefix)}
+
+
+def _evaluate_tracks(run: Trajectory) -> tuple[dict[str, ContactTrack], dict[str, dict[str, np.ndarray]]]:
+    """Evaluate the contacts again at every output: the run itself keeps only what it cannot do without."""
+    scene = run.scene
+    contacts = list(scene.contacts.values())
+    system = System(scene.model, contacts)
+    n = run.t.size
+    tracks = {c.name: _empty_track(c, n) for c in contacts}
+    residuals = {c.name: {kind: np.zeros(n) for kind in ("C1", "C2", "GC", "VC")} for c in contacts}
+    for i in range(n):
+        system.q[:], system.v[:] = run.q[i], run.v[i]
+        system.location[: system.nc] = run._location[i]
+        write_discrete(system, run._discrete[i])
+        if run._torques is not None:
+            system.tau[:] = run._torques[i]
+        usable = system.evaluate(float(run.t[i])) <= EVENT
+        for c, contact in enumerate(contacts):
+            if usable:
+                _fill_row(system, c, contact, tracks[contact.name], i)
+                _fill_residuals(system, c, contact, residuals[contact.name], i)
+    return tracks, residuals
+
+
+def _empty_track(contact: Contact, n: int) -> ContactTrack:
+    k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
+    first, second = (k2, k1) if contact.swapped else (k1, k2)
+
+    def nan(*shape: int) -> np.ndarray:
+        return np.full((n, *shape), np.nan)
+
+    return ContactTrack(
+        nan(k1 + k2),
+        nan(first),
+        nan(second),
+        np.zeros((n, 2), dtype=np.int64),
+        nan(3),
+        nan(3, 3),
+        nan(3, 3),
+        np.zeros((n, 3)),
+        np.zeros((n, 3)),
+        np.zeros(n),
+        np.zeros(n),
+        nan(3),
+        np.full(n, FREE),
+        nan(),
+        nan(),
+    )
+
+
+def _fill_row(system: System, c: int, contact: Contact, track: ContactTrack, i: int) -> None:
+    one, two = 2 * c, 2 * c + 1
+    k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
+    u1, u2 = system.location[c, :k1], system.location[c, 2 : 2 + k2]
+    mode = int(system.modes[c])
+    track.mode[i] = mode
+    track.location[i] = np.concatenate([u1, u2])
+    track.location_first[i], track.location_second[i] = (u2, u1) if contact.swapped else (u1, u2)
+    track.charts[i] = system.side_int[one, CHART], system.side_int[two, CHART]
+    track.point[i] = system.frames[two, 3] + system.derivatives[two, 0]
+    basis = system.basis[c]
+    frame = contact_frame(
+        int(system.contact_int[c, PATTERN]),
+        system.derivatives[one],
+        system.derivatives[two],
+        system.frames[two, 0:3, 2],
+        basis,
+    )
+    track.frame[i] = frame
+    track.dual_frame[i] = dual_basis(frame)
+    sign = -1.0 if contact.swapped else 1.0
+    track.gap[i] = system.gaps[c, 0] if contact.pattern.constraints == 1 else np.hypot(*system.gaps[c])
+    track.conditioning[i] = abs(system.contact_real[c, CONDITION])
+    track.slip_velocity[i] = sign * system.slip[c]
+    if mode == FREE:
+        return
+    force = sign * (basis.T @ system.force[c])
+    track.force[i] = force
+    track.multipliers[i] = frame.T @ force
+    along = system.force[c]
+    if contact.pattern.constraints == 2:
+        track.normal_force[i], track.tangential_force[i] = np.hypot(along[1], along[2]), abs(along[0])
+    else:
+        track.normal_force[i], track.tangential_force[i] = along[2], np.hypot(along[0], along[1])
+
+
+def _fill_residuals(system: System, c: int, contact: Contact, rows: dict[str, np.ndarray], i: int) -> None:
+    mode = int(system.modes[c])
+    if mode == FREE:
+        return
+    one, two = 2 * c, 2 * c + 1
+    length = characteristic_length(contact)
+    first, second = system.derivatives[one], system.derivatives[two]
+    difference = (system.frames[two, 3] - system.frames[one, 3]) + (second[0] - first[0])
+    rows["C1"][i] = np.linalg.norm(difference) / length
+    rows["GC"][i] = np.abs(system.gaps[c]).max() / length
+    basis = system.basis[c]
+    k1 = contact.body1.contour.dimension
+    if k1 > 0 and contact.pattern.name != "3C-3C":
+        tangents = first[1 : 1 + k1]
+        rows["C2"][i] = np.max(np.abs(tangents @ basis[2]) / np.linalg.norm(tangents, axis=1))
+    constrained = [2] if contact.pattern.constraints == 1 else [1, 2]
+    if mode == STICK:
+        constrained += [0, 1] if system.contact_int[c, TANGENTS] == 2 else [0]
+    speeds = max(1.0, float(np.linalg.norm(system.frames[one, 4])), float(np.linalg.norm(system.frames[two, 4])))
+    rows["VC"][i] = np.abs(basis[constrained] @ system.slip[c]).max() / speeds

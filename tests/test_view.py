@@ -28,12 +28,14 @@ from fake_run import (
     SLIP_END,
     SPEED,
     TURN,
+    Attached,
     fake_run,
     placement,
     point,
 )
 
-from pincontact.contours import Circle, Line, Plane, Sphere
+from pincontact.contours import Circle, Helix, Line, ParametricSurface, Plane, Point, Sphere
+from pincontact.contours.motion import HarmonicMotion
 from pincontact.errors import ArgumentError
 from pincontact.view import arrows, export_html, meshes, plots, replay
 from pincontact.view.bodies import geometry_mesh, tile_size
@@ -67,12 +69,19 @@ def page(run, tmp_path_factory):
     return path.read_text(encoding="utf-8")
 
 
+TYPES = {0x12: np.uint8, 0x13: np.int16, 0x14: np.uint16, 0x16: np.uint32, 0x17: np.float32}
+HANDLERS = {code: lambda ext, dtype=dtype: np.frombuffer(ext.data, dtype) for code, dtype in TYPES.items()}
+
+
+def unpacked(commands):
+    """Commands as the viewer gets them, with arrays."""
+    return [umsgpack.unpackb(umsgpack.packb(command), ext_handlers=HANDLERS) for command in commands]
+
+
 def commands_of(text):
-    """The commands a page carries out, with arrays unpacked."""
-    types = {0x17: np.float32, 0x16: np.uint32, 0x12: np.uint8}
-    handlers = {code: lambda ext, dtype=dtype: np.frombuffer(ext.data, dtype) for code, dtype in types.items()}
+    """The commands a page carries out."""
     block = re.search(r"const commands = \[\n(.*?)\n\];", text, re.S).group(1)
-    return [umsgpack.unpackb(base64.b64decode(x), ext_handlers=handlers) for x in re.findall(r'"([^"]*)"', block)]
+    return [umsgpack.unpackb(base64.b64decode(x), ext_handlers=HANDLERS) for x in re.findall(r'"([^"]*)"', block)]
 
 
 def tracks_of(commands):
@@ -399,11 +408,11 @@ def test_vanishing_vector_hides_the_arrow_and_keeps_its_direction():
 
 def test_arrows_show_the_force_on_the_moving_body(run):
     picture = compose(run, 30.0, 1.0, 3000, 0.01, None, ("forces",))
-    tracks = tracks_of(picture.commands(environment=False))
+    tracks = tracks_of(unpacked(picture.commands(environment=False)))
     base = "/meshcat/pincontact/contacts/rim|floor/normal"
-    quaternion = np.reshape(np.frombuffer(tracks[(base, ".quaternion")]["values"].data, np.float32), (-1, 4))
-    head = np.reshape(np.frombuffer(tracks[(base + "/head", ".position")]["values"].data, np.float32), (-1, 3))
-    scale = np.reshape(np.frombuffer(tracks[(base + "/head", ".scale")]["values"].data, np.float32), (-1, 3))
+    quaternion = np.reshape(tracks[(base, ".quaternion")]["values"], (-1, 4))
+    head = np.reshape(tracks[(base + "/head", ".position")]["values"], (-1, 3))
+    scale = np.reshape(tracks[(base + "/head", ".scale")]["values"], (-1, 3))
     # The recorded force is on the floor, downwards; the arrow on the rim points up. float32.
     assert rotate(quaternion[30].astype(float), np.array([0.0, 0.0, 1.0])) == pytest.approx([0, 0, 1], abs=1e-6)
     assert head[30, 2] + scale[30, 2] == pytest.approx(0.01 * MASS * GRAVITY, rel=1e-6)
@@ -670,6 +679,106 @@ def test_scene_size_follows_what_moves(run):
     placements = joint_placements(run.scene.model, configurations(run, times))
     contacts = {CONTACT: contact_frames(run, CONTACT, times)}
     assert scene_size(run.scene, placements, contacts) == RADIUS
+
+
+# Contours
+
+
+def with_contour(run, name, attached):
+    """The run with one more contour in its scene."""
+    scene = SimpleNamespace(**{**vars(run.scene), "contours": {**run.scene.contours, name: attached}})
+    return SimpleNamespace(**{**vars(run), "scene": scene})
+
+
+def test_driven_contour_moves_on_its_body(run):
+    pose = pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.0, 0.1), np.array([0.1, 0.0, 0.2]))
+    motion = HarmonicMotion((0.0, 0.0, 0.2), frequency=0.5, axis=(1.0, 0.0, 0.0), angle=0.4)
+    plate = Attached("plate", Circle(0.2), "disk", 1, pose, pose, motion)
+    picture = compose(with_contour(run, "plate", plate), 30.0, 1.0, 3000, None, None, ("contours",))
+    tracks = tracks_of(unpacked(picture.commands(environment=False)))
+    path = "/meshcat/pincontact/bodies/root/contours/plate"
+    where = np.reshape(tracks[(path, ".position")]["values"], (-1, 3))
+    turned = np.reshape(tracks[(path, ".quaternion")]["values"], (-1, 4)).astype(float)
+    for frame in (0, 17, 45):
+        expected = pose * motion.placement(picture.times[frame])
+        # float32 in the tracks
+        assert where[frame] == pytest.approx(expected.translation, abs=1e-7)
+        assert rotate(turned[frame], np.eye(3)) == pytest.approx(expected.rotation, abs=1e-6)
+
+
+def test_contour_that_depends_on_time_is_shown_one_shape_at_a_time(run):
+    wave = ParametricSurface(lambda a, b, t: (a, b, 0.1 * np.sin(4 * a - 3 * t)), ((-0.5, 0.5), (-0.5, 0.5)))
+    attached = Attached("wave", wave, "universe", 0)
+    picture = compose(with_contour(run, "wave", attached), 30.0, 1.0, 3000, None, None, ("contours",))
+    commands = unpacked(picture.commands(environment=False))
+    tracks = {
+        path: track for (path, name), track in tracks_of(commands).items() if "/wave/" in path and name == ".visible"
+    }
+    assert len(tracks) > 20
+    for time in picture.times:
+        # A frame's time as the page has it, in float32.
+        at = np.float32(time)
+        shown = [
+            path
+            for path, track in tracks.items()
+            if track["values"][np.searchsorted(np.asarray(track["times"]), at, side="right") - 1]
+        ]
+        assert len(shown) == 1
+    (mesh,) = (c["object"] for c in commands if c["path"] == f"{shown[0]}/surface" and c["type"] == "set_object")
+    data = mesh["geometries"][0]["data"]["attributes"]["position"]["array"]
+    x, _, z = np.reshape(data, (-1, 3)).T.astype(float)
+    # The last shape stands for the last two frames or fewer of 1/30 s; it moves at up to 0.3 m/s.
+    assert z == pytest.approx(0.1 * np.sin(4 * x - 3 * END), abs=0.3 * 2 / 30 + 1e-6)
+
+
+def test_wire_is_not_filled_and_hollow_world_is_seen_through(run):
+    wire = Attached("wire", Circle(0.5), "disk", 1)
+    bead = Attached("bead", Point(), "universe", 0)
+    bowl = Attached("bowl", Sphere(2.0), "universe", 0)
+    scene = run.scene
+    contours = {**scene.contours, "wire": wire, "bead": bead, "bowl": bowl}
+    contacts = {**scene.contacts, "on wire": SimpleNamespace(first=bead, second=wire, name="on wire")}
+    tracks = {**run.contacts, "on wire": run.contacts[CONTACT]}
+    contacts["on wire"].friction, contacts["on wire"].pattern = None, SimpleNamespace(name="P-3C")
+    changed = SimpleNamespace(**{**vars(scene), "contours": contours, "contacts": contacts})
+    other = SimpleNamespace(**{**vars(run), "scene": changed, "contacts": tracks})
+    commands = compose(other, 30.0, 1.0, 3000, None, None, ("contours",)).commands(environment=False)
+    made = {c["path"]: c["object"] for c in commands if c["type"] == "set_object"}
+    body = "/meshcat/pincontact/bodies/"
+    assert f"{body}root/contours/rim/disc" in made
+    assert f"{body}root/contours/wire/curve" in made and f"{body}root/contours/wire/disc" not in made
+    assert made[f"{body}universe/contours/bowl/surface"]["materials"][0]["opacity"] < 1.0
+    assert made[f"{body}universe/contours/floor/surface"]["materials"][0]["opacity"] == 1.0
+
+
+def test_floor_fields_are_aligned_to_the_world(run):
+    commands = unpacked(compose(run, 30.0, 1.0, 3000, None, None, ("contours",)).commands(environment=False))
+    path = "/meshcat/pincontact/bodies/universe/contours/floor/surface"
+    (mesh,) = (c["object"] for c in commands if c["type"] == "set_object" and c["path"] == path)
+    data = mesh["geometries"][0]["data"]["attributes"]
+    points = np.reshape(data["position"]["array"], (-1, 3)).astype(float)
+    colors = np.reshape(data["color"]["array"], (-1, 3))
+    edge = tile_size(0.7 * RADIUS)
+    # float32 in the page
+    assert np.abs(points[:, :2] / edge - np.rint(points[:, :2] / edge)).max() < 1e-5
+    assert (points[:, 2] == 0.0).all()
+    # The field next to the origin in the first quadrant is light, wherever the floor begins.
+    fields = points.reshape(-1, 4, 3).mean(axis=1)
+    (origin,) = np.flatnonzero(np.linalg.norm(fields - (0.5 * edge, 0.5 * edge, 0.0), axis=1) < 1e-5)
+    assert colors[4 * origin].tolist() == colors.max(axis=0).tolist()
+    # The floor reaches under all of the path.
+    assert points[:, 0].min() < -TURN and points[:, 0].max() > TURN and points[:, 1].max() > TURN
+
+
+def test_smooth_polyline_turns_little_and_keeps_its_ends():
+    helix = Helix(0.5, 0.1)
+    domain = np.array([[-30.0, 30.0]])
+    points = meshes.smooth_polyline(helix, domain, 0.5)
+    assert points[[0, -1]] == pytest.approx(np.array([helix.point(-30.0), helix.point(30.0)]), abs=1e-15)
+    # Neighbours turn by 0.12 rad at most, so chords come within R 0.12^2 / 8 of the helix; dropped points add 5e-4 of
+    # the size.
+    middle = 0.5 * (points[1:] + points[:-1])
+    assert (0.5 - np.hypot(middle[:, 0], middle[:, 1])).max() < 0.5 * 0.12**2 / 8 + 2.5e-4
 
 
 # Plots

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..contours.base import HEIGHT_FIELD, PLANE, SPLINE_SURFACE
+from ..contours.base import PLANE
 from . import meshes
 from .drawing import Drawing
 from .meshes import Mesh
@@ -21,7 +21,6 @@ _SHADES = (
     (np.array([0.72, 0.88, 0.60]), np.array([0.40, 0.65, 0.30])),
     (np.array([0.85, 0.70, 0.90]), np.array([0.58, 0.38, 0.68])),
 )
-_OPEN_SURFACES = (PLANE, HEIGHT_FIELD, SPLINE_SURFACE)
 
 
 def shades(joint: int) -> tuple[np.ndarray, np.ndarray]:
@@ -110,8 +109,7 @@ def contour_meshes(contour: Any, near: np.ndarray, size: float, joint: int, fill
     domain = meshes.drawn_domain(contour, centre, radius, t)
     if contour.dimension == 1:
         closed = bool(contour.periodic[0])
-        count = 97 if closed else 200
-        line = meshes.sample_curve(contour, domain[0, 0], domain[0, 1], count, t)
+        line = meshes.smooth_polyline(contour, domain, size, t)
         if closed:
             line = line[:-1]
         parts = {"curve": meshes.tube(line, 0.012 * size, closed)}
@@ -129,12 +127,13 @@ def contour_meshes(contour: Any, near: np.ndarray, size: float, joint: int, fill
         odd = int(low[0] + low[1]) % 2
         mesh = meshes.checkered(points, normals, *((dark, light) if odd else (light, dark)), (1, 1))
     else:
-        points, normals = meshes.sample_surface(contour, domain, (49, 37), t)
-        mesh = meshes.checkered(points, normals, light, dark, (6, 6))
+        # One that changes is drawn many times over.
+        cells = 3 if contour.time_dependent else 6
+        points, normals = meshes.sample_surface(contour, domain, (8 * cells + 1, 6 * cells + 1), t)
+        mesh = meshes.checkered(points, normals, light, dark, (cells, cells))
     return {"surface": mesh}
 
 
 def contour_opacity(contour: Any, joint: int) -> float:
-    """Surfaces that may enclose what moves are drawn so that one sees through."""
-    closed_world = joint == 0 and contour.dimension == 2 and contour.kind not in _OPEN_SURFACES
-    return 0.35 if closed_world else 1.0
+    """Surfaces of the world that may enclose what moves are drawn so that one sees through."""
+    return 0.35 if joint == 0 and contour.dimension == 2 and any(contour.periodic) else 1.0

@@ -14,7 +14,14 @@ import numpy as np
 from .meshes import Mesh
 
 # Codes of typed arrays in meshcat's MessagePack dialect.
-_FLOAT32, _UINT32, _UINT8 = 0x17, 0x16, 0x12
+_UINT8, _INT16, _UINT16, _UINT32, _FLOAT32 = 0x12, 0x13, 0x14, 0x16, 0x17
+_ARRAYS: dict[int, tuple[str, Any]] = {
+    _UINT8: ("Uint8Array", np.uint8),
+    _INT16: ("Int16Array", "<i2"),
+    _UINT16: ("Uint16Array", "<u2"),
+    _UINT32: ("Uint32Array", "<u4"),
+    _FLOAT32: ("Float32Array", "<f4"),
+}
 # The viewer does not care for an animation's path; the server does: it tells a browser that connects later about
 # its nodes in the order of their making, and the animation has to come after all it binds to.
 _ANIMATION_NODE = "/animation"
@@ -28,19 +35,18 @@ def color_number(rgb: Any) -> int:
     return (red << 16) | (green << 8) | blue
 
 
-def _typed(array: np.ndarray, dtype: Any, code: int) -> Any:
+def _typed(array: np.ndarray, code: int) -> Any:
     import umsgpack  # type: ignore[import-untyped]
 
-    return umsgpack.Ext(code, np.ascontiguousarray(array, dtype=dtype).tobytes())
+    return umsgpack.Ext(code, np.ascontiguousarray(array, dtype=_ARRAYS[code][1]).tobytes())
 
 
-def _attribute(array: np.ndarray, dtype: Any = "<f4", code: int = _FLOAT32) -> dict[str, Any]:
-    name = {_FLOAT32: "Float32Array", _UINT32: "Uint32Array", _UINT8: "Uint8Array"}[code]
+def _attribute(array: np.ndarray, code: int, normalized: bool = False) -> dict[str, Any]:
     return {
         "itemSize": 1 if array.ndim == 1 else array.shape[1],
-        "type": name,
-        "array": _typed(array, dtype, code),
-        "normalized": code == _UINT8,
+        "type": _ARRAYS[code][0],
+        "array": _typed(array, code),
+        "normalized": normalized,
     }
 
 
@@ -80,15 +86,22 @@ class Drawing:
     def set_property(self, path: str, name: str, value: Any) -> None:
         self.add("set_property", path, property=name, value=value)
 
-    def mesh(self, path: str, mesh: Mesh, color: Any = (1.0, 1.0, 1.0), **material: Any) -> None:
-        """Draw triangles; color: RGB or RGBA in [0, 1], multiplied by the mesh's own colours if it has any."""
-        attributes = {"position": _attribute(mesh.vertices), "normal": _attribute(mesh.normals)}
-        if mesh.colors is not None:
-            attributes["color"] = _attribute(np.rint(255 * np.clip(mesh.colors, 0.0, 1.0)), np.uint8, _UINT8)
-        geometry = {
-            "attributes": attributes,
-            "index": _attribute(mesh.faces.reshape(-1), "<u4", _UINT32),
+    def mesh(self, path: str, mesh: Mesh, color: Any = (1.0, 1.0, 1.0), shadows: bool = True, **material: Any) -> None:
+        """Draw triangles.
+
+        color: RGB or RGBA in [0, 1], multiplied by the mesh's own colours if it has any; shadows: whether it casts
+        and receives them; material: further properties of three.js' material.
+        """
+        # Normals and colours need no more digits than the eye has.
+        attributes = {
+            "position": _attribute(mesh.vertices, _FLOAT32),
+            "normal": _attribute(np.rint(32767.0 * mesh.normals), _INT16, normalized=True),
         }
+        if mesh.colors is not None:
+            colors = np.rint(255.0 * np.clip(mesh.colors, 0.0, 1.0))
+            attributes["color"] = _attribute(colors, _UINT8, normalized=True)
+        code = _UINT16 if len(mesh.vertices) <= 0xFFFF else _UINT32
+        geometry = {"attributes": attributes, "index": _attribute(mesh.faces.reshape(-1), code)}
         opacity = float(color[3]) if len(color) > 3 else 1.0
         options = {
             "type": "MeshPhongMaterial",
@@ -102,6 +115,10 @@ class Drawing:
             **material,
         }
         self._object(path, "Mesh", geometry, options)
+        if not shadows:
+            # The viewer switches shadows on for every object it makes.
+            for name in ("castShadow", "receiveShadow"):
+                self.set_property(f"{path}/<object>", name, False)
 
     def _object(self, path: str, kind: str, geometry: dict[str, Any], material: dict[str, Any]) -> None:
         # Names derived from the path keep the output of one run the same from export to export.
@@ -131,7 +148,7 @@ class Drawing:
         name: 'position', 'quaternion', 'scale' or any property three.js can bind; kind: 'vector3',
         'quaternion' or 'number'; times: (n,) in s; values: (n,) or (n, size).
         """
-        self._track(path, name, kind, times, _typed(np.asarray(values).reshape(-1), "<f4", _FLOAT32))
+        self._track(path, name, kind, times, _typed(np.asarray(values).reshape(-1), _FLOAT32))
 
     def animate_placement(self, path: str, times: np.ndarray, position: np.ndarray, quaternion: np.ndarray) -> None:
         """Let a node move; position: (n, 3) in m, quaternion: (n, 4) as (x, y, z, w)."""
@@ -152,7 +169,7 @@ class Drawing:
         self._track(path, "visible", "boolean", times[keep], [bool(x) for x in visible[keep]])
 
     def _track(self, path: str, name: str, kind: str, times: np.ndarray, values: Any) -> None:
-        track = {"name": "." + name, "type": kind, "times": _typed(times, "<f4", _FLOAT32), "values": values}
+        track = {"name": "." + name, "type": kind, "times": _typed(times, _FLOAT32), "values": values}
         self._clips.setdefault(path, []).append(track)
 
     @property

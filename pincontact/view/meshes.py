@@ -154,12 +154,14 @@ def tube(points: np.ndarray, radius: float, closed: bool, sides: int = 8) -> Mes
 
 
 def join(parts: list[Mesh]) -> Mesh:
-    """Meshes without colours of their own as one, their faces in the order given."""
+    """Several meshes as one, their faces in the order given; all of them have colours, or none has."""
+    colors = [part.colors for part in parts if part.colors is not None]
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     return Mesh(
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.faces + offset for part, offset in zip(parts, offsets)]),
         np.concatenate([part.normals for part in parts]),
+        np.concatenate(colors) if colors else None,
     )
 
 
@@ -227,22 +229,40 @@ def checkered(
     points, normals: (n, m, 3); fields: how many grid cells make one field, in each direction.
     """
     rows, columns = points.shape[0] - 1, points.shape[1] - 1
+    parts = []
+    for i in range(0, rows, fields[0]):
+        for j in range(0, columns, fields[1]):
+            field = (slice(i, i + fields[0] + 1), slice(j, j + fields[1] + 1))
+            part, normal = points[field], normals[field]
+            high, wide = part.shape[0] - 1, part.shape[1] - 1
+            # Two triangles a cell, counter-clockwise seen along -(d/du1 x d/du2).
+            corner = (np.arange(high)[:, None] * (wide + 1) + np.arange(wide)).reshape(-1, 1)
+            first = corner + np.array([0, wide + 1, wide + 2])
+            second = corner + np.array([0, wide + 2, 1])
+            color = dark if (i // fields[0] + j // fields[1]) % 2 else light
+            part, normal = part.reshape(-1, 3), normal.reshape(-1, 3)
+            parts.append(Mesh(part, np.concatenate([first, second]), normal, np.tile(color, (len(part), 1))))
+    return join(parts)
 
-    def corners(grid: np.ndarray) -> np.ndarray:
-        quad = [grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]]
-        return np.stack(quad, axis=2).reshape(-1, 3)
 
-    i, j = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
-    odd = ((i // fields[0] + j // fields[1]) % 2).reshape(-1)
-    colors = np.repeat(np.where(odd[:, None] == 1, dark, light), 4, axis=0)
-    first = 4 * np.arange(rows * columns)[:, None]
-    faces = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
-    return Mesh(corners(points), faces, corners(normals), colors)
+def smooth_polyline(contour: Contour, domain: np.ndarray, size: float, t: float = 0.0) -> np.ndarray:
+    """Points along a curve, as many as it takes to look smooth, both ends included, in the contour's frame.
 
-
-def sample_curve(contour: Contour, low: float, high: float, count: int, t: float = 0.0) -> np.ndarray:
-    """(count, 3) points of a curve at equal parameter steps from low to high, in the contour's frame."""
-    return np.array([contour.point(u, t) for u in np.linspace(low, high, count)])
+    domain: (1, 2), low and high of the parameter; size: of the scene, m. Returns (n, 3).
+    """
+    count = 65
+    while True:
+        points = contour.polyline(count, domain, t)
+        chords = np.diff(points, axis=0)
+        length = np.linalg.norm(chords, axis=1)
+        # sin of the turn between neighbours is their cross product over their lengths
+        turn = np.linalg.norm(np.cross(chords[:-1], chords[1:]), axis=1)
+        if count > 8000 or (turn <= 0.12 * length[:-1] * length[1:]).all():
+            break
+        count = 2 * count - 1
+    kept = simplify(points, 5e-4 * size, np.inf)
+    # The end may have been dropped as too close to the last point kept.
+    return points[np.append(kept[:-1], len(points) - 1)] if len(kept) > 2 else points[[0, -1]]
 
 
 def sample_surface(
@@ -253,22 +273,19 @@ def sample_surface(
     domain: (2, 2), low and high of u1 and of u2; counts: grid points in each direction.
     Returns two (counts[0], counts[1], 3) arrays.
     """
-    points = np.empty((*counts, 3))
-    normals = np.empty((*counts, 3))
-    middle = domain.mean(axis=1)
-    for i, u1 in enumerate(np.linspace(domain[0, 0], domain[0, 1], counts[0])):
-        for j, u2 in enumerate(np.linspace(domain[1, 0], domain[1, 1], counts[1])):
-            row = contour.evaluate((u1, u2), t)
-            points[i, j] = row[F]
-            normal = np.cross(row[F_1], row[F_2])
-            scale = np.linalg.norm(row[F_1]) * np.linalg.norm(row[F_2])
-            if not np.linalg.norm(normal) > 1e-9 * scale:
-                # A pole of the chart: the normal a little further inside is as good as the eye can tell.
-                inside = np.array([u1, u2]) + 1e-4 * (middle - (u1, u2))
-                row = contour.evaluate(inside, t)
-                normal = np.cross(row[F_1], row[F_2])
-            normals[i, j] = normal / max(np.linalg.norm(normal), np.finfo(float).tiny)
-    return points, normals
+    parameters = contour.samples(counts, domain)
+    rows = np.array([contour.evaluate(u, t) for u in parameters])
+    normals = np.cross(rows[:, F_1], rows[:, F_2])
+    length = np.linalg.norm(normals, axis=1)
+    # At a pole of the chart the normal a little further inside is as good as the eye can tell.
+    regular = length > 1e-9 * np.linalg.norm(rows[:, F_1], axis=1).max() * np.linalg.norm(rows[:, F_2], axis=1)
+    for i in np.flatnonzero(~regular):
+        inside = parameters[i] + 1e-4 * (domain.mean(axis=1) - parameters[i])
+        row = contour.evaluate(inside, t)
+        normals[i] = np.cross(row[F_1], row[F_2])
+        length[i] = np.linalg.norm(normals[i])
+    normals /= np.maximum(length, np.finfo(float).tiny)[:, None]
+    return rows[:, F].reshape(*counts, 3), normals.reshape(*counts, 3)
 
 
 def drawn_domain(contour: Contour, centre: np.ndarray, radius: float, t: float = 0.0) -> np.ndarray:

@@ -362,14 +362,14 @@ class _Stage:
             path = self.body(joint, "contours", name)
             world = self.placements[:, joint] @ placement
             if attached.motion is not None:
-                moved = self._driven(attached, placement)
+                moved = _driven(attached, self.moments)
                 world = self.placements[:, joint] @ moved
                 self.drawing.transform(path, moved[0])
                 self._animate(path, moved)
             else:
                 self.drawing.transform(path, placement)
             near = self._contact_points_in(name, world)
-            filled = joint not in pictured
+            filled = joint != 0 and joint not in pictured and not self._carries_point(name)
             opacity = contour_opacity(contour, joint)
             moments = [self.moments[0]]
             if contour.time_dependent:
@@ -382,7 +382,7 @@ class _Stage:
                     color = (1.0, 1.0, 1.0) if mesh.colors is not None else tuple(0.75 * shades(joint)[1])
                     # A see-through surface must not hide from three.js what lies behind it.
                     extra = {"depthWrite": False} if opacity < 1.0 else _BEHIND_LINES
-                    self.drawing.mesh(f"{base}/{part}", mesh, (*color, opacity), **extra)
+                    self.drawing.mesh(f"{base}/{part}", mesh, (*color, opacity), opacity == 1.0, **extra)
                     floor |= part == "surface" and opacity == 1.0 and joint == 0
                 if len(moments) > 1:
                     until = moments[number + 1] if number + 1 < len(moments) else np.inf
@@ -390,9 +390,11 @@ class _Stage:
                     self.drawing.animate_visibility(base, self.times, visible)
         return floor
 
-    def _driven(self, attached: Any, base: np.ndarray) -> np.ndarray:
-        """Placements in its joint of a contour with a motion of its own, (n, 4, 4)."""
-        return np.array([base @ attached.motion.placement(t).homogeneous for t in self.moments])
+    def _carries_point(self, name: str) -> bool:
+        """Whether a point runs along this contour: then it is a wire, not the edge of a disc."""
+        pairs = [(c.first, c.second) for c in self.scene.contacts.values()]
+        partners = [b for a, b in pairs if a.name == name] + [a for a, b in pairs if b.name == name]
+        return any(partner.contour.dimension == 0 for partner in partners)
 
     def _contact_points_in(self, name: str, world: np.ndarray) -> np.ndarray:
         """All contact points of a contour in its own frame, (n, 3); its origin if there are none."""
@@ -407,7 +409,7 @@ class _Stage:
         marker = meshes.ellipsoid(np.full(3, 0.025 * self.size), 20)
         for name, frames in self.contacts.items():
             path = self.drawing.path("contacts", name, "point")
-            self.drawing.mesh(path, marker, _POINT_COLOR, **_ON_TOP)
+            self.drawing.mesh(path, marker, _POINT_COLOR, False, **_ON_TOP)
             self.drawing.animate(path, "position", "vector3", self.times, frames.point)
             self.drawing.animate_visibility(path, self.times, frames.touching)
 
@@ -422,9 +424,14 @@ class _Stage:
             contact = self.scene.contacts[name]
             self._trace(self.drawing.path("contacts", name, "trace"), frames.point, frames.touching, moments)
             for side in (contact.first, contact.second):
-                if side.joint != 0:
-                    path = self.body(side.joint, "traces", f"{name} on {side.name}")
-                    self._trace(path, _into(placements[:, side.joint], frames.point), frames.touching, moments)
+                if side.joint == 0 and side.motion is None:
+                    continue
+                path = self.body(side.joint, "traces", f"{name} on {side.name}")
+                carrier = placements[:, side.joint]
+                if side.motion is not None:
+                    carrier = carrier @ _driven(side, moments)
+                    self._animate(path, _driven(side, self.moments))
+                self._trace(path, _into(carrier, frames.point), frames.touching, moments)
 
     def _trace(self, path: str, points: np.ndarray, touching: np.ndarray, moments: np.ndarray) -> None:
         tubes, indices, until = [], 0, []
@@ -465,8 +472,14 @@ class _Stage:
         for piece, mesh in (("shaft", arrows.unit_shaft()), ("head", arrows.unit_head())):
             for mode in modes:
                 node = f"{path}/{piece}/{MODE_NAMES[mode]}"
-                drawing.mesh(node, mesh, MODE_COLORS[mode], **_ON_TOP)
+                drawing.mesh(node, mesh, MODE_COLORS[mode], False, **_ON_TOP)
                 drawing.animate_visibility(node, times, frames.mode == mode)
+
+
+def _driven(attached: Any, moments: np.ndarray) -> np.ndarray:
+    """Placements in its joint of a contour with a motion of its own, (n, 4, 4)."""
+    base = attached.placement_in_joint.homogeneous
+    return np.array([base @ attached.motion.placement(t).homogeneous for t in moments])
 
 
 def _into(placements: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -32,7 +32,8 @@ from __future__ import annotations
 
 from math import atan2, cos, pi, sin, sqrt
 
-from ..jit import INTEGER, REAL, entry_kernel, kernel
+from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
+from ..memory import Memory, integer_matrix, integers, matrix, reals
 
 OPEN, STICK, SLIP = 0, 1, 2
 WARM, CLASSIFY = 0, 1
@@ -50,20 +51,59 @@ REFINEMENT = 1e-2
 # Directions tried in the scan for a single contact's slip; the function scanned has four zeros at most.
 SCAN = 64
 CANDIDATES = 12
-HUGE = 1e300
+HUGE, TINY = 1e300, 1e-300
+# The interior-point method needs a few digits, since it only has to tell the modes; a dozen passes are common.
+INTERIOR_ACCURACY = 1e-8
+INTERIOR_PASSES = 40
+INTERIOR_BACK_OFF = 0.99
+# Sizes of the starting forces and velocities, in the order they are tried.
+INTERIOR_STARTS = ((1, 1), (10, 10), (0.1, 0.1), (0.1, 10), (10, 0.1), (100, 100), (1, 100), (100, 1))
+# Outside this range a cone is too flat or too steep for it; Newton uses the true coefficient.
+LEAST_FRICTION, LARGEST_FRICTION = 1e-3, 1e3
 # Larger coefficients make the QP's facets too steep for it; the modes found are then corrected by Newton.
 QP_FRICTION = 100.0
 
 
-def scratch_size(contacts: int) -> int:
-    """Number of floats of scratch that the kernels need for this many contacts."""
+# Arrays that `solve_cones` works in, by slot of its table of addresses.
+SLOTS = (
+    "modes",  # (n,) int: in and out
+    "forces",  # (3n,): in and out
+    "velocities",  # (3n,): out
+    "counts",  # (2,) int: out, Newton passes and whether a search over all states was needed
+    "scaled",  # (3n, 3n) the Delassus matrix without units
+    "system",  # (3n, 3n) Newton's matrix
+    "gram",  # (3n, 3n)
+    "vectors",  # (8, 3n)
+    "scalars",  # (7, n)
+    "directions",  # (2n,) of slip
+    "angles",  # (CANDIDATES,)
+    "order",  # (3n,) int: permutation of the elimination
+    "first",  # (n + 1,) int: first unknown of each contact
+    "trial",  # (2, n) int: modes tried, modes started from
+)
+MODES, FORCES, VELOCITIES, COUNTS, SCALED, SYSTEM, GRAM, VECTORS, SCALARS, DIRECTIONS, ANGLES, ORDER, FIRST, TRIAL = (
+    range(len(SLOTS))
+)
+
+
+def cone_memory(contacts: int) -> Memory:
+    """The arrays of `SLOTS` for problems of this many contacts; modes start as STICK, everything else as zero."""
     rows = 3 * contacts
-    return 3 * rows * rows + 7 * rows + 8 * contacts + 19 + CANDIDATES
-
-
-def scratch_integers(contacts: int) -> int:
-    """Number of integers of scratch that the kernels need for this many contacts."""
-    return 5 * contacts + 4
+    memory = Memory(SLOTS)
+    memory.integers("modes", contacts)[:] = STICK
+    memory.reals("forces", rows)
+    memory.reals("velocities", rows)
+    memory.integers("counts", 2)
+    for name in ("scaled", "system", "gram"):
+        memory.reals(name, rows, rows)
+    memory.reals("vectors", 8, rows)
+    memory.reals("scalars", 7, contacts)
+    memory.reals("directions", 2 * contacts)
+    memory.reals("angles", CANDIDATES)
+    memory.integers("order", rows)
+    memory.integers("first", contacts + 1)
+    memory.integers("trial", 2, contacts)
+    return memory
 
 
 @kernel
@@ -71,7 +111,8 @@ def minimum_norm_solve(a, rhs, n, x, gram, order, tolerance):
     """x (n,) of least norm with a x = rhs for a consistent system that may be singular; returns the rank.
 
     Elimination with complete pivoting, stopped at the first pivot below tolerance times the largest, then least
-    norm in the row space. a and gram are (>= n, >= n); a and rhs (n,) are overwritten, gram and order (n,) scratch.
+    norm in the row space; tolerance 0 says that a is regular, and rows alone are exchanged. a and gram are
+    (>= n, >= n); a and rhs (n,) are overwritten, gram and order (n,) are scratch.
     """
     for j in range(n):
         order[j] = j
@@ -82,7 +123,7 @@ def minimum_norm_solve(a, rhs, n, x, gram, order, tolerance):
         p = k
         q = k
         for i in range(k, n):
-            for j in range(k, n):
+            for j in range(k, n if tolerance > 0.0 else k + 1):
                 size = abs(a[i, j])
                 if size > pivot:
                     pivot = size
@@ -158,13 +199,13 @@ def minimum_norm_solve(a, rhs, n, x, gram, order, tolerance):
 
 
 @kernel
-def scale_problem(matrix, b, n, scaled, c, scale):
+def scale_problem(delassus, b, n, scaled, c, scale):
     """Write the problem without units; returns the factor taken out of b.
 
-    matrix (3n, 3n), b (3n,): the problem; scaled (3n, 3n), c (3n,), scale (n,): output.
+    delassus (3n, 3n), b (3n,): the problem; scaled (3n, 3n), c (3n,), scale (n,): output.
     """
     for i in range(n):
-        trace = matrix[3 * i, 3 * i] + matrix[3 * i + 1, 3 * i + 1] + matrix[3 * i + 2, 3 * i + 2]
+        trace = delassus[3 * i, 3 * i] + delassus[3 * i + 1, 3 * i + 1] + delassus[3 * i + 2, 3 * i + 2]
         scale[i] = sqrt(3.0 / trace) if trace > 0.0 else 1.0
     largest = 0.0
     for i in range(n):
@@ -178,9 +219,9 @@ def scale_problem(matrix, b, n, scaled, c, scale):
         s = scale[i // 3]
         for j in range(n):
             product = s * scale[j]
-            scaled[i, 3 * j] = product * matrix[i, 3 * j]
-            scaled[i, 3 * j + 1] = product * matrix[i, 3 * j + 1]
-            scaled[i, 3 * j + 2] = product * matrix[i, 3 * j + 2]
+            scaled[i, 3 * j] = product * delassus[i, 3 * j]
+            scaled[i, 3 * j + 1] = product * delassus[i, 3 * j + 1]
+            scaled[i, 3 * j + 2] = product * delassus[i, 3 * j + 2]
     return largest
 
 
@@ -301,6 +342,10 @@ def newton_step(g, c, mu, modes, f, u, refine, buffers):
         elif modes[i] == SLIP:
             unknowns = 2 if mu[i] > 0.0 else 1
         first[i + 1] = first[i] + unknowns
+    if first[n] == 0:
+        for k in range(3 * n):
+            f[k] = 0.0
+        return first[n]
 
     source = u if refine else c
     for i in range(n):
@@ -345,7 +390,7 @@ def newton_step(g, c, mu, modes, f, u, refine, buffers):
                             turned -= speed[j]
                         a[row, column + 1] = turned / total if total > 0.0 else 0.0
 
-    minimum_norm_solve(a, rhs, first[n], x, gram, order, RANK_TOLERANCE)
+    rank = minimum_norm_solve(a, rhs, first[n], x, gram, order, RANK_TOLERANCE)
 
     for i in range(n):
         k = 3 * i
@@ -370,6 +415,7 @@ def newton_step(g, c, mu, modes, f, u, refine, buffers):
             f[k] = -sine[i] * length[i] * direction[2 * i]
             f[k + 1] = -sine[i] * length[i] * direction[2 * i + 1]
             f[k + 2] = cosine[i] * length[i]
+    return first[n] - rank
 
 
 @kernel
@@ -464,28 +510,38 @@ def slip_angles(g, c, mu, angles):
 
 
 @kernel
-def settle(g, c, mu, modes, f, u, angles, passes, tolerance, buffers):
+def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance, buffers):
     """Newton with corrected modes, from modes (n,) and f (3n,); returns residual, passes used, attempts made.
 
-    One contact is solved exactly: if the start given does not lead to a solution, every other one that there can
-    be is tried until the judge accepts: open, stick, and slip along each of `slip_angles`.
+    Redundant contacts get the forces of least norm; where these contradict the modes, the forces nearest to the
+    ones given. One contact is solved exactly: if the start given does not lead to a solution, every other one that
+    there can be is tried until the judge accepts: open, stick, and slip along each of `slip_angles`.
+    start (3n,), start_modes (n,): scratch.
     """
     size, direction, length, speed, sine, cosine = buffers[:6]
     n = mu.shape[0]
     for i in range(n):
         sine[i], cosine[i] = cone_angle(mu[i])
+        start_modes[i] = modes[i]
+        for k in range(3 * i, 3 * i + 3):
+            start[k] = f[k]
     attempts = 0
     candidates = 0
     while True:
-        if attempts == 1 or attempts == 2:
-            modes[0] = OPEN if attempts == 1 else STICK
+        if attempts == 1:
+            for i in range(n):
+                modes[i] = start_modes[i]
+                for k in range(3 * i, 3 * i + 3):
+                    f[k] = start[k]
+        elif attempts == 2 or attempts == 3:
+            modes[0] = OPEN if attempts == 2 else STICK
             f[0] = 0.0
             f[1] = 0.0
             f[2] = 0.0
-        elif attempts > 2:
-            if attempts == 3:
+        elif attempts > 3:
+            if attempts == 4:
                 candidates = slip_angles(g, c, mu[0], angles)
-            _, stiffness, d1, d2 = slip_equation(g, c, mu[0], angles[attempts - 3])
+            _, stiffness, d1, d2 = slip_equation(g, c, mu[0], angles[attempts - 4])
             force = -c[2] / stiffness if c[2] * stiffness < 0.0 else 0.0
             modes[0] = SLIP
             f[0] = -sine[0] * force * d1
@@ -501,121 +557,216 @@ def settle(g, c, mu, modes, f, u, angles, passes, tolerance, buffers):
                 length[i], speed[i] = start_slip(3 * i, mu[i], f, u, direction, i)
 
         residual = HUGE
-        refine = residual < REFINEMENT
+        refine = attempts == 1
+        again = False
         for k in range(passes):
             before = residual
-            newton_step(g, c, mu, modes, f, u, refine, buffers)
+            open_directions = newton_step(g, c, mu, modes, f, u, refine, buffers)
             respond(g, c, f, u, size)
             residual = judge(mu, f, u, size)
             stalled = residual > 0.5 * before
             if residual <= ROUND_OFF or (residual <= tolerance and stalled):
                 return residual, k + 1, attempts
-            if not residual < HUGE or (refine and stalled):
+            if not residual < HUGE:
                 break
             changes = correct_modes(mu, modes, f, u, direction, length, speed)
-            refine = changes == 0 and residual < REFINEMENT
+            if attempts == 0 and changes > 0 and open_directions > 0:
+                again = True
+                break
+            if changes == 0 and stalled and refine:
+                break
+            refine = attempts == 1 or (changes == 0 and residual < REFINEMENT)
         if residual <= tolerance:
             return residual, passes, attempts
         attempts += 1
-        if n > 1 or (attempts > 3 and attempts >= 3 + candidates):
+        if n > 1 and not again:
+            return residual, passes, attempts
+        if n == 1 and attempts > 4 and attempts >= 4 + candidates:
             return residual, passes, attempts
 
 
 @kernel
-def sweep_contact(g, f, u, i, g_i, c_i, f_i, u_i):
-    """Cut contact i out of the problem with the other contacts' forces fixed: g_i (3, 3), c_i, f_i, u_i (3,)."""
-    k = 3 * i
-    for r in range(3):
-        c_i[r] = u[k + r]
-        f_i[r] = f[k + r]
-        u_i[r] = u[k + r]
-        for s in range(3):
-            g_i[r, s] = g[k + r, k + s]
-            c_i[r] -= g[k + r, k + s] * f[k + s]
+def cone_step(x1, x2, xn, d1, d2, dn):
+    """Longest step from x, inside the cone |x_t| < x_n, along d until it leaves; at most 1e10."""
+    curvature = dn * dn - d1 * d1 - d2 * d2
+    slope = xn * dn - x1 * d1 - x2 * d2
+    tangential = sqrt(x1 * x1 + x2 * x2)
+    value = (xn - tangential) * (xn + tangential)
+    step = 1e10
+    if dn < 0.0:
+        step = min(step, -xn / dn)
+    discriminant = slope * slope - curvature * value
+    if discriminant >= 0.0:
+        root = sqrt(discriminant)
+        q = -(slope + root) if slope > 0.0 else root - slope
+        if q / curvature > 0.0:
+            step = min(step, q / curvature)
+        if value / q > 0.0:
+            step = min(step, value / q)
+    return step
 
 
-@entry_kernel(
-    REAL[:, ::1], REAL[::1], REAL[::1], INTEGER[::1], REAL[::1], REAL[::1],
-    REAL[::1], INTEGER[::1], INTEGER, INTEGER, INTEGER, REAL,
-)  # fmt: skip
-def solve_cones(matrix, b, mu, modes, forces, velocities, work, integers, task, passes, sweeps, tolerance):
-    """Forces and velocities of n contacts from what is known of them; returns the residual.
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, REAL, REAL, REAL)
+def interior_point(delassus, b, mu, table, first_f, first_y, pivoting):
+    """Forces (3n,) in the table by a primal-dual interior-point method with Nesterov-Todd scaling; the residual.
 
-    matrix (3n, 3n), b (3n,), mu (n,): the problem. task says how it is begun:
-      WARM       from modes (n,) and forces (3n,)
-      CLASSIFY   from forces alone; the modes are read off the judge's projections. If they are refused, up to
-                 `sweeps` Gauss-Seidel sweeps of exact single-contact solutions follow, with new trials in between.
-    On success (residual <= tolerance) modes, forces and velocities (3n,) are written, otherwise none of them is.
-    integers[0] is the number of Newton passes and sweeps used, integers[1] is 1 if a single contact needed the
-    search over its states. work, integers: `scratch_size(n)` floats and `scratch_integers(n)` integers.
+    The cones are scaled to |f_t| <= f_n; then y = (u_t, u_n / mu + |u_t|) is in the same cone, orthogonal to f, and De
+    Saxce's |u_t| is taken into Newton's matrix, which makes it unsymmetric and the method fast but not sure to
+    converge: other starting sizes first_f, first_y often help. Between redundant forces it ends well inside the cones,
+    which is where the modes can be told. delassus, b, mu, table: as for `solve_cones`; pivoting: the tolerance of
+    `minimum_norm_solve`, 0 where the contacts' inertias are not extremely different.
     """
     n = mu.shape[0]
     rows = 3 * n
-    area = rows * rows
-    g = work[0:area].reshape(rows, rows)
-    a = work[area : 2 * area].reshape(rows, rows)
-    gram = work[2 * area : 3 * area].reshape(rows, rows)
-    vectors = work[3 * area : 3 * area + 7 * rows].reshape(7, rows)
+    forces = reals(table[FORCES], rows)
+    vectors = matrix(table[VECTORS], 8, rows)
+    scalars = matrix(table[SCALARS], 7, n)
+    a = matrix(table[SYSTEM], rows, rows)
+    g = matrix(table[SCALED], rows, rows)
+    gram = matrix(table[GRAM], rows, rows)
+    order = integers(table[ORDER], rows)
+    c = vectors[0]
+    f = vectors[1]
+    y = vectors[2]
+    weight = vectors[3]
+    rhs = vectors[4]
+    x = vectors[5]
+    row_of_g = vectors[6]
+    change = vectors[7]
+    scale = scalars[0]
+    size = scalars[1]
+    largest = scale_problem(delassus, b, n, g, c, scale)
+    unit = 0.0
+    for i in range(n):
+        k = 3 * i
+        friction = min(max(mu[i], LEAST_FRICTION), LARGEST_FRICTION)
+        trace = g[k, k] + g[k + 1, k + 1] + g[k + 2, k + 2] / (friction * friction)
+        weight[k] = sqrt(3.0 / trace) if trace > 0.0 else 1.0
+        weight[k + 1] = weight[k]
+        weight[k + 2] = weight[k] / friction
+        for r in range(k, k + 3):
+            unit = max(unit, abs(weight[r] * c[r]))
+            f[r] = 0.0
+            y[r] = 0.0
+        f[k + 2] = first_f
+        y[k + 2] = first_y
+    unit = unit if unit > 0.0 else 1.0
+    residual = HUGE
+    centring = 0.2
+    for _ in range(INTERIOR_PASSES):
+        gap = 0.0
+        for k in range(rows):
+            gap += f[k] * y[k] / n
+            change[k] = weight[k] * f[k]
+        residual = gap
+        for k in range(rows):
+            total = c[k] / unit
+            for j in range(rows):
+                total += g[k, j] * change[j]
+            rhs[k] = weight[k] * total - y[k]
+        for i in range(n):
+            k = 3 * i
+            speed = sqrt(y[k] ** 2 + y[k + 1] ** 2)
+            d1 = y[k] / speed if speed > 0.0 else 0.0
+            d2 = y[k + 1] / speed if speed > 0.0 else 0.0
+            rhs[k + 2] += speed
+            for r in range(k, k + 3):
+                residual = max(residual, abs(rhs[r]))
+            # dy_n = ... + d . dy_t: the row of |u_t|.
+            rhs[k + 2] += d1 * rhs[k] + d2 * rhs[k + 1]
+            push = sqrt(f[k] ** 2 + f[k + 1] ** 2)
+            f_norm = (f[k + 2] - push) * (f[k + 2] + push)
+            y_norm = (y[k + 2] - speed) * (y[k + 2] + speed)
+            for j in range(rows):
+                a[k, j] = weight[k] * g[k, j] * weight[j]
+                a[k + 1, j] = weight[k] * g[k + 1, j] * weight[j]
+                a[k + 2, j] = weight[k + 2] * g[k + 2, j] * weight[j] + d1 * a[k, j] + d2 * a[k + 1, j]
+            # Right-hand side of W^2 df + dy = centring gap f^-1 - y, for the inverse in the cone's algebra.
+            target = centring * gap / f_norm
+            x[k] = -target * f[k] - y[k]
+            x[k + 1] = -target * f[k + 1] - y[k + 1]
+            x[k + 2] = target * f[k + 2] - y[k + 2]
+            for r in range(k, k + 3):
+                rhs[r] = x[r] - rhs[r]
+            # W^2 = eta^2 (2 w w^T - diag(-1, -1, 1)), which maps f to y.
+            f_root = sqrt(f_norm)
+            y_root = sqrt(y_norm)
+            cosine = (f[k] * y[k] + f[k + 1] * y[k + 1] + f[k + 2] * y[k + 2]) / (f_root * y_root)
+            shrink = 1.0 / sqrt(2.0 * (1.0 + cosine))
+            row_of_g[k] = shrink * (y[k] / y_root - f[k] / f_root)
+            row_of_g[k + 1] = shrink * (y[k + 1] / y_root - f[k + 1] / f_root)
+            row_of_g[k + 2] = shrink * (y[k + 2] / y_root + f[k + 2] / f_root)
+            size[i] = y_root / f_root
+            for r in range(3):
+                for q in range(3):
+                    a[k + r, k + q] += 2.0 * size[i] * row_of_g[k + r] * row_of_g[k + q]
+                a[k + r, k + r] += size[i] if r < 2 else -size[i]
+        if residual < INTERIOR_ACCURACY or not residual < HUGE:
+            break
+        minimum_norm_solve(a, rhs, rows, change, gram, order, pivoting)
+        step = 1.0 / INTERIOR_BACK_OFF
+        for i in range(n):
+            k = 3 * i
+            along = 2.0 * (row_of_g[k] * change[k] + row_of_g[k + 1] * change[k + 1] + row_of_g[k + 2] * change[k + 2])
+            for r in range(k, k + 3):
+                sign = -1.0 if r < k + 2 else 1.0
+                x[r] -= size[i] * (along * row_of_g[r] - sign * change[r])
+            step = min(step, cone_step(f[k], f[k + 1], f[k + 2], change[k], change[k + 1], change[k + 2]))
+            step = min(step, cone_step(y[k], y[k + 1], y[k + 2], x[k], x[k + 1], x[k + 2]))
+        step *= INTERIOR_BACK_OFF
+        for k in range(rows):
+            f[k] += step * change[k]
+            y[k] += step * x[k]
+        centring = min(max(1.0 - step, 0.01), 0.8)
+    for k in range(rows):
+        forces[k] = f[k] * weight[k] * unit * scale[k // 3] * largest
+    return residual
+
+
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, INTEGER, INTEGER, REAL)
+def solve_cones(delassus, b, mu, table, task, passes, tolerance):
+    """Forces and velocities of n contacts from what is known of them; returns the residual.
+
+    delassus (3n, 3n), b (3n,), mu (n,): the problem; table: that of `cone_memory(n)`. task says how it is begun:
+      WARM       from the modes and forces in the table
+      CLASSIFY   from the forces alone; the modes are read off the judge's projections
+    On success (residual <= tolerance) modes, forces and velocities are written, otherwise none of them is.
+    """
+    n = mu.shape[0]
+    rows = 3 * n
+    modes = integers(table[MODES], n)
+    forces = reals(table[FORCES], rows)
+    velocities = reals(table[VELOCITIES], rows)
+    counts = integers(table[COUNTS], 2)
+    g = matrix(table[SCALED], rows, rows)
+    vectors = matrix(table[VECTORS], 8, rows)
     c = vectors[0]
     f = vectors[1]
     u = vectors[2]
-    kept = vectors[3]
-    at = 3 * area + 7 * rows
-    scalars = work[at : at + 8 * n].reshape(8, n)
-    local = work[at + 8 * n : at + 8 * n + 19]
-    angles = work[at + 8 * n + 19 : at + 8 * n + 19 + CANDIDATES]
-    order = integers[2 : 2 + rows]
-    first = integers[2 + rows : 3 + rows + n]
-    trial = integers[3 + rows + n : 3 + rows + 2 * n]
-    local_mode = integers[3 + rows + 2 * n : 4 + rows + 2 * n]
-    size = scalars[0]
-    scale = scalars[7]
+    start = vectors[3]
+    scalars = matrix(table[SCALARS], 7, n)
+    scale = scalars[0]
+    angles = reals(table[ANGLES], CANDIDATES)
+    trials = integer_matrix(table[TRIAL], 2, n)
+    trial = trials[0]
     buffers = (
-        size, work[at + 5 * n : at + 7 * n], scalars[1], scalars[2], scalars[3], scalars[4],
-        a, vectors[4], vectors[5], vectors[6], gram, order, first,
+        scalars[1], reals(table[DIRECTIONS], 2 * n), scalars[2], scalars[3], scalars[4], scalars[5],
+        matrix(table[SYSTEM], rows, rows), vectors[4], vectors[5], vectors[6], matrix(table[GRAM], rows, rows),
+        integers(table[ORDER], rows), integers(table[FIRST], n + 1),
     )  # fmt: skip
+    size = buffers[0]
 
-    unit = scale_problem(matrix, b, n, g, c, scale)
+    unit = scale_problem(delassus, b, n, g, c, scale)
     for i in range(n):
         trial[i] = modes[i]
         for k in range(3 * i, 3 * i + 3):
             f[k] = forces[k] / (scale[i] * unit)
-    g_i = local[0:9].reshape(3, 3)
-    c_i = local[9:12]
-    f_i = local[12:15]
-    u_i = local[15:18]
-    mu_i = local[18:19]
-    integers[1] = 0
-    swept = 0
-    attempt = 0
-    while True:
-        if task != WARM:
-            respond(g, c, f, u, size)
-            while swept < attempt:
-                for i in range(n):
-                    sweep_contact(g, f, u, i, g_i, c_i, f_i, u_i)
-                    mu_i[0] = mu[i]
-                    classify(mu_i, f_i, u_i, local_mode)
-                    accuracy, _, _ = settle(g_i, c_i, mu_i, local_mode, f_i, u_i, angles, passes, tolerance, buffers)
-                    if accuracy <= tolerance:
-                        for s in range(3):
-                            k = 3 * i + s
-                            change = f_i[s] - f[k]
-                            f[k] = f_i[s]
-                            for r in range(rows):
-                                u[r] += g[r, k] * change
-                swept += 1
-            classify(mu, f, u, trial)
-            for k in range(rows):
-                kept[k] = f[k]
-        residual, used, tried = settle(g, c, mu, trial, f, u, angles, passes, tolerance, buffers)
-        if residual <= tolerance or swept >= sweeps:
-            break
-        for k in range(rows):
-            f[k] = kept[k]
-        attempt = min(sweeps, swept + 1 + swept // 2)
-    integers[0] = used + swept
-    integers[1] = 1 if tried > 0 else 0
+    if task == CLASSIFY:
+        respond(g, c, f, u, size)
+        classify(mu, f, u, trial)
+    residual, used, tried = settle(g, c, mu, trial, f, u, angles, start, trials[1], passes, tolerance, buffers)
+    counts[0] = used
+    counts[1] = 1 if tried > 1 else 0
     if residual <= tolerance:
         for i in range(n):
             modes[i] = trial[i]
@@ -629,13 +780,13 @@ def solve_cones(matrix, b, mu, modes, forces, velocities, work, integers, task, 
     REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL, REAL[:, ::1], REAL[::1], REAL[:, ::1], REAL[::1],
     REAL[::1], REAL[::1],
 )  # fmt: skip
-def assemble_qp(matrix, b, mu, f, proximal, hessian, gradient, facets, upper, unit, work):
+def assemble_qp(delassus, b, mu, f, proximal, hessian, gradient, facets, upper, unit, work):
     """The quadratic program around scaled forces f (3n,): min f' H f / 2 + g' f with facets f <= upper.
 
     Four tangent planes per contact, the first at the direction of f itself; the cone's curvature times its
     multiplier |u_t| in the Hessian; De Saxce's shift mu |u_t| n and the proximal pull to f in the gradient.
     hessian (3n, 3n), gradient (3n,), facets (4n, 3n; zero outside the contacts' blocks), upper (4n,): output;
-    unit (3n,): output, the forces that scaled ones are counted in; work: `scratch_size(n)` floats.
+    unit (3n,): output, the forces that scaled ones are counted in; work (8n,): scratch.
     """
     n = mu.shape[0]
     rows = 3 * n
@@ -643,7 +794,7 @@ def assemble_qp(matrix, b, mu, f, proximal, hessian, gradient, facets, upper, un
     u = work[rows : 2 * rows]
     scale = work[2 * rows : 2 * rows + n]
     size = work[2 * rows + n : 2 * rows + 2 * n]
-    largest = scale_problem(matrix, b, n, hessian, c, scale)
+    largest = scale_problem(delassus, b, n, hessian, c, scale)
     respond(hessian, c, f, u, size)
     for i in range(n):
         k = 3 * i

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from .cone import assemble_qp, scratch_size
+from .cone import assemble_qp
 
 # The pull towards the last forces that makes a singular Delassus matrix definite (unit-sized scaling).
 PROXIMAL = 1e-6
-ACCURACY = 1e-7
+ACCURACY = 1e-6
 # A degenerate program can keep ProxQP busy for seconds; one that needs more than this is better left.
 ITERATIONS = 100
 
@@ -34,17 +34,16 @@ class ConeQP:
         self.lower = np.full(4 * contacts, -1e20)
         self.unit = np.ones(rows)
         self.estimate = np.zeros(rows)
-        self._work = np.zeros(scratch_size(contacts))
+        self._work = np.zeros(8 * contacts)
         self._solved = proxqp.QPSolverOutput.PROXQP_SOLVED
-        self._cold = proxqp.InitialGuess.NO_INITIAL_GUESS
-        self._previous = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
         self._qp: Any = proxqp.dense.QP(rows, 0, 4 * contacts)
         settings = self._qp.settings
         settings.eps_abs = ACCURACY
         settings.eps_rel = 0.0
         settings.max_iter = ITERATIONS
         settings.max_iter_in = ITERATIONS
-        settings.initial_guess = self._cold
+        # Starting from the previous result is slower and fails more often when the problem is another one.
+        settings.initial_guess = proxqp.InitialGuess.EQUALITY_CONSTRAINED_INITIAL_GUESS
         settings.compute_preconditioner = False
         self._initialised = False
 
@@ -52,13 +51,13 @@ class ConeQP:
         """Forget the last forces: the next program is the first of a sequence."""
         self.estimate[:] = 0.0
 
-    def solve(self, matrix: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+    def solve(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Solve the program around `estimate` (3n,) and put its forces there; False if ProxQP gave up.
 
-        matrix (3n, 3n), b (3n,), mu (n,): the contact problem in the caller's units; `estimate * unit` are forces.
+        delassus (3n, 3n), b (3n,), mu (n,): the contact problem in the caller's units; `estimate * unit` are forces.
         """
         assemble_qp(
-            matrix,
+            delassus,
             b,
             mu,
             self.estimate,

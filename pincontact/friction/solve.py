@@ -7,8 +7,8 @@ judge accepts or refuses them:
     qp      a sequence of ProxQP programs
     pgs     Pinocchio's projected Gauss-Seidel solver
 
-and when all of these are refused, Gauss-Seidel sweeps of exact single-contact solutions (`sweep`). A single contact
-needs no such search: its states can be enumerated (`exact`).
+and when all of these are refused, the interior-point method of `cone` from several starting points (`interior`). A
+single contact needs no such search: its states can be enumerated (`exact`).
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import ArgumentError, SolverError
-from .cone import CLASSIFY, OPEN, SLIP, STICK, WARM, scratch_integers, scratch_size, solve_cones
+from .cone import CLASSIFY, INTERIOR_STARTS, OPEN, SLIP, STICK, TINY, WARM, cone_memory, interior_point, solve_cones
 from .qp import ConeQP
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactSolution", "ContactSolver", "solve_contacts"]
 
 NEWTON_PASSES = 20
-QP_LIMIT = 6
-SWEEP_LIMIT = 400
+QP_LIMIT = 2
+STAGES = ("qp", "interior", "pgs")
 _PGS_FRICTION = 1e4
 
 
@@ -35,11 +35,12 @@ class _Workspace:
 
     def __init__(self, contacts: int):
         self.contacts = contacts
-        self.modes = np.full(contacts, STICK, dtype=np.int64)
-        self.forces = np.zeros(3 * contacts)
-        self.velocities = np.zeros(3 * contacts)
-        self.work = np.zeros(scratch_size(contacts))
-        self.integers = np.zeros(scratch_integers(contacts), dtype=np.int64)
+        self.memory = cone_memory(contacts)
+        self.table = self.memory.table
+        self.modes = self.memory["modes"]
+        self.forces = self.memory["forces"]
+        self.velocities = self.memory["velocities"]
+        self.counts = self.memory["counts"]
         self.warm = False
         self.qp: ConeQP | None = None
         self.pgs: _PinocchioPGS | None = None
@@ -98,7 +99,7 @@ class ContactSolution:
     residual:    relative residual of the judge (see `cone`), without units
     iterations:  Newton passes (or sweeps) of the stage that decided
     qp_count:    programs solved by ProxQP
-    decided_by:  "warm", "exact", "qp", "pgs" or "sweep"
+    decided_by:  "warm", "exact", "qp", "pgs" or "interior"
     mu:          (n,) the coefficients
     """
 
@@ -137,19 +138,20 @@ class ContactSolver:
     After `solve` returns True, `modes` (n,), `forces` (3n,), `velocities` (3n,) and `residual` hold the solution; they
     are buffers that the next call overwrites. When it returns False they are what they were before.
 
-    Counters: polish_count (warm Newton calls), qp_count, pgs_count, sweep_count, and decided (by stage).
+    Counters: polish_count (warm Newton calls), qp_count, pgs_count, interior_count, and decided (by stage).
     """
 
-    def __init__(self, tolerance: float = 1e-10):
+    def __init__(self, tolerance: float = 1e-10, stages: tuple[str, ...] = STAGES):
         self.tolerance = tolerance
+        self.stages = stages
         self.residual = 0.0
         self.iterations = 0
         self.decided_by = ""
         self.polish_count = 0
         self.qp_count = 0
         self.pgs_count = 0
-        self.sweep_count = 0
-        self.decided = {"warm": 0, "exact": 0, "qp": 0, "pgs": 0, "sweep": 0}
+        self.interior_count = 0
+        self.decided = {"warm": 0, "exact": 0, "qp": 0, "pgs": 0, "interior": 0}
         self._spaces: dict[int, _Workspace] = {}
         self._space = self._workspace(1)
 
@@ -182,41 +184,55 @@ class ContactSolver:
         if space.contacts != contacts:
             space = self._workspace(contacts)
         if space.warm or contacts == 1:
+            warm = space.warm
+            if not warm:
+                space.modes[0] = STICK
+                space.forces[:] = 0.0
             self.polish_count += 1
             residual = solve_cones(
-                matrix, b, mu, space.modes, space.forces, space.velocities, space.work, space.integers,
-                WARM, NEWTON_PASSES, 0, self.tolerance,
+                matrix, b, mu, space.table, WARM, NEWTON_PASSES, self.tolerance,
             )  # fmt: skip
             if residual <= self.tolerance:
                 self.residual = residual
                 space.warm = True
-                self.decided_by = "exact" if space.integers[1] else "warm"
+                self.decided_by = "warm" if warm and not space.counts[1] else "exact"
+                self.decided[self.decided_by] += 1
                 return True
             self.residual = residual
         return self._search(space, matrix, b, mu)
 
-    def _accept(self, space: _Workspace, residual: float, stage: str) -> bool:
-        if not residual <= self.tolerance:
-            self.residual = min(self.residual, residual)
-            return False
-        self.residual = residual
-        self.iterations = int(space.integers[0])
-        self.decided_by = stage
-        space.warm = True
-        return True
-
     def _search(self, space: _Workspace, matrix: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """The stages after the warm one."""
+        """The stages after the warm one, in their order."""
         self.residual = np.inf
         before = space.forces.copy()
-        estimate = before
+        for stage in self.stages:
+            if stage == "qp":
+                solved = self._search_qp(space, matrix, b, mu)
+            elif stage == "pgs":
+                solved = self._search_pgs(space, matrix, b, mu)
+            else:
+                solved = self._search_interior(space, matrix, b, mu)
+            if solved:
+                self.decided_by = stage
+                self.decided[stage] += 1
+                return True
+        space.forces[:] = before
+        return False
 
-        def polish(task: int, sweeps: int) -> float:
-            return solve_cones(
-                matrix, b, mu, space.modes, space.forces, space.velocities, space.work, space.integers,
-                task, NEWTON_PASSES, sweeps, self.tolerance,
-            )  # fmt: skip
+    def _newton(self, space: _Workspace, matrix: np.ndarray, b: np.ndarray, mu: np.ndarray, task: int) -> bool:
+        """Newton and judge from the workspace's forces; True if accepted."""
+        residual = solve_cones(
+            matrix, b, mu, space.table, task, NEWTON_PASSES, self.tolerance,
+        )  # fmt: skip
+        if residual <= self.tolerance:
+            self.residual = residual
+            space.warm = True
+            return True
+        self.residual = min(self.residual, residual)
+        return False
 
+    def _search_qp(self, space: _Workspace, matrix: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """A sequence of QPs, each around the forces of the last."""
         if space.qp is None:
             space.qp = ConeQP(space.contacts)
         space.qp.restart()
@@ -224,27 +240,34 @@ class ContactSolver:
             self.qp_count += 1
             finished = space.qp.solve(matrix, b, mu)
             if not np.isfinite(space.qp.estimate).all():
-                break
-            estimate = space.qp.estimate * space.qp.unit
-            space.forces[:] = estimate
-            if self._accept(space, polish(CLASSIFY, 0), "qp"):
+                return False
+            space.forces[:] = space.qp.estimate * space.qp.unit
+            if self._newton(space, matrix, b, mu, CLASSIFY):
                 return True
             if not finished:
-                break
+                return False
+        return False
+
+    def _search_pgs(self, space: _Workspace, matrix: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Modes from Pinocchio's projected Gauss-Seidel."""
         if space.pgs is None:
             space.pgs = _PinocchioPGS(space.contacts)
         self.pgs_count += 1
         forces = space.pgs.solve(matrix, b, mu)
-        if forces is not None:
-            estimate = forces
-            space.forces[:] = forces
-            if self._accept(space, polish(CLASSIFY, 0), "pgs"):
+        if forces is None:
+            return False
+        space.forces[:] = forces
+        return self._newton(space, matrix, b, mu, CLASSIFY)
+
+    def _search_interior(self, space: _Workspace, matrix: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Modes from the interior-point method, from one starting point after the other."""
+        for start, (first_force, first_velocity) in enumerate(INTERIOR_STARTS):
+            self.interior_count += 1
+            # Complete pivoting costs several times more, and is needed for extreme mass ratios only.
+            pivoting = 0.0 if start == 0 else TINY
+            interior_point(matrix, b, mu, space.table, first_force, first_velocity, pivoting)
+            if np.isfinite(space.forces).all() and self._newton(space, matrix, b, mu, CLASSIFY):
                 return True
-        self.sweep_count += 1
-        space.forces[:] = estimate
-        if self._accept(space, polish(CLASSIFY, SWEEP_LIMIT), "sweep"):
-            return True
-        space.forces[:] = before
         return False
 
     def solution(self, mu: np.ndarray) -> ContactSolution:

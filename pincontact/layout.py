@@ -160,9 +160,28 @@ TIME, STEP, ERROR_NORM, GAP_RESIDUAL, VELOCITY_RESIDUAL, CORRECTION_SIZE, CONDIT
 ) = range(13)
 CONTACT_INTS = 13
 
-# contact_real
-MU, LENGTH, DIRECTION_X, DIRECTION_Y, DIRECTION_Z, CONDITION, NORMAL_1, NORMAL_2, SLIP_SPEED, SLIP_RATE = range(10)
-CONTACT_REALS = 10
+# contact_real; a frozen slip direction is DIRECTION + p(s) ACROSS with p of the coefficients POLYNOMIAL.. in
+# s = (t - START) / SPAN, all vectors in world axes
+(
+    MU,
+    LENGTH,
+    CONDITION,
+    NORMAL_1,
+    NORMAL_2,
+    SLIP_SPEED,
+    SLIP_RATE,
+    START,
+    SPAN,
+    DIRECTION_X,
+    DIRECTION_Y,
+    DIRECTION_Z,
+    ACROSS_X,
+    ACROSS_Y,
+    ACROSS_Z,
+    POLYNOMIAL,
+) = range(16)
+POLYNOMIAL_SIZE = 5
+CONTACT_REALS = POLYNOMIAL + POLYNOMIAL_SIZE
 
 # side_int
 (

@@ -13,6 +13,7 @@ from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
 from ..jit import kernel
 from ..layout import (
+    ACROSS_X,
     DIRECTION_X,
     EVENT,
     FREE,
@@ -28,11 +29,15 @@ from ..layout import (
     NORMAL_SIGN,
     OK,
     PATTERN,
+    POLYNOMIAL,
+    POLYNOMIAL_SIZE,
     SLIP_RATE,
     SLIP_SIGN,
     SLIP_SPEED,
     SLIPPING,
+    SPAN,
     SPEED_MARGIN,
+    START,
     STICK,
     TANGENTS,
     UNILATERAL,
@@ -47,25 +52,31 @@ PAINLEVE_LIMIT = 1e-9
 
 
 @kernel
-def slip_direction(integers, numbers, slip, basis, direction):
+def slip_direction(integers, numbers, slip, basis, time, direction):
     """Unit direction of slip in the tangent plane, components along (t1, second); and the slip speed.
 
-    Patterns with one tangent keep their sign as a mode; a frozen direction (slip about to start) is in world axes.
+    Patterns with one tangent keep their sign as a mode. A frozen direction (slip that starts, whose v_c is too small to
+    show one) is a polynomial of time in world axes.
     """
-    along, across = dot(basis[0], slip), dot(basis[1], slip)
+    along, aside = dot(basis[0], slip), dot(basis[1], slip)
     if integers[TANGENTS] == 1:
         direction[0], direction[1] = float(integers[SLIP_SIGN]), 0.0
         return direction[0] * along
-    speed = math.hypot(along, across)
+    speed = math.hypot(along, aside)
     if integers[FROZEN] != 0 or speed == 0.0:
-        world = numbers[DIRECTION_X : DIRECTION_X + 3]
-        direction[0], direction[1] = dot(basis[0], world), dot(basis[1], world)
+        world, across = numbers[DIRECTION_X : DIRECTION_X + 3], numbers[ACROSS_X : ACROSS_X + 3]
+        share = (time - numbers[START]) / numbers[SPAN]
+        turn = 0.0
+        for j in range(POLYNOMIAL_SIZE - 1, -1, -1):
+            turn = turn * share + numbers[POLYNOMIAL + j]
+        direction[0] = dot(basis[0], world) + turn * dot(basis[0], across)
+        direction[1] = dot(basis[1], world) + turn * dot(basis[1], across)
         size = math.hypot(direction[0], direction[1])
         if size > 0.0:
             direction[0] /= size
             direction[1] /= size
     else:
-        direction[0], direction[1] = along / speed, across / speed
+        direction[0], direction[1] = along / speed, aside / speed
     return speed
 
 
@@ -126,6 +137,7 @@ def friction_directions(
     nv,
     whitened,
     whitened_forces,
+    time,
     direction,
     work,
 ):
@@ -141,7 +153,7 @@ def friction_directions(
             whitened_forces[r, k] = whitened[r, k]
         if integers[MODE] != SLIPPING or numbers[MU] == 0.0:
             continue
-        numbers[SLIP_SPEED] = slip_direction(integers, numbers, slip[c], basis[c], direction)
+        numbers[SLIP_SPEED] = slip_direction(integers, numbers, slip[c], basis[c], time, direction)
         if integers[PATTERN] == ON_CURVE:
             share = numbers[NORMAL_1] if row == 2 else numbers[NORMAL_2]
         else:
@@ -229,6 +241,7 @@ def contact_dynamics(
     relative_acceleration,
     margins,
     work,
+    time,
     direction,
 ):
     """Accelerations, forces on body 2 along each basis, and the margins of the present modes.
@@ -257,6 +270,7 @@ def contact_dynamics(
                 nv,
                 whitened,
                 whitened_forces,
+                time,
                 direction,
                 work,
             )
@@ -300,6 +314,7 @@ def contact_dynamics(
         force,
         relative_acceleration,
         margins,
+        time,
         direction,
     )
 
@@ -338,6 +353,7 @@ def _margins(
     force,
     relative_acceleration,
     margins,
+    time,
     direction,
 ):
     """Complete the forces of slip and fill the event functions."""
@@ -365,7 +381,7 @@ def _margins(
         elif mode == SLIPPING:
             if integers[UNILATERAL] == 0 and integers[PATTERN] != ON_CURVE:
                 value[NORMAL_MARGIN] = integers[NORMAL_SIGN] * normal
-            speed = slip_direction(integers, numbers, slip[c], basis[c], direction)
+            speed = slip_direction(integers, numbers, slip[c], basis[c], time, direction)
             numbers[SLIP_SPEED] = speed
             if integers[TANGENTS] == 1:
                 force[c, 0] = -numbers[MU] * size * direction[0]

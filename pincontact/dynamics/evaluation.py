@@ -196,7 +196,7 @@ def drive_side(table, side, nc, ints, base, frame, time, vectors):
 
 
 @kernel
-def evaluate_dynamics(table):
+def evaluate_dynamics(table, time):
     """Factor the mass matrix, then accelerations, forces and margins in the present modes."""
     sizes = integers(table[SIZES], 8)
     nv, nc = sizes[NV], sizes[NC]
@@ -243,6 +243,7 @@ def evaluate_dynamics(table):
         matrix(table[RELATIVE_ACCELERATION], nc, 3),
         matrix(table[MARGINS], nc, 4),
         reals(table[WORK], nv),
+        time,
         reals(table[VECTORS], 3),
     )
     return status if _finite(acceleration, nv) else NOT_FINITE

@@ -17,6 +17,7 @@ from scipy.linalg import solve_triangular
 from ..friction import cone
 from ..friction.solve import ContactSolver
 from ..layout import (
+    ACROSS_X,
     DIRECTION_X,
     EVENT,
     FREE,
@@ -29,9 +30,13 @@ from ..layout import (
     NORMAL_MARGIN,
     NORMAL_SIGN,
     PATTERN,
+    POLYNOMIAL,
+    POLYNOMIAL_SIZE,
     SLIP_RATE,
     SLIP_SIGN,
     SLIPPING,
+    SPAN,
+    START,
     STICK,
     TANGENTS,
     UNILATERAL,
@@ -223,7 +228,11 @@ def freeze_slip(system: System, c: int, direction: np.ndarray) -> None:
         return
     size = float(np.hypot(direction[0], direction[1]))
     unit = direction[:2] / size if size > 0.0 else np.array([1.0, 0.0])
-    numbers[DIRECTION_X : DIRECTION_X + 3] = unit @ system.basis[c, :2]
+    world = unit @ system.basis[c, :2]
+    numbers[DIRECTION_X : DIRECTION_X + 3] = world
+    numbers[ACROSS_X : ACROSS_X + 3] = np.cross(system.basis[c, 2], world)
+    numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
+    numbers[START], numbers[SPAN] = 0.0, 1.0
     integers[FROZEN] = 1
 
 

@@ -54,6 +54,7 @@ from ..layout import (
     SIDE_INTS,
     SLIP_SIGN,
     SLOTS,
+    SPAN,
     SUPPORT_SIZE,
     TANGENTS,
     TIME_DEPENDENT,
@@ -150,7 +151,7 @@ class System:
             integers[CLOSED_FORM] = closed_form(one.contour.kind, two.contour.kind)
             numbers[MU] = friction_coefficient(contact)
             numbers[LENGTH] = characteristic_length(contact)
-            numbers[NORMAL_1] = 1.0
+            numbers[NORMAL_1] = numbers[SPAN] = 1.0
             self._map_side(2 * c, one)
             self._map_side(2 * c + 1, two)
 

@@ -65,6 +65,7 @@ class Driver:
     ) -> None:
         self.rk, self.system, self.transitions = rk, rk.system, transitions
         self.locator = EventLocator(rk, users)
+        transitions.emit = self._output_short_step
         self.record, self.options, self.progress = record, options, progress
         self.steps = self.rejected = self.outputs = 0
         self._next_output = 0
@@ -82,6 +83,7 @@ class Driver:
     def _run(self, t: float, t_end: float) -> None:
         options, rk = self.options, self.rk
         start = t
+        self._end = t_end
         t = self.transitions.begin(t)
         self.locator.update_users(t)
         self._note_slips()
@@ -201,6 +203,7 @@ class Driver:
             self._after(event_time)
             self.transitions.announce(event_time, None, "user", crossing.user)
             raise Stop(TERMINATED, "a terminal event occurred")
+        self.transitions.longest_start = min(0.5 * step, 0.5 * (self._end - event_time))
         after = self.transitions.switch(event_time, *crossing.margin)
         self._after(after)
         return after
@@ -259,6 +262,10 @@ class Driver:
     def _output_due(self, t: float) -> bool:
         times = self.options.t_eval
         return times is not None and self._next_output < times.size and times[self._next_output] <= t
+
+    def _output_short_step(self, t: float, step: float) -> None:
+        if self._output_due(t + step):
+            self._output_until(t, step, self._interpolant(t, step), t + step)
 
     def _output_until(self, t: float, step: float, dense: Interpolant, until: float) -> None:
         """Record the output times in (t, until], each projected on the constraints."""

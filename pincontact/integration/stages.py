@@ -215,7 +215,7 @@ def evaluate_stage(table, start, index, estimate):
     status = evaluate_contacts(table, time, index == ONLY_KINEMATICS)
     if status != OK or index == ONLY_KINEMATICS:
         return status
-    status = evaluate_dynamics(table)
+    status = evaluate_dynamics(table, time)
     if status > EVENT or index == ONLY_EVALUATE:
         return status
     fill_slope(table, reals(table[STAGE_STATE], sizes[NY]), matrix(table[SLOPES], MAX_STAGES, sizes[NY])[index])

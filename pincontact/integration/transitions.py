@@ -38,6 +38,7 @@ from ..layout import (
 )
 from .results import CHATTER, FAILURES, SINGULAR_CONTACT, STEP_TOO_SMALL, Event, Stop
 from .runge_kutta import RungeKutta
+from .slip_start import start_slip
 
 if TYPE_CHECKING:
     pass
@@ -65,11 +66,15 @@ class Transitions:
         span: float,
         failed_control: Callable[[float], None],
     ) -> None:
+        # Writes the outputs that fall into a short step (start, size in s) taken here; the driver sets it.
+        self.emit: Callable[[float, float], None] = lambda t, step: None
         self.rk, self.system, self.names, self.restitution, self.span = rk, rk.system, names, restitution, span
         self.failed_control = failed_control
         self.modes = ModeSolver(rk.system)
         self.events: list[Event] = []
         self._recent: list[float] = []
+        # Longest time in s that the start of slip may take with a prescribed direction; the driver keeps it current.
+        self.longest_start = 0.0
         # Slip from rest is seeded after this time in s: its error is of third order in it.
         self.seed = min(
             (1e-2 * max(float(rk.system.scale[0]), 1e-14)) ** (1.0 / 3.0), 1e-2 * span if span > 0.0 else 1.0
@@ -248,6 +253,7 @@ class Transitions:
         tau = self.seed**1.5
         if rk.attempt(t, tau) != OK:
             raise self.give_up(t, NO_FORCE)
+        self.emit(t, tau)
         rk.load(system.new_state)
         system.contact_int[: system.nc, FROZEN] = 0
         self._project(t + tau)
@@ -258,8 +264,8 @@ class Transitions:
         """Contact c has reached its friction limit.
 
         With one tangent the slip's sign is known. With two its direction is not: stick runs on for a short time tau, and
-        the cone problem there gives it. The relative acceleration grows from zero, so slip is a_t tau / 2, with an
-        error of third order in tau.
+        the cone problem there tells who slips and where to. From there `slip_start` follows the direction; where it
+        cannot, slip is a_t tau / 2 after tau, since the relative acceleration grows from zero: an error of order tau^3.
         """
         rk, system = self.rk, self.system
         if system.contact_int[c, TANGENTS] == 1:
@@ -282,14 +288,34 @@ class Transitions:
             self.events.append(Event(t, self.names[started], "slip", start_q, start_v))
         for opened in decision.opened:
             self.announce(t + tau, opened, "separate")
-        if decision.started:
-            velocity = slice(system.nq, system.nq + system.nv)
-            stick[velocity] += 0.5 * tau * (system.acceleration - stick_acceleration)
-        rk.load(stick)
+        span = None
+        started = [c for c in decision.started if system.contact_int[c, FROZEN]]
+        if started and not decision.opened:
+            span = start_slip(rk, t, started, self.longest_start, 2.0 * tau)
+        if span is not None:
+            tau = span
+            self.emit(t, tau)
+            rk.load(system.new_state)
+        else:
+            self._emit_stick(t, tau, started)
+            if decision.started:
+                rk.load(stick)
+                rk.evaluate(t + tau)
+                velocity = slice(system.nq, system.nq + system.nv)
+                stick[velocity] += 0.5 * tau * (system.acceleration - stick_acceleration)
+            rk.load(stick)
         system.contact_int[: system.nc, FROZEN] = 0
         self._project(t + tau)
         rk.accept()
         return t + tau
+
+    def _emit_stick(self, t: float, tau: float, started: list[int]) -> None:
+        """Outputs of the short run-on in stick, for which its step is taken once more."""
+        rk, system = self.rk, self.system
+        system.contact_int[started, MODE] = STICK
+        if rk.evaluate_start(t) <= EVENT and rk.attempt(t, tau) == OK:
+            self.emit(t, tau)
+        system.contact_int[started, MODE] = SLIPPING
 
     # ---------------------------------------------------------------- impact
 

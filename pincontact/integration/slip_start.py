@@ -1,0 +1,119 @@
+"""Slip that grows from rest out of stick, in three dimensions.
+
+At the friction limit v_c and the relative acceleration are zero: the direction of slip is undefined, and the equation
+that turns it has the stiffness mu N / (m |v_c|), which no explicit method can follow. Just after the start v_c is
+c t^2 u(t) / 2 with a smooth direction u(t). So the direction is prescribed as a polynomial of time, which leaves a
+smooth, non-stiff motion, and its coefficients are found such that v_c has no component across it (collocation).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..layout import ACROSS_X, DIRECTION_X, EVENT, OK, POLYNOMIAL, POLYNOMIAL_SIZE, SPAN, START
+from .stages import store_slope
+
+if TYPE_CHECKING:
+    from .runge_kutta import RungeKutta
+
+# Fractions of the span at which v_c is made parallel to the direction, and others at which that is checked.
+_NODES = (0.2, 0.45, 0.7, 0.9, 1.0)
+_CHECKS = (0.32, 0.58, 0.8, 0.96)
+_PERTURBATION = 1e-4
+_NEWTON_STEPS = 8
+_HALVINGS = 12
+# v_c across the prescribed direction, relative to the velocity tolerance, that is accepted between the nodes.
+_ACCEPTED = 0.1
+_CONVERGED = 1e-3
+
+
+def start_slip(rk: RungeKutta, t: float, contacts: list[int], span: float, shortest: float) -> float | None:
+    """Move the accepted state at t through the start of slip of the contacts; returns how long in s, None if that failed.
+
+    The contacts are in slip with frozen directions. span: longest time in s to try; it is halved until the direction
+    polynomial is accurate, not below `shortest`. On success `system.new_state` is the state after it, unprojected.
+    """
+    tolerance = rk.system.scale[1] + rk.system.scale[0] * float(np.abs(rk.system.v).max(initial=0.0))
+    for _ in range(_HALVINGS):
+        if span < shortest:
+            return None
+        for c in contacts:
+            numbers = rk.system.contact_real[c]
+            numbers[START], numbers[SPAN] = t, span
+            numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
+        if _collocate(rk, t, contacts, span, tolerance):
+            return span
+        span *= 0.5
+    return None
+
+
+def _collocate(rk: RungeKutta, t: float, contacts: list[int], span: float, tolerance: float) -> bool:
+    """Newton on the polynomials' coefficients; whether v_c ends up along the direction everywhere."""
+    size = POLYNOMIAL_SIZE * len(contacts)
+    coefficients = np.zeros(size)
+    residual = _across(rk, t, contacts, span, coefficients, _NODES)
+    if residual is None:
+        return False
+    jacobian = np.zeros((size, size))
+    for j in range(size):
+        moved = coefficients.copy()
+        moved[j] = _PERTURBATION
+        other = _across(rk, t, contacts, span, moved, _NODES)
+        if other is None:
+            return False
+        jacobian[:, j] = (other - residual) / _PERTURBATION
+    for _ in range(_NEWTON_STEPS):
+        try:
+            coefficients = coefficients - np.linalg.solve(jacobian, residual)
+        except np.linalg.LinAlgError:
+            return False
+        if not np.abs(coefficients).max() < 1.0:
+            return False
+        residual = _across(rk, t, contacts, span, coefficients, _NODES)
+        if residual is None:
+            return False
+        if np.abs(residual).max() <= _CONVERGED * tolerance:
+            break
+    else:
+        return False
+    between = _across(rk, t, contacts, span, coefficients, _CHECKS)
+    # the last attempt has left the state at the end of the span in new_state
+    return between is not None and float(np.abs(between).max()) <= _ACCEPTED * tolerance and rk.error < 1.0
+
+
+def _across(
+    rk: RungeKutta, t: float, contacts: list[int], span: float, coefficients: np.ndarray, shares: tuple[float, ...]
+) -> np.ndarray | None:
+    """v_c across the prescribed directions, divided by the share squared (v_c grows so), at shares of the span."""
+    system = rk.system
+    for i, c in enumerate(contacts):
+        system.contact_real[c, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = coefficients[
+            i * POLYNOMIAL_SIZE : (i + 1) * POLYNOMIAL_SIZE
+        ]
+    rk.load(system.state)
+    if rk.evaluate(t) > EVENT:
+        return None
+    store_slope(system.table, 0)
+    if rk.attempt(t, span) != OK:
+        return None
+    dense = rk.interpolant(t, span)
+    if dense is None:
+        return None
+    out = np.zeros((len(contacts), len(shares)))
+    for k, share in enumerate(shares):
+        rk.load(dense(share))
+        if rk.evaluate(t + share * span) > EVENT:
+            return None
+        for i, c in enumerate(contacts):
+            direction = _direction(system.contact_real[c], share) @ system.basis[c, :2].T
+            direction /= np.linalg.norm(direction)
+            slip = system.basis[c, :2] @ system.slip[c]
+            out[i, k] = (direction[0] * slip[1] - direction[1] * slip[0]) / share**2
+    return out.ravel()
+
+
+def _direction(numbers: np.ndarray, share: float) -> np.ndarray:
+    turn = float(np.polynomial.polynomial.polyval(share, numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE]))
+    return numbers[DIRECTION_X : DIRECTION_X + 3] + turn * numbers[ACROSS_X : ACROSS_X + 3]

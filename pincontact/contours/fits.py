@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -14,6 +15,8 @@ from .piecewise import Direction, chebyshev_nodes, pack
 # More pieces with a lower degree keep second derivatives better than fewer with a higher one.
 _DEGREE = 12
 _MOST_PIECES = {1: 4096, 2: 1024}
+# Pieces narrower than this part of the domain are needed only where a second derivative jumps, or worse.
+_NARROWEST = 1e-5
 # The last two coefficients of a resolved piece, relative to the function's size: close to rounding.
 _RESOLVED = 2e-15
 
@@ -71,12 +74,13 @@ def fit(
         if not any(split):
             break
         refined = [_refined(b, chosen) for b, chosen in zip(breaks, split)]
-        count = int(np.prod([len(b) - 1 for b in refined]))
-        if count > _MOST_PIECES[dimension]:
+        count = math.prod(len(b) - 1 for b in refined)
+        narrow = any(np.diff(b).min() < _NARROWEST * (b[-1] - b[0]) for b in refined)
+        if narrow or count > _MOST_PIECES[dimension]:
             shown = ", ".join(f"{value:.6g}" for value in place)
             raise ContourError(
                 f"{owner}: the function cannot be traced, and fitting it leaves an error of {worst:.1e} near "
-                f"({shown}); it must be smooth and free of noise"
+                f"({shown}); it must be twice differentiable and free of noise"
             )
         breaks = refined
     directions = [Direction.chebyshev(b, _DEGREE, bool(p)) for b, p in zip(breaks, periodic)]
@@ -123,8 +127,11 @@ def _solver(dimension: int, with_derivatives: bool) -> tuple[np.ndarray, np.ndar
 
 
 def _weight(order: int) -> float:
-    """Derivatives of Chebyshev polynomials grow like degree^(2 order); this makes the data comparable."""
-    return float(_DEGREE) ** (-2 * order)
+    """Between equal weights, which cost values their last digit, and equal sizes, which cost second derivatives two.
+
+    Derivatives of Chebyshev polynomials grow like degree^(2 order).
+    """
+    return float(_DEGREE) ** -order
 
 
 def _data(

@@ -40,6 +40,9 @@ _CAP_DEGREE = 12
 _CAP_REACHES = (0.8, 0.4, 0.2, 0.1)
 # A smooth profile is fitted to rounding; one with the wrong parity misses by many orders more.
 _CAP_ERROR = 1e-12
+_CAP_ROUNDING = 1e-15
+# Second derivatives of a fit are worst at its end, so that part is left to the profile.
+_CAP_KEPT = 0.8
 _PROFILE_SAMPLES = 400
 
 
@@ -171,29 +174,46 @@ def _cap(owner: str, curve: Contour, end: float, towards: float, reach: float, s
             f"{owner}: the surface has an apex at s = {end}: the profile meets the axis with slope "
             f"dz/dr = {z_1 / r_1}, not 0; end the domain before it"
         )
-    nodes = 0.5 + 0.5 * chebyshev_nodes(5 * _CAP_DEGREE)
-    errors = []
+    best = (math.inf, 0, 0.0)
     for part in _CAP_REACHES:
         length = part * reach
-        d = length * np.sqrt(nodes)
-        values = np.array([curve.point(end + towards * distance)[:2] for distance in d])
-        powers = chebyshev.chebvander(2.0 * nodes - 1.0, _CAP_DEGREE)
-        # Fitting r = d g instead of g keeps the rounding of r near the pole from being divided by d.
-        g = np.linalg.lstsq(d[:, None] / length * powers, values[:, 0] / length, rcond=None)[0]
-        k = np.linalg.lstsq(powers, values[:, 1], rcond=None)[0]
-        errors.append(
-            max(
-                np.abs(d * (powers @ g) - values[:, 0]).max(),
-                np.abs(powers @ k - values[:, 1]).max(),
-            )
+        values = _around_pole(curve, end, towards, length)
+        for degree in range(1, _CAP_DEGREE + 1):
+            error = _cap_fit(values, length, degree)[1]
+            # Every degree beyond the first that fits to rounding only adds noise to the derivatives.
+            if error < 0.5 * best[0]:
+                best = error, degree, length
+            if best[0] <= _CAP_ROUNDING * size:
+                break
+        if best[0] <= _CAP_ROUNDING * size:
+            break
+    error, degree, length = best
+    if not error <= _CAP_ERROR * size:
+        raise ContourError(
+            f"{owner}: not smooth where the profile meets the axis at s = {end}: r must be odd and z even in the "
+            f"distance from there; the best such functions miss it by {error:.1e} m"
         )
-        if errors[-1] <= _CAP_ERROR * size:
-            direction = Direction.chebyshev(np.array([0.0, length**2]), _CAP_DEGREE)
-            return pack([direction], np.stack([g, k], axis=1)), length**2
-    raise ContourError(
-        f"{owner}: not smooth where the profile meets the axis at s = {end}: r must be odd and z even in the "
-        f"distance from there; the best such functions miss it by {min(errors):.1e} m"
-    )
+    coefficients = _cap_fit(_around_pole(curve, end, towards, length), length, degree)[0]
+    return pack([Direction.chebyshev(np.array([0.0, length**2]), degree)], coefficients), (_CAP_KEPT * length) ** 2
+
+
+# Where a cap is fitted, in d^2 relative to its reach.
+_CAP_NODES = 0.5 + 0.5 * chebyshev_nodes(5 * _CAP_DEGREE)
+
+
+def _around_pole(curve: Contour, end: float, towards: float, length: float) -> np.ndarray:
+    return np.array([curve.point(end + towards * d)[:2] for d in length * np.sqrt(_CAP_NODES)])
+
+
+def _cap_fit(values: np.ndarray, length: float, degree: int) -> tuple[np.ndarray, float]:
+    """Chebyshev coefficients (degree + 1, 2) of (g, k) that fit (r, z), and the largest deviation."""
+    d = length * np.sqrt(_CAP_NODES)[:, None]
+    powers = chebyshev.chebvander(2.0 * _CAP_NODES - 1.0, degree)
+    # Fitting r = d g instead of g keeps the rounding of r near the pole from being divided by d.
+    g = np.linalg.lstsq(d / length * powers, values[:, 0] / length, rcond=None)[0]
+    k = np.linalg.lstsq(powers, values[:, 1], rcond=None)[0]
+    fitted = np.column_stack([d[:, 0] * (powers @ g), powers @ k])
+    return np.column_stack([g, k]), float(np.abs(fitted - values).max())
 
 
 def _assemble(profile_pool: np.ndarray, caps: list[tuple[np.ndarray, float] | None]) -> np.ndarray:

@@ -518,16 +518,45 @@ def _replace(value: Any, memo: dict[Any, Any]) -> Any:
         # NumPy's own Python functions work on arrays of symbols as they are.
         return value if value.__module__.startswith("numpy") else _copy(value, memo)
     if isinstance(value, types.MethodType):
-        return types.MethodType(_replace(value.__func__, memo), value.__self__)
+        return types.MethodType(_replace(value.__func__, memo), _instance(value.__self__, memo))
     if isinstance(value, functools.partial):
-        return functools.partial(_replace(value.func, memo), *value.args, **value.keywords)
+        arguments = [_replace(argument, memo) for argument in value.args]
+        keywords = {name: _replace(argument, memo) for name, argument in value.keywords.items()}
+        return functools.partial(_replace(value.func, memo), *arguments, **keywords)
     compiled_from = getattr(value, "py_func", None)  # numba
     if isinstance(compiled_from, types.FunctionType):
         return _copy(compiled_from, memo)
-    call = vars(type(value)).get("__call__")
+    call = _call_of(value)
     if isinstance(call, types.FunctionType):
-        return types.MethodType(_copy(call, memo), value)
+        return types.MethodType(_copy(call, memo), _instance(value, memo))
     return value
+
+
+class _Instance:
+    """An object whose methods know symbols; what is assigned to it does not reach the original."""
+
+    def __init__(self, origin: Any, memo: dict[Any, Any]) -> None:
+        self.__dict__["_origin"] = (origin, memo)
+
+    def __getattr__(self, name: str) -> Any:
+        origin, memo = self.__dict__["_origin"]
+        value = getattr(origin, name)
+        if isinstance(value, types.MethodType) and value.__self__ is origin:
+            return types.MethodType(_replace(value.__func__, memo), self)
+        return _replace(value, memo)
+
+    def __call__(self, *arguments: Any) -> Any:
+        origin, memo = self.__dict__["_origin"]
+        return _replace(_call_of(origin), memo)(self, *arguments)
+
+
+def _call_of(value: Any) -> Any:
+    """What calling an object runs, before it is bound to it."""
+    return next((vars(kind)["__call__"] for kind in type(value).__mro__ if "__call__" in vars(kind)), None)
+
+
+def _instance(origin: Any, memo: dict[Any, Any]) -> Any:
+    return origin if isinstance(origin, type) else _Instance(origin, memo)
 
 
 def _copy(function: types.FunctionType, memo: dict[Any, Any]) -> types.FunctionType:
@@ -543,10 +572,13 @@ def _copy(function: types.FunctionType, memo: dict[Any, Any]) -> types.FunctionT
         "__builtins__": {**vars(builtins), "float": _Float, "__import__": imported},
     }
     cells = tuple(types.CellType() for _ in function.__closure__ or ())
-    copy = types.FunctionType(function.__code__, scope, function.__name__, function.__defaults__, cells or None)
-    copy.__kwdefaults__ = function.__kwdefaults__
+    copy = types.FunctionType(function.__code__, scope, function.__name__, None, cells or None)
     # Known before its names are filled in: functions may call each other.
     memo[function] = copy
+    if function.__defaults__:
+        copy.__defaults__ = tuple(_replace(value, memo) for value in function.__defaults__)
+    if function.__kwdefaults__:
+        copy.__kwdefaults__ = {name: _replace(value, memo) for name, value in function.__kwdefaults__.items()}
     for name in _names_in(function.__code__):
         if name in function.__globals__:
             scope[name] = _replace(function.__globals__[name], memo)

@@ -6,28 +6,16 @@ The wheel stands upright (radius 0.3 m) and its centre moves along a circle of r
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from pincontact.contours import Circle, Plane
+import pincontact as pc
+from pincontact.trajectory import ContactTrack, Energies
 
 RADIUS, TURN, SPEED, MASS, GRAVITY, MU = 0.3, 0.8, 0.9, 2.0, 9.81, 0.4
 SLIP_END, HOP_START, HOP_END, END = 0.6, 2.0, 2.2, 3.0
-
-
-@dataclass
-class Attached:
-    name: str
-    contour: Any
-    frame: str
-    joint: int
-    placement: pin.SE3 = field(default_factory=pin.SE3.Identity)
-    placement_in_joint: pin.SE3 = field(default_factory=pin.SE3.Identity)
-    motion: Any = None
 
 
 def wheel_model() -> pin.Model:
@@ -71,7 +59,6 @@ def point(t: np.ndarray) -> np.ndarray:
 
 def fake_run(rows: int = 121, name: str = "rim/floor") -> SimpleNamespace:
     """A run as `simulate` returns it, as far as replay and plots read it."""
-    model = wheel_model()
     t = np.linspace(0.0, END, rows)
     mode = np.where(t < SLIP_END, 2, 1)
     mode = np.where((t >= HOP_START) & (t < HOP_END), -1, mode)
@@ -88,28 +75,28 @@ def fake_run(rows: int = 121, name: str = "rim/floor") -> SimpleNamespace:
     points[~touching] = np.nan
     slip = np.where(mode == 2, 1.0 - t / SLIP_END, 0.0)
 
-    rim = Attached("rim", Circle(RADIUS), "disk", 1)
-    floor = Attached("floor", Plane(), "universe", 0)
-    contact = SimpleNamespace(
-        name=name,
-        first=rim,
-        second=floor,
-        friction=SimpleNamespace(sliding=MU, sticking=MU),
-        pattern=SimpleNamespace(name="3C-S"),
-    )
+    scene = pc.Scene(wheel_model())
+    rim, floor = scene.add_contour("rim", pc.Circle(RADIUS), "disk"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact(name, rim, floor, friction=pc.Coulomb(MU))
     frame = np.tile(np.eye(3), (rows, 1, 1))
-    track = SimpleNamespace(
+    # The lowest point of the rim, in the turning wheel.
+    lowest = np.where(touching, SPEED * t / RADIUS - 0.5 * np.pi, np.nan)
+    track = ContactTrack(
+        location=np.column_stack([lowest, points[:, :2]]),
+        location_first=lowest[:, None],
+        location_second=points[:, :2],
+        charts=np.zeros((rows, 2), dtype=np.int64),
         point=points,
-        force=force,
         frame=frame,
         dual_frame=frame,
+        force=force,
         multipliers=force,
         normal_force=normal_force,
         tangential_force=friction,
-        location=np.column_stack([-SPEED * t / RADIUS, points[:, :2]]),
         slip_velocity=slip[:, None] * ahead,
         mode=mode,
         gap=np.array([height(x) for x in t]),
+        conditioning=np.ones(rows),
     )
     potential = MASS * GRAVITY * (RADIUS + np.array([height(x) for x in t]))
     kinetic = np.full(rows, 0.75 * MASS * SPEED**2)
@@ -124,17 +111,10 @@ def fake_run(rows: int = 121, name: str = "rim/floor") -> SimpleNamespace:
             SimpleNamespace(time=SLIP_END, contact=name, kind="stick"),
             SimpleNamespace(time=HOP_START, contact=name, kind="separate"),
             SimpleNamespace(time=HOP_END, contact=name, kind="touch"),
+            SimpleNamespace(time=2.5, contact=None, kind="user"),
         ],
-        scene=SimpleNamespace(
-            model=model,
-            visual_model=None,
-            collision_model=None,
-            contours={"rim": rim, "floor": floor},
-            contacts={name: contact},
-        ),
+        scene=scene,
         contacts={name: track},
-        energies=lambda: SimpleNamespace(
-            kinetic=kinetic, potential=potential, friction_work=work, total=kinetic + potential
-        ),
-        residuals=lambda: {f"{name} gap": np.full(rows, 1e-15), f"{name} slip": np.full(rows, 3e-16)},
+        energies=lambda: Energies(kinetic, potential, friction_work=work, drive_work=np.zeros(rows)),
+        residuals=lambda: {"GC": np.full(rows, 1e-15), "VC": np.full(rows, 3e-16)},
     )

@@ -65,7 +65,7 @@ slider.max = info.duration;
 slider.step = info.duration / 10000;
 for (const [time, contact, kind] of info.events) {
   const tick = document.createElement("i");
-  tick.title = contact + ": " + kind;
+  tick.title = (contact ? contact + ": " : "") + kind;
   tick.style.left = (100 * (time - info.start)) / info.duration + "%";
   element("ticks").appendChild(tick);
 }

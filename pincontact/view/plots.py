@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import ArgumentError, MissingExtraError
+from ..layout import FREE, SLIPPING
 from .replay import MODE_COLORS
-from .sampling import FREE, MODE_NAMES, SLIP
+from .sampling import MODE_NAMES
 
 
 def _pyplot() -> Any:
@@ -62,7 +63,7 @@ def limit(run: Any, name: str) -> np.ndarray | None:
     if law is None or not np.isfinite(law.sticking):
         return None
     track = run.contacts[name]
-    coefficient = np.where(np.asarray(track.mode) == SLIP, law.sliding, law.sticking)
+    coefficient = np.where(np.asarray(track.mode) == SLIPPING, law.sliding, law.sticking)
     return coefficient * np.asarray(track.normal_force)
 
 
@@ -157,20 +158,26 @@ def location(run: Any, contact: str | None = None, ax: Any = None) -> Any:
     ax = _axes(ax)
     tracks = _tracks(run, contact)
     for name, track in tracks.items():
-        values = np.asarray(track.location)
-        for k in range(values.shape[1]):
-            ax.plot(run.t, values[:, k], label=_label(name, f"p{k + 1}", tracks))
+        contact_of = run.scene.contacts[name]
+        for side, values in ((contact_of.first, track.location_first), (contact_of.second, track.location_second)):
+            for k in range(values.shape[1]):
+                ax.plot(run.t, values[:, k], label=_label(name, f"{side.name} u{k + 1}", tracks))
     return _finish(ax, "location [m, rad]")
 
 
 def energy(run: Any, ax: Any = None) -> Any:
-    """Kinetic and potential energy, their sum, and the work of friction, J, over time."""
+    """Kinetic and potential energy, their sum, and the works the run recorded, J, over time.
+
+    A work that is zero throughout, such as that of drives which are not there, is left out.
+    """
     ax = _axes(ax)
     energies = run.energies()
-    for name in ("kinetic", "potential", "total", "friction_work"):
-        values = getattr(energies, name, None)
-        if values is not None:
-            ax.plot(run.t, values, label=name.replace("_", " "))
+    for name in ("kinetic", "potential", "total"):
+        ax.plot(run.t, getattr(energies, name), label=name)
+    for name in ("friction_work", "drive_work", "torque_work", "damping_work"):
+        values = getattr(energies, name)
+        if values is not None and np.any(values):
+            ax.plot(run.t, values, "--", label=name.replace("_", " "))
     return _finish(ax, "energy [J]")
 
 
@@ -196,15 +203,15 @@ KINDS: dict[str, Callable[..., Any]] = {
 _CONTACT_KINDS = ("forces", "cone", "slip", "location")
 
 
-def plot(run: Any, kinds: str | Sequence[str] | None = None, axes: Any = None) -> np.ndarray:
-    """Several plots of a run, one Axes each.
+def plot(run: Any, kinds: str | Sequence[str] | None = None, axes: Any = None) -> Any:
+    """Several plots of a run in one figure.
 
     kinds: any of "motion", "forces", "cone", "slip", "location", "energy", "residuals"; None draws all that
            this run has something for
     axes:  as many Axes to draw into; None makes a figure
 
-    Returns the Axes, (len(kinds),). Raises ArgumentError for an unknown kind or a wrong number of axes,
-    MissingExtraError without matplotlib.
+    Returns the Figure, its axes in the order of the kinds.
+    Raises ArgumentError for an unknown kind or a wrong number of axes, MissingExtraError without matplotlib.
     """
     chosen = [kinds] if isinstance(kinds, str) else kinds
     if chosen is None:
@@ -222,7 +229,7 @@ def plot(run: Any, kinds: str | Sequence[str] | None = None, axes: Any = None) -
         )
         axes = grid.reshape(-1)
         for unused in axes[len(chosen) :]:
-            unused.set_axis_off()
+            unused.remove()
         axes = axes[: len(chosen)]
     axes = np.atleast_1d(np.asarray(axes, dtype=object)).reshape(-1)
     if len(axes) != len(chosen):
@@ -230,4 +237,4 @@ def plot(run: Any, kinds: str | Sequence[str] | None = None, axes: Any = None) -
     for kind, ax in zip(chosen, axes):
         KINDS[kind](run, ax=ax)
         ax.set_title(kind, fontsize="medium")
-    return axes
+    return axes[0].figure

@@ -9,20 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ArgumentError, MissingExtraError
+from ..errors import ArgumentError, MissingExtraError, TrajectoryError
+from ..layout import FREE, FRICTIONLESS, SLIPPING, STICK
 from . import arrows, meshes
 from .bodies import contour_meshes, contour_opacity, draw_geometry, geometry_reach, shades
 from .drawing import FRONT_SIDE, Command, Drawing, color_number
 from .sampling import (
-    FREE,
-    FRICTIONLESS,
     MODE_NAMES,
-    SLIP,
-    STICK,
     ContactFrames,
     check_positive,
     configurations,
     contact_frames,
+    contour_placements,
     frame_times,
     joint_placements,
     quaternions,
@@ -35,7 +33,7 @@ MODE_COLORS = {
     FREE: (0.75, 0.75, 0.75),
     FRICTIONLESS: (0.20, 0.45, 0.85),
     STICK: (0.15, 0.62, 0.30),
-    SLIP: (0.88, 0.25, 0.15),
+    SLIPPING: (0.88, 0.25, 0.15),
 }
 _TRACE_COLOR = (0.10, 0.10, 0.14)
 _POINT_COLOR = (0.08, 0.08, 0.10)
@@ -183,9 +181,14 @@ def compose(
     model = scene.model
     t = np.asarray(run.t, dtype=float)
     frames = frame_times(t, fps, speed, max_frames)
+    if np.shape(run.q)[1] != model.nq:
+        raise TrajectoryError(
+            f"the run has configurations of {np.shape(run.q)[1]} numbers and its scene's model needs {model.nq}; a run "
+            "read from a file has to be given its scene: Trajectory.load(path, scene)"
+        )
     placements = joint_placements(model, configurations(run, frames))
-    contacts = {name: contact_frames(run, name, frames) for name in scene.contacts}
-    followed = None if follow is None else _followed_path(scene, follow, placements, contacts)
+    contacts = {name: contact_frames(run, name, frames, placements) for name in scene.contacts}
+    followed = None if follow is None else _followed_path(scene, follow, frames, placements, contacts)
 
     size = scene_size(scene, placements, contacts)
     paths = [placements[:, 1:, :3, 3].reshape(-1, 3)]
@@ -275,7 +278,7 @@ def page_info(picture: Picture, run: Any, speed: float) -> dict[str, Any]:
         "frames": len(times),
         "speed": float(speed),
         "contacts": contacts,
-        "events": [[float(e.time), str(e.contact), str(e.kind)] for e in run.events],
+        "events": [[float(e.time), e.contact or "", e.kind] for e in run.events],
         "modes": {
             str(mode): {
                 "name": name,
@@ -295,19 +298,20 @@ def _arrow_sign(contact: Any) -> float:
     return -1.0 if contact.second.joint == 0 and contact.first.joint != 0 else 1.0
 
 
-def _followed_path(scene: Any, name: str, placements: np.ndarray, contacts: dict[str, ContactFrames]) -> np.ndarray:
+def _followed_path(
+    scene: Any, name: str, times: np.ndarray, placements: np.ndarray, contacts: dict[str, ContactFrames]
+) -> np.ndarray:
     """World positions, (n, 3), of the contact, contour or frame with this name."""
     model = scene.model
     if name in contacts:
         return contacts[name].point
     if name in scene.contours:
-        joint, placement = scene.contours[name].joint, scene.contours[name].placement_in_joint.homogeneous
-    elif model.existFrame(name):
+        return contour_placements(scene.contours[name], placements, times)[:, :3, 3]
+    if model.existFrame(name):
         frame = model.frames[model.getFrameId(name)]
         joint, placement = frame.parentJoint, frame.placement.homogeneous
-    else:
-        raise ArgumentError(f"follow={name!r} is not the name of a contact, a contour or a frame")
-    return (placements[:, joint] @ placement)[:, :3, 3]
+        return (placements[:, joint] @ placement)[:, :3, 3]
+    raise ArgumentError(f"follow={name!r} is not the name of a contact, a contour or a frame")
 
 
 class _Stage:
@@ -340,6 +344,15 @@ class _Stage:
     def _animate(self, path: str, placement: np.ndarray) -> None:
         self.drawing.animate_placement(path, self.times, placement[:, :3, 3], quaternions(placement[:, :3, :3]))
 
+    def _attach(self, path: str, attached: Any, world: np.ndarray) -> None:
+        """Place a node below its body's as the contour is; world: (n, 4, 4), its placements at the frames."""
+        if attached.motion is None:
+            self.drawing.transform(path, attached.placement_in_joint.homogeneous)
+            return
+        local = np.linalg.inv(self.placements[:, attached.joint]) @ world
+        self.drawing.transform(path, local[0])
+        self._animate(path, local)
+
     def draw_robot(self) -> None:
         if self.scene.visual_model is None:
             return
@@ -355,19 +368,12 @@ class _Stage:
         pictured = {geometry.parentJoint for geometry in visuals}
         floor = False
         for name, attached in self.scene.contours.items():
-            joint, placement = attached.joint, attached.placement_in_joint.homogeneous
-            contour = attached.contour
+            joint, contour = attached.joint, attached.contour
             if joint in pictured and contour.dimension == 2 and joint != 0:
                 continue
             path = self.body(joint, "contours", name)
-            world = self.placements[:, joint] @ placement
-            if attached.motion is not None:
-                moved = _driven(attached, self.moments)
-                world = self.placements[:, joint] @ moved
-                self.drawing.transform(path, moved[0])
-                self._animate(path, moved)
-            else:
-                self.drawing.transform(path, placement)
+            world = contour_placements(attached, self.placements, self.moments)
+            self._attach(path, attached, world)
             near = self._contact_points_in(name, world)
             filled = joint != 0 and joint not in pictured and not self._carries_point(name)
             opacity = contour_opacity(contour, joint)
@@ -420,18 +426,17 @@ class _Stage:
         moments = np.linspace(self.moments[0], self.moments[-1], count)
         placements = joint_placements(self.model, configurations(self.run, moments))
         for name in self.contacts:
-            frames = contact_frames(self.run, name, moments)
+            frames = contact_frames(self.run, name, moments, placements)
             contact = self.scene.contacts[name]
             self._trace(self.drawing.path("contacts", name, "trace"), frames.point, frames.touching, moments)
             for side in (contact.first, contact.second):
                 if side.joint == 0 and side.motion is None:
                     continue
                 path = self.body(side.joint, "traces", f"{name} on {side.name}")
-                carrier = placements[:, side.joint]
-                if side.motion is not None:
-                    carrier = carrier @ _driven(side, moments)
-                    self._animate(path, _driven(side, self.moments))
-                self._trace(path, _into(carrier, frames.point), frames.touching, moments)
+                world = contour_placements(side, self.placements, self.moments)
+                self._attach(path, side, world)
+                finer = contour_placements(side, placements, moments)
+                self._trace(path, _into(finer, frames.point), frames.touching, moments)
 
     def _trace(self, path: str, points: np.ndarray, touching: np.ndarray, moments: np.ndarray) -> None:
         tubes, indices, until = [], 0, []
@@ -455,7 +460,7 @@ class _Stage:
         head = 0.13 * self.size
         for name, frames in self.contacts.items():
             for part, vectors in (("normal", frames.normal), ("friction", frames.friction)):
-                modes = [m for m in (FRICTIONLESS, STICK, SLIP) if (frames.mode == m).any()]
+                modes = [m for m in (FRICTIONLESS, STICK, SLIPPING) if (frames.mode == m).any()]
                 if part == "friction":
                     modes = [m for m in modes if m != FRICTIONLESS]
                 arrow = arrows.place_arrow(frames.point, sign[name] * scale * vectors, head)
@@ -474,12 +479,6 @@ class _Stage:
                 node = f"{path}/{piece}/{MODE_NAMES[mode]}"
                 drawing.mesh(node, mesh, MODE_COLORS[mode], False, **_ON_TOP)
                 drawing.animate_visibility(node, times, frames.mode == mode)
-
-
-def _driven(attached: Any, moments: np.ndarray) -> np.ndarray:
-    """Placements in its joint of a contour with a motion of its own, (n, 4, 4)."""
-    base = attached.placement_in_joint.homogeneous
-    return np.array([base @ attached.motion.placement(t).homogeneous for t in moments])
 
 
 def _into(placements: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import ArgumentError
+from ..layout import FREE, FRICTIONLESS, SLIPPING, STICK
 
-FREE, FRICTIONLESS, STICK, SLIP = -1, 0, 1, 2
-MODE_NAMES = {FREE: "free", FRICTIONLESS: "frictionless", STICK: "stick", SLIP: "slip"}
+MODE_NAMES = {FREE: "free", FRICTIONLESS: "frictionless", STICK: "stick", SLIPPING: "slip"}
 
 
 @dataclass
@@ -19,7 +19,7 @@ class ContactFrames:
     """One contact at the times of the frames.
 
     mode: (n,) ints; point: (n, 3) world, m; normal, friction: (n, 3) the two parts of the force on the second
-    contour, world, N. While the contact is free the forces are zero and the point stays where it was.
+    contour, world, N. While the contact is free the forces are zero and the point stays on body 1 where it was.
     """
 
     mode: np.ndarray
@@ -132,12 +132,11 @@ def quaternions(rotations: np.ndarray) -> np.ndarray:
 def split_force(contact: Any, track: Any) -> tuple[np.ndarray, np.ndarray]:
     """The normal and the friction part of a contact's force on its second contour, each (n, 3), world, in N.
 
-    With one tangential direction (a point on a curve) friction is along e_1 and all the rest is normal;
-    otherwise the normal part is along e_3 (Definition 5).
+    A point on a spatial curve has one tangential direction, e_1, and all the rest is normal; otherwise the normal
+    part is along e_3 (Definition 5).
     """
-    force = np.nan_to_num(np.asarray(track.force, dtype=float))
-    frame = np.nan_to_num(np.asarray(track.frame, dtype=float))
-    if contact.pattern.name == "P-3C":
+    force, frame = np.nan_to_num(track.force), np.nan_to_num(track.frame)
+    if contact.pattern.constraints == 2:
         tangent = frame[:, :, 0]
         friction = np.einsum("ij,ij->i", force, tangent)[:, None] * tangent
         return force - friction, friction
@@ -146,42 +145,55 @@ def split_force(contact: Any, track: Any) -> tuple[np.ndarray, np.ndarray]:
     return part, force - part
 
 
-def _segments(t: np.ndarray, touching: np.ndarray) -> np.ndarray:
-    """(n,) numbers that are equal for consecutive rows in one phase of contact with increasing times."""
-    cut = (touching[1:] != touching[:-1]) | ~(t[1:] > t[:-1])
+def contour_placements(attached: Any, placements: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """World placements of a contour, (n, 4, 4), from those of all joints, (n, njoints, 4, 4), at these times."""
+    carrier = placements[:, attached.joint] @ attached.placement_in_joint.homogeneous
+    if attached.motion is None:
+        return carrier
+    return carrier @ np.array([attached.motion.placement(t).homogeneous for t in times])
+
+
+def _phases(t: np.ndarray, touching: np.ndarray, chart: np.ndarray) -> np.ndarray:
+    """(n,) numbers, equal for consecutive rows of one phase: one contact, one chart, increasing times."""
+    cut = (touching[1:] != touching[:-1]) | (chart[1:] != chart[:-1]) | ~(t[1:] > t[:-1])
     return np.concatenate([[0], np.cumsum(cut)])
 
 
-def contact_frames(run: Any, name: str, times: np.ndarray) -> ContactFrames:
-    """One contact of a run at the given times.
+def contact_frames(run: Any, name: str, times: np.ndarray, placements: np.ndarray) -> ContactFrames:
+    """One contact of a run at the given times, when the joints are at placements, (n, njoints, 4, 4).
 
-    A phase of contact is interpolated within itself only, by monotone cubics: no component of a force overshoots
-    the recorded ones, and none leaks into a free phase.
+    Forces and location parameters are interpolated by monotone cubics, each phase of contact by itself: no component
+    of a force overshoots the recorded ones or leaks into a free phase. The point is that of body 1's contour at its
+    parameters, so that it lies on the contour however far apart the rows are.
     """
     from scipy.interpolate import PchipInterpolator
 
-    t = np.asarray(run.t, dtype=float)
-    track = run.contacts[name]
-    mode = np.asarray(track.mode)
-    normal, friction = split_force(run.scene.contacts[name], track)
-    rows = np.column_stack([np.asarray(track.point, dtype=float), normal, friction])
-    touching = (mode != FREE) & np.isfinite(rows).all(axis=1)
+    contact, track = run.scene.contacts[name], run.contacts[name]
+    t, body = np.asarray(run.t, dtype=float), contact.body1
+    dimension = body.contour.dimension
+    location, chart = track.location[:, :dimension], track.charts[:, 0]
+    normal, friction = split_force(contact, track)
+    rows = np.column_stack([normal, friction, location])
+    touching = (track.mode != FREE) & np.isfinite(rows).all(axis=1)
     row = intervals(t, times)
     # The last time belongs to the last row, not to the one before it.
     row = np.where(times >= t[-1], len(t) - 1, row)
 
     values = np.where(touching[row][:, None], rows[row], 0.0)
-    phase = _segments(t, touching)
+    phase = _phases(t, touching, chart)
     for number in np.unique(phase[touching]):
         members = np.flatnonzero(phase == number)
-        if len(members) < 2:
-            continue
+        # Between the last row of a phase and the next phase there is nothing to interpolate with.
         inside = (phase[row] == number) & (times <= t[members[-1]])
-        if inside.any():
+        if len(members) > 1 and inside.any():
             values[inside] = PchipInterpolator(t[members], rows[members], axis=0)(times[inside])
+
     shown = touching[row]
     held = np.maximum.accumulate(np.where(shown, np.arange(len(times)), -1))
-    first = int(np.argmax(shown))
-    values[:, :3] = values[np.where(held >= 0, held, first), :3]
-    values[~shown, 3:] = 0.0
-    return ContactFrames(np.where(shown, mode[row], FREE), values[:, 0:3], values[:, 3:6], values[:, 6:9])
+    held = np.where(held >= 0, held, int(np.argmax(shown)))
+    carrier = contour_placements(body, placements, times)
+    points = np.empty((len(times), 3))
+    for i, k in enumerate(held):
+        local = body.contour.point(list(values[k, 6:]), float(times[i]), int(chart[row[k]]))
+        points[i] = carrier[i, :3, :3] @ local + carrier[i, :3, 3]
+    return ContactFrames(np.where(shown, track.mode[row], FREE), points, values[:, 0:3], values[:, 3:6])

@@ -542,6 +542,12 @@ def test_shape_facts():
     assert pc.Torus(2.0, 0.5).size == 2.5
     assert pc.Point().size == 0.0
     assert pc.Point().point().tolist() == [0, 0, 0]
+    ball = pc.SurfaceOfRevolution(lambda s: (math.cos(s), math.sin(s)), POLES)
+    barrel = pc.SurfaceOfRevolution(lambda s: (2 - s * s, s), (-1.0, 1.0))
+    waisted = pc.SurfaceOfRevolution(lambda s: (2 + s * s, s), (-1.0, 1.0))
+    bowl = pc.SurfaceOfRevolution(lambda s: (s, s * s), (0.0, 1.0))  # of a marble, or of a rocker
+    assert [c.convex_side for c in (ball, barrel, waisted, bowl)] == [1, 1, 0, 0]
+    assert ball.size == pytest.approx(1.0, rel=1e-4)
     u = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ellipse = np.column_stack([2 * np.cos(u), np.sin(u)])
     assert pc.SplineCurve(ellipse, periodic=True).convex_side == 1
@@ -582,6 +588,7 @@ def test_shape_facts():
         (lambda: pc.Cone(0.5, (None, (-1.0, 1.0))), "apex"),
         (lambda: pc.Torus(1.0, 1.0), "less than major"),
         (lambda: pc.Circle(1.0).evaluate((1.0, 2.0)), "1 parameters, got 2"),
+        (lambda: pc.Sphere(1.0).evaluate((1.0, 2.0), chart=2), "2 charts, there is no number 2"),
     ],
 )
 def test_bad_numbers_are_refused_by_name(build, message):

@@ -135,6 +135,7 @@ def test_every_function_and_its_derivatives(name):
 def test_powers_are_smooth_at_zero():
     curve = pc.ParametricCurve(lambda u: (u**2, u**3, u**4 + 0.5 * u), (-1.0, 1.0))
     assert curve.evaluate(0.0)[[F, F_1, F_11]].tolist() == [[0, 0, 0], [0, 0, 0.5], [2, 0, 0]]
+    assert curve.evaluate(-0.5)[[F, F_1, F_11]].tolist() == [[0.25, -0.125, -0.1875], [-1, 0.75, 0], [2, -3, 3]]
 
 
 RADIUS = 0.3

@@ -50,7 +50,7 @@ class Contour:
     kind: int
     dimension: int
     shape: tuple[float, ...] = ()
-    pool: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    pool: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
     domain: tuple[tuple[float, float], ...] = ()
     periodic: tuple[bool, ...] = ()
     planar: bool = False
@@ -63,7 +63,8 @@ class Contour:
         """f and its derivatives at one parameter value.
 
         u: the k parameters of the given chart; t: time in s.
-        Returns (10, 3): f, f_1, f_2, f_11, f_12, f_22, f_t, f_1t, f_2t, f_tt in the contour's frame.
+        Returns (10, 3): f, f_1, f_2, f_11, f_12, f_22, f_t, f_1t, f_2t, f_tt in the contour's frame; not finite
+        where f is not differentiable. Raises ContourError for a wrong number of parameters or chart.
         """
         from .table import evaluate_contour
 
@@ -72,8 +73,14 @@ class Contour:
         if given.size != self.dimension:
             raise ContourError(f"{self.name} has {self.dimension} parameters, got {given.size}")
         parameters[: given.size] = given
+        if not 0 <= chart < self.charts:
+            raise ContourError(f"{self.name} has {self.charts} charts, there is no number {chart}")
         out = np.zeros((DERIVATIVE_ROWS, 3))
-        evaluate_contour(self.kind, chart, self.shape_row(), self.pool, parameters[0], parameters[1], float(t), out)
+        try:
+            evaluate_contour(self.kind, chart, self.shape_row(), self.pool, parameters[0], parameters[1], float(t), out)
+        except (ArithmeticError, ValueError):
+            # Without compilation Python raises where the kernels' arithmetic gives infinity or NaN.
+            out[:] = np.nan
         return out
 
     def point(self, u: Sequence[float] | float = (), t: float = 0.0, chart: int = 0) -> np.ndarray:
@@ -89,6 +96,13 @@ class Contour:
     @property
     def name(self) -> str:
         return type(self).__name__
+
+    @property
+    def charts(self) -> int:
+        """How many charts it has; domain and periodic are those of chart 0."""
+        if self.kind == REVOLUTION:
+            return 3
+        return 2 if self.kind in (SPHERE, ELLIPSOID) else 1
 
     def samples(self, n: int | Sequence[int] = 50, window: Any = None) -> np.ndarray:
         """A grid of parameter values that covers the domain of the first chart.

@@ -80,6 +80,12 @@ class SurfaceOfRevolution(Contour):
         curve = Contour(kind, 1, pool=pool, domain=((low, high),))
         samples = np.linspace(low, high, _PROFILE_SAMPLES)
         rows = np.array([curve.evaluate(s) for s in samples])[:, [F, F_1, F_11], :2]
+        smooth = np.isfinite(rows).all(axis=(1, 2))
+        if not smooth.all():
+            raise ContourError(
+                f"{owner}: the profile has no finite derivatives at s = {samples[np.argmin(smooth)]}: parametrise it "
+                "by arc length or an angle"
+            )
         size = float(np.abs(rows[:, 0]).max())
         r = rows[:, 0, 0]
         poles = [not periodic and abs(r[end]) <= 1e-12 * size for end in (0, -1)]
@@ -160,13 +166,7 @@ def _spline_profile(
 
 def _cap(owner: str, curve: Contour, end: float, towards: float, reach: float, size: float) -> tuple[np.ndarray, float]:
     """Pool of (g, k) as functions of d^2 around the pole at s = end, and the d^2 up to which they hold."""
-    at_pole = curve.evaluate(end)[[F_1, F_11], :2]
-    if not np.isfinite(at_pole).all():
-        raise ContourError(
-            f"{owner}: the profile has no finite derivatives at the axis, s = {end}: parametrise it by arc length "
-            "or an angle"
-        )
-    (r_1, z_1), _ = at_pole
+    r_1, z_1 = curve.evaluate(end)[F_1, :2]
     if not abs(r_1) * reach > 1e-6 * size:
         raise ContourError(f"{owner}: the profile reaches the axis tangentially at s = {end}: dr/ds = {r_1}")
     if abs(z_1) > 1e-9 * abs(r_1):

@@ -172,11 +172,6 @@ class Drawing:
         track = {"name": "." + name, "type": kind, "times": _typed(times, _FLOAT32), "values": values}
         self._clips.setdefault(path, []).append(track)
 
-    @property
-    def tracks(self) -> dict[str, list[str]]:
-        """The animated properties of each path."""
-        return {path: [track["name"][1:] for track in clip] for path, clip in self._clips.items()}
-
     def take_animation(self, other: Drawing) -> None:
         """Add the animation of another drawing to this one's."""
         for path, tracks in other._clips.items():

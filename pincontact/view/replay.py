@@ -144,7 +144,6 @@ class Picture:
     target: np.ndarray
     distance: float
     followed: np.ndarray | None
-    has_floor: bool
     contacts: dict[str, ContactFrames]
     sign: dict[str, float]
 
@@ -210,7 +209,8 @@ def compose(
     stage.move_bodies()
     if "robot" in parts:
         stage.draw_robot()
-    has_floor = "contours" in parts and stage.draw_contours(with_robot="robot" in parts)
+    if "contours" in parts:
+        stage.draw_contours(with_robot="robot" in parts)
     if "points" in parts:
         stage.draw_points()
     if "traces" in parts:
@@ -218,7 +218,7 @@ def compose(
     sign = {name: _arrow_sign(contact) for name, contact in scene.contacts.items()}
     if "forces" in parts:
         stage.draw_forces(force_scale or fitting_force_scale(contacts, size), sign)
-    return Picture(drawing, times, start, size, low, high, target, distance, followed, has_floor, contacts, sign)
+    return Picture(drawing, times, start, size, low, high, target, distance, followed, contacts, sign)
 
 
 def scene_size(scene: Any, placements: np.ndarray, contacts: dict[str, ContactFrames]) -> float:
@@ -359,14 +359,10 @@ class _Stage:
         for geometry in self.scene.visual_model.geometryObjects:
             draw_geometry(self.drawing, self.body(geometry.parentJoint, "visuals", geometry.name), geometry)
 
-    def draw_contours(self, with_robot: bool) -> bool:
-        """All contours of bodies that have no visual geometry, and the curves of those that have.
-
-        Returns whether a plane was drawn.
-        """
+    def draw_contours(self, with_robot: bool) -> None:
+        """All contours of bodies that have no visual geometry, and the curves of those that have."""
         visuals = self.scene.visual_model.geometryObjects if with_robot and self.scene.visual_model else []
         pictured = {geometry.parentJoint for geometry in visuals}
-        floor = False
         for name, attached in self.scene.contours.items():
             joint, contour = attached.joint, attached.contour
             if joint in pictured and contour.dimension == 2 and joint != 0:
@@ -389,12 +385,10 @@ class _Stage:
                     # A see-through surface must not hide from three.js what lies behind it.
                     extra = {"depthWrite": False} if opacity < 1.0 else _BEHIND_LINES
                     self.drawing.mesh(f"{base}/{part}", mesh, (*color, opacity), opacity == 1.0, **extra)
-                    floor |= part == "surface" and opacity == 1.0 and joint == 0
                 if len(moments) > 1:
                     until = moments[number + 1] if number + 1 < len(moments) else np.inf
                     visible = (self.moments >= moment) & (self.moments < until)
                     self.drawing.animate_visibility(base, self.times, visible)
-        return floor
 
     def _carries_point(self, name: str) -> bool:
         """Whether a point runs along this contour: then it is a wire, not the edge of a disc."""

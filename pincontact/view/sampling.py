@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from ..errors import ArgumentError
 from ..layout import FREE, FRICTIONLESS, SLIPPING, STICK
+from .arrows import continuous
 
 MODE_NAMES = {FREE: "free", FRICTIONLESS: "frictionless", STICK: "stick", SLIPPING: "slip"}
 
@@ -124,8 +125,6 @@ def joint_placements(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 def quaternions(rotations: np.ndarray) -> np.ndarray:
     """(n, 4) unit quaternions (x, y, z, w) of (n, 3, 3) rotations, sign-continuous."""
-    from .arrows import continuous
-
     return continuous(np.array([pin.Quaternion(R).coeffs() for R in rotations]))
 
 

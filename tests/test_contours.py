@@ -361,6 +361,7 @@ def test_closed_profile():
         (lambda s: (math.sqrt(s), s), (0.0, 1.0), "arc length"),
         (lambda s: (s * s, s**4), (0.0, 1.0), "tangentially"),
         (lambda s: (s - 0.3, s), (0.0, 1.0), "crosses"),
+        (lambda s: (math.sin(s), -math.cos(s)), (0.0, 3.2), "crosses"),
         (lambda s: (s, s, s), (0.0, 1.0), "2 numbers"),
         (lambda s: (s, 1 + 0 * s), None, "domain"),
         (lambda s: (1 + s, s), (0.0, math.inf), "finite"),

@@ -89,9 +89,10 @@ class SurfaceOfRevolution(Contour):
         size = float(np.abs(rows[:, 0]).max())
         r = rows[:, 0, 0]
         poles = [not periodic and abs(r[end]) <= 1e-12 * size for end in (0, -1)]
-        inside = r[1:-1] if any(poles) else r
-        if not (inside > 0.0).all():
-            where = int(np.argmin(inside)) + (1 if any(poles) else 0)
+        off_axis = r > 0.0
+        off_axis[[end for end, pole in zip((0, -1), poles) if pole]] = True
+        if not off_axis.all():
+            where = int(np.argmin(off_axis))
             raise ContourError(f"{owner}: the profile crosses the axis: r = {r[where]} at s = {samples[where]}")
         caps = []
         for end, pole in enumerate(poles):

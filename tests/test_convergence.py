@@ -1,0 +1,103 @@
+"""Observed orders of convergence, and errors that keep falling with the tolerance across mode changes."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from reference import body_motion, build, farthest, largest_angle, path_extent, reference
+
+import pincontact as pc
+
+
+def at_end(scene, state, duration, **options):
+    run = pc.simulate(scene, state, duration, **options)
+    assert run.status == 0, run.message
+    return run.q[-1], run.v[-1]
+
+
+def observed_order(name, duration, method, steps):
+    """Slope of log error over log step between constant-step runs, against a run at round-off."""
+    scene, state = build(name, native=True)
+    q, v = at_end(scene, state, duration, rtol=1e-13, atol=1e-15)
+    errors = []
+    for n in steps:
+        q_n, v_n = at_end(scene, state, duration, method=method, fixed_step=duration / n)
+        errors.append(max(np.abs(pin.difference(scene.model, q, q_n)).max(), np.abs(v_n - v).max()))
+    return -np.polyfit(np.log(steps), np.log(errors), 1)[0], errors
+
+
+# Step numbers at which the leading term of the error rules and round-off (some 1e-13) does not: errors of 1e-5 to
+# 1e-12. Projection on the constraints after every step must not cost order.
+@pytest.mark.parametrize(
+    ("name", "duration", "method", "order", "steps"),
+    [
+        ("disk_plane_slip_then_roll", 0.8, "DOP853", 8.0, (12, 16, 24, 32, 48)),
+        ("disk_plane_slip_then_roll", 0.8, "RK45", 5.0, (128, 192, 256, 512)),
+        ("disk_plane_roll", 1.0, "RK45", 5.0, (48, 64, 96, 128, 256)),
+        ("ball_in_bowl_3d_roll", 0.8, "DOP853", 8.0, (16, 24, 32, 48)),
+        ("disk_in_circular_bowl_slip_then_roll", 0.25, "RK45", 5.0, (48, 64, 96, 128)),
+    ],
+)
+def test_order_of_smooth_motion(name, duration, method, order, steps):
+    found, errors = observed_order(name, duration, method, steps)
+    assert abs(found - order) <= 0.3, (found, errors)
+
+
+def test_order_of_rolling_disk():
+    """Rolling, the eighth-order term of DOP853 is small: the slope is between 8 and 9, never below 8."""
+    found, errors = observed_order("disk_plane_roll", 3.0, "DOP853", (28, 40, 56, 80, 112))
+    assert 7.7 <= found <= 9.0, (found, errors)
+
+
+@pytest.mark.parametrize(("method", "order"), [("DOP853", 7.0), ("RK45", 4.0)])
+def test_order_of_outputs_between_steps(method, order):
+    """The dense output is of one order less than the steps; its points are projected on the constraints too."""
+    scene, state = build("disk_plane_roll", native=True)
+    duration = 1.0
+    times = np.linspace(0.0, duration, 101)[1:-1] + 1.2345e-3
+    exact = pc.simulate(scene, state, duration, rtol=1e-13, atol=1e-15, t_eval=times)
+    errors = []
+    counts = np.array((8, 12, 16, 24) if method == "DOP853" else (32, 48, 64, 96))
+    for n in counts:
+        run = pc.simulate(scene, state, duration, method=method, fixed_step=duration / n, t_eval=times)
+        errors.append(max(np.abs(pin.difference(scene.model, a, b)).max() for a, b in zip(exact.q, run.q)))
+        assert max(values.max() for values in run.residuals().values()) <= 1e-12
+    found = -np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    assert found >= order - 0.3, (found, errors)
+
+
+WITH_EVENTS = (
+    "disk_plane_stick_to_slip",
+    "disk_plane_slip_then_roll",
+    "ring_on_rod_slip_then_stick",
+    "disk_in_circular_bowl_slip_then_roll",
+    "ellipse_bead_friction",
+    "ellipsoid_in_ellipsoid_slip_then_roll",
+    "point_in_ellipsoid_slip",
+)
+TOLERANCES = (1e-5, 1e-7, 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [(name, "DOP853") for name in WITH_EVENTS] + [(name, "RK45") for name in WITH_EVENTS[:4]],
+)
+def test_error_falls_with_the_tolerance_across_events(name, method):
+    """An event located or crossed to less than the method's order would put a floor under the error."""
+    expected = reference(name)
+    motion_errors, event_errors = [], []
+    for rtol in TOLERANCES:
+        scene, state = build(name, native=True)
+        times = expected["t"]
+        run = pc.simulate(scene, state, float(times[-1]), rtol=rtol, atol=1e-2 * rtol, t_eval=times, method=method)
+        assert run.status == 0, run.message
+        motion = body_motion(name, run)
+        position = farthest(motion.p, expected["p"]) / path_extent(expected["p"])
+        motion_errors.append(max(position, largest_angle(motion.R, expected["R"])))
+        assert len(run.events) == len(expected.events)
+        event_errors.append(max(abs(a.time - b["t"]) for a, b in zip(run.events, expected.events, strict=True)))
+    for errors in (motion_errors, event_errors):
+        # two decades of tolerance each: the middle one may be lucky, so the sum of both decides
+        assert errors[1] <= errors[0] / 10.0, errors
+        assert errors[2] < errors[1], errors
+        assert errors[2] <= errors[0] / 1e3, errors
+    assert motion_errors[-1] <= 50.0 * TOLERANCES[-1]

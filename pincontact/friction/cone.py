@@ -24,13 +24,14 @@ Judge. The residual is that of the two projections
     F_n - max(F_n - u_n, 0)     and     F_t - P_D(F_t - u_t),   D the disk of radius mu max(F_n, 0),
 
 which vanish together exactly where F - P_K(F - (u + mu |u_t| n)) does but, unlike that, stay well-conditioned for
-large mu. It is taken relative to |F_i| + |b_i| + sum_j |G_ij F_j|, the size of the terms that cancel in it, with a
-floor at `FLOOR` times the largest of these over the contacts; hence it does not depend on units.
+large mu. It is taken relative to |b_i| + sum_j |G_ij| |F_j|, the size of the terms that cancel in it, with a floor at
+`FLOOR` times the largest of these over the contacts, and a cap at `CANCELLATION` times the largest b, so that forces
+growing without bound do not pass for a solution. Hence it does not depend on units.
 """
 
 from __future__ import annotations
 
-from math import atan2, cos, pi, sin, sqrt
+from math import atan2, cos, inf, pi, sin, sqrt
 
 from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
 from ..memory import Memory, integer_matrix, integers, matrix, reals
@@ -40,6 +41,8 @@ WARM, CLASSIFY = 0, 1
 
 # A contact whose forces and velocities are this much smaller than another's is judged on the other's scale.
 FLOOR = 1e-5
+# Forces this much larger than what b asks for are only accepted if u is as accurate as without them.
+CANCELLATION = 1e4
 # Newton stops below this residual at once; above it, when a pass no longer improves the residual.
 ROUND_OFF = 1e-14
 # A pivot this much below the largest one is a redundant direction: Delassus matrices carry round-off at 1e-15.
@@ -59,7 +62,7 @@ INTERIOR_BACK_OFF = 0.99
 # Sizes of the starting forces and velocities, in the order they are tried.
 INTERIOR_STARTS = ((1, 1), (10, 10), (0.1, 0.1), (0.1, 10), (10, 0.1), (100, 100), (1, 100), (100, 1))
 # Outside this range a cone is too flat or too steep for it; Newton uses the true coefficient.
-LEAST_FRICTION, LARGEST_FRICTION = 1e-3, 1e3
+LEAST_FRICTION, LARGEST_FRICTION = 1e-3, 1e2
 # Larger coefficients make the QP's facets too steep for it; the modes found are then corrected by Newton.
 QP_FRICTION = 100.0
 
@@ -227,7 +230,7 @@ def scale_problem(delassus, b, n, scaled, c, scale):
 
 @kernel
 def respond(g, c, f, u, size):
-    """u = g f + c (3n,); in size (n,), per contact, |f| plus the largest sum of absolute terms in u."""
+    """u = g f + c (3n,); in size (n,), per contact, the sum of the absolute terms in u."""
     n = c.shape[0] // 3
     for i in range(n):
         size[i] = 0.0
@@ -239,20 +242,23 @@ def respond(g, c, f, u, size):
                 total += term
                 absolute += abs(term)
             u[r] = total
-            size[i] = max(size[i], absolute)
-        size[i] += sqrt(f[3 * i] ** 2 + f[3 * i + 1] ** 2 + f[3 * i + 2] ** 2)
+            # A sum, through which what is not a number gets to the judge.
+            size[i] += absolute
 
 
 @kernel
 def contact_residual(f1, f2, fn, u1, u2, un, mu):
     """Residual of the two projections (module docstring) at one contact, in the units of f and u."""
-    normal = abs(fn - max(fn - un, 0.0))
+    # The same as |fn - max(fn - un, 0)|, but not lost in the rounding of a huge force.
+    normal = abs(min(fn, un))
     p1 = f1 - u1
     p2 = f2 - u2
     length = sqrt(p1 * p1 + p2 * p2)
     if mu < HUGE:
         radius = mu * max(fn, 0.0)
-        shrink = radius / length if length > radius else 1.0
+        if length <= radius:
+            return max(normal, sqrt(u1 * u1 + u2 * u2))
+        shrink = radius / length
         return max(normal, sqrt((f1 - shrink * p1) ** 2 + (f2 - shrink * p2) ** 2))
     stuck = sqrt(u1 * u1 + u2 * u2)
     # Infinite mu at F_n = 0: the disk may have any radius while u_n = 0 too, and none otherwise.
@@ -265,19 +271,21 @@ def contact_residual(f1, f2, fn, u1, u2, un, mu):
 
 @kernel
 def judge(mu, f, u, size):
-    """Largest relative residual over the contacts; NaN if anything is."""
+    """Largest relative residual over the contacts (module docstring); infinite if anything is not finite."""
     n = mu.shape[0]
     largest = 0.0
     for i in range(n):
+        if not size[i] < HUGE:
+            return inf
         largest = max(largest, size[i])
     worst = 0.0
     for i in range(n):
         k = 3 * i
-        unit = max(size[i], FLOOR * largest)
-        if unit > 0.0:
-            ratio = contact_residual(f[k], f[k + 1], f[k + 2], u[k], u[k + 1], u[k + 2], mu[i]) / unit
-            if not ratio <= worst:
-                worst = ratio
+        residual = contact_residual(f[k], f[k + 1], f[k + 2], u[k], u[k + 1], u[k + 2], mu[i])
+        if not residual < HUGE:
+            return inf
+        if residual > 0.0:
+            worst = max(worst, residual / min(max(size[i], FLOOR * largest), CANCELLATION))
     return worst
 
 
@@ -319,7 +327,7 @@ def classify(mu, f, u, modes):
         p2 = f[k + 1] - u[k + 1]
         if not f[k + 2] > u[k + 2]:
             modes[i] = OPEN
-        elif mu[i] > 0.0 and sqrt(p1 * p1 + p2 * p2) <= mu[i] * f[k + 2]:
+        elif mu[i] > 0.0 and sqrt(p1 * p1 + p2 * p2) <= min(mu[i], LARGEST_FRICTION) * f[k + 2]:
             modes[i] = STICK
         else:
             modes[i] = SLIP
@@ -565,11 +573,13 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
             respond(g, c, f, u, size)
             residual = judge(mu, f, u, size)
             stalled = residual > 0.5 * before
-            if residual <= ROUND_OFF or (residual <= tolerance and stalled):
+            if residual <= ROUND_OFF:
                 return residual, k + 1, attempts
             if not residual < HUGE:
                 break
             changes = correct_modes(mu, modes, f, u, direction, length, speed)
+            if changes == 0 and stalled and residual <= tolerance:
+                return residual, k + 1, attempts
             if attempts == 0 and changes > 0 and open_directions > 0:
                 again = True
                 break
@@ -599,9 +609,9 @@ def cone_step(x1, x2, xn, d1, d2, dn):
     if discriminant >= 0.0:
         root = sqrt(discriminant)
         q = -(slope + root) if slope > 0.0 else root - slope
-        if q / curvature > 0.0:
+        if curvature != 0.0 and q / curvature > 0.0:
             step = min(step, q / curvature)
-        if value / q > 0.0:
+        if q != 0.0 and value / q > 0.0:
             step = min(step, value / q)
     return step
 

@@ -1,14 +1,16 @@
 """The contact problem with Coulomb friction: who sticks, slips and separates, and the forces (Sec. 5.3).
 
-Three ways to find the modes, cheapest first; whatever they say, the Newton of `cone` computes the forces and its
-judge accepts or refuses them:
+What has to be found is the modes; whatever suggests them, the Newton of `cone` computes the forces and its judge
+accepts or refuses them. The suggestions come from, cheapest first,
 
-    warm    the modes and forces of the last solution
-    qp      a sequence of ProxQP programs
-    pgs     Pinocchio's projected Gauss-Seidel solver
+    warm          the modes and forces of the last solution
+    qp            a sequence of ProxQP programs (`qp`)
+    interior      the interior-point method of `cone`, from several starting points
+    pgs           Pinocchio's projected Gauss-Seidel solver
+    restart       the last forces, perturbed
+    continuation  the frictionless solution, followed while friction grows
 
-and when all of these are refused, the interior-point method of `cone` from several starting points (`interior`). A
-single contact needs no such search: its states can be enumerated (`exact`).
+A single contact needs no search: all of its states can be tried (`exact`).
 """
 
 from __future__ import annotations
@@ -19,15 +21,34 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import ArgumentError, SolverError
-from .cone import CLASSIFY, INTERIOR_STARTS, OPEN, SLIP, STICK, TINY, WARM, cone_memory, interior_point, solve_cones
+from .cone import (
+    CLASSIFY,
+    INTERIOR_STARTS,
+    LARGEST_FRICTION,
+    OPEN,
+    SLIP,
+    STICK,
+    TINY,
+    WARM,
+    cone_memory,
+    interior_point,
+    solve_cones,
+)
 from .qp import ConeQP
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactSolution", "ContactSolver", "solve_contacts"]
 
+# Newton passes per start: mode corrections included, most starts need fewer than five.
 NEWTON_PASSES = 20
+# Programs per search: a third one rarely finds what two did not.
 QP_LIMIT = 2
-STAGES = ("qp", "interior", "pgs")
-_PGS_FRICTION = 1e4
+STAGES = ("qp", "interior", "pgs", "restart", "continuation")
+RESTARTS = 40
+SMALLEST_FRICTION_STEP = 1e-4
+# Pinocchio's cones are finite; its forces only suggest modes.
+PGS_FRICTION = 1e4
+PGS_ACCURACY = 1e-10
+PGS_ITERATIONS = 300
 
 
 class _Workspace:
@@ -58,14 +79,14 @@ class _PinocchioPGS:
         self._datas = pin.StdVec_ConstraintData()
         self._friction: np.ndarray | None = None
         self._settings = pin.PGSSolverSettings()
-        self._settings.absolute_feasibility_tol = 1e-10
-        self._settings.absolute_complementarity_tol = 1e-10
-        self._settings.relative_feasibility_tol = 1e-10
-        self._settings.relative_complementarity_tol = 1e-10
-        self._settings.max_iterations = 300
+        self._settings.absolute_feasibility_tol = PGS_ACCURACY
+        self._settings.absolute_complementarity_tol = PGS_ACCURACY
+        self._settings.relative_feasibility_tol = PGS_ACCURACY
+        self._settings.relative_complementarity_tol = PGS_ACCURACY
+        self._settings.max_iterations = PGS_ITERATIONS
         self._solver = pin.PGSConstraintSolver(3 * contacts)
 
-    def solve(self, matrix: np.ndarray, b: np.ndarray, mu: np.ndarray) -> np.ndarray | None:
+    def solve(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> np.ndarray | None:
         """Forces (3n,) as Pinocchio's solver leaves them, or None if they are not finite."""
         pin = self._pin
         if self._friction is None or not np.array_equal(self._friction, mu):
@@ -73,18 +94,18 @@ class _PinocchioPGS:
             self._datas = pin.StdVec_ConstraintData()
             for value in mu:
                 contact = pin.PointContactConstraintModel(self._model, 0)
-                contact.setFriction(min(float(value), _PGS_FRICTION))
+                contact.setFriction(min(float(value), PGS_FRICTION))
                 model = pin.ConstraintModel(contact)
                 self._models.append(model)
                 self._datas.append(model.createData())
             self._friction = mu.copy()
         # Unit-sized blocks and b, as everywhere: its tolerances are absolute in part.
-        trace = np.diagonal(matrix).reshape(-1, 3).sum(axis=1)
+        trace = np.diagonal(delassus).reshape(-1, 3).sum(axis=1)
         scale = np.repeat(np.sqrt(3.0 / np.where(trace > 0.0, trace, 3.0)), 3)
         unit = np.abs(scale * b).max() or 1.0
         result = pin.PGSSolverResult()
-        delassus = pin.DelassusOperatorDense(scale[:, None] * matrix * scale)
-        self._solver.solve(delassus, scale * b / unit, self._models, self._datas, self._settings, result)
+        operator = pin.DelassusOperatorDense(scale[:, None] * delassus * scale)
+        self._solver.solve(operator, scale * b / unit, self._models, self._datas, self._settings, result)
         forces = result.retrieveConstraintImpulses()
         return forces * scale * unit if np.isfinite(forces).all() else None
 
@@ -97,9 +118,9 @@ class ContactSolution:
     velocities:  (n, 3), u = G F + b: m/s^2 (or m/s)
     modes:       (n,) OPEN, STICK or SLIP
     residual:    relative residual of the judge (see `cone`), without units
-    iterations:  Newton passes (or sweeps) of the stage that decided
-    qp_count:    programs solved by ProxQP
-    decided_by:  "warm", "exact", "qp", "pgs" or "interior"
+    iterations:  Newton passes of the start that decided
+    qp_count:    programs that ProxQP was given
+    decided_by:  "warm", "exact", or the stage of the search: see the module
     mu:          (n,) the coefficients
     """
 
@@ -121,10 +142,12 @@ class ContactSolution:
 
     @property
     def complementarity(self) -> np.ndarray:
-        """(n,) F . (u + mu |u_t| n), zero up to round-off; F . u for infinite mu in stick."""
+        """(n,) F . (u + mu |u_t| n), zero up to round-off; F_n u_n where mu is infinite."""
         speed = np.hypot(self.velocities[:, 0], self.velocities[:, 1])
-        shift = np.where(np.isfinite(self.mu), self.mu, 0.0) * speed * self.forces[:, 2]
-        return np.einsum("ij,ij->i", self.forces, self.velocities) + shift
+        finite = np.isfinite(self.mu)
+        tangential = np.einsum("ij,ij->i", self.forces[:, :2], self.velocities[:, :2])
+        tangential += np.where(finite, self.mu, 0.0) * speed * self.forces[:, 2]
+        return self.forces[:, 2] * self.velocities[:, 2] + np.where(finite, tangential, 0.0)
 
     @property
     def dissipation(self) -> np.ndarray:
@@ -135,25 +158,34 @@ class ContactSolution:
 class ContactSolver:
     """Solves contact problems one after the other, each from the last one's modes. Nothing is validated here.
 
-    After `solve` returns True, `modes` (n,), `forces` (3n,), `velocities` (3n,) and `residual` hold the solution; they
-    are buffers that the next call overwrites. When it returns False they are what they were before.
+    After `solve` returns True, `modes` (n,), `forces` (3n,), `velocities` (3n,) and `residual` hold the solution; the
+    arrays are buffers that the next call overwrites. When it returns False they are what they were before, and
+    `residual` is the least that was reached.
 
-    Counters: polish_count (warm Newton calls), qp_count, pgs_count, interior_count, and decided (by stage).
+    tolerance: relative residual up to which a solution is accepted
+    stages:    how the modes are looked for where a warm start is missing or refused, in this order
+
+    Counters: polish_count (warm starts tried), qp_count, pgs_count, interior_count, and decided (by stage).
     """
 
     def __init__(self, tolerance: float = 1e-10, stages: tuple[str, ...] = STAGES):
         self.tolerance = tolerance
         self.stages = stages
         self.residual = 0.0
-        self.iterations = 0
         self.decided_by = ""
         self.polish_count = 0
         self.qp_count = 0
         self.pgs_count = 0
         self.interior_count = 0
-        self.decided = {"warm": 0, "exact": 0, "qp": 0, "pgs": 0, "interior": 0}
+        self.decided = dict.fromkeys(("warm", "exact", *stages), 0)
+        self._qp_before = 0
         self._spaces: dict[int, _Workspace] = {}
         self._space = self._workspace(1)
+
+    @property
+    def iterations(self) -> int:
+        """Newton passes of the last call that was accepted or refused."""
+        return int(self._space.counts[0])
 
     def _workspace(self, contacts: int) -> _Workspace:
         space = self._spaces.get(contacts)
@@ -177,9 +209,10 @@ class ContactSolver:
         for space in self._spaces.values():
             space.warm = False
 
-    def solve(self, matrix: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """Solve one problem: matrix (3n, 3n) C-contiguous, b (3n,), mu (n,), all float64. True if solved."""
+    def solve(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Solve one problem: delassus (3n, 3n) C-contiguous, b (3n,), mu (n,), all float64. True if solved."""
         contacts = mu.shape[0]
+        self._qp_before = self.qp_count
         space = self._space
         if space.contacts != contacts:
             space = self._workspace(contacts)
@@ -189,9 +222,7 @@ class ContactSolver:
                 space.modes[0] = STICK
                 space.forces[:] = 0.0
             self.polish_count += 1
-            residual = solve_cones(
-                matrix, b, mu, space.table, WARM, NEWTON_PASSES, self.tolerance,
-            )  # fmt: skip
+            residual = solve_cones(delassus, b, mu, space.table, WARM, NEWTON_PASSES, self.tolerance)
             if residual <= self.tolerance:
                 self.residual = residual
                 space.warm = True
@@ -199,31 +230,32 @@ class ContactSolver:
                 self.decided[self.decided_by] += 1
                 return True
             self.residual = residual
-        return self._search(space, matrix, b, mu)
+        return self._search(space, delassus, b, mu)
 
-    def _search(self, space: _Workspace, matrix: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+    def _search(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """The stages after the warm one, in their order."""
         self.residual = np.inf
-        before = space.forces.copy()
+        if not (np.isfinite(delassus).all() and np.isfinite(b).all()):
+            return False
+        before = space.modes.copy(), space.forces.copy(), space.velocities.copy(), space.warm
+        searches = {
+            "qp": self._search_qp,
+            "interior": self._search_interior,
+            "pgs": self._search_pgs,
+            "restart": self._search_restarts,
+            "continuation": self._search_continuation,
+        }
         for stage in self.stages:
-            if stage == "qp":
-                solved = self._search_qp(space, matrix, b, mu)
-            elif stage == "pgs":
-                solved = self._search_pgs(space, matrix, b, mu)
-            else:
-                solved = self._search_interior(space, matrix, b, mu)
-            if solved:
+            if searches[stage](space, delassus, b, mu):
                 self.decided_by = stage
                 self.decided[stage] += 1
                 return True
-        space.forces[:] = before
+        space.modes[:], space.forces[:], space.velocities[:], space.warm = before
         return False
 
-    def _newton(self, space: _Workspace, matrix: np.ndarray, b: np.ndarray, mu: np.ndarray, task: int) -> bool:
+    def _newton(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, task: int) -> bool:
         """Newton and judge from the workspace's forces; True if accepted."""
-        residual = solve_cones(
-            matrix, b, mu, space.table, task, NEWTON_PASSES, self.tolerance,
-        )  # fmt: skip
+        residual = solve_cones(delassus, b, mu, space.table, task, NEWTON_PASSES, self.tolerance)
         if residual <= self.tolerance:
             self.residual = residual
             space.warm = True
@@ -231,55 +263,99 @@ class ContactSolver:
         self.residual = min(self.residual, residual)
         return False
 
-    def _search_qp(self, space: _Workspace, matrix: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+    def _search_qp(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """A sequence of QPs, each around the forces of the last."""
         if space.qp is None:
             space.qp = ConeQP(space.contacts)
         space.qp.restart()
         for _ in range(QP_LIMIT):
             self.qp_count += 1
-            finished = space.qp.solve(matrix, b, mu)
+            finished = space.qp.solve(delassus, b, mu)
             if not np.isfinite(space.qp.estimate).all():
                 return False
             space.forces[:] = space.qp.estimate * space.qp.unit
-            if self._newton(space, matrix, b, mu, CLASSIFY):
+            if self._newton(space, delassus, b, mu, CLASSIFY):
                 return True
             if not finished:
                 return False
         return False
 
-    def _search_pgs(self, space: _Workspace, matrix: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+    def _search_pgs(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Modes from Pinocchio's projected Gauss-Seidel."""
         if space.pgs is None:
             space.pgs = _PinocchioPGS(space.contacts)
         self.pgs_count += 1
-        forces = space.pgs.solve(matrix, b, mu)
+        forces = space.pgs.solve(delassus, b, mu)
         if forces is None:
             return False
         space.forces[:] = forces
-        return self._newton(space, matrix, b, mu, CLASSIFY)
+        return self._newton(space, delassus, b, mu, CLASSIFY)
 
-    def _search_interior(self, space: _Workspace, matrix: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+    def _search_interior(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Modes from the interior-point method, from one starting point after the other."""
         for start, (first_force, first_velocity) in enumerate(INTERIOR_STARTS):
             self.interior_count += 1
             # Complete pivoting costs several times more, and is needed for extreme mass ratios only.
             pivoting = 0.0 if start == 0 else TINY
-            interior_point(matrix, b, mu, space.table, first_force, first_velocity, pivoting)
-            if np.isfinite(space.forces).all() and self._newton(space, matrix, b, mu, CLASSIFY):
+            interior_point(delassus, b, mu, space.table, first_force, first_velocity, pivoting)
+            if np.isfinite(space.forces).all() and self._newton(space, delassus, b, mu, CLASSIFY):
                 return True
         return False
+
+    def _search_restarts(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Newton from the last stage's forces, perturbed; the sequence of perturbations is always the same."""
+        if not np.isfinite(space.forces).all():
+            return False
+        forces = space.forces.reshape(-1, 3).copy()
+        reach = np.minimum(mu, LARGEST_FRICTION)
+        generator = np.random.default_rng(0)
+        for _ in range(RESTARTS):
+            factor, first, second = generator.normal(size=(3, space.contacts))
+            trial = forces * (10.0**factor)[:, None]
+            trial[:, 0] += 0.5 * first * reach * trial[:, 2]
+            trial[:, 1] += 0.5 * second * reach * trial[:, 2]
+            space.forces[:] = trial.ravel()
+            if self._newton(space, delassus, b, mu, CLASSIFY):
+                return True
+        return False
+
+    def _search_continuation(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """From the frictionless solution, which is that of a convex problem, to the true friction in small steps.
+
+        A fold of the path of solutions ends it; the step is then as small as it may be.
+        """
+        target = np.minimum(mu, LARGEST_FRICTION)
+        refused = self.residual
+        if not self._search_interior(space, delassus, b, np.zeros_like(mu)):
+            return False
+        reached, step = 0.0, 0.1
+        while reached < 1.0 and step > SMALLEST_FRICTION_STEP:
+            goal = min(reached + step, 1.0)
+            if self._newton(space, delassus, b, mu if goal == 1.0 else goal * target, WARM):
+                reached, step = goal, 1.5 * step
+            else:
+                step *= 0.5
+        if reached < 1.0:
+            # What was solved on the way were other problems.
+            self.residual = refused
+        return reached == 1.0
 
     def solution(self, mu: np.ndarray) -> ContactSolution:
         """The last problem's solution as a value of its own."""
         return ContactSolution(
-            self.forces.reshape(-1, 3).copy(), self.velocities.reshape(-1, 3).copy(), self.modes.copy(), self.residual,
-            self.iterations, self.qp_count, self.decided_by, np.array(mu, dtype=float),
-        )  # fmt: skip
+            forces=self.forces.reshape(-1, 3).copy(),
+            velocities=self.velocities.reshape(-1, 3).copy(),
+            modes=self.modes.copy(),
+            residual=self.residual,
+            iterations=self.iterations,
+            qp_count=self.qp_count - self._qp_before,
+            decided_by=self.decided_by,
+            mu=np.array(mu, dtype=float),
+        )
 
 
 def solve_contacts(
-    matrix: npt.ArrayLike,
+    delassus: npt.ArrayLike,
     b: npt.ArrayLike,
     mu: npt.ArrayLike,
     warm: ContactSolution | None = None,
@@ -287,7 +363,7 @@ def solve_contacts(
 ) -> ContactSolution:
     """Forces F and u = G F + b of n contacts under Coulomb's law, exactly (Sec. 5.3; see `cone` for the statement).
 
-    matrix:    (3n, 3n) Delassus matrix G, symmetric positive semidefinite; 1/kg; rows (t1, t2, n) per contact
+    delassus:  (3n, 3n) Delassus matrix G, symmetric positive semidefinite; 1/kg; rows (t1, t2, n) per contact
     b:         (3n,) or (n, 3) relative accelerations in m/s^2 (or velocities in m/s) at zero contact force
     mu:        (n,) or one number: coefficients of friction; 0 is frictionless, inf never slips while it presses
     warm:      a solution of a similar problem with as many contacts, to start from
@@ -298,7 +374,7 @@ def solve_contacts(
     Raises ArgumentError for wrong shapes, numbers that are not finite or a matrix that is not symmetric or has a
     negative diagonal; SolverError, with the residual, where there is no solution or none was found.
     """
-    matrix = np.ascontiguousarray(matrix, dtype=float)
+    matrix = np.ascontiguousarray(delassus, dtype=float)
     b = np.ascontiguousarray(b, dtype=float).reshape(-1)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] % 3:
         raise ArgumentError(f"the Delassus matrix must be (3n, 3n), got {matrix.shape}")
@@ -319,10 +395,11 @@ def solve_contacts(
     if contacts and diagonal.min() < 0.0:
         raise ArgumentError(f"the Delassus matrix has a negative diagonal entry, {diagonal.min()}")
     # |G_ij - G_ji| against sqrt(G_ii G_jj), the largest a positive semidefinite matrix allows: free of units.
-    bound = np.sqrt(np.outer(diagonal, diagonal))
+    allowed = 1e-8 * np.sqrt(np.outer(diagonal, diagonal)) + 1e-14 * diagonal.max(initial=0.0)
     asymmetry = np.abs(matrix - matrix.T)
-    if (asymmetry > 1e-8 * bound).any():
-        worst = np.unravel_index(np.argmax(asymmetry - 1e-8 * bound), matrix.shape)
+    if (asymmetry > allowed).any():
+        row, column = np.unravel_index(np.argmax(asymmetry - allowed), matrix.shape)
+        worst = (int(row), int(column))
         raise ArgumentError(f"the Delassus matrix is not symmetric: entries {worst} differ by {asymmetry[worst]:.3g}")
     if warm is not None and warm.modes.shape[0] != contacts:
         raise ArgumentError(f"warm is a solution of {warm.modes.shape[0]} contacts, the problem has {contacts}")

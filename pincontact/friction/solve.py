@@ -7,7 +7,7 @@ accepts or refuses them. The suggestions come from, cheapest first,
     qp            a sequence of ProxQP programs (`qp`)
     interior      the interior-point method of `cone`, from several starting points
     pgs           Pinocchio's projected Gauss-Seidel solver
-    restart       the last forces, perturbed
+    restart       the last forces, perturbed, and arbitrary modes
     continuation  the frictionless solution, followed while friction grows
 
 A single contact needs no search: all of its states can be tried (`exact`).
@@ -43,7 +43,7 @@ NEWTON_PASSES = 20
 # Programs per search: a third one rarely finds what two did not.
 QP_LIMIT = 2
 STAGES = ("qp", "interior", "pgs", "restart", "continuation")
-RESTARTS = 40
+RESTARTS = 400
 SMALLEST_FRICTION_STEP = 1e-4
 # Pinocchio's cones are finite; its forces only suggest modes.
 PGS_FRICTION = 1e4
@@ -303,19 +303,27 @@ class ContactSolver:
         return False
 
     def _search_restarts(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """Newton from the last stage's forces, perturbed; the sequence of perturbations is always the same."""
+        """Newton from the last forces, perturbed, and from arbitrary modes; their sequence is always the same."""
         if not np.isfinite(space.forces).all():
             return False
         forces = space.forces.reshape(-1, 3).copy()
         reach = np.minimum(mu, LARGEST_FRICTION)
+        typical = np.linalg.norm(forces)
         generator = np.random.default_rng(0)
-        for _ in range(RESTARTS):
+        for attempt in range(RESTARTS):
             factor, first, second = generator.normal(size=(3, space.contacts))
-            trial = forces * (10.0**factor)[:, None]
-            trial[:, 0] += 0.5 * first * reach * trial[:, 2]
-            trial[:, 1] += 0.5 * second * reach * trial[:, 2]
-            space.forces[:] = trial.ravel()
-            if self._newton(space, delassus, b, mu, CLASSIFY):
+            if attempt % 2:
+                # Any modes at all; what the forces are is then of little importance.
+                space.modes[:] = generator.integers(3, size=space.contacts)
+                space.forces[:] = typical * generator.normal(size=3 * space.contacts)
+                task = WARM
+            else:
+                trial = forces * (10.0**factor)[:, None]
+                trial[:, 0] += 0.5 * first * reach * trial[:, 2]
+                trial[:, 1] += 0.5 * second * reach * trial[:, 2]
+                space.forces[:] = trial.ravel()
+                task = CLASSIFY
+            if self._newton(space, delassus, b, mu, task):
                 return True
         return False
 

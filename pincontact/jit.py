@@ -21,7 +21,8 @@ import numba
 from numba import njit, types
 
 _PACKAGE = Path(__file__).parent
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+# Kernels allocate nothing and return no arrays: reference counting, dearer than the numerics, is left out.
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True, "_nrt": False}
 
 
 def _source_hash() -> str:

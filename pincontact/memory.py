@@ -14,11 +14,9 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba import carray, types
-from numba.core import cgutils
+from numba import types
 from numba.extending import intrinsic
-
-from .jit import kernel
+from numba.np.arrayobj import make_array, populate_array
 
 if numba.config.DISABLE_JIT:
     # The same views in plain Python, so that every kernel also runs (slowly) without compilation.
@@ -46,37 +44,39 @@ if numba.config.DISABLE_JIT:
 
 else:
 
-    @intrinsic
-    def _real_pointer(typing_context, address):
-        def generate(context, builder, signature, arguments):
-            return builder.inttoptr(arguments[0], cgutils.voidptr_t)
+    def _view_intrinsic(dimensions: int, item: Any) -> Any:
+        """An intrinsic f(address, n, ...) that makes a C-contiguous view, with no reference counted."""
+        array_type = types.Array(item, dimensions, "C")
 
-        return types.voidptr(types.int64), generate
+        def implementation(typing_context, *arguments):
+            def generate(context, builder, signature, values):
+                address, shape = values[0], list(values[1:])
+                size = context.get_constant(types.intp, item.bitwidth // 8)
+                strides = [size]
+                for extent in reversed(shape[1:]):
+                    strides.insert(0, builder.mul(strides[0], extent))
+                view = make_array(array_type)(context, builder)
+                data = builder.inttoptr(address, context.get_value_type(item).as_pointer())
+                populate_array(view, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None)
+                return view._getvalue()
 
-    @kernel
-    def reals(address, n):
-        """float64 view (n,) of the memory at address."""
-        return carray(_real_pointer(address), (n,), np.float64)
+            return array_type(*(types.int64,) * (1 + dimensions)), generate
 
-    @kernel
-    def integers(address, n):
-        """int64 view (n,) of the memory at address."""
-        return carray(_real_pointer(address), (n,), np.int64)
+        # numba reads the number of arguments off the signature
+        shapes = {
+            1: lambda typing_context, address, n: implementation(typing_context, address, n),
+            2: lambda typing_context, address, n, m: implementation(typing_context, address, n, m),
+            3: lambda typing_context, address, n, m, k: implementation(typing_context, address, n, m, k),
+        }
+        return intrinsic(shapes[dimensions])
 
-    @kernel
-    def integer_matrix(address, n, m):
-        """int64 view (n, m), rows contiguous."""
-        return carray(_real_pointer(address), (n, m), np.int64)
-
-    @kernel
-    def matrix(address, n, m):
-        """float64 view (n, m), rows contiguous."""
-        return carray(_real_pointer(address), (n, m), np.float64)
-
-    @kernel
-    def cube(address, n, m, k):
-        """float64 view (n, m, k), last index contiguous."""
-        return carray(_real_pointer(address), (n, m, k), np.float64)
+    # reals(address, n), integers(address, n): views (n,) of the memory at an address;
+    # matrix, integer_matrix (address, n, m) and cube (address, n, m, k): rows contiguous.
+    reals = _view_intrinsic(1, types.float64)
+    integers = _view_intrinsic(1, types.int64)
+    matrix = _view_intrinsic(2, types.float64)
+    integer_matrix = _view_intrinsic(2, types.int64)
+    cube = _view_intrinsic(3, types.float64)
 
 
 def address_of(array: np.ndarray) -> int:

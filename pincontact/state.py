@@ -166,6 +166,7 @@ def find_state(scene: Scene, q: Any, v: Any | None, t: float, free: Sequence[str
         integers[SIDE] = contact.side or chosen.side or 1
         integers[BRANCH], integers[DETERMINANT_SIGN] = chosen.branch, chosen.determinant_sign
         system.location[c] = chosen.location
+        system.side_int[2 * c : 2 * c + 2, CHART] = chosen.charts
         if contact.name in free:
             integers[MODE] = FREE
         else:
@@ -215,8 +216,8 @@ def _choose(
     limit = max_gap if max_gap is not None else _GAP_FRACTION * _gap_length(contact)
     if not is_free and abs(chosen.gap) > limit:
         raise NoContactError(
-            f"contact {contact.name!r}: {pair} do not touch: the gap is {chosen.gap:.6g} m, more than the {limit:.3g} m "
-            f"that is corrected (max_gap); to start open, pass free=[{contact.name!r}]",
+            f"contact {contact.name!r}: {pair} do not touch: the gap is {chosen.gap:.6g} m, more than the "
+            f"{limit:.3g} m that is corrected (max_gap); to start open, pass free=[{contact.name!r}]",
             chosen.gap,
         )
     return chosen

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from ..friction.cone import minimum_norm_solve
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
 from ..jit import kernel
@@ -42,7 +43,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from .linear import backward, forward, solve_semidefinite
+from .linear import RANK_TOLERANCE, backward, forward, solve_semidefinite
 
 # Friction on a point of a spatial curve depends on the length of a two-component normal force: fixed point, quadratic.
 _NORMAL_ITERATIONS = 50
@@ -169,43 +170,21 @@ def friction_directions(
 
 
 @kernel
-def solve_slip(system, n, x, scratch):
-    """Solve the unsymmetric system of slipping contacts by elimination with row pivoting; False if it has lost
-    positivity: a diagonal or the determinant not positive (Painleve: no force, or two)."""
-    determinant_sign = 1.0
+def solve_slip(system, n, x, permutation, scratch):
+    """Solve the unsymmetric system of slipping contacts, x (n,) in and out; the least norm where forces are redundant.
+
+    False where a contact's own operator has lost positivity, against its frictionless value in the last column of
+    system: no force, or two (Painleve).
+    """
     for i in range(n):
-        scratch[i, n] = x[i]
-        # the frictionless diagonal is in the last column of system
         if not system[i, i] > PAINLEVE_LIMIT * system[i, n]:
             return False
-    for k in range(n):
-        pivot = k
-        for i in range(k + 1, n):
-            if abs(system[i, k]) > abs(system[pivot, k]):
-                pivot = i
-        if pivot != k:
-            determinant_sign = -determinant_sign
-            for j in range(n):
-                system[k, j], system[pivot, j] = system[pivot, j], system[k, j]
-            scratch[k, n], scratch[pivot, n] = scratch[pivot, n], scratch[k, n]
-        if system[k, k] == 0.0:
-            return False
-        if system[k, k] < 0.0:
-            determinant_sign = -determinant_sign
-        for i in range(k + 1, n):
-            ratio = system[i, k] / system[k, k]
-            for j in range(k + 1, n):
-                system[i, j] -= ratio * system[k, j]
-            scratch[i, n] -= ratio * scratch[k, n]
-    if determinant_sign < 0.0:
-        return False
-    for k in range(n - 1, -1, -1):
-        value = scratch[k, n]
-        for j in range(k + 1, n):
-            value -= system[k, j] * scratch[j, n]
-        scratch[k, n] = value / system[k, k]
-        x[k] = scratch[k, n]
-    return True
+    if n == 1:
+        x[0] /= system[0, 0]
+        return True
+    for i in range(n):
+        scratch[i, n] = x[i]
+    return minimum_norm_solve(system, scratch[:n, n], n, x, scratch, permutation, RANK_TOLERANCE) > 0
 
 
 @kernel
@@ -278,7 +257,7 @@ def contact_dynamics(
                 for j in range(count):
                     delassus[i, j] = inner(whitened[i], whitened_forces[j], nv)
                 delassus[i, count] = inner(whitened[i], whitened[i], nv)
-            if not solve_slip(delassus, count, multipliers, scratch):
+            if not solve_slip(delassus, count, multipliers, permutation, scratch):
                 return NO_FORCE
         else:
             for i in range(count):

@@ -65,6 +65,6 @@ def _jacobian(model: pin.Model, data: pin.Data, body: AttachedContour, at: pin.S
     """(6, nv): velocity of the body's point at `at`, and its angular velocity, world axes."""
     if body.joint == 0:
         return np.zeros((6, model.nv))
-    jacobian = pin.getJointJacobian(model, data, body.joint, pin.ReferenceFrame.WORLD).copy()
+    jacobian = np.array(pin.getJointJacobian(model, data, body.joint, pin.ReferenceFrame.WORLD)).reshape(6, model.nv)
     jacobian[:3] += np.cross(jacobian[3:].T, at.translation).T
     return jacobian

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 from scipy.spatial import cKDTree
 
-from ..layout import BRANCH, CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SIDE
+from ..integration.stages import move_charts
+from ..layout import BRANCH, CHART, CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SIDE
 from .location import NO_CLOSED_FORM, ROUND_ON_PLANE
 from .patterns import CROSSING_CURVES, ON_CURVE
 
@@ -31,7 +33,7 @@ class Candidate:
 
     location (4,): u_1 (2), u_2 (2); gap: signed distance in m along the normal of the side assumed; side: the side of
     e_3 on which body 1 bends away, 0 where the shapes do not decide; point (3,): world point on body 2;
-    determinant_sign and branch: which solution of the location equations it is.
+    determinant_sign and branch: which solution of the location equations it is. charts: of both bodies.
     """
 
     location: np.ndarray
@@ -40,6 +42,7 @@ class Candidate:
     point: np.ndarray
     determinant_sign: int
     branch: int
+    charts: tuple[int, int]
 
 
 def find_candidates(system: System, t: float, guess: np.ndarray) -> list[Candidate]:
@@ -76,31 +79,52 @@ def _is_same(a: Candidate, b: Candidate, system: System) -> bool:
 
 
 def _refine(system: System, t: float, start: np.ndarray, branch: int) -> Candidate | None:
-    """Newton from a start; None where it fails or leaves a finite domain."""
+    """Newton from a start (in the first charts); None where it fails or leaves a finite domain."""
     contact = system.contacts[0]
     integers = system.contact_int[0]
     integers[BRANCH] = branch
-    system.location[0] = start
-    if system.evaluate_kinematics(t) != OK:
+    charts = system.side_int[0:2, CHART]
+    parameters = slice(system.nq + system.nv, system.nq + system.nv + 4)
+    for wanted in product(range(contact.body1.contour.charts), range(contact.body2.contour.charts)):
+        # a start near a pole is better off in another chart, and one right at it fails in its own
+        charts[:] = wanted
+        system.location[0] = start if wanted == (0, 0) else np.where(np.array(wanted).repeat(2) == 0, start, 0.0)
+        system.state[parameters] = start
+        if wanted == (0, 0) and system.charted:
+            charts[:] = 0
+            move_charts(system.table)
+            system.location[0] = system.state[parameters]
+        if system.evaluate_kinematics(t) == OK:
+            break
+    else:
         return None
+    if system.charted:
+        system.state[parameters] = system.location[0]
+        if move_charts(system.table):
+            system.location[0] = system.state[parameters]
+            if system.evaluate_kinematics(t) != OK:
+                return None
     location = system.location[0].copy()
-    for contour, u in ((contact.body1.contour, location[:2]), (contact.body2.contour, location[2:])):
+    for side, contour, u in ((0, contact.body1.contour, location[:2]), (1, contact.body2.contour, location[2:])):
         for a in range(contour.dimension):
+            if charts[side] != 0:
+                continue
             low, high = contour.domain[a]
             if contour.periodic[a]:
                 u[a] -= (high - low) * math.floor((u[a] - low) / (high - low))
             elif not low <= u[a] <= high:
                 return None
-    side = _bending_side(system)
+    bending = _bending_side(system)
     if system.contact_int[0, CLOSED_FORM] == ROUND_ON_PLANE:
-        side = -branch
+        bending = -branch
     gap = float(system.gaps[0, 0])
     if integers[PATTERN] == ON_CURVE:
         gap = float(np.hypot(*system.gaps[0]))
-    elif side * integers[SIDE] < 0:
+    elif bending * integers[SIDE] < 0:
         gap = -gap
     point = system.frames[1, 3] + system.derivatives[1, 0]
-    return Candidate(location, gap, side, point.copy(), int(np.sign(system.contact_real[0, CONDITION])), branch)
+    sign = int(np.sign(system.contact_real[0, CONDITION]))
+    return Candidate(location, gap, bending, point.copy(), sign, branch, (int(charts[0]), int(charts[1])))
 
 
 def _bending_side(system: System) -> int:

@@ -21,8 +21,8 @@ _SCAN = 8
 _REFINEMENTS = 5
 _REFINED = 1e-14
 _BISECTIONS = 40
-# A gap that is negative by less than this fraction of the contact's length is round-off.
-_GAP_ROUND_OFF = 1e-13
+# Gaps are known to so many times the tolerance only: less is no touch (as right after a separation).
+_GAP_TOLERANCE = 10.0
 _XTOL, _RTOL = 1e-15, 8.9e-16
 
 
@@ -68,6 +68,9 @@ class EventLocator:
 
     def __init__(self, rk: RungeKutta, users: Sequence[UserEvent]) -> None:
         self.rk, self.users = rk, users
+        scale = rk.system.scale
+        lengths = rk.system.contact_real[: rk.system.nc, LENGTH]
+        self._gap_slack = _GAP_TOLERANCE * (scale[1] + scale[0] * lengths)
 
     def value_of_user(self, index: int, t: float) -> float:
         """The user's function at the system's (q, v)."""
@@ -96,7 +99,10 @@ class EventLocator:
         self.rk.load(dense(theta))
         if self.rk.evaluate(t + theta * step) > EVENT:
             return None
-        return self.rk.system.margins[: self.rk.system.nc].copy()
+        system = self.rk.system
+        margins = system.margins[: system.nc].copy()
+        margins[:, GAP_MARGIN] += self._gap_slack
+        return margins
 
     def _first_margin(self, t: float, step: float, dense: Interpolant) -> Crossing | None:
         low = 0.0
@@ -111,9 +117,6 @@ class EventLocator:
                     self._root(t, step, dense, (int(c), int(kind)), low, high, before[c, kind]), (int(c), int(kind))
                 )
                 for c, kind in np.argwhere((after < 0.0) & ((before >= 0.0) | (low == 0.0)))
-                if not (
-                    kind == GAP_MARGIN and after[c, kind] > -_GAP_ROUND_OFF * self.rk.system.contact_real[c, LENGTH]
-                )
             ]
             if crossings:
                 return min(crossings, key=lambda crossing: crossing.theta)

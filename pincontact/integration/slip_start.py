@@ -30,7 +30,7 @@ _CONVERGED = 1e-3
 
 
 def start_slip(rk: RungeKutta, t: float, contacts: list[int], span: float, shortest: float) -> float | None:
-    """Move the accepted state at t through the start of slip of the contacts; returns how long in s, None if that failed.
+    """Move the accepted state at t through the start of slip; returns how long in s that took, None if it failed.
 
     The contacts are in slip with frozen directions. span: longest time in s to try; it is halved until the direction
     polynomial is accurate, not below `shortest`. On success `system.new_state` is the state after it, unprojected.

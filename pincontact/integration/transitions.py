@@ -263,8 +263,8 @@ class Transitions:
     def _leave_stick(self, t: float, c: int) -> float:
         """Contact c has reached its friction limit.
 
-        With one tangent the slip's sign is known. With two its direction is not: stick runs on for a short time tau, and
-        the cone problem there tells who slips and where to. From there `slip_start` follows the direction; where it
+        With one tangent the slip's sign is known. With two its direction is not: stick runs on for a short time tau,
+        and the cone problem there tells who slips and where to. From there `slip_start` follows the direction; where it
         cannot, slip is a_t tau / 2 after tau, since the relative acceleration grows from zero: an error of order tau^3.
         """
         rk, system = self.rk, self.system

@@ -87,6 +87,7 @@ class Driver:
         t = self.transitions.begin(t)
         self.locator.update_users(t)
         self._note_slips()
+        self.locator.arm()
         self._output_start(start)
         h = options.fixed_step or options.first_step or rk.first_step(t, t_end - t)
         floor = 8.0 * np.finfo(float).eps * max(abs(t), abs(t_end))
@@ -180,6 +181,7 @@ class Driver:
         if self._change_charts():
             self.rk.evaluate_start(t)
         self._note_slips()
+        self.locator.arm()
         if self.locator.users:
             self.locator.update_users(t)
         if self.options.t_eval is None:

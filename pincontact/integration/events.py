@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ..errors import ArgumentError
-from ..layout import EVENT, GAP_MARGIN, LENGTH, OK
+from ..layout import EVENT, FREE, GAP_MARGIN, LENGTH, MODE, OK
 from .runge_kutta import RungeKutta
 from .tableaux import Interpolant
 
@@ -21,8 +21,11 @@ _SCAN = 8
 _REFINEMENTS = 5
 _REFINED = 1e-14
 _BISECTIONS = 40
-# Gaps are known to so many times the tolerance only: less is no touch (as right after a separation).
+# Gaps are known to so many times the tolerance only: less is no touch.
 _GAP_TOLERANCE = 10.0
+# A contact that has just opened touches again only after it has been apart. An ideal no-slip contact loses a finite
+# tangential force as it opens, which may press it together at first; deeper than this (relative to its length), it touches.
+_UNARMED_DEPTH = 1e-2
 _XTOL, _RTOL = 1e-15, 8.9e-16
 
 
@@ -69,8 +72,9 @@ class EventLocator:
     def __init__(self, rk: RungeKutta, users: Sequence[UserEvent]) -> None:
         self.rk, self.users = rk, users
         scale = rk.system.scale
-        lengths = rk.system.contact_real[: rk.system.nc, LENGTH]
-        self._gap_slack = _GAP_TOLERANCE * (scale[1] + scale[0] * lengths)
+        self._lengths = rk.system.contact_real[: rk.system.nc, LENGTH].copy()
+        self._gap_slack = _GAP_TOLERANCE * (scale[1] + scale[0] * self._lengths)
+        self.armed = np.zeros(rk.system.nc, dtype=bool)
 
     def value_of_user(self, index: int, t: float) -> float:
         """The user's function at the system's (q, v)."""
@@ -101,8 +105,17 @@ class EventLocator:
             return None
         system = self.rk.system
         margins = system.margins[: system.nc].copy()
-        margins[:, GAP_MARGIN] += self._gap_slack
+        margins[:, GAP_MARGIN] += np.where(self.armed, self._gap_slack, _UNARMED_DEPTH * self._lengths)
         return margins
+
+    def arm(self) -> None:
+        """Watch the gaps of open contacts that are apart at the accepted state."""
+        system = self.rk.system
+        for c in range(system.nc):
+            if system.contact_int[c, MODE] != FREE:
+                self.armed[c] = False
+            elif system.gaps[c, 0] > self._gap_slack[c]:
+                self.armed[c] = True
 
     def _first_margin(self, t: float, step: float, dense: Interpolant) -> Crossing | None:
         low = 0.0

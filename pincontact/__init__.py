@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from .analysis.kinematics import ContactKinematics, analyze
 from .contours import *  # noqa: F403
 from .contours import __all__ as _contours
 from .errors import (
@@ -38,6 +39,7 @@ __all__ = [
     "AttachedContour",
     "Contact",
     "ContactError",
+    "ContactKinematics",
     "ContactSolution",
     "ContactTrack",
     "ContourError",
@@ -57,6 +59,7 @@ __all__ = [
     "StateError",
     "Trajectory",
     "TrajectoryError",
+    "analyze",
     "export_html",
     "replay",
     "simulate",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -164,6 +164,29 @@ class Scene:
         )
         self.contours[name] = attached
         return attached
+
+    def add_contours_from_collision(
+        self,
+        links: Iterable[str] | None = None,
+        kinds: Collection[str] = ("faces", "rims"),
+        geometry: pin.GeometryModel | None = None,
+    ) -> dict[str, AttachedContour]:
+        """Attach contours made from the primitive collision shapes of the model's links.
+
+        links: names of the links, None for all.
+        kinds: which parts, any of "faces" (spheres, ellipsoids, sides of cylinders and capsules, a capsule's caps as
+        whole spheres, a box's six patches), "rims" (a cylinder's two circles), "edges" and "corners" (a box's twelve
+        lines and eight points). A cylinder's flat ends are no contours; its rims are what touches.
+        geometry: shapes to use instead of the scene's own `collision_model`.
+        Names are Pinocchio's name of the shape and the part's: wheel_0_cylinder, wheel_0_rim_+z, foot_1_sphere,
+        foot_0_face_-z, foot_0_edge_+x-y, foot_0_corner_+x+y-z, arm_0_cap_+z.
+        Returns the new contours by name; other shapes (meshes) are ignored with a warning.
+        Raises ModelError without collision shapes or for a link that has none, ContourError for a name taken or a
+        shape without extent, ArgumentError for an unknown kind.
+        """
+        from .collision import add_contours_from_collision
+
+        return add_contours_from_collision(self, links, kinds, geometry)
 
     def add_contact(
         self,

@@ -12,6 +12,7 @@ import math
 
 from ..contours.table import evaluate
 from ..geometry.carriers import point_bias, point_velocity
+from ..geometry.frames import STEEP
 from ..geometry.location import (
     NEWTON_LIMIT,
     NEWTON_STEP,
@@ -180,7 +181,7 @@ def basis_at_contact(pattern, side, first, second, normal, basis):
         t1[i] = second[1, i] * scale
     if pattern == ON_CURVE:
         # any two normals of the curve: made from the world axis that is least along it, z unless the curve climbs
-        if abs(t1[2]) < 0.9:
+        if abs(t1[2]) < STEEP:
             other[0], other[1], other[2] = -t1[2] * t1[0], -t1[2] * t1[1], 1.0 - t1[2] * t1[2]
         else:
             other[0], other[1], other[2] = 1.0 - t1[0] * t1[0], -t1[0] * t1[1], -t1[0] * t1[2]

@@ -6,6 +6,9 @@ import numpy as np
 
 from .patterns import CROSSING_CURVES, ON_CURVE, ON_SURFACE
 
+# A curve whose tangent has a larger z component than this counts as steep.
+STEEP = 0.9
+
 
 def contact_frame(
     pattern: int, first: np.ndarray, second: np.ndarray, plane_normal: np.ndarray, basis: np.ndarray
@@ -34,3 +37,8 @@ def dual_basis(frame: np.ndarray) -> np.ndarray:
     frame (3, 3): vectors as columns; may be oblique, not degenerate. Returns the same layout.
     """
     return np.linalg.inv(frame).T
+
+
+def curve_normal_axis(tangent: np.ndarray) -> np.ndarray:
+    """The world axis from which the normals of a spatial curve are made: z, or x where the curve climbs steeply."""
+    return np.array([0.0, 0.0, 1.0]) if abs(tangent[2]) < STEEP else np.array([1.0, 0.0, 0.0])

@@ -24,7 +24,7 @@ _BISECTIONS = 40
 # Gaps are known to so many times the tolerance only: less is no touch.
 _GAP_TOLERANCE = 10.0
 # A contact that has just opened touches again only after it has been apart. An ideal no-slip contact loses a finite
-# tangential force as it opens, which may press it together at first; deeper than this (relative to its length), it touches.
+# tangential force as it opens, which may press it together at first; deeper than this part of its length, it touches.
 _UNARMED_DEPTH = 1e-2
 _XTOL, _RTOL = 1e-15, 8.9e-16
 

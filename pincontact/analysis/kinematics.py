@@ -1,0 +1,236 @@
+"""The paper's equations of every contact at one state, as numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..dynamics.system import System
+from ..errors import ArgumentError, SingularContactError
+from ..geometry.carriers import OMEGA, ORIGIN
+from ..geometry.frames import contact_frame, curve_normal_axis, dual_basis
+from ..geometry.patterns import CROSSING_CURVES, ON_SURFACE, PLANAR
+from ..layout import CONDITION, OK, PATTERN, SUPPORT_SIZE
+from ..state import State, write_discrete
+
+if TYPE_CHECKING:
+    from ..scene import Contact, Scene
+
+
+@dataclass(frozen=True, eq=False)
+class ContactKinematics:
+    """One contact at one state; paper's order of bodies (k2 >= k1), world axes unless said, SI units.
+
+    f (m,):           conditions C1, components of r_1 - r_2 as in Eq. 42 (world x, y, z; the plane's x, y for a planar
+                      pattern), then C2, e_3 . tau_1^a (Eqs. 1, 2)
+    f_q (m, nv):      their derivatives along Pinocchio's velocity coordinates (Eq. 5)
+    J (m, k):         their derivatives by the location parameters p = (u_1, u_2)
+    f_t (m,):         their explicit rates, from drives
+    location (k,), rates (k,): p and p' (Eq. 6)
+    frame, dual_frame (3, 3): e_j and m^j as columns (Def. 5, Eq. 26)
+    v_c (3,):         velocity of body 2's material point against body 1's (Eq. 10)
+    components (3,):  v_c^j = m^j . v_c (Eq. 12)
+    rows (3, nv):     d v_c^j / d v (Eqs. 17, 29)
+    drift (3,):       the part of v_c^j that drives make, v_c^j = rows v + drift
+    bias (3,):        rate of v_c^j is rows a + bias (acceleration level)
+    gap:              n . (r_2 - r_1) in m, positive when apart
+    conditioning:     of the location equations, 1 good, 0 singular
+    point (3,):       the contact point on body 2
+    """
+
+    f: np.ndarray
+    f_q: np.ndarray
+    J: np.ndarray
+    f_t: np.ndarray
+    location: np.ndarray
+    rates: np.ndarray
+    frame: np.ndarray
+    dual_frame: np.ndarray
+    v_c: np.ndarray
+    components: np.ndarray
+    rows: np.ndarray
+    drift: np.ndarray
+    bias: np.ndarray
+    gap: float
+    conditioning: float
+    point: np.ndarray
+
+
+def analyze(scene: Scene, state: State) -> dict[str, ContactKinematics]:
+    """The kinematics of every contact of a scene at a state of it.
+
+    Raises ArgumentError for a state of another scene, SingularContactError where the location equations are singular.
+    """
+    if state.scene is not scene or state.location.shape[0] != len(scene.contacts):
+        raise ArgumentError("the state belongs to another scene, or contacts were added after it was made")
+    contacts = list(scene.contacts.values())
+    system = System(scene.model, contacts)
+    system.q[:], system.v[:] = state.q, state.v
+    system.location[: system.nc] = state.location
+    write_discrete(system, state.discrete)
+    if system.evaluate_kinematics(state.t) != OK:
+        raise SingularContactError("the location equations are singular at this state", 0.0)
+    return {contact.name: _one(system, c, contact) for c, contact in enumerate(contacts)}
+
+
+def _one(system: System, c: int, contact: Contact) -> ContactKinematics:
+    one, two = 2 * c, 2 * c + 1
+    k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
+    first, second = system.derivatives[one].copy(), system.derivatives[two].copy()
+    frame1, frame2 = system.frames[one], system.frames[two]
+    pattern = int(system.contact_int[c, PATTERN])
+    plane_normal = frame2[0:3, 2].copy()
+    frame = contact_frame(pattern, first, second, plane_normal, system.basis[c])
+    dual = dual_basis(frame)
+    v = system.v
+    points = (frame1[ORIGIN] + first[0], frame2[ORIGIN] + second[0])
+    linear, angular = zip(*(_jacobians(system, side, point) for side, point in ((one, points[0]), (two, points[1]))))
+    relative = linear[1] - linear[0]
+    velocity = system.slip[c].copy()
+
+    # C1: components of r_1 - r_2 along axes of the world, or of the plane that body 2 carries
+    axes = frame2[0:3, 0:2].T if pattern == PLANAR else np.eye(3)
+    difference = points[0] - points[1]
+    f = list(axes @ difference)
+    f_q = list(-axes @ relative)
+    tangents = [first[1 + a] for a in range(k1)] + [-second[1 + a] for a in range(k2)]
+    by_p = [[float(axis @ tangent) for tangent in tangents] for axis in axes]
+    rates = list(-axes @ velocity)
+    if pattern == PLANAR:
+        for j, axis in enumerate(axes):
+            moment = np.cross(axis, difference)
+            f_q[j] = f_q[j] + moment @ angular[1]
+            rates[j] += float(moment @ frame2[OMEGA])
+
+    # C2: the normal of body 2 against the unit tangents of body 1
+    if pattern in (ON_SURFACE, PLANAR):
+        e3 = frame[:, 2]
+        e3_by_u2, e3_rate = _normal_derivatives(pattern, second, frame2, plane_normal, k2)
+        for a in range(k1):
+            size = np.linalg.norm(first[1 + a])
+            tau = first[1 + a] / size
+            across = (e3 - tau * (tau @ e3)) / size
+            f.append(float(e3 @ tau))
+            f_q.append(np.cross(tau, e3) @ (angular[0] - angular[1]))
+            by_p.append([float(across @ first[3 + a + b]) for b in range(k1)] + [float(tau @ d) for d in e3_by_u2])
+            tau_rate = np.cross(frame1[OMEGA], first[1 + a]) + first[7 + a]
+            rates.append(float(across @ tau_rate + tau @ e3_rate))
+
+    f_q_array = np.array(f_q).reshape(len(f), system.nv)
+    rows = dual.T @ relative
+    components = dual.T @ velocity
+    kept = np.r_[0:k1, 2 : 2 + k2]
+    return ContactKinematics(
+        f=np.array(f, dtype=float),
+        f_q=f_q_array,
+        J=np.array(by_p, dtype=float).reshape(len(f), k1 + k2),
+        f_t=np.array(rates, dtype=float) - f_q_array @ v,
+        location=system.location[c, kept].copy(),
+        rates=system.rates[c, kept].copy(),
+        frame=frame,
+        dual_frame=dual,
+        v_c=velocity,
+        components=components,
+        rows=rows,
+        drift=components - rows @ v,
+        bias=_component_bias(system, c, frame, dual, first, second, pattern, k1, k2),
+        gap=float(system.gaps[c, 0] if contact.pattern.constraints == 1 else np.hypot(*system.gaps[c])),
+        conditioning=float(abs(system.contact_real[c, CONDITION])),
+        point=points[1].copy(),
+    )
+
+
+def _jacobians(system: System, side: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3, nv) linear Jacobian of the material point at `point`, (3, nv) angular Jacobian of its body."""
+    linear, angular = np.zeros((3, system.nv)), np.zeros((3, system.nv))
+    jacobian = np.asarray(system.data.J).reshape(6, system.nv)
+    for column in system.support[side, : system.side_int[side, SUPPORT_SIZE]]:
+        angular[:, column] = jacobian[3:, column]
+        linear[:, column] = jacobian[:3, column] + np.cross(jacobian[3:, column], point)
+    return linear, angular
+
+
+def _normal_derivatives(
+    pattern: int, second: np.ndarray, frame2: np.ndarray, plane_normal: np.ndarray, k2: int
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """d e_3 / d u_2, and the rate of e_3 at fixed u_2."""
+    tangent_rates = [np.cross(frame2[OMEGA], second[1 + a]) + second[7 + a] for a in range(k2)]
+    if pattern == ON_SURFACE:
+        normal = np.cross(second[1], second[2])
+        by_u = [np.cross(second[3 + b], second[2]) + np.cross(second[1], second[4 + b]) for b in range(2)]
+        rate = np.cross(tangent_rates[0], second[2]) + np.cross(second[1], tangent_rates[1])
+    else:
+        normal = np.cross(second[1], plane_normal)
+        by_u = [np.cross(second[3], plane_normal)]
+        rate = np.cross(tangent_rates[0], plane_normal) + np.cross(second[1], np.cross(frame2[OMEGA], plane_normal))
+    size = np.linalg.norm(normal)
+    unit = normal / size
+
+    def across(vector: np.ndarray) -> np.ndarray:
+        return (vector - unit * (unit @ vector)) / size
+
+    return [across(b) for b in by_u], across(rate)
+
+
+def _component_bias(
+    system: System,
+    c: int,
+    frame: np.ndarray,
+    dual: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    pattern: int,
+    k1: int,
+    k2: int,
+) -> np.ndarray:
+    """Rate of v_c^j = m^j . v_c without joint acceleration: m^j . gamma + m^j' . v_c, with m' = -m E'^T m."""
+    basis = system.basis[c]
+    frame1, frame2 = system.frames[2 * c], system.frames[2 * c + 1]
+    u1, u2 = system.rates[c, 0:2], system.rates[c, 2:4]
+
+    def tangent_rate(frame_: np.ndarray, derivatives: np.ndarray, a: int, k: int, rates: np.ndarray) -> np.ndarray:
+        moving = sum((derivatives[3 + a + b] * rates[b] for b in range(k)), np.zeros(3))
+        return np.cross(frame_[OMEGA], derivatives[1 + a]) + derivatives[7 + a] + moving
+
+    def unit_rate(vector: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        size = np.linalg.norm(vector)
+        unit = vector / size
+        return (rate - unit * (unit @ rate)) / size
+
+    rate1 = tangent_rate(frame2, second, 0, k2, u2)
+    e1_rate = unit_rate(second[1], rate1)
+    if pattern == ON_SURFACE:
+        rate2, other = tangent_rate(frame2, second, 1, k2, u2), second[2]
+    elif pattern == CROSSING_CURVES:
+        rate2, other = tangent_rate(frame1, first, 0, k1, u1), first[1]
+    elif pattern == PLANAR:
+        other = frame[:, 1]
+        rate2 = np.cross(frame2[OMEGA], other)
+    else:
+        # the kernels take the normals that do not spin about the curve; the frame's are made from a world axis
+        turn = np.cross(frame[:, 0], e1_rate)
+        normal_rates = {row: np.cross(turn, basis[row]) for row in (1, 2)}
+        e1, axis = frame[:, 0], curve_normal_axis(frame[:, 0])
+        raw, raw_rate = axis - e1 * (e1 @ axis), -e1_rate * (e1 @ axis) - e1 * (e1_rate @ axis)
+        e2_rate = unit_rate(raw, raw_rate)
+        e3_rate = np.cross(e1_rate, frame[:, 1]) + np.cross(e1, e2_rate)
+        return _in_dual(system, c, dual, np.column_stack([e1_rate, e2_rate, e3_rate]), normal_rates)
+    e3_rate = unit_rate(np.cross(second[1], other), np.cross(rate1, other) + np.cross(second[1], rate2))
+    frame_rate = np.column_stack([e1_rate, unit_rate(other, rate2), e3_rate])
+    sign = 1.0 if basis[2] @ frame[:, 2] > 0.0 else -1.0
+    return _in_dual(system, c, dual, frame_rate, {2: sign * e3_rate})
+
+
+def _in_dual(
+    system: System, c: int, dual: np.ndarray, frame_rate: np.ndarray, normal_rates: dict[int, np.ndarray]
+) -> np.ndarray:
+    """m^j . gamma + m^j' . v_c from the kernels' bias, whose normal rows contain n' . v_c already."""
+    slip = system.slip[c]
+    along = system.bias[c].copy()
+    for row, rate in normal_rates.items():
+        along[row] -= rate @ slip
+    gamma = system.basis[c].T @ along
+    dual_rate = -dual @ frame_rate.T @ dual
+    return dual.T @ gamma + dual_rate.T @ slip

@@ -1,0 +1,161 @@
+"""Contours from the primitive collision shapes of a robot's own model: balls, cylinders, capsules, boxes."""
+
+from __future__ import annotations
+
+import difflib
+import warnings
+from collections.abc import Callable, Collection, Iterable, Iterator
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from .contours import Circle, Contour, Cylinder, Ellipsoid, Line, Plane, Point, Sphere
+from .errors import ArgumentError, ContourError, ModelError
+
+if TYPE_CHECKING:
+    from .scene import AttachedContour, Scene
+
+KINDS = ("faces", "rims", "edges", "corners")
+DEFAULT_KINDS = ("faces", "rims")
+
+# Name of the part, kind of part, contour, placement in the shape's own frame.
+Part = tuple[str, str, Contour, pin.SE3]
+
+_AXES = "xyz"
+_SIGNS = ((1.0, "+"), (-1.0, "-"))
+
+
+def add_contours_from_collision(
+    scene: Scene,
+    links: Iterable[str] | None,
+    kinds: Collection[str],
+    geometry: pin.GeometryModel | None,
+) -> dict[str, AttachedContour]:
+    """See `Scene.add_contours_from_collision`."""
+    for kind in [kinds] if isinstance(kinds, str) else kinds:
+        if kind not in KINDS:
+            raise ArgumentError(f"kinds: unknown kind {kind!r}; one or more of {', '.join(KINDS)}")
+    wanted_kinds = {kinds} if isinstance(kinds, str) else set(kinds)
+    shapes = scene.collision_model if geometry is None else geometry
+    if shapes is None:
+        raise ModelError(
+            "the scene has no collision shapes: they could not be read (a mesh file that is missing?), or the scene "
+            "was made from a model alone; pass geometry=pin.GeometryModel"
+        )
+    objects = list(shapes.geometryObjects)
+    names = _links(scene.model, objects, links)
+    found: list[tuple[str, Contour, str, pin.SE3]] = []
+    ignored: list[str] = []
+    for item in objects:
+        frame = scene.model.frames[item.parentFrame]
+        if names is not None and frame.name not in names:
+            continue
+        make = _SHAPES.get(type(item.geometry).__name__)
+        if make is None:
+            ignored.append(f"{item.name} ({type(item.geometry).__name__})")
+            continue
+        try:
+            parts = list(make(item.geometry))
+        except ContourError as error:
+            raise ContourError(f"collision shape {item.name!r}: {error}") from error
+        in_frame = frame.placement.inverse() * item.placement
+        for part, kind, contour, placement in parts:
+            if kind in wanted_kinds:
+                found.append((f"{item.name}_{part}", contour, frame.name, in_frame * placement))
+    # all or nothing: a name that is taken must not leave half of the contours behind
+    for name, *_ in found:
+        if name in scene.contours:
+            raise ContourError(f"there is already a contour named {name!r}")
+    if ignored:
+        warnings.warn(
+            f"collision shapes that are not spheres, ellipsoids, cylinders, capsules or boxes were ignored: "
+            f"{', '.join(ignored)}",
+            stacklevel=3,
+        )
+    return {name: scene.add_contour(name, contour, frame, place) for name, contour, frame, place in found}
+
+
+def _links(model: pin.Model, objects: list[Any], links: Iterable[str] | None) -> set[str] | None:
+    """The links asked for, once every one of them is known to have a collision shape; None for all."""
+    if links is None:
+        return None
+    having = {model.frames[item.parentFrame].name for item in objects}
+    wanted = {links} if isinstance(links, str) else set(links)
+    for name in sorted(wanted - having):
+        close = difflib.get_close_matches(name, sorted(having), n=3)
+        hint = f"did you mean {' or '.join(close)}?" if close else f"links that have some: {', '.join(sorted(having))}"
+        raise ModelError(f"link {name!r} has no collision shape; {hint}")
+    return wanted
+
+
+def _at(axis: int, distance: float) -> pin.SE3:
+    translation = np.zeros(3)
+    translation[axis] = distance
+    return pin.SE3(np.eye(3), translation)
+
+
+def _axes(normal: int, sign: float) -> np.ndarray:
+    """Rotation whose z axis is +-e_normal and whose x axis is the next one in cyclic order."""
+    rotation = np.zeros((3, 3))
+    rotation[(normal + 1) % 3, 0] = 1.0
+    rotation[(normal + 2) % 3, 1] = sign
+    rotation[normal, 2] = sign
+    return rotation
+
+
+def _sphere(shape: Any) -> Iterator[Part]:
+    yield "sphere", "faces", Sphere(shape.radius), pin.SE3.Identity()
+
+
+def _ellipsoid(shape: Any) -> Iterator[Part]:
+    yield "ellipsoid", "faces", Ellipsoid(*shape.radii), pin.SE3.Identity()
+
+
+def _side(shape: Any) -> Part:
+    domain = (None, (-shape.halfLength, shape.halfLength))
+    return "cylinder", "faces", Cylinder(shape.radius, domain=domain), pin.SE3.Identity()
+
+
+def _cylinder(shape: Any) -> Iterator[Part]:
+    yield _side(shape)
+    for sign, mark in _SIGNS:
+        # the rim's axis points out of the body
+        placement = _at(2, sign * shape.halfLength) * pin.SE3(_axes(2, sign), np.zeros(3))
+        yield f"rim_{mark}z", "rims", Circle(shape.radius), placement
+
+
+def _capsule(shape: Any) -> Iterator[Part]:
+    yield _side(shape)
+    for sign, mark in _SIGNS:
+        yield f"cap_{mark}z", "faces", Sphere(shape.radius), _at(2, sign * shape.halfLength)
+
+
+def _box(shape: Any) -> Iterator[Part]:
+    half = np.asarray(shape.halfSide, dtype=float)
+    for axis, (sign, mark) in product(range(3), _SIGNS):
+        a, b = half[(axis + 1) % 3], half[(axis + 2) % 3]
+        placement = _at(axis, sign * half[axis]) * pin.SE3(_axes(axis, sign), np.zeros(3))
+        yield f"face_{mark}{_AXES[axis]}", "faces", Plane(domain=((-a, a), (-b, b))), placement
+    for axis, (sign1, mark1), (sign2, mark2) in product(range(3), _SIGNS, _SIGNS):
+        # along the axis, at the corners of the other two; the line's z axis is one of those
+        first, second = (other for other in range(3) if other != axis)
+        position = np.zeros(3)
+        position[first], position[second] = sign1 * half[first], sign2 * half[second]
+        name = f"edge_{mark1}{_AXES[first]}{mark2}{_AXES[second]}"
+        rotation = _axes((axis + 2) % 3, 1.0)
+        yield name, "edges", Line(domain=(-half[axis], half[axis])), pin.SE3(rotation, position)
+    for signs in product(_SIGNS, repeat=3):
+        name = "corner_" + "".join(f"{mark}{axis}" for (_, mark), axis in zip(signs, _AXES))
+        corner = half * [sign for sign, _ in signs]
+        yield name, "corners", Point(), pin.SE3(np.eye(3), corner)
+
+
+_SHAPES: dict[str, Callable[[Any], Iterator[Part]]] = {
+    "Sphere": _sphere,
+    "Ellipsoid": _ellipsoid,
+    "Cylinder": _cylinder,
+    "Capsule": _capsule,
+    "Box": _box,
+}

@@ -16,6 +16,7 @@ from .errors import (
     ModelError,
     NoContactError,
     PatternError,
+    SceneFileError,
     SingularContactError,
     SolverError,
     StateError,
@@ -25,6 +26,7 @@ from .friction.laws import Coulomb, FrictionLaw, NoSlip
 from .friction.solve import ContactSolution, solve_contacts
 from .integration.results import Event
 from .scene import AttachedContour, Contact, Scene
+from .scene_file import LoadedScene, load_scene
 from .simulate import simulate
 from .state import State
 from .trajectory import ContactTrack, Trajectory
@@ -47,12 +49,14 @@ __all__ = [
     "Event",
     "FrictionError",
     "FrictionLaw",
+    "LoadedScene",
     "MissingExtraError",
     "ModelError",
     "NoContactError",
     "NoSlip",
     "PatternError",
     "Scene",
+    "SceneFileError",
     "SingularContactError",
     "SolverError",
     "State",
@@ -61,6 +65,7 @@ __all__ = [
     "TrajectoryError",
     "analyze",
     "export_html",
+    "load_scene",
     "replay",
     "simulate",
     "solve_contacts",

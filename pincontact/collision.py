@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from .scene import AttachedContour, Scene
 
 KINDS = ("faces", "rims", "edges", "corners")
-DEFAULT_KINDS = ("faces", "rims")
 
 # Name of the part, kind of part, contour, placement in the shape's own frame.
 Part = tuple[str, str, Contour, pin.SE3]

@@ -59,5 +59,9 @@ class TrajectoryError(ContactError):
     """A stored trajectory cannot be read, or what was asked of it was not recorded."""
 
 
+class SceneFileError(ContactError, ValueError):
+    """A scene file cannot be read; the message names the file, the key and what was expected there."""
+
+
 class MissingExtraError(ContactError, ImportError):
     """An optional package is needed for this call; the message names the extra that installs it."""

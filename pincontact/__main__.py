@@ -1,0 +1,202 @@
+"""The command line: `python -m pincontact run scene.toml` and `python -m pincontact info scene.toml`.
+
+Exit codes: 0 done, 1 the run could not finish, 2 bad input (said in one line on stderr).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .errors import ContactError
+from .friction.laws import Coulomb, FrictionLaw
+from .layout import FREE, FRICTIONLESS, SLIPPING, STICK
+from .scene_file import LoadedScene, load_scene
+from .simulate import simulate
+
+if TYPE_CHECKING:
+    from .scene import Contact
+    from .trajectory import Trajectory
+
+DONE, NOT_FINISHED, BAD_INPUT = 0, 1, 2
+
+_MODES = {FREE: "open", FRICTIONLESS: "frictionless", STICK: "stick", SLIPPING: "slip"}
+_EVENTS_SHOWN = 20
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        loaded = load_scene(options.scene)
+        return _info(loaded) if options.command == "info" else _run(loaded, options)
+    except (ContactError, OSError) as error:
+        text = str(error)
+        where = "" if options.scene in text else f"{options.scene}: "
+        print(f"pincontact: {where}{text}", file=sys.stderr)
+        return BAD_INPUT
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m pincontact", description="Simulate persistent point contacts.")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="command")
+    run = commands.add_parser("run", help="simulate a scene file and print a summary")
+    run.add_argument("scene", help="scene file (.toml, .yaml)")
+    run.add_argument("--duration", type=float, metavar="SECONDS", help="simulated time, instead of the file's")
+    run.add_argument("--html", metavar="FILE", help="write a replay as one HTML file")
+    run.add_argument("--save", metavar="FILE", help="write the trajectory as an npz file")
+    run.add_argument("--progress", action="store_true", help="show a bar over simulated time")
+    info = commands.add_parser("info", help="print what a scene file contains")
+    info.add_argument("scene", help="scene file (.toml, .yaml)")
+    return parser
+
+
+def _table(title: str, heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """A titled table with columns as wide as they need be; numbers with six digits."""
+    cells = [heads, *([_cell(value) for value in row] for row in rows)]
+    if len(cells) == 1:
+        return
+    widths = [max(len(row[i]) for row in cells) for i in range(len(heads))]
+    print(f"\n{title}")
+    for row in cells:
+        print("  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip())
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, (float, np.floating)):
+        return f"{value:.6g}"
+    if isinstance(value, (np.ndarray, tuple)):
+        return " ".join(_cell(entry) for entry in value) or "-"
+    return str(value)
+
+
+# ---------------------------------------------------------------------------------------------------- run
+
+
+def _run(loaded: LoadedScene, options: argparse.Namespace) -> int:
+    changes: dict[str, Any] = {"progress": options.progress}
+    if options.duration is not None:
+        changes["duration"] = options.duration
+    for target in (options.html, options.save):
+        # a long run must not end in a file that cannot be written
+        if target is not None and not Path(target).resolve().parent.is_dir():
+            raise FileNotFoundError(f"{target}: there is no folder {Path(target).parent}")
+    run = loaded.simulate(**changes)
+    _summary(loaded, run)
+    if options.save is not None:
+        run.save(options.save)
+        print(f"\nwrote {options.save}")
+    if options.html is not None and run.t.size:
+        from .view.replay import export_html
+
+        print(f"\nwrote {export_html(run, options.html, title=loaded.path.stem)}")
+    if not run.success:
+        print(f"pincontact: {loaded.path}: status {run.status}: {run.message}", file=sys.stderr)
+        return NOT_FINISHED
+    return DONE
+
+
+def _summary(loaded: LoadedScene, run: Trajectory) -> None:
+    stats = run.stats
+    simulated = float(run.t[-1] - loaded.state.t) if run.t.size else 0.0
+    wall = stats["wall_time"]
+    rate = f", {simulated / wall:.4g} x real time" if wall > 0.0 else ""
+    print(f"{loaded.path}: {simulated:.6g} s simulated in {wall:.4g} s{rate}")
+    print(f"status {run.status}: {run.message}")
+    _table("counts", ["number", "of"], ((value, key) for key, value in stats.items() if key != "wall_time"))
+    shown = run.events[:_EVENTS_SHOWN]
+    _table("events", ["t [s]", "contact", "kind"], ((e.time, e.contact or "-", e.kind) for e in shown))
+    if len(run.events) > len(shown):
+        rest = Counter(event.kind for event in run.events[len(shown) :])
+        print(f"  and {', '.join(f'{count} x {kind}' for kind, count in rest.items())}")
+    if not run.t.size:
+        return
+    _table("contacts", ["name", "modes", "normal force [N]", "largest slip [m/s]"], map(_contact_row, _tracks(run)))
+    _table("worst residuals", ["of", "relative"], ((k, f"{v.max():.1e}") for k, v in run.residuals().items()))
+    energies = run.energies()
+    rows = [("kinetic", energies.kinetic), ("potential", energies.potential), ("total", energies.total)]
+    if energies.friction_work is not None:
+        rows += [("friction work", energies.friction_work), ("balance", energies.balance)]
+    _table("energies [J]", ["of", "first", "last"], ((name, values[0], values[-1]) for name, values in rows))
+
+
+def _tracks(run: Trajectory) -> Iterable[tuple[str, Any]]:
+    return ((name, run.contacts[name]) for name in run.contacts)
+
+
+def _contact_row(entry: tuple[str, Any]) -> Sequence[Any]:
+    name, track = entry
+    modes = Counter(int(mode) for mode in track.mode)
+    shares = ", ".join(f"{_MODES[mode]} {100.0 * count / track.mode.size:.0f} %" for mode, count in modes.most_common())
+    closed = track.mode != FREE
+    slip = np.linalg.norm(track.slip_velocity[closed], axis=1)
+    force = track.normal_force
+    return name, shares, f"{force.min():.6g} to {force.max():.6g}", float(slip.max(initial=0.0))
+
+
+# ---------------------------------------------------------------------------------------------------- info
+
+
+def _info(loaded: LoadedScene) -> int:
+    scene, state = loaded.scene, loaded.state
+    model = scene.model
+    print(
+        f"{loaded.path}: nq {model.nq}, nv {model.nv}, {len(scene.contours)} contours, {len(scene.contacts)} contacts"
+    )
+    _table(
+        "bodies",
+        ["joint", "type", "parent", "mass [kg]"],
+        (
+            (model.names[j], model.joints[j].shortname(), model.names[model.parents[j]], model.inertias[j].mass)
+            for j in range(1, model.njoints)
+        ),
+    )
+    _table(
+        "contours",
+        ["name", "kind", "frame", "parameters", "domain"],
+        ((c.name, c.contour.name, c.frame, c.contour.dimension, c.contour.domain) for c in scene.contours.values()),
+    )
+    _table(
+        "contacts",
+        ["name", "first", "second", "pattern", "m", "k", "nu", "friction", "bilateral"],
+        ((c.name, c.first.name, c.second.name, *_pattern(c), c.bilateral) for c in scene.contacts.values()),
+    )
+    # what the friction laws decide at the start takes one evaluation: a run without duration
+    start = simulate(scene, state, 0.0)
+    if start.t.size:
+        gaps = state.correction.gaps if state.correction is not None else {}
+        _table(
+            "initial state",
+            ["contact", "gap as given [m]", "location of first", "of second", "mode", "normal force [N]"],
+            (
+                (name, gaps.get(name, 0.0), *state.location_of(name), _MODES[int(track.mode[0])], track.normal_force[0])
+                for name, track in _tracks(start)
+            ),
+        )
+    if not start.success:
+        print(f"pincontact: {loaded.path}: status {start.status}: {start.message}", file=sys.stderr)
+        return NOT_FINISHED
+    return DONE
+
+
+def _pattern(contact: Contact) -> Sequence[Any]:
+    pattern = contact.pattern
+    return pattern.name, pattern.equations, pattern.parameters, pattern.constraints, _friction(contact.friction)
+
+
+def _friction(law: FrictionLaw | None) -> str:
+    if law is None:
+        return "none"
+    if isinstance(law, Coulomb):
+        return f"mu {law.mu:g}" + ("" if law.mu_static is None else f", static {law.mu_static:g}")
+    return "no slip"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -117,6 +117,20 @@ def test_energy_of_long_rolling():
 # ---------------------------------------------------------------------------------------------------- rolling balls
 
 
+def test_sliding_ball_begins_to_roll():
+    """A ball thrown without spin slips until t = 2 v0 / (7 mu g) and rolls on with 5/7 of its speed."""
+    radius, mass, mu, v0 = 0.11, 6.0, 0.15, 3.0
+    scene = ball_scene(radius, mass, pc.Plane(), pc.Coulomb(mu))
+    direction = np.array([math.cos(0.4), math.sin(0.4), 0.0])
+    result = run(scene, *free_ball((0.0, 0.0, radius), v0 * direction, np.zeros(3)), 1.2)
+    rolls = 2.0 * v0 / (7.0 * mu * G)
+    assert [event.kind for event in result.events] == ["stick"]
+    assert abs(result.events[0].time - rolls) <= 1e-10
+    t = np.minimum(result.t, rolls)
+    path = v0 * t - 0.5 * mu * G * t**2 + 5.0 / 7.0 * v0 * (result.t - t)
+    assert np.abs(result.q[:, :3] - path[:, None] * direction - [0.0, 0.0, radius]).max() <= 1e-10
+
+
 def test_ball_in_spherical_bowl():
     """A ball rolls in a bowl, in a vertical plane, as a pendulum of length (R - r) 7/5."""
     radius, bowl = 0.2, 1.0
@@ -142,6 +156,42 @@ def test_ball_in_vertical_cylinder():
     angle = around * result.t
     expected = np.column_stack([orbit * np.cos(angle), orbit * np.sin(angle), height])
     assert np.abs(result.q[:, :3] - expected).max() <= 1e-9
+
+
+def test_ball_on_turntable():
+    """Its centre goes round a circle at 2/7 of the table's rate, wherever the circle is."""
+    radius, turning = 0.1, 3.0
+    start, velocity = np.array([0.4, 0.1, radius]), np.array([0.2, 0.3, 0.0])
+    table = pc.ConstantTwist(angular=(0.0, 0.0, turning))
+    scene = ball_scene(radius, 0.8, pc.Plane(), pc.NoSlip(), motion=table)
+    # no slip: velocity - radius omega x z = Omega z x start
+    slip = velocity - turning * np.array([-start[1], start[0], 0.0])
+    omega = np.array([-slip[1] / radius, slip[0] / radius, 0.7])
+    result = run(scene, *free_ball(start, velocity, omega), 6.0)
+    rate = 2.0 / 7.0 * turning
+    c, s = np.cos(rate * result.t), np.sin(rate * result.t)
+    x = start[0] + (s * velocity[0] - (1.0 - c) * velocity[1]) / rate
+    y = start[1] + ((1.0 - c) * velocity[0] + s * velocity[1]) / rate
+    assert np.abs(result.q[:, :3] - np.column_stack([x, y, np.full_like(x, radius)])).max() <= 1e-9
+
+
+def test_ball_on_shaken_plate():
+    """A plate that moves sideways and up and down: the ball takes 2/7 of the sideways acceleration."""
+    radius, mass, frequency, aside, up = 0.1, 0.8, 0.9, 0.12, 0.05
+    shaking = 2.0 * math.pi * frequency
+    plate = pc.HarmonicMotion(amplitude=(aside, 0.0, up), frequency=frequency)
+    scene = ball_scene(radius, mass, pc.Plane(), pc.NoSlip(), motion=plate)
+    vx, vy = 0.3, -0.2
+    omega = (-vy / radius, (vx - aside * shaking) / radius, 0.0)
+    result = run(scene, *free_ball((0.0, 0.0, radius), (vx, vy, up * shaking), omega), 3.0)
+    t, sine = result.t, np.sin(shaking * result.t)
+    x = (vx - 2.0 / 7.0 * aside * shaking) * t + 2.0 / 7.0 * aside * sine
+    assert np.abs(result.q[:, :3] - np.column_stack([x, vy * t, radius + up * sine])).max() <= 1e-9
+    track = result.contacts["c"]
+    pressing = mass * (G - up * shaking**2 * sine)
+    assert pressing.min() > 0.0
+    np.testing.assert_allclose(track.normal_force, pressing, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(track.force[:, 0], 2.0 / 7.0 * mass * aside * shaking**2 * sine, rtol=0.0, atol=1e-8)
 
 
 def test_disk_rolls_in_a_cylinder():
@@ -241,3 +291,26 @@ def test_incline_at_the_friction_angle(excess, slides):
         assert np.abs(result.q - path[:, None] * DOWNHILL).max() <= 1e-10
     else:
         assert np.abs(result.q).max() <= 1e-15
+
+
+# ---------------------------------------------------------------------------------------------------- driven
+
+
+def test_eccentric_cam():
+    """A flat-faced follower on an eccentric circle: y = r + e sin(W t), whatever the friction is not."""
+    radius, eccentricity, turning, mass = 0.1, 0.03, 5.0, 0.6
+    scene = body_scene(pin.JointModelPY(), mass, gravity=(0.0, -G, 0.0))
+    face = scene.add_contour("face", pc.Line(), "body")
+    cam = scene.add_contour(
+        "cam",
+        pc.Circle(radius),
+        placement=pin.SE3(np.eye(3), np.array([eccentricity, 0.0, 0.0])),
+        motion=pc.ConstantTwist(angular=(0.0, 0.0, turning), center=(-eccentricity, 0.0, 0.0)),
+    )
+    scene.add_contact("c", face, cam)
+    result = run(scene, np.array([radius]), np.array([eccentricity * turning]), 3.0)
+    lift = eccentricity * np.sin(turning * result.t)
+    assert np.abs(result.q[:, 0] - radius - lift).max() <= 1e-13
+    track = result.contacts["c"]
+    np.testing.assert_allclose(track.normal_force, mass * (G - turning**2 * lift), rtol=1e-10)
+    np.testing.assert_allclose(track.location[:, 0], eccentricity * np.cos(turning * result.t), rtol=0.0, atol=1e-12)

@@ -24,13 +24,11 @@ MOTION = 1e-8
 FORCE = 1e-6
 RESIDUAL = 1e-12
 
-LEFT_OUT = ("cam_eccentric_flat_follower", "disk_on_sphere_detach")
 CASES = [(name, False) for name in NAMES] + [(name, True) for name in NATIVE_NAMES]
-CASES = [case for case in CASES if case[0] not in LEFT_OUT]
 BOTH = pytest.mark.parametrize(
     ("name", "native"), CASES, ids=[f"{name}-{'native' if native else 'expressions'}" for name, native in CASES]
 )
-EXPRESSIONS = pytest.mark.parametrize("name", [name for name in NAMES if name not in LEFT_OUT])
+EXPRESSIONS = pytest.mark.parametrize("name", NAMES)
 
 
 def tracks(run, key):

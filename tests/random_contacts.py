@@ -330,11 +330,11 @@ class RandomContact:
         self.acceleration = rng.normal(size=model.nv)
         self._system = System(model, list(scene.contacts.values()))
         write_discrete(self._system, self.state.discrete)
-        self._rates = np.zeros_like(self.state.location)
+        self.rates = np.zeros_like(self.state.location)
         condition = self.at().condition
-        self._rates = self._system.rates.copy()
+        self.rates = self._system.rates.copy()
         # differences of eighth order, where the location's derivatives grow by rates / condition: rounding 1e-15 / step
-        self.step = 1e-3 * min(1.0, condition) / (1.0 + float(np.abs(self._rates).max()))
+        self.step = 1e-3 * min(1.0, condition) / (1.0 + float(np.abs(self.rates).max()))
 
     def __repr__(self) -> str:
         return f"RandomContact{self._arguments}"
@@ -371,7 +371,7 @@ class RandomContact:
         """The contact's kinematics at (q, v, t), near the state; the gap need not be closed."""
         system = self._system
         system.q[:], system.v[:] = q, v
-        system.location[:] = self.state.location + (t - START) * self._rates
+        system.location[:] = self.state.location + (t - START) * self.rates
         assert system.evaluate_kinematics(t) == OK
         first, second = system.derivatives[0].copy(), system.derivatives[1].copy()
         frame = contact_frame(

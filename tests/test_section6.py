@@ -5,6 +5,7 @@ corrected where a comment says so. Angles keep s_q5 > 0, so that cos(beta*) = 1 
 states, compared to 1e-10: rounding of products of a few numbers of order 10 is far below.
 """
 
+import dataclasses
 import math
 
 import numpy as np
@@ -342,3 +343,43 @@ def test_sliding_dynamics(states):
         right = np.concatenate([generalized_forces(q, v), [-constraint_bias(q, v)[2]]])
         normal = np.linalg.solve(matrix, right)[6]
         assert abs(normal - force[2]) <= 1e-9 * (1.0 + abs(normal))
+
+
+# ------------------------------------------------------------------------------- the same through `analyze`
+
+
+def test_analysis(states):
+    """Conditions (42, 43), their Jacobians, the frame (41) and v_c as `analyze` gives them."""
+    scene = disk_scene(None)
+    start = scene.initial_state(*states[0])
+    for q, v in states:
+        found = pc.analyze(scene, dataclasses.replace(start, q=q, v=v))["rim/floor"]
+        s4, c4, s5, c5 = sines(q)
+        xi, eta1, eta2 = found.location
+        beta = q[5] + xi
+        sb, cb = math.sin(beta), math.cos(beta)
+        conditions = [
+            q[0] + RADIUS * (c4 * c5 * cb - s4 * sb) - eta1,
+            q[1] + RADIUS * (s4 * c5 * cb + c4 * sb) - eta2,
+            q[2] - RADIUS * s5 * cb,
+            s5 * sb,
+        ]
+        assert_equal(found.f, conditions)
+        jacobian, by_q = printed_jacobians(q, beta)
+        # (44) is (42, 43) with s_beta = 0 put in and s_q5 divided out: combined with f_4 of (44) they are the same; f_3
+        # has no row in (45) and (46)
+        combined = np.array([[1.0, 0.0, -RADIUS * s4], [0.0, 1.0, RADIUS * c4], [0.0, 0.0, s5]])
+        assert_equal(found.J[[0, 1, 3]], combined @ jacobian)
+        assert_equal(found.J[2], [RADIUS * s5 * sb, 0.0, 0.0])
+        assert_equal(found.f_q[[0, 1, 3]], combined @ by_q)
+        assert_equal(found.f_q[2], [0.0, 0.0, 1.0, 0.0, -RADIUS * c5 * cb, RADIUS * s5 * sb])
+        assert_equal(found.f_t, np.zeros(4))
+        assert_equal(found.rates, -np.linalg.solve(jacobian, by_q @ v))
+        assert_equal(found.frame, np.eye(3))
+        assert_equal(found.dual_frame, np.eye(3))
+        rows = velocity_rows(q)
+        assert_equal(found.v_c, rows.T @ v)
+        assert_equal(found.components, rows.T @ v)
+        assert_equal(found.rows.T, rows)
+        assert_equal(found.drift, np.zeros(3))
+        np.testing.assert_allclose(found.bias, constraint_bias(q, v), rtol=0.0, atol=1e-9)

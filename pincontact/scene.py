@@ -8,6 +8,7 @@ import os
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -120,13 +121,9 @@ class Scene:
             )
         except Exception as error:
             raise ModelError(f"{file} cannot be read as a URDF: {error}") from error
-        geometries: list[pin.GeometryModel | None] = []
-        for kind in (pin.GeometryType.VISUAL, pin.GeometryType.COLLISION):
-            try:
-                geometries.append(pin.buildGeomFromUrdf(model, file, kind, folders))
-            except (ValueError, RuntimeError, IndexError):
-                # meshes that are not there do not matter to the motion
-                geometries.append(None)
+        geometries = [
+            _geometry(model, file, kind, folders) for kind in (pin.GeometryType.VISUAL, pin.GeometryType.COLLISION)
+        ]
         return cls(model, geometries[0], geometries[1])
 
     def add_contour(
@@ -158,7 +155,7 @@ class Scene:
         rotation = placement.rotation
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9) or np.linalg.det(rotation) < 0.0:
             raise ContourError(f"contour {name!r}: the placement's rotation is not a rotation matrix")
-        carrier = self.model.frames[self.model.getFrameId(frame)]
+        carrier = self.model.frames[self._frame_id(name, frame)]
         attached = AttachedContour(
             name, contour, frame, placement, motion, int(carrier.parentJoint), carrier.placement * placement
         )
@@ -256,6 +253,15 @@ class Scene:
         self.contacts[name] = contact
         return contact
 
+    def _frame_id(self, contour: str, frame: str) -> int:
+        """Index of a frame by name; a body's where a joint has the same name, as is common in URDFs."""
+        for kind in (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT, pin.FrameType.OP_FRAME):
+            if self.model.existFrame(frame, kind):
+                return int(self.model.getFrameId(frame, kind))
+        if frame == "universe":
+            return 0
+        raise ModelError(f"contour {contour!r}: frame {frame!r} is of a kind that cannot carry a contour")
+
     def _contour(self, contact: str, given: AttachedContour | str) -> AttachedContour:
         key = given.name if isinstance(given, AttachedContour) else given
         if not isinstance(key, str) or key not in self.contours:
@@ -288,6 +294,24 @@ class Scene:
         from .state import find_state
 
         return find_state(self, q, v, t, free, max_gap)
+
+
+def _geometry(model: pin.Model, file: str, kind: pin.GeometryType, folders: list[str]) -> pin.GeometryModel | None:
+    """Shapes of a URDF; meshes that cannot be found are left out, since they do not matter to the motion."""
+    try:
+        return pin.buildGeomFromUrdf(model, file, kind, package_dirs=folders)
+    except (ValueError, RuntimeError, IndexError):
+        tree = ElementTree.parse(file).getroot()
+        for link in tree.iter("link"):
+            for tag in ("visual", "collision"):
+                for shape in [s for s in link.findall(tag) if s.find("geometry/mesh") is not None]:
+                    link.remove(shape)
+        try:
+            return pin.buildGeomFromUrdfString(
+                model, ElementTree.tostring(tree, encoding="unicode"), kind, package_dirs=folders
+            )
+        except (ValueError, RuntimeError, IndexError):
+            return None
 
 
 def characteristic_length(contact: Contact) -> float:

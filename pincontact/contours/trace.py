@@ -516,7 +516,7 @@ def _replace(value: Any, memo: dict[Any, Any]) -> Any:
         pass
     if isinstance(value, types.FunctionType):
         # NumPy's own Python functions work on arrays of symbols as they are.
-        return value if value.__module__.startswith("numpy") else _copy(value, memo)
+        return value if (value.__module__ or "").startswith("numpy") else _copy(value, memo)
     if isinstance(value, types.MethodType):
         return types.MethodType(_replace(value.__func__, memo), _instance(value.__self__, memo))
     if isinstance(value, functools.partial):

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from ..contours.base import DERIVATIVE_ROWS, ELLIPSOID, REVOLUTION, SHAPE_SIZE, SPHERE
 from ..contours.motion import MOTION_CALLABLE, MOTION_PARAMETERS, MOTION_SIZE
-from ..geometry.carriers import place_on_world
+from ..geometry.carriers import ORIGIN
 from ..geometry.location import closed_form
 from ..integration.manifold import configuration_blocks
 from ..integration.stages import (
@@ -167,7 +167,7 @@ class System:
         self.side_base[side, :9] = placement.rotation.ravel()
         self.side_base[side, 9:] = placement.translation
         if attached.joint == 0:
-            place_on_world(self.side_base[side], self.frames[side])
+            self.frames[side, 0:3], self.frames[side, ORIGIN] = placement.rotation, placement.translation
         else:
             moving = _support(self.model, attached.joint)
             integers[SUPPORT_SIZE] = len(moving)

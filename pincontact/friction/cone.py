@@ -616,7 +616,7 @@ def cone_step(x1, x2, xn, d1, d2, dn):
     return step
 
 
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, REAL, REAL, REAL)
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, REAL, REAL, REAL, aside=True)
 def interior_point(delassus, b, mu, table, first_f, first_y, pivoting):
     """Forces (3n,) in the table by a primal-dual interior-point method with Nesterov-Todd scaling; the residual.
 
@@ -733,7 +733,7 @@ def interior_point(delassus, b, mu, table, first_f, first_y, pivoting):
     return residual
 
 
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, INTEGER, INTEGER, REAL)
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, INTEGER, INTEGER, REAL, aside=True)
 def solve_cones(delassus, b, mu, table, task, passes, tolerance):
     """Forces and velocities of n contacts from what is known of them; returns the residual.
 
@@ -788,7 +788,7 @@ def solve_cones(delassus, b, mu, table, task, passes, tolerance):
 
 @entry_kernel(
     REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL, REAL[:, ::1], REAL[::1], REAL[:, ::1], REAL[::1],
-    REAL[::1], REAL[::1],
+    REAL[::1], REAL[::1], aside=True,
 )  # fmt: skip
 def assemble_qp(delassus, b, mu, f, proximal, hessian, gradient, facets, upper, unit, work):
     """The quadratic program around scaled forces f (3n,): min f' H f / 2 + g' f with facets f <= upper.

@@ -10,15 +10,6 @@ ORIGIN, VELOCITY, OMEGA, ACCELERATION, ALPHA = 3, 4, 5, 6, 7
 
 
 @kernel
-def place_on_world(base, frame):
-    """A contour fixed in the world: pose only, its motion stays zero. base (12,): rotation, position."""
-    for i in range(3):
-        for j in range(3):
-            frame[i, j] = base[3 * i + j]
-        frame[ORIGIN, i] = base[9 + i]
-
-
-@kernel
 def place_on_joint(base, rotation_columns, translation, spatial_velocity, spatial_bias, gravity, frame, scratch):
     """Pose, velocity and bias acceleration (no joint acceleration) of a contour frame fixed to a joint.
 

@@ -28,8 +28,9 @@ from .transitions import Transitions
 
 # Where 3D slip ends its direction is singular: no step goes further than this fraction of the way to the end.
 _STOP_FRACTION = 0.8
-# Slip has ended once its speed is this fraction of the velocity tolerance; the rest is one linear step.
-_STOP_TOLERANCE = 1e-2
+# Slip has ended once its speed is this multiple of the velocity tolerance (below it the direction is noise); the rest
+# is one linear step, whose error is of second order in the time left.
+_STOP_TOLERANCE = 1.0
 _SMALLEST_STOP_SPEED = 1e-13
 # After a rejection by a failed evaluation the step shrinks by this factor.
 _FAILED_FACTOR = 0.25

@@ -1,0 +1,450 @@
+"""Bad input is answered by a typed error before any work is done; what goes wrong later ends the run and keeps what
+there is."""
+
+import math
+import re
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pincontact as pc
+
+RADIUS, LEAN = 0.3, 1.2
+
+
+def disk_model():
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.diag([0.02, 0.02, 0.04])), pin.SE3.Identity())
+    model.addBodyFrame("disk", joint, pin.SE3.Identity(), 0)
+    return model
+
+
+def disk_scene(friction=None, model=None, **contact):
+    scene = pc.Scene(disk_model() if model is None else model)
+    rim, floor = scene.add_contour("rim", pc.Circle(RADIUS), "disk"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("rim/floor", rim, floor, friction=friction, **contact)
+    return scene
+
+
+HEIGHT = RADIUS * math.sin(LEAN)
+
+
+def leaning(height=HEIGHT):
+    """q of the disk, its axis at LEAN to the vertical."""
+    return np.array([0.0, 0.0, height, 0.0, math.sin(0.5 * LEAN), 0.0, math.cos(0.5 * LEAN)])
+
+
+ROLLING = np.array([0.3, -0.1, 0.2, 0.1, 0.4, 6.0])
+
+
+@pytest.fixture
+def scene():
+    return disk_scene(pc.Coulomb(0.8))
+
+
+@pytest.fixture
+def state(scene):
+    return scene.initial_state(leaning(), ROLLING)
+
+
+# ---------------------------------------------------------------------------------------------------- models
+
+
+def test_missing_urdf(tmp_path):
+    with pytest.raises(pc.ModelError, match=r"not found.*nowhere\.urdf"):
+        pc.Scene.from_urdf(tmp_path / "nowhere.urdf")
+
+
+def test_broken_urdf(tmp_path):
+    path = tmp_path / "broken.urdf"
+    path.write_text("<robot name='r'><link name='a'/><joint")
+    with pytest.raises(pc.ModelError, match=r"broken\.urdf"):
+        pc.Scene.from_urdf(path)
+
+
+def test_scene_needs_a_model():
+    with pytest.raises(pc.ModelError, match="str"):
+        pc.Scene("disk.urdf")
+
+
+def test_unknown_frame_with_a_hint(scene):
+    with pytest.raises(pc.ModelError, match="did you mean disk"):
+        scene.add_contour("other", pc.Plane(), "disc")
+    with pytest.raises(pc.ModelError, match="universe"):
+        scene.add_contour("other", pc.Plane(), "completely elsewhere")
+    assert "other" not in scene.contours
+
+
+# ---------------------------------------------------------------------------------------------------- contours
+
+
+@pytest.mark.parametrize(
+    ("make", "number"),
+    [
+        (lambda: pc.Circle(-0.3), "-0.3"),
+        (lambda: pc.Sphere(0.0), "0.0"),
+        (lambda: pc.Ellipsoid(0.1, math.nan, 0.1), "nan"),
+        (lambda: pc.Cylinder(math.inf), "inf"),
+        (lambda: pc.Torus(0.1, 0.2), "0.2"),
+        (lambda: pc.Cone(2.0), "2.0"),
+    ],
+)
+def test_shapes_out_of_bounds(make, number):
+    with pytest.raises(pc.ContourError, match=number):
+        make()
+
+
+def test_contour_names_and_placements(scene):
+    with pytest.raises(pc.ContourError, match="already a contour named 'rim'"):
+        scene.add_contour("rim", pc.Plane())
+    with pytest.raises(pc.ContourError, match=r"0\.3"):
+        scene.add_contour("number", 0.3)
+    with pytest.raises(pc.ContourError, match="finite"):
+        scene.add_contour("lost", pc.Plane(), placement=pin.SE3(np.eye(3), np.array([0.0, math.nan, 0.0])))
+    with pytest.raises(pc.ContourError, match="rotation"):
+        scene.add_contour("sheared", pc.Plane(), placement=pin.SE3(2.0 * np.eye(3), np.zeros(3)))
+
+
+# ---------------------------------------------------------------------------------------------------- contacts
+
+
+@pytest.mark.parametrize("mu", [-0.1, math.nan, math.inf, "rough"])
+def test_friction_out_of_bounds(mu):
+    with pytest.raises(pc.FrictionError, match="mu"):
+        pc.Coulomb(mu)
+
+
+def test_static_friction_below_sliding():
+    with pytest.raises(pc.FrictionError, match=r"0\.2 < 0\.3"):
+        pc.Coulomb(0.3, mu_static=0.2)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "text"),
+    [
+        ({"friction": 0.4}, pc.ArgumentError, r"0\.4"),
+        ({"side": 2}, pc.ArgumentError, "side"),
+        ({"restitution": 1.5}, pc.ArgumentError, r"1\.5"),
+        ({"location": 0.3}, pc.ArgumentError, r"0\.3"),
+        ({"location": ((0.1, 0.2), None)}, pc.ArgumentError, "'rim' needs 1"),
+        ({"location": (math.nan, None)}, pc.ArgumentError, "finite"),
+        ({"pattern": "S-S"}, pc.PatternError, "3C-S, not S-S"),
+        ({"pattern": "2D"}, pc.PatternError, "2D"),
+    ],
+)
+def test_contact_arguments(options, error, text):
+    with pytest.raises(error, match=text) as caught:
+        disk_scene(**options)
+    assert "rim/floor" in str(caught.value)
+
+
+def test_contact_names_and_partners(scene):
+    with pytest.raises(pc.ArgumentError, match="already a contact named 'rim/floor'"):
+        scene.add_contact("rim/floor", "rim", "floor")
+    with pytest.raises(pc.ArgumentError, match="unknown contour 'roof'"):
+        scene.add_contact("other", "rim", "roof")
+    with pytest.raises(pc.ArgumentError, match="itself"):
+        scene.add_contact("other", "rim", "rim")
+    hub = scene.add_contour("hub", pc.Point(), "disk")
+    with pytest.raises(pc.ArgumentError, match="same body"):
+        scene.add_contact("other", hub, "rim")
+    stranger = disk_scene().contours["floor"]
+    with pytest.raises(pc.ArgumentError, match="another scene"):
+        scene.add_contact("other", "rim", stranger)
+    tip = scene.add_contour("tip", pc.Point())
+    with pytest.raises(pc.PatternError, match="point against a point"):
+        scene.add_contact("other", hub, tip)
+    assert list(scene.contacts) == ["rim/floor"]
+
+
+def test_planar_pattern_in_space():
+    """A disk that can fall over is not planar: said at once, not found out during the run."""
+    scene = pc.Scene(disk_model())
+    rim, rail = scene.add_contour("rim", pc.Circle(RADIUS), "disk"), scene.add_contour("rail", pc.Line())
+    with pytest.raises(pc.PatternError, match="can leave the plane"):
+        scene.add_contact("rim/rail", rim, rail, pattern="2C-2C")
+
+
+# ---------------------------------------------------------------------------------------------------- states
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda q, v: (q[:-1], v), "q must have 7 entries, got 6"),
+        (lambda q, v: (q, v[:-1]), "v must have 6 entries, got 5"),
+        (lambda q, v: (np.where(np.arange(7) == 2, np.nan, q), v), r"q\[2\] is nan"),
+        (lambda q, v: (q, np.where(np.arange(6) == 4, np.inf, v)), r"v\[4\] is inf"),
+        (lambda q, v: ("upright", v), "q must be 7 numbers"),
+        (lambda q, v: (np.where(np.arange(7) >= 3, 1.01 * q, q), v), r"quaternion.*1\.01"),
+    ],
+)
+def test_states_out_of_bounds(scene, change, text):
+    with pytest.raises(pc.StateError, match=text):
+        scene.initial_state(*change(leaning(), ROLLING))
+
+
+def test_time_of_a_state(scene):
+    with pytest.raises(pc.StateError, match="nan"):
+        scene.initial_state(leaning(), ROLLING, t=math.nan)
+
+
+def test_angle_pairs_of_planar_joints():
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    with pytest.raises(pc.StateError, match=r"\(cos, sin\)"):
+        pc.Scene(model).initial_state([0.0, 0.0, 1.0, 0.1])
+
+
+@pytest.mark.parametrize("gap", [0.1, -0.1])
+def test_contours_apart(scene, gap):
+    with pytest.raises(pc.NoContactError, match="rim/floor") as caught:
+        scene.initial_state(leaning(HEIGHT + gap), ROLLING)
+    assert caught.value.gap == pytest.approx(gap, abs=1e-12)
+
+
+def test_small_gap_is_closed_and_reported(scene):
+    state = scene.initial_state(leaning(HEIGHT + 1e-3), ROLLING)
+    assert state.correction.gaps["rim/floor"] == pytest.approx(1e-3, rel=1e-9)
+    assert 1e-4 < state.correction.dq < 1e-2
+    with pytest.raises(pc.NoContactError):
+        scene.initial_state(leaning(HEIGHT + 1e-3), ROLLING, max_gap=1e-4)
+
+
+def test_free_contacts(scene):
+    with pytest.raises(pc.ArgumentError, match="unknown contact 'roof'"):
+        scene.initial_state(leaning(), ROLLING, free=["roof"])
+    held = disk_scene(bilateral=True)
+    with pytest.raises(pc.ArgumentError, match="bilateral"):
+        held.initial_state(leaning(), ROLLING, free=["rim/floor"])
+    apart = scene.initial_state(leaning(1.0), ROLLING, free=["rim/floor"])
+    assert apart.q[2] == 1.0
+
+
+def test_flat_disk_is_singular(scene):
+    """A disk that lies flat touches along its whole rim: no point contact, and no NaN."""
+    flat = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    with pytest.raises((pc.SingularContactError, pc.NoContactError), match="rim"):
+        scene.initial_state(flat)
+
+
+# ---------------------------------------------------------------------------------------------------- simulate
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"duration": -1.0}, "duration.*-1"),
+        ({"duration": math.nan}, "duration.*nan"),
+        ({"duration": math.inf}, "duration"),
+        ({"duration": "long"}, "duration.*long"),
+        ({"rtol": -1e-6}, "rtol"),
+        ({"atol": 0.0}, "atol"),
+        ({"atol": math.nan}, "atol"),
+        ({"max_step": 0.0}, "max_step"),
+        ({"first_step": -1.0}, "first_step"),
+        ({"fixed_step": 0.0}, "fixed_step"),
+        ({"max_steps": 0}, "max_steps"),
+        ({"method": "Euler"}, "Euler.*DOP853"),
+        ({"control": 3.0}, r"3\.0"),
+        ({"events": [None]}, r"events\[0\]"),
+        ({"t_eval": [0.0, 2.0]}, r"t_eval must lie in \[0.0, 1.0\]"),
+        ({"t_eval": [-0.5, 0.5]}, "t_eval must lie"),
+        ({"t_eval": [0.5, 0.2]}, "must not decrease"),
+        ({"t_eval": [0.1, math.nan]}, "not finite"),
+    ],
+)
+def test_arguments_of_simulate(scene, state, options, text):
+    with pytest.raises(pc.ArgumentError, match=text):
+        pc.simulate(scene, state, **({"duration": 1.0} | options))
+
+
+def test_states_of_other_scenes(scene, state):
+    with pytest.raises(pc.ArgumentError, match="another scene"):
+        pc.simulate(disk_scene(), state, 1.0)
+    with pytest.raises(pc.ArgumentError, match="initial_state"):
+        pc.simulate(scene, leaning(), 1.0)
+    with pytest.raises(pc.ArgumentError, match="Scene"):
+        pc.simulate(scene.model, state, 1.0)
+    tip = scene.add_contour("tip", pc.Point(), "disk")
+    scene.add_contact("late", tip, "floor")
+    with pytest.raises(pc.ArgumentError, match="added after"):
+        pc.simulate(scene, state, 1.0)
+
+
+# ---------------------------------------------------------------------------------------------------- controllers
+
+
+def raising(t, q, v):
+    if t > 0.3:
+        raise KeyError("no plan")
+    return np.zeros(6)
+
+
+@pytest.mark.parametrize(
+    ("control", "text"),
+    [
+        (lambda t, q, v: np.full(6, np.nan) if t > 0.3 else np.zeros(6), "control returned nan"),
+        (lambda t, q, v: np.zeros(5) if t > 0.3 else np.zeros(6), r"shape \(5,\), not \(6,\)"),
+        (raising, "KeyError.*no plan"),
+        (lambda t, q, v: "left" if t > 0.3 else np.zeros(6), "ValueError"),
+    ],
+)
+def test_failing_controllers_end_the_run(scene, state, control, text):
+    run = pc.simulate(scene, state, 1.0, control=control, t_eval=np.linspace(0.0, 1.0, 21))
+    assert run.status < 0
+    assert not run.success
+    assert re.search(text, run.message), run.message
+    # everything up to the failure is there, and is what it would have been
+    assert 1 <= run.t.size <= 7
+    reference = pc.simulate(scene, state, 1.0, control=lambda t, q, v: np.zeros(6), t_eval=run.t)
+    np.testing.assert_allclose(run.q, reference.q, rtol=0.0, atol=1e-8)
+    assert np.isfinite(run.contacts["rim/floor"].force).all()
+
+
+def test_failing_at_once(scene, state):
+    run = pc.simulate(scene, state, 1.0, control=lambda t, q, v: [math.nan] * 6)
+    assert run.status < 0
+    assert "t = 0 s" in run.message
+    assert run.t.size == 0
+    assert run.q.shape == (0, 7)
+    assert run.contacts["rim/floor"].force.shape == (0, 3)
+
+
+def test_controller_cannot_change_the_state(scene, state):
+    """It gets copies: writing to them does nothing."""
+
+    def meddling(t, q, v):
+        q[:], v[:] = 0.0, 0.0
+        return np.zeros(6)
+
+    a = pc.simulate(scene, state, 0.5, control=meddling)
+    b = pc.simulate(scene, state, 0.5)
+    np.testing.assert_array_equal(a.q[-1], b.q[-1])
+
+
+# ---------------------------------------------------------------------------------------------------- limits
+
+
+def test_zero_duration(scene, state):
+    run = pc.simulate(scene, state, 0.0)
+    assert run.status == 0
+    np.testing.assert_array_equal(run.t, [0.0])
+    np.testing.assert_allclose(run.q[0], state.q, rtol=0.0, atol=1e-15)
+    assert run.contacts["rim/floor"].normal_force[0] > 0.0
+
+
+@pytest.mark.parametrize("duration", [5e-324, 1e-300, 1e-18, 1e-12, 1e-6])
+@pytest.mark.parametrize("t", [0.0, 12.5])
+def test_tiny_durations(scene, duration, t):
+    state = scene.initial_state(leaning(), ROLLING, t)
+    run = pc.simulate(scene, state, duration, t_eval=[t, t + duration])
+    assert run.status == 0, run.message
+    assert run.t.size == 2
+    speeds = np.abs(state.v).max()
+    assert np.abs(run.q[-1] - state.q).max() <= 2.0 * duration * speeds + 1e-14
+    assert np.abs(run.v[-1] - state.v).max() <= 1e3 * duration + 1e-13
+
+
+@pytest.mark.parametrize("t_eval", [[], [0.0], [1.0], [0.0, 0.0, 0.5, 0.5, 1.0], np.linspace(0.0, 1.0, 1001)])
+def test_any_output_times(scene, state, t_eval):
+    run = pc.simulate(scene, state, 1.0, t_eval=t_eval)
+    assert run.status == 0
+    np.testing.assert_array_equal(run.t, t_eval)
+    assert run.q.shape == (len(t_eval), 7)
+
+
+def test_step_limit(scene, state):
+    run = pc.simulate(scene, state, 100.0, max_steps=12)
+    assert run.status < 0
+    assert "12 steps" in run.message
+    assert 1 < run.t.size <= 13
+    assert run.t[-1] < 100.0
+    assert np.isfinite(run.q).all()
+
+
+def test_step_floor():
+    """A controller that drives the velocity to infinity in finite time: the step shrinks to nothing and the run says
+    where. v' = v^2 from v = 1 is infinite at t = 1."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    scene = pc.Scene(model)
+    state = scene.initial_state([0.0], [1.0])
+    run = pc.simulate(scene, state, 2.0, control=lambda t, q, v: v * v)
+    assert run.status < 0
+    assert "step" in run.message
+    assert "t = 1" in run.message or "t = 0.999" in run.message
+    assert np.isfinite(run.q).all()
+    slow = run.v[:, 0] < 1e4  # beyond, 1 - t has lost the digits that this comparison needs
+    np.testing.assert_allclose(run.v[slow, 0], 1.0 / (1.0 - run.t[slow]), rtol=1e-3)
+
+
+# ---------------------------------------------------------------------------------------------------- files
+
+
+def test_save_and_load(scene, state, tmp_path):
+    def passes(t, q, v):
+        return q[0] - 0.05
+
+    run = pc.simulate(scene, state, 1.5, control=lambda t, q, v: np.full(6, 0.01), events=passes, energies=True)
+    assert run.events
+    path = tmp_path / "run.npz"
+    run.save(path)
+    for loaded in (pc.Trajectory.load(path), pc.Trajectory.load(path, scene)):
+        for key in ("t", "q", "v"):
+            np.testing.assert_array_equal(getattr(loaded, key), getattr(run, key))
+        assert (loaded.status, loaded.message, loaded.stats) == (run.status, run.message, run.stats)
+        assert len(loaded.events) == len(run.events)
+        for a, b in zip(loaded.events, run.events, strict=True):
+            assert (a.time, a.contact, a.kind, a.index) == (b.time, b.contact, b.kind, b.index)
+            np.testing.assert_array_equal(a.q, b.q)
+            np.testing.assert_array_equal(a.v, b.v)
+        for key, value in vars(run.contacts["rim/floor"]).items():
+            np.testing.assert_array_equal(getattr(loaded.contacts["rim/floor"], key), value, err_msg=key)
+        for key, value in run.residuals().items():
+            np.testing.assert_array_equal(loaded.residuals()[key], value)
+    again = pc.Trajectory.load(path, scene)
+    np.testing.assert_array_equal(again.energies().friction_work, run.energies().friction_work)
+    # a loaded run can be gone on with
+    more = pc.simulate(scene, again.state(), 0.1)
+    assert more.status == 0
+    assert more.t[-1] == pytest.approx(1.6)
+
+
+def test_files_that_are_no_runs(scene, state, tmp_path):
+    with pytest.raises(pc.TrajectoryError, match=r"gone\.npz"):
+        pc.Trajectory.load(tmp_path / "gone.npz")
+    text = tmp_path / "text.npz"
+    text.write_text("not a run")
+    with pytest.raises(pc.TrajectoryError, match=r"text\.npz"):
+        pc.Trajectory.load(text)
+    numbers = tmp_path / "numbers.npz"
+    np.savez(numbers, t=np.zeros(3))
+    with pytest.raises(pc.TrajectoryError, match=r"numbers\.npz"):
+        pc.Trajectory.load(numbers)
+    path = tmp_path / "run.npz"
+    pc.simulate(scene, state, 0.1).save(path)
+    other = pc.Scene(disk_model())
+    with pytest.raises(pc.TrajectoryError, match="contacts"):
+        pc.Trajectory.load(path, other)
+
+
+def test_unknown_contact_of_a_run(scene, state):
+    run = pc.simulate(scene, state, 0.0)
+    with pytest.raises(pc.TrajectoryError, match=r"roof.*rim/floor"):
+        run.contacts["roof"]
+    with pytest.raises(pc.ArgumentError, match="roof"):
+        state.location_of("roof")
+    with pytest.raises(pc.TrajectoryError, match="energies=True"):
+        _ = run.energies().balance
+
+
+def test_every_error_is_a_contact_error():
+    for name in dir(pc):
+        found = getattr(pc, name)
+        if isinstance(found, type) and issubclass(found, Exception):
+            assert issubclass(found, pc.ContactError), name

@@ -48,7 +48,7 @@ def add_contours_from_collision(
     found: list[tuple[str, Contour, str, pin.SE3]] = []
     ignored: list[str] = []
     for item in objects:
-        frame = scene.model.frames[item.parentFrame]
+        frame = _carrier(scene.model, item)
         if names is not None and frame.name not in names:
             continue
         make = _SHAPES.get(type(item.geometry).__name__)
@@ -80,13 +80,19 @@ def _links(model: pin.Model, objects: list[Any], links: Iterable[str] | None) ->
     """The links asked for, once every one of them is known to have a collision shape; None for all."""
     if links is None:
         return None
-    having = {model.frames[item.parentFrame].name for item in objects}
+    having = {_carrier(model, item).name for item in objects}
     wanted = {links} if isinstance(links, str) else set(links)
     for name in sorted(wanted - having):
         close = difflib.get_close_matches(name, sorted(having), n=3)
         hint = f"did you mean {' or '.join(close)}?" if close else f"links that have some: {', '.join(sorted(having))}"
         raise ModelError(f"link {name!r} has no collision shape; {hint}")
     return wanted
+
+
+def _carrier(model: pin.Model, item: pin.GeometryObject) -> pin.Frame:
+    """The frame that carries a shape: its link, or the joint of one that was made without a link."""
+    index = item.parentFrame
+    return model.frames[index if index < model.nframes else model.getFrameId(model.names[item.parentJoint])]
 
 
 def _at(axis: int, distance: float) -> pin.SE3:

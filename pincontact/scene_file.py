@@ -21,7 +21,7 @@ import inspect
 import math
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -96,26 +96,20 @@ def load_scene(path: str | os.PathLike[str]) -> LoadedScene:
     """
     file = Path(path)
     root = _Table(file, "", _parse(file), {})
+    root.allow(*_MODEL, "constants", "collision", "contours", "contacts", "initial", "simulation")
     constants = root.table("constants")
     if constants is not None:
         _read_constants(constants)
     scene = _read_model(root)
     collision = root.table("collision")
     if collision is not None:
-        collision.attempt(
-            "",
-            scene.add_contours_from_collision,
-            links=collision.get("links", _texts, None),
-            kinds=collision.get("kinds", _texts, ["faces", "rims"]),
-        )
-        collision.finish()
+        _read_collision(collision, scene)
     for entry in root.tables("contours"):
         _read_contour(entry, scene)
     for entry in root.tables("contacts"):
         _read_contact(entry, scene)
     state = _read_initial(root.table("initial"), scene, root)
     settings, outputs = _read_simulation(root.table("simulation"))
-    root.finish()
     return LoadedScene(file, scene, state, settings, outputs)
 
 
@@ -157,21 +151,14 @@ Converter = Callable[[Any, Mapping[str, float]], Any]
 
 
 class _Table:
-    """One table of the file: typed access, errors that name file and key, and no key left over."""
+    """One table of the file: typed access, and errors that name file and key."""
 
     def __init__(self, file: Path, where: str, content: Any, constants: dict[str, float]) -> None:
         self.file, self.where, self.constants = file, where, constants
         if not isinstance(content, dict):
             raise SceneFileError(f"{file}: {where}: expected a table, got {content!r}")
         self.content: dict[str, Any] = content
-        self._seen: set[str] = set()
-
-    @property
-    def name(self) -> str:
-        """The last part of where the table is."""
-        return self._name
-
-    _name = ""
+        self.name = ""
 
     def path(self, key: str) -> str:
         quoted = key if key.replace("_", "").replace("-", "").isalnum() else f'"{key}"'
@@ -183,7 +170,6 @@ class _Table:
 
     def get(self, key: str, convert: Converter, default: Any = _REQUIRED) -> Any:
         """The converted value of a key, or its default."""
-        self._seen.add(key)
         if key not in self.content:
             if default is _REQUIRED:
                 raise self.error(key, "is missing")
@@ -198,11 +184,10 @@ class _Table:
 
     def table(self, key: str) -> _Table | None:
         """A table within this one, None if there is none."""
-        self._seen.add(key)
         if key not in self.content:
             return None
         inner = _Table(self.file, self.path(key), self.content[key], self.constants)
-        inner._name = key
+        inner.name = key
         return inner
 
     def tables(self, key: str) -> list[_Table]:
@@ -220,14 +205,14 @@ class _Table:
         except ValueError as error:
             raise self.error(key, str(error)) from error
 
-    def finish(self) -> None:
-        """Raises SceneFileError for a key that nobody asked for."""
+    def allow(self, *keys: str) -> None:
+        """Raises SceneFileError for a key that is none of these."""
         for key in self.content:
-            if key not in self._seen:
-                raise self.error(key, f"unknown key; {_suggestion(key, self._seen)}")
+            if key not in keys:
+                raise self.error(key, f"unknown key; {_suggestion(key, keys)}")
 
 
-def _suggestion(name: str, known: Sequence[str] | set[str]) -> str:
+def _suggestion(name: str, known: Collection[str]) -> str:
     by_case = {candidate.lower(): candidate for candidate in sorted(known)}
     close = difflib.get_close_matches(str(name).lower(), by_case, n=2)
     if close:
@@ -380,6 +365,9 @@ def _read_constants(table: _Table) -> None:
         table.constants[name] = table.get(name, _number)
 
 
+_MODEL = ("urdf", "package_dirs", "floating_base", "gravity")
+
+
 def _read_model(root: _Table) -> Scene:
     folder = root.file.resolve().parent
     packages = [str(folder / part) for part in root.get("package_dirs", _texts, [])]
@@ -395,6 +383,14 @@ def _read_model(root: _Table) -> Scene:
 
 
 # ---------------------------------------------------------------------------------------------------- contours
+
+
+def _read_collision(table: _Table, scene: Scene) -> None:
+    options = {"links": table.get("links", _texts, None), "kinds": table.get("kinds", _texts, None)}
+    table.allow(*options)
+    given = {key: value for key, value in options.items() if value is not None}
+    table.attempt("", scene.add_contours_from_collision, **given)
+
 
 _CONTOURS: dict[type[Contour], dict[str, Converter]] = {
     shapes.Point: {},
@@ -451,40 +447,44 @@ def _of_kind(table: _Table, kinds: Mapping[str, Any]) -> str:
 def _constructed(table: _Table, kind: type, parameters: Mapping[str, Converter]) -> Any:
     """An object of a class from the keys that its constructor names."""
     signature = inspect.signature(kind).parameters
-    options = {}
-    for name, convert in parameters.items():
-        required = signature[name].default is inspect.Parameter.empty
-        if required or name in table.content:
-            options[name] = table.get(name, convert)
-        else:
-            table.get(name, convert, None)
+    options = {
+        name: table.get(name, convert)
+        for name, convert in parameters.items()
+        if name in table.content or signature[name].default is inspect.Parameter.empty
+    }
     return table.attempt("", kind, **options)
+
+
+_PLACEMENT = ("xyz", "rpy", "quaternion")
 
 
 def _read_contour(table: _Table, scene: Scene) -> None:
     kinds = {kind.__name__: kind for kind in _CONTOURS}
     name = _of_kind(table, {**kinds, "HeightField": None})
+    if name == "HeightField":
+        parameters = _HEIGHT_GRID if "z" in table.content else _HEIGHT_FUNCTION
+    else:
+        parameters = _CONTOURS[kinds[name]]
+    table.allow("kind", "frame", *_PLACEMENT, "motion", *parameters)
     frame = table.get("frame", _text, "universe")
     placement = _read_placement(table)
     drive = table.table("motion")
     motion = None if drive is None else _read_motion(drive)
-    contour = _read_height_field(table) if name == "HeightField" else _shape(table, kinds[name])
-    table.finish()
+    contour = (
+        _height_field(table, parameters) if name == "HeightField" else _constructed(table, kinds[name], parameters)
+    )
     table.attempt("", scene.add_contour, table.name, contour, frame, placement, motion)
 
 
-def _shape(table: _Table, kind: type[Contour]) -> Contour:
-    return _constructed(table, kind, _CONTOURS[kind])
-
-
-def _read_height_field(table: _Table) -> Contour:
-    grid = not ("f" in table.content or "domain" in table.content)
+def _height_field(table: _Table, parameters: Mapping[str, Converter]) -> Contour:
+    optional = ("domain", "degree")
     options = {
         name: table.get(name, convert)
-        for name, convert in (_HEIGHT_GRID if grid else _HEIGHT_FUNCTION).items()
-        if name in table.content or name not in ("domain", "degree")
+        for name, convert in parameters.items()
+        if name in table.content or name not in optional
     }
-    first = options.pop("x") if grid else options.pop("f")
+    # the constructor's first argument is the function, or the grid's x
+    first = options.pop(next(iter(parameters)))
     return table.attempt("", shapes.HeightField, first, **options)
 
 
@@ -499,16 +499,14 @@ def _read_placement(table: _Table) -> pin.SE3:
 def _read_motion(table: _Table) -> Motion:
     kinds = {kind.__name__: kind for kind in _MOTIONS}
     kind = _of_kind(table, {**kinds, "CallableMotion": None})
-    if kind == "CallableMotion":
-        zero = compiled(["0", "0", "0"], ("t",))
-        position = table.get("xyz", _formulas(3, "t"), zero)
-        angles = table.get("rpy", _formulas(3, "t"), zero)
-        domain = table.get("time_domain", _interval)
-        motion = table.attempt("", shapes.CallableMotion, _moving_pose(position, angles), domain)
-    else:
-        motion = _constructed(table, kinds[kind], _MOTIONS[kinds[kind]])
-    table.finish()
-    return motion
+    if kind != "CallableMotion":
+        table.allow("kind", *_MOTIONS[kinds[kind]])
+        return _constructed(table, kinds[kind], _MOTIONS[kinds[kind]])
+    table.allow("kind", "xyz", "rpy", "time_domain")
+    zero = compiled(["0", "0", "0"], ("t",))
+    position, angles = (table.get(key, _formulas(3, "t"), zero) for key in ("xyz", "rpy"))
+    domain = table.get("time_domain", _interval)
+    return table.attempt("", shapes.CallableMotion, _moving_pose(position, angles), domain)
 
 
 def _moving_pose(position: Callable[..., Any], angles: Callable[..., Any]) -> Callable[[float], pin.SE3]:
@@ -557,6 +555,7 @@ def _pair(value: Any, constants: Mapping[str, float]) -> list[str]:
 
 
 def _read_contact(table: _Table, scene: Scene) -> None:
+    table.allow("between", "friction", "bilateral", "pattern", "location", "side", "restitution")
     first, second = table.get("between", _pair)
     for name in (first, second):
         if name not in scene.contours:
@@ -569,7 +568,6 @@ def _read_contact(table: _Table, scene: Scene) -> None:
         "side": table.get("side", _side, None),
         "restitution": table.get("restitution", _number, 0.0),
     }
-    table.finish()
     table.attempt("", scene.add_contact, table.name, first, second, **options)
 
 
@@ -618,10 +616,10 @@ def _read_coordinates(table: _Table, key: str, model: pin.Model) -> np.ndarray:
 
 def _read_initial(table: _Table | None, scene: Scene, root: _Table) -> State:
     given = table if table is not None else _Table(root.file, "initial", {}, root.constants)
+    given.allow("q", "v", "t", "free", "max_gap")
     q, v = (_read_coordinates(given, key, scene.model) for key in ("q", "v"))
     t = given.get("t", _number, 0.0)
     options = {"free": given.get("free", _texts, []), "max_gap": given.get("max_gap", _number, None)}
-    given.finish()
     return given.attempt("", scene.initial_state, q, v, t, **options)
 
 
@@ -651,7 +649,7 @@ def _outputs(value: Any, constants: Mapping[str, float]) -> int | tuple[float, .
 def _read_simulation(table: _Table | None) -> tuple[dict[str, Any], int | tuple[float, ...] | None]:
     if table is None:
         return {}, None
+    table.allow("outputs", *_SETTINGS)
     settings = {key: table.get(key, convert, None) for key, convert in _SETTINGS.items()}
     outputs = table.get("outputs", _outputs, None)
-    table.finish()
     return {key: value for key, value in settings.items() if value is not None}, outputs

@@ -21,6 +21,7 @@ from .layout import (
     DETERMINANT_SIGN,
     FREE,
     FRICTIONLESS,
+    FROZEN,
     MODE,
     NORMAL_SIGN,
     SIDE,
@@ -56,8 +57,8 @@ class Correction:
 class State:
     """A consistent state. Arrays are copies; body order is the paper's (k2 >= k1), `location_of` the user's.
 
-    q (nq,), v (nv,): Pinocchio's. t: s. location (nc, 4): u_1, u_2. discrete (nc, 8) int: per contact mode, charts of
-    both bodies, side, branch, sign of det J, sign of slip, sign of the normal force.
+    q (nq,), v (nv,): Pinocchio's. t: s. location (nc, 4): u_1, u_2. discrete (nc, 9) int: per contact mode, charts of
+    both bodies, side, branch, sign of det J, sign of slip, sign of the normal force, frozen direction.
     candidates: contact -> every contact point found, nearest first (Sec. 6.2: the location is multi-valued).
     """
 
@@ -82,12 +83,12 @@ class State:
         return (u2, u1) if entry.swapped else (u1, u2)
 
 
-_DISCRETE = (MODE, None, None, SIDE, BRANCH, DETERMINANT_SIGN, SLIP_SIGN, NORMAL_SIGN)
+_DISCRETE = (MODE, None, None, SIDE, BRANCH, DETERMINANT_SIGN, SLIP_SIGN, NORMAL_SIGN, FROZEN)
 DISCRETE_COLUMNS = len(_DISCRETE)
 
 
 def read_discrete(system: System) -> np.ndarray:
-    """(nc, 8) the discrete part of a system's contacts."""
+    """(nc, DISCRETE_COLUMNS) the discrete part of a system's contacts."""
     out = np.zeros((system.nc, DISCRETE_COLUMNS), dtype=np.int64)
     for column, source in enumerate(_DISCRETE):
         if source is not None:

@@ -15,10 +15,11 @@ from .dynamics.system import System
 from .errors import TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
 from .integration.results import Event
+from .integration.slip_start import frozen_directions, set_frozen_directions
 from .integration.stages import NUMBER_OF_WORKS
 from .layout import CHART, CONDITION, EVENT, FREE, PATTERN, STICK, TANGENTS
 from .scene import Contact, Scene, characteristic_length
-from .state import Correction, State, read_discrete, write_discrete
+from .state import DISCRETE_COLUMNS, Correction, State, read_discrete, write_discrete
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,6 +37,7 @@ class Record:
         self.v: list[np.ndarray] = []
         self.location: list[np.ndarray] = []
         self.discrete: list[np.ndarray] = []
+        self.directions: list[np.ndarray] = []
         self.works: list[np.ndarray] = []
         self.torques: list[np.ndarray] = []
         self._with_works = system.ny > system.nq + system.nv + 4 * system.nc
@@ -48,6 +50,7 @@ class Record:
         self.v.append(system.v.copy())
         self.location.append(system.location[: system.nc].copy())
         self.discrete.append(read_discrete(system))
+        self.directions.append(frozen_directions(system, t))
         if self._with_works:
             self.works.append(system.stage_state[-NUMBER_OF_WORKS:].copy())
         if self.with_torques:
@@ -150,6 +153,7 @@ class Trajectory:
         v: np.ndarray,
         location: np.ndarray,
         discrete: np.ndarray,
+        directions: np.ndarray,
         works: np.ndarray | None,
         torques: np.ndarray | None,
         events: list[Event],
@@ -160,7 +164,8 @@ class Trajectory:
         self.scene = scene
         self.t, self.q, self.v = t, q, v
         self.status, self.message, self.events, self.stats = status, message, events, stats
-        self._location, self._discrete, self._works, self._torques = location, discrete, works, torques
+        self._location, self._discrete, self._directions = location, discrete, directions
+        self._works, self._torques = works, torques
         self._tracks: dict[str, ContactTrack] | None = None
         self._residuals: dict[str, dict[str, np.ndarray]] = {}
         self.contacts: Mapping[str, ContactTrack] = _Tracks(self)
@@ -181,7 +186,8 @@ class Trajectory:
             stack(record.q, system.nq),
             stack(record.v, system.nv),
             stack(record.location, system.nc, 4),
-            stack(record.discrete, system.nc, 8).astype(np.int64),
+            stack(record.discrete, system.nc, DISCRETE_COLUMNS).astype(np.int64),
+            stack(record.directions, system.nc, 3),
             stack(record.works, NUMBER_OF_WORKS) if record.works else None,
             stack(record.torques, system.nv) if record.torques else None,
             events,
@@ -252,6 +258,7 @@ class Trajectory:
             "v": self.v,
             "location": self._location,
             "discrete": self._discrete,
+            "directions": self._directions,
         }
         if self._works is not None:
             arrays["works"] = self._works
@@ -296,7 +303,7 @@ class Trajectory:
             ]
             run = cls(
                 scene if scene is not None else Scene(pin.Model()),
-                *(arrays[key] for key in ("t", "q", "v", "location", "discrete")),
+                *(arrays[key] for key in ("t", "q", "v", "location", "discrete", "directions")),
                 arrays.get("works"),
                 arrays.get("torques"),
                 events,
@@ -337,6 +344,7 @@ def _evaluate_tracks(run: Trajectory) -> tuple[dict[str, ContactTrack], dict[str
         system.q[:], system.v[:] = run.q[i], run.v[i]
         system.location[: system.nc] = run._location[i]
         write_discrete(system, run._discrete[i])
+        set_frozen_directions(system, run._directions[i])
         if run._torques is not None:
             system.tau[:] = run._torques[i]
         usable = system.evaluate(float(run.t[i])) <= EVENT

@@ -83,13 +83,14 @@ class Driver:
 
     def _run(self, t: float, t_end: float) -> None:
         options, rk = self.options, self.rk
-        start = t
         self._end = t_end
-        t = self.transitions.begin(t)
+        self.transitions.begin(t)
+        self._output_start(t)
+        if t_end > t:
+            t = self.transitions.start_frozen(t)
         self.locator.update_users(t)
         self._note_slips()
         self.locator.arm()
-        self._output_start(start)
         h = options.fixed_step or options.first_step or rk.first_step(t, t_end - t)
         floor = 8.0 * np.finfo(float).eps * max(abs(t), abs(t_end))
         failure = OK

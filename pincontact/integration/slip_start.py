@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..layout import ACROSS_X, DIRECTION_X, EVENT, OK, POLYNOMIAL, POLYNOMIAL_SIZE, SPAN, START
+from ..layout import ACROSS_X, DIRECTION_X, EVENT, FROZEN, OK, POLYNOMIAL, POLYNOMIAL_SIZE, SPAN, START
 from .stages import store_slope
 
 if TYPE_CHECKING:
+    from ..dynamics.system import System
     from .runge_kutta import RungeKutta
 
 # Fractions of the span at which v_c is made parallel to the direction, and others at which that is checked.
@@ -112,6 +113,25 @@ def _across(
             slip = system.basis[c, :2] @ system.slip[c]
             out[i, k] = (direction[0] * slip[1] - direction[1] * slip[0]) / share**2
     return out.ravel()
+
+
+def frozen_directions(system: System, t: float) -> np.ndarray:
+    """(nc, 3) prescribed slip directions at t, world axes; zero where v_c tells the direction."""
+    out = np.zeros((system.nc, 3))
+    for c in range(system.nc):
+        if system.contact_int[c, FROZEN]:
+            numbers = system.contact_real[c]
+            out[c] = _direction(numbers, (t - numbers[START]) / numbers[SPAN])
+    return out
+
+
+def set_frozen_directions(system: System, directions: np.ndarray) -> None:
+    """Prescribe constant slip directions, as `frozen_directions` gives them, to the contacts that are marked so."""
+    for c in range(system.nc):
+        if system.contact_int[c, FROZEN]:
+            numbers = system.contact_real[c]
+            numbers[DIRECTION_X : DIRECTION_X + 3] = directions[c]
+            numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
 
 
 def _direction(numbers: np.ndarray, share: float) -> np.ndarray:

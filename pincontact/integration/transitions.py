@@ -121,15 +121,15 @@ class Transitions:
 
     # ---------------------------------------------------------------- start
 
-    def begin(self, t: float) -> float:
-        """Modes of the initial state in `system.state`, and its slope."""
+    def begin(self, t: float) -> None:
+        """Modes of the initial state in `system.state`, and its slope. Slip that starts from rest is still frozen."""
         system, rk = self.system, self.rk
         rk.load(system.state)
         status = rk.evaluate(t)
         self.failed_control(t)
         if status in (LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE):
             raise self.give_up(t, status)
-        return self.resolve(t, self._modes_from_velocities(), silent=True)
+        self._settle(t, self._modes_from_velocities(), None, True)
 
     def _modes_from_velocities(self) -> list[int]:
         """Give closed contacts the mode that v_c shows; returns those at rest whose friction is undecided."""
@@ -204,10 +204,14 @@ class Transitions:
 
         at_rest: a contact that has just come to rest, whose fate is announced; silent: announce separations only.
         """
+        self._settle(t, undecided, at_rest, silent)
+        return self.start_frozen(t)
+
+    def _settle(self, t: float, undecided: list[int], at_rest: int | None, silent: bool) -> None:
         system, rk = self.system, self.rk
         before = system.modes.copy()
         signs = system.contact_int[: system.nc, SLIP_SIGN].copy()
-        decision = self._decide(t, undecided)
+        self._decide(t, undecided)
         self._project(t)
         rk.accept()
         for c in range(system.nc):
@@ -220,7 +224,6 @@ class Transitions:
                 self.announce(t, c, "stick" if mode == STICK else "slip")
             elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
                 self.announce(t, c, "slip")
-        return self._start_frozen(t) if any(system.contact_int[c, FROZEN] for c in decision.started) else t
 
     def _decide(self, t: float, undecided: list[int]) -> Decision:
         decision = self.modes.decide(t, undecided, self.rk.evaluate)
@@ -247,9 +250,11 @@ class Transitions:
 
     # ---------------------------------------------------------------- slip from rest
 
-    def _start_frozen(self, t: float) -> float:
+    def start_frozen(self, t: float) -> float:
         """Slip that starts with a finite acceleration: one tiny step in the given direction, so that v_c has one."""
         rk, system = self.rk, self.system
+        if not system.contact_int[: system.nc, FROZEN].any():
+            return t
         tau = self.seed**1.5
         if rk.attempt(t, tau) != OK:
             raise self.give_up(t, NO_FORCE)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -313,7 +315,7 @@ class Trajectory:
             )
             run._tracks = {name: ContactTrack(**_part(arrays, f"track{i}.")) for i, name in enumerate(names)}
             run._residuals = {name: _part(arrays, f"residual{i}.") for i, name in enumerate(names)}
-        except (OSError, KeyError, ValueError, TypeError) as error:
+        except (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile, zlib.error) as error:
             raise TrajectoryError(f"{os.fspath(path)} is not a stored trajectory: {error}") from error
         if scene is not None and list(scene.contacts) != names:
             raise TrajectoryError(f"the scene's contacts {list(scene.contacts)} are not those stored, {names}")

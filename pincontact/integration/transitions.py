@@ -289,8 +289,8 @@ class Transitions:
         stick = system.stage_state.copy()
         stick_acceleration = system.acceleration.copy()
         decision = self._decide(t + tau, self._sticking())
-        for started in decision.started:
-            self.events.append(Event(t, self.names[started], "slip", start_q, start_v))
+        for slipping in decision.started:
+            self.events.append(Event(t, self.names[slipping], "slip", start_q, start_v))
         for opened in decision.opened:
             self.announce(t + tau, opened, "separate")
         span = None

@@ -248,7 +248,7 @@ def test_cycloid_is_isochronous(amplitude):
 
 SLOPE = 0.5
 TILTED = pin.SE3(pin.utils.rotate("y", SLOPE), np.zeros(3))
-DOWNHILL = TILTED.rotation[:, 0]
+DOWNHILL, UPHILL_NORMAL = TILTED.rotation[:, 0], TILTED.rotation[:, 2]
 
 
 def test_point_slides_down_an_incline():
@@ -291,6 +291,33 @@ def test_incline_at_the_friction_angle(excess, slides):
         assert np.abs(result.q - path[:, None] * DOWNHILL).max() <= 1e-10
     else:
         assert np.abs(result.q).max() <= 1e-15
+
+
+def block_scene(mu):
+    """A block on four feet (redundant: one more normal force than the block has ways to go) on the incline."""
+    size = np.array([0.2, 0.15, 0.05])
+    scene = body_scene(pin.JointModelFreeFlyer(), 2.0, 2.0 / 3.0 * (np.sum(size**2) - size**2))
+    ground = scene.add_contour("ground", pc.Plane(), placement=TILTED)
+    for i, (x, y) in enumerate(((1, 1), (1, -1), (-1, 1), (-1, -1))):
+        corner = pin.SE3(np.eye(3), size * np.array([x, y, -1]))
+        foot = scene.add_contour(f"foot {i}", pc.Point(), "body", corner)
+        scene.add_contact(f"foot {i}", foot, ground, friction=pc.Coulomb(mu))
+    quaternion = pin.Quaternion(TILTED.rotation).coeffs()
+    return scene, np.array([*(size[2] * UPHILL_NORMAL), *quaternion])
+
+
+def test_block_slides_down_an_incline():
+    mu = 0.3
+    scene, q = block_scene(mu)
+    result = run(scene, q, np.zeros(6), 1.0)
+    path = 0.5 * G * (math.sin(SLOPE) - mu * math.cos(SLOPE)) * result.t**2
+    assert np.abs(result.q[:, :3] - q[:3] - path[:, None] * DOWNHILL).max() <= 1e-10
+    # it leans forward: the front feet carry more, in pairs that differ by mu h / (half the length)
+    normal = {name: track.normal_force for name, track in result.contacts.items()}
+    front, back = normal["foot 0"] + normal["foot 1"], normal["foot 2"] + normal["foot 3"]
+    weight = 2.0 * G * math.cos(SLOPE)
+    np.testing.assert_allclose(front + back, weight, rtol=1e-10)
+    np.testing.assert_allclose(front - back, weight * mu * 0.05 / 0.2, rtol=1e-9)
 
 
 # ---------------------------------------------------------------------------------------------------- driven

@@ -428,6 +428,10 @@ def test_files_that_are_no_runs(scene, state, tmp_path):
         pc.Trajectory.load(numbers)
     path = tmp_path / "run.npz"
     pc.simulate(scene, state, 0.1).save(path)
+    cut = tmp_path / "cut.npz"
+    cut.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(pc.TrajectoryError, match=r"cut\.npz"):
+        pc.Trajectory.load(cut)
     other = pc.Scene(disk_model())
     with pytest.raises(pc.TrajectoryError, match="contacts"):
         pc.Trajectory.load(path, other)

@@ -1,0 +1,186 @@
+"""The command line: what it prints, what it writes and its exit codes."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pincontact as pc
+from pincontact.__main__ import main
+
+ROOT = Path(__file__).parent.parent
+DISK, BLOCK = (str(ROOT / "examples" / "scenes" / f"{name}.toml") for name in ("rolling_disk", "block_on_incline"))
+
+# A rod that slides with its tip ahead, at an angle at which Coulomb's law leaves no force (Painleve): mu > 4/3.
+PAINLEVE_ROBOT = """<?xml version="1.0"?>
+<robot name="rod">
+  <link name="base"/>
+  <link name="x"><inertial><mass value="1e-9"/>
+    <inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="z"><inertial><mass value="1e-9"/>
+    <inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="rod"><inertial><mass value="1"/>
+    <inertia ixx="0" iyy="0.3333333333333333" izz="0" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="px" type="prismatic"><parent link="base"/><child link="x"/><axis xyz="1 0 0"/>
+    <limit lower="-9" upper="9" effort="1" velocity="9"/></joint>
+  <joint name="pz" type="prismatic"><parent link="x"/><child link="z"/><axis xyz="0 0 1"/>
+    <limit lower="-9" upper="9" effort="1" velocity="9"/></joint>
+  <joint name="turn" type="continuous"><parent link="z"/><child link="rod"/><axis xyz="0 1 0"/></joint>
+</robot>
+"""
+PAINLEVE_SCENE = """
+urdf = "rod.urdf"
+
+[contours.tip]
+kind = "Point"
+frame = "rod"
+xyz = [1, 0, 0]
+
+[contours.ground]
+kind = "Plane"
+
+[contacts.tip]
+between = ["tip", "ground"]
+friction = 2.0
+
+[initial]
+q = { pz = "sin(1.2)", turn = 1.2 }
+v = { px = 3.0 }
+
+[simulation]
+duration = 0.5
+"""
+
+
+def failing_scene(tmp_path):
+    (tmp_path / "rod.urdf").write_text(PAINLEVE_ROBOT)
+    path = tmp_path / "painleve.toml"
+    path.write_text(PAINLEVE_SCENE)
+    return str(path)
+
+
+def table(text, title):
+    """Rows of a printed table, split at runs of two blanks."""
+    lines = text.split(f"\n{title}\n", 1)[1].split("\n\n")[0].splitlines()
+    return [re.split(r"\s{2,}", line.strip()) for line in lines]
+
+
+def test_run_prints_what_the_run_says(capsys):
+    assert main(["run", DISK, "--duration", "0.5"]) == 0
+    out = capsys.readouterr().out
+    loaded = pc.load_scene(DISK)
+    run = loaded.simulate(duration=0.5)
+    assert f"status 0: {run.message}" in out
+    assert re.search(r"0\.5 s simulated in [\d.e-]+ s, [\d.e+]+ x real time", out)
+    counts = {row[1]: row[0] for row in table(out, "counts")[1:]}
+    assert counts["steps"] == str(run.stats["steps"]) and counts["rhs"] == str(run.stats["rhs"])
+    energies = {row[0]: [float(x) for x in row[1:]] for row in table(out, "energies [J]")[1:]}
+    expected = run.energies()
+    # six digits are printed
+    assert energies["kinetic"] == pytest.approx([expected.kinetic[0], expected.kinetic[-1]], rel=1e-5)
+    assert energies["potential"] == pytest.approx([expected.potential[0], expected.potential[-1]], rel=1e-5)
+    residuals = {row[0]: float(row[1]) for row in table(out, "worst residuals")[1:]}
+    assert residuals == pytest.approx({k: v.max() for k, v in run.residuals().items()}, rel=0.1)
+    ((name, modes, _, slip),) = table(out, "contacts")[1:]
+    assert (name, modes) == ("rim/floor", "stick 100 %") and float(slip) < 1e-12
+
+
+def test_run_lists_events(tmp_path, capsys):
+    """A ball that starts to slide on a rough floor rolls after 2 v / (7 mu g)."""
+    path = tmp_path / "ball.toml"
+    text = (ROOT / "examples" / "scenes" / "ball_on_turntable.toml").read_text()
+    text = text.replace("../../urdf", str(ROOT / "urdf"))
+    text = text.replace('motion = { kind = "ConstantTwist", angular = [0, 0, "rate"] }', "")
+    path.write_text(text.replace('"no slip"', "0.15").replace("v = [0.1, 0.2,", "v = [0.8, 0,"))
+    assert main(["run", str(path), "--duration", "0.5"]) == 0
+    rows = table(capsys.readouterr().out, "events")
+    assert rows[1][1:] == ["ball", "stick"] and len(rows) == 2
+    assert float(rows[1][0]) == pytest.approx(2.0 * 0.8 / (7.0 * 0.15 * 9.81), rel=1e-5)
+
+
+def test_run_saves_and_replays(tmp_path, capsys):
+    npz, html = tmp_path / "run.npz", tmp_path / "run.html"
+    assert main(["run", DISK, "--duration", "0.1", "--save", str(npz), "--html", str(html)]) == 0
+    out = capsys.readouterr().out
+    assert f"wrote {npz}" in out and f"wrote {html}" in out
+    stored = pc.Trajectory.load(npz)
+    np.testing.assert_array_equal(stored.q, pc.load_scene(DISK).simulate(duration=0.1).q)
+    assert html.read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype html")
+
+
+def test_progress_is_shown(capsys):
+    pytest.importorskip("tqdm")
+    assert main(["run", DISK, "--duration", "0.1", "--progress"]) == 0
+    assert "0.1/0.1 s" in capsys.readouterr().err
+
+
+def test_info(capsys):
+    assert main(["info", BLOCK]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"{BLOCK}: nq 7, nv 6, 15 contours, 4 contacts")
+    assert table(out, "bodies")[1] == ["root_joint", "JointModelFreeFlyer", "universe", "3"]
+    contours = {row[0]: row[1:] for row in table(out, "contours")[1:]}
+    assert contours["block_0_face_-z"] == ["Plane", "block", "2", "-0.2 0.2 -0.15 0.15"]
+    assert contours["incline"] == ["Plane", "universe", "2", "-inf inf -inf inf"]
+    heads, *rows = table(out, "contacts")
+    assert heads[3:8] == ["pattern", "m", "k", "nu", "friction"]
+    assert [row[3:8] for row in rows] == [["P-S", "3", "2", "1", "mu 0.2"]] * 4
+    heads, *rows = table(out, "initial state")
+    assert [row[heads.index("mode")] for row in rows] == ["slip"] * 4
+    # one evaluation decides the forces: together they carry the weight across the slope
+    total = sum(float(row[-1]) for row in rows)
+    assert total == pytest.approx(3.0 * 9.81 * np.cos(0.3), rel=1e-5)
+
+
+@pytest.mark.parametrize("command", ["run", "info"])
+def test_a_run_that_cannot_finish(tmp_path, capsys, command):
+    assert main([command, failing_scene(tmp_path)]) == 1
+    captured = capsys.readouterr()
+    assert re.search(r"painleve\.toml: status -4: .*Painleve", captured.err)
+    assert "Traceback" not in captured.err
+    assert "painleve.toml" in captured.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "nowhere.toml"], r"nowhere\.toml cannot be read"),
+        (["info", "nowhere.toml"], r"nowhere\.toml cannot be read"),
+        (["run", DISK, "--duration", "-1"], r"duration must be positive, got -1"),
+        (["run", DISK, "--html", "no/such/folder/run.html"], r"there is no folder no/such/folder"),
+        (["run", DISK, "--save", "no/such/folder/run.npz"], r"there is no folder no/such/folder"),
+    ],
+)
+def test_bad_input(capsys, arguments, message):
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert re.search(message, captured.err) and captured.err.count("\n") == 1
+    assert captured.out == ""
+
+
+def test_contours_apart_are_bad_input(tmp_path, capsys):
+    path = tmp_path / "apart.toml"
+    text = (ROOT / "examples" / "scenes" / "ball_on_turntable.toml").read_text()
+    path.write_text(text.replace("../../urdf", str(ROOT / "urdf")).replace("q = [0.4, 0, 0.1,", "q = [0.4, 0, 0.9,"))
+    assert main(["info", str(path)]) == 2
+    assert re.search(r"apart\.toml: contact 'ball': .*gap is 0\.8 m", capsys.readouterr().err)
+
+
+def test_usage_is_bad_input(capsys):
+    for arguments in ([], ["walk", DISK], ["run", DISK, "--duration", "long"]):
+        with pytest.raises(SystemExit) as stopped:
+            main(arguments)
+        assert stopped.value.code == 2
+    assert "usage: python -m pincontact" in capsys.readouterr().err
+
+
+def test_as_a_module():
+    """The exit code reaches the shell, and nothing is imported that the command does not use."""
+    done = subprocess.run(
+        [sys.executable, "-m", "pincontact", "info", "nowhere.toml"], capture_output=True, text=True, timeout=120
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("pincontact: nowhere.toml cannot be read") and "Traceback" not in done.stderr

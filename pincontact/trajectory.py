@@ -299,14 +299,18 @@ class Trajectory:
             if header["format"] != _FORMAT:
                 raise TrajectoryError(f"{os.fspath(path)}: format {header['format']} is not {_FORMAT}")
             names = header["contacts"]
-            states = [arrays[key] for key in ("t", "q", "v", "location", "discrete", "directions")]
             events = [
                 Event(time, contact, kind, q, v, index)
                 for (time, contact, kind, index), q, v in zip(header["events"], arrays["event_q"], arrays["event_v"])
             ]
             run = cls(
                 scene if scene is not None else Scene(pin.Model()),
-                *states,
+                arrays["t"],
+                arrays["q"],
+                arrays["v"],
+                arrays["location"],
+                arrays["discrete"],
+                arrays["directions"],
                 arrays.get("works"),
                 arrays.get("torques"),
                 events,

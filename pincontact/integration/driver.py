@@ -28,9 +28,11 @@ from .transitions import Transitions
 
 # Where 3D slip ends its direction is singular: no step goes further than this fraction of the way to the end.
 _STOP_FRACTION = 0.8
-# Slip has ended once its speed is this multiple of the velocity tolerance (below it the direction is noise); the rest
-# is one linear step, whose error is of second order in the time left.
-_STOP_TOLERANCE = 1.0
+# Slip has ended once its speed is down to the error that steps are allowed to make in it, where its direction is noise;
+# the rest is one linear step, whose error is of second order in the time left. Where steps no longer get anywhere near
+# the end, the speed that counts as ended is doubled at every attempt, so many times at most.
+_STOP_DOUBLINGS = 10
+_PROGRESS = 0.9
 _SMALLEST_STOP_SPEED = 1e-13
 # After a rejection by a failed evaluation the step shrinks by this factor.
 _FAILED_FACTOR = 0.25
@@ -72,6 +74,8 @@ class Driver:
         self._next_output = 0
         # (contact, speed, rate) of every 3D slip at the step's start
         self._slips: list[tuple[int, float, float]] = []
+        self._stalled = 0
+        self._slowest = math.inf
 
     def run(self, t: float, t_end: float) -> tuple[int, str]:
         """Integrate from t to t_end (s); returns a code of `results` and a message."""
@@ -84,7 +88,13 @@ class Driver:
     def _run(self, t: float, t_end: float) -> None:
         options, rk = self.options, self.rk
         self._end = t_end
-        self.transitions.begin(t)
+        try:
+            self.transitions.begin(t)
+        except Stop:
+            # what there is: the state that the run was to start from
+            rk.load(self.system.state)
+            self._output_start(t)
+            raise
         self._output_start(t)
         if t_end > t:
             t = self.transitions.start_frozen(t)
@@ -100,6 +110,7 @@ class Driver:
             ending = self._ending_slip()
             if ending is not None:
                 t = self._end_slip(t, *ending)
+                self._stalled, self._slowest = 0, math.inf
                 h = self._restart(h)
                 continue
             remaining = t_end - t
@@ -116,12 +127,14 @@ class Driver:
                 self.transitions.failed_control(t)
                 failure = status
                 self.rejected += 1
+                self._watch_slips(False)
                 h = _FAILED_FACTOR * step
                 if options.fixed_step:
                     raise self.transitions.give_up(t, failure)
                 continue
             if rk.error >= 1.0 and not options.fixed_step:
                 self.rejected += 1
+                self._watch_slips(False)
                 h = rk.next_step(step, True)
                 continue
             failure = OK
@@ -129,6 +142,10 @@ class Driver:
             t_new = t_end if step == remaining else t + step
             t, switched = self._complete(t, step, t_new)
             self.steps += 1
+            if switched:
+                self._stalled, self._slowest = 0, math.inf
+            elif self._slips:
+                self._watch_slips(True)
             # a step cut short for an output or a stop says nothing against the larger one
             h = self._restart(proposal) if switched else (proposal if step == h else max(proposal, min(h, 10.0 * step)))
             if self.progress is not None:
@@ -229,12 +246,24 @@ class Driver:
     def _ending_slip(self) -> tuple[int, float] | None:
         """The contact whose slip is as good as over, and the time in s that is left of it."""
         for c, speed, rate in self._slips:
-            if rate < 0.0:
-                scale = self.system.scale
-                tolerance = scale[1] + scale[0] * float(np.abs(self.system.v).max())
-                if speed <= max(_STOP_TOLERANCE * tolerance, _SMALLEST_STOP_SPEED):
-                    return c, speed / -rate
+            if rate < 0.0 and speed <= self._slip_tolerance(c) * 2.0**self._stalled:
+                return c, speed / -rate
         return None
+
+    def _slip_tolerance(self, c: int) -> float:
+        """Error in m/s that the tolerances allow in the slip velocity of contact c."""
+        system = self.system
+        relative, absolute = system.scale
+        errors = absolute + relative * np.abs(system.v)
+        return max(float(np.max(np.abs(system.rows[c]) @ errors)), _SMALLEST_STOP_SPEED)
+
+    def _watch_slips(self, accepted: bool) -> None:
+        """Count attempts that bring no slip nearer to its end, while one is within reach of it."""
+        slowest = min((speed for _, speed, _ in self._slips), default=math.inf)
+        if accepted and slowest < _PROGRESS * self._slowest:
+            self._slowest, self._stalled = slowest, 0
+        elif any(speed <= self._slip_tolerance(c) * 2.0**_STOP_DOUBLINGS for c, speed, _ in self._slips):
+            self._stalled = min(self._stalled + 1, _STOP_DOUBLINGS)
 
     def _end_slip(self, t: float, c: int, left: float) -> float:
         """One linear step to the end of slip (its error is the square of a negligible time), then stick or not."""

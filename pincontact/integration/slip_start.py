@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 _NODES = (0.2, 0.45, 0.7, 0.9, 1.0)
 _CHECKS = (0.32, 0.58, 0.8, 0.96)
 _PERTURBATION = 1e-4
-_NEWTON_STEPS = 8
-_HALVINGS = 12
+_NEWTON_STEPS = 5
+_REFRESHES = 2
+_HALVINGS = 30
 # v_c across the prescribed direction, relative to the velocity tolerance, that is accepted between the nodes.
 _ACCEPTED = 0.1
 _CONVERGED = 1e-3
@@ -57,31 +58,49 @@ def _collocate(rk: RungeKutta, t: float, contacts: list[int], span: float, toler
     residual = _across(rk, t, contacts, span, coefficients, _NODES)
     if residual is None:
         return False
-    jacobian = np.zeros((size, size))
-    for j in range(size):
-        moved = coefficients.copy()
-        moved[j] = _PERTURBATION
-        other = _across(rk, t, contacts, span, moved, _NODES)
-        if other is None:
+    for refresh in range(_REFRESHES):
+        jacobian = np.zeros((size, size))
+        for j in range(size):
+            moved = coefficients.copy()
+            moved[j] += _PERTURBATION
+            other = _across(rk, t, contacts, span, moved, _NODES)
+            if other is None:
+                return False
+            jacobian[:, j] = (other - residual) / _PERTURBATION
+        if _newton(rk, t, contacts, span, tolerance, jacobian, coefficients, residual):
+            break
+        if refresh == _REFRESHES - 1 or not np.abs(coefficients).max() < 1.0:
             return False
-        jacobian[:, j] = (other - residual) / _PERTURBATION
+    between = _across(rk, t, contacts, span, coefficients, _CHECKS)
+    # the last attempt has left the state at the end of the span in new_state
+    return between is not None and float(np.abs(between).max()) <= _ACCEPTED * tolerance and rk.error < 1.0
+
+
+def _newton(
+    rk: RungeKutta,
+    t: float,
+    contacts: list[int],
+    span: float,
+    tolerance: float,
+    jacobian: np.ndarray,
+    coefficients: np.ndarray,
+    residual: np.ndarray,
+) -> bool:
+    """Steps with one Jacobian, updating coefficients and residual in place; whether they converged."""
     for _ in range(_NEWTON_STEPS):
         try:
-            coefficients = coefficients - np.linalg.solve(jacobian, residual)
+            coefficients -= np.linalg.solve(jacobian, residual)
         except np.linalg.LinAlgError:
             return False
         if not np.abs(coefficients).max() < 1.0:
             return False
-        residual = _across(rk, t, contacts, span, coefficients, _NODES)
-        if residual is None:
+        found = _across(rk, t, contacts, span, coefficients, _NODES)
+        if found is None:
             return False
+        residual[:] = found
         if np.abs(residual).max() <= _CONVERGED * tolerance:
-            break
-    else:
-        return False
-    between = _across(rk, t, contacts, span, coefficients, _CHECKS)
-    # the last attempt has left the state at the end of the span in new_state
-    return between is not None and float(np.abs(between).max()) <= _ACCEPTED * tolerance and rk.error < 1.0
+            return True
+    return False
 
 
 def _across(

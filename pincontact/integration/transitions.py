@@ -48,6 +48,10 @@ _REST = 1e-9
 # So many events within this fraction of the run mean chatter.
 _CHATTER_EVENTS = 40
 _CHATTER_SPAN = 1e-9
+# The start of slip is followed over times down to this fraction of the seed's.
+_SHORTEST_START = 1e-3
+# Where it cannot be followed, slip is seeded after this fraction of the usual time.
+_SHORT_SEED = 1e-2
 # A rebound slower than this, in m/s, closes the contact.
 REST_SPEED = 1e-3
 
@@ -280,47 +284,55 @@ class Transitions:
             return self.resolve(t, [])
         self._project(t)
         rk.accept()
+        # the friction that stick asks for at its limit is against the slip to come
+        limit = -system.force[c, :2] @ system.basis[c, :2]
         start_q, start_v = system.q.copy(), system.v.copy()
         tau = self.seed
+        decision, seeded = self._run_on(t, tau)
+        for slipping in decision.started:
+            self.events.append(Event(t, self.names[slipping], "slip", start_q, start_v))
+        for opened in decision.opened:
+            self.announce(t + tau, opened, "separate")
+        started = [i for i in decision.started if system.contact_int[i, FROZEN]]
+        if started and not decision.opened:
+            if c in started:
+                freeze_slip(system, c, system.basis[c, :2] @ limit)
+            span = start_slip(rk, t, started, self.longest_start, _SHORTEST_START * tau)
+            if span is not None:
+                self.emit(t, span)
+                rk.load(system.new_state)
+                return self._end_start(t + span)
+            # not even a short start can be followed: seed the slip as close to its beginning as v_c can show it
+            system.contact_int[started, MODE] = STICK
+            rk.load(system.state)
+            if rk.evaluate_start(t) > EVENT:
+                raise self.give_up(t, NO_FORCE)
+            tau *= _SHORT_SEED
+            seeded = self._run_on(t, tau)[1]
+        self.emit(t, tau)
+        rk.load(seeded)
+        return self._end_start(t + tau)
+
+    def _run_on(self, t: float, tau: float) -> tuple[Decision, np.ndarray]:
+        """Stick runs on from the accepted state for tau, where the modes are decided anew; also returns the state there
+        with the slip velocity a_t tau / 2 added."""
+        rk, system = self.rk, self.system
         if rk.attempt(t, tau) != OK:
             raise self.give_up(t, NO_FORCE)
         rk.load(system.new_state)
         self._project(t + tau)
         stick = system.stage_state.copy()
-        stick_acceleration = system.acceleration.copy()
+        acceleration = system.acceleration.copy()
         decision = self._decide(t + tau, self._sticking())
-        for slipping in decision.started:
-            self.events.append(Event(t, self.names[slipping], "slip", start_q, start_v))
-        for opened in decision.opened:
-            self.announce(t + tau, opened, "separate")
-        span = None
-        started = [c for c in decision.started if system.contact_int[c, FROZEN]]
-        if started and not decision.opened:
-            span = start_slip(rk, t, started, self.longest_start, 2.0 * tau)
-        if span is not None:
-            tau = span
-            self.emit(t, tau)
-            rk.load(system.new_state)
-        else:
-            self._emit_stick(t, tau, started)
-            if decision.started:
-                rk.load(stick)
-                rk.evaluate(t + tau)
-                velocity = slice(system.nq, system.nq + system.nv)
-                stick[velocity] += 0.5 * tau * (system.acceleration - stick_acceleration)
-            rk.load(stick)
-        system.contact_int[: system.nc, FROZEN] = 0
-        self._project(t + tau)
-        rk.accept()
-        return t + tau
+        stick[system.nq : system.nq + system.nv] += 0.5 * tau * (system.acceleration - acceleration)
+        return decision, stick
 
-    def _emit_stick(self, t: float, tau: float, started: list[int]) -> None:
-        """Outputs of the short run-on in stick, for which its step is taken once more."""
-        rk, system = self.rk, self.system
-        system.contact_int[started, MODE] = STICK
-        if rk.evaluate_start(t) <= EVENT and rk.attempt(t, tau) == OK:
-            self.emit(t, tau)
-        system.contact_int[started, MODE] = SLIPPING
+    def _end_start(self, t: float) -> float:
+        """Slip has a direction of its own from here on."""
+        self.system.contact_int[: self.system.nc, FROZEN] = 0
+        self._project(t)
+        self.rk.accept()
+        return t
 
     # ---------------------------------------------------------------- impact
 

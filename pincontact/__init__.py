@@ -32,6 +32,7 @@ from .state import State
 from .trajectory import ContactTrack, Trajectory
 
 if TYPE_CHECKING:
+    from .stepper import Stepper
     from .view.replay import export_html, replay
 
 __version__ = "0.1.0"
@@ -61,6 +62,7 @@ __all__ = [
     "SolverError",
     "State",
     "StateError",
+    "Stepper",
     "Trajectory",
     "TrajectoryError",
     "analyze",
@@ -72,8 +74,8 @@ __all__ = [
     *_contours,
 ]
 
-# The viewer is imported when it is first used: Meshcat costs more than everything else together.
-_LAZY = {"replay": "view.replay", "export_html": "view.replay"}
+# Imported when first used: Meshcat costs more than everything else together, the stepper has kernels of its own.
+_LAZY = {"Stepper": "stepper", "replay": "view.replay", "export_html": "view.replay"}
 
 
 def __getattr__(name: str) -> Any:

@@ -41,12 +41,15 @@ def simulate(
     max_step: float = math.inf,
     first_step: float | None = None,
     fixed_step: float | None = None,
+    step: float | None = None,
     max_steps: int = 1_000_000,
 ) -> Trajectory:
     """Integrate a scene from a state over a duration in s.
 
     rtol, atol: relative and absolute tolerance of every component of q (tangent to its manifold), v and the location.
-    t_eval: times at which the result is wanted, None for every accepted step. method: "DOP853" or "RK45".
+    t_eval: times at which the result is wanted, None for every accepted step. method: "DOP853" or "RK45",
+    or "Moreau": time stepping with impulses, for many contacts, impacts and jams, of constant `step` in s (default
+    1e-3) and without error control; it alone knows the model's joint limits and dry joint friction.
     control: called as control(t, q, v), returns joint torques (nv,); must be smooth between events.
     events: functions g(t, q, v) whose zeros are reported; attributes `terminal` and `direction` as in `solve_ivp`.
     progress: show a bar. energies: integrate the work of friction, drives, torques and damping along (see
@@ -56,12 +59,14 @@ def simulate(
     Returns a Trajectory, also when the run could not go on: see its `status` and `message`.
     Raises ArgumentError or StateError for bad arguments, before any work is done.
     """
-    _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps)
+    _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps, step)
     times = _output_times(t_eval, state.t, duration)
     users = UserEvent.wrap(events)
     if control is not None and not callable(control):
         raise ArgumentError(f"control must be callable as control(t, q, v), got {control!r}")
-    pair = tableau(method)
+    if step is not None and method != "Moreau":
+        raise ArgumentError(f"step is for method 'Moreau'; method {method!r} takes fixed_step or max_step")
+    pair = None if method == "Moreau" else tableau(method)
     began = time.perf_counter()
     contacts = list(scene.contacts.values())
     system = System(scene.model, contacts, works=energies)
@@ -70,13 +75,17 @@ def simulate(
     system.state[: system.nq], system.state[system.nq : end] = state.q, state.v
     system.state[end : end + 4 * system.nc] = state.location.ravel()
     torque = _Torque(control, system) if control is not None else None
-    rk = RungeKutta(system, pair, rtol, atol, torque)
-    record = Record(system, with_torques=control is not None)
 
     def failed_control(t: float) -> None:
         if torque is not None and torque.failure is not None:
             raise Stop(CONTROL_FAILED, torque.failure)
 
+    if pair is None:
+        return _simulate_moreau(
+            scene, state, duration, step, system, users, times, max_steps, torque, failed_control, progress, began
+        )
+    rk = RungeKutta(system, pair, rtol, atol, torque)
+    record = Record(system, with_torques=control is not None)
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration, failed_control)
     options = Options(times, max_step, max_steps, fixed_step, first_step)
     with _Bar(progress, state.t, duration) as bar:
@@ -99,6 +108,55 @@ def simulate(
     return Trajectory.from_record(scene, record, transitions.events, code, message, stats)
 
 
+def _simulate_moreau(
+    scene: Scene,
+    state: State,
+    duration: float,
+    step: float | None,
+    system: System,
+    users: list[UserEvent],
+    times: np.ndarray | None,
+    max_steps: int,
+    torque: _Torque | None,
+    failed_control: Callable[[float], None],
+    progress: bool,
+    began: float,
+) -> Trajectory:
+    """The run of method "Moreau" on a system whose state is set."""
+    # imported, and its kernels compiled, for those who use it
+    from .integration.moreau import DEFAULT_STEP, MoreauDriver, MoreauStep
+
+    size = DEFAULT_STEP if step is None else step
+    stepper = MoreauStep(system, system.contacts)
+    record = Record(system, with_torques=torque is not None or stepper.joints > 0)
+
+    def add(t: float) -> None:
+        # the forces of limits and dry friction go with the torques, so that contact forces can be found again
+        tau = system.tau.copy()
+        system.tau += stepper.joint_force
+        record.add(t)
+        system.tau[:] = tau
+
+    with _Bar(progress, state.t, duration) as bar:
+        driver = MoreauDriver(
+            stepper, users, add, size, times, max_steps, torque, failed_control, bar.update if progress else None
+        )
+        code, message = driver.run(state.t, state.t + duration)
+    stats = {
+        "steps": driver.steps,
+        "outputs": driver.outputs,
+        "pinocchio": system.pinocchio_calls,
+        "newton": int(system.counters[NEWTON_COUNT]),
+        "closed_form": int(system.counters[CLOSED_COUNT]),
+        "cone_problems": stepper.cone_problems,
+        "decided": dict(stepper.solver.decided),
+        "qp": stepper.solver.qp_count,
+        "cone_residual": stepper.worst_residual,
+        "wall_time": time.perf_counter() - began,
+    }
+    return Trajectory.from_record(scene, record, driver.events, code, message, stats)
+
+
 def _check(
     scene: Scene,
     state: State,
@@ -109,6 +167,7 @@ def _check(
     first_step: float | None,
     fixed_step: float | None,
     max_steps: int,
+    step: float | None,
 ) -> None:
     if not isinstance(scene, Scene):
         raise ArgumentError(f"the first argument must be a Scene, got {type(scene).__name__}")
@@ -117,12 +176,15 @@ def _check(
     if state.scene is not scene or state.location.shape[0] != len(scene.contacts):
         raise ArgumentError("the state belongs to another scene, or contacts were added after it was made")
     numbers = {"duration": duration, "rtol": rtol, "atol": atol, "max_step": max_step}
-    numbers |= {k: v for k, v in (("first_step", first_step), ("fixed_step", fixed_step)) if v is not None}
+    optional = (("first_step", first_step), ("fixed_step", fixed_step), ("step", step))
+    numbers |= {k: v for k, v in optional if v is not None}
     for name, value in numbers.items():
         if not isinstance(value, (int, float, np.floating, np.integer)) or math.isnan(value):
             raise ArgumentError(f"{name} must be a number, got {value!r}")
         if value < 0.0 or (value == 0.0 and name not in ("duration", "rtol")):
             raise ArgumentError(f"{name} must be positive, got {value}")
+    if step is not None and math.isinf(step):
+        raise ArgumentError("step must be finite, got inf")
     if not math.isfinite(duration) or math.isinf(rtol) or math.isinf(atol):
         raise ArgumentError(f"duration, rtol and atol must be finite, got {duration}, {rtol}, {atol}")
     if max_steps < 1:

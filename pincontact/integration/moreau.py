@@ -1,0 +1,445 @@
+"""Time stepping with impulses (Moreau's midpoint method): for many contacts, impacts, accumulating bounces and jams.
+
+Every step solves one cone problem in velocities and impulses, whatever happens within it; nothing is located and no
+mode is kept. Second order in h while modes last, first order through their changes; see `impulses` for the equations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pinocchio as pin
+from scipy.optimize import brentq
+
+from ..dynamics.evaluation import contact_corrections
+from ..dynamics.modes import rest_mode
+from ..dynamics.system import System
+from ..friction.solve import ContactSolver
+from ..jit import compile_kernels
+from ..layout import (
+    CHART,
+    CONDITION,
+    CORRECTION_SIZE,
+    FREE,
+    FROZEN,
+    LOCATION_FAILED,
+    MODE,
+    MU,
+    NO_FORCE,
+    NOT_FINITE,
+    OK,
+    SINGULAR,
+    SLIP_SIGN,
+    SLIPPING,
+    STICK,
+    TANGENTS,
+)
+from ..memory import address_of
+from .events import UserEvent
+from .impulses import (
+    AGAIN,
+    CONE_FORCES,
+    CONE_MODES,
+    CONE_VELOCITIES,
+    DRY_FRICTION,
+    HAS_TREND,
+    LOWER_LIMIT,
+    STEP_SLOTS,
+    TOUCHED,
+    UNITS,
+    UPPER_LIMIT,
+    H,
+    advance,
+    assemble,
+    commit,
+    predict_midpoint,
+    step_memory,
+)
+from .manifold import VECTOR, configuration_blocks
+from .results import FAILURES, FINISHED, STEP_LIMIT, TERMINATED, Event, Stop
+from .stages import correct_state, load_state, move_charts
+
+if TYPE_CHECKING:
+    from ..scene import Contact
+
+DEFAULT_STEP = 1e-3
+
+# A correction of q below this leaves gaps of its square, and needs no further evaluation.
+_SMALL_CORRECTION = 1e-7
+_CORRECTIONS = 6
+# Slip slower than this (m/s, relative to the largest velocity or 1) counts as rest where a run starts.
+_REST = 1e-9
+# Steps that end within this fraction of a step from the end, or from an output time, end there.
+_SLIVER = 1e-9
+# Accuracy of the time of a user's event, relative to the step.
+_EVENT_ACCURACY = 1e-12
+
+Torque = Callable[[float], bool]
+
+
+def joint_constraints(model: pin.Model) -> tuple[np.ndarray, np.ndarray]:
+    """Position limits and dry friction of a model's joints, as `impulses` takes them: (nj, 3) int and (nj, 2).
+
+    Limits are those of joints whose configuration is a vector (prismatic, revolute, ...); an infinite one is none.
+    """
+    ints: list[tuple[int, int, int]] = []
+    reals: list[tuple[float, float]] = []
+    unbounded = np.finfo(float).max
+    for kind, iq, iv, n in configuration_blocks(model):
+        for i in range(n):
+            lower, upper = model.lowerDryFrictionLimit[iv + i], model.upperDryFrictionLimit[iv + i]
+            if lower < upper:
+                ints.append((DRY_FRICTION, iq + i, iv + i))
+                reals.append((0.5 * (upper - lower), 0.5 * (upper + lower)))
+            if kind != VECTOR:
+                continue
+            for which, limit in (
+                (LOWER_LIMIT, model.lowerPositionLimit[iq + i]),
+                (UPPER_LIMIT, model.upperPositionLimit[iq + i]),
+            ):
+                if abs(limit) < unbounded:
+                    ints.append((which, iq + i, iv + i))
+                    reals.append((float(limit), 0.0))
+    return np.array(ints, dtype=np.int64).reshape(-1, 3), np.array(reals).reshape(-1, 2)
+
+
+class MoreauStep:
+    """One system that goes forward by steps of Moreau's method.
+
+    The state at the step's start is `system.state`; `attempt` leaves the new one in `system.stage_state`, and may be
+    called again with another size; `accept` makes it the start. Arrays (views, world axes, one row a contact):
+    forces (nc, 3): mean force over the last step on the contour named second, N;
+    touch_time (nc,): s after the step's start at which a contact closed, negative where it did not.
+    """
+
+    def __init__(self, system: System, contacts: Sequence[Contact]) -> None:
+        # these kernels are compiled for those who use them
+        compile_kernels()
+        self.system = system
+        model = system.model
+        joint_int, joint_real = joint_constraints(model)
+        self.joints = len(joint_int)
+        self.memory = memory = step_memory(system.nq, system.nv, system.nc, self.joints)
+        self.table = memory.table
+        memory["joint_int"][: self.joints], memory["joint_real"][: self.joints] = joint_int, joint_real
+        for c, contact in enumerate(contacts):
+            memory["restitution"][c] = contact.restitution
+            memory["sticking"][c] = 0.0 if contact.friction is None else contact.friction.sticking
+            memory["orientation"][c] = -1.0 if contact.swapped else 1.0
+        self.solver = ContactSolver()
+        self.forces = memory["forces"][: system.nc]
+        self.touch_time = memory["touch_time"][: system.nc]
+        self.start_mode = memory["start_mode"][: system.nc]
+        self.joint_impulse = memory["joint_impulse"][: system.nv]
+        self.cone_problems = 0
+        self.worst_residual = 0.0
+        self._counts, self._numbers = memory["counts"], memory["numbers"]
+        self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._solutions: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._loaded = -1
+
+    # ---------------------------------------------------------------- start
+
+    def begin(self, t: float) -> int:
+        """Start from `system.state`; closed contacts get the mode that their v_c shows. Returns a status."""
+        system = self.system
+        system.stage_state[:] = system.state
+        load_state(system.table)
+        status = system.evaluate_kinematics(t)
+        if status != OK:
+            return status
+        rest_speed = _REST * max(1.0, float(np.abs(system.v).max(initial=0.0)))
+        for c in system.closed():
+            ints, mu = system.contact_int[c], system.contact_real[c, MU]
+            along = system.basis[c] @ system.slip[c]
+            speed = abs(along[0]) if ints[TANGENTS] == 1 else math.hypot(along[0], along[1])
+            ints[FROZEN] = 0
+            ints[MODE] = SLIPPING if speed > rest_speed and 0.0 < mu < math.inf else rest_mode(mu)
+            ints[SLIP_SIGN] = 1 if along[0] >= 0.0 else -1
+        self.memory["load"][:] = 0.0
+        self.forces[:] = 0.0
+        self.joint_impulse[:] = 0.0
+        self.touch_time[:] = -1.0
+        self._counts[TOUCHED] = 0
+        commit(system.table, self.table, 0)
+        return OK
+
+    # ---------------------------------------------------------------- one step
+
+    def attempt(self, t: float, h: float, torque: Torque | None = None) -> int:
+        """A step of size h from the start at t; returns a status of `layout`.
+
+        torque(t + h / 2): sets `system.tau` for the system's (q, v); False, which returns NOT_FINITE, where it fails.
+        """
+        system, counts = self.system, self._counts
+        self._numbers[H] = h
+        known = counts[HAS_TREND] != 0
+        status = self._advance(t, h, torque)
+        if not known:
+            if status == OK and not counts[TOUCHED]:
+                # no last step to tell the acceleration: this one does, and is taken again
+                nq, nv = system.nq, system.nv
+                self.memory["trend"][:nv] = (system.stage_state[nq : nq + nv] - self.memory["start_v"][:nv]) / h
+                counts[HAS_TREND] = 1
+                status = self._advance(t, h, torque)
+            counts[HAS_TREND] = 0
+        return status if status != OK else self._correct(t + h)
+
+    def _advance(self, t: float, h: float, torque: Torque | None) -> int:
+        """Midpoint, cone problem, end of the step."""
+        system, table = self.system, self.system.table
+        predict_midpoint(table, self.table)
+        middle = t + 0.5 * h
+        if torque is not None and not torque(middle):
+            return NOT_FINITE
+        status = system.evaluate_kinematics(middle)
+        if status == OK:
+            status = assemble(table, self.table)
+        if status != OK:
+            return status
+        n = int(self._counts[UNITS])
+        while True:
+            if n and not self._solve(n):
+                return NO_FORCE
+            status = advance(table, self.table)
+            if status != AGAIN:
+                return status
+
+    def _solve(self, n: int) -> bool:
+        """Solve the assembled problem of n units; its solution is where `advance` looks for it."""
+        problem = self._problems.get(n)
+        if problem is None:
+            memory = self.memory
+            problem = self._problems[n] = (
+                memory["delassus"][: 9 * n * n].reshape(3 * n, 3 * n),
+                memory["loads"][: 3 * n],
+                memory["friction"][:n],
+            )
+        self.cone_problems += 1
+        solver = self.solver
+        if not solver.solve(*problem):
+            return False
+        if solver.residual > self.worst_residual:
+            self.worst_residual = solver.residual
+        if self._loaded != n:
+            # each size has buffers of its own
+            self._solutions[n] = solver.modes, solver.forces
+            self.table[CONE_FORCES] = address_of(solver.forces)
+            self.table[CONE_VELOCITIES] = address_of(solver.velocities)
+            self.table[CONE_MODES] = address_of(solver.modes)
+            self._loaded = n
+        return True
+
+    def _correct(self, t: float) -> int:
+        """Evaluate the end of the step and put (q, v) back on the constraints of the new modes."""
+        system, table, scalars = self.system, self.system.table, self.system.scalars
+        for _ in range(_CORRECTIONS):
+            status = system.evaluate_kinematics(t)
+            if status != OK:
+                return status
+            contact_corrections(table, 1, 1)
+            correct_state(table, 1, 1)
+            if scalars[CORRECTION_SIZE] <= _SMALL_CORRECTION:
+                break
+        return OK
+
+    def accept(self, t: float) -> bool:
+        """The attempted state becomes the start; t is its time. Whether any mode, sign or chart is another now."""
+        system = self.system
+        changed = commit(system.table, self.table, 1)
+        if system.charted and move_charts(system.table):
+            system.stage_state[:] = system.state
+            load_state(system.table)
+            system.evaluate_kinematics(t)
+            changed = commit(system.table, self.table, 0)
+        return changed
+
+    def describe(self, status: int, t: float) -> Stop:
+        """The Stop for a failed status, naming the contact and the number."""
+        code, reason = FAILURES[status]
+        where = number = ""
+        system = self.system
+        if status in (SINGULAR, LOCATION_FAILED) and system.nc:
+            c = int(np.argmin(np.abs(system.contact_real[: system.nc, CONDITION])))
+            where = f"contact {system.contacts[c].name!r} ({system.contacts[c].pattern.name}): "
+            number = f"; conditioning of J {abs(system.contact_real[c, CONDITION]):.3g}"
+        elif status == NO_FORCE:
+            number = f"; relative residual {self.solver.residual:.3g}"
+        return Stop(code, f"t = {t:.9g} s: {where}{reason}{number}")
+
+    @property
+    def joint_force(self) -> np.ndarray:
+        """(nv,) mean force of joint limits and dry friction over the last step."""
+        return self.joint_impulse / self._numbers[H] if self._numbers[H] > 0.0 else np.zeros_like(self.joint_impulse)
+
+    # ---------------------------------------------------------------- copies
+
+    def copy_to(self, other: MoreauStep) -> None:
+        """Give the step of an equal system all that the next step depends on, warm starts of the solver included."""
+        for name in STEP_SLOTS:
+            other.memory[name][...] = self.memory[name]
+        mine, its = self.system, other.system
+        for name in ("state", "stage_state", "q", "v", "tau", "location", "contact_int", "contact_real"):
+            getattr(its, name)[...] = getattr(mine, name)
+        its.side_int[:, CHART] = mine.side_int[:, CHART]
+        for modes, forces in self._solutions.values():
+            other.solver.warm_start(modes, forces)
+
+    def forget(self) -> None:
+        """Let the next step depend on the state alone."""
+        self.solver.forget()
+        self._solutions.clear()
+        self._loaded = -1
+
+
+class MoreauDriver:
+    """A run of constant steps, with outputs and users' events.
+
+    record(t): called for every output with the state in the system. torque and failed_control: see `simulate`;
+    progress(t): called after every step, or None. t_eval: output times in s, None for every step.
+    """
+
+    def __init__(
+        self,
+        step: MoreauStep,
+        users: list[UserEvent],
+        record: Callable[[float], None],
+        size: float,
+        t_eval: np.ndarray | None,
+        max_steps: int,
+        torque: Torque | None,
+        failed_control: Callable[[float], None],
+        progress: Callable[[float], None] | None,
+    ) -> None:
+        self.step, self.system, self.users = step, step.system, users
+        self.record, self.size, self.t_eval, self.max_steps = record, size, t_eval, max_steps
+        self.torque, self.failed_control, self.progress = torque, failed_control, progress
+        self.events: list[Event] = []
+        self.steps = self.outputs = 0
+
+    def run(self, t: float, t_end: float) -> tuple[int, str]:
+        """Step from t to t_end (s); returns a code of `results` and a message."""
+        try:
+            self._run(t, t_end)
+        except Stop as stop:
+            return stop.code, stop.message
+        return FINISHED, "the end of the interval was reached"
+
+    def _run(self, start: float, end: float) -> None:
+        step = self.step
+        self._check(step.begin(start), start)
+        for event in self.users:
+            event.value = self._value(event, start)
+        self._output(start)
+        # steps are counted, so that their rounding does not add up
+        count = max(math.ceil((end - start) / self.size - _SLIVER), 1) if end > start else 0
+        for i in range(count):
+            t = start + i * self.size
+            if self.steps >= self.max_steps:
+                raise Stop(STEP_LIMIT, f"t = {t:.9g} s: the limit of {self.max_steps} steps was reached")
+            t_new = end if i == count - 1 else start + (i + 1) * self.size
+            self._inner_outputs(t, t_new)
+            self._attempt(t, t_new)
+            self._user_events(t, t_new)
+            self._accept(t, t_new)
+            self._output(t_new)
+
+    def _check(self, status: int, t: float) -> None:
+        if status != OK:
+            self.failed_control(t)
+            if status in (SINGULAR, LOCATION_FAILED):
+                self._announce(t, None, "singular")
+            raise self.step.describe(status, t)
+
+    def _attempt(self, t: float, t_new: float) -> None:
+        self._check(self.step.attempt(t, t_new - t, self.torque), t)
+
+    def _accept(self, t: float, t_new: float) -> None:
+        """Make the attempted step the state, and report what happened to the contacts in it."""
+        step, names = self.step, [c.name for c in self.system.contacts]
+        found: list[tuple[float, str, str]] = []
+        for c, name in enumerate(names):
+            before, after = int(step.start_mode[c]), int(self.system.contact_int[c, MODE])
+            if step.touch_time[c] >= 0.0:
+                found.append((t + float(step.touch_time[c]), name, "touch"))
+            elif before != FREE and after == FREE:
+                found.append((t_new, name, "separate"))
+            elif before == STICK and after == SLIPPING:
+                found.append((t_new, name, "slip"))
+            elif before == SLIPPING and after == STICK:
+                found.append((t_new, name, "stick"))
+        for when, name, kind in sorted(found, key=lambda entry: entry[0]):
+            self._announce(when, name, kind)
+        step.accept(t_new)
+        self.steps += 1
+        if self.progress is not None:
+            self.progress(t_new)
+
+    def _announce(self, t: float, contact: str | None, kind: str, index: int = -1) -> None:
+        self.events.append(Event(t, contact, kind, self.system.q.copy(), self.system.v.copy(), index))
+
+    # ---------------------------------------------------------------- outputs
+
+    def _output(self, t: float) -> None:
+        """Record the state at t, once for every output time that falls on it."""
+        times = self.t_eval
+        if times is None:
+            self._record(t)
+            return
+        while self.outputs < times.size and times[self.outputs] <= t + _SLIVER * self.size:
+            self._record(t)
+
+    def _inner_outputs(self, t: float, t_new: float) -> None:
+        """Outputs inside a step: each by a shorter step of its own, which is then dropped."""
+        times = self.t_eval
+        while times is not None and self.outputs < times.size and times[self.outputs] < t_new - _SLIVER * self.size:
+            when = float(times[self.outputs])
+            self._attempt(t, when)
+            self._record(when)
+
+    def _record(self, t: float) -> None:
+        if self.torque is not None and not self.torque(t):
+            self.failed_control(t)
+        self.record(t)
+        self.outputs += 1
+
+    # ---------------------------------------------------------------- users' events
+
+    def _value(self, event: UserEvent, t: float) -> float:
+        return float(event.function(t, self.system.q.copy(), self.system.v.copy()))
+
+    def _user_events(self, t: float, t_new: float) -> None:
+        """Locate the zeros of users' functions in the attempted step by shorter ones; a terminal one ends the run."""
+        values = [self._value(event, t_new) for event in self.users]
+        crossed = [i for i, event in enumerate(self.users) if event.crosses(values[i])]
+        if not crossed:
+            for event, value in zip(self.users, values):
+                event.value = value
+            return
+        for when, i in sorted((self._root(self.users[i], values[i], t, t_new), i) for i in crossed):
+            self._attempt(t, when)
+            self._announce(when, None, "user", i)
+            if self.users[i].terminal:
+                self._accept(t, when)
+                if self.t_eval is None:
+                    self._output(when)
+                raise Stop(TERMINATED, "a terminal event occurred")
+        self._attempt(t, t_new)
+        for event, value in zip(self.users, values):
+            event.value = value
+
+    def _root(self, event: UserEvent, value: float, t: float, t_new: float) -> float:
+        if value == 0.0:
+            return t_new
+        known = {t: event.value, t_new: value}
+
+        def function(when: float) -> float:
+            if when not in known:
+                self._attempt(t, when)
+                known[when] = self._value(event, when)
+            return known[when]
+
+        return float(brentq(function, t, t_new, xtol=_EVENT_ACCURACY * (t_new - t)))

@@ -1,0 +1,144 @@
+"""Fixed steps for controllers and learning loops: torque in, state and contact forces out."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .dynamics.system import System
+from .errors import ArgumentError, SingularContactError, SolverError, StateError
+from .integration.moreau import DEFAULT_STEP, MoreauStep
+from .layout import LOCATION_FAILED, OK, SINGULAR
+from .scene import Scene
+from .state import State, check_vector, read_discrete, write_discrete
+
+
+class Stepper:
+    """Advances a scene by constant steps with the torque held constant in each (method "Moreau" of `simulate`).
+
+    All arrays are allocated once. `q` (nq,), `v` (nv,), `modes` (nc,) and the arrays in `forces` and in the state that
+    `step` returns are views that the next step overwrites; `state` makes copies. The same start and the same torques
+    give the same numbers to the last bit.
+
+        stepper = pc.Stepper(scene, state, dt=1e-3)
+        while True:
+            state = stepper.step(controller(stepper.t, stepper.q, stepper.v))
+
+    scene, state: as for `simulate`. dt: step in s.
+    Raises ArgumentError for a dt that is not positive and finite or a state of another scene.
+    """
+
+    def __init__(self, scene: Scene, state: State, dt: float = DEFAULT_STEP) -> None:
+        if not isinstance(scene, Scene):
+            raise ArgumentError(f"the first argument must be a Scene, got {type(scene).__name__}")
+        if not isinstance(dt, (int, float, np.floating, np.integer)) or not (0.0 < dt < math.inf):
+            raise ArgumentError(f"dt must be a positive number of seconds, got {dt!r}")
+        self._check_state(scene, state)
+        self.scene, self.dt = scene, float(dt)
+        contacts = list(scene.contacts.values())
+        self._system = system = System(scene.model, contacts)
+        self._step = MoreauStep(system, contacts)
+        nq, nv, nc = system.nq, system.nv, system.nc
+        self.q, self.v = (_locked(part) for part in (system.state[:nq], system.state[nq : nq + nv]))
+        self._location = _locked(system.state[nq + nv : nq + nv + 4 * nc].reshape(nc, 4))
+        self._discrete_buffer = read_discrete(system)
+        self._discrete = _locked(self._discrete_buffer)
+        self.modes = self._discrete[:, 0]
+        self.forces = {name: _locked(self._step.forces[c]) for c, name in enumerate(scene.contacts)}
+        self._shape = (nv,)
+        self._start = 0.0
+        self._count = 0
+        self.reset(state)
+
+    @staticmethod
+    def _check_state(scene: Scene, state: State) -> None:
+        if not isinstance(state, State):
+            raise ArgumentError(f"a state must come from scene.initial_state(q, v), got {type(state).__name__}")
+        if state.scene is not scene or state.location.shape[0] != len(scene.contacts):
+            raise ArgumentError("the state belongs to another scene, or contacts were added after it was made")
+
+    @property
+    def t(self) -> float:
+        """Time in s."""
+        return self._start + self._count * self.dt
+
+    @property
+    def state(self) -> State:
+        """The present state, with arrays of its own: to keep, to reset to, or to simulate from."""
+        q, v, location, discrete = (a.copy() for a in (self.q, self.v, self._location, self._discrete))
+        return State(self.scene, q, v, self.t, location, discrete)
+
+    def reset(self, state: State) -> None:
+        """Start again from a state of the same scene, as if newly made.
+
+        Raises ArgumentError for a state of another scene, SingularContactError where its contacts degenerate.
+        """
+        self._check_state(self.scene, state)
+        system = self._system
+        nq, nv = system.nq, system.nv
+        # a state of this very stepper may be made of views
+        q, v, location, discrete = (np.array(a) for a in (state.q, state.v, state.location, state.discrete))
+        system.state[:nq], system.state[nq : nq + nv] = q, v
+        system.state[nq + nv : nq + nv + location.size] = location.ravel()
+        write_discrete(system, discrete)
+        system.tau[:] = 0.0
+        self._start, self._count = float(state.t), 0
+        self._step.forget()
+        self._raise_for(self._step.begin(self._start))
+        self._discrete_buffer[:] = read_discrete(system)
+
+    def step(self, tau: Any) -> State:
+        """One step under the joint torques tau (nv,) (N, N m); returns the state at its end, made of views.
+
+        Raises StateError for a tau of another shape or with entries that are not finite, SingularContactError where
+        contacts degenerate, SolverError where no impulses were found; the stepper is then where it was before.
+        """
+        tau = self._check_torque(tau)
+        system, step, t = self._system, self._step, self.t
+        system.tau[:] = tau
+        status = step.attempt(t, self.dt)
+        if status != OK:
+            self._raise_for(status)
+        self._count += 1
+        t = self.t
+        if step.accept(t):
+            self._discrete_buffer[:] = read_discrete(system)
+        return State(self.scene, self.q, self.v, t, self._location, self._discrete)
+
+    def _check_torque(self, tau: Any) -> np.ndarray:
+        if type(tau) is not np.ndarray or tau.dtype != np.float64 or tau.shape != self._shape:
+            if np.shape(tau) != self._shape:
+                raise StateError(f"tau must have shape {self._shape}, got {np.shape(tau)}")
+            return check_vector("tau", tau, self._shape[0])
+        # a sum is finite only if all terms are, and costs a fifth of looking at each
+        if not math.isfinite(tau.sum()):
+            check_vector("tau", tau, self._shape[0])
+        return tau
+
+    def _raise_for(self, status: int) -> None:
+        if status == OK:
+            return
+        message = self._step.describe(status, self.t).message
+        if status in (SINGULAR, LOCATION_FAILED):
+            raise SingularContactError(message)
+        raise SolverError(message)
+
+    def copy(self) -> Stepper:
+        """Another stepper in the same situation, warm starts included: both go on alike, to the last bit."""
+        twin = Stepper(self.scene, self.state, self.dt)
+        self._step.copy_to(twin._step)
+        twin._discrete_buffer[:] = self._discrete
+        twin._start, twin._count = self._start, self._count
+        return twin
+
+    def __repr__(self) -> str:
+        return f"<Stepper at t = {self.t:.9g} s, dt = {self.dt:g} s, contacts: {', '.join(self.forces) or 'none'}>"
+
+
+def _locked(array: np.ndarray) -> np.ndarray:
+    """A view that cannot be written to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

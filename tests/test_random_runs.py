@@ -1,6 +1,10 @@
 """Whole runs of random scenes: nothing is known of the motion but what every motion must keep."""
 
+import math
+from itertools import pairwise
+
 import numpy as np
+import pinocchio as pin
 import pytest
 from random_contacts import PATTERNS, RandomContact, is_line_contact, motions_of, names_of
 
@@ -48,3 +52,59 @@ def test_energy_account_and_force_law(pattern):
         for kind, values in run.residuals().items():
             assert values[well].max(initial=0.0) <= 1e-11, (contact, kind)
     assert finished >= RUNS // 2
+
+
+def ground(rng):
+    if rng.random() < 0.7:
+        return pc.Plane()
+    return pc.HeightField(lambda x, y: 0.05 * math.sin(2.0 * x) * math.cos(1.5 * y))
+
+
+def thrown_body(seed):
+    """A disk, an ellipsoid or a ball thrown over a rough ground: (scene, q, v, mu)."""
+    rng = np.random.default_rng(seed)
+    mu, mass = float(rng.choice([0.05, 0.1, 0.2, 0.4, 0.8])), rng.uniform(0.3, 3.0)
+    rotation = pin.utils.rotate("z", rng.uniform(-3.0, 3.0)) @ pin.utils.rotate("y", rng.uniform(0.5, 1.3))
+    rotation = rotation @ pin.utils.rotate("z", rng.uniform(-3.0, 3.0))
+    axes = np.sort(rng.uniform(0.1, 0.4, 3))[::-1]
+    if seed % 3 == 0:
+        shape, moments = pc.Circle(axes[0]), 0.25 * mass * axes[0] ** 2 * np.array([1.0, 1.0, 2.0])
+        height = axes[0] * math.hypot(rotation[2, 0], rotation[2, 1])
+    else:
+        axes = axes if seed % 3 == 1 else np.full(3, axes[0])
+        shape = pc.Ellipsoid(*axes) if seed % 3 == 1 else pc.Sphere(axes[0])
+        moments = 0.2 * mass * (np.sum(axes**2) - axes**2)
+        height = float(np.linalg.norm(axes * rotation[2]))
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.diag(moments)), pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    body, floor = scene.add_contour("body", shape, "body"), scene.add_contour("floor", ground(rng))
+    scene.add_contact("c", body, floor, friction=pc.Coulomb(mu))
+    q = np.array([0.0, 0.0, height, *pin.Quaternion(rotation).coeffs()])
+    return scene, q, np.concatenate([rng.normal(size=3), 3.0 * rng.normal(size=3)]), mu
+
+
+# Ends of 3D slip at which the direction turns fast are where steps could stall, starts of slip on a nearly flat disk
+# where energy could be made.
+@pytest.mark.parametrize("block", range(6))
+def test_slip_and_stick_of_thrown_bodies(block):
+    """Many ends and starts of slip: the run goes on, no energy is won, forces stay in their cones."""
+    for seed in range(10 * block, 10 * block + 10):
+        scene, q, v, mu = thrown_body(seed)
+        state = scene.initial_state(q, v, max_gap=0.2)
+        run = pc.simulate(scene, state, 1.0, energies=True, max_steps=3000)
+        track, energies = run.contacts["c"], run.energies()
+        if run.status != 0:
+            assert [event.kind for event in run.events][-1] == "singular", (seed, run.message)
+            assert track.conditioning[-1] < 1e-5, seed
+        kinds = {event.kind for event in run.events}
+        if "touch" not in kinds:
+            # impacts lose energy that is no work along the way
+            assert np.abs(energies.balance).max() <= 1e-6 * (1.0 + abs(energies.total[0])), seed
+        assert np.diff(energies.friction_work).max(initial=0.0) <= 1e-6, seed
+        assert np.diff(energies.total).max(initial=0.0) <= 1e-6, seed
+        assert (track.tangential_force <= mu * track.normal_force + 1e-7).all(), seed
+        alternate = [event.kind for event in run.events if event.kind in ("stick", "slip")]
+        assert all(a != b for a, b in pairwise(alternate)) or "touch" in kinds, seed

@@ -1,0 +1,140 @@
+"""`pincontact.analyze` on random contacts of all patterns: the conditions and each of their derivatives, components of
+v_c in an oblique frame and their rates."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from random_contacts import PATTERNS, PLANAR, START, RandomContact, is_line_contact, motions_of, names_of
+
+import pincontact as pc
+
+# Differences of eighth order, see `random_contacts`; derivatives of conditions have no conditioning in them.
+DIFFERENCES = 1e-8
+EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
+CHECKED = settings(max_examples=12, deadline=None, derandomize=True, database=None)
+
+
+@st.composite
+def contacts(draw, pattern):
+    names = tuple(draw(st.sampled_from(names_of(pattern, body))) for body in (1, 2))
+    motions = tuple(draw(st.sampled_from(motions_of(pattern))) for _ in range(2))
+    assume(not is_line_contact(pattern, names))
+    contact = RandomContact(pattern, names, motions, draw(st.booleans()), draw(st.integers(0, 10**6)))
+    assume(contact.at().condition > 0.05)
+    return contact
+
+
+def analyzed(contact, h=0.0):
+    """The contact's equations h s along its motion."""
+    q, v = contact.along(h)
+    guess = contact.state.location + h * contact.rates
+    state = dataclasses.replace(contact.state, q=q, v=v, t=contact.state.t + h, location=guess)
+    return pc.analyze(contact.scene, state)["c"]
+
+
+def conditions(contact, q, location, t):
+    """f (m,) at any (q, p, t), from contours and Pinocchio's placements: r_1 - r_2, then e_3 . tau_1."""
+    model, k1 = contact.scene.model, PATTERNS[contact.pattern][0]
+    data = model.createData()
+    pin.forwardKinematics(model, data, q)
+    shapes, rotations = [], []
+    for attached, u in zip(contact.scene.contours.values(), (location[:k1], location[k1:]), strict=True):
+        pose = data.oMi[attached.joint] * attached.placement_in_joint
+        if attached.motion is not None:
+            pose = pose * attached.motion.placement(t)
+        rows = attached.contour.evaluate(u, t) @ pose.rotation.T
+        rows[0] += pose.translation
+        shapes.append(rows)
+        rotations.append(pose.rotation)
+    first, second = shapes
+    difference = first[0] - second[0]
+    if contact.pattern in PLANAR:
+        c1 = rotations[1].T[:2] @ difference
+        normal = np.cross(second[1], rotations[1][:, 2])
+    else:
+        c1, normal = difference, np.cross(second[1], second[2])
+    if k1 == 0 or contact.pattern == "3C-3C":
+        return c1
+    tangents = first[1 : 1 + k1] / np.linalg.norm(first[1 : 1 + k1], axis=1)[:, None]
+    return np.concatenate([c1, tangents @ normal / np.linalg.norm(normal)])
+
+
+def assert_close(found, expected):
+    scale = 1.0 + np.abs(expected).max()
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=DIFFERENCES * scale)
+
+
+@EACH_PATTERN
+@CHECKED
+@given(data=st.data())
+def test_derivatives_of_the_conditions(pattern, data):
+    """f_q, J and f_t one by one (Eq. 5), along random directions; their sum vanishes on the motion in any case."""
+    contact = data.draw(contacts(pattern))
+    assume((contact.state.discrete[0, 1:3] == 0).all())  # other charts have other parameters
+    found, q, t = analyzed(contact), contact.state.q, START
+    p = found.location
+    assert_close(found.f, conditions(contact, q, p, t))
+    assert_close(
+        found.f_q @ contact.state.v, contact.derivative(lambda h: conditions(contact, contact.along(h)[0], p, t))
+    )
+    direction = np.random.default_rng(p.size).normal(size=p.size)
+    assert_close(found.J @ direction, contact.derivative(lambda h: conditions(contact, q, p + h * direction, t)))
+    assert_close(found.f_t, contact.derivative(lambda h: conditions(contact, q, p, t + h)))
+
+
+@EACH_PATTERN
+@CHECKED
+@given(data=st.data())
+def test_components_of_the_relative_velocity(pattern, data):
+    """v_c = sum of v_c^j e_j with v_c^j = m^j . v_c = rows v + drift (Eqs. 12, 26), in frames that may be oblique."""
+    contact = data.draw(contacts(pattern))
+    found = analyzed(contact)
+    scale = (1.0 + np.abs(found.v_c).max()) / contact.at().condition
+    np.testing.assert_allclose(np.linalg.norm(found.frame, axis=0), 1.0, rtol=1e-14)
+    np.testing.assert_allclose(found.dual_frame.T @ found.frame, np.eye(3), atol=1e-14 / contact.at().condition)
+    np.testing.assert_allclose(found.frame @ found.components, found.v_c, rtol=0.0, atol=1e-13 * scale)
+    rest = dataclasses.replace(contact.state, v=np.zeros_like(contact.state.v))
+    np.testing.assert_allclose(found.drift, pc.analyze(contact.scene, rest)["c"].components, atol=1e-12 * scale)
+    np.testing.assert_allclose(found.rows @ contact.state.v + found.drift, found.components, atol=1e-12 * scale)
+    for row in (1, 2) if pattern == "P-3C" else (2,):
+        assert abs(found.components[row]) <= 1e-12 * scale
+
+
+@EACH_PATTERN
+@CHECKED
+@given(data=st.data())
+def test_rates_of_the_components(pattern, data):
+    """d v_c^j / dt = rows a + bias in the frame that turns with the contact, slipping: m^j' . v_c included."""
+    contact = data.draw(contacts(pattern))
+    found = analyzed(contact)
+    if pattern == "P-3C":
+        # the frame's normals are made from the world axis that is least along the curve, which may change to another
+        assume(abs(abs(found.frame[2, 0]) - 0.9) > 0.02)
+    rate = contact.derivative(lambda h: analyzed(contact, h).components)
+    expected = found.rows @ contact.acceleration + found.bias
+    scale = (1.0 + np.abs(expected).max()) / found.conditioning
+    assert np.abs(rate - expected).max() <= 10.0 * DIFFERENCES * scale
+
+
+def test_analysis_needs_a_state_of_the_scene():
+    one, other = (RandomContact("P-S", ("Point", "Plane"), seed=seed) for seed in (1, 2))
+    with pytest.raises(pc.ArgumentError, match="another scene"):
+        pc.analyze(one.scene, other.state)
+
+
+def test_parallel_rods_are_singular():
+    """Parallel rods: 3C-3C has no frame, and no numbers are given."""
+    contact = RandomContact("3C-3C", ("Line", "Line"), on_world=True, seed=3)
+    rod, rail = contact.scene.contours.values()
+    along = rail.placement_in_joint.rotation[:, 0]
+    turn = pin.Quaternion.FromTwoVectors(rod.placement_in_joint.rotation[:, 0], along)
+    q = np.array([*contact.state.q[:3], *turn.coeffs()])
+    state = dataclasses.replace(contact.state, q=q)
+    with pytest.raises(pc.SingularContactError):
+        pc.analyze(contact.scene, state)
+    assert math.isfinite(pc.analyze(contact.scene, contact.state)["c"].conditioning)

@@ -7,12 +7,16 @@ import sys
 
 import numpy as np
 import pytest
+from calling import from_python
 
 from pincontact.errors import ArgumentError, SolverError
-from pincontact.friction.cone import cone_memory, minimum_norm_solve
+from pincontact.friction import cone
+from pincontact.friction.cone import cone_memory
 from pincontact.friction.solve import OPEN, SLIP, STICK, ContactSolver, solve_contacts
 
 GRAVITY = 9.81
+
+minimum_norm_solve = from_python(cone.minimum_norm_solve)
 
 
 def complementarity_errors(delassus, b, mu, forces):

@@ -5,12 +5,16 @@ import math
 
 import numpy as np
 import pytest
+from calling import from_python
 from scipy.interpolate import BSpline, make_interp_spline
 
 import pincontact.contours as pc
+from pincontact.contours import charts as chart_kernels
 from pincontact.contours.base import F_1, F_2, F_11, F_12, F_22, F
-from pincontact.contours.charts import convert_chart, preferred_chart
 from pincontact.errors import ContourError
+
+convert_chart = from_python(chart_kernels.convert_chart)
+preferred_chart = from_python(chart_kernels.preferred_chart)
 
 # Closed forms repeat the reference's arithmetic in double precision: a few ulp of the largest term.
 ROUNDING = 2e-15

@@ -1,0 +1,240 @@
+"""Events: contacts that open, fly and close again, impacts, and functions of the user's."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from reference import build
+
+import pincontact as pc
+
+G = 9.81
+RADIUS = 0.1
+
+
+def ball_scene(friction=None, restitution=0.0, mass=0.5):
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    moment = 0.4 * mass * RADIUS**2
+    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), moment * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    ball, floor = scene.add_contour("ball", pc.Sphere(RADIUS), "ball"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", ball, floor, friction=friction, restitution=restitution)
+    return scene
+
+
+def thrown(scene, height, v=(0.0, 0.0, 0.0), omega=(0.0, 0.0, 0.0)):
+    q = np.array([0.0, 0.0, RADIUS + height, 0.0, 0.0, 0.0, 1.0])
+    return scene.initial_state(q, np.array([*v, *omega]), free=["c"])
+
+
+def kinds(run):
+    return [event.kind for event in run.events]
+
+
+# ------------------------------------------------------------------------------------------------- flight and impact
+
+
+def test_free_flight_does_no_contact_work():
+    """A ball in the air: a parabola, no Newton iteration, no cone problem, no force."""
+    scene = ball_scene(pc.Coulomb(0.3))
+    state = thrown(scene, 1.0, (1.0, 0.5, 2.0), (1.0, 2.0, 3.0))
+    run = pc.simulate(scene, state, 0.6, rtol=1e-11, atol=1e-13)
+    assert run.events == []
+    t = run.t[:, None]
+    path = (
+        np.array([0.0, 0.0, RADIUS + 1.0]) + t * np.array([1.0, 0.5, 2.0]) - 0.5 * G * t**2 * np.array([0.0, 0.0, 1.0])
+    )
+    assert np.abs(run.q[:, :3] - path).max() <= 1e-11
+    track = run.contacts["c"]
+    assert (track.mode == -1).all()
+    assert not track.force.any()
+    np.testing.assert_allclose(track.gap, path[:, 2] - RADIUS, rtol=0.0, atol=1e-11)
+    assert run.stats["cone_problems"] == 0
+
+
+def test_ball_lands_and_stays():
+    """Without restitution: it touches at sqrt(2 h / g) and rests there."""
+    scene = ball_scene()
+    run = pc.simulate(scene, thrown(scene, 0.5), 1.0, rtol=1e-11, atol=1e-13, t_eval=np.linspace(0.0, 1.0, 51))
+    assert run.status == 0
+    assert kinds(run) == ["touch"]
+    lands = math.sqrt(2.0 * 0.5 / G)
+    assert abs(run.events[0].time - lands) <= 1e-12
+    assert run.events[0].contact == "c"
+    after = run.t > lands
+    assert np.abs(run.q[after, 2] - RADIUS).max() <= 1e-14
+    np.testing.assert_allclose(run.contacts["c"].normal_force[after], 0.5 * G, rtol=1e-12)
+
+
+def test_bounces_with_restitution():
+    """Each impact returns e of the speed: times in geometric progression, until it bounces no more and rests."""
+    e, height = 0.6, 0.5
+    scene = ball_scene(restitution=e)
+    run = pc.simulate(scene, thrown(scene, height), 2.0, rtol=1e-11, atol=1e-13)
+    assert run.status == 0, run.message
+    touches = np.array([event.time for event in run.events if event.kind == "touch"])
+    first = math.sqrt(2.0 * height / G)
+    speed = G * first
+    expected = [first]
+    while e * speed > 2e-3:  # slower rebounds are taken as rest
+        speed *= e
+        expected.append(expected[-1] + 2.0 * speed / G)
+    n = len(expected)
+    np.testing.assert_allclose(touches[:n], expected, rtol=0.0, atol=1e-10)
+    assert touches.size - n <= 2
+    assert run.contacts["c"].mode[-1] == 0
+    assert run.q[-1, 2] == pytest.approx(RADIUS, abs=1e-14)
+    assert np.abs(run.v[-1]).max() <= 1e-12
+
+
+def test_impact_with_friction_of_a_ball():
+    """A ball that lands with spin: the impulse either slides (mu J) or stops the slip, whichever is less."""
+    for mu, sticks in ((0.05, False), (0.8, True)):
+        scene = ball_scene(pc.Coulomb(mu))
+        state = thrown(scene, 0.5, (1.0, 0.0, 0.0))
+        run = pc.simulate(scene, state, 0.5 + 1e-3, rtol=1e-11, atol=1e-13)
+        lands = math.sqrt(2.0 * 0.5 / G)
+        impulse = 0.5 * G * lands
+        row = int(np.searchsorted(run.t, lands, side="right")) + 1
+        velocity = pin.Quaternion(run.q[row, 3:]).matrix() @ run.v[row, :3]
+        if sticks:
+            assert mu * impulse > 2.0 / 7.0 * 0.5
+            expected, mode = 5.0 / 7.0, 1
+        else:
+            # it goes on sliding, and braking
+            expected, mode = 1.0 - mu * impulse / 0.5 - mu * G * (run.t[row] - lands), 2
+        np.testing.assert_allclose(velocity, [expected, 0.0, 0.0], rtol=0.0, atol=1e-10)
+        assert run.contacts["c"].mode[-1] == mode
+
+
+def test_disk_leaves_a_sphere_and_flies_on():
+    """After the contact has opened the body falls freely: energy and angular momentum in its axes are kept."""
+    scene, state = build("disk_on_sphere_detach", native=True)
+    run = pc.simulate(scene, state, 1.2, rtol=1e-11, atol=1e-13)
+    assert kinds(run) == ["separate"]
+    opened = run.events[0].time
+    flight = run.t > opened
+    assert flight.any()
+    acceleration = np.diff(
+        [pin.Quaternion(q[3:]).matrix() @ v[:3] for q, v in zip(run.q[flight], run.v[flight])], axis=0
+    )
+    acceleration /= np.diff(run.t[flight])[:, None]
+    np.testing.assert_allclose(acceleration, np.tile([0.0, 0.0, -G], (len(acceleration), 1)), rtol=0.0, atol=1e-7)
+    energy = run.energies().total
+    assert np.abs(energy / energy[0] - 1.0).max() <= 1e-10
+    assert not run.contacts["0"].force[flight].any()
+
+
+def test_heaving_plate_throws_a_ball():
+    """A plate that goes down faster than g lets go of the ball where its acceleration is -g, and meets it again."""
+    amplitude, frequency = 0.05, 3.0
+    rate = 2.0 * math.pi * frequency
+    assert amplitude * rate**2 > G
+    model = ball_scene().model
+    scene = pc.Scene(model)
+    ball = scene.add_contour("ball", pc.Sphere(RADIUS), "ball")
+    plate = scene.add_contour("plate", pc.Plane(), motion=pc.HarmonicMotion((0.0, 0.0, amplitude), frequency))
+    scene.add_contact("c", ball, plate)
+    q = np.array([0.0, 0.0, RADIUS, 0.0, 0.0, 0.0, 1.0])
+    state = scene.initial_state(q, np.array([0.0, 0.0, amplitude * rate, 0.0, 0.0, 0.0]))
+    run = pc.simulate(scene, state, 0.5, rtol=1e-11, atol=1e-13)
+    assert kinds(run)[:2] == ["separate", "touch"]
+    leaves = math.asin(G / (amplitude * rate**2)) / rate
+    assert abs(run.events[0].time - leaves) <= 1e-10
+    # the time of flight from the parabola and the sine
+    height, speed = amplitude * math.sin(rate * leaves), amplitude * rate * math.cos(rate * leaves)
+
+    def above(t):
+        return height + speed * (t - leaves) - 0.5 * G * (t - leaves) ** 2 - amplitude * math.sin(rate * t)
+
+    low, high = leaves + 0.02, leaves + 0.3
+    assert above(low) > 0.0 > above(high)
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if above(middle) > 0.0 else (low, middle)
+    assert abs(run.events[1].time - low) <= 1e-10
+
+
+# ------------------------------------------------------------------------------------------------- users' events
+
+
+@pytest.fixture
+def rolling():
+    return build("disk_plane_steady_circle", native=True)
+
+
+def crossing_x(t, q, v):
+    return q[0] + 0.5
+
+
+def test_users_events_are_located(rolling):
+    """Zeros along a circle known in closed form: x = rho (1 - cos(Omega t)) with rho = -0.794."""
+    scene, state = rolling
+    rho, turning = 0.5 * -3.177452701121622 / 2.0, 2.0
+    run = pc.simulate(scene, state, 4.0, rtol=1e-11, atol=1e-13, events=crossing_x)
+    falls = math.acos(1.0 + 0.5 / rho) / turning
+    expected = [falls, 2.0 * math.pi / turning - falls, 2.0 * math.pi / turning + falls]
+    assert [event.kind for event in run.events] == ["user"] * 3
+    np.testing.assert_allclose([event.time for event in run.events], expected, rtol=0.0, atol=1e-9)
+    assert all(event.contact is None and event.index == 0 for event in run.events)
+    assert all(abs(crossing_x(event.time, event.q, event.v)) <= 1e-9 for event in run.events)
+
+
+@pytest.mark.parametrize(("direction", "which"), [(-1.0, [0, 2]), (1.0, [1])])
+def test_direction_of_users_events(rolling, direction, which):
+    scene, state = rolling
+
+    def function(t, q, v):
+        return crossing_x(t, q, v)
+
+    every = pc.simulate(scene, state, 4.0, events=function).events
+    function.direction = direction
+    some = pc.simulate(scene, state, 4.0, events=function).events
+    np.testing.assert_allclose([event.time for event in some], [every[i].time for i in which], rtol=0.0, atol=1e-7)
+
+
+def test_terminal_event_ends_the_run(rolling):
+    scene, state = rolling
+
+    def function(t, q, v):
+        return crossing_x(t, q, v)
+
+    function.terminal = True
+    run = pc.simulate(scene, state, 4.0, rtol=1e-11, atol=1e-13, events=[lambda t, q, v: 1.0, function])
+    assert run.status == 1
+    assert run.success
+    assert kinds(run) == ["user"]
+    assert run.events[0].index == 1
+    assert run.t[-1] == run.events[0].time
+    assert abs(run.q[-1, 0] + 0.5) <= 1e-12
+
+
+def test_outputs_do_not_disturb_the_run(rolling):
+    """More output times or events do not change the steps, nor the result."""
+    scene, state = rolling
+    plain = pc.simulate(scene, state, 2.0)
+    dense = pc.simulate(scene, state, 2.0, t_eval=np.linspace(0.0, 2.0, 333), events=crossing_x)
+    assert dense.stats["steps"] == plain.stats["steps"]
+    np.testing.assert_array_equal(dense.q[-1], plain.q[-1])
+
+
+def test_run_goes_on_from_any_output():
+    """A state of a trajectory starts another run, which is the rest of the first, modes included."""
+    scene, state = build("disk_plane_slip_then_roll", native=True)
+    options = {"rtol": 1e-11, "atol": 1e-13}
+    whole = pc.simulate(scene, state, 3.0, t_eval=np.linspace(0.0, 3.0, 31), **options)
+    for row in (5, 14, 20):
+        rest = pc.simulate(scene, whole.state(row), 3.0 - whole.t[row], t_eval=whole.t[row:], **options)
+        assert rest.status == 0
+        assert np.abs(rest.q - whole.q[row:]).max() <= 1e-8
+        np.testing.assert_array_equal(rest.contacts["0"].mode, whole.contacts["0"].mode[row:])
+
+
+def test_same_run_twice_is_the_same(rolling):
+    scene, state = rolling
+    one, two = (pc.simulate(scene, state, 1.0) for _ in range(2))
+    np.testing.assert_array_equal(one.q, two.q)
+    np.testing.assert_array_equal(one.contacts["0"].force, two.contacts["0"].force)

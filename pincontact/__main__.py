@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 the run could not finish, 2 bad input (said in one line on
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -35,7 +36,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         loaded = load_scene(options.scene)
-        return _info(loaded) if options.command == "info" else _run(loaded, options)
+        code = _info(loaded) if options.command == "info" else _run(loaded, options)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        # who reads has seen enough, as `head` does; nothing more can be said, not even at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
     except (ContactError, OSError) as error:
         text = str(error)
         where = "" if options.scene in text else f"{options.scene}: "
@@ -73,6 +80,8 @@ def _cell(value: Any) -> str:
         return f"{value:.6g}"
     if isinstance(value, (np.ndarray, tuple)):
         return " ".join(_cell(entry) for entry in value) or "-"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_cell(entry)}" for key, entry in value.items())
     return str(value)
 
 

@@ -634,6 +634,7 @@ _SETTINGS: dict[str, Converter] = {
     "max_step": _number,
     "first_step": _number,
     "fixed_step": _number,
+    "step": _number,
     "max_steps": _integer,
 }
 

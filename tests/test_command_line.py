@@ -184,3 +184,17 @@ def test_as_a_module():
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("pincontact: nowhere.toml cannot be read") and "Traceback" not in done.stderr
+
+
+def test_a_reader_that_has_seen_enough():
+    """As `head`: closed before the first line is written."""
+    started = subprocess.Popen(
+        [sys.executable, "-m", "pincontact", "info", DISK],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    started.stdout.close()
+    message = started.stderr.read()
+    assert started.wait(timeout=120) == 0
+    assert "Traceback" not in message and "BrokenPipe" not in message

@@ -1,5 +1,6 @@
 """Scene files: what they build is what the same calls in Python build, and every mistake is named with its key."""
 
+import inspect
 import math
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 import pincontact as pc
 from pincontact.expressions import FUNCTIONS, compiled, evaluate
+from pincontact.scene_file import _SETTINGS
 
 ROOT = Path(__file__).parent.parent
 URDF, SCENES = ROOT / "urdf", sorted((ROOT / "examples" / "scenes").glob("*.toml"))
@@ -103,6 +105,23 @@ def test_ball_on_turntable_runs_in_circles():
     )
     np.testing.assert_allclose(velocity[:, :2], expected, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(run.q[-1, :2], run.q[0, :2], rtol=0.0, atol=1e-9)
+
+
+def test_rattleback_turns_back():
+    """The sign of the product of inertia decides which spin is the stable one."""
+    loaded = pc.load_scene(ROOT / "examples" / "scenes" / "rattleback.toml")
+    assert loaded.state.correction.dv < 0.05
+    run = loaded.simulate(duration=5.0, rtol=1e-8, atol=1e-10)
+    assert run.v[0, 5] < -4.9 and run.v[-1, 5] > 2.0
+    stable = loaded.scene.initial_state(loaded.state.q, -loaded.state.v)
+    other = pc.simulate(loaded.scene, stable, 5.0, rtol=1e-8, atol=1e-10)
+    # it wobbles while it spins on, but never comes near a stop
+    assert other.v[:, 5].min() > 4.0
+
+
+def test_every_option_of_simulate_can_be_written():
+    given = {"scene", "state", "t_eval", "control", "events", "progress"}
+    assert set(_SETTINGS) == set(inspect.signature(pc.simulate).parameters) - given
 
 
 def test_yaml_is_the_same(tmp_path):

@@ -20,6 +20,7 @@ SLOTS = (
     "contact_real",  # (nc, CONTACT_REALS)
     "side_int",  # (2 nc, SIDE_INTS) int: side 2 c is body 1 of contact c, side 2 c + 1 is body 2
     "side_shape",  # (2 nc, SHAPE_SIZE)
+    "side_domain",  # (2 nc, 4): low and high end of u1 and u2, infinite where there is none
     "side_base",  # (2 nc, 12) placement in the joint: rotation (9), position (3)
     "side_motion",  # (2 nc, 24) driven placement relative to the base, and its derivatives
     "side_motion_parameters",  # (2 nc, MOTION_PARAMETERS)
@@ -35,7 +36,7 @@ SLOTS = (
     "rows",  # (nc, 3, nv): basis . (J_2 - J_1)
     "force",  # (nc, 3): force on body 2 along the basis
     "relative_acceleration",  # (nc, 3): along the basis, for events
-    "margins",  # (nc, 4): event functions, positive while the mode holds
+    "margins",  # (nc, MARGINS_PER_CONTACT): event functions, positive while the mode holds
     "location",  # (nc, 4): u_1 (2), u_2 (2)
     # linear algebra
     "factor",  # (nv, nv) Cholesky factor of the mass matrix
@@ -88,6 +89,7 @@ SLOTS = (
     CONTACT_REAL,
     SIDE_INT,
     SIDE_SHAPE,
+    SIDE_DOMAIN,
     SIDE_BASE,
     SIDE_MOTION,
     SIDE_MOTION_PARAMETERS,
@@ -160,8 +162,9 @@ TIME, STEP, ERROR_NORM, GAP_RESIDUAL, VELOCITY_RESIDUAL, CORRECTION_SIZE, CONDIT
 ) = range(13)
 CONTACT_INTS = 13
 
-# contact_real; a frozen slip direction is DIRECTION + p(s) ACROSS with p of the coefficients POLYNOMIAL.. in
-# s = (t - START) / SPAN, all vectors in world axes
+# contact_real; DOMAIN is the distance of the location from the nearest end of its domain, negative outside.
+# A frozen slip direction is DIRECTION + p(s) ACROSS with p of the coefficients POLYNOMIAL.. in s = (t - START) / SPAN;
+# vectors in world axes.
 (
     MU,
     LENGTH,
@@ -170,6 +173,7 @@ CONTACT_INTS = 13
     NORMAL_2,
     SLIP_SPEED,
     SLIP_RATE,
+    DOMAIN,
     START,
     SPAN,
     DIRECTION_X,
@@ -179,7 +183,7 @@ CONTACT_INTS = 13
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(16)
+) = range(17)
 POLYNOMIAL_SIZE = 5
 CONTACT_REALS = POLYNOMIAL + POLYNOMIAL_SIZE
 
@@ -199,7 +203,8 @@ CONTACT_REALS = POLYNOMIAL + POLYNOMIAL_SIZE
 SIDE_INTS = 10
 
 # margins: positive while the mode holds
-NORMAL_MARGIN, FRICTION_MARGIN, GAP_MARGIN, SPEED_MARGIN = range(4)
+NORMAL_MARGIN, FRICTION_MARGIN, GAP_MARGIN, SPEED_MARGIN, DOMAIN_MARGIN = range(5)
+MARGINS_PER_CONTACT = 5
 
 # modes, as reported in `track.mode`
 FREE, FRICTIONLESS, STICK, SLIPPING = -1, 0, 1, 2

@@ -329,6 +329,18 @@ def contact_kinematics(
 
 
 @kernel
+def distance_to_ends(dimension, u, chart, ends, distance):
+    """The least of distance and the parameters' distances from the ends (4,) of their domain, negative outside.
+
+    Ends are those of the first chart; other charts stay away from them.
+    """
+    if chart == 0:
+        for a in range(dimension):
+            distance = min(distance, u[a] - ends[2 * a], ends[2 * a + 1] - u[a])
+    return distance
+
+
+@kernel
 def total_tangent_rate(frame, derivatives, a, dimension, rates, out):
     """Total rate of the tangent t_a: at fixed u, plus t_ab u_b'."""
     tangent_at_fixed_u(frame, derivatives, a, out)

@@ -87,6 +87,21 @@ class Contour:
         """The point f(u, t), (3,), in the contour's frame."""
         return self.evaluate(u, t, chart)[F]
 
+    def ends(self) -> np.ndarray:
+        """(4,) low and high end of u1 and u2 at which the contour stops; infinite where it does not (periodic
+        parameters, poles)."""
+        out = np.array([-np.inf, np.inf, -np.inf, np.inf])
+        for a in range(self.dimension):
+            if not self.periodic[a] and not (self.kind in (SPHERE, ELLIPSOID) and a == 1):
+                out[2 * a : 2 * a + 2] = self.domain[a]
+        if self.kind == REVOLUTION:
+            # charts 1 and 2 go on where the profile meets the axis
+            from .revolution import HIGH_POLE, LOW_POLE
+
+            row = self.shape_row()
+            out[2:4] = np.where([row[LOW_POLE] != 0.0, row[HIGH_POLE] != 0.0], [-np.inf, np.inf], out[2:4])
+        return out
+
     def shape_row(self) -> np.ndarray:
         """The shape parameters padded to SHAPE_SIZE."""
         row = np.zeros(SHAPE_SIZE)

@@ -16,11 +16,14 @@ from ..jit import kernel
 from ..layout import (
     ACROSS_X,
     DIRECTION_X,
+    DOMAIN,
+    DOMAIN_MARGIN,
     EVENT,
     FREE,
     FRICTION_MARGIN,
     FROZEN,
     GAP_MARGIN,
+    MARGINS_PER_CONTACT,
     MODE,
     MU,
     NO_FORCE,
@@ -339,7 +342,7 @@ def _margins(
     status = OK
     for c in range(nc):
         integers, numbers, value = contact_int[c], contact_real[c], margins[c]
-        for i in range(4):
+        for i in range(MARGINS_PER_CONTACT):
             value[i] = 1.0
         mode = integers[MODE]
         if mode == FREE:
@@ -347,6 +350,9 @@ def _margins(
             if value[GAP_MARGIN] < 0.0:
                 status = EVENT
             continue
+        value[DOMAIN_MARGIN] = numbers[DOMAIN]
+        if value[DOMAIN_MARGIN] < 0.0:
+            status = EVENT
         normal = force[c, 2]
         size = abs(normal)
         if integers[PATTERN] == ON_CURVE:

@@ -6,7 +6,9 @@ that is open than its location and gap.
 
 from __future__ import annotations
 
-from ..constraints.kinematics import add_point_rows, contact_kinematics
+import math
+
+from ..constraints.kinematics import add_point_rows, contact_kinematics, distance_to_ends
 from ..contours.base import SHAPE_SIZE
 from ..contours.motion import MOTION_PARAMETERS, MOTION_SIZE, evaluate_motion
 from ..geometry.carriers import add_drive, place_on_joint
@@ -16,6 +18,7 @@ from ..layout import (
     ACCELERATION,
     BASIS,
     BIAS,
+    CHART,
     CONSTRAINT_ROWS,
     CONTACT_INT,
     CONTACT_INTS,
@@ -28,6 +31,7 @@ from ..layout import (
     DAMPING,
     DELASSUS,
     DERIVATIVES,
+    DOMAIN,
     FACTOR,
     FORCE,
     FRAMES,
@@ -39,9 +43,12 @@ from ..layout import (
     JACOBIAN,
     JOINT,
     JOINT_ADDRESSES,
+    K1,
+    K2,
     LOCAL,
     LOCATION,
     MARGINS,
+    MARGINS_PER_CONTACT,
     MASS,
     MASS_NOT_POSITIVE,
     MODE,
@@ -63,6 +70,7 @@ from ..layout import (
     ROWS,
     SCALARS,
     SIDE_BASE,
+    SIDE_DOMAIN,
     SIDE_INT,
     SIDE_INTS,
     SIDE_MOTION,
@@ -97,6 +105,7 @@ def evaluate_contacts(table, time, with_rows):
     side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
     side_shape = matrix(table[SIDE_SHAPE], 2 * nc, SHAPE_SIZE)
     side_base = matrix(table[SIDE_BASE], 2 * nc, 12)
+    side_domain = matrix(table[SIDE_DOMAIN], 2 * nc, 4)
     frames = cube(table[FRAMES], 2 * nc, 8, 3)
     derivatives = cube(table[DERIVATIVES], 2 * nc, 10, 3)
     contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
@@ -156,6 +165,12 @@ def evaluate_contacts(table, time, with_rows):
         )
         if status != OK:
             return status
+        distance = distance_to_ends(
+            contact_int[c, K1], location[c, 0:2], side_int[one, CHART], side_domain[one], math.inf
+        )
+        contact_real[c, DOMAIN] = distance_to_ends(
+            contact_int[c, K2], location[c, 2:4], side_int[two, CHART], side_domain[two], distance
+        )
         if not with_rows and contact_int[c, MODE] == FREE:
             continue
         for row in range(3):
@@ -241,7 +256,7 @@ def evaluate_dynamics(table, time):
         matrix(table[CONSTRAINT_ROWS], 3 * nc, 3 * nc + 1),
         matrix(table[FORCE], nc, 3),
         matrix(table[RELATIVE_ACCELERATION], nc, 3),
-        matrix(table[MARGINS], nc, 4),
+        matrix(table[MARGINS], nc, MARGINS_PER_CONTACT),
         reals(table[WORK], nv),
         time,
         reals(table[VECTORS], 3),

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
 _FIXED_POINT_ITERATIONS = 60
 _FIXED_POINT_TOLERANCE = 1e-12
+_ROUND_OFF = 1e-11
 # Sliding accelerations below this fraction of the free ones are taken for the limit of stick (a continuous start).
 CONTINUOUS_LIMIT = 1e-7
 
@@ -95,6 +96,12 @@ class ModeSolver:
         decision = self._solve(t, undecided, evaluate)
         decision.started = {c: a for c, a in decision.started.items() if integers[c, MODE] == SLIPPING}
         return decision
+
+    def force_round_off(self) -> float:
+        """Forces in N (or N m) below which a sign means nothing, from the loads on the joints."""
+        system = self.system
+        loads = np.abs(system.data.nle) + np.abs(system.tau)
+        return _ROUND_OFF * float(loads.max(initial=0.0))
 
     def _holds(self, closed: dict[int, int]) -> bool:
         """Whether every force of the last evaluation lies inside its cone."""
@@ -180,7 +187,7 @@ class ModeSolver:
             for c in closed:
                 if integers[c, MODE] == FREE:
                     continue
-                if system.margins[c, NORMAL_MARGIN] < 0.0:
+                if system.margins[c, NORMAL_MARGIN] < -self.force_round_off():
                     if integers[c, UNILATERAL]:
                         integers[c, MODE] = FREE
                         decision.opened.append(c)

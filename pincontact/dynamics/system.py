@@ -33,6 +33,7 @@ from ..layout import (
     K2,
     KIND,
     LENGTH,
+    MARGINS_PER_CONTACT,
     MODE,
     MOTION_KIND,
     MOTION_POOL,
@@ -132,6 +133,7 @@ class System:
         self.side_int = memory.integers("side_int", 2 * nc, SIDE_INTS)
         self.side_shape = memory.reals("side_shape", 2 * nc, SHAPE_SIZE)
         self.side_base = memory.reals("side_base", 2 * nc, 12)
+        self.side_domain = memory.reals("side_domain", 2 * nc, 4)
         self.side_motion = memory.reals("side_motion", 2 * nc, MOTION_SIZE)
         self.python_drives: list[tuple[int, Motion]] = []
         self.side_motion_parameters = memory.reals("side_motion_parameters", 2 * nc, MOTION_PARAMETERS)
@@ -163,6 +165,7 @@ class System:
         integers[TIME_DEPENDENT] = int(contour.time_dependent)
         integers[POOL_ADDRESS], integers[POOL_SIZE] = address_of(pool), pool.size
         self.side_shape[side] = contour.shape_row()
+        self.side_domain[side] = contour.ends()
         placement = attached.placement_in_joint
         self.side_base[side, :9] = placement.rotation.ravel()
         self.side_base[side, 9:] = placement.translation
@@ -195,7 +198,7 @@ class System:
         self.rows = memory.reals("rows", nc, 3, nv)
         self.force = memory.reals("force", nc, 3)
         self.relative_acceleration = memory.reals("relative_acceleration", nc, 3)
-        self.margins = memory.reals("margins", nc, 4)
+        self.margins = memory.reals("margins", nc, MARGINS_PER_CONTACT)
         self.location = memory.reals("location", nc, 4)
         self.factor = memory.reals("factor", nv, nv)
         self.acceleration = memory.reals("acceleration", nv)

@@ -5,15 +5,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import brentq
 
 from ..errors import ArgumentError
-from ..layout import EVENT, FREE, GAP_MARGIN, LENGTH, MODE, OK
+from ..layout import DOMAIN, EVENT, FREE, GAP_MARGIN, LENGTH, MODE, OK
 from .runge_kutta import RungeKutta
 from .tableaux import Interpolant
+
+if TYPE_CHECKING:
+    from ..dynamics.system import System
 
 # Samples of the dense output between which a margin's sign change is looked for.
 _SCAN = 8
@@ -26,6 +29,8 @@ _GAP_TOLERANCE = 10.0
 # A contact that has just opened touches again only after it has been apart. An ideal no-slip contact loses a finite
 # tangential force as it opens, which may press it together at first; deeper than this part of its length, it touches.
 _UNARMED_DEPTH = 1e-2
+# Margin of a gap that is measured beyond the end of a contour.
+_NOTHING_THERE = 1e300
 _XTOL, _RTOL = 1e-15, 8.9e-16
 
 
@@ -64,6 +69,11 @@ class Crossing:
     theta: float
     margin: tuple[int, int] | None = None
     user: int = -1
+
+
+def outside(system: System) -> np.ndarray:
+    """(nc,) whether a contact's location is beyond the end of one of its contours."""
+    return system.contact_real[: system.nc, DOMAIN] < 0.0
 
 
 class EventLocator:
@@ -106,13 +116,15 @@ class EventLocator:
         system = self.rk.system
         margins = system.margins[: system.nc].copy()
         margins[:, GAP_MARGIN] += np.where(self.armed, self._gap_slack, _UNARMED_DEPTH * self._lengths)
+        # beyond the end of a contour there is nothing to touch
+        margins[outside(system), GAP_MARGIN] = _NOTHING_THERE
         return margins
 
     def arm(self) -> None:
         """Watch the gaps of open contacts that are apart at the accepted state."""
         system = self.rk.system
         for c in range(system.nc):
-            if system.contact_int[c, MODE] != FREE:
+            if system.contact_int[c, MODE] != FREE or system.contact_real[c, DOMAIN] < 0.0:
                 self.armed[c] = False
             elif system.gaps[c, 0] > self._gap_slack[c]:
                 self.armed[c] = True
@@ -129,7 +141,9 @@ class EventLocator:
                 Crossing(
                     self._root(t, step, dense, (int(c), int(kind)), low, high, before[c, kind]), (int(c), int(kind))
                 )
-                for c, kind in np.argwhere((after < 0.0) & ((before >= 0.0) | (low == 0.0)))
+                for c, kind in np.argwhere(
+                    (after < 0.0) & ((before >= 0.0) | (low == 0.0)) & (before != _NOTHING_THERE)
+                )
             ]
             if crossings:
                 return min(crossings, key=lambda crossing: crossing.theta)

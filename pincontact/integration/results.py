@@ -13,6 +13,7 @@ FINISHED, TERMINATED = 0, 1
 STEP_TOO_SMALL, STEP_LIMIT, SINGULAR_CONTACT, NO_CONTACT_FORCE, CONTROL_FAILED, CHATTER, MODEL_FAILED = range(
     -1, -8, -1
 )
+END_OF_CONTOUR = -8
 
 FAILURES = {
     LOCATION_FAILED: (SINGULAR_CONTACT, "the location parameters could not be continued (Newton left its branch)"),
@@ -35,7 +36,8 @@ class Stop(Exception):
 class Event:
     """Something that happened at a time (s), to a contact (None for a user's event), with the state there.
 
-    kind: "stick", "slip", "separate", "touch", "singular" or "user"; index: number of the user's event function.
+    kind: "stick", "slip", "separate", "touch", "edge" (the contact point has reached the end of a contour: a unilateral
+    contact opens there), "singular" or "user"; index: number of the user's event function.
     """
 
     time: float

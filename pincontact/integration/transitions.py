@@ -13,6 +13,7 @@ from ..dynamics.modes import Decision, ModeSolver, freeze_slip, rest_mode
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
     CONDITION,
+    DOMAIN_MARGIN,
     EVENT,
     FREE,
     FRICTION_MARGIN,
@@ -36,7 +37,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from .results import CHATTER, FAILURES, SINGULAR_CONTACT, STEP_TOO_SMALL, Event, Stop
+from .results import CHATTER, END_OF_CONTOUR, FAILURES, SINGULAR_CONTACT, STEP_TOO_SMALL, Event, Stop
 from .runge_kutta import RungeKutta
 from .slip_start import start_slip
 
@@ -177,11 +178,18 @@ class Transitions:
         integers = self.system.contact_int[c]
         if kind == GAP_MARGIN:
             return self._touch(t, c)
+        if kind == DOMAIN_MARGIN:
+            self.announce(t, c, "edge")
+            if not integers[UNILATERAL]:
+                raise Stop(END_OF_CONTOUR, f"t = {t:.9g} s: contact {self.names[c]!r} reached the end of a contour")
+            integers[MODE] = FREE
+            return self.resolve(t, self._sticking())
         if kind == NORMAL_MARGIN:
             if integers[UNILATERAL]:
                 integers[MODE] = FREE
                 self.announce(t, c, "separate")
             else:
+                # at zero the force itself tells no sign
                 integers[NORMAL_SIGN] *= -1
             return self.resolve(t, self._sticking())
         if kind == SPEED_MARGIN:
@@ -248,7 +256,7 @@ class Transitions:
             integers = system.contact_int[c]
             if integers[MODE] == SLIPPING and not integers[UNILATERAL] and integers[PATTERN] != ON_CURVE:
                 self.rk.evaluate(t)
-                if system.margins[c, NORMAL_MARGIN] < 0.0:
+                if system.margins[c, NORMAL_MARGIN] < -self.modes.force_round_off():
                     integers[NORMAL_SIGN] *= -1
                     self.rk.evaluate(t)
 

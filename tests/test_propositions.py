@@ -379,7 +379,7 @@ def test_planar_rolling_is_an_arc_length():
     # arc length of (a cos u, b sin u), counted from the end of the minor axis
     arc = a * ellipeinc(u + 0.5 * math.pi, 1.0 - (b / a) ** 2)
     s = run.contacts["c"].location_second[:, 0]
-    # turned clockwise it rolls forwards, over points further and further along; 1e-9 is the run's global error, tolerances of 1e-12 over a few turns
+    # turned clockwise it rolls forwards; 1e-9 is the run's global error at tolerances of 1e-12
     np.testing.assert_allclose(s - s[0], arc - arc[0], rtol=0.0, atol=1e-9)
     assert np.ptp(arc) > 0.1
 

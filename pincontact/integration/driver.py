@@ -225,7 +225,13 @@ class Driver:
             self.transitions.announce(event_time, None, "user", crossing.user)
             raise Stop(TERMINATED, "a terminal event occurred")
         self.transitions.longest_start = min(0.5 * step, 0.5 * (self._end - event_time))
-        after = self.transitions.switch(event_time, *crossing.margin)
+        try:
+            after = self.transitions.switch(event_time, *crossing.margin)
+        except Stop:
+            if self.options.t_eval is None:
+                self.outputs += 1
+                self.record(event_time)
+            raise
         self._after(after)
         return after
 

@@ -158,6 +158,51 @@ def test_heaving_plate_throws_a_ball():
     assert abs(run.events[1].time - low) <= 1e-10
 
 
+# ------------------------------------------------------------------------------------------------- ends of contours
+
+
+def test_bead_reaches_the_end_of_its_wire():
+    """A bilateral contact cannot go on there: the run ends, at that time."""
+    slope, length = 0.5, 0.8
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "bead")
+    model.appendBodyToJoint(joint, pin.Inertia(0.2, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+    model.addBodyFrame("bead", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    bead = scene.add_contour("bead", pc.Point(), "bead")
+    wire = scene.add_contour(
+        "wire", pc.Line((-1.0, length)), placement=pin.SE3(pin.utils.rotate("y", slope), np.zeros(3))
+    )
+    scene.add_contact("bead/wire", bead, wire)
+    run = pc.simulate(scene, scene.initial_state(np.zeros(3)), 5.0, rtol=1e-11, atol=1e-13)
+    assert run.status < 0
+    assert "bead/wire" in run.message
+    assert kinds(run) == ["edge"]
+    assert abs(run.events[0].time - math.sqrt(2.0 * length / (G * math.sin(slope)))) <= 1e-11
+    np.testing.assert_allclose(run.events[0].q, length * np.array([math.cos(slope), 0.0, -math.sin(slope)]), atol=1e-11)
+
+
+def test_ball_rolls_off_a_table():
+    """A unilateral contact opens at the edge: the ball flies on with the velocity that it had."""
+    edge, speed = 0.3, 0.7
+    scene = pc.Scene(ball_scene().model)
+    ball = scene.add_contour("ball", pc.Sphere(RADIUS), "ball")
+    table = scene.add_contour("table", pc.Plane(((-1.0, edge), None)))
+    scene.add_contact("c", ball, table, friction=pc.NoSlip())
+    q = np.array([0.0, 0.0, RADIUS, 0.0, 0.0, 0.0, 1.0])
+    state = scene.initial_state(q, np.array([speed, 0.0, 0.0, 0.0, speed / RADIUS, 0.0]))
+    times = np.linspace(0.0, 1.0, 51)
+    run = pc.simulate(scene, state, 1.0, rtol=1e-11, atol=1e-13, t_eval=times)
+    assert run.status == 0, run.message
+    assert kinds(run) == ["edge"]
+    off = edge / speed
+    assert abs(run.events[0].time - off) <= 1e-11
+    fall = np.maximum(times - off, 0.0)
+    path = np.column_stack([speed * times, np.zeros_like(times), RADIUS - 0.5 * G * fall**2])
+    assert np.abs(run.q[:, :3] - path).max() <= 1e-10
+    np.testing.assert_array_equal(run.contacts["c"].mode, np.where(times <= off, 1, -1))
+
+
 # ------------------------------------------------------------------------------------------------- users' events
 
 

@@ -31,14 +31,14 @@ def random_contact(pattern, seed):
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_energy_account_and_force_law(pattern):
     """Energy changes by the work of friction and of the drives; forces obey Coulomb's law; constraints hold. A run may
-    end early only where two bodies have rolled into a line contact."""
+    end early only at the end of a contour or where two bodies have rolled into a line contact."""
     finished = 0
-    for seed in range(300, 300 + RUNS):
+    for seed in range(RUNS):
         contact, law = random_contact(pattern, seed)
         run = pc.simulate(contact.scene, contact.state, 0.3, rtol=1e-9, atol=1e-11, energies=True, max_steps=2000)
         assert run.t.size > 1, (contact, run.message)
         track, energies = run.contacts["c"], run.energies()
-        if run.status != 0:
+        if run.status != 0 and run.events[-1].kind != "edge":
             assert np.nanmin(track.conditioning) < 1e-5, (contact, run.message)
         finished += run.status == 0
         scale = 1.0 + np.abs(energies.total).max() + np.abs(energies.drive_work).max()

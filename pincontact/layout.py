@@ -162,7 +162,8 @@ TIME, STEP, ERROR_NORM, GAP_RESIDUAL, VELOCITY_RESIDUAL, CORRECTION_SIZE, CONDIT
 ) = range(13)
 CONTACT_INTS = 13
 
-# contact_real; DOMAIN is the distance of the location from the nearest end of its domain, negative outside.
+# contact_real; DOMAIN is the distance of the location from the nearest end of its domain, negative outside;
+# LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart.
 # A frozen slip direction is DIRECTION + p(s) ACROSS with p of the coefficients POLYNOMIAL.. in s = (t - START) / SPAN;
 # vectors in world axes.
 (
@@ -174,6 +175,9 @@ CONTACT_INTS = 13
     SLIP_SPEED,
     SLIP_RATE,
     DOMAIN,
+    LAST_NORMAL_X,
+    LAST_NORMAL_Y,
+    LAST_NORMAL_Z,
     START,
     SPAN,
     DIRECTION_X,
@@ -183,7 +187,7 @@ CONTACT_INTS = 13
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(17)
+) = range(20)
 POLYNOMIAL_SIZE = 5
 CONTACT_REALS = POLYNOMIAL + POLYNOMIAL_SIZE
 

@@ -29,7 +29,7 @@ from ..geometry.location import (
     second_row,
     tangent_at_fixed_u,
 )
-from ..geometry.patterns import ON_CURVE, ON_SURFACE, PLANAR
+from ..geometry.patterns import CROSSING_CURVES, ON_CURVE, ON_SURFACE, PLANAR
 from ..geometry.small import add_cross, cross, dot, norm, rotate, solve_in_place
 from ..jit import kernel
 from ..layout import (
@@ -42,6 +42,7 @@ from ..layout import (
     K1,
     K2,
     KIND,
+    LAST_NORMAL_X,
     LENGTH,
     LOCATION_FAILED,
     NEWTON_COUNT,
@@ -246,6 +247,9 @@ def contact_kinematics(
     k = k1 + k2
     difference, normal, k_axis = vectors[_DIFFERENCE], vectors[_NORMAL], vectors[_K_AXIS]
     basis_at_contact(pattern, integers[SIDE], first, second, normal, basis)
+    if pattern == CROSSING_CURVES and dot(basis[2], numbers[LAST_NORMAL_X : LAST_NORMAL_X + 3]) < 0.0:
+        # the normal has turned over: the curves went through parallel within the step
+        return LOCATION_FAILED
     gaps[0] = dot(basis[2], difference)
     gaps[1] = dot(basis[1], difference) if pattern == ON_CURVE else 0.0
     # relative velocity of the two material points (Eq. 10)

@@ -164,6 +164,12 @@ def evaluate_contacts(table, time, with_rows):
             counters,
         )
         if status != OK:
+            if contact_int[c, MODE] == FREE and not with_rows:
+                # an open contact without a nearest point (parallel lines, a focus) is beyond all ends for the moment
+                contact_real[c, DOMAIN] = -1.0
+                for a in range(4):
+                    rates[c, a] = 0.0
+                continue
             return status
         distance = distance_to_ends(
             contact_int[c, K1], location[c, 0:2], side_int[one, CHART], side_domain[one], math.inf

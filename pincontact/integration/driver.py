@@ -10,6 +10,7 @@ import numpy as np
 
 from ..layout import (
     FROZEN,
+    LAST_NORMAL_X,
     MODE,
     MU,
     OK,
@@ -99,7 +100,7 @@ class Driver:
         if t_end > t:
             t = self.transitions.start_frozen(t)
         self.locator.update_users(t)
-        self._note_slips()
+        self._note_state()
         self.locator.arm()
         h = options.fixed_step or options.first_step or rk.first_step(t, t_end - t)
         floor = 8.0 * np.finfo(float).eps * max(abs(t), abs(t_end))
@@ -199,7 +200,7 @@ class Driver:
         """What follows every accepted state."""
         if self._change_charts():
             self.rk.evaluate_start(t)
-        self._note_slips()
+        self._note_state()
         self.locator.arm()
         if self.locator.users:
             self.locator.update_users(t)
@@ -237,9 +238,11 @@ class Driver:
 
     # ---------------------------------------------------------------- the end of 3D slip
 
-    def _note_slips(self) -> None:
+    def _note_state(self) -> None:
+        """Remember what the next step is held against: normals, and speed and rate of every 3D slip."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
+        numbers[: system.nc, LAST_NORMAL_X : LAST_NORMAL_X + 3] = system.basis[: system.nc, 2]
         self._slips = [
             (c, float(numbers[c, SLIP_SPEED]), float(numbers[c, SLIP_RATE]))
             for c in range(system.nc)

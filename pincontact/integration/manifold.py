@@ -33,7 +33,7 @@ def configuration_blocks(model: pin.Model) -> list[tuple[int, int, int, int]]:
     def add(joint: object, idx_q: int, idx_v: int) -> None:
         name = joint.shortname()  # type: ignore[attr-defined]
         if name == "JointModelComposite":
-            for child in joint.joints:  # type: ignore[attr-defined]
+            for child in joint.extract().joints:  # type: ignore[attr-defined]
                 add(child, idx_q, idx_v)
                 idx_q, idx_v = idx_q + child.nq, idx_v + child.nv
         elif name in _BLOCKS:

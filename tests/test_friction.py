@@ -87,15 +87,15 @@ def test_turns_on_a_slope(planar):
 
 
 def test_thrown_across_a_slope():
-    """Two tangents: the direction of slip turns into the line of fall, and the slider comes to rest there; time and path
-    by quadrature of the speed as a function of the direction."""
+    """Two tangents: the direction of slip turns into the line of fall, and the slider comes to rest there; time and
+    path by quadrature of the speed as a function of the direction."""
     mu, slope, v0 = 0.9, 0.5, 1.2
     scene = slider(pc.Coulomb(mu), False, slope)
     along, holding = G * math.sin(slope), mu * G * math.cos(slope)
     run = pc.simulate(scene, scene.initial_state(np.zeros(3), np.array([0.0, v0, 0.0])), 1.0, **TIGHT)
     assert [event.kind for event in run.events] == ["stick"]
-    # at an angle a to the line of fall speed' = g_x cos a - h and a' = -g_x sin a / speed: d ln(speed) / da is a function
-    # of a alone, speed = v0 tan(a / 2)^(h / g_x) / sin a from a = pi / 2, and t and x are integrals over a
+    # at an angle a to the line of fall speed' = g_x cos a - h and a' = -g_x sin a / speed: d ln(speed) / da is a
+    # function of a alone, speed = v0 tan(a / 2)^(h / g_x) / sin a from a = pi / 2, and t and x are integrals over a
     ratio = holding / along
     nodes, weights = np.polynomial.legendre.leggauss(60)
     # a runs from pi / 2 to 0; a = pi / 2 e^-s makes the integrands smooth at the end
@@ -118,22 +118,16 @@ def test_shaken_plate():
     mu, amplitude, frequency = 0.2, 0.05, 3.0
     rate = 2.0 * math.pi * frequency
     assert amplitude * rate**2 > 3.0 * mu * G
-    scene = slider(pc.Coulomb(mu))
-    plate = scene.add_contour("plate", pc.Plane(), motion=pc.HarmonicMotion((amplitude, 0.0, 0.0), frequency))
-    shaken = pc.Scene(scene.model)
-    point = shaken.add_contour("point", pc.Point(), "slider")
-    shaken.add_contact(
-        "c", point, shaken.add_contour("plate", pc.Plane(), motion=plate.motion), friction=pc.Coulomb(mu)
-    )
+    scene = slider(pc.Coulomb(mu), motion=pc.HarmonicMotion((amplitude, 0.0, 0.0), frequency))
     duration = 20.0 / frequency
-    run = pc.simulate(shaken, shaken.initial_state(np.zeros(3), np.zeros(3)), duration, rtol=1e-10, atol=1e-12)
+    run = pc.simulate(scene, at_rest(scene), duration, rtol=1e-10, atol=1e-12)
     assert run.status == 0, run.message
     # so fast a plate leaves no time to stick: reversals only, two a period
     late = [event.time for event in run.events if event.time > 0.5 * duration]
     assert {event.kind for event in run.events} == {"slip"}
     assert len(late) == 20
-    # the slider's velocity settles to a triangle of slope mu g, reversed half a period apart where it meets the plate's:
-    # |cos(w t)| = pi mu g / (2 a w^2)
+    # the slider's velocity settles to a triangle of slope mu g, reversed half a period apart where it meets the
+    # plate's: |cos(w t)| = pi mu g / (2 a w^2)
     np.testing.assert_allclose(np.diff(late), 0.5 / frequency, rtol=0.0, atol=1e-3)
     phase = np.abs(np.cos(rate * np.array(late[-4:])))
     np.testing.assert_allclose(phase, math.pi * mu * G / (2.0 * amplitude * rate**2), rtol=0.0, atol=5e-3)

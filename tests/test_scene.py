@@ -55,9 +55,17 @@ def chain(*joints):
     return model
 
 
+def composite():
+    joint = pin.JointModelComposite()
+    for part in (pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ(), pin.JointModelSpherical()):
+        joint.addJoint(part)
+    return joint
+
+
 MECHANISMS = {
     "free flyer": lambda: chain(pin.JointModelFreeFlyer()),
     "translation and quaternion": lambda: chain(pin.JointModelTranslation(), pin.JointModelSpherical()),
+    "composite": lambda: chain(composite()),
     "Euler angles": lambda: chain(pin.JointModelTranslation(), pin.JointModelSphericalZYX()),
     "six single joints": lambda: chain(
         pin.JointModelPX(),
@@ -124,7 +132,7 @@ def free_flyer_run():
 
 @pytest.mark.parametrize("name", list(MECHANISMS)[1:])
 def test_coordinates_do_not_matter(name, free_flyer_run):
-    """The same disk on six mechanisms with the same freedom: quaternions, Euler angles, (cos, sin) pairs. Errors at
+    """The same disk on seven mechanisms with the same freedom: quaternions, Euler angles, (cos, sin) pairs. Errors at
     rtol = 1e-11 are some 1e-10."""
     run = rolling_run(MECHANISMS[name]())
     assert np.abs(body_poses(run) - body_poses(free_flyer_run)).max() <= 1e-8

@@ -65,8 +65,8 @@ def test_epicyclic_gear():
 
 
 def test_ball_between_plates():
-    """The upper plate moves, the ball between them goes at half its speed. The vertical constraint is doubled, spin about
-    the vertical is free."""
+    """The upper plate moves, the ball between them goes at half its speed. The vertical constraint is doubled, spin
+    about the vertical is free."""
     radius, mass, speed = 0.1, 0.4, 0.9
     model = pin.Model()
     moment = 0.4 * mass * radius**2
@@ -135,8 +135,8 @@ def test_axle_with_two_wheels_goes_in_a_circle(friction):
 
 
 def test_disk_on_a_rolling_disk():
-    """Planar: a small disk rolls off a larger one that rolls on the ground itself. Energy, the ground's impulse, and the
-    first accelerations in closed form."""
+    """Planar: a small disk rolls off a larger one that rolls on the ground itself. Energy, the ground's impulse, and
+    the first accelerations in closed form."""
     big, small = 0.5, 0.2
     masses = {"big": 2.0, "small": 0.5}
     model = pin.Model()

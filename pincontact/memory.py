@@ -16,7 +16,6 @@ import numba
 import numpy as np
 from numba import types
 from numba.extending import intrinsic
-from numba.np.arrayobj import make_array, populate_array
 
 if numba.config.DISABLE_JIT:
     # The same views in plain Python, so that every kernel also runs (slowly) without compilation.
@@ -50,6 +49,9 @@ else:
 
         def implementation(typing_context, *arguments):
             def generate(context, builder, signature, values):
+                # imported when code is generated: it costs as much as the rest of the package
+                from numba.np.arrayobj import make_array, populate_array
+
                 address, shape = values[0], list(values[1:])
                 size = context.get_constant(types.intp, item.bitwidth // 8)
                 strides = [size]

@@ -8,7 +8,6 @@ import os
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -301,6 +300,8 @@ def _geometry(model: pin.Model, file: str, kind: pin.GeometryType, folders: list
     try:
         return pin.buildGeomFromUrdf(model, file, kind, package_dirs=folders)
     except (ValueError, RuntimeError, IndexError):
+        from xml.etree import ElementTree
+
         tree = ElementTree.parse(file).getroot()
         for link in tree.iter("link"):
             for tag in ("visual", "collision"):

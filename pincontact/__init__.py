@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from .analysis.kinematics import ContactKinematics, analyze
+from .contacts import AttachedContour, Contact
 from .contours import *  # noqa: F403
 from .contours import __all__ as _contours
 from .errors import (
@@ -25,7 +26,7 @@ from .errors import (
 from .friction.laws import Coulomb, FrictionLaw, NoSlip
 from .friction.solve import ContactSolution, solve_contacts
 from .integration.results import Event
-from .scene import AttachedContour, Contact, Scene
+from .scene import Scene
 from .scene_file import LoadedScene, load_scene
 from .simulate import simulate
 from .state import State

@@ -22,7 +22,7 @@ from .scene_file import LoadedScene, load_scene
 from .simulate import simulate
 
 if TYPE_CHECKING:
-    from .scene import Contact
+    from .contacts import Contact
     from .trajectory import Trajectory
 
 DONE, NOT_FINISHED, BAD_INPUT = 0, 1, 2

@@ -15,7 +15,8 @@ from .contours import Circle, Contour, Cylinder, Ellipsoid, Line, Plane, Point, 
 from .errors import ArgumentError, ContourError, ModelError
 
 if TYPE_CHECKING:
-    from .scene import AttachedContour, Scene
+    from .contacts import AttachedContour
+    from .scene import Scene
 
 KINDS = ("faces", "rims", "edges", "corners")
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from .contacts import Contact, characteristic_length
 from .dynamics.projection import project
 from .dynamics.system import System
 from .errors import ArgumentError, NoContactError, SingularContactError, StateError
@@ -29,7 +30,7 @@ from .layout import (
     SLIP_SIGN,
     STICK,
 )
-from .scene import Contact, Scene, characteristic_length
+from .scene import Scene
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from .contacts import Contact, characteristic_length
 from .dynamics.system import System
 from .errors import TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
@@ -20,7 +21,7 @@ from .integration.results import Event
 from .integration.slip_start import frozen_directions, set_frozen_directions
 from .integration.stages import NUMBER_OF_WORKS
 from .layout import CHART, CONDITION, EVENT, FREE, PATTERN, STICK, TANGENTS
-from .scene import Contact, Scene, characteristic_length
+from .scene import Scene
 from .state import DISCRETE_COLUMNS, Correction, State, read_discrete, write_discrete
 
 if TYPE_CHECKING:

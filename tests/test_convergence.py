@@ -96,8 +96,8 @@ def test_error_falls_with_the_tolerance_across_events(name, method):
         assert len(run.events) == len(expected.events)
         event_errors.append(max(abs(a.time - b["t"]) for a, b in zip(run.events, expected.events, strict=True)))
     for errors in (motion_errors, event_errors):
-        # The error goes with the tolerance to the power p / (p + 1): 5/6 and 8/9. Single errors may be lucky, so the slope
-        # over all four decades decides, a tenth below the lesser of the two.
+        # The error goes with the tolerance to the power p / (p + 1): 5/6 and 8/9. Single errors may be lucky, so the
+        # slope over all four decades decides, a tenth below the lesser of the two.
         assert errors[2] < errors[1] < errors[0], errors
         slope = np.log10(errors[0] / errors[2]) / np.log10(TOLERANCES[0] / TOLERANCES[-1])
         assert slope > 0.73, errors

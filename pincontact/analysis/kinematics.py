@@ -16,7 +16,8 @@ from ..layout import CONDITION, OK, PATTERN, SUPPORT_SIZE
 from ..state import State, write_discrete
 
 if TYPE_CHECKING:
-    from ..scene import Contact, Scene
+    from ..contacts import Contact
+    from ..scene import Scene
 
 
 @dataclass(frozen=True, eq=False)

@@ -94,12 +94,6 @@ class Contour:
         for a in range(self.dimension):
             if not self.periodic[a] and not (self.kind in (SPHERE, ELLIPSOID) and a == 1):
                 out[2 * a : 2 * a + 2] = self.domain[a]
-        if self.kind == REVOLUTION:
-            # charts 1 and 2 go on where the profile meets the axis
-            from .revolution import HIGH_POLE, LOW_POLE
-
-            row = self.shape_row()
-            out[2:4] = np.where([row[LOW_POLE] != 0.0, row[HIGH_POLE] != 0.0], [-np.inf, np.inf], out[2:4])
         return out
 
     def shape_row(self) -> np.ndarray:

@@ -122,6 +122,12 @@ class SurfaceOfRevolution(Contour):
         if sum(poles) != 1 and not periodic:
             object.__setattr__(self, "convex_side", _convex(rows, hand))
 
+    def ends(self) -> np.ndarray:
+        """(4,) as for all contours; where the profile meets the axis charts 1 and 2 go on, so there is no end."""
+        out, row = super().ends(), self.shape_row()
+        out[2:4] = np.where([row[LOW_POLE] != 0.0, row[HIGH_POLE] != 0.0], [-np.inf, np.inf], out[2:4])
+        return out
+
 
 def _profile_formula(owner: str, profile: Callable[..., Any]) -> Formula:
     formula = Formula(f"{owner} (profile)", profile, 1, 2)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
+from ..contacts import characteristic_length
 from ..contours.base import DERIVATIVE_ROWS, ELLIPSOID, REVOLUTION, SHAPE_SIZE, SPHERE
 from ..contours.motion import MOTION_CALLABLE, MOTION_PARAMETERS, MOTION_SIZE
 from ..geometry.carriers import ORIGIN
@@ -62,11 +63,10 @@ from ..layout import (
     UNILATERAL,
 )
 from ..memory import Memory, address_of
-from ..scene import characteristic_length
 
 if TYPE_CHECKING:
+    from ..contacts import AttachedContour, Contact
     from ..contours.motion import Motion
-    from ..scene import AttachedContour, Contact
 
 # Kinds whose first chart has poles.
 CHARTED_KINDS = (SPHERE, ELLIPSOID, REVOLUTION)

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 if TYPE_CHECKING:
-    from ..scene import AttachedContour
+    from ..contacts import AttachedContour
 
 _SAMPLES = 4
 _TOLERANCE = 1e-9

@@ -46,3 +46,7 @@ class Event:
     q: np.ndarray
     v: np.ndarray
     index: int = -1
+
+    def __repr__(self) -> str:
+        what = f"{self.contact!r}: {self.kind}" if self.contact is not None else f"{self.kind} event {self.index}"
+        return f"<{what} at {self.time:.9g} s>"

@@ -241,7 +241,12 @@ def build(name: str, native: bool = False) -> tuple[pc.Scene, pc.State]:
 
 @dataclass(frozen=True)
 class Reference:
-    """One stored trajectory: arrays of the npz file, as README-like names: t, p (com), R, v, w, loc, point, ..."""
+    """One stored trajectory, a row per time.
+
+    t (n,); of nb bodies: p (n, nb, 3) of the centre of mass, R (n, nb, 3, 3) body to world, v, w in world axes; of nc
+    contacts: loc (parameters, contact by contact, body 1 before body 2), point, force on body 2, force_dual (e_j . F),
+    frame (e_1, e_2, e_3 as columns), slip (v_c), mode (-1 open, 0 frictionless, 1 stick, 2 slip).
+    """
 
     name: str
 

@@ -168,6 +168,7 @@ CONTACT_INTS = 13
 # vectors in world axes.
 (
     MU,
+    MU_STATIC,
     LENGTH,
     CONDITION,
     NORMAL_1,
@@ -187,7 +188,7 @@ CONTACT_INTS = 13
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(20)
+) = range(21)
 POLYNOMIAL_SIZE = 5
 CONTACT_REALS = POLYNOMIAL + POLYNOMIAL_SIZE
 

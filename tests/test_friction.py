@@ -46,7 +46,7 @@ def at_rest(scene, vx=0.0):
 
 
 @BOTH
-@pytest.mark.parametrize("mu_static", [None], ids=["one coefficient"])
+@pytest.mark.parametrize("mu_static", [None, 0.5], ids=["one coefficient", "static above sliding"])
 def test_pulled_until_it_slides(planar, mu_static):
     """A force that grows as k t: slip starts where it meets the static limit, and goes on against sliding friction."""
     mu, pull = 0.3, 5.0

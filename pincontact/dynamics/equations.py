@@ -26,6 +26,7 @@ from ..layout import (
     MARGINS_PER_CONTACT,
     MODE,
     MU,
+    MU_STATIC,
     NO_FORCE,
     NORMAL_1,
     NORMAL_2,
@@ -361,8 +362,8 @@ def _margins(
             value[NORMAL_MARGIN] = normal
         if mode == STICK:
             tangential = force[c, 0] if integers[TANGENTS] == 1 else math.hypot(force[c, 0], force[c, 1])
-            if numbers[MU] < math.inf:
-                value[FRICTION_MARGIN] = numbers[MU] * size - abs(tangential)
+            if numbers[MU_STATIC] < math.inf:
+                value[FRICTION_MARGIN] = numbers[MU_STATIC] * size - abs(tangential)
         elif mode == SLIPPING:
             if integers[UNILATERAL] == 0 and integers[PATTERN] != ON_CURVE:
                 value[NORMAL_MARGIN] = integers[NORMAL_SIGN] * normal

@@ -26,6 +26,7 @@ from ..layout import (
     FROZEN,
     MODE,
     MU,
+    MU_STATIC,
     NO_FORCE,
     NORMAL_MARGIN,
     NORMAL_SIGN,
@@ -75,12 +76,13 @@ class ModeSolver:
         self.solver = ContactSolver()
         self.cone_problems = 0
         self.worst_residual = 0.0
+        self._limits = np.zeros(system.nc)
 
-    def decide(self, t: float, undecided: list[int], evaluate) -> Decision:
+    def decide(self, t: float, undecided: list[int], evaluate, beyond: int | None = None) -> Decision:
         """Set the modes of the undecided contacts (closed, at rest against each other, with friction) at the state.
 
         All contacts stay as they are otherwise, except that a unilateral one whose normal force would pull opens.
-        evaluate(t): evaluates the system at its (q, v).
+        evaluate(t): evaluates the system at its (q, v). beyond: a contact whose static limit has been reached.
         """
         system = self.system
         integers = system.contact_int
@@ -91,8 +93,14 @@ class ModeSolver:
         status = evaluate(t)
         if status > EVENT and status != NO_FORCE:
             return Decision(status)
-        if status != NO_FORCE and self._holds(before):
+        if status != NO_FORCE and beyond is None and self._holds(before):
             return Decision(status)
+        # contacts beyond their static limit are held by sliding friction at most, the others by static friction
+        self._limits = system.contact_real[: system.nc, MU_STATIC].copy()
+        exceeded = system.margins[: system.nc, FRICTION_MARGIN] < 0.0
+        if beyond is not None:
+            exceeded[beyond] = True
+        self._limits[exceeded] = system.contact_real[: system.nc, MU][exceeded]
         decision = self._solve(t, undecided, evaluate)
         decision.started = {c: a for c, a in decision.started.items() if integers[c, MODE] == SLIPPING}
         return decision
@@ -127,7 +135,7 @@ class ModeSolver:
         gram[missing, missing] = 1.0
         base = np.concatenate([system.rows[c] @ system.free_acceleration + system.bias[c] for c in closed])
         base[missing] = 0.0
-        mu = np.array([numbers[c, MU] if c in undecided or math.isinf(numbers[c, MU]) else 0.0 for c in closed])
+        mu = np.array([self._limits[c] if c in undecided or math.isinf(numbers[c, MU]) else 0.0 for c in closed])
         sliding = [i for i, c in enumerate(closed) if integers[c, MODE] == SLIPPING and numbers[c, MU] > 0.0]
         directions = np.zeros(3 * n)
         for i in sliding:

@@ -40,6 +40,7 @@ from ..layout import (
     MOTION_POOL,
     MOTION_POOL_SIZE,
     MU,
+    MU_STATIC,
     NBLOCKS,
     NC,
     NJOINTS,
@@ -152,6 +153,7 @@ class System:
             integers[SLIP_SIGN] = integers[NORMAL_SIGN] = 1
             integers[CLOSED_FORM] = closed_form(one.contour.kind, two.contour.kind)
             numbers[MU] = friction_coefficient(contact)
+            numbers[MU_STATIC] = 0.0 if contact.friction is None else contact.friction.sticking
             numbers[LENGTH] = characteristic_length(contact)
             numbers[NORMAL_1] = numbers[SPAN] = 1.0
             self._map_side(2 * c, one)

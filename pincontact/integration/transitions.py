@@ -23,6 +23,7 @@ from ..layout import (
     MASS_NOT_POSITIVE,
     MODE,
     MU,
+    MU_STATIC,
     NO_FORCE,
     NORMAL_1,
     NORMAL_MARGIN,
@@ -211,19 +212,29 @@ class Transitions:
             if system.contact_int[c, MODE] == STICK and math.isfinite(system.contact_real[c, MU])
         ]
 
-    def resolve(self, t: float, undecided: list[int], at_rest: int | None = None, silent: bool = False) -> float:
+    def resolve(
+        self,
+        t: float,
+        undecided: list[int],
+        at_rest: int | None = None,
+        silent: bool = False,
+        beyond: int | None = None,
+    ) -> float:
         """Decide the modes of contacts at rest, project, and start those that slip.
 
         at_rest: a contact that has just come to rest, whose fate is announced; silent: announce separations only.
+        beyond: a contact whose static friction has been exceeded.
         """
-        self._settle(t, undecided, at_rest, silent)
+        self._settle(t, undecided, at_rest, silent, beyond)
         return self.start_frozen(t)
 
-    def _settle(self, t: float, undecided: list[int], at_rest: int | None, silent: bool) -> None:
+    def _settle(
+        self, t: float, undecided: list[int], at_rest: int | None, silent: bool, beyond: int | None = None
+    ) -> None:
         system, rk = self.system, self.rk
         before = system.modes.copy()
         signs = system.contact_int[: system.nc, SLIP_SIGN].copy()
-        self._decide(t, undecided)
+        self._decide(t, undecided, beyond)
         self._project(t)
         rk.accept()
         for c in range(system.nc):
@@ -237,8 +248,8 @@ class Transitions:
             elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
                 self.announce(t, c, "slip")
 
-    def _decide(self, t: float, undecided: list[int]) -> Decision:
-        decision = self.modes.decide(t, undecided, self.rk.evaluate)
+    def _decide(self, t: float, undecided: list[int], beyond: int | None = None) -> Decision:
+        decision = self.modes.decide(t, undecided, self.rk.evaluate, beyond)
         if decision.status > EVENT:
             raise self.give_up(t, decision.status)
         self._fix_normal_signs(t)
@@ -290,6 +301,9 @@ class Transitions:
             freeze_slip(system, c, -system.force[c, :1])
             self.announce(t, c, "slip")
             return self.resolve(t, [])
+        if system.contact_real[c, MU_STATIC] > system.contact_real[c, MU]:
+            # friction falls to its sliding value: slip starts with a finite acceleration
+            return self.resolve(t, self._sticking(), beyond=c)
         self._project(t)
         rk.accept()
         # the friction that stick asks for at its limit is against the slip to come

@@ -149,6 +149,7 @@ def _simulate_moreau(
         "newton": int(system.counters[NEWTON_COUNT]),
         "closed_form": int(system.counters[CLOSED_COUNT]),
         "cone_problems": stepper.cone_problems,
+        "softened": stepper.softened,
         "decided": dict(stepper.solver.decided),
         "qp": stepper.solver.qp_count,
         "cone_residual": stepper.worst_residual,

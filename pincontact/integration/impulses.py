@@ -6,7 +6,8 @@ with a the velocity's change in the last step over its size. With z the change o
     (M + (h/2) D) (v_1 - v_0) = h (tau - nle - D v_0) + sum of rows^T P,
     u = w_0 + rows (v_1 - v_0) + h bias,
 
-u is the relative velocity at the step's end to second order; Signorini's and Coulomb's laws hold between u and P.
+u is the relative velocity at the step's end to second order; Signorini's and Coulomb's laws hold between u and P. In
+steps with impacts u is taken in the midpoint's geometry instead, w_m + rows (v_1 - v_m), to first order.
 Joint damping D enters by the trapezoidal rule, which no step size makes unstable.
 
 Every impulse has its time in the step: the middle for contacts that were closed (a force, spread over the step), the
@@ -50,6 +51,7 @@ from ..layout import (
     MASS,
     MASS_NOT_POSITIVE,
     MODE,
+    MOTION_KIND,
     MU,
     NBLOCKS,
     NC,
@@ -78,8 +80,10 @@ from ..layout import (
     STICK,
     TANGENTS,
     TAU,
+    TIME_DEPENDENT,
     UNILATERAL,
     WORK,
+    V,
 )
 from ..memory import Memory, cube, integer_matrix, integers, matrix, reals
 from .manifold import CIRCLE_BLOCK, FREE_FLYER, QUATERNION, VECTOR, normalize
@@ -123,6 +127,7 @@ STEP_SLOTS = (
     "joint_impulse",  # (nv,) of limits and dry friction
     "touch_time",  # (nc,) s after the step's start, negative: did not touch
     "displacement",  # (nv,)
+    "mean",  # (nv,) displacement over the step size
     "forces",  # (nc, 3) impulse over step size on the second contour given, world axes
     "orientation",  # (nc,): -1 where the user named the contours the other way round
     "known",  # (nc, CONTACT_INTS + 2) int: the contact's integers and charts after the last step
@@ -164,6 +169,7 @@ STEP_SLOTS = (
     JOINT_IMPULSE,
     TOUCH_TIME,
     DISPLACEMENT,
+    MEAN,
     FORCES,
     ORIENTATION,
     KNOWN,
@@ -171,6 +177,8 @@ STEP_SLOTS = (
 
 # counts
 NJ, MAX_UNITS, MAX_EQUATIONS, UNITS, NEQ, HAS_TREND, TOUCHED, REVIEWS = range(8)
+# counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
+ACCELERATION, MEAN_VELOCITY = 1, 2
 # numbers
 H, KEPT, KEPT_LOW, KEPT_HIGH = range(4)
 # joint_int
@@ -211,7 +219,7 @@ def step_memory(nq: int, nv: int, nc: int, nj: int) -> Memory:
     counts[[NJ, MAX_UNITS, MAX_EQUATIONS]] = nj, units, equations
     memory.reals("numbers", 8)
     memory.reals("start_q", nq)
-    for name in ("start_v", "trend", "change", "joint_impulse", "displacement"):
+    for name in ("start_v", "trend", "change", "joint_impulse", "displacement", "mean"):
         memory.reals(name, max(nv, 1))
     for name in ("start_location", "start_rates"):
         memory.reals(name, contacts, 4)
@@ -293,20 +301,22 @@ def displace(blocks, q, step, out):
 
 @entry_kernel(TABLE, TABLE)
 def predict_midpoint(table, step):
-    """Hand over the midpoint's state, predicted from the start and the last step's acceleration."""
+    """Hand over the midpoint's state, from the start and the last step's acceleration or this one's mean velocity."""
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
     counts = integers(step[COUNTS], 8)
     half = 0.5 * reals(step[NUMBERS], 8)[H]
-    v, trend = reals(step[START_V], nv), reals(step[TREND], nv)
+    v, trend, mean = reals(step[START_V], nv), reals(step[TREND], nv), reals(step[MEAN], nv)
     displacement = reals(step[DISPLACEMENT], nv)
     location, rates = reals(step[START_LOCATION], 4 * nc), reals(step[START_RATES], 4 * nc)
     state = reals(table[STAGE_STATE], sizes[NY])
     for k in range(nv):
         displacement[k] = half * v[k]
         state[nq + k] = v[k]
-        if counts[HAS_TREND] != 0:
+        if counts[HAS_TREND] == ACCELERATION:
             state[nq + k] += half * trend[k]
+        elif counts[HAS_TREND] == MEAN_VELOCITY:
+            state[nq + k] = mean[k]
     displace(integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4), reals(step[START_Q], nq), displacement, state)
     for k in range(4 * nc):
         state[nq + nv + k] = location[k] + half * rates[k]
@@ -336,18 +346,34 @@ def touch_instant(gap, speed, rate, touching, h):
 
 
 @kernel
-def _predicted(table, step, c, row, nv, nc, h):
-    """Component of v_c along a basis row at the step's end, if no impulse acted."""
-    rows, basis = cube(table[ROWS], nc, 3, nv), cube(table[BASIS], nc, 3, 3)
-    change = reals(step[CHANGE], nv)
-    value = h * matrix(table[BIAS], nc, 3)[c, row] + inner(rows[c, row], change, nv)
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+def _start_velocity(table, step, c, row, nv, nc):
+    """Component of v_c along a basis row at the step's start; in steps with impacts, in the midpoint's geometry.
+
+    There the velocities of points of a rigid body have to fit each other exactly, or no impulse could stop them all,
+    and the kinetic energy has to be that of the velocities that the law is applied to.
+    """
+    basis = cube(table[BASIS], nc, 3, 3)
+    if integers(step[COUNTS], 8)[TOUCHED] != 0:
+        rows, v0, middle = cube(table[ROWS], nc, 3, nv), reals(step[START_V], nv), reals(table[V], nv)
+        value = dot(basis[c, row], matrix(table[SLIP], nc, 3)[c])
+        for k in range(nv):
+            value += rows[c, row, k] * (v0[k] - middle[k])
+        return value
     # the biases of normals hold the normal's own rate, those of tangents do not
     if row == 2:
-        return value + matrix(step[START_NORMAL], nc, 2)[c, 0]
-    if row == 1 and contact_int[c, PATTERN] == ON_CURVE:
-        return value + matrix(step[START_NORMAL], nc, 2)[c, 1]
-    return value + dot(basis[c, row], matrix(step[START_SLIP], nc, 3)[c])
+        return matrix(step[START_NORMAL], nc, 2)[c, 0]
+    if row == 1 and integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)[c, PATTERN] == ON_CURVE:
+        return matrix(step[START_NORMAL], nc, 2)[c, 1]
+    return dot(basis[c, row], matrix(step[START_SLIP], nc, 3)[c])
+
+
+@kernel
+def _free_gain(table, step, c, row, nv, nc, h):
+    """What a component of v_c gains over the step if no impulse acts."""
+    value = inner(cube(table[ROWS], nc, 3, nv)[c, row], reals(step[CHANGE], nv), nv)
+    if integers(step[COUNTS], 8)[TOUCHED] == 0:
+        value += h * matrix(table[BIAS], nc, 3)[c, row]
+    return value
 
 
 @kernel
@@ -376,7 +402,7 @@ def _add_equation(table, step, c, row, nv, nc, h):
     factor[e, e] = rest if independent else 0.0
     for k in range(nv):
         equations[e, k] = equations[e, k] / rest if independent else 0.0
-    value = -_predicted(table, step, c, row, nv, nc, h)
+    value = -_start_velocity(table, step, c, row, nv, nc) - _free_gain(table, step, c, row, nv, nc, h)
     for j in range(e):
         value -= factor[e, j] * share[j]
     share[e] = value / rest if independent else 0.0
@@ -384,8 +410,8 @@ def _add_equation(table, step, c, row, nv, nc, h):
 
 
 @kernel
-def _add_unit(step, kind, index, mask, mu):
-    """A new unit whose impulse is spread over the step; returns its number."""
+def _add_unit(step, kind, index, mask, mu, instant):
+    """A new unit, returns its number; instant: when it closes, negative where its impulse is spread over the step."""
     counts = integers(step[COUNTS], 8)
     u = counts[UNITS]
     ints = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)[u]
@@ -395,66 +421,74 @@ def _add_unit(step, kind, index, mask, mu):
     for i in range(UNIT_REALS):
         numbers[i] = 0.0
     numbers[IMPULSE_TIME] = 0.5 * reals(step[NUMBERS], 8)[H]
+    if instant >= 0.0:
+        numbers[IMPULSE_TIME] = instant
+        ints[TOUCHES] = counts[TOUCHED] = 1
     reals(step[FRICTION], counts[MAX_UNITS])[u] = numbers[SLIDING] = mu
     counts[UNITS] = u + 1
     return u
 
 
 @kernel
-def _set_touch(ints, numbers, instant, approach, rate, restitution, h):
-    """Newton's law for a unit that closes: after the impact, what gravity and the like take back by the step's end."""
-    ints[TOUCHES] = 1
-    numbers[IMPULSE_TIME], numbers[APPROACH], numbers[FREE_RATE] = instant, approach, rate
-    numbers[SHIFT] = max(-restitution * approach + (h - instant) * rate, 0.0) if approach < 0.0 else 0.0
+def _set_impact(numbers, start, rate, restitution, h):
+    """Newton's law for a unit that closes: its rebound, less what the smooth forces take back by the step's end."""
+    approach = start + numbers[IMPULSE_TIME] * rate
+    numbers[APPROACH], numbers[FREE_RATE] = approach, rate
+    if approach < 0.0:
+        numbers[SHIFT] = max(-restitution * approach + (h - numbers[IMPULSE_TIME]) * rate, 0.0)
 
 
 @kernel
 def _gather_contacts(table, step, nv, nc, h):
-    """Equations and units of all contacts that take part."""
+    """Units of all contacts that take part."""
     contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
     contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    rows, basis = cube(table[ROWS], nc, 3, nv), cube(table[BASIS], nc, 3, 3)
-    bias = matrix(table[BIAS], nc, 3)
+    rows, bias = cube(table[ROWS], nc, 3, nv), matrix(table[BIAS], nc, 3)
     counts = integers(step[COUNTS], 8)
     unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
     unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
+    friction = reals(step[FRICTION], counts[MAX_UNITS])
     start_mode = integers(step[START_MODE], nc)
     start_gap, start_normal = reals(step[START_GAP], nc), matrix(step[START_NORMAL], nc, 2)
-    start_slip = matrix(step[START_SLIP], nc, 3)
     sticking, load, trend = reals(step[STICKING], nc), reals(step[LOAD], nc), reals(step[TREND], nv)
-    restitution, friction = reals(step[RESTITUTION], nc), reals(step[FRICTION], counts[MAX_UNITS])
     for c in range(nc):
-        integers_c, numbers_c = contact_int[c], contact_real[c]
-        mu, two = numbers_c[MU], integers_c[TANGENTS] == 2
-        bilateral, closed = integers_c[UNILATERAL] == 0, start_mode[c] != FREE
+        mu, two = contact_real[c, MU], contact_int[c, TANGENTS] == 2
+        bilateral, opened = contact_int[c, UNILATERAL] == 0, start_mode[c] == FREE
         kind, mask = ON_CONTACT, 4 if mu == 0.0 else (7 if two else 5)
-        instant, rate, speed = 0.5 * h, 0.0, start_normal[c, 0]
+        instant = -1.0
         if bilateral:
-            for row in range(2, -1, -1):
-                if row == 2 or (row == 1 and integers_c[PATTERN] == ON_CURVE) or (mu == math.inf and (row == 0 or two)):
-                    _add_equation(table, step, c, row, nv, nc, h)
             # the cone's normal carries a given impulse: the disk's radius is mu times it
             kind, mask = ON_LOADED, 3 if two else 1
             if mu == 0.0 or mu == math.inf:
                 continue
-        elif not closed:
+        elif opened:
             rate = inner(rows[c, 2], trend, nv) + bias[c, 2]
-            instant = touch_instant(start_gap[c], speed, rate, TOUCHING * numbers_c[LENGTH], h)
+            instant = touch_instant(start_gap[c], start_normal[c, 0], rate, TOUCHING * contact_real[c, LENGTH], h)
             if instant < 0.0:
                 continue
-        u = _add_unit(step, kind, c, mask, mu)
-        ints, values = unit_int[u], unit_real[u]
-        values[START_T1] = dot(basis[c, 0], start_slip[c])
-        values[START_T2] = dot(basis[c, 1], start_slip[c]) if two else 0.0
+        u = _add_unit(step, kind, c, mask, mu, instant)
+        ints = unit_int[u]
         if bilateral:
-            values[UNIT_LOAD] = h * load[c]
-        elif not closed:
-            _set_touch(ints, values, instant, speed + instant * rate, rate, restitution[c], h)
+            unit_real[u, UNIT_LOAD] = h * load[c]
         if start_mode[c] == STICK and sticking[c] > mu:
             # a contact at rest holds up to its coefficient of sticking
             friction[u] = sticking[c]
             ints[AT_REST] = 1
         ints[MIDPOINT] = 1 if start_mode[c] == SLIPPING and two and 0.0 < mu < math.inf else 0
+
+
+@kernel
+def _gather_equations(table, step, nv, nc, h):
+    """Bilateral normals and ideal rolling of bilateral contacts."""
+    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    for c in range(nc):
+        if contact_int[c, UNILATERAL] == 0:
+            rolls, two = contact_real[c, MU] == math.inf, contact_int[c, TANGENTS] == 2
+            second_normal = contact_int[c, PATTERN] == ON_CURVE
+            for row in range(2, -1, -1):
+                if row == 2 or (row == 1 and second_normal) or (rolls and (row == 0 or two)):
+                    _add_equation(table, step, c, row, nv, nc, h)
 
 
 @kernel
@@ -464,15 +498,13 @@ def _gather_joints(table, step, nv, h):
     nq = integers(table[SIZES], 8)[NQ]
     nj = counts[NJ]
     joint_int, joint_real = integer_matrix(step[JOINT_INT], nj, 3), matrix(step[JOINT_REAL], nj, 2)
-    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
     unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
     q, v, trend = reals(step[START_Q], nq), reals(step[START_V], nv), reals(step[TREND], nv)
     for j in range(nj):
         k = joint_int[j, JOINT_V]
         if joint_int[j, JOINT_KIND] == DRY_FRICTION:
-            u = _add_unit(step, ON_JOINT, j, 1, 1.0)
+            u = _add_unit(step, ON_JOINT, j, 1, 1.0, -1.0)
             unit_real[u, UNIT_LOAD] = h * joint_real[j, 0]
-            unit_real[u, START_T1] = v[k]
             continue
         sign = 1.0 if joint_int[j, JOINT_KIND] == LOWER_LIMIT else -1.0
         gap = sign * (q[joint_int[j, JOINT_Q]] - joint_real[j, 0])
@@ -480,9 +512,7 @@ def _gather_joints(table, step, nv, h):
         resting = gap <= TOUCHING and abs(speed) * h <= TOUCHING
         instant = touch_instant(gap, speed, rate, TOUCHING, h)
         if resting or instant >= 0.0:
-            u = _add_unit(step, ON_JOINT, j, 4, 0.0)
-            if not resting:
-                _set_touch(unit_int[u], unit_real[u], instant, speed + instant * rate, rate, 0.0, h)
+            _add_unit(step, ON_JOINT, j, 4, 0.0, -1.0 if resting else instant)
 
 
 @kernel
@@ -497,7 +527,8 @@ def _fill_units(table, step, nv, nc, h):
     whitened, overlap = matrix(step[WHITENED], 3 * units, nv), matrix(step[OVERLAP], 3 * units, size)
     equations, share = matrix(step[EQUATIONS], size, nv), reals(step[EQUATION_SHARE], size)
     delassus, b = matrix(step[DELASSUS], 3 * n, 3 * n), reals(step[LOADS], 3 * n)
-    v, change = reals(step[START_V], nv), reals(step[CHANGE], nv)
+    v, change, trend = reals(step[START_V], nv), reals(step[CHANGE], nv), reals(step[TREND], nv)
+    restitution = reals(step[RESTITUTION], nc)
     for u in range(n):
         kind, index, mask = unit_int[u, UNIT_KIND], unit_int[u, UNIT_INDEX], unit_int[u, ROW_MASK]
         for row in range(3):
@@ -515,11 +546,18 @@ def _fill_units(table, step, nv, nc, h):
                 for i in range(nv):
                     line[i] = 0.0
                 line[k] = -1.0 if joint_int[index, JOINT_KIND] == UPPER_LIMIT else 1.0
-                b[r] = line[k] * (v[k] + change[k])
+                start, gain = line[k] * v[k], line[k] * change[k]
             else:
                 for i in range(nv):
                     line[i] = rows[index, row, i]
-                b[r] = _predicted(table, step, index, row, nv, nc, h)
+                start = _start_velocity(table, step, index, row, nv, nc)
+                gain = _free_gain(table, step, index, row, nv, nc, h)
+            b[r] = start + gain
+            if row < 2:
+                unit_real[u, START_T1 + row] = start
+            elif unit_int[u, TOUCHES] != 0:
+                again = restitution[index] if kind != ON_JOINT else 0.0
+                _set_impact(unit_real[u], start, inner(line, trend, nv), again, h)
             forward(factor, nv, line, line)
             for j in range(nequations):
                 part = inner(line, equations[j], nv)
@@ -562,7 +600,7 @@ def assemble(table, step):
     nv, nc = sizes[NV], sizes[NC]
     counts, numbers = integers(step[COUNTS], 8), reals(step[NUMBERS], 8)
     h = numbers[H]
-    counts[UNITS] = counts[NEQ] = counts[REVIEWS] = 0
+    counts[UNITS] = counts[NEQ] = counts[REVIEWS] = counts[TOUCHED] = 0
     numbers[KEPT], numbers[KEPT_LOW], numbers[KEPT_HIGH] = 1.0, 0.0, 1.0
     mass, factor = matrix(table[MASS], nv, nv), matrix(table[FACTOR], nv, nv)
     damping, tau, nle = reals(table[DAMPING], nv), reals(table[TAU], nv), reals(table[NLE], nv)
@@ -589,6 +627,8 @@ def assemble(table, step):
         return NOT_FINITE
     _gather_contacts(table, step, nv, nc, h)
     _gather_joints(table, step, nv, h)
+    # last, since the geometry of the step depends on whether anything touches
+    _gather_equations(table, step, nv, nc, h)
     _fill_units(table, step, nv, nc, h)
     return OK
 
@@ -627,29 +667,39 @@ def _normal_load(step, c):
 
 
 @kernel
-def _impact_work(step, h):
-    """Work of all impulses of units, and the sum of its terms' sizes; touching ones at their instant."""
+def _impulse_work(step, h):
+    """Work of the contacts' impulses on v_c, of the joints' units, and the sum of the sizes of all terms.
+
+    An impulse times the mean of the velocities at the step's ends, or right before and after an impact. Impulses of
+    equations do no work on v_c.
+    """
     counts, kept = integers(step[COUNTS], 8), reals(step[NUMBERS], 8)[KEPT]
     n = counts[UNITS]
     unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
     unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
     forces, velocities = reals(step[CONE_FORCES], 3 * n), reals(step[CONE_VELOCITIES], 3 * n)
-    work, size = 0.0, 0.0
+    on_contacts, on_joints, size = 0.0, 0.0, 0.0
     for u in range(n):
         ints, numbers = unit_int[u], unit_real[u]
+        work = 0.0
         for row in range(2):
             if ints[ROW_MASK] >> row & 1 != 0:
                 mean = velocities[3 * u + row]
                 if ints[MIDPOINT] == 0:
                     mean += numbers[START_T1 + row]
-                term = 0.5 * forces[3 * u + row] * mean
-                work += term
-                size += abs(term)
+                work += 0.5 * forces[3 * u + row] * mean
+        size += abs(work)
         if ints[TOUCHES] != 0:
-            after = velocities[3 * u + 2] + kept * numbers[SHIFT] - (h - numbers[IMPULSE_TIME]) * numbers[FREE_RATE]
+            after = velocities[3 * u + 2] + kept * numbers[SHIFT]
+            if numbers[SHIFT] > 0.0:
+                after -= (h - numbers[IMPULSE_TIME]) * numbers[FREE_RATE]
             work += 0.5 * forces[3 * u + 2] * (numbers[APPROACH] + after)
             size += 0.5 * forces[3 * u + 2] * (abs(numbers[APPROACH]) + abs(after))
-    return work, size
+        if ints[UNIT_KIND] == ON_JOINT:
+            on_joints += work
+        else:
+            on_contacts += work
+    return on_contacts, on_joints, size
 
 
 @kernel
@@ -698,8 +748,8 @@ def _review(step, nv, h):
     if not bounces:
         return DONE
     # bisection for the largest part of the restitution that creates no energy; 0 never does
-    work, size = _impact_work(step, h)
-    creates = work > ENERGY_SLACK * size
+    on_contacts, on_joints, size = _impulse_work(step, h)
+    creates = on_contacts + on_joints > ENERGY_SLACK * size
     if not creates and (numbers[KEPT] == 1.0 or numbers[KEPT_HIGH] - numbers[KEPT_LOW] < KEPT_ACCURACY):
         return DONE
     kept = numbers[KEPT]
@@ -831,24 +881,28 @@ def _distribute(table, step, nv, nc, h):
 
 @kernel
 def _add_works(table, step, nv, nc, h, v1, works):
-    """Works over the step: impulses times the mean of the velocities at its ends."""
+    """Works over the step; what drives do is what impulses do on the joints less what they do on v_c."""
     slip, basis = matrix(step[START_SLIP], nc, 3), cube(table[BASIS], nc, 3, 3)
     rows, bias = cube(table[ROWS], nc, 3, nv), matrix(table[BIAS], nc, 3)
-    impulse, joint_impulse = matrix(step[CONTACT_IMPULSE], nc, 3), reals(step[JOINT_IMPULSE], nv)
+    impulse = matrix(step[CONTACT_IMPULSE], nc, 3)
     v0, tau, damping = reals(step[START_V], nv), reals(table[TAU], nv), reals(table[DAMPING], nv)
+    on_contacts, on_joints, _ = _impulse_work(step, h)
+    works[FRICTION_WORK] += on_contacts
+    works[DAMPING_WORK] += on_joints
+    side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
     for c in range(nc):
-        for row in range(3):
-            on_joints, gained = 0.0, h * bias[c, row]
+        is_driven = False
+        for side in range(2 * c, 2 * c + 2):
+            is_driven = is_driven or side_int[side, MOTION_KIND] != 0 or side_int[side, TIME_DEPENDENT] != 0
+        for row in range(3 if is_driven else 0):
+            driven = -dot(basis[c, row], slip[c]) - 0.5 * h * bias[c, row]
             for k in range(nv):
-                on_joints += 0.5 * rows[c, row, k] * (v0[k] + v1[k])
-                gained += rows[c, row, k] * (v1[k] - v0[k])
-            on_slip = dot(basis[c, row], slip[c]) + 0.5 * gained
-            works[FRICTION_WORK] += impulse[c, row] * on_slip
-            works[DRIVE_WORK] += impulse[c, row] * (on_joints - on_slip)
+                driven += rows[c, row, k] * v0[k]
+            works[DRIVE_WORK] += impulse[c, row] * driven
     for k in range(nv):
         mean = 0.5 * (v0[k] + v1[k])
         works[TORQUE_WORK] += h * tau[k] * mean
-        works[DAMPING_WORK] += joint_impulse[k] * mean - h * damping[k] * mean * mean
+        works[DAMPING_WORK] -= h * damping[k] * mean * mean
 
 
 @entry_kernel(TABLE, TABLE)
@@ -866,7 +920,7 @@ def advance(table, step):
         return verdict
     _distribute(table, step, nv, nc, h)
     factor, change = matrix(table[FACTOR], nv, nv), reals(step[CHANGE], nv)
-    gained, displacement = reals(table[WORK], nv), reals(step[DISPLACEMENT], nv)
+    gained, displacement, mean = reals(table[WORK], nv), reals(step[DISPLACEMENT], nv), reals(step[MEAN], nv)
     backward(factor, nv, gained, gained)
     backward(factor, nv, displacement, displacement)
     start_q, start_v, state = reals(step[START_Q], nq), reals(step[START_V], nv), reals(table[STAGE_STATE], sizes[NY])
@@ -875,6 +929,7 @@ def advance(table, step):
     for k in range(nv):
         v1[k] = start_v[k] + change[k] + gained[k]
         displacement[k] += 0.5 * h * (start_v[k] + v1[k])
+        mean[k] = displacement[k] / h
         total += v1[k]
     if total - total != 0.0:
         return NOT_FINITE
@@ -927,7 +982,7 @@ def commit(table, step, stepped):
         state[i] = stage[i]
     for i in range(nq):
         start_q[i] = stage[i]
-    counts[HAS_TREND] = 1 if stepped != 0 and counts[TOUCHED] == 0 else 0
+    counts[HAS_TREND] = ACCELERATION if stepped != 0 and counts[TOUCHED] == 0 else 0
     for k in range(nv):
         if stepped != 0:
             trend[k] = (stage[nq + k] - start_v[k]) / h

@@ -1,0 +1,451 @@
+"""Time stepping with impulses: bounces, stops, jams and limits in closed form, order, energy, and the other integrator.
+
+Bounds are multiples of the step h where a mode changes within a step (first order), and of h^2 elsewhere; the factors
+are two to ten times what is observed, and far below what a wrong law would leave.
+"""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from reference import NATIVE_NAMES, body_motion, build, reference
+
+import pincontact as pc
+
+G = 9.81
+FREE, FRICTIONLESS, STICK, SLIPPING = -1, 0, 1, 2
+
+
+def body_scene(joint, mass, inertia=(1.0, 1.0, 1.0), gravity=(0.0, 0.0, -G)):
+    """One body on one joint; frame "body" at its centre of mass. inertia: principal moments in kg m^2."""
+    model = pin.Model()
+    model.gravity.linear = np.array(gravity)
+    index = model.addJoint(0, joint, pin.SE3.Identity(), "joint")
+    model.appendBodyToJoint(index, pin.Inertia(mass, np.zeros(3), np.diag(inertia)), pin.SE3.Identity())
+    model.addBodyFrame("body", index, pin.SE3.Identity(), 0)
+    return pc.Scene(model)
+
+
+def ball_scene(radius=0.1, mass=2.0, friction=None, restitution=0.0, gravity=(0.0, 0.0, -G)):
+    moment = 0.4 * mass * radius**2
+    scene = body_scene(pin.JointModelFreeFlyer(), mass, (moment, moment, moment), gravity)
+    ball, ground = scene.add_contour("ball", pc.Sphere(radius), "body"), scene.add_contour("ground", pc.Plane())
+    scene.add_contact("c", ball, ground, friction=friction, restitution=restitution)
+    return scene
+
+
+def block_scene(mu, gravity=(0.0, 0.0, -G), mass=2.0):
+    """A block on four feet, its centre of mass 5 cm above them."""
+    scene = body_scene(pin.JointModelFreeFlyer(), mass, (0.02, 0.03, 0.04), gravity)
+    floor = scene.add_contour("floor", pc.Plane())
+    for i, (x, y) in enumerate(((0.2, 0.1), (0.2, -0.1), (-0.2, 0.1), (-0.2, -0.1))):
+        foot = scene.add_contour(f"foot{i}", pc.Point(), "body", pin.SE3(np.eye(3), np.array([x, y, -0.05])))
+        scene.add_contact(f"foot{i}", foot, floor, friction=pc.Coulomb(mu))
+    return scene, scene.initial_state(np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0]))
+
+
+def upright(*position):
+    return np.array([*position, 0.0, 0.0, 0.0, 1.0])
+
+
+def slide_scene(mu, mass=1.0, **contact):
+    """A point mass on a plane, without rotation."""
+    scene = body_scene(pin.JointModelTranslation(), mass, (0.0, 0.0, 0.0))
+    mass_point, floor = scene.add_contour("mass", pc.Point(), "body"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", mass_point, floor, friction=pc.Coulomb(mu), **contact)
+    return scene
+
+
+def joint_scene(damping=0.0, friction=0.0, lower=-1.0, upper=2.0, mass=1.0):
+    """A mass on a vertical prismatic joint."""
+    scene = body_scene(pin.JointModelPZ(), mass)
+    model = scene.model
+    model.lowerPositionLimit[0], model.upperPositionLimit[0] = lower, upper
+    model.lowerDryFrictionLimit[0], model.upperDryFrictionLimit[0] = -friction, friction
+    model.damping[0] = damping
+    return scene
+
+
+def stepped(scene, state, duration, h, **options):
+    run = pc.simulate(scene, state, duration, method="Moreau", step=h, **options)
+    assert run.status == 0, run.message
+    assert np.isfinite(run.q).all()
+    assert np.isfinite(run.v).all()
+    return run
+
+
+def kinds(run):
+    return [event.kind for event in run.events]
+
+
+# ---------------------------------------------------------------------------------------------------- impacts
+
+
+@pytest.mark.parametrize("restitution", [0.5, 0.7, 0.9])
+def test_bouncing_ball(restitution):
+    """Heights, times and their sum. A ball follows its parabolas exactly, as long as it touches once a step."""
+    h, height = 1e-3, 1.0
+    scene = ball_scene(restitution=restitution)
+    state = scene.initial_state(upright(0.0, 0.0, 0.1 + height), free=["c"])
+    fall = math.sqrt(2.0 * height / G)
+    end = fall * (1.0 + restitution) / (1.0 - restitution)
+    run = stepped(scene, state, end + 0.1, h)
+    touches = [event.time for event in run.events if event.kind == "touch"]
+    flights = 2.0 * fall * restitution ** np.arange(1, len(touches) + 1)
+    expected = fall + np.concatenate([[0.0], np.cumsum(flights)[:-1]])
+    # two bounces a step are the end of accumulation: all flights longer than that are there
+    whole = int(np.sum(flights > 2.0 * h))
+    assert whole >= 6
+    np.testing.assert_allclose(touches[:whole], expected[:whole], rtol=0.0, atol=1e-12)
+    for k in range(min(whole, 4) - 1):
+        between = (run.t > touches[k]) & (run.t < touches[k + 1])
+        # the highest sample is within h / 2 of the top
+        assert abs(run.q[between, 2].max() - 0.1 - height * restitution ** (2 * k + 2)) <= G * h * h
+    # what is cut off is shorter than the first flight that is dropped, over 1 - restitution
+    assert abs(touches[-1] - end) <= 2.0 * h / (1.0 - restitution)
+    assert run.contacts["c"].mode[-1] == FRICTIONLESS
+    # of speeds up to 4 m/s only round-off is left
+    assert np.abs(run.v[-1]).max() <= 1e-12
+    # support is exact: the gap of a resting ball is round-off
+    assert abs(run.contacts["c"].gap[-1]) <= 1e-15
+    assert run.contacts["c"].gap.min() >= -1e-12
+
+
+def test_elastic_bounces_keep_the_energy():
+    scene = ball_scene(restitution=1.0)
+    run = stepped(scene, scene.initial_state(upright(0.0, 0.0, 0.6), free=["c"]), 20.0, 1e-3)
+    assert len(run.events) >= 30
+    energy = run.energies().total
+    # rounding of 2e4 steps
+    assert np.abs(energy / energy[0] - 1.0).max() <= 1e-11
+
+
+def test_inelastic_landing_on_four_feet():
+    """A tilted block falls, lands foot by foot and comes to rest on all four."""
+    scene, _ = block_scene(0.8)
+    q = np.concatenate([[0.0, 0.0, 0.3], pin.Quaternion(pin.rpy.rpyToMatrix(0.2, -0.15, 0.3)).coeffs()])
+    run = stepped(scene, scene.initial_state(q, free=list(scene.contacts)), 1.5, 1e-3)
+    assert [run.contacts[name].mode[-1] for name in scene.contacts] == [STICK] * 4
+    assert np.abs(run.v[-1]).max() <= 1e-12
+    assert abs(run.q[-1, 2] - 0.05) <= 1e-12
+    # what falls freely into the plane within a step: O(h^2) of the accelerations
+    assert min(run.contacts[name].gap.min() for name in scene.contacts) >= -1e-4
+
+
+def test_restitution_with_friction_creates_no_energy():
+    """A slender rod hits the floor sliding: with Newton's law alone a tip at mu = 2, e = 1 gains energy (Kane)."""
+    for angle in np.linspace(0.2, 1.4, 7):
+        scene = body_scene(pin.JointModelFreeFlyer(), 1.0, (1e-3, 0.02, 0.02), (0.0, 0.0, 0.0))
+        tip = scene.add_contour("tip", pc.Point(), "body", pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0])))
+        scene.add_contact("c", tip, scene.add_contour("floor", pc.Plane()), friction=pc.Coulomb(2.0), restitution=1.0)
+        q = np.concatenate(
+            [[0.0, 0.0, 0.5 * math.sin(angle) + 0.02], pin.Quaternion(pin.utils.rotate("y", angle)).coeffs()]
+        )
+        body = pin.utils.rotate("y", angle).T
+        v = np.concatenate([body @ np.array([-1.5, 0.3, -1.0]), [0.0, 0.5, 0.0]])
+        run = stepped(scene, scene.initial_state(q, v, free=["c"]), 0.1, 1e-4)
+        assert "touch" in kinds(run)
+        energy = run.energies().kinetic
+        # the impact is O(h) of the rates of turning away from the law's geometry
+        assert energy.max() <= energy[0] * (1.0 + 1e-4)
+
+
+# ---------------------------------------------------------------------------------------------------- friction
+
+
+@pytest.mark.parametrize("share", [0.9, 0.999, 1.001, 1.1])
+def test_block_on_incline(share):
+    """On both sides of the friction angle: sliding is exact (constant acceleration), rest is rest."""
+    mu = 0.5
+    angle = math.atan(mu)
+    scene, state = block_scene(share * mu, (G * math.sin(angle), 0.0, -G * math.cos(angle)))
+    run = stepped(scene, state, 1.0, 1e-3)
+    acceleration = max(G * (math.sin(angle) - share * mu * math.cos(angle)), 0.0)
+    assert abs(run.v[-1, 0] - acceleration) <= 1e-12
+    assert abs(run.q[-1, 0] - 0.5 * acceleration) <= 1e-12
+    assert kinds(run) == (["slip"] * 4 if share < 1.0 else [])
+
+
+def test_rest_does_not_creep():
+    """10,000 steps in stick under a load of 80 % of its limit, on four redundant feet."""
+    scene, state = block_scene(0.5)
+    run = stepped(scene, state, 10.0, 1e-3, control=lambda t, q, v: np.array([0.4 * 2.0 * G, 0, 0, 0, 0, 0]))
+    # round-off of M^-1 J^T F, and no sum of it
+    assert np.abs(run.v).max() <= 1e-15
+    assert np.abs(run.q[-1] - run.q[0]).max() <= 1e-15
+    assert kinds(run) == []
+
+
+def test_coulomb_oscillator_stops():
+    """x'' = -k x -+ mu g from x0: every half-period takes 2 mu g / k off, until |x| <= mu g / k holds."""
+    mu, k, h = 0.3, 30.0, 5e-4
+    scene = slide_scene(mu)
+    state = scene.initial_state(np.array([1.0, 0.0, 0.0]))
+    run = stepped(scene, state, 4.0, h, control=lambda t, q, v: np.array([-k * q[0], 0.0, 0.0]))
+    reach, x, halves = mu * G / k, 1.0, 0
+    while abs(x) > reach:
+        x = -math.copysign(abs(x) - 2.0 * reach, x)
+        halves += 1
+    # a reversal within a step is late by a part of it, where the speed is of the order h
+    assert abs(run.q[-1, 0] - x) <= 20.0 * h * h * k
+    assert run.contacts["c"].mode[-1] == STICK
+    assert np.abs(run.v[-1]).max() <= 1e-15
+    assert abs(run.events[-1].time - halves * math.pi / math.sqrt(k)) <= 3.0 * h
+
+
+def test_sliding_ball_rolls():
+    """From sliding at v0 without spin a ball rolls after 2 v0 / (7 mu g), at 5 v0 / 7."""
+    mu, speed, h = 0.2, 2.0, 1e-3
+    scene = ball_scene(friction=pc.Coulomb(mu))
+    state = scene.initial_state(upright(0.0, 0.0, 0.1), np.array([speed, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    run = stepped(scene, state, 1.0, h)
+    stop = 2.0 * speed / (7.0 * mu * G)
+    assert kinds(run) == ["stick"]
+    assert abs(run.events[0].time - stop) <= h
+    v = np.array([pin.Quaternion(q[3:]).matrix() @ w[:3] for q, w in zip(run.q, run.v)])
+    assert abs(v[-1, 0] - 5.0 / 7.0 * speed) <= 1e-3 * speed
+    # body axes turn by omega h in a step: 14 rad/s, relative error (omega h)^2 / 8 of the velocity per turn
+    slip = run.contacts["c"].slip_velocity
+    assert np.linalg.norm(slip[run.t > stop + h], axis=1).max() <= 1e-7
+    distance = speed * stop - 0.5 * mu * G * stop**2 + 5.0 / 7.0 * speed * (1.0 - stop)
+    assert abs(run.q[-1, 0] - distance) <= 1e-3 * distance
+
+
+def test_static_coefficient():
+    """Stick up to mu_static, then slip with mu."""
+    scene = body_scene(pin.JointModelTranslation(), 1.0, (0.0, 0.0, 0.0))
+    point, floor = scene.add_contour("p", pc.Point(), "body"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", point, floor, friction=pc.Coulomb(0.2, mu_static=0.4))
+    run = stepped(
+        scene, scene.initial_state(np.zeros(3)), 1.0, 1e-3, control=lambda t, q, v: np.array([0.8 * G * t, 0, 0])
+    )
+    assert kinds(run) == ["slip"]
+    assert abs(run.events[0].time - 0.5) <= 2e-3
+    # x'' = 0.8 g t - 0.2 g from t = 0.5
+    assert abs(run.v[-1, 0] - G * (0.4 * 0.75 - 0.2 * 0.5)) <= 2e-2
+
+
+def test_pushed_block_slips_at_its_limit():
+    """A growing push low on a block with four feet: slip begins when it reaches mu m g."""
+    scene, state = block_scene(0.4)
+    run = stepped(scene, state, 1.0, 1e-3, control=lambda t, q, v: np.array([2.0 * G * t, 0, 0, 0, -0.1 * G * t, 0]))
+    assert kinds(run) == ["slip"] * 4
+    assert abs(run.events[0].time - 0.4) <= 2e-3
+    # m x'' = m g (t - 0.4)
+    assert abs(run.v[-1, 0] - 0.5 * G * 0.6**2) <= 1e-2
+
+
+def test_jam_is_resolved():
+    """Painleve's rod, sliding at mu = 2 where no force exists: an impulse stops its tip, and the run goes on."""
+    angle = math.radians(60.0)
+    scene = body_scene(pin.JointModelFreeFlyer(), 1.0, (1e-3, 1.0 / 12.0, 1.0 / 12.0))
+    half = 0.5
+    tip = scene.add_contour("tip", pc.Point(), "body", pin.SE3(np.eye(3), np.array([half, 0.0, 0.0])))
+    scene.add_contact("c", tip, scene.add_contour("floor", pc.Plane()), friction=pc.Coulomb(2.0))
+    rotation = pin.utils.rotate("y", angle)
+    q = np.concatenate([[0.0, 0.0, half * math.sin(angle)], pin.Quaternion(rotation).coeffs()])
+    v = np.concatenate([rotation.T @ np.array([3.0, 0.0, 0.0]), np.zeros(3)])
+    state = scene.initial_state(q, v)
+    forces = pc.simulate(scene, state, 0.05)
+    assert forces.status < 0, "the event-driven method finds no force"
+    run = stepped(scene, state, 0.5, 1e-3, energies=True)
+    assert np.diff(run.energies().friction_work).max() <= 1e-9
+    assert run.contacts["c"].mode[1] in (STICK, FREE)
+    # nothing is known of the contact at the start, where there is no force
+    assert np.nanmin(run.contacts["c"].gap) >= -1e-4
+
+
+# ---------------------------------------------------------------------------------------------------- joints
+
+
+def test_joint_limits():
+    """A mass thrown up to its stop, falling on the other: inelastic, held exactly, and its force reported."""
+    scene = joint_scene(lower=-0.5, upper=0.2)
+    run = stepped(scene, scene.initial_state([0.0], [3.0]), 1.0, 1e-3)
+    assert run.q.max() <= 0.2
+    assert run.q.min() >= -0.5
+    reach = (3.0 - math.sqrt(9.0 - 2.0 * G * 0.2)) / G
+    landing = reach + math.sqrt(2.0 * 0.7 / G)
+    assert abs(run.t[np.argmax(run.q)] - reach) <= 2e-3
+    assert abs(run.t[np.argmax(run.q <= -0.5)] - landing) <= 2e-3
+    assert run.q[-1, 0] == -0.5
+    assert run.v[-1, 0] == 0.0
+
+
+def test_dry_joint_friction_and_damping():
+    """m x'' = -m g - d x' - f sign(x'): rise with both, and rest where f > m g."""
+    for damping in (0.0, 3.0):
+        friction, h = 12.0, 1e-3
+        scene = joint_scene(damping, friction)
+        run = stepped(scene, scene.initial_state([0.0], [1.0]), 0.5, h)
+        pull = G + friction
+        if damping == 0.0:
+            top = 0.5 / pull
+        else:
+            stop = math.log1p(damping / pull) / damping
+            top = 1.0 / damping - pull / damping * stop
+        assert abs(run.q[-1, 0] - top) <= pull * h * h
+        assert abs(run.v[-1, 0]) <= 1e-15
+        assert abs(run.q[-1, 0] - run.q[200, 0]) <= 1e-15
+
+
+def test_stiff_damping_is_stable():
+    """Damping a hundred times faster than the step: the trapezoidal rule keeps the fall at its terminal velocity."""
+    scene = joint_scene(damping=1e5, lower=-1e3)
+    run = stepped(scene, scene.initial_state([0.0], [0.0]), 1.0, 1e-3)
+    assert np.abs(run.v).max() <= 2.0 * G / 1e5
+
+
+# ---------------------------------------------------------------------------------------------------- order
+
+
+SMOOTH = [
+    "arm_on_heightfield_frictionless",
+    "ball_in_bowl_3d_roll",
+    "ball_on_plane_through_pole",
+    "bead_on_free_hoop",
+    "disk_heaving_incline_roll",
+    "disk_plane_frictionless",
+    "disk_plane_slip_then_roll",
+    "disk_plane_stick_to_slip",
+    "helix_bead_slip",
+    "rod_slide_regular_push",
+    "two_free_ellipsoids_frictionless",
+]
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_second_order(name):
+    """Against the stored trajectories: every pattern, driven contours, charts, slip in space, slip to stick."""
+    expected = reference(name)
+    scene, state = build(name, name in NATIVE_NAMES)
+    last = int(np.searchsorted(expected["t"], min(1.6, expected["t"][-1]) + 1e-9)) - 1
+    errors = []
+    for h in (4e-3, 2e-3):
+        run = stepped(scene, state, float(expected["t"][last]), h, t_eval=expected["t"][last : last + 1])
+        motion = body_motion(name, run)
+        errors.append(
+            max(np.abs(motion.p[-1] - expected["p"][last]).max(), np.abs(motion.v[-1] - expected["v"][last]).max())
+        )
+    # 4 within what the next order leaves at these steps
+    assert errors[0] / errors[1] >= 3.2
+    assert errors[1] <= 5e-3
+
+
+def test_both_methods_agree_across_impacts():
+    """A spinning ball with friction and restitution over four bounces: the difference is bounded by a multiple of h.
+
+    It is no smooth function of h, since impacts fall anywhere in a step; in body axes, turning at 6 rad/s, each changes
+    the velocity by up to 5 m/s in a direction known to h / 2, and the error of the first times the ones to come.
+    """
+    scene = ball_scene(friction=pc.Coulomb(0.3), restitution=0.7)
+    state = scene.initial_state(upright(0.0, 0.0, 0.5), np.array([1.0, 0.0, 0.0, 0.0, -5.0, 2.0]), free=["c"])
+    exact = pc.simulate(scene, state, 1.2, t_eval=[1.2], rtol=1e-10)
+    assert exact.status == 0
+    for h in (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4):
+        run = stepped(scene, state, 1.2, h, t_eval=[1.2])
+        assert np.abs(run.v[-1] - exact.v[-1]).max() <= 150.0 * h
+        assert kinds(run) == kinds(exact)
+
+
+# ---------------------------------------------------------------------------------------------------- energy
+
+
+def random_scene(rng):
+    """Two free bodies, each an ellipsoid or up to three points over a floor, with all laws; and a state above it."""
+    model = pin.Model()
+    model.gravity.linear = np.array([0.0, 0.0, -G * (rng.random() < 0.7)])
+    axes, masses = rng.uniform(0.1, 0.3, (2, 3)), 10.0 ** rng.uniform(-1.0, 1.0, 2)
+    for i, ((a, b, c), mass) in enumerate(zip(axes, masses)):
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"joint{i}")
+        inertia = np.diag([b * b + c * c, a * a + c * c, a * a + b * b]) * mass / 5.0
+        model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), inertia), pin.SE3.Identity())
+        model.addBodyFrame(f"body{i}", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    for i in range(2):
+        contours = [(pc.Ellipsoid(*axes[i]), pin.SE3.Identity())]
+        if rng.random() < 0.5:
+            places = rng.uniform(-0.2, 0.2, (rng.integers(1, 4), 3))
+            contours = [(pc.Point(), pin.SE3(np.eye(3), place)) for place in places]
+        for k, (contour, placement) in enumerate(contours):
+            laws = [None, pc.Coulomb(rng.uniform(0.0, 0.3)), pc.Coulomb(rng.uniform(0.3, 2.0)), pc.NoSlip()]
+            attached = scene.add_contour(f"{i}.{k}", contour, f"body{i}", placement)
+            restitution = float(rng.choice([0.0, rng.random(), 1.0]))
+            scene.add_contact(f"{i}.{k}", attached, floor, friction=laws[rng.integers(4)], restitution=restitution)
+    q, v = pin.neutral(model), np.zeros(12)
+    for i in range(2):
+        turn = rng.normal(size=4)
+        turn /= np.linalg.norm(turn)
+        q[7 * i : 7 * i + 7] = [1.0 * i, 0.0, 0.5 + 0.3 * rng.random(), *turn]
+        velocity = np.array([rng.normal(), rng.normal(), -1.0 - rng.random()])
+        v[6 * i : 6 * i + 6] = [*(pin.Quaternion(turn).matrix().T @ velocity), *(3.0 * rng.normal(size=3))]
+    return scene, scene.initial_state(q, v, free=list(scene.contacts))
+
+
+@pytest.mark.parametrize("block", range(10))
+def test_friction_and_impacts_create_no_energy(block):
+    """300 random runs: the work of contacts falls in every step; total energy rises by errors of the order h only."""
+    for seed in range(30 * block, 30 * block + 30):
+        scene, state = random_scene(np.random.default_rng(seed))
+        run = stepped(scene, state, 0.4, 1e-3, energies=True)
+        energies = run.energies()
+        scale = energies.kinetic.max()
+        # where slip ends within a step, the impulse that ends it meets the mean of the velocities at both ends
+        assert np.diff(energies.friction_work).max() <= 1e-4 * scale, seed
+        lowest = np.minimum.accumulate(energies.total)
+        assert (energies.total - lowest).max() <= 0.05 * scale, seed
+        assert not energies.drive_work.any()
+
+
+# ---------------------------------------------------------------------------------------------------- the call
+
+
+def test_outputs_between_steps_leave_the_run_alone():
+    scene = ball_scene(friction=pc.Coulomb(0.3), restitution=0.6)
+    state = scene.initial_state(upright(0.0, 0.0, 0.3), np.array([1.0, 0.0, 0.0, 0.0, 0.0, 2.0]), free=["c"])
+    times = np.array([0.0, 0.0004, 0.2, 0.2, 0.25037, 0.5])
+    run, plain = stepped(scene, state, 0.5, 1e-3, t_eval=times), stepped(scene, state, 0.5, 1e-3)
+    np.testing.assert_array_equal(run.t, times)
+    # a shorter step changes the solver's starting point, and with it the last bits
+    np.testing.assert_allclose(run.q[-1], plain.q[-1], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(run.q[2], plain.q[200], rtol=0.0, atol=1e-12)
+    assert np.array_equal(run.q[2], run.q[3])
+
+
+def test_user_events():
+    scene = ball_scene(restitution=0.5)
+    state = scene.initial_state(upright(0.0, 0.0, 1.1), free=["c"])
+
+    def halfway(t, q, v):
+        return q[2] - 0.6
+
+    halfway.terminal = True
+    run = pc.simulate(scene, state, 2.0, method="Moreau", events=[lambda t, q, v: q[2] - 0.8, halfway])
+    assert run.status == 1
+    times = [event.time for event in run.events]
+    np.testing.assert_allclose(times, [math.sqrt(0.6 / G), math.sqrt(1.0 / G)], rtol=0.0, atol=1e-10)
+    assert run.t[-1] == times[-1]
+
+
+def test_failed_control_ends_the_run():
+    scene = ball_scene()
+    state = scene.initial_state(upright(0.0, 0.0, 0.1))
+    run = pc.simulate(
+        scene, state, 1.0, method="Moreau", control=lambda t, q, v: np.full(6, math.nan if t > 0.5 else 0.0)
+    )
+    assert run.status < 0
+    assert "control returned nan" in run.message
+    assert run.t[-1] == pytest.approx(0.5)
+
+
+def test_bad_steps():
+    scene = ball_scene()
+    state = scene.initial_state(upright(0.0, 0.0, 0.1))
+    for step in (0.0, -1e-3, math.nan, math.inf, "1e-3"):
+        with pytest.raises(pc.ArgumentError, match="step"):
+            pc.simulate(scene, state, 1.0, method="Moreau", step=step)
+    with pytest.raises(pc.ArgumentError, match="Moreau"):
+        pc.simulate(scene, state, 1.0, step=1e-3)
+    assert pc.simulate(scene, state, 1.0, method="Moreau", max_steps=10).status < 0

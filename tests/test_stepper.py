@@ -1,0 +1,159 @@
+"""The stepper: the same numbers for the same input, what it hands out, and what it refuses."""
+
+import math
+
+import numpy as np
+import pytest
+from test_moreau import G, ball_scene, block_scene, joint_scene, upright
+
+import pincontact as pc
+
+
+def bouncing():
+    scene = ball_scene(friction=pc.Coulomb(0.3), restitution=0.6)
+    return scene, scene.initial_state(upright(0.0, 0.0, 0.2), np.array([1.0, 0.3, 0.0, 0.0, -3.0, 2.0]), free=["c"])
+
+
+def torques(n, nv, seed=0):
+    return np.random.default_rng(seed).normal(size=(n, nv))
+
+
+def drive(stepper, taus):
+    """All states, as one array (n, nq + nv)."""
+    return np.array([np.concatenate([(state := stepper.step(tau)).q, state.v]) for tau in taus])
+
+
+@pytest.mark.parametrize("make", [bouncing, lambda: block_scene(0.3)])
+def test_deterministic_to_the_bit(make):
+    scene, state = make()
+    taus = torques(60, 6)
+    first = drive(pc.Stepper(scene, state), taus)
+    np.testing.assert_array_equal(drive(pc.Stepper(scene, state), taus), first)
+    assert np.ptp(first[:, 0]) > 0.0
+
+
+@pytest.mark.parametrize("make", [bouncing, lambda: block_scene(0.3)])
+def test_reset_starts_again(make):
+    scene, state = make()
+    taus = torques(60, 6)
+    stepper = pc.Stepper(scene, state)
+    first = drive(stepper, taus)
+    stepper.reset(state)
+    assert stepper.t == 0.0
+    np.testing.assert_array_equal(drive(stepper, taus), first)
+
+
+@pytest.mark.parametrize("make", [bouncing, lambda: block_scene(0.3)])
+def test_copies_go_on_alike(make):
+    scene, state = make()
+    taus = torques(120, 6)
+    stepper = pc.Stepper(scene, state)
+    drive(stepper, taus[:60])
+    twin = stepper.copy()
+    assert twin.t == stepper.t
+    ahead = drive(stepper, taus[60:])
+    # the copy has not moved with the original
+    assert twin.t == pytest.approx(0.06)
+    np.testing.assert_array_equal(drive(twin, taus[60:]), ahead)
+
+
+def test_same_motion_as_simulate():
+    scene, state = bouncing()
+    stepper = pc.Stepper(scene, state, dt=2e-3)
+    run = pc.simulate(scene, state, 1.0, method="Moreau", step=2e-3)
+    drive(stepper, np.zeros((500, 6)))
+    assert stepper.t == pytest.approx(1.0)
+    np.testing.assert_array_equal(stepper.q, run.q[-1])
+    np.testing.assert_array_equal(stepper.v, run.v[-1])
+
+
+def test_states_are_views_and_copies():
+    scene, state = bouncing()
+    stepper = pc.Stepper(scene, state)
+    view = stepper.step(np.zeros(6))
+    kept = stepper.state
+    before = kept.q.copy()
+    assert np.shares_memory(view.q, stepper.q)
+    stepper.step(np.zeros(6))
+    np.testing.assert_array_equal(view.q, stepper.q)
+    np.testing.assert_array_equal(kept.q, before)
+    with pytest.raises(ValueError, match="read-only"):
+        view.q[0] = 1.0
+    # a state taken out is one to start from, for the other method too
+    stepper.reset(kept)
+    assert stepper.t == kept.t
+    assert pc.simulate(scene, kept, 0.01).status == 0
+
+
+def test_forces_modes_and_time():
+    scene, state = block_scene(0.5)
+    stepper = pc.Stepper(scene, state)
+    for _ in range(1000):
+        stepper.step(np.array([3.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert stepper.t == 1.0
+    assert stepper.modes.tolist() == [1, 1, 1, 1]
+    total = sum(stepper.forces.values())
+    # on the floor, which was named second: the push and the weight
+    np.testing.assert_allclose(total, [3.0, 0.0, -2.0 * G], rtol=0.0, atol=1e-12)
+    for _ in range(10):
+        stepper.step(np.array([12.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert stepper.modes.tolist() == [2, 2, 2, 2]
+    np.testing.assert_allclose(sum(stepper.forces.values()), [G, 0.0, -2.0 * G], rtol=0.0, atol=1e-10)
+    assert "foot0" in repr(stepper)
+
+
+def test_forces_follow_the_order_of_naming():
+    forces = []
+    for order in ((0, 1), (1, 0)):
+        scene = ball_scene()
+        pair = [scene.contours["ball"], scene.contours["ground"]]
+        scene.contacts.clear()
+        scene.add_contact("c", pair[order[0]], pair[order[1]])
+        stepper = pc.Stepper(scene, scene.initial_state(upright(0.0, 0.0, 0.1)))
+        stepper.step(np.zeros(6))
+        forces.append(stepper.forces["c"].copy())
+    np.testing.assert_allclose(forces, [[0.0, 0.0, -2.0 * G], [0.0, 0.0, 2.0 * G]], rtol=0.0, atol=1e-12)
+
+
+def test_balances_a_pendulum():
+    """A controller in the loop: a mass on a prismatic joint is brought to its target and held."""
+    scene = joint_scene(lower=-10.0, upper=10.0)
+    stepper = pc.Stepper(scene, scene.initial_state([0.0]))
+    for _ in range(5000):
+        stepper.step(np.array([G + 25.0 * (0.5 - stepper.q[0]) - 10.0 * stepper.v[0]]))
+    assert abs(stepper.q[0] - 0.5) <= 1e-9
+
+
+def test_torque_is_checked():
+    scene, state = bouncing()
+    stepper = pc.Stepper(scene, state)
+    before = stepper.q.copy()
+    for wrong in (np.zeros(5), np.zeros((6, 1)), 0.0):
+        with pytest.raises(pc.StateError, match=r"\(6,\)"):
+            stepper.step(wrong)
+    for value in (math.nan, math.inf, -math.inf):
+        tau = np.zeros(6)
+        tau[2] = value
+        with pytest.raises(pc.StateError, match=r"tau\[2\]"):
+            stepper.step(tau)
+    with pytest.raises(pc.StateError, match="tau"):
+        stepper.step(["a"] * 6)
+    np.testing.assert_array_equal(stepper.q, before)
+    assert stepper.t == 0.0
+    stepper.step([0, 0, 0, 0, 0, 0])
+
+
+def test_arguments_are_checked():
+    scene, state = bouncing()
+    for dt in (0.0, -1e-3, math.nan, math.inf, "1e-3"):
+        with pytest.raises(pc.ArgumentError, match="dt"):
+            pc.Stepper(scene, state, dt=dt)
+    with pytest.raises(pc.ArgumentError, match="Scene"):
+        pc.Stepper(scene.model, state)
+    with pytest.raises(pc.ArgumentError, match="initial_state"):
+        pc.Stepper(scene, state.q)
+    other, _ = bouncing()
+    with pytest.raises(pc.ArgumentError, match="another scene"):
+        pc.Stepper(other, state)
+    with pytest.raises(pc.ArgumentError, match="another scene"):
+        pc.Stepper(scene, state).reset(bouncing()[1])

@@ -65,7 +65,7 @@ from .results import FAILURES, FINISHED, STEP_LIMIT, TERMINATED, Event, Stop
 from .stages import correct_state, load_state, move_charts
 
 if TYPE_CHECKING:
-    from ..scene import Contact
+    from ..contacts import Contact
 
 DEFAULT_STEP = 1e-3
 

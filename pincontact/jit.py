@@ -33,7 +33,8 @@ _PART_OPTIONS: dict[str, Any] = (
 
 
 def _source_hash() -> str:
-    digest = hashlib.sha256(numba.__version__.encode())
+    # numba keeps machine code by the path of its source, so another copy of the package is another cache
+    digest = hashlib.sha256(f"{numba.__version__} {_PACKAGE}".encode())
     for path in sorted(_PACKAGE.rglob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

@@ -177,10 +177,18 @@ def test_usage_is_bad_input(capsys):
     assert "usage: python -m pincontact" in capsys.readouterr().err
 
 
+# Not the checkout: the installed package is meant, and its compiled kernels.
+ELSEWHERE = Path(__file__).parent
+
+
 def test_as_a_module():
     """The exit code reaches the shell, and nothing is imported that the command does not use."""
     done = subprocess.run(
-        [sys.executable, "-m", "pincontact", "info", "nowhere.toml"], capture_output=True, text=True, timeout=120
+        [sys.executable, "-m", "pincontact", "info", "nowhere.toml"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=ELSEWHERE,
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("pincontact: nowhere.toml cannot be read") and "Traceback" not in done.stderr
@@ -193,6 +201,7 @@ def test_a_reader_that_has_seen_enough():
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        cwd=ELSEWHERE,
     )
     started.stdout.close()
     message = started.stderr.read()

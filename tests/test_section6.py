@@ -122,7 +122,8 @@ def states():
 
 
 def assert_equal(found, expected):
-    np.testing.assert_allclose(found, expected, rtol=TOLERANCE, atol=TOLERANCE)
+    error = np.abs(np.asarray(found) - np.asarray(expected))
+    assert error.max() <= TOLERANCE * (1.0 + np.abs(expected).max()), (found, expected)
 
 
 # ------------------------------------------------------------------------------- Sec. 6.1: the disk and its rim

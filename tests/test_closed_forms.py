@@ -306,6 +306,18 @@ def block_scene(mu):
     return scene, np.array([*(size[2] * UPHILL_NORMAL), *quaternion])
 
 
+@pytest.mark.parametrize(("margin", "method"), [(1.3, "DOP853"), (1.1, "Moreau")])
+def test_block_rests_on_an_incline(margin, method):
+    """Below the friction angle nothing moves in a minute but by rounding, and the feet together carry the weight. Just
+    below it only some of the many distributions of the forces over the feet are within all cones."""
+    scene, q = block_scene(margin * math.tan(SLOPE))
+    result = run(scene, q, np.zeros(6), 60.0, method=method)
+    assert result.events == []
+    assert np.abs(result.q - q).max() <= 1e-12
+    total = sum(track.force for track in result.contacts.values())
+    np.testing.assert_allclose(total, np.tile([0.0, 0.0, -2.0 * G], (result.t.size, 1)), rtol=0.0, atol=1e-10)
+
+
 def test_block_slides_down_an_incline():
     mu = 0.3
     scene, q = block_scene(mu)

@@ -4,14 +4,15 @@ Two decorators. `kernel` marks a part that other kernels call; `entry_kernel` ma
 entry kernel takes one table of addresses and sizes (see `memory.py`), so that one compiled signature serves
 every scene and a call costs a fraction of a microsecond.
 
-Numba invalidates a cached function when its own file changes, not when a callee in another file does. The
-cache directory is therefore keyed by a hash of all of the package's sources.
+Numba invalidates a cached function when its own file changes, not when a callee in another file does. Each
+entry kernel's cache directory is therefore keyed by a hash of its module's source and of all that it imports.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -32,30 +33,56 @@ _PART_OPTIONS: dict[str, Any] = (
 )
 
 
-def _source_hash() -> str:
+_IMPORT = re.compile(r"^ *from (\.+)([\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+_texts: dict[Path, bytes] = {}
+_imports: dict[Path, list[Path]] = {}
+
+
+def _imported_files(file: Path) -> list[Path]:
+    """The package's files that a file of it imports."""
+    if file in _imports:
+        return _imports[file]
+    _texts[file] = file.read_bytes()
+    found = []
+    for dots, module, names in _IMPORT.findall(_texts[file].decode()):
+        base = file.parents[len(dots) - 1].joinpath(*filter(None, module.split(".")))
+        candidates = [base.with_suffix(".py"), base / "__init__.py"]
+        candidates += [base / f"{name}.py" for name in re.findall(r"\w+", names)]
+        found += [path for path in candidates if path.is_file()]
+    _imports[file] = found
+    return found
+
+
+def source_hash(file: Path) -> str:
+    """Key of all that the machine code of a file's kernels depends on: it, what it imports, numba, where they are."""
+    reached = {file}
+    waiting = [file]
+    while waiting:
+        for path in _imported_files(waiting.pop()):
+            if path not in reached:
+                reached.add(path)
+                waiting.append(path)
     # numba keeps machine code by the path of its source, so another copy of the package is another cache
     digest = hashlib.sha256(f"{numba.__version__} {_PACKAGE}".encode())
-    for path in sorted(_PACKAGE.rglob("*.py")):
-        digest.update(path.read_bytes())
+    for path in sorted(reached):
+        digest.update(_texts[path])
     return digest.hexdigest()[:16]
 
 
-def cache_directory() -> Path:
-    """Where the compiled kernels of this version of the package are kept.
-
-    `NUMBA_CACHE_DIR` is honoured; the default is the user's cache folder.
-    """
+def cache_root() -> Path:
+    """Where compiled kernels are kept: `NUMBA_CACHE_DIR` if set, else the user's cache folder."""
     if numba.config.CACHE_DIR:
         base = Path(numba.config.CACHE_DIR)
     elif sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA", str(Path.home() / "AppData" / "Local")))
     else:
         base = Path(os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache")))
-    return base / "pincontact" / _source_hash()
+    return base / "pincontact"
 
 
-_CACHE = cache_directory()
-_SIGNATURES: list[tuple[Any, tuple[Any, ...], bool]] = []
+_CACHE = cache_root()
+# entry kernels: compiled function, argument types, whether compiled aside, cache directory
+_SIGNATURES: list[tuple[Any, tuple[Any, ...], bool, Path]] = []
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -71,17 +98,20 @@ def entry_kernel(*arguments: Any, aside: bool = False) -> Callable[[Callable[...
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         previous = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(_CACHE)
+        directory = _CACHE / source_hash(Path(function.__code__.co_filename))
+        numba.config.CACHE_DIR = str(directory)
         try:
             compiled = njit(cache=True, **_OPTIONS)(function)
         finally:
             numba.config.CACHE_DIR = previous
-        _SIGNATURES.append((compiled, arguments, aside))
+        _SIGNATURES.append((compiled, arguments, aside, directory))
         return compiled
 
     return decorate
 
 
+# A file in a cache directory whose kernels are all compiled.
+_MARKER = "compiled"
 TABLE = types.int64[::1]
 INTEGER = types.int64
 REAL = types.float64
@@ -95,27 +125,28 @@ def compile_kernels() -> None:
     """
     if numba.config.DISABLE_JIT:
         return
-    marker = _CACHE / f"compiled-{len(_SIGNATURES)}"
-    if marker.exists():
+    missing = [marked for *_, marked, directory in _SIGNATURES if not (directory / _MARKER).exists()]
+    if not missing:
         return
     print("pincontact: compiling kernels, once for this version (under half a minute) ...", file=sys.stderr)
-    worker = _start_worker()
+    worker = _start_worker() if any(missing) and not all(missing) else None
     compile_share(aside=False)
     if worker is not None:
         worker.wait()
     # what the worker has compiled is loaded from disk; without a worker this is where it gets done
     compile_share(aside=True)
-    try:
-        _CACHE.mkdir(parents=True, exist_ok=True)
-        marker.touch()
-    except OSError:
-        pass
+    for *_, directory in _SIGNATURES:
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            (directory / _MARKER).touch()
+        except OSError:
+            pass
 
 
 def compile_share(aside: bool) -> None:
     """Compile the kernels marked `aside`, or the others."""
-    for compiled, arguments, marked in _SIGNATURES:
-        if marked == aside:
+    for compiled, arguments, marked, directory in _SIGNATURES:
+        if marked == aside and not (directory / _MARKER).exists():
             compiled.compile(arguments)
 
 

@@ -25,8 +25,9 @@ from numba import njit, types
 from .jit_parts import PartCompiler
 
 _PACKAGE = Path(__file__).parent
-# Kernels allocate nothing and return no arrays: reference counting, dearer than the numerics, is left out.
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True, "_nrt": False}
+# Kernels allocate nothing and return no arrays: reference counting, dearer than the numerics, is left out. They keep
+# the interpreter's lock: some call back into Python.
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 
 _PART_OPTIONS: dict[str, Any] = (
     {"pipeline_class": PartCompiler, "no_cpython_wrapper": True, "no_cfunc_wrapper": True} if PartCompiler else {}

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 SLOTS = (
     "sizes",  # (8,) int: see the SIZE columns
-    "scalars",  # (8,): t, h, error norm, ...
+    "scalars",  # (SCALARS_SIZE,): see the scalars below
+    "callback",  # (3,) int: addresses of what runs Pinocchio, of its arguments, and of False
     # Pinocchio's data, read in place
     "mass",  # (nv, nv) lower triangle (Pinocchio's upper one, transposed view)
     "nle",  # (nv,) bias forces
@@ -70,13 +71,14 @@ SLOTS = (
     "correction_v",  # (nv,)
     "dense",  # (8, ny) coefficients of the interpolant
     "dense_weights",  # (stages, 8)
-    "counters",  # (4,) int
+    "counters",  # (COUNTERS_SIZE,) int
 )
 
 # one integer constant a slot, for the kernels
 (
     SIZES,
     SCALARS,
+    CALLBACK,
     MASS,
     NLE,
     JACOBIAN,
@@ -141,8 +143,26 @@ SLOTS = (
 # sizes
 NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
 
-# scalars
-TIME, STEP, ERROR_NORM, GAP_RESIDUAL, VELOCITY_RESIDUAL, CORRECTION_SIZE, CONDITIONING = range(7)
+# scalars: of the last evaluation and step, then what steps are controlled by (times and steps in s)
+(
+    TIME,
+    STEP,
+    ERROR_NORM,
+    GAP_RESIDUAL,
+    VELOCITY_RESIDUAL,
+    CORRECTION_SIZE,
+    NOW,
+    NEXT_TIME,
+    NEXT_STEP,
+    END,
+    NEXT_OUTPUT,
+    MAX_STEP,
+    FIXED_STEP,
+    FLOOR,
+    ERROR_ORDER,
+    SLOWEST,
+) = range(16)
+SCALARS_SIZE = 16
 
 # contact_int
 (
@@ -163,7 +183,8 @@ TIME, STEP, ERROR_NORM, GAP_RESIDUAL, VELOCITY_RESIDUAL, CORRECTION_SIZE, CONDIT
 CONTACT_INTS = 13
 
 # contact_real; DOMAIN is the distance of the location from the nearest end of its domain, negative outside;
-# LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart.
+# LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart; START_SPEED and
+# _RATE are those of 3D slip there, infinite where there is none.
 # A frozen slip direction is DIRECTION + p(s) ACROSS with p of the coefficients POLYNOMIAL.. in s = (t - START) / SPAN;
 # vectors in world axes.
 (
@@ -179,6 +200,9 @@ CONTACT_INTS = 13
     LAST_NORMAL_X,
     LAST_NORMAL_Y,
     LAST_NORMAL_Z,
+    START_SPEED,
+    START_RATE,
+    START_TOLERANCE,
     START,
     SPAN,
     DIRECTION_X,
@@ -188,7 +212,7 @@ CONTACT_INTS = 13
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(21)
+) = range(24)
 POLYNOMIAL_SIZE = 5
 CONTACT_REALS = POLYNOMIAL + POLYNOMIAL_SIZE
 
@@ -217,5 +241,19 @@ FREE, FRICTIONLESS, STICK, SLIPPING = -1, 0, 1, 2
 # what an evaluation returns
 OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE = range(7)
 
-# counters
-NEWTON_COUNT, CLOSED_COUNT = range(2)
+# counters, and settings that are integers
+(
+    NEWTON_COUNT,
+    CLOSED_COUNT,
+    EVALUATION_COUNT,
+    STEP_COUNT,
+    REJECTED_COUNT,
+    ATTEMPT_LIMIT,
+    STALLED,
+    ALARM,
+    FAILURE,
+    ESTIMATE_AFTER,
+    EXTRA_STAGES,
+    CHARTED,
+) = range(12)
+COUNTERS_SIZE = 12

@@ -17,7 +17,7 @@ from .integration.results import CONTROL_FAILED, Stop
 from .integration.runge_kutta import RungeKutta
 from .integration.tableaux import tableau
 from .integration.transitions import Transitions
-from .layout import CLOSED_COUNT, NEWTON_COUNT
+from .layout import CLOSED_COUNT, EVALUATION_COUNT, NEWTON_COUNT
 from .scene import Scene
 from .state import State, write_discrete
 from .trajectory import Record, Trajectory
@@ -97,7 +97,7 @@ def simulate(
         "steps": driver.steps,
         "rejected": driver.rejected,
         "outputs": driver.outputs,
-        "pinocchio": system.pinocchio_calls,
+        "pinocchio": int(system.counters[EVALUATION_COUNT]),
         "newton": int(system.counters[NEWTON_COUNT]),
         "closed_form": int(system.counters[CLOSED_COUNT]),
         "cone_problems": modes.cone_problems,
@@ -145,7 +145,7 @@ def _simulate_moreau(
     stats = {
         "steps": driver.steps,
         "outputs": driver.outputs,
-        "pinocchio": system.pinocchio_calls,
+        "pinocchio": int(system.counters[EVALUATION_COUNT]),
         "newton": int(system.counters[NEWTON_COUNT]),
         "closed_form": int(system.counters[CLOSED_COUNT]),
         "cone_problems": stepper.cone_problems,

@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 
 from .contacts import Contact, characteristic_length
-from .dynamics.projection import project
 from .dynamics.system import System
 from .errors import ArgumentError, NoContactError, SingularContactError, StateError
 from .geometry.search import Candidate, find_candidates
@@ -25,6 +24,7 @@ from .layout import (
     FROZEN,
     MODE,
     NORMAL_SIGN,
+    OK,
     SIDE,
     SINGULAR,
     SLIP_SIGN,
@@ -246,7 +246,7 @@ def _correct(scene: Scene, system: System, q: np.ndarray, v: np.ndarray, t: floa
     system.stage_state[system.nq + system.nv : system.nq + system.nv + 4 * system.nc] = system.location[
         : system.nc
     ].ravel()
-    if not project(system, t):
+    if system.project(t) != OK:
         raise NoContactError(
             f"the constraints cannot be satisfied near this configuration: gaps {gaps}, after correction "
             f"{system.gaps[: system.nc, 0].tolist()} m",

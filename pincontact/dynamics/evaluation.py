@@ -28,6 +28,7 @@ from ..layout import (
     CORRECTION_SIZE,
     CORRECTION_V,
     COUNTERS,
+    COUNTERS_SIZE,
     DAMPING,
     DELASSUS,
     DERIVATIVES,
@@ -69,6 +70,7 @@ from ..layout import (
     ROW_INDEX,
     ROWS,
     SCALARS,
+    SCALARS_SIZE,
     SIDE_BASE,
     SIDE_DOMAIN,
     SIDE_INT,
@@ -123,7 +125,7 @@ def evaluate_contacts(table, time, with_rows):
     rows = cube(table[ROWS], nc, 3, nv)
     jacobian = matrix(table[JACOBIAN], nv, 6)
     support = integer_matrix(table[SUPPORT], 2 * nc, nv)
-    counters = integers(table[COUNTERS], 4)
+    counters = integers(table[COUNTERS], COUNTERS_SIZE)
     for c in range(nc):
         for side in range(2 * c, 2 * c + 2):
             ints = side_int[side]
@@ -287,7 +289,7 @@ def contact_corrections(table, with_position, with_velocity):
     """
     sizes = integers(table[SIZES], 8)
     nv, nc = sizes[NV], sizes[NC]
-    scalars = reals(table[SCALARS], 8)
+    scalars = reals(table[SCALARS], SCALARS_SIZE)
     factor = matrix(table[FACTOR], nv, nv)
     contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
     basis = cube(table[BASIS], nc, 3, 3)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,19 +14,16 @@ from ..contours.motion import MOTION_CALLABLE, MOTION_PARAMETERS, MOTION_SIZE
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import closed_form
 from ..integration.manifold import configuration_blocks
-from ..integration.stages import (
-    MAX_STAGES,
-    NUMBER_OF_WORKS,
-    ONLY_EVALUATE,
-    ONLY_KINEMATICS,
-    evaluate_stage,
-)
+from ..integration.stages import MAX_STAGES, NUMBER_OF_WORKS
+from ..integration.steps import EVALUATE, KINEMATICS, PROJECT, PROJECT_EVALUATED, run_task
 from ..jit import compile_kernels
 from ..layout import (
     CHART,
+    CHARTED,
     CLOSED_FORM,
     CONTACT_INTS,
     CONTACT_REALS,
+    COUNTERS_SIZE,
     FREE,
     FRICTIONLESS,
     JOINT,
@@ -53,6 +50,7 @@ from ..layout import (
     PATTERN,
     POOL_ADDRESS,
     POOL_SIZE,
+    SCALARS_SIZE,
     SIDE,
     SIDE_INTS,
     SLIP_SIGN,
@@ -60,6 +58,7 @@ from ..layout import (
     SPAN,
     SUPPORT_SIZE,
     TANGENTS,
+    TIME,
     TIME_DEPENDENT,
     UNILATERAL,
 )
@@ -85,7 +84,6 @@ class System:
         self.model = model
         self.contacts = list(contacts)
         self.data = model.createData()
-        self.pinocchio_calls = 0
         nq, nv, nc = model.nq, model.nv, len(self.contacts)
         self.nq, self.nv, self.nc = nq, nv, nc
         nwork = NUMBER_OF_WORKS if works else 0
@@ -98,7 +96,7 @@ class System:
         blocks = configuration_blocks(model)
         sizes[[NQ, NV, NC, NJOINTS, NBLOCKS, NWORK, NY]] = nq, nv, nc, model.njoints, len(blocks), nwork, ny
         self.sizes = sizes
-        self.scalars = memory.reals("scalars", 8)
+        self.scalars = memory.reals("scalars", SCALARS_SIZE)
         self.q = memory.reals("q", nq)
         self.v = memory.reals("v", nv)
         self.q[:] = pin.neutral(model)
@@ -110,7 +108,8 @@ class System:
             table[:] = blocks
         self._map_contacts()
         self._allocate(max(nc, 1), nv, ny)
-        self.charted = any(b.contour.kind in CHARTED_KINDS for c in self.contacts for b in (c.body1, c.body2))
+        self.before_evaluation()
+        self.counters[CHARTED] = any(b.contour.kind in CHARTED_KINDS for c in self.contacts for b in (c.body1, c.body2))
 
     def _map_pinocchio(self) -> None:
         memory, data, model = self.memory, self.data, self.model
@@ -229,28 +228,51 @@ class System:
         self.correction_v = memory.reals("correction_v", nv)
         memory.reals("dense", 8, ny)
         memory.reals("dense_weights", MAX_STAGES, 8)
-        self.counters = memory.integers("counters", 4)
+        self.counters = memory.integers("counters", COUNTERS_SIZE)
+
+    def before_evaluation(self, torque: Callable[[float], bool] | None = None) -> None:
+        """Set what the kernels call for Pinocchio's terms: Pinocchio itself where no Python function is to be asked.
+
+        torque(t): fills `tau` for (t, q, v), False where it fails.
+        """
+        arguments: tuple[Any, ...] = ()
+        if torque is None and not self.python_drives:
+            function: Callable[..., Any] = pin.computeAllTerms
+            arguments = (self.model, self.data, self.q, self.v)
+        else:
+
+            def function() -> bool:
+                t = float(self.scalars[TIME])
+                if torque is not None and not torque(t):
+                    return False
+                for side, motion in self.python_drives:
+                    motion.evaluate(t, self.side_motion[side])
+                pin.computeAllTerms(self.model, self.data, self.q, self.v)
+                return True
+
+        # kept alive here: the kernels know the addresses only
+        self._callback = (function, arguments)
+        self.memory.integers("callback", 3)[:] = id(function), id(arguments), id(False)
 
     def evaluate(self, t: float) -> int:
         """Accelerations, forces and margins at (q, v) in the present modes; returns a status of `layout`."""
-        self._prepare(t)
-        return evaluate_stage(self.table, t, ONLY_EVALUATE, 0)
+        return run_task(self.table, EVALUATE, t, 0.0)
 
     def evaluate_kinematics(self, t: float) -> int:
         """Location, rows and biases of all contacts at (q, v), open ones too; returns a status of `layout`."""
-        self._prepare(t)
-        return evaluate_stage(self.table, t, ONLY_KINEMATICS, 0)
+        return run_task(self.table, KINEMATICS, t, 0.0)
 
-    def _prepare(self, t: float) -> None:
-        pin.computeAllTerms(self.model, self.data, self.q, self.v)
-        self.pinocchio_calls += 1
-        if self.python_drives:
-            self.fill_drives(t)
+    def project(self, t: float, evaluated: bool = False) -> int:
+        """Put (q, v) and location of `stage_state` on the constraints; returns a status of `layout`.
 
-    def fill_drives(self, t: float) -> None:
-        """Placements of the drives that are Python functions, at t."""
-        for side, motion in self.python_drives:
-            motion.evaluate(t, self.side_motion[side])
+        evaluated: the system has just been evaluated at that state.
+        """
+        return run_task(self.table, PROJECT_EVALUATED if evaluated else PROJECT, t, 0.0)
+
+    @property
+    def charted(self) -> bool:
+        """Whether any contour has charts to move between."""
+        return bool(self.counters[CHARTED])
 
     @property
     def modes(self) -> np.ndarray:

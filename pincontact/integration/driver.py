@@ -9,36 +9,47 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..layout import (
-    FROZEN,
-    LAST_NORMAL_X,
+    ATTEMPT_LIMIT,
+    END,
+    EVENT,
+    FAILURE,
+    FIXED_STEP,
+    FLOOR,
+    FREE,
+    MAX_STEP,
     MODE,
-    MU,
-    OK,
-    SLIP_RATE,
-    SLIP_SPEED,
-    SLIPPING,
+    NEXT_OUTPUT,
+    NEXT_STEP,
+    NEXT_TIME,
+    NOW,
+    REJECTED_COUNT,
+    SLOWEST,
+    STALLED,
+    START_RATE,
+    START_SPEED,
+    START_TOLERANCE,
+    STEP,
+    STEP_COUNT,
     STICK,
-    TANGENTS,
 )
 from .events import Crossing, EventLocator, UserEvent
 from .results import FINISHED, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
 from .runge_kutta import RungeKutta
-from .stages import move_charts
+from .steps import (
+    AT_FLOOR,
+    AT_LIMIT,
+    ATTEMPTED,
+    MARCH,
+    MARCH_ONE_ATTEMPT,
+    MARCH_ONE_STEP,
+    PROJECTION_FAILED,
+    SLIP_ENDS,
+    STEP_FAILED,
+    STEPPED,
+    run_task,
+)
 from .tableaux import Interpolant
 from .transitions import Transitions
-
-# Where 3D slip ends its direction is singular: no step goes further than this fraction of the way to the end.
-_STOP_FRACTION = 0.8
-# Slip has ended once its speed is down to the error that steps are allowed to make in it, where its direction is noise;
-# the rest is one linear step, whose error is of second order in the time left. Where steps no longer get anywhere near
-# the end, the speed that counts as ended is doubled at every attempt, so many times at most.
-_STOP_DOUBLINGS = 10
-_PROGRESS = 0.9
-_SMALLEST_STOP_SPEED = 1e-13
-# After a rejection by a failed evaluation the step shrinks by this factor.
-_FAILED_FACTOR = 0.25
-# A remainder of the interval below this fraction of the step is added to it.
-_SLIVER = 1e-9
 
 
 @dataclass
@@ -71,12 +82,18 @@ class Driver:
         self.locator = EventLocator(rk, users)
         transitions.emit = self._output_short_step
         self.record, self.options, self.progress = record, options, progress
-        self.steps = self.rejected = self.outputs = 0
+        self.outputs = 0
         self._next_output = 0
-        # (contact, speed, rate) of every 3D slip at the step's start
-        self._slips: list[tuple[int, float, float]] = []
-        self._stalled = 0
-        self._slowest = math.inf
+
+    @property
+    def steps(self) -> int:
+        """Accepted steps so far."""
+        return int(self.system.counters[STEP_COUNT])
+
+    @property
+    def rejected(self) -> int:
+        """Rejected steps so far."""
+        return int(self.system.counters[REJECTED_COUNT])
 
     def run(self, t: float, t_end: float) -> tuple[int, str]:
         """Integrate from t to t_end (s); returns a code of `results` and a message."""
@@ -100,61 +117,63 @@ class Driver:
         if t_end > t:
             t = self.transitions.start_frozen(t)
         self.locator.update_users(t)
-        self._note_state()
+        self._finish(t)
         self.locator.arm()
-        h = options.fixed_step or options.first_step or rk.first_step(t, t_end - t)
-        floor = 8.0 * np.finfo(float).eps * max(abs(t), abs(t_end))
-        failure = OK
+        self._set_limits(t, t_end)
+        scalars, counters = self.system.scalars, self.system.counters
         while t < t_end:
-            if self.steps + self.rejected >= options.max_steps:
+            scalars[NOW] = t
+            why = run_task(self.system.table, self._task(), 0.0, 0.0)
+            t = float(scalars[NOW])
+            if why == STEPPED:
+                self._after_acceptance(t)
+            elif why == ATTEMPTED:
+                h = float(scalars[NEXT_STEP])
+                t, switched = self._complete(t, float(scalars[STEP]), float(scalars[NEXT_TIME]))
+                if switched:
+                    self._restart(h)
+            elif why == SLIP_ENDS:
+                h = float(scalars[NEXT_STEP])
+                t = self._end_slip(t)
+                self._restart(h)
+            elif why == AT_LIMIT:
                 raise Stop(STEP_LIMIT, f"t = {t:.9g} s: the limit of {options.max_steps} steps was reached")
-            ending = self._ending_slip()
-            if ending is not None:
-                t = self._end_slip(t, *ending)
-                self._stalled, self._slowest = 0, math.inf
-                h = self._restart(h)
-                continue
-            remaining = t_end - t
-            step = min(h, options.max_step, remaining)
-            for _, speed, rate in self._slips:
-                if rate < 0.0:
-                    step = min(step, _STOP_FRACTION * speed / -rate)
-            if remaining - step < _SLIVER * step:
-                step = remaining
-            if step < floor and step < remaining:
-                raise self.transitions.give_up(t, failure)
-            status = rk.attempt(t, step, adaptive=not options.fixed_step)
-            if status != OK:
+            elif why == AT_FLOOR:
+                raise self.transitions.give_up(t, int(counters[FAILURE]))
+            elif why == STEP_FAILED:
                 self.transitions.failed_control(t)
-                failure = status
-                self.rejected += 1
-                self._watch_slips(False)
-                h = _FAILED_FACTOR * step
                 if options.fixed_step:
-                    raise self.transitions.give_up(t, failure)
-                continue
-            if rk.error >= 1.0 and not options.fixed_step:
-                self.rejected += 1
-                self._watch_slips(False)
-                h = rk.next_step(step, True)
-                continue
-            failure = OK
-            proposal = options.fixed_step or rk.next_step(step, False)
-            t_new = t_end if step == remaining else t + step
-            t, switched = self._complete(t, step, t_new)
-            self.steps += 1
-            if switched:
-                self._stalled, self._slowest = 0, math.inf
-            elif self._slips:
-                self._watch_slips(True)
-            # a step cut short for an output or a stop says nothing against the larger one
-            h = self._restart(proposal) if switched else (proposal if step == h else max(proposal, min(h, 10.0 * step)))
+                    raise self.transitions.give_up(t, int(counters[FAILURE]))
+            elif why == PROJECTION_FAILED:
+                raise self._projection_failed(float(scalars[NEXT_TIME]))
             if self.progress is not None:
                 self.progress(t)
 
-    def _restart(self, h: float) -> float:
-        """Step size after a mode change."""
-        return self.options.fixed_step or min(h, 10.0 * self.transitions.seed)
+    def _set_limits(self, t: float, t_end: float) -> None:
+        """What the compiled steps are controlled by."""
+        options, scalars, counters = self.options, self.system.scalars, self.system.counters
+        scalars[END], scalars[MAX_STEP] = t_end, options.max_step
+        scalars[FIXED_STEP] = options.fixed_step or 0.0
+        scalars[NEXT_STEP] = options.fixed_step or options.first_step or self.rk.first_step(t, t_end - t)
+        scalars[FLOOR] = 8.0 * np.finfo(float).eps * max(abs(t), abs(t_end))
+        scalars[SLOWEST] = math.inf
+        counters[ATTEMPT_LIMIT] = options.max_steps
+        counters[STALLED] = 0
+        self._announce_output()
+
+    def _task(self) -> int:
+        """How far the compiled steps may go on their own."""
+        if self.locator.users:
+            return MARCH_ONE_ATTEMPT
+        if self.options.t_eval is None or (self.system.modes == FREE).any():
+            return MARCH_ONE_STEP
+        return MARCH
+
+    def _restart(self, h: float) -> None:
+        """Step size after a mode change; h is what it would have been."""
+        self.system.scalars[NEXT_STEP] = self.options.fixed_step or min(h, 10.0 * self.transitions.seed)
+        self.system.scalars[SLOWEST] = math.inf
+        self.system.counters[STALLED] = 0
 
     # ---------------------------------------------------------------- one step
 
@@ -193,14 +212,22 @@ class Driver:
 
     def _project(self, t: float, evaluated: bool) -> None:
         if not self.rk.project(t, evaluated):
-            self.transitions.failed_control(t)
-            raise Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
+            raise self._projection_failed(t)
+
+    def _projection_failed(self, t: float) -> Stop:
+        self.transitions.failed_control(t)
+        return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
+
+    def _finish(self, t: float) -> None:
+        if self.rk.finish_step(t) > EVENT:
+            raise self._projection_failed(t)
 
     def _after(self, t: float) -> None:
-        """What follows every accepted state."""
-        if self._change_charts():
-            self.rk.evaluate_start(t)
-        self._note_state()
+        """What follows every state that is accepted here."""
+        self._finish(t)
+        self._after_acceptance(t)
+
+    def _after_acceptance(self, t: float) -> None:
         self.locator.arm()
         if self.locator.users:
             self.locator.update_users(t)
@@ -238,57 +265,20 @@ class Driver:
 
     # ---------------------------------------------------------------- the end of 3D slip
 
-    def _note_state(self) -> None:
-        """Remember what the next step is held against: normals, and speed and rate of every 3D slip."""
-        system = self.system
-        integers, numbers = system.contact_int, system.contact_real
-        numbers[: system.nc, LAST_NORMAL_X : LAST_NORMAL_X + 3] = system.basis[: system.nc, 2]
-        self._slips = [
-            (c, float(numbers[c, SLIP_SPEED]), float(numbers[c, SLIP_RATE]))
-            for c in range(system.nc)
-            if integers[c, MODE] == SLIPPING
-            and integers[c, TANGENTS] == 2
-            and not integers[c, FROZEN]
-            and numbers[c, MU] > 0.0
-        ]
-
-    def _ending_slip(self) -> tuple[int, float] | None:
-        """The contact whose slip is as good as over, and the time in s that is left of it."""
-        for c, speed, rate in self._slips:
-            if rate < 0.0 and speed <= self._slip_tolerance(c) * 2.0**self._stalled:
-                return c, speed / -rate
-        return None
-
-    def _slip_tolerance(self, c: int) -> float:
-        """Error in m/s that the tolerances allow in the slip velocity of contact c."""
-        system = self.system
-        relative, absolute = system.scale
-        errors = absolute + relative * np.abs(system.v)
-        return max(float(np.max(np.abs(system.rows[c]) @ errors)), _SMALLEST_STOP_SPEED)
-
-    def _watch_slips(self, accepted: bool) -> None:
-        """Count attempts that bring no slip nearer to its end, while one is within reach of it."""
-        slowest = min((speed for _, speed, _ in self._slips), default=math.inf)
-        if accepted and slowest < _PROGRESS * self._slowest:
-            self._slowest, self._stalled = slowest, 0
-        elif any(speed <= self._slip_tolerance(c) * 2.0**_STOP_DOUBLINGS for c, speed, _ in self._slips):
-            self._stalled = min(self._stalled + 1, _STOP_DOUBLINGS)
-
-    def _end_slip(self, t: float, c: int, left: float) -> float:
+    def _end_slip(self, t: float) -> float:
         """One linear step to the end of slip (its error is the square of a negligible time), then stick or not."""
         rk, system = self.rk, self.system
+        speed, rate = system.contact_real[: system.nc, START_SPEED], system.contact_real[: system.nc, START_RATE]
+        stopping = np.flatnonzero(np.isfinite(speed) & (rate < 0.0))
+        allowed = system.contact_real[stopping, START_TOLERANCE]
+        c = int(stopping[np.argmin(speed[stopping] / allowed)])
+        left = float(speed[c] / -rate[c])
         # v_c is round-off there and has no direction: not to be evaluated as slip
         system.contact_int[c, MODE] = STICK
         rk.load(system.state + left * system.slopes[0])
         after = self.transitions.come_to_rest(t + left, c)
         self._after(after)
         return after
-
-    # ---------------------------------------------------------------- charts
-
-    def _change_charts(self) -> bool:
-        """Move location parameters whose chart has a pole nearby to another chart."""
-        return self.system.charted and bool(move_charts(self.system.table))
 
     # ---------------------------------------------------------------- outputs
 
@@ -300,6 +290,14 @@ class Driver:
             self._next_output += 1
             self.outputs += 1
             self.record(t)
+
+    def _announce_output(self) -> None:
+        """Tell the compiled steps when the next output is due."""
+        times = self.options.t_eval
+        if times is None or self._next_output == times.size:
+            self.system.scalars[NEXT_OUTPUT] = math.inf
+        else:
+            self.system.scalars[NEXT_OUTPUT] = times[self._next_output]
 
     def _output_due(self, t: float) -> bool:
         times = self.options.t_eval
@@ -320,3 +318,4 @@ class Driver:
             self.record(when)
             self.outputs += 1
             self._next_output += 1
+        self._announce_output()

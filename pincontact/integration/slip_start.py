@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..layout import ACROSS_X, DIRECTION_X, EVENT, FROZEN, OK, POLYNOMIAL, POLYNOMIAL_SIZE, SPAN, START
-from .stages import store_slope
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
@@ -112,11 +111,7 @@ def _across(
         system.contact_real[c, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = coefficients[
             i * POLYNOMIAL_SIZE : (i + 1) * POLYNOMIAL_SIZE
         ]
-    rk.load(system.state)
-    if rk.evaluate(t) > EVENT:
-        return None
-    store_slope(system.table, 0)
-    if rk.attempt(t, span) != OK:
+    if rk.evaluate_start(t) > EVENT or rk.attempt(t, span) != OK:
         return None
     dense = rk.interpolant(t, span)
     if dense is None:

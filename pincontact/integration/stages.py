@@ -1,4 +1,4 @@
-"""The compiled part of a Runge-Kutta step: one kernel call after each Pinocchio call.
+"""The states of a Runge-Kutta step: handed to Pinocchio, made from slopes, corrected, moved to other charts.
 
 State: y = (q, v, location parameters, quadratures). q is ambient (see `manifold`). The location parameters ride along
 as the start of Newton's iteration and take part in the error norm; the quadratures are the powers of friction, drive,
@@ -11,9 +11,8 @@ import math
 
 from ..contours.base import SHAPE_SIZE
 from ..contours.charts import convert_chart, preferred_chart
-from ..dynamics.evaluation import evaluate_contacts, evaluate_dynamics
 from ..geometry.small import dot
-from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
+from ..jit import INTEGER, TABLE, entry_kernel, kernel
 from ..layout import (
     ABSOLUTE,
     ACCELERATION,
@@ -25,8 +24,6 @@ from ..layout import (
     CORRECTION_Q,
     CORRECTION_V,
     DAMPING,
-    ERROR_NORM,
-    EVENT,
     FORCE,
     FREE,
     JOINT_TABLE,
@@ -36,19 +33,17 @@ from ..layout import (
     NBLOCKS,
     NC,
     NEW_STATE,
-    NODES,
-    NOT_FINITE,
     NQ,
     NSTAGES,
     NV,
     NWORK,
     NY,
-    OK,
     POOL_ADDRESS,
     POOL_SIZE,
     RATES,
     ROWS,
     SCALARS,
+    SCALARS_SIZE,
     SCALE,
     SIDE_INT,
     SIDE_INTS,
@@ -143,7 +138,7 @@ def build_state(table, index):
     state, out = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
     slopes = matrix(table[SLOPES], MAX_STAGES, ny)
     weights = matrix(table[COEFFICIENTS], MAX_STAGES, MAX_STAGES)[index]
-    scalars = reals(table[SCALARS], 8)
+    scalars = reals(table[SCALARS], SCALARS_SIZE)
     step = scalars[STEP]
     for i in range(ny):
         out[i] = 0.0
@@ -189,57 +184,10 @@ def error_norm(table, last):
         scale = absolute[i] + relative * max(abs(state[i]), abs(new_state[i]))
         first += (a / scale) ** 2
         second += (b / scale) ** 2
-    step = abs(reals(table[SCALARS], 8)[STEP])
+    step = abs(reals(table[SCALARS], SCALARS_SIZE)[STEP])
     if first == 0.0:
         return 0.0
     return step * first / math.sqrt((first + 0.01 * second) * count)
-
-
-# What `evaluate_stage` does besides evaluating: nothing, only the kinematics (open contacts too), or one stage.
-ONLY_EVALUATE, ONLY_KINEMATICS = -1, -2
-
-
-@entry_kernel(TABLE, REAL, INTEGER, INTEGER)
-def evaluate_stage(table, start, index, estimate):
-    """Evaluate at Pinocchio's state; as stage `index` of a step also store its slope and hand over state index + 1.
-
-    One entry for all evaluations, since everything heavy is compiled into it.
-    start: time in s of the step's start (of the state itself without a stage); index: stage, ONLY_EVALUATE or
-    ONLY_KINEMATICS; estimate: nonzero when the error norm is known after this stage.
-    Returns a status of `layout`; after EVENT the stage is complete.
-    """
-    sizes = integers(table[SIZES], 8)
-    time = start
-    if index >= 0:
-        time += reals(table[NODES], MAX_STAGES)[index] * reals(table[SCALARS], 8)[STEP]
-    status = evaluate_contacts(table, time, index == ONLY_KINEMATICS)
-    if status != OK or index == ONLY_KINEMATICS:
-        return status
-    status = evaluate_dynamics(table, time)
-    if status > EVENT or index == ONLY_EVALUATE:
-        return status
-    fill_slope(table, reals(table[STAGE_STATE], sizes[NY]), matrix(table[SLOPES], MAX_STAGES, sizes[NY])[index])
-    if index < sizes[NSTAGES]:
-        build_state(table, index + 1)
-    if estimate != 0:
-        norm = error_norm(table, index)
-        reals(table[SCALARS], 8)[ERROR_NORM] = norm
-        if not norm < math.inf:
-            return NOT_FINITE
-    return status
-
-
-@entry_kernel(TABLE, INTEGER)
-def begin_stage(table, index):
-    """Hand over state `index` of the step, made from the slopes known so far."""
-    build_state(table, index)
-
-
-@entry_kernel(TABLE, INTEGER)
-def store_slope(table, index):
-    """Slope number `index` from the last evaluation, of the state in STAGE_STATE."""
-    sizes = integers(table[SIZES], 8)
-    fill_slope(table, reals(table[STAGE_STATE], sizes[NY]), matrix(table[SLOPES], MAX_STAGES, sizes[NY])[index])
 
 
 @entry_kernel(TABLE)

@@ -1,0 +1,402 @@
+"""Whole steps in compiled code: evaluations, Runge-Kutta stages, step control and projection, one call for many steps.
+
+The loop comes back to Python only for what needs it: an event function that became negative, an output, a user's
+function, the end of slip, a failure. Pinocchio is called from inside (see `callback`).
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..callback import call_python
+from ..dynamics.evaluation import contact_corrections, evaluate_contacts, evaluate_dynamics
+from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
+from ..layout import (
+    ALARM,
+    ATTEMPT_LIMIT,
+    BASIS,
+    CALLBACK,
+    CHARTED,
+    CONTACT_INT,
+    CONTACT_INTS,
+    CONTACT_REAL,
+    CONTACT_REALS,
+    CORRECTION_SIZE,
+    COUNTERS,
+    COUNTERS_SIZE,
+    END,
+    ERROR_NORM,
+    ERROR_ORDER,
+    ESTIMATE_AFTER,
+    EVALUATION_COUNT,
+    EVENT,
+    EXTRA_STAGES,
+    FAILURE,
+    FIXED_STEP,
+    FLOOR,
+    FROZEN,
+    GAP_RESIDUAL,
+    LAST_NORMAL_X,
+    LOCATION_FAILED,
+    MAX_STEP,
+    MODE,
+    MU,
+    NC,
+    NEXT_OUTPUT,
+    NEXT_STEP,
+    NEXT_TIME,
+    NODES,
+    NOT_FINITE,
+    NOW,
+    NQ,
+    NSTAGES,
+    NV,
+    NY,
+    OK,
+    REJECTED_COUNT,
+    ROWS,
+    SCALARS,
+    SCALARS_SIZE,
+    SCALE,
+    SIZES,
+    SLIP_RATE,
+    SLIP_SPEED,
+    SLIPPING,
+    SLOPES,
+    SLOWEST,
+    STAGE_STATE,
+    STALLED,
+    START_RATE,
+    START_SPEED,
+    START_TOLERANCE,
+    STATE,
+    STEP,
+    STEP_COUNT,
+    TANGENTS,
+    TIME,
+    VELOCITY_RESIDUAL,
+    Q,
+)
+from ..memory import cube, integer_matrix, integers, matrix, reals
+from .stages import MAX_STAGES, build_state, correct_state, error_norm, fill_slope, hand_over, move_charts
+
+# What `run_task` does.
+(
+    EVALUATE,
+    KINEMATICS,
+    ATTEMPT,
+    INTERPOLATION_STAGES,
+    PROJECT,
+    PROJECT_EVALUATED,
+    ACCEPT,
+    START,
+    FINISH_STEP,
+    MARCH,
+    MARCH_ONE_STEP,
+    MARCH_ONE_ATTEMPT,
+) = range(12)
+
+# What MARCH comes back with.
+MARCHING, STEPPED, ATTEMPTED, SLIP_ENDS, STEP_FAILED, PROJECTION_FAILED, AT_FLOOR, AT_LIMIT = range(8)
+# Attempts after which MARCH comes back all the same, for the keyboard's and the progress bar's sake.
+_BATCH = 256
+
+# Step-size control: safety, and the bounds of one change.
+_SAFETY = 0.9
+_SMALLEST_FACTOR = 0.2
+_LARGEST_FACTOR = 10.0
+# After a rejection by a failed evaluation the step shrinks by this factor.
+_FAILED_FACTOR = 0.25
+# A remainder of the interval below this fraction of the step is added to it.
+_SLIVER = 1e-9
+
+# Where 3D slip ends its direction is singular: no step goes further than this fraction of the way to the end.
+_STOP_FRACTION = 0.8
+# Slip has ended once its speed is down to the error that steps are allowed to make in it, where its direction is noise;
+# the rest is one linear step, whose error is of second order in the time left. Where steps no longer get anywhere near
+# the end, the speed that counts as ended is doubled at every attempt, so many times at most.
+_STOP_DOUBLINGS = 10
+_PROGRESS = 0.9
+_SMALLEST_STOP_SPEED = 1e-13
+
+_PROJECTIONS = 12
+# A change of q below this needs no further evaluation: what it leaves in gaps and v_c is quadratic, or below round-off.
+_NEGLIGIBLE = 1e-14
+# Residual (m, and m/s relative to the speeds) below which nothing is corrected.
+_ROUND_OFF = 1e-16
+_LARGEST_CORRECTION = 1e3
+_PROJECTED_GAP = 1e-11
+
+
+@kernel
+def evaluate(table, time, only_kinematics):
+    """Pinocchio's terms and one evaluation at (q, v); a status of `layout`."""
+    counters, callback = integers(table[COUNTERS], COUNTERS_SIZE), integers(table[CALLBACK], 3)
+    reals(table[SCALARS], SCALARS_SIZE)[TIME] = time
+    if not call_python(callback[0], callback[1], callback[2]):
+        return NOT_FINITE
+    counters[EVALUATION_COUNT] += 1
+    status = evaluate_contacts(table, time, only_kinematics)
+    if status != OK or only_kinematics:
+        return status
+    return evaluate_dynamics(table, time)
+
+
+@kernel
+def _slope(table, index):
+    """Slope number `index` from the last evaluation, of the state in STAGE_STATE."""
+    ny = integers(table[SIZES], 8)[NY]
+    fill_slope(table, reals(table[STAGE_STATE], ny), matrix(table[SLOPES], MAX_STAGES, ny)[index])
+
+
+@kernel
+def _stages(table, t, h, first, last, adaptive):
+    """Stages first .. last of a step of size h from the state at t; a status.
+
+    adaptive: leave the step's end unevaluated where the error estimate already rejects it.
+    """
+    scalars, counters = reals(table[SCALARS], SCALARS_SIZE), integers(table[COUNTERS], COUNTERS_SIZE)
+    nodes = reals(table[NODES], MAX_STAGES)
+    end, estimate_after = integers(table[SIZES], 8)[NSTAGES], counters[ESTIMATE_AFTER]
+    scalars[STEP] = h
+    for s in range(first, last + 1):
+        if adaptive and s == end and end > estimate_after and scalars[ERROR_NORM] >= 1.0:
+            break
+        if s == first or s > end:
+            build_state(table, s)
+        status = evaluate(table, t + nodes[s] * h, False)
+        if status > EVENT:
+            return status
+        if status == EVENT:
+            counters[ALARM] = 1
+        _slope(table, s)
+        if s < end:
+            build_state(table, s + 1)
+        if s == estimate_after:
+            norm = error_norm(table, s)
+            scalars[ERROR_NORM] = norm
+            if not norm < math.inf:
+                return NOT_FINITE
+    return OK
+
+
+@kernel
+def attempt(table, t, h, adaptive):
+    """A step of size h from the state at t, which is kept; ALARM tells whether an event function was negative."""
+    integers(table[COUNTERS], COUNTERS_SIZE)[ALARM] = 0
+    return _stages(table, t, h, 1, integers(table[SIZES], 8)[NSTAGES], adaptive)
+
+
+@kernel
+def project(table, t, evaluated):
+    """Put (q, v) and the location of STAGE_STATE on the constraints, in the mass metric; a status.
+
+    No gain to tune and no drift: Newton's iteration on the gaps with the factors of the last evaluation, and the exact
+    linear projection of the velocity. The order of the integrator is kept, since the correction is of the size of its
+    local error. Afterwards the accelerations are those of a state that differs by no more than round-off.
+    evaluated: the system has just been evaluated at that state, which saves one evaluation.
+    """
+    sizes, scalars = integers(table[SIZES], 8), reals(table[SCALARS], SCALARS_SIZE)
+    if sizes[NC] == 0:
+        return OK
+    q = reals(table[Q], sizes[NQ])
+    for i in range(_PROJECTIONS):
+        if i > 0 or not evaluated:
+            status = evaluate(table, t, False)
+            if status > EVENT:
+                return status
+        count = contact_corrections(table, 1, 1)
+        if count == 0 or (scalars[GAP_RESIDUAL] <= _ROUND_OFF and scalars[VELOCITY_RESIDUAL] <= _ROUND_OFF):
+            correct_state(table, 0, 0)
+            return OK
+        correct_state(table, 1, 1)
+        size, largest = scalars[CORRECTION_SIZE], 1.0
+        for k in range(sizes[NQ]):
+            largest = max(largest, abs(q[k]))
+        if size <= _NEGLIGIBLE * largest:
+            return OK
+        if not size < _LARGEST_CORRECTION:
+            break
+    return OK if scalars[GAP_RESIDUAL] < _PROJECTED_GAP else LOCATION_FAILED
+
+
+@kernel
+def accept(table):
+    """The projected state becomes the next step's start; its slope is that of the last evaluation."""
+    ny = integers(table[SIZES], 8)[NY]
+    _slope(table, 0)
+    state, stage_state = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
+    for i in range(ny):
+        state[i] = stage_state[i]
+
+
+@kernel
+def start(table, t):
+    """Evaluate at STATE and store its slope; a status."""
+    ny = integers(table[SIZES], 8)[NY]
+    state, stage_state = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
+    for i in range(ny):
+        stage_state[i] = state[i]
+    hand_over(table, stage_state)
+    status = evaluate(table, t, False)
+    if status <= EVENT:
+        _slope(table, 0)
+    return status
+
+
+@kernel
+def finish_step(table, t):
+    """What follows every accepted state: better charts, and what the next step is held against.
+
+    That is each contact's normal, and the speed and rate of every 3D slip with the error that is allowed in it.
+    """
+    sizes, scalars = integers(table[SIZES], 8), reals(table[SCALARS], SCALARS_SIZE)
+    counters = integers(table[COUNTERS], COUNTERS_SIZE)
+    if counters[CHARTED] != 0 and move_charts(table) > 0:
+        status = start(table, t)
+        if status > EVENT:
+            return status
+    nc, nv = sizes[NC], sizes[NV]
+    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    basis, rows = cube(table[BASIS], nc, 3, 3), cube(table[ROWS], nc, 3, nv)
+    v, tolerances = reals(table[STATE], sizes[NY])[sizes[NQ] :], reals(table[SCALE], 2)
+    for c in range(nc):
+        integer, number = contact_int[c], contact_real[c]
+        for i in range(3):
+            number[LAST_NORMAL_X + i] = basis[c, 2, i]
+        number[START_SPEED] = math.inf
+        if integer[MODE] != SLIPPING or integer[TANGENTS] != 2 or integer[FROZEN] != 0 or not number[MU] > 0.0:
+            continue
+        number[START_SPEED], number[START_RATE] = number[SLIP_SPEED], number[SLIP_RATE]
+        allowed = _SMALLEST_STOP_SPEED
+        for row in range(3):
+            value = 0.0
+            for k in range(nv):
+                value += abs(rows[c, row, k]) * (tolerances[1] + tolerances[0] * abs(v[k]))
+            allowed = max(allowed, value)
+        number[START_TOLERANCE] = allowed
+    _watch_slips(contact_real, nc, scalars, counters, True)
+    return OK
+
+
+@kernel
+def _watch_slips(contact_real, nc, scalars, counters, accepted):
+    """Count attempts that bring no slip nearer to its end, while one is within reach of it."""
+    slowest, near = math.inf, False
+    for c in range(nc):
+        speed = contact_real[c, START_SPEED]
+        if speed < math.inf:
+            slowest = min(slowest, speed)
+            near = near or speed <= contact_real[c, START_TOLERANCE] * 2.0**_STOP_DOUBLINGS
+    if slowest == math.inf:
+        return
+    if accepted and slowest < _PROGRESS * scalars[SLOWEST]:
+        scalars[SLOWEST] = slowest
+        counters[STALLED] = 0
+    elif near:
+        counters[STALLED] = min(counters[STALLED] + 1, _STOP_DOUBLINGS)
+
+
+@kernel
+def _slip_ends(contact_real, nc, stalled):
+    """Whether a slip is as good as over."""
+    for c in range(nc):
+        speed, number = contact_real[c, START_SPEED], contact_real[c]
+        if speed < math.inf and number[START_RATE] < 0.0 and speed <= number[START_TOLERANCE] * 2.0**stalled:
+            return True
+    return False
+
+
+@kernel
+def _next_step(h, error, order, rejected):
+    """Step size after an attempt of size h with this error norm."""
+    if error == 0.0:
+        return h if rejected else _LARGEST_FACTOR * h
+    factor = min(_LARGEST_FACTOR, max(_SMALLEST_FACTOR, _SAFETY * error ** (-1.0 / (order + 1.0))))
+    return h * (min(1.0, factor) if rejected else factor)
+
+
+@kernel
+def march(table, task):
+    """Steps from NOW towards END until Python is needed; what for.
+
+    MARCHING: not yet, call again; STEPPED: a step was accepted, which MARCH_ONE_STEP asks for, or END was reached;
+    ATTEMPTED: a step is within its error, but neither projected nor accepted: an event function was negative, an output
+    lies in it, or MARCH_ONE_ATTEMPT asks for it; SLIP_ENDS; STEP_FAILED: rejected because of the status in FAILURE;
+    PROJECTION_FAILED; AT_FLOOR; AT_LIMIT: of attempts.
+    """
+    scalars, counters = reals(table[SCALARS], SCALARS_SIZE), integers(table[COUNTERS], COUNTERS_SIZE)
+    nc = integers(table[SIZES], 8)[NC]
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    end, fixed = scalars[END], scalars[FIXED_STEP]
+    for _ in range(_BATCH):
+        t, h = scalars[NOW], scalars[NEXT_STEP]
+        if counters[STEP_COUNT] + counters[REJECTED_COUNT] >= counters[ATTEMPT_LIMIT]:
+            return AT_LIMIT
+        if _slip_ends(contact_real, nc, counters[STALLED]):
+            return SLIP_ENDS
+        remaining = end - t
+        step = min(h, min(scalars[MAX_STEP], remaining))
+        for c in range(nc):
+            if contact_real[c, START_SPEED] < math.inf and contact_real[c, START_RATE] < 0.0:
+                step = min(step, _STOP_FRACTION * contact_real[c, START_SPEED] / -contact_real[c, START_RATE])
+        if remaining - step < _SLIVER * step:
+            step = remaining
+        if step < scalars[FLOOR] and step < remaining:
+            return AT_FLOOR
+        status = attempt(table, t, step, fixed == 0.0)
+        error = scalars[ERROR_NORM]
+        if status != OK or (fixed == 0.0 and error >= 1.0):
+            counters[REJECTED_COUNT] += 1
+            _watch_slips(contact_real, nc, scalars, counters, False)
+            if status != OK:
+                counters[FAILURE] = status
+                scalars[NEXT_STEP] = _FAILED_FACTOR * step
+                return STEP_FAILED
+            scalars[NEXT_STEP] = _next_step(step, error, scalars[ERROR_ORDER], True)
+            continue
+        counters[FAILURE] = OK
+        proposal = fixed if fixed > 0.0 else _next_step(step, error, scalars[ERROR_ORDER], False)
+        # a step cut short for an output or a stop says nothing against the larger one
+        scalars[NEXT_STEP] = proposal if step == h else max(proposal, min(h, 10.0 * step))
+        t_new = end if step == remaining else t + step
+        scalars[NEXT_TIME] = t_new
+        counters[STEP_COUNT] += 1
+        if task == MARCH_ONE_ATTEMPT or counters[ALARM] != 0 or scalars[NEXT_OUTPUT] <= t_new:
+            return ATTEMPTED
+        if project(table, t_new, True) != OK:
+            return PROJECTION_FAILED
+        accept(table)
+        scalars[NOW] = t_new
+        if finish_step(table, t_new) > EVENT:
+            return PROJECTION_FAILED
+        if task == MARCH_ONE_STEP or t_new >= end:
+            return STEPPED
+    return MARCHING
+
+
+@entry_kernel(TABLE, INTEGER, REAL, REAL)
+def run_task(table, task, t, h):
+    """Everything that evaluates, behind one entry, since the evaluation is what takes long to compile.
+
+    Returns a status of `layout`; for the MARCH tasks, which take their times from the scalars, what they came back for.
+    """
+    if task in (EVALUATE, KINEMATICS):
+        return evaluate(table, t, task == KINEMATICS)
+    if task == ATTEMPT:
+        return attempt(table, t, h, False)
+    if task == INTERPOLATION_STAGES:
+        first = integers(table[SIZES], 8)[NSTAGES] + 1
+        extra = integers(table[COUNTERS], COUNTERS_SIZE)[EXTRA_STAGES]
+        return _stages(table, t, h, first, first + extra - 1, False)
+    if task in (PROJECT, PROJECT_EVALUATED):
+        return project(table, t, task == PROJECT_EVALUATED)
+    if task == ACCEPT:
+        accept(table)
+        return OK
+    if task == START:
+        return start(table, t)
+    if task == FINISH_STEP:
+        return finish_step(table, t)
+    return march(table, task)

@@ -86,6 +86,10 @@ _CACHE = cache_root()
 _SIGNATURES: list[tuple[Any, tuple[Any, ...], bool, Path]] = []
 
 
+# how many of them are known to be compiled
+_complete = 0
+
+
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """A numerical routine called by other kernels; compiled into its callers, and not callable from Python."""
     return njit(**_OPTIONS, **_PART_OPTIONS)(function)
@@ -124,10 +128,12 @@ def compile_kernels() -> None:
     Done before the first scene runs; later processes load from disk what they use, when they use it. Kernels
     marked `aside` are compiled in a second process meanwhile.
     """
-    if numba.config.DISABLE_JIT:
+    global _complete
+    if numba.config.DISABLE_JIT or _complete == len(_SIGNATURES):
         return
     missing = [marked for *_, marked, directory in _SIGNATURES if not (directory / _MARKER).exists()]
     if not missing:
+        _complete = len(_SIGNATURES)
         return
     print("pincontact: compiling kernels, once for this version (under half a minute) ...", file=sys.stderr)
     worker = _start_worker() if any(missing) and not all(missing) else None

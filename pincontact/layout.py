@@ -69,9 +69,13 @@ SLOTS = (
     "work",  # (nv,)
     "correction_q",  # (nv,)
     "correction_v",  # (nv,)
-    "dense",  # (8, ny) coefficients of the interpolant
-    "dense_weights",  # (stages, 8)
+    "dense",  # (DENSE_ROWS, ny) coefficients of the interpolant
+    "dense_weights",  # (DENSE_ROWS, stages + 1)
     "counters",  # (COUNTERS_SIZE,) int
+    # outputs
+    "output_times",  # (OUTPUT_COUNT,) s
+    "recorded_reals",  # (BLOCK, ROW_WIDTH) rows, see `recording`
+    "recorded_integers",  # (BLOCK, ...) int
 )
 
 # one integer constant a slot, for the kernels
@@ -138,6 +142,9 @@ SLOTS = (
     DENSE,
     DENSE_WEIGHTS,
     COUNTERS,
+    OUTPUT_TIMES,
+    RECORDED_REALS,
+    RECORDED_INTEGERS,
 ) = range(len(SLOTS))
 
 # sizes
@@ -160,9 +167,12 @@ NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
     FIXED_STEP,
     FLOOR,
     ERROR_ORDER,
+    LAST_ERROR,
     SLOWEST,
-) = range(16)
-SCALARS_SIZE = 16
+    DENSE_START,
+    DENSE_STEP,
+) = range(19)
+SCALARS_SIZE = 19
 
 # contact_int
 (
@@ -214,6 +224,8 @@ CONTACT_INTS = 13
     POLYNOMIAL,
 ) = range(24)
 POLYNOMIAL_SIZE = 5
+# from START on
+FROZEN_COLUMNS = 8 + POLYNOMIAL_SIZE
 CONTACT_REALS = POLYNOMIAL + POLYNOMIAL_SIZE
 
 # side_int
@@ -255,5 +267,11 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE = 
     ESTIMATE_AFTER,
     EXTRA_STAGES,
     CHARTED,
-) = range(12)
-COUNTERS_SIZE = 12
+    DENSE_NESTED,
+    OUTPUT_COUNT,
+    OUTPUTS_DONE,
+    RECORDED,
+    RECORD_STEPS,
+    ROW_WIDTH,
+) = range(18)
+COUNTERS_SIZE = 18

@@ -10,6 +10,7 @@ The owner of the arrays (`Memory`) must outlive every kernel call on its table, 
 from __future__ import annotations
 
 import ctypes
+import math
 from typing import Any
 
 import numba
@@ -81,6 +82,11 @@ else:
     cube = _view_intrinsic(3, types.float64)
 
 
+# Numbers in the pieces that memory is taken in, and on whose multiples arrays begin (64 bytes).
+_CHUNK = 4096
+_ALIGNMENT = 8
+
+
 def address_of(array: np.ndarray) -> int:
     """The address of an array's first element."""
     return int(array.__array_interface__["data"][0])
@@ -93,6 +99,9 @@ class Memory:
         self._slots = {name: i for i, name in enumerate(slots)}
         self.table = np.zeros(len(slots), dtype=np.int64)
         self._arrays: dict[str, np.ndarray] = {}
+        # new arrays are cut from one: a fraction of the time of making each
+        self._rest = np.zeros(0)
+        self._rest_address = 0
 
     def put(self, name: str, array: np.ndarray) -> np.ndarray:
         """Place an array in its slot; it is kept alive as long as this memory is."""
@@ -102,11 +111,24 @@ class Memory:
 
     def reals(self, name: str, *shape: int) -> np.ndarray:
         """A new zero float64 array in the slot of that name."""
-        return self.put(name, np.zeros(shape))
+        return self._cut(name, shape, float)
 
     def integers(self, name: str, *shape: int) -> np.ndarray:
         """A new zero int64 array in the slot of that name."""
-        return self.put(name, np.zeros(shape, dtype=np.int64))
+        return self._cut(name, shape, np.int64)
+
+    def _cut(self, name: str, shape: tuple[int, ...], kind: Any) -> np.ndarray:
+        size = math.prod(shape)
+        room = -(-size // _ALIGNMENT) * _ALIGNMENT
+        if room > self._rest.size:
+            self._rest = np.zeros(max(room, _CHUNK))
+            self._rest_address = address_of(self._rest)
+        array = self._rest[:size].view(kind).reshape(shape)
+        self._arrays[name] = array
+        self.table[self._slots[name]] = self._rest_address
+        self._rest = self._rest[room:]
+        self._rest_address += 8 * room
+        return array
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self._arrays[name]

@@ -89,14 +89,14 @@ def simulate(
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration, failed_control)
     options = Options(times, max_step, max_steps, fixed_step, first_step)
     with _Bar(progress, state.t, duration) as bar:
-        driver = Driver(rk, transitions, users, record.add, options, bar.update if progress else None)
+        driver = Driver(rk, transitions, users, record.add, record.flush, options, bar.update if progress else None)
         code, message = driver.run(state.t, state.t + duration)
     modes = transitions.modes
     stats = {
         "rhs": rk.evaluations,
         "steps": driver.steps,
         "rejected": driver.rejected,
-        "outputs": driver.outputs,
+        "outputs": len(record),
         "pinocchio": int(system.counters[EVALUATION_COUNT]),
         "newton": int(system.counters[NEWTON_COUNT]),
         "closed_form": int(system.counters[CLOSED_COUNT]),
@@ -144,7 +144,7 @@ def _simulate_moreau(
         code, message = driver.run(state.t, state.t + duration)
     stats = {
         "steps": driver.steps,
-        "outputs": driver.outputs,
+        "outputs": len(record),
         "pinocchio": int(system.counters[EVALUATION_COUNT]),
         "newton": int(system.counters[NEWTON_COUNT]),
         "closed_form": int(system.counters[CLOSED_COUNT]),

@@ -88,15 +88,19 @@ _DISCRETE = (MODE, None, None, SIDE, BRANCH, DETERMINANT_SIGN, SLIP_SIGN, NORMAL
 DISCRETE_COLUMNS = len(_DISCRETE)
 
 
-def read_discrete(system: System) -> np.ndarray:
-    """(nc, DISCRETE_COLUMNS) the discrete part of a system's contacts."""
-    out = np.zeros((system.nc, DISCRETE_COLUMNS), dtype=np.int64)
+def discrete_part(contact_int: np.ndarray, charts: np.ndarray) -> np.ndarray:
+    """(..., nc, DISCRETE_COLUMNS) the discrete part of contacts, given their integers and charts (..., nc, 2)."""
+    out = np.zeros((*charts.shape[:-1], DISCRETE_COLUMNS), dtype=np.int64)
     for column, source in enumerate(_DISCRETE):
         if source is not None:
-            out[:, column] = system.contact_int[: system.nc, source]
-    out[:, 1] = system.side_int[0 : 2 * system.nc : 2, CHART]
-    out[:, 2] = system.side_int[1 : 2 * system.nc : 2, CHART]
+            out[..., column] = contact_int[..., source]
+    out[..., 1:3] = charts
     return out
+
+
+def read_discrete(system: System) -> np.ndarray:
+    """(nc, DISCRETE_COLUMNS) the discrete part of a system's contacts."""
+    return discrete_part(system.contact_int[: system.nc], system.side_int[: 2 * system.nc, CHART].reshape(-1, 2))
 
 
 def write_discrete(system: System, discrete: np.ndarray) -> None:

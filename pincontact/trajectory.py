@@ -17,12 +17,27 @@ from .contacts import Contact, characteristic_length
 from .dynamics.system import System
 from .errors import TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
+from .integration.recording import BLOCK, INTEGERS_PER_CONTACT
 from .integration.results import Event
 from .integration.slip_start import frozen_directions, set_frozen_directions
 from .integration.stages import NUMBER_OF_WORKS
-from .layout import CHART, CONDITION, EVENT, FREE, PATTERN, STICK, TANGENTS
+from .integration.steps import RECORD, run_task
+from .layout import (
+    CHART,
+    CONDITION,
+    CONTACT_INTS,
+    EVENT,
+    FREE,
+    FROZEN_COLUMNS,
+    NWORK,
+    PATTERN,
+    RECORDED,
+    ROW_WIDTH,
+    STICK,
+    TANGENTS,
+)
 from .scene import Scene
-from .state import DISCRETE_COLUMNS, Correction, State, read_discrete, write_discrete
+from .state import Correction, State, discrete_part, write_discrete
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,29 +50,41 @@ class Record:
 
     def __init__(self, system: System, with_torques: bool) -> None:
         self.system, self.with_torques = system, with_torques
-        self.t: list[float] = []
-        self.q: list[np.ndarray] = []
-        self.v: list[np.ndarray] = []
-        self.location: list[np.ndarray] = []
-        self.discrete: list[np.ndarray] = []
-        self.directions: list[np.ndarray] = []
-        self.works: list[np.ndarray] = []
-        self.torques: list[np.ndarray] = []
-        self._with_works = system.ny > system.nq + system.nv + 4 * system.nc
+        nq, nv, nc = system.nq, system.nv, system.nc
+        # t, q, v, tau, works, location, frozen directions' columns
+        self._widths = (1, nq, nv, nv, int(system.sizes[NWORK]), 4 * nc, FROZEN_COLUMNS * nc)
+        system.counters[ROW_WIDTH] = width = sum(self._widths)
+        self._reals = system.memory.reals("recorded_reals", BLOCK, width)
+        self._integers = system.memory.integers("recorded_integers", BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT)
+        self._blocks: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def __len__(self) -> int:
+        return sum(len(block[0]) for block in self._blocks) + int(self.system.counters[RECORDED])
 
     def add(self, t: float) -> None:
         """The state in the system at t."""
-        system = self.system
-        self.t.append(t)
-        self.q.append(system.q.copy())
-        self.v.append(system.v.copy())
-        self.location.append(system.location[: system.nc].copy())
-        self.discrete.append(read_discrete(system))
-        self.directions.append(frozen_directions(system, t))
-        if self._with_works:
-            self.works.append(system.stage_state[-NUMBER_OF_WORKS:].copy())
-        if self.with_torques:
-            self.torques.append(system.tau.copy())
+        self.flush()
+        run_task(self.system.table, RECORD, t, 0.0)
+
+    def flush(self, always: bool = False) -> None:
+        """Put a full block of rows aside; always: also one that is not full."""
+        count = int(self.system.counters[RECORDED])
+        if count == BLOCK or (always and count):
+            self._blocks.append((self._reals[:count].copy(), self._integers[:count].copy()))
+            self.system.counters[RECORDED] = 0
+
+    def rows(self) -> tuple[list[np.ndarray], np.ndarray]:
+        """All rows: [t, q, v, tau, works, location, frozen directions' columns] and the contacts' integers."""
+        self.flush(always=True)
+        nc = self.system.nc
+        values = np.concatenate([block[0] for block in self._blocks] or [self._reals[:0]])
+        integers = np.concatenate([block[1] for block in self._blocks] or [self._integers[:0]])
+        n = len(values)
+        parts = [part.copy() for part in np.split(values, np.cumsum(self._widths)[:-1], axis=1)]
+        parts[0] = parts[0].ravel()
+        parts[5] = parts[5].reshape(n, nc, 4)
+        parts[6] = parts[6].reshape(n, nc, FROZEN_COLUMNS)
+        return parts, integers[:, : nc * INTEGERS_PER_CONTACT].reshape(n, nc, INTEGERS_PER_CONTACT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,21 +205,17 @@ class Trajectory:
         cls, scene: Scene, record: Record, events: list[Event], status: int, message: str, stats: dict[str, Any]
     ) -> Trajectory:
         """From the rows of a run, however many there are."""
-        n, system = len(record.t), record.system
-
-        def stack(rows: list[np.ndarray], *shape: int) -> np.ndarray:
-            return np.array(rows).reshape(n, *shape) if n else np.zeros((0, *shape))
-
+        (t, q, v, torques, works, location, frozen), integers = record.rows()
         return cls(
             scene,
-            np.array(record.t, dtype=float),
-            stack(record.q, system.nq),
-            stack(record.v, system.nv),
-            stack(record.location, system.nc, 4),
-            stack(record.discrete, system.nc, DISCRETE_COLUMNS).astype(np.int64),
-            stack(record.directions, system.nc, 3),
-            stack(record.works, NUMBER_OF_WORKS) if record.works else None,
-            stack(record.torques, system.nv) if record.torques else None,
+            t,
+            q,
+            v,
+            location,
+            discrete_part(integers[:, :, :CONTACT_INTS], integers[:, :, CONTACT_INTS:]),
+            frozen_directions(integers, frozen, t),
+            works if works.shape[1] else None,
+            torques if record.with_torques else None,
             events,
             status,
             message,

@@ -13,6 +13,7 @@ from ..contours.base import DERIVATIVE_ROWS, ELLIPSOID, REVOLUTION, SHAPE_SIZE, 
 from ..contours.motion import MOTION_CALLABLE, MOTION_PARAMETERS, MOTION_SIZE
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import closed_form
+from ..integration.dense import DENSE_ROWS
 from ..integration.manifold import configuration_blocks
 from ..integration.stages import MAX_STAGES, NUMBER_OF_WORKS
 from ..integration.steps import EVALUATE, KINEMATICS, PROJECT, PROJECT_EVALUATED, run_task
@@ -226,8 +227,8 @@ class System:
         memory.reals("work", max(nv, 1))
         self.correction_q = memory.reals("correction_q", nv)
         self.correction_v = memory.reals("correction_v", nv)
-        memory.reals("dense", 8, ny)
-        memory.reals("dense_weights", MAX_STAGES, 8)
+        memory.reals("dense", DENSE_ROWS, ny)
+        self.dense_weights = memory.reals("dense_weights", DENSE_ROWS, MAX_STAGES + 1)
         self.counters = memory.integers("counters", COUNTERS_SIZE)
 
     def before_evaluation(self, torque: Callable[[float], bool] | None = None) -> None:

@@ -16,12 +16,17 @@ from ..layout import (
     FIXED_STEP,
     FLOOR,
     FREE,
+    LAST_ERROR,
     MAX_STEP,
     MODE,
     NEXT_OUTPUT,
     NEXT_STEP,
     NEXT_TIME,
     NOW,
+    OK,
+    OUTPUT_COUNT,
+    OUTPUTS_DONE,
+    RECORD_STEPS,
     REJECTED_COUNT,
     SLOWEST,
     STALLED,
@@ -32,6 +37,7 @@ from ..layout import (
     STEP_COUNT,
     STICK,
 )
+from .dense import Interpolant
 from .events import Crossing, EventLocator, UserEvent
 from .results import FINISHED, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
 from .runge_kutta import RungeKutta
@@ -39,6 +45,7 @@ from .steps import (
     AT_FLOOR,
     AT_LIMIT,
     ATTEMPTED,
+    BLOCK_FULL,
     MARCH,
     MARCH_ONE_ATTEMPT,
     MARCH_ONE_STEP,
@@ -46,9 +53,9 @@ from .steps import (
     SLIP_ENDS,
     STEP_FAILED,
     STEPPED,
+    WRITE_OUTPUTS,
     run_task,
 )
-from .tableaux import Interpolant
 from .transitions import Transitions
 
 
@@ -66,7 +73,8 @@ class Options:
 class Driver:
     """Integrates one system from the state in `system.state`.
 
-    record(t): called for every output with the state in the system. progress(t): called after every step, or None.
+    record(t): called for outputs outside compiled steps, with the state in the system. flush(): makes room for the rows
+    that compiled steps write. progress(t): called now and then, or None.
     """
 
     def __init__(
@@ -75,15 +83,19 @@ class Driver:
         transitions: Transitions,
         users: list[UserEvent],
         record: Callable[[float], None],
+        flush: Callable[[], None],
         options: Options,
         progress: Callable[[float], None] | None = None,
     ) -> None:
         self.rk, self.system, self.transitions = rk, rk.system, transitions
         self.locator = EventLocator(rk, users)
         transitions.emit = self._output_short_step
-        self.record, self.options, self.progress = record, options, progress
-        self.outputs = 0
-        self._next_output = 0
+        self.record, self.flush, self.options, self.progress = record, flush, options, progress
+        times = np.zeros(0) if options.t_eval is None else np.ascontiguousarray(options.t_eval)
+        self.system.memory.put("output_times", times)
+        self.system.counters[OUTPUT_COUNT], self.system.counters[OUTPUTS_DONE] = times.size, 0
+        self.system.counters[RECORD_STEPS] = options.t_eval is None
+        self._announce_output()
 
     @property
     def steps(self) -> int:
@@ -123,10 +135,12 @@ class Driver:
         scalars, counters = self.system.scalars, self.system.counters
         while t < t_end:
             scalars[NOW] = t
+            self.flush()
             why = run_task(self.system.table, self._task(), 0.0, 0.0)
             t = float(scalars[NOW])
             if why == STEPPED:
-                self._after_acceptance(t)
+                self._watch(t)
+                self._output_at(t)
             elif why == ATTEMPTED:
                 h = float(scalars[NEXT_STEP])
                 t, switched = self._complete(t, float(scalars[STEP]), float(scalars[NEXT_TIME]))
@@ -159,20 +173,19 @@ class Driver:
         scalars[SLOWEST] = math.inf
         counters[ATTEMPT_LIMIT] = options.max_steps
         counters[STALLED] = 0
-        self._announce_output()
 
     def _task(self) -> int:
         """How far the compiled steps may go on their own."""
         if self.locator.users:
             return MARCH_ONE_ATTEMPT
-        if self.options.t_eval is None or (self.system.modes == FREE).any():
+        if (self.system.modes == FREE).any():
             return MARCH_ONE_STEP
         return MARCH
 
     def _restart(self, h: float) -> None:
         """Step size after a mode change; h is what it would have been."""
         self.system.scalars[NEXT_STEP] = self.options.fixed_step or min(h, 10.0 * self.transitions.seed)
-        self.system.scalars[SLOWEST] = math.inf
+        self.system.scalars[SLOWEST], self.system.scalars[LAST_ERROR] = math.inf, 0.0
         self.system.counters[STALLED] = 0
 
     # ---------------------------------------------------------------- one step
@@ -196,7 +209,7 @@ class Driver:
         if self._output_due(t_new):
             if dense is None:
                 dense = self._interpolant(t, step)
-            self._output_until(t, step, dense, t_new)
+            self._output_until(t_new)
             rk.load(system.new_state)
         self._project(t_new, dense is None)
         rk.accept()
@@ -225,22 +238,23 @@ class Driver:
     def _after(self, t: float) -> None:
         """What follows every state that is accepted here."""
         self._finish(t)
-        self._after_acceptance(t)
+        self._watch(t)
+        if self.options.t_eval is None:
+            self.record(t)
+        self._output_at(t)
 
-    def _after_acceptance(self, t: float) -> None:
+    def _watch(self, t: float) -> None:
+        """Take the accepted state as the one that the next events are measured from."""
         self.locator.arm()
         if self.locator.users:
             self.locator.update_users(t)
-        if self.options.t_eval is None:
-            self.outputs += 1
-            self.record(t)
 
     def _stop_at(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> float:
         """Step again to the crossing, so that the state there has the method's full order, and switch modes."""
         rk, system = self.rk, self.system
         event_time = t + crossing.theta * step
         if self._output_due(event_time):
-            self._output_until(t, step, dense, event_time)
+            self._output_until(event_time)
         if crossing.theta > 0.0:
             event_time = t + self.locator.refine(t, step, dense, crossing)
             rk.load(system.new_state)
@@ -257,7 +271,6 @@ class Driver:
             after = self.transitions.switch(event_time, *crossing.margin)
         except Stop:
             if self.options.t_eval is None:
-                self.outputs += 1
                 self.record(event_time)
             raise
         self._after(after)
@@ -284,38 +297,36 @@ class Driver:
 
     def _output_start(self, t: float) -> None:
         if self.options.t_eval is None:
-            self.outputs += 1
             self.record(t)
-        while self._output_due(t):
-            self._next_output += 1
-            self.outputs += 1
-            self.record(t)
+        self._output_at(t)
 
     def _announce_output(self) -> None:
         """Tell the compiled steps when the next output is due."""
-        times = self.options.t_eval
-        if times is None or self._next_output == times.size:
-            self.system.scalars[NEXT_OUTPUT] = math.inf
-        else:
-            self.system.scalars[NEXT_OUTPUT] = times[self._next_output]
+        times, done = self.options.t_eval, int(self.system.counters[OUTPUTS_DONE])
+        more = times is not None and done < times.size
+        self.system.scalars[NEXT_OUTPUT] = times[done] if times is not None and more else math.inf
 
     def _output_due(self, t: float) -> bool:
-        times = self.options.t_eval
-        return times is not None and self._next_output < times.size and times[self._next_output] <= t
+        return bool(self.system.scalars[NEXT_OUTPUT] <= t)
+
+    def _output_at(self, t: float) -> None:
+        """Record the system's state for every output time that has come."""
+        while self._output_due(t):
+            self.record(t)
+            self.system.counters[OUTPUTS_DONE] += 1
+            self._announce_output()
 
     def _output_short_step(self, t: float, step: float) -> None:
         if self._output_due(t + step):
-            self._output_until(t, step, self._interpolant(t, step), t + step)
+            self._interpolant(t, step)
+            self._output_until(t + step)
 
-    def _output_until(self, t: float, step: float, dense: Interpolant, until: float) -> None:
-        """Record the output times in (t, until], each projected on the constraints."""
-        times = self.options.t_eval
-        assert times is not None
-        while self._output_due(until):
-            when = float(times[self._next_output])
-            self.rk.load(dense((when - t) / step))
-            self._project(when, False)
-            self.record(when)
-            self.outputs += 1
-            self._next_output += 1
-        self._announce_output()
+    def _output_until(self, until: float) -> None:
+        """Record the output times up to `until` in the step that was interpolated last."""
+        self.flush()
+        status = run_task(self.system.table, WRITE_OUTPUTS, until, 0.0)
+        while status == BLOCK_FULL:
+            self.flush()
+            status = run_task(self.system.table, WRITE_OUTPUTS, until, 0.0)
+        if status != OK:
+            raise self._projection_failed(until)

@@ -12,8 +12,8 @@ from scipy.optimize import brentq
 
 from ..errors import ArgumentError
 from ..layout import DOMAIN, EVENT, FREE, GAP_MARGIN, LENGTH, MODE, OK
+from .dense import Interpolant
 from .runge_kutta import RungeKutta
-from .tableaux import Interpolant
 
 if TYPE_CHECKING:
     from ..dynamics.system import System

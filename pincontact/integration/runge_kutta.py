@@ -10,6 +10,7 @@ import numpy as np
 
 from ..layout import (
     ALARM,
+    DENSE_NESTED,
     ERROR_NORM,
     ERROR_ORDER,
     ESTIMATE_AFTER,
@@ -21,9 +22,10 @@ from ..layout import (
     NSTAGES,
     OK,
 )
+from .dense import Interpolant
 from .stages import load_state
 from .steps import ACCEPT, ATTEMPT, FINISH_STEP, INTERPOLATION_STAGES, START, run_task
-from .tableaux import Interpolant, Tableau
+from .tableaux import Tableau
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
@@ -52,6 +54,11 @@ class RungeKutta:
         system.sizes[NSTAGES] = method.stages
         system.counters[ESTIMATE_AFTER], system.counters[EXTRA_STAGES] = method.estimate_after, method.extra
         system.scalars[ERROR_ORDER] = method.error_order
+        system.counters[DENSE_NESTED] = method.nested
+        rows, columns = method.dense.shape
+        system.dense_weights[:] = 0.0
+        system.dense_weights[:rows, : columns - 1] = method.dense[:, :-1]
+        system.dense_weights[:rows, -1] = method.dense[:, -1]
         system.scale[:] = rtol, atol
         system.absolute[:] = atol
         start = system.nq + system.nv
@@ -92,10 +99,9 @@ class RungeKutta:
 
     def interpolant(self, t: float, h: float) -> Interpolant | None:
         """Dense output of the attempted step; needs the extra stages of the method. None if one of them fails."""
-        system, method = self.system, self.method
-        if run_task(system.table, INTERPOLATION_STAGES, t, h) > EVENT:
+        if run_task(self.system.table, INTERPOLATION_STAGES, t, h) > EVENT:
             return None
-        return method.interpolant(h, system.state, system.new_state, system.slopes)
+        return Interpolant(self.system)
 
     def load(self, y: np.ndarray) -> None:
         """Make y the state that the next evaluation sees."""

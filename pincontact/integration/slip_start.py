@@ -12,7 +12,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..layout import ACROSS_X, DIRECTION_X, EVENT, FROZEN, OK, POLYNOMIAL, POLYNOMIAL_SIZE, SPAN, START
+from ..layout import (
+    ACROSS_X,
+    CONTACT_REALS,
+    DIRECTION_X,
+    EVENT,
+    FROZEN,
+    FROZEN_COLUMNS,
+    OK,
+    POLYNOMIAL,
+    POLYNOMIAL_SIZE,
+    SPAN,
+    START,
+)
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
@@ -129,13 +141,17 @@ def _across(
     return out.ravel()
 
 
-def frozen_directions(system: System, t: float) -> np.ndarray:
-    """(nc, 3) prescribed slip directions at t, world axes; zero where v_c tells the direction."""
-    out = np.zeros((system.nc, 3))
-    for c in range(system.nc):
-        if system.contact_int[c, FROZEN]:
-            numbers = system.contact_real[c]
-            out[c] = _direction(numbers, (t - numbers[START]) / numbers[SPAN])
+def frozen_directions(integers: np.ndarray, columns: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """(n, nc, 3) prescribed slip directions, world axes; zero where v_c tells the direction.
+
+    integers (n, nc, ...): the contacts' integers; columns (n, nc, FROZEN_COLUMNS): their reals from START on;
+    t (n,) in s.
+    """
+    out = np.zeros((*columns.shape[:2], 3))
+    for row, c in np.argwhere(integers[:, :, FROZEN] != 0):
+        numbers = np.zeros(CONTACT_REALS)
+        numbers[START : START + FROZEN_COLUMNS] = columns[row, c]
+        out[row, c] = _direction(numbers, (t[row] - numbers[START]) / numbers[SPAN])
     return out
 
 

@@ -1,0 +1,83 @@
+"""Dense output: the solution within a step, as a polynomial of the fraction theta of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..jit import INTEGER, REAL, entry_kernel, kernel
+from ..layout import (
+    DENSE,
+    DENSE_NESTED,
+    DENSE_WEIGHTS,
+    NEW_STATE,
+    NY,
+    SCALARS,
+    SCALARS_SIZE,
+    SIZES,
+    SLOPES,
+    STATE,
+    STEP,
+)
+from ..memory import integers, matrix, reals
+from .stages import MAX_STAGES
+
+if TYPE_CHECKING:
+    from ..dynamics.system import System
+
+# Rows of the coefficients: DOP853 uses all of them, RK45 four.
+DENSE_ROWS = 7
+
+
+@kernel
+def dense_coefficients(table):
+    """Fill DENSE from the slopes of the attempted step: row i is h sum_j w_ij k_j + w_i (y_1 - y_0).
+
+    The weight of the difference stands behind those of the stages.
+    """
+    ny = integers(table[SIZES], 8)[NY]
+    step = reals(table[SCALARS], SCALARS_SIZE)[STEP]
+    state, new_state = reals(table[STATE], ny), reals(table[NEW_STATE], ny)
+    slopes = matrix(table[SLOPES], MAX_STAGES, ny)
+    weights = matrix(table[DENSE_WEIGHTS], DENSE_ROWS, MAX_STAGES + 1)
+    dense = matrix(table[DENSE], DENSE_ROWS, ny)
+    for row in range(DENSE_ROWS):
+        out, weight = dense[row], weights[row]
+        for i in range(ny):
+            out[i] = 0.0
+        for j in range(MAX_STAGES):
+            if weight[j] != 0.0:
+                for i in range(ny):
+                    out[i] += weight[j] * slopes[j, i]
+        for i in range(ny):
+            out[i] = step * out[i] + weight[MAX_STAGES] * (new_state[i] - state[i])
+
+
+@entry_kernel(REAL[:, ::1], REAL[::1], INTEGER, REAL, REAL[::1])
+def interpolate(dense, start, nested, theta, out):
+    """out = the state at the fraction theta of a step from `start`.
+
+    Horner's scheme with factors theta, or theta and 1 - theta by turns (Hairer's nested form of DOP853).
+    """
+    for i in range(start.shape[0]):
+        out[i] = 0.0
+    for row in range(dense.shape[0] - 1, -1, -1):
+        factor = 1.0 - theta if nested != 0 and row % 2 == 1 else theta
+        for i in range(start.shape[0]):
+            out[i] = (out[i] + dense[row, i]) * factor
+    for i in range(start.shape[0]):
+        out[i] += start[i]
+
+
+class Interpolant:
+    """y(theta) for theta in [0, 1] of the step that a system has attempted; keeps what it needs."""
+
+    def __init__(self, system: System) -> None:
+        self._start, self._dense = system.state.copy(), system.memory["dense"].copy()
+        self._nested = int(system.counters[DENSE_NESTED])
+
+    def __call__(self, theta: float) -> np.ndarray:
+        out = np.empty_like(self._start)
+        interpolate(self._dense, self._start, self._nested, theta, out)
+        return out

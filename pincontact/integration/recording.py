@@ -1,0 +1,108 @@
+"""Outputs of a run: rows that the compiled steps write."""
+
+from __future__ import annotations
+
+import math
+
+from ..jit import kernel
+from ..layout import (
+    CHART,
+    CONTACT_INT,
+    CONTACT_INTS,
+    CONTACT_REAL,
+    CONTACT_REALS,
+    COUNTERS,
+    COUNTERS_SIZE,
+    FROZEN_COLUMNS,
+    LOCATION,
+    NC,
+    NEXT_OUTPUT,
+    NQ,
+    NV,
+    NWORK,
+    NY,
+    OUTPUT_COUNT,
+    OUTPUT_TIMES,
+    OUTPUTS_DONE,
+    RECORDED,
+    RECORDED_INTEGERS,
+    RECORDED_REALS,
+    ROW_WIDTH,
+    SCALARS,
+    SCALARS_SIZE,
+    SIDE_INT,
+    SIDE_INTS,
+    SIZES,
+    STAGE_STATE,
+    START,
+    TAU,
+    Q,
+    V,
+)
+from ..memory import integer_matrix, integers, matrix, reals
+
+# Integers of a contact in a row: its own, and its two charts.
+INTEGERS_PER_CONTACT = CONTACT_INTS + 2
+# Rows that the compiled steps may write before they have to come back.
+BLOCK = 256
+
+
+@kernel
+def record_row(table, t):
+    """Write the state in (Q, V, LOCATION) at t as the next row: t, q, v, tau, works, location, frozen directions."""
+    sizes, counters = integers(table[SIZES], 8), integers(table[COUNTERS], COUNTERS_SIZE)
+    nq, nv, nc, nwork = sizes[NQ], sizes[NV], sizes[NC], sizes[NWORK]
+    index = counters[RECORDED]
+    row = matrix(table[RECORDED_REALS], BLOCK, counters[ROW_WIDTH])[index]
+    whole = integer_matrix(table[RECORDED_INTEGERS], BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT)[index]
+    q, v, tau, location = (
+        reals(table[Q], nq),
+        reals(table[V], nv),
+        reals(table[TAU], nv),
+        reals(table[LOCATION], 4 * nc),
+    )
+    state = reals(table[STAGE_STATE], sizes[NY])
+    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
+    row[0] = t
+    at = 1
+    for k in range(nq):
+        row[at + k] = q[k]
+    at += nq
+    for k in range(nv):
+        row[at + k] = v[k]
+        row[at + nv + k] = tau[k]
+    at += 2 * nv
+    for k in range(nwork):
+        row[at + k] = state[sizes[NY] - nwork + k]
+    at += nwork
+    for k in range(4 * nc):
+        row[at + k] = location[k]
+    at += 4 * nc
+    for c in range(nc):
+        for k in range(FROZEN_COLUMNS):
+            row[at + k] = contact_real[c, START + k]
+        at += FROZEN_COLUMNS
+        for k in range(CONTACT_INTS):
+            whole[c * INTEGERS_PER_CONTACT + k] = contact_int[c, k]
+        for k in range(2):
+            whole[c * INTEGERS_PER_CONTACT + CONTACT_INTS + k] = side_int[2 * c + k, CHART]
+    counters[RECORDED] = index + 1
+
+
+@kernel
+def output_done(table):
+    """Go on to the next output time."""
+    counters = integers(table[COUNTERS], COUNTERS_SIZE)
+    counters[OUTPUTS_DONE] += 1
+    announce_output(table)
+
+
+@kernel
+def announce_output(table):
+    """NEXT_OUTPUT from the list of output times."""
+    counters = integers(table[COUNTERS], COUNTERS_SIZE)
+    done, count = counters[OUTPUTS_DONE], counters[OUTPUT_COUNT]
+    times = reals(table[OUTPUT_TIMES], count)
+    reals(table[SCALARS], SCALARS_SIZE)[NEXT_OUTPUT] = times[done] if done < count else math.inf

@@ -45,8 +45,8 @@ _FORCE_ROUND_OFF = 1e-9
 _PROJECTIONS = 20
 
 
-def derivative(f: Callable[[float], np.ndarray], step: float) -> tuple[np.ndarray, float]:
-    """f'(0) by Richardson's extrapolation of central differences over step, step / 2, ...; and its estimated error.
+def derivative(f: Callable[[float], np.ndarray], step: float, levels: int = _LEVELS) -> tuple[np.ndarray, float]:
+    """f'(0) and its estimated error, by Richardson's extrapolation of central differences over step, step / 2, ...
 
     Steps at which f raises a ContactError (a contact point lost) are left out.
     Raises SolverError when two of them do not remain.
@@ -54,7 +54,7 @@ def derivative(f: Callable[[float], np.ndarray], step: float) -> tuple[np.ndarra
     best, least = None, math.inf
     previous: list[np.ndarray] = []
     failure: Exception | None = None
-    for level in range(_LEVELS):
+    for level in range(levels):
         h = step / 2.0**level
         try:
             row = [(f(h) - f(-h)) / (2.0 * h)]

@@ -24,6 +24,8 @@ from .instant import FIRST_STEP, Instant, derivative
 
 # Random states at which a symmetry must hold, and how far they are from the given one.
 _SAMPLES = 3
+# Differences here tell zero from not: fewer levels do.
+_LEVELS = 5
 _SPREAD = 0.05
 _RETRIES = 12
 # Singular values below this fraction of the largest are symmetries; differences are good to about 1e-11.
@@ -172,7 +174,11 @@ def _defects(instant: Instant, brackets: Brackets, q: np.ndarray, v: np.ndarray,
             dq[rights[index - nv]] = 1.0
             dv, expected = brackets(v) @ dq, brackets(a) @ dq
         step = min(instant.step_along(dq), FIRST_STEP / max(float(np.abs(dv).max()), 1.0))
-        change, _ = derivative(lambda h, dq=dq, dv=dv: instant.evaluate(instant.moved(h * dq, q), v + h * dv), step)  # type: ignore[misc]
+
+        def moved(h: float, dq: np.ndarray = dq, dv: np.ndarray = dv) -> np.ndarray:
+            return instant.evaluate(instant.moved(h * dq, q), v + h * dv)
+
+        change, _ = derivative(moved, step, _LEVELS)
         columns.append(np.concatenate([normals @ dq, (change - expected) / scale]))
     aging = np.zeros(nv)
     if instant.driven():

@@ -80,7 +80,7 @@ def find_equilibrium(
         return np.concatenate([instant.gaps(normals) / instant.length, a, *extra])
 
     steps = np.concatenate([np.full(nv, FIRST_STEP * instant.length), np.ones(holding.shape[1])])
-    x, iterations = _solve(residual, np.zeros(nv + holding.shape[1]), steps)
+    x, iterations = _solve(residual, np.zeros(nv + holding.shape[1]), steps, instant.follow)
     return _found(
         instant, "equilibrium", residual, x, instant.moved(x[:nv]), rest, holding @ x[nv:], iterations, tolerance
     )
@@ -133,7 +133,7 @@ def find_steady_motion(
     steps = np.concatenate(
         [np.full(nv, FIRST_STEP * instant.length), np.full(nv + s, FIRST_STEP * speed), np.ones(holding.shape[1])]
     )
-    x, iterations = _solve(residual, start, steps)
+    x, iterations = _solve(residual, start, steps, instant.follow)
     q, v = instant.moved(x[:nv]), instant.v + x[nv : 2 * nv]
     return _found(instant, "steady motion", residual, x, q, v, holding @ x[2 * nv + s :], iterations, tolerance)
 
@@ -162,9 +162,12 @@ def _found(
     return SteadyMotion(state, tau, instant.forces(), size, instant.holds(), iterations)
 
 
-def _solve(residual: Callable[[np.ndarray], np.ndarray], x: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, int]:
+def _solve(
+    residual: Callable[[np.ndarray], np.ndarray], x: np.ndarray, steps: np.ndarray, accepted: Callable[[], None]
+) -> tuple[np.ndarray, int]:
     """Levenberg-Marquardt on the part of the Jacobian's spectrum that is not flat: families of solutions are crossed
-    the shortest way and not run along. Returns the best x and the number of steps."""
+    the shortest way and not run along. accepted: called when the residual has last been evaluated at a better x.
+    Returns the best x and the number of steps."""
     damping = 1e-3
     r = residual(x)
     size = float(r @ r)
@@ -189,6 +192,7 @@ def _solve(residual: Callable[[np.ndarray], np.ndarray], x: np.ndarray, steps: n
             if damping > _MOST_DAMPING:
                 return x, iteration
         x, r, size = x + step, new, new_size
+        accepted()
         damping = damping / 10.0 if damping > _LEAST_DAMPING else 0.0
         # rounding is reached where steps are no longer felt
         if float(np.abs(step).max()) <= 1e-15 * max(1.0, float(np.abs(x).max())):

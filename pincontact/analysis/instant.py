@@ -14,6 +14,7 @@ from ..errors import ArgumentError, SingularContactError, SolverError
 from ..geometry.patterns import ON_CURVE
 from ..integration.results import FAILURES, SINGULAR_CONTACT, Stop
 from ..integration.runge_kutta import RungeKutta
+from ..integration.stages import move_charts
 from ..integration.tableaux import tableau
 from ..integration.transitions import Transitions
 from ..layout import (
@@ -156,6 +157,15 @@ class Instant:
     def starting(self) -> list[str]:
         """Contacts that begin to slip at this very state."""
         return [n for c, n in enumerate(self.scene.contacts) if self.system.contact_int[c, FROZEN]]
+
+    def follow(self) -> None:
+        """Look for contact points from those of the last evaluation on, in charts that suit them."""
+        system = self.system
+        start = system.nq + system.nv
+        here = slice(start, start + 4 * system.nc)
+        system.state[here] = system.location[: system.nc].ravel()
+        move_charts(system.table)
+        self._location = system.state[here].reshape(system.nc, 4).copy()
 
     # ---------------------------------------------------------------- constraints
 

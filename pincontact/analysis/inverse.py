@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from ..errors import ArgumentError, SolverError, StateError
 from ..geometry.patterns import ON_CURVE
-from ..layout import MODE, MU, NORMAL_SIGN, PATTERN, SLIP_SIGN, SLIPPING, TANGENTS
+from ..layout import MODE, MU, PATTERN, SLIP_SIGN, SLIPPING, TANGENTS, UNILATERAL
 from ..state import check_vector
 from .forces import check_forces
 from .instant import RANK_TOLERANCE, Instant
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from ..scene import Scene
     from ..state import State
 
-# |F_n| of a point that slides on a spatial curve is the length of two components: fixed point.
+# |F_n| of contacts that cannot open is the length of their normal components: fixed point.
 _ITERATIONS = 100
-_UNCHANGED = 1e-13
+_UNCHANGED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,31 +97,31 @@ def inverse_dynamics(
         if contact.name in given:
             needed = needed - system.rows[c].T @ (system.basis[c] @ (signs[contact.name] * given[contact.name]))
     solved = [(c, row) for c, row in constrained if system.contacts[c].name not in given]
-    shares = np.ones(len(solved))
-    components = np.zeros(len(solved))
-    efforts = np.zeros(matrix.shape[1])
-    columns = np.zeros((system.nv, len(solved)))
-    for _ in range(_ITERATIONS):
-        for k, (c, row) in enumerate(solved):
-            columns[:, k] = system.rows[c].T @ _unit_force(instant, c, row, shares[k])
-        efforts, components = _least(matrix, columns, needed)
-        new = _shares(instant, solved, components)
-        if np.abs(new - shares).max(initial=0.0) <= _UNCHANGED:
-            break
-        shares = new
-    residual = float(np.abs(matrix @ efforts + columns @ components - needed).max(initial=0.0))
     loads = max(1.0, float(np.abs(needed).max(initial=0.0)), float(np.abs(system.data.nle).max(initial=0.0)))
+    solution = None
+    for start in (1.0, -1.0):
+        found = _solve(instant, solved, matrix, needed, np.full(len(solved), start))
+        if found is not None and (solution is None or found[3] < solution[3]):
+            solution = found
+        if solution is not None and solution[3] <= tolerance * loads:
+            break
+    if solution is None:
+        raise SolverError(
+            "inverse dynamics: no least torques agree with the sign of the normal force of a contact that slides and "
+            "cannot open; give its force"
+        )
+    efforts, components, shares, residual = solution
     if residual > tolerance * loads:
         raise SolverError(
             f"inverse dynamics: the actuators and contacts leave {residual:.3g} N (N m) of the equations of motion "
             f"(tolerance {tolerance * loads:.3g})"
         )
-    found = {name: np.zeros(3) for name in scene.contacts} | given
+    acting = {name: np.zeros(3) for name in scene.contacts} | given
     for k, (c, row) in enumerate(solved):
         name = system.contacts[c].name
         force = system.basis[c].T @ _unit_force(instant, c, row, shares[k]) * components[k]
-        found[name] = found[name] + signs[name] * force
-    return InverseDynamics(matrix @ efforts, efforts, a, found, residual)
+        acting[name] = acting[name] + signs[name] * force
+    return InverseDynamics(matrix @ efforts, efforts, a, acting, residual)
 
 
 def actuation_matrix(model: pin.Model, actuation: Any | None) -> np.ndarray:
@@ -146,6 +146,23 @@ def actuation_matrix(model: pin.Model, actuation: Any | None) -> np.ndarray:
     return matrix
 
 
+def _solve(
+    instant: Instant, solved: list[tuple[int, int]], actuation: np.ndarray, needed: np.ndarray, shares: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float] | None:
+    """Efforts, force components, shares (see `_shares`) and the largest residual; None where shares do not settle."""
+    columns = np.zeros((needed.size, len(solved)))
+    for _ in range(_ITERATIONS):
+        for k, (c, row) in enumerate(solved):
+            columns[:, k] = instant.system.rows[c].T @ _unit_force(instant, c, row, shares[k])
+        efforts, components = _least(actuation, columns, needed)
+        new = _shares(instant, solved, components)
+        if np.abs(new - shares).max(initial=0.0) <= _UNCHANGED:
+            left = actuation @ efforts + columns @ components - needed
+            return efforts, components, shares, float(np.abs(left).max(initial=0.0))
+        shares = new
+    return None
+
+
 def _least(actuation: np.ndarray, columns: np.ndarray, needed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least efforts, then least force components, with actuation efforts + columns components = needed."""
     inverse = np.linalg.pinv(columns, rcond=RANK_TOLERANCE)
@@ -163,22 +180,22 @@ def _unit_force(instant: Instant, c: int, row: int, share: float) -> np.ndarray:
     out[row] = 1.0
     if integers[MODE] == SLIPPING:
         mu = system.contact_real[c, MU]
-        weight = share if integers[PATTERN] == ON_CURVE else float(integers[NORMAL_SIGN])
         if integers[TANGENTS] == 1:
-            out[0] -= mu * weight * float(integers[SLIP_SIGN])
+            out[0] -= mu * share * float(integers[SLIP_SIGN])
         else:
             along = system.basis[c, :2] @ system.slip[c]
-            out[:2] -= mu * weight * along / np.hypot(along[0], along[1])
+            out[:2] -= mu * share * along / np.hypot(along[0], along[1])
     return out
 
 
 def _shares(instant: Instant, solved: list[tuple[int, int]], components: np.ndarray) -> np.ndarray:
-    """Components of the unit normal force of points on spatial curves; 1 for the others."""
+    """|F_n| by each normal component: the components of its unit vector on a spatial curve, else its sign."""
     out = np.ones(len(solved))
+    integers = instant.system.contact_int
     for c in {c for c, _ in solved}:
-        if instant.system.contact_int[c, PATTERN] == ON_CURVE:
-            normals = [k for k, (other, row) in enumerate(solved) if other == c and row > 0]
-            size = float(np.linalg.norm(components[normals]))
-            if size > 0.0:
-                out[normals] = components[normals] / size
+        on_curve = integers[c, PATTERN] == ON_CURVE
+        normals = [k for k, (other, row) in enumerate(solved) if other == c and (row == 2 or (row == 1 and on_curve))]
+        size = float(np.linalg.norm(components[normals]))
+        if size > 0.0 and not integers[c, UNILATERAL]:
+            out[normals] = components[normals] / size
     return out

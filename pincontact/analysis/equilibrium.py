@@ -22,6 +22,8 @@ Conditions = Callable[[np.ndarray, np.ndarray], Any]
 _STEPS = 200
 # Directions in which the residual changes by less than this fraction of the largest change are left alone.
 _FLAT = 1e-8
+# Below this a residual that hardly shrinks is rounding.
+_STALLED = 1e-9
 _LEAST_DAMPING, _MOST_DAMPING = 1e-13, 1e6
 
 
@@ -188,14 +190,15 @@ def _solve(
                 new_size = np.inf
             if new_size < size:
                 break
-            damping *= 4.0
+            damping = 4.0 * max(damping, _LEAST_DAMPING)
             if damping > _MOST_DAMPING:
                 return x, iteration
+        stalled = new_size > 0.25 * size and float(np.abs(new).max()) < _STALLED
         x, r, size = x + step, new, new_size
         accepted()
         damping = damping / 10.0 if damping > _LEAST_DAMPING else 0.0
-        # rounding is reached where steps are no longer felt
-        if float(np.abs(step).max()) <= 1e-15 * max(1.0, float(np.abs(x).max())):
+        # rounding is reached where steps are no longer felt, or help no longer
+        if stalled or float(np.abs(step).max()) <= 1e-15 * max(1.0, float(np.abs(x).max())):
             return x, iteration + 1
     return x, _STEPS
 

@@ -141,11 +141,10 @@ def test_bicycle_in_a_turn():
     data = model.createData()
     q, v = found.state.q, found.state.v
     lean = math.asin(pin.Quaternion(q[3:7]).matrix()[2, 1])
-    centre = pin.centerOfMass(model, data, q, v, np.zeros(model.nv))
+    pin.centerOfMass(model, data, q, v)
     velocity = data.vcom[0].copy()
     turning = float((pin.Quaternion(q[3:7]).matrix() @ v[3:6])[2])
     assert turning > 0.0 > lean
-    assert centre[1] > q[1] - 1.0
     # m (W x v) and the weight, on the bicycle; forces are on the floor
     total = -sum(found.forces.values())
     expected = 94.0 * np.cross([0.0, 0.0, turning], velocity) + [0.0, 0.0, 94.0 * G]

@@ -177,6 +177,29 @@ def test_upright_disk(spin):
         assert np.abs(values - value).min() < 1e-9
 
 
+@pytest.mark.parametrize("mass", [1e-6, 2.0])
+@pytest.mark.parametrize("radius", [1e-3, 1e3])
+def test_upright_disk_of_any_size(radius, mass):
+    """The same formula from a millimetre to a kilometre; relative, as steps of differences go with the size."""
+    thin, axial = 0.25 * mass * radius**2, 0.5 * mass * radius**2
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root_joint")
+    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.diag([thin, thin, axial])), pin.SE3.Identity())
+    model.addBodyFrame("disk", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    rim, floor = scene.add_contour("rim", pc.Circle(radius), "disk"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", rim, floor, friction=pc.NoSlip())
+    spin = 2.0 * math.sqrt(G / radius)
+    rotation = pin.utils.rotate("x", 0.5 * math.pi)
+    q = np.r_[0.0, 0.0, radius, pin.Quaternion(rotation).coeffs()]
+    v = np.r_[rotation.T @ [spin * radius, 0.0, 0.0], rotation.T @ [0.0, spin, 0.0]]
+    found = pc.linearize(scene, scene.initial_state(q, v)).without_symmetries()
+    whole = mass * radius**2
+    square = (mass * G * radius * thin - axial * (axial + whole) * spin**2) / ((thin + whole) * thin)
+    frequency = math.sqrt(-square)
+    assert np.abs(found.eigenvalues - 1j * frequency).min() < 1e-10 * frequency
+
+
 def test_circling_disk_and_its_perturbed_run():
     """A = constant in axes that turn with the disk and its own spin; the linear motion is the perturbed one's limit."""
     scene = disk()
@@ -276,6 +299,29 @@ def test_ball_in_an_ellipsoidal_bowl():
         assert np.abs(values - 1j * math.sqrt(5.0 * G / (7.0 * (curvature - 0.1)))).min() < 1e-8
 
 
+@pytest.mark.parametrize(("friction", "share"), [(pc.NoSlip(), 1.5), (None, 1.0)])
+def test_disk_in_a_circular_bowl(friction, share):
+    """A planar mechanism, pattern 2C-2C: frequency^2 = g / ((R - r) (1 + I / m r^2)), I = 0 if it slides."""
+    radius, bowl, mass = 0.2, 1.0, 0.7
+    model = pin.Model()
+    model.gravity.linear = np.array([0.0, -G, 0.0])
+    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "disk")
+    inertia = np.diag([1.0, 1.0, 0.5 * mass * radius**2])
+    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), inertia), pin.SE3.Identity())
+    model.addBodyFrame("disk", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    rim = scene.add_contour("rim", pc.Circle(radius), "disk")
+    wall = scene.add_contour("wall", pc.Circle(bowl))
+    scene.add_contact("c", rim, wall, friction=friction)
+    assert scene.contacts["c"].pattern.name == "2C-2C"
+    angle = 0.3
+    start = [(bowl - radius) * math.sin(angle), -(bowl - radius) * math.cos(angle), 1.0, 0.0]
+    rest = pc.find_equilibrium(scene, start)
+    np.testing.assert_allclose(rest.state.q[:2], [0.0, -(bowl - radius)], rtol=0.0, atol=1e-10)
+    values = pc.linearize(scene, rest.state).without_symmetries().eigenvalues
+    assert np.abs(values - 1j * math.sqrt(G / ((bowl - radius) * share))).min() < 1e-9
+
+
 def test_sliding_with_friction():
     """A point mass slides at a speed s down a slope of tan = mu: along it nothing changes, across it friction, which
     keeps its size, damps at mu g cos / s by its direction."""
@@ -294,6 +340,23 @@ def test_sliding_with_friction():
     assert found.A[across, across] == pytest.approx(-mu * G * math.cos(slope) / speed, rel=1e-9)
     values = found.without_symmetries().eigenvalues
     assert np.abs(values + mu * G * math.cos(slope) / speed).min() < 1e-8
+
+
+def test_robot_without_contacts():
+    """An arm held up by torques: Pinocchio's own derivatives, which are exact."""
+    model = pin.buildSampleModelManipulator()
+    data, rest = model.createData(), np.zeros(model.nv)
+    q = pin.integrate(model, pin.neutral(model), np.random.default_rng(0).normal(size=model.nv))
+    tau = pin.rnea(model, data, q, rest, rest)
+    scene = pc.Scene(model)
+    found = pc.linearize(scene, scene.initial_state(q), tau)
+    pin.computeABADerivatives(model, data, q, rest, tau)
+    inverse_mass = np.triu(data.Minv) + np.triu(data.Minv, 1).T
+    n = model.nv
+    np.testing.assert_allclose(found.A[:n], np.hstack([np.zeros((n, n)), np.eye(n)]), atol=1e-13)
+    np.testing.assert_allclose(found.A[n:, :n], data.ddq_dq, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(found.A[n:, n:], data.ddq_dv, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(found.B[n:], inverse_mass, rtol=0.0, atol=1e-11)
 
 
 # ---------------------------------------------------------------------------------------------------- arguments

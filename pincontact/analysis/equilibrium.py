@@ -105,7 +105,7 @@ def find_steady_motion(
 
     Steady motions come in families; what is to be kept (a lean, a speed) goes into conditions(q, v), numbers that must
     vanish as well. Other arguments as for `find_equilibrium`.
-    Raises as `find_equilibrium`.
+    Raises as `find_equilibrium`, and StateError where a drive keeps every motion from being steady.
     """
     guess = scene.initial_state(q0, v0, t)
     instant = Instant(scene, guess, tau, decide=False)

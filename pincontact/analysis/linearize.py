@@ -129,7 +129,7 @@ def linearize(
     tau (nv,): the joint torques that act, zero by default.
     coordinates: velocity coordinates (indices, or names such as "steer" and "root_joint.wx") to describe deviations by;
     those are taken that are independent, in this order, then the best conditioned of the others.
-    tolerance: how far the motion may be from steady (`Linearization.defect`).
+    tolerance: how far the motion may be from steady (`Linearization.defect`), relative to v and a where these exceed 1.
     Raises StateError where it is farther, where a contact begins to slip at the state, or for a bad tau; ArgumentError
     for an unknown coordinate or a state of another scene; SolverError, SingularContactError where there are no
     accelerations.
@@ -146,10 +146,11 @@ def linearize(
     rows, normals = instant.rows(constrained), instant.rows(holonomic)
     symmetries = find_symmetries(instant)
     combination, defect = symmetries.fit(q, v, a)
-    if not defect <= tolerance * max(1.0, float(np.abs(v).max(initial=0.0))):
+    scale = max(1.0, float(np.abs(v).max(initial=0.0)), float(np.abs(a).max(initial=0.0)))
+    if not defect <= tolerance * scale:
         raise StateError(
             f"the motion is not steady: velocities or accelerations are off by {defect:.3g} from every motion along a "
-            f"symmetry of the scene (tolerance {tolerance:.3g}); see find_equilibrium and find_steady_motion"
+            f"symmetry of the scene (tolerance {tolerance * scale:.3g}); see find_equilibrium and find_steady_motion"
         )
     right, brackets = symmetries.right @ combination + symmetries.twist, symmetries.brackets
 

@@ -33,6 +33,10 @@ from .state import State
 from .trajectory import ContactTrack, Trajectory
 
 if TYPE_CHECKING:
+    from .analysis.equilibrium import SteadyMotion, find_equilibrium, find_steady_motion
+    from .analysis.forces import external_forces
+    from .analysis.inverse import InverseDynamics, inverse_dynamics
+    from .analysis.linearize import Linearization, linearize
     from .stepper import Stepper
     from .view.replay import export_html, replay
 
@@ -51,6 +55,8 @@ __all__ = [
     "Event",
     "FrictionError",
     "FrictionLaw",
+    "InverseDynamics",
+    "Linearization",
     "LoadedScene",
     "MissingExtraError",
     "ModelError",
@@ -63,11 +69,17 @@ __all__ = [
     "SolverError",
     "State",
     "StateError",
+    "SteadyMotion",
     "Stepper",
     "Trajectory",
     "TrajectoryError",
     "analyze",
     "export_html",
+    "external_forces",
+    "find_equilibrium",
+    "find_steady_motion",
+    "inverse_dynamics",
+    "linearize",
     "load_scene",
     "replay",
     "simulate",
@@ -76,7 +88,19 @@ __all__ = [
 ]
 
 # Imported when first used: Meshcat costs more than everything else together, the stepper has kernels of its own.
-_LAZY = {"Stepper": "stepper", "replay": "view.replay", "export_html": "view.replay"}
+_LAZY = {
+    "InverseDynamics": "analysis.inverse",
+    "Linearization": "analysis.linearize",
+    "SteadyMotion": "analysis.equilibrium",
+    "Stepper": "stepper",
+    "export_html": "view.replay",
+    "external_forces": "analysis.forces",
+    "find_equilibrium": "analysis.equilibrium",
+    "find_steady_motion": "analysis.equilibrium",
+    "inverse_dynamics": "analysis.inverse",
+    "linearize": "analysis.linearize",
+    "replay": "view.replay",
+}
 
 
 def __getattr__(name: str) -> Any:

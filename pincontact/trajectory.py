@@ -244,6 +244,22 @@ class Trajectory:
 
     # ------------------------------------------------------------------ contacts
 
+    def external_forces(self, index: int = -1) -> pin.StdVec_Force:
+        """The contacts' forces at one output as Pinocchio's external forces, one a joint, in the joint's frame.
+
+        `pin.aba(model, data, run.q[i], run.v[i], tau - damping * v, run.external_forces(i))` gives the run's
+        accelerations.
+        """
+        from .analysis.forces import joint_forces
+
+        model = self.scene.model
+        data = model.createData()
+        pin.forwardKinematics(model, data, self.q[index])
+        tracks = {name: self.contacts[name] for name in self.scene.contacts}
+        points = {name: np.nan_to_num(track.point[index]) for name, track in tracks.items()}
+        forces = {name: track.force[index] for name, track in tracks.items()}
+        return joint_forces(model, data, self.scene.contacts.values(), points, forces)
+
     def _all_tracks(self) -> dict[str, ContactTrack]:
         if self._tracks is None:
             self._tracks, self._residuals = _evaluate_tracks(self)

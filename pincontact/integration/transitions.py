@@ -135,9 +135,9 @@ class Transitions:
         self.failed_control(t)
         if status in (LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE):
             raise self.give_up(t, status)
-        self._settle(t, self._modes_from_velocities(), None, True)
+        self._settle(t, self.modes_from_velocities(), None, True)
 
-    def _modes_from_velocities(self) -> list[int]:
+    def modes_from_velocities(self) -> list[int]:
         """Give closed contacts the mode that v_c shows; returns those at rest whose friction is undecided."""
         system = self.system
         rest_speed = _REST * (1.0 + float(np.abs(system.v).max(initial=0.0)))
@@ -379,4 +379,4 @@ class Transitions:
             leaving = float(system.basis[i, 2] @ system.slip[i])
             if integers[i, UNILATERAL] and leaving > REST_SPEED * 1e-3:
                 integers[i, MODE] = FREE
-        return self.resolve(t, self._modes_from_velocities(), silent=True)
+        return self.resolve(t, self.modes_from_velocities(), silent=True)

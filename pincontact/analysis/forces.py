@@ -1,0 +1,78 @@
+"""Contact forces for Pinocchio: as external forces on joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..contacts import Contact
+from ..errors import ArgumentError, StateError
+from .instant import Instant
+
+if TYPE_CHECKING:
+    from ..scene import Scene
+    from ..state import State
+
+
+def joint_forces(
+    model: pin.Model,
+    data: pin.Data,
+    contacts: Iterable[Contact],
+    points: Mapping[str, np.ndarray],
+    forces: Mapping[str, np.ndarray],
+) -> pin.StdVec_Force:
+    """Forces on all joints, each in its joint's frame, from contact forces on second contours at world points.
+
+    data: with up to date placements of the joints (oMi).
+    """
+    out = pin.StdVec_Force()
+    total = [pin.Force.Zero() for _ in range(model.njoints)]
+    for contact in contacts:
+        point, force = points[contact.name], forces[contact.name]
+        if not np.any(force):
+            continue
+        # about the world's origin
+        wrench = pin.Force(force, np.cross(point, force))
+        for joint, acting in ((contact.second.joint, wrench), (contact.first.joint, -wrench)):
+            if joint > 0:
+                total[joint] += data.oMi[joint].actInv(acting)
+    out.extend(total)
+    return out
+
+
+def external_forces(
+    scene: Scene, state: State, tau: Any | None = None, *, forces: Mapping[str, Any] | None = None
+) -> pin.StdVec_Force:
+    """The contacts' forces at a state as Pinocchio's external forces, one for each joint, in the joint's frame.
+
+    With them `pin.aba(model, data, q, v, tau - damping * v, fext)` gives the scene's accelerations (Pinocchio's own
+    algorithms leave the model's joint damping out).
+
+    tau (nv,): joint torques that act, zero by default. forces: contact -> force (3,) in N on the second contour, world
+    axes, instead of those of the motion at the state; contacts that are not named carry none.
+    Raises ArgumentError for a state of another scene or an unknown contact, StateError for a bad tau or force,
+    SolverError or SingularContactError where there are no forces.
+    """
+    instant = Instant(scene, state, tau, decide=forces is None)
+    if forces is None:
+        acting = instant.forces()
+    else:
+        acting = dict.fromkeys(scene.contacts, np.zeros(3)) | check_forces(scene, forces)
+    system = instant.system
+    return joint_forces(scene.model, system.data, system.contacts, instant.points(), acting)
+
+
+def check_forces(scene: Scene, forces: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Given contact forces as finite arrays (3,)."""
+    out = {}
+    for name, force in forces.items():
+        if name not in scene.contacts:
+            raise ArgumentError(f"forces: unknown contact {name!r}; contacts: {', '.join(scene.contacts) or 'none'}")
+        array = np.array(force, dtype=float)
+        if array.shape != (3,) or not np.isfinite(array).all():
+            raise StateError(f"forces[{name!r}] must be 3 finite numbers in world axes, got {force!r}")
+        out[name] = array
+    return out

@@ -1,0 +1,201 @@
+"""Inverse dynamics with contacts: torques and contact forces for wanted accelerations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import ArgumentError, SolverError, StateError
+from ..geometry.patterns import ON_CURVE
+from ..layout import MODE, MU, PATTERN, SLIP_SIGN, SLIPPING, TANGENTS, UNILATERAL
+from ..state import check_vector
+from .forces import check_forces
+from .instant import RANK_TOLERANCE, Instant
+
+if TYPE_CHECKING:
+    from ..scene import Scene
+    from ..state import State
+
+# |F_n| of contacts that cannot open is the length of their normal components: fixed point.
+_ITERATIONS = 100
+_UNCHANGED = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class InverseDynamics:
+    """What `inverse_dynamics` found.
+
+    tau (nv,): joint torques, actuation @ efforts; efforts (na,); acceleration (nv,) that they make.
+    forces: contact -> force (3,) in N on the second contour given, world axes.
+    residual: what is left of the equations of motion, in N and N m.
+    """
+
+    tau: np.ndarray
+    efforts: np.ndarray
+    acceleration: np.ndarray
+    forces: dict[str, np.ndarray]
+    residual: float
+
+
+def inverse_dynamics(
+    scene: Scene,
+    state: State,
+    acceleration: Any | None = None,
+    *,
+    actuation: Any | None = None,
+    forces: Mapping[str, Any] | None = None,
+    tolerance: float = 1e-8,
+) -> InverseDynamics:
+    """Joint torques and contact forces that give a scene the accelerations wanted at a state:
+
+        M a + nle + damping v = actuation efforts + sum of (contact rows)^T F
+
+    With contacts many pairs of torques and forces do it. The ones returned have the least torques (the norm of
+    `efforts`) and, among those, the least contact forces (the norm of their components). Where friction sticks the
+    force is whatever it takes: its cone is not imposed, compare `forces` with it; contacts that slide carry Coulomb's
+    force. Contacts that are given in `forces` carry just that.
+
+    acceleration (nv,): must keep the closed contacts closed and rolling. None: the one nearest zero, in the norm of the
+    mass matrix, that does (going on at constant velocity as far as the contacts let it).
+    actuation: (nv, na) matrix, or joint names; None: all joints except a free-flying root.
+    forces: contact -> force (3,) on the second contour given, world axes.
+    tolerance: largest residual and largest constraint defect that counts as none, relative to the loads.
+    Raises StateError for an acceleration that breaks the contacts (with the contact and the number) or is no vector
+    (nv,), ArgumentError for a bad actuation or an unknown contact, SolverError where these actuators cannot do it.
+    """
+    instant = Instant(scene, state, decide=False)
+    system, model = instant.system, scene.model
+    given = check_forces(scene, forces or {})
+    matrix = actuation_matrix(model, actuation)
+    instant.evaluate()
+    constrained = instant.constrained()
+    rows, bias = instant.rows(constrained), instant.biases(constrained)
+    factor = np.tril(system.factor)
+    if acceleration is None:
+        whitened = np.linalg.solve(factor, rows.T)
+        a = -np.linalg.solve(factor.T, np.linalg.lstsq(whitened.T, bias, rcond=RANK_TOLERANCE)[0])
+    else:
+        a = check_vector("acceleration", acceleration, system.nv)
+        scale = max(1.0, float(np.abs(a).max(initial=0.0)), float(np.abs(bias).max(initial=0.0)))
+        defects = rows @ a + bias
+        if constrained and np.abs(defects).max() > tolerance * scale:
+            worst = int(np.argmax(np.abs(defects)))
+            c, row = constrained[worst]
+            kind = "apart" if (c, row) in instant.holonomic() else "into slip"
+            raise StateError(
+                f"acceleration: it takes contact {system.contacts[c].name!r} {kind} at {defects[worst]:.3g} m/s^2 "
+                f"(tolerance {tolerance * scale:.3g})"
+            )
+    # M a + nle + damping v, from the acceleration that nothing but the loads would make
+    needed = factor @ (factor.T @ (a - system.free_acceleration))
+    signs = {c.name: -1.0 if c.swapped else 1.0 for c in system.contacts}
+    for c, contact in enumerate(system.contacts):
+        if contact.name in given:
+            needed = needed - system.rows[c].T @ (system.basis[c] @ (signs[contact.name] * given[contact.name]))
+    solved = [(c, row) for c, row in constrained if system.contacts[c].name not in given]
+    loads = max(1.0, float(np.abs(needed).max(initial=0.0)), float(np.abs(system.data.nle).max(initial=0.0)))
+    solution = None
+    for start in (1.0, -1.0):
+        found = _solve(instant, solved, matrix, needed, np.full(len(solved), start))
+        if found is not None and (solution is None or found[3] < solution[3]):
+            solution = found
+        if solution is not None and solution[3] <= tolerance * loads:
+            break
+    if solution is None:
+        raise SolverError(
+            "inverse dynamics: no least torques agree with the sign of the normal force of a contact that slides and "
+            "cannot open; give its force"
+        )
+    efforts, components, shares, residual = solution
+    if residual > tolerance * loads:
+        raise SolverError(
+            f"inverse dynamics: the actuators and contacts leave {residual:.3g} N (N m) of the equations of motion "
+            f"(tolerance {tolerance * loads:.3g})"
+        )
+    acting = {name: np.zeros(3) for name in scene.contacts} | given
+    for k, (c, row) in enumerate(solved):
+        name = system.contacts[c].name
+        force = system.basis[c].T @ _unit_force(instant, c, row, shares[k]) * components[k]
+        acting[name] = acting[name] + signs[name] * force
+    return InverseDynamics(matrix @ efforts, efforts, a, acting, residual)
+
+
+def actuation_matrix(model: pin.Model, actuation: Any | None) -> np.ndarray:
+    """(nv, na): how efforts act on the velocity coordinates; from a matrix, joint names or None (see above)."""
+    nv = model.nv
+    if isinstance(actuation, str):
+        actuation = [actuation]
+    if actuation is None:
+        start = 6 if model.njoints > 1 and model.joints[1].shortname() == "JointModelFreeFlyer" else 0
+        return np.eye(nv)[:, start:]
+    if isinstance(actuation, Sequence) and all(isinstance(name, str) for name in actuation):
+        picked: list[int] = []
+        for name in actuation:
+            if not model.existJointName(name):
+                raise ArgumentError(f"actuation: unknown joint {name!r}; joints: {', '.join(list(model.names)[1:])}")
+            joint = model.joints[model.getJointId(name)]
+            picked.extend(range(joint.idx_v, joint.idx_v + joint.nv))
+        return np.eye(nv)[:, picked]
+    matrix = np.asarray(actuation, dtype=float)
+    if matrix.ndim != 2 or matrix.shape[0] != nv or not np.isfinite(matrix).all():
+        raise ArgumentError(f"actuation must be a finite matrix ({nv}, na) or joint names, got shape {matrix.shape}")
+    return matrix
+
+
+def _solve(
+    instant: Instant, solved: list[tuple[int, int]], actuation: np.ndarray, needed: np.ndarray, shares: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float] | None:
+    """Efforts, force components, shares (see `_shares`) and the largest residual; None where shares do not settle."""
+    columns = np.zeros((needed.size, len(solved)))
+    for _ in range(_ITERATIONS):
+        for k, (c, row) in enumerate(solved):
+            columns[:, k] = instant.system.rows[c].T @ _unit_force(instant, c, row, shares[k])
+        efforts, components = _least(actuation, columns, needed)
+        new = _shares(instant, solved, components)
+        if np.abs(new - shares).max(initial=0.0) <= _UNCHANGED:
+            left = actuation @ efforts + columns @ components - needed
+            return efforts, components, shares, float(np.abs(left).max(initial=0.0))
+        shares = new
+    return None
+
+
+def _least(actuation: np.ndarray, columns: np.ndarray, needed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least efforts, then least force components, with actuation efforts + columns components = needed."""
+    inverse = np.linalg.pinv(columns, rcond=RANK_TOLERANCE)
+    # what contacts cannot take
+    rest = np.eye(needed.size) - columns @ inverse
+    efforts = np.linalg.pinv(rest @ actuation, rcond=RANK_TOLERANCE) @ (rest @ needed)
+    return efforts, inverse @ (needed - actuation @ efforts)
+
+
+def _unit_force(instant: Instant, c: int, row: int, share: float) -> np.ndarray:
+    """Force on body 2 along (t1, second, n) that a unit of one component brings with it: Coulomb's where it slides."""
+    system = instant.system
+    integers = system.contact_int[c]
+    out = np.zeros(3)
+    out[row] = 1.0
+    if integers[MODE] == SLIPPING:
+        mu = system.contact_real[c, MU]
+        if integers[TANGENTS] == 1:
+            out[0] -= mu * share * float(integers[SLIP_SIGN])
+        else:
+            along = system.basis[c, :2] @ system.slip[c]
+            out[:2] -= mu * share * along / np.hypot(along[0], along[1])
+    return out
+
+
+def _shares(instant: Instant, solved: list[tuple[int, int]], components: np.ndarray) -> np.ndarray:
+    """|F_n| by each normal component: the components of its unit vector on a spatial curve, else its sign."""
+    out = np.ones(len(solved))
+    integers = instant.system.contact_int
+    for c in {c for c, _ in solved}:
+        on_curve = integers[c, PATTERN] == ON_CURVE
+        normals = [k for k, (other, row) in enumerate(solved) if other == c and (row == 2 or (row == 1 and on_curve))]
+        size = float(np.linalg.norm(components[normals]))
+        if size > 0.0 and not integers[c, UNILATERAL]:
+            out[normals] = components[normals] / size
+    return out

@@ -1,0 +1,259 @@
+"""Linearised motion about equilibria and steady motions, with rolling, sliding and frictionless contacts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg import qr
+
+from ..errors import ArgumentError, StateError
+from ..state import State
+from .instant import FIRST_STEP, Instant, derivative, null_space
+from .symmetry import find_symmetries
+
+if TYPE_CHECKING:
+    from ..scene import Scene
+
+# A coordinate is chosen only if the others depend on it by less than the inverse of this.
+_WELL_CONDITIONED = 1e-6
+# A symmetry that moves the state by less (in m and rad) leaves it where it is.
+_NO_MOTION = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """x' = A x + B dtau about a steady motion, for n independent deviations x.
+
+    x holds the deviations of the velocity coordinates `indices` of the model: the first `positions` of them of the
+    configuration (dq, tangent to it as `pin.difference` gives it), the others of the velocity (dv). `names` says so in
+    words, "q:steer" or "v:root_joint.wx". Every consistent deviation is dq = dq_dx x, dv = dv_dx x.
+
+    A (n, n), B (n, nv); dq_dx, dv_dx (nv, n); dtau joint torques, in Pinocchio's order; SI units.
+    symmetries (n, s): deviations that lead to the same motion elsewhere (position on the plane, heading, spin), by
+    columns; they span an invariant subspace of A.
+    error: estimated error of A's entries, from the differences and from how exactly A keeps to consistent deviations.
+    defect: how far the motion is from steady, in m, rad and s.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    indices: np.ndarray
+    positions: int
+    names: list[str]
+    dq_dx: np.ndarray
+    dv_dx: np.ndarray
+    symmetries: np.ndarray
+    error: float
+    defect: float
+
+    @cached_property
+    def _eigen(self) -> tuple[np.ndarray, np.ndarray]:
+        values, vectors = np.linalg.eig(self.A)
+        order = np.lexsort((values.imag, -values.real))
+        return values[order], vectors[:, order]
+
+    @property
+    def eigenvalues(self) -> np.ndarray:
+        """(n,) complex, in 1/s, the least stable first."""
+        return self._eigen[0]
+
+    @property
+    def eigenvectors(self) -> np.ndarray:
+        """(n, n) complex, by columns, in x."""
+        return self._eigen[1]
+
+    def reduce(self, dq: Any, dv: Any) -> np.ndarray:
+        """x of a consistent deviation dq, dv (nv,)."""
+        dq, dv = np.asarray(dq, dtype=float), np.asarray(dv, dtype=float)
+        return np.concatenate([dq[self.indices[: self.positions]], dv[self.indices[self.positions :]]])
+
+    def without_symmetries(self) -> Linearization:
+        """The same with deviations along the symmetries left out: what matters to stability.
+
+        Position, heading and spin are dropped, and their eigenvalues with them (zeros, or plus and minus i times the
+        turning rate). What is left of steady motions that come in families, such as the speed of a vehicle, is a zero
+        eigenvalue for each of their parameters.
+        The coordinates that remain keep their names; the others are whatever makes the deviation along symmetries zero.
+        """
+        if self.symmetries.shape[1] == 0:
+            return self
+        basis, triangle, _ = qr(self.symmetries, mode="economic", pivoting=True)
+        sizes = np.abs(np.diag(triangle))
+        basis = basis[:, : int((sizes > _NO_MOTION * max(1.0, sizes[0])).sum())]
+        if basis.shape[1] == 0:
+            return self
+        dropped = _independent(basis, range(self.positions))
+        kept = [i for i in range(self.A.shape[0]) if i not in dropped]
+        # x[kept] - basis[kept] basis[dropped]^-1 x[dropped] does not change along symmetries
+        project = np.zeros((len(kept), self.A.shape[0]))
+        project[:, kept] = np.eye(len(kept))
+        project[:, dropped] = -np.linalg.solve(basis[dropped].T, basis[kept].T).T
+        return Linearization(
+            (project @ self.A)[:, kept],
+            project @ self.B,
+            self.indices[kept],
+            sum(i < self.positions for i in kept),
+            [self.names[i] for i in kept],
+            self.dq_dx[:, kept],
+            self.dv_dx[:, kept],
+            np.zeros((len(kept), 0)),
+            max(self.error, float(np.abs(project @ self.A @ basis).max())),
+            self.defect,
+        )
+
+
+def linearize(
+    scene: Scene,
+    state: State,
+    tau: Any | None = None,
+    *,
+    coordinates: Sequence[str | int] = (),
+    tolerance: float = 1e-6,
+) -> Linearization:
+    """Linearise a scene's motion about an equilibrium or a steady motion.
+
+    Contacts keep the mode they have at the state. Geometric constraints reduce configurations and velocities, rolling
+    constraints velocities only, so n = 2 (nv - GCs) - VCs: rolling does not bind the configuration. Derivatives are
+    Richardson extrapolations of the package's own constrained accelerations, exact to about 1e-11; their error is
+    estimated and reported.
+
+    A steady motion follows a symmetry (see `analysis.symmetry`): the deviation is taken in axes that go along with it,
+    where A is constant. So a bicycle that runs straight, a disk that rolls in a circle and a bead in a rotating hoop
+    are all points of rest.
+
+    tau (nv,): the joint torques that act, zero by default.
+    coordinates: velocity coordinates (indices, or names such as "steer" and "root_joint.wx") to describe deviations by;
+    those are taken that are independent, in this order, then the best conditioned of the others.
+    tolerance: how far the motion may be from steady (`Linearization.defect`), relative to v and a where these exceed 1.
+    Raises StateError where it is farther, where a contact begins to slip at the state, or for a bad tau; ArgumentError
+    for an unknown coordinate or a state of another scene; SolverError, SingularContactError where there are no
+    accelerations.
+    """
+    instant = Instant(scene, state, tau)
+    if instant.starting():
+        raise StateError(
+            f"contact {instant.starting()[0]!r} begins to slip at this state: no linear motion describes it"
+        )
+    q, v, model, nv = instant.q, instant.v, instant.model, instant.system.nv
+    wanted = [_coordinate(model, entry) for entry in coordinates]
+    a = instant.evaluate()
+    constrained, holonomic = instant.constrained(), instant.holonomic()
+    rows, normals = instant.rows(constrained), instant.rows(holonomic)
+    symmetries = find_symmetries(instant)
+    combination, defect = symmetries.fit(q, v, a)
+    scale = max(1.0, float(np.abs(v).max(initial=0.0)), float(np.abs(a).max(initial=0.0)))
+    if not defect <= tolerance * scale:
+        raise StateError(
+            f"the motion is not steady: velocities or accelerations are off by {defect:.3g} from every motion along a "
+            f"symmetry of the scene (tolerance {tolerance * scale:.3g}); see find_equilibrium and find_steady_motion"
+        )
+    right, brackets = symmetries.right @ combination + symmetries.twist, symmetries.brackets
+
+    # consistent deviations: dq = Z y; dv = W u + G y, with the constrained components of v_c staying zero
+    z = null_space(normals)
+    configuration = _independent(z, wanted)
+    z = np.linalg.solve(z[configuration].T, z.T).T
+    w = null_space(rows)
+    velocity = _independent(w, wanted)
+    w = np.linalg.solve(w[velocity].T, w.T).T
+    error = 0.0
+    turning, pull = np.zeros((len(constrained), z.shape[1])), np.zeros((nv, z.shape[1]))
+    for k in range(z.shape[1]):
+        along = z[:, k]
+
+        def varied(h: float, along: np.ndarray = along) -> np.ndarray:
+            acceleration = instant.evaluate(instant.moved(h * along))
+            return np.concatenate([instant.velocities(constrained), acceleration])
+
+        change, off = derivative(varied, instant.step_along(along))
+        turning[:, k], pull[:, k] = change[: len(constrained)], change[len(constrained) :]
+        error = max(error, off)
+    g = -np.linalg.lstsq(rows, turning, rcond=1e-9)[0] if constrained else np.zeros((nv, z.shape[1]))
+    g -= w @ g[velocity]
+    drag = np.zeros((nv, nv))
+    for k in range(nv):
+        unit = np.eye(nv)[k]
+        # quadratic in v but for slipping contacts, whose direction turns within a step of the speed of slip
+        step = FIRST_STEP * max(1.0, float(np.abs(v).max(initial=0.0)))
+        drag[:, k], off = derivative(lambda h, unit=unit: instant.evaluate(v=v + h * unit), step)  # type: ignore[misc]
+        error = max(error, off)
+    torque = np.zeros((nv, nv))
+    load = max(1.0, float(np.abs(instant.system.data.nle).max(initial=0.0)))
+    for k in range(nv):
+        unit = np.eye(nv)[k]
+        torque[:, k], off = derivative(lambda h, unit=unit: instant.evaluate(tau=instant.tau + h * unit), 0.1 * load)  # type: ignore[misc]
+        error = max(error, off)
+
+    dq_dx = np.hstack([z, np.zeros((nv, w.shape[1]))])
+    dv_dx = np.hstack([g, w])
+    # the flow seen from axes that go along with the symmetry: dq' = dv - [v - e, dq], dv' = A_q dq + A_v dv + [e, dv]
+    q_rate = dv_dx - brackets(v - right) @ dq_dx
+    v_rate = np.hstack([pull, np.zeros_like(w)]) + (drag + brackets(right)) @ dv_dx
+    matrix = np.vstack([q_rate[configuration], v_rate[velocity]])
+    for found, expected in ((q_rate, dq_dx @ matrix), (v_rate, dv_dx @ matrix)):
+        error = max(error, float(np.abs(found - expected).max(initial=0.0)))
+    orbit = np.vstack([symmetries.displacements(q)[configuration], symmetries.accelerations(v)[velocity]])
+    names = velocity_names(model)
+    return Linearization(
+        matrix,
+        np.vstack([np.zeros((len(configuration), nv)), torque[velocity]]),
+        np.array(configuration + velocity),
+        len(configuration),
+        [f"q:{names[k]}" for k in configuration] + [f"v:{names[k]}" for k in velocity],
+        dq_dx,
+        dv_dx,
+        orbit,
+        error,
+        defect,
+    )
+
+
+def velocity_names(model: pin.Model) -> list[str]:
+    """Names of the velocity coordinates: the joint's, with .vx ... .wz for a free flyer and .0, .1, ... for others."""
+    names: list[str] = [""] * model.nv
+    for j in range(1, model.njoints):
+        joint, name = model.joints[j], str(model.names[j])
+        if joint.nv == 1:
+            parts = [name]
+        elif joint.shortname() == "JointModelFreeFlyer":
+            parts = [f"{name}.{axis}" for axis in ("vx", "vy", "vz", "wx", "wy", "wz")]
+        else:
+            parts = [f"{name}.{k}" for k in range(joint.nv)]
+        names[joint.idx_v : joint.idx_v + joint.nv] = parts
+    return names
+
+
+def _coordinate(model: pin.Model, entry: str | int) -> int:
+    names = velocity_names(model)
+    if isinstance(entry, str):
+        if entry not in names:
+            raise ArgumentError(f"unknown coordinate {entry!r}; velocity coordinates: {', '.join(names)}")
+        return names.index(entry)
+    if not 0 <= entry < model.nv:
+        raise ArgumentError(f"coordinate {entry} is not one of the {model.nv} velocity coordinates")
+    return int(entry)
+
+
+def _independent(basis: np.ndarray, wanted: Sequence[int]) -> list[int]:
+    """As many rows of a basis (n, k) as it has columns, independent: those wanted first, then the best conditioned."""
+    k = basis.shape[1]
+    chosen: list[int] = []
+    rest = basis.copy()
+
+    def take(row: int) -> None:
+        nonlocal rest
+        unit = rest[row] / np.linalg.norm(rest[row])
+        rest = rest - np.outer(rest @ unit, unit)
+        chosen.append(row)
+
+    for row in wanted:
+        if len(chosen) < k and np.linalg.norm(rest[row]) > _WELL_CONDITIONED:
+            take(row)
+    while len(chosen) < k:
+        take(int(np.argmax(np.linalg.norm(rest, axis=1))))
+    return sorted(chosen)

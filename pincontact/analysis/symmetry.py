@@ -1,0 +1,188 @@
+"""Symmetries of a scene's motion: position on a plane, heading, spin of round bodies.
+
+A generator moves the configuration by a left part, fixed in the space that carries a joint (a body pushed along the
+plane, turned about the vertical), and a right part, fixed in the body (a wheel turned about its own axis). On the
+Lie groups of Pinocchio's joints, with Ad and ad of the tangent coordinates,
+
+    dq = Ad left + right,      dv = [v, right],      da = [a, right]   if the equations of motion do not notice.
+
+Only motions of the joints' own groups are seen: of a bead on three sliding joints the shifts, on a free flyer the
+rotations too.
+
+A steady motion is one that follows a generator: v = dq and a = dv (a relative equilibrium); an equilibrium follows 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import SingularContactError, SolverError, StateError
+from .instant import FIRST_STEP, Instant, derivative
+
+# Random states at which a symmetry must hold, and how far they are from the given one.
+_SAMPLES = 3
+# Differences here tell zero from not: fewer levels do.
+_LEVELS = 5
+_SPREAD = 0.05
+_RETRIES = 12
+# Singular values below this fraction of the largest are symmetries; differences are good to about 1e-11.
+_TOLERANCE = 1e-7
+# First step in s of differences in time, and a share of time in a generator (of unit length) that counts as none.
+_TIME_STEP = 0.05
+_TIMELESS = 1e-6
+
+
+class Brackets:
+    """The Lie bracket of Pinocchio's tangent coordinates, [x, y]_i = sum over j, k of constants[i, j, k] x_j y_k.
+
+    Read off Pinocchio's own transport exp(-h [x, .]) along a motion, so that it knows every joint; rounded, since the
+    constants of these groups are -1, 0 and 1.
+    """
+
+    def __init__(self, model: pin.Model) -> None:
+        nv = model.nv
+        self.constants = np.zeros((nv, nv, nv))
+        q = pin.neutral(model)
+        for j, unit in enumerate(np.eye(nv)):
+            rate, _ = derivative(lambda h, x=unit: pin.dIntegrate(model, q, h * x, pin.ArgumentPosition.ARG0), 0.5)  # type: ignore[misc]
+            self.constants[:, j, :] = -np.round(rate)
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """(nv, nv) matrix of y -> [x, y]."""
+        return np.einsum("ijk,j->ik", self.constants, x)
+
+    def twisting(self) -> np.ndarray:
+        """Indices of the coordinates that do not commute with all others."""
+        return np.flatnonzero(np.abs(self.constants).sum(axis=(0, 1)))
+
+
+@dataclass(frozen=True)
+class Symmetries:
+    """Generators, one a column; left (nv, s) in the tangent coordinates of the state's configuration q0.
+
+    drift (nv,), twist (nv,): left and right part of the generator that goes with time, at unit rate (a rotating hoop
+    carries its bead around); zero where no drive depends on time.
+    """
+
+    model: pin.Model
+    brackets: Brackets
+    q0: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    drift: np.ndarray
+    twist: np.ndarray
+
+    @property
+    def count(self) -> int:
+        return int(self.left.shape[1])
+
+    def displacements(self, q: np.ndarray) -> np.ndarray:
+        """(nv, s) how the generators move q."""
+        return self._transport(q) @ self.left + self.right
+
+    def accelerations(self, v: np.ndarray) -> np.ndarray:
+        """(nv, s) how they change v."""
+        return self.brackets(v) @ self.right
+
+    def velocity(self, q: np.ndarray, combination: np.ndarray) -> np.ndarray:
+        """(nv,) rate of q along the generator of time and a combination (s,) of the others."""
+        return self.displacements(q) @ combination + self._transport(q) @ self.drift + self.twist
+
+    def acceleration(self, v: np.ndarray, combination: np.ndarray) -> np.ndarray:
+        """(nv,) rate of v along them."""
+        return self.brackets(v) @ (self.right @ combination + self.twist)
+
+    def fit(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, float]:
+        """The combination (s,) of generators that the motion follows, and how far it is from following one.
+
+        The distance is the largest component of v and a that is left over, in m, rad and s.
+        """
+        matrix = np.vstack([self.displacements(q), self.accelerations(v)])
+        none = np.zeros(self.count)
+        motion = np.concatenate([v - self.velocity(q, none), a - self.acceleration(v, none)])
+        combination = np.linalg.lstsq(matrix, motion, rcond=1e-10)[0]
+        return combination, float(np.abs(motion - matrix @ combination).max(initial=0.0))
+
+    def _transport(self, q: np.ndarray) -> np.ndarray:
+        apart = pin.difference(self.model, self.q0, q)
+        return pin.dIntegrate(self.model, self.q0, apart, pin.ArgumentPosition.ARG0)
+
+
+def find_symmetries(instant: Instant) -> Symmetries:
+    """All generators under which contacts and accelerations stay alike, found by differences at random states nearby.
+
+    Raises SolverError where no states nearby can be evaluated, StateError where a drive makes the motion look different
+    as time goes on, from whatever axes.
+    """
+    model, nv = instant.model, instant.system.nv
+    rng = np.random.default_rng(20070815)
+    brackets = Brackets(model)
+    # where the group commutes the right part is the left one
+    rights = brackets.twisting()
+    blocks: list[np.ndarray] = []
+    spread = _SPREAD
+    for _ in range(_RETRIES):
+        if len(blocks) == _SAMPLES:
+            break
+        apart = spread * instant.length * rng.uniform(-1.0, 1.0, nv)
+        speed = max(1.0, float(np.abs(instant.v).max(initial=0.0)))
+        v = instant.v + (0.0 if instant.slips() else 0.3 * speed) * rng.uniform(-1.0, 1.0, nv)
+        try:
+            blocks.append(_defects(instant, brackets, *instant.projected(instant.moved(apart), v), rights))
+        except (SolverError, SingularContactError):
+            spread *= 0.5
+    if len(blocks) < _SAMPLES:
+        raise SolverError("symmetries: the equations of motion cannot be evaluated near this state")
+    matrix = np.vstack(blocks)
+    _, values, vectors = np.linalg.svd(matrix)
+    rank = int((values > _TOLERANCE * values[0]).sum()) if values.size else 0
+    free = vectors[rank:].T
+    # turn the basis so that one generator alone goes with time
+    rates = free[-1]
+    speed = float(np.linalg.norm(rates))
+    if speed < _TIMELESS:
+        raise StateError("the motion is not steady: a drive makes the accelerations depend on time")
+    basis = np.linalg.qr(np.column_stack([rates / speed, np.eye(rates.size)]))[0]
+    with_time = free @ rates / speed**2
+    free = free @ basis[:, 1:]
+    right, twist = np.zeros((nv, free.shape[1])), np.zeros(nv)
+    right[rights], twist[rights] = free[nv:-1], with_time[nv:-1]
+    return Symmetries(model, brackets, instant.q.copy(), free[:nv], right, with_time[:nv], twist)
+
+
+def _defects(instant: Instant, brackets: Brackets, q: np.ndarray, v: np.ndarray, rights: np.ndarray) -> np.ndarray:
+    """(rows, nv + rights + 1) what each elementary generator changes at a state: gaps' rates, accelerations.
+
+    The last one is time.
+    """
+    model, nv = instant.model, instant.system.nv
+    a = instant.evaluate(q, v)
+    holonomic = instant.holonomic()
+    normals, speeds = instant.rows(holonomic), instant.velocities(holonomic)
+    scale = max(1.0, float(np.abs(a).max(initial=0.0)))
+    transport = pin.dIntegrate(model, instant.q, pin.difference(model, instant.q, q), pin.ArgumentPosition.ARG0)
+    columns = []
+    for index in range(nv + rights.size):
+        dv, expected = np.zeros(nv), np.zeros(nv)
+        if index < nv:
+            dq = transport[:, index]
+        else:
+            dq = np.zeros(nv)
+            dq[rights[index - nv]] = 1.0
+            dv, expected = brackets(v) @ dq, brackets(a) @ dq
+        step = min(instant.step_along(dq), FIRST_STEP / max(float(np.abs(dv).max()), 1.0))
+
+        def moved(h: float, dq: np.ndarray = dq, dv: np.ndarray = dv) -> np.ndarray:
+            return instant.evaluate(instant.moved(h * dq, q), v + h * dv)
+
+        change, _ = derivative(moved, step, _LEVELS)
+        columns.append(np.concatenate([normals @ dq, (change - expected) / scale]))
+    aging = np.zeros(nv)
+    if instant.driven():
+        aging, _ = derivative(lambda h: instant.evaluate(q, v, t=instant.t + h), _TIME_STEP)
+    # what of the normal velocities the drives make
+    columns.append(np.concatenate([speeds - normals @ v, aging / scale]))
+    return np.column_stack(columns)

@@ -1,0 +1,161 @@
+"""Equilibria and steady motions against closed forms."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from test_inverse import bicycle
+
+import pincontact as pc
+
+URDF = Path(__file__).resolve().parent.parent / "urdf"
+G = 9.81
+LEVEL = [0.0, 0.0, 0.0, 1.0]
+
+
+def ball_on(surface, friction=None, placement=None, side=None):
+    scene = pc.Scene.from_urdf(URDF / "ball.urdf", floating_base=True)
+    ball = scene.add_contour("ball", pc.Sphere(0.1), "ball")
+    ground = scene.add_contour("ground", surface, placement=placement)
+    scene.add_contact("c", ball, ground, friction=friction, side=side)
+    return scene
+
+
+@pytest.mark.parametrize("friction", [None, pc.Coulomb(0.3), pc.NoSlip()])
+def test_ball_finds_the_lowest_point(friction):
+    """From 30 degrees up the wall of a bowl that is not round. The residual is at rounding, the point where the slope
+    vanishes."""
+    scene = ball_on(pc.Ellipsoid(1.2, 0.9, 0.7), friction, pin.SE3(np.eye(3), np.array([0.5, -0.2, 0.7])), side=-1)
+    start = [0.9, 0.1, 0.22, *LEVEL]
+    found = pc.find_equilibrium(scene, scene.initial_state(start, max_gap=0.2).q)
+    np.testing.assert_allclose(found.state.q[:3], [0.5, -0.2, 0.1], rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(found.forces["c"], [0.0, 0.0, -0.5 * G], rtol=0.0, atol=1e-9)
+    assert found.holds
+    assert found.residual < 1e-10
+    assert np.abs(found.state.v).max() == 0.0
+
+
+def test_nearest_of_a_family():
+    """On a plane a ball stays where it is, but for the gap."""
+    scene = ball_on(pc.Plane(), pc.Coulomb(0.3))
+    found = pc.find_equilibrium(scene, [0.3, -0.4, 0.101, *LEVEL])
+    np.testing.assert_allclose(found.state.q, [0.3, -0.4, 0.1, *LEVEL], rtol=0.0, atol=1e-12)
+
+
+def test_no_equilibrium():
+    tilted = pin.SE3(pin.utils.rotate("y", 0.2), np.zeros(3))
+    scene = ball_on(pc.Plane(), None, tilted)
+    q = np.r_[0.1 * tilted.rotation[:, 2], LEVEL]
+    with pytest.raises(pc.SolverError, match=r"no equilibrium was found .* the residual is 1\.9"):
+        pc.find_equilibrium(scene, q)
+    with pytest.raises(pc.NoContactError):
+        pc.find_equilibrium(scene, [0.0, 0.0, 5.0, *LEVEL])
+
+
+@pytest.mark.parametrize(("mu", "holds"), [(0.21, True), (0.2, False)])
+def test_whether_friction_holds(mu, holds):
+    """A bead on a slope of 0.2 rad stays if mu > tan 0.2 = 0.2027."""
+    tilted = pin.SE3(pin.utils.rotate("y", 0.2), np.zeros(3))
+    scene = pc.Scene.from_urdf(URDF / "bead.urdf", floating_base=True)
+    bead, slope = (
+        scene.add_contour("bead", pc.Point(), "bead"),
+        scene.add_contour("slope", pc.Plane(), placement=tilted),
+    )
+    scene.add_contact("c", bead, slope, friction=pc.Coulomb(mu))
+    found = pc.find_equilibrium(scene, [0.0, 0.0, 0.0, *LEVEL])
+    assert found.holds == holds
+    np.testing.assert_allclose(found.forces["c"], [0.0, 0.0, -0.1 * G], rtol=0.0, atol=1e-10)
+
+
+def test_holding_torque():
+    """A motor holds an eccentric cam under the weight of its follower: m g e cos(angle)."""
+    scene = pc.Scene.from_urdf(URDF / "cam_follower.urdf")
+    model = scene.model
+    model.gravity.linear = np.array([0.0, -G, 0.0])
+    cam = scene.add_contour("cam", pc.Circle(0.06), "cam", pin.SE3(np.eye(3), np.array([0.02, 0.0, 0.0])))
+    face = scene.add_contour("face", pc.Line(), "follower")
+    scene.add_contact("c", cam, face)
+    shaft, guide = (model.joints[model.getJointId(name)] for name in ("shaft", "guide"))
+    q = pin.neutral(model)
+    q[guide.idx_q] = 0.06
+    wanted = 0.7
+
+    def angle(q):
+        return [math.atan2(q[shaft.idx_q + 1], q[shaft.idx_q]) - wanted]
+
+    found = pc.find_equilibrium(scene, q, actuation=["shaft"], conditions=angle)
+    assert found.state.q[guide.idx_q] == pytest.approx(0.06 + 0.02 * math.sin(wanted), abs=1e-12)
+    assert found.tau[shaft.idx_v] == pytest.approx(0.5 * G * 0.02 * math.cos(wanted), rel=1e-10)
+    assert found.tau[guide.idx_v] == 0.0
+    # without the motor the cam turns until the weight has no arm
+    hanging = pc.find_equilibrium(scene, found.state.q)
+    assert abs(math.cos(angle(hanging.state.q)[0] + wanted)) < 1e-9
+
+
+def test_steady_disk():
+    """(J3 + m R^2) W w3 = J1 W^2 cos(tilt) - m g R cot(tilt), tilt and spin given, the precession found."""
+    scene = pc.Scene.from_urdf(URDF / "disk.urdf", floating_base=True)
+    rim, floor = scene.add_contour("rim", pc.Circle(0.3), "disk"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", rim, floor, friction=pc.Coulomb(0.8))
+    tilt, spin = 1.2, 8.0
+    q = np.r_[0.0, 0.0, 0.3 * math.sin(tilt), pin.Quaternion(pin.utils.rotate("y", tilt)).coeffs()]
+    omega = np.array([0.8, 0.0, spin])
+
+    def kept(q, v):
+        return [pin.Quaternion(q[3:]).matrix()[2, 2] - math.cos(tilt), v[5] - spin]
+
+    found = pc.find_steady_motion(scene, q, np.r_[-np.cross(omega, [0.3, 0.0, 0.0]), omega], conditions=kept)
+    rotation = pin.Quaternion(found.state.q[3:]).matrix()
+    axis, turning = rotation[:, 2], rotation @ found.state.v[3:]
+    # precession about the vertical: what the angular velocity is made of besides spin
+    across = np.cross(axis, [0.0, 0.0, 1.0])
+    precession = float(np.cross(axis, turning) @ across / (across @ across))
+    loads = 0.045 * precession**2 * math.cos(tilt) - 2.0 * G * 0.3 / math.tan(tilt)
+    assert precession == pytest.approx(loads / (0.27 * spin), rel=1e-9)
+    assert found.holds
+    run = pc.simulate(scene, found.state, 2.0, rtol=1e-10, atol=1e-12)
+    assert run.events == []
+    # marginally stable: what is off by 1e-10 stays so, but for the integration's 1e-10 a step
+    tilts = np.array([pin.Quaternion(q[3:]).matrix()[2, 2] for q in run.q])
+    assert np.abs(tilts - math.cos(tilt)).max() < 1e-8
+    np.testing.assert_allclose(run.v[-1, 5], spin, rtol=0.0, atol=1e-7)
+
+
+def test_bicycle_in_a_turn():
+    """Handlebar held at an angle by a torque, at a given speed: leaning inwards, the contacts' forces turn the mass."""
+    scene, start = bicycle()
+    model = scene.model
+    rear, steer, front = (model.joints[model.getJointId(n)] for n in ("rear_axle", "steer", "front_axle"))
+    v = np.zeros(model.nv)
+    v[0], v[rear.idx_v], v[front.idx_v] = 5.0, 5.0 / 0.3, 5.0 / 0.35
+
+    def kept(q, v):
+        return [q[steer.idx_q] - 0.1, v[rear.idx_v] - 5.0 / 0.3]
+
+    found = pc.find_steady_motion(scene, start.q, v, conditions=kept, actuation=["steer"])
+    assert found.residual < 1e-9
+    assert found.holds
+    assert np.count_nonzero(found.tau) == 1
+    data = model.createData()
+    q, v = found.state.q, found.state.v
+    lean = math.asin(pin.Quaternion(q[3:7]).matrix()[2, 1])
+    pin.centerOfMass(model, data, q, v)
+    velocity = data.vcom[0].copy()
+    turning = float((pin.Quaternion(q[3:7]).matrix() @ v[3:6])[2])
+    assert turning > 0.0 > lean
+    # m (W x v) and the weight, on the bicycle; forces are on the floor
+    total = -sum(found.forces.values())
+    expected = 94.0 * np.cross([0.0, 0.0, turning], velocity) + [0.0, 0.0, 94.0 * G]
+    np.testing.assert_allclose(total, expected, rtol=0.0, atol=1e-6)
+    run = pc.simulate(scene, found.state, 1.0, rtol=1e-9, control=lambda t, q, v: found.tau)
+    np.testing.assert_allclose(run.v[-1], v, rtol=0.0, atol=1e-6)
+
+
+def test_conditions_must_be_numbers():
+    scene = ball_on(pc.Plane())
+    with pytest.raises(pc.ArgumentError, match="conditions must return numbers, got 'height'"):
+        pc.find_equilibrium(scene, [0.0, 0.0, 0.1, *LEVEL], conditions=lambda q: "height")
+    with pytest.raises(pc.StateError, match=r"conditions\[0\] is nan"):
+        pc.find_equilibrium(scene, [0.0, 0.0, 0.1, *LEVEL], conditions=lambda q: math.nan)

@@ -1,10 +1,10 @@
-"""What one evaluation costs, for every pattern and kind of contour, as a ratio to `pin.aba` on the same model.
+"""What one evaluation costs against `pin.aba` on the same model: by pattern and contour, robot, number of contacts.
 
 An evaluation is what an integrator needs at one state: Pinocchio's terms, the contacts' kinematics, forces and
 accelerations, in stick. Times are medians of several batches; ratios are taken within the same batches, since machines
-are noisy.
+are noisy. The last section shows where the time of whole runs goes.
 
-    python examples/benchmarks/cost.py [--csv FILE]
+    python examples/benchmarks/cost.py [--only SECTION] [--csv FILE]
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from pincontact.layout import MODE, MU, STICK
 from pincontact.state import write_discrete
 
 BATCHES, CALLS = 15, 2000
+Writer = Callable[[str, float, float, float], None]
 
 
 def free_body() -> pin.Model:
@@ -121,38 +122,198 @@ def prepare(model: pin.Model, body: pc.Contour, world: pc.Contour, q: np.ndarray
     return system, contact.pattern.name
 
 
-def batch(call: Callable[[], object]) -> float:
+def batch(call: Callable[[], object], calls: int = CALLS) -> float:
     """Seconds per call of one batch."""
     began = time.perf_counter()
-    for _ in range(CALLS):
+    for _ in range(calls):
         call()
-    return (time.perf_counter() - began) / CALLS
+    return (time.perf_counter() - began) / calls
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--csv", help="also write the table to this file")
-    arguments = parser.parse_args()
-    rows = []
+def compare(call: Callable[[], object], other: Callable[[], object], calls: int = CALLS) -> tuple[float, float, float]:
+    """Median microseconds of both calls, and the median of their ratios in the same batches."""
+    pairs = [(batch(call, calls), batch(other, calls)) for _ in range(BATCHES)]
+    first, second = (statistics.median(pair[i] for pair in pairs) * 1e6 for i in (0, 1))
+    return first, second, statistics.median(a / b for a, b in pairs)
+
+
+def against_aba(system: System, calls: int = CALLS) -> tuple[float, float, float]:
+    """An evaluation of the system against `pin.aba` on its model (see `compare`)."""
+    model, data, tau = system.model, system.model.createData(), np.zeros(system.nv)
+    return compare(lambda: system.evaluate(0.0), lambda: pin.aba(model, data, system.q, system.v, tau), calls)
+
+
+# ---------------------------------------------------------------- patterns and contours
+
+
+def patterns(write: Writer) -> None:
+    """One contact on one body, for every pattern and kind of contour."""
     print(f"{'pattern':8s} {'shapes':28s} {'evaluation':>11s} {'pin.aba':>9s} {'ratio':>6s} {'to disk':>8s}")
     reference = 0.0
     for expected, shapes, model, body, world, q in scenes():
         system, pattern = prepare(model, body, world, q)
         assert pattern == expected, (shapes, pattern)
-        data, tau = model.createData(), np.zeros(model.nv)
-        pairs = [
-            (batch(lambda: system.evaluate(0.0)), batch(lambda: pin.aba(model, data, system.q, system.v, tau)))  # noqa: B023
-            for _ in range(BATCHES)
-        ]
-        ratio = statistics.median(a / b for a, b in pairs)
-        cost, aba = (statistics.median(p[i] for p in pairs) * 1e6 for i in (0, 1))
+        cost, aba, ratio = against_aba(system)
         reference = reference or ratio
-        rows.append((pattern, shapes, cost, aba, ratio, ratio / reference))
+        write(f"{pattern} {shapes}", cost, aba, ratio)
         print(f"{pattern:8s} {shapes:28s} {cost:8.2f} us {aba:6.2f} us {ratio:6.2f} {ratio / reference:8.2f}")
+
+
+# ---------------------------------------------------------------- robots and numbers of contacts
+
+
+def legged(legs: int, joints: int) -> tuple[pin.Model, list[str]]:
+    """A floating base with legs of revolute joints; the frames at their ends."""
+    model = free_body()
+    feet = []
+    for leg in range(legs):
+        parent = 1
+        placement = pin.SE3(np.eye(3), np.array([0.3 * math.cos(2.1 * leg), 0.3 * math.sin(2.1 * leg), 0.0]))
+        for k in range(joints):
+            kind = (pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRY())[k % 3]
+            parent = model.addJoint(parent, kind, placement, f"leg{leg}_{k}")
+            inertia = pin.Inertia(0.2, np.array([0.0, 0.0, -0.1]), np.diag([1e-3, 1e-3, 1e-4]))
+            model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+            placement = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.2]))
+        feet.append(f"foot{leg}")
+        model.addFrame(pin.Frame(feet[-1], parent, 0, placement, pin.FrameType.BODY))
+    return model, feet
+
+
+def arm(joints: int = 7) -> tuple[pin.Model, list[str]]:
+    """A chain of revolute joints on the ground, and the frame at its end."""
+    model = pin.Model()
+    parent, placement = 0, pin.SE3.Identity()
+    for k in range(joints):
+        parent = model.addJoint(parent, pin.JointModelRZ() if k % 2 == 0 else pin.JointModelRY(), placement, f"j{k}")
+        model.appendBodyToJoint(
+            parent, pin.Inertia(1.0, np.array([0.0, 0.0, 0.1]), np.diag([2e-3, 2e-3, 1e-3])), pin.SE3.Identity()
+        )
+        placement = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.2]))
+    model.addFrame(pin.Frame("tip", parent, 0, placement, pin.FrameType.BODY))
+    return model, ["tip"]
+
+
+def humanoid() -> tuple[pin.Model, list[str]]:
+    """Pinocchio's sample humanoid, with two points on each foot."""
+    model = pin.buildSampleModelHumanoid()
+    ends = [j for j in range(1, model.njoints) if not len(model.children[j])]
+    frames = []
+    for j in ends[:2]:
+        for k, x in enumerate((-0.1, 0.1)):
+            frames.append(f"sole{j}_{k}")
+            placement = pin.SE3(np.eye(3), np.array([x, 0.02 * k, -0.05]))
+            model.addFrame(pin.Frame(frames[-1], j, 0, placement, pin.FrameType.BODY))
+    return model, frames
+
+
+def standing(model: pin.Model, frames: list[str]) -> System:
+    """A system whose frames' origins stick to planes of the world through them."""
+    rng = np.random.default_rng(3)
+    q = pin.integrate(model, pin.neutral(model), 0.2 * rng.standard_normal(model.nv))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    scene = pc.Scene(model)
+    for i, frame in enumerate(frames):
+        where = data.oMf[model.getFrameId(frame)].translation
+        foot = scene.add_contour(f"foot{i}", pc.Point(), frame=frame)
+        floor = scene.add_contour(f"floor{i}", pc.Plane(), placement=pin.SE3(np.eye(3), where.copy()))
+        scene.add_contact(f"contact{i}", foot, floor, friction=pc.NoSlip())
+    state = scene.initial_state(q, np.zeros(model.nv))
+    system = System(model, list(scene.contacts.values()))
+    write_discrete(system, state.discrete)
+    system.q[:], system.v[:], system.location[: system.nc] = state.q, state.v, state.location
+    system.contact_int[: system.nc, MODE], system.contact_real[: system.nc, MU] = STICK, math.inf
+    if system.evaluate(0.0) > 1:
+        raise SystemExit(f"{model.name}: the state cannot be evaluated")
+    return system
+
+
+def robots(write: Writer) -> None:
+    """Robots that stand on their feet."""
+    print(f"\n{'robot':34s} {'evaluation':>11s} {'pin.aba':>9s} {'ratio':>6s} {'Pinocchio part':>15s}")
+    for name, (model, frames) in (
+        ("1 free body, 1 contact", (free_body(), ["body"])),
+        ("7-dof arm, 1 contact", arm()),
+        ("18-dof quadruped, 4 feet", legged(4, 3)),
+        ("humanoid, 4 contacts", humanoid()),
+    ):
+        system = standing(model, frames)
+        cost, aba, ratio = against_aba(system)
+        terms = compare(
+            lambda: system.evaluate(0.0),  # noqa: B023
+            lambda: pin.computeAllTerms(system.model, system.data, system.q, system.v),  # noqa: B023
+        )[1]
+        write(f"{name} (nv = {model.nv})", cost, aba, ratio)
+        print(f"{name + f' (nv = {model.nv})':34s} {cost:8.2f} us {aba:6.2f} us {ratio:6.2f} {terms:12.2f} us")
+
+
+def contacts(write: Writer) -> None:
+    """1 to 64 points of one body on the ground."""
+    print(f"\n{'contacts on one body':34s} {'evaluation':>11s} {'pin.aba':>9s} {'ratio':>6s}")
+    numbers, costs = [1, 2, 4, 8, 16, 32, 64], []
+    for number in numbers:
+        model = free_body()
+        for i in range(number):
+            angle = 2.4 * i
+            placement = pin.SE3(np.eye(3), np.array([0.3 * math.cos(angle), 0.3 * math.sin(angle), 0.01 * (i % 3)]))
+            model.addFrame(pin.Frame(f"p{i}", 1, 0, placement, pin.FrameType.BODY))
+        system = standing(model, [f"p{i}" for i in range(number)])
+        cost, aba, ratio = against_aba(system, max(CALLS // number, 50))
+        costs.append(cost)
+        write(f"{number} contacts on one body", cost, aba, ratio)
+        print(f"{number:<34d} {cost:8.2f} us {aba:6.2f} us {ratio:6.2f}")
+    exponent = np.polyfit(np.log(numbers[2:]), np.log(costs[2:]), 1)[0]
+    print(f"cost ~ contacts^{exponent:.2f} from 4 to 64")
+
+
+# ---------------------------------------------------------------- steps
+
+
+def steps(write: Writer) -> None:
+    """Where the time of a run goes: the rolling disk, and its slip into rolling."""
+    q = np.r_[0.0, 0.0, 0.3 * math.sin(1.2), pin.Quaternion(pin.utils.rotate("y", 1.2)).coeffs()]
+    print(f"\n{'run of 5 s, rtol 1e-8':34s} {'total':>9s} {'set-up':>9s} {'per step':>10s} {'per evaluation':>15s}")
+    for name, friction, outputs in (
+        ("rolling disk, no outputs", pc.NoSlip(), [5.0]),
+        ("rolling disk, 501 outputs", pc.NoSlip(), np.linspace(0.0, 5.0, 501)),
+        ("sliding into rolling, 501 outputs", pc.Coulomb(0.2), np.linspace(0.0, 5.0, 501)),
+    ):
+        scene = pc.Scene(free_body())
+        rim = scene.add_contour("rim", pc.Circle(0.3), frame="body")
+        scene.add_contact("contact", rim, scene.add_contour("floor", pc.Plane()), friction=friction)
+        state = scene.initial_state(q, np.array([0.3, 0.2, 0.0, 0.5, 0.3, 6.0]))
+        run = pc.simulate(scene, state, 5.0, t_eval=outputs)
+        total = statistics.median(
+            pc.simulate(scene, state, 5.0, t_eval=outputs).stats["wall_time"] for _ in range(BATCHES)
+        )
+        setup = statistics.median(
+            pc.simulate(scene, state, 0.0, t_eval=[0.0]).stats["wall_time"] for _ in range(BATCHES)
+        )
+        each = (total - setup) / run.stats["rhs"]
+        write(name, total * 1e6, math.nan, math.nan)
+        print(
+            f"{name:34s} {total * 1e3:6.2f} ms {setup * 1e3:6.2f} ms "
+            f"{(total - setup) / run.stats['steps'] * 1e6:7.1f} us {each * 1e6:12.2f} us"
+        )
+
+
+SECTIONS = {"patterns": patterns, "robots": robots, "contacts": contacts, "steps": steps}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--csv", help="also write the table to this file")
+    parser.add_argument("--only", choices=SECTIONS, help="one section of the table")
+    arguments = parser.parse_args()
+    rows: list[tuple[str, float, float, float]] = []
+    for name, section in SECTIONS.items():
+        if arguments.only in (None, name):
+            section(lambda *row: rows.append(row))
     if arguments.csv:
         with open(arguments.csv, "w", newline="") as file:
             writer = csv.writer(file)
-            writer.writerow(["pattern", "shapes", "evaluation_us", "aba_us", "ratio", "ratio_to_disk"])
+            writer.writerow(["scene", "microseconds", "aba_us", "ratio"])
             writer.writerows(rows)
 
 

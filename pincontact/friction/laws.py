@@ -49,6 +49,10 @@ def _first(value: Coefficient) -> float:
     return value[0] if isinstance(value, tuple) else value
 
 
+def _last(value: Coefficient) -> float:
+    return value[1] if isinstance(value, tuple) else value
+
+
 class FrictionLaw(ABC):
     """What limits the tangential force of a contact. A contact without a law (None) is frictionless.
 
@@ -106,8 +110,7 @@ def _set_coefficients(law: Any) -> None:
     object.__setattr__(law, "mu_static", static)
     if isinstance(mu, tuple) != isinstance(static, tuple):
         raise FrictionError(f"{owner}: mu and mu_static must both be numbers or both be pairs, got {mu} and {static}")
-    pairs = isinstance(mu, tuple) and isinstance(static, tuple)
-    if pairs and not isclose(static[0] * mu[1], static[1] * mu[0], rel_tol=_PROPORTION):
+    if not isclose(_first(static) * _last(mu), _last(static) * _first(mu), rel_tol=_PROPORTION):
         raise FrictionError(f"{owner}: mu_static must be in the proportion of mu, got {static} and {mu}")
     if _first(static) < _first(mu):
         raise FrictionError(f"{owner}: mu_static must not be below mu, got {static} < {mu}")
@@ -157,7 +160,7 @@ class Coulomb(FrictionLaw):
 
     @property
     def aspect(self) -> float:
-        return self.mu[1] / self.mu[0] if isinstance(self.mu, tuple) else 1.0
+        return _last(self.mu) / _first(self.mu) if isinstance(self.mu, tuple) else 1.0
 
 
 @dataclass(frozen=True)
@@ -210,7 +213,7 @@ class Stribeck(FrictionLaw):
 
     @property
     def aspect(self) -> float:
-        return self.mu[1] / self.mu[0] if isinstance(self.mu, tuple) else 1.0
+        return _last(self.mu) / _first(self.mu) if isinstance(self.mu, tuple) else 1.0
 
     def coefficient(self, speed: npt.ArrayLike) -> np.ndarray:
         law = np.vectorize(stribeck, otypes=[float])

@@ -804,14 +804,14 @@ def _equation_impulses(step, nv):
 
 
 @kernel
-def _normal_load(step, c):
-    """Length of the normal impulse that the equations give contact c."""
+def _normal_load(step, c, lowest):
+    """Length of the normal impulse that the equations give contact c; its normals are the rows from the lowest on."""
     counts = integers(step[COUNTS], 8)
     index = integer_matrix(step[EQUATION_INDEX], counts[MAX_EQUATIONS], 2)
     impulse = reals(step[EQUATION_IMPULSE], counts[MAX_EQUATIONS])
     total = 0.0
     for e in range(counts[NEQ]):
-        if index[e, 0] == c:
+        if index[e, 0] == c and index[e, 1] >= lowest:
             total += impulse[e] * impulse[e]
     return math.sqrt(total)
 
@@ -889,7 +889,8 @@ def _review(step, nv, h):
             if turns and ints[PARENT] >= 0:
                 load = forces[3 * ints[PARENT] + 2]
             else:
-                load = _normal_load(step, ints[UNIT_INDEX])
+                # what turns has one normal, and where it must not slip further equations; others have normals only
+                load = _normal_load(step, ints[UNIT_INDEX], 2 if turns else 0)
             before = values[UNIT_LOAD]
             if abs(load - before) > (TURN_LOAD_CHANGE if turns else LOAD_CHANGE) * (load + before):
                 values[UNIT_LOAD] = load if counts[REVIEWS] <= UNDAMPED else 0.5 * (load + before)

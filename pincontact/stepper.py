@@ -19,8 +19,8 @@ class Stepper:
     """Advances a scene by constant steps with the torque held constant in each (method "Moreau" of `simulate`).
 
     All arrays are allocated once. `q` (nq,), `v` (nv,), `modes` (nc,) and the arrays in `forces` (N), in `torques`
-    (N m, what resists spinning and rolling) and in the state that `step` returns are views that the next step overwrites;
-    `state` makes copies. The same start and the same torques give the same numbers to the last bit.
+    (N m, what resists spinning and rolling) and in the state that `step` returns are views that the next step
+    overwrites; `state` makes copies. The same start and the same torques give the same numbers to the last bit.
 
         stepper = pc.Stepper(scene, state, dt=1e-3)
         while True:

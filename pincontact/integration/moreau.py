@@ -129,8 +129,9 @@ class MoreauStep:
         self.joints = len(joint_int)
         laws = [contact.friction for contact in contacts if contact.friction is not None]
         turns = sum((law.spinning > 0.0) + (law.rolling > 0.0) for law in laws)
+        self.resists_turning = turns > 0
         # whether forces act on joints that are neither torques nor contact forces
-        self.acts_on_joints = self.joints + turns > 0
+        self.acts_on_joints = self.joints > 0 or self.resists_turning
         self.memory = memory = step_memory(system.nq, system.nv, system.nc, self.joints, turns)
         self.table = memory.table
         memory["joint_int"][: self.joints], memory["joint_real"][: self.joints] = joint_int, joint_real

@@ -177,7 +177,8 @@ def _info(loaded: LoadedScene) -> int:
         ((c.name, c.first.name, c.second.name, *_pattern(c), c.bilateral) for c in scene.contacts.values()),
     )
     # what the friction laws decide at the start takes one evaluation: a run without duration
-    start = simulate(scene, state, 0.0)
+    stepped = any(c.friction is not None and c.friction.resists_turning for c in scene.contacts.values())
+    start = simulate(scene, state, 0.0, method="Moreau" if stepped else "DOP853")
     if start.t.size:
         gaps = state.correction.gaps if state.correction is not None else {}
         _table(

@@ -199,7 +199,7 @@ def _check_laws(scene: Scene, method: str) -> None:
     """FrictionError for laws that only time stepping knows."""
     for contact in scene.contacts.values():
         law = contact.friction
-        if law is not None and (law.spinning > 0.0 or law.rolling > 0.0):
+        if law is not None and law.resists_turning:
             raise FrictionError(
                 f"contact {contact.name!r}: resistance to spinning ({law.spinning:g} m) and rolling ({law.rolling:g} "
                 f"m) needs method 'Moreau', not {method!r}"

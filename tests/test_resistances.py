@@ -221,11 +221,15 @@ def test_direction_of_the_force_and_path_of_a_slider(mu_static):
     assert np.abs(run.energies().balance).max() <= 1e-9
 
 
+BILATERAL = pytest.mark.parametrize("bilateral", [False, True], ids=["unilateral", "bilateral"])
+
+
+@BILATERAL
 @pytest.mark.parametrize("method", ["DOP853", "Moreau"])
-def test_holds_along_one_axis_and_slides_along_the_other(method):
+def test_holds_along_one_axis_and_slides_along_the_other(method, bilateral):
     slope = math.atan(0.28)
     for direction, moves in ((0.0, True), (0.5 * math.pi, False)):
-        scene = slider(pc.Coulomb(PAIR), slope=slope, direction=direction)
+        scene = slider(pc.Coulomb(PAIR), slope=slope, direction=direction, bilateral=bilateral)
         run = pc.simulate(scene, moving(scene), 0.5, method=method)
         assert run.status == 0, run.message
         along = np.array([math.cos(direction), math.sin(direction), 0.0])
@@ -306,9 +310,10 @@ def test_along_a_blade():
     assert errors[1] < 0.3 * errors[0] and errors[1] < 1e-4
 
 
-def test_time_stepping_converges_to_the_events():
+@BILATERAL
+def test_time_stepping_converges_to_the_events(bilateral):
     """Curve, viscous part and two directions at once: second order in the step while slip lasts."""
-    scene = slider(pc.Stribeck((0.1, 0.2), (0.2, 0.4), 0.5, viscous=0.3))
+    scene = slider(pc.Stribeck((0.1, 0.2), (0.2, 0.4), 0.5, viscous=0.3), bilateral=bilateral)
     state = moving(scene, 0.9, 1.1)
     run = pc.simulate(scene, state, 0.25, **TIGHT)
     assert not run.events
@@ -366,17 +371,17 @@ def test_friction_takes_energy(mu, falls, viscous, speed, angle):
 RADIUS = 0.05
 
 
-def ball(friction, slope=0.0, bilateral=False, inertia=0.4):
-    """A ball of given inertia over m r^2 on a plane; x is downhill."""
+def ball(friction, slope=0.0, bilateral=False, motion=None):
+    """A solid ball on a plane; x is downhill."""
     model = pin.Model()
     model.gravity.linear = G * np.array([math.sin(slope), 0.0, -math.cos(slope)])
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "joint")
-    moments = inertia * MASS * RADIUS**2 * np.eye(3)
+    moments = 0.4 * MASS * RADIUS**2 * np.eye(3)
     model.appendBodyToJoint(joint, pin.Inertia(MASS, np.zeros(3), moments), pin.SE3.Identity())
     model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
     scene = pc.Scene(model)
     surface = scene.add_contour("surface", pc.Sphere(RADIUS), "ball")
-    floor = scene.add_contour("floor", pc.Plane())
+    floor = scene.add_contour("floor", pc.Plane(), motion=motion)
     scene.add_contact("c", surface, floor, friction=friction, bilateral=bilateral)
     return scene
 
@@ -385,9 +390,6 @@ def on_the_floor(scene, v=None):
     q = pin.neutral(scene.model)
     q[2] = RADIUS
     return scene.initial_state(q, np.zeros(6) if v is None else np.asarray(v, dtype=float))
-
-
-BILATERAL = pytest.mark.parametrize("bilateral", [False, True], ids=["unilateral", "bilateral"])
 
 
 @BILATERAL
@@ -448,6 +450,39 @@ def test_rolling_ball_stops(law, bilateral):
     )
     energies = run.energies()
     assert np.abs(energies.balance).max() <= energies.kinetic[0] * turned**2
+
+
+def test_ball_that_rolls_and_spins():
+    """On a plane neither resistance knows of the other."""
+    law, step = pc.Coulomb(0.5, spinning=2e-4, rolling=1e-3), 1e-3
+    scene = ball(law)
+    speed, spin, time = 0.3, 8.0, 0.4
+    state = on_the_floor(scene, [speed, 0.0, 0.0, 0.0, speed / RADIUS, spin])
+    run = pc.simulate(scene, state, time, method="Moreau", step=step)
+    rotation = pin.XYZQUATToSE3(run.q[-1]).rotation
+    v, w = rotation @ run.v[-1, :3], rotation @ run.v[-1, 3:]
+    # second order in the angle turned in a step
+    accuracy = ((speed / RADIUS + spin) * step) ** 2
+    assert w[2] == pytest.approx(spin - time * law.spinning * G / (0.4 * RADIUS**2), abs=spin * accuracy)
+    assert v[0] == pytest.approx(speed - time * law.rolling * G / (1.4 * RADIUS), abs=speed * accuracy)
+    assert abs(v[1]) <= speed * accuracy
+
+
+def test_turntable_takes_a_ball_along():
+    """Spinning resistance is what turns a ball that lies on the axis of a plate, until it turns with it."""
+    rate, length, step = 3.0, 1e-4, 2e-3
+    scene = ball(pc.Coulomb(0.5, spinning=length), motion=pc.ConstantTwist((0.0, 0.0, rate)))
+    gaining = length * G / (0.4 * RADIUS**2)
+    reached = rate / gaining
+    run = pc.simulate(scene, on_the_floor(scene), 1.3 * reached, method="Moreau", step=step, energies=True)
+    assert run.status == 0, run.message
+    before, after = run.t <= reached, run.t >= reached + step
+    np.testing.assert_allclose(run.v[before, 5], gaining * run.t[before], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(run.v[after, 5], rate, rtol=1e-12)
+    energies = run.energies()
+    assert np.abs(energies.balance).max() <= 1e-10
+    # the plate gives twice what the ball gets: the rest is friction's, but for the step in which they meet
+    assert energies.drive_work[-1] == pytest.approx(2.0 * energies.kinetic[-1], rel=step / reached)
 
 
 def test_rolling_resistance_on_a_slope():

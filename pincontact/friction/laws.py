@@ -84,6 +84,11 @@ class FrictionLaw(ABC):
         """Coefficients across the first direction over those along it; 1 for isotropic friction."""
         return 1.0
 
+    @property
+    def resists_turning(self) -> bool:
+        """Whether torques resist spinning or rolling, which takes time stepping."""
+        return self.spinning > 0.0 or self.rolling > 0.0
+
     def coefficient(self, speed: npt.ArrayLike) -> np.ndarray:
         """Coefficient in force while the contact slips at a speed in m/s, of the speed's shape."""
         return np.full(np.shape(speed), self.sliding)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from ..friction.ellipse import stretches
 from ..friction.solve import ContactSolver
 from ..friction.stribeck import stribeck
 from ..layout import MU, MU_FAST, STRIBECK_EXPONENT, STRIBECK_SPEED, TANGENTS, UNILATERAL
+from .stretches import stretches
 
 if TYPE_CHECKING:
     from .system import System

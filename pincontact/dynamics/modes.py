@@ -15,7 +15,6 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from ..friction import cone
-from ..friction.ellipse import associated, opposed_slip, stretches
 from ..friction.solve import ContactSolver
 from ..layout import (
     ACROSS_X,
@@ -44,6 +43,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
+from .stretches import associated, opposed_slip, stretches
 
 if TYPE_CHECKING:
     from .system import System

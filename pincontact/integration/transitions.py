@@ -10,7 +10,7 @@ import numpy as np
 
 from ..dynamics.impact import apply_impact
 from ..dynamics.modes import Decision, ModeSolver, freeze_slip, rest_mode
-from ..friction.ellipse import opposed_slip
+from ..dynamics.stretches import opposed_slip
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
     CONDITION,

@@ -23,7 +23,7 @@ from .errors import (
     StateError,
     TrajectoryError,
 )
-from .friction.laws import Coulomb, FrictionLaw, NoSlip
+from .friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
 from .friction.solve import ContactSolution, solve_contacts
 from .integration.results import Event
 from .scene import Scene
@@ -71,6 +71,7 @@ __all__ = [
     "StateError",
     "SteadyMotion",
     "Stepper",
+    "Stribeck",
     "Trajectory",
     "TrajectoryError",
     "analyze",

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .errors import ContactError
-from .friction.laws import Coulomb, FrictionLaw
+from .friction.laws import Coulomb, FrictionLaw, Stribeck
 from .layout import FREE, FRICTIONLESS, SLIPPING, STICK
 from .scene_file import LoadedScene, load_scene
 from .simulate import simulate
@@ -177,7 +177,8 @@ def _info(loaded: LoadedScene) -> int:
         ((c.name, c.first.name, c.second.name, *_pattern(c), c.bilateral) for c in scene.contacts.values()),
     )
     # what the friction laws decide at the start takes one evaluation: a run without duration
-    start = simulate(scene, state, 0.0)
+    stepped = any(c.friction is not None and c.friction.resists_turning for c in scene.contacts.values())
+    start = simulate(scene, state, 0.0, method="Moreau" if stepped else "DOP853")
     if start.t.size:
         gaps = state.correction.gaps if state.correction is not None else {}
         _table(
@@ -202,9 +203,23 @@ def _pattern(contact: Contact) -> Sequence[Any]:
 def _friction(law: FrictionLaw | None) -> str:
     if law is None:
         return "none"
-    if isinstance(law, Coulomb):
-        return f"mu {law.mu:g}" + ("" if law.mu_static is None else f", static {law.mu_static:g}")
-    return "no slip"
+    parts = ["no slip"]
+    if isinstance(law, (Coulomb, Stribeck)):
+        parts = [f"mu {_coefficient(law.mu)}"]
+        if law.mu_static is not None:
+            parts.append(f"static {_coefficient(law.mu_static)}")
+        if isinstance(law, Stribeck):
+            parts.append(f"Stribeck {law.speed:g} m/s")
+        if law.viscous > 0.0:
+            parts.append(f"viscous {law.viscous:g} N s/m")
+    parts += [
+        f"{name} {length:g} m" for name, length in vars(law).items() if name in ("spinning", "rolling") and length
+    ]
+    return ", ".join(parts)
+
+
+def _coefficient(mu: float | tuple[float, float]) -> str:
+    return " x ".join(f"{value:g}" for value in (mu if isinstance(mu, tuple) else (mu,)))
 
 
 if __name__ == "__main__":

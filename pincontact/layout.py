@@ -189,10 +189,15 @@ SCALARS_SIZE = 19
     NORMAL_SIGN,
     CLOSED_FORM,
     DETERMINANT_SIGN,
-) = range(13)
-CONTACT_INTS = 13
+    ANISOTROPIC,
+) = range(14)
+CONTACT_INTS = 14
+# contact_int[ANISOTROPIC]: friction alike in all directions, or along a tangent of body 1 or body 2 and across it
+ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 
-# contact_real; DOMAIN is the distance of the location from the nearest end of its domain, negative outside;
+# contact_real; MU is the coefficient as slip starts, MU_FAST that of fast slip, MU_NOW that of the last evaluation;
+# coefficients of two directions are along the first, times ASPECT across it.
+# DOMAIN is the distance of the location from the nearest end of its domain, negative outside;
 # LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart; START_SPEED and
 # _RATE are those of 3D slip there, infinite where there is none.
 # A frozen slip direction is DIRECTION + p(s) ACROSS with p of the coefficients POLYNOMIAL.. in s = (t - START) / SPAN;
@@ -200,6 +205,17 @@ CONTACT_INTS = 13
 (
     MU,
     MU_STATIC,
+    MU_FAST,
+    MU_NOW,
+    STRIBECK_SPEED,
+    STRIBECK_EXPONENT,
+    VISCOUS,
+    SPINNING,
+    ROLLING,
+    ASPECT,
+    STRETCH_11,
+    STRETCH_12,
+    STRETCH_22,
     LENGTH,
     CONDITION,
     NORMAL_1,
@@ -222,7 +238,7 @@ CONTACT_INTS = 13
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(24)
+) = range(35)
 POLYNOMIAL_SIZE = 5
 # from START on
 FROZEN_COLUMNS = 8 + POLYNOMIAL_SIZE

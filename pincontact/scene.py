@@ -12,9 +12,10 @@ import pinocchio as pin
 
 from .contacts import AttachedContour, Contact
 from .contours import Contour
+from .dynamics.system import CHARTED_KINDS
 from .errors import ArgumentError, ContourError, ModelError
 from .friction.laws import FrictionLaw
-from .geometry.patterns import candidate_patterns, find_pattern
+from .geometry.patterns import Pattern, candidate_patterns, find_pattern
 from .geometry.planar import moves_in_plane
 
 if TYPE_CHECKING:
@@ -149,7 +150,7 @@ class Scene:
         """Let two contours keep in touch.
 
         first, second: attached contours or their names, in any order; reported forces act on the second.
-        friction: None (frictionless), Coulomb(mu) or NoSlip().
+        friction: None (frictionless), Coulomb(mu), Stribeck(mu, mu_static, speed) or NoSlip().
         bilateral: the contact never opens; a point on a spatial curve always is.
         pattern: one of the seven names, None to infer. location: guess (u_first, u_second), either may be None.
         side: +1 or -1, on which side of e_3 body 1 (the one with fewer parameters) lies; None to infer.
@@ -162,7 +163,9 @@ class Scene:
         if a is b:
             raise ArgumentError(f"contact {name!r}: contour {a.name!r} cannot touch itself")
         if friction is not None and not isinstance(friction, FrictionLaw):
-            raise ArgumentError(f"contact {name!r}: friction must be None, Coulomb(mu) or NoSlip(), got {friction!r}")
+            raise ArgumentError(
+                f"contact {name!r}: friction must be None, Coulomb(mu), Stribeck(..) or NoSlip(), got {friction!r}"
+            )
         if side not in (None, 1, -1):
             raise ArgumentError(f"contact {name!r}: side must be +1, -1 or None, got {side!r}")
         if not (isinstance(restitution, (int, float)) and 0.0 <= restitution <= 1.0):
@@ -179,6 +182,8 @@ class Scene:
         if len(candidate_patterns(one.contour, two.contour)) > 1:
             planar = moves_in_plane(self.model, one, two)
         found = find_pattern(name, one.contour, two.contour, pattern, planar)
+        if friction is not None:
+            _check_friction(name, friction, one, two, found)
         if location is not None:
             for owner, guess in ((a, location[0]), (b, location[1])):
                 if guess is not None and (
@@ -263,3 +268,28 @@ def _geometry(model: pin.Model, file: str, kind: pin.GeometryType, folders: list
             )
         except (ValueError, RuntimeError, IndexError):
             return None
+
+
+def _check_friction(contact: str, law: FrictionLaw, one: AttachedContour, two: AttachedContour, found: Pattern) -> None:
+    """Whether a law has its directions at a contact of this pattern; ArgumentError otherwise."""
+    if isinstance(getattr(law, "mu", None), tuple):
+        if found.tangents != 2:
+            raise ArgumentError(
+                f"contact {contact!r}: friction of two directions needs two tangents; {found.name} has one"
+            )
+        along = two if law.along is None else {one.name: one, two.name: two}.get(law.along)
+        if along is None:
+            raise ArgumentError(
+                f"contact {contact!r}: friction is along {law.along!r}, which is neither {one.name!r} nor {two.name!r}"
+            )
+        if along.contour.dimension == 0:
+            raise ArgumentError(f"contact {contact!r}: friction is along {along.name!r}, a point, which has no tangent")
+        if along.contour.kind in CHARTED_KINDS:
+            raise ArgumentError(
+                f"contact {contact!r}: friction is along {along.name!r}, whose tangents change with its charts; name "
+                "the other contour by along="
+            )
+    if law.spinning > 0.0 and found.tangents != 2:
+        raise ArgumentError(f"contact {contact!r}: nothing spins about the normal of {found.name}; spinning must be 0")
+    if law.rolling > 0.0 and found.constraints == 2:
+        raise ArgumentError(f"contact {contact!r}: a point on a spatial curve does not roll; rolling must be 0")

@@ -35,7 +35,7 @@ from . import contours as shapes
 from .contours import Contour, Motion
 from .errors import ArgumentError, FrictionError, MissingExtraError, SceneFileError
 from .expressions import CONSTANTS, FUNCTIONS, compiled, evaluate
-from .friction.laws import Coulomb, FrictionLaw, NoSlip
+from .friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
 from .scene import Scene
 
 if TYPE_CHECKING:
@@ -521,23 +521,50 @@ def _moving_pose(position: Callable[..., Any], angles: Callable[..., Any]) -> Ca
 # ---------------------------------------------------------------------------------------------------- contacts
 
 
+_LAW_NUMBERS = ("speed", "exponent", "viscous", "spinning", "rolling")
+
+
 def _friction(value: Any, constants: Mapping[str, float]) -> FrictionLaw | None:
-    expected = '"none", "no slip", a coefficient, or {mu = .., mu_static = ..}'
+    expected = (
+        '"none", "no slip", a coefficient, or {mu = .., mu_static = ..} (numbers or pairs of them) with any of speed, '
+        "exponent, viscous, spinning, rolling and along"
+    )
     if isinstance(value, dict):
-        if not {"mu"} <= set(value) <= {"mu", "mu_static"}:
+        if not {"mu"} <= set(value) <= {"mu", "mu_static", "along", *_LAW_NUMBERS}:
             raise _Mismatch(expected)
-        return Coulomb(**{key: _number(entry, constants) for key, entry in value.items()})
+        options: dict[str, Any] = {key: _number(value[key], constants) for key in _LAW_NUMBERS if key in value}
+        if "along" in value:
+            options["along"] = _text(value["along"], constants)
+        if _is_no_slip(value["mu"]):
+            if not set(value) <= {"mu", "spinning", "rolling"}:
+                raise _Mismatch('mu = "no slip" with spinning and rolling at most')
+            return NoSlip(**options)
+        options |= {key: _coefficient(value[key], constants) for key in ("mu", "mu_static") if key in value}
+        if "speed" in value:
+            if "mu_static" not in value:
+                raise _Mismatch("mu_static, too, where friction depends on speed")
+            return Stribeck(**options)
+        if "exponent" in value:
+            raise _Mismatch("speed, too, where there is an exponent")
+        return Coulomb(**options)
     if isinstance(value, str):
-        words = value.lower().replace(" ", "").replace("_", "").replace("-", "")
-        if words in ("none", "frictionless"):
+        if value.lower() in ("none", "frictionless"):
             return None
-        if words == "noslip":
+        if _is_no_slip(value):
             return NoSlip()
         try:
             return Coulomb(evaluate(value, constants))
         except ArgumentError:
             raise _Mismatch(expected) from None
     return Coulomb(_number(value, constants))
+
+
+def _is_no_slip(value: Any) -> bool:
+    return isinstance(value, str) and value.lower().replace(" ", "").replace("_", "").replace("-", "") == "noslip"
+
+
+def _coefficient(value: Any, constants: Mapping[str, float]) -> Any:
+    return _vector(2)(value, constants) if isinstance(value, list) else _number(value, constants)
 
 
 def _location(value: Any, constants: Mapping[str, float]) -> tuple[Any, Any]:

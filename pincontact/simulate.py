@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .dynamics.system import System
-from .errors import ArgumentError, ContactError
+from .errors import ArgumentError, ContactError, FrictionError
 from .integration.driver import Driver, Options
 from .integration.events import UserEvent
 from .integration.results import CONTROL_FAILED, Stop
@@ -67,6 +67,8 @@ def simulate(
     if step is not None and method != "Moreau":
         raise ArgumentError(f"step is for method 'Moreau'; method {method!r} takes fixed_step or max_step")
     pair = None if method == "Moreau" else tableau(method)
+    if pair is not None:
+        _check_laws(scene, method)
     began = time.perf_counter()
     contacts = list(scene.contacts.values())
     system = System(scene.model, contacts, works=energies)
@@ -128,13 +130,14 @@ def _simulate_moreau(
 
     size = DEFAULT_STEP if step is None else step
     stepper = MoreauStep(system, system.contacts)
-    record = Record(system, with_torques=torque is not None or stepper.joints > 0)
+    record = Record(system, with_torques=torque is not None or stepper.acts_on_joints)
 
     def add(t: float) -> None:
-        # the forces of limits and dry friction go with the torques, so that contact forces can be found again
+        # forces on the joints of limits, friction and resistance to turning go with the torques, so that contact forces
+        # can be found again
         tau = system.tau.copy()
         system.tau += stepper.joint_force
-        record.add(t)
+        record.add(t, stepper.torques if stepper.resists_turning else None)
         system.tau[:] = tau
 
     with _Bar(progress, state.t, duration) as bar:
@@ -190,6 +193,17 @@ def _check(
         raise ArgumentError(f"duration, rtol and atol must be finite, got {duration}, {rtol}, {atol}")
     if max_steps < 1:
         raise ArgumentError(f"max_steps must be at least 1, got {max_steps}")
+
+
+def _check_laws(scene: Scene, method: str) -> None:
+    """FrictionError for laws that only time stepping knows."""
+    for contact in scene.contacts.values():
+        law = contact.friction
+        if law is not None and law.resists_turning:
+            raise FrictionError(
+                f"contact {contact.name!r}: resistance to spinning ({law.spinning:g} m) and rolling ({law.rolling:g} "
+                f"m) needs method 'Moreau', not {method!r}"
+            )
 
 
 def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray | None:

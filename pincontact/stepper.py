@@ -18,9 +18,9 @@ from .state import State, check_vector, read_discrete, write_discrete
 class Stepper:
     """Advances a scene by constant steps with the torque held constant in each (method "Moreau" of `simulate`).
 
-    All arrays are allocated once. `q` (nq,), `v` (nv,), `modes` (nc,) and the arrays in `forces` and in the state that
-    `step` returns are views that the next step overwrites; `state` makes copies. The same start and the same torques
-    give the same numbers to the last bit.
+    All arrays are allocated once. `q` (nq,), `v` (nv,), `modes` (nc,) and the arrays in `forces` (N), in `torques`
+    (N m, what resists spinning and rolling) and in the state that `step` returns are views that the next step
+    overwrites; `state` makes copies. The same start and the same torques give the same numbers to the last bit.
 
         stepper = pc.Stepper(scene, state, dt=1e-3)
         while True:
@@ -47,6 +47,7 @@ class Stepper:
         self._discrete = _locked(self._discrete_buffer)
         self.modes = self._discrete[:, 0]
         self.forces = {name: _locked(self._step.forces[c]) for c, name in enumerate(scene.contacts)}
+        self.torques = {name: _locked(self._step.torques[c]) for c, name in enumerate(scene.contacts)}
         self._shape = (nv,)
         self._start = 0.0
         self._count = 0

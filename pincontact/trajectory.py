@@ -57,12 +57,15 @@ class Record:
         self._reals = system.memory.reals("recorded_reals", BLOCK, width)
         self._integers = system.memory.integers("recorded_integers", BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT)
         self._blocks: list[tuple[np.ndarray, np.ndarray]] = []
+        self._resistances: list[np.ndarray] = []
 
     def __len__(self) -> int:
         return sum(len(block[0]) for block in self._blocks) + int(self.system.counters[RECORDED])
 
-    def add(self, t: float) -> None:
-        """The state in the system at t."""
+    def add(self, t: float, resistances: np.ndarray | None = None) -> None:
+        """The state in the system at t; (nc, 3) torques that resist spinning and rolling, where there are any."""
+        if resistances is not None:
+            self._resistances.append(resistances.copy())
         self.flush()
         run_task(self.system.table, RECORD, t, 0.0)
 
@@ -72,6 +75,11 @@ class Record:
         if count == BLOCK or (always and count):
             self._blocks.append((self._reals[:count].copy(), self._integers[:count].copy()))
             self.system.counters[RECORDED] = 0
+
+    @property
+    def resistances(self) -> np.ndarray | None:
+        """(n, nc, 3) torques that were added with the rows, None without."""
+        return np.array(self._resistances) if self._resistances else None
 
     def rows(self) -> tuple[list[np.ndarray], np.ndarray]:
         """All rows: [t, q, v, tau, works, location, frozen directions' columns] and the contacts' integers."""
@@ -100,6 +108,7 @@ class ContactTrack:
     multipliers:     (n, 3) components of that force in the dual frame, F_j = e_j . F (Prop. 6)
     normal_force, tangential_force: (n,) in N; the normal one is positive in compression (a length for a point on a
                      spatial curve)
+    torque:          (n, 3) what resists spinning and rolling, on the second contour, N m: its mean over the last step
     slip_velocity:   (n, 3) v_c, of the second contour's material point against the first's
     mode:            (n,) -1 open, 0 frictionless, 1 stick, 2 slip
     gap:             (n,) in m, positive when apart
@@ -117,6 +126,7 @@ class ContactTrack:
     multipliers: np.ndarray
     normal_force: np.ndarray
     tangential_force: np.ndarray
+    torque: np.ndarray
     slip_velocity: np.ndarray
     mode: np.ndarray
     gap: np.ndarray
@@ -186,6 +196,7 @@ class Trajectory:
         directions: np.ndarray,
         works: np.ndarray | None,
         torques: np.ndarray | None,
+        resistances: np.ndarray | None,
         events: list[Event],
         status: int,
         message: str,
@@ -195,7 +206,7 @@ class Trajectory:
         self.t, self.q, self.v = t, q, v
         self.status, self.message, self.events, self.stats = status, message, events, stats
         self._location, self._discrete, self._directions = location, discrete, directions
-        self._works, self._torques = works, torques
+        self._works, self._torques, self._resistances = works, torques, resistances
         self._tracks: dict[str, ContactTrack] | None = None
         self._residuals: dict[str, dict[str, np.ndarray]] = {}
         self.contacts: Mapping[str, ContactTrack] = _Tracks(self)
@@ -216,6 +227,7 @@ class Trajectory:
             frozen_directions(integers, frozen, t),
             works if works.shape[1] else None,
             torques if record.with_torques else None,
+            record.resistances,
             events,
             status,
             message,
@@ -306,6 +318,8 @@ class Trajectory:
             arrays["works"] = self._works
         if self._torques is not None:
             arrays["torques"] = self._torques
+        if self._resistances is not None:
+            arrays["resistances"] = self._resistances
         for i, name in enumerate(self.scene.contacts):
             for key, value in vars(tracks[name]).items():
                 arrays[f"track{i}.{key}"] = value
@@ -353,6 +367,7 @@ class Trajectory:
                 arrays["directions"],
                 arrays.get("works"),
                 arrays.get("torques"),
+                arrays.get("resistances"),
                 events,
                 header["status"],
                 header["message"],
@@ -398,6 +413,8 @@ def _evaluate_tracks(run: Trajectory) -> tuple[dict[str, ContactTrack], dict[str
         for c, contact in enumerate(contacts):
             if usable:
                 _fill_row(system, c, contact, tracks[contact.name], i)
+                if run._resistances is not None:
+                    tracks[contact.name].torque[i] = run._resistances[i, c]
                 _fill_residuals(system, c, contact, residuals[contact.name], i)
     return tracks, residuals
 
@@ -421,6 +438,7 @@ def _empty_track(contact: Contact, n: int) -> ContactTrack:
         np.zeros((n, 3)),
         np.zeros(n),
         np.zeros(n),
+        np.zeros((n, 3)),
         nan(3),
         np.full(n, FREE),
         nan(),

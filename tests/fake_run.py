@@ -93,6 +93,7 @@ def fake_run(rows: int = 121, name: str = "rim/floor") -> SimpleNamespace:
         multipliers=force,
         normal_force=normal_force,
         tangential_force=friction,
+        torque=np.zeros((rows, 3)),
         slip_velocity=slip[:, None] * ahead,
         mode=mode,
         gap=np.array([height(x) for x in t]),

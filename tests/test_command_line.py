@@ -135,6 +135,25 @@ def test_info(capsys):
     assert total == pytest.approx(3.0 * 9.81 * np.cos(0.3), rel=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("law", "text"),
+    [
+        ("{mu = 0.3, mu_static = 0.4, viscous = 2}", "mu 0.3, static 0.4, viscous 2 N s/m"),
+        ("{mu = [0.3, 0.5]}", "mu 0.3 x 0.5"),
+        ("{mu = 0.1, mu_static = 0.2, speed = 0.01}", "mu 0.1, static 0.2, Stribeck 0.01 m/s"),
+        ("{mu = 0.1, rolling = 1e-3}", "mu 0.1, rolling 0.001 m"),
+        ("{mu = 'no slip', spinning = 1e-3}", "no slip, spinning 0.001 m"),
+    ],
+)
+def test_info_names_the_friction_law(tmp_path, capsys, law, text):
+    (tmp_path / "rod.urdf").write_text(PAINLEVE_ROBOT)
+    path = tmp_path / "rod.toml"
+    path.write_text(PAINLEVE_SCENE.replace("friction = 2.0", f"friction = {law}"))
+    assert main(["info", str(path)]) == 0
+    heads, row = table(capsys.readouterr().out, "contacts")
+    assert row[heads.index("friction")] == text
+
+
 @pytest.mark.parametrize("command", ["run", "info"])
 def test_a_run_that_cannot_finish(tmp_path, capsys, command):
     assert main([command, failing_scene(tmp_path)]) == 1

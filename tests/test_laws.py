@@ -6,7 +6,7 @@ import math
 import pytest
 
 from pincontact.errors import FrictionError
-from pincontact.friction.laws import Coulomb, FrictionLaw, NoSlip
+from pincontact.friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
 
 
 def test_coulomb_without_a_static_coefficient_sticks_up_to_mu():
@@ -56,3 +56,55 @@ def test_laws_are_values():
 def test_the_base_class_is_abstract():
     with pytest.raises(TypeError):
         FrictionLaw()
+
+
+def test_two_directions():
+    law = Coulomb((0.2, 0.5), (0.4, 1.0), along="blade")
+    assert (law.sliding, law.sticking, law.aspect) == (0.2, 0.4, 2.5)
+    assert Coulomb([0.2, 0.5]) == Coulomb((0.2, 0.5))
+    assert Coulomb(0.2).aspect == 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"mu": (0.2, 0.0)}, r"mu of two directions must be positive, got \(0\.2, 0\.0\)"),
+        ({"mu": (0.2, 0.1, 0.1)}, r"number or a pair .*got \(0\.2, 0\.1, 0\.1\)"),
+        ({"mu": (0.2, -0.1)}, r"not negative, got -0\.1"),
+        ({"mu": (0.2, 0.4), "mu_static": 0.5}, "both be numbers or both be pairs"),
+        ({"mu": (0.2, 0.4), "mu_static": (0.3, 0.5)}, "in the proportion of mu"),
+        ({"mu": (0.2, 0.4), "mu_static": (0.1, 0.2)}, "must not be below mu"),
+        ({"mu": 0.2, "along": "blade"}, r"along='blade' needs mu=\(along, across\)"),
+        ({"mu": (0.2, 0.4), "along": 3}, "name of a contour, got 3"),
+        ({"mu": 0.2, "viscous": -1.0}, r"viscous must be .*-1\.0"),
+        ({"mu": 0.2, "spinning": math.inf}, "spinning must be .*inf"),
+        ({"mu": 0.2, "rolling": "much"}, "rolling must be a number, got 'much'"),
+    ],
+)
+def test_bad_parameters_are_named(options, match):
+    with pytest.raises(FrictionError, match=match):
+        Coulomb(**options)
+
+
+def test_stribeck_falls_from_static_to_sliding():
+    law = Stribeck(0.1, 0.3, 0.02, 1.5)
+    assert (law.sliding, law.sticking, law.onset) == (0.1, 0.3, 0.3)
+    speeds = [0.0, 0.01, 0.02, 1e6]
+    expected = [0.3, 0.1 + 0.2 * math.exp(-(0.5**1.5)), 0.1 + 0.2 * math.exp(-1.0), 0.1]
+    assert law.coefficient(speeds) == pytest.approx(expected, rel=1e-15)
+    assert Coulomb(0.4, 0.5).coefficient(speeds).tolist() == [0.4] * 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        ((0.3, 0.2, 0.1), "mu_static must not be below mu"),
+        ((0.1, None, 0.1), "mu_static must be a number"),
+        ((0.1, 0.2, 0.0), "speed must be positive"),
+        ((0.1, 0.2, -1.0), r"speed must be .*-1\.0"),
+        ((0.1, 0.2, 0.1, 0.5), r"exponent must lie in \[1\.0, 50\.0\], got 0\.5"),
+    ],
+)
+def test_bad_curves_are_refused(arguments, match):
+    with pytest.raises(FrictionError, match=match):
+        Stribeck(*arguments)

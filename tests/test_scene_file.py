@@ -312,6 +312,11 @@ def test_motions(tmp_path, text, make):
         ("'1 / 3'", pc.Coulomb(1.0 / 3.0)),
         ("{ mu = 0.5 }", pc.Coulomb(0.5)),
         ("{ mu = 0.5, mu_static = 0.6 }", pc.Coulomb(0.5, 0.6)),
+        ("{ mu = 0, viscous = '2 * 3' }", pc.Coulomb(0.0, viscous=6.0)),
+        ("{ mu = [0.1, 0.2], along = 'floor', rolling = 1e-3 }", pc.Coulomb((0.1, 0.2), along="floor", rolling=1e-3)),
+        ("{ mu = 0.1, mu_static = 0.2, speed = 0.01 }", pc.Stribeck(0.1, 0.2, 0.01)),
+        ("{ mu = 0.1, mu_static = 0.2, speed = 0.01, exponent = 1 }", pc.Stribeck(0.1, 0.2, 0.01, 1.0)),
+        ("{ mu = 'no slip', spinning = 0.01 }", pc.NoSlip(spinning=0.01)),
     ],
 )
 def test_friction_laws(tmp_path, text, law):
@@ -384,6 +389,15 @@ def test_outputs_follow_the_duration(tmp_path):
         ("friction = 0.4", "friction = -0.4", r"contacts\.touch\.friction: Coulomb: mu .*-0\.4"),
         ("friction = 0.4", "friction = 'sticky'", r"contacts\.touch\.friction: expected \"none\""),
         ("friction = 0.4", "friction = {mu = 1, static = 2}", r"contacts\.touch\.friction: expected \"none\""),
+        ("friction = 0.4", "friction = {mu = 1, speed = 2}", r"contacts\.touch\.friction: expected mu_static, too"),
+        ("friction = 0.4", "friction = {mu = 1, exponent = 2}", r"contacts\.touch\.friction: expected speed, too"),
+        ("friction = 0.4", "friction = {mu = [1, 2, 3]}", r"contacts\.touch\.friction: expected 2 numbers"),
+        ("friction = 0.4", "friction = {mu = 'no slip', viscous = 1}", r"contacts\.touch\.friction: expected mu = .no"),
+        (
+            "friction = 0.4",
+            "friction = {mu = [0.1, 0.2], along = 'x'}",
+            r"contacts\.touch: .*along 'x', which is neither",
+        ),
         ("friction = 0.4", "side = 2", r"contacts\.touch\.side: expected 1 or -1, got 2"),
         ("friction = 0.4", "restitution = 2", r"contacts\.touch: .*restitution.*2"),
         ("friction = 0.4", "location = [[1], []]", r"contacts\.touch: .*needs 2"),

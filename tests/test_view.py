@@ -900,14 +900,18 @@ def test_forces_show_the_limit(run, pyplot):
 
 
 def test_limit_depends_on_mode_and_law(run):
-    scene = SimpleNamespace(contacts={CONTACT: SimpleNamespace(friction=SimpleNamespace(sliding=0.3, sticking=0.5))})
+    scene = SimpleNamespace(contacts={CONTACT: SimpleNamespace(friction=pc.Coulomb(0.3, 0.5))})
     other = SimpleNamespace(scene=scene, contacts=run.contacts)
     ratio = plots.limit(other, CONTACT) / (MASS * GRAVITY)
     # slipping, sticking: exact up to one rounding
     assert ratio[10] == pytest.approx(0.3, rel=1e-15) and ratio[60] == pytest.approx(0.5, rel=1e-15)
-    for law in (None, SimpleNamespace(sliding=np.inf, sticking=np.inf)):
+    # no law, none that binds, none that is a single number
+    for law in (None, pc.NoSlip(), pc.Coulomb((0.3, 0.5))):
         scene.contacts[CONTACT].friction = law
         assert plots.limit(other, CONTACT) is None
+    scene.contacts[CONTACT].friction = law = pc.Stribeck(0.3, 0.5, 0.1)
+    speed = np.linalg.norm(run.contacts[CONTACT].slip_velocity[10])
+    assert plots.limit(other, CONTACT)[10] == pytest.approx(law.coefficient(speed) * MASS * GRAVITY, rel=1e-15)
 
 
 def test_cone_has_its_edge_and_colours_by_mode(run, pyplot):

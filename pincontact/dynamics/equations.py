@@ -2,7 +2,8 @@
 
 M a = tau - damping v - nle + sum over contacts of rows^T F, with the rows of the normal always constrained, the
 tangential ones in stick, and F_t = -mu |F_n| w_t / |w_t| in slip, which makes the operator unsymmetric:
-J_n M^-1 (J_n - mu d J_t)^T.
+J_n M^-1 (J_n - mu d J_t)^T. Friction of two directions has A^2 w_t / |A w_t| there (see `friction.ellipse`), viscous
+friction is one of the loads.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ from __future__ import annotations
 import math
 
 from ..friction.cone import minimum_norm_solve
+from ..friction.ellipse import friction_direction, friction_length
+from ..friction.stribeck import stribeck_kernel
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
 from ..jit import kernel
@@ -26,6 +29,8 @@ from ..layout import (
     MARGINS_PER_CONTACT,
     MODE,
     MU,
+    MU_FAST,
+    MU_NOW,
     MU_STATIC,
     NO_FORCE,
     NORMAL_1,
@@ -44,8 +49,11 @@ from ..layout import (
     SPEED_MARGIN,
     START,
     STICK,
+    STRIBECK_EXPONENT,
+    STRIBECK_SPEED,
     TANGENTS,
     UNILATERAL,
+    VISCOUS,
 )
 from .linear import RANK_TOLERANCE, backward, forward, solve_semidefinite
 
@@ -83,6 +91,39 @@ def slip_direction(integers, numbers, slip, basis, time, direction):
     else:
         direction[0], direction[1] = along / speed, aside / speed
     return speed
+
+
+@kernel
+def coefficient_at(numbers, speed):
+    """Coefficient of friction of slip at a speed in m/s."""
+    if numbers[STRIBECK_SPEED] > 0.0:
+        return stribeck_kernel(
+            numbers[MU], numbers[MU_FAST], numbers[STRIBECK_SPEED], numbers[STRIBECK_EXPONENT], speed
+        )
+    return numbers[MU]
+
+
+@kernel
+def resists_viscously(integers, numbers):
+    """Whether a contact moves with viscous friction: it touches, and does not stick."""
+    return numbers[VISCOUS] > 0.0 and integers[MODE] != FREE and integers[MODE] != STICK
+
+
+@kernel
+def viscous_force(numbers, tangent, slip):
+    """Component along a tangent of the viscous force on body 2, in N."""
+    return -numbers[VISCOUS] * dot(tangent, slip)
+
+
+@kernel
+def add_viscous_loads(nv, nc, contact_int, contact_real, basis, slip, rows, load):
+    """load += rows^T F over all viscous forces F."""
+    for c in range(nc):
+        if resists_viscously(contact_int[c], contact_real[c]):
+            for row in range(contact_int[c, TANGENTS]):
+                value = viscous_force(contact_real[c], basis[c, row], slip[c])
+                for k in range(nv):
+                    load[k] += rows[c, row, k] * value
 
 
 @kernel
@@ -148,8 +189,8 @@ def friction_directions(
 ):
     """whitened_forces[r] = L^-1 (direction of the force that multiplier r scales)^T.
 
-    For a slipping contact this is n - mu w_t / |w_t|; |F_n| = sign F_n for one normal and l . F_n, with l the unit
-    normal force of the last iterate, for two.
+    For a slipping contact this is n - mu w_t / |w_t|, if friction is isotropic; |F_n| = sign F_n for one normal and
+    l . F_n, with l the unit normal force of the last iterate, for two.
     """
     for r in range(count):
         c, row = row_index[r, 0], row_index[r, 1]
@@ -159,6 +200,8 @@ def friction_directions(
         if integers[MODE] != SLIPPING or numbers[MU] == 0.0:
             continue
         numbers[SLIP_SPEED] = slip_direction(integers, numbers, slip[c], basis[c], time, direction)
+        numbers[MU_NOW] = coefficient_at(numbers, abs(numbers[SLIP_SPEED]))
+        friction_direction(integers, numbers, direction)
         if integers[PATTERN] == ON_CURVE:
             share = numbers[NORMAL_1] if row == 2 else numbers[NORMAL_2]
         else:
@@ -170,7 +213,7 @@ def friction_directions(
                 work[k] += direction[1] * rows[c, 1, k]
         forward(factor, nv, work, work)
         for k in range(nv):
-            whitened_forces[r, k] -= numbers[MU] * share * work[k]
+            whitened_forces[r, k] -= numbers[MU_NOW] * share * work[k]
 
 
 @kernel
@@ -361,26 +404,30 @@ def _margins(
         if integers[UNILATERAL] != 0:
             value[NORMAL_MARGIN] = normal
         if mode == STICK:
-            tangential = force[c, 0] if integers[TANGENTS] == 1 else math.hypot(force[c, 0], force[c, 1])
             if numbers[MU_STATIC] < math.inf:
-                value[FRICTION_MARGIN] = numbers[MU_STATIC] * size - abs(tangential)
+                tangential = abs(force[c, 0])
+                if integers[TANGENTS] == 2:
+                    tangential = friction_length(integers, numbers, force[c, 0], force[c, 1])
+                value[FRICTION_MARGIN] = numbers[MU_STATIC] * size - tangential
         elif mode == SLIPPING:
             if integers[UNILATERAL] == 0 and integers[PATTERN] != ON_CURVE:
                 value[NORMAL_MARGIN] = integers[NORMAL_SIGN] * normal
             speed = slip_direction(integers, numbers, slip[c], basis[c], time, direction)
             numbers[SLIP_SPEED] = speed
-            if integers[TANGENTS] == 1:
-                force[c, 0] = -numbers[MU] * size * direction[0]
-                if integers[FROZEN] == 0:
-                    value[SPEED_MARGIN] = speed
-            else:
-                force[c, 0] = -numbers[MU] * size * direction[0]
-                force[c, 1] = -numbers[MU] * size * direction[1]
             for row in range(3):
                 relative_acceleration[c, row] = inner(rows[c, row], acceleration, nv) + bias[c, row]
             numbers[SLIP_RATE] = direction[0] * relative_acceleration[c, 0]
-            if integers[TANGENTS] == 2:
+            if integers[TANGENTS] == 1:
+                if integers[FROZEN] == 0:
+                    value[SPEED_MARGIN] = speed
+            else:
                 numbers[SLIP_RATE] += direction[1] * relative_acceleration[c, 1]
+                friction_direction(integers, numbers, direction)
+                force[c, 1] = -numbers[MU_NOW] * size * direction[1]
+            force[c, 0] = -numbers[MU_NOW] * size * direction[0]
+        if resists_viscously(integers, numbers):
+            for row in range(integers[TANGENTS]):
+                force[c, row] += viscous_force(numbers, basis[c, row], slip[c])
         if value[NORMAL_MARGIN] < 0.0 or value[FRICTION_MARGIN] < 0.0 or value[SPEED_MARGIN] < 0.0:
             status = EVENT
     return status

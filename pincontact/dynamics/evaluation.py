@@ -11,11 +11,15 @@ import math
 from ..constraints.kinematics import add_point_rows, contact_kinematics, distance_to_ends
 from ..contours.base import SHAPE_SIZE
 from ..contours.motion import MOTION_PARAMETERS, MOTION_SIZE, evaluate_motion
+from ..friction.ellipse import set_stretch
 from ..geometry.carriers import add_drive, place_on_joint
 from ..geometry.patterns import ON_CURVE
+from ..geometry.small import dot
 from ..jit import INTEGER, TABLE, entry_kernel, kernel
 from ..layout import (
     ACCELERATION,
+    ALONG_BODY_1,
+    ANISOTROPIC,
     BASIS,
     BIAS,
     CHART,
@@ -92,7 +96,7 @@ from ..layout import (
     V,
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
-from .equations import contact_dynamics, inner, list_rows, whiten_rows
+from .equations import add_viscous_loads, contact_dynamics, inner, list_rows, whiten_rows
 from .linear import backward, cholesky, forward, solve_semidefinite
 
 
@@ -181,6 +185,9 @@ def evaluate_contacts(table, time, with_rows):
         )
         if not with_rows and contact_int[c, MODE] == FREE:
             continue
+        if contact_int[c, ANISOTROPIC] == ALONG_BODY_1:
+            tangent = derivatives[one, 1]
+            set_stretch(contact_real[c], dot(basis[c, 0], tangent), dot(basis[c, 1], tangent))
         for row in range(3):
             for k in range(nv):
                 rows[c, row, k] = 0.0
@@ -236,6 +243,16 @@ def evaluate_dynamics(table, time):
     acceleration = reals(table[ACCELERATION], nv)
     for k in range(nv):
         free_acceleration[k] = tau[k] - damping[k] * v[k] - nle[k]
+    add_viscous_loads(
+        nv,
+        nc,
+        integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS),
+        matrix(table[CONTACT_REAL], nc, CONTACT_REALS),
+        cube(table[BASIS], nc, 3, 3),
+        matrix(table[SLIP], nc, 3),
+        cube(table[ROWS], nc, 3, nv),
+        free_acceleration,
+    )
     forward(factor, nv, free_acceleration, free_acceleration)
     backward(factor, nv, free_acceleration, free_acceleration)
     if nc == 0:

@@ -26,6 +26,7 @@ from ..layout import (
     FROZEN,
     MODE,
     MU,
+    MU_NOW,
     MU_STATIC,
     NO_FORCE,
     NORMAL_MARGIN,
@@ -42,6 +43,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
+from .stretches import associated, opposed_slip, stretches
 
 if TYPE_CHECKING:
     from .system import System
@@ -136,19 +138,22 @@ class ModeSolver:
         base = np.concatenate([system.rows[c] @ system.free_acceleration + system.bias[c] for c in closed])
         base[missing] = 0.0
         mu = np.array([self._limits[c] if c in undecided or math.isinf(numbers[c, MU]) else 0.0 for c in closed])
+        # elliptic cones are round in other coordinates
+        scaling = stretches(system, closed)
+        round_gram = gram if scaling is None else scaling @ gram @ scaling
         sliding = [i for i, c in enumerate(closed) if integers[c, MODE] == SLIPPING and numbers[c, MU] > 0.0]
         directions = np.zeros(3 * n)
         for i in sliding:
-            directions[3 * i : 3 * i + 2] = _direction(system, closed[i])
+            directions[3 * i : 3 * i + 2] = associated(system, closed[i], _direction(system, closed[i]))
         loads = np.array([max(system.force[c, 2], 0.0) for c in closed])
         for _ in range(_FIXED_POINT_ITERATIONS if sliding else 1):
             b = base.copy()
             for i in sliding:
                 pull = np.zeros(3 * n)
-                pull[3 * i : 3 * i + 2] = -numbers[closed[i], MU] * loads[i] * directions[3 * i : 3 * i + 2]
+                pull[3 * i : 3 * i + 2] = -numbers[closed[i], MU_NOW] * loads[i] * directions[3 * i : 3 * i + 2]
                 b += gram @ pull
             self.cone_problems += 1
-            if not self.solver.solve(gram, b, mu):
+            if not self.solver.solve(round_gram, b if scaling is None else scaling @ b, mu):
                 decision.status = NO_FORCE
                 return decision
             new_loads = self.solver.forces[2::3].copy()
@@ -161,8 +166,10 @@ class ModeSolver:
             return decision
         decision.residual = float(self.solver.residual)
         self.worst_residual = max(self.worst_residual, decision.residual)
-        velocities = self.solver.velocities.reshape(n, 3)
-        forces = self.solver.forces.reshape(n, 3)
+        velocities, forces = self.solver.velocities, self.solver.forces
+        if scaling is not None:
+            velocities, forces = np.linalg.solve(scaling, velocities), scaling @ forces
+        velocities, forces = velocities.reshape(n, 3), forces.reshape(n, 3)
         for i, c in enumerate(closed):
             mode = self.solver.modes[i]
             if mode == cone.OPEN:
@@ -174,7 +181,7 @@ class ModeSolver:
                 else:
                     rate = float(np.hypot(velocities[i, 0], velocities[i, 1]))
                     # a vanishing rate leaves the force to tell the direction
-                    direction = velocities[i, :2] if rate > 0.0 else -forces[i, :2]
+                    direction = velocities[i, :2] if rate > 0.0 else opposed_slip(system, c, forces[i, :2])
                     freeze_slip(system, c, direction)
                     decision.started[c] = rate
         decision.status = evaluate(t)
@@ -211,7 +218,7 @@ class ModeSolver:
                 force = system.force[worst]
                 if integers[worst, PATTERN] != 3:
                     integers[worst, NORMAL_SIGN] = 1 if force[2] >= 0.0 else -1
-                freeze_slip(system, worst, -force[:2] if integers[worst, TANGENTS] == 2 else -force[:1])
+                freeze_slip(system, worst, opposed_slip(system, worst, force[:2]))
                 if evaluate(t) > EVENT:
                     decision.status = NO_FORCE
                     return decision

@@ -11,6 +11,7 @@ import pinocchio as pin
 from ..contacts import characteristic_length
 from ..contours.base import DERIVATIVE_ROWS, ELLIPSOID, REVOLUTION, SHAPE_SIZE, SPHERE
 from ..contours.motion import MOTION_CALLABLE, MOTION_PARAMETERS, MOTION_SIZE
+from ..friction.laws import Stribeck
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import closed_form
 from ..integration.dense import DENSE_ROWS
@@ -19,6 +20,10 @@ from ..integration.stages import MAX_STAGES, NUMBER_OF_WORKS
 from ..integration.steps import EVALUATE, KINEMATICS, PROJECT, PROJECT_EVALUATED, run_task
 from ..jit import compile_kernels
 from ..layout import (
+    ALONG_BODY_1,
+    ALONG_BODY_2,
+    ANISOTROPIC,
+    ASPECT,
     CHART,
     CHARTED,
     CLOSED_FORM,
@@ -38,6 +43,8 @@ from ..layout import (
     MOTION_POOL,
     MOTION_POOL_SIZE,
     MU,
+    MU_FAST,
+    MU_NOW,
     MU_STATIC,
     NBLOCKS,
     NC,
@@ -51,17 +58,24 @@ from ..layout import (
     PATTERN,
     POOL_ADDRESS,
     POOL_SIZE,
+    ROLLING,
     SCALARS_SIZE,
     SIDE,
     SIDE_INTS,
     SLIP_SIGN,
     SLOTS,
     SPAN,
+    SPINNING,
+    STRETCH_11,
+    STRETCH_22,
+    STRIBECK_EXPONENT,
+    STRIBECK_SPEED,
     SUPPORT_SIZE,
     TANGENTS,
     TIME,
     TIME_DEPENDENT,
     UNILATERAL,
+    VISCOUS,
 )
 from ..memory import Memory, address_of
 
@@ -152,8 +166,7 @@ class System:
             integers[SIDE] = contact.side or 1
             integers[SLIP_SIGN] = integers[NORMAL_SIGN] = 1
             integers[CLOSED_FORM] = closed_form(one.contour.kind, two.contour.kind)
-            numbers[MU] = friction_coefficient(contact)
-            numbers[MU_STATIC] = 0.0 if contact.friction is None else contact.friction.sticking
+            _map_friction(contact, integers, numbers)
             numbers[LENGTH] = characteristic_length(contact)
             numbers[NORMAL_1] = numbers[SPAN] = 1.0
             self._map_side(2 * c, one)
@@ -285,9 +298,21 @@ class System:
         return [c for c in range(self.nc) if self.contact_int[c, MODE] != FREE]
 
 
-def friction_coefficient(contact: Contact) -> float:
-    """Kinetic coefficient of a contact: 0 without friction, infinite without slip."""
-    return 0.0 if contact.friction is None else contact.friction.sliding
+def _map_friction(contact: Contact, integers: np.ndarray, numbers: np.ndarray) -> None:
+    """What the kernels know of a contact's friction law; zeros for none."""
+    law = contact.friction
+    numbers[ASPECT] = numbers[STRETCH_11] = numbers[STRETCH_22] = 1.0
+    if law is None:
+        return
+    numbers[MU] = numbers[MU_NOW] = law.onset
+    numbers[MU_FAST], numbers[MU_STATIC] = law.sliding, law.sticking
+    numbers[VISCOUS], numbers[SPINNING], numbers[ROLLING] = law.viscous, law.spinning, law.rolling
+    if isinstance(law, Stribeck):
+        numbers[STRIBECK_SPEED], numbers[STRIBECK_EXPONENT] = law.speed, law.exponent
+    if law.aspect != 1.0:
+        # body 2's first tangent is the basis' first vector
+        integers[ANISOTROPIC] = ALONG_BODY_1 if law.along == contact.body1.name else ALONG_BODY_2
+        numbers[ASPECT] = numbers[STRETCH_22] = law.aspect
 
 
 def _support(model: pin.Model, joint: int) -> list[int]:

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from math import inf, isfinite
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import inf, isclose, isfinite
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from ..errors import FrictionError
+from .stribeck import stribeck
+
+# Static coefficients of two directions are in the proportion of the sliding ones, to round-off of what users type.
+_PROPORTION = 1e-9
+# Exponents of the Stribeck curve: below 1 friction falls infinitely steeply as slip starts; above, a cliff.
+_EXPONENTS = (1.0, 50.0)
+
+Coefficient = float | tuple[float, float]
 
 
-def _coefficient(owner: str, name: str, value: Any) -> float:
-    """The value as a float, or a FrictionError saying which coefficient is not finite and non-negative."""
+def _number(owner: str, name: str, value: Any) -> float:
+    """The value as a float, or a FrictionError saying which parameter is not finite and non-negative."""
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -21,18 +33,92 @@ def _coefficient(owner: str, name: str, value: Any) -> float:
     return number
 
 
+def _coefficient(owner: str, name: str, value: Any) -> Coefficient:
+    """A number, or a pair of positive ones."""
+    if isinstance(value, str) or not isinstance(value, (Sequence, np.ndarray)):
+        return _number(owner, name, value)
+    if len(value) != 2:
+        raise FrictionError(f"{owner}: {name} must be a number or a pair (along, across), got {value!r}")
+    along, across = (_number(owner, name, entry) for entry in value)
+    if along == 0.0 or across == 0.0:
+        raise FrictionError(f"{owner}: {name} of two directions must be positive, got ({along}, {across})")
+    return along, across
+
+
+def _first(value: Coefficient) -> float:
+    return value[0] if isinstance(value, tuple) else value
+
+
+def _last(value: Coefficient) -> float:
+    return value[1] if isinstance(value, tuple) else value
+
+
 class FrictionLaw(ABC):
-    """What limits the tangential force of a contact. A contact without a law (None) is frictionless."""
+    """What limits the tangential force of a contact. A contact without a law (None) is frictionless.
+
+    Coefficients of two directions are those along the first; `aspect` is what they are times across it.
+    """
+
+    viscous: float = 0.0
+    spinning: float = 0.0
+    rolling: float = 0.0
+    along: str | None = None
 
     @property
     @abstractmethod
     def sliding(self) -> float:
-        """Coefficient in force while the contact slips: |F_t| = sliding * F_n; infinite where it cannot slip."""
+        """Coefficient in force while the contact slips (fast): |F_t| = sliding * F_n; infinite where it cannot slip."""
 
     @property
     def sticking(self) -> float:
         """Coefficient up to which the contact sticks: |F_t| <= sticking * F_n."""
         return self.sliding
+
+    @property
+    def onset(self) -> float:
+        """Coefficient in force as slip starts."""
+        return self.sliding
+
+    @property
+    def aspect(self) -> float:
+        """Coefficients across the first direction over those along it; 1 for isotropic friction."""
+        return 1.0
+
+    @property
+    def resists_turning(self) -> bool:
+        """Whether torques resist spinning or rolling, which takes time stepping."""
+        return self.spinning > 0.0 or self.rolling > 0.0
+
+    def coefficient(self, speed: npt.ArrayLike) -> np.ndarray:
+        """Coefficient in force while the contact slips at a speed in m/s, of the speed's shape."""
+        return np.full(np.shape(speed), self.sliding)
+
+    def _set_resistances(self) -> None:
+        """Check and convert the parameters that all laws share."""
+        owner = type(self).__name__
+        for name in ("viscous", "spinning", "rolling"):
+            object.__setattr__(self, name, _number(owner, name, getattr(self, name)))
+        if self.along is not None and not isinstance(self.along, str):
+            raise FrictionError(f"{owner}: along must be the name of a contour, got {self.along!r}")
+
+
+def _set_coefficients(law: Any) -> None:
+    """Check and convert mu and mu_static of a law that has them."""
+    owner = type(law).__name__
+    mu = _coefficient(owner, "mu", law.mu)
+    object.__setattr__(law, "mu", mu)
+    if law.along is not None and not isinstance(mu, tuple):
+        raise FrictionError(f"{owner}: along={law.along!r} needs mu=(along, across), got mu={mu}")
+    if law.mu_static is None:
+        return
+    static = _coefficient(owner, "mu_static", law.mu_static)
+    object.__setattr__(law, "mu_static", static)
+    if isinstance(mu, tuple) != isinstance(static, tuple):
+        raise FrictionError(f"{owner}: mu and mu_static must both be numbers or both be pairs, got {mu} and {static}")
+    if not isclose(_first(static) * _last(mu), _last(static) * _first(mu), rel_tol=_PROPORTION):
+        raise FrictionError(f"{owner}: mu_static must be in the proportion of mu, got {static} and {mu}")
+    if _first(static) < _first(mu):
+        raise FrictionError(f"{owner}: mu_static must not be below mu, got {static} < {mu}")
 
 
 @dataclass(frozen=True)
@@ -41,33 +127,116 @@ class Coulomb(FrictionLaw):
 
     mu:        coefficient of sliding friction, finite, >= 0; 0 is frictionless
     mu_static: coefficient that has to be exceeded before a sticking contact slides, >= mu; None means mu
+    viscous:   c in N s/m, >= 0: a further force -c v_t, whatever the normal force
+    spinning:  length in m, >= 0: a torque up to spinning * F_n resists rotation about the normal
+    rolling:   length in m, >= 0: a torque up to rolling * F_n resists rotation about the tangents
+    along:     name of the contour whose first tangent the first of two coefficients belongs to; None means the
+               tangent e_1 of the contact frame, body 2's
 
-    Raises FrictionError for a coefficient that is negative or not finite, or mu_static < mu.
+    mu = (mu_1, mu_2), both positive, is friction of two directions, along a tangent and across it: stick while
+    (F_1 / mu_1)^2 + (F_2 / mu_2)^2 <= F_n^2, else the force on that ellipse that takes most power from the slip
+    (the associated law), F_t = -F_n S^2 v_t / |S v_t| with S = diag(mu_1, mu_2). mu_static is then a pair of the same
+    proportion.
+
+    The torques are dry friction, too: of that length where there is rotation, and what holds it at rest where there is
+    none. They are for time stepping (method "Moreau", `Stepper`).
+
+    Raises FrictionError for a parameter that is negative or not finite, mu_static < mu, pairs out of proportion.
     """
 
-    mu: float
-    mu_static: float | None = None
+    mu: Coefficient
+    mu_static: Coefficient | None = None
+    viscous: float = field(default=0.0, kw_only=True)
+    spinning: float = field(default=0.0, kw_only=True)
+    rolling: float = field(default=0.0, kw_only=True)
+    along: str | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mu", _coefficient("Coulomb", "mu", self.mu))
-        if self.mu_static is not None:
-            static = _coefficient("Coulomb", "mu_static", self.mu_static)
-            object.__setattr__(self, "mu_static", static)
-            if static < self.mu:
-                raise FrictionError(f"Coulomb: mu_static must not be below mu, got {static} < {self.mu}")
+        self._set_resistances()
+        _set_coefficients(self)
 
     @property
     def sliding(self) -> float:
-        return self.mu
+        return _first(self.mu)
 
     @property
     def sticking(self) -> float:
-        return self.mu if self.mu_static is None else self.mu_static
+        return self.sliding if self.mu_static is None else _first(self.mu_static)
+
+    @property
+    def aspect(self) -> float:
+        return _last(self.mu) / _first(self.mu) if isinstance(self.mu, tuple) else 1.0
+
+
+@dataclass(frozen=True)
+class Stribeck(FrictionLaw):
+    """Dry friction that falls from mu_static to mu as slip gets faster (Bo and Pavelescu's form of Stribeck's curve).
+
+    Slip at speed s is opposed by F_n (mu + (mu_static - mu) exp(-(s / speed)^exponent)): slip starts with the force
+    that stick ends with.
+
+    mu:        coefficient of fast slip; mu_static: of stick and of slip that starts, >= mu
+    speed:     m/s, > 0, at which the difference has fallen to 1 / e
+    exponent:  1 (Tustin) to 50; 2 is the Gaussian curve
+
+    The other parameters, and pairs of coefficients, are those of `Coulomb`.
+    Raises FrictionError for a parameter out of bounds.
+    """
+
+    mu: Coefficient
+    mu_static: Coefficient
+    speed: float
+    exponent: float = 2.0
+    viscous: float = field(default=0.0, kw_only=True)
+    spinning: float = field(default=0.0, kw_only=True)
+    rolling: float = field(default=0.0, kw_only=True)
+    along: str | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        self._set_resistances()
+        if self.mu_static is None:
+            raise FrictionError("Stribeck: mu_static must be a number, got None")
+        _set_coefficients(self)
+        for name in ("speed", "exponent"):
+            object.__setattr__(self, name, _number("Stribeck", name, getattr(self, name)))
+        if self.speed == 0.0:
+            raise FrictionError("Stribeck: speed must be positive, got 0.0")
+        if not _EXPONENTS[0] <= self.exponent <= _EXPONENTS[1]:
+            raise FrictionError(f"Stribeck: exponent must lie in {list(_EXPONENTS)}, got {self.exponent}")
+
+    @property
+    def sliding(self) -> float:
+        return _first(self.mu)
+
+    @property
+    def sticking(self) -> float:
+        return _first(self.mu_static)
+
+    @property
+    def onset(self) -> float:
+        return self.sticking
+
+    @property
+    def aspect(self) -> float:
+        return _last(self.mu) / _first(self.mu) if isinstance(self.mu, tuple) else 1.0
+
+    def coefficient(self, speed: npt.ArrayLike) -> np.ndarray:
+        law = np.vectorize(stribeck, otypes=[float])
+        return np.asarray(law(self.onset, self.sliding, self.speed, self.exponent, speed))
 
 
 @dataclass(frozen=True)
 class NoSlip(FrictionLaw):
-    """Ideal rolling (VC, Sec. 4): whatever tangential force keeps the contact from slipping."""
+    """Ideal rolling (VC, Sec. 4): whatever tangential force keeps the contact from slipping.
+
+    spinning, rolling: resistance to spinning and rolling in m, as of `Coulomb`.
+    """
+
+    spinning: float = field(default=0.0, kw_only=True)
+    rolling: float = field(default=0.0, kw_only=True)
+
+    def __post_init__(self) -> None:
+        self._set_resistances()
 
     @property
     def sliding(self) -> float:

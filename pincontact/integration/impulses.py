@@ -15,21 +15,28 @@ instant of touching for those that close. The displacement is h v_0 + (h/2) (v_f
 that falls and bounces within a step follows its parabolas.
 
 Units are the cones of the problem: unilateral contacts that are closed or close in the step; bilateral ones with
-Coulomb friction, whose normal impulse is an equation and their cone a disk of given radius; joint limits; dry
-friction of joints. Equations (bilateral normals, ideal rolling) are eliminated before.
+Coulomb friction, whose normal impulse is an equation and their cone a disk of given radius; resistance to spinning and
+to rolling, disks of torques with a radius from the contact's normal impulse; joint limits; dry friction of joints.
+Equations (bilateral normals, ideal rolling) are eliminated before.
+
+Viscous friction of contacts enters like joint damping. Coefficients that depend on the speed of slip are those of its
+speed at the midpoint; elliptic cones are stretched to round ones (see `friction.ellipse`).
 """
 
 from __future__ import annotations
 
 import math
 
-from ..dynamics.equations import inner
+from ..dynamics.equations import coefficient_at, inner
 from ..dynamics.linear import backward, cholesky, forward
 from ..friction import cone
+from ..friction.ellipse import stretch_pair
+from ..geometry.carriers import ALPHA, OMEGA
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
 from ..jit import INTEGER, TABLE, entry_kernel, kernel
 from ..layout import (
+    ANISOTROPIC,
     BASIS,
     BIAS,
     CHART,
@@ -41,10 +48,12 @@ from ..layout import (
     CORRECTION_V,
     DAMPING,
     FACTOR,
+    FRAMES,
     FREE,
     FRICTIONLESS,
     FROZEN,
     GAPS,
+    JACOBIAN,
     JOINT_TABLE,
     LENGTH,
     LOCATION,
@@ -68,6 +77,7 @@ from ..layout import (
     OK,
     PATTERN,
     RATES,
+    ROLLING,
     ROWS,
     SIDE_INT,
     SIDE_INTS,
@@ -75,13 +85,18 @@ from ..layout import (
     SLIP,
     SLIP_SIGN,
     SLIPPING,
+    SPINNING,
     STAGE_STATE,
     STATE,
     STICK,
+    STRIBECK_SPEED,
+    SUPPORT,
+    SUPPORT_SIZE,
     TANGENTS,
     TAU,
     TIME_DEPENDENT,
     UNILATERAL,
+    VISCOUS,
     WORK,
     V,
 )
@@ -105,7 +120,7 @@ STEP_SLOTS = (
     "change",  # (nv,) v_free - v_0
     "restitution",  # (nc,)
     "sticking",  # (nc,) coefficient up to which a contact at rest sticks
-    "load",  # (nc,) normal impulse over the step size of bilateral contacts in the last step, N
+    "load",  # (nc,) normal impulse over the step size in the last step of contacts whose disks depend on it, N
     "joint_int",  # (nj, 3) int: kind, index in q, index in v
     "joint_real",  # (nj, 2): limit and nothing, or half the width and the middle of the friction force's range
     "unit_int",  # (ns, UNIT_INTS) int
@@ -124,11 +139,12 @@ STEP_SLOTS = (
     "equation_share",  # (ne,) change of velocity in that basis
     "equation_impulse",  # (ne,)
     "contact_impulse",  # (nc, 3) along the basis, N s
-    "joint_impulse",  # (nv,) of limits and dry friction
+    "joint_impulse",  # (nv,) of limits, dry friction, and of what resists spinning and rolling
     "touch_time",  # (nc,) s after the step's start, negative: did not touch
     "displacement",  # (nv,)
     "mean",  # (nv,) displacement over the step size
     "forces",  # (nc, 3) impulse over step size on the second contour given, world axes
+    "torques",  # (nc, 3) what resists spinning and rolling, likewise
     "orientation",  # (nc,): -1 where the user named the contours the other way round
     "known",  # (nc, CONTACT_INTS + 2) int: the contact's integers and charts after the last step
 )
@@ -171,6 +187,7 @@ STEP_SLOTS = (
     DISPLACEMENT,
     MEAN,
     FORCES,
+    TORQUES,
     ORIENTATION,
     KNOWN,
 ) = range(len(STEP_SLOTS))
@@ -184,13 +201,14 @@ H, KEPT, KEPT_LOW, KEPT_HIGH = range(4)
 # joint_int
 JOINT_KIND, JOINT_Q, JOINT_V = range(3)
 LOWER_LIMIT, UPPER_LIMIT, DRY_FRICTION = range(3)
-# unit_int; ROW_MASK: bit r is set where row r is real, the others only fill up the cone
-UNIT_KIND, UNIT_INDEX, ROW_MASK, TOUCHES, MIDPOINT, AT_REST = range(6)
-UNIT_INTS = 6
-ON_CONTACT, ON_LOADED, ON_JOINT = range(3)
+# unit_int; ROW_MASK: bit r is set where row r is real, the others only fill up the cone. Row r of a unit that resists
+# turning is about basis vector AXIS + r; PARENT is the unit of the contact, -1 where equations give its normal impulse.
+UNIT_KIND, UNIT_INDEX, ROW_MASK, TOUCHES, MIDPOINT, AT_REST, AXIS, PARENT = range(8)
+UNIT_INTS = 8
+ON_CONTACT, ON_LOADED, ON_JOINT, ON_TURN = range(4)
 # unit_real
-IMPULSE_TIME, SHIFT, APPROACH, FREE_RATE, START_T1, START_T2, UNIT_LOAD, SLIDING = range(8)
-UNIT_REALS = 8
+IMPULSE_TIME, SHIFT, APPROACH, FREE_RATE, START_T1, START_T2, UNIT_LOAD, SLIDING, DRIVEN_T1, DRIVEN_T2 = range(10)
+UNIT_REALS = 10
 
 # What `advance` returns: the step is done, or the cone problem was changed and must be solved again.
 DONE, AGAIN = 0, -1
@@ -204,6 +222,8 @@ OPENING = 1e-12
 REDUNDANT = 1e-10
 # Fixed point on the normal loads of bilateral contacts: change that ends it, undamped iterations, all iterations.
 LOAD_CHANGE = 1e-12
+# The same for resistance to turning, whose loads come from a cone problem solved to this accuracy.
+TURN_LOAD_CHANGE = 1e-10
 UNDAMPED = 12
 REVIEW_LIMIT = 200
 # Work of impacts above this fraction of its terms is energy from nothing; accuracy of the part of restitution kept.
@@ -211,10 +231,10 @@ ENERGY_SLACK = 1e-9
 KEPT_ACCURACY = 1e-3
 
 
-def step_memory(nq: int, nv: int, nc: int, nj: int) -> Memory:
-    """The arrays of `STEP_SLOTS` for a system with nj joint limits and dry frictions."""
+def step_memory(nq: int, nv: int, nc: int, nj: int, nt: int) -> Memory:
+    """The arrays of `STEP_SLOTS` for a system with nj joint limits and dry frictions, and nt resistances to turning."""
     memory = Memory(STEP_SLOTS)
-    contacts, units, equations = max(nc, 1), max(nc + nj, 1), max(3 * nc, 1)
+    contacts, units, equations = max(nc, 1), max(nc + nj + nt, 1), max(3 * nc, 1)
     counts = memory.integers("counts", 8)
     counts[[NJ, MAX_UNITS, MAX_EQUATIONS]] = nj, units, equations
     memory.reals("numbers", 8)
@@ -223,7 +243,7 @@ def step_memory(nq: int, nv: int, nc: int, nj: int) -> Memory:
         memory.reals(name, max(nv, 1))
     for name in ("start_location", "start_rates"):
         memory.reals(name, contacts, 4)
-    for name in ("start_slip", "contact_impulse", "forces"):
+    for name in ("start_slip", "contact_impulse", "forces", "torques"):
         memory.reals(name, contacts, 3)
     memory.reals("start_normal", contacts, 2)
     for name in ("start_gap", "restitution", "sticking", "load", "touch_time", "orientation"):
@@ -451,6 +471,7 @@ def _gather_contacts(table, step, nv, nc, h):
     start_mode = integers(step[START_MODE], nc)
     start_gap, start_normal = reals(step[START_GAP], nc), matrix(step[START_NORMAL], nc, 2)
     sticking, load, trend = reals(step[STICKING], nc), reals(step[LOAD], nc), reals(step[TREND], nv)
+    basis, slip = cube(table[BASIS], nc, 3, 3), matrix(table[SLIP], nc, 3)
     for c in range(nc):
         mu, two = contact_real[c, MU], contact_int[c, TANGENTS] == 2
         bilateral, opened = contact_int[c, UNILATERAL] == 0, start_mode[c] == FREE
@@ -466,6 +487,9 @@ def _gather_contacts(table, step, nv, nc, h):
             instant = touch_instant(start_gap[c], start_normal[c, 0], rate, TOUCHING * contact_real[c, LENGTH], h)
             if instant < 0.0:
                 continue
+        if contact_real[c, STRIBECK_SPEED] > 0.0 and start_mode[c] != STICK:
+            speed = math.hypot(dot(basis[c, 0], slip[c]), dot(basis[c, 1], slip[c]) if two else 0.0)
+            mu = coefficient_at(contact_real[c], speed)
         u = _add_unit(step, kind, c, mask, mu, instant)
         ints = unit_int[u]
         if bilateral:
@@ -475,6 +499,57 @@ def _gather_contacts(table, step, nv, nc, h):
             friction[u] = sticking[c]
             ints[AT_REST] = 1
         ints[MIDPOINT] = 1 if start_mode[c] == SLIPPING and two and 0.0 < mu < math.inf else 0
+
+
+@kernel
+def _gather_turns(table, step, nc, h):
+    """Units that resist spinning and rolling, of the contacts that take part."""
+    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    counts = integers(step[COUNTS], 8)
+    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
+    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
+    load = reals(step[LOAD], nc)
+    contacts = counts[UNITS]
+    for c in range(nc):
+        if contact_real[c, SPINNING] == 0.0 and contact_real[c, ROLLING] == 0.0:
+            continue
+        parent = -1
+        if contact_int[c, UNILATERAL] != 0:
+            for u in range(contacts):
+                if unit_int[u, UNIT_INDEX] == c:
+                    parent = u
+            if parent < 0:
+                continue
+        two = contact_int[c, TANGENTS] == 2
+        for spins in range(2):
+            length = contact_real[c, SPINNING if spins == 1 else ROLLING]
+            if length > 0.0:
+                u = _add_unit(step, ON_TURN, c, 3 if two and spins == 0 else 1, length, -1.0)
+                # in a plane everything rolls about its normal, the second basis vector
+                unit_int[u, AXIS] = 2 if spins == 1 else (0 if two else 1)
+                unit_int[u, PARENT] = parent
+                unit_real[u, UNIT_LOAD] = h * load[c]
+
+
+@kernel
+def _add_turn_row(table, c, axis, nv, nc, factor, out):
+    """out += factor times the row of the relative angular velocity of contact c about a basis vector."""
+    jacobian, about = matrix(table[JACOBIAN], nv, 6), cube(table[BASIS], nc, 3, 3)[c, axis]
+    support = integer_matrix(table[SUPPORT], 2 * nc, nv)
+    side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
+    for side in range(2 * c, 2 * c + 2):
+        signed = factor if side % 2 == 1 else -factor
+        for i in range(side_int[side, SUPPORT_SIZE]):
+            k = support[side, i]
+            out[k] += signed * (about[0] * jacobian[k, 3] + about[1] * jacobian[k, 4] + about[2] * jacobian[k, 5])
+
+
+@kernel
+def _turning(table, c, axis, quantity, nc):
+    """Relative angular velocity (OMEGA), or acceleration at a = 0 (ALPHA), about a basis vector at the midpoint."""
+    frames, about = cube(table[FRAMES], 2 * nc, 8, 3), cube(table[BASIS], nc, 3, 3)[c, axis]
+    return dot(about, frames[2 * c + 1, quantity]) - dot(about, frames[2 * c, quantity])
 
 
 @kernel
@@ -528,7 +603,9 @@ def _fill_units(table, step, nv, nc, h):
     equations, share = matrix(step[EQUATIONS], size, nv), reals(step[EQUATION_SHARE], size)
     delassus, b = matrix(step[DELASSUS], 3 * n, 3 * n), reals(step[LOADS], 3 * n)
     v, change, trend = reals(step[START_V], nv), reals(step[CHANGE], nv), reals(step[TREND], nv)
-    restitution = reals(step[RESTITUTION], nc)
+    restitution, middle = reals(step[RESTITUTION], nc), reals(table[V], nv)
+    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
     for u in range(n):
         kind, index, mask = unit_int[u, UNIT_KIND], unit_int[u, UNIT_INDEX], unit_int[u, ROW_MASK]
         for row in range(3):
@@ -547,6 +624,18 @@ def _fill_units(table, step, nv, nc, h):
                     line[i] = 0.0
                 line[k] = -1.0 if joint_int[index, JOINT_KIND] == UPPER_LIMIT else 1.0
                 start, gain = line[k] * v[k], line[k] * change[k]
+            elif kind == ON_TURN:
+                axis = unit_int[u, AXIS] + row
+                for i in range(nv):
+                    line[i] = 0.0
+                _add_turn_row(table, index, axis, nv, nc, 1.0, line)
+                drift = 0.5 * h * _turning(table, index, axis, ALPHA, nc)
+                # what the bodies turn at the midpoint, and what drives add to it
+                turned = inner(line, middle, nv)
+                start = _turning(table, index, axis, OMEGA, nc)
+                unit_real[u, DRIVEN_T1 + row] = turned - start
+                start += inner(line, v, nv) - turned - drift
+                gain = inner(line, change, nv) + 2.0 * drift
             else:
                 for i in range(nv):
                     line[i] = rows[index, row, i]
@@ -565,6 +654,18 @@ def _fill_units(table, step, nv, nc, h):
                 b[r] += part * share[j]
                 for k in range(nv):
                     line[k] -= part * equations[j, k]
+        if kind == ON_TURN and mask == 3:
+            turning = math.hypot(unit_real[u, START_T1], unit_real[u, START_T2])
+            unit_int[u, MIDPOINT] = 1 if turning * h > OPENING else 0
+        elif kind < ON_JOINT and contact_int[index, ANISOTROPIC] != 0:
+            numbers, r = contact_real[index], 3 * u
+            for k in range(nv):
+                whitened[r, k], whitened[r + 1, k] = stretch_pair(numbers, whitened[r, k], whitened[r + 1, k])
+            for j in range(nequations):
+                overlap[r, j], overlap[r + 1, j] = stretch_pair(numbers, overlap[r, j], overlap[r + 1, j])
+            b[r], b[r + 1] = stretch_pair(numbers, b[r], b[r + 1])
+            values = unit_real[u]
+            values[START_T1], values[START_T2] = stretch_pair(numbers, values[START_T1], values[START_T2])
     for i in range(3 * n):
         for j in range(i + 1):
             value = inner(whitened[i], whitened[j], nv)
@@ -588,6 +689,53 @@ def _fill_units(table, step, nv, nc, h):
         if unit_int[u, MIDPOINT] != 0:
             b[3 * u] += unit_real[u, START_T1]
             b[3 * u + 1] += unit_real[u, START_T2]
+
+
+@kernel
+def _smooth_slip(table, step, c, row, nc, h):
+    """Mean over the step of a tangential component of v_c, if v stays as it is: what viscous friction acts against."""
+    along = cube(table[BASIS], nc, 3, 3)[c, row]
+    return dot(along, matrix(step[START_SLIP], nc, 3)[c]) + 0.5 * h * matrix(table[BIAS], nc, 3)[c, row]
+
+
+@kernel
+def _add_viscous(table, step, nv, nc, h, factor, change):
+    """Viscous friction of the contacts closed at the start, in the system (its lower triangle) and the loads."""
+    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    rows, start_mode = cube(table[ROWS], nc, 3, nv), integers(step[START_MODE], nc)
+    for c in range(nc):
+        constant = h * contact_real[c, VISCOUS]
+        if constant == 0.0 or start_mode[c] == FREE:
+            continue
+        for row in range(contact_int[c, TANGENTS]):
+            line = rows[c, row]
+            slip = _smooth_slip(table, step, c, row, nc, h)
+            for i in range(nv):
+                change[i] -= constant * slip * line[i]
+                for j in range(i + 1):
+                    factor[i, j] += 0.5 * constant * line[i] * line[j]
+
+
+@kernel
+def _viscous_impulses(table, step, nv, nc, h, v1):
+    """Add viscous impulses to those of the contacts; returns their work on v_c."""
+    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    rows, start_mode = cube(table[ROWS], nc, 3, nv), integers(step[START_MODE], nc)
+    v0, impulse = reals(step[START_V], nv), matrix(step[CONTACT_IMPULSE], nc, 3)
+    work = 0.0
+    for c in range(nc):
+        constant = h * contact_real[c, VISCOUS]
+        if constant == 0.0 or start_mode[c] == FREE:
+            continue
+        for row in range(contact_int[c, TANGENTS]):
+            mean = _smooth_slip(table, step, c, row, nc, h)
+            for k in range(nv):
+                mean += 0.5 * rows[c, row, k] * (v1[k] - v0[k])
+            impulse[c, row] -= constant * mean
+            work -= constant * mean * mean
+    return work
 
 
 @entry_kernel(TABLE, TABLE)
@@ -614,6 +762,7 @@ def assemble(table, step):
     for j in range(counts[NJ]):
         if joint_int[j, JOINT_KIND] == DRY_FRICTION:
             change[joint_int[j, JOINT_V]] += h * joint_real[j, 1]
+    _add_viscous(table, step, nv, nc, h, factor, change)
     if not cholesky(factor, nv, factor):
         return MASS_NOT_POSITIVE
     forward(factor, nv, change, change)
@@ -626,6 +775,7 @@ def assemble(table, step):
     if total - total != 0.0:
         return NOT_FINITE
     _gather_contacts(table, step, nv, nc, h)
+    _gather_turns(table, step, nc, h)
     _gather_joints(table, step, nv, h)
     # last, since the geometry of the step depends on whether anything touches
     _gather_equations(table, step, nv, nc, h)
@@ -654,14 +804,14 @@ def _equation_impulses(step, nv):
 
 
 @kernel
-def _normal_load(step, c):
-    """Length of the normal impulse that the equations give contact c."""
+def _normal_load(step, c, lowest):
+    """Length of the normal impulse that the equations give contact c; its normals are the rows from the lowest on."""
     counts = integers(step[COUNTS], 8)
     index = integer_matrix(step[EQUATION_INDEX], counts[MAX_EQUATIONS], 2)
     impulse = reals(step[EQUATION_IMPULSE], counts[MAX_EQUATIONS])
     total = 0.0
     for e in range(counts[NEQ]):
-        if index[e, 0] == c:
+        if index[e, 0] == c and index[e, 1] >= lowest:
             total += impulse[e] * impulse[e]
     return math.sqrt(total)
 
@@ -734,10 +884,15 @@ def _review(step, nv, h):
             friction[u] = values[SLIDING]
             ints[AT_REST] = 0
             again = True
-        if ints[UNIT_KIND] == ON_LOADED:
-            load = _normal_load(step, ints[UNIT_INDEX])
+        if ints[UNIT_KIND] == ON_LOADED or ints[UNIT_KIND] == ON_TURN:
+            turns = ints[UNIT_KIND] == ON_TURN
+            if turns and ints[PARENT] >= 0:
+                load = forces[3 * ints[PARENT] + 2]
+            else:
+                # what turns has one normal, and where it must not slip further equations; others have normals only
+                load = _normal_load(step, ints[UNIT_INDEX], 2 if turns else 0)
             before = values[UNIT_LOAD]
-            if abs(load - before) > LOAD_CHANGE * (load + before):
+            if abs(load - before) > (TURN_LOAD_CHANGE if turns else LOAD_CHANGE) * (load + before):
                 values[UNIT_LOAD] = load if counts[REVIEWS] <= UNDAMPED else 0.5 * (load + before)
                 b[3 * u + 2] = -delassus[3 * u + 2, 3 * u + 2] * values[UNIT_LOAD]
                 again = True
@@ -828,13 +983,18 @@ def _distribute(table, step, nv, nc, h):
     impulse, joint_impulse = matrix(step[CONTACT_IMPULSE], nc, 3), reals(step[JOINT_IMPULSE], nv)
     touch_time = reals(step[TOUCH_TIME], nc)
     load = reals(step[LOAD], nc)
+    basis, torques, orientation = (
+        cube(table[BASIS], nc, 3, 3),
+        matrix(step[TORQUES], nc, 3),
+        reals(step[ORIENTATION], nc),
+    )
     whole, shifted = reals(table[WORK], nv), reals(step[DISPLACEMENT], nv)
     for k in range(nv):
         whole[k] = shifted[k] = joint_impulse[k] = 0.0
     for c in range(nc):
         touch_time[c] = -1.0
         for row in range(3):
-            impulse[c, row] = 0.0
+            impulse[c, row] = torques[c, row] = 0.0
         if contact_int[c, UNILATERAL] != 0:
             contact_int[c, MODE] = FREE
         else:
@@ -850,6 +1010,16 @@ def _distribute(table, step, nv, nc, h):
     for u in range(n):
         kind, i, mask = unit_int[u, UNIT_KIND], unit_int[u, UNIT_INDEX], unit_int[u, ROW_MASK]
         early = 0.5 * h - unit_real[u, IMPULSE_TIME]
+        if kind < ON_JOINT:
+            first, second = forces[3 * u], forces[3 * u + 1]
+            if contact_int[i, ANISOTROPIC] != 0:
+                first, second = stretch_pair(contact_real[i], first, second)
+            if mask & 1 != 0:
+                impulse[i, 0] += first
+            if mask & 2 != 0:
+                impulse[i, 1] += second
+            if mask & 4 != 0:
+                impulse[i, 2] += forces[3 * u + 2]
         for row in range(3):
             if mask >> row & 1 == 0:
                 continue
@@ -857,18 +1027,21 @@ def _distribute(table, step, nv, nc, h):
             for k in range(nv):
                 whole[k] += forces[r] * whitened[r, k]
                 shifted[k] += early * forces[r] * whitened[r, k]
-            if kind != ON_JOINT:
-                impulse[i, row] += forces[r]
-            else:
+            if kind == ON_TURN:
+                axis = unit_int[u, AXIS] + row
+                _add_turn_row(table, i, axis, nv, nc, forces[r], joint_impulse)
+                for j in range(3):
+                    torques[i, j] += orientation[i] * forces[r] * basis[i, axis, j] / h
+            elif kind == ON_JOINT:
                 sign = -1.0 if joint_int[i, JOINT_KIND] == UPPER_LIMIT else 1.0
                 joint_impulse[joint_int[i, JOINT_V]] += sign * forces[r]
                 if unit_int[u, TOUCHES] != 0 and forces[r] > 0.0:
                     counts[TOUCHED] = 1
-        if kind != ON_JOINT:
+        if kind < ON_JOINT:
             contact_int[i, MODE] = _contact_mode(table, step, u, i, nc, h)
     for c in range(nc):
         normal, second = impulse[c, 2], impulse[c, 1]
-        if contact_int[c, UNILATERAL] == 0:
+        if contact_int[c, UNILATERAL] == 0 or contact_real[c, SPINNING] > 0.0 or contact_real[c, ROLLING] > 0.0:
             load[c] = abs(normal) / h
             if contact_int[c, PATTERN] == ON_CURVE:
                 length = math.hypot(normal, second)
@@ -880,14 +1053,15 @@ def _distribute(table, step, nv, nc, h):
 
 
 @kernel
-def _add_works(table, step, nv, nc, h, v1, works):
-    """Works over the step; what drives do is what impulses do on the joints less what they do on v_c."""
+def _add_works(table, step, nv, nc, h, v1, viscous, works):
+    """Works over the step, with that of viscous friction; what drives do is what impulses do on the joints less what
+    they do on v_c."""
     slip, basis = matrix(step[START_SLIP], nc, 3), cube(table[BASIS], nc, 3, 3)
     rows, bias = cube(table[ROWS], nc, 3, nv), matrix(table[BIAS], nc, 3)
     impulse = matrix(step[CONTACT_IMPULSE], nc, 3)
     v0, tau, damping = reals(step[START_V], nv), reals(table[TAU], nv), reals(table[DAMPING], nv)
     on_contacts, on_joints, _ = _impulse_work(step, h)
-    works[FRICTION_WORK] += on_contacts
+    works[FRICTION_WORK] += on_contacts + viscous
     works[DAMPING_WORK] += on_joints
     side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
     for c in range(nc):
@@ -899,6 +1073,16 @@ def _add_works(table, step, nv, nc, h, v1, works):
             for k in range(nv):
                 driven += rows[c, row, k] * v0[k]
             works[DRIVE_WORK] += impulse[c, row] * driven
+    counts = integers(step[COUNTS], 8)
+    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
+    unit_real, forces = (
+        matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS),
+        reals(step[CONE_FORCES], 3 * counts[UNITS]),
+    )
+    for u in range(counts[UNITS]):
+        if unit_int[u, UNIT_KIND] == ON_TURN:
+            for row in range(2):
+                works[DRIVE_WORK] += forces[3 * u + row] * unit_real[u, DRIVEN_T1 + row]
     for k in range(nv):
         mean = 0.5 * (v0[k] + v1[k])
         works[TORQUE_WORK] += h * tau[k] * mean
@@ -933,6 +1117,7 @@ def advance(table, step):
         total += v1[k]
     if total - total != 0.0:
         return NOT_FINITE
+    viscous = _viscous_impulses(table, step, nv, nc, h, v1)
     displace(integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4), start_q, displacement, state)
     unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
     joint_int, joint_real = integer_matrix(step[JOINT_INT], counts[NJ], 3), matrix(step[JOINT_REAL], counts[NJ], 2)
@@ -948,7 +1133,7 @@ def advance(table, step):
         start, works = reals(table[STATE], sizes[NY])[nq + nv + 4 * nc :], state[nq + nv + 4 * nc :]
         for i in range(NUMBER_OF_WORKS):
             works[i] = start[i]
-        _add_works(table, step, nv, nc, h, v1, works)
+        _add_works(table, step, nv, nc, h, v1, viscous, works)
     _report_forces(table, step, nc, h)
     hand_over(table, state)
     return DONE

@@ -115,7 +115,8 @@ class MoreauStep:
 
     The state at the step's start is `system.state`; `attempt` leaves the new one in `system.stage_state`, and may be
     called again with another size; `accept` makes it the start. Arrays (views, world axes, one row a contact):
-    forces (nc, 3): mean force over the last step on the contour named second, N;
+    forces (nc, 3): mean force over the last step on the contour named second, N; torques (nc, 3): what resisted its
+    spinning and rolling, N m;
     touch_time (nc,): s after the step's start at which a contact closed, negative where it did not.
     """
 
@@ -126,7 +127,12 @@ class MoreauStep:
         model = system.model
         joint_int, joint_real = joint_constraints(model)
         self.joints = len(joint_int)
-        self.memory = memory = step_memory(system.nq, system.nv, system.nc, self.joints)
+        laws = [contact.friction for contact in contacts if contact.friction is not None]
+        turns = sum((law.spinning > 0.0) + (law.rolling > 0.0) for law in laws)
+        self.resists_turning = turns > 0
+        # whether forces act on joints that are neither torques nor contact forces
+        self.acts_on_joints = self.joints > 0 or self.resists_turning
+        self.memory = memory = step_memory(system.nq, system.nv, system.nc, self.joints, turns)
         self.table = memory.table
         memory["joint_int"][: self.joints], memory["joint_real"][: self.joints] = joint_int, joint_real
         for c, contact in enumerate(contacts):
@@ -136,6 +142,7 @@ class MoreauStep:
         # without the stages whose linear algebra rounds differently with the alignment of memory
         self.solver = ContactSolver(stages=("interior", "restart", "continuation"))
         self.forces = memory["forces"][: system.nc]
+        self.torques = memory["torques"][: system.nc]
         self.touch_time = memory["touch_time"][: system.nc]
         self.start_mode = memory["start_mode"][: system.nc]
         self.joint_impulse = memory["joint_impulse"][: system.nv]
@@ -166,6 +173,7 @@ class MoreauStep:
             ints[SLIP_SIGN] = 1 if along[0] >= 0.0 else -1
         self.memory["load"][:] = 0.0
         self.forces[:] = 0.0
+        self.torques[:] = 0.0
         self.joint_impulse[:] = 0.0
         self.touch_time[:] = -1.0
         self._counts[TOUCHED] = 0
@@ -293,7 +301,7 @@ class MoreauStep:
 
     @property
     def joint_force(self) -> np.ndarray:
-        """(nv,) mean force of joint limits and dry friction over the last step."""
+        """(nv,) mean force over the last step of joint limits, dry friction, and what resists spinning and rolling."""
         return self.joint_impulse / self._numbers[H] if self._numbers[H] > 0.0 else np.zeros_like(self.joint_impulse)
 
     # ---------------------------------------------------------------- copies

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..dynamics.impact import apply_impact
 from ..dynamics.modes import Decision, ModeSolver, freeze_slip, rest_mode
+from ..dynamics.stretches import opposed_slip
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
     CONDITION,
@@ -307,7 +308,7 @@ class Transitions:
         self._project(t)
         rk.accept()
         # the friction that stick asks for at its limit is against the slip to come
-        limit = -system.force[c, :2] @ system.basis[c, :2]
+        limit = opposed_slip(system, c, system.force[c, :2]) @ system.basis[c, :2]
         start_q, start_v = system.q.copy(), system.v.copy()
         tau = self.seed
         decision, seeded = self._run_on(t, tau)

@@ -55,15 +55,17 @@ def _label(name: str, text: str, tracks: dict[str, Any]) -> str:
 
 
 def limit(run: Any, name: str) -> np.ndarray | None:
-    """Largest friction force in N that the law allows at each time, (n,); None where the law sets no limit.
+    """Largest dry friction force in N that the law allows at each time, (n,); None where the law sets no single limit.
 
-    Sliding contacts have the sliding coefficient, all others the one up to which they stick.
+    Sliding contacts have the coefficient of their speed, all others the one up to which they stick.
     """
     law = run.scene.contacts[name].friction
-    if law is None or not np.isfinite(law.sticking):
+    if law is None or not np.isfinite(law.sticking) or law.aspect != 1.0:
         return None
     track = run.contacts[name]
-    coefficient = np.where(np.asarray(track.mode) == SLIPPING, law.sliding, law.sticking)
+    slipping = np.asarray(track.mode) == SLIPPING
+    coefficient = np.full(slipping.shape, law.sticking)
+    coefficient[slipping] = law.coefficient(np.linalg.norm(np.asarray(track.slip_velocity)[slipping], axis=1))
     return coefficient * np.asarray(track.normal_force)
 
 
@@ -132,7 +134,8 @@ def friction_cone(run: Any, contact: str | None = None, ax: Any = None) -> Any:
             ax.plot(normal[at], friction[at], ".", color=MODE_COLORS[int(kind)], markersize=4, label=label)
             named.add(kind)
         law = run.scene.contacts[name].friction
-        for mu in () if law is None else (law.sliding, law.sticking):
+        across = 1.0 if law is None else law.aspect
+        for mu in () if law is None else sorted({k * a for k in (law.sliding, law.sticking) for a in (1.0, across)}):
             if np.isfinite(mu) and mu not in edges:
                 edges.add(mu)
                 end = max(float(np.max(normal, initial=0.0)), np.finfo(float).tiny)

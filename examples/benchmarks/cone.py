@@ -143,7 +143,7 @@ def residual(problem: Problem, forces: np.ndarray, coulomb: bool = True) -> floa
 
 
 class Pincontact:
-    """pincontact's solver, cold or with the solution of a problem whose b is off by 1e-3."""
+    """pincontact's solver, cold or with the solution of a problem whose b is off by 1e-3, as if other forces acted."""
 
     def __init__(self, warm: bool):
         self.warm = warm
@@ -154,7 +154,8 @@ class Pincontact:
         delassus, b, mu = problem
         solver = self.solver
         zero = np.zeros(b.shape)
-        nearby = b * (1.0 + 1e-3 * np.cos(np.arange(len(b))))
+        push = delassus @ np.cos(np.arange(len(b)))
+        nearby = b + 1e-3 * push / np.abs(push).max()
         start = None
         if self.warm and solver.solve(delassus, nearby, mu):
             start = solver.modes.copy(), solver.forces.copy()

@@ -109,6 +109,31 @@ def cone_memory(contacts: int) -> Memory:
 
 
 @kernel
+def subtract_row(x, y, factor):
+    """x -= factor y, with views as arguments: indices that start at zero can be done several at a time."""
+    for j in range(x.shape[0]):
+        x[j] -= factor * y[j]
+
+
+@kernel
+def largest_entry(x):
+    """Largest |x_j|; four at a time, which do not wait for each other."""
+    n = x.shape[0]
+    first = 0.0
+    second = 0.0
+    third = 0.0
+    fourth = 0.0
+    for j in range(0, n - 3, 4):
+        first = max(first, abs(x[j]))
+        second = max(second, abs(x[j + 1]))
+        third = max(third, abs(x[j + 2]))
+        fourth = max(fourth, abs(x[j + 3]))
+    for j in range(n - n % 4, n):
+        first = max(first, abs(x[j]))
+    return max(max(first, second), max(third, fourth))
+
+
+@kernel
 def minimum_norm_solve(a, rhs, n, x, gram, order, tolerance):
     """x (n,) of least norm with a x = rhs for a consistent system that may be singular; returns the rank.
 
@@ -125,12 +150,13 @@ def minimum_norm_solve(a, rhs, n, x, gram, order, tolerance):
         p = k
         q = k
         for i in range(k, n):
-            for j in range(k, n if tolerance > 0.0 else k + 1):
-                size = abs(a[i, j])
-                if size > pivot:
-                    pivot = size
-                    p = i
-                    q = j
+            size = largest_entry(a[i, k:n]) if tolerance > 0.0 else abs(a[i, k])
+            if size > pivot:
+                pivot = size
+                p = i
+        if tolerance > 0.0:
+            while q < n - 1 and abs(a[p, q]) != pivot:
+                q += 1
         if k == 0:
             largest = pivot
         if not pivot > tolerance * largest:
@@ -159,8 +185,7 @@ def minimum_norm_solve(a, rhs, n, x, gram, order, tolerance):
         for i in range(k + 1, n):
             factor = a[i, k]
             if factor != 0.0:
-                for j in range(k, n):
-                    a[i, j] -= factor * a[k, j]
+                subtract_row(a[i, k:n], a[k, k:n], factor)
                 rhs[i] -= factor * rhs[k]
 
     # Now the first `rank` rows of a are unit upper trapezoidal.

@@ -27,8 +27,9 @@ from .qp import ConeQP
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactSolution", "ContactSolver", "centred_forces", "solve_contacts"]
 
-# Newton passes per start: mode corrections included, most starts need fewer than five.
-NEWTON_PASSES = 20
+# Newton passes for one contact, all of whose states are tried, and from the last modes of several: most starts need
+# fewer than five, mode corrections included, and what needs more is found sooner by sweeps.
+NEWTON_PASSES, WARM_PASSES = 20, 8
 # Gauss-Seidel passes before the first Newton, more for more contacts; and how often Newton is tried.
 SWEEPS, SWEEPS_PER_CONTACT = 10, 2
 SWEEP_ROUNDS, SWEEP_NEWTON_PASSES = 2, 8
@@ -194,7 +195,8 @@ class ContactSolver:
                 space.modes[0] = STICK
                 space.forces[:] = 0.0
             self.polish_count += 1
-            residual = solve_cones(delassus, b, mu, space.table, WARM, NEWTON_PASSES, self.tolerance, 0, 1)
+            passes = NEWTON_PASSES if contacts == 1 else WARM_PASSES
+            residual = solve_cones(delassus, b, mu, space.table, WARM, passes, self.tolerance, 0, 1)
             if residual <= self.tolerance:
                 self.residual = residual
                 space.warm = True

@@ -211,9 +211,10 @@ class ContactSolver:
         self.residual = np.inf
         self.certificate = None
         self.jammed = False
+        swept = np.inf
         for stage in self.stages:
             if stage == "sweeps":
-                solved = self._sweep(space, delassus, b, mu)
+                solved = self._sweep(space, delassus, b, mu, STRICTNESS * self.tolerance)
             elif not (np.isfinite(delassus).all() and np.isfinite(b).all()):
                 return False
             elif stage == "path":
@@ -225,16 +226,23 @@ class ContactSolver:
                 self.decided_by = stage
                 self.decided[stage] += 1
                 return True
+            if stage == "sweeps":
+                swept = self.residual
             if self.jammed:
-                return False
+                break
+        if swept <= self.tolerance and self._sweep(space, delassus, b, mu, self.tolerance):
+            # What they had found was good enough, if not as good as can be.
+            space.warm = True
+            self.decided_by = "sweeps"
+            self.decided["sweeps"] += 1
+            return True
         return False
 
-    def _sweep(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+    def _sweep(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, tolerance: float) -> bool:
         """Modes from Gauss-Seidel sweeps, from the last forces if there are any."""
         if not space.warm:
             space.forces[:] = 0.0
         sweeps = SWEEPS + SWEEPS_PER_CONTACT * space.contacts
-        tolerance = STRICTNESS * self.tolerance
         self.residual = solve_cones(
             delassus, b, mu, space.table, CLASSIFY, SWEEP_NEWTON_PASSES, tolerance, sweeps, SWEEP_ROUNDS
         )

@@ -343,7 +343,7 @@ def solve_contacts(
     mu:        (n,) or one number: coefficients of friction; 0 is frictionless, inf never slips while it presses
     warm:      a solution of a similar problem with as many contacts, to start from
     tolerance: relative residual up to which a solution is accepted
-    quick:     give up early where the cheap ways fail, as a control loop must; a few hard problems in a thousand are then lost
+    quick:     give up early where the cheap ways fail, for control loops; a few hard problems in a thousand are lost
 
     Where contacts are redundant the forces are one choice among several (see `centred_forces`); u is not affected.
     The same arguments give the same bits.

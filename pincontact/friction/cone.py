@@ -78,7 +78,7 @@ SLOTS = (
     "order",  # (3n + 1,) int: permutation of the elimination
     "first",  # (n + 1,) int: first unknown of each contact
     "trial",  # (2, n) int: modes tried, modes started from
-    "path",  # (8, 3n + 1) point, tangent, ... of `interior.follow_path`
+    "path",  # (8, 3n + 1) point, tangent, ... of `path.follow_path`
 )
 (
     MODES, FORCES, VELOCITIES, COUNTS, SCALED, SYSTEM, GRAM, VECTORS, SCALARS, DIRECTIONS, ANGLES, ORDER, FIRST, TRIAL,

@@ -13,6 +13,7 @@ from .errors import (
     ContactError,
     ContourError,
     FrictionError,
+    InfeasibleError,
     MissingExtraError,
     ModelError,
     NoContactError,
@@ -24,7 +25,7 @@ from .errors import (
     TrajectoryError,
 )
 from .friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
-from .friction.solve import ContactSolution, solve_contacts
+from .friction.solve import ContactSolution, centred_forces, solve_contacts
 from .integration.results import Event
 from .scene import Scene
 from .scene_file import LoadedScene, load_scene
@@ -55,6 +56,7 @@ __all__ = [
     "Event",
     "FrictionError",
     "FrictionLaw",
+    "InfeasibleError",
     "InverseDynamics",
     "Linearization",
     "LoadedScene",
@@ -75,6 +77,7 @@ __all__ = [
     "Trajectory",
     "TrajectoryError",
     "analyze",
+    "centred_forces",
     "export_html",
     "external_forces",
     "find_equilibrium",

@@ -1,5 +1,9 @@
 """Typed errors. Each message names the contact, the frame or the number that was out of bounds."""
 
+from __future__ import annotations
+
+from typing import Any
+
 
 class ContactError(Exception):
     """Base of every error raised by pincontact."""
@@ -53,6 +57,17 @@ class ArgumentError(ContactError, ValueError):
 
 class SolverError(ContactError):
     """A numerical problem has no solution, or none was found; the message carries the residual."""
+
+
+class InfeasibleError(SolverError):
+    """A contact problem provably has no solution.
+
+    certificate: (n,) normal forces that move nothing (G y = 0) while the contacts they press approach (b . y < 0).
+    """
+
+    def __init__(self, message: str, certificate: Any = None):
+        super().__init__(message)
+        self.certificate = certificate
 
 
 class TrajectoryError(ContactError):

@@ -54,15 +54,10 @@ REFINEMENT = 1e-2
 # Directions tried in the scan for a single contact's slip; the function scanned has four zeros at most.
 SCAN = 64
 CANDIDATES = 12
-HUGE, TINY = 1e300, 1e-300
-# The interior-point method needs a few digits, since it only has to tell the modes; a dozen passes are common.
-INTERIOR_ACCURACY = 1e-8
-INTERIOR_PASSES = 40
-INTERIOR_BACK_OFF = 0.99
-# Sizes of the starting forces and velocities, in the order they are tried.
-INTERIOR_STARTS = ((1, 1), (10, 10), (0.1, 0.1), (0.1, 10), (10, 0.1), (100, 100), (1, 100), (100, 1))
-# Outside this range a cone is too flat or too steep for it; Newton uses the true coefficient.
-LEAST_FRICTION, LARGEST_FRICTION = 1e-3, 1e2
+HUGE = 1e300
+SWEEP_GROWTH = 8
+# Outside this range a cone is too flat or too steep to tell modes by; Newton uses the true coefficient.
+LEAST_FRICTION, LARGEST_FRICTION = 1e-6, 1e2
 # Larger coefficients make the QP's facets too steep for it; the modes found are then corrected by Newton.
 QP_FRICTION = 100.0
 
@@ -74,19 +69,21 @@ SLOTS = (
     "velocities",  # (3n,): out
     "counts",  # (2,) int: out, Newton passes and whether a search over all states was needed
     "scaled",  # (3n, 3n) the Delassus matrix without units
-    "system",  # (3n, 3n) Newton's matrix
-    "gram",  # (3n, 3n)
+    "system",  # (3n + 1, 3n + 1) Newton's matrix
+    "gram",  # (3n + 1, 3n + 1)
     "vectors",  # (8, 3n)
     "scalars",  # (7, n)
     "directions",  # (2n,) of slip
     "angles",  # (CANDIDATES,)
-    "order",  # (3n,) int: permutation of the elimination
+    "order",  # (3n + 1,) int: permutation of the elimination
     "first",  # (n + 1,) int: first unknown of each contact
     "trial",  # (2, n) int: modes tried, modes started from
+    "path",  # (8, 3n + 1) point, tangent, ... of `path.follow_path`
 )
-MODES, FORCES, VELOCITIES, COUNTS, SCALED, SYSTEM, GRAM, VECTORS, SCALARS, DIRECTIONS, ANGLES, ORDER, FIRST, TRIAL = (
-    range(len(SLOTS))
-)
+(
+    MODES, FORCES, VELOCITIES, COUNTS, SCALED, SYSTEM, GRAM, VECTORS, SCALARS, DIRECTIONS, ANGLES, ORDER, FIRST, TRIAL,
+    PATH,
+) = range(len(SLOTS))  # fmt: skip
 
 
 def cone_memory(contacts: int) -> Memory:
@@ -97,16 +94,43 @@ def cone_memory(contacts: int) -> Memory:
     memory.reals("forces", rows)
     memory.reals("velocities", rows)
     memory.integers("counts", 2)
-    for name in ("scaled", "system", "gram"):
-        memory.reals(name, rows, rows)
+    memory.reals("scaled", rows, rows)
+    memory.reals("system", rows + 1, rows + 1)
+    memory.reals("gram", rows + 1, rows + 1)
     memory.reals("vectors", 8, rows)
     memory.reals("scalars", 7, contacts)
     memory.reals("directions", 2 * contacts)
     memory.reals("angles", CANDIDATES)
-    memory.integers("order", rows)
+    memory.integers("order", rows + 1)
     memory.integers("first", contacts + 1)
     memory.integers("trial", 2, contacts)
+    memory.reals("path", 8, rows + 1)
     return memory
+
+
+@kernel
+def subtract_row(x, y, factor):
+    """x -= factor y, with views as arguments: indices that start at zero can be done several at a time."""
+    for j in range(x.shape[0]):
+        x[j] -= factor * y[j]
+
+
+@kernel
+def largest_entry(x):
+    """Largest |x_j|; four at a time, which do not wait for each other."""
+    n = x.shape[0]
+    first = 0.0
+    second = 0.0
+    third = 0.0
+    fourth = 0.0
+    for j in range(0, n - 3, 4):
+        first = max(first, abs(x[j]))
+        second = max(second, abs(x[j + 1]))
+        third = max(third, abs(x[j + 2]))
+        fourth = max(fourth, abs(x[j + 3]))
+    for j in range(n - n % 4, n):
+        first = max(first, abs(x[j]))
+    return max(max(first, second), max(third, fourth))
 
 
 @kernel
@@ -126,12 +150,13 @@ def minimum_norm_solve(a, rhs, n, x, gram, order, tolerance):
         p = k
         q = k
         for i in range(k, n):
-            for j in range(k, n if tolerance > 0.0 else k + 1):
-                size = abs(a[i, j])
-                if size > pivot:
-                    pivot = size
-                    p = i
-                    q = j
+            size = largest_entry(a[i, k:n]) if tolerance > 0.0 else abs(a[i, k])
+            if size > pivot:
+                pivot = size
+                p = i
+        if tolerance > 0.0:
+            while q < n - 1 and abs(a[p, q]) != pivot:
+                q += 1
         if k == 0:
             largest = pivot
         if not pivot > tolerance * largest:
@@ -160,8 +185,7 @@ def minimum_norm_solve(a, rhs, n, x, gram, order, tolerance):
         for i in range(k + 1, n):
             factor = a[i, k]
             if factor != 0.0:
-                for j in range(k, n):
-                    a[i, j] -= factor * a[k, j]
+                subtract_row(a[i, k:n], a[k, k:n], factor)
                 rhs[i] -= factor * rhs[k]
 
     # Now the first `rank` rows of a are unit upper trapezoidal.
@@ -596,150 +620,42 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
 
 
 @kernel
-def cone_step(x1, x2, xn, d1, d2, dn):
-    """Longest step from x, inside the cone |x_t| < x_n, along d until it leaves; at most 1e10."""
-    curvature = dn * dn - d1 * d1 - d2 * d2
-    slope = xn * dn - x1 * d1 - x2 * d2
-    tangential = sqrt(x1 * x1 + x2 * x2)
-    value = (xn - tangential) * (xn + tangential)
-    step = 1e10
-    if dn < 0.0:
-        step = min(step, -xn / dn)
-    discriminant = slope * slope - curvature * value
-    if discriminant >= 0.0:
-        root = sqrt(discriminant)
-        q = -(slope + root) if slope > 0.0 else root - slope
-        if curvature != 0.0 and q / curvature > 0.0:
-            step = min(step, q / curvature)
-        if q != 0.0 and value / q > 0.0:
-            step = min(step, value / q)
-    return step
-
-
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, REAL, REAL, REAL, aside=True)
-def interior_point(delassus, b, mu, table, first_f, first_y, pivoting):
-    """Forces (3n,) in the table by a primal-dual interior-point method with Nesterov-Todd scaling; the residual.
-
-    The cones are scaled to |f_t| <= f_n; then y = (u_t, u_n / mu + |u_t|) is in the same cone, orthogonal to f, and De
-    Saxce's |u_t| is taken into Newton's matrix, which makes it unsymmetric and the method fast but not sure to
-    converge: other starting sizes first_f, first_y often help. Between redundant forces it ends well inside the cones,
-    which is where the modes can be told. delassus, b, mu, table: as for `solve_cones`; pivoting: the tolerance of
-    `minimum_norm_solve`, 0 where the contacts' inertias are not extremely different.
-    """
+def sweep(g, mu, f, u):
+    """One Gauss-Seidel pass of the judge's projections over all contacts; f (3n,) and u = g f + c (3n,) are updated."""
     n = mu.shape[0]
     rows = 3 * n
-    forces = reals(table[FORCES], rows)
-    vectors = matrix(table[VECTORS], 8, rows)
-    scalars = matrix(table[SCALARS], 7, n)
-    a = matrix(table[SYSTEM], rows, rows)
-    g = matrix(table[SCALED], rows, rows)
-    gram = matrix(table[GRAM], rows, rows)
-    order = integers(table[ORDER], rows)
-    c = vectors[0]
-    f = vectors[1]
-    y = vectors[2]
-    weight = vectors[3]
-    rhs = vectors[4]
-    x = vectors[5]
-    row_of_g = vectors[6]
-    change = vectors[7]
-    scale = scalars[0]
-    size = scalars[1]
-    largest = scale_problem(delassus, b, n, g, c, scale)
-    unit = 0.0
     for i in range(n):
         k = 3 * i
-        friction = min(max(mu[i], LEAST_FRICTION), LARGEST_FRICTION)
-        trace = g[k, k] + g[k + 1, k + 1] + g[k + 2, k + 2] / (friction * friction)
-        weight[k] = sqrt(3.0 / trace) if trace > 0.0 else 1.0
-        weight[k + 1] = weight[k]
-        weight[k + 2] = weight[k] / friction
-        for r in range(k, k + 3):
-            unit = max(unit, abs(weight[r] * c[r]))
-            f[r] = 0.0
-            y[r] = 0.0
-        f[k + 2] = first_f
-        y[k + 2] = first_y
-    unit = unit if unit > 0.0 else 1.0
-    residual = HUGE
-    centring = 0.2
-    for _ in range(INTERIOR_PASSES):
-        gap = 0.0
-        for k in range(rows):
-            gap += f[k] * y[k] / n
-            change[k] = weight[k] * f[k]
-        residual = gap
-        for k in range(rows):
-            total = c[k] / unit
+        stiffness = g[k + 2, k + 2]
+        change = max(f[k + 2] - u[k + 2] / stiffness, 0.0) - f[k + 2] if stiffness > 0.0 else 0.0
+        if change != 0.0:
+            f[k + 2] += change
             for j in range(rows):
-                total += g[k, j] * change[j]
-            rhs[k] = weight[k] * total - y[k]
-        for i in range(n):
-            k = 3 * i
-            speed = sqrt(y[k] ** 2 + y[k + 1] ** 2)
-            d1 = y[k] / speed if speed > 0.0 else 0.0
-            d2 = y[k + 1] / speed if speed > 0.0 else 0.0
-            rhs[k + 2] += speed
-            for r in range(k, k + 3):
-                residual = max(residual, abs(rhs[r]))
-            # dy_n = ... + d . dy_t: the row of |u_t|.
-            rhs[k + 2] += d1 * rhs[k] + d2 * rhs[k + 1]
-            push = sqrt(f[k] ** 2 + f[k + 1] ** 2)
-            f_norm = (f[k + 2] - push) * (f[k + 2] + push)
-            y_norm = (y[k + 2] - speed) * (y[k + 2] + speed)
+                u[j] += change * g[k + 2, j]
+        half = 0.5 * (g[k, k] - g[k + 1, k + 1])
+        stiffness = 0.5 * (g[k, k] + g[k + 1, k + 1]) + sqrt(half * half + g[k, k + 1] ** 2)
+        if stiffness > 0.0:
+            p1 = f[k] - u[k] / stiffness
+            p2 = f[k + 1] - u[k + 1] / stiffness
+            radius = min(mu[i], LARGEST_FRICTION) * f[k + 2]
+            length = sqrt(p1 * p1 + p2 * p2)
+            shrink = radius / length if length > radius else 1.0
+            change1 = shrink * p1 - f[k]
+            change2 = shrink * p2 - f[k + 1]
+            f[k] += change1
+            f[k + 1] += change2
             for j in range(rows):
-                a[k, j] = weight[k] * g[k, j] * weight[j]
-                a[k + 1, j] = weight[k] * g[k + 1, j] * weight[j]
-                a[k + 2, j] = weight[k + 2] * g[k + 2, j] * weight[j] + d1 * a[k, j] + d2 * a[k + 1, j]
-            # Right-hand side of W^2 df + dy = centring gap f^-1 - y, for the inverse in the cone's algebra.
-            target = centring * gap / f_norm
-            x[k] = -target * f[k] - y[k]
-            x[k + 1] = -target * f[k + 1] - y[k + 1]
-            x[k + 2] = target * f[k + 2] - y[k + 2]
-            for r in range(k, k + 3):
-                rhs[r] = x[r] - rhs[r]
-            # W^2 = eta^2 (2 w w^T - diag(-1, -1, 1)), which maps f to y.
-            f_root = sqrt(f_norm)
-            y_root = sqrt(y_norm)
-            cosine = (f[k] * y[k] + f[k + 1] * y[k + 1] + f[k + 2] * y[k + 2]) / (f_root * y_root)
-            shrink = 1.0 / sqrt(2.0 * (1.0 + cosine))
-            row_of_g[k] = shrink * (y[k] / y_root - f[k] / f_root)
-            row_of_g[k + 1] = shrink * (y[k + 1] / y_root - f[k + 1] / f_root)
-            row_of_g[k + 2] = shrink * (y[k + 2] / y_root + f[k + 2] / f_root)
-            size[i] = y_root / f_root
-            for r in range(3):
-                for q in range(3):
-                    a[k + r, k + q] += 2.0 * size[i] * row_of_g[k + r] * row_of_g[k + q]
-                a[k + r, k + r] += size[i] if r < 2 else -size[i]
-        if residual < INTERIOR_ACCURACY or not residual < HUGE:
-            break
-        minimum_norm_solve(a, rhs, rows, change, gram, order, pivoting)
-        step = 1.0 / INTERIOR_BACK_OFF
-        for i in range(n):
-            k = 3 * i
-            along = 2.0 * (row_of_g[k] * change[k] + row_of_g[k + 1] * change[k + 1] + row_of_g[k + 2] * change[k + 2])
-            for r in range(k, k + 3):
-                sign = -1.0 if r < k + 2 else 1.0
-                x[r] -= size[i] * (along * row_of_g[r] - sign * change[r])
-            step = min(step, cone_step(f[k], f[k + 1], f[k + 2], change[k], change[k + 1], change[k + 2]))
-            step = min(step, cone_step(y[k], y[k + 1], y[k + 2], x[k], x[k + 1], x[k + 2]))
-        step *= INTERIOR_BACK_OFF
-        for k in range(rows):
-            f[k] += step * change[k]
-            y[k] += step * x[k]
-        centring = min(max(1.0 - step, 0.01), 0.8)
-    for k in range(rows):
-        forces[k] = f[k] * weight[k] * unit * scale[k // 3] * largest
-    return residual
+                u[j] += change1 * g[k, j] + change2 * g[k + 1, j]
 
 
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, INTEGER, INTEGER, REAL, aside=True)
-def solve_cones(delassus, b, mu, table, task, passes, tolerance):
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, INTEGER, INTEGER, REAL, INTEGER, INTEGER, aside=True)
+def solve_cones(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
     """Forces and velocities of n contacts from what is known of them; returns the residual.
 
     delassus (3n, 3n), b (3n,), mu (n,): the problem; table: that of `cone_memory(n)`. task says how it is begun:
       WARM       from the modes and forces in the table
-      CLASSIFY   from the forces alone; the modes are read off the judge's projections
+      CLASSIFY   from the forces alone, after `sweeps` Gauss-Seidel passes over them; the modes are read off the
+                 judge's projections; on failure more sweeps, SWEEP_GROWTH times as many in each of `rounds`
     On success (residual <= tolerance) modes, forces and velocities are written, otherwise none of them is.
     """
     n = mu.shape[0]
@@ -771,12 +687,23 @@ def solve_cones(delassus, b, mu, table, task, passes, tolerance):
         trial[i] = modes[i]
         for k in range(3 * i, 3 * i + 3):
             f[k] = forces[k] / (scale[i] * unit)
-    if task == CLASSIFY:
-        respond(g, c, f, u, size)
-        classify(mu, f, u, trial)
-    residual, used, tried = settle(g, c, mu, trial, f, u, angles, start, trials[1], passes, tolerance, buffers)
-    counts[0] = used
-    counts[1] = 1 if tried > 1 else 0
+    residual = HUGE
+    for attempt in range(rounds):
+        if task != WARM:
+            if attempt > 0:
+                for k in range(rows):
+                    f[k] = start[k]
+                sweeps *= SWEEP_GROWTH
+            respond(g, c, f, u, size)
+            for _ in range(sweeps):
+                sweep(g, mu, f, u)
+            classify(mu, f, u, trial)
+        result, used, tried = settle(g, c, mu, trial, f, u, angles, start, trials[1], passes, tolerance, buffers)
+        counts[0] = used
+        counts[1] = 1 if tried > 1 else 0
+        residual = min(residual, result)
+        if residual <= tolerance:
+            break
     if residual <= tolerance:
         for i in range(n):
             modes[i] = trial[i]

@@ -16,6 +16,8 @@ from .cone import assemble_qp
 # The pull towards the last forces that makes a singular Delassus matrix definite (unit-sized scaling).
 PROXIMAL = 1e-6
 ACCURACY = 1e-6
+# Binary digits of the forces that are passed on.
+GRAIN_BITS = 26
 # A degenerate program can keep ProxQP busy for seconds; one that needs more than this is better left.
 ITERATIONS = 100
 
@@ -77,4 +79,9 @@ class ConeQP:
             self._initialised = True
         qp.solve()
         self.estimate[:] = qp.results.x
+        largest = np.abs(self.estimate).max(initial=0.0)
+        if 0.0 < largest < np.inf:
+            # ProxQP's last digits depend on where in memory its matrices are; its accuracy is far from these.
+            grain = 2.0 ** (np.frexp(largest)[1] - GRAIN_BITS)
+            self.estimate[:] = grain * np.rint(self.estimate / grain)
         return bool(qp.results.info.status == self._solved and np.isfinite(self.estimate).all())

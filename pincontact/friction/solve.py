@@ -3,52 +3,61 @@
 What has to be found is the modes; whatever suggests them, the Newton of `cone` computes the forces and its judge
 accepts or refuses them. The suggestions come from, cheapest first,
 
-    warm          the modes and forces of the last solution
-    qp            a sequence of ProxQP programs (`qp`)
-    interior      the interior-point method of `cone`, from several starting points
-    pgs           Pinocchio's projected Gauss-Seidel solver
-    restart       the last forces, perturbed, and arbitrary modes
-    continuation  the frictionless solution, followed while friction grows
+    warm    the modes and forces of the last solution
+    sweeps  a few Gauss-Seidel passes over the last forces, and more if these do not do
+    path    the homotopy of `path`, which finds a solution unless the forces on it grow without bound
+    qp      a sequence of ProxQP programs (`qp`)
 
-A single contact needs no search: all of its states can be tried (`exact`).
+A single contact needs no search: all of its states can be tried (`exact`). All but ProxQP compute the same to the bit
+from the same problem and warm start; its forces are rounded to fewer digits before Newton has them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import ArgumentError, SolverError
-from .cone import (
-    CLASSIFY,
-    INTERIOR_STARTS,
-    LARGEST_FRICTION,
-    OPEN,
-    SLIP,
-    STICK,
-    TINY,
-    WARM,
-    cone_memory,
-    interior_point,
-    solve_cones,
-)
+from ..errors import ArgumentError, InfeasibleError, SolverError
+from .cone import CLASSIFY, HUGE, OPEN, RANK_TOLERANCE, SLIP, STICK, WARM, cone_memory, solve_cones
+from .feasibility import crushing_combination
+from .path import follow_path
 from .qp import ConeQP
 
-__all__ = ["OPEN", "SLIP", "STICK", "ContactSolution", "ContactSolver", "solve_contacts"]
+__all__ = ["OPEN", "SLIP", "STICK", "ContactSolution", "ContactSolver", "centred_forces", "solve_contacts"]
 
-# Newton passes per start: mode corrections included, most starts need fewer than five.
-NEWTON_PASSES = 20
+# Newton passes for one contact, all of whose states are tried, and from the last modes of several: most starts need
+# fewer than five, mode corrections included, and what needs more is found sooner by sweeps.
+NEWTON_PASSES, WARM_PASSES = 20, 8
+# Gauss-Seidel passes before the first Newton, more for more contacts; and how often Newton is tried.
+SWEEPS, SWEEPS_PER_CONTACT = 10, 2
+SWEEP_ROUNDS, SWEEP_NEWTON_PASSES = 2, 8
+# What the searches aim at, relative to the tolerance; the last ones are content with that.
+STRICTNESS = 0.01
+# Newton passes from a point of the path: near a solution three do, elsewhere none.
+PATH_NEWTON_PASSES = 6
+# Values of t at which the path's forces are tried.
+PATH_STOPS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-9, 1e-11, 1e-13)
+# Width of the tube round the path, and size of b against the path's beginning, in the order they are tried.
+PATH_STARTS = (
+    (0.01, 1.0), (0.002, 1.0), (0.01, 0.1), (0.01, 100.0), (0.01, 0.01), (0.01, 10.0), (0.002, 0.1), (0.0002, 1.0),
+    (0.002, 0.01), (0.002, 100.0),
+)  # fmt: skip
+# A path on which the forces grow without bound shows that no forces make the contacts give way; this many, from
+# different beginnings, end the search.
+ESCAPES = 2
+# Steps to a stop; a stop takes ten as a rule.
+PATH_STEPS = 500
+QUICK_PATH_STEPS = 20
 # Programs per search: a third one rarely finds what two did not.
 QP_LIMIT = 2
-STAGES = ("qp", "interior", "pgs", "restart", "continuation")
-RESTARTS = 400
-SMALLEST_FRICTION_STEP = 1e-4
-# Pinocchio's cones are finite; its forces only suggest modes.
-PGS_FRICTION = 1e4
-PGS_ACCURACY = 1e-10
-PGS_ITERATIONS = 300
+STAGES = ("sweeps", "path", "qp")
+# The value of t at which redundant forces count as centred.
+CENTRE = 1e-9
+# Velocities relative to the terms that cancel in them.
+AT_REST = 1e-9
+TINY = 1e-300
 
 
 class _Workspace:
@@ -64,50 +73,6 @@ class _Workspace:
         self.counts = self.memory["counts"]
         self.warm = False
         self.qp: ConeQP | None = None
-        self.pgs: _PinocchioPGS | None = None
-
-
-class _PinocchioPGS:
-    """Pinocchio's PGSConstraintSolver on problems of one size."""
-
-    def __init__(self, contacts: int):
-        import pinocchio as pin
-
-        self._pin = pin
-        self._model = pin.Model()
-        self._models = pin.StdVec_ConstraintModel()
-        self._datas = pin.StdVec_ConstraintData()
-        self._friction: np.ndarray | None = None
-        self._settings = pin.PGSSolverSettings()
-        self._settings.absolute_feasibility_tol = PGS_ACCURACY
-        self._settings.absolute_complementarity_tol = PGS_ACCURACY
-        self._settings.relative_feasibility_tol = PGS_ACCURACY
-        self._settings.relative_complementarity_tol = PGS_ACCURACY
-        self._settings.max_iterations = PGS_ITERATIONS
-        self._solver = pin.PGSConstraintSolver(3 * contacts)
-
-    def solve(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> np.ndarray | None:
-        """Forces (3n,) as Pinocchio's solver leaves them, or None if they are not finite."""
-        pin = self._pin
-        if self._friction is None or not np.array_equal(self._friction, mu):
-            self._models = pin.StdVec_ConstraintModel()
-            self._datas = pin.StdVec_ConstraintData()
-            for value in mu:
-                contact = pin.PointContactConstraintModel(self._model, 0)
-                contact.setFriction(min(float(value), PGS_FRICTION))
-                model = pin.ConstraintModel(contact)
-                self._models.append(model)
-                self._datas.append(model.createData())
-            self._friction = mu.copy()
-        # Unit-sized blocks and b, as everywhere: its tolerances are absolute in part.
-        trace = np.diagonal(delassus).reshape(-1, 3).sum(axis=1)
-        scale = np.repeat(np.sqrt(3.0 / np.where(trace > 0.0, trace, 3.0)), 3)
-        unit = np.abs(scale * b).max() or 1.0
-        result = pin.PGSSolverResult()
-        operator = pin.DelassusOperatorDense(scale[:, None] * delassus * scale)
-        self._solver.solve(operator, scale * b / unit, self._models, self._datas, self._settings, result)
-        forces = result.retrieveConstraintImpulses()
-        return forces * scale * unit if np.isfinite(forces).all() else None
 
 
 @dataclass(frozen=True)
@@ -164,19 +129,27 @@ class ContactSolver:
 
     tolerance: relative residual up to which a solution is accepted
     stages:    how the modes are looked for where a warm start is missing or refused, in this order
+    quick:     gives up early: the path is tried once, with few steps, and ProxQP not at all
 
-    Counters: polish_count (warm starts tried), qp_count, pgs_count, interior_count, and decided (by stage).
+    Counters: polish_count (warm starts tried), path_count (paths begun), qp_count (programs), and decided (by stage).
+    After a search that failed `jammed` says whether that was because the forces grow without bound on the path; where
+    there provably is no solution `certificate` (n,) is the reason, see `InfeasibleError`, otherwise None.
     """
 
-    def __init__(self, tolerance: float = 1e-10, stages: tuple[str, ...] = STAGES):
+    def __init__(self, tolerance: float = 1e-10, stages: tuple[str, ...] = STAGES, quick: bool = False):
+        unknown = set(stages) - set(STAGES)
+        if unknown:
+            raise ArgumentError(f"stages are among {STAGES}, got {sorted(unknown)}")
         self.tolerance = tolerance
         self.stages = stages
+        self.quick = quick
         self.residual = 0.0
+        self.jammed = False
+        self.certificate: np.ndarray | None = None
         self.decided_by = ""
         self.polish_count = 0
+        self.path_count = 0
         self.qp_count = 0
-        self.pgs_count = 0
-        self.interior_count = 0
         self.decided = dict.fromkeys(("warm", "exact", *stages), 0)
         self._qp_before = 0
         self._spaces: dict[int, _Workspace] = {}
@@ -222,7 +195,8 @@ class ContactSolver:
                 space.modes[0] = STICK
                 space.forces[:] = 0.0
             self.polish_count += 1
-            residual = solve_cones(delassus, b, mu, space.table, WARM, NEWTON_PASSES, self.tolerance)
+            passes = NEWTON_PASSES if contacts == 1 else WARM_PASSES
+            residual = solve_cones(delassus, b, mu, space.table, WARM, passes, self.tolerance, 0, 1)
             if residual <= self.tolerance:
                 self.residual = residual
                 space.warm = True
@@ -235,38 +209,97 @@ class ContactSolver:
     def _search(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """The stages after the warm one, in their order."""
         self.residual = np.inf
-        if not (np.isfinite(delassus).all() and np.isfinite(b).all()):
-            return False
-        before = space.modes.copy(), space.forces.copy(), space.velocities.copy(), space.warm
-        searches = {
-            "qp": self._search_qp,
-            "interior": self._search_interior,
-            "pgs": self._search_pgs,
-            "restart": self._search_restarts,
-            "continuation": self._search_continuation,
-        }
+        self.certificate = None
+        self.jammed = False
+        swept = np.inf
         for stage in self.stages:
-            if searches[stage](space, delassus, b, mu):
+            if stage == "sweeps":
+                solved = self._sweep(space, delassus, b, mu, STRICTNESS * self.tolerance)
+            elif not (np.isfinite(delassus).all() and np.isfinite(b).all()):
+                return False
+            elif stage == "path":
+                solved = self._follow(space, delassus, b, mu)
+            else:
+                solved = self._program(space, delassus, b, mu)
+            if solved:
+                space.warm = True
                 self.decided_by = stage
                 self.decided[stage] += 1
                 return True
-        space.modes[:], space.forces[:], space.velocities[:], space.warm = before
-        return False
-
-    def _newton(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, task: int) -> bool:
-        """Newton and judge from the workspace's forces; True if accepted."""
-        residual = solve_cones(delassus, b, mu, space.table, task, NEWTON_PASSES, self.tolerance)
-        if residual <= self.tolerance:
-            self.residual = residual
+            if stage == "sweeps":
+                swept = self.residual
+            if self.jammed:
+                break
+        if swept <= self.tolerance and self._sweep(space, delassus, b, mu, self.tolerance):
+            # What they had found was good enough, if not as good as can be.
             space.warm = True
+            self.decided_by = "sweeps"
+            self.decided["sweeps"] += 1
             return True
-        self.residual = min(self.residual, residual)
         return False
 
-    def _search_qp(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """A sequence of QPs, each around the forces of the last."""
+    def _sweep(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, tolerance: float) -> bool:
+        """Modes from Gauss-Seidel sweeps, from the last forces if there are any."""
+        if not space.warm:
+            space.forces[:] = 0.0
+        sweeps = SWEEPS + SWEEPS_PER_CONTACT * space.contacts
+        self.residual = solve_cones(
+            delassus, b, mu, space.table, CLASSIFY, SWEEP_NEWTON_PASSES, tolerance, sweeps, SWEEP_ROUNDS
+        )
+        return self.residual <= tolerance
+
+    def _newton(self, space: _Workspace, problem: tuple[np.ndarray, np.ndarray, np.ndarray], tolerance: float) -> bool:
+        """Newton and judge from the workspace's forces; True if accepted."""
+        residual = np.inf
+        if np.isfinite(space.forces).all():
+            residual = solve_cones(*problem, space.table, CLASSIFY, PATH_NEWTON_PASSES, tolerance, 0, 1)
+        self.residual = residual if residual <= tolerance else min(self.residual, residual)
+        return residual <= tolerance
+
+    def _follow(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Modes from the path, tried again and again on its way down, from one beginning after the other."""
+        problem = delassus, b, mu
+        before = space.forces.copy()
+        steps = QUICK_PATH_STEPS if self.quick else PATH_STEPS
+        escapes = 0
+        for tube, size in PATH_STARTS[:1] if self.quick else PATH_STARTS:
+            self.path_count += 1
+            follow_path(*problem, space.table, 1.0, tube, size, 1.0, 0)
+            good: np.ndarray | None = None
+            for stop in PATH_STOPS:
+                reached = follow_path(*problem, space.table, stop, tube, size, 1.0, steps)
+                tried = space.forces.copy()
+                least = self.residual
+                self.residual = np.inf
+                if self._newton(space, problem, STRICTNESS * self.tolerance):
+                    return True
+                if self.residual <= self.tolerance:
+                    good = tried
+                self.residual = min(self.residual, least)
+                if not reached <= stop:
+                    break
+            if good is not None:
+                # Nothing better than the tolerance asked for: an ill-conditioned problem.
+                space.forces[:] = good
+                if self._newton(space, problem, self.tolerance):
+                    return True
+            space.forces[:] = before
+            if reached >= HUGE:
+                escapes += 1
+                if escapes == 1:
+                    self.certificate = crushing_combination(delassus, b)
+                self.jammed = self.certificate is not None or escapes == ESCAPES
+                if self.jammed:
+                    return False
+        return False
+
+    def _program(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Modes from a sequence of QPs, each around the forces of the last."""
+        if self.quick:
+            return False
         if space.qp is None:
             space.qp = ConeQP(space.contacts)
+        before = space.forces.copy()
         space.qp.restart()
         for _ in range(QP_LIMIT):
             self.qp_count += 1
@@ -274,79 +307,12 @@ class ContactSolver:
             if not np.isfinite(space.qp.estimate).all():
                 return False
             space.forces[:] = space.qp.estimate * space.qp.unit
-            if self._newton(space, delassus, b, mu, CLASSIFY):
+            if self._newton(space, (delassus, b, mu), self.tolerance):
                 return True
+            space.forces[:] = before
             if not finished:
                 return False
         return False
-
-    def _search_pgs(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """Modes from Pinocchio's projected Gauss-Seidel."""
-        if space.pgs is None:
-            space.pgs = _PinocchioPGS(space.contacts)
-        self.pgs_count += 1
-        forces = space.pgs.solve(delassus, b, mu)
-        if forces is None:
-            return False
-        space.forces[:] = forces
-        return self._newton(space, delassus, b, mu, CLASSIFY)
-
-    def _search_interior(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """Modes from the interior-point method, from one starting point after the other."""
-        for start, (first_force, first_velocity) in enumerate(INTERIOR_STARTS):
-            self.interior_count += 1
-            # Complete pivoting costs several times more, and is needed for extreme mass ratios only.
-            pivoting = 0.0 if start == 0 else TINY
-            interior_point(delassus, b, mu, space.table, first_force, first_velocity, pivoting)
-            if np.isfinite(space.forces).all() and self._newton(space, delassus, b, mu, CLASSIFY):
-                return True
-        return False
-
-    def _search_restarts(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """Newton from the last forces, perturbed, and from arbitrary modes; their sequence is always the same."""
-        if not np.isfinite(space.forces).all():
-            return False
-        forces = space.forces.reshape(-1, 3).copy()
-        reach = np.minimum(mu, LARGEST_FRICTION)
-        typical = np.linalg.norm(forces)
-        generator = np.random.default_rng(0)
-        for attempt in range(RESTARTS):
-            factor, first, second = generator.normal(size=(3, space.contacts))
-            if attempt % 2:
-                # Any modes at all; what the forces are is then of little importance.
-                space.modes[:] = generator.integers(3, size=space.contacts)
-                space.forces[:] = typical * generator.normal(size=3 * space.contacts)
-                task = WARM
-            else:
-                trial = forces * (10.0**factor)[:, None]
-                trial[:, 0] += 0.5 * first * reach * trial[:, 2]
-                trial[:, 1] += 0.5 * second * reach * trial[:, 2]
-                space.forces[:] = trial.ravel()
-                task = CLASSIFY
-            if self._newton(space, delassus, b, mu, task):
-                return True
-        return False
-
-    def _search_continuation(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """From the frictionless solution, which is that of a convex problem, to the true friction in small steps.
-
-        A fold of the path of solutions ends it; the step is then as small as it may be.
-        """
-        target = np.minimum(mu, LARGEST_FRICTION)
-        refused = self.residual
-        if not self._search_interior(space, delassus, b, np.zeros_like(mu)):
-            return False
-        reached, step = 0.0, 0.1
-        while reached < 1.0 and step > SMALLEST_FRICTION_STEP:
-            goal = min(reached + step, 1.0)
-            if self._newton(space, delassus, b, mu if goal == 1.0 else goal * target, WARM):
-                reached, step = goal, 1.5 * step
-            else:
-                step *= 0.5
-        if reached < 1.0:
-            # What was solved on the way were other problems.
-            self.residual = refused
-        return reached == 1.0
 
     def solution(self, mu: np.ndarray) -> ContactSolution:
         """The last problem's solution as a value of its own."""
@@ -368,6 +334,7 @@ def solve_contacts(
     mu: npt.ArrayLike,
     warm: ContactSolution | None = None,
     tolerance: float = 1e-10,
+    quick: bool = False,
 ) -> ContactSolution:
     """Forces F and u = G F + b of n contacts under Coulomb's law, exactly (Sec. 5.3; see `cone` for the statement).
 
@@ -376,12 +343,108 @@ def solve_contacts(
     mu:        (n,) or one number: coefficients of friction; 0 is frictionless, inf never slips while it presses
     warm:      a solution of a similar problem with as many contacts, to start from
     tolerance: relative residual up to which a solution is accepted
+    quick:     give up early where the cheap ways fail, for control loops; a few hard problems in a thousand are lost
 
-    Where contacts are redundant the forces are one choice among several; u is not affected.
+    Where contacts are redundant the forces are one choice among several (see `centred_forces`); u is not affected.
+    The same arguments give the same bits.
 
     Raises ArgumentError for wrong shapes, numbers that are not finite or a matrix that is not symmetric or has a
-    negative diagonal; SolverError, with the residual, where there is no solution or none was found.
+    negative diagonal; InfeasibleError where there provably is no solution; SolverError, with the residual, where none
+    was found.
     """
+    matrix, b, friction = _checked_problem(delassus, b, mu)
+    contacts = len(friction)
+    if not tolerance > 0.0:
+        raise ArgumentError(f"tolerance must be positive, got {tolerance}")
+    if warm is not None and warm.modes.shape[0] != contacts:
+        raise ArgumentError(f"warm is a solution of {warm.modes.shape[0]} contacts, the problem has {contacts}")
+    if contacts == 0:
+        empty = np.zeros((0, 3))
+        return ContactSolution(empty, empty.copy(), np.zeros(0, dtype=np.int64), 0.0, 0, 0, "exact", friction)
+
+    solver = ContactSolver(tolerance, quick=quick)
+    if warm is not None:
+        solver.warm_start(warm.modes, warm.forces)
+    if solver.solve(matrix, b, friction):
+        return solver.solution(friction)
+    if solver.certificate is not None:
+        pressed = np.flatnonzero(solver.certificate).tolist()
+        raise InfeasibleError(
+            f"contacts {pressed} of {contacts} approach each other and cannot give way to any normal forces",
+            solver.certificate,
+        )
+    reason = " (they would have to be larger than any bound)" if solver.jammed else ""
+    raise SolverError(
+        f"no forces found that satisfy Coulomb's law at these {contacts} contacts{reason}: relative residual "
+        f"{solver.residual:.3g}, tolerance {tolerance:.3g}"
+    )
+
+
+def centred_forces(
+    delassus: npt.ArrayLike, b: npt.ArrayLike, mu: npt.ArrayLike, solution: ContactSolution
+) -> ContactSolution:
+    """The solution with other forces where sticking contacts are redundant: well inside their cones.
+
+    delassus, b, mu: the problem, as for `solve_contacts`; solution: one of it.
+
+    All that changes are the forces of the contacts at rest (u = 0), by combinations that move nothing (G dF = 0), so
+    that the velocities stay. The new forces are the most central ones: they maximise the sum of log(mu^2 F_n^2 -
+    |F_t|^2) less a linear term, which bounds what contacts that press against each other could add to themselves. They
+    are unique, change smoothly with the problem, and hold on under changes that would take forces of least norm out of
+    the cones. Where no forces lie inside the cones (all are about to slip) the solution is returned as it is.
+
+    Raises ArgumentError for a problem that `solve_contacts` would refuse, or a solution of another size.
+    """
+    matrix, b, friction = _checked_problem(delassus, b, mu)
+    contacts = len(friction)
+    if solution.modes.shape[0] != contacts:
+        raise ArgumentError(f"the solution has {solution.modes.shape[0]} contacts, the problem has {contacts}")
+    # At rest counts, not the mode: a force of least norm on its cone's edge slips at zero speed, and a contact that
+    # only just touches can take a load.
+    terms = np.abs(b) + np.abs(matrix) @ np.abs(solution.forces.ravel())
+    size = terms.reshape(-1, 3).max(axis=1)
+    speed = np.abs(solution.velocities).max(axis=1)
+    stuck = np.flatnonzero((speed <= AT_REST * np.maximum(size, AT_REST * size.max(initial=0.0))) & (friction > 0.0))
+    if not stuck.size:
+        return solution
+    rows = (3 * stuck[:, None] + np.arange(3)).ravel()
+    block = np.ascontiguousarray(matrix[np.ix_(rows, rows)])
+    forces = solution.forces[stuck].ravel()
+    limits = friction[stuck]
+    memory = cone_memory(len(stuck))
+    # The contacts keep still: u = 0 is b with the opposite of what the forces do. Without De Saxce's term, which is of
+    # no account at rest, the problem is convex, and its path comes to the centre of all solutions.
+    still = -(block @ forces)
+    for tube in (0.01, 0.002, 0.0002):
+        follow_path(block, still, limits, memory.table, 1.0, tube, 1.0, 0.0, 0)
+        follow_path(block, still, limits, memory.table, 1e3 * CENTRE, tube, 1.0, 0.0, PATH_STEPS)
+        # The last stretch in a narrow tube: the centre is only as exact as that.
+        if follow_path(block, still, limits, memory.table, CENTRE, 1e-6, 1.0, 0.0, PATH_STEPS) <= CENTRE:
+            break
+    else:
+        return solution
+    centred = memory["forces"].copy()
+    # To round-off: the least change that makes up for the rest of t.
+    scale = np.repeat(np.sqrt(3.0 / np.maximum(np.diagonal(block).reshape(-1, 3).sum(axis=1), TINY)), 3)
+    values, vectors = np.linalg.eigh(scale[:, None] * block * scale)
+    kept = values > RANK_TOLERANCE * values[-1]
+    for _ in range(2):
+        missing = scale * (block @ (forces - centred))
+        centred += scale * (vectors[:, kept] @ ((vectors[:, kept].T @ missing) / values[kept]))
+    inside = np.hypot(centred[::3], centred[1::3]) < limits * centred[2::3]
+    off = np.abs(block @ (centred - forces))
+    if not (inside.all() and (off <= 1e-3 * AT_REST * terms[rows].max()).all()):
+        return solution
+    moved, modes = solution.forces.copy(), solution.modes.copy()
+    moved[stuck], modes[stuck] = centred.reshape(-1, 3), STICK
+    velocities = (matrix @ moved.ravel() + b).reshape(-1, 3)
+    return replace(solution, forces=moved, velocities=velocities, modes=modes)
+
+
+def _checked_problem(
+    delassus: npt.ArrayLike, b: npt.ArrayLike, mu: npt.ArrayLike
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The problem as contiguous arrays (3n, 3n), (3n,), (n,); ArgumentError if it is none."""
     matrix = np.ascontiguousarray(delassus, dtype=float)
     b = np.ascontiguousarray(b, dtype=float).reshape(-1)
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] % 3:
@@ -397,8 +460,6 @@ def solve_contacts(
         raise ArgumentError("the Delassus matrix and b must be finite")
     if np.isnan(friction).any() or (friction < 0.0).any():
         raise ArgumentError(f"mu must not be negative or NaN, got {friction.tolist()}")
-    if not tolerance > 0.0:
-        raise ArgumentError(f"tolerance must be positive, got {tolerance}")
     diagonal = np.diagonal(matrix)
     if contacts and diagonal.min() < 0.0:
         raise ArgumentError(f"the Delassus matrix has a negative diagonal entry, {diagonal.min()}")
@@ -409,18 +470,4 @@ def solve_contacts(
         row, column = np.unravel_index(np.argmax(asymmetry - allowed), matrix.shape)
         worst = (int(row), int(column))
         raise ArgumentError(f"the Delassus matrix is not symmetric: entries {worst} differ by {asymmetry[worst]:.3g}")
-    if warm is not None and warm.modes.shape[0] != contacts:
-        raise ArgumentError(f"warm is a solution of {warm.modes.shape[0]} contacts, the problem has {contacts}")
-    if contacts == 0:
-        empty = np.zeros((0, 3))
-        return ContactSolution(empty, empty.copy(), np.zeros(0, dtype=np.int64), 0.0, 0, 0, "exact", friction)
-
-    solver = ContactSolver(tolerance)
-    if warm is not None:
-        solver.warm_start(warm.modes, warm.forces)
-    if not solver.solve(matrix, b, friction):
-        raise SolverError(
-            f"no forces satisfy Coulomb's law at these {contacts} contacts: relative residual {solver.residual:.3g}, "
-            f"tolerance {tolerance:.3g}"
-        )
-    return solver.solution(friction)
+    return matrix, b, friction

@@ -139,8 +139,8 @@ class MoreauStep:
             memory["restitution"][c] = contact.restitution
             memory["sticking"][c] = 0.0 if contact.friction is None else contact.friction.sticking
             memory["orientation"][c] = -1.0 if contact.swapped else 1.0
-        # without the stages whose linear algebra rounds differently with the alignment of memory
-        self.solver = ContactSolver(stages=("interior", "restart", "continuation"))
+        # without the stage whose linear algebra rounds differently with the alignment of memory
+        self.solver = ContactSolver(stages=("sweeps", "path"))
         self.forces = memory["forces"][: system.nc]
         self.torques = memory["torques"][: system.nc]
         self.touch_time = memory["touch_time"][: system.nc]

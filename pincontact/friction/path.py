@@ -1,0 +1,299 @@
+"""The path to a solution of the contact problem: sure where others only hope (Sec. 5.3).
+
+The cones are scaled to |f_t| <= f_n; then y = (u_t, u_n / mu + |u_t|) is in the same cone, and orthogonal to f. With
+the product of the cone's algebra, f o y = (f_n y_t + y_n f_t, f . y), and its unit e, that is f o y = 0. The path is
+
+    f o y = t e,    y = G f + b + (1 - t) (0, 0, |u_t|) + t r    (|u_t| rounded off by t)
+
+with r such that f = y = e solves it at t = 1; there De Saxce's term is off, the problem monotone and the solution
+the only one. A path that starts at the only solution cannot come back to it: followed by arc length, round the
+points where t turns, it comes to a solution at t = 0, unless the forces grow without bound. On the way it stays well
+inside the cones, which is where modes can be told; between redundant forces it ends at the best centred ones.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
+from ..memory import integers, matrix, reals
+from .cone import (
+    FORCES,
+    GRAM,
+    HUGE,
+    LARGEST_FRICTION,
+    LEAST_FRICTION,
+    ORDER,
+    PATH,
+    SCALARS,
+    SCALED,
+    SYSTEM,
+    VECTORS,
+    minimum_norm_solve,
+    scale_problem,
+)
+
+# Part of the way to the cones' boundary that a step takes at most.
+BACK_OFF = 0.99
+PATH_CORRECTIONS = 5
+# Scaled forces beyond this have left for infinity, where no solution is.
+ESCAPED = 1e6
+# Steps below the first, or below the round-off of x, lead nowhere.
+SHORTEST_STEP, ROUND_OFF_STEP = 1e-8, 1e-13
+# Of the terms that cancel in y.
+ROUND_OFF = 1e-14
+
+
+@kernel
+def cone_units(g, c, mu, weight):
+    """weight (3n,) that makes a scaled problem's cones circular and its blocks unit-sized; returns the unit of c."""
+    unit = 0.0
+    for i in range(mu.shape[0]):
+        k = 3 * i
+        friction = min(max(mu[i], LEAST_FRICTION), LARGEST_FRICTION) if mu[i] > 0.0 else 1.0
+        trace = g[k, k] + g[k + 1, k + 1] + g[k + 2, k + 2] / (friction * friction)
+        weight[k] = sqrt(3.0 / trace) if trace > 0.0 else 1.0
+        weight[k + 1] = weight[k]
+        weight[k + 2] = weight[k] / friction
+        for r in range(k, k + 3):
+            unit = max(unit, abs(weight[r] * c[r]))
+    return unit if unit > 0.0 else 1.0
+
+
+@kernel
+def cone_step(x1, x2, xn, d1, d2, dn):
+    """Longest step from x, inside the cone |x_t| < x_n, along d until it leaves; at most 1e10."""
+    curvature = dn * dn - d1 * d1 - d2 * d2
+    slope = xn * dn - x1 * d1 - x2 * d2
+    tangential = sqrt(x1 * x1 + x2 * x2)
+    value = (xn - tangential) * (xn + tangential)
+    step = 1e10
+    if dn < 0.0:
+        step = min(step, -xn / dn)
+    discriminant = slope * slope - curvature * value
+    if discriminant >= 0.0:
+        root = sqrt(discriminant)
+        q = -(slope + root) if slope > 0.0 else root - slope
+        if curvature != 0.0 and q / curvature > 0.0:
+            step = min(step, q / curvature)
+        if q != 0.0 and value / q > 0.0:
+            step = min(step, value / q)
+    return step
+
+
+@kernel
+def path_residual(a, c, r, saxce, x, y, h, gap):
+    """Residuals of the path's equations at x = (f, t) and y (3n,); returns the largest relative to t, or `HUGE`.
+
+    h (3n,) = f o y - t e and gap (3n,) = G f + ... - y (module docstring): output; a (3n, 3n), c, r (3n,): the problem
+    in circular cones. Of the gap, round-off is no part: it is an equally small change of b. `HUGE`: outside the cones.
+    """
+    rows = y.shape[0]
+    t = x[rows]
+    worst = 0.0
+    for k in range(0, rows, 3):
+        inside = x[k + 2] > sqrt(x[k] ** 2 + x[k + 1] ** 2) and y[k + 2] > sqrt(y[k] ** 2 + y[k + 1] ** 2)
+        if not (inside and t > 0.0):
+            return HUGE
+        h[k] = x[k + 2] * y[k] + y[k + 2] * x[k]
+        h[k + 1] = x[k + 2] * y[k + 1] + y[k + 2] * x[k + 1]
+        h[k + 2] = x[k] * y[k] + x[k + 1] * y[k + 1] + x[k + 2] * y[k + 2] - t
+        for q in range(k, k + 3):
+            total = c[q] + t * r[q]
+            absolute = abs(total) + abs(y[q])
+            for j in range(rows):
+                term = a[q, j] * x[j]
+                total += term
+                absolute += abs(term)
+            if q == k + 2:
+                total += saxce * (1.0 - t) * sqrt(y[k] ** 2 + y[k + 1] ** 2 + t * t)
+            gap[q] = total - y[q]
+            worst = max(worst, abs(h[q]), abs(gap[q]) - ROUND_OFF * absolute)
+    return worst / t
+
+
+@kernel
+def path_matrix(a, r, saxce, x, y, border, system):
+    """system (3n + 1, 3n + 1) is the derivative of f o y - t e by x = (f, t), y in step, and the border as last row."""
+    rows = y.shape[0]
+    t = x[rows]
+    for k in range(0, rows, 3):
+        f1, f2, fn = x[k], x[k + 1], x[k + 2]
+        y1, y2, yn = y[k], y[k + 1], y[k + 2]
+        root = sqrt(y1 * y1 + y2 * y2 + t * t)
+        grow = saxce * (1.0 - t) / root
+        for j in range(rows + 1):
+            if j < rows:
+                d1 = a[k, j]
+                d2 = a[k + 1, j]
+                dn = a[k + 2, j] + grow * (y1 * d1 + y2 * d2)
+            else:
+                d1 = r[k]
+                d2 = r[k + 1]
+                dn = r[k + 2] - saxce * root + grow * (y1 * d1 + y2 * d2 + t)
+            system[k, j] = fn * d1 + f1 * dn
+            system[k + 1, j] = fn * d2 + f2 * dn
+            system[k + 2, j] = f1 * d1 + f2 * d2 + fn * dn
+        system[k, k] += yn
+        system[k, k + 2] += y1
+        system[k + 1, k + 1] += yn
+        system[k + 1, k + 2] += y2
+        system[k + 2, k] += y1
+        system[k + 2, k + 1] += y2
+        system[k + 2, k + 2] += yn
+        system[k + 2, rows] -= 1.0
+    for j in range(rows):
+        system[rows, j] = border[j]
+    system[rows, rows] = border[rows] / (t * t)
+
+
+@kernel
+def path_slope(a, r, saxce, x, y, change, slope):
+    """The change of y (3n,) that goes with a change (3n + 1,) of x = (f, t), added to slope (3n,)."""
+    rows = y.shape[0]
+    t = x[rows]
+    for k in range(0, rows, 3):
+        for q in range(k, k + 3):
+            total = change[rows] * r[q]
+            for j in range(rows):
+                total += a[q, j] * change[j]
+            slope[q] += total
+        root = sqrt(y[k] ** 2 + y[k + 1] ** 2 + t * t)
+        turn = (y[k] * slope[k] + y[k + 1] * slope[k + 1] + t * change[rows]) / root
+        slope[k + 2] += saxce * ((1.0 - t) * turn - root * change[rows])
+
+
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, REAL, REAL, REAL, REAL, INTEGER, aside=True)
+def follow_path(delassus, b, mu, table, target, tube, size, saxce, steps):
+    """Forces (3n,) in the table where the path (module docstring) has come down to t = target; returns the t reached.
+
+    A target of 1 starts it; later calls go on, at most `steps` further. What is returned above the target was the end:
+    the steps are used up, or became too short; `HUGE` says that the forces grow without bound.
+
+    delassus, b, mu, table: as for `solve_cones`; tube: width round the path in which a point counts as on it, relative
+    to t (in a narrow one the steps are too short to get onto another branch); size: of b, where f = y = e; saxce: 1, or
+    0 to leave De Saxce's term out, which makes the problem convex. All but target and steps as in the first call.
+    """
+    n = mu.shape[0]
+    rows = 3 * n
+    forces = reals(table[FORCES], rows)
+    vectors = matrix(table[VECTORS], 8, rows)
+    g = matrix(table[SCALED], rows, rows)
+    system = matrix(table[SYSTEM], rows + 1, rows + 1)
+    gram = matrix(table[GRAM], rows + 1, rows + 1)
+    order = integers(table[ORDER], rows + 1)
+    path = matrix(table[PATH], 8, rows + 1)
+    x = path[0]
+    tangent = path[1]
+    ahead = path[2]
+    change = path[3]
+    rhs = path[4]
+    memory = path[5]
+    y = path[6][:rows]
+    y_ahead = path[7][:rows]
+    c = vectors[0]
+    r = vectors[1]
+    gap = vectors[2]
+    weight = vectors[3]
+    h = vectors[4]
+    slope = vectors[5]
+    scale = matrix(table[SCALARS], 7, n)[0]
+    largest = scale_problem(delassus, b, n, g, c, scale)
+    unit = cone_units(g, c, mu, weight) / size
+    for k in range(rows):
+        c[k] *= weight[k] / unit
+        for j in range(rows):
+            g[k, j] *= weight[k] * weight[j]
+            if (mu[k // 3] == 0.0 and k % 3 < 2) or (mu[j // 3] == 0.0 and j % 3 < 2):
+                # Without friction the tangential forces are zero and what they would act on is of no interest.
+                c[k] = 0.0 if mu[k // 3] == 0.0 and k % 3 < 2 else c[k]
+                g[k, j] = 0.0
+    for k in range(rows):
+        r[k] = -c[k] + (1.0 if k % 3 == 2 else 0.0)
+        for j in range(2, rows, 3):
+            r[k] -= g[k, j]
+    if target == 1.0:
+        for k in range(rows + 1):
+            x[k] = 1.0 if k % 3 == 2 or k == rows else 0.0
+            tangent[k] = 0.0
+        for k in range(rows):
+            y[k] = x[k]
+        tangent[rows] = -1.0
+        memory[0] = 0.1
+    longest = memory[0]
+    largest_x = 1.0
+    for _ in range(steps):
+        if x[rows] <= target or x[rows] > 1.0:
+            break
+        path_matrix(g, r, saxce, x, y, tangent, system)
+        for k in range(rows):
+            rhs[k] = 0.0
+        rhs[rows] = 1.0
+        minimum_norm_solve(system, rhs, rows + 1, change, gram, order, 0.0)
+        norm = 0.0
+        for k in range(rows):
+            norm += change[k] * change[k]
+        # The length counts t by its logarithm: on the last stretch the forces may change while t is almost nothing.
+        norm = sqrt(norm + (change[rows] / x[rows]) ** 2)
+        if not norm < HUGE:
+            break
+        for k in range(rows + 1):
+            tangent[k] = change[k] / norm
+        # How far along it the cones are left.
+        for k in range(rows):
+            slope[k] = 0.0
+        path_slope(g, r, saxce, x, y, tangent, slope)
+        t = x[rows]
+        step = 1e10
+        for k in range(0, rows, 3):
+            step = min(step, cone_step(x[k], x[k + 1], x[k + 2], tangent[k], tangent[k + 1], tangent[k + 2]))
+            step = min(step, cone_step(y[k], y[k + 1], y[k + 2], slope[k], slope[k + 1], slope[k + 2]))
+        if tangent[rows] < 0.0:
+            step = min(step, -t / tangent[rows])
+        step = min(BACK_OFF * step, longest)
+        accepted = False
+        shortest = SHORTEST_STEP + ROUND_OFF_STEP * largest_x
+        while step > shortest and not accepted:
+            for k in range(rows + 1):
+                ahead[k] = x[k] + step * tangent[k]
+            for k in range(rows):
+                y_ahead[k] = y[k] + step * slope[k]
+            for correction in range(PATH_CORRECTIONS):
+                error = path_residual(g, c, r, saxce, ahead, y_ahead, h, gap)
+                if error <= tube:
+                    accepted = True
+                    longest = step * (4.0, 2.5, 1.5, 1.0, 0.7)[correction]
+                    break
+                if not error < HUGE or correction == PATH_CORRECTIONS - 1:
+                    break
+                path_matrix(g, r, saxce, ahead, y_ahead, tangent, system)
+                for k in range(0, rows, 3):
+                    root = sqrt(y_ahead[k] ** 2 + y_ahead[k + 1] ** 2 + ahead[rows] ** 2)
+                    turn = (y_ahead[k] * gap[k] + y_ahead[k + 1] * gap[k + 1]) / root
+                    change_n = gap[k + 2] + saxce * (1.0 - ahead[rows]) * turn
+                    rhs[k] = -h[k] - ahead[k + 2] * gap[k] - ahead[k] * change_n
+                    rhs[k + 1] = -h[k + 1] - ahead[k + 2] * gap[k + 1] - ahead[k + 1] * change_n
+                    rhs[k + 2] = -h[k + 2] - ahead[k] * gap[k] - ahead[k + 1] * gap[k + 1] - ahead[k + 2] * change_n
+                rhs[rows] = 0.0
+                minimum_norm_solve(system, rhs, rows + 1, change, gram, order, 0.0)
+                path_slope(g, r, saxce, ahead, y_ahead, change, gap)
+                for k in range(rows + 1):
+                    ahead[k] += change[k]
+                for k in range(rows):
+                    y_ahead[k] += gap[k]
+            if not accepted:
+                step *= 0.4
+        if not accepted:
+            break
+        largest_x = 0.0
+        for k in range(rows + 1):
+            x[k] = ahead[k]
+            largest_x = max(largest_x, abs(x[k]))
+        for k in range(rows):
+            y[k] = y_ahead[k]
+        if largest_x > ESCAPED:
+            return HUGE
+    memory[0] = longest
+    for k in range(rows):
+        forces[k] = x[k] * weight[k] * unit * scale[k // 3] * largest
+    return x[rows]

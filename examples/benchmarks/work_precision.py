@@ -3,11 +3,11 @@
     python examples/benchmarks/work_precision.py [--scenes NAME,...] [--peers NAME,...|none] [--output DIR] [--quick]
 
 Every engine gets the same mechanism, the same consistent start and the same output times; a figure is the median of
-several whole runs, with compilation and the first run left out. The error is the largest distance in m of a marked point
-from a reference (a closed form, or pincontact's own converged solution, and then it says so) over all output times. Peers
-that are installed (the extra `bench`) run in processes of their own, one after the other, with settings chosen in their
-favour; what one cannot express is left out and the reason printed. Writes a table, work_precision.csv and one figure a
-scene to DIR; --readme does that for the repository's README and writes its section between two marks.
+several whole runs, with compilation and the first run left out. The error is the largest distance in m of a marked
+point from a reference (a closed form, or pincontact's own converged solution, and then it says so) over all output
+times. Peers that are installed (the extra `bench`) run in processes of their own, one after the other, with settings
+chosen in their favour; what one cannot express is left out and the reason printed. Writes a table, work_precision.csv
+and one figure a scene to DIR; --readme also writes the README's figures and its section between two marks.
 """
 
 from __future__ import annotations
@@ -96,6 +96,7 @@ def run_ours(result: Result, names: list[str], quick: bool) -> dict[str, np.ndar
         result.aba[name] = aba_time()
         known |= {f"{name}/q": problem.q, f"{name}/v": problem.v, f"{name}/x": expected}
         result.rows += measure(OURS, problem, expected, QUICK if quick else Effort())
+        print(f"{name}: done", file=sys.stderr)
     result.versions[OURS.name], result.settings[OURS.name] = OURS.version(), OURS.settings
     return known
 
@@ -250,8 +251,7 @@ def section(result: Result) -> str:
     """The README's section."""
     shown = (1e-2, 1e-4, 1e-6, 1e-8)
     lines = [
-        "Run time against error, every engine with the same mechanism, start and 20 output times; medians of whole runs, "
-        "compilation left out, on",
+        "Every engine with the same mechanism, start and 20 output times; medians of whole runs, without compilation, on",
         f"a machine on which `pin.aba` takes {statistics.median(result.aba.values()) * 1e6:.2f} us for one free body. "
         "Peers: "
         + ", ".join(f"{n} {v}" for n, v in result.versions.items() if n != OURS.name)

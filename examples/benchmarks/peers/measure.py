@@ -35,9 +35,9 @@ class Effort:
     """How long to measure. longest: s of a single run beyond which the ladder of a method ends; repeats: runs whose
     median is taken, as long as they take together less than `total` s; every: take each n-th rung of a ladder only."""
 
-    longest: float = 1.2
+    longest: float = 0.6
     repeats: int = 5
-    total: float = 0.6
+    total: float = 0.2
     every: int = 1
 
 

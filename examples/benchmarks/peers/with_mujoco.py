@@ -9,14 +9,20 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from .measure import Case, Engine, Unsupported
-from .scenes import NO_SLIP, WORLD, Body, Problem, Shape, Touch, marked, quaternion
+from .scenes import NO_SLIP, WORLD, Body, Problem, Shape, Touch, marked, matrix, quaternion
 
 # points and rims get this much thickness in m, since contacts are between bodies with an inside
 THICKNESS = 1e-5
 # of friction where the scene has ideal rolling
 STICKY = 10.0
-INTEGRATORS = {"RK4": "RK4", "implicit": "implicitfast"}
-STEPS = (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
+# method -> integrator, and how hard contacts are: impedance and time constant (in steps, 2 is the least) of the
+# restoring acceleration, and how much harder friction is than the normal
+METHODS = {
+    "RK4": ("RK4", {"impedance": 0.99, "impratio": 100.0, "tau": 2.0}),
+    "RK4 soft": ("RK4", {"impedance": 0.9, "impratio": 1.0, "tau": 20.0}),
+    "implicit": ("implicitfast", {"impedance": 0.99, "impratio": 100.0, "tau": 2.0}),
+}
+STEPS = (5, 20, 50, 200, 500, 2000)
 
 
 def _numbers(values: Any) -> str:
@@ -30,19 +36,19 @@ def _scalar_last(turn: np.ndarray) -> str:
 
 def _geom(shape: Shape, touch: Touch, group: int) -> str:
     place = np.array(shape.place)
-    if shape.kind in ("disk",):
+    if shape.kind == "disk":
         kind, size = "cylinder", (shape.size[0], THICKNESS)
     elif shape.kind in ("sphere", "circle"):
         kind, size = "sphere", shape.size
     elif shape.kind == "ellipsoid":
         kind, size = "ellipsoid", shape.size
     elif shape.kind == "point":
-        kind, size, place = "sphere", (THICKNESS,), place + [0.0, 0.0, THICKNESS]
+        kind, size, place = "sphere", (THICKNESS,), np.add(place, (0.0, 0.0, THICKNESS))
     elif shape.kind == "plane":
         kind, size = "plane", (0.0, 0.0, 1.0)
     elif shape.kind == "line":
         # a thick bar whose lower face holds the line
-        kind, size, place = "box", (1.0, 0.1, 0.5), place + [0.0, 0.1, 0.0]
+        kind, size, place = "box", (1.0, 0.1, 0.5), np.add(place, (0.0, 0.1, 0.0))
     else:
         raise Unsupported(f"no {shape.kind} among its contact shapes")
     dimension = 1 if touch.mu == 0.0 else 3
@@ -85,15 +91,11 @@ def model_text(problem: Problem, step: float, integrator: str, options: dict[str
 
     roots = "".join(element(body) for body in problem.bodies if body.parent == WORLD)
     hard = options["impedance"]
-    return f"""<mujoco><compiler angle="radian" autolimits="false" boundmass="0" boundinertia="0" balanceinertia="false"/>
+    return f"""<mujoco><compiler angle="radian" autolimits="false"/>
 <option timestep="{step!r}" gravity="{_numbers(problem.gravity)}" integrator="{integrator}" cone="elliptic"
- impratio="{options["impratio"]}" solver="Newton" iterations="100" tolerance="1e-12" ls_tolerance="1e-6"
- noslip_iterations="{options["noslip"]}"><flag eulerdamp="enable" warmstart="enable"/></option>
+ impratio="{options["impratio"]}" solver="Newton" iterations="100" tolerance="1e-12" ls_tolerance="1e-6"/>
 <default><geom solref="{options["tau"] * step!r} 1" solimp="{hard} {hard} 0.001"/></default>
 <worldbody>{"".join(geoms.get(WORLD, []))}{roots}</worldbody></mujoco>"""
-
-
-OPTIONS = {"impedance": 0.9999, "impratio": 100.0, "noslip": 0, "tau": 2.0}
 
 
 def build(problem: Problem, step: float, integrator: str, options: dict[str, Any]):
@@ -107,18 +109,11 @@ def build(problem: Problem, step: float, integrator: str, options: dict[str, Any
         q_at, v_at = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
         q, v = problem.q[iq], problem.v[iv]
         if body.joint == "free":
-            rotation = np.array(_matrix(q[3:]))
             data.qpos[q_at : q_at + 7] = [*q[:3], q[6], q[3], q[4], q[5]]
-            data.qvel[v_at : v_at + 6] = [*(rotation @ v[:3]), *v[3:]]
+            data.qvel[v_at : v_at + 6] = [*(matrix(q[3:]) @ v[:3]), *v[3:]]
         else:
             data.qpos[q_at], data.qvel[v_at] = q[0], v[0]
     return model, data
-
-
-def _matrix(q: np.ndarray) -> np.ndarray:
-    from .scenes import matrix
-
-    return matrix(q)
 
 
 def _coordinates(problem: Problem, model, rows: np.ndarray) -> np.ndarray:
@@ -163,9 +158,9 @@ def case(problem: Problem, label: str, integrator: str, each: int, options: dict
 
 
 def _cases(problem: Problem) -> Iterator[Case]:
-    for label, integrator in INTEGRATORS.items():
+    for label, (integrator, options) in METHODS.items():
         for each in STEPS:
-            yield case(problem, label, integrator, each, OPTIONS)
+            yield case(problem, label, integrator, each, options)
 
 
 def _version() -> str:
@@ -174,4 +169,14 @@ def _version() -> str:
     return mujoco.__version__
 
 
-ENGINE = Engine("MuJoCo", _version, _cases, {})
+_COMMON = "elliptic cones, Newton solver at tolerance 1e-12; rims and points 1e-5 m thick, ideal rolling as mu = 10; "
+ENGINE = Engine(
+    "MuJoCo",
+    _version,
+    _cases,
+    {
+        "RK4": _COMMON + "solref 2 steps, solimp 0.99, impratio 100",
+        "RK4 soft": _COMMON + "solref 20 steps, solimp 0.9, impratio 1",
+        "implicit": _COMMON + "implicitfast, solref 2 steps, solimp 0.99, impratio 100",
+    },
+)

@@ -1,6 +1,6 @@
 """One peer over several scenes, in a process of its own: rows of the result as lines of JSON.
 
-    python -m peers.worker PEER REFERENCES.npz RESULT.jsonl [--quick] SCENE...
+python -m peers.worker PEER REFERENCES.npz RESULT.jsonl [--quick] SCENE...
 """
 
 from __future__ import annotations

@@ -18,11 +18,14 @@ import json
 import math
 import os
 import platform
+import queue
 import re
 import statistics
 import subprocess
 import sys
 import tempfile
+import textwrap
+import threading
 import time
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -45,7 +48,7 @@ FIGURES = ROOT / "docs" / "figures"
 MARKS = ("<!-- work-precision: begin -->", "<!-- work-precision: end -->")
 LEVELS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
 # a peer that hangs must not hang the benchmark; what it had done by then is kept
-PATIENCE = 150.0
+PATIENCE = 60.0
 COLOURS = {
     "pincontact": "#c1272d",
     "MuJoCo": "#1f77b4",
@@ -63,7 +66,8 @@ class Result:
 
     problems: dict[str, Problem] = field(default_factory=dict)
     sources: dict[str, str] = field(default_factory=dict)  # where the references are from, and how sure they are
-    aba: dict[str, float] = field(default_factory=dict)  # s of pin.aba on one free body, when the scene was run
+    # s of pin.aba on one free body, just before an engine (second) ran a scene (first)
+    aba: dict[tuple[str, str], float] = field(default_factory=dict)
     rows: list[Row] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
     settings: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -85,53 +89,115 @@ def aba_time(batches: int = 7, calls: int = 4000) -> float:
     return statistics.median(times)
 
 
-def run_ours(result: Result, names: list[str], quick: bool) -> dict[str, np.ndarray]:
-    """References and pincontact's own rows; the arrays are what the peers need to know."""
-    known = {}
-    for name in names:
-        problem = consistent(SCENES[name]())
-        expected, source, sure = reference(problem)
-        result.problems[name] = problem
-        result.sources[name] = f"{source}; agrees with {_other(source)} to {sure:.0e} m"
-        result.aba[name] = aba_time()
-        known |= {f"{name}/q": problem.q, f"{name}/v": problem.v, f"{name}/x": expected}
-        result.rows += measure(OURS, problem, expected, QUICK if quick else Effort())
-        print(f"{name}: done", file=sys.stderr)
+def run_ours(result: Result, name: str, quick: bool, folder: Path) -> Path:
+    """The reference of a scene and pincontact's own rows; returns the file that tells the peers what to do."""
+    problem = consistent(SCENES[name]())
+    expected, source, sure = reference(problem)
+    result.problems[name] = problem
+    other = "pincontact at rtol 1e-13" if problem.closed_form is not None else "rtol 1e-12 and other steps"
+    result.sources[name] = f"{source}; agrees with {other} to {sure:.0e} m"
+    result.aba[name, OURS.name] = aba_time()
+    result.rows += measure(OURS, problem, expected, QUICK if quick else Effort())
     result.versions[OURS.name], result.settings[OURS.name] = OURS.version(), OURS.settings
-    return known
+    file = folder / f"{name}.npz"
+    np.savez(file, q=problem.q, v=problem.v, x=expected)
+    return file
 
 
-def _other(source: str) -> str:
-    return "pincontact at rtol 1e-13" if source.startswith("closed") else "rtol 1e-12 and other steps"
+class PeerProcess:
+    """A peer in a process of its own, which waits for its turn.
 
+    Their libraries clash with each other's, and one that crashes or hangs must not take the benchmark with it.
+    """
 
-def run_peer(result: Result, peer: str, known: dict[str, np.ndarray], names: list[str], quick: bool) -> None:
-    """Rows of a peer, from a process of its own."""
-    with tempfile.TemporaryDirectory() as folder:
-        references, lines = Path(folder) / "references.npz", Path(folder) / "result.jsonl"
-        np.savez(references, **known)
-        command = [sys.executable, "-m", "peers.worker", peer, str(references), str(lines), *names]
+    def __init__(self, peer: str, quick: bool, folder: Path) -> None:
+        self.name = peer
+        command = [sys.executable, "-m", "peers.worker", peer, *(["--quick"] if quick else [])]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE), *_search_path()])}
+        self.errors = open(folder / f"{peer}.txt", "w+")  # noqa: SIM115  (closed with the process)
+        self.process = subprocess.Popen(
+            command,
+            cwd=folder,
+            env=environment,
+            text=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self.errors,
+        )
+        self.answers: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _listen(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.answers.put(line)
+        self.answers.put(None)
+
+    def _answer(self) -> dict[str, Any]:
+        """The next answer; of kind "absent" if there is none."""
         try:
-            done = subprocess.run(
-                command + ["--quick"] * quick, cwd=folder, env=environment, capture_output=True, timeout=PATIENCE
-            )
-            ended = "" if done.returncode == 0 else f"ended with code {done.returncode}: {done.stderr[-200:]!r}"
-        except subprocess.TimeoutExpired:
-            ended = f"stopped after {PATIENCE:.0f} s"
-        name = peer
-        for line in lines.read_text().splitlines() if lines.exists() else []:
-            entry: dict[str, Any] = json.loads(line)
+            line = self.answers.get(timeout=PATIENCE)
+        except queue.Empty:
+            self.process.kill()
+            return {"kind": "absent", "reason": f"stopped after {PATIENCE:.0f} s without an answer"}
+        if line is None:
+            self.errors.seek(0)
+            return {"kind": "absent", "reason": f"its process ended: {self.errors.read()[-200:]!r}"}
+        return json.loads(line)
+
+    def introduce(self, result: Result) -> bool:
+        """Wait until it is ready; False if the engine is not there."""
+        entry = self._answer()
+        if entry["kind"] != "engine":
+            result.left_out.append((self.name, None, entry["reason"]))
+            return False
+        self.name = entry["name"]
+        result.versions[self.name], result.settings[self.name] = entry["version"], entry["settings"]
+        return True
+
+    def run(self, result: Result, scene: str, file: Path) -> bool:
+        """Its rows of a scene; False if it did not survive."""
+        result.aba[scene, self.name] = aba_time()
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{scene} {file}\n")
+        self.process.stdin.flush()
+        while (entry := self._answer())["kind"] != "done":
             kind = entry.pop("kind")
-            if kind == "engine":
-                name = entry["name"]
-                result.versions[name], result.settings[name] = entry["version"], entry["settings"]
-            elif kind == "row":
+            if kind == "row":
                 result.rows.append(Row(**entry))
             else:
-                result.left_out.append((name, entry["scene"], entry["reason"]))
-        if ended:
-            result.left_out.append((name, None, ended))
+                result.left_out.append((self.name, scene, entry["reason"]))
+                if kind == "absent":
+                    return False
+        return True
+
+    def close(self) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.close()
+        try:
+            self.process.wait(timeout=5.0)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+        self.errors.close()
+
+
+def run_all(names: list[str], peers: list[str], quick: bool) -> Result:
+    """Scene by scene, so that what is compared was measured within the same minute."""
+    result = Result()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        started = [PeerProcess(peer, quick, folder) for peer in peers]
+        try:
+            alive = [peer for peer in started if peer.introduce(result)]
+            for name in names:
+                began = time.perf_counter()
+                file = run_ours(result, name, quick, folder)
+                alive = [peer for peer in alive if peer.run(result, name, file)]
+                print(f"{name}: {time.perf_counter() - began:.0f} s", file=sys.stderr)
+        finally:
+            for peer in started:
+                peer.close()
+    return result
 
 
 def _search_path() -> list[str]:
@@ -172,7 +238,8 @@ def milliseconds(seconds: float) -> str:
 def print_tables(result: Result) -> None:
     for name, problem in result.problems.items():
         print(f"\n{problem.title} ({name}), {problem.duration:g} s; error: {problem.measured}")
-        print(f"reference: {result.sources[name]}; pin.aba on one free body: {result.aba[name] * 1e6:.2f} us")
+        speed = [seconds * 1e6 for (scene, _), seconds in result.aba.items() if scene == name]
+        print(f"reference: {result.sources[name]}; pin.aba on one free body: {min(speed):.2f} to {max(speed):.2f} us")
         print(f"{'engine':11s} {'method':18s} {'setting':40s} {'ms':>9s} {'error':>9s} {'steps':>8s} {'evals':>8s}")
         for rows in by_engine(result, name).values():
             for row in rows:
@@ -198,7 +265,7 @@ def write_csv(result: Result, file: Path) -> None:
         writer.writerow([*names, "aba_seconds"])
         for row in result.rows:
             values = asdict(row)
-            writer.writerow([values[n] for n in names] + [result.aba[row.scene]])
+            writer.writerow([values[n] for n in names] + [result.aba[row.scene, row.engine]])
 
 
 def draw(result: Result, folder: Path) -> None:
@@ -250,15 +317,17 @@ def losses(result: Result) -> list[tuple[str, float, Row, Row | None]]:
 def section(result: Result) -> str:
     """The README's section."""
     shown = (1e-2, 1e-4, 1e-6, 1e-8)
+    peers = ", ".join(f"{name} {version}" for name, version in result.versions.items() if name != OURS.name) or "none"
+    aba = statistics.median(result.aba.values()) * 1e6
     lines = [
-        "Every engine with the same mechanism, start and 20 output times; medians of whole runs, without compilation, on",
-        f"a machine on which `pin.aba` takes {statistics.median(result.aba.values()) * 1e6:.2f} us for one free body. "
-        "Peers: "
-        + ", ".join(f"{n} {v}" for n, v in result.versions.items() if n != OURS.name)
-        + ". Their settings were chosen in their favour and are printed with the table.",
-        "",
-        "Milliseconds to reach an error (m), pincontact | fastest peer; – where none did:",
-        "",
+        *_paragraph(
+            "Every engine gets the same mechanism, start and 20 output times; times are medians of whole runs without "
+            f"compilation, on a machine on which `pin.aba` takes {aba:.2f} us for one free body. Peers: {peers}; "
+            "their settings, chosen in their favour, and the references are printed with the full table."
+        ),
+        *_paragraph(
+            "Milliseconds to reach an error in m, pincontact first, then the fastest peer; a dash where none did:"
+        ),
         "| scene | " + " | ".join(f"{level:.0e}" for level in shown) + " |",
         "|---|" + "---|" * len(shown),
     ]
@@ -270,15 +339,26 @@ def section(result: Result) -> str:
             mine = fastest(ours, level)
             theirs = [row for rows in engines.values() if (row := fastest(rows, level))]
             best = min(theirs, key=lambda row: row.seconds, default=None)
-            left = milliseconds(mine.seconds) if mine else "–"
-            cells.append(f"{left} \\| {f'{milliseconds(best.seconds)} {best.engine}' if best else '–'}")
+            left = f"**{milliseconds(mine.seconds)}**" if mine else "–"
+            cells.append(f"{left}, {f'{milliseconds(best.seconds)} {best.engine}' if best else '–'}")
         lines.append(f"| {problem.title} ({problem.duration:g} s) | " + " | ".join(cells) + " |")
     lines += ["", "| | |", "|---|---|"]
     pictures = [f"![{p.title}](docs/figures/work_precision_{n}.png)" for n, p in result.problems.items()]
     pictures += [""] * (len(pictures) % 2)
     lines += [f"| {a} | {b} |" for a, b in zip(pictures[::2], pictures[1::2])]
-    lines += ["", "Where a peer wins: " + _where_peers_win(result)]
-    return "\n".join(lines)
+    lines += ["", *_paragraph("Where a peer wins: " + _where_peers_win(result))]
+    absent = [(engine, scene) for engine, scene, _ in result.left_out]
+    missing = [
+        f"{engine} ({', '.join(result.problems[s].title if s else 'everything' for e, s in absent if e == engine)})"
+        for engine in dict.fromkeys(engine for engine, _ in absent)
+    ]
+    if missing:
+        lines += _paragraph("What a peer has no contact or constraint for: " + "; ".join(missing) + ".")
+    return "\n".join(lines).rstrip()
+
+
+def _paragraph(text: str) -> list[str]:
+    return [*textwrap.wrap(text, 118, break_long_words=False, break_on_hyphens=False), ""]
 
 
 def _where_peers_win(result: Result) -> str:
@@ -326,12 +406,7 @@ def main(arguments: list[str] | None = None) -> Result:
     peers = _listed(options.peers, list(PEERS), "peers")
     options.output.mkdir(parents=True, exist_ok=True)
     print(f"{platform.processor() or platform.machine()}, Python {platform.python_version()}, pin {pin.__version__}")
-    result = Result()
-    known = run_ours(result, names, options.quick)
-    for peer in peers:
-        began = time.perf_counter()
-        run_peer(result, peer, known, names, options.quick)
-        print(f"{peer}: {time.perf_counter() - began:.0f} s", file=sys.stderr)
+    result = run_all(names, peers, options.quick)
     print_tables(result)
     write_csv(result, options.output / "work_precision.csv")
     draw(result, options.output)

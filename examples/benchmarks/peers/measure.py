@@ -41,7 +41,7 @@ class Effort:
     every: int = 1
 
 
-QUICK = Effort(longest=0.3, repeats=1, total=0.0, every=2)
+QUICK = Effort(longest=1.0, repeats=1, total=0.0, every=2)
 
 
 @dataclass

@@ -17,8 +17,6 @@ STEPS = (1, 2, 5, 10, 20, 50, 100, 200)
 
 def case(problem: Problem, each: int) -> Case:
     model = build_model(problem)
-    if problem.bodies[0].joint != "free":
-        raise Unsupported("the loop is written for a floating base")
     constraints = pin.StdVec_RigidConstraintModel()
     for touch in problem.touches:
         if (touch.first.kind, touch.second.kind) != ("point", "plane"):
@@ -34,6 +32,8 @@ def case(problem: Problem, each: int) -> Case:
                 pin.ContactType.CONTACT_3D, model, joint, at, 0, there, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
             )
         )
+    if problem.bodies[0].joint != "free":
+        raise Unsupported("the loop is written for a floating base")
     memory = pin.StdVec_RigidConstraintData()
     memory.extend([c.createData() for c in constraints])
     data = model.createData()

@@ -347,13 +347,10 @@ def section(result: Result) -> str:
     pictures += [""] * (len(pictures) % 2)
     lines += [f"| {a} | {b} |" for a, b in zip(pictures[::2], pictures[1::2])]
     lines += ["", *_paragraph("Where a peer wins: " + _where_peers_win(result))]
-    absent = [(engine, scene) for engine, scene, _ in result.left_out]
-    missing = [
-        f"{engine} ({', '.join(result.problems[s].title if s else 'everything' for e, s in absent if e == engine)})"
-        for engine in dict.fromkeys(engine for engine, _ in absent)
-    ]
-    if missing:
-        lines += _paragraph("What a peer has no contact or constraint for: " + "; ".join(missing) + ".")
+    for engine in dict.fromkeys(engine for engine, _, _ in result.left_out):
+        scenes = [scene for name, scene, _ in result.left_out if name == engine]
+        titles = [result.problems[scene].title if scene else "everything" for scene in scenes]
+        lines += _paragraph(f"Not run by {engine}, for the reasons printed: {'; '.join(titles)}.")
     return "\n".join(lines).rstrip()
 
 

@@ -1,0 +1,120 @@
+"""Timing one engine on one scene: a ladder of settings, each timed and compared with the reference."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from .scenes import Problem
+
+
+class Unsupported(Exception):
+    """An engine that is not installed, or cannot express a scene; the message says which and why."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One method with one setting. run: a whole simulation from the start, which is what is timed; positions: what it
+    returned as markers (n, markers, 3); counts: the same as {"steps": ..., "evaluations": ...}."""
+
+    method: str
+    setting: str
+    run: Callable[[], Any]
+    positions: Callable[[Any], np.ndarray]
+    counts: Callable[[Any], dict[str, int]]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long to measure. longest: s of a single run beyond which the ladder of a method ends; repeats: runs whose
+    median is taken, as long as they take together less than `total` s; every: take each n-th rung of a ladder only."""
+
+    longest: float = 0.6
+    repeats: int = 5
+    total: float = 0.2
+    every: int = 1
+
+
+QUICK = Effort(longest=1.0, repeats=1, total=0.0, every=2)
+
+
+@dataclass
+class Row:
+    """One line of the result. error in m, seconds: median of `runs`; both nan if the run failed, and note says how."""
+
+    scene: str
+    engine: str
+    method: str
+    setting: str
+    seconds: float = math.nan
+    error: float = math.nan
+    steps: int | None = None
+    evaluations: int | None = None
+    runs: int = 0
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Engine:
+    """What a module of this folder gives. cases: settings from coarse to fine, grouped by method; raises Unsupported.
+
+    settings: for people, what was chosen and why, by method.
+    """
+
+    name: str
+    version: Callable[[], str]
+    cases: Callable[[Problem], Iterator[Case]]
+    settings: dict[str, str] = field(default_factory=dict)
+
+
+def largest_distance(found: np.ndarray, expected: np.ndarray) -> float:
+    """The error measure: m, over all times and markers; nan unless all times were reached."""
+    if found.shape != expected.shape or not np.isfinite(found).all():
+        return math.nan
+    return float(np.linalg.norm(found - expected, axis=2).max())
+
+
+def timed(run: Callable[[], Any]) -> tuple[float, Any]:
+    began = time.perf_counter()
+    result = run()
+    return time.perf_counter() - began, result
+
+
+def measure(engine: Engine, problem: Problem, reference: np.ndarray, effort: Effort) -> Iterator[Row]:
+    """Rows of one engine on one scene.
+
+    The first run of each method is thrown away, so that compilation, imports and cold caches are in no figure. A ladder
+    ends once a run takes longer than `effort.longest`.
+    """
+    warm: set[str] = set()
+    finished: set[str] = set()
+    rung: dict[str, int] = {}
+    for case in engine.cases(problem):
+        rung[case.method] = rung.get(case.method, -1) + 1
+        if case.method in finished or rung[case.method] % effort.every:
+            continue
+        row = Row(problem.name, engine.name, case.method, case.setting)
+        try:
+            if case.method not in warm:
+                warm.add(case.method)
+                case.run()
+            seconds, result = timed(case.run)
+            times = [seconds]
+            while len(times) < effort.repeats and sum(times) < effort.total:
+                times.append(timed(case.run)[0])
+            row.seconds, row.runs = statistics.median(times), len(times)
+            counts = case.counts(result)
+            row.steps, row.evaluations = counts.get("steps"), counts.get("evaluations")
+            row.error = largest_distance(case.positions(result), reference)
+            row.note = "did not reach the end" if math.isnan(row.error) else ""
+            if seconds > effort.longest:
+                finished.add(case.method)
+        except Exception as failure:  # whatever an engine raises is a result of that engine, not the benchmark's end
+            row.note = " ".join(str(failure).split())[:160] or type(failure).__name__
+        yield row

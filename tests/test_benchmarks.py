@@ -1,0 +1,125 @@
+"""The work-precision benchmark's own parts, without peers: errors fall with the tolerance, files can be read."""
+
+import csv
+import math
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+BENCHMARKS = Path(__file__).parents[1] / "examples" / "benchmarks"
+sys.path.insert(0, str(BENCHMARKS))
+
+import work_precision  # noqa: E402
+from peers import scenes  # noqa: E402
+from peers.measure import Row, largest_distance  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("work_precision")
+    result = work_precision.main(["--scenes", "cam,disk_roll", "--peers", "none", "--quick", "--output", str(folder)])
+    return result, folder
+
+
+@pytest.mark.parametrize("scene", ["cam", "disk_roll"])
+def test_errors_fall_with_the_tolerance(finished, scene):
+    """A hundredth of rtol gains at least a factor of three, down to rounding (1e-11 m over metres of path)."""
+    rows = finished[0].rows
+    for method, least in (("DOP853", 5), ("RK45", 3), ("Moreau", 2)):
+        errors = [row.error for row in rows if row.scene == scene and row.method == method]
+        assert len(errors) >= least
+        assert np.isfinite(errors).all()
+        above = [e for e in errors if e > 1e-11]
+        assert all(finer < coarser / 3.0 for coarser, finer in pairwise(above))
+        # the coarsest and the finest setting are far apart: a ladder that stalls would not get here
+        assert errors[-1] < 5e-2 * errors[0]
+
+
+def test_closed_form_is_met(finished):
+    """The cam's quadrature and the integration at the tightest tolerance know nothing of each other."""
+    best = min(row.error for row in finished[0].rows if row.scene == "cam" and row.method == "DOP853")
+    assert best < 1e-12
+
+
+def test_files(finished):
+    """A row in the CSV for each run, a figure for each scene, small enough for a README."""
+    result, folder = finished
+    with open(folder / "work_precision.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(result.rows)
+    assert {row["scene"] for row in rows} == {"cam", "disk_roll"}
+    assert [float(row["error"]) for row in rows] == [row.error for row in result.rows]
+    for name in ("cam", "disk_roll"):
+        assert 1_000 < (folder / f"work_precision_{name}.png").stat().st_size < 60_000
+
+
+def test_section_names_the_winner(finished, tmp_path):
+    """A peer that is quicker at one level, and only there, is named with that level, and between the marks."""
+    result = finished[0]
+    problem, ours = result.problems["cam"], [row for row in result.rows if row.scene == "cam"]
+    quickest = work_precision.fastest(ours, 1e-2)
+    assert quickest is not None
+    peer = Row("cam", "Peer", "m", "s", seconds=0.5 * quickest.seconds, error=0.9e-2)
+    small = work_precision.Result(
+        {"cam": problem}, {"cam": ""}, {("cam", "pincontact"): 1e-6}, [*ours, peer], {"pincontact": "0", "Peer": "1"}
+    )
+    assert [(scene, level, row.engine) for scene, level, row, _ in work_precision.losses(small)] == [
+        ("cam", 1e-1, "Peer"),
+        ("cam", 1e-2, "Peer"),
+    ]
+    readme = tmp_path / "README.md"
+    readme.write_text("before\n" + "\nold\n".join(work_precision.MARKS) + "\nafter\n")
+    for _ in range(2):  # writing it again changes nothing
+        work_precision.write_section(readme, work_precision.section(small))
+    text = readme.read_text()
+    assert text.startswith("before\n") and text.endswith("\nafter\n")
+    assert "old" not in text
+    assert "Peer on the cam and flat follower at errors of 1e-01 to 1e-02 m" in " ".join(text.split())
+    assert text.count(work_precision.MARKS[0]) == 1
+
+
+def test_unknown_names():
+    with pytest.raises(SystemExit, match="unknown scenes: cab"):
+        work_precision.main(["--scenes", "cab"])
+    with pytest.raises(SystemExit, match="unknown peers: bullet"):
+        work_precision.main(["--peers", "bullet"])
+
+
+def test_error_measure():
+    """The largest distance over times and markers; runs that ended early or went astray have none."""
+    expected = np.zeros((3, 2, 3))
+    found = expected.copy()
+    found[1, 1] = (3e-3, 4e-3, 0.0)
+    assert largest_distance(found, expected) == pytest.approx(5e-3, rel=1e-12)
+    assert math.isnan(largest_distance(found[:2], expected))
+    found[2, 0, 0] = math.nan
+    assert math.isnan(largest_distance(found, expected))
+
+
+@pytest.mark.parametrize("name", list(scenes.SCENES))
+def test_kinematics_of_the_scenes(name):
+    """The neutral kinematics that the peers start from agree with Pinocchio's, velocities included."""
+    import pinocchio as pin
+    from peers.pinocchio_model import build_model
+
+    problem = scenes.SCENES[name]()
+    model = build_model(problem)
+    rng = np.random.default_rng(5)
+    q = pin.integrate(model, problem.q, rng.normal(size=model.nv))
+    v = rng.normal(size=model.nv)
+    data = model.createData()
+    pin.forwardKinematics(model, data, q, v)
+    where = scenes.poses(problem, q, v)
+    for body in problem.bodies:
+        joint = model.getJointId(f"{body.name} joint")
+        frame, velocity = data.oMi[joint], pin.getVelocity(model, data, joint, pin.LOCAL_WORLD_ALIGNED)
+        pose = where[body.name]
+        # sums of a few terms of size one
+        np.testing.assert_allclose(pose.turn, frame.rotation, rtol=0.0, atol=1e-13)
+        np.testing.assert_allclose(pose.place, frame.translation, rtol=0.0, atol=1e-13)
+        np.testing.assert_allclose(pose.velocity, velocity.linear, rtol=0.0, atol=1e-13)
+        np.testing.assert_allclose(pose.omega, velocity.angular, rtol=0.0, atol=1e-13)
+        np.testing.assert_allclose(scenes.matrix(scenes.quaternion(pose.turn)), pose.turn, rtol=0.0, atol=1e-13)

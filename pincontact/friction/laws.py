@@ -67,7 +67,11 @@ class Coulomb(FrictionLaw):
 
 @dataclass(frozen=True)
 class NoSlip(FrictionLaw):
-    """Ideal rolling (VC, Sec. 4): whatever tangential force keeps the contact from slipping."""
+    """Ideal rolling (VC, Sec. 4): whatever tangential force keeps the contact from slipping.
+
+    A unilateral contact is let go where its normal force reaches zero, however large the tangential force is by then:
+    with infinite friction the law says no more, in every method.
+    """
 
     @property
     def sliding(self) -> float:

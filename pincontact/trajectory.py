@@ -75,7 +75,7 @@ class Record:
             self.system.counters[RECORDED] = 0
 
     def rows(self) -> tuple[list[np.ndarray], np.ndarray]:
-        """All rows: [t, q, v, tau, works, location, frozen directions' columns, redundant forces] and the contacts' integers."""
+        """All rows: [t, q, v, tau, works, location, frozen directions' columns, redundant forces]; contacts' integers."""
         self.flush(always=True)
         nc = self.system.nc
         values = np.concatenate([block[0] for block in self._blocks] or [self._reals[:0]])

@@ -76,6 +76,14 @@ SLOTS = (
     "output_times",  # (OUTPUT_COUNT,) s
     "recorded_reals",  # (BLOCK, ROW_WIDTH) rows, see `recording`
     "recorded_integers",  # (BLOCK, ...) int
+    # guarded joint coordinates, rows nc .. nc + ng of the contacts' arrays: see `dynamics.joints`
+    "guard_count",  # (1,) int: ng
+    "guard_int",  # (ng, GUARD_INTS) int
+    "guard_real",  # (ng, GUARD_REALS)
+    # least and largest margins of a step's stages, and one choice among redundant forces
+    "lowest",  # (nc + ng, MARGINS_PER_CONTACT)
+    "highest",  # (nc + ng, MARGINS_PER_CONTACT)
+    "reference",  # (nc + ng, 3): force along the basis about which the least-norm solution is taken
 )
 
 # one integer constant a slot, for the kernels
@@ -145,12 +153,19 @@ SLOTS = (
     OUTPUT_TIMES,
     RECORDED_REALS,
     RECORDED_INTEGERS,
+    GUARD_COUNT,
+    GUARD_INT,
+    GUARD_REAL,
+    LOWEST,
+    HIGHEST,
+    REFERENCE,
 ) = range(len(SLOTS))
 
 # sizes
 NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
 
-# scalars: of the last evaluation and step, then what steps are controlled by (times and steps in s)
+# scalars: of the last evaluation and step, then what steps are controlled by (times and steps in s);
+# DIP is the part of a margin's change over a step by which it may dip between two stages
 (
     TIME,
     STEP,
@@ -171,8 +186,10 @@ NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
     SLOWEST,
     DENSE_START,
     DENSE_STEP,
-) = range(19)
-SCALARS_SIZE = 19
+    HAS_REFERENCE,
+    DIP,
+) = range(21)
+SCALARS_SIZE = 21
 
 # contact_int
 (
@@ -259,6 +276,13 @@ CONTACT_REALS = POLYNOMIAL + POLYNOMIAL_SIZE
 ) = range(10)
 SIDE_INTS = 10
 
+# guard_int: indices in q and v, direction of motion (0 without dry friction), end at which it is held (0: at none)
+GUARD_Q, GUARD_V, GUARD_SIGN, GUARD_END = range(4)
+GUARD_INTS = 4
+# guard_real: range of the dry friction force, and of q
+LOW_FORCE, HIGH_FORCE, LOW_END, HIGH_END = range(4)
+GUARD_REALS = 4
+
 # margins: positive while the mode holds
 NORMAL_MARGIN, FRICTION_MARGIN, GAP_MARGIN, SPEED_MARGIN, DOMAIN_MARGIN = range(5)
 MARGINS_PER_CONTACT = 5
@@ -289,5 +313,6 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE = 
     RECORDED,
     RECORD_STEPS,
     ROW_WIDTH,
-) = range(18)
-COUNTERS_SIZE = 18
+    ROW_COUNT,
+) = range(19)
+COUNTERS_SIZE = 19

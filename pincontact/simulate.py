@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from .dynamics.joints import check_guards, joint_guards
 from .dynamics.system import System
 from .errors import ArgumentError, ContactError, FrictionError
 from .integration.driver import Driver, Options
@@ -49,12 +50,16 @@ def simulate(
     rtol, atol: relative and absolute tolerance of every component of q (tangent to its manifold), v and the location.
     t_eval: times at which the result is wanted, None for every accepted step. method: "DOP853" or "RK45",
     or "Moreau": time stepping with impulses, for many contacts, impacts and jams, of constant `step` in s (default
-    1e-3) and without error control; it alone knows the model's joint limits and dry joint friction.
+    1e-3) and without error control.
     control: called as control(t, q, v), returns joint torques (nv,); must be smooth between events.
     events: functions g(t, q, v) whose zeros are reported; attributes `terminal` and `direction` as in `solve_ivp`.
     progress: show a bar. energies: integrate the work of friction, drives, torques and damping along (see
     `Trajectory.energies`). max_step, first_step in s; fixed_step: constant steps without error control;
     max_steps: accepted and rejected together.
+
+    The model's position limits and dry joint friction are part of its dynamics in every method: a joint stops at a
+    limit without rebound and is let go when the limit's force would pull; it sticks within its range of dry friction.
+    Effort and velocity limits are not enforced: a control has to keep to them itself.
 
     Returns a Trajectory, also when the run could not go on: see its `status` and `message`.
     Raises ArgumentError or StateError for bad arguments, before any work is done.
@@ -71,7 +76,10 @@ def simulate(
         _check_laws(scene, method)
     began = time.perf_counter()
     contacts = list(scene.contacts.values())
-    system = System(scene.model, contacts, works=energies)
+    # time stepping reads the joints' limits and friction itself
+    guards = joint_guards(scene.model) if pair is not None else []
+    check_guards(guards, state.q)
+    system = System(scene.model, contacts, works=energies, guards=guards)
     write_discrete(system, state.discrete)
     end = system.nq + system.nv
     system.state[: system.nq], system.state[system.nq : end] = state.q, state.v
@@ -87,7 +95,7 @@ def simulate(
             scene, state, duration, step, system, users, times, max_steps, torque, failed_control, progress, began
         )
     rk = RungeKutta(system, pair, rtol, atol, torque)
-    record = Record(system, with_torques=control is not None)
+    record = Record(system, with_torques=control is not None or bool(guards))
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration, failed_control)
     options = Options(times, max_step, max_steps, fixed_step, first_step)
     with _Bar(progress, state.t, duration) as bar:
@@ -105,6 +113,7 @@ def simulate(
         "cone_problems": modes.cone_problems,
         "qp": modes.solver.qp_count,
         "cone_residual": modes.worst_residual,
+        "redistributions": modes.redistributions,
         "wall_time": time.perf_counter() - began,
     }
     return Trajectory.from_record(scene, record, transitions.events, code, message, stats)

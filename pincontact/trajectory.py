@@ -29,6 +29,7 @@ from .layout import (
     EVENT,
     FREE,
     FROZEN_COLUMNS,
+    HAS_REFERENCE,
     NWORK,
     PATTERN,
     RECORDED,
@@ -51,8 +52,8 @@ class Record:
     def __init__(self, system: System, with_torques: bool) -> None:
         self.system, self.with_torques = system, with_torques
         nq, nv, nc = system.nq, system.nv, system.nc
-        # t, q, v, tau, works, location, frozen directions' columns
-        self._widths = (1, nq, nv, nv, int(system.sizes[NWORK]), 4 * nc, FROZEN_COLUMNS * nc)
+        # t, q, v, tau, works, location, frozen directions' columns, redundant forces chosen
+        self._widths = (1, nq, nv, nv, int(system.sizes[NWORK]), 4 * nc, FROZEN_COLUMNS * nc, 3 * nc)
         system.counters[ROW_WIDTH] = width = sum(self._widths)
         self._reals = system.memory.reals("recorded_reals", BLOCK, width)
         self._integers = system.memory.integers("recorded_integers", BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT)
@@ -82,7 +83,7 @@ class Record:
         return np.array(self._resistances) if self._resistances else None
 
     def rows(self) -> tuple[list[np.ndarray], np.ndarray]:
-        """All rows: [t, q, v, tau, works, location, frozen directions' columns] and the contacts' integers."""
+        """All rows: [t, q, v, tau, works, location, frozen columns, redundant forces]; contacts' integers."""
         self.flush(always=True)
         nc = self.system.nc
         values = np.concatenate([block[0] for block in self._blocks] or [self._reals[:0]])
@@ -92,6 +93,7 @@ class Record:
         parts[0] = parts[0].ravel()
         parts[5] = parts[5].reshape(n, nc, 4)
         parts[6] = parts[6].reshape(n, nc, FROZEN_COLUMNS)
+        parts[7] = parts[7].reshape(n, nc, 3)
         return parts, integers[:, : nc * INTEGERS_PER_CONTACT].reshape(n, nc, INTEGERS_PER_CONTACT)
 
 
@@ -137,7 +139,9 @@ class ContactTrack:
 class Energies:
     """Energies in J, (n,) each; works are counted from the start, None unless the run recorded them.
 
-    total = kinetic + potential; balance = total - total at the start - all works: what the integration lost or won.
+    friction_work is that of contact forces on v_c, and of their impulses in impacts; damping_work that of joints'
+    damping, dry friction and limits. total = kinetic + potential; balance = total - total at the start - all works:
+    what the integration lost or won.
     """
 
     kinetic: np.ndarray
@@ -201,8 +205,10 @@ class Trajectory:
         status: int,
         message: str,
         stats: dict[str, Any],
+        references: dict[int, np.ndarray] | None = None,
     ) -> None:
         self.scene = scene
+        self._references = references or {}
         self.t, self.q, self.v = t, q, v
         self.status, self.message, self.events, self.stats = status, message, events, stats
         self._location, self._discrete, self._directions = location, discrete, directions
@@ -216,7 +222,7 @@ class Trajectory:
         cls, scene: Scene, record: Record, events: list[Event], status: int, message: str, stats: dict[str, Any]
     ) -> Trajectory:
         """From the rows of a run, however many there are."""
-        (t, q, v, torques, works, location, frozen), integers = record.rows()
+        (t, q, v, torques, works, location, frozen, references), integers = record.rows()
         return cls(
             scene,
             t,
@@ -232,6 +238,7 @@ class Trajectory:
             status,
             message,
             stats,
+            {int(i): references[i] for i in np.flatnonzero(references.any(axis=(1, 2)))},
         )
 
     @property
@@ -333,7 +340,7 @@ class Trajectory:
             "message": self.message,
             "stats": self.stats,
             "contacts": list(self.scene.contacts),
-            "events": [[e.time, e.contact, e.kind, e.index] for e in self.events],
+            "events": [[e.time, e.contact, e.kind, e.index, e.joint] for e in self.events],
         }
         with open(path, "wb") as file:
             np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)  # type: ignore[arg-type]
@@ -354,8 +361,10 @@ class Trajectory:
                 raise TrajectoryError(f"{os.fspath(path)}: format {header['format']} is not {_FORMAT}")
             names = header["contacts"]
             events = [
-                Event(time, contact, kind, q, v, index)
-                for (time, contact, kind, index), q, v in zip(header["events"], arrays["event_q"], arrays["event_v"])
+                Event(time, contact, kind, q, v, index, *joint)
+                for (time, contact, kind, index, *joint), q, v in zip(
+                    header["events"], arrays["event_q"], arrays["event_v"]
+                )
             ]
             run = cls(
                 scene if scene is not None else Scene(pin.Model()),
@@ -409,6 +418,8 @@ def _evaluate_tracks(run: Trajectory) -> tuple[dict[str, ContactTrack], dict[str
         set_frozen_directions(system, run._directions[i])
         if run._torques is not None:
             system.tau[:] = run._torques[i]
+        system.scalars[HAS_REFERENCE] = float(i in run._references)
+        system.reference[: system.nc] = run._references.get(i, 0.0)
         usable = system.evaluate(float(run.t[i])) <= EVENT
         for c, contact in enumerate(contacts):
             if usable:

@@ -26,6 +26,12 @@ from ..layout import (
     FRICTION_MARGIN,
     FROZEN,
     GAP_MARGIN,
+    GUARD_END,
+    GUARD_SIGN,
+    HIGH_END,
+    HIGH_FORCE,
+    LOW_END,
+    LOW_FORCE,
     MARGINS_PER_CONTACT,
     MODE,
     MU,
@@ -41,6 +47,7 @@ from ..layout import (
     PATTERN,
     POLYNOMIAL,
     POLYNOMIAL_SIZE,
+    ROW_COUNT,
     SLIP_RATE,
     SLIP_SIGN,
     SLIP_SPEED,
@@ -62,6 +69,8 @@ _NORMAL_ITERATIONS = 50
 _NORMAL_CHANGE = 1e-15
 # A slip operator whose pivot falls below this fraction of its frictionless value has lost positivity (Painleve).
 PAINLEVE_LIMIT = 1e-9
+# Friction up to this much above its limit is round-off: a contact exactly at the limit sticks.
+FORCE_SLACK = 1e-13
 
 
 @kernel
@@ -269,12 +278,20 @@ def contact_dynamics(
     work,
     time,
     direction,
+    ng,
+    guard_int,
+    guard_real,
+    reference,
+    has_reference,
+    counters,
 ):
     """Accelerations, forces on body 2 along each basis, and the margins of the present modes.
 
+    Of redundant forces those of the least distance from the reference, which is zero unless it was chosen otherwise.
     Returns OK, EVENT (a margin is negative) or NO_FORCE.
     """
-    count, slipping = list_rows(contact_int, nc, row_index)
+    count, slipping = list_rows(contact_int, nc + ng, row_index)
+    counters[ROW_COUNT] = count
     whiten_rows(factor, nv, rows, row_index, count, whitened)
     iterate = 1
     if slipping:
@@ -300,6 +317,8 @@ def contact_dynamics(
                 direction,
                 work,
             )
+            if has_reference:
+                _take_reference(row_index, count, reference, whitened, whitened_forces, nv, multipliers, work)
             for i in range(count):
                 for j in range(count):
                     delassus[i, j] = inner(whitened[i], whitened_forces[j], nv)
@@ -307,13 +326,18 @@ def contact_dynamics(
             if not solve_slip(delassus, count, multipliers, permutation, scratch):
                 return NO_FORCE
         else:
+            if has_reference:
+                _take_reference(row_index, count, reference, whitened, whitened, nv, multipliers, work)
             for i in range(count):
                 for j in range(i + 1):
                     delassus[i, j] = inner(whitened[i], whitened[j], nv)
             solve_semidefinite(delassus, count, permutation, multipliers, scratch)
+        if has_reference:
+            for r in range(count):
+                multipliers[r] += reference[row_index[r, 0], row_index[r, 1]]
         if iterate == 1 or not _update_normal_shares(contact_int, contact_real, row_index, count, multipliers):
             break
-    for c in range(nc):
+    for c in range(nc + ng):
         for i in range(3):
             force[c, i] = 0.0
     for k in range(nv):
@@ -326,23 +350,78 @@ def contact_dynamics(
     backward(factor, nv, work, work)
     for k in range(nv):
         acceleration[k] = free_acceleration[k] + work[k]
-    return _margins(
-        nv,
-        nc,
-        contact_int,
-        contact_real,
-        slip,
-        basis,
-        gaps,
-        rows,
-        bias,
-        acceleration,
-        force,
-        relative_acceleration,
-        margins,
-        time,
-        direction,
+    status = guard_margins(nc, ng, contact_int, guard_int, guard_real, slip, gaps, force, margins)
+    return max(
+        status,
+        _margins(
+            nv,
+            nc,
+            contact_int,
+            contact_real,
+            slip,
+            basis,
+            gaps,
+            rows,
+            bias,
+            acceleration,
+            force,
+            relative_acceleration,
+            margins,
+            time,
+            direction,
+        ),
     )
+
+
+@kernel
+def _take_reference(row_index, count, reference, whitened, whitened_forces, nv, x, work):
+    """Leave to the multipliers x (count,) what the reference forces do not make up."""
+    for k in range(nv):
+        work[k] = 0.0
+    for r in range(count):
+        part = reference[row_index[r, 0], row_index[r, 1]]
+        for k in range(nv):
+            work[k] += part * whitened_forces[r, k]
+    for r in range(count):
+        x[r] -= inner(whitened[r], work, nv)
+
+
+@kernel
+def guard_force(mode, guard, numbers):
+    """Dry friction in N or N m of a joint coordinate that moves; 0 where it is held."""
+    if mode != FREE or guard[GUARD_SIGN] == 0:
+        return 0.0
+    return numbers[LOW_FORCE] if guard[GUARD_SIGN] > 0 else numbers[HIGH_FORCE]
+
+
+@kernel
+def guard_margins(nc, ng, contact_int, guard_int, guard_real, slip, gaps, force, margins):
+    """Event functions of guarded joint coordinates.
+
+    Moving: way to the lower (GAP) and to the upper end (DOMAIN), speed. Held: force above its lower (NORMAL) and below
+    its upper bound (FRICTION), of which the end it rests on takes one away.
+    """
+    status = OK
+    for g in range(ng):
+        value, guard, numbers = margins[nc + g], guard_int[g], guard_real[g]
+        for i in range(MARGINS_PER_CONTACT):
+            value[i] = 1.0
+        if contact_int[nc + g, MODE] == FREE:
+            if numbers[LOW_END] > -math.inf:
+                value[GAP_MARGIN] = gaps[nc + g, 0] - numbers[LOW_END]
+            if numbers[HIGH_END] < math.inf:
+                value[DOMAIN_MARGIN] = numbers[HIGH_END] - gaps[nc + g, 0]
+            if guard[GUARD_SIGN] != 0:
+                value[SPEED_MARGIN] = guard[GUARD_SIGN] * slip[nc + g, 2]
+        else:
+            if guard[GUARD_END] <= 0:
+                value[NORMAL_MARGIN] = force[nc + g, 2] - numbers[LOW_FORCE]
+            if guard[GUARD_END] >= 0:
+                value[FRICTION_MARGIN] = numbers[HIGH_FORCE] - force[nc + g, 2]
+        for i in range(MARGINS_PER_CONTACT):
+            if value[i] < 0.0:
+                status = EVENT
+    return status
 
 
 @kernel
@@ -408,7 +487,7 @@ def _margins(
                 tangential = abs(force[c, 0])
                 if integers[TANGENTS] == 2:
                     tangential = friction_length(integers, numbers, force[c, 0], force[c, 1])
-                value[FRICTION_MARGIN] = numbers[MU_STATIC] * size - tangential
+                value[FRICTION_MARGIN] = (1.0 + FORCE_SLACK) * numbers[MU_STATIC] * size - tangential
         elif mode == SLIPPING:
             if integers[UNILATERAL] == 0 and integers[PATTERN] != ON_CURVE:
                 value[NORMAL_MARGIN] = integers[NORMAL_SIGN] * normal

@@ -45,6 +45,17 @@ from ..layout import (
     GAP_RESIDUAL,
     GAPS,
     GRAVITY,
+    GUARD_COUNT,
+    GUARD_END,
+    GUARD_INT,
+    GUARD_INTS,
+    GUARD_Q,
+    GUARD_REAL,
+    GUARD_REALS,
+    GUARD_V,
+    HAS_REFERENCE,
+    HIGH_END,
+    HIGHEST,
     JACOBIAN,
     JOINT,
     JOINT_ADDRESSES,
@@ -52,6 +63,8 @@ from ..layout import (
     K2,
     LOCAL,
     LOCATION,
+    LOW_END,
+    LOWEST,
     MARGINS,
     MARGINS_PER_CONTACT,
     MASS,
@@ -65,11 +78,13 @@ from ..layout import (
     NJOINTS,
     NLE,
     NOT_FINITE,
+    NQ,
     NV,
     OK,
     PATTERN,
     PERMUTATION,
     RATES,
+    REFERENCE,
     RELATIVE_ACCELERATION,
     ROW_INDEX,
     ROWS,
@@ -93,10 +108,11 @@ from ..layout import (
     WHITENED_FORCES,
     WHITENED_ROWS,
     WORK,
+    Q,
     V,
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
-from .equations import add_viscous_loads, contact_dynamics, inner, list_rows, whiten_rows
+from .equations import add_viscous_loads, contact_dynamics, guard_force, inner, list_rows, whiten_rows
 from .linear import backward, cholesky, forward, solve_semidefinite
 
 
@@ -253,39 +269,65 @@ def evaluate_dynamics(table, time):
         cube(table[ROWS], nc, 3, nv),
         free_acceleration,
     )
+    ng = integers(table[GUARD_COUNT], 1)[0]
+    total = nc + ng
+    contact_int = integer_matrix(table[CONTACT_INT], total, CONTACT_INTS)
+    guard_int = integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
+    guard_real = matrix(table[GUARD_REAL], ng, GUARD_REALS)
+    slip, gaps = matrix(table[SLIP], total, 3), matrix(table[GAPS], total, 2)
+    for g in range(ng):
+        k = guard_int[g, GUARD_V]
+        slip[nc + g, 2] = v[k]
+        gaps[nc + g, 0] = reals(table[Q], sizes[NQ])[guard_int[g, GUARD_Q]]
+        free_acceleration[k] += guard_force(contact_int[nc + g, MODE], guard_int[g], guard_real[g])
     forward(factor, nv, free_acceleration, free_acceleration)
     backward(factor, nv, free_acceleration, free_acceleration)
-    if nc == 0:
+    if nc + ng == 0:
         for k in range(nv):
             acceleration[k] = free_acceleration[k]
         return OK if _finite(acceleration, nv) else NOT_FINITE
+    margins = matrix(table[MARGINS], total, MARGINS_PER_CONTACT)
     status = contact_dynamics(
         nv,
         nc,
-        integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS),
+        contact_int,
         matrix(table[CONTACT_REAL], nc, CONTACT_REALS),
-        matrix(table[SLIP], nc, 3),
-        cube(table[BASIS], nc, 3, 3),
-        matrix(table[GAPS], nc, 2),
-        cube(table[ROWS], nc, 3, nv),
-        matrix(table[BIAS], nc, 3),
+        slip,
+        cube(table[BASIS], total, 3, 3),
+        gaps,
+        cube(table[ROWS], total, 3, nv),
+        matrix(table[BIAS], total, 3),
         factor,
         free_acceleration,
         acceleration,
-        integer_matrix(table[ROW_INDEX], 3 * nc, 2),
-        matrix(table[WHITENED_ROWS], 3 * nc, nv),
-        matrix(table[WHITENED_FORCES], 3 * nc, nv),
-        matrix(table[DELASSUS], 3 * nc, 3 * nc + 1),
-        reals(table[MULTIPLIERS], 3 * nc),
-        integers(table[PERMUTATION], 3 * nc),
-        matrix(table[CONSTRAINT_ROWS], 3 * nc, 3 * nc + 1),
-        matrix(table[FORCE], nc, 3),
+        integer_matrix(table[ROW_INDEX], 3 * total, 2),
+        matrix(table[WHITENED_ROWS], 3 * total, nv),
+        matrix(table[WHITENED_FORCES], 3 * total, nv),
+        matrix(table[DELASSUS], 3 * total, 3 * total + 1),
+        reals(table[MULTIPLIERS], 3 * total),
+        integers(table[PERMUTATION], 3 * total),
+        matrix(table[CONSTRAINT_ROWS], 3 * total, 3 * total + 1),
+        matrix(table[FORCE], total, 3),
         matrix(table[RELATIVE_ACCELERATION], nc, 3),
-        matrix(table[MARGINS], nc, MARGINS_PER_CONTACT),
+        margins,
         reals(table[WORK], nv),
         time,
         reals(table[VECTORS], 3),
+        ng,
+        guard_int,
+        guard_real,
+        matrix(table[REFERENCE], total, 3),
+        reals(table[SCALARS], SCALARS_SIZE)[HAS_REFERENCE] != 0.0,
+        integers(table[COUNTERS], COUNTERS_SIZE),
     )
+    lowest, highest = (
+        matrix(table[LOWEST], total, MARGINS_PER_CONTACT),
+        matrix(table[HIGHEST], total, MARGINS_PER_CONTACT),
+    )
+    for c in range(total):
+        for i in range(MARGINS_PER_CONTACT):
+            lowest[c, i] = min(lowest[c, i], margins[c, i])
+            highest[c, i] = max(highest[c, i], margins[c, i])
     return status if _finite(acceleration, nv) else NOT_FINITE
 
 
@@ -308,17 +350,26 @@ def contact_corrections(table, with_position, with_velocity):
     nv, nc = sizes[NV], sizes[NC]
     scalars = reals(table[SCALARS], SCALARS_SIZE)
     factor = matrix(table[FACTOR], nv, nv)
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    basis = cube(table[BASIS], nc, 3, 3)
-    slip = matrix(table[SLIP], nc, 3)
-    gaps = matrix(table[GAPS], nc, 2)
-    rows = cube(table[ROWS], nc, 3, nv)
-    row_index = integer_matrix(table[ROW_INDEX], 3 * nc, 2)
-    whitened = matrix(table[WHITENED_ROWS], 3 * nc, nv)
+    total = nc + integers(table[GUARD_COUNT], 1)[0]
+    contact_int = integer_matrix(table[CONTACT_INT], total, CONTACT_INTS)
+    guard_int = integer_matrix(table[GUARD_INT], total - nc, GUARD_INTS)
+    guard_real = matrix(table[GUARD_REAL], total - nc, GUARD_REALS)
+    basis = cube(table[BASIS], total, 3, 3)
+    slip = matrix(table[SLIP], total, 3)
+    gaps = matrix(table[GAPS], total, 2)
+    rows = cube(table[ROWS], total, 3, nv)
+    row_index = integer_matrix(table[ROW_INDEX], 3 * total, 2)
+    whitened = matrix(table[WHITENED_ROWS], 3 * total, nv)
     correction_q = reals(table[CORRECTION_Q], nv)
     correction_v = reals(table[CORRECTION_V], nv)
-    x = reals(table[MULTIPLIERS], 3 * nc)
-    count, _ = list_rows(contact_int, nc, row_index)
+    x = reals(table[MULTIPLIERS], 3 * total)
+    count, _ = list_rows(contact_int, total, row_index)
+    for g in range(total - nc):
+        # what is left to the end on which the coordinate rests; where it is held by friction it rests anywhere
+        position, end = gaps[nc + g, 0], guard_int[g, GUARD_END]
+        gaps[nc + g, 0] = 0.0
+        if end != 0:
+            gaps[nc + g, 0] = position - guard_real[g, LOW_END if end < 0 else HIGH_END]
     whiten_rows(factor, nv, rows, row_index, count, whitened)
     gap_residual = 0.0
     velocity_residual = 0.0
@@ -334,7 +385,7 @@ def contact_corrections(table, with_position, with_velocity):
     scalars[GAP_RESIDUAL] = gap_residual
     scalars[VELOCITY_RESIDUAL] = velocity_residual
     if with_velocity != 0:
-        _least_correction(table, nc, nv, count, whitened, x, factor, correction_v)
+        _least_correction(table, total, nv, count, whitened, x, factor, correction_v)
     if with_position != 0:
         for r in range(count):
             c, row = row_index[r, 0], row_index[r, 1]
@@ -343,7 +394,7 @@ def contact_corrections(table, with_position, with_velocity):
                     whitened[normals, k] = whitened[r, k]
                 x[normals] = -gaps[c, 2 - row]
                 normals += 1
-        _least_correction(table, nc, nv, normals, whitened, x, factor, correction_q)
+        _least_correction(table, total, nv, normals, whitened, x, factor, correction_q)
     largest = 0.0
     for k in range(nv):
         largest = max(largest, abs(correction_q[k]))

@@ -1,54 +1,187 @@
-"""A contact that closes: Newton restitution and Coulomb friction in impulses, by the same cone problem."""
+"""Impacts: Newton restitution and Coulomb friction in impulses, by the same cone problem as the modes.
+
+Everything that is closed takes part at once. Bilateral contacts' normals, and tangents that cannot slip, are equations
+and are eliminated; friction of bilateral contacts is a disk whose radius follows from their normal impulse; ends of
+joints' ways take part as normals, without restitution. Dry joint friction is a finite force and has no impulse.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from ..friction.solve import ContactSolver
 from ..friction.stribeck import stribeck
-from ..layout import MU, MU_FAST, STRIBECK_EXPONENT, STRIBECK_SPEED, TANGENTS, UNILATERAL
-from .stretches import stretches
+from ..geometry.patterns import ON_CURVE
+from ..layout import (
+    GUARD_END,
+    MOTION_KIND,
+    MU,
+    MU_FAST,
+    PATTERN,
+    STRIBECK_EXPONENT,
+    STRIBECK_SPEED,
+    TANGENTS,
+    TIME_DEPENDENT,
+    UNILATERAL,
+)
+from .energy import ENERGY_SLACK, KEPT_ACCURACY
+from .stretches import stretch
+from .units import contact_rows, delassus, unit_columns, unwhiten, whiten
 
 if TYPE_CHECKING:
     from .system import System
 
+# Equations that combine to less than this, relative to their size, are redundant.
+_REDUNDANT = 1e-9
+# Fixed point on the normal impulses of bilateral contacts.
+_LOAD_ITERATIONS = 100
+_LOAD_CHANGE = 1e-12
+_UNDAMPED = 12
 
-def apply_impact(system: System, solver: ContactSolver, closed: list[int], restitution: dict[int, float]) -> bool:
-    """Change the system's v by the impulses of the closed contacts; False if no impulses satisfy the law.
 
-    Uses rows, v_c and the factor of M of the last evaluation. restitution: contact -> coefficient, applied to the
-    approach speed of v_c; other contacts get 0. Tangential impulses obey Coulomb's law with the final slip velocity,
-    and the coefficient of the speed before.
+@dataclass(frozen=True)
+class Impact:
+    """Work in J of an impact: contact impulses on v_c, on drives, ends of joints' ways; kept: factor of restitution."""
+
+    contacts: float
+    drives: float
+    joints: float
+    kept: float
+
+
+def apply_impact(
+    system: System, solver: ContactSolver, closed: list[int], ends: list[int], restitution: dict[int, float]
+) -> Impact | None:
+    """Change the system's v by the impulses of an impact; None if no impulses satisfy the laws.
+
+    Uses rows, v_c and the factor of M of the last evaluation. closed: contacts that take part; ends: guarded joint
+    coordinates that are held at an end; restitution: contact -> coefficient, applied to the approach speed of v_c, 0
+    for others, and lowered where it would create energy (`energy`). Tangential impulses obey Coulomb's law with the
+    final slip velocity, and the
+    coefficient of the speed before.
     """
-    n = len(closed)
-    whitened = [solve_triangular(system.factor, system.rows[c].T, lower=True) for c in closed]
-    stack = np.hstack(whitened)
-    missing = [3 * i + 1 for i, c in enumerate(closed) if system.contact_int[c, TANGENTS] == 1]
-    stack[:, missing] = 0.0
-    gram = stack.T @ stack
-    gram[missing, missing] = 1.0
-    approach = np.concatenate([system.basis[c] @ system.slip[c] for c in closed])
-    approach[missing] = 0.0
-    for i, c in enumerate(closed):
-        approach[3 * i + 2] += restitution.get(c, 0.0) * min(approach[3 * i + 2], 0.0)
-    mu = np.array([_coefficient(system, c) for c in closed])
-    scaling = stretches(system, closed)
-    if not all(system.contact_int[c, UNILATERAL] for c in closed):
-        # a bilateral contact takes impulses of both signs: no cone; its rows are plain equations
-        solution = np.linalg.lstsq(gram, -approach, rcond=1e-12)[0]
-    elif scaling is not None:
-        if not solver.solve(scaling @ gram @ scaling, scaling @ approach, mu):
-            return False
-        solution = scaling @ solver.forces
-    elif solver.solve(gram, approach, mu):
-        solution = solver.forces
-    else:
-        return False
-    system.v += solve_triangular(system.factor, stack @ solution.reshape(3 * n), lower=True, trans="T")
-    return True
+    problem = _Problem(system, closed, ends, restitution)
+    kept, low, high = 1.0, 0.0, 1.0
+    while True:
+        y = problem.solve(solver, kept)
+        if y is None:
+            return None
+        contacts, joints, size = problem.work(y)
+        creates = contacts + joints > ENERGY_SLACK * size
+        if kept == 1.0 and not creates:
+            break
+        low, high = (low, kept) if creates else (kept, high)
+        if high - low < KEPT_ACCURACY:
+            if kept == low:
+                break
+            kept = low
+        else:
+            kept = 0.5 * (low + high)
+    drives = 0.0
+    if problem.driven:
+        # what the joints receive and the relative velocities do not account for
+        before = np.tril(system.factor).T @ system.v
+        drives = float(y @ before + 0.5 * y @ y) - contacts - joints
+    system.v += unwhiten(system, y)
+    return Impact(contacts, drives, joints, kept)
+
+
+class _Problem:
+    """Units and equations of one impact, in whitened changes of velocity y = L^T (v+ - v-)."""
+
+    def __init__(self, system: System, closed: list[int], ends: list[int], restitution: dict[int, float]) -> None:
+        integers = system.contact_int
+        velocity = {c: system.basis[c] @ system.slip[c] for c in closed}
+        equations: list[tuple[int, int]] = []
+        units, before, rebound, mu = [], [], [], []
+        # unit -> rows among the equations that carry its normal impulse
+        self.loaded: dict[int, list[int]] = {}
+        for c in closed:
+            rows, limit = contact_rows(integers[c, TANGENTS]), _coefficient(system, c)
+            if integers[c, UNILATERAL]:
+                columns, before_c = unit_columns(system, c, rows if limit > 0.0 else (2,)), velocity[c].copy()
+                # elliptic cones are round in other coordinates
+                shape = stretch(system, c)
+                columns[:, :2], before_c[:2] = columns[:, :2] @ shape, shape @ before_c[:2]
+                units.append(columns)
+                before.append(before_c * (np.abs(columns).max(axis=0, initial=0.0) > 0.0))
+                rebound.append(restitution.get(c, 0.0) * min(velocity[c][2], 0.0))
+                mu.append(limit)
+                continue
+            normals = [1, 2] if integers[c, PATTERN] == ON_CURVE else [2]
+            tangents = [row for row in rows if row not in normals]
+            stuck = normals + (tangents if math.isinf(limit) else [])
+            places = list(range(len(equations), len(equations) + len(normals)))
+            equations += [(c, row) for row in stuck]
+            if 0.0 < limit < math.inf:
+                self.loaded[len(units)] = places
+                columns, before_c = unit_columns(system, c, tangents), velocity[c] * np.isin(range(3), tangents)
+                if len(tangents) == 2:
+                    shape = stretch(system, c)
+                    columns[:, :2], before_c[:2] = columns[:, :2] @ shape, shape @ before_c[:2]
+                units.append(columns)
+                before.append(before_c)
+                rebound.append(0.0)
+                mu.append(limit)
+        self.contacts = len(units)
+        for g in ends:
+            sign = -float(system.guard_int[g, GUARD_END])
+            units.append(unit_columns(system, system.nc + g, (2,), sign))
+            before.append(np.array([0.0, 0.0, sign * system.slip[system.nc + g, 2]]))
+            rebound.append(0.0)
+            mu.append(0.0)
+        self.stack = np.hstack(units) if units else np.zeros((system.nv, 0))
+        self.before = np.array(before).reshape(-1)
+        self.rebound, self.mu = np.array(rebound), np.array(mu)
+        self.forces = np.zeros(3 * len(units))
+        sides = system.side_int[[2 * c + side for c in closed for side in range(2)]]
+        self.driven = bool(sides[:, [MOTION_KIND, TIME_DEPENDENT]].any())
+        self.equations = np.array([whiten(system, system.rows[c, row]) for c, row in equations]).reshape(-1, system.nv)
+        wanted = -np.array([velocity[c][row] for c, row in equations])
+        self.start = np.linalg.lstsq(self.equations, wanted, rcond=_REDUNDANT)[0] if equations else np.zeros(system.nv)
+        span = np.linalg.svd(self.equations, full_matrices=False) if equations else None
+        self.reduced = self.stack
+        if span is not None:
+            basis = span[2][span[1] > _REDUNDANT * span[1][0]]
+            self.reduced = self.stack - basis.T @ (basis @ self.stack)
+        self.gram, self.weights = delassus(self.reduced)
+
+    def solve(self, solver: ContactSolver, kept: float) -> np.ndarray | None:
+        """y with `kept` of the restitution, or None."""
+        b = self.before + self.stack.T @ self.start
+        b[2::3] += kept * self.rebound
+        b[self.weights > 0.0] = 0.0
+        loads = np.zeros(len(self.mu))
+        for iteration in range(_LOAD_ITERATIONS):
+            for u in self.loaded:
+                b[3 * u + 2] = -self.weights[3 * u + 2] * loads[u]
+            if self.mu.size:
+                if not solver.solve(self.gram, b, self.mu):
+                    return None
+                self.forces = np.where(self.weights > 0.0, 0.0, solver.forces)
+            y = self.start + self.reduced @ self.forces
+            change = 0.0
+            if self.loaded:
+                impulses = np.linalg.lstsq(self.equations.T, y - self.stack @ self.forces, rcond=_REDUNDANT)[0]
+                for u, places in self.loaded.items():
+                    load = float(np.linalg.norm(impulses[places]))
+                    change = max(change, abs(load - loads[u]) / (load + loads[u]) if load > 0.0 else 0.0)
+                    loads[u] = load if iteration < _UNDAMPED else 0.5 * (load + loads[u])
+            if change <= _LOAD_CHANGE:
+                return y
+        return None
+
+    def work(self, y: np.ndarray) -> tuple[float, float, float]:
+        """Work of the contacts' and of the joints' impulses, and the sum of the sizes of all terms."""
+        after = self.before + self.stack.T @ y
+        terms = 0.5 * self.forces * (self.before + after)
+        split = 3 * self.contacts
+        size = 0.5 * np.abs(self.forces) @ (np.abs(self.before) + np.abs(after))
+        return float(terms[:split].sum()), float(terms[split:].sum()), float(size)
 
 
 def _coefficient(system: System, c: int) -> float:

@@ -2,7 +2,8 @@
 
 Where a contact slides, its friction is known. Where it does not, the modes are those of the second-order-cone
 complementarity at acceleration level: F in K_mu, u = G F + b, u + mu |u_t| n in the dual cone, complementary.
-The cheap guess, everything undecided sticks, is tried first: if all forces lie inside their cones it is the solution.
+The cheap guess, everything undecided sticks, is tried first: if all forces lie inside their cones (of redundant ones,
+those of one choice), it is the solution.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from ..friction import cone
 from ..friction.solve import ContactSolver
+from ..geometry.patterns import ON_CURVE
 from ..layout import (
     ACROSS_X,
     DIRECTION_X,
@@ -24,6 +25,11 @@ from ..layout import (
     FRICTION_MARGIN,
     FRICTIONLESS,
     FROZEN,
+    GUARD_END,
+    GUARD_SIGN,
+    HAS_REFERENCE,
+    HIGH_FORCE,
+    LOW_FORCE,
     MODE,
     MU,
     MU_NOW,
@@ -34,6 +40,7 @@ from ..layout import (
     PATTERN,
     POLYNOMIAL,
     POLYNOMIAL_SIZE,
+    ROW_COUNT,
     SLIP_RATE,
     SLIP_SIGN,
     SLIPPING,
@@ -43,16 +50,19 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from .stretches import associated, opposed_slip, stretches
+from .redundant import Cone, central_force, null_space
+from .stretches import associated, opposed_slip, stretch
+from .units import contact_rows, delassus, unit_columns, unwhiten, whiten
 
 if TYPE_CHECKING:
     from .system import System
 
-_FIXED_POINT_ITERATIONS = 60
+_FIXED_POINT_ITERATIONS = 100
+_UNDAMPED = 12
 _FIXED_POINT_TOLERANCE = 1e-12
 _ROUND_OFF = 1e-11
-# Sliding accelerations below this fraction of the free ones are taken for the limit of stick (a continuous start).
-CONTINUOUS_LIMIT = 1e-7
+# Relative accelerations below this fraction of the free ones are round-off: no slip.
+_STILL = 1e-12
 
 
 @dataclass
@@ -77,25 +87,27 @@ class ModeSolver:
         self.system = system
         self.solver = ContactSolver()
         self.cone_problems = 0
+        self.redistributions = 0
         self.worst_residual = 0.0
         self._limits = np.zeros(system.nc)
 
     def decide(self, t: float, undecided: list[int], evaluate, beyond: int | None = None) -> Decision:
         """Set the modes of the undecided contacts (closed, at rest against each other, with friction) at the state.
 
-        All contacts stay as they are otherwise, except that a unilateral one whose normal force would pull opens.
+        All contacts stay as they are otherwise, except that a unilateral one whose normal force would pull opens. Held
+        joint coordinates are undecided, too. Redundant forces are chosen anew.
         evaluate(t): evaluates the system at its (q, v). beyond: a contact whose static limit has been reached.
         """
         system = self.system
         integers = system.contact_int
-        before = {c: int(integers[c, MODE]) for c in system.closed()}
         for c in undecided:
             integers[c, MODE] = STICK
             integers[c, FROZEN] = 0
+        self._take_reference(None)
         status = evaluate(t)
         if status > EVENT and status != NO_FORCE:
             return Decision(status)
-        if status != NO_FORCE and beyond is None and self._holds(before):
+        if status != NO_FORCE and beyond is None and (self._holds() or self.redistribute(t, evaluate)):
             return Decision(status)
         # contacts beyond their static limit are held by sliding friction at most, the others by static friction
         self._limits = system.contact_real[: system.nc, MU_STATIC].copy()
@@ -113,79 +125,189 @@ class ModeSolver:
         loads = np.abs(system.data.nle) + np.abs(system.tau)
         return _ROUND_OFF * float(loads.max(initial=0.0))
 
-    def _holds(self, closed: dict[int, int]) -> bool:
+    def _holds(self) -> bool:
         """Whether every force of the last evaluation lies inside its cone."""
-        margins = self.system.margins
-        return all(margins[c, NORMAL_MARGIN] >= 0.0 and margins[c, FRICTION_MARGIN] >= 0.0 for c in closed)
+        system = self.system
+        active = [*system.closed(), *(system.nc + g for g in system.held())]
+        return bool((system.margins[active][:, [NORMAL_MARGIN, FRICTION_MARGIN]] >= 0.0).all())
+
+    # ---------------------------------------------------------------- redundant forces
+
+    def redistribute(self, t: float, evaluate) -> bool:
+        """Choose other ones among redundant forces, such that all lie inside their cones; False where none do.
+
+        Needs the last evaluation, whose accelerations stay what they are.
+        """
+        system = self.system
+        count = int(system.counters[ROW_COUNT])
+        index = system.row_index[:count].copy()
+        slipping = any(system.contact_int[c, MODE] == SLIPPING for c in system.closed())
+        directions = (system.whitened_forces if slipping else system.whitened_rows)[:count]
+        if count == 0 or not np.isfinite(directions).all():
+            return False
+        null = null_space(directions)
+        if null.shape[1] == 0:
+            return False
+        forces = system.force[index[:, 0], index[:, 1]]
+        found = central_force(forces, null, self._cones(index))
+        if found is None:
+            return False
+        before = system.reference.copy() if system.scalars[HAS_REFERENCE] else None
+        reference = np.zeros_like(system.reference)
+        reference[index[:, 0], index[:, 1]] = found
+        self._take_reference(reference)
+        if evaluate(t) <= EVENT and self._holds():
+            self.redistributions += 1
+            return True
+        self._take_reference(before)
+        evaluate(t)
+        return False
+
+    def _take_reference(self, reference: np.ndarray | None) -> None:
+        system = self.system
+        system.scalars[HAS_REFERENCE] = 0.0 if reference is None else 1.0
+        if reference is not None:
+            system.reference[:] = reference
+
+    def _cones(self, index: np.ndarray) -> list[Cone]:
+        """The cones of the forces in the constraint rows `index` (count, 2)."""
+        system = self.system
+        rows = {(int(c), int(row)): r for r, (c, row) in enumerate(index)}
+        cones = []
+        for c in system.closed():
+            integers, mu = system.contact_int[c], float(system.contact_real[c, MU_STATIC])
+            normal, sticks = rows[c, 2], integers[MODE] == STICK and math.isfinite(mu)
+            tangents = tuple(rows[c, row] for row in range(integers[TANGENTS])) if sticks else ()
+            if integers[UNILATERAL]:
+                cones.append(Cone(normal, mu, 0.0, tangents) if tangents else Cone(normal, 1.0, 0.0))
+            elif tangents and integers[PATTERN] != ON_CURVE:
+                cones.append(Cone(normal, math.copysign(mu, system.force[c, 2]), 0.0, tangents))
+        for g in system.held():
+            row, end = rows[system.nc + g, 2], system.guard_int[g, GUARD_END]
+            if end <= 0:
+                cones.append(Cone(row, 1.0, -float(system.guard_real[g, LOW_FORCE])))
+            if end >= 0:
+                cones.append(Cone(row, -1.0, float(system.guard_real[g, HIGH_FORCE])))
+        return cones
+
+    # ---------------------------------------------------------------- the cone problem
 
     def _solve(self, t: float, undecided: list[int], evaluate) -> Decision:
-        """The cone problem over all closed contacts; sliding ones and drives enter as known forces."""
+        """The cone problem over all closed contacts and held coordinates; sliding contacts enter as known forces."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
-        closed = system.closed()
-        bilateral = [c for c in closed if not integers[c, UNILATERAL]]
-        if bilateral:
+        closed, held = system.closed(), system.held()
+        if any(not integers[c, UNILATERAL] for c in closed):
             return self._decide_bilateral(t, undecided, closed, evaluate)
         decision = Decision(0, solved=True)
         n = len(closed)
-        whitened = {c: solve_triangular(system.factor, system.rows[c].T, lower=True) for c in closed}
-        stack = np.hstack([whitened[c] for c in closed])
-        # planar contacts have no second tangent: an isolated row of unit mass and no load
-        missing = [3 * i + 1 for i, c in enumerate(closed) if integers[c, TANGENTS] == 1]
-        stack[:, missing] = 0.0
-        gram = stack.T @ stack
-        gram[missing, missing] = 1.0
-        base = np.concatenate([system.rows[c] @ system.free_acceleration + system.bias[c] for c in closed])
-        base[missing] = 0.0
-        mu = np.array([self._limits[c] if c in undecided or math.isinf(numbers[c, MU]) else 0.0 for c in closed])
+        units = [unit_columns(system, c, contact_rows(integers[c, TANGENTS])) for c in closed]
+        mu = [float(self._limits[c]) if c in undecided or math.isinf(numbers[c, MU]) else 0.0 for c in closed]
         # elliptic cones are round in other coordinates
-        scaling = stretches(system, closed)
-        round_gram = gram if scaling is None else scaling @ gram @ scaling
+        shapes = [stretch(system, c) for c in closed]
+        for columns, shape in zip(units, shapes):
+            columns[:, :2] = columns[:, :2] @ shape
+        free = system.free_acceleration.copy()
+        for g in held:
+            end, (low, high) = system.guard_int[g, GUARD_END], system.guard_real[g, :2]
+            # about its middle, friction is a disk of constant radius; at an end, what the end adds to friction only
+            # pushes away from it
+            middle = 0.5 * (low + high) if end == 0 else (low if end < 0 else high)
+            row = system.rows[system.nc + g, 2]
+            free += unwhiten(system, whiten(system, row)) * middle
+            columns = np.zeros((system.nv, 3))
+            columns[:, 0 if end == 0 else 2] = whiten(system, row) * (-1.0 if end > 0 else 1.0)
+            units.append(columns)
+            mu.append(1.0 if end == 0 else 0.0)
+        stack = np.hstack(units)
+        gram, weights = delassus(stack)
+        base = stack.T @ (np.tril(system.factor).T @ free)
+        for i, c in enumerate(closed):
+            base[3 * i : 3 * i + 2] += shapes[i] @ system.bias[c, :2]
+            base[3 * i + 2] += system.bias[c, 2]
+        base[weights > 0.0] = 0.0
+        for i, g in enumerate(held, start=n):
+            if system.guard_int[g, GUARD_END] == 0:
+                low, high = system.guard_real[g, :2]
+                base[3 * i + 2] = -0.5 * (high - low) * weights[3 * i + 2]
+        limits = np.array(mu)
         sliding = [i for i, c in enumerate(closed) if integers[c, MODE] == SLIPPING and numbers[c, MU] > 0.0]
-        directions = np.zeros(3 * n)
-        for i in sliding:
-            directions[3 * i : 3 * i + 2] = associated(system, closed[i], _direction(system, closed[i]))
+        directions = {
+            i: np.linalg.solve(shapes[i], associated(system, closed[i], _direction(system, closed[i]))) for i in sliding
+        }
         loads = np.array([max(system.force[c, 2], 0.0) for c in closed])
-        for _ in range(_FIXED_POINT_ITERATIONS if sliding else 1):
-            b = base.copy()
+        for iteration in range(_FIXED_POINT_ITERATIONS if sliding else 1):
+            pull = np.zeros(3 * len(units))
             for i in sliding:
-                pull = np.zeros(3 * n)
-                pull[3 * i : 3 * i + 2] = -numbers[closed[i], MU_NOW] * loads[i] * directions[3 * i : 3 * i + 2]
-                b += gram @ pull
+                pull[3 * i : 3 * i + 2] = -numbers[closed[i], MU_NOW] * loads[i] * directions[i]
             self.cone_problems += 1
-            if not self.solver.solve(round_gram, b if scaling is None else scaling @ b, mu):
+            if not self.solver.solve(gram, base + gram @ pull, limits):
                 decision.status = NO_FORCE
                 return decision
-            new_loads = self.solver.forces[2::3].copy()
+            new_loads = self.solver.forces[2 : 3 * n : 3].copy()
             change = np.abs(new_loads - loads)[sliding].max(initial=0.0) if sliding else 0.0
-            loads = new_loads
-            if change <= _FIXED_POINT_TOLERANCE * (1.0 + np.abs(loads).max()):
+            # strong coupling of friction and load makes the plain iteration swing
+            loads = new_loads if iteration < _UNDAMPED else 0.5 * (loads + new_loads)
+            if change <= _FIXED_POINT_TOLERANCE * (1.0 + np.abs(loads).max(initial=0.0)):
                 break
         else:
             decision.status = NO_FORCE
             return decision
         decision.residual = float(self.solver.residual)
         self.worst_residual = max(self.worst_residual, decision.residual)
-        velocities, forces = self.solver.velocities, self.solver.forces
-        if scaling is not None:
-            velocities, forces = np.linalg.solve(scaling, velocities), scaling @ forces
-        velocities, forces = velocities.reshape(n, 3), forces.reshape(n, 3)
+        velocities = self.solver.velocities.reshape(-1, 3).copy()
+        forces = self.solver.forces.reshape(-1, 3).copy()
+        for i, shape in enumerate(shapes):
+            velocities[i, :2], forces[i, :2] = np.linalg.solve(shape, velocities[i, :2]), shape @ forces[i, :2]
+        still = _STILL * float(np.abs(base).max(initial=0.0))
         for i, c in enumerate(closed):
             mode = self.solver.modes[i]
             if mode == cone.OPEN:
                 integers[c, MODE] = FREE
                 decision.opened.append(c)
             elif c in undecided:
-                if mode == cone.STICK:
+                rate = float(np.hypot(velocities[i, 0], velocities[i, 1]))
+                if mode == cone.STICK or rate <= still:
+                    # among redundant contacts one may be at its limit of friction without sliding
                     integers[c, MODE] = STICK
                 else:
-                    rate = float(np.hypot(velocities[i, 0], velocities[i, 1]))
-                    # a vanishing rate leaves the force to tell the direction
-                    direction = velocities[i, :2] if rate > 0.0 else opposed_slip(system, c, forces[i, :2])
-                    freeze_slip(system, c, direction)
+                    freeze_slip(system, c, velocities[i, :2])
                     decision.started[c] = rate
+        for i, g in enumerate(held, start=n):
+            mode, end = self.solver.modes[i], int(system.guard_int[g, GUARD_END])
+            if end == 0 and mode == cone.SLIP and abs(velocities[i, 0]) > still:
+                self.release(g, 1 if velocities[i, 0] > 0.0 else -1)
+            elif end != 0 and mode == cone.OPEN and velocities[i, 2] > still:
+                self.release(g, -end)
         decision.status = evaluate(t)
+        if decision.status <= EVENT and not self._holds() and not self.redistribute(t, evaluate):
+            self._keep_solution(t, closed, held, forces, evaluate)
         return decision
+
+    def _keep_solution(self, t: float, closed: list[int], held: list[int], forces: np.ndarray, evaluate) -> None:
+        """Take the cone solver's forces, on the rim of their cones, for the choice among redundant ones."""
+        system = self.system
+        reference = np.zeros_like(system.reference)
+        for i, c in enumerate(closed):
+            reference[c] = forces[i]
+        for i, g in enumerate(held, start=len(closed)):
+            end, (low, high) = system.guard_int[g, GUARD_END], system.guard_real[g, :2]
+            extra = forces[i, 0] if end == 0 else -end * forces[i, 2]
+            reference[system.nc + g, 2] = extra + (0.5 * (low + high) if end == 0 else (low if end < 0 else high))
+        self._take_reference(reference)
+        evaluate(t)
+
+    def release(self, g: int, sign: int) -> None:
+        """Let held coordinate g move in the direction of `sign`."""
+        guard = self.system.guard_int[g]
+        dry = self.system.guard_real[g, LOW_FORCE] < self.system.guard_real[g, HIGH_FORCE]
+        guard[GUARD_SIGN], guard[GUARD_END] = sign if dry else 0, 0
+        self.system.contact_int[self.system.nc + g, MODE] = FREE
+
+    def hold(self, g: int, end: int) -> None:
+        """Hold coordinate g at its lower (-1) or upper (+1) end, or by dry friction (0)."""
+        self.system.guard_int[g, GUARD_SIGN], self.system.guard_int[g, GUARD_END] = 0, end
+        self.system.contact_int[self.system.nc + g, MODE] = FRICTIONLESS
 
     def _decide_bilateral(self, t: float, undecided: list[int], closed: list[int], evaluate) -> Decision:
         """Contacts that cannot open carry |F_n| of either sign, which is no cone: slide the one that exceeds its limit
@@ -193,12 +315,20 @@ class ModeSolver:
         system = self.system
         integers = system.contact_int
         decision = Decision(0)
-        for _ in range(2 * len(closed) + 2):
+        for _ in range(2 * (len(closed) + system.ng) + 2):
             status = evaluate(t)
             decision.status = status
             if status > EVENT:
                 return decision
             worst, excess = -1, 0.0
+            for g in system.held():
+                low, high = system.margins[system.nc + g, NORMAL_MARGIN], system.margins[system.nc + g, FRICTION_MARGIN]
+                if min(low, high) < -self.force_round_off():
+                    self.release(g, 1 if low < high else -1)
+                    worst = -2
+                    break
+            if worst == -2:
+                continue
             for c in closed:
                 if integers[c, MODE] == FREE:
                     continue
@@ -216,7 +346,7 @@ class ModeSolver:
                 return decision
             if worst >= 0:
                 force = system.force[worst]
-                if integers[worst, PATTERN] != 3:
+                if integers[worst, PATTERN] != ON_CURVE:
                     integers[worst, NORMAL_SIGN] = 1 if force[2] >= 0.0 else -1
                 freeze_slip(system, worst, opposed_slip(system, worst, force[:2]))
                 if evaluate(t) > EVENT:

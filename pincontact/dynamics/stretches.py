@@ -20,16 +20,6 @@ def stretch(system: System, c: int) -> np.ndarray:
     return np.array([[a, b], [b, d]])
 
 
-def stretches(system: System, contacts: list[int]) -> np.ndarray | None:
-    """(3n, 3n) stretches of n contacts' rows (t1, second, n); None where all cones are round."""
-    if not any(system.contact_int[c, ANISOTROPIC] for c in contacts):
-        return None
-    out = np.eye(3 * len(contacts))
-    for i, c in enumerate(contacts):
-        out[3 * i : 3 * i + 2, 3 * i : 3 * i + 2] = stretch(system, c)
-    return out
-
-
 def associated(system: System, c: int, direction: np.ndarray) -> np.ndarray:
     """(2,) `friction_direction` of a unit direction of slip (2,), which stays as it is."""
     out = direction.copy()

@@ -32,11 +32,20 @@ from ..layout import (
     COUNTERS_SIZE,
     FREE,
     FRICTIONLESS,
+    GUARD_INTS,
+    GUARD_Q,
+    GUARD_REALS,
+    GUARD_SIGN,
+    GUARD_V,
+    HIGH_END,
+    HIGH_FORCE,
     JOINT,
     K1,
     K2,
     KIND,
     LENGTH,
+    LOW_END,
+    LOW_FORCE,
     MARGINS_PER_CONTACT,
     MODE,
     MOTION_KIND,
@@ -82,6 +91,7 @@ from ..memory import Memory, address_of
 if TYPE_CHECKING:
     from ..contacts import AttachedContour, Contact
     from ..contours.motion import Motion
+    from .joints import Guard
 
 # Kinds whose first chart has poles.
 CHARTED_KINDS = (SPHERE, ELLIPSOID, REVOLUTION)
@@ -94,13 +104,15 @@ class System:
     attributes here. `evaluate(t)` runs Pinocchio and one kernel at the state in `q`, `v`, `location`.
     """
 
-    def __init__(self, model: pin.Model, contacts: Sequence[Contact], works: bool = False) -> None:
+    def __init__(
+        self, model: pin.Model, contacts: Sequence[Contact], works: bool = False, guards: Sequence[Guard] = ()
+    ) -> None:
         compile_kernels()
         self.model = model
         self.contacts = list(contacts)
         self.data = model.createData()
         nq, nv, nc = model.nq, model.nv, len(self.contacts)
-        self.nq, self.nv, self.nc = nq, nv, nc
+        self.nq, self.nv, self.nc, self.ng = nq, nv, nc, len(guards)
         nwork = NUMBER_OF_WORKS if works else 0
         ny = nq + nv + 4 * nc + nwork
         self.ny = ny
@@ -121,8 +133,9 @@ class System:
         table = memory.integers("joint_table", max(len(blocks), 1), 4)
         if blocks:
             table[:] = blocks
-        self._map_contacts()
-        self._allocate(max(nc, 1), nv, ny)
+        self._map_contacts(guards)
+        self._allocate(max(nc + self.ng, 1), nv, ny)
+        self._map_guards(guards)
         self.before_evaluation()
         self.counters[CHARTED] = any(b.contour.kind in CHARTED_KINDS for c in self.contacts for b in (c.body1, c.body2))
 
@@ -141,9 +154,9 @@ class System:
         damping = memory.reals("damping", model.nv)
         damping[:] = model.damping
 
-    def _map_contacts(self) -> None:
+    def _map_contacts(self, guards: Sequence[Guard]) -> None:
         memory, nc = self.memory, max(self.nc, 1)
-        self.contact_int = memory.integers("contact_int", nc, CONTACT_INTS)
+        self.contact_int = memory.integers("contact_int", nc + len(guards), CONTACT_INTS)
         self.contact_real = memory.reals("contact_real", nc, CONTACT_REALS)
         self.side_int = memory.integers("side_int", 2 * nc, SIDE_INTS)
         self.side_shape = memory.reals("side_shape", 2 * nc, SHAPE_SIZE)
@@ -220,7 +233,7 @@ class System:
         self.free_acceleration = memory.reals("free_acceleration", nv)
         memory.reals("constraint_rows", rows, rows + 1)
         self.whitened_rows = memory.reals("whitened_rows", rows, nv)
-        memory.reals("whitened_forces", rows, nv)
+        self.whitened_forces = memory.reals("whitened_forces", rows, nv)
         memory.reals("delassus", rows, rows + 1)
         self.multipliers = memory.reals("multipliers", rows)
         self.row_index = memory.integers("row_index", rows, 2)
@@ -243,6 +256,24 @@ class System:
         memory.reals("dense", DENSE_ROWS, ny)
         self.dense_weights = memory.reals("dense_weights", DENSE_ROWS, MAX_STAGES + 1)
         self.counters = memory.integers("counters", COUNTERS_SIZE)
+        self.lowest = memory.reals("lowest", nc, MARGINS_PER_CONTACT)
+        self.highest = memory.reals("highest", nc, MARGINS_PER_CONTACT)
+        self.reference = memory.reals("reference", nc, 3)
+
+    def _map_guards(self, guards: Sequence[Guard]) -> None:
+        """Guarded joint coordinates are rows after the contacts': one constraint row each, moving unless held."""
+        memory, nc, ng = self.memory, self.nc, self.ng
+        memory.integers("guard_count", 1)[0] = ng
+        self.guards = list(guards)
+        self.guard_int = memory.integers("guard_int", max(ng, 1), GUARD_INTS)
+        self.guard_real = memory.reals("guard_real", max(ng, 1), GUARD_REALS)
+        for g, guard in enumerate(guards):
+            self.guard_int[g, GUARD_Q], self.guard_int[g, GUARD_V] = guard.index_q, guard.index_v
+            self.guard_real[g, LOW_FORCE], self.guard_real[g, HIGH_FORCE] = guard.low_force, guard.high_force
+            self.guard_real[g, LOW_END], self.guard_real[g, HIGH_END] = guard.low_end, guard.high_end
+            self.contact_int[nc + g, MODE] = FREE
+            self.basis[nc + g] = np.eye(3)
+            self.rows[nc + g, 2, guard.index_v] = 1.0
 
     def before_evaluation(self, torque: Callable[[float], bool] | None = None) -> None:
         """Set what the kernels call for Pinocchio's terms: Pinocchio itself where no Python function is to be asked.
@@ -292,6 +323,21 @@ class System:
     def modes(self) -> np.ndarray:
         """(nc,) view of the contacts' modes."""
         return self.contact_int[: self.nc, MODE]
+
+    def held(self) -> list[int]:
+        """Numbers of the guarded joint coordinates that are held."""
+        return [g for g in range(self.ng) if self.contact_int[self.nc + g, MODE] != FREE]
+
+    def joint_forces(self) -> np.ndarray:
+        """(nv,) forces of joint limits and dry joint friction in the last evaluation, N or N m."""
+        out = np.zeros(self.nv)
+        for g in range(self.ng):
+            guard, numbers = self.guard_int[g], self.guard_real[g]
+            if self.contact_int[self.nc + g, MODE] != FREE:
+                out[guard[GUARD_V]] = self.force[self.nc + g, 2]
+            elif guard[GUARD_SIGN]:
+                out[guard[GUARD_V]] = numbers[LOW_FORCE if guard[GUARD_SIGN] > 0 else HIGH_FORCE]
+        return out
 
     def closed(self) -> list[int]:
         """Indices of the contacts that are not open."""

@@ -229,6 +229,9 @@ class Stribeck(FrictionLaw):
 class NoSlip(FrictionLaw):
     """Ideal rolling (VC, Sec. 4): whatever tangential force keeps the contact from slipping.
 
+    A unilateral contact is let go where its normal force reaches zero, however large the tangential force is by then:
+    with infinite friction the law says no more, in every method.
+
     spinning, rolling: resistance to spinning and rolling in m, as of `Coulomb`.
     """
 

@@ -58,6 +58,9 @@ from .steps import (
 )
 from .transitions import Transitions
 
+# Slips this many times faster than what counts as ended end with one that does.
+_TOGETHER = 8.0
+
 
 @dataclass
 class Options:
@@ -178,7 +181,7 @@ class Driver:
         """How far the compiled steps may go on their own."""
         if self.locator.users:
             return MARCH_ONE_ATTEMPT
-        if (self.system.modes == FREE).any():
+        if self.system.ng or (self.system.modes == FREE).any():
             return MARCH_ONE_STEP
         return MARCH
 
@@ -286,10 +289,15 @@ class Driver:
         allowed = system.contact_real[stopping, START_TOLERANCE]
         c = int(stopping[np.argmin(speed[stopping] / allowed)])
         left = float(speed[c] / -rate[c])
+        # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
+        reach = _TOGETHER * 2.0 ** int(system.counters[STALLED]) * system.contact_real[: system.nc, START_TOLERANCE]
+        with np.errstate(invalid="ignore"):
+            near = np.minimum(speed, np.abs(speed + rate * left)) <= reach
+        contacts = [c, *(int(i) for i in np.flatnonzero(near & np.isfinite(speed)) if i != c)]
         # v_c is round-off there and has no direction: not to be evaluated as slip
-        system.contact_int[c, MODE] = STICK
+        system.contact_int[contacts, MODE] = STICK
         rk.load(system.state + left * system.slopes[0])
-        after = self.transitions.come_to_rest(t + left, c)
+        after = self.transitions.come_to_rest(t + left, contacts)
         self._after(after)
         return after
 

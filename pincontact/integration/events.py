@@ -11,8 +11,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ..errors import ArgumentError
-from ..layout import DOMAIN, EVENT, FREE, GAP_MARGIN, LENGTH, MODE, OK
+from ..layout import DOMAIN, DOMAIN_MARGIN, EVENT, FREE, GAP_MARGIN, LENGTH, MODE, MU, OK
 from .dense import Interpolant
+from .results import GAP_TOLERANCE
 from .runge_kutta import RungeKutta
 
 if TYPE_CHECKING:
@@ -21,13 +22,13 @@ if TYPE_CHECKING:
 # Samples of the dense output between which a margin's sign change is looked for.
 _SCAN = 8
 # Steps that refine an event's time, and the change of time (relative to the step) that ends them.
-_REFINEMENTS = 5
+_REFINEMENTS = 8
 _REFINED = 1e-14
 _BISECTIONS = 40
-# Gaps are known to so many times the tolerance only: less is no touch.
-_GAP_TOLERANCE = 10.0
-# A contact that has just opened touches again only after it has been apart. An ideal no-slip contact loses a finite
-# tangential force as it opens, which may press it together at first; deeper than this part of its length, it touches.
+# Looks at the lowest point between two samples.
+_LOOKS = 3
+# An ideal no-slip contact loses a finite tangential force as it opens, which may press it together at first: it touches
+# again only after it has been apart, or when it is deeper than this part of its length.
 _UNARMED_DEPTH = 1e-2
 # Margin of a gap that is measured beyond the end of a contour.
 _NOTHING_THERE = 1e300
@@ -82,9 +83,14 @@ class EventLocator:
     def __init__(self, rk: RungeKutta, users: Sequence[UserEvent]) -> None:
         self.rk, self.users = rk, users
         scale = rk.system.scale
-        self._lengths = rk.system.contact_real[: rk.system.nc, LENGTH].copy()
-        self._gap_slack = _GAP_TOLERANCE * (scale[1] + scale[0] * self._lengths)
-        self.armed = np.zeros(rk.system.nc, dtype=bool)
+        nc, ng = rk.system.nc, rk.system.ng
+        # guarded joint coordinates follow the contacts; theirs are of unit size
+        self._lengths = np.ones(nc + ng)
+        self._lengths[:nc] = rk.system.contact_real[:nc, LENGTH]
+        self._gap_slack = GAP_TOLERANCE * (scale[1] + scale[0] * self._lengths)
+        self.armed = np.zeros(nc + ng, dtype=bool)
+        self._ideal = np.zeros(nc + ng, dtype=bool)
+        self._ideal[:nc] = np.isinf(rk.system.contact_real[:nc, MU])
 
     def value_of_user(self, index: int, t: float) -> float:
         """The user's function at the system's (q, v)."""
@@ -114,10 +120,14 @@ class EventLocator:
         if self.rk.evaluate(t + theta * step) > EVENT:
             return None
         system = self.rk.system
-        margins = system.margins[: system.nc].copy()
-        margins[:, GAP_MARGIN] += np.where(self.armed, self._gap_slack, _UNARMED_DEPTH * self._lengths)
+        nc = system.nc
+        margins = system.margins[: nc + system.ng].copy()
+        slack = np.where(self.armed | ~self._ideal, self._gap_slack, _UNARMED_DEPTH * self._lengths)
+        margins[:, GAP_MARGIN] += slack
+        # both ends of a joint coordinate
+        margins[nc:, DOMAIN_MARGIN] += slack[nc:]
         # beyond the end of a contour there is nothing to touch
-        margins[outside(system), GAP_MARGIN] = _NOTHING_THERE
+        margins[:nc][outside(system), GAP_MARGIN] = _NOTHING_THERE
         return margins
 
     def arm(self) -> None:
@@ -128,13 +138,19 @@ class EventLocator:
                 self.armed[c] = False
             elif system.gaps[c, 0] > self._gap_slack[c]:
                 self.armed[c] = True
+        for g, guard in enumerate(system.guards):
+            c, position = system.nc + g, float(system.q[guard.index_q])
+            if system.contact_int[c, MODE] != FREE:
+                self.armed[c] = False
+            elif min(position - guard.low_end, guard.high_end - position) > self._gap_slack[c]:
+                self.armed[c] = True
 
     def _first_margin(self, t: float, step: float, dense: Interpolant) -> Crossing | None:
-        low = 0.0
-        before = self._margins(t, step, dense, 0.0)
-        for i in range(1, _SCAN + 1):
-            high = i / _SCAN
-            after = self._margins(t, step, dense, high)
+        thetas = [i / _SCAN for i in range(_SCAN + 1)]
+        samples = [self._margins(t, step, dense, theta) for theta in thetas]
+        self._add_lowest(t, step, dense, thetas, samples)
+        low, before = thetas[0], samples[0]
+        for high, after in zip(thetas[1:], samples[1:]):
             if before is None or after is None:
                 return None
             crossings = [
@@ -149,6 +165,36 @@ class EventLocator:
                 return min(crossings, key=lambda crossing: crossing.theta)
             low, before = high, after
         return None
+
+    def _add_lowest(
+        self, t: float, step: float, dense: Interpolant, thetas: list[float], samples: list[np.ndarray | None]
+    ) -> None:
+        """Insert the lowest points of margins that dip between the samples, if they are negative there."""
+        n = len(thetas)
+        found: dict[float, np.ndarray] = {}
+        for i in range(1, n - 1):
+            left, middle, right = samples[i - 1 : i + 2]
+            if left is None or middle is None or right is None:
+                return
+            valley = (middle >= 0.0) & (middle <= left) & (middle <= right) & (middle < np.maximum(left, right))
+            # a parabola's valley is no deeper than half the change between samples; infinite margins compare
+            valley &= 1.5 * middle < 0.5 * np.maximum(left, right)
+            for c, kind in np.argwhere(valley):
+                points = [(x, float(s[c, kind])) for x, s in zip(thetas[i - 1 : i + 2], (left, middle, right))]
+                for _ in range(_LOOKS):
+                    theta = _vertex(points)
+                    values = self._margins(t, step, dense, theta) if theta is not None else None
+                    if theta is None or values is None:
+                        break
+                    if values[c, kind] < 0.0:
+                        found[theta] = values
+                        break
+                    points = sorted(points, key=lambda point: point[1])[:2]
+                    points = sorted([*points, (theta, float(values[c, kind]))])
+        for theta in sorted(found):
+            place = int(np.searchsorted(thetas, theta))
+            thetas.insert(place, theta)
+            samples.insert(place, found[theta])
 
     def _root(
         self,
@@ -200,13 +246,29 @@ class EventLocator:
             self.rk.attempt(t, h)
             return h
         slope = float(ends[1][crossing.margin] - ends[0][crossing.margin]) / (h - back)
+        before: tuple[float, float] | None = None
         for _ in range(_REFINEMENTS):
             if self.rk.attempt(t, h) != OK:
                 return h
             value = float(self.rk.system.margins[crossing.margin])
+            if before is not None and before[0] != h:
+                slope = (value - before[1]) / (h - before[0])
+            before = h, value
             change = -value / slope if slope != 0.0 else 0.0
             if abs(change) <= _REFINED * step or not 0.0 < h + change <= 1.1 * step:
                 return h
             h += change
         self.rk.attempt(t, h)
         return h
+
+
+def _vertex(points: list[tuple[float, float]]) -> float | None:
+    """Where the parabola through three points is lowest, strictly between the outer ones; None if it is not."""
+    (x0, y0), (x1, y1), (x2, y2) = points
+    if x0 == x1 or x1 == x2:
+        return None
+    first, second = (y1 - y0) / (x1 - x0), (y2 - y1) / (x2 - x1)
+    if not second > first:
+        return None
+    theta = 0.5 * (x0 + x1) - 0.5 * first * (x2 - x0) / (second - first)
+    return theta if x0 < theta < x2 and theta != x1 else None

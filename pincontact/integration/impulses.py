@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import math
 
+from ..dynamics.energy import ENERGY_SLACK, KEPT_ACCURACY
 from ..dynamics.equations import coefficient_at, inner
 from ..dynamics.linear import backward, cholesky, forward
 from ..friction import cone
@@ -226,9 +227,6 @@ LOAD_CHANGE = 1e-12
 TURN_LOAD_CHANGE = 1e-10
 UNDAMPED = 12
 REVIEW_LIMIT = 200
-# Work of impacts above this fraction of its terms is energy from nothing; accuracy of the part of restitution kept.
-ENERGY_SLACK = 1e-9
-KEPT_ACCURACY = 1e-3
 
 
 def step_memory(nq: int, nv: int, nc: int, nj: int, nt: int) -> Memory:

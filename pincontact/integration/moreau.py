@@ -15,6 +15,7 @@ import pinocchio as pin
 from scipy.optimize import brentq
 
 from ..dynamics.evaluation import contact_corrections
+from ..dynamics.joints import joint_guards
 from ..dynamics.modes import rest_mode
 from ..dynamics.system import System
 from ..friction.solve import ContactSolver
@@ -60,7 +61,6 @@ from .impulses import (
     predict_midpoint,
     step_memory,
 )
-from .manifold import VECTOR, configuration_blocks
 from .results import FAILURES, FINISHED, STEP_LIMIT, TERMINATED, Event, Stop
 from .stages import correct_state, load_state, move_charts
 
@@ -87,26 +87,18 @@ Torque = Callable[[float], bool]
 def joint_constraints(model: pin.Model) -> tuple[np.ndarray, np.ndarray]:
     """Position limits and dry friction of a model's joints, as `impulses` takes them: (nj, 3) int and (nj, 2).
 
-    Limits are those of joints whose configuration is a vector (prismatic, revolute, ...); an infinite one is none.
+    See `dynamics.joints` for what is taken from the model.
     """
     ints: list[tuple[int, int, int]] = []
     reals: list[tuple[float, float]] = []
-    unbounded = np.finfo(float).max
-    for kind, iq, iv, n in configuration_blocks(model):
-        for i in range(n):
-            lower, upper = model.lowerDryFrictionLimit[iv + i], model.upperDryFrictionLimit[iv + i]
-            if lower < upper:
-                ints.append((DRY_FRICTION, iq + i, iv + i))
-                reals.append((0.5 * (upper - lower), 0.5 * (upper + lower)))
-            if kind != VECTOR:
-                continue
-            for which, limit in (
-                (LOWER_LIMIT, model.lowerPositionLimit[iq + i]),
-                (UPPER_LIMIT, model.upperPositionLimit[iq + i]),
-            ):
-                if abs(limit) < unbounded:
-                    ints.append((which, iq + i, iv + i))
-                    reals.append((float(limit), 0.0))
+    for guard in joint_guards(model):
+        if guard.dry:
+            ints.append((DRY_FRICTION, guard.index_q, guard.index_v))
+            reals.append((0.5 * (guard.high_force - guard.low_force), 0.5 * (guard.high_force + guard.low_force)))
+        for which, limit in ((LOWER_LIMIT, guard.low_end), (UPPER_LIMIT, guard.high_end)):
+            if math.isfinite(limit):
+                ints.append((which, guard.index_q, guard.index_v))
+                reals.append((limit, 0.0))
     return np.array(ints, dtype=np.int64).reshape(-1, 3), np.array(reals).reshape(-1, 2)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from ..dynamics.equations import guard_force
 from ..jit import kernel
 from ..layout import (
     CHART,
@@ -13,8 +14,18 @@ from ..layout import (
     CONTACT_REALS,
     COUNTERS,
     COUNTERS_SIZE,
+    FORCE,
+    FREE,
     FROZEN_COLUMNS,
+    GUARD_COUNT,
+    GUARD_INT,
+    GUARD_INTS,
+    GUARD_REAL,
+    GUARD_REALS,
+    GUARD_V,
+    HAS_REFERENCE,
     LOCATION,
+    MODE,
     NC,
     NEXT_OUTPUT,
     NQ,
@@ -27,6 +38,7 @@ from ..layout import (
     RECORDED,
     RECORDED_INTEGERS,
     RECORDED_REALS,
+    REFERENCE,
     ROW_WIDTH,
     SCALARS,
     SCALARS_SIZE,
@@ -49,7 +61,9 @@ BLOCK = 256
 
 @kernel
 def record_row(table, t):
-    """Write the state in (Q, V, LOCATION) at t as the next row: t, q, v, tau, works, location, frozen directions."""
+    """Write the state in (Q, V, LOCATION) at t as the next row: t, q, v, tau, works, location, frozen directions,
+    redundant forces where they were chosen.
+    """
     sizes, counters = integers(table[SIZES], 8), integers(table[COUNTERS], COUNTERS_SIZE)
     nq, nv, nc, nwork = sizes[NQ], sizes[NV], sizes[NC], sizes[NWORK]
     index = counters[RECORDED]
@@ -73,7 +87,17 @@ def record_row(table, t):
     for k in range(nv):
         row[at + k] = v[k]
         row[at + nv + k] = tau[k]
-    at += 2 * nv
+    at += nv
+    # the forces of limits and dry friction go with the torques, so that contact forces can be found again
+    ng = integers(table[GUARD_COUNT], 1)[0]
+    modes = integer_matrix(table[CONTACT_INT], nc + ng, CONTACT_INTS)
+    guards, guard_real = integer_matrix(table[GUARD_INT], ng, GUARD_INTS), matrix(table[GUARD_REAL], ng, GUARD_REALS)
+    force, reference = matrix(table[FORCE], nc + ng, 3), matrix(table[REFERENCE], nc + ng, 3)
+    for g in range(ng):
+        mode = modes[nc + g, MODE]
+        held = force[nc + g, 2] if mode != FREE else 0.0
+        row[at + guards[g, GUARD_V]] += held + guard_force(mode, guards[g], guard_real[g])
+    at += nv
     for k in range(nwork):
         row[at + k] = state[sizes[NY] - nwork + k]
     at += nwork
@@ -88,6 +112,11 @@ def record_row(table, t):
             whole[c * INTEGERS_PER_CONTACT + k] = contact_int[c, k]
         for k in range(2):
             whole[c * INTEGERS_PER_CONTACT + CONTACT_INTS + k] = side_int[2 * c + k, CHART]
+    chosen = reals(table[SCALARS], SCALARS_SIZE)[HAS_REFERENCE]
+    for c in range(nc):
+        for k in range(3):
+            row[at + k] = chosen * reference[c, k]
+        at += 3
     counters[RECORDED] = index + 1
 
 

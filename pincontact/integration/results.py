@@ -15,6 +15,9 @@ STEP_TOO_SMALL, STEP_LIMIT, SINGULAR_CONTACT, NO_CONTACT_FORCE, CONTROL_FAILED, 
 )
 END_OF_CONTOUR = -8
 
+# Gaps are known to so many times the tolerance only: nearer contacts touch, deeper ones have not yet.
+GAP_TOLERANCE = 10.0
+
 FAILURES = {
     LOCATION_FAILED: (SINGULAR_CONTACT, "the location parameters could not be continued (Newton left its branch)"),
     SINGULAR: (SINGULAR_CONTACT, "the location equations became singular: the point contact degenerates"),
@@ -34,10 +37,11 @@ class Stop(Exception):
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened at a time (s), to a contact (None for a user's event), with the state there.
+    """Something that happened at a time (s), to a contact or a joint (both None for a user's event), with the state.
 
     kind: "stick", "slip", "separate", "touch", "edge" (the contact point has reached the end of a contour: a unilateral
-    contact opens there), "singular" or "user"; index: number of the user's event function.
+    contact opens there), "singular" or "user"; of joints: "limit" (a position limit is reached), "release" (its force
+    would pull), "stick" and "slip" (dry friction); index: number of the user's event function.
     """
 
     time: float
@@ -46,7 +50,9 @@ class Event:
     q: np.ndarray
     v: np.ndarray
     index: int = -1
+    joint: str | None = None
 
     def __repr__(self) -> str:
-        what = f"{self.contact!r}: {self.kind}" if self.contact is not None else f"{self.kind} event {self.index}"
+        name = self.contact if self.contact is not None else self.joint
+        what = f"{name!r}: {self.kind}" if name is not None else f"{self.kind} event {self.index}"
         return f"<{what} at {self.time:.9g} s>"

@@ -11,6 +11,7 @@ import numpy as np
 from ..layout import (
     ALARM,
     DENSE_NESTED,
+    DIP,
     ERROR_NORM,
     ERROR_ORDER,
     ESTIMATE_AFTER,
@@ -29,6 +30,9 @@ from .tableaux import Tableau
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
+
+# Margin on the depth of a parabola's dip between two stages.
+_DIP = 1.5
 
 Torque = Callable[[float], bool]
 
@@ -59,6 +63,8 @@ class RungeKutta:
         system.dense_weights[:] = 0.0
         system.dense_weights[:rows, : columns - 1] = method.dense[:, :-1]
         system.dense_weights[:rows, -1] = method.dense[:, -1]
+        nodes = np.unique(method.c[: method.stages + 1])
+        system.scalars[DIP] = _DIP * float(np.diff(nodes).max()) ** 2
         system.scale[:] = rtol, atol
         system.absolute[:] = atol
         start = system.nq + system.nv
@@ -78,7 +84,7 @@ class RungeKutta:
 
     @property
     def alarm(self) -> bool:
-        """Whether an event function was negative in any stage of the last attempt."""
+        """Whether an event function was negative in any stage of the last attempt, or may have been between them."""
         return bool(self.system.counters[ALARM])
 
     def evaluate_start(self, t: float) -> int:

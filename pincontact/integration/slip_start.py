@@ -8,6 +8,7 @@ smooth, non-stiff motion, and its coefficients are found such that v_c has no co
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,11 +43,14 @@ _ACCEPTED = 0.1
 _CONVERGED = 1e-3
 
 
-def start_slip(rk: RungeKutta, t: float, contacts: list[int], span: float, shortest: float) -> float | None:
+def start_slip(
+    rk: RungeKutta, t: float, contacts: list[int], span: float, shortest: float, uneventful: Callable[[], bool]
+) -> float | None:
     """Move the accepted state at t through the start of slip; returns how long in s that took, None if it failed.
 
     The contacts are in slip with frozen directions. span: longest time in s to try; it is halved until the direction
-    polynomial is accurate, not below `shortest`. On success `system.new_state` is the state after it, unprojected.
+    polynomial is accurate and nothing else happens in it, which uneventful() tells from the last attempt's margins, not
+    below `shortest`. On success `system.new_state` is the state after it, unprojected.
     """
     tolerance = rk.system.scale[1] + rk.system.scale[0] * float(np.abs(rk.system.v).max(initial=0.0))
     for _ in range(_HALVINGS):
@@ -56,7 +60,7 @@ def start_slip(rk: RungeKutta, t: float, contacts: list[int], span: float, short
             numbers = rk.system.contact_real[c]
             numbers[START], numbers[SPAN] = t, span
             numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
-        if _collocate(rk, t, contacts, span, tolerance):
+        if _collocate(rk, t, contacts, span, tolerance) and uneventful():
             return span
         span *= 0.5
     return None

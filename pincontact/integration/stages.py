@@ -11,6 +11,7 @@ import math
 
 from ..contours.base import SHAPE_SIZE
 from ..contours.charts import convert_chart, preferred_chart
+from ..dynamics.equations import guard_force
 from ..geometry.small import dot
 from ..jit import INTEGER, TABLE, entry_kernel, kernel
 from ..layout import (
@@ -26,6 +27,12 @@ from ..layout import (
     DAMPING,
     FORCE,
     FREE,
+    GUARD_COUNT,
+    GUARD_INT,
+    GUARD_INTS,
+    GUARD_REAL,
+    GUARD_REALS,
+    GUARD_V,
     JOINT_TABLE,
     KIND,
     LOCATION,
@@ -106,7 +113,7 @@ def fill_slope(table, state, slope):
 
 @kernel
 def _powers(table, nv, nc, out):
-    """Powers in W: contact force on v_c, contact force of the drives, user's torques, joint damping."""
+    """Powers in W: contact force on v_c, contact force of drives, user's torques, joints' damping and dry friction."""
     contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
     basis = cube(table[BASIS], nc, 3, 3)
     slip = matrix(table[SLIP], nc, 3)
@@ -125,6 +132,12 @@ def _powers(table, nv, nc, out):
                 on_joints += rows[c, row, k] * v[k]
             out[FRICTION_WORK] += on_slip
             out[DRIVE_WORK] += force[c, row] * on_joints - on_slip
+    ng = integers(table[GUARD_COUNT], 1)[0]
+    all_modes = integer_matrix(table[CONTACT_INT], nc + ng, CONTACT_INTS)
+    guard_int = integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
+    for g in range(ng):
+        dry = guard_force(all_modes[nc + g, MODE], guard_int[g], matrix(table[GUARD_REAL], ng, GUARD_REALS)[g])
+        out[DAMPING_WORK] += dry * v[guard_int[g, GUARD_V]]
     for k in range(nv):
         out[TORQUE_WORK] += tau[k] * v[k]
         out[DAMPING_WORK] -= damping[k] * v[k] * v[k]

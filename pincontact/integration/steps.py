@@ -28,6 +28,7 @@ from ..layout import (
     DENSE_NESTED,
     DENSE_START,
     DENSE_STEP,
+    DIP,
     END,
     ERROR_NORM,
     ERROR_ORDER,
@@ -40,9 +41,13 @@ from ..layout import (
     FLOOR,
     FROZEN,
     GAP_RESIDUAL,
+    GUARD_COUNT,
+    HIGHEST,
     LAST_ERROR,
     LAST_NORMAL_X,
     LOCATION_FAILED,
+    LOWEST,
+    MARGINS_PER_CONTACT,
     MAX_STEP,
     MODE,
     MU,
@@ -200,9 +205,23 @@ def _stages(table, t, h, first, last, adaptive):
 
 @kernel
 def attempt(table, t, h, adaptive):
-    """A step of size h from the state at t, which is kept; ALARM tells whether an event function was negative."""
-    integers(table[COUNTERS], COUNTERS_SIZE)[ALARM] = 0
-    return _stages(table, t, h, 1, integers(table[SIZES], 8)[NSTAGES], adaptive)
+    """A step of size h from the state at t, which is kept.
+
+    ALARM tells whether an event function was negative in a stage, or may have been between two.
+    """
+    counters = integers(table[COUNTERS], COUNTERS_SIZE)
+    n = MARGINS_PER_CONTACT * (integers(table[SIZES], 8)[NC] + integers(table[GUARD_COUNT], 1)[0])
+    lowest, highest = reals(table[LOWEST], n), reals(table[HIGHEST], n)
+    for i in range(n):
+        lowest[i], highest[i] = math.inf, -math.inf
+    counters[ALARM] = 0
+    status = _stages(table, t, h, 1, integers(table[SIZES], 8)[NSTAGES], adaptive)
+    dip = reals(table[SCALARS], SCALARS_SIZE)[DIP]
+    for i in range(n):
+        # written such that infinite margins compare
+        if (1.0 + dip) * lowest[i] < dip * highest[i]:
+            counters[ALARM] = 1
+    return status
 
 
 @kernel
@@ -215,7 +234,7 @@ def project(table, t, evaluated):
     evaluated: the system has just been evaluated at that state, which saves one evaluation.
     """
     sizes, scalars = integers(table[SIZES], 8), reals(table[SCALARS], SCALARS_SIZE)
-    if sizes[NC] == 0:
+    if sizes[NC] + integers(table[GUARD_COUNT], 1)[0] == 0:
         return OK
     q = reals(table[Q], sizes[NQ])
     for i in range(_PROJECTIONS):

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections import Counter
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ..dynamics.impact import apply_impact
+from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import Decision, ModeSolver, freeze_slip, rest_mode
 from ..dynamics.stretches import opposed_slip
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
     CONDITION,
+    DOMAIN,
     DOMAIN_MARGIN,
     EVENT,
     FREE,
     FRICTION_MARGIN,
     FROZEN,
     GAP_MARGIN,
+    GUARD_END,
+    GUARD_SIGN,
+    LENGTH,
     LOCATION_FAILED,
     MASS_NOT_POSITIVE,
     MODE,
@@ -39,24 +44,30 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from .results import CHATTER, END_OF_CONTOUR, FAILURES, SINGULAR_CONTACT, STEP_TOO_SMALL, Event, Stop
+from .results import CHATTER, END_OF_CONTOUR, FAILURES, GAP_TOLERANCE, SINGULAR_CONTACT, STEP_TOO_SMALL, Event, Stop
 from .runge_kutta import RungeKutta
 from .slip_start import start_slip
-
-if TYPE_CHECKING:
-    pass
+from .stages import DAMPING_WORK, DRIVE_WORK, FRICTION_WORK, NUMBER_OF_WORKS
 
 # Slip slower than this (m/s, absolute and relative to the largest velocity) counts as rest where modes are set anew.
 _REST = 1e-9
-# So many events within this fraction of the run mean chatter.
-_CHATTER_EVENTS = 40
-_CHATTER_SPAN = 1e-9
+# Chatter: so many mode changes within this fraction of the run, or so many within this fraction of it (and at most
+# this time in s) for every contact and guarded joint coordinate. Rebounds are not counted, they end by themselves.
+_CHATTER_EVENTS, _CHATTER_SPAN = 40, 1e-9
+_DENSE_EVENTS, _DENSE_SPAN, _DENSE_TIME = 500, 1e-2, 1.0
+# Contacts named in the message.
+_CHATTER_NAMES = 3
+# Below this conditioning of the location equations, a failure is that of a contact that degenerates.
+_DEGENERATE = 1e-5
 # The start of slip is followed over times down to this fraction of the seed's.
 _SHORTEST_START = 1e-3
 # Where it cannot be followed, slip is seeded after this fraction of the usual time.
 _SHORT_SEED = 1e-2
-# A rebound slower than this, in m/s, closes the contact.
+# Forces below zero, or above their limit, by less than this part of the largest one are no events while slip starts.
+_FORCE_ACCURACY = 1e-6
+# A rebound slower than this, in m/s, closes the contact; after an impact one that leaves faster than the second opens.
 REST_SPEED = 1e-3
+_LEAVING_SPEED = 1e-3 * REST_SPEED
 
 
 class Transitions:
@@ -79,7 +90,11 @@ class Transitions:
         self.failed_control = failed_control
         self.modes = ModeSolver(rk.system)
         self.events: list[Event] = []
-        self._recent: list[float] = []
+        self._recent: list[tuple[float, int]] = []
+        # whether the state carries the account of works
+        self._counts_works = rk.system.ny > rk.system.nq + rk.system.nv + 4 * rk.system.nc
+        # what was last said of each guarded coordinate: see `_guard_state`
+        self._guards: list[tuple[bool, int]] = []
         # Longest time in s that the start of slip may take with a prescribed direction; the driver keeps it current.
         self.longest_start = 0.0
         # Slip from rest is seeded after this time in s: its error is of third order in it.
@@ -91,12 +106,25 @@ class Transitions:
 
     def announce(self, t: float, contact: int | None, kind: str, index: int = -1) -> None:
         """Add an event with the system's present state."""
-        name = None if contact is None else self.names[contact]
-        self.events.append(Event(t, name, kind, self.system.q.copy(), self.system.v.copy(), index))
+        system, name, joint = self.system, None, None
+        if contact is not None:
+            name, joint = self._name(contact)
+        self.events.append(Event(t, name, kind, system.q.copy(), system.v.copy(), index, joint))
+
+    def _name(self, index: int) -> tuple[str | None, str | None]:
+        """Name of a contact, or else of the joint of a guarded coordinate."""
+        nc = self.system.nc
+        return (self.names[index], None) if index < nc else (None, self.system.guards[index - nc].joint)
+
+    def _describe(self, index: int) -> str:
+        name, joint = self._name(index)
+        return f"contact {name!r}" if name is not None else f"joint {joint!r}"
 
     def give_up(self, t: float, failure: int) -> Stop:
         """The Stop for an evaluation's status, naming the contact, its pattern and the number."""
         self.failed_control(t)
+        if (failure == LOCATION_FAILED or failure not in FAILURES) and self._degenerates(t):
+            failure = SINGULAR
         if failure not in FAILURES:
             return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the step size fell below its floor")
         code, reason = FAILURES[failure]
@@ -110,6 +138,16 @@ class Transitions:
                 number = f"; conditioning of J {abs(self.system.contact_real[culprit, CONDITION]):.3g}"
         return Stop(code, f"t = {t:.9g} s: {where}{reason}{number}")
 
+    def _degenerates(self, t: float) -> bool:
+        """Whether a closed contact is as good as singular at the accepted state, which is evaluated."""
+        system = self.system
+        closed = system.closed()
+        if not closed:
+            return False
+        self.rk.load(system.state)
+        self.rk.evaluate(t)
+        return bool(np.abs(system.contact_real[closed, CONDITION]).min() < _DEGENERATE)
+
     def _culprit(self, failure: int) -> int | None:
         system = self.system
         if failure == NO_FORCE:
@@ -119,12 +157,22 @@ class Transitions:
             return int(np.argmin(np.abs(system.contact_real[: system.nc, CONDITION])))
         return None
 
-    def _check_chatter(self, t: float) -> None:
-        self._recent.append(t)
-        if len(self._recent) > _CHATTER_EVENTS:
-            self._recent.pop(0)
-            if t - self._recent[0] <= _CHATTER_SPAN * self.span:
-                raise Stop(CHATTER, f"t = {t:.9g} s: {_CHATTER_EVENTS} mode changes without progress (chatter)")
+    def _check_chatter(self, t: float, c: int) -> None:
+        recent = self._recent
+        recent.append((t, c))
+        dense = _DENSE_EVENTS * (self.system.nc + self.system.ng)
+        limits = (_CHATTER_EVENTS, _CHATTER_SPAN * self.span), (dense, min(_DENSE_SPAN * self.span, _DENSE_TIME))
+        for count, span in limits:
+            if len(recent) > count and t - recent[-count - 1][0] <= span:
+                often = Counter(i for _, i in recent[-count:]).most_common(_CHATTER_NAMES)
+                raise Stop(
+                    CHATTER,
+                    f"t = {t:.9g} s: {count} mode changes within {t - recent[-count - 1][0]:.3g} s (chatter), most of "
+                    f"{', '.join(self._describe(i) for i, _ in often)}; "
+                    'method="Moreau" takes such motions in steps of constant size',
+                )
+        if len(recent) > 2 * dense:
+            del recent[:dense]
 
     # ---------------------------------------------------------------- start
 
@@ -136,7 +184,24 @@ class Transitions:
         self.failed_control(t)
         if status in (LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE):
             raise self.give_up(t, status)
-        self._settle(t, self.modes_from_velocities(), None, True)
+        if system.ng:
+            self._begin_guards(t)
+        self._settle(t, self.modes_from_velocities(), (), True)
+        self._guards = [self._guard_state(g) for g in range(system.ng)]
+
+    def _begin_guards(self, t: float) -> None:
+        """States of the guarded joint coordinates; one that runs against the end at which it starts collides."""
+        system = self.system
+        self._guards_from_velocities()
+        striking = False
+        for g, guard in enumerate(system.guards):
+            position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
+            low, high = position <= guard.low_end + END_SLACK, position >= guard.high_end - END_SLACK
+            if (low and speed < 0.0) or (high and speed > 0.0):
+                self.modes.hold(g, -1 if low else 1)
+                striking = True
+        if striking:
+            self._collide(t, [], {})
 
     def modes_from_velocities(self) -> list[int]:
         """Give closed contacts the mode that v_c shows; returns those at rest whose friction is undecided."""
@@ -176,10 +241,14 @@ class Transitions:
 
     def switch(self, t: float, c: int, kind: int) -> float:
         """Margin `kind` of contact c has reached zero at t."""
-        self._check_chatter(t)
-        integers = self.system.contact_int[c]
+        if c >= self.system.nc:
+            return self._switch_guard(t, c - self.system.nc, kind)
         if kind == GAP_MARGIN:
             return self._touch(t, c)
+        self._check_chatter(t, c)
+        integers = self.system.contact_int[c]
+        if kind in (NORMAL_MARGIN, FRICTION_MARGIN) and self._redistribute(t):
+            return t
         if kind == DOMAIN_MARGIN:
             self.announce(t, c, "edge")
             if not integers[UNILATERAL]:
@@ -195,14 +264,25 @@ class Transitions:
                 integers[NORMAL_SIGN] *= -1
             return self.resolve(t, self._sticking())
         if kind == SPEED_MARGIN:
-            return self.come_to_rest(t, c)
+            self.system.contact_int[c, MODE] = STICK
+            return self.resolve(t, self._sticking(), at_rest=[c])
         assert kind == FRICTION_MARGIN
         return self._leave_stick(t, c)
 
-    def come_to_rest(self, t: float, c: int) -> float:
-        """The slip of contact c has ended: it sticks, or slides on in another direction."""
-        self.system.contact_int[c, MODE] = STICK
-        return self.resolve(t, self._sticking(), at_rest=c)
+    def _redistribute(self, t: float) -> bool:
+        """Whether other ones among redundant forces keep all modes; then they are taken."""
+        if self.rk.evaluate(t) > EVENT or not self.modes.redistribute(t, self.rk.evaluate):
+            return False
+        self._project(t)
+        self.rk.accept()
+        return True
+
+    def come_to_rest(self, t: float, contacts: list[int]) -> float:
+        """The slip of these contacts has ended: each sticks, or slides on in another direction."""
+        for c in contacts:
+            self._check_chatter(t, c)
+        self.system.contact_int[contacts, MODE] = STICK
+        return self.resolve(t, self._sticking(), at_rest=contacts)
 
     def _sticking(self) -> list[int]:
         """Contacts that stick by Coulomb friction: a change elsewhere may upset them."""
@@ -217,20 +297,20 @@ class Transitions:
         self,
         t: float,
         undecided: list[int],
-        at_rest: int | None = None,
+        at_rest: Sequence[int] = (),
         silent: bool = False,
         beyond: int | None = None,
     ) -> float:
         """Decide the modes of contacts at rest, project, and start those that slip.
 
-        at_rest: a contact that has just come to rest, whose fate is announced; silent: announce separations only.
+        at_rest: contacts that have just come to rest, whose fate is announced; silent: announce separations only.
         beyond: a contact whose static friction has been exceeded.
         """
         self._settle(t, undecided, at_rest, silent, beyond)
         return self.start_frozen(t)
 
     def _settle(
-        self, t: float, undecided: list[int], at_rest: int | None, silent: bool, beyond: int | None = None
+        self, t: float, undecided: list[int], at_rest: Sequence[int], silent: bool, beyond: int | None = None
     ) -> None:
         system, rk = self.system, self.rk
         before = system.modes.copy()
@@ -244,10 +324,11 @@ class Transitions:
                 self.announce(t, c, "separate")
             elif silent:
                 continue
-            elif c == at_rest:
+            elif c in at_rest:
                 self.announce(t, c, "stick" if mode == STICK else "slip")
             elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
                 self.announce(t, c, "slip")
+        self._announce_guards(t)
 
     def _decide(self, t: float, undecided: list[int], beyond: int | None = None) -> Decision:
         decision = self.modes.decide(t, undecided, self.rk.evaluate, beyond)
@@ -255,6 +336,67 @@ class Transitions:
             raise self.give_up(t, decision.status)
         self._fix_normal_signs(t)
         return decision
+
+    # ---------------------------------------------------------------- joints
+
+    def _guards_from_velocities(self) -> None:
+        """Hold the coordinates that rest at an end or by dry friction, free the others."""
+        system = self.system
+        rest_speed = _REST * (1.0 + float(np.abs(system.v).max(initial=0.0)))
+        for g, guard in enumerate(system.guards):
+            position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
+            end = -1 if position <= guard.low_end + END_SLACK else int(position >= guard.high_end - END_SLACK)
+            if abs(speed) > rest_speed:
+                self.modes.release(g, 1 if speed > 0.0 else -1)
+            elif end != 0 or guard.dry:
+                self.modes.hold(g, end)
+            else:
+                self.modes.release(g, 0)
+
+    def _announce_guards(self, t: float) -> None:
+        """Events of the guarded coordinates whose state is not what it was. At the start of a run nothing is."""
+        for g, before in enumerate(self._guards):
+            now = self._guard_state(g)
+            if now == before:
+                continue
+            self._guards[g] = now
+            if now[0]:
+                kind = "limit" if now[1] else "stick"
+            elif before[0] and before[1]:
+                kind = "release"
+            elif before[0] or before[1] * now[1] < 0:
+                kind = "slip"
+            else:
+                continue
+            self.announce(t, self.system.nc + g, kind)
+
+    def _guard_state(self, g: int) -> tuple[bool, int]:
+        """Whether coordinate g is held, and at which end (0: by friction), or in which direction it slips."""
+        system = self.system
+        held = system.contact_int[system.nc + g, MODE] != FREE
+        return bool(held), int(system.guard_int[g, GUARD_END if held else GUARD_SIGN])
+
+    def _switch_guard(self, t: float, g: int, kind: int) -> float:
+        """Margin `kind` of guarded joint coordinate g has reached zero at t."""
+        system = self.system
+        index = system.nc + g
+        if kind in (GAP_MARGIN, DOMAIN_MARGIN):
+            end = -1 if kind == GAP_MARGIN else 1
+            self.announce(t, index, "limit")
+            self._guards[g] = True, end
+            # a coordinate that only grazes its end is not counted as an impact
+            if abs(system.v[system.guards[g].index_v]) <= _REST:
+                self._check_chatter(t, index)
+            self.modes.hold(g, end)
+            return self._collide(t, system.closed(), {})
+        self._check_chatter(t, index)
+        if kind == SPEED_MARGIN:
+            self.modes.hold(g, 0)
+        elif self._redistribute(t):
+            return t
+        else:
+            self.modes.release(g, 1 if kind == NORMAL_MARGIN else -1)
+        return self.resolve(t, self._sticking())
 
     def _project(self, t: float) -> None:
         if not self.rk.project(t, False):
@@ -301,7 +443,7 @@ class Transitions:
             self._guess_normal(c)
             freeze_slip(system, c, -system.force[c, :1])
             self.announce(t, c, "slip")
-            return self.resolve(t, [])
+            return self.resolve(t, self._sticking())
         if system.contact_real[c, MU_STATIC] > system.contact_real[c, MU]:
             # friction falls to its sliding value: slip starts with a finite acceleration
             return self.resolve(t, self._sticking(), beyond=c)
@@ -320,7 +462,7 @@ class Transitions:
         if started and not decision.opened:
             if c in started:
                 freeze_slip(system, c, system.basis[c, :2] @ limit)
-            span = start_slip(rk, t, started, self.longest_start, _SHORTEST_START * tau)
+            span = start_slip(rk, t, started, self.longest_start, _SHORTEST_START * tau, self._uneventful)
             if span is not None:
                 self.emit(t, span)
                 rk.load(system.new_state)
@@ -335,6 +477,18 @@ class Transitions:
         self.emit(t, tau)
         rk.load(seeded)
         return self._end_start(t + tau)
+
+    def _uneventful(self) -> bool:
+        """Whether nothing opened, closed or began to slip in the last attempt, as far as gaps and forces are known."""
+        system = self.system
+        n = system.nc + system.ng
+        lowest = system.lowest[:n]
+        reach = np.array([self._reach(c) if c < system.nc else GAP_TOLERANCE * system.scale.sum() for c in range(n)])
+        force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
+        return bool(
+            (lowest[:, [GAP_MARGIN, DOMAIN_MARGIN]] >= -reach[:, None]).all()
+            and (lowest[:, [NORMAL_MARGIN, FRICTION_MARGIN]] >= -force).all()
+        )
 
     def _run_on(self, t: float, tau: float) -> tuple[Decision, np.ndarray]:
         """Stick runs on from the accepted state for tau, where the modes are decided anew; also returns the state there
@@ -361,23 +515,65 @@ class Transitions:
 
     def _touch(self, t: float, c: int) -> float:
         """Contact c closes: impulses on all closed contacts, then new modes from the velocities after them."""
-        system, rk = self.system, self.rk
-        self.announce(t, c, "touch")
+        system = self.system
         integers = system.contact_int
-        integers[c, MODE] = rest_mode(system.contact_real[c, MU])
+        # whatever touches at the same instant, by symmetry, takes part
+        touching = [c]
+        for i in range(system.nc):
+            if i != c and integers[i, MODE] == FREE and system.contact_real[i, DOMAIN] >= 0.0:
+                leaving = float(system.basis[i, 2] @ system.slip[i])
+                if abs(system.gaps[i, 0]) <= self._reach(i) and leaving <= _LEAVING_SPEED:
+                    touching.append(i)
+        rebounds = {}
+        for i in touching:
+            self.announce(t, i, "touch")
+            integers[i, MODE] = rest_mode(system.contact_real[i, MU])
+            approach = float(system.basis[i, 2] @ system.slip[i])
+            if -self.restitution[i] * approach > REST_SPEED:
+                rebounds[i] = self.restitution[i]
+        if not rebounds:
+            self._check_chatter(t, c)
+        return self._collide(t, touching, rebounds)
+
+    def _reach(self, c: int) -> float:
+        """Accuracy in m to which the gap of contact c is known."""
+        relative, absolute = (float(x) for x in self.system.scale)
+        return GAP_TOLERANCE * (absolute + relative * float(self.system.contact_real[c, LENGTH]))
+
+    def _collide(self, t: float, touching: list[int], restitution: dict[int, float]) -> float:
+        """Impulses on all closed contacts and ends of joints, then new modes from the velocities after them."""
+        system, rk = self.system, self.rk
+        integers = system.contact_int
         if rk.evaluate(t) > EVENT:
             raise self.give_up(t, LOCATION_FAILED)
         closed = system.closed()
-        approach = float(system.basis[c, 2] @ system.slip[c])
-        rebound = -self.restitution[c] * approach
-        restitution = {c: self.restitution[c] if rebound > REST_SPEED else 0.0}
-        if not apply_impact(system, self.modes.solver, closed, restitution):
-            raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {self.names[c]!r}")
+        ends = [g for g in system.held() if system.guard_int[g, GUARD_END] != 0]
+        impact = apply_impact(system, self.modes.solver, closed, ends, restitution)
+        if impact is None:
+            names = ", ".join(repr(self.names[i]) for i in touching) or "a joint's limit"
+            raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}")
         system.stage_state[system.nq : system.nq + system.nv] = system.v
+        if self._counts_works:
+            works = system.stage_state[-NUMBER_OF_WORKS:]
+            works[FRICTION_WORK] += impact.contacts
+            works[DRIVE_WORK] += impact.drives
+            works[DAMPING_WORK] += impact.joints
         if rk.evaluate(t) > EVENT:
             raise self.give_up(t, LOCATION_FAILED)
         for i in closed:
             leaving = float(system.basis[i, 2] @ system.slip[i])
-            if integers[i, UNILATERAL] and leaving > REST_SPEED * 1e-3:
-                integers[i, MODE] = FREE
-        return self.resolve(t, self.modes_from_velocities(), silent=True)
+            if integers[i, UNILATERAL] and leaving > _LEAVING_SPEED:
+                # a hop lower than gaps are known is none
+                falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
+                if leaving * leaving > 2.0 * falling * self._reach(i):
+                    integers[i, MODE] = FREE
+        self._guards_from_velocities()
+        undecided = self.modes_from_velocities()
+        # what stays closed without an impulse (ideal rolling that carries no load, a hop that is none) stops here
+        lower = np.tril(system.factor)
+        before = lower.T @ system.v
+        self._project(t)
+        if self._counts_works:
+            after = lower.T @ system.v
+            system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += 0.5 * float(after @ after - before @ before)
+        return self.resolve(t, undecided, silent=True)

@@ -1,0 +1,85 @@
+"""Joint coordinates with position limits or dry friction ("guards"), as the model states them.
+
+A guarded coordinate moves, under a dry friction that opposes it, or is held: by its friction, whose force is then
+anything in its range, or by an end of its way, which takes away the force's bound on one side. A held coordinate is one
+constraint row, as a contact's normal is. Effort and velocity limits are no forces and are not enforced.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import ModelError, StateError
+from ..integration.manifold import VECTOR, configuration_blocks
+
+# A coordinate beyond its end by no more than this (rad or m) is at it.
+END_SLACK = 1e-9
+
+
+@dataclass(frozen=True)
+class Guard:
+    """One guarded coordinate: joint name, indices in q and v, range of the dry friction force in N or N m (low <= 0 <=
+    high), range of q (infinite where there is no limit; always so where the configuration is no vector)."""
+
+    joint: str
+    index_q: int
+    index_v: int
+    low_force: float
+    high_force: float
+    low_end: float
+    high_end: float
+
+    @property
+    def dry(self) -> bool:
+        """Whether there is dry friction."""
+        return self.low_force < self.high_force
+
+
+def joint_guards(model: pin.Model) -> list[Guard]:
+    """The coordinates of a model that have limits (`lowerPositionLimit`, `upperPositionLimit`, of joints whose
+    configuration is a vector) or dry friction (`lowerDryFrictionLimit`, `upperDryFrictionLimit`).
+
+    Raises ModelError for a range that is empty, or a friction that does not oppose motion.
+    """
+    guards = []
+    unbounded = np.finfo(float).max
+    for kind, iq, iv, n in configuration_blocks(model):
+        for i in range(n):
+            joint = _joint_of(model, iv + i)
+            low_force = float(model.lowerDryFrictionLimit[iv + i])
+            high_force = float(model.upperDryFrictionLimit[iv + i])
+            low_end, high_end = -math.inf, math.inf
+            if kind == VECTOR:
+                low_end, high_end = float(model.lowerPositionLimit[iq + i]), float(model.upperPositionLimit[iq + i])
+                low_end = low_end if low_end > -unbounded else -math.inf
+                high_end = high_end if high_end < unbounded else math.inf
+            if not low_force <= 0.0 <= high_force:
+                raise ModelError(f"joint {joint!r}: dry friction from {low_force} to {high_force} does not contain 0")
+            if not low_end <= high_end:
+                raise ModelError(f"joint {joint!r}: the position limits {low_end} to {high_end} are an empty range")
+            if low_force < high_force or low_end > -math.inf or high_end < math.inf:
+                guards.append(Guard(joint, iq + i, iv + i, low_force, high_force, low_end, high_end))
+    return guards
+
+
+def check_guards(guards: list[Guard], q: np.ndarray) -> None:
+    """Raises StateError for a coordinate beyond its limits, with the number."""
+    for guard in guards:
+        value = q[guard.index_q]
+        if value < guard.low_end - END_SLACK or value > guard.high_end + END_SLACK:
+            raise StateError(
+                f"joint {guard.joint!r}: q[{guard.index_q}] = {value:.9g} is beyond the position limits "
+                f"[{guard.low_end:.9g}, {guard.high_end:.9g}]; start within them, or set the model's limits to infinity"
+            )
+
+
+def _joint_of(model: pin.Model, index_v: int) -> str:
+    for j in range(1, model.njoints):
+        start = model.joints[j].idx_v
+        if start <= index_v < start + model.joints[j].nv:
+            return str(model.names[j])
+    raise ModelError(f"velocity coordinate {index_v} belongs to no joint")

@@ -1,0 +1,51 @@
+"""The cone problem's matrices from whitened constraint rows, for modes and for impacts.
+
+A unit is one cone: three columns L^-1 row^T in the order (t1, t2, n), zero where the unit has no such row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+if TYPE_CHECKING:
+    from .system import System
+
+
+def whiten(system: System, row: np.ndarray) -> np.ndarray:
+    """L^-1 row^T with the factor L of M from the last evaluation."""
+    return solve_triangular(system.factor, row, lower=True, check_finite=False)
+
+
+def unwhiten(system: System, column: np.ndarray) -> np.ndarray:
+    """L^-T column: a change of v (or acceleration) from its whitened form."""
+    return solve_triangular(system.factor, column, lower=True, trans="T", check_finite=False)
+
+
+def unit_columns(system: System, index: int, rows: Sequence[int], sign: float = 1.0) -> np.ndarray:
+    """(nv, 3) the unit of contact `index` (or of guarded coordinate `index` - nc), with these of its rows only."""
+    columns = np.zeros((system.nv, 3))
+    for row in rows:
+        columns[:, row] = sign * whiten(system, system.rows[index, row])
+    return columns
+
+
+def contact_rows(tangents: int) -> tuple[int, ...]:
+    """Rows of a contact with this many tangents."""
+    return (0, 2) if tangents == 1 else (0, 1, 2)
+
+
+def delassus(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3n, 3n) Delassus matrix of n units, and (3n,) the diagonal's weights of rows that are missing, else 0.
+
+    A missing row becomes an isolated one as heavy as the unit's real ones, since the solver scales by their mean.
+    """
+    gram = stack.T @ stack
+    diagonal = np.diag(gram).copy()
+    largest = np.repeat(diagonal.reshape(-1, 3).max(axis=1, initial=0.0), 3)
+    weights = np.where(diagonal == 0.0, np.where(largest > 0.0, largest, 1.0), 0.0)
+    gram[np.diag_indices_from(gram)] += weights
+    return gram, weights

@@ -62,7 +62,7 @@ from ..layout import (
     UNILATERAL,
     VISCOUS,
 )
-from .linear import RANK_TOLERANCE, backward, forward, solve_semidefinite
+from .linear import RANK_TOLERANCE, backward, forward, solve_gram
 
 # Friction on a point of a spatial curve depends on the length of a two-component normal force: fixed point, quadratic.
 _NORMAL_ITERATIONS = 50
@@ -328,10 +328,7 @@ def contact_dynamics(
         else:
             if has_reference:
                 _take_reference(row_index, count, reference, whitened, whitened, nv, multipliers, work)
-            for i in range(count):
-                for j in range(i + 1):
-                    delassus[i, j] = inner(whitened[i], whitened[j], nv)
-            solve_semidefinite(delassus, count, permutation, multipliers, scratch)
+            solve_gram(whitened, count, nv, delassus, permutation, multipliers, scratch)
         if has_reference:
             for r in range(count):
                 multipliers[r] += reference[row_index[r, 0], row_index[r, 1]]

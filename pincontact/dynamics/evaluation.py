@@ -112,8 +112,8 @@ from ..layout import (
     V,
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
-from .equations import add_viscous_loads, contact_dynamics, guard_force, inner, list_rows, whiten_rows
-from .linear import backward, cholesky, forward, solve_semidefinite
+from .equations import add_viscous_loads, contact_dynamics, guard_force, list_rows, whiten_rows
+from .linear import backward, cholesky, forward, solve_gram
 
 
 @kernel
@@ -410,13 +410,11 @@ def is_normal_row(pattern, row):
 @kernel
 def _least_correction(table, nc, nv, count, whitened, x, factor, out):
     """out = M^-1 R^T (R M^-1 R^T)^+ x from the whitened rows."""
-    delassus = matrix(table[DELASSUS], 3 * nc, 3 * nc + 1)
-    for i in range(count):
-        for j in range(i + 1):
-            delassus[i, j] = inner(whitened[i], whitened[j], nv)
-    solve_semidefinite(
-        delassus,
+    solve_gram(
+        whitened,
         count,
+        nv,
+        matrix(table[DELASSUS], 3 * nc, 3 * nc + 1),
         integers(table[PERMUTATION], 3 * nc),
         x,
         matrix(table[CONSTRAINT_ROWS], 3 * nc, 3 * nc + 1),

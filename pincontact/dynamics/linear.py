@@ -142,3 +142,107 @@ def _least_norm(lower, n, rank, scratch):
         for k in range(min(i + 1, rank)):
             value += lower[i, k] * scratch[k, n]
         scratch[i, n] = value
+
+
+@kernel
+def solve_gram(rows, m, n, lower, permutation, x, scratch):
+    """Least-norm solution of the consistent system (R R^T) x = b, R the rows (m, n).
+
+    x (m,): b in, solution out; lower (m, m + 1), permutation (m,) int and scratch (m, m + 1) are overwritten.
+    Cholesky with pivoting, R R^T = P L L^T P^T with L of full column rank r; only the columns of R R^T that are needed
+    are formed, so the cost is linear in m where r stays small. Where r < m the solution of least norm is
+    L (L^T L)^-2 L^T b in pivoted order. Returns the rank.
+    """
+    for i in range(m):
+        permutation[i] = i
+        value = 0.0
+        for k in range(n):
+            value += rows[i, k] * rows[i, k]
+        scratch[i, m] = lower[i, m] = value
+    rank = 0
+    while rank < m:
+        pivot, best = rank, -1.0
+        for i in range(rank, m):
+            p = permutation[i]
+            ratio = lower[p, m] / scratch[p, m] if scratch[p, m] > 0.0 else 0.0
+            if ratio > best:
+                best, pivot = ratio, i
+        if not best > RANK_TOLERANCE:
+            break
+        p = permutation[pivot]
+        permutation[pivot] = permutation[rank]
+        permutation[rank] = p
+        own, known = rows[p], lower[p]
+        root = math.sqrt(known[m])
+        known[rank] = root
+        for i in range(rank + 1, m):
+            other, line = rows[permutation[i]], lower[permutation[i]]
+            value = 0.0
+            for k in range(n):
+                value += own[k] * other[k]
+            for k in range(rank):
+                value -= known[k] * line[k]
+            value /= root
+            line[rank] = value
+            line[m] -= value * value
+        rank += 1
+    for i in range(m):
+        scratch[i, m] = x[permutation[i]]
+    if rank == m:
+        _solve_lower(lower, permutation, m, scratch)
+    else:
+        _solve_trapezoid(lower, permutation, m, rank, scratch)
+    for i in range(m):
+        x[permutation[i]] = scratch[i, m]
+    return rank
+
+
+@kernel
+def _solve_lower(lower, permutation, m, scratch):
+    """scratch[:, m] = (L L^T)^-1 scratch[:, m], row i of L being row permutation[i] of lower."""
+    for i in range(m):
+        row, value = lower[permutation[i]], scratch[i, m]
+        for k in range(i):
+            value -= row[k] * scratch[k, m]
+        scratch[i, m] = value / row[i]
+    for i in range(m - 1, -1, -1):
+        row = lower[permutation[i]]
+        value = scratch[i, m] / row[i]
+        scratch[i, m] = value
+        for k in range(i):
+            scratch[k, m] -= row[k] * value
+
+
+@kernel
+def _solve_trapezoid(lower, permutation, m, rank, scratch):
+    """scratch[:, m] = L (L^T L)^-2 L^T scratch[:, m] for the m x rank trapezoid L (rows as in `_solve_lower`)."""
+    # y = L^T b, then twice (L^T L)^-1 by its Cholesky factor, then L y
+    for i in range(rank):
+        value = 0.0
+        for k in range(i, m):
+            value += lower[permutation[k], i] * scratch[k, m]
+        scratch[i, m] = value
+    for i in range(rank):
+        for j in range(i + 1):
+            value = 0.0
+            for k in range(i, m):
+                value += lower[permutation[k], i] * lower[permutation[k], j]
+            for k in range(j):
+                value -= scratch[i, k] * scratch[j, k]
+            scratch[i, j] = math.sqrt(value) if i == j else value / scratch[j, j]
+    for _ in range(2):
+        for i in range(rank):
+            value = scratch[i, m]
+            for k in range(i):
+                value -= scratch[i, k] * scratch[k, m]
+            scratch[i, m] = value / scratch[i, i]
+        for i in range(rank - 1, -1, -1):
+            value = scratch[i, m] / scratch[i, i]
+            scratch[i, m] = value
+            for k in range(i):
+                scratch[k, m] -= scratch[i, k] * value
+    for i in range(m - 1, -1, -1):
+        row, value = lower[permutation[i]], 0.0
+        for k in range(min(i + 1, rank)):
+            value += row[k] * scratch[k, m]
+        scratch[i, m] = value

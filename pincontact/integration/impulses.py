@@ -1,22 +1,16 @@
-"""The velocity-impulse problem of one time step of Moreau's method: assembled, reviewed, carried out.
+"""One time step of Moreau's method: its midpoint, its end, and the state that the next one starts from.
 
 A step of size h from (q_0, v_0) takes all smooth terms at the midpoint q_m = q_0 + (h/2) v_0, v_m = v_0 + (h/2) a,
-with a the velocity's change in the last step over its size. With z the change of velocity by impulses P,
+with a the velocity's change in the last step over its size. With P the impulses and z the change of velocity by them,
 
     (M + (h/2) D) (v_1 - v_0) = h (tau - nle - D v_0) + sum of rows^T P,
-    u = w_0 + rows (v_1 - v_0) + h bias,
 
-u is the relative velocity at the step's end to second order; Signorini's and Coulomb's laws hold between u and P. In
-steps with impacts u is taken in the midpoint's geometry instead, w_m + rows (v_1 - v_m), to first order.
+and Signorini's and Coulomb's laws hold between P and the relative velocity at the step's end (`impulse_problem`).
 Joint damping D enters by the trapezoidal rule, which no step size makes unstable.
 
 Every impulse has its time in the step: the middle for contacts that were closed (a force, spread over the step), the
 instant of touching for those that close. The displacement is h v_0 + (h/2) (v_free - v_0) + (h - time) z, so a body
 that falls and bounces within a step follows its parabolas.
-
-Units are the cones of the problem: unilateral contacts that are closed or close in the step; bilateral ones with
-Coulomb friction, whose normal impulse is an equation and their cone a disk of given radius; joint limits; dry
-friction of joints. Equations (bilateral normals, ideal rolling) are eliminated before.
 """
 
 from __future__ import annotations
@@ -24,14 +18,13 @@ from __future__ import annotations
 import math
 
 from ..dynamics.equations import inner
-from ..dynamics.linear import backward, cholesky, forward
+from ..dynamics.linear import backward
 from ..friction import cone
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
 from ..jit import INTEGER, TABLE, entry_kernel, kernel
 from ..layout import (
     BASIS,
-    BIAS,
     CHART,
     CONTACT_INT,
     CONTACT_INTS,
@@ -48,15 +41,11 @@ from ..layout import (
     JOINT_TABLE,
     LENGTH,
     LOCATION,
-    MASS,
-    MASS_NOT_POSITIVE,
     MODE,
     MOTION_KIND,
     MU,
     NBLOCKS,
     NC,
-    NLE,
-    NO_FORCE,
     NORMAL_1,
     NORMAL_2,
     NORMAL_SIGN,
@@ -65,7 +54,6 @@ from ..layout import (
     NV,
     NWORK,
     NY,
-    OK,
     PATTERN,
     RATES,
     ROWS,
@@ -78,225 +66,85 @@ from ..layout import (
     STAGE_STATE,
     STATE,
     STICK,
-    TANGENTS,
     TAU,
     TIME_DEPENDENT,
     UNILATERAL,
     WORK,
-    V,
 )
-from ..memory import Memory, cube, integer_matrix, integers, matrix, reals
-from .manifold import CIRCLE_BLOCK, FREE_FLYER, QUATERNION, VECTOR, normalize
-from .stages import DAMPING_WORK, DRIVE_WORK, FRICTION_WORK, NUMBER_OF_WORKS, TORQUE_WORK, hand_over
-
-# Arrays of one step, by slot of their own table; ns units, ne equations.
-STEP_SLOTS = (
-    "counts",  # (8,) int: see the COUNT columns
-    "numbers",  # (8,): see the columns below
-    "start_q",
-    "start_v",
-    "start_location",  # (nc, 4)
-    "start_rates",  # (nc, 4)
-    "start_slip",  # (nc, 3) v_c, world axes
-    "start_normal",  # (nc, 2) components of v_c along n and the second normal
-    "start_gap",  # (nc,)
-    "start_mode",  # (nc,) int
-    "trend",  # (nv,) mean acceleration of the last step
-    "change",  # (nv,) v_free - v_0
-    "restitution",  # (nc,)
-    "sticking",  # (nc,) coefficient up to which a contact at rest sticks
-    "load",  # (nc,) normal impulse over the step size of bilateral contacts in the last step, N
-    "joint_int",  # (nj, 3) int: kind, index in q, index in v
-    "joint_real",  # (nj, 2): limit and nothing, or half the width and the middle of the friction force's range
-    "unit_int",  # (ns, UNIT_INTS) int
-    "unit_real",  # (ns, UNIT_REALS)
-    "whitened",  # (3 ns, nv) L^-1 rows^T, without what the equations take
-    "overlap",  # (3 ns, ne) what they take
-    "delassus",  # (9 ns ns,) of which the first (3 n)^2 are used
-    "loads",  # (3 ns,) b of the cone problem
-    "friction",  # (ns,)
-    "cone_forces",  # (3 n,) of the solver
-    "cone_velocities",
-    "cone_modes",
-    "equation_index",  # (ne, 2) int: contact and row
-    "equations",  # (ne, nv) orthonormal basis of their whitened rows
-    "equation_factor",  # (ne, ne) the rows in that basis
-    "equation_share",  # (ne,) change of velocity in that basis
-    "equation_impulse",  # (ne,)
-    "contact_impulse",  # (nc, 3) along the basis, N s
-    "joint_impulse",  # (nv,) of limits and dry friction
-    "touch_time",  # (nc,) s after the step's start, negative: did not touch
-    "displacement",  # (nv,)
-    "mean",  # (nv,) displacement over the step size
-    "forces",  # (nc, 3) impulse over step size on the second contour given, world axes
-    "orientation",  # (nc,): -1 where the user named the contours the other way round
-    "known",  # (nc, CONTACT_INTS + 2) int: the contact's integers and charts after the last step
-)
-(
+from ..memory import cube, integer_matrix, integers, matrix, reals
+from .impulse_layout import (
+    ACCELERATION,
+    CHANGE,
+    CONE_FORCES,
+    CONE_MODES,
+    CONE_VELOCITIES,
+    CONTACT_IMPULSE,
     COUNTS,
+    DISPLACEMENT,
+    DRY_FRICTION,
+    EQUATION_IMPULSE,
+    EQUATION_INDEX,
+    EQUATION_SHARE,
+    EQUATIONS,
+    FORCES,
+    HAS_TREND,
+    IMPULSE_TIME,
+    JOINT_IMPULSE,
+    JOINT_INT,
+    JOINT_KIND,
+    JOINT_Q,
+    JOINT_REAL,
+    JOINT_V,
+    KEPT,
+    KNOWN,
+    LOAD,
+    MAX_EQUATIONS,
+    MAX_UNITS,
+    MEAN,
+    MEAN_VELOCITY,
+    MIDPOINT,
+    NCOUNTS,
+    NEQ,
+    NJ,
     NUMBERS,
-    START_Q,
-    START_V,
+    ON_JOINT,
+    ON_LOADED,
+    ORIENTATION,
+    ROW_MASK,
+    SHIFT,
+    START_GAP,
     START_LOCATION,
+    START_MODE,
+    START_NORMAL,
+    START_Q,
     START_RATES,
     START_SLIP,
-    START_NORMAL,
-    START_GAP,
-    START_MODE,
-    TREND,
-    CHANGE,
-    RESTITUTION,
-    STICKING,
-    LOAD,
-    JOINT_INT,
-    JOINT_REAL,
-    UNIT_INT,
-    UNIT_REAL,
-    WHITENED,
-    OVERLAP,
-    DELASSUS,
-    LOADS,
-    FRICTION,
-    CONE_FORCES,
-    CONE_VELOCITIES,
-    CONE_MODES,
-    EQUATION_INDEX,
-    EQUATIONS,
-    EQUATION_FACTOR,
-    EQUATION_SHARE,
-    EQUATION_IMPULSE,
-    CONTACT_IMPULSE,
-    JOINT_IMPULSE,
+    START_T1,
+    START_T2,
+    START_V,
     TOUCH_TIME,
-    DISPLACEMENT,
-    MEAN,
-    FORCES,
-    ORIENTATION,
-    KNOWN,
-) = range(len(STEP_SLOTS))
+    TOUCHED,
+    TOUCHES,
+    TREND,
+    UNIT_INDEX,
+    UNIT_INT,
+    UNIT_INTS,
+    UNIT_KIND,
+    UNIT_REAL,
+    UNIT_REALS,
+    UNITS,
+    UPPER_LIMIT,
+    WHITENED,
+    H,
+)
+from .impulse_problem import free_gain, start_velocity
+from .impulse_review import DONE, equation_impulses, impulse_work, review
+from .manifold import displace
+from .stages import DAMPING_WORK, DRIVE_WORK, FRICTION_WORK, NUMBER_OF_WORKS, TORQUE_WORK, hand_over
 
-# counts
-NJ, MAX_UNITS, MAX_EQUATIONS, UNITS, NEQ, HAS_TREND, TOUCHED, REVIEWS = range(8)
-# counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
-ACCELERATION, MEAN_VELOCITY = 1, 2
-# numbers
-H, KEPT, KEPT_LOW, KEPT_HIGH = range(4)
-# joint_int
-JOINT_KIND, JOINT_Q, JOINT_V = range(3)
-LOWER_LIMIT, UPPER_LIMIT, DRY_FRICTION = range(3)
-# unit_int; ROW_MASK: bit r is set where row r is real, the others only fill up the cone
-UNIT_KIND, UNIT_INDEX, ROW_MASK, TOUCHES, MIDPOINT, AT_REST = range(6)
-UNIT_INTS = 6
-ON_CONTACT, ON_LOADED, ON_JOINT = range(3)
-# unit_real
-IMPULSE_TIME, SHIFT, APPROACH, FREE_RATE, START_T1, START_T2, UNIT_LOAD, SLIDING = range(8)
-UNIT_REALS = 8
-
-# What `advance` returns: the step is done, or the cone problem was changed and must be solved again.
-DONE, AGAIN = 0, -1
-
-# A contact nearer than this, relative to its length, is touching.
-TOUCHING = 1e-12
 # A closed contact without force that would be this far apart after the step, relative to its length, opens; one at its
 # limit of friction that would slide so far slips.
 OPENING = 1e-12
-# An equation whose rest after orthogonalisation is below this fraction is redundant.
-REDUNDANT = 1e-10
-# Fixed point on the normal loads of bilateral contacts: change that ends it, undamped iterations, all iterations.
-LOAD_CHANGE = 1e-12
-UNDAMPED = 12
-REVIEW_LIMIT = 200
-# Work of impacts above this fraction of its terms is energy from nothing; accuracy of the part of restitution kept.
-ENERGY_SLACK = 1e-9
-KEPT_ACCURACY = 1e-3
-
-
-def step_memory(nq: int, nv: int, nc: int, nj: int) -> Memory:
-    """The arrays of `STEP_SLOTS` for a system with nj joint limits and dry frictions."""
-    memory = Memory(STEP_SLOTS)
-    contacts, units, equations = max(nc, 1), max(nc + nj, 1), max(3 * nc, 1)
-    counts = memory.integers("counts", 8)
-    counts[[NJ, MAX_UNITS, MAX_EQUATIONS]] = nj, units, equations
-    memory.reals("numbers", 8)
-    memory.reals("start_q", nq)
-    for name in ("start_v", "trend", "change", "joint_impulse", "displacement", "mean"):
-        memory.reals(name, max(nv, 1))
-    for name in ("start_location", "start_rates"):
-        memory.reals(name, contacts, 4)
-    for name in ("start_slip", "contact_impulse", "forces"):
-        memory.reals(name, contacts, 3)
-    memory.reals("start_normal", contacts, 2)
-    for name in ("start_gap", "restitution", "sticking", "load", "touch_time", "orientation"):
-        memory.reals(name, contacts)
-    memory.integers("start_mode", contacts)
-    memory.integers("known", contacts, CONTACT_INTS + 2)
-    memory.integers("joint_int", max(nj, 1), 3)
-    memory.reals("joint_real", max(nj, 1), 2)
-    memory.integers("unit_int", units, UNIT_INTS)
-    memory.reals("unit_real", units, UNIT_REALS)
-    memory.reals("whitened", 3 * units, nv)
-    memory.reals("overlap", 3 * units, equations)
-    memory.reals("delassus", 9 * units * units)
-    for name in ("loads", "cone_forces", "cone_velocities"):
-        memory.reals(name, 3 * units)
-    memory.reals("friction", units)
-    memory.integers("cone_modes", units)
-    memory.integers("equation_index", equations, 2)
-    memory.reals("equations", equations, nv)
-    memory.reals("equation_factor", equations, equations)
-    for name in ("equation_share", "equation_impulse"):
-        memory.reals(name, equations)
-    return memory
-
-
-# ------------------------------------------------------------------------------------------------ configurations
-
-
-@kernel
-def _turn(q, i, wx, wy, wz, out):
-    """out[i:i+4] = quaternion q[i:i+4] times the exponential of the rotation vector w (body axes)."""
-    angle = math.sqrt(wx * wx + wy * wy + wz * wz)
-    half = 0.5 * angle
-    s = 0.5 * (1.0 - half * half / 6.0) if angle < 1e-4 else math.sin(half) / angle
-    a, b, c, d = s * wx, s * wy, s * wz, math.cos(half)
-    x, y, z, w = q[i], q[i + 1], q[i + 2], q[i + 3]
-    out[i] = w * a + x * d + y * c - z * b
-    out[i + 1] = w * b + y * d + z * a - x * c
-    out[i + 2] = w * c + z * d + x * b - y * a
-    out[i + 3] = w * d - x * a - y * b - z * c
-
-
-@kernel
-def displace(blocks, q, step, out):
-    """out = q moved by the finite tangent step (nv,): turned by its exponential, translated in the axes half-way."""
-    for b in range(blocks.shape[0]):
-        kind, iq, iv, n = blocks[b, 0], blocks[b, 1], blocks[b, 2], blocks[b, 3]
-        if kind == VECTOR:
-            for i in range(n):
-                out[iq + i] = q[iq + i] + step[iv + i]
-        elif kind == FREE_FLYER:
-            wx, wy, wz = step[iv + 3], step[iv + 4], step[iv + 5]
-            _turn(q, iq + 3, 0.5 * wx, 0.5 * wy, 0.5 * wz, out)
-            x, y, z, w = out[iq + 3], out[iq + 4], out[iq + 5], out[iq + 6]
-            a, b2, c = step[iv], step[iv + 1], step[iv + 2]
-            tx, ty, tz = 2.0 * (y * c - z * b2), 2.0 * (z * a - x * c), 2.0 * (x * b2 - y * a)
-            out[iq] = q[iq] + a + w * tx + y * tz - z * ty
-            out[iq + 1] = q[iq + 1] + b2 + w * ty + z * tx - x * tz
-            out[iq + 2] = q[iq + 2] + c + w * tz + x * ty - y * tx
-            _turn(q, iq + 3, wx, wy, wz, out)
-        elif kind == QUATERNION:
-            _turn(q, iq, step[iv], step[iv + 1], step[iv + 2], out)
-        else:
-            first, turn = (iq, step[iv]) if kind == CIRCLE_BLOCK else (iq + 2, step[iv + 2])
-            c, s = q[first], q[first + 1]
-            if kind != CIRCLE_BLOCK:
-                ch, sh = math.cos(0.5 * turn), math.sin(0.5 * turn)
-                cm, sm = c * ch - s * sh, s * ch + c * sh
-                out[iq] = q[iq] + cm * step[iv] - sm * step[iv + 1]
-                out[iq + 1] = q[iq + 1] + sm * step[iv] + cm * step[iv + 1]
-            ct, st = math.cos(turn), math.sin(turn)
-            out[first], out[first + 1] = c * ct - s * st, s * ct + c * st
-    normalize(blocks, out, out)
 
 
 @entry_kernel(TABLE, TABLE)
@@ -304,7 +152,7 @@ def predict_midpoint(table, step):
     """Hand over the midpoint's state, from the start and the last step's acceleration or this one's mean velocity."""
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    counts = integers(step[COUNTS], 8)
+    counts = integers(step[COUNTS], NCOUNTS)
     half = 0.5 * reals(step[NUMBERS], 8)[H]
     v, trend, mean = reals(step[START_V], nv), reals(step[TREND], nv), reals(step[MEAN], nv)
     displacement = reals(step[DISPLACEMENT], nv)
@@ -323,458 +171,10 @@ def predict_midpoint(table, step):
     hand_over(table, state)
 
 
-# ------------------------------------------------------------------------------------------------ assembly
-
-
-@kernel
-def touch_instant(gap, speed, rate, touching, h):
-    """When gap + speed s + rate s^2 / 2 falls through zero for s in [0, h]; negative if it does not."""
-    if gap <= touching and speed <= 0.0:
-        return 0.0 if speed < 0.0 or rate <= 0.0 else -1.0
-    discriminant = speed * speed - 2.0 * rate * gap
-    if discriminant < 0.0:
-        # below the surface for the whole parabola, or above it
-        return 0.0 if gap < 0.0 else -1.0
-    root = math.sqrt(discriminant)
-    if speed < 0.0:
-        instant = 2.0 * gap / (root - speed)
-    elif rate < 0.0:
-        instant = (speed + root) / -rate
-    else:
-        return -1.0
-    return instant if instant <= h else -1.0
-
-
-@kernel
-def _start_velocity(table, step, c, row, nv, nc):
-    """Component of v_c along a basis row at the step's start; in steps with impacts, in the midpoint's geometry.
-
-    There the velocities of points of a rigid body have to fit each other exactly, or no impulse could stop them all,
-    and the kinetic energy has to be that of the velocities that the law is applied to.
-    """
-    basis = cube(table[BASIS], nc, 3, 3)
-    if integers(step[COUNTS], 8)[TOUCHED] != 0:
-        rows, v0, middle = cube(table[ROWS], nc, 3, nv), reals(step[START_V], nv), reals(table[V], nv)
-        value = dot(basis[c, row], matrix(table[SLIP], nc, 3)[c])
-        for k in range(nv):
-            value += rows[c, row, k] * (v0[k] - middle[k])
-        return value
-    # the biases of normals hold the normal's own rate, those of tangents do not
-    if row == 2:
-        return matrix(step[START_NORMAL], nc, 2)[c, 0]
-    if row == 1 and integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)[c, PATTERN] == ON_CURVE:
-        return matrix(step[START_NORMAL], nc, 2)[c, 1]
-    return dot(basis[c, row], matrix(step[START_SLIP], nc, 3)[c])
-
-
-@kernel
-def _free_gain(table, step, c, row, nv, nc, h):
-    """What a component of v_c gains over the step if no impulse acts."""
-    value = inner(cube(table[ROWS], nc, 3, nv)[c, row], reals(step[CHANGE], nv), nv)
-    if integers(step[COUNTS], 8)[TOUCHED] == 0:
-        value += h * matrix(table[BIAS], nc, 3)[c, row]
-    return value
-
-
-@kernel
-def _add_equation(table, step, c, row, nv, nc, h):
-    """One more equation u = 0, orthogonalised (twice, for round-off) against those before."""
-    counts = integers(step[COUNTS], 8)
-    size = counts[MAX_EQUATIONS]
-    e = counts[NEQ]
-    index = integer_matrix(step[EQUATION_INDEX], size, 2)
-    equations = matrix(step[EQUATIONS], size, nv)
-    factor = matrix(step[EQUATION_FACTOR], size, size)
-    share = reals(step[EQUATION_SHARE], size)
-    index[e, 0], index[e, 1] = c, row
-    forward(matrix(table[FACTOR], nv, nv), nv, cube(table[ROWS], nc, 3, nv)[c, row], equations[e])
-    whole = math.sqrt(inner(equations[e], equations[e], nv))
-    for j in range(e):
-        factor[e, j] = 0.0
-    for _ in range(2):
-        for j in range(e):
-            part = inner(equations[e], equations[j], nv)
-            factor[e, j] += part
-            for k in range(nv):
-                equations[e, k] -= part * equations[j, k]
-    rest = math.sqrt(inner(equations[e], equations[e], nv))
-    independent = rest > REDUNDANT * whole
-    factor[e, e] = rest if independent else 0.0
-    for k in range(nv):
-        equations[e, k] = equations[e, k] / rest if independent else 0.0
-    value = -_start_velocity(table, step, c, row, nv, nc) - _free_gain(table, step, c, row, nv, nc, h)
-    for j in range(e):
-        value -= factor[e, j] * share[j]
-    share[e] = value / rest if independent else 0.0
-    counts[NEQ] = e + 1
-
-
-@kernel
-def _add_unit(step, kind, index, mask, mu, instant):
-    """A new unit, returns its number; instant: when it closes, negative where its impulse is spread over the step."""
-    counts = integers(step[COUNTS], 8)
-    u = counts[UNITS]
-    ints = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)[u]
-    numbers = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)[u]
-    ints[UNIT_KIND], ints[UNIT_INDEX], ints[ROW_MASK] = kind, index, mask
-    ints[TOUCHES] = ints[MIDPOINT] = ints[AT_REST] = 0
-    for i in range(UNIT_REALS):
-        numbers[i] = 0.0
-    numbers[IMPULSE_TIME] = 0.5 * reals(step[NUMBERS], 8)[H]
-    if instant >= 0.0:
-        numbers[IMPULSE_TIME] = instant
-        ints[TOUCHES] = counts[TOUCHED] = 1
-    reals(step[FRICTION], counts[MAX_UNITS])[u] = numbers[SLIDING] = mu
-    counts[UNITS] = u + 1
-    return u
-
-
-@kernel
-def _set_impact(numbers, start, rate, restitution, h):
-    """Newton's law for a unit that closes: its rebound, less what the smooth forces take back by the step's end."""
-    approach = start + numbers[IMPULSE_TIME] * rate
-    numbers[APPROACH], numbers[FREE_RATE] = approach, rate
-    if approach < 0.0:
-        numbers[SHIFT] = max(-restitution * approach + (h - numbers[IMPULSE_TIME]) * rate, 0.0)
-
-
-@kernel
-def _gather_contacts(table, step, nv, nc, h):
-    """Units of all contacts that take part."""
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    rows, bias = cube(table[ROWS], nc, 3, nv), matrix(table[BIAS], nc, 3)
-    counts = integers(step[COUNTS], 8)
-    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
-    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
-    friction = reals(step[FRICTION], counts[MAX_UNITS])
-    start_mode = integers(step[START_MODE], nc)
-    start_gap, start_normal = reals(step[START_GAP], nc), matrix(step[START_NORMAL], nc, 2)
-    sticking, load, trend = reals(step[STICKING], nc), reals(step[LOAD], nc), reals(step[TREND], nv)
-    for c in range(nc):
-        mu, two = contact_real[c, MU], contact_int[c, TANGENTS] == 2
-        bilateral, opened = contact_int[c, UNILATERAL] == 0, start_mode[c] == FREE
-        kind, mask = ON_CONTACT, 4 if mu == 0.0 else (7 if two else 5)
-        instant = -1.0
-        if bilateral:
-            # the cone's normal carries a given impulse: the disk's radius is mu times it
-            kind, mask = ON_LOADED, 3 if two else 1
-            if mu == 0.0 or mu == math.inf:
-                continue
-        elif opened:
-            rate = inner(rows[c, 2], trend, nv) + bias[c, 2]
-            instant = touch_instant(start_gap[c], start_normal[c, 0], rate, TOUCHING * contact_real[c, LENGTH], h)
-            if instant < 0.0:
-                continue
-        u = _add_unit(step, kind, c, mask, mu, instant)
-        ints = unit_int[u]
-        if bilateral:
-            unit_real[u, UNIT_LOAD] = h * load[c]
-        if start_mode[c] == STICK and sticking[c] > mu:
-            # a contact at rest holds up to its coefficient of sticking
-            friction[u] = sticking[c]
-            ints[AT_REST] = 1
-        ints[MIDPOINT] = 1 if start_mode[c] == SLIPPING and two and 0.0 < mu < math.inf else 0
-
-
-@kernel
-def _gather_equations(table, step, nv, nc, h):
-    """Bilateral normals and ideal rolling of bilateral contacts."""
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    for c in range(nc):
-        if contact_int[c, UNILATERAL] == 0:
-            rolls, two = contact_real[c, MU] == math.inf, contact_int[c, TANGENTS] == 2
-            second_normal = contact_int[c, PATTERN] == ON_CURVE
-            for row in range(2, -1, -1):
-                if row == 2 or (row == 1 and second_normal) or (rolls and (row == 0 or two)):
-                    _add_equation(table, step, c, row, nv, nc, h)
-
-
-@kernel
-def _gather_joints(table, step, nv, h):
-    """Units of joint limits within reach and of dry friction."""
-    counts = integers(step[COUNTS], 8)
-    nq = integers(table[SIZES], 8)[NQ]
-    nj = counts[NJ]
-    joint_int, joint_real = integer_matrix(step[JOINT_INT], nj, 3), matrix(step[JOINT_REAL], nj, 2)
-    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
-    q, v, trend = reals(step[START_Q], nq), reals(step[START_V], nv), reals(step[TREND], nv)
-    for j in range(nj):
-        k = joint_int[j, JOINT_V]
-        if joint_int[j, JOINT_KIND] == DRY_FRICTION:
-            u = _add_unit(step, ON_JOINT, j, 1, 1.0, -1.0)
-            unit_real[u, UNIT_LOAD] = h * joint_real[j, 0]
-            continue
-        sign = 1.0 if joint_int[j, JOINT_KIND] == LOWER_LIMIT else -1.0
-        gap = sign * (q[joint_int[j, JOINT_Q]] - joint_real[j, 0])
-        speed, rate = sign * v[k], sign * trend[k]
-        resting = gap <= TOUCHING and abs(speed) * h <= TOUCHING
-        instant = touch_instant(gap, speed, rate, TOUCHING, h)
-        if resting or instant >= 0.0:
-            _add_unit(step, ON_JOINT, j, 4, 0.0, -1.0 if resting else instant)
-
-
-@kernel
-def _fill_units(table, step, nv, nc, h):
-    """Whitened rows, Delassus matrix and b of all units, after the equations have taken their share."""
-    counts = integers(step[COUNTS], 8)
-    n, units, nequations, size = counts[UNITS], counts[MAX_UNITS], counts[NEQ], counts[MAX_EQUATIONS]
-    factor, rows = matrix(table[FACTOR], nv, nv), cube(table[ROWS], nc, 3, nv)
-    unit_int = integer_matrix(step[UNIT_INT], units, UNIT_INTS)
-    unit_real = matrix(step[UNIT_REAL], units, UNIT_REALS)
-    joint_int = integer_matrix(step[JOINT_INT], counts[NJ], 3)
-    whitened, overlap = matrix(step[WHITENED], 3 * units, nv), matrix(step[OVERLAP], 3 * units, size)
-    equations, share = matrix(step[EQUATIONS], size, nv), reals(step[EQUATION_SHARE], size)
-    delassus, b = matrix(step[DELASSUS], 3 * n, 3 * n), reals(step[LOADS], 3 * n)
-    v, change, trend = reals(step[START_V], nv), reals(step[CHANGE], nv), reals(step[TREND], nv)
-    restitution = reals(step[RESTITUTION], nc)
-    for u in range(n):
-        kind, index, mask = unit_int[u, UNIT_KIND], unit_int[u, UNIT_INDEX], unit_int[u, ROW_MASK]
-        for row in range(3):
-            r = 3 * u + row
-            line = whitened[r]
-            b[r] = 0.0
-            if mask >> row & 1 == 0:
-                for k in range(nv):
-                    line[k] = 0.0
-                for j in range(nequations):
-                    overlap[r, j] = 0.0
-                continue
-            if kind == ON_JOINT:
-                k = joint_int[index, JOINT_V]
-                for i in range(nv):
-                    line[i] = 0.0
-                line[k] = -1.0 if joint_int[index, JOINT_KIND] == UPPER_LIMIT else 1.0
-                start, gain = line[k] * v[k], line[k] * change[k]
-            else:
-                for i in range(nv):
-                    line[i] = rows[index, row, i]
-                start = _start_velocity(table, step, index, row, nv, nc)
-                gain = _free_gain(table, step, index, row, nv, nc, h)
-            b[r] = start + gain
-            if row < 2:
-                unit_real[u, START_T1 + row] = start
-            elif unit_int[u, TOUCHES] != 0:
-                again = restitution[index] if kind != ON_JOINT else 0.0
-                _set_impact(unit_real[u], start, inner(line, trend, nv), again, h)
-            forward(factor, nv, line, line)
-            for j in range(nequations):
-                part = inner(line, equations[j], nv)
-                overlap[r, j] = part
-                b[r] += part * share[j]
-                for k in range(nv):
-                    line[k] -= part * equations[j, k]
-    for i in range(3 * n):
-        for j in range(i + 1):
-            value = inner(whitened[i], whitened[j], nv)
-            delassus[i, j] = value
-            delassus[j, i] = value
-    for u in range(n):
-        mask = unit_int[u, ROW_MASK]
-        # rows that only fill up the cone are as heavy as the real ones, since the solver scales by the mean
-        weight = 0.0
-        for row in range(3):
-            weight = max(weight, delassus[3 * u + row, 3 * u + row])
-        if weight == 0.0:
-            weight = 1.0
-        for row in range(3):
-            if mask >> row & 1 == 0:
-                delassus[3 * u + row, 3 * u + row] = weight
-        if mask & 4 == 0:
-            # a given normal load: u = weight (F - load) has to vanish
-            b[3 * u + 2] = -weight * unit_real[u, UNIT_LOAD]
-        b[3 * u + 2] -= unit_real[u, SHIFT]
-        if unit_int[u, MIDPOINT] != 0:
-            b[3 * u] += unit_real[u, START_T1]
-            b[3 * u + 1] += unit_real[u, START_T2]
-
-
-@entry_kernel(TABLE, TABLE)
-def assemble(table, step):
-    """The cone problem of the step from the kinematics at its midpoint; OK, or a status of `layout`.
-
-    Its size is counts[UNITS].
-    """
-    sizes = integers(table[SIZES], 8)
-    nv, nc = sizes[NV], sizes[NC]
-    counts, numbers = integers(step[COUNTS], 8), reals(step[NUMBERS], 8)
-    h = numbers[H]
-    counts[UNITS] = counts[NEQ] = counts[REVIEWS] = counts[TOUCHED] = 0
-    numbers[KEPT], numbers[KEPT_LOW], numbers[KEPT_HIGH] = 1.0, 0.0, 1.0
-    mass, factor = matrix(table[MASS], nv, nv), matrix(table[FACTOR], nv, nv)
-    damping, tau, nle = reals(table[DAMPING], nv), reals(table[TAU], nv), reals(table[NLE], nv)
-    v, change, trend = reals(step[START_V], nv), reals(step[CHANGE], nv), reals(step[TREND], nv)
-    for i in range(nv):
-        for j in range(i):
-            factor[i, j] = mass[i, j]
-        factor[i, i] = mass[i, i] + 0.5 * h * damping[i]
-        change[i] = h * (tau[i] - nle[i] - damping[i] * v[i])
-    joint_int, joint_real = integer_matrix(step[JOINT_INT], counts[NJ], 3), matrix(step[JOINT_REAL], counts[NJ], 2)
-    for j in range(counts[NJ]):
-        if joint_int[j, JOINT_KIND] == DRY_FRICTION:
-            change[joint_int[j, JOINT_V]] += h * joint_real[j, 1]
-    if not cholesky(factor, nv, factor):
-        return MASS_NOT_POSITIVE
-    forward(factor, nv, change, change)
-    backward(factor, nv, change, change)
-    total = 0.0
-    for k in range(nv):
-        total += change[k]
-        if counts[HAS_TREND] == 0:
-            trend[k] = change[k] / h
-    if total - total != 0.0:
-        return NOT_FINITE
-    _gather_contacts(table, step, nv, nc, h)
-    _gather_joints(table, step, nv, h)
-    # last, since the geometry of the step depends on whether anything touches
-    _gather_equations(table, step, nv, nc, h)
-    _fill_units(table, step, nv, nc, h)
-    return OK
-
-
-# ------------------------------------------------------------------------------------------------ review
-
-
-@kernel
-def _equation_impulses(step, nv):
-    """Impulses of the equations that go with the cones' forces: R^T P = share - overlap^T F."""
-    counts = integers(step[COUNTS], 8)
-    n, nequations, size = counts[UNITS], counts[NEQ], counts[MAX_EQUATIONS]
-    forces = reals(step[CONE_FORCES], 3 * n)
-    overlap, factor = matrix(step[OVERLAP], 3 * counts[MAX_UNITS], size), matrix(step[EQUATION_FACTOR], size, size)
-    share, impulse = reals(step[EQUATION_SHARE], size), reals(step[EQUATION_IMPULSE], size)
-    for e in range(nequations - 1, -1, -1):
-        value = share[e]
-        for r in range(3 * n):
-            value -= overlap[r, e] * forces[r]
-        for j in range(e + 1, nequations):
-            value -= factor[j, e] * impulse[j]
-        impulse[e] = value / factor[e, e] if factor[e, e] > 0.0 else 0.0
-
-
-@kernel
-def _normal_load(step, c):
-    """Length of the normal impulse that the equations give contact c."""
-    counts = integers(step[COUNTS], 8)
-    index = integer_matrix(step[EQUATION_INDEX], counts[MAX_EQUATIONS], 2)
-    impulse = reals(step[EQUATION_IMPULSE], counts[MAX_EQUATIONS])
-    total = 0.0
-    for e in range(counts[NEQ]):
-        if index[e, 0] == c:
-            total += impulse[e] * impulse[e]
-    return math.sqrt(total)
-
-
-@kernel
-def _impulse_work(step, h):
-    """Work of the contacts' impulses on v_c, of the joints' units, and the sum of the sizes of all terms.
-
-    An impulse times the mean of the velocities at the step's ends, or right before and after an impact. Impulses of
-    equations do no work on v_c.
-    """
-    counts, kept = integers(step[COUNTS], 8), reals(step[NUMBERS], 8)[KEPT]
-    n = counts[UNITS]
-    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
-    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
-    forces, velocities = reals(step[CONE_FORCES], 3 * n), reals(step[CONE_VELOCITIES], 3 * n)
-    on_contacts, on_joints, size = 0.0, 0.0, 0.0
-    for u in range(n):
-        ints, numbers = unit_int[u], unit_real[u]
-        work = 0.0
-        for row in range(2):
-            if ints[ROW_MASK] >> row & 1 != 0:
-                mean = velocities[3 * u + row]
-                if ints[MIDPOINT] == 0:
-                    mean += numbers[START_T1 + row]
-                work += 0.5 * forces[3 * u + row] * mean
-        size += abs(work)
-        if ints[TOUCHES] != 0:
-            after = velocities[3 * u + 2] + kept * numbers[SHIFT]
-            if numbers[SHIFT] > 0.0:
-                after -= (h - numbers[IMPULSE_TIME]) * numbers[FREE_RATE]
-            work += 0.5 * forces[3 * u + 2] * (numbers[APPROACH] + after)
-            size += 0.5 * forces[3 * u + 2] * (abs(numbers[APPROACH]) + abs(after))
-        if ints[UNIT_KIND] == ON_JOINT:
-            on_joints += work
-        else:
-            on_contacts += work
-    return on_contacts, on_joints, size
-
-
-@kernel
-def _review(step, nv, h):
-    """Whether the solution stands; if not, b or the coefficients are changed and the problem is to be solved again.
-
-    Slip is opposed along the mean of its velocities at both ends only while it goes on; a contact at rest that starts
-    to slip does so with the sliding coefficient; bilateral loads are a fixed point; and restitution is lowered where,
-    together with friction, it would create energy (Newton's law does that when contacts are coupled).
-    """
-    counts, numbers = integers(step[COUNTS], 8), reals(step[NUMBERS], 8)
-    n = counts[UNITS]
-    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
-    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
-    forces, velocities = reals(step[CONE_FORCES], 3 * n), reals(step[CONE_VELOCITIES], 3 * n)
-    modes, friction = integers(step[CONE_MODES], n), reals(step[FRICTION], n)
-    b, delassus = reals(step[LOADS], 3 * n), matrix(step[DELASSUS], 3 * n, 3 * n)
-    counts[REVIEWS] += 1
-    again = False
-    bounces = False
-    for u in range(n):
-        ints, values = unit_int[u], unit_real[u]
-        if ints[MIDPOINT] != 0:
-            first, second = values[START_T1], values[START_T2]
-            onward = (velocities[3 * u] - first) * first + (velocities[3 * u + 1] - second) * second
-            if modes[u] == cone.STICK or onward <= 0.0:
-                b[3 * u] -= first
-                b[3 * u + 1] -= second
-                ints[MIDPOINT] = 0
-                again = True
-        if ints[AT_REST] != 0 and modes[u] == cone.SLIP:
-            friction[u] = values[SLIDING]
-            ints[AT_REST] = 0
-            again = True
-        if ints[UNIT_KIND] == ON_LOADED:
-            load = _normal_load(step, ints[UNIT_INDEX])
-            before = values[UNIT_LOAD]
-            if abs(load - before) > LOAD_CHANGE * (load + before):
-                values[UNIT_LOAD] = load if counts[REVIEWS] <= UNDAMPED else 0.5 * (load + before)
-                b[3 * u + 2] = -delassus[3 * u + 2, 3 * u + 2] * values[UNIT_LOAD]
-                again = True
-        if ints[TOUCHES] != 0 and values[SHIFT] > 0.0 and forces[3 * u + 2] > 0.0:
-            bounces = True
-    if again:
-        return AGAIN if counts[REVIEWS] < REVIEW_LIMIT else NO_FORCE
-    if not bounces:
-        return DONE
-    # bisection for the largest part of the restitution that creates no energy; 0 never does
-    on_contacts, on_joints, size = _impulse_work(step, h)
-    creates = on_contacts + on_joints > ENERGY_SLACK * size
-    if not creates and (numbers[KEPT] == 1.0 or numbers[KEPT_HIGH] - numbers[KEPT_LOW] < KEPT_ACCURACY):
-        return DONE
-    kept = numbers[KEPT]
-    if creates:
-        numbers[KEPT_HIGH] = kept
-    else:
-        numbers[KEPT_LOW] = kept
-    if numbers[KEPT_HIGH] - numbers[KEPT_LOW] < KEPT_ACCURACY:
-        numbers[KEPT] = numbers[KEPT_LOW]
-        if kept == numbers[KEPT]:
-            return DONE
-    else:
-        numbers[KEPT] = 0.5 * (numbers[KEPT_LOW] + numbers[KEPT_HIGH])
-    for u in range(n):
-        b[3 * u + 2] += (kept - numbers[KEPT]) * unit_real[u, SHIFT]
-    return AGAIN if counts[REVIEWS] < REVIEW_LIMIT else NO_FORCE
-
-
-# ------------------------------------------------------------------------------------------------ carrying out
-
-
 @kernel
 def _contact_mode(table, step, u, c, nc, h):
     """Mode of contact c after the step, from the solution of its unit u; notes when it touched."""
-    counts = integers(step[COUNTS], 8)
+    counts = integers(step[COUNTS], NCOUNTS)
     n, kept = counts[UNITS], reals(step[NUMBERS], 8)[KEPT]
     ints = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)[u]
     values = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)[u]
@@ -815,7 +215,7 @@ def _contact_mode(table, step, u, c, nc, h):
 def _distribute(table, step, nv, nc, h):
     """Impulses of contacts and joints, new modes; in WORK the change of velocity by all impulses, whitened, and in
     DISPLACEMENT what they displace by acting before or after the middle of the step."""
-    counts = integers(step[COUNTS], 8)
+    counts = integers(step[COUNTS], NCOUNTS)
     n, units, nequations, size = counts[UNITS], counts[MAX_UNITS], counts[NEQ], counts[MAX_EQUATIONS]
     contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
     contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
@@ -882,11 +282,10 @@ def _distribute(table, step, nv, nc, h):
 @kernel
 def _add_works(table, step, nv, nc, h, v1, works):
     """Works over the step; what drives do is what impulses do on the joints less what they do on v_c."""
-    slip, basis = matrix(step[START_SLIP], nc, 3), cube(table[BASIS], nc, 3, 3)
-    rows, bias = cube(table[ROWS], nc, 3, nv), matrix(table[BIAS], nc, 3)
-    impulse = matrix(step[CONTACT_IMPULSE], nc, 3)
+    rows, impulse = cube(table[ROWS], nc, 3, nv), matrix(step[CONTACT_IMPULSE], nc, 3)
+    change = reals(step[CHANGE], nv)
     v0, tau, damping = reals(step[START_V], nv), reals(table[TAU], nv), reals(table[DAMPING], nv)
-    on_contacts, on_joints, _ = _impulse_work(step, h)
+    on_contacts, on_joints, _ = impulse_work(step, h)
     works[FRICTION_WORK] += on_contacts
     works[DAMPING_WORK] += on_joints
     side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
@@ -895,10 +294,11 @@ def _add_works(table, step, nv, nc, h, v1, works):
         for side in range(2 * c, 2 * c + 2):
             is_driven = is_driven or side_int[side, MOTION_KIND] != 0 or side_int[side, TIME_DEPENDENT] != 0
         for row in range(3 if is_driven else 0):
-            driven = -dot(basis[c, row], slip[c]) - 0.5 * h * bias[c, row]
-            for k in range(nv):
-                driven += rows[c, row, k] * v0[k]
-            works[DRIVE_WORK] += impulse[c, row] * driven
+            line = rows[c, row]
+            # what v_c is on average where nothing but the drive moves it, against what the joints make of it
+            driven = start_velocity(table, step, c, row, nv, nc)
+            driven += 0.5 * (free_gain(table, step, c, row, nv, nc, h) - inner(line, change, nv))
+            works[DRIVE_WORK] += impulse[c, row] * (inner(line, v0, nv) - driven)
     for k in range(nv):
         mean = 0.5 * (v0[k] + v1[k])
         works[TORQUE_WORK] += h * tau[k] * mean
@@ -913,9 +313,9 @@ def advance(table, step):
     """
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    counts, h = integers(step[COUNTS], 8), reals(step[NUMBERS], 8)[H]
-    _equation_impulses(step, nv)
-    verdict = _review(step, nv, h)
+    counts, h = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)[H]
+    equation_impulses(step, nv)
+    verdict = review(step, nv, h)
     if verdict != DONE:
         return verdict
     _distribute(table, step, nv, nc, h)
@@ -974,7 +374,7 @@ def commit(table, step, stepped):
     """
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    counts, h = integers(step[COUNTS], 8), reals(step[NUMBERS], 8)[H]
+    counts, h = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)[H]
     stage, state = reals(table[STAGE_STATE], sizes[NY]), reals(table[STATE], sizes[NY])
     start_q, start_v, trend = reals(step[START_Q], nq), reals(step[START_V], nv), reals(step[TREND], nv)
     correction_q, correction_v = reals(table[CORRECTION_Q], nv), reals(table[CORRECTION_V], nv)

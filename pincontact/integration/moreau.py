@@ -39,9 +39,8 @@ from ..layout import (
 )
 from ..memory import address_of
 from .events import UserEvent
-from .impulses import (
+from .impulse_layout import (
     ACCELERATION,
-    AGAIN,
     CONE_FORCES,
     CONE_MODES,
     CONE_VELOCITIES,
@@ -49,17 +48,17 @@ from .impulses import (
     HAS_TREND,
     LOWER_LIMIT,
     MEAN_VELOCITY,
+    RIGID,
     STEP_SLOTS,
     TOUCHED,
     UNITS,
     UPPER_LIMIT,
     H,
-    advance,
-    assemble,
-    commit,
-    predict_midpoint,
     step_memory,
 )
+from .impulse_problem import assemble
+from .impulse_review import AGAIN
+from .impulses import advance, commit, predict_midpoint
 from .manifold import VECTOR, configuration_blocks
 from .results import FAILURES, FINISHED, STEP_LIMIT, TERMINATED, Event, Stop
 from .stages import correct_state, load_state, move_charts
@@ -74,6 +73,10 @@ _SMALL_CORRECTION = 1e-7
 _CORRECTIONS = 6
 # Compliances relative to the contacts' own, tried in turn where the cone problem has no solution.
 _COMPLIANCES = (1e-10, 1e-8, 1e-6, 1e-4)
+# How modes are looked for in every step, and where nothing else has helped (which takes milliseconds); without the
+# searches whose linear algebra rounds differently with the alignment of memory.
+_QUICK_SEARCHES = ("interior",)
+_SEARCHES = ("interior", "restart", "continuation")
 # Slip slower than this (m/s, relative to the largest velocity or 1) counts as rest where a run starts.
 _REST = 1e-9
 # Steps that end within this fraction of a step from the end, or from an output time, end there.
@@ -133,13 +136,13 @@ class MoreauStep:
             memory["restitution"][c] = contact.restitution
             memory["sticking"][c] = 0.0 if contact.friction is None else contact.friction.sticking
             memory["orientation"][c] = -1.0 if contact.swapped else 1.0
-        # without the stages whose linear algebra rounds differently with the alignment of memory
-        self.solver = ContactSolver(stages=("interior", "restart", "continuation"))
+        self.solver = ContactSolver(stages=_SEARCHES)
+        self.solver.stages = _QUICK_SEARCHES
         self.forces = memory["forces"][: system.nc]
         self.touch_time = memory["touch_time"][: system.nc]
         self.start_mode = memory["start_mode"][: system.nc]
         self.joint_impulse = memory["joint_impulse"][: system.nv]
-        self.cone_problems = self.softened = 0
+        self.cone_problems = self.rigid = self.softened = 0
         self.worst_residual = 0.0
         self._counts, self._numbers = memory["counts"], memory["numbers"]
         self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
@@ -203,19 +206,32 @@ class MoreauStep:
         if torque is not None and not torque(middle):
             return NOT_FINITE
         status = system.evaluate_kinematics(middle)
-        if status == OK:
-            status = assemble(table, self.table)
+        if status != OK:
+            return status
+        self._counts[RIGID] = 0
+        status = self._impulses()
+        if status == NO_FORCE and not self._counts[RIGID]:
+            # redundant contacts may contradict each other by what only rigid geometry leaves out
+            self._counts[RIGID] = 1
+            self.rigid += 1
+            status = self._impulses()
+        return self._impulses(thorough=True) if status == NO_FORCE else status
+
+    def _impulses(self, thorough: bool = False) -> int:
+        """Cone problem and end of the step. thorough: with compliance, and with all means of the solver."""
+        table = self.system.table
+        status = assemble(table, self.table)
         if status != OK:
             return status
         n = int(self._counts[UNITS])
         while True:
-            if n and not self._solve(n):
+            if n and not self._solve(n, thorough):
                 return NO_FORCE
             status = advance(table, self.table)
             if status != AGAIN:
                 return status
 
-    def _solve(self, n: int) -> bool:
+    def _solve(self, n: int, thorough: bool) -> bool:
         """Solve the assembled problem of n units; its solution is where `advance` looks for it."""
         problem = self._problems.get(n)
         if problem is None:
@@ -227,7 +243,7 @@ class MoreauStep:
             )
         self.cone_problems += 1
         solver = self.solver
-        if not solver.solve(*problem) and not self._solve_softened(*problem):
+        if not solver.solve(*problem) and not (thorough and self._solve_softened(*problem)):
             return False
         if solver.residual > self.worst_residual:
             self.worst_residual = solver.residual
@@ -243,16 +259,23 @@ class MoreauStep:
     def _solve_softened(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Solve with a little compliance in the contacts: with redundant ones, b may be out of reach by a little.
 
-        (Several points of a body that must not slip, of which one rebounds, are an example.)
+        (Several points of a body that must not slip, of which one rebounds, are an example.) The searches that take
+        long come last: they find what hardly any problem needs.
         """
+        solver = self.solver
         diagonal = np.einsum("ii->i", delassus)
+        stiff = diagonal.copy()
         unit = np.repeat(diagonal.reshape(-1, 3).mean(axis=1), 3)
         for share in _COMPLIANCES:
-            diagonal += share * unit
-            if self.solver.solve(delassus, b, mu):
+            diagonal[:] = stiff + share * unit
+            if solver.solve(delassus, b, mu):
                 self.softened += 1
                 return True
-        return False
+        diagonal[:] = stiff
+        solver.stages = _SEARCHES
+        found = solver.solve(delassus, b, mu)
+        solver.stages = _QUICK_SEARCHES
+        return found
 
     def _correct(self, t: float) -> int:
         """Evaluate the end of the step and put (q, v) back on the constraints of the new modes."""

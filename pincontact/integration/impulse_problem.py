@@ -8,6 +8,7 @@ The relative velocity u at the step's end is w_0 + rows (v_1 - v_0) + h bias to 
 w_m + rows (v_1 - v_m) in the midpoint's geometry: that is the velocity of bodies that are rigid to the last bit, so
 that redundant contacts can all come to rest, and impulses change the kinetic energy of just these velocities. Steps
 with impacts take it, and those in which redundant contacts contradict each other by what the first one leaves out.
+Sliding contacts take the mean of u and w_0 instead, which makes friction second order too, until one of them stops.
 """
 
 from __future__ import annotations
@@ -374,6 +375,9 @@ def _fill_units(table, step, nv, nc, h):
     v, change, trend = reals(step[START_V], nv), reals(step[CHANGE], nv), reals(step[TREND], nv)
     restitution = reals(step[RESTITUTION], nc)
     for u in range(n):
+        if counts[RIGID] != 0:
+            # means of both ends and velocities at the end are not those of one rigid body
+            unit_int[u, MIDPOINT] = 0
         kind, index, mask = unit_int[u, UNIT_KIND], unit_int[u, UNIT_INDEX], unit_int[u, ROW_MASK]
         for row in range(3):
             r = 3 * u + row

@@ -158,7 +158,7 @@ def review(step, nv, h):
             again = again or modes[u] == cone.STICK or onward <= 0.0
     for u in range(n):
         ints, values = unit_int[u], unit_real[u]
-        # all at once: velocities at the end and means of both ends are not those of one rigid body
+        # all at once, see `impulse_problem`
         if again and ints[MIDPOINT] != 0:
             b[3 * u] -= values[START_T1]
             b[3 * u + 1] -= values[START_T2]

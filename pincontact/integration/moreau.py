@@ -46,9 +46,13 @@ from .impulse_layout import (
     CONE_VELOCITIES,
     DRY_FRICTION,
     HAS_TREND,
+    KEPT,
+    KEPT_HIGH,
+    KEPT_LOW,
     LOWER_LIMIT,
     MEAN_VELOCITY,
     RIGID,
+    SHIFT,
     STEP_SLOTS,
     TOUCHED,
     UNITS,
@@ -73,6 +77,8 @@ _SMALL_CORRECTION = 1e-7
 _CORRECTIONS = 6
 # Compliances relative to the contacts' own, tried in turn where the cone problem has no solution.
 _COMPLIANCES = (1e-10, 1e-8, 1e-6, 1e-4)
+# What such a solution's forces may be, as velocities, relative to the largest one in b.
+_LARGEST_FORCE = 10.0
 # How modes are looked for in every step, and where nothing else has helped (which takes milliseconds); without the
 # searches whose linear algebra rounds differently with the alignment of memory.
 _QUICK_SEARCHES = ("interior",)
@@ -243,7 +249,7 @@ class MoreauStep:
             )
         self.cone_problems += 1
         solver = self.solver
-        if not solver.solve(*problem) and not (thorough and self._solve_softened(*problem)):
+        if not solver.solve(*problem) and not (thorough and self._solve_hard(n, *problem)):
             return False
         if solver.residual > self.worst_residual:
             self.worst_residual = solver.residual
@@ -256,22 +262,28 @@ class MoreauStep:
             self._loaded = n
         return True
 
-    def _solve_softened(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """Solve with a little compliance in the contacts: with redundant ones, b may be out of reach by a little.
+    def _solve_hard(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """What the quick searches did not solve: with a little compliance in the contacts, since with redundant ones b
+        may be out of reach by a little; then without rebounds; and then by the searches that take long.
 
-        (Several points of a body that must not slip, of which one rebounds, are an example.) The searches that take
-        long come last: they find what hardly any problem needs.
+        (Several points of a body that must not slip, of which one rebounds, are an example.)
         """
         solver = self.solver
         diagonal = np.einsum("ii->i", delassus)
         stiff = diagonal.copy()
-        unit = np.repeat(diagonal.reshape(-1, 3).mean(axis=1), 3)
+        unit = np.repeat(stiff.reshape(-1, 3).mean(axis=1), 3)
+        largest = _LARGEST_FORCE * float(np.abs(b).max())
         for share in _COMPLIANCES:
             diagonal[:] = stiff + share * unit
             if solver.solve(delassus, b, mu):
-                self.softened += 1
-                return True
+                # contacts that wedge each other are held by next to nothing but the compliance
+                if float((unit * np.abs(solver.forces)).max()) <= largest:
+                    self.softened += 1
+                    return True
+                solver.forget()
         diagonal[:] = stiff
+        b[2::3] += self._numbers[KEPT] * self.memory["unit_real"][:n, SHIFT]
+        self._numbers[KEPT] = self._numbers[KEPT_LOW] = self._numbers[KEPT_HIGH] = 0.0
         solver.stages = _SEARCHES
         found = solver.solve(delassus, b, mu)
         solver.stages = _QUICK_SEARCHES

@@ -266,6 +266,12 @@ def _distribute(table, step, nv, nc, h):
                     counts[TOUCHED] = 1
         if kind != ON_JOINT:
             contact_int[i, MODE] = _contact_mode(table, step, u, i, nc, h)
+    # impulses that nearly cancel (a wedged body) at different times would throw it far: one alone moves it no further
+    limit = 0.25 * h * h * inner(whole, whole, nv)
+    moved = inner(shifted, shifted, nv)
+    if moved > limit:
+        for k in range(nv):
+            shifted[k] *= math.sqrt(limit / moved)
     for c in range(nc):
         normal, second = impulse[c, 2], impulse[c, 1]
         if contact_int[c, UNILATERAL] == 0:

@@ -13,7 +13,7 @@ from ..contours.base import SHAPE_SIZE
 from ..contours.motion import MOTION_PARAMETERS, MOTION_SIZE, evaluate_motion
 from ..geometry.carriers import add_drive, place_on_joint
 from ..geometry.patterns import ON_CURVE
-from ..jit import INTEGER, TABLE, entry_kernel, kernel
+from ..jit import kernel
 from ..layout import (
     ACCELERATION,
     BASIS,
@@ -280,7 +280,7 @@ def _finite(a, n):
     return total - total == 0.0
 
 
-@entry_kernel(TABLE, INTEGER, INTEGER)
+@kernel
 def contact_corrections(table, with_position, with_velocity):
     """Corrections of q and v in the mass metric from the last evaluation (its rows, gaps, v_c and factor of M).
 

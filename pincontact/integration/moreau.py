@@ -14,7 +14,6 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import brentq
 
-from ..dynamics.evaluation import contact_corrections
 from ..dynamics.modes import rest_mode
 from ..dynamics.system import System
 from ..friction.solve import ContactSolver
@@ -22,7 +21,6 @@ from ..jit import compile_kernels
 from ..layout import (
     CHART,
     CONDITION,
-    CORRECTION_SIZE,
     FREE,
     FROZEN,
     LOCATION_FAILED,
@@ -65,16 +63,14 @@ from .impulse_review import AGAIN
 from .impulses import advance, commit, predict_midpoint
 from .manifold import VECTOR, configuration_blocks
 from .results import FAILURES, FINISHED, STEP_LIMIT, TERMINATED, Event, Stop
-from .stages import correct_state, load_state, move_charts
+from .stages import load_state, move_charts
+from .steps import KINEMATICS, SETTLE, run_task
 
 if TYPE_CHECKING:
     from ..contacts import Contact
 
 DEFAULT_STEP = 1e-3
 
-# A correction of q below this leaves gaps of its square, and needs no further evaluation.
-_SMALL_CORRECTION = 1e-7
-_CORRECTIONS = 6
 # Compliances relative to the contacts' own, tried in turn where the cone problem has no solution.
 _COMPLIANCES = (1e-10, 1e-8, 1e-6, 1e-4)
 # What such a solution's forces may be, as velocities, relative to the largest one in b.
@@ -154,6 +150,7 @@ class MoreauStep:
         self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._solutions: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._loaded = -1
+        self._charted = system.charted
 
     # ---------------------------------------------------------------- start
 
@@ -202,16 +199,16 @@ class MoreauStep:
                 counts[HAS_TREND] = ACCELERATION
             status = self._advance(t, h, torque)
         counts[HAS_TREND] = known
-        return status if status != OK else self._correct(t + h)
+        return status if status != OK else run_task(system.table, SETTLE, t + h, 0.0)
 
     def _advance(self, t: float, h: float, torque: Torque | None) -> int:
         """Midpoint, cone problem, end of the step."""
-        system, table = self.system, self.system.table
+        table = self.system.table
         predict_midpoint(table, self.table)
         middle = t + 0.5 * h
         if torque is not None and not torque(middle):
             return NOT_FINITE
-        status = system.evaluate_kinematics(middle)
+        status = run_task(table, KINEMATICS, middle, 0.0)
         if status != OK:
             return status
         self._counts[RIGID] = 0
@@ -289,24 +286,11 @@ class MoreauStep:
         solver.stages = _QUICK_SEARCHES
         return found
 
-    def _correct(self, t: float) -> int:
-        """Evaluate the end of the step and put (q, v) back on the constraints of the new modes."""
-        system, table, scalars = self.system, self.system.table, self.system.scalars
-        for _ in range(_CORRECTIONS):
-            status = system.evaluate_kinematics(t)
-            if status != OK:
-                return status
-            contact_corrections(table, 1, 1)
-            correct_state(table, 1, 1)
-            if scalars[CORRECTION_SIZE] <= _SMALL_CORRECTION:
-                break
-        return OK
-
     def accept(self, t: float) -> bool:
         """The attempted state becomes the start; t is its time. Whether any mode, sign or chart is another now."""
         system = self.system
         changed = commit(system.table, self.table, 1)
-        if system.charted and move_charts(system.table):
+        if self._charted and move_charts(system.table):
             system.stage_state[:] = system.state
             load_state(system.table)
             system.evaluate_kinematics(t)

@@ -18,6 +18,7 @@ from .integration.results import CONTROL_FAILED, Stop
 from .integration.runge_kutta import RungeKutta
 from .integration.tableaux import tableau
 from .integration.transitions import Transitions
+from .jit import compile_kernels
 from .layout import CLOSED_COUNT, EVALUATION_COUNT, NEWTON_COUNT
 from .scene import Scene
 from .state import State, write_discrete
@@ -72,8 +73,12 @@ def simulate(
     if step is not None and method != "Moreau":
         raise ArgumentError(f"step is for method 'Moreau'; method {method!r} takes fixed_step or max_step")
     pair = None if method == "Moreau" else tableau(method)
-    if pair is not None:
+    if pair is None:
+        # imported, and with it kernels to compile, for those who use it
+        from .integration import moreau  # noqa: F401
+    else:
         _check_laws(scene, method)
+    compile_kernels()
     began = time.perf_counter()
     contacts = list(scene.contacts.values())
     # time stepping reads the joints' limits and friction itself
@@ -134,7 +139,6 @@ def _simulate_moreau(
     began: float,
 ) -> Trajectory:
     """The run of method "Moreau" on a system whose state is set."""
-    # imported, and its kernels compiled, for those who use it
     from .integration.moreau import DEFAULT_STEP, MoreauDriver, MoreauStep
 
     size = DEFAULT_STEP if step is None else step
@@ -161,6 +165,7 @@ def _simulate_moreau(
         "newton": int(system.counters[NEWTON_COUNT]),
         "closed_form": int(system.counters[CLOSED_COUNT]),
         "cone_problems": stepper.cone_problems,
+        "rigid": stepper.rigid,
         "softened": stepper.softened,
         "decided": dict(stepper.solver.decided),
         "qp": stepper.solver.qp_count,

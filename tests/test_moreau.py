@@ -177,6 +177,54 @@ def test_rest_does_not_creep():
     assert kinds(run) == []
 
 
+def arm_scene():
+    """Two links that press their tip onto the floor at a distance of 0.5 m, and the torques that do."""
+    model, place = pin.Model(), pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.3]))
+    joint = 0
+    for i in range(2):
+        joint = model.addJoint(joint, pin.JointModelRY(), place, f"joint{i}")
+        inertia = pin.Inertia(1.0, np.array([0.2, 0.0, 0.0]), 0.02 * np.eye(3))
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+        model.addBodyFrame(f"link{i}", joint, pin.SE3.Identity(), 0)
+        place = pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0]))
+    scene = pc.Scene(model)
+    tip, floor = scene.add_contour("tip", pc.Point(), "link1", place), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", tip, floor, friction=pc.Coulomb(0.8))
+    # law of cosines for the elbow, then the height of the tip
+    bend = math.acos((0.5**2 + 0.3**2) / (2.0 * 0.4**2) - 1.0)
+    shoulder = math.atan2(0.3, 0.5) - 0.5 * bend
+    return scene, scene.initial_state(np.array([shoulder, bend]), max_gap=0.05), np.array([3.0, 1.0])
+
+
+def resting(name):
+    """Scene, state and torques of something that stays where it is, near its limit of friction."""
+    if name == "four feet":
+        angle = math.radians(20.0)
+        return *block_scene(0.4, (G * math.sin(angle), 0.0, -G * math.cos(angle))), np.zeros(6)
+    if name == "arm":
+        return arm_scene()
+    scene = ball_scene(friction=pc.Coulomb(0.3))
+    q = upright(0.0, 0.0, 0.1)
+    return scene, scene.initial_state(q), np.zeros(6)
+
+
+@pytest.mark.parametrize("name", ["four feet", "ball", "arm"])
+def test_rest_for_a_thousand_seconds(name):
+    """Below 1e-12 m/s over 1000 s, where soft contacts creep by millimetres."""
+    scene, state, tau = resting(name)
+    stepper = pc.Stepper(scene, state, dt=0.1)
+    for _ in range(10_000):
+        stepper.step(tau)
+    assert stepper.modes.tolist() == [STICK] * len(scene.contacts)
+    assert np.abs(pin.difference(scene.model, state.q, stepper.q)).max() <= 1e-9
+    if name != "four feet":
+        # redundant feet are another method's: the event-driven one takes forces of least norm
+        # a step's length squared times the round-off of accelerations is what it moves by
+        run = pc.simulate(scene, state, 1000.0, control=lambda t, q, v: tau, t_eval=[1000.0], max_step=10.0)
+        assert run.status == 0, run.message
+        assert np.abs(run.q[-1] - state.q).max() <= 1e-9
+
+
 def test_coulomb_oscillator_stops():
     """x'' = -k x -+ mu g from x0: every half-period takes 2 mu g / k off, until |x| <= mu g / k holds."""
     mu, k, h = 0.3, 30.0, 5e-4
@@ -254,6 +302,63 @@ def test_jam_is_resolved():
     assert run.contacts["c"].mode[1] in (STICK, FREE)
     # nothing is known of the contact at the start, where there is no force
     assert np.nanmin(run.contacts["c"].gap) >= -1e-4
+
+
+@pytest.mark.parametrize("mu", [0.2, 0.5, 1.0])
+def test_tumbling_block(mu):
+    """A block thrown on its eight corners bounces, tumbles and comes to rest on a face: four redundant corners."""
+    size = np.array([0.2, 0.15, 0.1])
+    for h in (2e-3, 5e-4):
+        scene = body_scene(pin.JointModelFreeFlyer(), 3.0, (0.0325, 0.05, 0.0725))
+        floor = scene.add_contour("floor", pc.Plane())
+        for i in range(8):
+            place = pin.SE3(np.eye(3), size * [1 - 2 * (i >> k & 1) for k in range(3)])
+            corner = scene.add_contour(f"corner{i}", pc.Point(), "body", place)
+            scene.add_contact(f"corner{i}", corner, floor, friction=pc.Coulomb(mu), restitution=0.3)
+        q = np.concatenate([[0.0, 0.0, 0.6], pin.Quaternion(pin.rpy.rpyToMatrix(0.4, 0.3, 0.2)).coeffs()])
+        state = scene.initial_state(q, [1.5, 0.3, 0.0, 2.0, 6.0, 1.0], free=list(scene.contacts))
+        run = stepped(scene, state, 2.0, h, t_eval=[2.0])
+        assert np.abs(run.v[-1]).max() <= 1e-12
+        assert sum(run.contacts[name].mode[-1] == STICK for name in scene.contacts) == 4
+        # it lies on one of its faces
+        assert np.abs(size - run.q[-1, 2]).min() <= 1e-12
+        assert run.stats["cone_residual"] <= 1e-10
+
+
+@pytest.mark.parametrize("driven", ["conveyor", "shaker"])
+def test_energy_of_driven_contacts(driven):
+    """What the drive puts in is what the body has and friction took, but for an error of the steps where slip ends.
+
+    A conveyor carries a block along; a plate that shakes slides under it and takes it along, back and forth.
+    """
+    motion = pc.ConstantTwist(linear=(1.0, 0.0, 0.0))
+    if driven == "shaker":
+        motion = pc.HarmonicMotion(amplitude=(0.02, 0.0, 0.002), frequency=3.0)
+    scene = body_scene(pin.JointModelFreeFlyer(), 2.0, (0.02, 0.03, 0.04))
+    floor = scene.add_contour("floor", pc.Plane(), motion=motion)
+    for i, (x, y) in enumerate(((0.2, 0.1), (0.2, -0.1), (-0.2, 0.1), (-0.2, -0.1))):
+        foot = scene.add_contour(f"foot{i}", pc.Point(), "body", pin.SE3(np.eye(3), np.array([x, y, -0.05])))
+        scene.add_contact(f"foot{i}", foot, floor, friction=pc.Coulomb(0.3))
+    state = scene.initial_state(upright(0.0, 0.0, 0.05))
+    lost = []
+    for h in (4e-3, 2e-3):
+        run = stepped(scene, state, 0.6, h, energies=True)
+        energies = run.energies()
+        assert (run.contacts["foot0"].mode == SLIPPING).any()
+        # friction takes, the drive gives
+        assert energies.friction_work[-1] < -0.1
+        assert energies.drive_work[-1] > 0.1
+        # where slip ends within a step, the impulse that ends it meets the mean of the velocities at both ends
+        assert np.diff(energies.friction_work).max() <= 5e-3 * energies.kinetic.max()
+        lost.append(np.abs(energies.balance).max())
+    # a quarter, where it is more than round-off
+    assert lost[1] <= max(0.4 * lost[0], 1e-12)
+    assert lost[1] <= 1e-3 * -energies.friction_work[-1]
+    if driven == "conveyor":
+        # v = mu g t up to the belt's speed; all work that is not kinetic energy is heat: one half each
+        assert abs(run.v[-1, 0] - 1.0) <= 1e-12
+        assert abs(energies.friction_work[-1] + 1.0) <= 1e-2
+        assert abs(energies.drive_work[-1] - 2.0) <= 1e-2
 
 
 # ---------------------------------------------------------------------------------------------------- joints

@@ -1,6 +1,8 @@
 """The stepper: the same numbers for the same input, what it hands out, and what it refuses."""
 
+import gc
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -30,6 +32,46 @@ def test_deterministic_to_the_bit(make):
     first = drive(pc.Stepper(scene, state), taus)
     np.testing.assert_array_equal(drive(pc.Stepper(scene, state), taus), first)
     assert np.ptp(first[:, 0]) > 0.0
+
+
+def test_a_thousand_steps_to_the_bit():
+    """Steppers of their own, a copy on the way and a reset: all the same, through slip, stick and tipping."""
+    scene, state = block_scene(0.4)
+    taus = torques(1000, 6) * [6.0, 6.0, 3.0, 0.5, 0.5, 0.5]
+    stepper = pc.Stepper(scene, state)
+    first = drive(stepper, taus)
+    other = pc.Stepper(scene, state)
+    np.testing.assert_array_equal(drive(other, taus[:437]), first[:437])
+    twin = other.copy()
+    np.testing.assert_array_equal(drive(twin, taus[437:]), first[437:])
+    np.testing.assert_array_equal(drive(other, taus[437:]), first[437:])
+    stepper.reset(state)
+    np.testing.assert_array_equal(drive(stepper, taus), first)
+
+
+def test_steps_allocate_nothing_that_stays():
+    """In the steady state memory neither grows nor is there more at work than one step's few small objects."""
+    scene, state = block_scene(0.5)
+    stepper = pc.Stepper(scene, state)
+    # slip to and fro and stick: buffers of all sizes of problems are there after that
+    taus = [np.array([15.0, 0, 0, 0, 0, 0.3]), np.array([-15.0, 0, 0, 0, 0, -0.3]), np.zeros(6)]
+    for i in range(300):
+        stepper.step(taus[i % 3])
+    gc.collect()
+    tracemalloc.start()
+    try:
+        for i in range(30):
+            stepper.step(taus[i % 3])
+        before, _ = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        for i in range(600):
+            stepper.step(taus[i % 3])
+        after, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # a float or a State may be replaced by one of another size; an array of this scene has 200 bytes and more
+    assert after - before <= 1000
+    assert peak - before <= 16_000
 
 
 @pytest.mark.parametrize("make", [bouncing, lambda: block_scene(0.3)])

@@ -15,7 +15,7 @@ from ..friction.ellipse import set_stretch
 from ..geometry.carriers import add_drive, place_on_joint
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
-from ..jit import INTEGER, TABLE, entry_kernel, kernel
+from ..jit import kernel
 from ..layout import (
     ACCELERATION,
     ALONG_BODY_1,
@@ -339,7 +339,7 @@ def _finite(a, n):
     return total - total == 0.0
 
 
-@entry_kernel(TABLE, INTEGER, INTEGER)
+@kernel
 def contact_corrections(table, with_position, with_velocity):
     """Corrections of q and v in the mass metric from the last evaluation (its rows, gaps, v_c and factor of M).
 

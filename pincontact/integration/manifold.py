@@ -131,3 +131,48 @@ def move(blocks, q, step, rate, out):
     for i in range(q.shape[0]):
         out[i] = q[i] + rate[i]
     normalize(blocks, out, out)
+
+
+@kernel
+def _turn(q, i, wx, wy, wz, out):
+    """out[i:i+4] = quaternion q[i:i+4] times the exponential of the rotation vector w (body axes)."""
+    angle = math.sqrt(wx * wx + wy * wy + wz * wz)
+    half = 0.5 * angle
+    s = 0.5 * (1.0 - half * half / 6.0) if angle < 1e-4 else math.sin(half) / angle
+    a, b, c, d = s * wx, s * wy, s * wz, math.cos(half)
+    x, y, z, w = q[i], q[i + 1], q[i + 2], q[i + 3]
+    out[i] = w * a + x * d + y * c - z * b
+    out[i + 1] = w * b + y * d + z * a - x * c
+    out[i + 2] = w * c + z * d + x * b - y * a
+    out[i + 3] = w * d - x * a - y * b - z * c
+
+
+@kernel
+def displace(blocks, q, step, out):
+    """out = q moved by the finite tangent step (nv,): turned by its exponential, translated in the axes half-way."""
+    for b in range(blocks.shape[0]):
+        kind, iq, iv, n = blocks[b, 0], blocks[b, 1], blocks[b, 2], blocks[b, 3]
+        if kind == VECTOR:
+            for i in range(n):
+                out[iq + i] = q[iq + i] + step[iv + i]
+        elif kind == FREE_FLYER:
+            wx, wy, wz = step[iv + 3], step[iv + 4], step[iv + 5]
+            _turn(q, iq + 3, 0.5 * wx, 0.5 * wy, 0.5 * wz, out)
+            x, y, z = _rotate_by_quaternion(
+                out[iq + 3], out[iq + 4], out[iq + 5], out[iq + 6], step[iv], step[iv + 1], step[iv + 2]
+            )
+            out[iq], out[iq + 1], out[iq + 2] = q[iq] + x, q[iq + 1] + y, q[iq + 2] + z
+            _turn(q, iq + 3, wx, wy, wz, out)
+        elif kind == QUATERNION:
+            _turn(q, iq, step[iv], step[iv + 1], step[iv + 2], out)
+        else:
+            first, turn = (iq, step[iv]) if kind == CIRCLE_BLOCK else (iq + 2, step[iv + 2])
+            c, s = q[first], q[first + 1]
+            if kind != CIRCLE_BLOCK:
+                ch, sh = math.cos(0.5 * turn), math.sin(0.5 * turn)
+                cm, sm = c * ch - s * sh, s * ch + c * sh
+                out[iq] = q[iq] + cm * step[iv] - sm * step[iv + 1]
+                out[iq + 1] = q[iq + 1] + sm * step[iv] + cm * step[iv + 1]
+            ct, st = math.cos(turn), math.sin(turn)
+            out[first], out[first + 1] = c * ct - s * st, s * ct + c * st
+    normalize(blocks, out, out)

@@ -14,7 +14,6 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import brentq
 
-from ..dynamics.evaluation import contact_corrections
 from ..dynamics.joints import joint_guards
 from ..dynamics.modes import rest_mode
 from ..dynamics.system import System
@@ -23,7 +22,6 @@ from ..jit import compile_kernels
 from ..layout import (
     CHART,
     CONDITION,
-    CORRECTION_SIZE,
     FREE,
     FROZEN,
     LOCATION_FAILED,
@@ -40,40 +38,46 @@ from ..layout import (
 )
 from ..memory import address_of
 from .events import UserEvent
-from .impulses import (
+from .impulse_layout import (
     ACCELERATION,
-    AGAIN,
     CONE_FORCES,
     CONE_MODES,
     CONE_VELOCITIES,
     DRY_FRICTION,
     HAS_TREND,
+    KEPT,
+    KEPT_HIGH,
+    KEPT_LOW,
     LOWER_LIMIT,
     MEAN_VELOCITY,
+    RIGID,
+    SHIFT,
     STEP_SLOTS,
     TOUCHED,
     UNITS,
     UPPER_LIMIT,
     H,
-    advance,
-    assemble,
-    commit,
-    predict_midpoint,
     step_memory,
 )
+from .impulse_problem import assemble
+from .impulse_review import AGAIN
+from .impulses import advance, commit, predict_midpoint
 from .results import FAILURES, FINISHED, STEP_LIMIT, TERMINATED, Event, Stop
-from .stages import correct_state, load_state, move_charts
+from .stages import load_state, move_charts
+from .steps import KINEMATICS, SETTLE, run_task
 
 if TYPE_CHECKING:
     from ..contacts import Contact
 
 DEFAULT_STEP = 1e-3
 
-# A correction of q below this leaves gaps of its square, and needs no further evaluation.
-_SMALL_CORRECTION = 1e-7
-_CORRECTIONS = 6
 # Compliances relative to the contacts' own, tried in turn where the cone problem has no solution.
 _COMPLIANCES = (1e-10, 1e-8, 1e-6, 1e-4)
+# What such a solution's forces may be, as velocities, relative to the largest one in b.
+_LARGEST_FORCE = 10.0
+# How modes are looked for, quickly in every step, at length (milliseconds) where nothing else has helped; without the
+# search whose linear algebra rounds differently with the alignment of memory.
+_SEARCHES = ("sweeps", "path")
 # Slip slower than this (m/s, relative to the largest velocity or 1) counts as rest where a run starts.
 _REST = 1e-9
 # Steps that end within this fraction of a step from the end, or from an output time, end there.
@@ -131,19 +135,19 @@ class MoreauStep:
             memory["restitution"][c] = contact.restitution
             memory["sticking"][c] = 0.0 if contact.friction is None else contact.friction.sticking
             memory["orientation"][c] = -1.0 if contact.swapped else 1.0
-        # without the stage whose linear algebra rounds differently with the alignment of memory
-        self.solver = ContactSolver(stages=("sweeps", "path"))
+        self.solver = ContactSolver(stages=_SEARCHES, quick=True)
         self.forces = memory["forces"][: system.nc]
         self.torques = memory["torques"][: system.nc]
         self.touch_time = memory["touch_time"][: system.nc]
         self.start_mode = memory["start_mode"][: system.nc]
         self.joint_impulse = memory["joint_impulse"][: system.nv]
-        self.cone_problems = self.softened = 0
+        self.cone_problems = self.rigid = self.softened = 0
         self.worst_residual = 0.0
         self._counts, self._numbers = memory["counts"], memory["numbers"]
         self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._solutions: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._loaded = -1
+        self._charted = system.charted
 
     # ---------------------------------------------------------------- start
 
@@ -193,29 +197,42 @@ class MoreauStep:
                 counts[HAS_TREND] = ACCELERATION
             status = self._advance(t, h, torque)
         counts[HAS_TREND] = known
-        return status if status != OK else self._correct(t + h)
+        return status if status != OK else run_task(system.table, SETTLE, t + h, 0.0)
 
     def _advance(self, t: float, h: float, torque: Torque | None) -> int:
         """Midpoint, cone problem, end of the step."""
-        system, table = self.system, self.system.table
+        table = self.system.table
         predict_midpoint(table, self.table)
         middle = t + 0.5 * h
         if torque is not None and not torque(middle):
             return NOT_FINITE
-        status = system.evaluate_kinematics(middle)
-        if status == OK:
-            status = assemble(table, self.table)
+        status = run_task(table, KINEMATICS, middle, 0.0)
+        if status != OK:
+            return status
+        self._counts[RIGID] = 0
+        status = self._impulses()
+        if status == NO_FORCE and not self._counts[RIGID]:
+            # redundant contacts may contradict each other by what only rigid geometry leaves out
+            self._counts[RIGID] = 1
+            self.rigid += 1
+            status = self._impulses()
+        return self._impulses(thorough=True) if status == NO_FORCE else status
+
+    def _impulses(self, thorough: bool = False) -> int:
+        """Cone problem and end of the step. thorough: with compliance, and with all means of the solver."""
+        table = self.system.table
+        status = assemble(table, self.table)
         if status != OK:
             return status
         n = int(self._counts[UNITS])
         while True:
-            if n and not self._solve(n):
+            if n and not self._solve(n, thorough):
                 return NO_FORCE
             status = advance(table, self.table)
             if status != AGAIN:
                 return status
 
-    def _solve(self, n: int) -> bool:
+    def _solve(self, n: int, thorough: bool) -> bool:
         """Solve the assembled problem of n units; its solution is where `advance` looks for it."""
         problem = self._problems.get(n)
         if problem is None:
@@ -227,7 +244,7 @@ class MoreauStep:
             )
         self.cone_problems += 1
         solver = self.solver
-        if not solver.solve(*problem) and not self._solve_softened(*problem):
+        if not solver.solve(*problem) and not (thorough and self._solve_hard(n, *problem)):
             return False
         if solver.residual > self.worst_residual:
             self.worst_residual = solver.residual
@@ -240,38 +257,38 @@ class MoreauStep:
             self._loaded = n
         return True
 
-    def _solve_softened(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """Solve with a little compliance in the contacts: with redundant ones, b may be out of reach by a little.
+    def _solve_hard(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """What the quick searches did not solve: with a little compliance in the contacts, since with redundant ones b
+        may be out of reach by a little; then without rebounds, and at length.
 
         (Several points of a body that must not slip, of which one rebounds, are an example.)
         """
+        solver = self.solver
         diagonal = np.einsum("ii->i", delassus)
-        unit = np.repeat(diagonal.reshape(-1, 3).mean(axis=1), 3)
+        stiff = diagonal.copy()
+        unit = np.repeat(stiff.reshape(-1, 3).mean(axis=1), 3)
+        largest = _LARGEST_FORCE * float(np.abs(b).max())
         for share in _COMPLIANCES:
-            diagonal += share * unit
-            if self.solver.solve(delassus, b, mu):
-                self.softened += 1
-                return True
-        return False
-
-    def _correct(self, t: float) -> int:
-        """Evaluate the end of the step and put (q, v) back on the constraints of the new modes."""
-        system, table, scalars = self.system, self.system.table, self.system.scalars
-        for _ in range(_CORRECTIONS):
-            status = system.evaluate_kinematics(t)
-            if status != OK:
-                return status
-            contact_corrections(table, 1, 1)
-            correct_state(table, 1, 1)
-            if scalars[CORRECTION_SIZE] <= _SMALL_CORRECTION:
-                break
-        return OK
+            diagonal[:] = stiff + share * unit
+            if solver.solve(delassus, b, mu):
+                # contacts that wedge each other are held by next to nothing but the compliance
+                if float((unit * np.abs(solver.forces)).max()) <= largest:
+                    self.softened += 1
+                    return True
+                solver.forget()
+        diagonal[:] = stiff
+        b[2::3] += self._numbers[KEPT] * self.memory["unit_real"][:n, SHIFT]
+        self._numbers[KEPT] = self._numbers[KEPT_LOW] = self._numbers[KEPT_HIGH] = 0.0
+        solver.quick = False
+        found = solver.solve(delassus, b, mu)
+        solver.quick = True
+        return found
 
     def accept(self, t: float) -> bool:
         """The attempted state becomes the start; t is its time. Whether any mode, sign or chart is another now."""
         system = self.system
         changed = commit(system.table, self.table, 1)
-        if system.charted and move_charts(system.table):
+        if self._charted and move_charts(system.table):
             system.stage_state[:] = system.state
             load_state(system.table)
             system.evaluate_kinematics(t)

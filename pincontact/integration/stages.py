@@ -13,7 +13,7 @@ from ..contours.base import SHAPE_SIZE
 from ..contours.charts import convert_chart, preferred_chart
 from ..dynamics.equations import guard_force
 from ..geometry.small import dot
-from ..jit import INTEGER, TABLE, entry_kernel, kernel
+from ..jit import TABLE, entry_kernel, kernel
 from ..layout import (
     ABSOLUTE,
     ACCELERATION,
@@ -209,7 +209,7 @@ def load_state(table):
     hand_over(table, reals(table[STAGE_STATE], integers(table[SIZES], 8)[NY]))
 
 
-@entry_kernel(TABLE, INTEGER, INTEGER)
+@kernel
 def correct_state(table, with_position, with_velocity):
     """Apply the last corrections to STAGE_STATE: v first (its rows belong to the old q), then q; take the location
     found, moved along with q."""

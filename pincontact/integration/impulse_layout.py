@@ -1,0 +1,151 @@
+"""Names of the arrays of one step of Moreau's method, and of the columns within them."""
+
+from __future__ import annotations
+
+from ..layout import CONTACT_INTS
+from ..memory import Memory
+
+# Arrays of one step, by slot of their own table; ns units, ne equations.
+STEP_SLOTS = (
+    "counts",  # (NCOUNTS,) int: see the COUNT columns
+    "numbers",  # (8,): see the columns below
+    "start_q",
+    "start_v",
+    "start_location",  # (nc, 4)
+    "start_rates",  # (nc, 4)
+    "start_slip",  # (nc, 3) v_c, world axes
+    "start_normal",  # (nc, 2) components of v_c along n and the second normal
+    "start_gap",  # (nc,)
+    "start_mode",  # (nc,) int
+    "trend",  # (nv,) mean acceleration of the last step
+    "change",  # (nv,) v_free - v_0
+    "restitution",  # (nc,)
+    "sticking",  # (nc,) coefficient up to which a contact at rest sticks
+    "load",  # (nc,) normal impulse over the step size in the last step of contacts whose disks depend on it, N
+    "joint_int",  # (nj, 3) int: kind, index in q, index in v
+    "joint_real",  # (nj, 2): limit and nothing, or half the width and the middle of the friction force's range
+    "unit_int",  # (ns, UNIT_INTS) int
+    "unit_real",  # (ns, UNIT_REALS)
+    "whitened",  # (3 ns, nv) L^-1 rows^T, without what the equations take
+    "overlap",  # (3 ns, ne) what they take
+    "delassus",  # (9 ns ns,) of which the first (3 n)^2 are used
+    "loads",  # (3 ns,) b of the cone problem
+    "friction",  # (ns,)
+    "cone_forces",  # (3 n,) of the solver
+    "cone_velocities",
+    "cone_modes",
+    "equation_index",  # (ne, 2) int: contact and row
+    "equations",  # (ne, nv) orthonormal basis of their whitened rows
+    "equation_factor",  # (ne, ne) the rows in that basis
+    "equation_share",  # (ne,) change of velocity in that basis
+    "equation_impulse",  # (ne,)
+    "contact_impulse",  # (nc, 3) along the basis, N s
+    "joint_impulse",  # (nv,) of limits, dry friction, and of what resists spinning and rolling
+    "touch_time",  # (nc,) s after the step's start, negative: did not touch
+    "displacement",  # (nv,)
+    "mean",  # (nv,) displacement over the step size
+    "forces",  # (nc, 3) impulse over step size on the second contour given, world axes
+    "torques",  # (nc, 3) what resists spinning and rolling, likewise
+    "orientation",  # (nc,): -1 where the user named the contours the other way round
+    "known",  # (nc, CONTACT_INTS + 2) int: the contact's integers and charts after the last step
+)
+(
+    COUNTS,
+    NUMBERS,
+    START_Q,
+    START_V,
+    START_LOCATION,
+    START_RATES,
+    START_SLIP,
+    START_NORMAL,
+    START_GAP,
+    START_MODE,
+    TREND,
+    CHANGE,
+    RESTITUTION,
+    STICKING,
+    LOAD,
+    JOINT_INT,
+    JOINT_REAL,
+    UNIT_INT,
+    UNIT_REAL,
+    WHITENED,
+    OVERLAP,
+    DELASSUS,
+    LOADS,
+    FRICTION,
+    CONE_FORCES,
+    CONE_VELOCITIES,
+    CONE_MODES,
+    EQUATION_INDEX,
+    EQUATIONS,
+    EQUATION_FACTOR,
+    EQUATION_SHARE,
+    EQUATION_IMPULSE,
+    CONTACT_IMPULSE,
+    JOINT_IMPULSE,
+    TOUCH_TIME,
+    DISPLACEMENT,
+    MEAN,
+    FORCES,
+    TORQUES,
+    ORIENTATION,
+    KNOWN,
+) = range(len(STEP_SLOTS))
+
+# counts; RIGID: the laws hold for velocities in the midpoint's geometry, see `impulse_problem`
+NJ, MAX_UNITS, MAX_EQUATIONS, UNITS, NEQ, HAS_TREND, TOUCHED, REVIEWS, RIGID = range(9)
+NCOUNTS = 9
+# counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
+ACCELERATION, MEAN_VELOCITY = 1, 2
+# numbers
+H, KEPT, KEPT_LOW, KEPT_HIGH = range(4)
+# joint_int
+JOINT_KIND, JOINT_Q, JOINT_V = range(3)
+LOWER_LIMIT, UPPER_LIMIT, DRY_FRICTION = range(3)
+# unit_int; ROW_MASK: bit r is set where row r is real, the others only fill up the cone. Row r of a unit that resists
+# turning is about basis vector AXIS + r; PARENT is the unit of the contact, -1 where equations give its normal impulse.
+UNIT_KIND, UNIT_INDEX, ROW_MASK, TOUCHES, MIDPOINT, AT_REST, AXIS, PARENT = range(8)
+UNIT_INTS = 8
+ON_CONTACT, ON_LOADED, ON_JOINT, ON_TURN = range(4)
+# unit_real
+IMPULSE_TIME, SHIFT, APPROACH, FREE_RATE, START_T1, START_T2, UNIT_LOAD, SLIDING, DRIVEN_T1, DRIVEN_T2 = range(10)
+UNIT_REALS = 10
+
+
+def step_memory(nq: int, nv: int, nc: int, nj: int, nt: int) -> Memory:
+    """The arrays of `STEP_SLOTS` for a system with nj joint limits and dry frictions, and nt resistances to turning."""
+    memory = Memory(STEP_SLOTS)
+    contacts, units, equations = max(nc, 1), max(nc + nj + nt, 1), max(3 * nc, 1)
+    counts = memory.integers("counts", NCOUNTS)
+    counts[[NJ, MAX_UNITS, MAX_EQUATIONS]] = nj, units, equations
+    memory.reals("numbers", 8)
+    memory.reals("start_q", nq)
+    for name in ("start_v", "trend", "change", "joint_impulse", "displacement", "mean"):
+        memory.reals(name, max(nv, 1))
+    for name in ("start_location", "start_rates"):
+        memory.reals(name, contacts, 4)
+    for name in ("start_slip", "contact_impulse", "forces", "torques"):
+        memory.reals(name, contacts, 3)
+    memory.reals("start_normal", contacts, 2)
+    for name in ("start_gap", "restitution", "sticking", "load", "touch_time", "orientation"):
+        memory.reals(name, contacts)
+    memory.integers("start_mode", contacts)
+    memory.integers("known", contacts, CONTACT_INTS + 2)
+    memory.integers("joint_int", max(nj, 1), 3)
+    memory.reals("joint_real", max(nj, 1), 2)
+    memory.integers("unit_int", units, UNIT_INTS)
+    memory.reals("unit_real", units, UNIT_REALS)
+    memory.reals("whitened", 3 * units, nv)
+    memory.reals("overlap", 3 * units, equations)
+    memory.reals("delassus", 9 * units * units)
+    for name in ("loads", "cone_forces", "cone_velocities"):
+        memory.reals(name, 3 * units)
+    memory.reals("friction", units)
+    memory.integers("cone_modes", units)
+    memory.integers("equation_index", equations, 2)
+    memory.reals("equations", equations, nv)
+    memory.reals("equation_factor", equations, equations)
+    for name in ("equation_share", "equation_impulse"):
+        memory.reals(name, equations)
+    return memory

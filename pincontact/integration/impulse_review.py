@@ -1,0 +1,206 @@
+"""Whether the solution of a step's cone problem stands (see `impulses`), and the work that its impulses do."""
+
+from __future__ import annotations
+
+import math
+
+from ..dynamics.energy import ENERGY_SLACK, KEPT_ACCURACY
+from ..friction import cone
+from ..jit import kernel
+from ..layout import NO_FORCE
+from ..memory import integer_matrix, integers, matrix, reals
+from .impulse_layout import (
+    APPROACH,
+    AT_REST,
+    CONE_FORCES,
+    CONE_MODES,
+    CONE_VELOCITIES,
+    COUNTS,
+    DELASSUS,
+    EQUATION_FACTOR,
+    EQUATION_IMPULSE,
+    EQUATION_INDEX,
+    EQUATION_SHARE,
+    FREE_RATE,
+    FRICTION,
+    IMPULSE_TIME,
+    KEPT,
+    KEPT_HIGH,
+    KEPT_LOW,
+    LOADS,
+    MAX_EQUATIONS,
+    MAX_UNITS,
+    MIDPOINT,
+    NCOUNTS,
+    NEQ,
+    NUMBERS,
+    ON_JOINT,
+    ON_LOADED,
+    ON_TURN,
+    OVERLAP,
+    PARENT,
+    REVIEWS,
+    ROW_MASK,
+    SHIFT,
+    SLIDING,
+    START_T1,
+    START_T2,
+    TOUCHES,
+    UNIT_INDEX,
+    UNIT_INT,
+    UNIT_INTS,
+    UNIT_KIND,
+    UNIT_LOAD,
+    UNIT_REAL,
+    UNIT_REALS,
+    UNITS,
+)
+
+# What `advance` returns: the step is done, or the cone problem was changed and must be solved again.
+DONE, AGAIN = 0, -1
+
+# Fixed point on the normal loads of bilateral contacts: change that ends it, undamped iterations, all iterations.
+LOAD_CHANGE = 1e-12
+# The same for resistance to turning, whose loads come from a cone problem solved to this accuracy.
+TURN_LOAD_CHANGE = 1e-10
+UNDAMPED = 12
+REVIEW_LIMIT = 200
+
+
+@kernel
+def equation_impulses(step, nv):
+    """Impulses of the equations that go with the cones' forces: R^T P = share - overlap^T F."""
+    counts = integers(step[COUNTS], NCOUNTS)
+    n, nequations, size = counts[UNITS], counts[NEQ], counts[MAX_EQUATIONS]
+    forces = reals(step[CONE_FORCES], 3 * n)
+    overlap, factor = matrix(step[OVERLAP], 3 * counts[MAX_UNITS], size), matrix(step[EQUATION_FACTOR], size, size)
+    share, impulse = reals(step[EQUATION_SHARE], size), reals(step[EQUATION_IMPULSE], size)
+    for e in range(nequations - 1, -1, -1):
+        value = share[e]
+        for r in range(3 * n):
+            value -= overlap[r, e] * forces[r]
+        for j in range(e + 1, nequations):
+            value -= factor[j, e] * impulse[j]
+        impulse[e] = value / factor[e, e] if factor[e, e] > 0.0 else 0.0
+
+
+@kernel
+def _normal_load(step, c, lowest):
+    """Length of the normal impulse that the equations give contact c; its normals are the rows from the lowest on."""
+    counts = integers(step[COUNTS], NCOUNTS)
+    index = integer_matrix(step[EQUATION_INDEX], counts[MAX_EQUATIONS], 2)
+    impulse = reals(step[EQUATION_IMPULSE], counts[MAX_EQUATIONS])
+    total = 0.0
+    for e in range(counts[NEQ]):
+        if index[e, 0] == c and index[e, 1] >= lowest:
+            total += impulse[e] * impulse[e]
+    return math.sqrt(total)
+
+
+@kernel
+def impulse_work(step, h):
+    """Work of the contacts' impulses on v_c, of the joints' units, and the sum of the sizes of all terms.
+
+    An impulse times the mean of the velocities at the step's ends, or right before and after an impact. Impulses of
+    equations do no work on v_c.
+    """
+    counts, kept = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)[KEPT]
+    n = counts[UNITS]
+    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
+    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
+    forces, velocities = reals(step[CONE_FORCES], 3 * n), reals(step[CONE_VELOCITIES], 3 * n)
+    on_contacts, on_joints, size = 0.0, 0.0, 0.0
+    for u in range(n):
+        ints, numbers = unit_int[u], unit_real[u]
+        work = 0.0
+        for row in range(2):
+            if ints[ROW_MASK] >> row & 1 != 0:
+                mean = velocities[3 * u + row]
+                if ints[MIDPOINT] == 0:
+                    mean += numbers[START_T1 + row]
+                work += 0.5 * forces[3 * u + row] * mean
+        size += abs(work)
+        if ints[TOUCHES] != 0:
+            after = velocities[3 * u + 2] + kept * numbers[SHIFT]
+            if numbers[SHIFT] > 0.0:
+                after -= (h - numbers[IMPULSE_TIME]) * numbers[FREE_RATE]
+            work += 0.5 * forces[3 * u + 2] * (numbers[APPROACH] + after)
+            size += 0.5 * forces[3 * u + 2] * (abs(numbers[APPROACH]) + abs(after))
+        if ints[UNIT_KIND] == ON_JOINT:
+            on_joints += work
+        else:
+            on_contacts += work
+    return on_contacts, on_joints, size
+
+
+@kernel
+def review(step, nv, h):
+    """Whether the solution stands; if not, b or the coefficients are changed and the problem is to be solved again.
+
+    Slip is opposed along the mean of its velocities at both ends only while it goes on; a contact at rest that starts
+    to slip does so with the sliding coefficient; loads that the problem takes as given are a fixed point; and
+    restitution is lowered where, together with friction, it would create energy (see `dynamics.energy`).
+    """
+    counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)
+    n = counts[UNITS]
+    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
+    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
+    forces, velocities = reals(step[CONE_FORCES], 3 * n), reals(step[CONE_VELOCITIES], 3 * n)
+    modes, friction = integers(step[CONE_MODES], n), reals(step[FRICTION], n)
+    b, delassus = reals(step[LOADS], 3 * n), matrix(step[DELASSUS], 3 * n, 3 * n)
+    counts[REVIEWS] += 1
+    again = False
+    bounces = False
+    for u in range(n):
+        if unit_int[u, MIDPOINT] != 0:
+            first, second = unit_real[u, START_T1], unit_real[u, START_T2]
+            onward = (velocities[3 * u] - first) * first + (velocities[3 * u + 1] - second) * second
+            again = again or modes[u] == cone.STICK or onward <= 0.0
+    for u in range(n):
+        ints, values = unit_int[u], unit_real[u]
+        # all at once, see `impulse_problem`
+        if again and ints[MIDPOINT] != 0:
+            b[3 * u] -= values[START_T1]
+            b[3 * u + 1] -= values[START_T2]
+            ints[MIDPOINT] = 0
+        if ints[AT_REST] != 0 and modes[u] == cone.SLIP:
+            friction[u] = values[SLIDING]
+            ints[AT_REST] = 0
+            again = True
+        if ints[UNIT_KIND] == ON_LOADED or ints[UNIT_KIND] == ON_TURN:
+            turns = ints[UNIT_KIND] == ON_TURN
+            if turns and ints[PARENT] >= 0:
+                load = forces[3 * ints[PARENT] + 2]
+            else:
+                # what turns has one normal, and where it must not slip further equations; others have normals only
+                load = _normal_load(step, ints[UNIT_INDEX], 2 if turns else 0)
+            before = values[UNIT_LOAD]
+            if abs(load - before) > (TURN_LOAD_CHANGE if turns else LOAD_CHANGE) * (load + before):
+                values[UNIT_LOAD] = load if counts[REVIEWS] <= UNDAMPED else 0.5 * (load + before)
+                b[3 * u + 2] = -delassus[3 * u + 2, 3 * u + 2] * values[UNIT_LOAD]
+                again = True
+        if ints[TOUCHES] != 0 and values[SHIFT] > 0.0 and forces[3 * u + 2] > 0.0:
+            bounces = True
+    if again:
+        return AGAIN if counts[REVIEWS] < REVIEW_LIMIT else NO_FORCE
+    if not bounces:
+        return DONE
+    # bisection for the largest part of the restitution that creates no energy; 0 never does
+    on_contacts, on_joints, size = impulse_work(step, h)
+    creates = on_contacts + on_joints > ENERGY_SLACK * size
+    if not creates and (numbers[KEPT] == 1.0 or numbers[KEPT_HIGH] - numbers[KEPT_LOW] < KEPT_ACCURACY):
+        return DONE
+    kept = numbers[KEPT]
+    if creates:
+        numbers[KEPT_HIGH] = kept
+    else:
+        numbers[KEPT_LOW] = kept
+    if numbers[KEPT_HIGH] - numbers[KEPT_LOW] < KEPT_ACCURACY:
+        numbers[KEPT] = numbers[KEPT_LOW]
+        if kept == numbers[KEPT]:
+            return DONE
+    else:
+        numbers[KEPT] = 0.5 * (numbers[KEPT_LOW] + numbers[KEPT_HIGH])
+    for u in range(n):
+        b[3 * u + 2] += (kept - numbers[KEPT]) * unit_real[u, SHIFT]
+    return AGAIN if counts[REVIEWS] < REVIEW_LIMIT else NO_FORCE

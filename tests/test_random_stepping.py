@@ -1,0 +1,12 @@
+"""Random runs of time stepping, of all kinds; the long form is a command, see `stress/random_runs.py`."""
+
+import pytest
+from stress.random_runs import KINDS, check
+
+
+@pytest.mark.parametrize("kind", range(len(KINDS)))
+def test_random_runs(kind):
+    """No energy from friction or impacts, no NaN, no hang, no error."""
+    for seed in range(kind, 48, len(KINDS)):
+        _, fault = check(seed)
+        assert not fault, seed

@@ -8,6 +8,7 @@ SLOTS = (
     "callback",  # (3,) int: addresses of what runs Pinocchio, of its arguments, and of False
     # Pinocchio's data, read in place
     "mass",  # (nv, nv) lower triangle (Pinocchio's upper one, transposed view)
+    "parents",  # (nv,) int: tree of the mass matrix, see `linear.factorize_tree`
     "nle",  # (nv,) bias forces
     "jacobian",  # (nv, 6) one row a velocity coordinate: linear at the world's origin, angular
     "joint_addresses",  # (njoints, 4) int: rotation, translation, ov, a_gf
@@ -44,7 +45,7 @@ SLOTS = (
     "acceleration",  # (nv,)
     "free_acceleration",  # (nv,)
     "constraint_rows",  # (3 nc, nv)
-    "whitened_rows",  # (3 nc, nv): L^-1 rows^T, transposed
+    "whitened_rows",  # (3 nc, nv): L^-T rows^T, transposed
     "whitened_forces",  # (3 nc, nv): the same for the force directions
     "delassus",  # (3 nc, 3 nc + 1)
     "multipliers",  # (3 nc,)
@@ -92,6 +93,7 @@ SLOTS = (
     SCALARS,
     CALLBACK,
     MASS,
+    PARENTS,
     NLE,
     JACOBIAN,
     JOINT_ADDRESSES,

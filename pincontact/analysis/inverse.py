@@ -76,8 +76,8 @@ def inverse_dynamics(
     rows, bias = instant.rows(constrained), instant.biases(constrained)
     factor = np.tril(system.factor)
     if acceleration is None:
-        whitened = np.linalg.solve(factor, rows.T)
-        a = -np.linalg.solve(factor.T, np.linalg.lstsq(whitened.T, bias, rcond=RANK_TOLERANCE)[0])
+        whitened = np.linalg.solve(factor.T, rows.T)
+        a = -np.linalg.solve(factor, np.linalg.lstsq(whitened.T, bias, rcond=RANK_TOLERANCE)[0])
     else:
         a = check_vector("acceleration", acceleration, system.nv)
         scale = max(1.0, float(np.abs(a).max(initial=0.0)), float(np.abs(bias).max(initial=0.0)))
@@ -91,7 +91,7 @@ def inverse_dynamics(
                 f"(tolerance {tolerance * scale:.3g})"
             )
     # M a + nle + damping v, from the acceleration that nothing but the loads would make
-    needed = factor @ (factor.T @ (a - system.free_acceleration))
+    needed = factor.T @ (factor @ (a - system.free_acceleration))
     signs = {c.name: -1.0 if c.swapped else 1.0 for c in system.contacts}
     for c, contact in enumerate(system.contacts):
         if contact.name in given:

@@ -62,7 +62,7 @@ from ..layout import (
     UNILATERAL,
     VISCOUS,
 )
-from .linear import RANK_TOLERANCE, backward, forward, solve_gram
+from .linear import RANK_TOLERANCE, solve_gram, unwhiten, whiten
 
 # Friction on a point of a spatial curve depends on the length of a two-component normal force: fixed point, quadratic.
 _NORMAL_ITERATIONS = 50
@@ -165,10 +165,10 @@ def list_rows(contact_int, nc, row_index):
 
 
 @kernel
-def whiten_rows(factor, nv, rows, row_index, count, whitened):
-    """whitened[r] = L^-1 (constraint row r)^T, so that Delassus products are plain dot products."""
+def whiten_rows(factor, parents, nv, rows, row_index, count, whitened):
+    """whitened[r] = L^-T (constraint row r)^T, so that Delassus products are plain dot products."""
     for r in range(count):
-        forward(factor, nv, rows[row_index[r, 0], row_index[r, 1]], whitened[r])
+        whiten(factor, parents, nv, rows[row_index[r, 0], row_index[r, 1]], whitened[r])
 
 
 @kernel
@@ -189,6 +189,7 @@ def friction_directions(
     row_index,
     count,
     factor,
+    parents,
     nv,
     whitened,
     whitened_forces,
@@ -196,7 +197,7 @@ def friction_directions(
     direction,
     work,
 ):
-    """whitened_forces[r] = L^-1 (direction of the force that multiplier r scales)^T.
+    """whitened_forces[r] = L^-T (direction of the force that multiplier r scales)^T.
 
     For a slipping contact this is n - mu w_t / |w_t|, if friction is isotropic; |F_n| = sign F_n for one normal and
     l . F_n, with l the unit normal force of the last iterate, for two.
@@ -220,7 +221,7 @@ def friction_directions(
         if integers[TANGENTS] == 2:
             for k in range(nv):
                 work[k] += direction[1] * rows[c, 1, k]
-        forward(factor, nv, work, work)
+        whiten(factor, parents, nv, work, work)
         for k in range(nv):
             whitened_forces[r, k] -= numbers[MU_NOW] * share * work[k]
 
@@ -263,6 +264,7 @@ def contact_dynamics(
     rows,
     bias,
     factor,
+    parents,
     free_acceleration,
     acceleration,
     row_index,
@@ -292,7 +294,7 @@ def contact_dynamics(
     """
     count, slipping = list_rows(contact_int, nc + ng, row_index)
     counters[ROW_COUNT] = count
-    whiten_rows(factor, nv, rows, row_index, count, whitened)
+    whiten_rows(factor, parents, nv, rows, row_index, count, whitened)
     iterate = 1
     if slipping:
         for c in range(nc):
@@ -310,6 +312,7 @@ def contact_dynamics(
                 row_index,
                 count,
                 factor,
+                parents,
                 nv,
                 whitened,
                 whitened_forces,
@@ -344,7 +347,7 @@ def contact_dynamics(
         source = whitened_forces if slipping else whitened
         for k in range(nv):
             work[k] += source[r, k] * multipliers[r]
-    backward(factor, nv, work, work)
+    unwhiten(factor, parents, nv, work, work)
     for k in range(nv):
         acceleration[k] = free_acceleration[k] + work[k]
     status = guard_margins(nc, ng, contact_int, guard_int, guard_real, slip, gaps, force, margins)

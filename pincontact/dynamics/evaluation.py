@@ -81,6 +81,7 @@ from ..layout import (
     NQ,
     NV,
     OK,
+    PARENTS,
     PATTERN,
     PERMUTATION,
     RATES,
@@ -113,7 +114,7 @@ from ..layout import (
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
 from .equations import add_viscous_loads, contact_dynamics, guard_force, list_rows, whiten_rows
-from .linear import backward, cholesky, forward, solve_gram
+from .linear import factorize_tree, solve_gram, unwhiten, whiten
 
 
 @kernel
@@ -247,7 +248,8 @@ def evaluate_dynamics(table, time):
     sizes = integers(table[SIZES], 8)
     nv, nc = sizes[NV], sizes[NC]
     factor = matrix(table[FACTOR], nv, nv)
-    if not cholesky(matrix(table[MASS], nv, nv), nv, factor):
+    parents = integers(table[PARENTS], nv)
+    if not factorize_tree(matrix(table[MASS], nv, nv), parents, nv, factor):
         return MASS_NOT_POSITIVE
     nle, tau, damping, v = (
         reals(table[NLE], nv),
@@ -280,8 +282,8 @@ def evaluate_dynamics(table, time):
         slip[nc + g, 2] = v[k]
         gaps[nc + g, 0] = reals(table[Q], sizes[NQ])[guard_int[g, GUARD_Q]]
         free_acceleration[k] += guard_force(contact_int[nc + g, MODE], guard_int[g], guard_real[g])
-    forward(factor, nv, free_acceleration, free_acceleration)
-    backward(factor, nv, free_acceleration, free_acceleration)
+    whiten(factor, parents, nv, free_acceleration, free_acceleration)
+    unwhiten(factor, parents, nv, free_acceleration, free_acceleration)
     if nc + ng == 0:
         for k in range(nv):
             acceleration[k] = free_acceleration[k]
@@ -298,6 +300,7 @@ def evaluate_dynamics(table, time):
         cube(table[ROWS], total, 3, nv),
         matrix(table[BIAS], total, 3),
         factor,
+        parents,
         free_acceleration,
         acceleration,
         integer_matrix(table[ROW_INDEX], 3 * total, 2),
@@ -370,7 +373,8 @@ def contact_corrections(table, with_position, with_velocity):
         gaps[nc + g, 0] = 0.0
         if end != 0:
             gaps[nc + g, 0] = position - guard_real[g, LOW_END if end < 0 else HIGH_END]
-    whiten_rows(factor, nv, rows, row_index, count, whitened)
+    parents = integers(table[PARENTS], nv)
+    whiten_rows(factor, parents, nv, rows, row_index, count, whitened)
     gap_residual = 0.0
     velocity_residual = 0.0
     # positions: normal rows only, which are moved to the front of the list
@@ -424,4 +428,4 @@ def _least_correction(table, nc, nv, count, whitened, x, factor, out):
         for r in range(count):
             value += whitened[r, k] * x[r]
         out[k] = value
-    backward(factor, nv, out, out)
+    unwhiten(factor, integers(table[PARENTS], nv), nv, out, out)

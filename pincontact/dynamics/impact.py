@@ -30,7 +30,7 @@ from ..layout import (
 )
 from .energy import ENERGY_SLACK, KEPT_ACCURACY
 from .stretches import stretch
-from .units import contact_rows, delassus, unit_columns, unwhiten, whiten
+from .units import contact_rows, delassus, unit_columns, unwhiten, whiten, whitened_velocity
 
 if TYPE_CHECKING:
     from .system import System
@@ -84,14 +84,14 @@ def apply_impact(
     drives = 0.0
     if problem.driven:
         # what the joints receive and the relative velocities do not account for
-        before = np.tril(system.factor).T @ system.v
+        before = whitened_velocity(system, system.v)
         drives = float(y @ before + 0.5 * y @ y) - contacts - joints
     system.v += unwhiten(system, y)
     return Impact(contacts, drives, joints, kept)
 
 
 class _Problem:
-    """Units and equations of one impact, in whitened changes of velocity y = L^T (v+ - v-)."""
+    """Units and equations of one impact, in whitened changes of velocity y = L (v+ - v-)."""
 
     def __init__(self, system: System, closed: list[int], ends: list[int], restitution: dict[int, float]) -> None:
         integers = system.contact_int

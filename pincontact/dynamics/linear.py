@@ -11,41 +11,68 @@ RANK_TOLERANCE = 1e-11
 
 
 @kernel
-def cholesky(matrix, n, factor):
-    """Lower factor of a symmetric matrix of which the lower triangle is given; False if it is not positive."""
-    for i in range(n):
-        for j in range(i):
-            value = matrix[i, j]
-            for k in range(j):
-                value -= factor[i, k] * factor[j, k]
-            factor[i, j] = value / factor[j, j]
-        value = matrix[i, i]
-        for k in range(i):
-            value -= factor[i, k] * factor[i, k]
-        if not value > 0.0:
+def factorize_tree(matrix, parents, n, factor):
+    """Lower factor L with L^T L = matrix, a symmetric positive matrix of which the lower triangle is given.
+
+    parents (n,): a row's parent is another before it, or -1; a row has entries left of its diagonal at its chain of
+    parents only, in the matrix and so in L (the mass matrix of a kinematic tree: Featherstone, Rigid Body Dynamics
+    Algorithms, Sec. 6.5). Others are not touched. False if the matrix is not positive. Works in place.
+    """
+    for k in range(n):
+        factor[k, k] = matrix[k, k]
+        i = parents[k]
+        while i >= 0:
+            factor[k, i] = matrix[k, i]
+            i = parents[i]
+    for k in range(n - 1, -1, -1):
+        row = factor[k]
+        if not row[k] > 0.0:
             return False
-        factor[i, i] = math.sqrt(value)
+        row[k] = math.sqrt(row[k])
+        inverse = 1.0 / row[k]
+        i = parents[k]
+        while i >= 0:
+            row[i] *= inverse
+            i = parents[i]
+        i = parents[k]
+        while i >= 0:
+            target, share = factor[i], row[i]
+            j = i
+            while j >= 0:
+                target[j] -= share * row[j]
+                j = parents[j]
+            i = parents[i]
     return True
 
 
 @kernel
-def forward(factor, n, right, out):
-    """out = L^-1 right (may be the same array)."""
-    for i in range(n):
-        value = right[i]
-        for k in range(i):
-            value -= factor[i, k] * out[k]
-        out[i] = value / factor[i, i]
+def whiten(factor, parents, n, right, out):
+    """out = L^-T right, so that products of whitened vectors are products by the inverse matrix (may be in place)."""
+    for k in range(n):
+        out[k] = right[k]
+    for k in range(n - 1, -1, -1):
+        # constraint rows are zero but for the joints that move the contact
+        if out[k] == 0.0:
+            continue
+        row = factor[k]
+        value = out[k] / row[k]
+        out[k] = value
+        i = parents[k]
+        while i >= 0:
+            out[i] -= row[i] * value
+            i = parents[i]
 
 
 @kernel
-def backward(factor, n, right, out):
-    """out = L^-T right (may be the same array)."""
-    for i in range(n - 1, -1, -1):
-        value = right[i]
-        for k in range(i + 1, n):
-            value -= factor[k, i] * out[k]
-        out[i] = value / factor[i, i]
+def unwhiten(factor, parents, n, right, out):
+    """out = L^-1 right (may be in place)."""
+    for k in range(n):
+        row, value = factor[k], right[k]
+        i = parents[k]
+        while i >= 0:
+            value -= row[i] * out[i]
+            i = parents[i]
+        out[k] = value / row[k]
 
 
 @kernel

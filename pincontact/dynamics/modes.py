@@ -52,7 +52,7 @@ from ..layout import (
 )
 from .redundant import Cone, central_force, null_space
 from .stretches import associated, opposed_slip, stretch
-from .units import contact_rows, delassus, unit_columns, unwhiten, whiten
+from .units import contact_rows, delassus, unit_columns, unwhiten, whiten, whitened_velocity
 
 if TYPE_CHECKING:
     from .system import System
@@ -221,7 +221,7 @@ class ModeSolver:
             mu.append(1.0 if end == 0 else 0.0)
         stack = np.hstack(units)
         gram, weights = delassus(stack)
-        base = stack.T @ (np.tril(system.factor).T @ free)
+        base = stack.T @ whitened_velocity(system, free)
         for i, c in enumerate(closed):
             base[3 * i : 3 * i + 2] += shapes[i] @ system.bias[c, :2]
             base[3 * i + 2] += system.bias[c, 2]

@@ -142,6 +142,7 @@ class System:
     def _map_pinocchio(self) -> None:
         memory, data, model = self.memory, self.data, self.model
         memory.put("mass", data.M)
+        memory.integers("parents", max(model.nv, 1))[: model.nv] = list(data.parents_fromRow)[: model.nv]
         memory.put("nle", data.nle)
         memory.put("jacobian", data.J)
         addresses = memory.integers("joint_addresses", model.njoints, 4)

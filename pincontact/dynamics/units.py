@@ -1,6 +1,6 @@
 """The cone problem's matrices from whitened constraint rows, for modes and for impacts.
 
-A unit is one cone: three columns L^-1 row^T in the order (t1, t2, n), zero where the unit has no such row.
+A unit is one cone: three columns L^-T row^T in the order (t1, t2, n), zero where the unit has no such row.
 """
 
 from __future__ import annotations
@@ -16,13 +16,18 @@ if TYPE_CHECKING:
 
 
 def whiten(system: System, row: np.ndarray) -> np.ndarray:
-    """L^-1 row^T with the factor L of M from the last evaluation."""
-    return solve_triangular(system.factor, row, lower=True, check_finite=False)
+    """L^-T row^T with the factor L of M = L^T L from the last evaluation."""
+    return solve_triangular(system.factor, row, lower=True, trans="T", check_finite=False)
 
 
 def unwhiten(system: System, column: np.ndarray) -> np.ndarray:
-    """L^-T column: a change of v (or acceleration) from its whitened form."""
-    return solve_triangular(system.factor, column, lower=True, trans="T", check_finite=False)
+    """L^-1 column: a change of v (or acceleration) from its whitened form."""
+    return solve_triangular(system.factor, column, lower=True, check_finite=False)
+
+
+def whitened_velocity(system: System, v: np.ndarray) -> np.ndarray:
+    """L v: half of its square is the kinetic energy of v."""
+    return np.tril(system.factor) @ v
 
 
 def unit_columns(system: System, index: int, rows: Sequence[int], sign: float = 1.0) -> np.ndarray:

@@ -26,7 +26,7 @@ STEP_SLOTS = (
     "joint_real",  # (nj, 2): limit and nothing, or half the width and the middle of the friction force's range
     "unit_int",  # (ns, UNIT_INTS) int
     "unit_real",  # (ns, UNIT_REALS)
-    "whitened",  # (3 ns, nv) L^-1 rows^T, without what the equations take
+    "whitened",  # (3 ns, nv) L^-T rows^T, without what the equations take
     "overlap",  # (3 ns, ne) what they take
     "delassus",  # (9 ns ns,) of which the first (3 n)^2 are used
     "loads",  # (3 ns,) b of the cone problem

@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 
 from ..dynamics.equations import coefficient_at, inner
-from ..dynamics.linear import backward, cholesky, forward, solve_semidefinite
+from ..dynamics.linear import factorize_tree, solve_semidefinite, unwhiten, whiten
 from ..friction.ellipse import stretch_pair
 from ..geometry.carriers import ALPHA, OMEGA
 from ..geometry.patterns import ON_CURVE
@@ -52,6 +52,7 @@ from ..layout import (
     NQ,
     NV,
     OK,
+    PARENTS,
     PATTERN,
     PERMUTATION,
     ROLLING,
@@ -219,7 +220,13 @@ def _add_equation(table, step, c, row, nv, nc, h):
     factor = matrix(step[EQUATION_FACTOR], size, size)
     share = reals(step[EQUATION_SHARE], size)
     index[e, 0], index[e, 1] = c, row
-    forward(matrix(table[FACTOR], nv, nv), nv, cube(table[ROWS], nc, 3, nv)[c, row], equations[e])
+    whiten(
+        matrix(table[FACTOR], nv, nv),
+        integers(table[PARENTS], nv),
+        nv,
+        cube(table[ROWS], nc, 3, nv)[c, row],
+        equations[e],
+    )
     whole = math.sqrt(inner(equations[e], equations[e], nv))
     for j in range(e):
         factor[e, j] = 0.0
@@ -446,6 +453,7 @@ def _fill_units(table, step, nv, nc, h):
     counts = integers(step[COUNTS], NCOUNTS)
     n, units, nequations, size = counts[UNITS], counts[MAX_UNITS], counts[NEQ], counts[MAX_EQUATIONS]
     factor, rows = matrix(table[FACTOR], nv, nv), cube(table[ROWS], nc, 3, nv)
+    parents = integers(table[PARENTS], nv)
     unit_int = integer_matrix(step[UNIT_INT], units, UNIT_INTS)
     unit_real = matrix(step[UNIT_REAL], units, UNIT_REALS)
     joint_int = integer_matrix(step[JOINT_INT], counts[NJ], 3)
@@ -507,7 +515,7 @@ def _fill_units(table, step, nv, nc, h):
             elif unit_int[u, TOUCHES] != 0:
                 again = restitution[index] if kind != ON_JOINT else 0.0
                 _set_impact(unit_real[u], start, inner(line, trend, nv), again, h)
-            forward(factor, nv, line, line)
+            whiten(factor, parents, nv, line, line)
             for j in range(nequations):
                 part = inner(line, equations[j], nv)
                 overlap[r, j] = part
@@ -596,10 +604,11 @@ def assemble(table, step):
         if joint_int[j, JOINT_KIND] == DRY_FRICTION:
             change[joint_int[j, JOINT_V]] += h * joint_real[j, 1]
     _add_viscous(table, step, nv, nc, h, factor, change)
-    if not cholesky(factor, nv, factor):
+    parents = integers(table[PARENTS], nv)
+    if not factorize_tree(factor, parents, nv, factor):
         return MASS_NOT_POSITIVE
-    forward(factor, nv, change, change)
-    backward(factor, nv, change, change)
+    whiten(factor, parents, nv, change, change)
+    unwhiten(factor, parents, nv, change, change)
     total = 0.0
     for k in range(nv):
         total += change[k]

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 
 from ..dynamics.equations import inner
-from ..dynamics.linear import backward
+from ..dynamics.linear import unwhiten
 from ..friction import cone
 from ..friction.ellipse import stretch_pair
 from ..geometry.patterns import ON_CURVE
@@ -57,6 +57,7 @@ from ..layout import (
     NV,
     NWORK,
     NY,
+    PARENTS,
     PATTERN,
     RATES,
     ROLLING,
@@ -381,8 +382,9 @@ def advance(table, step):
     _distribute(table, step, nv, nc, h)
     factor, change = matrix(table[FACTOR], nv, nv), reals(step[CHANGE], nv)
     gained, displacement, mean = reals(table[WORK], nv), reals(step[DISPLACEMENT], nv), reals(step[MEAN], nv)
-    backward(factor, nv, gained, gained)
-    backward(factor, nv, displacement, displacement)
+    parents = integers(table[PARENTS], nv)
+    unwhiten(factor, parents, nv, gained, gained)
+    unwhiten(factor, parents, nv, displacement, displacement)
     start_q, start_v, state = reals(step[START_Q], nq), reals(step[START_V], nv), reals(table[STAGE_STATE], sizes[NY])
     v1 = state[nq : nq + nv]
     total = 0.0

@@ -35,6 +35,7 @@ from ..layout import (
     SLIPPING,
     STICK,
     TANGENTS,
+    VISCOUS,
 )
 from ..memory import address_of
 from .events import UserEvent
@@ -120,6 +121,9 @@ class MoreauStep:
         # these kernels are compiled for those who use them
         compile_kernels()
         self.system = system
+        if (system.contact_real[: system.nc, VISCOUS] > 0.0).any():
+            # the mass matrix with viscous friction couples branches of the tree
+            system.memory["parents"][:] = np.arange(max(system.nv, 1)) - 1
         model = system.model
         joint_int, joint_real = joint_constraints(model)
         self.joints = len(joint_int)

@@ -12,6 +12,7 @@ from ..dynamics.impact import apply_impact
 from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import Decision, ModeSolver, freeze_slip, rest_mode
 from ..dynamics.stretches import opposed_slip
+from ..dynamics.units import whitened_velocity
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
     CONDITION,
@@ -570,10 +571,9 @@ class Transitions:
         self._guards_from_velocities()
         undecided = self.modes_from_velocities()
         # what stays closed without an impulse (ideal rolling that carries no load, a hop that is none) stops here
-        lower = np.tril(system.factor)
-        before = lower.T @ system.v
+        before = whitened_velocity(system, system.v)
         self._project(t)
         if self._counts_works:
-            after = lower.T @ system.v
+            after = whitened_velocity(system, system.v)
             system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += 0.5 * float(after @ after - before @ before)
         return self.resolve(t, undecided, silent=True)

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from ..dynamics.stretches import associated
 from ..errors import ArgumentError, SolverError, StateError
 from ..geometry.patterns import ON_CURVE
-from ..layout import MODE, MU, PATTERN, SLIP_SIGN, SLIPPING, TANGENTS, UNILATERAL
+from ..layout import MODE, MU_NOW, PATTERN, SLIP_SIGN, SLIPPING, TANGENTS, UNILATERAL
 from ..state import check_vector
 from .forces import check_forces
 from .instant import RANK_TOLERANCE, Instant
@@ -179,12 +180,12 @@ def _unit_force(instant: Instant, c: int, row: int, share: float) -> np.ndarray:
     out = np.zeros(3)
     out[row] = 1.0
     if integers[MODE] == SLIPPING:
-        mu = system.contact_real[c, MU]
+        mu = system.contact_real[c, MU_NOW]
         if integers[TANGENTS] == 1:
             out[0] -= mu * share * float(integers[SLIP_SIGN])
         else:
             along = system.basis[c, :2] @ system.slip[c]
-            out[:2] -= mu * share * along / np.hypot(along[0], along[1])
+            out[:2] -= mu * share * associated(system, c, along / np.hypot(along[0], along[1]))
     return out
 
 

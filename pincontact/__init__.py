@@ -33,6 +33,8 @@ from .state import State
 from .trajectory import ContactTrack, Trajectory
 
 if TYPE_CHECKING:
+    from .analysis.sweep import sweep
+    from .analysis.sweep_table import SweepTable
     from .stepper import Stepper
     from .view.replay import export_html, replay
 
@@ -64,6 +66,7 @@ __all__ = [
     "State",
     "StateError",
     "Stepper",
+    "SweepTable",
     "Trajectory",
     "TrajectoryError",
     "analyze",
@@ -72,11 +75,18 @@ __all__ = [
     "replay",
     "simulate",
     "solve_contacts",
+    "sweep",
     *_contours,
 ]
 
 # Imported when first used: Meshcat costs more than everything else together, the stepper has kernels of its own.
-_LAZY = {"Stepper": "stepper", "replay": "view.replay", "export_html": "view.replay"}
+_LAZY = {
+    "Stepper": "stepper",
+    "SweepTable": "analysis.sweep_table",
+    "sweep": "analysis.sweep",
+    "replay": "view.replay",
+    "export_html": "view.replay",
+}
 
 
 def __getattr__(name: str) -> Any:

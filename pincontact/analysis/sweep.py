@@ -13,10 +13,11 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -164,7 +165,7 @@ def _plain(value: Any, what: str) -> Any:
 
 
 def _key(sample: Row) -> str:
-    """Names one set of parameters, whatever their order: equal sets of equal numbers have equal keys."""
+    """Names one set of parameters, whatever their order."""
     return hashlib.sha256(json.dumps(sample, sort_keys=True).encode()).hexdigest()[:24]
 
 
@@ -258,7 +259,8 @@ class _Sweep:
     ) -> None:
         self._build, self._measure, self._folder = build, measure, folder
         self._samples, self._keys, self._grid = samples, keys, grid
-        self._store, self._done = store, {key: row for key, row in done.items() if key in set(keys)}
+        wanted = set(keys)
+        self._store, self._done = store, {key: row for key, row in done.items() if key in wanted}
         # a set of parameters that is given twice is run once
         self._waiting = {key: sample for key, sample in zip(keys, samples) if key not in self._done}
         self._progress: Callable[[], None] = lambda: None
@@ -302,28 +304,30 @@ class _Sweep:
         pending: dict[Future[Row], str] = {}
         waiting = iter(keys)
         lost: list[str] = []
+        # waiting on all of them at each turn would cost their number squared
+        finished: SimpleQueue[Future[Row]] = SimpleQueue()
         try:
             while True:
                 try:
                     for key in itertools.islice(waiting, queue - len(pending)):
                         lost.append(key)
-                        pending[executor.submit(_perform, *self._task(key))] = key
-                        lost.pop()
+                        future = executor.submit(_perform, *self._task(key))
+                        pending[future] = lost.pop()
+                        future.add_done_callback(finished.put)
                 except BrokenExecutor:
                     waiting = iter(())
                 if not pending:
                     break
-                finished, _ = wait(pending, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    key = pending.pop(future)
-                    try:
-                        self._keep(future.result())
-                    except BrokenExecutor:
-                        lost.append(key)
-                        waiting = iter(())
-                    except Exception as failure:
-                        # the executor's own trouble: a function that cannot travel, a worker that was lost
-                        self._keep(self._failure(key, f"{type(failure).__name__}: {failure}"))
+                future = finished.get()
+                key = pending.pop(future)
+                try:
+                    self._keep(future.result())
+                except BrokenExecutor:
+                    lost.append(key)
+                    waiting = iter(())
+                except Exception as failure:
+                    # the executor's own trouble: a function that cannot travel, a worker that was lost
+                    self._keep(self._failure(key, f"{type(failure).__name__}: {failure}"))
         except BaseException:
             for future in pending:
                 future.cancel()

@@ -46,14 +46,22 @@ def ball(radius=0.2, mass=1.0, friction=None, axes=None) -> pc.Scene:
     return scene
 
 
-def ball_in_bowl(radius: float, gap: float, friction) -> pc.Scene:
-    """A ball in a bowl that is wider by gap; the poles of both are off the path."""
+def ball_in_bowl(radius: float, gap: float, friction, direction=None) -> pc.Scene:
+    """A ball in a bowl that is wider by gap; the poles of both are off the path.
+
+    direction: from the centres to where they touch, where the search shall not look for it.
+    """
     moment = 0.4 * radius**2
     scene = pc.Scene(free_body(1.0, (moment, moment, moment)))
     tilted = pin.SE3(pin.utils.rotate("x", 0.7), np.zeros(3)), pin.SE3(pin.utils.rotate("y", 1.3), np.zeros(3))
     body = scene.add_contour("ball", pc.Sphere(radius), "body", tilted[0])
     bowl = scene.add_contour("bowl", pc.Sphere(radius + gap), placement=tilted[1])
-    scene.add_contact("c", body, bowl, friction=friction, side=-1)
+    location = None
+    if direction is not None:
+        local = [place.rotation.T @ np.asarray(direction) for place in tilted]
+        u1, u2 = ((math.atan2(y, x), math.asin(z)) for x, y, z in local)
+        location = (u1, u2)
+    scene.add_contact("c", body, bowl, friction=friction, side=-1, location=location)
     return scene
 
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import ArgumentError, MissingExtraError, TrajectoryError
+from ..errors import ArgumentError, TrajectoryError
+from ..tables import required
 from .sweep_file import Row, read_rows
 
 if TYPE_CHECKING:
@@ -87,21 +88,15 @@ class SweepTable(Sequence[Row]):
 
     def to_pandas(self) -> pandas.DataFrame:
         """A DataFrame with a row for each run. Raises MissingExtraError without pandas."""
-        try:
-            import pandas
-        except ImportError as error:
-            raise MissingExtraError(f"a DataFrame needs pandas: pip install pincontact[data] ({error})") from error
+        package = required("pandas", "a DataFrame")
         columns = {name: self.column(name) for name in self.columns}
-        return pandas.DataFrame(
+        return package.DataFrame(
             {name: values if values.ndim == 1 else list(values) for name, values in columns.items()}
         )
 
     def to_xarray(self) -> xarray.Dataset:
         """A Dataset over the grid's axes, or over "run" for samples. Raises MissingExtraError without xarray."""
-        try:
-            import xarray
-        except ImportError as error:
-            raise MissingExtraError(f"a Dataset needs xarray: pip install pincontact[data] ({error})") from error
+        package = required("xarray", "a Dataset")
         if self.axes is None:
             axes, shaped = ["run"], self.column
             coordinates: dict[str, Any] = {}
@@ -115,7 +110,7 @@ class SweepTable(Sequence[Row]):
             values = shaped(name)
             inner = [f"{name}_{i}" for i in range(values.ndim - len(axes))]
             variables[name] = ([*axes, *inner], values)
-        return xarray.Dataset(variables, coordinates)
+        return package.Dataset(variables, coordinates)
 
 
 def _column(values: list[Any]) -> np.ndarray:

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from .analysis.forces import external_forces
     from .analysis.inverse import InverseDynamics, inverse_dynamics
     from .analysis.linearize import Linearization, linearize
+    from .analysis.sweep import sweep
+    from .analysis.sweep_table import SweepTable
     from .stepper import Stepper
     from .view.replay import export_html, replay
 
@@ -74,6 +76,7 @@ __all__ = [
     "SteadyMotion",
     "Stepper",
     "Stribeck",
+    "SweepTable",
     "Trajectory",
     "TrajectoryError",
     "analyze",
@@ -88,6 +91,7 @@ __all__ = [
     "replay",
     "simulate",
     "solve_contacts",
+    "sweep",
     *_contours,
 ]
 
@@ -104,6 +108,8 @@ _LAZY = {
     "inverse_dynamics": "analysis.inverse",
     "linearize": "analysis.linearize",
     "replay": "view.replay",
+    "SweepTable": "analysis.sweep_table",
+    "sweep": "analysis.sweep",
 }
 
 

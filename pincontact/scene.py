@@ -17,6 +17,7 @@ from .errors import ArgumentError, ContourError, ModelError
 from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern, candidate_patterns, find_pattern
 from .geometry.planar import moves_in_plane
+from .robot_files import read_mjcf, read_sdf
 
 if TYPE_CHECKING:
     from .contours.motion import Motion
@@ -26,18 +27,23 @@ if TYPE_CHECKING:
 class Scene:
     """A robot and the contacts it keeps.
 
-    model: a `pin.Model`; it is not copied, and must not be changed once a state has been made.
+    model: a `pin.Model`, or a `pin.RobotWrapper`, whose shapes are then taken too; it is not copied, and must not be
+    changed once a state has been made.
     visual_model, collision_model: `pin.GeometryModel` or None, for drawing and for contours from collision shapes.
     """
 
     def __init__(
         self,
-        model: pin.Model,
+        model: pin.Model | pin.RobotWrapper,
         visual_model: pin.GeometryModel | None = None,
         collision_model: pin.GeometryModel | None = None,
     ) -> None:
+        if isinstance(model, pin.RobotWrapper):
+            visual_model = model.visual_model if visual_model is None else visual_model
+            collision_model = model.collision_model if collision_model is None else collision_model
+            model = model.model
         if not isinstance(model, pin.Model):
-            raise ModelError(f"Scene needs a pinocchio Model, got {type(model).__name__}")
+            raise ModelError(f"Scene needs a pinocchio Model or RobotWrapper, got {type(model).__name__}")
         self.model = model
         self.visual_model = visual_model
         self.collision_model = collision_model
@@ -75,6 +81,35 @@ class Scene:
             _geometry(model, file, kind, folders) for kind in (pin.GeometryType.VISUAL, pin.GeometryType.COLLISION)
         ]
         return cls(model, geometries[0], geometries[1])
+
+    @classmethod
+    def from_mjcf(cls, path: str | os.PathLike[str]) -> Scene:
+        """A scene from an MJCF file (MuJoCo's), as far as Pinocchio reads it.
+
+        Bodies, joints, inertias, damping, dry friction, armature and geoms are read, and the file's gravity; contacts,
+        actuators and sensors are not. A base moves freely where the file has a <freejoint>. The file's key frames and
+        its start ("qpos0") are in `model.referenceConfigurations`.
+        Raises ModelError when the file is missing or cannot be read; warns of equality constraints, which are left out.
+        """
+        return cls(*read_mjcf(os.fspath(path)))
+
+    @classmethod
+    def from_sdf(
+        cls,
+        path: str | os.PathLike[str],
+        floating_base: bool = False,
+        package_dirs: str | Sequence[str] | None = None,
+        root_link: str = "",
+    ) -> Scene:
+        """A scene from an SDF file, with builds of Pinocchio that read them (pinocchio.WITH_SDFORMAT).
+
+        floating_base, package_dirs: as for `from_urdf`. root_link: name of the link to take as root, "" for the first.
+        Raises MissingExtraError with other builds, ModelError when the file is missing or cannot be read; warns of loop
+        closures, which are left out.
+        """
+        file = os.fspath(path)
+        folders = [package_dirs] if isinstance(package_dirs, str) else list(package_dirs or [])
+        return cls(*read_sdf(file, floating_base, [*folders, os.path.dirname(os.path.abspath(file))], root_link))
 
     def add_contour(
         self,

@@ -2,7 +2,8 @@
 
 The tables of a file are those of the Python interface, with its names, units and defaults:
 
-    urdf, package_dirs, floating_base, gravity      the model; paths are relative to the file
+    urdf, package_dirs, floating_base, gravity      the model; paths are relative to the file. Instead of urdf: mjcf or
+                                                    sdf, as Scene.from_mjcf and Scene.from_sdf read them
     [constants]                                     names for formulas, such as R = 0.3
     [collision]                                     Scene.add_contours_from_collision: links, kinds
     [contours.<name>]                               kind and its parameters, frame, xyz, rpy or quaternion, motion
@@ -365,15 +366,24 @@ def _read_constants(table: _Table) -> None:
         table.constants[name] = table.get(name, _number)
 
 
-_MODEL = ("urdf", "package_dirs", "floating_base", "gravity")
+_MODEL = ("urdf", "mjcf", "sdf", "package_dirs", "floating_base", "gravity")
 
 
 def _read_model(root: _Table) -> Scene:
     folder = root.file.resolve().parent
     packages = [str(folder / part) for part in root.get("package_dirs", _texts, [])]
-    urdf = folder / root.get("urdf", _text)
-    floating = root.get("floating_base", _flag, False)
-    scene: Scene = root.attempt("urdf", Scene.from_urdf, urdf, floating_base=floating, package_dirs=packages)
+    kinds = [kind for kind in ("urdf", "mjcf", "sdf") if kind in root.content] or ["urdf"]
+    if len(kinds) > 1:
+        raise root.error(kinds[1], f"the model is given by {kinds[0]} already")
+    kind = kinds[0]
+    robot = folder / root.get(kind, _text)
+    options: dict[str, Any] = {"floating_base": root.get("floating_base", _flag, False), "package_dirs": packages}
+    if kind == "mjcf":
+        if options["floating_base"]:
+            raise root.error("floating_base", "a base that moves has a <freejoint> in its MJCF file")
+        options = {}
+    make = {"urdf": Scene.from_urdf, "mjcf": Scene.from_mjcf, "sdf": Scene.from_sdf}[kind]
+    scene: Scene = root.attempt(kind, make, robot, **options)
     gravity = root.get("gravity", _vector(3), None)
     if gravity is not None:
         if not np.isfinite(gravity).all():

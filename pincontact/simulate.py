@@ -273,7 +273,7 @@ class _Bar:
             try:
                 from tqdm import tqdm
             except ImportError:
-                tqdm = _PlainBar
+                tqdm = PlainBar
             self._bar = tqdm(
                 total=self._duration, unit="s", bar_format="{l_bar}{bar}| {n:.3g}/{total:.3g} s [{elapsed}]"
             )
@@ -288,8 +288,8 @@ class _Bar:
             self._bar.close()
 
 
-class _PlainBar:
-    """What `progress=True` shows without tqdm: a percentage, at most a hundred times."""
+class PlainBar:
+    """What `progress=True` shows without tqdm: a percentage, at most a hundred times. total: in the unit of update."""
 
     def __init__(self, total: float, **_: Any) -> None:
         self._total, self._n, self._shown = total, 0.0, -1

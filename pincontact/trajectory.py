@@ -41,6 +41,8 @@ from .scene import Scene
 from .state import Correction, State, discrete_part, write_discrete
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray
     from matplotlib.figure import Figure
 
 _FORMAT = 1
@@ -176,10 +178,11 @@ class _Tracks(Mapping[str, ContactTrack]):
         return tracks[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._run.scene.contacts)
+        # a run that was read from a file has tracks, and perhaps no scene
+        return iter(self._run.scene.contacts if self._run._tracks is None else self._run._tracks)
 
     def __len__(self) -> int:
-        return len(self._run.scene.contacts)
+        return sum(1 for _ in self)
 
 
 class Trajectory:
@@ -389,6 +392,27 @@ class Trajectory:
         if scene is not None and list(scene.contacts) != names:
             raise TrajectoryError(f"the scene's contacts {list(scene.contacts)} are not those stored, {names}")
         return run
+
+    # ------------------------------------------------------------------ tables
+
+    def to_xarray(self) -> xarray.Dataset:
+        """An xarray Dataset over t: q, v, energies, and everything of the contact tracks over a dimension `contact`.
+
+        Raises MissingExtraError without xarray (the extra `data`).
+        """
+        from .tables import run_to_xarray
+
+        return run_to_xarray(self)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A DataFrame with a row for each output, its index t: columns such as q.knee, v.root_joint[3],
+        rim/floor.force.z and rim/floor.mode (frames are left to `to_xarray`).
+
+        Raises MissingExtraError without pandas (the extra `data`).
+        """
+        from .tables import run_to_pandas
+
+        return run_to_pandas(self)
 
     # ------------------------------------------------------------------ views
 

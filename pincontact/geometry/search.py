@@ -11,8 +11,9 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial import cKDTree
 
+from ..errors import SingularContactError
 from ..integration.stages import move_charts
-from ..layout import BRANCH, CHART, CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SIDE
+from ..layout import BRANCH, CHART, CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SIDE, SINGULAR
 from .location import NO_CLOSED_FORM, ROUND_ON_PLANE
 from .patterns import CROSSING_CURVES, ON_CURVE
 
@@ -25,6 +26,8 @@ _SURFACE_SAMPLES = (61, 31)
 _SEEDS = 24
 # Two candidates closer than this (relative to the contact's length) are one.
 _SAME = 1e-6
+# Newton may run into a pole, where a tangent vanishes and every equation with it; unit tangents tell. Relative.
+_SOLVED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -49,27 +52,35 @@ def find_candidates(system: System, t: float, guess: np.ndarray) -> list[Candida
     """Candidates of a system with a single contact at its (q, v), nearest (least |gap|) first.
 
     guess (4,): location parameters, NaN where unknown. A complete guess is followed alone.
+    Raises SingularContactError where there is none and a start ended where the location equations are singular.
     """
     contact = system.contacts[0]
     k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
     known = np.concatenate([guess[:k1], guess[2 : 2 + k2]])
+    statuses: set[int] = set()
     system.contact_int[0, DETERMINANT_SIGN] = 0
     if system.contact_int[0, CLOSED_FORM] != NO_CLOSED_FORM:
         start = np.where(np.isnan(guess), 0.0, guess)
         branches = (-1, 1) if system.contact_int[0, CLOSED_FORM] == ROUND_ON_PLANE else (1,)
-        found = [c for c in (_refine(system, t, start, branch) for branch in branches) if c is not None]
+        found = [c for c in (_refine(system, t, start, branch, statuses) for branch in branches) if c is not None]
         if np.isfinite(known).all() and len(found) > 1 and k1 > 0:
             # the guess of body 1 names the branch
             found.sort(key=lambda c: float(np.abs(c.location[:k1] - guess[:k1]).max()))
             return found[:1]
     elif np.isfinite(known).all():
-        found = [c for c in (_refine(system, t, guess, 1),) if c is not None]
+        found = [c for c in (_refine(system, t, guess, 1, statuses),) if c is not None]
     else:
         found = []
         for start in _seeds(system, t, guess):
-            candidate = _refine(system, t, start, 1)
+            candidate = _refine(system, t, start, 1, statuses)
             if candidate is not None and not any(_is_same(candidate, c, system) for c in found):
                 found.append(candidate)
+    if not found and SINGULAR in statuses:
+        raise SingularContactError(
+            f"contact {contact.name!r}: the location equations are singular wherever {contact.first.name!r} and "
+            f"{contact.second.name!r} could touch: contours that fit into each other, or are parallel",
+            abs(float(system.contact_real[0, CONDITION])),
+        )
     return sorted(found, key=lambda c: abs(c.gap))
 
 
@@ -78,8 +89,9 @@ def _is_same(a: Candidate, b: Candidate, system: System) -> bool:
     return abs(a.gap - b.gap) < _SAME * length and bool(np.linalg.norm(a.point - b.point) < _SAME * length)
 
 
-def _refine(system: System, t: float, start: np.ndarray, branch: int) -> Candidate | None:
-    """Newton from a start (in the first charts); None where it fails or leaves a finite domain."""
+def _refine(system: System, t: float, start: np.ndarray, branch: int, statuses: set[int]) -> Candidate | None:
+    """Newton from a start (in the first charts); None where it fails or leaves a finite domain. statuses: how it went
+    is added."""
     contact = system.contacts[0]
     integers = system.contact_int[0]
     integers[BRANCH] = branch
@@ -94,7 +106,9 @@ def _refine(system: System, t: float, start: np.ndarray, branch: int) -> Candida
             charts[:] = 0
             move_charts(system.table)
             system.location[0] = system.state[parameters]
-        if system.evaluate_kinematics(t) == OK:
+        status = system.evaluate_kinematics(t)
+        statuses.add(status)
+        if status == OK:
             break
     else:
         return None
@@ -104,6 +118,8 @@ def _refine(system: System, t: float, start: np.ndarray, branch: int) -> Candida
             system.location[0] = system.state[parameters]
             if system.evaluate_kinematics(t) != OK:
                 return None
+    if not _is_solved(system):
+        return None
     location = system.location[0].copy()
     for side, contour, u in ((0, contact.body1.contour, location[:2]), (1, contact.body2.contour, location[2:])):
         for a in range(contour.dimension):
@@ -125,6 +141,26 @@ def _refine(system: System, t: float, start: np.ndarray, branch: int) -> Candida
     point = system.frames[1, 3] + system.derivatives[1, 0]
     sign = int(np.sign(system.contact_real[0, CONDITION]))
     return Candidate(location, gap, bending, point.copy(), sign, branch, (int(charts[0]), int(charts[1])))
+
+
+def _is_solved(system: System) -> bool:
+    """Whether C1, but for the gap, and C2 hold for unit tangents too."""
+    contact = system.contacts[0]
+    if system.contact_int[0, CLOSED_FORM] != NO_CLOSED_FORM:
+        return True
+    pattern = system.contact_int[0, PATTERN]
+    first, second = system.derivatives[0], system.derivatives[1]
+    tangents1 = first[1 : 1 + contact.body1.contour.dimension]
+    tangents2 = second[1 : 1 + contact.body2.contour.dimension]
+    difference = (system.frames[1, 3] - system.frames[0, 3]) + (second[0] - first[0])
+    tolerance = _SOLVED * max(system.contact_real[0, LENGTH], float(np.linalg.norm(difference)))
+    across = [*tangents2, *(tangents1 if pattern == CROSSING_CURVES else ())]
+    if any(not abs(tangent @ difference) <= tolerance * np.linalg.norm(tangent) for tangent in across):
+        return False
+    if pattern in (CROSSING_CURVES, ON_CURVE):
+        return True
+    normal = system.basis[0, 2]
+    return all(abs(tangent @ normal) <= _SOLVED * np.linalg.norm(tangent) for tangent in tangents1)
 
 
 def _bending_side(system: System) -> int:

@@ -6,32 +6,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.integrate import quad
+from stress_scenes import (
+    G,
+    ball_in_bowl,
+    bead_on_hoop,
+    crossed_rods,
+    disk,
+    leaning,
+    rod_on_ground,
+    rod_state,
+)
 
 import pincontact as pc
-
-G = 9.81
-
-
-def free_body(mass, inertia, gravity=G):
-    model = pin.Model()
-    model.gravity.linear = np.array([0.0, 0.0, -gravity])
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
-    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.diag(inertia)), pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
-    return model
-
-
-def disk(radius=0.5, mass=1.0, friction=None, gravity=G):
-    moment = mass * radius**2
-    scene = pc.Scene(free_body(mass, (0.25 * moment, 0.25 * moment, 0.5 * moment), gravity))
-    rim, floor = scene.add_contour("rim", pc.Circle(radius), "body"), scene.add_contour("floor", pc.Plane())
-    scene.add_contact("c", rim, floor, friction=friction)
-    return scene
-
-
-def leaning(radius, lean):
-    """q of a disk whose axis leans by `lean` from the vertical."""
-    return np.array([0.0, 0.0, radius * math.sin(lean), 0.0, math.sin(0.5 * lean), 0.0, math.cos(0.5 * lean)])
 
 
 def assert_sound(run, residual=1e-12):
@@ -72,23 +58,7 @@ def test_motion_scales_with_size_and_mass(radius, mass):
 def test_mass_ratio(ratio):
     """A bead on a heavy or light hoop that turns freely about its vertical diameter: energy and momentum are kept."""
     bead, radius = 0.2, 0.4
-    hoop = ratio * bead
-    model = pin.Model()
-    turning = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "hoop")
-    moment = 0.5 * hoop * radius**2
-    model.appendBodyToJoint(
-        turning, pin.Inertia(hoop, np.zeros(3), np.diag([moment, 2 * moment, moment])), pin.SE3.Identity()
-    )
-    model.addBodyFrame("hoop", turning, pin.SE3.Identity(), 0)
-    sliding = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "bead")
-    model.appendBodyToJoint(sliding, pin.Inertia(bead, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
-    model.addBodyFrame("bead", sliding, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
-    point = scene.add_contour("bead", pc.Point(), "bead")
-    ring = scene.add_contour(
-        "ring", pc.Circle(radius), "hoop", pin.SE3(pin.utils.rotate("x", 0.5 * math.pi), np.zeros(3))
-    )
-    scene.add_contact("c", point, ring)
+    scene, moment = bead_on_hoop(ratio)
     q = np.array([0.0, radius * math.sin(1.0), 0.0, -radius * math.cos(1.0)])
     rate = 3.0
     state = scene.initial_state(q, np.array([rate, 0.0, rate * q[1], 0.0]))
@@ -122,13 +92,7 @@ def test_nearly_flat_disk():
 def test_ball_in_almost_its_own_bowl():
     """Radii that differ by a thousandth: location parameters run a thousand times faster than the ball moves."""
     radius, gap, amplitude = 0.5, 5e-4, 0.6
-    moment = 0.4 * radius**2
-    scene = pc.Scene(free_body(1.0, (moment, moment, moment)))
-    ball = scene.add_contour("ball", pc.Sphere(radius), "body", pin.SE3(pin.utils.rotate("x", 0.7), np.zeros(3)))
-    bowl = scene.add_contour(
-        "bowl", pc.Sphere(radius + gap), placement=pin.SE3(pin.utils.rotate("y", 1.3), np.zeros(3))
-    )
-    scene.add_contact("c", ball, bowl, friction=pc.NoSlip(), side=-1)
+    scene = ball_in_bowl(radius, gap, pc.NoSlip())
     q = np.array([gap * math.sin(amplitude), 0.0, -gap * math.cos(amplitude), 0.0, 0.0, 0.0, 1.0])
     state = scene.initial_state(q, np.zeros(6))
     period = 2.0 * math.pi * math.sqrt(1.4 * gap / G)
@@ -149,10 +113,7 @@ def test_nearly_parallel_rods(angle):
     both grow at the rate (N / (angle sqrt(m I)))^(1/2). The run is as long as leaves ten of these.
     """
     slope, moment = 0.3, 0.1
-    scene = pc.Scene(free_body(1.0, (moment, moment, 0.01)))
-    rod = scene.add_contour("rod", pc.Line(), "body", pin.SE3(pin.utils.rotate("z", angle), np.zeros(3)))
-    rail = scene.add_contour("rail", pc.Line(), placement=pin.SE3(pin.utils.rotate("y", slope), np.zeros(3)))
-    scene.add_contact("c", rod, rail, bilateral=True, location=(0.0, 0.0))
+    scene = crossed_rods(angle, slope, moment)
     q = np.array([0.0, 0.0, 0.0, *pin.Quaternion(pin.utils.rotate("y", slope)).coeffs()])
     state = scene.initial_state(q, np.zeros(6))
     duration = 10.0 / math.sqrt(G * math.cos(slope) / (angle * math.sqrt(moment)))
@@ -200,25 +161,12 @@ def test_any_friction_coefficient(mu):
 
 def test_painleve_rod_says_so():
     """A rod that is pushed into the ground at mu = 2 has no consistent force: the run ends and gives that reason."""
-    length, mu, lean = 0.5, 2.0, 1.0
-    model = pin.Model()
-    model.gravity.linear = np.array([0.0, -G, 0.0])
-    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "root")
-    model.appendBodyToJoint(
-        joint, pin.Inertia(1.0, np.zeros(3), np.diag([1.0, 1.0, length**2 / 3.0])), pin.SE3.Identity()
-    )
-    model.addBodyFrame("rod", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
-    tip = scene.add_contour("tip", pc.Point(), "rod", pin.SE3(np.eye(3), np.array([-length, 0.0, 0.0])))
-    ground = scene.add_contour("ground", pc.Line())
-    scene.add_contact("tip/ground", tip, ground, friction=pc.Coulomb(mu), side=-1)
+    mu, lean = 2.0, 1.0
     c, s = math.cos(lean), math.sin(lean)
-    q = np.array([length * c, length * s, c, s])
     # the tip moves away from the side to which the rod leans; without a force it would go into the ground
     assert 1.0 + 3.0 * c * c - 3.0 * mu * s * c < 0.0
-    world = np.array([-1.5, 0.0])
-    v = np.array([c * world[0] + s * world[1], -s * world[0] + c * world[1], 0.0])
-    run = pc.simulate(scene, scene.initial_state(q, v), 1.0)
+    scene = rod_on_ground(mu)
+    run = pc.simulate(scene, rod_state(scene, lean, -1.5), 1.0)
     assert run.status < 0
     assert "Painleve" in run.message
     assert "tip/ground" in run.message

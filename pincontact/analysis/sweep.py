@@ -1,0 +1,440 @@
+"""Many runs over a grid or a list of parameters: in processes, on a cluster, streamed to a file, resumed."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+import multiprocessing
+import os
+import pickle
+import sys
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from ..errors import ArgumentError, SolverError
+from ..jit import compile_kernels
+from ..scene import Scene
+from ..scene_file import LoadedScene
+from ..simulate import PlainBar, simulate
+from ..state import State
+from ..trajectory import Trajectory
+from .fingerprint import fingerprint
+from .sweep_file import FORMAT, Row, RowFile
+from .sweep_table import SweepTable, flat_row
+
+# How many runs may wait in an executor whose number of workers is not known: enough for a large cluster.
+_QUEUE = 4096
+_QUEUE_PER_WORKER = 4
+_TRACEBACK_LINES = 40
+
+Figures = dict[str, Any]
+
+
+def sweep(
+    build: Callable[..., Any],
+    parameters: Mapping[str, Any] | Any,
+    *,
+    names: Sequence[str] | None = None,
+    measure: Callable[[Trajectory], Mapping[str, Any]] | None = None,
+    file: str | os.PathLike[str] | None = None,
+    runs: str | os.PathLike[str] | None = None,
+    resume: bool | str = True,
+    retry: bool = False,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    progress: bool = True,
+) -> SweepTable:
+    """Call `build` with many sets of parameters, simulate what it describes, and collect figures.
+
+    build(**parameters): called where the run is made (models and scenes do not travel between processes). It returns
+    (scene, state, options), with `simulate`'s arguments as a dict; or what `load_scene` returns; or a Trajectory;
+    or a mapping of figures, name -> number, text, None, or an array or list of these.
+    parameters: name -> values for the grid of all combinations, the last name running fastest; or a list of dicts,
+    a structured array, or an array (n, k) with k `names`. Values are numbers, texts, None, and sequences of these.
+    measure(run): figures of a run, instead of status, message, events and steps (counts), t_end, q_end, v_end.
+    file: rows are appended to it as they come (JSON lines). An interrupted sweep goes on where it was: rows in the
+    file are not run again; with retry=True, those that failed are.
+    runs: a folder that keeps every Trajectory (`Trajectory.load(row["run"])`), reachable from every worker.
+    resume: False begins the file anew; "anyway" goes on with a file although `build`, `measure` or the package have
+    changed, which is an error otherwise.
+    executor: any `concurrent.futures.Executor`, such as Dask's `client.get_executor()` or mpi4py's MPIPoolExecutor;
+    None makes processes of its own, as many as `workers` (default: one for each core; 0: all runs in this process).
+    Then build and measure must be functions of a module, and a script needs `if __name__ == "__main__":`.
+    progress: show a bar.
+
+    A run that raises is a row with its `error`; so is one that takes its process down. Returns the table, in the order
+    of the parameters. Ctrl-C ends the runs under way and leaves a file from which the same call goes on.
+    Raises ArgumentError for bad arguments, a file that does not belong to this sweep or is in use; TrajectoryError for
+    a file that is damaged; SolverError where no worker can be started.
+    """
+    samples, grid = _samples(parameters, names)
+    for name, call in (("build", build), ("measure", measure)):
+        if not callable(call) and not (name == "measure" and call is None):
+            raise ArgumentError(f"{name} must be callable, got {call!r}")
+    if resume not in (True, False, "anyway"):
+        raise ArgumentError(f"resume must be True, False or 'anyway', got {resume!r}")
+    if workers is not None and (executor is not None or isinstance(workers, bool) or workers < 0):
+        what = "cannot be given with an executor" if executor is not None else f"must be 0 or more, got {workers!r}"
+        raise ArgumentError(f"workers {what}")
+    folder = None
+    if runs is not None:
+        Path(runs).mkdir(parents=True, exist_ok=True)
+        folder = str(Path(runs).resolve())
+    keys = [_key(sample) for sample in samples]
+    header = {
+        "sweep": FORMAT,
+        "names": list(samples[0]) if samples else [],
+        "build": _title(build),
+        "fingerprint": fingerprint(build) + ("" if measure is None else fingerprint(measure)),
+        "version": _version(),
+    }
+    if file is None:
+        return _Sweep(build, measure, folder, samples, keys, grid, None, {}).run(executor, workers, progress)
+    with RowFile(Path(file), header, resume) as store:
+        done = {key: row for key, row in store.rows.items() if not (retry and row["error"])}
+        return _Sweep(build, measure, folder, samples, keys, grid, store, done).run(executor, workers, progress)
+
+
+# ---------------------------------------------------------------------------------------------------- parameters
+
+
+def _samples(parameters: Any, names: Sequence[str] | None) -> tuple[list[Row], dict[str, list[Any]] | None]:
+    """The sets of parameters as plain data, and the grid's axes."""
+    if names is not None and not (isinstance(parameters, np.ndarray) and parameters.dtype.names is None):
+        raise ArgumentError("names are for parameters given as an array (n, k)")
+    if isinstance(parameters, Mapping):
+        axes = {}
+        for name, values in parameters.items():
+            if isinstance(values, (str, bytes, Mapping)) or not hasattr(values, "__iter__"):
+                raise ArgumentError(f"parameter {name!r} must be a sequence of values, got {values!r}")
+            axes[_name(name)] = [_plain(value, f"parameter {name!r}") for value in values]
+        return [dict(zip(axes, values)) for values in itertools.product(*axes.values())], axes
+    if isinstance(parameters, np.ndarray):
+        if parameters.dtype.names is not None:
+            names, rows = parameters.dtype.names, parameters.reshape(-1).tolist()
+        elif parameters.ndim != 2 or names is None or len(names) != parameters.shape[1]:
+            count = "no names" if names is None else f"{len(names)} names"
+            raise ArgumentError(
+                f"parameters as an array must be structured, or (n, k) with k names; got {parameters.shape}, {count}"
+            )
+        else:
+            rows = parameters.tolist()
+        parameters = [dict(zip(names, row)) for row in rows]
+    samples = []
+    try:
+        entries = list(parameters)
+    except TypeError:
+        raise ArgumentError(f"parameters must be a dict, a list of dicts or an array, got {parameters!r}") from None
+    for i, entry in enumerate(entries):
+        if not isinstance(entry, Mapping):
+            raise ArgumentError(f"parameters[{i}] must be a dict, got {entry!r}")
+        samples.append({_name(name): _plain(value, f"parameters[{i}][{name!r}]") for name, value in entry.items()})
+        if samples[i].keys() != samples[0].keys():
+            raise ArgumentError(f"parameters[{i}] has the names {list(entry)}, parameters[0] has {list(samples[0])}")
+    return samples, None
+
+
+def _name(name: Any) -> str:
+    if not isinstance(name, str) or not name.isidentifier() or name in ("error", "run"):
+        raise ArgumentError(f"a parameter's name must be an identifier other than 'error' and 'run', got {name!r}")
+    return name
+
+
+def _plain(value: Any, what: str) -> Any:
+    """Numbers, texts, None and lists of these, as JSON keeps them."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry, what) for entry in value]
+    raise ArgumentError(f"{what} must be a number, a text, None or a sequence of these, got {value!r}")
+
+
+def _key(sample: Row) -> str:
+    """Names one set of parameters, whatever their order."""
+    return hashlib.sha256(json.dumps(sample, sort_keys=True).encode()).hexdigest()[:24]
+
+
+# ---------------------------------------------------------------------------------------------------- one run
+
+
+def _perform(build: Callable[..., Any], measure: Any, folder: str | None, key: str, sample: Row) -> Row:
+    """One run, in whatever process: what goes into the file, as plain data. Never raises but for an interrupt."""
+    began = time.perf_counter()
+    figures: Figures = {}
+    error = ""
+    trace: list[str] = []
+    try:
+        made = build(**sample)
+        if isinstance(made, Mapping):
+            figures = _checked_figures(made, "build")
+        else:
+            figures = _figures_of(_run(made), measure, folder, key)
+        for name in figures:
+            if name in sample or name == "error":
+                raise ArgumentError(f"figure {name!r} has the name of a parameter or of the error")
+    except (Exception, SystemExit) as failure:
+        figures = {}
+        error = f"{type(failure).__name__}: {failure}"
+        trace = "".join(traceback.format_exception(failure)).splitlines()[-_TRACEBACK_LINES:]
+    row = {"key": key, "parameters": sample, "figures": figures, "error": error}
+    return row | ({"traceback": trace} if trace else {}) | {"seconds": time.perf_counter() - began}
+
+
+def _run(made: Any) -> Trajectory:
+    if isinstance(made, Trajectory):
+        return made
+    if isinstance(made, LoadedScene):
+        return made.simulate()
+    if isinstance(made, tuple) and len(made) == 3:
+        scene, state, options = made
+        if isinstance(scene, Scene) and isinstance(state, State) and isinstance(options, Mapping):
+            return simulate(scene, state, **options)
+    raise ArgumentError(
+        "build must return (scene, state, options of simulate), a loaded scene, a Trajectory or a mapping of figures; "
+        f"got {type(made).__name__}"
+    )
+
+
+def _figures_of(run: Trajectory, measure: Any, folder: str | None, key: str) -> Figures:
+    if measure is not None:
+        figures = _checked_figures(measure(run), "measure")
+    else:
+        last = slice(-1, None)
+        figures = {
+            "status": run.status,
+            "message": run.message,
+            "t_end": float(run.t[-1]) if run.t.size else None,
+            "events": len(run.events),
+            "steps": run.stats.get("steps"),
+            "q_end": [float(x) for x in run.q[last].ravel()],
+            "v_end": [float(x) for x in run.v[last].ravel()],
+        }
+    if folder is not None:
+        target = os.path.join(folder, f"{key}.npz")
+        # a file with this name is a whole one
+        partly = f"{target}.{os.getpid()}.part"
+        run.save(partly)
+        os.replace(partly, target)
+        figures["run"] = target
+    return figures
+
+
+def _checked_figures(figures: Any, what: str) -> Figures:
+    if not isinstance(figures, Mapping):
+        raise ArgumentError(f"{what} must return a mapping of figures, got {type(figures).__name__}")
+    return {str(name): _plain(value, f"figure {name!r}") for name, value in figures.items()}
+
+
+# ---------------------------------------------------------------------------------------------------- all runs
+
+
+class _Sweep:
+    """The runs of one call, and where their rows go."""
+
+    def __init__(
+        self,
+        build: Callable[..., Any],
+        measure: Callable[[Trajectory], Mapping[str, Any]] | None,
+        folder: str | None,
+        samples: list[Row],
+        keys: list[str],
+        grid: dict[str, list[Any]] | None,
+        store: RowFile | None,
+        done: dict[str, Row],
+    ) -> None:
+        self._build, self._measure, self._folder = build, measure, folder
+        self._samples, self._keys, self._grid = samples, keys, grid
+        wanted = set(keys)
+        self._store, self._done = store, {key: row for key, row in done.items() if key in wanted}
+        # a set of parameters that is given twice is run once
+        self._waiting = {key: sample for key, sample in zip(keys, samples) if key not in self._done}
+        self._progress: Callable[[], None] = lambda: None
+
+    def run(self, executor: Executor | None, workers: int | None, progress: bool) -> SweepTable:
+        began = time.perf_counter()
+        bar = _bar(len(self._done), len(self._done) + len(self._waiting)) if progress else None
+        if bar is not None:
+            self._progress = partial(bar.update, 1)
+        try:
+            if self._waiting:
+                if executor is not None:
+                    lost = self._on(executor, list(self._waiting), _QUEUE)
+                    if lost:
+                        raise SolverError(
+                            f"the executor broke with {len(lost)} runs under way; the rows so far are kept"
+                        )
+                elif workers == 0:
+                    for key in self._waiting:
+                        self._keep(_perform(*self._task(key)))
+                else:
+                    self._in_processes(min(workers or _cores(), len(self._waiting)))
+        finally:
+            if bar is not None:
+                bar.close()
+        rows = [flat_row(self._done[key]) for key in self._keys]
+        names = tuple(self._samples[0]) if self._samples else tuple(self._grid or ())
+        return SweepTable(rows, names, self._grid, time.perf_counter() - began)
+
+    def _task(self, key: str) -> tuple[Any, ...]:
+        return self._build, self._measure, self._folder, key, self._waiting[key]
+
+    def _keep(self, row: Row) -> None:
+        if self._store is not None:
+            self._store.append(row)
+        self._done[row["key"]] = row
+        self._progress()
+
+    def _on(self, executor: Executor, keys: list[str], queue: int) -> list[str]:
+        """Run on an executor; returns the keys that were under way when it broke."""
+        pending: dict[Future[Row], str] = {}
+        waiting = iter(keys)
+        lost: list[str] = []
+        # waiting on all of them at each turn would cost their number squared
+        finished: SimpleQueue[Future[Row]] = SimpleQueue()
+        try:
+            while True:
+                try:
+                    for key in itertools.islice(waiting, queue - len(pending)):
+                        lost.append(key)
+                        future = executor.submit(_perform, *self._task(key))
+                        pending[future] = lost.pop()
+                        future.add_done_callback(finished.put)
+                except BrokenExecutor:
+                    waiting = iter(())
+                if not pending:
+                    break
+                future = finished.get()
+                key = pending.pop(future)
+                try:
+                    self._keep(future.result())
+                except BrokenExecutor:
+                    lost.append(key)
+                    waiting = iter(())
+                except Exception as failure:
+                    # the executor's own trouble: a function that cannot travel, a worker that was lost
+                    self._keep(self._failure(key, f"{type(failure).__name__}: {failure}"))
+        except BaseException:
+            for future in pending:
+                future.cancel()
+            raise
+        return lost
+
+    def _failure(self, key: str, error: str) -> Row:
+        return {"key": key, "parameters": self._waiting[key], "figures": {}, "error": error, "seconds": math.nan}
+
+    def _in_processes(self, workers: int) -> None:
+        """Run in processes of our own; a run that takes its process down is found by running it alone."""
+        _check_travels(self._build, "build")
+        _check_travels(self._measure, "measure")
+        # kernels are compiled here once, those of method "Moreau" too, and not by every worker
+        import_module("..integration.moreau", __package__)
+        compile_kernels()
+        keys = list(self._waiting)
+        while keys:
+            suspects = self._pool(workers, keys, _QUEUE_PER_WORKER * workers)
+            while suspects:
+                # one of them did it: one by one, it shows itself
+                culprit = self._pool(1, suspects, 1)
+                for key in culprit:
+                    self._keep(self._failure(key, "BrokenProcessPool: the run ended its process (crash, no memory)"))
+                suspects = [key for key in suspects if key not in self._done]
+            keys = [key for key in keys if key not in self._done]
+
+    def _pool(self, workers: int, keys: list[str], queue: int) -> list[str]:
+        """Run in new processes; returns the keys that were under way when one of them ended by itself."""
+        # forked children of a process with threads (BLAS, a notebook) may hang
+        context = multiprocessing.get_context("spawn")
+        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupts)
+        try:
+            self._wait_for_start(pool)
+            return self._on(pool, keys, queue)
+        except BaseException:
+            for process in list((pool._processes or {}).values()):
+                process.terminate()
+            raise
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+    def _wait_for_start(self, pool: ProcessPoolExecutor) -> None:
+        try:
+            missing = pool.submit(_arrives, pickle.dumps((self._build, self._measure))).result()
+        except BrokenExecutor as error:
+            raise SolverError(
+                "the worker processes ended before they had started: a script that sweeps needs "
+                'if __name__ == "__main__": around its own work, since its workers import it'
+            ) from error
+        if missing:
+            raise ArgumentError(f"build cannot be imported by worker processes ({missing}): put it in a module")
+
+
+def _ignore_interrupts() -> None:
+    """Ctrl-C is for the process that sweeps; it ends its workers itself."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _arrives(functions: bytes) -> str:
+    """Why a worker cannot read what it shall call; nothing if it can."""
+    try:
+        pickle.loads(functions)
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+    return ""
+
+
+def _check_travels(function: Any, what: str) -> None:
+    try:
+        pickle.dumps(function)
+    except Exception as error:
+        raise ArgumentError(
+            f"{what} cannot be sent to other processes ({error}): it must be a function of a module, not a lambda or a "
+            "function within another; or pass workers=0, or an executor that can send it"
+        ) from None
+    inner = function.func if isinstance(function, partial) else function
+    main = sys.modules.get("__main__")
+    if getattr(inner, "__module__", "") == "__main__" and not hasattr(main, "__file__"):
+        raise ArgumentError(
+            f"{what} was defined interactively and cannot be imported by other processes: put it in a module, or pass "
+            "workers=0"
+        )
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _bar(done: int, total: int) -> Any:
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        bar = PlainBar(total)
+        bar.update(done)
+        return bar
+    return tqdm(total=total, initial=done, unit="run")
+
+
+def _version() -> str:
+    from .. import __version__
+
+    return __version__
+
+
+def _title(function: Any) -> str:
+    inner = function.func if isinstance(function, partial) else function
+    return f"{getattr(inner, '__module__', '?')}.{getattr(inner, '__qualname__', type(inner).__qualname__)}"

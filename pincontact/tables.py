@@ -1,0 +1,117 @@
+"""A run as another package's table: xarray's Dataset, pandas' DataFrame."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .errors import MissingExtraError
+
+if TYPE_CHECKING:
+    import pandas
+    import pinocchio as pin
+    import xarray
+
+    from .trajectory import Trajectory
+
+_AXES = ("x", "y", "z")
+# name in a track -> names of its further dimensions, unit, what it is
+_OF_CONTACTS: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "mode": ((), "1", "-1 open, 0 frictionless, 1 stick, 2 slip"),
+    "gap": ((), "m", "gap, positive when apart"),
+    "point": (("axis",), "m", "contact point, world axes"),
+    "force": (("axis",), "N", "force on the second contour named, world axes"),
+    "normal_force": ((), "N", "normal force, positive in compression"),
+    "tangential_force": ((), "N", "length of the tangential force"),
+    "slip_velocity": (("axis",), "m/s", "velocity of the second contour's material point against the first's"),
+    "multipliers": (("direction",), "N", "components of the force in the dual frame, F_j = e_j . F"),
+    "frame": (("axis", "direction"), "1", "e_1, e_2, e_3 in world axes"),
+    "dual_frame": (("axis", "direction"), "1", "m^1, m^2, m^3 in world axes"),
+    "location_first": (("parameter",), "", "location parameters on the first contour named, NaN beyond its own"),
+    "location_second": (("parameter",), "", "location parameters on the second contour named, NaN beyond its own"),
+    "conditioning": ((), "1", "conditioning of the location equations, 1 good, 0 singular"),
+}
+
+
+def required(package: str, what: str) -> Any:
+    """The package, or MissingExtraError naming it and the extra that brings it."""
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise MissingExtraError(f"{what} needs {package}: pip install pincontact[data] ({error})") from error
+
+
+def run_to_xarray(run: Trajectory) -> xarray.Dataset:
+    """See `Trajectory.to_xarray`."""
+    package = required("xarray", "a Dataset")
+    names = list(run.contacts)
+    variables: dict[str, Any] = {
+        "q": (("t", "position"), run.q, {"long_name": "configuration, as Pinocchio's"}),
+        "v": (("t", "velocity"), run.v, {"long_name": "velocity, as Pinocchio's"}),
+    }
+    coordinates: dict[str, Any] = {
+        "t": ("t", run.t, {"units": "s"}),
+        "position": ("position", _coordinate_names(run, "q")),
+        "velocity": ("velocity", _coordinate_names(run, "v")),
+    }
+    if names:
+        coordinates |= {
+            "contact": ("contact", names),
+            "axis": ("axis", list(_AXES)),
+            "direction": ("direction", [1, 2, 3]),
+        }
+    for key, (inner, unit, text) in _OF_CONTACTS.items() if names else ():
+        columns = [getattr(run.contacts[name], key) for name in names]
+        if "parameter" in inner:
+            columns = [_padded(values, 2) for values in columns]
+        attributes = {"long_name": text} | ({"units": unit} if unit else {})
+        variables[key] = (("t", "contact", *inner), np.stack(columns, axis=1), attributes)
+    energies = None if _is_bare(run) else run.energies()
+    for key, values in vars(energies).items() if energies is not None else ():
+        if values is not None:
+            variables[key] = (("t",), values, {"units": "J"})
+    return package.Dataset(variables, coordinates, {"status": run.status, "message": run.message})
+
+
+def run_to_pandas(run: Trajectory) -> pandas.DataFrame:
+    """See `Trajectory.to_pandas`."""
+    package = required("pandas", "a DataFrame")
+    columns: dict[str, np.ndarray] = {}
+    for kind, rows in (("q", run.q), ("v", run.v)):
+        for i, name in enumerate(_coordinate_names(run, kind)):
+            columns[f"{kind}.{name}"] = rows[:, i]
+    suffixes = {"axis": _AXES, "direction": ("1", "2", "3"), "parameter": ("1", "2")}
+    for name in run.contacts:
+        for key, (inner, _, _) in _OF_CONTACTS.items():
+            values = getattr(run.contacts[name], key)
+            if len(inner) == 0:
+                columns[f"{name}.{key}"] = values
+            elif len(inner) == 1:
+                for i, suffix in zip(range(values.shape[1]), suffixes[inner[0]]):
+                    columns[f"{name}.{key}.{suffix}"] = values[:, i]
+    return package.DataFrame(columns, index=package.Index(run.t, name="t"))
+
+
+def _is_bare(run: Trajectory) -> bool:
+    """Whether the run was read from a file without its scene."""
+    return run.scene.model.nq != run.q.shape[1]
+
+
+def _coordinate_names(run: Trajectory, kind: str) -> list[str]:
+    """Names of the entries of q or v: the joint's, with an index where it has several."""
+    if _is_bare(run):
+        return [str(i) for i in range((run.q if kind == "q" else run.v).shape[1])]
+    model: pin.Model = run.scene.model
+    names = []
+    for joint, name in list(zip(model.joints, model.names))[1:]:
+        size = joint.nq if kind == "q" else joint.nv
+        names += [name] if size == 1 else [f"{name}[{i}]" for i in range(size)]
+    return names
+
+
+def _padded(values: np.ndarray, columns: int) -> np.ndarray:
+    out = np.full((len(values), columns), np.nan)
+    out[:, : values.shape[1]] = values
+    return out

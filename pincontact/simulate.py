@@ -19,7 +19,7 @@ from .integration.runge_kutta import RungeKutta
 from .integration.tableaux import tableau
 from .integration.transitions import Transitions
 from .jit import compile_kernels
-from .layout import CLOSED_COUNT, EVALUATION_COUNT, NEWTON_COUNT
+from .layout import CLOSED_COUNT, DRIVES_EVALUATED, EVALUATION_COUNT, NEWTON_COUNT, ROWS_FORMED
 from .scene import Scene
 from .state import State, write_discrete
 from .trajectory import Record, Trajectory
@@ -92,6 +92,8 @@ def simulate(
     torque = _Torque(control, system) if control is not None else None
 
     def failed_control(t: float) -> None:
+        if system.callback_error is not None:
+            raise system.callback_error
         if torque is not None and torque.failure is not None:
             raise Stop(CONTROL_FAILED, torque.failure)
 
@@ -115,6 +117,8 @@ def simulate(
         "pinocchio": int(system.counters[EVALUATION_COUNT]),
         "newton": int(system.counters[NEWTON_COUNT]),
         "closed_form": int(system.counters[CLOSED_COUNT]),
+        "contact_rows": int(system.counters[ROWS_FORMED]),
+        "drives": int(system.counters[DRIVES_EVALUATED]),
         "cone_problems": modes.cone_problems,
         "qp": modes.solver.qp_count,
         "cone_residual": modes.worst_residual,
@@ -164,6 +168,8 @@ def _simulate_moreau(
         "pinocchio": int(system.counters[EVALUATION_COUNT]),
         "newton": int(system.counters[NEWTON_COUNT]),
         "closed_form": int(system.counters[CLOSED_COUNT]),
+        "contact_rows": int(system.counters[ROWS_FORMED]),
+        "drives": int(system.counters[DRIVES_EVALUATED]),
         "cone_problems": stepper.cone_problems,
         "rigid": stepper.rigid,
         "softened": stepper.softened,

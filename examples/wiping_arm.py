@@ -27,7 +27,7 @@ CENTRE, RADIUS, PERIOD = (0.42, 0.0), 0.1, 2.0
 HEIGHT, WAVE = 0.008, 24.0
 PRESS, MU = 20.0, 0.3
 # samples of the circle; the series of joint angles and torques have half as many terms
-SAMPLES = 96
+SAMPLES = 64
 
 
 def height(x: float, y: float) -> float:
@@ -107,8 +107,13 @@ def main(html: Path | None = None, duration: float = 2.0) -> dict[str, float]:
         torques[k] = found.tau
     prepared = series(torques)
 
+    # springs that swing at 4 Hz with the arm as it stands, critically damped
+    mass = pin.crba(model, model.createData(), angles[0])
+    rate = 2.0 * math.pi * 4.0
+
     def control(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return prepared(t, 0) + 40.0 * (planned(t, 0) - q) + 4.0 * (planned(t, 1) - v)
+        error, error_rate = planned(t, 0) - q, planned(t, 1) - v
+        return prepared(t, 0) + mass @ (rate**2 * error + 2.0 * rate * error_rate)
 
     start = scene.initial_state(planned(0.0, 0), planned(0.0, 1))
     run = pc.simulate(scene, start, duration, control=control, rtol=1e-8, energies=True)

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import ArgumentError, MissingExtraError, TrajectoryError
 from ..layout import FREE, FRICTIONLESS, SLIPPING, STICK
 from . import arrows, meshes
-from .bodies import contour_meshes, contour_opacity, draw_geometry, geometry_reach, shades
+from .bodies import contour_meshes, contour_opacity, draw_geometry, geometry_reach, shades, shown_by
 from .drawing import FRONT_SIDE, Command, Drawing, color_number
 from .sampling import (
     MODE_NAMES,
@@ -44,6 +44,7 @@ _BEHIND_LINES = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffs
 
 _TRACE_POINTS, _TRACE_SIDES = 6000, 6
 _SNAPSHOTS = 40
+_SHOWN_SAMPLES = 24
 
 
 def replay(
@@ -360,17 +361,17 @@ class _Stage:
             draw_geometry(self.drawing, self.body(geometry.parentJoint, "visuals", geometry.name), geometry)
 
     def draw_contours(self, with_robot: bool) -> None:
-        """All contours of bodies that have no visual geometry, and the curves of those that have."""
+        """All contours, but for surfaces that the body's own visual geometry shows already."""
         visuals = self.scene.visual_model.geometryObjects if with_robot and self.scene.visual_model else []
         pictured = {geometry.parentJoint for geometry in visuals}
         for name, attached in self.scene.contours.items():
             joint, contour = attached.joint, attached.contour
-            if joint in pictured and contour.dimension == 2 and joint != 0:
+            world = contour_placements(attached, self.placements, self.moments)
+            near = self._contact_points_in(name, world)
+            if joint in pictured and contour.dimension == 2 and joint != 0 and self._is_shown(attached, near):
                 continue
             path = self.body(joint, "contours", name)
-            world = contour_placements(attached, self.placements, self.moments)
             self._attach(path, attached, world)
-            near = self._contact_points_in(name, world)
             filled = joint != 0 and joint not in pictured and not self._carries_point(name)
             opacity = contour_opacity(contour, joint)
             moments = [self.moments[0]]
@@ -389,6 +390,18 @@ class _Stage:
                     until = moments[number + 1] if number + 1 < len(moments) else np.inf
                     visible = (self.moments >= moment) & (self.moments < until)
                     self.drawing.animate_visibility(base, self.times, visible)
+
+    def _is_shown(self, attached: Any, near: np.ndarray) -> bool:
+        """Whether the body's visual geometry lies where it touches; near: (n, 3), in the contour's frame."""
+        if attached.motion is not None:
+            return False
+        if not np.any(near):
+            return True
+        few = near[np.linspace(0, len(near) - 1, min(len(near), _SHOWN_SAMPLES)).astype(int)]
+        placement = attached.placement_in_joint
+        geometries = [g for g in self.scene.visual_model.geometryObjects if g.parentJoint == attached.joint]
+        size = attached.contour.size if np.isfinite(attached.contour.size) else self.size
+        return shown_by(geometries, few @ placement.rotation.T + placement.translation, 0.1 * size)
 
     def _carries_point(self, name: str) -> bool:
         """Whether a point runs along this contour: then it is a wire, not the edge of a disc."""

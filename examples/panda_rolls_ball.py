@@ -1,8 +1,8 @@
 """A Franka arm rolls a ball over a table with its fingertip.
 
-A ball lies between the table and a spherical fingertip of the Panda arm, held by Coulomb friction alone. The arm presses
-and takes the fingertip once round a circle, under an impedance controller. Both contacts stick all the way: the ball
-goes half as far as the finger, and comes back turned, as rolling bodies do.
+A ball lies between the table and a spherical fingertip of the Panda arm, held by Coulomb friction alone. The arm
+presses and takes the fingertip once round a circle, under an impedance controller. Both contacts stick all the way:
+the ball goes half as far as the finger, and comes back turned, as rolling bodies do.
 
 The arm's description is not part of this package: pip install "pincontact[robots]", or example-robot-data by itself.
 
@@ -137,8 +137,8 @@ def main(html: Path | None = None, duration: float = 2.5) -> dict[str, float]:
         f"{run.message} The finger went {1e3 * result['went']:.1f} mm away, the ball {result['ball_share']:.3f} of that"
     )
     print(
-        f"both contacts stick: slip below {result['slip']:.0e} m/s, friction at most {result['largest_ratio']:.2f} of the "
-        f"load (mu = {MU}), load at least {result['least_force']:.1f} N"
+        f"both contacts stick: slip below {result['slip']:.0e} m/s, friction at most {result['largest_ratio']:.2f} "
+        f"of the load (mu = {MU}), load at least {result['least_force']:.1f} N"
     )
     print(f"back where it began the ball has turned by {math.degrees(result['turned']):.2f} degrees")
     if html is not None:

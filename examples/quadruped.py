@@ -1,9 +1,8 @@
 """A quadruped on four feet, one of them on ice, pushed from behind until that foot slips.
 
-The robot of urdf/quadruped.urdf holds its stance with joint springs and dampers about torques from inverse dynamics.
-Its legs are planar, so that sideways forces of the four feet cannot be told apart: redundant contacts, which stand
-without creep all the same. A push grows slowly; the foot on ice begins to slip at the force where its cone says so,
-the other three stay where they are; when the push goes the robot comes back, and the foot stands a little elsewhere.
+The robot of urdf/quadruped.urdf holds its stance with joint springs and dampers about torques from inverse dynamics,
+and stands without creep. A push grows slowly; the foot on ice begins to slip at the force where its cone says so, the
+other three stay where they are; when the push goes the robot comes back, and the foot stands a little elsewhere.
 
     python examples/quadruped.py [--html FILE]
 """
@@ -71,7 +70,7 @@ def main(html: Path | None = None, push: float = 16.0) -> dict[str, float]:
         return tau
 
     rest = pc.simulate(scene, state, 1.0, control=stance)
-    # a foot that creeps over ice turns its friction in no time: time stepping does not mind, and finds the slip to a step
+    # the friction of a foot that creeps can turn in no time; time stepping does not mind, and finds the slip to a step
     run = pc.simulate(scene, state, duration, control=control, method="Moreau", step=step)
     ice = run.contacts[ICY]
     coarse = float(run.t[np.argmax(ice.mode == SLIP)])
@@ -89,7 +88,7 @@ def main(html: Path | None = None, push: float = 16.0) -> dict[str, float]:
         "coarse": coarse,
         "cone": float(cone),
         "others_stick": float(all((run.contacts[name].mode == STICK).all() for name in others)),
-        "others_moved": float(max(np.linalg.norm(run.contacts[name].slip_velocity, axis=1).max() for name in others)),
+        "others_slip": float(max(np.linalg.norm(run.contacts[name].slip_velocity, axis=1).max() for name in others)),
         "slid": float(np.linalg.norm(ice.point[-1] - ice.point[0])),
         "sticks_again": float(ice.mode[-1] == STICK),
     }
@@ -99,8 +98,8 @@ def main(html: Path | None = None, push: float = 16.0) -> dict[str, float]:
         f"load sideways (time stepping: {coarse:.3f} s)"
     )
     print(
-        f"{run.message} The foot stands {1e3 * result['slid']:.2f} mm from where it stood; the others slipped at "
-        f"{result['others_moved']:.0e} m/s at most"
+        f"{run.message} The foot stands {1e3 * result['slid']:.2f} mm from where it stood; the others slip at "
+        f"{result['others_slip']:.0e} m/s at most"
     )
     if html is not None:
         pc.export_html(run, html)

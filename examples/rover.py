@@ -2,7 +2,8 @@
 
 The robot of urdf/rover.urdf stands on two tyres (tori, Coulomb friction) and a frictionless caster. A speed controller
 turns the difference of two torques into a curve: it drives an S and comes to a straight line again, its wheels sticking
-all the way, so that the axle never moves sideways and turns at r (w_right - w_left) / track. Then it drives off at a
+all the way (their sideways constraints are one and the same), so that the axle never moves sideways and turns at
+r (w_right - w_left) / track. Then it drives off at a
 constant torque, once gently and once with more than the tyres hold; both accelerations have closed forms.
 
     python examples/rover.py [--html FILE]
@@ -80,8 +81,9 @@ def closed_forms(model: pin.Model, torque: float) -> tuple[float, float]:
     base, wheel = model.inertias[1], model.inertias[2]
     mass, spin, g = base.mass + 2.0 * wheel.mass, wheel.inertia[1, 1], -model.gravity.linear[2]
     rolling = (2.0 * torque / WHEEL) / (mass + 2.0 * spin / WHEEL**2)
-    # moments about the floor below the axle: unknown are the load of both wheels, N, and of the caster, C:
-    #   N + C = mass g,    x_base m_base g + b C = a (h m_base + 2 r m_wheel) + 2 (torque - mu N r / 2),    mass a = mu N
+    # moments about the floor below the axle; unknown are the loads of both wheels, N, and of the caster, C:
+    #   N + C = mass g,   mass a = mu N,
+    #   x_base m_base g + b C = a (h m_base + 2 r m_wheel) + 2 (torque - mu N r / 2)
     height, ahead = WHEEL + base.lever[2], base.lever[0]
     share = MU / mass * (height * base.mass + 2.0 * WHEEL * wheel.mass) - MU * WHEEL
     weight = mass * g
@@ -107,7 +109,7 @@ def main(html: Path | None = None, duration: float = 4.0) -> dict[str, float]:
         "largest_ratio": float(np.max(ratios)),
     }
     print(
-        f"an S of {result['x']:.2f} m, {result['y']:.2f} m to the side: {run.message} "
+        f"an S, {result['x']:.2f} m, {result['y']:.2f} m to the side: {run.message} "
         f"axle sideways by at most {result['sideways']:.0e} m/s, "
         f"yaw rate off r (w_r - w_l) / track by {result['yaw_error']:.0e} rad/s; "
         f"friction at most {result['largest_ratio']:.2f} of the load"

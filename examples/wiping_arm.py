@@ -59,7 +59,7 @@ def joint_angles(model: pin.Model, centre: np.ndarray, guess: np.ndarray) -> np.
     """Angles that put the pad's centre at a point of the world with the tool pointing down, by Newton's method."""
     data = model.createData()
     frame = model.getFrameId("tool")
-    wanted = pin.SE3(pin.utils.rotate("x", math.pi), centre + np.array([0.0, 0.0, REACH]))
+    wanted = pin.SE3(pin.utils.rotate("y", math.pi), centre + np.array([0.0, 0.0, REACH]))
     q = guess.copy()
     for _ in range(100):
         pin.framesForwardKinematics(model, data, q)
@@ -136,8 +136,8 @@ def main(html: Path | None = None, duration: float = 2.0) -> dict[str, float]:
     }
     print(f"{run.message} {way:.3f} m over waves of {1e3 * result['up_and_down']:.1f} mm")
     print(
-        f"normal force {PRESS} N kept to {result['force_error']:.1e} N, joint angles to {result['angle_error']:.1e} rad, "
-        f"the circle to {result['radius_error']:.1e} m"
+        f"normal force {PRESS} N kept to {result['force_error']:.1e} N, "
+        f"joint angles to {result['angle_error']:.1e} rad, the circle to {result['radius_error']:.1e} m"
     )
     print(f"friction worked {work[-1]:.6f} J; mu N times the way is {MU * PRESS * way:.6f} J")
     if html is not None:

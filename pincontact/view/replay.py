@@ -42,6 +42,11 @@ _ON_TOP = {"depthTest": False, "transparent": True, "side": FRONT_SIDE, "renderO
 # Pushed back a little, so that curves and traces that lie in a surface are not half swallowed by it.
 _BEHIND_LINES = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 1.0}
 
+# Where the camera stands, its vertical field of view in degrees, the narrowest window that shows everything, width over
+# height, and the part of the height that is free of panels.
+_VIEW_FROM = np.array([0.506, -0.759, 0.409]) / np.linalg.norm([0.506, -0.759, 0.409])
+_FIELD_OF_VIEW, _ASPECT, _FREE_HEIGHT = 40.0, 1.3, 0.8
+
 _TRACE_POINTS, _TRACE_SIDES = 6000, 6
 _SNAPSHOTS = 40
 _SHOWN_SAMPLES = 24
@@ -198,7 +203,7 @@ def compose(
         everything = np.zeros((1, 3))
     low, high = everything.min(axis=0) - size, everything.max(axis=0) + size
     if followed is None:
-        target, distance = 0.5 * (low + high), 1.05 * float(np.linalg.norm(high - low))
+        target, distance = 0.5 * (low + high), fitting_distance(0.5 * (high - low))
     else:
         target, distance = followed[0], 4.5 * size
 
@@ -244,6 +249,18 @@ def scene_size(scene: Any, placements: np.ndarray, contacts: dict[str, ContactFr
     points = np.concatenate(paths)
     extent = float(np.linalg.norm(points.max(axis=0) - points.min(axis=0))) if len(points) else 0.0
     return 0.1 * extent if extent > 0.0 else 1.0
+
+
+def fitting_distance(half: np.ndarray) -> float:
+    """From how far, in m, the camera sees all of a box between the page's panels; half: (3,), half its edges."""
+    right = np.cross([0.0, 0.0, 1.0], _VIEW_FROM)
+    right /= np.linalg.norm(right)
+    upwards = np.cross(_VIEW_FROM, right)
+    corners = np.array(np.meshgrid(*zip(-half, half))).reshape(3, -1).T
+    slope = np.tan(0.5 * np.radians(_FIELD_OF_VIEW))
+    across = np.abs(corners @ right) / (_ASPECT * slope)
+    along = np.abs(corners @ upwards) / (_FREE_HEIGHT * slope)
+    return float((corners @ _VIEW_FROM + np.maximum(across, along)).max())
 
 
 def fitting_force_scale(contacts: dict[str, ContactFrames], size: float) -> float:
@@ -562,10 +579,10 @@ def _set_camera(drawing: Drawing, picture: Picture) -> None:
     it away. What moves is the drawing: the point to look at is brought to the viewer's origin.
     """
     camera = "/Cameras/default/rotated/<object>"
-    x, y, z = picture.distance * np.array([0.52, -0.78, 0.42])
+    x, y, z = picture.distance * _VIEW_FROM
     # The camera's node is turned about x, so that three.js' vertical is the world's z.
     drawing.set_property(camera, "position", [float(x), float(z), float(-y)])
-    drawing.set_property(camera, "fov", 40.0)
+    drawing.set_property(camera, "fov", _FIELD_OF_VIEW)
     drawing.set_property(camera, "near", 0.01 * picture.distance)
     drawing.set_property(camera, "far", 100.0 * picture.distance)
     placement = np.eye(4)

@@ -87,10 +87,17 @@ def draw_geometry(drawing: Drawing, path: str, geometry: pin.GeometryObject) -> 
 
 def geometry_reach(geometry: pin.GeometryObject) -> float:
     """Radius in m of the geometry about its joint; 0 for unbounded or unknown shapes."""
-    mesh = geometry_mesh(geometry)
-    if mesh is None or len(mesh.vertices) == 0:
+    import coal
+
+    shape = geometry.geometry
+    if isinstance(shape, coal.BVHModelBase):
+        vertices = np.asarray(shape.vertices())
+    else:
+        mesh = geometry_mesh(geometry)
+        vertices = np.zeros((0, 3)) if mesh is None else mesh.vertices
+    if len(vertices) == 0:
         return 0.0
-    placed = mesh.vertices @ geometry.placement.rotation.T + geometry.placement.translation
+    placed = vertices @ geometry.placement.rotation.T + geometry.placement.translation
     return float(np.linalg.norm(placed, axis=1).max())
 
 

@@ -196,14 +196,11 @@ def compose(
     followed = None if follow is None else _followed_path(scene, follow, frames, placements, contacts)
 
     size = scene_size(scene, placements, contacts)
-    paths = [placements[:, 1:, :3, 3].reshape(-1, 3)]
-    paths += [c.point[c.touching] for c in contacts.values()]
-    everything = np.concatenate(paths)
-    if len(everything) == 0:
-        everything = np.zeros((1, 3))
-    low, high = everything.min(axis=0) - size, everything.max(axis=0) + size
+    centres, radii = what_moves(scene, placements, contacts, size)
+    low, high = (centres - radii[:, None]).min(axis=0), (centres + radii[:, None]).max(axis=0)
     if followed is None:
-        target, distance = 0.5 * (low + high), fitting_distance(0.5 * (high - low))
+        target = 0.5 * (low + high)
+        distance = fitting_distance(centres - target, radii)
     else:
         target, distance = followed[0], 4.5 * size
 
@@ -251,16 +248,42 @@ def scene_size(scene: Any, placements: np.ndarray, contacts: dict[str, ContactFr
     return 0.1 * extent if extent > 0.0 else 1.0
 
 
-def fitting_distance(half: np.ndarray) -> float:
-    """From how far, in m, the camera sees all of a box between the page's panels; half: (3,), half its edges."""
+def what_moves(
+    scene: Any, placements: np.ndarray, contacts: dict[str, ContactFrames], size: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Balls that hold all that is to be seen: the moving bodies and the contact points, with room for short arrows.
+
+    placements: (n, njoints, 4, 4); size: of the scene, m. Returns centres (m, 3), world, and radii (m,), in m.
+    """
+    reach = np.full(scene.model.njoints, 0.05 * size)
+    for contour in scene.contours.values():
+        if np.isfinite(contour.contour.size):
+            offset = float(np.linalg.norm(contour.placement_in_joint.translation))
+            reach[contour.joint] = max(reach[contour.joint], offset + contour.contour.size)
+    if scene.visual_model is not None:
+        for geometry in scene.visual_model.geometryObjects:
+            reach[geometry.parentJoint] = max(reach[geometry.parentJoint], geometry_reach(geometry))
+    bodies = placements[:, 1:, :3, 3]
+    centres = [bodies.reshape(-1, 3)] + [c.point[c.touching] for c in contacts.values()]
+    points = sum(len(c) for c in centres[1:])
+    radii = np.concatenate([np.tile(reach[1:], len(bodies)), np.full(points, 0.4 * size)])
+    if len(radii) == 0:
+        return np.zeros((1, 3)), np.array([size])
+    return np.concatenate(centres), radii
+
+
+def fitting_distance(centres: np.ndarray, radii: np.ndarray) -> float:
+    """From how far, in m, the camera sees all of these balls between the page's panels.
+
+    centres: (n, 3) from the point that it looks at; radii: (n,), both in m.
+    """
     right = np.cross([0.0, 0.0, 1.0], _VIEW_FROM)
     right /= np.linalg.norm(right)
     upwards = np.cross(_VIEW_FROM, right)
-    corners = np.array(np.meshgrid(*zip(-half, half))).reshape(3, -1).T
     slope = np.tan(0.5 * np.radians(_FIELD_OF_VIEW))
-    across = np.abs(corners @ right) / (_ASPECT * slope)
-    along = np.abs(corners @ upwards) / (_FREE_HEIGHT * slope)
-    return float((corners @ _VIEW_FROM + np.maximum(across, along)).max())
+    across = (np.abs(centres @ right) + radii) / (_ASPECT * slope)
+    along = (np.abs(centres @ upwards) + radii) / (_FREE_HEIGHT * slope)
+    return float((centres @ _VIEW_FROM + np.maximum(across, along)).max())
 
 
 def fitting_force_scale(contacts: dict[str, ContactFrames], size: float) -> float:

@@ -4,7 +4,7 @@ The arm of urdf/arm.urdf carries a spherical pad that slides with Coulomb fricti
 circle is solved for beforehand: joint angles that put the pad on the surface with the tool upright, and by inverse
 dynamics the torques that move it so while the surface is pushed with 20 N along its normal and dragged with mu times
 that. Played back as Fourier series with a weak joint controller, the simulated contact force stays at 20 N and the
-friction's work is mu N times the way over the surface.
+friction's work is mu N times the way that the pad slides.
 
     python examples/wiping_arm.py [--html FILE]
 """
@@ -26,8 +26,6 @@ PAD, REACH = 0.02, 0.07
 CENTRE, RADIUS, PERIOD = (0.42, 0.0), 0.1, 2.0
 HEIGHT, WAVE = 0.008, 24.0
 PRESS, MU = 20.0, 0.3
-# samples of the circle; the series of joint angles and torques have half as many terms
-SAMPLES = 64
 
 
 def height(x: float, y: float) -> float:
@@ -84,11 +82,11 @@ def series(samples: np.ndarray) -> Callable[[float, int], np.ndarray]:
     return value
 
 
-def main(html: Path | None = None, duration: float = 2.0) -> dict[str, float]:
+def main(html: Path | None = None, duration: float = 2.0, samples: int = 64) -> dict[str, float]:
     scene = arm()
     model = scene.model
-    times = PERIOD * np.arange(SAMPLES) / SAMPLES
-    angles = np.empty((SAMPLES, model.nq))
+    times = PERIOD * np.arange(samples) / samples
+    angles = np.empty((samples, model.nq))
     q = np.array([0.0, 0.6, 1.7, 0.0, math.pi - 2.3, 0.0])
     for k, t in enumerate(times):
         x, y = CENTRE + RADIUS * np.array([math.cos(2.0 * math.pi * t / PERIOD), math.sin(2.0 * math.pi * t / PERIOD)])
@@ -96,7 +94,7 @@ def main(html: Path | None = None, duration: float = 2.0) -> dict[str, float]:
         angles[k] = q = joint_angles(model, point + PAD * normal(x, y), q)
     planned = series(angles)
 
-    torques = np.empty((SAMPLES, model.nv))
+    torques = np.empty((samples, model.nv))
     for k, t in enumerate(times):
         state = scene.initial_state(planned(t, 0), planned(t, 1))
         at = pc.analyze(scene, state)["pad"]
@@ -119,7 +117,7 @@ def main(html: Path | None = None, duration: float = 2.0) -> dict[str, float]:
     run = pc.simulate(scene, start, duration, control=control, rtol=1e-8, energies=True)
     track, work = run.contacts["pad"], run.energies().friction_work
     assert work is not None
-    # the way over the surface, from the same slip speed that friction works at
+    # the way that the pad slides: its material goes by, while the contact point wanders over it
     speeds = np.linalg.norm(track.slip_velocity, axis=1)
     way = float(np.sum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(run.t)))
     centre = track.point[:, :2] - CENTRE
@@ -134,7 +132,7 @@ def main(html: Path | None = None, duration: float = 2.0) -> dict[str, float]:
         "work_error": float(abs(work[-1] / (-MU * PRESS * way) - 1.0)),
         "up_and_down": float(np.ptp(track.point[:, 2])),
     }
-    print(f"{run.message} {way:.3f} m over waves of {1e3 * result['up_and_down']:.1f} mm")
+    print(f"{run.message} {way:.3f} m slid over waves of {1e3 * result['up_and_down']:.1f} mm")
     print(
         f"normal force {PRESS} N kept to {result['force_error']:.1e} N, "
         f"joint angles to {result['angle_error']:.1e} rad, the circle to {result['radius_error']:.1e} m"

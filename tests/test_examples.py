@@ -126,17 +126,18 @@ def test_quadruped():
 
 
 def test_wiping_arm():
-    found = run_example("wiping_arm")
+    found = run_example("wiping_arm", samples=48)
     assert found["status"] == 0 and found["events"] == 0
-    # what a series of 32 terms leaves out: 2e-7 of the force
-    assert found["force_error"] < 1e-4
-    assert found["angle_error"] < 1e-5
-    assert found["radius_error"] < 1e-6
+    # what series of 24 terms leave out
+    assert found["force_error"] < 20.0 * 1e-3
+    assert found["angle_error"] < 1e-3
+    assert found["radius_error"] < 1e-4
     assert found["cone"] < 1e-12
     # the trapezoidal rule over the outputs
     assert found["work_error"] < 1e-4
     assert found["up_and_down"] > 5e-3
-    assert found["way"] > 2.0 * math.pi * 0.1
+    # nearly the circle's length: the pad's centre cuts corners in the valleys
+    assert found["way"] == pytest.approx(2.0 * math.pi * 0.1, rel=0.02)
 
 
 def test_panda_rolls_ball():

@@ -370,7 +370,7 @@ def test_residuals_are_of_the_run(free_flyer_run):
 @pytest.mark.parametrize("turn", [0.0, np.pi, 0.4])
 def test_contacts_at_the_poles_of_both_are_found(shape, turn):
     # one ball upon another: charts end at the poles, and the first ones meet just there
-    scene = pc.Scene(free_body())
+    scene = pc.Scene(planar_model(pin.JointModelFreeFlyer()))
     fixed = pin.SE3(pin.utils.rotate("x", turn), np.array([0.0, 0.0, 0.115]))
     tip = scene.add_contour("tip", pc.Sphere(0.015), placement=fixed)
     scene.add_contact("c", tip, scene.add_contour("ball", shape, "body"))

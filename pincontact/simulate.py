@@ -52,7 +52,8 @@ def simulate(
     t_eval: times at which the result is wanted, None for every accepted step. method: "DOP853" or "RK45",
     or "Moreau": time stepping with impulses, for many contacts, impacts and jams, of constant `step` in s (default
     1e-3) and without error control.
-    control: called as control(t, q, v), returns joint torques (nv,); must be smooth between events.
+    control: called as control(t, q, v), returns joint torques (nv,); must be smooth between events. q (nq,) and v (nv,)
+    are read-only views of the integrator's own arrays, which the next call overwrites: copy what is kept.
     events: functions g(t, q, v) whose zeros are reported; attributes `terminal` and `direction` as in `solve_ivp`.
     progress: show a bar. energies: integrate the work of friction, drives, torques and damping along (see
     `Trajectory.energies`). max_step, first_step in s; fixed_step: constant steps without error control;
@@ -246,12 +247,15 @@ class _Torque:
 
     def __init__(self, control: Control, system: System) -> None:
         self._control, self._system = control, system
+        # made once: a call costs what the control costs
+        self._q, self._v = system.q.view(), system.v.view()
+        self._q.flags.writeable = self._v.flags.writeable = False
         self.failure: str | None = None
 
     def __call__(self, t: float) -> bool:
         system = self._system
         try:
-            tau = np.asarray(self._control(t, system.q.copy(), system.v.copy()), dtype=float)
+            tau = np.asarray(self._control(t, self._q, self._v), dtype=float)
         except ContactError:
             raise
         except Exception as error:

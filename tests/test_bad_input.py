@@ -317,15 +317,19 @@ def test_failing_at_once(scene, state):
 
 
 def test_controller_cannot_change_the_state(scene, state):
-    """It gets copies: writing to them does nothing."""
+    """It sees the state read-only: writing to it ends the run, with the reason, and changes nothing."""
 
     def meddling(t, q, v):
-        q[:], v[:] = 0.0, 0.0
+        if t > 0.2:
+            q[:], v[:] = 0.0, 0.0
         return np.zeros(6)
 
     a = pc.simulate(scene, state, 0.5, control=meddling)
-    b = pc.simulate(scene, state, 0.5)
-    np.testing.assert_array_equal(a.q[-1], b.q[-1])
+    assert a.status < 0
+    assert re.search(r"control raised ValueError.*read-only", a.message), a.message
+    assert a.t.size > 1
+    b = pc.simulate(scene, state, 0.5, control=lambda t, q, v: np.zeros(6))
+    np.testing.assert_array_equal(a.q, b.q[: a.t.size])
 
 
 # ---------------------------------------------------------------------------------------------------- limits

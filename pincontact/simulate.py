@@ -121,7 +121,7 @@ def simulate(
         "contact_rows": int(system.counters[ROWS_FORMED]),
         "drives": int(system.counters[DRIVES_EVALUATED]),
         "cone_problems": modes.cone_problems,
-        "qp": modes.solver.qp_count,
+        "qp": modes.solver.qp_count if modes.cone_problems else 0,
         "cone_residual": modes.worst_residual,
         "redistributions": modes.redistributions,
         "wall_time": time.perf_counter() - began,

@@ -177,7 +177,7 @@ def test_rest_does_not_creep():
     assert kinds(run) == []
 
 
-def arm_scene():
+def arm_scene(mu=0.8):
     """Two links that press their tip onto the floor at a distance of 0.5 m, and the torques that do."""
     model, place = pin.Model(), pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.3]))
     joint = 0
@@ -189,7 +189,7 @@ def arm_scene():
         place = pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0]))
     scene = pc.Scene(model)
     tip, floor = scene.add_contour("tip", pc.Point(), "link1", place), scene.add_contour("floor", pc.Plane())
-    scene.add_contact("c", tip, floor, friction=pc.Coulomb(0.8))
+    scene.add_contact("c", tip, floor, friction=pc.Coulomb(mu))
     # law of cosines for the elbow, then the height of the tip
     bend = math.acos((0.5**2 + 0.3**2) / (2.0 * 0.4**2) - 1.0)
     shoulder = math.atan2(0.3, 0.5) - 0.5 * bend
@@ -376,6 +376,26 @@ def test_joint_limits():
     assert abs(run.t[np.argmax(run.q <= -0.5)] - landing) <= 2e-3
     assert run.q[-1, 0] == -0.5
     assert run.v[-1, 0] == 0.0
+
+
+def test_contact_and_stop_hold_together():
+    """A bent arm slides down on its tip until its elbow stops: both hold exactly, and no energy comes in."""
+    scene, state, _ = arm_scene(mu=0.0)
+    stop = state.q[1] - 0.2
+    scene.model.lowerPositionLimit[1] = stop
+    run = stepped(scene, state, 1.0, 1e-3)
+    at_stop = run.q[:, 1] == stop
+    first = int(np.argmax(at_stop))
+    assert 0 < first < 900
+    assert at_stop[first:].all()
+    # the arm has nowhere to go from here
+    assert np.abs(run.v[first + 1 :]).max() <= 1e-12
+    assert np.abs(run.q[first + 1 :] - run.q[-1]).max() <= 1e-12
+    # what one projection with a correction below 1e-7 leaves
+    assert np.abs(run.contacts["c"].gap).max() <= 1e-13
+    total = run.energies().total
+    # errors of second order until the stop, of the projection after it
+    assert (total - np.minimum.accumulate(total)).max() <= 1e-5 * run.energies().kinetic.max()
 
 
 def test_dry_joint_friction_and_damping():

@@ -398,6 +398,26 @@ def test_contact_and_stop_hold_together():
     assert (total - np.minimum.accumulate(total)).max() <= 1e-5 * run.energies().kinetic.max()
 
 
+@pytest.mark.parametrize("gap", [0.0, 1e-5, 1e-4, 1e-3])
+def test_impact_throws_a_joint_onto_its_stop(gap):
+    """Two masses fall, the upper one on a slide of the lower one, just above its stop, which it reaches when the lower
+    one has landed: both come to rest, and the slide never passes its stop."""
+    model = pin.Model()
+    for i in range(2):
+        joint = model.addJoint(i, pin.JointModelPZ(), pin.SE3.Identity(), f"joint{i}")
+        model.appendBodyToJoint(joint, pin.Inertia(1.0 + i, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("body", 1, pin.SE3.Identity(), 0)
+    model.lowerPositionLimit[1] = 0.0
+    scene = pc.Scene(model)
+    point, floor = scene.add_contour("point", pc.Point(), "body"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", point, floor)
+    run = stepped(scene, scene.initial_state([0.2, gap], free=["c"]), 0.4, 1e-3)
+    # round-off of the way of 0.2 m, and of the speed of 2 m/s
+    assert run.q[:, 1].min() >= -1e-16
+    assert np.abs(run.q[-1]).max() <= 1e-15
+    assert np.abs(run.v[-1]).max() <= 1e-14
+
+
 def test_dry_joint_friction_and_damping():
     """m x'' = -m g - d x' - f sign(x'): rise with both, and rest where f > m g."""
     for damping in (0.0, 3.0):

@@ -108,6 +108,8 @@ from .impulse_layout import (
     LOWER_LIMIT,
     MAX_EQUATIONS,
     MAX_UNITS,
+    MEAN,
+    MEAN_VELOCITY,
     MIDPOINT,
     NCOUNTS,
     NEQ,
@@ -400,6 +402,7 @@ def _gather_joints(table, step, nv, h):
     start_end = integers(step[START_END], nj)
     unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
     q, v, trend = reals(step[START_Q], nq), reals(step[START_V], nv), reals(step[TREND], nv)
+    mean = reals(step[MEAN], nv)
     for j in range(nj):
         k = joint_int[j, JOINT_V]
         if joint_int[j, JOINT_KIND] == DRY_FRICTION:
@@ -412,6 +415,10 @@ def _gather_joints(table, step, nv, h):
         held = start_end[joint_int[j, JOINT_GUARD]] * sign < 0.0
         resting = held or (gap <= TOUCHING and abs(speed) * h <= TOUCHING)
         instant = touch_instant(gap, speed, rate, TOUCHING, h)
+        thrown = sign * mean[k]
+        if instant < 0.0 and counts[HAS_TREND] == MEAN_VELOCITY and thrown < 0.0 and gap + h * thrown < 0.0:
+            # by an impact of this step
+            instant = max(gap / -thrown, 0.0)
         if resting or instant >= 0.0:
             _add_unit(step, ON_JOINT, j, 4, 0.0, -1.0 if resting else instant)
 

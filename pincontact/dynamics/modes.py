@@ -62,7 +62,7 @@ _UNDAMPED = 12
 _FIXED_POINT_TOLERANCE = 1e-12
 _ROUND_OFF = 1e-11
 # Relative accelerations below this fraction of the free ones are round-off: no slip.
-_STILL = 1e-12
+_STILL = 1e-13
 
 
 @dataclass

@@ -282,13 +282,16 @@ class Driver:
     # ---------------------------------------------------------------- the end of 3D slip
 
     def _end_slip(self, t: float) -> float:
-        """One linear step to the end of slip (its error is the square of a negligible time), then stick or not."""
+        """One linear step to the end of slip (its error is the square of a short time), then stick or not."""
         rk, system = self.rk, self.system
         speed, rate = system.contact_real[: system.nc, START_SPEED], system.contact_real[: system.nc, START_RATE]
         stopping = np.flatnonzero(np.isfinite(speed) & (rate < 0.0))
         allowed = system.contact_real[stopping, START_TOLERANCE]
         c = int(stopping[np.argmin(speed[stopping] / allowed)])
-        left = float(speed[c] / -rate[c])
+        scalars = system.scalars
+        # at loose tolerances a slip that counts as over may have a long way to go: no further than a step
+        left = min(float(speed[c] / -rate[c]), *(scalars[[NEXT_STEP, MAX_STEP]]), scalars[END] - t)
+        left = float(min(left, scalars[NEXT_OUTPUT] - t))
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
         reach = _TOGETHER * 2.0 ** int(system.counters[STALLED]) * system.contact_real[: system.nc, START_TOLERANCE]
         with np.errstate(invalid="ignore"):

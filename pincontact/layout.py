@@ -11,7 +11,7 @@ SLOTS = (
     "parents",  # (nv,) int: tree of the mass matrix, see `linear.factorize_tree`
     "nle",  # (nv,) bias forces
     "jacobian",  # (nv, 6) one row a velocity coordinate: linear at the world's origin, angular
-    "joint_addresses",  # (njoints, 4) int: rotation, translation, ov, a_gf
+    "joint_addresses",  # (njoints, 4) int: rotation, translation, v, a_gf
     "gravity",  # (3,)
     "tau",  # (nv,) joint torques of the user
     "damping",  # (nv,) viscous joint damping of the model
@@ -324,7 +324,7 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, T
 ) = range(21)
 COUNTERS_SIZE = 21
 
-# what kernels call by address: a Python callable, its arguments, the result that means failure; the evaluation and the
-# address of the table that it is given
-CALLED, CALLED_WITH, CALL_FAILED, EVALUATION, OWN_TABLE = range(5)
-CALLBACK_SIZE = 5
+# what kernels call by address: a Python callable, its arguments, a second pair of them or zeros, the result that means
+# failure; the evaluation and the address of the table that it is given
+CALLED, CALLED_WITH, CALLED_NEXT, CALLED_NEXT_WITH, CALL_FAILED, EVALUATION, OWN_TABLE = range(7)
+CALLBACK_SIZE = 7

@@ -246,7 +246,7 @@ class Instant:
     def holds(self) -> bool:
         """Whether in the last evaluation no unilateral contact pulls and no sticking one exceeds its limit."""
         margins = self.system.margins
-        slack = -_FORCE_ROUND_OFF * max(1.0, float(np.abs(self.system.data.nle).max(initial=0.0)))
+        slack = -_FORCE_ROUND_OFF * max(1.0, float(np.abs(self.system.bias_forces).max(initial=0.0)))
         return all(
             margins[c, NORMAL_MARGIN] >= slack and margins[c, FRICTION_MARGIN] >= slack for c in self.system.closed()
         )

@@ -98,7 +98,7 @@ def inverse_dynamics(
         if contact.name in given:
             needed = needed - system.rows[c].T @ (system.basis[c] @ (signs[contact.name] * given[contact.name]))
     solved = [(c, row) for c, row in constrained if system.contacts[c].name not in given]
-    loads = max(1.0, float(np.abs(needed).max(initial=0.0)), float(np.abs(system.data.nle).max(initial=0.0)))
+    loads = max(1.0, float(np.abs(needed).max(initial=0.0)), float(np.abs(system.bias_forces).max(initial=0.0)))
     solution = None
     for start in (1.0, -1.0):
         found = _solve(instant, solved, matrix, needed, np.full(len(solved), start))

@@ -183,7 +183,7 @@ def linearize(
         drag[:, k], off = derivative(lambda h, unit=unit: instant.evaluate(v=v + h * unit), step)  # type: ignore[misc]
         error = max(error, off)
     torque = np.zeros((nv, nv))
-    load = max(1.0, float(np.abs(instant.system.data.nle).max(initial=0.0)))
+    load = max(1.0, float(np.abs(instant.system.bias_forces).max(initial=0.0)))
     for k in range(nv):
         unit = np.eye(nv)[k]
         torque[:, k], off = derivative(lambda h, unit=unit: instant.evaluate(tau=instant.tau + h * unit), 0.1 * load)  # type: ignore[misc]

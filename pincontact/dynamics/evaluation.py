@@ -1,7 +1,7 @@
 """One evaluation: from Pinocchio's terms at (q, v) to accelerations, contact forces and location rates.
 
-Pinocchio's terms come from `pin.computeAllTerms(model, data, q, v)` on the same data; no other work is done for a
-contact that is open than its location and gap.
+Pinocchio's terms come from its own algorithms on the same data, see `system.pinocchio_calls`; no other work is done for
+a contact that is open than its location and gap.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from ..layout import (
     CALLBACK,
     CALLBACK_SIZE,
     CALLED,
+    CALLED_NEXT,
+    CALLED_NEXT_WITH,
     CALLED_WITH,
     CHART,
     CONSTRAINT_ROWS,
@@ -139,6 +141,9 @@ def evaluate_state(table_address, time, only_kinematics):
     counters, callback = integers(table[COUNTERS], COUNTERS_SIZE), integers(table[CALLBACK], CALLBACK_SIZE)
     reals(table[SCALARS], SCALARS_SIZE)[TIME] = time
     if not call_python(callback[CALLED], callback[CALLED_WITH], callback[CALL_FAILED]):
+        return NOT_FINITE
+    more = callback[CALLED_NEXT]
+    if more != 0 and not call_python(more, callback[CALLED_NEXT_WITH], callback[CALL_FAILED]):
         return NOT_FINITE
     counters[EVALUATION_COUNT] += 1
     status = evaluate_contacts(table, time, only_kinematics != 0)

@@ -127,7 +127,7 @@ class ModeSolver:
     def force_round_off(self) -> float:
         """Forces in N (or N m) below which a sign means nothing, from the loads on the joints."""
         system = self.system
-        loads = np.abs(system.data.nle) + np.abs(system.tau)
+        loads = np.abs(system.bias_forces) + np.abs(system.tau)
         return _ROUND_OFF * float(loads.max(initial=0.0))
 
     def _holds(self) -> bool:

@@ -28,6 +28,8 @@ from ..layout import (
     CALL_FAILED,
     CALLBACK_SIZE,
     CALLED,
+    CALLED_NEXT,
+    CALLED_NEXT_WITH,
     CALLED_WITH,
     CHART,
     CHARTED,
@@ -137,7 +139,9 @@ class System:
         self.v = memory.reals("v", nv)
         self.q[:] = pin.neutral(model)
         # one call, so that every part of data has its final size before its address is taken
-        pin.computeAllTerms(model, self.data, self.q, self.v)
+        self.algorithms = pinocchio_calls(model, self.data, self.q, self.v)
+        for function, arguments in self.algorithms:
+            function(*arguments)
         self._map_pinocchio()
         table = memory.integers("joint_table", max(len(blocks), 1), 4)
         if blocks:
@@ -152,12 +156,12 @@ class System:
         memory, data, model = self.memory, self.data, self.model
         memory.put("mass", data.M)
         memory.integers("parents", max(model.nv, 1))[: model.nv] = list(data.parents_fromRow)[: model.nv]
-        memory.put("nle", data.nle)
+        self.bias_forces = memory.put("nle", data.nle if _takes_one_call(model) else data.tau)
         memory.put("jacobian", data.J)
         addresses = memory.integers("joint_addresses", model.njoints, 4)
         for j in range(1, model.njoints):
             pose = data.oMi[j]
-            parts = (pose.rotation, pose.translation, data.ov[j].vector, data.a_gf[j].vector)
+            parts = (pose.rotation, pose.translation, data.v[j].vector, data.a_gf[j].vector)
             addresses[j] = [address_of(part) for part in parts]
         memory.reals("gravity", 3)[:] = model.gravity.linear
         self.tau = memory.reals("tau", model.nv)
@@ -292,11 +296,8 @@ class System:
         torque(t): fills `tau` for (t, q, v), False where it fails.
         """
         self.callback_error: BaseException | None = None
-        arguments: tuple[Any, ...] = ()
-        if torque is None and not self.python_drives:
-            function: Callable[..., Any] = pin.computeAllTerms
-            arguments = (self.model, self.data, self.q, self.v)
-        else:
+        calls = self.algorithms
+        if torque is not None or self.python_drives:
 
             def function() -> bool:
                 try:
@@ -305,17 +306,22 @@ class System:
                         return False
                     for side, motion in self.python_drives:
                         motion.evaluate(t, self.side_motion[side])
-                    pin.computeAllTerms(self.model, self.data, self.q, self.v)
+                    for algorithm, arguments in self.algorithms:
+                        algorithm(*arguments)
                 except BaseException as error:
                     # it must not pass through the compiled loop; who called that raises it
                     self.callback_error = error
                     return False
                 return True
 
+            calls = [(function, ())]
         # kept alive here: the kernels know the addresses only
-        self._callback = (function, arguments)
+        self._callback = calls
+        addresses = [id(thing) for call in calls for thing in call]
         callback = self.memory.integers("callback", CALLBACK_SIZE)
-        callback[[CALLED, CALLED_WITH, CALL_FAILED]] = id(function), id(arguments), id(False)
+        callback[[CALLED, CALLED_WITH]] = addresses[:2]
+        callback[[CALLED_NEXT, CALLED_NEXT_WITH]] = addresses[2:] or 0
+        callback[CALL_FAILED] = id(False)
         callback[[EVALUATION, OWN_TABLE]] = kernel_address(evaluate_state), address_of(self.table)
 
     def _run(self, task: int, t: float) -> int:
@@ -367,6 +373,24 @@ class System:
     def closed(self) -> list[int]:
         """Indices of the contacts that are not open."""
         return [c for c in range(self.nc) if self.contact_int[c, MODE] != FREE]
+
+
+def _takes_one_call(model: pin.Model) -> bool:
+    """Whether all of Pinocchio's terms at once are cheaper than the two algorithms that give what is needed.
+
+    A call costs a third of a microsecond; beyond one joint what is left out costs more.
+    """
+    return model.njoints <= 2
+
+
+def pinocchio_calls(
+    model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray
+) -> list[tuple[Callable[..., Any], tuple[Any, ...]]]:
+    """What fills `data` with mass matrix, bias forces, Jacobians, poses, velocities and bias accelerations."""
+    if _takes_one_call(model):
+        return [(pin.computeAllTerms, (model, data, q, v))]
+    # in the world's convention the mass matrix comes with the Jacobians; at rest inverse dynamics are the bias forces
+    return [(pin.rnea, (model, data, q, v, np.zeros(model.nv))), (pin.crba, (model, data, q, pin.Convention.WORLD))]
 
 
 def _map_friction(contact: Contact, integers: np.ndarray, numbers: np.ndarray) -> None:

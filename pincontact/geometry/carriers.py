@@ -15,7 +15,7 @@ def place_on_joint(base, rotation_columns, translation, spatial_velocity, spatia
 
     base (12,): rotation (9) and position (3) of the contour in the joint.
     rotation_columns (3, 3): columns of the joint's rotation, one a row (Pinocchio's storage); translation (3,).
-    spatial_velocity (6,): `data.ov`, linear velocity at the world's origin, angular.
+    spatial_velocity (6,): `data.v`, local, linear and angular velocity.
     spatial_bias (6,): `data.a_gf`, local, bias acceleration minus gravity.
     """
     position, bias = scratch[0], scratch[1]
@@ -30,7 +30,16 @@ def place_on_joint(base, rotation_columns, translation, spatial_velocity, spatia
             rotation_columns[0, i] * base[9] + rotation_columns[1, i] * base[10] + rotation_columns[2, i] * base[11]
         )
         frame[ORIGIN, i] = translation[i] + position[i]
-        frame[OMEGA, i] = spatial_velocity[3 + i]
+        frame[OMEGA, i] = (
+            rotation_columns[0, i] * spatial_velocity[3]
+            + rotation_columns[1, i] * spatial_velocity[4]
+            + rotation_columns[2, i] * spatial_velocity[5]
+        )
+        frame[VELOCITY, i] = (
+            rotation_columns[0, i] * spatial_velocity[0]
+            + rotation_columns[1, i] * spatial_velocity[1]
+            + rotation_columns[2, i] * spatial_velocity[2]
+        )
         frame[ALPHA, i] = (
             rotation_columns[0, i] * spatial_bias[3]
             + rotation_columns[1, i] * spatial_bias[4]
@@ -44,9 +53,8 @@ def place_on_joint(base, rotation_columns, translation, spatial_velocity, spatia
         )
     omega = frame[OMEGA]
     for i in range(3):
-        frame[VELOCITY, i] = spatial_velocity[i]
         frame[ACCELERATION, i] = bias[i]
-    add_cross(omega, frame[ORIGIN], frame[VELOCITY])
+    add_cross(omega, position, frame[VELOCITY])
     # classical acceleration of a point = spatial one at that point + omega x its velocity
     add_cross(frame[ALPHA], position, frame[ACCELERATION])
     add_cross(omega, frame[VELOCITY], frame[ACCELERATION])

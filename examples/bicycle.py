@@ -90,7 +90,7 @@ def main(html: Path | None = None, duration: float = 5.0) -> dict[str, float]:
         result[f"lean_ratio_{speed:.0f}"] = late / early
         if html is not None:
             html.mkdir(parents=True, exist_ok=True)
-            pc.export_html(run, html / f"bicycle_{speed:.0f}.html")
+            pc.export_html(run, html / f"bicycle_{speed:.0f}.html", follow="rear")
     return result
 
 

@@ -1,6 +1,6 @@
 """The command line: `python -m pincontact run scene.toml` and `python -m pincontact info scene.toml`.
 
-Exit codes: 0 done, 1 the run could not finish, 2 bad input (said in one line on stderr).
+Exit codes: 0 done, 1 the run could not finish, 2 bad input (said in one line on stderr), 130 interrupted.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pinocchio as pin
 
 from .errors import ContactError
 from .friction.laws import Coulomb, FrictionLaw, Stribeck
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from .contacts import Contact
     from .trajectory import Trajectory
 
-DONE, NOT_FINISHED, BAD_INPUT = 0, 1, 2
+DONE, NOT_FINISHED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _MODES = {FREE: "open", FRICTIONLESS: "frictionless", STICK: "stick", SLIPPING: "slip"}
 _EVENTS_SHOWN = 20
@@ -43,8 +44,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # who reads has seen enough, as `head` does; nothing more can be said, not even at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+    except KeyboardInterrupt:
+        print("pincontact: interrupted", file=sys.stderr)
+        return INTERRUPTED
     except (ContactError, OSError) as error:
-        text = str(error)
+        text = " ".join(str(error).split())
         where = "" if options.scene in text else f"{options.scene}: "
         print(f"pincontact: {where}{text}", file=sys.stderr)
         return BAD_INPUT
@@ -52,16 +56,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m pincontact", description="Simulate persistent point contacts.")
+    parser.add_argument("--version", action="version", version=_versions())
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")
     run = commands.add_parser("run", help="simulate a scene file and print a summary")
     run.add_argument("scene", help="scene file (.toml, .yaml)")
     run.add_argument("--duration", type=float, metavar="SECONDS", help="simulated time, instead of the file's")
+    run.add_argument("--method", metavar="NAME", help="DOP853, RK45 or Moreau, instead of the file's")
+    run.add_argument("--rtol", type=float, metavar="NUMBER", help="relative tolerance of a step")
+    run.add_argument("--step", type=float, metavar="SECONDS", help="step of method Moreau")
     run.add_argument("--html", metavar="FILE", help="write a replay as one HTML file")
     run.add_argument("--save", metavar="FILE", help="write the trajectory as an npz file")
     run.add_argument("--progress", action="store_true", help="show a bar over simulated time")
     info = commands.add_parser("info", help="print what a scene file contains")
     info.add_argument("scene", help="scene file (.toml, .yaml)")
     return parser
+
+
+def _versions() -> str:
+    from numba import __version__ as numba_version
+
+    from . import __version__
+
+    return f"pincontact {__version__} (pinocchio {pin.__version__}, numba {numba_version}, numpy {np.__version__})"
 
 
 def _table(title: str, heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
@@ -90,8 +106,9 @@ def _cell(value: Any) -> str:
 
 def _run(loaded: LoadedScene, options: argparse.Namespace) -> int:
     changes: dict[str, Any] = {"progress": options.progress}
-    if options.duration is not None:
-        changes["duration"] = options.duration
+    for name in ("duration", "method", "rtol", "step"):
+        if getattr(options, name) is not None:
+            changes[name] = getattr(options, name)
     for target in (options.html, options.save):
         # a long run must not end in a file that cannot be written
         if target is not None and not Path(target).resolve().parent.is_dir():
@@ -156,13 +173,21 @@ def _info(loaded: LoadedScene) -> int:
     scene, state = loaded.scene, loaded.state
     model = scene.model
     print(
-        f"{loaded.path}: nq {model.nq}, nv {model.nv}, {len(scene.contours)} contours, {len(scene.contacts)} contacts"
+        f"{loaded.path}: {model.name}, nq {model.nq}, nv {model.nv}, {len(scene.contours)} contours, "
+        f"{len(scene.contacts)} contacts"
     )
     _table(
         "bodies",
-        ["joint", "type", "parent", "mass [kg]"],
+        ["joint", "type", "parent", "q", "v", "mass [kg]"],
         (
-            (model.names[j], model.joints[j].shortname(), model.names[model.parents[j]], model.inertias[j].mass)
+            (
+                model.names[j],
+                model.joints[j].shortname(),
+                model.names[model.parents[j]],
+                _range(model.joints[j].idx_q, model.joints[j].nq),
+                _range(model.joints[j].idx_v, model.joints[j].nv),
+                model.inertias[j].mass,
+            )
             for j in range(1, model.njoints)
         ),
     )
@@ -173,31 +198,59 @@ def _info(loaded: LoadedScene) -> int:
     )
     _table(
         "contacts",
-        ["name", "first", "second", "pattern", "m", "k", "nu", "friction", "bilateral"],
+        ["name", "first", "second", "pattern", "m", "k", "GC", "VC", "friction", "bilateral"],
         ((c.name, c.first.name, c.second.name, *_pattern(c), c.bilateral) for c in scene.contacts.values()),
     )
+    if scene.contacts:
+        print(
+            "\n  m equations, k location parameters, GC = m - k geometric and VC velocity constraints where it sticks"
+        )
+    given = state.correction
+    if given is not None and scene.contacts:
+        _table(
+            "initial state as given",
+            ["contact", "gap [m]", "normal v_c [m/s]", "tangential v_c [m/s]", "contact points found"],
+            (
+                (name, given.gaps[name], *given.slips[name], len((state.candidates or {}).get(name, ())))
+                for name in given.gaps
+            ),
+        )
+        print(f"\n  made consistent by at most {given.dq:.3g} in q (m, rad) and {given.dv:.3g} in v (m/s, rad/s)")
     # what the friction laws decide at the start takes one evaluation: a run without duration
     stepped = any(c.friction is not None and c.friction.resists_turning for c in scene.contacts.values())
     start = simulate(scene, state, 0.0, method="Moreau" if stepped else "DOP853")
     if start.t.size:
-        gaps = state.correction.gaps if state.correction is not None else {}
         _table(
             "initial state",
-            ["contact", "gap as given [m]", "location of first", "of second", "mode", "normal force [N]"],
+            ["contact", "location of first", "of second", "mode", "conditioning", "normal force [N]"],
             (
-                (name, gaps.get(name, 0.0), *state.location_of(name), _MODES[int(track.mode[0])], track.normal_force[0])
+                (
+                    name,
+                    *state.location_of(name),
+                    _MODES[int(track.mode[0])],
+                    track.conditioning[0],
+                    track.normal_force[0],
+                )
                 for name, track in _tracks(start)
             ),
         )
+        if scene.contacts:
+            _table("residuals", ["of", "relative"], ((k, f"{v.max():.1e}") for k, v in start.residuals().items()))
     if not start.success:
         print(f"pincontact: {loaded.path}: status {start.status}: {start.message}", file=sys.stderr)
         return NOT_FINISHED
     return DONE
 
 
+def _range(start: int, size: int) -> str:
+    """Where a joint's numbers are in q or v, as Python writes slices."""
+    return str(start) if size == 1 else f"{start}:{start + size}"
+
+
 def _pattern(contact: Contact) -> Sequence[Any]:
     pattern = contact.pattern
-    return pattern.name, pattern.equations, pattern.parameters, pattern.constraints, _friction(contact.friction)
+    numbers = pattern.equations, pattern.parameters, pattern.constraints, pattern.tangents
+    return pattern.name, *numbers, _friction(contact.friction)
 
 
 def _friction(law: FrictionLaw | None) -> str:

@@ -22,7 +22,7 @@ from typing import Any
 import numba
 from numba import njit, types
 
-from .jit_parts import PartCompiler
+from .jit_parts import EntryCompiler, PartCompiler
 
 _PACKAGE = Path(__file__).parent
 # Kernels allocate nothing and return no arrays: reference counting, dearer than the numerics, is left out. They keep
@@ -32,6 +32,7 @@ _OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 _PART_OPTIONS: dict[str, Any] = (
     {"pipeline_class": PartCompiler, "no_cpython_wrapper": True, "no_cfunc_wrapper": True} if PartCompiler else {}
 )
+_ENTRY_OPTIONS: dict[str, Any] = {"pipeline_class": EntryCompiler} if EntryCompiler else {}
 
 
 _IMPORT = re.compile(r"^ *from (\.+)([\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
@@ -106,7 +107,7 @@ def entry_kernel(*arguments: Any, aside: bool = False) -> Callable[[Callable[...
         directory = _CACHE / source_hash(Path(function.__code__.co_filename))
         numba.config.CACHE_DIR = str(directory)
         try:
-            compiled = njit(cache=True, **_OPTIONS)(function)
+            compiled = njit(cache=True, **_OPTIONS, **_ENTRY_OPTIONS)(function)
         finally:
             numba.config.CACHE_DIR = previous
         _SIGNATURES.append((compiled, arguments, aside, directory))

@@ -19,7 +19,7 @@ from .integration.runge_kutta import RungeKutta
 from .integration.tableaux import tableau
 from .integration.transitions import Transitions
 from .jit import compile_kernels
-from .layout import CLOSED_COUNT, EVALUATION_COUNT, NEWTON_COUNT
+from .layout import CLOSED_COUNT, DRIVES_EVALUATED, EVALUATION_COUNT, NEWTON_COUNT, ROWS_FORMED
 from .scene import Scene
 from .state import State, write_discrete
 from .trajectory import Record, Trajectory
@@ -52,7 +52,8 @@ def simulate(
     t_eval: times at which the result is wanted, None for every accepted step. method: "DOP853" or "RK45",
     or "Moreau": time stepping with impulses, for many contacts, impacts and jams, of constant `step` in s (default
     1e-3) and without error control.
-    control: called as control(t, q, v), returns joint torques (nv,); must be smooth between events.
+    control: called as control(t, q, v), returns joint torques (nv,); must be smooth between events. q (nq,) and v (nv,)
+    are read-only views of the integrator's own arrays, which the next call overwrites: copy what is kept.
     events: functions g(t, q, v) whose zeros are reported; attributes `terminal` and `direction` as in `solve_ivp`.
     progress: show a bar. energies: integrate the work of friction, drives, torques and damping along (see
     `Trajectory.energies`). max_step, first_step in s; fixed_step: constant steps without error control;
@@ -92,6 +93,8 @@ def simulate(
     torque = _Torque(control, system) if control is not None else None
 
     def failed_control(t: float) -> None:
+        if system.callback_error is not None:
+            raise system.callback_error
         if torque is not None and torque.failure is not None:
             raise Stop(CONTROL_FAILED, torque.failure)
 
@@ -115,6 +118,8 @@ def simulate(
         "pinocchio": int(system.counters[EVALUATION_COUNT]),
         "newton": int(system.counters[NEWTON_COUNT]),
         "closed_form": int(system.counters[CLOSED_COUNT]),
+        "contact_rows": int(system.counters[ROWS_FORMED]),
+        "drives": int(system.counters[DRIVES_EVALUATED]),
         "cone_problems": modes.cone_problems,
         "qp": modes.solver.qp_count,
         "cone_residual": modes.worst_residual,
@@ -164,6 +169,8 @@ def _simulate_moreau(
         "pinocchio": int(system.counters[EVALUATION_COUNT]),
         "newton": int(system.counters[NEWTON_COUNT]),
         "closed_form": int(system.counters[CLOSED_COUNT]),
+        "contact_rows": int(system.counters[ROWS_FORMED]),
+        "drives": int(system.counters[DRIVES_EVALUATED]),
         "cone_problems": stepper.cone_problems,
         "rigid": stepper.rigid,
         "softened": stepper.softened,
@@ -240,12 +247,15 @@ class _Torque:
 
     def __init__(self, control: Control, system: System) -> None:
         self._control, self._system = control, system
+        # made once: a call costs what the control costs
+        self._q, self._v = system.q.view(), system.v.view()
+        self._q.flags.writeable = self._v.flags.writeable = False
         self.failure: str | None = None
 
     def __call__(self, t: float) -> bool:
         system = self._system
         try:
-            tau = np.asarray(self._control(t, system.q.copy(), system.v.copy()), dtype=float)
+            tau = np.asarray(self._control(t, self._q, self._v), dtype=float)
         except ContactError:
             raise
         except Exception as error:

@@ -317,15 +317,19 @@ def test_failing_at_once(scene, state):
 
 
 def test_controller_cannot_change_the_state(scene, state):
-    """It gets copies: writing to them does nothing."""
+    """It sees the state read-only: writing to it ends the run, with the reason, and changes nothing."""
 
     def meddling(t, q, v):
-        q[:], v[:] = 0.0, 0.0
+        if t > 0.2:
+            q[:], v[:] = 0.0, 0.0
         return np.zeros(6)
 
     a = pc.simulate(scene, state, 0.5, control=meddling)
-    b = pc.simulate(scene, state, 0.5)
-    np.testing.assert_array_equal(a.q[-1], b.q[-1])
+    assert a.status < 0
+    assert re.search(r"control raised ValueError.*read-only", a.message), a.message
+    assert a.t.size > 1
+    b = pc.simulate(scene, state, 0.5, control=lambda t, q, v: np.zeros(6))
+    np.testing.assert_array_equal(a.q, b.q[: a.t.size])
 
 
 # ---------------------------------------------------------------------------------------------------- limits
@@ -454,3 +458,34 @@ def test_every_error_is_a_contact_error():
         found = getattr(pc, name)
         if isinstance(found, type) and issubclass(found, Exception):
             assert issubclass(found, pc.ContactError), name
+
+
+@pytest.mark.parametrize("error", [pc.FrictionError("of the user's own"), KeyboardInterrupt()])
+def test_what_a_control_may_not_swallow_reaches_the_caller(scene, state, error):
+    """The control is called from compiled code, through which no exception can pass."""
+
+    def control(t, q, v):
+        if t > 0.05:
+            raise error
+        return np.zeros(6)
+
+    with pytest.raises(type(error)):
+        pc.simulate(scene, state, 0.2, control=control)
+
+
+def test_a_drive_that_raises_reaches_the_caller():
+    broken = []
+
+    def placement(t):
+        if broken and t > 0.05:
+            raise ZeroDivisionError("the user's drive")
+        return pin.SE3.Identity(), np.zeros(6), np.zeros(6)
+
+    scene = pc.Scene(disk_model())
+    rim = scene.add_contour("rim", pc.Circle(RADIUS), "disk")
+    floor = scene.add_contour("floor", pc.Plane(), motion=pc.CallableMotion(placement))
+    scene.add_contact("rim/floor", rim, floor)
+    state = scene.initial_state(leaning(), ROLLING)
+    broken.append(True)
+    with pytest.raises(ZeroDivisionError):
+        pc.simulate(scene, state, 0.2)

@@ -120,14 +120,24 @@ def test_progress_is_shown(capsys):
 def test_info(capsys):
     assert main(["info", BLOCK]) == 0
     out = capsys.readouterr().out
-    assert out.startswith(f"{BLOCK}: nq 7, nv 6, 15 contours, 4 contacts")
-    assert table(out, "bodies")[1] == ["root_joint", "JointModelFreeFlyer", "universe", "3"]
+    assert out.startswith(f"{BLOCK}: block, nq 7, nv 6, 15 contours, 4 contacts")
+    assert table(out, "bodies")[1] == ["root_joint", "JointModelFreeFlyer", "universe", "0:7", "0:6", "3"]
     contours = {row[0]: row[1:] for row in table(out, "contours")[1:]}
     assert contours["block_0_face_-z"] == ["Plane", "block", "2", "-0.2 0.2 -0.15 0.15"]
     assert contours["incline"] == ["Plane", "universe", "2", "-inf inf -inf inf"]
     heads, *rows = table(out, "contacts")
-    assert heads[3:8] == ["pattern", "m", "k", "nu", "friction"]
-    assert [row[3:8] for row in rows] == [["P-S", "3", "2", "1", "mu 0.2"]] * 4
+    assert heads[3:9] == ["pattern", "m", "k", "GC", "VC", "friction"]
+    assert [row[3:9] for row in rows] == [["P-S", "3", "2", "1", "2", "mu 0.2"]] * 4
+    heads, *rows = table(out, "initial state as given")
+    correction = pc.load_scene(BLOCK).state.correction
+    for name, gap, normal, tangential, found in rows:
+        # six digits are printed
+        assert float(gap) == pytest.approx(correction.gaps[name], rel=1e-5, abs=1e-20)
+        assert [float(normal), float(tangential)] == pytest.approx(correction.slips[name], rel=1e-5, abs=1e-20)
+        assert found == "1"
+    assert f"by at most {correction.dq:.3g} in q (m, rad) and {correction.dv:.3g} in v" in out
+    residuals = {row[0]: float(row[1]) for row in table(out, "residuals")[1:]}
+    assert list(residuals) == ["C1", "C2", "GC", "VC"] and max(residuals.values()) < 1e-12
     heads, *rows = table(out, "initial state")
     assert [row[heads.index("mode")] for row in rows] == ["slip"] * 4
     # one evaluation decides the forces: together they carry the weight across the slope
@@ -186,6 +196,36 @@ def test_contours_apart_are_bad_input(tmp_path, capsys):
     path.write_text(text.replace("../../urdf", str(ROOT / "urdf")).replace("q = [0.4, 0, 0.1,", "q = [0.4, 0, 0.9,"))
     assert main(["info", str(path)]) == 2
     assert re.search(r"apart\.toml: contact 'ball': .*gap is 0\.8 m", capsys.readouterr().err)
+
+
+def test_options_of_a_run(capsys):
+    assert main(["run", DISK, "--duration", "0.05", "--method", "Moreau", "--step", "0.01"]) == 0
+    counts = {row[1]: row[0] for row in table(capsys.readouterr().out, "counts")[1:]}
+    assert counts["steps"] == "5"
+    few = main(["run", DISK, "--duration", "1", "--rtol", "1e-3"]), capsys.readouterr().out
+    many = main(["run", DISK, "--duration", "1", "--rtol", "1e-11"]), capsys.readouterr().out
+    few_steps, many_steps = (
+        int({row[1]: row[0] for row in table(out, "counts")[1:]}["steps"]) for _, out in (few, many)
+    )
+    assert few_steps < many_steps
+    assert main(["run", DISK, "--method", "Euler"]) == 2
+    assert re.search(r"method.*Euler", capsys.readouterr().err)
+
+
+def test_version(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["--version"])
+    assert stopped.value.code == 0
+    assert capsys.readouterr().out.startswith(f"pincontact {pc.__version__} (pinocchio ")
+
+
+def test_interrupt(capsys, monkeypatch):
+    def interrupted(path):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pincontact.__main__.load_scene", interrupted)
+    assert main(["info", DISK]) == 130
+    assert capsys.readouterr().err == "pincontact: interrupted\n"
 
 
 def test_usage_is_bad_input(capsys):

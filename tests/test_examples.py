@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -89,3 +90,77 @@ def test_ball_in_bowl():
     assert found["rate"] == pytest.approx(found["rate_closed_form"], rel=1e-9)
     assert found["rest_offset"] < 1e-9
     assert found["height_drift"] < 1e-9
+
+
+def test_rover():
+    found = run_example("rover", duration=3.0)
+    assert found["drive_events"] == 0
+    # both turnings are alike: back to straight ahead, a lane to the left
+    assert found["x"] > 1.0 and found["y"] > 0.3
+    # the wheels' rolling constraints, projected to rounding after each step
+    assert found["sideways"] < 1e-12
+    assert found["largest_yaw_rate"] > 0.5
+    assert found["yaw_error"] < 1e-12 * 20.0
+    assert found["gentle"] == pytest.approx(found["gentle_closed_form"], rel=1e-10)
+    assert found["gentle_slip"] < 1e-12
+    # an acceleration that is constant: integrated at 1e-10
+    assert found["spinning"] == pytest.approx(found["spinning_closed_form"], rel=1e-9)
+    assert found["spinning"] < found["gentle"]
+    assert found["spinning_slip"] > 1.0
+
+
+def test_quadruped():
+    found = run_example("quadruped")
+    assert found["status"] == 0
+    # an equilibrium held by springs: nothing moves but rounding
+    assert found["rest_drift"] < 1e-11
+    assert found["weight_error"] < 1e-10
+    assert found["cone"] == pytest.approx(0.2, rel=1e-7)
+    # a step of time stepping, and the half one by which its forces are older
+    assert abs(found["coarse"] - found["slips_at"]) < 2e-3
+    assert found["others_stick"] == 1.0
+    # what a step of 1 ms leaves of the contact's own motion, cubed
+    assert found["others_slip"] < 1e-8
+    assert found["slid"] > 2e-3
+    assert found["sticks_again"] == 1.0
+
+
+def test_wiping_arm():
+    found = run_example("wiping_arm", samples=48)
+    assert found["status"] == 0 and found["events"] == 0
+    # what series of 24 terms leave out
+    assert found["force_error"] < 20.0 * 1e-3
+    assert found["angle_error"] < 1e-3
+    assert found["radius_error"] < 1e-4
+    assert found["cone"] < 1e-12
+    # the trapezoidal rule over the outputs
+    assert found["work_error"] < 1e-4
+    assert found["up_and_down"] > 5e-3
+    # nearly the circle's length: the pad's centre cuts corners in the valleys
+    assert found["way"] == pytest.approx(2.0 * math.pi * 0.1, rel=0.02)
+
+
+def test_panda_rolls_ball():
+    try:
+        metadata.distribution("example-robot-data")
+    except metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed: the Panda arm is not simulated")
+    found = run_example("panda_rolls_ball")
+    assert found["status"] == 0 and found["events"] == 0
+    assert found["slip"] < 1e-12
+    assert found["residual"] < 1e-12
+    assert found["least_force"] > 5.0
+    assert found["largest_ratio"] < 0.6
+    # half, but for the finger's being round
+    assert found["ball_share"] == pytest.approx(0.5, abs=0.03)
+    # the area that the ball's centre goes round, pi (2 cm)^2, over R^2, and more for the finger's roundness
+    assert math.radians(7.0) < found["turned"] < math.radians(30.0)
+
+
+def test_panda_without_its_description_says_what_is_missing(monkeypatch):
+    def missing(name):
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "distribution", missing)
+    with pytest.raises(RuntimeError, match=r"pincontact\[robots\].*example-robot-data"):
+        run_example("panda_rolls_ball")

@@ -364,3 +364,16 @@ def test_residuals_are_of_the_run(free_flyer_run):
     np.testing.assert_allclose(
         np.einsum("nij,nj->ni", track.dual_frame, track.multipliers), track.force, rtol=0.0, atol=1e-12
     )
+
+
+@pytest.mark.parametrize("shape", [pc.Sphere(0.1), pc.Ellipsoid(0.1, 0.12, 0.1)])
+@pytest.mark.parametrize("turn", [0.0, np.pi, 0.4])
+def test_contacts_at_the_poles_of_both_are_found(shape, turn):
+    # one ball upon another: charts end at the poles, and the first ones meet just there
+    scene = pc.Scene(planar_model(pin.JointModelFreeFlyer()))
+    fixed = pin.SE3(pin.utils.rotate("x", turn), np.array([0.0, 0.0, 0.115]))
+    tip = scene.add_contour("tip", pc.Sphere(0.015), placement=fixed)
+    scene.add_contact("c", tip, scene.add_contour("ball", shape, "body"))
+    state = scene.initial_state(pin.neutral(scene.model))
+    assert pc.analyze(scene, state)["c"].gap == pytest.approx(0.0, abs=1e-14)
+    assert pc.analyze(scene, state)["c"].point == pytest.approx([0.0, 0.0, 0.1], abs=1e-9)

@@ -44,7 +44,15 @@ from pincontact.layout import FREE, SLIPPING, STICK
 from pincontact.view import arrows, export_html, meshes, plots, replay
 from pincontact.view.bodies import geometry_mesh, tile_size
 from pincontact.view.drawing import Drawing
-from pincontact.view.replay import MODE_COLORS, compose, fitting_force_scale, page_info, scene_size
+from pincontact.view.replay import (
+    MODE_COLORS,
+    PARTS,
+    compose,
+    fitting_distance,
+    fitting_force_scale,
+    page_info,
+    scene_size,
+)
 from pincontact.view.sampling import (
     Motion,
     configurations,
@@ -952,3 +960,66 @@ def test_plot_arguments(run, pyplot):
         plots.plot(run, ["energy", "motion"], axes=pyplot.subplots()[1])
     with pytest.raises(ArgumentError, match="empty"):
         plots.plot(run, [])
+
+
+def test_distance_from_a_mesh_is_that_from_its_surface():
+    cube = meshes.box(np.array([2.0, 2.0, 2.0]))
+    points = np.array([[0.0, 0.0, 0.0], [3.0, 0.2, 0.1], [2.0, 2.0, 0.0], [2.0, 2.0, 2.0], [1.0, 0.3, -0.4]])
+    # inside, next to a face, an edge and a corner, and on a face
+    expected = [1.0, 2.0, np.sqrt(2.0), np.sqrt(3.0), 0.0]
+    assert meshes.distance(cube, points) == pytest.approx(expected, abs=1e-14)
+
+
+def test_a_fingertip_that_no_visual_covers_is_drawn(run):
+    import coal
+
+    def surfaces(radius):
+        visual = pin.GeometryModel()
+        visual.addGeometryObject(pin.GeometryObject("hub", 1, pin.SE3.Identity(), coal.Sphere(radius)))
+        scene = pc.Scene(run.scene.model, visual)
+        tip = scene.add_contour("tip", Sphere(0.3), "disk")
+        scene.add_contact("tip", tip, scene.add_contour("ground", pc.Plane()), friction=pc.NoSlip())
+        rolling = pc.simulate(scene, scene.initial_state(np.r_[0, 0, 0.3, 0, 0, 0, 1.0]), 0.1)
+        commands = compose(rolling, 30.0, 1.0, 3000, None, None, PARTS).commands(environment=False)
+        return {c["path"] for c in commands if c["type"] == "set_object" and "/contours/" in c["path"]}
+
+    tip = "/meshcat/pincontact/bodies/root/contours/tip/surface"
+    assert tip in surfaces(0.2)
+    # the body's own sphere is where the contour is: one picture of it is enough
+    assert tip not in surfaces(0.3)
+
+
+def test_camera_sees_all_and_no_more_than_that():
+    rng = np.random.default_rng(5)
+    centres, radii = rng.normal(size=(40, 3)) * [3.0, 1.0, 0.5], rng.uniform(0.0, 0.3, 40)
+    distance = fitting_distance(centres, radii)
+    view = np.array([0.506, -0.759, 0.409])
+    view /= np.linalg.norm(view)
+    right = np.cross([0.0, 0.0, 1.0], view)
+    right /= np.linalg.norm(right)
+    depth = distance - centres @ view
+    slope = np.tan(np.radians(20.0))
+    across = (np.abs(centres @ right) + radii) / (1.3 * slope * depth)
+    along = (np.abs(centres @ np.cross(view, right)) + radii) / (0.8 * slope * depth)
+    # one ball touches the edge of the picture
+    assert max(across.max(), along.max()) == pytest.approx(1.0, rel=1e-12)
+
+
+def test_several_contacts_have_a_strip_of_modes_each_and_one_legend_of_styles(run, pyplot):
+    both = changed(run, contacts={CONTACT: run.contacts[CONTACT], "other": run.contacts[CONTACT]})
+    both.scene = changed(run.scene, contacts={name: run.scene.contacts[CONTACT] for name in both.contacts})
+    strips = [patch for patch in plots.slip(both).patches if patch.get_height() < 0.2]
+    assert len(strips) == 8
+    labels = plots.forces(both).get_legend_handles_labels()[1]
+    assert labels == [CONTACT, "other", "normal", "friction", "friction limit"]
+
+
+def test_location_is_broken_where_the_chart_changes(run, pyplot):
+    track = run.contacts[CONTACT]
+    charts = track.charts.copy()
+    charts[30:] = 1
+    moved = changed(run, contacts={CONTACT: replace(track, charts=charts)})
+    whole, broken = (lines(plots.location(r))["floor u1"] for r in (run, moved))
+    assert np.isfinite(whole[30]) and np.isnan(broken[30])
+    whole[30] = np.nan
+    assert np.array_equal(whole, broken, equal_nan=True)

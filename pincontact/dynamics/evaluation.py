@@ -37,6 +37,7 @@ from ..layout import (
     DELASSUS,
     DERIVATIVES,
     DOMAIN,
+    DRIVES_EVALUATED,
     FACTOR,
     FORCE,
     FRAMES,
@@ -89,6 +90,7 @@ from ..layout import (
     RELATIVE_ACCELERATION,
     ROW_INDEX,
     ROWS,
+    ROWS_FORMED,
     SCALARS,
     SCALARS_SIZE,
     SIDE_BASE,
@@ -104,6 +106,7 @@ from ..layout import (
     SUPPORT_SIZE,
     SYSTEM,
     TAU,
+    TIME_DEPENDENT,
     VECTORS,
     VELOCITY_RESIDUAL,
     WHITENED_FORCES,
@@ -162,6 +165,8 @@ def evaluate_contacts(table, time, with_rows):
                     frames[side],
                     vectors,
                 )
+            if ints[MOTION_KIND] != 0 or ints[TIME_DEPENDENT] != 0:
+                counters[DRIVES_EVALUATED] += 1
             if ints[MOTION_KIND] != 0:
                 drive_side(table, side, nc, ints, side_base[side], frames[side], time, vectors)
         one, two = 2 * c, 2 * c + 1
@@ -202,6 +207,7 @@ def evaluate_contacts(table, time, with_rows):
         )
         if not with_rows and contact_int[c, MODE] == FREE:
             continue
+        counters[ROWS_FORMED] += 1
         if contact_int[c, ANISOTROPIC] == ALONG_BODY_1:
             tangent = derivatives[one, 1]
             set_stretch(contact_real[c], dot(basis[c, 0], tangent), dot(basis[c, 1], tangent))

@@ -281,6 +281,7 @@ class System:
 
         torque(t): fills `tau` for (t, q, v), False where it fails.
         """
+        self.callback_error: BaseException | None = None
         arguments: tuple[Any, ...] = ()
         if torque is None and not self.python_drives:
             function: Callable[..., Any] = pin.computeAllTerms
@@ -288,32 +289,43 @@ class System:
         else:
 
             def function() -> bool:
-                t = float(self.scalars[TIME])
-                if torque is not None and not torque(t):
+                try:
+                    t = float(self.scalars[TIME])
+                    if torque is not None and not torque(t):
+                        return False
+                    for side, motion in self.python_drives:
+                        motion.evaluate(t, self.side_motion[side])
+                    pin.computeAllTerms(self.model, self.data, self.q, self.v)
+                except BaseException as error:
+                    # it must not pass through the compiled loop; who called that raises it
+                    self.callback_error = error
                     return False
-                for side, motion in self.python_drives:
-                    motion.evaluate(t, self.side_motion[side])
-                pin.computeAllTerms(self.model, self.data, self.q, self.v)
                 return True
 
         # kept alive here: the kernels know the addresses only
         self._callback = (function, arguments)
         self.memory.integers("callback", 3)[:] = id(function), id(arguments), id(False)
 
+    def _run(self, task: int, t: float) -> int:
+        status = run_task(self.table, task, t, 0.0)
+        if self.callback_error is not None:
+            raise self.callback_error
+        return status
+
     def evaluate(self, t: float) -> int:
         """Accelerations, forces and margins at (q, v) in the present modes; returns a status of `layout`."""
-        return run_task(self.table, EVALUATE, t, 0.0)
+        return self._run(EVALUATE, t)
 
     def evaluate_kinematics(self, t: float) -> int:
         """Location, rows and biases of all contacts at (q, v), open ones too; returns a status of `layout`."""
-        return run_task(self.table, KINEMATICS, t, 0.0)
+        return self._run(KINEMATICS, t)
 
     def project(self, t: float, evaluated: bool = False) -> int:
         """Put (q, v) and location of `stage_state` on the constraints; returns a status of `layout`.
 
         evaluated: the system has just been evaluated at that state.
         """
-        return run_task(self.table, PROJECT_EVALUATED if evaluated else PROJECT, t, 0.0)
+        return self._run(PROJECT_EVALUATED if evaluated else PROJECT, t)
 
     @property
     def charted(self) -> bool:

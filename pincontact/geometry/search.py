@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial import cKDTree
 
+from ..contours import Cone, Cylinder, HeightField, Line, Plane
 from ..errors import SingularContactError
 from ..integration.stages import move_charts
 from ..layout import BRANCH, CHART, CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SIDE, SINGULAR
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 _CURVE_SAMPLES = 241
 _SURFACE_SAMPLES = (61, 31)
 _SEEDS = 24
+# Contours whose parameters are lengths where they are not periodic.
+_LENGTHS = (Cone, Cylinder, HeightField, Line, Plane)
 # Two candidates closer than this (relative to the contact's length) are one.
 _SAME = 1e-6
 # Newton may run into a pole, where a tangent vanishes and every equation with it; unit tangents tell. Relative.
@@ -245,7 +248,9 @@ def _sample(
         if not math.isnan(guess[a]):
             axes.append(np.array([guess[a]]))
             continue
-        low, high = (max(low, -window), min(high, window)) if not contour.periodic[a] else (low, high)
+        # what is infinite is cut to the window; so are lengths, but not angles and other people's parameters
+        if not contour.periodic[a] and (isinstance(contour, _LENGTHS) or not math.isfinite(high - low)):
+            low, high = max(low, -window), min(high, window)
         inset = 1e-3 * (high - low)
         axes.append(np.linspace(low + inset, high - inset, counts[a]))
     grid = np.zeros((1, 2))

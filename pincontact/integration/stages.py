@@ -61,6 +61,7 @@ from ..layout import (
     STAGE_STATE,
     STATE,
     STEP,
+    STICK,
     TAU,
     WEIGHTS_ERROR,
     Q,
@@ -130,7 +131,9 @@ def _powers(table, nv, nc, out):
             on_joints = 0.0
             for k in range(nv):
                 on_joints += rows[c, row, k] * v[k]
-            out[FRICTION_WORK] += on_slip
+            if row < 2 and contact_int[c, MODE] != STICK:
+                # what is held does no work; its small v_c within a step would only feed the error estimate
+                out[FRICTION_WORK] += on_slip
             out[DRIVE_WORK] += force[c, row] * on_joints - on_slip
     ng = integers(table[GUARD_COUNT], 1)[0]
     all_modes = integer_matrix(table[CONTACT_INT], nc + ng, CONTACT_INTS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -46,12 +47,17 @@ def geometry_mesh(geometry: pin.GeometryObject) -> Mesh | None:
     if isinstance(shape, coal.Cone):
         return meshes.cone(shape.radius, 2.0 * shape.halfLength)
     if isinstance(shape, coal.BVHModelBase):
-        triangles = [tuple(shape.tri_indices(i)) for i in range(shape.num_tris)]
+        triangles = [_corners(shape.tri_indices(i)) for i in range(shape.num_tris)]
         return meshes.soup(np.asarray(shape.vertices()), np.array(triangles))
     if isinstance(shape, coal.Convex):
-        polygons = [tuple(shape.polygons(i)) for i in range(shape.num_polygons)]
+        polygons = [_corners(shape.polygons(i)) for i in range(shape.num_polygons)]
         return meshes.soup(np.asarray(shape.points()), np.array(polygons))
     return None
+
+
+def _corners(triangle: Any) -> tuple[int, int, int]:
+    # Iterating over one of coal's ends in an IndexError, which now and then comes out as a SystemError instead.
+    return triangle[0], triangle[1], triangle[2]
 
 
 def draw_geometry(drawing: Drawing, path: str, geometry: pin.GeometryObject) -> None:
@@ -81,11 +87,30 @@ def draw_geometry(drawing: Drawing, path: str, geometry: pin.GeometryObject) -> 
 
 def geometry_reach(geometry: pin.GeometryObject) -> float:
     """Radius in m of the geometry about its joint; 0 for unbounded or unknown shapes."""
-    mesh = geometry_mesh(geometry)
-    if mesh is None or len(mesh.vertices) == 0:
+    import coal
+
+    shape = geometry.geometry
+    if isinstance(shape, coal.BVHModelBase):
+        vertices = np.asarray(shape.vertices())
+    else:
+        mesh = geometry_mesh(geometry)
+        vertices = np.zeros((0, 3)) if mesh is None else mesh.vertices
+    if len(vertices) == 0:
         return 0.0
-    placed = mesh.vertices @ geometry.placement.rotation.T + geometry.placement.translation
+    placed = vertices @ geometry.placement.rotation.T + geometry.placement.translation
     return float(np.linalg.norm(placed, axis=1).max())
+
+
+def shown_by(geometries: Iterable[pin.GeometryObject], points: np.ndarray, tolerance: float) -> bool:
+    """Whether all points, (n, 3) in the joint's frame, lie on the surfaces of these geometries, to a tolerance in m."""
+    left = points
+    for geometry in geometries:
+        mesh = geometry_mesh(geometry)
+        if mesh is None or len(left) == 0:
+            continue
+        local = (left - geometry.placement.translation) @ geometry.placement.rotation
+        left = left[meshes.distance(mesh, local) > tolerance]
+    return len(left) == 0
 
 
 def tile_size(size: float) -> float:

@@ -340,3 +340,26 @@ def _near(contour: Contour, window: np.ndarray, centre: np.ndarray, radius: floa
     low = np.maximum(grid[near].min(axis=0) - 0.5 * step, window[:, 0])
     high = np.minimum(grid[near].max(axis=0) + 0.5 * step, window[:, 1])
     return np.column_stack([low, high])
+
+
+def distance(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """Distance in m of each point, (n, 3), from the nearest triangle. Returns (n,)."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    area = np.linalg.norm(normal, axis=1)
+    flat = area == 0.0
+    normal = normal / np.where(flat, 1.0, area)[:, None]
+    out = np.empty(len(points))
+    for i, point in enumerate(points):
+        squared = np.full(len(a), np.inf)
+        inside = ~flat
+        for start, end in ((a, b), (b, c), (c, a)):
+            edge, towards = end - start, point - start
+            length = np.einsum("ij,ij->i", edge, edge)
+            along = np.einsum("ij,ij->i", edge, towards) / np.where(length > 0.0, length, 1.0)
+            rest = towards - np.clip(along, 0.0, 1.0)[:, None] * edge
+            squared = np.minimum(squared, np.einsum("ij,ij->i", rest, rest))
+            inside &= np.einsum("ij,ij->i", np.cross(edge, towards), normal) >= 0.0
+        above = np.einsum("ij,ij->i", point - a, normal)
+        out[i] = np.sqrt(np.where(inside, above**2, squared).min(initial=np.inf))
+    return out

@@ -16,6 +16,11 @@ from ..layout import FREE, SLIPPING
 from .replay import MODE_COLORS
 from .sampling import MODE_NAMES
 
+# A longer legend stands beside the plot, in columns of so many rows.
+_LEGEND_INSIDE, _LEGEND_ROWS = 6, 16
+# Works smaller than this part of the energy are rounding.
+_NO_WORK = 1e-12
+
 
 def _pyplot() -> Any:
     try:
@@ -45,7 +50,11 @@ def _finish(ax: Any, ylabel: str, legend: bool = True) -> Any:
     ax.set_xlabel("t [s]")
     ax.set_ylabel(ylabel)
     ax.grid(alpha=0.3)
-    if legend and ax.get_legend_handles_labels()[0]:
+    entries = len(ax.get_legend_handles_labels()[0])
+    if legend and entries > _LEGEND_INSIDE:
+        columns = -(-entries // _LEGEND_ROWS)
+        ax.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5), ncols=columns)
+    elif legend and entries:
         ax.legend(fontsize="small")
     return ax
 
@@ -69,8 +78,13 @@ def limit(run: Any, name: str) -> np.ndarray | None:
     return coefficient * np.asarray(track.normal_force)
 
 
-def mode_bands(run: Any, contact: str, ax: Any) -> Any:
-    """Shade the times of each mode of one contact: green stick, red slip, blue frictionless, grey free."""
+def mode_bands(
+    run: Any, contact: str, ax: Any, part: tuple[float, float] = (0.0, 1.0), alpha: float = 0.13, legend: bool = True
+) -> Any:
+    """Shade the times of each mode of one contact: green stick, red slip, blue frictionless, grey free.
+
+    part: of the height of the axes, from 0 to 1; alpha: opacity; legend: whether to name the modes.
+    """
     mode = np.asarray(_tracks(run, contact)[contact].mode)
     t = np.asarray(run.t)
     if len(t) == 0:
@@ -80,8 +94,8 @@ def mode_bands(run: Any, contact: str, ax: Any) -> Any:
     named: set[int] = set()
     for start, end in zip(starts, ends):
         kind = int(mode[start])
-        label = None if kind in named else MODE_NAMES[kind]
-        ax.axvspan(t[start], end, color=MODE_COLORS[kind], alpha=0.13, linewidth=0.0, label=label)
+        label = MODE_NAMES[kind] if legend and kind not in named else None
+        ax.axvspan(t[start], end, *part, color=MODE_COLORS[kind], alpha=alpha, linewidth=0.0, label=label)
         named.add(kind)
     return ax
 
@@ -104,19 +118,19 @@ def forces(run: Any, contact: str | None = None, ax: Any = None) -> Any:
     """Normal and friction force in N over time, with the largest friction the law allows (dashed)."""
     ax = _axes(ax)
     tracks = _tracks(run, contact)
+    # one contact: a line each in the legend; several: their colours, and the styles once
+    alone = len(tracks) == 1
+    styles = {"normal": "-", "friction": ":", "friction limit": "--"}
     for name, track in tracks.items():
-        (line,) = ax.plot(run.t, track.normal_force, label=_label(name, "normal", tracks))
-        ax.plot(run.t, track.tangential_force, ":", color=line.get_color(), label=_label(name, "friction", tracks))
+        (line,) = ax.plot(run.t, track.normal_force, label="normal" if alone else name)
+        color = line.get_color()
+        ax.plot(run.t, track.tangential_force, ":", color=color, label="friction" if alone else None)
         largest = limit(run, name)
         if largest is not None:
-            ax.plot(
-                run.t,
-                largest,
-                "--",
-                color=line.get_color(),
-                alpha=0.6,
-                label=_label(name, "friction limit", tracks),
-            )
+            ax.plot(run.t, largest, "--", color=color, alpha=0.6, label="friction limit" if alone else None)
+    if len(tracks) > 1:
+        for text, style in styles.items():
+            ax.plot([], [], style, color="0.3", label=text)
     return _finish(ax, "force [N]")
 
 
@@ -146,32 +160,51 @@ def friction_cone(run: Any, contact: str | None = None, ax: Any = None) -> Any:
 
 
 def slip(run: Any, contact: str | None = None, ax: Any = None) -> Any:
-    """Slip speed in m/s over time; with one contact its modes are shaded."""
+    """Slip speed in m/s over time, with the modes: shaded for one contact, as strips from the top for several."""
     ax = _axes(ax)
     tracks = _tracks(run, contact)
     for name, track in tracks.items():
         ax.plot(run.t, np.linalg.norm(track.slip_velocity, axis=1), label=_label(name, "slip speed", tracks))
     if len(tracks) == 1:
         mode_bands(run, next(iter(tracks)), ax)
+    elif tracks:
+        # room for the strips above the curves
+        height = min(0.05, 0.5 / len(tracks))
+        ax.margins(y=0.05 + height * len(tracks))
+        for row, name in enumerate(tracks):
+            mode_bands(run, name, ax, (1.0 - (row + 0.8) * height, 1.0 - row * height), 0.6, legend=False)
+            ax.annotate(
+                name,
+                (0.0, 1.0 - (row + 0.4) * height),
+                (3, 0),
+                "axes fraction",
+                "offset points",
+                fontsize="xx-small",
+                ha="left",
+                va="center",
+            )
     return _finish(ax, "slip speed [m/s]")
 
 
 def location(run: Any, contact: str | None = None, ax: Any = None) -> Any:
-    """Location parameters of the contact point on both contours over time (m or rad)."""
+    """Location parameters of the contact point on both contours over time (m or rad); broken where a chart ends."""
     ax = _axes(ax)
     tracks = _tracks(run, contact)
     for name, track in tracks.items():
         contact_of = run.scene.contacts[name]
+        charts = np.asarray(track.charts)
+        changed = np.concatenate([[False], (charts[1:] != charts[:-1]).any(axis=1)])[: len(charts)]
         for side, values in ((contact_of.first, track.location_first), (contact_of.second, track.location_second)):
             for k in range(values.shape[1]):
-                ax.plot(run.t, values[:, k], label=_label(name, f"{side.name} u{k + 1}", tracks))
+                whole = np.where(changed, np.nan, values[:, k])
+                ax.plot(run.t, whole, label=_label(name, f"{side.name} u{k + 1}", tracks))
     return _finish(ax, "location [m, rad]")
 
 
 def energy(run: Any, ax: Any = None) -> Any:
     """Kinetic and potential energy, their sum, and the works the run recorded, J, over time.
 
-    A work that is zero throughout, such as that of drives which are not there, is left out.
+    A work that is zero throughout, to rounding, such as that of drives which are not there, is left out.
     """
     ax = _axes(ax)
     energies = run.energies()
@@ -179,7 +212,7 @@ def energy(run: Any, ax: Any = None) -> Any:
         ax.plot(run.t, getattr(energies, name), label=name)
     for name in ("friction_work", "drive_work", "torque_work", "damping_work"):
         values = getattr(energies, name)
-        if values is not None and np.any(values):
+        if values is not None and np.abs(values).max(initial=0.0) > _NO_WORK * np.abs(energies.total).max(initial=0.0):
             ax.plot(run.t, values, "--", label=name.replace("_", " "))
     return _finish(ax, "energy [J]")
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import ArgumentError, MissingExtraError, TrajectoryError
 from ..layout import FREE, FRICTIONLESS, SLIPPING, STICK
 from . import arrows, meshes
-from .bodies import contour_meshes, contour_opacity, draw_geometry, geometry_reach, shades
+from .bodies import contour_meshes, contour_opacity, draw_geometry, geometry_reach, shades, shown_by
 from .drawing import FRONT_SIDE, Command, Drawing, color_number
 from .sampling import (
     MODE_NAMES,
@@ -42,8 +42,14 @@ _ON_TOP = {"depthTest": False, "transparent": True, "side": FRONT_SIDE, "renderO
 # Pushed back a little, so that curves and traces that lie in a surface are not half swallowed by it.
 _BEHIND_LINES = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 1.0}
 
+# Where the camera stands, its vertical field of view in degrees, the narrowest window that shows everything, width over
+# height, and the part of the height that is free of panels.
+_VIEW_FROM = np.array([0.506, -0.759, 0.409]) / np.linalg.norm([0.506, -0.759, 0.409])
+_FIELD_OF_VIEW, _ASPECT, _FREE_HEIGHT = 40.0, 1.3, 0.8
+
 _TRACE_POINTS, _TRACE_SIDES = 6000, 6
 _SNAPSHOTS = 40
+_SHOWN_SAMPLES = 24
 
 
 def replay(
@@ -190,14 +196,11 @@ def compose(
     followed = None if follow is None else _followed_path(scene, follow, frames, placements, contacts)
 
     size = scene_size(scene, placements, contacts)
-    paths = [placements[:, 1:, :3, 3].reshape(-1, 3)]
-    paths += [c.point[c.touching] for c in contacts.values()]
-    everything = np.concatenate(paths)
-    if len(everything) == 0:
-        everything = np.zeros((1, 3))
-    low, high = everything.min(axis=0) - size, everything.max(axis=0) + size
+    centres, radii = what_moves(scene, placements, contacts, size)
+    low, high = (centres - radii[:, None]).min(axis=0), (centres + radii[:, None]).max(axis=0)
     if followed is None:
-        target, distance = 0.5 * (low + high), 1.05 * float(np.linalg.norm(high - low))
+        target = 0.5 * (low + high)
+        distance = fitting_distance(centres - target, radii)
     else:
         target, distance = followed[0], 4.5 * size
 
@@ -243,6 +246,44 @@ def scene_size(scene: Any, placements: np.ndarray, contacts: dict[str, ContactFr
     points = np.concatenate(paths)
     extent = float(np.linalg.norm(points.max(axis=0) - points.min(axis=0))) if len(points) else 0.0
     return 0.1 * extent if extent > 0.0 else 1.0
+
+
+def what_moves(
+    scene: Any, placements: np.ndarray, contacts: dict[str, ContactFrames], size: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Balls that hold all that is to be seen: the moving bodies and the contact points, with room for short arrows.
+
+    placements: (n, njoints, 4, 4); size: of the scene, m. Returns centres (m, 3), world, and radii (m,), in m.
+    """
+    reach = np.full(scene.model.njoints, 0.05 * size)
+    for contour in scene.contours.values():
+        if np.isfinite(contour.contour.size):
+            offset = float(np.linalg.norm(contour.placement_in_joint.translation))
+            reach[contour.joint] = max(reach[contour.joint], offset + contour.contour.size)
+    if scene.visual_model is not None:
+        for geometry in scene.visual_model.geometryObjects:
+            reach[geometry.parentJoint] = max(reach[geometry.parentJoint], geometry_reach(geometry))
+    bodies = placements[:, 1:, :3, 3]
+    centres = [bodies.reshape(-1, 3)] + [c.point[c.touching] for c in contacts.values()]
+    points = sum(len(c) for c in centres[1:])
+    radii = np.concatenate([np.tile(reach[1:], len(bodies)), np.full(points, 0.4 * size)])
+    if len(radii) == 0:
+        return np.zeros((1, 3)), np.array([size])
+    return np.concatenate(centres), radii
+
+
+def fitting_distance(centres: np.ndarray, radii: np.ndarray) -> float:
+    """From how far, in m, the camera sees all of these balls between the page's panels.
+
+    centres: (n, 3) from the point that it looks at; radii: (n,), both in m.
+    """
+    right = np.cross([0.0, 0.0, 1.0], _VIEW_FROM)
+    right /= np.linalg.norm(right)
+    upwards = np.cross(_VIEW_FROM, right)
+    slope = np.tan(0.5 * np.radians(_FIELD_OF_VIEW))
+    across = (np.abs(centres @ right) + radii) / (_ASPECT * slope)
+    along = (np.abs(centres @ upwards) + radii) / (_FREE_HEIGHT * slope)
+    return float((centres @ _VIEW_FROM + np.maximum(across, along)).max())
 
 
 def fitting_force_scale(contacts: dict[str, ContactFrames], size: float) -> float:
@@ -360,17 +401,17 @@ class _Stage:
             draw_geometry(self.drawing, self.body(geometry.parentJoint, "visuals", geometry.name), geometry)
 
     def draw_contours(self, with_robot: bool) -> None:
-        """All contours of bodies that have no visual geometry, and the curves of those that have."""
+        """All contours, but for surfaces that the body's own visual geometry shows already."""
         visuals = self.scene.visual_model.geometryObjects if with_robot and self.scene.visual_model else []
         pictured = {geometry.parentJoint for geometry in visuals}
         for name, attached in self.scene.contours.items():
             joint, contour = attached.joint, attached.contour
-            if joint in pictured and contour.dimension == 2 and joint != 0:
+            world = contour_placements(attached, self.placements, self.moments)
+            near = self._contact_points_in(name, world)
+            if joint in pictured and contour.dimension == 2 and joint != 0 and self._is_shown(attached, near):
                 continue
             path = self.body(joint, "contours", name)
-            world = contour_placements(attached, self.placements, self.moments)
             self._attach(path, attached, world)
-            near = self._contact_points_in(name, world)
             filled = joint != 0 and joint not in pictured and not self._carries_point(name)
             opacity = contour_opacity(contour, joint)
             moments = [self.moments[0]]
@@ -389,6 +430,18 @@ class _Stage:
                     until = moments[number + 1] if number + 1 < len(moments) else np.inf
                     visible = (self.moments >= moment) & (self.moments < until)
                     self.drawing.animate_visibility(base, self.times, visible)
+
+    def _is_shown(self, attached: Any, near: np.ndarray) -> bool:
+        """Whether the body's visual geometry lies where it touches; near: (n, 3), in the contour's frame."""
+        if attached.motion is not None:
+            return False
+        if not np.any(near):
+            return True
+        few = near[np.linspace(0, len(near) - 1, min(len(near), _SHOWN_SAMPLES)).astype(int)]
+        placement = attached.placement_in_joint
+        geometries = [g for g in self.scene.visual_model.geometryObjects if g.parentJoint == attached.joint]
+        size = attached.contour.size if np.isfinite(attached.contour.size) else self.size
+        return shown_by(geometries, few @ placement.rotation.T + placement.translation, 0.1 * size)
 
     def _carries_point(self, name: str) -> bool:
         """Whether a point runs along this contour: then it is a wire, not the edge of a disc."""
@@ -549,10 +602,10 @@ def _set_camera(drawing: Drawing, picture: Picture) -> None:
     it away. What moves is the drawing: the point to look at is brought to the viewer's origin.
     """
     camera = "/Cameras/default/rotated/<object>"
-    x, y, z = picture.distance * np.array([0.52, -0.78, 0.42])
+    x, y, z = picture.distance * _VIEW_FROM
     # The camera's node is turned about x, so that three.js' vertical is the world's z.
     drawing.set_property(camera, "position", [float(x), float(z), float(-y)])
-    drawing.set_property(camera, "fov", 40.0)
+    drawing.set_property(camera, "fov", _FIELD_OF_VIEW)
     drawing.set_property(camera, "near", 0.01 * picture.distance)
     drawing.set_property(camera, "far", 100.0 * picture.distance)
     placement = np.eye(4)

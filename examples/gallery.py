@@ -1,0 +1,131 @@
+"""The pictures of the README: runs examples, opens their replays in a browser without a display, and keeps the view.
+
+Needs Chromium (or Chrome) and Pillow, which Matplotlib brings; examples whose robots are not installed are left out.
+
+    python examples/gallery.py [FOLDER]      # docs/figures by default
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+FIGURES = HERE.parent / "docs" / "figures"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--virtual-time-budget=3000",
+)
+# Of the window, of what is kept of it from its top left corner (without the bar), and of the pictures.
+WINDOW, KEPT, PICTURE = (900, 620), (900, 560), (450, 280)
+LARGEST = 60_000  # bytes
+# The example, and the time in s at which it is shown.
+SHOWN = {
+    "rover": 2.6,
+    "quadruped": 1.1,
+    "wiping_arm": 0.9,
+    "panda_rolls_ball": 1.6,
+    "bicycle": 1.0,
+    "rattleback": 2.0,
+}
+
+
+def example(name: str) -> Any:
+    """The module of an example."""
+    if str(HERE) not in sys.path:
+        sys.path.insert(0, str(HERE))
+    return importlib.import_module(name)
+
+
+def replay(name: str, folder: Path) -> Path:
+    """Run an example and return the page that it writes."""
+    page = folder / name
+    example(name).main(html=page)
+    if page.is_file():
+        return page.rename(folder / f"{name}.html")
+    return sorted(page.glob("*.html"))[-1]
+
+
+def picture(page: Path, time: float, browser: str, folder: Path, target: Path) -> None:
+    """What the page shows at a time, as a small PNG."""
+    from PIL import Image
+
+    view = folder / "view.png"
+    flags = [f"--window-size={WINDOW[0]},{WINDOW[1]}", f"--user-data-dir={folder / 'profile'}"]
+    subprocess.run(
+        [browser, *FLAGS, *flags, f"--screenshot={view}", f"{page.as_uri()}#t={time}"],
+        check=True,
+        capture_output=True,
+        timeout=180,
+    )
+    save(Image.open(view).convert("RGB").crop((0, 0, *KEPT)).resize(PICTURE, Image.Resampling.LANCZOS), target)
+
+
+def save(image: Any, target: Path) -> None:
+    """Write a PNG with as many colours as its size allows; the few pixels of an arrow keep theirs."""
+    from PIL import Image
+
+    for colors in (256, 128, 64, 32):
+        image.quantize(colors, Image.Quantize.MAXCOVERAGE).save(target, optimize=True)
+        if target.stat().st_size <= LARGEST:
+            print(f"{target} ({target.stat().st_size / 1000:.0f} kB)")
+            return
+    raise ValueError(f"{target} has {target.stat().st_size} bytes with 32 colours, more than {LARGEST}")
+
+
+def plots(folder: Path, target: Path) -> None:
+    """The disk that slides and comes to roll: its forces, its way through the cone, its slip speed and its energy."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+    from PIL import Image
+
+    import pincontact as pc
+
+    disk = example("rolling_disk")
+    scene = disk.disk_on(pc.Plane(), pc.Coulomb(mu=0.2))
+    state = scene.initial_state(*disk.tilted(1.2, 5.0, sliding=1.0))
+    run = pc.simulate(scene, state, 2.0, rtol=1e-9, energies=True)
+    figure, grid = pyplot.subplots(2, 2, figsize=(9.0, 5.0), layout="constrained")
+    run.plot(kinds=["forces", "cone", "slip", "energy"], axes=grid.reshape(-1))
+    figure.savefig(folder / "plots.png", dpi=100)
+    save(Image.open(folder / "plots.png").convert("RGB"), target)
+
+
+def main(target: Path = FIGURES) -> None:
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        raise SystemExit(f"no browser found; looked for {', '.join(BROWSERS)}")
+    target.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for title, time in SHOWN.items():
+            try:
+                page = replay(title, folder)
+            except RuntimeError as error:
+                print(f"left out {title}: {error}")
+                continue
+            picture(page, time, browser, folder, target / f"{title}.png")
+        plots(folder, target / "plots.png")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, nargs="?", default=FIGURES)
+    main(parser.parse_args().folder)

@@ -1,29 +1,39 @@
-"""Calls from compiled code into Python: how a kernel reaches Pinocchio without leaving its loop.
+"""Calls from compiled code by address: how a kernel reaches Pinocchio without leaving its loop, and another kernel.
 
-The kernel holds the interpreter's lock and goes through Python's own C interface, so any callable will do; for a plain
-scene it is Pinocchio's function itself, with its four arguments.
+For a call into Python the kernel holds the interpreter's lock and goes through Python's own C interface, so any
+callable will do; for a plain scene it is Pinocchio's function itself, with its four arguments. A kernel that is called
+by its address is not compiled into its caller once more.
 """
 
 from __future__ import annotations
 
 import ctypes
+from functools import cache
 from typing import Any
 
 import numba
 from numba import types
 from numba.extending import intrinsic
 
+from .jit import ENTRIES
+
 # `call_python(function, arguments, failure)`: addresses of a callable, of its tuple of arguments and of the result that
 # means failure (False); returns whether it succeeded. An exception stays set, and is raised where the kernel returns.
 call_python: Any
+# `call_kernel(address, table, time, choice)`: an entry kernel of (INTEGER, REAL, INTEGER) at the address that
+# `kernel_address` gives; returns its integer.
+call_kernel: Any
 
 if numba.config.DISABLE_JIT:
 
-    def call_python(function, arguments, failure):
-        def thing(address: int) -> Any:
-            return ctypes.cast(int(address), ctypes.py_object).value
+    def _thing(address: int) -> Any:
+        return ctypes.cast(int(address), ctypes.py_object).value
 
-        return thing(function)(*thing(arguments)) is not thing(failure)
+    def call_python(function, arguments, failure):
+        return _thing(function)(*_thing(arguments)) is not _thing(failure)
+
+    def call_kernel(address, table, time, choice):
+        return _thing(address)(table, time, choice)
 
 else:
 
@@ -49,3 +59,25 @@ else:
             return builder.not_(failed)
 
         return types.boolean(types.int64, types.int64, types.int64), generate
+
+    @intrinsic
+    def call_kernel(typing_context, address, table, time, choice):
+        def generate(context, builder, signature, values):
+            from llvmlite import ir
+
+            kinds = [context.get_value_type(kind) for kind in signature.args[1:]]
+            function = ir.FunctionType(context.get_value_type(signature.return_type), kinds)
+            return builder.call(builder.inttoptr(values[0], function.as_pointer()), values[1:])
+
+        return types.int64(types.int64, types.int64, types.float64, types.int64), generate
+
+
+@cache
+def kernel_address(entry: Any) -> int:
+    """Where `call_kernel` finds an entry kernel."""
+    if numba.config.DISABLE_JIT:
+        return id(entry)
+    (signature,) = (arguments for compiled, arguments, *_ in ENTRIES if compiled is entry)
+    entry.compile(signature)
+    result = entry.overloads[signature]
+    return int(result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name))

@@ -84,7 +84,7 @@ def cache_root() -> Path:
 
 _CACHE = cache_root()
 # entry kernels: compiled function, argument types, whether compiled aside, cache directory
-_SIGNATURES: list[tuple[Any, tuple[Any, ...], bool, Path]] = []
+ENTRIES: list[tuple[Any, tuple[Any, ...], bool, Path]] = []
 
 
 # how many of them are known to be compiled
@@ -93,7 +93,16 @@ _complete = 0
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """A numerical routine called by other kernels; compiled into its callers, and not callable from Python."""
-    return njit(**_OPTIONS, **_PART_OPTIONS)(function)
+    part = njit(**_OPTIONS, **_PART_OPTIONS)(function)
+    call_template = part.get_call_template
+
+    def one_version(arguments: Any, keywords: dict[str, Any]) -> Any:
+        """Not a version for each constant argument: inlining sees the constants anyway."""
+        plain = {name: types.unliteral(argument) for name, argument in keywords.items()}
+        return call_template([types.unliteral(argument) for argument in arguments], plain)
+
+    part.get_call_template = one_version
+    return part
 
 
 def entry_kernel(*arguments: Any, aside: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -110,7 +119,7 @@ def entry_kernel(*arguments: Any, aside: bool = False) -> Callable[[Callable[...
             compiled = njit(cache=True, **_OPTIONS, **_ENTRY_OPTIONS)(function)
         finally:
             numba.config.CACHE_DIR = previous
-        _SIGNATURES.append((compiled, arguments, aside, directory))
+        ENTRIES.append((compiled, arguments, aside, directory))
         return compiled
 
     return decorate
@@ -130,11 +139,11 @@ def compile_kernels() -> None:
     marked `aside` are compiled in a second process meanwhile.
     """
     global _complete
-    if numba.config.DISABLE_JIT or _complete == len(_SIGNATURES):
+    if numba.config.DISABLE_JIT or _complete == len(ENTRIES):
         return
-    missing = [marked for *_, marked, directory in _SIGNATURES if not (directory / _MARKER).exists()]
+    missing = [marked for *_, marked, directory in ENTRIES if not (directory / _MARKER).exists()]
     if not missing:
-        _complete = len(_SIGNATURES)
+        _complete = len(ENTRIES)
         return
     print("pincontact: compiling kernels, once for this version (under half a minute) ...", file=sys.stderr)
     worker = _start_worker() if any(missing) and not all(missing) else None
@@ -143,7 +152,7 @@ def compile_kernels() -> None:
         worker.wait()
     # what the worker has compiled is loaded from disk; without a worker this is where it gets done
     compile_share(aside=True)
-    for *_, directory in _SIGNATURES:
+    for *_, directory in ENTRIES:
         try:
             directory.mkdir(parents=True, exist_ok=True)
             (directory / _MARKER).touch()
@@ -153,7 +162,7 @@ def compile_kernels() -> None:
 
 def compile_share(aside: bool) -> None:
     """Compile the kernels marked `aside`, or the others."""
-    for compiled, arguments, marked, directory in _SIGNATURES:
+    for compiled, arguments, marked, directory in ENTRIES:
         if marked == aside and not (directory / _MARKER).exists():
             compiled.compile(arguments)
 

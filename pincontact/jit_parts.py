@@ -50,6 +50,11 @@ try:
             self._linking_libraries = list(reached)
             super().finalize()
 
+        def _optimize_final_module(self) -> None:
+            # numba's first, cheaper pass serves reference counting, of which there is none here
+            passes, builder = self._codegen._module_pass_manager()
+            passes.run(self._final_module, builder)
+
     @register_pass(mutates_CFG=True, analysis_only=False)
     class _PartLowering(NativeLowering):
         _name = "part_lowering"

@@ -5,7 +5,7 @@ from __future__ import annotations
 SLOTS = (
     "sizes",  # (8,) int: see the SIZE columns
     "scalars",  # (SCALARS_SIZE,): see the scalars below
-    "callback",  # (3,) int: addresses of what runs Pinocchio, of its arguments, and of False
+    "callback",  # (CALLBACK_SIZE,) int: what kernels call by address
     # Pinocchio's data, read in place
     "mass",  # (nv, nv) lower triangle (Pinocchio's upper one, transposed view)
     "parents",  # (nv,) int: tree of the mass matrix, see `linear.factorize_tree`
@@ -84,6 +84,7 @@ SLOTS = (
     # least and largest margins of a step's stages, and one choice among redundant forces
     "lowest",  # (nc + ng, MARGINS_PER_CONTACT)
     "highest",  # (nc + ng, MARGINS_PER_CONTACT)
+    "across",  # (nc + 1, POLYNOMIAL_SIZE): shares of a step, then each contact's v_c across its direction, see `steps`
     "reference",  # (nc + ng, 3): force along the basis about which the least-norm solution is taken
 )
 
@@ -160,8 +161,10 @@ SLOTS = (
     GUARD_REAL,
     LOWEST,
     HIGHEST,
+    ACROSS,
     REFERENCE,
 ) = range(len(SLOTS))
+TABLE_SIZE = len(SLOTS)
 
 # sizes
 NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
@@ -320,3 +323,8 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE = 
     DRIVES_EVALUATED,
 ) = range(21)
 COUNTERS_SIZE = 21
+
+# what kernels call by address: a Python callable, its arguments, the result that means failure; the evaluation and the
+# address of the table that it is given
+CALLED, CALLED_WITH, CALL_FAILED, EVALUATION, OWN_TABLE = range(5)
+CALLBACK_SIZE = 5

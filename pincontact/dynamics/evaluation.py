@@ -1,13 +1,14 @@
 """One evaluation: from Pinocchio's terms at (q, v) to accelerations, contact forces and location rates.
 
-Called right after `pin.computeAllTerms(model, data, q, v)` on the same data; no other work is done for a contact
-that is open than its location and gap.
+Pinocchio's terms come from `pin.computeAllTerms(model, data, q, v)` on the same data; no other work is done for a
+contact that is open than its location and gap.
 """
 
 from __future__ import annotations
 
 import math
 
+from ..callback import call_python
 from ..constraints.kinematics import add_point_rows, contact_kinematics, distance_to_ends
 from ..contours.base import SHAPE_SIZE
 from ..contours.motion import MOTION_PARAMETERS, MOTION_SIZE, evaluate_motion
@@ -15,13 +16,18 @@ from ..friction.ellipse import set_stretch
 from ..geometry.carriers import add_drive, place_on_joint
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
-from ..jit import kernel
+from ..jit import INTEGER, REAL, entry_kernel, kernel
 from ..layout import (
     ACCELERATION,
     ALONG_BODY_1,
     ANISOTROPIC,
     BASIS,
     BIAS,
+    CALL_FAILED,
+    CALLBACK,
+    CALLBACK_SIZE,
+    CALLED,
+    CALLED_WITH,
     CHART,
     CONSTRAINT_ROWS,
     CONTACT_INT,
@@ -38,6 +44,7 @@ from ..layout import (
     DERIVATIVES,
     DOMAIN,
     DRIVES_EVALUATED,
+    EVALUATION_COUNT,
     FACTOR,
     FORCE,
     FRAMES,
@@ -105,7 +112,9 @@ from ..layout import (
     SUPPORT,
     SUPPORT_SIZE,
     SYSTEM,
+    TABLE_SIZE,
     TAU,
+    TIME,
     TIME_DEPENDENT,
     VECTORS,
     VELOCITY_RESIDUAL,
@@ -118,6 +127,24 @@ from ..layout import (
 from ..memory import cube, integer_matrix, integers, matrix, reals
 from .equations import add_viscous_loads, contact_dynamics, guard_force, list_rows, whiten_rows
 from .linear import factorize_tree, solve_gram, unwhiten, whiten
+
+
+@entry_kernel(INTEGER, REAL, INTEGER)
+def evaluate_state(table_address, time, only_kinematics):
+    """Pinocchio's terms and one evaluation at (q, v); a status of `layout`.
+
+    only_kinematics: locations, rows and biases of all contacts, open ones too, and no forces.
+    """
+    table = integers(table_address, TABLE_SIZE)
+    counters, callback = integers(table[COUNTERS], COUNTERS_SIZE), integers(table[CALLBACK], CALLBACK_SIZE)
+    reals(table[SCALARS], SCALARS_SIZE)[TIME] = time
+    if not call_python(callback[CALLED], callback[CALLED_WITH], callback[CALL_FAILED]):
+        return NOT_FINITE
+    counters[EVALUATION_COUNT] += 1
+    status = evaluate_contacts(table, time, only_kinematics != 0)
+    if status != OK or only_kinematics != 0:
+        return status
+    return evaluate_dynamics(table, time)
 
 
 @kernel

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from ..callback import kernel_address
 from ..contacts import characteristic_length
 from ..contours.base import DERIVATIVE_ROWS, ELLIPSOID, REVOLUTION, SHAPE_SIZE, SPHERE
 from ..contours.motion import MOTION_CALLABLE, MOTION_PARAMETERS, MOTION_SIZE
@@ -24,12 +25,17 @@ from ..layout import (
     ALONG_BODY_2,
     ANISOTROPIC,
     ASPECT,
+    CALL_FAILED,
+    CALLBACK_SIZE,
+    CALLED,
+    CALLED_WITH,
     CHART,
     CHARTED,
     CLOSED_FORM,
     CONTACT_INTS,
     CONTACT_REALS,
     COUNTERS_SIZE,
+    EVALUATION,
     FREE,
     FRICTIONLESS,
     GUARD_INTS,
@@ -64,7 +70,9 @@ from ..layout import (
     NV,
     NWORK,
     NY,
+    OWN_TABLE,
     PATTERN,
+    POLYNOMIAL_SIZE,
     POOL_ADDRESS,
     POOL_SIZE,
     ROLLING,
@@ -87,6 +95,7 @@ from ..layout import (
     VISCOUS,
 )
 from ..memory import Memory, address_of
+from .evaluation import evaluate_state
 
 if TYPE_CHECKING:
     from ..contacts import AttachedContour, Contact
@@ -259,6 +268,7 @@ class System:
         self.counters = memory.integers("counters", COUNTERS_SIZE)
         self.lowest = memory.reals("lowest", nc, MARGINS_PER_CONTACT)
         self.highest = memory.reals("highest", nc, MARGINS_PER_CONTACT)
+        self.across = memory.reals("across", nc + 1, POLYNOMIAL_SIZE)
         self.reference = memory.reals("reference", nc, 3)
 
     def _map_guards(self, guards: Sequence[Guard]) -> None:
@@ -304,7 +314,9 @@ class System:
 
         # kept alive here: the kernels know the addresses only
         self._callback = (function, arguments)
-        self.memory.integers("callback", 3)[:] = id(function), id(arguments), id(False)
+        callback = self.memory.integers("callback", CALLBACK_SIZE)
+        callback[[CALLED, CALLED_WITH, CALL_FAILED]] = id(function), id(arguments), id(False)
+        callback[[EVALUATION, OWN_TABLE]] = kernel_address(evaluate_state), address_of(self.table)
 
     def _run(self, task: int, t: float) -> int:
         status = run_task(self.table, task, t, 0.0)

@@ -20,12 +20,12 @@ from ..layout import (
     EVENT,
     FROZEN,
     FROZEN_COLUMNS,
-    OK,
     POLYNOMIAL,
     POLYNOMIAL_SIZE,
     SPAN,
     START,
 )
+from .steps import ACROSS_SLIP, run_task
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
@@ -33,14 +33,16 @@ if TYPE_CHECKING:
 
 # Fractions of the span at which v_c is made parallel to the direction, and others at which that is checked.
 _NODES = (0.2, 0.45, 0.7, 0.9, 1.0)
-_CHECKS = (0.32, 0.58, 0.8, 0.96)
+_CHECKS = (0.32, 0.58, 0.8, 0.96, 0.0)
 _PERTURBATION = 1e-4
-_NEWTON_STEPS = 5
-_REFRESHES = 2
+_ITERATIONS = 8
 _HALVINGS = 30
-# v_c across the prescribed direction, relative to the velocity tolerance, that is accepted between the nodes.
+# v_c across the prescribed direction, relative to the velocity tolerance, that is accepted between the nodes, and the
+# fraction of it that is left at the nodes.
 _ACCEPTED = 0.1
-_CONVERGED = 1e-3
+_CONVERGED = 0.05
+# Residuals that have grown by this factor will not come down any more.
+_DIVERGED = 3.0
 
 
 def start_slip(
@@ -57,65 +59,66 @@ def start_slip(
         if span < shortest:
             return None
         for c in contacts:
-            numbers = rk.system.contact_real[c]
-            numbers[START], numbers[SPAN] = t, span
-            numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
-        if _collocate(rk, t, contacts, span, tolerance) and uneventful():
+            rk.system.contact_real[c, [START, SPAN]] = t, span
+        if _collocate(rk, t, contacts, span, _ACCEPTED * tolerance) and uneventful():
             return span
         span *= 0.5
     return None
 
 
 def _collocate(rk: RungeKutta, t: float, contacts: list[int], span: float, tolerance: float) -> bool:
-    """Newton on the polynomials' coefficients; whether v_c ends up along the direction everywhere."""
-    size = POLYNOMIAL_SIZE * len(contacts)
-    coefficients = np.zeros(size)
+    """Broyden's iteration on the polynomials' coefficients; whether v_c ends up along the direction everywhere."""
+    coefficients = np.zeros(POLYNOMIAL_SIZE * len(contacts))
     residual = _across(rk, t, contacts, span, coefficients, _NODES)
     if residual is None:
         return False
-    for refresh in range(_REFRESHES):
-        jacobian = np.zeros((size, size))
-        for j in range(size):
-            moved = coefficients.copy()
-            moved[j] += _PERTURBATION
-            other = _across(rk, t, contacts, span, moved, _NODES)
-            if other is None:
-                return False
-            jacobian[:, j] = (other - residual) / _PERTURBATION
-        if _newton(rk, t, contacts, span, tolerance, jacobian, coefficients, residual):
-            break
-        if refresh == _REFRESHES - 1 or not np.abs(coefficients).max() < 1.0:
-            return False
-    between = _across(rk, t, contacts, span, coefficients, _CHECKS)
-    # the last attempt has left the state at the end of the span in new_state
-    return between is not None and float(np.abs(between).max()) <= _ACCEPTED * tolerance and rk.error < 1.0
-
-
-def _newton(
-    rk: RungeKutta,
-    t: float,
-    contacts: list[int],
-    span: float,
-    tolerance: float,
-    jacobian: np.ndarray,
-    coefficients: np.ndarray,
-    residual: np.ndarray,
-) -> bool:
-    """Steps with one Jacobian, updating coefficients and residual in place; whether they converged."""
-    for _ in range(_NEWTON_STEPS):
+    jacobian = _jacobian(rk, t, contacts, span, residual)
+    if jacobian is None:
+        return False
+    largest = _DIVERGED * float(np.abs(residual).max())
+    for _ in range(_ITERATIONS):
         try:
-            coefficients -= np.linalg.solve(jacobian, residual)
+            step = -np.linalg.solve(jacobian, residual)
         except np.linalg.LinAlgError:
             return False
+        coefficients += step
         if not np.abs(coefficients).max() < 1.0:
             return False
         found = _across(rk, t, contacts, span, coefficients, _NODES)
-        if found is None:
+        if found is None or not np.abs(found).max() <= largest:
             return False
-        residual[:] = found
-        if np.abs(residual).max() <= _CONVERGED * tolerance:
-            return True
-    return False
+        if np.abs(found).max() <= _CONVERGED * tolerance:
+            break
+        jacobian += np.outer(found - residual - jacobian @ step, step) / (step @ step)
+        residual = found
+    else:
+        return False
+    between = _across(rk, t, contacts, span, coefficients, _CHECKS)
+    # the last attempt has left the state at the end of the span in new_state
+    return between is not None and float(np.abs(between).max()) <= tolerance and rk.error < 1.0
+
+
+def _jacobian(rk: RungeKutta, t: float, contacts: list[int], span: float, residual: np.ndarray) -> np.ndarray | None:
+    """An approximation to the derivative of `residual` by the coefficients; None where an evaluation fails.
+
+    A turn by p s^j leaves -a p s^(j+1) / (j+1) of v_c across the direction, as friction pulls aside from then on, and
+    itself turns the direction against v_c = b s^2. Each contact's a and b follow from one turn of j = 0.
+    """
+    n = POLYNOMIAL_SIZE
+    s = np.array(_NODES)
+    shapes = np.array([[s ** (j - 1) / (j + 1), s**j] for j in range(n)])
+    out = np.zeros((len(residual), len(residual)))
+    for i in range(len(contacts)):
+        turn = np.zeros(len(residual))
+        turn[n * i] = _PERTURBATION
+        moved = _across(rk, t, contacts, span, turn, _NODES)
+        if moved is None:
+            return None
+        for m in range(len(contacts)):
+            change = (moved - residual)[n * m : n * (m + 1)] / _PERTURBATION
+            pull = np.linalg.lstsq(shapes[0].T, change, rcond=None)[0]
+            out[n * m : n * (m + 1), n * i : n * (i + 1)] = (pull @ shapes).T
+    return out
 
 
 def _across(
@@ -123,26 +126,11 @@ def _across(
 ) -> np.ndarray | None:
     """v_c across the prescribed directions, divided by the share squared (v_c grows so), at shares of the span."""
     system = rk.system
-    for i, c in enumerate(contacts):
-        system.contact_real[c, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = coefficients[
-            i * POLYNOMIAL_SIZE : (i + 1) * POLYNOMIAL_SIZE
-        ]
-    if rk.evaluate_start(t) > EVENT or rk.attempt(t, span) != OK:
+    system.contact_real[contacts, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = coefficients.reshape(len(contacts), -1)
+    system.across[0] = shares
+    if run_task(system.table, ACROSS_SLIP, t, span) > EVENT:
         return None
-    dense = rk.interpolant(t, span)
-    if dense is None:
-        return None
-    out = np.zeros((len(contacts), len(shares)))
-    for k, share in enumerate(shares):
-        rk.load(dense(share))
-        if rk.evaluate(t + share * span) > EVENT:
-            return None
-        for i, c in enumerate(contacts):
-            direction = _direction(system.contact_real[c], share) @ system.basis[c, :2].T
-            direction /= np.linalg.norm(direction)
-            slip = system.basis[c, :2] @ system.slip[c]
-            out[i, k] = (direction[0] * slip[1] - direction[1] * slip[0]) / share**2
-    return out.ravel()
+    return system.across[np.array(contacts) + 1, : np.count_nonzero(shares)].ravel()
 
 
 def frozen_directions(integers: np.ndarray, columns: np.ndarray, t: np.ndarray) -> np.ndarray:

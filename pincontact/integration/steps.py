@@ -8,14 +8,18 @@ from __future__ import annotations
 
 import math
 
-from ..callback import call_python
-from ..dynamics.evaluation import contact_corrections, evaluate_contacts, evaluate_dynamics
+from ..callback import call_kernel
+from ..dynamics.equations import slip_direction
+from ..dynamics.evaluation import contact_corrections
+from ..geometry.small import dot
 from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
 from ..layout import (
+    ACROSS,
     ALARM,
     ATTEMPT_LIMIT,
     BASIS,
     CALLBACK,
+    CALLBACK_SIZE,
     CHARTED,
     CONTACT_INT,
     CONTACT_INTS,
@@ -33,7 +37,7 @@ from ..layout import (
     ERROR_NORM,
     ERROR_ORDER,
     ESTIMATE_AFTER,
-    EVALUATION_COUNT,
+    EVALUATION,
     EVENT,
     EXTRA_STAGES,
     FAILURE,
@@ -64,6 +68,8 @@ from ..layout import (
     NV,
     NY,
     OK,
+    OWN_TABLE,
+    POLYNOMIAL_SIZE,
     RECORD_STEPS,
     RECORDED,
     REJECTED_COUNT,
@@ -72,6 +78,7 @@ from ..layout import (
     SCALARS_SIZE,
     SCALE,
     SIZES,
+    SLIP,
     SLIP_RATE,
     SLIP_SPEED,
     SLIPPING,
@@ -86,7 +93,7 @@ from ..layout import (
     STEP,
     STEP_COUNT,
     TANGENTS,
-    TIME,
+    VECTORS,
     VELOCITY_RESIDUAL,
     Q,
 )
@@ -112,7 +119,8 @@ from .stages import MAX_STAGES, build_state, correct_state, error_norm, fill_slo
     MARCH_ONE_STEP,
     MARCH_ONE_ATTEMPT,
     SETTLE,
-) = range(15)
+    ACROSS_SLIP,
+) = range(16)
 
 # What MARCH comes back with.
 MARCHING, STEPPED, ATTEMPTED, SLIP_ENDS, STEP_FAILED, PROJECTION_FAILED, AT_FLOOR, AT_LIMIT = range(8)
@@ -160,16 +168,9 @@ _SETTLEMENTS = 6
 
 @kernel
 def evaluate(table, time, only_kinematics):
-    """Pinocchio's terms and one evaluation at (q, v); a status of `layout`."""
-    counters, callback = integers(table[COUNTERS], COUNTERS_SIZE), integers(table[CALLBACK], 3)
-    reals(table[SCALARS], SCALARS_SIZE)[TIME] = time
-    if not call_python(callback[0], callback[1], callback[2]):
-        return NOT_FINITE
-    counters[EVALUATION_COUNT] += 1
-    status = evaluate_contacts(table, time, only_kinematics)
-    if status != OK or only_kinematics:
-        return status
-    return evaluate_dynamics(table, time)
+    """Pinocchio's terms and one evaluation at (q, v), by a kernel of its own; a status of `layout`."""
+    callback = integers(table[CALLBACK], CALLBACK_SIZE)
+    return call_kernel(callback[EVALUATION], callback[OWN_TABLE], time, 1 if only_kinematics else 0)
 
 
 @kernel
@@ -278,23 +279,63 @@ def interpolation(table, t, h):
 
 
 @kernel
+def across_slip(table, t, h):
+    """How well prescribed slip directions hold in a step of size h from the state at t, which is attempted; a status.
+
+    ACROSS is filled with v_c across the direction at the shares of the step in its first row, up to a zero; each is
+    divided by the share squared, since v_c grows so.
+    """
+    nc = integers(table[SIZES], 8)[NC]
+    status = start(table, t)
+    if status <= EVENT:
+        status = attempt(table, t, h, False)
+    if status == OK:
+        status = interpolation(table, t, h)
+    if status > EVENT:
+        return status
+    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    basis, slip = cube(table[BASIS], nc, 3, 3), matrix(table[SLIP], nc, 3)
+    across = matrix(table[ACROSS], nc + 1, POLYNOMIAL_SIZE)
+    direction = matrix(table[VECTORS], 16, 3)[0]
+    for k in range(POLYNOMIAL_SIZE):
+        share = across[0, k]
+        if share == 0.0:
+            break
+        _interpolated(table, share)
+        status = evaluate(table, t + share * h, True)
+        if status > EVENT:
+            return status
+        for c in range(nc):
+            if contact_int[c, FROZEN] != 0:
+                slip_direction(contact_int[c], contact_real[c], slip[c], basis[c], t + share * h, direction)
+                turned = direction[0] * dot(basis[c, 1], slip[c]) - direction[1] * dot(basis[c, 0], slip[c])
+                across[c + 1, k] = turned / share**2
+    return OK
+
+
+@kernel
+def _interpolated(table, theta):
+    """Hand over the state at the fraction theta of the step that was interpolated last."""
+    ny = integers(table[SIZES], 8)[NY]
+    stage_state = reals(table[STAGE_STATE], ny)
+    nested = integers(table[COUNTERS], COUNTERS_SIZE)[DENSE_NESTED]
+    interpolate(matrix(table[DENSE], DENSE_ROWS, ny), reals(table[STATE], ny), nested, theta, stage_state)
+    hand_over(table, stage_state)
+
+
+@kernel
 def write_outputs(table, until, inclusive):
     """Record the output times before `until`, or up to it, of the step that was interpolated last.
 
     Each is projected on the constraints. A status, or BLOCK_FULL.
     """
-    ny = integers(table[SIZES], 8)[NY]
     scalars, counters = reals(table[SCALARS], SCALARS_SIZE), integers(table[COUNTERS], COUNTERS_SIZE)
-    stage_state = reals(table[STAGE_STATE], ny)
     while scalars[NEXT_OUTPUT] < until or (inclusive and scalars[NEXT_OUTPUT] == until):
         if counters[RECORDED] == BLOCK:
             return BLOCK_FULL
         t = scalars[NEXT_OUTPUT]
-        theta = (t - scalars[DENSE_START]) / scalars[DENSE_STEP]
-        interpolate(
-            matrix(table[DENSE], DENSE_ROWS, ny), reals(table[STATE], ny), counters[DENSE_NESTED], theta, stage_state
-        )
-        hand_over(table, stage_state)
+        _interpolated(table, (t - scalars[DENSE_START]) / scalars[DENSE_STEP])
         status = project(table, t, False)
         if status != OK:
             return status
@@ -507,9 +548,9 @@ def march(table, task):
     return MARCHING
 
 
-@entry_kernel(TABLE, INTEGER, REAL, REAL)
+@entry_kernel(TABLE, INTEGER, REAL, REAL, aside=True)
 def run_task(table, task, t, h):
-    """Everything that evaluates, behind one entry, since the evaluation is what takes long to compile.
+    """All tasks behind one entry, since they share their parts.
 
     Returns a status of `layout`; for the MARCH tasks, which take their times from the scalars, what they came back for.
     """
@@ -535,4 +576,6 @@ def run_task(table, task, t, h):
         return write_outputs(table, t, True)
     if task == FINISH_STEP:
         return finish_step(table, t)
+    if task == ACROSS_SLIP:
+        return across_slip(table, t, h)
     return march(table, task)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numba
 
-from pincontact.jit import _OPTIONS
+from pincontact.jit import _ENTRY_OPTIONS, _OPTIONS
 
 
 def from_python(part: Callable[..., Any]) -> Callable[..., Any]:
@@ -15,7 +15,7 @@ def from_python(part: Callable[..., Any]) -> Callable[..., Any]:
     if numba.config.DISABLE_JIT:
         return part
 
-    @numba.njit(**_OPTIONS)
+    @numba.njit(**_OPTIONS, **_ENTRY_OPTIONS)
     def call(*arguments):
         return part(*arguments)
 

@@ -82,9 +82,10 @@ def simulate(
     compile_kernels()
     began = time.perf_counter()
     contacts = list(scene.contacts.values())
-    # time stepping reads the joints' limits and friction itself
-    guards = joint_guards(scene.model) if pair is not None else []
-    check_guards(guards, state.q)
+    guards = joint_guards(scene.model)
+    if pair is not None:
+        # time stepping brings what is beyond its limits back
+        check_guards(guards, state.q)
     system = System(scene.model, contacts, works=energies, guards=guards)
     write_discrete(system, state.discrete)
     end = system.nq + system.nv
@@ -121,7 +122,7 @@ def simulate(
         "contact_rows": int(system.counters[ROWS_FORMED]),
         "drives": int(system.counters[DRIVES_EVALUATED]),
         "cone_problems": modes.cone_problems,
-        "qp": modes.solver.qp_count,
+        "qp": modes.solver.qp_count if modes.cone_problems else 0,
         "cone_residual": modes.worst_residual,
         "redistributions": modes.redistributions,
         "wall_time": time.perf_counter() - began,

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .dynamics.joints import joint_guards
 from .dynamics.system import System
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
 from .integration.moreau import DEFAULT_STEP, MoreauStep
@@ -38,7 +39,7 @@ class Stepper:
         self._check_state(scene, state)
         self.scene, self.dt = scene, float(dt)
         contacts = list(scene.contacts.values())
-        self._system = system = System(scene.model, contacts)
+        self._system = system = System(scene.model, contacts, guards=joint_guards(scene.model))
         self._step = MoreauStep(system, contacts)
         nq, nv, nc = system.nq, system.nv, system.nc
         self.q, self.v = (_locked(part) for part in (system.state[:nq], system.state[nq : nq + nv]))

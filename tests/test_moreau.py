@@ -177,7 +177,7 @@ def test_rest_does_not_creep():
     assert kinds(run) == []
 
 
-def arm_scene():
+def arm_scene(mu=0.8):
     """Two links that press their tip onto the floor at a distance of 0.5 m, and the torques that do."""
     model, place = pin.Model(), pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.3]))
     joint = 0
@@ -189,7 +189,7 @@ def arm_scene():
         place = pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.0]))
     scene = pc.Scene(model)
     tip, floor = scene.add_contour("tip", pc.Point(), "link1", place), scene.add_contour("floor", pc.Plane())
-    scene.add_contact("c", tip, floor, friction=pc.Coulomb(0.8))
+    scene.add_contact("c", tip, floor, friction=pc.Coulomb(mu))
     # law of cosines for the elbow, then the height of the tip
     bend = math.acos((0.5**2 + 0.3**2) / (2.0 * 0.4**2) - 1.0)
     shoulder = math.atan2(0.3, 0.5) - 0.5 * bend
@@ -376,6 +376,46 @@ def test_joint_limits():
     assert abs(run.t[np.argmax(run.q <= -0.5)] - landing) <= 2e-3
     assert run.q[-1, 0] == -0.5
     assert run.v[-1, 0] == 0.0
+
+
+def test_contact_and_stop_hold_together():
+    """A bent arm slides down on its tip until its elbow stops: both hold exactly, and no energy comes in."""
+    scene, state, _ = arm_scene(mu=0.0)
+    stop = state.q[1] - 0.2
+    scene.model.lowerPositionLimit[1] = stop
+    run = stepped(scene, state, 1.0, 1e-3)
+    at_stop = run.q[:, 1] == stop
+    first = int(np.argmax(at_stop))
+    assert 0 < first < 900
+    assert at_stop[first:].all()
+    # the arm has nowhere to go from here
+    assert np.abs(run.v[first + 1 :]).max() <= 1e-12
+    assert np.abs(run.q[first + 1 :] - run.q[-1]).max() <= 1e-12
+    # what one projection with a correction below 1e-7 leaves
+    assert np.abs(run.contacts["c"].gap).max() <= 1e-13
+    total = run.energies().total
+    # errors of second order until the stop, of the projection after it
+    assert (total - np.minimum.accumulate(total)).max() <= 1e-5 * run.energies().kinetic.max()
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-5, 1e-4, 1e-3])
+def test_impact_throws_a_joint_onto_its_stop(gap):
+    """Two masses fall, the upper one on a slide of the lower one, just above its stop, which it reaches when the lower
+    one has landed: both come to rest, and the slide never passes its stop."""
+    model = pin.Model()
+    for i in range(2):
+        joint = model.addJoint(i, pin.JointModelPZ(), pin.SE3.Identity(), f"joint{i}")
+        model.appendBodyToJoint(joint, pin.Inertia(1.0 + i, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("body", 1, pin.SE3.Identity(), 0)
+    model.lowerPositionLimit[1] = 0.0
+    scene = pc.Scene(model)
+    point, floor = scene.add_contour("point", pc.Point(), "body"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", point, floor)
+    run = stepped(scene, scene.initial_state([0.2, gap], free=["c"]), 0.4, 1e-3)
+    # round-off of the way of 0.2 m, and of the speed of 2 m/s
+    assert run.q[:, 1].min() >= -1e-16
+    assert np.abs(run.q[-1]).max() <= 1e-15
+    assert np.abs(run.v[-1]).max() <= 1e-14
 
 
 def test_dry_joint_friction_and_damping():

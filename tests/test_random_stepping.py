@@ -10,3 +10,11 @@ def test_random_runs(kind):
     for seed in range(kind, 48, len(KINDS)):
         _, fault = check(seed)
         assert not fault, seed
+
+
+@pytest.mark.parametrize("seed", [1611, 2791, 5207, 5399, 5903])
+def test_chains_at_their_stops(seed):
+    """Contact and joint stops that hold a chain together, and impacts that wedge it (2791)."""
+    kind, fault = check(seed)
+    assert kind == "chain"
+    assert not fault

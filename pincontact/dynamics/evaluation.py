@@ -310,10 +310,9 @@ def evaluate_dynamics(table, time):
     guard_int = integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
     guard_real = matrix(table[GUARD_REAL], ng, GUARD_REALS)
     slip, gaps = matrix(table[SLIP], total, 3), matrix(table[GAPS], total, 2)
+    _read_guards(table, guard_int, nc, ng, slip, gaps)
     for g in range(ng):
         k = guard_int[g, GUARD_V]
-        slip[nc + g, 2] = v[k]
-        gaps[nc + g, 0] = reals(table[Q], sizes[NQ])[guard_int[g, GUARD_Q]]
         free_acceleration[k] += guard_force(contact_int[nc + g, MODE], guard_int[g], guard_real[g])
     whiten(factor, parents, nv, free_acceleration, free_acceleration)
     unwhiten(factor, parents, nv, free_acceleration, free_acceleration)
@@ -368,6 +367,15 @@ def evaluate_dynamics(table, time):
 
 
 @kernel
+def _read_guards(table, guard_int, nc, ng, slip, gaps):
+    """Velocities and positions of guarded joint coordinates, in the places of normal v_c and gaps."""
+    sizes = integers(table[SIZES], 8)
+    q, v = reals(table[Q], sizes[NQ]), reals(table[V], sizes[NV])
+    for g in range(ng):
+        slip[nc + g, 2], gaps[nc + g, 0] = v[guard_int[g, GUARD_V]], q[guard_int[g, GUARD_Q]]
+
+
+@kernel
 def _finite(a, n):
     total = 0.0
     for k in range(n):
@@ -400,6 +408,8 @@ def contact_corrections(table, with_position, with_velocity):
     correction_v = reals(table[CORRECTION_V], nv)
     x = reals(table[MULTIPLIERS], 3 * total)
     count, _ = list_rows(contact_int, total, row_index)
+    # an evaluation of kinematics alone has left them out
+    _read_guards(table, guard_int, nc, total - nc, slip, gaps)
     for g in range(total - nc):
         # what is left to the end on which the coordinate rests; where it is held by friction it rests anywhere
         position, end = gaps[nc + g, 0], guard_int[g, GUARD_END]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -85,11 +86,15 @@ class ModeSolver:
 
     def __init__(self, system: System) -> None:
         self.system = system
-        self.solver = ContactSolver()
         self.cone_problems = 0
         self.redistributions = 0
         self.worst_residual = 0.0
         self._limits = np.zeros(system.nc)
+
+    @cached_property
+    def solver(self) -> ContactSolver:
+        """Made when the first cone problem is posed."""
+        return ContactSolver()
 
     def decide(self, t: float, undecided: list[int], evaluate, beyond: int | None = None) -> Decision:
         """Set the modes of the undecided contacts (closed, at rest against each other, with friction) at the state.

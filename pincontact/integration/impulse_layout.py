@@ -22,7 +22,8 @@ STEP_SLOTS = (
     "restitution",  # (nc,)
     "sticking",  # (nc,) coefficient up to which a contact at rest sticks
     "load",  # (nc,) normal impulse over the step size in the last step of contacts whose disks depend on it, N
-    "joint_int",  # (nj, 3) int: kind, index in q, index in v
+    "start_end",  # (ng,) int: end at which a guarded joint coordinate was held, 0: at none
+    "joint_int",  # (nj, JOINT_INTS) int: kind, index in q, index in v, guard
     "joint_real",  # (nj, 2): limit and nothing, or half the width and the middle of the friction force's range
     "unit_int",  # (ns, UNIT_INTS) int
     "unit_real",  # (ns, UNIT_REALS)
@@ -65,6 +66,7 @@ STEP_SLOTS = (
     RESTITUTION,
     STICKING,
     LOAD,
+    START_END,
     JOINT_INT,
     JOINT_REAL,
     UNIT_INT,
@@ -98,10 +100,11 @@ NJ, MAX_UNITS, MAX_EQUATIONS, UNITS, NEQ, HAS_TREND, TOUCHED, REVIEWS, RIGID = r
 NCOUNTS = 9
 # counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
 ACCELERATION, MEAN_VELOCITY = 1, 2
-# numbers
-H, KEPT, KEPT_LOW, KEPT_HIGH = range(4)
+# numbers; FREE_CHANGE: norm of the change of velocity without impulses, in the mass metric
+H, KEPT, KEPT_LOW, KEPT_HIGH, FREE_CHANGE = range(5)
 # joint_int
-JOINT_KIND, JOINT_Q, JOINT_V = range(3)
+JOINT_KIND, JOINT_Q, JOINT_V, JOINT_GUARD = range(4)
+JOINT_INTS = 4
 LOWER_LIMIT, UPPER_LIMIT, DRY_FRICTION = range(3)
 # unit_int; ROW_MASK: bit r is set where row r is real, the others only fill up the cone. Row r of a unit that resists
 # turning is about basis vector AXIS + r; PARENT is the unit of the contact, -1 where equations give its normal impulse.
@@ -113,8 +116,9 @@ IMPULSE_TIME, SHIFT, APPROACH, FREE_RATE, START_T1, START_T2, UNIT_LOAD, SLIDING
 UNIT_REALS = 10
 
 
-def step_memory(nq: int, nv: int, nc: int, nj: int, nt: int) -> Memory:
-    """The arrays of `STEP_SLOTS` for a system with nj joint limits and dry frictions, and nt resistances to turning."""
+def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int) -> Memory:
+    """The arrays of `STEP_SLOTS` for a system with ng guarded joint coordinates, nj limits and dry frictions of these,
+    and nt resistances to turning."""
     memory = Memory(STEP_SLOTS)
     contacts, units, equations = max(nc, 1), max(nc + nj + nt, 1), max(3 * nc, 1)
     counts = memory.integers("counts", NCOUNTS)
@@ -132,7 +136,8 @@ def step_memory(nq: int, nv: int, nc: int, nj: int, nt: int) -> Memory:
         memory.reals(name, contacts)
     memory.integers("start_mode", contacts)
     memory.integers("known", contacts, CONTACT_INTS + 2)
-    memory.integers("joint_int", max(nj, 1), 3)
+    memory.integers("start_end", max(ng, 1))
+    memory.integers("joint_int", max(nj, 1), JOINT_INTS)
     memory.reals("joint_real", max(nj, 1), 2)
     memory.integers("unit_int", units, UNIT_INTS)
     memory.reals("unit_real", units, UNIT_REALS)

@@ -88,11 +88,14 @@ from .impulse_layout import (
     EQUATION_INDEX,
     EQUATION_SHARE,
     EQUATIONS,
+    FREE_CHANGE,
     FREE_RATE,
     FRICTION,
     HAS_TREND,
     IMPULSE_TIME,
+    JOINT_GUARD,
     JOINT_INT,
+    JOINT_INTS,
     JOINT_KIND,
     JOINT_Q,
     JOINT_REAL,
@@ -105,6 +108,8 @@ from .impulse_layout import (
     LOWER_LIMIT,
     MAX_EQUATIONS,
     MAX_UNITS,
+    MEAN,
+    MEAN_VELOCITY,
     MIDPOINT,
     NCOUNTS,
     NEQ,
@@ -122,6 +127,7 @@ from .impulse_layout import (
     ROW_MASK,
     SHIFT,
     SLIDING,
+    START_END,
     START_GAP,
     START_MODE,
     START_NORMAL,
@@ -387,13 +393,16 @@ def _gather_equations(table, step, nv, nc, h):
 
 @kernel
 def _gather_joints(table, step, nv, h):
-    """Units of joint limits within reach and of dry friction."""
+    """Units of joint limits within reach and of dry friction. A joint that was held at its end is closed, whatever
+    rounding makes of its position."""
     counts = integers(step[COUNTS], NCOUNTS)
     nq = integers(table[SIZES], 8)[NQ]
     nj = counts[NJ]
-    joint_int, joint_real = integer_matrix(step[JOINT_INT], nj, 3), matrix(step[JOINT_REAL], nj, 2)
+    joint_int, joint_real = integer_matrix(step[JOINT_INT], nj, JOINT_INTS), matrix(step[JOINT_REAL], nj, 2)
+    start_end = integers(step[START_END], nj)
     unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
     q, v, trend = reals(step[START_Q], nq), reals(step[START_V], nv), reals(step[TREND], nv)
+    mean = reals(step[MEAN], nv)
     for j in range(nj):
         k = joint_int[j, JOINT_V]
         if joint_int[j, JOINT_KIND] == DRY_FRICTION:
@@ -403,8 +412,13 @@ def _gather_joints(table, step, nv, h):
         sign = 1.0 if joint_int[j, JOINT_KIND] == LOWER_LIMIT else -1.0
         gap = sign * (q[joint_int[j, JOINT_Q]] - joint_real[j, 0])
         speed, rate = sign * v[k], sign * trend[k]
-        resting = gap <= TOUCHING and abs(speed) * h <= TOUCHING
+        held = start_end[joint_int[j, JOINT_GUARD]] * sign < 0.0
+        resting = held or (gap <= TOUCHING and abs(speed) * h <= TOUCHING)
         instant = touch_instant(gap, speed, rate, TOUCHING, h)
+        thrown = sign * mean[k]
+        if instant < 0.0 and counts[HAS_TREND] == MEAN_VELOCITY and thrown < 0.0 and gap + h * thrown < 0.0:
+            # by an impact of this step
+            instant = max(gap / -thrown, 0.0)
         if resting or instant >= 0.0:
             _add_unit(step, ON_JOINT, j, 4, 0.0, -1.0 if resting else instant)
 
@@ -456,7 +470,7 @@ def _fill_units(table, step, nv, nc, h):
     parents = integers(table[PARENTS], nv)
     unit_int = integer_matrix(step[UNIT_INT], units, UNIT_INTS)
     unit_real = matrix(step[UNIT_REAL], units, UNIT_REALS)
-    joint_int = integer_matrix(step[JOINT_INT], counts[NJ], 3)
+    joint_int = integer_matrix(step[JOINT_INT], counts[NJ], JOINT_INTS)
     whitened, overlap = matrix(step[WHITENED], 3 * units, nv), matrix(step[OVERLAP], 3 * units, size)
     equations, share = matrix(step[EQUATIONS], size, nv), reals(step[EQUATION_SHARE], size)
     delassus, b = matrix(step[DELASSUS], 3 * n, 3 * n), reals(step[LOADS], 3 * n)
@@ -599,7 +613,8 @@ def assemble(table, step):
             factor[i, j] = mass[i, j]
         factor[i, i] = mass[i, i] + 0.5 * h * damping[i]
         change[i] = h * (tau[i] - nle[i] - damping[i] * v[i])
-    joint_int, joint_real = integer_matrix(step[JOINT_INT], counts[NJ], 3), matrix(step[JOINT_REAL], counts[NJ], 2)
+    joint_int = integer_matrix(step[JOINT_INT], counts[NJ], JOINT_INTS)
+    joint_real = matrix(step[JOINT_REAL], counts[NJ], 2)
     for j in range(counts[NJ]):
         if joint_int[j, JOINT_KIND] == DRY_FRICTION:
             change[joint_int[j, JOINT_V]] += h * joint_real[j, 1]
@@ -608,6 +623,7 @@ def assemble(table, step):
     if not factorize_tree(factor, parents, nv, factor):
         return MASS_NOT_POSITIVE
     whiten(factor, parents, nv, change, change)
+    numbers[FREE_CHANGE] = math.sqrt(inner(change, change, nv))
     unwhiten(factor, parents, nv, change, change)
     total = 0.0
     for k in range(nv):

@@ -41,9 +41,18 @@ from ..layout import (
     FRICTIONLESS,
     FROZEN,
     GAPS,
+    GUARD_COUNT,
+    GUARD_END,
+    GUARD_INT,
+    GUARD_INTS,
+    GUARD_Q,
+    GUARD_REAL,
+    GUARD_REALS,
+    HIGH_END,
     JOINT_TABLE,
     LENGTH,
     LOCATION,
+    LOW_END,
     MODE,
     MOTION_KIND,
     MU,
@@ -94,15 +103,14 @@ from .impulse_layout import (
     DRY_FRICTION,
     EQUATION_IMPULSE,
     EQUATION_INDEX,
-    EQUATION_SHARE,
-    EQUATIONS,
     FORCES,
     HAS_TREND,
     IMPULSE_TIME,
+    JOINT_GUARD,
     JOINT_IMPULSE,
     JOINT_INT,
+    JOINT_INTS,
     JOINT_KIND,
-    JOINT_Q,
     JOINT_REAL,
     JOINT_V,
     KEPT,
@@ -123,6 +131,7 @@ from .impulse_layout import (
     ORIENTATION,
     ROW_MASK,
     SHIFT,
+    START_END,
     START_GAP,
     START_LOCATION,
     START_MODE,
@@ -150,7 +159,7 @@ from .impulse_layout import (
     H,
 )
 from .impulse_problem import OPENING, TOUCHING, add_turn_row, free_gain, rigid_velocity, start_velocity
-from .impulse_review import DONE, equation_impulses, impulse_work, review
+from .impulse_review import DONE, equation_impulses, impulse_work, review, velocity_change
 from .manifold import displace
 from .stages import DAMPING_WORK, DRIVE_WORK, FRICTION_WORK, NUMBER_OF_WORKS, TORQUE_WORK, hand_over
 
@@ -223,17 +232,18 @@ def _contact_mode(table, step, u, c, nc, h):
 
 @kernel
 def _distribute(table, step, nv, nc, h):
-    """Impulses of contacts and joints, new modes; in WORK the change of velocity by all impulses, whitened, and in
-    DISPLACEMENT what they displace by acting before or after the middle of the step."""
+    """Impulses of contacts and joints, new modes, ends at which joints are held; in WORK the change of velocity by all
+    impulses, whitened, and in DISPLACEMENT what they displace by acting before or after the middle of the step."""
     counts = integers(step[COUNTS], NCOUNTS)
     n, units, nequations, size = counts[UNITS], counts[MAX_UNITS], counts[NEQ], counts[MAX_EQUATIONS]
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    ng, kept = integers(table[GUARD_COUNT], 1)[0], reals(step[NUMBERS], 8)[KEPT]
+    contact_int = integer_matrix(table[CONTACT_INT], nc + ng, CONTACT_INTS)
+    guard_int = integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
     contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
     unit_int = integer_matrix(step[UNIT_INT], units, UNIT_INTS)
     unit_real = matrix(step[UNIT_REAL], units, UNIT_REALS)
-    joint_int = integer_matrix(step[JOINT_INT], counts[NJ], 3)
+    joint_int = integer_matrix(step[JOINT_INT], counts[NJ], JOINT_INTS)
     forces, whitened = reals(step[CONE_FORCES], 3 * n), matrix(step[WHITENED], 3 * units, nv)
-    equations, share = matrix(step[EQUATIONS], size, nv), reals(step[EQUATION_SHARE], size)
     index, equation_impulse = integer_matrix(step[EQUATION_INDEX], size, 2), reals(step[EQUATION_IMPULSE], size)
     impulse, joint_impulse = matrix(step[CONTACT_IMPULSE], nc, 3), reals(step[JOINT_IMPULSE], nv)
     touch_time = reals(step[TOUCH_TIME], nc)
@@ -241,8 +251,11 @@ def _distribute(table, step, nv, nc, h):
     basis, torques = cube(table[BASIS], nc, 3, 3), matrix(step[TORQUES], nc, 3)
     orientation = reals(step[ORIENTATION], nc)
     whole, shifted = reals(table[WORK], nv), reals(step[DISPLACEMENT], nv)
+    velocity_change(step, nv, whole)
     for k in range(nv):
-        whole[k] = shifted[k] = joint_impulse[k] = 0.0
+        shifted[k] = joint_impulse[k] = 0.0
+    for g in range(ng):
+        contact_int[nc + g, MODE], guard_int[g, GUARD_END] = FREE, 0
     for c in range(nc):
         touch_time[c] = -1.0
         for row in range(3):
@@ -256,8 +269,6 @@ def _distribute(table, step, nv, nc, h):
         if joint_int[j, JOINT_KIND] == DRY_FRICTION:
             joint_impulse[joint_int[j, JOINT_V]] += h * matrix(step[JOINT_REAL], counts[NJ], 2)[j, 1]
     for e in range(nequations):
-        for k in range(nv):
-            whole[k] += share[e] * equations[e, k]
         impulse[index[e, 0], index[e, 1]] += equation_impulse[e]
     for u in range(n):
         kind, i, mask = unit_int[u, UNIT_KIND], unit_int[u, UNIT_INDEX], unit_int[u, ROW_MASK]
@@ -277,7 +288,6 @@ def _distribute(table, step, nv, nc, h):
                 continue
             r = 3 * u + row
             for k in range(nv):
-                whole[k] += forces[r] * whitened[r, k]
                 shifted[k] += early * forces[r] * whitened[r, k]
             if kind == ON_TURN:
                 axis = unit_int[u, AXIS] + row
@@ -287,8 +297,13 @@ def _distribute(table, step, nv, nc, h):
             elif kind == ON_JOINT:
                 sign = -1.0 if joint_int[i, JOINT_KIND] == UPPER_LIMIT else 1.0
                 joint_impulse[joint_int[i, JOINT_V]] += sign * forces[r]
-                if unit_int[u, TOUCHES] != 0 and forces[r] > 0.0:
-                    counts[TOUCHED] = 1
+                if joint_int[i, JOINT_KIND] != DRY_FRICTION and forces[r] > 0.0:
+                    if unit_int[u, TOUCHES] != 0:
+                        counts[TOUCHED] = 1
+                    if kept * unit_real[u, SHIFT] <= 0.0:
+                        # it does not leave its stop again within the step
+                        g = joint_int[i, JOINT_GUARD]
+                        contact_int[nc + g, MODE], guard_int[g, GUARD_END] = FRICTIONLESS, -int(sign)
         if kind < ON_JOINT:
             contact_int[i, MODE] = _contact_mode(table, step, u, i, nc, h)
     # impulses that nearly cancel (a wedged body) at different times would throw it far: one alone moves it no further
@@ -338,7 +353,7 @@ def _add_works(table, step, nv, nc, h, v1, viscous, works):
     rows, impulse = cube(table[ROWS], nc, 3, nv), matrix(step[CONTACT_IMPULSE], nc, 3)
     change = reals(step[CHANGE], nv)
     v0, tau, damping = reals(step[START_V], nv), reals(table[TAU], nv), reals(table[DAMPING], nv)
-    on_contacts, on_joints, _ = impulse_work(step, h)
+    on_contacts, on_joints, _, _ = impulse_work(step, h)
     works[FRICTION_WORK] += on_contacts + viscous
     works[DAMPING_WORK] += on_joints
     side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
@@ -374,9 +389,9 @@ def advance(table, step):
     """
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    counts, h = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)[H]
+    h = reals(step[NUMBERS], 8)[H]
     equation_impulses(step, nv)
-    verdict = review(step, nv, h)
+    verdict = review(step, nv, h, reals(table[WORK], nv))
     if verdict != DONE:
         return verdict
     _distribute(table, step, nv, nc, h)
@@ -397,13 +412,13 @@ def advance(table, step):
         return NOT_FINITE
     viscous = _viscous_impulses(table, step, nv, nc, h, v1)
     displace(integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4), start_q, displacement, state)
-    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
-    joint_int, joint_real = integer_matrix(step[JOINT_INT], counts[NJ], 3), matrix(step[JOINT_REAL], counts[NJ], 2)
-    forces = reals(step[CONE_FORCES], 3 * counts[UNITS])
-    for u in range(counts[UNITS]):
-        if unit_int[u, UNIT_KIND] == ON_JOINT and unit_int[u, ROW_MASK] == 4 and forces[3 * u + 2] > 0.0:
-            j = unit_int[u, UNIT_INDEX]
-            state[joint_int[j, JOINT_Q]] = joint_real[j, 0]
+    ng = integers(table[GUARD_COUNT], 1)[0]
+    guard_int, guard_real = integer_matrix(table[GUARD_INT], ng, GUARD_INTS), matrix(table[GUARD_REAL], ng, GUARD_REALS)
+    for g in range(ng):
+        # to the last bit; what that does to contacts is settled with this end as a constraint
+        end = guard_int[g, GUARD_END]
+        if end != 0:
+            state[guard_int[g, GUARD_Q]] = guard_real[g, LOW_END if end < 0 else HIGH_END]
     location, rates = reals(table[LOCATION], 4 * nc), reals(table[RATES], 4 * nc)
     for k in range(4 * nc):
         state[nq + nv + k] = location[k] + 0.5 * h * rates[k]
@@ -460,6 +475,10 @@ def commit(table, step, stepped):
     side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
     known = integer_matrix(step[KNOWN], nc, CONTACT_INTS + 2)
     changed = stepped == 0
+    ng = integers(table[GUARD_COUNT], 1)[0]
+    start_end, guard_int = integers(step[START_END], ng), integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
+    for g in range(ng):
+        start_end[g] = guard_int[g, GUARD_END]
     for c in range(nc):
         start_mode[c] = contact_int[c, MODE]
         start_gap[c] = gaps[c, 0]

@@ -11,10 +11,8 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 from scipy.optimize import brentq
 
-from ..dynamics.joints import joint_guards
 from ..dynamics.modes import rest_mode
 from ..dynamics.system import System
 from ..friction.solve import ContactSolver
@@ -24,6 +22,7 @@ from ..layout import (
     CONDITION,
     FREE,
     FROZEN,
+    GUARD_END,
     LOCATION_FAILED,
     MODE,
     MU,
@@ -46,6 +45,7 @@ from .impulse_layout import (
     CONE_VELOCITIES,
     DRY_FRICTION,
     HAS_TREND,
+    JOINT_INTS,
     KEPT,
     KEPT_HIGH,
     KEPT_LOW,
@@ -69,6 +69,7 @@ from .steps import KINEMATICS, SETTLE, run_task
 
 if TYPE_CHECKING:
     from ..contacts import Contact
+    from ..dynamics.joints import Guard
 
 DEFAULT_STEP = 1e-3
 
@@ -89,26 +90,23 @@ _EVENT_ACCURACY = 1e-12
 Torque = Callable[[float], bool]
 
 
-def joint_constraints(model: pin.Model) -> tuple[np.ndarray, np.ndarray]:
-    """Position limits and dry friction of a model's joints, as `impulses` takes them: (nj, 3) int and (nj, 2).
-
-    See `dynamics.joints` for what is taken from the model.
-    """
-    ints: list[tuple[int, int, int]] = []
+def joint_constraints(guards: Sequence[Guard]) -> tuple[np.ndarray, np.ndarray]:
+    """Position limits and dry friction of joints, as `impulses` takes them: (nj, JOINT_INTS) int and (nj, 2)."""
+    ints: list[tuple[int, int, int, int]] = []
     reals: list[tuple[float, float]] = []
-    for guard in joint_guards(model):
+    for g, guard in enumerate(guards):
         if guard.dry:
-            ints.append((DRY_FRICTION, guard.index_q, guard.index_v))
+            ints.append((DRY_FRICTION, guard.index_q, guard.index_v, g))
             reals.append((0.5 * (guard.high_force - guard.low_force), 0.5 * (guard.high_force + guard.low_force)))
         for which, limit in ((LOWER_LIMIT, guard.low_end), (UPPER_LIMIT, guard.high_end)):
             if math.isfinite(limit):
-                ints.append((which, guard.index_q, guard.index_v))
+                ints.append((which, guard.index_q, guard.index_v, g))
                 reals.append((limit, 0.0))
-    return np.array(ints, dtype=np.int64).reshape(-1, 3), np.array(reals).reshape(-1, 2)
+    return np.array(ints, dtype=np.int64).reshape(-1, JOINT_INTS), np.array(reals).reshape(-1, 2)
 
 
 class MoreauStep:
-    """One system that goes forward by steps of Moreau's method.
+    """One system, with all guards of its model, that goes forward by steps of Moreau's method.
 
     The state at the step's start is `system.state`; `attempt` leaves the new one in `system.stage_state`, and may be
     called again with another size; `accept` makes it the start. Arrays (views, world axes, one row a contact):
@@ -124,15 +122,14 @@ class MoreauStep:
         if (system.contact_real[: system.nc, VISCOUS] > 0.0).any():
             # the mass matrix with viscous friction couples branches of the tree
             system.memory["parents"][:] = np.arange(max(system.nv, 1)) - 1
-        model = system.model
-        joint_int, joint_real = joint_constraints(model)
+        joint_int, joint_real = joint_constraints(system.guards)
         self.joints = len(joint_int)
         laws = [contact.friction for contact in contacts if contact.friction is not None]
         turns = sum((law.spinning > 0.0) + (law.rolling > 0.0) for law in laws)
         self.resists_turning = turns > 0
         # whether forces act on joints that are neither torques nor contact forces
         self.acts_on_joints = self.joints > 0 or self.resists_turning
-        self.memory = memory = step_memory(system.nq, system.nv, system.nc, self.joints, turns)
+        self.memory = memory = step_memory(system.nq, system.nv, system.nc, system.ng, self.joints, turns)
         self.table = memory.table
         memory["joint_int"][: self.joints], memory["joint_real"][: self.joints] = joint_int, joint_real
         for c, contact in enumerate(contacts):
@@ -171,6 +168,9 @@ class MoreauStep:
             ints[FROZEN] = 0
             ints[MODE] = SLIPPING if speed > rest_speed and 0.0 < mu < math.inf else rest_mode(mu)
             ints[SLIP_SIGN] = 1 if along[0] >= 0.0 else -1
+        # joints at their stops are found by the first step
+        system.contact_int[system.nc : system.nc + system.ng, MODE] = FREE
+        system.guard_int[:, GUARD_END] = 0
         self.memory["load"][:] = 0.0
         self.forces[:] = 0.0
         self.torques[:] = 0.0

@@ -38,7 +38,9 @@ from ..layout import (
     OK,
     PATTERN,
     SINGULAR,
+    SLIP_RATE,
     SLIP_SIGN,
+    SLIP_SPEED,
     SLIPPING,
     SPEED_MARGIN,
     STICK,
@@ -573,7 +575,28 @@ class Transitions:
         # what stays closed without an impulse (ideal rolling that carries no load, a hop that is none) stops here
         before = whitened_velocity(system, system.v)
         self._project(t)
+        ended = self._end_short_slips(t)
+        if ended:
+            undecided += ended
+            self._project(t)
         if self._counts_works:
             after = whitened_velocity(system, system.v)
             system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += 0.5 * float(after @ after - before @ before)
         return self.resolve(t, undecided, silent=True)
+
+    def _end_short_slips(self, t: float) -> list[int]:
+        """Let contacts stick whose slip after an impact would end in a distance shorter than positions are known to.
+
+        Else a body that comes to rest goes on for ever: that slip's friction tips it, and what tips falls as far below
+        the ground as its touch is noticed late.
+        """
+        system = self.system
+        if self.rk.evaluate(t) > EVENT:
+            return []
+        ended = []
+        for c in system.closed():
+            speed, rate = system.contact_real[c, SLIP_SPEED], system.contact_real[c, SLIP_RATE]
+            if system.contact_int[c, MODE] == SLIPPING and rate < 0.0 and speed * speed <= -2.0 * rate * self._reach(c):
+                system.contact_int[c, MODE] = STICK
+                ended.append(c)
+        return ended

@@ -100,8 +100,9 @@ NJ, MAX_UNITS, MAX_EQUATIONS, UNITS, NEQ, HAS_TREND, TOUCHED, REVIEWS, RIGID = r
 NCOUNTS = 9
 # counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
 ACCELERATION, MEAN_VELOCITY = 1, 2
-# numbers; FREE_CHANGE: norm of the change of velocity without impulses, in the mass metric
-H, KEPT, KEPT_LOW, KEPT_HIGH, FREE_CHANGE = range(5)
+# numbers; FREE_CHANGE: norm of the change of velocity without impulses, in the mass metric; MISS: how far the
+# midpoint's velocity was from the step's mean velocity, relative to that, in the metric of the masses
+H, KEPT, KEPT_LOW, KEPT_HIGH, FREE_CHANGE, MISS = range(6)
 # joint_int
 JOINT_KIND, JOINT_Q, JOINT_V, JOINT_GUARD = range(4)
 JOINT_INTS = 4

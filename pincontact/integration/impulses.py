@@ -53,6 +53,7 @@ from ..layout import (
     LENGTH,
     LOCATION,
     LOW_END,
+    MASS,
     MODE,
     MOTION_KIND,
     MU,
@@ -87,6 +88,7 @@ from ..layout import (
     UNILATERAL,
     VISCOUS,
     WORK,
+    V,
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
 from .impulse_layout import (
@@ -104,6 +106,7 @@ from .impulse_layout import (
     EQUATION_IMPULSE,
     EQUATION_INDEX,
     FORCES,
+    FREE_CHANGE,
     HAS_TREND,
     IMPULSE_TIME,
     JOINT_GUARD,
@@ -121,6 +124,7 @@ from .impulse_layout import (
     MEAN,
     MEAN_VELOCITY,
     MIDPOINT,
+    MISS,
     NCOUNTS,
     NEQ,
     NJ,
@@ -402,12 +406,19 @@ def advance(table, step):
     unwhiten(factor, parents, nv, displacement, displacement)
     start_q, start_v, state = reals(step[START_Q], nq), reals(step[START_V], nv), reals(table[STAGE_STATE], sizes[NY])
     v1 = state[nq : nq + nv]
-    total = 0.0
+    assumed, mass = reals(table[V], nv), matrix(table[MASS], nv, nv)
+    total = miss = speed = 0.0
     for k in range(nv):
         v1[k] = start_v[k] + change[k] + gained[k]
         displacement[k] += 0.5 * h * (start_v[k] + v1[k])
         mean[k] = displacement[k] / h
+        miss += mass[k, k] * (mean[k] - assumed[k]) ** 2
+        speed += mass[k, k] * mean[k] ** 2
         total += v1[k]
+    numbers = reals(step[NUMBERS], 8)
+    # a body that comes to rest is not fast, but neither is it far off
+    speed += numbers[FREE_CHANGE] ** 2
+    numbers[MISS] = math.sqrt(miss / speed) if miss > 0.0 else 0.0
     if total - total != 0.0:
         return NOT_FINITE
     viscous = _viscous_impulses(table, step, nv, nc, h, v1)

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..layout import LOCATION_FAILED, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, SINGULAR
+from ..layout import LOCATION_FAILED, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, SINGULAR, TOO_LONG
 
 # As `solve_ivp`: 0 finished, 1 ended by a terminal event, negative: the run could not go on.
 FINISHED, TERMINATED = 0, 1
 STEP_TOO_SMALL, STEP_LIMIT, SINGULAR_CONTACT, NO_CONTACT_FORCE, CONTROL_FAILED, CHATTER, MODEL_FAILED = range(
     -1, -8, -1
 )
-END_OF_CONTOUR = -8
+END_OF_CONTOUR, STEP_TOO_LONG = -8, -9
 
 # Gaps are known to so many times the tolerance only: nearer contacts touch, deeper ones have not yet.
 GAP_TOLERANCE = 10.0
@@ -24,6 +24,7 @@ FAILURES = {
     MASS_NOT_POSITIVE: (MODEL_FAILED, "the mass matrix is not positive definite"),
     NO_FORCE: (NO_CONTACT_FORCE, "no contact force satisfies Coulomb's law (Painleve), or none was found"),
     NOT_FINITE: (MODEL_FAILED, "the accelerations are not finite"),
+    TOO_LONG: (STEP_TOO_LONG, "the step is too long for this motion: bodies turn too far in it"),
 }
 
 

@@ -297,6 +297,28 @@ def compare(contacts: tuple[int, ...], count: int, seed: int) -> list[dict[str, 
     return rows
 
 
+def held_starts(contacts: tuple[int, ...], count: int, seed: int) -> None:
+    """Prints the times of warm starts whose modes hold, for feet of one body and a b that is off by 1e-3."""
+    print("\nfeet, warm, of which the last modes hold:")
+    solver = Pincontact(True)
+    for n in contacts:
+        rng = np.random.default_rng([seed, n])
+        times, residuals = [], []
+        for _ in range(count):
+            problem = without_units(feet(rng, n))
+            call = solver.prepare(problem)
+            before = solver.solver.modes.copy()
+            seconds, forces = least_time(call)
+            if solver.solver.decided_by == "warm" and (solver.solver.modes == before).all():
+                times.append(1e6 * seconds)
+                residuals.append(residual(problem, forces))
+        if times:
+            print(
+                f"{n:3d} contacts: {len(times)} of {count}, median {statistics.median(times):.1f} us, residual "
+                f"{max(residuals):.1e} at most"
+            )
+
+
 def robustness(count: int, seed: int) -> int:
     """Cold solves of problem 0 to count - 1 of a seed, each its own; prints failures and statistics."""
     decided: dict[int, Counter[str]] = defaultdict(Counter)
@@ -340,6 +362,7 @@ def main() -> None:
     if arguments.robustness:
         sys.exit(1 if robustness(arguments.robustness, arguments.seed) else 0)
     rows = compare(tuple(arguments.contacts), arguments.count, arguments.seed)
+    held_starts(tuple(n for n in arguments.contacts if n <= 16), 10 * arguments.count, arguments.seed)
     if arguments.csv:
         with open(arguments.csv, "w", newline="") as file:
             writer = csv.DictWriter(file, list(rows[0]))

@@ -93,6 +93,8 @@ _complete = 0
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """A numerical routine called by other kernels; compiled into its callers, and not callable from Python."""
+    if numba.config.DISABLE_JIT:
+        return function
     part = njit(**_OPTIONS, **_PART_OPTIONS)(function)
     call_template = part.get_call_template
 

@@ -121,6 +121,7 @@ class Scene:
     ) -> AttachedContour:
         """Attach a contour to a frame of the model ("universe" is the world).
 
+        frame: name of a frame, or of a joint that has none (`pin.Model.addJoint` makes none).
         placement: pose of the contour in the frame; motion: a further pose, of time (a driven contour).
         Raises ContourError for a name taken or a wrong type, ModelError for a frame the model does not have.
         """
@@ -128,7 +129,8 @@ class Scene:
             raise ContourError(f"there is already a contour named {name!r}")
         if not isinstance(contour, Contour):
             raise ContourError(f"contour {name!r}: expected a contour such as Circle(0.3), got {contour!r}")
-        if not self.model.existFrame(frame):
+        of_joint = not self.model.existFrame(frame) and self.model.existJointName(frame)
+        if not (of_joint or self.model.existFrame(frame)):
             names = [f.name for f in self.model.frames]
             close = difflib.get_close_matches(frame, names, n=3)
             hint = f"; did you mean {' or '.join(close)}?" if close else f"; frames: {', '.join(names[:20])}"
@@ -140,10 +142,12 @@ class Scene:
         rotation = placement.rotation
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9) or np.linalg.det(rotation) < 0.0:
             raise ContourError(f"contour {name!r}: the placement's rotation is not a rotation matrix")
-        carrier = self.model.frames[self._frame_id(name, frame)]
-        attached = AttachedContour(
-            name, contour, frame, placement, motion, int(carrier.parentJoint), carrier.placement * placement
-        )
+        if of_joint:
+            joint, in_joint = int(self.model.getJointId(frame)), placement
+        else:
+            carrier = self.model.frames[self._frame_id(name, frame)]
+            joint, in_joint = int(carrier.parentJoint), carrier.placement * placement
+        attached = AttachedContour(name, contour, frame, placement, motion, joint, in_joint)
         self.contours[name] = attached
         return attached
 

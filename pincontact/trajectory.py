@@ -103,7 +103,8 @@ class Record:
 class ContactTrack:
     """One contact over time, a row per output; world axes, SI units.
 
-    location:        (n, k) location parameters p* = (u_1, u_2) in the paper's order (k2 >= k1), NaN while open
+    location:        (n, k) location parameters p* = (u_1, u_2) in the paper's order (k2 >= k1); while open, like
+                     point and frame, of the nearest points
     location_first, location_second: the same by the user's contours; charts (n, 2) of (body 1, body 2)
     point:           (n, 3) contact point
     frame:           (n, 3, 3) e_1, e_2, e_3 of Definition 5 as columns

@@ -1,5 +1,7 @@
 """Observed orders of convergence, and errors that keep falling with the tolerance across mode changes."""
 
+from pathlib import Path
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -103,3 +105,19 @@ def test_error_falls_with_the_tolerance_across_events(name, method):
         slope = np.log10(errors[0] / errors[2]) / np.log10(TOLERANCES[0] / TOLERANCES[-1])
         assert slope > 0.73 or all(error < 0.1 * rtol for error, rtol in zip(errors, TOLERANCES)), errors
     assert motion_errors[-1] <= 50.0 * TOLERANCES[-1]
+
+
+@pytest.mark.parametrize(("method", "rtol"), [("DOP853", 1e-4), ("RK45", 1e-4), ("RK45", 1e-5)])
+def test_slip_that_grows_out_of_stick_is_not_cut_short(method, rtol):
+    """Slow slip that gets faster is no slip that fails to end: at loose tolerances, too, it ends at its own time."""
+    scene = pc.Scene.from_urdf(Path(__file__).parents[1] / "urdf" / "disk.urdf", floating_base=True)
+    rim = scene.add_contour("rim", pc.Circle(0.3), frame="disk")
+    scene.add_contact("contact", rim, scene.add_contour("floor", pc.Plane()), friction=pc.Coulomb(0.8))
+    q = np.r_[0.0, 0.0, 0.3 * np.sin(1.2), pin.Quaternion(pin.utils.rotate("y", 1.2)).coeffs()]
+    state = scene.initial_state(q, [0.0, 0.0, 0.0, 0.0, 0.0, 5.0])
+    exact = pc.simulate(scene, state, 0.6, rtol=1e-11, atol=1e-13)
+    run = pc.simulate(scene, state, 0.6, method=method, rtol=rtol, atol=1e-2 * rtol)
+    assert [e.kind for e in run.events] == [e.kind for e in exact.events] == ["stick", "slip", "stick"]
+    # velocities of up to 10 m/s are known to rtol; decelerations of 5 m/s^2 make times of that, and steps add up
+    for found, expected in zip(run.events, exact.events):
+        assert found.time == pytest.approx(expected.time, abs=10.0 * rtol)

@@ -207,6 +207,19 @@ def test_placements_compose():
     assert np.abs(run.contacts["c"].point - plain.contacts["c"].point).max() <= 1e-10
 
 
+def test_a_joint_without_a_frame_carries_contours():
+    """`addJoint` makes no frame; a joint's name is as good as that of a frame at its origin."""
+    model = MECHANISMS["free flyer"]()
+    scene = pc.Scene(model)
+    joint = model.names[1]
+    assert not model.existFrame(joint)
+    placement = pin.SE3(pin.exp3(np.array([0.3, -0.5, 0.8])), np.array([0.1, 0.2, -0.3]))
+    by_joint = scene.add_contour("by joint", pc.Circle(RADIUS), joint, placement)
+    by_frame = scene.add_contour("by frame", pc.Circle(RADIUS), "disk", placement)
+    assert by_joint.joint == by_frame.joint == 1
+    assert by_joint.placement_in_joint == by_frame.placement_in_joint
+
+
 # ------------------------------------------------------------------------------------------------- inference
 
 

@@ -150,6 +150,8 @@ _STOP_FRACTION = 0.8
 # the end, the speed that counts as ended is doubled at every attempt, so many times at most.
 _STOP_DOUBLINGS = 10
 _PROGRESS = 0.9
+# Growth by which a slip has got away from its slowest point.
+_ESCAPE = 2.0
 _SMALLEST_STOP_SPEED = 1e-13
 
 _PROJECTIONS = 12
@@ -421,14 +423,20 @@ def finish_step(table, t):
 
 @kernel
 def _watch_slips(contact_real, nc, scalars, counters, accepted):
-    """Count attempts that bring no slip nearer to its end, while one is within reach of it."""
-    slowest, near = math.inf, False
+    """Count attempts that bring no slip nearer to its end, while one that slows down is within reach of it."""
+    least, slowest, near = math.inf, math.inf, False
     for c in range(nc):
-        speed = contact_real[c, START_SPEED]
+        speed, number = contact_real[c, START_SPEED], contact_real[c]
         if speed < math.inf:
-            slowest = min(slowest, speed)
-            near = near or speed <= contact_real[c, START_TOLERANCE] * 2.0**_STOP_DOUBLINGS
+            least = min(least, speed)
+            if number[START_RATE] < 0.0:
+                slowest = min(slowest, speed)
+                near = near or speed <= number[START_TOLERANCE] * 2.0**_STOP_DOUBLINGS
     if slowest == math.inf:
+        # a slip that grows again has passed its slowest point: that was not its end
+        if accepted and least < math.inf and least > _ESCAPE * scalars[SLOWEST]:
+            scalars[SLOWEST] = math.inf
+            counters[STALLED] = 0
         return
     if accepted and slowest < _PROGRESS * scalars[SLOWEST]:
         scalars[SLOWEST] = slowest

@@ -73,5 +73,5 @@ _TABLEAUX = {"DOP853": _dop853, "RK45": _rk45}
 def tableau(method: str) -> Tableau:
     """The tableau of a method's name; ArgumentError for an unknown one."""
     if method not in _TABLEAUX:
-        raise ArgumentError(f"unknown method {method!r}; one of {', '.join(_TABLEAUX)}")
+        raise ArgumentError(f"unknown method {method!r}; one of {', '.join(_TABLEAUX)}, Moreau")
     return _TABLEAUX[method]()

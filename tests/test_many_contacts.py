@@ -2,6 +2,7 @@
 impacts of several points, limits and dry friction of joints. Against closed forms and against time stepping."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -15,6 +16,7 @@ from pincontact.dynamics.redundant import Cone, central_force, null_space
 
 G = 9.81
 TIGHT = {"rtol": 1e-11, "atol": 1e-13}
+URDF = Path(__file__).resolve().parent.parent / "urdf"
 BLOCK_FEET = [(x, y, -0.05) for x in (0.2, -0.2) for y in (0.1, -0.1)]
 
 
@@ -224,6 +226,87 @@ def test_table_tips_when_the_load_leaves_its_feet():
     assert {event.contact for event in run.events} == {"2", "3"}
     assert abs(run.events[0].time - tips) <= 1e-7
     assert np.abs(run.energies().balance).max() <= 1e-8
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "Moreau", "step": 1e-3}], ids=["events", "Moreau"])
+@pytest.mark.parametrize("short", [1e-3, 1e-2])
+def test_table_on_uneven_legs(short, options):
+    """One leg of four is short, on the loaded side: the table falls on it, rocks, and stands on three legs, whose loads
+    are those of statics; the fourth stays in the air."""
+    mass, tall = 3.0, 0.5
+    feet = np.array([(-0.5, -0.45, -tall), (0.3, -0.45, -tall), (-0.5, 0.35, -tall), (0.3, 0.35, -tall + short)])
+    scene = feet_scene(feet, 0.8, 0.0, mass, (0.2, 0.2, 0.3))
+    run = simulated(scene, scene.initial_state(upright(0.0, 0.0, tall), free=["3"]), 1.0, **options)
+    assert [track.mode[-1] for track in run.contacts.values()] == [-1, 1, 1, 1]
+    carrying = feet[1:]
+    normal = np.cross(carrying[1] - carrying[0], carrying[2] - carrying[0])
+    normal /= math.copysign(np.linalg.norm(normal), normal[2])
+    assert run.q[-1, 2] == pytest.approx(-carrying[0] @ normal, abs=1e-12)
+    assert run.contacts["0"].gap[-1] == pytest.approx(feet[0] @ normal - carrying[0] @ normal, abs=1e-12)
+    loads = np.linalg.solve(
+        np.vstack([np.ones(3), (carrying - carrying @ normal[:, None] * normal)[:, :2].T]), [mass * G, 0, 0]
+    )
+    found = [track.normal_force[-1] for track in list(run.contacts.values())[1:]]
+    np.testing.assert_allclose(found, loads, rtol=0.0, atol=1e-9)
+    assert np.abs(run.v[-1]).max() <= 1e-14
+    # where it has walked to while it rocked depends on every landing; by less than it came down
+    assert np.abs(run.q[-1, :2]).max() <= 2.0 * short
+    # time stepping: errors of first order in falls of 0.1 s
+    assert np.diff(run.energies().total).max() <= (1e-12 if not options else 1e-4)
+
+
+# ------------------------------------------------------------------------------------------------- a bicycle
+
+
+def bicycle_run(law, brake=0.0, **options):
+    """Half a second of a bicycle at 5 m/s that leans at 0.3 rad/s; brake: torque in N m at the rear wheel."""
+    scene = pc.Scene.from_urdf(URDF / "bicycle.urdf", floating_base=True)
+    model = scene.model
+    floor, turn = scene.add_contour("floor", pc.Plane()), pin.SE3(pin.utils.rotate("x", 0.5 * math.pi), np.zeros(3))
+    q, v = pin.neutral(model), np.zeros(model.nv)
+    q[2], v[0], v[1], v[3] = 0.3, 5.0, -0.09, 0.3
+    axles = []
+    for name, radius in (("rear", 0.3), ("front", 0.35)):
+        rim = scene.add_contour(name, pc.Circle(radius), f"{name}_wheel", turn)
+        scene.add_contact(name, rim, floor, friction=law)
+        axles.append(model.joints[model.getJointId(f"{name}_axle")].idx_v)
+        v[axles[-1]] = 5.0 / radius
+    torque = np.zeros(model.nv)
+    torque[axles[0]] = -brake
+    return simulated(
+        scene, scene.initial_state(q, v), 0.5, control=lambda t, q, v: torque * min(10.0 * t, 1.0), **options
+    )
+
+
+def test_bicycle_in_both_methods():
+    """Rolling on two wheels, leaning and steering: time stepping converges to the event-driven run at second order,
+    forces included."""
+    expected = bicycle_run(pc.NoSlip(), **TIGHT)
+    assert np.abs(expected.energies().balance).max() <= 1e-10
+    errors = []
+    for step in (2e-3, 1e-3):
+        run = bicycle_run(pc.NoSlip(), method="Moreau", step=step)
+        force = max(np.abs(run.contacts[n].force[-1] - expected.contacts[n].force[-1]).max() for n in run.contacts)
+        errors.append([np.abs(run.q[-1] - expected.q[-1]).max(), np.abs(run.v[-1] - expected.v[-1]).max(), force])
+    assert np.array(errors[1]) == pytest.approx([0.0, 0.0, 0.0], abs=2e-3)
+    # 4, and what the third order adds
+    np.testing.assert_allclose(np.divide(*errors), 4.0, rtol=0.05)
+
+
+def test_bicycle_skids():
+    """Braked too hard the rear wheel slips, at the same time in both methods, while the front one goes on rolling."""
+    expected = bicycle_run(pc.Coulomb(0.7), 200.0, **TIGHT)
+    assert [(event.kind, event.contact) for event in expected.events] == [("slip", "rear")]
+    step = 1e-3
+    run = bicycle_run(pc.Coulomb(0.7), 200.0, method="Moreau", step=step)
+    assert [(event.kind, event.contact) for event in run.events] == [("slip", "rear")]
+    # within the step; then the wheel gains hundreds of rad/s within the second
+    assert abs(run.events[0].time - expected.events[0].time) <= 1.5 * step
+    assert np.abs(run.q[-1] - expected.q[-1]).max() <= step
+    assert np.abs(run.v[-1] - expected.v[-1]).max() <= step
+    rear = expected.contacts["rear"]
+    slipping = rear.mode == 2
+    np.testing.assert_allclose(rear.tangential_force[slipping], 0.7 * rear.normal_force[slipping], rtol=1e-12)
 
 
 # ------------------------------------------------------------------------------------------------- impacts

@@ -10,6 +10,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from reference import NATIVE_NAMES, body_motion, build, reference
+from scipy.integrate import quad
+from scipy.optimize import brentq
 
 import pincontact as pc
 
@@ -393,6 +395,10 @@ def test_contact_and_stop_hold_together():
     assert np.abs(run.q[first + 1 :] - run.q[-1]).max() <= 1e-12
     # what one projection with a correction below 1e-7 leaves
     assert np.abs(run.contacts["c"].gap).max() <= 1e-13
+    # moments about the shoulder: the stop's torque is none of them
+    track = run.contacts["c"]
+    gravity = pin.computeGeneralizedGravity(scene.model, scene.model.createData(), run.q[-1])[0]
+    assert track.normal_force[-1] * track.point[-1, 0] == pytest.approx(-gravity, rel=1e-9)
     total = run.energies().total
     # errors of second order until the stop, of the projection after it
     assert (total - np.minimum.accumulate(total)).max() <= 1e-5 * run.energies().kinetic.max()
@@ -416,6 +422,37 @@ def test_impact_throws_a_joint_onto_its_stop(gap):
     assert run.q[:, 1].min() >= -1e-16
     assert np.abs(run.q[-1]).max() <= 1e-15
     assert np.abs(run.v[-1]).max() <= 1e-14
+
+
+@pytest.mark.parametrize("h", [2e-3, 1e-3])
+def test_ideal_rolling_without_normal_force(h):
+    """A rod that stands on an ideally rough floor is pushed over. Where its foot would pull, and would be pressed down
+    again if it were let go, it slides, held up by its tangential force alone: the limit for ever rougher floors."""
+    half, push = 0.5, 2.0
+    scene = body_scene(pin.JointModelFreeFlyer(), 1.0, (1e-3, half**2 / 3.0, half**2 / 3.0))
+    foot = scene.add_contour("foot", pc.Point(), "body", pin.SE3(np.eye(3), np.array([-half, 0.0, 0.0])))
+    scene.add_contact("c", foot, scene.add_contour("floor", pc.Plane()), friction=pc.NoSlip())
+    q = np.concatenate([[0.0, 0.0, half], pin.Quaternion(pin.utils.rotate("y", -0.5 * math.pi)).coeffs()])
+    run = stepped(scene, scene.initial_state(q, [0.0, 0.0, -push * half, 0.0, push, 0.0]), 0.5, h)
+    # J w w' = m g half sin(a), J = 4/3 m half^2, until g = half (w' sin(a) + w^2 cos(a))
+    squared = lambda a: push**2 + 1.5 * G / half * (1.0 - math.cos(a))  # noqa: E731
+    pressed = lambda a: G - 0.75 * G * math.sin(a) ** 2 - half * squared(a) * math.cos(a)  # noqa: E731
+    angle = brentq(pressed, 0.1, 1.2)
+    lifts = quad(lambda a: squared(a) ** -0.5, 0.0, angle)[0]
+    assert kinds(run) == ["slip", "stick"]
+    assert abs(run.events[0].time - lifts) <= 1.5 * h
+    track = run.contacts["c"]
+    slides = track.mode == SLIPPING
+    assert slides.sum() >= 0.09 / h
+    np.testing.assert_array_equal(track.normal_force[slides], 0.0)
+    assert track.tangential_force[slides].min() >= 3.0
+    assert np.einsum("ij,ij->i", track.force, track.slip_velocity)[slides].max() < 0.0
+    # the midpoint's force is that of the end to first order
+    assert track.normal_force[~slides].min() >= -h
+    assert np.abs(track.gap).max() <= 1e-14
+    total = run.energies().total
+    # second order, in a fall that ends at 6 rad/s
+    assert (total - np.minimum.accumulate(total)).max() <= 200.0 * h * h
 
 
 def test_dry_joint_friction_and_damping():

@@ -200,7 +200,8 @@ def friction_directions(
     """whitened_forces[r] = L^-T (direction of the force that multiplier r scales)^T.
 
     For a slipping contact this is n - mu w_t / |w_t|, if friction is isotropic; |F_n| = sign F_n for one normal and
-    l . F_n, with l the unit normal force of the last iterate, for two.
+    l . F_n, with l the unit normal force of the last iterate, for two. Ideal rolling slips where only friction holds
+    the contact up, F_n = 0: the limit for mu without bound, -w_t / |w_t|.
     """
     for r in range(count):
         c, row = row_index[r, 0], row_index[r, 1]
@@ -222,8 +223,9 @@ def friction_directions(
             for k in range(nv):
                 work[k] += direction[1] * rows[c, 1, k]
         whiten(factor, parents, nv, work, work)
+        alone = numbers[MU] == math.inf
         for k in range(nv):
-            whitened_forces[r, k] -= numbers[MU_NOW] * share * work[k]
+            whitened_forces[r, k] = -work[k] if alone else whitened[r, k] - numbers[MU_NOW] * share * work[k]
 
 
 @kernel
@@ -502,8 +504,13 @@ def _margins(
             else:
                 numbers[SLIP_RATE] += direction[1] * relative_acceleration[c, 1]
                 friction_direction(integers, numbers, direction)
-                force[c, 1] = -numbers[MU_NOW] * size * direction[1]
-            force[c, 0] = -numbers[MU_NOW] * size * direction[0]
+            friction = numbers[MU_NOW] * size
+            if numbers[MU] == math.inf:
+                # held up by friction alone
+                friction, force[c, 2] = normal, 0.0
+            if integers[TANGENTS] == 2:
+                force[c, 1] = -friction * direction[1]
+            force[c, 0] = -friction * direction[0]
         if resists_viscously(integers, numbers):
             for row in range(integers[TANGENTS]):
                 force[c, row] += viscous_force(numbers, basis[c, row], slip[c])

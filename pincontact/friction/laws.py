@@ -230,7 +230,8 @@ class NoSlip(FrictionLaw):
     """Ideal rolling (VC, Sec. 4): whatever tangential force keeps the contact from slipping.
 
     A unilateral contact is let go where its normal force reaches zero, however large the tangential force is by then:
-    with infinite friction the law says no more, in every method.
+    with infinite friction the law says no more. Where that force is all that keeps the contact from closing again,
+    "Moreau" lets it slide with F_n = 0, which is the limit for large mu; event-driven runs let it go.
 
     spinning, rolling: resistance to spinning and rolling in m, as of `Coulomb`.
     """

@@ -40,6 +40,7 @@ from ..layout import (
     FACTOR,
     FRAMES,
     FREE,
+    GUARD_COUNT,
     JACOBIAN,
     LENGTH,
     MASS,
@@ -399,7 +400,7 @@ def _gather_joints(table, step, nv, h):
     nq = integers(table[SIZES], 8)[NQ]
     nj = counts[NJ]
     joint_int, joint_real = integer_matrix(step[JOINT_INT], nj, JOINT_INTS), matrix(step[JOINT_REAL], nj, 2)
-    start_end = integers(step[START_END], nj)
+    start_end = integers(step[START_END], integers(table[GUARD_COUNT], 1)[0])
     unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
     q, v, trend = reals(step[START_Q], nq), reals(step[START_V], nv), reals(step[TREND], nv)
     mean = reals(step[MEAN], nv)

@@ -12,9 +12,9 @@ def test_random_runs(kind):
         assert not fault, seed
 
 
-@pytest.mark.parametrize("seed", [1611, 2791, 5207, 5399, 5903])
+@pytest.mark.parametrize("seed", [1611, 2791, 5207, 5399, 5903, 12707])
 def test_chains_at_their_stops(seed):
-    """Contact and joint stops that hold a chain together, and impacts that wedge it (2791)."""
+    """Contact and joint stops that hold a chain together, and impacts that wedge it (2791, 12707)."""
     kind, fault = check(seed)
     assert kind == "chain"
     assert not fault

@@ -120,14 +120,17 @@ def velocity_change(step, nv, out):
 
 
 @kernel
-def impulse_work(step, h):
+def impulse_work(step, nv, h, scratch):
     """Work of the contacts' impulses on v_c, of the joints' units, the sum of the sizes of all terms, and the kinetic
-    energy that these impulses bring.
+    energy that these impulses bring beyond what the smooth forces account for within the step.
 
     Work: an impulse times the mean of the velocities at the step's ends, or right before and after an impact. Kinetic
-    energy: always those at the step's ends. Impulses of equations do no work on v_c.
+    energy: always those at the step's ends. Impulses of equations do no work on v_c. Large impulses that nearly cancel
+    (a wedged chain) magnify what the smooth forces do around their instants, which is known to first order only: no
+    more of it is counted than the change of velocity and that by the smooth forces allow. scratch: (nv,).
     """
-    counts, kept = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)[KEPT]
+    counts, numbers_of_step = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)
+    kept = numbers_of_step[KEPT]
     n = counts[UNITS]
     unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
     unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
@@ -158,7 +161,11 @@ def impulse_work(step, h):
             on_joints += work
         else:
             on_contacts += work
-    return on_contacts, on_joints, size, on_contacts + on_joints - meanwhile
+    kinetic = on_contacts + on_joints - meanwhile
+    velocity_change(step, nv, scratch)
+    accounted = numbers_of_step[FREE_CHANGE] * math.sqrt(inner(scratch, scratch, nv))
+    on_contacts += max(-accounted, min(meanwhile, accounted)) - meanwhile
+    return on_contacts, on_joints, size, kinetic - accounted
 
 
 @kernel
@@ -167,10 +174,8 @@ def review(step, nv, h, scratch):
 
     Slip is opposed along the mean of its velocities at both ends only while it goes on; a contact at rest that starts
     to slip does so with the sliding coefficient; loads that the problem takes as given are a fixed point; and
-    restitution is lowered where, together with friction, it would create energy (see `dynamics.energy`). Large impulses
-    that nearly cancel (a wedged chain) magnify what the smooth forces do around their instants, which is known to first
-    order only: so the kinetic energy may rise by no more than the smooth forces account for within a step.
-    scratch: (nv,).
+    restitution is lowered where, together with friction, it would create energy (see `dynamics.energy`), or raise the
+    kinetic energy by more than the smooth forces account for within a step. scratch: (nv,).
     """
     counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)
     n = counts[UNITS]
@@ -217,10 +222,8 @@ def review(step, nv, h, scratch):
     if not bounces:
         return DONE
     # bisection for the largest part of the restitution that creates no energy; 0 never does
-    on_contacts, on_joints, size, kinetic = impulse_work(step, h)
-    velocity_change(step, nv, scratch)
-    accounted = numbers[FREE_CHANGE] * math.sqrt(inner(scratch, scratch, nv))
-    creates = on_contacts + on_joints > ENERGY_SLACK * size or kinetic > accounted
+    on_contacts, on_joints, size, excess = impulse_work(step, nv, h, scratch)
+    creates = on_contacts + on_joints > ENERGY_SLACK * size or excess > 0.0
     if not creates and (numbers[KEPT] == 1.0 or numbers[KEPT_HIGH] - numbers[KEPT_LOW] < KEPT_ACCURACY):
         return DONE
     kept = numbers[KEPT]

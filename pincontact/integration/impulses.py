@@ -357,7 +357,7 @@ def _add_works(table, step, nv, nc, h, v1, viscous, works):
     rows, impulse = cube(table[ROWS], nc, 3, nv), matrix(step[CONTACT_IMPULSE], nc, 3)
     change = reals(step[CHANGE], nv)
     v0, tau, damping = reals(step[START_V], nv), reals(table[TAU], nv), reals(table[DAMPING], nv)
-    on_contacts, on_joints, _, _ = impulse_work(step, h)
+    on_contacts, on_joints, _, _ = impulse_work(step, nv, h, reals(table[WORK], nv))
     works[FRICTION_WORK] += on_contacts + viscous
     works[DAMPING_WORK] += on_joints
     side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)

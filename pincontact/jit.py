@@ -171,7 +171,8 @@ def compile_share(aside: bool) -> None:
 
 def _start_worker() -> subprocess.Popen[bytes] | None:
     environment = dict(os.environ, PYTHONPATH=os.pathsep.join(path for path in sys.path if path))
-    command = "import pincontact; from pincontact.jit import compile_share; compile_share(aside=True)"
+    modules = ", ".join(sorted({compiled.py_func.__module__ for compiled, *_ in ENTRIES}))
+    command = f"import {modules}; from pincontact.jit import compile_share; compile_share(aside=True)"
     try:
         return subprocess.Popen(
             [sys.executable, "-c", command], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL

@@ -594,7 +594,7 @@ def _add_viscous(table, step, nv, nc, h, factor, change):
                     factor[i, j] += 0.5 * constant * line[i] * line[j]
 
 
-@entry_kernel(TABLE, TABLE)
+@entry_kernel(TABLE, TABLE, aside=True)
 def assemble(table, step):
     """The cone problem of the step from the kinematics at its midpoint; OK, or a status of `layout`.
 

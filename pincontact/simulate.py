@@ -247,7 +247,7 @@ class _Torque:
     """Calls the user's control and checks what it returns; a mistake ends the run, with its text."""
 
     def __init__(self, control: Control, system: System) -> None:
-        self._control, self._system = control, system
+        self._control, self._system, self._shape = control, system, (system.nv,)
         # made once: a call costs what the control costs
         self._q, self._v = system.q.view(), system.v.view()
         self._q.flags.writeable = self._v.flags.writeable = False
@@ -262,10 +262,11 @@ class _Torque:
         except Exception as error:
             self.failure = f"t = {t:.9g} s: control raised {type(error).__name__}: {error}"
             return False
-        if tau.shape != (system.nv,):
+        if tau.shape != self._shape:
             self.failure = f"t = {t:.9g} s: control returned an array of shape {tau.shape}, not ({system.nv},)"
             return False
-        if not np.isfinite(tau).all():
+        # one number tells of all, unless it overflows
+        if not math.isfinite(tau.dot(tau)) and not np.isfinite(tau).all():
             self.failure = f"t = {t:.9g} s: control returned {tau[int(np.argmin(np.isfinite(tau)))]}"
             return False
         system.tau[:] = tau

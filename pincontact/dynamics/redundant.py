@@ -8,6 +8,7 @@ quadratic term: it is unique, depends smoothly on the loads, and is as far as ca
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,13 +96,18 @@ class _Barrier:
         x = self.start + self.rows[:, : z.size] @ z
         return float(x[0] - np.linalg.norm(x[1:]))
 
-    def derivatives(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """Barrier, gradient and Hessian at a point inside."""
+    def barrier(self, z: np.ndarray) -> float:
+        """The barrier at a point inside."""
+        x = self.start + self.rows @ z
+        return -math.log(float(self.signs @ (x * x)))
+
+    def derivatives(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gradient and Hessian of the barrier at a point inside."""
         x = self.start + self.rows @ z
         inside = float(self.signs @ (x * x))
         slope = 2.0 * self.rows.T @ (self.signs * x)
         curvature = 2.0 * self.rows.T @ (self.signs[:, None] * self.rows)
-        return -np.log(inside), -slope / inside, np.outer(slope, slope) / inside**2 - curvature / inside
+        return -slope / inside, np.outer(slope, slope) / inside**2 - curvature / inside
 
 
 def _minimise(parts: list[_Barrier], z: np.ndarray, pressure: float | None) -> np.ndarray:
@@ -113,13 +119,13 @@ def _minimise(parts: list[_Barrier], z: np.ndarray, pressure: float | None) -> n
 
     def cost(point: np.ndarray) -> float:
         total = 0.5 * float(point[:-1] @ point[:-1]) + (pressure or 0.0) * float(point[-1])
-        return total + sum(part.derivatives(point)[0] for part in parts)
+        return total + sum(part.barrier(point) for part in parts)
 
     for _ in range(_NEWTON_STEPS):
         gradient, hessian = np.append(z[:-1], pressure or 0.0), np.eye(z.size)
         hessian[-1, -1] = 0.0
         for part in parts:
-            _, slope, curvature = part.derivatives(z)
+            slope, curvature = part.derivatives(z)
             gradient, hessian = gradient + slope, hessian + curvature
         step = np.zeros_like(z)
         step[:free] = -np.linalg.solve(hessian[:free, :free], gradient[:free])

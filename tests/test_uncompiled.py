@@ -1,0 +1,41 @@
+"""The kernels as plain Python give what they give compiled: what a debugger sees is what runs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+SCRIPT = """
+import numpy as np
+import pinocchio as pin
+import pincontact as pc
+
+scene = pc.Scene.from_urdf("urdf/disk.urdf", floating_base=True)
+rim, floor = scene.add_contour("rim", pc.Circle(0.3), "disk"), scene.add_contour("floor", pc.Plane())
+scene.add_contact("c", rim, floor, friction=pc.Coulomb(0.2))
+q = [0, 0, 0.2796, 0, 0.564642, 0, 0.825336]
+state = scene.initial_state(q, [0.3, 0.2, 0, 0.2, 0.4, -9.0])
+for method, options in (("DOP853", {}), ("Moreau", {"step": 0.01})):
+    run = pc.simulate(scene, state, 0.03, method=method, t_eval=[0.0, 0.03], **options)
+    assert run.status == 0, run.message
+    print(*run.q[-1], *run.contacts["c"].force[-1])
+"""
+
+
+def printed(**environment: str) -> np.ndarray:
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT], cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
+
+
+def test_uncompiled_kernels():
+    compiled, plain = printed(), printed(NUMBA_DISABLE_JIT="1")
+    # the compiler may order sums otherwise: rounding, which a few dozen steps make a little larger
+    np.testing.assert_allclose(plain, compiled, rtol=1e-10, atol=1e-11)

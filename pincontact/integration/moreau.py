@@ -83,7 +83,7 @@ _LARGEST_FORCE = 10.0
 # that leave it off by the last have not converged.
 _FAR = 0.005
 _CORRECTIONS = 8
-_LOST = 0.5
+_LOST = 0.03
 # How modes are looked for, quickly in every step, at length (milliseconds) where nothing else has helped; without the
 # search whose linear algebra rounds differently with the alignment of memory.
 _SEARCHES = ("sweeps", "path")

@@ -16,7 +16,7 @@ from .pinocchio_model import build_model
 from .scenes import NO_SLIP, WORLD, Problem, Shape, Touch, marked
 
 PAIRS = {"DOP853": range(2, 13), "RK45": range(2, 11)}
-MOREAU_INTERVALS = (5, 20, 50, 200, 500, 1000)  # steps in each interval between outputs
+MOREAU_INTERVALS = (1, 2, 5, 20, 50, 200, 500, 1000)  # steps in each interval between outputs
 
 
 def _contour(shape: Shape) -> pc.Contour:
@@ -134,6 +134,6 @@ ENGINE = Engine(
     {
         "DOP853": "rtol 1e-2 to 1e-12, atol = rtol / 100",
         "RK45": "rtol 1e-2 to 1e-10, atol = rtol / 100",
-        "Moreau": "5 to 1000 steps in each output interval",
+        "Moreau": "1 to 1000 steps in each output interval",
     },
 )

@@ -66,21 +66,28 @@ class Contour:
         Returns (10, 3): f, f_1, f_2, f_11, f_12, f_22, f_t, f_1t, f_2t, f_tt in the contour's frame; not finite
         where f is not differentiable. Raises ContourError for a wrong number of parameters or chart.
         """
+        given = np.atleast_1d(np.asarray(u, dtype=float))
+        return self.evaluate_many(given[None, :], t, chart)[0]
+
+    def evaluate_many(self, u: np.ndarray, t: float = 0.0, chart: int = 0) -> np.ndarray:
+        """f and its derivatives at parameter values u (n, k): (n, 10, 3), otherwise as `evaluate`."""
         from .table import evaluate_contour
 
-        parameters = np.zeros(2)
-        given = np.atleast_1d(np.asarray(u, dtype=float))
-        if given.size != self.dimension:
-            raise ContourError(f"{self.name} has {self.dimension} parameters, got {given.size}")
-        parameters[: given.size] = given
+        u = np.asarray(u, dtype=float)
+        if u.ndim != 2 or u.shape[1] != self.dimension:
+            raise ContourError(f"{self.name} has {self.dimension} parameters, got {u.shape[-1]}")
         if not 0 <= chart < self.charts:
             raise ContourError(f"{self.name} has {self.charts} charts, there is no number {chart}")
-        out = np.zeros((DERIVATIVE_ROWS, 3))
-        try:
-            evaluate_contour(self.kind, chart, self.shape_row(), self.pool, parameters[0], parameters[1], float(t), out)
-        except (ArithmeticError, ValueError):
-            # Without compilation Python raises where the kernels' arithmetic gives infinity or NaN.
-            out[:] = np.nan
+        parameters = np.zeros((len(u), 2))
+        parameters[:, : self.dimension] = u
+        out = np.zeros((len(u), DERIVATIVE_ROWS, 3))
+        row, pool, t = self.shape_row(), self.pool, float(t)
+        for (u1, u2), values in zip(parameters.tolist(), out):
+            try:
+                evaluate_contour(self.kind, chart, row, pool, u1, u2, t, values)
+            except (ArithmeticError, ValueError):
+                # Without compilation Python raises where the kernels' arithmetic gives infinity or NaN.
+                values[:] = np.nan
         return out
 
     def point(self, u: Sequence[float] | float = (), t: float = 0.0, chart: int = 0) -> np.ndarray:

@@ -258,7 +258,7 @@ def _sample(
         grid = np.column_stack([axes[0], np.zeros_like(axes[0])])
     elif contour.dimension == 2:
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
-    values = np.array([contour.evaluate(list(u[: contour.dimension]), t) for u in grid])
+    values = contour.evaluate_many(grid[:, : contour.dimension], t)
     rotation = pose.rotation
     points = values[:, 0] @ rotation.T + pose.translation
     tangents = []

@@ -274,7 +274,7 @@ def sample_surface(
     Returns two (counts[0], counts[1], 3) arrays.
     """
     parameters = contour.samples(counts, domain)
-    rows = np.array([contour.evaluate(u, t) for u in parameters])
+    rows = contour.evaluate_many(parameters, t)
     normals = np.cross(rows[:, F_1], rows[:, F_2])
     length = np.linalg.norm(normals, axis=1)
     # At a pole of the chart the normal a little further inside is as good as the eye can tell.

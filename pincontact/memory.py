@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from functools import cache
 from typing import Any
 
 import numba
@@ -92,16 +93,24 @@ def address_of(array: np.ndarray) -> int:
     return int(array.__array_interface__["data"][0])
 
 
+_REAL, _INTEGER = np.dtype(np.float64), np.dtype(np.int64)
+
+
+@cache
+def _numbers(slots: tuple[str, ...]) -> dict[str, int]:
+    return {name: i for i, name in enumerate(slots)}
+
+
 class Memory:
     """Arrays by name, in the order of `slots`, and the table of their addresses."""
 
     def __init__(self, slots: tuple[str, ...]):
-        self._slots = {name: i for i, name in enumerate(slots)}
+        self._slots = _numbers(slots)
         self.table = np.zeros(len(slots), dtype=np.int64)
         self._arrays: dict[str, np.ndarray] = {}
         # new arrays are cut from one: a fraction of the time of making each
-        self._rest = np.zeros(0)
-        self._rest_address = 0
+        self._piece = np.zeros(0)
+        self._address = self._cut_off = 0
 
     def put(self, name: str, array: np.ndarray) -> np.ndarray:
         """Place an array in its slot; it is kept alive as long as this memory is."""
@@ -111,23 +120,21 @@ class Memory:
 
     def reals(self, name: str, *shape: int) -> np.ndarray:
         """A new zero float64 array in the slot of that name."""
-        return self._cut(name, shape, float)
+        return self._cut(name, shape, _REAL)
 
     def integers(self, name: str, *shape: int) -> np.ndarray:
         """A new zero int64 array in the slot of that name."""
-        return self._cut(name, shape, np.int64)
+        return self._cut(name, shape, _INTEGER)
 
     def _cut(self, name: str, shape: tuple[int, ...], kind: Any) -> np.ndarray:
-        size = math.prod(shape)
-        room = -(-size // _ALIGNMENT) * _ALIGNMENT
-        if room > self._rest.size:
-            self._rest = np.zeros(max(room, _CHUNK))
-            self._rest_address = address_of(self._rest)
-        array = self._rest[:size].view(kind).reshape(shape)
-        self._arrays[name] = array
-        self.table[self._slots[name]] = self._rest_address
-        self._rest = self._rest[room:]
-        self._rest_address += 8 * room
+        room = -(-math.prod(shape) // _ALIGNMENT) * _ALIGNMENT
+        start = self._cut_off
+        if start + room > self._piece.size:
+            self._piece, start = np.zeros(max(room, _CHUNK)), 0
+            self._address = address_of(self._piece)
+        self._cut_off = start + room
+        array = self._arrays[name] = np.ndarray(shape, kind, self._piece, 8 * start)
+        self.table[self._slots[name]] = self._address + 8 * start
         return array
 
     def __getitem__(self, name: str) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import numbers
 import os
 from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -12,15 +13,15 @@ import pinocchio as pin
 
 from .contacts import AttachedContour, Contact
 from .contours import Contour
+from .contours.motion import Motion
 from .dynamics.system import CHARTED_KINDS
-from .errors import ArgumentError, ContourError, ModelError
+from .errors import ArgumentError, ContactError, ContourError, ModelError, PatternError
 from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern, candidate_patterns, find_pattern
 from .geometry.planar import moves_in_plane
 from .robot_files import read_mjcf, read_sdf
 
 if TYPE_CHECKING:
-    from .contours.motion import Motion
     from .state import State
 
 
@@ -44,6 +45,12 @@ class Scene:
             model = model.model
         if not isinstance(model, pin.Model):
             raise ModelError(f"Scene needs a pinocchio Model or RobotWrapper, got {type(model).__name__}")
+        mimics = [name for name, joint in zip(model.names, model.joints) if "Mimic" in joint.shortname()]
+        if mimics:
+            raise ModelError(
+                f"joints that mimic others have no dynamics in Pinocchio: {', '.join(mimics)}; lock them or "
+                "let them be joints of their own"
+            )
         self.model = model
         self.visual_model = visual_model
         self.collision_model = collision_model
@@ -125,10 +132,13 @@ class Scene:
         placement: pose of the contour in the frame; motion: a further pose, of time (a driven contour).
         Raises ContourError for a name taken or a wrong type, ModelError for a frame the model does not have.
         """
+        _check_name(name, ContourError)
         if name in self.contours:
             raise ContourError(f"there is already a contour named {name!r}")
         if not isinstance(contour, Contour):
             raise ContourError(f"contour {name!r}: expected a contour such as Circle(0.3), got {contour!r}")
+        if not isinstance(frame, str):
+            raise ModelError(f"contour {name!r}: frame must be the name of a frame, got {frame!r}")
         of_joint = not self.model.existFrame(frame) and self.model.existJointName(frame)
         if not (of_joint or self.model.existFrame(frame)):
             names = [f.name for f in self.model.frames]
@@ -142,6 +152,8 @@ class Scene:
         rotation = placement.rotation
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9) or np.linalg.det(rotation) < 0.0:
             raise ContourError(f"contour {name!r}: the placement's rotation is not a rotation matrix")
+        if motion is not None and not isinstance(motion, Motion):
+            raise ContourError(f"contour {name!r}: motion must be None or a Motion, got {motion!r}")
         if of_joint:
             joint, in_joint = int(self.model.getJointId(frame)), placement
         else:
@@ -196,6 +208,7 @@ class Scene:
         restitution: Newton's coefficient, 0 to 1, when the contact closes again.
         Raises ArgumentError, PatternError, ContourError.
         """
+        _check_name(name, ArgumentError)
         if name in self.contacts:
             raise ArgumentError(f"there is already a contact named {name!r}")
         a, b = self._contour(name, first), self._contour(name, second)
@@ -205,9 +218,11 @@ class Scene:
             raise ArgumentError(
                 f"contact {name!r}: friction must be None, Coulomb(mu), Stribeck(..) or NoSlip(), got {friction!r}"
             )
-        if side not in (None, 1, -1):
+        if not isinstance(bilateral, (bool, np.bool_)):
+            raise ArgumentError(f"contact {name!r}: bilateral must be True or False, got {bilateral!r}")
+        if side is not None and not (isinstance(side, numbers.Real) and side in (1, -1)):
             raise ArgumentError(f"contact {name!r}: side must be +1, -1 or None, got {side!r}")
-        if not (isinstance(restitution, (int, float)) and 0.0 <= restitution <= 1.0):
+        if not (isinstance(restitution, numbers.Real) and 0.0 <= restitution <= 1.0):
             raise ArgumentError(f"contact {name!r}: restitution must lie in [0, 1], got {restitution!r}")
         if location is not None and (not isinstance(location, (tuple, list)) or len(location) != 2):
             raise ArgumentError(f"contact {name!r}: location must be a pair (u_first, u_second), got {location!r}")
@@ -217,6 +232,8 @@ class Scene:
                 "against each other"
             )
         one, two = (b, a) if a.contour.dimension > b.contour.dimension else (a, b)
+        if pattern is not None and not isinstance(pattern, str):
+            raise PatternError(f"contact {name!r}: pattern must be the name of a pattern or None, got {pattern!r}")
         planar = False
         if len(candidate_patterns(one.contour, two.contour)) > 1:
             planar = moves_in_plane(self.model, one, two)
@@ -237,10 +254,10 @@ class Scene:
             a,
             b,
             friction,
-            bilateral or found.constraints == 2,
+            bool(bilateral) or found.constraints == 2,
             found,
             location,
-            side,
+            None if side is None else int(side),
             float(restitution),
         )
         self.contacts[name] = contact
@@ -287,6 +304,11 @@ class Scene:
         from .state import find_state
 
         return find_state(self, q, v, t, free, max_gap)
+
+
+def _check_name(name: Any, error: type[ContactError]) -> None:
+    if not isinstance(name, str):
+        raise error(f"a name must be a string, got {name!r}")
 
 
 def _geometry(model: pin.Model, file: str, kind: pin.GeometryType, folders: list[str]) -> pin.GeometryModel | None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from .arguments import NOT_REAL, is_number, real_array
 from .dynamics.joints import check_guards, joint_guards
 from .dynamics.system import System
 from .errors import ArgumentError, ContactError, FrictionError
@@ -21,8 +22,11 @@ from .integration.transitions import Transitions
 from .jit import compile_kernels
 from .layout import CLOSED_COUNT, DRIVES_EVALUATED, EVALUATION_COUNT, NEWTON_COUNT, ROWS_FORMED
 from .scene import Scene
-from .state import State, write_discrete
+from .state import State, check_state, write_discrete
 from .trajectory import Record, Trajectory
+
+# Steps are counted in integers of 64 bits.
+_MOST_STEPS = 10**18
 
 Control = Callable[[float, np.ndarray, np.ndarray], Any]
 
@@ -71,6 +75,8 @@ def simulate(
     users = UserEvent.wrap(events)
     if control is not None and not callable(control):
         raise ArgumentError(f"control must be callable as control(t, q, v), got {control!r}")
+    if not isinstance(method, str):
+        raise ArgumentError(f"method must be a name such as 'DOP853', got {method!r}")
     if step is not None and method != "Moreau":
         raise ArgumentError(f"step is for method 'Moreau'; method {method!r} takes fixed_step or max_step")
     pair = None if method == "Moreau" else tableau(method)
@@ -146,6 +152,7 @@ def _simulate_moreau(
 ) -> Trajectory:
     """The run of method "Moreau" on a system whose state is set."""
     from .integration.moreau import DEFAULT_STEP, MoreauDriver, MoreauStep
+    from .integration.stages import load_state
 
     size = DEFAULT_STEP if step is None else step
     stepper = MoreauStep(system, system.contacts)
@@ -164,6 +171,11 @@ def _simulate_moreau(
             stepper, users, add, size, times, max_steps, torque, failed_control, bar.update if progress else None
         )
         code, message = driver.run(state.t, state.t + duration)
+    if times is None and not len(record):
+        # as in the other methods: a run that cannot begin has the state that it was to begin from
+        system.stage_state[:] = system.state
+        load_state(system.table)
+        add(state.t)
     stats = {
         "steps": driver.steps,
         "outputs": len(record),
@@ -195,17 +207,12 @@ def _check(
     max_steps: int,
     step: float | None,
 ) -> None:
-    if not isinstance(scene, Scene):
-        raise ArgumentError(f"the first argument must be a Scene, got {type(scene).__name__}")
-    if not isinstance(state, State):
-        raise ArgumentError(f"the second argument must come from scene.initial_state(q, v), got {type(state).__name__}")
-    if state.scene is not scene or state.location.shape[0] != len(scene.contacts):
-        raise ArgumentError("the state belongs to another scene, or contacts were added after it was made")
+    check_state(scene, state)
     numbers = {"duration": duration, "rtol": rtol, "atol": atol, "max_step": max_step}
     optional = (("first_step", first_step), ("fixed_step", fixed_step), ("step", step))
     numbers |= {k: v for k, v in optional if v is not None}
     for name, value in numbers.items():
-        if not isinstance(value, (int, float, np.floating, np.integer)) or math.isnan(value):
+        if not is_number(value):
             raise ArgumentError(f"{name} must be a number, got {value!r}")
         if value < 0.0 or (value == 0.0 and name not in ("duration", "rtol")):
             raise ArgumentError(f"{name} must be positive, got {value}")
@@ -213,8 +220,8 @@ def _check(
         raise ArgumentError("step must be finite, got inf")
     if not math.isfinite(duration) or math.isinf(rtol) or math.isinf(atol):
         raise ArgumentError(f"duration, rtol and atol must be finite, got {duration}, {rtol}, {atol}")
-    if max_steps < 1:
-        raise ArgumentError(f"max_steps must be at least 1, got {max_steps}")
+    if not is_number(max_steps) or not 1 <= max_steps <= _MOST_STEPS or int(max_steps) != max_steps:
+        raise ArgumentError(f"max_steps must be a whole number from 1 to 1e18, got {max_steps!r}")
 
 
 def _check_laws(scene: Scene, method: str) -> None:
@@ -231,7 +238,10 @@ def _check_laws(scene: Scene, method: str) -> None:
 def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray | None:
     if t_eval is None:
         return None
-    times = np.array(t_eval, dtype=float).reshape(-1)
+    try:
+        times = real_array(t_eval).reshape(-1)
+    except NOT_REAL:
+        raise ArgumentError(f"t_eval must be times in s, got {t_eval!r}") from None
     # the end may be off by round-off, as from linspace
     slack = 1e-12 * max(abs(t), abs(t + duration), duration)
     if not np.isfinite(times).all():

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 
+from .arguments import NOT_REAL, is_number, real_array
 from .contacts import Contact, characteristic_length
 from .dynamics.system import System
-from .errors import ArgumentError, NoContactError, SingularContactError, StateError
+from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
 from .geometry.search import Candidate, find_candidates
 from .integration.manifold import configuration_blocks
 from .layout import (
@@ -22,12 +23,14 @@ from .layout import (
     FREE,
     FRICTIONLESS,
     FROZEN,
+    MASS_NOT_POSITIVE,
     MODE,
     NORMAL_SIGN,
     OK,
     SIDE,
     SINGULAR,
     SLIP_SIGN,
+    SLIPPING,
     STICK,
 )
 from .scene import Scene
@@ -112,11 +115,49 @@ def write_discrete(system: System, discrete: np.ndarray) -> None:
     system.side_int[1 : 2 * system.nc : 2, CHART] = discrete[:, 2]
 
 
+def check_state(scene: Scene, state: Any) -> None:
+    """Raise ArgumentError for what is no state of this scene, StateError where its numbers cannot be used.
+
+    A state's arrays may be written to, and it may be made by `dataclasses.replace`: nothing is known of them, and the
+    kernels that are given them check nothing.
+    """
+    if not isinstance(scene, Scene):
+        raise ArgumentError(f"the first argument must be a Scene, got {type(scene).__name__}")
+    if not isinstance(state, State):
+        raise ArgumentError(f"a state must come from scene.initial_state(q, v), got {type(state).__name__}")
+    contacts = list(scene.contacts.values())
+    if state.scene is not scene or np.shape(state.location)[:1] != (len(contacts),):
+        raise ArgumentError("the state belongs to another scene, or contacts were added after it was made")
+    for name in ("q", "v", "location", "discrete"):
+        if not isinstance(getattr(state, name), np.ndarray):
+            raise StateError(f"the state's {name} must be an array, got {type(getattr(state, name)).__name__}")
+    check_configuration(scene.model, state.q)
+    check_vector("v", state.v, scene.model.nv)
+    check_time("t", state.t)
+    for name, columns in (("location", 4), ("discrete", DISCRETE_COLUMNS)):
+        shape = getattr(state, name).shape
+        if shape != (len(contacts), columns):
+            raise StateError(f"the state's {name} must have shape {(len(contacts), columns)}, got {shape}")
+    for row, contact in zip(state.discrete, contacts):
+        if not FREE <= row[0] <= SLIPPING:
+            raise StateError(f"contact {contact.name!r} has no mode {row[0]}")
+        for chart, side in zip(row[1:3], (contact.body1, contact.body2)):
+            if not 0 <= chart < side.contour.charts:
+                raise StateError(f"contact {contact.name!r}: contour {side.name!r} has no chart {chart}")
+
+
+def check_time(name: str, t: Any) -> float:
+    """A finite time as a float, or a StateError."""
+    if not is_number(t) or not math.isfinite(t):
+        raise StateError(f"{name} must be finite, got {t!r}")
+    return float(t)
+
+
 def check_vector(name: str, value: ArrayLike, size: int) -> np.ndarray:
     """A finite float copy (size,), or a StateError that says what is wrong with it."""
     try:
-        array = np.array(value, dtype=float).reshape(-1)
-    except (TypeError, ValueError):
+        array = real_array(value).reshape(-1)
+    except NOT_REAL:
         raise StateError(f"{name} must be {size} numbers, got {value!r}") from None
     if array.size != size:
         raise StateError(f"{name} must have {size} entries, got {array.size}")
@@ -153,8 +194,12 @@ def find_state(scene: Scene, q: Any, v: Any | None, t: float, free: Sequence[str
     model = scene.model
     q = check_configuration(model, q)
     v = check_vector("v", np.zeros(model.nv) if v is None else v, model.nv)
-    if not math.isfinite(t):
-        raise StateError(f"t must be finite, got {t}")
+    t = check_time("t", t)
+    free = [free] if isinstance(free, str) else free
+    if not isinstance(free, Iterable) or not all(isinstance(name, str) for name in free):
+        raise ArgumentError(f"free must be names of contacts, got {free!r}")
+    if max_gap is not None and not (is_number(max_gap) and max_gap >= 0.0):
+        raise ArgumentError(f"max_gap must be a length in m, at least 0, got {max_gap!r}")
     for name in free:
         if name not in scene.contacts:
             raise ArgumentError(f"free: unknown contact {name!r}; contacts: {', '.join(scene.contacts) or 'none'}")
@@ -237,6 +282,10 @@ def _correct(scene: Scene, system: System, q: np.ndarray, v: np.ndarray, t: floa
     """Project (q, v) of the system onto the constraints; reports the change."""
     names = [c.name for c in system.contacts]
     status = system.evaluate(t)
+    if status == MASS_NOT_POSITIVE:
+        raise ModelError(
+            "the mass matrix is not positive definite in this configuration: a joint moves nothing that has inertia"
+        )
     if status == SINGULAR:
         raise SingularContactError("the location equations are singular in this configuration", 0.0)
     gaps, slips = {}, {}

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from .arguments import is_number
 from .dynamics.joints import joint_guards
 from .dynamics.system import System
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
 from .integration.moreau import DEFAULT_STEP, MoreauStep
 from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
-from .state import State, check_vector, read_discrete, write_discrete
+from .state import State, check_state, check_vector, read_discrete, write_discrete
 
 
 class Stepper:
@@ -32,11 +33,9 @@ class Stepper:
     """
 
     def __init__(self, scene: Scene, state: State, dt: float = DEFAULT_STEP) -> None:
-        if not isinstance(scene, Scene):
-            raise ArgumentError(f"the first argument must be a Scene, got {type(scene).__name__}")
-        if not isinstance(dt, (int, float, np.floating, np.integer)) or not (0.0 < dt < math.inf):
+        if not (is_number(dt) and 0.0 < dt < math.inf):
             raise ArgumentError(f"dt must be a positive number of seconds, got {dt!r}")
-        self._check_state(scene, state)
+        check_state(scene, state)
         self.scene, self.dt = scene, float(dt)
         contacts = list(scene.contacts.values())
         self._system = system = System(scene.model, contacts, guards=joint_guards(scene.model))
@@ -54,13 +53,6 @@ class Stepper:
         self._count = 0
         self.reset(state)
 
-    @staticmethod
-    def _check_state(scene: Scene, state: State) -> None:
-        if not isinstance(state, State):
-            raise ArgumentError(f"a state must come from scene.initial_state(q, v), got {type(state).__name__}")
-        if state.scene is not scene or state.location.shape[0] != len(scene.contacts):
-            raise ArgumentError("the state belongs to another scene, or contacts were added after it was made")
-
     @property
     def t(self) -> float:
         """Time in s."""
@@ -77,7 +69,7 @@ class Stepper:
 
         Raises ArgumentError for a state of another scene, SingularContactError where its contacts degenerate.
         """
-        self._check_state(self.scene, state)
+        check_state(self.scene, state)
         system = self._system
         nq, nv = system.nq, system.nv
         # a state of this very stepper may be made of views
@@ -134,6 +126,12 @@ class Stepper:
         twin._discrete_buffer[:] = self._discrete
         twin._start, twin._count = self._start, self._count
         return twin
+
+    # buffers must not be shared; the scene, which does not change, is
+    __copy__ = copy
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Stepper:
+        return self.copy()
 
     def __repr__(self) -> str:
         return f"<Stepper at t = {self.t:.9g} s, dt = {self.dt:g} s, contacts: {', '.join(self.forces) or 'none'}>"

@@ -275,13 +275,23 @@ class Trajectory:
         """
         from .analysis.forces import joint_forces
 
-        model = self.scene.model
+        model = self._model()
         data = model.createData()
         pin.forwardKinematics(model, data, self.q[index])
         tracks = {name: self.contacts[name] for name in self.scene.contacts}
         points = {name: np.nan_to_num(track.point[index]) for name, track in tracks.items()}
         forces = {name: track.force[index] for name, track in tracks.items()}
         return joint_forces(model, data, self.scene.contacts.values(), points, forces)
+
+    def _model(self) -> pin.Model:
+        """The scene's model. Raises TrajectoryError where a bare scene stands in for it (see `load`)."""
+        model = self.scene.model
+        if self.q.shape[1] != model.nq:
+            raise TrajectoryError(
+                f"the run has configurations of {self.q.shape[1]} numbers and its scene's model needs {model.nq}; a "
+                "run read from a file has to be given its scene: Trajectory.load(path, scene)"
+            )
+        return model
 
     def _all_tracks(self) -> dict[str, ContactTrack]:
         if self._tracks is None:
@@ -305,7 +315,7 @@ class Trajectory:
 
     def energies(self) -> Energies:
         """Kinetic and potential energy at every output; works where the run recorded them (energies=True)."""
-        model = self.scene.model
+        model = self._model()
         data = model.createData()
         kinetic = np.array([pin.computeKineticEnergy(model, data, q, v) for q, v in zip(self.q, self.v)])
         potential = np.array([pin.computePotentialEnergy(model, data, q) for q in self.q])
@@ -331,22 +341,24 @@ class Trajectory:
             arrays["torques"] = self._torques
         if self._resistances is not None:
             arrays["resistances"] = self._resistances
-        for i, name in enumerate(self.scene.contacts):
+        # not the scene's names: a run that was read without its scene has its tracks all the same
+        for i, name in enumerate(tracks):
             for key, value in vars(tracks[name]).items():
                 arrays[f"track{i}.{key}"] = value
             for key, value in self._residuals[name].items():
                 arrays[f"residual{i}.{key}"] = value
-        arrays["event_q"] = np.array([e.q for e in self.events]).reshape(len(self.events), self.scene.model.nq)
-        arrays["event_v"] = np.array([e.v for e in self.events]).reshape(len(self.events), self.scene.model.nv)
+        arrays["event_q"] = np.array([e.q for e in self.events]).reshape(len(self.events), self.q.shape[1])
+        arrays["event_v"] = np.array([e.v for e in self.events]).reshape(len(self.events), self.v.shape[1])
         header = {
             "format": _FORMAT,
             "status": self.status,
             "message": self.message,
             "stats": self.stats,
-            "contacts": list(self.scene.contacts),
+            "contacts": list(tracks),
             "events": [[e.time, e.contact, e.kind, e.index, e.joint] for e in self.events],
         }
-        with open(path, "wb") as file:
+        # a number would be a file that is open already
+        with open(os.fspath(path), "wb") as file:
             np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)  # type: ignore[arg-type]
 
     @classmethod
@@ -357,6 +369,8 @@ class Trajectory:
         stored arrays are all there is.
         Raises TrajectoryError for a file that is missing or not a stored trajectory.
         """
+        if scene is not None and not isinstance(scene, Scene):
+            raise TrajectoryError(f"the scene must be a Scene, got {type(scene).__name__}")
         try:
             with np.load(path, allow_pickle=False) as file:
                 header = json.loads(str(file["header"]))

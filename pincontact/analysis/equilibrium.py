@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from ..arguments import check_tolerance
 from ..errors import ArgumentError, SingularContactError, SolverError
+from ..scene import Scene
 from ..state import State, check_vector
 from .instant import FIRST_STEP, Instant, derivative
 from .inverse import actuation_matrix
 from .symmetry import find_symmetries
-
-if TYPE_CHECKING:
-    from ..scene import Scene
 
 Conditions = Callable[[np.ndarray, np.ndarray], Any]
 
@@ -67,6 +66,7 @@ def find_equilibrium(
     Raises StateError for bad numbers, NoContactError where contacts do not touch at q0, SolverError (with the residual)
     where no equilibrium is found.
     """
+    _check(scene, conditions, tolerance)
     guess = scene.initial_state(q0, None, t)
     instant = Instant(scene, guess, tau, decide=False)
     holding = np.zeros((instant.system.nv, 0)) if actuation is None else actuation_matrix(scene.model, actuation)
@@ -107,6 +107,7 @@ def find_steady_motion(
     vanish as well. Other arguments as for `find_equilibrium`.
     Raises as `find_equilibrium`, and StateError where a drive keeps every motion from being steady.
     """
+    _check(scene, conditions, tolerance)
     guess = scene.initial_state(q0, v0, t)
     instant = Instant(scene, guess, tau, decide=False)
     symmetries = find_symmetries(instant)
@@ -138,6 +139,14 @@ def find_steady_motion(
     x, iterations = _solve(residual, start, steps, instant.follow)
     q, v = instant.moved(x[:nv]), instant.v + x[nv : 2 * nv]
     return _found(instant, "steady motion", residual, x, q, v, holding @ x[2 * nv + s :], iterations, tolerance)
+
+
+def _check(scene: Any, conditions: Any, tolerance: Any) -> None:
+    if not isinstance(scene, Scene):
+        raise ArgumentError(f"the first argument must be a Scene, got {type(scene).__name__}")
+    if conditions is not None and not callable(conditions):
+        raise ArgumentError(f"conditions must be a function, got {conditions!r}")
+    check_tolerance(tolerance)
 
 
 def _found(

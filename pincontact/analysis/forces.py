@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from ..arguments import NOT_REAL, real_array
 from ..contacts import Contact
 from ..errors import ArgumentError, StateError
 from .instant import Instant
@@ -67,11 +68,16 @@ def external_forces(
 
 def check_forces(scene: Scene, forces: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Given contact forces as finite arrays (3,)."""
+    if not isinstance(forces, Mapping):
+        raise ArgumentError(f"forces must be a mapping from contacts to forces (3,), got {type(forces).__name__}")
     out = {}
     for name, force in forces.items():
         if name not in scene.contacts:
             raise ArgumentError(f"forces: unknown contact {name!r}; contacts: {', '.join(scene.contacts) or 'none'}")
-        array = np.array(force, dtype=float)
+        try:
+            array = real_array(force)
+        except NOT_REAL:
+            array = np.zeros(0)
         if array.shape != (3,) or not np.isfinite(array).all():
             raise StateError(f"forces[{name!r}] must be 3 finite numbers in world axes, got {force!r}")
         out[name] = array

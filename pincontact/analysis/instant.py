@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..dynamics.system import System
-from ..errors import ArgumentError, SingularContactError, SolverError
+from ..errors import SingularContactError, SolverError
 from ..geometry.patterns import ON_CURVE
 from ..integration.results import FAILURES, SINGULAR_CONTACT, Stop
 from ..integration.runge_kutta import RungeKutta
@@ -30,7 +30,7 @@ from ..layout import (
     STICK,
     TANGENTS,
 )
-from ..state import Correction, State, check_vector, read_discrete, write_discrete
+from ..state import Correction, State, check_state, check_vector, read_discrete, write_discrete
 
 if TYPE_CHECKING:
     from ..scene import Scene
@@ -86,10 +86,7 @@ class Instant:
     """
 
     def __init__(self, scene: Scene, state: State, tau: Any | None = None, decide: bool = True) -> None:
-        if not isinstance(state, State):
-            raise ArgumentError(f"a state must come from scene.initial_state(q, v), got {type(state).__name__}")
-        if state.scene is not scene or state.location.shape[0] != len(scene.contacts):
-            raise ArgumentError("the state belongs to another scene, or contacts were added after it was made")
+        check_state(scene, state)
         self.scene, self.model = scene, scene.model
         contacts = list(scene.contacts.values())
         self.system = system = System(scene.model, contacts)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from ..arguments import NOT_REAL, check_tolerance, real_array
 from ..dynamics.stretches import associated
 from ..errors import ArgumentError, SolverError, StateError
 from ..geometry.patterns import ON_CURVE
@@ -68,9 +69,10 @@ def inverse_dynamics(
     Raises StateError for an acceleration that breaks the contacts (with the contact and the number) or is no vector
     (nv,), ArgumentError for a bad actuation or an unknown contact, SolverError where these actuators cannot do it.
     """
+    check_tolerance(tolerance)
     instant = Instant(scene, state, decide=False)
     system, model = instant.system, scene.model
-    given = check_forces(scene, forces or {})
+    given = check_forces(scene, {} if forces is None else forces)
     matrix = actuation_matrix(model, actuation)
     instant.evaluate()
     constrained = instant.constrained()
@@ -141,7 +143,10 @@ def actuation_matrix(model: pin.Model, actuation: Any | None) -> np.ndarray:
             joint = model.joints[model.getJointId(name)]
             picked.extend(range(joint.idx_v, joint.idx_v + joint.nv))
         return np.eye(nv)[:, picked]
-    matrix = np.asarray(actuation, dtype=float)
+    try:
+        matrix = real_array(actuation)
+    except NOT_REAL:
+        raise ArgumentError(f"actuation must be a matrix ({nv}, na) or joint names, got {actuation!r}") from None
     if matrix.ndim != 2 or matrix.shape[0] != nv or not np.isfinite(matrix).all():
         raise ArgumentError(f"actuation must be a finite matrix ({nv}, na) or joint names, got shape {matrix.shape}")
     return matrix

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..dynamics.system import System
-from ..errors import ArgumentError, SingularContactError
+from ..errors import SingularContactError
 from ..geometry.carriers import OMEGA, ORIGIN
 from ..geometry.frames import contact_frame, curve_normal_axis, dual_basis
 from ..geometry.patterns import CROSSING_CURVES, ON_SURFACE, PLANAR
 from ..layout import CONDITION, OK, PATTERN, SUPPORT_SIZE
-from ..state import State, write_discrete
+from ..state import State, check_state, write_discrete
 
 if TYPE_CHECKING:
     from ..contacts import Contact
@@ -64,8 +64,7 @@ def analyze(scene: Scene, state: State) -> dict[str, ContactKinematics]:
 
     Raises ArgumentError for a state of another scene, SingularContactError where the location equations are singular.
     """
-    if state.scene is not scene or state.location.shape[0] != len(scene.contacts):
-        raise ArgumentError("the state belongs to another scene, or contacts were added after it was made")
+    check_state(scene, state)
     contacts = list(scene.contacts.values())
     system = System(scene.model, contacts)
     system.q[:], system.v[:] = state.q, state.v

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg import qr
 
+from ..arguments import check_tolerance
 from ..errors import ArgumentError, StateError
 from ..state import State
 from .instant import FIRST_STEP, Instant, derivative, null_space
@@ -134,6 +135,10 @@ def linearize(
     for an unknown coordinate or a state of another scene; SolverError, SingularContactError where there are no
     accelerations.
     """
+    check_tolerance(tolerance)
+    if not isinstance(coordinates, Sequence):
+        raise ArgumentError(f"coordinates must be names or numbers of velocity coordinates, got {coordinates!r}")
+    coordinates = [coordinates] if isinstance(coordinates, str) else coordinates
     instant = Instant(scene, state, tau)
     if instant.starting():
         raise StateError(
@@ -234,8 +239,8 @@ def _coordinate(model: pin.Model, entry: str | int) -> int:
         if entry not in names:
             raise ArgumentError(f"unknown coordinate {entry!r}; velocity coordinates: {', '.join(names)}")
         return names.index(entry)
-    if not 0 <= entry < model.nv:
-        raise ArgumentError(f"coordinate {entry} is not one of the {model.nv} velocity coordinates")
+    if not isinstance(entry, (int, np.integer)) or not 0 <= entry < model.nv:
+        raise ArgumentError(f"coordinate {entry!r} is not one of the {model.nv} velocity coordinates")
     return int(entry)
 
 

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from ..arguments import NOT_REAL, check_tolerance, real_array
 from ..errors import ArgumentError, InfeasibleError, SolverError
 from .cone import CLASSIFY, HUGE, OPEN, RANK_TOLERANCE, SLIP, STICK, WARM, cone_memory, solve_cones
 from .feasibility import crushing_combination
@@ -354,8 +355,9 @@ def solve_contacts(
     """
     matrix, b, friction = _checked_problem(delassus, b, mu)
     contacts = len(friction)
-    if not tolerance > 0.0:
-        raise ArgumentError(f"tolerance must be positive, got {tolerance}")
+    check_tolerance(tolerance)
+    if warm is not None and not isinstance(warm, ContactSolution):
+        raise ArgumentError(f"warm must be a solution of solve_contacts, got {type(warm).__name__}")
     if warm is not None and warm.modes.shape[0] != contacts:
         raise ArgumentError(f"warm is a solution of {warm.modes.shape[0]} contacts, the problem has {contacts}")
     if contacts == 0:
@@ -397,6 +399,8 @@ def centred_forces(
     """
     matrix, b, friction = _checked_problem(delassus, b, mu)
     contacts = len(friction)
+    if not isinstance(solution, ContactSolution):
+        raise ArgumentError(f"the solution must be one of solve_contacts, got {type(solution).__name__}")
     if solution.modes.shape[0] != contacts:
         raise ArgumentError(f"the solution has {solution.modes.shape[0]} contacts, the problem has {contacts}")
     # At rest counts, not the mode: a force of least norm on its cone's edge slips at zero speed, and a contact that
@@ -445,14 +449,16 @@ def _checked_problem(
     delassus: npt.ArrayLike, b: npt.ArrayLike, mu: npt.ArrayLike
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The problem as contiguous arrays (3n, 3n), (3n,), (n,); ArgumentError if it is none."""
-    matrix = np.ascontiguousarray(delassus, dtype=float)
-    b = np.ascontiguousarray(b, dtype=float).reshape(-1)
+    try:
+        matrix, b, given = (np.ascontiguousarray(real_array(value)) for value in (delassus, b, mu))
+    except NOT_REAL as error:
+        raise ArgumentError(f"the Delassus matrix, b and mu must be arrays of real numbers: {error}") from None
+    b, given = b.reshape(-1), given.reshape(np.shape(mu))
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] % 3:
         raise ArgumentError(f"the Delassus matrix must be (3n, 3n), got {matrix.shape}")
     contacts = matrix.shape[0] // 3
     if b.shape[0] != 3 * contacts:
         raise ArgumentError(f"b must have {3 * contacts} entries for {contacts} contacts, got {b.shape[0]}")
-    given = np.asarray(mu, dtype=float)
     if given.ndim > 1 or given.size not in (1, contacts):
         raise ArgumentError(f"mu must be one number or ({contacts},), got shape {given.shape}")
     friction = np.array(np.broadcast_to(given, (contacts,)))
@@ -464,7 +470,7 @@ def _checked_problem(
     if contacts and diagonal.min() < 0.0:
         raise ArgumentError(f"the Delassus matrix has a negative diagonal entry, {diagonal.min()}")
     # |G_ij - G_ji| against sqrt(G_ii G_jj), the largest a positive semidefinite matrix allows: free of units.
-    allowed = 1e-8 * np.sqrt(np.outer(diagonal, diagonal)) + 1e-14 * diagonal.max(initial=0.0)
+    allowed = 1e-8 * np.outer(np.sqrt(diagonal), np.sqrt(diagonal)) + 1e-14 * diagonal.max(initial=0.0)
     asymmetry = np.abs(matrix - matrix.T)
     if (asymmetry > allowed).any():
         row, column = np.unravel_index(np.argmax(asymmetry - allowed), matrix.shape)

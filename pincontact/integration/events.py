@@ -3,6 +3,7 @@ and refined with true steps."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -10,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.optimize import brentq
 
-from ..errors import ArgumentError
+from ..errors import ArgumentError, ContactError
 from ..layout import DOMAIN, DOMAIN_MARGIN, EVENT, FREE, GAP_MARGIN, LENGTH, MODE, MU, OK
 from .dense import Interpolant
-from .results import GAP_TOLERANCE
+from .results import CONTROL_FAILED, GAP_TOLERANCE, Stop
 from .runge_kutta import RungeKutta
 
 if TYPE_CHECKING:
@@ -35,6 +36,24 @@ _NOTHING_THERE = 1e300
 _XTOL, _RTOL = 1e-15, 8.9e-16
 
 
+def _checked(index: int, function: Callable[..., Any]) -> Callable[[float, np.ndarray, np.ndarray], float]:
+    """A user's function that ends the run where it fails, as a control does, with its text."""
+
+    def value(t: float, q: np.ndarray, v: np.ndarray) -> float:
+        try:
+            result = float(function(t, q, v))
+        except (ContactError, Stop):
+            raise
+        except Exception as error:
+            text = f"t = {t:.9g} s: events[{index}] failed with {type(error).__name__}: {error}"
+            raise Stop(CONTROL_FAILED, text) from error
+        if math.isnan(result):
+            raise Stop(CONTROL_FAILED, f"t = {t:.9g} s: events[{index}] returned nan")
+        return result
+
+    return value
+
+
 @dataclass
 class UserEvent:
     """A user's function g(t, q, v) with SciPy's attributes `terminal` and `direction`, and its last value."""
@@ -50,12 +69,17 @@ class UserEvent:
         if events is None:
             return []
         functions = events if isinstance(events, (list, tuple)) else [events]
+        wrapped = []
         for i, function in enumerate(functions):
             if not callable(function):
                 raise ArgumentError(f"events[{i}] is not callable: {function!r}")
-        return [
-            UserEvent(f, bool(getattr(f, "terminal", False)), float(getattr(f, "direction", 0.0))) for f in functions
-        ]
+            terminal, direction = getattr(function, "terminal", False), getattr(function, "direction", 0.0)
+            if not (terminal is None or isinstance(terminal, (bool, np.bool_, int))):
+                raise ArgumentError(f"events[{i}].terminal must be True or False, got {terminal!r}")
+            if not isinstance(direction, (int, float, np.number)) or math.isnan(direction):
+                raise ArgumentError(f"events[{i}].direction must be a number, got {direction!r}")
+            wrapped.append(UserEvent(_checked(i, function), bool(terminal), float(direction)))
+        return wrapped
 
     def crosses(self, value: float) -> bool:
         """Whether the function went through zero in its direction since its last value."""
@@ -223,11 +247,17 @@ class EventLocator:
         return float(brentq(value, low, high, xtol=_XTOL, rtol=_RTOL))
 
     def _user_root(self, t: float, step: float, dense: Interpolant, index: int) -> float:
-        def value(theta: float) -> float:
-            self.rk.load(dense(theta))
-            return self.value_of_user(index, t + theta * step)
+        known: dict[float, float] = {}
 
-        if value(0.0) * value(1.0) >= 0.0:
+        def value(theta: float) -> float:
+            # asked once for each time: a function that answers otherwise the next time has no root to be found
+            if theta not in known:
+                self.rk.load(dense(theta))
+                known[theta] = self.value_of_user(index, t + theta * step)
+            return known[theta]
+
+        # signs: the product of large values may overflow, of small ones vanish
+        if (value(0.0) > 0.0) == (value(1.0) > 0.0) or value(0.0) == 0.0 or value(1.0) == 0.0:
             return 1.0
         return float(brentq(value, 0.0, 1.0, xtol=_XTOL, rtol=_RTOL))
 

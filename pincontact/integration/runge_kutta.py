@@ -127,7 +127,12 @@ class RungeKutta:
         system = self.system
         used = system.absolute > 0.0
         scale = system.absolute[used] + system.scale[0] * np.abs(system.state[used])
-        size = math.sqrt(np.mean((system.state[used] / scale) ** 2))
-        slope = math.sqrt(np.mean((system.slopes[0][used] / scale) ** 2))
-        h = 1e-6 if size < 1e-5 or slope < 1e-5 else 0.01 * size / slope
+        if not used.any():
+            return span
+        with np.errstate(over="ignore"):
+            size = math.sqrt(np.mean((system.state[used] / scale) ** 2))
+            slope = math.sqrt(np.mean((system.slopes[0][used] / scale) ** 2))
+        # sizes that overflow leave nothing to go by
+        cautious = size < 1e-5 or slope < 1e-5 or not (math.isfinite(size) and math.isfinite(slope))
+        h = 1e-6 if cautious else 0.01 * size / slope
         return min(h, span)

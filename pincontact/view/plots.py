@@ -63,12 +63,17 @@ def _label(name: str, text: str, tracks: dict[str, Any]) -> str:
     return text if len(tracks) == 1 else f"{name}: {text}"
 
 
+def _law(run: Any, name: str) -> Any:
+    """The friction law of a contact; None where there is none, or the run was read from a file without its scene."""
+    return run.scene.contacts[name].friction if name in run.scene.contacts else None
+
+
 def limit(run: Any, name: str) -> np.ndarray | None:
     """Largest dry friction force in N that the law allows at each time, (n,); None where the law sets no single limit.
 
     Sliding contacts have the coefficient of their speed, all others the one up to which they stick.
     """
-    law = run.scene.contacts[name].friction
+    law = _law(run, name)
     if law is None or not np.isfinite(law.sticking) or law.aspect != 1.0:
         return None
     track = run.contacts[name]
@@ -105,6 +110,11 @@ def motion(run: Any, ax: Any = None, velocities: bool = False) -> Any:
     ax = _axes(ax)
     model = run.scene.model
     values = np.asarray(run.v if velocities else run.q)
+    if values.shape[1] != (model.nv if velocities else model.nq):
+        # a run read from a file without its scene knows no joints
+        for k in range(values.shape[1]):
+            ax.plot(run.t, values[:, k], label=f"{'v' if velocities else 'q'}[{k}]")
+        return _finish(ax, "v [m/s, rad/s]" if velocities else "q [m, rad]", legend=values.shape[1] <= 14)
     for joint in range(1, model.njoints):
         data = model.joints[joint]
         first, count = (data.idx_v, data.nv) if velocities else (data.idx_q, data.nq)
@@ -147,7 +157,7 @@ def friction_cone(run: Any, contact: str | None = None, ax: Any = None) -> Any:
             label = None if kind in named else MODE_NAMES[int(kind)]
             ax.plot(normal[at], friction[at], ".", color=MODE_COLORS[int(kind)], markersize=4, label=label)
             named.add(kind)
-        law = run.scene.contacts[name].friction
+        law = _law(run, name)
         across = 1.0 if law is None else law.aspect
         for mu in () if law is None else sorted({k * a for k in (law.sliding, law.sticking) for a in (1.0, across)}):
             if np.isfinite(mu) and mu not in edges:
@@ -191,13 +201,14 @@ def location(run: Any, contact: str | None = None, ax: Any = None) -> Any:
     ax = _axes(ax)
     tracks = _tracks(run, contact)
     for name, track in tracks.items():
-        contact_of = run.scene.contacts[name]
         charts = np.asarray(track.charts)
         changed = np.concatenate([[False], (charts[1:] != charts[:-1]).any(axis=1)])[: len(charts)]
-        for side, values in ((contact_of.first, track.location_first), (contact_of.second, track.location_second)):
+        contact_of = run.scene.contacts.get(name)
+        sides = ("first", "second") if contact_of is None else (contact_of.first.name, contact_of.second.name)
+        for side, values in zip(sides, (track.location_first, track.location_second)):
             for k in range(values.shape[1]):
                 whole = np.where(changed, np.nan, values[:, k])
-                ax.plot(run.t, whole, label=_label(name, f"{side.name} u{k + 1}", tracks))
+                ax.plot(run.t, whole, label=_label(name, f"{side} u{k + 1}", tracks))
     return _finish(ax, "location [m, rad]")
 
 
@@ -252,6 +263,8 @@ def plot(run: Any, kinds: str | Sequence[str] | None = None, axes: Any = None) -
     chosen = [kinds] if isinstance(kinds, str) else kinds
     if chosen is None:
         chosen = [kind for kind in KINDS if run.contacts or kind not in _CONTACT_KINDS]
+        if run.q.shape[1] != run.scene.model.nq:
+            chosen.remove("energy")
     for kind in chosen:
         if kind not in KINDS:
             raise ArgumentError(f"unknown kind of plot {kind!r}; one of {', '.join(KINDS)}")

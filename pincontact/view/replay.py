@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import check_positive
 from ..errors import ArgumentError, MissingExtraError, TrajectoryError
 from ..layout import FREE, FRICTIONLESS, SLIPPING, STICK
 from . import arrows, meshes
@@ -17,7 +18,6 @@ from .drawing import FRONT_SIDE, Command, Drawing, color_number
 from .sampling import (
     MODE_NAMES,
     ContactFrames,
-    check_positive,
     configurations,
     contact_frames,
     contour_placements,
@@ -125,6 +125,8 @@ def export_html(
     """
     from .page import render_page
 
+    if not isinstance(title, str):
+        raise ArgumentError(f"title must be text, got {title!r}")
     picture = compose(run, fps, speed, max_frames, force_scale, follow, show)
     text = render_page(picture.commands(environment=True), page_info(picture, run, speed), title)
     target = Path(path)
@@ -176,7 +178,11 @@ def compose(
     show: Collection[str],
 ) -> Picture:
     """Everything of a replay that does not depend on where it is shown. Raises ArgumentError."""
-    parts = set([show] if isinstance(show, str) else show)
+    if not hasattr(run, "scene"):
+        raise ArgumentError(f"a run is needed, got {type(run).__name__}")
+    if not isinstance(show, Collection):
+        raise ArgumentError(f"show must be names of parts, got {show!r}; possible: {', '.join(PARTS)}")
+    parts = {show} if isinstance(show, str) else {str(part) for part in show}
     unknown = sorted(parts.difference(PARTS))
     if unknown:
         raise ArgumentError(f"show has unknown parts {', '.join(unknown)}; possible: {', '.join(PARTS)}")
@@ -348,7 +354,7 @@ def _followed_path(
         return contacts[name].point
     if name in scene.contours:
         return contour_placements(scene.contours[name], placements, times)[:, :3, 3]
-    if model.existFrame(name):
+    if isinstance(name, str) and model.existFrame(name):
         frame = model.frames[model.getFrameId(name)]
         joint, placement = frame.parentJoint, frame.placement.homogeneous
         return (placements[:, joint] @ placement)[:, :3, 3]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from ..arguments import check_positive, is_number
 from ..errors import ArgumentError
 from ..layout import FREE, FRICTIONLESS, SLIPPING, STICK
 from .arrows import continuous
@@ -33,13 +34,6 @@ class ContactFrames:
         return self.mode != FREE
 
 
-def check_positive(**numbers: float) -> None:
-    """Raise ArgumentError naming the first of these that is not a positive finite number."""
-    for name, value in numbers.items():
-        if not (np.isfinite(value) and value > 0.0):
-            raise ArgumentError(f"{name} must be positive and finite, got {value}")
-
-
 def frame_times(t: np.ndarray, fps: float, speed: float, max_frames: int) -> np.ndarray:
     """Even times from the first to the last of t for a replay at fps frames per second of the viewer's time.
 
@@ -48,8 +42,8 @@ def frame_times(t: np.ndarray, fps: float, speed: float, max_frames: int) -> np.
     Raises ArgumentError for a rate or speed that is not positive, or fewer than two frames.
     """
     check_positive(fps=fps, speed=speed)
-    if max_frames < 2:
-        raise ArgumentError(f"max_frames must be at least 2, got {max_frames}")
+    if not (is_number(max_frames) and max_frames >= 2):
+        raise ArgumentError(f"max_frames must be at least 2, got {max_frames!r}")
     if len(t) == 0:
         raise ArgumentError("the run has no recorded time to show")
     duration = float(t[-1] - t[0])

@@ -1,0 +1,47 @@
+"""Checks of what users pass to the calls: numbers and arrays of them."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .errors import ArgumentError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+
+def is_number(value: Any) -> bool:
+    """Whether it is a real number that a float can hold, infinity included and NaN not."""
+    try:
+        return isinstance(value, (int, float, np.floating, np.integer)) and not math.isnan(value)
+    except OverflowError:
+        return False
+
+
+def check_positive(**numbers: Any) -> None:
+    """Raise ArgumentError naming the first of these that is not a positive finite number."""
+    for name, value in numbers.items():
+        if not (is_number(value) and math.isfinite(value) and value > 0.0):
+            raise ArgumentError(f"{name} must be positive and finite, got {value!r}")
+
+
+def check_tolerance(tolerance: Any) -> None:
+    """Raise ArgumentError for what is no positive number."""
+    if not (is_number(tolerance) and tolerance > 0.0):
+        raise ArgumentError(f"tolerance must be positive, got {tolerance!r}")
+
+
+def real_array(value: ArrayLike) -> np.ndarray:
+    """A float copy of any shape. Raises TypeError, ValueError or OverflowError for what is no array of real numbers."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "biufO":
+        # NumPy would read numbers out of text, and drop imaginary parts
+        raise TypeError(f"an array of {array.dtype}")
+    return np.array(array, dtype=float)
+
+
+# What `real_array` raises.
+NOT_REAL = (TypeError, ValueError, OverflowError)

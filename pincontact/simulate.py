@@ -258,6 +258,7 @@ class _Torque:
 
     def __init__(self, control: Control, system: System) -> None:
         self._control, self._system, self._shape = control, system, (system.nv,)
+        self._weights = np.full(system.nv, 1e-30)
         # made once: a call costs what the control costs
         self._q, self._v = system.q.view(), system.v.view()
         self._q.flags.writeable = self._v.flags.writeable = False
@@ -275,8 +276,8 @@ class _Torque:
         if tau.shape != self._shape:
             self.failure = f"t = {t:.9g} s: control returned an array of shape {tau.shape}, not ({system.nv},)"
             return False
-        # one number tells of all, unless it overflows
-        if not math.isfinite(tau.dot(tau)) and not np.isfinite(tau).all():
+        # one number tells of all: weighted so that no torques overflow it
+        if not math.isfinite(tau.dot(self._weights)) and not np.isfinite(tau).all():
             self.failure = f"t = {t:.9g} s: control returned {tau[int(np.argmin(np.isfinite(tau)))]}"
             return False
         system.tau[:] = tau

@@ -163,7 +163,8 @@ def _simulate_moreau(
         # can be found again
         tau = system.tau.copy()
         system.tau += stepper.joint_force
-        record.add(t, stepper.torques if stepper.resists_turning else None)
+        with stepper.modes_of_output(t):
+            record.add(t, stepper.torques if stepper.resists_turning else None)
         system.tau[:] = tau
 
     with _Bar(progress, state.t, duration) as bar:

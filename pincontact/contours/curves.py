@@ -128,6 +128,11 @@ class Helix(Contour):
         )
 
 
+# A contact comes to an end so far from a cusp, rad, since u' grows without bound towards it. What is left of the arch
+# is of the order of its square.
+_CUSP = 1e-4
+
+
 class Cycloid(Contour):
     """One arch of a cycloid, opening to +y (a cup): f(u) = radius (u + sin u, 1 - cos u, 0), |u| < pi.
 
@@ -149,6 +154,11 @@ class Cycloid(Contour):
             planar=True,
             size=radius,
         )
+
+    def ends(self) -> np.ndarray:
+        out = super().ends()
+        out[0], out[1] = max(out[0], _CUSP - math.pi), min(out[1], math.pi - _CUSP)
+        return out
 
 
 class FourierCurve(Contour):

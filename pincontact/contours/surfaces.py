@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from ..errors import ContourError
 from ..jit import kernel
 from .base import CONE, CYLINDER, ELLIPSOID, PLANE, SPHERE, TORUS, Contour, interval, positive
@@ -113,6 +115,10 @@ class Cylinder(Contour):
         )
 
 
+# A contact comes to an end so far from an apex, m, since u1' and the curvature grow without bound towards it.
+_APEX = 1e-6
+
+
 class Cone(Contour):
     """f(u1, u2) = u2 (sin a cos u1, sin a sin u1, cos a): axis z, apex at the origin, opening to +z.
 
@@ -138,6 +144,11 @@ class Cone(Contour):
             size=patch[1][1],
             convex_side=1 if closed else 0,
         )
+
+    def ends(self) -> np.ndarray:
+        out = super().ends()
+        out[2] = max(out[2], _APEX)
+        return out
 
 
 class Torus(Contour):

@@ -7,22 +7,26 @@ mode is kept. Second order in h while modes last, first order through their chan
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import brentq
 
-from ..dynamics.modes import rest_mode
+from ..dynamics.modes import ModeSolver, rest_mode
 from ..dynamics.system import System
 from ..friction.solve import ContactSolver
 from ..jit import compile_kernels
 from ..layout import (
     CHART,
     CONDITION,
+    EVENT,
     FREE,
+    FRICTION_MARGIN,
     FROZEN,
     GUARD_END,
+    HAS_REFERENCE,
     LOCATION_FAILED,
     MODE,
     MU,
@@ -156,6 +160,8 @@ class MoreauStep:
         self._solutions: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._loaded = -1
         self._charted = system.charted
+        # contacts that stick since the last step
+        self.came_to_rest: list[int] = []
 
     # ---------------------------------------------------------------- start
 
@@ -318,6 +324,27 @@ class MoreauStep:
             changed = commit(system.table, self.table, 0)
         return changed
 
+    @contextmanager
+    def modes_of_output(self, t: float) -> Iterator[None]:
+        """Modes that hold at the end of the step, for what is recorded of it.
+
+        A contact that the step has brought to rest may be about to slip on, the other way: held at rest there, its
+        force would lie outside its cone. It slips with the force that friction has in the direction it takes.
+        """
+        system = self.system
+        fresh = [c for c in self.came_to_rest if system.contact_int[c, MODE] == STICK]
+        kept = None
+        if fresh and system.evaluate(t) <= EVENT:
+            modes = ModeSolver(system)
+            if (system.margins[fresh, FRICTION_MARGIN] < -modes.force_round_off()).any():
+                kept = system.contact_int.copy(), system.contact_real.copy()
+                if modes.decide(t, fresh, system.evaluate).status > EVENT:
+                    system.contact_int[:], system.contact_real[:] = kept
+        yield
+        if kept is not None:
+            system.contact_int[:], system.contact_real[:] = kept
+            system.scalars[HAS_REFERENCE] = 0.0
+
     def describe(self, status: int, t: float) -> Stop:
         """The Stop for a failed status, naming the contact and the number."""
         code, reason = FAILURES[status]
@@ -426,6 +453,7 @@ class MoreauDriver:
         """Make the attempted step the state, and report what happened to the contacts in it."""
         step, names = self.step, [c.name for c in self.system.contacts]
         found: list[tuple[float, str, str]] = []
+        step.came_to_rest.clear()
         for c, name in enumerate(names):
             before, after = int(step.start_mode[c]), int(self.system.contact_int[c, MODE])
             if step.touch_time[c] >= 0.0:
@@ -436,6 +464,8 @@ class MoreauDriver:
                 found.append((t_new, name, "slip"))
             elif before == SLIPPING and after == STICK:
                 found.append((t_new, name, "stick"))
+            if after == STICK and before != STICK:
+                step.came_to_rest.append(c)
         for when, name, kind in sorted(found, key=lambda entry: entry[0]):
             self._announce(when, name, kind)
         step.accept(t_new)

@@ -101,8 +101,9 @@ def judge(
             faults.append(f"{name}: pulls with {-track.normal_force.min():.2g} N")
         if isinstance(contact.friction, pc.Coulomb):
             law = contact.friction
-            excess = track.tangential_force - max(law.mu, law.mu_static or 0.0) * np.abs(track.normal_force)
-            if (excess > cone * scale).any():
+            most = max(law.mu, law.mu_static or 0.0)
+            excess = track.tangential_force - most * np.abs(track.normal_force)
+            if (excess > cone * (scale + most * np.abs(track.normal_force))).any():
                 faults.append(f"{name}: friction exceeds mu N by {excess.max():.2g} N")
     worst = max(float(values[well].max(initial=0.0)) for values in run.residuals().values())
     if not worst <= residual:
@@ -193,6 +194,8 @@ def flat_memory(long: bool) -> Iterator[Finding]:
             run = pc.simulate(scene, state, end, method=method, t_eval=times, max_steps=10**9, **size)
             return run, tracemalloc.get_traced_memory()[1] - before
 
+        # once without counting: kernels may have to be compiled
+        go(steps // 8, 1)
         resident = _resident()
         tracemalloc.start()
         try:
@@ -420,8 +423,8 @@ def friction_angle(long: bool) -> Iterator[Finding]:
             mode = int(run.contacts["c"].mode[-1])
             if abs(part) >= 1e-12 and mode != (1 if part > 0.0 else 2):
                 wrong.append(f"mode {mode}")
-            # tolerances are those of speeds of 1 m/s: the energy of slower slides is below them
-            bound = 1e-8 if abs(part) >= 1e-6 else math.inf
+            # tolerances are those of speeds of 1 m/s: the energy of slower slides is below them, that of rest is rounding
+            bound = 1e-8 if part <= -1e-6 else math.inf
             yield judge("point on a ramp", f"angle {angle:g} (1 {part:+.0e})", run, energy=bound, wrong=wrong)
 
 
@@ -475,7 +478,7 @@ def painleve(long: bool) -> Iterator[Finding]:
                     if paradox < -1e-6 and speed < 0.0 and method == "DOP853" and run.status == 0 and not run.events:
                         wrong.append("went through a paradox without a word")
                     # time stepping is of first order where modes change, in forces and in what is left of velocities
-                    bounds = (1e-8, 1e-8) if method == "DOP853" else (1e-6, 2e-2)
+                    bounds = (1e-8, 1e-8) if method == "DOP853" else (1e-6, 3e-2)
                     yield judge(
                         f"rod, {method}",
                         f"mu {mu:g}, lean {lean:.2f}, {speed:+g} m/s",

@@ -87,8 +87,8 @@ def test_a_pole_is_no_end():
 
 @pytest.mark.parametrize("shape", ["cycloid", "cone"])
 def test_cusps_and_apexes_are_ends(shape):
-    """A bead runs into the cusp of a cycloid, or into the apex of a cone, where the location's rates grow without bound:
-    the run ends with the edge that it is, on the constraints."""
+    """A bead runs into the cusp of a cycloid, or into a cone's apex, where the location's rates grow without bound: the
+    run ends with the edge that it is, on the constraints."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "bead")
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
@@ -106,8 +106,8 @@ def test_cusps_and_apexes_are_ends(shape):
     run = pc.simulate(scene, state, 5.0)
     assert run.status == -8, run.message
     assert run.events[-1].kind == "edge"
-    # at 1 m/s: the arc of the cycloid from u to its cusp, of which 1e-9 m are left; the cone's line to its apex, of which
-    # 1e-6 m are left
+    # at 1 m/s: the arc of the cycloid from u to its cusp, of which 1e-9 m are left; the line to the cone's apex, of
+    # which 1e-6 m are left
     way = 4.0 * 0.5 * (1.0 - math.sin(0.5)) if shape == "cycloid" else 0.4
     assert run.t[-1] == pytest.approx(way, abs=2e-6)
     # close to the cusp a parameter is known to the square root of rounding only

@@ -423,7 +423,7 @@ def friction_angle(long: bool) -> Iterator[Finding]:
             mode = int(run.contacts["c"].mode[-1])
             if abs(part) >= 1e-12 and mode != (1 if part > 0.0 else 2):
                 wrong.append(f"mode {mode}")
-            # tolerances are those of speeds of 1 m/s: the energy of slower slides is below them, that of rest is rounding
+            # tolerances are those of speeds of 1 m/s: the energy of slower slides is below them; at rest it is rounding
             bound = 1e-8 if part <= -1e-6 else math.inf
             yield judge("point on a ramp", f"angle {angle:g} (1 {part:+.0e})", run, energy=bound, wrong=wrong)
 

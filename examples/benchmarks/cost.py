@@ -282,7 +282,7 @@ def steps(write: Writer) -> None:
         scene = pc.Scene(free_body())
         rim = scene.add_contour("rim", pc.Circle(0.3), frame="body")
         scene.add_contact("contact", rim, scene.add_contour("floor", pc.Plane()), friction=friction)
-        state = scene.initial_state(q, np.array([0.3, 0.2, 0.0, 0.5, 0.3, 6.0]))
+        state = scene.initial_state(q, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 5.0]))
         run = pc.simulate(scene, state, 5.0, t_eval=outputs)
         total = statistics.median(
             pc.simulate(scene, state, 5.0, t_eval=outputs).stats["wall_time"] for _ in range(BATCHES)

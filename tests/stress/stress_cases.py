@@ -606,9 +606,10 @@ def random_scenes(long: bool) -> Iterator[Finding]:
         if run.status < 0 and run.t.size and run.events and run.events[-1].kind == "singular":
             # rolled into a line contact: it says so, and it is so
             wrong = off("conditioning at a singular end", np.nanmin(run.contacts["c"].conditioning), 1e-4)
-        # accumulated error of some hundred steps at rtol = 1e-9
+        # accumulated error of some hundred steps at rtol = 1e-9; the foot of a bead near a cusp, where the curve turns
+        # back, is known to 1e-11 m
         ends = ("'c'",)
-        findings.append(judge(repr(contact), label, run, energy=1e-6, residual=1e-11, ends=ends, wrong=wrong))
+        findings.append(judge(repr(contact), label, run, energy=1e-6, residual=3e-11, ends=ends, wrong=wrong))
 
     one()
     good = [finding for finding in findings if not finding.wrong]

@@ -47,22 +47,23 @@ def joint_guards(model: pin.Model) -> list[Guard]:
     """
     guards = []
     unbounded = np.finfo(float).max
+    low_forces, high_forces = model.lowerDryFrictionLimit.tolist(), model.upperDryFrictionLimit.tolist()
+    low_ends, high_ends = model.lowerPositionLimit.tolist(), model.upperPositionLimit.tolist()
     for kind, iq, iv, n in configuration_blocks(model):
-        for i in range(n):
-            joint = _joint_of(model, iv + i)
-            low_force = float(model.lowerDryFrictionLimit[iv + i])
-            high_force = float(model.upperDryFrictionLimit[iv + i])
+        for k in range(n):
+            low_force, high_force = low_forces[iv + k], high_forces[iv + k]
             low_end, high_end = -math.inf, math.inf
             if kind == VECTOR:
-                low_end, high_end = float(model.lowerPositionLimit[iq + i]), float(model.upperPositionLimit[iq + i])
-                low_end = low_end if low_end > -unbounded else -math.inf
-                high_end = high_end if high_end < unbounded else math.inf
+                low_end = low_ends[iq + k] if low_ends[iq + k] > -unbounded else -math.inf
+                high_end = high_ends[iq + k] if high_ends[iq + k] < unbounded else math.inf
+            if low_force == high_force == 0.0 and low_end == -math.inf and high_end == math.inf:
+                continue
+            joint = _joint_of(model, iv + k)
             if not low_force <= 0.0 <= high_force:
                 raise ModelError(f"joint {joint!r}: dry friction from {low_force} to {high_force} does not contain 0")
             if not low_end <= high_end:
                 raise ModelError(f"joint {joint!r}: the position limits {low_end} to {high_end} are an empty range")
-            if low_force < high_force or low_end > -math.inf or high_end < math.inf:
-                guards.append(Guard(joint, iq + i, iv + i, low_force, high_force, low_end, high_end))
+            guards.append(Guard(joint, iq + k, iv + k, low_force, high_force, low_end, high_end))
     return guards
 
 

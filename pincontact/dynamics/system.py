@@ -415,6 +415,6 @@ def _support(model: pin.Model, joint: int) -> list[int]:
     moving: list[int] = []
     for j in model.supports[joint]:
         if j > 0:
-            start = model.joints[j].idx_v
-            moving.extend(range(start, start + model.joints[j].nv))
+            start = model.idx_vs[j]
+            moving.extend(range(start, start + model.nvs[j]))
     return moving

@@ -29,7 +29,9 @@ def test_errors_fall_with_the_tolerance(finished, scene):
     """A hundredth of rtol gains at least a factor of three, down to rounding (1e-11 m over metres of path)."""
     rows = finished[0].rows
     for method, least in (("DOP853", 5), ("RK45", 3), ("Moreau", 2)):
-        errors = [row.error for row in rows if row.scene == scene and row.method == method]
+        runs = [row for row in rows if row.scene == scene and row.method == method]
+        # the longest steps of time stepping may be too long, and are then refused
+        errors = [row.error for row in runs if "the step is too long" not in row.note]
         assert len(errors) >= least
         assert np.isfinite(errors).all()
         above = [e for e in errors if e > 1e-11]
@@ -51,7 +53,7 @@ def test_files(finished):
         rows = list(csv.DictReader(file))
     assert len(rows) == len(result.rows)
     assert {row["scene"] for row in rows} == {"cam", "disk_roll"}
-    assert [float(row["error"]) for row in rows] == [row.error for row in result.rows]
+    np.testing.assert_array_equal([float(row["error"]) for row in rows], [row.error for row in result.rows])
     for name in ("cam", "disk_roll"):
         assert 1_000 < (folder / f"work_precision_{name}.png").stat().st_size < 60_000
 

@@ -206,7 +206,7 @@ def error_norm(table, last):
     return step * first / math.sqrt((first + 0.01 * second) * count)
 
 
-@entry_kernel(TABLE)
+@entry_kernel(TABLE, aside=True)
 def load_state(table):
     """Hand over STAGE_STATE to Pinocchio and the location solver."""
     hand_over(table, reals(table[STAGE_STATE], integers(table[SIZES], 8)[NY]))
@@ -242,7 +242,7 @@ def correct_state(table, with_position, with_velocity):
         v[k] = state[nq + k]
 
 
-@entry_kernel(TABLE)
+@entry_kernel(TABLE, aside=True)
 def move_charts(table):
     """Move the location parameters in STATE to better charts; returns how many contours changed theirs."""
     sizes = integers(table[SIZES], 8)

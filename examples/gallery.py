@@ -2,7 +2,7 @@
 
 Needs Chromium (or Chrome) and Pillow, which Matplotlib brings; examples whose robots are not installed are left out.
 
-    python examples/gallery.py [FOLDER]      # docs/figures by default
+    python examples/gallery.py [FOLDER]      # pincontact/docs/figures by default
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-FIGURES = HERE.parent / "docs" / "figures"
+FIGURES = HERE.parent / "pincontact" / "docs" / "figures"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 FLAGS = (
     "--headless",

@@ -11,7 +11,8 @@ import pytest
 import pincontact as pc
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+DOCS = ROOT / "pincontact" / "docs"
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
 
 
 def scripts(name):
@@ -39,9 +40,9 @@ def test_scripts_of_the_readme(index, tmp_path, monkeypatch):
         np.testing.assert_allclose(names["table"].column("rolls_after"), expected, rtol=1e-7)
 
 
-@pytest.mark.parametrize("index", range(len(scripts("docs/contours.md"))))
+@pytest.mark.parametrize("index", range(len(scripts("pincontact/docs/contours.md"))))
 def test_scripts_about_contours(index, tmp_path, monkeypatch):
-    names = result_of(scripts("docs/contours.md")[index], tmp_path, monkeypatch)
+    names = result_of(scripts("pincontact/docs/contours.md")[index], tmp_path, monkeypatch)
     assert any(isinstance(value, pc.Contour) for value in names.values()) or "Catenary" in names
 
 
@@ -54,7 +55,7 @@ def test_public_names_are_listed():
 def test_paper_table_names_what_is_there():
     """Every module, function and test in the tables of `paper.md` and of the README's section about the paper."""
     readme = re.search(r"## The paper(.*?)\n## ", DOCUMENTS[0].read_text(encoding="utf-8"), re.DOTALL)[1]
-    lines = [*(ROOT / "docs" / "paper.md").read_text(encoding="utf-8").splitlines(), *readme.splitlines()]
+    lines = [*(DOCS / "paper.md").read_text(encoding="utf-8").splitlines(), *readme.splitlines()]
     checked = 0
     for line in lines:
         for file, names in re.findall(r"`((?!test_)[\w/]+\.py)`(?:: ((?:`\w+`(?:, )?)+))?", line):

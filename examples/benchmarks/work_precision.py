@@ -44,7 +44,7 @@ from peers.with_pincontact import ENGINE as OURS  # noqa: E402
 from peers.with_pincontact import consistent, reference  # noqa: E402
 
 ROOT = HERE.parents[1]
-FIGURES = ROOT / "docs" / "figures"
+FIGURES = ROOT / "pincontact" / "docs" / "figures"
 MARKS = ("<!-- work-precision: begin -->", "<!-- work-precision: end -->")
 LEVELS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
 # a peer that hangs must not hang the benchmark; what it had done by then is kept
@@ -343,7 +343,7 @@ def section(result: Result) -> str:
             cells.append(f"{left}, {f'{milliseconds(best.seconds)} {best.engine}' if best else '–'}")
         lines.append(f"| {problem.title} ({problem.duration:g} s) | " + " | ".join(cells) + " |")
     lines += ["", "| | |", "|---|---|"]
-    pictures = [f"![{p.title}](docs/figures/work_precision_{n}.png)" for n, p in result.problems.items()]
+    pictures = [f"![{p.title}](pincontact/docs/figures/work_precision_{n}.png)" for n, p in result.problems.items()]
     pictures += [""] * (len(pictures) % 2)
     lines += [f"| {a} | {b} |" for a, b in zip(pictures[::2], pictures[1::2])]
     lines += ["", *_paragraph("Where a peer wins: " + _where_peers_win(result))]

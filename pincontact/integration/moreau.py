@@ -26,7 +26,6 @@ from ..layout import (
     FRICTION_MARGIN,
     FROZEN,
     GUARD_END,
-    HAS_REFERENCE,
     LOCATION_FAILED,
     MODE,
     MU,
@@ -160,8 +159,6 @@ class MoreauStep:
         self._solutions: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._loaded = -1
         self._charted = system.charted
-        # contacts that stick since the last step
-        self.came_to_rest: list[int] = []
 
     # ---------------------------------------------------------------- start
 
@@ -328,22 +325,22 @@ class MoreauStep:
     def modes_of_output(self, t: float) -> Iterator[None]:
         """Modes that hold at the end of the step, for what is recorded of it.
 
-        A contact that the step has brought to rest may be about to slip on, the other way: held at rest there, its
+        A contact at rest may be about to slip, or have come to rest only to slip on, the other way: held there, its
         force would lie outside its cone. It slips with the force that friction has in the direction it takes.
         """
         system = self.system
-        fresh = [c for c in self.came_to_rest if system.contact_int[c, MODE] == STICK]
+        held = [c for c in system.closed() if system.contact_int[c, MODE] == STICK]
         kept = None
-        if fresh and system.evaluate(t) <= EVENT:
+        if held and (system.contact_real[held, MU] < math.inf).any() and system.evaluate(t) <= EVENT:
             modes = ModeSolver(system)
-            if (system.margins[fresh, FRICTION_MARGIN] < -modes.force_round_off()).any():
+            if (system.margins[held, FRICTION_MARGIN] < -modes.force_round_off()).any():
                 kept = system.contact_int.copy(), system.contact_real.copy()
-                if modes.decide(t, fresh, system.evaluate).status > EVENT:
+                if modes.decide(t, held, system.evaluate).status > EVENT:
                     system.contact_int[:], system.contact_real[:] = kept
         yield
         if kept is not None:
+            # a choice of redundant forces stays: it serves the next output, too
             system.contact_int[:], system.contact_real[:] = kept
-            system.scalars[HAS_REFERENCE] = 0.0
 
     def describe(self, status: int, t: float) -> Stop:
         """The Stop for a failed status, naming the contact and the number."""
@@ -453,7 +450,6 @@ class MoreauDriver:
         """Make the attempted step the state, and report what happened to the contacts in it."""
         step, names = self.step, [c.name for c in self.system.contacts]
         found: list[tuple[float, str, str]] = []
-        step.came_to_rest.clear()
         for c, name in enumerate(names):
             before, after = int(step.start_mode[c]), int(self.system.contact_int[c, MODE])
             if step.touch_time[c] >= 0.0:
@@ -464,8 +460,6 @@ class MoreauDriver:
                 found.append((t_new, name, "slip"))
             elif before == SLIPPING and after == STICK:
                 found.append((t_new, name, "stick"))
-            if after == STICK and before != STICK:
-                step.came_to_rest.append(c)
         for when, name, kind in sorted(found, key=lambda entry: entry[0]):
             self._announce(when, name, kind)
         step.accept(t_new)

@@ -55,6 +55,8 @@ SLOTS = (
     "state",  # (ny,) at the start of the step: q, v, location, quadratures
     "stage_state",  # (ny,)
     "new_state",  # (ny,)
+    "next_state",  # (ny,) start of the next step, and its slope, while outputs of this one are written
+    "next_slope",  # (ny,)
     "slopes",  # (stages, ny)
     "coefficients",  # (stages, stages)
     "nodes",  # (stages,)
@@ -136,6 +138,8 @@ SLOTS = (
     STATE,
     STAGE_STATE,
     NEW_STATE,
+    NEXT_STATE,
+    NEXT_SLOPE,
     SLOPES,
     COEFFICIENTS,
     NODES,
@@ -220,8 +224,8 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 # contact_real; MU is the coefficient as slip starts, MU_FAST that of fast slip, MU_NOW that of the last evaluation;
 # coefficients of two directions are along the first, times ASPECT across it.
 # DOMAIN is the distance of the location from the nearest end of its domain, negative outside;
-# LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart; START_SPEED and
-# _RATE are those of 3D slip there, infinite where there is none.
+# LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart, NEXT_NORMAL that of the
+# state about to be accepted; START_SPEED and _RATE are those of 3D slip there, infinite where there is none.
 # A frozen slip direction is DIRECTION + p(s) ACROSS with p of the coefficients POLYNOMIAL.. in s = (t - START) / SPAN;
 # vectors in world axes.
 (
@@ -248,6 +252,9 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     LAST_NORMAL_X,
     LAST_NORMAL_Y,
     LAST_NORMAL_Z,
+    NEXT_NORMAL_X,
+    NEXT_NORMAL_Y,
+    NEXT_NORMAL_Z,
     START_SPEED,
     START_RATE,
     START_TOLERANCE,
@@ -260,7 +267,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(35)
+) = range(38)
 POLYNOMIAL_SIZE = 5
 # from START on
 FROZEN_COLUMNS = 8 + POLYNOMIAL_SIZE

@@ -110,6 +110,7 @@ class Memory:
         self._arrays: dict[str, np.ndarray] = {}
         # new arrays are cut from one: a fraction of the time of making each
         self._piece = np.zeros(0)
+        self._pieces: list[np.ndarray] = []
         self._address = self._cut_off = 0
 
     def put(self, name: str, array: np.ndarray) -> np.ndarray:
@@ -131,11 +132,32 @@ class Memory:
         start = self._cut_off
         if start + room > self._piece.size:
             self._piece, start = np.zeros(max(room, _CHUNK)), 0
+            self._pieces.append(self._piece)
             self._address = address_of(self._piece)
         self._cut_off = start + room
         array = self._arrays[name] = np.ndarray(shape, kind, self._piece, 8 * start)
         self.table[self._slots[name]] = self._address + 8 * start
         return array
+
+    def keep(self) -> None:
+        """Remember all there is now, for `restore`."""
+        self._kept = (
+            [(piece, piece.copy()) for piece in self._pieces],
+            self.table.copy(),
+            dict(self._arrays),
+            self._address,
+            self._cut_off,
+        )
+
+    def restore(self) -> None:
+        """Make everything what it was at `keep`, bit by bit: arrays made since are gone, those put here stay theirs."""
+        pieces, table, arrays, self._address, self._cut_off = self._kept
+        for piece, values in pieces:
+            np.copyto(piece, values)
+        self._pieces = [piece for piece, _ in pieces]
+        self._piece = self._pieces[-1]
+        self.table[:] = table
+        self._arrays = dict(arrays)
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self._arrays[name]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .arguments import NOT_REAL, is_number, real_array
-from .dynamics.joints import check_guards, joint_guards
-from .dynamics.system import System
+from .dynamics.joints import check_guards
+from .dynamics.spare import put_back, take_spare
 from .errors import ArgumentError, ContactError, FrictionError
 from .integration.driver import Driver, Options
 from .integration.events import UserEvent
@@ -24,6 +24,9 @@ from .layout import CLOSED_COUNT, DRIVES_EVALUATED, EVALUATION_COUNT, NEWTON_COU
 from .scene import Scene
 from .state import State, check_state, write_discrete
 from .trajectory import Record, Trajectory
+
+if TYPE_CHECKING:
+    from .dynamics.system import System
 
 # Steps are counted in integers of 64 bits.
 _MOST_STEPS = 10**18
@@ -88,11 +91,11 @@ def simulate(
     compile_kernels()
     began = time.perf_counter()
     contacts = list(scene.contacts.values())
-    guards = joint_guards(scene.model)
+    spare = take_spare(scene, energies)
+    system = spare.system
     if pair is not None:
         # time stepping brings what is beyond its limits back
-        check_guards(guards, state.q)
-    system = System(scene.model, contacts, works=energies, guards=guards)
+        check_guards(system.guards, state.q)
     write_discrete(system, state.discrete)
     end = system.nq + system.nv
     system.state[: system.nq], system.state[system.nq : end] = state.q, state.v
@@ -106,11 +109,14 @@ def simulate(
             raise Stop(CONTROL_FAILED, torque.failure)
 
     if pair is None:
-        return _simulate_moreau(
+        run = _simulate_moreau(
             scene, state, duration, step, system, users, times, max_steps, torque, failed_control, progress, began
         )
+        if run.success:
+            put_back(scene, spare)
+        return run
     rk = RungeKutta(system, pair, rtol, atol, torque)
-    record = Record(system, with_torques=control is not None or bool(guards))
+    record = Record(system, with_torques=control is not None or system.ng > 0)
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration, failed_control)
     options = Options(times, max_step, max_steps, fixed_step, first_step)
     with _Bar(progress, state.t, duration) as bar:
@@ -133,7 +139,10 @@ def simulate(
         "redistributions": modes.redistributions,
         "wall_time": time.perf_counter() - began,
     }
-    return Trajectory.from_record(scene, record, transitions.events, code, message, stats)
+    run = Trajectory.from_record(scene, record, transitions.events, code, message, stats)
+    if run.success:
+        put_back(scene, spare)
+    return run
 
 
 def _simulate_moreau(
@@ -249,9 +258,9 @@ def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray |
         raise ArgumentError("t_eval has entries that are not finite")
     if times.size and (times.min() < t - slack or times.max() > t + duration + slack):
         raise ArgumentError(f"t_eval must lie in [{t}, {t + duration}], got [{times.min()}, {times.max()}]")
-    if (np.diff(times) < 0.0).any():
+    if (times[1:] < times[:-1]).any():
         raise ArgumentError("t_eval must not decrease")
-    return np.clip(times, t, t + duration)
+    return np.minimum(np.maximum(times, t), t + duration)
 
 
 class _Torque:

@@ -89,14 +89,15 @@ class State:
 
 _DISCRETE = (MODE, None, None, SIDE, BRANCH, DETERMINANT_SIGN, SLIP_SIGN, NORMAL_SIGN, FROZEN)
 DISCRETE_COLUMNS = len(_DISCRETE)
+# columns of the discrete part that are a contact's integers, and which
+_OWN = [column for column, source in enumerate(_DISCRETE) if source is not None]
+_SOURCES = [source for source in _DISCRETE if source is not None]
 
 
 def discrete_part(contact_int: np.ndarray, charts: np.ndarray) -> np.ndarray:
     """(..., nc, DISCRETE_COLUMNS) the discrete part of contacts, given their integers and charts (..., nc, 2)."""
     out = np.zeros((*charts.shape[:-1], DISCRETE_COLUMNS), dtype=np.int64)
-    for column, source in enumerate(_DISCRETE):
-        if source is not None:
-            out[..., column] = contact_int[..., source]
+    out[..., _OWN] = contact_int[..., _SOURCES]
     out[..., 1:3] = charts
     return out
 
@@ -108,9 +109,7 @@ def read_discrete(system: System) -> np.ndarray:
 
 def write_discrete(system: System, discrete: np.ndarray) -> None:
     """Set the discrete part of a system's contacts."""
-    for column, source in enumerate(_DISCRETE):
-        if source is not None:
-            system.contact_int[: system.nc, source] = discrete[:, column]
+    system.contact_int[: system.nc, _SOURCES] = discrete[:, _OWN]
     system.side_int[0 : 2 * system.nc : 2, CHART] = discrete[:, 1]
     system.side_int[1 : 2 * system.nc : 2, CHART] = discrete[:, 2]
 
@@ -175,7 +174,8 @@ def check_configuration(model: pin.Model, q: ArrayLike) -> np.ndarray:
         if size == 0:
             continue
         start = iq + {1: 3, 4: 2}.get(_kind, 0)
-        norm = float(np.linalg.norm(array[start : start + size]))
+        part = array[start : start + size]
+        norm = math.sqrt(part.dot(part))
         if abs(norm - 1.0) > _NORM_TOLERANCE:
             what = "quaternion (x, y, z, w)" if size == 4 else "(cos, sin) pair"
             raise StateError(

@@ -57,8 +57,9 @@ class Record:
         # t, q, v, tau, works, location, frozen directions' columns, redundant forces chosen
         self._widths = (1, nq, nv, nv, int(system.sizes[NWORK]), 4 * nc, FROZEN_COLUMNS * nc, 3 * nc)
         system.counters[ROW_WIDTH] = width = sum(self._widths)
-        self._reals = system.memory.reals("recorded_reals", BLOCK, width)
-        self._integers = system.memory.integers("recorded_integers", BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT)
+        whole = np.empty((BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT), dtype=np.int64)
+        self._reals = system.memory.put("recorded_reals", np.empty((BLOCK, width)))
+        self._integers = system.memory.put("recorded_integers", whole)
         self._blocks: list[tuple[np.ndarray, np.ndarray]] = []
         self._resistances: list[np.ndarray] = []
 
@@ -88,10 +89,14 @@ class Record:
         """All rows: [t, q, v, tau, works, location, frozen columns, redundant forces]; contacts' integers."""
         self.flush(always=True)
         nc = self.system.nc
-        values = np.concatenate([block[0] for block in self._blocks] or [self._reals[:0]])
-        integers = np.concatenate([block[1] for block in self._blocks] or [self._integers[:0]])
-        n = len(values)
-        parts = [part.copy() for part in np.split(values, np.cumsum(self._widths)[:-1], axis=1)]
+        blocks = self._blocks or [(self._reals[:0].copy(), self._integers[:0].copy())]
+        values = blocks[0][0] if len(blocks) == 1 else np.concatenate([block[0] for block in blocks])
+        integers = blocks[0][1] if len(blocks) == 1 else np.concatenate([block[1] for block in blocks])
+        n, at = len(values), 0
+        parts = []
+        for width in self._widths:
+            parts.append(values[:, at : at + width].copy())
+            at += width
         parts[0] = parts[0].ravel()
         parts[5] = parts[5].reshape(n, nc, 4)
         parts[6] = parts[6].reshape(n, nc, FROZEN_COLUMNS)
@@ -242,7 +247,7 @@ class Trajectory:
             status,
             message,
             stats,
-            {int(i): references[i] for i in np.flatnonzero(references.any(axis=(1, 2)))},
+            {int(i): references[i] for i in np.flatnonzero(references.any(axis=(1, 2)))} if references.any() else {},
         )
 
     @property

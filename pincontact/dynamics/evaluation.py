@@ -130,12 +130,16 @@ from ..memory import cube, integer_matrix, integers, matrix, reals
 from .equations import add_viscous_loads, contact_dynamics, guard_force, list_rows, whiten_rows
 from .linear import factorize_tree, solve_gram, unwhiten, whiten
 
+# What an evaluation may be confined to.
+KINEMATICS_OF_ALL, KINEMATICS_OF_CLOSED = 1, 2
+
 
 @entry_kernel(INTEGER, REAL, INTEGER)
 def evaluate_state(table_address, time, only_kinematics):
     """Pinocchio's terms and one evaluation at (q, v); a status of `layout`.
 
-    only_kinematics: locations, rows and biases of all contacts, open ones too, and no forces.
+    only_kinematics: KINEMATICS_OF_ALL for locations, rows and biases of all contacts, open ones too, and no forces;
+    KINEMATICS_OF_CLOSED for those of closed contacts; 0 for everything.
     """
     table = integers(table_address, TABLE_SIZE)
     counters, callback = integers(table[COUNTERS], COUNTERS_SIZE), integers(table[CALLBACK], CALLBACK_SIZE)
@@ -146,7 +150,7 @@ def evaluate_state(table_address, time, only_kinematics):
     if more != 0 and not call_python(more, callback[CALLED_NEXT_WITH], callback[CALL_FAILED]):
         return NOT_FINITE
     counters[EVALUATION_COUNT] += 1
-    status = evaluate_contacts(table, time, only_kinematics != 0)
+    status = evaluate_contacts(table, time, only_kinematics == KINEMATICS_OF_ALL)
     if status != OK or only_kinematics != 0:
         return status
     return evaluate_dynamics(table, time)

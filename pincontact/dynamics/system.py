@@ -149,6 +149,8 @@ class System:
         self._map_contacts(guards)
         self._allocate(max(nc + self.ng, 1), nv, ny)
         self._map_guards(guards)
+        self._callback: Any = None
+        self._plain_callback: Any = None
         self.before_evaluation()
         self.counters[CHARTED] = any(b.contour.kind in CHARTED_KINDS for c in self.contacts for b in (c.body1, c.body2))
 
@@ -198,6 +200,8 @@ class System:
             numbers[NORMAL_1] = numbers[SPAN] = 1.0
             self._map_side(2 * c, one)
             self._map_side(2 * c + 1, two)
+        # (nc, 4) which location parameters the contours do not have
+        self.unused_parameters = np.tile(np.arange(2), 2) >= np.repeat(self.contact_int[: self.nc, [K1, K2]], 2, axis=1)
 
     def _map_side(self, side: int, attached: AttachedContour) -> None:
         contour, integers = attached.contour, self.side_int[side]
@@ -255,6 +259,8 @@ class System:
         self.state = memory.reals("state", ny)
         self.stage_state = memory.reals("stage_state", ny)
         self.new_state = memory.reals("new_state", ny)
+        memory.reals("next_state", ny)
+        memory.reals("next_slope", ny)
         self.slopes = memory.reals("slopes", MAX_STAGES, ny)
         self.coefficients = memory.reals("coefficients", MAX_STAGES, MAX_STAGES)
         self.nodes = memory.reals("nodes", MAX_STAGES)
@@ -296,8 +302,12 @@ class System:
         torque(t): fills `tau` for (t, q, v), False where it fails.
         """
         self.callback_error: BaseException | None = None
+        if torque is None and self._callback is self._plain_callback is not None:
+            return
         calls = self.algorithms
-        if torque is not None or self.python_drives:
+        if torque is None and self._plain_callback is not None:
+            calls = self._plain_callback
+        elif torque is not None or self.python_drives:
 
             def function() -> bool:
                 try:
@@ -317,6 +327,9 @@ class System:
             calls = [(function, ())]
         # kept alive here: the kernels know the addresses only
         self._callback = calls
+        if torque is None:
+            # what is called without a function stays the same, and so do the addresses in a copy of the memory
+            self._plain_callback = calls
         addresses = [id(thing) for call in calls for thing in call]
         callback = self.memory.integers("callback", CALLBACK_SIZE)
         callback[[CALLED, CALLED_WITH]] = addresses[:2]

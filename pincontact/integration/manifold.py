@@ -7,6 +7,7 @@ and normalised when a configuration is handed to Pinocchio and at the end of eve
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import pinocchio as pin
 
@@ -23,11 +24,24 @@ _BLOCKS = {
 }
 
 
-def configuration_blocks(model: pin.Model) -> list[tuple[int, int, int, int]]:
+# (copy of a model, its blocks): asking a model for its joints costs far more than comparing it with a copy.
+_known: deque[tuple[pin.Model, tuple[tuple[int, int, int, int], ...]]] = deque(maxlen=4)
+
+
+def configuration_blocks(model: pin.Model) -> tuple[tuple[int, int, int, int], ...]:
     """(kind, index in q, index in v, coordinates) of every block; neighbouring vector blocks are merged.
 
     Raises ModelError for a joint whose configuration space is not known.
     """
+    for seen, blocks in tuple(_known):
+        if model == seen:
+            return blocks
+    blocks = tuple(_find_blocks(model))
+    _known.appendleft((model.copy(), blocks))
+    return blocks
+
+
+def _find_blocks(model: pin.Model) -> list[tuple[int, int, int, int]]:
     blocks: list[tuple[int, int, int, int]] = []
 
     def add(joint: object, idx_q: int, idx_v: int) -> None:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from ..layout import (
     ALARM,
@@ -18,17 +15,18 @@ from ..layout import (
     EVALUATION_COUNT,
     EVENT,
     EXTRA_STAGES,
-    K1,
-    K2,
+    NEXT_STEP,
     NSTAGES,
     OK,
 )
 from .dense import Interpolant
 from .stages import load_state
-from .steps import ACCEPT, ATTEMPT, FINISH_STEP, INTERPOLATION_STAGES, START, run_task
+from .steps import ACCEPT, ATTEMPT, FINISH_STEP, FIRST_STEP, INTERPOLATION_STAGES, START, run_task
 from .tableaux import Tableau
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from ..dynamics.system import System
 
 # Margin on the depth of a parabola's dip between two stages.
@@ -48,29 +46,24 @@ class RungeKutta:
     def __init__(self, system: System, method: Tableau, rtol: float, atol: float, torque: Torque | None) -> None:
         self.system, self.method = system, method
         system.before_evaluation(torque)
-        n = method.c.size
-        system.coefficients[:] = 0.0
-        system.coefficients[:n, :n] = method.a
-        system.nodes[:] = 0.0
-        system.nodes[:n] = method.c
-        system.weights_error[:] = 0.0
-        system.weights_error[:, :n] = method.errors
+        (
+            system.coefficients[:],
+            system.nodes[:],
+            system.weights_error[:],
+            system.dense_weights[:],
+        ) = method.tables
         system.sizes[NSTAGES] = method.stages
         system.counters[ESTIMATE_AFTER], system.counters[EXTRA_STAGES] = method.estimate_after, method.extra
         system.scalars[ERROR_ORDER] = method.error_order
         system.counters[DENSE_NESTED] = method.nested
-        rows, columns = method.dense.shape
-        system.dense_weights[:] = 0.0
-        system.dense_weights[:rows, : columns - 1] = method.dense[:, :-1]
-        system.dense_weights[:rows, -1] = method.dense[:, -1]
-        nodes = np.unique(method.c[: method.stages + 1])
-        system.scalars[DIP] = _DIP * float(np.diff(nodes).max()) ** 2
+        system.scalars[DIP] = _DIP * method.widest**2
         system.scale[:] = rtol, atol
         system.absolute[:] = atol
-        start = system.nq + system.nv
-        for c in range(system.nc):
-            for body, k in enumerate((system.contact_int[c, K1], system.contact_int[c, K2])):
-                system.absolute[start + 4 * c + 2 * body + k : start + 4 * c + 2 * body + 2] = 0.0
+        if system.nc:
+            # parameters that a contour does not have
+            start = system.nq + system.nv
+            location = system.absolute[start : start + 4 * system.nc].reshape(-1, 4)
+            location[system.unused_parameters] = 0.0
 
     @property
     def evaluations(self) -> int:
@@ -123,16 +116,6 @@ class RungeKutta:
         run_task(self.system.table, ACCEPT, 0.0, 0.0)
 
     def first_step(self, t: float, span: float) -> float:
-        """A cautious first step from the sizes of the state and its slope (Hairer, Norsett, Wanner, Sec. II.4)."""
-        system = self.system
-        used = system.absolute > 0.0
-        scale = system.absolute[used] + system.scale[0] * np.abs(system.state[used])
-        if not used.any():
-            return span
-        with np.errstate(over="ignore"):
-            size = math.sqrt(np.mean((system.state[used] / scale) ** 2))
-            slope = math.sqrt(np.mean((system.slopes[0][used] / scale) ** 2))
-        # sizes that overflow leave nothing to go by
-        cautious = size < 1e-5 or slope < 1e-5 or not (math.isfinite(size) and math.isfinite(slope))
-        h = 1e-6 if cautious else 0.01 * size / slope
-        return min(h, span)
+        """Size of the first step from the state at t, at most span; one evaluation."""
+        run_task(self.system.table, FIRST_STEP, t, span)
+        return float(self.system.scalars[NEXT_STEP])

@@ -140,6 +140,8 @@ def frozen_directions(integers: np.ndarray, columns: np.ndarray, t: np.ndarray) 
     t (n,) in s.
     """
     out = np.zeros((*columns.shape[:2], 3))
+    if not integers[:, :, FROZEN].any():
+        return out
     for row, c in np.argwhere(integers[:, :, FROZEN] != 0):
         numbers = np.zeros(CONTACT_REALS)
         numbers[START : START + FROZEN_COLUMNS] = columns[row, c]

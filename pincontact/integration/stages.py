@@ -215,31 +215,39 @@ def load_state(table):
 @kernel
 def correct_state(table, with_position, with_velocity):
     """Apply the last corrections to STAGE_STATE: v first (its rows belong to the old q), then q; take the location
-    found, moved along with q."""
+    found, moved along with q. Returns the largest change of q and v in tolerances.
+    """
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
     state = reals(table[STAGE_STATE], sizes[NY])
+    absolute, relative = reals(table[ABSOLUTE], sizes[NY]), reals(table[SCALE], 2)[0]
+    change = 0.0
     location = reals(table[LOCATION], 4 * nc)
     for k in range(4 * nc):
         state[nq + nv + k] = location[k]
     if with_velocity != 0:
         correction = reals(table[CORRECTION_V], nv)
         for k in range(nv):
+            change = max(change, abs(correction[k]) / (absolute[nq + k] + relative * abs(state[nq + k])))
             state[nq + k] += correction[k]
     q = reals(table[Q], nq)
     if with_position != 0:
+        moved = matrix(table[SLOPES], MAX_STAGES, sizes[NY])[MAX_STAGES - 1]
         move(
             integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4),
             q,
             reals(table[CORRECTION_Q], nv),
-            matrix(table[SLOPES], MAX_STAGES, sizes[NY])[MAX_STAGES - 1],
+            moved,
             q,
         )
+        for i in range(nq):
+            change = max(change, abs(moved[i]) / (absolute[i] + relative * abs(state[i])))
     for i in range(nq):
         state[i] = q[i]
     v = reals(table[V], nv)
     for k in range(nv):
         v[k] = state[nq + k]
+    return change
 
 
 @entry_kernel(TABLE, aside=True)

@@ -10,10 +10,11 @@ import math
 
 from ..callback import call_kernel
 from ..dynamics.equations import slip_direction
-from ..dynamics.evaluation import contact_corrections
+from ..dynamics.evaluation import KINEMATICS_OF_ALL, KINEMATICS_OF_CLOSED, contact_corrections
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
 from ..layout import (
+    ABSOLUTE,
     ACROSS,
     ALARM,
     ATTEMPT_LIMIT,
@@ -57,7 +58,10 @@ from ..layout import (
     MU,
     NC,
     NEW_STATE,
+    NEXT_NORMAL_X,
     NEXT_OUTPUT,
+    NEXT_SLOPE,
+    NEXT_STATE,
     NEXT_STEP,
     NEXT_TIME,
     NODES,
@@ -120,7 +124,8 @@ from .stages import MAX_STAGES, build_state, correct_state, error_norm, fill_slo
     MARCH_ONE_ATTEMPT,
     SETTLE,
     ACROSS_SLIP,
-) = range(16)
+    FIRST_STEP,
+) = range(17)
 
 # What MARCH comes back with.
 MARCHING, STEPPED, ATTEMPTED, SLIP_ENDS, STEP_FAILED, PROJECTION_FAILED, AT_FLOOR, AT_LIMIT = range(8)
@@ -138,6 +143,11 @@ _LARGEST_FACTOR = 10.0
 # twelfth at 1e-6, than with the present error alone and a safety of 0.9.
 _PRESENT, _PAST = 0.76, 0.24
 _SMALLEST_LAST_ERROR = 1e-2
+# Sizes of the state and its slope, in tolerances, below which they tell nothing of the first step, and what it is then;
+# safety of the first step: a longer one costs a rejection, a shorter one next to nothing.
+_SMALL_SIZE = 1e-5
+_SMALL_STEP = 1e-6
+_FIRST_FRACTION = 0.5
 # After a rejection by a failed evaluation the step shrinks by this factor.
 _FAILED_FACTOR = 0.25
 # A remainder of the interval below this fraction of the step is added to it.
@@ -155,6 +165,10 @@ _ESCAPE = 2.0
 _SMALLEST_STOP_SPEED = 1e-13
 
 _PROJECTIONS = 12
+# What a state is projected for.
+TO_KEEP, TO_STEP_ON, TO_SHOW = range(3)
+# Changes of q and v by less than this part of the tolerance leave accelerations what they are.
+_CLOSE = 1e-2
 # A change of q below this needs no further evaluation: what it leaves in gaps and v_c is quadratic, or below round-off.
 _NEGLIGIBLE = 1e-14
 # Residual (m, and m/s relative to the speeds) below which nothing is corrected.
@@ -168,9 +182,9 @@ _SETTLEMENTS = 6
 
 @kernel
 def evaluate(table, time, only_kinematics):
-    """Pinocchio's terms and one evaluation at (q, v), by a kernel of its own; a status of `layout`."""
+    """Pinocchio's terms and one evaluation at (q, v), by a kernel of its own; arguments and status are its."""
     callback = integers(table[CALLBACK], CALLBACK_SIZE)
-    return call_kernel(callback[EVALUATION], callback[OWN_TABLE], time, 1 if only_kinematics else 0)
+    return call_kernel(callback[EVALUATION], callback[OWN_TABLE], time, only_kinematics)
 
 
 @kernel
@@ -195,7 +209,7 @@ def _stages(table, t, h, first, last, adaptive):
             break
         if s == first or s > end:
             build_state(table, s)
-        status = evaluate(table, t + nodes[s] * h, False)
+        status = evaluate(table, t + nodes[s] * h, 0)
         if status > EVENT:
             return status
         if status == EVENT:
@@ -233,35 +247,42 @@ def attempt(table, t, h, adaptive):
 
 
 @kernel
-def project(table, t, evaluated):
+def project(table, t, evaluated, purpose):
     """Put (q, v) and the location of STAGE_STATE on the constraints, in the mass metric; a status.
 
     No gain to tune and no drift: Newton's iteration on the gaps with the factors of the last evaluation, and the exact
     linear projection of the velocity. The order of the integrator is kept, since the correction is of the size of its
-    local error. Afterwards the accelerations are those of a state that differs by no more than round-off.
+    local error. Afterwards the accelerations are those of a state that differs by next to nothing.
     evaluated: the system has just been evaluated at that state, which saves one evaluation.
+    purpose: TO_STEP_ON leaves constraints that are off by the square of a small part of the tolerance, and TO_SHOW the
+    accelerations of another state; TO_KEEP is for states that are both shown and gone on from.
     """
     sizes, scalars = integers(table[SIZES], 8), reals(table[SCALARS], SCALARS_SIZE)
-    if sizes[NC] + integers(table[GUARD_COUNT], 1)[0] == 0:
+    guarded = integers(table[GUARD_COUNT], 1)[0]
+    if sizes[NC] + guarded == 0:
         return OK
     q = reals(table[Q], sizes[NQ])
+    # forces on guarded joints are shown with the state
+    part = KINEMATICS_OF_CLOSED if purpose == TO_SHOW and guarded == 0 else 0
     for i in range(_PROJECTIONS):
         if i > 0 or not evaluated:
-            status = evaluate(table, t, False)
+            status = evaluate(table, t, part)
             if status > EVENT:
                 return status
         count = contact_corrections(table, 1, 1)
         if count == 0 or (scalars[GAP_RESIDUAL] <= _ROUND_OFF and scalars[VELOCITY_RESIDUAL] <= _ROUND_OFF):
             correct_state(table, 0, 0)
             return OK
-        correct_state(table, 1, 1)
+        close = correct_state(table, 1, 1) <= _CLOSE
         size, largest = scalars[CORRECTION_SIZE], 1.0
         for k in range(sizes[NQ]):
             largest = max(largest, abs(q[k]))
-        if size <= _NEGLIGIBLE * largest:
+        if size <= _NEGLIGIBLE * largest or (close and purpose == TO_STEP_ON):
             return OK
         if not size < _LARGEST_CORRECTION:
             break
+        if close and guarded == 0:
+            part = KINEMATICS_OF_CLOSED
     return OK if scalars[GAP_RESIDUAL] < _PROJECTED_GAP else LOCATION_FAILED
 
 
@@ -303,7 +324,7 @@ def across_slip(table, t, h):
         if share == 0.0:
             break
         _interpolated(table, share)
-        status = evaluate(table, t + share * h, True)
+        status = evaluate(table, t + share * h, KINEMATICS_OF_ALL)
         if status > EVENT:
             return status
         for c in range(nc):
@@ -336,7 +357,7 @@ def write_outputs(table, until, inclusive):
             return BLOCK_FULL
         t = scalars[NEXT_OUTPUT]
         _interpolated(table, (t - scalars[DENSE_START]) / scalars[DENSE_STEP])
-        status = project(table, t, False)
+        status = project(table, t, False, TO_SHOW)
         if status != OK:
             return status
         record_row(table, t)
@@ -351,7 +372,7 @@ def settle(table, t):
     For a method that needs no accelerations; open contacts are evaluated too.
     """
     for _ in range(_SETTLEMENTS):
-        status = evaluate(table, t, True)
+        status = evaluate(table, t, KINEMATICS_OF_ALL)
         if status != OK:
             return status
         contact_corrections(table, 1, 1)
@@ -379,7 +400,7 @@ def start(table, t):
     for i in range(ny):
         stage_state[i] = state[i]
     hand_over(table, stage_state)
-    status = evaluate(table, t, False)
+    status = evaluate(table, t, 0)
     if status <= EVENT:
         _slope(table, 0)
     return status
@@ -387,25 +408,38 @@ def start(table, t):
 
 @kernel
 def finish_step(table, t):
-    """What follows every accepted state: better charts, and what the next step is held against.
+    """What follows every accepted state: better charts, and what the next step is held against; a status."""
+    status = _better_charts(table, t)
+    if status <= EVENT:
+        _note_end(table)
+        _begin_next(table)
+        status = OK
+    return status
 
-    That is each contact's normal, and the speed and rate of every 3D slip with the error that is allowed in it.
+
+@kernel
+def _better_charts(table, t):
+    """Other charts for STATE where there are better ones, and its slope in them; a status."""
+    if integers(table[COUNTERS], COUNTERS_SIZE)[CHARTED] != 0 and move_charts(table) > 0:
+        return start(table, t)
+    return OK
+
+
+@kernel
+def _note_end(table):
+    """From the last evaluation, that of STAGE_STATE, what the next step is held against: each contact's normal, and the
+    speed and rate of every 3D slip with the error that is allowed in it.
     """
-    sizes, scalars = integers(table[SIZES], 8), reals(table[SCALARS], SCALARS_SIZE)
-    counters = integers(table[COUNTERS], COUNTERS_SIZE)
-    if counters[CHARTED] != 0 and move_charts(table) > 0:
-        status = start(table, t)
-        if status > EVENT:
-            return status
+    sizes = integers(table[SIZES], 8)
     nc, nv = sizes[NC], sizes[NV]
     contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
     contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
     basis, rows = cube(table[BASIS], nc, 3, 3), cube(table[ROWS], nc, 3, nv)
-    v, tolerances = reals(table[STATE], sizes[NY])[sizes[NQ] :], reals(table[SCALE], 2)
+    v, tolerances = reals(table[STAGE_STATE], sizes[NY])[sizes[NQ] :], reals(table[SCALE], 2)
     for c in range(nc):
         integer, number = contact_int[c], contact_real[c]
         for i in range(3):
-            number[LAST_NORMAL_X + i] = basis[c, 2, i]
+            number[NEXT_NORMAL_X + i] = basis[c, 2, i]
         number[START_SPEED] = math.inf
         if integer[MODE] != SLIPPING or integer[TANGENTS] != 2 or integer[FROZEN] != 0 or not number[MU] > 0.0:
             continue
@@ -417,8 +451,43 @@ def finish_step(table, t):
                 value += abs(rows[c, row, k]) * (tolerances[1] + tolerances[0] * abs(v[k]))
             allowed = max(allowed, value)
         number[START_TOLERANCE] = allowed
-    _watch_slips(contact_real, nc, scalars, counters, True)
-    return OK
+
+
+@kernel
+def _begin_next(table):
+    """What was noted holds from here on."""
+    nc = integers(table[SIZES], 8)[NC]
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    for c in range(nc):
+        for i in range(3):
+            contact_real[c, LAST_NORMAL_X + i] = contact_real[c, NEXT_NORMAL_X + i]
+    _watch_slips(contact_real, nc, reals(table[SCALARS], SCALARS_SIZE), integers(table[COUNTERS], COUNTERS_SIZE), True)
+
+
+@kernel
+def _set_aside(table):
+    """Keep the end of a step, projected and evaluated, while outputs within the step are evaluated."""
+    ny = integers(table[SIZES], 8)[NY]
+    stage_state, next_state = reals(table[STAGE_STATE], ny), reals(table[NEXT_STATE], ny)
+    fill_slope(table, stage_state, reals(table[NEXT_SLOPE], ny))
+    for i in range(ny):
+        next_state[i] = stage_state[i]
+    _note_end(table)
+
+
+@kernel
+def _take_up(table, t):
+    """Go on from what was set aside; a status. The last evaluation is another one, unless charts were changed."""
+    ny = integers(table[SIZES], 8)[NY]
+    state, stage_state = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
+    slope = matrix(table[SLOPES], MAX_STAGES, ny)[0]
+    next_state, next_slope = reals(table[NEXT_STATE], ny), reals(table[NEXT_SLOPE], ny)
+    for i in range(ny):
+        state[i] = stage_state[i] = next_state[i]
+        slope[i] = next_slope[i]
+    hand_over(table, stage_state)
+    _begin_next(table)
+    return _better_charts(table, t)
 
 
 @kernel
@@ -468,6 +537,63 @@ def _next_step(h, error, last_error, order, rejected):
         return h * min(1.0, max(_SMALLEST_FACTOR, _SAFETY * error**-exponent))
     factor = _SAFETY * error ** (-_PRESENT * exponent) * max(last_error, _SMALLEST_LAST_ERROR) ** (_PAST * exponent)
     return h * min(_LARGEST_FACTOR, max(_SMALLEST_FACTOR, factor))
+
+
+@kernel
+def first_step(table, t, span):
+    """NEXT_STEP: the first step from STATE, from the sizes of the state, of its slope and of that one's rate, all in
+    tolerances; span: time in s that there is, and the step where nothing is controlled.
+
+    The rate comes from a small Euler step (Hairer, Norsett, Wanner, Sec. II.4). Their step (0.01 / size)^(1 / order)
+    has no unit of time, and is far too long for what turns fast; rate over slope has one, but is a guess at one
+    instant. The lesser of both is within a factor of three of what the control settles at.
+    """
+    sizes, scalars = integers(table[SIZES], 8), reals(table[SCALARS], SCALARS_SIZE)
+    ny, nc = sizes[NY], sizes[NC]
+    state, stage_state = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
+    slope, moved = matrix(table[SLOPES], MAX_STAGES, ny)[0], reals(table[NEXT_SLOPE], ny)
+    absolute, relative = reals(table[ABSOLUTE], ny), reals(table[SCALE], 2)[0]
+    scalars[NEXT_STEP] = span
+    for i in range(ny):
+        moved[i] = 0.0
+    size, rate = _distance(state, state, moved, absolute, relative), _distance(state, slope, moved, absolute, relative)
+    if size < 0.0:
+        return
+    # sizes that overflow leave nothing to go by
+    h = _SMALL_STEP
+    if _SMALL_SIZE <= size < math.inf and _SMALL_SIZE <= rate < math.inf:
+        h = min(0.01 * size / rate, span)
+        for i in range(ny):
+            stage_state[i] = state[i] + h * slope[i]
+        hand_over(table, stage_state)
+        if evaluate(table, t + h, 0) <= EVENT:
+            fill_slope(table, stage_state, moved)
+            change = _distance(state, slope, moved, absolute, relative) / h
+            exponent = 1.0 / (scalars[ERROR_ORDER] + 1.0)
+            longer = (0.01 / max(rate, change)) ** exponent
+            if change > 0.0:
+                longer = min(longer, (10.0 * change / rate / rate) ** exponent * rate / change)
+            if longer < math.inf:
+                h = max(h, _FIRST_FRACTION * longer)
+        hand_over(table, state)
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    for c in range(nc):
+        # slip that has just begun turns within the time that it has gone on
+        if contact_real[c, START_SPEED] < _FIRST_FRACTION * h * abs(contact_real[c, START_RATE]):
+            h = contact_real[c, START_SPEED] / (_FIRST_FRACTION * abs(contact_real[c, START_RATE]))
+    scalars[NEXT_STEP] = min(h, span)
+
+
+@kernel
+def _distance(state, a, b, absolute, relative):
+    """Root mean square of a - b over all controlled components, in the tolerances of the state; -1 without any."""
+    count, total = 0, 0.0
+    for i in range(state.shape[0]):
+        if absolute[i] > 0.0:
+            count += 1
+            value = (a[i] - b[i]) / (absolute[i] + relative * abs(state[i]))
+            total += value * value
+    return math.sqrt(total / count) if count > 0 else -1.0
 
 
 @kernel
@@ -525,6 +651,10 @@ def march(table, task):
         if task == MARCH_ONE_ATTEMPT or counters[ALARM] != 0:
             return ATTEMPTED
         inside = scalars[NEXT_OUTPUT] < t_new
+        # what is not shown may be a little off, and outputs within the step need not cost the end's evaluation
+        ahead = inside and task == MARCH and project(table, t_new, True, TO_STEP_ON) == OK
+        if ahead:
+            _set_aside(table)
         if inside:
             if interpolation(table, t, step) > EVENT or write_outputs(table, t_new, False) != OK:
                 return ATTEMPTED
@@ -532,12 +662,18 @@ def march(table, task):
             for i in range(ny):
                 stage_state[i] = new_state[i]
             hand_over(table, stage_state)
-        if project(table, t_new, not inside) != OK:
-            return PROJECTION_FAILED
-        accept(table)
-        scalars[NOW] = t_new
-        if finish_step(table, t_new) > EVENT:
-            return PROJECTION_FAILED
+        if ahead and scalars[NEXT_OUTPUT] > t_new:
+            if _take_up(table, t_new) > EVENT:
+                return PROJECTION_FAILED
+            scalars[NOW] = t_new
+        else:
+            shown = task != MARCH or counters[RECORD_STEPS] != 0 or scalars[NEXT_OUTPUT] == t_new
+            if project(table, t_new, not inside, TO_KEEP if shown else TO_STEP_ON) != OK:
+                return PROJECTION_FAILED
+            accept(table)
+            scalars[NOW] = t_new
+            if finish_step(table, t_new) > EVENT:
+                return PROJECTION_FAILED
         if counters[RECORD_STEPS] != 0:
             record_row(table, t_new)
         while scalars[NEXT_OUTPUT] <= t_new and counters[RECORDED] < BLOCK:
@@ -555,13 +691,13 @@ def run_task(table, task, t, h):
     Returns a status of `layout`; for the MARCH tasks, which take their times from the scalars, what they came back for.
     """
     if task in (EVALUATE, KINEMATICS):
-        return evaluate(table, t, task == KINEMATICS)
+        return evaluate(table, t, KINEMATICS_OF_ALL if task == KINEMATICS else 0)
     if task == ATTEMPT:
         return attempt(table, t, h, False)
     if task == INTERPOLATION_STAGES:
         return interpolation(table, t, h)
     if task in (PROJECT, PROJECT_EVALUATED):
-        return project(table, t, task == PROJECT_EVALUATED)
+        return project(table, t, task == PROJECT_EVALUATED, TO_KEEP)
     if task == SETTLE:
         return settle(table, t)
     if task == ACCEPT:
@@ -578,4 +714,7 @@ def run_task(table, task, t, h):
         return finish_step(table, t)
     if task == ACROSS_SLIP:
         return across_slip(table, t, h)
+    if task == FIRST_STEP:
+        first_step(table, t, h)
+        return OK
     return march(table, task)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.integrate import DOP853, RK45
 
 from ..errors import ArgumentError
+from .dense import DENSE_ROWS
+from .stages import MAX_STAGES
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +36,22 @@ class Tableau:
     extra: int
     dense: np.ndarray
     nested: bool
+
+    @cached_property
+    def tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """a, c, errors and dense with zeros around them, as the kernels take them."""
+        n = self.c.size
+        rows, columns = self.dense.shape
+        a, c, errors = np.zeros((MAX_STAGES, MAX_STAGES)), np.zeros(MAX_STAGES), np.zeros((2, MAX_STAGES))
+        dense = np.zeros((DENSE_ROWS, MAX_STAGES + 1))
+        a[:n, :n], c[:n], errors[:, :n] = self.a, self.c, self.errors
+        dense[:rows, : columns - 1], dense[:rows, -1] = self.dense[:, :-1], self.dense[:, -1]
+        return a, c, errors, dense
+
+    @cached_property
+    def widest(self) -> float:
+        """Largest distance between the nodes of two neighbouring stages, as a fraction of the step."""
+        return float(np.diff(np.unique(self.c[: self.stages + 1])).max())
 
 
 def _dop853() -> Tableau:

@@ -1,0 +1,88 @@
+"""Compiled systems kept between the runs of a scene: making one costs as much as a short run.
+
+A scene has one spare at most. A run takes it, so that runs within runs and runs in other threads make their own, and
+puts it back when it has ended well. It is used again only if everything that it was made from still has the same bits:
+models, placements and motions are objects that users can write to. All its arrays are then what they were when new, so
+that a run cannot tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
+
+from ..friction.laws import Coulomb, NoSlip, Stribeck
+from .joints import joint_guards
+from .system import System
+
+if TYPE_CHECKING:
+    from ..contacts import AttachedContour, Contact
+    from ..scene import Scene
+
+# not in the scene, whose copies must not share it
+_spares: WeakKeyDictionary[Scene, Spare] = WeakKeyDictionary()
+# laws that cannot be written to
+_CONSTANT_LAWS = (type(None), Coulomb, Stribeck, NoSlip)
+
+
+class Spare:
+    """A system, and copies of what it was made from."""
+
+    def __init__(self, scene: Scene, works: bool) -> None:
+        self.works = works
+        self._given, self._model = scene.model, scene.model.copy()
+        self._contacts = list(scene.contacts.values())
+        self._sides = [(side, side.placement_in_joint.copy(), _numbers(side)) for side in _sides(self._contacts)]
+        self.system = System(scene.model, self._contacts, works, joint_guards(scene.model))
+        self.system.memory.keep()
+
+    def fits(self, scene: Scene, works: bool) -> bool:
+        """Whether a new system would be the same."""
+        contacts = self._contacts
+        return (
+            self.works == works
+            and scene.model is self._given
+            and scene.model == self._model
+            and len(scene.contacts) == len(contacts)
+            and all(now is then for now, then in zip(scene.contacts.values(), contacts))
+            and all(
+                side.placement_in_joint == placement and _numbers(side) == numbers
+                for side, placement, numbers in self._sides
+            )
+        )
+
+
+def take_spare(scene: Scene, works: bool) -> Spare:
+    """A system of the scene as it is now, with all guards of its model, as new. Raises what `System` does.
+
+    works: with an account of works in the state.
+    """
+    spare = _spares.pop(scene, None)
+    if spare is None or not spare.fits(scene, works):
+        return Spare(scene, works)
+    spare.system.memory.restore()
+    return spare
+
+
+def put_back(scene: Scene, spare: Spare) -> None:
+    """Keep it for the scene's next run; nobody may use its system any more."""
+    # nothing of the user's is kept alive
+    spare.system.before_evaluation()
+    if all(type(contact.friction) in _CONSTANT_LAWS for contact in spare.system.contacts):
+        _spares[scene] = spare
+
+
+def _sides(contacts: list[Contact]) -> Iterator[AttachedContour]:
+    for contact in contacts:
+        yield contact.first
+        yield contact.second
+
+
+def _numbers(side: AttachedContour) -> tuple[Any, ...]:
+    """What can be written to of a contour and its motion."""
+    pool, motion = side.contour.pool, side.motion
+    shape = pool.tobytes() if pool.size else b""
+    if motion is None:
+        return (shape,)
+    return shape, motion.kind, motion.parameters.tobytes(), motion.pool.tobytes()

@@ -174,7 +174,8 @@ TABLE_SIZE = len(SLOTS)
 NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
 
 # scalars: of the last evaluation and step, then what steps are controlled by (times and steps in s);
-# DIP is the part of a margin's change over a step by which it may dip between two stages
+# DIP is the part of a margin's change over a step by which it may dip between two stages, BAD_TORQUE the user's torque
+# that was not finite, else 0, and BAD_TIME when that was
 (
     TIME,
     STEP,
@@ -197,8 +198,10 @@ NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
     DENSE_STEP,
     HAS_REFERENCE,
     DIP,
-) = range(21)
-SCALARS_SIZE = 21
+    BAD_TORQUE,
+    BAD_TIME,
+) = range(23)
+SCALARS_SIZE = 23
 
 # contact_int
 (
@@ -331,7 +334,17 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, T
 ) = range(21)
 COUNTERS_SIZE = 21
 
-# what kernels call by address: a Python callable, its arguments, a second pair of them or zeros, the result that means
-# failure; the evaluation and the address of the table that it is given
-CALLED, CALLED_WITH, CALLED_NEXT, CALLED_NEXT_WITH, CALL_FAILED, EVALUATION, OWN_TABLE = range(7)
-CALLBACK_SIZE = 7
+# what kernels call by address: a Python function to be asked first, or 0, and its arguments; one or two of Pinocchio's
+# algorithms and theirs; the result that means failure; the evaluation and the address of the table that it is given
+(
+    ASKED,
+    ASKED_WITH,
+    CALLED,
+    CALLED_WITH,
+    CALLED_NEXT,
+    CALLED_NEXT_WITH,
+    CALL_FAILED,
+    EVALUATION,
+    OWN_TABLE,
+) = range(9)
+CALLBACK_SIZE = 9

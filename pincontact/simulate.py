@@ -20,7 +20,7 @@ from .integration.runge_kutta import RungeKutta
 from .integration.tableaux import tableau
 from .integration.transitions import Transitions
 from .jit import compile_kernels
-from .layout import CLOSED_COUNT, DRIVES_EVALUATED, EVALUATION_COUNT, NEWTON_COUNT, ROWS_FORMED
+from .layout import BAD_TIME, BAD_TORQUE, CLOSED_COUNT, DRIVES_EVALUATED, EVALUATION_COUNT, NEWTON_COUNT, ROWS_FORMED
 from .scene import Scene
 from .state import State, check_state, write_discrete
 from .trajectory import Record, Trajectory
@@ -105,8 +105,9 @@ def simulate(
     def failed_control(t: float) -> None:
         if system.callback_error is not None:
             raise system.callback_error
-        if torque is not None and torque.failure is not None:
-            raise Stop(CONTROL_FAILED, torque.failure)
+        failure = torque.why_failed() if torque is not None else None
+        if failure is not None:
+            raise Stop(CONTROL_FAILED, failure)
 
     if pair is None:
         run = _simulate_moreau(
@@ -115,7 +116,7 @@ def simulate(
         if run.success:
             put_back(scene, spare)
         return run
-    rk = RungeKutta(system, pair, rtol, atol, torque)
+    rk = RungeKutta(system, pair, rtol, atol, torque.ask if torque is not None else None)
     record = Record(system, with_torques=control is not None or system.ng > 0)
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration, failed_control)
     options = Options(times, max_step, max_steps, fixed_step, first_step)
@@ -264,34 +265,54 @@ def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray |
 
 
 class _Torque:
-    """Calls the user's control and checks what it returns; a mistake ends the run, with its text."""
+    """Asks the user's control and checks what it returns; a mistake ends the run, with its text.
+
+    ask(t): torques for (t, q, v) of the system into its `tau`; False where there are none. Whether they are finite is
+    left to the kernels, which note it. A call does the same and looks at that, too.
+    """
 
     def __init__(self, control: Control, system: System) -> None:
-        self._control, self._system, self._shape = control, system, (system.nv,)
-        self._weights = np.full(system.nv, 1e-30)
-        # made once: a call costs what the control costs
-        self._q, self._v = system.q.view(), system.v.view()
-        self._q.flags.writeable = self._v.flags.writeable = False
-        self.failure: str | None = None
+        self._system = system
+        self._failure: str | None = None
+        # made once, and local to the function: a call costs what the control costs
+        q, v, tau, shape = system.q.view(), system.v.view(), system.tau, (system.nv,)
+        q.flags.writeable = v.flags.writeable = False
+        real, asarray = np.dtype(float), np.asarray
+
+        def ask(t: float) -> bool:
+            try:
+                found = control(t, q, v)
+                if type(found) is not np.ndarray or found.dtype is not real:
+                    found = asarray(found, dtype=float)
+            except ContactError:
+                raise
+            except Exception as error:
+                self._failure = f"t = {t:.9g} s: control raised {type(error).__name__}: {error}"
+                return False
+            if found.shape != shape:
+                self._failure = f"t = {t:.9g} s: control returned an array of shape {found.shape}, not {shape}"
+                return False
+            tau[:] = found
+            return True
+
+        self.ask = ask
 
     def __call__(self, t: float) -> bool:
-        system = self._system
-        try:
-            tau = np.asarray(self._control(t, self._q, self._v), dtype=float)
-        except ContactError:
-            raise
-        except Exception as error:
-            self.failure = f"t = {t:.9g} s: control raised {type(error).__name__}: {error}"
+        if not self.ask(t):
             return False
-        if tau.shape != self._shape:
-            self.failure = f"t = {t:.9g} s: control returned an array of shape {tau.shape}, not ({system.nv},)"
+        tau = self._system.tau
+        finite = np.isfinite(tau)
+        if not finite.all():
+            self._system.scalars[[BAD_TORQUE, BAD_TIME]] = tau[int(np.argmin(finite))], t
             return False
-        # one number tells of all: weighted so that no torques overflow it
-        if not math.isfinite(tau.dot(self._weights)) and not np.isfinite(tau).all():
-            self.failure = f"t = {t:.9g} s: control returned {tau[int(np.argmin(np.isfinite(tau)))]}"
-            return False
-        system.tau[:] = tau
         return True
+
+    def why_failed(self) -> str | None:
+        """What was wrong with the control, None if nothing was."""
+        value, t = self._system.scalars[[BAD_TORQUE, BAD_TIME]]
+        if self._failure is None and value != 0.0:
+            self._failure = f"t = {t:.9g} s: control returned {value}"
+        return self._failure
 
 
 class _Bar:

@@ -62,7 +62,7 @@ from ..layout import (
     UNILATERAL,
     VISCOUS,
 )
-from .linear import RANK_TOLERANCE, solve_gram, unwhiten, whiten
+from .linear import RANK_TOLERANCE, inner, solve_gram, unwhiten, whiten
 
 # Friction on a point of a spatial curve depends on the length of a two-component normal force: fixed point, quadratic.
 _NORMAL_ITERATIONS = 50
@@ -169,14 +169,6 @@ def whiten_rows(factor, parents, nv, rows, row_index, count, whitened):
     """whitened[r] = L^-T (constraint row r)^T, so that Delassus products are plain dot products."""
     for r in range(count):
         whiten(factor, parents, nv, rows[row_index[r, 0], row_index[r, 1]], whitened[r])
-
-
-@kernel
-def inner(a, b, n):
-    value = 0.0
-    for k in range(n):
-        value += a[k] * b[k]
-    return value
 
 
 @kernel

@@ -21,6 +21,10 @@ from ..layout import (
     ACCELERATION,
     ALONG_BODY_1,
     ANISOTROPIC,
+    ASKED,
+    ASKED_WITH,
+    BAD_TIME,
+    BAD_TORQUE,
     BASIS,
     BIAS,
     CALL_FAILED,
@@ -144,6 +148,12 @@ def evaluate_state(table_address, time, only_kinematics):
     table = integers(table_address, TABLE_SIZE)
     counters, callback = integers(table[COUNTERS], COUNTERS_SIZE), integers(table[CALLBACK], CALLBACK_SIZE)
     reals(table[SCALARS], SCALARS_SIZE)[TIME] = time
+    asked = callback[ASKED]
+    if asked != 0:
+        if not call_python(asked, callback[ASKED_WITH], callback[CALL_FAILED]):
+            return NOT_FINITE
+        if not _torques_finite(table, time):
+            return NOT_FINITE
     if not call_python(callback[CALLED], callback[CALLED_WITH], callback[CALL_FAILED]):
         return NOT_FINITE
     more = callback[CALLED_NEXT]
@@ -154,6 +164,18 @@ def evaluate_state(table_address, time, only_kinematics):
     if status != OK or only_kinematics != 0:
         return status
     return evaluate_dynamics(table, time)
+
+
+@kernel
+def _torques_finite(table, time):
+    """Whether the user's torques are numbers to go on with; else the first that is not is noted."""
+    nv = integers(table[SIZES], 8)[NV]
+    tau, scalars = reals(table[TAU], nv), reals(table[SCALARS], SCALARS_SIZE)
+    for k in range(nv):
+        if not abs(tau[k]) < math.inf:
+            scalars[BAD_TORQUE], scalars[BAD_TIME] = tau[k], time
+            return False
+    return True
 
 
 @kernel

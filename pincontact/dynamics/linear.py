@@ -11,6 +11,21 @@ RANK_TOLERANCE = 1e-11
 
 
 @kernel
+def inner(a, b, n):
+    """Product of the first n numbers of two vectors, in four sums that need not wait for each other."""
+    first, second, third, fourth = 0.0, 0.0, 0.0, 0.0
+    whole = n - n % 4
+    for k in range(0, whole, 4):
+        first += a[k] * b[k]
+        second += a[k + 1] * b[k + 1]
+        third += a[k + 2] * b[k + 2]
+        fourth += a[k + 3] * b[k + 3]
+    for k in range(whole, n):
+        first += a[k] * b[k]
+    return (first + second) + (third + fourth)
+
+
+@kernel
 def factorize_tree(matrix, parents, n, factor):
     """Lower factor L with L^T L = matrix, a symmetric positive matrix of which the lower triangle is given.
 
@@ -182,10 +197,7 @@ def solve_gram(rows, m, n, lower, permutation, x, scratch):
     """
     for i in range(m):
         permutation[i] = i
-        value = 0.0
-        for k in range(n):
-            value += rows[i, k] * rows[i, k]
-        scratch[i, m] = lower[i, m] = value
+        scratch[i, m] = lower[i, m] = inner(rows[i], rows[i], n)
     rank = 0
     while rank < m:
         pivot, best = rank, -1.0
@@ -204,12 +216,7 @@ def solve_gram(rows, m, n, lower, permutation, x, scratch):
         known[rank] = root
         for i in range(rank + 1, m):
             other, line = rows[permutation[i]], lower[permutation[i]]
-            value = 0.0
-            for k in range(n):
-                value += own[k] * other[k]
-            for k in range(rank):
-                value -= known[k] * line[k]
-            value /= root
+            value = (inner(own, other, n) - inner(known, line, rank)) / root
             line[rank] = value
             line[m] -= value * value
         rank += 1

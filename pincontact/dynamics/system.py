@@ -24,6 +24,8 @@ from ..layout import (
     ALONG_BODY_1,
     ALONG_BODY_2,
     ANISOTROPIC,
+    ASKED,
+    ASKED_WITH,
     ASPECT,
     CALL_FAILED,
     CALLBACK_SIZE,
@@ -149,9 +151,7 @@ class System:
         self._map_contacts(guards)
         self._allocate(max(nc + self.ng, 1), nv, ny)
         self._map_guards(guards)
-        self._callback: Any = None
-        self._plain_callback: Any = None
-        self.before_evaluation()
+        self._map_calls()
         self.counters[CHARTED] = any(b.contour.kind in CHARTED_KINDS for c in self.contacts for b in (c.body1, c.body2))
 
     def _map_pinocchio(self) -> None:
@@ -297,45 +297,43 @@ class System:
             self.rows[nc + g, 2, guard.index_v] = 1.0
 
     def before_evaluation(self, torque: Callable[[float], bool] | None = None) -> None:
-        """Set what the kernels call for Pinocchio's terms: Pinocchio itself where no Python function is to be asked.
+        """Set the Python function that the kernels ask before Pinocchio's terms: none where there is nothing to ask.
 
         torque(t): fills `tau` for (t, q, v), False where it fails.
         """
         self.callback_error: BaseException | None = None
-        if torque is None and self._callback is self._plain_callback is not None:
-            return
-        calls = self.algorithms
-        if torque is None and self._plain_callback is not None:
-            calls = self._plain_callback
-        elif torque is not None or self.python_drives:
+        # kept alive here: the kernels know the addresses only; the one without torques stays the same for good, and so
+        # do the addresses in a copy of the memory
+        self._asked = self._asked_for_drives if torque is None else (self._to_be_asked(torque), ())
+        self.callback[[ASKED, ASKED_WITH]] = [id(part) for part in self._asked] if self._asked else 0
 
-            def function() -> bool:
-                try:
-                    t = float(self.scalars[TIME])
-                    if torque is not None and not torque(t):
-                        return False
-                    for side, motion in self.python_drives:
-                        motion.evaluate(t, self.side_motion[side])
-                    for algorithm, arguments in self.algorithms:
-                        algorithm(*arguments)
-                except BaseException as error:
-                    # it must not pass through the compiled loop; who called that raises it
-                    self.callback_error = error
-                    return False
-                return True
-
-            calls = [(function, ())]
-        # kept alive here: the kernels know the addresses only
-        self._callback = calls
-        if torque is None:
-            # what is called without a function stays the same, and so do the addresses in a copy of the memory
-            self._plain_callback = calls
-        addresses = [id(thing) for call in calls for thing in call]
-        callback = self.memory.integers("callback", CALLBACK_SIZE)
+    def _map_calls(self) -> None:
+        self.callback = callback = self.memory.integers("callback", CALLBACK_SIZE)
+        addresses = [id(thing) for call in self.algorithms for thing in call]
         callback[[CALLED, CALLED_WITH]] = addresses[:2]
         callback[[CALLED_NEXT, CALLED_NEXT_WITH]] = addresses[2:] or 0
         callback[CALL_FAILED] = id(False)
         callback[[EVALUATION, OWN_TABLE]] = kernel_address(evaluate_state), address_of(self.table)
+        self._asked_for_drives = (self._to_be_asked(None), ()) if self.python_drives else None
+        self.before_evaluation()
+
+    def _to_be_asked(self, torque: Callable[[float], bool] | None) -> Callable[[], bool]:
+        scalars, drives = self.scalars, [(motion, self.side_motion[side]) for side, motion in self.python_drives]
+
+        def function() -> bool:
+            try:
+                t = scalars.item(TIME)
+                if torque is not None and not torque(t):
+                    return False
+                for motion, row in drives:
+                    motion.evaluate(t, row)
+            except BaseException as error:
+                # it must not pass through the compiled loop; who called that raises it
+                self.callback_error = error
+                return False
+            return True
+
+        return function
 
     def _run(self, task: int, t: float) -> int:
         status = run_task(self.table, task, t, 0.0)

@@ -20,8 +20,8 @@ from __future__ import annotations
 
 import math
 
-from ..dynamics.equations import coefficient_at, inner
-from ..dynamics.linear import factorize_tree, solve_semidefinite, unwhiten, whiten
+from ..dynamics.equations import coefficient_at
+from ..dynamics.linear import factorize_tree, inner, solve_semidefinite, unwhiten, whiten
 from ..friction.ellipse import stretch_pair
 from ..geometry.carriers import ALPHA, OMEGA
 from ..geometry.patterns import ON_CURVE

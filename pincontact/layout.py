@@ -308,7 +308,7 @@ FREE, FRICTIONLESS, STICK, SLIPPING = -1, 0, 1, 2
 # what an evaluation returns
 OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, TOO_LONG = range(8)
 
-# counters, and settings that are integers
+# counters, and settings that are integers; ROW_RANK is that of the last evaluation's constraint rows, 0 if not found
 (
     NEWTON_COUNT,
     CLOSED_COUNT,
@@ -331,8 +331,9 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, T
     ROW_COUNT,
     ROWS_FORMED,
     DRIVES_EVALUATED,
-) = range(21)
-COUNTERS_SIZE = 21
+    ROW_RANK,
+) = range(22)
+COUNTERS_SIZE = 22
 
 # what kernels call by address: a Python function to be asked first, or 0, and its arguments; one or two of Pinocchio's
 # algorithms and theirs; the result that means failure; the evaluation and the address of the table that it is given

@@ -254,7 +254,10 @@ def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray |
     except NOT_REAL:
         raise ArgumentError(f"t_eval must be times in s, got {t_eval!r}") from None
     # the end may be off by round-off, as from linspace
-    slack = 1e-12 * max(abs(t), abs(t + duration), duration)
+    end = t + duration
+    slack = 1e-12 * max(abs(t), abs(end), duration)
+    if times.size and t <= times[0] and times[-1] <= end and (times[1:] >= times[:-1]).all():
+        return times
     if not np.isfinite(times).all():
         raise ArgumentError("t_eval has entries that are not finite")
     if times.size and (times.min() < t - slack or times.max() > t + duration + slack):

@@ -48,6 +48,7 @@ from ..layout import (
     POLYNOMIAL,
     POLYNOMIAL_SIZE,
     ROW_COUNT,
+    ROW_RANK,
     SLIP_RATE,
     SLIP_SIGN,
     SLIP_SPEED,
@@ -287,7 +288,7 @@ def contact_dynamics(
     Returns OK, EVENT (a margin is negative) or NO_FORCE.
     """
     count, slipping = list_rows(contact_int, nc + ng, row_index)
-    counters[ROW_COUNT] = count
+    counters[ROW_COUNT], counters[ROW_RANK] = count, 0
     whiten_rows(factor, parents, nv, rows, row_index, count, whitened)
     iterate = 1
     if slipping:
@@ -325,7 +326,7 @@ def contact_dynamics(
         else:
             if has_reference:
                 _take_reference(row_index, count, reference, whitened, whitened, nv, multipliers, work)
-            solve_gram(whitened, count, nv, delassus, permutation, multipliers, scratch)
+            counters[ROW_RANK] = solve_gram(whitened, count, nv, delassus, permutation, multipliers, scratch)
         if has_reference:
             for r in range(count):
                 multipliers[r] += reference[row_index[r, 0], row_index[r, 1]]

@@ -20,6 +20,7 @@ from ..friction.solve import ContactSolver
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
     ACROSS_X,
+    ANISOTROPIC,
     DIRECTION_X,
     EVENT,
     FREE,
@@ -38,10 +39,12 @@ from ..layout import (
     NO_FORCE,
     NORMAL_MARGIN,
     NORMAL_SIGN,
+    OK,
     PATTERN,
     POLYNOMIAL,
     POLYNOMIAL_SIZE,
     ROW_COUNT,
+    ROW_RANK,
     SLIP_RATE,
     SLIP_SIGN,
     SLIPPING,
@@ -62,6 +65,8 @@ _FIXED_POINT_ITERATIONS = 100
 _UNDAMPED = 12
 _FIXED_POINT_TOLERANCE = 1e-12
 _ROUND_OFF = 1e-11
+# (a, b) along (t1, second), turned to the left
+_QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 # Relative accelerations below this fraction of the free ones are round-off: no slip.
 _STILL = 1e-13
 
@@ -112,7 +117,8 @@ class ModeSolver:
         status = evaluate(t)
         if status > EVENT and status != NO_FORCE:
             return Decision(status)
-        if status != NO_FORCE and beyond is None and (self._holds() or self.redistribute(t, evaluate)):
+        if beyond is None and (status == OK or (status == EVENT and (self._holds() or self.redistribute(t, evaluate)))):
+            # without an event every force lies inside its cone
             return Decision(status)
         # contacts beyond their static limit are held by sliding friction at most, the others by static friction
         self._limits = system.contact_real[: system.nc, MU_STATIC].copy()
@@ -145,6 +151,9 @@ class ModeSolver:
         """
         system = self.system
         count = int(system.counters[ROW_COUNT])
+        if count == system.counters[ROW_RANK]:
+            # of independent rows there is one choice
+            return False
         index = system.row_index[:count].copy()
         slipping = any(system.contact_int[c, MODE] == SLIPPING for c in system.closed())
         directions = (system.whitened_forces if slipping else system.whitened_rows)[:count]
@@ -263,6 +272,8 @@ class ModeSolver:
         velocities = self.solver.velocities.reshape(-1, 3).copy()
         forces = self.solver.forces.reshape(-1, 3).copy()
         for i, shape in enumerate(shapes):
+            if not integers[closed[i], ANISOTROPIC]:
+                continue
             velocities[i, :2], forces[i, :2] = np.linalg.solve(shape, velocities[i, :2]), shape @ forces[i, :2]
         still = _STILL * float(np.abs(base).max(initial=0.0))
         for i, c in enumerate(closed):
@@ -385,9 +396,9 @@ def freeze_slip(system: System, c: int, direction: np.ndarray) -> None:
         return
     size = float(np.hypot(direction[0], direction[1]))
     unit = direction[:2] / size if size > 0.0 else np.array([1.0, 0.0])
-    world = unit @ system.basis[c, :2]
-    numbers[DIRECTION_X : DIRECTION_X + 3] = world
-    numbers[ACROSS_X : ACROSS_X + 3] = np.cross(system.basis[c, 2], world)
+    numbers[DIRECTION_X : DIRECTION_X + 3] = unit @ system.basis[c, :2]
+    # n x (a t1 + b second), since n x t1 is the second tangent
+    numbers[ACROSS_X : ACROSS_X + 3] = unit @ _QUARTER_TURN @ system.basis[c, :2]
     numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
     numbers[START], numbers[SPAN] = 0.0, 1.0
     integers[FROZEN] = 1

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtrs
 
 if TYPE_CHECKING:
     from .system import System
@@ -17,12 +17,18 @@ if TYPE_CHECKING:
 
 def whiten(system: System, row: np.ndarray) -> np.ndarray:
     """L^-T row^T with the factor L of M = L^T L from the last evaluation."""
-    return solve_triangular(system.factor, row, lower=True, trans="T", check_finite=False)
+    return _solved(system.factor.T, row, False)
 
 
 def unwhiten(system: System, column: np.ndarray) -> np.ndarray:
     """L^-1 column: a change of v (or acceleration) from its whitened form."""
-    return solve_triangular(system.factor, column, lower=True, check_finite=False)
+    return _solved(system.factor.T, column, True)
+
+
+def _solved(upper: np.ndarray, right: np.ndarray, transposed: bool) -> np.ndarray:
+    """Solution of the triangular system; NaN where the factor is singular. LAPACK itself: checks cost more than it."""
+    solution, info = dtrtrs(upper, right, trans=int(transposed))
+    return solution if info == 0 else np.full_like(right, np.nan)
 
 
 def whitened_velocity(system: System, v: np.ndarray) -> np.ndarray:
@@ -52,5 +58,5 @@ def delassus(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     diagonal = np.diag(gram).copy()
     largest = np.repeat(diagonal.reshape(-1, 3).max(axis=1, initial=0.0), 3)
     weights = np.where(diagonal == 0.0, np.where(largest > 0.0, largest, 1.0), 0.0)
-    gram[np.diag_indices_from(gram)] += weights
+    gram.flat[:: len(gram) + 1] += weights
     return gram, weights

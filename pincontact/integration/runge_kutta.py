@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 # Margin on the depth of a parabola's dip between two stages.
 _DIP = 1.5
 
+# From this relative tolerance on an interpolant without stages of its own is as good as one with them.
+_LOOSE = 1e-6
+
 Torque = Callable[[float], bool]
 
 
@@ -44,6 +47,8 @@ class RungeKutta:
     """
 
     def __init__(self, system: System, method: Tableau, rtol: float, atol: float, torque: Torque | None) -> None:
+        if method.extra and rtol >= _LOOSE:
+            method = method.without_extra_stages
         self.system, self.method = system, method
         system.before_evaluation(torque)
         (

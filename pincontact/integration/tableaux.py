@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 from scipy.integrate import DOP853, RK45
@@ -49,9 +53,78 @@ class Tableau:
         return a, c, errors, dense
 
     @cached_property
+    def without_extra_stages(self) -> Tableau:
+        """The same pair with the interpolant that its own stages allow: see `free_dense`."""
+        n = self.stages + 1
+        return replace(self, extra=0, dense=free_dense(self.a[:n, :n], 6), nested=False)
+
+    @cached_property
     def widest(self) -> float:
         """Largest distance between the nodes of two neighbouring stages, as a fraction of the step."""
         return float(np.diff(np.unique(self.c[: self.stages + 1])).max())
+
+
+# A rooted tree is the tuple of its root's subtrees, in order.
+Tree = tuple[Any, ...]
+
+
+def rooted_trees(order: int) -> list[Tree]:
+    """All rooted trees of so many vertices: the elementary differentials (Hairer, Norsett, Wanner, Sec. II.2)."""
+
+    def forests(vertices: int, largest: tuple[int, Tree] | None) -> Iterator[Tree]:
+        if vertices == 0:
+            yield ()
+        for size in range(1, vertices + 1):
+            for tree in rooted_trees(size):
+                if largest is None or (size, tree) <= largest:
+                    for rest in forests(vertices - size, (size, tree)):
+                        yield (tree, *rest)
+
+    return list(forests(order - 1, None))
+
+
+def _vertices(tree: Tree) -> int:
+    return 1 + sum(_vertices(part) for part in tree)
+
+
+def _density(tree: Tree) -> int:
+    return _vertices(tree) * math.prod(_density(part) for part in tree)
+
+
+def _symmetry(tree: Tree) -> int:
+    return math.prod(math.factorial(times) * _symmetry(part) ** times for part, times in Counter(tree).items())
+
+
+def _weights(tree: Tree, a: np.ndarray) -> np.ndarray:
+    """(n,) elementary weights of the stages."""
+    out = np.ones(len(a))
+    for part in tree:
+        out *= a @ _weights(part, a)
+    return out
+
+
+def free_dense(a: np.ndarray, order: int) -> np.ndarray:
+    """Weights (order + 1, n + 1) of an interpolant of this order from the stages a (n, n) alone, the new state's last.
+
+    Row k - 1 is the coefficient of theta^k; the last column, of y_1 - y_0, is zero. y_0 + h sum_j b_j(theta) k_j has
+    the order if for all its trees the elementary weights sum to theta^vertices / density; of all such b the one with
+    the least errors of the next order is taken. For DOP853 and order 6 the equations have solutions, and errors for
+    steps of a radian are no greater than those of its own interpolant of order 7, which takes three evaluations more.
+    """
+    degrees = range(1, order + 2)
+    known = [tree for vertices in degrees[:-1] for tree in rooted_trees(vertices)]
+    following = rooted_trees(order + 1)
+    # multiplied by the density, which makes all equations of one size
+    matrix = np.array([_density(tree) * _weights(tree, a) for tree in known])
+    right = np.array([[float(_vertices(tree) == d) for d in degrees] for tree in known])
+    error = np.array([_weights(tree, a) / _symmetry(tree) for tree in following])
+    wanted = np.array([[(d == order + 1) / (_density(tree) * _symmetry(tree)) for d in degrees] for tree in following])
+    _, singular, basis = np.linalg.svd(matrix)
+    rank = int(np.sum(singular > 1e-10 * singular[0]))
+    weights = np.linalg.lstsq(matrix, right, rcond=1e-10)[0]
+    free = basis[rank:].T
+    weights += free @ np.linalg.lstsq(error @ free, wanted - error @ weights, rcond=1e-10)[0]
+    return np.column_stack([weights.T, np.zeros(order + 1)])
 
 
 def _dop853() -> Tableau:

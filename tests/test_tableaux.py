@@ -1,0 +1,63 @@
+"""Interpolants of the explicit pairs, on one step of a scalar equation that is neither linear nor autonomous."""
+
+import math
+
+import numpy as np
+import pytest
+
+from pincontact.integration.tableaux import rooted_trees, tableau
+
+THETAS = np.array([0.1, 0.35, 0.6, 0.85])
+
+
+def slope(t, y):
+    return math.cos(t + y) + 0.3 * y
+
+
+def solution(times):
+    from scipy.integrate import solve_ivp
+
+    return solve_ivp(lambda t, y: [slope(t, y[0])], (0.0, 1.0), [0.2], "DOP853", times, rtol=1e-13, atol=1e-15).y[0]
+
+
+def errors(pair, h):
+    """Largest errors of the interpolant within one step, and its value at the end against the new state."""
+    n = pair.stages + 1 + pair.extra
+    k, new = np.zeros(n), 0.0
+    for i in range(n):
+        state = 0.2 + h * (pair.a[i, :i] @ k[:i])
+        if i == pair.stages:
+            new = state
+        k[i] = slope(pair.c[i] * h, state)
+    rows = h * pair.dense[:, :n] @ k + pair.dense[:, -1] * (new - 0.2)
+
+    def value(theta):
+        out = 0.0
+        for i in reversed(range(len(rows))):
+            out = (out + rows[i]) * (1.0 - theta if pair.nested and i % 2 else theta)
+        return 0.2 + out
+
+    expected = solution(h * THETAS)
+    return max(abs(value(theta) - y) for theta, y in zip(THETAS, expected, strict=True)), abs(value(1.0) - new)
+
+
+def test_trees():
+    """Their numbers are those of Table 2.1 in Hairer, Norsett, Wanner, Sec. II.2."""
+    assert [len(rooted_trees(order)) for order in range(1, 9)] == [1, 1, 2, 4, 9, 20, 48, 115]
+
+
+@pytest.mark.parametrize(("name", "free", "order"), [("RK45", False, 4), ("DOP853", False, 7), ("DOP853", True, 6)])
+def test_order_of_interpolants(name, free, order):
+    pair = tableau(name).without_extra_stages if free else tableau(name)
+    sizes = (0.2, 0.1)
+    found = [errors(pair, h) for h in sizes]
+    # the error of one step is of the order plus one; two steps of finite size show it to a few tenths
+    assert math.log2(found[0][0] / found[1][0]) > order + 0.6
+    # the free one's weights are the solution of equations, with singular values down to 1e-10
+    assert max(end for _, end in found) < (1e-11 if free else 1e-15)
+
+
+def test_free_interpolant_is_as_good_at_long_steps():
+    """What it is chosen for: loose tolerances."""
+    pair = tableau("DOP853")
+    assert errors(pair.without_extra_stages, 1.0)[0] < 2.0 * errors(pair, 1.0)[0]

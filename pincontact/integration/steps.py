@@ -168,7 +168,7 @@ _PROJECTIONS = 12
 # What a state is projected for.
 TO_KEEP, TO_STEP_ON, TO_SHOW = range(3)
 # Changes of q and v by less than this part of the tolerance leave accelerations what they are.
-_CLOSE = 1e-2
+_CLOSE = 1e-1
 # A change of q below this needs no further evaluation: what it leaves in gaps and v_c is quadratic, or below round-off.
 _NEGLIGIBLE = 1e-14
 # Residual (m, and m/s relative to the speeds) below which nothing is corrected.

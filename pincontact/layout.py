@@ -81,11 +81,13 @@ SLOTS = (
     "guard_count",  # (1,) int: ng
     "guard_int",  # (ng, GUARD_INTS) int
     "guard_real",  # (ng, GUARD_REALS)
+    # resistances to spinning and rolling, rows nc + ng .. nc + ng + nr: see `dynamics.resistance`
+    "resistance_count",  # (1,) int: nr
     # least and largest margins of a step's stages, and one choice among redundant forces
-    "lowest",  # (nc + ng, MARGINS_PER_CONTACT)
-    "highest",  # (nc + ng, MARGINS_PER_CONTACT)
-    "across",  # (nc + 1, POLYNOMIAL_SIZE): shares of a step, then each contact's v_c across its direction, see `steps`
-    "reference",  # (nc + ng, 3): force along the basis about which the least-norm solution is taken
+    "lowest",  # (nc + ng + nr, MARGINS_PER_CONTACT)
+    "highest",  # (nc + ng + nr, MARGINS_PER_CONTACT)
+    "across",  # (nc + ng + nr + 1, POLYNOMIAL_SIZE): shares of a step, then each v_c across its direction, see `steps`
+    "reference",  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
 )
 
 # one integer constant a slot, for the kernels
@@ -159,6 +161,7 @@ SLOTS = (
     GUARD_COUNT,
     GUARD_INT,
     GUARD_REAL,
+    RESISTANCE_COUNT,
     LOWEST,
     HIGHEST,
     ACROSS,
@@ -212,10 +215,15 @@ SCALARS_SIZE = 21
     CLOSED_FORM,
     DETERMINANT_SIGN,
     ANISOTROPIC,
-) = range(14)
-CONTACT_INTS = 14
+    SPINNING_ROW,
+    ROLLING_ROW,
+    OWNER,
+) = range(17)
+CONTACT_INTS = 17
 # contact_int[ANISOTROPIC]: friction alike in all directions, or along a tangent of body 1 or body 2 and across it
 ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
+# contact_int[SPINNING_ROW], contact_int[ROLLING_ROW]: rows of a contact's resistances among all, 0 for none;
+# contact_int[OWNER]: of a resistance's row, its contact
 
 # contact_real; MU is the coefficient as slip starts, MU_FAST that of fast slip, MU_NOW that of the last evaluation;
 # coefficients of two directions are along the first, times ASPECT across it.

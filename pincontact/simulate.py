@@ -12,7 +12,7 @@ import numpy as np
 from .arguments import NOT_REAL, is_number, real_array
 from .dynamics.joints import check_guards, joint_guards
 from .dynamics.system import System
-from .errors import ArgumentError, ContactError, FrictionError
+from .errors import ArgumentError, ContactError
 from .integration.driver import Driver, Options
 from .integration.events import UserEvent
 from .integration.results import CONTROL_FAILED, Stop
@@ -83,8 +83,6 @@ def simulate(
     if pair is None:
         # imported, and with it kernels to compile, for those who use it
         from .integration import moreau  # noqa: F401
-    else:
-        _check_laws(scene, method)
     compile_kernels()
     began = time.perf_counter()
     contacts = list(scene.contacts.values())
@@ -92,7 +90,7 @@ def simulate(
     if pair is not None:
         # time stepping brings what is beyond its limits back
         check_guards(guards, state.q)
-    system = System(scene.model, contacts, works=energies, guards=guards)
+    system = System(scene.model, contacts, works=energies, guards=guards, resistances=pair is not None)
     write_discrete(system, state.discrete)
     end = system.nq + system.nv
     system.state[: system.nq], system.state[system.nq : end] = state.q, state.v
@@ -110,7 +108,7 @@ def simulate(
             scene, state, duration, step, system, users, times, max_steps, torque, failed_control, progress, began
         )
     rk = RungeKutta(system, pair, rtol, atol, torque)
-    record = Record(system, with_torques=control is not None or bool(guards))
+    record = Record(system, with_torques=control is not None or bool(guards) or system.nr > 0)
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration, failed_control)
     options = Options(times, max_step, max_steps, fixed_step, first_step)
     with _Bar(progress, state.t, duration) as bar:
@@ -223,17 +221,6 @@ def _check(
         raise ArgumentError(f"duration, rtol and atol must be finite, got {duration}, {rtol}, {atol}")
     if not is_number(max_steps) or not 1 <= max_steps <= _MOST_STEPS or int(max_steps) != max_steps:
         raise ArgumentError(f"max_steps must be a whole number from 1 to 1e18, got {max_steps!r}")
-
-
-def _check_laws(scene: Scene, method: str) -> None:
-    """FrictionError for laws that only time stepping knows."""
-    for contact in scene.contacts.values():
-        law = contact.friction
-        if law is not None and law.resists_turning:
-            raise FrictionError(
-                f"contact {contact.name!r}: resistance to spinning ({law.spinning:g} m) and rolling ({law.rolling:g} "
-                f"m) needs method 'Moreau', not {method!r}"
-            )
 
 
 def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray | None:

@@ -284,7 +284,7 @@ class Driver:
     def _end_slip(self, t: float) -> float:
         """One linear step to the end of slip (its error is the square of a short time), then stick or not."""
         rk, system = self.rk, self.system
-        speed, rate = system.contact_real[: system.nc, START_SPEED], system.contact_real[: system.nc, START_RATE]
+        speed, rate = system.contact_real[:, START_SPEED], system.contact_real[:, START_RATE]
         stopping = np.flatnonzero(np.isfinite(speed) & (rate < 0.0))
         allowed = system.contact_real[stopping, START_TOLERANCE]
         c = int(stopping[np.argmin(speed[stopping] / allowed)])
@@ -293,7 +293,7 @@ class Driver:
         left = min(float(speed[c] / -rate[c]), *(scalars[[NEXT_STEP, MAX_STEP]]), scalars[END] - t)
         left = float(min(left, scalars[NEXT_OUTPUT] - t))
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
-        reach = _TOGETHER * 2.0 ** int(system.counters[STALLED]) * system.contact_real[: system.nc, START_TOLERANCE]
+        reach = _TOGETHER * 2.0 ** int(system.counters[STALLED]) * system.contact_real[:, START_TOLERANCE]
         with np.errstate(invalid="ignore"):
             near = np.minimum(speed, np.abs(speed + rate * left)) <= reach
         contacts = [c, *(int(i) for i in np.flatnonzero(near & np.isfinite(speed)) if i != c)]

@@ -11,6 +11,7 @@ import math
 from ..callback import call_kernel
 from ..dynamics.equations import slip_direction
 from ..dynamics.evaluation import contact_corrections
+from ..dynamics.resistance import count_items
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
 from ..layout import (
@@ -45,7 +46,6 @@ from ..layout import (
     FLOOR,
     FROZEN,
     GAP_RESIDUAL,
-    GUARD_COUNT,
     HIGHEST,
     LAST_ERROR,
     LAST_NORMAL_X,
@@ -55,7 +55,6 @@ from ..layout import (
     MAX_STEP,
     MODE,
     MU,
-    NC,
     NEW_STATE,
     NEXT_OUTPUT,
     NEXT_STEP,
@@ -218,7 +217,7 @@ def attempt(table, t, h, adaptive):
     ALARM tells whether an event function was negative in a stage, or may have been between two.
     """
     counters = integers(table[COUNTERS], COUNTERS_SIZE)
-    n = MARGINS_PER_CONTACT * (integers(table[SIZES], 8)[NC] + integers(table[GUARD_COUNT], 1)[0])
+    n = MARGINS_PER_CONTACT * count_items(table)
     lowest, highest = reals(table[LOWEST], n), reals(table[HIGHEST], n)
     for i in range(n):
         lowest[i], highest[i] = math.inf, -math.inf
@@ -242,7 +241,7 @@ def project(table, t, evaluated):
     evaluated: the system has just been evaluated at that state, which saves one evaluation.
     """
     sizes, scalars = integers(table[SIZES], 8), reals(table[SCALARS], SCALARS_SIZE)
-    if sizes[NC] + integers(table[GUARD_COUNT], 1)[0] == 0:
+    if count_items(table) == 0:
         return OK
     q = reals(table[Q], sizes[NQ])
     for i in range(_PROJECTIONS):
@@ -285,7 +284,7 @@ def across_slip(table, t, h):
     ACROSS is filled with v_c across the direction at the shares of the step in its first row, up to a zero; each is
     divided by the share squared, since v_c grows so.
     """
-    nc = integers(table[SIZES], 8)[NC]
+    n = count_items(table)
     status = start(table, t)
     if status <= EVENT:
         status = attempt(table, t, h, False)
@@ -293,10 +292,10 @@ def across_slip(table, t, h):
         status = interpolation(table, t, h)
     if status > EVENT:
         return status
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    basis, slip = cube(table[BASIS], nc, 3, 3), matrix(table[SLIP], nc, 3)
-    across = matrix(table[ACROSS], nc + 1, POLYNOMIAL_SIZE)
+    contact_int = integer_matrix(table[CONTACT_INT], n, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
+    basis, slip = cube(table[BASIS], n, 3, 3), matrix(table[SLIP], n, 3)
+    across = matrix(table[ACROSS], n + 1, POLYNOMIAL_SIZE)
     direction = matrix(table[VECTORS], 16, 3)[0]
     for k in range(POLYNOMIAL_SIZE):
         share = across[0, k]
@@ -306,7 +305,7 @@ def across_slip(table, t, h):
         status = evaluate(table, t + share * h, True)
         if status > EVENT:
             return status
-        for c in range(nc):
+        for c in range(n):
             if contact_int[c, FROZEN] != 0:
                 slip_direction(contact_int[c], contact_real[c], slip[c], basis[c], t + share * h, direction)
                 turned = direction[0] * dot(basis[c, 1], slip[c]) - direction[1] * dot(basis[c, 0], slip[c])
@@ -397,12 +396,12 @@ def finish_step(table, t):
         status = start(table, t)
         if status > EVENT:
             return status
-    nc, nv = sizes[NC], sizes[NV]
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    basis, rows = cube(table[BASIS], nc, 3, 3), cube(table[ROWS], nc, 3, nv)
+    nv, n = sizes[NV], count_items(table)
+    contact_int = integer_matrix(table[CONTACT_INT], n, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
+    basis, rows = cube(table[BASIS], n, 3, 3), cube(table[ROWS], n, 3, nv)
     v, tolerances = reals(table[STATE], sizes[NY])[sizes[NQ] :], reals(table[SCALE], 2)
-    for c in range(nc):
+    for c in range(n):
         integer, number = contact_int[c], contact_real[c]
         for i in range(3):
             number[LAST_NORMAL_X + i] = basis[c, 2, i]
@@ -417,15 +416,15 @@ def finish_step(table, t):
                 value += abs(rows[c, row, k]) * (tolerances[1] + tolerances[0] * abs(v[k]))
             allowed = max(allowed, value)
         number[START_TOLERANCE] = allowed
-    _watch_slips(contact_real, nc, scalars, counters, True)
+    _watch_slips(contact_real, n, scalars, counters, True)
     return OK
 
 
 @kernel
-def _watch_slips(contact_real, nc, scalars, counters, accepted):
+def _watch_slips(contact_real, n, scalars, counters, accepted):
     """Count attempts that bring no slip nearer to its end, while one that slows down is within reach of it."""
     least, slowest, near = math.inf, math.inf, False
-    for c in range(nc):
+    for c in range(n):
         speed, number = contact_real[c, START_SPEED], contact_real[c]
         if speed < math.inf:
             least = min(least, speed)
@@ -446,9 +445,9 @@ def _watch_slips(contact_real, nc, scalars, counters, accepted):
 
 
 @kernel
-def _slip_ends(contact_real, nc, stalled):
+def _slip_ends(contact_real, n, stalled):
     """Whether a slip is as good as over."""
-    for c in range(nc):
+    for c in range(n):
         speed, number = contact_real[c, START_SPEED], contact_real[c]
         if speed < math.inf and number[START_RATE] < 0.0 and speed <= number[START_TOLERANCE] * 2.0**stalled:
             return True
@@ -482,19 +481,19 @@ def march(table, task):
     """
     scalars, counters = reals(table[SCALARS], SCALARS_SIZE), integers(table[COUNTERS], COUNTERS_SIZE)
     sizes = integers(table[SIZES], 8)
-    nc, ny = sizes[NC], sizes[NY]
+    n, ny = count_items(table), sizes[NY]
     stage_state = reals(table[STAGE_STATE], ny)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
     end, fixed = scalars[END], scalars[FIXED_STEP]
     for _ in range(_BATCH):
         t, h = scalars[NOW], scalars[NEXT_STEP]
         if counters[STEP_COUNT] + counters[REJECTED_COUNT] >= counters[ATTEMPT_LIMIT]:
             return AT_LIMIT
-        if _slip_ends(contact_real, nc, counters[STALLED]):
+        if _slip_ends(contact_real, n, counters[STALLED]):
             return SLIP_ENDS
         remaining = end - t
         step = min(h, min(scalars[MAX_STEP], remaining))
-        for c in range(nc):
+        for c in range(n):
             if contact_real[c, START_SPEED] < math.inf and contact_real[c, START_RATE] < 0.0:
                 step = min(step, _STOP_FRACTION * contact_real[c, START_SPEED] / -contact_real[c, START_RATE])
         if remaining - step < _SLIVER * step:
@@ -505,7 +504,7 @@ def march(table, task):
         error = scalars[ERROR_NORM]
         if status != OK or (fixed == 0.0 and error >= 1.0):
             counters[REJECTED_COUNT] += 1
-            _watch_slips(contact_real, nc, scalars, counters, False)
+            _watch_slips(contact_real, n, scalars, counters, False)
             if status != OK:
                 counters[FAILURE] = status
                 scalars[NEXT_STEP] = _FAILED_FACTOR * step

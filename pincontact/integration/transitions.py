@@ -115,9 +115,11 @@ class Transitions:
         self.events.append(Event(t, name, kind, system.q.copy(), system.v.copy(), index, joint))
 
     def _name(self, index: int) -> tuple[str | None, str | None]:
-        """Name of a contact, or else of the joint of a guarded coordinate."""
-        nc = self.system.nc
-        return (self.names[index], None) if index < nc else (None, self.system.guards[index - nc].joint)
+        """Name of the contact of an item, or else of the joint of a guarded coordinate."""
+        nc, ng = self.system.nc, self.system.ng
+        if nc <= index < nc + ng:
+            return None, self.system.guards[index - nc].joint
+        return self.names[self.system.owner(index)], None
 
     def _describe(self, index: int) -> str:
         name, joint = self._name(index)
@@ -163,7 +165,7 @@ class Transitions:
     def _check_chatter(self, t: float, c: int) -> None:
         recent = self._recent
         recent.append((t, c))
-        dense = _DENSE_EVENTS * (self.system.nc + self.system.ng)
+        dense = _DENSE_EVENTS * self.system.items
         limits = (_CHATTER_EVENTS, _CHATTER_SPAN * self.span), (dense, min(_DENSE_SPAN * self.span, _DENSE_TIME))
         for count, span in limits:
             if len(recent) > count and t - recent[-count - 1][0] <= span:
@@ -207,11 +209,12 @@ class Transitions:
             self._collide(t, [], {})
 
     def modes_from_velocities(self) -> list[int]:
-        """Give closed contacts the mode that v_c shows; returns those at rest whose friction is undecided."""
+        """Give closed contacts and their resistances the mode that their slip shows; returns those at rest whose
+        friction is undecided."""
         system = self.system
         rest_speed = _REST * (1.0 + float(np.abs(system.v).max(initial=0.0)))
         undecided = []
-        for c in system.closed():
+        for c in [*system.closed(), *system.resisting()]:
             integers = system.contact_int[c]
             mu = system.contact_real[c, MU]
             integers[FROZEN] = 0
@@ -223,7 +226,7 @@ class Transitions:
             if speed > rest_speed:
                 integers[MODE] = SLIPPING
                 integers[SLIP_SIGN] = 1 if along[0] >= 0.0 else -1
-                self._guess_normal(c)
+                self._guess_normal(system.owner(c))
             else:
                 undecided.append(c)
         return undecided
@@ -244,7 +247,7 @@ class Transitions:
 
     def switch(self, t: float, c: int, kind: int) -> float:
         """Margin `kind` of contact c has reached zero at t."""
-        if c >= self.system.nc:
+        if self.system.nc <= c < self.system.nc + self.system.ng:
             return self._switch_guard(t, c - self.system.nc, kind)
         if kind == GAP_MARGIN:
             return self._touch(t, c)
@@ -288,11 +291,11 @@ class Transitions:
         return self.resolve(t, self._sticking(), at_rest=contacts)
 
     def _sticking(self) -> list[int]:
-        """Contacts that stick by Coulomb friction: a change elsewhere may upset them."""
+        """Contacts and resistances that stick by Coulomb friction: a change elsewhere may upset them."""
         system = self.system
         return [
             c
-            for c in system.closed()
+            for c in [*system.closed(), *system.resisting()]
             if system.contact_int[c, MODE] == STICK and math.isfinite(system.contact_real[c, MU])
         ]
 
@@ -316,22 +319,26 @@ class Transitions:
         self, t: float, undecided: list[int], at_rest: Sequence[int], silent: bool, beyond: int | None = None
     ) -> None:
         system, rk = self.system, self.rk
-        before = system.modes.copy()
-        signs = system.contact_int[: system.nc, SLIP_SIGN].copy()
+        before, signs = system.contact_int[:, MODE].copy(), system.contact_int[:, SLIP_SIGN].copy()
         self._decide(t, undecided, beyond)
         self._project(t)
         rk.accept()
-        for c in range(system.nc):
+        for c in [*range(system.nc), *system.resisting()]:
             mode = int(system.contact_int[c, MODE])
             if mode == FREE and before[c] != FREE:
                 self.announce(t, c, "separate")
             elif silent:
                 continue
             elif c in at_rest:
-                self.announce(t, c, "stick" if mode == STICK else "slip")
+                self._announce_friction(t, c, mode == SLIPPING)
             elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
-                self.announce(t, c, "slip")
+                self._announce_friction(t, c, True)
         self._announce_guards(t)
+
+    def _announce_friction(self, t: float, c: int, slips: bool) -> None:
+        """A contact, or what resists its turning, has begun to slip or come to rest."""
+        turns = c >= self.system.nc
+        self.announce(t, c, ("turn" if turns else "slip") if slips else ("hold" if turns else "stick"))
 
     def _decide(self, t: float, undecided: list[int], beyond: int | None = None) -> Decision:
         decision = self.modes.decide(t, undecided, self.rk.evaluate, beyond)
@@ -411,7 +418,8 @@ class Transitions:
         system = self.system
         for c in system.closed():
             integers = system.contact_int[c]
-            if integers[MODE] == SLIPPING and not integers[UNILATERAL] and integers[PATTERN] != ON_CURVE:
+            slips = integers[MODE] == SLIPPING or system.resists(c)
+            if slips and not integers[UNILATERAL] and integers[PATTERN] != ON_CURVE:
                 self.rk.evaluate(t)
                 if system.margins[c, NORMAL_MARGIN] < -self.modes.force_round_off():
                     integers[NORMAL_SIGN] *= -1
@@ -422,14 +430,14 @@ class Transitions:
     def start_frozen(self, t: float) -> float:
         """Slip that starts with a finite acceleration: one tiny step in the given direction, so that v_c has one."""
         rk, system = self.rk, self.system
-        if not system.contact_int[: system.nc, FROZEN].any():
+        if not system.contact_int[:, FROZEN].any():
             return t
         tau = self.seed**1.5
         if rk.attempt(t, tau) != OK:
             raise self.give_up(t, NO_FORCE)
         self.emit(t, tau)
         rk.load(system.new_state)
-        system.contact_int[: system.nc, FROZEN] = 0
+        system.contact_int[:, FROZEN] = 0
         self._project(t + tau)
         rk.accept()
         return t + tau
@@ -443,9 +451,9 @@ class Transitions:
         """
         rk, system = self.rk, self.system
         if system.contact_int[c, TANGENTS] == 1:
-            self._guess_normal(c)
+            self._guess_normal(system.owner(c))
             freeze_slip(system, c, -system.force[c, :1])
-            self.announce(t, c, "slip")
+            self._announce_friction(t, c, True)
             return self.resolve(t, self._sticking())
         if system.contact_real[c, MU_STATIC] > system.contact_real[c, MU]:
             # friction falls to its sliding value: slip starts with a finite acceleration
@@ -458,7 +466,8 @@ class Transitions:
         tau = self.seed
         decision, seeded = self._run_on(t, tau)
         for slipping in decision.started:
-            self.events.append(Event(t, self.names[slipping], "slip", start_q, start_v))
+            kind = "slip" if slipping < system.nc else "turn"
+            self.events.append(Event(t, self._name(slipping)[0], kind, start_q, start_v))
         for opened in decision.opened:
             self.announce(t + tau, opened, "separate")
         started = [i for i in decision.started if system.contact_int[i, FROZEN]]
@@ -484,7 +493,7 @@ class Transitions:
     def _uneventful(self) -> bool:
         """Whether nothing opened, closed or began to slip in the last attempt, as far as gaps and forces are known."""
         system = self.system
-        n = system.nc + system.ng
+        n = system.items
         lowest = system.lowest[:n]
         reach = np.array([self._reach(c) if c < system.nc else GAP_TOLERANCE * system.scale.sum() for c in range(n)])
         force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
@@ -509,7 +518,7 @@ class Transitions:
 
     def _end_start(self, t: float) -> float:
         """Slip has a direction of its own from here on."""
-        self.system.contact_int[: self.system.nc, FROZEN] = 0
+        self.system.contact_int[:, FROZEN] = 0
         self._project(t)
         self.rk.accept()
         return t

@@ -483,29 +483,34 @@ def _margins(
     time,
     direction,
 ):
-    """Complete the forces of slip and fill the event functions."""
+    """Complete the forces of slip and fill the event functions, but for guarded joint coordinates."""
     status = OK
-    for c in range(nc):
+    for c in range(total):
+        if nc <= c < resistances:
+            continue
         integers, numbers, value = contact_int[c], contact_real[c], margins[c]
         for i in range(MARGINS_PER_CONTACT):
             value[i] = 1.0
-        mode = integers[MODE]
-        if mode == FREE:
+        owner = c
+        if c >= nc:
+            owner = integers[OWNER]
+        elif integers[MODE] == FREE:
             value[GAP_MARGIN] = gaps[c, 0]
             if value[GAP_MARGIN] < 0.0:
                 status = EVENT
             continue
-        value[DOMAIN_MARGIN] = numbers[DOMAIN]
-        if value[DOMAIN_MARGIN] < 0.0:
-            status = EVENT
-        if integers[UNILATERAL] != 0:
-            value[NORMAL_MARGIN] = force[c, 2]
-        elif integers[PATTERN] != ON_CURVE and (mode == SLIPPING or resists(integers)):
-            value[NORMAL_MARGIN] = integers[NORMAL_SIGN] * force[c, 2]
+        else:
+            value[DOMAIN_MARGIN] = numbers[DOMAIN]
+            if value[DOMAIN_MARGIN] < 0.0:
+                status = EVENT
+            if integers[UNILATERAL] != 0:
+                value[NORMAL_MARGIN] = force[c, 2]
+            elif integers[PATTERN] != ON_CURVE and (integers[MODE] == SLIPPING or resists(integers)):
+                value[NORMAL_MARGIN] = integers[NORMAL_SIGN] * force[c, 2]
         _friction_margins(
             nv,
             c,
-            size_of_load(contact_int, force, c),
+            size_of_load(contact_int, force, owner),
             integers,
             numbers,
             slip,
@@ -519,33 +524,10 @@ def _margins(
             time,
             direction,
         )
-        if resists_viscously(integers, numbers):
+        if c < nc and resists_viscously(integers, numbers):
             for row in range(integers[TANGENTS]):
                 force[c, row] += viscous_force(numbers, basis[c, row], slip[c])
         if value[NORMAL_MARGIN] < 0.0 or value[FRICTION_MARGIN] < 0.0 or value[SPEED_MARGIN] < 0.0:
-            status = EVENT
-    for c in range(resistances, total):
-        integers, value = contact_int[c], margins[c]
-        for i in range(MARGINS_PER_CONTACT):
-            value[i] = 1.0
-        _friction_margins(
-            nv,
-            c,
-            size_of_load(contact_int, force, integers[OWNER]),
-            integers,
-            contact_real[c],
-            slip,
-            basis,
-            rows,
-            bias,
-            acceleration,
-            force,
-            relative_acceleration,
-            value,
-            time,
-            direction,
-        )
-        if value[FRICTION_MARGIN] < 0.0 or value[SPEED_MARGIN] < 0.0:
             status = EVENT
     return status
 

@@ -86,7 +86,7 @@ SLOTS = (
     # least and largest margins of a step's stages, and one choice among redundant forces
     "lowest",  # (nc + ng + nr, MARGINS_PER_CONTACT)
     "highest",  # (nc + ng + nr, MARGINS_PER_CONTACT)
-    "across",  # (nc + ng + nr + 1, POLYNOMIAL_SIZE): shares of a step, then each v_c across its direction, see `steps`
+    "across",  # (2 (nc + ng + nr) + 1, POLYNOMIAL_SIZE): shares of a step, v_c across directions and along, see `steps`
     "reference",  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
 )
 
@@ -173,7 +173,8 @@ TABLE_SIZE = len(SLOTS)
 NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
 
 # scalars: of the last evaluation and step, then what steps are controlled by (times and steps in s);
-# DIP is the part of a margin's change over a step by which it may dip between two stages
+# DIP is the part of a margin's change over a step by which it may dip between two stages, TURNING_RATE that of the
+# slowest slip, by friction, at the accepted state, 1 / s
 (
     TIME,
     STEP,
@@ -196,8 +197,9 @@ NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
     DENSE_STEP,
     HAS_REFERENCE,
     DIP,
-) = range(21)
-SCALARS_SIZE = 21
+    TURNING_RATE,
+) = range(22)
+SCALARS_SIZE = 22
 
 # contact_int
 (
@@ -227,6 +229,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 
 # contact_real; MU is the coefficient as slip starts, MU_FAST that of fast slip, MU_NOW that of the last evaluation;
 # coefficients of two directions are along the first, times ASPECT across it.
+# LIMIT_SLACK is the part of the static limit by which friction may exceed it before stick ends.
 # DOMAIN is the distance of the location from the nearest end of its domain, negative outside;
 # LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart; START_SPEED and
 # _RATE are those of 3D slip there, infinite where there is none.
@@ -235,6 +238,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 (
     MU,
     MU_STATIC,
+    LIMIT_SLACK,
     MU_FAST,
     MU_NOW,
     STRIBECK_SPEED,
@@ -268,7 +272,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(35)
+) = range(36)
 POLYNOMIAL_SIZE = 5
 # from START on
 FROZEN_COLUMNS = 8 + POLYNOMIAL_SIZE
@@ -329,8 +333,10 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, T
     ROW_COUNT,
     ROWS_FORMED,
     DRIVES_EVALUATED,
-) = range(21)
-COUNTERS_SIZE = 21
+    STIFF_STEPS,
+    PATIENCE,
+) = range(23)
+COUNTERS_SIZE = 23
 
 # what kernels call by address: a Python callable, its arguments, a second pair of them or zeros, the result that means
 # failure; the evaluation and the address of the table that it is given

@@ -19,7 +19,7 @@ from .errors import TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
 from .integration.recording import BLOCK, INTEGERS_PER_CONTACT
 from .integration.results import Event
-from .integration.slip_start import frozen_directions, set_frozen_directions
+from .integration.slow_slip import frozen_directions, set_frozen_directions
 from .integration.stages import NUMBER_OF_WORKS
 from .integration.steps import RECORD, run_task
 from .layout import (

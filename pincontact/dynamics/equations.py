@@ -30,6 +30,7 @@ from ..layout import (
     GUARD_SIGN,
     HIGH_END,
     HIGH_FORCE,
+    LIMIT_SLACK,
     LOW_END,
     LOW_FORCE,
     MARGINS_PER_CONTACT,
@@ -71,8 +72,6 @@ _NORMAL_ITERATIONS = 50
 _NORMAL_CHANGE = 1e-15
 # A slip operator whose pivot falls below this fraction of its frictionless value has lost positivity (Painleve).
 PAINLEVE_LIMIT = 1e-9
-# Friction up to this much above its limit is round-off: a contact exactly at the limit sticks.
-FORCE_SLACK = 1e-13
 
 
 @kernel
@@ -556,7 +555,7 @@ def _friction_margins(
             tangential = abs(force[c, 0])
             if integers[TANGENTS] == 2:
                 tangential = friction_length(integers, numbers, force[c, 0], force[c, 1])
-            value[FRICTION_MARGIN] = (1.0 + FORCE_SLACK) * numbers[MU_STATIC] * load - tangential
+            value[FRICTION_MARGIN] = (1.0 + numbers[LIMIT_SLACK]) * numbers[MU_STATIC] * load - tangential
     elif integers[MODE] == SLIPPING:
         speed = slip_direction(integers, numbers, slip[c], basis[c], time, direction)
         numbers[SLIP_SPEED] = speed

@@ -53,6 +53,7 @@ from ..layout import (
     K2,
     KIND,
     LENGTH,
+    LIMIT_SLACK,
     LOW_END,
     LOW_FORCE,
     MARGINS_PER_CONTACT,
@@ -112,6 +113,8 @@ if TYPE_CHECKING:
 # Kinds whose first chart has poles.
 CHARTED_KINDS = (SPHERE, ELLIPSOID, REVOLUTION)
 
+# Friction up to this much above its limit is round-off: a contact exactly at the limit sticks.
+FORCE_SLACK = 1e-13
 # Lengths of resistances below this part of their contact's make torques that rounding of its forces hides.
 _NEGLIGIBLE_RESISTANCE = 1e-12
 
@@ -191,6 +194,7 @@ class System:
         self.contact_int = memory.integers("contact_int", max(self.items, 1), CONTACT_INTS)
         self.contact_real = memory.reals("contact_real", max(self.items, 1), CONTACT_REALS)
         self.contact_real[:, START_SPEED] = np.inf
+        self.contact_real[:, LIMIT_SLACK] = FORCE_SLACK
         self.side_int = memory.integers("side_int", 2 * nc, SIDE_INTS)
         self.side_shape = memory.reals("side_shape", 2 * nc, SHAPE_SIZE)
         self.side_base = memory.reals("side_base", 2 * nc, 12)
@@ -291,7 +295,7 @@ class System:
         self.counters = memory.integers("counters", COUNTERS_SIZE)
         self.lowest = memory.reals("lowest", nc, MARGINS_PER_CONTACT)
         self.highest = memory.reals("highest", nc, MARGINS_PER_CONTACT)
-        self.across = memory.reals("across", nc + 1, POLYNOMIAL_SIZE)
+        self.across = memory.reals("across", 2 * nc + 1, POLYNOMIAL_SIZE)
         self.reference = memory.reals("reference", nc, 3)
 
     def _map_guards(self, guards: Sequence[Guard]) -> None:

@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 
 from ..callback import call_kernel
-from ..dynamics.equations import slip_direction
+from ..dynamics.equations import inner, slip_direction
 from ..dynamics.evaluation import contact_corrections
-from ..dynamics.resistance import count_items
+from ..dynamics.linear import whiten
+from ..dynamics.resistance import count_items, size_of_load
+from ..geometry.patterns import NO_NORMAL
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
 from ..layout import (
@@ -41,9 +43,11 @@ from ..layout import (
     EVALUATION,
     EVENT,
     EXTRA_STAGES,
+    FACTOR,
     FAILURE,
     FIXED_STEP,
     FLOOR,
+    FORCE,
     FROZEN,
     GAP_RESIDUAL,
     HIGHEST,
@@ -55,6 +59,7 @@ from ..layout import (
     MAX_STEP,
     MODE,
     MU,
+    MU_NOW,
     NEW_STATE,
     NEXT_OUTPUT,
     NEXT_STEP,
@@ -68,6 +73,10 @@ from ..layout import (
     NY,
     OK,
     OWN_TABLE,
+    OWNER,
+    PARENTS,
+    PATIENCE,
+    PATTERN,
     POLYNOMIAL_SIZE,
     RECORD_STEPS,
     RECORDED,
@@ -91,9 +100,12 @@ from ..layout import (
     STATE,
     STEP,
     STEP_COUNT,
+    STIFF_STEPS,
     TANGENTS,
+    TURNING_RATE,
     VECTORS,
     VELOCITY_RESIDUAL,
+    WORK,
     Q,
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
@@ -122,7 +134,7 @@ from .stages import MAX_STAGES, build_state, correct_state, error_norm, fill_slo
 ) = range(16)
 
 # What MARCH comes back with.
-MARCHING, STEPPED, ATTEMPTED, SLIP_ENDS, STEP_FAILED, PROJECTION_FAILED, AT_FLOOR, AT_LIMIT = range(8)
+MARCHING, STEPPED, ATTEMPTED, SLIP_ENDS, SLIP_IS_SLOW, STEP_FAILED, PROJECTION_FAILED, AT_FLOOR, AT_LIMIT = range(9)
 # What WRITE_OUTPUTS comes back with, besides a status: there is no room for more rows.
 BLOCK_FULL = 100
 # Attempts after which MARCH comes back all the same, for the keyboard's and the progress bar's sake.
@@ -152,6 +164,9 @@ _PROGRESS = 0.9
 # Growth by which a slip has got away from its slowest point.
 _ESCAPE = 2.0
 _SMALLEST_STOP_SPEED = 1e-13
+# Steps of more than this over the time in which friction turns a slip are held back by stability, not by accuracy: the
+# pairs' limits are 3.3 and 6.
+_STIFF = 2.0
 
 _PROJECTIONS = 12
 # A change of q below this needs no further evaluation: what it leaves in gaps and v_c is quadratic, or below round-off.
@@ -281,8 +296,8 @@ def interpolation(table, t, h):
 def across_slip(table, t, h):
     """How well prescribed slip directions hold in a step of size h from the state at t, which is attempted; a status.
 
-    ACROSS is filled with v_c across the direction at the shares of the step in its first row, up to a zero; each is
-    divided by the share squared, since v_c grows so.
+    ACROSS is filled with v_c across the direction at the shares of the step in its first row, up to a zero, and then
+    with v_c along it.
     """
     n = count_items(table)
     status = start(table, t)
@@ -295,7 +310,7 @@ def across_slip(table, t, h):
     contact_int = integer_matrix(table[CONTACT_INT], n, CONTACT_INTS)
     contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
     basis, slip = cube(table[BASIS], n, 3, 3), matrix(table[SLIP], n, 3)
-    across = matrix(table[ACROSS], n + 1, POLYNOMIAL_SIZE)
+    across = matrix(table[ACROSS], 2 * n + 1, POLYNOMIAL_SIZE)
     direction = matrix(table[VECTORS], 16, 3)[0]
     for k in range(POLYNOMIAL_SIZE):
         share = across[0, k]
@@ -308,8 +323,9 @@ def across_slip(table, t, h):
         for c in range(n):
             if contact_int[c, FROZEN] != 0:
                 slip_direction(contact_int[c], contact_real[c], slip[c], basis[c], t + share * h, direction)
-                turned = direction[0] * dot(basis[c, 1], slip[c]) - direction[1] * dot(basis[c, 0], slip[c])
-                across[c + 1, k] = turned / share**2
+                first, second = dot(basis[c, 0], slip[c]), dot(basis[c, 1], slip[c])
+                across[c + 1, k] = direction[0] * second - direction[1] * first
+                across[n + c + 1, k] = direction[0] * first + direction[1] * second
     return OK
 
 
@@ -388,7 +404,8 @@ def start(table, t):
 def finish_step(table, t):
     """What follows every accepted state: better charts, and what the next step is held against.
 
-    That is each contact's normal, and the speed and rate of every 3D slip with the error that is allowed in it.
+    That is each contact's normal, and the speed and rate of every 3D slip with the error that is allowed in it. Steps
+    that slow slip makes stiff are counted.
     """
     sizes, scalars = integers(table[SIZES], 8), reals(table[SCALARS], SCALARS_SIZE)
     counters = integers(table[COUNTERS], COUNTERS_SIZE)
@@ -401,6 +418,7 @@ def finish_step(table, t):
     contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
     basis, rows = cube(table[BASIS], n, 3, 3), cube(table[ROWS], n, 3, nv)
     v, tolerances = reals(table[STATE], sizes[NY])[sizes[NQ] :], reals(table[SCALE], 2)
+    turning = 0.0
     for c in range(n):
         integer, number = contact_int[c], contact_real[c]
         for i in range(3):
@@ -409,6 +427,7 @@ def finish_step(table, t):
         if integer[MODE] != SLIPPING or integer[TANGENTS] != 2 or integer[FROZEN] != 0 or not number[MU] > 0.0:
             continue
         number[START_SPEED], number[START_RATE] = number[SLIP_SPEED], number[SLIP_RATE]
+        turning = max(turning, _turning_rate(table, c, n))
         allowed = _SMALLEST_STOP_SPEED
         for row in range(3):
             value = 0.0
@@ -416,8 +435,29 @@ def finish_step(table, t):
                 value += abs(rows[c, row, k]) * (tolerances[1] + tolerances[0] * abs(v[k]))
             allowed = max(allowed, value)
         number[START_TOLERANCE] = allowed
+    scalars[TURNING_RATE] = turning
+    counters[STIFF_STEPS] = counters[STIFF_STEPS] + 1 if turning * scalars[STEP] > _STIFF else 0
     _watch_slips(contact_real, n, scalars, counters, True)
     return OK
+
+
+@kernel
+def _turning_rate(table, c, n):
+    """How fast friction turns the slip of item c into the direction in which it would go, in 1 / s: mu |F_n| w M^-1 w^T
+    over the speed, with w the row across the slip."""
+    nv = integers(table[SIZES], 8)[NV]
+    contact_int, force = integer_matrix(table[CONTACT_INT], n, CONTACT_INTS), matrix(table[FORCE], n, 3)
+    number = matrix(table[CONTACT_REAL], n, CONTACT_REALS)[c]
+    basis, rows, slip = cube(table[BASIS], n, 3, 3)[c], cube(table[ROWS], n, 3, nv)[c], matrix(table[SLIP], n, 3)[c]
+    work = reals(table[WORK], nv)
+    first, second = dot(basis[0], slip), dot(basis[1], slip)
+    for k in range(nv):
+        work[k] = first * rows[1, k] - second * rows[0, k]
+    whiten(matrix(table[FACTOR], nv, nv), integers(table[PARENTS], nv), nv, work, work)
+    speed = math.hypot(first, second)
+    owner = contact_int[c, OWNER] if contact_int[c, PATTERN] == NO_NORMAL else c
+    load = number[MU_NOW] * size_of_load(contact_int, force, owner)
+    return load * inner(work, work, nv) / speed**3 if speed > 0.0 else 0.0
 
 
 @kernel
@@ -475,6 +515,7 @@ def march(table, task):
 
     MARCHING: not yet, call again; STEPPED: a step was accepted, which MARCH_ONE_STEP asks for, or END was reached, or
     there is no room for more rows (at the call there must be some);
+    SLIP_IS_SLOW: so many steps were stiff as PATIENCE allows;
     ATTEMPTED: a step is within its error, but neither projected nor accepted: an event function was negative, or its
     outputs could not all be written, or MARCH_ONE_ATTEMPT asks for it; SLIP_ENDS; STEP_FAILED: rejected because of the
     status in FAILURE; PROJECTION_FAILED; AT_FLOOR; AT_LIMIT: of attempts.
@@ -542,6 +583,8 @@ def march(table, task):
         while scalars[NEXT_OUTPUT] <= t_new and counters[RECORDED] < BLOCK:
             record_row(table, t_new)
             output_done(table)
+        if counters[STIFF_STEPS] >= counters[PATIENCE] and fixed == 0.0:
+            return SLIP_IS_SLOW
         if task == MARCH_ONE_STEP or t_new >= end or counters[RECORDED] == BLOCK:
             return STEPPED
     return MARCHING

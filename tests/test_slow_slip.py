@@ -127,3 +127,18 @@ def test_slow_slip_of_many_feet():
     expected = 0.5 * G * MU * excess * math.cos(slope)
     assert math.hypot(*run.q[-1, :2]) == pytest.approx(expected, rel=1e-6)
     assert run.stats["steps"] <= 200
+
+
+@pytest.mark.parametrize("start", [1e6, 1e9])
+def test_slip_ends_late_in_time(start):
+    """Where the clock's own resolution is coarser than what is left of the slip."""
+    scene = slider(pc.Coulomb(MU))
+    state = scene.initial_state(np.zeros(3), np.array([0.6, 0.8, 0.0]), t=start)
+    run = pc.simulate(scene, state, 1.0)
+    assert run.status == 0, run.message
+    stops = 1.0 / (MU * G)
+    assert [event.kind for event in run.events] == ["stick"]
+    assert run.events[0].time - start == pytest.approx(stops, abs=20.0 * math.ulp(start))
+    assert np.abs(run.v[-1]).max() <= 1e-15
+    # the time that steps do not resolve, at the speed that is left by then
+    assert math.hypot(*run.q[-1, :2]) == pytest.approx(0.5 * stops, abs=1e-10 + MU * G * (20.0 * math.ulp(start)) ** 2)

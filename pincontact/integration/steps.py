@@ -536,7 +536,10 @@ def march(table, task):
         step = min(h, min(scalars[MAX_STEP], remaining))
         for c in range(n):
             if contact_real[c, START_SPEED] < math.inf and contact_real[c, START_RATE] < 0.0:
-                step = min(step, _STOP_FRACTION * contact_real[c, START_SPEED] / -contact_real[c, START_RATE])
+                stop = _STOP_FRACTION * contact_real[c, START_SPEED] / -contact_real[c, START_RATE]
+                if stop < scalars[FLOOR]:
+                    return SLIP_ENDS
+                step = min(step, stop)
         if remaining - step < _SLIVER * step:
             step = remaining
         if step < scalars[FLOOR] and step < remaining:

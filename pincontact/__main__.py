@@ -217,8 +217,7 @@ def _info(loaded: LoadedScene) -> int:
         )
         print(f"\n  made consistent by at most {given.dq:.3g} in q (m, rad) and {given.dv:.3g} in v (m/s, rad/s)")
     # what the friction laws decide at the start takes one evaluation: a run without duration
-    stepped = any(c.friction is not None and c.friction.resists_turning for c in scene.contacts.values())
-    start = simulate(scene, state, 0.0, method="Moreau" if stepped else "DOP853")
+    start = simulate(scene, state, 0.0)
     if start.t.size:
         _table(
             "initial state",

@@ -83,11 +83,13 @@ SLOTS = (
     "guard_count",  # (1,) int: ng
     "guard_int",  # (ng, GUARD_INTS) int
     "guard_real",  # (ng, GUARD_REALS)
+    # resistances to spinning and rolling, rows nc + ng .. nc + ng + nr: see `dynamics.resistance`
+    "resistance_count",  # (1,) int: nr
     # least and largest margins of a step's stages, and one choice among redundant forces
-    "lowest",  # (nc + ng, MARGINS_PER_CONTACT)
-    "highest",  # (nc + ng, MARGINS_PER_CONTACT)
-    "across",  # (nc + 1, POLYNOMIAL_SIZE): shares of a step, then each contact's v_c across its direction, see `steps`
-    "reference",  # (nc + ng, 3): force along the basis about which the least-norm solution is taken
+    "lowest",  # (nc + ng + nr, MARGINS_PER_CONTACT)
+    "highest",  # (nc + ng + nr, MARGINS_PER_CONTACT)
+    "across",  # (2 (nc + ng + nr) + 1, POLYNOMIAL_SIZE): shares of a step, v_c across directions and along, see `steps`
+    "reference",  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
 )
 
 # one integer constant a slot, for the kernels
@@ -163,6 +165,7 @@ SLOTS = (
     GUARD_COUNT,
     GUARD_INT,
     GUARD_REAL,
+    RESISTANCE_COUNT,
     LOWEST,
     HIGHEST,
     ACROSS,
@@ -174,8 +177,9 @@ TABLE_SIZE = len(SLOTS)
 NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
 
 # scalars: of the last evaluation and step, then what steps are controlled by (times and steps in s);
-# DIP is the part of a margin's change over a step by which it may dip between two stages, BAD_TORQUE the user's torque
-# that was not finite, else 0, and BAD_TIME when that was
+# DIP is the part of a margin's change over a step by which it may dip between two stages, TURNING_RATE that of the
+# slowest slip, by friction, at the accepted state, 1 / s, BAD_TORQUE the user's torque that was not finite, else 0, and
+# BAD_TIME when that was
 (
     TIME,
     STEP,
@@ -198,10 +202,11 @@ NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
     DENSE_STEP,
     HAS_REFERENCE,
     DIP,
+    TURNING_RATE,
     BAD_TORQUE,
     BAD_TIME,
-) = range(23)
-SCALARS_SIZE = 23
+) = range(24)
+SCALARS_SIZE = 24
 
 # contact_int
 (
@@ -219,13 +224,19 @@ SCALARS_SIZE = 23
     CLOSED_FORM,
     DETERMINANT_SIGN,
     ANISOTROPIC,
-) = range(14)
-CONTACT_INTS = 14
+    SPINNING_ROW,
+    ROLLING_ROW,
+    OWNER,
+) = range(17)
+CONTACT_INTS = 17
 # contact_int[ANISOTROPIC]: friction alike in all directions, or along a tangent of body 1 or body 2 and across it
 ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
+# contact_int[SPINNING_ROW], contact_int[ROLLING_ROW]: rows of a contact's resistances among all, 0 for none;
+# contact_int[OWNER]: of a resistance's row, its contact
 
 # contact_real; MU is the coefficient as slip starts, MU_FAST that of fast slip, MU_NOW that of the last evaluation;
 # coefficients of two directions are along the first, times ASPECT across it.
+# LIMIT_SLACK is the part of the static limit by which friction may exceed it before stick ends.
 # DOMAIN is the distance of the location from the nearest end of its domain, negative outside;
 # LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart, NEXT_NORMAL that of the
 # state about to be accepted; START_SPEED and _RATE are those of 3D slip there, infinite where there is none.
@@ -234,6 +245,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 (
     MU,
     MU_STATIC,
+    LIMIT_SLACK,
     MU_FAST,
     MU_NOW,
     STRIBECK_SPEED,
@@ -270,7 +282,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(38)
+) = range(39)
 POLYNOMIAL_SIZE = 5
 # from START on
 FROZEN_COLUMNS = 8 + POLYNOMIAL_SIZE
@@ -331,9 +343,11 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, T
     ROW_COUNT,
     ROWS_FORMED,
     DRIVES_EVALUATED,
+    STIFF_STEPS,
+    PATIENCE,
     ROW_RANK,
-) = range(22)
-COUNTERS_SIZE = 22
+) = range(24)
+COUNTERS_SIZE = 24
 
 # what kernels call by address: a Python function to be asked first, or 0, and its arguments; one or two of Pinocchio's
 # algorithms and theirs; the result that means failure; the evaluation and the address of the table that it is given

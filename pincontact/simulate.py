@@ -12,7 +12,7 @@ import numpy as np
 from .arguments import NOT_REAL, is_number, real_array
 from .dynamics.joints import check_guards
 from .dynamics.spare import put_back, take_spare
-from .errors import ArgumentError, ContactError, FrictionError
+from .errors import ArgumentError, ContactError
 from .integration.driver import Driver, Options
 from .integration.events import UserEvent
 from .integration.results import CONTROL_FAILED, Stop
@@ -86,12 +86,10 @@ def simulate(
     if pair is None:
         # imported, and with it kernels to compile, for those who use it
         from .integration import moreau  # noqa: F401
-    else:
-        _check_laws(scene, method)
     compile_kernels()
     began = time.perf_counter()
     contacts = list(scene.contacts.values())
-    spare = take_spare(scene, energies)
+    spare = take_spare(scene, energies, resistances=pair is not None)
     system = spare.system
     if pair is not None:
         # time stepping brings what is beyond its limits back
@@ -117,7 +115,7 @@ def simulate(
             put_back(scene, spare)
         return run
     rk = RungeKutta(system, pair, rtol, atol, torque.ask if torque is not None else None)
-    record = Record(system, with_torques=control is not None or system.ng > 0)
+    record = Record(system, with_torques=control is not None or system.ng + system.nr > 0)
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration, failed_control)
     options = Options(times, max_step, max_steps, fixed_step, first_step)
     with _Bar(progress, state.t, duration) as bar:
@@ -233,17 +231,6 @@ def _check(
         raise ArgumentError(f"duration, rtol and atol must be finite, got {duration}, {rtol}, {atol}")
     if not is_number(max_steps) or not 1 <= max_steps <= _MOST_STEPS or int(max_steps) != max_steps:
         raise ArgumentError(f"max_steps must be a whole number from 1 to 1e18, got {max_steps!r}")
-
-
-def _check_laws(scene: Scene, method: str) -> None:
-    """FrictionError for laws that only time stepping knows."""
-    for contact in scene.contacts.values():
-        law = contact.friction
-        if law is not None and law.resists_turning:
-            raise FrictionError(
-                f"contact {contact.name!r}: resistance to spinning ({law.spinning:g} m) and rolling ({law.rolling:g} "
-                f"m) needs method 'Moreau', not {method!r}"
-            )
 
 
 def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray | None:

@@ -19,7 +19,7 @@ from .errors import TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
 from .integration.recording import BLOCK, INTEGERS_PER_CONTACT
 from .integration.results import Event
-from .integration.slip_start import frozen_directions, set_frozen_directions
+from .integration.slow_slip import frozen_directions, set_frozen_directions
 from .integration.stages import NUMBER_OF_WORKS
 from .integration.steps import RECORD, run_task
 from .layout import (
@@ -54,8 +54,9 @@ class Record:
     def __init__(self, system: System, with_torques: bool) -> None:
         self.system, self.with_torques = system, with_torques
         nq, nv, nc = system.nq, system.nv, system.nc
-        # t, q, v, tau, works, location, frozen directions' columns, redundant forces chosen
-        self._widths = (1, nq, nv, nv, int(system.sizes[NWORK]), 4 * nc, FROZEN_COLUMNS * nc, 3 * nc)
+        # t, q, v, tau, works, location, frozen directions' columns, redundant forces chosen, resistances to turning
+        turns = 3 * nc if system.nr else 0
+        self._widths = (1, nq, nv, nv, int(system.sizes[NWORK]), 4 * nc, FROZEN_COLUMNS * nc, 3 * nc, turns)
         system.counters[ROW_WIDTH] = width = sum(self._widths)
         whole = np.empty((BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT), dtype=np.int64)
         self._reals = system.memory.put("recorded_reals", np.empty((BLOCK, width)))
@@ -80,13 +81,11 @@ class Record:
             self._blocks.append((self._reals[:count].copy(), self._integers[:count].copy()))
             self.system.counters[RECORDED] = 0
 
-    @property
-    def resistances(self) -> np.ndarray | None:
-        """(n, nc, 3) torques that were added with the rows, None without."""
-        return np.array(self._resistances) if self._resistances else None
-
     def rows(self) -> tuple[list[np.ndarray], np.ndarray]:
-        """All rows: [t, q, v, tau, works, location, frozen columns, redundant forces]; contacts' integers."""
+        """All rows: [t, q, v, tau, works, location, frozen columns, redundant forces, resistances]; contacts' integers.
+
+        The resistances are torques (n, nc, 3) on the second contours, (n, 0, 3) where nothing resists turning.
+        """
         self.flush(always=True)
         nc = self.system.nc
         blocks = self._blocks or [(self._reals[:0].copy(), self._integers[:0].copy())]
@@ -101,6 +100,12 @@ class Record:
         parts[5] = parts[5].reshape(n, nc, 4)
         parts[6] = parts[6].reshape(n, nc, FROZEN_COLUMNS)
         parts[7] = parts[7].reshape(n, nc, 3)
+        if self._resistances:
+            parts[8] = np.array(self._resistances)
+        else:
+            resisting = self.system.contacts if self.system.nr else []
+            orientation = np.array([-1.0 if contact.swapped else 1.0 for contact in resisting])
+            parts[8] = orientation[:, None] * parts[8].reshape(n, len(resisting), 3)
         return parts, integers[:, : nc * INTEGERS_PER_CONTACT].reshape(n, nc, INTEGERS_PER_CONTACT)
 
 
@@ -118,7 +123,8 @@ class ContactTrack:
     multipliers:     (n, 3) components of that force in the dual frame, F_j = e_j . F (Prop. 6)
     normal_force, tangential_force: (n,) in N; the normal one is positive in compression (a length for a point on a
                      spatial curve)
-    torque:          (n, 3) what resists spinning and rolling, on the second contour, N m: its mean over the last step
+    torque:          (n, 3) what resists spinning and rolling, on the second contour, N m; by time stepping its mean
+                     over the last step
     slip_velocity:   (n, 3) v_c, of the second contour's material point against the first's
     mode:            (n,) -1 open, 0 frictionless, 1 stick, 2 slip
     gap:             (n,) in m, positive when apart
@@ -231,7 +237,7 @@ class Trajectory:
         cls, scene: Scene, record: Record, events: list[Event], status: int, message: str, stats: dict[str, Any]
     ) -> Trajectory:
         """From the rows of a run, however many there are."""
-        (t, q, v, torques, works, location, frozen, references), integers = record.rows()
+        (t, q, v, torques, works, location, frozen, references, resistances), integers = record.rows()
         return cls(
             scene,
             t,
@@ -242,7 +248,7 @@ class Trajectory:
             frozen_directions(integers, frozen, t),
             works if works.shape[1] else None,
             torques if record.with_torques else None,
-            record.resistances,
+            resistances if resistances.shape[1] else None,
             events,
             status,
             message,
@@ -286,7 +292,8 @@ class Trajectory:
         tracks = {name: self.contacts[name] for name in self.scene.contacts}
         points = {name: np.nan_to_num(track.point[index]) for name, track in tracks.items()}
         forces = {name: track.force[index] for name, track in tracks.items()}
-        return joint_forces(model, data, self.scene.contacts.values(), points, forces)
+        torques = {name: track.torque[index] for name, track in tracks.items()}
+        return joint_forces(model, data, self.scene.contacts.values(), points, forces, torques)
 
     def _model(self) -> pin.Model:
         """The scene's model. Raises TrajectoryError where a bare scene stands in for it (see `load`)."""

@@ -395,3 +395,22 @@ def test_problems_of_any_size():
     for size in (1e-200, 1e200):
         # u = 0 at the only force: stick, well inside the cone
         np.testing.assert_allclose(pc.solve_contacts(size * np.eye(3), b, 0.5).forces[0], -b / size, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "make, text",
+    [
+        (lambda: pc.Circle(0.3).samples("a"), "at least 2 values are needed along each parameter, got 'a'"),
+        (lambda: pc.Circle(0.3).samples(2.5), "got 2.5"),
+        (lambda: pc.Sphere(0.3).mesh(None), "got None"),
+        (lambda: pc.Plane().samples(3, 7), "window must have 2 entries, got 7"),
+        (lambda: pc.SplineMotion([0.0, 1.0], None), "poses must be a sequence of placements, got NoneType"),
+        (lambda: pc.SplineMotion(range(6), [pin.SE3.Identity()] * 6, periodic="no"), "periodic must be True or False"),
+        (lambda: pc.SplineCurve(np.eye(6)[:, :3], periodic=np.zeros(2)), "periodic must be True or False"),
+        (lambda: pc.SplineSurface(np.zeros((6, 6, 3)), periodic="no"), "periodic must be a pair of booleans, got 'no'"),
+        (lambda: pc.ParametricSurface(lambda u, v: (u, v, 0.0), ((0, 1), (0, 1)), (1, 2)), r"periodic\[1\] must be"),
+    ],
+)
+def test_contours_say_what_they_were_given(make, text):
+    with pytest.raises(pc.ContourError, match=text):
+        make()

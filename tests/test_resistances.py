@@ -1,4 +1,4 @@
-"""Friction beyond one or two coefficients: viscous, falling with speed, of two directions; spinning and rolling."""
+"""Friction beyond one or two coefficients: viscous, falling with speed, of two directions."""
 
 import math
 
@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
+from turning_ball import ball
 
 import pincontact as pc
 
@@ -363,178 +364,6 @@ def test_friction_takes_energy(mu, falls, viscous, speed, angle):
     turns = np.linspace(0.0, 2.0 * math.pi, 200)
     ellipse = factor * normal * np.column_stack([mu[0] * np.cos(turns), mu[1] * np.sin(turns)])
     assert dry <= (ellipse @ slip).min() + 1e-12 * abs(power)
-
-
-# ------------------------------------------------------------------------------------------------ spinning and rolling
-
-
-RADIUS = 0.05
-
-
-def ball(friction, slope=0.0, bilateral=False, motion=None):
-    """A solid ball on a plane; x is downhill."""
-    model = pin.Model()
-    model.gravity.linear = G * np.array([math.sin(slope), 0.0, -math.cos(slope)])
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "joint")
-    moments = 0.4 * MASS * RADIUS**2 * np.eye(3)
-    model.appendBodyToJoint(joint, pin.Inertia(MASS, np.zeros(3), moments), pin.SE3.Identity())
-    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
-    surface = scene.add_contour("surface", pc.Sphere(RADIUS), "ball")
-    floor = scene.add_contour("floor", pc.Plane(), motion=motion)
-    scene.add_contact("c", surface, floor, friction=friction, bilateral=bilateral)
-    return scene
-
-
-def on_the_floor(scene, v=None):
-    q = pin.neutral(scene.model)
-    q[2] = RADIUS
-    return scene.initial_state(q, np.zeros(6) if v is None else np.asarray(v, dtype=float))
-
-
-@BILATERAL
-def test_spinning_ball_stops(bilateral):
-    """Constant deceleration, exact but for the step in which it stops; then nothing moves."""
-    length, spin, step = 2e-4, 12.0, 1e-3
-    scene = ball(pc.Coulomb(0.5, spinning=length), bilateral=bilateral)
-    slowing = length * MASS * G / (0.4 * MASS * RADIUS**2)
-    stops = spin / slowing
-    run = pc.simulate(
-        scene, on_the_floor(scene, [0, 0, 0, 0, 0, spin]), 1.2 * stops, method="Moreau", step=step, energies=True
-    )
-    assert run.status == 0, run.message
-    before, after = run.t <= stops, run.t >= stops + step
-    np.testing.assert_allclose(run.v[before, 5], spin - slowing * run.t[before], rtol=0.0, atol=1e-9)
-    assert np.abs(run.v[after]).max() <= 1e-12
-    assert np.abs(run.q[after] - run.q[-1]).max() <= 1e-12
-    assert np.abs(run.v[:, :5]).max() <= 1e-12
-    assert np.abs(run.energies().balance).max() <= 1e-10
-    # the angle misses what the mean speed of the last step hides
-    turned = 2.0 * math.atan2(run.q[-1, 5], run.q[-1, 6])
-    assert math.remainder(turned - 0.5 * spin * stops, 2.0 * math.pi) == pytest.approx(0.0, abs=slowing * step**2)
-
-
-@BILATERAL
-@pytest.mark.parametrize("law", [pc.NoSlip(rolling=4e-3), pc.Coulomb(0.5, rolling=4e-3)], ids=["no slip", "Coulomb"])
-def test_rolling_ball_stops(law, bilateral):
-    """a = r rolling m g / (I + m r^2) against a ball that rolls obliquely; distance v^2 / 2 a, then it lies still."""
-    speed, direction, step = 0.3, 0.6, 2e-3
-    scene = ball(law, bilateral=bilateral)
-    along = np.array([math.cos(direction), math.sin(direction), 0.0])
-    v = np.r_[speed * along, np.cross([0.0, 0.0, 1.0], speed * along) / RADIUS]
-    slowing = RADIUS * law.rolling * G / (1.4 * RADIUS**2)
-    stops = speed / slowing
-    errors = []
-    for size in (2.0 * step, step):
-        run = pc.simulate(scene, on_the_floor(scene, v), 1.2 * stops, method="Moreau", step=size, energies=True)
-        assert run.status == 0, run.message
-        errors.append(np.abs(run.q[-1, :3] - run.q[0, :3] - 0.5 * speed * stops * along).max())
-    # second order in the angle turned in a step, with or without resistance
-    turned = speed / RADIUS * step
-    assert errors[1] <= 0.3 * errors[0] and errors[1] <= speed * stops * turned**2
-    rolling, resting = run.t < stops - step, run.t > stops + step
-    speeds = np.linalg.norm(run.v[rolling, :3], axis=1)
-    np.testing.assert_allclose(speeds, speed - slowing * run.t[rolling], rtol=0.0, atol=speed * turned**2)
-    assert np.abs(run.v[resting]).max() <= 1e-12
-    assert np.abs(run.q[resting] - run.q[-1]).max() <= 1e-12
-    # the ground's friction is what slows the centre down
-    track = run.contacts["c"]
-    np.testing.assert_allclose(track.tangential_force[1:][rolling[1:]], MASS * slowing, rtol=1e-6)
-    # the ball is the first contour: on the floor acts the torque along the ball's rotation
-    axis = np.array([-math.sin(direction), math.cos(direction), 0.0])
-    np.testing.assert_allclose(
-        track.torque[1:][rolling[1:]],
-        np.outer(np.ones(rolling.sum() - 1), law.rolling * MASS * G * axis),
-        rtol=0.0,
-        atol=1e-12,
-    )
-    energies = run.energies()
-    assert np.abs(energies.balance).max() <= energies.kinetic[0] * turned**2
-
-
-def test_ball_that_rolls_and_spins():
-    """On a plane neither resistance knows of the other."""
-    law, step = pc.Coulomb(0.5, spinning=2e-4, rolling=1e-3), 1e-3
-    scene = ball(law)
-    speed, spin, time = 0.3, 8.0, 0.4
-    state = on_the_floor(scene, [speed, 0.0, 0.0, 0.0, speed / RADIUS, spin])
-    run = pc.simulate(scene, state, time, method="Moreau", step=step)
-    rotation = pin.XYZQUATToSE3(run.q[-1]).rotation
-    v, w = rotation @ run.v[-1, :3], rotation @ run.v[-1, 3:]
-    # second order in the angle turned in a step
-    accuracy = ((speed / RADIUS + spin) * step) ** 2
-    assert w[2] == pytest.approx(spin - time * law.spinning * G / (0.4 * RADIUS**2), abs=spin * accuracy)
-    assert v[0] == pytest.approx(speed - time * law.rolling * G / (1.4 * RADIUS), abs=speed * accuracy)
-    assert abs(v[1]) <= speed * accuracy
-
-
-def test_turntable_takes_a_ball_along():
-    """Spinning resistance is what turns a ball that lies on the axis of a plate, until it turns with it."""
-    rate, length, step = 3.0, 1e-4, 2e-3
-    scene = ball(pc.Coulomb(0.5, spinning=length), motion=pc.ConstantTwist((0.0, 0.0, rate)))
-    gaining = length * G / (0.4 * RADIUS**2)
-    reached = rate / gaining
-    run = pc.simulate(scene, on_the_floor(scene), 1.3 * reached, method="Moreau", step=step, energies=True)
-    assert run.status == 0, run.message
-    before, after = run.t <= reached, run.t >= reached + step
-    np.testing.assert_allclose(run.v[before, 5], gaining * run.t[before], rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(run.v[after, 5], rate, rtol=1e-12)
-    energies = run.energies()
-    assert np.abs(energies.balance).max() <= 1e-10
-    # the plate gives twice what the ball gets: the rest is friction's, but for the step in which they meet
-    assert energies.drive_work[-1] == pytest.approx(2.0 * energies.kinetic[-1], rel=step / reached)
-
-
-def test_rolling_resistance_on_a_slope():
-    """Below slope = rolling / r the ball stays where it is; above, it rolls with what is left of gravity."""
-    length, step = 4e-3, 2e-3
-    limit = math.atan(length / RADIUS)
-    scene = ball(pc.Coulomb(0.5, rolling=length), 0.98 * limit)
-    run = pc.simulate(scene, on_the_floor(scene), 0.5, method="Moreau", step=step)
-    assert np.abs(run.v).max() <= 1e-12
-    np.testing.assert_allclose(run.contacts["c"].tangential_force[1:], MASS * G * math.sin(0.98 * limit), rtol=1e-9)
-    slope = 1.5 * limit
-    scene = ball(pc.Coulomb(0.5, rolling=length), slope)
-    run = pc.simulate(scene, on_the_floor(scene), 0.5, method="Moreau", step=step)
-    expected = G * (math.sin(slope) - length / RADIUS * math.cos(slope)) / 1.4
-    speed = float(np.linalg.norm(pin.XYZQUATToSE3(run.q[-1]).rotation @ run.v[-1, :3]))
-    # second order in the angle turned in a step
-    assert speed == pytest.approx(0.5 * expected, rel=(speed / RADIUS * step) ** 2)
-
-
-def test_disk_that_rolls_in_a_plane():
-    """One axis to roll about (2C-2C): the same law, and the torque that the stepper reports."""
-    radius, length, speed, step = 0.2, 3e-3, 0.5, 1e-3
-    model = pin.Model()
-    model.gravity.linear = np.array([0.0, -G, 0.0])
-    joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "joint")
-    model.appendBodyToJoint(
-        joint, pin.Inertia(MASS, np.zeros(3), 0.5 * MASS * radius**2 * np.eye(3)), pin.SE3.Identity()
-    )
-    model.addBodyFrame("disk", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
-    rim = scene.add_contour("rim", pc.Circle(radius), "disk")
-    road = scene.add_contour("road", pc.Line())
-    scene.add_contact("c", rim, road, friction=pc.Coulomb(0.6, rolling=length))
-    state = scene.initial_state(np.array([0.0, radius, 1.0, 0.0]), np.array([speed, 0.0, -speed / radius]))
-    slowing = radius * length * G / (1.5 * radius**2)
-    stops = speed / slowing
-    run = pc.simulate(scene, state, 1.1 * stops, method="Moreau", step=step)
-    assert run.status == 0, run.message
-    # second order in the angle turned in a step
-    assert run.q[-1, 0] == pytest.approx(0.5 * speed * stops, rel=(speed / radius * step) ** 2)
-    assert np.abs(run.v[-1]).max() <= 1e-12
-    stepper = pc.Stepper(scene, state, dt=step)
-    stepper.step(np.zeros(3))
-    # rolling forward turns about -z; the disk resists it, the road feels the opposite
-    np.testing.assert_allclose(stepper.torques["c"], [0.0, 0.0, -length * MASS * G], rtol=0.0, atol=1e-12)
-
-
-def test_spinning_and_rolling_resistance_need_time_stepping():
-    for law in (pc.Coulomb(0.5, spinning=1e-3), pc.NoSlip(rolling=1e-3)):
-        scene = ball(law)
-        with pytest.raises(pc.FrictionError, match=r"'c'.*0\.001 m.*'Moreau', not 'DOP853'"):
-            pc.simulate(scene, on_the_floor(scene), 0.1)
 
 
 # ------------------------------------------------------------------------------------------------ what is refused

@@ -24,19 +24,21 @@ def joint_forces(
     contacts: Iterable[Contact],
     points: Mapping[str, np.ndarray],
     forces: Mapping[str, np.ndarray],
+    torques: Mapping[str, np.ndarray],
 ) -> pin.StdVec_Force:
-    """Forces on all joints, each in its joint's frame, from contact forces on second contours at world points.
+    """Forces on all joints, each in its joint's frame, from contact forces on second contours at world points and
+    torques on these.
 
     data: with up to date placements of the joints (oMi).
     """
     out = pin.StdVec_Force()
     total = [pin.Force.Zero() for _ in range(model.njoints)]
     for contact in contacts:
-        point, force = points[contact.name], forces[contact.name]
-        if not np.any(force):
+        point, force, torque = points[contact.name], forces[contact.name], torques[contact.name]
+        if not (np.any(force) or np.any(torque)):
             continue
         # about the world's origin
-        wrench = pin.Force(force, np.cross(point, force))
+        wrench = pin.Force(force, np.cross(point, force) + torque)
         for joint, acting in ((contact.second.joint, wrench), (contact.first.joint, -wrench)):
             if joint > 0:
                 total[joint] += data.oMi[joint].actInv(acting)
@@ -49,8 +51,9 @@ def external_forces(
 ) -> pin.StdVec_Force:
     """The contacts' forces at a state as Pinocchio's external forces, one for each joint, in the joint's frame.
 
-    With them `pin.aba(model, data, q, v, tau - damping * v, fext)` gives the scene's accelerations (Pinocchio's own
-    algorithms leave the model's joint damping out).
+    Torques that resist spinning and rolling are among them, but not with given forces. With them
+    `pin.aba(model, data, q, v, tau - damping * v, fext)` gives the scene's accelerations (Pinocchio's own algorithms
+    leave the model's joint damping out).
 
     tau (nv,): joint torques that act, zero by default. forces: contact -> force (3,) in N on the second contour, world
     axes, instead of those of the motion at the state; contacts that are not named carry none.
@@ -59,11 +62,12 @@ def external_forces(
     """
     instant = Instant(scene, state, tau, decide=forces is None)
     if forces is None:
-        acting = instant.forces()
+        acting, torques = instant.forces(), instant.torques()
     else:
-        acting = dict.fromkeys(scene.contacts, np.zeros(3)) | check_forces(scene, forces)
+        torques = dict.fromkeys(scene.contacts, np.zeros(3))
+        acting = torques | check_forces(scene, forces)
     system = instant.system
-    return joint_forces(scene.model, system.data, system.contacts, instant.points(), acting)
+    return joint_forces(scene.model, system.data, system.contacts, instant.points(), acting, torques)
 
 
 def check_forces(scene: Scene, forces: Mapping[str, Any]) -> dict[str, np.ndarray]:

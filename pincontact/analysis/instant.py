@@ -89,7 +89,7 @@ class Instant:
         check_state(scene, state)
         self.scene, self.model = scene, scene.model
         contacts = list(scene.contacts.values())
-        self.system = system = System(scene.model, contacts)
+        self.system = system = System(scene.model, contacts, resistances=True)
         self.t = float(state.t)
         self.tau = check_vector("tau", np.zeros(system.nv) if tau is None else tau, system.nv)
         self.q, self.v = state.q.copy(), state.v.copy()
@@ -152,8 +152,9 @@ class Instant:
         return FIRST_STEP * self.length / max(float(np.abs(direction).max(initial=0.0)), 1e-300)
 
     def starting(self) -> list[str]:
-        """Contacts that begin to slip at this very state."""
-        return [n for c, n in enumerate(self.scene.contacts) if self.system.contact_int[c, FROZEN]]
+        """Contacts that begin to slip, or to turn against their resistance, at this very state."""
+        names = list(self.scene.contacts)
+        return [names[self.system.owner(int(i))] for i in np.flatnonzero(self.system.contact_int[:, FROZEN])]
 
     def follow(self) -> None:
         """Look for contact points from those of the last evaluation on, in charts that suit them."""
@@ -167,11 +168,13 @@ class Instant:
     # ---------------------------------------------------------------- constraints
 
     def constrained(self) -> list[tuple[int, int]]:
-        """(contact, basis row) of every constrained component of v_c: normals, then tangents in stick."""
+        """(item, basis row) of every constrained component of v_c, or of omega where turning is resisted: normals,
+        then tangents in stick. Items are contacts, then resistances to turning."""
         integers = self.system.contact_int
         normals, tangents = [], []
-        for c in self.system.closed():
-            normals.append((c, 2))
+        for c in [*self.system.closed(), *self.system.resisting()]:
+            if c < self.system.nc:
+                normals.append((c, 2))
             if integers[c, PATTERN] == ON_CURVE:
                 normals.append((c, 1))
             if integers[c, MODE] == STICK:
@@ -232,6 +235,15 @@ class Instant:
             out[contact.name] = sign * (system.basis[c].T @ system.force[c]) + 0.0
         return out
 
+    def torques(self) -> dict[str, np.ndarray]:
+        """Contact -> torque (3,) that resists its turning, on the second contour given, world axes."""
+        system = self.system
+        out = {contact.name: np.zeros(3) for contact in system.contacts}
+        for item in system.resisting():
+            contact = system.contacts[system.owner(item)]
+            out[contact.name] += (-1.0 if contact.swapped else 1.0) * (system.basis[item].T @ system.force[item])
+        return out
+
     def points(self) -> dict[str, np.ndarray]:
         """Contact -> contact point (3,), world, of the last evaluation."""
         system = self.system
@@ -245,7 +257,8 @@ class Instant:
         margins = self.system.margins
         slack = -_FORCE_ROUND_OFF * max(1.0, float(np.abs(self.system.bias_forces).max(initial=0.0)))
         return all(
-            margins[c, NORMAL_MARGIN] >= slack and margins[c, FRICTION_MARGIN] >= slack for c in self.system.closed()
+            margins[c, NORMAL_MARGIN] >= slack and margins[c, FRICTION_MARGIN] >= slack
+            for c in [*self.system.closed(), *self.system.resisting()]
         )
 
     def driven(self) -> bool:
@@ -253,8 +266,8 @@ class Instant:
         return any(c.motion is not None or c.contour.time_dependent for c in self.scene.contours.values())
 
     def slips(self) -> bool:
-        """Whether any contact slides with friction."""
-        return bool((self.system.modes == SLIPPING).any())
+        """Whether any contact slides with friction, or turns against its resistance."""
+        return bool((self.system.contact_int[:, MODE] == SLIPPING).any())
 
     def state(self, q: np.ndarray, v: np.ndarray) -> State:
         """The state at (q, v), contact points followed from this one's."""

@@ -32,7 +32,8 @@ class InverseDynamics:
     """What `inverse_dynamics` found.
 
     tau (nv,): joint torques, actuation @ efforts; efforts (na,); acceleration (nv,) that they make.
-    forces: contact -> force (3,) in N on the second contour given, world axes.
+    forces: contact -> force (3,) in N on the second contour given, world axes; torques: what resists spinning and
+    rolling, likewise.
     residual: what is left of the equations of motion, in N and N m.
     """
 
@@ -40,6 +41,7 @@ class InverseDynamics:
     efforts: np.ndarray
     acceleration: np.ndarray
     forces: dict[str, np.ndarray]
+    torques: dict[str, np.ndarray]
     residual: float
 
 
@@ -88,10 +90,10 @@ def inverse_dynamics(
         if constrained and np.abs(defects).max() > tolerance * scale:
             worst = int(np.argmax(np.abs(defects)))
             c, row = constrained[worst]
-            kind = "apart" if (c, row) in instant.holonomic() else "into slip"
+            kind = "apart" if (c, row) in instant.holonomic() else "into slip" if c < system.nc else "into turning"
             raise StateError(
-                f"acceleration: it takes contact {system.contacts[c].name!r} {kind} at {defects[worst]:.3g} m/s^2 "
-                f"(tolerance {tolerance * scale:.3g})"
+                f"acceleration: it takes contact {system.contacts[system.owner(c)].name!r} {kind} at "
+                f"{defects[worst]:.3g} {'m' if c < system.nc else 'rad'}/s^2 (tolerance {tolerance * scale:.3g})"
             )
     # M a + nle + damping v, from the acceleration that nothing but the loads would make
     needed = factor.T @ (factor @ (a - system.free_acceleration))
@@ -99,7 +101,7 @@ def inverse_dynamics(
     for c, contact in enumerate(system.contacts):
         if contact.name in given:
             needed = needed - system.rows[c].T @ (system.basis[c] @ (signs[contact.name] * given[contact.name]))
-    solved = [(c, row) for c, row in constrained if system.contacts[c].name not in given]
+    solved = [(c, row) for c, row in constrained if system.contacts[system.owner(c)].name not in given]
     loads = max(1.0, float(np.abs(needed).max(initial=0.0)), float(np.abs(system.bias_forces).max(initial=0.0)))
     solution = None
     for start in (1.0, -1.0):
@@ -120,11 +122,13 @@ def inverse_dynamics(
             f"(tolerance {tolerance * loads:.3g})"
         )
     acting = {name: np.zeros(3) for name in scene.contacts} | given
+    torques = {name: np.zeros(3) for name in scene.contacts}
     for k, (c, row) in enumerate(solved):
-        name = system.contacts[c].name
-        force = system.basis[c].T @ _unit_force(instant, c, row, shares[k]) * components[k]
-        acting[name] = acting[name] + signs[name] * force
-    return InverseDynamics(matrix @ efforts, efforts, a, acting, residual)
+        name = system.contacts[system.owner(c)].name
+        for item, unit in _unit_forces(instant, c, row, shares[k]).items():
+            out = acting if item < system.nc else torques
+            out[name] = out[name] + signs[name] * components[k] * (system.basis[item].T @ unit)
+    return InverseDynamics(matrix @ efforts, efforts, a, acting, torques, residual)
 
 
 def actuation_matrix(model: pin.Model, actuation: Any | None) -> np.ndarray:
@@ -159,7 +163,8 @@ def _solve(
     columns = np.zeros((needed.size, len(solved)))
     for _ in range(_ITERATIONS):
         for k, (c, row) in enumerate(solved):
-            columns[:, k] = instant.system.rows[c].T @ _unit_force(instant, c, row, shares[k])
+            units = _unit_forces(instant, c, row, shares[k])
+            columns[:, k] = sum(instant.system.rows[item].T @ unit for item, unit in units.items())
         efforts, components = _least(actuation, columns, needed)
         new = _shares(instant, solved, components)
         if np.abs(new - shares).max(initial=0.0) <= _UNCHANGED:
@@ -178,19 +183,25 @@ def _least(actuation: np.ndarray, columns: np.ndarray, needed: np.ndarray) -> tu
     return efforts, inverse @ (needed - actuation @ efforts)
 
 
-def _unit_force(instant: Instant, c: int, row: int, share: float) -> np.ndarray:
-    """Force on body 2 along (t1, second, n) that a unit of one component brings with it: Coulomb's where it slides."""
+def _unit_forces(instant: Instant, c: int, row: int, share: float) -> dict[int, np.ndarray]:
+    """Item -> force on body 2 along its basis that a unit of one component brings with it: the component itself, and of
+    a normal one the friction of the contact and of its resistances where they slide."""
     system = instant.system
-    integers = system.contact_int[c]
-    out = np.zeros(3)
-    out[row] = 1.0
-    if integers[MODE] == SLIPPING:
-        mu = system.contact_real[c, MU_NOW]
+    unit = np.zeros(3)
+    unit[row] = 1.0
+    out = {c: unit}
+    if c >= system.nc or not (row == 2 or (row == 1 and system.contact_int[c, PATTERN] == ON_CURVE)):
+        return out
+    for item in (c, *(i for i in system.resisting() if system.owner(i) == c)):
+        integers = system.contact_int[item]
+        if integers[MODE] != SLIPPING:
+            continue
+        force, mu = out.setdefault(item, np.zeros(3)), system.contact_real[item, MU_NOW]
         if integers[TANGENTS] == 1:
-            out[0] -= mu * share * float(integers[SLIP_SIGN])
+            force[0] -= mu * share * float(integers[SLIP_SIGN])
         else:
-            along = system.basis[c, :2] @ system.slip[c]
-            out[:2] -= mu * share * associated(system, c, along / np.hypot(along[0], along[1]))
+            along = system.basis[item, :2] @ system.slip[item]
+            force[:2] -= mu * share * associated(system, item, along / np.hypot(along[0], along[1]))
     return out
 
 
@@ -198,7 +209,7 @@ def _shares(instant: Instant, solved: list[tuple[int, int]], components: np.ndar
     """|F_n| by each normal component: the components of its unit vector on a spatial curve, else its sign."""
     out = np.ones(len(solved))
     integers = instant.system.contact_int
-    for c in {c for c, _ in solved}:
+    for c in {c for c, _ in solved if c < instant.system.nc}:
         on_curve = integers[c, PATTERN] == ON_CURVE
         normals = [k for k, (other, row) in enumerate(solved) if other == c and (row == 2 or (row == 1 and on_curve))]
         size = float(np.linalg.norm(components[normals]))

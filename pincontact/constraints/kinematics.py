@@ -57,7 +57,7 @@ from ..layout import (
 from ..memory import reals
 
 # rows of the scratch array `vectors`
-_DIFFERENCE, _NORMAL, _K_AXIS, _V1, _V2, _A, _B, _C, _D, _E = range(10)
+_DIFFERENCE, _NORMAL, _K_AXIS, _V1, _V2, _A, _B, _C, _D, NORMAL_RATE = range(10)
 
 
 @kernel
@@ -222,6 +222,7 @@ def contact_kinematics(
     """Location, basis, v_c, gaps, location rates (Eq. 6) and the acceleration-level bias of one contact.
 
     bias (3,): row . gamma + frame rate . v_c, so that row . (J_2 - J_1) a + bias is the rate of row . v_c.
+    The rate of n is left in row NORMAL_RATE of the scratch vectors, but for a point on a spatial curve.
     Returns OK, LOCATION_FAILED or SINGULAR.
     """
     vectors, _local, system = scratch
@@ -313,7 +314,7 @@ def contact_kinematics(
         bias[2] -= dot(basis[2], tangent_rate) * along
         bias[1] -= dot(basis[1], tangent_rate) * along
     else:
-        normal_rate, other_rate = vectors[_E], vectors[_B]
+        normal_rate, other_rate = vectors[NORMAL_RATE], vectors[_B]
         if pattern == ON_SURFACE:
             cross(tangent_rate, second[2], normal_rate)
             total_tangent_rate(frame2, second, 1, k2, rates[2:4], other_rate)
@@ -326,9 +327,11 @@ def contact_kinematics(
             cross(tangent_rate, first[1], normal_rate)
             total_tangent_rate(frame1, first, 0, k1, rates[0:2], other_rate)
             add_cross(second[1], other_rate, normal_rate)
-        # n' = -side (1 - n n^T) N' / |N|, and v_c . n' needs its tangential part only
-        scale = -integers[SIDE] / norm(normal)
-        bias[2] += scale * (dot(slip, normal_rate) - dot(slip, basis[2]) * dot(basis[2], normal_rate))
+        # n' = -side (1 - n n^T) N' / |N|
+        scale, along_n = -integers[SIDE] / norm(normal), dot(basis[2], normal_rate)
+        for i in range(3):
+            normal_rate[i] = scale * (normal_rate[i] - along_n * basis[2, i])
+        bias[2] += dot(slip, normal_rate)
     return OK
 
 
@@ -376,3 +379,12 @@ def add_point_rows(sign, jacobian, support, count, frame, rho, basis, rows, scra
                 + moments[row, 1] * entry[4]
                 + moments[row, 2] * entry[5]
             )
+
+
+@kernel
+def add_rotation_row(sign, jacobian, support, count, about, row):
+    """row += sign * about . J_omega of a body, over the coordinates that move it; jacobian as for `add_point_rows`."""
+    for index in range(count):
+        column = support[index]
+        entry = jacobian[column]
+        row[column] += sign * (about[0] * entry[3] + about[1] * entry[4] + about[2] * entry[5])

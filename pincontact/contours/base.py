@@ -166,11 +166,12 @@ class Contour:
         return self.periodic[axis] and (window is None or window[axis] is None)
 
     def _axes(self, n: int | Sequence[int], window: Any, closed: bool) -> list[np.ndarray]:
-        counts = [n] * self.dimension if isinstance(n, (int, np.integer)) else list(n)
-        if len(counts) != self.dimension or any(count < 2 for count in counts):
-            raise ContourError(f"{self.name}: at least 2 values are needed along each parameter, got {n}")
-        if window is not None and len(window) != self.dimension:
-            raise ContourError(f"{self.name}: window must have {self.dimension} entries, got {len(window)}")
+        counts = list(n) if isinstance(n, (Sequence, np.ndarray)) else [n] * self.dimension
+        whole = all(isinstance(count, (int, np.integer)) for count in counts)
+        if not whole or len(counts) != self.dimension or any(count < 2 for count in counts):
+            raise ContourError(f"{self.name}: at least 2 values are needed along each parameter, got {n!r}")
+        if window is not None and not (isinstance(window, (Sequence, np.ndarray)) and len(window) == self.dimension):
+            raise ContourError(f"{self.name}: window must have {self.dimension} entries, got {window!r}")
         axes = []
         for i, (count, (low, high)) in enumerate(zip(counts, self.domain)):
             if window is not None and window[i] is not None:
@@ -217,6 +218,20 @@ def interval(owner: str, name: str, ends: Any) -> tuple[float, float]:
     if not low < high:
         raise ContourError(f"{owner}: {name} must have low < high, got ({low}, {high})")
     return low, high
+
+
+def flag(owner: str, name: str, value: Any) -> bool:
+    """True or False, or a ContourError."""
+    if isinstance(value, (bool, np.bool_)) or (isinstance(value, (int, np.integer)) and value in (0, 1)):
+        return bool(value)
+    raise ContourError(f"{owner}: {name} must be True or False, got {value!r}")
+
+
+def flags(owner: str, name: str, values: Any) -> tuple[bool, bool]:
+    """Two of them, one for each parameter of a surface, or a ContourError."""
+    if isinstance(values, (str, bytes)) or not isinstance(values, (Sequence, np.ndarray)) or len(values) != 2:
+        raise ContourError(f"{owner}: {name} must be a pair of booleans, got {values!r}")
+    return flag(owner, f"{name}[0]", values[0]), flag(owner, f"{name}[1]", values[1])
 
 
 def half_diagonal(contour: Contour) -> float:

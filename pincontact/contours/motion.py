@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from ..errors import ContourError
 from ..jit import INTEGER, REAL, entry_kernel, kernel
-from .base import finite, interval
+from .base import finite, flag, interval
 from .fits import fit
 from .piecewise import piecewise
 from .splines import array, spline, spline_pool
@@ -161,6 +161,9 @@ class SplineMotion(Motion):
 
     def __init__(self, times: Sequence[float], poses: Sequence[Any], periodic: bool = False) -> None:
         owner = "SplineMotion"
+        periodic = flag(owner, "periodic", periodic)
+        if not isinstance(poses, (Sequence, np.ndarray)):
+            raise ContourError(f"{owner}: poses must be a sequence of placements, got {type(poses).__name__}")
         placements = [_placement(owner, f"poses[{i}]", pose) for i, pose in enumerate(poses)]
         if periodic:
             placements += placements[:1]

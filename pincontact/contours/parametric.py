@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ContourError
-from .base import F_1, F_2, HEIGHT_FIELD, Contour, F, half_diagonal, interval, turning
+from .base import F_1, F_2, HEIGHT_FIELD, Contour, F, flag, flags, half_diagonal, interval, turning
 from .curves import ALL
 from .formula import Formula, Program, compiled, takes_time, trials
 from .splines import height_grid
@@ -41,11 +41,12 @@ class ParametricCurve(Contour):
         time_domain: tuple[float, float] | None = None,
     ) -> None:
         owner = "ParametricCurve"
+        periodic = flag(owner, "periodic", periodic)
         checked = (interval(owner, "domain", domain),)
         if time_domain is not None:
             time_domain = interval(owner, "time_domain", time_domain)
         program = compiled(Formula(owner, f, 1), checked, (periodic,), derivatives, time_domain)
-        _initialise(self, program, checked, (bool(periodic),))
+        _initialise(self, program, checked, (periodic,))
         planar = program.constants[2] == 0.0
         if not planar and program.error > 0.0 and not program.time_dependent:
             # A fit of zeros is zero.
@@ -75,10 +76,7 @@ class ParametricSurface(Contour):
     ) -> None:
         owner = "ParametricSurface"
         checked = _rectangle(owner, domain)
-        try:
-            wraps = (bool(periodic[0]), bool(periodic[1]))
-        except (TypeError, IndexError):
-            raise ContourError(f"{owner}: periodic must be a pair of booleans, got {periodic!r}") from None
+        wraps = flags(owner, "periodic", periodic)
         program = compiled(Formula(owner, f, 2), checked, wraps, derivatives)
         _initialise(self, program, checked, wraps)
 

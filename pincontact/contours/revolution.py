@@ -17,7 +17,7 @@ from numpy.polynomial import chebyshev
 
 from ..errors import ContourError
 from ..jit import kernel
-from .base import F_1, F_11, REVOLUTION, SPLINE_CURVE, TAPE_CURVE, Contour, F, interval
+from .base import F_1, F_11, REVOLUTION, SPLINE_CURVE, TAPE_CURVE, Contour, F, flag, interval
 from .curves import TURN
 from .formula import Formula, compiled
 from .piecewise import Direction, chebyshev_nodes, pack
@@ -63,6 +63,7 @@ class SurfaceOfRevolution(Contour):
 
     def __init__(self, profile: Any, domain: tuple[float, float] | None = None, periodic: bool = False) -> None:
         owner = "SurfaceOfRevolution"
+        periodic = flag(owner, "periodic", periodic)
         reaches = None
         if callable(profile):
             if domain is None:
@@ -115,7 +116,7 @@ class SurfaceOfRevolution(Contour):
             ),
             pool=_assemble(pool, caps),
             domain=(TURN, (low, high)),
-            periodic=(True, bool(periodic)),
+            periodic=(True, periodic),
             size=max(float(r.max()), 0.5 * float(np.ptp(rows[:, 0, 1]))),
             fit_error=error,
         )

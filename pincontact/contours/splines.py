@@ -13,6 +13,8 @@ from .base import (
     SPLINE_CURVE,
     SPLINE_SURFACE,
     Contour,
+    flag,
+    flags,
     half_diagonal,
     turning,
 )
@@ -91,6 +93,7 @@ class SplineCurve(Contour):
 
     def __init__(self, points: Any, periodic: bool = False, degree: int = 5, parameters: Any = None) -> None:
         owner = "SplineCurve"
+        periodic = flag(owner, "periodic", periodic)
         if isinstance(points, BSpline):
             curve = _checked(owner, points, periodic)
         else:
@@ -111,7 +114,7 @@ class SplineCurve(Contour):
             dimension=1,
             pool=spline_pool(curve, periodic),
             domain=((float(curve.t[curve.k]), float(curve.t[-curve.k - 1])),),
-            periodic=(bool(periodic),),
+            periodic=(periodic,),
             planar=not np.any(curve.c[:, 2]),
         )
         object.__setattr__(self, "size", half_diagonal(self))
@@ -167,6 +170,7 @@ class SplineSurface(Contour):
         parameters: tuple[Any, Any] | None = None,
     ) -> None:
         owner = "SplineSurface"
+        periodic = flags(owner, "periodic", periodic)
         grid = array(owner, "points", points, None, None, 3)
         lines = []
         for axis in range(2):
@@ -184,7 +188,7 @@ class SplineSurface(Contour):
             dimension=2,
             pool=_tensor_pool(owner, lines, grid, degree, periodic, first=0),
             domain=tuple((float(line[0]), float(line[-1])) for line in lines),
-            periodic=(bool(periodic[0]), bool(periodic[1])),
+            periodic=periodic,
         )
         object.__setattr__(self, "size", half_diagonal(self))
 

@@ -13,7 +13,7 @@ import math
 from ..friction.cone import minimum_norm_solve
 from ..friction.ellipse import friction_direction, friction_length
 from ..friction.stribeck import stribeck_kernel
-from ..geometry.patterns import ON_CURVE
+from ..geometry.patterns import NO_NORMAL, ON_CURVE
 from ..geometry.small import dot
 from ..jit import kernel
 from ..layout import (
@@ -30,6 +30,7 @@ from ..layout import (
     GUARD_SIGN,
     HIGH_END,
     HIGH_FORCE,
+    LIMIT_SLACK,
     LOW_END,
     LOW_FORCE,
     MARGINS_PER_CONTACT,
@@ -44,6 +45,7 @@ from ..layout import (
     NORMAL_MARGIN,
     NORMAL_SIGN,
     OK,
+    OWNER,
     PATTERN,
     POLYNOMIAL,
     POLYNOMIAL_SIZE,
@@ -64,14 +66,13 @@ from ..layout import (
     VISCOUS,
 )
 from .linear import RANK_TOLERANCE, inner, solve_gram, unwhiten, whiten
+from .resistance import free_with_owners, resists, size_of_load
 
 # Friction on a point of a spatial curve depends on the length of a two-component normal force: fixed point, quadratic.
 _NORMAL_ITERATIONS = 50
 _NORMAL_CHANGE = 1e-15
 # A slip operator whose pivot falls below this fraction of its frictionless value has lost positivity (Painleve).
 PAINLEVE_LIMIT = 1e-9
-# Friction up to this much above its limit is round-off: a contact exactly at the limit sticks.
-FORCE_SLACK = 1e-13
 
 
 @kernel
@@ -137,20 +138,21 @@ def add_viscous_loads(nv, nc, contact_int, contact_real, basis, slip, rows, load
 
 
 @kernel
-def list_rows(contact_int, nc, row_index):
-    """The constrained rows of all contacts, (contact, basis row): normals first, then stuck tangents.
+def list_rows(contact_int, n, row_index):
+    """The constrained rows of n items, (item, basis row): of each its normal, if it has one, then stuck tangents.
 
-    Returns the number of rows and whether any contact slips.
+    Returns the number of rows and whether any item slips.
     """
     count = 0
     slipping = False
-    for c in range(nc):
+    for c in range(n):
         integers = contact_int[c]
         mode = integers[MODE]
         if mode == FREE:
             continue
-        row_index[count, 0], row_index[count, 1] = c, 2
-        count += 1
+        if integers[PATTERN] != NO_NORMAL:
+            row_index[count, 0], row_index[count, 1] = c, 2
+            count += 1
         if integers[PATTERN] == ON_CURVE:
             row_index[count, 0], row_index[count, 1] = c, 1
             count += 1
@@ -174,6 +176,7 @@ def whiten_rows(factor, parents, nv, rows, row_index, count, whitened):
 
 @kernel
 def friction_directions(
+    total,
     contact_int,
     contact_real,
     slip,
@@ -194,31 +197,40 @@ def friction_directions(
 
     For a slipping contact this is n - mu w_t / |w_t|, if friction is isotropic; |F_n| = sign F_n for one normal and
     l . F_n, with l the unit normal force of the last iterate, for two. Ideal rolling slips where only friction holds
-    the contact up, F_n = 0: the limit for mu without bound, -w_t / |w_t|.
+    the contact up, F_n = 0: the limit for mu without bound, -w_t / |w_t|. A resistance that slips adds its torque to
+    its contact's normal force in the same way.
     """
     for r in range(count):
-        c, row = row_index[r, 0], row_index[r, 1]
-        integers, numbers = contact_int[c], contact_real[c]
         for k in range(nv):
             whitened_forces[r, k] = whitened[r, k]
+    for i in range(total):
+        integers, numbers = contact_int[i], contact_real[i]
         if integers[MODE] != SLIPPING or numbers[MU] == 0.0:
             continue
-        numbers[SLIP_SPEED] = slip_direction(integers, numbers, slip[c], basis[c], time, direction)
+        c = integers[OWNER] if integers[PATTERN] == NO_NORMAL else i
+        if c != i and contact_int[c, MODE] == SLIPPING and contact_real[c, MU] == math.inf:
+            # without a load
+            continue
+        numbers[SLIP_SPEED] = slip_direction(integers, numbers, slip[i], basis[i], time, direction)
         numbers[MU_NOW] = coefficient_at(numbers, abs(numbers[SLIP_SPEED]))
         friction_direction(integers, numbers, direction)
-        if integers[PATTERN] == ON_CURVE:
-            share = numbers[NORMAL_1] if row == 2 else numbers[NORMAL_2]
-        else:
-            share = float(integers[NORMAL_SIGN])
         for k in range(nv):
-            work[k] = direction[0] * rows[c, 0, k]
+            work[k] = direction[0] * rows[i, 0, k]
         if integers[TANGENTS] == 2:
             for k in range(nv):
-                work[k] += direction[1] * rows[c, 1, k]
+                work[k] += direction[1] * rows[i, 1, k]
         whiten(factor, parents, nv, work, work)
-        alone = numbers[MU] == math.inf
-        for k in range(nv):
-            whitened_forces[r, k] = -work[k] if alone else whitened[r, k] - numbers[MU_NOW] * share * work[k]
+        for r in range(count):
+            row = row_index[r, 1]
+            on_curve = contact_int[c, PATTERN] == ON_CURVE
+            if row_index[r, 0] != c or not (row == 2 or (row == 1 and on_curve)):
+                continue
+            share = float(contact_int[c, NORMAL_SIGN])
+            if on_curve:
+                share = numbers[NORMAL_1] if row == 2 else numbers[NORMAL_2]
+            alone = numbers[MU] == math.inf
+            for k in range(nv):
+                whitened_forces[r, k] = -work[k] if alone else whitened_forces[r, k] - numbers[MU_NOW] * share * work[k]
 
 
 @kernel
@@ -276,6 +288,7 @@ def contact_dynamics(
     time,
     direction,
     ng,
+    total,
     guard_int,
     guard_real,
     reference,
@@ -287,7 +300,8 @@ def contact_dynamics(
     Of redundant forces those of the least distance from the reference, which is zero unless it was chosen otherwise.
     Returns OK, EVENT (a margin is negative) or NO_FORCE.
     """
-    count, slipping = list_rows(contact_int, nc + ng, row_index)
+    free_with_owners(contact_int, nc + ng, total)
+    count, slipping = list_rows(contact_int, total, row_index)
     counters[ROW_COUNT], counters[ROW_RANK] = count, 0
     whiten_rows(factor, parents, nv, rows, row_index, count, whitened)
     iterate = 1
@@ -299,6 +313,7 @@ def contact_dynamics(
         right_hand_side(row_index, count, rows, bias, free_acceleration, nv, multipliers)
         if slipping:
             friction_directions(
+                total,
                 contact_int,
                 contact_real,
                 slip,
@@ -332,7 +347,7 @@ def contact_dynamics(
                 multipliers[r] += reference[row_index[r, 0], row_index[r, 1]]
         if iterate == 1 or not _update_normal_shares(contact_int, contact_real, row_index, count, multipliers):
             break
-    for c in range(nc + ng):
+    for c in range(total):
         for i in range(3):
             force[c, i] = 0.0
     for k in range(nv):
@@ -351,6 +366,8 @@ def contact_dynamics(
         _margins(
             nv,
             nc,
+            nc + ng,
+            total,
             contact_int,
             contact_real,
             slip,
@@ -442,6 +459,8 @@ def _update_normal_shares(contact_int, contact_real, row_index, count, multiplie
 def _margins(
     nv,
     nc,
+    resistances,
+    total,
     contact_int,
     contact_real,
     slip,
@@ -456,57 +475,96 @@ def _margins(
     time,
     direction,
 ):
-    """Complete the forces of slip and fill the event functions."""
+    """Complete the forces of slip and fill the event functions, but for guarded joint coordinates."""
     status = OK
-    for c in range(nc):
+    for c in range(total):
+        if nc <= c < resistances:
+            continue
         integers, numbers, value = contact_int[c], contact_real[c], margins[c]
         for i in range(MARGINS_PER_CONTACT):
             value[i] = 1.0
-        mode = integers[MODE]
-        if mode == FREE:
+        owner = c
+        if c >= nc:
+            owner = integers[OWNER]
+        elif integers[MODE] == FREE:
             value[GAP_MARGIN] = gaps[c, 0]
             if value[GAP_MARGIN] < 0.0:
                 status = EVENT
             continue
-        value[DOMAIN_MARGIN] = numbers[DOMAIN]
-        if value[DOMAIN_MARGIN] < 0.0:
-            status = EVENT
-        normal = force[c, 2]
-        size = abs(normal)
-        if integers[PATTERN] == ON_CURVE:
-            size = math.hypot(force[c, 1], normal)
-        if integers[UNILATERAL] != 0:
-            value[NORMAL_MARGIN] = normal
-        if mode == STICK:
-            if numbers[MU_STATIC] < math.inf:
-                tangential = abs(force[c, 0])
-                if integers[TANGENTS] == 2:
-                    tangential = friction_length(integers, numbers, force[c, 0], force[c, 1])
-                value[FRICTION_MARGIN] = (1.0 + FORCE_SLACK) * numbers[MU_STATIC] * size - tangential
-        elif mode == SLIPPING:
-            if integers[UNILATERAL] == 0 and integers[PATTERN] != ON_CURVE:
-                value[NORMAL_MARGIN] = integers[NORMAL_SIGN] * normal
-            speed = slip_direction(integers, numbers, slip[c], basis[c], time, direction)
-            numbers[SLIP_SPEED] = speed
-            for row in range(3):
-                relative_acceleration[c, row] = inner(rows[c, row], acceleration, nv) + bias[c, row]
-            numbers[SLIP_RATE] = direction[0] * relative_acceleration[c, 0]
-            if integers[TANGENTS] == 1:
-                if integers[FROZEN] == 0:
-                    value[SPEED_MARGIN] = speed
-            else:
-                numbers[SLIP_RATE] += direction[1] * relative_acceleration[c, 1]
-                friction_direction(integers, numbers, direction)
-            friction = numbers[MU_NOW] * size
-            if numbers[MU] == math.inf:
-                # held up by friction alone
-                friction, force[c, 2] = normal, 0.0
-            if integers[TANGENTS] == 2:
-                force[c, 1] = -friction * direction[1]
-            force[c, 0] = -friction * direction[0]
-        if resists_viscously(integers, numbers):
+        else:
+            value[DOMAIN_MARGIN] = numbers[DOMAIN]
+            if value[DOMAIN_MARGIN] < 0.0:
+                status = EVENT
+            if integers[UNILATERAL] != 0:
+                value[NORMAL_MARGIN] = force[c, 2]
+            elif integers[PATTERN] != ON_CURVE and (integers[MODE] == SLIPPING or resists(integers)):
+                value[NORMAL_MARGIN] = integers[NORMAL_SIGN] * force[c, 2]
+        _friction_margins(
+            nv,
+            c,
+            size_of_load(contact_int, force, owner),
+            integers,
+            numbers,
+            slip,
+            basis,
+            rows,
+            bias,
+            acceleration,
+            force,
+            relative_acceleration,
+            value,
+            time,
+            direction,
+        )
+        if c < nc and resists_viscously(integers, numbers):
             for row in range(integers[TANGENTS]):
                 force[c, row] += viscous_force(numbers, basis[c, row], slip[c])
         if value[NORMAL_MARGIN] < 0.0 or value[FRICTION_MARGIN] < 0.0 or value[SPEED_MARGIN] < 0.0:
             status = EVENT
     return status
+
+
+@kernel
+def _friction_margins(
+    nv,
+    c,
+    load,
+    integers,
+    numbers,
+    slip,
+    basis,
+    rows,
+    bias,
+    acceleration,
+    force,
+    relative_acceleration,
+    value,
+    time,
+    direction,
+):
+    """Friction of item c under a load |F_n| in its present mode: complete its force, fill its margins `value`."""
+    if integers[MODE] == STICK:
+        if numbers[MU_STATIC] < math.inf:
+            tangential = abs(force[c, 0])
+            if integers[TANGENTS] == 2:
+                tangential = friction_length(integers, numbers, force[c, 0], force[c, 1])
+            value[FRICTION_MARGIN] = (1.0 + numbers[LIMIT_SLACK]) * numbers[MU_STATIC] * load - tangential
+    elif integers[MODE] == SLIPPING:
+        speed = slip_direction(integers, numbers, slip[c], basis[c], time, direction)
+        numbers[SLIP_SPEED] = speed
+        for row in range(3):
+            relative_acceleration[c, row] = inner(rows[c, row], acceleration, nv) + bias[c, row]
+        numbers[SLIP_RATE] = direction[0] * relative_acceleration[c, 0]
+        if integers[TANGENTS] == 1:
+            if integers[FROZEN] == 0:
+                value[SPEED_MARGIN] = speed
+        else:
+            numbers[SLIP_RATE] += direction[1] * relative_acceleration[c, 1]
+            friction_direction(integers, numbers, direction)
+        friction = numbers[MU_NOW] * load
+        if numbers[MU] == math.inf:
+            # held up by friction alone
+            friction, force[c, 2] = force[c, 2], 0.0
+        if integers[TANGENTS] == 2:
+            force[c, 1] = -friction * direction[1]
+        force[c, 0] = -friction * direction[0]

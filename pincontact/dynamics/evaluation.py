@@ -133,6 +133,7 @@ from ..layout import (
 from ..memory import cube, integer_matrix, integers, matrix, reals
 from .equations import add_viscous_loads, contact_dynamics, guard_force, list_rows, whiten_rows
 from .linear import factorize_tree, solve_gram, unwhiten, whiten
+from .resistance import count_items, free_with_owners, resistance_kinematics, resists
 
 # What an evaluation may be confined to.
 KINEMATICS_OF_ALL, KINEMATICS_OF_CLOSED = 1, 2
@@ -207,6 +208,7 @@ def evaluate_contacts(table, time, with_rows):
     rows = cube(table[ROWS], nc, 3, nv)
     jacobian = matrix(table[JACOBIAN], nv, 6)
     support = integer_matrix(table[SUPPORT], 2 * nc, nv)
+    total = count_items(table)
     counters = integers(table[COUNTERS], COUNTERS_SIZE)
     for c in range(nc):
         for side in range(2 * c, 2 * c + 2):
@@ -285,6 +287,8 @@ def evaluate_contacts(table, time, with_rows):
                     rows[c],
                     vectors,
                 )
+        if resists(contact_int[c]):
+            resistance_kinematics(table, c, total)
     return OK
 
 
@@ -335,8 +339,7 @@ def evaluate_dynamics(table, time):
         cube(table[ROWS], nc, 3, nv),
         free_acceleration,
     )
-    ng = integers(table[GUARD_COUNT], 1)[0]
-    total = nc + ng
+    ng, total = integers(table[GUARD_COUNT], 1)[0], count_items(table)
     contact_int = integer_matrix(table[CONTACT_INT], total, CONTACT_INTS)
     guard_int = integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
     guard_real = matrix(table[GUARD_REAL], ng, GUARD_REALS)
@@ -356,7 +359,7 @@ def evaluate_dynamics(table, time):
         nv,
         nc,
         contact_int,
-        matrix(table[CONTACT_REAL], nc, CONTACT_REALS),
+        matrix(table[CONTACT_REAL], total, CONTACT_REALS),
         slip,
         cube(table[BASIS], total, 3, 3),
         gaps,
@@ -374,12 +377,13 @@ def evaluate_dynamics(table, time):
         integers(table[PERMUTATION], 3 * total),
         matrix(table[CONSTRAINT_ROWS], 3 * total, 3 * total + 1),
         matrix(table[FORCE], total, 3),
-        matrix(table[RELATIVE_ACCELERATION], nc, 3),
+        matrix(table[RELATIVE_ACCELERATION], total, 3),
         margins,
         reals(table[WORK], nv),
         time,
         reals(table[VECTORS], 3),
         ng,
+        total,
         guard_int,
         guard_real,
         matrix(table[REFERENCE], total, 3),
@@ -425,10 +429,10 @@ def contact_corrections(table, with_position, with_velocity):
     nv, nc = sizes[NV], sizes[NC]
     scalars = reals(table[SCALARS], SCALARS_SIZE)
     factor = matrix(table[FACTOR], nv, nv)
-    total = nc + integers(table[GUARD_COUNT], 1)[0]
+    ng, total = integers(table[GUARD_COUNT], 1)[0], count_items(table)
     contact_int = integer_matrix(table[CONTACT_INT], total, CONTACT_INTS)
-    guard_int = integer_matrix(table[GUARD_INT], total - nc, GUARD_INTS)
-    guard_real = matrix(table[GUARD_REAL], total - nc, GUARD_REALS)
+    guard_int = integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
+    guard_real = matrix(table[GUARD_REAL], ng, GUARD_REALS)
     basis = cube(table[BASIS], total, 3, 3)
     slip = matrix(table[SLIP], total, 3)
     gaps = matrix(table[GAPS], total, 2)
@@ -438,10 +442,11 @@ def contact_corrections(table, with_position, with_velocity):
     correction_q = reals(table[CORRECTION_Q], nv)
     correction_v = reals(table[CORRECTION_V], nv)
     x = reals(table[MULTIPLIERS], 3 * total)
+    free_with_owners(contact_int, nc + ng, total)
     count, _ = list_rows(contact_int, total, row_index)
     # an evaluation of kinematics alone has left them out
-    _read_guards(table, guard_int, nc, total - nc, slip, gaps)
-    for g in range(total - nc):
+    _read_guards(table, guard_int, nc, ng, slip, gaps)
+    for g in range(ng):
         # what is left to the end on which the coordinate rests; where it is held by friction it rests anywhere
         position, end = gaps[nc + g, 0], guard_int[g, GUARD_END]
         gaps[nc + g, 0] = 0.0

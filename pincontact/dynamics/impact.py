@@ -97,9 +97,12 @@ class _Problem:
         integers = system.contact_int
         velocity = {c: system.basis[c] @ system.slip[c] for c in closed}
         equations: list[tuple[int, int]] = []
-        units, before, rebound, mu = [], [], [], []
+        units: list[np.ndarray] = []
+        before, rebound, mu = [], [], []
         # unit -> rows among the equations that carry its normal impulse
         self.loaded: dict[int, list[int]] = {}
+        places_of: dict[int, int] = {}
+        normals_of: dict[int, list[int]] = {}
         for c in closed:
             rows, limit = contact_rows(integers[c, TANGENTS]), _coefficient(system, c)
             if integers[c, UNILATERAL]:
@@ -107,6 +110,7 @@ class _Problem:
                 # elliptic cones are round in other coordinates
                 shape = stretch(system, c)
                 columns[:, :2], before_c[:2] = columns[:, :2] @ shape, shape @ before_c[:2]
+                places_of[c] = len(units)
                 units.append(columns)
                 before.append(before_c * (np.abs(columns).max(axis=0, initial=0.0) > 0.0))
                 rebound.append(restitution.get(c, 0.0) * min(velocity[c][2], 0.0))
@@ -115,7 +119,7 @@ class _Problem:
             normals = [1, 2] if integers[c, PATTERN] == ON_CURVE else [2]
             tangents = [row for row in rows if row not in normals]
             stuck = normals + (tangents if math.isinf(limit) else [])
-            places = list(range(len(equations), len(equations) + len(normals)))
+            places = normals_of[c] = list(range(len(equations), len(equations) + len(normals)))
             equations += [(c, row) for row in stuck]
             if 0.0 < limit < math.inf:
                 self.loaded[len(units)] = places
@@ -127,6 +131,21 @@ class _Problem:
                 before.append(before_c)
                 rebound.append(0.0)
                 mu.append(limit)
+        # unit of a resistance to turning -> unit that carries its contact's normal impulse
+        self.carried: dict[int, int] = {}
+        for item in system.resisting():
+            c = system.owner(item)
+            if c not in closed:
+                continue
+            if integers[c, UNILATERAL]:
+                self.carried[len(units)] = places_of[c]
+            else:
+                self.loaded[len(units)] = normals_of[c]
+            tangents = list(range(integers[item, TANGENTS]))
+            units.append(unit_columns(system, item, tangents))
+            before.append((system.basis[item] @ system.slip[item]) * np.isin(range(3), tangents))
+            rebound.append(0.0)
+            mu.append(float(system.contact_real[item, MU]))
         self.contacts = len(units)
         for g in ends:
             sign = -float(system.guard_int[g, GUARD_END])
@@ -157,7 +176,7 @@ class _Problem:
         b[self.weights > 0.0] = 0.0
         loads = np.zeros(len(self.mu))
         for iteration in range(_LOAD_ITERATIONS):
-            for u in self.loaded:
+            for u in (*self.loaded, *self.carried):
                 b[3 * u + 2] = -self.weights[3 * u + 2] * loads[u]
             if self.mu.size:
                 if not solver.solve(self.gram, b, self.mu):
@@ -165,12 +184,13 @@ class _Problem:
                 self.forces = np.where(self.weights > 0.0, 0.0, solver.forces)
             y = self.start + self.reduced @ self.forces
             change = 0.0
+            found = {u: float(self.forces[3 * carrier + 2]) for u, carrier in self.carried.items()}
             if self.loaded:
                 impulses = np.linalg.lstsq(self.equations.T, y - self.stack @ self.forces, rcond=_REDUNDANT)[0]
-                for u, places in self.loaded.items():
-                    load = float(np.linalg.norm(impulses[places]))
-                    change = max(change, abs(load - loads[u]) / (load + loads[u]) if load > 0.0 else 0.0)
-                    loads[u] = load if iteration < _UNDAMPED else 0.5 * (load + loads[u])
+                found |= {u: float(np.linalg.norm(impulses[places])) for u, places in self.loaded.items()}
+            for u, load in found.items():
+                change = max(change, abs(load - loads[u]) / (load + loads[u]) if load > 0.0 else 0.0)
+                loads[u] = load if iteration < _UNDAMPED else 0.5 * (load + loads[u])
             if change <= _LOAD_CHANGE:
                 return y
         return None

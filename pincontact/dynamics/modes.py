@@ -94,7 +94,7 @@ class ModeSolver:
         self.cone_problems = 0
         self.redistributions = 0
         self.worst_residual = 0.0
-        self._limits = np.zeros(system.nc)
+        self._limits = np.zeros(system.items)
 
     @cached_property
     def solver(self) -> ContactSolver:
@@ -121,11 +121,11 @@ class ModeSolver:
             # without an event every force lies inside its cone
             return Decision(status)
         # contacts beyond their static limit are held by sliding friction at most, the others by static friction
-        self._limits = system.contact_real[: system.nc, MU_STATIC].copy()
-        exceeded = system.margins[: system.nc, FRICTION_MARGIN] < 0.0
+        self._limits = system.contact_real[:, MU_STATIC].copy()
+        exceeded = system.margins[:, FRICTION_MARGIN] < 0.0
         if beyond is not None:
             exceeded[beyond] = True
-        self._limits[exceeded] = system.contact_real[: system.nc, MU][exceeded]
+        self._limits[exceeded] = system.contact_real[exceeded, MU]
         decision = self._solve(t, undecided, evaluate)
         decision.started = {c: a for c, a in decision.started.items() if integers[c, MODE] == SLIPPING}
         return decision
@@ -139,7 +139,7 @@ class ModeSolver:
     def _holds(self) -> bool:
         """Whether every force of the last evaluation lies inside its cone."""
         system = self.system
-        active = [*system.closed(), *(system.nc + g for g in system.held())]
+        active = [*system.closed(), *(system.nc + g for g in system.held()), *system.resisting()]
         return bool((system.margins[active][:, [NORMAL_MARGIN, FRICTION_MARGIN]] >= 0.0).all())
 
     # ---------------------------------------------------------------- redundant forces
@@ -196,6 +196,13 @@ class ModeSolver:
                 cones.append(Cone(normal, mu, 0.0, tangents) if tangents else Cone(normal, 1.0, 0.0))
             elif tangents and integers[PATTERN] != ON_CURVE:
                 cones.append(Cone(normal, math.copysign(mu, system.force[c, 2]), 0.0, tangents))
+        for i in system.resisting():
+            if system.contact_int[i, MODE] == STICK:
+                owner, tangents = system.owner(i), tuple(rows[i, row] for row in range(system.contact_int[i, TANGENTS]))
+                limit = float(system.contact_real[i, MU_STATIC])
+                if not system.contact_int[owner, UNILATERAL]:
+                    limit = math.copysign(limit, system.force[owner, 2])
+                cones.append(Cone(rows[owner, 2], limit, 0.0, tangents))
         for g in system.held():
             row, end = rows[system.nc + g, 2], system.guard_int[g, GUARD_END]
             if end <= 0:
@@ -207,10 +214,11 @@ class ModeSolver:
     # ---------------------------------------------------------------- the cone problem
 
     def _solve(self, t: float, undecided: list[int], evaluate) -> Decision:
-        """The cone problem over all closed contacts and held coordinates; sliding contacts enter as known forces."""
+        """The cone problem over all closed contacts, held coordinates and resistances to turning; what slides enters
+        as known forces, resistances at rest as disks whose radius follows from the load."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
-        closed, held = system.closed(), system.held()
+        closed, held, resisting = system.closed(), system.held(), system.resisting()
         if any(not integers[c, UNILATERAL] for c in closed):
             return self._decide_bilateral(t, undecided, closed, evaluate)
         decision = Decision(0, solved=True)
@@ -233,12 +241,19 @@ class ModeSolver:
             columns[:, 0 if end == 0 else 2] = whiten(system, row) * (-1.0 if end > 0 else 1.0)
             units.append(columns)
             mu.append(1.0 if end == 0 else 0.0)
+        turns = {i: len(units) + k for k, i in enumerate(resisting)}
+        parents = {i: closed.index(system.owner(i)) for i in resisting}
+        for i in resisting:
+            units.append(unit_columns(system, i, range(integers[i, TANGENTS])))
+            mu.append(1.0)
         stack = np.hstack(units)
         gram, weights = delassus(stack)
         base = stack.T @ whitened_velocity(system, free)
         for i, c in enumerate(closed):
             base[3 * i : 3 * i + 2] += shapes[i] @ system.bias[c, :2]
             base[3 * i + 2] += system.bias[c, 2]
+        for i, u in turns.items():
+            base[3 * u : 3 * u + 2] += system.bias[i, :2]
         base[weights > 0.0] = 0.0
         for i, g in enumerate(held, start=n):
             if system.guard_int[g, GUARD_END] == 0:
@@ -249,17 +264,24 @@ class ModeSolver:
         directions = {
             i: np.linalg.solve(shapes[i], associated(system, closed[i], _direction(system, closed[i]))) for i in sliding
         }
+        turning = {i: _direction(system, i) for i in resisting if integers[i, MODE] == SLIPPING}
         loads = np.array([max(system.force[c, 2], 0.0) for c in closed])
-        for iteration in range(_FIXED_POINT_ITERATIONS if sliding else 1):
+        carrying = sorted({*sliding, *parents.values()})
+        for iteration in range(_FIXED_POINT_ITERATIONS if carrying else 1):
             pull = np.zeros(3 * len(units))
             for i in sliding:
                 pull[3 * i : 3 * i + 2] = -numbers[closed[i], MU_NOW] * loads[i] * directions[i]
+            for i, u in turns.items():
+                limit = numbers[i, MU] * loads[parents[i]]
+                if i in turning:
+                    pull[3 * u : 3 * u + 2] = -limit * turning[i]
+                base[3 * u + 2] = 0.0 if i in turning else -limit * weights[3 * u + 2]
             self.cone_problems += 1
             if not self.solver.solve(gram, base + gram @ pull, limits):
                 decision.status = NO_FORCE
                 return decision
             new_loads = self.solver.forces[2 : 3 * n : 3].copy()
-            change = np.abs(new_loads - loads)[sliding].max(initial=0.0) if sliding else 0.0
+            change = np.abs(new_loads - loads)[carrying].max(initial=0.0) if carrying else 0.0
             # strong coupling of friction and load makes the plain iteration swing
             loads = new_loads if iteration < _UNDAMPED else 0.5 * (loads + new_loads)
             if change <= _FIXED_POINT_TOLERANCE * (1.0 + np.abs(loads).max(initial=0.0)):
@@ -289,6 +311,11 @@ class ModeSolver:
                 else:
                     freeze_slip(system, c, velocities[i, :2])
                     decision.started[c] = rate
+        for i, u in turns.items():
+            rate = float(np.hypot(velocities[u, 0], velocities[u, 1]))
+            if i in undecided and self.solver.modes[u] != cone.STICK and rate > still:
+                freeze_slip(system, i, velocities[u, :2])
+                decision.started[i] = rate
         for i, g in enumerate(held, start=n):
             mode, end = self.solver.modes[i], int(system.guard_int[g, GUARD_END])
             if end == 0 and mode == cone.SLIP and abs(velocities[i, 0]) > still:
@@ -297,15 +324,20 @@ class ModeSolver:
                 self.release(g, -end)
         decision.status = evaluate(t)
         if decision.status <= EVENT and not self._holds() and not self.redistribute(t, evaluate):
-            self._keep_solution(t, closed, held, forces, evaluate)
+            self._keep_solution(t, closed, held, turns, forces, evaluate)
         return decision
 
-    def _keep_solution(self, t: float, closed: list[int], held: list[int], forces: np.ndarray, evaluate) -> None:
+    def _keep_solution(
+        self, t: float, closed: list[int], held: list[int], turns: dict[int, int], forces: np.ndarray, evaluate
+    ) -> None:
         """Take the cone solver's forces, on the rim of their cones, for the choice among redundant ones."""
         system = self.system
         reference = np.zeros_like(system.reference)
         for i, c in enumerate(closed):
             reference[c] = forces[i]
+        for item, u in turns.items():
+            if system.contact_int[item, MODE] == STICK:
+                reference[item, :2] = forces[u, :2]
         for i, g in enumerate(held, start=len(closed)):
             end, (low, high) = system.guard_int[g, GUARD_END], system.guard_real[g, :2]
             extra = forces[i, 0] if end == 0 else -end * forces[i, 2]
@@ -331,7 +363,7 @@ class ModeSolver:
         system = self.system
         integers = system.contact_int
         decision = Decision(0)
-        for _ in range(2 * (len(closed) + system.ng) + 2):
+        for _ in range(2 * (len(closed) + system.ng + system.nr) + 2):
             status = evaluate(t)
             decision.status = status
             if status > EVENT:
@@ -356,14 +388,17 @@ class ModeSolver:
                         integers[c, NORMAL_SIGN] *= -1
                     worst = -2
                     break
-                if integers[c, MODE] == STICK and system.margins[c, FRICTION_MARGIN] < excess:
-                    worst, excess = c, system.margins[c, FRICTION_MARGIN]
+                for i in (c, *(i for i in system.resisting() if system.owner(i) == c)):
+                    # in N, a resistance's divided by its length
+                    scale = 1.0 if i == c else float(system.contact_real[i, MU])
+                    if integers[i, MODE] == STICK and system.margins[i, FRICTION_MARGIN] < excess * scale:
+                        worst, excess = i, system.margins[i, FRICTION_MARGIN] / scale
             if worst == -1:
                 return decision
             if worst >= 0:
-                force = system.force[worst]
-                if integers[worst, PATTERN] != ON_CURVE:
-                    integers[worst, NORMAL_SIGN] = 1 if force[2] >= 0.0 else -1
+                force, owner = system.force[worst].copy(), system.owner(worst)
+                if integers[owner, PATTERN] != ON_CURVE:
+                    integers[owner, NORMAL_SIGN] = 1 if system.force[owner, 2] >= 0.0 else -1
                 freeze_slip(system, worst, opposed_slip(system, worst, force[:2]))
                 if evaluate(t) > EVENT:
                     decision.status = NO_FORCE

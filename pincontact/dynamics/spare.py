@@ -29,19 +29,19 @@ _CONSTANT_LAWS = (type(None), Coulomb, Stribeck, NoSlip)
 class Spare:
     """A system, and copies of what it was made from."""
 
-    def __init__(self, scene: Scene, works: bool) -> None:
-        self.works = works
+    def __init__(self, scene: Scene, works: bool, resistances: bool) -> None:
+        self._options = works, resistances
         self._given, self._model = scene.model, scene.model.copy()
         self._contacts = list(scene.contacts.values())
         self._sides = [(side, side.placement_in_joint.copy(), _numbers(side)) for side in _sides(self._contacts)]
-        self.system = System(scene.model, self._contacts, works, joint_guards(scene.model))
+        self.system = System(scene.model, self._contacts, works, joint_guards(scene.model), resistances)
         self.system.memory.keep()
 
-    def fits(self, scene: Scene, works: bool) -> bool:
+    def fits(self, scene: Scene, works: bool, resistances: bool) -> bool:
         """Whether a new system would be the same."""
         contacts = self._contacts
         return (
-            self.works == works
+            self._options == (works, resistances)
             and scene.model is self._given
             and scene.model == self._model
             and len(scene.contacts) == len(contacts)
@@ -53,14 +53,14 @@ class Spare:
         )
 
 
-def take_spare(scene: Scene, works: bool) -> Spare:
+def take_spare(scene: Scene, works: bool, resistances: bool) -> Spare:
     """A system of the scene as it is now, with all guards of its model, as new. Raises what `System` does.
 
-    works: with an account of works in the state.
+    works: with an account of works in the state; resistances: with resistances to turning as items of their own.
     """
     spare = _spares.pop(scene, None)
-    if spare is None or not spare.fits(scene, works):
-        return Spare(scene, works)
+    if spare is None or not spare.fits(scene, works, resistances):
+        return Spare(scene, works, resistances)
     spare.system.memory.restore()
     return spare
 

@@ -15,6 +15,7 @@ from ..contours.motion import MOTION_CALLABLE, MOTION_PARAMETERS, MOTION_SIZE
 from ..friction.laws import Stribeck
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import closed_form
+from ..geometry.patterns import NO_NORMAL
 from ..integration.dense import DENSE_ROWS
 from ..integration.manifold import configuration_blocks
 from ..integration.stages import MAX_STAGES, NUMBER_OF_WORKS
@@ -54,6 +55,7 @@ from ..layout import (
     K2,
     KIND,
     LENGTH,
+    LIMIT_SLACK,
     LOW_END,
     LOW_FORCE,
     MARGINS_PER_CONTACT,
@@ -75,11 +77,13 @@ from ..layout import (
     NWORK,
     NY,
     OWN_TABLE,
+    OWNER,
     PATTERN,
     POLYNOMIAL_SIZE,
     POOL_ADDRESS,
     POOL_SIZE,
     ROLLING,
+    ROLLING_ROW,
     SCALARS_SIZE,
     SIDE,
     SIDE_INTS,
@@ -87,6 +91,8 @@ from ..layout import (
     SLOTS,
     SPAN,
     SPINNING,
+    SPINNING_ROW,
+    START_SPEED,
     STRETCH_11,
     STRETCH_22,
     STRIBECK_EXPONENT,
@@ -109,6 +115,11 @@ if TYPE_CHECKING:
 # Kinds whose first chart has poles.
 CHARTED_KINDS = (SPHERE, ELLIPSOID, REVOLUTION)
 
+# Friction up to this much above its limit is round-off: a contact exactly at the limit sticks.
+FORCE_SLACK = 1e-13
+# Lengths of resistances below this part of their contact's make torques that rounding of its forces hides.
+_NEGLIGIBLE_RESISTANCE = 1e-12
+
 
 class System:
     """Everything that one run needs, laid out once.
@@ -118,7 +129,12 @@ class System:
     """
 
     def __init__(
-        self, model: pin.Model, contacts: Sequence[Contact], works: bool = False, guards: Sequence[Guard] = ()
+        self,
+        model: pin.Model,
+        contacts: Sequence[Contact],
+        works: bool = False,
+        guards: Sequence[Guard] = (),
+        resistances: bool = False,
     ) -> None:
         compile_kernels()
         self.model = model
@@ -126,6 +142,10 @@ class System:
         self.data = model.createData()
         nq, nv, nc = model.nq, model.nv, len(self.contacts)
         self.nq, self.nv, self.nc, self.ng = nq, nv, nc, len(guards)
+        # (contact, whether it is about the normal) of each resistance to turning
+        self.resistances = _resistances(self.contacts) if resistances else []
+        self.nr = len(self.resistances)
+        self.items = nc + self.ng + self.nr
         nwork = NUMBER_OF_WORKS if works else 0
         ny = nq + nv + 4 * nc + nwork
         self.ny = ny
@@ -148,9 +168,10 @@ class System:
         table = memory.integers("joint_table", max(len(blocks), 1), 4)
         if blocks:
             table[:] = blocks
-        self._map_contacts(guards)
-        self._allocate(max(nc + self.ng, 1), nv, ny)
+        self._map_contacts()
+        self._allocate(max(self.items, 1), nv, ny)
         self._map_guards(guards)
+        self._map_resistances()
         self._map_calls()
         self.counters[CHARTED] = any(b.contour.kind in CHARTED_KINDS for c in self.contacts for b in (c.body1, c.body2))
 
@@ -170,10 +191,12 @@ class System:
         damping = memory.reals("damping", model.nv)
         damping[:] = model.damping
 
-    def _map_contacts(self, guards: Sequence[Guard]) -> None:
+    def _map_contacts(self) -> None:
         memory, nc = self.memory, max(self.nc, 1)
-        self.contact_int = memory.integers("contact_int", nc + len(guards), CONTACT_INTS)
-        self.contact_real = memory.reals("contact_real", nc, CONTACT_REALS)
+        self.contact_int = memory.integers("contact_int", max(self.items, 1), CONTACT_INTS)
+        self.contact_real = memory.reals("contact_real", max(self.items, 1), CONTACT_REALS)
+        self.contact_real[:, START_SPEED] = np.inf
+        self.contact_real[:, LIMIT_SLACK] = FORCE_SLACK
         self.side_int = memory.integers("side_int", 2 * nc, SIDE_INTS)
         self.side_shape = memory.reals("side_shape", 2 * nc, SHAPE_SIZE)
         self.side_base = memory.reals("side_base", 2 * nc, 12)
@@ -278,7 +301,7 @@ class System:
         self.counters = memory.integers("counters", COUNTERS_SIZE)
         self.lowest = memory.reals("lowest", nc, MARGINS_PER_CONTACT)
         self.highest = memory.reals("highest", nc, MARGINS_PER_CONTACT)
-        self.across = memory.reals("across", nc + 1, POLYNOMIAL_SIZE)
+        self.across = memory.reals("across", 2 * nc + 1, POLYNOMIAL_SIZE)
         self.reference = memory.reals("reference", nc, 3)
 
     def _map_guards(self, guards: Sequence[Guard]) -> None:
@@ -295,6 +318,20 @@ class System:
             self.contact_int[nc + g, MODE] = FREE
             self.basis[nc + g] = np.eye(3)
             self.rows[nc + g, 2, guard.index_v] = 1.0
+
+    def _map_resistances(self) -> None:
+        """Resistances to turning are rows after the guarded coordinates': see `resistance`."""
+        self.memory.integers("resistance_count", 1)[0] = self.nr
+        for item, (c, spins) in enumerate(self.resistances, start=self.nc + self.ng):
+            integers, numbers = self.contact_int[item], self.contact_real[item]
+            law = self.contacts[c].friction
+            assert law is not None
+            self.contact_int[c, SPINNING_ROW if spins else ROLLING_ROW] = item
+            integers[OWNER], integers[PATTERN], integers[MODE] = c, NO_NORMAL, FREE
+            integers[TANGENTS] = 1 if spins else self.contact_int[c, TANGENTS]
+            integers[SLIP_SIGN] = integers[NORMAL_SIGN] = 1
+            numbers[[MU, MU_FAST, MU_STATIC, MU_NOW]] = law.spinning if spins else law.rolling
+            numbers[[ASPECT, STRETCH_11, STRETCH_22, SPAN, LENGTH, NORMAL_1]] = 1.0
 
     def before_evaluation(self, torque: Callable[[float], bool] | None = None) -> None:
         """Set the Python function that the kernels ask before Pinocchio's terms: none where there is nothing to ask.
@@ -385,6 +422,19 @@ class System:
         """Indices of the contacts that are not open."""
         return [c for c in range(self.nc) if self.contact_int[c, MODE] != FREE]
 
+    def resisting(self) -> list[int]:
+        """Items that are resistances of contacts that are not open."""
+        owners = self.contact_int[self.nc + self.ng : self.items, OWNER]
+        return [self.nc + self.ng + i for i in np.flatnonzero(self.contact_int[owners, MODE] != FREE)]
+
+    def resists(self, c: int) -> bool:
+        """Whether contact c resists turning."""
+        return bool(self.contact_int[c, SPINNING_ROW] + self.contact_int[c, ROLLING_ROW])
+
+    def owner(self, item: int) -> int:
+        """The contact that item, a contact or a resistance, belongs to."""
+        return int(self.contact_int[item, OWNER]) if item >= self.nc + self.ng else item
+
 
 def _takes_one_call(model: pin.Model) -> bool:
     """Whether all of Pinocchio's terms at once are cheaper than the two algorithms that give what is needed.
@@ -402,6 +452,17 @@ def pinocchio_calls(
         return [(pin.computeAllTerms, (model, data, q, v))]
     # in the world's convention the mass matrix comes with the Jacobians; at rest inverse dynamics are the bias forces
     return [(pin.rnea, (model, data, q, v, np.zeros(model.nv))), (pin.crba, (model, data, q, pin.Convention.WORLD))]
+
+
+def _resistances(contacts: Sequence[Contact]) -> list[tuple[int, bool]]:
+    """(contact, whether it is about the normal) of what resists spinning and rolling, above round-off."""
+    out = []
+    for c, contact in enumerate(contacts):
+        law = contact.friction
+        if law is not None and law.resists_turning:
+            least = _NEGLIGIBLE_RESISTANCE * characteristic_length(contact)
+            out += [(c, spins) for spins in (True, False) if (law.spinning if spins else law.rolling) > least]
+    return out
 
 
 def _map_friction(contact: Contact, integers: np.ndarray, numbers: np.ndarray) -> None:

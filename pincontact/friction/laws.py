@@ -86,7 +86,7 @@ class FrictionLaw(ABC):
 
     @property
     def resists_turning(self) -> bool:
-        """Whether torques resist spinning or rolling, which takes time stepping."""
+        """Whether torques resist spinning or rolling."""
         return self.spinning > 0.0 or self.rolling > 0.0
 
     def coefficient(self, speed: npt.ArrayLike) -> np.ndarray:
@@ -139,7 +139,7 @@ class Coulomb(FrictionLaw):
     proportion.
 
     The torques are dry friction, too: of that length where there is rotation, and what holds it at rest where there is
-    none. They are for time stepping (method "Moreau", `Stepper`).
+    none. Lengths below 1e-12 of the contours' size are taken as zero by event-driven runs.
 
     Raises FrictionError for a parameter that is negative or not finite, mu_static < mu, pairs out of proportion.
     """

@@ -10,6 +10,8 @@ from ..errors import PatternError
 # How the contact frame is built (Def. 5): from the surface's two tangents, from both curves' tangents, from a
 # planar curve's tangent and the plane's normal, or from the tangent of a spatial curve that carries a point.
 ON_SURFACE, CROSSING_CURVES, PLANAR, ON_CURVE = range(4)
+# In place of a pattern: of a resistance to spinning or rolling, which has no normal of its own.
+NO_NORMAL = -1
 
 
 @dataclass(frozen=True)

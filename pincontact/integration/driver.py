@@ -26,6 +26,7 @@ from ..layout import (
     OK,
     OUTPUT_COUNT,
     OUTPUTS_DONE,
+    PATIENCE,
     RECORD_STEPS,
     REJECTED_COUNT,
     SLOWEST,
@@ -36,6 +37,8 @@ from ..layout import (
     STEP,
     STEP_COUNT,
     STICK,
+    STIFF_STEPS,
+    TURNING_RATE,
 )
 from .dense import Interpolant
 from .events import Crossing, EventLocator, UserEvent
@@ -51,6 +54,7 @@ from .steps import (
     MARCH_ONE_STEP,
     PROJECTION_FAILED,
     SLIP_ENDS,
+    SLIP_IS_SLOW,
     STEP_FAILED,
     STEPPED,
     WRITE_OUTPUTS,
@@ -58,6 +62,13 @@ from .steps import (
 )
 from .transitions import Transitions
 
+# Steps that slow slip makes stiff before its direction is prescribed instead, and at most after that has failed;
+# the least length of a step with a prescribed direction, in stiff ones that cost as much and last this time over that
+# in which friction turns the slip; how much longer the next one is tried, and after how many of the same length where
+# longer ones have failed.
+_PATIENCE, _LONGEST_PATIENCE = 24, 3072
+_SLOW_STEPS, _STABLE = 20.0, 4.0
+_SLOW_GROWTH, _SLOW_RESTS = 4.0, 6
 # Slips this many times faster than what counts as ended end with one that does.
 _TOGETHER = 8.0
 
@@ -130,6 +141,7 @@ class Driver:
             raise
         self._output_start(t)
         if t_end > t:
+            self._allow_start(t, 0.0 if self.locator.users else options.fixed_step or math.inf)
             t = self.transitions.start_frozen(t)
         self.locator.update_users(t)
         self._finish(t)
@@ -153,6 +165,10 @@ class Driver:
                 h = float(scalars[NEXT_STEP])
                 t = self._end_slip(t)
                 self._restart(h)
+            elif why == SLIP_IS_SLOW:
+                self._watch(t)
+                self._output_at(t)
+                t = self._slow_slip(t)
             elif why == AT_LIMIT:
                 raise Stop(STEP_LIMIT, f"t = {t:.9g} s: the limit of {options.max_steps} steps was reached")
             elif why == AT_FLOOR:
@@ -166,6 +182,10 @@ class Driver:
             if self.progress is not None:
                 self.progress(t)
 
+    def _allow_start(self, t: float, step: float) -> None:
+        """Let slip that starts at t, which ends or interrupts a step, go on for half of that at most."""
+        self.transitions.longest_start = min(0.5 * step, 0.5 * (self._end - t), self.options.max_step)
+
     def _set_limits(self, t: float, t_end: float) -> None:
         """What the compiled steps are controlled by."""
         options, scalars, counters = self.options, self.system.scalars, self.system.counters
@@ -175,7 +195,8 @@ class Driver:
         scalars[FLOOR] = 8.0 * np.finfo(float).eps * max(abs(t), abs(t_end))
         scalars[SLOWEST] = math.inf
         counters[ATTEMPT_LIMIT] = options.max_steps
-        counters[STALLED] = 0
+        counters[STALLED] = counters[STIFF_STEPS] = 0
+        counters[PATIENCE] = _PATIENCE
 
     def _task(self) -> int:
         """How far the compiled steps may go on their own."""
@@ -269,7 +290,7 @@ class Driver:
             self._after(event_time)
             self.transitions.announce(event_time, None, "user", crossing.user)
             raise Stop(TERMINATED, "a terminal event occurred")
-        self.transitions.longest_start = min(0.5 * step, 0.5 * (self._end - event_time))
+        self._allow_start(event_time, step)
         try:
             after = self.transitions.switch(event_time, *crossing.margin)
         except Stop:
@@ -279,12 +300,36 @@ class Driver:
         self._after(after)
         return after
 
-    # ---------------------------------------------------------------- the end of 3D slip
+    # ---------------------------------------------------------------- slow slip and its end
+
+    def _slow_slip(self, t: float) -> float:
+        """Steps with prescribed directions of slip as long as these are longer than many stiff ones; the new time."""
+        scalars, counters = self.system.scalars, self.system.counters
+        span, rests, tried = 2.0 * _SLOW_STEPS * _STABLE / float(scalars[TURNING_RATE]), 0, True
+        while tried:
+            shortest = _SLOW_STEPS * _STABLE / max(float(scalars[TURNING_RATE]), 1e-300)
+            span = min(span, self.options.max_step, self._end - t)
+            after = self.transitions.follow_slow_slip(t, span, shortest) if span >= shortest else None
+            tried = after is not None
+            if after is None:
+                # the next steps are explicit again; the longer that fails the longer they are left alone
+                counters[PATIENCE] = min(2 * counters[PATIENCE], _LONGEST_PATIENCE)
+            else:
+                counters[PATIENCE] = _PATIENCE
+                counters[STEP_COUNT] += 1
+                # a length that was too much is not asked for again soon
+                rests = _SLOW_RESTS if after - t < 0.9 * span else rests - 1
+                span = (after - t) * (1.0 if rests > 0 else _SLOW_GROWTH)
+                t = after
+                self._after(t)
+                tried = t < self._end and counters[STEP_COUNT] < counters[ATTEMPT_LIMIT]
+        counters[STIFF_STEPS] = 0
+        return t
 
     def _end_slip(self, t: float) -> float:
         """One linear step to the end of slip (its error is the square of a short time), then stick or not."""
         rk, system = self.rk, self.system
-        speed, rate = system.contact_real[: system.nc, START_SPEED], system.contact_real[: system.nc, START_RATE]
+        speed, rate = system.contact_real[:, START_SPEED], system.contact_real[:, START_RATE]
         stopping = np.flatnonzero(np.isfinite(speed) & (rate < 0.0))
         allowed = system.contact_real[stopping, START_TOLERANCE]
         c = int(stopping[np.argmin(speed[stopping] / allowed)])
@@ -293,13 +338,14 @@ class Driver:
         left = min(float(speed[c] / -rate[c]), *(scalars[[NEXT_STEP, MAX_STEP]]), scalars[END] - t)
         left = float(min(left, scalars[NEXT_OUTPUT] - t))
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
-        reach = _TOGETHER * 2.0 ** int(system.counters[STALLED]) * system.contact_real[: system.nc, START_TOLERANCE]
+        reach = _TOGETHER * 2.0 ** int(system.counters[STALLED]) * system.contact_real[:, START_TOLERANCE]
         with np.errstate(invalid="ignore"):
             near = np.minimum(speed, np.abs(speed + rate * left)) <= reach
         contacts = [c, *(int(i) for i in np.flatnonzero(near & np.isfinite(speed)) if i != c)]
         # v_c is round-off there and has no direction: not to be evaluated as slip
         system.contact_int[contacts, MODE] = STICK
         rk.load(system.state + left * system.slopes[0])
+        self._allow_start(t + left, float(scalars[STEP]))
         after = self.transitions.come_to_rest(t + left, contacts)
         self._after(after)
         return after

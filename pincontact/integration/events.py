@@ -107,13 +107,13 @@ class EventLocator:
     def __init__(self, rk: RungeKutta, users: Sequence[UserEvent]) -> None:
         self.rk, self.users = rk, users
         scale = rk.system.scale
-        nc, ng = rk.system.nc, rk.system.ng
+        nc, items = rk.system.nc, rk.system.items
         # guarded joint coordinates follow the contacts; theirs are of unit size
-        self._lengths = np.ones(nc + ng)
+        self._lengths = np.ones(items)
         self._lengths[:nc] = rk.system.contact_real[:nc, LENGTH]
         self._gap_slack = GAP_TOLERANCE * (scale[1] + scale[0] * self._lengths)
-        self.armed = np.zeros(nc + ng, dtype=bool)
-        self._ideal = np.zeros(nc + ng, dtype=bool)
+        self.armed = np.zeros(items, dtype=bool)
+        self._ideal = np.zeros(items, dtype=bool)
         self._ideal[:nc] = np.isinf(rk.system.contact_real[:nc, MU])
 
     def value_of_user(self, index: int, t: float) -> float:
@@ -145,7 +145,7 @@ class EventLocator:
             return None
         system = self.rk.system
         nc = system.nc
-        margins = system.margins[: nc + system.ng].copy()
+        margins = system.margins[: system.items].copy()
         slack = np.where(self.armed | ~self._ideal, self._gap_slack, _UNARMED_DEPTH * self._lengths)
         margins[:, GAP_MARGIN] += slack
         # both ends of a joint coordinate

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 
+from ..constraints.kinematics import add_rotation_row
 from ..dynamics.equations import coefficient_at
 from ..dynamics.linear import factorize_tree, inner, solve_semidefinite, unwhiten, whiten
 from ..friction.ellipse import stretch_pair
@@ -366,9 +367,7 @@ def add_turn_row(table, c, axis, nv, nc, factor, out):
     side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
     for side in range(2 * c, 2 * c + 2):
         signed = factor if side % 2 == 1 else -factor
-        for i in range(side_int[side, SUPPORT_SIZE]):
-            k = support[side, i]
-            out[k] += signed * (about[0] * jacobian[k, 3] + about[1] * jacobian[k, 4] + about[2] * jacobian[k, 5])
+        add_rotation_row(signed, jacobian, support[side], side_int[side, SUPPORT_SIZE], about, out)
 
 
 @kernel

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 
 from ..dynamics.equations import guard_force
+from ..dynamics.resistance import count_items
 from ..jit import kernel
 from ..layout import (
+    BASIS,
     CHART,
     CONTACT_INT,
     CONTACT_INTS,
@@ -35,11 +37,13 @@ from ..layout import (
     OUTPUT_COUNT,
     OUTPUT_TIMES,
     OUTPUTS_DONE,
+    OWNER,
     RECORDED,
     RECORDED_INTEGERS,
     RECORDED_REALS,
     REFERENCE,
     ROW_WIDTH,
+    ROWS,
     SCALARS,
     SCALARS_SIZE,
     SIDE_INT,
@@ -47,11 +51,12 @@ from ..layout import (
     SIZES,
     STAGE_STATE,
     START,
+    TANGENTS,
     TAU,
     Q,
     V,
 )
-from ..memory import integer_matrix, integers, matrix, reals
+from ..memory import cube, integer_matrix, integers, matrix, reals
 
 # Integers of a contact in a row: its own, and its two charts.
 INTEGERS_PER_CONTACT = CONTACT_INTS + 2
@@ -62,7 +67,7 @@ BLOCK = 256
 @kernel
 def record_row(table, t):
     """Write the state in (Q, V, LOCATION) at t as the next row: t, q, v, tau, works, location, frozen directions,
-    redundant forces where they were chosen.
+    redundant forces where they were chosen, torques on body 2 that resist turning where there may be any.
     """
     sizes, counters = integers(table[SIZES], 8), integers(table[COUNTERS], COUNTERS_SIZE)
     nq, nv, nc, nwork = sizes[NQ], sizes[NV], sizes[NC], sizes[NWORK]
@@ -88,15 +93,21 @@ def record_row(table, t):
         row[at + k] = v[k]
         row[at + nv + k] = tau[k]
     at += nv
-    # the forces of limits and dry friction go with the torques, so that contact forces can be found again
-    ng = integers(table[GUARD_COUNT], 1)[0]
-    modes = integer_matrix(table[CONTACT_INT], nc + ng, CONTACT_INTS)
+    # the forces of limits, dry friction and resistances go with the torques, so that contact forces can be found again
+    ng, n = integers(table[GUARD_COUNT], 1)[0], count_items(table)
+    modes = integer_matrix(table[CONTACT_INT], n, CONTACT_INTS)
     guards, guard_real = integer_matrix(table[GUARD_INT], ng, GUARD_INTS), matrix(table[GUARD_REAL], ng, GUARD_REALS)
-    force, reference = matrix(table[FORCE], nc + ng, 3), matrix(table[REFERENCE], nc + ng, 3)
+    force, reference = matrix(table[FORCE], n, 3), matrix(table[REFERENCE], n, 3)
+    basis, rows = cube(table[BASIS], n, 3, 3), cube(table[ROWS], n, 3, nv)
     for g in range(ng):
         mode = modes[nc + g, MODE]
         held = force[nc + g, 2] if mode != FREE else 0.0
         row[at + guards[g, GUARD_V]] += held + guard_force(mode, guards[g], guard_real[g])
+    for i in range(nc + ng, n):
+        if modes[i, MODE] != FREE:
+            for j in range(modes[i, TANGENTS]):
+                for k in range(nv):
+                    row[at + k] += rows[i, j, k] * force[i, j]
     at += nv
     for k in range(nwork):
         row[at + k] = state[sizes[NY] - nwork + k]
@@ -117,6 +128,14 @@ def record_row(table, t):
         for k in range(3):
             row[at + k] = chosen * reference[c, k]
         at += 3
+    if n > nc + ng:
+        for k in range(3 * nc):
+            row[at + k] = 0.0
+    for i in range(nc + ng, n):
+        if modes[i, MODE] != FREE:
+            for j in range(modes[i, TANGENTS]):
+                for k in range(3):
+                    row[at + 3 * modes[i, OWNER] + k] += force[i, j] * basis[i, j, k]
     counters[RECORDED] = index + 1
 
 

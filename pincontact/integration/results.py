@@ -42,7 +42,8 @@ class Event:
 
     kind: "stick", "slip", "separate", "touch", "edge" (the contact point has reached the end of a contour: a unilateral
     contact opens there), "singular" or "user"; of joints: "limit" (a position limit is reached), "release" (its force
-    would pull), "stick" and "slip" (dry friction); index: number of the user's event function.
+    would pull), "stick" and "slip" (dry friction); of contacts that resist spinning or rolling: "turn" and "hold" (it
+    begins, it has come to rest); index: number of the user's event function.
     """
 
     time: float

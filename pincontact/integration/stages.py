@@ -12,6 +12,7 @@ import math
 from ..contours.base import SHAPE_SIZE
 from ..contours.charts import convert_chart, preferred_chart
 from ..dynamics.equations import guard_force
+from ..dynamics.resistance import count_items
 from ..geometry.small import dot
 from ..jit import TABLE, entry_kernel, kernel
 from ..layout import (
@@ -114,17 +115,21 @@ def fill_slope(table, state, slope):
 
 @kernel
 def _powers(table, nv, nc, out):
-    """Powers in W: contact force on v_c, contact force of drives, user's torques, joints' damping and dry friction."""
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    basis = cube(table[BASIS], nc, 3, 3)
-    slip = matrix(table[SLIP], nc, 3)
-    force = matrix(table[FORCE], nc, 3)
-    rows = cube(table[ROWS], nc, 3, nv)
+    """Powers in W: contact force on v_c, contact force of drives, user's torques, joints' damping and dry friction.
+
+    Torques that resist turning count with the contact forces.
+    """
+    n, ng = count_items(table), integers(table[GUARD_COUNT], 1)[0]
+    contact_int = integer_matrix(table[CONTACT_INT], n, CONTACT_INTS)
+    basis = cube(table[BASIS], n, 3, 3)
+    slip = matrix(table[SLIP], n, 3)
+    force = matrix(table[FORCE], n, 3)
+    rows = cube(table[ROWS], n, 3, nv)
     v, tau, damping = reals(table[V], nv), reals(table[TAU], nv), reals(table[DAMPING], nv)
     for i in range(NUMBER_OF_WORKS):
         out[i] = 0.0
-    for c in range(nc):
-        if contact_int[c, MODE] == FREE:
+    for c in range(n):
+        if contact_int[c, MODE] == FREE or nc <= c < nc + ng:
             continue
         for row in range(3):
             on_slip = force[c, row] * dot(basis[c, row], slip[c])
@@ -135,11 +140,9 @@ def _powers(table, nv, nc, out):
                 # what is held does no work; its small v_c within a step would only feed the error estimate
                 out[FRICTION_WORK] += on_slip
             out[DRIVE_WORK] += force[c, row] * on_joints - on_slip
-    ng = integers(table[GUARD_COUNT], 1)[0]
-    all_modes = integer_matrix(table[CONTACT_INT], nc + ng, CONTACT_INTS)
     guard_int = integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
     for g in range(ng):
-        dry = guard_force(all_modes[nc + g, MODE], guard_int[g], matrix(table[GUARD_REAL], ng, GUARD_REALS)[g])
+        dry = guard_force(contact_int[nc + g, MODE], guard_int[g], matrix(table[GUARD_REAL], ng, GUARD_REALS)[g])
         out[DAMPING_WORK] += dry * v[guard_int[g, GUARD_V]]
     for k in range(nv):
         out[TORQUE_WORK] += tau[k] * v[k]

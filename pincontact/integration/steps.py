@@ -11,6 +11,9 @@ import math
 from ..callback import call_kernel
 from ..dynamics.equations import slip_direction
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, KINEMATICS_OF_CLOSED, contact_corrections
+from ..dynamics.linear import inner, whiten
+from ..dynamics.resistance import count_items, size_of_load
+from ..geometry.patterns import NO_NORMAL
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
 from ..layout import (
@@ -41,12 +44,13 @@ from ..layout import (
     EVALUATION,
     EVENT,
     EXTRA_STAGES,
+    FACTOR,
     FAILURE,
     FIXED_STEP,
     FLOOR,
+    FORCE,
     FROZEN,
     GAP_RESIDUAL,
-    GUARD_COUNT,
     HIGHEST,
     LAST_ERROR,
     LAST_NORMAL_X,
@@ -56,6 +60,7 @@ from ..layout import (
     MAX_STEP,
     MODE,
     MU,
+    MU_NOW,
     NC,
     NEW_STATE,
     NEXT_NORMAL_X,
@@ -73,6 +78,10 @@ from ..layout import (
     NY,
     OK,
     OWN_TABLE,
+    OWNER,
+    PARENTS,
+    PATIENCE,
+    PATTERN,
     POLYNOMIAL_SIZE,
     RECORD_STEPS,
     RECORDED,
@@ -96,9 +105,12 @@ from ..layout import (
     STATE,
     STEP,
     STEP_COUNT,
+    STIFF_STEPS,
     TANGENTS,
+    TURNING_RATE,
     VECTORS,
     VELOCITY_RESIDUAL,
+    WORK,
     Q,
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
@@ -128,7 +140,7 @@ from .stages import MAX_STAGES, build_state, correct_state, error_norm, fill_slo
 ) = range(17)
 
 # What MARCH comes back with.
-MARCHING, STEPPED, ATTEMPTED, SLIP_ENDS, STEP_FAILED, PROJECTION_FAILED, AT_FLOOR, AT_LIMIT = range(8)
+MARCHING, STEPPED, ATTEMPTED, SLIP_ENDS, SLIP_IS_SLOW, STEP_FAILED, PROJECTION_FAILED, AT_FLOOR, AT_LIMIT = range(9)
 # What WRITE_OUTPUTS comes back with, besides a status: there is no room for more rows.
 BLOCK_FULL = 100
 # Attempts after which MARCH comes back all the same, for the keyboard's and the progress bar's sake.
@@ -163,6 +175,9 @@ _PROGRESS = 0.9
 # Growth by which a slip has got away from its slowest point.
 _ESCAPE = 2.0
 _SMALLEST_STOP_SPEED = 1e-13
+# Steps of more than this over the time in which friction turns a slip are held back by stability, not by accuracy: the
+# pairs' limits are 3.3 and 6.
+_STIFF = 2.0
 
 _PROJECTIONS = 12
 # What a state is projected for.
@@ -232,7 +247,7 @@ def attempt(table, t, h, adaptive):
     ALARM tells whether an event function was negative in a stage, or may have been between two.
     """
     counters = integers(table[COUNTERS], COUNTERS_SIZE)
-    n = MARGINS_PER_CONTACT * (integers(table[SIZES], 8)[NC] + integers(table[GUARD_COUNT], 1)[0])
+    n = MARGINS_PER_CONTACT * count_items(table)
     lowest, highest = reals(table[LOWEST], n), reals(table[HIGHEST], n)
     for i in range(n):
         lowest[i], highest[i] = math.inf, -math.inf
@@ -258,12 +273,12 @@ def project(table, t, evaluated, purpose):
     accelerations of another state; TO_KEEP is for states that are both shown and gone on from.
     """
     sizes, scalars = integers(table[SIZES], 8), reals(table[SCALARS], SCALARS_SIZE)
-    guarded = integers(table[GUARD_COUNT], 1)[0]
-    if sizes[NC] + guarded == 0:
+    beyond = count_items(table) - sizes[NC]
+    if sizes[NC] + beyond == 0:
         return OK
     q = reals(table[Q], sizes[NQ])
-    # forces on guarded joints are shown with the state
-    part = KINEMATICS_OF_CLOSED if purpose == TO_SHOW and guarded == 0 else 0
+    # forces of guarded joints and resistances are shown with the state
+    part = KINEMATICS_OF_CLOSED if purpose == TO_SHOW and beyond == 0 else 0
     for i in range(_PROJECTIONS):
         if i > 0 or not evaluated:
             status = evaluate(table, t, part)
@@ -281,7 +296,7 @@ def project(table, t, evaluated, purpose):
             return OK
         if not size < _LARGEST_CORRECTION:
             break
-        if close and guarded == 0:
+        if close and beyond == 0:
             part = KINEMATICS_OF_CLOSED
     return OK if scalars[GAP_RESIDUAL] < _PROJECTED_GAP else LOCATION_FAILED
 
@@ -303,10 +318,10 @@ def interpolation(table, t, h):
 def across_slip(table, t, h):
     """How well prescribed slip directions hold in a step of size h from the state at t, which is attempted; a status.
 
-    ACROSS is filled with v_c across the direction at the shares of the step in its first row, up to a zero; each is
-    divided by the share squared, since v_c grows so.
+    ACROSS is filled with v_c across the direction at the shares of the step in its first row, up to a zero, and then
+    with v_c along it.
     """
-    nc = integers(table[SIZES], 8)[NC]
+    n = count_items(table)
     status = start(table, t)
     if status <= EVENT:
         status = attempt(table, t, h, False)
@@ -314,10 +329,10 @@ def across_slip(table, t, h):
         status = interpolation(table, t, h)
     if status > EVENT:
         return status
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    basis, slip = cube(table[BASIS], nc, 3, 3), matrix(table[SLIP], nc, 3)
-    across = matrix(table[ACROSS], nc + 1, POLYNOMIAL_SIZE)
+    contact_int = integer_matrix(table[CONTACT_INT], n, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
+    basis, slip = cube(table[BASIS], n, 3, 3), matrix(table[SLIP], n, 3)
+    across = matrix(table[ACROSS], 2 * n + 1, POLYNOMIAL_SIZE)
     direction = matrix(table[VECTORS], 16, 3)[0]
     for k in range(POLYNOMIAL_SIZE):
         share = across[0, k]
@@ -327,11 +342,12 @@ def across_slip(table, t, h):
         status = evaluate(table, t + share * h, KINEMATICS_OF_ALL)
         if status > EVENT:
             return status
-        for c in range(nc):
+        for c in range(n):
             if contact_int[c, FROZEN] != 0:
                 slip_direction(contact_int[c], contact_real[c], slip[c], basis[c], t + share * h, direction)
-                turned = direction[0] * dot(basis[c, 1], slip[c]) - direction[1] * dot(basis[c, 0], slip[c])
-                across[c + 1, k] = turned / share**2
+                first, second = dot(basis[c, 0], slip[c]), dot(basis[c, 1], slip[c])
+                across[c + 1, k] = direction[0] * second - direction[1] * first
+                across[n + c + 1, k] = direction[0] * first + direction[1] * second
     return OK
 
 
@@ -427,16 +443,17 @@ def _better_charts(table, t):
 
 @kernel
 def _note_end(table):
-    """From the last evaluation, that of STAGE_STATE, what the next step is held against: each contact's normal, and the
-    speed and rate of every 3D slip with the error that is allowed in it.
+    """From the last evaluation, that of STAGE_STATE, what the next step is held against: each contact's normal, the
+    speed and rate of every 3D slip with the error that is allowed in it, and how fast friction turns it.
     """
     sizes = integers(table[SIZES], 8)
-    nc, nv = sizes[NC], sizes[NV]
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    basis, rows = cube(table[BASIS], nc, 3, 3), cube(table[ROWS], nc, 3, nv)
+    nv, n = sizes[NV], count_items(table)
+    contact_int = integer_matrix(table[CONTACT_INT], n, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
+    basis, rows = cube(table[BASIS], n, 3, 3), cube(table[ROWS], n, 3, nv)
     v, tolerances = reals(table[STAGE_STATE], sizes[NY])[sizes[NQ] :], reals(table[SCALE], 2)
-    for c in range(nc):
+    turning = 0.0
+    for c in range(n):
         integer, number = contact_int[c], contact_real[c]
         for i in range(3):
             number[NEXT_NORMAL_X + i] = basis[c, 2, i]
@@ -444,6 +461,7 @@ def _note_end(table):
         if integer[MODE] != SLIPPING or integer[TANGENTS] != 2 or integer[FROZEN] != 0 or not number[MU] > 0.0:
             continue
         number[START_SPEED], number[START_RATE] = number[SLIP_SPEED], number[SLIP_RATE]
+        turning = max(turning, _turning_rate(table, c, n))
         allowed = _SMALLEST_STOP_SPEED
         for row in range(3):
             value = 0.0
@@ -451,17 +469,21 @@ def _note_end(table):
                 value += abs(rows[c, row, k]) * (tolerances[1] + tolerances[0] * abs(v[k]))
             allowed = max(allowed, value)
         number[START_TOLERANCE] = allowed
+    reals(table[SCALARS], SCALARS_SIZE)[TURNING_RATE] = turning
 
 
 @kernel
 def _begin_next(table):
-    """What was noted holds from here on."""
-    nc = integers(table[SIZES], 8)[NC]
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    for c in range(nc):
+    """What was noted holds from here on; steps that slow slip makes stiff are counted."""
+    n, scalars = count_items(table), reals(table[SCALARS], SCALARS_SIZE)
+    counters = integers(table[COUNTERS], COUNTERS_SIZE)
+    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
+    for c in range(n):
         for i in range(3):
             contact_real[c, LAST_NORMAL_X + i] = contact_real[c, NEXT_NORMAL_X + i]
-    _watch_slips(contact_real, nc, reals(table[SCALARS], SCALARS_SIZE), integers(table[COUNTERS], COUNTERS_SIZE), True)
+    stiff = scalars[TURNING_RATE] * scalars[STEP] > _STIFF
+    counters[STIFF_STEPS] = counters[STIFF_STEPS] + 1 if stiff else 0
+    _watch_slips(contact_real, n, scalars, counters, True)
 
 
 @kernel
@@ -491,10 +513,29 @@ def _take_up(table, t):
 
 
 @kernel
-def _watch_slips(contact_real, nc, scalars, counters, accepted):
+def _turning_rate(table, c, n):
+    """How fast friction turns the slip of item c into the direction in which it would go, in 1 / s: mu |F_n| w M^-1 w^T
+    over the speed, with w the row across the slip."""
+    nv = integers(table[SIZES], 8)[NV]
+    contact_int, force = integer_matrix(table[CONTACT_INT], n, CONTACT_INTS), matrix(table[FORCE], n, 3)
+    number = matrix(table[CONTACT_REAL], n, CONTACT_REALS)[c]
+    basis, rows, slip = cube(table[BASIS], n, 3, 3)[c], cube(table[ROWS], n, 3, nv)[c], matrix(table[SLIP], n, 3)[c]
+    work = reals(table[WORK], nv)
+    first, second = dot(basis[0], slip), dot(basis[1], slip)
+    for k in range(nv):
+        work[k] = first * rows[1, k] - second * rows[0, k]
+    whiten(matrix(table[FACTOR], nv, nv), integers(table[PARENTS], nv), nv, work, work)
+    speed = math.hypot(first, second)
+    owner = contact_int[c, OWNER] if contact_int[c, PATTERN] == NO_NORMAL else c
+    load = number[MU_NOW] * size_of_load(contact_int, force, owner)
+    return load * inner(work, work, nv) / speed**3 if speed > 0.0 else 0.0
+
+
+@kernel
+def _watch_slips(contact_real, n, scalars, counters, accepted):
     """Count attempts that bring no slip nearer to its end, while one that slows down is within reach of it."""
     least, slowest, near = math.inf, math.inf, False
-    for c in range(nc):
+    for c in range(n):
         speed, number = contact_real[c, START_SPEED], contact_real[c]
         if speed < math.inf:
             least = min(least, speed)
@@ -515,9 +556,9 @@ def _watch_slips(contact_real, nc, scalars, counters, accepted):
 
 
 @kernel
-def _slip_ends(contact_real, nc, stalled):
+def _slip_ends(contact_real, n, stalled):
     """Whether a slip is as good as over."""
-    for c in range(nc):
+    for c in range(n):
         speed, number = contact_real[c, START_SPEED], contact_real[c]
         if speed < math.inf and number[START_RATE] < 0.0 and speed <= number[START_TOLERANCE] * 2.0**stalled:
             return True
@@ -549,7 +590,7 @@ def first_step(table, t, span):
     instant. The lesser of both is within a factor of three of what the control settles at.
     """
     sizes, scalars = integers(table[SIZES], 8), reals(table[SCALARS], SCALARS_SIZE)
-    ny, nc = sizes[NY], sizes[NC]
+    ny, n = sizes[NY], count_items(table)
     state, stage_state = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
     slope, moved = matrix(table[SLOPES], MAX_STAGES, ny)[0], reals(table[NEXT_SLOPE], ny)
     absolute, relative = reals(table[ABSOLUTE], ny), reals(table[SCALE], 2)[0]
@@ -576,8 +617,8 @@ def first_step(table, t, span):
             if longer < math.inf:
                 h = max(h, _FIRST_FRACTION * longer)
         hand_over(table, state)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    for c in range(nc):
+    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
+    for c in range(n):
         # slip that has just begun turns within the time that it has gone on
         if contact_real[c, START_SPEED] < _FIRST_FRACTION * h * abs(contact_real[c, START_RATE]):
             h = contact_real[c, START_SPEED] / (_FIRST_FRACTION * abs(contact_real[c, START_RATE]))
@@ -602,27 +643,31 @@ def march(table, task):
 
     MARCHING: not yet, call again; STEPPED: a step was accepted, which MARCH_ONE_STEP asks for, or END was reached, or
     there is no room for more rows (at the call there must be some);
+    SLIP_IS_SLOW: so many steps were stiff as PATIENCE allows;
     ATTEMPTED: a step is within its error, but neither projected nor accepted: an event function was negative, or its
     outputs could not all be written, or MARCH_ONE_ATTEMPT asks for it; SLIP_ENDS; STEP_FAILED: rejected because of the
     status in FAILURE; PROJECTION_FAILED; AT_FLOOR; AT_LIMIT: of attempts.
     """
     scalars, counters = reals(table[SCALARS], SCALARS_SIZE), integers(table[COUNTERS], COUNTERS_SIZE)
     sizes = integers(table[SIZES], 8)
-    nc, ny = sizes[NC], sizes[NY]
+    n, ny = count_items(table), sizes[NY]
     stage_state = reals(table[STAGE_STATE], ny)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
     end, fixed = scalars[END], scalars[FIXED_STEP]
     for _ in range(_BATCH):
         t, h = scalars[NOW], scalars[NEXT_STEP]
         if counters[STEP_COUNT] + counters[REJECTED_COUNT] >= counters[ATTEMPT_LIMIT]:
             return AT_LIMIT
-        if _slip_ends(contact_real, nc, counters[STALLED]):
+        if _slip_ends(contact_real, n, counters[STALLED]):
             return SLIP_ENDS
         remaining = end - t
         step = min(h, min(scalars[MAX_STEP], remaining))
-        for c in range(nc):
+        for c in range(n):
             if contact_real[c, START_SPEED] < math.inf and contact_real[c, START_RATE] < 0.0:
-                step = min(step, _STOP_FRACTION * contact_real[c, START_SPEED] / -contact_real[c, START_RATE])
+                stop = _STOP_FRACTION * contact_real[c, START_SPEED] / -contact_real[c, START_RATE]
+                if stop < scalars[FLOOR]:
+                    return SLIP_ENDS
+                step = min(step, stop)
         if remaining - step < _SLIVER * step:
             step = remaining
         if step < scalars[FLOOR] and step < remaining:
@@ -631,7 +676,7 @@ def march(table, task):
         error = scalars[ERROR_NORM]
         if status != OK or (fixed == 0.0 and error >= 1.0):
             counters[REJECTED_COUNT] += 1
-            _watch_slips(contact_real, nc, scalars, counters, False)
+            _watch_slips(contact_real, n, scalars, counters, False)
             if status != OK:
                 counters[FAILURE] = status
                 scalars[NEXT_STEP] = _FAILED_FACTOR * step
@@ -679,6 +724,8 @@ def march(table, task):
         while scalars[NEXT_OUTPUT] <= t_new and counters[RECORDED] < BLOCK:
             record_row(table, t_new)
             output_done(table)
+        if counters[STIFF_STEPS] >= counters[PATIENCE] and fixed == 0.0:
+            return SLIP_IS_SLOW
         if task == MARCH_ONE_STEP or t_new >= end or counters[RECORDED] == BLOCK:
             return STEPPED
     return MARCHING

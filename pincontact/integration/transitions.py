@@ -12,10 +12,12 @@ from ..dynamics.impact import apply_impact
 from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import Decision, ModeSolver, freeze_slip, rest_mode
 from ..dynamics.stretches import opposed_slip
-from ..dynamics.units import whitened_velocity
+from ..dynamics.system import FORCE_SLACK
+from ..dynamics.units import whiten, whitened_velocity
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
     CONDITION,
+    DIRECTION_X,
     DOMAIN,
     DOMAIN_MARGIN,
     EVENT,
@@ -26,10 +28,12 @@ from ..layout import (
     GUARD_END,
     GUARD_SIGN,
     LENGTH,
+    LIMIT_SLACK,
     LOCATION_FAILED,
     MASS_NOT_POSITIVE,
     MODE,
     MU,
+    MU_NOW,
     MU_STATIC,
     NO_FORCE,
     NORMAL_1,
@@ -37,19 +41,22 @@ from ..layout import (
     NORMAL_SIGN,
     OK,
     PATTERN,
+    POLYNOMIAL,
+    POLYNOMIAL_SIZE,
     SINGULAR,
     SLIP_RATE,
     SLIP_SIGN,
     SLIP_SPEED,
     SLIPPING,
     SPEED_MARGIN,
+    START_SPEED,
     STICK,
     TANGENTS,
     UNILATERAL,
 )
 from .results import CHATTER, END_OF_CONTOUR, FAILURES, GAP_TOLERANCE, SINGULAR_CONTACT, STEP_TOO_SMALL, Event, Stop
 from .runge_kutta import RungeKutta
-from .slip_start import start_slip
+from .slow_slip import SlowSlip
 from .stages import DAMPING_WORK, DRIVE_WORK, FRICTION_WORK, NUMBER_OF_WORKS
 
 # Slip slower than this (m/s, absolute and relative to the largest velocity) counts as rest where modes are set anew.
@@ -66,6 +73,11 @@ _DEGENERATE = 1e-5
 _SHORTEST_START = 1e-3
 # Where it cannot be followed, slip is seeded after this fraction of the usual time.
 _SHORT_SEED = 1e-2
+# Slip from rest starts slowly where friction turns it this many times faster than it grows.
+_SLOW_START = 30.0
+# What is added to the slack of a limit of friction that was reached without slip, as a factor, and where that ends.
+_SLACK_GROWTH, _LARGEST_SLACK = 4.0, 1e-10
+_DIRECTION = slice(DIRECTION_X, DIRECTION_X + 3)
 # Forces below zero, or above their limit, by less than this part of the largest one are no events while slip starts.
 _FORCE_ACCURACY = 1e-6
 # A rebound slower than this, in m/s, closes the contact; after an impact one that leaves faster than the second opens.
@@ -115,9 +127,11 @@ class Transitions:
         self.events.append(Event(t, name, kind, system.q.copy(), system.v.copy(), index, joint))
 
     def _name(self, index: int) -> tuple[str | None, str | None]:
-        """Name of a contact, or else of the joint of a guarded coordinate."""
-        nc = self.system.nc
-        return (self.names[index], None) if index < nc else (None, self.system.guards[index - nc].joint)
+        """Name of the contact of an item, or else of the joint of a guarded coordinate."""
+        nc, ng = self.system.nc, self.system.ng
+        if nc <= index < nc + ng:
+            return None, self.system.guards[index - nc].joint
+        return self.names[self.system.owner(index)], None
 
     def _describe(self, index: int) -> str:
         name, joint = self._name(index)
@@ -163,7 +177,7 @@ class Transitions:
     def _check_chatter(self, t: float, c: int) -> None:
         recent = self._recent
         recent.append((t, c))
-        dense = _DENSE_EVENTS * (self.system.nc + self.system.ng)
+        dense = _DENSE_EVENTS * self.system.items
         limits = (_CHATTER_EVENTS, _CHATTER_SPAN * self.span), (dense, min(_DENSE_SPAN * self.span, _DENSE_TIME))
         for count, span in limits:
             if len(recent) > count and t - recent[-count - 1][0] <= span:
@@ -207,11 +221,12 @@ class Transitions:
             self._collide(t, [], {})
 
     def modes_from_velocities(self) -> list[int]:
-        """Give closed contacts the mode that v_c shows; returns those at rest whose friction is undecided."""
+        """Give closed contacts and their resistances the mode that their slip shows; returns those at rest whose
+        friction is undecided."""
         system = self.system
         rest_speed = _REST * (1.0 + float(np.abs(system.v).max(initial=0.0)))
         undecided = []
-        for c in system.closed():
+        for c in [*system.closed(), *system.resisting()]:
             integers = system.contact_int[c]
             mu = system.contact_real[c, MU]
             integers[FROZEN] = 0
@@ -223,7 +238,7 @@ class Transitions:
             if speed > rest_speed:
                 integers[MODE] = SLIPPING
                 integers[SLIP_SIGN] = 1 if along[0] >= 0.0 else -1
-                self._guess_normal(c)
+                self._guess_normal(system.owner(c))
             else:
                 undecided.append(c)
         return undecided
@@ -244,7 +259,7 @@ class Transitions:
 
     def switch(self, t: float, c: int, kind: int) -> float:
         """Margin `kind` of contact c has reached zero at t."""
-        if c >= self.system.nc:
+        if self.system.nc <= c < self.system.nc + self.system.ng:
             return self._switch_guard(t, c - self.system.nc, kind)
         if kind == GAP_MARGIN:
             return self._touch(t, c)
@@ -270,7 +285,14 @@ class Transitions:
             self.system.contact_int[c, MODE] = STICK
             return self.resolve(t, self._sticking(), at_rest=[c])
         assert kind == FRICTION_MARGIN
-        return self._leave_stick(t, c)
+        after = self._leave_stick(t, c)
+        numbers = self.system.contact_real[c]
+        if self.system.contact_int[c, MODE] == STICK:
+            # rounding has it that it sticks all the same: it is not asked again before that shows
+            numbers[LIMIT_SLACK] = min(_SLACK_GROWTH * numbers[LIMIT_SLACK], _LARGEST_SLACK)
+        else:
+            numbers[LIMIT_SLACK] = FORCE_SLACK
+        return after
 
     def _redistribute(self, t: float) -> bool:
         """Whether other ones among redundant forces keep all modes; then they are taken."""
@@ -288,11 +310,11 @@ class Transitions:
         return self.resolve(t, self._sticking(), at_rest=contacts)
 
     def _sticking(self) -> list[int]:
-        """Contacts that stick by Coulomb friction: a change elsewhere may upset them."""
+        """Contacts and resistances that stick by Coulomb friction: a change elsewhere may upset them."""
         system = self.system
         return [
             c
-            for c in system.closed()
+            for c in [*system.closed(), *system.resisting()]
             if system.contact_int[c, MODE] == STICK and math.isfinite(system.contact_real[c, MU])
         ]
 
@@ -316,22 +338,26 @@ class Transitions:
         self, t: float, undecided: list[int], at_rest: Sequence[int], silent: bool, beyond: int | None = None
     ) -> None:
         system, rk = self.system, self.rk
-        before = system.modes.copy()
-        signs = system.contact_int[: system.nc, SLIP_SIGN].copy()
+        before, signs = system.contact_int[:, MODE].copy(), system.contact_int[:, SLIP_SIGN].copy()
         self._decide(t, undecided, beyond)
         self._project(t)
         rk.accept()
-        for c in range(system.nc):
+        for c in [*range(system.nc), *system.resisting()]:
             mode = int(system.contact_int[c, MODE])
             if mode == FREE and before[c] != FREE:
                 self.announce(t, c, "separate")
             elif silent:
                 continue
             elif c in at_rest:
-                self.announce(t, c, "stick" if mode == STICK else "slip")
+                self._announce_friction(t, c, mode == SLIPPING)
             elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
-                self.announce(t, c, "slip")
+                self._announce_friction(t, c, True)
         self._announce_guards(t)
+
+    def _announce_friction(self, t: float, c: int, slips: bool) -> None:
+        """A contact, or what resists its turning, has begun to slip or come to rest."""
+        turns = c >= self.system.nc
+        self.announce(t, c, ("turn" if turns else "slip") if slips else ("hold" if turns else "stick"))
 
     def _decide(self, t: float, undecided: list[int], beyond: int | None = None) -> Decision:
         decision = self.modes.decide(t, undecided, self.rk.evaluate, beyond)
@@ -411,7 +437,8 @@ class Transitions:
         system = self.system
         for c in system.closed():
             integers = system.contact_int[c]
-            if integers[MODE] == SLIPPING and not integers[UNILATERAL] and integers[PATTERN] != ON_CURVE:
+            slips = integers[MODE] == SLIPPING or system.resists(c)
+            if slips and not integers[UNILATERAL] and integers[PATTERN] != ON_CURVE:
                 self.rk.evaluate(t)
                 if system.margins[c, NORMAL_MARGIN] < -self.modes.force_round_off():
                     integers[NORMAL_SIGN] *= -1
@@ -422,30 +449,55 @@ class Transitions:
     def start_frozen(self, t: float) -> float:
         """Slip that starts with a finite acceleration: one tiny step in the given direction, so that v_c has one."""
         rk, system = self.rk, self.system
-        if not system.contact_int[: system.nc, FROZEN].any():
+        frozen = [int(c) for c in np.flatnonzero(system.contact_int[:, FROZEN])]
+        if not frozen:
             return t
         tau = self.seed**1.5
+        if self._starts_slowly(t, frozen):
+            took = SlowSlip(rk, frozen, 1, self._uneventful).follow(t, self.longest_start, tau)
+            if took is not None:
+                self.emit(t, took)
+                rk.load(system.new_state)
+                return self._end_start(t + took)
+            for c in frozen:
+                system.contact_real[c, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
+            rk.load(system.state)
+            rk.evaluate_start(t)
         if rk.attempt(t, tau) != OK:
             raise self.give_up(t, NO_FORCE)
         self.emit(t, tau)
         rk.load(system.new_state)
-        system.contact_int[: system.nc, FROZEN] = 0
+        system.contact_int[:, FROZEN] = 0
         self._project(t + tau)
         rk.accept()
         return t + tau
+
+    def _starts_slowly(self, t: float, frozen: list[int]) -> bool:
+        """Whether friction turns any of these slips, which start from rest, much faster than they grow."""
+        system = self.system
+        self.rk.load(system.state)
+        if self.longest_start <= 0.0 or self.rk.evaluate(t) > EVENT:
+            return False
+        for c in frozen:
+            numbers, direction = system.contact_real[c], system.basis[c, :2] @ system.contact_real[c, _DIRECTION]
+            aside = whiten(system, direction[0] * system.rows[c, 1] - direction[1] * system.rows[c, 0])
+            load = abs(float(system.force[system.owner(c), 2]))
+            if numbers[MU_NOW] * load * (aside @ aside) > _SLOW_START * numbers[SLIP_RATE]:
+                return True
+        return False
 
     def _leave_stick(self, t: float, c: int) -> float:
         """Contact c has reached its friction limit.
 
         With one tangent the slip's sign is known. With two its direction is not: stick runs on for a short time tau,
-        and the cone problem there tells who slips and where to. From there `slip_start` follows the direction; where it
+        and the cone problem there tells who slips and where to. From there `slow_slip` follows the direction; where it
         cannot, slip is a_t tau / 2 after tau, since the relative acceleration grows from zero: an error of order tau^3.
         """
         rk, system = self.rk, self.system
         if system.contact_int[c, TANGENTS] == 1:
-            self._guess_normal(c)
+            self._guess_normal(system.owner(c))
             freeze_slip(system, c, -system.force[c, :1])
-            self.announce(t, c, "slip")
+            self._announce_friction(t, c, True)
             return self.resolve(t, self._sticking())
         if system.contact_real[c, MU_STATIC] > system.contact_real[c, MU]:
             # friction falls to its sliding value: slip starts with a finite acceleration
@@ -458,14 +510,16 @@ class Transitions:
         tau = self.seed
         decision, seeded = self._run_on(t, tau)
         for slipping in decision.started:
-            self.events.append(Event(t, self.names[slipping], "slip", start_q, start_v))
+            kind = "slip" if slipping < system.nc else "turn"
+            self.events.append(Event(t, self._name(slipping)[0], kind, start_q, start_v))
         for opened in decision.opened:
             self.announce(t + tau, opened, "separate")
         started = [i for i in decision.started if system.contact_int[i, FROZEN]]
         if started and not decision.opened:
             if c in started:
                 freeze_slip(system, c, system.basis[c, :2] @ limit)
-            span = start_slip(rk, t, started, self.longest_start, _SHORTEST_START * tau, self._uneventful)
+            slow = SlowSlip(rk, started, 2, self._uneventful)
+            span = slow.follow(t, self.longest_start, _SHORTEST_START * tau)
             if span is not None:
                 self.emit(t, span)
                 rk.load(system.new_state)
@@ -481,10 +535,30 @@ class Transitions:
         rk.load(seeded)
         return self._end_start(t + tau)
 
+    def follow_slow_slip(self, t: float, span: float, shortest: float) -> float | None:
+        """Move the accepted state at t on with prescribed directions of all slip that has them in v_c; the time after
+        it, None where that did not do and nothing has changed. span, shortest: times in s to try."""
+        rk, system = self.rk, self.system
+        rk.load(system.state)
+        rk.evaluate(t)
+        slipping = [c for c in range(system.items) if system.contact_real[c, START_SPEED] < math.inf]
+        for c in slipping:
+            freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
+        took = SlowSlip(rk, slipping, 0, self._uneventful).follow(t, span, shortest)
+        if took is not None:
+            self.emit(t, took)
+            rk.load(system.new_state)
+            return self._end_start(t + took)
+        system.contact_int[:, FROZEN] = 0
+        rk.load(system.state)
+        if rk.evaluate_start(t) > EVENT:
+            raise self.give_up(t, NO_FORCE)
+        return None
+
     def _uneventful(self) -> bool:
         """Whether nothing opened, closed or began to slip in the last attempt, as far as gaps and forces are known."""
         system = self.system
-        n = system.nc + system.ng
+        n = system.items
         lowest = system.lowest[:n]
         reach = np.array([self._reach(c) if c < system.nc else GAP_TOLERANCE * system.scale.sum() for c in range(n)])
         force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
@@ -509,7 +583,7 @@ class Transitions:
 
     def _end_start(self, t: float) -> float:
         """Slip has a direction of its own from here on."""
-        self.system.contact_int[: self.system.nc, FROZEN] = 0
+        self.system.contact_int[:, FROZEN] = 0
         self._project(t)
         self.rk.accept()
         return t

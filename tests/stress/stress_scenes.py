@@ -116,14 +116,14 @@ def rod_state(scene: pc.Scene, lean: float, speed: float, length: float = 0.5) -
     return scene.initial_state([length * c, length * s, c, s], [c * speed, -s * speed, 0.0])
 
 
-def point_on_ramp(mu: float | None, angle: float) -> pc.Scene:
-    """A point mass of 1 kg on a ramp that goes down along +x."""
+def point_on_ramp(mu: float | None, angle: float, turn: float = 0.0) -> pc.Scene:
+    """A point mass of 1 kg on a ramp that goes down along +x; its first tangent is turned from that."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "root")
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
     model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
     scene = pc.Scene(model)
-    ramp = pin.SE3(pin.utils.rotate("y", angle), np.zeros(3))
+    ramp = pin.SE3(pin.utils.rotate("y", angle) @ pin.utils.rotate("z", turn), np.zeros(3))
     body, floor = scene.add_contour("body", pc.Point(), "body"), scene.add_contour("ramp", pc.Plane(), placement=ramp)
     scene.add_contact("c", body, floor, friction=None if mu is None else pc.Coulomb(mu))
     return scene

@@ -1,0 +1,115 @@
+"""Resistance to spinning and rolling: dry friction of the relative angular velocity, whose limit a contact's load sets.
+
+A resistance is an item of its own beside contacts and guarded joint coordinates, with the same arrays: its `slip` is
+omega_2 - omega_1, its basis starts with the normal (spinning) or with the tangents (rolling), its force is the torque
+on body 2, its coefficient a length. It sticks, slips or, while its contact is open, is free.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..constraints.kinematics import NORMAL_RATE, add_rotation_row
+from ..geometry.carriers import ALPHA, OMEGA
+from ..geometry.patterns import ON_CURVE
+from ..geometry.small import dot
+from ..jit import kernel
+from ..layout import (
+    BASIS,
+    BIAS,
+    CONTACT_INT,
+    CONTACT_INTS,
+    FRAMES,
+    FREE,
+    GUARD_COUNT,
+    JACOBIAN,
+    MODE,
+    NC,
+    NV,
+    OWNER,
+    PATTERN,
+    RESISTANCE_COUNT,
+    ROLLING_ROW,
+    ROWS,
+    SIDE_INT,
+    SIDE_INTS,
+    SIZES,
+    SLIP,
+    SPINNING_ROW,
+    SUPPORT,
+    SUPPORT_SIZE,
+    TANGENTS,
+    VECTORS,
+)
+from ..memory import cube, integer_matrix, integers, matrix
+
+
+@kernel
+def count_items(table):
+    """Contacts, guarded joint coordinates and resistances: all that constraint rows may belong to."""
+    beyond = integers(table[GUARD_COUNT], 1)[0] + integers(table[RESISTANCE_COUNT], 1)[0]
+    return integers(table[SIZES], 8)[NC] + beyond
+
+
+@kernel
+def resists(integers_c):
+    """Whether a contact resists spinning or rolling."""
+    return integers_c[SPINNING_ROW] + integers_c[ROLLING_ROW] > 0
+
+
+@kernel
+def free_with_owners(contact_int, first, total):
+    """What is apart resists nothing: free the resistances, items first .. total, of open contacts."""
+    for i in range(first, total):
+        if contact_int[contact_int[i, OWNER], MODE] == FREE:
+            contact_int[i, MODE] = FREE
+
+
+@kernel
+def size_of_load(contact_int, force, c):
+    """|F_n| of contact c from forces along the bases."""
+    if contact_int[c, PATTERN] == ON_CURVE:
+        return math.hypot(force[c, 1], force[c, 2])
+    return abs(force[c, 2])
+
+
+@kernel
+def resistance_kinematics(table, c, total):
+    """Basis, relative angular velocity, rows and biases of contact c's resistances, after its own kinematics.
+
+    The rate of a tangential component of omega leaves out what only turns the other tangential one into it: a
+    resistance holds both or none, and where it gives way that turns the direction, not the speed.
+    """
+    sizes = integers(table[SIZES], 8)
+    nv, nc = sizes[NV], sizes[NC]
+    contact_int = integer_matrix(table[CONTACT_INT], total, CONTACT_INTS)
+    basis, slip = cube(table[BASIS], total, 3, 3), matrix(table[SLIP], total, 3)
+    bias, rows = matrix(table[BIAS], total, 3), cube(table[ROWS], total, 3, nv)
+    frames, normal_rate = cube(table[FRAMES], 2 * nc, 8, 3), matrix(table[VECTORS], 16, 3)[NORMAL_RATE]
+    side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
+    jacobian, support = matrix(table[JACOBIAN], nv, 6), integer_matrix(table[SUPPORT], 2 * nc, nv)
+    one, two = 2 * c, 2 * c + 1
+    normal = basis[c, 2]
+    for rolls in range(2):
+        item = contact_int[c, ROLLING_ROW if rolls == 1 else SPINNING_ROW]
+        if item == 0:
+            continue
+        # the normal comes first, or the tangents; in a plane everything rolls about its normal, the second vector
+        shift = 2 if rolls == 0 else (0 if contact_int[item, TANGENTS] == 2 else 1)
+        omega = slip[item]
+        for i in range(3):
+            omega[i] = frames[two, OMEGA, i] - frames[one, OMEGA, i]
+            for row in range(3):
+                basis[item, row, i] = basis[c, (row + shift) % 3, i]
+        for row in range(contact_int[item, TANGENTS]):
+            about = basis[item, row]
+            bias[item, row] = dot(about, frames[two, ALPHA]) - dot(about, frames[one, ALPHA])
+            if rolls == 1:
+                bias[item, row] -= dot(omega, normal) * dot(about, normal_rate)
+            else:
+                bias[item, row] += dot(omega, normal_rate)
+            for k in range(nv):
+                rows[item, row, k] = 0.0
+            for side in range(one, two + 1):
+                sign = 1.0 if side == two else -1.0
+                add_rotation_row(sign, jacobian, support[side], side_int[side, SUPPORT_SIZE], about, rows[item, row])

@@ -1,0 +1,188 @@
+"""Slow slip in three dimensions, whose direction turns faster than it moves: it is prescribed and found by collocation.
+
+The equation that turns the direction of slip has the stiffness mu N / (m |v_c|), which no explicit method can follow
+where |v_c| is small: not out of stick at the friction limit, where v_c and the relative acceleration are zero and v_c
+grows as c t^2 u(t) / 2 with a smooth direction u(t); not just beyond the angle of friction, where it grows as a t u(t)
+with a small a, however long; not in creeping motions. The direction itself changes slowly there. So it is prescribed
+as a polynomial of time, which leaves a smooth, non-stiff motion, and the coefficients are found such that v_c has no
+component across it (collocation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..layout import (
+    ACROSS_X,
+    CONTACT_REALS,
+    DIRECTION_X,
+    EVENT,
+    FROZEN,
+    FROZEN_COLUMNS,
+    POLYNOMIAL,
+    POLYNOMIAL_SIZE,
+    SPAN,
+    START,
+)
+from .steps import ACROSS_SLIP, run_task
+
+if TYPE_CHECKING:
+    from ..dynamics.system import System
+    from .runge_kutta import RungeKutta
+
+# Fractions of the span at which v_c is made parallel to the direction, and others at which that is checked.
+_NODES = (0.2, 0.45, 0.7, 0.9, 1.0)
+_CHECKS = (0.32, 0.58, 0.8, 0.96, 0.0)
+_PERTURBATION = 1e-4
+_ITERATIONS = 8
+_HALVINGS = 30
+# v_c across the prescribed direction, relative to the velocity tolerance, that is accepted between the nodes, and the
+# fraction of it that is left at the nodes.
+_ACCEPTED = 0.1
+_CONVERGED = 0.05
+# Residuals that have grown by this factor will not come down any more.
+_DIVERGED = 3.0
+
+
+@dataclass(frozen=True)
+class SlowSlip:
+    """Slip with prescribed directions: of these contacts (or resistances), from the state at t on.
+
+    power: v_c grows with this power of the time; 2 out of stick at its limit, 1 from rest, 0 where it is there already.
+    uneventful(): whether nothing else happens in the last attempt, from its margins.
+    """
+
+    rk: RungeKutta
+    contacts: list[int]
+    power: int
+    uneventful: Callable[[], bool]
+
+    def follow(self, t: float, span: float, shortest: float) -> float | None:
+        """Move the accepted state at t on; returns how long in s that took, None if it failed.
+
+        The contacts are in slip with frozen directions. span: longest time in s to try; it is halved until the
+        direction polynomial is accurate and uneventful, not below `shortest`. On success `system.new_state` is the
+        state after it, unprojected.
+        """
+        system = self.rk.system
+        tolerance = system.scale[1] + system.scale[0] * float(np.abs(system.v).max(initial=0.0))
+        for _ in range(_HALVINGS):
+            if span < shortest:
+                return None
+            for c in self.contacts:
+                system.contact_real[c, [START, SPAN]] = t, span
+            if self._collocate(t, span, _ACCEPTED * tolerance) and self.uneventful():
+                return span
+            span *= 0.5
+        return None
+
+    def _collocate(self, t: float, span: float, tolerance: float) -> bool:
+        """Broyden's iteration on the polynomials' coefficients; whether v_c ends up along the direction everywhere."""
+        coefficients = np.zeros(POLYNOMIAL_SIZE * len(self.contacts))
+        first = self._across(t, span, coefficients, _NODES)
+        if first is None:
+            return False
+        residual, speeds = first
+        jacobian = self._jacobian(t, span, residual, speeds)
+        if jacobian is None:
+            return False
+        largest = _DIVERGED * float(np.abs(residual).max())
+        for _ in range(_ITERATIONS):
+            if np.abs(residual).max() <= _CONVERGED * tolerance:
+                break
+            try:
+                step = -np.linalg.solve(jacobian, residual)
+            except np.linalg.LinAlgError:
+                return False
+            coefficients += step
+            if not np.abs(coefficients).max() < 1.0:
+                return False
+            found = self._across(t, span, coefficients, _NODES)
+            if found is None or not np.abs(found[0]).max() <= largest:
+                return False
+            jacobian += np.outer(found[0] - residual - jacobian @ step, step) / (step @ step)
+            residual, speeds = found
+        else:
+            return False
+        between = self._across(t, span, coefficients, _CHECKS)
+        # the last attempt has left the state at the end of the span in new_state
+        return (
+            between is not None
+            and float(np.abs(between[0]).max()) <= tolerance
+            and min(speeds.min(), between[1].min()) > 0.0
+            and self.rk.error < 1.0
+        )
+
+    def _jacobian(self, t: float, span: float, residual: np.ndarray, speeds: np.ndarray) -> np.ndarray | None:
+        """An approximation to the derivative of `residual` by the coefficients; None where an evaluation fails.
+
+        A turn by p s^j leaves -a p s^(j+1) / (j+1) of v_c across the direction, as friction pulls aside from then on,
+        and itself turns the direction against v_c. Each contact's a follows from one turn of j = 0.
+        """
+        n = POLYNOMIAL_SIZE
+        s = np.array(_NODES)
+        pulled = [s ** (j + 1 - self.power) / (j + 1) for j in range(n)]
+        out = np.zeros((len(residual), len(residual)))
+        for i in range(len(self.contacts)):
+            turn = np.zeros(len(residual))
+            turn[n * i] = _PERTURBATION
+            moved = self._across(t, span, turn, _NODES)
+            if moved is None:
+                return None
+            for m in range(len(self.contacts)):
+                block = slice(n * m, n * (m + 1))
+                change = (moved[0] - residual)[block] / _PERTURBATION
+                own = speeds[block] if m == i else np.zeros(n)
+                pull = float(pulled[0] @ (change + own) / (pulled[0] @ pulled[0]))
+                for j in range(n):
+                    out[block, n * i + j] = pull * pulled[j] - own * s**j
+        return out
+
+    def _across(
+        self, t: float, span: float, coefficients: np.ndarray, shares: tuple[float, ...]
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """v_c across and along the prescribed directions at shares of the span, divided by the shares' power."""
+        system, contacts = self.rk.system, np.array(self.contacts)
+        columns = slice(POLYNOMIAL, POLYNOMIAL + POLYNOMIAL_SIZE)
+        system.contact_real[contacts, columns] = coefficients.reshape(len(contacts), -1)
+        system.across[0] = shares
+        if run_task(system.table, ACROSS_SLIP, t, span) > EVENT:
+            return None
+        count = np.count_nonzero(shares)
+        grown = np.array(shares[:count]) ** self.power
+        across, along = (system.across[first + contacts, :count] / grown for first in (1, 1 + system.items))
+        return across.ravel(), along.ravel()
+
+
+def frozen_directions(integers: np.ndarray, columns: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """(n, nc, 3) prescribed slip directions, world axes; zero where v_c tells the direction.
+
+    integers (n, nc, ...): the contacts' integers; columns (n, nc, FROZEN_COLUMNS): their reals from START on;
+    t (n,) in s.
+    """
+    out = np.zeros((*columns.shape[:2], 3))
+    if not integers[:, :, FROZEN].any():
+        return out
+    for row, c in np.argwhere(integers[:, :, FROZEN] != 0):
+        numbers = np.zeros(CONTACT_REALS)
+        numbers[START : START + FROZEN_COLUMNS] = columns[row, c]
+        out[row, c] = _direction(numbers, (t[row] - numbers[START]) / numbers[SPAN])
+    return out
+
+
+def set_frozen_directions(system: System, directions: np.ndarray) -> None:
+    """Prescribe constant slip directions, as `frozen_directions` gives them, to the contacts that are marked so."""
+    for c in range(system.nc):
+        if system.contact_int[c, FROZEN]:
+            numbers = system.contact_real[c]
+            numbers[DIRECTION_X : DIRECTION_X + 3] = directions[c]
+            numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
+
+
+def _direction(numbers: np.ndarray, share: float) -> np.ndarray:
+    turn = float(np.polynomial.polynomial.polyval(share, numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE]))
+    return numbers[DIRECTION_X : DIRECTION_X + 3] + turn * numbers[ACROSS_X : ACROSS_X + 3]

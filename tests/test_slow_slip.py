@@ -1,0 +1,144 @@
+"""Slow slip in three dimensions: stiff for explicit steps, so that its direction is prescribed and found instead."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from test_resistances import G, slider
+from turning_ball import RADIUS, ball, on_the_floor
+
+import pincontact as pc
+
+TIGHT = {"rtol": 1e-10, "atol": 1e-12}
+MU = 0.3
+
+
+def on_the_ramp(excess, direction):
+    """A point mass at rest on a ramp whose tan is `excess` (relative) beyond mu, and the acceleration that makes."""
+    slope = math.atan(MU * (1.0 + excess))
+    scene = slider(pc.Coulomb(MU), slope=slope, direction=direction)
+    return scene, scene.initial_state(np.zeros(3), np.zeros(3)), G * MU * excess * math.cos(slope)
+
+
+@pytest.mark.parametrize("direction", [0.7, 2.2])
+@pytest.mark.parametrize("excess", [1e-2, 1e-4, 1e-6, 1e-8])
+def test_just_beyond_the_angle_of_friction(excess, direction):
+    """x = a t^2 / 2 with a = excess mu g cos, however slow; explicit steps would be 1 / (5 excess) for each e-fold."""
+    scene, state, a = on_the_ramp(excess, direction)
+    run = pc.simulate(scene, state, 1.0, **TIGHT)
+    assert run.status == 0, run.message
+    assert run.stats["steps"] <= 60 and not run.events
+    # velocities aside of the size of the tolerance, relative to what excess leaves of friction
+    accuracy = max(1e-10, 1e-2 * TIGHT["atol"] / excess**0.75)
+    assert math.hypot(*run.q[-1, :2]) == pytest.approx(0.5 * a, rel=accuracy)
+    angle = math.atan2(run.q[-1, 1], run.q[-1, 0])
+    assert angle == pytest.approx(direction, abs=accuracy)
+    track = run.contacts["c"]
+    np.testing.assert_allclose(track.tangential_force, MU * track.normal_force, rtol=1e-12)
+
+
+@pytest.mark.parametrize("excess", [1e-10, 1e-12, 1e-13, 0.0, -1e-13, -1e-12])
+def test_at_the_angle_of_friction(excess):
+    """Where the tolerances cannot tell sliding from rest, a run ends soon all the same, and goes no further than they
+    allow: 1e-12 m/s for a second, in some multiple."""
+    scene, state, _ = on_the_ramp(excess, 0.7)
+    run = pc.simulate(scene, state, 1.0, max_steps=1000, **TIGHT)
+    assert run.status == 0, run.message
+    assert run.stats["rhs"] <= 20_000
+    assert math.hypot(*run.q[-1, :2]) <= 1e3 * TIGHT["atol"]
+    if excess <= 0.0:
+        assert np.abs(run.v).max() <= 1e-15
+
+
+@pytest.mark.parametrize("excess", [1e-4, 1e-6])
+def test_a_ball_that_hardly_overcomes_its_rolling_resistance(excess):
+    length = 4e-3
+    slope = math.atan((1.0 + excess) * length / RADIUS)
+    scene = ball(pc.Coulomb(0.5, rolling=length), slope)
+    run = pc.simulate(scene, on_the_floor(scene), 10.0, **TIGHT)
+    assert run.status == 0, run.message
+    assert run.stats["steps"] <= 150
+    expected = G * length / RADIUS * excess * math.cos(slope) / 1.4
+    # the speed is 3e-5 m/s (3e-7), and known to the tolerance
+    assert np.linalg.norm(run.v[-1, :3]) == pytest.approx(10.0 * expected, rel=1e-12 / (10.0 * expected) + 1e-9)
+
+
+def drawn(speed, stiffness=2000.0):
+    """A slider that a spring with a damper draws along a circle of 0.1 m."""
+
+    def control(t, q, v):
+        turned = speed * t / 0.1
+        place = 0.1 * np.array([math.sin(turned), 1.0 - math.cos(turned)])
+        force = stiffness * (place - q[:2])
+        force += 40.0 * (speed * np.array([math.cos(turned), math.sin(turned)]) - v[:2])
+        return np.r_[force, 0.0]
+
+    scene = slider(pc.Coulomb(MU))
+    return scene, scene.initial_state(np.zeros(3), np.array([speed, 0.0, 0.0])), control
+
+
+@pytest.mark.parametrize("speed", [1e-2, 1e-3])
+def test_creeping_motion_does_not_depend_on_how_it_is_followed(speed):
+    """Against steps so short that they are not stiff."""
+    scene, state, control = drawn(speed)
+    run = pc.simulate(scene, state, 1.0, control=control, t_eval=[0.5, 1.0], **TIGHT)
+    fine = pc.simulate(scene, state, 1.0, control=control, t_eval=[0.5, 1.0], max_step=1e-3, **TIGHT)
+    assert run.status == fine.status == 0, run.message
+    assert [e.kind for e in run.events] == [e.kind for e in fine.events]
+    np.testing.assert_allclose(run.q, fine.q, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose([e.time for e in run.events], [e.time for e in fine.events], rtol=0.0, atol=1e-8)
+
+
+def test_events_and_outputs_in_slow_slip():
+    """User's events are located, and outputs fall on the parabola, within long steps too."""
+    scene, state, a = on_the_ramp(1e-3, 0.7)
+
+    def passes(t, q, v):
+        return math.hypot(q[0], q[1]) - 0.125 * a
+
+    times = np.linspace(0.0, 1.0, 101)
+    run = pc.simulate(scene, state, 1.0, t_eval=times, **TIGHT)
+    np.testing.assert_allclose(np.hypot(run.q[:, 0], run.q[:, 1]), 0.5 * a * times**2, rtol=0.0, atol=1e-13)
+    assert max(worst.max() for worst in run.residuals().values()) <= 1e-13
+    watched = pc.simulate(scene, state, 1.0, t_eval=times, events=passes, **TIGHT)
+    assert [event.time for event in watched.events] == pytest.approx([0.5], rel=1e-9)
+    np.testing.assert_allclose(watched.q, run.q, rtol=0.0, atol=1e-12)
+
+
+def test_slow_slip_of_many_feet():
+    """A block on four feet just beyond the angle of friction, along no edge of it."""
+    excess, mass = 1e-4, 2.0
+    slope = math.atan(MU * (1.0 + excess))
+    model = pin.Model()
+    fall = G * math.sin(slope)
+    model.gravity.linear = np.array([fall * math.cos(0.4), fall * math.sin(0.4), -G * math.cos(slope)])
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "joint")
+    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.diag([0.02, 0.03, 0.04])), pin.SE3.Identity())
+    model.addBodyFrame("block", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    for i, (x, y) in enumerate([(0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)]):
+        foot = scene.add_contour(f"foot {i}", pc.Point(), "block", pin.SE3(np.eye(3), np.array([x, y, -0.05])))
+        scene.add_contact(f"c{i}", foot, floor, friction=pc.Coulomb(MU))
+    state = scene.initial_state([0, 0, 0.05, 0, 0, 0, 1], np.zeros(6))
+    run = pc.simulate(scene, state, 1.0, **TIGHT)
+    assert run.status == 0, run.message
+    expected = 0.5 * G * MU * excess * math.cos(slope)
+    assert math.hypot(*run.q[-1, :2]) == pytest.approx(expected, rel=1e-6)
+    assert run.stats["steps"] <= 200
+
+
+@pytest.mark.parametrize("start", [1e6, 1e9])
+def test_slip_ends_late_in_time(start):
+    """Where the clock's own resolution is coarser than what is left of the slip."""
+    scene = slider(pc.Coulomb(MU))
+    state = scene.initial_state(np.zeros(3), np.array([0.6, 0.8, 0.0]), t=start)
+    run = pc.simulate(scene, state, 1.0)
+    assert run.status == 0, run.message
+    stops = 1.0 / (MU * G)
+    assert [event.kind for event in run.events] == ["stick"]
+    assert run.events[0].time - start == pytest.approx(stops, abs=20.0 * math.ulp(start))
+    assert np.abs(run.v[-1]).max() <= 1e-15
+    # the time that steps do not resolve, at the speed that is left by then
+    assert math.hypot(*run.q[-1, :2]) == pytest.approx(0.5 * stops, abs=1e-10 + MU * G * (20.0 * math.ulp(start)) ** 2)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _DIP = 1.5
 
 # From this relative tolerance on an interpolant without stages of its own is as good as one with them.
-_LOOSE = 1e-6
+_LOOSE = 1e-7
 
 Torque = Callable[[float], bool]
 

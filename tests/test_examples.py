@@ -52,6 +52,14 @@ def test_tippe_top():
     assert found["sphere_at_end"] == -1
 
 
+def test_billiards():
+    found = run_example("billiards")
+    # integrated at 1e-10
+    for name in ("slides", "rolls", "spins", "place"):
+        assert found[name] == pytest.approx(found[f"expected_{name}"], rel=1e-9)
+    assert found["place"] < 0.5 and found["events"] == 3
+
+
 def test_ball_on_turntable():
     found = run_example("ball_on_turntable", circles=2)
     assert found["rate_ratio"] == pytest.approx(2.0 / 7.0, abs=1e-9)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from random_contacts import PATTERNS, RandomContact, is_line_contact, motions_of, names_of
+from random_contacts import PATTERNS, PLANAR, RandomContact, is_line_contact, motions_of, names_of
 from scipy.integrate import quad
 from stress_scenes import (
     G,
@@ -578,24 +578,46 @@ def random_contact(pattern: str, seed: int, laws: tuple[Any, ...]) -> tuple[Rand
 @case
 def random_scenes(long: bool) -> Iterator[Finding]:
     """Scenes drawn by Hypothesis: any pattern, shapes, drives and friction law. 10,000 of them in the long form."""
+    laws = (None, pc.NoSlip(), pc.Coulomb(0.02), pc.Coulomb(0.1))
+    yield from _random_scenes("random scenes", dict.fromkeys(PATTERNS, laws), 10_000 if long else 12)
+
+
+@case
+def random_turning(long: bool) -> Iterator[Finding]:
+    """The same where spinning and rolling are resisted. 2000 of them in the long form."""
+    laws: dict[str, tuple[Any, ...]] = {}
+    for name in PATTERNS:
+        if name == "P-3C":
+            continue
+        spinning = 0.0 if name in PLANAR else 5e-3
+        laws[name] = (
+            pc.NoSlip(spinning=spinning, rolling=2e-3),
+            pc.NoSlip(rolling=1e-2),
+            pc.Coulomb(0.1, spinning=spinning, rolling=2e-3),
+            pc.Coulomb(0.0, rolling=5e-3),
+        )
+    yield from _random_scenes("random turning", laws, 2000 if long else 12)
+
+
+def _random_scenes(title: str, laws: dict[str, tuple[Any, ...]], count: int) -> Iterator[Finding]:
+    """Random scenes of these patterns and laws: one finding for all, and those that are wrong."""
     from hypothesis import HealthCheck, Phase, assume, given, settings
     from hypothesis import strategies as st
 
-    laws = (None, pc.NoSlip(), pc.Coulomb(0.02), pc.Coulomb(0.1))
     findings: list[Finding] = []
 
     # no shrinking: every scene that fails is wanted, with the seed that makes it again
     @settings(
-        max_examples=10_000 if long else 12,
+        max_examples=count,
         deadline=None,
         derandomize=True,
         database=None,
         phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
-    @given(st.sampled_from(list(PATTERNS)), st.integers(0, 2**31 - 1), st.sampled_from([0.02, 0.1, 0.3]))
+    @given(st.sampled_from(list(laws)), st.integers(0, 2**31 - 1), st.sampled_from([0.02, 0.1, 0.3]))
     def one(pattern, seed, duration):
-        drawn = random_contact(pattern, seed, laws)
+        drawn = random_contact(pattern, seed, laws[pattern])
         assume(drawn is not None)
         contact, _ = drawn
         label = f"{pattern}, seed {seed}, {duration:g} s"
@@ -618,12 +640,12 @@ def random_scenes(long: bool) -> Iterator[Finding]:
     one()
     good = [finding for finding in findings if not finding.wrong]
     yield Finding(
-        "random scenes",
+        title,
         f"{len(findings)} runs",
         max((finding.residual for finding in good), default=math.nan),
         max((finding.energy for finding in good), default=math.nan),
         f"{sum(finding.status == '0' for finding in findings)} to the end",
         # as many as that are drawn, or the case has tested nothing
-        [] if len(findings) >= (5_000 if long else 6) else ["hardly any scene was drawn"],
+        [] if len(findings) >= count // 2 else ["hardly any scene was drawn"],
     )
     yield from (finding for finding in findings if finding.wrong)

@@ -71,6 +71,9 @@ from .resistance import free_with_owners, resists, size_of_load
 # Friction on a point of a spatial curve depends on the length of a two-component normal force: fixed point, quadratic.
 _NORMAL_ITERATIONS = 50
 _NORMAL_CHANGE = 1e-15
+# Accelerations that contact forces cancel down to this part are zero, so that what is held does not creep by round-off
+# times the square of a step.
+_CANCELLED = 4e-15
 # A slip operator whose pivot falls below this fraction of its frictionless value has lost positivity (Painleve).
 PAINLEVE_LIMIT = 1e-9
 
@@ -360,6 +363,8 @@ def contact_dynamics(
     unwhiten(factor, parents, nv, work, work)
     for k in range(nv):
         acceleration[k] = free_acceleration[k] + work[k]
+        if abs(acceleration[k]) <= _CANCELLED * abs(free_acceleration[k]):
+            acceleration[k] = 0.0
     status = guard_margins(nc, ng, contact_int, guard_int, guard_real, slip, gaps, force, margins)
     return max(
         status,

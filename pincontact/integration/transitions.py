@@ -321,8 +321,9 @@ class Transitions:
         for c in contacts:
             self._check_chatter(t, c)
         self.system.contact_int[contacts, MODE] = STICK
-        # what is left of v_c is no start of a slip in another direction
-        self._project(t)
+        if np.isinf(self.system.contact_real[contacts, MU]).any():
+            # what is left of v_c is no start of a slip in another direction, in which it may take another force
+            self._project(t)
         return self.resolve(t, self._sticking(), at_rest=contacts)
 
     def _sticking(self) -> list[int]:

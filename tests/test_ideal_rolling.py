@@ -223,6 +223,29 @@ def test_thrown_bodies(block):
     assert slides >= 1
 
 
+def test_a_slide_that_jams():
+    """An ellipsoid lands sliding, and its friction holds it up with ever less leverage: the force grows without bound,
+    until the slip is stopped. Time stepping stops it at the same time."""
+    scene, state = thrown_body(224)
+    run = pc.simulate(scene, state, 0.6, energies=True)
+    assert run.status == 0, run.message
+    check(224, scene, run, 4e-7)
+    assert kinds(run)[-2:] == ["touch", "stick"]
+    landed, stopped = (event.time for event in run.events[-2:])
+    track = run.contacts["c"]
+    slides = (run.t > landed) & (run.t < stopped)
+    assert (track.mode[slides] == SLIPPING).all()
+    assert track.tangential_force[slides].max() >= 1e5
+    # next to nothing is left to be stopped
+    assert np.linalg.norm(track.slip_velocity[slides][-1]) <= 1e-6
+    assert (track.mode[run.t > stopped] == STICK).all()
+    for h in (1e-3, 2.5e-4):
+        stepped = pc.simulate(scene, state, 0.6, method="Moreau", step=h)
+        assert abs(stepped.events[-1].time - stopped) <= 2.0 * h
+        # first order, across two impacts
+        assert np.abs(stepped.q[-1] - run.q[-1]).max() <= 4.0 * h
+
+
 def thrown_box(seed):
     """A box thrown on its eight corners."""
     rng = np.random.default_rng(seed)

@@ -172,7 +172,11 @@ class Driver:
             elif why == AT_LIMIT:
                 raise Stop(STEP_LIMIT, f"t = {t:.9g} s: the limit of {options.max_steps} steps was reached")
             elif why == AT_FLOOR:
-                raise self.transitions.give_up(t, int(counters[FAILURE]))
+                if not self.transitions.end_jams(t):
+                    raise self.transitions.give_up(t, int(counters[FAILURE]))
+                t = self.transitions.start_frozen(t)
+                self._after(t)
+                self._restart(self.transitions.seed)
             elif why == STEP_FAILED:
                 self.transitions.failed_control(t)
                 if options.fixed_step:

@@ -273,10 +273,8 @@ class Transitions:
         self._check_chatter(t, c)
         integers = self.system.contact_int[c]
         if kind == FRICTION_MARGIN and integers[MODE] == SLIPPING:
-            before = whitened_velocity(self.system, self.system.v)
-            self._stop_slips(t, [c])
-            self._count_loss(before)
-            return self.resolve(t, self._sticking(), at_rest=[c])
+            self._end_jams(t, [c])
+            return self.start_frozen(t)
         if kind in (NORMAL_MARGIN, FRICTION_MARGIN) and self._redistribute(t):
             return t
         if kind == DOMAIN_MARGIN:
@@ -611,6 +609,25 @@ class Transitions:
             sliding = [c for c in sliding if self.system.margins[c, FRICTION_MARGIN] < 0.0]
         if sliding:
             self._stop_slips(t, sliding)
+
+    def end_jams(self, t: float) -> bool:
+        """End the slips of the accepted state that friction alone holds up, since no step is short enough to follow
+        them; whether there are any. Those that start anew are still frozen."""
+        sliding = self._held_up()
+        if not sliding:
+            return False
+        for c in sliding:
+            self._check_chatter(t, c)
+        self.rk.load(self.system.state)
+        self._evaluate_rows(t)
+        self._end_jams(t, sliding)
+        return True
+
+    def _end_jams(self, t: float, contacts: list[int]) -> None:
+        before = whitened_velocity(self.system, self.system.v)
+        self._stop_slips(t, contacts)
+        self._count_loss(before)
+        self._settle(t, self._sticking(), contacts, False)
 
     def _stop_slips(self, t: float, contacts: list[int]) -> None:
         """End slips at once, by the least change of velocity that does it."""

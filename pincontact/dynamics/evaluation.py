@@ -305,9 +305,9 @@ def _drop_round_off(row, nv, one, jacobian, support, side_int, frames, derivativ
     """
     largest = 0.0
     for k in range(nv):
+        if abs(row[k]) > _SMALL_ROW:
+            return
         largest = max(largest, abs(row[k]))
-    if largest == 0.0 or largest > _SMALL_ROW:
-        return
     size = 0.0
     for side in range(one, one + 2):
         reach = 0.0

@@ -147,7 +147,7 @@ class Driver:
         self.locator.update_users(t)
         self._finish(t)
         self._set_limits(t, t_end)
-        scalars, counters = self.system.scalars, self.system.counters
+        scalars = self.system.scalars
         while t < t_end:
             scalars[NOW] = t
             self.flush()
@@ -172,15 +172,11 @@ class Driver:
             elif why == AT_LIMIT:
                 raise Stop(STEP_LIMIT, f"t = {t:.9g} s: the limit of {options.max_steps} steps was reached")
             elif why == AT_FLOOR:
-                if not self.transitions.end_jams(t):
-                    raise self.transitions.give_up(t, int(counters[FAILURE]))
-                t = self.transitions.start_frozen(t)
-                self._after(t)
-                self._restart(self.transitions.seed)
+                t = self._end_jams(t)
             elif why == STEP_FAILED:
                 self.transitions.failed_control(t)
                 if options.fixed_step:
-                    raise self.transitions.give_up(t, int(counters[FAILURE]))
+                    t = self._end_jams(t)
             elif why == PROJECTION_FAILED:
                 raise self._projection_failed(float(scalars[NEXT_TIME]))
             if self.progress is not None:
@@ -226,7 +222,7 @@ class Driver:
         if rk.alarm or users:
             dense = self._interpolant(t, step)
             if dense is None:
-                return self._reject(t, step), False
+                return self._reject(t, step)
             crossing = self.locator.first(t, step, dense, users)
             while crossing is not None and crossing.margin is None and not self.locator.users[crossing.user].terminal:
                 rk.load(dense(crossing.theta))
@@ -240,7 +236,7 @@ class Driver:
             if dense is None:
                 dense = self._interpolant(t, step)
                 if dense is None:
-                    return self._reject(t, step), False
+                    return self._reject(t, step)
             self._output_until(t_new)
             rk.load(system.new_state)
         self._project(t_new, dense is None)
@@ -252,19 +248,30 @@ class Driver:
         dense = self.rk.interpolant(t, step)
         if dense is None:
             self.transitions.failed_control(t)
-            if self.options.fixed_step:
-                raise self._no_interpolant(t)
         return dense
 
     def _no_interpolant(self, t: float) -> Stop:
         return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the dense output of a step could not be evaluated")
 
-    def _reject(self, t: float, step: float) -> float:
+    def _reject(self, t: float, step: float) -> tuple[float, bool]:
         """Try a shorter step where the attempted one has no dense output, as where one of its stages fails."""
         scalars, counters = self.system.scalars, self.system.counters
         counters[STEP_COUNT] -= 1
         counters[REJECTED_COUNT] += 1
+        if self.options.fixed_step:
+            if not self.transitions.held_up():
+                raise self._no_interpolant(t)
+            return self._end_jams(t), True
         scalars[NEXT_STEP] = FAILED_FACTOR * step
+        return t, False
+
+    def _end_jams(self, t: float) -> float:
+        """Where no step succeeds, end the slips that friction alone holds up, if there are any; the new time."""
+        if not self.transitions.held_up():
+            raise self.transitions.give_up(t, int(self.system.counters[FAILURE]))
+        t = self.transitions.end_jams(t)
+        self._after(t)
+        self._restart(self.transitions.seed)
         return t
 
     def _project(self, t: float, evaluated: bool) -> None:

@@ -598,30 +598,28 @@ class Transitions:
         jerk = (later - first) / tau if tau > 0.0 else math.nan
         return first < 0.0 and not (jerk > 0.0 and 2.0 * -(first**3) <= 3.0 * jerk**2 * self._reach(c))
 
-    def _held_up(self) -> list[int]:
+    def held_up(self) -> list[int]:
         """Contacts that slide held up by friction alone."""
         return [c for c in self.system.closed() if held_up_by_friction(self.system, c)]
 
     def _stop_jammed(self, t: float) -> None:
         """Stop slips that friction alone would have to hold up and cannot: the force it takes grows without bound."""
-        sliding = self._held_up()
+        sliding = self.held_up()
         if sliding and self.rk.evaluate(t) <= EVENT:
             sliding = [c for c in sliding if self.system.margins[c, FRICTION_MARGIN] < 0.0]
         if sliding:
             self._stop_slips(t, sliding)
 
-    def end_jams(self, t: float) -> bool:
+    def end_jams(self, t: float) -> float:
         """End the slips of the accepted state that friction alone holds up, since no step is short enough to follow
-        them; whether there are any. Those that start anew are still frozen."""
-        sliding = self._held_up()
-        if not sliding:
-            return False
+        them."""
+        sliding = self.held_up()
         for c in sliding:
             self._check_chatter(t, c)
         self.rk.load(self.system.state)
         self._evaluate_rows(t)
         self._end_jams(t, sliding)
-        return True
+        return self.start_frozen(t)
 
     def _end_jams(self, t: float, contacts: list[int]) -> None:
         before = whitened_velocity(self.system, self.system.v)
@@ -747,7 +745,7 @@ class Transitions:
         if rk.project(t, False):
             self._stop_jammed(t)
         else:
-            self._stop_slips(t, self._held_up())
+            self._stop_slips(t, self.held_up())
         ended = self._end_short_slips(t)
         if ended:
             undecided += [c for c in ended if math.isfinite(system.contact_real[c, MU])]

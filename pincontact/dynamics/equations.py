@@ -76,6 +76,9 @@ _NORMAL_CHANGE = 1e-15
 _CANCELLED = 4e-15
 # A slip operator whose pivot falls below this fraction of its frictionless value has lost positivity (Painleve).
 PAINLEVE_LIMIT = 1e-9
+# Friction that holds a contact up alone jams where a unit of it pushes the bodies apart by less than this fraction of
+# what a unit of normal force does.
+JAM_LIMIT = 1e-6
 
 
 @kernel
@@ -241,11 +244,21 @@ def solve_slip(system, n, x, permutation, scratch):
     """Solve the unsymmetric system of slipping contacts, x (n,) in and out; the least norm where forces are redundant.
 
     False where a contact's own operator has lost positivity, against its frictionless value in the last column of
-    system: no force, or two (Painleve).
+    system: no force, or two (Painleve). Where that value is zero nothing moves along the normal, whatever pushes: the
+    multiplier is left out, and so zero, as among redundant ones.
     """
+    moving = 0
     for i in range(n):
+        if system[i, n] == 0.0:
+            x[i] = 0.0
+            for j in range(n):
+                system[j, i] = 0.0
+            continue
         if not system[i, i] > PAINLEVE_LIMIT * system[i, n]:
             return False
+        moving += 1
+    if moving == 0:
+        return True
     if n == 1:
         x[0] /= system[0, 0]
         return True
@@ -366,7 +379,7 @@ def contact_dynamics(
         if abs(acceleration[k]) <= _CANCELLED * abs(free_acceleration[k]):
             acceleration[k] = 0.0
     status = guard_margins(nc, ng, contact_int, guard_int, guard_real, slip, gaps, force, margins)
-    return max(
+    status = max(
         status,
         _margins(
             nv,
@@ -388,6 +401,15 @@ def contact_dynamics(
             direction,
         ),
     )
+    if slipping:
+        for r in range(count):
+            c = row_index[r, 0]
+            if c < nc and contact_int[c, MODE] == SLIPPING and contact_real[c, MU] == math.inf:
+                lift, own = inner(whitened[r], whitened_forces[r], nv), inner(whitened[r], whitened[r], nv)
+                margins[c, FRICTION_MARGIN] = lift / own - JAM_LIMIT if own > 0.0 else 1.0
+                if margins[c, FRICTION_MARGIN] < 0.0:
+                    status = EVENT
+    return status
 
 
 @kernel

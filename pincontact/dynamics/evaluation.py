@@ -137,6 +137,9 @@ from .resistance import count_items, free_with_owners, resistance_kinematics, re
 
 # What an evaluation may be confined to.
 KINEMATICS_OF_ALL, KINEMATICS_OF_CLOSED = 1, 2
+# Rows with a larger entry are not looked at; others are round-off where they are below this part of their terms.
+_SMALL_ROW = 1e-9
+_ROW_ROUND_OFF = 1e-13
 
 
 @entry_kernel(INTEGER, REAL, INTEGER)
@@ -287,9 +290,36 @@ def evaluate_contacts(table, time, with_rows):
                     rows[c],
                     vectors,
                 )
+        for row in range(3):
+            _drop_round_off(rows[c, row], nv, one, jacobian, support, side_int, frames, derivatives)
         if resists(contact_int[c]):
             resistance_kinematics(table, c, total)
     return OK
+
+
+@kernel
+def _drop_round_off(row, nv, one, jacobian, support, side_int, frames, derivatives):
+    """Zero a row (nv,) of which nothing is left but round-off: no joint moves the contact along it.
+
+    Each entry is the sum of what one joint moves both bodies by; the row is held against the largest term.
+    """
+    largest = 0.0
+    for k in range(nv):
+        if abs(row[k]) > _SMALL_ROW:
+            return
+        largest = max(largest, abs(row[k]))
+    size = 0.0
+    for side in range(one, one + 2):
+        reach = 0.0
+        for i in range(3):
+            reach = max(reach, max(abs(frames[side, 3, i]), abs(derivatives[side, 0, i])))
+        for index in range(side_int[side, SUPPORT_SIZE]):
+            for i in range(3):
+                entry = jacobian[support[side, index]]
+                size = max(size, max(abs(entry[i]), reach * abs(entry[3 + i])))
+    if largest <= _ROW_ROUND_OFF * size:
+        for k in range(nv):
+            row[k] = 0.0
 
 
 @kernel

@@ -41,6 +41,8 @@ _REDUNDANT = 1e-9
 _LOAD_ITERATIONS = 100
 _LOAD_CHANGE = 1e-12
 _UNDAMPED = 12
+# Coefficients that stand in for infinite ones where redundant contacts' ideal rolling contradicts itself by round-off.
+_LARGE_FRICTION = (1e4, 1e2)
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,7 @@ class _Problem:
             for u in (*self.loaded, *self.carried):
                 b[3 * u + 2] = -self.weights[3 * u + 2] * loads[u]
             if self.mu.size:
-                if not solver.solve(self.gram, b, self.mu):
+                if not self._solve_cones(solver, b):
                     return None
                 self.forces = np.where(self.weights > 0.0, 0.0, solver.forces)
             y = self.start + self.reduced @ self.forces
@@ -194,6 +196,13 @@ class _Problem:
             if change <= _LOAD_CHANGE:
                 return y
         return None
+
+    def _solve_cones(self, solver: ContactSolver, b: np.ndarray) -> bool:
+        ideal = np.isinf(self.mu)
+        return solver.solve(self.gram, b, self.mu) or (
+            bool(ideal.any())
+            and any(solver.solve(self.gram, b, np.where(ideal, large, self.mu)) for large in _LARGE_FRICTION)
+        )
 
     def work(self, y: np.ndarray) -> tuple[float, float, float]:
         """Work of the contacts' and of the joints' impulses, and the sum of the sizes of all terms."""

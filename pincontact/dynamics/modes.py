@@ -64,6 +64,8 @@ if TYPE_CHECKING:
 _FIXED_POINT_ITERATIONS = 100
 _UNDAMPED = 12
 _FIXED_POINT_TOLERANCE = 1e-12
+# Loads in N that change by more than this between iterations grow without bound.
+_WITHOUT_BOUND = 1e100
 _ROUND_OFF = 1e-11
 # (a, b) along (t1, second), turned to the left
 _QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -163,6 +165,9 @@ class ModeSolver:
         if null.shape[1] == 0:
             return False
         forces = system.force[index[:, 0], index[:, 1]]
+        for r, (c, row) in enumerate(index):
+            if row == 2 and c < system.nc and held_up_by_friction(system, c):
+                forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
         found = central_force(forces, null, self._cones(index))
         if found is None:
             return False
@@ -219,8 +224,8 @@ class ModeSolver:
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
         closed, held, resisting = system.closed(), system.held(), system.resisting()
-        if any(not integers[c, UNILATERAL] for c in closed):
-            return self._decide_bilateral(t, undecided, closed, evaluate)
+        if any(not integers[c, UNILATERAL] or held_up_by_friction(system, c) for c in closed):
+            return self._decide_without_cones(t, undecided, closed, evaluate)
         decision = Decision(0, solved=True)
         n = len(closed)
         units = [unit_columns(system, c, contact_rows(integers[c, TANGENTS])) for c in closed]
@@ -286,6 +291,9 @@ class ModeSolver:
             loads = new_loads if iteration < _UNDAMPED else 0.5 * (loads + new_loads)
             if change <= _FIXED_POINT_TOLERANCE * (1.0 + np.abs(loads).max(initial=0.0)):
                 break
+            if not change < _WITHOUT_BOUND:
+                decision.status = NO_FORCE
+                return decision
         else:
             decision.status = NO_FORCE
             return decision
@@ -303,7 +311,7 @@ class ModeSolver:
             if mode == cone.OPEN:
                 integers[c, MODE] = FREE
                 decision.opened.append(c)
-            elif c in undecided:
+            elif c in undecided or (mode == cone.SLIP and math.isinf(numbers[c, MU])):
                 rate = float(np.hypot(velocities[i, 0], velocities[i, 1]))
                 if mode == cone.STICK or rate <= still:
                     # among redundant contacts one may be at its limit of friction without sliding
@@ -357,9 +365,32 @@ class ModeSolver:
         self.system.guard_int[g, GUARD_SIGN], self.system.guard_int[g, GUARD_END] = 0, end
         self.system.contact_int[self.system.nc + g, MODE] = FRICTIONLESS
 
-    def _decide_bilateral(self, t: float, undecided: list[int], closed: list[int], evaluate) -> Decision:
-        """Contacts that cannot open carry |F_n| of either sign, which is no cone: slide the one that exceeds its limit
-        most against its stick force, and look again. Serves one-tangent and few two-tangent contacts."""
+    def _open(self, t: float, c: int, evaluate, decision: Decision) -> None:
+        """Let contact c go, whose normal force would pull; or slide, if it is ideal rolling that this would close."""
+        system = self.system
+        integers, force = system.contact_int[c], system.force[c, :2].copy()
+        may_slide = integers[MODE] == STICK and math.isinf(system.contact_real[c, MU])
+        integers[MODE] = FREE
+        if may_slide and evaluate(t) <= EVENT and self.gap_acceleration(t, c) < 0.0:
+            freeze_slip(system, c, -force)
+            holds = evaluate(t) <= EVENT and (system.margins[c, [NORMAL_MARGIN, FRICTION_MARGIN]] >= 0.0).all()
+            if holds and system.contact_real[c, SLIP_RATE] > 0.0:
+                decision.started[c] = float(system.contact_real[c, SLIP_RATE])
+                return
+            integers[[MODE, FROZEN]] = FREE, 0
+        decision.opened.append(c)
+
+    def gap_acceleration(self, t: float, c: int) -> float:
+        """Second derivative in m/s^2 of the gap of an open contact in the last evaluation; NaN if it has no rows."""
+        system = self.system
+        if system.evaluate_kinematics(t) != OK:
+            return math.nan
+        return float(system.rows[c, 2] @ system.acceleration + system.bias[c, 2])
+
+    def _decide_without_cones(self, t: float, undecided: list[int], closed: list[int], evaluate) -> Decision:
+        """Contacts that cannot open carry |F_n| of either sign, those that friction alone holds up none: both are no
+        cones. Slide the one that exceeds its limit most against its stick force, and look again. Serves one-tangent
+        and few two-tangent contacts."""
         system = self.system
         integers = system.contact_int
         decision = Decision(0)
@@ -382,8 +413,7 @@ class ModeSolver:
                     continue
                 if system.margins[c, NORMAL_MARGIN] < -self.force_round_off():
                     if integers[c, UNILATERAL]:
-                        integers[c, MODE] = FREE
-                        decision.opened.append(c)
+                        self._open(t, c, evaluate, decision)
                     else:
                         integers[c, NORMAL_SIGN] *= -1
                     worst = -2
@@ -437,6 +467,11 @@ def freeze_slip(system: System, c: int, direction: np.ndarray) -> None:
     numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
     numbers[START], numbers[SPAN] = 0.0, 1.0
     integers[FROZEN] = 1
+
+
+def held_up_by_friction(system: System, c: int) -> bool:
+    """Whether contact c is ideal rolling that slides, with F_n = 0 and a tangential force against its slip."""
+    return bool(system.contact_int[c, MODE] == SLIPPING and math.isinf(system.contact_real[c, MU]))
 
 
 def rest_mode(mu: float) -> int:

@@ -229,9 +229,9 @@ class Stribeck(FrictionLaw):
 class NoSlip(FrictionLaw):
     """Ideal rolling (VC, Sec. 4): whatever tangential force keeps the contact from slipping.
 
-    A unilateral contact is let go where its normal force reaches zero, however large the tangential force is by then:
-    with infinite friction the law says no more. Where that force is all that keeps the contact from closing again,
-    "Moreau" lets it slide with F_n = 0, which is the limit for large mu; event-driven runs let it go.
+    It is the limit of Coulomb's law for large mu. A unilateral contact is let go where its normal force reaches zero,
+    however large the tangential force is by then; but where that force is all that keeps the contact from closing
+    again, it slides with F_n = 0, held up by the tangential force against its slip, until it sticks again or opens.
 
     spinning, rolling: resistance to spinning and rolling in m, as of `Coulomb`.
     """

@@ -49,6 +49,7 @@ from .steps import (
     AT_LIMIT,
     ATTEMPTED,
     BLOCK_FULL,
+    FAILED_FACTOR,
     MARCH,
     MARCH_ONE_ATTEMPT,
     MARCH_ONE_STEP,
@@ -145,16 +146,15 @@ class Driver:
             t = self.transitions.start_frozen(t)
         self.locator.update_users(t)
         self._finish(t)
-        self.locator.arm()
         self._set_limits(t, t_end)
-        scalars, counters = self.system.scalars, self.system.counters
+        scalars = self.system.scalars
         while t < t_end:
             scalars[NOW] = t
             self.flush()
             why = run_task(self.system.table, self._task(), 0.0, 0.0)
             t = float(scalars[NOW])
             if why == STEPPED:
-                self._watch(t)
+                self.locator.update_users(t)
                 self._output_at(t)
             elif why == ATTEMPTED:
                 h = float(scalars[NEXT_STEP])
@@ -166,17 +166,17 @@ class Driver:
                 t = self._end_slip(t)
                 self._restart(h)
             elif why == SLIP_IS_SLOW:
-                self._watch(t)
+                self.locator.update_users(t)
                 self._output_at(t)
                 t = self._slow_slip(t)
             elif why == AT_LIMIT:
                 raise Stop(STEP_LIMIT, f"t = {t:.9g} s: the limit of {options.max_steps} steps was reached")
             elif why == AT_FLOOR:
-                raise self.transitions.give_up(t, int(counters[FAILURE]))
+                t = self._end_jams(t)
             elif why == STEP_FAILED:
                 self.transitions.failed_control(t)
                 if options.fixed_step:
-                    raise self.transitions.give_up(t, int(counters[FAILURE]))
+                    t = self._end_jams(t)
             elif why == PROJECTION_FAILED:
                 raise self._projection_failed(float(scalars[NEXT_TIME]))
             if self.progress is not None:
@@ -221,6 +221,8 @@ class Driver:
         users = self.locator.crossed_users(t_new) if self.locator.users else []
         if rk.alarm or users:
             dense = self._interpolant(t, step)
+            if dense is None:
+                return self._reject(t, step)
             crossing = self.locator.first(t, step, dense, users)
             while crossing is not None and crossing.margin is None and not self.locator.users[crossing.user].terminal:
                 rk.load(dense(crossing.theta))
@@ -233,6 +235,8 @@ class Driver:
         if self._output_due(t_new):
             if dense is None:
                 dense = self._interpolant(t, step)
+                if dense is None:
+                    return self._reject(t, step)
             self._output_until(t_new)
             rk.load(system.new_state)
         self._project(t_new, dense is None)
@@ -240,12 +244,35 @@ class Driver:
         self._after(t_new)
         return t_new, False
 
-    def _interpolant(self, t: float, step: float) -> Interpolant:
+    def _interpolant(self, t: float, step: float) -> Interpolant | None:
         dense = self.rk.interpolant(t, step)
         if dense is None:
             self.transitions.failed_control(t)
-            raise Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the dense output of a step could not be evaluated")
         return dense
+
+    def _no_interpolant(self, t: float) -> Stop:
+        return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the dense output of a step could not be evaluated")
+
+    def _reject(self, t: float, step: float) -> tuple[float, bool]:
+        """Try a shorter step where the attempted one has no dense output, as where one of its stages fails."""
+        scalars, counters = self.system.scalars, self.system.counters
+        counters[STEP_COUNT] -= 1
+        counters[REJECTED_COUNT] += 1
+        if self.options.fixed_step:
+            if not self.transitions.held_up():
+                raise self._no_interpolant(t)
+            return self._end_jams(t), True
+        scalars[NEXT_STEP] = FAILED_FACTOR * step
+        return t, False
+
+    def _end_jams(self, t: float) -> float:
+        """Where no step succeeds, end the slips that friction alone holds up, if there are any; the new time."""
+        if not self.transitions.held_up():
+            raise self.transitions.give_up(t, int(self.system.counters[FAILURE]))
+        t = self.transitions.end_jams(t)
+        self._after(t)
+        self._restart(self.transitions.seed)
+        return t
 
     def _project(self, t: float, evaluated: bool) -> None:
         if not self.rk.project(t, evaluated):
@@ -262,16 +289,10 @@ class Driver:
     def _after(self, t: float) -> None:
         """What follows every state that is accepted here."""
         self._finish(t)
-        self._watch(t)
+        self.locator.update_users(t)
         if self.options.t_eval is None:
             self.record(t)
         self._output_at(t)
-
-    def _watch(self, t: float) -> None:
-        """Take the accepted state as the one that the next events are measured from."""
-        self.locator.arm()
-        if self.locator.users:
-            self.locator.update_users(t)
 
     def _stop_at(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> float:
         """Step again to the crossing, so that the state there has the method's full order, and switch modes."""
@@ -336,7 +357,7 @@ class Driver:
         scalars = system.scalars
         # at loose tolerances a slip that counts as over may have a long way to go: no further than a step
         left = min(float(speed[c] / -rate[c]), *(scalars[[NEXT_STEP, MAX_STEP]]), scalars[END] - t)
-        left = float(min(left, scalars[NEXT_OUTPUT] - t))
+        left = float(min(left, scalars[NEXT_OUTPUT] - t, self.transitions.until_touch()))
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
         reach = _TOGETHER * 2.0 ** int(system.counters[STALLED]) * system.contact_real[:, START_TOLERANCE]
         with np.errstate(invalid="ignore"):
@@ -375,7 +396,8 @@ class Driver:
 
     def _output_short_step(self, t: float, step: float) -> None:
         if self._output_due(t + step):
-            self._interpolant(t, step)
+            if self._interpolant(t, step) is None:
+                raise self._no_interpolant(t)
             self._output_until(t + step)
 
     def _output_until(self, until: float) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ..errors import ArgumentError, ContactError
-from ..layout import DOMAIN, DOMAIN_MARGIN, EVENT, FREE, GAP_MARGIN, LENGTH, MODE, MU, OK
+from ..layout import DOMAIN, DOMAIN_MARGIN, EVENT, GAP_MARGIN, LENGTH, OK
 from .dense import Interpolant
 from .results import CONTROL_FAILED, GAP_TOLERANCE, Stop
 from .runge_kutta import RungeKutta
@@ -28,9 +28,6 @@ _REFINED = 1e-14
 _BISECTIONS = 40
 # Looks at the lowest point between two samples.
 _LOOKS = 3
-# An ideal no-slip contact loses a finite tangential force as it opens, which may press it together at first: it touches
-# again only after it has been apart, or when it is deeper than this part of its length.
-_UNARMED_DEPTH = 1e-2
 # Margin of a gap that is measured beyond the end of a contour.
 _NOTHING_THERE = 1e300
 _XTOL, _RTOL = 1e-15, 8.9e-16
@@ -109,12 +106,9 @@ class EventLocator:
         scale = rk.system.scale
         nc, items = rk.system.nc, rk.system.items
         # guarded joint coordinates follow the contacts; theirs are of unit size
-        self._lengths = np.ones(items)
-        self._lengths[:nc] = rk.system.contact_real[:nc, LENGTH]
-        self._gap_slack = GAP_TOLERANCE * (scale[1] + scale[0] * self._lengths)
-        self.armed = np.zeros(items, dtype=bool)
-        self._ideal = np.zeros(items, dtype=bool)
-        self._ideal[:nc] = np.isinf(rk.system.contact_real[:nc, MU])
+        lengths = np.ones(items)
+        lengths[:nc] = rk.system.contact_real[:nc, LENGTH]
+        self._gap_slack = GAP_TOLERANCE * (scale[1] + scale[0] * lengths)
 
     def value_of_user(self, index: int, t: float) -> float:
         """The user's function at the system's (q, v)."""
@@ -146,28 +140,12 @@ class EventLocator:
         system = self.rk.system
         nc = system.nc
         margins = system.margins[: system.items].copy()
-        slack = np.where(self.armed | ~self._ideal, self._gap_slack, _UNARMED_DEPTH * self._lengths)
-        margins[:, GAP_MARGIN] += slack
+        margins[:, GAP_MARGIN] += self._gap_slack
         # both ends of a joint coordinate
-        margins[nc:, DOMAIN_MARGIN] += slack[nc:]
+        margins[nc:, DOMAIN_MARGIN] += self._gap_slack[nc:]
         # beyond the end of a contour there is nothing to touch
         margins[:nc][outside(system), GAP_MARGIN] = _NOTHING_THERE
         return margins
-
-    def arm(self) -> None:
-        """Watch the gaps of open contacts that are apart at the accepted state."""
-        system = self.rk.system
-        for c in range(system.nc):
-            if system.contact_int[c, MODE] != FREE or system.contact_real[c, DOMAIN] < 0.0:
-                self.armed[c] = False
-            elif system.gaps[c, 0] > self._gap_slack[c]:
-                self.armed[c] = True
-        for g, guard in enumerate(system.guards):
-            c, position = system.nc + g, float(system.q[guard.index_q])
-            if system.contact_int[c, MODE] != FREE:
-                self.armed[c] = False
-            elif min(position - guard.low_end, guard.high_end - position) > self._gap_slack[c]:
-                self.armed[c] = True
 
     def _first_margin(self, t: float, step: float, dense: Interpolant) -> Crossing | None:
         thetas = [i / _SCAN for i in range(_SCAN + 1)]

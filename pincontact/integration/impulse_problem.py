@@ -572,6 +572,10 @@ def _fill_units(table, step, nv, nc, h):
         if unit_int[u, MIDPOINT] != 0:
             b[3 * u] += unit_real[u, START_T1]
             b[3 * u + 1] += unit_real[u, START_T2]
+        for r in range(3 * u, 3 * u + 3):
+            if delassus[r, r] == 0.0:
+                # no joint moves the bodies along it: no impulse, whatever the round-off in b asks for
+                delassus[r, r], b[r] = weight, 0.0
 
 
 @kernel

@@ -12,8 +12,7 @@ from ..callback import call_kernel
 from ..dynamics.equations import slip_direction
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, KINEMATICS_OF_CLOSED, contact_corrections
 from ..dynamics.linear import inner, whiten
-from ..dynamics.resistance import count_items, size_of_load
-from ..geometry.patterns import NO_NORMAL
+from ..dynamics.resistance import count_items
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
 from ..layout import (
@@ -60,7 +59,6 @@ from ..layout import (
     MAX_STEP,
     MODE,
     MU,
-    MU_NOW,
     NC,
     NEW_STATE,
     NEXT_NORMAL_X,
@@ -78,10 +76,8 @@ from ..layout import (
     NY,
     OK,
     OWN_TABLE,
-    OWNER,
     PARENTS,
     PATIENCE,
-    PATTERN,
     POLYNOMIAL_SIZE,
     RECORD_STEPS,
     RECORDED,
@@ -161,7 +157,7 @@ _SMALL_SIZE = 1e-5
 _SMALL_STEP = 1e-6
 _FIRST_FRACTION = 0.5
 # After a rejection by a failed evaluation the step shrinks by this factor.
-_FAILED_FACTOR = 0.25
+FAILED_FACTOR = 0.25
 # A remainder of the interval below this fraction of the step is added to it.
 _SLIVER = 1e-9
 
@@ -514,11 +510,10 @@ def _take_up(table, t):
 
 @kernel
 def _turning_rate(table, c, n):
-    """How fast friction turns the slip of item c into the direction in which it would go, in 1 / s: mu |F_n| w M^-1 w^T
+    """How fast friction turns the slip of item c into the direction in which it would go, in 1 / s: |F_t| w M^-1 w^T
     over the speed, with w the row across the slip."""
     nv = integers(table[SIZES], 8)[NV]
-    contact_int, force = integer_matrix(table[CONTACT_INT], n, CONTACT_INTS), matrix(table[FORCE], n, 3)
-    number = matrix(table[CONTACT_REAL], n, CONTACT_REALS)[c]
+    force = matrix(table[FORCE], n, 3)[c]
     basis, rows, slip = cube(table[BASIS], n, 3, 3)[c], cube(table[ROWS], n, 3, nv)[c], matrix(table[SLIP], n, 3)[c]
     work = reals(table[WORK], nv)
     first, second = dot(basis[0], slip), dot(basis[1], slip)
@@ -526,9 +521,7 @@ def _turning_rate(table, c, n):
         work[k] = first * rows[1, k] - second * rows[0, k]
     whiten(matrix(table[FACTOR], nv, nv), integers(table[PARENTS], nv), nv, work, work)
     speed = math.hypot(first, second)
-    owner = contact_int[c, OWNER] if contact_int[c, PATTERN] == NO_NORMAL else c
-    load = number[MU_NOW] * size_of_load(contact_int, force, owner)
-    return load * inner(work, work, nv) / speed**3 if speed > 0.0 else 0.0
+    return math.hypot(force[0], force[1]) * inner(work, work, nv) / speed**3 if speed > 0.0 else 0.0
 
 
 @kernel
@@ -679,7 +672,7 @@ def march(table, task):
             _watch_slips(contact_real, n, scalars, counters, False)
             if status != OK:
                 counters[FAILURE] = status
-                scalars[NEXT_STEP] = _FAILED_FACTOR * step
+                scalars[NEXT_STEP] = FAILED_FACTOR * step
                 return STEP_FAILED
             scalars[NEXT_STEP] = _next_step(step, error, 0.0, scalars[ERROR_ORDER], True)
             continue

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..dynamics.impact import apply_impact
 from ..dynamics.joints import END_SLACK
-from ..dynamics.modes import Decision, ModeSolver, freeze_slip, rest_mode
+from ..dynamics.modes import Decision, ModeSolver, freeze_slip, held_up_by_friction, rest_mode
 from ..dynamics.stretches import opposed_slip
 from ..dynamics.system import FORCE_SLACK
 from ..dynamics.units import whiten, whitened_velocity
@@ -33,7 +33,6 @@ from ..layout import (
     MASS_NOT_POSITIVE,
     MODE,
     MU,
-    MU_NOW,
     MU_STATIC,
     NO_FORCE,
     NORMAL_1,
@@ -80,6 +79,8 @@ _SLACK_GROWTH, _LARGEST_SLACK = 4.0, 1e-10
 _DIRECTION = slice(DIRECTION_X, DIRECTION_X + 3)
 # Forces below zero, or above their limit, by less than this part of the largest one are no events while slip starts.
 _FORCE_ACCURACY = 1e-6
+# A gap that is closed already counts as so much of what gaps are known to.
+_LEAST_WAY = 1e-2
 # A rebound slower than this, in m/s, closes the contact; after an impact one that leaves faster than the second opens.
 REST_SPEED = 1e-3
 _LEAVING_SPEED = 1e-3 * REST_SPEED
@@ -203,7 +204,9 @@ class Transitions:
             raise self.give_up(t, status)
         if system.ng:
             self._begin_guards(t)
-        self._settle(t, self.modes_from_velocities(), (), True)
+        undecided = self.modes_from_velocities()
+        self._stop_jammed(t)
+        self._settle(t, undecided, (), True)
         self._guards = [self._guard_state(g) for g in range(system.ng)]
 
     def _begin_guards(self, t: float) -> None:
@@ -220,18 +223,22 @@ class Transitions:
         if striking:
             self._collide(t, [], {})
 
-    def modes_from_velocities(self) -> list[int]:
+    def modes_from_velocities(self, after_impact: bool = False) -> list[int]:
         """Give closed contacts and their resistances the mode that their slip shows; returns those at rest whose
-        friction is undecided."""
+        friction is undecided.
+
+        Ideal rolling slides where it did, or after an impact that left it without a normal impulse.
+        """
         system = self.system
         rest_speed = _REST * (1.0 + float(np.abs(system.v).max(initial=0.0)))
         undecided = []
         for c in [*system.closed(), *system.resisting()]:
             integers = system.contact_int[c]
             mu = system.contact_real[c, MU]
+            slides = integers[UNILATERAL] and (after_impact or integers[MODE] == SLIPPING)
             integers[FROZEN] = 0
             integers[MODE] = rest_mode(mu)
-            if mu == 0.0 or math.isinf(mu):
+            if mu == 0.0 or (math.isinf(mu) and not slides):
                 continue
             along = system.basis[c] @ system.slip[c]
             speed = abs(along[0]) if integers[TANGENTS] == 1 else math.hypot(along[0], along[1])
@@ -239,7 +246,7 @@ class Transitions:
                 integers[MODE] = SLIPPING
                 integers[SLIP_SIGN] = 1 if along[0] >= 0.0 else -1
                 self._guess_normal(system.owner(c))
-            else:
+            elif math.isfinite(mu):
                 undecided.append(c)
         return undecided
 
@@ -265,6 +272,9 @@ class Transitions:
             return self._touch(t, c)
         self._check_chatter(t, c)
         integers = self.system.contact_int[c]
+        if kind == FRICTION_MARGIN and integers[MODE] == SLIPPING:
+            self._end_jams(t, [c])
+            return self.start_frozen(t)
         if kind in (NORMAL_MARGIN, FRICTION_MARGIN) and self._redistribute(t):
             return t
         if kind == DOMAIN_MARGIN:
@@ -275,6 +285,8 @@ class Transitions:
             return self.resolve(t, self._sticking())
         if kind == NORMAL_MARGIN:
             if integers[UNILATERAL]:
+                if self._closes_again(t, c):
+                    return self._leave_stick(t, c)
                 integers[MODE] = FREE
                 self.announce(t, c, "separate")
             else:
@@ -307,6 +319,9 @@ class Transitions:
         for c in contacts:
             self._check_chatter(t, c)
         self.system.contact_int[contacts, MODE] = STICK
+        if np.isinf(self.system.contact_real[contacts, MU]).any():
+            # what is left of v_c is no start of a slip in another direction, in which it may take another force
+            self._project(t)
         return self.resolve(t, self._sticking(), at_rest=contacts)
 
     def _sticking(self) -> list[int]:
@@ -452,7 +467,7 @@ class Transitions:
         frozen = [int(c) for c in np.flatnonzero(system.contact_int[:, FROZEN])]
         if not frozen:
             return t
-        tau = self.seed**1.5
+        tau = min(self.seed**1.5, self.until_touch())
         if self._starts_slowly(t, frozen):
             took = SlowSlip(rk, frozen, 1, self._uneventful).follow(t, self.longest_start, tau)
             if took is not None:
@@ -481,13 +496,13 @@ class Transitions:
         for c in frozen:
             numbers, direction = system.contact_real[c], system.basis[c, :2] @ system.contact_real[c, _DIRECTION]
             aside = whiten(system, direction[0] * system.rows[c, 1] - direction[1] * system.rows[c, 0])
-            load = abs(float(system.force[system.owner(c), 2]))
-            if numbers[MU_NOW] * load * (aside @ aside) > _SLOW_START * numbers[SLIP_RATE]:
+            friction = math.hypot(system.force[c, 0], system.force[c, 1])
+            if friction * (aside @ aside) > _SLOW_START * numbers[SLIP_RATE]:
                 return True
         return False
 
     def _leave_stick(self, t: float, c: int) -> float:
-        """Contact c has reached its friction limit.
+        """Contact c has reached its friction limit, which for ideal rolling, where mu is without bound, is F_n = 0.
 
         With one tangent the slip's sign is known. With two its direction is not: stick runs on for a short time tau,
         and the cone problem there tells who slips and where to. From there `slow_slip` follows the direction; where it
@@ -507,7 +522,7 @@ class Transitions:
         # the friction that stick asks for at its limit is against the slip to come
         limit = opposed_slip(system, c, system.force[c, :2]) @ system.basis[c, :2]
         start_q, start_v = system.q.copy(), system.v.copy()
-        tau = self.seed
+        tau = min(self.seed, self.until_touch())
         decision, seeded = self._run_on(t, tau)
         for slipping in decision.started:
             kind = "slip" if slipping < system.nc else "turn"
@@ -554,6 +569,86 @@ class Transitions:
         if rk.evaluate_start(t) > EVENT:
             raise self.give_up(t, NO_FORCE)
         return None
+
+    # ---------------------------------------------------------------- ideal rolling without normal force
+
+    def _closes_again(self, t: float, c: int) -> bool:
+        """Whether ideal rolling whose normal force is zero would close if it were let go.
+
+        Without F_t the gap's second derivative a jumps to -J_n M^-1 J_t^T F_t. If that is negative and changes at the
+        rate j, the gap dips by 2 |a|^3 / (3 j^2) before it opens: nothing, if gaps are known no better.
+        """
+        rk, system = self.rk, self.system
+        integers = system.contact_int[c]
+        if integers[MODE] != STICK or system.contact_real[c, MU] < math.inf:
+            return False
+        rk.accept()
+        integers[MODE] = FREE
+        first = later = math.nan
+        tau = min(self.seed, self.longest_start)
+        if rk.evaluate_start(t) <= EVENT:
+            first = self.modes.gap_acceleration(t, c)
+        if first < 0.0 < tau and rk.attempt(t, tau) == OK:
+            rk.load(system.new_state)
+            if rk.evaluate(t + tau) <= EVENT:
+                later = self.modes.gap_acceleration(t + tau, c)
+        integers[MODE] = STICK
+        if rk.evaluate_start(t) > EVENT:
+            raise self.give_up(t, NO_FORCE)
+        jerk = (later - first) / tau if tau > 0.0 else math.nan
+        return first < 0.0 and not (jerk > 0.0 and 2.0 * -(first**3) <= 3.0 * jerk**2 * self._reach(c))
+
+    def held_up(self) -> list[int]:
+        """Contacts that slide held up by friction alone."""
+        return [c for c in self.system.closed() if held_up_by_friction(self.system, c)]
+
+    def _stop_jammed(self, t: float) -> None:
+        """Stop slips that friction alone would have to hold up and cannot: the force it takes grows without bound."""
+        sliding = self.held_up()
+        if sliding and self.rk.evaluate(t) <= EVENT:
+            sliding = [c for c in sliding if self.system.margins[c, FRICTION_MARGIN] < 0.0]
+        if sliding:
+            self._stop_slips(t, sliding)
+
+    def end_jams(self, t: float) -> float:
+        """End the slips of the accepted state that friction alone holds up, since no step is short enough to follow
+        them."""
+        sliding = self.held_up()
+        for c in sliding:
+            self._check_chatter(t, c)
+        self.rk.load(self.system.state)
+        self._evaluate_rows(t)
+        self._end_jams(t, sliding)
+        return self.start_frozen(t)
+
+    def _end_jams(self, t: float, contacts: list[int]) -> None:
+        before = whitened_velocity(self.system, self.system.v)
+        self._stop_slips(t, contacts)
+        self._count_loss(before)
+        self._settle(t, self._sticking(), contacts, False)
+
+    def _stop_slips(self, t: float, contacts: list[int]) -> None:
+        """End slips at once, by the least change of velocity that does it."""
+        self.system.contact_int[contacts, MODE] = STICK
+        self._project(t)
+
+    def _count_loss(self, before: np.ndarray) -> None:
+        """Book the energy that projections took from the whitened velocity `before` as work of friction."""
+        system = self.system
+        if self._counts_works:
+            after = whitened_velocity(system, system.v)
+            system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += 0.5 * float(after @ after - before @ before)
+
+    def until_touch(self) -> float:
+        """Time in s that the gaps of open contacts last at their present rates."""
+        system = self.system
+        left = math.inf
+        for c in range(system.nc):
+            approach = -float(system.basis[c, 2] @ system.slip[c])
+            if system.contact_int[c, MODE] == FREE and system.contact_real[c, DOMAIN] >= 0.0 and approach > 0.0:
+                reach = self._reach(c)
+                left = min(left, max(float(system.gaps[c, 0]) + reach, _LEAST_WAY * reach) / approach)
+        return left
 
     def _uneventful(self) -> bool:
         """Whether nothing opened, closed or began to slip in the last attempt, as far as gaps and forces are known."""
@@ -621,8 +716,7 @@ class Transitions:
         """Impulses on all closed contacts and ends of joints, then new modes from the velocities after them."""
         system, rk = self.system, self.rk
         integers = system.contact_int
-        if rk.evaluate(t) > EVENT:
-            raise self.give_up(t, LOCATION_FAILED)
+        self._evaluate_rows(t)
         closed = system.closed()
         ends = [g for g in system.held() if system.guard_int[g, GUARD_END] != 0]
         impact = apply_impact(system, self.modes.solver, closed, ends, restitution)
@@ -635,8 +729,7 @@ class Transitions:
             works[FRICTION_WORK] += impact.contacts
             works[DRIVE_WORK] += impact.drives
             works[DAMPING_WORK] += impact.joints
-        if rk.evaluate(t) > EVENT:
-            raise self.give_up(t, LOCATION_FAILED)
+        self._evaluate_rows(t)
         for i in closed:
             leaving = float(system.basis[i, 2] @ system.slip[i])
             if integers[i, UNILATERAL] and leaving > _LEAVING_SPEED:
@@ -645,18 +738,26 @@ class Transitions:
                 if leaving * leaving > 2.0 * falling * self._reach(i):
                     integers[i, MODE] = FREE
         self._guards_from_velocities()
-        undecided = self.modes_from_velocities()
-        # what stays closed without an impulse (ideal rolling that carries no load, a hop that is none) stops here
+        undecided = self.modes_from_velocities(after_impact=True)
         before = whitened_velocity(system, system.v)
-        self._project(t)
+        self._stop_jammed(t)
+        # what stays closed with a normal velocity (a hop that is none) stops here, which may turn slow slips
+        if rk.project(t, False):
+            self._stop_jammed(t)
+        else:
+            self._stop_slips(t, self.held_up())
         ended = self._end_short_slips(t)
         if ended:
-            undecided += ended
+            undecided += [c for c in ended if math.isfinite(system.contact_real[c, MU])]
             self._project(t)
-        if self._counts_works:
-            after = whitened_velocity(system, system.v)
-            system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += 0.5 * float(after @ after - before @ before)
+        self._count_loss(before)
         return self.resolve(t, undecided, silent=True)
+
+    def _evaluate_rows(self, t: float) -> None:
+        """Evaluate what an impact needs: rows, v_c and the factor of M; forces there may be none."""
+        status = self.rk.evaluate(t)
+        if status > EVENT and status != NO_FORCE:
+            raise self.give_up(t, LOCATION_FAILED)
 
     def _end_short_slips(self, t: float) -> list[int]:
         """Let contacts stick whose slip after an impact would end in a distance shorter than positions are known to.

@@ -1,0 +1,276 @@
+"""Ideal rolling whose normal force vanishes, in event-driven runs: it opens, or slides held up by friction alone.
+
+The second is the limit of Coulomb's law for large mu: closed forms, Coulomb runs, time stepping and random scenes.
+"""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from reference import LAST_TIMES, build
+from scipy.integrate import quad
+from scipy.optimize import brentq
+from test_moreau import G, body_scene, random_scene
+
+import pincontact as pc
+
+FREE, STICK, SLIPPING = -1, 1, 2
+HALF, PUSH = 0.5, 2.0
+
+
+def kinds(run):
+    return [event.kind for event in run.events]
+
+
+def rod_scene(law, tangents):
+    """A rod that stands on its foot and is pushed over about y; in space, or in the plane of x and z."""
+    moments = (1e-3, HALF**2 / 3.0, HALF**2 / 3.0)
+    place = pin.SE3(np.eye(3), np.array([-HALF, 0.0, 0.0]))
+    if tangents == 2:
+        scene = body_scene(pin.JointModelFreeFlyer(), 1.0, moments)
+        foot, floor = scene.add_contour("foot", pc.Point(), "body", place), scene.add_contour("floor", pc.Plane())
+        scene.add_contact("c", foot, floor, friction=law)
+        q = np.concatenate([[0.0, 0.0, HALF], pin.Quaternion(pin.utils.rotate("y", -0.5 * math.pi)).coeffs()])
+        return scene, scene.initial_state(q, [0.0, 0.0, -PUSH * HALF, 0.0, PUSH, 0.0])
+    model = pin.Model()
+    upright = pin.SE3(pin.utils.rotate("x", 0.5 * math.pi), np.zeros(3))
+    joint = model.addJoint(0, pin.JointModelPlanar(), upright, "joint")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.diag(moments)), pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    foot = scene.add_contour("foot", pc.Point(), "body", place)
+    scene.add_contact("c", foot, scene.add_contour("floor", pc.Line(), placement=upright), friction=law, side=-1)
+    # the joint's axis points to -y
+    return scene, scene.initial_state([0.0, HALF, 0.0, 1.0], [0.0, -PUSH * HALF, -PUSH])
+
+
+def leaning(run):
+    """(n,) angle of the rod from the vertical in rad."""
+    if run.q.shape[1] == 7:
+        return np.array([math.acos(pin.Quaternion(q[3:]).matrix()[2, 0]) for q in run.q])
+    return np.arccos(run.q[:, 3])
+
+
+@pytest.mark.parametrize("tangents", [1, 2])
+def test_rod_slides_held_up_by_friction(tangents):
+    """Without a normal force the centre of mass falls freely, and the foot stays down all the same, which gives the
+    angle. Before that J w w' = m g half sin(a), J = 4/3 m half^2, until g = half (w' sin(a) + w^2 cos(a))."""
+    scene, state = rod_scene(pc.NoSlip(), tangents)
+    squared = lambda a: PUSH**2 + 1.5 * G / HALF * (1.0 - math.cos(a))  # noqa: E731
+    pressed = lambda a: G - 0.75 * G * math.sin(a) ** 2 - HALF * squared(a) * math.cos(a)  # noqa: E731
+    angle = brentq(pressed, 0.1, 1.2, xtol=1e-14)
+    starts = quad(lambda a: squared(a) ** -0.5, 0.0, angle, epsabs=1e-13)[0]
+    run = pc.simulate(scene, state, 0.5, rtol=1e-11, atol=1e-13, energies=True)
+    assert kinds(run) == ["slip", "stick"]
+    # a root of the force in time, which falls by 1e2 N/s
+    assert abs(run.events[0].time - starts) <= 1e-10
+    track = run.contacts["c"]
+    slides = (track.mode == SLIPPING) & (run.t > starts) & (run.t < run.events[1].time)
+    assert slides.sum() >= 10
+    after = run.t[slides] - starts
+    rate = math.sqrt(squared(angle))
+    height = HALF * math.cos(angle) - HALF * math.sin(angle) * rate * after - 0.5 * G * after**2
+    # accumulated errors of some tens of steps; the start of slip in space is accurate to a tenth of the tolerance
+    np.testing.assert_allclose(leaning(run)[slides], np.arccos(height / HALF), rtol=0.0, atol=1e-9)
+    np.testing.assert_array_equal(track.normal_force[slides], 0.0)
+    assert track.tangential_force[slides].min() >= 3.0
+    assert np.einsum("ij,ij->i", track.force, track.slip_velocity)[slides].max() <= 0.0
+    assert np.abs(track.gap).max() <= 1e-14
+    energies = run.energies()
+    assert np.abs(energies.balance).max() <= 1e-9
+    assert energies.friction_work[-1] <= -1e-3
+
+
+@pytest.mark.parametrize("tangents", [1, 2])
+def test_it_is_the_limit_of_coulombs_law(tangents):
+    """What large coefficients differ by falls as 1 / mu."""
+    options = {"rtol": 1e-10, "atol": 1e-12, "t_eval": [0.42]}
+    ideal = pc.simulate(*rod_scene(pc.NoSlip(), tangents), 0.42, **options)
+    assert ideal.contacts["c"].mode[-1] == SLIPPING
+    errors = []
+    for mu in (1e3, 1e4, 1e5):
+        rough = pc.simulate(*rod_scene(pc.Coulomb(mu), tangents), 0.42, **options)
+        assert rough.status == 0, rough.message
+        errors.append(np.abs(rough.v[-1] - ideal.v[-1]).max())
+    assert errors[0] <= 1e-2
+    # 10, less what the second order leaves
+    assert errors[0] / errors[1] == pytest.approx(10.0, rel=0.05)
+    assert errors[1] / errors[2] == pytest.approx(10.0, rel=0.05)
+
+
+def test_time_stepping_tends_to_it():
+    scene, state = rod_scene(pc.NoSlip(), 2)
+    exact = pc.simulate(scene, state, 0.5, rtol=1e-10, atol=1e-12, t_eval=[0.42, 0.5])
+    errors = []
+    for h in (1e-3, 5e-4, 2.5e-4):
+        run = pc.simulate(scene, state, 0.5, method="Moreau", step=h, t_eval=[0.42, 0.5])
+        errors.append(np.abs(run.q - exact.q).max())
+    # first order, with the events anywhere in a step
+    assert errors[0] <= 5e-3
+    assert errors[2] <= 0.5 * errors[0]
+
+
+def test_run_goes_on_from_the_middle_of_a_slide():
+    scene, state = rod_scene(pc.NoSlip(), 2)
+    whole = pc.simulate(scene, state, 0.5, rtol=1e-10, atol=1e-12, t_eval=[0.0, 0.42, 0.5])
+    rest = pc.simulate(scene, whole.state(1), 0.08, rtol=1e-10, atol=1e-12, t_eval=[0.42, 0.5])
+    assert rest.contacts["c"].mode[0] == SLIPPING
+    np.testing.assert_allclose(rest.q[-1], whole.q[-1], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(rest.v[-1], whole.v[-1], rtol=0.0, atol=1e-8)
+
+
+def test_disk_slides_off_a_sphere():
+    """The disk lifts off where the reference lets it go, but only after a slide: let go at once it would sink in."""
+    scene, state = build("disk_on_sphere_detach", native=True)
+    run = pc.simulate(scene, state, 1.2, rtol=1e-11, atol=1e-13, energies=True)
+    assert kinds(run) == ["slip", "separate"]
+    slips, opens = (event.time for event in run.events)
+    # what the reference gives, to the accuracy of its tests
+    assert abs(slips - 0.8826212696277185) <= 1e-8
+    assert slips > LAST_TIMES["disk_on_sphere_detach"]
+    assert 5e-3 <= opens - slips <= 2e-2
+    track, flight = run.contacts["0"], run.t > opens
+    assert np.nanmin(track.gap) >= -1e-14
+    assert (np.diff(track.gap[flight]) > 0.0).all()
+    assert not track.force[flight].any()
+    energies = run.energies()
+    assert np.abs(energies.balance).max() <= 1e-10 * energies.kinetic.max()
+    assert np.ptp(energies.total[run.t < slips]) <= 1e-10 * energies.kinetic.max()
+    assert np.ptp(energies.total[flight]) <= 1e-10 * energies.kinetic.max()
+
+
+def thrown_body(seed):
+    """A disk, an ellipsoid, an unbalanced ball, a rod's tip or a ring, thrown or set on a plane, a sphere or waves."""
+    rng = np.random.default_rng(seed)
+    kind, mass = seed % 5, rng.uniform(0.3, 3.0)
+    axes = np.sort(rng.uniform(0.1, 0.4, 3))[::-1]
+    a, place, com = axes[0], pin.SE3.Identity(), np.zeros(3)
+    disk = 0.25 * mass * a**2 * np.array([1.0, 1.0, 2.0])
+    rotation = pin.utils.rotate("z", rng.uniform(-3.0, 3.0)) @ pin.utils.rotate("y", rng.uniform(0.3, 1.4))
+    rotation = rotation @ pin.utils.rotate("z", rng.uniform(-3.0, 3.0))
+    height = a * math.hypot(rotation[2, 0], rotation[2, 1])
+    if kind == 0:
+        shape, moments = pc.Circle(a), disk
+    elif kind == 1:
+        shape, moments = pc.Ellipsoid(*axes), 0.2 * mass * (axes @ axes - axes**2)
+        height = float(np.linalg.norm(axes * rotation[2]))
+    elif kind == 2:
+        shape, moments, height = pc.Sphere(a), 0.4 * mass * a**2 * np.ones(3), a
+        com = 0.25 * a * rng.uniform(-1.0, 1.0, 3)
+    elif kind == 3:
+        shape, moments = pc.Point(), mass * a**2 / 3.0 * np.array([1e-2, 1.0, 1.0])
+        place, height = pin.SE3(np.eye(3), np.array([a, 0.0, 0.0])), -a * rotation[2, 0]
+    else:
+        shape, moments, height = pc.Torus(a, 0.2 * a), disk, height + 0.2 * a
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(joint, pin.Inertia(mass, com, np.diag(moments)), pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    grounds = [
+        (pc.Plane(), 0.0),
+        (pc.Sphere(2.0), -2.0),
+        (pc.HeightField(lambda x, y: 0.05 * math.sin(2.0 * x) * math.cos(1.5 * y)), 0.0),
+    ]
+    ground, level = grounds[0 if kind == 4 else int(rng.integers(3))]
+    body = scene.add_contour("body", shape, "body", place)
+    floor = scene.add_contour("floor", ground, placement=pin.SE3(np.eye(3), np.array([0.0, 0.0, level])))
+    restitution = float(rng.choice([0.0, 0.0, rng.random()]))
+    scene.add_contact("c", body, floor, friction=pc.NoSlip(), restitution=restitution)
+    flies = rng.random() < 0.5
+    q = np.array([0.0, 0.0, height + 0.1 * flies, *pin.Quaternion(rotation).coeffs()])
+    v = np.concatenate([rng.normal(size=3), rng.choice([3.0, 8.0]) * rng.normal(size=3)])
+    return scene, scene.initial_state(q, v, free=["c"] if flies else [], max_gap=0.3)
+
+
+def check(seed, scene, run, depth):
+    """Nothing gains energy, nothing sinks in; what slides without a normal force is braked. Returns rows that slide."""
+    energies = run.energies()
+    scale = energies.kinetic.max()
+    assert np.diff(energies.friction_work).max(initial=0.0) <= 1e-7 * scale, seed
+    # accumulated error of some hundred steps at rtol = 1e-8
+    assert np.diff(energies.total).max(initial=0.0) <= 1e-7 * scale, seed
+    assert np.abs(energies.balance).max() <= 1e-6 * scale, seed
+    slides = 0
+    for name, contact in scene.contacts.items():
+        track = run.contacts[name]
+        assert np.nanmin(track.gap) >= -depth, seed
+        assert track.normal_force.min() >= -1e-7 * (1.0 + track.normal_force.max()), seed
+        if isinstance(contact.friction, pc.NoSlip):
+            alone = track.mode == SLIPPING
+            power = np.einsum("ij,ij->i", track.force, track.slip_velocity)
+            assert not track.normal_force[alone].any(), seed
+            # round-off where a slip is about to start
+            assert power[alone].max(initial=0.0) <= 1e-12, seed
+            slides += int(alone.sum())
+    return slides
+
+
+@pytest.mark.parametrize("block", range(2))
+def test_thrown_bodies(block):
+    """Thirty bodies a block, of which some slide."""
+    slides = 0
+    for seed in range(30 * block, 30 * block + 30):
+        scene, state = thrown_body(seed)
+        run = pc.simulate(scene, state, 1.0, energies=True, max_steps=5000)
+        if run.status != 0:
+            # a disk or a ring has come to lie flat
+            assert kinds(run)[-1] == "singular", (seed, run.message)
+            assert run.contacts["c"].conditioning[-1] < 1e-5, seed
+        # ten times the tolerances, twice
+        slides += check(seed, scene, run, 4e-7) > 0
+    assert slides >= 1
+
+
+def test_a_slide_that_jams():
+    """An ellipsoid lands sliding, and its friction holds it up with ever less leverage: the force grows without bound,
+    until the slip is stopped. Time stepping stops it at the same time."""
+    scene, state = thrown_body(224)
+    run = pc.simulate(scene, state, 0.6, energies=True)
+    assert run.status == 0, run.message
+    check(224, scene, run, 4e-7)
+    assert kinds(run)[-2:] == ["touch", "stick"]
+    landed, stopped = (event.time for event in run.events[-2:])
+    track = run.contacts["c"]
+    slides = (run.t > landed) & (run.t < stopped)
+    assert (track.mode[slides] == SLIPPING).all()
+    assert track.tangential_force[slides].max() >= 1e5
+    # next to nothing is left to be stopped
+    assert np.linalg.norm(track.slip_velocity[slides][-1]) <= 1e-6
+    assert (track.mode[run.t > stopped] == STICK).all()
+    for h in (1e-3, 2.5e-4):
+        stepped = pc.simulate(scene, state, 0.6, method="Moreau", step=h)
+        assert abs(stepped.events[-1].time - stopped) <= 2.0 * h
+        # first order, across two impacts
+        assert np.abs(stepped.q[-1] - run.q[-1]).max() <= 4.0 * h
+
+
+def thrown_box(seed):
+    """A box thrown on its eight corners."""
+    rng = np.random.default_rng(seed)
+    size, mass = rng.uniform(0.05, 0.3, 3), 10.0 ** rng.uniform(-1.0, 1.0)
+    scene = body_scene(pin.JointModelFreeFlyer(), mass, mass / 3.0 * (size @ size - size * size))
+    floor = scene.add_contour("floor", pc.Plane())
+    restitution = float(rng.choice([0.0, rng.random()]))
+    for i in range(8):
+        place = size * [1 - 2 * (i >> k & 1) for k in range(3)]
+        corner = scene.add_contour(f"corner{i}", pc.Point(), "body", pin.SE3(np.eye(3), place))
+        scene.add_contact(f"corner{i}", corner, floor, friction=pc.NoSlip(), restitution=restitution)
+    turn = rng.normal(size=4)
+    turn /= np.linalg.norm(turn)
+    velocity = pin.Quaternion(turn).matrix().T @ [*rng.normal(size=2), -1.0]
+    q = np.array([0.0, 0.0, np.linalg.norm(size) + 0.05 * rng.random(), *turn])
+    return scene, scene.initial_state(q, [*velocity, *(4.0 * rng.normal(size=3))], free=list(scene.contacts))
+
+
+@pytest.mark.parametrize("make", [thrown_box, lambda seed: random_scene(np.random.default_rng(seed))])
+def test_several_contacts(make):
+    """Corners land and slide one after the other, or at once."""
+    slides = 0
+    for seed in range(18):
+        scene, state = make(seed)
+        run = pc.simulate(scene, state, 0.5, energies=True, max_steps=5000)
+        assert run.status == 0, (seed, run.message)
+        slides += check(seed, scene, run, 4e-7) > 0
+    assert slides >= 1

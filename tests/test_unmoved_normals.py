@@ -1,0 +1,117 @@
+"""Contacts whose normal no joint can move, exactly or to round-off: no force, in every method, and no false jam."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from test_moreau import G, body_scene
+
+import pincontact as pc
+
+RADIUS, MASS, MOMENT, SPEED = 0.1, 1.0, 4e-3, 4.0
+# far from the origin and turned: rows are sums of terms that cancel to round-off
+SOMEWHERE = pin.SE3(pin.utils.rotate("z", 0.7), np.array([30.0, -7.0, RADIUS]))
+
+
+def held_ball(joint, law, bilateral=False, centre=(0.0, 0.0, 0.0), placement=SOMEWHERE):
+    """A ball on a joint at its own height over a floor."""
+    model = pin.Model()
+    index = model.addJoint(0, joint, placement, "joint")
+    inertia = pin.Inertia(MASS, np.array(centre), MOMENT * np.eye(3))
+    model.appendBodyToJoint(index, inertia, pin.SE3.Identity())
+    model.addBodyFrame("ball", index, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    ball = scene.add_contour("ball", pc.Sphere(RADIUS), "ball", pin.SE3(np.eye(3), np.array(centre)))
+    scene.add_contact("c", ball, scene.add_contour("floor", pc.Plane()), friction=law, bilateral=bilateral)
+    return scene, scene.initial_state(pin.neutral(model), np.full(model.nv, SPEED))
+
+
+LAWS = [
+    None,
+    pc.Coulomb(0.3),
+    pc.Coulomb(5.0),
+    pc.Coulomb(0.2, 0.4),
+    pc.Stribeck(0.2, 0.4, 0.1),
+    pc.Coulomb((0.3, 0.5)),
+]
+
+
+@pytest.mark.parametrize("bilateral", [False, True])
+@pytest.mark.parametrize("law", LAWS, ids=str)
+@pytest.mark.parametrize(
+    "joint", [pin.JointModelRX(), pin.JointModelRZ(), pin.JointModelSpherical()], ids=lambda joint: joint.shortname()
+)
+def test_ball_that_turns_in_place(joint, law, bilateral):
+    """What presses it on the floor is its joint's business: F_n = 0, no friction, and it turns for ever."""
+    scene, state = held_ball(joint, law, bilateral)
+    for options in ({}, {"method": "Moreau"}):
+        run = pc.simulate(scene, state, 0.5, t_eval=[0.0, 0.2, 0.5], **options)
+        assert run.status == 0, run.message
+        # unilateral or not, round-off has no sign to open by
+        assert run.events == []
+        # steps of two methods through up to a radian, in body axes
+        np.testing.assert_allclose(run.v, SPEED, rtol=0.0, atol=1e-9)
+        track = run.contacts["c"]
+        assert not track.normal_force.any()
+        assert not track.tangential_force.any()
+        assert np.abs(track.gap).max() <= 1e-13
+
+
+def test_viscous_friction_acts_all_the_same():
+    """w = w_0 exp(-c R^2 t / J)"""
+    scene, state = held_ball(pin.JointModelRX(), pc.Coulomb(0.3, viscous=0.1))
+    run = pc.simulate(scene, state, 0.5, rtol=1e-10, atol=1e-12)
+    assert run.status == 0, run.message
+    expected = SPEED * np.exp(-0.1 * RADIUS**2 / MOMENT * run.t)
+    np.testing.assert_allclose(run.v[:, 0], expected, rtol=0.0, atol=1e-9)
+
+
+def test_ideal_rolling_of_a_held_ball_stops_it():
+    for method in ("DOP853", "Moreau"):
+        scene, state = held_ball(pin.JointModelRX(), pc.NoSlip())
+        run = pc.simulate(scene, state, 0.1, method=method)
+        assert run.status == 0, run.message
+        assert np.abs(run.v).max() <= 1e-15
+
+
+def test_ball_welded_to_the_world_meets_a_belt():
+    """No joint at all: the belt slides under the ball, and nothing moves."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "elsewhere")
+    model.appendBodyToJoint(joint, pin.Inertia(MASS, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    scene = pc.Scene(model)
+    ball = scene.add_contour("ball", pc.Sphere(RADIUS), placement=SOMEWHERE)
+    belt = scene.add_contour("belt", pc.Plane(), motion=pc.ConstantTwist([1.0, 0.0, 0.0], [0.0, 0.0, 0.0]))
+    scene.add_contact("c", ball, belt, friction=pc.Coulomb(0.3))
+    run = pc.simulate(scene, scene.initial_state([0.0], [0.5]), 0.5)
+    assert run.status == 0, run.message
+    assert not run.contacts["c"].force.any()
+    np.testing.assert_allclose(run.q[-1], 0.25, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("lever", [1e-3, 1e-6, 1e-9])
+def test_a_short_lever_is_no_round_off(lever):
+    """A ball whose centre is off its axis rests on the floor with all its weight, however short the lever."""
+    place = pin.SE3(np.eye(3), np.array([0.0, 0.0, RADIUS]))
+    scene, state = held_ball(pin.JointModelRX(), None, centre=(0.0, lever, 0.0), placement=place)
+    state = scene.initial_state([0.0], [0.0])
+    run = pc.simulate(scene, state, 0.1)
+    assert run.status == 0, run.message
+    # the lever is known to the round-off of a tenth of a metre
+    np.testing.assert_allclose(run.contacts["c"].normal_force, MASS * G, rtol=1e-15 / lever)
+
+
+def test_a_jam_is_still_found():
+    """Painleve's rod, steep enough at mu = 3: its normal can move, and no force is found."""
+    angle, half, mu = 1.0, 0.5, 3.0
+    scene = body_scene(pin.JointModelFreeFlyer(), 1.0, (1e-3, half**2 / 3.0, half**2 / 3.0))
+    tip = scene.add_contour("tip", pc.Point(), "body", pin.SE3(np.eye(3), np.array([half, 0.0, 0.0])))
+    scene.add_contact("c", tip, scene.add_contour("floor", pc.Plane()), friction=pc.Coulomb(mu))
+    # 1 + 3 cos(a)^2 - 3 mu sin(a) cos(a) is what a unit of normal force does to the gap
+    assert 1.0 + 3.0 * math.cos(angle) * (math.cos(angle) - mu * math.sin(angle)) < 0.0
+    rotation = pin.utils.rotate("y", angle)
+    q = np.concatenate([[0.0, 0.0, half * math.sin(angle)], pin.Quaternion(rotation).coeffs()])
+    for speed, status in ((1.0, -4), (-1.0, 0)):
+        run = pc.simulate(scene, scene.initial_state(q, [*(rotation.T @ [speed, 0.0, 0.0]), 0.0, 0.0, 0.0]), 0.01)
+        assert run.status == status, (speed, run.message)

@@ -103,7 +103,9 @@ def simulate(
     def failed_control(t: float) -> None:
         if system.callback_error is not None:
             raise system.callback_error
-        failure = torque.why_failed() if torque is not None else None
+        failure = system.drive_failure
+        if failure is None and torque is not None:
+            failure = torque.why_failed()
         if failure is not None:
             raise Stop(CONTROL_FAILED, failure)
 

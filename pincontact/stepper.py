@@ -10,7 +10,7 @@ import numpy as np
 from .arguments import is_number
 from .dynamics.joints import joint_guards
 from .dynamics.system import System
-from .errors import ArgumentError, SingularContactError, SolverError, StateError
+from .errors import ArgumentError, ContourError, SingularContactError, SolverError, StateError
 from .integration.moreau import DEFAULT_STEP, MoreauStep
 from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
@@ -114,6 +114,9 @@ class Stepper:
     def _raise_for(self, status: int) -> None:
         if status == OK:
             return
+        if self._system.drive_failure is not None:
+            failure, self._system.drive_failure = self._system.drive_failure, None
+            raise ContourError(failure)
         message = self._step.describe(status, self.t).message
         if status in (SINGULAR, LOCATION_FAILED):
             raise SingularContactError(message)

@@ -12,6 +12,7 @@ from ..callback import kernel_address
 from ..contacts import characteristic_length
 from ..contours.base import DERIVATIVE_ROWS, ELLIPSOID, REVOLUTION, SHAPE_SIZE, SPHERE
 from ..contours.motion import MOTION_CALLABLE, MOTION_PARAMETERS, MOTION_SIZE
+from ..errors import ContourError
 from ..friction.laws import Stribeck
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import closed_form
@@ -202,7 +203,7 @@ class System:
         self.side_base = memory.reals("side_base", 2 * nc, 12)
         self.side_domain = memory.reals("side_domain", 2 * nc, 4)
         self.side_motion = memory.reals("side_motion", 2 * nc, MOTION_SIZE)
-        self.python_drives: list[tuple[int, Motion]] = []
+        self.python_drives: list[tuple[int, str, Motion]] = []
         self.side_motion_parameters = memory.reals("side_motion_parameters", 2 * nc, MOTION_PARAMETERS)
         self.support = memory.integers("support", 2 * nc, max(self.nv, 1))
         self.frames = memory.reals("frames", 2 * nc, 8, 3)
@@ -253,7 +254,7 @@ class System:
             integers[MOTION_POOL], integers[MOTION_POOL_SIZE] = address_of(motion_pool), motion_pool.size
             self.side_motion_parameters[side, : parameters.size] = parameters
             if motion.kind == MOTION_CALLABLE:
-                self.python_drives.append((side, motion))
+                self.python_drives.append((side, attached.name, motion))
 
     def _allocate(self, nc: int, nv: int, ny: int) -> None:
         memory, rows = self.memory, 3 * nc
@@ -339,6 +340,8 @@ class System:
         torque(t): fills `tau` for (t, q, v), False where it fails.
         """
         self.callback_error: BaseException | None = None
+        # what a user's motion did instead of giving a pose
+        self.drive_failure: str | None = None
         # kept alive here: the kernels know the addresses only; the one without torques stays the same for good, and so
         # do the addresses in a copy of the memory
         self._asked = self._asked_for_drives if torque is None else (self._to_be_asked(torque), ())
@@ -355,15 +358,22 @@ class System:
         self.before_evaluation()
 
     def _to_be_asked(self, torque: Callable[[float], bool] | None) -> Callable[[], bool]:
-        scalars, drives = self.scalars, [(motion, self.side_motion[side]) for side, motion in self.python_drives]
+        scalars = self.scalars
+        drives = [(name, motion, self.side_motion[side]) for side, name, motion in self.python_drives]
 
         def function() -> bool:
             try:
                 t = scalars.item(TIME)
                 if torque is not None and not torque(t):
                     return False
-                for motion, row in drives:
-                    motion.evaluate(t, row)
+                for name, motion, row in drives:
+                    try:
+                        motion.evaluate(t, row)
+                    except Exception as error:
+                        self.drive_failure = (
+                            f"t = {t:.9g} s: the motion of contour {name!r} raised {type(error).__name__}: {error}"
+                        )
+                        return False
             except BaseException as error:
                 # it must not pass through the compiled loop; who called that raises it
                 self.callback_error = error
@@ -376,6 +386,8 @@ class System:
         status = run_task(self.table, task, t, 0.0)
         if self.callback_error is not None:
             raise self.callback_error
+        if self.drive_failure is not None:
+            raise ContourError(self.drive_failure)
         return status
 
     def evaluate(self, t: float) -> int:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import ContourError
 from ..layout import (
     ATTEMPT_LIMIT,
     END,
@@ -42,7 +43,7 @@ from ..layout import (
 )
 from .dense import Interpolant
 from .events import Crossing, EventLocator, UserEvent
-from .results import FINISHED, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
+from .results import CONTROL_FAILED, FINISHED, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
 from .runge_kutta import RungeKutta
 from .steps import (
     AT_FLOOR,
@@ -128,6 +129,10 @@ class Driver:
             self._run(t, t_end)
         except Stop as stop:
             return stop.code, stop.message
+        except ContourError:
+            if self.system.drive_failure is None:
+                raise
+            return CONTROL_FAILED, self.system.drive_failure
         return FINISHED, "the end of the interval was reached"
 
     def _run(self, t: float, t_end: float) -> None:

@@ -16,6 +16,7 @@ from scipy.optimize import brentq
 
 from ..dynamics.modes import ModeSolver, rest_mode
 from ..dynamics.system import System
+from ..errors import ContourError
 from ..friction.solve import ContactSolver
 from ..jit import compile_kernels
 from ..layout import (
@@ -68,7 +69,7 @@ from .impulse_layout import (
 from .impulse_problem import assemble
 from .impulse_review import AGAIN
 from .impulses import advance, commit, predict_midpoint
-from .results import FAILURES, FINISHED, STEP_LIMIT, TERMINATED, Event, Stop
+from .results import CONTROL_FAILED, FAILURES, FINISHED, STEP_LIMIT, TERMINATED, Event, Stop
 from .stages import load_state, move_charts
 from .steps import KINEMATICS, SETTLE, run_task
 
@@ -411,6 +412,10 @@ class MoreauDriver:
             self._run(t, t_end)
         except Stop as stop:
             return stop.code, stop.message
+        except ContourError:
+            if self.system.drive_failure is None:
+                raise
+            return CONTROL_FAILED, self.system.drive_failure
         return FINISHED, "the end of the interval was reached"
 
     def _run(self, start: float, end: float) -> None:

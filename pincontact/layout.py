@@ -90,6 +90,10 @@ SLOTS = (
     "highest",  # (nc + ng + nr, MARGINS_PER_CONTACT)
     "across",  # (2 (nc + ng + nr) + 1, POLYNOMIAL_SIZE): shares of a step, v_c across directions and along, see `steps`
     "reference",  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
+    # where the reference follows loads and time: see `equations`
+    "reference_start",  # (nc + ng + nr, 3) at zero loads and REFERENCE_TIME
+    "reference_rate",  # (nc + ng + nr, 3)
+    "reference_slope",  # (2, 3 (nc + ng + nr), nv)
 )
 
 # one integer constant a slot, for the kernels
@@ -170,6 +174,9 @@ SLOTS = (
     HIGHEST,
     ACROSS,
     REFERENCE,
+    REFERENCE_START,
+    REFERENCE_RATE,
+    REFERENCE_SLOPE,
 ) = range(len(SLOTS))
 TABLE_SIZE = len(SLOTS)
 
@@ -201,12 +208,14 @@ NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
     DENSE_START,
     DENSE_STEP,
     HAS_REFERENCE,
+    REFERENCE_MOVES,
+    REFERENCE_TIME,
     DIP,
     TURNING_RATE,
     BAD_TORQUE,
     BAD_TIME,
-) = range(24)
-SCALARS_SIZE = 24
+) = range(26)
+SCALARS_SIZE = 26
 
 # contact_int
 (

@@ -80,9 +80,10 @@ def test_central_force():
     cones = [Cone(1, 0.5, 0.0, (0,)), Cone(3, 0.5, 0.0, (2,))]
     found = central_force(np.array([1.0, 0.0, 1.0, 0.0]), null, cones)
     assert found is not None
-    np.testing.assert_allclose(directions.T @ found, [2.0, 0.0], rtol=0.0, atol=1e-12)
-    assert abs(found[0]) < 0.5 * found[1]
-    assert abs(found[2]) < 0.5 * found[3]
+    forces = found.forces
+    np.testing.assert_allclose(directions.T @ forces, [2.0, 0.0], rtol=0.0, atol=1e-12)
+    assert abs(forces[0]) < 0.5 * forces[1]
+    assert abs(forces[2]) < 0.5 * forces[3]
     # without normals that can be tightened there is none
     alone = null_space(directions[[0, 2]])
     assert central_force(np.array([1.0, 1.0]), alone, [Cone(0, 1.0, -3.0), Cone(1, 1.0, 0.0)]) is None
@@ -101,6 +102,104 @@ def test_push_on_four_feet_slips_at_its_limit():
     # forces are known to be admissible to 1e-9 of their size
     assert abs(run.events[0].time - 0.4) <= 1e-8
     assert run.v[-1, 0] == pytest.approx(0.5 * G * 0.6**2, abs=1e-8)
+
+
+def feet_problem(points, mu):
+    """Directions of the forces of feet on a plane (3n, 6), their null space and cones."""
+    directions = np.vstack([np.c_[np.eye(3), -pin.skew(np.array(point))] for point in points])
+    cones = [Cone(3 * i + 2, mu, 0.0, (3 * i, 3 * i + 1)) for i in range(len(points))]
+    return directions, null_space(directions), cones
+
+
+def least_norm(directions, wrench):
+    """The feet's forces of least norm that make up a wrench."""
+    return np.linalg.lstsq(directions.T, wrench, rcond=None)[0]
+
+
+def test_choice_follows_the_loads():
+    """Tangent and centre at changed loads differ by the square of the change."""
+    rng = np.random.default_rng(0)
+    points = [(*xy, -0.1) for xy in rng.uniform(-0.3, 0.3, (6, 2))]
+    directions, null, cones = feet_problem(points, 0.5)
+    wrench, change = np.array([2.0, 1.0, 20.0, 0.1, 0.2, 0.2]), np.array([0.6, -0.3, 1.0, 0.1, 0.2, -0.1])
+    chosen = central_force(least_norm(directions, wrench), null, cones)
+    assert chosen is not None
+    assert np.abs(directions.T @ chosen.slope).max() <= 1e-12
+    # whatever choice it starts from
+    again = central_force(chosen.forces, null, cones)
+    np.testing.assert_allclose(again.forces, chosen.forces, rtol=0.0, atol=1e-4)
+    errors = []
+    for size in (1e-1, 1e-2):
+        added = least_norm(directions, size * change)
+        expected = central_force(least_norm(directions, wrench) + added, null, cones)
+        tangent = chosen.forces + added + chosen.slope @ (chosen.span.T @ added)
+        errors.append(np.abs(tangent - expected.forces).max() / np.abs(added).max())
+    assert errors[0] < 0.1
+    assert errors[1] < 0.2 * errors[0]
+
+
+def test_choice_among_numbers_that_are_large_against_the_loads():
+    """A bounded force on a long lever against one that only pushes: what is inside both is far from the least norm."""
+    null = np.array([[0.34], [0.098], [0.057]])
+    cones = [Cone(0, 1.0, 0.0), *(Cone(i, sign, 0.24) for i in (1, 2) for sign in (1.0, -1.0))]
+    least = np.array([0.5, -1.523, -0.514])
+    least -= null[:, 0] * float(null[:, 0] @ least) / float(null[:, 0] @ null[:, 0])
+    for extra in (0.0, 5.0, 100.0):
+        found = central_force(least + extra * null[:, 0], null, cones)
+        # what the bounded ones leave room for: 13.03 to 13.16 times the null direction
+        low = max((-0.24 - least[i]) / null[i, 0] for i in (1, 2))
+        high = min((0.24 - least[i]) / null[i, 0] for i in (1, 2))
+        assert found is not None
+        assert low < float((found.forces - least) @ null[:, 0] / (null[:, 0] @ null[:, 0])) < high
+
+
+def test_no_choice_for_what_is_not_redundant():
+    """The weight that each of three feet carries is not a matter of choice: one that carries none cannot be helped."""
+    points = [(0.3, 0.0, 0.0), (-0.3, 0.3, 0.0), (-0.3, -0.3, 0.0)]
+    directions, null, cones = feet_problem(points, 0.5)
+    for centre, held in ((0.0, True), (0.3, False)):
+        forces = least_norm(directions, [0.1, 0.0, 1.0, 0.0, -centre, 0.0])
+        assert (central_force(forces, null, cones) is not None) == held
+
+
+@pytest.mark.parametrize("feet", [4, 6, 12])
+def test_feet_slip_when_no_forces_hold_them(feet):
+    """Swinging pushes and a torque: the first slip is where there are no admissible forces, and few choices lead there:
+    of the way to the limit each leaves about the square of what the last left."""
+    rng = np.random.default_rng([feet, 2])
+    points = [(*xy, -0.1) for xy in rng.uniform(-0.3, 0.3, (feet, 2))]
+    points[:4] = [(0.3 * x, 0.25 * y, -0.1) for x in (1, -1) for y in (1, -1)]
+    mu, rate, phase = 0.4, rng.uniform(4.0, 12.0, 3), rng.uniform(0.0, 6.0, 3)
+    sizes = np.array([1.2, 1.2, 0.25]) * mu * 2.0 * G
+
+    def push(t):
+        along, across, turn = sizes * np.sin(rate * t + phase) * min(t, 1.0)
+        return np.array([along, across, 0.0, 0.0, 0.0, turn])
+
+    directions, null, cones = feet_problem(points, mu)
+
+    def held(t):
+        wrench = np.array([0.0, 0.0, 2.0 * G, 0.0, 0.0, 0.0]) - push(t)
+        return central_force(least_norm(directions, wrench), null, cones) is not None
+
+    late = next(t for t in np.arange(0.0, 2.0, 0.01) if not held(t))
+    low, high = late - 0.01, late
+    while high - low > 1e-10:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if held(middle) else (low, middle)
+    scene = feet_scene(points, mu)
+    state = scene.initial_state(upright(0.0, 0.0, 0.1))
+    run = simulated(scene, state, high + 1e-3, control=lambda t, q, v: push(t))
+    # stick and slip are told apart to 1e-9 of the forces
+    assert abs(run.events[0].time - high) <= 1e-7
+    assert {event.kind for event in run.events} == {"slip"}
+    assert 1 <= run.stats["redistributions"] <= 25
+    # the forces reported are those of the choices that were made on the way
+    before = run.t < run.events[0].time
+    total = sum(track.force for track in run.contacts.values())
+    np.testing.assert_allclose(total[before, 2], -2.0 * G, rtol=0.0, atol=1e-10)
+    for track in run.contacts.values():
+        assert (track.tangential_force <= mu * track.normal_force + 1e-8)[before].all()
 
 
 @pytest.mark.parametrize("spin", [0.0, 2.0])

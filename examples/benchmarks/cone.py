@@ -158,7 +158,7 @@ class Pincontact:
         nearby = b + 1e-3 * push / np.abs(push).max()
         start = None
         if self.warm and solver.solve(delassus, nearby, mu):
-            start = solver.modes.copy(), solver.forces.copy()
+            start = solver.modes.copy(), solver.forces.copy(), solver.velocities.copy()
 
         def call() -> np.ndarray:
             if start is None:
@@ -298,24 +298,24 @@ def compare(contacts: tuple[int, ...], count: int, seed: int) -> list[dict[str, 
 
 
 def held_starts(contacts: tuple[int, ...], count: int, seed: int) -> None:
-    """Prints the times of warm starts whose modes hold, for feet of one body and a b that is off by 1e-3."""
-    print("\nfeet, warm, of which the last modes hold:")
+    """Prints the times of warm starts for feet of one body and a b that is off by 1e-3, and how many of them hold."""
+    print("\nfeet, warm, of which the last solution decides:")
     solver = Pincontact(True)
     for n in contacts:
         rng = np.random.default_rng([seed, n])
-        times, residuals = [], []
+        times, held, residuals = [], [], []
         for _ in range(count):
             problem = without_units(feet(rng, n))
             call = solver.prepare(problem)
-            before = solver.solver.modes.copy()
             seconds, forces = least_time(call)
-            if solver.solver.decided_by == "warm" and (solver.solver.modes == before).all():
-                times.append(1e6 * seconds)
+            times.append(1e6 * seconds)
+            if solver.solver.decided_by == "warm":
+                held.append(1e6 * seconds)
                 residuals.append(residual(problem, forces))
-        if times:
+        if held:
             print(
-                f"{n:3d} contacts: {len(times)} of {count}, median {statistics.median(times):.1f} us, residual "
-                f"{max(residuals):.1e} at most"
+                f"{n:3d} contacts: {len(held)} of {count}, median {statistics.median(held):.1f} us, residual "
+                f"{max(residuals):.1e} at most; of all {statistics.median(times):.1f} us"
             )
 
 

@@ -308,12 +308,18 @@ def contact_dynamics(
     guard_int,
     guard_real,
     reference,
+    reference_start,
+    reference_rate,
+    reference_slope,
     has_reference,
+    reference_moves,
+    reference_time,
     counters,
 ):
     """Accelerations, forces on body 2 along each basis, and the margins of the present modes.
 
-    Of redundant forces those of the least distance from the reference, which is zero unless it was chosen otherwise.
+    Of redundant forces those of the least distance from the reference, which is zero unless it was chosen otherwise
+    (see `redundant`); it may move with time and the loads.
     Returns OK, EVENT (a margin is negative) or NO_FORCE.
     """
     free_with_owners(contact_int, nc + ng, total)
@@ -327,6 +333,19 @@ def contact_dynamics(
                 iterate = _NORMAL_ITERATIONS
     for _ in range(iterate):
         right_hand_side(row_index, count, rows, bias, free_acceleration, nv, multipliers)
+        if reference_moves:
+            _move_reference(
+                row_index,
+                count,
+                multipliers,
+                time - reference_time,
+                reference_start,
+                reference_rate,
+                reference_slope,
+                nv,
+                reference,
+                work,
+            )
         if slipping:
             friction_directions(
                 total,
@@ -410,6 +429,20 @@ def contact_dynamics(
                 if margins[c, FRICTION_MARGIN] < 0.0:
                     status = EVENT
     return status
+
+
+@kernel
+def _move_reference(row_index, count, x, time, start, rate, slope, nv, reference, work):
+    """reference = start + rate time + slope[1] slope[0]^T x, x (count,) the right side of the equations."""
+    for k in range(nv):
+        work[k] = 0.0
+    for r in range(count):
+        place = 3 * row_index[r, 0] + row_index[r, 1]
+        for k in range(nv):
+            work[k] += slope[0, place, k] * x[r]
+    for r in range(count):
+        c, row = row_index[r, 0], row_index[r, 1]
+        reference[c, row] = start[c, row] + rate[c, row] * time + inner(slope[1, 3 * c + row], work, nv)
 
 
 @kernel

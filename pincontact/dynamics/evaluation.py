@@ -100,6 +100,11 @@ from ..layout import (
     PERMUTATION,
     RATES,
     REFERENCE,
+    REFERENCE_MOVES,
+    REFERENCE_RATE,
+    REFERENCE_SLOPE,
+    REFERENCE_START,
+    REFERENCE_TIME,
     RELATIVE_ACCELERATION,
     ROW_INDEX,
     ROWS,
@@ -385,6 +390,7 @@ def evaluate_dynamics(table, time):
             acceleration[k] = free_acceleration[k]
         return OK if _finite(acceleration, nv) else NOT_FINITE
     margins = matrix(table[MARGINS], total, MARGINS_PER_CONTACT)
+    scalars = reals(table[SCALARS], SCALARS_SIZE)
     status = contact_dynamics(
         nv,
         nc,
@@ -417,7 +423,12 @@ def evaluate_dynamics(table, time):
         guard_int,
         guard_real,
         matrix(table[REFERENCE], total, 3),
-        reals(table[SCALARS], SCALARS_SIZE)[HAS_REFERENCE] != 0.0,
+        matrix(table[REFERENCE_START], total, 3),
+        matrix(table[REFERENCE_RATE], total, 3),
+        cube(table[REFERENCE_SLOPE], 2, 3 * total, nv),
+        scalars[HAS_REFERENCE] != 0.0,
+        scalars[REFERENCE_MOVES] != 0.0,
+        scalars[REFERENCE_TIME],
         integers(table[COUNTERS], COUNTERS_SIZE),
     )
     lowest, highest = (

@@ -43,6 +43,8 @@ from ..layout import (
     PATTERN,
     POLYNOMIAL,
     POLYNOMIAL_SIZE,
+    REFERENCE_MOVES,
+    REFERENCE_TIME,
     ROW_COUNT,
     ROW_RANK,
     SLIP_RATE,
@@ -54,7 +56,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from .redundant import Cone, central_force, null_space
+from .redundant import Choice, Cone, central_force, null_space
 from .stretches import associated, opposed_slip, stretch
 from .units import contact_rows, delassus, unit_columns, unwhiten, whiten, whitened_velocity
 
@@ -96,12 +98,17 @@ class ModeSolver:
         self.cone_problems = 0
         self.redistributions = 0
         self.worst_residual = 0.0
+        # whether the forces at the last attempt to redistribute were redundant
+        self.redundant = False
+        # time, constraint rows and forces of the last choice
+        self._last: tuple[float, np.ndarray, np.ndarray] | None = None
         self._limits = np.zeros(system.items)
 
     @cached_property
     def solver(self) -> ContactSolver:
         """Made when the first cone problem is posed."""
-        return ContactSolver()
+        # the loads that what slides is given must be those that evaluations find, which are of least norm
+        return ContactSolver(nearest=False)
 
     def decide(self, t: float, undecided: list[int], evaluate, beyond: int | None = None) -> Decision:
         """Set the modes of the undecided contacts (closed, at rest against each other, with friction) at the state.
@@ -157,12 +164,14 @@ class ModeSolver:
             # of independent rows there is one choice
             return False
         index = system.row_index[:count].copy()
-        slipping = any(system.contact_int[c, MODE] == SLIPPING for c in system.closed())
-        directions = (system.whitened_forces if slipping else system.whitened_rows)[:count]
+        slipping = any(system.contact_int[c, MODE] == SLIPPING for c in [*system.closed(), *system.resisting()])
+        rows = system.whitened_rows[:count]
+        directions = system.whitened_forces[:count] if slipping else rows
         if count == 0 or not np.isfinite(directions).all():
             return False
         null = null_space(directions)
-        if null.shape[1] == 0:
+        self.redundant = null.shape[1] > 0
+        if not self.redundant:
             return False
         forces = system.force[index[:, 0], index[:, 1]]
         for r, (c, row) in enumerate(index):
@@ -171,20 +180,50 @@ class ModeSolver:
         found = central_force(forces, null, self._cones(index))
         if found is None:
             return False
-        before = system.reference.copy() if system.scalars[HAS_REFERENCE] else None
-        reference = np.zeros_like(system.reference)
-        reference[index[:, 0], index[:, 1]] = found
-        self._take_reference(reference)
+        arrays = system.reference, system.reference_start, system.reference_rate, system.reference_slope
+        kinds = [HAS_REFERENCE, REFERENCE_MOVES, REFERENCE_TIME]
+        before, scalars, last = [array.copy() for array in arrays], system.scalars[kinds], self._last
+        self._follow(t, index, found, rows @ (directions.T @ found.span), slipping)
         if evaluate(t) <= EVENT and self._holds():
             self.redistributions += 1
             return True
-        self._take_reference(before)
+        for array, values in zip(arrays, before):
+            array[:] = values
+        system.scalars[kinds], self._last = scalars, last
         evaluate(t)
         return False
 
+    def _follow(self, t: float, index: np.ndarray, choice: Choice, operator: np.ndarray, slipping: bool) -> None:
+        """Take the choice for the reference, and let that move as the choice will.
+
+        index (count, 2): the constraint rows; operator (count, r): what forces along `choice.span` do to them. What
+        slips changes directions of forces, too: there the tangent along loads is good for a first guess only, and
+        after that the rate is the one since the last choice.
+        """
+        system = self.system
+        c, row = index[:, 0], index[:, 1]
+        last = self._last
+        self._take_reference(np.zeros_like(system.reference))
+        system.scalars[[REFERENCE_MOVES, REFERENCE_TIME]] = 1.0, t
+        system.reference_start[:] = system.reference_rate[:] = system.reference_slope[:] = 0.0
+        self._last = t, index, choice.forces
+        if slipping and last is not None and last[0] < t and np.array_equal(last[1], index):
+            system.reference_start[c, row] = choice.forces
+            system.reference_rate[c, row] = (choice.forces - last[2]) / (t - last[0])
+            return
+        loads = -(np.einsum("rk,k->r", system.rows[c, row], system.free_acceleration) + system.bias[c, row])
+        across = np.linalg.pinv(operator)
+        system.reference_start[c, row] = choice.forces - choice.slope @ (across @ loads)
+        rank = choice.span.shape[1]
+        system.reference_slope[0, 3 * c + row, :rank] = across.T
+        system.reference_slope[1, 3 * c + row, :rank] = choice.slope
+
     def _take_reference(self, reference: np.ndarray | None) -> None:
+        """Choose redundant forces nearest to these (nc + ng + nr, 3), or None: nearest to zero."""
         system = self.system
         system.scalars[HAS_REFERENCE] = 0.0 if reference is None else 1.0
+        system.scalars[REFERENCE_MOVES] = 0.0
+        self._last = None
         if reference is not None:
             system.reference[:] = reference
 
@@ -308,7 +347,8 @@ class ModeSolver:
         still = _STILL * float(np.abs(base).max(initial=0.0))
         for i, c in enumerate(closed):
             mode = self.solver.modes[i]
-            if mode == cone.OPEN:
+            # among redundant contacts one may carry nothing without leaving
+            if mode == cone.OPEN and velocities[i, 2] > still:
                 integers[c, MODE] = FREE
                 decision.opened.append(c)
             elif c in undecided or (mode == cone.SLIP and math.isinf(numbers[c, MU])):

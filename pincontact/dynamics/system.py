@@ -304,6 +304,9 @@ class System:
         self.highest = memory.reals("highest", nc, MARGINS_PER_CONTACT)
         self.across = memory.reals("across", 2 * nc + 1, POLYNOMIAL_SIZE)
         self.reference = memory.reals("reference", nc, 3)
+        self.reference_start = memory.reals("reference_start", nc, 3)
+        self.reference_rate = memory.reals("reference_rate", nc, 3)
+        self.reference_slope = memory.reals("reference_slope", 2, rows, nv)
 
     def _map_guards(self, guards: Sequence[Guard]) -> None:
         """Guarded joint coordinates are rows after the contacts': one constraint row each, moving unless held."""

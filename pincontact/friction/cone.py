@@ -37,7 +37,7 @@ from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
 from ..memory import Memory, integer_matrix, integers, matrix, reals
 
 OPEN, STICK, SLIP = 0, 1, 2
-WARM, CLASSIFY = 0, 1
+WARM, CLASSIFY, NEAR = 0, 1, 2
 
 # A contact whose forces and velocities are this much smaller than another's is judged on the other's scale.
 FLOOR = 1e-5
@@ -51,6 +51,12 @@ RANK_TOLERANCE = 1e-12
 SPEED_TOLERANCE = 1e-12
 # Relative changes of the forces above this are a new choice among redundant forces, below it a refinement.
 REFINEMENT = 1e-2
+# Velocities of the last solution that count as none, relative to b.
+AT_REST = 1e-9
+# Projections onto cones and equations by turns, the part of the cones' width that is aimed at, and how much further
+# than to the projection a step goes, of sticking and of sliding contacts: more than 2 ends sooner in wide sets.
+PROJECTIONS = 30
+AIM, RELAXATION, PUSH = 0.98, 2.5, 4.0
 # Directions tried in the scan for a single contact's slip; the function scanned has four zeros at most.
 SCAN = 64
 CANDIDATES = 12
@@ -66,7 +72,7 @@ QP_FRICTION = 100.0
 SLOTS = (
     "modes",  # (n,) int: in and out
     "forces",  # (3n,): in and out
-    "velocities",  # (3n,): out
+    "velocities",  # (3n,): in and out
     "counts",  # (2,) int: out, Newton passes and whether a search over all states was needed
     "scaled",  # (3n, 3n) the Delassus matrix without units
     "system",  # (3n + 1, 3n + 1) Newton's matrix
@@ -77,7 +83,7 @@ SLOTS = (
     "angles",  # (CANDIDATES,)
     "order",  # (3n + 1,) int: permutation of the elimination
     "first",  # (n + 1,) int: first unknown of each contact
-    "trial",  # (2, n) int: modes tried, modes started from
+    "trial",  # (3, n) int: modes tried, modes started from, which contacts touched
     "path",  # (8, 3n + 1) point, tangent, ... of `path.follow_path`
 )
 (
@@ -103,7 +109,7 @@ def cone_memory(contacts: int) -> Memory:
     memory.reals("angles", CANDIDATES)
     memory.integers("order", rows + 1)
     memory.integers("first", contacts + 1)
-    memory.integers("trial", 2, contacts)
+    memory.integers("trial", 3, contacts)
     memory.reals("path", 8, rows + 1)
     return memory
 
@@ -358,6 +364,18 @@ def classify(mu, f, u, modes):
 
 
 @kernel
+def turn_direction(direction, i, arc, radius):
+    """Turn the direction in row i by an arc."""
+    if radius > 0.0:
+        d1 = direction[2 * i]
+        d2 = direction[2 * i + 1]
+        turn = arc / radius
+        norm = sqrt(1.0 + turn * turn)
+        direction[2 * i] = (d1 - turn * d2) / norm
+        direction[2 * i + 1] = (d2 + turn * d1) / norm
+
+
+@kernel
 def newton_step(g, c, mu, modes, f, u, refine, buffers):
     """One Newton step on the equations of the modes; f (3n,) is updated, and the slips' directions and lengths.
 
@@ -437,13 +455,10 @@ def newton_step(g, c, mu, modes, f, u, refine, buffers):
         else:
             total = sine[i] * length[i] + speed[i]
             length[i] = x[row] + (length[i] if refine else 0.0)
-            d1 = direction[2 * i]
-            d2 = direction[2 * i + 1]
-            if mu[i] > 0.0 and total > 0.0:
-                turn = x[row + 1] / total
-                norm = sqrt(1.0 + turn * turn)
-                direction[2 * i] = (d1 - turn * d2) / norm
-                direction[2 * i + 1] = (d2 + turn * d1) / norm
+            if mu[i] > 0.0:
+                turn_direction(direction, i, x[row + 1], total)
+                # the arc's radius, which `ease` needs
+                x[row + 1] = total
             f[k] = -sine[i] * length[i] * direction[2 * i]
             f[k + 1] = -sine[i] * length[i] * direction[2 * i + 1]
             f[k + 2] = cosine[i] * length[i]
@@ -480,6 +495,111 @@ def correct_modes(mu, modes, f, u, direction, length, speed):
                 changes += 1
             speed[i] = max(speed[i], 0.0)
     return changes
+
+
+@kernel
+def ease(mu, modes, f, direction, length, last, rank, a, gram, order, first, x, change, inner):
+    """Move redundant forces that are outside their cones into them, along the null space of Newton's last matrix.
+
+    From the solution nearest to the forces `last` (3n,), by projections onto narrower cones and the equations by turns:
+    few will do, and the forces stay inside when loads change. f (3n,) and length (n,) are updated. rank, a, gram,
+    order, x: as `newton_step` left them, of rank below the number of unknowns; change, inner (>= that many): scratch.
+    """
+    n = mu.shape[0]
+    unknowns = first[n]
+    for i in range(n):
+        row = first[i]
+        if modes[i] == STICK:
+            for r in range(3):
+                x[row + r] = f[3 * i + r]
+        elif modes[i] == SLIP:
+            x[row] = length[i]
+            if mu[i] > 0.0:
+                f[3 * i] = x[row + 1]
+                x[row + 1] = 0.0
+    for turn in range(PROJECTIONS):
+        inside = True
+        for j in range(unknowns):
+            change[j] = 0.0
+        for i in range(n):
+            row = first[i]
+            k = 3 * i
+            if modes[i] == STICK:
+                tangential = sqrt(x[row] ** 2 + x[row + 1] ** 2)
+                friction = min(mu[i], LARGEST_FRICTION)
+                inside = inside and tangential <= friction * x[row + 2]
+                friction *= AIM
+                if turn == 0:
+                    for r in range(3):
+                        change[row + r] = last[k + r] - x[row + r]
+                elif tangential > friction * x[row + 2]:
+                    normal = max((x[row + 2] + friction * tangential) / (1.0 + friction * friction), 0.0)
+                    shrink = friction * normal / tangential - 1.0 if tangential > 0.0 else 0.0
+                    change[row] = RELAXATION * shrink * x[row]
+                    change[row + 1] = RELAXATION * shrink * x[row + 1]
+                    change[row + 2] = RELAXATION * (normal - x[row + 2])
+            elif modes[i] == SLIP:
+                inside = inside and x[row] >= 0.0
+                if turn == 0:
+                    sine, cosine = cone_angle(mu[i])
+                    along = direction[2 * i] * last[k] + direction[2 * i + 1] * last[k + 1]
+                    change[row] = cosine * last[k + 2] - sine * along - x[row]
+                else:
+                    change[row] = PUSH * max(-x[row], 0.0)
+        if inside:
+            break
+        # what of the change is in the row space would violate the equations
+        for i in range(rank):
+            total = 0.0
+            for j in range(i, unknowns):
+                total += a[i, j] * change[order[j]]
+            for k in range(i):
+                total -= gram[i, k] * inner[k]
+            inner[i] = total / gram[i, i]
+        for i in range(rank - 1, -1, -1):
+            total = inner[i]
+            for k in range(i + 1, rank):
+                total -= gram[k, i] * inner[k]
+            inner[i] = total / gram[i, i]
+        for i in range(rank):
+            for j in range(i, unknowns):
+                change[order[j]] -= inner[i] * a[i, j]
+        for j in range(unknowns):
+            x[j] += change[j]
+    for i in range(n):
+        row = first[i]
+        k = 3 * i
+        if modes[i] == STICK:
+            for r in range(3):
+                f[k + r] = x[row + r]
+        elif modes[i] == SLIP:
+            if mu[i] > 0.0:
+                turn_direction(direction, i, x[row + 1], f[k])
+            sine, cosine = cone_angle(mu[i])
+            length[i] = x[row]
+            f[k] = -sine * length[i] * direction[2 * i]
+            f[k + 1] = -sine * length[i] * direction[2 * i + 1]
+            f[k + 2] = cosine * length[i]
+
+
+@kernel
+def close_touching(mu, modes, touching):
+    """Stick for contacts that were at rest, and slip for others that touched; whether that changes any mode.
+
+    Among redundant contacts modes of such are a matter of choice: for a force on its cone's edge, or none, there may be
+    one inside. touching (n,): 0 for contacts that had a normal velocity, 1 for a tangential one alone, 2 for none.
+    """
+    n = mu.shape[0]
+    changed = False
+    for i in range(n):
+        mode = modes[i]
+        if touching[i] == 2 and mu[i] > 0.0:
+            mode = STICK
+        elif touching[i] > 0 and mode == OPEN:
+            mode = SLIP
+        changed = changed or mode != modes[i]
+        modes[i] = mode
+    return changed
 
 
 @kernel
@@ -542,15 +662,17 @@ def slip_angles(g, c, mu, angles):
 
 
 @kernel
-def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance, buffers):
+def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance, near, touching, buffers):
     """Newton with corrected modes, from modes (n,) and f (3n,); returns residual, passes used, attempts made.
 
     Redundant contacts get the forces of least norm; where these contradict the modes, the forces nearest to the
-    ones given. One contact is solved exactly: if the start given does not lead to a solution, every other one that
-    there can be is tried until the judge accepts: open, stick, and slip along each of `slip_angles`.
-    start (3n,), start_modes (n,): scratch.
+    ones given. near > 0: these are a solution of a similar problem, whose redundant modes are tried first. They are
+    given the forces nearest to them that lie inside the cones, where those of least norm do not (2), or at once (1).
+    One contact is solved exactly: if the start given does not lead to a solution, every other one that there can be is
+    tried until the judge accepts: open, stick, and slip along each of `slip_angles`.
+    touching (n,): see `close_touching`, of use if near > 0; start (3n,), start_modes (n,): scratch.
     """
-    size, direction, length, speed, sine, cosine = buffers[:6]
+    size, direction, length, speed, sine, cosine, a, rhs, x, row_of_g, gram, order, first = buffers
     n = mu.shape[0]
     for i in range(n):
         sine[i], cosine[i] = cone_angle(mu[i])
@@ -559,8 +681,10 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
             start[k] = f[k]
     attempts = 0
     candidates = 0
+    closed = False
+    again = False
     while True:
-        if attempts == 1:
+        if attempts == 1 or again:
             for i in range(n):
                 modes[i] = start_modes[i]
                 for k in range(3 * i, 3 * i + 3):
@@ -580,20 +704,33 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
             f[1] = -sine[0] * force * d2
             f[2] = cosine[0] * force
         respond(g, c, f, u, size)
+        closed = near > 0 and close_touching(mu, modes, touching)
+        slipping = False
         for i in range(n):
             length[i] = 0.0
             speed[i] = 0.0
             direction[2 * i] = 1.0
             direction[2 * i + 1] = 0.0
             if modes[i] == SLIP:
+                slipping = True
                 length[i], speed[i] = start_slip(3 * i, mu[i], f, u, direction, i)
 
         residual = HUGE
-        refine = attempts == 1
+        refine = attempts == 1 or near == 1
         again = False
         for k in range(passes):
             before = residual
             open_directions = newton_step(g, c, mu, modes, f, u, refine, buffers)
+            if near > 0 and open_directions == 0:
+                # nothing to choose
+                near = 0
+                again = closed
+                if again:
+                    break
+            if near > 0:
+                matrix_rank = first[n] - open_directions
+                last = f if refine else start
+                ease(mu, modes, f, direction, length, last, matrix_rank, a, gram, order, first, x, rhs, row_of_g)
             respond(g, c, f, u, size)
             residual = judge(mu, f, u, size)
             stalled = residual > 0.5 * before
@@ -609,9 +746,14 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
                 break
             if changes == 0 and stalled and refine:
                 break
-            refine = attempts == 1 or (changes == 0 and residual < REFINEMENT)
+            refine = attempts == 1 or near > 0 or (changes == 0 and residual < REFINEMENT)
         if residual <= tolerance:
             return residual, passes, attempts
+        if near > 0 or closed:
+            # what slips turns as its forces change: once more from the ones given; then from the modes alone
+            near = 1 if near == 2 and slipping else 0
+            again = True
+            continue
         attempts += 1
         if n > 1 and not again:
             return residual, passes, attempts
@@ -654,6 +796,7 @@ def solve_cones(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds)
 
     delassus (3n, 3n), b (3n,), mu (n,): the problem; table: that of `cone_memory(n)`. task says how it is begun:
       WARM       from the modes and forces in the table
+      NEAR       the same, and redundant forces may be the nearest to these: the velocities are needed, too
       CLASSIFY   from the forces alone, after `sweeps` Gauss-Seidel passes over them; the modes are read off the
                  judge's projections; on failure more sweeps, SWEEP_GROWTH times as many in each of `rounds`
     On success (residual <= tolerance) modes, forces and velocities are written, otherwise none of them is.
@@ -673,7 +816,7 @@ def solve_cones(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds)
     scalars = matrix(table[SCALARS], 7, n)
     scale = scalars[0]
     angles = reals(table[ANGLES], CANDIDATES)
-    trials = integer_matrix(table[TRIAL], 2, n)
+    trials = integer_matrix(table[TRIAL], 3, n)
     trial = trials[0]
     buffers = (
         scalars[1], reals(table[DIRECTIONS], 2 * n), scalars[2], scalars[3], scalars[4], scalars[5],
@@ -687,9 +830,14 @@ def solve_cones(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds)
         trial[i] = modes[i]
         for k in range(3 * i, 3 * i + 3):
             f[k] = forces[k] / (scale[i] * unit)
+        still = AT_REST * unit / scale[i]
+        trials[2, i] = 0
+        if abs(velocities[3 * i + 2]) <= still:
+            trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1
+    near = 2 if task == NEAR and n > 1 else 0
     residual = HUGE
     for attempt in range(rounds):
-        if task != WARM:
+        if task == CLASSIFY:
             if attempt > 0:
                 for k in range(rows):
                     f[k] = start[k]
@@ -698,7 +846,9 @@ def solve_cones(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds)
             for _ in range(sweeps):
                 sweep(g, mu, f, u)
             classify(mu, f, u, trial)
-        result, used, tried = settle(g, c, mu, trial, f, u, angles, start, trials[1], passes, tolerance, buffers)
+        result, used, tried = settle(
+            g, c, mu, trial, f, u, angles, start, trials[1], passes, tolerance, near, trials[2], buffers
+        )
         counts[0] = used
         counts[1] = 1 if tried > 1 else 0
         residual = min(residual, result)

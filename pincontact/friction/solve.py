@@ -3,7 +3,7 @@
 What has to be found is the modes; whatever suggests them, the Newton of `cone` computes the forces and its judge
 accepts or refuses them. The suggestions come from, cheapest first,
 
-    warm    the modes and forces of the last solution
+    warm    the modes and forces of the last solution: redundant forces that have left their cones are moved into them
     sweeps  a few Gauss-Seidel passes over the last forces, and more if these do not do
     path    the homotopy of `path`, which finds a solution unless the forces on it grow without bound
     qp      a sequence of ProxQP programs (`qp`)
@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from ..arguments import NOT_REAL, check_tolerance, real_array
 from ..errors import ArgumentError, InfeasibleError, SolverError
-from .cone import CLASSIFY, HUGE, OPEN, RANK_TOLERANCE, SLIP, STICK, WARM, cone_memory, solve_cones
+from .cone import CLASSIFY, HUGE, NEAR, OPEN, RANK_TOLERANCE, SLIP, STICK, WARM, cone_memory, solve_cones
 from .feasibility import crushing_combination
 from .path import follow_path
 from .qp import ConeQP
@@ -131,19 +131,28 @@ class ContactSolver:
     tolerance: relative residual up to which a solution is accepted
     stages:    how the modes are looked for where a warm start is missing or refused, in this order
     quick:     gives up early: the path is tried once, with few steps, and ProxQP not at all
+    nearest:   redundant forces may be the ones nearest to the last, where those of least norm leave their cones; else
+               other modes are looked for, and what slides has loads that do not depend on the past
 
     Counters: polish_count (warm starts tried), path_count (paths begun), qp_count (programs), and decided (by stage).
     After a search that failed `jammed` says whether that was because the forces grow without bound on the path; where
     there provably is no solution `certificate` (n,) is the reason, see `InfeasibleError`, otherwise None.
     """
 
-    def __init__(self, tolerance: float = 1e-10, stages: tuple[str, ...] = STAGES, quick: bool = False):
+    def __init__(
+        self,
+        tolerance: float = 1e-10,
+        stages: tuple[str, ...] = STAGES,
+        quick: bool = False,
+        nearest: bool = True,
+    ):
         unknown = set(stages) - set(STAGES)
         if unknown:
             raise ArgumentError(f"stages are among {STAGES}, got {sorted(unknown)}")
         self.tolerance = tolerance
         self.stages = stages
         self.quick = quick
+        self.nearest = nearest
         self.residual = 0.0
         self.jammed = False
         self.certificate: np.ndarray | None = None
@@ -171,11 +180,12 @@ class ContactSolver:
         self.velocities = space.velocities
         return space
 
-    def warm_start(self, modes: np.ndarray, forces: np.ndarray) -> None:
-        """Begin the next problem of this size from these modes (n,) and forces (3n,) or (n, 3)."""
+    def warm_start(self, modes: np.ndarray, forces: np.ndarray, velocities: np.ndarray) -> None:
+        """Begin the next problem of this size from these modes (n,), forces and velocities (3n,) or (n, 3)."""
         space = self._workspace(len(modes))
         space.modes[:] = modes
         space.forces[:] = np.reshape(forces, -1)
+        space.velocities[:] = np.reshape(velocities, -1)
         space.warm = True
 
     def forget(self) -> None:
@@ -197,7 +207,9 @@ class ContactSolver:
                 space.forces[:] = 0.0
             self.polish_count += 1
             passes = NEWTON_PASSES if contacts == 1 else WARM_PASSES
-            residual = solve_cones(delassus, b, mu, space.table, WARM, passes, self.tolerance, 0, 1)
+            residual = solve_cones(
+                delassus, b, mu, space.table, NEAR if self.nearest else WARM, passes, self.tolerance, 0, 1
+            )
             if residual <= self.tolerance:
                 self.residual = residual
                 space.warm = True
@@ -366,7 +378,7 @@ def solve_contacts(
 
     solver = ContactSolver(tolerance, quick=quick)
     if warm is not None:
-        solver.warm_start(warm.modes, warm.forces)
+        solver.warm_start(warm.modes, warm.forces, warm.velocities)
     if solver.solve(matrix, b, friction):
         return solver.solution(friction)
     if solver.certificate is not None:

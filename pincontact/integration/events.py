@@ -26,6 +26,8 @@ _SCAN = 8
 _REFINEMENTS = 8
 _REFINED = 1e-14
 _BISECTIONS = 40
+# Looks for what crosses before the first crossing that was found, beyond one for each margin.
+_ROUNDS = 4
 # Looks at the lowest point between two samples.
 _LOOKS = 3
 # Margin of a gap that is measured beyond the end of a contour.
@@ -155,18 +157,50 @@ class EventLocator:
         for high, after in zip(thetas[1:], samples[1:]):
             if before is None or after is None:
                 return None
-            crossings = [
-                Crossing(
-                    self._root(t, step, dense, (int(c), int(kind)), low, high, before[c, kind]), (int(c), int(kind))
-                )
-                for c, kind in np.argwhere(
-                    (after < 0.0) & ((before >= 0.0) | (low == 0.0)) & (before != _NOTHING_THERE)
-                )
-            ]
-            if crossings:
-                return min(crossings, key=lambda crossing: crossing.theta)
+            crossed = np.argwhere((after < 0.0) & ((before >= 0.0) | (low == 0.0)) & (before != _NOTHING_THERE))
+            if crossed.size:
+                return self._earliest(t, step, dense, crossed, (low, before), (high, after))
             low, before = high, after
         return None
+
+    def _earliest(
+        self,
+        t: float,
+        step: float,
+        dense: Interpolant,
+        crossed: np.ndarray,
+        left: tuple[float, np.ndarray],
+        right: tuple[float, np.ndarray],
+    ) -> Crossing:
+        """First of the margins `crossed` (n, 2) that turn negative between two samples (theta, margins).
+
+        The root of one is the next sample, at which most others are seen to cross later, and some to have been negative
+        in between.
+        """
+        low, before = left
+        high, after = right
+        found: Crossing | None = None
+        for _ in range(crossed.shape[0] + _ROUNDS):
+            ends = before[crossed[:, 0], crossed[:, 1]], after[crossed[:, 0], crossed[:, 1]]
+            # the one that is first on straight lines; what is infinite or zero at both ends counts as last
+            with np.errstate(invalid="ignore", divide="ignore"):
+                places = np.nan_to_num(ends[0] / (ends[0] - ends[1]), nan=1.0, posinf=1.0)
+            c, kind = (int(x) for x in crossed[int(np.argmin(places))])
+            theta = self._root(t, step, dense, (c, kind), low, high, before[c, kind])
+            if found is not None and theta >= found.theta:
+                break
+            found, high = Crossing(theta, (c, kind)), theta
+            margins = self._margins(t, step, dense, theta)
+            if margins is None:
+                break
+            after = margins
+            candidates = (after < 0.0) & (before > 0.0) & (before != _NOTHING_THERE)
+            candidates[c, kind] = False
+            crossed = np.argwhere(candidates)
+            if not crossed.size:
+                break
+        assert found is not None
+        return found
 
     def _add_lowest(
         self, t: float, step: float, dense: Interpolant, thetas: list[float], samples: list[np.ndarray | None]

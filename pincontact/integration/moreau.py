@@ -157,7 +157,7 @@ class MoreauStep:
         self.worst_residual = 0.0
         self._counts, self._numbers = memory["counts"], memory["numbers"]
         self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
-        self._solutions: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self._solutions: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._loaded = -1
         self._charted = system.charted
 
@@ -277,7 +277,7 @@ class MoreauStep:
             self.worst_residual = solver.residual
         if self._loaded != n:
             # each size has buffers of its own
-            self._solutions[n] = solver.modes, solver.forces
+            self._solutions[n] = solver.modes, solver.forces, solver.velocities
             self.table[CONE_FORCES] = address_of(solver.forces)
             self.table[CONE_VELOCITIES] = address_of(solver.velocities)
             self.table[CONE_MODES] = address_of(solver.modes)
@@ -371,8 +371,8 @@ class MoreauStep:
         for name in ("state", "stage_state", "q", "v", "tau", "location", "contact_int", "contact_real"):
             getattr(its, name)[...] = getattr(mine, name)
         its.side_int[:, CHART] = mine.side_int[:, CHART]
-        for modes, forces in self._solutions.values():
-            other.solver.warm_start(modes, forces)
+        for solution in self._solutions.values():
+            other.solver.warm_start(*solution)
 
     def forget(self) -> None:
         """Let the next step depend on the state alone."""

@@ -77,6 +77,11 @@ _SLOW_START = 30.0
 # What is added to the slack of a limit of friction that was reached without slip, as a factor, and where that ends.
 _SLACK_GROWTH, _LARGEST_SLACK = 4.0, 1e-10
 _DIRECTION = slice(DIRECTION_X, DIRECTION_X + 3)
+# A margin this far from zero, relative to the largest force, where its sign changes has no root there.
+_JUMP = 1e-6
+# Friction margins below this part of the limit, and loads below this part of the largest, are zero where no choice
+# among redundant forces can raise them.
+_AT_LIMIT = 1e-6
 # Forces below zero, or above their limit, by less than this part of the largest one are no events while slip starts.
 _FORCE_ACCURACY = 1e-6
 # A gap that is closed already counts as so much of what gaps are known to.
@@ -275,8 +280,10 @@ class Transitions:
         if kind == FRICTION_MARGIN and integers[MODE] == SLIPPING:
             self._end_jams(t, [c])
             return self.start_frozen(t)
-        if kind in (NORMAL_MARGIN, FRICTION_MARGIN) and self._redistribute(t):
-            return t
+        if kind in (NORMAL_MARGIN, FRICTION_MARGIN):
+            if self._redistribute(t, c, kind):
+                return t
+            c, kind = self._limiting(c, kind)
         if kind == DOMAIN_MARGIN:
             self.announce(t, c, "edge")
             if not integers[UNILATERAL]:
@@ -306,13 +313,36 @@ class Transitions:
             numbers[LIMIT_SLACK] = FORCE_SLACK
         return after
 
-    def _redistribute(self, t: float) -> bool:
-        """Whether other ones among redundant forces keep all modes; then they are taken."""
-        if self.rk.evaluate(t) > EVENT or not self.modes.redistribute(t, self.rk.evaluate):
+    def _redistribute(self, t: float, c: int, kind: int) -> bool:
+        """Whether other ones among redundant forces keep all modes, of which margin `kind` of item c ends one."""
+        system = self.system
+        if self.rk.evaluate(t) > EVENT:
+            return False
+        # a force that jumps, as where contacts cease to be redundant, is not one of choice
+        if system.margins[c, kind] > _JUMP * float(np.abs(system.force).max()):
+            return False
+        if not self.modes.redistribute(t, self.rk.evaluate):
             return False
         self._project(t)
         self.rk.accept()
         return True
+
+    def _limiting(self, c: int, kind: int) -> tuple[int, int]:
+        """The margin that ends a mode, where margin `kind` of contact c is zero and no other redundant forces would do.
+
+        Forces that shrink to nothing leave their cone anywhere: whether the others have reached the limit of friction,
+        so that all slip and the unloaded contact with them, or that contact opens, is seen at the others.
+        """
+        system = self.system
+        if not self.modes.redundant or c >= system.nc or not system.contact_int[c, UNILATERAL]:
+            return c, kind
+        loads = np.abs(system.force[: system.nc, 2])
+        loads[loads <= _AT_LIMIT * loads.max(initial=0.0)] = 0.0
+        if loads[c] > 0.0:
+            return c, kind
+        limits = {i: float(system.contact_real[i, MU_STATIC] * loads[system.owner(i)]) for i in self._sticking()}
+        limited = [i for i, limit in limits.items() if abs(system.margins[i, FRICTION_MARGIN]) < _AT_LIMIT * limit]
+        return (max(limited, key=lambda i: loads[system.owner(i)]), FRICTION_MARGIN) if limited else (c, NORMAL_MARGIN)
 
     def come_to_rest(self, t: float, contacts: list[int]) -> float:
         """The slip of these contacts has ended: each sticks, or slides on in another direction."""
@@ -436,7 +466,7 @@ class Transitions:
         self._check_chatter(t, index)
         if kind == SPEED_MARGIN:
             self.modes.hold(g, 0)
-        elif self._redistribute(t):
+        elif self._redistribute(t, index, kind):
             return t
         else:
             self.modes.release(g, 1 if kind == NORMAL_MARGIN else -1)

@@ -473,12 +473,12 @@ def test_what_a_control_may_not_swallow_reaches_the_caller(scene, state, error):
         pc.simulate(scene, state, 0.2, control=control)
 
 
-def test_a_drive_that_raises_reaches_the_caller():
+def test_an_interrupt_in_a_drive_reaches_the_caller():
     broken = []
 
     def placement(t):
         if broken and t > 0.05:
-            raise ZeroDivisionError("the user's drive")
+            raise KeyboardInterrupt
         return pin.SE3.Identity(), np.zeros(6), np.zeros(6)
 
     scene = pc.Scene(disk_model())
@@ -487,5 +487,5 @@ def test_a_drive_that_raises_reaches_the_caller():
     scene.add_contact("rim/floor", rim, floor)
     state = scene.initial_state(leaning(), ROLLING)
     broken.append(True)
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(KeyboardInterrupt):
         pc.simulate(scene, state, 0.2)

@@ -298,6 +298,39 @@ def test_turning_never_gains_energy(v, w, mu, lengths, height):
     assert np.abs(energies.balance).max() <= 1e-6 * scale
 
 
+def thrown(seed, law):
+    """A random body above a plane or a ball, and its flight."""
+    rng = np.random.default_rng(seed)
+    axes, mass = rng.uniform(0.1, 0.3, 3), rng.uniform(0.5, 3.0)
+    moments = mass / 5.0 * (axes @ axes - axes**2)
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "joint")
+    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.diag(moments)), pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    shape = (pc.Ellipsoid(*axes), pc.Circle(axes[0]), pc.Sphere(axes[0]))[rng.integers(3)]
+    body = scene.add_contour("shape", shape, "body")
+    ground = scene.add_contour("ground", pc.Plane() if rng.random() < 0.5 else pc.Sphere(1.0))
+    scene.add_contact("c", body, ground, friction=law, restitution=float(rng.choice([0.0, 0.0, 0.5])))
+    q = np.r_[rng.uniform(-0.1, 0.1, 2), 1.5, pin.Quaternion(pin.exp3(rng.normal(size=3))).coeffs()]
+    return scene, scene.initial_state(q, np.r_[rng.normal(size=3), 3.0 * rng.normal(size=3)], free=["c"])
+
+
+@pytest.mark.parametrize("rtol", [1e-5, 1e-8])
+@pytest.mark.parametrize("seed", [2, 7, 31, 87])
+def test_thrown_bodies_roll_on_or_slide_without_load(seed, rtol):
+    """Impacts, ideal rolling that lets go, slides that friction alone holds up and resistances to turning, together."""
+    scene, state = thrown(seed, pc.NoSlip(spinning=2e-3, rolling=2e-3))
+    run = pc.simulate(scene, state, 1.2, rtol=rtol, atol=1e-2 * rtol, energies=True)
+    assert run.status == 0, run.message
+    energies = run.energies()
+    scale = max(1.0, abs(energies.total[0]))
+    # some hundred steps, and jumps where slips are stopped
+    assert np.diff(energies.total).max() <= 10.0 * rtol * scale
+    assert np.abs(energies.balance).max() <= 100.0 * rtol * scale
+    assert run.contacts["c"].gap.min() >= -20.0 * rtol
+
+
 # ------------------------------------------------------------------------------------------------ time stepping
 
 

@@ -109,11 +109,13 @@ class SlowSlip:
         else:
             return False
         between = self._across(t, span, coefficients, _CHECKS)
+        # slip that is there has to stay faster than the tolerance; what grows from rest only has to grow
+        least = tolerance if self.power == 0 else 0.0
         # the last attempt has left the state at the end of the span in new_state
         return (
             between is not None
             and float(np.abs(between[0]).max()) <= tolerance
-            and min(speeds.min(), between[1].min()) > 0.0
+            and min(speeds.min(), between[1].min()) > least
             and self.rk.error < 1.0
         )
 

@@ -512,10 +512,7 @@ class Transitions:
             raise self.give_up(t, NO_FORCE)
         self.emit(t, tau)
         rk.load(system.new_state)
-        system.contact_int[:, FROZEN] = 0
-        self._project(t + tau)
-        rk.accept()
-        return t + tau
+        return self._end_start(t + tau)
 
     def _starts_slowly(self, t: float, frozen: list[int]) -> bool:
         """Whether friction turns any of these slips, which start from rest, much faster than they grow."""
@@ -590,11 +587,15 @@ class Transitions:
         for c in slipping:
             freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
         took = SlowSlip(rk, slipping, 0, self._uneventful).follow(t, span, shortest)
-        if took is not None:
-            self.emit(t, took)
-            rk.load(system.new_state)
-            return self._end_start(t + took)
         system.contact_int[:, FROZEN] = 0
+        if took is not None:
+            rk.load(system.new_state)
+            # where slip is as good as over, v_c has no direction of its own to go on with
+            if rk.evaluate(t + took) <= EVENT:
+                system.contact_int[slipping, FROZEN] = 1
+                self.emit(t, took)
+                rk.load(system.new_state)
+                return self._end_start(t + took)
         rk.load(system.state)
         if rk.evaluate_start(t) > EVENT:
             raise self.give_up(t, NO_FORCE)
@@ -709,7 +710,13 @@ class Transitions:
     def _end_start(self, t: float) -> float:
         """Slip has a direction of its own from here on."""
         self.system.contact_int[:, FROZEN] = 0
-        self._project(t)
+        sliding = self.held_up()
+        if not sliding:
+            self._project(t)
+        elif not self.rk.project(t, False):
+            # v_c has come out in a direction in which friction alone holds nothing up: that slip has jammed
+            self.failed_control(t)
+            self._stop_slips(t, sliding)
         self.rk.accept()
         return t
 

@@ -170,12 +170,17 @@ def compile_share(aside: bool) -> None:
 
 
 def _start_worker() -> subprocess.Popen[bytes] | None:
-    environment = dict(os.environ, PYTHONPATH=os.pathsep.join(path for path in sys.path if path))
+    environment = dict(os.environ, PYTHONPATH=os.pathsep.join(os.path.abspath(path) for path in sys.path if path))
     modules = ", ".join(sorted({compiled.py_func.__module__ for compiled, *_ in ENTRIES}))
     command = f"import {modules}; from pincontact.jit import compile_share; compile_share(aside=True)"
     try:
+        # from where this package lies: another checkout in the present folder would be imported first
         return subprocess.Popen(
-            [sys.executable, "-c", command], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            [sys.executable, "-c", command],
+            cwd=_PACKAGE.parent,
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
         )
     except OSError:
         return None

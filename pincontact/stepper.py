@@ -114,6 +114,10 @@ class Stepper:
     def _raise_for(self, status: int) -> None:
         if status == OK:
             return
+        if self._system.callback_error is not None:
+            # an interrupt, say
+            error, self._system.callback_error = self._system.callback_error, None
+            raise error
         if self._system.drive_failure is not None:
             failure, self._system.drive_failure = self._system.drive_failure, None
             raise ContourError(failure)

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from reference import LAST_TIMES, build
-from scipy.integrate import quad
+from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 from test_moreau import G, body_scene, random_scene
 
@@ -274,3 +274,50 @@ def test_several_contacts(make):
         assert run.status == 0, (seed, run.message)
         slides += check(seed, scene, run, 4e-7) > 0
     assert slides >= 1
+
+
+@pytest.mark.parametrize("rtol", [1e-5, 1e-8])
+def test_large_friction_opens_where_it_jumps(rtol):
+    """A rod pulled back at its centre while it falls over its tip: at |F_t| = mu F_n no sliding force exists (Painleve)
+    and it lifts off, with a jump of the force. Until then it turns about its tip, which an equation of one angle
+    follows."""
+    mass, half, pull, mu = 1.2, 0.4, -20.0, 10.0
+    about_tip = mass * half**2 * 4.0 / 3.0
+
+    def rate(t, y):
+        return [y[1], (mass * 9.81 * half * math.sin(y[0]) + pull * half * math.cos(y[0])) / about_tip]
+
+    def limit(t, y):
+        a, s, c = rate(t, y)[1], math.sin(y[0]), math.cos(y[0])
+        along, up = mass * half * (c * a - s * y[1] ** 2) - pull, mass * (9.81 - half * (s * a + c * y[1] ** 2))
+        return mu * up - abs(along)
+
+    limit.terminal = True
+    opens = solve_ivp(rate, (0.0, 1.0), [0.2, 4.0], events=limit, rtol=1e-12, atol=1e-13).t[-1]
+    model = pin.Model()
+    joint = 0
+    for name, kind in (("x", pin.JointModelPX()), ("z", pin.JointModelPZ()), ("turn", pin.JointModelRY())):
+        joint = model.addJoint(joint, kind, pin.SE3.Identity(), name)
+    inertia = pin.Inertia(mass, np.zeros(3), np.diag([1.0, 1.0, 1e-4]) * mass * half**2 / 3.0)
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addBodyFrame("rod", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    tip = scene.add_contour("tip", pc.Point(), "rod", pin.SE3(np.eye(3), np.array([0.0, 0.0, -half])))
+    scene.add_contact("tip", tip, floor, friction=pc.Coulomb(mu))
+    q = [half * math.sin(0.2), half * math.cos(0.2), 0.2]
+    state = scene.initial_state(q, [4.0 * q[1], -4.0 * q[0], 4.0])
+    run = pc.simulate(
+        scene,
+        state,
+        opens + 0.03,
+        control=lambda t, q, v: np.array([pull, 0.0, 0.0]),
+        energies=True,
+        rtol=rtol,
+        atol=1e-2 * rtol,
+    )
+    assert run.status == 0, run.message
+    assert [event.kind for event in run.events] == ["separate"]
+    # stick runs on for a ten-thousandth of (rtol / 100)^(1/3) s, so that the cone problem sees the limit exceeded
+    assert run.events[0].time == pytest.approx(opens, abs=1.1e-4 * (1e-2 * rtol) ** (1.0 / 3.0) + 0.1 * rtol)
+    assert np.abs(run.energies().balance).max() <= rtol

@@ -399,3 +399,19 @@ def test_contact_that_begins_to_slip():
     state = scene.initial_state([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0])
     with pytest.raises(pc.StateError, match="'c' begins to slip"):
         pc.linearize(scene, state, [5.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def test_nothing_is_left_of_a_rest_that_symmetries_explain():
+    """A block that sticks on four corners: every deviation is another place on the floor."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "joint")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("block", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    for i, (x, y) in enumerate([(0.2, 0.1), (0.2, -0.1), (-0.2, 0.1), (-0.2, -0.1)]):
+        foot = scene.add_contour(f"foot {i}", pc.Point(), "block", pin.SE3(np.eye(3), np.array([x, y, -0.1])))
+        scene.add_contact(f"c{i}", foot, floor, friction=pc.Coulomb(0.5))
+    found = pc.linearize(scene, scene.initial_state([0, 0, 0.1, 0, 0, 0, 1]))
+    rest = found.without_symmetries()
+    assert rest.A.shape == (0, 0)

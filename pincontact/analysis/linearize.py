@@ -103,7 +103,7 @@ class Linearization:
             self.dq_dx[:, kept],
             self.dv_dx[:, kept],
             np.zeros((len(kept), 0)),
-            max(self.error, float(np.abs(project @ self.A @ basis).max())),
+            max(self.error, float(np.abs(project @ self.A @ basis).max(initial=0.0))),
             self.defect,
         )
 

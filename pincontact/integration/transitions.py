@@ -82,6 +82,8 @@ _JUMP = 1e-6
 # Friction margins below this part of the limit, and loads below this part of the largest, are zero where no choice
 # among redundant forces can raise them.
 _AT_LIMIT = 1e-6
+# Where contacts open as stick ends, they do after this fraction of the usual time.
+_OPENING_SEED = 1e-4
 # Forces below zero, or above their limit, by less than this part of the largest one are no events while slip starts.
 _FORCE_ACCURACY = 1e-6
 # A gap that is closed already counts as so much of what gaps are known to.
@@ -550,7 +552,16 @@ class Transitions:
         limit = opposed_slip(system, c, system.force[c, :2]) @ system.basis[c, :2]
         start_q, start_v = system.q.copy(), system.v.copy()
         tau = min(self.seed, self.until_touch())
+        modes = system.contact_int.copy()
         decision, seeded = self._run_on(t, tau)
+        if decision.opened:
+            # a jump of the forces (Painleve) opens contacts at once, not when slip would show
+            system.contact_int[:] = modes
+            rk.load(system.state)
+            if rk.evaluate_start(t) > EVENT:
+                raise self.give_up(t, NO_FORCE)
+            tau *= _OPENING_SEED
+            decision, seeded = self._run_on(t, tau)
         for slipping in decision.started:
             kind = "slip" if slipping < system.nc else "turn"
             self.events.append(Event(t, self._name(slipping)[0], kind, start_q, start_v))

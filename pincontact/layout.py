@@ -355,8 +355,9 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, T
     STIFF_STEPS,
     PATIENCE,
     ROW_RANK,
-) = range(24)
-COUNTERS_SIZE = 24
+    PARENT_AXES,
+) = range(25)
+COUNTERS_SIZE = 25
 
 # what kernels call by address: a Python function to be asked first, or 0, and its arguments; one or two of Pinocchio's
 # algorithms and theirs; the result that means failure; the evaluation and the address of the table that it is given

@@ -95,9 +95,6 @@ def simulate(
         # time stepping brings what is beyond its limits back
         check_guards(system.guards, state.q)
     write_discrete(system, state.discrete)
-    end = system.nq + system.nv
-    system.state[: system.nq], system.state[system.nq : end] = state.q, state.v
-    system.state[end : end + 4 * system.nc] = state.location.ravel()
     torque = _Torque(control, system) if control is not None else None
 
     def failed_control(t: float) -> None:
@@ -117,6 +114,7 @@ def simulate(
             put_back(scene, spare)
         return run
     rk = RungeKutta(system, pair, rtol, atol, torque.ask if torque is not None else None)
+    rk.begin_at(state.q, state.v, state.location)
     record = Record(system, with_torques=control is not None or system.ng + system.nr > 0)
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration, failed_control)
     options = Options(times, max_step, max_steps, fixed_step, first_step)
@@ -160,11 +158,14 @@ def _simulate_moreau(
     progress: bool,
     began: float,
 ) -> Trajectory:
-    """The run of method "Moreau" on a system whose state is set."""
+    """The run of method "Moreau" on a system whose discrete state is set."""
     from .integration.moreau import DEFAULT_STEP, MoreauDriver, MoreauStep
     from .integration.stages import load_state
 
     size = DEFAULT_STEP if step is None else step
+    end = system.nq + system.nv
+    system.state[: system.nq], system.state[system.nq : end] = state.q, state.v
+    system.state[end : end + 4 * system.nc] = state.location.ravel()
     stepper = MoreauStep(system, system.contacts)
     record = Record(system, with_torques=torque is not None or stepper.acts_on_joints)
 

@@ -105,17 +105,14 @@ class Instant:
 
     def _set_modes(self, state: State, decide: bool) -> None:
         system = self.system
-        end = system.nq + system.nv
-        system.state[:end] = np.concatenate([state.q, state.v])
-        system.state[end : end + 4 * system.nc] = state.location.ravel()
         names = list(self.scene.contacts)
         rk = RungeKutta(system, tableau("DOP853"), 1e-10, 1e-12, None)
+        rk.begin_at(state.q, state.v, state.location)
         transitions = Transitions(rk, names, [0.0] * system.nc, 0.0, lambda t: None)
         try:
             if decide:
                 transitions.begin(self.t)
             else:
-                rk.load(system.state)
                 rk.evaluate(self.t)
                 transitions.modes_from_velocities()
         except Stop as stop:

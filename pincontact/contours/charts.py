@@ -34,6 +34,29 @@ def preferred_chart(kind, chart, shape, u1, u2):
 
 
 @kernel
+def is_across_pole(kind, chart, shape, u2):
+    """Whether parameters have run over a pole of their chart, where they describe the surface turned inside out."""
+    if kind in (SPHERE, ELLIPSOID):
+        return abs(u2) > 0.5 * math.pi and math.cos(u2) < 0.0
+    if kind == REVOLUTION and chart == 0:
+        return (shape[LOW_POLE] != 0.0 and u2 < shape[LOW]) or (shape[HIGH_POLE] != 0.0 and u2 > shape[HIGH])
+    return False
+
+
+@kernel
+def turned_back(kind, chart, shape, u1, u2):
+    """Parameters within the chart's poles of the same point, for (u1, u2) that may have run over one."""
+    if is_across_pole(kind, chart, shape, u2):
+        middle = 0.5 * math.pi
+        if kind == REVOLUTION:
+            middle = shape[LOW] if u2 < shape[LOW] else shape[HIGH]
+        u1, u2 = u1 + math.pi, 2.0 * middle - u2
+    if kind in (SPHERE, ELLIPSOID):
+        u2 -= 2.0 * math.pi * round(u2 / (2.0 * math.pi))
+    return u1, u2
+
+
+@kernel
 def convert_chart(kind, shape, pool, chart, u1, u2, new_chart):
     """Parameters (u1, u2) in new_chart of the point that has parameters (u1, u2) in chart.
 

@@ -18,7 +18,7 @@ from ..geometry.carriers import ORIGIN
 from ..geometry.location import closed_form
 from ..geometry.patterns import NO_NORMAL
 from ..integration.dense import DENSE_ROWS
-from ..integration.manifold import configuration_blocks
+from ..integration.manifold import TURNING, configuration_blocks
 from ..integration.stages import MAX_STAGES, NUMBER_OF_WORKS
 from ..integration.steps import EVALUATE, KINEMATICS, PROJECT, PROJECT_EVALUATED, run_task
 from ..jit import compile_kernels
@@ -155,6 +155,8 @@ class System:
         self.table = memory.table
         sizes = memory.integers("sizes", 8)
         blocks = configuration_blocks(model)
+        # whether velocities differ between the axes of joints and of their parents
+        self.turns = any(block[0] in TURNING for block in blocks)
         sizes[[NQ, NV, NC, NJOINTS, NBLOCKS, NWORK, NY]] = nq, nv, nc, model.njoints, len(blocks), nwork, ny
         self.sizes = sizes
         self.scalars = memory.reals("scalars", SCALARS_SIZE)

@@ -18,10 +18,11 @@ from ..layout import (
     NEXT_STEP,
     NSTAGES,
     OK,
+    PARENT_AXES,
 )
 from .dense import Interpolant
 from .stages import load_state
-from .steps import ACCEPT, ATTEMPT, FINISH_STEP, FIRST_STEP, INTERPOLATION_STAGES, START, run_task
+from .steps import ACCEPT, ATTEMPT, FINISH_STEP, FIRST_STEP, INTERPOLATION_STAGES, KEEP_VELOCITY, START, run_task
 from .tableaux import Tableau
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ class RungeKutta:
         system.scalars[ERROR_ORDER] = method.error_order
         system.counters[DENSE_NESTED] = method.nested
         system.scalars[DIP] = _DIP * method.widest**2
+        system.counters[PARENT_AXES] = system.turns
         system.scale[:] = rtol, atol
         system.absolute[:] = atol
         if system.nc:
@@ -106,6 +108,22 @@ class RungeKutta:
         if run_task(self.system.table, INTERPOLATION_STAGES, t, h) > EVENT:
             return None
         return Interpolant(self.system)
+
+    def begin_at(self, q: np.ndarray, v: np.ndarray, location: np.ndarray) -> None:
+        """Make (q, v) and the location parameters (nc, 4) the state at the step's start, and the next one evaluated."""
+        system = self.system
+        end = system.nq + system.nv
+        system.stage_state[: system.nq], system.stage_state[system.nq :] = q, 0.0
+        system.stage_state[end : end + 4 * system.nc] = location.ravel()
+        load_state(system.table)
+        # to the last bit: there and back again would round
+        system.v[:] = v
+        self.keep_velocity()
+        system.state[:] = system.stage_state
+
+    def keep_velocity(self) -> None:
+        """Make `system.v` the velocity of `stage_state`, whose configuration is the one evaluated last."""
+        run_task(self.system.table, KEEP_VELOCITY, 0.0, 0.0)
 
     def load(self, y: np.ndarray) -> None:
         """Make y the state that the next evaluation sees."""

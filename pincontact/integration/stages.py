@@ -1,8 +1,9 @@
 """The states of a Runge-Kutta step: handed to Pinocchio, made from slopes, corrected, moved to other charts.
 
-State: y = (q, v, location parameters, quadratures). q is ambient (see `manifold`). The location parameters ride along
-as the start of Newton's iteration and take part in the error norm; the quadratures are the powers of friction, drive,
-torque and damping when energies are recorded.
+State: y = (q, w, location parameters, quadratures). q is ambient; w is v in the axes of the joints' parents (see
+`manifold`) where the counter PARENT_AXES is set, as it is for the pairs, and v itself elsewhere. The location
+parameters ride along as the start of Newton's iteration and take part in the error norm; the quadratures are the powers
+of friction, drive, torque and damping when energies are recorded.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import math
 
 from ..contours.base import SHAPE_SIZE
-from ..contours.charts import convert_chart, preferred_chart
+from ..contours.charts import convert_chart, is_across_pole, preferred_chart, turned_back
 from ..dynamics.equations import guard_force
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
@@ -25,6 +26,8 @@ from ..layout import (
     CONTACT_INTS,
     CORRECTION_Q,
     CORRECTION_V,
+    COUNTERS,
+    COUNTERS_SIZE,
     DAMPING,
     FORCE,
     FREE,
@@ -46,6 +49,7 @@ from ..layout import (
     NV,
     NWORK,
     NY,
+    PARENT_AXES,
     POOL_ADDRESS,
     POOL_SIZE,
     RATES,
@@ -69,7 +73,7 @@ from ..layout import (
     V,
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
-from .manifold import configuration_rate, move, normalize
+from .manifold import configuration_rate, move, normalize, rate_in_parent_axes, to_joint_axes, to_parent_axes
 
 # Rows of the coefficient table and of the slopes: 16 for stages and the interpolant, the last one for scratch.
 MAX_STAGES = 17
@@ -82,13 +86,20 @@ def hand_over(table, state):
     """Give a state to Pinocchio (normalised) and to the location solver."""
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    normalize(integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4), state, reals(table[Q], nq))
-    v = reals(table[V], nv)
-    for k in range(nv):
-        v[k] = state[nq + k]
-    location = reals(table[LOCATION], 4 * nc)
-    for k in range(4 * nc):
-        location[k] = state[nq + nv + k]
+    q, v, blocks = reals(table[Q], nq), reals(table[V], nv), integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4)
+    normalize(blocks, state, q)
+    if integers(table[COUNTERS], COUNTERS_SIZE)[PARENT_AXES] != 0:
+        to_joint_axes(blocks, q, state[nq : nq + nv], v)
+    else:
+        for k in range(nv):
+            v[k] = state[nq + k]
+    location, u = reals(table[LOCATION], 4 * nc), state[nq + nv : nq + nv + 4 * nc]
+    side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
+    side_shape = matrix(table[SIDE_SHAPE], 2 * nc, SHAPE_SIZE)
+    for side in range(2 * nc):
+        kind, chart, i = side_int[side, KIND], side_int[side, CHART], 2 * side
+        # within a long step parameters run on over a pole of their chart
+        location[i], location[i + 1] = turned_back(kind, chart, side_shape[side], u[i], u[i + 1])
 
 
 @kernel
@@ -96,19 +107,21 @@ def fill_slope(table, state, slope):
     """y' from the last evaluation."""
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    configuration_rate(
-        integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4),
-        state,
-        reals(table[Q], nq),
-        reals(table[V], nv),
-        slope,
-    )
+    q, v, blocks = reals(table[Q], nq), reals(table[V], nv), integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4)
+    configuration_rate(blocks, state, q, v, slope)
     acceleration = reals(table[ACCELERATION], nv)
-    for k in range(nv):
-        slope[nq + k] = acceleration[k]
-    rates = reals(table[RATES], 4 * nc)
-    for k in range(4 * nc):
-        slope[nq + nv + k] = rates[k]
+    if integers(table[COUNTERS], COUNTERS_SIZE)[PARENT_AXES] != 0:
+        rate_in_parent_axes(blocks, q, v, acceleration, slope[nq : nq + nv])
+    else:
+        for k in range(nv):
+            slope[nq + k] = acceleration[k]
+    rates, u, out = reals(table[RATES], 4 * nc), state[nq + nv :], slope[nq + nv :]
+    side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
+    side_shape = matrix(table[SIDE_SHAPE], 2 * nc, SHAPE_SIZE)
+    for side in range(2 * nc):
+        kind, chart, i = side_int[side, KIND], side_int[side, CHART], 2 * side
+        turned = is_across_pole(kind, chart, side_shape[side], u[i + 1])
+        out[i], out[i + 1] = rates[i], -rates[i + 1] if turned else rates[i + 1]
     if sizes[NWORK] > 0:
         _powers(table, nv, nc, slope[nq + nv + 4 * nc :])
 
@@ -228,12 +241,12 @@ def correct_state(table, with_position, with_velocity):
     location = reals(table[LOCATION], 4 * nc)
     for k in range(4 * nc):
         state[nq + nv + k] = location[k]
+    q, v = reals(table[Q], nq), reals(table[V], nv)
     if with_velocity != 0:
         correction = reals(table[CORRECTION_V], nv)
         for k in range(nv):
-            change = max(change, abs(correction[k]) / (absolute[nq + k] + relative * abs(state[nq + k])))
-            state[nq + k] += correction[k]
-    q = reals(table[Q], nq)
+            change = max(change, abs(correction[k]) / (absolute[nq + k] + relative * abs(v[k])))
+            v[k] += correction[k]
     if with_position != 0:
         moved = matrix(table[SLOPES], MAX_STAGES, sizes[NY])[MAX_STAGES - 1]
         move(
@@ -247,10 +260,22 @@ def correct_state(table, with_position, with_velocity):
             change = max(change, abs(moved[i]) / (absolute[i] + relative * abs(state[i])))
     for i in range(nq):
         state[i] = q[i]
-    v = reals(table[V], nv)
-    for k in range(nv):
-        v[k] = state[nq + k]
+    if with_position != 0 or with_velocity != 0:
+        keep_velocity(table, state)
     return change
+
+
+@kernel
+def keep_velocity(table, state):
+    """The velocity that Pinocchio has becomes that of the state, whose configuration it has, too."""
+    sizes = integers(table[SIZES], 8)
+    nq, nv = sizes[NQ], sizes[NV]
+    v, out = reals(table[V], nv), state[nq : nq + nv]
+    if integers(table[COUNTERS], COUNTERS_SIZE)[PARENT_AXES] != 0:
+        to_parent_axes(integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4), reals(table[Q], nq), v, out)
+    else:
+        for k in range(nv):
+            out[k] = v[k]
 
 
 @entry_kernel(TABLE, aside=True)

@@ -108,11 +108,21 @@ from ..layout import (
     VELOCITY_RESIDUAL,
     WORK,
     Q,
+    V,
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
 from .dense import DENSE_ROWS, dense_coefficients, interpolate
 from .recording import BLOCK, output_done, record_row
-from .stages import MAX_STAGES, build_state, correct_state, error_norm, fill_slope, hand_over, move_charts
+from .stages import (
+    MAX_STAGES,
+    build_state,
+    correct_state,
+    error_norm,
+    fill_slope,
+    hand_over,
+    keep_velocity,
+    move_charts,
+)
 
 # What `run_task` does.
 (
@@ -133,7 +143,8 @@ from .stages import MAX_STAGES, build_state, correct_state, error_norm, fill_slo
     SETTLE,
     ACROSS_SLIP,
     FIRST_STEP,
-) = range(17)
+    KEEP_VELOCITY,
+) = range(18)
 
 # What MARCH comes back with.
 MARCHING, STEPPED, ATTEMPTED, SLIP_ENDS, SLIP_IS_SLOW, STEP_FAILED, PROJECTION_FAILED, AT_FLOOR, AT_LIMIT = range(9)
@@ -447,7 +458,7 @@ def _note_end(table):
     contact_int = integer_matrix(table[CONTACT_INT], n, CONTACT_INTS)
     contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
     basis, rows = cube(table[BASIS], n, 3, 3), cube(table[ROWS], n, 3, nv)
-    v, tolerances = reals(table[STAGE_STATE], sizes[NY])[sizes[NQ] :], reals(table[SCALE], 2)
+    v, tolerances = reals(table[V], nv), reals(table[SCALE], 2)
     turning = 0.0
     for c in range(n):
         integer, number = contact_int[c], contact_real[c]
@@ -756,5 +767,8 @@ def run_task(table, task, t, h):
         return across_slip(table, t, h)
     if task == FIRST_STEP:
         first_step(table, t, h)
+        return OK
+    if task == KEEP_VELOCITY:
+        keep_velocity(table, reals(table[STAGE_STATE], integers(table[SIZES], 8)[NY]))
         return OK
     return march(table, task)

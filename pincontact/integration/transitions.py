@@ -202,9 +202,8 @@ class Transitions:
     # ---------------------------------------------------------------- start
 
     def begin(self, t: float) -> None:
-        """Modes of the initial state in `system.state`, and its slope. Slip that starts from rest is still frozen."""
+        """Modes of the initial state (see `begin_at`), and its slope. Slip that starts from rest is still frozen."""
         system, rk = self.system, self.rk
-        rk.load(system.state)
         status = rk.evaluate(t)
         self.failed_control(t)
         if status in (LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE):
@@ -771,7 +770,7 @@ class Transitions:
         if impact is None:
             names = ", ".join(repr(self.names[i]) for i in touching) or "a joint's limit"
             raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}")
-        system.stage_state[system.nq : system.nq + system.nv] = system.v
+        rk.keep_velocity()
         if self._counts_works:
             works = system.stage_state[-NUMBER_OF_WORKS:]
             works[FRICTION_WORK] += impact.contacts

@@ -18,10 +18,14 @@ from ..geometry.location import (
     NEWTON_STEP,
     NO_CLOSED_FORM,
     POINT_ON_PLANE,
+    POINT_ON_SPHERE,
+    ROUND_ON_PLANE,
     SINGULAR_LIMIT,
+    SPHERE_ON_SPHERE,
     conditioning,
     location_jacobian,
     location_residual,
+    nearest_on_sphere,
     point_to_plane,
     rate_equations,
     raw_normal,
@@ -122,22 +126,22 @@ def locate(
     difference, normal, k_axis = vectors[_DIFFERENCE], vectors[_NORMAL], vectors[_K_AXIS]
     if integers[CLOSED_FORM] != NO_CLOSED_FORM:
         counters[CLOSED_COUNT] += 1
-        if integers[CLOSED_FORM] != POINT_ON_PLANE and not round_on_plane(
-            side1[KIND],
-            side1[CHART],
-            shape1,
-            frame1,
-            frame2,
-            float(integers[BRANCH]),
-            location,
-            vectors[_A:_C],
-        ):
+        form, branch, found = integers[CLOSED_FORM], integers[BRANCH], True
+        if form in (POINT_ON_SPHERE, SPHERE_ON_SPHERE):
+            charts = (side1[CHART], side2[CHART])
+            found = nearest_on_sphere(form, charts, frame1, frame2, branch, location, vectors[_A:_C])
+        elif form == ROUND_ON_PLANE:
+            found = round_on_plane(
+                side1[KIND], side1[CHART], shape1, frame1, frame2, float(branch), location, vectors[_A:_C]
+            )
+        if not found:
             numbers[CONDITION] = 0.0
             return SINGULAR
         shape_in_world(side1, shape1, frame1, location[0], location[1], k1, time, local, first)
-        for i in range(3):
-            vectors[_A, i] = frame1[3, i] + first[0, i]
-        point_to_plane(vectors[_A], frame2, location)
+        if form in (POINT_ON_PLANE, ROUND_ON_PLANE):
+            for i in range(3):
+                vectors[_A, i] = frame1[3, i] + first[0, i]
+            point_to_plane(vectors[_A], frame2, location)
         shape_in_world(side2, shape2, frame2, location[2], location[3], k2, time, local, second)
         point_difference(frame1, frame2, first, second, difference)
         raw_normal(pattern, first, second, frame2, normal, k_axis)

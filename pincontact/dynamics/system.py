@@ -15,7 +15,7 @@ from ..contours.motion import MOTION_CALLABLE, MOTION_PARAMETERS, MOTION_SIZE
 from ..errors import ContourError
 from ..friction.laws import Stribeck
 from ..geometry.carriers import ORIGIN
-from ..geometry.location import closed_form
+from ..geometry.location import NO_CLOSED_FORM, closed_form
 from ..geometry.patterns import NO_NORMAL
 from ..integration.dense import DENSE_ROWS
 from ..integration.manifold import TURNING, configuration_blocks
@@ -226,8 +226,11 @@ class System:
             numbers[NORMAL_1] = numbers[SPAN] = 1.0
             self._map_side(2 * c, one)
             self._map_side(2 * c + 1, two)
-        # (nc, 4) which location parameters the contours do not have
-        self.unused_parameters = np.tile(np.arange(2), 2) >= np.repeat(self.contact_int[: self.nc, [K1, K2]], 2, axis=1)
+        # (nc, 4) which location parameters are there and are followed: a closed form needs no start to find them
+        self.followed_parameters = np.tile(np.arange(2), 2) < np.repeat(
+            self.contact_int[: self.nc, [K1, K2]], 2, axis=1
+        )
+        self.followed_parameters[self.contact_int[: self.nc, CLOSED_FORM] != NO_CLOSED_FORM] = False
 
     def _map_side(self, side: int, attached: AttachedContour) -> None:
         contour, integers = attached.contour, self.side_int[side]

@@ -22,7 +22,14 @@ NEWTON_STEP = 1e-8
 # Below this dimensionless determinant the point contact is taken as degenerate (line, area or double contact).
 SINGULAR_LIMIT = 1e-7
 
-NO_CLOSED_FORM, POINT_ON_PLANE, ROUND_ON_PLANE = 0, 1, 2
+NO_CLOSED_FORM, POINT_ON_PLANE, ROUND_ON_PLANE, POINT_ON_SPHERE, SPHERE_ON_SPHERE = range(5)
+# Solutions of each closed form, as the branch that names one.
+BRANCHES = {
+    POINT_ON_PLANE: (1,),
+    ROUND_ON_PLANE: (-1, 1),
+    POINT_ON_SPHERE: (-1, 1),
+    SPHERE_ON_SPHERE: (-2, -1, 1, 2),
+}
 
 
 def closed_form(kind1: int, kind2: int) -> int:
@@ -31,6 +38,8 @@ def closed_form(kind1: int, kind2: int) -> int:
         return POINT_ON_PLANE
     if kind2 == PLANE and kind1 in (CIRCLE, ELLIPSE, SPHERE, ELLIPSOID):
         return ROUND_ON_PLANE
+    if kind2 == SPHERE and kind1 in (POINT, SPHERE):
+        return POINT_ON_SPHERE if kind1 == POINT else SPHERE_ON_SPHERE
     return NO_CLOSED_FORM
 
 
@@ -181,15 +190,46 @@ def round_on_plane(kind, chart, shape, frame1, frame2, branch, location, scratch
             return False
         location[0] = unwrapped(math.atan2(shape[1] * local[1], shape[0] * local[0]), location[0])
     else:
-        # the parameter sphere's point is proportional to (a n_x, b n_y, c n_z); chart 1 turns the axes cyclically
+        # the parameter sphere's point is proportional to (a n_x, b n_y, c n_z)
         if kind == ELLIPSOID:
             for i in range(3):
                 local[i] *= shape[i]
-        x, y, z = local[0], local[1], local[2]
-        if chart == 1:
-            x, y, z = local[1], local[2], local[0]
-        location[0] = unwrapped(math.atan2(y, x), location[0])
-        location[1] = math.atan2(z, math.hypot(x, y))
+        _set_angles(chart, local, location[0:2])
+    return True
+
+
+@kernel
+def _set_angles(chart, local, u):
+    """Parameters u (2,) of a sphere's point in the direction local (3,); chart 1 turns the axes cyclically."""
+    x, y, z = local[0], local[1], local[2]
+    if chart == 1:
+        x, y, z = local[1], local[2], local[0]
+    u[0] = unwrapped(math.atan2(y, x), u[0])
+    u[1] = math.atan2(z, math.hypot(x, y))
+
+
+@kernel
+def nearest_on_sphere(form, charts, frame1, frame2, branch, location, scratch):
+    """Location of a point or a sphere on a sphere: on the line through both centres.
+
+    The sign of the branch tells on which side of its centre body 2 is touched, +1 towards body 1. A sphere that is
+    body 1 is touched on the opposite side of its own centre if |branch| is 1 (one beside the other), on the same side
+    if it is 2 (one within the other). Returns False where the centres coincide.
+    """
+    apart, local = scratch[0], scratch[1]
+    side = 1.0 if branch > 0 else -1.0
+    for i in range(3):
+        apart[i] = side * (frame1[ORIGIN, i] - frame2[ORIGIN, i])
+    if apart[0] == 0.0 and apart[1] == 0.0 and apart[2] == 0.0:
+        return False
+    rotate_back(frame2[0:3], apart, local)
+    _set_angles(charts[1], local, location[2:4])
+    if form == SPHERE_ON_SPHERE:
+        rotate_back(frame1[0:3], apart, local)
+        if abs(branch) == 1:
+            for i in range(3):
+                local[i] = -local[i]
+        _set_angles(charts[0], local, location[0:2])
     return True
 
 

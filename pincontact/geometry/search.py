@@ -15,7 +15,7 @@ from ..contours import Cone, Cylinder, HeightField, Line, Plane
 from ..errors import SingularContactError
 from ..integration.stages import move_charts
 from ..layout import BRANCH, CHART, CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SIDE, SINGULAR
-from .location import NO_CLOSED_FORM, ROUND_ON_PLANE
+from .location import BRANCHES, NO_CLOSED_FORM, ROUND_ON_PLANE
 from .patterns import CROSSING_CURVES, ON_CURVE
 
 if TYPE_CHECKING:
@@ -64,12 +64,19 @@ def find_candidates(system: System, t: float, guess: np.ndarray) -> list[Candida
     system.contact_int[0, DETERMINANT_SIGN] = 0
     if system.contact_int[0, CLOSED_FORM] != NO_CLOSED_FORM:
         start = np.where(np.isnan(guess), 0.0, guess)
-        branches = (-1, 1) if system.contact_int[0, CLOSED_FORM] == ROUND_ON_PLANE else (1,)
-        found = [c for c in (_refine(system, t, start, branch, statuses) for branch in branches) if c is not None]
-        if np.isfinite(known).all() and len(found) > 1 and k1 > 0:
-            # the guess of body 1 names the branch
-            found.sort(key=lambda c: float(np.abs(c.location[:k1] - guess[:k1]).max()))
-            return found[:1]
+        form = int(system.contact_int[0, CLOSED_FORM])
+        found = [c for c in (_refine(system, t, start, branch, statuses) for branch in BRANCHES[form]) if c is not None]
+        if np.isfinite(known).all() and len(found) > 1:
+            if form == ROUND_ON_PLANE:
+                # the guess of body 1 names the branch
+                found.sort(key=lambda c: float(np.abs(c.location[:k1] - guess[:k1]).max()))
+                return found[:1]
+            # the one to which Newton leads from there
+            system.contact_int[0, CLOSED_FORM] = NO_CLOSED_FORM
+            near = _refine(system, t, guess, 1, statuses)
+            system.contact_int[0, CLOSED_FORM] = form
+            if near is not None:
+                return [c for c in found if _is_same(c, near, system)]
     elif np.isfinite(known).all():
         found = [c for c in (_refine(system, t, guess, 1, statuses),) if c is not None]
     else:

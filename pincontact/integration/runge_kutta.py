@@ -67,10 +67,10 @@ class RungeKutta:
         system.scale[:] = rtol, atol
         system.absolute[:] = atol
         if system.nc:
-            # parameters that a contour does not have
+            # no error is estimated in parameters that nothing depends on
             start = system.nq + system.nv
             location = system.absolute[start : start + 4 * system.nc].reshape(-1, 4)
-            location[system.unused_parameters] = 0.0
+            location[~system.followed_parameters] = 0.0
 
     @property
     def evaluations(self) -> int:

@@ -6,8 +6,10 @@ Every engine gets the same mechanism, the same consistent start and the same out
 several whole runs, with compilation and the first run left out. The error is the largest distance in m of a marked
 point from a reference (a closed form, or pincontact's own converged solution, and then it says so) over all output
 times. Peers that are installed (the extra `bench`) run in processes of their own, one after the other, with settings
-chosen in their favour; what one cannot express is left out and the reason printed. Writes a table, work_precision.csv
-and one figure a scene to DIR; --readme also writes the README's figures and its section between two marks.
+chosen in their favour; what one cannot express is left out and the reason printed. pin.aba on one free body is timed
+before and after each engine runs a scene; all times but those in the CSV are scaled to its median, so that a machine
+whose speed changes favours nobody. Writes a table, work_precision.csv and one figure a scene to DIR; --readme also
+writes the README's figures and its section between two marks.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ import tempfile
 import textwrap
 import threading
 import time
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +68,7 @@ class Result:
 
     problems: dict[str, Problem] = field(default_factory=dict)
     sources: dict[str, str] = field(default_factory=dict)  # where the references are from, and how sure they are
-    # s of pin.aba on one free body, just before an engine (second) ran a scene (first)
+    # s of pin.aba on one free body around an engine's (second) runs of a scene (first)
     aba: dict[tuple[str, str], float] = field(default_factory=dict)
     rows: list[Row] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
@@ -89,6 +91,19 @@ def aba_time(batches: int = 7, calls: int = 4000) -> float:
     return statistics.median(times)
 
 
+class Stopwatch:
+    """Times `pin.aba` before and after an engine runs a scene."""
+
+    def __init__(self, result: Result, scene: str, engine: str) -> None:
+        self.result, self.key = result, (scene, engine)
+
+    def __enter__(self) -> None:
+        self.before = aba_time()
+
+    def __exit__(self, *_: object) -> None:
+        self.result.aba[self.key] = 0.5 * (self.before + aba_time())
+
+
 def run_ours(result: Result, name: str, quick: bool, folder: Path) -> Path:
     """The reference of a scene and pincontact's own rows; returns the file that tells the peers what to do."""
     problem = consistent(SCENES[name]())
@@ -96,8 +111,8 @@ def run_ours(result: Result, name: str, quick: bool, folder: Path) -> Path:
     result.problems[name] = problem
     other = "pincontact at rtol 1e-13" if problem.closed_form is not None else "rtol 1e-12 and other steps"
     result.sources[name] = f"{source}; agrees with {other} to {sure:.0e} m"
-    result.aba[name, OURS.name] = aba_time()
-    result.rows += measure(OURS, problem, expected, QUICK if quick else Effort())
+    with Stopwatch(result, name, OURS.name):
+        result.rows += measure(OURS, problem, expected, QUICK if quick else Effort())
     result.versions[OURS.name], result.settings[OURS.name] = OURS.version(), OURS.settings
     file = folder / f"{name}.npz"
     np.savez(file, q=problem.q, v=problem.v, x=expected)
@@ -157,7 +172,10 @@ class PeerProcess:
 
     def run(self, result: Result, scene: str, file: Path) -> bool:
         """Its rows of a scene; False if it did not survive."""
-        result.aba[scene, self.name] = aba_time()
+        with Stopwatch(result, scene, self.name):
+            return self._run(result, scene, file)
+
+    def _run(self, result: Result, scene: str, file: Path) -> bool:
         assert self.process.stdin is not None
         self.process.stdin.write(f"{scene} {file}\n")
         self.process.stdin.flush()
@@ -205,6 +223,17 @@ def _search_path() -> list[str]:
 
 
 # ---------------------------------------------------------------------------------------------------- results
+
+
+def usual_speed(result: Result) -> float:
+    """Median of all timings of pin.aba in s."""
+    return statistics.median(result.aba.values())
+
+
+def evened(result: Result) -> list[Row]:
+    """The rows as if pin.aba had always taken its median time."""
+    usual = usual_speed(result)
+    return [replace(row, seconds=row.seconds * usual / result.aba[row.scene, row.engine]) for row in result.rows]
 
 
 def fastest(rows: list[Row], level: float) -> Row | None:
@@ -318,11 +347,11 @@ def section(result: Result) -> str:
     """The README's section."""
     shown = (1e-2, 1e-4, 1e-6, 1e-8)
     peers = ", ".join(f"{name} {version}" for name, version in result.versions.items() if name != OURS.name) or "none"
-    aba = statistics.median(result.aba.values()) * 1e6
+    aba = usual_speed(result) * 1e6
     lines = [
         *_paragraph(
             "Every engine gets the same mechanism, start and 20 output times; times are medians of whole runs without "
-            f"compilation, on a machine on which `pin.aba` takes {aba:.2f} us for one free body. Peers: {peers}; "
+            f"compilation, scaled to {aba:.2f} us for `pin.aba` on one free body, timed around each. Peers: {peers}; "
             "their settings, chosen in their favour, and the references are printed with the full table."
         ),
         *_paragraph(
@@ -404,8 +433,9 @@ def main(arguments: list[str] | None = None) -> Result:
     options.output.mkdir(parents=True, exist_ok=True)
     print(f"{platform.processor() or platform.machine()}, Python {platform.python_version()}, pin {pin.__version__}")
     result = run_all(names, peers, options.quick)
-    print_tables(result)
     write_csv(result, options.output / "work_precision.csv")
+    result.rows = evened(result)
+    print_tables(result)
     draw(result, options.output)
     if options.readme:
         FIGURES.mkdir(parents=True, exist_ok=True)

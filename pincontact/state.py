@@ -89,15 +89,13 @@ class State:
 
 _DISCRETE = (MODE, None, None, SIDE, BRANCH, DETERMINANT_SIGN, SLIP_SIGN, NORMAL_SIGN, FROZEN)
 DISCRETE_COLUMNS = len(_DISCRETE)
-# columns of the discrete part that are a contact's integers, and which
-_OWN = [column for column, source in enumerate(_DISCRETE) if source is not None]
-_SOURCES = [source for source in _DISCRETE if source is not None]
+# the same with any column in the charts' places
+_SOURCES = np.array([MODE if source is None else source for source in _DISCRETE])
 
 
 def discrete_part(contact_int: np.ndarray, charts: np.ndarray) -> np.ndarray:
     """(..., nc, DISCRETE_COLUMNS) the discrete part of contacts, given their integers and charts (..., nc, 2)."""
-    out = np.zeros((*charts.shape[:-1], DISCRETE_COLUMNS), dtype=np.int64)
-    out[..., _OWN] = contact_int[..., _SOURCES]
+    out = contact_int.take(_SOURCES, axis=-1)
     out[..., 1:3] = charts
     return out
 
@@ -109,7 +107,10 @@ def read_discrete(system: System) -> np.ndarray:
 
 def write_discrete(system: System, discrete: np.ndarray) -> None:
     """Set the discrete part of a system's contacts."""
-    system.contact_int[: system.nc, _SOURCES] = discrete[:, _OWN]
+    # column by column, which takes less time than arrays of indices
+    for column, source in enumerate(_DISCRETE):
+        if source is not None:
+            system.contact_int[: system.nc, source] = discrete[:, column]
     system.side_int[0 : 2 * system.nc : 2, CHART] = discrete[:, 1]
     system.side_int[1 : 2 * system.nc : 2, CHART] = discrete[:, 2]
 

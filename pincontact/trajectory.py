@@ -102,10 +102,11 @@ class Record:
         parts[7] = parts[7].reshape(n, nc, 3)
         if self._resistances:
             parts[8] = np.array(self._resistances)
+        elif self.system.nr:
+            orientation = np.array([-1.0 if contact.swapped else 1.0 for contact in self.system.contacts])
+            parts[8] = orientation[:, None] * parts[8].reshape(n, nc, 3)
         else:
-            resisting = self.system.contacts if self.system.nr else []
-            orientation = np.array([-1.0 if contact.swapped else 1.0 for contact in resisting])
-            parts[8] = orientation[:, None] * parts[8].reshape(n, len(resisting), 3)
+            parts[8] = parts[8].reshape(n, 0, 3)
         return parts, integers[:, : nc * INTEGERS_PER_CONTACT].reshape(n, nc, INTEGERS_PER_CONTACT)
 
 

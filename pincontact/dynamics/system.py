@@ -444,6 +444,8 @@ class System:
 
     def resisting(self) -> list[int]:
         """Items that are resistances of contacts that are not open."""
+        if not self.nr:
+            return []
         owners = self.contact_int[self.nc + self.ng : self.items, OWNER]
         return [self.nc + self.ng + i for i in np.flatnonzero(self.contact_int[owners, MODE] != FREE)]
 

@@ -27,9 +27,6 @@ NAMES = list(SPECIFICATIONS)
 PLANAR_PATTERNS = ("P-2C", "2C-2C")
 # what the references call an event, and what the package calls it
 KINDS = {"slip->stick": "stick", "stick->slip": "slip", "slip reversal": "slip", "detach": "separate"}
-# s; then this one sinks 27 um into the sphere: it lets the disk go where its normal force vanishes, though there only
-# friction keeps the gap from closing
-LAST_TIMES = {"disk_on_sphere_detach": 0.8826}
 # contour in body, contour, drive
 Shape = tuple[pc.Contour, pin.SE3, pc.Motion | None]
 
@@ -256,8 +253,7 @@ class Reference:
     @cached_property
     def arrays(self) -> dict[str, np.ndarray]:
         with np.load(DATA / f"{self.name}.npz") as file:
-            rows = file["t"] <= LAST_TIMES.get(self.name, math.inf)
-            return {key: file[key][rows] for key in file.files}
+            return {key: file[key] for key in file.files}
 
     def __getitem__(self, key: str) -> np.ndarray:
         return self.arrays[key]
@@ -268,7 +264,7 @@ class Reference:
 
     @property
     def events(self) -> list[dict[str, Any]]:
-        return [event for event in SPECIFICATIONS[self.name]["events"] if event["t"] <= self["t"][-1]]
+        return SPECIFICATIONS[self.name]["events"]
 
     def away_from_events(self, seconds: float = 1e-3) -> np.ndarray:
         """Rows at which forces are as certain as the motion."""

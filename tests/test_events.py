@@ -110,6 +110,24 @@ def test_impact_with_friction_of_a_ball():
         assert run.contacts["c"].mode[-1] == mode
 
 
+def test_disk_leaves_a_sphere_and_flies_on():
+    """After the contact has opened the body falls freely: energy and angular momentum in its axes are kept."""
+    scene, state = build("disk_on_sphere_detach", native=True)
+    run = pc.simulate(scene, state, 1.2, rtol=1e-11, atol=1e-13)
+    assert kinds(run) == ["separate"]
+    opened = run.events[0].time
+    flight = run.t > opened
+    assert flight.any()
+    acceleration = np.diff(
+        [pin.Quaternion(q[3:]).matrix() @ v[:3] for q, v in zip(run.q[flight], run.v[flight])], axis=0
+    )
+    acceleration /= np.diff(run.t[flight])[:, None]
+    np.testing.assert_allclose(acceleration, np.tile([0.0, 0.0, -G], (len(acceleration), 1)), rtol=0.0, atol=1e-7)
+    energy = run.energies().total
+    assert np.abs(energy / energy[0] - 1.0).max() <= 1e-10
+    assert not run.contacts["0"].force[flight].any()
+
+
 def test_heaving_plate_throws_a_ball():
     """A plate that goes down faster than g lets go of the ball where its acceleration is -g, and meets it again."""
     amplitude, frequency = 0.05, 3.0

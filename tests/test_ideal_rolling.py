@@ -8,12 +8,13 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from reference import LAST_TIMES, build
+from reference import build
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 from test_moreau import G, body_scene, random_scene
 
 import pincontact as pc
+from pincontact.contacts import characteristic_length
 
 FREE, STICK, SLIPPING = -1, 1, 2
 HALF, PUSH = 0.5, 2.0
@@ -120,17 +121,22 @@ def test_run_goes_on_from_the_middle_of_a_slide():
     np.testing.assert_allclose(rest.v[-1], whole.v[-1], rtol=0.0, atol=1e-8)
 
 
-def test_disk_slides_off_a_sphere():
-    """The disk lifts off where the reference lets it go, but only after a slide: let go at once it would sink in."""
+def fast_disk(factor=1.0):
+    """The disk that rolls off a sphere in the references, at so many times its speed there."""
     scene, state = build("disk_on_sphere_detach", native=True)
-    run = pc.simulate(scene, state, 1.2, rtol=1e-11, atol=1e-13, energies=True)
+    return scene, scene.initial_state(state.q, factor * state.v)
+
+
+def test_disk_slides_off_a_sphere():
+    """Rolling faster than in the reference it would sink in by 1.2e-3 of its radius if it were let go: it slides."""
+    run = pc.simulate(*fast_disk(1.2), 1.0, rtol=1e-11, atol=1e-13, energies=True)
     assert kinds(run) == ["slip", "separate"]
     slips, opens = (event.time for event in run.events)
-    # what the reference gives, to the accuracy of its tests
-    assert abs(slips - 0.8826212696277185) <= 1e-8
-    assert slips > LAST_TIMES["disk_on_sphere_detach"]
-    assert 5e-3 <= opens - slips <= 2e-2
+    assert 5e-3 <= opens - slips <= 3e-2
     track, flight = run.contacts["0"], run.t > opens
+    slides = (run.t > slips) & (run.t < opens)
+    assert slides.any()
+    assert (track.mode[slides] == SLIPPING).all()
     assert np.nanmin(track.gap) >= -1e-14
     assert (np.diff(track.gap[flight]) > 0.0).all()
     assert not track.force[flight].any()
@@ -138,6 +144,85 @@ def test_disk_slides_off_a_sphere():
     assert np.abs(energies.balance).max() <= 1e-10 * energies.kinetic.max()
     assert np.ptp(energies.total[run.t < slips]) <= 1e-10 * energies.kinetic.max()
     assert np.ptp(energies.total[flight]) <= 1e-10 * energies.kinetic.max()
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-10])
+def test_a_small_dip_is_let_be(rtol):
+    """The reference's disk dips by 4.4e-4 of its radius: it flies from where its normal force vanishes, and a run that
+    starts within the dip goes on in it."""
+    times = np.linspace(0.0, 1.0, 1001)
+    scene, state = fast_disk()
+    options = {"rtol": rtol, "atol": 1e-2 * rtol}
+    whole = pc.simulate(scene, state, 1.0, t_eval=times, energies=True, **options)
+    assert kinds(whole) == ["separate"]
+    assert abs(whole.events[0].time - 0.8826212696277185) <= 10.0 * rtol
+    gap = whole.contacts["0"].gap
+    # ten times the tolerance in position; the dip is 1.3e-4 m
+    assert -1.4e-4 - 10.0 * rtol <= gap.min() <= -1.2e-4 + 10.0 * rtol
+    assert gap[-1] >= 1e-3
+    for row in (885, 895, 900):
+        assert gap[row] < -10.0 * (0.3 * rtol + 1e-2 * rtol) or rtol > 1e-6
+        rest = pc.simulate(scene, whole.state(row), 1.0 - times[row], t_eval=times[row:], **options)
+        assert kinds(rest) == []
+        np.testing.assert_allclose(rest.q, whole.q[row:], rtol=0.0, atol=10.0 * rtol)
+
+
+def pushed_into_its_dip(push, until=math.inf, restitution=0.0):
+    """The reference's disk in its dip, which a force in N, not foreseen, makes deeper, up to a time in s after it."""
+    scene, state = fast_disk()
+    if restitution:
+        body, sphere = (side.contour for side in (scene.contacts["0"].first, scene.contacts["0"].second))
+        scene = pc.Scene(scene.model)
+        frame = scene.model.frames[-1].name
+        disk, ball = scene.add_contour("disk", body, frame), scene.add_contour("ball", sphere)
+        scene.add_contact("0", disk, ball, friction=pc.NoSlip(), restitution=restitution)
+        state = scene.initial_state(state.q, state.v)
+
+    def smooth(x):
+        x = min(max(x, 0.0), 1.0)
+        return x * x * (3.0 - 2.0 * x)
+
+    def control(t, q, v):
+        after = t - 0.8826212696
+        force = push * smooth((after - 1e-3) / 5e-3) * (1.0 - smooth((after - until) / 5e-3))
+        return np.concatenate([pin.Quaternion(q[3:]).matrix().T @ [0.0, 0.0, -force], np.zeros(3)])
+
+    return pc.simulate(scene, state, 1.0, rtol=1e-10, atol=1e-12, energies=True, control=control)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+@pytest.mark.parametrize("push", [2.0, 20.0, 500.0])
+def test_a_dip_that_gets_deeper_than_foreseen_touches(push, restitution):
+    """There is an impact where it is twice as deep; what lifts the body from there is taken from the motion."""
+    run = pushed_into_its_dip(push, restitution=restitution)
+    assert run.status == 0, run.message
+    assert kinds(run)[:2] == ["separate", "touch"]
+    track, energies = run.contacts["0"], run.energies()
+    # foreseen to 1.35e-4
+    assert -2.8e-4 <= np.nanmin(track.gap) <= -1e-4
+    if restitution == 0.0:
+        assert abs(track.gap[run.t > run.events[1].time][0]) <= 1e-12
+    scale = energies.kinetic.max()
+    assert np.abs(energies.balance).max() <= 1e-9 * scale
+    assert np.diff(energies.friction_work).max() <= 1e-12 * scale
+    assert energies.friction_work[-1] <= -1e-5
+
+
+def test_a_dip_that_is_too_deep_by_a_hair():
+    """The impact takes next to nothing there, and the lift more than that: its energy comes from the motion."""
+    low, high = 1.0, 1.1
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if "touch" in kinds(pushed_into_its_dip(middle, 0.012)) else (middle, high)
+    run = pushed_into_its_dip(high, 0.012)
+    assert kinds(run)[:2] == ["separate", "touch"]
+    energies, touched = run.energies(), int(np.searchsorted(run.t, run.events[1].time))
+    gap = run.contacts["0"].gap
+    assert gap[touched - 1] <= -2e-4
+    assert abs(gap[touched]) <= 1e-12
+    # round-off in energies of ten joules, and what the run leaves
+    assert abs(energies.friction_work[touched]) <= 1e-10
+    assert np.abs(energies.balance).max() <= 1e-10
 
 
 def thrown_body(seed):
@@ -185,7 +270,8 @@ def thrown_body(seed):
 
 
 def check(seed, scene, run, depth):
-    """Nothing gains energy, nothing sinks in; what slides without a normal force is braked. Returns rows that slide."""
+    """Nothing gains energy; nothing sinks in, but for the dips that are let be; what slides without a normal force is
+    braked. Returns rows that slide."""
     energies = run.energies()
     scale = energies.kinetic.max()
     assert np.diff(energies.friction_work).max(initial=0.0) <= 1e-7 * scale, seed
@@ -195,9 +281,14 @@ def check(seed, scene, run, depth):
     slides = 0
     for name, contact in scene.contacts.items():
         track = run.contacts[name]
-        assert np.nanmin(track.gap) >= -depth, seed
+        ideal = isinstance(contact.friction, pc.NoSlip)
+        # twice a thousandth of the length
+        dip = 2e-3 * characteristic_length(contact) if ideal else 0.0
+        assert np.nanmin(track.gap) >= -depth - dip, seed
+        # they are rare
+        assert np.mean(track.gap < -depth) <= (0.1 if ideal else 0.0), seed
         assert track.normal_force.min() >= -1e-7 * (1.0 + track.normal_force.max()), seed
-        if isinstance(contact.friction, pc.NoSlip):
+        if ideal:
             alone = track.mode == SLIPPING
             power = np.einsum("ij,ij->i", track.force, track.slip_velocity)
             assert not track.normal_force[alone].any(), seed
@@ -207,7 +298,7 @@ def check(seed, scene, run, depth):
     return slides
 
 
-@pytest.mark.parametrize("block", range(2))
+@pytest.mark.parametrize("block", [0, 31])
 def test_thrown_bodies(block):
     """Thirty bodies a block, of which some slide."""
     slides = 0

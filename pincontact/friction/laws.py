@@ -231,7 +231,8 @@ class NoSlip(FrictionLaw):
 
     It is the limit of Coulomb's law for large mu. A unilateral contact is let go where its normal force reaches zero,
     however large the tangential force is by then; but where that force is all that keeps the contact from closing
-    again, it slides with F_n = 0, held up by the tangential force against its slip, until it sticks again or opens.
+    again by more than a thousandth of its length, it slides with F_n = 0, held up by the tangential force against its
+    slip, until it sticks again or opens.
 
     spinning, rolling: resistance to spinning and rolling in m, as of `Coulomb`.
     """

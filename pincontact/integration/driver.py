@@ -104,7 +104,7 @@ class Driver:
         progress: Callable[[float], None] | None = None,
     ) -> None:
         self.rk, self.system, self.transitions = rk, rk.system, transitions
-        self.locator = EventLocator(rk, users)
+        self.locator = EventLocator(rk, users, transitions.depths)
         transitions.emit = self._output_short_step
         self.record, self.flush, self.options, self.progress = record, flush, options, progress
         times = np.zeros(0) if options.t_eval is None else np.ascontiguousarray(options.t_eval)
@@ -159,7 +159,7 @@ class Driver:
             why = run_task(self.system.table, self._task(), 0.0, 0.0)
             t = float(scalars[NOW])
             if why == STEPPED:
-                self.locator.update_users(t)
+                self._watch(t)
                 self._output_at(t)
             elif why == ATTEMPTED:
                 h = float(scalars[NEXT_STEP])
@@ -171,7 +171,7 @@ class Driver:
                 t = self._end_slip(t)
                 self._restart(h)
             elif why == SLIP_IS_SLOW:
-                self.locator.update_users(t)
+                self._watch(t)
                 self._output_at(t)
                 t = self._slow_slip(t)
             elif why == AT_LIMIT:
@@ -294,10 +294,16 @@ class Driver:
     def _after(self, t: float) -> None:
         """What follows every state that is accepted here."""
         self._finish(t)
-        self.locator.update_users(t)
+        self._watch(t)
         if self.options.t_eval is None:
             self.record(t)
         self._output_at(t)
+
+    def _watch(self, t: float) -> None:
+        """Take the accepted state at t as the one that the next events are measured from."""
+        self.locator.update_users(t)
+        if self.transitions.dips:
+            self.transitions.end_dips()
 
     def _stop_at(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> float:
         """Step again to the crossing, so that the state there has the method's full order, and switch modes."""

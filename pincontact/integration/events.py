@@ -101,10 +101,13 @@ def outside(system: System) -> np.ndarray:
 
 
 class EventLocator:
-    """Finds crossings in the step that its integrator has attempted."""
+    """Finds crossings in the step that its integrator has attempted.
 
-    def __init__(self, rk: RungeKutta, users: Sequence[UserEvent]) -> None:
-        self.rk, self.users = rk, users
+    depths: (items,) how much deeper in m than gaps are known open contacts may be; others change it.
+    """
+
+    def __init__(self, rk: RungeKutta, users: Sequence[UserEvent], depths: np.ndarray) -> None:
+        self.rk, self.users, self._depths = rk, users, depths
         scale = rk.system.scale
         nc, items = rk.system.nc, rk.system.items
         # guarded joint coordinates follow the contacts; theirs are of unit size
@@ -142,7 +145,7 @@ class EventLocator:
         system = self.rk.system
         nc = system.nc
         margins = system.margins[: system.items].copy()
-        margins[:, GAP_MARGIN] += self._gap_slack
+        margins[:, GAP_MARGIN] += self._gap_slack + self._depths
         # both ends of a joint coordinate
         margins[nc:, DOMAIN_MARGIN] += self._gap_slack[nc:]
         # beyond the end of a contour there is nothing to touch
@@ -288,11 +291,13 @@ class EventLocator:
             self.rk.attempt(t, h)
             return h
         slope = float(ends[1][crossing.margin] - ends[0][crossing.margin]) / (h - back)
+        c, kind = crossing.margin
+        depth = float(self._depths[c]) if kind == GAP_MARGIN else 0.0
         before: tuple[float, float] | None = None
         for _ in range(_REFINEMENTS):
             if self.rk.attempt(t, h) != OK:
                 return h
-            value = float(self.rk.system.margins[crossing.margin])
+            value = float(self.rk.system.margins[c, kind]) + depth
             if before is not None and before[0] != h:
                 slope = (value - before[1]) / (h - before[0])
             before = h, value

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import pinocchio as pin
 
 from ..dynamics.impact import apply_impact
 from ..dynamics.joints import END_SLACK
@@ -86,6 +87,11 @@ _AT_LIMIT = 1e-6
 _OPENING_SEED = 1e-4
 # Forces below zero, or above their limit, by less than this part of the largest one are no events while slip starts.
 _FORCE_ACCURACY = 1e-6
+# Ideal rolling that is let go with a force may dip by this part of the contact's length before it opens by itself, too
+# little to be seen. A disk that rolls off a sphere, as the references know it, does by 4.4e-4, foreseen to 3 %.
+_DEEPEST_DIP = 1e-3
+# A dip this many times deeper than was foreseen is none, and touches.
+_DIP_SLACK = 2.0
 # A gap that is closed already counts as so much of what gaps are known to.
 _LEAST_WAY = 1e-2
 # A rebound slower than this, in m/s, closes the contact; after an impact one that leaves faster than the second opens.
@@ -118,6 +124,9 @@ class Transitions:
         self._counts_works = rk.system.ny > rk.system.nq + rk.system.nv + 4 * rk.system.nc
         # what was last said of each guarded coordinate: see `_guard_state`
         self._guards: list[tuple[bool, int]] = []
+        # (items,) how much deeper in m than gaps are known an open contact may be, and those that may: `_foresee_dip`
+        self.depths = np.zeros(rk.system.items)
+        self.dips: set[int] = set()
         # Longest time in s that the start of slip may take with a prescribed direction; the driver keeps it current.
         self.longest_start = 0.0
         # Slip from rest is seeded after this time in s: its error is of third order in it.
@@ -214,6 +223,7 @@ class Transitions:
         self._stop_jammed(t)
         self._settle(t, undecided, (), True)
         self._guards = [self._guard_state(g) for g in range(system.ng)]
+        self._go_on_in_dips(t)
 
     def _begin_guards(self, t: float) -> None:
         """States of the guarded joint coordinates; one that runs against the end at which it starts collides."""
@@ -616,28 +626,85 @@ class Transitions:
     def _closes_again(self, t: float, c: int) -> bool:
         """Whether ideal rolling whose normal force is zero would close if it were let go.
 
-        Without F_t the gap's second derivative a jumps to -J_n M^-1 J_t^T F_t. If that is negative and changes at the
-        rate j, the gap dips by 2 |a|^3 / (3 j^2) before it opens: nothing, if gaps are known no better.
+        Without F_t the gap's second derivative jumps to -J_n M^-1 J_t^T F_t. Where that is negative, but rises, the gap
+        dips before it opens: a dip that is small enough is let be.
         """
-        rk, system = self.rk, self.system
+        system = self.system
         integers = system.contact_int[c]
         if integers[MODE] != STICK or system.contact_real[c, MU] < math.inf:
             return False
-        rk.accept()
+        self.rk.accept()
         integers[MODE] = FREE
+        depth = self._foresee_dip(t, c, min(self.seed, self.longest_start), 0.0, 0.0)
+        integers[MODE] = STICK
+        if self.rk.evaluate_start(t) > EVENT:
+            raise self.give_up(t, NO_FORCE)
+        if depth > max(self._reach(c), self._deepest_dip(c)):
+            return True
+        self._let_dip(c, depth)
+        return False
+
+    def _foresee_dip(self, t: float, c: int, tau: float, gap: float, rate: float) -> float:
+        """How deep in m the gap of an open contact gets from the accepted state on; infinite if it does not recover.
+
+        tau: time in s over which the rate j of the gap's second derivative a is measured; gap, rate: its value in m
+        and first derivative. From 0 and 0 it dips by 2 |a|^3 / (3 j^2). The accepted state's evaluation is lost.
+        """
+        rk, system = self.rk, self.system
         first = later = math.nan
-        tau = min(self.seed, self.longest_start)
         if rk.evaluate_start(t) <= EVENT:
             first = self.modes.gap_acceleration(t, c)
-        if first < 0.0 < tau and rk.attempt(t, tau) == OK:
+        if first >= 0.0 and rate >= 0.0:
+            return max(0.0, -gap)
+        if tau > 0.0 and rk.attempt(t, tau) == OK:
             rk.load(system.new_state)
             if rk.evaluate(t + tau) <= EVENT:
                 later = self.modes.gap_acceleration(t + tau, c)
-        integers[MODE] = STICK
-        if rk.evaluate_start(t) > EVENT:
-            raise self.give_up(t, NO_FORCE)
         jerk = (later - first) / tau if tau > 0.0 else math.nan
-        return first < 0.0 and not (jerk > 0.0 and 2.0 * -(first**3) <= 3.0 * jerk**2 * self._reach(c))
+        # the later root of rate + first s + jerk s^2 / 2; where there is none the gap only rises
+        root = first * first - 2.0 * jerk * rate
+        if not jerk > 0.0:
+            return math.inf
+        lowest = max(math.sqrt(root) - first, 0.0) / jerk if root > 0.0 else 0.0
+        return max(-(gap + lowest * (rate + lowest * (0.5 * first + lowest * jerk / 6.0))), 0.0)
+
+    def _deepest_dip(self, c: int) -> float:
+        return _DEEPEST_DIP * float(self.system.contact_real[c, LENGTH])
+
+    def _let_dip(self, c: int, depth: float) -> None:
+        """Let open contact c get as deep in m as foreseen, and somewhat deeper, before it touches."""
+        if depth > self._reach(c):
+            self.depths[c] = _DIP_SLACK * depth
+            self.dips.add(c)
+
+    def _go_on_in_dips(self, t: float) -> None:
+        """Take up the dips in the midst of which a run starts."""
+        rk, system = self.rk, self.system
+        deep = [
+            c
+            for c in range(system.nc)
+            if system.contact_int[c, MODE] == FREE
+            and system.contact_int[c, UNILATERAL]
+            and math.isinf(system.contact_real[c, MU])
+            and system.contact_real[c, DOMAIN] >= 0.0
+            and -self._deepest_dip(c) <= system.gaps[c, 0] < -self._reach(c)
+        ]
+        for c in deep:
+            gap, rate = float(system.gaps[c, 0]), float(system.basis[c, 2] @ system.slip[c])
+            depth = self._foresee_dip(t, c, self.seed, gap, rate)
+            if depth <= self._deepest_dip(c):
+                self._let_dip(c, depth)
+            rk.load(system.state)
+            if rk.evaluate_start(t) > EVENT:
+                raise self.give_up(t, NO_FORCE)
+
+    def end_dips(self) -> None:
+        """Dips are over where contacts are closed again, or apart, at the accepted state, which is evaluated."""
+        system = self.system
+        for c in tuple(self.dips):
+            if system.contact_int[c, MODE] != FREE or system.gaps[c, 0] > self._reach(c):
+                self.dips.remove(c)
+                self.depths[c] = 0.0
 
     def held_up(self) -> list[int]:
         """Contacts that slide held up by friction alone."""
@@ -688,7 +755,8 @@ class Transitions:
             approach = -float(system.basis[c, 2] @ system.slip[c])
             if system.contact_int[c, MODE] == FREE and system.contact_real[c, DOMAIN] >= 0.0 and approach > 0.0:
                 reach = self._reach(c)
-                left = min(left, max(float(system.gaps[c, 0]) + reach, _LEAST_WAY * reach) / approach)
+                way = float(system.gaps[c, 0] + self.depths[c]) + reach
+                left = min(left, max(way, _LEAST_WAY * reach) / approach)
         return left
 
     def _uneventful(self) -> bool:
@@ -699,7 +767,8 @@ class Transitions:
         reach = np.array([self._reach(c) if c < system.nc else GAP_TOLERANCE * system.scale.sum() for c in range(n)])
         force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
         return bool(
-            (lowest[:, [GAP_MARGIN, DOMAIN_MARGIN]] >= -reach[:, None]).all()
+            (lowest[:, GAP_MARGIN] >= -reach - self.depths[:n]).all()
+            and (lowest[:, DOMAIN_MARGIN] >= -reach).all()
             and (lowest[:, [NORMAL_MARGIN, FRICTION_MARGIN]] >= -force).all()
         )
 
@@ -765,6 +834,8 @@ class Transitions:
         integers = system.contact_int
         self._evaluate_rows(t)
         closed = system.closed()
+        deep = [c for c in closed if c in self.dips]
+        energy = sum(self._energies()) if deep else 0.0
         ends = [g for g in system.held() if system.guard_int[g, GUARD_END] != 0]
         impact = apply_impact(system, self.modes.solver, closed, ends, restitution)
         if impact is None:
@@ -782,11 +853,13 @@ class Transitions:
             if integers[i, UNILATERAL] and leaving > _LEAVING_SPEED:
                 # a hop lower than gaps are known is none
                 falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
-                if leaving * leaving > 2.0 * falling * self._reach(i):
+                way = self._reach(i) + (max(-float(system.gaps[i, 0]), 0.0) if i in deep else 0.0)
+                if leaving * leaving > 2.0 * falling * way:
                     integers[i, MODE] = FREE
         self._guards_from_velocities()
         undecided = self.modes_from_velocities(after_impact=True)
         before = whitened_velocity(system, system.v)
+        height = self._energies()[1] if deep else 0.0
         self._stop_jammed(t)
         # what stays closed with a normal velocity (a hop that is none) stops here, which may turn slow slips
         if rk.project(t, False):
@@ -798,7 +871,38 @@ class Transitions:
             undecided += [c for c in ended if math.isfinite(system.contact_real[c, MU])]
             self._project(t)
         self._count_loss(before)
+        if deep:
+            self._leave_dips(t, deep, height, energy + impact.drives)
         return self.resolve(t, undecided, silent=True)
+
+    def _leave_dips(self, t: float, deep: list[int], height: float, energy: float) -> None:
+        """After an impact of contacts that were deeper than the surface, out of which they have been lifted.
+
+        The motion has what it fell too far, and gives back what the lift takes beyond what the impact took.
+        height: potential energy in J before the lift; energy: that of the motion before the impact, and of drives.
+        """
+        system = self.system
+        for c in deep:
+            if system.contact_int[c, MODE] == FREE:
+                # rebounds from where it is
+                self.depths[c] = max(-float(system.gaps[c, 0]), 0.0)
+        kinetic, potential = self._energies()
+        excess = min(max(kinetic + potential - energy, 0.0), kinetic)
+        if excess > 0.0:
+            velocities = slice(system.nq, system.nq + system.nv)
+            system.stage_state[velocities] *= math.sqrt(1.0 - excess / kinetic)
+            self.rk.load(system.stage_state)
+            # drives have velocities of their own
+            self._project(t)
+        if self._counts_works:
+            system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += potential - height - excess
+
+    def _energies(self) -> tuple[float, float]:
+        """Kinetic and potential energy in J at the system's (q, v)."""
+        system = self.system
+        model, data = system.model, system.model.createData()
+        kinetic = pin.computeKineticEnergy(model, data, system.q, system.v)
+        return float(kinetic), float(pin.computePotentialEnergy(model, data, system.q))
 
     def _evaluate_rows(self, t: float) -> None:
         """Evaluate what an impact needs: rows, v_c and the factor of M; forces there may be none."""

@@ -8,6 +8,9 @@ import pytest
 from reference import build
 
 import pincontact as pc
+from pincontact.integration.events import EventLocator
+from pincontact.integration.runge_kutta import RungeKutta
+from pincontact.layout import NORMAL_MARGIN
 
 G = 9.81
 RADIUS = 0.1
@@ -156,6 +159,108 @@ def test_heaving_plate_throws_a_ball():
         middle = 0.5 * (low + high)
         low, high = (middle, high) if above(middle) > 0.0 else (low, middle)
     assert abs(run.events[1].time - low) <= 1e-10
+
+
+# ------------------------------------------------------------------------------------------------- loose tolerances
+
+
+def rolling_in_a_bowl(turned=0.0):
+    """A ball released 1.2 rad up in a bowl of 1 m, whose lowest point is a pole of its chart unless it is turned."""
+    scene = pc.Scene(ball_scene().model)
+    ball = scene.add_contour("ball", pc.Sphere(0.2), "ball")
+    bowl = scene.add_contour("bowl", pc.Sphere(1.0), placement=pin.SE3(pin.utils.rotate("y", turned), np.zeros(3)))
+    scene.add_contact("c", ball, bowl, friction=pc.NoSlip(), side=-1)
+    return scene, scene.initial_state([0.8 * math.sin(1.2), 0.0, -0.8 * math.cos(1.2), 0.0, 0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.4])
+@pytest.mark.parametrize(("method", "rtol"), [("DOP853", 1e-1), ("DOP853", 1e-2), ("RK45", 1e-2), ("DOP853", 1e-3)])
+def test_long_steps_over_a_pole(rtol, turned, method):
+    """A step may end beyond a pole of its chart, where f_1 x f_2 points the other way: the normal does not."""
+    scene, state = rolling_in_a_bowl(turned)
+    times = np.linspace(0.0, 4.0, 201)
+    run = pc.simulate(scene, state, 4.0, rtol=rtol, atol=1e-2 * rtol, method=method, t_eval=times)
+    assert run.status == 0, run.message
+    assert run.events == []
+    track = run.contacts["c"]
+    # m g cos(1.2) = 1.8 N at the start; errors of some tenths of a radian leave it that sign
+    assert track.normal_force.min() >= 0.1
+    outwards = track.point / np.linalg.norm(track.point, axis=1)[:, None]
+    # points are on the bowl as well as positions are projected
+    np.testing.assert_allclose(track.frame[:, :, 2], outwards, rtol=0.0, atol=1e-9)
+    assert np.abs(track.location_second[:, 1]).max() <= 0.5 * math.pi
+    assert np.abs(track.location_first[:, 1]).max() <= 0.5 * math.pi
+
+
+@pytest.mark.parametrize("rtol", [1e-2, 1e-4])
+def test_a_disk_over_a_pole(rtol):
+    """The same for a curve on a surface, where the sign of the location's determinant turns, too."""
+    model = build("disk_on_sphere_detach", native=True)[0].model
+    scene = pc.Scene(model)
+    disk, dome = (
+        scene.add_contour("disk", pc.Circle(0.3), model.frames[-1].name),
+        scene.add_contour("dome", pc.Sphere(2.0)),
+    )
+    scene.add_contact("c", disk, dome, friction=pc.NoSlip())
+    # upright, rolling over the top with a spin that keeps it up
+    angle, speed = -0.6, 3.0
+    upright = pin.utils.rotate("y", angle) @ pin.utils.rotate("x", 0.5 * math.pi)
+    q = np.concatenate([pin.utils.rotate("y", angle) @ [0.0, 0.0, 2.3], pin.Quaternion(upright).coeffs()])
+    v = np.concatenate([upright.T @ pin.utils.rotate("y", angle) @ [speed, 0.0, 0.0], [0.0, 0.0, -speed / 0.3]])
+    run = pc.simulate(scene, scene.initial_state(q, v), 0.9, rtol=rtol, atol=1e-2 * rtol)
+    assert run.status == 0, run.message
+    assert run.events == []
+    point = run.contacts["c"].point
+    assert point[0, 0] < -0.5 and point[-1, 0] > 0.5
+    assert run.contacts["c"].normal_force.min() > 0.0
+    assert run.stats["rejected"] <= 5
+
+
+@pytest.mark.parametrize(("rtol", "excess"), [(1e-2, 1e-5), (1e-3, 1e-6), (1e-5, 1e-6), (1e-8, 1e-6)])
+def test_what_opens_within_the_tolerance_has_not_opened(rtol, excess):
+    """A point runs round inside a ring, hardly fast enough for it: at its top the force is as good as zero, and what
+    a tolerance loses of the speed would let it hop by less than gaps are known."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "bead")
+    model.appendBodyToJoint(joint, pin.Inertia(0.5, np.zeros(3), np.eye(3) * 1e-3), pin.SE3.Identity())
+    model.addBodyFrame("bead", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    ring = scene.add_contour(
+        "ring", pc.Cylinder(1.0), placement=pin.SE3(pin.utils.rotate("x", 0.5 * math.pi), np.zeros(3))
+    )
+    scene.add_contact("c", scene.add_contour("bead", pc.Point(), "bead"), ring, side=-1)
+    state = scene.initial_state([0.0, 0.0, -1.0], [math.sqrt(5.0 * G * (1.0 + excess)), 0.0, 0.0])
+    run = pc.simulate(scene, state, 1.2, rtol=rtol, atol=1e-2 * rtol)
+    assert run.status == 0, run.message
+    assert run.events == []
+    track = run.contacts["c"]
+    assert track.normal_force.min() >= 0.0
+    assert np.abs(track.gap).max() <= 10.0 * (rtol + 1e-2 * rtol)
+    assert track.mode[-1] == 0
+
+
+def test_a_dip_of_the_dense_output_alone_is_none(monkeypatch):
+    """A margin that is negative between the ends of a step, but not where a true step goes, changes no mode."""
+    scene, state = rolling_in_a_bowl(0.4)
+    plain = pc.simulate(scene, state, 1.0, rtol=1e-6, atol=1e-8)
+    true_margins, dipped = EventLocator._margins, []
+
+    def dips(self, t, step, dense, theta):
+        margins = true_margins(self, t, step, dense, theta)
+        if margins is not None and t < 0.5 and 0.3 < theta < 0.6:
+            dipped.append(t)
+            margins[0, NORMAL_MARGIN] -= 20.0 * math.sin(math.pi * (theta - 0.3) / 0.3)
+        return margins
+
+    monkeypatch.setattr(EventLocator, "_margins", dips)
+    monkeypatch.setattr(RungeKutta, "alarm", property(lambda self: True))
+    # a user's event brings every step to where its margins are looked at
+    run = pc.simulate(scene, state, 1.0, rtol=1e-6, atol=1e-8, events=lambda t, q, v: 1.0)
+    assert dipped
+    assert run.status == 0, run.message
+    assert run.events == []
+    # other steps, the same tolerance
+    np.testing.assert_allclose(run.q[-1], plain.q[-1], rtol=0.0, atol=1e-5)
 
 
 # ------------------------------------------------------------------------------------------------- ends of contours

@@ -71,6 +71,8 @@ from .transitions import Transitions
 _PATIENCE, _LONGEST_PATIENCE = 24, 3072
 _SLOW_STEPS, _STABLE = 20.0, 4.0
 _SLOW_GROWTH, _SLOW_RESTS = 4.0, 6
+# Crossings in a row that true steps may deny before one is believed: where a margin jumps there is no zero.
+_DOUBTS = 3
 # Slips this many times faster than what counts as ended end with one that does.
 _TOGETHER = 8.0
 
@@ -111,6 +113,7 @@ class Driver:
         self.system.memory.put("output_times", times)
         self.system.counters[OUTPUT_COUNT], self.system.counters[OUTPUTS_DONE] = times.size, 0
         self.system.counters[RECORD_STEPS] = options.t_eval is None
+        self._doubts = 0
         self._announce_output()
 
     @property
@@ -159,7 +162,7 @@ class Driver:
             why = run_task(self.system.table, self._task(), 0.0, 0.0)
             t = float(scalars[NOW])
             if why == STEPPED:
-                self._watch(t)
+                self._watch(t, True)
                 self._output_at(t)
             elif why == ATTEMPTED:
                 h = float(scalars[NEXT_STEP])
@@ -171,7 +174,7 @@ class Driver:
                 t = self._end_slip(t)
                 self._restart(h)
             elif why == SLIP_IS_SLOW:
-                self._watch(t)
+                self._watch(t, True)
                 self._output_at(t)
                 t = self._slow_slip(t)
             elif why == AT_LIMIT:
@@ -235,7 +238,7 @@ class Driver:
                 users.remove(crossing.user)
                 crossing = self.locator.first(t, step, dense, users)
             if crossing is not None:
-                return self._stop_at(t, step, dense, crossing), True
+                return self._stop_at(t, step, dense, crossing)
             rk.load(system.new_state)
         if self._output_due(t_new):
             if dense is None:
@@ -246,7 +249,8 @@ class Driver:
             rk.load(system.new_state)
         self._project(t_new, dense is None)
         rk.accept()
-        self._after(t_new)
+        self._after(t_new, True)
+        self._doubts = 0
         return t_new, False
 
     def _interpolant(self, t: float, step: float) -> Interpolant | None:
@@ -291,32 +295,44 @@ class Driver:
         if self.rk.finish_step(t) > EVENT:
             raise self._projection_failed(t)
 
-    def _after(self, t: float) -> None:
-        """What follows every state that is accepted here."""
+    def _after(self, t: float, stepped: bool = False) -> None:
+        """What follows every state that is accepted here; stepped: see `_watch`."""
         self._finish(t)
-        self._watch(t)
+        self._watch(t, stepped)
         if self.options.t_eval is None:
             self.record(t)
         self._output_at(t)
 
-    def _watch(self, t: float) -> None:
-        """Take the accepted state at t as the one that the next events are measured from."""
-        self.locator.update_users(t)
-        if self.transitions.dips:
-            self.transitions.end_dips()
+    def _watch(self, t: float, stepped: bool) -> None:
+        """Take the accepted state at t as the one that the next events are measured from.
 
-    def _stop_at(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> float:
-        """Step again to the crossing, so that the state there has the method's full order, and switch modes."""
+        stepped: whether the last attempt led there in the present modes.
+        """
+        self.locator.update_users(t)
+        self.transitions.watch_gaps(stepped)
+
+    def _stop_at(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> tuple[float, bool]:
+        """Step again to the crossing, so that the state there has the method's full order, and switch modes; returns
+        the new time and whether modes changed."""
         rk, system = self.rk, self.system
         event_time = t + crossing.theta * step
         if self._output_due(event_time):
             self._output_until(event_time)
+        happens = True
         if crossing.theta > 0.0:
-            event_time = t + self.locator.refine(t, step, dense, crossing)
+            taken, happens = self.locator.refine(t, step, dense, crossing)
+            event_time = t + taken
             rk.load(system.new_state)
         else:
             rk.load(system.state)
         self._project(event_time, False)
+        if not happens and self._doubts < _DOUBTS:
+            # a shorter step, like any other
+            self._doubts += 1
+            rk.accept()
+            self._after(event_time, True)
+            return event_time, False
+        self._doubts = 0
         if crossing.margin is None:
             rk.accept()
             self._after(event_time)
@@ -330,7 +346,7 @@ class Driver:
                 self.record(event_time)
             raise
         self._after(after)
-        return after
+        return after, True
 
     # ---------------------------------------------------------------- slow slip and its end
 

@@ -30,6 +30,8 @@ _BISECTIONS = 40
 _ROUNDS = 4
 # Looks at the lowest point between two samples.
 _LOOKS = 3
+# A margin that is positive by this part of its largest size wherever steps went to make it zero has no zero there.
+_POSITIVE = 1e-6
 # Margin of a gap that is measured beyond the end of a contour.
 _NOTHING_THERE = 1e300
 _XTOL, _RTOL = 1e-15, 8.9e-16
@@ -276,37 +278,50 @@ class EventLocator:
             return 1.0
         return float(brentq(value, 0.0, 1.0, xtol=_XTOL, rtol=_RTOL))
 
-    def refine(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> float:
-        """Attempt steps to the crossing, with secants on the true margin there; returns the last one's size.
+    def refine(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> tuple[float, bool]:
+        """Attempt steps to the crossing, with secants on the true margin there; returns the last one's size, and
+        whether there is a crossing: at loose tolerances the dense output may dip where the motion does not.
 
         The state that the attempt leaves is of the method's full order; only where to stop came from the dense output.
         """
         h = crossing.theta * step
         if crossing.margin is None:
             self.rk.attempt(t, h)
-            return h
+            return h, True
         back = max(h - 1e-4 * step, 0.5 * h)
         ends = [self._margins(t, step, dense, x / step) for x in (back, h)]
         if ends[0] is None or ends[1] is None:
             self.rk.attempt(t, h)
-            return h
+            return h, True
         slope = float(ends[1][crossing.margin] - ends[0][crossing.margin]) / (h - back)
         c, kind = crossing.margin
         depth = float(self._depths[c]) if kind == GAP_MARGIN else 0.0
         before: tuple[float, float] | None = None
+        denied = True
         for _ in range(_REFINEMENTS):
             if self.rk.attempt(t, h) != OK:
-                return h
+                return h, True
             value = float(self.rk.system.margins[c, kind]) + depth
             if before is not None and before[0] != h:
                 slope = (value - before[1]) / (h - before[0])
             before = h, value
+            denied = denied and self._is_positive(c, kind, value)
             change = -value / slope if slope != 0.0 else 0.0
             if abs(change) <= _REFINED * step or not 0.0 < h + change <= 1.1 * step:
-                return h
+                break
             h += change
-        self.rk.attempt(t, h)
-        return h
+        else:
+            self.rk.attempt(t, h)
+        if denied:
+            # outputs were written up to there
+            h = crossing.theta * step
+            self.rk.attempt(t, h)
+        return h, not denied
+
+    def _is_positive(self, c: int, kind: int, value: float) -> bool:
+        """Whether the value of a margin is more than round-off, against its sizes in the last attempt."""
+        system = self.rk.system
+        return value > _POSITIVE * max(abs(float(system.lowest[c, kind])), abs(float(system.highest[c, kind])))
 
 
 def _vertex(points: list[tuple[float, float]]) -> float | None:

@@ -127,6 +127,8 @@ class Transitions:
         # (items,) how much deeper in m than gaps are known an open contact may be, and those that may: `_foresee_dip`
         self.depths = np.zeros(rk.system.items)
         self.dips: set[int] = set()
+        # contacts that have opened, and not been apart by more than gaps are known: their mode before, and the event
+        self._barely_open: dict[int, tuple[int, Event]] = {}
         # Longest time in s that the start of slip may take with a prescribed direction; the driver keeps it current.
         self.longest_start = 0.0
         # Slip from rest is seeded after this time in s: its error is of third order in it.
@@ -305,8 +307,10 @@ class Transitions:
             if integers[UNILATERAL]:
                 if self._closes_again(t, c):
                     return self._leave_stick(t, c)
+                before = int(integers[MODE])
                 integers[MODE] = FREE
                 self.announce(t, c, "separate")
+                self._barely_open[c] = before, self.events[-1]
             else:
                 # at zero the force itself tells no sign
                 integers[NORMAL_SIGN] *= -1
@@ -698,13 +702,20 @@ class Transitions:
             if rk.evaluate_start(t) > EVENT:
                 raise self.give_up(t, NO_FORCE)
 
-    def end_dips(self) -> None:
-        """Dips are over where contacts are closed again, or apart, at the accepted state, which is evaluated."""
+    def watch_gaps(self, stepped: bool) -> None:
+        """Look which contacts that have opened are apart at the accepted state, which is evaluated, or closed again.
+
+        stepped: whether the last attempt led there in the present modes.
+        """
         system = self.system
-        for c in tuple(self.dips):
-            if system.contact_int[c, MODE] != FREE or system.gaps[c, 0] > self._reach(c):
-                self.dips.remove(c)
+        for c in {*self.dips, *self._barely_open}:
+            apart = system.gaps[c, 0] > self._reach(c)
+            if apart or system.contact_int[c, MODE] != FREE:
+                self._barely_open.pop(c, None)
+                self.dips.discard(c)
                 self.depths[c] = 0.0
+            elif stepped and system.highest[c, GAP_MARGIN] > self._reach(c):
+                self._barely_open.pop(c, None)
 
     def held_up(self) -> list[int]:
         """Contacts that slide held up by friction alone."""
@@ -813,15 +824,35 @@ class Transitions:
                 if abs(system.gaps[i, 0]) <= self._reach(i) and leaving <= _LEAVING_SPEED:
                     touching.append(i)
         rebounds = {}
+        modes: dict[int, int] = {}
         for i in touching:
-            self.announce(t, i, "touch")
-            integers[i, MODE] = rest_mode(system.contact_real[i, MU])
             approach = float(system.basis[i, 2] @ system.slip[i])
             if -self.restitution[i] * approach > REST_SPEED:
                 rebounds[i] = self.restitution[i]
+            if i in self._barely_open and i not in rebounds and self._stayed_near(i):
+                # as far as gaps are known it has not opened
+                modes[i], event = self._barely_open.pop(i)
+                self.events = [other for other in self.events if other is not event]
+            else:
+                self.announce(t, i, "touch")
+            integers[i, MODE] = rest_mode(system.contact_real[i, MU])
         if not rebounds:
             self._check_chatter(t, c)
-        return self._collide(t, touching, rebounds)
+        count = len(self.events)
+        after = self._collide(t, touching, rebounds)
+        for i, before in modes.items():
+            now = int(integers[i, MODE])
+            if now == FREE:
+                if not any(event.contact == self.names[i] for event in self.events[count:]):
+                    self.announce(t, i, "separate")
+            elif now != before:
+                self._announce_friction(t, i, now == SLIPPING)
+        return after
+
+    def _stayed_near(self, c: int) -> bool:
+        """Whether the gap of an open contact is, and was in the last attempt, no larger than gaps are known."""
+        reach = self._reach(c)
+        return bool(abs(self.system.gaps[c, 0]) <= reach and self.system.highest[c, GAP_MARGIN] <= reach)
 
     def _reach(self, c: int) -> float:
         """Accuracy in m to which the gap of contact c is known."""

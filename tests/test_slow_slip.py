@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from test_resistances import G, slider
+from test_resistances import MASS, G, slider
 from turning_ball import RADIUS, ball, on_the_floor
 
 import pincontact as pc
@@ -106,9 +106,9 @@ def test_events_and_outputs_in_slow_slip():
     np.testing.assert_allclose(watched.q, run.q, rtol=0.0, atol=1e-12)
 
 
-def test_slow_slip_of_many_feet():
-    """A block on four feet just beyond the angle of friction, along no edge of it."""
-    excess, mass = 1e-4, 2.0
+def block_on_a_ramp(excess):
+    """A block on four feet whose ramp is `excess` beyond the angle of friction, along no edge of it; its slope."""
+    mass = 2.0
     slope = math.atan(MU * (1.0 + excess))
     model = pin.Model()
     fall = G * math.sin(slope)
@@ -121,12 +121,46 @@ def test_slow_slip_of_many_feet():
     for i, (x, y) in enumerate([(0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)]):
         foot = scene.add_contour(f"foot {i}", pc.Point(), "block", pin.SE3(np.eye(3), np.array([x, y, -0.05])))
         scene.add_contact(f"c{i}", foot, floor, friction=pc.Coulomb(MU))
-    state = scene.initial_state([0, 0, 0.05, 0, 0, 0, 1], np.zeros(6))
+    return scene, scene.initial_state([0, 0, 0.05, 0, 0, 0, 1], np.zeros(6)), slope
+
+
+def test_slow_slip_of_many_feet():
+    excess = 1e-4
+    scene, state, slope = block_on_a_ramp(excess)
     run = pc.simulate(scene, state, 1.0, **TIGHT)
     assert run.status == 0, run.message
     expected = 0.5 * G * MU * excess * math.cos(slope)
     assert math.hypot(*run.q[-1, :2]) == pytest.approx(expected, rel=1e-6)
     assert run.stats["steps"] <= 200
+
+
+@pytest.mark.parametrize("excess", [1e-4, 1e-6])
+@pytest.mark.parametrize("rtol", [1e-3, 1e-4, 1e-6, 1e-8])
+def test_what_slides_from_the_start_does_not_begin_to_slip(rtol, excess):
+    """However slow for its tolerances the slip is, so that it is taken for rest over and over: it goes on."""
+    options = {"rtol": rtol, "atol": 1e-2 * rtol}
+    for scene, state, _ in (on_the_ramp(excess, 0.7), block_on_a_ramp(excess)):
+        run = pc.simulate(scene, state, 1.0, **options)
+        assert run.status == 0, run.message
+        assert run.events == []
+        assert all((track.mode == 2).all() for track in run.contacts.values())
+
+
+@pytest.mark.parametrize("planar", [True, False])
+def test_slip_that_goes_back_is_told(planar):
+    """Pushed back by three times what friction is, a slider stops at v / (4 mu g), and slips again at once."""
+    scene = slider(pc.Coulomb(MU), planar)
+    push = np.zeros(scene.model.nv)
+    push[0] = -3.0 * MU * MASS * G
+    start = np.zeros(scene.model.nv)
+    start[0] = 1.0
+    run = pc.simulate(scene, scene.initial_state(np.zeros(scene.model.nq), start), 0.5, control=lambda t, q, v: push)
+    assert [event.kind for event in run.events] == ["slip"]
+    stops = 1.0 / (4.0 * MU * G)
+    # ten times the tolerance of v over the deceleration
+    assert run.events[0].time == pytest.approx(stops, abs=1e-8)
+    expected = -2.0 * MU * G * (0.5 - stops)
+    assert run.v[-1, 0] == pytest.approx(expected, abs=1e-7)
 
 
 @pytest.mark.parametrize("start", [1e6, 1e9])

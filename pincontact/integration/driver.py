@@ -390,11 +390,14 @@ class Driver:
         with np.errstate(invalid="ignore"):
             near = np.minimum(speed, np.abs(speed + rate * left)) <= reach
         contacts = [c, *(int(i) for i in np.flatnonzero(near & np.isfinite(speed)) if i != c)]
+        rk.load(system.state)
+        rk.evaluate(t)
+        ended = {i: self.transitions.slip_direction(i) for i in contacts}
         # v_c is round-off there and has no direction: not to be evaluated as slip
         system.contact_int[contacts, MODE] = STICK
         rk.load(system.state + left * system.slopes[0])
         self._allow_start(t + left, float(scalars[STEP]))
-        after = self.transitions.come_to_rest(t + left, contacts)
+        after = self.transitions.come_to_rest(t + left, ended)
         self._after(after)
         return after
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pinocchio as pin
@@ -78,6 +78,7 @@ _SLOW_START = 30.0
 # What is added to the slack of a limit of friction that was reached without slip, as a factor, and where that ends.
 _SLACK_GROWTH, _LARGEST_SLACK = 4.0, 1e-10
 _DIRECTION = slice(DIRECTION_X, DIRECTION_X + 3)
+_NONE: Mapping[int, np.ndarray] = {}
 # A margin this far from zero, relative to the largest force, where its sign changes has no root there.
 _JUMP = 1e-6
 # Friction margins below this part of the limit, and loads below this part of the largest, are zero where no choice
@@ -223,7 +224,7 @@ class Transitions:
             self._begin_guards(t)
         undecided = self.modes_from_velocities()
         self._stop_jammed(t)
-        self._settle(t, undecided, (), True)
+        self._settle(t, undecided, _NONE, True)
         self._guards = [self._guard_state(g) for g in range(system.ng)]
         self._go_on_in_dips(t)
 
@@ -316,8 +317,9 @@ class Transitions:
                 integers[NORMAL_SIGN] *= -1
             return self.resolve(t, self._sticking())
         if kind == SPEED_MARGIN:
+            direction = self.slip_direction(c)
             self.system.contact_int[c, MODE] = STICK
-            return self.resolve(t, self._sticking(), at_rest=[c])
+            return self.resolve(t, self._sticking(), at_rest={c: direction})
         assert kind == FRICTION_MARGIN
         after = self._leave_stick(t, c)
         numbers = self.system.contact_real[c]
@@ -359,15 +361,27 @@ class Transitions:
         limited = [i for i, limit in limits.items() if abs(system.margins[i, FRICTION_MARGIN]) < _AT_LIMIT * limit]
         return (max(limited, key=lambda i: loads[system.owner(i)]), FRICTION_MARGIN) if limited else (c, NORMAL_MARGIN)
 
-    def come_to_rest(self, t: float, contacts: list[int]) -> float:
-        """The slip of these contacts has ended: each sticks, or slides on in another direction."""
+    def slip_direction(self, c: int) -> np.ndarray:
+        """Unit vector, world axes, of the slip of an item that slides; zero where there is none."""
+        system = self.system
+        along = system.basis[c, :2] @ system.slip[c]
+        if system.contact_int[c, TANGENTS] == 1:
+            along = np.array([float(system.contact_int[c, SLIP_SIGN]), 0.0])
+        elif system.contact_int[c, FROZEN]:
+            along = system.basis[c, :2] @ system.contact_real[c, _DIRECTION]
+        speed = math.hypot(along[0], along[1])
+        return along @ system.basis[c, :2] / speed if speed > 0.0 else np.zeros(3)
+
+    def come_to_rest(self, t: float, ended: dict[int, np.ndarray]) -> float:
+        """The slip of these contacts has ended, in these directions: each sticks, or slides on."""
+        contacts = list(ended)
         for c in contacts:
             self._check_chatter(t, c)
         self.system.contact_int[contacts, MODE] = STICK
         if np.isinf(self.system.contact_real[contacts, MU]).any():
             # what is left of v_c is no start of a slip in another direction, in which it may take another force
             self._project(t)
-        return self.resolve(t, self._sticking(), at_rest=contacts)
+        return self.resolve(t, self._sticking(), at_rest=ended)
 
     def _sticking(self) -> list[int]:
         """Contacts and resistances that stick by Coulomb friction: a change elsewhere may upset them."""
@@ -382,20 +396,25 @@ class Transitions:
         self,
         t: float,
         undecided: list[int],
-        at_rest: Sequence[int] = (),
+        at_rest: Mapping[int, np.ndarray] = _NONE,
         silent: bool = False,
         beyond: int | None = None,
     ) -> float:
         """Decide the modes of contacts at rest, project, and start those that slip.
 
-        at_rest: contacts that have just come to rest, whose fate is announced; silent: announce separations only.
-        beyond: a contact whose static friction has been exceeded.
+        at_rest: contacts that have just come to rest and the directions of their slip till then; what slips on as it
+        did is no event. silent: announce separations only. beyond: a contact whose static friction has been exceeded.
         """
         self._settle(t, undecided, at_rest, silent, beyond)
         return self.start_frozen(t)
 
     def _settle(
-        self, t: float, undecided: list[int], at_rest: Sequence[int], silent: bool, beyond: int | None = None
+        self,
+        t: float,
+        undecided: list[int],
+        at_rest: Mapping[int, np.ndarray],
+        silent: bool,
+        beyond: int | None = None,
     ) -> None:
         system, rk = self.system, self.rk
         before, signs = system.contact_int[:, MODE].copy(), system.contact_int[:, SLIP_SIGN].copy()
@@ -409,7 +428,8 @@ class Transitions:
             elif silent:
                 continue
             elif c in at_rest:
-                self._announce_friction(t, c, mode == SLIPPING)
+                if mode != SLIPPING or self.slip_direction(c) @ at_rest[c] <= 0.0:
+                    self._announce_friction(t, c, mode == SLIPPING)
             elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
                 self._announce_friction(t, c, True)
         self._announce_guards(t)
@@ -744,7 +764,7 @@ class Transitions:
         before = whitened_velocity(self.system, self.system.v)
         self._stop_slips(t, contacts)
         self._count_loss(before)
-        self._settle(t, self._sticking(), contacts, False)
+        self._settle(t, self._sticking(), dict.fromkeys(contacts, np.zeros(3)), False)
 
     def _stop_slips(self, t: float, contacts: list[int]) -> None:
         """End slips at once, by the least change of velocity that does it."""

@@ -276,6 +276,11 @@ class _Torque:
             try:
                 found = control(t, q, v)
                 if type(found) is not np.ndarray or found.dtype is not real:
+                    found = asarray(found)
+                    if found.dtype.kind == "c":
+                        # the conversion would drop imaginary parts
+                        self._failure = f"t = {t:.9g} s: control returned complex numbers: {found.tolist()}"
+                        return False
                     found = asarray(found, dtype=float)
             except ContactError:
                 raise

@@ -13,7 +13,18 @@ from ..arguments import NOT_REAL, check_tolerance, real_array
 from ..dynamics.stretches import associated
 from ..errors import ArgumentError, SolverError, StateError
 from ..geometry.patterns import ON_CURVE
-from ..layout import MODE, MU_NOW, PATTERN, SLIP_SIGN, SLIPPING, TANGENTS, UNILATERAL
+from ..layout import (
+    MODE,
+    MU_NOW,
+    MU_STATIC,
+    PATTERN,
+    ROLLING_ROW,
+    SLIP_SIGN,
+    SLIPPING,
+    STICK,
+    TANGENTS,
+    UNILATERAL,
+)
 from ..state import check_vector
 from .forces import check_forces
 from .instant import RANK_TOLERANCE, Instant
@@ -25,6 +36,27 @@ if TYPE_CHECKING:
 # |F_n| of contacts that cannot open is the length of their normal components: fixed point.
 _ITERATIONS = 100
 _UNCHANGED = 1e-12
+# Torques above the limit of a resistance by less than this part of it are at it.
+_LIMIT_SLACK = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class HeldTurn:
+    """What keeps a contact that resists spinning or rolling from turning.
+
+    contact: its name; kind: "spinning" or "rolling"; torque (3,): on the second contour given, world axes, N m;
+    limit: the most that the resistance can do under the contact's normal force, N m.
+    """
+
+    contact: str
+    kind: str
+    torque: np.ndarray
+    limit: float
+
+    @property
+    def within(self) -> bool:
+        """Whether the resistance can do it, but for round-off; else the contact would begin to turn."""
+        return float(np.linalg.norm(self.torque)) <= self.limit * (1.0 + _LIMIT_SLACK)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +67,7 @@ class InverseDynamics:
     forces: contact -> force (3,) in N on the second contour given, world axes; torques: what resists spinning and
     rolling, likewise.
     residual: what is left of the equations of motion, in N and N m.
+    held: of the torques those of resistances that are at rest, each with the limit that it was not made to obey.
     """
 
     tau: np.ndarray
@@ -43,6 +76,7 @@ class InverseDynamics:
     forces: dict[str, np.ndarray]
     torques: dict[str, np.ndarray]
     residual: float
+    held: tuple[HeldTurn, ...] = ()
 
 
 def inverse_dynamics(
@@ -61,7 +95,9 @@ def inverse_dynamics(
     With contacts many pairs of torques and forces do it. The ones returned have the least torques (the norm of
     `efforts`) and, among those, the least contact forces (the norm of their components). Where friction sticks the
     force is whatever it takes: its cone is not imposed, compare `forces` with it; contacts that slide carry Coulomb's
-    force. Contacts that are given in `forces` carry just that.
+    force. Likewise a resistance to spinning or rolling that is at rest holds with whatever torque it takes: `held` says
+    with which, and whether that is within its limit. Contacts that are given in `forces` carry just that, and resist no
+    turning.
 
     acceleration (nv,): must keep the closed contacts closed and rolling. None: the one nearest zero, in the norm of the
     mass matrix, that does (going on at constant velocity as far as the contacts let it).
@@ -123,12 +159,32 @@ def inverse_dynamics(
         )
     acting = {name: np.zeros(3) for name in scene.contacts} | given
     torques = {name: np.zeros(3) for name in scene.contacts}
+    by_item = {item: np.zeros(3) for item in system.resisting()}
     for k, (c, row) in enumerate(solved):
         name = system.contacts[system.owner(c)].name
         for item, unit in _unit_forces(instant, c, row, shares[k]).items():
-            out = acting if item < system.nc else torques
-            out[name] = out[name] + signs[name] * components[k] * (system.basis[item].T @ unit)
-    return InverseDynamics(matrix @ efforts, efforts, a, acting, torques, residual)
+            part = signs[name] * components[k] * (system.basis[item].T @ unit)
+            if item < system.nc:
+                acting[name] = acting[name] + part
+            else:
+                torques[name] = torques[name] + part
+                by_item[item] += part
+    held = tuple(
+        _held_turn(instant, item, torque, acting)
+        for item, torque in by_item.items()
+        if system.contact_int[item, MODE] == STICK and system.contacts[system.owner(item)].name not in given
+    )
+    return InverseDynamics(matrix @ efforts, efforts, a, acting, torques, residual, held)
+
+
+def _held_turn(instant: Instant, item: int, torque: np.ndarray, forces: dict[str, np.ndarray]) -> HeldTurn:
+    """A resistance at rest with its torque, and the limit that follows from its contact's force."""
+    system = instant.system
+    c = system.owner(item)
+    name, force = system.contacts[c].name, system.basis[c] @ forces[system.contacts[c].name]
+    load = float(np.hypot(force[1], force[2]) if system.contact_int[c, PATTERN] == ON_CURVE else abs(force[2]))
+    kind = "rolling" if system.contact_int[c, ROLLING_ROW] == item else "spinning"
+    return HeldTurn(name, kind, torque, float(system.contact_real[item, MU_STATIC]) * load)
 
 
 def actuation_matrix(model: pin.Model, actuation: Any | None) -> np.ndarray:

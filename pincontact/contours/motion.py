@@ -43,6 +43,17 @@ class Motion:
     """
 
     kind: int = MOTION_NONE
+    _ATTRIBUTES: tuple[str, ...] = ("kind", "parameters", "pool")
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # the numbers of a motion are read when it is made: another `frequency` afterwards would change nothing
+        if name not in self._ATTRIBUTES and type(self).__module__ == __name__:
+            raise AttributeError(
+                f"{type(self).__name__} has no attribute {name!r}, only "
+                f"{', '.join(known for known in self._ATTRIBUTES if not known.startswith('_'))}; its numbers are "
+                "given when it is made"
+            )
+        super().__setattr__(name, value)
 
     def __init__(self, parameters: Sequence[float] = (), pool: np.ndarray | None = None) -> None:
         self.parameters = np.zeros(MOTION_PARAMETERS)
@@ -197,16 +208,18 @@ class CallableMotion(Motion):
     f(t) -> pose, with time_domain=(first, last) in s: the pose is fitted there to rounding, once, and no Python runs
     afterwards; `fit_error` says how well. Beyond the time domain it goes on with constant second derivatives.
 
-    Raises ContourError for a pose without time domain, results of the wrong kind, or derivatives that are not those
-    of the pose.
+    Raises ContourError for a function that raises, naming it, for a pose without time domain, results of the wrong
+    kind, or derivatives that are not those of the pose.
     """
 
     kind = MOTION_CALLABLE
+    _ATTRIBUTES = (*Motion._ATTRIBUTES, "fit_error", "_function")
 
     def __init__(self, f: Callable[[float], Any], time_domain: tuple[float, float] | None = None) -> None:
         owner = "CallableMotion"
         if not callable(f):
             raise ContourError(f"{owner}: a function is needed, got {f!r}")
+        given, f = f, _named_failure(owner, f)
         self._function = f
         self.fit_error = 0.0
         first, last = (0.0, 1.0) if time_domain is None else interval(owner, "time_domain", time_domain)
@@ -217,6 +230,8 @@ class CallableMotion(Motion):
             super().__init__()
             for part in (0.137, 0.618):
                 self._check(first + part * (last - first))
+            # what it raises in a run is told there, with the contour's name
+            self._function = given
             return
         if time_domain is None:
             raise ContourError(f"{owner}: a function that returns a pose only needs time_domain=(first, last)")
@@ -268,6 +283,21 @@ class CallableMotion(Motion):
                     f"CallableMotion: {names[i]}[{i % 3}] of f({t}) is {found}, but differences give {value} "
                     "(carrier axes, acceleration as second derivative of the position)"
                 )
+
+
+def _named_failure(owner: str, f: Callable[[float], Any]) -> Callable[[float], Any]:
+    """The function, whose exceptions become ContourErrors with its name and the time."""
+
+    def named(t: float) -> Any:
+        try:
+            return f(t)
+        except ContourError:
+            raise
+        except Exception as error:
+            name = getattr(f, "__qualname__", repr(f))
+            raise ContourError(f"{owner}: {name}({t:.9g}) raised {type(error).__name__}: {error}") from error
+
+    return named
 
 
 class _QuaternionBranch:

@@ -31,6 +31,7 @@ from ..layout import (
     MODE,
     MU,
     NO_FORCE,
+    NORMAL_MARGIN,
     NOT_FINITE,
     OK,
     SINGULAR,
@@ -327,14 +328,16 @@ class MoreauStep:
         """Modes that hold at the end of the step, for what is recorded of it.
 
         A contact at rest may be about to slip, or have come to rest only to slip on, the other way: held there, its
-        force would lie outside its cone. It slips with the force that friction has in the direction it takes.
+        force would lie outside its cone. It slips with the force that friction has in the direction it takes. One that
+        is about to open would pull: it is open, or slides held up by friction alone.
         """
         system = self.system
         held = [c for c in system.closed() if system.contact_int[c, MODE] == STICK]
         kept = None
-        if held and (system.contact_real[held, MU] < math.inf).any() and system.evaluate(t) <= EVENT:
+        if held and system.evaluate(t) <= EVENT:
             modes = ModeSolver(system)
-            if (system.margins[held, FRICTION_MARGIN] < -modes.force_round_off()).any():
+            margins = system.margins[held][:, [NORMAL_MARGIN, FRICTION_MARGIN]]
+            if (margins < -modes.force_round_off()).any():
                 kept = system.contact_int.copy(), system.contact_real.copy()
                 if modes.decide(t, held, system.evaluate).status > EVENT:
                     system.contact_int[:], system.contact_real[:] = kept

@@ -130,6 +130,8 @@ class Transitions:
         self.dips: set[int] = set()
         # contacts that have opened, and not been apart by more than gaps are known: their mode before, and the event
         self._barely_open: dict[int, tuple[int, Event]] = {}
+        # directions in which slip began or went on since the last impact
+        self._started: dict[int, np.ndarray] = {}
         # Longest time in s that the start of slip may take with a prescribed direction; the driver keeps it current.
         self.longest_start = 0.0
         # Slip from rest is seeded after this time in s: its error is of third order in it.
@@ -428,11 +430,19 @@ class Transitions:
             elif silent:
                 continue
             elif c in at_rest:
-                if mode != SLIPPING or self.slip_direction(c) @ at_rest[c] <= 0.0:
+                if mode != SLIPPING or self._goes_back(c, at_rest[c]):
                     self._announce_friction(t, c, mode == SLIPPING)
             elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
                 self._announce_friction(t, c, True)
         self._announce_guards(t)
+
+    def _goes_back(self, c: int, ended: np.ndarray) -> bool:
+        """Whether item c slips on against the direction in which its slip has ended.
+
+        Where slip is slower than it is known, that direction is noise; the one in which it started is not.
+        """
+        direction = self.slip_direction(c)
+        return bool(direction @ ended <= 0.0 and direction @ self._started.get(c, ended) <= 0.0)
 
     def _announce_friction(self, t: float, c: int, slips: bool) -> None:
         """A contact, or what resists its turning, has begun to slip or come to rest."""
@@ -819,6 +829,8 @@ class Transitions:
 
     def _end_start(self, t: float) -> float:
         """Slip has a direction of its own from here on."""
+        for c in np.flatnonzero(self.system.contact_int[:, FROZEN]):
+            self._started[int(c)] = self.slip_direction(int(c))
         self.system.contact_int[:, FROZEN] = 0
         sliding = self.held_up()
         if not sliding:
@@ -883,6 +895,7 @@ class Transitions:
         """Impulses on all closed contacts and ends of joints, then new modes from the velocities after them."""
         system, rk = self.system, self.rk
         integers = system.contact_int
+        self._started.clear()
         self._evaluate_rows(t)
         closed = system.closed()
         deep = [c for c in closed if c in self.dips]

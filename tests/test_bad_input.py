@@ -291,6 +291,8 @@ def raising(t, q, v):
         (lambda t, q, v: np.zeros(5) if t > 0.3 else np.zeros(6), r"shape \(5,\), not \(6,\)"),
         (raising, "KeyError.*no plan"),
         (lambda t, q, v: "left" if t > 0.3 else np.zeros(6), "ValueError"),
+        (lambda t, q, v: np.zeros(6) + (1j if t > 0.3 else 0j), r"t = .* s: control returned complex numbers: \["),
+        (lambda t, q, v: [0.0, 0.0, 0.0, 0.0, 0.0, 1j] if t > 0.3 else np.zeros(6), "complex numbers"),
     ],
 )
 def test_failing_controllers_end_the_run(scene, state, control, text):

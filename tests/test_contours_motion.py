@@ -40,6 +40,10 @@ def spinning(t):
     return pin.SE3(pin.exp3(np.array([2.5 * t, 0.3 * math.sin(t), 0.1])), np.array([math.cos(t), t * t, 0.1]))
 
 
+def gone(t):
+    raise KeyError("no path")
+
+
 def by_hand(t):
     """A turn about z through the origin while rising, with its derivatives written out."""
     angle = 0.3 * math.sin(2 * t)
@@ -176,8 +180,45 @@ def test_twist_closed_form():
             "differences give",
         ),
         (lambda: pc.CallableMotion(lambda t: by_hand(abs(t - 0.2))[0], (0.0, 1.0)), "near"),
+        (lambda: pc.CallableMotion(gone), r"gone\(0\) raised KeyError: 'no path'"),
+        (
+            lambda: pc.CallableMotion(lambda t: by_hand(t) if t < 0.5 else gone(t)),
+            r"lambda.*\(0.61\d*\) raised KeyError",
+        ),
+        (lambda: pc.CallableMotion(lambda t: by_hand(t)[0] if t < 0.7 else gone(t), (0.0, 1.0)), "raised KeyError"),
     ],
 )
 def test_bad_motions_are_refused_by_name(build, message):
     with pytest.raises(ContourError, match=message):
         build()
+
+
+def test_a_motion_made_of_a_function_keeps_it():
+    """What a function raises in a run, after it was made, is its own."""
+
+    def fails_late(t):
+        return by_hand(t) if t < 5.0 else gone(t)
+
+    motion = pc.CallableMotion(fails_late)
+    with pytest.raises(KeyError, match="no path"):
+        motion.evaluate(6.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "attribute"), [("heave", "frequency"), ("twist", "angular"), ("callable", "function")]
+)
+def test_motions_have_no_other_attributes(name, attribute):
+    """A number of a motion is read when it is made: setting it later would do nothing."""
+    motion = MOTIONS[name]
+    with pytest.raises(AttributeError, match=rf"{type(motion).__name__} has no attribute '{attribute}'.*parameters"):
+        setattr(motion, attribute, 2.0)
+    assert not hasattr(motion, attribute)
+
+
+def test_motions_of_ones_own_may_have_any():
+    class Swing(pc.HarmonicMotion):
+        def __init__(self):
+            super().__init__((0.1, 0.0, 0.0))
+            self.label = "swing"
+
+    assert Swing().label == "swing"

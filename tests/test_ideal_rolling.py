@@ -112,6 +112,16 @@ def test_time_stepping_tends_to_it():
     assert errors[2] <= 0.5 * errors[0]
 
 
+@pytest.mark.parametrize("factor", [1.0, 1.2, 3.0])
+@pytest.mark.parametrize("step", [1e-3, 1e-2])
+def test_time_stepping_shows_no_pull(step, factor):
+    """Not at the start either, where the disk is too fast to stay, nor in the last row before it is let go."""
+    run = pc.simulate(*fast_disk(factor), 1.0, method="Moreau", step=step)
+    assert run.status == 0, run.message
+    assert "separate" in kinds(run)
+    assert run.contacts["0"].normal_force.min() >= 0.0
+
+
 def test_run_goes_on_from_the_middle_of_a_slide():
     scene, state = rod_scene(pc.NoSlip(), 2)
     whole = pc.simulate(scene, state, 0.5, rtol=1e-10, atol=1e-12, t_eval=[0.0, 0.42, 0.5])

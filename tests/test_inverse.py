@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from random_contacts import PATTERNS, RandomContact
+from turning_ball import MASS, RADIUS, G, ball, on_the_floor
 
 import pincontact as pc
 from pincontact.dynamics.system import System
@@ -161,6 +162,44 @@ def test_forces_of_a_free_root():
         pc.inverse_dynamics(scene, leaning)
     held = pc.inverse_dynamics(scene, leaning, actuation=np.eye(scene.model.nv))
     assert held.residual < 1e-9
+
+
+@pytest.mark.parametrize("steeper", [0.9, 1.1])
+@pytest.mark.parametrize("bilateral", [False, True])
+def test_resistance_to_turning_says_what_it_holds_with(steeper, bilateral):
+    """A ball at rest on a ramp, where the torque that keeps it is m g sin R, against length m g cos; beside it one that
+    a motor spins up against what resists its spinning."""
+    rolling, spinning = 4e-3, 1e-3
+    slope = math.atan(steeper * rolling / RADIUS)
+    scene = ball(pc.Coulomb(0.5, rolling=rolling, spinning=spinning), slope, bilateral)
+    # the floor is the second contour
+    weight = MASS * G
+    found = pc.inverse_dynamics(scene, on_the_floor(scene))
+    assert {turn.kind: turn.contact for turn in found.held} == {"rolling": "c", "spinning": "c"}
+    turns = {turn.kind: turn for turn in found.held}
+    np.testing.assert_allclose(
+        turns["rolling"].torque, [0.0, weight * math.sin(slope) * RADIUS, 0.0], rtol=0.0, atol=1e-12
+    )
+    assert turns["rolling"].limit == pytest.approx(rolling * weight * math.cos(slope), rel=1e-12)
+    assert turns["spinning"].limit == pytest.approx(spinning * weight * math.cos(slope), rel=1e-12)
+    np.testing.assert_allclose(turns["spinning"].torque, 0.0, rtol=0.0, atol=1e-12)
+    assert turns["rolling"].within == (steeper < 1.0)
+    assert turns["spinning"].within
+    np.testing.assert_allclose(sum(turn.torque for turn in found.held), found.torques["c"], rtol=0.0, atol=1e-15)
+    # it is within exactly where a run stays at rest
+    run = pc.simulate(scene, on_the_floor(scene), 0.1)
+    # round-off, against 0.1 m/s
+    assert (np.abs(run.v).max() <= 1e-15) == turns["rolling"].within
+
+
+def test_what_turns_or_is_given_is_not_held():
+    scene = ball(pc.Coulomb(0.5, rolling=4e-3, spinning=1e-3))
+    state = on_the_floor(scene, [0.0, 0.0, 0.0, 0.0, 0.0, 2.0])
+    (turn,) = pc.inverse_dynamics(scene, state, actuation=np.eye(6)).held
+    assert turn.kind == "rolling"
+    resting, force = on_the_floor(scene), [0.0, 0.0, -MASS * G]
+    assert pc.inverse_dynamics(scene, resting, actuation=np.eye(6), forces={"c": force}).held == ()
+    assert pc.inverse_dynamics(*bicycle(), actuation=np.eye(9)).held == ()
 
 
 def test_bad_arguments():

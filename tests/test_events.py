@@ -93,6 +93,24 @@ def test_bounces_with_restitution():
     assert np.abs(run.v[-1]).max() <= 1e-12
 
 
+@pytest.mark.parametrize("restitution", [0.0, 0.6])
+def test_a_start_below_the_surface(restitution):
+    """What leaves touches nothing; what gets deeper does, once, and rebounds from there."""
+    scene = ball_scene(restitution=restitution)
+    up = pc.simulate(scene, thrown(scene, -1e-3, (0.0, 0.0, 2.0)), 0.2)
+    assert up.status == 0 and up.events == []
+    # a parabola, in Pinocchio's body axes that do not turn
+    assert up.q[-1, 2] == pytest.approx(RADIUS - 1e-3 + 2.0 * 0.2 - 0.5 * G * 0.2**2, abs=1e-9)
+    down = pc.simulate(scene, thrown(scene, -1e-3, (0.0, 0.0, -2.0)), 0.1)
+    assert kinds(down) == ["touch"]
+    assert down.events[0].time == 0.0
+    if restitution:
+        rises = 2.0 * restitution * 0.1 - 0.5 * G * 0.1**2
+        assert down.q[-1, 2] == pytest.approx(RADIUS - 1e-3 + rises, abs=1e-9)
+    else:
+        assert down.q[-1, 2] == pytest.approx(RADIUS, abs=1e-14)
+
+
 def test_impact_with_friction_of_a_ball():
     """A ball that lands with spin: the impulse either slides (mu J) or stops the slip, whichever is less."""
     for mu, sticks in ((0.05, False), (0.8, True)):

@@ -162,7 +162,10 @@ class EventLocator:
         for high, after in zip(thetas[1:], samples[1:]):
             if before is None or after is None:
                 return None
-            crossed = np.argwhere((after < 0.0) & ((before >= 0.0) | (low == 0.0)) & (before != _NOTHING_THERE))
+            crosses = (after < 0.0) & ((before >= 0.0) | (low == 0.0)) & (before != _NOTHING_THERE)
+            # what starts too deep, and leaves, touches nothing
+            crosses[:, GAP_MARGIN] &= (before[:, GAP_MARGIN] >= 0.0) | (after[:, GAP_MARGIN] < before[:, GAP_MARGIN])
+            crossed = np.argwhere(crosses)
             if crossed.size:
                 return self._earliest(t, step, dense, crossed, (low, before), (high, after))
             low, before = high, after

@@ -898,7 +898,7 @@ class Transitions:
         self._started.clear()
         self._evaluate_rows(t)
         closed = system.closed()
-        deep = [c for c in closed if c in self.dips]
+        deep = any(c in self.dips for c in closed)
         energy = sum(self._energies()) if deep else 0.0
         ends = [g for g in system.held() if system.guard_int[g, GUARD_END] != 0]
         impact = apply_impact(system, self.modes.solver, closed, ends, restitution)
@@ -917,9 +917,13 @@ class Transitions:
             if integers[i, UNILATERAL] and leaving > _LEAVING_SPEED:
                 # a hop lower than gaps are known is none
                 falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
-                way = self._reach(i) + (max(-float(system.gaps[i, 0]), 0.0) if i in deep else 0.0)
-                if leaving * leaving > 2.0 * falling * way:
+                depth = max(-float(system.gaps[i, 0]) - self._reach(i), 0.0)
+                if leaving * leaving > 2.0 * falling * (depth + self._reach(i)):
                     integers[i, MODE] = FREE
+                    if depth > 0.0:
+                        # rebounds from where it is
+                        self.depths[i] = depth
+                        self.dips.add(i)
         self._guards_from_velocities()
         undecided = self.modes_from_velocities(after_impact=True)
         before = whitened_velocity(system, system.v)
@@ -936,20 +940,16 @@ class Transitions:
             self._project(t)
         self._count_loss(before)
         if deep:
-            self._leave_dips(t, deep, height, energy + impact.drives)
+            self._leave_dips(t, height, energy + impact.drives)
         return self.resolve(t, undecided, silent=True)
 
-    def _leave_dips(self, t: float, deep: list[int], height: float, energy: float) -> None:
-        """After an impact of contacts that were deeper than the surface, out of which they have been lifted.
+    def _leave_dips(self, t: float, height: float, energy: float) -> None:
+        """After an impact of contacts in dips, out of which they have been lifted.
 
         The motion has what it fell too far, and gives back what the lift takes beyond what the impact took.
         height: potential energy in J before the lift; energy: that of the motion before the impact, and of drives.
         """
         system = self.system
-        for c in deep:
-            if system.contact_int[c, MODE] == FREE:
-                # rebounds from where it is
-                self.depths[c] = max(-float(system.gaps[c, 0]), 0.0)
         kinetic, potential = self._energies()
         excess = min(max(kinetic + potential - energy, 0.0), kinetic)
         if excess > 0.0:

@@ -106,7 +106,7 @@ class Driver:
         progress: Callable[[float], None] | None = None,
     ) -> None:
         self.rk, self.system, self.transitions = rk, rk.system, transitions
-        self.locator = EventLocator(rk, users, transitions.depths)
+        self.locator = EventLocator(rk, users, transitions.dips.depths)
         transitions.emit = self._output_short_step
         self.record, self.flush, self.options, self.progress = record, flush, options, progress
         times = np.zeros(0) if options.t_eval is None else np.ascontiguousarray(options.t_eval)

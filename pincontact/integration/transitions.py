@@ -28,7 +28,6 @@ from ..layout import (
     GAP_MARGIN,
     GUARD_END,
     GUARD_SIGN,
-    LENGTH,
     LIMIT_SLACK,
     LOCATION_FAILED,
     MASS_NOT_POSITIVE,
@@ -54,6 +53,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
+from .dips import Dips
 from .results import CHATTER, END_OF_CONTOUR, FAILURES, GAP_TOLERANCE, SINGULAR_CONTACT, STEP_TOO_SMALL, Event, Stop
 from .runge_kutta import RungeKutta
 from .slow_slip import SlowSlip
@@ -88,11 +88,6 @@ _AT_LIMIT = 1e-6
 _OPENING_SEED = 1e-4
 # Forces below zero, or above their limit, by less than this part of the largest one are no events while slip starts.
 _FORCE_ACCURACY = 1e-6
-# Ideal rolling that is let go with a force may dip by this part of the contact's length before it opens by itself, too
-# little to be seen. A disk that rolls off a sphere, as the references know it, does by 4.4e-4, foreseen to 3 %.
-_DEEPEST_DIP = 1e-3
-# A dip this many times deeper than was foreseen is none, and touches.
-_DIP_SLACK = 2.0
 # A gap that is closed already counts as so much of what gaps are known to.
 _LEAST_WAY = 1e-2
 # A rebound slower than this, in m/s, closes the contact; after an impact one that leaves faster than the second opens.
@@ -125,9 +120,8 @@ class Transitions:
         self._counts_works = rk.system.ny > rk.system.nq + rk.system.nv + 4 * rk.system.nc
         # what was last said of each guarded coordinate: see `_guard_state`
         self._guards: list[tuple[bool, int]] = []
-        # (items,) how much deeper in m than gaps are known an open contact may be, and those that may: `_foresee_dip`
-        self.depths = np.zeros(rk.system.items)
-        self.dips: set[int] = set()
+        self.dips = Dips(rk, self.modes)
+        self._reach = self.dips.reach
         # contacts that have opened, and not been apart by more than gaps are known: their mode before, and the event
         self._barely_open: dict[int, tuple[int, Event]] = {}
         # directions in which slip began or went on since the last impact
@@ -228,7 +222,8 @@ class Transitions:
         self._stop_jammed(t)
         self._settle(t, undecided, _NONE, True)
         self._guards = [self._guard_state(g) for g in range(system.ng)]
-        self._go_on_in_dips(t)
+        if not self.dips.take_up(t, self.seed):
+            raise self.give_up(t, NO_FORCE)
 
     def _begin_guards(self, t: float) -> None:
         """States of the guarded joint coordinates; one that runs against the end at which it starts collides."""
@@ -669,68 +664,14 @@ class Transitions:
             return False
         self.rk.accept()
         integers[MODE] = FREE
-        depth = self._foresee_dip(t, c, min(self.seed, self.longest_start), 0.0, 0.0)
+        depth = self.dips.foresee(t, c, min(self.seed, self.longest_start))
         integers[MODE] = STICK
         if self.rk.evaluate_start(t) > EVENT:
             raise self.give_up(t, NO_FORCE)
-        if depth > max(self._reach(c), self._deepest_dip(c)):
+        if not self.dips.may_be(c, depth):
             return True
-        self._let_dip(c, depth)
+        self.dips.let(c, depth)
         return False
-
-    def _foresee_dip(self, t: float, c: int, tau: float, gap: float, rate: float) -> float:
-        """How deep in m the gap of an open contact gets from the accepted state on; infinite if it does not recover.
-
-        tau: time in s over which the rate j of the gap's second derivative a is measured; gap, rate: its value in m
-        and first derivative. From 0 and 0 it dips by 2 |a|^3 / (3 j^2). The accepted state's evaluation is lost.
-        """
-        rk, system = self.rk, self.system
-        first = later = math.nan
-        if rk.evaluate_start(t) <= EVENT:
-            first = self.modes.gap_acceleration(t, c)
-        if first >= 0.0 and rate >= 0.0:
-            return max(0.0, -gap)
-        if tau > 0.0 and rk.attempt(t, tau) == OK:
-            rk.load(system.new_state)
-            if rk.evaluate(t + tau) <= EVENT:
-                later = self.modes.gap_acceleration(t + tau, c)
-        jerk = (later - first) / tau if tau > 0.0 else math.nan
-        # the later root of rate + first s + jerk s^2 / 2; where there is none the gap only rises
-        root = first * first - 2.0 * jerk * rate
-        if not jerk > 0.0:
-            return math.inf
-        lowest = max(math.sqrt(root) - first, 0.0) / jerk if root > 0.0 else 0.0
-        return max(-(gap + lowest * (rate + lowest * (0.5 * first + lowest * jerk / 6.0))), 0.0)
-
-    def _deepest_dip(self, c: int) -> float:
-        return _DEEPEST_DIP * float(self.system.contact_real[c, LENGTH])
-
-    def _let_dip(self, c: int, depth: float) -> None:
-        """Let open contact c get as deep in m as foreseen, and somewhat deeper, before it touches."""
-        if depth > self._reach(c):
-            self.depths[c] = _DIP_SLACK * depth
-            self.dips.add(c)
-
-    def _go_on_in_dips(self, t: float) -> None:
-        """Take up the dips in the midst of which a run starts."""
-        rk, system = self.rk, self.system
-        deep = [
-            c
-            for c in range(system.nc)
-            if system.contact_int[c, MODE] == FREE
-            and system.contact_int[c, UNILATERAL]
-            and math.isinf(system.contact_real[c, MU])
-            and system.contact_real[c, DOMAIN] >= 0.0
-            and -self._deepest_dip(c) <= system.gaps[c, 0] < -self._reach(c)
-        ]
-        for c in deep:
-            gap, rate = float(system.gaps[c, 0]), float(system.basis[c, 2] @ system.slip[c])
-            depth = self._foresee_dip(t, c, self.seed, gap, rate)
-            if depth <= self._deepest_dip(c):
-                self._let_dip(c, depth)
-            rk.load(system.state)
-            if rk.evaluate_start(t) > EVENT:
-                raise self.give_up(t, NO_FORCE)
 
     def watch_gaps(self, stepped: bool) -> None:
         """Look which contacts that have opened are apart at the accepted state, which is evaluated, or closed again.
@@ -738,12 +679,11 @@ class Transitions:
         stepped: whether the last attempt led there in the present modes.
         """
         system = self.system
-        for c in {*self.dips, *self._barely_open}:
+        for c in {*self.dips.contacts, *self._barely_open}:
             apart = system.gaps[c, 0] > self._reach(c)
             if apart or system.contact_int[c, MODE] != FREE:
                 self._barely_open.pop(c, None)
-                self.dips.discard(c)
-                self.depths[c] = 0.0
+                self.dips.end(c)
             elif stepped and system.highest[c, GAP_MARGIN] > self._reach(c):
                 self._barely_open.pop(c, None)
 
@@ -796,7 +736,7 @@ class Transitions:
             approach = -float(system.basis[c, 2] @ system.slip[c])
             if system.contact_int[c, MODE] == FREE and system.contact_real[c, DOMAIN] >= 0.0 and approach > 0.0:
                 reach = self._reach(c)
-                way = float(system.gaps[c, 0] + self.depths[c]) + reach
+                way = float(system.gaps[c, 0] + self.dips.depths[c]) + reach
                 left = min(left, max(way, _LEAST_WAY * reach) / approach)
         return left
 
@@ -808,7 +748,7 @@ class Transitions:
         reach = np.array([self._reach(c) if c < system.nc else GAP_TOLERANCE * system.scale.sum() for c in range(n)])
         force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
         return bool(
-            (lowest[:, GAP_MARGIN] >= -reach - self.depths[:n]).all()
+            (lowest[:, GAP_MARGIN] >= -reach - self.dips.depths[:n]).all()
             and (lowest[:, DOMAIN_MARGIN] >= -reach).all()
             and (lowest[:, [NORMAL_MARGIN, FRICTION_MARGIN]] >= -force).all()
         )
@@ -824,8 +764,11 @@ class Transitions:
         stick = system.stage_state.copy()
         acceleration = system.acceleration.copy()
         decision = self._decide(t + tau, self._sticking())
-        stick[system.nq : system.nq + system.nv] += 0.5 * tau * (system.acceleration - acceleration)
-        return decision, stick
+        change = 0.5 * tau * (system.acceleration - acceleration)
+        rk.load(stick)
+        system.v += change
+        rk.keep_velocity()
+        return decision, system.stage_state.copy()
 
     def _end_start(self, t: float) -> float:
         """Slip has a direction of its own from here on."""
@@ -886,11 +829,6 @@ class Transitions:
         reach = self._reach(c)
         return bool(abs(self.system.gaps[c, 0]) <= reach and self.system.highest[c, GAP_MARGIN] <= reach)
 
-    def _reach(self, c: int) -> float:
-        """Accuracy in m to which the gap of contact c is known."""
-        relative, absolute = (float(x) for x in self.system.scale)
-        return GAP_TOLERANCE * (absolute + relative * float(self.system.contact_real[c, LENGTH]))
-
     def _collide(self, t: float, touching: list[int], restitution: dict[int, float]) -> float:
         """Impulses on all closed contacts and ends of joints, then new modes from the velocities after them."""
         system, rk = self.system, self.rk
@@ -898,7 +836,7 @@ class Transitions:
         self._started.clear()
         self._evaluate_rows(t)
         closed = system.closed()
-        deep = any(c in self.dips for c in closed)
+        deep = any(c in self.dips.contacts for c in closed)
         energy = sum(self._energies()) if deep else 0.0
         ends = [g for g in system.held() if system.guard_int[g, GUARD_END] != 0]
         impact = apply_impact(system, self.modes.solver, closed, ends, restitution)
@@ -922,8 +860,7 @@ class Transitions:
                     integers[i, MODE] = FREE
                     if depth > 0.0:
                         # rebounds from where it is
-                        self.depths[i] = depth
-                        self.dips.add(i)
+                        self.dips.start_at(i, depth)
         self._guards_from_velocities()
         undecided = self.modes_from_velocities(after_impact=True)
         before = whitened_velocity(system, system.v)

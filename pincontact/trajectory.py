@@ -58,9 +58,12 @@ class Record:
         turns = 3 * nc if system.nr else 0
         self._widths = (1, nq, nv, nv, int(system.sizes[NWORK]), 4 * nc, FROZEN_COLUMNS * nc, 3 * nc, turns)
         system.counters[ROW_WIDTH] = width = sum(self._widths)
-        whole = np.empty((BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT), dtype=np.int64)
-        self._reals = system.memory.put("recorded_reals", np.empty((BLOCK, width)))
-        self._integers = system.memory.put("recorded_integers", whole)
+        if width not in system.row_blocks:
+            whole = np.empty((BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT), dtype=np.int64)
+            system.row_blocks[width] = np.empty((BLOCK, width)), whole
+        self._reals, self._integers = system.row_blocks[width]
+        system.memory.put("recorded_reals", self._reals)
+        system.memory.put("recorded_integers", self._integers)
         self._blocks: list[tuple[np.ndarray, np.ndarray]] = []
         self._resistances: list[np.ndarray] = []
 

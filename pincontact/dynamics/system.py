@@ -153,6 +153,8 @@ class System:
         memory = Memory(SLOTS)
         self.memory = memory
         self.table = memory.table
+        # blocks of rows to be recorded, by their width, which all runs of this system fill
+        self.row_blocks: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         sizes = memory.integers("sizes", 8)
         blocks = configuration_blocks(model)
         # whether velocities differ between the axes of joints and of their parents

@@ -210,7 +210,7 @@ class Driver:
         """How far the compiled steps may go on their own."""
         if self.locator.users:
             return MARCH_ONE_ATTEMPT
-        if self.system.ng or (self.system.modes == FREE).any():
+        if self.system.ng or FREE in self.system.modes.tolist():
             return MARCH_ONE_STEP
         return MARCH
 

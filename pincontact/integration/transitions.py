@@ -534,7 +534,7 @@ class Transitions:
     def start_frozen(self, t: float) -> float:
         """Slip that starts with a finite acceleration: one tiny step in the given direction, so that v_c has one."""
         rk, system = self.rk, self.system
-        frozen = [int(c) for c in np.flatnonzero(system.contact_int[:, FROZEN])]
+        frozen = [c for c, marked in enumerate(system.contact_int[:, FROZEN].tolist()) if marked]
         if not frozen:
             return t
         tau = min(self.seed**1.5, self.until_touch())

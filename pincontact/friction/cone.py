@@ -33,11 +33,10 @@ from __future__ import annotations
 
 from math import atan2, cos, inf, pi, sin, sqrt
 
-from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
-from ..memory import Memory, integer_matrix, integers, matrix, reals
+from ..jit import REAL, entry_kernel, kernel
+from ..memory import Memory
 
 OPEN, STICK, SLIP = 0, 1, 2
-WARM, CLASSIFY, NEAR = 0, 1, 2
 
 # A contact whose forces and velocities are this much smaller than another's is judged on the other's scale.
 FLOOR = 1e-5
@@ -51,8 +50,6 @@ RANK_TOLERANCE = 1e-12
 SPEED_TOLERANCE = 1e-12
 # Relative changes of the forces above this are a new choice among redundant forces, below it a refinement.
 REFINEMENT = 1e-2
-# Velocities of the last solution that count as none, relative to b.
-AT_REST = 1e-9
 # Projections onto cones and equations by turns, the part of the cones' width that is aimed at, and how much further
 # than to the projection a step goes, of sticking and of sliding contacts: more than 2 ends sooner in wide sets.
 PROJECTIONS = 30
@@ -61,19 +58,19 @@ AIM, RELAXATION, PUSH = 0.98, 2.5, 4.0
 SCAN = 64
 CANDIDATES = 12
 HUGE = 1e300
-SWEEP_GROWTH = 8
 # Outside this range a cone is too flat or too steep to tell modes by; Newton uses the true coefficient.
 LEAST_FRICTION, LARGEST_FRICTION = 1e-6, 1e2
 # Larger coefficients make the QP's facets too steep for it; the modes found are then corrected by Newton.
 QP_FRICTION = 100.0
 
 
-# Arrays that `solve_cones` works in, by slot of its table of addresses.
+# Arrays that `attempt.solve_cones` works in, by slot of its table of addresses.
 SLOTS = (
     "modes",  # (n,) int: in and out
     "forces",  # (3n,): in and out
     "velocities",  # (3n,): in and out
-    "counts",  # (2,) int: out, Newton passes and whether a search over all states was needed
+    "counts",  # (COUNTS_LENGTH,) int: see below
+    "reached",  # (1,): out, the least residual where it is above the tolerance
     "scaled",  # (3n, 3n) the Delassus matrix without units
     "system",  # (3n + 1, 3n + 1) Newton's matrix
     "gram",  # (3n + 1, 3n + 1)
@@ -85,11 +82,18 @@ SLOTS = (
     "first",  # (n + 1,) int: first unknown of each contact
     "trial",  # (3, n) int: modes tried, modes started from, which contacts touched
     "path",  # (8, 3n + 1) point, tangent, ... of `path.follow_path`
+    "solver",  # machine code of `attempt.cones_at`, not an array
 )
 (
-    MODES, FORCES, VELOCITIES, COUNTS, SCALED, SYSTEM, GRAM, VECTORS, SCALARS, DIRECTIONS, ANGLES, ORDER, FIRST, TRIAL,
-    PATH,
+    MODES, FORCES, VELOCITIES, COUNTS, REACHED, SCALED, SYSTEM, GRAM, VECTORS, SCALARS, DIRECTIONS, ANGLES, ORDER,
+    FIRST, TRIAL, PATH, SOLVER,
 ) = range(len(SLOTS))  # fmt: skip
+# In "counts": Newton passes of the last start; whether modes and forces are a solution, to begin from; what decided the
+# last problem; how often there was something to begin from, and how often each of the deciders did.
+PASSES, KNOWN, DECIDED, TRIED, TIMES = range(5)
+DECIDERS = ("warm", "exact", "sweeps", "path", "qp")
+BY_WARM, BY_EXACT, BY_SWEEPS, BY_PATH, BY_QP = range(len(DECIDERS))
+COUNTS_LENGTH = TIMES + len(DECIDERS)
 
 
 def cone_memory(contacts: int) -> Memory:
@@ -99,7 +103,8 @@ def cone_memory(contacts: int) -> Memory:
     memory.integers("modes", contacts)[:] = STICK
     memory.reals("forces", rows)
     memory.reals("velocities", rows)
-    memory.integers("counts", 2)
+    memory.integers("counts", COUNTS_LENGTH)
+    memory.reals("reached", 1)
     memory.reals("scaled", rows, rows)
     memory.reals("system", rows + 1, rows + 1)
     memory.reals("gram", rows + 1, rows + 1)
@@ -788,79 +793,6 @@ def sweep(g, mu, f, u):
             f[k + 1] += change2
             for j in range(rows):
                 u[j] += change1 * g[k, j] + change2 * g[k + 1, j]
-
-
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, INTEGER, INTEGER, REAL, INTEGER, INTEGER, aside=True)
-def solve_cones(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
-    """Forces and velocities of n contacts from what is known of them; returns the residual.
-
-    delassus (3n, 3n), b (3n,), mu (n,): the problem; table: that of `cone_memory(n)`. task says how it is begun:
-      WARM       from the modes and forces in the table
-      NEAR       the same, and redundant forces may be the nearest to these: the velocities are needed, too
-      CLASSIFY   from the forces alone, after `sweeps` Gauss-Seidel passes over them; the modes are read off the
-                 judge's projections; on failure more sweeps, SWEEP_GROWTH times as many in each of `rounds`
-    On success (residual <= tolerance) modes, forces and velocities are written, otherwise none of them is.
-    """
-    n = mu.shape[0]
-    rows = 3 * n
-    modes = integers(table[MODES], n)
-    forces = reals(table[FORCES], rows)
-    velocities = reals(table[VELOCITIES], rows)
-    counts = integers(table[COUNTS], 2)
-    g = matrix(table[SCALED], rows, rows)
-    vectors = matrix(table[VECTORS], 8, rows)
-    c = vectors[0]
-    f = vectors[1]
-    u = vectors[2]
-    start = vectors[3]
-    scalars = matrix(table[SCALARS], 7, n)
-    scale = scalars[0]
-    angles = reals(table[ANGLES], CANDIDATES)
-    trials = integer_matrix(table[TRIAL], 3, n)
-    trial = trials[0]
-    buffers = (
-        scalars[1], reals(table[DIRECTIONS], 2 * n), scalars[2], scalars[3], scalars[4], scalars[5],
-        matrix(table[SYSTEM], rows, rows), vectors[4], vectors[5], vectors[6], matrix(table[GRAM], rows, rows),
-        integers(table[ORDER], rows), integers(table[FIRST], n + 1),
-    )  # fmt: skip
-    size = buffers[0]
-
-    unit = scale_problem(delassus, b, n, g, c, scale)
-    for i in range(n):
-        trial[i] = modes[i]
-        for k in range(3 * i, 3 * i + 3):
-            f[k] = forces[k] / (scale[i] * unit)
-        still = AT_REST * unit / scale[i]
-        trials[2, i] = 0
-        if abs(velocities[3 * i + 2]) <= still:
-            trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1
-    near = 2 if task == NEAR and n > 1 else 0
-    residual = HUGE
-    for attempt in range(rounds):
-        if task == CLASSIFY:
-            if attempt > 0:
-                for k in range(rows):
-                    f[k] = start[k]
-                sweeps *= SWEEP_GROWTH
-            respond(g, c, f, u, size)
-            for _ in range(sweeps):
-                sweep(g, mu, f, u)
-            classify(mu, f, u, trial)
-        result, used, tried = settle(
-            g, c, mu, trial, f, u, angles, start, trials[1], passes, tolerance, near, trials[2], buffers
-        )
-        counts[0] = used
-        counts[1] = 1 if tried > 1 else 0
-        residual = min(residual, result)
-        if residual <= tolerance:
-            break
-    if residual <= tolerance:
-        for i in range(n):
-            modes[i] = trial[i]
-            for k in range(3 * i, 3 * i + 3):
-                forces[k] = f[k] * (scale[i] * unit)
-                velocities[k] = u[k] * unit / scale[i]
-    return residual
 
 
 @entry_kernel(

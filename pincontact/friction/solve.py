@@ -21,21 +21,41 @@ import numpy.typing as npt
 
 from ..arguments import NOT_REAL, check_tolerance, real_array
 from ..errors import ArgumentError, InfeasibleError, SolverError
-from .cone import CLASSIFY, HUGE, NEAR, OPEN, RANK_TOLERANCE, SLIP, STICK, WARM, cone_memory, solve_cones
+from .attempt import (
+    CLASSIFY,
+    NEAREST,
+    STRICTNESS,
+    SWEEP_NEWTON_PASSES,
+    SWEEP_ROUNDS,
+    SWEEPING,
+    SWEEPS,
+    SWEEPS_PER_CONTACT,
+    solve_cones,
+    solve_usual,
+    solver_code,
+)
+from .cone import (
+    BY_PATH,
+    DECIDED,
+    DECIDERS,
+    HUGE,
+    KNOWN,
+    OPEN,
+    PASSES,
+    RANK_TOLERANCE,
+    SLIP,
+    SOLVER,
+    STICK,
+    TIMES,
+    TRIED,
+    cone_memory,
+)
 from .feasibility import crushing_combination
 from .path import follow_path
 from .qp import ConeQP
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactSolution", "ContactSolver", "centred_forces", "solve_contacts"]
 
-# Newton passes for one contact, all of whose states are tried, and from the last modes of several: most starts need
-# fewer than five, mode corrections included, and what needs more is found sooner by sweeps.
-NEWTON_PASSES, WARM_PASSES = 20, 8
-# Gauss-Seidel passes before the first Newton, more for more contacts; and how often Newton is tried.
-SWEEPS, SWEEPS_PER_CONTACT = 10, 2
-SWEEP_ROUNDS, SWEEP_NEWTON_PASSES = 2, 8
-# What the searches aim at, relative to the tolerance; the last ones are content with that.
-STRICTNESS = 0.01
 # Newton passes from a point of the path: near a solution three do, elsewhere none.
 PATH_NEWTON_PASSES = 6
 # Values of t at which the path's forces are tried.
@@ -68,12 +88,21 @@ class _Workspace:
         self.contacts = contacts
         self.memory = cone_memory(contacts)
         self.table = self.memory.table
+        self.table[SOLVER] = solver_code()
         self.modes = self.memory["modes"]
         self.forces = self.memory["forces"]
         self.velocities = self.memory["velocities"]
         self.counts = self.memory["counts"]
-        self.warm = False
+        self.counts[DECIDED] = -1
+        self.reached = self.memory["reached"]
         self.qp: ConeQP | None = None
+
+    def decide(self, stage: str) -> None:
+        """Count a problem that a stage outside of the kernel has solved."""
+        code = DECIDERS.index(stage)
+        self.counts[KNOWN] = 1
+        self.counts[DECIDED] = code
+        self.counts[TIMES + code] += 1
 
 
 @dataclass(frozen=True)
@@ -135,6 +164,7 @@ class ContactSolver:
                other modes are looked for, and what slides has loads that do not depend on the past
 
     Counters: polish_count (warm starts tried), path_count (paths begun), qp_count (programs), and decided (by stage).
+    Kernels solve with `attempt.solve_from_last`, `table(n)` and `options`; `search` goes on where that failed.
     After a search that failed `jammed` says whether that was because the forces grow without bound on the path; where
     there provably is no solution `certificate` (n,) is the reason, see `InfeasibleError`, otherwise None.
     """
@@ -153,14 +183,13 @@ class ContactSolver:
         self.stages = stages
         self.quick = quick
         self.nearest = nearest
+        # what the kernel does; the other stages are seen to here
+        self.options = (NEAREST if nearest else 0) + (SWEEPING if stages[:1] == ("sweeps",) else 0)
         self.residual = 0.0
         self.jammed = False
         self.certificate: np.ndarray | None = None
-        self.decided_by = ""
-        self.polish_count = 0
         self.path_count = 0
         self.qp_count = 0
-        self.decided = dict.fromkeys(("warm", "exact", *stages), 0)
         self._qp_before = 0
         self._spaces: dict[int, _Workspace] = {}
         self._space = self._workspace(1)
@@ -168,7 +197,24 @@ class ContactSolver:
     @property
     def iterations(self) -> int:
         """Newton passes of the last call that was accepted or refused."""
-        return int(self._space.counts[0])
+        return int(self._space.counts[PASSES])
+
+    @property
+    def decided_by(self) -> str:
+        """What decided the last problem that was solved."""
+        code = self._space.counts[DECIDED]
+        return DECIDERS[code] if code >= 0 else ""
+
+    @property
+    def decided(self) -> dict[str, int]:
+        """How many problems were decided by what."""
+        total = np.sum([space.counts[TIMES:] for space in self._spaces.values()], axis=0).tolist()
+        return {name: count for name, count in zip(DECIDERS, total) if name in ("warm", "exact", *self.stages)}
+
+    @property
+    def polish_count(self) -> int:
+        """How many warm starts were tried, those of single contacts from nothing included."""
+        return sum(int(space.counts[TRIED]) for space in self._spaces.values())
 
     def _workspace(self, contacts: int) -> _Workspace:
         space = self._spaces.get(contacts)
@@ -180,54 +226,49 @@ class ContactSolver:
         self.velocities = space.velocities
         return space
 
+    def table(self, contacts: int) -> np.ndarray:
+        """The table of `cone_memory` that problems of this size are solved in, for kernels that call the solver."""
+        return self._workspace(contacts).table
+
     def warm_start(self, modes: np.ndarray, forces: np.ndarray, velocities: np.ndarray) -> None:
         """Begin the next problem of this size from these modes (n,), forces and velocities (3n,) or (n, 3)."""
-        space = self._workspace(len(modes))
+        space = self._space
+        contacts = modes.shape[0]
+        if space.contacts != contacts:
+            space = self._workspace(contacts)
         space.modes[:] = modes
-        space.forces[:] = np.reshape(forces, -1)
-        space.velocities[:] = np.reshape(velocities, -1)
-        space.warm = True
+        space.forces[:] = forces if forces.ndim == 1 else forces.reshape(-1)
+        space.velocities[:] = velocities if velocities.ndim == 1 else velocities.reshape(-1)
+        space.counts[KNOWN] = 1
 
     def forget(self) -> None:
         """Drop all warm starts."""
         for space in self._spaces.values():
-            space.warm = False
+            space.counts[KNOWN] = 0
 
     def solve(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Solve one problem: delassus (3n, 3n) C-contiguous, b (3n,), mu (n,), all float64. True if solved."""
-        contacts = mu.shape[0]
-        self._qp_before = self.qp_count
         space = self._space
-        if space.contacts != contacts:
-            space = self._workspace(contacts)
-        if space.warm or contacts == 1:
-            warm = space.warm
-            if not warm:
-                space.modes[0] = STICK
-                space.forces[:] = 0.0
-            self.polish_count += 1
-            passes = NEWTON_PASSES if contacts == 1 else WARM_PASSES
-            residual = solve_cones(
-                delassus, b, mu, space.table, NEAR if self.nearest else WARM, passes, self.tolerance, 0, 1
-            )
-            if residual <= self.tolerance:
-                self.residual = residual
-                space.warm = True
-                self.decided_by = "warm" if warm and not space.counts[1] else "exact"
-                self.decided[self.decided_by] += 1
-                return True
-            self.residual = residual
-        return self._search(space, delassus, b, mu)
+        if space.contacts != mu.shape[0]:
+            space = self._workspace(mu.shape[0])
+        self.residual = residual = solve_usual(delassus, b, mu, space.table, self.options, self.tolerance)
+        return residual <= self.tolerance or self.search(delassus, b, mu)
 
-    def _search(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """The stages after the warm one, in their order."""
-        self.residual = np.inf
+    def search(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """What `solve` does where the last modes and, if these come first, sweeps were of no use."""
+        space = self._space
+        if space.contacts != mu.shape[0]:
+            space = self._workspace(mu.shape[0])
+        self._qp_before = self.qp_count
+        self.residual = swept = float(space.reached[0]) if self.options & SWEEPING else np.inf
         self.certificate = None
         self.jammed = False
-        swept = np.inf
         for stage in self.stages:
             if stage == "sweeps":
+                if self.options & SWEEPING:
+                    continue
                 solved = self._sweep(space, delassus, b, mu, STRICTNESS * self.tolerance)
+                swept = self.residual
             elif not (np.isfinite(delassus).all() and np.isfinite(b).all()):
                 return False
             elif stage == "path":
@@ -235,25 +276,19 @@ class ContactSolver:
             else:
                 solved = self._program(space, delassus, b, mu)
             if solved:
-                space.warm = True
-                self.decided_by = stage
-                self.decided[stage] += 1
+                space.decide(stage)
                 return True
-            if stage == "sweeps":
-                swept = self.residual
             if self.jammed:
                 break
-        if swept <= self.tolerance and self._sweep(space, delassus, b, mu, self.tolerance):
+        if "sweeps" in self.stages and swept <= self.tolerance and self._sweep(space, delassus, b, mu, self.tolerance):
             # What they had found was good enough, if not as good as can be.
-            space.warm = True
-            self.decided_by = "sweeps"
-            self.decided["sweeps"] += 1
+            space.decide("sweeps")
             return True
         return False
 
     def _sweep(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, tolerance: float) -> bool:
         """Modes from Gauss-Seidel sweeps, from the last forces if there are any."""
-        if not space.warm:
+        if not space.counts[KNOWN]:
             space.forces[:] = 0.0
         sweeps = SWEEPS + SWEEPS_PER_CONTACT * space.contacts
         self.residual = solve_cones(
@@ -335,7 +370,7 @@ class ContactSolver:
             modes=self.modes.copy(),
             residual=self.residual,
             iterations=self.iterations,
-            qp_count=self.qp_count - self._qp_before,
+            qp_count=self.qp_count - self._qp_before if self._space.counts[DECIDED] >= BY_PATH else 0,
             decided_by=self.decided_by,
             mu=np.array(mu, dtype=float),
         )

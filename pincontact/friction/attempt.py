@@ -1,0 +1,223 @@
+"""One contact problem from what is known of it: the last modes and forces, Gauss-Seidel sweeps (see `solve`).
+
+`cones_at` is all of it, compiled once; Python calls it through `solve_cones` and `solve_usual`, other kernels through
+`solve_from_last`, which calls its machine code and adds nothing of it to theirs.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
+from ..machine_code import array_address, call_code, code_address
+from ..memory import integer_matrix, integers, matrix, reals
+from .cone import (
+    ANGLES,
+    BY_EXACT,
+    BY_SWEEPS,
+    BY_WARM,
+    CANDIDATES,
+    COUNTS,
+    COUNTS_LENGTH,
+    DECIDED,
+    DIRECTIONS,
+    FIRST,
+    FORCES,
+    GRAM,
+    HUGE,
+    KNOWN,
+    MODES,
+    ORDER,
+    PASSES,
+    REACHED,
+    SCALARS,
+    SCALED,
+    SLOTS,
+    SOLVER,
+    STICK,
+    SYSTEM,
+    TIMES,
+    TRIAL,
+    TRIED,
+    VECTORS,
+    VELOCITIES,
+    classify,
+    respond,
+    scale_problem,
+    settle,
+    sweep,
+)
+
+WARM, CLASSIFY, NEAR, USUAL = 0, 1, 2, 4
+# Added to USUAL: redundant forces may be the nearest to the last; sweeps follow where the last modes do not do.
+NEAREST, SWEEPING = 1, 2
+
+# Newton passes for one contact, all of whose states are tried, and from the last modes of several: most starts need
+# fewer than five, mode corrections included, and what needs more is found sooner by sweeps.
+NEWTON_PASSES, WARM_PASSES = 20, 8
+# Gauss-Seidel passes before the first Newton, more for more contacts, and how many times as many before the next; how
+# often Newton is tried.
+SWEEPS, SWEEPS_PER_CONTACT, SWEEP_GROWTH = 10, 2, 8
+SWEEP_ROUNDS, SWEEP_NEWTON_PASSES = 2, 8
+# What the searches aim at, relative to the tolerance; the last ones are content with that.
+STRICTNESS = 0.01
+# Velocities of the last solution that count as none, relative to b.
+AT_REST = 1e-9
+
+
+@kernel
+def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
+    """A start of one kind, see `solve_cones`; returns the residual and whether one contact's states were all tried."""
+    n = mu.shape[0]
+    rows = 3 * n
+    modes = integers(table[MODES], n)
+    forces = reals(table[FORCES], rows)
+    velocities = reals(table[VELOCITIES], rows)
+    counts = integers(table[COUNTS], COUNTS_LENGTH)
+    g = matrix(table[SCALED], rows, rows)
+    vectors = matrix(table[VECTORS], 8, rows)
+    c = vectors[0]
+    f = vectors[1]
+    u = vectors[2]
+    start = vectors[3]
+    scalars = matrix(table[SCALARS], 7, n)
+    scale = scalars[0]
+    angles = reals(table[ANGLES], CANDIDATES)
+    trials = integer_matrix(table[TRIAL], 3, n)
+    trial = trials[0]
+    buffers = (
+        scalars[1], reals(table[DIRECTIONS], 2 * n), scalars[2], scalars[3], scalars[4], scalars[5],
+        matrix(table[SYSTEM], rows, rows), vectors[4], vectors[5], vectors[6], matrix(table[GRAM], rows, rows),
+        integers(table[ORDER], rows), integers(table[FIRST], n + 1),
+    )  # fmt: skip
+    size = buffers[0]
+
+    unit = scale_problem(delassus, b, n, g, c, scale)
+    for i in range(n):
+        trial[i] = modes[i]
+        for k in range(3 * i, 3 * i + 3):
+            f[k] = forces[k] / (scale[i] * unit)
+        still = AT_REST * unit / scale[i]
+        trials[2, i] = 0
+        if abs(velocities[3 * i + 2]) <= still:
+            trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1
+    near = 2 if task == NEAR and n > 1 else 0
+    residual = HUGE
+    tried = 0
+    for turn in range(rounds):
+        if task == CLASSIFY:
+            if turn > 0:
+                for k in range(rows):
+                    f[k] = start[k]
+                sweeps *= SWEEP_GROWTH
+            respond(g, c, f, u, size)
+            for _ in range(sweeps):
+                sweep(g, mu, f, u)
+            classify(mu, f, u, trial)
+        result, used, tried = settle(
+            g, c, mu, trial, f, u, angles, start, trials[1], passes, tolerance, near, trials[2], buffers
+        )
+        counts[PASSES] = used
+        residual = min(residual, result)
+        if residual <= tolerance:
+            break
+    if residual <= tolerance:
+        for i in range(n):
+            modes[i] = trial[i]
+            for k in range(3 * i, 3 * i + 3):
+                forces[k] = f[k] * (scale[i] * unit)
+                velocities[k] = u[k] * unit / scale[i]
+    return residual, tried > 1
+
+
+@kernel
+def usual_attempts(delassus, b, mu, table, nearest, sweeping, tolerance):
+    """From the last solution, if there is one, then by sweeps; see `solve_usual`."""
+    n = mu.shape[0]
+    modes = integers(table[MODES], n)
+    forces = reals(table[FORCES], 3 * n)
+    counts = integers(table[COUNTS], COUNTS_LENGTH)
+    reached = reals(table[REACHED], 1)
+    residual = HUGE
+    known = counts[KNOWN] != 0
+    if not known and (n == 1 or sweeping):
+        for k in range(3 * n):
+            forces[k] = 0.0
+    if known or n == 1:
+        if not known:
+            modes[0] = STICK
+        counts[TRIED] += 1
+        passes = NEWTON_PASSES if n == 1 else WARM_PASSES
+        residual, searched = attempt(delassus, b, mu, table, NEAR if nearest else WARM, passes, tolerance, 0, 1)
+        if residual <= tolerance:
+            counts[DECIDED] = BY_WARM if known and not searched else BY_EXACT
+    if not residual <= tolerance and sweeping:
+        sweeps = SWEEPS + SWEEPS_PER_CONTACT * n
+        strict = STRICTNESS * tolerance
+        residual, searched = attempt(
+            delassus, b, mu, table, CLASSIFY, SWEEP_NEWTON_PASSES, strict, sweeps, SWEEP_ROUNDS
+        )
+        counts[DECIDED] = BY_SWEEPS
+        tolerance = strict
+    reached[0] = residual
+    if not residual <= tolerance:
+        return HUGE
+    counts[KNOWN] = 1
+    counts[TIMES + counts[DECIDED]] += 1
+    return residual
+
+
+_NUMBERS = (INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, REAL, INTEGER, INTEGER)
+
+
+@entry_kernel(*_NUMBERS, aside=True)
+def cones_at(delassus, b, mu, n, table, task, passes, tolerance, sweeps, rounds):
+    """What `solve_cones` and, for tasks from USUAL on, `solve_usual` do; arrays are given by their addresses."""
+    slots = integers(table, len(SLOTS))
+    g = matrix(delassus, 3 * n, 3 * n)
+    load = reals(b, 3 * n)
+    friction = reals(mu, n)
+    if task >= USUAL:
+        return usual_attempts(g, load, friction, slots, (task & NEAREST) != 0, (task & SWEEPING) != 0, tolerance)
+    residual, _ = attempt(g, load, friction, slots, task, passes, tolerance, sweeps, rounds)
+    return residual
+
+
+@cache
+def solver_code() -> int:
+    """The address of `cones_at`: what slot SOLVER of a table holds."""
+    return code_address(cones_at, _NUMBERS)
+
+
+@kernel
+def solve_from_last(delassus, b, mu, table, options, tolerance):
+    """`solve_usual` for other kernels; the arrays must be C-contiguous."""
+    where = array_address(delassus), array_address(b), array_address(mu), mu.shape[0], array_address(table)
+    return call_code(table[SOLVER], (*where, USUAL + options, 0, tolerance, 0, 0))
+
+
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, INTEGER, REAL, aside=True)
+def solve_usual(delassus, b, mu, table, options, tolerance):
+    """Solve a problem from the last solution or by sweeps; returns the residual, HUGE if it was not solved.
+
+    delassus, b, mu, table: as for `solve_cones`; options: NEAREST, SWEEPING, their sum or none.
+    There is a last solution if KNOWN of the table's "counts" is not zero. One contact is solved without, too. What
+    decided and how often is counted there, and "reached" is the residual, also where that is above the tolerance.
+    """
+    return solve_from_last(delassus, b, mu, table, options, tolerance)
+
+
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, INTEGER, INTEGER, REAL, INTEGER, INTEGER, aside=True)
+def solve_cones(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
+    """Forces and velocities of n contacts from what is known of them; returns the residual.
+
+    delassus (3n, 3n), b (3n,), mu (n,): the problem; table: that of `cone_memory` for n contacts or more, its slot
+    SOLVER holding `solver_code()`. task says how it is begun:
+      WARM       from the modes and forces in the table
+      NEAR       the same, and redundant forces may be the nearest to these: the velocities are needed, too
+      CLASSIFY   from the forces alone, after `sweeps` Gauss-Seidel passes over them; the modes are read off the
+                 judge's projections; on failure more sweeps, SWEEP_GROWTH times as many in each of `rounds`
+    On success (residual <= tolerance) modes, forces and velocities are written, otherwise none of them is.
+    """
+    where = array_address(delassus), array_address(b), array_address(mu), mu.shape[0], array_address(table)
+    return call_code(table[SOLVER], (*where, task, passes, tolerance, sweeps, rounds))

@@ -10,13 +10,13 @@ import pytest
 from calling import from_python
 
 from pincontact.errors import ArgumentError, InfeasibleError, SolverError
-from pincontact.friction import cone
+from pincontact.friction import elimination
 from pincontact.friction.cone import cone_memory
 from pincontact.friction.solve import OPEN, SLIP, STICK, ContactSolver, centred_forces, solve_contacts
 
 GRAVITY = 9.81
 
-minimum_norm_solve = from_python(cone.minimum_norm_solve)
+minimum_norm_solve = from_python(elimination.minimum_norm_solve)
 
 
 def complementarity_errors(delassus, b, mu, forces):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from ..friction.cone import minimum_norm_solve
+from ..friction.elimination import minimum_norm_solve
 from ..friction.ellipse import friction_direction, friction_length
 from ..friction.stribeck import stribeck_kernel
 from ..geometry.patterns import NO_NORMAL, ON_CURVE

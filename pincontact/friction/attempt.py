@@ -10,7 +10,7 @@ from functools import cache
 
 from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
 from ..machine_code import array_address, call_code, code_address
-from ..memory import integer_matrix, integers, matrix, reals
+from ..memory import cube, integer_matrix, integers, matrix, reals
 from .cone import (
     ANGLES,
     BY_EXACT,
@@ -26,6 +26,7 @@ from .cone import (
     GRAM,
     HUGE,
     KNOWN,
+    LOW_RANK,
     MODES,
     ORDER,
     PASSES,
@@ -44,9 +45,10 @@ from .cone import (
     classify,
     respond,
     scale_problem,
-    settle,
     sweep,
 )
+from .newton import settle
+from .redundant import FACTOR, factor_matrix
 
 WARM, CLASSIFY, NEAR, USUAL = 0, 1, 2, 4
 # Added to USUAL: redundant forces may be the nearest to the last; sweeps follow where the last modes do not do.
@@ -80,19 +82,20 @@ def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
     f = vectors[1]
     u = vectors[2]
     start = vectors[3]
-    scalars = matrix(table[SCALARS], 7, n)
+    scalars = matrix(table[SCALARS], 8, n)
     scale = scalars[0]
     angles = reals(table[ANGLES], CANDIDATES)
     trials = integer_matrix(table[TRIAL], 3, n)
     trial = trials[0]
+    low_rank = cube(table[LOW_RANK], 3, rows // 2 + 1, rows)
     buffers = (
         scalars[1], reals(table[DIRECTIONS], 2 * n), scalars[2], scalars[3], scalars[4], scalars[5],
         matrix(table[SYSTEM], rows, rows), vectors[4], vectors[5], vectors[6], matrix(table[GRAM], rows, rows),
-        integers(table[ORDER], rows), integers(table[FIRST], n + 1),
+        integers(table[ORDER], rows), integers(table[FIRST], n + 1), scalars[6], vectors[7], low_rank,
     )  # fmt: skip
     size = buffers[0]
 
-    unit = scale_problem(delassus, b, n, g, c, scale)
+    unit = scale_problem(delassus, b, n, g, c, scale, u)
     for i in range(n):
         trial[i] = modes[i]
         for k in range(3 * i, 3 * i + 3):
@@ -102,6 +105,7 @@ def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
         if abs(velocities[3 * i + 2]) <= still:
             trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1
     near = 2 if task == NEAR and n > 1 else 0
+    rank = factor_matrix(g, low_rank[FACTOR], vectors[7]) if near > 0 else 0
     residual = HUGE
     tried = 0
     for turn in range(rounds):
@@ -110,12 +114,12 @@ def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
                 for k in range(rows):
                     f[k] = start[k]
                 sweeps *= SWEEP_GROWTH
-            respond(g, c, f, u, size)
+            respond(g, c, f, u, size, vectors[4])
             for _ in range(sweeps):
                 sweep(g, mu, f, u)
             classify(mu, f, u, trial)
         result, used, tried = settle(
-            g, c, mu, trial, f, u, angles, start, trials[1], passes, tolerance, near, trials[2], buffers
+            g, c, mu, trial, f, u, angles, start, trials[1], passes, tolerance, near, trials[2], rank, buffers
         )
         counts[PASSES] = used
         residual = min(residual, result)

@@ -12,8 +12,8 @@ which is the complementarity of F in the cone K = {|F_t| <= mu F_n} with u + mu 
 Saxce's correction). An infinite mu is the limit of large ones: u_t = 0 wherever F_n > 0; the limit leaves one more
 state, a slip that is held up by friction alone, F_n = 0 and F_t = -|F_t| d.
 
-What is solved here is a Newton iteration on the equations of given modes, with the modes corrected as it goes,
-and the judge of the result. Where the modes come from is the business of `solve`.
+Here are the pieces: the problem without units, the judge of a result, and what forces and velocities say of modes.
+`newton` solves the equations of given modes; where these come from is the business of `attempt` and `solve`.
 
 Scaling. Everything below runs on a problem without units: the forces of contact i are divided by s_i and its u
 multiplied by it, s_i = (trace(G_ii) / 3)^(-1/2), which leaves the cones as they are and makes the diagonal blocks
@@ -31,7 +31,7 @@ growing without bound do not pass for a solution. Hence it does not depend on un
 
 from __future__ import annotations
 
-from math import atan2, cos, inf, pi, sin, sqrt
+from math import inf, sqrt
 
 from ..jit import REAL, entry_kernel, kernel
 from ..memory import Memory
@@ -42,20 +42,9 @@ OPEN, STICK, SLIP = 0, 1, 2
 FLOOR = 1e-5
 # Forces this much larger than what b asks for are only accepted if u is as accurate as without them.
 CANCELLATION = 1e4
-# Newton stops below this residual at once; above it, when a pass no longer improves the residual.
-ROUND_OFF = 1e-14
 # A pivot this much below the largest one is a redundant direction: Delassus matrices carry round-off at 1e-15.
 RANK_TOLERANCE = 1e-12
-# A slip speed this far below zero (scaled) turns slip into stick; less is round-off on a redundant contact.
-SPEED_TOLERANCE = 1e-12
-# Relative changes of the forces above this are a new choice among redundant forces, below it a refinement.
-REFINEMENT = 1e-2
-# Projections onto cones and equations by turns, the part of the cones' width that is aimed at, and how much further
-# than to the projection a step goes, of sticking and of sliding contacts: more than 2 ends sooner in wide sets.
-PROJECTIONS = 30
-AIM, RELAXATION, PUSH = 0.98, 2.5, 4.0
-# Directions tried in the scan for a single contact's slip; the function scanned has four zeros at most.
-SCAN = 64
+# Directions in which a single contact may slip, at most.
 CANDIDATES = 12
 HUGE = 1e300
 # Outside this range a cone is too flat or too steep to tell modes by; Newton uses the true coefficient.
@@ -74,8 +63,9 @@ SLOTS = (
     "scaled",  # (3n, 3n) the Delassus matrix without units
     "system",  # (3n + 1, 3n + 1) Newton's matrix
     "gram",  # (3n + 1, 3n + 1)
+    "low_rank",  # (3, 3n // 2 + 1, 3n), see `redundant`
     "vectors",  # (8, 3n)
-    "scalars",  # (7, n)
+    "scalars",  # (8, n)
     "directions",  # (2n,) of slip
     "angles",  # (CANDIDATES,)
     "order",  # (3n + 1,) int: permutation of the elimination
@@ -85,8 +75,8 @@ SLOTS = (
     "solver",  # machine code of `attempt.cones_at`, not an array
 )
 (
-    MODES, FORCES, VELOCITIES, COUNTS, REACHED, SCALED, SYSTEM, GRAM, VECTORS, SCALARS, DIRECTIONS, ANGLES, ORDER,
-    FIRST, TRIAL, PATH, SOLVER,
+    MODES, FORCES, VELOCITIES, COUNTS, REACHED, SCALED, SYSTEM, GRAM, LOW_RANK, VECTORS, SCALARS, DIRECTIONS, ANGLES,
+    ORDER, FIRST, TRIAL, PATH, SOLVER,
 ) = range(len(SLOTS))  # fmt: skip
 # In "counts": Newton passes of the last start; whether modes and forces are a solution, to begin from; what decided the
 # last problem; how often there was something to begin from, and how often each of the deciders did.
@@ -108,8 +98,9 @@ def cone_memory(contacts: int) -> Memory:
     memory.reals("scaled", rows, rows)
     memory.reals("system", rows + 1, rows + 1)
     memory.reals("gram", rows + 1, rows + 1)
+    memory.reals("low_rank", 3, rows // 2 + 1, rows)
     memory.reals("vectors", 8, rows)
-    memory.reals("scalars", 7, contacts)
+    memory.reals("scalars", 8, contacts)
     memory.reals("directions", 2 * contacts)
     memory.reals("angles", CANDIDATES)
     memory.integers("order", rows + 1)
@@ -120,165 +111,57 @@ def cone_memory(contacts: int) -> Memory:
 
 
 @kernel
-def subtract_row(x, y, factor):
-    """x -= factor y, with views as arguments: indices that start at zero can be done several at a time."""
-    for j in range(x.shape[0]):
-        x[j] -= factor * y[j]
-
-
-@kernel
-def largest_entry(x):
-    """Largest |x_j|; four at a time, which do not wait for each other."""
-    n = x.shape[0]
-    first = 0.0
-    second = 0.0
-    third = 0.0
-    fourth = 0.0
-    for j in range(0, n - 3, 4):
-        first = max(first, abs(x[j]))
-        second = max(second, abs(x[j + 1]))
-        third = max(third, abs(x[j + 2]))
-        fourth = max(fourth, abs(x[j + 3]))
-    for j in range(n - n % 4, n):
-        first = max(first, abs(x[j]))
-    return max(max(first, second), max(third, fourth))
-
-
-@kernel
-def minimum_norm_solve(a, rhs, n, x, gram, order, tolerance):
-    """x (n,) of least norm with a x = rhs for a consistent system that may be singular; returns the rank.
-
-    Elimination with complete pivoting, stopped at the first pivot below tolerance times the largest, then least
-    norm in the row space; tolerance 0 says that a is regular, and rows alone are exchanged. a and gram are
-    (>= n, >= n); a and rhs (n,) are overwritten, gram and order (n,) are scratch.
-    """
-    for j in range(n):
-        order[j] = j
-    largest = 0.0
-    rank = 0
-    for k in range(n):
-        pivot = -1.0
-        p = k
-        q = k
-        for i in range(k, n):
-            size = largest_entry(a[i, k:n]) if tolerance > 0.0 else abs(a[i, k])
-            if size > pivot:
-                pivot = size
-                p = i
-        if tolerance > 0.0:
-            while q < n - 1 and abs(a[p, q]) != pivot:
-                q += 1
-        if k == 0:
-            largest = pivot
-        if not pivot > tolerance * largest:
-            break
-        rank += 1
-        if p != k:
-            for j in range(n):
-                swap = a[k, j]
-                a[k, j] = a[p, j]
-                a[p, j] = swap
-            swap = rhs[k]
-            rhs[k] = rhs[p]
-            rhs[p] = swap
-        if q != k:
-            for i in range(n):
-                swap = a[i, k]
-                a[i, k] = a[i, q]
-                a[i, q] = swap
-            swapped = order[k]
-            order[k] = order[q]
-            order[q] = swapped
-        inverse = 1.0 / a[k, k]
-        for j in range(k, n):
-            a[k, j] *= inverse
-        rhs[k] *= inverse
-        for i in range(k + 1, n):
-            factor = a[i, k]
-            if factor != 0.0:
-                subtract_row(a[i, k:n], a[k, k:n], factor)
-                rhs[i] -= factor * rhs[k]
-
-    # Now the first `rank` rows of a are unit upper trapezoidal.
-    if rank == n:
-        for k in range(n - 1, -1, -1):
-            total = rhs[k]
-            for j in range(k + 1, n):
-                total -= a[k, j] * rhs[j]
-            rhs[k] = total
-        for j in range(n):
-            x[order[j]] = rhs[j]
-        return rank
-    for i in range(rank):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(i, n):
-                total += a[i, k] * a[j, k]
-            for k in range(j):
-                total -= gram[i, k] * gram[j, k]
-            if i == j:
-                gram[i, i] = sqrt(total)
-            else:
-                gram[i, j] = total / gram[j, j]
-    for i in range(rank):
-        for k in range(i):
-            rhs[i] -= gram[i, k] * rhs[k]
-        rhs[i] /= gram[i, i]
-    for i in range(rank - 1, -1, -1):
-        for k in range(i + 1, rank):
-            rhs[i] -= gram[k, i] * rhs[k]
-        rhs[i] /= gram[i, i]
-    for j in range(n):
-        total = 0.0
-        for k in range(min(j + 1, rank)):
-            total += a[k, j] * rhs[k]
-        x[order[j]] = total
-    return rank
-
-
-@kernel
-def scale_problem(delassus, b, n, scaled, c, scale):
+def scale_problem(delassus, b, n, scaled, c, scale, factors):
     """Write the problem without units; returns the factor taken out of b.
 
-    delassus (3n, 3n), b (3n,): the problem; scaled (3n, 3n), c (3n,), scale (n,): output.
+    delassus (3n, 3n), b (3n,): the problem; scaled (3n, 3n), c (3n,), scale (n,): output; factors (3n,): scratch.
     """
+    largest = 0.0
     for i in range(n):
         trace = delassus[3 * i, 3 * i] + delassus[3 * i + 1, 3 * i + 1] + delassus[3 * i + 2, 3 * i + 2]
         scale[i] = sqrt(3.0 / trace) if trace > 0.0 else 1.0
-    largest = 0.0
-    for i in range(n):
-        for r in range(3):
-            c[3 * i + r] = scale[i] * b[3 * i + r]
-            largest = max(largest, abs(c[3 * i + r]))
+        for r in range(3 * i, 3 * i + 3):
+            factors[r] = scale[i]
+            c[r] = scale[i] * b[r]
+            largest = max(largest, abs(c[r]))
     if largest == 0.0:
         largest = 1.0
     for i in range(3 * n):
         c[i] /= largest
-        s = scale[i // 3]
-        for j in range(n):
-            product = s * scale[j]
-            scaled[i, 3 * j] = product * delassus[i, 3 * j]
-            scaled[i, 3 * j + 1] = product * delassus[i, 3 * j + 1]
-            scaled[i, 3 * j + 2] = product * delassus[i, 3 * j + 2]
+        row = scaled[i]
+        given = delassus[i]
+        s = factors[i]
+        for j in range(3 * n):
+            row[j] = s * factors[j] * given[j]
     return largest
 
 
 @kernel
-def respond(g, c, f, u, size):
-    """u = g f + c (3n,); in size (n,), per contact, the sum of the absolute terms in u."""
-    n = c.shape[0] // 3
-    for i in range(n):
-        size[i] = 0.0
-        for r in range(3 * i, 3 * i + 3):
-            total = c[r]
-            absolute = abs(c[r])
-            for j in range(3 * n):
-                term = g[r, j] * f[j]
-                total += term
-                absolute += abs(term)
-            u[r] = total
-            # A sum, through which what is not a number gets to the judge.
-            size[i] += absolute
+def respond(g, c, f, u, size, terms):
+    """u = g f + c (3n,); in size (n,), per contact, the sum of the absolute terms in u. terms (3n,): scratch.
+
+    g is symmetric: column by column, so that all of u can be done at once.
+    """
+    rows = c.shape[0]
+    for r in range(rows):
+        u[r] = c[r]
+        terms[r] = abs(c[r])
+    for i in range(size.shape[0]):
+        first = g[3 * i]
+        second = g[3 * i + 1]
+        third = g[3 * i + 2]
+        f1 = f[3 * i]
+        f2 = f[3 * i + 1]
+        fn = f[3 * i + 2]
+        for r in range(rows):
+            t1 = first[r] * f1
+            t2 = second[r] * f2
+            tn = third[r] * fn
+            u[r] += (t1 + t2) + tn
+            terms[r] += (abs(t1) + abs(t2)) + abs(tn)
+    for i in range(size.shape[0]):
+        # A sum, through which what is not a number gets to the judge.
+        size[i] = (terms[3 * i] + terms[3 * i + 1]) + terms[3 * i + 2]
 
 
 @kernel
@@ -381,392 +264,6 @@ def turn_direction(direction, i, arc, radius):
 
 
 @kernel
-def newton_step(g, c, mu, modes, f, u, refine, buffers):
-    """One Newton step on the equations of the modes; f (3n,) is updated, and the slips' directions and lengths.
-
-    Unknown are f at sticking contacts and, at slipping ones, the length of the force and its turning (as an arc).
-    With refine false the forces solved for have least norm; with refine true their change has.
-    """
-    direction, length, speed, sine, cosine, a, rhs, x, row_of_g, gram, order, first = buffers[1:]
-    n = mu.shape[0]
-    first[0] = 0
-    for i in range(n):
-        unknowns = 0
-        if modes[i] == STICK:
-            unknowns = 3
-        elif modes[i] == SLIP:
-            unknowns = 2 if mu[i] > 0.0 else 1
-        first[i + 1] = first[i] + unknowns
-    if first[n] == 0:
-        for k in range(3 * n):
-            f[k] = 0.0
-        return first[n]
-
-    source = u if refine else c
-    for i in range(n):
-        k = 3 * i
-        for r in range(first[i + 1] - first[i]):
-            row = first[i] + r
-            d1 = 0.0
-            d2 = 1.0
-            p = k + r
-            q = k + r
-            if modes[i] == SLIP:
-                p = k + 2
-                q = k + 2
-                if r == 1:
-                    # The row of d turned by a right angle: d_perp . u_t = 0.
-                    d1 = direction[2 * i]
-                    d2 = -direction[2 * i + 1]
-                    p = k + 1
-                    q = k
-            rhs[row] = -(d1 * source[p] + d2 * source[q])
-            for j in range(3 * n):
-                row_of_g[j] = d1 * g[p, j] + d2 * g[q, j]
-            for j in range(n):
-                m = 3 * j
-                column = first[j]
-                if modes[j] == STICK:
-                    a[row, column] = row_of_g[m]
-                    a[row, column + 1] = row_of_g[m + 1]
-                    a[row, column + 2] = row_of_g[m + 2]
-                elif modes[j] == SLIP:
-                    e1 = direction[2 * j]
-                    e2 = direction[2 * j + 1]
-                    along = row_of_g[m] * e1 + row_of_g[m + 1] * e2
-                    a[row, column] = cosine[j] * row_of_g[m + 2] - sine[j] * along
-                    if mu[j] > 0.0:
-                        reach = sine[j] * length[j]
-                        total = reach + speed[j]
-                        across = row_of_g[m] * e2 - row_of_g[m + 1] * e1
-                        turned = reach * across
-                        if i == j and r == 1:
-                            # u_t = speed d turns too.
-                            turned -= speed[j]
-                        a[row, column + 1] = turned / total if total > 0.0 else 0.0
-
-    rank = minimum_norm_solve(a, rhs, first[n], x, gram, order, RANK_TOLERANCE)
-
-    for i in range(n):
-        k = 3 * i
-        row = first[i]
-        if modes[i] == OPEN:
-            f[k] = 0.0
-            f[k + 1] = 0.0
-            f[k + 2] = 0.0
-        elif modes[i] == STICK:
-            for r in range(3):
-                f[k + r] = x[row + r] + (f[k + r] if refine else 0.0)
-        else:
-            total = sine[i] * length[i] + speed[i]
-            length[i] = x[row] + (length[i] if refine else 0.0)
-            if mu[i] > 0.0:
-                turn_direction(direction, i, x[row + 1], total)
-                # the arc's radius, which `ease` needs
-                x[row + 1] = total
-            f[k] = -sine[i] * length[i] * direction[2 * i]
-            f[k + 1] = -sine[i] * length[i] * direction[2 * i + 1]
-            f[k + 2] = cosine[i] * length[i]
-    return first[n] - rank
-
-
-@kernel
-def correct_modes(mu, modes, f, u, direction, length, speed):
-    """Change the modes that the forces and velocities contradict; returns how many were changed."""
-    n = mu.shape[0]
-    changes = 0
-    for i in range(n):
-        k = 3 * i
-        if modes[i] == OPEN:
-            if u[k + 2] < 0.0:
-                modes[i] = STICK if mu[i] > 0.0 else SLIP
-                length[i] = 0.0
-                changes += 1
-        elif modes[i] == STICK:
-            if f[k + 2] < 0.0:
-                modes[i] = OPEN
-                changes += 1
-            elif f[k] ** 2 + f[k + 1] ** 2 > (mu[i] * f[k + 2]) ** 2:
-                modes[i] = SLIP
-                length[i], speed[i] = start_slip(k, mu[i], f, u, direction, i)
-                changes += 1
-        else:
-            speed[i] = direction[2 * i] * u[k] + direction[2 * i + 1] * u[k + 1]
-            if length[i] < 0.0:
-                modes[i] = OPEN
-                changes += 1
-            elif mu[i] > 0.0 and speed[i] < -SPEED_TOLERANCE:
-                modes[i] = STICK
-                changes += 1
-            speed[i] = max(speed[i], 0.0)
-    return changes
-
-
-@kernel
-def ease(mu, modes, f, direction, length, last, rank, a, gram, order, first, x, change, inner):
-    """Move redundant forces that are outside their cones into them, along the null space of Newton's last matrix.
-
-    From the solution nearest to the forces `last` (3n,), by projections onto narrower cones and the equations by turns:
-    few will do, and the forces stay inside when loads change. f (3n,) and length (n,) are updated. rank, a, gram,
-    order, x: as `newton_step` left them, of rank below the number of unknowns; change, inner (>= that many): scratch.
-    """
-    n = mu.shape[0]
-    unknowns = first[n]
-    for i in range(n):
-        row = first[i]
-        if modes[i] == STICK:
-            for r in range(3):
-                x[row + r] = f[3 * i + r]
-        elif modes[i] == SLIP:
-            x[row] = length[i]
-            if mu[i] > 0.0:
-                f[3 * i] = x[row + 1]
-                x[row + 1] = 0.0
-    for turn in range(PROJECTIONS):
-        inside = True
-        for j in range(unknowns):
-            change[j] = 0.0
-        for i in range(n):
-            row = first[i]
-            k = 3 * i
-            if modes[i] == STICK:
-                tangential = sqrt(x[row] ** 2 + x[row + 1] ** 2)
-                friction = min(mu[i], LARGEST_FRICTION)
-                inside = inside and tangential <= friction * x[row + 2]
-                friction *= AIM
-                if turn == 0:
-                    for r in range(3):
-                        change[row + r] = last[k + r] - x[row + r]
-                elif tangential > friction * x[row + 2]:
-                    normal = max((x[row + 2] + friction * tangential) / (1.0 + friction * friction), 0.0)
-                    shrink = friction * normal / tangential - 1.0 if tangential > 0.0 else 0.0
-                    change[row] = RELAXATION * shrink * x[row]
-                    change[row + 1] = RELAXATION * shrink * x[row + 1]
-                    change[row + 2] = RELAXATION * (normal - x[row + 2])
-            elif modes[i] == SLIP:
-                inside = inside and x[row] >= 0.0
-                if turn == 0:
-                    sine, cosine = cone_angle(mu[i])
-                    along = direction[2 * i] * last[k] + direction[2 * i + 1] * last[k + 1]
-                    change[row] = cosine * last[k + 2] - sine * along - x[row]
-                else:
-                    change[row] = PUSH * max(-x[row], 0.0)
-        if inside:
-            break
-        # what of the change is in the row space would violate the equations
-        for i in range(rank):
-            total = 0.0
-            for j in range(i, unknowns):
-                total += a[i, j] * change[order[j]]
-            for k in range(i):
-                total -= gram[i, k] * inner[k]
-            inner[i] = total / gram[i, i]
-        for i in range(rank - 1, -1, -1):
-            total = inner[i]
-            for k in range(i + 1, rank):
-                total -= gram[k, i] * inner[k]
-            inner[i] = total / gram[i, i]
-        for i in range(rank):
-            for j in range(i, unknowns):
-                change[order[j]] -= inner[i] * a[i, j]
-        for j in range(unknowns):
-            x[j] += change[j]
-    for i in range(n):
-        row = first[i]
-        k = 3 * i
-        if modes[i] == STICK:
-            for r in range(3):
-                f[k + r] = x[row + r]
-        elif modes[i] == SLIP:
-            if mu[i] > 0.0:
-                turn_direction(direction, i, x[row + 1], f[k])
-            sine, cosine = cone_angle(mu[i])
-            length[i] = x[row]
-            f[k] = -sine * length[i] * direction[2 * i]
-            f[k + 1] = -sine * length[i] * direction[2 * i + 1]
-            f[k + 2] = cosine * length[i]
-
-
-@kernel
-def close_touching(mu, modes, touching):
-    """Stick for contacts that were at rest, and slip for others that touched; whether that changes any mode.
-
-    Among redundant contacts modes of such are a matter of choice: for a force on its cone's edge, or none, there may be
-    one inside. touching (n,): 0 for contacts that had a normal velocity, 1 for a tangential one alone, 2 for none.
-    """
-    n = mu.shape[0]
-    changed = False
-    for i in range(n):
-        mode = modes[i]
-        if touching[i] == 2 and mu[i] > 0.0:
-            mode = STICK
-        elif touching[i] > 0 and mode == OPEN:
-            mode = SLIP
-        changed = changed or mode != modes[i]
-        modes[i] = mode
-    return changed
-
-
-@kernel
-def slip_equation(g, c, mu, angle):
-    """At one contact (3 x 3) slipping along d(angle): d_perp . u_t = 0, freed of fractions.
-
-    The force length x that makes u_n = 0 is -c_n / stiffness; returns (equation, stiffness, d1, d2).
-    """
-    sine, cosine = cone_angle(mu)
-    d1 = cos(angle)
-    d2 = sin(angle)
-    push1 = cosine * g[0, 2] - sine * (g[0, 0] * d1 + g[0, 1] * d2)
-    push2 = cosine * g[1, 2] - sine * (g[1, 0] * d1 + g[1, 1] * d2)
-    stiffness = cosine * g[2, 2] - sine * (g[2, 0] * d1 + g[2, 1] * d2)
-    equation = (d1 * c[1] - d2 * c[0]) * stiffness - c[2] * (d1 * push2 - d2 * push1)
-    return equation, stiffness, d1, d2
-
-
-@kernel
-def slip_angles(g, c, mu, angles):
-    """Angles of d at which one contact (3 x 3) may slip, into angles (at least `CANDIDATES`,); returns how many.
-
-    The slip equations have a root where a trigonometric polynomial of second degree is zero, at most four times; a
-    scan finds these and the places where a pair of them meets. The directions of c_t and of the coupling g_tn
-    cover the singular matrices, for which every direction is a root.
-    """
-    angles[0] = atan2(c[1], c[0])
-    angles[1] = atan2(-c[1], -c[0])
-    angles[2] = atan2(g[1, 2], g[0, 2])
-    angles[3] = atan2(-g[1, 2], -g[0, 2])
-    count = 4
-    step = 2.0 * pi / SCAN
-    before = slip_equation(g, c, mu, -step)[0]
-    here = slip_equation(g, c, mu, 0.0)[0]
-    for k in range(SCAN):
-        angle = k * step
-        after = slip_equation(g, c, mu, angle + step)[0]
-        crosses = (here > 0.0) != (after > 0.0)
-        touches = before * here > 0.0 and here * after > 0.0 and abs(here) <= min(abs(before), abs(after))
-        if (crosses or touches) and count < CANDIDATES:
-            low = angle if crosses else angle - step
-            high = angle + step
-            for _ in range(40):
-                # Bisection where the sign changes, golden section where |equation| is least: Newton does the rest.
-                p = 0.5 * (low + high) if crosses else high - 0.6180339887498949 * (high - low)
-                q = high if crosses else low + 0.6180339887498949 * (high - low)
-                at_p = slip_equation(g, c, mu, p)[0]
-                at_q = slip_equation(g, c, mu, q)[0]
-                if (at_p > 0.0) != (at_q > 0.0) if crosses else abs(at_q) < abs(at_p):
-                    low = p
-                elif crosses:
-                    high = p
-                else:
-                    high = q
-            angles[count] = 0.5 * (low + high)
-            count += 1
-        before = here
-        here = after
-    return count
-
-
-@kernel
-def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance, near, touching, buffers):
-    """Newton with corrected modes, from modes (n,) and f (3n,); returns residual, passes used, attempts made.
-
-    Redundant contacts get the forces of least norm; where these contradict the modes, the forces nearest to the
-    ones given. near > 0: these are a solution of a similar problem, whose redundant modes are tried first. They are
-    given the forces nearest to them that lie inside the cones, where those of least norm do not (2), or at once (1).
-    One contact is solved exactly: if the start given does not lead to a solution, every other one that there can be is
-    tried until the judge accepts: open, stick, and slip along each of `slip_angles`.
-    touching (n,): see `close_touching`, of use if near > 0; start (3n,), start_modes (n,): scratch.
-    """
-    size, direction, length, speed, sine, cosine, a, rhs, x, row_of_g, gram, order, first = buffers
-    n = mu.shape[0]
-    for i in range(n):
-        sine[i], cosine[i] = cone_angle(mu[i])
-        start_modes[i] = modes[i]
-        for k in range(3 * i, 3 * i + 3):
-            start[k] = f[k]
-    attempts = 0
-    candidates = 0
-    closed = False
-    again = False
-    while True:
-        if attempts == 1 or again:
-            for i in range(n):
-                modes[i] = start_modes[i]
-                for k in range(3 * i, 3 * i + 3):
-                    f[k] = start[k]
-        elif attempts == 2 or attempts == 3:
-            modes[0] = OPEN if attempts == 2 else STICK
-            f[0] = 0.0
-            f[1] = 0.0
-            f[2] = 0.0
-        elif attempts > 3:
-            if attempts == 4:
-                candidates = slip_angles(g, c, mu[0], angles)
-            _, stiffness, d1, d2 = slip_equation(g, c, mu[0], angles[attempts - 4])
-            force = -c[2] / stiffness if c[2] * stiffness < 0.0 else 0.0
-            modes[0] = SLIP
-            f[0] = -sine[0] * force * d1
-            f[1] = -sine[0] * force * d2
-            f[2] = cosine[0] * force
-        respond(g, c, f, u, size)
-        closed = near > 0 and close_touching(mu, modes, touching)
-        slipping = False
-        for i in range(n):
-            length[i] = 0.0
-            speed[i] = 0.0
-            direction[2 * i] = 1.0
-            direction[2 * i + 1] = 0.0
-            if modes[i] == SLIP:
-                slipping = True
-                length[i], speed[i] = start_slip(3 * i, mu[i], f, u, direction, i)
-
-        residual = HUGE
-        refine = attempts == 1 or near == 1
-        again = False
-        for k in range(passes):
-            before = residual
-            open_directions = newton_step(g, c, mu, modes, f, u, refine, buffers)
-            if near > 0 and open_directions == 0:
-                # nothing to choose
-                near = 0
-                again = closed
-                if again:
-                    break
-            if near > 0:
-                matrix_rank = first[n] - open_directions
-                last = f if refine else start
-                ease(mu, modes, f, direction, length, last, matrix_rank, a, gram, order, first, x, rhs, row_of_g)
-            respond(g, c, f, u, size)
-            residual = judge(mu, f, u, size)
-            stalled = residual > 0.5 * before
-            if residual <= ROUND_OFF:
-                return residual, k + 1, attempts
-            if not residual < HUGE:
-                break
-            changes = correct_modes(mu, modes, f, u, direction, length, speed)
-            if changes == 0 and stalled and residual <= tolerance:
-                return residual, k + 1, attempts
-            if attempts == 0 and changes > 0 and open_directions > 0:
-                again = True
-                break
-            if changes == 0 and stalled and refine:
-                break
-            refine = attempts == 1 or near > 0 or (changes == 0 and residual < REFINEMENT)
-        if residual <= tolerance:
-            return residual, passes, attempts
-        if near > 0 or closed:
-            # what slips turns as its forces change: once more from the ones given; then from the modes alone
-            near = 1 if near == 2 and slipping else 0
-            again = True
-            continue
-        attempts += 1
-        if n > 1 and not again:
-            return residual, passes, attempts
-        if n == 1 and attempts > 4 and attempts >= 4 + candidates:
-            return residual, passes, attempts
-
-
-@kernel
 def sweep(g, mu, f, u):
     """One Gauss-Seidel pass of the judge's projections over all contacts; f (3n,) and u = g f + c (3n,) are updated."""
     n = mu.shape[0]
@@ -813,8 +310,8 @@ def assemble_qp(delassus, b, mu, f, proximal, hessian, gradient, facets, upper, 
     u = work[rows : 2 * rows]
     scale = work[2 * rows : 2 * rows + n]
     size = work[2 * rows + n : 2 * rows + 2 * n]
-    largest = scale_problem(delassus, b, n, hessian, c, scale)
-    respond(hessian, c, f, u, size)
+    largest = scale_problem(delassus, b, n, hessian, c, scale, u)
+    respond(hessian, c, f, u, size, gradient)
     for i in range(n):
         k = 3 * i
         friction = min(mu[i], QP_FRICTION)

@@ -29,9 +29,9 @@ from .cone import (
     SCALED,
     SYSTEM,
     VECTORS,
-    minimum_norm_solve,
     scale_problem,
 )
+from .elimination import minimum_norm_solve
 
 # Part of the way to the cones' boundary that a step takes at most.
 BACK_OFF = 0.99
@@ -197,8 +197,8 @@ def follow_path(delassus, b, mu, table, target, tube, size, saxce, steps):
     weight = vectors[3]
     h = vectors[4]
     slope = vectors[5]
-    scale = matrix(table[SCALARS], 7, n)[0]
-    largest = scale_problem(delassus, b, n, g, c, scale)
+    scale = reals(table[SCALARS], n)
+    largest = scale_problem(delassus, b, n, g, c, scale, r)
     unit = cone_units(g, c, mu, weight) / size
     for k in range(rows):
         c[k] *= weight[k] / unit

@@ -247,7 +247,7 @@ class ContactSolver:
             space.counts[KNOWN] = 0
 
     def solve(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """Solve one problem: delassus (3n, 3n) C-contiguous, b (3n,), mu (n,), all float64. True if solved."""
+        """Solve one problem: delassus (3n, 3n) symmetric, b (3n,), mu (n,), C-contiguous float64. True if solved."""
         space = self._space
         if space.contacts != mu.shape[0]:
             space = self._workspace(mu.shape[0])
@@ -523,4 +523,6 @@ def _checked_problem(
         row, column = np.unravel_index(np.argmax(asymmetry - allowed), matrix.shape)
         worst = (int(row), int(column))
         raise ArgumentError(f"the Delassus matrix is not symmetric: entries {worst} differ by {asymmetry[worst]:.3g}")
+    if asymmetry.any():
+        matrix = 0.5 * (matrix + matrix.T)
     return matrix, b, friction

@@ -1,0 +1,150 @@
+"""Linear systems of contacts, singular ones too, without allocation: elimination and solutions of least norm."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from ..jit import kernel
+
+# Unsigned: an index that cannot be negative is not looked at for that.
+ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
+
+
+@kernel
+def subtract_row(x, y, factor):
+    """x -= factor y, with views as arguments: indices that start at zero can be done several at a time."""
+    for j in range(x.shape[0]):
+        x[j] -= factor * y[j]
+
+
+@kernel
+def largest_entry(x):
+    """Largest |x_j|; four at a time, which do not wait for each other."""
+    n = x.shape[0]
+    first = 0.0
+    second = 0.0
+    third = 0.0
+    fourth = 0.0
+    for quarter in range(n // 4):
+        j = np.uint64(quarter) * FOUR
+        first = max(first, abs(x[j]))
+        second = max(second, abs(x[j + ONE]))
+        third = max(third, abs(x[j + TWO]))
+        fourth = max(fourth, abs(x[j + THREE]))
+    for j in range(n - n % 4, n):
+        first = max(first, abs(x[j]))
+    return max(max(first, second), max(third, fourth))
+
+
+@kernel
+def dot(x, y):
+    """Sum of x_j y_j, in four parts that do not wait for each other."""
+    n = x.shape[0]
+    first = 0.0
+    second = 0.0
+    third = 0.0
+    fourth = 0.0
+    for quarter in range(n // 4):
+        j = np.uint64(quarter) * FOUR
+        first += x[j] * y[j]
+        second += x[j + ONE] * y[j + ONE]
+        third += x[j + TWO] * y[j + TWO]
+        fourth += x[j + THREE] * y[j + THREE]
+    for j in range(n - n % 4, n):
+        first += x[j] * y[j]
+    return (first + second) + (third + fourth)
+
+
+@kernel
+def minimum_norm_solve(a, rhs, n, x, gram, order, tolerance):
+    """`least_norm` of a square system."""
+    return least_norm(a, rhs, n, n, x, gram, order, tolerance)
+
+
+@kernel
+def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
+    """x (n,) of least norm with a x = rhs for a consistent system that may be singular; returns the rank.
+
+    Elimination with complete pivoting, stopped at the first pivot below tolerance times the largest, then least
+    norm in the row space; tolerance 0 says that a is regular, and rows alone are exchanged. a (>= rows, >= n) and
+    rhs (rows,) are overwritten: the first rows of a, as many as the rank, are then unit upper trapezoidal, its columns
+    in the order of order (n,), and gram (> rank, >= n) has the Cholesky factor of their products.
+    """
+    for j in range(n):
+        order[j] = j
+    largest = 0.0
+    rank = 0
+    for k in range(min(rows, n)):
+        pivot = -1.0
+        p = k
+        q = k
+        for i in range(k, rows):
+            size = largest_entry(a[i, k:n]) if tolerance > 0.0 else abs(a[i, k])
+            if size > pivot:
+                pivot = size
+                p = i
+        if tolerance > 0.0:
+            while q < n - 1 and abs(a[p, q]) != pivot:
+                q += 1
+        if k == 0:
+            largest = pivot
+        if not pivot > tolerance * largest:
+            break
+        rank += 1
+        if p != k:
+            for j in range(n):
+                swap = a[k, j]
+                a[k, j] = a[p, j]
+                a[p, j] = swap
+            swap = rhs[k]
+            rhs[k] = rhs[p]
+            rhs[p] = swap
+        if q != k:
+            for i in range(rows):
+                swap = a[i, k]
+                a[i, k] = a[i, q]
+                a[i, q] = swap
+            swapped = order[k]
+            order[k] = order[q]
+            order[q] = swapped
+        inverse = 1.0 / a[k, k]
+        for j in range(k, n):
+            a[k, j] *= inverse
+        rhs[k] *= inverse
+        for i in range(k + 1, rows):
+            factor = a[i, k]
+            if factor != 0.0:
+                subtract_row(a[i, k:n], a[k, k:n], factor)
+                rhs[i] -= factor * rhs[k]
+
+    if rank == n:
+        for k in range(n - 1, -1, -1):
+            rhs[k] -= dot(a[k, k + 1 : n], rhs[k + 1 : n])
+        for j in range(n):
+            x[order[j]] = rhs[j]
+        return rank
+    for i in range(rank):
+        for j in range(i + 1):
+            total = dot(a[i, i:n], a[j, i:n]) - dot(gram[i, :j], gram[j, :j])
+            gram[i, j] = sqrt(total) if i == j else total / gram[j, j]
+    solve_gram(gram, rank, rhs)
+    combined = gram[rank]
+    for j in range(n):
+        combined[j] = 0.0
+    for k in range(rank):
+        subtract_row(combined[k:n], a[k, k:n], -rhs[k])
+    for j in range(n):
+        x[order[j]] = combined[j]
+    return rank
+
+
+@kernel
+def solve_gram(gram, n, x):
+    """Solve with the product of a lower triangular matrix (n, n) and its transpose; x (n,) is overwritten."""
+    for i in range(n):
+        x[i] = (x[i] - dot(gram[i, :i], x[:i])) / gram[i, i]
+    for i in range(n - 1, -1, -1):
+        x[i] /= gram[i, i]
+        subtract_row(x[:i], gram[i, :i], x[i])

@@ -1,15 +1,8 @@
-"""One contact problem from what is known of it: the last modes and forces, Gauss-Seidel sweeps (see `solve`).
-
-`cones_at` is all of it, compiled once; Python calls it through `solve_cones` and `solve_usual`, other kernels through
-`solve_from_last`, which calls its machine code and adds nothing of it to theirs.
-"""
+"""One contact problem from what is known of it: the last modes and forces, Gauss-Seidel sweeps (see `solve`)."""
 
 from __future__ import annotations
 
-from functools import cache
-
 from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
-from ..machine_code import array_address, call_code, code_address
 from ..memory import cube, integer_matrix, integers, matrix, reals
 from .cone import (
     ANGLES,
@@ -33,8 +26,6 @@ from .cone import (
     REACHED,
     SCALARS,
     SCALED,
-    SLOTS,
-    SOLVER,
     STICK,
     SYSTEM,
     TIMES,
@@ -136,7 +127,7 @@ def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
 
 @kernel
 def usual_attempts(delassus, b, mu, table, nearest, sweeping, tolerance):
-    """From the last solution, if there is one, then by sweeps; see `solve_usual`."""
+    """From the last solution, if there is one, then by sweeps; see USUAL of `solve_cones`."""
     n = mu.shape[0]
     modes = integers(table[MODES], n)
     forces = reals(table[FORCES], 3 * n)
@@ -171,57 +162,23 @@ def usual_attempts(delassus, b, mu, table, nearest, sweeping, tolerance):
     return residual
 
 
-_NUMBERS = (INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, REAL, INTEGER, INTEGER)
-
-
-@entry_kernel(*_NUMBERS, aside=True)
-def cones_at(delassus, b, mu, n, table, task, passes, tolerance, sweeps, rounds):
-    """What `solve_cones` and, for tasks from USUAL on, `solve_usual` do; arrays are given by their addresses."""
-    slots = integers(table, len(SLOTS))
-    g = matrix(delassus, 3 * n, 3 * n)
-    load = reals(b, 3 * n)
-    friction = reals(mu, n)
-    if task >= USUAL:
-        return usual_attempts(g, load, friction, slots, (task & NEAREST) != 0, (task & SWEEPING) != 0, tolerance)
-    residual, _ = attempt(g, load, friction, slots, task, passes, tolerance, sweeps, rounds)
-    return residual
-
-
-@cache
-def solver_code() -> int:
-    """The address of `cones_at`: what slot SOLVER of a table holds."""
-    return code_address(cones_at, _NUMBERS)
-
-
-@kernel
-def solve_from_last(delassus, b, mu, table, options, tolerance):
-    """`solve_usual` for other kernels; the arrays must be C-contiguous."""
-    where = array_address(delassus), array_address(b), array_address(mu), mu.shape[0], array_address(table)
-    return call_code(table[SOLVER], (*where, USUAL + options, 0, tolerance, 0, 0))
-
-
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, INTEGER, REAL, aside=True)
-def solve_usual(delassus, b, mu, table, options, tolerance):
-    """Solve a problem from the last solution or by sweeps; returns the residual, HUGE if it was not solved.
-
-    delassus, b, mu, table: as for `solve_cones`; options: NEAREST, SWEEPING, their sum or none.
-    There is a last solution if KNOWN of the table's "counts" is not zero. One contact is solved without, too. What
-    decided and how often is counted there, and "reached" is the residual, also where that is above the tolerance.
-    """
-    return solve_from_last(delassus, b, mu, table, options, tolerance)
-
-
 @entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, INTEGER, INTEGER, REAL, INTEGER, INTEGER, aside=True)
 def solve_cones(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
     """Forces and velocities of n contacts from what is known of them; returns the residual.
 
-    delassus (3n, 3n), b (3n,), mu (n,): the problem; table: that of `cone_memory` for n contacts or more, its slot
-    SOLVER holding `solver_code()`. task says how it is begun:
+    delassus (3n, 3n) symmetric, b (3n,), mu (n,): the problem; table: that of `cone_memory` for n contacts or more.
+    task says how it is begun:
       WARM       from the modes and forces in the table
       NEAR       the same, and redundant forces may be the nearest to these: the velocities are needed, too
       CLASSIFY   from the forces alone, after `sweeps` Gauss-Seidel passes over them; the modes are read off the
                  judge's projections; on failure more sweeps, SWEEP_GROWTH times as many in each of `rounds`
+      USUAL      from the last solution, if KNOWN of the table's "counts" is not zero, or if there is one contact, which
+                 needs none; with NEAREST added as NEAR; with SWEEPING added, where that fails, by sweeps. passes,
+                 sweeps and rounds are of no account. What decided, and how often, is counted in "counts"; where
+                 nothing did, HUGE is returned, and the residual is in "reached".
     On success (residual <= tolerance) modes, forces and velocities are written, otherwise none of them is.
     """
-    where = array_address(delassus), array_address(b), array_address(mu), mu.shape[0], array_address(table)
-    return call_code(table[SOLVER], (*where, task, passes, tolerance, sweeps, rounds))
+    if task >= USUAL:
+        return usual_attempts(delassus, b, mu, table, (task & NEAREST) != 0, (task & SWEEPING) != 0, tolerance)
+    residual, _ = attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds)
+    return residual

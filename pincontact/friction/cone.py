@@ -72,11 +72,10 @@ SLOTS = (
     "first",  # (n + 1,) int: first unknown of each contact
     "trial",  # (3, n) int: modes tried, modes started from, which contacts touched
     "path",  # (8, 3n + 1) point, tangent, ... of `path.follow_path`
-    "solver",  # machine code of `attempt.cones_at`, not an array
 )
 (
     MODES, FORCES, VELOCITIES, COUNTS, REACHED, SCALED, SYSTEM, GRAM, LOW_RANK, VECTORS, SCALARS, DIRECTIONS, ANGLES,
-    ORDER, FIRST, TRIAL, PATH, SOLVER,
+    ORDER, FIRST, TRIAL, PATH,
 ) = range(len(SLOTS))  # fmt: skip
 # In "counts": Newton passes of the last start; whether modes and forces are a solution, to begin from; what decided the
 # last problem; how often there was something to begin from, and how often each of the deciders did.

@@ -30,9 +30,8 @@ from .attempt import (
     SWEEPING,
     SWEEPS,
     SWEEPS_PER_CONTACT,
+    USUAL,
     solve_cones,
-    solve_usual,
-    solver_code,
 )
 from .cone import (
     BY_PATH,
@@ -44,7 +43,6 @@ from .cone import (
     PASSES,
     RANK_TOLERANCE,
     SLIP,
-    SOLVER,
     STICK,
     TIMES,
     TRIED,
@@ -88,7 +86,6 @@ class _Workspace:
         self.contacts = contacts
         self.memory = cone_memory(contacts)
         self.table = self.memory.table
-        self.table[SOLVER] = solver_code()
         self.modes = self.memory["modes"]
         self.forces = self.memory["forces"]
         self.velocities = self.memory["velocities"]
@@ -164,7 +161,7 @@ class ContactSolver:
                other modes are looked for, and what slides has loads that do not depend on the past
 
     Counters: polish_count (warm starts tried), path_count (paths begun), qp_count (programs), and decided (by stage).
-    Kernels solve with `attempt.solve_from_last`, `table(n)` and `options`; `search` goes on where that failed.
+    Kernels call `attempt.solve_cones` with `table(n)` and `task` themselves; `search` goes on where that failed.
     After a search that failed `jammed` says whether that was because the forces grow without bound on the path; where
     there provably is no solution `certificate` (n,) is the reason, see `InfeasibleError`, otherwise None.
     """
@@ -184,7 +181,7 @@ class ContactSolver:
         self.quick = quick
         self.nearest = nearest
         # what the kernel does; the other stages are seen to here
-        self.options = (NEAREST if nearest else 0) + (SWEEPING if stages[:1] == ("sweeps",) else 0)
+        self.task = USUAL + (NEAREST if nearest else 0) + (SWEEPING if stages[:1] == ("sweeps",) else 0)
         self.residual = 0.0
         self.jammed = False
         self.certificate: np.ndarray | None = None
@@ -251,7 +248,7 @@ class ContactSolver:
         space = self._space
         if space.contacts != mu.shape[0]:
             space = self._workspace(mu.shape[0])
-        self.residual = residual = solve_usual(delassus, b, mu, space.table, self.options, self.tolerance)
+        self.residual = residual = solve_cones(delassus, b, mu, space.table, self.task, 0, self.tolerance, 0, 0)
         return residual <= self.tolerance or self.search(delassus, b, mu)
 
     def search(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
@@ -260,12 +257,12 @@ class ContactSolver:
         if space.contacts != mu.shape[0]:
             space = self._workspace(mu.shape[0])
         self._qp_before = self.qp_count
-        self.residual = swept = float(space.reached[0]) if self.options & SWEEPING else np.inf
+        self.residual = swept = float(space.reached[0]) if self.task & SWEEPING else np.inf
         self.certificate = None
         self.jammed = False
         for stage in self.stages:
             if stage == "sweeps":
-                if self.options & SWEEPING:
+                if self.task & SWEEPING:
                     continue
                 solved = self._sweep(space, delassus, b, mu, STRICTNESS * self.tolerance)
                 swept = self.residual

@@ -96,7 +96,7 @@ def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
         if abs(velocities[3 * i + 2]) <= still:
             trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1
     near = 2 if task == NEAR and n > 1 else 0
-    rank = factor_matrix(g, low_rank[FACTOR], vectors[7]) if near > 0 else 0
+    rank = factor_matrix(g, low_rank[FACTOR], vectors[7]) if n > 1 else 0
     residual = HUGE
     tried = 0
     for turn in range(rounds):

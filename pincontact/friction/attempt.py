@@ -41,7 +41,7 @@ from .cone import (
 from .newton import settle
 from .redundant import FACTOR, factor_matrix
 
-WARM, CLASSIFY, NEAR, USUAL = 0, 1, 2, 4
+WARM, CLASSIFY, NEAR, CLASSIFY_NEAR, USUAL = 0, 1, 2, 3, 4
 # Added to USUAL: redundant forces may be the nearest to the last; sweeps follow where the last modes do not do.
 NEAREST, SWEEPING = 1, 2
 
@@ -78,7 +78,7 @@ def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
     angles = reals(table[ANGLES], CANDIDATES)
     trials = integer_matrix(table[TRIAL], 3, n)
     trial = trials[0]
-    low_rank = cube(table[LOW_RANK], 3, rows // 2 + 1, rows)
+    low_rank = cube(table[LOW_RANK], 4, rows + 4, rows)
     buffers = (
         scalars[1], reals(table[DIRECTIONS], 2 * n), scalars[2], scalars[3], scalars[4], scalars[5],
         matrix(table[SYSTEM], rows, rows), vectors[4], vectors[5], vectors[6], matrix(table[GRAM], rows, rows),
@@ -93,14 +93,15 @@ def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
             f[k] = forces[k] / (scale[i] * unit)
         still = AT_REST * unit / scale[i]
         trials[2, i] = 0
-        if abs(velocities[3 * i + 2]) <= still:
+        if task == NEAR and abs(velocities[3 * i + 2]) <= still:
             trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1
-    near = 2 if task == NEAR and n > 1 else 0
+    swept = task in (CLASSIFY, CLASSIFY_NEAR)
+    near = 2 if n > 1 and task in (NEAR, CLASSIFY_NEAR) else 0
     rank = factor_matrix(g, low_rank[FACTOR], vectors[7]) if n > 1 else 0
     residual = HUGE
     tried = 0
     for turn in range(rounds):
-        if task == CLASSIFY:
+        if swept:
             if turn > 0:
                 for k in range(rows):
                     f[k] = start[k]
@@ -147,11 +148,10 @@ def usual_attempts(delassus, b, mu, table, nearest, sweeping, tolerance):
         if residual <= tolerance:
             counts[DECIDED] = BY_WARM if known and not searched else BY_EXACT
     if not residual <= tolerance and sweeping:
+        task = CLASSIFY_NEAR if nearest else CLASSIFY
         sweeps = SWEEPS + SWEEPS_PER_CONTACT * n
         strict = STRICTNESS * tolerance
-        residual, searched = attempt(
-            delassus, b, mu, table, CLASSIFY, SWEEP_NEWTON_PASSES, strict, sweeps, SWEEP_ROUNDS
-        )
+        residual, searched = attempt(delassus, b, mu, table, task, SWEEP_NEWTON_PASSES, strict, sweeps, SWEEP_ROUNDS)
         counts[DECIDED] = BY_SWEEPS
         tolerance = strict
     reached[0] = residual
@@ -172,6 +172,7 @@ def solve_cones(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds)
       NEAR       the same, and redundant forces may be the nearest to these: the velocities are needed, too
       CLASSIFY   from the forces alone, after `sweeps` Gauss-Seidel passes over them; the modes are read off the
                  judge's projections; on failure more sweeps, SWEEP_GROWTH times as many in each of `rounds`
+      CLASSIFY_NEAR  the same, and redundant forces may be the nearest to the ones swept
       USUAL      from the last solution, if KNOWN of the table's "counts" is not zero, or if there is one contact, which
                  needs none; with NEAREST added as NEAR; with SWEEPING added, where that fails, by sweeps. passes,
                  sweeps and rounds are of no account. What decided, and how often, is counted in "counts"; where

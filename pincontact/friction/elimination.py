@@ -127,8 +127,8 @@ def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
         return rank
     for i in range(rank):
         for j in range(i + 1):
-            total = dot(a[i, i:n], a[j, i:n]) - dot(gram[i, :j], gram[j, :j])
-            gram[i, j] = sqrt(total) if i == j else total / gram[j, j]
+            gram[i, j] = dot(a[i, i:n], a[j, i:n])
+    factor_gram(gram, rank)
     solve_gram(gram, rank, rhs)
     combined = gram[rank]
     for j in range(n):
@@ -141,8 +141,17 @@ def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
 
 
 @kernel
+def factor_gram(gram, n):
+    """Cholesky factor of a positive definite matrix (n, n), of which the lower triangle is read and overwritten."""
+    for i in range(n):
+        for j in range(i + 1):
+            total = gram[i, j] - dot(gram[i, :j], gram[j, :j])
+            gram[i, j] = sqrt(total) if i == j else total / gram[j, j]
+
+
+@kernel
 def solve_gram(gram, n, x):
-    """Solve with the product of a lower triangular matrix (n, n) and its transpose; x (n,) is overwritten."""
+    """Solve with a matrix (n, n) of which `factor_gram` has left the factor; x (n,) is overwritten."""
     for i in range(n):
         x[i] = (x[i] - dot(gram[i, :i], x[:i])) / gram[i, i]
     for i in range(n - 1, -1, -1):

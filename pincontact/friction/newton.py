@@ -123,7 +123,7 @@ def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, buffers):
             elif modes[i] == SLIP:
                 x[row] += length[i]
     if near and free > 0:
-        move_inside(found, mu, modes, start, refine, buffers)
+        move_inside(found, mu, modes, f if refine else start, buffers)
 
     for i in range(n):
         k = 3 * i
@@ -342,7 +342,7 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
             changes = correct_modes(mu, modes, f, u, direction, length, speed)
             if changes == 0 and stalled and residual <= tolerance:
                 return residual, k + 1, attempts
-            if attempts == 0 and changes > 0 and open_directions > 0:
+            if attempts == 0 and changes > 0 and open_directions > 0 and not (near > 0 and residual <= tolerance):
                 again = True
                 break
             if changes == 0 and stalled and refine:

@@ -6,11 +6,13 @@ across the direction of slip, kappa = |F_t| / |u_t|, which is taken into the met
 
     N = I + sum of kappa w w^T,   w = L^T d_perp
 
-so that L N^-1 L^T is what the other unknowns see. All of this costs (rows) (rank)^2 instead of (rows)^2 (rank). In
-`low_rank` are, by their first index, matrices with rows of length 3n: FACTOR, L^T; TILTED, C^-1 L^T with N = C C^T;
-ROWS, what is left of the equations in elimination.
+so that L N^-1 L^T is what the other unknowns see. All of this costs (rows) (rank)^2 instead of (rows)^2 (rank).
 
 Of the forces there are many then; `move_inside` chooses.
+
+In `low_rank` are, by their first index, matrices with rows of length 3n: FACTOR, L^T; TILTED, C^-1 L^T with N = C C^T;
+ROWS, the equations; BENT, these after what a projection does to its argument; and in BENT's last rows, from 3n on,
+DUAL, MISSING, TARGET, NEAREST.
 """
 
 from __future__ import annotations
@@ -19,21 +21,25 @@ from math import sqrt
 
 from ..jit import kernel
 from .cone import HUGE, LARGEST_FRICTION, RANK_TOLERANCE, SLIP, STICK
-from .elimination import dot, largest_entry, least_norm, solve_gram, subtract_row
+from .elimination import dot, factor_gram, largest_entry, least_norm, solve_gram, subtract_row
 
-FACTOR, TILTED, ROWS = 0, 1, 2
+FACTOR, TILTED, ROWS, BENT = range(4)
+DUAL, MISSING, TARGET, NEAREST = range(4)
 
 # Springs stiffer than this are left to elimination without factors: at rest a direction of slip means nothing.
 STIFFEST = 1e6
-# Projections onto cones and equations by turns, the part of the cones' width that is aimed at, and how much further
-# than to the projection a step goes, of sticking and of sliding contacts: more than 2 ends sooner in wide sets.
-PROJECTIONS = 30
-AIM, RELAXATION, PUSH = 0.98, 2.5, 4.0
+# Forces are moved into cones of this part of the width, raised by this part of the mean load, the next after so many
+# steps: wide margins are found in fewer steps, and last longer, but may not be there.
+AIMS = (0.9, 0.99, 0.999)
+MARGINS = (1e-2, 1e-3, 1e-4)
+STEPS = 8
+# Part of the dual function's largest curvature that is added where projections have none.
+DAMPING = 1e-3
 
 
 @kernel
 def factor_matrix(g, factor, rest):
-    """Rows (r, 3n) of L^T in factor, largest pivots first; returns r, or 0 if factor has too few rows for that.
+    """Rows (r, 3n) of L^T in factor, largest pivots first; returns r, or 0 if it is more than half of 3n.
 
     g (3n, 3n): scaled Delassus matrix; rest (3n,): scratch.
     """
@@ -41,7 +47,7 @@ def factor_matrix(g, factor, rest):
     for j in range(rows):
         rest[j] = g[j, j]
     largest = 0.0
-    for k in range(factor.shape[0]):
+    for k in range(rows // 2 + 1):
         pivot = 0.0
         p = 0
         for j in range(rows):
@@ -124,10 +130,8 @@ def low_rank_solve(rank, source, mu, modes, buffers):
                     rhs[k] = direction[2 * i] * factor[k, 3 * i + 1] - direction[2 * i + 1] * factor[k, 3 * i]
                 for k in range(rank):
                     subtract_row(gram[k, : k + 1], rhs[: k + 1], -arc[i] * rhs[k])
+        factor_gram(gram, rank)
         for k in range(rank):
-            for j in range(k + 1):
-                total = gram[k, j] - dot(gram[k, :j], gram[j, :j])
-                gram[k, j] = sqrt(total) if j == k else total / gram[j, j]
             for j in range(k):
                 subtract_row(tilted[k], tilted[j], gram[k, j])
             inverse = 1.0 / gram[k, k]
@@ -227,56 +231,147 @@ def turn_slips(rank, source, mu, modes, f, refine, buffers):
 
 
 @kernel
-def move_inside(rank, mu, modes, last, refine, buffers):
+def is_inside(mu, modes, first, x):
+    """Whether no unknown force leaves its cone."""
+    for i in range(mu.shape[0]):
+        row = first[i]
+        if modes[i] == STICK:
+            friction = min(mu[i], LARGEST_FRICTION)
+            if not sqrt(x[row] ** 2 + x[row + 1] ** 2) <= friction * x[row + 2]:
+                return False
+        elif modes[i] == SLIP and not x[row] >= 0.0:
+            return False
+    return True
+
+
+@kernel
+def project(mu, modes, first, z, aim, margin, p):
+    """p, the nearest to z in cones that are narrower by the factor aim and begin at a normal force of margin."""
+    for i in range(mu.shape[0]):
+        row = first[i]
+        if modes[i] == STICK:
+            friction = aim * min(mu[i], LARGEST_FRICTION)
+            normal = z[row + 2] - margin
+            tangential = sqrt(z[row] ** 2 + z[row + 1] ** 2)
+            shrink = 1.0
+            if tangential > friction * normal:
+                normal = max((normal + friction * tangential) / (1.0 + friction * friction), 0.0)
+                shrink = friction * normal / tangential if tangential > 0.0 else 0.0
+            p[row] = shrink * z[row]
+            p[row + 1] = shrink * z[row + 1]
+            p[row + 2] = normal + margin
+        elif modes[i] == SLIP:
+            p[row] = max(z[row], margin)
+            if first[i + 1] > row + 1:
+                p[row + 1] = z[row + 1]
+
+
+@kernel
+def bend(rank, mu, modes, first, z, aim, margin, rows, bent):
+    """bent, the rows (rank, unknowns) times the derivative of `project` at z."""
+    for i in range(mu.shape[0]):
+        row = first[i]
+        if modes[i] == STICK:
+            friction = aim * min(mu[i], LARGEST_FRICTION)
+            normal = z[row + 2] - margin
+            tangential = sqrt(z[row] ** 2 + z[row + 1] ** 2)
+            inside = tangential <= friction * normal
+            normal = max((normal + friction * tangential) / (1.0 + friction * friction), 0.0)
+            d1 = z[row] / tangential if tangential > 0.0 else 1.0
+            d2 = z[row + 1] / tangential if tangential > 0.0 else 0.0
+            turn = friction * normal / tangential if tangential > 0.0 else 0.0
+            share = 1.0 / (1.0 + friction * friction) if normal > 0.0 else 0.0
+            for k in range(rank):
+                r1 = rows[k, row]
+                r2 = rows[k, row + 1]
+                rn = rows[k, row + 2]
+                if not inside:
+                    along = share * (friction * (d1 * r1 + d2 * r2) + rn)
+                    across = turn * (d1 * r2 - d2 * r1)
+                    r1 = friction * along * d1 - across * d2
+                    r2 = friction * along * d2 + across * d1
+                    rn = along
+                bent[k, row] = r1
+                bent[k, row + 1] = r2
+                bent[k, row + 2] = rn
+        elif modes[i] == SLIP:
+            for k in range(rank):
+                bent[k, row] = rows[k, row] if z[row] > margin else 0.0
+                if first[i + 1] > row + 1:
+                    bent[k, row + 1] = rows[k, row + 1]
+
+
+@kernel
+def move_inside(rank, mu, modes, last, buffers):
     """Move redundant forces that are outside their cones into them, along the null space of Newton's last matrix.
 
-    From the solution nearest to the forces `last` (3n,), by projections onto narrower cones and the equations by turns:
-    few will do, and the forces stay inside when loads change. What is moved is x, of forces and lengths, not of their
-    changes; rank, and a, gram, order, first, as the solution left them, rank below the number of unknowns.
-    refine: x is the nearest solution already.
+    Sought is the solution of the equations R x = t that is nearest to the forces `last` (3n,) in cones a little
+    narrower: x = P(last + R^T y) with P the projection onto these, and as many unknowns y as there are equations.
+    R P = t is the gradient of a convex function of y, whose zero Newton's method finds (semismooth: P has kinks) in
+    three or four steps, each x corrected to fulfil the equations, until it is inside.
+    What is moved is x, of forces and lengths, not of their changes; rank, and a, gram, order, first, as the solution
+    left them, rank below the number of unknowns.
     """
-    direction, _, _, sine, cosine, a, change, x, inner, gram, order, first = buffers[1:13]
+    direction, _, _, sine, cosine, a, p, x, z, gram, order, first, _, _, low_rank = buffers[1:]
     n = mu.shape[0]
     unknowns = first[n]
-    ordered = gram[rank]
-    for turn in range(PROJECTIONS):
-        inside = True
+    if is_inside(mu, modes, first, x):
+        return
+    rows = low_rank[ROWS]
+    bent = low_rank[BENT]
+    scratch = bent[3 * n :]
+    y = scratch[DUAL]
+    missing = scratch[MISSING]
+    target = scratch[TARGET]
+    nearest = scratch[NEAREST]
+    # orthonormal equations, unknowns in their order
+    for k in range(rank):
         for j in range(unknowns):
-            change[j] = 0.0
-        nearest = turn == 0 and not refine
-        for i in range(n):
-            row = first[i]
-            k = 3 * i
-            if modes[i] == STICK:
-                tangential = sqrt(x[row] ** 2 + x[row + 1] ** 2)
-                friction = min(mu[i], LARGEST_FRICTION)
-                inside = inside and tangential <= friction * x[row + 2]
-                friction *= AIM
-                if nearest:
-                    for r in range(3):
-                        change[row + r] = last[k + r] - x[row + r]
-                elif tangential > friction * x[row + 2]:
-                    normal = max((x[row + 2] + friction * tangential) / (1.0 + friction * friction), 0.0)
-                    shrink = friction * normal / tangential - 1.0 if tangential > 0.0 else 0.0
-                    change[row] = RELAXATION * shrink * x[row]
-                    change[row + 1] = RELAXATION * shrink * x[row + 1]
-                    change[row + 2] = RELAXATION * (normal - x[row + 2])
-            elif modes[i] == SLIP:
-                inside = inside and x[row] >= 0.0
-                if nearest:
-                    along = direction[2 * i] * last[k] + direction[2 * i + 1] * last[k + 1]
-                    change[row] = cosine[i] * last[k + 2] - sine[i] * along - x[row]
-                else:
-                    change[row] = PUSH * max(-x[row], 0.0)
-        if inside:
-            break
-        # what of the change is in the row space would violate the equations
+            rows[k, order[j]] = a[k, j] if j >= k else 0.0
+        for j in range(k):
+            subtract_row(rows[k, :unknowns], rows[j, :unknowns], gram[k, j])
         for j in range(unknowns):
-            ordered[j] = change[order[j]]
-        for i in range(rank):
-            inner[i] = dot(a[i, i:unknowns], ordered[i:unknowns])
-        solve_gram(gram, rank, inner)
-        for i in range(rank):
-            subtract_row(ordered[i:unknowns], a[i, i:unknowns], inner[i])
+            rows[k, j] /= gram[k, k]
+        target[k] = dot(rows[k, :unknowns], x[:unknowns])
+        y[k] = 0.0
+    load = 0.0
+    loads = 0
+    for i in range(n):
+        row = first[i]
+        k = 3 * i
+        if modes[i] == STICK:
+            loads += 1
+            load += abs(x[row + 2])
+            for r in range(3):
+                nearest[row + r] = last[k + r]
+        elif modes[i] == SLIP:
+            loads += 1
+            load += abs(x[row])
+            nearest[row] = cosine[i] * last[k + 2]
+            nearest[row] -= sine[i] * (direction[2 * i] * last[k] + direction[2 * i + 1] * last[k + 1])
+            if first[i + 1] > row + 1:
+                nearest[row + 1] = x[row + 1]
+    for step in range(len(AIMS) * STEPS):
+        aim = AIMS[step // STEPS]
+        margin = MARGINS[step // STEPS] * load / loads
         for j in range(unknowns):
-            x[order[j]] += ordered[j]
+            z[j] = nearest[j]
+        for k in range(rank):
+            subtract_row(z[:unknowns], rows[k, :unknowns], -y[k])
+        project(mu, modes, first, z, aim, margin, p)
+        for j in range(unknowns):
+            x[j] = p[j]
+        for k in range(rank):
+            missing[k] = target[k] - dot(rows[k, :unknowns], p[:unknowns])
+            subtract_row(x[:unknowns], rows[k, :unknowns], -missing[k])
+        if is_inside(mu, modes, first, x):
+            return
+        bend(rank, mu, modes, first, z, aim, margin, rows, bent)
+        for k in range(rank):
+            for j in range(k + 1):
+                gram[k, j] = dot(bent[k, :unknowns], rows[j, :unknowns])
+            gram[k, k] += DAMPING
+        factor_gram(gram, rank)
+        solve_gram(gram, rank, missing)
+        for k in range(rank):
+            y[k] += missing[k]

@@ -23,6 +23,7 @@ from ..arguments import NOT_REAL, check_tolerance, real_array
 from ..errors import ArgumentError, InfeasibleError, SolverError
 from .attempt import (
     CLASSIFY,
+    CLASSIFY_NEAR,
     NEAREST,
     STRICTNESS,
     SWEEP_NEWTON_PASSES,
@@ -230,12 +231,17 @@ class ContactSolver:
     def warm_start(self, modes: np.ndarray, forces: np.ndarray, velocities: np.ndarray) -> None:
         """Begin the next problem of this size from these modes (n,), forces and velocities (3n,) or (n, 3)."""
         space = self._space
-        contacts = modes.shape[0]
+        contacts = len(modes)
         if space.contacts != contacts:
             space = self._workspace(contacts)
         space.modes[:] = modes
-        space.forces[:] = forces if forces.ndim == 1 else forces.reshape(-1)
-        space.velocities[:] = velocities if velocities.ndim == 1 else velocities.reshape(-1)
+        try:
+            space.forces[:] = forces
+            space.velocities[:] = velocities
+        except ValueError:
+            # rows (n, 3)
+            space.forces[:] = forces.reshape(-1)
+            space.velocities[:] = velocities.reshape(-1)
         space.counts[KNOWN] = 1
 
     def forget(self) -> None:
@@ -288,8 +294,9 @@ class ContactSolver:
         if not space.counts[KNOWN]:
             space.forces[:] = 0.0
         sweeps = SWEEPS + SWEEPS_PER_CONTACT * space.contacts
+        task = CLASSIFY_NEAR if self.nearest else CLASSIFY
         self.residual = solve_cones(
-            delassus, b, mu, space.table, CLASSIFY, SWEEP_NEWTON_PASSES, tolerance, sweeps, SWEEP_ROUNDS
+            delassus, b, mu, space.table, task, SWEEP_NEWTON_PASSES, tolerance, sweeps, SWEEP_ROUNDS
         )
         return self.residual <= tolerance
 

@@ -78,7 +78,7 @@ def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
     angles = reals(table[ANGLES], CANDIDATES)
     trials = integer_matrix(table[TRIAL], 3, n)
     trial = trials[0]
-    low_rank = cube(table[LOW_RANK], 4, rows + 4, rows)
+    low_rank = cube(table[LOW_RANK], 4, rows + 5, rows)
     buffers = (
         scalars[1], reals(table[DIRECTIONS], 2 * n), scalars[2], scalars[3], scalars[4], scalars[5],
         matrix(table[SYSTEM], rows, rows), vectors[4], vectors[5], vectors[6], matrix(table[GRAM], rows, rows),

@@ -63,7 +63,7 @@ SLOTS = (
     "scaled",  # (3n, 3n) the Delassus matrix without units
     "system",  # (3n + 1, 3n + 1) Newton's matrix
     "gram",  # (3n + 1, 3n + 1)
-    "low_rank",  # (4, 3n + 4, 3n), see `redundant`
+    "low_rank",  # (4, 3n + 5, 3n), see `redundant`
     "vectors",  # (8, 3n)
     "scalars",  # (8, n)
     "directions",  # (2n,) of slip
@@ -97,7 +97,7 @@ def cone_memory(contacts: int) -> Memory:
     memory.reals("scaled", rows, rows)
     memory.reals("system", rows + 1, rows + 1)
     memory.reals("gram", rows + 1, rows + 1)
-    memory.reals("low_rank", 4, rows + 4, rows)
+    memory.reals("low_rank", 4, rows + 5, rows)
     memory.reals("vectors", 8, rows)
     memory.reals("scalars", 8, contacts)
     memory.reals("directions", 2 * contacts)

@@ -12,7 +12,7 @@ Of the forces there are many then; `move_inside` chooses.
 
 In `low_rank` are, by their first index, matrices with rows of length 3n: FACTOR, L^T; TILTED, C^-1 L^T with N = C C^T;
 ROWS, the equations; BENT, these after what a projection does to its argument; and in BENT's last rows, from 3n on,
-DUAL, MISSING, TARGET, NEAREST.
+DUAL, MISSING, TARGET, NEAREST, STEP.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .cone import HUGE, LARGEST_FRICTION, RANK_TOLERANCE, SLIP, STICK
 from .elimination import dot, factor_gram, largest_entry, least_norm, solve_gram, subtract_row
 
 FACTOR, TILTED, ROWS, BENT = range(4)
-DUAL, MISSING, TARGET, NEAREST = range(4)
+DUAL, MISSING, TARGET, NEAREST, STEP = range(5)
 
 # Springs stiffer than this are left to elimination without factors: at rest a direction of slip means nothing.
 STIFFEST = 1e6
@@ -32,9 +32,12 @@ STIFFEST = 1e6
 # steps: wide margins are found in fewer steps, and last longer, but may not be there.
 AIMS = (0.9, 0.99, 0.999)
 MARGINS = (1e-2, 1e-3, 1e-4)
-STEPS = 8
+STEPS = 10
 # Part of the dual function's largest curvature that is added where projections have none.
 DAMPING = 1e-3
+# A step that goes beyond its best point so far that the slope there is this part of the first is shortened, at most to
+# this part.
+OVERSHOT, SHORTEST = 0.5, 1e-2
 
 
 @kernel
@@ -324,6 +327,7 @@ def move_inside(rank, mu, modes, last, buffers):
     missing = scratch[MISSING]
     target = scratch[TARGET]
     nearest = scratch[NEAREST]
+    change = scratch[STEP]
     # orthonormal equations, unknowns in their order
     for k in range(rank):
         for j in range(unknowns):
@@ -351,8 +355,11 @@ def move_inside(rank, mu, modes, last, buffers):
             nearest[row] -= sine[i] * (direction[2 * i] * last[k] + direction[2 * i + 1] * last[k + 1])
             if first[i + 1] > row + 1:
                 nearest[row + 1] = x[row + 1]
+    slope = 0.0
     for step in range(len(AIMS) * STEPS):
         aim = AIMS[step // STEPS]
+        if step % STEPS == 0:
+            slope = 0.0
         margin = MARGINS[step // STEPS] * load / loads
         for j in range(unknowns):
             z[j] = nearest[j]
@@ -366,12 +373,22 @@ def move_inside(rank, mu, modes, last, buffers):
             subtract_row(x[:unknowns], rows[k, :unknowns], -missing[k])
         if is_inside(mu, modes, first, x):
             return
+        ahead = dot(missing[:rank], change[:rank])
+        if slope > 0.0 and ahead < -OVERSHOT * slope:
+            share = max(slope / (slope - ahead), SHORTEST)
+            for k in range(rank):
+                y[k] -= (1.0 - share) * change[k]
+                change[k] *= share
+            slope *= share
+            continue
         bend(rank, mu, modes, first, z, aim, margin, rows, bent)
         for k in range(rank):
             for j in range(k + 1):
                 gram[k, j] = dot(bent[k, :unknowns], rows[j, :unknowns])
             gram[k, k] += DAMPING
+            change[k] = missing[k]
         factor_gram(gram, rank)
-        solve_gram(gram, rank, missing)
+        solve_gram(gram, rank, change)
         for k in range(rank):
-            y[k] += missing[k]
+            y[k] += change[k]
+        slope = dot(missing[:rank], change[:rank])

@@ -1,14 +1,15 @@
 """The contact problem with Coulomb friction: who sticks, slips and separates, and the forces (Sec. 5.3).
 
-What has to be found is the modes; whatever suggests them, the Newton of `cone` computes the forces and its judge
+What has to be found is the modes; whatever suggests them, `newton` computes the forces and the judge of `cone`
 accepts or refuses them. The suggestions come from, cheapest first,
 
     warm    the modes and forces of the last solution: redundant forces that have left their cones are moved into them
-    sweeps  a few Gauss-Seidel passes over the last forces, and more if these do not do
+    sweeps  a few Gauss-Seidel passes over the last forces, and more if these do not do; redundant forces as before
     path    the homotopy of `path`, which finds a solution unless the forces on it grow without bound
     qp      a sequence of ProxQP programs (`qp`)
 
-A single contact needs no search: all of its states can be tried (`exact`). All but ProxQP compute the same to the bit
+The first two are one call of compiled code (`attempt`), which other kernels can make, too. A single contact needs no
+search: all of its states can be tried (`exact`). All but ProxQP compute the same to the bit
 from the same problem and warm start; its forces are rounded to fewer digits before Newton has them.
 """
 
@@ -158,8 +159,9 @@ class ContactSolver:
     tolerance: relative residual up to which a solution is accepted
     stages:    how the modes are looked for where a warm start is missing or refused, in this order
     quick:     gives up early: the path is tried once, with few steps, and ProxQP not at all
-    nearest:   redundant forces may be the ones nearest to the last, where those of least norm leave their cones; else
-               other modes are looked for, and what slides has loads that do not depend on the past
+    nearest:   redundant forces may be the ones nearest to the last, or to what sweeps have found, where those of least
+               norm leave their cones; else other modes are looked for, and what slides has loads that do not depend on
+               the past
 
     Counters: polish_count (warm starts tried), path_count (paths begun), qp_count (programs), and decided (by stage).
     Kernels call `attempt.solve_cones` with `table(n)` and `task` themselves; `search` goes on where that failed.

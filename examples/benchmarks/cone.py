@@ -297,24 +297,35 @@ def compare(contacts: tuple[int, ...], count: int, seed: int) -> list[dict[str, 
     return rows
 
 
+def free_body_dynamics() -> Callable[[], np.ndarray]:
+    """pin.aba of one free body: what times are compared with, measured between them."""
+    model = pin.Model()
+    body = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    model.appendBodyToJoint(body, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    data, q, v = model.createData(), pin.neutral(model), np.ones(6)
+    return lambda: pin.aba(model, data, q, v, v)
+
+
 def held_starts(contacts: tuple[int, ...], count: int, seed: int) -> None:
     """Prints the times of warm starts for feet of one body and a b that is off by 1e-3, and how many of them hold."""
-    print("\nfeet, warm, of which the last solution decides:")
-    solver = Pincontact(True)
+    print("\nfeet, warm, of which the last solution decides (in brackets: times of pin.aba of one free body):")
+    solver, reference = Pincontact(True), free_body_dynamics()
     for n in contacts:
         rng = np.random.default_rng([seed, n])
-        times, held, residuals = [], [], []
+        times, held, references, residuals = [], [], [], []
         for _ in range(count):
             problem = without_units(feet(rng, n))
             call = solver.prepare(problem)
             seconds, forces = least_time(call)
+            references.append(1e6 * least_time(reference)[0])
             times.append(1e6 * seconds)
             if solver.solver.decided_by == "warm":
                 held.append(1e6 * seconds)
                 residuals.append(residual(problem, forces))
         if held:
+            middle, unit = statistics.median(held), statistics.median(references)
             print(
-                f"{n:3d} contacts: {len(held)} of {count}, median {statistics.median(held):.1f} us, residual "
+                f"{n:3d} contacts: {len(held)} of {count}, median {middle:.1f} us [{middle / unit:.1f}], residual "
                 f"{max(residuals):.1e} at most; of all {statistics.median(times):.1f} us"
             )
 

@@ -10,6 +10,7 @@ entry kernel's cache directory is therefore keyed by a hash of its module's sour
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import re
@@ -17,7 +18,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 from numba import njit, types
@@ -83,12 +84,41 @@ def cache_root() -> Path:
 
 
 _CACHE = cache_root()
-# entry kernels: compiled function, argument types, whether compiled aside, cache directory
-ENTRIES: list[tuple[Any, tuple[Any, ...], bool, Path]] = []
+# When an entry kernel is compiled: before the first run, before the first of several contacts, when it is first called.
+ALWAYS, SEVERAL, CALLED = range(3)
 
 
-# how many of them are known to be compiled
-_complete = 0
+class Entry(NamedTuple):
+    """An entry kernel: compiled function, argument types, whether compiled aside, cache directory, and when."""
+
+    compiled: Any
+    arguments: tuple[Any, ...]
+    aside: bool
+    directory: Path
+    when: int
+
+    @property
+    def missing(self) -> bool:
+        """Whether it may have no machine code on disk yet."""
+        return not (self.directory / _MARKER).exists()
+
+    def compile(self) -> None:
+        """Compile it, or load it."""
+        self.compiled.compile(self.arguments)
+
+    def mark(self) -> None:
+        """Note on disk that it is compiled."""
+        try:
+            self.directory.mkdir(parents=True, exist_ok=True)
+            (self.directory / _MARKER).touch()
+        except OSError:
+            pass
+
+
+ENTRIES: list[Entry] = []
+
+# how many of them were registered when all were known to be compiled, for each choice of `several`
+_complete = {False: 0, True: 0}
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -107,10 +137,13 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     return part
 
 
-def entry_kernel(*arguments: Any, aside: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def entry_kernel(
+    *arguments: Any, aside: bool = False, when: int = ALWAYS
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """A routine called from Python with arguments of these numba types; compiled once and cached on disk.
 
-    aside: compiled in a second process, while the first compiles those that share their parts with each other.
+    aside: compiled in a second process, while the first compiles those that share their parts with each other. when:
+    ALWAYS before the first run; SEVERAL before the first with several contacts; CALLED when it is called.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -121,10 +154,29 @@ def entry_kernel(*arguments: Any, aside: bool = False) -> Callable[[Callable[...
             compiled = njit(cache=True, **_OPTIONS, **_ENTRY_OPTIONS)(function)
         finally:
             numba.config.CACHE_DIR = previous
-        ENTRIES.append((compiled, arguments, aside, directory))
-        return compiled
+        entry = Entry(compiled, arguments, aside, directory, when)
+        ENTRIES.append(entry)
+        return compiled if when == ALWAYS or numba.config.DISABLE_JIT else _announced(entry)
 
     return decorate
+
+
+def _announced(entry: Entry) -> Callable[..., Any]:
+    """The kernel, which tells the user so where the first call has to compile it."""
+    compiled, unknown = entry.compiled, True
+
+    @functools.wraps(compiled.py_func)
+    def call(*values: Any) -> Any:
+        nonlocal unknown
+        if unknown:
+            if entry.missing:
+                print("pincontact: compiling a kernel, once for this version (some seconds) ...", file=sys.stderr)
+                entry.compile()
+                entry.mark()
+            unknown = False
+        return compiled(*values)
+
+    return call
 
 
 # A file in a cache directory whose kernels are all compiled.
@@ -134,45 +186,45 @@ INTEGER = types.int64
 REAL = types.float64
 
 
-def compile_kernels() -> None:
-    """Compile every entry kernel that has no machine code on disk yet, with one line to the user.
+def compile_kernels(several: bool = False) -> None:
+    """Compile entry kernels that have no machine code on disk yet, with one line to the user.
 
     Done before the first scene runs; later processes load from disk what they use, when they use it. Kernels
     marked `aside` are compiled in a second process meanwhile.
+    several: those for several contacts, too.
     """
-    global _complete
-    if numba.config.DISABLE_JIT or _complete == len(ENTRIES):
+    if numba.config.DISABLE_JIT or _complete[several] == len(ENTRIES):
         return
-    missing = [marked for *_, marked, directory in ENTRIES if not (directory / _MARKER).exists()]
-    if not missing:
-        _complete = len(ENTRIES)
-        return
-    print("pincontact: compiling kernels, once for this version (under half a minute) ...", file=sys.stderr)
-    worker = _start_worker() if any(missing) and not all(missing) else None
-    compile_share(aside=False)
-    if worker is not None:
-        worker.wait()
-    # what the worker has compiled is loaded from disk; without a worker this is where it gets done
-    compile_share(aside=True)
-    for *_, directory in ENTRIES:
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            (directory / _MARKER).touch()
-        except OSError:
-            pass
+    wanted = [entry for entry in ENTRIES if entry.when == ALWAYS or (several and entry.when == SEVERAL)]
+    missing = [entry for entry in wanted if entry.missing]
+    if missing:
+        print("pincontact: compiling kernels, once for this version (under half a minute) ...", file=sys.stderr)
+        beside = [entry for entry in missing if entry.aside]
+        own = [entry for entry in missing if not entry.aside]
+        worker = _start_worker() if beside and own else None
+        for entry in own:
+            entry.compile()
+        if worker is not None:
+            worker.wait()
+        # what the worker has compiled is loaded from disk; without a worker this is where it gets done
+        for entry in beside:
+            entry.compile()
+        for entry in missing:
+            entry.mark()
+    _complete[several] = len(ENTRIES)
 
 
-def compile_share(aside: bool) -> None:
-    """Compile the kernels marked `aside`, or the others."""
-    for compiled, arguments, marked, directory in ENTRIES:
-        if marked == aside and not (directory / _MARKER).exists():
-            compiled.compile(arguments)
+def compile_aside() -> None:
+    """The worker's share: kernels marked `aside` that are not on disk."""
+    for entry in ENTRIES:
+        if entry.aside and entry.when == ALWAYS and entry.missing:
+            entry.compile()
 
 
 def _start_worker() -> subprocess.Popen[bytes] | None:
     environment = dict(os.environ, PYTHONPATH=os.pathsep.join(os.path.abspath(path) for path in sys.path if path))
-    modules = ", ".join(sorted({compiled.py_func.__module__ for compiled, *_ in ENTRIES}))
-    command = f"import {modules}; from pincontact.jit import compile_share; compile_share(aside=True)"
+    modules = ", ".join(sorted({entry.compiled.py_func.__module__ for entry in ENTRIES}))
+    command = f"import {modules}; from pincontact.jit import compile_aside; compile_aside()"
     try:
         # from where this package lies: another checkout in the present folder would be imported first
         return subprocess.Popen(

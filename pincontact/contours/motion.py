@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import ContourError
-from ..jit import INTEGER, REAL, entry_kernel, kernel
+from ..jit import CALLED, INTEGER, REAL, entry_kernel, kernel
 from .base import finite, flag, interval
 from .fits import fit
 from .piecewise import piecewise
@@ -438,7 +438,7 @@ def evaluate_motion(kind, parameters, pool, t, out):
             out[i] = 1.0 if i in (0, 4, 8) else 0.0
 
 
-@entry_kernel(INTEGER, REAL[::1], REAL[::1], REAL, REAL[::1])
+@entry_kernel(INTEGER, REAL[::1], REAL[::1], REAL, REAL[::1], when=CALLED)
 def fill_motion(kind, parameters, pool, t, out):
     """`evaluate_motion` for callers in Python."""
     evaluate_motion(kind, parameters, pool, t, out)

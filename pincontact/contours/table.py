@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..jit import INTEGER, REAL, entry_kernel, kernel
+from ..jit import CALLED, INTEGER, REAL, entry_kernel, kernel
 from .base import (
     CYCLOID,
     FOURIER_CURVE,
@@ -58,7 +58,7 @@ def evaluate(kind, chart, shape, pool, u1, u2, t, out):
             lift(u1, u2, out)
 
 
-@entry_kernel(INTEGER, INTEGER, REAL[::1], REAL[::1], REAL, REAL, REAL, REAL[:, ::1])
+@entry_kernel(INTEGER, INTEGER, REAL[::1], REAL[::1], REAL, REAL, REAL, REAL[:, ::1], when=CALLED)
 def evaluate_contour(kind, chart, shape, pool, u1, u2, t, out):
     """`evaluate` for callers in Python."""
     evaluate(kind, chart, shape, pool, u1, u2, t, out)

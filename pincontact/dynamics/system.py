@@ -137,7 +137,7 @@ class System:
         guards: Sequence[Guard] = (),
         resistances: bool = False,
     ) -> None:
-        compile_kernels()
+        compile_kernels(several=len(contacts) > 1)
         self.model = model
         self.contacts = list(contacts)
         self.data = model.createData()

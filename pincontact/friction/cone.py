@@ -33,7 +33,7 @@ from __future__ import annotations
 
 from math import inf, sqrt
 
-from ..jit import REAL, entry_kernel, kernel
+from ..jit import REAL, SEVERAL, entry_kernel, kernel
 from ..memory import Memory
 
 OPEN, STICK, SLIP = 0, 1, 2
@@ -293,7 +293,7 @@ def sweep(g, mu, f, u):
 
 @entry_kernel(
     REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL, REAL[:, ::1], REAL[::1], REAL[:, ::1], REAL[::1],
-    REAL[::1], REAL[::1], aside=True,
+    REAL[::1], REAL[::1], when=SEVERAL,
 )  # fmt: skip
 def assemble_qp(delassus, b, mu, f, proximal, hessian, gradient, facets, upper, unit, work):
     """The quadratic program around scaled forces f (3n,): min f' H f / 2 + g' f with facets f <= upper.

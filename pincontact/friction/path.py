@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
+from ..jit import INTEGER, REAL, SEVERAL, TABLE, entry_kernel, kernel
 from ..memory import integers, matrix, reals
 from .cone import (
     FORCES,
@@ -163,7 +163,7 @@ def path_slope(a, r, saxce, x, y, change, slope):
         slope[k + 2] += saxce * ((1.0 - t) * turn - root * change[rows])
 
 
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, REAL, REAL, REAL, REAL, INTEGER)
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, REAL, REAL, REAL, REAL, INTEGER, when=SEVERAL)
 def follow_path(delassus, b, mu, table, target, tube, size, saxce, steps):
     """Forces (3n,) in the table where the path (module docstring) has come down to t = target; returns the t reached.
 

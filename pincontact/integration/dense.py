@@ -54,7 +54,7 @@ def dense_coefficients(table):
             out[i] = step * out[i] + weight[MAX_STAGES] * (new_state[i] - state[i])
 
 
-@entry_kernel(REAL[:, ::1], REAL[::1], INTEGER, REAL, REAL[::1], aside=True)
+@entry_kernel(REAL[:, ::1], REAL[::1], INTEGER, REAL, REAL[::1])
 def interpolate(dense, start, nested, theta, out):
     """out = the state at the fraction theta of a step from `start`.
 

@@ -129,7 +129,7 @@ class MoreauStep:
 
     def __init__(self, system: System, contacts: Sequence[Contact]) -> None:
         # these kernels are compiled for those who use them
-        compile_kernels()
+        compile_kernels(several=True)
         self.system = system
         if (system.contact_real[: system.nc, VISCOUS] > 0.0).any():
             # the mass matrix with viscous friction couples branches of the tree

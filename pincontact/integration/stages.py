@@ -222,7 +222,7 @@ def error_norm(table, last):
     return step * first / math.sqrt((first + 0.01 * second) * count)
 
 
-@entry_kernel(TABLE, aside=True)
+@entry_kernel(TABLE)
 def load_state(table):
     """Hand over STAGE_STATE to Pinocchio and the location solver."""
     hand_over(table, reals(table[STAGE_STATE], integers(table[SIZES], 8)[NY]))
@@ -278,7 +278,7 @@ def keep_velocity(table, state):
             out[k] = v[k]
 
 
-@entry_kernel(TABLE, aside=True)
+@entry_kernel(TABLE)
 def move_charts(table):
     """Move the location parameters in STATE to better charts; returns how many contours changed theirs."""
     sizes = integers(table[SIZES], 8)

@@ -251,6 +251,13 @@ class ContactSolver:
         for space in self._spaces.values():
             space.counts[KNOWN] = 0
 
+    def renew(self) -> None:
+        """Be as new, with the buffers that there are."""
+        self.forget()
+        self.residual, self.jammed, self.certificate, self.decided_by = 0.0, False, None, ""
+        self.polish_count = self.path_count = self.qp_count = self._qp_before = 0
+        self.decided = dict.fromkeys(self.decided, 0)
+
     def solve(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Solve one problem: delassus (3n, 3n) symmetric, b (3n,), mu (n,), C-contiguous float64. True if solved."""
         space = self._space

@@ -131,9 +131,7 @@ class MoreauStep:
         # these kernels are compiled for those who use them
         compile_kernels()
         self.system = system
-        if (system.contact_real[: system.nc, VISCOUS] > 0.0).any():
-            # the mass matrix with viscous friction couples branches of the tree
-            system.memory["parents"][:] = np.arange(max(system.nv, 1)) - 1
+        self._viscous = bool((system.contact_real[: system.nc, VISCOUS] > 0.0).any())
         joint_int, joint_real = joint_constraints(system.guards)
         self.joints = len(joint_int)
         laws = [contact.friction for contact in contacts if contact.friction is not None]
@@ -154,13 +152,28 @@ class MoreauStep:
         self.touch_time = memory["touch_time"][: system.nc]
         self.start_mode = memory["start_mode"][: system.nc]
         self.joint_impulse = memory["joint_impulse"][: system.nv]
-        self.cone_problems = self.rigid = self.softened = 0
-        self.worst_residual = 0.0
         self._counts, self._numbers = memory["counts"], memory["numbers"]
         self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._solutions: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
-        self._loaded = -1
         self._charted = system.charted
+        memory.keep()
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        system = self.system
+        self.cone_problems = self.rigid = self.softened = 0
+        self.worst_residual = 0.0
+        self._loaded = -1
+        if self._viscous:
+            # the mass matrix with viscous friction couples branches of the tree
+            system.memory["parents"][:] = np.arange(max(system.nv, 1)) - 1
+
+    def renew(self) -> None:
+        """Be as new, for a system that is as new: buffers are kept, nothing in them matters."""
+        self.memory.restore()
+        self.solver.renew()
+        self._solutions.clear()
+        self._begin_anew()
 
     # ---------------------------------------------------------------- start
 

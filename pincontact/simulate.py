@@ -184,7 +184,16 @@ def _simulate_moreau(
 
     with _Bar(progress, state.t, duration) as bar:
         driver = MoreauDriver(
-            stepper, users, add, size, times, max_steps, torque, failed_control, bar.update if progress else None
+            stepper,
+            users,
+            add,
+            record.flush,
+            size,
+            times,
+            max_steps,
+            torque.ask if torque is not None else None,
+            failed_control,
+            bar.update if progress else None,
         )
         code, message = driver.run(state.t, state.t + duration)
     if times is None and not len(record):
@@ -203,7 +212,7 @@ def _simulate_moreau(
         "cone_problems": stepper.cone_problems,
         "rigid": stepper.rigid,
         "softened": stepper.softened,
-        "decided": dict(stepper.solver.decided),
+        "decided": stepper.decided,
         "qp": stepper.solver.qp_count,
         "cone_residual": stepper.worst_residual,
         "wall_time": time.perf_counter() - began,

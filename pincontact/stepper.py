@@ -50,13 +50,12 @@ class Stepper:
         self.torques = {name: _locked(self._step.torques[c]) for c, name in enumerate(scene.contacts)}
         self._shape = (nv,)
         self._start = 0.0
-        self._count = 0
         self.reset(state)
 
     @property
     def t(self) -> float:
         """Time in s."""
-        return self._start + self._count * self.dt
+        return self._start + self._step.steps * self.dt
 
     @property
     def state(self) -> State:
@@ -78,7 +77,8 @@ class Stepper:
         system.state[nq + nv : nq + nv + location.size] = location.ravel()
         write_discrete(system, discrete)
         system.tau[:] = 0.0
-        self._start, self._count = float(state.t), 0
+        self._start = float(state.t)
+        self._step.set_run(self._start, math.inf, self.dt, 0, 0, False)
         self._step.forget()
         self._raise_for(self._step.begin(self._start))
         self._discrete_buffer[:] = read_discrete(system)
@@ -90,18 +90,16 @@ class Stepper:
         contacts degenerate, SolverError where no impulses were found; the stepper is then where it was before.
         """
         tau = self._check_torque(tau)
-        system, step, t = self._system, self._step, self.t
+        system, step = self._system, self._step
         system.tau[:] = tau
-        status = step.attempt(t, self.dt)
+        status = step.step()
         if status != OK:
             if status == NOT_FINITE:
                 check_vector("tau", tau, tau.size)
             self._raise_for(status)
-        self._count += 1
-        t = self.t
-        if step.accept(t):
+        if step.changed:
             self._discrete_buffer[:] = read_discrete(system)
-        return State(self.scene, self.q, self.v, t, self._location, self._discrete)
+        return State(self.scene, self.q, self.v, self.t, self._location, self._discrete)
 
     def _check_torque(self, tau: Any) -> np.ndarray:
         if type(tau) is not np.ndarray or tau.dtype != np.float64 or tau.shape != self._shape:
@@ -131,7 +129,7 @@ class Stepper:
         twin = Stepper(self.scene, self.state, self.dt)
         self._step.copy_to(twin._step)
         twin._discrete_buffer[:] = self._discrete
-        twin._start, twin._count = self._start, self._count
+        twin._start = self._start
         return twin
 
     # buffers must not be shared; the scene, which does not change, is

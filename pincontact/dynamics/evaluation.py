@@ -161,7 +161,7 @@ def evaluate_state(table_address, time, only_kinematics):
     if asked != 0:
         if not call_python(asked, callback[ASKED_WITH], callback[CALL_FAILED]):
             return NOT_FINITE
-        if not _torques_finite(table, time):
+        if not torques_finite(table, time):
             return NOT_FINITE
     if not call_python(callback[CALLED], callback[CALLED_WITH], callback[CALL_FAILED]):
         return NOT_FINITE
@@ -176,7 +176,7 @@ def evaluate_state(table_address, time, only_kinematics):
 
 
 @kernel
-def _torques_finite(table, time):
+def torques_finite(table, time):
     """Whether the user's torques are numbers to go on with; else the first that is not is noted."""
     nv = integers(table[SIZES], 8)[NV]
     tau, scalars = reals(table[TAU], nv), reals(table[SCALARS], SCALARS_SIZE)

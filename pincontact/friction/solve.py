@@ -246,6 +246,14 @@ class ContactSolver:
             space.velocities[:] = velocities.reshape(-1)
         space.counts[KNOWN] = 1
 
+    def warm_starts(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """The last solution of every size, as `warm_start` takes it; views."""
+        return [(space.modes, space.forces, space.velocities) for space in self._spaces.values() if space.warm]
+
+    def warm_tables(self) -> list[tuple[int, np.ndarray]]:
+        """(contacts, table of `cone_memory`) of every size of problem that has a warm start, for `cone.solve_cones`."""
+        return [(size, space.table) for size, space in self._spaces.items() if space.warm]
+
     def forget(self) -> None:
         """Drop all warm starts."""
         for space in self._spaces.values():

@@ -49,6 +49,9 @@ STEP_SLOTS = (
     "torques",  # (nc, 3) what resists spinning and rolling, likewise
     "orientation",  # (nc,): -1 where the user named the contours the other way round
     "known",  # (nc, CONTACT_INTS + 2) int: the contact's integers and charts after the last step
+    "calls",  # (NCALLS,) int: what steps call by address
+    "cone_tables",  # (ns + 1,) int: by number of units the cone solver's table, 0 without a solution to start from
+    "set_aside",  # (nv,) the user's torques, while an output has others
 )
 (
     COUNTS,
@@ -93,16 +96,63 @@ STEP_SLOTS = (
     TORQUES,
     ORIENTATION,
     KNOWN,
+    CALLS,
+    CONE_TABLES,
+    SET_ASIDE,
 ) = range(len(STEP_SLOTS))
 
-# counts; RIGID: the laws hold for velocities in the midpoint's geometry, see `impulse_problem`
-NJ, MAX_UNITS, MAX_EQUATIONS, UNITS, NEQ, HAS_TREND, TOUCHED, REVIEWS, RIGID = range(9)
-NCOUNTS = 9
+# counts. RIGID: the laws hold for velocities in the midpoint's geometry, see `impulse_problem`. Of an attempt: PASSES
+# over its midpoint before the present one, TREND_BEFORE what counts[HAS_TREND] is without them, THOROUGH whether its
+# cone problems are solved with all means. CHANGED: whether anything discrete is another since the last step. Of a run:
+# STEPS done and LAST, STEP_LIMIT, WATCHED: whether every step is looked at before it is accepted, TURNS: whether
+# anything resists turning. How many cone problems were solved here, RIGID_STEPS with them.
+(
+    NJ,
+    MAX_UNITS,
+    MAX_EQUATIONS,
+    UNITS,
+    NEQ,
+    HAS_TREND,
+    TOUCHED,
+    REVIEWS,
+    RIGID,
+    PASSES,
+    TREND_BEFORE,
+    THOROUGH,
+    CHANGED,
+    STEPS,
+    LAST,
+    STEP_LIMIT,
+    WATCHED,
+    TURNS,
+    WARM_SOLVES,
+    EXACT_SOLVES,
+    RIGID_STEPS,
+) = range(21)
+NCOUNTS = 21
 # counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
 ACCELERATION, MEAN_VELOCITY = 1, 2
 # numbers; FREE_CHANGE: norm of the change of velocity without impulses, in the mass metric; MISS: how far the
-# midpoint's velocity was from the step's mean velocity, relative to that, in the metric of the masses
-H, KEPT, KEPT_LOW, KEPT_HIGH, FREE_CHANGE, MISS = range(6)
+# midpoint's velocity was from the step's mean velocity, relative to that, in the metric of the masses; of a run, in s,
+# RUN_START, RUN_END and STEP_SIZE; what is asked of cone problems, and the largest residual of any
+(
+    H,
+    KEPT,
+    KEPT_LOW,
+    KEPT_HIGH,
+    FREE_CHANGE,
+    MISS,
+    RUN_START,
+    RUN_END,
+    STEP_SIZE,
+    CONE_TOLERANCE,
+    CONE_RESIDUAL,
+) = range(11)
+NNUMBERS = 11
+# calls: `run_task`, `solve_cones`, `assemble`, `move_charts`; a Python function that sets the torques, or 0, its
+# arguments and the result that means failure
+RUN_TASK, SOLVE_CONES, ASSEMBLE, MOVE_CHARTS, ASKED, ASKED_WITH, CALL_FAILED = range(7)
+NCALLS = 7
 # joint_int
 JOINT_KIND, JOINT_Q, JOINT_V, JOINT_GUARD = range(4)
 JOINT_INTS = 4
@@ -124,9 +174,9 @@ def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int) -> Memory:
     contacts, units, equations = max(nc, 1), max(nc + nj + nt, 1), max(3 * nc, 1)
     counts = memory.integers("counts", NCOUNTS)
     counts[[NJ, MAX_UNITS, MAX_EQUATIONS]] = nj, units, equations
-    memory.reals("numbers", 8)
+    memory.reals("numbers", NNUMBERS)
     memory.reals("start_q", nq)
-    for name in ("start_v", "trend", "change", "joint_impulse", "displacement", "mean"):
+    for name in ("start_v", "trend", "change", "joint_impulse", "displacement", "mean", "set_aside"):
         memory.reals(name, max(nv, 1))
     for name in ("start_location", "start_rates"):
         memory.reals(name, contacts, 4)
@@ -149,6 +199,8 @@ def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int) -> Memory:
         memory.reals(name, 3 * units)
     memory.reals("friction", units)
     memory.integers("cone_modes", units)
+    memory.integers("calls", NCALLS)
+    memory.integers("cone_tables", units + 1)
     memory.integers("equation_index", equations, 2)
     memory.reals("equations", equations, nv)
     memory.reals("equation_factor", equations, equations)

@@ -116,6 +116,7 @@ from .impulse_layout import (
     NCOUNTS,
     NEQ,
     NJ,
+    NNUMBERS,
     NUMBERS,
     ON_CONTACT,
     ON_JOINT,
@@ -267,7 +268,7 @@ def _add_unit(step, kind, index, mask, mu, instant):
     ints[TOUCHES] = ints[MIDPOINT] = ints[AT_REST] = 0
     for i in range(UNIT_REALS):
         numbers[i] = 0.0
-    numbers[IMPULSE_TIME] = 0.5 * reals(step[NUMBERS], 8)[H]
+    numbers[IMPULSE_TIME] = 0.5 * reals(step[NUMBERS], NNUMBERS)[H]
     if instant >= 0.0:
         numbers[IMPULSE_TIME] = instant
         ints[TOUCHES] = counts[TOUCHED] = counts[RIGID] = 1
@@ -605,7 +606,7 @@ def assemble(table, step):
     """
     sizes = integers(table[SIZES], 8)
     nv, nc = sizes[NV], sizes[NC]
-    counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)
+    counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
     h = numbers[H]
     counts[UNITS] = counts[NEQ] = counts[REVIEWS] = counts[TOUCHED] = 0
     numbers[KEPT], numbers[KEPT_LOW], numbers[KEPT_HIGH] = 1.0, 0.0, 1.0

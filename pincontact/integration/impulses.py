@@ -24,7 +24,7 @@ from ..friction import cone
 from ..friction.ellipse import stretch_pair
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
-from ..jit import INTEGER, TABLE, entry_kernel, kernel
+from ..jit import kernel
 from ..layout import (
     ANISOTROPIC,
     BASIS,
@@ -128,6 +128,7 @@ from .impulse_layout import (
     NCOUNTS,
     NEQ,
     NJ,
+    NNUMBERS,
     NUMBERS,
     ON_JOINT,
     ON_LOADED,
@@ -168,13 +169,13 @@ from .manifold import displace
 from .stages import DAMPING_WORK, DRIVE_WORK, FRICTION_WORK, NUMBER_OF_WORKS, TORQUE_WORK, hand_over
 
 
-@entry_kernel(TABLE, TABLE)
+@kernel
 def predict_midpoint(table, step):
     """Hand over the midpoint's state, from the start and the last step's acceleration or this one's mean velocity."""
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
     counts = integers(step[COUNTS], NCOUNTS)
-    half = 0.5 * reals(step[NUMBERS], 8)[H]
+    half = 0.5 * reals(step[NUMBERS], NNUMBERS)[H]
     v, trend, mean = reals(step[START_V], nv), reals(step[TREND], nv), reals(step[MEAN], nv)
     displacement = reals(step[DISPLACEMENT], nv)
     location, rates = reals(step[START_LOCATION], 4 * nc), reals(step[START_RATES], 4 * nc)
@@ -196,7 +197,7 @@ def predict_midpoint(table, step):
 def _contact_mode(table, step, u, c, nc, h):
     """Mode of contact c after the step, from the solution of its unit u; notes when it touched."""
     counts = integers(step[COUNTS], NCOUNTS)
-    n, kept = counts[UNITS], reals(step[NUMBERS], 8)[KEPT]
+    n, kept = counts[UNITS], reals(step[NUMBERS], NNUMBERS)[KEPT]
     ints = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)[u]
     values = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)[u]
     velocities, cone_mode = reals(step[CONE_VELOCITIES], 3 * n), integers(step[CONE_MODES], n)[u]
@@ -240,7 +241,7 @@ def _distribute(table, step, nv, nc, h):
     impulses, whitened, and in DISPLACEMENT what they displace by acting before or after the middle of the step."""
     counts = integers(step[COUNTS], NCOUNTS)
     n, units, nequations, size = counts[UNITS], counts[MAX_UNITS], counts[NEQ], counts[MAX_EQUATIONS]
-    ng, kept = integers(table[GUARD_COUNT], 1)[0], reals(step[NUMBERS], 8)[KEPT]
+    ng, kept = integers(table[GUARD_COUNT], 1)[0], reals(step[NUMBERS], NNUMBERS)[KEPT]
     contact_int = integer_matrix(table[CONTACT_INT], nc + ng, CONTACT_INTS)
     guard_int = integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
     contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
@@ -385,7 +386,7 @@ def _add_works(table, step, nv, nc, h, v1, viscous, works):
         works[DAMPING_WORK] -= h * damping[k] * mean * mean
 
 
-@entry_kernel(TABLE, TABLE)
+@kernel
 def advance(table, step):
     """Review the cone problem's solution and carry out the step: state, modes, impulses; hands over its end.
 
@@ -393,7 +394,7 @@ def advance(table, step):
     """
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    h = reals(step[NUMBERS], 8)[H]
+    h = reals(step[NUMBERS], NNUMBERS)[H]
     equation_impulses(step, nv)
     verdict = review(step, nv, h, reals(table[WORK], nv))
     if verdict != DONE:
@@ -415,7 +416,7 @@ def advance(table, step):
         miss += mass[k, k] * (mean[k] - assumed[k]) ** 2
         speed += mass[k, k] * mean[k] ** 2
         total += v1[k]
-    numbers = reals(step[NUMBERS], 8)
+    numbers = reals(step[NUMBERS], NNUMBERS)
     # a body that comes to rest is not fast, but neither is it far off
     speed += numbers[FREE_CHANGE] ** 2
     numbers[MISS] = math.sqrt(miss / speed) if miss > 0.0 else 0.0
@@ -454,7 +455,7 @@ def _report_forces(table, step, nc, h):
             forces[c, i] = orientation[c] * value / h
 
 
-@entry_kernel(TABLE, TABLE, INTEGER)
+@kernel
 def commit(table, step, stepped):
     """Make STAGE_STATE the next step's start, with the kinematics of its evaluation, moved on by the last corrections.
 
@@ -463,7 +464,7 @@ def commit(table, step, stepped):
     """
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    counts, h = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)[H]
+    counts, h = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)[H]
     stage, state = reals(table[STAGE_STATE], sizes[NY]), reals(table[STATE], sizes[NY])
     start_q, start_v, trend = reals(step[START_Q], nq), reals(step[START_V], nv), reals(step[TREND], nv)
     correction_q, correction_v = reals(table[CORRECTION_Q], nv), reals(table[CORRECTION_V], nv)

@@ -130,7 +130,7 @@ from .stages import hand_over
 from .steps import RECORD, SETTLE, evaluate
 
 # What `run_steps` does.
-BEGIN, ATTEMPT, ACCEPT, STEP, MARCH = range(5)
+BEGIN, ACCEPT, ATTEMPT, STEP, MARCH = range(5)
 # What it comes back with, besides a status: a cone problem is to be solved; and from MARCH: call again, the end, the
 # limit of steps; a step is attempted, not accepted; an output is to be recorded (its torques are set), at the end of
 # the last step, or in the attempted one.
@@ -162,7 +162,7 @@ _call_cones = kernel_caller(
 
 @kernel
 def _begin(table, step, t):
-    """Start from STATE; closed contacts get the mode that their v_c shows. A status."""
+    """Make STATE what is to be accepted; closed contacts get the mode that their v_c shows. A status."""
     sizes = integers(table[SIZES], 8)
     nv, nc, ny = sizes[NV], sizes[NC], sizes[NY]
     state, stage_state = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
@@ -203,7 +203,6 @@ def _begin(table, step, t):
     for g in range(ng):
         contact_int[nc + g, MODE], guard_int[g, GUARD_END] = FREE, 0
     integers(step[COUNTS], NCOUNTS)[TOUCHED] = 0
-    commit(table, step, 0)
     return OK
 
 
@@ -279,16 +278,17 @@ def _pass(table, step, t, found):
         if status != OK:
             return status
         counts[RIGID] = counts[THOROUGH] = 0
-    status = _impulses(table, step, found)
-    while status == NO_FORCE and counts[THOROUGH] == 0:
+    while True:
+        status = _impulses(table, step, found)
+        if status != NO_FORCE or counts[THOROUGH] != 0:
+            return status
+        found = FRESH
         if counts[RIGID] == 0:
             # redundant contacts may contradict each other by what only rigid geometry leaves out
             counts[RIGID] = 1
             counts[RIGID_STEPS] += 1
         else:
             counts[THOROUGH] = 1
-        status = _impulses(table, step, FRESH)
-    return status
 
 
 @kernel
@@ -337,18 +337,20 @@ def _attempt(table, step, t, h, found):
 
 
 @kernel
-def _accept(table, step, t):
-    """The attempted state becomes the start; t is its time. counts[CHANGED]: whether modes, signs or charts did."""
-    changed = commit(table, step, 1)
-    charted = integers(table[COUNTERS], COUNTERS_SIZE)[CHARTED] != 0
-    if charted and _call_on_table(integers(step[CALLS], NCALLS)[MOVE_CHARTS], table) > 0:
+def _accept(table, step, t, stepped):
+    """STAGE_STATE, at t, becomes the start; see `commit`. counts[CHANGED]: whether modes, signs or charts did."""
+    may_move = stepped != 0 and integers(table[COUNTERS], COUNTERS_SIZE)[CHARTED] != 0
+    while True:
+        changed = commit(table, step, stepped)
+        if not may_move or _call_on_table(integers(step[CALLS], NCALLS)[MOVE_CHARTS], table) == 0:
+            break
         ny = integers(table[SIZES], 8)[NY]
         state, stage_state = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
         for i in range(ny):
             stage_state[i] = state[i]
         hand_over(table, stage_state)
         evaluate(table, t, KINEMATICS_OF_ALL)
-        changed = commit(table, step, 0)
+        may_move, stepped = False, 0
     integers(step[COUNTS], NCOUNTS)[CHANGED] = 1 if changed else 0
 
 
@@ -413,82 +415,66 @@ def _output(table, step, t):
     return status
 
 
-@kernel
-def _outputs(table, step, t, slack):
-    """All outputs that are due at t, the end of an accepted step; a status as `_output` gives."""
-    if integers(table[COUNTERS], COUNTERS_SIZE)[RECORD_STEPS] != 0:
-        return _output(table, step, t)
-    scalars = reals(table[SCALARS], SCALARS_SIZE)
-    while scalars[NEXT_OUTPUT] <= t + slack:
-        status = _output(table, step, t)
-        if status != OK:
-            return status
-        output_done(table)
-    return OK
-
-
-@kernel
-def _march(table, step, found):
-    """Steps and outputs until Python is needed; what for, or a status."""
-    counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
-    scalars = reals(table[SCALARS], SCALARS_SIZE)
-    start, size = numbers[RUN_START], numbers[STEP_SIZE]
-    slack = SLIVER * size
-    for _ in range(_BATCH):
-        # steps are counted, so that their rounding does not add up
-        i = counts[STEPS]
-        if i >= counts[LAST]:
-            return AT_END
-        if i >= counts[STEP_LIMIT]:
-            return AT_LIMIT
-        t = start + i * size
-        t_new = numbers[RUN_END] if i == counts[LAST] - 1 else start + (i + 1) * size
-        # an output inside a step is the end of a shorter one, which is then dropped
-        inside = scalars[NEXT_OUTPUT] < t_new - slack
-        h = (scalars[NEXT_OUTPUT] if inside else t_new) - t
-        if abs(h - size) <= slack:
-            # not what rounding has made of it
-            h = size
-        status = _attempt(table, step, t, h, found)
-        if status != OK:
-            return status
-        found = FRESH
-        if inside:
-            status = _output(table, step, scalars[NEXT_OUTPUT])
-            if status != OK:
-                return INNER_OUTPUT_LEFT if status == OUTPUT_LEFT else status
-            output_done(table)
-            continue
-        if counts[WATCHED] != 0 or _happens(table, step):
-            return ATTEMPTED
-        _accept(table, step, t_new)
-        counts[STEPS] += 1
-        status = _outputs(table, step, t_new, slack)
-        if status != OK:
-            return status
-    return MARCHING
-
-
 @entry_kernel(TABLE, TABLE, INTEGER, INTEGER, REAL, REAL)
 def run_steps(table, step, task, found, t, h):
     """A status of `layout`, or what Python is needed for: see CONE_LEFT.
 
-    task: BEGIN at t, ATTEMPT a step of size h from t, ACCEPT it at its end t; STEP, which is both, and MARCH take their
-    times from the table. found: FRESH, or what has become of the cone problem that the last call with this task left.
+    task: BEGIN at t, ATTEMPT a step of size h from t, ACCEPT it at its end t; STEP, which is both, and MARCH, steps and
+    outputs until Python is needed, take their times from the table. found: FRESH, or what has become of the cone
+    problem that the last call with this task left.
     """
-    if task == BEGIN:
-        return _begin(table, step, t)
-    if task == ACCEPT:
-        _accept(table, step, t)
-        return OK
-    if task == MARCH:
-        return _march(table, step, found)
-    if task == ATTEMPT:
-        return _attempt(table, step, t, h, found)
+    # one loop for all tasks: code that is called from one place is compiled once
     counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
-    i, start, size = counts[STEPS], numbers[RUN_START], numbers[STEP_SIZE]
-    status = _attempt(table, step, start + i * size, size, found)
-    if status == OK:
-        _accept(table, step, start + (i + 1) * size)
-        counts[STEPS] = i + 1
-    return status
+    scalars, every_step = (
+        reals(table[SCALARS], SCALARS_SIZE),
+        integers(table[COUNTERS], COUNTERS_SIZE)[RECORD_STEPS] != 0,
+    )
+    start, size = numbers[RUN_START], numbers[STEP_SIZE]
+    slack = SLIVER * size
+    if task == BEGIN:
+        status = _begin(table, step, t)
+        if status != OK:
+            return status
+    for _ in range(_BATCH):
+        t_new, inside = t, False
+        if task in (STEP, MARCH):
+            # steps are counted, so that their rounding does not add up
+            i = counts[STEPS]
+            t, t_new, h = start + i * size, start + (i + 1) * size, size
+            if task == MARCH:
+                if i >= counts[LAST]:
+                    return AT_END
+                if i >= counts[STEP_LIMIT]:
+                    return AT_LIMIT
+                if i == counts[LAST] - 1:
+                    t_new = numbers[RUN_END]
+                # an output inside a step is the end of a shorter one, which is then dropped
+                inside = scalars[NEXT_OUTPUT] < t_new - slack
+                h = (scalars[NEXT_OUTPUT] if inside else t_new) - t
+                if abs(h - size) <= slack:
+                    # not what rounding has made of it
+                    h = size
+        if task >= ATTEMPT:
+            status = _attempt(table, step, t, h, found)
+            if status != OK or task == ATTEMPT:
+                return status
+            found = FRESH
+        if not inside:
+            if task == MARCH and (counts[WATCHED] != 0 or _happens(table, step)):
+                return ATTEMPTED
+            _accept(table, step, t_new, 0 if task == BEGIN else 1)
+            if task < ATTEMPT:
+                return OK
+            counts[STEPS] += 1
+            if task == STEP:
+                return OK
+        while inside or every_step or scalars[NEXT_OUTPUT] <= t_new + slack:
+            status = _output(table, step, scalars[NEXT_OUTPUT] if inside else t_new)
+            if status != OK:
+                return INNER_OUTPUT_LEFT if inside and status == OUTPUT_LEFT else status
+            if every_step:
+                break
+            output_done(table)
+            if inside:
+                break
+    return MARCHING

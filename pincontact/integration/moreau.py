@@ -229,11 +229,10 @@ class MoreauStep:
 
     def _run(self, task: int, t: float = 0.0, h: float = 0.0) -> int:
         """A task of `run_steps`, with the cone problems that it leaves."""
-        table, own = self._table, self.table
-        result = run_steps(table, own, task, FRESH, t, h)
+        result = run_steps(self._table, self.table, task, FRESH, t, h)
         while result == CONE_LEFT:
             solved = self._solve(int(self._counts[UNITS]), bool(self._counts[THOROUGH]))
-            result = run_steps(table, own, task, SOLVED if solved else UNSOLVED, t, h)
+            result = run_steps(self._table, self.table, task, SOLVED if solved else UNSOLVED, t, h)
         return result
 
     def begin(self, t: float) -> int:

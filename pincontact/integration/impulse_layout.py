@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..layout import CONTACT_INTS
 from ..memory import Memory
+from .carrying import INERTIA_SIZE
 
 # Arrays of one step, by slot of their own table; ns units, ne equations.
 STEP_SLOTS = (
@@ -17,7 +18,11 @@ STEP_SLOTS = (
     "start_normal",  # (nc, 2) components of v_c along n and the second normal
     "start_gap",  # (nc,)
     "start_mode",  # (nc,) int
-    "trend",  # (nv,) mean acceleration of the last step
+    "trend",  # (nv,) mean acceleration of the last step, in the start's axes
+    "carried_v",  # (nv,) v_0, and the trend, in the axes of the midpoint
+    "carried_trend",
+    "seen_v",  # (nv,) v_0 in the axes of the step's end
+    "inertias",  # (nblocks, INERTIA_SIZE) of turning joints at the start, see `carrying`
     "change",  # (nv,) v_free - v_0
     "restitution",  # (nc,)
     "sticking",  # (nc,) coefficient up to which a contact at rest sticks
@@ -65,6 +70,10 @@ STEP_SLOTS = (
     START_GAP,
     START_MODE,
     TREND,
+    CARRIED_V,
+    CARRIED_TREND,
+    SEEN_V,
+    INERTIAS,
     CHANGE,
     RESTITUTION,
     STICKING,
@@ -167,21 +176,33 @@ IMPULSE_TIME, SHIFT, APPROACH, FREE_RATE, START_T1, START_T2, UNIT_LOAD, SLIDING
 UNIT_REALS = 10
 
 
-def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int) -> Memory:
+def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks: int) -> Memory:
     """The arrays of `STEP_SLOTS` for a system with ng guarded joint coordinates, nj limits and dry frictions of these,
-    and nt resistances to turning."""
+    nt resistances to turning, and nblocks blocks of the configuration."""
     memory = Memory(STEP_SLOTS)
     contacts, units, equations = max(nc, 1), max(nc + nj + nt, 1), max(3 * nc, 1)
     counts = memory.integers("counts", NCOUNTS)
     counts[[NJ, MAX_UNITS, MAX_EQUATIONS]] = nj, units, equations
     memory.reals("numbers", NNUMBERS)
     memory.reals("start_q", nq)
-    for name in ("start_v", "trend", "change", "joint_impulse", "displacement", "mean", "set_aside"):
+    for name in (
+        "start_v",
+        "trend",
+        "carried_v",
+        "carried_trend",
+        "seen_v",
+        "change",
+        "joint_impulse",
+        "displacement",
+        "mean",
+        "set_aside",
+    ):
         memory.reals(name, max(nv, 1))
     for name in ("start_location", "start_rates"):
         memory.reals(name, contacts, 4)
     for name in ("start_slip", "contact_impulse", "forces", "torques"):
         memory.reals(name, contacts, 3)
+    memory.reals("inertias", max(nblocks, 1), INERTIA_SIZE)
     memory.reals("start_normal", contacts, 2)
     for name in ("start_gap", "restitution", "sticking", "load", "touch_time", "orientation"):
         memory.reals(name, contacts)

@@ -33,11 +33,13 @@ from ..layout import (
     GUARD_END,
     GUARD_INT,
     GUARD_INTS,
+    JOINT_TABLE,
     LOCATION_FAILED,
     MARGINS,
     MARGINS_PER_CONTACT,
     MODE,
     MU,
+    NBLOCKS,
     NC,
     NEXT_OUTPUT,
     NLE,
@@ -66,6 +68,7 @@ from ..layout import (
     V,
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
+from .carrying import INERTIA_SIZE, carry
 from .impulse_layout import (
     ACCELERATION,
     ASKED,
@@ -86,6 +89,7 @@ from .impulse_layout import (
     FORCES,
     FRICTION,
     HAS_TREND,
+    INERTIAS,
     JOINT_IMPULSE,
     LAST,
     LOAD,
@@ -104,10 +108,11 @@ from .impulse_layout import (
     RUN_END,
     RUN_START,
     RUN_TASK,
+    SEEN_V,
     SET_ASIDE,
     SOLVE_CONES,
     START_MODE,
-    START_V,
+    START_Q,
     STEP_LIMIT,
     STEP_SIZE,
     STEPS,
@@ -124,7 +129,7 @@ from .impulse_layout import (
     H,
 )
 from .impulse_review import AGAIN
-from .impulses import advance, commit, predict_midpoint
+from .impulses import advance, commit, leave_turning_axes, predict_midpoint
 from .recording import BLOCK, output_done
 from .stages import hand_over
 from .steps import RECORD, SETTLE, evaluate
@@ -277,6 +282,7 @@ def _pass(table, step, t, found):
         status = evaluate(table, middle, KINEMATICS_OF_ALL)
         if status != OK:
             return status
+        leave_turning_axes(table, step)
         counts[RIGID] = counts[THOROUGH] = 0
     while True:
         status = _impulses(table, step, found)
@@ -316,9 +322,11 @@ def _attempt(table, step, t, h, found):
             counts[PASSES], counts[HAS_TREND] = 1, MEAN_VELOCITY
             if counts[TOUCHED] == 0:
                 state, trend = reals(table[STAGE_STATE], sizes[NY]), reals(step[TREND], nv)
-                start_v = reals(step[START_V], nv)
+                seen_v, blocks = reals(step[SEEN_V], nv), integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4)
                 for k in range(nv):
-                    trend[k] = (state[nq + k] - start_v[k]) / h
+                    trend[k] = (state[nq + k] - seen_v[k]) / h
+                inertias = matrix(step[INERTIAS], sizes[NBLOCKS], INERTIA_SIZE)
+                carry(blocks, inertias, state, reals(step[START_Q], nq), trend, trend)
                 counts[HAS_TREND] = ACCELERATION
             continue
         # A step in which bodies turn far is taken again with its own mean velocity: the implicit midpoint rule, which

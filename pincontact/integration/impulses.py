@@ -6,6 +6,10 @@ with a the velocity's change in the last step over its size. With P the impulses
     (M + (h/2) D) (v_1 - v_0) = h (tau - nle - D v_0) + sum of rows^T P,
 
 and Signorini's and Coulomb's laws hold between P and the relative velocity at the step's end (`impulse_problem`).
+Velocities of free, planar and spherical joints are in the joint's axes, which turn. Within a step all are in the axes
+of the midpoint: v_0 is carried there from the start's, v_1 from there to the end's (see `carrying`), and what that
+changes in their rate is left out of nle and of the biases of v_c. A ball may spin as fast as it likes.
+
 Joint damping D, to which viscous friction of contacts is added, enters by the trapezoidal rule, which no step size
 makes unstable.
 
@@ -28,6 +32,7 @@ from ..jit import kernel
 from ..layout import (
     ANISOTROPIC,
     BASIS,
+    BIAS,
     CHART,
     CONTACT_INT,
     CONTACT_INTS,
@@ -59,6 +64,7 @@ from ..layout import (
     MU,
     NBLOCKS,
     NC,
+    NLE,
     NORMAL_1,
     NORMAL_2,
     NORMAL_SIGN,
@@ -88,12 +94,16 @@ from ..layout import (
     UNILATERAL,
     VISCOUS,
     WORK,
+    Q,
     V,
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
+from .carrying import INERTIA_SIZE, carry, find_inertias, turning_rate
 from .impulse_layout import (
     ACCELERATION,
     AXIS,
+    CARRIED_TREND,
+    CARRIED_V,
     CHANGE,
     CONE_FORCES,
     CONE_MODES,
@@ -109,6 +119,7 @@ from .impulse_layout import (
     FREE_CHANGE,
     HAS_TREND,
     IMPULSE_TIME,
+    INERTIAS,
     JOINT_GUARD,
     JOINT_IMPULSE,
     JOINT_INT,
@@ -135,6 +146,7 @@ from .impulse_layout import (
     ON_TURN,
     ORIENTATION,
     ROW_MASK,
+    SEEN_V,
     SHIFT,
     START_END,
     START_GAP,
@@ -170,6 +182,12 @@ from .stages import DAMPING_WORK, DRIVE_WORK, FRICTION_WORK, NUMBER_OF_WORKS, TO
 
 
 @kernel
+def _blocks(table, step, n):
+    """The n blocks of the configuration and their inertias."""
+    return integer_matrix(table[JOINT_TABLE], n, 4), matrix(step[INERTIAS], n, INERTIA_SIZE)
+
+
+@kernel
 def predict_midpoint(table, step):
     """Hand over the midpoint's state, from the start and the last step's acceleration or this one's mean velocity."""
     sizes = integers(table[SIZES], 8)
@@ -178,19 +196,44 @@ def predict_midpoint(table, step):
     half = 0.5 * reals(step[NUMBERS], NNUMBERS)[H]
     v, trend, mean = reals(step[START_V], nv), reals(step[TREND], nv), reals(step[MEAN], nv)
     displacement = reals(step[DISPLACEMENT], nv)
+    blocks, inertias = _blocks(table, step, sizes[NBLOCKS])
     location, rates = reals(step[START_LOCATION], 4 * nc), reals(step[START_RATES], 4 * nc)
-    state = reals(table[STAGE_STATE], sizes[NY])
+    state, start_q = reals(table[STAGE_STATE], sizes[NY]), reals(step[START_Q], nq)
+    carried, carried_trend = reals(step[CARRIED_V], nv), reals(step[CARRIED_TREND], nv)
     for k in range(nv):
         displacement[k] = half * v[k]
-        state[nq + k] = v[k]
+    displace(blocks, start_q, start_q, displacement, state)
+    carry(blocks, inertias, start_q, state, v, carried)
+    carry(blocks, inertias, start_q, state, trend, carried_trend)
+    for k in range(nv):
+        state[nq + k] = carried[k]
         if counts[HAS_TREND] == ACCELERATION:
-            state[nq + k] += half * trend[k]
+            state[nq + k] += half * carried_trend[k]
         elif counts[HAS_TREND] == MEAN_VELOCITY:
             state[nq + k] = mean[k]
-    displace(integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4), reals(step[START_Q], nq), displacement, state)
     for k in range(4 * nc):
         state[nq + nv + k] = location[k] + half * rates[k]
     hand_over(table, state)
+
+
+@kernel
+def leave_turning_axes(table, step):
+    """Take what comes of turning axes alone out of the midpoint's bias forces and biases: there velocities change from
+    v_0 to v_1 in axes that stand still."""
+    sizes = integers(table[SIZES], 8)
+    nv, nc, rate = sizes[NV], sizes[NC], reals(table[WORK], sizes[NV])
+    blocks, inertias = _blocks(table, step, sizes[NBLOCKS])
+    if not turning_rate(blocks, inertias, reals(table[V], nv), rate):
+        return
+    mass, nle = matrix(table[MASS], nv, nv), reals(table[NLE], nv)
+    rows, bias = cube(table[ROWS], nc, 3, nv), matrix(table[BIAS], nc, 3)
+    for k in range(nv):
+        if rate[k] != 0.0:
+            for i in range(nv):
+                nle[i] -= mass[max(i, k), min(i, k)] * rate[k]
+    for c in range(nc):
+        for row in range(3):
+            bias[c, row] -= inner(rows[c, row], rate, nv)
 
 
 @kernel
@@ -336,7 +379,7 @@ def _viscous_impulses(table, step, nv, nc, h, v1):
     contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
     contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
     rows, start_mode = cube(table[ROWS], nc, 3, nv), integers(step[START_MODE], nc)
-    v0, impulse = reals(step[START_V], nv), matrix(step[CONTACT_IMPULSE], nc, 3)
+    v0, impulse = reals(step[CARRIED_V], nv), matrix(step[CONTACT_IMPULSE], nc, 3)
     work = 0.0
     for c in range(nc):
         constant = h * contact_real[c, VISCOUS]
@@ -357,7 +400,7 @@ def _add_works(table, step, nv, nc, h, v1, viscous, works):
     they do on v_c."""
     rows, impulse = cube(table[ROWS], nc, 3, nv), matrix(step[CONTACT_IMPULSE], nc, 3)
     change = reals(step[CHANGE], nv)
-    v0, tau, damping = reals(step[START_V], nv), reals(table[TAU], nv), reals(table[DAMPING], nv)
+    v0, tau, damping = reals(step[CARRIED_V], nv), reals(table[TAU], nv), reals(table[DAMPING], nv)
     on_contacts, on_joints, _, _ = impulse_work(step, nv, h, reals(table[WORK], nv))
     works[FRICTION_WORK] += on_contacts + viscous
     works[DAMPING_WORK] += on_joints
@@ -405,7 +448,7 @@ def advance(table, step):
     parents = integers(table[PARENTS], nv)
     unwhiten(factor, parents, nv, gained, gained)
     unwhiten(factor, parents, nv, displacement, displacement)
-    start_q, start_v, state = reals(step[START_Q], nq), reals(step[START_V], nv), reals(table[STAGE_STATE], sizes[NY])
+    start_q, start_v, state = reals(step[START_Q], nq), reals(step[CARRIED_V], nv), reals(table[STAGE_STATE], sizes[NY])
     v1 = state[nq : nq + nv]
     assumed, mass = reals(table[V], nv), matrix(table[MASS], nv, nv)
     total = miss = speed = 0.0
@@ -423,7 +466,15 @@ def advance(table, step):
     if total - total != 0.0:
         return NOT_FINITE
     viscous = _viscous_impulses(table, step, nv, nc, h, v1)
-    displace(integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4), start_q, displacement, state)
+    if sizes[NWORK] > 0:
+        start, works = reals(table[STATE], sizes[NY])[nq + nv + 4 * nc :], state[nq + nv + 4 * nc :]
+        for i in range(NUMBER_OF_WORKS):
+            works[i] = start[i]
+        _add_works(table, step, nv, nc, h, v1, viscous, works)
+    (blocks, inertias), middle = _blocks(table, step, sizes[NBLOCKS]), reals(table[Q], nq)
+    displace(blocks, start_q, middle, displacement, state)
+    carry(blocks, inertias, middle, state, v1, v1)
+    carry(blocks, inertias, middle, state, start_v, reals(step[SEEN_V], nv))
     ng = integers(table[GUARD_COUNT], 1)[0]
     guard_int, guard_real = integer_matrix(table[GUARD_INT], ng, GUARD_INTS), matrix(table[GUARD_REAL], ng, GUARD_REALS)
     for g in range(ng):
@@ -434,11 +485,6 @@ def advance(table, step):
     location, rates = reals(table[LOCATION], 4 * nc), reals(table[RATES], 4 * nc)
     for k in range(4 * nc):
         state[nq + nv + k] = location[k] + 0.5 * h * rates[k]
-    if sizes[NWORK] > 0:
-        start, works = reals(table[STATE], sizes[NY])[nq + nv + 4 * nc :], state[nq + nv + 4 * nc :]
-        for i in range(NUMBER_OF_WORKS):
-            works[i] = start[i]
-        _add_works(table, step, nv, nc, h, v1, viscous, works)
     _report_forces(table, step, nc, h)
     hand_over(table, state)
     return DONE
@@ -467,15 +513,18 @@ def commit(table, step, stepped):
     counts, h = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)[H]
     stage, state = reals(table[STAGE_STATE], sizes[NY]), reals(table[STATE], sizes[NY])
     start_q, start_v, trend = reals(step[START_Q], nq), reals(step[START_V], nv), reals(step[TREND], nv)
+    seen_v = reals(step[SEEN_V], nv)
     correction_q, correction_v = reals(table[CORRECTION_Q], nv), reals(table[CORRECTION_V], nv)
     for i in range(sizes[NY]):
         state[i] = stage[i]
     for i in range(nq):
         start_q[i] = stage[i]
+    blocks, inertias = _blocks(table, step, sizes[NBLOCKS])
+    find_inertias(blocks, matrix(table[MASS], nv, nv), inertias)
     counts[HAS_TREND] = ACCELERATION if stepped != 0 and counts[TOUCHED] == 0 else 0
     for k in range(nv):
         if stepped != 0:
-            trend[k] = (stage[nq + k] - start_v[k]) / h
+            trend[k] = (stage[nq + k] - seen_v[k]) / h
         start_v[k] = stage[nq + k]
     basis, rows = cube(table[BASIS], nc, 3, 3), cube(table[ROWS], nc, 3, nv)
     slip, gaps = matrix(table[SLIP], nc, 3), matrix(table[GAPS], nc, 2)

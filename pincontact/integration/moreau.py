@@ -30,6 +30,7 @@ from ..layout import (
     LOCATION_FAILED,
     MODE,
     MU,
+    NBLOCKS,
     NEXT_OUTPUT,
     NO_FORCE,
     NORMAL_MARGIN,
@@ -118,6 +119,8 @@ _LARGEST_FORCE = 10.0
 # How modes are looked for, quickly in every step, at length (milliseconds) where nothing else has helped; without the
 # search whose linear algebra rounds differently with the alignment of memory.
 _SEARCHES = ("sweeps", "path")
+# Motion in one step (rad or m) from which on a failure is put down to steps that are too long.
+_RUNAWAY = 10.0
 # Accuracy of the time of a user's event, relative to the step.
 _EVENT_ACCURACY = 1e-12
 
@@ -166,7 +169,9 @@ class MoreauStep:
         self.resists_turning = turns > 0
         # whether forces act on joints that are neither torques nor contact forces
         self.acts_on_joints = self.joints > 0 or self.resists_turning
-        self.memory = memory = step_memory(system.nq, system.nv, system.nc, system.ng, self.joints, turns)
+        self.memory = memory = step_memory(
+            system.nq, system.nv, system.nc, system.ng, self.joints, turns, int(system.sizes[NBLOCKS])
+        )
         self.table = memory.table
         memory["joint_int"][: self.joints], memory["joint_real"][: self.joints] = joint_int, joint_real
         for c, contact in enumerate(contacts):
@@ -391,6 +396,13 @@ class MoreauStep:
             number = f"; conditioning of J {abs(system.contact_real[c, CONDITION]):.3g}"
         elif status == NO_FORCE:
             number = f"; relative residual {self.solver.residual:.3g}"
+        h, fastest = (
+            float(self._numbers[H]),
+            float(np.abs(system.state[system.nq : system.nq + system.nv]).max(initial=0.0)),
+        )
+        if h * fastest > _RUNAWAY:
+            # as where a control is too stiff for the step: other reasons are consequences
+            number += f"; a coordinate moves by {h * fastest:.3g} (rad or m) in a step of {h:.6g} s: it may be too long"
         return Stop(code, f"t = {t:.9g} s: {where}{reason}{number}")
 
     @property

@@ -22,6 +22,7 @@ STEP_SLOTS = (
     "carried_v",  # (nv,) v_0, and the trend, in the axes of the midpoint
     "carried_trend",
     "seen_v",  # (nv,) v_0 in the axes of the step's end
+    "turning_rate",  # (nv,) of velocities at the midpoint, see `carrying`
     "inertias",  # (nblocks, INERTIA_SIZE) of turning joints at the start, see `carrying`
     "change",  # (nv,) v_free - v_0
     "restitution",  # (nc,)
@@ -73,6 +74,7 @@ STEP_SLOTS = (
     CARRIED_V,
     CARRIED_TREND,
     SEEN_V,
+    TURNING_RATE,
     INERTIAS,
     CHANGE,
     RESTITUTION,
@@ -185,18 +187,8 @@ def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks: i
     counts[[NJ, MAX_UNITS, MAX_EQUATIONS]] = nj, units, equations
     memory.reals("numbers", NNUMBERS)
     memory.reals("start_q", nq)
-    for name in (
-        "start_v",
-        "trend",
-        "carried_v",
-        "carried_trend",
-        "seen_v",
-        "change",
-        "joint_impulse",
-        "displacement",
-        "mean",
-        "set_aside",
-    ):
+    carried = "carried_v", "carried_trend", "seen_v", "turning_rate"
+    for name in ("start_v", "trend", *carried, "change", "joint_impulse", "displacement", "mean", "set_aside"):
         memory.reals(name, max(nv, 1))
     for name in ("start_location", "start_rates"):
         memory.reals(name, contacts, 4)

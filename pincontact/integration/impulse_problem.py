@@ -144,6 +144,7 @@ from .impulse_layout import (
     STICKING,
     TOUCHED,
     TOUCHES,
+    TURNING_RATE,
     UNIT_INDEX,
     UNIT_INT,
     UNIT_INTS,
@@ -512,7 +513,10 @@ def _fill_units(table, step, nv, nc, h):
                 turning = _turning(table, index, axis, OMEGA, nc)
                 unit_real[u, DRIVEN_T1 + row] = turned - turning
                 rigid = turning + inner(line, v, nv) - turned
-                beyond = 0.5 * h * _turning(table, index, axis, ALPHA, nc) if counts[RIGID] == 0 else 0.0
+                beyond = 0.0
+                if counts[RIGID] == 0:
+                    rate = inner(line, reals(step[TURNING_RATE], nv), nv)
+                    beyond = 0.5 * h * (_turning(table, index, axis, ALPHA, nc) - rate)
                 start = rigid - beyond
                 gain = inner(line, change, nv) + 2.0 * beyond
             else:

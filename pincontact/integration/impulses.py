@@ -145,6 +145,7 @@ from .impulse_layout import (
     ON_LOADED,
     ON_TURN,
     ORIENTATION,
+    PASSES,
     ROW_MASK,
     SEEN_V,
     SHIFT,
@@ -164,6 +165,7 @@ from .impulse_layout import (
     TOUCHED,
     TOUCHES,
     TREND,
+    TURNING_RATE,
     UNIT_INDEX,
     UNIT_INT,
     UNIT_INTS,
@@ -204,7 +206,9 @@ def predict_midpoint(table, step):
         displacement[k] = half * v[k]
     displace(blocks, start_q, start_q, displacement, state)
     carry(blocks, inertias, start_q, state, v, carried)
-    carry(blocks, inertias, start_q, state, trend, carried_trend)
+    if counts[PASSES] == 0 or counts[HAS_TREND] == ACCELERATION:
+        # else it is what the first pass had
+        carry(blocks, inertias, start_q, state, trend, carried_trend)
     for k in range(nv):
         state[nq + k] = carried[k]
         if counts[HAS_TREND] == ACCELERATION:
@@ -221,7 +225,7 @@ def leave_turning_axes(table, step):
     """Take what comes of turning axes alone out of the midpoint's bias forces and biases: there velocities change from
     v_0 to v_1 in axes that stand still."""
     sizes = integers(table[SIZES], 8)
-    nv, nc, rate = sizes[NV], sizes[NC], reals(table[WORK], sizes[NV])
+    nv, nc, rate = sizes[NV], sizes[NC], reals(step[TURNING_RATE], sizes[NV])
     blocks, inertias = _blocks(table, step, sizes[NBLOCKS])
     if not turning_rate(blocks, inertias, reals(table[V], nv), rate):
         return

@@ -44,6 +44,7 @@ from ..layout import (
     NEXT_OUTPUT,
     NLE,
     NO_FORCE,
+    NORMAL_MARGIN,
     NOT_FINITE,
     NQ,
     NV,
@@ -140,14 +141,14 @@ BEGIN, ACCEPT, ATTEMPT, STEP, MARCH = range(5)
 # limit of steps; a step is attempted, not accepted; an output is to be recorded (its torques are set), at the end of
 # the last step, or in the attempted one.
 CONE_LEFT, MARCHING, AT_END, AT_LIMIT, ATTEMPTED, OUTPUT_LEFT, INNER_OUTPUT_LEFT = range(100, 107)
-# What has become of the cone problem that the last call left, if it left one.
-FRESH, SOLVED, UNSOLVED = range(3)
+# What has become of the cone problem that the last call left, if it left one, or of the attempted step.
+FRESH, SOLVED, UNSOLVED, APPROVED = range(4)
 
 # Steps after which MARCH comes back all the same, for the keyboard's and the progress bar's sake.
 _BATCH = 256
 # A step is corrected where the velocity at its midpoint was off by this fraction, at most so many times; corrections
 # that leave it off by the last have not converged.
-_FAR = 0.005
+_FAR = 0.02
 _CORRECTIONS = 8
 _LOST = 0.03
 # Slip slower than this (m/s, relative to the largest velocity or 1) counts as rest where a run starts.
@@ -384,10 +385,10 @@ def _modes_hold(table, t):
         matrix(table[CONTACT_REAL], nc, CONTACT_REALS),
         matrix(table[MARGINS], nc, MARGINS_PER_CONTACT),
     )
-    may_slip = False
+    held = False
     for c in range(nc):
-        may_slip = may_slip or (contact_int[c, MODE] == STICK and contact_real[c, MU] < math.inf)
-    if not may_slip:
+        held = held or contact_int[c, MODE] == STICK
+    if not held:
         return True
     if evaluate(table, t, 0) > EVENT:
         return False
@@ -396,7 +397,8 @@ def _modes_hold(table, t):
     for k in range(nv):
         largest = max(largest, abs(nle[k]) + abs(tau[k]))
     for c in range(nc):
-        if contact_int[c, MODE] == STICK and margins[c, FRICTION_MARGIN] < -_ROUND_OFF * largest:
+        least = min(margins[c, NORMAL_MARGIN], margins[c, FRICTION_MARGIN])
+        if contact_int[c, MODE] == STICK and least < -_ROUND_OFF * largest:
             return False
     return True
 
@@ -429,7 +431,7 @@ def run_steps(table, step, task, found, t, h):
 
     task: BEGIN at t, ATTEMPT a step of size h from t, ACCEPT it at its end t; STEP, which is both, and MARCH, steps and
     outputs until Python is needed, take their times from the table. found: FRESH, or what has become of the cone
-    problem that the last call with this task left.
+    problem that the last call with this task left, or APPROVED for the step that MARCH came back with as ATTEMPTED.
     """
     # one loop for all tasks: code that is called from one place is compiled once
     counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
@@ -462,13 +464,14 @@ def run_steps(table, step, task, found, t, h):
                 if abs(h - size) <= slack:
                     # not what rounding has made of it
                     h = size
-        if task >= ATTEMPT:
+        approved = found == APPROVED
+        if task >= ATTEMPT and not approved:
             status = _attempt(table, step, t, h, found)
             if status != OK or task == ATTEMPT:
                 return status
-            found = FRESH
+        found = FRESH
         if not inside:
-            if task == MARCH and (counts[WATCHED] != 0 or _happens(table, step)):
+            if task == MARCH and not approved and (counts[WATCHED] != 0 or _happens(table, step)):
                 return ATTEMPTED
             _accept(table, step, t_new, 0 if task == BEGIN else 1)
             if task < ATTEMPT:

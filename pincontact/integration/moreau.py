@@ -29,7 +29,6 @@ from ..layout import (
     FRICTION_MARGIN,
     LOCATION_FAILED,
     MODE,
-    MU,
     NBLOCKS,
     NEXT_OUTPUT,
     NO_FORCE,
@@ -84,6 +83,7 @@ from .impulse_layout import (
 from .impulse_problem import assemble
 from .impulse_steps import (
     ACCEPT,
+    APPROVED,
     AT_END,
     AT_LIMIT,
     ATTEMPT,
@@ -186,6 +186,7 @@ class MoreauStep:
         self.joint_impulse = memory["joint_impulse"][: system.nv]
         self._counts, self._numbers = memory["counts"], memory["numbers"]
         self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._solver_of_outputs: ContactSolver | None = None
         self._table = system.table
         memory["calls"][: len(_CALLED)] = [kernel_address(entry) for entry in _CALLED]
         memory["calls"][CALL_FAILED] = id(False)
@@ -232,9 +233,9 @@ class MoreauStep:
         self._asked = asked, ()
         calls[[ASKED, ASKED_WITH]] = [id(part) for part in self._asked]
 
-    def _run(self, task: int, t: float = 0.0, h: float = 0.0) -> int:
+    def _run(self, task: int, t: float = 0.0, h: float = 0.0, found: int = FRESH) -> int:
         """A task of `run_steps`, with the cone problems that it leaves."""
-        result = run_steps(self._table, self.table, task, FRESH, t, h)
+        result = run_steps(self._table, self.table, task, found, t, h)
         while result == CONE_LEFT:
             solved = self._solve(int(self._counts[UNITS]), bool(self._counts[THOROUGH]))
             result = run_steps(self._table, self.table, task, SOLVED if solved else UNSOLVED, t, h)
@@ -262,9 +263,10 @@ class MoreauStep:
         """One step of the run, accepted; returns a status of `layout`."""
         return self._run(STEP)
 
-    def march(self) -> int:
-        """Steps and outputs until something is to be done here: see `run_steps`."""
-        return self._run(MARCH)
+    def march(self, approved: bool = False) -> int:
+        """Steps and outputs until something is to be done here: see `run_steps`; approved: beginning with the attempted
+        step."""
+        return self._run(MARCH, found=APPROVED if approved else FRESH)
 
     @property
     def steps(self) -> int:
@@ -375,11 +377,16 @@ class MoreauStep:
         kept = None
         if held and system.evaluate(t) <= EVENT:
             modes = ModeSolver(system)
+            if self._solver_of_outputs is not None:
+                # an output does not depend on others
+                self._solver_of_outputs.forget()
+                modes.solver = self._solver_of_outputs
             margins = system.margins[held][:, [NORMAL_MARGIN, FRICTION_MARGIN]]
             if (margins < -modes.force_round_off()).any():
                 kept = system.contact_int.copy(), system.contact_real.copy()
                 if modes.decide(t, held, system.evaluate).status > EVENT:
                     system.contact_int[:], system.contact_real[:] = kept
+                self._solver_of_outputs = modes.solver
         yield
         if kept is not None:
             # a choice of redundant forces stays: it serves the next output, too
@@ -489,13 +496,12 @@ class MoreauDriver:
         why = MARCHING
         while why != AT_END:
             self.flush()
-            why = step.march()
+            why = step.march(approved=why == ATTEMPTED)
             i = step.steps
             t, t_new = start + i * size, end if i >= count - 1 else start + (i + 1) * size
             if why == ATTEMPTED:
                 self._user_events(t, t_new)
-                self._accept(t, t_new)
-                self._output(t_new)
+                self._report(t, t_new)
             elif why == OUTPUT_LEFT:
                 self._output(end if i == count else t, asked=True)
             elif why == INNER_OUTPUT_LEFT:
@@ -528,8 +534,8 @@ class MoreauDriver:
             h = self.size
         self._check(self.step.attempt(t, h), t)
 
-    def _accept(self, t: float, t_new: float) -> None:
-        """Make the attempted step the state, and report what happened to the contacts in it."""
+    def _report(self, t: float, t_new: float) -> None:
+        """What happened to the contacts in the attempted step."""
         step, names = self.step, [c.name for c in self.system.contacts]
         found: list[tuple[float, str, str]] = []
         for c, name in enumerate(names):
@@ -544,8 +550,6 @@ class MoreauDriver:
                 found.append((t_new, name, "stick"))
         for when, name, kind in sorted(found, key=lambda entry: entry[0]):
             self._announce(when, name, kind)
-        step.accept(t_new)
-        step.steps += 1
 
     def _announce(self, t: float, contact: str | None, kind: str, index: int = -1) -> None:
         self.events.append(Event(t, contact, kind, self.system.q.copy(), self.system.v.copy(), index))
@@ -596,7 +600,9 @@ class MoreauDriver:
             self._attempt(t, when)
             self._announce(when, None, "user", i)
             if self.users[i].terminal:
-                self._accept(t, when)
+                self._report(t, when)
+                self.step.accept(when)
+                self.step.steps += 1
                 if self.system.counters[RECORD_STEPS]:
                     self._output(when)
                 raise Stop(TERMINATED, "a terminal event occurred")

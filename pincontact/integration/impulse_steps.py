@@ -381,10 +381,7 @@ def _modes_hold(table, t):
     sizes = integers(table[SIZES], 8)
     nv, nc = sizes[NV], sizes[NC]
     contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real, margins = (
-        matrix(table[CONTACT_REAL], nc, CONTACT_REALS),
-        matrix(table[MARGINS], nc, MARGINS_PER_CONTACT),
-    )
+    margins = matrix(table[MARGINS], nc, MARGINS_PER_CONTACT)
     held = False
     for c in range(nc):
         held = held or contact_int[c, MODE] == STICK

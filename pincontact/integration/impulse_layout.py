@@ -56,7 +56,7 @@ STEP_SLOTS = (
     "orientation",  # (nc,): -1 where the user named the contours the other way round
     "known",  # (nc, CONTACT_INTS + 2) int: the contact's integers and charts after the last step
     "calls",  # (NCALLS,) int: what steps call by address
-    "cone_tables",  # (ns + 1,) int: by number of units the cone solver's table, 0 without a solution to start from
+    "cone_tables",  # (ns + 1,) int: by number of units the cone solver's table, 0 where there is none yet
     "set_aside",  # (nv,) the user's torques, while an output has others
 )
 (
@@ -116,7 +116,8 @@ STEP_SLOTS = (
 # over its midpoint before the present one, TREND_BEFORE what counts[HAS_TREND] is without them, THOROUGH whether its
 # cone problems are solved with all means. CHANGED: whether anything discrete is another since the last step. Of a run:
 # STEPS done and LAST, STEP_LIMIT, WATCHED: whether every step is looked at before it is accepted, TURNS: whether
-# anything resists turning. How many cone problems were solved here, RIGID_STEPS with them.
+# anything resists turning. SOLVED_HERE: cone problems that were solved in compiled code, by CONE_TASK;
+# RIGID_STEPS: those that had a solution in rigid geometry only.
 (
     NJ,
     MAX_UNITS,
@@ -136,8 +137,8 @@ STEP_SLOTS = (
     STEP_LIMIT,
     WATCHED,
     TURNS,
-    WARM_SOLVES,
-    EXACT_SOLVES,
+    SOLVED_HERE,
+    CONE_TASK,
     RIGID_STEPS,
 ) = range(21)
 NCOUNTS = 21

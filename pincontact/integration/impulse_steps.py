@@ -1,6 +1,6 @@
 """Whole steps of Moreau's method in compiled code, one call for many: see `impulses` for what a step is.
 
-The loop comes back to Python for what is rare: a cone problem that its last solution does not lead to, a change of
+The loop comes back to Python for what is rare: a cone problem that the usual ways do not solve, a change of
 modes, which is an event, an output in which something is about to slip, a user's event function, a failure. Where it
 was left within a step it goes on from there.
 """
@@ -12,7 +12,6 @@ import math
 from ..callback import call_python, kernel_caller
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, torques_finite
 from ..friction import cone
-from ..friction.solve import NEWTON_PASSES, WARM_PASSES
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
 from ..layout import (
@@ -82,11 +81,11 @@ from .impulse_layout import (
     CONE_MODES,
     CONE_RESIDUAL,
     CONE_TABLES,
+    CONE_TASK,
     CONE_TOLERANCE,
     CONE_VELOCITIES,
     COUNTS,
     DELASSUS,
-    EXACT_SOLVES,
     FORCES,
     FRICTION,
     HAS_TREND,
@@ -112,6 +111,7 @@ from .impulse_layout import (
     SEEN_V,
     SET_ASIDE,
     SOLVE_CONES,
+    SOLVED_HERE,
     START_MODE,
     START_Q,
     STEP_LIMIT,
@@ -125,7 +125,6 @@ from .impulse_layout import (
     TREND_BEFORE,
     TURNS,
     UNITS,
-    WARM_SOLVES,
     WATCHED,
     H,
 )
@@ -223,8 +222,8 @@ def _ask(table, step, t):
 
 
 @kernel
-def _solve_warm(step, n):
-    """Solve the assembled problem of n units from the last solution of that size; False leaves it to Python."""
+def _solve(step, n):
+    """Solve the assembled problem of n units in the usual ways; False leaves it to Python."""
     counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
     address, tolerance = integers(step[CONE_TABLES], counts[MAX_UNITS] + 1)[n], numbers[CONE_TOLERANCE]
     if address == 0:
@@ -236,15 +235,15 @@ def _solve_warm(step, n):
         reals(step[LOADS], 3 * n),
         reals(step[FRICTION], n),
         known,
-        cone.NEAR,
-        NEWTON_PASSES if n == 1 else WARM_PASSES,
+        counts[CONE_TASK],
+        0,
         tolerance,
         0,
-        1,
+        0,
     )
     if not residual <= tolerance:
         return False
-    counts[EXACT_SOLVES if integers(known[cone.COUNTS], 2)[1] != 0 else WARM_SOLVES] += 1
+    counts[SOLVED_HERE] += 1
     numbers[CONE_RESIDUAL] = max(numbers[CONE_RESIDUAL], residual)
     step[CONE_FORCES], step[CONE_VELOCITIES] = known[cone.FORCES], known[cone.VELOCITIES]
     step[CONE_MODES] = known[cone.MODES]
@@ -263,7 +262,7 @@ def _impulses(table, step, found):
         n = counts[UNITS]
         if found == UNSOLVED:
             return NO_FORCE
-        if found == FRESH and n > 0 and not _solve_warm(step, n):
+        if found == FRESH and n > 0 and not _solve(step, n):
             return CONE_LEFT
         found = FRESH
         status = advance(table, step)

@@ -18,7 +18,7 @@ from ..callback import kernel_address
 from ..dynamics.modes import ModeSolver
 from ..dynamics.system import System
 from ..errors import ContourError
-from ..friction.cone import solve_cones
+from ..friction.attempt import solve_cones
 from ..friction.solve import ContactSolver
 from ..jit import compile_kernels
 from ..layout import (
@@ -53,10 +53,10 @@ from .impulse_layout import (
     CONE_FORCES,
     CONE_MODES,
     CONE_RESIDUAL,
+    CONE_TASK,
     CONE_TOLERANCE,
     CONE_VELOCITIES,
     DRY_FRICTION,
-    EXACT_SOLVES,
     JOINT_INTS,
     KEPT,
     KEPT_HIGH,
@@ -67,6 +67,7 @@ from .impulse_layout import (
     RUN_END,
     RUN_START,
     SHIFT,
+    SOLVED_HERE,
     STEP_LIMIT,
     STEP_SIZE,
     STEP_SLOTS,
@@ -75,7 +76,6 @@ from .impulse_layout import (
     TURNS,
     UNITS,
     UPPER_LIMIT,
-    WARM_SOLVES,
     WATCHED,
     H,
     step_memory,
@@ -190,7 +190,7 @@ class MoreauStep:
         self._table = system.table
         memory["calls"][: len(_CALLED)] = [kernel_address(entry) for entry in _CALLED]
         memory["calls"][CALL_FAILED] = id(False)
-        memory["numbers"][CONE_TOLERANCE] = self.solver.tolerance
+        memory["numbers"][CONE_TOLERANCE], memory["counts"][CONE_TASK] = self.solver.tolerance, self.solver.task
         memory.keep()
         self._begin_anew()
 
@@ -198,6 +198,7 @@ class MoreauStep:
         system = self.system
         self.softened = self._left = 0
         self._asked: tuple[Callable[[], bool], tuple[()]] | None = None
+        self._share_tables()
         if self._viscous:
             # the mass matrix with viscous friction couples branches of the tree
             system.memory["parents"][:] = np.arange(max(system.nv, 1)) - 1
@@ -296,9 +297,13 @@ class MoreauStep:
             )
         self._left += 1
         solver = self.solver
-        solved = solver.solve(*problem) or (thorough and self._solve_hard(n, *problem))
-        self._share_warm_starts()
-        if not solved:
+        if self.memory["cone_tables"][n]:
+            # the usual path has been tried
+            solved = solver.search(*problem)
+        else:
+            solved = solver.solve(*problem)
+            self._share_tables()
+        if not solved and not (thorough and self._solve_hard(n, *problem)):
             return False
         self._numbers[CONE_RESIDUAL] = max(self._numbers[CONE_RESIDUAL], solver.residual)
         # each size has buffers of its own
@@ -307,23 +312,21 @@ class MoreauStep:
         self.table[CONE_MODES] = address_of(solver.modes)
         return True
 
-    def _share_warm_starts(self) -> None:
-        """Let compiled steps know the solver's last solutions."""
-        tables = self.memory["cone_tables"]
-        tables[:] = 0
-        for size, table in self.solver.warm_tables():
-            tables[size] = address_of(table)
+    def _share_tables(self) -> None:
+        """Let compiled steps know where the solver works."""
+        for size, table in self.solver.tables():
+            if size < self.memory["cone_tables"].size:
+                self.memory["cone_tables"][size] = address_of(table)
 
     @property
     def cone_problems(self) -> int:
         """How many there have been."""
-        return self._left + int(self._counts[[WARM_SOLVES, EXACT_SOLVES]].sum())
+        return self._left + int(self._counts[SOLVED_HERE])
 
     @property
     def decided(self) -> dict[str, int]:
         """How many of them were solved by which stage of the solver."""
-        here = {"warm": int(self._counts[WARM_SOLVES]), "exact": int(self._counts[EXACT_SOLVES])}
-        return {stage: count + here.get(stage, 0) for stage, count in self.solver.decided.items()}
+        return self.solver.decided
 
     @property
     def rigid(self) -> int:
@@ -431,12 +434,11 @@ class MoreauStep:
         other.solver.forget()
         for solution in self.solver.warm_starts():
             other.solver.warm_start(*solution)
-        other._share_warm_starts()
+        other._share_tables()
 
     def forget(self) -> None:
         """Let the next step depend on the state alone."""
         self.solver.forget()
-        self._share_warm_starts()
 
 
 class MoreauDriver:

@@ -9,31 +9,50 @@ from __future__ import annotations
 
 import ctypes
 from functools import cache
+from inspect import Parameter, Signature
 from typing import Any
 
 import numba
 from numba import types
 from numba.extending import intrinsic
 
-from .jit import ENTRIES
+from .jit import ENTRIES, INTEGER, REAL
 
 # `call_python(function, arguments, failure)`: addresses of a callable, of its tuple of arguments and of the result that
 # means failure (False); returns whether it succeeded. An exception stays set, and is raised where the kernel returns.
 call_python: Any
-# `call_kernel(address, table, time, choice)`: an entry kernel of (INTEGER, REAL, INTEGER) at the address that
-# `kernel_address` gives; returns its integer.
-call_kernel: Any
+
+
+def kernel_caller(returned: Any, *arguments: Any) -> Any:
+    """`f(address, ...)` for kernels: calls the entry kernel of these numba types at an address that `kernel_address`
+    gives, and returns what it returns."""
+    if numba.config.DISABLE_JIT:
+        return lambda address, *values: _thing(address)(*values)
+
+    def definition(typing_context, address, *given):
+        def generate(context, builder, signature, values):
+            from llvmlite import ir
+
+            kinds = [context.get_value_type(kind) for kind in arguments]
+            function = ir.FunctionType(context.get_value_type(returned), kinds)
+            return builder.call(builder.inttoptr(values[0], function.as_pointer()), values[1:])
+
+        return returned(types.int64, *arguments), generate
+
+    # numba reads the number of arguments off the signature
+    names = ("typing_context", "address", *(f"argument{i}" for i in range(len(arguments))))
+    definition.__signature__ = Signature([Parameter(n, Parameter.POSITIONAL_OR_KEYWORD) for n in names])  # type: ignore[attr-defined]
+    return intrinsic(definition)
+
+
+def _thing(address: int) -> Any:
+    return ctypes.cast(int(address), ctypes.py_object).value
+
 
 if numba.config.DISABLE_JIT:
 
-    def _thing(address: int) -> Any:
-        return ctypes.cast(int(address), ctypes.py_object).value
-
     def call_python(function, arguments, failure):
         return _thing(function)(*_thing(arguments)) is not _thing(failure)
-
-    def call_kernel(address, table, time, choice):
-        return _thing(address)(table, time, choice)
 
 else:
 
@@ -60,16 +79,9 @@ else:
 
         return types.boolean(types.int64, types.int64, types.int64), generate
 
-    @intrinsic
-    def call_kernel(typing_context, address, table, time, choice):
-        def generate(context, builder, signature, values):
-            from llvmlite import ir
 
-            kinds = [context.get_value_type(kind) for kind in signature.args[1:]]
-            function = ir.FunctionType(context.get_value_type(signature.return_type), kinds)
-            return builder.call(builder.inttoptr(values[0], function.as_pointer()), values[1:])
-
-        return types.int64(types.int64, types.int64, types.float64, types.int64), generate
+# an entry kernel of (table address, time, choice), such as one that evaluates
+call_kernel = kernel_caller(INTEGER, INTEGER, REAL, INTEGER)
 
 
 @cache

@@ -360,7 +360,8 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, T
 COUNTERS_SIZE = 25
 
 # what kernels call by address: a Python function to be asked first, or 0, and its arguments; one or two of Pinocchio's
-# algorithms and theirs; the result that means failure; the evaluation and the address of the table that it is given
+# algorithms and theirs; the result that means failure; the evaluation and the address of the table that it is given;
+# two algorithms that give places, velocities and Jacobians alone
 (
     ASKED,
     ASKED_WITH,
@@ -371,5 +372,9 @@ COUNTERS_SIZE = 25
     CALL_FAILED,
     EVALUATION,
     OWN_TABLE,
-) = range(9)
-CALLBACK_SIZE = 9
+    PLACED,
+    PLACED_WITH,
+    PLACED_NEXT,
+    PLACED_NEXT_WITH,
+) = range(13)
+CALLBACK_SIZE = 13

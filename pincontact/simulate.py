@@ -11,7 +11,7 @@ import numpy as np
 
 from .arguments import NOT_REAL, is_number, real_array
 from .dynamics.joints import check_guards
-from .dynamics.spare import put_back, take_spare
+from .dynamics.spare import Spare, put_back, take_spare
 from .errors import ArgumentError, ContactError
 from .integration.driver import Driver, Options
 from .integration.events import UserEvent
@@ -108,7 +108,7 @@ def simulate(
 
     if pair is None:
         run = _simulate_moreau(
-            scene, state, duration, step, system, users, times, max_steps, torque, failed_control, progress, began
+            scene, state, duration, step, spare, users, times, max_steps, torque, failed_control, progress, began
         )
         if run.success:
             put_back(scene, spare)
@@ -149,7 +149,7 @@ def _simulate_moreau(
     state: State,
     duration: float,
     step: float | None,
-    system: System,
+    spare: Spare,
     users: list[UserEvent],
     times: np.ndarray | None,
     max_steps: int,
@@ -158,15 +158,19 @@ def _simulate_moreau(
     progress: bool,
     began: float,
 ) -> Trajectory:
-    """The run of method "Moreau" on a system whose discrete state is set."""
+    """The run of method "Moreau" on a spare's system, whose discrete state is set."""
     from .integration.moreau import DEFAULT_STEP, MoreauDriver, MoreauStep
     from .integration.stages import load_state
 
     size = DEFAULT_STEP if step is None else step
+    system, stepper = spare.system, spare.stepper
     end = system.nq + system.nv
     system.state[: system.nq], system.state[system.nq : end] = state.q, state.v
     system.state[end : end + 4 * system.nc] = state.location.ravel()
-    stepper = MoreauStep(system, system.contacts)
+    if stepper is None:
+        stepper = spare.stepper = MoreauStep(system, system.contacts)
+    else:
+        stepper.renew()
     record = Record(system, with_torques=torque is not None or stepper.acts_on_joints)
 
     def add(t: float) -> None:
@@ -180,7 +184,16 @@ def _simulate_moreau(
 
     with _Bar(progress, state.t, duration) as bar:
         driver = MoreauDriver(
-            stepper, users, add, size, times, max_steps, torque, failed_control, bar.update if progress else None
+            stepper,
+            users,
+            add,
+            record.flush,
+            size,
+            times,
+            max_steps,
+            torque.ask if torque is not None else None,
+            failed_control,
+            bar.update if progress else None,
         )
         code, message = driver.run(state.t, state.t + duration)
     if times is None and not len(record):
@@ -199,7 +212,7 @@ def _simulate_moreau(
         "cone_problems": stepper.cone_problems,
         "rigid": stepper.rigid,
         "softened": stepper.softened,
-        "decided": dict(stepper.solver.decided),
+        "decided": stepper.decided,
         "qp": stepper.solver.qp_count,
         "cone_residual": stepper.worst_residual,
         "wall_time": time.perf_counter() - began,

@@ -452,8 +452,8 @@ def test_ideal_rolling_without_normal_force(h):
     np.testing.assert_array_equal(track.normal_force[slides], 0.0)
     assert track.tangential_force[slides].min() >= 3.0
     power = np.einsum("ij,ij->i", track.force, track.slip_velocity)[slides]
-    # zero where the slip is about to begin
-    assert power[0] <= 0.0 and power[1:].max() < 0.0
+    # zero, to the rounding of speeds of 1 m/s, where the slip is about to begin
+    assert power[0] <= 1e-14 and power[1:].max() < 0.0
     # the midpoint's force is that of the end to first order
     assert track.normal_force[~slides].min() >= -h
     assert np.abs(track.gap).max() <= 1e-14
@@ -517,8 +517,8 @@ def test_second_order(name):
         errors.append(
             max(np.abs(motion.p[-1] - expected["p"][last]).max(), np.abs(motion.v[-1] - expected["v"][last]).max())
         )
-    # 4 within what the next order leaves at these steps
-    assert errors[0] / errors[1] >= 3.2
+    # 4 within what the next order leaves at these steps; a homogeneous ball on a plane is followed to round-off
+    assert errors[0] / errors[1] >= 3.2 or errors[1] <= 1e-12
     assert errors[1] <= 5e-3
 
 
@@ -654,22 +654,95 @@ def tippe_top():
     return scene, scene.initial_state(q, [0.0, 0.0, 0.0, 0.0, 0.0, 180.0])
 
 
-def test_steps_in_which_bodies_turn_far():
-    """Where a body turns by half a radian and more in a step the velocity foretold from the last step makes energy;
-    the corrected one does not."""
+@pytest.mark.parametrize("step", [1.25e-3, 2.5e-3, 5e-3, 1.25e-2, 2.5e-2])
+def test_steps_in_which_bodies_turn_far(step):
+    """A top that turns by up to 4.5 rad in a step: no energy is made, and it goes where it goes with short steps."""
     scene, state = tippe_top()
-    for step in (1.25e-3, 2.5e-3, 5e-3):
-        run = stepped(scene, state, 0.5, step)
-        total = run.energies().total
-        # friction takes seven thousandths of the energy; what corrected steps may add is less than that
-        assert total.max() <= 1.001 * total[0]
-        assert np.linalg.norm(run.q[-1, :2]) < 0.15
+    run = stepped(scene, state, 0.5, step)
+    total = run.energies().total
+    # friction takes seven thousandths of the energy
+    assert total.max() <= (1.0 + 1e-6) * total[0]
+    exact = pc.simulate(scene, state, 0.5, t_eval=[0.5], rtol=1e-9)
+    # second order: 2e-3 m of its way of 5e-2 m where steps are 2.5e-2 s
+    assert np.abs(run.q[-1, :3] - exact.q[-1, :3]).max() <= 4.0 * step * step
+
+
+def test_a_free_body_keeps_its_momenta():
+    """An unsymmetric body with its centre of mass off the joint's origin tumbles: momentum and angular momentum to
+    round-off however long the steps are, energy and attitude to second order; with a part that moves in it, too."""
+    model = pin.Model()
+    model.gravity.linear = np.zeros(3)
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "free")
+    inertia = pin.Inertia(1.5, np.array([0.2, -0.1, 0.3]), np.diag([1.0, 2.0, 2.5]))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    scene, data = pc.Scene(model), model.createData()
+    state = scene.initial_state([0, 0, 0, 0, 0, 0, 1], [0.3, 0.2, -0.1, 1.0, 1.2, 0.8])
+
+    def momenta(run):
+        out = []
+        for q, v in zip(run.q, run.v):
+            pin.computeCentroidalMomentum(model, data, q, v)
+            out.append(data.hg.vector.copy())
+        return np.array(out)
+
+    errors = []
+    for h in (0.1, 0.05):
+        run = stepped(scene, state, 20.0, h)
+        found = momenta(run)
+        # rounding of 400 steps
+        assert np.abs(found - found[0]).max() <= 1e-12
+        exact = pc.simulate(scene, state, 20.0, t_eval=run.t, rtol=1e-9)
+        errors.append(np.abs(run.q - exact.q).max())
+        kinetic = run.energies().kinetic
+        # no more than the step's square, and no drift: that is a part of it
+        assert np.abs(kinetic / kinetic[0] - 1.0).max() <= 2.0 * h * h
+    assert errors[0] / errors[1] >= 3.2
+
+
+@pytest.mark.parametrize("joint", ["planar", "spherical", "free with a rod"])
+def test_turning_joints_are_second_order(joint):
+    """Other turning joints, and one that carries another joint, so that its composite inertia changes: with gravity and
+    fast turns, against the other method."""
+    model = pin.Model()
+    model.gravity.linear = np.array([0.0, -G, 0.0])
+    kinds = {"planar": pin.JointModelPlanar(), "spherical": pin.JointModelSpherical()}
+    index = model.addJoint(0, kinds.get(joint, pin.JointModelFreeFlyer()), pin.SE3.Identity(), "base")
+    inertia = pin.Inertia(1.5, np.array([0.1, -0.05, 0.2]), np.diag([0.1, 0.2, 0.25]))
+    model.appendBodyToJoint(index, inertia, pin.SE3.Identity())
+    if joint == "free with a rod":
+        index = model.addJoint(index, pin.JointModelRY(), pin.SE3.Identity(), "rod")
+        rod = pin.Inertia(0.5, np.array([0.3, 0.0, 0.0]), np.diag([1e-3, 0.02, 0.02]))
+        model.appendBodyToJoint(index, rod, pin.SE3.Identity())
+    scene = pc.Scene(model)
+    state = scene.initial_state(pin.neutral(model), np.linspace(1.0, 4.0, model.nv))
+    exact = pc.simulate(scene, state, 1.0, t_eval=[1.0], rtol=1e-10)
+    errors = []
+    for h in (4e-3, 2e-3):
+        run = stepped(scene, state, 1.0, h, t_eval=[1.0])
+        errors.append(np.abs(np.r_[run.q[-1] - exact.q[-1], run.v[-1] - exact.v[-1]]).max())
+    # 4 within what the next order leaves at these steps
+    assert errors[0] / errors[1] >= 3.5
 
 
 def test_too_long_steps_are_named():
-    """Two radians in a step, where no iteration converges: the run ends and says why, before it leaves the scene."""
-    scene, state = tippe_top()
-    run = pc.simulate(scene, state, 0.5, method="Moreau", step=0.0125)
+    """Links that turn by more than a radian in a step, where no iteration converges: the run ends and says why."""
+    model, joint = pin.Model(), 0
+    for i in range(2):
+        joint = model.addJoint(joint, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.4 * i, 0.0, 0.0])), f"j{i}")
+        inertia = pin.Inertia(1.0, np.array([0.3, 0.0, 0.0]), 0.02 * np.eye(3))
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    scene = pc.Scene(model)
+    run = pc.simulate(scene, scene.initial_state([0.0, 1.0], [5.0, 8.0]), 5.0, method="Moreau", step=0.2)
     assert run.status == -9
     assert "the step is too long" in run.message
-    assert np.abs(run.q).max() < 1.5
+
+
+def test_runaways_are_told_apart():
+    """A spring that is too stiff for the step: whatever fails in the end, the message has the cause."""
+    scene = body_scene(pin.JointModelFreeFlyer(), 1.0)
+    state = scene.initial_state(upright(0.0, 0.0, 0.0), [0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+    run = pc.simulate(
+        scene, state, 100.0, method="Moreau", step=0.1, control=lambda t, q, v: np.r_[-1e3 * q[0], np.zeros(5)]
+    )
+    assert run.status < 0
+    assert "in a step of 0.1 s" in run.message

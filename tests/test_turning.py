@@ -371,9 +371,9 @@ def test_rolling_ball_stops(law, bilateral):
         run = pc.simulate(scene, on_the_floor(scene, v), 1.2 * stops, method="Moreau", step=size, energies=True)
         assert run.status == 0, run.message
         errors.append(np.abs(run.q[-1, :3] - run.q[0, :3] - 0.5 * speed * stops * along).max())
-    # second order in the angle turned in a step, with or without resistance
     turned = speed / RADIUS * step
-    assert errors[1] <= 0.3 * errors[0] and errors[1] <= speed * stops * turned**2
+    # it misses what the mean speed of the last step hides
+    assert errors[0] <= slowing * (2.0 * step) ** 2 and errors[1] <= slowing * step**2
     rolling, resting = run.t < stops - step, run.t > stops + step
     speeds = np.linalg.norm(run.v[rolling, :3], axis=1)
     np.testing.assert_allclose(speeds, speed - slowing * run.t[rolling], rtol=0.0, atol=speed * turned**2)

@@ -31,9 +31,6 @@ from ..layout import (
     CALLBACK,
     CALLBACK_SIZE,
     CALLED,
-    CALLED_NEXT,
-    CALLED_NEXT_WITH,
-    CALLED_WITH,
     CHART,
     CONSTRAINT_ROWS,
     CONTACT_INT,
@@ -98,6 +95,7 @@ from ..layout import (
     PARENTS,
     PATTERN,
     PERMUTATION,
+    PLACED,
     RATES,
     REFERENCE,
     REFERENCE_MOVES,
@@ -141,7 +139,7 @@ from .linear import factorize_tree, solve_gram, unwhiten, whiten
 from .resistance import count_items, free_with_owners, resistance_kinematics, resists
 
 # What an evaluation may be confined to.
-KINEMATICS_OF_ALL, KINEMATICS_OF_CLOSED = 1, 2
+KINEMATICS_OF_ALL, KINEMATICS_OF_CLOSED, PLACES_OF_ALL = 1, 2, 3
 # Rows with a larger entry are not looked at; others are round-off where they are below this part of their terms.
 _SMALL_ROW = 1e-9
 _ROW_ROUND_OFF = 1e-13
@@ -152,6 +150,7 @@ def evaluate_state(table_address, time, only_kinematics):
     """Pinocchio's terms and one evaluation at (q, v); a status of `layout`.
 
     only_kinematics: KINEMATICS_OF_ALL for locations, rows and biases of all contacts, open ones too, and no forces;
+    PLACES_OF_ALL for the same without biases, and Pinocchio's mass matrix and bias forces left as they are;
     KINEMATICS_OF_CLOSED for those of closed contacts; 0 for everything.
     """
     table = integers(table_address, TABLE_SIZE)
@@ -161,22 +160,22 @@ def evaluate_state(table_address, time, only_kinematics):
     if asked != 0:
         if not call_python(asked, callback[ASKED_WITH], callback[CALL_FAILED]):
             return NOT_FINITE
-        if not _torques_finite(table, time):
+        if not torques_finite(table, time):
             return NOT_FINITE
-    if not call_python(callback[CALLED], callback[CALLED_WITH], callback[CALL_FAILED]):
-        return NOT_FINITE
-    more = callback[CALLED_NEXT]
-    if more != 0 and not call_python(more, callback[CALLED_NEXT_WITH], callback[CALL_FAILED]):
-        return NOT_FINITE
+    first = PLACED if only_kinematics == PLACES_OF_ALL else CALLED
+    for i in range(first, first + 4, 2):
+        called = callback[i]
+        if called != 0 and not call_python(called, callback[i + 1], callback[CALL_FAILED]):
+            return NOT_FINITE
     counters[EVALUATION_COUNT] += 1
-    status = evaluate_contacts(table, time, only_kinematics == KINEMATICS_OF_ALL)
+    status = evaluate_contacts(table, time, only_kinematics in (KINEMATICS_OF_ALL, PLACES_OF_ALL))
     if status != OK or only_kinematics != 0:
         return status
     return evaluate_dynamics(table, time)
 
 
 @kernel
-def _torques_finite(table, time):
+def torques_finite(table, time):
     """Whether the user's torques are numbers to go on with; else the first that is not is noted."""
     nv = integers(table[SIZES], 8)[NV]
     tau, scalars = reals(table[TAU], nv), reals(table[SCALARS], SCALARS_SIZE)

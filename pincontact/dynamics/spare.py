@@ -18,6 +18,7 @@ from .system import System
 
 if TYPE_CHECKING:
     from ..contacts import AttachedContour, Contact
+    from ..integration.moreau import MoreauStep
     from ..scene import Scene
 
 # not in the scene, whose copies must not share it
@@ -36,6 +37,8 @@ class Spare:
         self._sides = [(side, side.placement_in_joint.copy(), _numbers(side)) for side in _sides(self._contacts)]
         self.system = System(scene.model, self._contacts, works, joint_guards(scene.model), resistances)
         self.system.memory.keep()
+        # what time stepping has made for this system, see `MoreauStep.renew`
+        self.stepper: MoreauStep | None = None
 
     def fits(self, scene: Scene, works: bool, resistances: bool) -> bool:
         """Whether a new system would be the same."""

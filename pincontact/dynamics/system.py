@@ -80,6 +80,7 @@ from ..layout import (
     OWN_TABLE,
     OWNER,
     PATTERN,
+    PLACED,
     POLYNOMIAL_SIZE,
     POOL_ADDRESS,
     POOL_SIZE,
@@ -169,6 +170,11 @@ class System:
         self.algorithms = pinocchio_calls(model, self.data, self.q, self.v)
         for function, arguments in self.algorithms:
             function(*arguments)
+        # what places, velocities and Jacobians alone come from
+        self.placing = [
+            (pin.forwardKinematics, (model, self.data, self.q, self.v)),
+            (pin.computeJointJacobians, (model, self.data)),
+        ]
         self._map_pinocchio()
         table = memory.integers("joint_table", max(len(blocks), 1), 4)
         if blocks:
@@ -362,6 +368,7 @@ class System:
         addresses = [id(thing) for call in self.algorithms for thing in call]
         callback[[CALLED, CALLED_WITH]] = addresses[:2]
         callback[[CALLED_NEXT, CALLED_NEXT_WITH]] = addresses[2:] or 0
+        callback[PLACED : PLACED + 4] = [id(thing) for call in self.placing for thing in call]
         callback[CALL_FAILED] = id(False)
         callback[[EVALUATION, OWN_TABLE]] = kernel_address(evaluate_state), address_of(self.table)
         self._asked_for_drives = (self._to_be_asked(None), ()) if self.python_drives else None

@@ -246,10 +246,27 @@ class ContactSolver:
             space.velocities[:] = velocities.reshape(-1)
         space.counts[KNOWN] = 1
 
+    def warm_starts(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """The last solution of every size, as `warm_start` takes it; views."""
+        return [(space.modes, space.forces, space.velocities) for space in self._spaces.values() if space.counts[KNOWN]]
+
+    def tables(self) -> list[tuple[int, np.ndarray]]:
+        """(contacts, table of `cone_memory`) of every size of problem there has been, for `attempt.solve_cones`."""
+        return [(size, space.table) for size, space in self._spaces.items()]
+
     def forget(self) -> None:
         """Drop all warm starts."""
         for space in self._spaces.values():
             space.counts[KNOWN] = 0
+
+    def renew(self) -> None:
+        """Be as new, with the buffers that there are."""
+        self.forget()
+        self.residual, self.jammed, self.certificate = 0.0, False, None
+        self.path_count = self.qp_count = self._qp_before = 0
+        for space in self._spaces.values():
+            space.counts[:] = 0
+            space.counts[DECIDED] = -1
 
     def solve(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Solve one problem: delassus (3n, 3n) symmetric, b (3n,), mu (n,), C-contiguous float64. True if solved."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ..layout import CONTACT_INTS
 from ..memory import Memory
+from .carrying import INERTIA_SIZE
 
 # Arrays of one step, by slot of their own table; ns units, ne equations.
 STEP_SLOTS = (
@@ -17,7 +18,12 @@ STEP_SLOTS = (
     "start_normal",  # (nc, 2) components of v_c along n and the second normal
     "start_gap",  # (nc,)
     "start_mode",  # (nc,) int
-    "trend",  # (nv,) mean acceleration of the last step
+    "trend",  # (nv,) mean acceleration of the last step, in the start's axes
+    "carried_v",  # (nv,) v_0, and the trend, in the axes of the midpoint
+    "carried_trend",
+    "seen_v",  # (nv,) v_0 in the axes of the step's end
+    "turning_rate",  # (nv,) of velocities at the midpoint, see `carrying`
+    "inertias",  # (nblocks, INERTIA_SIZE) of turning joints at the start, see `carrying`
     "change",  # (nv,) v_free - v_0
     "restitution",  # (nc,)
     "sticking",  # (nc,) coefficient up to which a contact at rest sticks
@@ -49,6 +55,9 @@ STEP_SLOTS = (
     "torques",  # (nc, 3) what resists spinning and rolling, likewise
     "orientation",  # (nc,): -1 where the user named the contours the other way round
     "known",  # (nc, CONTACT_INTS + 2) int: the contact's integers and charts after the last step
+    "calls",  # (NCALLS,) int: what steps call by address
+    "cone_tables",  # (ns + 1,) int: by number of units the cone solver's table, 0 where there is none yet
+    "set_aside",  # (nv,) the user's torques, while an output has others
 )
 (
     COUNTS,
@@ -62,6 +71,11 @@ STEP_SLOTS = (
     START_GAP,
     START_MODE,
     TREND,
+    CARRIED_V,
+    CARRIED_TREND,
+    SEEN_V,
+    TURNING_RATE,
+    INERTIAS,
     CHANGE,
     RESTITUTION,
     STICKING,
@@ -93,16 +107,64 @@ STEP_SLOTS = (
     TORQUES,
     ORIENTATION,
     KNOWN,
+    CALLS,
+    CONE_TABLES,
+    SET_ASIDE,
 ) = range(len(STEP_SLOTS))
 
-# counts; RIGID: the laws hold for velocities in the midpoint's geometry, see `impulse_problem`
-NJ, MAX_UNITS, MAX_EQUATIONS, UNITS, NEQ, HAS_TREND, TOUCHED, REVIEWS, RIGID = range(9)
-NCOUNTS = 9
+# counts. RIGID: the laws hold for velocities in the midpoint's geometry, see `impulse_problem`. Of an attempt: PASSES
+# over its midpoint before the present one, TREND_BEFORE what counts[HAS_TREND] is without them, THOROUGH whether its
+# cone problems are solved with all means. CHANGED: whether anything discrete is another since the last step. Of a run:
+# STEPS done and LAST, STEP_LIMIT, WATCHED: whether every step is looked at before it is accepted, TURNS: whether
+# anything resists turning. SOLVED_HERE: cone problems that were solved in compiled code, by CONE_TASK;
+# RIGID_STEPS: those that had a solution in rigid geometry only.
+(
+    NJ,
+    MAX_UNITS,
+    MAX_EQUATIONS,
+    UNITS,
+    NEQ,
+    HAS_TREND,
+    TOUCHED,
+    REVIEWS,
+    RIGID,
+    PASSES,
+    TREND_BEFORE,
+    THOROUGH,
+    CHANGED,
+    STEPS,
+    LAST,
+    STEP_LIMIT,
+    WATCHED,
+    TURNS,
+    SOLVED_HERE,
+    CONE_TASK,
+    RIGID_STEPS,
+) = range(21)
+NCOUNTS = 21
 # counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
 ACCELERATION, MEAN_VELOCITY = 1, 2
 # numbers; FREE_CHANGE: norm of the change of velocity without impulses, in the mass metric; MISS: how far the
-# midpoint's velocity was from the step's mean velocity, relative to that, in the metric of the masses
-H, KEPT, KEPT_LOW, KEPT_HIGH, FREE_CHANGE, MISS = range(6)
+# midpoint's velocity was from the step's mean velocity, relative to that, in the metric of the masses; of a run, in s,
+# RUN_START, RUN_END and STEP_SIZE; what is asked of cone problems, and the largest residual of any
+(
+    H,
+    KEPT,
+    KEPT_LOW,
+    KEPT_HIGH,
+    FREE_CHANGE,
+    MISS,
+    RUN_START,
+    RUN_END,
+    STEP_SIZE,
+    CONE_TOLERANCE,
+    CONE_RESIDUAL,
+) = range(11)
+NNUMBERS = 11
+# calls: `run_task`, `solve_cones`, `assemble`, `move_charts`; a Python function that sets the torques, or 0, its
+# arguments and the result that means failure
+RUN_TASK, SOLVE_CONES, ASSEMBLE, MOVE_CHARTS, ASKED, ASKED_WITH, CALL_FAILED = range(7)
+NCALLS = 7
 # joint_int
 JOINT_KIND, JOINT_Q, JOINT_V, JOINT_GUARD = range(4)
 JOINT_INTS = 4
@@ -117,21 +179,23 @@ IMPULSE_TIME, SHIFT, APPROACH, FREE_RATE, START_T1, START_T2, UNIT_LOAD, SLIDING
 UNIT_REALS = 10
 
 
-def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int) -> Memory:
+def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks: int) -> Memory:
     """The arrays of `STEP_SLOTS` for a system with ng guarded joint coordinates, nj limits and dry frictions of these,
-    and nt resistances to turning."""
+    nt resistances to turning, and nblocks blocks of the configuration."""
     memory = Memory(STEP_SLOTS)
     contacts, units, equations = max(nc, 1), max(nc + nj + nt, 1), max(3 * nc, 1)
     counts = memory.integers("counts", NCOUNTS)
     counts[[NJ, MAX_UNITS, MAX_EQUATIONS]] = nj, units, equations
-    memory.reals("numbers", 8)
+    memory.reals("numbers", NNUMBERS)
     memory.reals("start_q", nq)
-    for name in ("start_v", "trend", "change", "joint_impulse", "displacement", "mean"):
+    carried = "carried_v", "carried_trend", "seen_v", "turning_rate"
+    for name in ("start_v", "trend", *carried, "change", "joint_impulse", "displacement", "mean", "set_aside"):
         memory.reals(name, max(nv, 1))
     for name in ("start_location", "start_rates"):
         memory.reals(name, contacts, 4)
     for name in ("start_slip", "contact_impulse", "forces", "torques"):
         memory.reals(name, contacts, 3)
+    memory.reals("inertias", max(nblocks, 1), INERTIA_SIZE)
     memory.reals("start_normal", contacts, 2)
     for name in ("start_gap", "restitution", "sticking", "load", "touch_time", "orientation"):
         memory.reals(name, contacts)
@@ -149,6 +213,8 @@ def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int) -> Memory:
         memory.reals(name, 3 * units)
     memory.reals("friction", units)
     memory.integers("cone_modes", units)
+    memory.integers("calls", NCALLS)
+    memory.integers("cone_tables", units + 1)
     memory.integers("equation_index", equations, 2)
     memory.reals("equations", equations, nv)
     memory.reals("equation_factor", equations, equations)

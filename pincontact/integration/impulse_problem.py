@@ -9,9 +9,10 @@ Viscous friction of contacts enters like joint damping, with the velocity of sli
 Coefficients that depend on the speed of slip are those of its speed at the midpoint; elliptic cones are stretched to
 round ones (see `friction.ellipse`).
 
-The relative velocity u at the step's end is w_0 + rows (v_1 - v_0) + h bias to second order, or, to first order,
-w_m + rows (v_1 - v_m) in the midpoint's geometry: that is the velocity of bodies that are rigid to the last bit, so
-that redundant contacts can all come to rest, and impulses change the kinetic energy of just these velocities. Steps
+Velocities are in the axes of the midpoint, and bias forces and biases without what comes of axes that turn (see
+`impulses`). The relative velocity u at the step's end is w_0 + rows (v_1 - v_0) + h bias to second order, or, to first
+order, w_m + rows (v_1 - v_m) in the midpoint's geometry: that is the velocity of bodies that are rigid to the last bit,
+so that redundant contacts can all come to rest, and impulses change the kinetic energy of just these velocities. Steps
 with impacts take it, and those in which redundant contacts contradict each other by what the first one leaves out.
 Sliding contacts take the mean of u and w_0 instead, which makes friction second order too, until one of them stops.
 """
@@ -81,6 +82,8 @@ from .impulse_layout import (
     APPROACH,
     AT_REST,
     AXIS,
+    CARRIED_TREND,
+    CARRIED_V,
     CHANGE,
     COUNTS,
     DELASSUS,
@@ -116,6 +119,7 @@ from .impulse_layout import (
     NCOUNTS,
     NEQ,
     NJ,
+    NNUMBERS,
     NUMBERS,
     ON_CONTACT,
     ON_JOINT,
@@ -137,11 +141,10 @@ from .impulse_layout import (
     START_SLIP,
     START_T1,
     START_T2,
-    START_V,
     STICKING,
     TOUCHED,
     TOUCHES,
-    TREND,
+    TURNING_RATE,
     UNIT_INDEX,
     UNIT_INT,
     UNIT_INTS,
@@ -188,7 +191,7 @@ def touch_instant(gap, speed, rate, touching, h):
 @kernel
 def rigid_velocity(table, step, c, row, nv, nc):
     """Component of v_c along a basis row at the start's velocity, in the midpoint's geometry."""
-    rows, v0, middle = cube(table[ROWS], nc, 3, nv), reals(step[START_V], nv), reals(table[V], nv)
+    rows, v0, middle = cube(table[ROWS], nc, 3, nv), reals(step[CARRIED_V], nv), reals(table[V], nv)
     value = dot(cube(table[BASIS], nc, 3, 3)[c, row], matrix(table[SLIP], nc, 3)[c])
     for k in range(nv):
         value += rows[c, row, k] * (v0[k] - middle[k])
@@ -267,7 +270,7 @@ def _add_unit(step, kind, index, mask, mu, instant):
     ints[TOUCHES] = ints[MIDPOINT] = ints[AT_REST] = 0
     for i in range(UNIT_REALS):
         numbers[i] = 0.0
-    numbers[IMPULSE_TIME] = 0.5 * reals(step[NUMBERS], 8)[H]
+    numbers[IMPULSE_TIME] = 0.5 * reals(step[NUMBERS], NNUMBERS)[H]
     if instant >= 0.0:
         numbers[IMPULSE_TIME] = instant
         ints[TOUCHES] = counts[TOUCHED] = counts[RIGID] = 1
@@ -297,7 +300,7 @@ def _gather_contacts(table, step, nv, nc, h):
     friction = reals(step[FRICTION], counts[MAX_UNITS])
     start_mode = integers(step[START_MODE], nc)
     start_gap, start_normal = reals(step[START_GAP], nc), matrix(step[START_NORMAL], nc, 2)
-    sticking, load, trend = reals(step[STICKING], nc), reals(step[LOAD], nc), reals(step[TREND], nv)
+    sticking, load, trend = reals(step[STICKING], nc), reals(step[LOAD], nc), reals(step[CARRIED_TREND], nv)
     basis, slip = cube(table[BASIS], nc, 3, 3), matrix(table[SLIP], nc, 3)
     for c in range(nc):
         mu, two = contact_real[c, MU], contact_int[c, TANGENTS] == 2
@@ -401,7 +404,7 @@ def _gather_joints(table, step, nv, h):
     joint_int, joint_real = integer_matrix(step[JOINT_INT], nj, JOINT_INTS), matrix(step[JOINT_REAL], nj, 2)
     start_end = integers(step[START_END], integers(table[GUARD_COUNT], 1)[0])
     unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
-    q, v, trend = reals(step[START_Q], nq), reals(step[START_V], nv), reals(step[TREND], nv)
+    q, v, trend = reals(step[START_Q], nq), reals(step[CARRIED_V], nv), reals(step[CARRIED_TREND], nv)
     mean = reals(step[MEAN], nv)
     for j in range(nj):
         k = joint_int[j, JOINT_V]
@@ -474,7 +477,7 @@ def _fill_units(table, step, nv, nc, h):
     whitened, overlap = matrix(step[WHITENED], 3 * units, nv), matrix(step[OVERLAP], 3 * units, size)
     equations, share = matrix(step[EQUATIONS], size, nv), reals(step[EQUATION_SHARE], size)
     delassus, b = matrix(step[DELASSUS], 3 * n, 3 * n), reals(step[LOADS], 3 * n)
-    v, change, trend = reals(step[START_V], nv), reals(step[CHANGE], nv), reals(step[TREND], nv)
+    v, change, trend = reals(step[CARRIED_V], nv), reals(step[CHANGE], nv), reals(step[CARRIED_TREND], nv)
     restitution, middle = reals(step[RESTITUTION], nc), reals(table[V], nv)
     contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
     contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
@@ -510,7 +513,10 @@ def _fill_units(table, step, nv, nc, h):
                 turning = _turning(table, index, axis, OMEGA, nc)
                 unit_real[u, DRIVEN_T1 + row] = turned - turning
                 rigid = turning + inner(line, v, nv) - turned
-                beyond = 0.5 * h * _turning(table, index, axis, ALPHA, nc) if counts[RIGID] == 0 else 0.0
+                beyond = 0.0
+                if counts[RIGID] == 0:
+                    rate = inner(line, reals(step[TURNING_RATE], nv), nv)
+                    beyond = 0.5 * h * (_turning(table, index, axis, ALPHA, nc) - rate)
                 start = rigid - beyond
                 gain = inner(line, change, nv) + 2.0 * beyond
             else:
@@ -605,13 +611,13 @@ def assemble(table, step):
     """
     sizes = integers(table[SIZES], 8)
     nv, nc = sizes[NV], sizes[NC]
-    counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)
+    counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
     h = numbers[H]
     counts[UNITS] = counts[NEQ] = counts[REVIEWS] = counts[TOUCHED] = 0
     numbers[KEPT], numbers[KEPT_LOW], numbers[KEPT_HIGH] = 1.0, 0.0, 1.0
     mass, factor = matrix(table[MASS], nv, nv), matrix(table[FACTOR], nv, nv)
     damping, tau, nle = reals(table[DAMPING], nv), reals(table[TAU], nv), reals(table[NLE], nv)
-    v, change, trend = reals(step[START_V], nv), reals(step[CHANGE], nv), reals(step[TREND], nv)
+    v, change, trend = reals(step[CARRIED_V], nv), reals(step[CHANGE], nv), reals(step[CARRIED_TREND], nv)
     for i in range(nv):
         for j in range(i):
             factor[i, j] = mass[i, j]

@@ -36,6 +36,7 @@ from .impulse_layout import (
     MIDPOINT,
     NCOUNTS,
     NEQ,
+    NNUMBERS,
     NUMBERS,
     ON_JOINT,
     ON_LOADED,
@@ -129,7 +130,7 @@ def impulse_work(step, nv, h, scratch):
     (a wedged chain) magnify what the smooth forces do around their instants, which is known to first order only: no
     more of it is counted than the change of velocity and that by the smooth forces allow. scratch: (nv,).
     """
-    counts, numbers_of_step = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)
+    counts, numbers_of_step = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
     kept = numbers_of_step[KEPT]
     n = counts[UNITS]
     unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
@@ -177,7 +178,7 @@ def review(step, nv, h, scratch):
     restitution is lowered where, together with friction, it would create energy (see `dynamics.energy`), or raise the
     kinetic energy by more than the smooth forces account for within a step. scratch: (nv,).
     """
-    counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)
+    counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
     n = counts[UNITS]
     unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
     unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)

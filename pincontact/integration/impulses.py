@@ -6,6 +6,10 @@ with a the velocity's change in the last step over its size. With P the impulses
     (M + (h/2) D) (v_1 - v_0) = h (tau - nle - D v_0) + sum of rows^T P,
 
 and Signorini's and Coulomb's laws hold between P and the relative velocity at the step's end (`impulse_problem`).
+Velocities of free, planar and spherical joints are in the joint's axes, which turn. Within a step all are in the axes
+of the midpoint: v_0 is carried there from the start's, v_1 from there to the end's (see `carrying`), and what that
+changes in their rate is left out of nle and of the biases of v_c. A ball may spin as fast as it likes.
+
 Joint damping D, to which viscous friction of contacts is added, enters by the trapezoidal rule, which no step size
 makes unstable.
 
@@ -24,10 +28,11 @@ from ..friction import cone
 from ..friction.ellipse import stretch_pair
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
-from ..jit import INTEGER, TABLE, entry_kernel, kernel
+from ..jit import kernel
 from ..layout import (
     ANISOTROPIC,
     BASIS,
+    BIAS,
     CHART,
     CONTACT_INT,
     CONTACT_INTS,
@@ -59,6 +64,7 @@ from ..layout import (
     MU,
     NBLOCKS,
     NC,
+    NLE,
     NORMAL_1,
     NORMAL_2,
     NORMAL_SIGN,
@@ -88,12 +94,16 @@ from ..layout import (
     UNILATERAL,
     VISCOUS,
     WORK,
+    Q,
     V,
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
+from .carrying import INERTIA_SIZE, carry, find_inertias, turning_rate
 from .impulse_layout import (
     ACCELERATION,
     AXIS,
+    CARRIED_TREND,
+    CARRIED_V,
     CHANGE,
     CONE_FORCES,
     CONE_MODES,
@@ -109,6 +119,7 @@ from .impulse_layout import (
     FREE_CHANGE,
     HAS_TREND,
     IMPULSE_TIME,
+    INERTIAS,
     JOINT_GUARD,
     JOINT_IMPULSE,
     JOINT_INT,
@@ -128,12 +139,15 @@ from .impulse_layout import (
     NCOUNTS,
     NEQ,
     NJ,
+    NNUMBERS,
     NUMBERS,
     ON_JOINT,
     ON_LOADED,
     ON_TURN,
     ORIENTATION,
+    PASSES,
     ROW_MASK,
+    SEEN_V,
     SHIFT,
     START_END,
     START_GAP,
@@ -151,6 +165,7 @@ from .impulse_layout import (
     TOUCHED,
     TOUCHES,
     TREND,
+    TURNING_RATE,
     UNIT_INDEX,
     UNIT_INT,
     UNIT_INTS,
@@ -168,35 +183,68 @@ from .manifold import displace
 from .stages import DAMPING_WORK, DRIVE_WORK, FRICTION_WORK, NUMBER_OF_WORKS, TORQUE_WORK, hand_over
 
 
-@entry_kernel(TABLE, TABLE)
+@kernel
+def _blocks(table, step, n):
+    """The n blocks of the configuration and their inertias."""
+    return integer_matrix(table[JOINT_TABLE], n, 4), matrix(step[INERTIAS], n, INERTIA_SIZE)
+
+
+@kernel
 def predict_midpoint(table, step):
     """Hand over the midpoint's state, from the start and the last step's acceleration or this one's mean velocity."""
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
     counts = integers(step[COUNTS], NCOUNTS)
-    half = 0.5 * reals(step[NUMBERS], 8)[H]
+    half = 0.5 * reals(step[NUMBERS], NNUMBERS)[H]
     v, trend, mean = reals(step[START_V], nv), reals(step[TREND], nv), reals(step[MEAN], nv)
     displacement = reals(step[DISPLACEMENT], nv)
+    blocks, inertias = _blocks(table, step, sizes[NBLOCKS])
     location, rates = reals(step[START_LOCATION], 4 * nc), reals(step[START_RATES], 4 * nc)
-    state = reals(table[STAGE_STATE], sizes[NY])
+    state, start_q = reals(table[STAGE_STATE], sizes[NY]), reals(step[START_Q], nq)
+    carried, carried_trend = reals(step[CARRIED_V], nv), reals(step[CARRIED_TREND], nv)
     for k in range(nv):
         displacement[k] = half * v[k]
-        state[nq + k] = v[k]
+    displace(blocks, start_q, start_q, displacement, state)
+    carry(blocks, inertias, start_q, state, v, carried)
+    if counts[PASSES] == 0 or counts[HAS_TREND] == ACCELERATION:
+        # else it is what the first pass had
+        carry(blocks, inertias, start_q, state, trend, carried_trend)
+    for k in range(nv):
+        state[nq + k] = carried[k]
         if counts[HAS_TREND] == ACCELERATION:
-            state[nq + k] += half * trend[k]
+            state[nq + k] += half * carried_trend[k]
         elif counts[HAS_TREND] == MEAN_VELOCITY:
             state[nq + k] = mean[k]
-    displace(integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4), reals(step[START_Q], nq), displacement, state)
     for k in range(4 * nc):
         state[nq + nv + k] = location[k] + half * rates[k]
     hand_over(table, state)
 
 
 @kernel
+def leave_turning_axes(table, step):
+    """Take what comes of turning axes alone out of the midpoint's bias forces and biases: there velocities change from
+    v_0 to v_1 in axes that stand still."""
+    sizes = integers(table[SIZES], 8)
+    nv, nc, rate = sizes[NV], sizes[NC], reals(step[TURNING_RATE], sizes[NV])
+    blocks, inertias = _blocks(table, step, sizes[NBLOCKS])
+    if not turning_rate(blocks, inertias, reals(table[V], nv), rate):
+        return
+    mass, nle = matrix(table[MASS], nv, nv), reals(table[NLE], nv)
+    rows, bias = cube(table[ROWS], nc, 3, nv), matrix(table[BIAS], nc, 3)
+    for k in range(nv):
+        if rate[k] != 0.0:
+            for i in range(nv):
+                nle[i] -= mass[max(i, k), min(i, k)] * rate[k]
+    for c in range(nc):
+        for row in range(3):
+            bias[c, row] -= inner(rows[c, row], rate, nv)
+
+
+@kernel
 def _contact_mode(table, step, u, c, nc, h):
     """Mode of contact c after the step, from the solution of its unit u; notes when it touched."""
     counts = integers(step[COUNTS], NCOUNTS)
-    n, kept = counts[UNITS], reals(step[NUMBERS], 8)[KEPT]
+    n, kept = counts[UNITS], reals(step[NUMBERS], NNUMBERS)[KEPT]
     ints = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)[u]
     values = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)[u]
     velocities, cone_mode = reals(step[CONE_VELOCITIES], 3 * n), integers(step[CONE_MODES], n)[u]
@@ -240,7 +288,7 @@ def _distribute(table, step, nv, nc, h):
     impulses, whitened, and in DISPLACEMENT what they displace by acting before or after the middle of the step."""
     counts = integers(step[COUNTS], NCOUNTS)
     n, units, nequations, size = counts[UNITS], counts[MAX_UNITS], counts[NEQ], counts[MAX_EQUATIONS]
-    ng, kept = integers(table[GUARD_COUNT], 1)[0], reals(step[NUMBERS], 8)[KEPT]
+    ng, kept = integers(table[GUARD_COUNT], 1)[0], reals(step[NUMBERS], NNUMBERS)[KEPT]
     contact_int = integer_matrix(table[CONTACT_INT], nc + ng, CONTACT_INTS)
     guard_int = integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
     contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
@@ -335,7 +383,7 @@ def _viscous_impulses(table, step, nv, nc, h, v1):
     contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
     contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
     rows, start_mode = cube(table[ROWS], nc, 3, nv), integers(step[START_MODE], nc)
-    v0, impulse = reals(step[START_V], nv), matrix(step[CONTACT_IMPULSE], nc, 3)
+    v0, impulse = reals(step[CARRIED_V], nv), matrix(step[CONTACT_IMPULSE], nc, 3)
     work = 0.0
     for c in range(nc):
         constant = h * contact_real[c, VISCOUS]
@@ -356,7 +404,7 @@ def _add_works(table, step, nv, nc, h, v1, viscous, works):
     they do on v_c."""
     rows, impulse = cube(table[ROWS], nc, 3, nv), matrix(step[CONTACT_IMPULSE], nc, 3)
     change = reals(step[CHANGE], nv)
-    v0, tau, damping = reals(step[START_V], nv), reals(table[TAU], nv), reals(table[DAMPING], nv)
+    v0, tau, damping = reals(step[CARRIED_V], nv), reals(table[TAU], nv), reals(table[DAMPING], nv)
     on_contacts, on_joints, _, _ = impulse_work(step, nv, h, reals(table[WORK], nv))
     works[FRICTION_WORK] += on_contacts + viscous
     works[DAMPING_WORK] += on_joints
@@ -385,7 +433,7 @@ def _add_works(table, step, nv, nc, h, v1, viscous, works):
         works[DAMPING_WORK] -= h * damping[k] * mean * mean
 
 
-@entry_kernel(TABLE, TABLE)
+@kernel
 def advance(table, step):
     """Review the cone problem's solution and carry out the step: state, modes, impulses; hands over its end.
 
@@ -393,7 +441,7 @@ def advance(table, step):
     """
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    h = reals(step[NUMBERS], 8)[H]
+    h = reals(step[NUMBERS], NNUMBERS)[H]
     equation_impulses(step, nv)
     verdict = review(step, nv, h, reals(table[WORK], nv))
     if verdict != DONE:
@@ -404,7 +452,7 @@ def advance(table, step):
     parents = integers(table[PARENTS], nv)
     unwhiten(factor, parents, nv, gained, gained)
     unwhiten(factor, parents, nv, displacement, displacement)
-    start_q, start_v, state = reals(step[START_Q], nq), reals(step[START_V], nv), reals(table[STAGE_STATE], sizes[NY])
+    start_q, start_v, state = reals(step[START_Q], nq), reals(step[CARRIED_V], nv), reals(table[STAGE_STATE], sizes[NY])
     v1 = state[nq : nq + nv]
     assumed, mass = reals(table[V], nv), matrix(table[MASS], nv, nv)
     total = miss = speed = 0.0
@@ -415,14 +463,22 @@ def advance(table, step):
         miss += mass[k, k] * (mean[k] - assumed[k]) ** 2
         speed += mass[k, k] * mean[k] ** 2
         total += v1[k]
-    numbers = reals(step[NUMBERS], 8)
+    numbers = reals(step[NUMBERS], NNUMBERS)
     # a body that comes to rest is not fast, but neither is it far off
     speed += numbers[FREE_CHANGE] ** 2
     numbers[MISS] = math.sqrt(miss / speed) if miss > 0.0 else 0.0
     if total - total != 0.0:
         return NOT_FINITE
     viscous = _viscous_impulses(table, step, nv, nc, h, v1)
-    displace(integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4), start_q, displacement, state)
+    if sizes[NWORK] > 0:
+        start, works = reals(table[STATE], sizes[NY])[nq + nv + 4 * nc :], state[nq + nv + 4 * nc :]
+        for i in range(NUMBER_OF_WORKS):
+            works[i] = start[i]
+        _add_works(table, step, nv, nc, h, v1, viscous, works)
+    (blocks, inertias), middle = _blocks(table, step, sizes[NBLOCKS]), reals(table[Q], nq)
+    displace(blocks, start_q, middle, displacement, state)
+    carry(blocks, inertias, middle, state, v1, v1)
+    carry(blocks, inertias, middle, state, start_v, reals(step[SEEN_V], nv))
     ng = integers(table[GUARD_COUNT], 1)[0]
     guard_int, guard_real = integer_matrix(table[GUARD_INT], ng, GUARD_INTS), matrix(table[GUARD_REAL], ng, GUARD_REALS)
     for g in range(ng):
@@ -433,11 +489,6 @@ def advance(table, step):
     location, rates = reals(table[LOCATION], 4 * nc), reals(table[RATES], 4 * nc)
     for k in range(4 * nc):
         state[nq + nv + k] = location[k] + 0.5 * h * rates[k]
-    if sizes[NWORK] > 0:
-        start, works = reals(table[STATE], sizes[NY])[nq + nv + 4 * nc :], state[nq + nv + 4 * nc :]
-        for i in range(NUMBER_OF_WORKS):
-            works[i] = start[i]
-        _add_works(table, step, nv, nc, h, v1, viscous, works)
     _report_forces(table, step, nc, h)
     hand_over(table, state)
     return DONE
@@ -454,7 +505,7 @@ def _report_forces(table, step, nc, h):
             forces[c, i] = orientation[c] * value / h
 
 
-@entry_kernel(TABLE, TABLE, INTEGER)
+@kernel
 def commit(table, step, stepped):
     """Make STAGE_STATE the next step's start, with the kinematics of its evaluation, moved on by the last corrections.
 
@@ -463,18 +514,21 @@ def commit(table, step, stepped):
     """
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    counts, h = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], 8)[H]
+    counts, h = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)[H]
     stage, state = reals(table[STAGE_STATE], sizes[NY]), reals(table[STATE], sizes[NY])
     start_q, start_v, trend = reals(step[START_Q], nq), reals(step[START_V], nv), reals(step[TREND], nv)
+    seen_v = reals(step[SEEN_V], nv)
     correction_q, correction_v = reals(table[CORRECTION_Q], nv), reals(table[CORRECTION_V], nv)
     for i in range(sizes[NY]):
         state[i] = stage[i]
     for i in range(nq):
         start_q[i] = stage[i]
+    blocks, inertias = _blocks(table, step, sizes[NBLOCKS])
+    find_inertias(blocks, matrix(table[MASS], nv, nv), inertias)
     counts[HAS_TREND] = ACCELERATION if stepped != 0 and counts[TOUCHED] == 0 else 0
     for k in range(nv):
         if stepped != 0:
-            trend[k] = (stage[nq + k] - start_v[k]) / h
+            trend[k] = (stage[nq + k] - seen_v[k]) / h
         start_v[k] = stage[nq + k]
     basis, rows = cube(table[BASIS], nc, 3, 3), cube(table[ROWS], nc, 3, nv)
     slip, gaps = matrix(table[SLIP], nc, 3), matrix(table[GAPS], nc, 2)

@@ -76,7 +76,7 @@ def _find_blocks(model: pin.Model) -> list[tuple[int, int, int, int]]:
 
 
 @kernel
-def _rotate_by_quaternion(x, y, z, w, a, b, c):
+def rotate_by_quaternion(x, y, z, w, a, b, c):
     """Rotate (a, b, c) by a unit quaternion."""
     tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
     return a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx
@@ -101,7 +101,7 @@ def configuration_rate(blocks, q, unit_q, v, out):
             for i in range(n):
                 out[iq + i] = v[iv + i]
         elif kind == FREE_FLYER:
-            out[iq], out[iq + 1], out[iq + 2] = _rotate_by_quaternion(
+            out[iq], out[iq + 1], out[iq + 2] = rotate_by_quaternion(
                 unit_q[iq + 3], unit_q[iq + 4], unit_q[iq + 5], unit_q[iq + 6], v[iv], v[iv + 1], v[iv + 2]
             )
             _quaternion_rate(q[iq + 3 : iq + 7], v[iv + 3], v[iv + 4], v[iv + 5], out[iq + 3 : iq + 7])
@@ -127,7 +127,7 @@ def to_parent_axes(blocks, unit_q, v, out):
             first = iq + 3 if kind == FREE_FLYER else iq
             x, y, z, w = unit_q[first], unit_q[first + 1], unit_q[first + 2], unit_q[first + 3]
             for i in range(iv, iv + n, 3):
-                out[i], out[i + 1], out[i + 2] = _rotate_by_quaternion(x, y, z, w, v[i], v[i + 1], v[i + 2])
+                out[i], out[i + 1], out[i + 2] = rotate_by_quaternion(x, y, z, w, v[i], v[i + 1], v[i + 2])
         elif kind == PLANAR_BLOCK:
             c, s = unit_q[iq + 2], unit_q[iq + 3]
             out[iv], out[iv + 1] = c * v[iv] - s * v[iv + 1], s * v[iv] + c * v[iv + 1]
@@ -146,7 +146,7 @@ def to_joint_axes(blocks, unit_q, w, out):
             first = iq + 3 if kind == FREE_FLYER else iq
             x, y, z, real = -unit_q[first], -unit_q[first + 1], -unit_q[first + 2], unit_q[first + 3]
             for i in range(iv, iv + n, 3):
-                out[i], out[i + 1], out[i + 2] = _rotate_by_quaternion(x, y, z, real, w[i], w[i + 1], w[i + 2])
+                out[i], out[i + 1], out[i + 2] = rotate_by_quaternion(x, y, z, real, w[i], w[i + 1], w[i + 2])
         elif kind == PLANAR_BLOCK:
             c, s = unit_q[iq + 2], unit_q[iq + 3]
             out[iv], out[iv + 1] = c * w[iv] + s * w[iv + 1], c * w[iv + 1] - s * w[iv]
@@ -224,31 +224,42 @@ def _turn(q, i, wx, wy, wz, out):
 
 
 @kernel
-def displace(blocks, q, step, out):
-    """out = q moved by the finite tangent step (nv,): turned by its exponential, translated in the axes half-way."""
+def displace(blocks, q, axes, step, out):
+    """out = q moved by the finite step (nv,), which is in the axes of the configuration `axes`: translated by it, and
+    turned by its exponential."""
     for b in range(blocks.shape[0]):
         kind, iq, iv, n = blocks[b, 0], blocks[b, 1], blocks[b, 2], blocks[b, 3]
         if kind == VECTOR:
             for i in range(n):
                 out[iq + i] = q[iq + i] + step[iv + i]
-        elif kind == FREE_FLYER:
-            wx, wy, wz = step[iv + 3], step[iv + 4], step[iv + 5]
-            _turn(q, iq + 3, 0.5 * wx, 0.5 * wy, 0.5 * wz, out)
-            x, y, z = _rotate_by_quaternion(
-                out[iq + 3], out[iq + 4], out[iq + 5], out[iq + 6], step[iv], step[iv + 1], step[iv + 2]
+        elif kind in (FREE_FLYER, QUATERNION):
+            first = iq
+            if kind == FREE_FLYER:
+                first = iq + 3
+                x, y, z = rotate_by_quaternion(
+                    axes[first], axes[first + 1], axes[first + 2], axes[first + 3], step[iv], step[iv + 1], step[iv + 2]
+                )
+                out[iq], out[iq + 1], out[iq + 2] = q[iq] + x, q[iq + 1] + y, q[iq + 2] + z
+                iv += 3
+            x, y, z = rotate_by_quaternion(
+                axes[first], axes[first + 1], axes[first + 2], axes[first + 3], step[iv], step[iv + 1], step[iv + 2]
             )
-            out[iq], out[iq + 1], out[iq + 2] = q[iq] + x, q[iq + 1] + y, q[iq + 2] + z
-            _turn(q, iq + 3, wx, wy, wz, out)
-        elif kind == QUATERNION:
-            _turn(q, iq, step[iv], step[iv + 1], step[iv + 2], out)
+            x, y, z = rotate_by_quaternion(-q[first], -q[first + 1], -q[first + 2], q[first + 3], x, y, z)
+            _turn(q, first, x, y, z, out)
         else:
             first, turn = (iq, step[iv]) if kind == CIRCLE_BLOCK else (iq + 2, step[iv + 2])
             c, s = q[first], q[first + 1]
             if kind != CIRCLE_BLOCK:
-                ch, sh = math.cos(0.5 * turn), math.sin(0.5 * turn)
-                cm, sm = c * ch - s * sh, s * ch + c * sh
+                cm, sm = axes[first], axes[first + 1]
                 out[iq] = q[iq] + cm * step[iv] - sm * step[iv + 1]
                 out[iq + 1] = q[iq + 1] + sm * step[iv] + cm * step[iv + 1]
             ct, st = math.cos(turn), math.sin(turn)
             out[first], out[first + 1] = c * ct - s * st, s * ct + c * st
     normalize(blocks, out, out)
+
+
+@kernel
+def carry(blocks, source, target, v, out):
+    """out = velocities v (nv,) in the axes of the configuration `source`, in those of `target` (out may be v)."""
+    to_parent_axes(blocks, source, v, out)
+    to_joint_axes(blocks, target, out, out)

@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import brentq
 
-from ..dynamics.modes import ModeSolver, rest_mode
+from ..callback import kernel_address
+from ..dynamics.modes import ModeSolver
 from ..dynamics.system import System
 from ..errors import ContourError
+from ..friction.attempt import solve_cones
 from ..friction.solve import ContactSolver
 from ..jit import compile_kernels
 from ..layout import (
@@ -25,54 +27,84 @@ from ..layout import (
     EVENT,
     FREE,
     FRICTION_MARGIN,
-    FROZEN,
-    GUARD_END,
     LOCATION_FAILED,
     MODE,
-    MU,
+    NBLOCKS,
+    NEXT_OUTPUT,
     NO_FORCE,
     NORMAL_MARGIN,
-    NOT_FINITE,
     OK,
+    OUTPUT_COUNT,
+    OUTPUTS_DONE,
+    RECORD_STEPS,
     SINGULAR,
-    SLIP_SIGN,
     SLIPPING,
     STICK,
-    TANGENTS,
-    TOO_LONG,
+    TIME,
     VISCOUS,
 )
 from ..memory import address_of
 from .events import UserEvent
 from .impulse_layout import (
-    ACCELERATION,
+    ASKED,
+    ASKED_WITH,
+    CALL_FAILED,
+    CHANGED,
     CONE_FORCES,
     CONE_MODES,
+    CONE_RESIDUAL,
+    CONE_TASK,
+    CONE_TOLERANCE,
     CONE_VELOCITIES,
     DRY_FRICTION,
-    HAS_TREND,
     JOINT_INTS,
     KEPT,
     KEPT_HIGH,
     KEPT_LOW,
+    LAST,
     LOWER_LIMIT,
-    MEAN_VELOCITY,
-    MISS,
-    RIGID,
+    RIGID_STEPS,
+    RUN_END,
+    RUN_START,
     SHIFT,
+    SOLVED_HERE,
+    STEP_LIMIT,
+    STEP_SIZE,
     STEP_SLOTS,
-    TOUCHED,
+    STEPS,
+    THOROUGH,
+    TURNS,
     UNITS,
     UPPER_LIMIT,
+    WATCHED,
     H,
     step_memory,
 )
 from .impulse_problem import assemble
-from .impulse_review import AGAIN
-from .impulses import advance, commit, predict_midpoint
-from .results import CONTROL_FAILED, FAILURES, FINISHED, STEP_LIMIT, TERMINATED, Event, Stop
-from .stages import load_state, move_charts
-from .steps import KINEMATICS, SETTLE, run_task
+from .impulse_steps import (
+    ACCEPT,
+    APPROVED,
+    AT_END,
+    AT_LIMIT,
+    ATTEMPT,
+    ATTEMPTED,
+    BEGIN,
+    CONE_LEFT,
+    FRESH,
+    INNER_OUTPUT_LEFT,
+    MARCH,
+    MARCHING,
+    OUTPUT_LEFT,
+    SLIVER,
+    SOLVED,
+    STEP,
+    UNSOLVED,
+    run_steps,
+)
+from .results import CONTROL_FAILED, FAILURES, FINISHED, TERMINATED, Event, Stop
+from .results import STEP_LIMIT as AT_STEP_LIMIT
+from .stages import move_charts
+from .steps import run_task
 
 if TYPE_CHECKING:
     from ..contacts import Contact
@@ -84,20 +116,18 @@ DEFAULT_STEP = 1e-3
 _COMPLIANCES = (1e-10, 1e-8, 1e-6, 1e-4)
 # What such a solution's forces may be, as velocities, relative to the largest one in b.
 _LARGEST_FORCE = 10.0
-# A step is corrected where the velocity at its midpoint was off by this fraction, at most so many times; corrections
-# that leave it off by the last have not converged.
-_FAR = 0.005
-_CORRECTIONS = 8
-_LOST = 0.03
 # How modes are looked for, quickly in every step, at length (milliseconds) where nothing else has helped; without the
 # search whose linear algebra rounds differently with the alignment of memory.
 _SEARCHES = ("sweeps", "path")
-# Slip slower than this (m/s, relative to the largest velocity or 1) counts as rest where a run starts.
-_REST = 1e-9
-# Steps that end within this fraction of a step from the end, or from an output time, end there.
-_SLIVER = 1e-9
+# Motion in one step (rad or m) from which on a failure is put down to steps that are too long.
+_RUNAWAY = 10.0
 # Accuracy of the time of a user's event, relative to the step.
 _EVENT_ACCURACY = 1e-12
+
+# What steps call by address, in the order of the columns of "calls".
+_CALLED = (run_task, solve_cones, assemble, move_charts)
+# Arrays of a step that hold addresses.
+_OWN = ("calls", "cone_tables")
 
 Torque = Callable[[float], bool]
 
@@ -131,9 +161,7 @@ class MoreauStep:
         # these kernels are compiled for those who use them
         compile_kernels(several=True)
         self.system = system
-        if (system.contact_real[: system.nc, VISCOUS] > 0.0).any():
-            # the mass matrix with viscous friction couples branches of the tree
-            system.memory["parents"][:] = np.arange(max(system.nv, 1)) - 1
+        self._viscous = bool((system.contact_real[: system.nc, VISCOUS] > 0.0).any())
         joint_int, joint_real = joint_constraints(system.guards)
         self.joints = len(joint_int)
         laws = [contact.friction for contact in contacts if contact.friction is not None]
@@ -141,7 +169,9 @@ class MoreauStep:
         self.resists_turning = turns > 0
         # whether forces act on joints that are neither torques nor contact forces
         self.acts_on_joints = self.joints > 0 or self.resists_turning
-        self.memory = memory = step_memory(system.nq, system.nv, system.nc, system.ng, self.joints, turns)
+        self.memory = memory = step_memory(
+            system.nq, system.nv, system.nc, system.ng, self.joints, turns, int(system.sizes[NBLOCKS])
+        )
         self.table = memory.table
         memory["joint_int"][: self.joints], memory["joint_real"][: self.joints] = joint_int, joint_real
         for c, contact in enumerate(contacts):
@@ -154,111 +184,106 @@ class MoreauStep:
         self.touch_time = memory["touch_time"][: system.nc]
         self.start_mode = memory["start_mode"][: system.nc]
         self.joint_impulse = memory["joint_impulse"][: system.nv]
-        self.cone_problems = self.rigid = self.softened = 0
-        self.worst_residual = 0.0
         self._counts, self._numbers = memory["counts"], memory["numbers"]
         self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
-        self._solutions: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
-        self._loaded = -1
-        self._charted = system.charted
+        self._solver_of_outputs: ContactSolver | None = None
+        self._table = system.table
+        memory["calls"][: len(_CALLED)] = [kernel_address(entry) for entry in _CALLED]
+        memory["calls"][CALL_FAILED] = id(False)
+        memory["numbers"][CONE_TOLERANCE], memory["counts"][CONE_TASK] = self.solver.tolerance, self.solver.task
+        memory.keep()
+        self._begin_anew()
 
-    # ---------------------------------------------------------------- start
+    def _begin_anew(self) -> None:
+        system = self.system
+        self.softened = self._left = 0
+        self._asked: tuple[Callable[[], bool], tuple[()]] | None = None
+        self._share_tables()
+        if self._viscous:
+            # the mass matrix with viscous friction couples branches of the tree
+            system.memory["parents"][:] = np.arange(max(system.nv, 1)) - 1
+
+    def renew(self) -> None:
+        """Be as new, for a system that is as new: buffers are kept, nothing in them matters."""
+        self.memory.restore()
+        self.solver.renew()
+        self._begin_anew()
+
+    # ---------------------------------------------------------------- steps
+
+    def ask(self, torque: Torque | None) -> None:
+        """Set the function that sets `system.tau` for the system's (q, v) at the middle of every step, and for every
+        output: torque(t), False, which makes a step NOT_FINITE, where it fails. None for constant torques."""
+        system = self.system
+        # kept alive here: the kernels know the addresses only
+        self._asked = None
+        calls = self.memory["calls"]
+        calls[[ASKED, ASKED_WITH]] = 0
+        if torque is None:
+            return
+        scalars, set_torque = system.scalars, torque
+
+        def asked() -> bool:
+            try:
+                return set_torque(scalars.item(TIME))
+            except BaseException as error:
+                # it must not pass through the compiled loop; who called that raises it
+                system.callback_error = error
+                return False
+
+        self._asked = asked, ()
+        calls[[ASKED, ASKED_WITH]] = [id(part) for part in self._asked]
+
+    def _run(self, task: int, t: float = 0.0, h: float = 0.0, found: int = FRESH) -> int:
+        """A task of `run_steps`, with the cone problems that it leaves."""
+        result = run_steps(self._table, self.table, task, found, t, h)
+        while result == CONE_LEFT:
+            solved = self._solve(int(self._counts[UNITS]), bool(self._counts[THOROUGH]))
+            result = run_steps(self._table, self.table, task, SOLVED if solved else UNSOLVED, t, h)
+        return result
 
     def begin(self, t: float) -> int:
         """Start from `system.state`; closed contacts get the mode that their v_c shows. Returns a status."""
-        system = self.system
-        system.stage_state[:] = system.state
-        load_state(system.table)
-        status = system.evaluate_kinematics(t)
-        if status != OK:
-            return status
-        rest_speed = _REST * max(1.0, float(np.abs(system.v).max(initial=0.0)))
-        for c in system.closed():
-            ints, mu = system.contact_int[c], system.contact_real[c, MU]
-            along = system.basis[c] @ system.slip[c]
-            speed = abs(along[0]) if ints[TANGENTS] == 1 else math.hypot(along[0], along[1])
-            ints[FROZEN] = 0
-            ints[MODE] = SLIPPING if speed > rest_speed and 0.0 < mu < math.inf else rest_mode(mu)
-            ints[SLIP_SIGN] = 1 if along[0] >= 0.0 else -1
-        # joints at their stops are found by the first step
-        system.contact_int[system.nc : system.nc + system.ng, MODE] = FREE
-        system.guard_int[:, GUARD_END] = 0
-        self.memory["load"][:] = 0.0
-        self.forces[:] = 0.0
-        self.torques[:] = 0.0
-        self.joint_impulse[:] = 0.0
-        self.touch_time[:] = -1.0
-        self._counts[TOUCHED] = 0
-        commit(system.table, self.table, 0)
-        return OK
+        return self._run(BEGIN, t)
 
-    # ---------------------------------------------------------------- one step
+    def attempt(self, t: float, h: float) -> int:
+        """A step of size h from the start at t; returns a status of `layout`."""
+        return self._run(ATTEMPT, t, h)
 
-    def attempt(self, t: float, h: float, torque: Torque | None = None) -> int:
-        """A step of size h from the start at t; returns a status of `layout`.
+    def accept(self, t: float) -> None:
+        """The attempted state becomes the start; t is its time."""
+        self._run(ACCEPT, t)
 
-        torque(t + h / 2): sets `system.tau` for the system's (q, v); False, which returns NOT_FINITE, where it fails.
-        """
-        system, counts = self.system, self._counts
-        self._numbers[H] = h
-        known = int(counts[HAS_TREND])
-        status = self._advance(t, h, torque)
-        if status == OK and (counts[TOUCHED] or not known):
-            # The step is taken again with what it tells: the mean velocity where impacts change it, else, where there
-            # is no last step to tell it, the acceleration.
-            nq, nv = system.nq, system.nv
-            counts[HAS_TREND] = MEAN_VELOCITY
-            if not counts[TOUCHED]:
-                self.memory["trend"][:nv] = (system.stage_state[nq : nq + nv] - self.memory["start_v"][:nv]) / h
-                counts[HAS_TREND] = ACCELERATION
-            status = self._advance(t, h, torque)
-        # A step in which bodies turn far is taken again with its own mean velocity: the implicit midpoint rule, which
-        # stays stable where the velocity foretold from the last step does not.
-        for _ in range(_CORRECTIONS):
-            if status != OK or counts[TOUCHED] or not self._numbers[MISS] > _FAR:
-                break
-            counts[HAS_TREND] = MEAN_VELOCITY
-            status = self._advance(t, h, torque)
-            if status in (LOCATION_FAILED, SINGULAR):
-                status = TOO_LONG
-        else:
-            if status == OK and self._numbers[MISS] > _LOST:
-                status = TOO_LONG
-        counts[HAS_TREND] = known
-        return status if status != OK else run_task(system.table, SETTLE, t + h, 0.0)
+    def set_run(self, start: float, end: float, size: float, count: int, limit: int, watched: bool) -> None:
+        """What `step` and `march` go by: count steps of a size in s, the last of which ends at the end, but not more
+        than the limit; watched: every step is looked at before it is accepted."""
+        self._numbers[[RUN_START, RUN_END, STEP_SIZE]] = start, end, size
+        self._counts[[STEPS, LAST, STEP_LIMIT, WATCHED, TURNS]] = 0, count, limit, watched, self.resists_turning
 
-    def _advance(self, t: float, h: float, torque: Torque | None) -> int:
-        """Midpoint, cone problem, end of the step."""
-        table = self.system.table
-        predict_midpoint(table, self.table)
-        middle = t + 0.5 * h
-        if torque is not None and not torque(middle):
-            return NOT_FINITE
-        status = run_task(table, KINEMATICS, middle, 0.0)
-        if status != OK:
-            return status
-        self._counts[RIGID] = 0
-        status = self._impulses()
-        if status == NO_FORCE and not self._counts[RIGID]:
-            # redundant contacts may contradict each other by what only rigid geometry leaves out
-            self._counts[RIGID] = 1
-            self.rigid += 1
-            status = self._impulses()
-        return self._impulses(thorough=True) if status == NO_FORCE else status
+    def step(self) -> int:
+        """One step of the run, accepted; returns a status of `layout`."""
+        return self._run(STEP)
 
-    def _impulses(self, thorough: bool = False) -> int:
-        """Cone problem and end of the step. thorough: with compliance, and with all means of the solver."""
-        table = self.system.table
-        status = assemble(table, self.table)
-        if status != OK:
-            return status
-        n = int(self._counts[UNITS])
-        while True:
-            if n and not self._solve(n, thorough):
-                return NO_FORCE
-            status = advance(table, self.table)
-            if status != AGAIN:
-                return status
+    def march(self, approved: bool = False) -> int:
+        """Steps and outputs until something is to be done here: see `run_steps`; approved: beginning with the attempted
+        step."""
+        return self._run(MARCH, found=APPROVED if approved else FRESH)
+
+    @property
+    def steps(self) -> int:
+        """Accepted steps of the run."""
+        return int(self._counts[STEPS])
+
+    @steps.setter
+    def steps(self, number: int) -> None:
+        self._counts[STEPS] = number
+
+    @property
+    def changed(self) -> bool:
+        """Whether any mode, sign or chart is another than before the last accepted step."""
+        return bool(self._counts.item(CHANGED))
+
+    # ---------------------------------------------------------------- cone problems
 
     def _solve(self, n: int, thorough: bool) -> bool:
         """Solve the assembled problem of n units; its solution is where `advance` looks for it."""
@@ -270,20 +295,48 @@ class MoreauStep:
                 memory["loads"][: 3 * n],
                 memory["friction"][:n],
             )
-        self.cone_problems += 1
+        self._left += 1
         solver = self.solver
-        if not solver.solve(*problem) and not (thorough and self._solve_hard(n, *problem)):
+        if self.memory["cone_tables"][n]:
+            # the usual path has been tried
+            solved = solver.search(*problem)
+        else:
+            solved = solver.solve(*problem)
+            self._share_tables()
+        if not solved and not (thorough and self._solve_hard(n, *problem)):
             return False
-        if solver.residual > self.worst_residual:
-            self.worst_residual = solver.residual
-        if self._loaded != n:
-            # each size has buffers of its own
-            self._solutions[n] = solver.modes, solver.forces, solver.velocities
-            self.table[CONE_FORCES] = address_of(solver.forces)
-            self.table[CONE_VELOCITIES] = address_of(solver.velocities)
-            self.table[CONE_MODES] = address_of(solver.modes)
-            self._loaded = n
+        self._numbers[CONE_RESIDUAL] = max(self._numbers[CONE_RESIDUAL], solver.residual)
+        # each size has buffers of its own
+        self.table[CONE_FORCES] = address_of(solver.forces)
+        self.table[CONE_VELOCITIES] = address_of(solver.velocities)
+        self.table[CONE_MODES] = address_of(solver.modes)
         return True
+
+    def _share_tables(self) -> None:
+        """Let compiled steps know where the solver works."""
+        for size, table in self.solver.tables():
+            if size < self.memory["cone_tables"].size:
+                self.memory["cone_tables"][size] = address_of(table)
+
+    @property
+    def cone_problems(self) -> int:
+        """How many there have been."""
+        return self._left + int(self._counts[SOLVED_HERE])
+
+    @property
+    def decided(self) -> dict[str, int]:
+        """How many of them were solved by which stage of the solver."""
+        return self.solver.decided
+
+    @property
+    def rigid(self) -> int:
+        """Steps whose problem had a solution in rigid geometry only."""
+        return int(self._counts[RIGID_STEPS])
+
+    @property
+    def worst_residual(self) -> float:
+        """The largest residual of any cone problem."""
+        return float(self._numbers[CONE_RESIDUAL])
 
     def _solve_hard(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """What the quick searches did not solve: with a little compliance in the contacts, since with redundant ones b
@@ -312,16 +365,7 @@ class MoreauStep:
         solver.quick = True
         return found
 
-    def accept(self, t: float) -> bool:
-        """The attempted state becomes the start; t is its time. Whether any mode, sign or chart is another now."""
-        system = self.system
-        changed = commit(system.table, self.table, 1)
-        if self._charted and move_charts(system.table):
-            system.stage_state[:] = system.state
-            load_state(system.table)
-            system.evaluate_kinematics(t)
-            changed = commit(system.table, self.table, 0)
-        return changed
+    # ---------------------------------------------------------------- outputs
 
     @contextmanager
     def modes_of_output(self, t: float) -> Iterator[None]:
@@ -336,11 +380,16 @@ class MoreauStep:
         kept = None
         if held and system.evaluate(t) <= EVENT:
             modes = ModeSolver(system)
+            if self._solver_of_outputs is not None:
+                # an output does not depend on others
+                self._solver_of_outputs.forget()
+                modes.solver = self._solver_of_outputs
             margins = system.margins[held][:, [NORMAL_MARGIN, FRICTION_MARGIN]]
             if (margins < -modes.force_round_off()).any():
                 kept = system.contact_int.copy(), system.contact_real.copy()
                 if modes.decide(t, held, system.evaluate).status > EVENT:
                     system.contact_int[:], system.contact_real[:] = kept
+                self._solver_of_outputs = modes.solver
         yield
         if kept is not None:
             # a choice of redundant forces stays: it serves the next output, too
@@ -357,6 +406,13 @@ class MoreauStep:
             number = f"; conditioning of J {abs(system.contact_real[c, CONDITION]):.3g}"
         elif status == NO_FORCE:
             number = f"; relative residual {self.solver.residual:.3g}"
+        h, fastest = (
+            float(self._numbers[H]),
+            float(np.abs(system.state[system.nq : system.nq + system.nv]).max(initial=0.0)),
+        )
+        if h * fastest > _RUNAWAY:
+            # as where a control is too stiff for the step: other reasons are consequences
+            number += f"; a coordinate moves by {h * fastest:.3g} (rad or m) in a step of {h:.6g} s: it may be too long"
         return Stop(code, f"t = {t:.9g} s: {where}{reason}{number}")
 
     @property
@@ -369,26 +425,28 @@ class MoreauStep:
     def copy_to(self, other: MoreauStep) -> None:
         """Give the step of an equal system all that the next step depends on, warm starts of the solver included."""
         for name in STEP_SLOTS:
-            other.memory[name][...] = self.memory[name]
+            if name not in _OWN:
+                other.memory[name][...] = self.memory[name]
         mine, its = self.system, other.system
         for name in ("state", "stage_state", "q", "v", "tau", "location", "contact_int", "contact_real"):
             getattr(its, name)[...] = getattr(mine, name)
         its.side_int[:, CHART] = mine.side_int[:, CHART]
-        for solution in self._solutions.values():
+        other.solver.forget()
+        for solution in self.solver.warm_starts():
             other.solver.warm_start(*solution)
+        other._share_tables()
 
     def forget(self) -> None:
         """Let the next step depend on the state alone."""
         self.solver.forget()
-        self._solutions.clear()
-        self._loaded = -1
 
 
 class MoreauDriver:
     """A run of constant steps, with outputs and users' events.
 
-    record(t): called for every output with the state in the system. torque and failed_control: see `simulate`;
-    progress(t): called after every step, or None. t_eval: output times in s, None for every step.
+    record(t): called for outputs outside compiled steps, with the state in the system. flush(): makes room for the rows
+    that compiled steps write. torque and failed_control: see `simulate`; progress(t): called now and then, or None.
+    t_eval: output times in s, None for every step.
     """
 
     def __init__(
@@ -396,6 +454,7 @@ class MoreauDriver:
         step: MoreauStep,
         users: list[UserEvent],
         record: Callable[[float], None],
+        flush: Callable[[], None],
         size: float,
         t_eval: np.ndarray | None,
         max_steps: int,
@@ -404,13 +463,17 @@ class MoreauDriver:
         progress: Callable[[float], None] | None,
     ) -> None:
         self.step, self.system, self.users = step, step.system, users
-        self.record, self.size, self.t_eval, self.max_steps = record, size, t_eval, max_steps
+        self.record, self.flush, self.size, self.max_steps = record, flush, size, max_steps
         self.torque, self.failed_control, self.progress = torque, failed_control, progress
         self.events: list[Event] = []
-        self.steps = self.outputs = 0
+        counters, times = self.system.counters, np.zeros(0) if t_eval is None else np.ascontiguousarray(t_eval)
+        self._times = self.system.memory.put("output_times", times)
+        counters[OUTPUT_COUNT], counters[OUTPUTS_DONE], counters[RECORD_STEPS] = times.size, 0, t_eval is None
+        self._announce_output()
 
     def run(self, t: float, t_end: float) -> tuple[int, str]:
         """Step from t to t_end (s); returns a code of `results` and a message."""
+        self.step.ask(self.torque)
         try:
             self._run(t, t_end)
         except Stop as stop:
@@ -419,26 +482,45 @@ class MoreauDriver:
             if self.system.drive_failure is None:
                 raise
             return CONTROL_FAILED, self.system.drive_failure
+        finally:
+            # nothing of the user's is kept
+            self.step.ask(None)
         return FINISHED, "the end of the interval was reached"
 
     def _run(self, start: float, end: float) -> None:
-        step = self.step
+        step, size = self.step, self.size
         self._check(step.begin(start), start)
         for event in self.users:
             event.value = self._value(event, start)
         self._output(start)
-        # steps are counted, so that their rounding does not add up
-        count = max(math.ceil((end - start) / self.size - _SLIVER), 1) if end > start else 0
-        for i in range(count):
-            t = start + i * self.size
-            if self.steps >= self.max_steps:
-                raise Stop(STEP_LIMIT, f"t = {t:.9g} s: the limit of {self.max_steps} steps was reached")
-            t_new = end if i == count - 1 else start + (i + 1) * self.size
-            self._inner_outputs(t, t_new)
-            self._attempt(t, t_new)
-            self._user_events(t, t_new)
-            self._accept(t, t_new)
-            self._output(t_new)
+        count = max(math.ceil((end - start) / size - SLIVER), 1) if end > start else 0
+        step.set_run(start, end, size, count, self.max_steps, bool(self.users))
+        why = MARCHING
+        while why != AT_END:
+            self.flush()
+            why = step.march(approved=why == ATTEMPTED)
+            i = step.steps
+            t, t_new = start + i * size, end if i >= count - 1 else start + (i + 1) * size
+            if why == ATTEMPTED:
+                self._user_events(t, t_new)
+                self._report(t, t_new)
+            elif why == OUTPUT_LEFT:
+                self._output(end if i == count else t, asked=True)
+            elif why == INNER_OUTPUT_LEFT:
+                self._record(float(self._next_output), asked=True)
+                self._next()
+            elif why == AT_LIMIT:
+                raise Stop(AT_STEP_LIMIT, f"t = {t:.9g} s: the limit of {self.max_steps} steps was reached")
+            elif why not in (MARCHING, AT_END):
+                self._check(why, t)
+            if self.progress is not None:
+                i = step.steps
+                self.progress(end if i == count else start + i * size)
+
+    @property
+    def steps(self) -> int:
+        """Accepted steps so far."""
+        return self.step.steps
 
     def _check(self, status: int, t: float) -> None:
         if status != OK:
@@ -449,13 +531,13 @@ class MoreauDriver:
 
     def _attempt(self, t: float, t_new: float) -> None:
         h = t_new - t
-        if abs(h - self.size) <= _SLIVER * self.size:
+        if abs(h - self.size) <= SLIVER * self.size:
             # not what rounding has made of it
             h = self.size
-        self._check(self.step.attempt(t, h, self.torque), t)
+        self._check(self.step.attempt(t, h), t)
 
-    def _accept(self, t: float, t_new: float) -> None:
-        """Make the attempted step the state, and report what happened to the contacts in it."""
+    def _report(self, t: float, t_new: float) -> None:
+        """What happened to the contacts in the attempted step."""
         step, names = self.step, [c.name for c in self.system.contacts]
         found: list[tuple[float, str, str]] = []
         for c, name in enumerate(names):
@@ -470,38 +552,38 @@ class MoreauDriver:
                 found.append((t_new, name, "stick"))
         for when, name, kind in sorted(found, key=lambda entry: entry[0]):
             self._announce(when, name, kind)
-        step.accept(t_new)
-        self.steps += 1
-        if self.progress is not None:
-            self.progress(t_new)
 
     def _announce(self, t: float, contact: str | None, kind: str, index: int = -1) -> None:
         self.events.append(Event(t, contact, kind, self.system.q.copy(), self.system.v.copy(), index))
 
     # ---------------------------------------------------------------- outputs
 
-    def _output(self, t: float) -> None:
-        """Record the state at t, once for every output time that falls on it."""
-        times = self.t_eval
-        if times is None:
-            self._record(t)
+    @property
+    def _next_output(self) -> float:
+        return float(self.system.scalars[NEXT_OUTPUT])
+
+    def _announce_output(self) -> None:
+        """Tell the compiled steps when the next output is due."""
+        done = int(self.system.counters[OUTPUTS_DONE])
+        self.system.scalars[NEXT_OUTPUT] = self._times[done] if done < self._times.size else math.inf
+
+    def _next(self) -> None:
+        self.system.counters[OUTPUTS_DONE] += 1
+        self._announce_output()
+
+    def _output(self, t: float, asked: bool = False) -> None:
+        """Record the state at t, once for every output time that falls on it; asked: torques are set for it."""
+        if self.system.counters[RECORD_STEPS]:
+            self._record(t, asked)
             return
-        while self.outputs < times.size and times[self.outputs] <= t + _SLIVER * self.size:
-            self._record(t)
+        while self._next_output <= t + SLIVER * self.size:
+            self._record(t, asked)
+            self._next()
 
-    def _inner_outputs(self, t: float, t_new: float) -> None:
-        """Outputs inside a step: each by a shorter step of its own, which is then dropped."""
-        times = self.t_eval
-        while times is not None and self.outputs < times.size and times[self.outputs] < t_new - _SLIVER * self.size:
-            when = float(times[self.outputs])
-            self._attempt(t, when)
-            self._record(when)
-
-    def _record(self, t: float) -> None:
-        if self.torque is not None and not self.torque(t):
+    def _record(self, t: float, asked: bool) -> None:
+        if self.torque is not None and not asked and not self.torque(t):
             self.failed_control(t)
         self.record(t)
-        self.outputs += 1
 
     # ---------------------------------------------------------------- users' events
 
@@ -520,8 +602,10 @@ class MoreauDriver:
             self._attempt(t, when)
             self._announce(when, None, "user", i)
             if self.users[i].terminal:
-                self._accept(t, when)
-                if self.t_eval is None:
+                self._report(t, when)
+                self.step.accept(when)
+                self.step.steps += 1
+                if self.system.counters[RECORD_STEPS]:
                     self._output(when)
                 raise Stop(TERMINATED, "a terminal event occurred")
         self._attempt(t, t_new)

@@ -10,7 +10,7 @@ import math
 
 from ..callback import call_kernel
 from ..dynamics.equations import slip_direction
-from ..dynamics.evaluation import KINEMATICS_OF_ALL, KINEMATICS_OF_CLOSED, contact_corrections
+from ..dynamics.evaluation import KINEMATICS_OF_ALL, KINEMATICS_OF_CLOSED, PLACES_OF_ALL, contact_corrections
 from ..dynamics.linear import inner, whiten
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
@@ -395,7 +395,7 @@ def settle(table, t):
     For a method that needs no accelerations; open contacts are evaluated too.
     """
     for _ in range(_SETTLEMENTS):
-        status = evaluate(table, t, KINEMATICS_OF_ALL)
+        status = evaluate(table, t, PLACES_OF_ALL)
         if status != OK:
             return status
         contact_corrections(table, 1, 1)

@@ -16,7 +16,7 @@ from .pinocchio_model import build_model
 from .scenes import NO_SLIP, WORLD, Problem, Shape, Touch, marked
 
 PAIRS = {"DOP853": range(1, 13), "RK45": range(1, 11)}
-MOREAU_INTERVALS = (1, 2, 5, 20, 50, 200, 500, 1000)  # steps in each interval between outputs
+MOREAU_INTERVALS = (1, 2, 3, 5, 10, 20, 50, 200, 500, 1000)  # steps in each interval between outputs
 
 
 def _contour(shape: Shape) -> pc.Contour:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
-from scipy.linalg import qr
+import scipy
 
 from ..arguments import check_tolerance
 from ..errors import ArgumentError, StateError
@@ -83,7 +83,7 @@ class Linearization:
         """
         if self.symmetries.shape[1] == 0:
             return self
-        basis, triangle, _ = qr(self.symmetries, mode="economic", pivoting=True)
+        basis, triangle, _ = scipy.linalg.qr(self.symmetries, mode="economic", pivoting=True)
         sizes = np.abs(np.diag(triangle))
         basis = basis[:, : int((sizes > _NO_MOTION * max(1.0, sizes[0])).sum())]
         if basis.shape[1] == 0:

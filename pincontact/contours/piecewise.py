@@ -14,8 +14,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.polynomial import chebyshev
-from scipy.interpolate import BSpline
 
 from ..jit import kernel
 
@@ -65,7 +65,7 @@ class Direction:
         for i, span in enumerate(spans):
             low, high = knots[span], knots[span + 1]
             points = 0.5 * (low + high) + 0.5 * (high - low) * nodes
-            values = BSpline.design_matrix(points, knots, degree).toarray()
+            values = scipy.interpolate.BSpline.design_matrix(points, knots, degree).toarray()
             basis[i] = (to_coefficients @ values[:, span - degree : span + 1]).T
         return cls(breaks, degree, periodic, functions, np.array(spans) - degree, basis)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
+import scipy
 
 from ..errors import ContourError
 from ..jit import kernel
@@ -39,7 +39,9 @@ def array(owner: str, name: str, given: Any, *shape: int | None) -> np.ndarray:
     return values
 
 
-def spline(owner: str, parameters: np.ndarray, values: np.ndarray, degree: int, periodic: bool) -> BSpline:
+def spline(
+    owner: str, parameters: np.ndarray, values: np.ndarray, degree: int, periodic: bool
+) -> scipy.interpolate.BSpline:
     """The interpolating spline along the first axis; a periodic one repeats its first value at the end.
 
     Raises ContourError for parameters that do not increase, a degree below 4 or too few points.
@@ -56,7 +58,9 @@ def spline(owner: str, parameters: np.ndarray, values: np.ndarray, degree: int, 
         raise ContourError(
             f"{owner}: parameters must increase, but number {i + 1} is {parameters[i + 1]} after {parameters[i]}"
         )
-    return make_interp_spline(parameters, values, k=int(degree), bc_type="periodic" if periodic else None)
+    return scipy.interpolate.make_interp_spline(
+        parameters, values, k=int(degree), bc_type="periodic" if periodic else None
+    )
 
 
 def chords(points: np.ndarray) -> np.ndarray:
@@ -64,7 +68,7 @@ def chords(points: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
-def spline_pool(curve: BSpline, periodic: bool) -> np.ndarray:
+def spline_pool(curve: scipy.interpolate.BSpline, periodic: bool) -> np.ndarray:
     """The pool of a spline of one variable with values (n,), as polynomials on each of its intervals."""
     low, high = curve.t[curve.k], curve.t[-curve.k - 1]
     breaks = np.unique(curve.t[(curve.t >= low) & (curve.t <= high)])
@@ -94,7 +98,7 @@ class SplineCurve(Contour):
     def __init__(self, points: Any, periodic: bool = False, degree: int = 5, parameters: Any = None) -> None:
         owner = "SplineCurve"
         periodic = flag(owner, "periodic", periodic)
-        if isinstance(points, BSpline):
+        if isinstance(points, scipy.interpolate.BSpline):
             curve = _checked(owner, points, periodic)
         else:
             columns = 2 if np.ndim(points) == 2 and np.shape(points)[1] == 2 else 3
@@ -121,7 +125,7 @@ class SplineCurve(Contour):
         object.__setattr__(self, "convex_side", turning(self))
 
 
-def _checked(owner: str, curve: BSpline, periodic: bool) -> BSpline:
+def _checked(owner: str, curve: scipy.interpolate.BSpline, periodic: bool) -> scipy.interpolate.BSpline:
     """The given B-spline with three components, once it is known to be smooth enough."""
     values = np.asarray(curve.c, dtype=float)
     if values.ndim != 2 or values.shape[1] not in (2, 3):
@@ -135,7 +139,7 @@ def _checked(owner: str, curve: BSpline, periodic: bool) -> BSpline:
             f"{owner}: the B-spline is {max(least, 0)} times differentiable at a knot, "
             f"{_SMOOTHNESS} are needed (degree {curve.k})"
         )
-    result = BSpline(knots, np.pad(values, ((0, 0), (0, 3 - values.shape[1]))), curve.k)
+    result = scipy.interpolate.BSpline(knots, np.pad(values, ((0, 0), (0, 3 - values.shape[1]))), curve.k)
     if not np.isfinite(result.c).all() or not np.isfinite(knots).all():
         raise ContourError(f"{owner}: the B-spline has knots or coefficients that are not finite")
     if periodic:

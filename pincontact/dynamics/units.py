@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg.lapack import dtrtrs
+import scipy
 
 if TYPE_CHECKING:
     from .system import System
@@ -27,7 +27,7 @@ def unwhiten(system: System, column: np.ndarray) -> np.ndarray:
 
 def _solved(upper: np.ndarray, right: np.ndarray, transposed: bool) -> np.ndarray:
     """Solution of the triangular system; NaN where the factor is singular. LAPACK itself: checks cost more than it."""
-    solution, info = dtrtrs(upper, right, trans=int(transposed))
+    solution, info = scipy.linalg.lapack.dtrtrs(upper, right, trans=int(transposed))
     return solution if info == 0 else np.full_like(right, np.nan)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial import cKDTree
+import scipy
 
 from ..contours import Cone, Cylinder, HeightField, Line, Plane
 from ..errors import SingularContactError
@@ -219,7 +219,7 @@ def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
     first = _sample(contact.body1.contour, poses[0], t, window, guess[:2])
     second = _sample(contact.body2.contour, poses[1], t, window, guess[2:])
     length = max(system.contact_real[0, LENGTH], 1e-12)
-    tree = cKDTree(second[1])
+    tree = scipy.spatial.cKDTree(second[1])
     neighbours = min(4, len(second[1]))
     distances, indices = tree.query(first[1], k=neighbours)
     distances, indices = distances.reshape(len(first[1]), -1), indices.reshape(len(first[1]), -1)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from ..errors import ArgumentError, ContactError
 from ..layout import DOMAIN, DOMAIN_MARGIN, EVENT, GAP_MARGIN, LENGTH, OK
@@ -264,7 +264,7 @@ class EventLocator:
                     break
             else:
                 return low
-        return float(brentq(value, low, high, xtol=_XTOL, rtol=_RTOL))
+        return float(scipy.optimize.brentq(value, low, high, xtol=_XTOL, rtol=_RTOL))
 
     def _user_root(self, t: float, step: float, dense: Interpolant, index: int) -> float:
         known: dict[float, float] = {}
@@ -279,7 +279,7 @@ class EventLocator:
         # signs: the product of large values may overflow, of small ones vanish
         if (value(0.0) > 0.0) == (value(1.0) > 0.0) or value(0.0) == 0.0 or value(1.0) == 0.0:
             return 1.0
-        return float(brentq(value, 0.0, 1.0, xtol=_XTOL, rtol=_RTOL))
+        return float(scipy.optimize.brentq(value, 0.0, 1.0, xtol=_XTOL, rtol=_RTOL))
 
     def refine(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> tuple[float, bool]:
         """Attempt steps to the crossing, with secants on the true margin there; returns the last one's size, and

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from ..callback import kernel_address
 from ..dynamics.modes import ModeSolver
@@ -623,4 +623,4 @@ class MoreauDriver:
                 known[when] = self._value(event, when)
             return known[when]
 
-        return float(brentq(function, t, t_new, xtol=_EVENT_ACCURACY * (t_new - t)))
+        return float(scipy.optimize.brentq(function, t, t_new, xtol=_EVENT_ACCURACY * (t_new - t)))

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+import runpy
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.integrate import DOP853, RK45
+import scipy
 
 from ..errors import ArgumentError
 from .dense import DENSE_ROWS
@@ -127,33 +129,46 @@ def free_dense(a: np.ndarray, order: int) -> np.ndarray:
     return np.column_stack([weights.T, np.zeros(order + 1)])
 
 
+def _coefficients_of_dop853() -> dict[str, Any]:
+    """N_STAGES, A, B, C, D, E3 and E5, with the interpolant's extra stages in A and C.
+
+    From SciPy's file of them alone where it is found: to import `scipy.integrate` takes longer than all else together.
+    """
+    file = Path(scipy.__file__).parent / "integrate" / "_ivp" / "dop853_coefficients.py"
+    if file.exists():
+        return runpy.run_path(str(file))
+    pair = scipy.integrate.DOP853
+    n, extra = pair.n_stages, pair.A_EXTRA
+    a = np.zeros((n + 1 + len(extra), n + 1 + len(extra)))
+    a[:n, :n], a[n, :n], a[n + 1 :] = pair.A, pair.B, extra
+    c = np.concatenate([pair.C, [1.0], pair.C_EXTRA])
+    return {"N_STAGES": n, "A": a, "B": pair.B, "C": c, "D": pair.D, "E3": pair.E3, "E5": pair.E5}
+
+
 def _dop853() -> Tableau:
-    n = DOP853.n_stages
-    a = np.zeros((n + 4, n + 4))
-    c = np.zeros(n + 4)
-    a[:n, :n], c[:n] = DOP853.A[:n, :n], DOP853.C[:n]
-    a[n, :n], c[n] = DOP853.B, 1.0
-    a[n + 1 :, : n + 4], c[n + 1 :] = DOP853.A_EXTRA, DOP853.C_EXTRA
+    found = _coefficients_of_dop853()
+    n, a, c = found["N_STAGES"], found["A"], found["C"]
     errors = np.zeros((2, n + 4))
-    errors[0, : n + 1], errors[1, : n + 1] = DOP853.E5, DOP853.E3
+    errors[0, : n + 1], errors[1, : n + 1] = found["E5"], found["E3"]
     # Hairer's form: the difference, the slopes at both ends, and four combinations of all stages
     dense = np.zeros((7, n + 5))
     dense[0, -1], dense[1, -1], dense[2, -1] = 1.0, -1.0, 2.0
     dense[1, 0], dense[2, 0], dense[2, n] = 1.0, -1.0, -1.0
-    dense[3:, : n + 4] = DOP853.D
+    dense[3:, : n + 4] = found["D"]
     return Tableau("DOP853", n, 8, 7, a, c, errors, n - 1, 3, dense, True)
 
 
 def _rk45() -> Tableau:
-    n = RK45.n_stages
+    pair = scipy.integrate.RK45
+    n = pair.n_stages
     a = np.zeros((n + 1, n + 1))
     c = np.zeros(n + 1)
-    a[:n, : RK45.A.shape[1]], c[:n] = RK45.A, RK45.C
-    a[n, :n], c[n] = RK45.B, 1.0
+    a[:n, : pair.A.shape[1]], c[:n] = pair.A, pair.C
+    a[n, :n], c[n] = pair.B, 1.0
     errors = np.zeros((2, n + 1))
-    errors[0] = RK45.E
+    errors[0] = pair.E
     dense = np.zeros((4, n + 2))
-    dense[:, : n + 1] = RK45.P.T
+    dense[:, : n + 1] = pair.P.T
     return Tableau("RK45", n, 5, 4, a, c, errors, n, 0, dense, False)
 
 

@@ -66,7 +66,7 @@ def test_section_names_the_winner(finished, tmp_path):
     assert quickest is not None
     peer = Row("cam", "Peer", "m", "s", seconds=0.5 * quickest.seconds, error=0.9e-2)
     small = work_precision.Result(
-        {"cam": problem}, {"cam": ""}, {("cam", "pincontact"): 1e-6}, [*ours, peer], {"pincontact": "0", "Peer": "1"}
+        {"cam": problem}, {"cam": ""}, [1e-2], [*ours, peer], {"pincontact": "0", "Peer": "1"}
     )
     assert [(scene, level, row.engine) for scene, level, row, _ in work_precision.losses(small)] == [
         ("cam", 1e-1, "Peer"),

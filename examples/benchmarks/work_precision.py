@@ -6,8 +6,8 @@ Every engine gets the same mechanism, the same consistent start and the same out
 several whole runs, with compilation and the first run left out. The error is the largest distance in m of a marked
 point from a reference (a closed form, or pincontact's own converged solution, and then it says so) over all output
 times. Peers that are installed (the extra `bench`) run in processes of their own, one after the other, with settings
-chosen in their favour; what one cannot express is left out and the reason printed. pin.aba on one free body is timed
-before and after each engine runs a scene; all times but those in the CSV are scaled to its median, so that a machine
+chosen in their favour; what one cannot express is left out and the reason printed. A fixed piece of
+work is timed before and after every run; all times but those in the CSV are scaled to its median, so that a machine
 whose speed changes favours nobody. Writes a table, work_precision.csv and one figure a scene to DIR; --readme also
 writes the README's figures and its section between two marks.
 """
@@ -40,7 +40,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
 from peers import PEERS  # noqa: E402
-from peers.measure import QUICK, Effort, Row, measure  # noqa: E402
+from peers.measure import QUICK, Effort, Row, measure, pace  # noqa: E402
 from peers.scenes import SCENES, Problem  # noqa: E402
 from peers.with_pincontact import ENGINE as OURS  # noqa: E402
 from peers.with_pincontact import consistent, reference  # noqa: E402
@@ -68,8 +68,8 @@ class Result:
 
     problems: dict[str, Problem] = field(default_factory=dict)
     sources: dict[str, str] = field(default_factory=dict)  # where the references are from, and how sure they are
-    # s of pin.aba on one free body around an engine's (second) runs of a scene (first)
-    aba: dict[tuple[str, str], float] = field(default_factory=dict)
+    # pin.aba on one free body over the fixed piece of work, each time it was looked at
+    aba: list[float] = field(default_factory=list)
     rows: list[Row] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
     settings: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -91,19 +91,6 @@ def aba_time(batches: int = 7, calls: int = 4000) -> float:
     return statistics.median(times)
 
 
-class Stopwatch:
-    """Times `pin.aba` before and after an engine runs a scene."""
-
-    def __init__(self, result: Result, scene: str, engine: str) -> None:
-        self.result, self.key = result, (scene, engine)
-
-    def __enter__(self) -> None:
-        self.before = aba_time()
-
-    def __exit__(self, *_: object) -> None:
-        self.result.aba[self.key] = 0.5 * (self.before + aba_time())
-
-
 def run_ours(result: Result, name: str, quick: bool, folder: Path) -> Path:
     """The reference of a scene and pincontact's own rows; returns the file that tells the peers what to do."""
     problem = consistent(SCENES[name]())
@@ -111,8 +98,8 @@ def run_ours(result: Result, name: str, quick: bool, folder: Path) -> Path:
     result.problems[name] = problem
     other = "pincontact at rtol 1e-13" if problem.closed_form is not None else "rtol 1e-12 and other steps"
     result.sources[name] = f"{source}; agrees with {other} to {sure:.0e} m"
-    with Stopwatch(result, name, OURS.name):
-        result.rows += measure(OURS, problem, expected, QUICK if quick else Effort())
+    result.aba.append(aba_time() / pace())
+    result.rows += measure(OURS, problem, expected, QUICK if quick else Effort())
     result.versions[OURS.name], result.settings[OURS.name] = OURS.version(), OURS.settings
     file = folder / f"{name}.npz"
     np.savez(file, q=problem.q, v=problem.v, x=expected)
@@ -172,10 +159,6 @@ class PeerProcess:
 
     def run(self, result: Result, scene: str, file: Path) -> bool:
         """Its rows of a scene; False if it did not survive."""
-        with Stopwatch(result, scene, self.name):
-            return self._run(result, scene, file)
-
-    def _run(self, result: Result, scene: str, file: Path) -> bool:
         assert self.process.stdin is not None
         self.process.stdin.write(f"{scene} {file}\n")
         self.process.stdin.flush()
@@ -225,15 +208,20 @@ def _search_path() -> list[str]:
 # ---------------------------------------------------------------------------------------------------- results
 
 
-def usual_speed(result: Result) -> float:
-    """Median of all timings of pin.aba in s."""
-    return statistics.median(result.aba.values())
+def usual_pace(result: Result) -> float:
+    """Median time in s of the fixed piece of work."""
+    return statistics.median(row.pace for row in result.rows if math.isfinite(row.pace))
+
+
+def usual_aba(result: Result) -> float:
+    """What pin.aba on one free body takes at that pace, in us."""
+    return 1e6 * statistics.median(result.aba) * usual_pace(result)
 
 
 def evened(result: Result) -> list[Row]:
-    """The rows as if pin.aba had always taken its median time."""
-    usual = usual_speed(result)
-    return [replace(row, seconds=row.seconds * usual / result.aba[row.scene, row.engine]) for row in result.rows]
+    """The rows as if the machine had always had its usual pace."""
+    usual = usual_pace(result)
+    return [replace(row, seconds=row.seconds * usual / row.pace, pace=usual) for row in result.rows]
 
 
 def fastest(rows: list[Row], level: float) -> Row | None:
@@ -267,8 +255,7 @@ def milliseconds(seconds: float) -> str:
 def print_tables(result: Result) -> None:
     for name, problem in result.problems.items():
         print(f"\n{problem.title} ({name}), {problem.duration:g} s; error: {problem.measured}")
-        speed = [seconds * 1e6 for (scene, _), seconds in result.aba.items() if scene == name]
-        print(f"reference: {result.sources[name]}; pin.aba on one free body: {min(speed):.2f} to {max(speed):.2f} us")
+        print(f"reference: {result.sources[name]}; pin.aba on one free body: {usual_aba(result):.2f} us")
         print(f"{'engine':11s} {'method':18s} {'setting':40s} {'ms':>9s} {'error':>9s} {'steps':>8s} {'evals':>8s}")
         for rows in by_engine(result, name).values():
             for row in rows:
@@ -291,10 +278,10 @@ def write_csv(result: Result, file: Path) -> None:
     with open(file, "w", newline="") as stream:
         writer = csv.writer(stream)
         names = [f.name for f in fields(Row)]
-        writer.writerow([*names, "aba_seconds"])
+        writer.writerow(names)
         for row in result.rows:
             values = asdict(row)
-            writer.writerow([values[n] for n in names] + [result.aba[row.scene, row.engine]])
+            writer.writerow([values[n] for n in names])
 
 
 def draw(result: Result, folder: Path) -> None:
@@ -347,11 +334,12 @@ def section(result: Result) -> str:
     """The README's section."""
     shown = (1e-2, 1e-4, 1e-6, 1e-8)
     peers = ", ".join(f"{name} {version}" for name, version in result.versions.items() if name != OURS.name) or "none"
-    aba = usual_speed(result) * 1e6
+    aba = usual_aba(result)
     lines = [
         *_paragraph(
             "Every engine gets the same mechanism, start and 20 output times; times are medians of whole runs without "
-            f"compilation, scaled to {aba:.2f} us for `pin.aba` on one free body, timed around each. Peers: {peers}; "
+            f"compilation, scaled to one pace of the machine, at which `pin.aba` takes {aba:.2f} us for one free body. "
+            f"Peers: {peers}; "
             "their settings, chosen in their favour, and the references are printed with the full table."
         ),
         *_paragraph(

@@ -58,6 +58,8 @@ class Row:
     evaluations: int | None = None
     runs: int = 0
     note: str = ""
+    # s of the fixed piece of work of `pace`, as it was around these runs
+    pace: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -80,10 +82,23 @@ def largest_distance(found: np.ndarray, expected: np.ndarray) -> float:
     return float(np.linalg.norm(found - expected, axis=2).max())
 
 
-def timed(run: Callable[[], Any]) -> tuple[float, Any]:
-    began = time.perf_counter()
+def pace() -> float:
+    """Seconds of a fixed piece of work in plain Python, the least of three: how fast the machine is just now."""
+    least = math.inf
+    for _ in range(3):
+        began, total = time.perf_counter(), 0.0
+        for i in range(3000):
+            total += 0.5 * i
+        least = min(least, time.perf_counter() - began)
+    return least
+
+
+def timed(run: Callable[[], Any]) -> tuple[float, float, Any]:
+    """Seconds of a run, the same over the pace around it, and what it returned."""
+    before, began = pace(), time.perf_counter()
     result = run()
-    return time.perf_counter() - began, result
+    seconds = time.perf_counter() - began
+    return seconds, seconds / (0.5 * (before + pace())), result
 
 
 def measure(engine: Engine, problem: Problem, reference: np.ndarray, effort: Effort) -> Iterator[Row]:
@@ -104,11 +119,14 @@ def measure(engine: Engine, problem: Problem, reference: np.ndarray, effort: Eff
             if case.method not in warm:
                 warm.add(case.method)
                 case.run()
-            seconds, result = timed(case.run)
-            times = [seconds]
+            seconds, share, result = timed(case.run)
+            times, shares = [seconds], [share]
             while len(times) < effort.repeats and sum(times) < effort.total:
-                times.append(timed(case.run)[0])
+                again, share, _ = timed(case.run)
+                times.append(again)
+                shares.append(share)
             row.seconds, row.runs = statistics.median(times), len(times)
+            row.pace = row.seconds / statistics.median(shares)
             counts = case.counts(result)
             row.steps, row.evaluations = counts.get("steps"), counts.get("evaluations")
             row.error = largest_distance(case.positions(result), reference)

@@ -2,8 +2,10 @@
 
 import itertools
 import math
+import runpy
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -1019,3 +1021,25 @@ def test_redundant_forces_are_moved_into_cones_however_narrow(mu):
             force = x[first[i] : first[i + 1]]
             assert math.hypot(*force[:2]) <= mu * force[2] if modes[i] == STICK else force[0] >= 0.0
     assert moved >= 35
+
+
+def test_path_through_a_singular_matrix():
+    """Contacts of free bodies whose matrix is singular: the path loses itself in round-off at t = 1e-9, the last search
+    does not."""
+    path = Path(__file__).parents[1] / "examples" / "benchmarks" / "cone.py"
+    benchmark = runpy.run_path(str(path))
+    number = 10534
+    rng = np.random.default_rng([0, number])
+    contacts = int(rng.choice(benchmark["ROBUSTNESS_CONTACTS"]))
+    delassus, b, mu = benchmark["KINDS"][number % len(benchmark["KINDS"])](rng, contacts)
+    assert np.linalg.matrix_rank(delassus, 1e-10) < 3 * contacts
+    solver = ContactSolver()
+    assert solver.solve(delassus, b, mu)
+    assert solver.residual <= 1e-10
+    # with the modes the next one is quick
+    assert solver.solve(delassus, b, mu)
+    assert solver.decided_by == "warm"
+    # what is refused leaves the solution as it is
+    forces = solver.forces.copy()
+    assert not solver.solve(np.zeros_like(delassus), -np.ones_like(b), mu)
+    np.testing.assert_array_equal(solver.forces, forces)

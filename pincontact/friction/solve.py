@@ -5,7 +5,8 @@ accepts or refuses them. The suggestions come from, cheapest first,
 
     warm    the modes and forces of the last solution: redundant forces that have left their cones are moved into them
     sweeps  a few Gauss-Seidel passes over the last forces, and more if these do not do; redundant forces as before
-    path    the homotopy of `path`, which finds a solution unless the forces on it grow without bound
+    path    the homotopy of `path`, which finds a solution unless the forces on it grow without bound; once more, with a
+            trace of compliance, where all has failed
     qp      a sequence of ProxQP programs (`qp`)
 
 The first two are one call of compiled code (`attempt`), which other kernels can make, too. A single contact needs no
@@ -25,6 +26,7 @@ from ..errors import ArgumentError, InfeasibleError, SolverError
 from .attempt import (
     CLASSIFY,
     CLASSIFY_NEAR,
+    NEAR,
     NEAREST,
     STRICTNESS,
     SWEEP_NEWTON_PASSES,
@@ -33,6 +35,8 @@ from .attempt import (
     SWEEPS,
     SWEEPS_PER_CONTACT,
     USUAL,
+    WARM,
+    WARM_PASSES,
     solve_cones,
 )
 from .cone import (
@@ -71,6 +75,8 @@ ESCAPES = 2
 # Steps to a stop; a stop takes ten as a rule.
 PATH_STEPS = 500
 QUICK_PATH_STEPS = 20
+# Compliances, relative to a contact's own, with which the path is tried again where all else has failed.
+COMPLIANCES = (1e-12, 1e-13, 1e-11)
 # Programs per search: a third one rarely finds what two did not.
 QP_LIMIT = 2
 STAGES = ("sweeps", "path", "qp")
@@ -306,6 +312,9 @@ class ContactSolver:
             # What they had found was good enough, if not as good as can be.
             space.decide("sweeps")
             return True
+        if "path" in self.stages and not (self.quick or self.jammed) and self._soften(space, delassus, b, mu):
+            space.decide("path")
+            return True
         return False
 
     def _sweep(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, tolerance: float) -> bool:
@@ -362,6 +371,23 @@ class ContactSolver:
                 self.jammed = self.certificate is not None or escapes == ESCAPES
                 if self.jammed:
                     return False
+        return False
+
+    def _soften(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Modes from the path of contacts with a trace of compliance: where the matrix is singular the path may lose
+        itself in round-off."""
+        before = space.modes.copy(), space.forces.copy(), space.velocities.copy()
+        unit = np.diag(np.repeat(np.diag(delassus).reshape(-1, 3).mean(axis=1), 3))
+        task = NEAR if self.nearest else WARM
+        for share in COMPLIANCES:
+            if self._follow(space, delassus + share * unit, b, mu):
+                residual = solve_cones(delassus, b, mu, space.table, task, WARM_PASSES, self.tolerance, 0, 1)
+                self.residual = residual
+                if residual <= self.tolerance:
+                    return True
+            space.modes[:], space.forces[:], space.velocities[:] = before
+            if self.jammed:
+                break
         return False
 
     def _program(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:

@@ -21,6 +21,7 @@ from ..layout import (
     ACCELERATION,
     BASIS,
     CHART,
+    CHARTED,
     COEFFICIENTS,
     CONTACT_INT,
     CONTACT_INTS,
@@ -94,6 +95,10 @@ def hand_over(table, state):
         for k in range(nv):
             v[k] = state[nq + k]
     location, u = reals(table[LOCATION], 4 * nc), state[nq + nv : nq + nv + 4 * nc]
+    if integers(table[COUNTERS], COUNTERS_SIZE)[CHARTED] == 0:
+        for k in range(4 * nc):
+            location[k] = u[k]
+        return
     side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
     side_shape = matrix(table[SIDE_SHAPE], 2 * nc, SHAPE_SIZE)
     for side in range(2 * nc):
@@ -116,12 +121,15 @@ def fill_slope(table, state, slope):
         for k in range(nv):
             slope[nq + k] = acceleration[k]
     rates, u, out = reals(table[RATES], 4 * nc), state[nq + nv :], slope[nq + nv :]
-    side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
-    side_shape = matrix(table[SIDE_SHAPE], 2 * nc, SHAPE_SIZE)
-    for side in range(2 * nc):
-        kind, chart, i = side_int[side, KIND], side_int[side, CHART], 2 * side
-        turned = is_across_pole(kind, chart, side_shape[side], u[i + 1])
-        out[i], out[i + 1] = rates[i], -rates[i + 1] if turned else rates[i + 1]
+    for k in range(4 * nc):
+        out[k] = rates[k]
+    if integers(table[COUNTERS], COUNTERS_SIZE)[CHARTED] != 0:
+        side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
+        side_shape = matrix(table[SIDE_SHAPE], 2 * nc, SHAPE_SIZE)
+        for side in range(2 * nc):
+            i = 2 * side + 1
+            if is_across_pole(side_int[side, KIND], side_int[side, CHART], side_shape[side], u[i]):
+                out[i] = -rates[i]
     if sizes[NWORK] > 0:
         _powers(table, nv, nc, slope[nq + nv + 4 * nc :])
 

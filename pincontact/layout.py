@@ -217,21 +217,21 @@ NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
 ) = range(26)
 SCALARS_SIZE = 26
 
-# contact_int
+# contact_int; from MODE to FROZEN what a State keeps of it
 (
     PATTERN,
     K1,
     K2,
     TANGENTS,
     MODE,
-    UNILATERAL,
     SIDE,
     BRANCH,
-    FROZEN,
+    DETERMINANT_SIGN,
     SLIP_SIGN,
     NORMAL_SIGN,
+    FROZEN,
+    UNILATERAL,
     CLOSED_FORM,
-    DETERMINANT_SIGN,
     ANISOTROPIC,
     SPINNING_ROW,
     ROLLING_ROW,

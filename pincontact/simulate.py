@@ -127,11 +127,7 @@ def simulate(
         "steps": driver.steps,
         "rejected": driver.rejected,
         "outputs": len(record),
-        "pinocchio": int(system.counters[EVALUATION_COUNT]),
-        "newton": int(system.counters[NEWTON_COUNT]),
-        "closed_form": int(system.counters[CLOSED_COUNT]),
-        "contact_rows": int(system.counters[ROWS_FORMED]),
-        "drives": int(system.counters[DRIVES_EVALUATED]),
+        **_counts(system),
         "cone_problems": modes.cone_problems,
         "qp": modes.solver.qp_count if modes.cone_problems else 0,
         "cone_residual": modes.worst_residual,
@@ -204,11 +200,7 @@ def _simulate_moreau(
     stats = {
         "steps": driver.steps,
         "outputs": len(record),
-        "pinocchio": int(system.counters[EVALUATION_COUNT]),
-        "newton": int(system.counters[NEWTON_COUNT]),
-        "closed_form": int(system.counters[CLOSED_COUNT]),
-        "contact_rows": int(system.counters[ROWS_FORMED]),
-        "drives": int(system.counters[DRIVES_EVALUATED]),
+        **_counts(system),
         "cone_problems": stepper.cone_problems,
         "rigid": stepper.rigid,
         "softened": stepper.softened,
@@ -218,6 +210,18 @@ def _simulate_moreau(
         "wall_time": time.perf_counter() - began,
     }
     return Trajectory.from_record(scene, record, driver.events, code, message, stats)
+
+
+def _counts(system: System) -> dict[str, int]:
+    """What evaluations have done so far."""
+    counters = system.counters.tolist()
+    return {
+        "pinocchio": counters[EVALUATION_COUNT],
+        "newton": counters[NEWTON_COUNT],
+        "closed_form": counters[CLOSED_COUNT],
+        "contact_rows": counters[ROWS_FORMED],
+        "drives": counters[DRIVES_EVALUATED],
+    }
 
 
 def _check(

@@ -6,8 +6,9 @@ import json
 import os
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -84,33 +85,69 @@ class Record:
             self._blocks.append((self._reals[:count].copy(), self._integers[:count].copy()))
             self.system.counters[RECORDED] = 0
 
-    def rows(self) -> tuple[list[np.ndarray], np.ndarray]:
-        """All rows: [t, q, v, tau, works, location, frozen columns, redundant forces, resistances]; contacts' integers.
-
-        The resistances are torques (n, nc, 3) on the second contours, (n, 0, 3) where nothing resists turning.
-        """
+    def rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, Callable[[], Recorded]]:
+        """Times (n,), configurations (n, nq), velocities (n, nv), and what gives the rest of all rows."""
         self.flush(always=True)
-        nc = self.system.nc
         blocks = self._blocks or [(self._reals[:0].copy(), self._integers[:0].copy())]
-        values = blocks[0][0] if len(blocks) == 1 else np.concatenate([block[0] for block in blocks])
-        integers = blocks[0][1] if len(blocks) == 1 else np.concatenate([block[1] for block in blocks])
-        n, at = len(values), 0
-        parts = []
-        for width in self._widths:
-            parts.append(values[:, at : at + width].copy())
-            at += width
-        parts[0] = parts[0].ravel()
-        parts[5] = parts[5].reshape(n, nc, 4)
-        parts[6] = parts[6].reshape(n, nc, FROZEN_COLUMNS)
-        parts[7] = parts[7].reshape(n, nc, 3)
-        if self._resistances:
-            parts[8] = np.array(self._resistances)
-        elif self.system.nr:
-            orientation = np.array([-1.0 if contact.swapped else 1.0 for contact in self.system.contacts])
-            parts[8] = orientation[:, None] * parts[8].reshape(n, nc, 3)
-        else:
-            parts[8] = parts[8].reshape(n, 0, 3)
-        return parts, integers[:, : nc * INTEGERS_PER_CONTACT].reshape(n, nc, INTEGERS_PER_CONTACT)
+        values, integers = blocks[0] if len(blocks) == 1 else (np.concatenate(parts) for parts in zip(*blocks))
+        system, at = self.system, 1 + self._widths[1]
+        swapped = [contact.swapped for contact in system.contacts]
+        rest = partial(_unpack, values, integers, self._widths, swapped, self.with_torques, self._resistances)
+        return values[:, 0].copy(), values[:, 1:at].copy(), values[:, at : at + self._widths[2]].copy(), rest
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """What a run keeps of every output besides t, q and v, to rebuild everything else from.
+
+    location (n, nc, 4); discrete (n, nc, DISCRETE_COLUMNS), see `State`; directions (n, nc, 3) prescribed slip
+    directions; works (n, NUMBER_OF_WORKS) in J; torques (n, nv) of the user and on joints; resistances (n, nc, 3)
+    torques in N m on the second contours; references: output -> redundant forces chosen there (nc, 3).
+    None for what was not recorded.
+    """
+
+    location: np.ndarray
+    discrete: np.ndarray
+    directions: np.ndarray
+    works: np.ndarray | None
+    torques: np.ndarray | None
+    resistances: np.ndarray | None
+    references: dict[int, np.ndarray] = field(default_factory=dict)
+
+
+def _unpack(
+    values: np.ndarray,
+    integers: np.ndarray,
+    widths: tuple[int, ...],
+    swapped: list[bool],
+    with_torques: bool,
+    of_steps: list[np.ndarray],
+) -> Recorded:
+    """The columns of rows `values` (n, sum of widths) and of the contacts' integers.
+
+    of_steps: torques that resist turning, (nc, 3) a row, where they are not in the rows.
+    """
+    n, nc = len(values), len(swapped)
+    ends = np.cumsum(widths)
+    t = values[:, 0]
+    parts = [values[:, end - width : end].copy() for width, end in zip(widths[3:], ends[3:])]
+    torques, works, location, frozen, references, resistances = parts
+    whole = integers[:, : nc * INTEGERS_PER_CONTACT].reshape(n, nc, INTEGERS_PER_CONTACT)
+    if of_steps:
+        resistances = np.array(of_steps)
+    elif widths[-1]:
+        orientation = np.array([-1.0 if second_first else 1.0 for second_first in swapped])
+        resistances = orientation[:, None] * resistances.reshape(n, nc, 3)
+    references = references.reshape(n, nc, 3)
+    return Recorded(
+        location.reshape(n, nc, 4),
+        discrete_part(whole[:, :, :CONTACT_INTS], whole[:, :, CONTACT_INTS:]),
+        frozen_directions(whole, frozen.reshape(n, nc, FROZEN_COLUMNS), t),
+        works if works.shape[1] else None,
+        torques if with_torques else None,
+        resistances if resistances.shape[1] else None,
+        {int(i): references[i] for i in np.flatnonzero(references.any(axis=(1, 2)))},
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,24 +251,16 @@ class Trajectory:
         t: np.ndarray,
         q: np.ndarray,
         v: np.ndarray,
-        location: np.ndarray,
-        discrete: np.ndarray,
-        directions: np.ndarray,
-        works: np.ndarray | None,
-        torques: np.ndarray | None,
-        resistances: np.ndarray | None,
+        recorded: Callable[[], Recorded],
         events: list[Event],
         status: int,
         message: str,
         stats: dict[str, Any],
-        references: dict[int, np.ndarray] | None = None,
     ) -> None:
         self.scene = scene
-        self._references = references or {}
         self.t, self.q, self.v = t, q, v
         self.status, self.message, self.events, self.stats = status, message, events, stats
-        self._location, self._discrete, self._directions = location, discrete, directions
-        self._works, self._torques, self._resistances = works, torques, resistances
+        self._unpack = recorded
         self._tracks: dict[str, ContactTrack] | None = None
         self._residuals: dict[str, dict[str, np.ndarray]] = {}
         self.contacts: Mapping[str, ContactTrack] = _Tracks(self)
@@ -241,24 +270,12 @@ class Trajectory:
         cls, scene: Scene, record: Record, events: list[Event], status: int, message: str, stats: dict[str, Any]
     ) -> Trajectory:
         """From the rows of a run, however many there are."""
-        (t, q, v, torques, works, location, frozen, references, resistances), integers = record.rows()
-        return cls(
-            scene,
-            t,
-            q,
-            v,
-            location,
-            discrete_part(integers[:, :, :CONTACT_INTS], integers[:, :, CONTACT_INTS:]),
-            frozen_directions(integers, frozen, t),
-            works if works.shape[1] else None,
-            torques if record.with_torques else None,
-            resistances if resistances.shape[1] else None,
-            events,
-            status,
-            message,
-            stats,
-            {int(i): references[i] for i in np.flatnonzero(references.any(axis=(1, 2)))} if references.any() else {},
-        )
+        return cls(scene, *record.rows(), events, status, message, stats)
+
+    @cached_property
+    def _recorded(self) -> Recorded:
+        """Unpacked when first asked for: a run that only goes on needs none of it."""
+        return self._unpack()
 
     @property
     def success(self) -> bool:
@@ -275,8 +292,8 @@ class Trajectory:
             self.q[index].copy(),
             self.v[index].copy(),
             float(self.t[index]),
-            self._location[index].copy(),
-            self._discrete[index].copy(),
+            self._recorded.location[index].copy(),
+            self._recorded.discrete[index].copy(),
             Correction({}, {}, 0.0, 0.0),
         )
 
@@ -335,28 +352,24 @@ class Trajectory:
         data = model.createData()
         kinetic = np.array([pin.computeKineticEnergy(model, data, q, v) for q, v in zip(self.q, self.v)])
         potential = np.array([pin.computePotentialEnergy(model, data, q) for q in self.q])
-        works = [None] * NUMBER_OF_WORKS if self._works is None else list(self._works.T)
+        works = [None] * NUMBER_OF_WORKS if self._recorded.works is None else list(self._recorded.works.T)
         return Energies(kinetic, potential, *works)
 
     # ------------------------------------------------------------------ files
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything, contact tracks included, to an npz file. The scene itself is not stored."""
-        tracks = self._all_tracks()
+        tracks, recorded = self._all_tracks(), self._recorded
         arrays: dict[str, np.ndarray] = {
             "t": self.t,
             "q": self.q,
             "v": self.v,
-            "location": self._location,
-            "discrete": self._discrete,
-            "directions": self._directions,
+            "location": recorded.location,
+            "discrete": recorded.discrete,
+            "directions": recorded.directions,
         }
-        if self._works is not None:
-            arrays["works"] = self._works
-        if self._torques is not None:
-            arrays["torques"] = self._torques
-        if self._resistances is not None:
-            arrays["resistances"] = self._resistances
+        optional = {"works": recorded.works, "torques": recorded.torques, "resistances": recorded.resistances}
+        arrays |= {key: value for key, value in optional.items() if value is not None}
         # not the scene's names: a run that was read without its scene has its tracks all the same
         for i, name in enumerate(tracks):
             for key, value in vars(tracks[name]).items():
@@ -405,12 +418,11 @@ class Trajectory:
                 arrays["t"],
                 arrays["q"],
                 arrays["v"],
-                arrays["location"],
-                arrays["discrete"],
-                arrays["directions"],
-                arrays.get("works"),
-                arrays.get("torques"),
-                arrays.get("resistances"),
+                partial(
+                    Recorded,
+                    *(arrays[key] for key in ("location", "discrete", "directions")),
+                    *(arrays.get(key) for key in ("works", "torques", "resistances")),
+                ),
                 events,
                 header["status"],
                 header["message"],
@@ -463,24 +475,24 @@ def _evaluate_tracks(run: Trajectory) -> tuple[dict[str, ContactTrack], dict[str
     scene = run.scene
     contacts = list(scene.contacts.values())
     system = System(scene.model, contacts)
-    n = run.t.size
+    n, recorded = run.t.size, run._recorded
     tracks = {c.name: _empty_track(c, n) for c in contacts}
     residuals = {c.name: {kind: np.zeros(n) for kind in ("C1", "C2", "GC", "VC")} for c in contacts}
     for i in range(n):
         system.q[:], system.v[:] = run.q[i], run.v[i]
-        system.location[: system.nc] = run._location[i]
-        write_discrete(system, run._discrete[i])
-        set_frozen_directions(system, run._directions[i])
-        if run._torques is not None:
-            system.tau[:] = run._torques[i]
-        system.scalars[HAS_REFERENCE] = float(i in run._references)
-        system.reference[: system.nc] = run._references.get(i, 0.0)
+        system.location[: system.nc] = recorded.location[i]
+        write_discrete(system, recorded.discrete[i])
+        set_frozen_directions(system, recorded.directions[i])
+        if recorded.torques is not None:
+            system.tau[:] = recorded.torques[i]
+        system.scalars[HAS_REFERENCE] = float(i in recorded.references)
+        system.reference[: system.nc] = recorded.references.get(i, 0.0)
         usable = system.evaluate(float(run.t[i])) <= EVENT
         for c, contact in enumerate(contacts):
             if usable:
                 _fill_row(system, c, contact, tracks[contact.name], i)
-                if run._resistances is not None:
-                    tracks[contact.name].torque[i] = run._resistances[i, c]
+                if recorded.resistances is not None:
+                    tracks[contact.name].torque[i] = recorded.resistances[i, c]
                 _fill_residuals(system, c, contact, residuals[contact.name], i)
     return tracks, residuals
 

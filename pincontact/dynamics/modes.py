@@ -149,7 +149,8 @@ class ModeSolver:
         """Whether every force of the last evaluation lies inside its cone."""
         system = self.system
         active = [*system.closed(), *(system.nc + g for g in system.held()), *system.resisting()]
-        return bool((system.margins[active][:, [NORMAL_MARGIN, FRICTION_MARGIN]] >= 0.0).all())
+        margins = system.margins.tolist()
+        return all(margins[i][NORMAL_MARGIN] >= 0.0 and margins[i][FRICTION_MARGIN] >= 0.0 for i in active)
 
     # ---------------------------------------------------------------- redundant forces
 
@@ -270,9 +271,9 @@ class ModeSolver:
         units = [unit_columns(system, c, contact_rows(integers[c, TANGENTS])) for c in closed]
         mu = [float(self._limits[c]) if c in undecided or math.isinf(numbers[c, MU]) else 0.0 for c in closed]
         # elliptic cones are round in other coordinates
-        shapes = [stretch(system, c) for c in closed]
-        for columns, shape in zip(units, shapes):
-            columns[:, :2] = columns[:, :2] @ shape
+        shapes = {i: stretch(system, c) for i, c in enumerate(closed) if integers[c, ANISOTROPIC]}
+        for i, shape in shapes.items():
+            units[i][:, :2] = units[i][:, :2] @ shape
         free = system.free_acceleration.copy()
         for g in held:
             end, (low, high) = system.guard_int[g, GUARD_END], system.guard_real[g, :2]
@@ -290,12 +291,13 @@ class ModeSolver:
         for i in resisting:
             units.append(unit_columns(system, i, range(integers[i, TANGENTS])))
             mu.append(1.0)
-        stack = np.hstack(units)
+        stack = np.hstack(units) if len(units) > 1 else units[0]
         gram, weights = delassus(stack)
         base = stack.T @ whitened_velocity(system, free)
-        for i, c in enumerate(closed):
-            base[3 * i : 3 * i + 2] += shapes[i] @ system.bias[c, :2]
-            base[3 * i + 2] += system.bias[c, 2]
+        bias = system.bias[closed]
+        for i, shape in shapes.items():
+            bias[i, :2] = shape @ bias[i, :2]
+        base[: 3 * n] += bias.reshape(-1)
         for i, u in turns.items():
             base[3 * u : 3 * u + 2] += system.bias[i, :2]
         base[weights > 0.0] = 0.0
@@ -306,7 +308,7 @@ class ModeSolver:
         limits = np.array(mu)
         sliding = [i for i, c in enumerate(closed) if integers[c, MODE] == SLIPPING and numbers[c, MU] > 0.0]
         directions = {
-            i: np.linalg.solve(shapes[i], associated(system, closed[i], _direction(system, closed[i]))) for i in sliding
+            i: _unstretched(shapes, i, associated(system, closed[i], _direction(system, closed[i]))) for i in sliding
         }
         turning = {i: _direction(system, i) for i in resisting if integers[i, MODE] == SLIPPING}
         loads = np.array([max(system.force[c, 2], 0.0) for c in closed])
@@ -340,9 +342,7 @@ class ModeSolver:
         self.worst_residual = max(self.worst_residual, decision.residual)
         velocities = self.solver.velocities.reshape(-1, 3).copy()
         forces = self.solver.forces.reshape(-1, 3).copy()
-        for i, shape in enumerate(shapes):
-            if not integers[closed[i], ANISOTROPIC]:
-                continue
+        for i, shape in shapes.items():
             velocities[i, :2], forces[i, :2] = np.linalg.solve(shape, velocities[i, :2]), shape @ forces[i, :2]
         still = _STILL * float(np.abs(base).max(initial=0.0))
         for i, c in enumerate(closed):
@@ -476,6 +476,11 @@ class ModeSolver:
                 decision.started[worst] = float(system.contact_real[worst, SLIP_RATE])
         decision.status = NO_FORCE
         return decision
+
+
+def _unstretched(shapes: dict[int, np.ndarray], i: int, force: np.ndarray) -> np.ndarray:
+    """A tangential force (2,) in the coordinates in which the cone of unit i is round."""
+    return np.linalg.solve(shapes[i], force) if i in shapes else force
 
 
 def _direction(system: System, c: int) -> np.ndarray:

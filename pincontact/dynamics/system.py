@@ -234,11 +234,12 @@ class System:
             numbers[NORMAL_1] = numbers[SPAN] = 1.0
             self._map_side(2 * c, one)
             self._map_side(2 * c + 1, two)
-        # (nc, 4) which location parameters are there and are followed: a closed form needs no start to find them
-        self.followed_parameters = np.tile(np.arange(2), 2) < np.repeat(
-            self.contact_int[: self.nc, [K1, K2]], 2, axis=1
-        )
-        self.followed_parameters[self.contact_int[: self.nc, CLOSED_FORM] != NO_CLOSED_FORM] = False
+        # places in the state of location parameters that are not there, or not followed: a closed form needs no start
+        # to find them
+        columns = self.contact_int[: self.nc]
+        unfollowed = np.tile(np.arange(2), 2) >= np.repeat(columns[:, [K1, K2]], 2, axis=1)
+        unfollowed[columns[:, CLOSED_FORM] != NO_CLOSED_FORM] = True
+        self.unfollowed = self.nq + self.nv + np.flatnonzero(unfollowed)
 
     def _map_side(self, side: int, attached: AttachedContour) -> None:
         contour, integers = attached.contour, self.side_int[side]
@@ -299,9 +300,6 @@ class System:
         memory.reals("next_state", ny)
         memory.reals("next_slope", ny)
         self.slopes = memory.reals("slopes", MAX_STAGES, ny)
-        self.coefficients = memory.reals("coefficients", MAX_STAGES, MAX_STAGES)
-        self.nodes = memory.reals("nodes", MAX_STAGES)
-        self.weights_error = memory.reals("weights_error", 2, MAX_STAGES)
         self.scale = memory.reals("scale", 2)
         self.absolute = memory.reals("absolute", ny)
         memory.reals("system", 4, 8)
@@ -311,7 +309,6 @@ class System:
         self.correction_q = memory.reals("correction_q", nv)
         self.correction_v = memory.reals("correction_v", nv)
         memory.reals("dense", DENSE_ROWS, ny)
-        self.dense_weights = memory.reals("dense_weights", DENSE_ROWS, MAX_STAGES + 1)
         self.counters = memory.integers("counters", COUNTERS_SIZE)
         self.lowest = memory.reals("lowest", nc, MARGINS_PER_CONTACT)
         self.highest = memory.reals("highest", nc, MARGINS_PER_CONTACT)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def whiten(system: System, row: np.ndarray) -> np.ndarray:
-    """L^-T row^T with the factor L of M = L^T L from the last evaluation."""
+    """L^-T row^T, for a row (nv,) or columns (nv, n), with the factor L of M = L^T L from the last evaluation."""
     return _solved(system.factor.T, row, False)
 
 
@@ -26,22 +26,28 @@ def unwhiten(system: System, column: np.ndarray) -> np.ndarray:
 
 
 def _solved(upper: np.ndarray, right: np.ndarray, transposed: bool) -> np.ndarray:
-    """Solution of the triangular system; NaN where the factor is singular. LAPACK itself: checks cost more than it."""
-    solution, info = scipy.linalg.lapack.dtrtrs(upper, right, trans=int(transposed))
-    return solution if info == 0 else np.full_like(right, np.nan)
+    """Solution of the triangular system; NaN where the factor is singular. The bare routines: checks cost more.
+
+    LAPACK's own for several columns starts threads however small they are, and waits for them.
+    """
+    if not upper.diagonal().all():
+        return np.full_like(right, np.nan)
+    if right.ndim == 1:
+        return scipy.linalg.lapack.dtrtrs(upper, right, trans=int(transposed))[0]
+    return scipy.linalg.blas.dtrsm(1.0, upper, right, trans_a=int(transposed))
 
 
 def whitened_velocity(system: System, v: np.ndarray) -> np.ndarray:
     """L v: half of its square is the kinetic energy of v."""
-    return np.tril(system.factor) @ v
+    return scipy.linalg.blas.dtrmv(system.factor.T, v, trans=1)
 
 
 def unit_columns(system: System, index: int, rows: Sequence[int], sign: float = 1.0) -> np.ndarray:
     """(nv, 3) the unit of contact `index` (or of guarded coordinate `index` - nc), with these of its rows only."""
-    columns = np.zeros((system.nv, 3))
-    for row in rows:
-        columns[:, row] = sign * whiten(system, system.rows[index, row])
-    return columns
+    columns = whiten(system, system.rows[index].T)
+    for row in {0, 1, 2}.difference(rows):
+        columns[:, row] = 0.0
+    return columns if sign == 1.0 else sign * columns
 
 
 def contact_rows(tangents: int) -> tuple[int, ...]:
@@ -55,7 +61,9 @@ def delassus(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     A missing row becomes an isolated one as heavy as the unit's real ones, since the solver scales by their mean.
     """
     gram = stack.T @ stack
-    diagonal = np.diag(gram).copy()
+    diagonal = gram.diagonal().copy()
+    if diagonal.all():
+        return gram, np.zeros_like(diagonal)
     largest = np.repeat(diagonal.reshape(-1, 3).max(axis=1, initial=0.0), 3)
     weights = np.where(diagonal == 0.0, np.where(largest > 0.0, largest, 1.0), 0.0)
     gram.flat[:: len(gram) + 1] += weights

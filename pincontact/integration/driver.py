@@ -71,6 +71,8 @@ from .transitions import Transitions
 _PATIENCE, _LONGEST_PATIENCE = 24, 3072
 _SLOW_STEPS, _STABLE = 20.0, 4.0
 _SLOW_GROWTH, _SLOW_RESTS = 4.0, 6
+_NO_TIMES = np.zeros(0)
+_FLOOR = 8.0 * float(np.finfo(float).eps)
 # Crossings in a row that true steps may deny before one is believed: where a margin jumps there is no zero.
 _DOUBTS = 3
 # Slips this many times faster than what counts as ended end with one that does.
@@ -109,7 +111,7 @@ class Driver:
         self.locator = EventLocator(rk, users, transitions.dips.depths)
         transitions.emit = self._output_short_step
         self.record, self.flush, self.options, self.progress = record, flush, options, progress
-        times = np.zeros(0) if options.t_eval is None else np.ascontiguousarray(options.t_eval)
+        times = _NO_TIMES if options.t_eval is None else np.ascontiguousarray(options.t_eval)
         self.system.memory.put("output_times", times)
         self.system.counters[OUTPUT_COUNT], self.system.counters[OUTPUTS_DONE] = times.size, 0
         self.system.counters[RECORD_STEPS] = options.t_eval is None
@@ -200,7 +202,7 @@ class Driver:
         scalars[END], scalars[MAX_STEP] = t_end, options.max_step
         scalars[FIXED_STEP] = options.fixed_step or 0.0
         scalars[NEXT_STEP] = options.fixed_step or options.first_step or self.rk.first_step(t, t_end - t)
-        scalars[FLOOR] = 8.0 * np.finfo(float).eps * max(abs(t), abs(t_end))
+        scalars[FLOOR] = _FLOOR * max(abs(t), abs(t_end))
         scalars[SLOWEST] = math.inf
         counters[ATTEMPT_LIMIT] = options.max_steps
         counters[STALLED] = counters[STIFF_STEPS] = 0

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -110,12 +111,15 @@ class EventLocator:
 
     def __init__(self, rk: RungeKutta, users: Sequence[UserEvent], depths: np.ndarray) -> None:
         self.rk, self.users, self._depths = rk, users, depths
-        scale = rk.system.scale
-        nc, items = rk.system.nc, rk.system.items
+
+    @cached_property
+    def _gap_slack(self) -> np.ndarray:
+        """(items,) what gaps are known to, in m."""
+        system = self.rk.system
         # guarded joint coordinates follow the contacts; theirs are of unit size
-        lengths = np.ones(items)
-        lengths[:nc] = rk.system.contact_real[:nc, LENGTH]
-        self._gap_slack = GAP_TOLERANCE * (scale[1] + scale[0] * lengths)
+        lengths = np.ones(system.items)
+        lengths[: system.nc] = system.contact_real[: system.nc, LENGTH]
+        return GAP_TOLERANCE * (system.scale[1] + system.scale[0] * lengths)
 
     def value_of_user(self, index: int, t: float) -> float:
         """The user's function at the system's (q, v)."""

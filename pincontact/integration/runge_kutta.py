@@ -52,12 +52,8 @@ class RungeKutta:
             method = method.without_extra_stages
         self.system, self.method = system, method
         system.before_evaluation(torque)
-        (
-            system.coefficients[:],
-            system.nodes[:],
-            system.weights_error[:],
-            system.dense_weights[:],
-        ) = method.tables
+        for name, array in method.tables.items():
+            system.memory.put(name, array)
         system.sizes[NSTAGES] = method.stages
         system.counters[ESTIMATE_AFTER], system.counters[EXTRA_STAGES] = method.estimate_after, method.extra
         system.scalars[ERROR_ORDER] = method.error_order
@@ -66,11 +62,8 @@ class RungeKutta:
         system.counters[PARENT_AXES] = system.turns
         system.scale[:] = rtol, atol
         system.absolute[:] = atol
-        if system.nc:
-            # no error is estimated in parameters that nothing depends on
-            start = system.nq + system.nv
-            location = system.absolute[start : start + 4 * system.nc].reshape(-1, 4)
-            location[~system.followed_parameters] = 0.0
+        # no error is estimated in parameters that nothing depends on
+        system.absolute[system.unfollowed] = 0.0
 
     @property
     def evaluations(self) -> int:

@@ -44,15 +44,15 @@ class Tableau:
     nested: bool
 
     @cached_property
-    def tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """a, c, errors and dense with zeros around them, as the kernels take them."""
+    def tables(self) -> dict[str, np.ndarray]:
+        """a, c, errors and dense with zeros around them, by the names of the kernels' arrays, which only read them."""
         n = self.c.size
         rows, columns = self.dense.shape
         a, c, errors = np.zeros((MAX_STAGES, MAX_STAGES)), np.zeros(MAX_STAGES), np.zeros((2, MAX_STAGES))
         dense = np.zeros((DENSE_ROWS, MAX_STAGES + 1))
         a[:n, :n], c[:n], errors[:, :n] = self.a, self.c, self.errors
         dense[:rows, : columns - 1], dense[:rows, -1] = self.dense[:, :-1], self.dense[:, -1]
-        return a, c, errors, dense
+        return {"coefficients": a, "nodes": c, "weights_error": errors, "dense_weights": dense}
 
     @cached_property
     def without_extra_stages(self) -> Tableau:

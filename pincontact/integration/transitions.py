@@ -218,9 +218,15 @@ class Transitions:
             raise self.give_up(t, status)
         if system.ng:
             self._begin_guards(t)
+        given = system.contact_int.tobytes()
         undecided = self.modes_from_velocities()
-        self._stop_jammed(t)
-        self._settle(t, undecided, _NONE, True)
+        if status == OK and not undecided and given == system.contact_int.tobytes() and not self.held_up():
+            # the evaluation stands
+            self._project(t, True)
+            rk.accept()
+        else:
+            self._stop_jammed(t)
+            self._settle(t, undecided, _NONE, True)
         self._guards = [self._guard_state(g) for g in range(system.ng)]
         if not self.dips.take_up(t, self.seed):
             raise self.give_up(t, NO_FORCE)
@@ -416,7 +422,7 @@ class Transitions:
         system, rk = self.system, self.rk
         before, signs = system.contact_int[:, MODE].copy(), system.contact_int[:, SLIP_SIGN].copy()
         self._decide(t, undecided, beyond)
-        self._project(t)
+        self._project(t, True)
         rk.accept()
         for c in [*range(system.nc), *system.resisting()]:
             mode = int(system.contact_int[c, MODE])
@@ -445,6 +451,7 @@ class Transitions:
         self.announce(t, c, ("turn" if turns else "slip") if slips else ("hold" if turns else "stick"))
 
     def _decide(self, t: float, undecided: list[int], beyond: int | None = None) -> Decision:
+        """Decide modes; the last evaluation is the one in them."""
         decision = self.modes.decide(t, undecided, self.rk.evaluate, beyond)
         if decision.status > EVENT:
             raise self.give_up(t, decision.status)
@@ -512,8 +519,8 @@ class Transitions:
             self.modes.release(g, 1 if kind == NORMAL_MARGIN else -1)
         return self.resolve(t, self._sticking())
 
-    def _project(self, t: float) -> None:
-        if not self.rk.project(t, False):
+    def _project(self, t: float, evaluated: bool = False) -> None:
+        if not self.rk.project(t, evaluated):
             self.failed_control(t)
             raise Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
 

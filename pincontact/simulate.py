@@ -56,8 +56,8 @@ def simulate(
     """Integrate a scene from a state over a duration in s.
 
     rtol, atol: relative and absolute tolerance of every component of q (tangent to its manifold), v and the location.
-    t_eval: times at which the result is wanted, None for every accepted step. method: "DOP853" or "RK45",
-    or "Moreau": time stepping with impulses, for many contacts, impacts and jams, of constant `step` in s (default
+    t_eval: times at which the result is wanted, None for every accepted step. method: "DOP853", "RK45"
+    or "RK23", or "Moreau": time stepping with impulses, for many contacts, impacts and jams, of constant `step` in s (default
     1e-3) and without error control.
     control: called as control(t, q, v), returns joint torques (nv,); must be smooth between events. q (nq,) and v (nv,)
     are read-only views of the integrator's own arrays, which the next call overwrites: copy what is kept.

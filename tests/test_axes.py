@@ -79,7 +79,7 @@ def test_rates():
         np.testing.assert_allclose(rate, (ends[1] - ends[0]) / (2.0 * h), rtol=0.0, atol=1e-8 * np.abs(a).max())
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23"])
 @pytest.mark.parametrize("joint", [pin.JointModelFreeFlyer(), pin.JointModelPlanar()])
 def test_a_spinning_ball_flies_on_a_parabola(method, joint):
     """Which any step follows to round-off, whatever the ball's spin."""

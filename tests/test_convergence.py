@@ -36,6 +36,8 @@ def observed_order(name, duration, method, steps):
         ("disk_plane_slip_then_roll", 0.8, "DOP853", 8.0, (24, 32, 40, 48, 56)),
         ("disk_plane_slip_then_roll", 0.8, "RK45", 5.0, (96, 128, 192, 256)),
         ("disk_plane_roll", 1.0, "RK45", 5.0, (48, 64, 96, 128, 256)),
+        ("disk_plane_slip_then_roll", 0.8, "RK23", 3.0, (192, 256, 384, 512)),
+        ("disk_plane_roll", 1.0, "RK23", 3.0, (96, 128, 192, 256, 384)),
         ("ball_in_bowl_3d_roll", 0.8, "DOP853", 8.0, (6, 8, 10, 12, 16)),
         ("disk_in_circular_bowl_slip_then_roll", 0.25, "RK45", 6.0, (12, 16, 24, 32, 48)),
     ],

@@ -46,7 +46,9 @@ def test_trees():
     assert [len(rooted_trees(order)) for order in range(1, 9)] == [1, 1, 2, 4, 9, 20, 48, 115]
 
 
-@pytest.mark.parametrize(("name", "free", "order"), [("RK45", False, 4), ("DOP853", False, 7), ("DOP853", True, 6)])
+@pytest.mark.parametrize(
+    ("name", "free", "order"), [("RK23", False, 3), ("RK45", False, 4), ("DOP853", False, 7), ("DOP853", True, 6)]
+)
 def test_order_of_interpolants(name, free, order):
     pair = tableau(name).without_extra_stages if free else tableau(name)
     sizes = (0.2, 0.1)
@@ -55,6 +57,20 @@ def test_order_of_interpolants(name, free, order):
     assert math.log2(found[0][0] / found[1][0]) > order + 0.6
     # the free one's weights are the solution of equations, with singular values down to 1e-10
     assert max(end for _, end in found) < (1e-11 if free else 1e-15)
+
+
+@pytest.mark.parametrize(("name", "limit"), [("RK23", 2.5), ("RK45", 3.3), ("DOP853", 6.38)])
+def test_stability_on_the_negative_axis(name, limit):
+    """Steps times decay rate up to which a decaying mode decays, which docs/methods.md divides by the evaluations."""
+    pair = tableau(name)
+
+    def growth(z):
+        k = np.zeros(pair.stages)
+        for i in range(pair.stages):
+            k[i] = 1.0 - z * (pair.a[i, :i] @ k[:i])
+        return abs(1.0 - z * (pair.a[pair.stages, : pair.stages] @ k))
+
+    assert max(growth(z) for z in np.linspace(0.01, limit, 400)) < 1.0 < growth(limit + 0.02)
 
 
 def test_free_interpolant_is_as_good_at_long_steps():

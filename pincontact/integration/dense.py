@@ -26,7 +26,7 @@ from .stages import MAX_STAGES
 if TYPE_CHECKING:
     from ..dynamics.system import System
 
-# Rows of the coefficients: DOP853 uses all of them, RK45 four.
+# Rows of the coefficients: DOP853 uses all of them, RK45 four, RK23 three.
 DENSE_ROWS = 7
 
 

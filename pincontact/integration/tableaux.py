@@ -7,7 +7,7 @@ import runpy
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -158,8 +158,9 @@ def _dop853() -> Tableau:
     return Tableau("DOP853", n, 8, 7, a, c, errors, n - 1, 3, dense, True)
 
 
-def _rk45() -> Tableau:
-    pair = scipy.integrate.RK45
+def _single_estimate(name: str) -> Tableau:
+    """SciPy's RK45 or RK23: the slope of the new state is the last stage, and the interpolant needs no others."""
+    pair = getattr(scipy.integrate, name)
     n = pair.n_stages
     a = np.zeros((n + 1, n + 1))
     c = np.zeros(n + 1)
@@ -167,12 +168,16 @@ def _rk45() -> Tableau:
     a[n, :n], c[n] = pair.B, 1.0
     errors = np.zeros((2, n + 1))
     errors[0] = pair.E
-    dense = np.zeros((4, n + 2))
+    dense = np.zeros((pair.P.shape[1], n + 2))
     dense[:, : n + 1] = pair.P.T
-    return Tableau("RK45", n, 5, 4, a, c, errors, n, 0, dense, False)
+    return Tableau(name, n, pair.order, pair.error_estimator_order, a, c, errors, n, 0, dense, False)
 
 
-_TABLEAUX = {"DOP853": _dop853, "RK45": _rk45}
+_TABLEAUX = {
+    "DOP853": _dop853,
+    "RK45": partial(_single_estimate, "RK45"),
+    "RK23": partial(_single_estimate, "RK23"),
+}
 
 
 @cache

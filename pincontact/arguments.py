@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 def is_number(value: Any) -> bool:
     """Whether it is a real number that a float can hold, infinity included and NaN not."""
+    if type(value) is float:
+        return value == value
     try:
         return isinstance(value, (int, float, np.floating, np.integer)) and not math.isnan(value)
     except OverflowError:

@@ -57,8 +57,8 @@ def simulate(
 
     rtol, atol: relative and absolute tolerance of every component of q (tangent to its manifold), v and the location.
     t_eval: times at which the result is wanted, None for every accepted step. method: "DOP853", "RK45"
-    or "RK23", or "Moreau": time stepping with impulses, for many contacts, impacts and jams, of constant `step` in s (default
-    1e-3) and without error control.
+    or "RK23", or "Moreau": time stepping with impulses, for many contacts, impacts and jams, of constant `step` in s
+    (default 1e-3) and without error control.
     control: called as control(t, q, v), returns joint torques (nv,); must be smooth between events. q (nq,) and v (nv,)
     are read-only views of the integrator's own arrays, which the next call overwrites: copy what is kept.
     events: functions g(t, q, v) whose zeros are reported; attributes `terminal` and `direction` as in `solve_ivp`.

@@ -139,7 +139,7 @@ from .linear import factorize_tree, solve_gram, unwhiten, whiten
 from .resistance import count_items, free_with_owners, resistance_kinematics, resists
 
 # What an evaluation may be confined to.
-KINEMATICS_OF_ALL, KINEMATICS_OF_CLOSED, PLACES_OF_ALL = 1, 2, 3
+KINEMATICS_OF_ALL, PLACES_OF_CLOSED, PLACES_OF_ALL = 1, 2, 3
 # Rows with a larger entry are not looked at; others are round-off where they are below this part of their terms.
 _SMALL_ROW = 1e-9
 _ROW_ROUND_OFF = 1e-13
@@ -151,7 +151,7 @@ def evaluate_state(table_address, time, only_kinematics):
 
     only_kinematics: KINEMATICS_OF_ALL for locations, rows and biases of all contacts, open ones too, and no forces;
     PLACES_OF_ALL for the same without biases, and Pinocchio's mass matrix and bias forces left as they are;
-    KINEMATICS_OF_CLOSED for those of closed contacts; 0 for everything.
+    PLACES_OF_CLOSED for those of closed contacts; 0 for everything.
     """
     table = integers(table_address, TABLE_SIZE)
     counters, callback = integers(table[COUNTERS], COUNTERS_SIZE), integers(table[CALLBACK], CALLBACK_SIZE)
@@ -162,8 +162,10 @@ def evaluate_state(table_address, time, only_kinematics):
             return NOT_FINITE
         if not torques_finite(table, time):
             return NOT_FINITE
-    first = PLACED if only_kinematics == PLACES_OF_ALL else CALLED
-    for i in range(first, first + 4, 2):
+    first, last = CALLED, CALLED + 4
+    if only_kinematics in (PLACES_OF_CLOSED, PLACES_OF_ALL):
+        first, last = PLACED, PLACED + 2
+    for i in range(first, last, 2):
         called = callback[i]
         if called != 0 and not call_python(called, callback[i + 1], callback[CALL_FAILED]):
             return NOT_FINITE

@@ -171,10 +171,7 @@ class System:
         for function, arguments in self.algorithms:
             function(*arguments)
         # what places, velocities and Jacobians alone come from
-        self.placing = [
-            (pin.forwardKinematics, (model, self.data, self.q, self.v)),
-            (pin.computeJointJacobians, (model, self.data)),
-        ]
+        self.placing = (pin.computeJointJacobiansTimeVariation, (model, self.data, self.q, self.v))
         self._map_pinocchio()
         table = memory.integers("joint_table", max(len(blocks), 1), 4)
         if blocks:
@@ -365,7 +362,7 @@ class System:
         addresses = [id(thing) for call in self.algorithms for thing in call]
         callback[[CALLED, CALLED_WITH]] = addresses[:2]
         callback[[CALLED_NEXT, CALLED_NEXT_WITH]] = addresses[2:] or 0
-        callback[PLACED : PLACED + 4] = [id(thing) for call in self.placing for thing in call]
+        callback[PLACED : PLACED + 2] = [id(thing) for thing in self.placing]
         callback[CALL_FAILED] = id(False)
         callback[[EVALUATION, OWN_TABLE]] = kernel_address(evaluate_state), address_of(self.table)
         self._asked_for_drives = (self._to_be_asked(None), ()) if self.python_drives else None
@@ -467,9 +464,9 @@ class System:
 def _takes_one_call(model: pin.Model) -> bool:
     """Whether all of Pinocchio's terms at once are cheaper than the two algorithms that give what is needed.
 
-    A call costs a third of a microsecond; beyond one joint what is left out costs more.
+    A call costs a third of a microsecond; beyond two joints what is left out costs more.
     """
-    return model.njoints <= 2
+    return model.njoints <= 3
 
 
 def pinocchio_calls(

@@ -10,7 +10,7 @@ import math
 
 from ..callback import call_kernel
 from ..dynamics.equations import slip_direction
-from ..dynamics.evaluation import KINEMATICS_OF_ALL, KINEMATICS_OF_CLOSED, PLACES_OF_ALL, contact_corrections
+from ..dynamics.evaluation import KINEMATICS_OF_ALL, PLACES_OF_ALL, PLACES_OF_CLOSED, contact_corrections
 from ..dynamics.linear import inner, whiten
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
@@ -183,7 +183,7 @@ _PROGRESS = 0.9
 _ESCAPE = 2.0
 _SMALLEST_STOP_SPEED = 1e-13
 # Steps of more than this over the time in which friction turns a slip are held back by stability, not by accuracy: the
-# pairs' limits are 3.3 and 6.
+# pairs' limits are 2.5, 3.3 and 6.4.
 _STIFF = 2.0
 
 _PROJECTIONS = 12
@@ -285,7 +285,7 @@ def project(table, t, evaluated, purpose):
         return OK
     q = reals(table[Q], sizes[NQ])
     # forces of guarded joints and resistances are shown with the state
-    part = KINEMATICS_OF_CLOSED if purpose == TO_SHOW and beyond == 0 else 0
+    part = PLACES_OF_CLOSED if purpose == TO_SHOW and beyond == 0 else 0
     for i in range(_PROJECTIONS):
         if i > 0 or not evaluated:
             status = evaluate(table, t, part)
@@ -304,7 +304,7 @@ def project(table, t, evaluated, purpose):
         if not size < _LARGEST_CORRECTION:
             break
         if close and beyond == 0:
-            part = KINEMATICS_OF_CLOSED
+            part = PLACES_OF_CLOSED
     return OK if scalars[GAP_RESIDUAL] < _PROJECTED_GAP else LOCATION_FAILED
 
 

@@ -69,8 +69,6 @@ _FIXED_POINT_TOLERANCE = 1e-12
 # Loads in N that change by more than this between iterations grow without bound.
 _WITHOUT_BOUND = 1e100
 _ROUND_OFF = 1e-11
-# (a, b) along (t1, second), turned to the left
-_QUARTER_TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 # Relative accelerations below this fraction of the free ones are round-off: no slip.
 _STILL = 1e-13
 
@@ -141,9 +139,8 @@ class ModeSolver:
 
     def force_round_off(self) -> float:
         """Forces in N (or N m) below which a sign means nothing, from the loads on the joints."""
-        system = self.system
-        loads = np.abs(system.bias_forces) + np.abs(system.tau)
-        return _ROUND_OFF * float(loads.max(initial=0.0))
+        loads = zip(self.system.bias_forces.tolist(), self.system.tau.tolist())
+        return _ROUND_OFF * max((abs(bias) + abs(torque) for bias, torque in loads), default=0.0)
 
     def _holds(self) -> bool:
         """Whether every force of the last evaluation lies inside its cone."""
@@ -300,7 +297,8 @@ class ModeSolver:
         base[: 3 * n] += bias.reshape(-1)
         for i, u in turns.items():
             base[3 * u : 3 * u + 2] += system.bias[i, :2]
-        base[weights > 0.0] = 0.0
+        if weights.any():
+            base[weights > 0.0] = 0.0
         for i, g in enumerate(held, start=n):
             if system.guard_int[g, GUARD_END] == 0:
                 low, high = system.guard_real[g, :2]
@@ -323,11 +321,13 @@ class ModeSolver:
                     pull[3 * u : 3 * u + 2] = -limit * turning[i]
                 base[3 * u + 2] = 0.0 if i in turning else -limit * weights[3 * u + 2]
             self.cone_problems += 1
-            if not self.solver.solve(gram, base + gram @ pull, limits):
+            if not self.solver.solve(gram, base + gram @ pull if carrying else base, limits):
                 decision.status = NO_FORCE
                 return decision
+            if not carrying:
+                break
             new_loads = self.solver.forces[2 : 3 * n : 3].copy()
-            change = np.abs(new_loads - loads)[carrying].max(initial=0.0) if carrying else 0.0
+            change = np.abs(new_loads - loads)[carrying].max()
             # strong coupling of friction and load makes the plain iteration swing
             loads = new_loads if iteration < _UNDAMPED else 0.5 * (loads + new_loads)
             if change <= _FIXED_POINT_TOLERANCE * (1.0 + np.abs(loads).max(initial=0.0)):
@@ -344,7 +344,7 @@ class ModeSolver:
         forces = self.solver.forces.reshape(-1, 3).copy()
         for i, shape in shapes.items():
             velocities[i, :2], forces[i, :2] = np.linalg.solve(shape, velocities[i, :2]), shape @ forces[i, :2]
-        still = _STILL * float(np.abs(base).max(initial=0.0))
+        still = _STILL * max(map(abs, base.tolist()))
         for i, c in enumerate(closed):
             mode = self.solver.modes[i]
             # among redundant contacts one may carry nothing without leaving
@@ -504,11 +504,13 @@ def freeze_slip(system: System, c: int, direction: np.ndarray) -> None:
         integers[SLIP_SIGN] = 1 if direction[0] >= 0.0 else -1
         integers[FROZEN] = 0
         return
-    size = float(np.hypot(direction[0], direction[1]))
-    unit = direction[:2] / size if size > 0.0 else np.array([1.0, 0.0])
-    numbers[DIRECTION_X : DIRECTION_X + 3] = unit @ system.basis[c, :2]
+    along, aside = float(direction[0]), float(direction[1])
+    size = math.hypot(along, aside)
+    along, aside = (along / size, aside / size) if size > 0.0 else (1.0, 0.0)
+    first, second = system.basis[c, 0], system.basis[c, 1]
+    numbers[DIRECTION_X : DIRECTION_X + 3] = along * first + aside * second
     # n x (a t1 + b second), since n x t1 is the second tangent
-    numbers[ACROSS_X : ACROSS_X + 3] = unit @ _QUARTER_TURN @ system.basis[c, :2]
+    numbers[ACROSS_X : ACROSS_X + 3] = along * second - aside * first
     numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
     numbers[START], numbers[SPAN] = 0.0, 1.0
     integers[FROZEN] = 1

@@ -30,7 +30,7 @@ def _solved(upper: np.ndarray, right: np.ndarray, transposed: bool) -> np.ndarra
 
     LAPACK's own for several columns starts threads however small they are, and waits for them.
     """
-    if not upper.diagonal().all():
+    if not all(upper.diagonal().tolist()):
         return np.full_like(right, np.nan)
     if right.ndim == 1:
         return scipy.linalg.lapack.dtrtrs(upper, right, trans=int(transposed))[0]
@@ -62,8 +62,8 @@ def delassus(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     gram = stack.T @ stack
     diagonal = gram.diagonal().copy()
-    if diagonal.all():
-        return gram, np.zeros_like(diagonal)
+    if all(diagonal.tolist()):
+        return gram, np.zeros(diagonal.size)
     largest = np.repeat(diagonal.reshape(-1, 3).max(axis=1, initial=0.0), 3)
     weights = np.where(diagonal == 0.0, np.where(largest > 0.0, largest, 1.0), 0.0)
     gram.flat[:: len(gram) + 1] += weights

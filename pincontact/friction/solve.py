@@ -214,7 +214,7 @@ class ContactSolver:
     @property
     def decided(self) -> dict[str, int]:
         """How many problems were decided by what."""
-        total = np.sum([space.counts[TIMES:] for space in self._spaces.values()], axis=0).tolist()
+        total = map(sum, zip(*(space.counts[TIMES:].tolist() for space in self._spaces.values())))
         return {name: count for name, count in zip(DECIDERS, total) if name in ("warm", "exact", *self.stages)}
 
     @property

@@ -384,8 +384,8 @@ class MoreauStep:
                 # an output does not depend on others
                 self._solver_of_outputs.forget()
                 modes.solver = self._solver_of_outputs
-            margins = system.margins[held][:, [NORMAL_MARGIN, FRICTION_MARGIN]]
-            if (margins < -modes.force_round_off()).any():
+            margins, least = system.margins.tolist(), -modes.force_round_off()
+            if any(min(margins[c][NORMAL_MARGIN], margins[c][FRICTION_MARGIN]) < least for c in held):
                 kept = system.contact_int.copy(), system.contact_real.copy()
                 if modes.decide(t, held, system.evaluate).status > EVENT:
                     system.contact_int[:], system.contact_real[:] = kept

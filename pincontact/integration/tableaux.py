@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import runpy
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
@@ -173,7 +173,7 @@ def _single_estimate(name: str) -> Tableau:
     return Tableau(name, n, pair.order, pair.error_estimator_order, a, c, errors, n, 0, dense, False)
 
 
-_TABLEAUX = {
+_TABLEAUX: dict[str, Callable[[], Tableau]] = {
     "DOP853": _dop853,
     "RK45": partial(_single_estimate, "RK45"),
     "RK23": partial(_single_estimate, "RK23"),

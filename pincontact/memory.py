@@ -113,10 +113,10 @@ class Memory:
         self._pieces: list[np.ndarray] = []
         self._address = self._cut_off = 0
 
-    def put(self, name: str, array: np.ndarray) -> np.ndarray:
-        """Place an array in its slot; it is kept alive as long as this memory is."""
+    def put(self, name: str, array: np.ndarray, address: int = 0) -> np.ndarray:
+        """Place an array in its slot; it is kept alive as long as this memory is. address: its own, where known."""
         self._arrays[name] = array
-        self.table[self._slots[name]] = address_of(array)
+        self.table[self._slots[name]] = address or address_of(array)
         return array
 
     def reals(self, name: str, *shape: int) -> np.ndarray:

@@ -237,13 +237,12 @@ def _check(
     step: float | None,
 ) -> None:
     check_state(scene, state)
-    numbers = {"duration": duration, "rtol": rtol, "atol": atol, "max_step": max_step}
+    needed = (("duration", duration), ("rtol", rtol), ("atol", atol), ("max_step", max_step))
     optional = (("first_step", first_step), ("fixed_step", fixed_step), ("step", step))
-    numbers |= {k: v for k, v in optional if v is not None}
-    for name, value in numbers.items():
+    for name, value in (*needed, *((name, value) for name, value in optional if value is not None)):
         if not is_number(value):
             raise ArgumentError(f"{name} must be a number, got {value!r}")
-        if value < 0.0 or (value == 0.0 and name not in ("duration", "rtol")):
+        if not value > 0.0 and (value < 0.0 or name not in ("duration", "rtol")):
             raise ArgumentError(f"{name} must be positive, got {value}")
     if step is not None and math.isinf(step):
         raise ArgumentError("step must be finite, got inf")

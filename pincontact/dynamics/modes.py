@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -88,6 +88,22 @@ class Decision:
     solved: bool = False
 
 
+@dataclass
+class _Problem:
+    """A cone problem G F + b over contacts, held coordinates and resistances, in this order.
+
+    gram (3n, 3n), base (3n,), limits (n,); weights (3n,): diagonal of rows that are missing, else 0; shapes: contact
+    unit -> stretch in whose coordinates its cone is round; turns: resistance -> its unit.
+    """
+
+    gram: np.ndarray
+    base: np.ndarray
+    weights: np.ndarray
+    limits: np.ndarray
+    shapes: dict[int, np.ndarray] = field(default_factory=dict)
+    turns: dict[int, int] = field(default_factory=dict)
+
+
 class ModeSolver:
     """Decides modes; keeps the cone solver's buffers and counts what it did."""
 
@@ -108,20 +124,24 @@ class ModeSolver:
         # the loads that what slides is given must be those that evaluations find, which are of least norm
         return ContactSolver(nearest=False)
 
-    def decide(self, t: float, undecided: list[int], evaluate, beyond: int | None = None) -> Decision:
+    def decide(
+        self, t: float, undecided: list[int], evaluate, beyond: int | None = None, status: int | None = None
+    ) -> Decision:
         """Set the modes of the undecided contacts (closed, at rest against each other, with friction) at the state.
 
         All contacts stay as they are otherwise, except that a unilateral one whose normal force would pull opens. Held
         joint coordinates are undecided, too. Redundant forces are chosen anew.
         evaluate(t): evaluates the system at its (q, v). beyond: a contact whose static limit has been reached.
+        status: that of the last evaluation, if it was one at the state with all undecided ones sticking.
         """
         system = self.system
         integers = system.contact_int
         for c in undecided:
             integers[c, MODE] = STICK
             integers[c, FROZEN] = 0
-        self._take_reference(None)
-        status = evaluate(t)
+        if status is None or system.scalars[HAS_REFERENCE] != 0.0:
+            self._take_reference(None)
+            status = evaluate(t)
         if status > EVENT and status != NO_FORCE:
             return Decision(status)
         if beyond is None and (status == OK or (status == EVENT and (self._holds() or self.redistribute(t, evaluate)))):
@@ -265,79 +285,14 @@ class ModeSolver:
             return self._decide_without_cones(t, undecided, closed, evaluate)
         decision = Decision(0, solved=True)
         n = len(closed)
-        units = [unit_columns(system, c, contact_rows(integers[c, TANGENTS])) for c in closed]
-        mu = [float(self._limits[c]) if c in undecided or math.isinf(numbers[c, MU]) else 0.0 for c in closed]
-        # elliptic cones are round in other coordinates
-        shapes = {i: stretch(system, c) for i, c in enumerate(closed) if integers[c, ANISOTROPIC]}
-        for i, shape in shapes.items():
-            units[i][:, :2] = units[i][:, :2] @ shape
-        free = system.free_acceleration.copy()
-        for g in held:
-            end, (low, high) = system.guard_int[g, GUARD_END], system.guard_real[g, :2]
-            # about its middle, friction is a disk of constant radius; at an end, what the end adds to friction only
-            # pushes away from it
-            middle = 0.5 * (low + high) if end == 0 else (low if end < 0 else high)
-            row = system.rows[system.nc + g, 2]
-            free += unwhiten(system, whiten(system, row)) * middle
-            columns = np.zeros((system.nv, 3))
-            columns[:, 0 if end == 0 else 2] = whiten(system, row) * (-1.0 if end > 0 else 1.0)
-            units.append(columns)
-            mu.append(1.0 if end == 0 else 0.0)
-        turns = {i: len(units) + k for k, i in enumerate(resisting)}
-        parents = {i: closed.index(system.owner(i)) for i in resisting}
-        for i in resisting:
-            units.append(unit_columns(system, i, range(integers[i, TANGENTS])))
-            mu.append(1.0)
-        stack = np.hstack(units) if len(units) > 1 else units[0]
-        gram, weights = delassus(stack)
-        base = stack.T @ whitened_velocity(system, free)
-        bias = system.bias[closed]
-        for i, shape in shapes.items():
-            bias[i, :2] = shape @ bias[i, :2]
-        base[: 3 * n] += bias.reshape(-1)
-        for i, u in turns.items():
-            base[3 * u : 3 * u + 2] += system.bias[i, :2]
-        if weights.any():
-            base[weights > 0.0] = 0.0
-        for i, g in enumerate(held, start=n):
-            if system.guard_int[g, GUARD_END] == 0:
-                low, high = system.guard_real[g, :2]
-                base[3 * i + 2] = -0.5 * (high - low) * weights[3 * i + 2]
-        limits = np.array(mu)
-        sliding = [i for i, c in enumerate(closed) if integers[c, MODE] == SLIPPING and numbers[c, MU] > 0.0]
-        directions = {
-            i: _unstretched(shapes, i, associated(system, closed[i], _direction(system, closed[i]))) for i in sliding
-        }
-        turning = {i: _direction(system, i) for i in resisting if integers[i, MODE] == SLIPPING}
-        loads = np.array([max(system.force[c, 2], 0.0) for c in closed])
-        carrying = sorted({*sliding, *parents.values()})
-        for iteration in range(_FIXED_POINT_ITERATIONS if carrying else 1):
-            pull = np.zeros(3 * len(units))
-            for i in sliding:
-                pull[3 * i : 3 * i + 2] = -numbers[closed[i], MU_NOW] * loads[i] * directions[i]
-            for i, u in turns.items():
-                limit = numbers[i, MU] * loads[parents[i]]
-                if i in turning:
-                    pull[3 * u : 3 * u + 2] = -limit * turning[i]
-                base[3 * u + 2] = 0.0 if i in turning else -limit * weights[3 * u + 2]
-            self.cone_problems += 1
-            if not self.solver.solve(gram, base + gram @ pull if carrying else base, limits):
-                decision.status = NO_FORCE
-                return decision
-            if not carrying:
-                break
-            new_loads = self.solver.forces[2 : 3 * n : 3].copy()
-            change = np.abs(new_loads - loads)[carrying].max()
-            # strong coupling of friction and load makes the plain iteration swing
-            loads = new_loads if iteration < _UNDAMPED else 0.5 * (loads + new_loads)
-            if change <= _FIXED_POINT_TOLERANCE * (1.0 + np.abs(loads).max(initial=0.0)):
-                break
-            if not change < _WITHOUT_BOUND:
-                decision.status = NO_FORCE
-                return decision
+        if self._all_stick(closed, undecided, held, resisting):
+            problem = self._problem_of_sticking(closed)
         else:
+            problem = self._problem(closed, undecided, held, resisting)
+        if not self._solve_with_loads(problem, closed, resisting):
             decision.status = NO_FORCE
             return decision
+        base, shapes, turns = problem.base, problem.shapes, problem.turns
         decision.residual = float(self.solver.residual)
         self.worst_residual = max(self.worst_residual, decision.residual)
         velocities = self.solver.velocities.reshape(-1, 3).copy()
@@ -374,6 +329,113 @@ class ModeSolver:
         if decision.status <= EVENT and not self._holds() and not self.redistribute(t, evaluate):
             self._keep_solution(t, closed, held, turns, forces, evaluate)
         return decision
+
+    def _all_stick(self, closed: list[int], undecided: list[int], held: list[int], resisting: list[int]) -> bool:
+        """Whether the last evaluation's constraint rows are those of the cone problem: round cones and nothing else."""
+        system = self.system
+        integers, numbers = system.contact_int, system.contact_real
+        return (
+            not (held or resisting)
+            and system.counters[ROW_COUNT] == 3 * len(closed)
+            and all(
+                integers[c, MODE] == STICK
+                and not integers[c, ANISOTROPIC]
+                and (c in undecided or math.isinf(numbers[c, MU]))
+                for c in closed
+            )
+        )
+
+    def _problem_of_sticking(self, closed: list[int]) -> _Problem:
+        """The cone problem where `_all_stick`."""
+        system, count = self.system, 3 * len(closed)
+        # an evaluation lists the normal first
+        whitened = system.whitened_rows[_normals_last(len(closed))]
+        base = system.rows[closed].reshape(count, system.nv) @ system.free_acceleration
+        base += system.bias[closed].reshape(count)
+        return _Problem(whitened @ whitened.T, base, np.zeros(count), self._limits[closed])
+
+    def _problem(self, closed: list[int], undecided: list[int], held: list[int], resisting: list[int]) -> _Problem:
+        """The cone problem without the pull of what slides: units of contacts, held coordinates, resistances."""
+        system = self.system
+        integers, numbers = system.contact_int, system.contact_real
+        n = len(closed)
+        units = [unit_columns(system, c, contact_rows(integers[c, TANGENTS])) for c in closed]
+        mu = [float(self._limits[c]) if c in undecided or math.isinf(numbers[c, MU]) else 0.0 for c in closed]
+        # elliptic cones are round in other coordinates
+        shapes = {i: stretch(system, c) for i, c in enumerate(closed) if integers[c, ANISOTROPIC]}
+        for i, shape in shapes.items():
+            units[i][:, :2] = units[i][:, :2] @ shape
+        free = system.free_acceleration.copy()
+        for g in held:
+            end, (low, high) = system.guard_int[g, GUARD_END], system.guard_real[g, :2]
+            # about its middle, friction is a disk of constant radius; at an end, what the end adds to friction only
+            # pushes away from it
+            middle = 0.5 * (low + high) if end == 0 else (low if end < 0 else high)
+            row = system.rows[system.nc + g, 2]
+            free += unwhiten(system, whiten(system, row)) * middle
+            columns = np.zeros((system.nv, 3))
+            columns[:, 0 if end == 0 else 2] = whiten(system, row) * (-1.0 if end > 0 else 1.0)
+            units.append(columns)
+            mu.append(1.0 if end == 0 else 0.0)
+        turns = {i: len(units) + k for k, i in enumerate(resisting)}
+        for i in resisting:
+            units.append(unit_columns(system, i, range(integers[i, TANGENTS])))
+            mu.append(1.0)
+        stack = np.hstack(units) if len(units) > 1 else units[0]
+        gram, weights = delassus(stack)
+        base = stack.T @ whitened_velocity(system, free)
+        bias = system.bias[closed]
+        for i, shape in shapes.items():
+            bias[i, :2] = shape @ bias[i, :2]
+        base[: 3 * n] += bias.reshape(-1)
+        for i, u in turns.items():
+            base[3 * u : 3 * u + 2] += system.bias[i, :2]
+        if weights.any():
+            base[weights > 0.0] = 0.0
+        for i, g in enumerate(held, start=n):
+            if system.guard_int[g, GUARD_END] == 0:
+                low, high = system.guard_real[g, :2]
+                base[3 * i + 2] = -0.5 * (high - low) * weights[3 * i + 2]
+        return _Problem(gram, base, weights, np.array(mu), shapes, turns)
+
+    def _solve_with_loads(self, problem: _Problem, closed: list[int], resisting: list[int]) -> bool:
+        """Solve it with the friction of what slides, and the limits of resistances, that follow from the loads."""
+        system = self.system
+        integers, numbers = system.contact_int, system.contact_real
+        gram, base, turns = problem.gram, problem.base, problem.turns
+        sliding = [i for i, c in enumerate(closed) if integers[c, MODE] == SLIPPING and numbers[c, MU] > 0.0]
+        if not sliding and not turns:
+            self.cone_problems += 1
+            return self.solver.solve(gram, base, problem.limits)
+        parents = {i: closed.index(system.owner(i)) for i in resisting}
+        directions = {
+            i: _unstretched(problem.shapes, i, associated(system, closed[i], _direction(system, closed[i])))
+            for i in sliding
+        }
+        turning = {i: _direction(system, i) for i in resisting if integers[i, MODE] == SLIPPING}
+        loads = np.array([max(system.force[c, 2], 0.0) for c in closed])
+        carrying = sorted({*sliding, *parents.values()})
+        for iteration in range(_FIXED_POINT_ITERATIONS):
+            pull = np.zeros(base.size)
+            for i in sliding:
+                pull[3 * i : 3 * i + 2] = -numbers[closed[i], MU_NOW] * loads[i] * directions[i]
+            for i, u in turns.items():
+                limit = numbers[i, MU] * loads[parents[i]]
+                if i in turning:
+                    pull[3 * u : 3 * u + 2] = -limit * turning[i]
+                base[3 * u + 2] = 0.0 if i in turning else -limit * problem.weights[3 * u + 2]
+            self.cone_problems += 1
+            if not self.solver.solve(gram, base + gram @ pull, problem.limits):
+                return False
+            new_loads = self.solver.forces[2 : 3 * len(closed) : 3].copy()
+            change = np.abs(new_loads - loads)[carrying].max()
+            # strong coupling of friction and load makes the plain iteration swing
+            loads = new_loads if iteration < _UNDAMPED else 0.5 * (loads + new_loads)
+            if change <= _FIXED_POINT_TOLERANCE * (1.0 + np.abs(loads).max(initial=0.0)):
+                return True
+            if not change < _WITHOUT_BOUND:
+                return False
+        return False
 
     def _keep_solution(
         self, t: float, closed: list[int], held: list[int], turns: dict[int, int], forces: np.ndarray, evaluate
@@ -478,6 +540,12 @@ class ModeSolver:
         return decision
 
 
+@cache
+def _normals_last(n: int) -> np.ndarray:
+    """(3n,) places of the rows (t1, t2, n) of n contacts whose rows are listed as (n, t1, t2)."""
+    return (3 * np.arange(n)[:, None] + np.array([1, 2, 0])).reshape(-1)
+
+
 def _unstretched(shapes: dict[int, np.ndarray], i: int, force: np.ndarray) -> np.ndarray:
     """A tangential force (2,) in the coordinates in which the cone of unit i is round."""
     return np.linalg.solve(shapes[i], force) if i in shapes else force
@@ -507,10 +575,10 @@ def freeze_slip(system: System, c: int, direction: np.ndarray) -> None:
     along, aside = float(direction[0]), float(direction[1])
     size = math.hypot(along, aside)
     along, aside = (along / size, aside / size) if size > 0.0 else (1.0, 0.0)
-    first, second = system.basis[c, 0], system.basis[c, 1]
-    numbers[DIRECTION_X : DIRECTION_X + 3] = along * first + aside * second
+    tangents = list(zip(*system.basis[c, :2].tolist()))
+    numbers[DIRECTION_X : DIRECTION_X + 3] = [along * first + aside * second for first, second in tangents]
     # n x (a t1 + b second), since n x t1 is the second tangent
-    numbers[ACROSS_X : ACROSS_X + 3] = along * second - aside * first
+    numbers[ACROSS_X : ACROSS_X + 3] = [along * second - aside * first for first, second in tangents]
     numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
     numbers[START], numbers[SPAN] = 0.0, 1.0
     integers[FROZEN] = 1

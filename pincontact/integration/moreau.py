@@ -378,7 +378,8 @@ class MoreauStep:
         system = self.system
         held = [c for c in system.closed() if system.contact_int[c, MODE] == STICK]
         kept = None
-        if held and system.evaluate(t) <= EVENT:
+        status = system.evaluate(t) if held else NO_FORCE
+        if status <= EVENT:
             modes = ModeSolver(system)
             if self._solver_of_outputs is not None:
                 # an output does not depend on others
@@ -387,7 +388,7 @@ class MoreauStep:
             margins, least = system.margins.tolist(), -modes.force_round_off()
             if any(min(margins[c][NORMAL_MARGIN], margins[c][FRICTION_MARGIN]) < least for c in held):
                 kept = system.contact_int.copy(), system.contact_real.copy()
-                if modes.decide(t, held, system.evaluate).status > EVENT:
+                if modes.decide(t, held, system.evaluate, status=status).status > EVENT:
                     system.contact_int[:], system.contact_real[:] = kept
                 self._solver_of_outputs = modes.solver
         yield

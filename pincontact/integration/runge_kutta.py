@@ -52,8 +52,8 @@ class RungeKutta:
             method = method.without_extra_stages
         self.system, self.method = system, method
         system.before_evaluation(torque)
-        for name, array in method.tables.items():
-            system.memory.put(name, array)
+        for table in method.tables:
+            system.memory.put(*table)
         system.sizes[NSTAGES] = method.stages
         system.counters[ESTIMATE_AFTER], system.counters[EXTRA_STAGES] = method.estimate_after, method.extra
         system.scalars[ERROR_ORDER] = method.error_order

@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from ..errors import ArgumentError
+from ..memory import address_of
 from .dense import DENSE_ROWS
 from .stages import MAX_STAGES
 
@@ -44,15 +45,17 @@ class Tableau:
     nested: bool
 
     @cached_property
-    def tables(self) -> dict[str, np.ndarray]:
-        """a, c, errors and dense with zeros around them, by the names of the kernels' arrays, which only read them."""
+    def tables(self) -> list[tuple[str, np.ndarray, int]]:
+        """a, c, errors and dense with zeros around them: names and addresses of the kernels' arrays, which only read
+        them."""
         n = self.c.size
         rows, columns = self.dense.shape
         a, c, errors = np.zeros((MAX_STAGES, MAX_STAGES)), np.zeros(MAX_STAGES), np.zeros((2, MAX_STAGES))
         dense = np.zeros((DENSE_ROWS, MAX_STAGES + 1))
         a[:n, :n], c[:n], errors[:, :n] = self.a, self.c, self.errors
         dense[:rows, : columns - 1], dense[:rows, -1] = self.dense[:, :-1], self.dense[:, -1]
-        return {"coefficients": a, "nodes": c, "weights_error": errors, "dense_weights": dense}
+        named = {"coefficients": a, "nodes": c, "weights_error": errors, "dense_weights": dense}
+        return [(name, array, address_of(array)) for name, array in named.items()]
 
     @cached_property
     def without_extra_stages(self) -> Tableau:

@@ -220,7 +220,8 @@ class Transitions:
             self._begin_guards(t)
         given = system.contact_int.tobytes()
         undecided = self.modes_from_velocities()
-        if status == OK and not undecided and given == system.contact_int.tobytes() and not self.held_up():
+        unchanged = not (system.ng or undecided) and given == system.contact_int.tobytes()
+        if status == OK and unchanged and not self.held_up():
             # the evaluation stands
             self._project(t, True)
             rk.accept()
@@ -252,7 +253,7 @@ class Transitions:
         Ideal rolling slides where it did, or after an impact that left it without a normal impulse.
         """
         system = self.system
-        rest_speed = _REST * (1.0 + float(np.abs(system.v).max(initial=0.0)))
+        rest_speed = _REST * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
         undecided = []
         for c in [*system.closed(), *system.resisting()]:
             integers = system.contact_int[c]
@@ -463,7 +464,7 @@ class Transitions:
     def _guards_from_velocities(self) -> None:
         """Hold the coordinates that rest at an end or by dry friction, free the others."""
         system = self.system
-        rest_speed = _REST * (1.0 + float(np.abs(system.v).max(initial=0.0)))
+        rest_speed = _REST * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
         for g, guard in enumerate(system.guards):
             position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
             end = -1 if position <= guard.low_end + END_SLACK else int(position >= guard.high_end - END_SLACK)

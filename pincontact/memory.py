@@ -93,6 +93,7 @@ def address_of(array: np.ndarray) -> int:
     return int(array.__array_interface__["data"][0])
 
 
+_NOTHING = np.zeros(0)
 _REAL, _INTEGER = np.dtype(np.float64), np.dtype(np.int64)
 
 
@@ -104,14 +105,17 @@ def _numbers(slots: tuple[str, ...]) -> dict[str, int]:
 class Memory:
     """Arrays by name, in the order of `slots`, and the table of their addresses."""
 
+    _piece: np.ndarray
+    _cut_off: int
+
     def __init__(self, slots: tuple[str, ...]):
         self._slots = _numbers(slots)
         self.table = np.zeros(len(slots), dtype=np.int64)
         self._arrays: dict[str, np.ndarray] = {}
         # new arrays are cut from one: a fraction of the time of making each
-        self._piece = np.zeros(0)
         self._pieces: list[np.ndarray] = []
-        self._address = self._cut_off = 0
+        self._address = 0
+        self._start_piece()
 
     def put(self, name: str, array: np.ndarray, address: int = 0) -> np.ndarray:
         """Place an array in its slot; it is kept alive as long as this memory is. address: its own, where known."""
@@ -141,23 +145,24 @@ class Memory:
 
     def keep(self) -> None:
         """Remember all there is now, for `restore`."""
-        self._kept = (
-            [(piece, piece.copy()) for piece in self._pieces],
-            self.table.copy(),
-            dict(self._arrays),
-            self._address,
-            self._cut_off,
-        )
+        # of the last piece what arrays have been cut from: a copy should not drive them out of the processor's cache
+        used = [*self._pieces[:-1], *(piece[: self._cut_off] for piece in self._pieces[-1:])]
+        self._kept = self._pieces.copy(), [(part, part.copy()) for part in used], self.table.copy(), dict(self._arrays)
+        self._start_piece()
 
     def restore(self) -> None:
         """Make everything what it was at `keep`, bit by bit: arrays made since are gone, those put here stay theirs."""
-        pieces, table, arrays, self._address, self._cut_off = self._kept
-        for piece, values in pieces:
-            np.copyto(piece, values)
-        self._pieces = [piece for piece, _ in pieces]
-        self._piece = self._pieces[-1]
+        pieces, used, table, arrays = self._kept
+        for part, values in used:
+            np.copyto(part, values)
+        self._pieces = pieces.copy()
         self.table[:] = table
         self._arrays = dict(arrays)
+        self._start_piece()
+
+    def _start_piece(self) -> None:
+        """Let the next array be cut from a new piece, where all is zero."""
+        self._piece, self._cut_off = _NOTHING, 0
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self._arrays[name]

@@ -275,7 +275,10 @@ class Trajectory:
     @cached_property
     def _recorded(self) -> Recorded:
         """Unpacked when first asked for: a run that only goes on needs none of it."""
-        return self._unpack()
+        recorded = self._unpack()
+        # and with it the rows as they were written
+        del self._unpack
+        return recorded
 
     @property
     def success(self) -> bool:

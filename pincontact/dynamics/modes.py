@@ -352,7 +352,10 @@ class ModeSolver:
         whitened = system.whitened_rows[_normals_last(len(closed))]
         base = system.rows[closed].reshape(count, system.nv) @ system.free_acceleration
         base += system.bias[closed].reshape(count)
-        return _Problem(whitened @ whitened.T, base, np.zeros(count), self._limits[closed])
+        gram, weights = delassus(whitened.T)
+        if weights.any():
+            base[weights > 0.0] = 0.0
+        return _Problem(gram, base, weights, self._limits[closed])
 
     def _problem(self, closed: list[int], undecided: list[int], held: list[int], resisting: list[int]) -> _Problem:
         """The cone problem without the pull of what slides: units of contacts, held coordinates, resistances."""

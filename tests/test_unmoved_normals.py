@@ -115,3 +115,32 @@ def test_a_jam_is_still_found():
     for speed, status in ((1.0, -4), (-1.0, 0)):
         run = pc.simulate(scene, scene.initial_state(q, [*(rotation.T @ [speed, 0.0, 0.0]), 0.0, 0.0, 0.0]), 0.01)
         assert run.status == status, (speed, run.message)
+
+
+@pytest.mark.parametrize("mu", [0.3, 0.6])
+@pytest.mark.parametrize("options", [{}, {"method": "Moreau", "step": 0.01}])
+def test_a_tangent_along_which_nothing_moves(mu, options):
+    """A block guided in a vertical plane, on a plane in space, is pushed with 5 N: a = (5 - mu g) / 1 kg, or rest."""
+    model = pin.Model()
+    index = 0
+    for joint, name in ((pin.JointModelPX(), "x"), (pin.JointModelPZ(), "z")):
+        index = model.addJoint(index, joint, pin.SE3.Identity(), name)
+    model.appendBodyToJoint(index, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("block", index, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    foot, floor = scene.add_contour("foot", pc.Point(), "block"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", foot, floor, friction=pc.Coulomb(mu))
+    times = np.array([0.0, 0.5, 1.0])
+    run = pc.simulate(
+        scene,
+        scene.initial_state([0.0, 0.0], [0.0, 0.0]),
+        1.0,
+        t_eval=times,
+        control=lambda t, q, v: np.array([5.0, 0.0]),
+        **options,
+    )
+    # constant acceleration: both methods are exact but for round-off, and the seed of slip, whose error is its cube
+    expected = 0.5 * max(5.0 - mu * G, 0.0) * times**2
+    np.testing.assert_allclose(run.q[:, 0], expected, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(run.contacts["c"].tangential_force, min(mu * G, 5.0), rtol=0.0, atol=1e-11)
+    assert (run.contacts["c"].mode == (2 if mu * G < 5.0 else 1)).all()

@@ -61,7 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     run = commands.add_parser("run", help="simulate a scene file and print a summary")
     run.add_argument("scene", help="scene file (.toml, .yaml)")
     run.add_argument("--duration", type=float, metavar="SECONDS", help="simulated time, instead of the file's")
-    run.add_argument("--method", metavar="NAME", help="DOP853, RK45, RK23 or Moreau, instead of the file's")
+    run.add_argument("--method", metavar="NAME", help="DOP853, Sharp98, RK45, RK23 or Moreau, instead of the file's")
     run.add_argument("--rtol", type=float, metavar="NUMBER", help="relative tolerance of a step")
     run.add_argument("--step", type=float, metavar="SECONDS", help="step of method Moreau")
     run.add_argument("--html", metavar="FILE", help="write a replay as one HTML file")

@@ -57,8 +57,8 @@ def simulate(
 
     rtol, atol: relative and absolute tolerance of every component of q (tangent to its manifold), v and the location.
     t_eval: times at which the result is wanted, None for every accepted step. method: "DOP853", "RK45"
-    or "RK23", or "Moreau": time stepping with impulses, for many contacts, impacts and jams, of constant `step` in s
-    (default 1e-3) and without error control.
+    or "RK23"; "Sharp98" for errors of 1e-10, at rtol of 1e-5 and less; or "Moreau": time stepping with impulses, for
+    many contacts, impacts and jams, of constant `step` in s (default 1e-3) and without error control.
     control: called as control(t, q, v), returns joint torques (nv,); must be smooth between events. q (nq,) and v (nv,)
     are read-only views of the integrator's own arrays, which the next call overwrites: copy what is kept.
     events: functions g(t, q, v) whose zeros are reported; attributes `terminal` and `direction` as in `solve_ivp`.
@@ -83,6 +83,11 @@ def simulate(
     if step is not None and method != "Moreau":
         raise ArgumentError(f"step is for method 'Moreau'; method {method!r} takes fixed_step or max_step")
     pair = None if method == "Moreau" else tableau(method)
+    if pair is not None and fixed_step is None and rtol > pair.coarsest:
+        raise ArgumentError(
+            f"rtol must be at most {pair.coarsest:g} for method {method!r}, whose error estimate does not hold for "
+            f"longer steps, got {rtol:g}; method 'DOP853' takes it"
+        )
     if pair is None:
         # imported, and with it kernels to compile, for those who use it
         from .integration import moreau  # noqa: F401

@@ -278,11 +278,11 @@ def reference(name: str) -> Reference:
 
 
 @cache
-def simulated(name: str, native: bool = False, rtol: float = 1e-10) -> pc.Trajectory:
+def simulated(name: str, native: bool = False, rtol: float = 1e-10, method: str = "DOP853") -> pc.Trajectory:
     """The scene integrated on the reference's times."""
     scene, state = build(name, native)
     times = reference(name)["t"]
-    return pc.simulate(scene, state, float(times[-1]), rtol=rtol, atol=1e-2 * rtol, t_eval=times)
+    return pc.simulate(scene, state, float(times[-1]), rtol=rtol, atol=1e-2 * rtol, t_eval=times, method=method)
 
 
 # ---------------------------------------------------------------------------------------------------- errors

@@ -249,6 +249,7 @@ def test_flat_disk_is_singular(scene):
         ({"fixed_step": 0.0}, "fixed_step"),
         ({"max_steps": 0}, "max_steps"),
         ({"method": "Euler"}, "Euler.*DOP853.*Moreau"),
+        ({"method": "Sharp98", "rtol": 1e-4}, r"rtol must be at most 1e-05.*Sharp98.*0\.0001"),
         ({"control": 3.0}, r"3\.0"),
         ({"events": [None]}, r"events\[0\]"),
         ({"t_eval": [0.0, 2.0]}, r"t_eval must lie in \[0.0, 1.0\]"),

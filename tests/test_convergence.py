@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from reference import body_motion, build, farthest, largest_angle, path_extent, reference
+from reference import body_motion, build, farthest, largest_angle, path_extent, reference, simulated
 
 import pincontact as pc
 
@@ -53,15 +53,32 @@ def test_order_of_rolling_disk():
     assert 7.7 <= found <= 9.0, (found, errors)
 
 
-@pytest.mark.parametrize(("method", "order"), [("DOP853", 7.0), ("RK45", 4.0)])
+@pytest.mark.parametrize(
+    ("name", "duration", "steps"),
+    [
+        ("disk_plane_slip_then_roll", 0.8, (16, 20, 24, 28)),
+        ("disk_plane_roll", 1.0, (10, 12, 16, 20)),
+        ("ball_in_bowl_3d_roll", 0.8, (6, 7, 8, 10, 12)),
+    ],
+)
+def test_order_of_sharp98(name, duration, steps):
+    """Errors of 1e-8 to 1e-12; at the longer steps those of the tenth order still count."""
+    found, errors = observed_order(name, duration, "Sharp98", steps)
+    assert 8.7 <= found <= 9.8, (found, errors)
+
+
+@pytest.mark.parametrize(("method", "order"), [("DOP853", 7.0), ("RK45", 4.0), ("Sharp98", 8.0)])
 def test_order_of_outputs_between_steps(method, order):
-    """The dense output is of one order less than the steps; its points are projected on the constraints too."""
+    """The dense output is of one order less than the steps; its points are projected on the constraints too.
+
+    That of Sharp98 is of order 6 only, but with errors of the next orders so small that they do not show.
+    """
     scene, state = build("disk_plane_roll", native=True)
     duration = 1.0
     times = np.linspace(0.0, duration, 101)[1:-1] + 1.2345e-3
     exact = pc.simulate(scene, state, duration, rtol=1e-13, atol=1e-15, t_eval=times)
     errors = []
-    counts = np.array((8, 12, 16, 24) if method == "DOP853" else (32, 48, 64, 96))
+    counts = np.array((8, 12, 16, 24) if method in ("DOP853", "Sharp98") else (32, 48, 64, 96))
     for n in counts:
         run = pc.simulate(scene, state, duration, method=method, fixed_step=duration / n, t_eval=times)
         errors.append(max(np.abs(pin.difference(scene.model, a, b)).max() for a, b in zip(exact.q, run.q)))
@@ -84,7 +101,8 @@ TOLERANCES = (1e-5, 1e-7, 1e-9)
 
 @pytest.mark.parametrize(
     ("name", "method"),
-    [(name, "DOP853") for name in WITH_EVENTS] + [(name, "RK45") for name in WITH_EVENTS[:4]],
+    [(name, method) for method in ("DOP853", "Sharp98") for name in WITH_EVENTS]
+    + [(name, "RK45") for name in WITH_EVENTS[:4]],
 )
 def test_error_falls_with_the_tolerance_across_events(name, method):
     """An event located or crossed to less than the method's order would put a floor under the error."""
@@ -108,6 +126,27 @@ def test_error_falls_with_the_tolerance_across_events(name, method):
         slope = np.log10(errors[0] / errors[2]) / np.log10(TOLERANCES[0] / TOLERANCES[-1])
         assert slope > 0.73 or all(error < 0.2 * rtol for error, rtol in zip(errors, TOLERANCES)), errors
     assert motion_errors[-1] <= 50.0 * TOLERANCES[-1]
+
+
+@pytest.mark.parametrize("rtol", [1e-5, 1e-7, 1e-9])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "ball_on_plane_through_pole",
+        "disk_plane_slip_then_roll",
+        "disk_plane_stick_to_slip",
+        "ellipse_on_line_roll",
+        "rigid_on_twisted_cubic_frictionless",
+    ],
+)
+def test_errors_of_sharp98_stay_at_the_tolerance(name, rtol):
+    """Its estimate is three orders below it, and scaled: on the references with the largest errors, which are twice
+    rtol at the coarsest tolerance it takes, then half of it, and on one that runs over a pole."""
+    run, expected = simulated(name, True, rtol, "Sharp98"), reference(name)
+    assert run.status == 0, run.message
+    motion = body_motion(name, run)
+    position = farthest(motion.p, expected["p"]) / path_extent(expected["p"])
+    assert max(position, largest_angle(motion.R, expected["R"])) <= (3.0 if rtol == 1e-5 else 1.0) * rtol
 
 
 @pytest.mark.parametrize(("method", "rtol"), [("DOP853", 1e-4), ("RK45", 1e-4), ("RK45", 1e-5)])

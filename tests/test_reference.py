@@ -121,3 +121,17 @@ def test_frames_and_multipliers(name):
         assert np.abs(dual - wanted_dual).max() <= FORCE * scale
         slip = track.slip_velocity[closed] - expected["slip"][closed, i]
         assert np.abs(slip).max() <= 10.0 * MOTION * max(1.0, float(np.abs(expected["v"]).max()))
+
+
+@pytest.mark.parametrize("name", NATIVE_NAMES)
+def test_sharp98_follows(name):
+    """The pair of order 9: the same bounds, and the same events at the same times."""
+    run, expected = simulated(name, True, method="Sharp98"), reference(name)
+    assert run.status == 0, run.message
+    motion = body_motion(name, run)
+    assert farthest(motion.p, expected["p"]) <= MOTION * path_extent(expected["p"])
+    assert largest_angle(motion.R, expected["R"]) <= MOTION
+    assert [event.kind for event in run.events] == [KINDS[event["what"]] for event in expected.events]
+    for event, wanted in zip(run.events, expected.events, strict=True):
+        assert abs(event.time - wanted["t"]) <= MOTION
+    assert max(values.max() for values in run.residuals().values()) <= RESIDUAL

@@ -59,7 +59,7 @@ COLOURS = {
     "Jiminy": "#ff9d1e",
     "Pinocchio": "#9467bd",
 }
-OUR_MARKS = {"DOP853": "o-", "RK45": "s--", "RK23": "v-.", "Moreau": "^:"}
+OUR_MARKS = {"DOP853": "o-", "Sharp98": "D-", "RK45": "s--", "RK23": "v-.", "Moreau": "^:"}
 
 
 @dataclass

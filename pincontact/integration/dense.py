@@ -26,8 +26,8 @@ from .stages import MAX_STAGES
 if TYPE_CHECKING:
     from ..dynamics.system import System
 
-# Rows of the coefficients: DOP853 uses all of them, RK45 four, RK23 three.
-DENSE_ROWS = 7
+# Rows of the coefficients: Sharp98 uses all of them, DOP853 seven, RK45 four, RK23 three.
+DENSE_ROWS = 8
 
 
 @kernel

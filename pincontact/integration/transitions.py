@@ -58,6 +58,7 @@ from .results import CHATTER, END_OF_CONTOUR, FAILURES, GAP_TOLERANCE, SINGULAR_
 from .runge_kutta import RungeKutta
 from .slow_slip import SlowSlip
 from .stages import DAMPING_WORK, DRIVE_WORK, FRICTION_WORK, NUMBER_OF_WORKS
+from .steps import FAILED_FACTOR
 
 # Slip slower than this (m/s, absolute and relative to the largest velocity) counts as rest where modes are set anew.
 _REST = 1e-9
@@ -73,6 +74,9 @@ _DEGENERATE = 1e-5
 _SHORTEST_START = 1e-3
 # Where it cannot be followed, slip is seeded after this fraction of the usual time.
 _SHORT_SEED = 1e-2
+# So often a seed is shortened, to a millionth, where the motion turns within it: a disk that is almost flat turns round
+# in microseconds.
+_SHORTENINGS = 10
 # Slip from rest starts slowly where friction turns it this many times faster than it grows.
 _SLOW_START = 30.0
 # What is added to the slack of a limit of friction that was reached without slip, as a factor, and where that ends.
@@ -556,8 +560,7 @@ class Transitions:
                 system.contact_real[c, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
             rk.load(system.state)
             rk.evaluate_start(t)
-        if rk.attempt(t, tau) != OK:
-            raise self.give_up(t, NO_FORCE)
+        tau = self._attempt(t, tau)
         self.emit(t, tau)
         rk.load(system.new_state)
         return self._end_start(t + tau)
@@ -599,15 +602,14 @@ class Transitions:
         start_q, start_v = system.q.copy(), system.v.copy()
         tau = min(self.seed, self.until_touch())
         modes = system.contact_int.copy()
-        decision, seeded = self._run_on(t, tau)
+        tau, decision, seeded = self._run_on(t, tau)
         if decision.opened:
             # a jump of the forces (Painleve) opens contacts at once, not when slip would show
             system.contact_int[:] = modes
             rk.load(system.state)
             if rk.evaluate_start(t) > EVENT:
                 raise self.give_up(t, NO_FORCE)
-            tau *= _OPENING_SEED
-            decision, seeded = self._run_on(t, tau)
+            tau, decision, seeded = self._run_on(t, _OPENING_SEED * tau)
         for slipping in decision.started:
             kind = "slip" if slipping < system.nc else "turn"
             self.events.append(Event(t, self._name(slipping)[0], kind, start_q, start_v))
@@ -628,8 +630,7 @@ class Transitions:
             rk.load(system.state)
             if rk.evaluate_start(t) > EVENT:
                 raise self.give_up(t, NO_FORCE)
-            tau *= _SHORT_SEED
-            seeded = self._run_on(t, tau)[1]
+            tau, _, seeded = self._run_on(t, _SHORT_SEED * tau)
         self.emit(t, tau)
         rk.load(seeded)
         return self._end_start(t + tau)
@@ -761,12 +762,24 @@ class Transitions:
             and (lowest[:, [NORMAL_MARGIN, FRICTION_MARGIN]] >= -force).all()
         )
 
-    def _run_on(self, t: float, tau: float) -> tuple[Decision, np.ndarray]:
-        """Stick runs on from the accepted state for tau, where the modes are decided anew; also returns the state there
-        with the slip velocity a_t tau / 2 added."""
+    def _attempt(self, t: float, tau: float) -> float:
+        """A step from the accepted state of tau, or of as much less as its error asks for; how long it is."""
+        for _ in range(_SHORTENINGS):
+            status = self.rk.attempt(t, tau)
+            if status == OK and self.rk.error < 1.0:
+                return tau
+            if status != OK:
+                self.failed_control(t)
+            tau *= FAILED_FACTOR
+        raise self.give_up(t, NO_FORCE)
+
+    def _run_on(self, t: float, tau: float) -> tuple[float, Decision, np.ndarray]:
+        """Stick runs on from the accepted state for tau, or less (see `_attempt`), where the modes are decided anew.
+
+        Returns how long, the decision, and the state there with the slip velocity a_t tau / 2 added.
+        """
         rk, system = self.rk, self.system
-        if rk.attempt(t, tau) != OK:
-            raise self.give_up(t, NO_FORCE)
+        tau = self._attempt(t, tau)
         rk.load(system.new_state)
         self._project(t + tau)
         stick = system.stage_state.copy()
@@ -776,7 +789,7 @@ class Transitions:
         rk.load(stick)
         system.v += change
         rk.keep_velocity()
-        return decision, system.stage_state.copy()
+        return tau, decision, system.stage_state.copy()
 
     def _end_start(self, t: float) -> float:
         """Slip has a direction of its own from here on."""

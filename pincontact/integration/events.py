@@ -198,7 +198,7 @@ class EventLocator:
             with np.errstate(invalid="ignore", divide="ignore"):
                 places = np.nan_to_num(ends[0] / (ends[0] - ends[1]), nan=1.0, posinf=1.0)
             c, kind = (int(x) for x in crossed[int(np.argmin(places))])
-            theta = self._root(t, step, dense, (c, kind), low, high, before[c, kind])
+            theta = self._root(t, step, dense, (c, kind), (low, before[c, kind]), (high, after[c, kind]))
             if found is not None and theta >= found.theta:
                 break
             found, high = Crossing(theta, (c, kind)), theta
@@ -250,13 +250,19 @@ class EventLocator:
         step: float,
         dense: Interpolant,
         margin: tuple[int, int],
-        low: float,
-        high: float,
-        at_low: float,
+        left: tuple[float, float],
+        right: tuple[float, float],
     ) -> float:
+        """Where a margin turns negative between two samples (theta, value)."""
+        (low, at_low), (high, _) = left, right
+        # asked once for each time: a control that answers otherwise the next time (noise) has no root to be found
+        known = dict([left, right])
+
         def value(theta: float) -> float:
-            margins = self._margins(t, step, dense, theta)
-            return -1.0 if margins is None else float(margins[margin])
+            if theta not in known:
+                margins = self._margins(t, step, dense, theta)
+                known[theta] = -1.0 if margins is None else float(margins[margin])
+            return known[theta]
 
         if at_low <= 0.0:
             # the mode was entered on its boundary: look for the part where it holds first

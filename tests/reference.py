@@ -147,13 +147,10 @@ def _rolling_disk(name: str) -> tuple[Shape, Shape]:
     return _placed(pc.Circle(radius)), _placed(pc.Plane())
 
 
-def native_shapes(name: str) -> tuple[Shape | None, Shape] | None:
-    """Both shapes of every contact as the package's own contours (None for body 1: the expression's point).
-
-    The charts differ from the expressions'. None where there is no such shape.
-    """
+@cache
+def _native_shapes() -> dict[str, tuple[Shape | None, Shape]]:
     point = None
-    shapes: dict[str, tuple[Shape | None, Shape]] = {
+    return {
         "helix_bead_slip": (point, _placed(pc.Helix(0.3, 0.2 * math.pi))),
         "bead_on_free_hoop": (point, _placed(pc.Circle(0.4), _UPRIGHT)),
         "ellipse_bead_friction": (point, _placed(pc.Ellipse(0.5, 0.3))),
@@ -185,10 +182,16 @@ def native_shapes(name: str) -> tuple[Shape | None, Shape] | None:
             _placed(pc.Ellipsoid(0.25, 0.18, 0.12)),
             _placed(pc.Ellipsoid(0.3, 0.35, 0.2)),
         ),
+        **{name: _rolling_disk(name) for name in NAMES if name.startswith("disk_plane")},
     }
-    if name.startswith("disk_plane"):
-        return _rolling_disk(name)
-    return shapes.get(name)
+
+
+def native_shapes(name: str) -> tuple[Shape | None, Shape] | None:
+    """Both shapes of every contact as the package's own contours (None for body 1: the expression's point).
+
+    The charts differ from the expressions'. None where there is no such shape.
+    """
+    return _native_shapes().get(name)
 
 
 # Which side of e_3 body 1 lies on, where native shapes do not decide it: a point inside an ellipsoid, crossing curves

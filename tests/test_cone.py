@@ -3,8 +3,6 @@
 import itertools
 import math
 import runpy
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -605,21 +603,6 @@ def test_a_solution_is_a_copy():
     before = kept.forces.copy()
     assert solver.solve(delassus, 2.0 * b, mu)
     np.testing.assert_array_equal(kept.forces, before)
-
-
-def test_nothing_of_proxsuite_is_imported_before_the_first_program():
-    code = (
-        "import sys, numpy as np\n"
-        "from pincontact.friction.solve import solve_contacts\n"
-        "solve_contacts(np.eye(3), [1.0, 0.0, -1.0], 0.5)\n"
-        "assert 'proxsuite' not in sys.modules\n"
-        "solve_contacts(np.eye(6), [1.0, 0.0, -1.0] * 2, 0.5)\n"
-        "assert 'proxsuite' not in sys.modules\n"
-        "from pincontact.friction.solve import ContactSolver\n"
-        "assert ContactSolver(stages=('qp',)).solve(np.eye(6), np.array([1.0, 0.0, -1.0] * 2), np.full(2, 0.5))\n"
-        "assert 'proxsuite' in sys.modules\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 # ------------------------------------------------------------------------------------------- redundant contacts

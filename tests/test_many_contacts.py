@@ -162,7 +162,7 @@ def test_no_choice_for_what_is_not_redundant():
         assert (central_force(forces, null, cones) is not None) == held
 
 
-@pytest.mark.parametrize("feet", [4, 6, 12])
+@pytest.mark.parametrize("feet", [4, 12])
 def test_feet_slip_when_no_forces_hold_them(feet):
     """Swinging pushes and a torque: the first slip is where there are no admissible forces, and few choices lead there:
     of the way to the limit each leaves about the square of what the last left."""
@@ -327,8 +327,11 @@ def test_table_tips_when_the_load_leaves_its_feet():
     assert np.abs(run.energies().balance).max() <= 1e-8
 
 
-@pytest.mark.parametrize("options", [{}, {"method": "Moreau", "step": 1e-3}], ids=["events", "Moreau"])
-@pytest.mark.parametrize("short", [1e-3, 1e-2])
+@pytest.mark.parametrize(
+    ("short", "options"),
+    [(1e-3, {}), (1e-2, {}), (1e-2, {"method": "Moreau", "step": 1e-3})],
+    ids=["1 mm", "1 cm", "1 cm, Moreau"],
+)
 def test_table_on_uneven_legs(short, options):
     """One leg of four is short, on the loaded side: the table falls on it, rocks, and stands on three legs, whose loads
     are those of statics; the fourth stays in the air."""

@@ -234,10 +234,10 @@ def test_rest_for_a_thousand_seconds(name):
 
 def test_coulomb_oscillator_stops():
     """x'' = -k x -+ mu g from x0: every half-period takes 2 mu g / k off, until |x| <= mu g / k holds."""
-    mu, k, h = 0.3, 30.0, 5e-4
+    mu, k, h = 0.3, 30.0, 1e-3
     scene = slide_scene(mu)
     state = scene.initial_state(np.array([1.0, 0.0, 0.0]))
-    run = stepped(scene, state, 4.0, h, control=lambda t, q, v: np.array([-k * q[0], 0.0, 0.0]))
+    run = stepped(scene, state, 3.0, h, control=lambda t, q, v: np.array([-k * q[0], 0.0, 0.0]))
     reach, x, halves = mu * G / k, 1.0, 0
     while abs(x) > reach:
         x = -math.copysign(abs(x) - 2.0 * reach, x)
@@ -573,10 +573,10 @@ def random_scene(rng):
     return scene, scene.initial_state(q, v, free=list(scene.contacts))
 
 
-@pytest.mark.parametrize("block", range(10))
+@pytest.mark.parametrize("block", range(4))
 def test_friction_and_impacts_create_no_energy(block):
-    """300 random runs: the work of contacts falls in every step; total energy rises by errors of the order h only."""
-    for seed in range(30 * block, 30 * block + 30):
+    """80 random runs: the work of contacts falls in every step; total energy rises by errors of the order h only."""
+    for seed in range(20 * block, 20 * block + 20):
         scene, state = random_scene(np.random.default_rng(seed))
         run = stepped(scene, state, 0.4, 1e-3, energies=True)
         energies = run.energies()

@@ -342,7 +342,7 @@ def test_impact_with_two_directions():
 coefficients = st.floats(0.01, 2.0)
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True, database=None)
 @given(
     mu=st.tuples(coefficients, coefficients),
     falls=st.floats(1.0, 3.0),

@@ -2,7 +2,8 @@
 
 Joints along and about the axes of Eq. 36 make Pinocchio's coordinates the paper's q1..q6. Misprints of the paper are
 corrected where a comment says so. Angles keep s_q5 > 0, so that cos(beta*) = 1 is the rim's lowest point; 1000 random
-states, compared to 1e-10: rounding of products of a few numbers of order 10 is far below.
+states (fewer where one takes milliseconds), compared to 1e-10: rounding of products of a few numbers of order 10 is far
+below.
 """
 
 import dataclasses
@@ -353,7 +354,7 @@ def test_analysis(states):
     """Conditions (42, 43), their Jacobians, the frame (41) and v_c as `analyze` gives them."""
     scene = disk_scene(None)
     start = scene.initial_state(*states[0])
-    for q, v in states:
+    for q, v in states[:200]:
         found = pc.analyze(scene, dataclasses.replace(start, q=q, v=v))["rim/floor"]
         s4, c4, s5, c5 = sines(q)
         xi, eta1, eta2 = found.location

@@ -139,7 +139,7 @@ def test_what_slides_from_the_start_does_not_begin_to_slip(rtol, excess):
     """However slow for its tolerances the slip is, so that it is taken for rest over and over: it goes on."""
     options = {"rtol": rtol, "atol": 1e-2 * rtol}
     for scene, state, _ in (on_the_ramp(excess, 0.7), block_on_a_ramp(excess)):
-        run = pc.simulate(scene, state, 0.2, **options)
+        run = pc.simulate(scene, state, 0.1, **options)
         assert run.status == 0, run.message
         assert run.events == []
         assert all((track.mode == 2).all() for track in run.contacts.values())

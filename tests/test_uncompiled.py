@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import subprocess
 import sys
@@ -27,15 +29,21 @@ for method, options in (("DOP853", {}), ("Moreau", {"step": 0.01})):
 """
 
 
-def printed(**environment: str) -> np.ndarray:
+def numbers(text: str) -> np.ndarray:
+    return np.array([line.split() for line in text.splitlines()], dtype=float)
+
+
+def test_uncompiled_kernels(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
+        exec(SCRIPT, {"__name__": "script"})
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT], cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True
+        [sys.executable, "-c", SCRIPT], env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
-    return np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
-
-
-def test_uncompiled_kernels():
-    compiled, plain = printed(), printed(NUMBA_DISABLE_JIT="1")
+    compiled, plain = numbers(output.getvalue()), numbers(done.stdout)
+    # run, but not compiled: that is what a debugger steps through
+    assert compiled.shape == plain.shape == (2, 10)
     # the compiler may order sums otherwise: rounding, which a few dozen steps make a little larger
     np.testing.assert_allclose(plain, compiled, rtol=1e-10, atol=1e-11)

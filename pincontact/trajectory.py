@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -32,11 +32,9 @@ from .layout import (
     FROZEN_COLUMNS,
     HAS_REFERENCE,
     NWORK,
-    PATTERN,
     RECORDED,
     ROW_WIDTH,
     STICK,
-    TANGENTS,
 )
 from .scene import Scene
 from .state import Correction, State, discrete_part, write_discrete
@@ -47,6 +45,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _FORMAT = 1
+# Outputs whose contacts are evaluated before they are put together: some MB.
+_CHUNK = 1024
 
 
 class Record:
@@ -475,29 +475,72 @@ def _part(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
 
 def _evaluate_tracks(run: Trajectory) -> tuple[dict[str, ContactTrack], dict[str, dict[str, np.ndarray]]]:
     """Evaluate the contacts again at every output: the run itself keeps only what it cannot do without."""
-    scene = run.scene
-    contacts = list(scene.contacts.values())
-    system = System(scene.model, contacts)
-    n, recorded = run.t.size, run._recorded
+    contacts = list(run.scene.contacts.values())
+    system = System(run.scene.model, contacts)
+    n, resistances = run.t.size, run._recorded.resistances
     tracks = {c.name: _empty_track(c, n) for c in contacts}
     residuals = {c.name: {kind: np.zeros(n) for kind in ("C1", "C2", "GC", "VC")} for c in contacts}
-    for i in range(n):
+    for start in range(0, n if contacts else 0, _CHUNK):
+        outputs = _evaluate_outputs(system, run, range(start, min(start + _CHUNK, n)))
+        for c, contact in enumerate(contacts):
+            _fill_track(outputs, c, contact, tracks[contact.name])
+            if resistances is not None:
+                tracks[contact.name].torque[outputs.rows] = resistances[outputs.rows, c]
+            _fill_residuals(outputs, c, contact, residuals[contact.name])
+    return tracks, residuals
+
+
+class _Outputs(NamedTuple):
+    """What evaluations at m outputs leave of the contacts, in the arrays of `System`, a row for each.
+
+    rows (m,): which outputs they are; shapes (m, 2 nc, 3, 3): points and first derivatives, in world axes; frames (m,
+    2 nc, 5, 3): rotation, place and velocity of what carries them; the rest (m, nc, ...), of sides (m, 2 nc).
+    """
+
+    rows: np.ndarray
+    location: np.ndarray
+    shapes: np.ndarray
+    frames: np.ndarray
+    basis: np.ndarray
+    slip: np.ndarray
+    gaps: np.ndarray
+    force: np.ndarray
+    modes: np.ndarray
+    conditioning: np.ndarray
+    charts: np.ndarray
+
+
+def _evaluate_outputs(system: System, run: Trajectory, wanted: range) -> _Outputs:
+    """Of the wanted outputs, those that can be evaluated."""
+    nc, recorded = system.nc, run._recorded
+    views = (
+        system.location[:nc],
+        system.derivatives[: 2 * nc, :3],
+        system.frames[: 2 * nc, :5],
+        system.basis[:nc],
+        system.slip[:nc],
+        system.gaps[:nc],
+        system.force[:nc],
+        system.modes,
+        system.contact_real[:nc, CONDITION],
+        system.side_int[: 2 * nc, CHART],
+    )
+    values = [np.empty((len(wanted), *view.shape), view.dtype) for view in views]
+    rows: list[int] = []
+    for i in wanted:
         system.q[:], system.v[:] = run.q[i], run.v[i]
-        system.location[: system.nc] = recorded.location[i]
+        system.location[:nc] = recorded.location[i]
         write_discrete(system, recorded.discrete[i])
         set_frozen_directions(system, recorded.directions[i])
         if recorded.torques is not None:
             system.tau[:] = recorded.torques[i]
         system.scalars[HAS_REFERENCE] = float(i in recorded.references)
-        system.reference[: system.nc] = recorded.references.get(i, 0.0)
-        usable = system.evaluate(float(run.t[i])) <= EVENT
-        for c, contact in enumerate(contacts):
-            if usable:
-                _fill_row(system, c, contact, tracks[contact.name], i)
-                if recorded.resistances is not None:
-                    tracks[contact.name].torque[i] = recorded.resistances[i, c]
-                _fill_residuals(system, c, contact, residuals[contact.name], i)
-    return tracks, residuals
+        system.reference[:nc] = recorded.references.get(i, 0.0)
+        if system.evaluate(float(run.t[i])) <= EVENT:
+            for array, view in zip(values, views):
+                array[len(rows)] = view
+            rows.append(i)
+    return _Outputs(np.array(rows, dtype=np.int64), *(array[: len(rows)] for array in values))
 
 
 def _empty_track(contact: Contact, n: int) -> ContactTrack:
@@ -527,59 +570,58 @@ def _empty_track(contact: Contact, n: int) -> ContactTrack:
     )
 
 
-def _fill_row(system: System, c: int, contact: Contact, track: ContactTrack, i: int) -> None:
-    one, two = 2 * c, 2 * c + 1
+def _fill_track(outputs: _Outputs, c: int, contact: Contact, track: ContactTrack) -> None:
+    rows, one, two = outputs.rows, 2 * c, 2 * c + 1
     k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
-    u1, u2 = system.location[c, :k1], system.location[c, 2 : 2 + k2]
-    mode = int(system.modes[c])
-    track.mode[i] = mode
-    track.location[i] = np.concatenate([u1, u2])
-    track.location_first[i], track.location_second[i] = (u2, u1) if contact.swapped else (u1, u2)
-    track.charts[i] = system.side_int[one, CHART], system.side_int[two, CHART]
-    track.point[i] = system.frames[two, 3] + system.derivatives[two, 0]
-    basis = system.basis[c]
-    frame = contact_frame(
-        int(system.contact_int[c, PATTERN]),
-        system.derivatives[one],
-        system.derivatives[two],
-        system.frames[two, 0:3, 2],
-        basis,
+    u1, u2 = outputs.location[:, c, :k1], outputs.location[:, c, 2 : 2 + k2]
+    track.mode[rows] = modes = outputs.modes[:, c]
+    track.location[rows] = np.hstack([u1, u2])
+    track.location_first[rows], track.location_second[rows] = (u2, u1) if contact.swapped else (u1, u2)
+    track.charts[rows] = outputs.charts[:, one : two + 1]
+    first, second, carrier, basis = (
+        outputs.shapes[:, one],
+        outputs.shapes[:, two],
+        outputs.frames[:, two],
+        outputs.basis[:, c],
     )
-    track.frame[i] = frame
-    track.dual_frame[i] = dual_basis(frame)
+    track.point[rows] = carrier[:, 3] + second[:, 0]
+    frame = contact_frame(contact.pattern.code, first, second, carrier[:, 0:3, 2], basis)
+    track.frame[rows], track.dual_frame[rows] = frame, dual_basis(frame)
     sign = -1.0 if contact.swapped else 1.0
-    track.gap[i] = system.gaps[c, 0] if contact.pattern.constraints == 1 else np.hypot(*system.gaps[c])
-    track.conditioning[i] = abs(system.contact_real[c, CONDITION])
-    track.slip_velocity[i] = sign * system.slip[c]
-    if mode == FREE:
-        return
-    force = sign * (basis.T @ system.force[c])
-    track.force[i] = force
-    track.multipliers[i] = frame.T @ force
-    along = system.force[c]
+    gaps = outputs.gaps[:, c]
+    track.gap[rows] = gaps[:, 0] if contact.pattern.constraints == 1 else np.hypot(gaps[:, 0], gaps[:, 1])
+    track.conditioning[rows] = np.abs(outputs.conditioning[:, c])
+    track.slip_velocity[rows] = sign * outputs.slip[:, c]
+    closed = modes != FREE
+    along = outputs.force[closed, c]
+    force = sign * np.einsum("nij,ni->nj", basis[closed], along)
+    rows = rows[closed]
+    track.force[rows] = force
+    track.multipliers[rows] = np.einsum("nij,ni->nj", frame[closed], force)
     if contact.pattern.constraints == 2:
-        track.normal_force[i], track.tangential_force[i] = np.hypot(along[1], along[2]), abs(along[0])
+        normal, tangential = np.hypot(along[:, 1], along[:, 2]), np.abs(along[:, 0])
     else:
-        track.normal_force[i], track.tangential_force[i] = along[2], np.hypot(along[0], along[1])
+        normal, tangential = along[:, 2], np.hypot(along[:, 0], along[:, 1])
+    track.normal_force[rows], track.tangential_force[rows] = normal, tangential
 
 
-def _fill_residuals(system: System, c: int, contact: Contact, rows: dict[str, np.ndarray], i: int) -> None:
-    mode = int(system.modes[c])
-    if mode == FREE:
-        return
-    one, two = 2 * c, 2 * c + 1
+def _fill_residuals(outputs: _Outputs, c: int, contact: Contact, residuals: dict[str, np.ndarray]) -> None:
+    closed = outputs.modes[:, c] != FREE
+    rows, modes = outputs.rows[closed], outputs.modes[closed, c]
+    first, second = outputs.shapes[closed, 2 * c], outputs.shapes[closed, 2 * c + 1]
+    carriers, basis = outputs.frames[closed, 2 * c : 2 * c + 2], outputs.basis[closed, c]
     length = characteristic_length(contact)
-    first, second = system.derivatives[one], system.derivatives[two]
-    difference = (system.frames[two, 3] - system.frames[one, 3]) + (second[0] - first[0])
-    rows["C1"][i] = np.linalg.norm(difference) / length
-    rows["GC"][i] = np.abs(system.gaps[c]).max() / length
-    basis = system.basis[c]
+    difference = (carriers[:, 1, 3] - carriers[:, 0, 3]) + (second[:, 0] - first[:, 0])
+    residuals["C1"][rows] = np.linalg.norm(difference, axis=1) / length
+    residuals["GC"][rows] = np.abs(outputs.gaps[closed, c]).max(axis=1) / length
     k1 = contact.body1.contour.dimension
     if k1 > 0 and contact.pattern.name != "3C-3C":
-        tangents = first[1 : 1 + k1]
-        rows["C2"][i] = np.max(np.abs(tangents @ basis[2]) / np.linalg.norm(tangents, axis=1))
-    constrained = [2] if contact.pattern.constraints == 1 else [1, 2]
-    if mode == STICK:
-        constrained += [0, 1] if system.contact_int[c, TANGENTS] == 2 else [0]
-    speeds = max(1.0, float(np.linalg.norm(system.frames[one, 4])), float(np.linalg.norm(system.frames[two, 4])))
-    rows["VC"][i] = np.abs(basis[constrained] @ system.slip[c]).max() / speeds
+        tangents = first[:, 1 : 1 + k1]
+        across = np.abs(np.einsum("nai,ni->na", tangents, basis[:, 2])) / np.linalg.norm(tangents, axis=2)
+        residuals["C2"][rows] = across.max(axis=1)
+    components = np.abs(np.einsum("nij,nj->ni", basis, outputs.slip[closed, c]))
+    normals = slice(2 if contact.pattern.constraints == 1 else 1, 3)
+    worst = components[:, normals].max(axis=1)
+    held = components[:, : contact.pattern.tangents].max(axis=1, initial=0.0)
+    speeds = np.linalg.norm(carriers[:, :, 4], axis=2).max(axis=1, initial=1.0)
+    residuals["VC"][rows] = np.where(modes == STICK, np.maximum(worst, held), worst) / speeds

@@ -229,18 +229,19 @@ def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
         for tangent in first[3]:
             misaligned = np.maximum(misaligned, np.abs(np.einsum("ik,ijk->ij", tangent, normals[indices])))
     seeds: list[np.ndarray] = []
+    # the samples of both contours, pair by pair
+    ones, twos = np.arange(len(first[1])).repeat(neighbours), indices.ravel()
+    where = np.hstack([first[1][ones], second[1][twos]])
+    parameters = np.hstack([first[0][ones], second[0][twos]])
     for weight in (1.0, 0.0, 10.0):
-        order = np.argsort((distances + weight * length * misaligned).ravel())
-        chosen: list[np.ndarray] = []
-        for flat in order:
-            i, j = divmod(int(flat), distances.shape[1])
-            where = np.concatenate([first[1][i], second[1][indices[i, j]]])
-            # seeds apart from each other, or all would fall into one basin
-            if all(np.linalg.norm(where - other) > 0.25 * length for other in chosen):
-                chosen.append(where)
-                seeds.append(np.concatenate([first[0][i], second[0][indices[i, j]]]))
-            if len(chosen) >= _SEEDS // 3:
+        left = np.argsort((distances + weight * length * misaligned).ravel())
+        for _ in range(_SEEDS // 3):
+            if not left.size:
                 break
+            best = left[0]
+            seeds.append(parameters[best])
+            # seeds apart from each other, or all would fall into one basin
+            left = left[np.linalg.norm(where[left] - where[best], axis=1) > 0.25 * length]
     return seeds
 
 

@@ -329,8 +329,7 @@ def _near(contour: Contour, window: np.ndarray, centre: np.ndarray, radius: floa
     count = 65 if contour.dimension == 1 else 33
     axes = [np.linspace(low, high, count) for low, high in window]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    points = np.array([contour.point(list(u), t) for u in grid.reshape(-1, contour.dimension)])
-    points = points.reshape(*grid.shape[:-1], 3)
+    points = contour.evaluate_many(grid.reshape(-1, contour.dimension), t)[:, F].reshape(*grid.shape[:-1], 3)
     # What lies between two samples is at most about half their distance away from the nearer one.
     gaps = [np.linalg.norm(np.diff(points, axis=a), axis=-1).max() for a in range(contour.dimension)]
     near = np.linalg.norm(points - centre, axis=-1) <= radius + 0.5 * float(np.linalg.norm(gaps))

@@ -1,8 +1,8 @@
 """What one evaluation costs against `pin.aba` on the same model: by pattern and contour, robot, number of contacts.
 
 An evaluation is what an integrator needs at one state: Pinocchio's terms, the contacts' kinematics, forces and
-accelerations, in stick. Times are medians of several batches; ratios are taken within the same batches, since machines
-are noisy. The last section shows where the time of whole runs goes.
+accelerations, in stick. Times are lower quartiles of many short batches of both, by turns: what interrupts a machine
+only adds to them. The last section shows where the time of whole runs goes.
 
     python examples/benchmarks/cost.py [--only SECTION] [--csv FILE]
 """
@@ -24,7 +24,9 @@ from pincontact.dynamics.system import System
 from pincontact.layout import MODE, MU, STICK
 from pincontact.state import write_discrete
 
-BATCHES, CALLS = 15, 2000
+# Batches of so many seconds: most fall between the interruptions of a machine that has something else to do.
+BATCHES, LENGTH = 301, 5e-4
+_RUNS = 15
 Writer = Callable[[str, float, float, float], None]
 
 
@@ -122,7 +124,7 @@ def prepare(model: pin.Model, body: pc.Contour, world: pc.Contour, q: np.ndarray
     return system, contact.pattern.name
 
 
-def batch(call: Callable[[], object], calls: int = CALLS) -> float:
+def batch(call: Callable[[], object], calls: int) -> float:
     """Seconds per call of one batch."""
     began = time.perf_counter()
     for _ in range(calls):
@@ -130,17 +132,18 @@ def batch(call: Callable[[], object], calls: int = CALLS) -> float:
     return (time.perf_counter() - began) / calls
 
 
-def compare(call: Callable[[], object], other: Callable[[], object], calls: int = CALLS) -> tuple[float, float, float]:
-    """Median microseconds of both calls, and the median of their ratios in the same batches."""
-    pairs = [(batch(call, calls), batch(other, calls)) for _ in range(BATCHES)]
-    first, second = (statistics.median(pair[i] for pair in pairs) * 1e6 for i in (0, 1))
-    return first, second, statistics.median(a / b for a, b in pairs)
+def compare(call: Callable[[], object], other: Callable[[], object]) -> tuple[float, float, float]:
+    """Lower quartiles in microseconds of both calls' batches, which take turns, and the ratio of these."""
+    sized = [(timed, max(1, round(LENGTH / min(batch(timed, 10) for _ in range(5))))) for timed in (call, other)]
+    times = [[batch(timed, calls) for timed, calls in sized] for _ in range(BATCHES)]
+    first, second = (statistics.quantiles(column, n=4)[0] * 1e6 for column in zip(*times))
+    return first, second, first / second
 
 
-def against_aba(system: System, calls: int = CALLS) -> tuple[float, float, float]:
+def against_aba(system: System) -> tuple[float, float, float]:
     """An evaluation of the system against `pin.aba` on its model (see `compare`)."""
     model, data, tau = system.model, system.model.createData(), np.zeros(system.nv)
-    return compare(lambda: system.evaluate(0.0), lambda: pin.aba(model, data, system.q, system.v, tau), calls)
+    return compare(lambda: system.evaluate(0.0), lambda: pin.aba(model, data, system.q, system.v, tau))
 
 
 # ---------------------------------------------------------------- patterns and contours
@@ -251,7 +254,7 @@ def robots(write: Writer) -> None:
 def contacts(write: Writer) -> None:
     """1 to 64 points of one body on the ground."""
     print(f"\n{'contacts on one body':34s} {'evaluation':>11s} {'pin.aba':>9s} {'ratio':>6s}")
-    numbers, costs = [1, 2, 4, 8, 16, 32, 64], []
+    numbers, ratios = [1, 2, 4, 8, 16, 32, 64], []
     for number in numbers:
         model = free_body()
         for i in range(number):
@@ -259,11 +262,11 @@ def contacts(write: Writer) -> None:
             placement = pin.SE3(np.eye(3), np.array([0.3 * math.cos(angle), 0.3 * math.sin(angle), 0.01 * (i % 3)]))
             model.addFrame(pin.Frame(f"p{i}", 1, 0, placement, pin.FrameType.BODY))
         system = standing(model, [f"p{i}" for i in range(number)])
-        cost, aba, ratio = against_aba(system, max(CALLS // number, 50))
-        costs.append(cost)
+        cost, aba, ratio = against_aba(system)
+        ratios.append(ratio)
         write(f"{number} contacts on one body", cost, aba, ratio)
         print(f"{number:<34d} {cost:8.2f} us {aba:6.2f} us {ratio:6.2f}")
-    exponent = np.polyfit(np.log(numbers[2:]), np.log(costs[2:]), 1)[0]
+    exponent = np.polyfit(np.log(numbers[2:]), np.log(ratios[2:]), 1)[0]
     print(f"cost ~ contacts^{exponent:.2f} from 4 to 64")
 
 
@@ -285,11 +288,9 @@ def steps(write: Writer) -> None:
         state = scene.initial_state(q, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 5.0]))
         run = pc.simulate(scene, state, 5.0, t_eval=outputs)
         total = statistics.median(
-            pc.simulate(scene, state, 5.0, t_eval=outputs).stats["wall_time"] for _ in range(BATCHES)
+            pc.simulate(scene, state, 5.0, t_eval=outputs).stats["wall_time"] for _ in range(_RUNS)
         )
-        setup = statistics.median(
-            pc.simulate(scene, state, 0.0, t_eval=[0.0]).stats["wall_time"] for _ in range(BATCHES)
-        )
+        setup = statistics.median(pc.simulate(scene, state, 0.0, t_eval=[0.0]).stats["wall_time"] for _ in range(_RUNS))
         each = (total - setup) / run.stats["rhs"]
         write(name, total * 1e6, math.nan, math.nan)
         print(

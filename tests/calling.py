@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -11,12 +12,22 @@ from pincontact.jit import _ENTRY_OPTIONS, _OPTIONS
 
 
 def from_python(part: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that calls the part, compiled like an entry kernel but not cached."""
+    """A function that calls the part, compiled like an entry kernel but not cached, and with little optimisation, which
+    is most of the time that compilation takes."""
     if numba.config.DISABLE_JIT:
         return part
 
     @numba.njit(**_OPTIONS, **_ENTRY_OPTIONS)
-    def call(*arguments):
+    def compiled(*arguments):
         return part(*arguments)
+
+    @functools.wraps(part)
+    def call(*arguments: Any) -> Any:
+        usual = numba.config.OPT
+        numba.config.OPT = type(usual)(1)
+        try:
+            return compiled(*arguments)
+        finally:
+            numba.config.OPT = usual
 
     return call

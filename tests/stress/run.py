@@ -67,7 +67,7 @@ def main() -> int:
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("cases", nargs="*", metavar="case", help=f"any of {', '.join(CASES)}; all by default")
-    parser.add_argument("--long", action="store_true", help="the long form: hours of motion, 10,000 random scenes")
+    parser.add_argument("--long", action="store_true", help="hours of motion, ten million steps, 10,000 scenes")
     options = parser.parse_args()
     for name in options.cases:
         if name not in CASES:

@@ -54,7 +54,7 @@ def dense_coefficients(table):
             out[i] = step * out[i] + weight[MAX_STAGES] * (new_state[i] - state[i])
 
 
-@entry_kernel(REAL[:, ::1], REAL[::1], INTEGER, REAL, REAL[::1])
+@kernel
 def interpolate(dense, start, nested, theta, out):
     """out = the state at the fraction theta of a step from `start`.
 
@@ -70,6 +70,12 @@ def interpolate(dense, start, nested, theta, out):
         out[i] += start[i]
 
 
+@entry_kernel(REAL[:, ::1], REAL[::1], INTEGER, REAL, REAL[::1])
+def fill_interpolated(dense, start, nested, theta, out):
+    """`interpolate` for callers in Python."""
+    interpolate(dense, start, nested, theta, out)
+
+
 class Interpolant:
     """y(theta) for theta in [0, 1] of the step that a system has attempted; keeps what it needs."""
 
@@ -79,5 +85,5 @@ class Interpolant:
 
     def __call__(self, theta: float) -> np.ndarray:
         out = np.empty_like(self._start)
-        interpolate(self._dense, self._start, self._nested, theta, out)
+        fill_interpolated(self._dense, self._start, self._nested, theta, out)
         return out

@@ -286,8 +286,8 @@ def keep_velocity(table, state):
             out[k] = v[k]
 
 
-@entry_kernel(TABLE)
-def move_charts(table):
+@kernel
+def change_charts(table):
     """Move the location parameters in STATE to better charts; returns how many contours changed theirs."""
     sizes = integers(table[SIZES], 8)
     nc, first = sizes[NC], sizes[NQ] + sizes[NV]
@@ -305,3 +305,9 @@ def move_charts(table):
             ints[CHART] = chart
             changed += 1
     return changed
+
+
+@entry_kernel(TABLE)
+def move_charts(table):
+    """`change_charts` for callers in Python."""
+    return change_charts(table)

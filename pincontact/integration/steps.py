@@ -116,12 +116,12 @@ from .recording import BLOCK, output_done, record_row
 from .stages import (
     MAX_STAGES,
     build_state,
+    change_charts,
     correct_state,
     error_norm,
     fill_slope,
     hand_over,
     keep_velocity,
-    move_charts,
 )
 
 # What `run_task` does.
@@ -443,7 +443,7 @@ def finish_step(table, t):
 @kernel
 def _better_charts(table, t):
     """Other charts for STATE where there are better ones, and its slope in them; a status."""
-    if integers(table[COUNTERS], COUNTERS_SIZE)[CHARTED] != 0 and move_charts(table) > 0:
+    if integers(table[COUNTERS], COUNTERS_SIZE)[CHARTED] != 0 and change_charts(table) > 0:
         return start(table, t)
     return OK
 

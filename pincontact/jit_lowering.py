@@ -115,6 +115,11 @@ def _of_integers(builder: Any, function: Any, a: Any, b: Any) -> Any:
     return builder.icmp_signed(_COMPARISONS[function], a, b) if function in _COMPARISONS else None
 
 
+def _is_passed(kind: Any) -> bool:
+    """Whether an argument is given, and not a default, which the function called knows."""
+    return not isinstance(kind, types.Omitted)
+
+
 class _NoErrors(CPUCallConv):
     """Numba's calling convention, for calls of its own functions, where nothing is expected to fail."""
 
@@ -221,11 +226,11 @@ class KernelLower(Lower):
         self._places: dict[str, Any] = {}
 
     def _bare_function(self, descriptor: Any, suffix: str = "") -> Any:
-        """A kernel by its descriptor: its arguments and its result as they are."""
+        """A kernel by its descriptor: its arguments, without defaults, and its result as they are."""
         context = self.context
         nothing = descriptor.restype == types.none
         returned = ll.VoidType() if nothing else context.get_value_type(descriptor.restype)
-        kinds = [context.get_value_type(kind) for kind in descriptor.argtypes]
+        kinds = [context.get_value_type(kind) for kind in descriptor.argtypes if _is_passed(kind)]
         name = descriptor.llvm_func_name + suffix
         return cgutils.get_or_insert_function(self.module, ll.FunctionType(returned, kinds), name)
 
@@ -263,7 +268,8 @@ class KernelLower(Lower):
         self.call_helper = self.call_conv.init_call_helper(self.builder)
 
     def extract_function_arguments(self) -> Any:
-        self.fnargs = self.function.args
+        given = iter(self.function.args)
+        self.fnargs = [next(given) if _is_passed(kind) else None for kind in self.fndesc.argtypes]
         return self.fnargs
 
     def lower_function_body(self) -> Any:
@@ -406,17 +412,22 @@ class KernelLower(Lower):
             given, found = self.typeof(value.name), self._look(value.name)
             return found if given == kind else self._cast(self._whole(found, given), given, kind)
         if isinstance(value, ir.Arg):
-            return self._cast(self.fnargs[value.index], self.typeof("arg." + value.name), kind)
-        number = value.value
+            given = self.typeof("arg." + value.name)
+            if isinstance(given, types.Omitted):
+                return self._constant_of(kind, given.value)
+            return self._cast(self.fnargs[value.index], given, kind)
+        return self._constant_of(kind, value.value)
+
+    def _constant_of(self, kind: Any, value: Any) -> Any:
         if isinstance(kind, types.Integer):
-            return ll.Constant(ll.IntType(kind.bitwidth), int(number))
+            return ll.Constant(ll.IntType(kind.bitwidth), int(value))
         if kind == types.float64:
-            return ll.Constant(_REAL, float(number))
+            return ll.Constant(_REAL, float(value))
         if isinstance(kind, types.Boolean):
-            return ll.Constant(_BIT, int(number))
+            return ll.Constant(_BIT, int(value))
         if isinstance(kind, (types.Callable, types.Module)):
             return None
-        return self.context.get_constant_generic(self.builder, kind, number)
+        return self.context.get_constant_generic(self.builder, kind, value)
 
     # expressions: `_lower_` and numba's name
 
@@ -631,6 +642,7 @@ class KernelLower(Lower):
             arguments = self.fold_call_args(called, signature, expr.args, expr.vararg, expr.kws)
         else:
             arguments = [self._loaded(v.name, wanted) for v, wanted in zip(expr.args, signature.args)]
+        arguments = [v for v, wanted in zip(arguments, signature.args) if _is_passed(wanted)]
         result = self.builder.call(self._bare_function(compiled.fndesc), arguments)
         return self.context.get_dummy_value() if signature.return_type == types.none else result
 

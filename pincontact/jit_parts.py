@@ -112,8 +112,12 @@ try:
 
         def _optimize_final_module(self) -> None:
             # numba's first, cheaper pass serves reference counting, of which there is none here
-            passes, builder = self._codegen._module_pass_manager()
-            passes.run(self._final_module, builder)
+            passes = self._codegen._module_pass_manager()
+            if isinstance(passes, tuple):
+                passes[0].run(self._final_module, passes[1])
+            else:
+                # LLVM's older pass manager, with numba before 0.62
+                passes.run(self._final_module)
 
     class _Lowering(LoweringPass):
         """From typed code to LLVM's instructions, by `KernelLower`."""
@@ -141,7 +145,8 @@ try:
             if entry:
                 called = context.get_executable(library, descriptor, lower.env)
                 context.insert_user_function(called, descriptor, [library])
-                state.reload_init.extend(library._reload_init)
+                # numba before 0.62 has none
+                state.reload_init.extend(getattr(library, "_reload_init", ()))
             else:
                 library._ensure_finalized()
                 # numba wants a builtin as entry point, and looks the function up by its identity

@@ -36,6 +36,7 @@ from .layout import (
     ROW_WIDTH,
     STICK,
 )
+from .memory import address_of
 from .scene import Scene
 from .state import Correction, State, discrete_part, write_discrete
 
@@ -60,11 +61,12 @@ class Record:
         self._widths = (1, nq, nv, nv, int(system.sizes[NWORK]), 4 * nc, FROZEN_COLUMNS * nc, 3 * nc, turns)
         system.counters[ROW_WIDTH] = width = sum(self._widths)
         if width not in system.row_blocks:
+            reals = np.empty((BLOCK, width))
             whole = np.empty((BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT), dtype=np.int64)
-            system.row_blocks[width] = np.empty((BLOCK, width)), whole
-        self._reals, self._integers = system.row_blocks[width]
-        system.memory.put("recorded_reals", self._reals)
-        system.memory.put("recorded_integers", self._integers)
+            named = (("recorded_reals", reals), ("recorded_integers", whole))
+            system.row_blocks[width] = [(name, block, address_of(block)) for name, block in named]
+        blocks = system.row_blocks[width]
+        self._reals, self._integers = (system.memory.put(*block) for block in blocks)
         self._blocks: list[tuple[np.ndarray, np.ndarray]] = []
         self._resistances: list[np.ndarray] = []
 

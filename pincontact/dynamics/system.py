@@ -155,7 +155,7 @@ class System:
         self.memory = memory
         self.table = memory.table
         # blocks of rows to be recorded, by their width, which all runs of this system fill
-        self.row_blocks: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self.row_blocks: dict[int, list[tuple[str, np.ndarray, int]]] = {}
         sizes = memory.integers("sizes", 8)
         blocks = configuration_blocks(model)
         # whether velocities differ between the axes of joints and of their parents
@@ -355,7 +355,8 @@ class System:
         # kept alive here: the kernels know the addresses only; the one without torques stays the same for good, and so
         # do the addresses in a copy of the memory
         self._asked = self._asked_for_drives if torque is None else (self._to_be_asked(torque), ())
-        self.callback[[ASKED, ASKED_WITH]] = [id(part) for part in self._asked] if self._asked else 0
+        asked, given = map(id, self._asked) if self._asked else (0, 0)
+        self.callback[ASKED], self.callback[ASKED_WITH] = asked, given
 
     def _map_calls(self) -> None:
         self.callback = callback = self.memory.integers("callback", CALLBACK_SIZE)

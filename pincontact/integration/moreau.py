@@ -218,7 +218,8 @@ class MoreauStep:
         # kept alive here: the kernels know the addresses only
         self._asked = None
         calls = self.memory["calls"]
-        calls[[ASKED, ASKED_WITH]] = 0
+        # one by one: several at once take many times as long
+        calls[ASKED] = calls[ASKED_WITH] = 0
         if torque is None:
             return
         scalars, set_torque = system.scalars, torque
@@ -232,7 +233,7 @@ class MoreauStep:
                 return False
 
         self._asked = asked, ()
-        calls[[ASKED, ASKED_WITH]] = [id(part) for part in self._asked]
+        calls[ASKED], calls[ASKED_WITH] = (id(part) for part in self._asked)
 
     def _run(self, task: int, t: float = 0.0, h: float = 0.0, found: int = FRESH) -> int:
         """A task of `run_steps`, with the cone problems that it leaves."""
@@ -257,8 +258,10 @@ class MoreauStep:
     def set_run(self, start: float, end: float, size: float, count: int, limit: int, watched: bool) -> None:
         """What `step` and `march` go by: count steps of a size in s, the last of which ends at the end, but not more
         than the limit; watched: every step is looked at before it is accepted."""
-        self._numbers[[RUN_START, RUN_END, STEP_SIZE]] = start, end, size
-        self._counts[[STEPS, LAST, STEP_LIMIT, WATCHED, TURNS]] = 0, count, limit, watched, self.resists_turning
+        numbers, counts = self._numbers, self._counts
+        numbers[RUN_START], numbers[RUN_END], numbers[STEP_SIZE] = start, end, size
+        counts[STEPS], counts[LAST], counts[STEP_LIMIT] = 0, count, limit
+        counts[WATCHED], counts[TURNS] = watched, self.resists_turning
 
     def step(self) -> int:
         """One step of the run, accepted; returns a status of `layout`."""

@@ -56,11 +56,6 @@ class View(StructModel):
         super().__init__(manager, array, members)
 
 
-def is_bare(context: Any, array: Any) -> bool:
-    """Whether code in this context passes the array as a `View`."""
-    return isinstance(context.data_model_manager[array], View)
-
-
 def make_view(context: Any, builder: Any, array: Any, data: Any, shape: list[Any], strides: list[Any] | None) -> Any:
     """A `View` of the array type: data, extents and strides in elements (of no account without gaps)."""
     view = ll.Constant(context.get_value_type(array), ll.Undefined)
@@ -138,6 +133,10 @@ class _NoErrors(CPUCallConv):
 
 class _BareContext(CPUContext):
     """Numba's target with arrays as `View`."""
+
+    def make_view(self, builder: Any, array: Any, data: Any, shape: list[Any]) -> Any:
+        """An array without gaps, for intrinsics that make some."""
+        return make_view(self, builder, array, data, shape, None)
 
     @property
     def call_conv(self) -> Any:

@@ -51,15 +51,15 @@ else:
 
         def implementation(typing_context, *arguments):
             def generate(context, builder, signature, values):
+                address, shape = values[0], list(values[1:])
+                # see `jit_lowering`
+                make_view = getattr(context, "make_view", None)
+                if make_view is not None:
+                    data = builder.inttoptr(address, context.get_value_type(item).as_pointer())
+                    return make_view(builder, array_type, data, shape)
                 # imported when code is generated: it costs as much as the rest of the package
                 from numba.np.arrayobj import make_array, populate_array
 
-                from .jit_lowering import is_bare, make_view
-
-                address, shape = values[0], list(values[1:])
-                if is_bare(context, array_type):
-                    data = builder.inttoptr(address, context.get_value_type(item).as_pointer())
-                    return make_view(context, builder, array_type, data, shape, None)
                 size = context.get_constant(types.intp, item.bitwidth // 8)
                 strides = [size]
                 for extent in reversed(shape[1:]):

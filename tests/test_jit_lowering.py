@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
+from pathlib import Path
 from types import FunctionType
 
 import numba
@@ -10,6 +14,7 @@ import numpy as np
 import pytest
 from calling import from_python
 
+import pincontact
 from pincontact.jit import INTEGER, entry_kernel, kernel
 
 INF, NAN = math.inf, math.nan
@@ -171,3 +176,41 @@ def test_what_kernels_cannot_do_is_refused():
         from_python(stepping)(np.zeros(4))
     with pytest.raises(NotImplementedError, match="which is none of its kind"):
         from_python(calling)(1)
+
+
+WITHOUT = """
+import sys
+
+sys.modules["pincontact.jit_lowering"] = None
+import numpy as np
+from pincontact import jit
+from pincontact.jit import REAL, TABLE, entry_kernel, kernel
+from pincontact.memory import Memory, matrix
+
+assert jit.PartCompiler is jit.EntryCompiler is None
+
+
+@kernel
+def corner(table):
+    return matrix(table[0], 2, 3)[1, 2]
+
+
+@entry_kernel(TABLE, REAL)
+def scaled_corner(table, factor):
+    return factor * corner(table)
+
+
+memory = Memory(("a",))
+memory.reals("a", 2, 3)[:] = np.arange(6.0).reshape(2, 3)
+assert scaled_corner(memory.table, 2.0) == 10.0
+"""
+
+
+def test_kernels_compile_without_it(tmp_path):
+    """As where numba's classes have changed: by numba alone."""
+    file = tmp_path / "without.py"
+    file.write_text(WITHOUT)
+    paths = os.pathsep.join([str(Path(pincontact.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": paths}
+    done = subprocess.run([sys.executable, str(file)], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

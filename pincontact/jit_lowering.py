@@ -29,6 +29,7 @@ from numba.core.analysis import compute_cfg_from_blocks
 from numba.core.callconv import CPUCallConv
 from numba.core.cpu import CPUContext
 from numba.core.datamodel.models import StructModel
+from numba.core.errors import UnsupportedError
 from numba.core.lowering import Lower
 
 types: Any = numba_types
@@ -254,6 +255,10 @@ class KernelLower(Lower):
         result = builder.call(self.function, function.args)
         builder.ret(context.get_dummy_value() if nothing else result)
 
+    def _refusal(self, reason: str) -> UnsupportedError:
+        """The error for what kernels do not understand, which names the line."""
+        return UnsupportedError(reason, loc=self.loc)
+
     # the frame of a function
 
     def setup_function(self, fndesc: Any) -> None:
@@ -358,7 +363,7 @@ class KernelLower(Lower):
         if isinstance(value, _Parts):
             return self.context.make_tuple(self.builder, kind, [self._whole(v, k) for v, k in zip(value, kind)])
         if isinstance(value, (_Slice, _Range, _Iterator)):
-            raise NotImplementedError(f"kernels cannot keep a {type(value).__name__[1:].lower()}")
+            raise self._refusal(f"kernels cannot keep a {type(value).__name__[1:].lower()}")
         return value
 
     def _loaded(self, name: str, wanted: Any) -> Any:
@@ -505,7 +510,7 @@ class KernelLower(Lower):
             if isinstance(item, slice):
                 ends = (None if end is None else self._constant(end) for end in (item.start, item.stop))
                 if item.step not in (None, 1):
-                    raise NotImplementedError(f"kernels cannot take slices with a step, got {item}")
+                    raise self._refusal(f"kernels cannot take slices with a step, got {item}")
                 found.append(_Slice(*ends))
             else:
                 found.append(self._constant(item))
@@ -635,7 +640,7 @@ class KernelLower(Lower):
         """The result of another kernel."""
         compiled = called.dispatcher.overloads[tuple(signature.args)]
         if not getattr(compiled.library, "is_part", False):
-            raise NotImplementedError(f"a kernel calls {compiled.fndesc.qualname}, which is none of its kind")
+            raise self._refusal(f"a kernel calls {compiled.fndesc.qualname}, which is none of its kind")
         self.library.add_linking_library(compiled.library)
         if expr.kws or expr.vararg is not None or len(expr.args) != len(signature.args):
             arguments = self.fold_call_args(called, signature, expr.args, expr.vararg, expr.kws)

@@ -180,12 +180,13 @@ def _simulate_moreau(
     def add(t: float) -> None:
         # forces on the joints of limits, friction and resistance to turning go with the torques, so that contact forces
         # can be found again
-        tau = system.tau.copy()
-        if stepper.acts_on_joints:
+        tau = system.tau.copy() if stepper.acts_on_joints else None
+        if tau is not None:
             system.tau += stepper.joint_force
         with stepper.modes_of_output(t):
             record.add(t, stepper.torques if stepper.resists_turning else None)
-        system.tau[:] = tau
+        if tau is not None:
+            system.tau[:] = tau
 
     with _Bar(progress, state.t, duration) as bar:
         driver = MoreauDriver(

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 import pytest
 from calling import from_python
+from numba.core.errors import UnsupportedError
 
 import pincontact
 from pincontact.jit import INTEGER, entry_kernel, kernel
@@ -172,9 +173,9 @@ def test_what_kernels_cannot_do_is_refused():
     def calling(n):
         return entry(n)
 
-    with pytest.raises(NotImplementedError, match="slices with a step"):
+    with pytest.raises(UnsupportedError, match="slices with a step"):
         from_python(stepping)(np.zeros(4))
-    with pytest.raises(NotImplementedError, match="which is none of its kind"):
+    with pytest.raises(UnsupportedError, match="which is none of its kind"):
         from_python(calling)(1)
 
 

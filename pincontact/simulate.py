@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -175,7 +174,7 @@ def _simulate_moreau(
         stepper = spare.stepper = MoreauStep(system, system.contacts)
     else:
         stepper.renew()
-    record = Record(system, with_torques=torque is not None or stepper.acts_on_joints)
+    record = Record(system, with_torques=torque is not None or stepper.acts_on_joints, by_steps=True)
 
     def add(t: float) -> None:
         # forces on the joints of limits, friction and resistance to turning go with the torques, so that contact forces
@@ -183,8 +182,7 @@ def _simulate_moreau(
         tau = system.tau.copy() if stepper.acts_on_joints else None
         if tau is not None:
             system.tau += stepper.joint_force
-        with stepper.modes_of_output(t):
-            record.add(t, stepper.torques if stepper.resists_turning else None)
+        record.add(t, stepper.torques if stepper.resists_turning else None)
         if tau is not None:
             system.tau[:] = tau
 
@@ -266,9 +264,11 @@ def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray |
     if t_eval is None:
         return None
     try:
-        times = real_array(t_eval).reshape(-1)
+        times = real_array(t_eval)
     except NOT_REAL:
         raise ArgumentError(f"t_eval must be times in s, got {t_eval!r}") from None
+    if times.ndim != 1:
+        times = times.reshape(-1)
     # the end may be off by round-off, as from linspace
     end = t + duration
     slack = 1e-12 * max(abs(t), abs(end), duration)
@@ -285,7 +285,8 @@ def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray |
 
 
 def _is_ordered(times: list[float]) -> bool:
-    return all(before <= after for before, after in pairwise(times))
+    # NaN, which sorting may leave where it is, is in the sum
+    return sorted(times) == times and not math.isnan(sum(times))
 
 
 class _Torque:

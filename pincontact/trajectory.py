@@ -18,9 +18,10 @@ from .contacts import Contact, characteristic_length
 from .dynamics.system import System
 from .errors import TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
+from .integration.output_modes import OutputModes
 from .integration.recording import BLOCK, INTEGERS_PER_CONTACT
 from .integration.results import Event
-from .integration.slow_slip import frozen_directions, set_frozen_directions
+from .integration.slow_slip import frozen_directions, present_directions, set_frozen_directions
 from .integration.stages import NUMBER_OF_WORKS
 from .integration.steps import RECORD, run_task
 from .layout import (
@@ -38,7 +39,7 @@ from .layout import (
 )
 from .memory import address_of
 from .scene import Scene
-from .state import Correction, State, discrete_part, write_discrete
+from .state import Correction, State, discrete_part, read_discrete, write_discrete
 
 if TYPE_CHECKING:
     import pandas
@@ -51,10 +52,13 @@ _CHUNK = 1024
 
 
 class Record:
-    """Rows written during a run: what is needed to rebuild everything else."""
+    """Rows written during a run: what is needed to rebuild everything else.
 
-    def __init__(self, system: System, with_torques: bool) -> None:
-        self.system, self.with_torques = system, with_torques
+    by_steps: the modes in the rows are those of steps of a constant size, see `OutputModes`.
+    """
+
+    def __init__(self, system: System, with_torques: bool, by_steps: bool = False) -> None:
+        self.system, self.with_torques, self.by_steps = system, with_torques, by_steps
         nq, nv, nc = system.nq, system.nv, system.nc
         # t, q, v, tau, works, location, frozen directions' columns, redundant forces chosen, resistances to turning
         turns = 3 * nc if system.nr else 0
@@ -94,8 +98,11 @@ class Record:
         values, integers = blocks[0] if len(blocks) == 1 else (np.concatenate(parts) for parts in zip(*blocks))
         system, at = self.system, 1 + self._widths[1]
         swapped = [contact.swapped for contact in system.contacts]
+        t, q, v = values[:, 0].copy(), values[:, 1:at].copy(), values[:, at : at + self._widths[2]].copy()
         rest = partial(_unpack, values, integers, self._widths, swapped, self.with_torques, self._resistances)
-        return values[:, 0].copy(), values[:, 1:at].copy(), values[:, at : at + self._widths[2]].copy(), rest
+        if self.by_steps and system.nc:
+            rest = partial(_with_output_modes, rest, system.model, system.contacts, t, q, v)
+        return t, q, v, rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +157,42 @@ def _unpack(
         resistances if resistances.shape[1] else None,
         {int(i): references[i] for i in np.flatnonzero(references.any(axis=(1, 2)))},
     )
+
+
+def _with_output_modes(
+    unpack: Callable[[], Recorded],
+    model: pin.Model,
+    contacts: list[Contact],
+    t: np.ndarray,
+    q: np.ndarray,
+    v: np.ndarray,
+) -> Recorded:
+    """What was recorded, with the modes that hold at the outputs in place of the steps' own."""
+    recorded = unpack()
+    resting = np.flatnonzero((recorded.discrete[:, :, 0] == STICK).any(axis=1)).tolist()
+    if not resting:
+        return recorded
+    system = System(model, contacts)
+    modes = OutputModes(system)
+    for i in resting:
+        _load_output(system, recorded, i, q[i], v[i])
+        with modes.at(float(t[i])) as others:
+            if others:
+                recorded.discrete[i] = read_discrete(system)
+                recorded.directions[i] = present_directions(system)
+            if system.scalars[HAS_REFERENCE]:
+                recorded.references[i] = system.reference[: system.nc].copy()
+    return recorded
+
+
+def _load_output(system: System, recorded: Recorded, i: int, q: np.ndarray, v: np.ndarray) -> None:
+    """Put the state of one output into a system; a choice of redundant forces in it stays."""
+    system.q[:], system.v[:] = q, v
+    system.location[: system.nc] = recorded.location[i]
+    write_discrete(system, recorded.discrete[i])
+    set_frozen_directions(system, recorded.directions[i])
+    if recorded.torques is not None:
+        system.tau[:] = recorded.torques[i]
 
 
 @dataclass(frozen=True, eq=False)
@@ -530,12 +573,7 @@ def _evaluate_outputs(system: System, run: Trajectory, wanted: range) -> _Output
     values = [np.empty((len(wanted), *view.shape), view.dtype) for view in views]
     rows: list[int] = []
     for i in wanted:
-        system.q[:], system.v[:] = run.q[i], run.v[i]
-        system.location[:nc] = recorded.location[i]
-        write_discrete(system, recorded.discrete[i])
-        set_frozen_directions(system, recorded.directions[i])
-        if recorded.torques is not None:
-            system.tau[:] = recorded.torques[i]
+        _load_output(system, recorded, i, run.q[i], run.v[i])
         system.scalars[HAS_REFERENCE] = float(i in recorded.references)
         system.reference[:nc] = recorded.references.get(i, 0.0)
         if system.evaluate(float(run.t[i])) <= EVENT:

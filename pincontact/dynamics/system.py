@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -70,6 +71,7 @@ from ..layout import (
     MU_STATIC,
     NBLOCKS,
     NC,
+    NEXT_OUTPUT,
     NJOINTS,
     NORMAL_1,
     NORMAL_SIGN,
@@ -77,6 +79,8 @@ from ..layout import (
     NV,
     NWORK,
     NY,
+    OUTPUT_COUNT,
+    OUTPUTS_DONE,
     OWN_TABLE,
     OWNER,
     PATTERN,
@@ -84,6 +88,7 @@ from ..layout import (
     POLYNOMIAL_SIZE,
     POOL_ADDRESS,
     POOL_SIZE,
+    RECORD_STEPS,
     ROLLING,
     ROLLING_ROW,
     SCALARS_SIZE,
@@ -121,6 +126,9 @@ CHARTED_KINDS = (SPHERE, ELLIPSOID, REVOLUTION)
 FORCE_SLACK = 1e-13
 # Lengths of resistances below this part of their contact's make torques that rounding of its forces hides.
 _NEGLIGIBLE_RESISTANCE = 1e-12
+# So many output times there is room for in every system.
+_FEW_TIMES = 256
+_NO_TIMES = np.zeros(0)
 
 
 class System:
@@ -307,6 +315,8 @@ class System:
         self.correction_v = memory.reals("correction_v", nv)
         memory.reals("dense", DENSE_ROWS, ny)
         self.counters = memory.integers("counters", COUNTERS_SIZE)
+        self._few_times = memory.reals("output_times", _FEW_TIMES)
+        self.output_times = _NO_TIMES
         self.lowest = memory.reals("lowest", nc, MARGINS_PER_CONTACT)
         self.highest = memory.reals("highest", nc, MARGINS_PER_CONTACT)
         self.across = memory.reals("across", 2 * nc + 1, POLYNOMIAL_SIZE)
@@ -394,6 +404,28 @@ class System:
 
         return function
 
+    def set_output_times(self, times: np.ndarray | None) -> None:
+        """Output times in s, in order, of a run that begins; None for an output at every step."""
+        counters, given = self.counters, _NO_TIMES if times is None else times
+        if given.size <= _FEW_TIMES:
+            # an array's address takes longer to find than these to copy
+            self._few_times[: given.size] = given
+            self.output_times = self._few_times[: given.size]
+        else:
+            self.output_times = self.memory.put("output_times", np.ascontiguousarray(given))
+        counters[OUTPUT_COUNT], counters[OUTPUTS_DONE], counters[RECORD_STEPS] = given.size, 0, times is None
+        self.announce_output()
+
+    def announce_output(self) -> None:
+        """Tell the compiled steps when the next output is due."""
+        done = self.counters.item(OUTPUTS_DONE)
+        self.scalars[NEXT_OUTPUT] = self.output_times[done] if done < self.output_times.size else math.inf
+
+    def output_done(self) -> None:
+        """Go on to the next output time."""
+        self.counters[OUTPUTS_DONE] += 1
+        self.announce_output()
+
     def _run(self, task: int, t: float) -> int:
         status = run_task(self.table, task, t, 0.0)
         if self.callback_error is not None:
@@ -444,7 +476,7 @@ class System:
 
     def closed(self) -> list[int]:
         """Indices of the contacts that are not open."""
-        return [c for c in range(self.nc) if self.contact_int[c, MODE] != FREE]
+        return [c for c, mode in enumerate(self.modes.tolist()) if mode != FREE]
 
     def resisting(self) -> list[int]:
         """Items that are resistances of contacts that are not open."""

@@ -25,10 +25,7 @@ from ..layout import (
     NEXT_TIME,
     NOW,
     OK,
-    OUTPUT_COUNT,
-    OUTPUTS_DONE,
     PATIENCE,
-    RECORD_STEPS,
     REJECTED_COUNT,
     SLOWEST,
     STALLED,
@@ -71,7 +68,6 @@ from .transitions import Transitions
 _PATIENCE, _LONGEST_PATIENCE = 24, 3072
 _SLOW_STEPS, _STABLE = 20.0, 4.0
 _SLOW_GROWTH, _SLOW_RESTS = 4.0, 6
-_NO_TIMES = np.zeros(0)
 _FLOOR = 8.0 * float(np.finfo(float).eps)
 # Crossings in a row that true steps may deny before one is believed: where a margin jumps there is no zero.
 _DOUBTS = 3
@@ -111,12 +107,8 @@ class Driver:
         self.locator = EventLocator(rk, users, transitions.dips.depths)
         transitions.emit = self._output_short_step
         self.record, self.flush, self.options, self.progress = record, flush, options, progress
-        times = _NO_TIMES if options.t_eval is None else np.ascontiguousarray(options.t_eval)
-        self.system.memory.put("output_times", times)
-        self.system.counters[OUTPUT_COUNT], self.system.counters[OUTPUTS_DONE] = times.size, 0
-        self.system.counters[RECORD_STEPS] = options.t_eval is None
+        self.system.set_output_times(options.t_eval)
         self._doubts = 0
-        self._announce_output()
 
     @property
     def steps(self) -> int:
@@ -410,12 +402,6 @@ class Driver:
             self.record(t)
         self._output_at(t)
 
-    def _announce_output(self) -> None:
-        """Tell the compiled steps when the next output is due."""
-        times, done = self.options.t_eval, int(self.system.counters[OUTPUTS_DONE])
-        more = times is not None and done < times.size
-        self.system.scalars[NEXT_OUTPUT] = times[done] if times is not None and more else math.inf
-
     def _output_due(self, t: float) -> bool:
         return bool(self.system.scalars[NEXT_OUTPUT] <= t)
 
@@ -423,8 +409,7 @@ class Driver:
         """Record the system's state for every output time that has come."""
         while self._output_due(t):
             self.record(t)
-            self.system.counters[OUTPUTS_DONE] += 1
-            self._announce_output()
+            self.system.output_done()
 
     def _output_short_step(self, t: float, step: float) -> None:
         if self._output_due(t + step):

@@ -23,9 +23,7 @@ from ..layout import (
     CONTACT_REALS,
     COUNTERS,
     COUNTERS_SIZE,
-    EVENT,
     FREE,
-    FRICTION_MARGIN,
     FRICTIONLESS,
     FROZEN,
     GUARD_COUNT,
@@ -34,16 +32,12 @@ from ..layout import (
     GUARD_INTS,
     JOINT_TABLE,
     LOCATION_FAILED,
-    MARGINS,
-    MARGINS_PER_CONTACT,
     MODE,
     MU,
     NBLOCKS,
     NC,
     NEXT_OUTPUT,
-    NLE,
     NO_FORCE,
-    NORMAL_MARGIN,
     NOT_FINITE,
     NQ,
     NV,
@@ -375,31 +369,6 @@ def _happens(table, step):
 
 
 @kernel
-def _modes_hold(table, t):
-    """Whether the forces of contacts at rest lie within their cones at the state that is about to be recorded."""
-    sizes = integers(table[SIZES], 8)
-    nv, nc = sizes[NV], sizes[NC]
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    margins = matrix(table[MARGINS], nc, MARGINS_PER_CONTACT)
-    held = False
-    for c in range(nc):
-        held = held or contact_int[c, MODE] == STICK
-    if not held:
-        return True
-    if evaluate(table, t, 0) > EVENT:
-        return False
-    nle, tau = reals(table[NLE], nv), reals(table[TAU], nv)
-    largest = 0.0
-    for k in range(nv):
-        largest = max(largest, abs(nle[k]) + abs(tau[k]))
-    for c in range(nc):
-        least = min(margins[c, NORMAL_MARGIN], margins[c, FRICTION_MARGIN])
-        if contact_int[c, MODE] == STICK and least < -_ROUND_OFF * largest:
-            return False
-    return True
-
-
-@kernel
 def _output(table, step, t):
     """Record the state at t: OK, OUTPUT_LEFT (its torques are set) or NOT_FINITE."""
     if not _ask(table, step, t):
@@ -413,12 +382,10 @@ def _output(table, step, t):
         # forces of limits and dry friction go with the torques, so that contact forces can be found again
         kept[k] = tau[k]
         tau[k] += impulse[k] / h
-    status = OK if _modes_hold(table, t) else OUTPUT_LEFT
-    if status == OK:
-        _call_task(integers(step[CALLS], NCALLS)[RUN_TASK], table, RECORD, t, 0.0)
+    _call_task(integers(step[CALLS], NCALLS)[RUN_TASK], table, RECORD, t, 0.0)
     for k in range(nv):
         tau[k] = kept[k]
-    return status
+    return OK
 
 
 @entry_kernel(TABLE, TABLE, INTEGER, INTEGER, REAL, REAL)

@@ -7,15 +7,13 @@ mode is kept. Second order in h while modes last, first order through their chan
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from ..callback import kernel_address
-from ..dynamics.modes import ModeSolver
 from ..dynamics.system import System
 from ..errors import ContourError
 from ..friction.attempt import solve_cones
@@ -24,18 +22,13 @@ from ..jit import compile_kernels
 from ..layout import (
     CHART,
     CONDITION,
-    EVENT,
     FREE,
-    FRICTION_MARGIN,
     LOCATION_FAILED,
     MODE,
     NBLOCKS,
     NEXT_OUTPUT,
     NO_FORCE,
-    NORMAL_MARGIN,
     OK,
-    OUTPUT_COUNT,
-    OUTPUTS_DONE,
     RECORD_STEPS,
     SINGULAR,
     SLIPPING,
@@ -186,7 +179,6 @@ class MoreauStep:
         self.joint_impulse = memory["joint_impulse"][: system.nv]
         self._counts, self._numbers = memory["counts"], memory["numbers"]
         self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
-        self._solver_of_outputs: ContactSolver | None = None
         self._table = system.table
         memory["calls"][: len(_CALLED)] = [kernel_address(entry) for entry in _CALLED]
         memory["calls"][CALL_FAILED] = id(False)
@@ -368,37 +360,6 @@ class MoreauStep:
         solver.quick = True
         return found
 
-    # ---------------------------------------------------------------- outputs
-
-    @contextmanager
-    def modes_of_output(self, t: float) -> Iterator[None]:
-        """Modes that hold at the end of the step, for what is recorded of it.
-
-        A contact at rest may be about to slip, or have come to rest only to slip on, the other way: held there, its
-        force would lie outside its cone. It slips with the force that friction has in the direction it takes. One that
-        is about to open would pull: it is open, or slides held up by friction alone.
-        """
-        system = self.system
-        held = [c for c in system.closed() if system.contact_int[c, MODE] == STICK]
-        kept = None
-        status = system.evaluate(t) if held else NO_FORCE
-        if status <= EVENT:
-            modes = ModeSolver(system)
-            if self._solver_of_outputs is not None:
-                # an output does not depend on others
-                self._solver_of_outputs.forget()
-                modes.solver = self._solver_of_outputs
-            margins, least = system.margins.tolist(), -modes.force_round_off()
-            if any(min(margins[c][NORMAL_MARGIN], margins[c][FRICTION_MARGIN]) < least for c in held):
-                kept = system.contact_int.copy(), system.contact_real.copy()
-                if modes.decide(t, held, system.evaluate, status=status).status > EVENT:
-                    system.contact_int[:], system.contact_real[:] = kept
-                self._solver_of_outputs = modes.solver
-        yield
-        if kept is not None:
-            # a choice of redundant forces stays: it serves the next output, too
-            system.contact_int[:], system.contact_real[:] = kept
-
     def describe(self, status: int, t: float) -> Stop:
         """The Stop for a failed status, naming the contact and the number."""
         code, reason = FAILURES[status]
@@ -470,10 +431,7 @@ class MoreauDriver:
         self.record, self.flush, self.size, self.max_steps = record, flush, size, max_steps
         self.torque, self.failed_control, self.progress = torque, failed_control, progress
         self.events: list[Event] = []
-        counters, times = self.system.counters, np.zeros(0) if t_eval is None else np.ascontiguousarray(t_eval)
-        self._times = self.system.memory.put("output_times", times)
-        counters[OUTPUT_COUNT], counters[OUTPUTS_DONE], counters[RECORD_STEPS] = times.size, 0, t_eval is None
-        self._announce_output()
+        self.system.set_output_times(t_eval)
 
     def run(self, t: float, t_end: float) -> tuple[int, str]:
         """Step from t to t_end (s); returns a code of `results` and a message."""
@@ -512,7 +470,7 @@ class MoreauDriver:
                 self._output(end if i == count else t, asked=True)
             elif why == INNER_OUTPUT_LEFT:
                 self._record(float(self._next_output), asked=True)
-                self._next()
+                self.system.output_done()
             elif why == AT_LIMIT:
                 raise Stop(AT_STEP_LIMIT, f"t = {t:.9g} s: the limit of {self.max_steps} steps was reached")
             elif why not in (MARCHING, AT_END):
@@ -566,15 +524,6 @@ class MoreauDriver:
     def _next_output(self) -> float:
         return float(self.system.scalars[NEXT_OUTPUT])
 
-    def _announce_output(self) -> None:
-        """Tell the compiled steps when the next output is due."""
-        done = int(self.system.counters[OUTPUTS_DONE])
-        self.system.scalars[NEXT_OUTPUT] = self._times[done] if done < self._times.size else math.inf
-
-    def _next(self) -> None:
-        self.system.counters[OUTPUTS_DONE] += 1
-        self._announce_output()
-
     def _output(self, t: float, asked: bool = False) -> None:
         """Record the state at t, once for every output time that falls on it; asked: torques are set for it."""
         if self.system.counters[RECORD_STEPS]:
@@ -582,7 +531,7 @@ class MoreauDriver:
             return
         while self._next_output <= t + SLIVER * self.size:
             self._record(t, asked)
-            self._next()
+            self.system.output_done()
 
     def _record(self, t: float, asked: bool) -> None:
         if self.torque is not None and not asked and not self.torque(t):

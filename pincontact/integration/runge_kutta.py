@@ -60,8 +60,8 @@ class RungeKutta:
         system.counters[DENSE_NESTED] = method.nested
         system.scalars[DIP] = _DIP * method.widest**2
         system.counters[PARENT_AXES] = system.turns
-        system.scale[:] = rtol, atol
-        system.absolute[:] = atol
+        system.scale[0], system.scale[1] = rtol, atol
+        system.absolute.fill(atol)
         # no error is estimated in parameters that nothing depends on
         system.absolute[system.unfollowed] = 0.0
 

@@ -176,6 +176,15 @@ def frozen_directions(integers: np.ndarray, columns: np.ndarray, t: np.ndarray) 
     return out
 
 
+def present_directions(system: System) -> np.ndarray:
+    """(nc, 3) the same of a system's contacts, where they do not change."""
+    out = np.zeros((system.nc, 3))
+    for c in range(system.nc):
+        if system.contact_int[c, FROZEN]:
+            out[c] = system.contact_real[c, DIRECTION_X : DIRECTION_X + 3]
+    return out
+
+
 def set_frozen_directions(system: System, directions: np.ndarray) -> None:
     """Prescribe constant slip directions, as `frozen_directions` gives them, to the contacts that are marked so."""
     for c in range(system.nc):

@@ -256,19 +256,18 @@ class Transitions:
 
         Ideal rolling slides where it did, or after an impact that left it without a normal impulse.
         """
-        system = self.system
-        rest_speed = _REST * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
-        undecided = []
+        system, numbers = self.system, self.system.contact_real
+        undecided, rest_speed = [], -1.0
         for c in [*system.closed(), *system.resisting()]:
-            integers = system.contact_int[c]
-            mu = system.contact_real[c, MU]
-            slides = integers[UNILATERAL] and (after_impact or integers[MODE] == SLIPPING)
+            integers, mu = system.contact_int[c], numbers.item(c, MU)
+            slid = after_impact or integers.item(MODE) == SLIPPING
             integers[FROZEN] = 0
             integers[MODE] = rest_mode(mu)
-            if mu == 0.0 or (math.isinf(mu) and not slides):
+            if mu == 0.0 or (math.isinf(mu) and not (slid and integers[UNILATERAL])):
                 continue
             along = system.basis[c] @ system.slip[c]
             speed = abs(along[0]) if integers[TANGENTS] == 1 else math.hypot(along[0], along[1])
+            rest_speed = rest_speed if rest_speed > 0.0 else self._rest_speed()
             if speed > rest_speed:
                 integers[MODE] = SLIPPING
                 integers[SLIP_SIGN] = 1 if along[0] >= 0.0 else -1
@@ -276,6 +275,10 @@ class Transitions:
             elif math.isfinite(mu):
                 undecided.append(c)
         return undecided
+
+    def _rest_speed(self) -> float:
+        """Slip slower than this, in m/s, counts as rest."""
+        return _REST * (1.0 + max(map(abs, self.system.v.tolist()), default=0.0))
 
     def _guess_normal(self, c: int) -> None:
         """Sign (or direction) of a bilateral contact's normal force as in the last evaluation."""
@@ -468,7 +471,7 @@ class Transitions:
     def _guards_from_velocities(self) -> None:
         """Hold the coordinates that rest at an end or by dry friction, free the others."""
         system = self.system
-        rest_speed = _REST * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
+        rest_speed = self._rest_speed()
         for g, guard in enumerate(system.guards):
             position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
             end = -1 if position <= guard.low_end + END_SLACK else int(position >= guard.high_end - END_SLACK)
@@ -698,7 +701,8 @@ class Transitions:
 
     def held_up(self) -> list[int]:
         """Contacts that slide held up by friction alone."""
-        return [c for c in self.system.closed() if held_up_by_friction(self.system, c)]
+        modes = self.system.modes.tolist()
+        return [c for c, mode in enumerate(modes) if mode == SLIPPING and held_up_by_friction(self.system, c)]
 
     def _stop_jammed(self, t: float) -> None:
         """Stop slips that friction alone would have to hold up and cannot: the force it takes grows without bound."""

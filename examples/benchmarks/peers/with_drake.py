@@ -13,7 +13,7 @@ from .scenes import NO_SLIP, WORLD, Body, Problem, Shape, Touch, matrix, skew
 # points and rims get this much thickness in m, since contacts are between bodies with an inside
 THICKNESS = 1e-5
 STICKY = 10.0
-STEPS = (5, 20, 50, 200, 500)
+STEPS = (1, 2, 3, 5, 10, 20, 50, 200, 500)
 ACCURACIES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 
 

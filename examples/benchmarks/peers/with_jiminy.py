@@ -15,7 +15,7 @@ from .measure import Case, Engine, Unsupported
 from .scenes import NO_SLIP, Problem, Touch, marked
 
 DIGITS = range(2, 11)
-STEPS = (2, 5, 10, 20, 50, 100, 200, 500)
+STEPS = (1, 2, 3, 5, 10, 20, 50, 100, 200, 500)
 LONGEST = 0.02  # the largest step that Jiminy allows, s
 # of the stabilisation, Hz. The start satisfies the constraints, and any stabilisation made the disk's error larger
 FREQUENCY = 0.0

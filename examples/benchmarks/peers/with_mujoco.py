@@ -22,7 +22,7 @@ METHODS = {
     "RK4 soft": ("RK4", {"impedance": 0.9, "impratio": 1.0, "tau": 20.0}),
     "implicit": ("implicitfast", {"impedance": 0.99, "impratio": 100.0, "tau": 2.0}),
 }
-STEPS = (5, 20, 50, 200, 500, 2000)
+STEPS = (1, 2, 3, 5, 10, 20, 50, 200, 500, 2000)
 
 
 def _numbers(values: Any) -> str:

@@ -12,7 +12,7 @@ from .measure import Case, Engine, Unsupported
 from .pinocchio_model import build_model
 from .scenes import Problem, marked
 
-STEPS = (1, 2, 5, 10, 20, 50, 100, 200)
+STEPS = (1, 2, 3, 5, 10, 20, 50, 100, 200)
 
 
 def case(problem: Problem, each: int) -> Case:

@@ -1,8 +1,8 @@
 """Calls from compiled code by address: how a kernel reaches Pinocchio without leaving its loop, and another kernel.
 
 For a call into Python the kernel holds the interpreter's lock and goes through Python's own C interface, so any
-callable will do; for a plain scene it is Pinocchio's function itself, with its four arguments. A kernel that is called
-by its address is not compiled into its caller once more.
+callable will do; where Pinocchio's functions are not reached by their own addresses (see `pinocchio_calls`), it is
+they, with their arguments. A kernel that is called by its address is not compiled into its caller once more.
 """
 
 from __future__ import annotations
@@ -80,6 +80,8 @@ else:
         return types.boolean(types.int64, types.int64, types.int64), generate
 
 
+# any function of five integers or addresses, or of the first few of them
+call_by_address = kernel_caller(INTEGER, *(INTEGER,) * 5)
 # an entry kernel of (table address, time, choice), such as one that evaluates
 call_kernel = kernel_caller(INTEGER, INTEGER, REAL, INTEGER)
 

@@ -361,7 +361,8 @@ COUNTERS_SIZE = 25
 
 # what kernels call by address: a Python function to be asked first, or 0, and its arguments; one or two of Pinocchio's
 # algorithms and theirs; the result that means failure; the evaluation and the address of the table that it is given;
-# two algorithms that give places, velocities and Jacobians alone
+# the algorithm that gives places, velocities and Jacobians alone; where the rows of `PinocchioCalls.native` are, or 0,
+# and the model, with the word that it begins with
 (
     ASKED,
     ASKED_WITH,
@@ -374,5 +375,8 @@ COUNTERS_SIZE = 25
     OWN_TABLE,
     PLACED,
     PLACED_WITH,
-) = range(11)
-CALLBACK_SIZE = 11
+    NATIVE,
+    MODEL,
+    MODEL_SIZE,
+) = range(14)
+CALLBACK_SIZE = 14

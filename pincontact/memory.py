@@ -120,11 +120,13 @@ class Memory:
         # new arrays are cut from one: a fraction of the time of making each
         self._pieces: list[np.ndarray] = []
         self._address = 0
+        # names of what has come since `keep`, and what they stood for then
+        self._since: dict[str, np.ndarray | None] = {}
         self._start_piece()
 
     def put(self, name: str, array: np.ndarray, address: int = 0) -> np.ndarray:
         """Place an array in its slot; it is kept alive as long as this memory is. address: its own, where known."""
-        self._arrays[name] = array
+        self._name(name, array)
         self.table[self._slots[name]] = address or address_of(array)
         return array
 
@@ -144,25 +146,37 @@ class Memory:
             self._pieces.append(self._piece)
             self._address = address_of(self._piece)
         self._cut_off = start + room
-        array = self._arrays[name] = np.ndarray(shape, kind, self._piece, 8 * start)
+        array = np.ndarray(shape, kind, self._piece, 8 * start)
+        self._name(name, array)
         self.table[self._slots[name]] = self._address + 8 * start
         return array
+
+    def _name(self, name: str, array: np.ndarray) -> None:
+        if name not in self._since:
+            self._since[name] = self._arrays.get(name)
+        self._arrays[name] = array
 
     def keep(self) -> None:
         """Remember all there is now, for `restore`."""
         # of the last piece what arrays have been cut from: a copy should not drive them out of the processor's cache
         used = [*self._pieces[:-1], *(piece[: self._cut_off] for piece in self._pieces[-1:])]
-        self._kept = self._pieces.copy(), [(part, part.copy()) for part in used], self.table.copy(), dict(self._arrays)
+        self._kept = len(self._pieces), [(part, part.copy()) for part in used], self.table.copy()
+        self._since.clear()
         self._start_piece()
 
     def restore(self) -> None:
         """Make everything what it was at `keep`, bit by bit: arrays made since are gone, those put here stay theirs."""
-        pieces, used, table, arrays = self._kept
+        pieces, used, table = self._kept
         for part, values in used:
             np.copyto(part, values)
-        self._pieces = pieces.copy()
+        del self._pieces[pieces:]
         self.table[:] = table
-        self._arrays = dict(arrays)
+        for name, array in self._since.items():
+            if array is None:
+                del self._arrays[name]
+            else:
+                self._arrays[name] = array
+        self._since.clear()
         self._start_piece()
 
     def _start_piece(self) -> None:

@@ -165,7 +165,7 @@ def check_vector(name: str, value: ArrayLike, size: int) -> np.ndarray:
     # a list takes a fraction of the time of array functions
     if isinstance(value, np.ndarray) and value.dtype is _FLOAT and value.shape == (size,):
         plain = np.array(value)
-        if all(map(math.isfinite, plain.tolist())):
+        if math.isfinite(sum(plain.tolist())):
             return plain
     try:
         array = real_array(value).reshape(-1)

@@ -245,7 +245,7 @@ def robots(write: Writer) -> None:
         cost, aba, ratio = against_aba(system)
         terms = compare(
             lambda: system.evaluate(0.0),  # noqa: B023
-            lambda: [algorithm(*arguments) for algorithm, arguments in system.algorithms],  # noqa: B023
+            lambda: [algorithm(*arguments) for algorithm, arguments in system.pinocchio.algorithms],  # noqa: B023
         )[1]
         write(f"{name} (nv = {model.nv})", cost, aba, ratio)
         print(f"{name + f' (nv = {model.nv})':34s} {cost:8.2f} us {aba:6.2f} us {ratio:6.2f} {terms:12.2f} us")

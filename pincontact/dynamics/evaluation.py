@@ -1,6 +1,6 @@
 """One evaluation: from Pinocchio's terms at (q, v) to accelerations, contact forces and location rates.
 
-Pinocchio's terms come from its own algorithms on the same data, see `system.pinocchio_calls`; no other work is done for
+Pinocchio's terms come from its own algorithms on the same data, see `pinocchio_calls`; no other work is done for
 a contact that is open than its location and gap.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ..callback import call_python
+from ..callback import call_by_address, call_python
 from ..constraints.kinematics import add_point_rows, contact_kinematics, distance_to_ends
 from ..contours.base import SHAPE_SIZE
 from ..contours.motion import MOTION_PARAMETERS, MOTION_SIZE, evaluate_motion
@@ -81,10 +81,13 @@ from ..layout import (
     MASS,
     MASS_NOT_POSITIVE,
     MODE,
+    MODEL,
+    MODEL_SIZE,
     MOTION_KIND,
     MOTION_POOL,
     MOTION_POOL_SIZE,
     MULTIPLIERS,
+    NATIVE,
     NC,
     NJOINTS,
     NLE,
@@ -136,6 +139,7 @@ from ..layout import (
 from ..memory import cube, integer_matrix, integers, matrix, reals
 from .equations import add_viscous_loads, contact_dynamics, guard_force, list_rows, whiten_rows
 from .linear import factorize_tree, solve_gram, unwhiten, whiten
+from .pinocchio_calls import NATIVE_COLUMNS, NATIVE_ROWS
 from .resistance import count_items, free_with_owners, resistance_kinematics, resists
 
 # What an evaluation may be confined to.
@@ -162,13 +166,18 @@ def evaluate_state(table_address, time, only_kinematics):
             return NOT_FINITE
         if not torques_finite(table, time):
             return NOT_FINITE
-    first, last = CALLED, CALLED + 4
-    if only_kinematics in (PLACES_OF_CLOSED, PLACES_OF_ALL):
-        first, last = PLACED, PLACED + 2
-    for i in range(first, last, 2):
-        called = callback[i]
-        if called != 0 and not call_python(called, callback[i + 1], callback[CALL_FAILED]):
-            return NOT_FINITE
+    places = only_kinematics in (PLACES_OF_CLOSED, PLACES_OF_ALL)
+    # C++ would throw at a model that has got another size since, and nothing here catches that; Python's calls raise
+    if callback[NATIVE] != 0 and integers(callback[MODEL], 1)[0] == callback[MODEL_SIZE]:
+        native = integer_matrix(callback[NATIVE], NATIVE_ROWS, NATIVE_COLUMNS)
+        for i in range(2 if places else 0, 3 if places else 2):
+            call = native[i]
+            call_by_address(call[0], call[1], call[2], call[3], call[4], call[5])
+    else:
+        for i in range(PLACED if places else CALLED, PLACED + 2 if places else CALLED + 4, 2):
+            called = callback[i]
+            if called != 0 and not call_python(called, callback[i + 1], callback[CALL_FAILED]):
+                return NOT_FINITE
     counters[EVALUATION_COUNT] += 1
     status = evaluate_contacts(table, time, only_kinematics in (KINEMATICS_OF_ALL, PLACES_OF_ALL))
     if status != OK or only_kinematics != 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -33,9 +33,6 @@ from ..layout import (
     CALL_FAILED,
     CALLBACK_SIZE,
     CALLED,
-    CALLED_NEXT,
-    CALLED_NEXT_WITH,
-    CALLED_WITH,
     CHART,
     CHARTED,
     CLOSED_FORM,
@@ -62,6 +59,8 @@ from ..layout import (
     LOW_FORCE,
     MARGINS_PER_CONTACT,
     MODE,
+    MODEL,
+    MODEL_SIZE,
     MOTION_KIND,
     MOTION_POOL,
     MOTION_POOL_SIZE,
@@ -69,6 +68,7 @@ from ..layout import (
     MU_FAST,
     MU_NOW,
     MU_STATIC,
+    NATIVE,
     NBLOCKS,
     NC,
     NEXT_OUTPUT,
@@ -113,6 +113,7 @@ from ..layout import (
 )
 from ..memory import Memory, address_of
 from .evaluation import evaluate_state
+from .pinocchio_calls import PinocchioCalls
 
 if TYPE_CHECKING:
     from ..contacts import AttachedContour, Contact
@@ -174,12 +175,7 @@ class System:
         self.q = memory.reals("q", nq)
         self.v = memory.reals("v", nv)
         self.q[:] = pin.neutral(model)
-        # one call, so that every part of data has its final size before its address is taken
-        self.algorithms = pinocchio_calls(model, self.data, self.q, self.v)
-        for function, arguments in self.algorithms:
-            function(*arguments)
-        # what places, velocities and Jacobians alone come from
-        self.placing = (pin.computeJointJacobiansTimeVariation, (model, self.data, self.q, self.v))
+        self.pinocchio = PinocchioCalls(model, self.data, self.q, self.v)
         self._map_pinocchio()
         table = memory.integers("joint_table", max(len(blocks), 1), 4)
         if blocks:
@@ -195,7 +191,7 @@ class System:
         memory, data, model = self.memory, self.data, self.model
         memory.put("mass", data.M)
         memory.integers("parents", max(model.nv, 1))[: model.nv] = list(data.parents_fromRow)[: model.nv]
-        self.bias_forces = memory.put("nle", data.nle if _takes_one_call(model) else data.tau)
+        self.bias_forces = memory.put("nle", self.pinocchio.bias_forces)
         memory.put("jacobian", data.J)
         addresses = memory.integers("joint_addresses", model.njoints, 4)
         for j in range(1, model.njoints):
@@ -370,10 +366,13 @@ class System:
 
     def _map_calls(self) -> None:
         self.callback = callback = self.memory.integers("callback", CALLBACK_SIZE)
-        addresses = [id(thing) for call in self.algorithms for thing in call]
-        callback[[CALLED, CALLED_WITH]] = addresses[:2]
-        callback[[CALLED_NEXT, CALLED_NEXT_WITH]] = addresses[2:] or 0
-        callback[PLACED : PLACED + 2] = [id(thing) for thing in self.placing]
+        calls = self.pinocchio
+        addresses = [id(thing) for call in calls.algorithms for thing in call]
+        callback[CALLED : CALLED + len(addresses)] = addresses
+        callback[PLACED : PLACED + 2] = [id(thing) for thing in calls.placing]
+        if calls.native is not None:
+            callback[NATIVE] = address_of(calls.native)
+            callback[MODEL], callback[MODEL_SIZE] = calls.native[0, 1], calls.model_size
         callback[CALL_FAILED] = id(False)
         callback[[EVALUATION, OWN_TABLE]] = kernel_address(evaluate_state), address_of(self.table)
         self._asked_for_drives = (self._to_be_asked(None), ()) if self.python_drives else None
@@ -492,24 +491,6 @@ class System:
     def owner(self, item: int) -> int:
         """The contact that item, a contact or a resistance, belongs to."""
         return int(self.contact_int[item, OWNER]) if item >= self.nc + self.ng else item
-
-
-def _takes_one_call(model: pin.Model) -> bool:
-    """Whether all of Pinocchio's terms at once are cheaper than the two algorithms that give what is needed.
-
-    A call costs a third of a microsecond; beyond two joints what is left out costs more.
-    """
-    return model.njoints <= 3
-
-
-def pinocchio_calls(
-    model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray
-) -> list[tuple[Callable[..., Any], tuple[Any, ...]]]:
-    """What fills `data` with mass matrix, bias forces, Jacobians, poses, velocities and bias accelerations."""
-    if _takes_one_call(model):
-        return [(pin.computeAllTerms, (model, data, q, v))]
-    # in the world's convention the mass matrix comes with the Jacobians; at rest inverse dynamics are the bias forces
-    return [(pin.rnea, (model, data, q, v, np.zeros(model.nv))), (pin.crba, (model, data, q, pin.Convention.WORLD))]
 
 
 def _resistances(contacts: Sequence[Contact]) -> list[tuple[int, bool]]:

@@ -30,8 +30,10 @@ def test_errors_fall_with_the_tolerance(finished, scene):
     rows = finished[0].rows
     for method, least in (("DOP853", 5), ("Sharp98", 3), ("RK45", 3), ("Moreau", 2)):
         runs = [row for row in rows if row.scene == scene and row.method == method]
-        # the longest steps of time stepping may be too long, and are then refused
-        errors = [row.error for row in runs if "the step is too long" not in row.note]
+        # the longest steps of time stepping may be too long, and are then refused; and with a tolerance as large as the
+        # motion nothing falls with it, or a run ends early
+        coarse = ("rtol 1", "rtol 0.3")
+        errors = [row.error for row in runs if "the step is too long" not in row.note and row.setting not in coarse]
         assert len(errors) >= least
         assert np.isfinite(errors).all()
         above = [e for e in errors if e > 1e-11]
@@ -66,7 +68,7 @@ def test_section_names_the_winner(finished, tmp_path):
     assert quickest is not None
     peer = Row("cam", "Peer", "m", "s", seconds=0.5 * quickest.seconds, error=0.9e-2)
     small = work_precision.Result(
-        {"cam": problem}, {"cam": ""}, [1e-2], [*ours, peer], {"pincontact": "0", "Peer": "1"}
+        {"cam": problem}, {"cam": ""}, {}, [1e-2], [*ours, peer], {"pincontact": "0", "Peer": "1"}
     )
     assert [(scene, level, row.engine) for scene, level, row, _ in work_precision.losses(small)] == [
         ("cam", 1e-1, "Peer"),
@@ -81,6 +83,11 @@ def test_section_names_the_winner(finished, tmp_path):
     assert "old" not in text
     assert "Peer on the cam and flat follower at errors of 1e-01 to 1e-02 m" in " ".join(text.split())
     assert text.count(work_precision.MARKS[0]) == 1
+    # a motion that is as small as an error says nothing of it: the cam's circle goes round with a radius of 3 cm
+    assert result.reach["cam"] == pytest.approx(0.06, rel=0.01)
+    small.reach["cam"] = result.reach["cam"]
+    assert [level for _, level, _, _ in work_precision.losses(small)] == [1e-2]
+    assert "(cam and flat follower 0.06 m)" in " ".join(work_precision.section(small).split())
 
 
 def test_unknown_names():

@@ -40,7 +40,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
 from peers import PEERS  # noqa: E402
-from peers.measure import QUICK, Effort, Row, measure, pace  # noqa: E402
+from peers.measure import QUICK, Effort, Row, largest_distance, measure, pace  # noqa: E402
 from peers.scenes import SCENES, Problem  # noqa: E402
 from peers.with_pincontact import ENGINE as OURS  # noqa: E402
 from peers.with_pincontact import consistent, reference  # noqa: E402
@@ -68,6 +68,7 @@ class Result:
 
     problems: dict[str, Problem] = field(default_factory=dict)
     sources: dict[str, str] = field(default_factory=dict)  # where the references are from, and how sure they are
+    reach: dict[str, float] = field(default_factory=dict)  # largest distance in m of any marker from where it started
     # pin.aba on one free body over the fixed piece of work, each time it was looked at
     aba: list[float] = field(default_factory=list)
     rows: list[Row] = field(default_factory=list)
@@ -96,6 +97,7 @@ def run_ours(result: Result, name: str, quick: bool, folder: Path) -> Path:
     problem = consistent(SCENES[name]())
     expected, source, sure = reference(problem)
     result.problems[name] = problem
+    result.reach[name] = largest_distance(np.broadcast_to(expected[:1], expected.shape), expected)
     other = "pincontact at rtol 1e-13" if problem.closed_form is not None else "rtol 1e-12 and other steps"
     result.sources[name] = f"{source}; agrees with {other} to {sure:.0e} m"
     result.aba.append(aba_time() / pace())
@@ -316,12 +318,15 @@ def draw(result: Result, folder: Path) -> None:
 
 
 def losses(result: Result) -> list[tuple[str, float, Row, Row | None]]:
-    """(scene, level, the peer's run, our fastest) wherever a peer is faster at an error level."""
+    """(scene, level, the peer's run, our fastest) wherever a peer is faster at an error level.
+
+    Errors as large as the whole motion are no level: whoever stood still would have them.
+    """
     out = []
     for name in result.problems:
         engines = by_engine(result, name)
         ours = engines.pop(OURS.name)
-        for level in LEVELS:
+        for level in (level for level in LEVELS if level < result.reach.get(name, math.inf)):
             mine = fastest(ours, level)
             theirs = [row for rows in engines.values() if (row := fastest(rows, level))]
             best = min(theirs, key=lambda row: row.seconds, default=None)
@@ -363,7 +368,7 @@ def section(result: Result) -> str:
     pictures = [f"![{p.title}](pincontact/docs/figures/work_precision_{n}.png)" for n, p in result.problems.items()]
     pictures += [""] * (len(pictures) % 2)
     lines += [f"| {a} | {b} |" for a, b in zip(pictures[::2], pictures[1::2])]
-    lines += ["", *_paragraph("Where a peer wins: " + _where_peers_win(result))]
+    lines += ["", *_paragraph(f"Where a peer wins: {_where_peers_win(result)} {_small_motions(result)}".rstrip())]
     for engine in dict.fromkeys(engine for engine, _, _ in result.left_out):
         scenes = [scene for name, scene, _ in result.left_out if name == engine]
         titles = [result.problems[scene].title if scene else "everything" for scene in scenes]
@@ -389,6 +394,20 @@ def _where_peers_win(result: Result) -> str:
             f"({milliseconds(theirs.seconds)} ms {against})"
         )
     return "; ".join(texts) + "." if texts else "nowhere in this run."
+
+
+def _small_motions(result: Result) -> str:
+    """Which of the levels say nothing, and why."""
+    small = [
+        f"{problem.title} {result.reach[name]:.2g} m"
+        for name, problem in result.problems.items()
+        if result.reach.get(name, math.inf) <= LEVELS[0]
+    ]
+    if not small:
+        return ""
+    return (
+        f"Errors as large as a whole motion are not counted: nothing gets further from its start ({'; '.join(small)})."
+    )
 
 
 def write_section(readme: Path, text: str) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from .contacts import Contact, characteristic_length
+from .dynamics.spare import put_back, take_spare
 from .dynamics.system import System
 from .errors import TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
@@ -91,8 +92,8 @@ class Record:
             self._blocks.append((self._reals[:count].copy(), self._integers[:count].copy()))
             self.system.counters[RECORDED] = 0
 
-    def rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, Callable[[], Recorded]]:
-        """Times (n,), configurations (n, nq), velocities (n, nv), and what gives the rest of all rows."""
+    def rows(self, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, Callable[[], Recorded]]:
+        """Times (n,), configurations (n, nq), velocities (n, nv), and what gives the rest of all rows of the scene."""
         self.flush(always=True)
         blocks = self._blocks or [(self._reals[:0].copy(), self._integers[:0].copy())]
         values, integers = blocks[0] if len(blocks) == 1 else (np.concatenate(parts) for parts in zip(*blocks))
@@ -101,7 +102,7 @@ class Record:
         t, q, v = values[:, 0].copy(), values[:, 1:at].copy(), values[:, at : at + self._widths[2]].copy()
         rest = partial(_unpack, values, integers, self._widths, swapped, self.with_torques, self._resistances)
         if self.by_steps and system.nc:
-            rest = partial(_with_output_modes, rest, system.model, system.contacts, t, q, v)
+            rest = partial(_with_output_modes, rest, scene, system.contacts, self._widths[4] > 0, t, q, v)
         return t, q, v, rest
 
 
@@ -161,8 +162,9 @@ def _unpack(
 
 def _with_output_modes(
     unpack: Callable[[], Recorded],
-    model: pin.Model,
+    scene: Scene,
     contacts: list[Contact],
+    works: bool,
     t: np.ndarray,
     q: np.ndarray,
     v: np.ndarray,
@@ -172,7 +174,9 @@ def _with_output_modes(
     resting = np.flatnonzero((recorded.discrete[:, :, 0] == STICK).any(axis=1)).tolist()
     if not resting:
         return recorded
-    system = System(model, contacts)
+    # the run's own system, if nothing has been added to the scene since
+    spare = take_spare(scene, works, resistances=False) if list(scene.contacts.values()) == contacts else None
+    system = System(scene.model, contacts) if spare is None else spare.system
     modes = OutputModes(system)
     for i in resting:
         _load_output(system, recorded, i, q[i], v[i])
@@ -182,6 +186,8 @@ def _with_output_modes(
                 recorded.directions[i] = present_directions(system)
             if system.scalars[HAS_REFERENCE]:
                 recorded.references[i] = system.reference[: system.nc].copy()
+    if spare is not None:
+        put_back(scene, spare)
     return recorded
 
 
@@ -315,7 +321,7 @@ class Trajectory:
         cls, scene: Scene, record: Record, events: list[Event], status: int, message: str, stats: dict[str, Any]
     ) -> Trajectory:
         """From the rows of a run, however many there are."""
-        return cls(scene, *record.rows(), events, status, message, stats)
+        return cls(scene, *record.rows(scene), events, status, message, stats)
 
     @cached_property
     def _recorded(self) -> Recorded:

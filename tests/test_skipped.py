@@ -3,7 +3,11 @@
 import sys
 from pathlib import Path
 
+import numpy as np
+import pinocchio as pin
 import pytest
+
+import pincontact as pc
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples" / "benchmarks"))
 
@@ -60,3 +64,34 @@ def test_one_pinocchio_call_an_evaluation_and_few_for_an_output(stats):
     assert many["steps"] == one["steps"]
     # three stages a step for the interpolant; each output is projected, with one evaluation to check on it
     assert many["rhs"] - one["rhs"] <= 3 * many["steps"] + 100 * 3
+
+
+def test_outputs_of_time_stepping_cost_no_evaluation():
+    """A run of which only q and v are asked is not evaluated at its outputs; who asks for contacts gets true modes."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+    joint = model.addJoint(joint, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    scene = pc.Scene(model)
+    tip = scene.add_contour("tip", pc.Point(), frame="lift")
+    scene.add_contact("tip/floor", tip, scene.add_contour("floor", pc.Plane()), friction=pc.Coulomb(mu=0.4))
+    state = scene.initial_state(np.zeros(2), np.zeros(2))
+
+    def push(t, q, v):
+        # beyond the limit of 3.92 N from t = 0.1 on
+        return np.array([39.24 * t, 0.0])
+
+    options = {"method": "Moreau", "step": 0.01, "control": push}
+    many = pc.simulate(scene, state, 0.2, t_eval=np.linspace(0.0, 0.2, 21), **options)
+    one = pc.simulate(scene, state, 0.2, t_eval=[0.2], **options)
+    assert many.stats["pinocchio"] == one.stats["pinocchio"]
+    # at rest until the end of the step at whose end the push is too much, by a step's share
+    track = many.contacts["tip/floor"]
+    assert list(track.mode[:10]) == [1] * 10
+    assert list(track.mode[11:]) == [2] * 10
+    assert np.allclose(track.tangential_force[:10], 39.24 * many.t[:10], atol=1e-12)
+    assert np.allclose(track.tangential_force[11:], 0.4 * 9.81, atol=1e-12)
+    # asked for once, it stays; the scene's spare system has been put back
+    assert many.state(10).discrete.tobytes() == many.state(10).discrete.tobytes()
+    again = pc.simulate(scene, state, 0.2, t_eval=[0.2], **options)
+    assert again.q.tobytes() == one.q.tobytes()

@@ -94,6 +94,10 @@ SLOTS = (
     "reference_start",  # (nc + ng + nr, 3) at zero loads and REFERENCE_TIME
     "reference_rate",  # (nc + ng + nr, 3)
     "reference_slope",  # (2, 3 (nc + ng + nr), nv)
+    # margins along a step: at which shares of it, the evaluations' statuses, and the margins
+    "scan_shares",  # (SCAN_ROOM,)
+    "scan_status",  # (SCAN_ROOM,) int
+    "scan_margins",  # (SCAN_ROOM, nc + ng + nr, MARGINS_PER_CONTACT)
 )
 
 # one integer constant a slot, for the kernels
@@ -177,6 +181,9 @@ SLOTS = (
     REFERENCE_START,
     REFERENCE_RATE,
     REFERENCE_SLOPE,
+    SCAN_SHARES,
+    SCAN_STATUS,
+    SCAN_MARGINS,
 ) = range(len(SLOTS))
 TABLE_SIZE = len(SLOTS)
 
@@ -356,8 +363,12 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, T
     PATIENCE,
     ROW_RANK,
     PARENT_AXES,
-) = range(25)
-COUNTERS_SIZE = 25
+    SCAN_COUNT,
+) = range(26)
+COUNTERS_SIZE = 26
+# places along a step that are evaluated by one call, and the gap beyond the end of a contour, where nothing can touch
+SCAN_ROOM = 9
+NOTHING_THERE = 1e300
 
 # what kernels call by address: a Python function to be asked first, or 0, and its arguments; one or two of Pinocchio's
 # algorithms and theirs; the result that means failure; the evaluation and the address of the table that it is given;

@@ -265,11 +265,12 @@ def test_a_dip_of_the_dense_output_alone_is_none(monkeypatch):
     plain = pc.simulate(scene, state, 1.0, rtol=1e-6, atol=1e-8)
     true_margins, dipped = EventLocator._margins, []
 
-    def dips(self, t, step, dense, theta):
-        margins = true_margins(self, t, step, dense, theta)
-        if margins is not None and t < 0.5 and 0.3 < theta < 0.6:
-            dipped.append(t)
-            margins[0, NORMAL_MARGIN] -= 20.0 * math.sin(math.pi * (theta - 0.3) / 0.3)
+    def dips(self, t, step, thetas):
+        margins = true_margins(self, t, step, thetas)
+        for theta, values in zip(thetas, margins):
+            if t < 0.5 and 0.3 < theta < 0.6:
+                dipped.append(t)
+                values[0, NORMAL_MARGIN] -= 20.0 * math.sin(math.pi * (theta - 0.3) / 0.3)
         return margins
 
     monkeypatch.setattr(EventLocator, "_margins", dips)

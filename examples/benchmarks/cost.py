@@ -2,7 +2,7 @@
 
 An evaluation is what an integrator needs at one state: Pinocchio's terms, the contacts' kinematics, forces and
 accelerations, in stick. Times are lower quartiles of many short batches of both, by turns: what interrupts a machine
-only adds to them. The last section shows where the time of whole runs goes.
+only adds to them. The last sections show where the time of whole runs goes: see `breakdown.py`.
 
     python examples/benchmarks/cost.py [--only SECTION] [--csv FILE]
 """
@@ -18,6 +18,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
+from breakdown import breakdown
 
 import pincontact as pc
 from pincontact.dynamics.system import System
@@ -299,7 +300,7 @@ def steps(write: Writer) -> None:
         )
 
 
-SECTIONS = {"patterns": patterns, "robots": robots, "contacts": contacts, "steps": steps}
+SECTIONS = {"patterns": patterns, "robots": robots, "contacts": contacts, "steps": steps, "breakdown": breakdown}
 
 
 def main() -> None:

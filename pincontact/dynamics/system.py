@@ -21,7 +21,7 @@ from ..geometry.patterns import NO_NORMAL
 from ..integration.dense import DENSE_ROWS
 from ..integration.manifold import TURNING, configuration_blocks
 from ..integration.stages import MAX_STAGES, NUMBER_OF_WORKS
-from ..integration.steps import EVALUATE, KINEMATICS, PROJECT, PROJECT_EVALUATED, run_task
+from ..integration.steps import EVALUATE, KINEMATICS, PROJECT, PROJECT_EVALUATED, SCAN, run_task
 from ..jit import compile_kernels
 from ..layout import (
     ALONG_BODY_1,
@@ -40,6 +40,7 @@ from ..layout import (
     CONTACT_REALS,
     COUNTERS_SIZE,
     EVALUATION,
+    EVENT,
     FREE,
     FRICTIONLESS,
     GUARD_INTS,
@@ -92,6 +93,8 @@ from ..layout import (
     ROLLING,
     ROLLING_ROW,
     SCALARS_SIZE,
+    SCAN_COUNT,
+    SCAN_ROOM,
     SIDE,
     SIDE_INTS,
     SLIP_SIGN,
@@ -316,6 +319,9 @@ class System:
         self.lowest = memory.reals("lowest", nc, MARGINS_PER_CONTACT)
         self.highest = memory.reals("highest", nc, MARGINS_PER_CONTACT)
         self.across = memory.reals("across", 2 * nc + 1, POLYNOMIAL_SIZE)
+        self.scan_shares = memory.reals("scan_shares", SCAN_ROOM)
+        self.scan_status = memory.integers("scan_status", SCAN_ROOM)
+        self.scan_margins = memory.reals("scan_margins", SCAN_ROOM, nc, MARGINS_PER_CONTACT)
         self.reference = memory.reals("reference", nc, 3)
         self.reference_start = memory.reals("reference_start", nc, 3)
         self.reference_rate = memory.reals("reference_rate", nc, 3)
@@ -425,8 +431,8 @@ class System:
         self.counters[OUTPUTS_DONE] += 1
         self.announce_output()
 
-    def _run(self, task: int, t: float) -> int:
-        status = run_task(self.table, task, t, 0.0)
+    def _run(self, task: int, t: float, h: float = 0.0) -> int:
+        status = run_task(self.table, task, t, h)
         if self.callback_error is not None:
             raise self.callback_error
         if self.drive_failure is not None:
@@ -440,6 +446,18 @@ class System:
     def evaluate_kinematics(self, t: float) -> int:
         """Location, rows and biases of all contacts at (q, v), open ones too; returns a status of `layout`."""
         return self._run(KINEMATICS, t)
+
+    def scan(self, t: float, step: float, shares: Sequence[float]) -> tuple[list[bool], np.ndarray]:
+        """Margins along the step from t that was interpolated last, at shares of it, at most SCAN_ROOM: (n,) whether
+        they could be evaluated, (n, items, MARGINS_PER_CONTACT) a view that the next scan overwrites.
+
+        The gap of a contact beyond the end of one of its contours is NOTHING_THERE.
+        """
+        n = len(shares)
+        self.scan_shares[:n] = shares
+        self.counters[SCAN_COUNT] = n
+        self._run(SCAN, t, step)
+        return [status <= EVENT for status in self.scan_status[:n].tolist()], self.scan_margins[:n, : self.items]
 
     def project(self, t: float, evaluated: bool = False) -> int:
         """Put (q, v) and location of `stage_state` on the constraints; returns a status of `layout`.

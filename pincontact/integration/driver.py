@@ -314,7 +314,7 @@ class Driver:
             self._output_until(event_time)
         happens = True
         if crossing.theta > 0.0:
-            taken, happens = self.locator.refine(t, step, dense, crossing)
+            taken, happens = self.locator.refine(t, step, crossing)
             event_time = t + taken
             rk.load(system.new_state)
         else:

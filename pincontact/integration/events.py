@@ -13,16 +13,16 @@ import numpy as np
 import scipy
 
 from ..errors import ArgumentError, ContactError
-from ..layout import DOMAIN, DOMAIN_MARGIN, EVENT, GAP_MARGIN, LENGTH, OK
+from ..layout import DOMAIN_MARGIN, GAP_MARGIN, LENGTH, NOTHING_THERE, OK, SCAN_ROOM
 from .dense import Interpolant
 from .results import CONTROL_FAILED, GAP_TOLERANCE, Stop
 from .runge_kutta import RungeKutta
 
 if TYPE_CHECKING:
-    from ..dynamics.system import System
+    pass
 
-# Samples of the dense output between which a margin's sign change is looked for.
-_SCAN = 8
+# Samples of the dense output between which a margin's sign change is looked for, all those of one scan.
+_PLACES = tuple(i / (SCAN_ROOM - 1) for i in range(SCAN_ROOM))
 # Steps that refine an event's time, and the change of time (relative to the step) that ends them.
 _REFINEMENTS = 8
 _REFINED = 1e-14
@@ -33,8 +33,6 @@ _ROUNDS = 4
 _LOOKS = 3
 # A margin that is positive by this part of its largest size wherever steps went to make it zero has no zero there.
 _POSITIVE = 1e-6
-# Margin of a gap that is measured beyond the end of a contour.
-_NOTHING_THERE = 1e300
 _XTOL, _RTOL = 1e-15, 8.9e-16
 
 
@@ -98,11 +96,6 @@ class Crossing:
     user: int = -1
 
 
-def outside(system: System) -> np.ndarray:
-    """(nc,) whether a contact's location is beyond the end of one of its contours."""
-    return system.contact_real[: system.nc, DOMAIN] < 0.0
-
-
 class EventLocator:
     """Finds crossings in the step that its integrator has attempted.
 
@@ -137,49 +130,44 @@ class EventLocator:
 
     def first(self, t: float, step: float, dense: Interpolant, users: list[int]) -> Crossing | None:
         """Earliest crossing of a margin or of the listed users' events; None where the alarm was false."""
-        found = self._first_margin(t, step, dense)
+        found = self._first_margin(t, step)
         for index in users:
             theta = self._user_root(t, step, dense, index)
             if found is None or theta < found.theta:
                 found = Crossing(theta, None, index)
         return found
 
-    def _margins(self, t: float, step: float, dense: Interpolant, theta: float) -> np.ndarray | None:
-        self.rk.load(dense(theta))
-        if self.rk.evaluate(t + theta * step) > EVENT:
-            return None
+    def _margins(self, t: float, step: float, thetas: Sequence[float]) -> np.ndarray:
+        """Margins (n, items, MARGINS_PER_CONTACT) at fractions of the step that was interpolated last, less what gaps
+        are known to; there are fewer than fractions where one of them cannot be evaluated: those before it."""
         system = self.rk.system
-        nc = system.nc
-        margins = system.margins[: system.items].copy()
-        margins[:, GAP_MARGIN] += self._gap_slack + self._depths
-        # both ends of a joint coordinate
-        margins[nc:, DOMAIN_MARGIN] += self._gap_slack[nc:]
-        # beyond the end of a contour there is nothing to touch
-        margins[:nc][outside(system), GAP_MARGIN] = _NOTHING_THERE
+        known, found = system.scan(t, step, thetas)
+        margins, nc = found[: known.index(False) if False in known else len(known)].copy(), system.nc
+        margins[:, :, GAP_MARGIN] += self._gap_slack + self._depths
+        if system.items > nc:
+            # both ends of a joint coordinate
+            margins[:, nc:, DOMAIN_MARGIN] += self._gap_slack[nc:]
         return margins
 
-    def _first_margin(self, t: float, step: float, dense: Interpolant) -> Crossing | None:
-        thetas = [i / _SCAN for i in range(_SCAN + 1)]
-        samples = [self._margins(t, step, dense, theta) for theta in thetas]
-        self._add_lowest(t, step, dense, thetas, samples)
-        low, before = thetas[0], samples[0]
-        for high, after in zip(thetas[1:], samples[1:]):
-            if before is None or after is None:
-                return None
-            crosses = (after < 0.0) & ((before >= 0.0) | (low == 0.0)) & (before != _NOTHING_THERE)
-            # what starts too deep, and leaves, touches nothing
-            crosses[:, GAP_MARGIN] &= (before[:, GAP_MARGIN] >= 0.0) | (after[:, GAP_MARGIN] < before[:, GAP_MARGIN])
-            crossed = np.argwhere(crosses)
-            if crossed.size:
-                return self._earliest(t, step, dense, crossed, (low, before), (high, after))
-            low, before = high, after
+    def _first_margin(self, t: float, step: float) -> Crossing | None:
+        thetas, samples = self._with_lowest(t, step, list(_PLACES), self._margins(t, step, _PLACES))
+        before, after = samples[:-1], samples[1:]
+        crosses = (after < 0.0) & (before >= 0.0)
+        # what is negative at the start counts as just having crossed
+        crosses[:1] |= after[:1] < 0.0
+        crosses &= before != NOTHING_THERE
+        # what starts too deep, and leaves, touches nothing
+        gaps, later = before[:, :, GAP_MARGIN], after[:, :, GAP_MARGIN]
+        crosses[:, :, GAP_MARGIN] &= (gaps >= 0.0) | (later < gaps)
+        for i in np.flatnonzero(crosses.any(axis=(1, 2))):
+            left, right = (thetas[i], before[i]), (thetas[i + 1], after[i])
+            return self._earliest(t, step, np.argwhere(crosses[i]), left, right)
         return None
 
     def _earliest(
         self,
         t: float,
         step: float,
-        dense: Interpolant,
         crossed: np.ndarray,
         left: tuple[float, np.ndarray],
         right: tuple[float, np.ndarray],
@@ -198,15 +186,15 @@ class EventLocator:
             with np.errstate(invalid="ignore", divide="ignore"):
                 places = np.nan_to_num(ends[0] / (ends[0] - ends[1]), nan=1.0, posinf=1.0)
             c, kind = (int(x) for x in crossed[int(np.argmin(places))])
-            theta = self._root(t, step, dense, (c, kind), (low, before[c, kind]), (high, after[c, kind]))
+            theta = self._root(t, step, (c, kind), (low, before[c, kind]), (high, after[c, kind]))
             if found is not None and theta >= found.theta:
                 break
             found, high = Crossing(theta, (c, kind)), theta
-            margins = self._margins(t, step, dense, theta)
-            if margins is None:
+            margins = self._margins(t, step, [theta])
+            if not len(margins):
                 break
-            after = margins
-            candidates = (after < 0.0) & (before > 0.0) & (before != _NOTHING_THERE)
+            after = margins[0]
+            candidates = (after < 0.0) & (before > 0.0) & (before != NOTHING_THERE)
             candidates[c, kind] = False
             crossed = np.argwhere(candidates)
             if not crossed.size:
@@ -214,41 +202,37 @@ class EventLocator:
         assert found is not None
         return found
 
-    def _add_lowest(
-        self, t: float, step: float, dense: Interpolant, thetas: list[float], samples: list[np.ndarray | None]
-    ) -> None:
-        """Insert the lowest points of margins that dip between the samples, if they are negative there."""
-        n = len(thetas)
+    def _with_lowest(
+        self, t: float, step: float, thetas: list[float], samples: np.ndarray
+    ) -> tuple[list[float], np.ndarray]:
+        """Places and samples with the lowest points of margins that dip between them, if they are negative there."""
+        left, middle, right = samples[:-2], samples[1:-1], samples[2:]
+        higher = np.maximum(left, right)
+        # a parabola's valley is no deeper than half the change between samples; infinite margins compare
+        valleys = (middle >= 0.0) & (middle <= left) & (middle <= right) & (middle < higher)
+        valleys &= 1.5 * middle < 0.5 * higher
         found: dict[float, np.ndarray] = {}
-        for i in range(1, n - 1):
-            left, middle, right = samples[i - 1 : i + 2]
-            if left is None or middle is None or right is None:
-                return
-            valley = (middle >= 0.0) & (middle <= left) & (middle <= right) & (middle < np.maximum(left, right))
-            # a parabola's valley is no deeper than half the change between samples; infinite margins compare
-            valley &= 1.5 * middle < 0.5 * np.maximum(left, right)
-            for c, kind in np.argwhere(valley):
-                points = [(x, float(s[c, kind])) for x, s in zip(thetas[i - 1 : i + 2], (left, middle, right))]
-                for _ in range(_LOOKS):
-                    theta = _vertex(points)
-                    values = self._margins(t, step, dense, theta) if theta is not None else None
-                    if theta is None or values is None:
-                        break
-                    if values[c, kind] < 0.0:
-                        found[theta] = values
-                        break
-                    points = sorted(points, key=lambda point: point[1])[:2]
-                    points = sorted([*points, (theta, float(values[c, kind]))])
-        for theta in sorted(found):
-            place = int(np.searchsorted(thetas, theta))
-            thetas.insert(place, theta)
-            samples.insert(place, found[theta])
+        for i, c, kind in np.argwhere(valleys).tolist():
+            points = [(thetas[k], float(samples[k, c, kind])) for k in (i, i + 1, i + 2)]
+            for _ in range(_LOOKS):
+                theta = _vertex(points)
+                values = self._margins(t, step, [theta]) if theta is not None else samples[:0]
+                if theta is None or not len(values):
+                    break
+                if values[0][c, kind] < 0.0:
+                    found[theta] = values[0]
+                    break
+                points = sorted(points, key=lambda point: point[1])[:2]
+                points = sorted([*points, (theta, float(values[0][c, kind]))])
+        if not found:
+            return thetas, samples
+        order = sorted([*zip(thetas, samples), *found.items()], key=lambda place: place[0])
+        return [theta for theta, _ in order], np.array([values for _, values in order])
 
     def _root(
         self,
         t: float,
         step: float,
-        dense: Interpolant,
         margin: tuple[int, int],
         left: tuple[float, float],
         right: tuple[float, float],
@@ -260,8 +244,8 @@ class EventLocator:
 
         def value(theta: float) -> float:
             if theta not in known:
-                margins = self._margins(t, step, dense, theta)
-                known[theta] = -1.0 if margins is None else float(margins[margin])
+                margins = self._margins(t, step, [theta])
+                known[theta] = float(margins[0][margin]) if len(margins) else -1.0
             return known[theta]
 
         if at_low <= 0.0:
@@ -291,7 +275,7 @@ class EventLocator:
             return 1.0
         return float(scipy.optimize.brentq(value, 0.0, 1.0, xtol=_XTOL, rtol=_RTOL))
 
-    def refine(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> tuple[float, bool]:
+    def refine(self, t: float, step: float, crossing: Crossing) -> tuple[float, bool]:
         """Attempt steps to the crossing, with secants on the true margin there; returns the last one's size, and
         whether there is a crossing: at loose tolerances the dense output may dip where the motion does not.
 
@@ -302,8 +286,8 @@ class EventLocator:
             self.rk.attempt(t, h)
             return h, True
         back = max(h - 1e-4 * step, 0.5 * h)
-        ends = [self._margins(t, step, dense, x / step) for x in (back, h)]
-        if ends[0] is None or ends[1] is None:
+        ends = self._margins(t, step, [back / step, h / step])
+        if len(ends) < 2:
             self.rk.attempt(t, h)
             return h, True
         slope = float(ends[1][crossing.margin] - ends[0][crossing.margin]) / (h - back)

@@ -40,6 +40,9 @@ _CHECKS = (0.32, 0.58, 0.8, 0.96, 0.0)
 _PERTURBATION = 1e-4
 _ITERATIONS = 8
 _HALVINGS = 30
+# Several slips that start at once depend on each other through what is next to no motion: where so many spans do not
+# do, no shorter one does, and trying costs as much as all steps of a second.
+_TRIES_OF_SEVERAL = 5
 # v_c across the prescribed direction, relative to the velocity tolerance, that is accepted between the nodes, and the
 # fraction of it that is left at the nodes.
 _ACCEPTED = 0.1
@@ -70,7 +73,8 @@ class SlowSlip:
         """
         system = self.rk.system
         tolerance = system.scale[1] + system.scale[0] * float(np.abs(system.v).max(initial=0.0))
-        for _ in range(_HALVINGS):
+        several = self.power > 0 and len(self.contacts) > 1
+        for _ in range(_TRIES_OF_SEVERAL if several else _HALVINGS):
             if span < shortest:
                 return None
             for c in self.contacts:

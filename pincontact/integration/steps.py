@@ -36,6 +36,7 @@ from ..layout import (
     DENSE_START,
     DENSE_STEP,
     DIP,
+    DOMAIN,
     END,
     ERROR_NORM,
     ERROR_ORDER,
@@ -49,12 +50,14 @@ from ..layout import (
     FLOOR,
     FORCE,
     FROZEN,
+    GAP_MARGIN,
     GAP_RESIDUAL,
     HIGHEST,
     LAST_ERROR,
     LAST_NORMAL_X,
     LOCATION_FAILED,
     LOWEST,
+    MARGINS,
     MARGINS_PER_CONTACT,
     MAX_STEP,
     MODE,
@@ -69,6 +72,7 @@ from ..layout import (
     NEXT_TIME,
     NODES,
     NOT_FINITE,
+    NOTHING_THERE,
     NOW,
     NQ,
     NSTAGES,
@@ -86,6 +90,11 @@ from ..layout import (
     SCALARS,
     SCALARS_SIZE,
     SCALE,
+    SCAN_COUNT,
+    SCAN_MARGINS,
+    SCAN_ROOM,
+    SCAN_SHARES,
+    SCAN_STATUS,
     SIZES,
     SLIP,
     SLIP_RATE,
@@ -144,7 +153,8 @@ from .stages import (
     ACROSS_SLIP,
     FIRST_STEP,
     KEEP_VELOCITY,
-) = range(18)
+    SCAN,
+) = range(19)
 
 # What MARCH comes back with.
 MARCHING, STEPPED, ATTEMPTED, SLIP_ENDS, SLIP_IS_SLOW, STEP_FAILED, PROJECTION_FAILED, AT_FLOOR, AT_LIMIT = range(9)
@@ -356,6 +366,24 @@ def across_slip(table, t, h):
                 across[c + 1, k] = direction[0] * second - direction[1] * first
                 across[n + c + 1, k] = direction[0] * first + direction[1] * second
     return OK
+
+
+@kernel
+def scan(table, t, h):
+    """Margins along the step from t of size h that was interpolated last, at SCAN_SHARES of it: see `System.scan`."""
+    n, nc = count_items(table), integers(table[SIZES], 8)[NC]
+    shares, statuses = reals(table[SCAN_SHARES], SCAN_ROOM), integers(table[SCAN_STATUS], SCAN_ROOM)
+    found = cube(table[SCAN_MARGINS], SCAN_ROOM, n, MARGINS_PER_CONTACT)
+    margins = matrix(table[MARGINS], n, MARGINS_PER_CONTACT)
+    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
+    for i in range(integers(table[COUNTERS], COUNTERS_SIZE)[SCAN_COUNT]):
+        _interpolated(table, shares[i])
+        statuses[i] = evaluate(table, t + shares[i] * h, 0)
+        for c in range(n):
+            for kind in range(MARGINS_PER_CONTACT):
+                found[i, c, kind] = margins[c, kind]
+            if c < nc and contact_real[c, DOMAIN] < 0.0:
+                found[i, c, GAP_MARGIN] = NOTHING_THERE
 
 
 @kernel
@@ -767,6 +795,9 @@ def run_task(table, task, t, h):
         return across_slip(table, t, h)
     if task == FIRST_STEP:
         first_step(table, t, h)
+        return OK
+    if task == SCAN:
+        scan(table, t, h)
         return OK
     if task == KEEP_VELOCITY:
         keep_velocity(table, reals(table[STAGE_STATE], integers(table[SIZES], 8)[NY]))

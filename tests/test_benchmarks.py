@@ -3,15 +3,20 @@
 import csv
 import math
 import sys
+import time
 from itertools import pairwise
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
+
+import pincontact as pc
 
 BENCHMARKS = Path(__file__).parents[1] / "examples" / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 
+import breakdown  # noqa: E402
 import work_precision  # noqa: E402
 from peers import scenes  # noqa: E402
 from peers.measure import Row, largest_distance  # noqa: E402
@@ -132,3 +137,29 @@ def test_kinematics_of_the_scenes(name):
         np.testing.assert_allclose(pose.velocity, velocity.linear, rtol=0.0, atol=1e-13)
         np.testing.assert_allclose(pose.omega, velocity.angular, rtol=0.0, atol=1e-13)
         np.testing.assert_allclose(scenes.matrix(scenes.quaternion(pose.turn)), pose.turn, rtol=0.0, atol=1e-13)
+
+
+def test_parts_of_an_evaluation_are_told_apart():
+    """Pinocchio's part is what is left out where its functions do nothing; the state afterwards is as before."""
+    if sys.platform != "linux" or numba.config.DISABLE_JIT:
+        pytest.skip("kernels call Pinocchio by address where it is known that they can")
+    scene, state = breakdown._disk(None)
+    pinocchio, kernels = breakdown.evaluation_parts(scene, state)
+    assert pinocchio > 0.0
+    assert kernels > 0.0
+
+
+def test_clock_counts_what_is_nested_once():
+    """Two kinds of work, one within the other: what each takes itself adds up to the whole."""
+    scene, state = breakdown._bouncing_ball()
+    compiled, handler = breakdown.driver.run_task, breakdown.driver.Driver._complete
+    began = time.perf_counter()
+    with breakdown.timed() as clock:
+        run = pc.simulate(scene, state, 0.5, t_eval=[0.5])
+    whole = time.perf_counter() - began
+    assert [event.kind for event in run.events] == ["touch"]
+    assert 0 < clock.evaluations < run.stats["rhs"]
+    assert set(clock.inside) >= {"compiled", "handler"}
+    assert 0.0 < sum(clock.inside.values()) + sum(clock.outside.values()) <= whole
+    # and everything is as it was
+    assert (breakdown.driver.run_task, breakdown.driver.Driver._complete) == (compiled, handler)

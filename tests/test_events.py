@@ -8,9 +8,12 @@ import pytest
 from reference import build
 
 import pincontact as pc
+from pincontact.dynamics.system import System
 from pincontact.integration.events import EventLocator
 from pincontact.integration.runge_kutta import RungeKutta
-from pincontact.layout import NORMAL_MARGIN
+from pincontact.integration.tableaux import tableau
+from pincontact.layout import DOMAIN, EVENT, GAP_MARGIN, NORMAL_MARGIN, NOTHING_THERE, OK
+from pincontact.state import write_discrete
 
 G = 9.81
 RADIUS = 0.1
@@ -282,6 +285,38 @@ def test_a_dip_of_the_dense_output_alone_is_none(monkeypatch):
     assert run.events == []
     # other steps, the same tolerance
     np.testing.assert_allclose(run.q[-1], plain.q[-1], rtol=0.0, atol=1e-5)
+
+
+def test_a_scan_finds_what_evaluations_find():
+    """All margins along a step at once, bit by bit, and nothing beyond the end of a contour."""
+    scene = ball_scene(pc.Coulomb(0.3))
+    strip = scene.add_contour("strip", pc.Line((-0.05, 0.05)), placement=pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.01])))
+    scene.add_contact("edge", "ball", strip, friction=None)
+    q = np.array([0.0, 0.0, RADIUS + 0.02, 0.0, 0.0, 0.0, 1.0])
+    state = scene.initial_state(q, np.array([3.0, 0.0, -0.2, 0.0, 1.0, 0.0]), free=["c", "edge"])
+    system = System(scene.model, list(scene.contacts.values()))
+    write_discrete(system, state.discrete)
+    rk = RungeKutta(system, tableau("DOP853"), 1e-6, 1e-8, None)
+    rk.begin_at(state.q, state.v, state.location)
+    assert rk.evaluate_start(0.0) <= EVENT
+    step = 0.03
+    assert rk.attempt(0.0, step) == OK
+    dense = rk.interpolant(0.0, step)
+    shares = [0.0, 0.1, 0.35, 0.8, 1.0]
+    known, margins = system.scan(0.0, step, shares)
+    margins = margins.copy()
+    assert known == [True] * 5
+    beyond = []
+    for share, found in zip(shares, margins):
+        rk.load(dense(share))
+        assert rk.evaluate(share * step) <= EVENT
+        there = system.contact_real[:2, DOMAIN] >= 0.0
+        beyond.append(not there[1])
+        expected = system.margins[:2].copy()
+        expected[~there, GAP_MARGIN] = NOTHING_THERE
+        assert found.tobytes() == expected.tobytes()
+    # the ball leaves the strip's end behind
+    assert beyond == [False, False, False, True, True]
 
 
 # ------------------------------------------------------------------------------------------------- ends of contours

@@ -106,6 +106,18 @@ class EventLocator:
         self.rk, self.users, self._depths = rk, users, depths
 
     @cached_property
+    def _slack(self) -> np.ndarray:
+        """(items, MARGINS_PER_CONTACT) what margins may be below zero; of gaps as `_take_slack` has found it."""
+        slack = np.zeros_like(self.rk.system.margins[: self.rk.system.items])
+        # both ends of a joint coordinate
+        nc = self.rk.system.nc
+        slack[nc:, DOMAIN_MARGIN] = self._gap_slack[nc:]
+        return slack
+
+    def _take_slack(self) -> None:
+        self._slack[:, GAP_MARGIN] = self._gap_slack + self._depths
+
+    @cached_property
     def _gap_slack(self) -> np.ndarray:
         """(items,) what gaps are known to, in m."""
         system = self.rk.system
@@ -130,6 +142,7 @@ class EventLocator:
 
     def first(self, t: float, step: float, dense: Interpolant, users: list[int]) -> Crossing | None:
         """Earliest crossing of a margin or of the listed users' events; None where the alarm was false."""
+        self._take_slack()
         found = self._first_margin(t, step)
         for index in users:
             theta = self._user_root(t, step, dense, index)
@@ -140,14 +153,8 @@ class EventLocator:
     def _margins(self, t: float, step: float, thetas: Sequence[float]) -> np.ndarray:
         """Margins (n, items, MARGINS_PER_CONTACT) at fractions of the step that was interpolated last, less what gaps
         are known to; there are fewer than fractions where one of them cannot be evaluated: those before it."""
-        system = self.rk.system
-        known, found = system.scan(t, step, thetas)
-        margins, nc = found[: known.index(False) if False in known else len(known)].copy(), system.nc
-        margins[:, :, GAP_MARGIN] += self._gap_slack + self._depths
-        if system.items > nc:
-            # both ends of a joint coordinate
-            margins[:, nc:, DOMAIN_MARGIN] += self._gap_slack[nc:]
-        return margins
+        known, found = self.rk.system.scan(t, step, thetas)
+        return (found[: known.index(False)] if False in known else found) + self._slack
 
     def _first_margin(self, t: float, step: float) -> Crossing | None:
         thetas, samples = self._with_lowest(t, step, list(_PLACES), self._margins(t, step, _PLACES))
@@ -286,6 +293,7 @@ class EventLocator:
             self.rk.attempt(t, h)
             return h, True
         back = max(h - 1e-4 * step, 0.5 * h)
+        self._take_slack()
         ends = self._margins(t, step, [back / step, h / step])
         if len(ends) < 2:
             self.rk.attempt(t, h)

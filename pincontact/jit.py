@@ -10,6 +10,7 @@ entry kernel's cache directory is therefore keyed by a hash of its module's sour
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import gc
 import hashlib
@@ -89,8 +90,14 @@ class _Cache(FunctionCache):
     """Machine code on disk, which is loaded without making the compiler ready for work: that takes 0.4 s."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)
+        try:
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(sig, target_context)
+        except Exception:
+            # files that a crash or a full disk has left: compiled again, and written to an index that can be read
+            with contextlib.suppress(OSError):
+                self.flush()
+            return None
 
 
 _CACHE = cache_root()

@@ -16,7 +16,7 @@ from calling import from_python
 from numba.core.errors import UnsupportedError
 
 import pincontact
-from pincontact.jit import INTEGER, entry_kernel, kernel
+from pincontact.jit import INTEGER, _Cache, entry_kernel, kernel
 
 INF, NAN = math.inf, math.nan
 TABLE = (0.5, 1.5, 2.5)
@@ -215,3 +215,25 @@ def test_kernels_compile_without_it(tmp_path):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": paths}
     done = subprocess.run([sys.executable, str(file)], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="machine code")
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+@pytest.mark.parametrize("keep", [0, 40, 400])
+def test_kernels_on_disk_that_cannot_be_read_are_compiled_again(suffix, keep, tmp_path, monkeypatch):
+    """Index or machine code cut short, as a crash or a full disk leaves them: the next process repairs that."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+
+    def seven_times(x):
+        return 7 * x
+
+    def called():
+        compiled = numba.njit(cache=True)(seven_times)
+        compiled._cache = _Cache(seven_times)
+        assert compiled(3) == 21
+        return sum(compiled.stats.cache_hits.values())
+
+    assert [called(), called()] == [0, 1]
+    (file,) = tmp_path.rglob(f"*.{suffix}")
+    file.write_bytes(file.read_bytes()[:keep])
+    assert [called(), called()] == [0, 1]

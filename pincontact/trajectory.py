@@ -8,7 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -311,7 +311,7 @@ class Trajectory:
         self.scene = scene
         self.t, self.q, self.v = t, q, v
         self.status, self.message, self.events, self.stats = status, message, events, stats
-        self._unpack = recorded
+        self._unpack: Callable[[], Recorded] | None = recorded
         self._tracks: dict[str, ContactTrack] | None = None
         self._residuals: dict[str, dict[str, np.ndarray]] = {}
         self.contacts: Mapping[str, ContactTrack] = _Tracks(self)
@@ -323,13 +323,16 @@ class Trajectory:
         """From the rows of a run, however many there are."""
         return cls(scene, *record.rows(scene), events, status, message, stats)
 
-    @cached_property
+    @property
     def _recorded(self) -> Recorded:
         """Unpacked when first asked for: a run that only goes on needs none of it."""
-        recorded = self._unpack()
-        # and with it the rows as they were written
-        del self._unpack
-        return recorded
+        unpack, parts = self._unpack, self.__dict__
+        if unpack is not None:
+            # threads that ask at the same time get what the first of them has found
+            parts.setdefault("_found", unpack())
+            # and with it go the rows as they were written
+            self._unpack = None
+        return parts["_found"]  # type: ignore[no-any-return]
 
     @property
     def success(self) -> bool:

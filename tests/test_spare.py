@@ -3,6 +3,7 @@
 import gc
 import threading
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pinocchio as pin
@@ -240,3 +241,20 @@ def test_nothing_of_the_user_is_kept_alive():
     del scene, state
     gc.collect()
     assert gone() is None
+
+
+def test_threads_that_ask_a_run_at_once():
+    """What each of them finds is kept once, whoever comes first; none comes too late for the recorded rows."""
+    scene, state = ball_on()
+    run = simulated(scene, state, method="Moreau", step=0.01)
+    both, unpack = threading.Barrier(2, timeout=60.0), run._unpack
+
+    def together():
+        both.wait()
+        return unpack()
+
+    run._unpack = together
+    with ThreadPoolExecutor(2) as pool:
+        one, two = pool.map(lambda _: run.state(-1), range(2))
+    assert one.discrete.tobytes() == two.discrete.tobytes()
+    assert run._recorded is run._recorded

@@ -373,7 +373,7 @@ NOTHING_THERE = 1e300
 # what kernels call by address: a Python function to be asked first, or 0, and its arguments; one or two of Pinocchio's
 # algorithms and theirs; the result that means failure; the evaluation and the address of the table that it is given;
 # the algorithm that gives places, velocities and Jacobians alone; where the rows of `PinocchioCalls.native` are, or 0,
-# and the model, with the word that it begins with
+# and the model, with the two words that it begins with
 (
     ASKED,
     ASKED_WITH,
@@ -389,5 +389,6 @@ NOTHING_THERE = 1e300
     NATIVE,
     MODEL,
     MODEL_SIZE,
-) = range(14)
-CALLBACK_SIZE = 14
+    MODEL_JOINTS,
+) = range(15)
+CALLBACK_SIZE = 15

@@ -82,6 +82,7 @@ from ..layout import (
     MASS_NOT_POSITIVE,
     MODE,
     MODEL,
+    MODEL_JOINTS,
     MODEL_SIZE,
     MOTION_KIND,
     MOTION_POOL,
@@ -168,7 +169,11 @@ def evaluate_state(table_address, time, only_kinematics):
             return NOT_FINITE
     places = only_kinematics in (PLACES_OF_CLOSED, PLACES_OF_ALL)
     # C++ would throw at a model that has got another size since, and nothing here catches that; Python's calls raise
-    if callback[NATIVE] != 0 and integers(callback[MODEL], 1)[0] == callback[MODEL_SIZE]:
+    known = callback[NATIVE] != 0
+    if known:
+        words = integers(callback[MODEL], 2)
+        known = words[0] == callback[MODEL_SIZE] and words[1] == callback[MODEL_JOINTS]
+    if known:
         native = integer_matrix(callback[NATIVE], NATIVE_ROWS, NATIVE_COLUMNS)
         for i in range(2 if places else 0, 3 if places else 2):
             call = native[i]

@@ -56,8 +56,8 @@ class PinocchioCalls:
 
     algorithms: calls for mass matrix, bias forces, Jacobians, poses, velocities and bias accelerations; placing: the
     one for Jacobians, poses and velocities alone; native: (NATIVE_ROWS, NATIVE_COLUMNS) int, two rows that do what
-    `algorithms` do and one for `placing`, or None; model_size: the word, nq and nv, with which the model begins, as
-    these rows were made for; bias_forces (nv,): where they are found.
+    `algorithms` do and one for `placing`, or None; model_words: the two words, nq and nv, nvExtended and njoints, with
+    which the model begins, as these rows were made for; bias_forces (nv,): where they are found.
     """
 
     def __init__(self, model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray) -> None:
@@ -75,7 +75,7 @@ class PinocchioCalls:
         # kept alive: their addresses are known to kernels
         self._rest, self._vectors = rest, [_as_ref(array) for array in (q, v, rest)]
         self.native = _native_calls(model, data, self._vectors)
-        self.model_size = 0 if self.native is None else _word_at(int(self.native[0, 1]))
+        self.model_words = (0, 0) if self.native is None else _words_at(int(self.native[0, 1]))
         if self.native is None and _takes_one_call(model):
             self.algorithms = [(pin.computeAllTerms, (model, data, q, v))]
             self.algorithms[0][0](model, data, q, v)
@@ -140,8 +140,9 @@ def _address_of_object(thing: Any) -> int:
     return holder + _HELD if holder else 0
 
 
-def _word_at(address: int) -> int:
-    return ctypes.c_int64.from_address(address).value
+def _words_at(address: int) -> tuple[int, int]:
+    first, second = (ctypes.c_int64 * 2).from_address(address)
+    return first, second
 
 
 def _address_of_model(model: pin.Model) -> int:

@@ -61,6 +61,7 @@ from ..layout import (
     MARGINS_PER_CONTACT,
     MODE,
     MODEL,
+    MODEL_JOINTS,
     MODEL_SIZE,
     MOTION_KIND,
     MOTION_POOL,
@@ -378,7 +379,8 @@ class System:
         callback[PLACED : PLACED + 2] = [id(thing) for thing in calls.placing]
         if calls.native is not None:
             callback[NATIVE] = address_of(calls.native)
-            callback[MODEL], callback[MODEL_SIZE] = calls.native[0, 1], calls.model_size
+            callback[MODEL] = calls.native[0, 1]
+            callback[MODEL_SIZE], callback[MODEL_JOINTS] = calls.model_words
         callback[CALL_FAILED] = id(False)
         callback[[EVALUATION, OWN_TABLE]] = kernel_address(evaluate_state), address_of(self.table)
         self._asked_for_drives = (self._to_be_asked(None), ()) if self.python_drives else None

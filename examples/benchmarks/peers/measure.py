@@ -30,10 +30,15 @@ class Case:
     counts: Callable[[Any], dict[str, int]]
 
 
+# Runs at least, where several are asked for.
+_LEAST = 2
+
+
 @dataclass(frozen=True)
 class Effort:
     """How long to measure. longest: s of a single run beyond which the ladder of a method ends; repeats: runs whose
-    median is taken, as long as they take together less than `total` s; every: take each n-th rung of a ladder only."""
+    lower median is taken, as long as they take together less than `total` s; every: take each n-th rung of a ladder
+    only."""
 
     longest: float = 0.6
     repeats: int = 5
@@ -120,13 +125,13 @@ def measure(engine: Engine, problem: Problem, reference: np.ndarray, effort: Eff
                 warm.add(case.method)
                 case.run()
             seconds, share, result = timed(case.run)
-            times, shares = [seconds], [share]
-            while len(times) < effort.repeats and sum(times) < effort.total:
+            runs = [(share, seconds)]
+            while len(runs) < effort.repeats and (len(runs) < _LEAST or sum(taken for _, taken in runs) < effort.total):
                 again, share, _ = timed(case.run)
-                times.append(again)
-                shares.append(share)
-            row.seconds, row.runs = statistics.median(times), len(times)
-            row.pace = row.seconds / statistics.median(shares)
+                runs.append((share, again))
+            # the lower one of two: a machine that stalls only adds
+            share, seconds = statistics.median_low(runs)
+            row.seconds, row.runs, row.pace = seconds, len(runs), seconds / share
             counts = case.counts(result)
             row.steps, row.evaluations = counts.get("steps"), counts.get("evaluations")
             row.error = largest_distance(case.positions(result), reference)

@@ -50,7 +50,7 @@ FIGURES = ROOT / "pincontact" / "docs" / "figures"
 MARKS = ("<!-- work-precision: begin -->", "<!-- work-precision: end -->")
 LEVELS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
 # a peer that hangs must not hang the benchmark; what it had done by then is kept
-PATIENCE = 240.0
+PATIENCE = 90.0
 COLOURS = {
     "pincontact": "#c1272d",
     "MuJoCo": "#1f77b4",

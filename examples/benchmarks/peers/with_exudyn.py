@@ -12,7 +12,7 @@ from .measure import Case, Engine, Unsupported
 from .scenes import NO_SLIP, WORLD, Problem, Touch, poses, skew
 
 SOLVERS = {"trapezoidal": "TrapezoidalIndex2", "generalized alpha": "GeneralizedAlpha"}
-STEPS = (1, 2, 5, 20, 50, 200, 500, 2000, 5000)
+STEPS = (2, 5, 20, 50, 200, 500, 2000, 5000)  # at 1 its bicycle does not end
 STIFFNESS, DAMPING, SLIP_ZONE = 1e6, 1e2, 1e-4
 STICKY = 10.0
 FAR = 10.0  # m, corners of the triangle that stands for a plane

@@ -93,8 +93,9 @@ class _Cache(FunctionCache):
         try:
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
-        except Exception:
+        except Exception as error:
             # files that a crash or a full disk has left: compiled again, and written to an index that can be read
+            print(f"pincontact: a kernel on disk cannot be read ({error}); compiling it again ...", file=sys.stderr)
             with contextlib.suppress(OSError):
                 self.flush()
             return None

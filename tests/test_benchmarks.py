@@ -139,14 +139,17 @@ def test_kinematics_of_the_scenes(name):
         np.testing.assert_allclose(scenes.matrix(scenes.quaternion(pose.turn)), pose.turn, rtol=0.0, atol=1e-13)
 
 
+@pytest.mark.skipif(
+    sys.platform != "linux" or bool(numba.config.DISABLE_JIT), reason="kernels call Pinocchio through Python"
+)
 def test_parts_of_an_evaluation_are_told_apart():
-    """Pinocchio's part is what is left out where its functions do nothing; the state afterwards is as before."""
-    if sys.platform != "linux" or numba.config.DISABLE_JIT:
-        pytest.skip("kernels call Pinocchio by address where it is known that they can")
-    scene, state = breakdown._disk(None)
-    pinocchio, kernels = breakdown.evaluation_parts(scene, state)
+    """Pinocchio's part is what is left out where its functions do nothing; what is not told apart is no number."""
+    one, other = (breakdown._evaluated(*breakdown.disk(None)) for _ in range(2))
+    pinocchio, kernels = breakdown.evaluation_parts(one, other)
     assert pinocchio > 0.0
     assert kernels > 0.0
+    other.pinocchio.native = None
+    assert np.isnan(breakdown.evaluation_parts(one, other)).all()
 
 
 def test_clock_counts_what_is_nested_once():

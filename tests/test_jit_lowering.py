@@ -220,8 +220,9 @@ def test_kernels_compile_without_it(tmp_path):
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="machine code")
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize("keep", [0, 40, 400])
-def test_kernels_on_disk_that_cannot_be_read_are_compiled_again(suffix, keep, tmp_path, monkeypatch):
-    """Index or machine code cut short, as a crash or a full disk leaves them: the next process repairs that."""
+def test_kernels_on_disk_that_cannot_be_read_are_compiled_again(suffix, keep, tmp_path, monkeypatch, capsys):
+    """Index or machine code cut short, as a crash or a full disk leaves them: the next process repairs that, and says
+    so."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
 
     def seven_times(x):
@@ -234,6 +235,8 @@ def test_kernels_on_disk_that_cannot_be_read_are_compiled_again(suffix, keep, tm
         return sum(compiled.stats.cache_hits.values())
 
     assert [called(), called()] == [0, 1]
+    assert capsys.readouterr().err == ""
     (file,) = tmp_path.rglob(f"*.{suffix}")
     file.write_bytes(file.read_bytes()[:keep])
     assert [called(), called()] == [0, 1]
+    assert capsys.readouterr().err.count("cannot be read") == 1

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from timing import by_turns, free_body
 
 import pincontact as pc
 from pincontact.dynamics.system import System
@@ -83,16 +84,9 @@ def timed() -> Iterator[Clock]:
             setattr(owner, name, function)
 
 
-def _body(moments: tuple[float, float, float] = (0.02, 0.03, 0.04)) -> pin.Model:
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "free")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.diag(moments)), pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
-    return model
-
-
-def _disk(friction: Any) -> tuple[pc.Scene, pc.State]:
-    scene = pc.Scene(_body())
+def disk(friction: Any) -> tuple[pc.Scene, pc.State]:
+    """A disk of 0.3 m that leans and spins, on a plane."""
+    scene = pc.Scene(free_body())
     rim = scene.add_contour("rim", pc.Circle(0.3), frame="body")
     scene.add_contact("contact", rim, scene.add_contour("floor", pc.Plane()), friction=friction)
     q = np.r_[0.0, 0.0, 0.3 * np.sin(1.2), pin.Quaternion(pin.utils.rotate("y", 1.2)).coeffs()]
@@ -100,7 +94,7 @@ def _disk(friction: Any) -> tuple[pc.Scene, pc.State]:
 
 
 def _bouncing_ball() -> tuple[pc.Scene, pc.State]:
-    scene = pc.Scene(_body((0.001, 0.001, 0.001)))
+    scene = pc.Scene(free_body((0.001, 0.001, 0.001)))
     ball, floor = scene.add_contour("ball", pc.Sphere(0.05), frame="body"), scene.add_contour("floor", pc.Plane())
     scene.add_contact("contact", ball, floor, friction=pc.Coulomb(0.3), restitution=0.8)
     q, v = np.r_[0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0], np.array([0.5, 0.0, 0.0, 0.0, 10.0, 0.0])
@@ -108,7 +102,7 @@ def _bouncing_ball() -> tuple[pc.Scene, pc.State]:
 
 
 def _box_on_feet() -> tuple[pc.Scene, pc.State]:
-    scene = pc.Scene(_body())
+    scene = pc.Scene(free_body())
     floor = scene.add_contour("floor", pc.Plane())
     for i, (x, y) in enumerate(((0.2, 0.1), (0.2, -0.1), (-0.2, 0.1), (-0.2, -0.1))):
         place = pin.SE3(np.eye(3), np.array([x, y, -0.1]))
@@ -122,43 +116,36 @@ def _push(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.array([5.0 * np.sin(6.0 * t), 0.0, 0.0, 0.0, 0.0, 0.5 * np.cos(5.0 * t)])
 
 
-def evaluation_parts(scene: pc.Scene, state: pc.State) -> tuple[float, float]:
-    """Seconds of Pinocchio and of the kernels in one evaluation of the scene at the state.
-
-    Raises SystemExit where kernels call Pinocchio through Python: the parts cannot be told apart in this way.
-    """
+def _evaluated(scene: pc.Scene, state: pc.State) -> System:
     system = System(scene.model, list(scene.contacts.values()))
     write_discrete(system, state.discrete)
     system.q[:], system.v[:], system.location[: system.nc] = state.q, state.v, state.location
     system.evaluate(0.0)
-    native = system.pinocchio.native
-    if native is None:
-        raise SystemExit("kernels call Pinocchio through Python here: the parts of an evaluation cannot be told apart")
-    real = native[:, 0].copy()
-    nothing = ctypes.cast(ctypes.CDLL(None).labs, ctypes.c_void_p).value
+    return system
 
-    def quartile(call: Callable[[], object]) -> float:
-        batches = []
-        for _ in range(101):
-            began = time.perf_counter()
-            for _ in range(100):
-                call()
-            batches.append((time.perf_counter() - began) / 100)
-        return statistics.quantiles(batches, n=4)[0]
 
-    whole = quartile(lambda: system.evaluate(0.0))
-    native[:, 0] = nothing
-    kernels = quartile(lambda: system.evaluate(0.0))
-    native[:, 0] = real
-    call = quartile(lambda: run_task(system.table, KEEP_VELOCITY, 0.0, 0.0))
+def evaluation_parts(system: System, twin: System) -> tuple[float, float]:
+    """Microseconds of Pinocchio and of the kernels in one evaluation; nan where kernels call Pinocchio through Python,
+    and the parts cannot be told apart.
+
+    twin: another system in the same state, evaluated there; its terms are never again computed.
+    """
+    if twin.pinocchio.native is None:
+        return math.nan, math.nan
+    twin.pinocchio.native[:, 0] = ctypes.cast(ctypes.CDLL(None).labs, ctypes.c_void_p).value
+    whole, kernels, call = by_turns(
+        lambda: system.evaluate(0.0),
+        lambda: twin.evaluate(0.0),
+        lambda: run_task(system.table, KEEP_VELOCITY, 0.0, 0.0),
+    )
     return whole - kernels, kernels - call
 
 
 def breakdown(write: Callable[[str, float, float, float], None]) -> None:
     """Runs of 2 s at rtol 1e-8, without outputs."""
     cases: dict[str, tuple[tuple[pc.Scene, pc.State], dict[str, Any]]] = {
-        "rolling disk": (_disk(pc.NoSlip()), {}),
-        "disk slips, then rolls": (_disk(pc.Coulomb(0.2)), {}),
+        "rolling disk": (disk(pc.NoSlip()), {}),
+        "disk slips, then rolls": (disk(pc.Coulomb(0.2)), {}),
         "bouncing, spinning ball": (_bouncing_ball(), {}),
         "box on 4 feet, pushed": (_box_on_feet(), {"control": _push}),
     }
@@ -178,30 +165,32 @@ def breakdown(write: Callable[[str, float, float, float], None]) -> None:
                 run(2.0)
             clocks.append(clock)
         clock = sorted(clocks, key=lambda c: sum(c.outside.values()) + sum(c.inside.values()))[_RUNS // 2]
-        pinocchio, kernels = evaluation_parts(scene, state)
+        parts = evaluation_parts(_evaluated(scene, state), _evaluated(scene, state))
+        pinocchio, kernels = (1e-6 * part for part in parts)
         rhs, steps, events = result.stats["rhs"], result.stats["steps"], len(result.events)
-        counts = f"{rhs} evaluations, {steps} steps, {events} events, {result.stats['cone_problems']} cone problems"
+        problems = f"{result.stats['cone_problems']} cone problems ({result.stats['qp']} programs of ProxQP)"
+        counts = f"{rhs} evaluations, {steps} steps, {events} events, {problems}"
         print(f"\n{name}: {total * 1e3:.2f} ms, of which {setup * 1e3:.2f} ms set-up; {counts}")
         evaluation = pinocchio + kernels
         _show("an evaluation", evaluation, {"Pinocchio": pinocchio, "kernels": kernels})
         stepping, compiled = rhs - clock.evaluations, clock.outside.get("compiled", 0.0)
         loop = max(total - setup - sum(clock.outside.values()) - sum(clock.inside.values()), 0.0)
-        parts = {
+        of_steps = {
             f"{stepping / steps:.1f} evaluations": stepping * evaluation,
             "integrator and control": max(compiled - stepping * evaluation, 0.0),
             "Python": loop,
         }
-        _show("a step", compiled + loop, parts, steps)
+        _show("a step", compiled + loop, of_steps, steps)
         write(f"{name}: a step", (compiled + loop) / steps * 1e6, math.nan, math.nan)
         if events:
             inside, within = clock.inside, clock.evaluations * evaluation
-            parts = {
+            of_events = {
                 f"{clock.evaluations / events:.1f} evaluations": within,
                 "cone problems": inside.get("cone", 0.0),
                 "integrator and control": max(inside.get("compiled", 0.0) - within, 0.0),
                 "Python": inside.get("handler", 0.0),
             }
-            _show("an event", sum(inside.values()), parts, events)
+            _show("an event", sum(inside.values()), of_events, events)
             write(f"{name}: an event", sum(inside.values()) / events * 1e6, math.nan, math.nan)
 
 

@@ -13,31 +13,20 @@ import argparse
 import csv
 import math
 import statistics
-import time
 from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
-from breakdown import breakdown
+from breakdown import breakdown, disk, evaluation_parts
+from timing import by_turns, free_body
 
 import pincontact as pc
 from pincontact.dynamics.system import System
 from pincontact.layout import MODE, MU, STICK
 from pincontact.state import write_discrete
 
-# Batches of so many seconds: most fall between the interruptions of a machine that has something else to do.
-BATCHES, LENGTH = 301, 5e-4
 _RUNS = 15
 Writer = Callable[[str, float, float, float], None]
-
-
-def free_body() -> pin.Model:
-    """One free body of 1 kg."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "free")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.diag([0.02, 0.03, 0.04])), pin.SE3.Identity())
-    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
-    return model
 
 
 def planar_body() -> pin.Model:
@@ -125,26 +114,11 @@ def prepare(model: pin.Model, body: pc.Contour, world: pc.Contour, q: np.ndarray
     return system, contact.pattern.name
 
 
-def batch(call: Callable[[], object], calls: int) -> float:
-    """Seconds per call of one batch."""
-    began = time.perf_counter()
-    for _ in range(calls):
-        call()
-    return (time.perf_counter() - began) / calls
-
-
-def compare(call: Callable[[], object], other: Callable[[], object]) -> tuple[float, float, float]:
-    """Lower quartiles in microseconds of both calls' batches, which take turns, and the ratio of these."""
-    sized = [(timed, max(1, round(LENGTH / min(batch(timed, 10) for _ in range(5))))) for timed in (call, other)]
-    times = [[batch(timed, calls) for timed, calls in sized] for _ in range(BATCHES)]
-    first, second = (statistics.quantiles(column, n=4)[0] * 1e6 for column in zip(*times))
-    return first, second, first / second
-
-
 def against_aba(system: System) -> tuple[float, float, float]:
-    """An evaluation of the system against `pin.aba` on its model (see `compare`)."""
+    """Microseconds of an evaluation of the system and of `pin.aba` on its model, and their ratio."""
     model, data, tau = system.model, system.model.createData(), np.zeros(system.nv)
-    return compare(lambda: system.evaluate(0.0), lambda: pin.aba(model, data, system.q, system.v, tau))
+    cost, aba = by_turns(lambda: system.evaluate(0.0), lambda: pin.aba(model, data, system.q, system.v, tau))
+    return cost, aba, cost / aba
 
 
 # ---------------------------------------------------------------- patterns and contours
@@ -244,10 +218,7 @@ def robots(write: Writer) -> None:
     ):
         system = standing(model, frames)
         cost, aba, ratio = against_aba(system)
-        terms = compare(
-            lambda: system.evaluate(0.0),  # noqa: B023
-            lambda: [algorithm(*arguments) for algorithm, arguments in system.pinocchio.algorithms],  # noqa: B023
-        )[1]
+        terms, _ = evaluation_parts(system, standing(model, frames))
         write(f"{name} (nv = {model.nv})", cost, aba, ratio)
         print(f"{name + f' (nv = {model.nv})':34s} {cost:8.2f} us {aba:6.2f} us {ratio:6.2f} {terms:12.2f} us")
 
@@ -276,17 +247,13 @@ def contacts(write: Writer) -> None:
 
 def steps(write: Writer) -> None:
     """Where the time of a run goes: the rolling disk, and its slip into rolling."""
-    q = np.r_[0.0, 0.0, 0.3 * math.sin(1.2), pin.Quaternion(pin.utils.rotate("y", 1.2)).coeffs()]
     print(f"\n{'run of 5 s, rtol 1e-8':34s} {'total':>9s} {'set-up':>9s} {'per step':>10s} {'per evaluation':>15s}")
     for name, friction, outputs in (
         ("rolling disk, no outputs", pc.NoSlip(), [5.0]),
         ("rolling disk, 501 outputs", pc.NoSlip(), np.linspace(0.0, 5.0, 501)),
         ("sliding into rolling, 501 outputs", pc.Coulomb(0.2), np.linspace(0.0, 5.0, 501)),
     ):
-        scene = pc.Scene(free_body())
-        rim = scene.add_contour("rim", pc.Circle(0.3), frame="body")
-        scene.add_contact("contact", rim, scene.add_contour("floor", pc.Plane()), friction=friction)
-        state = scene.initial_state(q, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 5.0]))
+        scene, state = disk(friction)
         run = pc.simulate(scene, state, 5.0, t_eval=outputs)
         total = statistics.median(
             pc.simulate(scene, state, 5.0, t_eval=outputs).stats["wall_time"] for _ in range(_RUNS)

@@ -40,8 +40,9 @@ _CHECKS = (0.32, 0.58, 0.8, 0.96, 0.0)
 _PERTURBATION = 1e-4
 _ITERATIONS = 8
 _HALVINGS = 30
-# Several slips that start at once depend on each other through what is next to no motion: where so many spans do not
-# do, no shorter one does, and trying costs as much as all steps of a second.
+# Several slips that start at once, of one body as a rule, have more directions than it has ways to move: next to no
+# motion decides among them. Those that can be followed were found at the third and fourth span; trying all the others
+# costs as much as all steps of a second.
 _TRIES_OF_SEVERAL = 5
 # v_c across the prescribed direction, relative to the velocity tolerance, that is accepted between the nodes, and the
 # fraction of it that is left at the nodes.

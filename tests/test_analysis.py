@@ -16,7 +16,7 @@ import pincontact as pc
 # Differences of eighth order, see `random_contacts`; derivatives of conditions have no conditioning in them.
 DIFFERENCES = 1e-8
 EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
-CHECKED = settings(max_examples=6, deadline=None, derandomize=True, database=None)
+CHECKED = settings(max_examples=12, deadline=None, derandomize=True, database=None)
 
 
 @st.composite

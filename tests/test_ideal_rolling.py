@@ -320,11 +320,11 @@ def check(seed, scene, run, depth):
     return slides
 
 
-@pytest.mark.parametrize(("first", "some_slide"), [(0, True), (30, False), (942, True)])
+@pytest.mark.parametrize(("first", "some_slide"), [(0, True), (30, False), (930, True)])
 def test_thrown_bodies(first, some_slide):
-    """Fifteen bodies a block, of which some slide or, in one, all that let go dip by less than a slide needs."""
+    """Thirty bodies a block, of which some slide or, in one, all that let go dip by less than a slide needs."""
     slides = 0
-    for seed in range(first, first + 15):
+    for seed in range(first, first + 30):
         scene, state = thrown_body(seed)
         run = pc.simulate(scene, state, 1.0, energies=True, max_steps=5000)
         if run.status != 0:
@@ -381,7 +381,7 @@ def thrown_box(seed):
 def test_several_contacts(make):
     """Corners land and slide one after the other, or at once."""
     slides = 0
-    for seed in range(9):
+    for seed in range(18):
         scene, state = make(seed)
         run = pc.simulate(scene, state, 0.5, energies=True, max_steps=5000)
         assert run.status == 0, (seed, run.message)

@@ -29,7 +29,7 @@ ROUNDING = 1e-11
 # Contacts this close to a line contact have rates that grow without bound, and differences with them.
 WELL_PLACED = 0.05
 EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
-CHECKED = settings(max_examples=6, deadline=None, derandomize=True, database=None)
+CHECKED = settings(max_examples=12, deadline=None, derandomize=True, database=None)
 # Table 1: equations m, location parameters k; constraints nu = m - k.
 TABLE_1 = {
     "P-2C": (2, 1),

@@ -277,7 +277,7 @@ def test_inverse_dynamics_with_resistance():
         pc.inverse_dynamics(scene, rest, [0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
-@settings(max_examples=12, deadline=None, derandomize=True, database=None)
+@settings(max_examples=25, deadline=None, derandomize=True, database=None)
 @given(
     v=st.tuples(*[st.floats(-3.0, 3.0)] * 2),
     w=st.tuples(*[st.floats(-30.0, 30.0)] * 3),

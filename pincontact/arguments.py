@@ -12,6 +12,8 @@ from .errors import ArgumentError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+_LARGEST_COUNT = 10**18
+
 
 def is_number(value: Any) -> bool:
     """Whether it is a real number that a float can hold, infinity included and NaN not."""
@@ -21,6 +23,11 @@ def is_number(value: Any) -> bool:
         return isinstance(value, (int, float, np.floating, np.integer)) and not math.isnan(value)
     except OverflowError:
         return False
+
+
+def is_count(value: Any) -> bool:
+    """Whether it is a whole number, at least 1, that 64 bits can hold and add to."""
+    return is_number(value) and 1 <= value <= _LARGEST_COUNT and int(value) == value
 
 
 def check_positive(**numbers: Any) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .arguments import NOT_REAL, is_number, real_array
+from .arguments import NOT_REAL, is_count, is_number, real_array
 from .dynamics.joints import check_guards
 from .dynamics.spare import Spare, put_back, take_spare
 from .errors import ArgumentError, ContactError
@@ -28,8 +28,6 @@ from .trajectory import Record, Trajectory
 if TYPE_CHECKING:
     from .dynamics.system import System
 
-# Steps are counted in integers of 64 bits.
-_MOST_STEPS = 10**18
 # So many numbers take less time as a list than as an array.
 _SHORT = 50
 
@@ -256,7 +254,7 @@ def _check(
         raise ArgumentError("step must be finite, got inf")
     if not math.isfinite(duration) or math.isinf(rtol) or math.isinf(atol):
         raise ArgumentError(f"duration, rtol and atol must be finite, got {duration}, {rtol}, {atol}")
-    if not is_number(max_steps) or not 1 <= max_steps <= _MOST_STEPS or int(max_steps) != max_steps:
+    if not is_count(max_steps):
         raise ArgumentError(f"max_steps must be a whole number from 1 to 1e18, got {max_steps!r}")
 
 

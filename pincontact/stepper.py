@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from .arguments import is_number
+from .arguments import is_count, is_number
 from .dynamics.joints import joint_guards
 from .dynamics.system import System
 from .errors import ArgumentError, ContourError, SingularContactError, SolverError, StateError
 from .integration.moreau import DEFAULT_STEP, MoreauStep
 from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
-from .state import State, check_state, check_vector, read_discrete, write_discrete
+from .state import State, check_state, check_vector, discrete_part, read_discrete, write_discrete
 
 
 class Stepper:
@@ -82,29 +82,40 @@ class Stepper:
         self._step.set_run(self._start, math.inf, self.dt, 0, 0, False)
         self._step.forget()
         self._raise_for(self._step.begin(self._start))
-        self._discrete_buffer[:] = read_discrete(system)
+        self._show_modes()
 
-    def step(self, tau: Any) -> State:
-        """One step under the joint torques tau (nv,) (N, N m); returns the state at its end, made of views.
+    def step(self, tau: Any, count: int = 1) -> State:
+        """One step, or count of them, under the joint torques tau (nv,) (N, N m), which are held constant; returns the
+        state at the end, made of views.
 
-        Raises StateError for a tau of another shape or with entries that are not finite, SingularContactError where
-        contacts degenerate, SolverError where no impulses were found; the stepper is then where it was before.
+        Raises StateError for a tau of another shape or with entries that are not finite, ArgumentError for a count
+        below 1, SingularContactError where contacts degenerate, SolverError where no impulses were found; the stepper
+        is then where the last step that could be made has ended.
         """
         tau = self._check_torque(tau)
+        if type(count) is not int or count != 1:
+            if not is_count(count):
+                raise ArgumentError(f"count must be a whole number of steps, at least 1, got {count!r}")
+            count = int(count)
         step = self._step
         self._tau[:] = tau
-        status = step.step()
+        status = step.advance(count)
         if status != OK:
+            self._show_modes()
             if status == NOT_FINITE:
                 check_vector("tau", tau, tau.size)
             self._raise_for(status)
-        if step.changed:
-            self._discrete_buffer[:] = read_discrete(self._system)
+        if count > 1 or step.changed:
+            self._show_modes()
         # as State(...) would, at a quarter of its price
         state = State.__new__(State)
         state.__dict__.update(self._parts)
-        state.__dict__["t"] = self._start + step.steps * self.dt
+        state.__dict__["t"] = self.t
         return state
+
+    def _show_modes(self) -> None:
+        """Modes, signs and charts are those after the last step, whatever may have been attempted since."""
+        self._discrete_buffer[:] = discrete_part(*self._step.known)
 
     def _check_torque(self, tau: Any) -> np.ndarray:
         if type(tau) is not np.ndarray or tau.dtype != np.float64 or tau.shape != self._shape:

@@ -724,14 +724,18 @@ def test_turning_joints_are_second_order(joint):
     assert errors[0] / errors[1] >= 3.5
 
 
-def test_too_long_steps_are_named():
-    """Links that turn by more than a radian in a step, where no iteration converges: the run ends and says why."""
+def double_pendulum():
     model, joint = pin.Model(), 0
     for i in range(2):
         joint = model.addJoint(joint, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.4 * i, 0.0, 0.0])), f"j{i}")
         inertia = pin.Inertia(1.0, np.array([0.3, 0.0, 0.0]), 0.02 * np.eye(3))
         model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-    scene = pc.Scene(model)
+    return pc.Scene(model)
+
+
+def test_too_long_steps_are_named():
+    """Links that turn by more than a radian in a step, where no iteration converges: the run ends and says why."""
+    scene = double_pendulum()
     run = pc.simulate(scene, scene.initial_state([0.0, 1.0], [5.0, 8.0]), 5.0, method="Moreau", step=0.2)
     assert run.status == -9
     assert "the step is too long" in run.message

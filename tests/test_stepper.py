@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from test_moreau import G, ball_scene, block_scene, joint_scene, upright
+from test_moreau import G, ball_scene, block_scene, double_pendulum, joint_scene, upright
 
 import pincontact as pc
 
@@ -109,6 +109,41 @@ def test_same_motion_as_simulate():
     np.testing.assert_array_equal(stepper.v, run.v[-1])
 
 
+@pytest.mark.parametrize("make", [bouncing, lambda: block_scene(0.3)])
+def test_several_steps_at_once(make):
+    """Touching, slipping and coming to rest within them; more than compiled code makes without coming back."""
+    scene, state = make()
+    one, several = pc.Stepper(scene, state), pc.Stepper(scene, state)
+    modes = []
+    for tau, count in zip(torques(12, 6) * 4.0, (1, 2, 7, 30, 90, 300, 1, 1, 600, 30, 5, 1)):
+        for _ in range(count):
+            alone = one.step(tau)
+        together = several.step(tau, count)
+        assert together.t == alone.t == one.t == several.t
+        for name in ("q", "v", "location", "discrete"):
+            np.testing.assert_array_equal(getattr(together, name), getattr(alone, name))
+        np.testing.assert_array_equal(several.modes, one.modes)
+        for name, force in one.forces.items():
+            np.testing.assert_array_equal(several.forces[name], force)
+        modes.append(several.modes.tolist())
+    assert len({tuple(row) for row in modes}) > 1
+
+
+def test_several_steps_end_with_the_last_that_could_be_made():
+    """A double pendulum is driven until it turns too far in a step."""
+    scene = double_pendulum()
+    state, tau = scene.initial_state([0.0, 1.0]), np.array([0.0, 5.0])
+    one, several = pc.Stepper(scene, state, dt=0.1), pc.Stepper(scene, state, dt=0.1)
+    for _ in range(2):
+        with pytest.raises(pc.SolverError, match="too long"):
+            for _ in range(300):
+                one.step(tau)
+        with pytest.raises(pc.SolverError, match="too long"):
+            several.step(tau, 300)
+        assert several.t == one.t > 0.1
+        np.testing.assert_array_equal(np.r_[several.q, several.v], np.r_[one.q, one.v])
+
+
 def test_states_are_views_and_copies():
     scene, state = bouncing()
     stepper = pc.Stepper(scene, state)
@@ -183,6 +218,18 @@ def test_torque_is_checked():
     np.testing.assert_array_equal(stepper.q, before)
     assert stepper.t == 0.0
     stepper.step([0, 0, 0, 0, 0, 0])
+
+
+def test_count_is_checked():
+    scene, state = bouncing()
+    stepper = pc.Stepper(scene, state)
+    for wrong in (0, -1, 1.5, math.nan, math.inf, "2", None, np.array([1, 2]), 10**19):
+        with pytest.raises(pc.ArgumentError, match="count"):
+            stepper.step(np.zeros(6), wrong)
+    assert stepper.t == 0.0
+    stepper.step(np.zeros(6), np.int64(2))
+    stepper.step(np.zeros(6), 1.0)
+    assert stepper.t == 3 * stepper.dt
 
 
 def test_arguments_are_checked():

@@ -130,7 +130,7 @@ from .steps import RECORD, SETTLE, evaluate
 
 # What `run_steps` does.
 BEGIN, ACCEPT, ATTEMPT, STEP, MARCH = range(5)
-# What it comes back with, besides a status: a cone problem is to be solved; and from MARCH: call again, the end, the
+# What it comes back with, besides a status: a cone problem is to be solved; call again; and from MARCH: the end, the
 # limit of steps; a step is attempted, not accepted; an output is to be recorded (its torques are set), at the end of
 # the last step, or in the attempted one.
 CONE_LEFT, MARCHING, AT_END, AT_LIMIT, ATTEMPTED, OUTPUT_LEFT, INNER_OUTPUT_LEFT = range(100, 107)
@@ -392,9 +392,10 @@ def _output(table, step, t):
 def run_steps(table, step, task, found, t, h):
     """A status of `layout`, or what Python is needed for: see CONE_LEFT.
 
-    task: BEGIN at t, ATTEMPT a step of size h from t, ACCEPT it at its end t; STEP, which is both, and MARCH, steps and
-    outputs until Python is needed, take their times from the table. found: FRESH, or what has become of the cone
-    problem that the last call with this task left, or APPROVED for the step that MARCH came back with as ATTEMPTED.
+    task: BEGIN at t, ATTEMPT a step of size h from t, ACCEPT it at its end t; STEP, which is both until counts[LAST]
+    are done, and MARCH, steps and outputs until Python is needed, take their times from the table. found: FRESH, or
+    what has become of the cone problem that the last call with this task left, or APPROVED for the step that MARCH came
+    back with as ATTEMPTED.
     """
     # one loop for all tasks: code that is called from one place is compiled once
     counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
@@ -441,7 +442,9 @@ def run_steps(table, step, task, found, t, h):
                 return OK
             counts[STEPS] += 1
             if task == STEP:
-                return OK
+                if counts[STEPS] >= counts[LAST]:
+                    return OK
+                continue
         while inside or every_step or scalars[NEXT_OUTPUT] <= t_new + slack:
             status = _output(table, step, scalars[NEXT_OUTPUT] if inside else t_new)
             if status != OK:

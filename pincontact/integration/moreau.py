@@ -22,6 +22,7 @@ from ..jit import compile_kernels
 from ..layout import (
     CHART,
     CONDITION,
+    CONTACT_INTS,
     FREE,
     LOCATION_FAILED,
     MODE,
@@ -178,6 +179,7 @@ class MoreauStep:
         self.start_mode = memory["start_mode"][: system.nc]
         self.joint_impulse = memory["joint_impulse"][: system.nv]
         self._counts, self._numbers = memory["counts"], memory["numbers"]
+        self._known = memory["known"][: system.nc]
         self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._table = system.table
         memory["calls"][: len(_CALLED)] = [kernel_address(entry) for entry in _CALLED]
@@ -255,9 +257,15 @@ class MoreauStep:
         counts[STEPS], counts[LAST], counts[STEP_LIMIT] = 0, count, limit
         counts[WATCHED], counts[TURNS] = watched, self.resists_turning
 
-    def step(self) -> int:
-        """One step of the run, accepted; returns a status of `layout`."""
-        return self._run(STEP)
+    def advance(self, count: int) -> int:
+        """So many steps of the run, accepted; returns a status of `layout`: where that is not OK, of the step after the
+        last accepted one."""
+        counts = self._counts
+        counts[LAST] = counts.item(STEPS) + count
+        status = self._run(STEP)
+        while status == MARCHING:
+            status = self._run(STEP)
+        return status
 
     def march(self, approved: bool = False) -> int:
         """Steps and outputs until something is to be done here: see `run_steps`; approved: beginning with the attempted
@@ -267,7 +275,7 @@ class MoreauStep:
     @property
     def steps(self) -> int:
         """Accepted steps of the run."""
-        return int(self._counts[STEPS])
+        return self._counts.item(STEPS)
 
     @steps.setter
     def steps(self, number: int) -> None:
@@ -277,6 +285,11 @@ class MoreauStep:
     def changed(self) -> bool:
         """Whether any mode, sign or chart is another than before the last accepted step."""
         return bool(self._counts.item(CHANGED))
+
+    @property
+    def known(self) -> tuple[np.ndarray, np.ndarray]:
+        """Integers (nc, CONTACT_INTS) and charts (nc, 2) of contacts after the last accepted step."""
+        return self._known[:, :CONTACT_INTS], self._known[:, CONTACT_INTS:]
 
     # ---------------------------------------------------------------- cone problems
 

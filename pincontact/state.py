@@ -34,6 +34,7 @@ from .layout import (
     MODE,
     OK,
     SIDE,
+    SIDE_INTS,
     SINGULAR,
     SLIPPING,
     STICK,
@@ -102,20 +103,36 @@ DISCRETE_COLUMNS = 3 + FROZEN - MODE
 def discrete_part(contact_int: np.ndarray, charts: np.ndarray) -> np.ndarray:
     """(..., nc, DISCRETE_COLUMNS) the discrete part of contacts, given their integers and charts (..., nc, 2)."""
     out = np.empty((*contact_int.shape[:-1], DISCRETE_COLUMNS), dtype=np.int64)
-    out[..., 0], out[..., 1:3], out[..., 3:] = contact_int[..., MODE], charts, contact_int[..., SIDE : FROZEN + 1]
+    for target, source in discrete_views(out, contact_int, charts):
+        target[...] = source
     return out
+
+
+def discrete_views(
+    discrete: np.ndarray, contact_int: np.ndarray, charts: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Which columns of the discrete part (..., nc, DISCRETE_COLUMNS) are which of contacts' integers and charts."""
+    return [
+        (discrete[..., 0], contact_int[..., MODE]),
+        (discrete[..., 1:3], charts),
+        (discrete[..., 3:], contact_int[..., SIDE : FROZEN + 1]),
+    ]
 
 
 def read_discrete(system: System) -> np.ndarray:
     """(nc, DISCRETE_COLUMNS) the discrete part of a system's contacts."""
-    return discrete_part(system.contact_int[: system.nc], system.side_int[: 2 * system.nc, CHART].reshape(-1, 2))
+    return discrete_part(*_discrete_of(system))
+
+
+def _discrete_of(system: System) -> tuple[np.ndarray, np.ndarray]:
+    """Integers and charts (nc, 2) of a system's contacts; views."""
+    return system.contact_int[: system.nc], system.side_int.reshape(-1, 2, SIDE_INTS)[: system.nc, :, CHART]
 
 
 def write_discrete(system: System, discrete: np.ndarray) -> None:
     """Set the discrete part of a system's contacts."""
-    integers = system.contact_int[: system.nc]
-    integers[:, MODE], integers[:, SIDE : FROZEN + 1] = discrete[:, 0], discrete[:, 3:]
-    system.side_int[: 2 * system.nc, CHART] = discrete[:, 1:3].ravel()
+    for source, target in discrete_views(discrete, *_discrete_of(system)):
+        target[...] = source
 
 
 def check_state(scene: Scene, state: Any) -> None:

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from .arguments import is_count, is_number
+from .arguments import NOT_REAL, is_count, is_number, real_array
 from .dynamics.joints import joint_guards
 from .dynamics.system import System
 from .errors import ArgumentError, ContourError, SingularContactError, SolverError, StateError
 from .integration.moreau import DEFAULT_STEP, MoreauStep
 from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
-from .state import State, check_state, check_vector, discrete_part, read_discrete, write_discrete
+from .state import State, check_state, check_vector, discrete_views, read_discrete, write_discrete
 
 
 class Stepper:
@@ -43,8 +43,9 @@ class Stepper:
         nq, nv, nc = system.nq, system.nv, system.nc
         self.q, self.v = (_locked(part) for part in (system.state[:nq], system.state[nq : nq + nv]))
         self._location = _locked(system.state[nq + nv : nq + nv + 4 * nc].reshape(nc, 4))
-        self._discrete_buffer = read_discrete(system)
-        self._discrete = _locked(self._discrete_buffer)
+        discrete = read_discrete(system)
+        self._shown = discrete_views(discrete, *self._step.known)
+        self._discrete = _locked(discrete)
         self.modes = self._discrete[:, 0]
         self.forces = {name: _locked(self._step.forces[c]) for c, name in enumerate(scene.contacts)}
         self.torques = {name: _locked(self._step.torques[c]) for c, name in enumerate(scene.contacts)}
@@ -72,11 +73,10 @@ class Stepper:
         check_state(self.scene, state)
         system = self._system
         nq, nv = system.nq, system.nv
-        # a state of this very stepper may be made of views
-        q, v, location, discrete = (np.array(a) for a in (state.q, state.v, state.location, state.discrete))
-        system.state[:nq], system.state[nq : nq + nv] = q, v
-        system.state[nq + nv : nq + nv + location.size] = location.ravel()
-        write_discrete(system, discrete)
+        # a state of this very stepper may be made of views of what is written here: of the same parts
+        system.state[:nq], system.state[nq : nq + nv] = state.q, state.v
+        system.state[nq + nv : nq + nv + state.location.size] = state.location.ravel()
+        write_discrete(system, state.discrete)
         system.tau[:] = 0.0
         self._start = float(state.t)
         self._step.set_run(self._start, math.inf, self.dt, 0, 0, False)
@@ -94,9 +94,7 @@ class Stepper:
         """
         tau = self._check_torque(tau)
         if type(count) is not int or count != 1:
-            if not is_count(count):
-                raise ArgumentError(f"count must be a whole number of steps, at least 1, got {count!r}")
-            count = int(count)
+            count = _check_count(count)
         step = self._step
         self._tau[:] = tau
         status = step.advance(count)
@@ -113,9 +111,28 @@ class Stepper:
         state.__dict__["t"] = self.t
         return state
 
+    def rollout(self, torques: Any, count: int = 1) -> tuple[np.ndarray, np.ndarray]:
+        """Steps under the torques (N, N m) in each of n rows (n, nv), every one held for count steps; returns q (n, nq)
+        and v (n, nv) after each row: for sampling and learning, without a call a step.
+
+        Raises what `step` does; the stepper is then where the last step that could be made has ended, at `t`.
+        """
+        rows = self._check_rows(torques)
+        count = _check_count(count)
+        if not len(rows):
+            return np.empty((0, self.q.size)), np.empty((0, self.v.size))
+        status, q, v = self._step.advance_by_rows(rows, count)
+        self._show_modes()
+        if status == NOT_FINITE and not np.isfinite(rows).all():
+            i, j = np.argwhere(~np.isfinite(rows))[0]
+            raise StateError(f"torques[{i}, {j}] is {rows[i, j]}")
+        self._raise_for(status)
+        return q, v
+
     def _show_modes(self) -> None:
         """Modes, signs and charts are those after the last step, whatever may have been attempted since."""
-        self._discrete_buffer[:] = discrete_part(*self._step.known)
+        for target, source in self._shown:
+            target[...] = source
 
     def _check_torque(self, tau: Any) -> np.ndarray:
         if type(tau) is not np.ndarray or tau.dtype != np.float64 or tau.shape != self._shape:
@@ -124,6 +141,19 @@ class Stepper:
             return check_vector("tau", tau, self._shape[0])
         # entries that are not finite make accelerations that are not, which costs nothing to notice
         return tau
+
+    def _check_rows(self, torques: Any) -> np.ndarray:
+        nv = self._shape[0]
+        if type(torques) is np.ndarray and torques.dtype == np.float64 and torques.flags.c_contiguous:
+            rows = torques
+        else:
+            try:
+                rows = np.ascontiguousarray(real_array(torques))
+            except NOT_REAL:
+                raise StateError(f"torques must be numbers in rows of {nv}, got {torques!r}") from None
+        if rows.ndim != 2 or rows.shape[1] != nv:
+            raise StateError(f"torques must have shape (n, {nv}), got {rows.shape}")
+        return rows
 
     def _raise_for(self, status: int) -> None:
         if status == OK:
@@ -144,7 +174,7 @@ class Stepper:
         """Another stepper in the same situation, warm starts included: both go on alike, to the last bit."""
         twin = Stepper(self.scene, self.state, self.dt)
         self._step.copy_to(twin._step)
-        twin._discrete_buffer[:] = self._discrete
+        twin._show_modes()
         twin._start = self._start
         return twin
 
@@ -156,6 +186,12 @@ class Stepper:
 
     def __repr__(self) -> str:
         return f"<Stepper at t = {self.t:.9g} s, dt = {self.dt:g} s, contacts: {', '.join(self.forces) or 'none'}>"
+
+
+def _check_count(count: Any) -> int:
+    if not is_count(count):
+        raise ArgumentError(f"count must be a whole number of steps, at least 1, got {count!r}")
+    return int(count)
 
 
 def _locked(array: np.ndarray) -> np.ndarray:

@@ -144,6 +144,74 @@ def test_several_steps_end_with_the_last_that_could_be_made():
         np.testing.assert_array_equal(np.r_[several.q, several.v], np.r_[one.q, one.v])
 
 
+@pytest.mark.parametrize("make", [bouncing, lambda: block_scene(0.3)])
+def test_rollouts_are_steps(make):
+    scene, state = make()
+    taus = torques(40, 6) * 4.0
+    one, whole = pc.Stepper(scene, state), pc.Stepper(scene, state)
+    for count in (1, 7, 20):
+        q, v = whole.rollout(taus, count)
+        assert q.shape == (40, 7)
+        assert v.shape == (40, 6)
+        for i, tau in enumerate(taus):
+            alone = one.step(tau, count)
+            np.testing.assert_array_equal(np.r_[q[i], v[i]], np.r_[alone.q, alone.v])
+        assert whole.t == one.t
+        np.testing.assert_array_equal(whole.modes, one.modes)
+        # what was returned is the caller's: the next step does not write into it
+        kept = q.copy(), v.copy()
+        one.step(taus[0])
+        whole.step(taus[0])
+        np.testing.assert_array_equal(q, kept[0])
+        np.testing.assert_array_equal(v, kept[1])
+    # the same numbers in other arrays
+    other = pc.Stepper(scene, state)
+    first = pc.Stepper(scene, state).rollout(taus)
+    for same in (np.asfortranarray(taus), np.repeat(taus, 2, axis=1)[:, ::2], taus.tolist()):
+        other.reset(state)
+        np.testing.assert_array_equal(other.rollout(same)[0], first[0])
+
+
+def test_rollouts_check_their_torques():
+    scene, state = bouncing()
+    stepper = pc.Stepper(scene, state)
+    ragged, text, complex_ones = [[0.0], [1.0, 2.0]], [["a"] * 6], np.zeros((2, 6)) * 1j
+    for wrong in (np.zeros(6), np.zeros((3, 5)), np.zeros((2, 6, 1)), 0.0, ragged, text, complex_ones):
+        with pytest.raises(pc.StateError, match="torques"):
+            stepper.rollout(wrong)
+    for wrong in (0, 2.5, None):
+        with pytest.raises(pc.ArgumentError, match="count"):
+            stepper.rollout(np.zeros((3, 6)), wrong)
+    assert stepper.t == 0.0
+    assert [part.shape for part in stepper.rollout(np.zeros((0, 6)))] == [(0, 7), (0, 6)]
+    taus = np.zeros((8, 6))
+    taus[5, 3] = math.nan
+    with pytest.raises(pc.StateError, match=r"torques\[5, 3\] is nan"):
+        stepper.rollout(taus, 2)
+    # the rows before it were made
+    assert stepper.t == 10 * stepper.dt
+    stepper.rollout(np.zeros((2, 6)))
+    assert stepper.t == 12 * stepper.dt
+
+
+def test_rollouts_end_with_the_last_step_that_could_be_made():
+    scene = double_pendulum()
+    state = scene.initial_state([0.0, 1.0])
+    one, several = pc.Stepper(scene, state, dt=0.1), pc.Stepper(scene, state, dt=0.1)
+    taus = np.tile([0.0, 5.0], (300, 1))
+    with pytest.raises(pc.SolverError, match="too long"):
+        one.step(taus[0], 300)
+    with pytest.raises(pc.SolverError, match="too long"):
+        several.rollout(taus)
+    assert several.t == one.t > 0.1
+    np.testing.assert_array_equal(several.q, one.q)
+    # and a plain step afterwards writes no rows
+    for stepper in (one, several):
+        stepper.reset(state)
+        stepper.step(taus[0])
+    np.testing.assert_array_equal(several.q, one.q)
+
+
 def test_states_are_views_and_copies():
     scene, state = bouncing()
     stepper = pc.Stepper(scene, state)

@@ -220,14 +220,13 @@ def contact_kinematics(
     gaps,
     rates,
     bias,
+    with_bias,
     scratch,
     counters,
 ):
-    """Location, basis, v_c, gaps, location rates (Eq. 6) and the acceleration-level bias of one contact.
+    """Location, basis, v_c, gaps, location rates (Eq. 6) and, where it is wanted, the bias of one contact.
 
-    bias (3,): row . gamma + frame rate . v_c, so that row . (J_2 - J_1) a + bias is the rate of row . v_c.
-    The rate of n is left in row NORMAL_RATE of the scratch vectors, but for a point on a spatial curve.
-    Returns OK, LOCATION_FAILED or SINGULAR.
+    See `acceleration_bias`. Returns OK, LOCATION_FAILED or SINGULAR.
     """
     vectors, _local, system = scratch
     status = locate(
@@ -294,6 +293,22 @@ def contact_kinematics(
         rates[a] = system[a, k]
     for a in range(k2):
         rates[2 + a] = system[k1 + a, k]
+    if with_bias:
+        side = integers[SIDE]
+        acceleration_bias(
+            pattern, side, frame1, frame2, first, second, rates, basis, slip, normal, k_axis, vectors, k1, k2, bias
+        )
+    return OK
+
+
+@kernel
+def acceleration_bias(
+    pattern, side, frame1, frame2, first, second, rates, basis, slip, normal, k_axis, vectors, k1, k2, bias
+):
+    """bias (3,): row . gamma + frame rate . v_c, so that row . (J_2 - J_1) a + bias is the rate of row . v_c.
+
+    The rate of n is left in row NORMAL_RATE of the scratch vectors, but for a point on a spatial curve.
+    """
     # bias of the relative acceleration: material points, then their shift along the contours
     gamma, part, scratch3, moving = vectors[_A], vectors[_B], vectors[_C], vectors[_D]
     point_bias(frame2, second[0], second[6], second[9], gamma, scratch3)
@@ -332,11 +347,10 @@ def contact_kinematics(
             total_tangent_rate(frame1, first, 0, k1, rates[0:2], other_rate)
             add_cross(second[1], other_rate, normal_rate)
         # n' = -side (1 - n n^T) N' / |N|
-        scale, along_n = -integers[SIDE] / norm(normal), dot(basis[2], normal_rate)
+        scale, along_n = -side / norm(normal), dot(basis[2], normal_rate)
         for i in range(3):
             normal_rate[i] = scale * (normal_rate[i] - along_n * basis[2, i])
         bias[2] += dot(slip, normal_rate)
-    return OK
 
 
 @kernel

@@ -184,7 +184,7 @@ def evaluate_state(table_address, time, only_kinematics):
             if called != 0 and not call_python(called, callback[i + 1], callback[CALL_FAILED]):
                 return NOT_FINITE
     counters[EVALUATION_COUNT] += 1
-    status = evaluate_contacts(table, time, only_kinematics in (KINEMATICS_OF_ALL, PLACES_OF_ALL))
+    status = evaluate_contacts(table, time, only_kinematics in (KINEMATICS_OF_ALL, PLACES_OF_ALL), not places)
     if status != OK or only_kinematics != 0:
         return status
     return evaluate_dynamics(table, time)
@@ -203,8 +203,9 @@ def torques_finite(table, time):
 
 
 @kernel
-def evaluate_contacts(table, time, with_rows):
-    """Kinematics of all contacts at the guess in LOCATION; constraint rows only where a force may act.
+def evaluate_contacts(table, time, with_rows, with_bias):
+    """Kinematics of all contacts at the guess in LOCATION; with_rows: constraint rows also where no force may act;
+    with_bias: what accelerations of v_c have besides the rows.
 
     Returns the first status that is not OK.
     """
@@ -271,6 +272,7 @@ def evaluate_contacts(table, time, with_rows):
             gaps[c],
             rates[c],
             bias[c],
+            with_bias,
             scratch,
             counters,
         )

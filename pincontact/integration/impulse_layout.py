@@ -58,6 +58,9 @@ STEP_SLOTS = (
     "calls",  # (NCALLS,) int: what steps call by address
     "cone_tables",  # (ns + 1,) int: by number of units the cone solver's table, 0 where there is none yet
     "set_aside",  # (nv,) the user's torques, while an output has others
+    "rows_tau",  # (rows, nv) torques of the steps that end with a row, and the state then
+    "rows_q",  # (rows, nq)
+    "rows_v",
 )
 (
     COUNTS,
@@ -110,14 +113,18 @@ STEP_SLOTS = (
     CALLS,
     CONE_TABLES,
     SET_ASIDE,
+    ROWS_TAU,
+    ROWS_Q,
+    ROWS_V,
 ) = range(len(STEP_SLOTS))
 
 # counts. RIGID: the laws hold for velocities in the midpoint's geometry, see `impulse_problem`. Of an attempt: PASSES
 # over its midpoint before the present one, TREND_BEFORE what counts[HAS_TREND] is without them, THOROUGH whether its
 # cone problems are solved with all means. CHANGED: whether anything discrete is another since the last step. Of a run:
 # STEPS done and LAST, STEP_LIMIT, WATCHED: whether every step is looked at before it is accepted, TURNS: whether
-# anything resists turning. SOLVED_HERE: cone problems that were solved in compiled code, by CONE_TASK;
-# RIGID_STEPS: those that had a solution in rigid geometry only.
+# anything resists turning; ROW_COUNT rows that are written by steps, ROWS_DONE so far, a row every ROW_STEPS steps.
+# SOLVED_HERE: cone problems that were solved in compiled code, by CONE_TASK; RIGID_STEPS: those that had a solution in
+# rigid geometry only.
 (
     NJ,
     MAX_UNITS,
@@ -137,11 +144,14 @@ STEP_SLOTS = (
     STEP_LIMIT,
     WATCHED,
     TURNS,
+    ROW_COUNT,
+    ROWS_DONE,
+    ROW_STEPS,
     SOLVED_HERE,
     CONE_TASK,
     RIGID_STEPS,
-) = range(21)
-NCOUNTS = 21
+) = range(24)
+NCOUNTS = 24
 # counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
 ACCELERATION, MEAN_VELOCITY = 1, 2
 # numbers; FREE_CHANGE: norm of the change of velocity without impulses, in the mass metric; MISS: how far the

@@ -99,6 +99,12 @@ from .impulse_layout import (
     PASSES,
     RIGID,
     RIGID_STEPS,
+    ROW_COUNT,
+    ROW_STEPS,
+    ROWS_DONE,
+    ROWS_Q,
+    ROWS_TAU,
+    ROWS_V,
     RUN_END,
     RUN_START,
     RUN_TASK,
@@ -388,6 +394,30 @@ def _output(table, step, t):
     return OK
 
 
+@kernel
+def _next_row(table, step):
+    """Write q and v as a row, where rows are wanted; whether steps to another one begin, with its torques."""
+    counts, sizes = integers(step[COUNTS], NCOUNTS), integers(table[SIZES], 8)
+    row, rows = counts[ROWS_DONE], counts[ROW_COUNT]
+    if row >= rows:
+        return False
+    nq, nv = sizes[NQ], sizes[NV]
+    state = reals(table[STATE], sizes[NY])
+    row_q, row_v = matrix(step[ROWS_Q], rows, nq)[row], matrix(step[ROWS_V], rows, nv)[row]
+    for i in range(nq):
+        row_q[i] = state[i]
+    for k in range(nv):
+        row_v[k] = state[nq + k]
+    counts[ROWS_DONE] = row + 1
+    if row + 1 == rows:
+        return False
+    tau, row_tau = reals(table[TAU], nv), matrix(step[ROWS_TAU], rows, nv)[row + 1]
+    for k in range(nv):
+        tau[k] = row_tau[k]
+    counts[LAST] += counts[ROW_STEPS]
+    return True
+
+
 @entry_kernel(TABLE, TABLE, INTEGER, INTEGER, REAL, REAL)
 def run_steps(table, step, task, found, t, h):
     """A status of `layout`, or what Python is needed for: see CONE_LEFT.
@@ -442,7 +472,7 @@ def run_steps(table, step, task, found, t, h):
                 return OK
             counts[STEPS] += 1
             if task == STEP:
-                if counts[STEPS] >= counts[LAST]:
+                if counts[STEPS] >= counts[LAST] and not _next_row(table, step):
                     return OK
                 continue
         while inside or every_step or scalars[NEXT_OUTPUT] <= t_new + slack:

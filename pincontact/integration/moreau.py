@@ -58,6 +58,12 @@ from .impulse_layout import (
     LAST,
     LOWER_LIMIT,
     RIGID_STEPS,
+    ROW_COUNT,
+    ROW_STEPS,
+    ROWS_DONE,
+    ROWS_Q,
+    ROWS_TAU,
+    ROWS_V,
     RUN_END,
     RUN_START,
     SHIFT,
@@ -120,8 +126,8 @@ _EVENT_ACCURACY = 1e-12
 
 # What steps call by address, in the order of the columns of "calls".
 _CALLED = (run_task, solve_cones, assemble, move_charts)
-# Arrays of a step that hold addresses.
-_OWN = ("calls", "cone_tables")
+# Arrays of a step that hold addresses, or that there are within a call only.
+_OWN = ("calls", "cone_tables", "rows_tau", "rows_q", "rows_v")
 
 Torque = Callable[[float], bool]
 
@@ -179,7 +185,6 @@ class MoreauStep:
         self.start_mode = memory["start_mode"][: system.nc]
         self.joint_impulse = memory["joint_impulse"][: system.nv]
         self._counts, self._numbers = memory["counts"], memory["numbers"]
-        self._known = memory["known"][: system.nc]
         self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._table = system.table
         memory["calls"][: len(_CALLED)] = [kernel_address(entry) for entry in _CALLED]
@@ -267,6 +272,21 @@ class MoreauStep:
             status = self._run(STEP)
         return status
 
+    def advance_by_rows(self, tau: np.ndarray, count: int) -> tuple[int, np.ndarray, np.ndarray]:
+        """So many steps under the torques in each row of tau (n, nv), n at least 1; returns a status as `advance` does,
+        and q (m, nq) and v (m, nv) after every row that was finished."""
+        system, counts, table, n = self.system, self._counts, self.table, len(tau)
+        q, v = np.empty((n, system.nq)), np.empty((n, system.nv))
+        table[ROWS_TAU], table[ROWS_Q], table[ROWS_V] = address_of(tau), address_of(q), address_of(v)
+        counts[ROW_COUNT], counts[ROWS_DONE], counts[ROW_STEPS] = n, 0, count
+        system.tau[:] = tau[0]
+        try:
+            status = self.advance(count)
+        finally:
+            counts[ROW_COUNT] = 0
+        done = counts.item(ROWS_DONE)
+        return (status, q, v) if done == n else (status, q[:done], v[:done])
+
     def march(self, approved: bool = False) -> int:
         """Steps and outputs until something is to be done here: see `run_steps`; approved: beginning with the attempted
         step."""
@@ -288,8 +308,9 @@ class MoreauStep:
 
     @property
     def known(self) -> tuple[np.ndarray, np.ndarray]:
-        """Integers (nc, CONTACT_INTS) and charts (nc, 2) of contacts after the last accepted step."""
-        return self._known[:, :CONTACT_INTS], self._known[:, CONTACT_INTS:]
+        """Integers (nc, CONTACT_INTS) and charts (nc, 2) of contacts after the last accepted step; views."""
+        known = self.memory["known"][: self.system.nc]
+        return known[:, :CONTACT_INTS], known[:, CONTACT_INTS:]
 
     # ---------------------------------------------------------------- cone problems
 

@@ -93,6 +93,20 @@ def simulate(problem: Problem, method: str, **options) -> Callable[[], pc.Trajec
     return lambda: pc.simulate(scene, state, problem.duration, t_eval=times, method=method, control=control, **options)
 
 
+def rollout(problem: Problem, each: int) -> Callable[[], np.ndarray]:
+    """The motion by a `Stepper`, `each` steps at a time between the outputs: configurations (n, nq)."""
+    scene, step = build_scene(problem), problem.duration / (problem.intervals * each)
+    state, torques = scene.initial_state(problem.q, problem.v), np.zeros((problem.intervals, problem.v.size))
+    stepper = pc.Stepper(scene, state, step)
+
+    def run() -> np.ndarray:
+        stepper.reset(state)
+        q, _ = stepper.rollout(torques, each)
+        return np.vstack((state.q, q))
+
+    return run
+
+
 def positions(problem: Problem, run: pc.Trajectory) -> np.ndarray:
     if run.status != 0:
         raise RuntimeError(run.message)
@@ -116,6 +130,16 @@ def _cases(problem: Problem) -> Iterator[Case]:
     for each in MOREAU_INTERVALS:
         step = problem.duration / (problem.intervals * each)
         yield Case("Moreau", f"step {step:.3g} s", simulate(problem, "Moreau", step=step), shown, _counts)
+    # torques are constant in its steps, which springs are not
+    for each in MOREAU_INTERVALS if _springs(problem) is None else ():
+        steps = problem.intervals * each
+        yield Case(
+            "Stepper",
+            f"step {problem.duration / steps:.3g} s",
+            rollout(problem, each),
+            lambda rows: marked(problem, rows),
+            lambda rows, steps=steps: {"steps": steps},  # type: ignore[misc]
+        )
 
 
 def reference(problem: Problem) -> tuple[np.ndarray, str, float]:
@@ -136,5 +160,6 @@ ENGINE = Engine(
     {
         **{name: f"rtol {most:g} to {least:g}, atol = rtol / 100" for name, (most, least) in PAIRS.items()},
         "Moreau": "1 to 1000 steps in each output interval",
+        "Stepper": "the same, as `Stepper.rollout`",
     },
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -131,15 +131,32 @@ def _discrete_of(system: System) -> tuple[np.ndarray, np.ndarray]:
 
 def write_discrete(system: System, discrete: np.ndarray) -> None:
     """Set the discrete part of a system's contacts."""
-    for source, target in discrete_views(discrete, *_discrete_of(system)):
+    for source, target in views_of_system(discrete, system):
         target[...] = source
 
 
-def check_state(scene: Scene, state: Any) -> None:
+def views_of_system(discrete: np.ndarray, system: System) -> list[tuple[np.ndarray, np.ndarray]]:
+    """`discrete_views` of a system's contacts."""
+    return discrete_views(discrete, *_discrete_of(system))
+
+
+class Coordinates(NamedTuple):
+    """What a model's q and v consist of: their sizes, and the blocks of q, see `configuration_blocks`."""
+
+    nq: int
+    nv: int
+    blocks: tuple[tuple[int, int, int, int], ...]
+
+
+def coordinates_of(model: pin.Model) -> Coordinates:
+    return Coordinates(model.nq, model.nv, configuration_blocks(model))
+
+
+def check_state(scene: Scene, state: Any, coordinates: Coordinates | None = None) -> None:
     """Raise ArgumentError for what is no state of this scene, StateError where its numbers cannot be used.
 
     A state's arrays may be written to, and it may be made by `dataclasses.replace`: nothing is known of them, and the
-    kernels that are given them check nothing.
+    kernels that are given them check nothing. coordinates: the model's, where they are known.
     """
     if not isinstance(scene, Scene):
         raise ArgumentError(f"the first argument must be a Scene, got {type(scene).__name__}")
@@ -151,9 +168,10 @@ def check_state(scene: Scene, state: Any) -> None:
             raise StateError(f"the state's {name} must be an array, got {type(getattr(state, name)).__name__}")
     if state.scene is not scene or state.location.shape[:1] != (len(contacts),):
         raise ArgumentError("the state belongs to another scene, or contacts were added after it was made")
-    model = scene.model
-    check_configuration(model, state.q)
-    check_vector("v", state.v, model.nv)
+    if coordinates is None:
+        coordinates = coordinates_of(scene.model)
+    check_configuration(coordinates, state.q)
+    check_vector("v", state.v, coordinates.nv)
     check_time("t", state.t)
     for name, columns in (("location", 4), ("discrete", DISCRETE_COLUMNS)):
         shape = getattr(state, name).shape
@@ -196,10 +214,10 @@ def check_vector(name: str, value: ArrayLike, size: int) -> np.ndarray:
     return array
 
 
-def check_configuration(model: pin.Model, q: ArrayLike) -> np.ndarray:
+def check_configuration(coordinates: Coordinates, q: ArrayLike) -> np.ndarray:
     """A finite, normalised copy of q, or a StateError."""
-    array = check_vector("q", q, model.nq)
-    for kind, iq, iv, n in configuration_blocks(model):
+    array = check_vector("q", q, coordinates.nq)
+    for kind, iq, iv, n in coordinates.blocks:
         offset, size = _UNITS[kind]
         if size == 0:
             continue
@@ -218,7 +236,7 @@ def check_configuration(model: pin.Model, q: ArrayLike) -> np.ndarray:
 def find_state(scene: Scene, q: Any, v: Any | None, t: float, free: Sequence[str], max_gap: float | None) -> State:
     """See `Scene.initial_state`."""
     model = scene.model
-    q = check_configuration(model, q)
+    q = check_configuration(coordinates_of(model), q)
     v = check_vector("v", np.zeros(model.nv) if v is None else v, model.nv)
     t = check_time("t", t)
     free = [free] if isinstance(free, str) else free

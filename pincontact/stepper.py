@@ -14,7 +14,7 @@ from .errors import ArgumentError, ContourError, SingularContactError, SolverErr
 from .integration.moreau import DEFAULT_STEP, MoreauStep
 from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
-from .state import State, check_state, check_vector, discrete_views, read_discrete, write_discrete
+from .state import State, check_state, check_vector, coordinates_of, discrete_views, read_discrete, views_of_system
 
 
 class Stepper:
@@ -37,14 +37,16 @@ class Stepper:
             raise ArgumentError(f"dt must be a positive number of seconds, got {dt!r}")
         check_state(scene, state)
         self.scene, self.dt = scene, float(dt)
+        self._coordinates = coordinates_of(scene.model)
         contacts = list(scene.contacts.values())
         self._system = system = System(scene.model, contacts, guards=joint_guards(scene.model))
         self._step = MoreauStep(system, contacts)
         nq, nv, nc = system.nq, system.nv, system.nc
         self.q, self.v = (_locked(part) for part in (system.state[:nq], system.state[nq : nq + nv]))
         self._location = _locked(system.state[nq + nv : nq + nv + 4 * nc].reshape(nc, 4))
-        discrete = read_discrete(system)
+        self._discrete_buffer = discrete = read_discrete(system)
         self._shown = discrete_views(discrete, *self._step.known)
+        self._written = views_of_system(discrete, system)
         self._discrete = _locked(discrete)
         self.modes = self._discrete[:, 0]
         self.forces = {name: _locked(self._step.forces[c]) for c, name in enumerate(scene.contacts)}
@@ -70,13 +72,15 @@ class Stepper:
 
         Raises ArgumentError for a state of another scene, SingularContactError where its contacts degenerate.
         """
-        check_state(self.scene, state)
+        check_state(self.scene, state, self._coordinates)
         system = self._system
         nq, nv = system.nq, system.nv
         # a state of this very stepper may be made of views of what is written here: of the same parts
         system.state[:nq], system.state[nq : nq + nv] = state.q, state.v
         system.state[nq + nv : nq + nv + state.location.size] = state.location.ravel()
-        write_discrete(system, state.discrete)
+        self._discrete_buffer[:] = state.discrete
+        for source, target in self._written:
+            target[...] = source
         system.tau[:] = 0.0
         self._start = float(state.t)
         self._step.set_run(self._start, math.inf, self.dt, 0, 0, False)

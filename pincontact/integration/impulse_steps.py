@@ -147,9 +147,9 @@ FRESH, SOLVED, UNSOLVED, APPROVED = range(4)
 _BATCH = 256
 # A step is corrected where the velocity at its midpoint was off by this fraction, at most so many times; corrections
 # that leave it off by the last have not converged.
-_FAR = 0.02
+_FAR = 0.06
 _CORRECTIONS = 8
-_LOST = 0.03
+_LOST = 0.08
 # Slip slower than this (m/s, relative to the largest velocity or 1) counts as rest where a run starts.
 _REST = 1e-9
 # Steps that end within this fraction of a step from the end, or from an output time, end there.

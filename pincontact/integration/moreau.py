@@ -129,6 +129,9 @@ _CALLED = (run_task, solve_cones, assemble, move_charts)
 # Arrays of a step that hold addresses, or that there are within a call only.
 _OWN = ("calls", "cone_tables", "rows_tau", "rows_q", "rows_v")
 
+# Rows of a rollout, up to which their room is kept for the next one.
+_ROWS_KEPT = 10_000
+
 Torque = Callable[[float], bool]
 
 
@@ -145,6 +148,14 @@ def joint_constraints(guards: Sequence[Guard]) -> tuple[np.ndarray, np.ndarray]:
                 ints.append((which, guard.index_q, guard.index_v, g))
                 reals.append((limit, 0.0))
     return np.array(ints, dtype=np.int64).reshape(-1, JOINT_INTS), np.array(reals).reshape(-1, 2)
+
+
+class _Rows:
+    """Rows of torques, q and v, and where they are: to ask for an address takes as long as to copy many rows."""
+
+    def __init__(self, n: int, nq: int, nv: int) -> None:
+        self.tau, self.q, self.v = np.empty((n, nv)), np.empty((n, nq)), np.empty((n, nv))
+        self.addresses = address_of(self.tau), address_of(self.q), address_of(self.v)
 
 
 class MoreauStep:
@@ -185,6 +196,7 @@ class MoreauStep:
         self.start_mode = memory["start_mode"][: system.nc]
         self.joint_impulse = memory["joint_impulse"][: system.nv]
         self._counts, self._numbers = memory["counts"], memory["numbers"]
+        self._rows: _Rows | None = None
         self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._table = system.table
         memory["calls"][: len(_CALLED)] = [kernel_address(entry) for entry in _CALLED]
@@ -275,9 +287,13 @@ class MoreauStep:
     def advance_by_rows(self, tau: np.ndarray, count: int) -> tuple[int, np.ndarray, np.ndarray]:
         """So many steps under the torques in each row of tau (n, nv), n at least 1; returns a status as `advance` does,
         and q (m, nq) and v (m, nv) after every row that was finished."""
-        system, counts, table, n = self.system, self._counts, self.table, len(tau)
-        q, v = np.empty((n, system.nq)), np.empty((n, system.nv))
-        table[ROWS_TAU], table[ROWS_Q], table[ROWS_V] = address_of(tau), address_of(q), address_of(v)
+        system, counts, n = self.system, self._counts, len(tau)
+        rows = self._rows
+        if rows is None or n > len(rows.q):
+            rows = _Rows(n, system.nq, system.nv)
+            self._rows = rows if n <= _ROWS_KEPT else None
+        rows.tau[:n] = tau
+        self.table[ROWS_TAU], self.table[ROWS_Q], self.table[ROWS_V] = rows.addresses
         counts[ROW_COUNT], counts[ROWS_DONE], counts[ROW_STEPS] = n, 0, count
         system.tau[:] = tau[0]
         try:
@@ -285,7 +301,7 @@ class MoreauStep:
         finally:
             counts[ROW_COUNT] = 0
         done = counts.item(ROWS_DONE)
-        return (status, q, v) if done == n else (status, q[:done], v[:done])
+        return status, rows.q[:done].copy(), rows.v[:done].copy()
 
     def march(self, approved: bool = False) -> int:
         """Steps and outputs until something is to be done here: see `run_steps`; approved: beginning with the attempted

@@ -138,12 +138,14 @@ def case(problem: Problem, label: str, integrator: str, each: int, options: dict
     first = np.empty((1, mujoco.mj_stateSize(model, whole)))
     mujoco.mj_getState(model, start, first[0], whole)
     # in this thread
-    rollout = Rollout(nthread=0)
+    rollout, nq = Rollout(nthread=0), model.nq
 
     def run() -> np.ndarray:
         states, _ = rollout.rollout([model], [data], first, nstep=steps)
+        rows = np.empty((problem.intervals + 1, nq))
         # a state is the time, q and v
-        return np.vstack((start.qpos, states[0, each - 1 :: each, 1 : 1 + model.nq]))
+        rows[0], rows[1:] = start.qpos, states[0, each - 1 :: each, 1 : 1 + nq]
+        return rows
 
     stages = 4 if integrator == "RK4" else 1
     return Case(

@@ -101,8 +101,9 @@ def rollout(problem: Problem, each: int) -> Callable[[], np.ndarray]:
 
     def run() -> np.ndarray:
         stepper.reset(state)
-        q, _ = stepper.rollout(torques, each)
-        return np.vstack((state.q, q))
+        rows = np.empty((problem.intervals + 1, problem.q.size))
+        rows[0], rows[1:] = state.q, stepper.rollout(torques, each)[0]
+        return rows
 
     return run
 

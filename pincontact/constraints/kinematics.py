@@ -20,6 +20,7 @@ from ..geometry.location import (
     POINT_ON_PLANE,
     POINT_ON_SPHERE,
     ROUND_ON_PLANE,
+    SIDES,
     SINGULAR_LIMIT,
     SPHERE_ON_SPHERE,
     conditioning,
@@ -31,10 +32,11 @@ from ..geometry.location import (
     raw_normal,
     round_on_plane,
     second_row,
+    solve_location,
     tangent_at_fixed_u,
 )
 from ..geometry.patterns import CROSSING_CURVES, ON_CURVE, ON_SURFACE, PLANAR
-from ..geometry.small import add_cross, cross, dot, norm, rotate, solve_in_place
+from ..geometry.small import add_cross, cross, dot, norm, rotate
 from ..jit import kernel
 from ..layout import (
     BRANCH,
@@ -122,7 +124,6 @@ def locate(
     """
     vectors, local, system = scratch
     pattern, k1, k2 = integers[PATTERN], integers[K1], integers[K2]
-    k = k1 + k2
     difference, normal, k_axis = vectors[_DIFFERENCE], vectors[_NORMAL], vectors[_K_AXIS]
     if integers[CLOSED_FORM] != NO_CLOSED_FORM:
         counters[CLOSED_COUNT] += 1
@@ -156,23 +157,23 @@ def locate(
         raw_normal(pattern, first, second, frame2, normal, k_axis)
         if converged:
             return OK
-        location_jacobian(pattern, k1, k2, first, second, difference, normal, k_axis, system, vectors[_A])
-        location_residual(pattern, k1, k2, first, second, difference, normal, system, k)
-        determinant = solve_in_place(system, k, k + 1)
+        location_jacobian(pattern, k1, k2, first, second, difference, normal, k_axis, system, vectors[_A:_C])
+        location_residual(pattern, k1, k2, first, second, difference, normal, system)
+        determinant = solve_location(k1, k2, system)
         if not abs(conditioning(pattern, k1, k2, first, second, normal, length, determinant)) > SINGULAR_LIMIT:
             numbers[CONDITION] = determinant
             return SINGULAR
-        step = 0.0
+        change, step = system[SIDES], 0.0
         for a in range(k1):
-            step = max(step, abs(system[a, k]) * norm(first[1 + a]))
+            step = max(step, abs(change[a]) * norm(first[1 + a]))
         for a in range(k2):
-            step = max(step, abs(system[k1 + a, k]) * norm(second[1 + a]))
+            step = max(step, abs(change[2 + a]) * norm(second[1 + a]))
         if not step < math.inf:
             return LOCATION_FAILED
         for a in range(k1):
-            location[a] += system[a, k]
+            location[a] += change[a]
         for a in range(k2):
-            location[2 + a] += system[k1 + a, k]
+            location[2 + a] += change[2 + a]
         converged = step <= NEWTON_STEP * length
     return LOCATION_FAILED
 
@@ -248,7 +249,6 @@ def contact_kinematics(
     if status != OK:
         return status
     pattern, k1, k2 = integers[PATTERN], integers[K1], integers[K2]
-    k = k1 + k2
     difference, normal, k_axis = vectors[_DIFFERENCE], vectors[_NORMAL], vectors[_K_AXIS]
     basis_at_contact(pattern, integers[SIDE], first, second, normal, basis)
     if pattern == CROSSING_CURVES and dot(basis[2], numbers[LAST_NORMAL_X : LAST_NORMAL_X + 3]) < 0.0:
@@ -263,24 +263,11 @@ def contact_kinematics(
     for i in range(3):
         slip[i] = v2[i] - v1[i]
     # location rates (Eq. 6)
-    location_jacobian(pattern, k1, k2, first, second, difference, normal, k_axis, system, vectors[_A])
+    location_jacobian(pattern, k1, k2, first, second, difference, normal, k_axis, system, vectors[_A:_C])
     rate_equations(
-        pattern,
-        k1,
-        k2,
-        frame1,
-        frame2,
-        first,
-        second,
-        difference,
-        slip,
-        normal,
-        k_axis,
-        system,
-        k,
-        vectors[_A:_C],
+        pattern, k1, k2, frame1, frame2, first, second, difference, slip, normal, k_axis, system, vectors[_A:_C]
     )
-    determinant = solve_in_place(system, k, k + 1)
+    determinant = solve_location(k1, k2, system)
     condition = conditioning(pattern, k1, k2, first, second, normal, numbers[LENGTH], determinant)
     numbers[CONDITION] = condition
     if not abs(condition) > SINGULAR_LIMIT:
@@ -290,9 +277,9 @@ def contact_kinematics(
     for a in range(4):
         rates[a] = 0.0
     for a in range(k1):
-        rates[a] = system[a, k]
+        rates[a] = system[SIDES, a]
     for a in range(k2):
-        rates[2 + a] = system[k1 + a, k]
+        rates[2 + a] = system[SIDES, 2 + a]
     if with_bias:
         side = integers[SIDE]
         acceleration_bias(

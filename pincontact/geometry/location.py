@@ -62,42 +62,111 @@ def raw_normal(pattern, first, second, frame2, out, k_axis):
         cross(second[1], first[1], out)
 
 
+# Rows of `system`: of the equations of C1 (symmetric: 11, 12, 22) the block of u_2; of each parameter a of body 1 what
+# it adds to both of these (2), what u_2 adds to its own equation (2), and what both parameters do (2); right-hand
+# sides of C1 (2), then of body 1's equations (2), and in their place the solution, u_1 (2), then u_2 (2).
+_METRIC, _BODY_1, SIDES = 0, 1, 3
+
+
 @kernel
 def location_jacobian(pattern, k1, k2, first, second, difference, normal, k_axis, system, scratch):
-    """J = df/dp (Eq. 5) in the first k columns of system; the unknowns are u_1 then u_2."""
-    for a in range(k2):
-        tangent = second[1 + a]
-        for b in range(k1):
-            system[a, b] = -dot(tangent, first[1 + b])
-        for b in range(k2):
-            system[a, k1 + b] = dot(second[second_row(a, b)], difference) + dot(tangent, second[1 + b])
-    if pattern == CROSSING_CURVES:
-        system[1, 0] = dot(first[3], difference) - dot(first[1], first[1])
-        system[1, 1] = dot(first[1], second[1])
-    elif k1 > 0:
-        for b in range(k2):
-            if pattern == ON_SURFACE:
-                cross(second[second_row(0, b)], second[2], scratch)
-                add_cross(second[1], second[second_row(1, b)], scratch)
-            else:
-                cross(second[3], k_axis, scratch)
-            for a in range(k1):
-                system[k2 + a, k1 + b] = dot(scratch, first[1 + a])
-        for a in range(k1):
+    """J = df/dp (Eq. 5) by blocks: k2 equations of C1, then k1, one for each parameter of body 1."""
+    tangent, metric = second[1], system[_METRIC]
+    metric[0] = dot(second[3], difference) + dot(tangent, tangent)
+    if k2 == 2:
+        metric[1] = dot(second[4], difference) + dot(tangent, second[2])
+        metric[2] = dot(second[5], difference) + dot(second[2], second[2])
+    if k1 == 0:
+        return
+    # dN / du_2
+    turned, other = scratch[0], scratch[1]
+    if pattern == ON_SURFACE:
+        cross(second[3], second[2], turned)
+        add_cross(tangent, second[4], turned)
+        cross(second[4], second[2], other)
+        add_cross(tangent, second[5], other)
+    elif pattern == PLANAR:
+        cross(second[3], k_axis, turned)
+    for a in range(k1):
+        along, row = first[1 + a], system[_BODY_1 + a]
+        row[0] = -dot(tangent, along)
+        if k2 == 2:
+            row[1], row[3] = -dot(second[2], along), dot(other, along)
+        if pattern == CROSSING_CURVES:
+            row[2], row[4] = dot(along, tangent), dot(first[3], difference) - dot(along, along)
+        else:
+            row[2] = dot(turned, along)
             for b in range(k1):
-                system[k2 + a, b] = dot(normal, first[second_row(a, b)])
+                row[4 + b] = dot(normal, first[second_row(a, b)])
 
 
 @kernel
-def location_residual(pattern, k1, k2, first, second, difference, normal, system, column):
-    """Minus the k equations, into one column of system."""
+def location_residual(pattern, k1, k2, first, second, difference, normal, system):
+    """Minus the k equations, as right-hand sides."""
+    sides = system[SIDES]
     for a in range(k2):
-        system[a, column] = -dot(second[1 + a], difference)
-    if pattern == CROSSING_CURVES:
-        system[1, column] = -dot(first[1], difference)
-    elif k1 > 0:
-        for a in range(k1):
-            system[k2 + a, column] = -dot(normal, first[1 + a])
+        sides[a] = -dot(second[1 + a], difference)
+    for a in range(k1):
+        sides[2 + a] = -dot(first[1 + a], difference if pattern == CROSSING_CURVES else normal)
+
+
+@kernel
+def solve_location(k1, k2, system):
+    """The solution of J p = right-hand sides, in their place. Returns det J; 0 leaves them as they are.
+
+    The equations of C1 are solved for u_2 first. Their block is the metric of body 2, changed by a gap over its radii
+    of curvature, and singular only where body 1 is at its focus; what is left has as many unknowns as body 1 has
+    parameters.
+    """
+    metric, sides, row = system[_METRIC], system[SIDES], system[_BODY_1]
+    if k2 == 1:
+        regular = metric[0]
+        if regular == 0.0:
+            return 0.0
+        p = sides[0] / regular
+        if k1 == 0:
+            sides[2] = p
+            return regular
+        x = row[0] / regular
+        rest = row[4] - row[2] * x
+        if rest == 0.0:
+            return 0.0
+        u = (sides[2] - row[2] * p) / rest
+        sides[0], sides[2] = u, p - x * u
+        # its columns are in the other order
+        return -regular * rest
+    regular = metric[0] * metric[2] - metric[1] * metric[1]
+    if regular == 0.0:
+        return 0.0
+    scale = 1.0 / regular
+    a, b, d = scale * metric[2], -scale * metric[1], scale * metric[0]
+    # u_2 = p - x u_1, or p - x u_11 - y u_12
+    p1, p2 = a * sides[0] + b * sides[1], b * sides[0] + d * sides[1]
+    if k1 == 0:
+        sides[2], sides[3] = p1, p2
+        return regular
+    x1, x2 = a * row[0] + b * row[1], b * row[0] + d * row[1]
+    first = row[4] - row[2] * x1 - row[3] * x2
+    right = sides[2] - row[2] * p1 - row[3] * p2
+    if k1 == 1:
+        if first == 0.0:
+            return 0.0
+        u = right / first
+        sides[0], sides[2], sides[3] = u, p1 - x1 * u, p2 - x2 * u
+        return regular * first
+    below = system[_BODY_1 + 1]
+    y1, y2 = a * below[0] + b * below[1], b * below[0] + d * below[1]
+    second = row[5] - row[2] * y1 - row[3] * y2
+    third = below[4] - below[2] * x1 - below[3] * x2
+    fourth = below[5] - below[2] * y1 - below[3] * y2
+    other = sides[3] - below[2] * p1 - below[3] * p2
+    rest = first * fourth - second * third
+    if rest == 0.0:
+        return 0.0
+    u, v = (fourth * right - second * other) / rest, (first * other - third * right) / rest
+    sides[0], sides[1] = u, v
+    sides[2], sides[3] = p1 - x1 * u - y1 * v, p2 - x2 * u - y2 * v
+    return regular * rest
 
 
 @kernel
@@ -110,29 +179,16 @@ def tangent_at_fixed_u(frame, derivatives, a, out):
 
 @kernel
 def rate_equations(
-    pattern,
-    k1,
-    k2,
-    frame1,
-    frame2,
-    first,
-    second,
-    difference,
-    velocity,
-    normal,
-    k_axis,
-    system,
-    column,
-    scratch,
+    pattern, k1, k2, frame1, frame2, first, second, difference, velocity, normal, k_axis, system, scratch
 ):
-    """Minus (f_q q' + f_t) of the k equations (Eq. 5), into one column of system. velocity: v_c."""
-    rate = scratch[0]
+    """Minus (f_q q' + f_t) of the k equations (Eq. 5), as right-hand sides. velocity: v_c."""
+    rate, sides = scratch[0], system[SIDES]
     for a in range(k2):
         tangent_at_fixed_u(frame2, second, a, rate)
-        system[a, column] = -dot(second[1 + a], velocity) - dot(rate, difference)
+        sides[a] = -dot(second[1 + a], velocity) - dot(rate, difference)
     if pattern == CROSSING_CURVES:
         tangent_at_fixed_u(frame1, first, 0, rate)
-        system[1, column] = -dot(first[1], velocity) - dot(rate, difference)
+        sides[2] = -dot(first[1], velocity) - dot(rate, difference)
     elif k1 > 0:
         normal_rate = scratch[1]
         tangent_at_fixed_u(frame2, second, 0, rate)
@@ -146,7 +202,7 @@ def rate_equations(
             add_cross(second[1], rate, normal_rate)
         for a in range(k1):
             tangent_at_fixed_u(frame1, first, a, rate)
-            system[k2 + a, column] = -dot(normal_rate, first[1 + a]) - dot(normal, rate)
+            sides[2 + a] = -dot(normal_rate, first[1 + a]) - dot(normal, rate)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Fixed-size linear algebra for the kernels: vectors of three and systems of at most four unknowns."""
+"""Algebra of vectors of three numbers for the kernels."""
 
 from __future__ import annotations
 
@@ -51,36 +51,3 @@ def rotate_back(rotation, a, out):
     """out = rotation^T a"""
     for i in range(3):
         out[i] = rotation[0, i] * a[0] + rotation[1, i] * a[1] + rotation[2, i] * a[2]
-
-
-@kernel
-def solve_in_place(system, n, columns):
-    """Solve the n x n system in the first n columns for the right-hand sides in columns n .. columns-1, in place.
-
-    Gaussian elimination with row pivoting. Returns the determinant; 0 leaves the right-hand sides undefined.
-    """
-    determinant = 1.0
-    for k in range(n):
-        pivot = k
-        for i in range(k + 1, n):
-            if abs(system[i, k]) > abs(system[pivot, k]):
-                pivot = i
-        if system[pivot, k] == 0.0:
-            return 0.0
-        if pivot != k:
-            determinant = -determinant
-            for j in range(k, columns):
-                system[k, j], system[pivot, j] = system[pivot, j], system[k, j]
-        determinant *= system[k, k]
-        for i in range(k + 1, n):
-            factor = system[i, k] / system[k, k]
-            if factor != 0.0:
-                for j in range(k + 1, columns):
-                    system[i, j] -= factor * system[k, j]
-    for column in range(n, columns):
-        for k in range(n - 1, -1, -1):
-            value = system[k, column]
-            for j in range(k + 1, n):
-                value -= system[k, j] * system[j, column]
-            system[k, column] = value / system[k, k]
-    return determinant

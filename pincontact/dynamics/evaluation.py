@@ -144,7 +144,7 @@ from .pinocchio_calls import NATIVE_COLUMNS, NATIVE_ROWS
 from .resistance import count_items, free_with_owners, resistance_kinematics, resists
 
 # What an evaluation may be confined to.
-KINEMATICS_OF_ALL, PLACES_OF_CLOSED, PLACES_OF_ALL = 1, 2, 3
+KINEMATICS_OF_ALL, PLACES_OF_CLOSED, PLACES_OF_ALL, VELOCITIES_OF_ALL = 1, 2, 3, 4
 # Rows with a larger entry are not looked at; others are round-off where they are below this part of their terms.
 _SMALL_ROW = 1e-9
 _ROW_ROUND_OFF = 1e-13
@@ -156,7 +156,8 @@ def evaluate_state(table_address, time, only_kinematics):
 
     only_kinematics: KINEMATICS_OF_ALL for locations, rows and biases of all contacts, open ones too, and no forces;
     PLACES_OF_ALL for the same without biases, and Pinocchio's mass matrix and bias forces left as they are;
-    PLACES_OF_CLOSED for those of closed contacts; 0 for everything.
+    PLACES_OF_CLOSED for those of closed contacts; VELOCITIES_OF_ALL as KINEMATICS_OF_ALL, where q is that of the last
+    evaluation, which was one of these; 0 for everything.
     """
     table = integers(table_address, TABLE_SIZE)
     counters, callback = integers(table[COUNTERS], COUNTERS_SIZE), integers(table[CALLBACK], CALLBACK_SIZE)
@@ -175,7 +176,11 @@ def evaluate_state(table_address, time, only_kinematics):
         known = words[0] == callback[MODEL_SIZE] and words[1] == callback[MODEL_JOINTS]
     if known:
         native = integer_matrix(callback[NATIVE], NATIVE_ROWS, NATIVE_COLUMNS)
-        for i in range(2 if places else 0, 3 if places else 2):
+        end = 3 if places else 2
+        if only_kinematics == VELOCITIES_OF_ALL:
+            # all but the mass matrix, the Jacobians and the poses
+            end = 1
+        for i in range(2 if places else 0, end):
             call = native[i]
             call_by_address(call[0], call[1], call[2], call[3], call[4], call[5])
     else:
@@ -184,7 +189,8 @@ def evaluate_state(table_address, time, only_kinematics):
             if called != 0 and not call_python(called, callback[i + 1], callback[CALL_FAILED]):
                 return NOT_FINITE
     counters[EVALUATION_COUNT] += 1
-    status = evaluate_contacts(table, time, only_kinematics in (KINEMATICS_OF_ALL, PLACES_OF_ALL), not places)
+    with_rows = only_kinematics in (KINEMATICS_OF_ALL, PLACES_OF_ALL, VELOCITIES_OF_ALL)
+    status = evaluate_contacts(table, time, with_rows, not places)
     if status != OK or only_kinematics != 0:
         return status
     return evaluate_dynamics(table, time)

@@ -69,9 +69,18 @@ def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
 
     Elimination with complete pivoting, stopped at the first pivot below tolerance times the largest, then least
     norm in the row space; tolerance 0 says that a is regular, and rows alone are exchanged. a (>= rows, >= n) and
-    rhs (rows,) are overwritten: the first rows of a, as many as the rank, are then unit upper trapezoidal, its columns
-    in the order of order (n,), and gram (> rank, >= n) has the Cholesky factor of their products.
+    rhs (rows,) are overwritten: where the rank is below n, the first rows of a, as many as the rank, are then unit
+    upper trapezoidal, its columns in the order of order (n,), and gram (> rank, >= n) has the Cholesky factor of their
+    products.
     """
+    if n == 2 and rows == 2:
+        # one contact that slips: what complete pivoting would come to
+        largest = max(abs(a[0, 0]), abs(a[0, 1]), abs(a[1, 0]), abs(a[1, 1]))
+        determinant = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+        if abs(determinant) > tolerance * largest * largest:
+            x[0] = (rhs[0] * a[1, 1] - a[0, 1] * rhs[1]) / determinant
+            x[1] = (a[0, 0] * rhs[1] - rhs[0] * a[1, 0]) / determinant
+            return 2
     for j in range(n):
         order[j] = j
     largest = 0.0

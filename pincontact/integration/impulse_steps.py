@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from ..callback import call_python, kernel_caller
-from ..dynamics.evaluation import KINEMATICS_OF_ALL, torques_finite
+from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
 from ..friction import cone
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
@@ -279,7 +279,8 @@ def _pass(table, step, t, found):
         middle = t + 0.5 * reals(step[NUMBERS], NNUMBERS)[H]
         if not _ask(table, step, middle):
             return NOT_FINITE
-        status = evaluate(table, middle, KINEMATICS_OF_ALL)
+        # the passes of an attempt differ in the midpoint's velocity only
+        status = evaluate(table, middle, KINEMATICS_OF_ALL if counts[PASSES] == 0 else VELOCITIES_OF_ALL)
         if status != OK:
             return status
         leave_turning_axes(table, step)

@@ -41,8 +41,8 @@ class Effort:
     only."""
 
     longest: float = 0.6
-    repeats: int = 5
-    total: float = 0.2
+    repeats: int = 21
+    total: float = 0.15
     every: int = 1
 
 

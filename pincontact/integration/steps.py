@@ -207,8 +207,10 @@ _NEGLIGIBLE = 1e-14
 _ROUND_OFF = 1e-16
 _LARGEST_CORRECTION = 1e3
 _PROJECTED_GAP = 1e-11
-# SETTLE: a correction of q below this leaves gaps of its square, and needs no further evaluation.
-_SMALL_CORRECTION = 1e-7
+# SETTLE: a correction of q below the first of these leaves gaps of its square, and needs no further evaluation; nor
+# does one after which Newton's method, whose corrections are as the squares of those before, has the next one below the
+# other.
+_SMALL_CORRECTION, _FORETOLD_CORRECTION = 1e-7, 1e-12
 _SETTLEMENTS = 6
 
 
@@ -422,14 +424,17 @@ def settle(table, t):
 
     For a method that needs no accelerations; open contacts are evaluated too.
     """
+    last = 0.0
     for _ in range(_SETTLEMENTS):
         status = evaluate(table, t, PLACES_OF_ALL)
         if status != OK:
             return status
         contact_corrections(table, 1, 1)
         correct_state(table, 1, 1)
-        if reals(table[SCALARS], SCALARS_SIZE)[CORRECTION_SIZE] <= _SMALL_CORRECTION:
+        size = reals(table[SCALARS], SCALARS_SIZE)[CORRECTION_SIZE]
+        if size <= _SMALL_CORRECTION or size * size * size <= _FORETOLD_CORRECTION * last * last:
             break
+        last = size
     return OK
 
 

@@ -88,6 +88,13 @@ def test_section_names_the_winner(finished, tmp_path):
     assert "old" not in text
     assert "Peer on the cam and flat follower at errors of 1e-01 to 1e-02 m" in " ".join(text.split())
     assert text.count(work_precision.MARKS[0]) == 1
+    # one that is slower is named where it comes closest
+    peer.seconds = 1.5 * quickest.seconds
+    assert not work_precision.losses(small)
+    assert "Where a peer wins: nowhere in this run. Closest comes Peer on the cam" in " ".join(
+        work_precision.section(small).split()
+    )
+    peer.seconds = 0.5 * quickest.seconds
     # a motion that is as small as an error says nothing of it: the cam's circle goes round with a radius of 3 cm
     assert result.reach["cam"] == pytest.approx(0.06, rel=0.01)
     small.reach["cam"] = result.reach["cam"]

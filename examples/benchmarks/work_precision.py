@@ -29,6 +29,7 @@ import tempfile
 import textwrap
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -317,22 +318,24 @@ def draw(result: Result, folder: Path) -> None:
 # ---------------------------------------------------------------------------------------------------- README
 
 
-def losses(result: Result) -> list[tuple[str, float, Row, Row | None]]:
-    """(scene, level, the peer's run, our fastest) wherever a peer is faster at an error level.
+def contests(result: Result) -> Iterator[tuple[str, float, Row, Row | None]]:
+    """(scene, level, the fastest peer's run, our fastest) wherever a peer reaches an error level.
 
     Errors as large as the whole motion are no level: whoever stood still would have them.
     """
-    out = []
     for name in result.problems:
         engines = by_engine(result, name)
         ours = engines.pop(OURS.name)
         for level in (level for level in LEVELS if level < result.reach.get(name, math.inf)):
-            mine = fastest(ours, level)
             theirs = [row for rows in engines.values() if (row := fastest(rows, level))]
             best = min(theirs, key=lambda row: row.seconds, default=None)
-            if best is not None and (mine is None or best.seconds < mine.seconds):
-                out.append((name, level, best, mine))
-    return out
+            if best is not None:
+                yield name, level, best, fastest(ours, level)
+
+
+def losses(result: Result) -> list[tuple[str, float, Row, Row | None]]:
+    """Those of the `contests` in which the peer is faster."""
+    return [entry for entry in contests(result) if entry[3] is None or entry[2].seconds < entry[3].seconds]
 
 
 def section(result: Result) -> str:
@@ -393,7 +396,17 @@ def _where_peers_win(result: Result) -> str:
             f"{engine} on the {result.problems[name].title} at errors of {levels} m "
             f"({milliseconds(theirs.seconds)} ms {against})"
         )
-    return "; ".join(texts) + "." if texts else "nowhere in this run."
+    if texts:
+        return "; ".join(texts) + "."
+    won = ((name, level, theirs, mine) for name, level, theirs, mine in contests(result) if mine is not None)
+    closest = min(won, key=lambda entry: entry[2].seconds / entry[3].seconds, default=None)
+    if closest is None:
+        return "nowhere in this run."
+    name, level, theirs, mine = closest
+    return (
+        f"nowhere in this run. Closest comes {theirs.engine} on the {result.problems[name].title} at errors of "
+        f"{level:.0e} m ({milliseconds(theirs.seconds)} ms against {milliseconds(mine.seconds)})."
+    )
 
 
 def _small_motions(result: Result) -> str:

@@ -60,7 +60,7 @@ COLOURS = {
     "Jiminy": "#ff9d1e",
     "Pinocchio": "#9467bd",
 }
-OUR_MARKS = {"DOP853": "o-", "Sharp98": "D-", "RK45": "s--", "RK23": "v-.", "Moreau": "^:"}
+OUR_MARKS = {"DOP853": "o-", "Sharp98": "D-", "RK45": "s--", "RK23": "v-.", "Moreau": "^:", "Stepper": "s:"}
 
 
 @dataclass
@@ -301,6 +301,8 @@ def draw(result: Result, folder: Path) -> None:
             if engine == OURS.name:
                 for method, mark in OUR_MARKS.items():
                     ours = [r for r in rows if r.method == method and math.isfinite(r.error)]
+                    if not ours:
+                        continue
                     label = f"{engine} {method}"
                     errors, times = [r.error for r in ours], [r.seconds * 1e3 for r in ours]
                     axes.loglog(errors, times, mark, color=colour, ms=4, lw=1.4, label=label)

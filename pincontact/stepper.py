@@ -101,7 +101,12 @@ class Stepper:
             count = _check_count(count)
         step = self._step
         self._tau[:] = tau
-        status = step.advance(count)
+        try:
+            status = step.advance(count)
+        except BaseException:
+            # an interrupt between steps
+            self._show_modes()
+            raise
         if status != OK:
             self._show_modes()
             if status == NOT_FINITE:
@@ -125,8 +130,10 @@ class Stepper:
         count = _check_count(count)
         if not len(rows):
             return np.empty((0, self.q.size)), np.empty((0, self.v.size))
-        status, q, v = self._step.advance_by_rows(rows, count)
-        self._show_modes()
+        try:
+            status, q, v = self._step.advance_by_rows(rows, count)
+        finally:
+            self._show_modes()
         if status == NOT_FINITE and not np.isfinite(rows).all():
             i, j = np.argwhere(~np.isfinite(rows))[0]
             raise StateError(f"torques[{i}, {j}] is {rows[i, j]}")

@@ -172,6 +172,32 @@ def test_rollouts_are_steps(make):
         np.testing.assert_array_equal(other.rollout(same)[0], first[0])
 
 
+@pytest.mark.parametrize("ask", [lambda s: s.step(np.zeros(6), 3000), lambda s: s.rollout(np.zeros((10, 6)), 300)])
+def test_an_interrupt_leaves_the_last_step(ask, monkeypatch):
+    """Between the batches of compiled steps, when the ball has come to roll; then it goes on."""
+    scene, state = bouncing()
+    stepper, other = pc.Stepper(scene, state), pc.Stepper(scene, state)
+    run, calls = stepper._step._run, []
+
+    def interrupted(*arguments):
+        calls.append(arguments)
+        if len(calls) == 8:
+            raise KeyboardInterrupt
+        return run(*arguments)
+
+    start = stepper.modes.tolist()
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(stepper._step, "_run", interrupted)
+        ask(stepper)
+    done = round(stepper.t / stepper.dt)
+    assert done == 7 * 256
+    other.step(np.zeros(6), done)
+    assert stepper.modes.tolist() == other.modes.tolist() != start
+    for one, two in ((stepper.state, other.state), (stepper.step(np.zeros(6), 300), other.step(np.zeros(6), 300))):
+        for name in ("q", "v", "location", "discrete"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
 def test_rollouts_check_their_torques():
     scene, state = bouncing()
     stepper = pc.Stepper(scene, state)

@@ -405,9 +405,10 @@ def _where_peers_win(result: Result) -> str:
     if closest is None:
         return "nowhere in this run."
     name, level, theirs, mine = closest
+    doubt = ", less than runs differ by" if theirs.seconds < 1.1 * mine.seconds else ""
     return (
         f"nowhere in this run. Closest comes {theirs.engine} on the {result.problems[name].title} at errors of "
-        f"{level:.0e} m ({milliseconds(theirs.seconds)} ms against {milliseconds(mine.seconds)})."
+        f"{level:.0e} m ({milliseconds(theirs.seconds)} ms against {milliseconds(mine.seconds)}{doubt})."
     )
 
 

@@ -154,12 +154,10 @@ class Stepper:
         return tau
 
     def _check_rows(self, torques: Any) -> np.ndarray:
-        nv = self._shape[0]
-        if type(torques) is np.ndarray and torques.dtype == np.float64 and torques.flags.c_contiguous:
-            rows = torques
-        else:
+        nv, rows = self._shape[0], torques
+        if type(rows) is not np.ndarray or rows.dtype != np.float64:
             try:
-                rows = np.ascontiguousarray(real_array(torques))
+                rows = real_array(torques)
             except NOT_REAL:
                 raise StateError(f"torques must be numbers in rows of {nv}, got {torques!r}") from None
         if rows.ndim != 2 or rows.shape[1] != nv:

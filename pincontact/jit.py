@@ -32,11 +32,14 @@ _PACKAGE = Path(__file__).parent
 # Kernels allocate nothing and return no arrays: reference counting, dearer than the numerics, is left out. They keep
 # the interpreter's lock: some call back into Python.
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+# The checked build, for tests: numba's own compilation with its bounds checks, memory that nobody has written is NaN.
+CHECKED = os.environ.get("PINCONTACT_CHECKED", "") not in ("", "0")
+if CHECKED:
+    _OPTIONS["boundscheck"] = True
 
-_PART_OPTIONS: dict[str, Any] = (
-    {"pipeline_class": PartCompiler, "no_cpython_wrapper": True, "no_cfunc_wrapper": True} if PartCompiler else {}
-)
-_ENTRY_OPTIONS: dict[str, Any] = {"pipeline_class": EntryCompiler} if EntryCompiler else {}
+_NO_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_PART_OPTIONS: dict[str, Any] = {**_NO_WRAPPERS, **({"pipeline_class": PartCompiler} if PartCompiler and not CHECKED else {})}
+_ENTRY_OPTIONS: dict[str, Any] = {"pipeline_class": EntryCompiler} if EntryCompiler and not CHECKED else {}
 
 
 _IMPORT = re.compile(r"^ *from (\.+)([\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
@@ -69,7 +72,7 @@ def source_hash(file: Path) -> str:
                 reached.add(path)
                 waiting.append(path)
     # numba keeps machine code by the path of its source, so another copy of the package is another cache
-    digest = hashlib.sha256(f"{numba.__version__} {_PACKAGE}".encode())
+    digest = hashlib.sha256(f"{numba.__version__} {_PACKAGE} {CHECKED}".encode())
     for path in sorted(reached):
         digest.update(_texts[path])
     return digest.hexdigest()[:16]

@@ -19,10 +19,14 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
+from .jit import CHECKED
+
 if numba.config.DISABLE_JIT:
     # The same views in plain Python, so that every kernel also runs (slowly) without compilation.
     def _view(address: int, shape: tuple[int, ...], kind: Any) -> np.ndarray:
         count = int(np.prod(shape))
+        if CHECKED and 8 * count > _room.get(int(address), 0):
+            raise IndexError(f"a view of {count} numbers on an array of {_room.get(int(address), 0) // 8}")
         if count == 0:
             return np.zeros(shape, dtype=np.float64 if kind is ctypes.c_double else np.int64)
         pointer = ctypes.cast(int(address), ctypes.POINTER(kind))
@@ -93,12 +97,21 @@ _CHUNK = 4096
 _ALIGNMENT = 8
 
 
+# Of arrays whose addresses were asked for: how many bytes there are from there on. Kept by the checked build only.
+_room: dict[int, int] = {}
+
+
 def address_of(array: np.ndarray) -> int:
     """The address of an array's first element."""
-    return int(array.__array_interface__["data"][0])
+    address = int(array.__array_interface__["data"][0])
+    if CHECKED:
+        _room[address] = array.nbytes
+    return address
 
 
 _NOTHING = np.zeros(0)
+# What the checked build finds in integers that nobody has written: no index.
+_UNSET = -(1 << 40)
 _REAL, _INTEGER = np.dtype(np.float64), np.dtype(np.int64)
 
 
@@ -127,7 +140,7 @@ class Memory:
     def put(self, name: str, array: np.ndarray, address: int = 0) -> np.ndarray:
         """Place an array in its slot; it is kept alive as long as this memory is. address: its own, where known."""
         self._name(name, array)
-        self.table[self._slots[name]] = address or address_of(array)
+        self.table[self._slots[name]] = address_of(array) if CHECKED or not address else address
         return array
 
     def reals(self, name: str, *shape: int) -> np.ndarray:
@@ -137,6 +150,20 @@ class Memory:
     def integers(self, name: str, *shape: int) -> np.ndarray:
         """A new zero int64 array in the slot of that name."""
         return self._cut(name, shape, _INTEGER)
+
+    def scratch(self, name: str, *shape: int) -> np.ndarray:
+        """A new float64 array that is to be written before it is read: NaN in the checked build."""
+        array = self.reals(name, *shape)
+        if CHECKED:
+            array.fill(math.nan)
+        return array
+
+    def integer_scratch(self, name: str, *shape: int) -> np.ndarray:
+        """The same for int64, where the checked build puts a number that is no index."""
+        array = self.integers(name, *shape)
+        if CHECKED:
+            array.fill(_UNSET)
+        return array
 
     def _cut(self, name: str, shape: tuple[int, ...], kind: Any) -> np.ndarray:
         room = -(-math.prod(shape) // _ALIGNMENT) * _ALIGNMENT
@@ -148,7 +175,7 @@ class Memory:
         self._cut_off = start + room
         array = np.ndarray(shape, kind, self._piece, 8 * start)
         self._name(name, array)
-        self.table[self._slots[name]] = self._address + 8 * start
+        self.table[self._slots[name]] = address_of(array) if CHECKED else self._address + 8 * start
         return array
 
     def _name(self, name: str, array: np.ndarray) -> None:

@@ -26,6 +26,22 @@ for method, options in (("DOP853", {}), ("Moreau", {"step": 0.01})):
     run = pc.simulate(scene, state, 0.03, method=method, t_eval=[0.0, 0.03], **options)
     assert run.status == 0, run.message
     print(*run.q[-1], *run.contacts["c"].force[-1])
+
+# several contacts, of which one is open, and a traced surface of revolution
+scene = pc.Scene.from_urdf("urdf/block.urdf", floating_base=True)
+scene.add_contours_from_collision(links=["block"], kinds=["corners"])
+ring = pc.SurfaceOfRevolution(lambda s: (2.0 + np.cos(s), np.sin(s)), (-3.0, 3.0))
+scene.add_contour("ring", ring, placement=pin.SE3(np.eye(3), np.array([2.0, 0.0, -1.0])))
+floor = scene.add_contour("floor", pc.Plane(), placement=pin.SE3(np.eye(3), np.array([0.0, 0.0, -1e-9])))
+corners = [name for name in scene.contours if name.endswith("-z")]
+for corner in corners:
+    scene.add_contact(corner, corner, floor, friction=pc.Coulomb(0.2))
+scene.add_contact("ring", corners[0], "ring", bilateral=False)
+state = scene.initial_state([0, 0, 0.1, 0, 0, 0, 1], [0.4, 0, 0, 0, 0, 0.3], free=["ring"])
+for method, options in (("RK23", {"rtol": 1e-4}), ("Moreau", {"step": 0.005})):
+    run = pc.simulate(scene, state, 0.01, method=method, t_eval=[0.0, 0.01], **options)
+    assert run.status == 0, run.message
+    print(*run.q[-1], *run.contacts[corners[0]].force[-1])
 """
 
 
@@ -38,12 +54,12 @@ def test_uncompiled_kernels(monkeypatch):
     output = io.StringIO()
     with contextlib.redirect_stdout(output):
         exec(SCRIPT, {"__name__": "script"})
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT], env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, capture_output=True, text=True
-    )
+    # uncompiled, each view knows how long its array is
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PINCONTACT_CHECKED": "1"}
+    done = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     compiled, plain = numbers(output.getvalue()), numbers(done.stdout)
     # run, but not compiled: that is what a debugger steps through
-    assert compiled.shape == plain.shape == (2, 10)
+    assert compiled.shape == plain.shape == (4, 10)
     # the compiler may order sums otherwise: rounding, which a few dozen steps make a little larger
     np.testing.assert_allclose(plain, compiled, rtol=1e-10, atol=1e-11)

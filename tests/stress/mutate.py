@@ -1,0 +1,374 @@
+"""Mutation run: one change at a time in the numerics, and whether the suite notices it.
+
+    python tests/stress/mutate.py [--count 400] [--seed 0] [--jobs 2] [--only TEXT] [--survey FILE]
+
+Signs, operators, indices and constants of the functions in `FOLDERS` are changed one at a time, at places drawn at
+random. Each change is shown to the fast part of the suite: the tests that take less than `LIMIT` seconds uncompiled
+and reach the changed function. Everything runs uncompiled (`NUMBA_DISABLE_JIT`), so that a change costs no compilation.
+
+First the survey: each test's duration, and the functions of the package that it reaches (`--survey` keeps it in a
+file, or reads it from there). Thresholds (constants below 1e-3 or above 1e3) are left out: a tolerance half as large
+again is no mistake. So are messages of errors and annotations.
+
+Prints each change that no test noticed, and exits with 1 if one of them is not in `HARMLESS`, or if fewer than 95 % are
+noticed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "pincontact"
+FOLDERS = ("contours", "geometry", "constraints", "dynamics", "friction")
+# s: a test that takes longer uncompiled is not in the fast part; what the tests of one change may take together, and
+# what they take when they hang
+LIMIT, BUDGET, PATIENCE = 3.0, 60.0, 150.0
+# the part of the changes that has to be noticed
+WANTED = 0.95
+
+# Changes that no test can notice, with the reason: (file, function, line of the code as it stands, change)
+HARMLESS: dict[tuple[str, str, str, str], str] = {}
+
+
+# -------------------------------------------------------------------------------------------------- the changes
+
+
+@dataclass(frozen=True)
+class Change:
+    """One change: in which file and function (its first line), at which node of the file's tree."""
+
+    file: str
+    function: str
+    first_line: int
+    node: int
+    line: int
+    what: str
+
+    @property
+    def text(self) -> str:
+        return (ROOT / self.file).read_text().splitlines()[self.line - 1].strip()
+
+
+_SWAPPED: dict[type, type] = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.Lt: ast.Gt,
+    ast.LtE: ast.GtE,
+    ast.Gt: ast.Lt,
+    ast.GtE: ast.LtE,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.And: ast.Or,
+    ast.Or: ast.And,
+}
+_SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">"}
+_SIGNS |= {ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=", ast.And: "and", ast.Or: "or"}
+
+
+def _changed(node: ast.AST, index: bool) -> tuple[str, ast.AST] | None:
+    """What the change of a node is, and the node that takes its place; None where there is none."""
+    if isinstance(node, (ast.BinOp, ast.AugAssign, ast.BoolOp)) and type(node.op) in _SWAPPED:
+        new = deepcopy(node)
+        new.op = _SWAPPED[type(node.op)]()
+        return f"{_SIGNS[type(node.op)]} -> {_SIGNS[type(new.op)]}", new
+    if isinstance(node, ast.Compare) and len(node.ops) == 1 and type(node.ops[0]) in _SWAPPED:
+        new = deepcopy(node)
+        new.ops = [_SWAPPED[type(node.ops[0])]()]
+        return f"{_SIGNS[type(node.ops[0])]} -> {_SIGNS[type(new.ops[0])]}", new
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+        return "sign dropped", node.operand
+    if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        value = node.value
+        if index:
+            # next to it, or the one before where that would be the last of three
+            other: float = value - 1 if value == 2 else value + 1
+        elif isinstance(value, int):
+            other = value + 1
+        elif value == 0.0:
+            other = 0.5
+        elif 1e-3 <= abs(value) <= 1e3:
+            other = 1.5 * value
+        else:
+            return None
+        return f"{'index ' if index else ''}{value!r} -> {other!r}", ast.Constant(other)
+    return None
+
+
+def _numeric(function: ast.AST) -> Iterator[tuple[ast.AST, bool]]:
+    """Nodes of a function that compute, and whether each stands in an index; not in messages, annotations, defaults."""
+    if isinstance(function, (ast.FunctionDef, ast.Lambda)):
+        body = function.body if isinstance(function.body, list) else [function.body]
+        waiting = [(node, False) for node in body]
+    else:
+        waiting = []
+    while waiting:
+        node, index = waiting.pop()
+        if isinstance(node, (ast.Raise, ast.JoinedStr, ast.FunctionDef, ast.ClassDef, ast.Assert)):
+            continue
+        yield node, index
+        for name, value in ast.iter_fields(node):
+            if name == "annotation":
+                continue
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST):
+                    waiting.append((child, index or (isinstance(node, ast.Subscript) and name == "slice")))
+
+
+def changes() -> list[Change]:
+    """All changes there are."""
+    found = []
+    for folder in FOLDERS:
+        for path in sorted((PACKAGE / folder).rglob("*.py")):
+            tree = ast.parse(path.read_text())
+            numbers = {id(node): i for i, node in enumerate(ast.walk(tree))}
+            for function in ast.walk(tree):
+                if not isinstance(function, ast.FunctionDef):
+                    continue
+                # decorators come first in a code object's lines
+                first = min([function.lineno, *(d.lineno for d in function.decorator_list)])
+                for node, index in _numeric(function):
+                    changed = _changed(node, index)
+                    if changed is not None:
+                        where = str(path.relative_to(ROOT))
+                        line = getattr(node, "lineno", function.lineno)
+                        found.append(Change(where, function.name, first, numbers[id(node)], line, changed[0]))
+    return found
+
+
+def changed_code(change: Change) -> Any:
+    """The changed file, as a code object."""
+    path = ROOT / change.file
+    tree = ast.parse(path.read_text())
+    target = list(ast.walk(tree))[change.node]
+
+    class Put(ast.NodeTransformer):
+        def visit(self, node: ast.AST) -> Any:
+            if node is target:
+                return ast.copy_location(found[1], node)
+            return self.generic_visit(node)
+
+    index = change.what.startswith("index ")
+    found = _changed(target, index)
+    assert found is not None
+    return compile(ast.fix_missing_locations(Put().visit(tree)), str(path), "exec")
+
+
+# -------------------------------------------------------------------------------------------------- the survey
+
+
+class TooSlow(BaseException):
+    """A test has had its time."""
+
+
+class Survey:
+    """Plugin of pytest: duration of each test that passes in its time, and the functions of the package it reaches."""
+
+    def __init__(self) -> None:
+        self.tests: dict[str, Any] = {}
+        self._reached: set[Any] = set()
+
+    def pytest_runtest_protocol(self, item: Any, nextitem: Any) -> None:
+        self._reached = set()
+
+    def pytest_runtest_call(self, item: Any) -> Iterator[None]:
+        reached, package = self._reached, str(PACKAGE)
+
+        def note(frame: Any, event: str, _: Any) -> None:
+            if event == "call" and frame.f_code.co_filename.startswith(package):
+                reached.add(frame.f_code)
+
+        signal.setitimer(signal.ITIMER_REAL, 3.0 * LIMIT)
+        sys.setprofile(note)
+        try:
+            return (yield)
+        finally:
+            sys.setprofile(None)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+    pytest_runtest_call.pytest_impl = {"wrapper": True}  # type: ignore[attr-defined]
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        if report.when == "call" and report.passed:
+            places = [(code.co_filename, code.co_firstlineno) for code in self._reached]
+            reached = sorted(f"{Path(name).relative_to(ROOT)}:{line}" for name, line in places)
+            self.tests[report.nodeid] = {"seconds": report.duration, "reached": reached}
+
+
+def _too_slow(*_: Any) -> None:
+    raise TooSlow
+
+
+def survey(files: list[str], output: str) -> int:
+    """Run the tests of some files with `Survey` and write what it found; in a process of its own."""
+    import pytest
+
+    signal.signal(signal.SIGALRM, _too_slow)
+    plugin = Survey()
+    pytest.main([*OPTIONS, *files], plugins=[plugin])
+    Path(output).write_text(json.dumps(plugin.tests))
+    return 0
+
+
+# tests that start processes run compiled kernels of their own, or none
+LEFT_OUT = ("test_uncompiled", "test_examples", "test_documents", "test_imports", "test_command_line", "test_sweep",
+            "test_view", "test_benchmarks", "test_jit_lowering", "test_spare", "test_short")  # fmt: skip
+OPTIONS = ["-q", "-p", "no:cacheprovider", "-p", "no:faulthandler", "--no-header", "--tb=no", "-W", "ignore", "-rN"]
+
+
+def environment() -> dict[str, str]:
+    folders = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests/stress")]
+    threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1")
+    return {**os.environ, **threads, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(folders)}
+
+
+def fast_part(jobs: int) -> dict[str, Any]:
+    """Duration of each test of the fast part, and what it reaches."""
+    names = [path for path in sorted((ROOT / "tests").rglob("test_*.py")) if not path.stem.startswith(LEFT_OUT)]
+    waiting, running, found = [str(path) for path in names], [], {}
+    with tempfile.TemporaryDirectory() as folder:
+        while waiting or running:
+            while waiting and len(running) < jobs:
+                file = waiting.pop()
+                output = f"{folder}/{Path(file).stem}.json"
+                command = [sys.executable, __file__, "--survey-of", file, output]
+                process = subprocess.Popen(command, cwd=ROOT, env=environment(), stdout=subprocess.DEVNULL)
+                running.append((process, file, output, time.monotonic()))
+            for entry in list(running):
+                process, file, output, began = entry
+                if process.poll() is not None:
+                    running.remove(entry)
+                    tests = json.loads(Path(output).read_text()) if Path(output).exists() else {}
+                    fast = {name: test for name, test in tests.items() if test["seconds"] <= LIMIT}
+                    found.update(fast)
+                    print(f"{Path(file).name}: {len(fast)} fast tests of {len(tests)} that passed, "
+                          f"{time.monotonic() - began:.0f} s", flush=True)  # fmt: skip
+            time.sleep(0.05)
+    return found
+
+
+# -------------------------------------------------------------------------------------------------- the run
+
+
+def show(change: Change, tests: list[str]) -> int:
+    """Run tests with the change made; in a process of its own. Returns pytest's exit code."""
+    from importlib.machinery import SourceFileLoader
+
+    import pytest
+
+    code, path, usual = changed_code(change), str(ROOT / change.file), SourceFileLoader.get_code
+
+    def get_code(loader: Any, name: str) -> Any:
+        return code if loader.path == path else usual(loader, name)
+
+    SourceFileLoader.get_code = get_code  # type: ignore[method-assign]
+    return int(pytest.main([*OPTIONS, "-x", *tests]))
+
+
+def chosen(change: Change, tests: dict[str, Any]) -> list[str]:
+    """The tests that reach the change's function, quickest first, as far as the budget goes."""
+    key, spent, out = f"{change.file}:{change.first_line}", 0.0, []
+    for name in sorted((name for name in tests if key in tests[name]["reached"]), key=lambda n: tests[n]["seconds"]):
+        spent += tests[name]["seconds"]
+        if spent > BUDGET:
+            break
+        out.append(name)
+    return out
+
+
+def noticed(sample: list[Change], tests: dict[str, Any], jobs: int) -> Iterator[tuple[Change, str]]:
+    """Each change with "noticed", "hangs", "unreached" or "" for one that no test noticed."""
+    # what every run imports is imported once; the package itself is not
+    sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests/stress")]
+    os.environ.update(environment())
+    os.chdir(ROOT)
+    for name in ("hypothesis", "numba", "numba.extending", "pinocchio", "proxsuite", "pytest", "scipy.integrate",
+                 "scipy.interpolate", "scipy.optimize", "scipy.spatial.transform"):  # fmt: skip
+        __import__(name)
+    assert "pincontact" not in sys.modules
+    running: dict[int, tuple[Change, float]] = {}
+    waiting = list(reversed(sample))
+    while waiting or running:
+        while waiting and len(running) < jobs:
+            change = waiting.pop()
+            names = chosen(change, tests)
+            if not names:
+                yield change, "unreached"
+                continue
+            process = os.fork()
+            if process == 0:
+                null = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(null, 1)
+                os.dup2(null, 2)
+                status = 70
+                try:
+                    status = show(change, names)
+                finally:
+                    os._exit(status)
+            running[process] = change, time.monotonic()
+        time.sleep(0.02)
+        for process in list(running):
+            change, began = running[process]
+            ended, status = os.waitpid(process, os.WNOHANG)
+            if ended:
+                del running[process]
+                yield change, "noticed" if status != 0 else ""
+            elif time.monotonic() - began > PATIENCE:
+                os.kill(process, signal.SIGKILL)
+                os.waitpid(process, 0)
+                del running[process]
+                yield change, "hangs"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=400, help="changes to make")
+    parser.add_argument("--seed", type=int, default=0, help="of the draw")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--only", default="", help="changes in files or functions whose names contain this")
+    parser.add_argument("--survey", default="", help="file that keeps the survey, or has it")
+    parser.add_argument("--survey-of", nargs=2, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.survey_of:
+        return survey([options.survey_of[0]], options.survey_of[1])
+    if options.survey and Path(options.survey).exists():
+        tests = json.loads(Path(options.survey).read_text())
+    else:
+        tests = fast_part(options.jobs)
+        if options.survey:
+            Path(options.survey).write_text(json.dumps(tests))
+    everything = [change for change in changes() if options.only in f"{change.file}:{change.function}"]
+    sample = random.Random(options.seed).sample(everything, min(options.count, len(everything)))
+    print(f"{len(tests)} fast tests, {len(everything)} changes, {len(sample)} drawn", flush=True)
+    counts = dict.fromkeys(("noticed", "hangs", "harmless", "missed"), 0)
+    for change, result in noticed(sample, tests, options.jobs):
+        if result in ("noticed", "hangs"):
+            counts[result] += 1
+            continue
+        reason = HARMLESS.get((change.file, change.function, change.text, change.what))
+        counts["harmless" if reason else "missed"] += 1
+        print(f"{change.file}:{change.line} {change.function}: {change.what} {'(unreached)' if result else ''}\n"
+              f"    {change.text}\n    {reason or 'NOT EXPLAINED'}", flush=True)  # fmt: skip
+    share = (counts["noticed"] + counts["hangs"]) / max(len(sample), 1)
+    print(f"{share:.1%} of {len(sample)} changes were noticed: {counts}")
+    return int(counts["missed"] > 0 or share < WANTED)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,87 @@
+"""The checked build finds an index that leaves its array, and what is read before it is written."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def in_checked_build(folder: Path, script: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    # kernels are cached by the file that they are in
+    file = folder / "script.py"
+    file.write_text(script)
+    return subprocess.run(
+        [sys.executable, str(file)],
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PINCONTACT_CHECKED": "1", **environment},
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_an_index_outside_its_array_is_an_error(tmp_path):
+    script = """
+import numpy as np
+from pincontact.jit import INTEGER, REAL, entry_kernel, kernel
+from pincontact.callback import call_kernel, kernel_address
+from pincontact.memory import matrix
+
+@kernel
+def part(a, i, j):
+    return a[i, j]
+
+@entry_kernel(INTEGER, REAL, INTEGER)
+def entry(address, x, i):
+    return int(part(matrix(address, 2, 3), i, 1))
+
+@entry_kernel(INTEGER, INTEGER, INTEGER)
+def by_address(function, address, i):
+    return call_kernel(function, address, 0.0, i)
+
+values = np.arange(6.0)
+at = values.ctypes.data
+for function, arguments in ((entry, (at, 0.0)), (by_address, (kernel_address(entry), at))):
+    assert function(*arguments, 1) == 4
+    for i in (2, -3, 1 << 40):
+        try:
+            function(*arguments, i)
+        except IndexError:
+            print("found")
+"""
+    done = in_checked_build(tmp_path, script)
+    assert done.returncode == 0, done.stderr
+    # an entry kernel that another calls by its address cannot raise through it: Python reports the error
+    assert done.stdout.count("found") + done.stderr.count("Exception ignored") == 6, done.stderr
+
+
+def test_a_view_larger_than_its_array_is_an_error(tmp_path):
+    """Of uncompiled kernels, which know how long each array is."""
+    script = """
+from pincontact.memory import Memory, matrix
+memory = Memory(("a", "b"))
+memory.reals("a", 2, 3), memory.reals("b", 4)
+assert matrix(memory.table[0], 2, 3).shape == (2, 3)
+try:
+    matrix(memory.table[0], 3, 3)
+except IndexError as error:
+    print(error)
+"""
+    done = in_checked_build(tmp_path, script, NUMBA_DISABLE_JIT="1")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "a view of 9 numbers on an array of 6\n"
+
+
+def test_memory_that_nobody_has_written_is_no_number(tmp_path):
+    script = """
+from pincontact.memory import Memory
+memory = Memory(("a", "b", "c"))
+print(memory.scratch("a", 2), memory.integer_scratch("b", 1)[0] < -2**32, memory.reals("c", 2))
+"""
+    assert in_checked_build(tmp_path, script).stdout == "[nan nan] True [0. 0.]\n"

@@ -38,8 +38,9 @@ if CHECKED:
     _OPTIONS["boundscheck"] = True
 
 _NO_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-_PART_OPTIONS: dict[str, Any] = {**_NO_WRAPPERS, **({"pipeline_class": PartCompiler} if PartCompiler and not CHECKED else {})}
-_ENTRY_OPTIONS: dict[str, Any] = {"pipeline_class": EntryCompiler} if EntryCompiler and not CHECKED else {}
+_OWN_PARTS = PartCompiler is not None and not CHECKED
+_PART_OPTIONS: dict[str, Any] = {**_NO_WRAPPERS, **({"pipeline_class": PartCompiler} if _OWN_PARTS else {})}
+_ENTRY_OPTIONS: dict[str, Any] = {"pipeline_class": EntryCompiler} if _OWN_PARTS else {}
 
 
 _IMPORT = re.compile(r"^ *from (\.+)([\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)

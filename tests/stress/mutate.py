@@ -32,6 +32,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "pincontact"
 FOLDERS = ("contours", "geometry", "constraints", "dynamics", "friction")
@@ -187,6 +189,7 @@ class Survey:
     def pytest_runtest_protocol(self, item: Any, nextitem: Any) -> None:
         self._reached = set()
 
+    @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item: Any) -> Iterator[None]:
         reached, package = self._reached, str(PACKAGE)
 
@@ -202,8 +205,6 @@ class Survey:
             sys.setprofile(None)
             signal.setitimer(signal.ITIMER_REAL, 0.0)
 
-    pytest_runtest_call.pytest_impl = {"wrapper": True}  # type: ignore[attr-defined]
-
     def pytest_runtest_logreport(self, report: Any) -> None:
         if report.when == "call" and report.passed:
             places = [(code.co_filename, code.co_firstlineno) for code in self._reached]
@@ -217,8 +218,6 @@ def _too_slow(*_: Any) -> None:
 
 def survey(files: list[str], output: str) -> int:
     """Run the tests of some files with `Survey` and write what it found; in a process of its own."""
-    import pytest
-
     signal.signal(signal.SIGALRM, _too_slow)
     plugin = Survey()
     pytest.main([*OPTIONS, *files], plugins=[plugin])
@@ -270,8 +269,6 @@ def show(change: Change, tests: list[str]) -> int:
     """Run tests with the change made; in a process of its own. Returns pytest's exit code."""
     from importlib.machinery import SourceFileLoader
 
-    import pytest
-
     code, path, usual = changed_code(change), str(ROOT / change.file), SourceFileLoader.get_code
 
     def get_code(loader: Any, name: str) -> Any:
@@ -298,7 +295,7 @@ def noticed(sample: list[Change], tests: dict[str, Any], jobs: int) -> Iterator[
     sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests/stress")]
     os.environ.update(environment())
     os.chdir(ROOT)
-    for name in ("hypothesis", "numba", "numba.extending", "pinocchio", "proxsuite", "pytest", "scipy.integrate",
+    for name in ("hypothesis", "numba", "numba.extending", "pinocchio", "proxsuite", "scipy.integrate",
                  "scipy.interpolate", "scipy.optimize", "scipy.spatial.transform"):  # fmt: skip
         __import__(name)
     assert "pincontact" not in sys.modules

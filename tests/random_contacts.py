@@ -282,6 +282,12 @@ class Snapshot:
     condition: float
 
 
+def carried(here: Snapshot, there: Snapshot) -> np.ndarray:
+    """Two normals of a curve: which are taken is a choice, so those of `here`, at right angles to the tangent there."""
+    e1 = there.basis[0]
+    return here.basis[1:] - np.outer(here.basis[1:] @ e1, e1)
+
+
 class RandomContact:
     """A scene with one contact, its state, and evaluations nearby."""
 

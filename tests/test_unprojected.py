@@ -16,8 +16,10 @@ from random_contacts import (
     EIGHTH_ORDER,
     PATTERNS,
     START,
+    WELL_PLACED,
     RandomContact,
     Snapshot,
+    carried,
     is_line_contact,
     motions_of,
     names_of,
@@ -72,9 +74,7 @@ def constrained(contact: RandomContact, law: str, here: Snapshot, there: Snapsho
     if law == "rolling":
         return there.slip
     if contact.pattern == "P-3C":
-        # which two normals are taken is a choice: those of now, made orthogonal to the tangent of then
-        e1 = there.basis[0]
-        return np.array([(n - (n @ e1) * e1) @ there.slip for n in here.basis[1:]])
+        return carried(here, there) @ there.slip
     return np.array([there.basis[2] @ there.slip])
 
 

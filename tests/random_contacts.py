@@ -341,20 +341,24 @@ class RandomContact:
         self.k = PATTERNS[pattern]
         self.state = scene.initial_state(q, 0.3 * rng.normal(size=model.nv), START)
         self.acceleration = rng.normal(size=model.nv)
-        self._system = System(model, list(scene.contacts.values()))
-        write_discrete(self._system, self.state.discrete)
-        self._begin()
+        self.system = System(model, list(scene.contacts.values()))
+        write_discrete(self.system, self.state.discrete)
+        self.begin()
 
-    def _begin(self) -> None:
+    def begin(self) -> None:
         """What differences from the state need."""
         self.rates = np.zeros_like(self.state.location)
         condition = self.at().condition
-        self.rates = self._system.rates.copy()
+        self.rates = self.system.rates.copy()
         # differences of eighth order, where the location's derivatives grow by rates / condition: rounding 1e-15 / step
         self.step = 1e-3 * min(1.0, condition) / (1.0 + float(np.abs(self.rates).max()))
 
     def __repr__(self) -> str:
         return f"RandomContact{self._arguments}"
+
+    def with_friction(self, friction: pc.FrictionLaw) -> RandomContact:
+        """The same contact with another law."""
+        return RandomContact(*self._arguments, friction=friction)
 
     @staticmethod
     def _inertia(rng: np.random.Generator) -> pin.Inertia:
@@ -381,7 +385,7 @@ class RandomContact:
 
         False where the contact point is lost on the way, or is no longer well placed.
         """
-        rng, state, system = np.random.default_rng(seed), self.state, self._system
+        rng, state, system = np.random.default_rng(seed), self.state, self.system
         size = 3 if self.pattern in PLANAR else 6
         for part in state.q.reshape(state.v.size // size, -1):
             part[:] = _moved(part, 0.02 * rng.normal(size=size))
@@ -390,7 +394,7 @@ class RandomContact:
         if system.evaluate_kinematics(START) != OK:
             return False
         state.location[:] = system.location
-        self._begin()
+        self.begin()
         return self.at().condition > WELL_PLACED
 
     def along(self, h: float) -> tuple[np.ndarray, np.ndarray]:
@@ -403,7 +407,7 @@ class RandomContact:
 
     def evaluate(self, q: np.ndarray, v: np.ndarray, t: float) -> Snapshot:
         """The contact's kinematics at (q, v, t), near the state; the gap need not be closed."""
-        system = self._system
+        system = self.system
         system.q[:], system.v[:] = q, v
         system.location[:] = self.state.location + (t - START) * self.rates
         assert system.evaluate_kinematics(t) == OK

@@ -6,6 +6,7 @@ bias, or a wrong row of what follows from it, moves a projected run but little: 
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from functools import cache
 
@@ -15,6 +16,7 @@ import pytest
 from random_contacts import (
     EIGHTH_ORDER,
     PATTERNS,
+    PLANAR,
     START,
     WELL_PLACED,
     RandomContact,
@@ -28,9 +30,10 @@ from random_contacts import (
 import pincontact as pc
 from pincontact.analysis.instant import Instant
 from pincontact.dynamics.system import System
+from pincontact.geometry.carriers import OMEGA
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.tableaux import tableau
-from pincontact.layout import EVENT, FRICTIONLESS, SLIPPING, STICK
+from pincontact.layout import EVENT, FRICTIONLESS, MODE, SLIPPING, STICK, TANGENTS
 from pincontact.state import read_discrete, write_discrete
 
 EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
@@ -206,6 +209,85 @@ def test_rates_along_runs(pattern, law):
         tolerance = (DIFFERENCES + 1e-12 / step) * (1.0 + np.abs(expected).max())
         assert np.abs(rate - expected).max() <= tolerance, (contact, rate, expected)
     assert finished >= 2
+
+
+# Lengths in m: what holds for sure on bodies of half a metre, and what turns all the same.
+HOLDING, TURNING = 20.0, 1e-3
+
+
+def relative_omega(contact: RandomContact, h: float) -> tuple[np.ndarray, Snapshot]:
+    """omega of the second contour's body against the first's, drives included, along the contact's motion."""
+    there, frames = contact.at(h), contact.system.frames
+    return frames[1, OMEGA] - frames[0, OMEGA], there
+
+
+def resisted(pattern: str, law: pc.NoSlip, rests: bool) -> list[tuple[RandomContact, Instant]]:
+    """Rolling contacts that resist turning; rests: what is resisted does not turn, and is held."""
+    found = []
+    for contact, _ in placed(pattern, "rolling"):
+        again = contact.with_friction(law)
+        if rests:
+            # resistance that holds nothing, to see what turns
+            weak = dataclasses.replace(law, **{name: TURNING for name in ("spinning", "rolling") if getattr(law, name)})
+            turning = contact.with_friction(weak)
+            instant = Instant(turning.scene, turning.state)
+            (item,) = instant.system.resisting()
+            components = [(0, 0), (0, 2)] if pattern in PLANAR else [(0, 0), (0, 1), (0, 2)]
+            components += [(item, row) for row in range(instant.system.contact_int[item, TANGENTS])]
+            rows, off = instant.rows(components), instant.velocities(components)
+            change = np.linalg.lstsq(rows, off, rcond=1e-9)[0]
+            if np.abs(rows @ change - off).max() > 1e-12 * (1.0 + np.abs(off).max()):
+                # a drive turns what no joint can follow
+                continue
+            again.state.v[:] -= change
+            again.begin()
+        found.append((again, Instant(again.scene, again.state)))
+    assert len(found) >= 2
+    return found
+
+
+@pytest.mark.parametrize("rests", ["spin", "roll"])
+@pytest.mark.parametrize("pattern", ["P-S", "3C-S", "S-S", "2C-2C"])
+def test_accelerations_keep_held_turning(pattern, rests):
+    """Where resistance holds, omega keeps without the normal part (spin) or the tangential one (roll), on bodies whose
+    normals turn as they go."""
+    if pattern == "2C-2C" and rests == "spin":
+        pytest.skip("nothing spins in a plane")
+    law = pc.NoSlip(spinning=HOLDING) if rests == "spin" else pc.NoSlip(rolling=HOLDING)
+    for contact, instant in resisted(pattern, law, True):
+        (item,) = instant.system.resisting()
+        assert instant.system.contact_int[item, MODE] == STICK
+        contact.acceleration = instant.evaluate()
+
+        def held(h, contact=contact):
+            omega, there = relative_omega(contact, h)
+            normal = there.basis[1 if pattern in PLANAR else 2]
+            if pattern in PLANAR:
+                return np.array([normal @ omega])
+            return np.array([normal @ omega]) if rests == "spin" else omega - (normal @ omega) * normal
+
+        scale = 1.0 + np.abs(contact.acceleration).max()
+        assert np.abs(held(0.0)).max() <= ROUNDING * scale
+        assert np.abs(contact.derivative(held)).max() <= 10.0 * DIFFERENCES * scale, contact
+
+
+@pytest.mark.parametrize("pattern", ["3C-S", "S-S"])
+def test_torques_resist_turning(pattern):
+    """Torques against both parts of omega, of a length times the normal force; with them Newton's law holds."""
+    for contact, instant in resisted(pattern, pc.NoSlip(spinning=TURNING, rolling=2.0 * TURNING), False):
+        acceleration = instant.evaluate()
+        omega, here = relative_omega(contact, 0.0)
+        normal = here.basis[2]
+        load, spin = abs(normal @ instant.forces()["c"]), normal @ omega
+        roll = omega - spin * normal
+        expected = -load * TURNING * (np.sign(spin) * normal + 2.0 * roll / np.linalg.norm(roll))
+        sign = -1.0 if contact.scene.contacts["c"].swapped else 1.0
+        np.testing.assert_allclose(instant.torques()["c"], sign * expected, rtol=0.0, atol=ROUNDING * (1.0 + load))
+        model, state = contact.scene.model, contact.state
+        forces = pc.external_forces(contact.scene, state)
+        found = pin.aba(model, model.createData(), state.q, state.v, np.zeros(model.nv), forces)
+        scale = 1.0 + np.abs(acceleration).max()
+        np.testing.assert_allclose(found, acceleration, rtol=0.0, atol=ROUNDING * scale)
 
 
 def rolling_over_poles(shape: pc.Contour, radius: float, omega: list[float]) -> tuple[pc.Scene, pc.State]:

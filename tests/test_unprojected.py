@@ -13,6 +13,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
+from calling import from_python
 from random_contacts import (
     EIGHTH_ORDER,
     PATTERNS,
@@ -29,11 +30,28 @@ from random_contacts import (
 
 import pincontact as pc
 from pincontact.analysis.instant import Instant
+from pincontact.dynamics.equations import slip_direction
 from pincontact.dynamics.system import System
 from pincontact.geometry.carriers import OMEGA
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.tableaux import tableau
-from pincontact.layout import EVENT, FRICTIONLESS, MODE, SLIPPING, STICK, TANGENTS
+from pincontact.layout import (
+    ACROSS_X,
+    CONTACT_INTS,
+    CONTACT_REALS,
+    DIRECTION_X,
+    EVENT,
+    FRICTIONLESS,
+    FROZEN,
+    MODE,
+    POLYNOMIAL,
+    POLYNOMIAL_SIZE,
+    SLIPPING,
+    SPAN,
+    STICK,
+    TANGENTS,
+)
+from pincontact.layout import START as START_TIME
 from pincontact.state import read_discrete, write_discrete
 
 EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
@@ -124,6 +142,80 @@ def test_forces_make_the_accelerations(pattern, law):
         else:
             continue
         np.testing.assert_allclose(force - normal, expected, rtol=0.0, atol=ROUNDING * (1.0 + np.linalg.norm(force)))
+
+
+def tangential(law: pc.FrictionLaw, load: float, slip: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """The friction on body 2 by the formulas of the laws' documentation, world axes."""
+    speed = np.linalg.norm(slip)
+    coefficients = np.full(2, law.mu) if np.isscalar(law.mu) else np.array(law.mu)
+    if isinstance(law, pc.Stribeck):
+        falling = np.exp(-((speed / law.speed) ** law.exponent))
+        coefficients = coefficients + (np.array(law.mu_static) - coefficients) * falling
+    # the point of the ellipse that takes most power; along the second body's first tangent the first one counts
+    along = basis[:2] @ slip
+    force = -load * coefficients**2 * along / np.linalg.norm(coefficients * along)
+    return force @ basis[:2] - law.viscous * slip
+
+
+SLIDING = {
+    "viscous": pc.Coulomb(0.1, viscous=0.7),
+    "only viscous": pc.Coulomb(0.0, viscous=0.7),
+    "Stribeck": pc.Stribeck(0.05, 0.15, 0.5, 1.5),
+    "two directions": pc.Coulomb((0.05, 0.15)),
+    "all of it": pc.Stribeck((0.04, 0.12), (0.06, 0.18), 0.5, viscous=0.3),
+}
+
+
+@pytest.mark.parametrize("name", SLIDING)
+@EACH_PATTERN
+def test_laws_of_sliding(pattern, name):
+    """Friction as documented, and the accelerations that go with it."""
+    law = SLIDING[name]
+    if law.aspect != 1.0 and pattern not in ("P-S", "3C-S", "S-S"):
+        pytest.skip("one tangent has one coefficient")
+    compared = 0
+    for contact, _ in placed(pattern, "slipping"):
+        try:
+            again = contact.with_friction(law)
+            instant = Instant(again.scene, again.state)
+        except (pc.SolverError, pc.ArgumentError):
+            # jammed, as bodies with long arms may be; or directions of a surface whose charts change
+            continue
+        acceleration, force, here = instant.evaluate(), instant.forces()["c"], again.at()
+        normals = here.basis[1:] if pattern == "P-3C" else here.basis[2:]
+        normal = normals.T @ (normals @ force)
+        slip = here.slip - normals.T @ (normals @ here.slip)
+        sign = -1.0 if again.scene.contacts["c"].swapped else 1.0
+        if law.mu == 0.0:
+            expected = -law.viscous * slip
+        else:
+            expected = tangential(law, float(np.linalg.norm(normal)), slip, here.basis)
+        scale = 1.0 + np.linalg.norm(force)
+        np.testing.assert_allclose(force - normal, sign * expected, rtol=0.0, atol=ROUNDING * scale)
+        model, state = again.scene.model, again.state
+        forces = pc.external_forces(again.scene, state)
+        found = pin.aba(model, model.createData(), state.q, state.v, np.zeros(model.nv), forces)
+        np.testing.assert_allclose(found, acceleration, rtol=0.0, atol=ROUNDING * (1.0 + np.abs(acceleration).max()))
+        compared += 1
+    assert compared >= 2
+
+
+def test_prescribed_directions_of_slip():
+    """A direction that is given is a polynomial of time, turned from one world vector towards another, in the tangent
+    plane; v_c has no say in it, but for its size."""
+    direction_of, rng = from_python(slip_direction), np.random.default_rng(4)
+    for _ in range(20):
+        integers, numbers = np.zeros(CONTACT_INTS, dtype=np.int64), rng.normal(size=CONTACT_REALS)
+        integers[[TANGENTS, FROZEN]] = 2, 1
+        basis, slip, found = pin.exp3(rng.normal(size=3)), rng.normal(size=3), np.zeros(2)
+        time, start, span = numbers[START_TIME] + 0.3, numbers[START_TIME], numbers[SPAN]
+        speed = direction_of(integers, numbers, slip, basis, time, found)
+        polynomial = np.polynomial.Polynomial(numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE])
+        world = numbers[DIRECTION_X : DIRECTION_X + 3]
+        world = world + polynomial((time - start) / span) * numbers[ACROSS_X : ACROSS_X + 3]
+        expected = basis[:2] @ world
+        np.testing.assert_allclose(found, expected / np.linalg.norm(expected), rtol=0.0, atol=1e-12)
+        assert speed == pytest.approx(np.linalg.norm(basis[:2] @ slip), rel=1e-14)
 
 
 class Steps:

@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -236,7 +237,9 @@ def _attach(error: BaseException, run: Trajectory) -> None:
         # around a __setattr__ of the class, as of a frozen dataclass
         BaseException.__setattr__(error, "run", run)
     elif sys.version_info >= (3, 11):
-        error.add_note(f"pincontact: the run up to there is not kept, {type(error).__name__}.run is something else")
+        # a class that cannot be written to takes no notes either
+        with suppress(Exception):
+            error.add_note(f"pincontact: the run up to there is not kept, {type(error).__name__}.run is something else")
 
 
 def _counts(system: System) -> dict[str, int]:

@@ -93,8 +93,8 @@ class Stepper:
         state at the end, made of views.
 
         Raises StateError for a tau of another shape or with entries that are not finite, ArgumentError for a count
-        below 1, SingularContactError where contacts degenerate, SolverError where no impulses were found; the stepper
-        is then where the last step that could be made has ended.
+        below 1, SingularContactError where contacts degenerate, SolverError where no impulses were found, and what a
+        callable motion raises, as it is; the stepper is then where the last step that could be made has ended.
         """
         tau = self._check_torque(tau)
         if type(count) is not int or count != 1:

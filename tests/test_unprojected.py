@@ -200,6 +200,47 @@ def test_laws_of_sliding(pattern, name):
     assert compared >= 2
 
 
+def test_several_slips_share_their_loads():
+    """A body on three feet, each with a law of its own, slides and turns on a plane: Newton's law with the reported
+    forces, friction of each by its own load, and no foot leaves the plane."""
+    rng = np.random.default_rng(11)
+    for _ in range(5):
+        feet = np.array([[0.4, 0.0, 0.0], [-0.2, 0.3, 0.0], [-0.1, -0.4, 0.0]]) + 0.1 * rng.normal(size=3)
+        feet[:, 2] = -0.3
+        laws = [pc.Coulomb(0.1), pc.Stribeck(0.05, 0.2, 0.4), None]
+        model = pin.Model()
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+        inertia = pin.Inertia(2.0, np.zeros(3), np.diag([0.3, 0.2, 0.4]))
+        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+        model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+        scene = pc.Scene(model)
+        floor = scene.add_contour("floor", pc.Plane())
+        for i, (foot, law) in enumerate(zip(feet, laws)):
+            scene.add_contour(f"foot {i}", pc.Point(), "body", pin.SE3(np.eye(3), foot))
+            scene.add_contact(f"c{i}", f"foot {i}", floor, friction=law)
+        turn = pin.Quaternion(pin.utils.rotate("z", rng.uniform(-3.0, 3.0))).coeffs()
+        state = scene.initial_state([0.1, 0.2, 0.3, *turn], [*rng.normal(size=2), 0.0, 0.0, 0.0, rng.normal()])
+        instant = Instant(scene, state)
+        acceleration, data = instant.evaluate(), model.createData()
+        found = pin.aba(model, data, state.q, state.v, np.zeros(6), pc.external_forces(scene, state))
+        np.testing.assert_allclose(found, acceleration, rtol=0.0, atol=1e-12)
+        pin.forwardKinematics(model, data, state.q, state.v, acceleration)
+        pose, motion, rate = data.oMi[joint], data.v[joint], data.a[joint]
+        for i, (foot, law) in enumerate(zip(feet, laws)):
+            # on body 1, the foot, which is named first: forces are those on the floor
+            force, velocity = (
+                -instant.forces()[f"c{i}"],
+                pose.rotation @ (motion.linear + np.cross(motion.angular, foot)),
+            )
+            speed = np.linalg.norm(velocity)
+            mu = 0.0 if law is None else law.coefficient([speed])[0]
+            assert force[2] > 0.5
+            np.testing.assert_allclose(force[:2], -mu * force[2] * velocity[:2] / speed, rtol=0.0, atol=1e-12)
+            point_rate = rate.linear + np.cross(rate.angular, foot) + np.cross(motion.angular, motion.linear)
+            point_rate = pose.rotation @ (point_rate + np.cross(motion.angular, np.cross(motion.angular, foot)))
+            assert abs(point_rate[2]) <= 1e-12
+
+
 def test_prescribed_directions_of_slip():
     """A direction that is given is a polynomial of time, turned from one world vector towards another, in the tangent
     plane; v_c has no say in it, but for its size."""

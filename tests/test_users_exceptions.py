@@ -193,11 +193,16 @@ def test_an_attribute_of_the_exceptions_own_is_kept():
             super().__init__(number)
             self.run = number
 
-    for error in (Numbered("seventh"), Given(7)):
+    @dataclasses.dataclass(frozen=True)
+    class FrozenAndNumbered(Exception):
+        run: int = 7
+
+    for error in (Numbered("seventh"), Given(7), FrozenAndNumbered()):
         with pytest.raises(type(error)) as caught:
             Case("control", error).run()
+        assert caught.value is error
         assert caught.value.run == 7
-        if sys.version_info >= (3, 11):
+        if sys.version_info >= (3, 11) and not isinstance(error, FrozenAndNumbered):
             assert "the run up to there is not kept" in error.__notes__[0]
 
 

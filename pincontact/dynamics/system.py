@@ -447,13 +447,13 @@ class System:
 
     def tell(self, error: BaseException) -> str:
         """What has ended a run, in words; for the user's exceptions with who raised them."""
+        if self.is_own(error):
+            return str(error)
         try:
-            text = f": {error}"
+            text = f": {error}" if str(error) else ""
         except Exception:
             # a user's own __str__ may fail, too
             text = ""
-        if self.is_own(error):
-            return str(error)
         if self._culprit and isinstance(error, Exception):
             return f"{self._culprit} raised {type(error).__name__}{text}"
         # an interrupt, say, wherever it came

@@ -401,6 +401,17 @@ def test_velocity_constraints_and_traces(stuck, states):
 # ------------------------------------------------------------------------------- Sec. 6.4: dynamics
 
 
+def test_angular_velocity(frictionless, states):
+    """Eq. 57 in the frame turned by q4 and q5 but not spinning, and by q6 in the disk's own."""
+    model = frictionless.scene.model
+    data = model.createData()
+    for q, v in states:
+        pin.forwardKinematics(model, data, q, v)
+        _, _, s5, c5 = sines(q)
+        printed = np.array([-v[3] * s5, v[4], v[3] * c5 + v[5]])
+        assert_equal(data.v[6].angular, pin.utils.rotate("z", q[5]).T @ printed)
+
+
 def mass_matrix(q):
     _, _, s5, c5 = sines(q)
     matrix = np.diag([MASS, MASS, MASS, J3 * c5**2 + J1 * s5**2, J1, J3])

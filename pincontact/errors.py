@@ -17,6 +17,11 @@ class ContourError(ContactError, ValueError):
     """A contour's shape, domain or placement is out of bounds."""
 
 
+class UnusableResult(ContourError):
+    """What a user's function returned is not what it was asked for: a run ends with that as its message. Where there is
+    no run, only the motions of contours are asked."""
+
+
 class PatternError(ContactError, ValueError):
     """Two contours do not form one of the seven contact patterns, or not the one asked for."""
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,21 +14,22 @@ import numpy as np
 from .arguments import NOT_REAL, is_count, is_number, real_array
 from .dynamics.joints import check_guards
 from .dynamics.spare import Spare, put_back, take_spare
-from .errors import ArgumentError, ContactError
+from .errors import ArgumentError, UnusableResult
 from .integration.driver import Driver, Options
 from .integration.events import UserEvent
-from .integration.results import CONTROL_FAILED, Stop
-from .integration.runge_kutta import RungeKutta
+from .integration.results import CONTROL_FAILED
+from .integration.runge_kutta import RungeKutta, Torque
 from .integration.tableaux import tableau
 from .integration.transitions import Transitions
 from .jit import compile_kernels
-from .layout import BAD_TIME, BAD_TORQUE, CLOSED_COUNT, DRIVES_EVALUATED, EVALUATION_COUNT, NEWTON_COUNT, ROWS_FORMED
+from .layout import CLOSED_COUNT, DRIVES_EVALUATED, EVALUATION_COUNT, NEWTON_COUNT, ROWS_FORMED
 from .scene import Scene
 from .state import State, check_state, write_discrete
 from .trajectory import Record, Trajectory
 
 if TYPE_CHECKING:
     from .dynamics.system import System
+    from .integration.moreau import MoreauDriver
 
 # So many numbers take less time as a list than as an array.
 _SHORT = 50
@@ -71,7 +74,9 @@ def simulate(
     Effort and velocity limits are not enforced: a control has to keep to them itself.
 
     Returns a Trajectory, also when the run could not go on: see its `status` and `message`.
-    Raises ArgumentError or StateError for bad arguments, before any work is done.
+    Raises ArgumentError or StateError for bad arguments, before any work is done; and whatever control, events and
+    callable motions raise, as it is. Everything up to there is then a Trajectory, too, of status -5: the attribute
+    `run` of the exception, also of a KeyboardInterrupt.
     """
     _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps, step)
     times = _output_times(t_eval, state.t, duration)
@@ -100,46 +105,37 @@ def simulate(
         # time stepping brings what is beyond its limits back
         check_guards(system.guards, state.q)
     write_discrete(system, state.discrete)
-    torque = _Torque(control, system) if control is not None else None
-
-    def failed_control(t: float) -> None:
-        if system.callback_error is not None:
-            raise system.callback_error
-        failure = system.drive_failure
-        if failure is None and torque is not None:
-            failure = torque.why_failed()
-        if failure is not None:
-            raise Stop(CONTROL_FAILED, failure)
-
+    torque = _torque(control, system) if control is not None else None
     if pair is None:
-        run = _simulate_moreau(
-            scene, state, duration, step, spare, users, times, max_steps, torque, failed_control, progress, began
-        )
+        run = _simulate_moreau(scene, state, duration, step, spare, users, times, max_steps, torque, progress, began)
         if run.success:
             put_back(scene, spare)
         return run
-    rk = RungeKutta(system, pair, rtol, atol, torque.ask if torque is not None else None)
+    rk = RungeKutta(system, pair, rtol, atol, torque)
     rk.begin_at(state.q, state.v, state.location)
     record = Record(system, with_torques=control is not None or system.ng + system.nr > 0)
-    transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration, failed_control)
+    transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration)
     options = Options(times, max_step, max_steps, fixed_step, first_step)
     with _Bar(progress, state.t, duration) as bar:
         driver = Driver(rk, transitions, users, record.add, record.flush, options, bar.update if progress else None)
-        code, message = driver.run(state.t, state.t + duration)
-    modes = transitions.modes
-    stats = {
-        "rhs": rk.evaluations,
-        "steps": driver.steps,
-        "rejected": driver.rejected,
-        "outputs": len(record),
-        **_counts(system),
-        "cone_problems": modes.cone_problems,
-        "qp": modes.solver.qp_count if modes.cone_problems else 0,
-        "cone_residual": modes.worst_residual,
-        "redistributions": modes.redistributions,
-        "wall_time": time.perf_counter() - began,
-    }
-    run = Trajectory.from_record(scene, record, transitions.events, code, message, stats)
+
+        def result(code: int, message: str) -> Trajectory:
+            modes = transitions.modes
+            stats = {
+                "rhs": rk.evaluations,
+                "steps": driver.steps,
+                "rejected": driver.rejected,
+                "outputs": len(record),
+                **_counts(system),
+                "cone_problems": modes.cone_problems,
+                "qp": modes.solver.qp_count if modes.cone_problems else 0,
+                "cone_residual": modes.worst_residual,
+                "redistributions": modes.redistributions,
+                "wall_time": time.perf_counter() - began,
+            }
+            return Trajectory.from_record(scene, record, transitions.events, code, message, stats)
+
+        run = _run(driver, state.t, duration, result)
     if run.success:
         put_back(scene, spare)
     return run
@@ -154,8 +150,7 @@ def _simulate_moreau(
     users: list[UserEvent],
     times: np.ndarray | None,
     max_steps: int,
-    torque: _Torque | None,
-    failed_control: Callable[[float], None],
+    torque: Torque | None,
     progress: bool,
     began: float,
 ) -> Trajectory:
@@ -193,29 +188,58 @@ def _simulate_moreau(
             size,
             times,
             max_steps,
-            torque.ask if torque is not None else None,
-            failed_control,
+            torque,
             bar.update if progress else None,
         )
-        code, message = driver.run(state.t, state.t + duration)
-    if times is None and not len(record):
-        # as in the other methods: a run that cannot begin has the state that it was to begin from
-        system.stage_state[:] = system.state
-        load_state(system.table)
-        add(state.t)
-    stats = {
-        "steps": driver.steps,
-        "outputs": len(record),
-        **_counts(system),
-        "cone_problems": stepper.cone_problems,
-        "rigid": stepper.rigid,
-        "softened": stepper.softened,
-        "decided": stepper.decided,
-        "qp": stepper.solver.qp_count,
-        "cone_residual": stepper.worst_residual,
-        "wall_time": time.perf_counter() - began,
-    }
-    return Trajectory.from_record(scene, record, driver.events, code, message, stats)
+
+        def result(code: int, message: str) -> Trajectory:
+            if times is None and not len(record):
+                # as in the other methods: a run that cannot begin has the state that it was to begin from
+                system.stage_state[:] = system.state
+                load_state(system.table)
+                add(state.t)
+            stats = {
+                "steps": driver.steps,
+                "outputs": len(record),
+                **_counts(system),
+                "cone_problems": stepper.cone_problems,
+                "rigid": stepper.rigid,
+                "softened": stepper.softened,
+                "decided": stepper.decided,
+                "qp": stepper.solver.qp_count,
+                "cone_residual": stepper.worst_residual,
+                "wall_time": time.perf_counter() - began,
+            }
+            return Trajectory.from_record(scene, record, driver.events, code, message, stats)
+
+        return _run(driver, state.t, duration, result)
+
+
+def _run(
+    driver: Driver | MoreauDriver, t: float, duration: float, result: Callable[[int, str], Trajectory]
+) -> Trajectory:
+    """Run a driver from t (s); result(code, message): the trajectory so far. What users' functions raise is passed on,
+    with that."""
+    try:
+        code, message = driver.run(t, t + duration)
+    except BaseException as error:
+        run = result(CONTROL_FAILED, driver.system.tell(error))
+        if driver.system.is_own(error):
+            return run
+        _attach(error, run)
+        raise
+    return result(code, message)
+
+
+def _attach(error: BaseException, run: Trajectory) -> None:
+    """Make a run an exception's attribute `run`; a note says so where its class has something else of that name."""
+    if not hasattr(type(error), "run") and isinstance(vars(error).get("run", run), Trajectory):
+        # around a __setattr__ of the class, as of a frozen dataclass
+        BaseException.__setattr__(error, "run", run)
+    elif sys.version_info >= (3, 11):
+        # a class that cannot be written to takes no notes either
+        with suppress(Exception):
+            error.add_note(f"pincontact: the run up to there is not kept, {type(error).__name__}.run is something else")
 
 
 def _counts(system: System) -> dict[str, int]:
@@ -287,60 +311,40 @@ def _is_ordered(times: list[float]) -> bool:
     return sorted(times) == times and not math.isnan(sum(times))
 
 
-class _Torque:
-    """Asks the user's control and checks what it returns; a mistake ends the run, with its text.
+def _torque(control: Control, system: System) -> Torque:
+    """What asks the user's control at t: torques for the system's (q, v) into its `tau`.
 
-    ask(t): torques for (t, q, v) of the system into its `tau`; False where there are none. Whether they are finite is
-    left to the kernels, which note it. A call does the same and looks at that, too.
+    Raises what the control raises, UnusableResult for what are no torques; whether they are finite is left to the
+    kernels, which note it.
     """
+    # made once, and local to the function: a call costs what the control costs
+    q, v, tau, shape = system.q.view(), system.v.view(), system.tau, (system.nv,)
+    q.flags.writeable = v.flags.writeable = False
+    real, asarray = np.dtype(float), np.asarray
 
-    def __init__(self, control: Control, system: System) -> None:
-        self._system = system
-        self._failure: str | None = None
-        # made once, and local to the function: a call costs what the control costs
-        q, v, tau, shape = system.q.view(), system.v.view(), system.tau, (system.nv,)
-        q.flags.writeable = v.flags.writeable = False
-        real, asarray = np.dtype(float), np.asarray
+    def numbers(t: float, found: Any) -> np.ndarray:
+        try:
+            array = asarray(found)
+            if array.dtype.kind != "c":
+                return asarray(array, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise UnusableResult(f"t = {t:.9g} s: control returned {found!r}: {error}") from None
+        # the conversion would drop imaginary parts
+        raise UnusableResult(f"t = {t:.9g} s: control returned complex numbers: {array.tolist()}")
 
-        def ask(t: float) -> bool:
-            try:
-                found = control(t, q, v)
-                if type(found) is not np.ndarray or found.dtype is not real:
-                    found = asarray(found)
-                    if found.dtype.kind == "c":
-                        # the conversion would drop imaginary parts
-                        self._failure = f"t = {t:.9g} s: control returned complex numbers: {found.tolist()}"
-                        return False
-                    found = asarray(found, dtype=float)
-            except ContactError:
-                raise
-            except Exception as error:
-                self._failure = f"t = {t:.9g} s: control raised {type(error).__name__}: {error}"
-                return False
-            if found.shape != shape:
-                self._failure = f"t = {t:.9g} s: control returned an array of shape {found.shape}, not {shape}"
-                return False
-            tau[:] = found
-            return True
+    def ask(t: float) -> None:
+        try:
+            found = control(t, q, v)
+        except BaseException:
+            system.blame(f"t = {t:.9g} s: control")
+            raise
+        if type(found) is not np.ndarray or found.dtype is not real:
+            found = numbers(t, found)
+        if found.shape != shape:
+            raise UnusableResult(f"t = {t:.9g} s: control returned an array of shape {found.shape}, not {shape}")
+        tau[:] = found
 
-        self.ask = ask
-
-    def __call__(self, t: float) -> bool:
-        if not self.ask(t):
-            return False
-        tau = self._system.tau
-        finite = np.isfinite(tau)
-        if not finite.all():
-            self._system.scalars[[BAD_TORQUE, BAD_TIME]] = tau[int(np.argmin(finite))], t
-            return False
-        return True
-
-    def why_failed(self) -> str | None:
-        """What was wrong with the control, None if nothing was."""
-        value, t = self._system.scalars[[BAD_TORQUE, BAD_TIME]]
-        if self._failure is None and value != 0.0:
-            self._failure = f"t = {t:.9g} s: control returned {value}"
-        return self._failure
+    return ask
 
 
 class _Bar:

@@ -10,7 +10,7 @@ import numpy as np
 from .arguments import NOT_REAL, is_count, is_number, real_array
 from .dynamics.joints import joint_guards
 from .dynamics.system import System
-from .errors import ArgumentError, ContourError, SingularContactError, SolverError, StateError
+from .errors import ArgumentError, SingularContactError, SolverError, StateError
 from .integration.moreau import DEFAULT_STEP, MoreauStep
 from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
@@ -93,8 +93,8 @@ class Stepper:
         state at the end, made of views.
 
         Raises StateError for a tau of another shape or with entries that are not finite, ArgumentError for a count
-        below 1, SingularContactError where contacts degenerate, SolverError where no impulses were found; the stepper
-        is then where the last step that could be made has ended.
+        below 1, SingularContactError where contacts degenerate, SolverError where no impulses were found, and what a
+        callable motion raises, as it is; the stepper is then where the last step that could be made has ended.
         """
         tau = self._check_torque(tau)
         if type(count) is not int or count != 1:
@@ -104,7 +104,7 @@ class Stepper:
         try:
             status = step.advance(count)
         except BaseException:
-            # an interrupt between steps
+            # an interrupt, say, or what a motion raised
             self._show_modes()
             raise
         if status != OK:
@@ -167,13 +167,6 @@ class Stepper:
     def _raise_for(self, status: int) -> None:
         if status == OK:
             return
-        if self._system.callback_error is not None:
-            # an interrupt, say
-            error, self._system.callback_error = self._system.callback_error, None
-            raise error
-        if self._system.drive_failure is not None:
-            failure, self._system.drive_failure = self._system.drive_failure, None
-            raise ContourError(failure)
         message = self._step.describe(status, self.t).message
         if status in (SINGULAR, LOCATION_FAILED):
             raise SingularContactError(message)

@@ -24,7 +24,7 @@ from .integration.recording import BLOCK, INTEGERS_PER_CONTACT
 from .integration.results import Event
 from .integration.slow_slip import frozen_directions, present_directions, set_frozen_directions
 from .integration.stages import NUMBER_OF_WORKS
-from .integration.steps import RECORD, run_task
+from .integration.steps import RECORD
 from .layout import (
     CHART,
     CONDITION,
@@ -83,7 +83,7 @@ class Record:
         if resistances is not None:
             self._resistances.append(resistances.copy())
         self.flush()
-        run_task(self.system.table, RECORD, t, 0.0)
+        self.system.run(RECORD, t)
 
     def flush(self, always: bool = False) -> None:
         """Put a full block of rows aside; always: also one that is not full."""

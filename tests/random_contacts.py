@@ -11,6 +11,9 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from hypothesis import assume, reject
+from hypothesis import strategies as st
+from numba.core.config import DISABLE_JIT
 
 import pincontact as pc
 from pincontact.dynamics.system import System
@@ -29,7 +32,7 @@ PATTERNS = {
     "S-S": (2, 2),
 }
 PLANAR = ("P-2C", "2C-2C")
-_EIGHTH_ORDER = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0.0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
+EIGHTH_ORDER = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0.0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
 START = 0.37  # s, so that driven contours are somewhere in the middle of their motion
 
 
@@ -191,6 +194,10 @@ def motion(name: str) -> pc.Motion | None:
     return (_MOTIONS | _PLANAR_MOTIONS)[name]()
 
 
+# Contacts this close to a line contact have rates that grow without bound, and differences with them.
+WELL_PLACED = 0.05
+
+
 # ---------------------------------------------------------------------------------------------------- scenes
 
 
@@ -275,6 +282,12 @@ class Snapshot:
     condition: float
 
 
+def carried(here: Snapshot, there: Snapshot) -> np.ndarray:
+    """Two normals of a curve: which are taken is a choice, so those of `here`, at right angles to the tangent there."""
+    e1 = there.basis[0]
+    return here.basis[1:] - np.outer(here.basis[1:] @ e1, e1)
+
+
 class RandomContact:
     """A scene with one contact, its state, and evaluations nearby."""
 
@@ -328,16 +341,24 @@ class RandomContact:
         self.k = PATTERNS[pattern]
         self.state = scene.initial_state(q, 0.3 * rng.normal(size=model.nv), START)
         self.acceleration = rng.normal(size=model.nv)
-        self._system = System(model, list(scene.contacts.values()))
-        write_discrete(self._system, self.state.discrete)
+        self.system = System(model, list(scene.contacts.values()))
+        write_discrete(self.system, self.state.discrete)
+        self.begin()
+
+    def begin(self) -> None:
+        """What differences from the state need."""
         self.rates = np.zeros_like(self.state.location)
         condition = self.at().condition
-        self.rates = self._system.rates.copy()
+        self.rates = self.system.rates.copy()
         # differences of eighth order, where the location's derivatives grow by rates / condition: rounding 1e-15 / step
         self.step = 1e-3 * min(1.0, condition) / (1.0 + float(np.abs(self.rates).max()))
 
     def __repr__(self) -> str:
         return f"RandomContact{self._arguments}"
+
+    def with_friction(self, friction: pc.FrictionLaw) -> RandomContact:
+        """The same contact with another law."""
+        return RandomContact(*self._arguments, friction=friction)
 
     @staticmethod
     def _inertia(rng: np.random.Generator) -> pin.Inertia:
@@ -359,6 +380,23 @@ class RandomContact:
             return np.array([*pose.translation[:2], pose.rotation[0, 0], pose.rotation[1, 0]])
         return pin.SE3ToXYZQUAT(pose)
 
+    def move_off(self, seed: int) -> bool:
+        """Leave the constraints: the bodies part or overlap by centimetres, and their speeds are any.
+
+        False where the contact point is lost on the way, or is no longer well placed.
+        """
+        rng, state, system = np.random.default_rng(seed), self.state, self.system
+        size = 3 if self.pattern in PLANAR else 6
+        for part in state.q.reshape(state.v.size // size, -1):
+            part[:] = _moved(part, 0.02 * rng.normal(size=size))
+        state.v[:] += 0.3 * rng.normal(size=state.v.size)
+        system.q[:], system.v[:], system.location[:] = state.q, state.v, state.location
+        if system.evaluate_kinematics(START) != OK:
+            return False
+        state.location[:] = system.location
+        self.begin()
+        return self.at().condition > WELL_PLACED
+
     def along(self, h: float) -> tuple[np.ndarray, np.ndarray]:
         """(q, v) after h s along a curve on which q' = v and v' = `acceleration` at h = 0, where they are compared."""
         q, v, a = self.state.q, self.state.v, self.acceleration
@@ -369,7 +407,7 @@ class RandomContact:
 
     def evaluate(self, q: np.ndarray, v: np.ndarray, t: float) -> Snapshot:
         """The contact's kinematics at (q, v, t), near the state; the gap need not be closed."""
-        system = self._system
+        system = self.system
         system.q[:], system.v[:] = q, v
         system.location[:] = self.state.location + (t - START) * self.rates
         assert system.evaluate_kinematics(t) == OK
@@ -401,7 +439,7 @@ class RandomContact:
     def derivative(self, function: Callable[[float], Any]) -> np.ndarray:
         """d/dh of function(h) at h = 0, by differences of eighth order."""
         values = np.array([function(h) for h in self.step * np.arange(-4, 5)])
-        return np.tensordot(_EIGHTH_ORDER / self.step, values, axes=1)
+        return np.tensordot(EIGHTH_ORDER / self.step, values, axes=1)
 
     def material_points(self, h: float) -> np.ndarray:
         """(2, 3) world points of both contours at the parameters of h = 0, from Pinocchio's placements alone."""
@@ -413,3 +451,23 @@ class RandomContact:
             pose = data.oMi[attached.joint] * attached.placement_in_joint * self._driven(attached.motion, START + h)
             points.append(pose.act(attached.contour.point(u, START + h)))
         return np.array(points)
+
+
+@st.composite
+def contacts(draw, pattern, friction=None, oblique=False):
+    """A random contact of a pattern: contours, motions and placements; half of them with the second on the world."""
+    names = [draw(st.sampled_from(names_of(pattern, body))) for body in (1, 2)]
+    if oblique and PATTERNS[pattern][1] == 2:
+        names[1] = draw(st.sampled_from(["oblique ParametricSurface", "SplineSurface", "surface in time"]))
+    motions = tuple(draw(st.sampled_from(motions_of(pattern))) for _ in range(2))
+    assume(not is_line_contact(pattern, tuple(names)))
+    try:
+        contact = RandomContact(
+            pattern, tuple(names), motions, draw(st.booleans()), draw(st.integers(0, 10**6)), friction=friction
+        )
+    except ZeroDivisionError:
+        # kernels that are not compiled raise where compiled ones have an infinite number, at a degenerate candidate
+        assert DISABLE_JIT
+        reject()
+    assume(contact.at().condition > WELL_PLACED)
+    return contact

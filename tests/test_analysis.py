@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from random_contacts import PATTERNS, PLANAR, START, RandomContact, is_line_contact, motions_of, names_of
+from random_contacts import PATTERNS, PLANAR, START, RandomContact, contacts
 
 import pincontact as pc
 
@@ -17,16 +17,6 @@ import pincontact as pc
 DIFFERENCES = 1e-8
 EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
 CHECKED = settings(max_examples=12, deadline=None, derandomize=True, database=None)
-
-
-@st.composite
-def contacts(draw, pattern):
-    names = tuple(draw(st.sampled_from(names_of(pattern, body))) for body in (1, 2))
-    motions = tuple(draw(st.sampled_from(motions_of(pattern))) for _ in range(2))
-    assume(not is_line_contact(pattern, names))
-    contact = RandomContact(pattern, names, motions, draw(st.booleans()), draw(st.integers(0, 10**6)))
-    assume(contact.at().condition > 0.05)
-    return contact
 
 
 def analyzed(contact, h=0.0):

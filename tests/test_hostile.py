@@ -219,20 +219,20 @@ def test_attributes_of_events(scene, state, name, value):
         pc.simulate(scene, state, 0.1, events=event)
 
 
-FAILING_EVENTS = [
-    (lambda t, q, v: 1.0 / 0.0, "ZeroDivisionError"),
-    (lambda t, q, v: None, "TypeError"),
-    (lambda t, q, v: q, "TypeError"),
-    (lambda t: 1.0, "positional"),
+UNUSABLE_EVENTS = [
+    (lambda t, q, v: None, "failed with TypeError"),
+    (lambda t, q, v: q, "failed with TypeError"),
+    (lambda t, q, v: "left", "failed with ValueError"),
+    (lambda t, q, v: 10**400, "failed with OverflowError"),
     (lambda t, q, v: math.nan if t > 0.05 else 1.0, "returned nan"),
 ]
 
 
 @pytest.mark.parametrize("method", ["DOP853", "Moreau"])
-@pytest.mark.parametrize(("event", "text"), FAILING_EVENTS)
-def test_events_that_fail_end_the_run(scene, state, method, event, text):
+@pytest.mark.parametrize(("event", "text"), UNUSABLE_EVENTS)
+def test_events_that_are_no_numbers_end_the_run(scene, state, method, event, text):
     run = pc.simulate(scene, state, 0.1, events=[lambda t, q, v: 1.0, event], method=method)
-    assert run.status < 0 and "events[1]" in run.message and text in run.message
+    assert run.status == -5 and f"events[1] {text}" in run.message
     assert np.isfinite(run.q).all() and run.t[-1] < 0.1
 
 
@@ -414,43 +414,3 @@ def test_problems_of_any_size():
 def test_contours_say_what_they_were_given(make, text):
     with pytest.raises(pc.ContourError, match=text):
         make()
-
-
-def failing_drive():
-    """A plate whose motion cannot be had from 0.05 s on, and a ball on it."""
-
-    def move(t):
-        if 0.05 < t < 0.13:
-            raise ValueError("no plan")
-        return pin.SE3.Identity(), np.zeros(6), np.zeros(6)
-
-    scene = pc.Scene(ball_model())
-    ball = scene.add_contour("ball", pc.Sphere(0.1), "ball")
-    plate = scene.add_contour("plate", pc.Plane(), motion=pc.CallableMotion(move))
-    scene.add_contact("c", ball, plate, friction=pc.Coulomb(0.3))
-    return scene, scene.initial_state(REST, SLIDING)
-
-
-@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
-def test_a_motion_that_fails_ends_the_run_and_keeps_it(method):
-    scene, state = failing_drive()
-    options = {"step": 1e-2} if method == "Moreau" else {"max_step": 1e-2}
-    run = pc.simulate(scene, state, 0.2, method=method, **options)
-    assert run.status == -5
-    assert "the motion of contour 'plate' raised ValueError: no plan" in run.message
-    assert run.t.size >= 3 and run.t[-1] <= 0.05
-    # the scene is as good as before
-    assert pc.simulate(scene, state, 0.03, method=method).status == 0
-
-
-def test_a_motion_that_fails_stops_a_stepper_where_it_is():
-    scene, state = failing_drive()
-    stepper = pc.Stepper(scene, state, 1e-2)
-    with pytest.raises(pc.ContourError, match="the motion of contour 'plate' raised ValueError: no plan"):
-        for _ in range(10):
-            stepper.step(np.zeros(6))
-    assert 0.03 <= stepper.t <= 0.05 + 1e-12
-    reached = stepper.q.copy()
-    with pytest.raises(pc.ContourError, match="no plan"):
-        stepper.step(np.zeros(6))
-    assert np.array_equal(stepper.q, reached)

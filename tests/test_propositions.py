@@ -15,7 +15,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from random_contacts import PATTERNS, PLANAR, START, RandomContact, _moved, is_line_contact, motions_of, names_of
+from random_contacts import PATTERNS, PLANAR, START, RandomContact, _moved, contacts
 from scipy.special import ellipeinc
 
 import pincontact as pc
@@ -26,8 +26,6 @@ from pincontact.geometry.patterns import PATTERNS as TABLE
 DIFFERENCES = 1e-8
 # Products of some ten numbers of order one, divided by at most the conditioning.
 ROUNDING = 1e-11
-# Contacts this close to a line contact have rates that grow without bound, and differences with them.
-WELL_PLACED = 0.05
 EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
 CHECKED = settings(max_examples=12, deadline=None, derandomize=True, database=None)
 # Table 1: equations m, location parameters k; constraints nu = m - k.
@@ -43,21 +41,6 @@ TABLE_1 = {
 C1_IMPLIES_C2 = ("P-2C", "P-3C", "P-S", "3C-3C")
 # Both bodies keep their contact points, or the one coordinate of rolling is an arc length.
 HOLONOMIC = ("P-2C", "P-3C", "P-S", "2C-2C", "3C-3C")
-
-
-@st.composite
-def contacts(draw, pattern, friction=None, oblique=False):
-    """A random contact of a pattern: contours, motions and placements; half of them with the second on the world."""
-    names = [draw(st.sampled_from(names_of(pattern, body))) for body in (1, 2)]
-    if oblique and PATTERNS[pattern][1] == 2:
-        names[1] = draw(st.sampled_from(["oblique ParametricSurface", "SplineSurface", "surface in time"]))
-    motions = tuple(draw(st.sampled_from(motions_of(pattern))) for _ in range(2))
-    assume(not is_line_contact(pattern, tuple(names)))
-    contact = RandomContact(
-        pattern, tuple(names), motions, draw(st.booleans()), draw(st.integers(0, 10**6)), friction=friction
-    )
-    assume(contact.at().condition > WELL_PLACED)
-    return contact
 
 
 def assert_close(found, expected, tolerance):

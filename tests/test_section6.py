@@ -1,9 +1,11 @@
 """The paper's worked example (Sec. 6): a thin disk on a rough plane, every printed equation against the package.
 
 Joints along and about the axes of Eq. 36 make Pinocchio's coordinates the paper's q1..q6. Misprints of the paper are
-corrected where a comment says so. Angles keep s_q5 > 0, so that cos(beta*) = 1 is the rim's lowest point; 1000 random
-states (fewer where one takes milliseconds), compared to 1e-10: rounding of products of a few numbers of order 10 is far
-below.
+corrected where a comment says so. Angles keep s_q5 > 0, so that cos(beta*) = 1 is the rim's lowest point, and -1 its
+highest, which touches the plane from below: the paper's other solution. The contact has sin(beta*) = 0; what is printed
+with sin(beta*) is held against differentiation at any beta*, and against what of the package goes to other points of
+the rim. 1000 random states (fewer where one takes milliseconds), compared to 1e-10: rounding of products of a few
+numbers of order 10 is far below.
 """
 
 import dataclasses
@@ -12,9 +14,12 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from calling import from_python
 
 import pincontact as pc
 from pincontact.dynamics.system import System
+from pincontact.geometry import location
+from pincontact.geometry.patterns import PATTERNS as TABLE
 from pincontact.layout import OK
 from pincontact.state import write_discrete
 
@@ -24,7 +29,7 @@ STATES = 1000
 TOLERANCE = 1e-10
 
 
-def disk_scene(friction):
+def disk_scene(friction, location=None):
     model = pin.Model()
     joint = 0
     for i, part in enumerate(
@@ -42,26 +47,28 @@ def disk_scene(friction):
     model.addBodyFrame("disk", joint, pin.SE3.Identity(), 0)
     scene = pc.Scene(model)
     rim, floor = scene.add_contour("rim", pc.Circle(RADIUS), "disk"), scene.add_contour("floor", pc.Plane())
-    scene.add_contact("rim/floor", rim, floor, friction=friction, bilateral=True)
+    scene.add_contact("rim/floor", rim, floor, friction=friction, bilateral=True, location=location)
     return scene
 
 
-def random_state(rng):
-    """(q, q') with the geometric constraint and its rate satisfied (Eqs. 51, 61), slipping."""
+def random_state(rng, beta=0.0):
+    """(q, q') with the rim at beta on the plane for now and the next instant (Eqs. 51, 61 for beta = 0), slipping."""
     q, v = rng.uniform(-2.0, 2.0, 6), rng.uniform(-3.0, 3.0, 6)
     q[3], q[5] = rng.uniform(-math.pi, math.pi, 2)
     q[4] = rng.uniform(0.1, math.pi - 0.1)
-    q[2] = RADIUS * math.sin(q[4])
-    v[2] = RADIUS * math.cos(q[4]) * v[4]
+    _, _, s5, c5 = sines(q)
+    sb, cb = math.sin(beta), math.cos(beta)
+    q[2] = RADIUS * s5 * cb
+    v[2] = RADIUS * (c5 * cb * v[4] - s5 * sb * v[5])
     return q, v
 
 
-def rolling(q, v):
-    """The same with the velocity constraints (62) satisfied."""
+def rolling(q, v, cb):
+    """The same with the velocity constraints (62) satisfied, where sin(beta*) = 0."""
     s4, c4, s5, c5 = sines(q)
     v = v.copy()
-    v[0] = RADIUS * (s4 * c5 * v[3] + c4 * s5 * v[4] + s4 * v[5])
-    v[1] = -RADIUS * (c4 * c5 * v[3] - s4 * s5 * v[4] + c4 * v[5])
+    v[0] = RADIUS * cb * (s4 * c5 * v[3] + c4 * s5 * v[4] + s4 * v[5])
+    v[1] = -RADIUS * cb * (c4 * c5 * v[3] - s4 * s5 * v[4] + c4 * v[5])
     return v
 
 
@@ -73,12 +80,17 @@ def sines(q):
 class Evaluation:
     """The package's numbers at any (q, q') of the scene."""
 
-    def __init__(self, friction):
-        self.scene = disk_scene(friction)
-        q, v = random_state(np.random.default_rng(0))
-        state = self.scene.initial_state(q, v)
+    def __init__(self, friction, cb):
+        self.cb, beta = cb, math.acos(cb)
+        q, v = random_state(np.random.default_rng(0), beta)
+        self.scene = disk_scene(friction, ([beta - q[5]], None))
+        self.start = self.scene.initial_state(q, v)
         self.system = System(self.scene.model, list(self.scene.contacts.values()))
-        write_discrete(self.system, state.discrete)
+        write_discrete(self.system, self.start.discrete)
+
+    def state(self, q, v):
+        """(q, q') as a state on the same branch."""
+        return dataclasses.replace(self.start, q=q, v=v)
 
     def __call__(self, q, v):
         self.system.q[:], self.system.v[:] = q, v
@@ -106,20 +118,38 @@ class Evaluation:
         return self.system.basis[0].T @ self.system.force[0]
 
 
-@pytest.fixture(scope="module")
-def frictionless():
-    return Evaluation(None)
+@pytest.fixture(scope="module", params=[1.0, -1.0], ids=["lowest", "highest"])
+def cb(request):
+    """cos(beta*) at the contact."""
+    return request.param
 
 
 @pytest.fixture(scope="module")
-def stuck():
-    return Evaluation(pc.NoSlip())
+def frictionless(cb):
+    return Evaluation(None, cb)
 
 
 @pytest.fixture(scope="module")
-def states():
+def stuck(cb):
+    return Evaluation(pc.NoSlip(), cb)
+
+
+@pytest.fixture(scope="module")
+def sliding(cb):
+    return Evaluation(pc.Coulomb(MU), cb)
+
+
+@pytest.fixture(scope="module")
+def states(cb):
     rng = np.random.default_rng(6)
-    return [random_state(rng) for _ in range(STATES)]
+    return [random_state(rng, math.acos(cb)) for _ in range(STATES)]
+
+
+def random_betas(count=100):
+    """(q, q', beta) with a point at beta, anywhere on the rim, on the plane."""
+    rng = np.random.default_rng(7)
+    for beta in rng.uniform(-math.pi, math.pi, count):
+        yield *random_state(rng, beta), beta
 
 
 def assert_equal(found, expected):
@@ -130,8 +160,37 @@ def assert_equal(found, expected):
 # ------------------------------------------------------------------------------- Sec. 6.1: the disk and its rim
 
 
+def printed_rim(q, beta):
+    """Eqs. 38 and 39: a point of the rim and its unit tangent (whose last component is + s5 s_beta, and whose
+    denominator is a norm)."""
+    s4, c4, s5, c5 = sines(q)
+    sb, cb = math.sin(beta), math.cos(beta)
+    point = q[:3] + RADIUS * np.array([c4 * c5 * cb - s4 * sb, s4 * c5 * cb + c4 * sb, -s5 * cb])
+    return point, np.array([-(c4 * c5 * sb + s4 * cb), -s4 * c5 * sb + c4 * cb, s5 * sb])
+
+
+def rim_point(q, xi):
+    """A point of the rim by the three rotations in Eq. 36; takes complex numbers."""
+
+    def turn(about, angle):
+        c, s = np.cos(angle), np.sin(angle)
+        return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]] if about == "z" else [[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+    rotation = turn("z", q[3]) @ turn("y", q[4]) @ turn("z", q[5])
+    return q[:3] + rotation @ (RADIUS * np.array([np.cos(xi), np.sin(xi), 0.0]))
+
+
+def derivative(function, x, direction):
+    """Directional derivative by a complex step: exact to rounding."""
+    return np.imag(function(np.asarray(x) + 1e-100j * np.asarray(direction))) / 1e-100
+
+
+def jacobian_of(function, x):
+    return np.array([derivative(function, x, unit) for unit in np.eye(len(x))]).T
+
+
 def test_rotation_and_rim(frictionless, states):
-    """Eqs. 36, 38 and 39 (the last z-component is + s5 s_beta, and the denominator is a norm)."""
+    """Eqs. 36, 38 and 39."""
     model, rng = frictionless.scene.model, np.random.default_rng(1)
     data = model.createData()
     rim = pc.Circle(RADIUS)
@@ -147,33 +206,49 @@ def test_rotation_and_rim(frictionless, states):
         ]
         assert_equal(pose.rotation, printed)
         xi = rng.uniform(-math.pi, math.pi)
-        sb, cb = math.sin(q[5] + xi), math.cos(q[5] + xi)
+        position, tangent = printed_rim(q, q[5] + xi)
         derivatives = rim.evaluate(xi)
-        position = q[:3] + RADIUS * np.array([c4 * c5 * cb - s4 * sb, s4 * c5 * cb + c4 * sb, -s5 * cb])
         assert_equal(pose.act(derivatives[0]), position)
-        tangent = np.array([-(c4 * c5 * sb + s4 * cb), -s4 * c5 * sb + c4 * cb, s5 * sb])
         assert_equal(pose.rotation @ derivatives[1] / np.linalg.norm(derivatives[1]), tangent)
+
+
+def test_rim_at_any_beta():
+    """Eqs. 38 and 39 against rotations and differentiation."""
+    for q, _, beta in random_betas():
+        xi = beta - q[5]
+        position, tangent = printed_rim(q, beta)
+        assert_equal(rim_point(q, xi), position)
+        assert_equal(derivative(lambda x, q=q: rim_point(q, x), xi, 1.0) / RADIUS, tangent)
 
 
 # ------------------------------------------------------------------------------- Sec. 6.2: conditions and location
 
 
+def conditions(q, p, simplified):
+    """f_1 .. f_4 of Eq. 44, or of 42 and 43; take complex numbers."""
+    s4, c4, s5, c5 = np.sin(q[3]), np.cos(q[3]), np.sin(q[4]), np.cos(q[4])
+    sb, cb = np.sin(q[5] + p[0]), np.cos(q[5] + p[0])
+    turned = 0.0 if simplified else RADIUS * sb
+    return np.array(
+        [
+            q[0] + RADIUS * c4 * c5 * cb - s4 * turned - p[1],
+            q[1] + RADIUS * s4 * c5 * cb + c4 * turned - p[2],
+            q[2] - RADIUS * s5 * cb,
+            sb if simplified else s5 * sb,
+        ]
+    )
+
+
 def test_contact_conditions(frictionless, states):
-    """Eqs. 44, 50 and 51: the location found satisfies all four conditions, on the branch cos(beta*) = 1."""
+    """Eqs. 44, 50 and 51: the location found satisfies all four conditions, on the branch that was begun on."""
     for q, v in states:
         frictionless(q, v)
         xi, eta1, eta2 = frictionless.location
-        s4, c4, s5, c5 = sines(q)
-        sb, cb = math.sin(q[5] + xi), math.cos(q[5] + xi)
-        conditions = [
-            q[0] + RADIUS * c4 * c5 * cb - eta1,
-            q[1] + RADIUS * s4 * c5 * cb - eta2,
-            q[2] - RADIUS * s5 * cb,
-            sb,
-        ]
-        assert_equal(conditions, np.zeros(4))
-        assert cb > 0.0
-        assert_equal([eta1, eta2], [q[0] + RADIUS * c4 * c5, q[1] + RADIUS * s4 * c5])
+        s4, c4, _, c5 = sines(q)
+        cb = frictionless.cb
+        assert_equal(conditions(q, frictionless.location, True), np.zeros(4))
+        assert_equal(math.cos(q[5] + xi), cb)
+        assert_equal([eta1, eta2], [q[0] + RADIUS * cb * c4 * c5, q[1] + RADIUS * cb * s4 * c5])
         assert_equal(frictionless.system.gaps[0, 0], 0.0)
 
 
@@ -192,15 +267,52 @@ def printed_jacobians(q, beta):
     return jacobian, by_q
 
 
+def test_conditions_and_jacobians_at_any_beta():
+    """Eqs. 42 and 43 are r_1 - r_2 and the tangent's height; 45 to 47 are the derivatives of 44."""
+    rng = np.random.default_rng(8)
+    for q, _, beta in random_betas():
+        p = np.array([beta - q[5], *rng.uniform(-2.0, 2.0, 2)])
+        point, tangent = rim_point(q, p[0]), derivative(lambda x, q=q: rim_point(q, x), p[0], 1.0) / RADIUS
+        assert_equal(conditions(q, p, False), [*(point - [p[1], p[2], 0.0]), tangent[2]])
+        jacobian, by_q = printed_jacobians(q, beta)
+        assert_equal(jacobian_of(lambda x, q=q: conditions(q, x, True)[[0, 1, 3]], p), jacobian)
+        assert_equal(jacobian_of(lambda x, p=p: conditions(x, p, True)[[0, 1, 3]], q), by_q)
+        assert_equal(np.linalg.det(jacobian), math.cos(beta))
+
+
+def test_newtons_step_at_any_beta():
+    """What the package solves for the location (C1 along both tangents of the plane, C2) is f_1, f_2 and f_4 of Eqs.
+    42 and 43, wherever the rim and the plane's point are."""
+    jacobian, residual = from_python(location.location_jacobian), from_python(location.location_residual)
+    solve, rng, rim = from_python(location.solve_location), np.random.default_rng(9), pc.Circle(RADIUS)
+    normal, k_axis = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    for q, _, beta in random_betas():
+        q[2] += rng.uniform(-1.0, 1.0)
+        p = np.array([beta - q[5], *rng.uniform(-2.0, 2.0, 2)])
+        rotation = np.array([rim_point(np.r_[0, 0, 0, q[3:]], xi) / RADIUS for xi in (0.0, 0.5 * math.pi)]).T
+        rotation = np.column_stack([rotation, np.cross(*rotation.T)])
+        first, second = rim.evaluate(p[0]) @ rotation.T, np.zeros((10, 3))
+        second[:3] = [[p[1], p[2], 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+        difference, system, scratch = second[0] - first[0] - q[:3], np.zeros((4, 8)), np.zeros((2, 3))
+        code = TABLE["3C-S"].code
+        jacobian(code, 1, 2, first, second, difference, normal, k_axis, system, scratch)
+        residual(code, 1, 2, first, second, difference, normal, system)
+        solve(1, 2, system)
+        by_p = jacobian_of(lambda x, q=q: conditions(q, x, False)[[0, 1, 3]], p)
+        step = -np.linalg.solve(by_p, conditions(q, p, False)[[0, 1, 3]])
+        assert_equal(system[3, [0, 2, 3]], step)
+
+
 def test_location_rates(frictionless, states):
     """Eq. 48, and Eq. 6 with the Jacobians (45) to (47)."""
+    cb = frictionless.cb
     for q, v in states:
         frictionless(q, v)
         s4, c4, s5, c5 = sines(q)
         explicit = [
             -v[5],
-            v[0] - RADIUS * s4 * c5 * v[3] - RADIUS * c4 * s5 * v[4],
-            v[1] + RADIUS * c4 * c5 * v[3] - RADIUS * s4 * s5 * v[4],
+            v[0] - RADIUS * s4 * c5 * cb * v[3] - RADIUS * c4 * s5 * cb * v[4],
+            v[1] + RADIUS * c4 * c5 * cb * v[3] - RADIUS * s4 * s5 * cb * v[4],
         ]
         assert_equal(frictionless.rates, explicit)
         jacobian, by_q = printed_jacobians(q, q[5] + frictionless.location[0])
@@ -210,62 +322,94 @@ def test_location_rates(frictionless, states):
 # ------------------------------------------------------------------------------- Sec. 6.3: relative velocity
 
 
-def velocity_rows(q):
-    """The matrix below (60), (6, 3), for v_c = v_2 - v_1 as in (54): its third row and the signs restored."""
+def velocity_rows(q, beta):
+    """The matrix below (60), (6, 3), for v_c = v_2 - v_1 as in (53) at any point of the rim: its third row and the
+    signs restored."""
     s4, c4, s5, c5 = sines(q)
-    return np.array(
-        [
-            [-1.0, 0.0, 0.0],
-            [0.0, -1.0, 0.0],
-            [0.0, 0.0, -1.0],
-            [RADIUS * s4 * c5, -RADIUS * c4 * c5, 0.0],
-            [RADIUS * c4 * s5, RADIUS * s4 * s5, RADIUS * c5],
-            [RADIUS * s4, -RADIUS * c4, 0.0],
-        ]
-    )
+    sb, cb = math.sin(beta), math.cos(beta)
+    rows = [
+        [s4 * c5 * cb + c4 * sb, -c4 * c5 * cb + s4 * sb, 0.0],
+        [c4 * s5 * cb, s4 * s5 * cb, c5 * cb],
+        [c4 * c5 * sb + s4 * cb, s4 * c5 * sb - c4 * cb, -s5 * sb],
+    ]
+    return np.vstack([-np.eye(3), RADIUS * np.array(rows)])
+
+
+def printed_velocity(q, v, beta):
+    """Eq. 53 (third component with - R s5 s_beta q6')."""
+    s4, c4, s5, c5 = sines(q)
+    sb, cb = math.sin(beta), math.cos(beta)
+    return [
+        -v[0]
+        + RADIUS * (s4 * c5 * cb * v[3] + c4 * s5 * cb * v[4] + c4 * c5 * sb * v[5] + c4 * sb * v[3] + s4 * cb * v[5]),
+        -v[1]
+        - RADIUS * (c4 * c5 * cb * v[3] - s4 * s5 * cb * v[4] - s4 * c5 * sb * v[5] - s4 * sb * v[3] + c4 * cb * v[5]),
+        -v[2] + RADIUS * c5 * cb * v[4] - RADIUS * s5 * sb * v[5],
+    ]
 
 
 def test_relative_velocity(frictionless, states):
-    """Eqs. 53 (third row with - R s5 s_beta q6') and 54, and their derivatives by q'."""
+    """Eqs. 53 and 54, and their derivatives by q'."""
+    cb = frictionless.cb
     for q, v in states:
         v = v + np.array([0.0, 0.0, 0.7, 0.0, 0.0, 0.0])  # v_c^3 is more than the zero of the constraint
         frictionless(q, v)
         s4, c4, s5, c5 = sines(q)
         beta = q[5] + frictionless.location[0]
-        sb, cb = math.sin(beta), math.cos(beta)
-        general = [
-            -v[0]
-            + RADIUS
-            * (s4 * c5 * cb * v[3] + c4 * s5 * cb * v[4] + c4 * c5 * sb * v[5] + c4 * sb * v[3] + s4 * cb * v[5]),
-            -v[1]
-            - RADIUS
-            * (c4 * c5 * cb * v[3] - s4 * s5 * cb * v[4] - s4 * c5 * sb * v[5] - s4 * sb * v[3] + c4 * cb * v[5]),
-            -v[2] + RADIUS * c5 * cb * v[4] - RADIUS * s5 * sb * v[5],
-        ]
         explicit = [
-            -v[0] + RADIUS * (s4 * c5 * v[3] + c4 * s5 * v[4] + s4 * v[5]),
-            -v[1] - RADIUS * (c4 * c5 * v[3] - s4 * s5 * v[4] + c4 * v[5]),
-            -v[2] + RADIUS * c5 * v[4],
+            -v[0] + RADIUS * cb * (s4 * c5 * v[3] + c4 * s5 * v[4] + s4 * v[5]),
+            -v[1] - RADIUS * cb * (c4 * c5 * v[3] - s4 * s5 * v[4] + c4 * v[5]),
+            -v[2] + RADIUS * cb * c5 * v[4],
         ]
         slip = frictionless.system.slip[0]
-        assert_equal(slip, general)
+        assert_equal(slip, printed_velocity(q, v, beta))
         assert_equal(slip, explicit)
-        assert_equal(frictionless.rows.T, velocity_rows(q))
+        assert_equal(frictionless.rows.T, velocity_rows(q, beta))
+
+
+def test_relative_velocity_at_any_beta():
+    """Eq. 53 against differentiation, and against the package's v_c of a point on the rim that touches the plane."""
+    for q, v, beta in random_betas():
+        xi = beta - q[5]
+        slip = -derivative(lambda x, xi=xi: rim_point(x, xi), q, v)
+        assert_equal(printed_velocity(q, v, beta), slip)
+        assert_equal(velocity_rows(q, beta).T @ v, slip)
+        assert_equal(-jacobian_of(lambda x, xi=xi: rim_point(x, xi), q), velocity_rows(q, beta).T)
+        scene = disk_scene(None)
+        place = pin.SE3(np.eye(3), RADIUS * np.array([math.cos(xi), math.sin(xi), 0.0]))
+        other = pc.Scene(scene.model)
+        tip, floor = other.add_contour("tip", pc.Point(), "disk", place), other.add_contour("floor", pc.Plane())
+        other.add_contact("tip/floor", tip, floor, bilateral=True)
+        found = pc.analyze(other, other.initial_state(q, v))["tip/floor"]
+        assert_equal(found.v_c, slip)
+        assert_equal(found.rows.T, velocity_rows(q, beta))
+        assert_equal(found.location, rim_point(q, xi)[:2])
 
 
 def test_velocity_constraints_and_traces(stuck, states):
     """Eqs. 55, 56, 61, 62: where v_c = 0 both traces have the same direction and the same speed of arc length."""
     for q, v in states:
-        v = rolling(q, v)
+        v = rolling(q, v, stuck.cb)
         stuck(q, v)
         assert_equal(stuck.system.slip[0], np.zeros(3))
         s4, c4, _, _ = sines(q)
         xi, eta1, eta2 = stuck.rates
-        assert_equal([eta1, eta2], [-RADIUS * s4 * xi, RADIUS * c4 * xi])
+        assert_equal([eta1, eta2], [-RADIUS * stuck.cb * s4 * xi, RADIUS * stuck.cb * c4 * xi])
         assert_equal(RADIUS * abs(xi), math.hypot(eta1, eta2))
 
 
 # ------------------------------------------------------------------------------- Sec. 6.4: dynamics
+
+
+def test_angular_velocity(frictionless, states):
+    """Eq. 57 in the frame turned by q4 and q5 but not spinning, and by q6 in the disk's own."""
+    model = frictionless.scene.model
+    data = model.createData()
+    for q, v in states:
+        pin.forwardKinematics(model, data, q, v)
+        _, _, s5, c5 = sines(q)
+        printed = np.array([-v[3] * s5, v[4], v[3] * c5 + v[5]])
+        assert_equal(data.v[6].angular, pin.utils.rotate("z", q[5]).T @ printed)
 
 
 def mass_matrix(q):
@@ -300,13 +444,12 @@ def test_mass_matrix_and_forces(frictionless, states):
         assert_equal(data.nle, -generalized_forces(q, v))
 
 
-def constraint_bias(q, v):
-    """d(velocity_rows)/dt^T q' by differences of the printed matrix: truncation h^4, rounding 1e-16 / h."""
+def constraint_bias(q, v, cb):
+    """d(velocity_rows)/dt^T q' where sin(beta*) stays zero, by differences of the printed matrix: truncation h^4,
+    rounding 1e-16 / h."""
     h = 1e-3
-    turn = (8.0 * (velocity_rows(q + h * v) - velocity_rows(q - h * v))) - (
-        velocity_rows(q + 2.0 * h * v) - velocity_rows(q - 2.0 * h * v)
-    )
-    return (turn / (12.0 * h)).T @ v
+    before2, before, after, after2 = (velocity_rows(q + i * h * v, math.acos(cb)) for i in (-2, -1, 1, 2))
+    return ((8.0 * (after - before) - (after2 - before2)) / (12.0 * h)).T @ v
 
 
 def test_rolling_dynamics(stuck, states):
@@ -315,11 +458,11 @@ def test_rolling_dynamics(stuck, states):
     The bias comes from differences, good to 1e-9.
     """
     for q, v in states:
-        v = rolling(q, v)
+        v = rolling(q, v, stuck.cb)
         system = stuck(q, v)
-        rows = velocity_rows(q)
+        rows = velocity_rows(q, math.acos(stuck.cb))
         matrix = np.block([[mass_matrix(q), -rows], [rows.T, np.zeros((3, 3))]])
-        solution = np.linalg.solve(matrix, np.concatenate([generalized_forces(q, v), -constraint_bias(q, v)]))
+        solution = np.linalg.solve(matrix, np.concatenate([generalized_forces(q, v), -constraint_bias(q, v, stuck.cb)]))
         scale = 1.0 + np.abs(solution).max()
         np.testing.assert_allclose(system.acceleration, solution[:6], rtol=0.0, atol=1e-9 * scale)
         np.testing.assert_allclose(stuck.force, solution[6:], rtol=0.0, atol=1e-9 * scale)
@@ -327,14 +470,12 @@ def test_rolling_dynamics(stuck, states):
         assert np.abs(residual).max() <= TOLERANCE * scale
 
 
-def test_sliding_dynamics(states):
+def test_sliding_dynamics(sliding, states):
     """Eqs. 60 and 63: slip, with friction along the slip velocity; what `simulate` reports at its first instant."""
-    scene = disk_scene(pc.Coulomb(MU))
     for q, v in states[:100]:
-        state = scene.initial_state(q, v)
-        track = pc.simulate(scene, state, 0.0).contacts["rim/floor"]
+        track = pc.simulate(sliding.scene, sliding.state(q, v), 0.0).contacts["rim/floor"]
         slip, force = track.slip_velocity[0], track.force[0]
-        rows = velocity_rows(q)
+        rows = velocity_rows(q, math.acos(sliding.cb))
         assert_equal(slip, rows.T @ v)
         tangential = slip[:2] / np.linalg.norm(slip[:2])
         assert_equal(force[:2], -MU * abs(force[2]) * tangential)
@@ -342,7 +483,7 @@ def test_sliding_dynamics(states):
         # the normal force of the paper's equations: friction's direction taken from the slip above
         direction = np.array([*(-MU * tangential), 1.0]) if force[2] > 0.0 else np.array([*(MU * tangential), 1.0])
         matrix = np.block([[mass_matrix(q), -(rows @ direction)[:, None]], [rows[:, 2][None, :], np.zeros((1, 1))]])
-        right = np.concatenate([generalized_forces(q, v), [-constraint_bias(q, v)[2]]])
+        right = np.concatenate([generalized_forces(q, v), [-constraint_bias(q, v, sliding.cb)[2]]])
         normal = np.linalg.solve(matrix, right)[6]
         assert abs(normal - force[2]) <= 1e-9 * (1.0 + abs(normal))
 
@@ -350,23 +491,14 @@ def test_sliding_dynamics(states):
 # ------------------------------------------------------------------------------- the same through `analyze`
 
 
-def test_analysis(states):
+def test_analysis(frictionless, states):
     """Conditions (42, 43), their Jacobians, the frame (41) and v_c as `analyze` gives them."""
-    scene = disk_scene(None)
-    start = scene.initial_state(*states[0])
     for q, v in states[:200]:
-        found = pc.analyze(scene, dataclasses.replace(start, q=q, v=v))["rim/floor"]
+        found = pc.analyze(frictionless.scene, frictionless.state(q, v))["rim/floor"]
         s4, c4, s5, c5 = sines(q)
-        xi, eta1, eta2 = found.location
-        beta = q[5] + xi
+        beta = q[5] + found.location[0]
         sb, cb = math.sin(beta), math.cos(beta)
-        conditions = [
-            q[0] + RADIUS * (c4 * c5 * cb - s4 * sb) - eta1,
-            q[1] + RADIUS * (s4 * c5 * cb + c4 * sb) - eta2,
-            q[2] - RADIUS * s5 * cb,
-            s5 * sb,
-        ]
-        assert_equal(found.f, conditions)
+        assert_equal(found.f, conditions(q, found.location, False))
         jacobian, by_q = printed_jacobians(q, beta)
         # (44) is (42, 43) with s_beta = 0 put in and s_q5 divided out: combined with f_4 of (44) they are the same; f_3
         # has no row in (45) and (46)
@@ -379,9 +511,9 @@ def test_analysis(states):
         assert_equal(found.rates, -np.linalg.solve(jacobian, by_q @ v))
         assert_equal(found.frame, np.eye(3))
         assert_equal(found.dual_frame, np.eye(3))
-        rows = velocity_rows(q)
+        rows = velocity_rows(q, beta)
         assert_equal(found.v_c, rows.T @ v)
         assert_equal(found.components, rows.T @ v)
         assert_equal(found.rows.T, rows)
         assert_equal(found.drift, np.zeros(3))
-        np.testing.assert_allclose(found.bias, constraint_bias(q, v), rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(found.bias, constraint_bias(q, v, frictionless.cb), rtol=0.0, atol=1e-9)

@@ -23,14 +23,14 @@ from timing import by_turns, free_body
 import pincontact as pc
 from pincontact.dynamics.system import System
 from pincontact.friction.solve import ContactSolver
-from pincontact.integration import driver, runge_kutta, slow_slip
+from pincontact.integration import driver
 from pincontact.integration.steps import KEEP_VELOCITY, run_task
 from pincontact.layout import EVALUATION_COUNT
 from pincontact.state import write_discrete
 
 _RUNS = 15
-# Functions that Python calls for compiled work, and the driver's handlers of what may be an event.
-_COMPILED = [(module, "run_task") for module in (driver, runge_kutta, slow_slip)] + [(System, "_run")]
+# What Python calls for compiled work, and the driver's handlers of what may be an event.
+_COMPILED = [(System, "run")]
 _CONE = [(ContactSolver, "solve")]
 _HANDLERS = [(driver.Driver, "_complete"), (driver.Driver, "_end_slip"), (driver.Driver, "_slow_slip")]
 

@@ -108,7 +108,7 @@ class Instant:
         names = list(self.scene.contacts)
         rk = RungeKutta(system, tableau("DOP853"), 1e-10, 1e-12, None)
         rk.begin_at(state.q, state.v, state.location)
-        transitions = Transitions(rk, names, [0.0] * system.nc, 0.0, lambda t: None)
+        transitions = Transitions(rk, names, [0.0] * system.nc, 0.0)
         try:
             if decide:
                 transitions.begin(self.t)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import ContourError
+from ..errors import ContourError, UnusableResult
 from ..jit import CALLED, INTEGER, REAL, entry_kernel, kernel
 from .base import finite, flag, interval
 from .fits import fit
@@ -250,17 +250,9 @@ class CallableMotion(Motion):
             out = np.zeros(MOTION_SIZE)
         result = self._function(float(t))
         try:
-            pose, velocity, acceleration = result
-        except (TypeError, ValueError):
-            raise ContourError(
-                f"CallableMotion: f({t}) must be (pose, velocity, acceleration), got {type(result).__name__}"
-            ) from None
-        pose = _placement("CallableMotion", f"the pose of f({t})", pose)
-        out[:9] = pose.rotation.ravel()
-        out[9:12] = pose.translation
-        for start, name, given in ((12, "velocity", velocity), (18, "acceleration", acceleration)):
-            vector = getattr(given, "vector", given)
-            out[start : start + 6] = array("CallableMotion", f"{name} of f({t})", vector, 6)
+            _fill_row(t, result, out)
+        except ContourError as error:
+            raise UnusableResult(str(error)) from None
         return out
 
     def _check(self, t: float) -> None:
@@ -327,6 +319,22 @@ class _QuaternionBranch:
         if values[3:] @ near < 0.0:
             values[3:] *= -1.0
         return values
+
+
+def _fill_row(t: float, result: Any, out: np.ndarray) -> None:
+    """What a function of time has returned, as a row of `Motion.evaluate`."""
+    try:
+        pose, velocity, acceleration = result
+    except (TypeError, ValueError):
+        raise ContourError(
+            f"CallableMotion: f({t}) must be (pose, velocity, acceleration), got {type(result).__name__}"
+        ) from None
+    pose = _placement("CallableMotion", f"the pose of f({t})", pose)
+    out[:9] = pose.rotation.ravel()
+    out[9:12] = pose.translation
+    for start, name, given in ((12, "velocity", velocity), (18, "acceleration", acceleration)):
+        vector = getattr(given, "vector", given)
+        out[start : start + 6] = array("CallableMotion", f"{name} of f({t})", vector, 6)
 
 
 def _placement(owner: str, name: str, given: Any) -> pin.SE3:

@@ -13,7 +13,7 @@ from ..callback import kernel_address
 from ..contacts import characteristic_length
 from ..contours.base import DERIVATIVE_ROWS, ELLIPSOID, REVOLUTION, SHAPE_SIZE, SPHERE
 from ..contours.motion import MOTION_CALLABLE, MOTION_PARAMETERS, MOTION_SIZE
-from ..errors import ContourError
+from ..errors import UnusableResult
 from ..friction.laws import Stribeck
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import NO_CLOSED_FORM, closed_form
@@ -30,6 +30,8 @@ from ..layout import (
     ASKED,
     ASKED_WITH,
     ASPECT,
+    BAD_TIME,
+    BAD_TORQUE,
     CALL_FAILED,
     CALLBACK_SIZE,
     CALLED,
@@ -358,18 +360,19 @@ class System:
             numbers[[MU, MU_FAST, MU_STATIC, MU_NOW]] = law.spinning if spins else law.rolling
             numbers[[ASPECT, STRETCH_11, STRETCH_22, SPAN, LENGTH, NORMAL_1]] = 1.0
 
-    def before_evaluation(self, torque: Callable[[float], bool] | None = None) -> None:
+    def before_evaluation(self, torque: Callable[[float], None] | None = None) -> None:
         """Set the Python function that the kernels ask before Pinocchio's terms: none where there is nothing to ask.
 
-        torque(t): fills `tau` for (t, q, v), False where it fails.
+        torque(t): fills `tau` for (t, q, v).
         """
-        self.callback_error: BaseException | None = None
-        # what a user's motion did instead of giving a pose
-        self.drive_failure: str | None = None
+        self._callback_error: BaseException | None = None
+        self._culprit = ""
         # kept alive here: the kernels know the addresses only; the one without torques stays the same for good, and so
         # do the addresses in a copy of the memory
         self._asked = self._asked_for_drives if torque is None else (self._to_be_asked(torque), ())
         asked, given = map(id, self._asked) if self._asked else (0, 0)
+        # whether any of the user's functions is called
+        self.asks = asked != 0
         self.callback[ASKED], self.callback[ASKED_WITH] = asked, given
 
     def _map_calls(self) -> None:
@@ -387,30 +390,75 @@ class System:
         self._asked_for_drives = (self._to_be_asked(None), ()) if self.python_drives else None
         self.before_evaluation()
 
-    def _to_be_asked(self, torque: Callable[[float], bool] | None) -> Callable[[], bool]:
-        scalars = self.scalars
+    def _to_be_asked(self, torque: Callable[[float], None] | None) -> Callable[[], bool]:
         drives = [(name, motion, self.side_motion[side]) for side, name, motion in self.python_drives]
+
+        def ask(t: float) -> None:
+            if torque is not None:
+                torque(t)
+            for name, motion, row in drives:
+                try:
+                    motion.evaluate(t, row)
+                except UnusableResult as error:
+                    raise UnusableResult(f"t = {t:.9g} s: the motion of contour {name!r}: {error}") from None
+                except BaseException:
+                    self.blame(f"t = {t:.9g} s: the motion of contour {name!r}")
+                    raise
+
+        return self.callback_of(ask)
+
+    def callback_of(self, ask: Callable[[float], None]) -> Callable[[], bool]:
+        """ask(t) at the kernels' time, as they call it. What it raises must not pass through compiled code: it gives
+        False, and is raised by `check_callbacks`."""
+        scalars = self.scalars
 
         def function() -> bool:
             try:
-                t = scalars.item(TIME)
-                if torque is not None and not torque(t):
-                    return False
-                for name, motion, row in drives:
-                    try:
-                        motion.evaluate(t, row)
-                    except Exception as error:
-                        self.drive_failure = (
-                            f"t = {t:.9g} s: the motion of contour {name!r} raised {type(error).__name__}: {error}"
-                        )
-                        return False
+                ask(scalars.item(TIME))
             except BaseException as error:
-                # it must not pass through the compiled loop; who called that raises it
-                self.callback_error = error
+                if self._callback_error is None:
+                    self._callback_error = error
                 return False
             return True
 
         return function
+
+    def check_callbacks(self) -> None:
+        """Raise what users' functions have raised since the last call, as it was; UnusableResult for torques that are
+        not finite. For everybody who has called an entry kernel that evaluates."""
+        error, self._callback_error = self._callback_error, None
+        if error is not None:
+            raise error
+        if self.scalars.item(BAD_TORQUE) != 0.0:
+            raise _bad_torque(*self.scalars[[BAD_TORQUE, BAD_TIME]])
+
+    def check_torques(self, t: float) -> None:
+        """The same of torques at t that no kernel has looked at."""
+        bad = self.tau[~np.isfinite(self.tau)]
+        if bad.size:
+            raise _bad_torque(bad[0], t)
+
+    def is_own(self, error: BaseException) -> bool:
+        """Whether an exception says of a user's function that it has not answered as it should, and is not its own."""
+        return isinstance(error, UnusableResult) and not self._culprit
+
+    def blame(self, who: str) -> None:
+        """Note the time, and which of the user's functions raises."""
+        self._culprit = who
+
+    def tell(self, error: BaseException) -> str:
+        """What has ended a run, in words; for the user's exceptions with who raised them."""
+        if self.is_own(error):
+            return str(error)
+        try:
+            text = f": {error}" if str(error) else ""
+        except Exception:
+            # a user's own __str__ may fail, too
+            text = ""
+        if self._culprit and isinstance(error, Exception):
+            return f"{self._culprit} raised {type(error).__name__}{text}"
+        # an interrupt, say, wherever it came
+        return f"t = {self.scalars[TIME]:.9g} s: ended by {type(error).__name__}{text}"
 
     def set_output_times(self, times: np.ndarray | None) -> None:
         """Output times in s, in order, of a run that begins; None for an output at every step."""
@@ -434,21 +482,20 @@ class System:
         self.counters[OUTPUTS_DONE] += 1
         self.announce_output()
 
-    def _run(self, task: int, t: float, h: float = 0.0) -> int:
-        status = run_task(self.table, task, t, h)
-        if self.callback_error is not None:
-            raise self.callback_error
-        if self.drive_failure is not None:
-            raise ContourError(self.drive_failure)
-        return status
+    def run(self, task: int, t: float = 0.0, h: float = 0.0) -> int:
+        """A task of `steps.run_task`; returns what it does, raises what `check_callbacks` does."""
+        result = run_task(self.table, task, t, h)
+        if self.asks:
+            self.check_callbacks()
+        return result
 
     def evaluate(self, t: float) -> int:
         """Accelerations, forces and margins at (q, v) in the present modes; returns a status of `layout`."""
-        return self._run(EVALUATE, t)
+        return self.run(EVALUATE, t)
 
     def evaluate_kinematics(self, t: float) -> int:
         """Location, rows and biases of all contacts at (q, v), open ones too; returns a status of `layout`."""
-        return self._run(KINEMATICS, t)
+        return self.run(KINEMATICS, t)
 
     def scan(self, t: float, step: float, shares: Sequence[float]) -> tuple[list[bool], np.ndarray]:
         """Margins along the step from t that was interpolated last, at shares of it, at most SCAN_ROOM: (n,) whether
@@ -459,7 +506,7 @@ class System:
         n = len(shares)
         self.scan_shares[:n] = shares
         self.counters[SCAN_COUNT] = n
-        self._run(SCAN, t, step)
+        self.run(SCAN, t, step)
         return [status <= EVENT for status in self.scan_status[:n].tolist()], self.scan_margins[:n, : self.items]
 
     def project(self, t: float, evaluated: bool = False) -> int:
@@ -467,7 +514,7 @@ class System:
 
         evaluated: the system has just been evaluated at that state.
         """
-        return self._run(PROJECT_EVALUATED if evaluated else PROJECT, t)
+        return self.run(PROJECT_EVALUATED if evaluated else PROJECT, t)
 
     @property
     def charted(self) -> bool:
@@ -512,6 +559,10 @@ class System:
     def owner(self, item: int) -> int:
         """The contact that item, a contact or a resistance, belongs to."""
         return int(self.contact_int[item, OWNER]) if item >= self.nc + self.ng else item
+
+
+def _bad_torque(value: float, t: float) -> UnusableResult:
+    return UnusableResult(f"t = {t:.9g} s: control returned {value}")
 
 
 def _resistances(contacts: Sequence[Contact]) -> list[tuple[int, bool]]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import ContourError
 from ..layout import (
     ATTEMPT_LIMIT,
     END,
@@ -40,7 +39,7 @@ from ..layout import (
 )
 from .dense import Interpolant
 from .events import Crossing, EventLocator, UserEvent
-from .results import CONTROL_FAILED, FINISHED, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
+from .results import FINISHED, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
 from .runge_kutta import RungeKutta
 from .steps import (
     AT_FLOOR,
@@ -57,7 +56,6 @@ from .steps import (
     STEP_FAILED,
     STEPPED,
     WRITE_OUTPUTS,
-    run_task,
 )
 from .transitions import Transitions
 
@@ -121,15 +119,11 @@ class Driver:
         return int(self.system.counters[REJECTED_COUNT])
 
     def run(self, t: float, t_end: float) -> tuple[int, str]:
-        """Integrate from t to t_end (s); returns a code of `results` and a message."""
+        """Integrate from t to t_end (s); returns a code of `results` and a message. Raises what users' functions do."""
         try:
             self._run(t, t_end)
         except Stop as stop:
             return stop.code, stop.message
-        except ContourError:
-            if self.system.drive_failure is None:
-                raise
-            return CONTROL_FAILED, self.system.drive_failure
         return FINISHED, "the end of the interval was reached"
 
     def _run(self, t: float, t_end: float) -> None:
@@ -137,7 +131,7 @@ class Driver:
         self._end = t_end
         try:
             self.transitions.begin(t)
-        except Stop:
+        except BaseException:
             # what there is: the state that the run was to start from
             rk.load(self.system.state)
             self._output_start(t)
@@ -153,7 +147,7 @@ class Driver:
         while t < t_end:
             scalars[NOW] = t
             self.flush()
-            why = run_task(self.system.table, self._task(), 0.0, 0.0)
+            why = self.system.run(self._task())
             t = float(scalars[NOW])
             if why == STEPPED:
                 self._watch(t, True)
@@ -176,7 +170,6 @@ class Driver:
             elif why == AT_FLOOR:
                 t = self._end_jams(t)
             elif why == STEP_FAILED:
-                self.transitions.failed_control(t)
                 if options.fixed_step:
                     t = self._end_jams(t)
             elif why == PROJECTION_FAILED:
@@ -222,7 +215,7 @@ class Driver:
         dense: Interpolant | None = None
         users = self.locator.crossed_users(t_new) if self.locator.users else []
         if rk.alarm or users:
-            dense = self._interpolant(t, step)
+            dense = rk.interpolant(t, step)
             if dense is None:
                 return self._reject(t, step)
             crossing = self.locator.first(t, step, dense, users)
@@ -236,7 +229,7 @@ class Driver:
             rk.load(system.new_state)
         if self._output_due(t_new):
             if dense is None:
-                dense = self._interpolant(t, step)
+                dense = rk.interpolant(t, step)
                 if dense is None:
                     return self._reject(t, step)
             self._output_until(t_new)
@@ -246,12 +239,6 @@ class Driver:
         self._after(t_new, True)
         self._doubts = 0
         return t_new, False
-
-    def _interpolant(self, t: float, step: float) -> Interpolant | None:
-        dense = self.rk.interpolant(t, step)
-        if dense is None:
-            self.transitions.failed_control(t)
-        return dense
 
     def _no_interpolant(self, t: float) -> Stop:
         return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the dense output of a step could not be evaluated")
@@ -282,7 +269,6 @@ class Driver:
             raise self._projection_failed(t)
 
     def _projection_failed(self, t: float) -> Stop:
-        self.transitions.failed_control(t)
         return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
 
     def _finish(self, t: float) -> None:
@@ -413,16 +399,16 @@ class Driver:
 
     def _output_short_step(self, t: float, step: float) -> None:
         if self._output_due(t + step):
-            if self._interpolant(t, step) is None:
+            if self.rk.interpolant(t, step) is None:
                 raise self._no_interpolant(t)
             self._output_until(t + step)
 
     def _output_until(self, until: float) -> None:
         """Record the output times up to `until` in the step that was interpolated last."""
         self.flush()
-        status = run_task(self.system.table, WRITE_OUTPUTS, until, 0.0)
+        status = self.system.run(WRITE_OUTPUTS, until)
         while status == BLOCK_FULL:
             self.flush()
-            status = run_task(self.system.table, WRITE_OUTPUTS, until, 0.0)
+            status = self.system.run(WRITE_OUTPUTS, until)
         if status != OK:
             raise self._projection_failed(until)

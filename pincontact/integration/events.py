@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
-from ..errors import ArgumentError, ContactError
+from ..errors import ArgumentError, UnusableResult
 from ..layout import DOMAIN_MARGIN, GAP_MARGIN, LENGTH, NOTHING_THERE, OK, SCAN_ROOM
 from .dense import Interpolant
-from .results import CONTROL_FAILED, GAP_TOLERANCE, Stop
+from .results import GAP_TOLERANCE
 from .runge_kutta import RungeKutta
 
 if TYPE_CHECKING:
-    pass
+    from ..dynamics.system import System
 
 # Samples of the dense output between which a margin's sign change is looked for, all those of one scan.
 _PLACES = tuple(i / (SCAN_ROOM - 1) for i in range(SCAN_ROOM))
@@ -36,29 +36,13 @@ _POSITIVE = 1e-6
 _XTOL, _RTOL = 1e-15, 8.9e-16
 
 
-def _checked(index: int, function: Callable[..., Any]) -> Callable[[float, np.ndarray, np.ndarray], float]:
-    """A user's function that ends the run where it fails, as a control does, with its text."""
-
-    def value(t: float, q: np.ndarray, v: np.ndarray) -> float:
-        try:
-            result = float(function(t, q, v))
-        except (ContactError, Stop):
-            raise
-        except Exception as error:
-            text = f"t = {t:.9g} s: events[{index}] failed with {type(error).__name__}: {error}"
-            raise Stop(CONTROL_FAILED, text) from error
-        if math.isnan(result):
-            raise Stop(CONTROL_FAILED, f"t = {t:.9g} s: events[{index}] returned nan")
-        return result
-
-    return value
-
-
 @dataclass
 class UserEvent:
-    """A user's function g(t, q, v) with SciPy's attributes `terminal` and `direction`, and its last value."""
+    """A user's function g(t, q, v), number index, with SciPy's attributes `terminal` and `direction`, and its last
+    value."""
 
-    function: Callable[[float, np.ndarray, np.ndarray], float]
+    index: int
+    function: Callable[[float, np.ndarray, np.ndarray], Any]
     terminal: bool
     direction: float
     value: float = 0.0
@@ -78,8 +62,24 @@ class UserEvent:
                 raise ArgumentError(f"events[{i}].terminal must be True or False, got {terminal!r}")
             if not isinstance(direction, (int, float, np.number)) or math.isnan(direction):
                 raise ArgumentError(f"events[{i}].direction must be a number, got {direction!r}")
-            wrapped.append(UserEvent(_checked(i, function), bool(terminal), float(direction)))
+            wrapped.append(UserEvent(i, function, bool(terminal), float(direction)))
         return wrapped
+
+    def value_at(self, t: float, system: System) -> float:
+        """The function at the system's (q, v). Raises what it raises, UnusableResult for what is no number."""
+        try:
+            result = self.function(t, system.q.copy(), system.v.copy())
+        except BaseException:
+            system.blame(f"t = {t:.9g} s: events[{self.index}]")
+            raise
+        try:
+            number = float(result)
+        except (TypeError, ValueError, OverflowError) as error:
+            text = f"t = {t:.9g} s: events[{self.index}] failed with {type(error).__name__}: {error}"
+            raise UnusableResult(text) from error
+        if math.isnan(number):
+            raise UnusableResult(f"t = {t:.9g} s: events[{self.index}] returned nan")
+        return number
 
     def crosses(self, value: float) -> bool:
         """Whether the function went through zero in its direction since its last value."""
@@ -128,8 +128,7 @@ class EventLocator:
 
     def value_of_user(self, index: int, t: float) -> float:
         """The user's function at the system's (q, v)."""
-        system = self.rk.system
-        return float(self.users[index].function(t, system.q.copy(), system.v.copy()))
+        return self.users[index].value_at(t, self.rk.system)
 
     def crossed_users(self, t: float) -> list[int]:
         """Users' events that changed sign up to the system's state at t."""

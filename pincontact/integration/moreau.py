@@ -15,7 +15,6 @@ import scipy
 
 from ..callback import kernel_address
 from ..dynamics.system import System
-from ..errors import ContourError
 from ..friction.attempt import solve_cones
 from ..friction.solve import ContactSolver
 from ..jit import compile_kernels
@@ -34,7 +33,6 @@ from ..layout import (
     SINGULAR,
     SLIPPING,
     STICK,
-    TIME,
     VISCOUS,
 )
 from ..memory import address_of
@@ -101,7 +99,7 @@ from .impulse_steps import (
     UNSOLVED,
     run_steps,
 )
-from .results import CONTROL_FAILED, FAILURES, FINISHED, TERMINATED, Event, Stop
+from .results import FAILURES, FINISHED, TERMINATED, Event, Stop
 from .results import STEP_LIMIT as AT_STEP_LIMIT
 from .stages import move_charts
 from .steps import run_task
@@ -132,7 +130,7 @@ _OWN = ("calls", "cone_tables", "rows_tau", "rows_q", "rows_v")
 # Rows of a rollout, up to which their room is kept for the next one.
 _ROWS_KEPT = 10_000
 
-Torque = Callable[[float], bool]
+Torque = Callable[[float], None]
 
 
 def joint_constraints(guards: Sequence[Guard]) -> tuple[np.ndarray, np.ndarray]:
@@ -224,8 +222,7 @@ class MoreauStep:
 
     def ask(self, torque: Torque | None) -> None:
         """Set the function that sets `system.tau` for the system's (q, v) at the middle of every step, and for every
-        output: torque(t), False, which makes a step NOT_FINITE, where it fails. None for constant torques."""
-        system = self.system
+        output: torque(t). None for constant torques."""
         # kept alive here: the kernels know the addresses only
         self._asked = None
         calls = self.memory["calls"]
@@ -233,25 +230,18 @@ class MoreauStep:
         calls[ASKED] = calls[ASKED_WITH] = 0
         if torque is None:
             return
-        scalars, set_torque = system.scalars, torque
-
-        def asked() -> bool:
-            try:
-                return set_torque(scalars.item(TIME))
-            except BaseException as error:
-                # it must not pass through the compiled loop; who called that raises it
-                system.callback_error = error
-                return False
-
-        self._asked = asked, ()
+        self.system.asks = True
+        self._asked = self.system.callback_of(torque), ()
         calls[ASKED], calls[ASKED_WITH] = (id(part) for part in self._asked)
 
     def _run(self, task: int, t: float = 0.0, h: float = 0.0, found: int = FRESH) -> int:
-        """A task of `run_steps`, with the cone problems that it leaves."""
+        """A task of `run_steps`, with the cone problems that it leaves. Raises what `System.check_callbacks` does."""
         result = run_steps(self._table, self.table, task, found, t, h)
         while result == CONE_LEFT:
             solved = self._solve(int(self._counts[UNITS]), bool(self._counts[THOROUGH]))
             result = run_steps(self._table, self.table, task, SOLVED if solved else UNSOLVED, t, h)
+        if self.system.asks:
+            self.system.check_callbacks()
         return result
 
     def begin(self, t: float) -> int:
@@ -460,7 +450,7 @@ class MoreauDriver:
     """A run of constant steps, with outputs and users' events.
 
     record(t): called for outputs outside compiled steps, with the state in the system. flush(): makes room for the rows
-    that compiled steps write. torque and failed_control: see `simulate`; progress(t): called now and then, or None.
+    that compiled steps write. torque: see `MoreauStep.ask`; progress(t): called now and then, or None.
     t_eval: output times in s, None for every step.
     """
 
@@ -474,26 +464,21 @@ class MoreauDriver:
         t_eval: np.ndarray | None,
         max_steps: int,
         torque: Torque | None,
-        failed_control: Callable[[float], None],
         progress: Callable[[float], None] | None,
     ) -> None:
         self.step, self.system, self.users = step, step.system, users
         self.record, self.flush, self.size, self.max_steps = record, flush, size, max_steps
-        self.torque, self.failed_control, self.progress = torque, failed_control, progress
+        self.torque, self.progress = torque, progress
         self.events: list[Event] = []
         self.system.set_output_times(t_eval)
 
     def run(self, t: float, t_end: float) -> tuple[int, str]:
-        """Step from t to t_end (s); returns a code of `results` and a message."""
+        """Step from t to t_end (s); returns a code of `results` and a message. Raises what users' functions do."""
         self.step.ask(self.torque)
         try:
             self._run(t, t_end)
         except Stop as stop:
             return stop.code, stop.message
-        except ContourError:
-            if self.system.drive_failure is None:
-                raise
-            return CONTROL_FAILED, self.system.drive_failure
         finally:
             # nothing of the user's is kept
             self.step.ask(None)
@@ -503,7 +488,7 @@ class MoreauDriver:
         step, size = self.step, self.size
         self._check(step.begin(start), start)
         for event in self.users:
-            event.value = self._value(event, start)
+            event.value = event.value_at(start, self.system)
         self._output(start)
         count = max(math.ceil((end - start) / size - SLIVER), 1) if end > start else 0
         step.set_run(start, end, size, count, self.max_steps, bool(self.users))
@@ -536,7 +521,6 @@ class MoreauDriver:
 
     def _check(self, status: int, t: float) -> None:
         if status != OK:
-            self.failed_control(t)
             if status in (SINGULAR, LOCATION_FAILED):
                 self._announce(t, None, "singular")
             raise self.step.describe(status, t)
@@ -584,18 +568,16 @@ class MoreauDriver:
             self.system.output_done()
 
     def _record(self, t: float, asked: bool) -> None:
-        if self.torque is not None and not asked and not self.torque(t):
-            self.failed_control(t)
+        if self.torque is not None and not asked:
+            self.torque(t)
+            self.system.check_torques(t)
         self.record(t)
 
     # ---------------------------------------------------------------- users' events
 
-    def _value(self, event: UserEvent, t: float) -> float:
-        return float(event.function(t, self.system.q.copy(), self.system.v.copy()))
-
     def _user_events(self, t: float, t_new: float) -> None:
         """Locate the zeros of users' functions in the attempted step by shorter ones; a terminal one ends the run."""
-        values = [self._value(event, t_new) for event in self.users]
+        values = [event.value_at(t_new, self.system) for event in self.users]
         crossed = [i for i, event in enumerate(self.users) if event.crosses(values[i])]
         if not crossed:
             for event, value in zip(self.users, values):
@@ -623,7 +605,7 @@ class MoreauDriver:
         def function(when: float) -> float:
             if when not in known:
                 self._attempt(t, when)
-                known[when] = self._value(event, when)
+                known[when] = event.value_at(when, self.system)
             return known[when]
 
         return float(scipy.optimize.brentq(function, t, t_new, xtol=_EVENT_ACCURACY * (t_new - t)))

@@ -22,7 +22,7 @@ from ..layout import (
 )
 from .dense import Interpolant
 from .stages import load_state
-from .steps import ACCEPT, ATTEMPT, FINISH_STEP, FIRST_STEP, INTERPOLATION_STAGES, KEEP_VELOCITY, START, run_task
+from .steps import ACCEPT, ATTEMPT, FINISH_STEP, FIRST_STEP, INTERPOLATION_STAGES, KEEP_VELOCITY, START
 from .tableaux import Tableau
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ _DIP = 1.5
 # From this relative tolerance on an interpolant without stages of its own is as good as one with them.
 _LOOSE = 1e-7
 
-Torque = Callable[[float], bool]
+Torque = Callable[[float], None]
 
 
 class RungeKutta:
@@ -44,7 +44,7 @@ class RungeKutta:
 
     The state at the step's start is `system.state` with its slope in slot 0; `attempt` leaves the new state in
     `system.new_state` and the error norm in `error`; nothing of the start is lost before `accept`.
-    torque: fills `system.tau` for (t, system.q, system.v), False when the user's control failed; or None.
+    torque: fills `system.tau` for (t, system.q, system.v); or None.
     """
 
     def __init__(self, system: System, method: Tableau, rtol: float, atol: float, torque: Torque | None) -> None:
@@ -82,7 +82,7 @@ class RungeKutta:
 
     def evaluate_start(self, t: float) -> int:
         """Evaluate at system.state and store its slope; the state is what `stage_state` holds afterwards."""
-        return run_task(self.system.table, START, t, 0.0)
+        return self.system.run(START, t)
 
     def evaluate(self, t: float) -> int:
         """Torque, Pinocchio and kernel at (q, v) of the system."""
@@ -90,15 +90,15 @@ class RungeKutta:
 
     def attempt(self, t: float, h: float) -> int:
         """A step of size h from the state at t; returns a status."""
-        return run_task(self.system.table, ATTEMPT, t, h)
+        return self.system.run(ATTEMPT, t, h)
 
     def finish_step(self, t: float) -> int:
         """What follows every accepted state (see `steps.finish_step`); returns a status."""
-        return run_task(self.system.table, FINISH_STEP, t, 0.0)
+        return self.system.run(FINISH_STEP, t)
 
     def interpolant(self, t: float, h: float) -> Interpolant | None:
         """Dense output of the attempted step; needs the extra stages of the method. None if one of them fails."""
-        if run_task(self.system.table, INTERPOLATION_STAGES, t, h) > EVENT:
+        if self.system.run(INTERPOLATION_STAGES, t, h) > EVENT:
             return None
         return Interpolant(self.system)
 
@@ -116,7 +116,7 @@ class RungeKutta:
 
     def keep_velocity(self) -> None:
         """Make `system.v` the velocity of `stage_state`, whose configuration is the one evaluated last."""
-        run_task(self.system.table, KEEP_VELOCITY, 0.0, 0.0)
+        self.system.run(KEEP_VELOCITY)
 
     def load(self, y: np.ndarray) -> None:
         """Make y the state that the next evaluation sees."""
@@ -129,9 +129,9 @@ class RungeKutta:
 
     def accept(self) -> None:
         """The projected state becomes the next step's start; its slope is that of the last evaluation."""
-        run_task(self.system.table, ACCEPT, 0.0, 0.0)
+        self.system.run(ACCEPT)
 
     def first_step(self, t: float, span: float) -> float:
         """Size of the first step from the state at t, at most span; one evaluation."""
-        run_task(self.system.table, FIRST_STEP, t, span)
+        self.system.run(FIRST_STEP, t, span)
         return float(self.system.scalars[NEXT_STEP])

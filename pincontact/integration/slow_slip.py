@@ -28,7 +28,7 @@ from ..layout import (
     SPAN,
     START,
 )
-from .steps import ACROSS_SLIP, run_task
+from .steps import ACROSS_SLIP
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
@@ -157,7 +157,7 @@ class SlowSlip:
         columns = slice(POLYNOMIAL, POLYNOMIAL + POLYNOMIAL_SIZE)
         system.contact_real[contacts, columns] = coefficients.reshape(len(contacts), -1)
         system.across[0] = shares
-        if run_task(system.table, ACROSS_SLIP, t, span) > EVENT:
+        if system.run(ACROSS_SLIP, t, span) > EVENT:
             return None
         count = np.count_nonzero(shares)
         grown = np.array(shares[:count]) ** self.power

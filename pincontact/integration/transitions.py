@@ -111,12 +111,10 @@ class Transitions:
         names: list[str],
         restitution: list[float],
         span: float,
-        failed_control: Callable[[float], None],
     ) -> None:
         # Writes the outputs that fall into a short step (start, size in s) taken here; the driver sets it.
         self.emit: Callable[[float, float], None] = lambda t, step: None
         self.rk, self.system, self.names, self.restitution, self.span = rk, rk.system, names, restitution, span
-        self.failed_control = failed_control
         self.modes = ModeSolver(rk.system)
         self.events: list[Event] = []
         self._recent: list[tuple[float, int]] = []
@@ -159,7 +157,6 @@ class Transitions:
 
     def give_up(self, t: float, failure: int) -> Stop:
         """The Stop for an evaluation's status, naming the contact, its pattern and the number."""
-        self.failed_control(t)
         if (failure == LOCATION_FAILED or failure not in FAILURES) and self._degenerates(t):
             failure = SINGULAR
         if failure not in FAILURES:
@@ -217,7 +214,6 @@ class Transitions:
         """Modes of the initial state (see `begin_at`), and its slope. Slip that starts from rest is still frozen."""
         system, rk = self.system, self.rk
         status = rk.evaluate(t)
-        self.failed_control(t)
         if status in (LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE):
             raise self.give_up(t, status)
         if system.ng:
@@ -529,7 +525,6 @@ class Transitions:
 
     def _project(self, t: float, evaluated: bool = False) -> None:
         if not self.rk.project(t, evaluated):
-            self.failed_control(t)
             raise Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
 
     def _fix_normal_signs(self, t: float) -> None:
@@ -772,8 +767,6 @@ class Transitions:
             status = self.rk.attempt(t, tau)
             if status == OK and self.rk.error < 1.0:
                 return tau
-            if status != OK:
-                self.failed_control(t)
             tau *= FAILED_FACTOR
         raise self.give_up(t, NO_FORCE)
 
@@ -805,7 +798,6 @@ class Transitions:
             self._project(t)
         elif not self.rk.project(t, False):
             # v_c has come out in a direction in which friction alone holds nothing up: that slip has jammed
-            self.failed_control(t)
             self._stop_slips(t, sliding)
         self.rk.accept()
         return t

@@ -120,7 +120,7 @@ def simulate(
         return run
     rk = RungeKutta(system, pair, rtol, atol, torque.ask if torque is not None else None)
     rk.begin_at(state.q, state.v, state.location)
-    record = Record(system, with_torques=control is not None or system.ng + system.nr > 0)
+    record = Record(system, state, with_torques=control is not None or system.ng + system.nr > 0)
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration, failed_control)
     options = Options(times, max_step, max_steps, fixed_step, first_step)
     with _Bar(progress, state.t, duration) as bar:
@@ -172,7 +172,7 @@ def _simulate_moreau(
         stepper = spare.stepper = MoreauStep(system, system.contacts)
     else:
         stepper.renew()
-    record = Record(system, with_torques=torque is not None or stepper.acts_on_joints, by_steps=True)
+    record = Record(system, state, with_torques=torque is not None or stepper.acts_on_joints, by_steps=True)
 
     def add(t: float) -> None:
         # forces on the joints of limits, friction and resistance to turning go with the torques, so that contact forces

@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 
 import numpy as np
-import pinocchio as pin
 
+from ..dynamics.energy import REST_SPEED, energies_at
 from ..dynamics.impact import apply_impact
 from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import Decision, ModeSolver, freeze_slip, held_up_by_friction, rest_mode
@@ -94,8 +94,7 @@ _OPENING_SEED = 1e-4
 _FORCE_ACCURACY = 1e-6
 # A gap that is closed already counts as so much of what gaps are known to.
 _LEAST_WAY = 1e-2
-# A rebound slower than this, in m/s, closes the contact; after an impact one that leaves faster than the second opens.
-REST_SPEED = 1e-3
+# After an impact what leaves faster than this, in m/s, opens.
 _LEAVING_SPEED = 1e-3 * REST_SPEED
 
 
@@ -214,15 +213,21 @@ class Transitions:
     # ---------------------------------------------------------------- start
 
     def begin(self, t: float) -> None:
-        """Modes of the initial state (see `begin_at`), and its slope. Slip that starts from rest is still frozen."""
+        """Modes of the initial state (see `begin_at`), and its slope. Slip that starts from rest is still frozen, and
+        what strikes at the start (see `strike`) has not yet.
+
+        A state that does not keep to its constraints is put on them; what that takes counts as work of friction.
+        """
         system, rk = self.system, self.rk
         status = rk.evaluate(t)
         self.failed_control(t)
         if status in (LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE):
             raise self.give_up(t, status)
+        energy = sum(self._energies()) if self._counts_works else 0.0
         if system.ng:
-            self._begin_guards(t)
+            self._guards_from_velocities()
         given = system.contact_int.tobytes()
+        self._open_moving(t)
         undecided = self.modes_from_velocities()
         unchanged = not (system.ng or undecided) and given == system.contact_int.tobytes()
         if status == OK and unchanged and not self.held_up():
@@ -232,23 +237,45 @@ class Transitions:
         else:
             self._stop_jammed(t)
             self._settle(t, undecided, _NONE, True)
+        if self._counts_works:
+            lost = sum(self._energies()) - energy
+            for state in (system.state, system.stage_state):
+                state[FRICTION_WORK - NUMBER_OF_WORKS] += lost
         self._guards = [self._guard_state(g) for g in range(system.ng)]
         if not self.dips.take_up(t, self.seed):
             raise self.give_up(t, NO_FORCE)
 
-    def _begin_guards(self, t: float) -> None:
-        """States of the guarded joint coordinates; one that runs against the end at which it starts collides."""
+    def _open_moving(self, t: float) -> None:
+        """Open the contacts of the initial state whose normal velocity is not zero: they part, or are about to
+        strike."""
         system = self.system
-        self._guards_from_velocities()
+        for c in system.closed():
+            speed = self._leaves_at(c)
+            if system.contact_int[c, UNILATERAL] and abs(speed) > REST_SPEED:
+                system.contact_int[c, MODE] = FREE
+                if speed > 0.0:
+                    self.announce(t, c, "separate")
+
+    def strike(self, t: float) -> float | None:
+        """Impacts at the start of a run, of what touches there and comes in; the new time, or None without any."""
+        system = self.system
+        coming = [
+            c
+            for c in range(system.nc)
+            if system.contact_int[c, MODE] == FREE and self._touches(c) and self._leaves_at(c) < -REST_SPEED
+        ]
         striking = False
         for g, guard in enumerate(system.guards):
+            if system.contact_int[system.nc + g, MODE] != FREE:
+                continue
             position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
             low, high = position <= guard.low_end + END_SLACK, position >= guard.high_end - END_SLACK
             if (low and speed < 0.0) or (high and speed > 0.0):
-                self.modes.hold(g, -1 if low else 1)
+                self._stop_joint(t, g, -1 if low else 1)
                 striking = True
-        if striking:
-            self._collide(t, [], {})
+        if coming:
+            return self._touch(t, coming[0])
+        return self._collide(t, system.closed(), {}) if striking else None
 
     def modes_from_velocities(self, after_impact: bool = False) -> list[int]:
         """Give closed contacts and their resistances the mode that their slip shows; returns those at rest whose
@@ -510,13 +537,10 @@ class Transitions:
         system = self.system
         index = system.nc + g
         if kind in (GAP_MARGIN, DOMAIN_MARGIN):
-            end = -1 if kind == GAP_MARGIN else 1
-            self.announce(t, index, "limit")
-            self._guards[g] = True, end
             # a coordinate that only grazes its end is not counted as an impact
             if abs(system.v[system.guards[g].index_v]) <= _REST:
                 self._check_chatter(t, index)
-            self.modes.hold(g, end)
+            self._stop_joint(t, g, -1 if kind == GAP_MARGIN else 1)
             return self._collide(t, system.closed(), {})
         self._check_chatter(t, index)
         if kind == SPEED_MARGIN:
@@ -526,6 +550,12 @@ class Transitions:
         else:
             self.modes.release(g, 1 if kind == NORMAL_MARGIN else -1)
         return self.resolve(t, self._sticking())
+
+    def _stop_joint(self, t: float, g: int, end: int) -> None:
+        """Guarded joint coordinate g has come to an end of its way, and is held there."""
+        self.announce(t, self.system.nc + g, "limit")
+        self._guards[g] = True, end
+        self.modes.hold(g, end)
 
     def _project(self, t: float, evaluated: bool = False) -> None:
         if not self.rk.project(t, evaluated):
@@ -746,7 +776,7 @@ class Transitions:
         system = self.system
         left = math.inf
         for c in range(system.nc):
-            approach = -float(system.basis[c, 2] @ system.slip[c])
+            approach = -self._leaves_at(c)
             if system.contact_int[c, MODE] == FREE and system.contact_real[c, DOMAIN] >= 0.0 and approach > 0.0:
                 reach = self._reach(c)
                 way = float(system.gaps[c, 0] + self.dips.depths[c]) + reach
@@ -819,14 +849,12 @@ class Transitions:
         # whatever touches at the same instant, by symmetry, takes part
         touching = [c]
         for i in range(system.nc):
-            if i != c and integers[i, MODE] == FREE and system.contact_real[i, DOMAIN] >= 0.0:
-                leaving = float(system.basis[i, 2] @ system.slip[i])
-                if abs(system.gaps[i, 0]) <= self._reach(i) and leaving <= _LEAVING_SPEED:
-                    touching.append(i)
+            if i != c and integers[i, MODE] == FREE and self._touches(i) and self._leaves_at(i) <= _LEAVING_SPEED:
+                touching.append(i)
         rebounds = {}
         modes: dict[int, int] = {}
         for i in touching:
-            approach = float(system.basis[i, 2] @ system.slip[i])
+            approach = self._leaves_at(i)
             if -self.restitution[i] * approach > REST_SPEED:
                 rebounds[i] = self.restitution[i]
             if i in self._barely_open and i not in rebounds and self._stayed_near(i):
@@ -848,6 +876,14 @@ class Transitions:
             elif now != before:
                 self._announce_friction(t, i, now == SLIPPING)
         return after
+
+    def _touches(self, c: int) -> bool:
+        """Whether the gap of an open contact is no larger than gaps are known, between points inside both domains."""
+        return bool(self.system.contact_real[c, DOMAIN] >= 0.0 and abs(self.system.gaps[c, 0]) <= self._reach(c))
+
+    def _leaves_at(self, c: int) -> float:
+        """Speed in m/s at which the bodies of a contact part."""
+        return float(self.system.basis[c, 2] @ self.system.slip[c])
 
     def _stayed_near(self, c: int) -> bool:
         """Whether the gap of an open contact is, and was in the last attempt, no larger than gaps are known."""
@@ -876,7 +912,7 @@ class Transitions:
             works[DAMPING_WORK] += impact.joints
         self._evaluate_rows(t)
         for i in closed:
-            leaving = float(system.basis[i, 2] @ system.slip[i])
+            leaving = self._leaves_at(i)
             if integers[i, UNILATERAL] and leaving > _LEAVING_SPEED:
                 # a hop lower than gaps are known is none
                 falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
@@ -925,10 +961,7 @@ class Transitions:
 
     def _energies(self) -> tuple[float, float]:
         """Kinetic and potential energy in J at the system's (q, v)."""
-        system = self.system
-        model, data = system.model, system.model.createData()
-        kinetic = pin.computeKineticEnergy(model, data, system.q, system.v)
-        return float(kinetic), float(pin.computePotentialEnergy(model, data, system.q))
+        return energies_at(self.system.model, self.system.q, self.system.v)
 
     def _evaluate_rows(self, t: float) -> None:
         """Evaluate what an impact needs: rows, v_c and the factor of M; forces there may be none."""

@@ -24,7 +24,6 @@ from .integration.output_modes import OutputModes
 from .integration.recording import BLOCK, INTEGERS_PER_CONTACT
 from .integration.results import Event
 from .integration.slow_slip import frozen_directions, present_directions, set_frozen_directions
-from .integration.stages import NUMBER_OF_WORKS
 from .integration.steps import RECORD, run_task
 from .layout import (
     CHART,
@@ -64,7 +63,7 @@ class Record:
         self.system, self.with_torques, self.by_steps = system, with_torques, by_steps
         # works are counted from there on, whatever the outputs
         counts = system.sizes[NWORK] > 0
-        self._total_at_start = sum(energies_at(system.model, start.q, start.v)) if counts else None
+        self._total_at_start = np.array(sum(energies_at(system.model, start.q, start.v))) if counts else None
         nq, nv, nc = system.nq, system.nv, system.nc
         # t, q, v, tau, works, location, frozen directions' columns, redundant forces chosen, resistances to turning
         turns = 3 * nc if system.nr else 0
@@ -134,7 +133,7 @@ class Recorded:
     discrete: np.ndarray
     directions: np.ndarray
     works: np.ndarray | None
-    total_at_start: float | None
+    total_at_start: np.ndarray | None
     torques: np.ndarray | None
     resistances: np.ndarray | None
     references: dict[int, np.ndarray] = field(default_factory=dict)
@@ -147,7 +146,7 @@ def _unpack(
     swapped: list[bool],
     with_torques: bool,
     of_steps: list[np.ndarray],
-    total_at_start: float | None,
+    total_at_start: np.ndarray | None,
 ) -> Recorded:
     """The columns of rows `values` (n, sum of widths) and of the contacts' integers.
 
@@ -427,12 +426,15 @@ class Trajectory:
         model, recorded = self._model(), self._recorded
         data = model.createData()
         found = np.array([energies_at(model, q, v, data) for q, v in zip(self.q, self.v)]).reshape(-1, 2)
-        works = [None] * NUMBER_OF_WORKS if recorded.works is None else list(recorded.works.T)
+        kinetic, potential = found.T
+        if recorded.works is None:
+            return Energies(kinetic, potential)
+        friction, drives, torques, damping = recorded.works.T
         start = recorded.total_at_start
-        if start is None and recorded.works is not None and len(found):
+        if start is None and len(found):
             # files that are older than this number: from the first output on
-            start = float(found[0].sum() - recorded.works[0].sum())
-        return Energies(found[:, 0], found[:, 1], *works, start)
+            start = found[0].sum() - recorded.works[0].sum()
+        return Energies(kinetic, potential, friction, drives, torques, damping, None if start is None else float(start))
 
     # ------------------------------------------------------------------ files
 
@@ -448,7 +450,7 @@ class Trajectory:
             "directions": recorded.directions,
         }
         optional = {key: getattr(recorded, key) for key in ("works", "total_at_start", "torques", "resistances")}
-        arrays |= {key: np.asarray(value) for key, value in optional.items() if value is not None}
+        arrays |= {key: value for key, value in optional.items() if value is not None}
         # not the scene's names: a run that was read without its scene has its tracks all the same
         for i, name in enumerate(tracks):
             for key, value in vars(tracks[name]).items():
@@ -500,9 +502,7 @@ class Trajectory:
                 partial(
                     Recorded,
                     *(arrays[key] for key in ("location", "discrete", "directions")),
-                    arrays.get("works"),
-                    float(arrays["total_at_start"]) if "total_at_start" in arrays else None,
-                    *(arrays.get(key) for key in ("torques", "resistances")),
+                    *(arrays.get(key) for key in ("works", "total_at_start", "torques", "resistances")),
                 ),
                 events,
                 header["status"],

@@ -86,7 +86,7 @@ def _one(system: System, c: int, contact: Contact) -> ContactKinematics:
     dual = dual_basis(frame)
     v = system.v
     points = (frame1[ORIGIN] + first[0], frame2[ORIGIN] + second[0])
-    linear, angular = zip(*(_jacobians(system, side, point) for side, point in ((one, points[0]), (two, points[1]))))
+    linear, angular = zip(*(jacobians(system, side, point) for side, point in ((one, points[0]), (two, points[1]))))
     relative = linear[1] - linear[0]
     velocity = system.slip[c].copy()
 
@@ -142,7 +142,7 @@ def _one(system: System, c: int, contact: Contact) -> ContactKinematics:
     )
 
 
-def _jacobians(system: System, side: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def jacobians(system: System, side: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(3, nv) linear Jacobian of the material point at `point`, (3, nv) angular Jacobian of its body."""
     linear, angular = np.zeros((3, system.nv)), np.zeros((3, system.nv))
     jacobian = np.asarray(system.data.J).reshape(6, system.nv)

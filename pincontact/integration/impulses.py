@@ -454,6 +454,12 @@ def _add_works(table, step, nv, nc, h, v1, viscous, works):
         mean = 0.5 * (v0[k] + v1[k])
         works[TORQUE_WORK] += h * tau[k] * mean
         works[DAMPING_WORK] -= h * damping[k] * mean * mean
+    joint_int = integer_matrix(step[JOINT_INT], counts[NJ], JOINT_INTS)
+    for j in range(counts[NJ]):
+        if joint_int[j, JOINT_KIND] == DRY_FRICTION:
+            # the constant part of a range that is not symmetric, beside the unit's
+            k = joint_int[j, JOINT_V]
+            works[DAMPING_WORK] += h * matrix(step[JOINT_REAL], counts[NJ], 2)[j, 1] * 0.5 * (v0[k] + v1[k])
 
 
 @kernel

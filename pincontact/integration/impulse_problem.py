@@ -24,6 +24,7 @@ import math
 from ..constraints.kinematics import add_rotation_row
 from ..dynamics.equations import coefficient_at
 from ..dynamics.linear import factorize_tree, inner, solve_semidefinite, unwhiten, whiten
+from ..dynamics.resistance import drop_unturned
 from ..friction.ellipse import stretch_pair
 from ..geometry.carriers import ALPHA, OMEGA
 from ..geometry.patterns import ON_CURVE
@@ -507,6 +508,7 @@ def _fill_units(table, step, nv, nc, h):
                 for i in range(nv):
                     line[i] = 0.0
                 add_turn_row(table, index, axis, nv, nc, 1.0, line)
+                drop_unturned(line, nv)
                 # what the bodies turn at the midpoint, and what drives add to it
                 turned = inner(line, middle, nv)
                 turning = _turning(table, index, axis, OMEGA, nc)

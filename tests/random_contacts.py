@@ -276,7 +276,10 @@ class Snapshot:
 
 
 class RandomContact:
-    """A scene with one contact, its state, and evaluations nearby."""
+    """A scene with one contact, its state, and evaluations nearby.
+
+    reverse: whether the user names body 2 first, where the pattern tells bodies apart.
+    """
 
     def __init__(
         self,
@@ -286,8 +289,9 @@ class RandomContact:
         on_world: bool = False,
         seed: int = 0,
         friction: pc.FrictionLaw | None = None,
+        reverse: bool = False,
     ) -> None:
-        self._arguments = (pattern, names, motions, on_world, seed)
+        self._arguments = (pattern, names, motions, on_world, seed, reverse)
         rng = np.random.default_rng(seed)
         planar = pattern in PLANAR
         shapes = [contour(pattern, body, name) for body, name in zip((1, 2), names)]
@@ -314,13 +318,14 @@ class RandomContact:
             scene.add_contour("first", shapes[0], "one", in_body[0], drives[0]),
             scene.add_contour("second", shapes[1], "universe" if on_world else "two", place2, drives[1]),
         )
+        order = slice(None, None, -1 if reverse else 1)
         scene.add_contact(
             "c",
-            *attached,
+            *attached[order],
             friction=friction,
             bilateral=True,
             pattern=pattern,
-            location=(u1 if u1.size else None, u2),
+            location=(u1 if u1.size else None, u2)[order],
             side=1 if rng.random() < 0.5 else -1,
         )
         q = np.concatenate([self._coordinates(planar, pose) for pose in ((pose1,) if on_world else (pose1, pose2))])

@@ -24,7 +24,9 @@ def contacts(draw, pattern):
     names = tuple(draw(st.sampled_from(names_of(pattern, body))) for body in (1, 2))
     motions = tuple(draw(st.sampled_from(motions_of(pattern))) for _ in range(2))
     assume(not is_line_contact(pattern, names))
-    contact = RandomContact(pattern, names, motions, draw(st.booleans()), draw(st.integers(0, 10**6)))
+    contact = RandomContact(
+        pattern, names, motions, draw(st.booleans()), draw(st.integers(0, 10**6)), reverse=draw(st.booleans())
+    )
     assume(contact.at().condition > 0.05)
     return contact
 
@@ -38,12 +40,13 @@ def analyzed(contact, h=0.0):
 
 
 def conditions(contact, q, location, t):
-    """f (m,) at any (q, p, t), from contours and Pinocchio's placements: r_1 - r_2, then e_3 . tau_1."""
+    """f (m,) at any (q, p, t), from contours and Pinocchio's placements: r_first - r_second, then e_3 . tau_1."""
     model, k1 = contact.scene.model, PATTERNS[contact.pattern][0]
     data = model.createData()
     pin.forwardKinematics(model, data, q)
     shapes, rotations = [], []
-    for attached, u in zip(contact.scene.contours.values(), (location[:k1], location[k1:]), strict=True):
+    named = contact.scene.contacts["c"]
+    for attached, u in zip((named.body1, named.body2), (location[:k1], location[k1:]), strict=True):
         pose = data.oMi[attached.joint] * attached.placement_in_joint
         if attached.motion is not None:
             pose = pose * attached.motion.placement(t)
@@ -52,7 +55,7 @@ def conditions(contact, q, location, t):
         shapes.append(rows)
         rotations.append(pose.rotation)
     first, second = shapes
-    difference = first[0] - second[0]
+    difference = (first[0] - second[0]) * (-1.0 if named.body1 is named.second else 1.0)
     if contact.pattern in PLANAR:
         c1 = rotations[1].T[:2] @ difference
         normal = np.cross(second[1], rotations[1][:, 2])

@@ -14,7 +14,7 @@ from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import Decision, ModeSolver, freeze_slip, held_up_by_friction, rest_mode
 from ..dynamics.stretches import opposed_slip
 from ..dynamics.system import FORCE_SLACK
-from ..dynamics.units import whiten, whitened_velocity
+from ..dynamics.units import whiten
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
     CONDITION,
@@ -223,7 +223,7 @@ class Transitions:
         self.failed_control(t)
         if status in (LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE):
             raise self.give_up(t, status)
-        energy = sum(self._energies()) if self._counts_works else 0.0
+        start, energy = system.state.copy(), self._counted_energy()
         if system.ng:
             self._guards_from_velocities()
         given = system.contact_int.tobytes()
@@ -238,9 +238,13 @@ class Transitions:
             self._stop_jammed(t)
             self._settle(t, undecided, _NONE, True)
         if self._counts_works:
-            lost = sum(self._energies()) - energy
-            for state in (system.state, system.stage_state):
-                state[FRICTION_WORK - NUMBER_OF_WORKS] += lost
+            self._count_loss(energy)
+            rk.accept()
+        if np.abs(system.state - start).max(initial=0.0) > _REST:
+            # it was not on its constraints, where the modes were decided
+            rk.load(system.state)
+            if rk.evaluate_start(t) > EVENT:
+                raise self.give_up(t, NO_FORCE)
         self._guards = [self._guard_state(g) for g in range(system.ng)]
         if not self.dips.take_up(t, self.seed):
             raise self.give_up(t, NO_FORCE)
@@ -754,9 +758,9 @@ class Transitions:
         return self.start_frozen(t)
 
     def _end_jams(self, t: float, contacts: list[int]) -> None:
-        before = whitened_velocity(self.system, self.system.v)
+        energy = self._counted_energy()
         self._stop_slips(t, contacts)
-        self._count_loss(before)
+        self._count_loss(energy)
         self._settle(t, self._sticking(), dict.fromkeys(contacts, np.zeros(3)), False)
 
     def _stop_slips(self, t: float, contacts: list[int]) -> None:
@@ -764,12 +768,14 @@ class Transitions:
         self.system.contact_int[contacts, MODE] = STICK
         self._project(t)
 
-    def _count_loss(self, before: np.ndarray) -> None:
-        """Book the energy that projections took from the whitened velocity `before` as work of friction."""
-        system = self.system
+    def _counted_energy(self) -> float:
+        """Energy in J of the system's state, where works are counted."""
+        return sum(self._energies()) if self._counts_works else 0.0
+
+    def _count_loss(self, before: float) -> None:
+        """Book what projections took from the energy `before` as work of friction."""
         if self._counts_works:
-            after = whitened_velocity(system, system.v)
-            system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += 0.5 * float(after @ after - before @ before)
+            self.system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += self._counted_energy() - before
 
     def until_touch(self) -> float:
         """Time in s that the gaps of open contacts last at their present rates."""
@@ -924,8 +930,7 @@ class Transitions:
                         self.dips.start_at(i, depth)
         self._guards_from_velocities()
         undecided = self.modes_from_velocities(after_impact=True)
-        before = whitened_velocity(system, system.v)
-        height = self._energies()[1] if deep else 0.0
+        before = self._counted_energy()
         self._stop_jammed(t)
         # what stays closed with a normal velocity (a hop that is none) stops here, which may turn slow slips
         if rk.project(t, False):
@@ -938,14 +943,14 @@ class Transitions:
             self._project(t)
         self._count_loss(before)
         if deep:
-            self._leave_dips(t, height, energy + impact.drives)
+            self._leave_dips(t, energy + impact.drives)
         return self.resolve(t, undecided, silent=True)
 
-    def _leave_dips(self, t: float, height: float, energy: float) -> None:
+    def _leave_dips(self, t: float, energy: float) -> None:
         """After an impact of contacts in dips, out of which they have been lifted.
 
         The motion has what it fell too far, and gives back what the lift takes beyond what the impact took.
-        height: potential energy in J before the lift; energy: that of the motion before the impact, and of drives.
+        energy: in J, that of the motion before the impact, and of drives.
         """
         system = self.system
         kinetic, potential = self._energies()
@@ -957,7 +962,7 @@ class Transitions:
             # drives have velocities of their own
             self._project(t)
         if self._counts_works:
-            system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += potential - height - excess
+            system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] -= excess
 
     def _energies(self) -> tuple[float, float]:
         """Kinetic and potential energy in J at the system's (q, v)."""

@@ -156,14 +156,19 @@ def test_contact_that_comes_in_at_the_start(method, given, bounce, law, gap):
     lost = 0.5 * MASS * (after[0] ** 2 + after[1] ** 2 - slip**2 - 1.0)
     lost += 0.2 * MASS * RADIUS**2 * (after[2] ** 2 - spin**2)
     assert np.abs(energies.balance).max() <= 1e-11
-    assert [(event.time, event.kind) for event in run.events][:1] == [(0.0, "touch")]
+    assert run.events[0].kind == "touch"
+    # gaps are told from zero to ten times the tolerance, at 1 m/s
+    late = 0.0 if given == "closed" else 1e-8
+    assert abs(run.events[0].time) <= late
     # right after the impact, or after the step that it is in
     velocity = pin.Quaternion(run.q[1, 3:]).matrix() @ run.v[1, :3]
-    assert velocity[2] == pytest.approx(after[1] - (G * run.t[1] if bounce else 0.0), abs=1e-9)
-    if law is None or rolls < law.sliding * impulse or bounce or run.t[1] == 0.0:
+    assert velocity[2] == pytest.approx(after[1] - (G * run.t[1] if bounce else 0.0), abs=1e-9 + 2.0 * G * late)
+    if law is None or rolls < law.sliding * impulse or bounce or run.t[1] <= late:
         # else friction goes on where it slides
-        assert energies.friction_work[1] == pytest.approx(lost, abs=1e-9)
-        np.testing.assert_allclose([velocity[0], run.v[1, 4]], after[[0, 2]], rtol=0.0, atol=1e-9)
+        assert energies.friction_work[1] == pytest.approx(lost, abs=1e-9 + 2.0 * G * late)
+        np.testing.assert_allclose(
+            [velocity[0], run.v[1, 4]], after[[0, 2]], rtol=0.0, atol=1e-9 + 2.0 * G * late / RADIUS
+        )
 
 
 @BOTH

@@ -127,6 +127,8 @@ class Transitions:
         self._reach = self.dips.reach
         # contacts that have opened, and not been apart by more than gaps are known: their mode before, and the event
         self._barely_open: dict[int, tuple[int, Event]] = {}
+        # closed contacts of the initial state that come in
+        self._striking: list[int] = []
         # directions in which slip began or went on since the last impact
         self._started: dict[int, np.ndarray] = {}
         # Longest time in s that the start of slip may take with a prescribed direction; the driver keeps it current.
@@ -250,25 +252,23 @@ class Transitions:
             raise self.give_up(t, NO_FORCE)
 
     def _open_moving(self, t: float) -> None:
-        """Open the contacts of the initial state whose normal velocity is not zero: they part, or are about to
-        strike."""
+        """Open the closed contacts of the initial state whose normal velocity is not zero: they part, or strike."""
         system = self.system
+        self._striking.clear()
         for c in system.closed():
             speed = self._leaves_at(c)
             if system.contact_int[c, UNILATERAL] and abs(speed) > REST_SPEED:
                 system.contact_int[c, MODE] = FREE
                 if speed > 0.0:
                     self.announce(t, c, "separate")
+                else:
+                    self._striking.append(c)
 
     def strike(self, t: float) -> float | None:
-        """Impacts at the start of a run, of what touches there and comes in; the new time, or None without any."""
+        """Impacts at the start of a run, of closed contacts and joints at their ends that come in; the new time, or
+        None without any."""
         system = self.system
-        coming = [
-            c
-            for c in range(system.nc)
-            if system.contact_int[c, MODE] == FREE and self._touches(c) and self._leaves_at(c) < -REST_SPEED
-        ]
-        striking = False
+        stops = False
         for g, guard in enumerate(system.guards):
             if system.contact_int[system.nc + g, MODE] != FREE:
                 continue
@@ -276,10 +276,10 @@ class Transitions:
             low, high = position <= guard.low_end + END_SLACK, position >= guard.high_end - END_SLACK
             if (low and speed < 0.0) or (high and speed > 0.0):
                 self._stop_joint(t, g, -1 if low else 1)
-                striking = True
-        if coming:
-            return self._touch(t, coming[0])
-        return self._collide(t, system.closed(), {}) if striking else None
+                stops = True
+        if self._striking:
+            return self._touch(t, self._striking[0])
+        return self._collide(t, system.closed(), {}) if stops else None
 
     def modes_from_velocities(self, after_impact: bool = False) -> list[int]:
         """Give closed contacts and their resistances the mode that their slip shows; returns those at rest whose

@@ -113,7 +113,7 @@ def simulate(
         return run
     rk = RungeKutta(system, pair, rtol, atol, torque)
     rk.begin_at(state.q, state.v, state.location)
-    record = Record(system, with_torques=control is not None or system.ng + system.nr > 0)
+    record = Record(system, state, with_torques=control is not None or system.ng + system.nr > 0)
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration)
     options = Options(times, max_step, max_steps, fixed_step, first_step)
     with _Bar(progress, state.t, duration) as bar:
@@ -167,7 +167,7 @@ def _simulate_moreau(
         stepper = spare.stepper = MoreauStep(system, system.contacts)
     else:
         stepper.renew()
-    record = Record(system, with_torques=torque is not None or stepper.acts_on_joints, by_steps=True)
+    record = Record(system, state, with_torques=torque is not None or stepper.acts_on_joints, by_steps=True)
 
     def add(t: float) -> None:
         # forces on the joints of limits, friction and resistance to turning go with the torques, so that contact forces

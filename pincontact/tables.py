@@ -70,7 +70,7 @@ def run_to_xarray(run: Trajectory) -> xarray.Dataset:
         variables[key] = (("t", "contact", *inner), np.stack(columns, axis=1), attributes)
     energies = None if _is_bare(run) else run.energies()
     for key, values in vars(energies).items() if energies is not None else ():
-        if values is not None:
+        if isinstance(values, np.ndarray):
             variables[key] = (("t",), values, {"units": "J"})
     return package.Dataset(variables, coordinates, {"status": run.status, "message": run.message})
 

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from .contacts import Contact, characteristic_length
+from .dynamics.energy import energies_at
 from .dynamics.spare import put_back, take_spare
 from .dynamics.system import System
 from .errors import TrajectoryError
@@ -23,7 +24,6 @@ from .integration.output_modes import OutputModes
 from .integration.recording import BLOCK, INTEGERS_PER_CONTACT
 from .integration.results import Event
 from .integration.slow_slip import frozen_directions, present_directions, set_frozen_directions
-from .integration.stages import NUMBER_OF_WORKS
 from .integration.steps import RECORD
 from .layout import (
     CHART,
@@ -55,11 +55,15 @@ _CHUNK = 1024
 class Record:
     """Rows written during a run: what is needed to rebuild everything else.
 
-    by_steps: the modes in the rows are those of steps of a constant size, see `OutputModes`.
+    start: the state that the run starts from; by_steps: the modes in the rows are those of steps of a constant size,
+    see `OutputModes`.
     """
 
-    def __init__(self, system: System, with_torques: bool, by_steps: bool = False) -> None:
+    def __init__(self, system: System, start: State, with_torques: bool, by_steps: bool = False) -> None:
         self.system, self.with_torques, self.by_steps = system, with_torques, by_steps
+        # works are counted from there on, whatever the outputs
+        counts = system.sizes[NWORK] > 0
+        self._total_at_start = np.array(sum(energies_at(system.model, start.q, start.v))) if counts else None
         nq, nv, nc = system.nq, system.nv, system.nc
         # t, q, v, tau, works, location, frozen directions' columns, redundant forces chosen, resistances to turning
         turns = 3 * nc if system.nr else 0
@@ -100,7 +104,16 @@ class Record:
         system, at = self.system, 1 + self._widths[1]
         swapped = [contact.swapped for contact in system.contacts]
         t, q, v = values[:, 0].copy(), values[:, 1:at].copy(), values[:, at : at + self._widths[2]].copy()
-        rest = partial(_unpack, values, integers, self._widths, swapped, self.with_torques, self._resistances)
+        rest = partial(
+            _unpack,
+            values,
+            integers,
+            self._widths,
+            swapped,
+            self.with_torques,
+            self._resistances,
+            self._total_at_start,
+        )
         if self.by_steps and system.nc:
             rest = partial(_with_output_modes, rest, scene, system.contacts, self._widths[4] > 0, t, q, v)
         return t, q, v, rest
@@ -111,15 +124,16 @@ class Recorded:
     """What a run keeps of every output besides t, q and v, to rebuild everything else from.
 
     location (n, nc, 4); discrete (n, nc, DISCRETE_COLUMNS), see `State`; directions (n, nc, 3) prescribed slip
-    directions; works (n, NUMBER_OF_WORKS) in J; torques (n, nv) of the user and on joints; resistances (n, nc, 3)
-    torques in N m on the second contours; references: output -> redundant forces chosen there (nc, 3).
-    None for what was not recorded.
+    directions; works (n, NUMBER_OF_WORKS) and total energy at the run's start in J; torques (n, nv) of the user and on
+    joints; resistances (n, nc, 3) torques in N m on the second contours; references: output -> redundant forces chosen
+    there (nc, 3). None for what was not recorded.
     """
 
     location: np.ndarray
     discrete: np.ndarray
     directions: np.ndarray
     works: np.ndarray | None
+    total_at_start: np.ndarray | None
     torques: np.ndarray | None
     resistances: np.ndarray | None
     references: dict[int, np.ndarray] = field(default_factory=dict)
@@ -132,6 +146,7 @@ def _unpack(
     swapped: list[bool],
     with_torques: bool,
     of_steps: list[np.ndarray],
+    total_at_start: np.ndarray | None,
 ) -> Recorded:
     """The columns of rows `values` (n, sum of widths) and of the contacts' integers.
 
@@ -154,6 +169,7 @@ def _unpack(
         discrete_part(whole[:, :, :CONTACT_INTS], whole[:, :, CONTACT_INTS:]),
         frozen_directions(whole, frozen.reshape(n, nc, FROZEN_COLUMNS), t),
         works if works.shape[1] else None,
+        total_at_start,
         torques if with_torques else None,
         resistances if resistances.shape[1] else None,
         {int(i): references[i] for i in np.flatnonzero(references.any(axis=(1, 2)))},
@@ -243,11 +259,12 @@ class ContactTrack:
 
 @dataclass(frozen=True, eq=False)
 class Energies:
-    """Energies in J, (n,) each; works are counted from the start, None unless the run recorded them.
+    """Energies in J, (n,) each; works are None unless the run recorded them.
 
-    friction_work is that of contact forces on v_c, and of their impulses in impacts; damping_work that of joints'
-    damping, dry friction and limits. total = kinetic + potential; balance = total - total at the start - all works:
-    what the integration lost or won.
+    kinetic is with the rotors' (armature). friction_work is that of contact forces on v_c, and of their impulses in
+    impacts; damping_work that of joints' damping, dry friction and limits. total = kinetic + potential.
+    Works are counted from the state that the run started from, whether that is an output or not, and with what impacts
+    took out of it there; so is the balance: total - total_at_start - all works, what the integration lost or won.
     """
 
     kinetic: np.ndarray
@@ -256,6 +273,7 @@ class Energies:
     drive_work: np.ndarray | None = None
     torque_work: np.ndarray | None = None
     damping_work: np.ndarray | None = None
+    total_at_start: float | None = None
 
     @property
     def total(self) -> np.ndarray:
@@ -264,9 +282,9 @@ class Energies:
     @property
     def balance(self) -> np.ndarray:
         works = (self.friction_work, self.drive_work, self.torque_work, self.damping_work)
-        if any(w is None for w in works):
+        if self.total_at_start is None or any(w is None for w in works):
             raise TrajectoryError("the run did not record works: simulate(..., energies=True)")
-        return self.total - self.total[0] - sum(w for w in works if w is not None)
+        return self.total - self.total_at_start - sum(w for w in works if w is not None)
 
 
 class _Tracks(Mapping[str, ContactTrack]):
@@ -405,12 +423,18 @@ class Trajectory:
 
     def energies(self) -> Energies:
         """Kinetic and potential energy at every output; works where the run recorded them (energies=True)."""
-        model = self._model()
+        model, recorded = self._model(), self._recorded
         data = model.createData()
-        kinetic = np.array([pin.computeKineticEnergy(model, data, q, v) for q, v in zip(self.q, self.v)])
-        potential = np.array([pin.computePotentialEnergy(model, data, q) for q in self.q])
-        works = [None] * NUMBER_OF_WORKS if self._recorded.works is None else list(self._recorded.works.T)
-        return Energies(kinetic, potential, *works)
+        found = np.array([energies_at(model, q, v, data) for q, v in zip(self.q, self.v)]).reshape(-1, 2)
+        kinetic, potential = found.T
+        if recorded.works is None:
+            return Energies(kinetic, potential)
+        friction, drives, torques, damping = recorded.works.T
+        start = recorded.total_at_start
+        if start is None and len(found):
+            # files that are older than this number: from the first output on
+            start = found[0].sum() - recorded.works[0].sum()
+        return Energies(kinetic, potential, friction, drives, torques, damping, None if start is None else float(start))
 
     # ------------------------------------------------------------------ files
 
@@ -425,7 +449,7 @@ class Trajectory:
             "discrete": recorded.discrete,
             "directions": recorded.directions,
         }
-        optional = {"works": recorded.works, "torques": recorded.torques, "resistances": recorded.resistances}
+        optional = {key: getattr(recorded, key) for key in ("works", "total_at_start", "torques", "resistances")}
         arrays |= {key: value for key, value in optional.items() if value is not None}
         # not the scene's names: a run that was read without its scene has its tracks all the same
         for i, name in enumerate(tracks):
@@ -478,7 +502,7 @@ class Trajectory:
                 partial(
                     Recorded,
                     *(arrays[key] for key in ("location", "discrete", "directions")),
-                    *(arrays.get(key) for key in ("works", "torques", "resistances")),
+                    *(arrays.get(key) for key in ("works", "total_at_start", "torques", "resistances")),
                 ),
                 events,
                 header["status"],

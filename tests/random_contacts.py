@@ -289,7 +289,10 @@ def carried(here: Snapshot, there: Snapshot) -> np.ndarray:
 
 
 class RandomContact:
-    """A scene with one contact, its state, and evaluations nearby."""
+    """A scene with one contact, its state, and evaluations nearby.
+
+    reverse: whether the user names body 2 first, where the pattern tells bodies apart.
+    """
 
     def __init__(
         self,
@@ -299,8 +302,9 @@ class RandomContact:
         on_world: bool = False,
         seed: int = 0,
         friction: pc.FrictionLaw | None = None,
+        reverse: bool = False,
     ) -> None:
-        self._arguments = (pattern, names, motions, on_world, seed)
+        self._arguments = (pattern, names, motions, on_world, seed, reverse)
         rng = np.random.default_rng(seed)
         planar = pattern in PLANAR
         shapes = [contour(pattern, body, name) for body, name in zip((1, 2), names)]
@@ -327,13 +331,14 @@ class RandomContact:
             scene.add_contour("first", shapes[0], "one", in_body[0], drives[0]),
             scene.add_contour("second", shapes[1], "universe" if on_world else "two", place2, drives[1]),
         )
+        order = slice(None, None, -1 if reverse else 1)
         scene.add_contact(
             "c",
-            *attached,
+            *attached[order],
             friction=friction,
             bilateral=True,
             pattern=pattern,
-            location=(u1 if u1.size else None, u2),
+            location=(u1 if u1.size else None, u2)[order],
             side=1 if rng.random() < 0.5 else -1,
         )
         q = np.concatenate([self._coordinates(planar, pose) for pose in ((pose1,) if on_world else (pose1, pose2))])
@@ -454,8 +459,11 @@ class RandomContact:
 
 
 @st.composite
-def contacts(draw, pattern, friction=None, oblique=False):
-    """A random contact of a pattern: contours, motions and placements; half of them with the second on the world."""
+def contacts(draw, pattern, friction=None, oblique=False, reversible=False):
+    """A random contact of a pattern: contours, motions and placements; half of them with the second on the world.
+
+    reversible: half of them are named in the order that is not the paper's.
+    """
     names = [draw(st.sampled_from(names_of(pattern, body))) for body in (1, 2)]
     if oblique and PATTERNS[pattern][1] == 2:
         names[1] = draw(st.sampled_from(["oblique ParametricSurface", "SplineSurface", "surface in time"]))
@@ -463,7 +471,13 @@ def contacts(draw, pattern, friction=None, oblique=False):
     assume(not is_line_contact(pattern, tuple(names)))
     try:
         contact = RandomContact(
-            pattern, tuple(names), motions, draw(st.booleans()), draw(st.integers(0, 10**6)), friction=friction
+            pattern,
+            tuple(names),
+            motions,
+            draw(st.booleans()),
+            draw(st.integers(0, 10**6)),
+            friction=friction,
+            reverse=reversible and draw(st.booleans()),
         )
     except ZeroDivisionError:
         # kernels that are not compiled raise where compiled ones have an infinite number, at a degenerate candidate

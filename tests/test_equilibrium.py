@@ -159,3 +159,20 @@ def test_conditions_must_be_numbers():
         pc.find_equilibrium(scene, [0.0, 0.0, 0.1, *LEVEL], conditions=lambda q: "height")
     with pytest.raises(pc.StateError, match=r"conditions\[0\] is nan"):
         pc.find_equilibrium(scene, [0.0, 0.0, 0.1, *LEVEL], conditions=lambda q: math.nan)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_where_nothing_changes_nothing_moves(seed):
+    """A load on three sliding joints: its height does not matter to its accelerations. Held but for round-off it stays
+    where it is, and where it falls there is no equilibrium."""
+    rng = np.random.default_rng(seed)
+    model = pin.Model()
+    turned = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
+    joint = model.addJoint(0, pin.JointModelTranslation(), turned, "load")
+    model.appendBodyToJoint(joint, pin.Inertia(1.7, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    scene, q = pc.Scene(model), np.array([0.1, 0.2, 0.3])
+    hold = turned.rotation.T @ [0.0, 0.0, 1.7 * G]
+    found = pc.find_equilibrium(scene, q, hold * (1.0 + 4e-16))
+    np.testing.assert_allclose(found.state.q, q, rtol=0.0, atol=1e-15)
+    with pytest.raises(pc.SolverError, match="no equilibrium"):
+        pc.find_equilibrium(scene, q, 0.5 * hold)

@@ -223,3 +223,142 @@ def test_bad_arguments():
         pc.external_forces(scene, state, forces={"side": np.zeros(3)})
     with pytest.raises(pc.StateError, match=r"forces\['rear'\] must be 3 finite numbers"):
         pc.inverse_dynamics(scene, state, forces={"rear": [0.0, math.nan, 0.0]})
+
+
+# ---------------------------------------------------------------------------------- what contacts and actuators share
+
+
+def rotation(rng):
+    return pin.Quaternion(*(lambda x: x / np.linalg.norm(x))(rng.normal(size=4))).matrix()
+
+
+def held_tree(seed, law, floating, legs, joints):
+    """Legs of random joints on a base that floats or is fixed, of random size and mass; each ends in a ball on a plane
+    that holds it from both sides."""
+    rng = np.random.default_rng(seed)
+    length, mass = 10.0 ** rng.uniform(-2, 2), 10.0 ** rng.uniform(-3, 3)
+    model, base = pin.Model(), 0
+
+    def inertia():
+        moments = mass * length**2 * np.diag(rng.uniform(0.1, 0.15, 3))
+        return pin.Inertia(mass * rng.uniform(0.5, 2.0), length * rng.uniform(-0.2, 0.2, 3), moments)
+
+    if floating:
+        base = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+        model.appendBodyToJoint(base, inertia(), pin.SE3.Identity())
+    for leg in range(legs):
+        joint = base
+        for k in range(joints):
+            axis = rng.normal(size=3)
+            kind = pin.JointModelRevoluteUnaligned if rng.random() < 0.8 else pin.JointModelPrismaticUnaligned
+            place = pin.SE3(rotation(rng), length * rng.uniform(-0.5, 0.5, 3))
+            joint = model.addJoint(joint, kind(axis / np.linalg.norm(axis)), place, f"{leg}.{k}")
+            model.appendBodyToJoint(joint, inertia(), pin.SE3.Identity())
+        place = pin.SE3(rotation(rng), length * rng.uniform(-0.5, 0.5, 3))
+        model.addFrame(pin.Frame(f"foot{leg}", joint, 0, place, pin.FrameType.OP_FRAME))
+    q = pin.integrate(model, pin.neutral(model), rng.uniform(-0.7, 0.7, model.nv))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    scene, turns = pc.Scene(model), 0.01 * length
+    friction = {
+        "smooth": None,
+        "stick": pc.Coulomb(0.5),
+        "rolling": pc.NoSlip(rolling=turns),
+        "spinning": pc.Coulomb(0.5, spinning=turns),
+        "fixed": pc.NoSlip(rolling=turns, spinning=turns),
+    }[law]
+    for leg in range(legs):
+        centre, turned = data.oMf[model.getFrameId(f"foot{leg}")].translation, rotation(rng)
+        foot = scene.add_contour(f"foot{leg}", pc.Sphere(0.05 * length), f"foot{leg}")
+        wall = scene.add_contour(
+            f"wall{leg}", pc.Plane(), placement=pin.SE3(turned, centre - 0.05 * length * turned[:, 2])
+        )
+        pair = (foot, wall) if rng.random() < 0.5 else (wall, foot)
+        scene.add_contact(f"{leg}", *pair, friction=friction, bilateral=True)
+    return scene, scene.initial_state(q)
+
+
+def rows_by_pinocchio(scene, state, law):
+    """(m, nv) by contact: rows of what holds the feet, forces first, then torques."""
+    model, data = scene.model, scene.model.createData()
+    pin.computeJointJacobians(model, data, state.q)
+    pin.framesForwardKinematics(model, data, state.q)
+    out = {}
+    for name in scene.contacts:
+        joint = model.frames[model.getFrameId(f"foot{name}")].parentJoint
+        jacobian = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.WORLD)
+        wall = scene.contours[f"wall{name}"].placement_in_joint
+        point = wall.translation
+        linear, angular = jacobian[:3] + np.cross(jacobian[3:].T, point).T, jacobian[3:]
+        tangents, normal = wall.rotation[:, :2].T, wall.rotation[:, 2:].T
+        forces = normal if law == "smooth" else np.eye(3)
+        torques = {"rolling": tangents, "spinning": normal, "fixed": np.eye(3)}.get(law, np.zeros((0, 3)))
+        out[name] = linear, angular, np.vstack([forces @ linear, torques @ angular])
+    return out
+
+
+@pytest.mark.parametrize("law", ["smooth", "stick", "rolling", "spinning", "fixed"])
+def test_least_torques_of_random_mechanisms(law):
+    """Against a dense computation with Pinocchio's Jacobians: equations of motion hold, torques are the least of all
+    that do it, and zero where contacts carry everything."""
+    refused = carried = 0
+    for seed in range(24):
+        rng = np.random.default_rng(1000 + seed)
+        floating, legs, joints = bool(rng.random() < 0.5), int(rng.integers(1, 5)), int(rng.integers(1, 5))
+        scene, state = held_tree(seed, law, floating, legs, joints)
+        model, nv = scene.model, scene.model.nv
+        actuation = np.eye(nv) if rng.random() < 0.5 else np.eye(nv)[:, 6 if floating else 0 :]
+        data = model.createData()
+        gravity = pin.rnea(model, data, state.q, np.zeros(nv), np.zeros(nv))
+        upper = np.triu(pin.crba(model, data, state.q))
+        factor = np.linalg.cholesky(upper + np.triu(upper, 1).T)
+        rows = rows_by_pinocchio(scene, state, law)
+
+        def whiten(columns, factor=factor):
+            return np.linalg.solve(factor, columns)
+
+        # what contacts cannot carry; their columns are of unit size there
+        columns = whiten(np.vstack([part for *_, part in rows.values()]).T)
+        sizes = np.linalg.norm(columns, axis=0)
+        sizes[sizes == 0.0] = 1.0  # what prismatic joints cannot turn
+        left, values, _ = np.linalg.svd(columns / sizes)
+        # a gap of many orders: rounding is 1e-15, the smallest others are near 1e-4
+        assert not ((values > 1e-11) & (values < 1e-7)).any()
+        rest = left[:, int((values > 1e-9).sum()) :].T
+        carried += rest.shape[0] == 0
+        if law == "fixed" and not floating:
+            # legs of at most four joints are held by six rows each, whatever the rounding says
+            assert rest.shape[0] == 0
+        actuators, loads = rest @ whiten(actuation), rest @ whiten(gravity)
+        units = np.linalg.norm(whiten(actuation), axis=0)
+        left, values, right = np.linalg.svd(actuators / units)
+        rank = int((values > 1e-8).sum())
+        best = right[:rank].T @ ((left[:, :rank].T @ loads) / values[:rank]) / units
+        idle = np.linalg.qr(right[rank:].T / units[:, None])[0]
+        best -= idle @ (idle.T @ best)
+        if np.linalg.norm(actuators @ best - loads) > 1e-6 * np.linalg.norm(whiten(gravity)):
+            refused += 1
+            with pytest.raises(pc.SolverError, match="leave"):
+                pc.inverse_dynamics(scene, state, actuation=actuation)
+            continue
+        found = pc.inverse_dynamics(scene, state, actuation=actuation)
+        scale = np.abs(gravity).max()
+        # rounding by the conditioning of the feet, up to 1e4
+        np.testing.assert_allclose(found.efforts, best, rtol=0.0, atol=1e-9 * scale, err_msg=f"seed {seed}")
+        if rest.shape[0] == 0:
+            assert (found.efforts == 0.0).all(), seed
+        acting = actuation @ found.efforts
+        for name, (linear, angular, _) in rows.items():
+            on_foot = 1.0 if scene.contacts[name].second.name.startswith("foot") else -1.0
+            acting = acting + on_foot * (linear.T @ found.forces[name] + angular.T @ found.torques[name])
+        np.testing.assert_allclose(acting, gravity, rtol=0.0, atol=1e-9 * scale, err_msg=f"seed {seed}")
+    assert refused < 24
+    assert carried > 0
+
+
+def test_loads_of_a_tiny_robot_are_loads():
+    """What is left of 1e-9 N m is not nothing because it is less than a newton metre."""
+    scene, state = held_tree(3, "smooth", True, 2, 2)
+    scene.model.gravity.linear = 1e-9 * scene.model.gravity.linear
+    with pytest.raises(pc.SolverError, match="leave"):
+        pc.inverse_dynamics(scene, state)

@@ -750,3 +750,34 @@ def test_runaways_are_told_apart():
     )
     assert run.status < 0
     assert "in a step of 0.1 s" in run.message
+
+
+@pytest.mark.parametrize("law", [pc.Coulomb(0.3), pc.Coulomb(0.3, viscous=0.2), pc.Coulomb(0.0, viscous=0.5)], ids=str)
+def test_two_points_of_a_turning_body_slide(law):
+    """Of six relative velocities of two points of a body five are independent, and the sixth is given by its turning.
+    That does not bind points that slide: steps converge to the event-driven motion, to second order."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    inertia = pin.Inertia(1.0, np.array([0.01, 0.02, 0.03]), np.diag([0.02, 0.025, 0.03]))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    # in a wedge of 60 degrees about the horizontal y
+    for name, side in (("left", -1.0), ("right", 1.0)):
+        centre = np.array([0.15 * side, 0.05 * side, 0.0])
+        tilted = pin.utils.rotate("y", -side * math.pi / 6.0)
+        ball = scene.add_contour(name, pc.Sphere(0.05), "body", pin.SE3(np.eye(3), centre))
+        wall = scene.add_contour(f"{name} wall", pc.Plane(), placement=pin.SE3(tilted, centre - 0.05 * tilted[:, 2]))
+        scene.add_contact(name, ball, wall, friction=law)
+    state = scene.initial_state(pin.neutral(model), [0.1, 1.0, 0.0, 1.0, 2.0, 1.5])
+    exact = pc.simulate(scene, state, 0.1, rtol=1e-11, atol=1e-13, t_eval=[0.1])
+    assert {int(track.mode[-1]) for track in exact.contacts.values()} == {2 if law.sliding else 0}
+    assert exact.events == []
+    off = []
+    for h in (2e-3, 1e-3, 5e-4):
+        run = pc.simulate(scene, state, 0.1, method="Moreau", step=h, t_eval=[0.1], energies=True)
+        off.append(np.abs(run.q[-1] - exact.q[-1]).max())
+        assert np.abs(run.energies().balance).max() <= 2.0 * h**2 * run.energies().kinetic[0]
+    assert off[2] <= 1e-5
+    # second order, but for the first step
+    assert off[2] <= off[0] / 8.0

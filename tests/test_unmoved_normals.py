@@ -144,3 +144,42 @@ def test_a_tangent_along_which_nothing_moves(mu, options):
     np.testing.assert_allclose(run.q[:, 0], expected, rtol=0.0, atol=1e-11)
     np.testing.assert_allclose(run.contacts["c"].tangential_force, min(mu * G, 5.0), rtol=0.0, atol=1e-11)
     assert (run.contacts["c"].mode == (2 if mu * G < 5.0 else 1)).all()
+
+
+@pytest.mark.parametrize("bilateral", [False, True])
+@pytest.mark.parametrize(
+    "law",
+    [pc.Coulomb(0.5, spinning=0.01), pc.Coulomb(0.5, spinning=0.01, rolling=0.01), pc.NoSlip(spinning=0.01)],
+    ids=str,
+)
+@pytest.mark.parametrize("seed", range(3))
+def test_arm_in_a_plane_cannot_spin_about_the_normal(seed, law, bilateral):
+    """Three links whose axes are parallel, in axes of the world in which the cosines between them and the normal are
+    round-off: the contact resists no spinning, and both methods tell the same motion."""
+    rng = np.random.default_rng(seed)
+    turned = pin.exp3(rng.normal(size=3))
+    model, joint = pin.Model(), 0
+    model.gravity.linear = turned @ np.array([0.0, 0.0, -G])
+    link = turned @ np.array([0.4, 0.0, 0.0])
+    for k in range(3):
+        place = pin.SE3(np.eye(3), link if k else np.zeros(3))
+        joint = model.addJoint(joint, pin.JointModelRevoluteUnaligned(turned[:, 1]), place, f"{k}")
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, 0.5 * link, 0.02 * np.eye(3)), pin.SE3.Identity())
+    model.addFrame(pin.Frame("tip", joint, 0, pin.SE3(np.eye(3), link), pin.FrameType.OP_FRAME))
+    q, data = np.array([-0.5, 1.0, 0.4]), model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    tip = data.oMf[model.getFrameId("tip")].translation
+    scene = pc.Scene(model)
+    ball = scene.add_contour("tip", pc.Sphere(0.05), "tip")
+    floor = scene.add_contour("floor", pc.Plane(), placement=pin.SE3(turned, tip - 0.05 * turned[:, 2]))
+    scene.add_contact("c", ball, floor, friction=law, bilateral=bilateral)
+    state = scene.initial_state(q)
+    runs = [pc.simulate(scene, state, 0.1, t_eval=[0.05, 0.1], **options) for options in ({}, {"method": "Moreau"})]
+    for run in runs:
+        assert run.status == 0, run.message
+        # no part about the normal
+        assert np.abs(run.contacts["c"].torque @ turned[:, 2]).max() <= 1e-12
+    # steps of 1 ms, to second order
+    np.testing.assert_allclose(runs[0].v, runs[1].v, rtol=0.0, atol=2e-4)
+    found = pc.inverse_dynamics(scene, state)
+    assert all(abs(turn.torque @ turned[:, 2]) <= 1e-12 for turn in found.held)

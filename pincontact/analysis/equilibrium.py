@@ -12,7 +12,7 @@ from ..arguments import check_tolerance
 from ..errors import ArgumentError, SingularContactError, SolverError
 from ..scene import Scene
 from ..state import State, check_vector
-from .instant import FIRST_STEP, Instant, derivative
+from .instant import ABOVE_NOISE, FIRST_STEP, Instant, derivative
 from .inverse import actuation_matrix
 from .symmetry import find_symmetries
 
@@ -185,8 +185,11 @@ def _solve(
     for iteration in range(_STEPS):
         if size == 0.0:
             return x, iteration
-        jacobian = np.column_stack([_column(residual, x, unit, step) for unit, step in zip(np.eye(x.size), steps)])
-        u, values, vectors = np.linalg.svd(jacobian, full_matrices=False)
+        columns = [_column(residual, x, unit, step) for unit, step in zip(np.eye(x.size), steps)]
+        noise = float(np.linalg.norm([error for _, error in columns]))
+        u, values, vectors = np.linalg.svd(np.column_stack([column for column, _ in columns]), full_matrices=False)
+        if not values[0] > ABOVE_NOISE * noise:
+            return x, iteration
         kept = values > _FLAT * values[0]
         u, values, vectors = u[:, kept], values[kept], vectors[kept]
         while True:
@@ -212,8 +215,10 @@ def _solve(
     return x, _STEPS
 
 
-def _column(residual: Callable[[np.ndarray], np.ndarray], x: np.ndarray, unit: np.ndarray, step: float) -> np.ndarray:
-    return derivative(lambda h: residual(x + h * unit), step)[0]
+def _column(
+    residual: Callable[[np.ndarray], np.ndarray], x: np.ndarray, unit: np.ndarray, step: float
+) -> tuple[np.ndarray, float]:
+    return derivative(lambda h: residual(x + h * unit), step)
 
 
 def _numbers(name: str, value: Any) -> np.ndarray:

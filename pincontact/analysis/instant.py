@@ -10,7 +10,9 @@ import numpy as np
 import pinocchio as pin
 
 from ..dynamics.system import System
+from ..dynamics.units import unwhiten, whiten
 from ..errors import SingularContactError, SolverError
+from ..geometry.carriers import ORIGIN
 from ..geometry.patterns import ON_CURVE
 from ..integration.results import FAILURES, SINGULAR_CONTACT, Stop
 from ..integration.runge_kutta import RungeKutta
@@ -31,6 +33,8 @@ from ..layout import (
     TANGENTS,
 )
 from ..state import Correction, State, check_state, check_vector, read_discrete, write_discrete
+from .kinematics import jacobians
+from .ranks import Directions
 
 if TYPE_CHECKING:
     from ..scene import Scene
@@ -39,8 +43,8 @@ if TYPE_CHECKING:
 # of the last columns is far below round-off.
 _LEVELS = 7
 FIRST_STEP = 0.1
-# Singular values of constraint rows below this fraction of the largest are redundant constraints.
-RANK_TOLERANCE = 1e-9
+# Differences that are all below so many times their estimated errors are round-off: nothing changes.
+ABOVE_NOISE = 10.0
 # Forces below this fraction of the loads have no sign.
 _FORCE_ROUND_OFF = 1e-9
 _PROJECTIONS = 20
@@ -213,13 +217,40 @@ class Instant:
             gaps = self.gaps(holonomic)
             if np.abs(gaps).max(initial=0.0) <= 1e-13 * self.length:
                 break
-            q = self.moved(-np.linalg.lstsq(self.rows(holonomic), gaps, rcond=RANK_TOLERANCE)[0], q)
+            q = self.moved(-self._shortest_change(holonomic, gaps), q)
         else:
             raise SolverError("the constraints cannot be satisfied near this state")
-        rows, off = self.rows(constrained), self.velocities(constrained)
-        if constrained:
-            v = v - np.linalg.lstsq(rows, off, rcond=RANK_TOLERANCE)[0]
-        return q, v
+        return q, v - self._shortest_change(constrained, self.velocities(constrained))
+
+    def row_size(self, item: int) -> float:
+        """What the size of an item's rows, in the metric of the mass matrix, could be if nothing in them cancelled."""
+        system = self.system
+        c = system.owner(item)
+        size = 0.0
+        for side in (2 * c, 2 * c + 1):
+            point = system.frames[side, ORIGIN] + system.derivatives[side, 0]
+            linear, angular = jacobians(system, side, point)
+            size = math.hypot(size, float(np.linalg.norm(whiten(system, (linear if item == c else angular).T))))
+        return size
+
+    def directions(self, which: list[tuple[int, int]]) -> Directions:
+        """The constraint rows of the last evaluation, in the metric of the mass matrix."""
+        sizes = {item: self.row_size(item) for item, _ in which}
+        return Directions(whiten(self.system, self.rows(which).T), np.array([sizes[item] for item, _ in which]))
+
+    def least_change(self, which: list[tuple[int, int]], wanted: np.ndarray) -> np.ndarray:
+        """(nv,) or (nv, k) the change of velocity, least in the norm of the mass matrix, that changes the constrained
+        components by what is wanted, (len(which),) or (len(which), k)."""
+        return unwhiten(self.system, self.directions(which).reach(wanted))
+
+    def _shortest_change(self, which: list[tuple[int, int]], wanted: np.ndarray) -> np.ndarray:
+        """As `least_change`, but the least in the coordinates themselves."""
+        change, free = self.least_change(which, wanted), self.free_directions(which)
+        return np.asarray(change - free @ (free.T @ change))
+
+    def free_directions(self, which: list[tuple[int, int]]) -> np.ndarray:
+        """(nv, n) orthonormal velocities that leave the constrained components as they are."""
+        return np.linalg.qr(unwhiten(self.system, self.directions(which).complement))[0]
 
     # ---------------------------------------------------------------- results
 
@@ -279,14 +310,3 @@ class Instant:
             read_discrete(system),
             Correction({}, {}, 0.0, 0.0),
         )
-
-
-def null_space(matrix: np.ndarray, tolerance: float = RANK_TOLERANCE) -> np.ndarray:
-    """(n, n - rank) orthonormal basis of what the rows of a matrix (m, n) annihilate; rows are scaled to unit size."""
-    n = matrix.shape[1]
-    sizes = np.linalg.norm(matrix, axis=1)
-    used = matrix[sizes > 0.0] / sizes[sizes > 0.0, None]
-    if used.shape[0] == 0:
-        return np.eye(n)
-    _, values, vectors = np.linalg.svd(used)
-    return vectors[int((values > tolerance * values[0]).sum()) :].T

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from ..arguments import NOT_REAL, check_tolerance, real_array
 from ..dynamics.stretches import associated
+from ..dynamics.units import whiten
 from ..errors import ArgumentError, SolverError, StateError
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
@@ -27,7 +28,8 @@ from ..layout import (
 )
 from ..state import check_vector
 from .forces import check_forces
-from .instant import RANK_TOLERANCE, Instant
+from .instant import Instant
+from .ranks import Directions
 
 if TYPE_CHECKING:
     from ..scene import Scene
@@ -38,6 +40,8 @@ _ITERATIONS = 100
 _UNCHANGED = 1e-12
 # Torques above the limit of a resistance by less than this part of it are at it.
 _LIMIT_SLACK = 1e-9
+# Smaller loads, in N or N m, are round-off.
+_NEGLIGIBLE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,15 +118,13 @@ def inverse_dynamics(
     matrix = actuation_matrix(model, actuation)
     instant.evaluate()
     constrained = instant.constrained()
-    rows, bias = instant.rows(constrained), instant.biases(constrained)
-    factor = np.tril(system.factor)
+    bias = instant.biases(constrained)
     if acceleration is None:
-        whitened = np.linalg.solve(factor.T, rows.T)
-        a = -np.linalg.solve(factor, np.linalg.lstsq(whitened.T, bias, rcond=RANK_TOLERANCE)[0])
+        a = -instant.least_change(constrained, bias)
     else:
         a = check_vector("acceleration", acceleration, system.nv)
         scale = max(1.0, float(np.abs(a).max(initial=0.0)), float(np.abs(bias).max(initial=0.0)))
-        defects = rows @ a + bias
+        defects = instant.rows(constrained) @ a + bias
         if constrained and np.abs(defects).max() > tolerance * scale:
             worst = int(np.argmax(np.abs(defects)))
             c, row = constrained[worst]
@@ -132,13 +134,15 @@ def inverse_dynamics(
                 f"{defects[worst]:.3g} {'m' if c < system.nc else 'rad'}/s^2 (tolerance {tolerance * scale:.3g})"
             )
     # M a + nle + damping v, from the acceleration that nothing but the loads would make
+    factor = np.tril(system.factor)
     needed = factor.T @ (factor @ (a - system.free_acceleration))
+    loads = max(_NEGLIGIBLE, float(np.abs([needed, system.bias_forces]).max(initial=0.0)))
     signs = {c.name: -1.0 if c.swapped else 1.0 for c in system.contacts}
     for c, contact in enumerate(system.contacts):
         if contact.name in given:
             needed = needed - system.rows[c].T @ (system.basis[c] @ (signs[contact.name] * given[contact.name]))
     solved = [(c, row) for c, row in constrained if system.contacts[system.owner(c)].name not in given]
-    loads = max(1.0, float(np.abs(needed).max(initial=0.0)), float(np.abs(system.bias_forces).max(initial=0.0)))
+    loads = max(loads, float(np.abs(needed).max(initial=0.0)))
     solution = None
     for start in (1.0, -1.0):
         found = _solve(instant, solved, matrix, needed, np.full(len(solved), start))
@@ -216,12 +220,14 @@ def _solve(
     instant: Instant, solved: list[tuple[int, int]], actuation: np.ndarray, needed: np.ndarray, shares: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float] | None:
     """Efforts, force components, shares (see `_shares`) and the largest residual; None where shares do not settle."""
-    columns = np.zeros((needed.size, len(solved)))
+    columns, sizes = np.zeros((needed.size, len(solved))), np.zeros(len(solved))
+    size_of = {item: instant.row_size(item) for item in [*instant.system.closed(), *instant.system.resisting()]}
     for _ in range(_ITERATIONS):
         for k, (c, row) in enumerate(solved):
             units = _unit_forces(instant, c, row, shares[k])
             columns[:, k] = sum(instant.system.rows[item].T @ unit for item, unit in units.items())
-        efforts, components = _least(actuation, columns, needed)
+            sizes[k] = sum(size_of[item] * np.linalg.norm(unit) for item, unit in units.items())
+        efforts, components = _least(instant, actuation, columns, sizes, needed)
         new = _shares(instant, solved, components)
         if np.abs(new - shares).max(initial=0.0) <= _UNCHANGED:
             left = actuation @ efforts + columns @ components - needed
@@ -230,13 +236,20 @@ def _solve(
     return None
 
 
-def _least(actuation: np.ndarray, columns: np.ndarray, needed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least efforts, then least force components, with actuation efforts + columns components = needed."""
-    inverse = np.linalg.pinv(columns, rcond=RANK_TOLERANCE)
+def _least(
+    instant: Instant, actuation: np.ndarray, columns: np.ndarray, sizes: np.ndarray, needed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least efforts, then least force components, with actuation efforts + columns components = needed.
+
+    sizes: see `Directions`, of the columns.
+    """
+    columns, actuators, loads = (whiten(instant.system, part) for part in (columns, actuation, needed))
+    contacts = Directions(columns, sizes)
     # what contacts cannot take
-    rest = np.eye(needed.size) - columns @ inverse
-    efforts = np.linalg.pinv(rest @ actuation, rcond=RANK_TOLERANCE) @ (rest @ needed)
-    return efforts, inverse @ (needed - actuation @ efforts)
+    left = contacts.complement.T
+    driven = Directions(left @ actuators, np.linalg.norm(actuators, axis=0), contacts.complement_precision)
+    efforts = driven.combine(left @ loads)
+    return efforts, contacts.combine(loads - actuators @ efforts)
 
 
 def _unit_forces(instant: Instant, c: int, row: int, share: float) -> dict[int, np.ndarray]:

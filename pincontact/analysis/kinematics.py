@@ -22,16 +22,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ContactKinematics:
-    """One contact at one state; paper's order of bodies (k2 >= k1), world axes unless said, SI units.
+    """One contact at one state, as in its `ContactTrack`; world axes unless said, SI units.
 
-    f (m,):           conditions C1, components of r_1 - r_2 as in Eq. 42 (world x, y, z; the plane's x, y for a planar
-                      pattern), then C2, e_3 . tau_1^a (Eqs. 1, 2)
+    Relative quantities are of the second contour that the user named against the first, so v_c is the track's
+    slip_velocity, and with its force and multipliers v_c . force = components . multipliers. Parameters and frames are
+    in the paper's order, in which body 2 has at least as many parameters as body 1 (as given when equal).
+
+    f (m,):           conditions C1, components of r_first - r_second as in Eq. 42 (world x, y, z; the plane's x, y for
+                      a planar pattern, in axes of body 2), then C2, e_3 . tau_1^a (Eqs. 1, 2)
     f_q (m, nv):      their derivatives along Pinocchio's velocity coordinates (Eq. 5)
     J (m, k):         their derivatives by the location parameters p = (u_1, u_2)
     f_t (m,):         their explicit rates, from drives
     location (k,), rates (k,): p and p' (Eq. 6)
     frame, dual_frame (3, 3): e_j and m^j as columns (Def. 5, Eq. 26)
-    v_c (3,):         velocity of body 2's material point against body 1's (Eq. 10)
+    v_c (3,):         velocity of the second contour's material point against the first's (Eq. 10)
     components (3,):  v_c^j = m^j . v_c (Eq. 12)
     rows (3, nv):     d v_c^j / d v (Eqs. 17, 29)
     drift (3,):       the part of v_c^j that drives make, v_c^j = rows v + drift
@@ -60,7 +64,7 @@ class ContactKinematics:
 
 
 def analyze(scene: Scene, state: State) -> dict[str, ContactKinematics]:
-    """The kinematics of every contact of a scene at a state of it.
+    """The kinematics of every contact of a scene at a state of it, signed as the user named its contours.
 
     Raises ArgumentError for a state of another scene, SingularContactError where the location equations are singular.
     """
@@ -86,17 +90,21 @@ def _one(system: System, c: int, contact: Contact) -> ContactKinematics:
     dual = dual_basis(frame)
     v = system.v
     points = (frame1[ORIGIN] + first[0], frame2[ORIGIN] + second[0])
-    linear, angular = zip(*(_jacobians(system, side, point) for side, point in ((one, points[0]), (two, points[1]))))
-    relative = linear[1] - linear[0]
-    velocity = system.slip[c].copy()
+    linear, angular = zip(*(jacobians(system, side, point) for side, point in ((one, points[0]), (two, points[1]))))
+    # the paper's order of bodies is not always the user's
+    sign = -1.0 if contact.swapped else 1.0
+    relative, velocity, difference = (
+        sign * (linear[1] - linear[0]),
+        sign * system.slip[c],
+        sign * (points[0] - points[1]),
+    )
 
-    # C1: components of r_1 - r_2 along axes of the world, or of the plane that body 2 carries
+    # C1: components of r_first - r_second along axes of the world, or of the plane that body 2 carries
     axes = frame2[0:3, 0:2].T if pattern == PLANAR else np.eye(3)
-    difference = points[0] - points[1]
     f = list(axes @ difference)
     f_q = list(-axes @ relative)
     tangents = [first[1 + a] for a in range(k1)] + [-second[1 + a] for a in range(k2)]
-    by_p = [[float(axis @ tangent) for tangent in tangents] for axis in axes]
+    by_p = [[sign * float(axis @ tangent) for tangent in tangents] for axis in axes]
     rates = list(-axes @ velocity)
     if pattern == PLANAR:
         for j, axis in enumerate(axes):
@@ -135,14 +143,14 @@ def _one(system: System, c: int, contact: Contact) -> ContactKinematics:
         components=components,
         rows=rows,
         drift=components - rows @ v,
-        bias=_component_bias(system, c, frame, dual, first, second, pattern, k1, k2),
+        bias=sign * _component_bias(system, c, frame, dual, first, second, pattern, k1, k2),
         gap=float(system.gaps[c, 0] if contact.pattern.constraints == 1 else np.hypot(*system.gaps[c])),
         conditioning=float(abs(system.contact_real[c, CONDITION])),
         point=points[1].copy(),
     )
 
 
-def _jacobians(system: System, side: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def jacobians(system: System, side: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(3, nv) linear Jacobian of the material point at `point`, (3, nv) angular Jacobian of its body."""
     linear, angular = np.zeros((3, system.nv)), np.zeros((3, system.nv))
     jacobian = np.asarray(system.data.J).reshape(6, system.nv)

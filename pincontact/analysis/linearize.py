@@ -14,7 +14,7 @@ import scipy
 from ..arguments import check_tolerance
 from ..errors import ArgumentError, StateError
 from ..state import State
-from .instant import FIRST_STEP, Instant, derivative, null_space
+from .instant import FIRST_STEP, Instant, derivative
 from .symmetry import find_symmetries
 
 if TYPE_CHECKING:
@@ -148,7 +148,8 @@ def linearize(
     wanted = [_coordinate(model, entry) for entry in coordinates]
     a = instant.evaluate()
     constrained, holonomic = instant.constrained(), instant.holonomic()
-    rows, normals = instant.rows(constrained), instant.rows(holonomic)
+    # consistent deviations: dq = Z y; dv = W u + G y, with the constrained components of v_c staying zero
+    z, w = instant.free_directions(holonomic), instant.free_directions(constrained)
     symmetries = find_symmetries(instant)
     combination, defect = symmetries.fit(q, v, a)
     scale = max(1.0, float(np.abs(v).max(initial=0.0)), float(np.abs(a).max(initial=0.0)))
@@ -159,11 +160,8 @@ def linearize(
         )
     right, brackets = symmetries.right @ combination + symmetries.twist, symmetries.brackets
 
-    # consistent deviations: dq = Z y; dv = W u + G y, with the constrained components of v_c staying zero
-    z = null_space(normals)
     configuration = _independent(z, wanted)
     z = np.linalg.solve(z[configuration].T, z.T).T
-    w = null_space(rows)
     velocity = _independent(w, wanted)
     w = np.linalg.solve(w[velocity].T, w.T).T
     error = 0.0
@@ -178,7 +176,8 @@ def linearize(
         change, off = derivative(varied, instant.step_along(along))
         turning[:, k], pull[:, k] = change[: len(constrained)], change[len(constrained) :]
         error = max(error, off)
-    g = -np.linalg.lstsq(rows, turning, rcond=1e-9)[0] if constrained else np.zeros((nv, z.shape[1]))
+    instant.evaluate()
+    g = -instant.least_change(constrained, turning)
     g -= w @ g[velocity]
     drag = np.zeros((nv, nv))
     for k in range(nv):

@@ -14,13 +14,14 @@ A steady motion is one that follows a generator: v = dq and a = dv (a relative e
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
 from ..errors import SingularContactError, SolverError, StateError
-from .instant import FIRST_STEP, Instant, derivative
+from .instant import ABOVE_NOISE, FIRST_STEP, Instant, derivative
 
 # Random states at which a symmetry must hold, and how far they are from the given one.
 _SAMPLES = 3
@@ -123,6 +124,7 @@ def find_symmetries(instant: Instant) -> Symmetries:
     # where the group commutes the right part is the left one
     rights = brackets.twisting()
     blocks: list[np.ndarray] = []
+    noise = 0.0
     spread = _SPREAD
     for _ in range(_RETRIES):
         if len(blocks) == _SAMPLES:
@@ -131,14 +133,17 @@ def find_symmetries(instant: Instant) -> Symmetries:
         speed = max(1.0, float(np.abs(instant.v).max(initial=0.0)))
         v = instant.v + (0.0 if instant.slips() else 0.3 * speed) * rng.uniform(-1.0, 1.0, nv)
         try:
-            blocks.append(_defects(instant, brackets, *instant.projected(instant.moved(apart), v), rights))
+            block, error = _defects(instant, brackets, *instant.projected(instant.moved(apart), v), rights)
         except (SolverError, SingularContactError):
             spread *= 0.5
+            continue
+        blocks.append(block)
+        noise = math.hypot(noise, error)
     if len(blocks) < _SAMPLES:
         raise SolverError("symmetries: the equations of motion cannot be evaluated near this state")
     matrix = np.vstack(blocks)
     _, values, vectors = np.linalg.svd(matrix)
-    rank = int((values > _TOLERANCE * values[0]).sum()) if values.size else 0
+    rank = int((values > _TOLERANCE * values[0]).sum()) if values.size and values[0] > ABOVE_NOISE * noise else 0
     free = vectors[rank:].T
     # turn the basis so that one generator alone goes with time
     rates = free[-1]
@@ -153,10 +158,11 @@ def find_symmetries(instant: Instant) -> Symmetries:
     return Symmetries(model, brackets, instant.q.copy(), free[:nv], right, with_time[:nv], twist)
 
 
-def _defects(instant: Instant, brackets: Brackets, q: np.ndarray, v: np.ndarray, rights: np.ndarray) -> np.ndarray:
-    """(rows, nv + rights + 1) what each elementary generator changes at a state: gaps' rates, accelerations.
-
-    The last one is time.
+def _defects(
+    instant: Instant, brackets: Brackets, q: np.ndarray, v: np.ndarray, rights: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """(rows, nv + rights + 1) what each elementary generator changes at a state: gaps' rates, accelerations; and the
+    error of all that. The last generator is time.
     """
     model, nv = instant.model, instant.system.nv
     a = instant.evaluate(q, v)
@@ -164,7 +170,7 @@ def _defects(instant: Instant, brackets: Brackets, q: np.ndarray, v: np.ndarray,
     normals, speeds = instant.rows(holonomic), instant.velocities(holonomic)
     scale = max(1.0, float(np.abs(a).max(initial=0.0)))
     transport = pin.dIntegrate(model, instant.q, pin.difference(model, instant.q, q), pin.ArgumentPosition.ARG0)
-    columns = []
+    columns, errors = [], [0.0]
     for index in range(nv + rights.size):
         dv, expected = np.zeros(nv), np.zeros(nv)
         if index < nv:
@@ -178,11 +184,13 @@ def _defects(instant: Instant, brackets: Brackets, q: np.ndarray, v: np.ndarray,
         def moved(h: float, dq: np.ndarray = dq, dv: np.ndarray = dv) -> np.ndarray:
             return instant.evaluate(instant.moved(h * dq, q), v + h * dv)
 
-        change, _ = derivative(moved, step, _LEVELS)
+        change, error = derivative(moved, step, _LEVELS)
+        errors.append(error / scale)
         columns.append(np.concatenate([normals @ dq, (change - expected) / scale]))
     aging = np.zeros(nv)
     if instant.driven():
-        aging, _ = derivative(lambda h: instant.evaluate(q, v, t=instant.t + h), _TIME_STEP)
+        aging, error = derivative(lambda h: instant.evaluate(q, v, t=instant.t + h), _TIME_STEP)
+        errors.append(error / scale)
     # what of the normal velocities the drives make
     columns.append(np.concatenate([speeds - normals @ v, aging / scale]))
-    return np.column_stack(columns)
+    return np.column_stack(columns), float(np.linalg.norm(errors))

@@ -1,4 +1,4 @@
-"""The rule by which impacts create no energy, for both methods.
+"""Energy of a motion, and the rule by which impacts create none, for both methods.
 
 Newton's restitution demands a rebound -e w_n at every contact that closes; where contacts, or a contact's normal and
 tangent, are coupled, that and Coulomb's law together may do positive work (Kane's paradox). The work of impulses P that
@@ -7,6 +7,26 @@ positive, all coefficients are multiplied by the largest common factor for which
 is. The factor is found by bisection.
 """
 
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
 # Work above this fraction of the sizes of its terms counts as positive; accuracy of the factor.
 ENERGY_SLACK = 1e-9
 KEPT_ACCURACY = 1e-3
+# Slower than this, in m/s, nothing rebounds, and what is closed at the start of a run and comes in does not collide.
+REST_SPEED = 1e-3
+
+
+def energies_at(model: pin.Model, q: np.ndarray, v: np.ndarray, data: pin.Data | None = None) -> tuple[float, float]:
+    """Kinetic and potential energy in J; the former with the rotors' (armature), the latter zero at the world's origin.
+
+    The kinetic energy is v . M v / 2: `pin.computeKineticEnergy` leaves out the rotors of unaligned revolute and
+    helical joints.
+    """
+    data = model.createData() if data is None else data
+    # of M the upper triangle is what Pinocchio promises
+    mass = np.triu(pin.crba(model, data, q))
+    kinetic = float(v @ mass @ v - 0.5 * (v * v) @ mass.diagonal())
+    return kinetic, float(pin.computePotentialEnergy(model, data, q))

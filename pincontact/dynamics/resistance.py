@@ -43,6 +43,9 @@ from ..layout import (
 )
 from ..memory import cube, integer_matrix, integers, matrix
 
+# Angular velocities per unit of a joint's below this are round-off.
+_ROUND_OFF = 1e-13
+
 
 @kernel
 def count_items(table):
@@ -71,6 +74,17 @@ def size_of_load(contact_int, force, c):
     if contact_int[c, PATTERN] == ON_CURVE:
         return math.hypot(force[c, 1], force[c, 2])
     return abs(force[c, 2])
+
+
+@kernel
+def drop_unturned(row, nv):
+    """Zero a row (nv,) of an angular velocity, sums of two cosines, of which only round-off is left: no joint turns the
+    bodies about its axis."""
+    for k in range(nv):
+        if abs(row[k]) > _ROUND_OFF:
+            return
+    for k in range(nv):
+        row[k] = 0.0
 
 
 @kernel
@@ -113,3 +127,4 @@ def resistance_kinematics(table, c, total):
             for side in range(one, two + 1):
                 sign = 1.0 if side == two else -1.0
                 add_rotation_row(sign, jacobian, support[side], side_int[side, SUPPORT_SIZE], about, rows[item, row])
+            drop_unturned(rows[item, row], nv)

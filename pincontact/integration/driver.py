@@ -137,11 +137,16 @@ class Driver:
             self._output_start(t)
             raise
         self._output_start(t)
+        struck = None
         if t_end > t:
             self._allow_start(t, 0.0 if self.locator.users else options.fixed_step or math.inf)
-            t = self.transitions.start_frozen(t)
-        self.locator.update_users(t)
-        self._finish(t)
+            struck = self.transitions.strike(t)
+            t = self.transitions.start_frozen(t) if struck is None else struck
+        if struck is None:
+            self.locator.update_users(t)
+            self._finish(t)
+        else:
+            self._after(t)
         self._set_limits(t, t_end)
         scalars = self.system.scalars
         while t < t_end:

@@ -24,6 +24,7 @@ import math
 from ..constraints.kinematics import add_rotation_row
 from ..dynamics.equations import coefficient_at
 from ..dynamics.linear import factorize_tree, inner, solve_semidefinite, unwhiten, whiten
+from ..dynamics.resistance import drop_unturned
 from ..friction.ellipse import stretch_pair
 from ..geometry.carriers import ALPHA, OMEGA
 from ..geometry.patterns import ON_CURVE
@@ -431,37 +432,36 @@ def _keep_within_reach(table, step, nc):
     """Redundant contacts: take out of b what second order adds to rigid geometry and no motion could follow.
 
     What is added, in the first column of OVERLAP, is projected onto the range of the Delassus matrix. What drives ask
-    for beyond that range is left: there something has to slip.
+    for beyond that range is left: there something has to slip. Tangents of contacts that slide already take no part:
+    they need not come to rest, and what changes their slip does so whatever the impulses.
     """
     counts = integers(step[COUNTS], NCOUNTS)
     n = counts[UNITS]
     unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
-    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
     overlap = matrix(step[OVERLAP], 3 * counts[MAX_UNITS], counts[MAX_EQUATIONS])
     delassus, b = matrix(step[DELASSUS], 3 * n, 3 * n), reals(step[LOADS], 3 * n)
     system, scratch = (
         matrix(table[DELASSUS_WORK], 3 * nc, 3 * nc + 1),
         matrix(table[CONSTRAINT_ROWS], 3 * nc, 3 * nc + 1),
     )
-    x = reals(table[MULTIPLIERS], 3 * nc)
+    x, start_mode = reals(table[MULTIPLIERS], 3 * nc), integers(step[START_MODE], nc)
     count, independent, largest, scale = 0, 0, 0.0, 0.0
     while count < 3 * n and unit_int[count // 3, UNIT_KIND] < ON_JOINT:
-        x[count] = overlap[count, 0]
+        held = count % 3 == 2 or start_mode[unit_int[count // 3, UNIT_INDEX]] != SLIPPING
+        x[count] = overlap[count, 0] if held else 0.0
         largest, scale = max(largest, abs(x[count])), max(scale, abs(b[count]))
-        if delassus[count, count] > 0.0:
+        if held and delassus[count, count] > 0.0:
             independent += 1
         for j in range(count + 1):
-            system[count, j] = delassus[count, j]
+            system[count, j] = delassus[count, j] if held and (j == count or system[j, j] > 0.0) else 0.0
         count += 1
     if count <= 3 or largest <= WITHIN_ROUND_OFF * scale:
         return
     if solve_semidefinite(system, count, integers(table[PERMUTATION], 3 * nc), x, scratch) == independent:
         return
     for r in range(count):
-        lost = overlap[r, 0] - inner(delassus[r], x, count)
-        b[r] -= lost
-        if r % 3 < 2 and unit_int[r // 3, MIDPOINT] != 0:
-            unit_real[r // 3, START_T1 + r % 3] += lost
+        if r % 3 == 2 or start_mode[unit_int[r // 3, UNIT_INDEX]] != SLIPPING:
+            b[r] -= overlap[r, 0] - inner(delassus[r], x, count)
 
 
 @kernel
@@ -508,6 +508,7 @@ def _fill_units(table, step, nv, nc, h):
                 for i in range(nv):
                     line[i] = 0.0
                 add_turn_row(table, index, axis, nv, nc, 1.0, line)
+                drop_unturned(line, nv)
                 # what the bodies turn at the midpoint, and what drives add to it
                 turned = inner(line, middle, nv)
                 turning = _turning(table, index, axis, OMEGA, nc)

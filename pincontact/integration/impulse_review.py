@@ -125,7 +125,8 @@ def impulse_work(step, nv, h, scratch):
     """Work of the contacts' impulses on v_c, of the joints' units, the sum of the sizes of all terms, and the kinetic
     energy that these impulses bring beyond what the smooth forces account for within the step.
 
-    Work: an impulse times the mean of the velocities at the step's ends, or right before and after an impact. Kinetic
+    Work: an impulse times the mean of the velocities at the step's ends, or of its part in an impact times that of the
+    velocities right before and after it. Kinetic
     energy: always those at the step's ends. Impulses of equations do no work on v_c. Large impulses that nearly cancel
     (a wedged chain) magnify what the smooth forces do around their instants, which is known to first order only: no
     more of it is counted than the change of velocity and that by the smooth forces allow. scratch: (nv,).
@@ -150,13 +151,18 @@ def impulse_work(step, nv, h, scratch):
         if ints[TOUCHES] != 0:
             after = velocities[3 * u + 2] + kept * numbers[SHIFT]
             gained = numbers[IMPULSE_TIME] * numbers[FREE_RATE]
+            later = (h - numbers[IMPULSE_TIME]) * numbers[FREE_RATE]
+            before = numbers[APPROACH]
             if numbers[SHIFT] > 0.0:
-                later = (h - numbers[IMPULSE_TIME]) * numbers[FREE_RATE]
                 after -= later
                 gained -= later
+            elif later < 0.0 and before < 0.0:
+                # it stays: the part of the impulse that holds it for the rest of the step does no work
+                before *= before / (before + later)
+                gained -= numbers[APPROACH] - before
             # what the smooth forces do before and after the impact
             meanwhile += 0.5 * forces[3 * u + 2] * gained
-            work += 0.5 * forces[3 * u + 2] * (numbers[APPROACH] + after)
+            work += 0.5 * forces[3 * u + 2] * (before + after)
             size += 0.5 * forces[3 * u + 2] * (abs(numbers[APPROACH]) + abs(after))
         if ints[UNIT_KIND] == ON_JOINT:
             on_joints += work

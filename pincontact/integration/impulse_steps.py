@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from ..callback import call_python, kernel_caller
+from ..dynamics.energy import REST_SPEED
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
 from ..friction import cone
 from ..geometry.small import dot
@@ -59,6 +60,7 @@ from ..layout import (
     TAU,
     TIME,
     TOO_LONG,
+    UNILATERAL,
     V,
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
@@ -195,6 +197,10 @@ def _begin(table, step, t):
         if contact_int[c, MODE] == FREE:
             continue
         ints, mu = contact_int[c], contact_real[c, MU]
+        if ints[UNILATERAL] != 0 and dot(basis[c, 2], slip[c]) < -REST_SPEED:
+            # touches in the first step
+            ints[MODE] = FREE
+            continue
         first, second = dot(basis[c, 0], slip[c]), dot(basis[c, 1], slip[c])
         speed = abs(first) if ints[TANGENTS] == 1 else math.hypot(first, second)
         ints[FROZEN] = 0

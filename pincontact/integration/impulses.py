@@ -399,6 +399,29 @@ def _viscous_impulses(table, step, nv, nc, h, v1):
 
 
 @kernel
+def _work_on_misses(table, step, nv, nc):
+    """Work in J of impulses of closed contacts on constrained velocities that are not zero at the step's start, as in
+    the first step from a state that does not keep to its constraints."""
+    counts, basis = integers(step[COUNTS], NCOUNTS), cube(table[BASIS], nc, 3, 3)
+    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    start_slip, start_normal = matrix(step[START_SLIP], nc, 3), matrix(step[START_NORMAL], nc, 2)
+    start_mode, impulse = integers(step[START_MODE], nc), matrix(step[CONTACT_IMPULSE], nc, 3)
+    index = integer_matrix(step[EQUATION_INDEX], counts[MAX_EQUATIONS], 2)
+    of_equations = reals(step[EQUATION_IMPULSE], counts[MAX_EQUATIONS])
+    twice = 0.0
+    for c in range(nc):
+        if contact_int[c, UNILATERAL] != 0 and start_mode[c] != FREE:
+            twice += impulse[c, 2] * start_normal[c, 0]
+    for e in range(counts[NEQ]):
+        c, row = index[e, 0], index[e, 1]
+        if row == 2 or (row == 1 and contact_int[c, PATTERN] == ON_CURVE):
+            twice += of_equations[e] * start_normal[c, 2 - row]
+        else:
+            twice += of_equations[e] * dot(basis[c, row], start_slip[c])
+    return 0.5 * twice
+
+
+@kernel
 def _add_works(table, step, nv, nc, h, v1, viscous, works):
     """Works over the step, with that of viscous friction; what drives do is what impulses do on the joints less what
     they do on v_c."""
@@ -406,7 +429,7 @@ def _add_works(table, step, nv, nc, h, v1, viscous, works):
     change = reals(step[CHANGE], nv)
     v0, tau, damping = reals(step[CARRIED_V], nv), reals(table[TAU], nv), reals(table[DAMPING], nv)
     on_contacts, on_joints, _, _ = impulse_work(step, nv, h, reals(table[WORK], nv))
-    works[FRICTION_WORK] += on_contacts + viscous
+    works[FRICTION_WORK] += on_contacts + viscous + _work_on_misses(table, step, nv, nc)
     works[DAMPING_WORK] += on_joints
     side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
     for c in range(nc):
@@ -431,6 +454,12 @@ def _add_works(table, step, nv, nc, h, v1, viscous, works):
         mean = 0.5 * (v0[k] + v1[k])
         works[TORQUE_WORK] += h * tau[k] * mean
         works[DAMPING_WORK] -= h * damping[k] * mean * mean
+    joint_int = integer_matrix(step[JOINT_INT], counts[NJ], JOINT_INTS)
+    for j in range(counts[NJ]):
+        if joint_int[j, JOINT_KIND] == DRY_FRICTION:
+            # the constant part of a range that is not symmetric, beside the unit's
+            k = joint_int[j, JOINT_V]
+            works[DAMPING_WORK] += h * matrix(step[JOINT_REAL], counts[NJ], 2)[j, 1] * 0.5 * (v0[k] + v1[k])
 
 
 @kernel

@@ -7,14 +7,14 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 
 import numpy as np
-import pinocchio as pin
 
+from ..dynamics.energy import REST_SPEED, energies_at
 from ..dynamics.impact import apply_impact
 from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import Decision, ModeSolver, freeze_slip, held_up_by_friction, rest_mode
 from ..dynamics.stretches import opposed_slip
 from ..dynamics.system import FORCE_SLACK
-from ..dynamics.units import whiten, whitened_velocity
+from ..dynamics.units import whiten
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
     CONDITION,
@@ -94,8 +94,7 @@ _OPENING_SEED = 1e-4
 _FORCE_ACCURACY = 1e-6
 # A gap that is closed already counts as so much of what gaps are known to.
 _LEAST_WAY = 1e-2
-# A rebound slower than this, in m/s, closes the contact; after an impact one that leaves faster than the second opens.
-REST_SPEED = 1e-3
+# After an impact what leaves faster than this, in m/s, opens.
 _LEAVING_SPEED = 1e-3 * REST_SPEED
 
 
@@ -126,6 +125,8 @@ class Transitions:
         self._reach = self.dips.reach
         # contacts that have opened, and not been apart by more than gaps are known: their mode before, and the event
         self._barely_open: dict[int, tuple[int, Event]] = {}
+        # closed contacts of the initial state that come in
+        self._striking: list[int] = []
         # directions in which slip began or went on since the last impact
         self._started: dict[int, np.ndarray] = {}
         # Longest time in s that the start of slip may take with a prescribed direction; the driver keeps it current.
@@ -211,14 +212,20 @@ class Transitions:
     # ---------------------------------------------------------------- start
 
     def begin(self, t: float) -> None:
-        """Modes of the initial state (see `begin_at`), and its slope. Slip that starts from rest is still frozen."""
+        """Modes of the initial state (see `begin_at`), and its slope. Slip that starts from rest is still frozen, and
+        what strikes at the start (see `strike`) has not yet.
+
+        A state that does not keep to its constraints is put on them; what that takes counts as work of friction.
+        """
         system, rk = self.system, self.rk
         status = rk.evaluate(t)
         if status in (LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE):
             raise self.give_up(t, status)
+        start, energy = system.state.copy(), self._counted_energy()
         if system.ng:
-            self._begin_guards(t)
+            self._guards_from_velocities()
         given = system.contact_int.tobytes()
+        self._open_moving(t)
         undecided = self.modes_from_velocities()
         unchanged = not (system.ng or undecided) and given == system.contact_int.tobytes()
         if status == OK and unchanged and not self.held_up():
@@ -228,23 +235,47 @@ class Transitions:
         else:
             self._stop_jammed(t)
             self._settle(t, undecided, _NONE, True)
+        if self._counts_works:
+            self._count_loss(energy)
+            rk.accept()
+        if np.abs(system.state - start).max(initial=0.0) > _REST:
+            # it was not on its constraints, where the modes were decided
+            rk.load(system.state)
+            if rk.evaluate_start(t) > EVENT:
+                raise self.give_up(t, NO_FORCE)
         self._guards = [self._guard_state(g) for g in range(system.ng)]
         if not self.dips.take_up(t, self.seed):
             raise self.give_up(t, NO_FORCE)
 
-    def _begin_guards(self, t: float) -> None:
-        """States of the guarded joint coordinates; one that runs against the end at which it starts collides."""
+    def _open_moving(self, t: float) -> None:
+        """Open the closed contacts of the initial state whose normal velocity is not zero: they part, or strike."""
         system = self.system
-        self._guards_from_velocities()
-        striking = False
+        self._striking.clear()
+        for c in system.closed():
+            speed = self._leaves_at(c)
+            if system.contact_int[c, UNILATERAL] and abs(speed) > REST_SPEED:
+                system.contact_int[c, MODE] = FREE
+                if speed > 0.0:
+                    self.announce(t, c, "separate")
+                else:
+                    self._striking.append(c)
+
+    def strike(self, t: float) -> float | None:
+        """Impacts at the start of a run, of closed contacts and joints at their ends that come in; the new time, or
+        None without any."""
+        system = self.system
+        stops = False
         for g, guard in enumerate(system.guards):
+            if system.contact_int[system.nc + g, MODE] != FREE:
+                continue
             position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
             low, high = position <= guard.low_end + END_SLACK, position >= guard.high_end - END_SLACK
             if (low and speed < 0.0) or (high and speed > 0.0):
-                self.modes.hold(g, -1 if low else 1)
-                striking = True
-        if striking:
-            self._collide(t, [], {})
+                self._stop_joint(t, g, -1 if low else 1)
+                stops = True
+        if self._striking:
+            return self._touch(t, self._striking[0])
+        return self._collide(t, system.closed(), {}) if stops else None
 
     def modes_from_velocities(self, after_impact: bool = False) -> list[int]:
         """Give closed contacts and their resistances the mode that their slip shows; returns those at rest whose
@@ -506,13 +537,10 @@ class Transitions:
         system = self.system
         index = system.nc + g
         if kind in (GAP_MARGIN, DOMAIN_MARGIN):
-            end = -1 if kind == GAP_MARGIN else 1
-            self.announce(t, index, "limit")
-            self._guards[g] = True, end
             # a coordinate that only grazes its end is not counted as an impact
             if abs(system.v[system.guards[g].index_v]) <= _REST:
                 self._check_chatter(t, index)
-            self.modes.hold(g, end)
+            self._stop_joint(t, g, -1 if kind == GAP_MARGIN else 1)
             return self._collide(t, system.closed(), {})
         self._check_chatter(t, index)
         if kind == SPEED_MARGIN:
@@ -522,6 +550,12 @@ class Transitions:
         else:
             self.modes.release(g, 1 if kind == NORMAL_MARGIN else -1)
         return self.resolve(t, self._sticking())
+
+    def _stop_joint(self, t: float, g: int, end: int) -> None:
+        """Guarded joint coordinate g has come to an end of its way, and is held there."""
+        self.announce(t, self.system.nc + g, "limit")
+        self._guards[g] = True, end
+        self.modes.hold(g, end)
 
     def _project(self, t: float, evaluated: bool = False) -> None:
         if not self.rk.project(t, evaluated):
@@ -719,9 +753,9 @@ class Transitions:
         return self.start_frozen(t)
 
     def _end_jams(self, t: float, contacts: list[int]) -> None:
-        before = whitened_velocity(self.system, self.system.v)
+        energy = self._counted_energy()
         self._stop_slips(t, contacts)
-        self._count_loss(before)
+        self._count_loss(energy)
         self._settle(t, self._sticking(), dict.fromkeys(contacts, np.zeros(3)), False)
 
     def _stop_slips(self, t: float, contacts: list[int]) -> None:
@@ -729,19 +763,21 @@ class Transitions:
         self.system.contact_int[contacts, MODE] = STICK
         self._project(t)
 
-    def _count_loss(self, before: np.ndarray) -> None:
-        """Book the energy that projections took from the whitened velocity `before` as work of friction."""
-        system = self.system
+    def _counted_energy(self) -> float:
+        """Energy in J of the system's state, where works are counted."""
+        return sum(self._energies()) if self._counts_works else 0.0
+
+    def _count_loss(self, before: float) -> None:
+        """Book what projections took from the energy `before` as work of friction."""
         if self._counts_works:
-            after = whitened_velocity(system, system.v)
-            system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += 0.5 * float(after @ after - before @ before)
+            self.system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += self._counted_energy() - before
 
     def until_touch(self) -> float:
         """Time in s that the gaps of open contacts last at their present rates."""
         system = self.system
         left = math.inf
         for c in range(system.nc):
-            approach = -float(system.basis[c, 2] @ system.slip[c])
+            approach = -self._leaves_at(c)
             if system.contact_int[c, MODE] == FREE and system.contact_real[c, DOMAIN] >= 0.0 and approach > 0.0:
                 reach = self._reach(c)
                 way = float(system.gaps[c, 0] + self.dips.depths[c]) + reach
@@ -811,14 +847,12 @@ class Transitions:
         # whatever touches at the same instant, by symmetry, takes part
         touching = [c]
         for i in range(system.nc):
-            if i != c and integers[i, MODE] == FREE and system.contact_real[i, DOMAIN] >= 0.0:
-                leaving = float(system.basis[i, 2] @ system.slip[i])
-                if abs(system.gaps[i, 0]) <= self._reach(i) and leaving <= _LEAVING_SPEED:
-                    touching.append(i)
+            if i != c and integers[i, MODE] == FREE and self._touches(i) and self._leaves_at(i) <= _LEAVING_SPEED:
+                touching.append(i)
         rebounds = {}
         modes: dict[int, int] = {}
         for i in touching:
-            approach = float(system.basis[i, 2] @ system.slip[i])
+            approach = self._leaves_at(i)
             if -self.restitution[i] * approach > REST_SPEED:
                 rebounds[i] = self.restitution[i]
             if i in self._barely_open and i not in rebounds and self._stayed_near(i):
@@ -840,6 +874,14 @@ class Transitions:
             elif now != before:
                 self._announce_friction(t, i, now == SLIPPING)
         return after
+
+    def _touches(self, c: int) -> bool:
+        """Whether the gap of an open contact is no larger than gaps are known, between points inside both domains."""
+        return bool(self.system.contact_real[c, DOMAIN] >= 0.0 and abs(self.system.gaps[c, 0]) <= self._reach(c))
+
+    def _leaves_at(self, c: int) -> float:
+        """Speed in m/s at which the bodies of a contact part."""
+        return float(self.system.basis[c, 2] @ self.system.slip[c])
 
     def _stayed_near(self, c: int) -> bool:
         """Whether the gap of an open contact is, and was in the last attempt, no larger than gaps are known."""
@@ -868,7 +910,7 @@ class Transitions:
             works[DAMPING_WORK] += impact.joints
         self._evaluate_rows(t)
         for i in closed:
-            leaving = float(system.basis[i, 2] @ system.slip[i])
+            leaving = self._leaves_at(i)
             if integers[i, UNILATERAL] and leaving > _LEAVING_SPEED:
                 # a hop lower than gaps are known is none
                 falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
@@ -880,8 +922,7 @@ class Transitions:
                         self.dips.start_at(i, depth)
         self._guards_from_velocities()
         undecided = self.modes_from_velocities(after_impact=True)
-        before = whitened_velocity(system, system.v)
-        height = self._energies()[1] if deep else 0.0
+        before = self._counted_energy()
         self._stop_jammed(t)
         # what stays closed with a normal velocity (a hop that is none) stops here, which may turn slow slips
         if rk.project(t, False):
@@ -894,14 +935,14 @@ class Transitions:
             self._project(t)
         self._count_loss(before)
         if deep:
-            self._leave_dips(t, height, energy + impact.drives)
+            self._leave_dips(t, energy + impact.drives)
         return self.resolve(t, undecided, silent=True)
 
-    def _leave_dips(self, t: float, height: float, energy: float) -> None:
+    def _leave_dips(self, t: float, energy: float) -> None:
         """After an impact of contacts in dips, out of which they have been lifted.
 
         The motion has what it fell too far, and gives back what the lift takes beyond what the impact took.
-        height: potential energy in J before the lift; energy: that of the motion before the impact, and of drives.
+        energy: in J, that of the motion before the impact, and of drives.
         """
         system = self.system
         kinetic, potential = self._energies()
@@ -913,14 +954,11 @@ class Transitions:
             # drives have velocities of their own
             self._project(t)
         if self._counts_works:
-            system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += potential - height - excess
+            system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] -= excess
 
     def _energies(self) -> tuple[float, float]:
         """Kinetic and potential energy in J at the system's (q, v)."""
-        system = self.system
-        model, data = system.model, system.model.createData()
-        kinetic = pin.computeKineticEnergy(model, data, system.q, system.v)
-        return float(kinetic), float(pin.computePotentialEnergy(model, data, system.q))
+        return energies_at(self.system.model, self.system.q, self.system.v)
 
     def _evaluate_rows(self, t: float) -> None:
         """Evaluate what an impact needs: rows, v_c and the factor of M; forces there may be none."""

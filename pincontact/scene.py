@@ -19,7 +19,7 @@ from .errors import ArgumentError, ContactError, ContourError, ModelError, Patte
 from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern, candidate_patterns, find_pattern
 from .geometry.planar import moves_in_plane
-from .robot_files import read_mjcf, read_sdf
+from .robot_files import Robot, read_mjcf, read_sdf, read_urdf
 
 if TYPE_CHECKING:
     from .state import State
@@ -56,6 +56,8 @@ class Scene:
         self.collision_model = collision_model
         self.contours: dict[str, AttachedContour] = {}
         self.contacts: dict[str, Contact] = {}
+        # collision shapes of the robot's file that could not be read
+        self._unread_shapes: tuple[str, ...] = ()
 
     @classmethod
     def from_urdf(
@@ -71,23 +73,7 @@ class Scene:
         package_dirs: folders in which `package://` mesh paths are looked up; the file's own folder is always one.
         Raises ModelError when the file is missing or cannot be read.
         """
-        file = os.fspath(path)
-        if not os.path.isfile(file):
-            raise ModelError(f"URDF file not found: {file}")
-        folders = [package_dirs] if isinstance(package_dirs, str) else list(package_dirs or [])
-        folders.append(os.path.dirname(os.path.abspath(file)))
-        try:
-            model = (
-                pin.buildModelFromUrdf(file, pin.JointModelFreeFlyer())
-                if floating_base
-                else pin.buildModelFromUrdf(file)
-            )
-        except Exception as error:
-            raise ModelError(f"{file} cannot be read as a URDF: {error}") from error
-        geometries = [
-            _geometry(model, file, kind, folders) for kind in (pin.GeometryType.VISUAL, pin.GeometryType.COLLISION)
-        ]
-        return cls(model, geometries[0], geometries[1])
+        return cls._of(read_urdf(os.fspath(path), floating_base, package_dirs))
 
     @classmethod
     def from_mjcf(cls, path: str | os.PathLike[str]) -> Scene:
@@ -98,7 +84,7 @@ class Scene:
         its start ("qpos0") are in `model.referenceConfigurations`.
         Raises ModelError when the file is missing or cannot be read; warns of equality constraints, which are left out.
         """
-        return cls(*read_mjcf(os.fspath(path)))
+        return cls._of(read_mjcf(os.fspath(path)))
 
     @classmethod
     def from_sdf(
@@ -114,9 +100,13 @@ class Scene:
         Raises MissingExtraError with other builds, ModelError when the file is missing or cannot be read; warns of loop
         closures, which are left out.
         """
-        file = os.fspath(path)
-        folders = [package_dirs] if isinstance(package_dirs, str) else list(package_dirs or [])
-        return cls(*read_sdf(file, floating_base, [*folders, os.path.dirname(os.path.abspath(file))], root_link))
+        return cls._of(read_sdf(os.fspath(path), floating_base, package_dirs, root_link))
+
+    @classmethod
+    def _of(cls, robot: Robot) -> Scene:
+        scene = cls(robot.model, robot.visual_model, robot.collision_model)
+        scene._unread_shapes = robot.unread
+        return scene
 
     def add_contour(
         self,
@@ -173,14 +163,16 @@ class Scene:
 
         links: names of the links, None for all.
         kinds: which parts, any of "faces" (spheres, ellipsoids, sides of cylinders and capsules, a capsule's caps as
-        whole spheres, a box's six patches), "rims" (a cylinder's two circles), "edges" and "corners" (a box's twelve
-        lines and eight points). A cylinder's flat ends are no contours; its rims are what touches.
+        whole spheres, a box's six patches, a half-space's plane), "rims" (a cylinder's two circles), "edges" and
+        "corners" (a box's twelve lines and eight points). A cylinder's flat ends are no contours; its rims are what
+        touches.
         geometry: shapes to use instead of the scene's own `collision_model`.
         Names are Pinocchio's name of the shape and the part's: wheel_0_cylinder, wheel_0_rim_+z, foot_1_sphere,
         foot_0_face_-z, foot_0_edge_+x-y, foot_0_corner_+x+y-z, arm_0_cap_+z.
-        Returns the new contours by name; other shapes (meshes) are ignored with a warning.
-        Raises ModelError without collision shapes or for a link that has none, ContourError for a name taken or a
-        shape without extent, ArgumentError for an unknown kind.
+        Returns the new contours by name; other shapes (meshes), and those that could not be read, are named in a
+        warning. Raises ModelError without collision shapes, for a link that has none, or where no contour is found
+        (naming what was seen), ContourError for a name taken or a shape without extent, ArgumentError for an unknown
+        kind.
         """
         from .collision import add_contours_from_collision
 
@@ -309,26 +301,6 @@ class Scene:
 def _check_name(name: Any, error: type[ContactError]) -> None:
     if not isinstance(name, str):
         raise error(f"a name must be a string, got {name!r}")
-
-
-def _geometry(model: pin.Model, file: str, kind: pin.GeometryType, folders: list[str]) -> pin.GeometryModel | None:
-    """Shapes of a URDF; meshes that cannot be found are left out, since they do not matter to the motion."""
-    try:
-        return pin.buildGeomFromUrdf(model, file, kind, package_dirs=folders)
-    except (ValueError, RuntimeError, IndexError):
-        from xml.etree import ElementTree
-
-        tree = ElementTree.parse(file).getroot()
-        for link in tree.iter("link"):
-            for tag in ("visual", "collision"):
-                for shape in [s for s in link.findall(tag) if s.find("geometry/mesh") is not None]:
-                    link.remove(shape)
-        try:
-            return pin.buildGeomFromUrdfString(
-                model, ElementTree.tostring(tree, encoding="unicode"), kind, package_dirs=folders
-            )
-        except (ValueError, RuntimeError, IndexError):
-            return None
 
 
 def _check_friction(contact: str, law: FrictionLaw, one: AttachedContour, two: AttachedContour, found: Pattern) -> None:

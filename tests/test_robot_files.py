@@ -70,23 +70,20 @@ def test_gravity_of_mjcf(tmp_path):
             pc.Scene.from_mjcf(mjcf(tmp_path, text))
 
 
-def test_a_mesh_that_is_missing_does_not_matter(tmp_path):
+def test_a_mesh_that_is_missing_does_not_matter_to_the_motion(tmp_path):
     text = DISK_MJCF.replace('type="cylinder" size="0.3 0.01"', 'type="mesh" mesh="lost"')
-    scene = pc.Scene.from_mjcf(mjcf(tmp_path, text=text))
-    assert scene.collision_model is None and rolled(scene).success
-
-
-def test_loop_closures_of_mjcf_are_not_left_out_silently(tmp_path):
-    more = '<equality><weld body1="disk"/></equality>'
-    with pytest.warns(UserWarning, match="1 equality constraints"):
-        pc.Scene.from_mjcf(mjcf(tmp_path, more=more))
+    with pytest.warns(UserWarning, match="there is no mesh 'lost'"):
+        scene = pc.Scene.from_mjcf(mjcf(tmp_path, text=text))
+    assert rolled(scene).success
+    with pytest.raises(pc.ModelError, match="no contour was found .*no shape; .*there is no mesh 'lost'"):
+        scene.add_contours_from_collision()
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("<mujoco", "cannot be read as an MJCF"),
-        ("<robot/>", "not a standard mujoco model"),
+        ("<robot/>", "first element is <robot>, not <mujoco>"),
         ("<mujoco/>", "no body found"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,6 +51,16 @@ def real_array(value: ArrayLike) -> np.ndarray:
         # NumPy would read numbers out of text, and drop imaginary parts
         raise TypeError(f"an array of {array.dtype}")
     return np.array(array, dtype=float)
+
+
+def warn_of_order(what: str, quaternion: ArrayLike, stacklevel: int) -> None:
+    """Warn of the quaternion that is no turn where the real part comes first, and half a turn here."""
+    if np.array_equal(quaternion, (1.0, 0.0, 0.0, 0.0)):
+        warnings.warn(
+            f"{what} is (1, 0, 0, 0), half a turn about x: the order is x, y, z, w, and (0, 0, 0, 1) is no turn; where "
+            "half a turn is meant, (-1, 0, 0, 0) says so without this warning",
+            stacklevel=stacklevel + 1,
+        )
 
 
 # What `real_array` raises.

@@ -3,12 +3,14 @@ warning."""
 
 from __future__ import annotations
 
+import math
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 from xml.etree import ElementTree
 
+import numpy as np
 import pinocchio as pin
 
 from .errors import MissingExtraError, ModelError
@@ -29,32 +31,145 @@ class Robot(NamedTuple):
 # ---------------------------------------------------------------------------------------------------- URDF
 
 
+# What is known of a URDF's elements: attributes, and elements within. Shapes and what is not of the robot's motion are
+# not looked into.
+_URDF: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "robot": (("name", "version"), ("link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control")),
+    "link": (
+        ("name", "type"),
+        (
+            *("inertial", "visual", "collision", "contact", "sensor"),
+            *("self_collision_checking", "collision_checking", "self_filter"),
+        ),
+    ),
+    "joint": (
+        ("name", "type", "dont_collapse"),
+        (
+            *("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
+            *("calibration", "safety_controller", "hardwareInterface"),
+        ),
+    ),
+    "inertial": ((), ("origin", "mass", "inertia")),
+    "origin": (("xyz", "rpy"), ()),
+    "mass": (("value",), ()),
+    "inertia": (("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), ()),
+    "parent": (("link",), ()),
+    "child": (("link",), ()),
+    "axis": (("xyz",), ()),
+    "limit": (("lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"), ()),
+    "dynamics": (("damping", "friction"), ()),
+    "mimic": (("joint", "multiplier", "offset"), ()),
+}
+# Of these there may be many, each with a name.
+_MANY = ("link", "joint")
+
+
 def read_urdf(file: str, floating_base: bool, package_dirs: str | Sequence[str] | None) -> Robot:
     """See `Scene.from_urdf`."""
     _check_exists(file, "URDF")
     try:
+        root = ElementTree.parse(file).getroot()
+    except (ElementTree.ParseError, OSError, ValueError) as error:
+        raise _unreadable(file, "a URDF", error) from error
+    remarks = _urdf_remarks(file, root)
+    try:
         model = (
             pin.buildModelFromUrdf(file, pin.JointModelFreeFlyer()) if floating_base else pin.buildModelFromUrdf(file)
         )
-        root = ElementTree.parse(file).getroot()
     except Exception as error:
         raise _unreadable(file, "a URDF", error) from error
-    mimics = [
-        f"{joint.get('name')!r} (mimics {mimic.get('joint')!r})"
-        for joint in root.findall("joint")
-        for mimic in joint.findall("mimic")
-    ]
-    if mimics:
-        warnings.warn(
-            f"{file}: joints that mimic others move on their own here, as they have no dynamics in Pinocchio: "
-            f"{', '.join(mimics)}; lock them, or let a control or a contact couple them",
-            stacklevel=3,
-        )
+    if remarks:
+        warnings.warn(f"{file}: {'; '.join(remarks)}", stacklevel=3)
     folders = _folders(file, package_dirs)
     visual, undrawn = _urdf_shapes(model, root, "visual", folders)
     collision, unread = _urdf_shapes(model, root, "collision", folders)
     _warn_of_shapes(file, [*undrawn, *unread])
     return Robot(model, visual, collision, tuple(unread))
+
+
+def _urdf_remarks(file: str, root: ElementTree.Element) -> list[str]:
+    """What to warn of. Raises ModelError for what Pinocchio would take, but not as it is meant."""
+    if root.tag != "robot":
+        raise ModelError(f"{file} cannot be read as a URDF: its first element is <{root.tag}>, not <robot>")
+    odd, locked, mimics, left_out = [], [], [], []
+    for link in root.findall("link"):
+        name, inertial = repr(link.get("name")), link.find("inertial")
+        if inertial is not None and not _is_of_a_body(f"{file}: link {name}", inertial):
+            odd.append(name)
+    for joint in root.findall("joint"):
+        name, kind = repr(joint.get("name")), joint.get("type")
+        axis, limit, dynamics = (joint.find(tag) for tag in ("axis", "limit", "dynamics"))
+        if axis is not None and kind not in ("fixed", "floating") and not any(_floats(axis.get("xyz", "1 0 0"))):
+            raise ModelError(f"{file}: joint {name}: its axis has no direction, got {axis.get('xyz')!r}")
+        ends = limit is not None and bool({"lower", "upper"} & set(limit.attrib))
+        if kind in ("floating", "planar"):
+            # Pinocchio reads them for joints of one coordinate only
+            given = {} if dynamics is None else dynamics.attrib
+            left_out += [f"{key} of joint {name}" for key, value in given.items() if any(_floats(value))]
+            left_out += [f"limits of joint {name}"] * ends
+        elif kind in ("revolute", "prismatic") and limit is not None and not ends:
+            locked.append(name)
+        mimics += [f"{name} mimics {mimic.get('joint')!r}" for mimic in joint.findall("mimic")]
+    found = {
+        "no body has the inertia of these links, of which a principal moment is negative": odd,
+        "these joints cannot move, as their limits are 0 where neither lower nor upper is given": locked,
+        "these joints move on their own here, as there are no dynamics of mimics in Pinocchio": mimics,
+        "left out, though it changes the motion": left_out,
+    }
+    remarks = [f"{remark}: {', '.join(of)}" for remark, of in found.items() if of]
+    unknown: dict[str, list[str]] = {}
+    for what, owner in _unknown_in(root, "the robot"):
+        unknown.setdefault(what, []).append(owner)
+    if unknown:
+        listed = (f"{what} of {of[0]}{f' and {len(of) - 1} more' if of[1:] else ''}" for what, of in unknown.items())
+        remarks.append(f"not known here, and left out: {', '.join(listed)}")
+    return remarks
+
+
+def _is_of_a_body(owner: str, inertial: ElementTree.Element) -> bool:
+    """Whether its principal moments are not negative; raises ModelError for what the parser would replace by zeros."""
+    values: dict[str, float] = {}
+    for tag in ("mass", "inertia"):
+        element = inertial.find(tag)
+        for name in _URDF[tag][0]:
+            text = None if element is None else element.get(name)
+            number = _floats(text or "")
+            if len(number) != 1 or not math.isfinite(number[0]):
+                raise ModelError(f"{owner}: {name} of its {tag} must be a finite number, got {text!r}")
+            values[name] = number[0]
+    if values["value"] < 0.0:
+        raise ModelError(f"{owner}: its mass must not be negative, got {values['value']}")
+    xx, xy, xz, yy, yz, zz = (values[name] for name in _URDF["inertia"][0])
+    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    # rounding of what is written with six digits, and a micrometre
+    return bool(moments[0] >= -1e-6 * abs(moments[2]) - 1e-12 * values["value"])
+
+
+def _unknown_in(element: ElementTree.Element, owner: str) -> Iterator[tuple[str, str]]:
+    """What is not in the list, or there once more than it is read, and whose it is."""
+    attributes, children = _URDF[element.tag]
+    for name in element.attrib:
+        if name not in attributes and not name.startswith("{"):
+            yield (name if element.tag in _MANY else f"{name} of <{element.tag}>"), owner
+    seen: set[str] = set()
+    for child in element:
+        if not isinstance(child.tag, str) or child.tag.startswith("{"):
+            continue
+        if child.tag not in children:
+            yield f"<{child.tag}>", owner
+        elif child.tag in _URDF:
+            if child.tag in seen and child.tag not in _MANY:
+                yield f"a second <{child.tag}>", owner
+            seen.add(child.tag)
+            yield from _unknown_in(child, f"{child.tag} {child.get('name')!r}" if child.tag in _MANY else owner)
+
+
+def _floats(text: str) -> list[float]:
+    """The numbers in a text; none where some part is none."""
+    try:
+        return [float(part) for part in text.split()]
+    except ValueError:
+        return []
 
 
 def _urdf_shapes(

@@ -33,6 +33,7 @@ import numpy as np
 import pinocchio as pin
 
 from . import contours as shapes
+from .arguments import warn_of_order
 from .contours import Contour, Motion
 from .errors import ArgumentError, FrictionError, MissingExtraError, SceneFileError
 from .expressions import CONSTANTS, FUNCTIONS, compiled, evaluate
@@ -500,10 +501,10 @@ def _height_field(table: _Table, parameters: Mapping[str, Converter]) -> Contour
 
 def _read_placement(table: _Table) -> pin.SE3:
     xyz = table.get("xyz", _vector(3), [0.0, 0.0, 0.0])
-    for key in ("rpy", "quaternion"):
-        if key in table.content:
-            table.get(key, lambda _, constants: _rotation(table.content, constants))
-    return pin.SE3(_rotation(table.content, table.constants), np.array(xyz))
+    key = "rpy" if "rpy" in table.content else "quaternion"
+    rotation = table.get(key, lambda _, constants: _rotation(table.content, constants), np.eye(3))
+    warn_of_order(f"{table.file}: {table.path('quaternion')}", table.content.get("quaternion", ()), stacklevel=4)
+    return pin.SE3(rotation, np.array(xyz))
 
 
 def _read_motion(table: _Table) -> Motion:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,11 +18,11 @@ _LARGEST_COUNT = 10**18
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is a real number that a float can hold, infinity included and NaN not."""
+    """Whether it is a real number that a float can hold, infinity included, NaN and truth values not."""
     if type(value) is float:
         return value == value
     try:
-        return isinstance(value, (int, float, np.floating, np.integer)) and not math.isnan(value)
+        return isinstance(value, Real) and not isinstance(value, bool) and not math.isnan(value)
     except OverflowError:
         return False
 

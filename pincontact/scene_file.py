@@ -33,12 +33,13 @@ import numpy as np
 import pinocchio as pin
 
 from . import contours as shapes
-from .arguments import warn_of_order
+from .arguments import is_number, warn_of_order
 from .contours import Contour, Motion
 from .errors import ArgumentError, FrictionError, MissingExtraError, SceneFileError
 from .expressions import CONSTANTS, FUNCTIONS, compiled, evaluate
 from .friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
 from .scene import Scene
+from .yaml_text import KeysError, parse_yaml
 
 if TYPE_CHECKING:
     from .state import State
@@ -124,6 +125,7 @@ def _parse(file: Path) -> dict[str, Any]:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneFileError(f"{file} cannot be read: {error}") from error
+    failures: tuple[type[Exception], ...]
     if suffix == ".toml":
         toml = import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
         read, failures = toml.loads, (toml.TOMLDecodeError, RecursionError)
@@ -132,9 +134,11 @@ def _parse(file: Path) -> dict[str, Any]:
             yaml = import_module("yaml")
         except ImportError:
             raise MissingExtraError(f"{file}: YAML needs the package PyYAML; TOML needs nothing") from None
-        read, failures = yaml.safe_load, (yaml.YAMLError, RecursionError)
+        read, failures = parse_yaml, (yaml.YAMLError, RecursionError)
     try:
         content = read(text)
+    except KeysError as error:
+        raise SceneFileError(f"{file}: {error}") from error
     except failures as error:
         raise SceneFileError(f"{file} is not valid {suffix[1:].upper()}: {error}") from error
     if not isinstance(content, dict):
@@ -226,9 +230,17 @@ def _suggestion(name: str, known: Collection[str]) -> str:
 
 
 def _number(value: Any, constants: Mapping[str, float]) -> float:
+    # formulas of what is not finite are refused where they are evaluated
+    if isinstance(value, str) or (is_number(value) and math.isfinite(value)):
+        return _end(value, constants)
+    raise _Mismatch("a number (finite), or a formula of constants")
+
+
+def _end(value: Any, constants: Mapping[str, float]) -> float:
+    """A number that may be infinite, as an end of an interval is."""
     if isinstance(value, str):
         return evaluate(value, constants)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    if not is_number(value):
         raise _Mismatch("a number, or a formula of constants")
     return float(value)
 
@@ -282,7 +294,7 @@ def _vector(count: int) -> Converter:
 def _interval(value: Any, constants: Mapping[str, float]) -> tuple[float, float]:
     if not isinstance(value, list) or len(value) != 2:
         raise _Mismatch("[low, high]")
-    return _number(value[0], constants), _number(value[1], constants)
+    return _end(value[0], constants), _end(value[1], constants)
 
 
 def _rectangle(value: Any, constants: Mapping[str, float]) -> tuple[Any, Any]:
@@ -387,8 +399,6 @@ def _read_model(root: _Table) -> Scene:
     scene: Scene = root.attempt(kind, make, robot, **options)
     gravity = root.get("gravity", _vector(3), None)
     if gravity is not None:
-        if not np.isfinite(gravity).all():
-            raise root.error("gravity", f"expected 3 finite numbers, got {gravity}")
         scene.model.gravity.linear = np.array(gravity)
     return scene
 
@@ -669,7 +679,7 @@ _SETTINGS: dict[str, Converter] = {
     "atol": _number,
     "method": _text,
     "energies": _flag,
-    "max_step": _number,
+    "max_step": _end,
     "first_step": _number,
     "fixed_step": _number,
     "step": _number,

@@ -13,10 +13,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
-from .errors import MissingExtraError, ModelError
+from .arguments import check_flag
+from .errors import ArgumentError, MissingExtraError, ModelError
 from .mjcf.document import Document
 from .mjcf.model import Builder, note_forces
 from .mjcf.shapes import read_shapes
+
+Folders = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None
 
 
 class Robot(NamedTuple):
@@ -64,8 +67,10 @@ _URDF: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 _MANY = ("link", "joint")
 
 
-def read_urdf(file: str, floating_base: bool, package_dirs: str | Sequence[str] | None) -> Robot:
+def read_urdf(file: str, floating_base: bool, package_dirs: Folders) -> Robot:
     """See `Scene.from_urdf`."""
+    check_flag("floating_base", floating_base)
+    folders = _folders(file, package_dirs)
     _check_exists(file, "URDF")
     try:
         root = ElementTree.parse(file).getroot()
@@ -80,7 +85,6 @@ def read_urdf(file: str, floating_base: bool, package_dirs: str | Sequence[str] 
         raise _unreadable(file, "a URDF", error) from error
     if remarks:
         warnings.warn(f"{file}: {'; '.join(remarks)}", stacklevel=3)
-    folders = _folders(file, package_dirs)
     visual, undrawn = _urdf_shapes(model, root, "visual", folders)
     collision, unread = _urdf_shapes(model, root, "collision", folders)
     _warn_of_shapes(file, [*undrawn, *unread])
@@ -226,8 +230,9 @@ def read_mjcf(file: str) -> Robot:
 # ---------------------------------------------------------------------------------------------------- SDF
 
 
-def read_sdf(file: str, floating_base: bool, package_dirs: str | Sequence[str] | None, root_link: str) -> Robot:
+def read_sdf(file: str, floating_base: bool, package_dirs: Folders, root_link: str) -> Robot:
     """See `Scene.from_sdf`."""
+    check_flag("floating_base", floating_base)
     if not getattr(pin, "WITH_SDFORMAT", False):
         raise MissingExtraError(
             f"{file}: this build of Pinocchio ({pin.__version__}) reads no SDF (pinocchio.WITH_SDFORMAT is False); "
@@ -251,10 +256,14 @@ def read_sdf(file: str, floating_base: bool, package_dirs: str | Sequence[str] |
 # ---------------------------------------------------------------------------------------------------- all of them
 
 
-def _folders(file: str, package_dirs: str | Sequence[str] | None) -> list[str]:
+def _folders(file: str, package_dirs: Folders) -> list[str]:
     """Where meshes are looked for: the file's own folder last."""
-    given = [package_dirs] if isinstance(package_dirs, str) else list(package_dirs or [])
-    return [*given, os.path.dirname(os.path.abspath(file))]
+    given = [package_dirs] if isinstance(package_dirs, (str, os.PathLike)) else package_dirs or ()
+    try:
+        folders = [os.fspath(folder) for folder in given]
+    except TypeError:
+        raise ArgumentError(f"package_dirs must be one folder or several, got {package_dirs!r}") from None
+    return [*folders, os.path.dirname(os.path.abspath(file))]
 
 
 def _check_exists(file: str, kind: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import numbers
 import os
 from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from .arguments import NOT_REAL, is_number, real_array
 from .contacts import AttachedContour, Contact
 from .contours import Contour
 from .contours.motion import Motion
@@ -19,7 +19,7 @@ from .errors import ArgumentError, ContactError, ContourError, ModelError, Patte
 from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern, candidate_patterns, find_pattern
 from .geometry.planar import moves_in_plane
-from .robot_files import Robot, read_mjcf, read_sdf, read_urdf
+from .robot_files import Folders, Robot, read_mjcf, read_sdf, read_urdf
 
 if TYPE_CHECKING:
     from .state import State
@@ -45,12 +45,17 @@ class Scene:
             model = model.model
         if not isinstance(model, pin.Model):
             raise ModelError(f"Scene needs a pinocchio Model or RobotWrapper, got {type(model).__name__}")
+        for name, shapes in (("visual_model", visual_model), ("collision_model", collision_model)):
+            if shapes is not None and not isinstance(shapes, pin.GeometryModel):
+                raise ModelError(f"{name} must be a pinocchio GeometryModel or None, got {type(shapes).__name__}")
         mimics = [name for name, joint in zip(model.names, model.joints) if "Mimic" in joint.shortname()]
         if mimics:
             raise ModelError(
                 f"joints that mimic others have no dynamics in Pinocchio: {', '.join(mimics)}; lock them or "
                 "let them be joints of their own"
             )
+        if any(frame.name == "universe" for frame in list(model.frames)[1:]) or "universe" in list(model.names)[1:]:
+            raise ModelError("the model has a joint or frame named 'universe', which is the name of the world")
         self.model = model
         self.visual_model = visual_model
         self.collision_model = collision_model
@@ -64,7 +69,7 @@ class Scene:
         cls,
         path: str | os.PathLike[str],
         floating_base: bool = False,
-        package_dirs: str | Sequence[str] | None = None,
+        package_dirs: Folders = None,
     ) -> Scene:
         """A scene from a URDF file.
 
@@ -91,7 +96,7 @@ class Scene:
         cls,
         path: str | os.PathLike[str],
         floating_base: bool = False,
-        package_dirs: str | Sequence[str] | None = None,
+        package_dirs: Folders = None,
         root_link: str = "",
     ) -> Scene:
         """A scene from an SDF file, with builds of Pinocchio that read them (pinocchio.WITH_SDFORMAT).
@@ -212,9 +217,9 @@ class Scene:
             )
         if not isinstance(bilateral, (bool, np.bool_)):
             raise ArgumentError(f"contact {name!r}: bilateral must be True or False, got {bilateral!r}")
-        if side is not None and not (isinstance(side, numbers.Real) and side in (1, -1)):
+        if side is not None and not (is_number(side) and side in (1, -1)):
             raise ArgumentError(f"contact {name!r}: side must be +1, -1 or None, got {side!r}")
-        if not (isinstance(restitution, numbers.Real) and 0.0 <= restitution <= 1.0):
+        if not (is_number(restitution) and 0.0 <= restitution <= 1.0):
             raise ArgumentError(f"contact {name!r}: restitution must lie in [0, 1], got {restitution!r}")
         if location is not None and (not isinstance(location, (tuple, list)) or len(location) != 2):
             raise ArgumentError(f"contact {name!r}: location must be a pair (u_first, u_second), got {location!r}")
@@ -234,9 +239,7 @@ class Scene:
             _check_friction(name, friction, one, two, found)
         if location is not None:
             for owner, guess in ((a, location[0]), (b, location[1])):
-                if guess is not None and (
-                    np.size(guess) != owner.contour.dimension or not np.isfinite(np.asarray(guess, float)).all()
-                ):
+                if guess is not None and not _are_finite(guess, owner.contour.dimension):
                     raise ArgumentError(
                         f"contact {name!r}: the location guess of {owner.name!r} needs {owner.contour.dimension} "
                         f"finite numbers, got {guess!r}"
@@ -296,6 +299,15 @@ class Scene:
         from .state import find_state
 
         return find_state(self, q, v, t, free, max_gap)
+
+
+def _are_finite(values: Any, count: int) -> bool:
+    """Whether these are so many finite numbers."""
+    try:
+        array = real_array(values)
+    except NOT_REAL:
+        return False
+    return array.size == count and bool(np.isfinite(array).all())
 
 
 def _check_name(name: Any, error: type[ContactError]) -> None:

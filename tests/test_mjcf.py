@@ -287,6 +287,7 @@ TENDON = '<tendon><fixed name="t" {}><joint joint="elbow" coef="1"/></fixed></te
         (file(arm(), after='<actuator><motor joint="elbow" armature="1"/></actuator>'), "armature of an actuator"),
         (file(f'<body name="f"><freejoint name="r" align="true"/>{BALL}</body>'), r"align \(freejoint 'r'\)"),
         (file(arm('elasticity="2"')), "not known here, and left out: elasticity of <joint>"),
+        (file(arm('><spring/></joint><geom size="0.1" mass="0"')), "<spring> of <joint>"),
         (file(arm(), "<weather/>"), "not known here, and left out: <weather>"),
         (file(arm(), "<default><cloud/></default>"), "<cloud> in default class 'main'"),
     ],
@@ -322,12 +323,15 @@ MESH = '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
         (file('<body><joint name="j" type="free" armature="1"/><geom size="0.1"/></body>'), "joint 'j': armature"),
         (file(arm() + arm()), "body 'arm': there is another body"),
         (file(arm(parts='<joint name="elbow"/>')), "another joint named 'elbow'"),
+        (file(arm(parts='<site name="s"/><site name="s"/>')), "another site"),
         (file(arm(parts="<freejoint/>")), "only a body of the world can move freely"),
         (file(arm(parts="<body><freejoint/></body>")), "only a body of the world can move freely"),
         (file(arm('class="lost"')), "joint 'elbow': there is no default class 'lost'"),
         (file(arm(body='childclass="lost"')), "body 'arm': there is no default class 'lost'"),
         (file(arm(body='quat="0 0 0 0"')), "body 'arm': quat has no direction"),
         (file(arm(body='euler="0 0 0" zaxis="0 0 1"')), "body 'arm': its orientation is given by zaxis and by euler"),
+        (file(arm(body='euler="0 0 0" quat="1 0 0 0"')), "body 'arm': its orientation is given by quat and by euler"),
+        (file(arm().replace("diaginertia", 'quat="1 1 0 0" fullinertia')), "both fullinertia and quat"),
         (file(arm('type="screw"')), "joint 'elbow': type must be one of hinge"),
         (file(arm('damping="much"')), "joint 'elbow': damping must be 1 to 3 finite numbers, got 'much'"),
         (file(arm('armature="-1"')), "joint 'elbow': armature must not be negative"),
@@ -341,6 +345,7 @@ MESH = '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
         (file(arm().replace('mass="2"', "")), "an inertial of 'arm': mass is missing"),
         (file(arm(), after='<keyframe><key name="k" qpos="1 2"/></keyframe>'), "key 'k': qpos must be a finite number"),
         (file('<body><geom type="box" size="1 1"/></body>'), "size of a box must be 3 positive numbers, got '1 1'"),
+        (file('<body name="b"><frame><inertial/></frame></body>'), "body 'b' has its <inertial> within a <frame>"),
         (file("<joint/>" + arm()), "the world has a <joint>"),
         (file(arm(), '<include file="lost.xml"/>'), "not found: .*lost.xml"),
         (file(arm(), '<include file="robot.xml"/>'), "robot.xml includes itself"),
@@ -349,6 +354,13 @@ MESH = '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
 def test_what_is_refused(tmp_path, text, message):
     with pytest.raises(pc.ModelError, match=message):
         pc.Scene.from_mjcf(written(tmp_path, text))
+
+
+def test_meshes_that_do_not_move_need_no_inertia(tmp_path):
+    path = written(tmp_path, file(arm() + '<body><geom type="mesh" mesh="m"/></body>', MESH))
+    with pytest.warns(UserWarning, match=r"a geom of 'body_2' \(mesh 'm' has no file\)"):
+        scene = pc.Scene.from_mjcf(path)
+    assert_same(scene.model, Peer(path))
 
 
 # ---------------------------------------------------------------------------------------------------- shapes

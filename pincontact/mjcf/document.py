@@ -19,9 +19,9 @@ from ..errors import ModelError
 
 Attributes = dict[str, str]
 
-# Alternatives to `quat`; at most one of them may be given.
-ORIENTATIONS = ("axisangle", "xyaxes", "zaxis", "euler")
-_POSE = ("pos", "quat", *ORIENTATIONS)
+# At most one of these may be given.
+ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
+_POSE = ("pos", *ORIENTATIONS)
 _SOLVER = ("solref", "solimp", "margin", "gap")
 _OF_LIMITS = ("solreflimit", "solimplimit", "solreffriction", "solimpfriction", "margin")
 _ACTUATORS = (
@@ -97,8 +97,16 @@ _KNOWN: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
             *("material", "builtin", "params", "octree_maxdepth"),
         ),
     ),
+    "worldbody": ((), ()),
 }
-_WITHOUT_DEFAULTS = ("freejoint", "inertial", "body", "frame", "key")
+# Elements within those that are read whole.
+_CHILDREN: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("joint", "freejoint", "inertial", "site", "flag"), ()),
+    "geom": ("plugin",),
+    "compiler": ("lengthrange",),
+    "option": ("flag",),
+}
+_WITHOUT_DEFAULTS = ("freejoint", "inertial", "worldbody", "body", "frame", "key")
 # Parts of the file that do not bear on the motion.
 _SECTIONS_READ = ("compiler", "option", "default", "worldbody", "asset", "keyframe", "equality", "tendon", "actuator")
 _SECTIONS_IGNORED = ("size", "visual", "statistic", "custom", "contact", "sensor", "extension")
@@ -157,7 +165,7 @@ class Element:
         return value
 
     def placement(self) -> pin.SE3:
-        """The pose that `pos`, and `quat` or one of its alternatives, give in the frame of the parent."""
+        """The pose that `pos` and an orientation give in the frame of the parent."""
         return pin.SE3(self.rotation(), self.numbers("pos", 3, 3, (0.0, 0.0, 0.0)))
 
     def rotation(self) -> np.ndarray:
@@ -165,9 +173,10 @@ class Element:
         if len(given) > 1:
             raise self.error(f"its orientation is given by {given[0]} and by {given[1]}")
         if not given:
-            w, x, y, z = self._direction("quat", self.numbers("quat", 4, 4, (1.0, 0.0, 0.0, 0.0)))
-            return pin.Quaternion(w, x, y, z).matrix()
+            return np.eye(3)
         name = given[0]
+        if name == "quat":
+            return pin.Quaternion(*self._direction(name, self.numbers(name, 4, 4))).matrix()
         to_radians = self.document.angle
         if name == "axisangle":
             values = self.numbers(name, 4, 4)
@@ -261,12 +270,12 @@ class Document:
             chosen = attributes.get("class", childclass or "main")
             self.check_class(chosen, what)
             attributes = _merged(self._classes[chosen].get(kind, {}), attributes)
-        self._note_unknown(kind, node.attrib)
+        self._note_unknown(kind, node)
         return Element(self, node.tag, attributes, what)
 
     def sections(self, path: str) -> Iterator[ElementTree.Element]:
-        """The elements below all sections of a kind, comments left out."""
-        return (node for section in self.root.iterfind(path) for node in section if isinstance(node.tag, str))
+        """The elements below all sections of a kind."""
+        return (node for section in self.root.iterfind(path) for node in section)
 
     def check_class(self, name: str, what: str) -> None:
         if name not in self._classes:
@@ -289,11 +298,14 @@ class Document:
     def leave_out(self, effect: str, owner: str) -> None:
         self._left_out.setdefault(effect, {})[owner] = None
 
-    def _note_unknown(self, tag: str, attributes: Iterable[str]) -> None:
-        if tag in _KNOWN:
-            for name in attributes:
-                if not any(name in names for names in _KNOWN[tag]):
-                    self._unknown[f"{name} of <{tag}>"] = None
+    def _note_unknown(self, kind: str, node: ElementTree.Element) -> None:
+        """Note attributes and elements within an element that are not in the lists."""
+        for name in node.attrib if kind in _KNOWN else ():
+            if not any(name in names for names in _KNOWN[kind]):
+                self._unknown[f"{name} of <{node.tag}>"] = None
+        for child in node if kind in _CHILDREN else ():
+            if child.tag not in _CHILDREN[kind]:
+                self._unknown[f"<{child.tag}> of <{node.tag}>"] = None
 
     # ------------------------------------------------------------------------------------------------ settings
 
@@ -301,7 +313,7 @@ class Document:
         """All elements of a kind as one; later ones win."""
         attributes: Attributes = {}
         for node in self.root.iterfind(path or tag):
-            self._note_unknown(tag, node.attrib)
+            self._note_unknown(tag, node)
             attributes.update(node.attrib)
         return Element(self, tag, attributes, tag)
 
@@ -328,9 +340,9 @@ class Document:
         for child in node:
             if child.tag in (*_KNOWN, *_SHARED, "equality", "material"):
                 tag = _SHARED.get(child.tag, child.tag)
-                self._note_unknown(tag, child.attrib)
+                self._note_unknown(tag, child)
                 known[tag] = _merged(known.get(tag, {}), child.attrib)
-            elif isinstance(child.tag, str) and child.tag not in ("default", *_DEFAULTS_IGNORED):
+            elif child.tag not in ("default", *_DEFAULTS_IGNORED):
                 self._unknown[f"<{child.tag}> in default class {name!r}"] = None
         for child in node.iterfind("default"):
             self._read_default(child, name)
@@ -373,7 +385,6 @@ def _parse(path: str, file: str) -> ElementTree.Element:
 def _merged(defaults: Attributes, own: Attributes) -> Attributes:
     """Own attributes over defaults, whose orientation is dropped where there is another."""
     kept = defaults
-    orientations = ("quat", *ORIENTATIONS)
-    if any(name in own for name in orientations):
-        kept = {name: value for name, value in defaults.items() if name not in orientations}
+    if any(name in own for name in ORIENTATIONS):
+        kept = {name: value for name, value in defaults.items() if name not in ORIENTATIONS}
     return {**kept, **own}

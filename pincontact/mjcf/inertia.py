@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import ModelError
-from .document import Document, Element, z_turned_to
+from .document import ORIENTATIONS, Document, Element, z_turned_to
 
 # Principal moments beyond the triangle inequality by no more than this are those of a flat body, rounded.
 _TRIANGLE = 1e-9
@@ -87,10 +87,10 @@ def _given(inertial: Element) -> pin.Inertia:
     place = inertial.placement()
     mass = inertial.not_negative("mass")
     if inertial.has("fullinertia"):
-        if inertial.has("diaginertia"):
-            raise inertial.error("both fullinertia and diaginertia are given")
+        for name in ("diaginertia", *ORIENTATIONS):
+            if inertial.has(name):
+                raise inertial.error(f"both fullinertia and {name} are given")
         xx, yy, zz, xy, xz, yz = inertial.numbers("fullinertia", 6, 6)
-        # MuJoCo gives these in the axes of the body, whatever the quaternion
         moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     else:
         moments = place.rotation @ np.diag(inertial.numbers("diaginertia", 3, 3, (0.0, 0.0, 0.0))) @ place.rotation.T

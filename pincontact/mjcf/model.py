@@ -56,6 +56,7 @@ class Builder:
         worlds = document.root.findall("worldbody")
         waiting: list[_Pending] = []
         for world in worlds:
+            document.element(world)
             waiting += self._contents(world, self.bodies[0], pin.SE3.Identity(), None)
         waiting.reverse()
         while waiting:
@@ -75,7 +76,8 @@ class Builder:
         element = self.document.element(node)
         childclass = self._childclass(node, element.what, childclass)
         placement = surroundings * element.placement()
-        body = Body(element.text("name") or self._free_name(f"{parent.name}_body", pin.FrameType.BODY))
+        # without a name: its number in MuJoCo
+        body = Body(element.text("name", f"body_{len(self.bodies)}"))
         if self.model.existFrame(body.name, pin.FrameType.BODY) or body.name == "world":
             raise element.error("there is another body of this name")
         # every element of the body, those within <frame> with the placement of that
@@ -83,11 +85,12 @@ class Builder:
         children = self._contents(node, body, pin.SE3.Identity(), childclass, own)
         self._add_joints(body, parent, placement, own)
         body.frame = self.model.addBodyFrame(body.name, body.joint, body.placement, body.frame)
-        inertial = [self.document.element(item, body.name) for item, _, _ in own if item.tag == "inertial"]
+        inertial = node.find("inertial")
+        given = None if inertial is None else self.document.element(inertial, body.name)
         self._add_parts(body, own)
-        body.inertia = body_inertia(
-            self.document, element.what, inertial[-1] if inertial else None, body.geoms, element.placement()
-        )
+        # what is fixed to the world does not move, but counts where the masses are scaled
+        if body.joint != 0 or self.document.compiler.has("settotalmass"):
+            body.inertia = body_inertia(self.document, element.what, given, body.geoms, element.placement())
         if element.number("gravcomp") != 0.0 and not self.document.off("gravity"):
             self.document.leave_out("gravity compensation", element.what)
         self.bodies.append(body)
@@ -112,11 +115,14 @@ class Builder:
                 frame = self.document.element(item)
                 inner = self._childclass(item, frame.what, childclass)
                 children += self._contents(item, body, surroundings * frame.placement(), inner, elements)
+            elif item.tag == "inertial" and node.tag == "frame":
+                # versions of MuJoCo differ in whether it is moved by the frame
+                raise ModelError(f"{self.document.file}: body {body.name!r} has its <inertial> within a <frame>")
             elif item.tag in ("joint", "freejoint", "inertial", "geom", "site"):
                 elements.append((item, surroundings, childclass))
             elif item.tag == "plugin":
                 self.document.leave_out("plugin", f"body {body.name!r}")
-            elif isinstance(item.tag, str) and item.tag not in _UNMOVING:
+            elif item.tag not in _UNMOVING:
                 raise ModelError(f"{self.document.file}: <{item.tag}> in body {body.name!r} cannot be read")
         if own is None:
             for item, _, _ in elements:
@@ -139,15 +145,11 @@ class Builder:
                 body.geoms.append(read_geom(element, surroundings))
             elif item.tag == "site" and item.get("name"):
                 element = self.document.element(item, body.name, childclass)
+                if self.model.existFrame(element.text("name"), pin.FrameType.OP_FRAME):
+                    raise element.error("there is another site of this name")
                 placement = body.placement * surroundings * _site_placement(element)
                 frame = pin.Frame(element.text("name"), body.joint, body.frame, placement, pin.FrameType.OP_FRAME)
                 self.model.addFrame(frame)
-
-    def _free_name(self, stem: str, kind: pin.FrameType) -> str:
-        number = 0
-        while self.model.existFrame(f"{stem}_{number}", kind):
-            number += 1
-        return f"{stem}_{number}"
 
     # ------------------------------------------------------------------------------------------------ joints
 
@@ -268,7 +270,6 @@ class Builder:
         masses = sum(body.inertia.mass for body in self.bodies if body.inertia is not None)
         scale = total / masses if total > 0.0 and masses > 0.0 else 1.0
         for body in self.bodies:
-            # what is fixed to the world does not move
             if body.inertia is None or body.joint == 0:
                 continue
             inertia = body.inertia

@@ -15,6 +15,12 @@ import pincontact as pc
 ROUNDING = 1e-12
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """MuJoCo logs its warnings in the working folder."""
+    monkeypatch.chdir(tmp_path)
+
+
 def written(tmp_path, text):
     path = tmp_path / "robot.xml"
     path.write_text(text)
@@ -373,14 +379,11 @@ def test_shapes(tmp_path):
     before = """
 <compiler meshdir="meshes"/><default><mesh scale="2 2 2"/></default>
 <asset><mesh file="part.obj"/><material name="red" rgba="1 0 0 1"/></asset>"""
-    body = f"""
-<geom type="plane" size="1 1 1"/><geom type="box" size="1 1 0.1" pos="0 0 -0.1"/>
-{
-        arm(
-            parts='''<geom type="mesh" mesh="part" material="red" contype="0" conaffinity="0"/>
-<geom type="capsule" size="0.1" fromto="0 0 0 0 0 1"/><geom size="0.2" group="4"/>'''
-        )
-    }"""
+    geoms = """
+<geom type="mesh" mesh="part" material="red" contype="0" conaffinity="0"/>
+<geom type="capsule" size="0.1" fromto="0 0 0 0 0 1"/><geom size="0.2" group="4"/>"""
+    world = '<geom type="plane" size="1 1 1"/><geom type="box" size="1 1 0.1" pos="0 0 -0.1"/>'
+    body = world + arm('pos="0.3 0.2 0.1" ref="0.4"', geoms)
     scene, peer = read(tmp_path, file(body, before))
     drawn = [item.name for item in scene.visual_model.geometryObjects]
     assert drawn == ["world_0", "arm_0", "arm_1"]

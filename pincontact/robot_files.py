@@ -98,7 +98,7 @@ def _urdf_remarks(file: str, root: ElementTree.Element) -> list[str]:
     odd, locked, mimics, left_out = [], [], [], []
     for link in root.findall("link"):
         name, inertial = repr(link.get("name")), link.find("inertial")
-        if inertial is not None and not _is_of_a_body(f"{file}: link {name}", inertial):
+        if inertial is not None and not _can_be_of_a_body(f"{file}: link {name}", inertial):
             odd.append(name)
     for joint in root.findall("joint"):
         name, kind = repr(joint.get("name")), joint.get("type")
@@ -130,7 +130,7 @@ def _urdf_remarks(file: str, root: ElementTree.Element) -> list[str]:
     return remarks
 
 
-def _is_of_a_body(owner: str, inertial: ElementTree.Element) -> bool:
+def _can_be_of_a_body(owner: str, inertial: ElementTree.Element) -> bool:
     """Whether its principal moments are not negative; raises ModelError for what the parser would replace by zeros."""
     values: dict[str, float] = {}
     for tag in ("mass", "inertia"):

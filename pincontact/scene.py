@@ -76,18 +76,28 @@ class Scene:
         floating_base: whether the root link moves freely (Pinocchio's free-flyer joint: q starts with position and
         quaternion x y z w, v with linear and angular velocity in body axes) or is fixed to the world.
         package_dirs: folders in which `package://` mesh paths are looked up; the file's own folder is always one.
+        Joints that mimic others are joints of their own. A warning names them, and whatever else of the file is not
+        read as it stands there: unknown elements, shapes whose meshes are missing, joints that cannot move.
         Raises ModelError when the file is missing or cannot be read.
         """
         return cls._of(read_urdf(os.fspath(path), floating_base, package_dirs))
 
     @classmethod
     def from_mjcf(cls, path: str | os.PathLike[str]) -> Scene:
-        """A scene from an MJCF file (MuJoCo's), as far as Pinocchio reads it.
+        """A scene from an MJCF file (MuJoCo's).
 
-        Bodies, joints, inertias, damping, dry friction, armature and geoms are read, and the file's gravity; contacts,
-        actuators and sensors are not. A base moves freely where the file has a <freejoint>. The file's key frames and
-        its start ("qpos0") are in `model.referenceConfigurations`.
-        Raises ModelError when the file is missing or cannot be read; warns of equality constraints, which are left out.
+        Bodies, joints, inertias (given, or of primitive geoms), limits, damping, dry friction, armature, gravity, geoms
+        and sites are read as MuJoCo's compiler reads them, default classes and inclusions resolved: a file without a
+        warning has the mass matrix, bias forces and joint forces that it has there. Contacts, sensors and actuators are
+        not read: commands come from a control. q is MuJoCo's, `ref` of joints included, with quaternions in Pinocchio's
+        order; key frames and the start ("qpos0") are in `model.referenceConfigurations`. A base moves freely where the
+        file has a <freejoint>. Bodies without a name are called body_ and their number in MuJoCo.
+
+        A warning names what makes forces and is left out (springs, tendons, equality constraints, limits of balls,
+        gravity compensation, fluids), what is not known, and shapes that could not be read.
+        Raises ModelError, naming the element, when the file is missing or cannot be read, and for what has no rigid
+        bodies or joints here: flexible bodies, <composite>, <replicate>, <attach>, bodies that have their inertia from
+        a mesh or a shell, armature and dry friction of a free joint.
         """
         return cls._of(read_mjcf(os.fspath(path)))
 
@@ -292,6 +302,8 @@ class Scene:
         q (nq,), v (nv,): Pinocchio's configuration and velocity (v defaults to zero). t: time in s.
         free: names of contacts that start open. max_gap: the largest gap in m that is corrected away; the default is
         a twentieth of the smaller contour's size (5 cm where neither has one).
+        Quaternions have norm 1 to 1e-6. One of (1, 0, 0, 0) is warned of, as it is the identity where the real part
+        comes first and half a turn here; (-1, 0, 0, 0) is that half turn without a warning.
         The state says how far q and v were off (`state.correction`).
         Raises StateError for bad sizes or numbers, NoContactError (with the gap) where contours do not touch,
         SingularContactError where the location equations are singular.

@@ -12,7 +12,8 @@ The tables of a file are those of the Python interface, with its names, units an
     [initial]                                       q, v, t, free, max_gap
     [simulation]                                    duration, outputs and the options of `simulate`
 
-Wherever a number is expected, a text is a formula of constants: rpy = ["pi / 2", 0, 0].
+Wherever a number is expected, a text is a formula of constants: rpy = ["pi / 2", 0, 0]. Numbers are finite, but for
+ends of intervals and max_step. In YAML, too, a key stands once and is a text, and numbers are decimal (YAML 1.2).
 """
 
 from __future__ import annotations

@@ -241,10 +241,11 @@ def find_state(scene: Scene, q: Any, v: Any | None, t: float, free: Sequence[str
     q = check_configuration(coordinates, q)
     for kind, iq, iv, _ in coordinates.blocks:
         offset, size = _UNITS[kind]
-        if size == 4:
-            start = iq + offset
-            joint = joint_of(model, iv)
-            warn_of_order(f"q[{start}:{start + 4}] of joint {joint!r}", q[start : start + 4], stacklevel=3)
+        start = iq + offset
+        # asking for the name of a joint takes longer than all other checks
+        if size == 4 and q[start] == 1.0:
+            what = f"q[{start}:{start + 4}] of joint {joint_of(model, iv)!r}"
+            warn_of_order(what, q[start : start + 4], stacklevel=3)
     v = check_vector("v", np.zeros(model.nv) if v is None else v, model.nv)
     t = check_time("t", t)
     free = [free] if isinstance(free, str) else free

@@ -352,6 +352,7 @@ MESH = '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
         (file(arm(), after='<keyframe><key name="k" qpos="1 2"/></keyframe>'), "key 'k': qpos must be a finite number"),
         (file('<body><geom type="box" size="1 1"/></body>'), "size of a box must be 3 positive numbers, got '1 1'"),
         (file('<body name="b"><frame><inertial/></frame></body>'), "body 'b' has its <inertial> within a <frame>"),
+        (file(arm(parts='<body name="universe"/>')), "named 'universe', which is the name of the world"),
         (file("<joint/>" + arm()), "the world has a <joint>"),
         (file(arm(), '<include file="lost.xml"/>'), "not found: .*lost.xml"),
         (file(arm(), '<include file="robot.xml"/>'), "robot.xml includes itself"),

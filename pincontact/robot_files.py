@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -15,11 +15,11 @@ import pinocchio as pin
 
 from .arguments import check_flag
 from .errors import ArgumentError, MissingExtraError, ModelError
-from .mjcf.document import Document
-from .mjcf.model import Builder, note_forces
-from .mjcf.shapes import read_shapes
 
 Folders = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None
+
+# What warnings are about.
+_LEFT_OUT, _UNREAD = "left out, though it changes the motion", "shapes that could not be read"
 
 
 class Robot(NamedTuple):
@@ -83,15 +83,13 @@ def read_urdf(file: str, floating_base: bool, package_dirs: Folders) -> Robot:
         )
     except Exception as error:
         raise _unreadable(file, "a URDF", error) from error
-    if remarks:
-        warnings.warn(f"{file}: {'; '.join(remarks)}", stacklevel=3)
     visual, undrawn = _urdf_shapes(model, root, "visual", folders)
     collision, unread = _urdf_shapes(model, root, "collision", folders)
-    _warn_of_shapes(file, [*undrawn, *unread])
+    _warn(file, {**remarks, _UNREAD: [*undrawn, *unread]})
     return Robot(model, visual, collision, tuple(unread))
 
 
-def _urdf_remarks(file: str, root: ElementTree.Element) -> list[str]:
+def _urdf_remarks(file: str, root: ElementTree.Element) -> dict[str, list[str]]:
     """What to warn of. Raises ModelError for what Pinocchio would take, but not as it is meant."""
     if root.tag != "robot":
         raise ModelError(f"{file} cannot be read as a URDF: its first element is <{root.tag}>, not <robot>")
@@ -114,20 +112,18 @@ def _urdf_remarks(file: str, root: ElementTree.Element) -> list[str]:
         elif kind in ("revolute", "prismatic") and limit is not None and not ends:
             locked.append(name)
         mimics += [f"{name} mimics {mimic.get('joint')!r}" for mimic in joint.findall("mimic")]
-    found = {
-        "no body has the inertia of these links, of which a principal moment is negative": odd,
-        "these joints cannot move, as their limits are 0 where neither lower nor upper is given": locked,
-        "these joints move on their own here, as there are no dynamics of mimics in Pinocchio": mimics,
-        "left out, though it changes the motion": left_out,
-    }
-    remarks = [f"{remark}: {', '.join(of)}" for remark, of in found.items() if of]
     unknown: dict[str, list[str]] = {}
     for what, owner in _unknown_in(root, "the robot"):
         unknown.setdefault(what, []).append(owner)
-    if unknown:
-        listed = (f"{what} of {of[0]}{f' and {len(of) - 1} more' if of[1:] else ''}" for what, of in unknown.items())
-        remarks.append(f"not known here, and left out: {', '.join(listed)}")
-    return remarks
+    return {
+        "no body has the inertia of these links, of which a principal moment is negative": odd,
+        "these joints cannot move, as their limits are 0 where neither lower nor upper is given": locked,
+        "these joints move on their own here, as there are no dynamics of mimics in Pinocchio": mimics,
+        _LEFT_OUT: left_out,
+        "not known here, and left out": [
+            f"{what} of {of[0]}{f' and {len(of) - 1} more' if of[1:] else ''}" for what, of in unknown.items()
+        ],
+    }
 
 
 def _can_be_of_a_body(owner: str, inertial: ElementTree.Element) -> bool:
@@ -216,15 +212,16 @@ def _urdf_shapes(
 def read_mjcf(file: str) -> Robot:
     """See `Scene.from_mjcf`."""
     _check_exists(file, "MJCF")
-    document = Document(file)
-    built = Builder(document)
-    note_forces(document)
-    visual, collision, undrawn, unread = read_shapes(document, built.bodies)
-    summary = document.summary()
-    if summary is not None:
-        warnings.warn(summary, stacklevel=3)
-    _warn_of_shapes(file, [*undrawn, *unread])
-    return Robot(built.model, visual, collision, tuple(unread))
+    try:
+        from . import mjcf
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            f'{file}: MJCF files are read by MuJoCo\'s compiler, which needs: pip install "pincontact[mjcf]"'
+        ) from error
+    model, (visual, collision), left_out, (undrawn, unread) = mjcf.read(file)
+    effects = [f"{effect} ({', '.join(owners)})" for effect, owners in left_out.items()]
+    _warn(file, {_LEFT_OUT: effects, _UNREAD: [*undrawn, *unread]})
+    return Robot(model, visual, collision, tuple(unread))
 
 
 # ---------------------------------------------------------------------------------------------------- SDF
@@ -248,8 +245,7 @@ def read_sdf(file: str, floating_base: bool, package_dirs: Folders, root_link: s
         )
     except Exception as error:
         raise _unreadable(file, "an SDF", error) from error
-    if closures:
-        warnings.warn(f"{file}: {len(closures)} loop closures are left out", stacklevel=3)
+    _warn(file, {_LEFT_OUT: [f"{len(closures)} loop closures"] if closures else []})
     return Robot(model, visual, collision)
 
 
@@ -281,6 +277,8 @@ def _last_line(error: Exception) -> str:
     return lines[-1].strip() if lines else type(error).__name__
 
 
-def _warn_of_shapes(file: str, unread: Sequence[str]) -> None:
-    if unread:
-        warnings.warn(f"{file}: shapes that could not be read: {', '.join(dict.fromkeys(unread))}", stacklevel=4)
+def _warn(file: str, found: Mapping[str, Sequence[str]]) -> None:
+    """One warning of a file, as by its reader's caller: remarks, each with what it is about."""
+    remarks = [f"{remark}: {', '.join(dict.fromkeys(of))}" for remark, of in found.items() if of]
+    if remarks:
+        warnings.warn(f"{file}: {'; '.join(remarks)}", stacklevel=4)

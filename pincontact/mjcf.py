@@ -85,7 +85,7 @@ def _check(file: str, m: Any) -> None:
     if m.nbody == 1:
         raise ModelError(f"{file} cannot be read as an MJCF: no body found")
     for flex in np.flatnonzero(m.flex_rigid == 0):
-        raise ModelError(f"{file}: flex {_name(m, 'flex', flex)!r} is no rigid body, and cannot be read")
+        raise ModelError(f"{file}: flex {_name(m, 'flex', int(flex))!r} is no rigid body, and cannot be read")
     for kind, count in (("body", m.nbody), ("joint", m.njnt)):
         name, times = Counter(_name(m, kind, i) for i in range(count)).most_common(1)[0] if count else ("", 1)
         if times > 1:
@@ -99,7 +99,7 @@ def _check(file: str, m: Any) -> None:
             if array in ("dof_armature", "dof_frictionloss"):
                 wrong |= values < 0.0
             for row in np.argwhere(wrong)[:1, 0]:
-                owner = _owner(m, "joint", m.dof_jntid[row]) if kind == "dof" else _owner(m, kind, row)
+                owner = _owner(m, *(("joint", m.dof_jntid[row]) if kind == "dof" else (kind, row)))
                 raise ModelError(f"{file}: {owner}: {array.partition('_')[2]} cannot be {values[row]}")
 
 

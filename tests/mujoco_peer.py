@@ -55,6 +55,15 @@ class Peer:
         mujoco.mj_fullM(self.model, self.data, mass)
         return s.T @ mass @ s, s.T @ (self.data.qfrc_bias + mass @ rate)
 
+    def frames(self):
+        """Name, kind, position (3,) and rotation (9,) of bodies and of sites with a name, as last set."""
+        for i in range(1, self.model.nbody):
+            name = self.model.body(i).name or f"body_{i}"
+            yield name, pin.FrameType.BODY, self.data.xpos[i], self.data.xmat[i]
+        for i in range(self.model.nsite):
+            if self.model.site(i).name:
+                yield self.model.site(i).name, pin.FrameType.OP_FRAME, self.data.site_xpos[i], self.data.site_xmat[i]
+
     def gravity(self):
         """(3,) in m/s^2, zero where it is switched off."""
         off = self.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY

@@ -39,6 +39,10 @@ class RandomFile:
       <default class="light"><geom density="90" type="box" size="0.1 0.2 0.3"/><joint damping="0"/></default>
     </default>
   </default>
+  <asset>
+    <mesh name="m0" vertex="{self._numbers(24)}" refpos="{self._numbers(3)}" refquat="{self._numbers(4)}"/>
+    <mesh name="m1" vertex="{self._numbers(18)}" scale="0.2 0.3 -0.1" inertia="shell"/>
+  </asset>
   <worldbody>
     <geom type="plane" size="0 0 1"/>
     {worlds}
@@ -57,6 +61,8 @@ class RandomFile:
             '<geom type="sphere" size="0.1" mass="0.3" group="0"/>',
             *(self._geom() for _ in range(rng.integers(0, 3))),
         ]
+        if rng.random() < 0.5:
+            parts.append(self._framed(f'<site name="s{self.names}" {self._pose()}/>'))
         if depth < 3:
             children = [self._body(depth + 1, False) for _ in range(rng.integers(0, 3 - depth // 2))]
             parts += [self._framed(child) if rng.random() < 0.3 else child for child in children]
@@ -70,7 +76,11 @@ class RandomFile:
         rng = self.rng
         kind = rng.choice(["free", "ball", "axes", "none"] if of_world else ["ball", "axes", "none"])
         if kind == "free":
-            return "<freejoint/>" if rng.random() < 0.5 else '<joint type="free" armature="0" frictionloss="0"/>'
+            return (
+                f'<freejoint align="{rng.choice(["true", "false"])}"/>'
+                if rng.random() < 0.5
+                else '<joint type="free" armature="0" frictionloss="0"/>'
+            )
         if kind == "none":
             return ""
         if kind == "ball":
@@ -114,6 +124,8 @@ class RandomFile:
         pose = self._pose()
         if kind != "sphere" and rng.random() < 0.4:
             attributes["fromto"], attributes["class"], pose = self._numbers(6), "main", ""
+        elif rng.random() < 0.2:
+            attributes |= {"mesh": rng.choice(["m0", "m1"]), "type": rng.choice(["mesh", kind])}
         if rng.random() < 0.4:
             attributes[rng.choice(["mass", "density"])] = rng.choice([0.0, 0.4, 300.0])
         if rng.random() < 0.3:

@@ -105,7 +105,7 @@ def _check(file: str, m: Any) -> None:
 
 def _name(m: Any, kind: str, index: int) -> str:
     """An element's name; for one without, its kind and number, or what Pinocchio's own reader would call a joint."""
-    name = getattr(m, kind)(index).name
+    name = mujoco.mj_id2name(m, getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"), index)
     if name or kind != "joint":
         return str(name or f"{kind}_{index}")
     body = m.jnt_bodyid[index]
@@ -114,11 +114,12 @@ def _name(m: Any, kind: str, index: int) -> str:
 
 
 def _owner(m: Any, kind: str, index: int) -> str:
-    if kind == "eq" and not m.eq(index).name:
+    name = _name(m, kind, index)
+    if kind == "equality" and name == f"{kind}_{index}":
         # one without a name is known by what it is about
         of = mujoco.mj_id2name(m, m.eq_objtype[index], m.eq_obj1id[index])
         return f"a {mujoco.mjtEq(m.eq_type[index]).name.removeprefix('mjEQ_').lower()} of {of!r}"
-    return f"{'equality' if kind == 'eq' else kind} {_name(m, kind, index)!r}"
+    return f"{kind} {name!r}"
 
 
 def _pose(position: np.ndarray, quaternion: np.ndarray) -> pin.SE3:
@@ -235,7 +236,7 @@ def _left_out(m: Any) -> Iterator[tuple[str, list[str]]]:
         ("gravity compensation", "body", _on(m, "GRAVITY"), some("body_gravcomp")),
         ("motion from outside (mocap)", "body", True, np.flatnonzero(m.body_mocapid >= 0)),
         ("plugin", "body", springs or dampers, np.flatnonzero(m.body_plugin >= 0)),
-        ("equality constraint", "eq", constraints and _on(m, "EQUALITY"), some("eq_active0")),
+        ("equality constraint", "equality", constraints and _on(m, "EQUALITY"), some("eq_active0")),
         ("stiffness of a tendon", "tendon", springs, some("tendon_stiffness", "tendon_stiffnesspoly")),
         ("damping of a tendon", "tendon", dampers, some("tendon_damping", "tendon_dampingpoly")),
         ("dry friction of a tendon", "tendon", friction, some("tendon_frictionloss")),

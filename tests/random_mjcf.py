@@ -76,11 +76,8 @@ class RandomFile:
         rng = self.rng
         kind = rng.choice(["free", "ball", "axes", "none"] if of_world else ["ball", "axes", "none"])
         if kind == "free":
-            return (
-                f'<freejoint align="{rng.choice(["true", "false"])}"/>'
-                if rng.random() < 0.5
-                else '<joint type="free" armature="0" frictionloss="0"/>'
-            )
+            freejoint = f'<freejoint align="{rng.choice(["true", "false"])}"/>'
+            return freejoint if rng.random() < 0.5 else '<joint type="free" armature="0" frictionloss="0"/>'
         if kind == "none":
             return ""
         if kind == "ball":

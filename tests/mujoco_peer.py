@@ -15,6 +15,8 @@ class Peer:
         self.model = mujoco.MjModel.from_xml_path(str(path))
         # contacts are no part of what is compared
         self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        # shapes that are where a body or its inertia is, to single precision, would be put there
+        self.model.geom_sameframe[:] = 0
         self.data = mujoco.MjData(self.model)
         free, ball = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
         joints = list(zip(self.model.jnt_type, self.model.jnt_qposadr, self.model.jnt_dofadr))

@@ -74,7 +74,9 @@ def assert_same_shapes(scene, peer):
     found = {item.name: item for item in scene.collision_model.geometryObjects}
     numbers = Counter()
     for i in np.flatnonzero(m.geom_contype | m.geom_conaffinity):
-        body = m.body(m.geom_bodyid[i]).name
+        if m.geom_type[i] == mujoco.mjtGeom.mjGEOM_HFIELD:
+            continue
+        body = m.body(m.geom_bodyid[i]).name or f"body_{m.geom_bodyid[i]}"
         item = found.pop(f"{body}_{numbers[body]}")
         numbers[body] += 1
         assert model.frames[item.parentFrame].name == (body if body != "world" else "universe")

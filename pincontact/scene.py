@@ -84,20 +84,19 @@ class Scene:
 
     @classmethod
     def from_mjcf(cls, path: str | os.PathLike[str]) -> Scene:
-        """A scene from an MJCF file (MuJoCo's).
+        """A scene from an MJCF file, which MuJoCo's compiler reads: `pip install "pincontact[mjcf]"`.
 
-        Bodies, joints, inertias (given, or of primitive geoms), limits, damping, dry friction, armature, gravity, geoms
-        and sites are read as MuJoCo's compiler reads them, default classes and inclusions resolved: a file without a
-        warning has the mass matrix, bias forces and joint forces that it has there. Contacts, sensors and actuators are
-        not read: commands come from a control. q is MuJoCo's, `ref` of joints included, with quaternions in Pinocchio's
-        order; key frames and the start ("qpos0") are in `model.referenceConfigurations`. A base moves freely where the
-        file has a <freejoint>. Bodies without a name are called body_ and their number in MuJoCo.
+        Bodies, joints, inertias, limits, damping, dry friction, armature, gravity, geoms and sites are those of MuJoCo's
+        compiled model: without a warning, mass matrix, bias forces and joint forces are those that it has there.
+        Contacts, sensors and actuators that follow a command are not read: commands come from a control. q is MuJoCo's,
+        `ref` of joints included, with quaternions in Pinocchio's order; key frames and the start ("qpos0") are in
+        `model.referenceConfigurations`. A base moves freely where the file has a <freejoint>. What has no name is
+        called by its kind and its number in MuJoCo, as body_2.
 
         A warning names what makes forces and is left out (springs, tendons, equality constraints, limits of balls,
-        gravity compensation, fluids), what is not known, and shapes that could not be read.
-        Raises ModelError, naming the element, when the file is missing or cannot be read, and for what has no rigid
-        bodies or joints here: flexible bodies, <composite>, <replicate>, <attach>, bodies that have their inertia from
-        a mesh or a shell, armature and dry friction of a free joint.
+        gravity compensation, fluids, armature and dry friction of free joints), and height fields, which are no shapes
+        here. Raises ModelError when the file is missing, with MuJoCo's message when it cannot be compiled, and for
+        flexible bodies; MissingExtraError without MuJoCo.
         """
         return cls._of(read_mjcf(os.fspath(path)))
 

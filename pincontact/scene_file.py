@@ -40,7 +40,6 @@ from .errors import ArgumentError, FrictionError, MissingExtraError, SceneFileEr
 from .expressions import CONSTANTS, FUNCTIONS, compiled, evaluate
 from .friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
 from .scene import Scene
-from .yaml_text import KeysError, parse_yaml
 
 if TYPE_CHECKING:
     from .state import State
@@ -132,14 +131,14 @@ def _parse(file: Path) -> dict[str, Any]:
         read, failures = toml.loads, (toml.TOMLDecodeError, RecursionError)
     else:
         try:
-            yaml = import_module("yaml")
+            import yaml
+
+            from .yaml_text import SceneLoader
         except ImportError:
             raise MissingExtraError(f"{file}: YAML needs the package PyYAML; TOML needs nothing") from None
-        read, failures = parse_yaml, (yaml.YAMLError, RecursionError)
+        read, failures = partial(yaml.load, Loader=SceneLoader), (yaml.YAMLError, RecursionError)
     try:
         content = read(text)
-    except KeysError as error:
-        raise SceneFileError(f"{file}: {error}") from error
     except failures as error:
         raise SceneFileError(f"{file} is not valid {suffix[1:].upper()}: {error}") from error
     if not isinstance(content, dict):

@@ -474,20 +474,20 @@ initial:
         (
             "floating_base: true",
             "floating_base: true\nfloating_base: false",
-            "floating_base: given twice, in lines 3 and 4",
+            r"floating_base is given twice, first in line 3(.|\n)*line 4",
         ),
-        ("kind: Plane", "kind: Plane\n    kind: Line", r"contours\.floor\.kind: given twice, in lines 7 and 8"),
-        ("radius: 0.1", "radius: 0.1, radius: 0.2", r"contours\.ball\.radius: given twice, in lines 5 and 5"),
-        ("mu: 0.4", "mu: 0.4, mu: 0.5", r"contacts\.touch\.friction\.mu: given twice"),
-        ("initial:", "contours: {}\ninitial:", "contours: given twice, in lines 4 and 10"),
-        ("  touch:", "  on:", r"contacts\.on: line 9: a key must be a text; put it in quotes"),
-        ("  touch:", "  1:", r"contacts\.1: line 9: a key must be a text"),
+        ("kind: Plane", "kind: Plane\n    kind: Line", r"kind is given twice, first in line 7(.|\n)*line 8"),
+        ("radius: 0.1", "radius: 0.1, radius: 0.2", r"radius is given twice, first in line 5(.|\n)*line 5"),
+        ("mu: 0.4", "mu: 0.4, mu: 0.5", r"mu is given twice"),
+        ("initial:", "contours: {}\ninitial:", r"contours is given twice, first in line 4(.|\n)*line 10"),
+        ("  touch:", "  on:", r"a key must be a text; put it in quotes(.|\n)*line 9"),
+        ("  touch:", "  1:", r"a key must be a text(.|\n)*line 9"),
         ("radius: 0.1", "radius: 0:30", "contours.ball.radius: '0:30' is not a formula"),
         ("radius: 0.1", "radius: .nan", "contours.ball.radius: expected a number.*got nan"),
         ("radius: 0.1", "radius: .inf", "contours.ball.radius: expected a number .finite.*got inf"),
         ("radius: 0.1", "radius: yes", "contours.ball.radius: expected a number.*got True"),
         ("frame: ball", "frame: no", "contours.ball.frame: expected a text, got False"),
-        ("[0, 0, 0.1, 0, 0, 0, 1]", "&q [*q]", r"initial\.q\[0\]: line 11 contains itself"),
+        ("[0, 0, 0.1, 0, 0, 0, 1]", "&q [*q]", r"initial\.q: "),
     ],
 )
 def test_what_yaml_would_pass_over(tmp_path, old, new, message):
@@ -506,6 +506,13 @@ def test_numbers_of_yaml(tmp_path):
     scene = pc.load_scene(write(tmp_path, text, "scene.yaml")).scene
     assert scene.contours["ball"].contour.shape == (0.1,)
     assert isinstance(scene.contours["wall"].contour, pc.Line)
+
+
+def test_mappings_of_yaml_that_lead_back_to_themselves(tmp_path):
+    pytest.importorskip("yaml")
+    path = write(tmp_path, YAML.replace("kind: Plane", "&plane\n    frame: *plane"), "scene.yaml")
+    with pytest.raises(pc.SceneFileError, match=r"contours\.floor"):
+        pc.load_scene(path)
 
 
 def test_the_real_part_of_a_quaternion_in_front(tmp_path):

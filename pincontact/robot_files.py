@@ -36,32 +36,26 @@ class Robot(NamedTuple):
 
 # What is known of a URDF's elements: attributes, and elements within. Shapes and what is not of the robot's motion are
 # not looked into.
-_URDF: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "robot": (("name", "version"), ("link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control")),
+_URDF = {
+    "robot": ("name version", "link joint material transmission gazebo sensor ros2_control"),
     "link": (
-        ("name", "type"),
-        (
-            *("inertial", "visual", "collision", "contact", "sensor"),
-            *("self_collision_checking", "collision_checking", "self_filter"),
-        ),
+        "name type",
+        "inertial visual collision contact sensor self_collision_checking collision_checking self_filter",
     ),
     "joint": (
-        ("name", "type", "dont_collapse"),
-        (
-            *("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
-            *("calibration", "safety_controller", "hardwareInterface"),
-        ),
+        "name type dont_collapse",
+        "origin parent child axis limit dynamics mimic calibration safety_controller hardwareInterface",
     ),
-    "inertial": ((), ("origin", "mass", "inertia")),
-    "origin": (("xyz", "rpy"), ()),
-    "mass": (("value",), ()),
-    "inertia": (("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), ()),
-    "parent": (("link",), ()),
-    "child": (("link",), ()),
-    "axis": (("xyz",), ()),
-    "limit": (("lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"), ()),
-    "dynamics": (("damping", "friction"), ()),
-    "mimic": (("joint", "multiplier", "offset"), ()),
+    "inertial": ("", "origin mass inertia"),
+    "origin": ("xyz rpy", ""),
+    "mass": ("value", ""),
+    "inertia": ("ixx ixy ixz iyy iyz izz", ""),
+    "parent": ("link", ""),
+    "child": ("link", ""),
+    "axis": ("xyz", ""),
+    "limit": ("lower upper effort velocity acceleration deceleration jerk", ""),
+    "dynamics": ("damping friction", ""),
+    "mimic": ("joint multiplier offset", ""),
 }
 # Of these there may be many, each with a name.
 _MANY = ("link", "joint")
@@ -131,7 +125,7 @@ def _can_be_of_a_body(owner: str, inertial: ElementTree.Element) -> bool:
     values: dict[str, float] = {}
     for tag in ("mass", "inertia"):
         element = inertial.find(tag)
-        for name in _URDF[tag][0]:
+        for name in _URDF[tag][0].split():
             text = None if element is None else element.get(name)
             number = _floats(text or "")
             if len(number) != 1 or not math.isfinite(number[0]):
@@ -139,7 +133,7 @@ def _can_be_of_a_body(owner: str, inertial: ElementTree.Element) -> bool:
             values[name] = number[0]
     if values["value"] < 0.0:
         raise ModelError(f"{owner}: its mass must not be negative, got {values['value']}")
-    xx, xy, xz, yy, yz, zz = (values[name] for name in _URDF["inertia"][0])
+    xx, xy, xz, yy, yz, zz = (values[name] for name in _URDF["inertia"][0].split())
     moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     # rounding of what is written with six digits, and a micrometre
     return bool(moments[0] >= -1e-6 * abs(moments[2]) - 1e-12 * values["value"])
@@ -147,7 +141,7 @@ def _can_be_of_a_body(owner: str, inertial: ElementTree.Element) -> bool:
 
 def _unknown_in(element: ElementTree.Element, owner: str) -> Iterator[tuple[str, str]]:
     """What is not in the list, or there once more than it is read, and whose it is."""
-    attributes, children = _URDF[element.tag]
+    attributes, children = (known.split() for known in _URDF[element.tag])
     for name in element.attrib:
         if name not in attributes and not name.startswith("{"):
             yield (name if element.tag in _MANY else f"{name} of <{element.tag}>"), owner

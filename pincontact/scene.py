@@ -86,7 +86,7 @@ class Scene:
     def from_mjcf(cls, path: str | os.PathLike[str]) -> Scene:
         """A scene from an MJCF file, which MuJoCo's compiler reads: `pip install "pincontact[mjcf]"`.
 
-        Bodies, joints, inertias, limits, damping, dry friction, armature, gravity, geoms and sites are those of MuJoCo's
+        Bodies, joints, inertias, limits, damping, dry friction, armature, gravity, geoms and sites are those of the
         compiled model: without a warning, mass matrix, bias forces and joint forces are those that it has there.
         Contacts, sensors and actuators that follow a command are not read: commands come from a control. q is MuJoCo's,
         `ref` of joints included, with quaternions in Pinocchio's order; key frames and the start ("qpos0") are in

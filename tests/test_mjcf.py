@@ -313,6 +313,13 @@ def test_what_is_left_out_is_named(tmp_path, text, message):
     assert len(caught) == 1 and caught[0].filename == __file__
 
 
+def test_what_is_left_out_of_a_free_joint_is_not_there(tmp_path):
+    body = '<body><joint type="free" {}/><geom type="box" size="0.1 0.2 0.3"/></body>'
+    with pytest.warns(UserWarning, match="armature of a free joint .*; dry friction of a free joint "):
+        model = pc.Scene.from_mjcf(written(tmp_path, file(body.format('armature="1" frictionloss="2"')))).model
+    assert_same(model, Peer(written(tmp_path, file(body.format("")))))
+
+
 def test_passive_tendons_and_actuators_are_nothing_to_warn_of(tmp_path):
     more = TENDON.format("") + '<actuator><motor tendon="t"/></actuator>'
     scene, peer = read(tmp_path, file(arm(), after=more))

@@ -315,7 +315,7 @@ def test_what_is_left_out_is_named(tmp_path, text, message):
 
 def test_what_is_left_out_of_a_free_joint_is_not_there(tmp_path):
     body = '<body><joint type="free" {}/><geom type="box" size="0.1 0.2 0.3"/></body>'
-    with pytest.warns(UserWarning, match="armature of a free joint .*; dry friction of a free joint "):
+    with pytest.warns(UserWarning, match="armature of a free joint .*, dry friction of a free joint "):
         model = pc.Scene.from_mjcf(written(tmp_path, file(body.format('armature="1" frictionloss="2"')))).model
     assert_same(model, Peer(written(tmp_path, file(body.format("")))))
 

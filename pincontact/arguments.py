@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import warnings
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,15 +15,29 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 _LARGEST_COUNT = 10**18
+# What `real` and `real_array` raise.
+NOT_REAL = (TypeError, ValueError, OverflowError)
+
+
+def real(value: Any) -> float:
+    """A real number as a float, NaN and infinity included.
+
+    Raises TypeError or OverflowError for all else: texts, truth values, complex numbers, None, arrays with entries.
+    """
+    if type(value) is float:
+        return value
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise TypeError(f"no real number: {value!r}")
+    return float(value)
 
 
 def is_number(value: Any) -> bool:
     """Whether it is a real number that a float can hold, infinity included and NaN not."""
-    if type(value) is float:
-        return value == value
     try:
-        return isinstance(value, (int, float, np.floating, np.integer)) and not math.isnan(value)
-    except OverflowError:
+        return not math.isnan(real(value))
+    except NOT_REAL:
         return False
 
 
@@ -43,14 +59,28 @@ def check_tolerance(tolerance: Any) -> None:
         raise ArgumentError(f"tolerance must be positive, got {tolerance!r}")
 
 
+def check_flag(name: str, value: Any) -> None:
+    """Raise ArgumentError for what is neither True nor False."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ArgumentError(f"{name} must be True or False, got {value!r}")
+
+
 def real_array(value: ArrayLike) -> np.ndarray:
     """A float copy of any shape. Raises TypeError, ValueError or OverflowError for what is no array of real numbers."""
     array = np.asarray(value)
-    if array.dtype.kind not in "biufO":
-        # NumPy would read numbers out of text, and drop imaginary parts
+    if array.dtype.kind == "O":
+        return np.array([real(entry) for entry in array.flat]).reshape(array.shape)
+    if array.dtype.kind not in "iuf":
+        # NumPy would read numbers out of text, drop imaginary parts, and take truth values for 0 and 1
         raise TypeError(f"an array of {array.dtype}")
     return np.array(array, dtype=float)
 
 
-# What `real_array` raises.
-NOT_REAL = (TypeError, ValueError, OverflowError)
+def warn_of_order(what: str, quaternion: ArrayLike, stacklevel: int) -> None:
+    """Warn of the quaternion that is no turn where the real part comes first, and half a turn here."""
+    if np.array_equal(quaternion, (1.0, 0.0, 0.0, 0.0)):
+        warnings.warn(
+            f"{what} is (1, 0, 0, 0), half a turn about x: the order is x, y, z, w, and (0, 0, 0, 1) is no turn; where "
+            "half a turn is meant, (-1, 0, 0, 0) says so without this warning",
+            stacklevel=stacklevel + 1,
+        )

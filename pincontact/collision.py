@@ -1,10 +1,10 @@
-"""Contours from the primitive collision shapes of a robot's own model: balls, cylinders, capsules, boxes."""
+"""Contours from the primitive collision shapes of a robot's own model: balls, cylinders, capsules, boxes, planes."""
 
 from __future__ import annotations
 
 import difflib
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -34,28 +34,31 @@ def add_contours_from_collision(
     geometry: pin.GeometryModel | None,
 ) -> dict[str, AttachedContour]:
     """See `Scene.add_contours_from_collision`."""
-    for kind in [kinds] if isinstance(kinds, str) else kinds:
+    wanted_kinds = _names("kinds", kinds)
+    for kind in wanted_kinds:
         if kind not in KINDS:
             raise ArgumentError(f"kinds: unknown kind {kind!r}; one or more of {', '.join(KINDS)}")
-    wanted_kinds = {kinds} if isinstance(kinds, str) else set(kinds)
     shapes = scene.collision_model if geometry is None else geometry
     if shapes is None:
-        raise ModelError(
-            "the scene has no collision shapes: they could not be read (a mesh file that is missing?), or the scene "
-            "was made from a model alone; pass geometry=pin.GeometryModel"
-        )
+        raise ModelError("the scene was made from a model alone, without collision shapes; pass geometry=")
+    if not isinstance(shapes, pin.GeometryModel):
+        raise ArgumentError(f"geometry must be a pinocchio GeometryModel or None, got {type(shapes).__name__}")
     objects = list(shapes.geometryObjects)
-    names = _links(scene.model, objects, links)
+    unread = scene._unread_shapes if geometry is None else ()
+    names = None if links is None else _links(scene.model, objects, _names("links", links), unread)
     found: list[tuple[str, Contour, str, pin.SE3]] = []
+    seen: list[str] = []
     ignored: list[str] = []
     for item in objects:
         frame = _carrier(scene.model, item)
         if names is not None and frame.name not in names:
             continue
+        shown = f"{item.name} ({type(item.geometry).__name__})"
         make = _SHAPES.get(type(item.geometry).__name__)
         if make is None:
-            ignored.append(f"{item.name} ({type(item.geometry).__name__})")
+            ignored.append(shown)
             continue
+        seen.append(shown)
         try:
             parts = list(make(item.geometry))
         except ContourError as error:
@@ -68,26 +71,40 @@ def add_contours_from_collision(
     for name, *_ in found:
         if name in scene.contours:
             raise ContourError(f"there is already a contour named {name!r}")
+    remarks = []
     if ignored:
-        warnings.warn(
-            f"collision shapes that are not spheres, ellipsoids, cylinders, capsules or boxes were ignored: "
-            f"{', '.join(ignored)}",
-            stacklevel=3,
+        remarks.append(
+            "collision shapes that are not spheres, ellipsoids, cylinders, capsules, boxes or half-spaces were "
+            f"ignored: {', '.join(ignored)}"
         )
+    if unread:
+        remarks.append(f"collision shapes that could not be read: {', '.join(unread)}")
+    if not found and (names is None or names):
+        made = f"{' and '.join(wanted_kinds) or 'nothing'} of: {', '.join(seen) or 'no shape'}"
+        raise ModelError("; ".join([f"no contour was found among {made}", *remarks]))
+    if remarks:
+        warnings.warn("; ".join(remarks), stacklevel=3)
     return {name: scene.add_contour(name, contour, frame, place) for name, contour, frame, place in found}
 
 
-def _links(model: pin.Model, objects: list[Any], links: Iterable[str] | None) -> set[str] | None:
-    """The links asked for, once every one of them is known to have a collision shape; None for all."""
-    if links is None:
-        return None
+def _names(argument: str, given: Any) -> list[str]:
+    """One name, or several, as a list; ArgumentError for anything else."""
+    names = [given] if isinstance(given, str) or not isinstance(given, Iterable) else list(given)
+    for name in names:
+        if not isinstance(name, str):
+            raise ArgumentError(f"{argument} must be names, got {name!r}")
+    return names
+
+
+def _links(model: pin.Model, objects: list[Any], links: list[str], unread: Sequence[str]) -> set[str]:
+    """The links asked for, once every one of them is known to have a collision shape."""
     having = {_carrier(model, item).name for item in objects}
-    wanted = {links} if isinstance(links, str) else set(links)
-    for name in sorted(wanted - having):
+    for name in sorted(set(links) - having):
         close = difflib.get_close_matches(name, sorted(having), n=3)
         hint = f"did you mean {' or '.join(close)}?" if close else f"links that have some: {', '.join(sorted(having))}"
-        raise ModelError(f"link {name!r} has no collision shape; {hint}")
-    return wanted
+        lost = f"; collision shapes that could not be read: {', '.join(unread)}" if unread else ""
+        raise ModelError(f"link {name!r} has no collision shape; {hint}{lost}")
+    return set(links)
 
 
 def _carrier(model: pin.Model, item: pin.GeometryObject) -> pin.Frame:
@@ -158,10 +175,16 @@ def _box(shape: Any) -> Iterator[Part]:
         yield name, "corners", Point(), pin.SE3(np.eye(3), corner)
 
 
+def _halfspace(shape: Any) -> Iterator[Part]:
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), shape.n).matrix()
+    yield "plane", "faces", Plane(), pin.SE3(turn, shape.d * shape.n)
+
+
 _SHAPES: dict[str, Callable[[Any], Iterator[Part]]] = {
     "Sphere": _sphere,
     "Ellipsoid": _ellipsoid,
     "Cylinder": _cylinder,
     "Capsule": _capsule,
     "Box": _box,
+    "Halfspace": _halfspace,
 }

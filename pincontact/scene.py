@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import numbers
 import os
 from collections.abc import Collection, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from .arguments import NOT_REAL, is_number, real_array
 from .contacts import AttachedContour, Contact
 from .contours import Contour
 from .contours.motion import Motion
@@ -19,7 +19,7 @@ from .errors import ArgumentError, ContactError, ContourError, ModelError, Patte
 from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern, candidate_patterns, find_pattern
 from .geometry.planar import moves_in_plane
-from .robot_files import read_mjcf, read_sdf
+from .robot_files import Folders, Robot, read_mjcf, read_sdf, read_urdf
 
 if TYPE_CHECKING:
     from .state import State
@@ -45,67 +45,67 @@ class Scene:
             model = model.model
         if not isinstance(model, pin.Model):
             raise ModelError(f"Scene needs a pinocchio Model or RobotWrapper, got {type(model).__name__}")
+        for name, shapes in (("visual_model", visual_model), ("collision_model", collision_model)):
+            if shapes is not None and not isinstance(shapes, pin.GeometryModel):
+                raise ModelError(f"{name} must be a pinocchio GeometryModel or None, got {type(shapes).__name__}")
         mimics = [name for name, joint in zip(model.names, model.joints) if "Mimic" in joint.shortname()]
         if mimics:
             raise ModelError(
                 f"joints that mimic others have no dynamics in Pinocchio: {', '.join(mimics)}; lock them or "
                 "let them be joints of their own"
             )
+        if any(frame.name == "universe" for frame in list(model.frames)[1:]) or "universe" in list(model.names)[1:]:
+            raise ModelError("the model has a joint or frame named 'universe', which is the name of the world")
         self.model = model
         self.visual_model = visual_model
         self.collision_model = collision_model
         self.contours: dict[str, AttachedContour] = {}
         self.contacts: dict[str, Contact] = {}
+        # collision shapes of the robot's file that could not be read
+        self._unread_shapes: tuple[str, ...] = ()
 
     @classmethod
     def from_urdf(
         cls,
         path: str | os.PathLike[str],
         floating_base: bool = False,
-        package_dirs: str | Sequence[str] | None = None,
+        package_dirs: Folders = None,
     ) -> Scene:
         """A scene from a URDF file.
 
         floating_base: whether the root link moves freely (Pinocchio's free-flyer joint: q starts with position and
         quaternion x y z w, v with linear and angular velocity in body axes) or is fixed to the world.
         package_dirs: folders in which `package://` mesh paths are looked up; the file's own folder is always one.
+        Joints that mimic others are joints of their own. A warning names them, and whatever else of the file is not
+        read as it stands there: unknown elements, shapes whose meshes are missing, joints that cannot move.
         Raises ModelError when the file is missing or cannot be read.
         """
-        file = os.fspath(path)
-        if not os.path.isfile(file):
-            raise ModelError(f"URDF file not found: {file}")
-        folders = [package_dirs] if isinstance(package_dirs, str) else list(package_dirs or [])
-        folders.append(os.path.dirname(os.path.abspath(file)))
-        try:
-            model = (
-                pin.buildModelFromUrdf(file, pin.JointModelFreeFlyer())
-                if floating_base
-                else pin.buildModelFromUrdf(file)
-            )
-        except Exception as error:
-            raise ModelError(f"{file} cannot be read as a URDF: {error}") from error
-        geometries = [
-            _geometry(model, file, kind, folders) for kind in (pin.GeometryType.VISUAL, pin.GeometryType.COLLISION)
-        ]
-        return cls(model, geometries[0], geometries[1])
+        return cls._of(read_urdf(os.fspath(path), floating_base, package_dirs))
 
     @classmethod
     def from_mjcf(cls, path: str | os.PathLike[str]) -> Scene:
-        """A scene from an MJCF file (MuJoCo's), as far as Pinocchio reads it.
+        """A scene from an MJCF file, which MuJoCo's compiler reads: `pip install "pincontact[mjcf]"`.
 
-        Bodies, joints, inertias, damping, dry friction, armature and geoms are read, and the file's gravity; contacts,
-        actuators and sensors are not. A base moves freely where the file has a <freejoint>. The file's key frames and
-        its start ("qpos0") are in `model.referenceConfigurations`.
-        Raises ModelError when the file is missing or cannot be read; warns of equality constraints, which are left out.
+        Bodies, joints, inertias, limits, damping, dry friction, armature, gravity, geoms and sites are those of the
+        compiled model: without a warning, mass matrix, bias forces and joint forces are those that it has there.
+        Contacts, sensors and actuators that follow a command are not read: commands come from a control. q is MuJoCo's,
+        `ref` of joints included, with quaternions in Pinocchio's order; key frames and the start ("qpos0") are in
+        `model.referenceConfigurations`. A base moves freely where the file has a <freejoint>. What has no name is
+        called by its kind and its number in MuJoCo, as body_2.
+
+        A warning names what makes forces and is left out (springs, tendons, equality constraints, limits of balls,
+        gravity compensation, fluids, armature and dry friction of free joints), and height fields, which are no shapes
+        here. Raises ModelError when the file is missing, with MuJoCo's message when it cannot be compiled, and for
+        flexible bodies; MissingExtraError without MuJoCo.
         """
-        return cls(*read_mjcf(os.fspath(path)))
+        return cls._of(read_mjcf(os.fspath(path)))
 
     @classmethod
     def from_sdf(
         cls,
         path: str | os.PathLike[str],
         floating_base: bool = False,
-        package_dirs: str | Sequence[str] | None = None,
+        package_dirs: Folders = None,
         root_link: str = "",
     ) -> Scene:
         """A scene from an SDF file, with builds of Pinocchio that read them (pinocchio.WITH_SDFORMAT).
@@ -114,9 +114,13 @@ class Scene:
         Raises MissingExtraError with other builds, ModelError when the file is missing or cannot be read; warns of loop
         closures, which are left out.
         """
-        file = os.fspath(path)
-        folders = [package_dirs] if isinstance(package_dirs, str) else list(package_dirs or [])
-        return cls(*read_sdf(file, floating_base, [*folders, os.path.dirname(os.path.abspath(file))], root_link))
+        return cls._of(read_sdf(os.fspath(path), floating_base, package_dirs, root_link))
+
+    @classmethod
+    def _of(cls, robot: Robot) -> Scene:
+        scene = cls(robot.model, robot.visual_model, robot.collision_model)
+        scene._unread_shapes = robot.unread
+        return scene
 
     def add_contour(
         self,
@@ -173,14 +177,16 @@ class Scene:
 
         links: names of the links, None for all.
         kinds: which parts, any of "faces" (spheres, ellipsoids, sides of cylinders and capsules, a capsule's caps as
-        whole spheres, a box's six patches), "rims" (a cylinder's two circles), "edges" and "corners" (a box's twelve
-        lines and eight points). A cylinder's flat ends are no contours; its rims are what touches.
+        whole spheres, a box's six patches, a half-space's plane), "rims" (a cylinder's two circles), "edges" and
+        "corners" (a box's twelve lines and eight points). A cylinder's flat ends are no contours; its rims are what
+        touches.
         geometry: shapes to use instead of the scene's own `collision_model`.
         Names are Pinocchio's name of the shape and the part's: wheel_0_cylinder, wheel_0_rim_+z, foot_1_sphere,
         foot_0_face_-z, foot_0_edge_+x-y, foot_0_corner_+x+y-z, arm_0_cap_+z.
-        Returns the new contours by name; other shapes (meshes) are ignored with a warning.
-        Raises ModelError without collision shapes or for a link that has none, ContourError for a name taken or a
-        shape without extent, ArgumentError for an unknown kind.
+        Returns the new contours by name; other shapes (meshes), and those that could not be read, are named in a
+        warning. Raises ModelError without collision shapes, for a link that has none, or where no contour is found
+        (naming what was seen), ContourError for a name taken or a shape without extent, ArgumentError for an unknown
+        kind.
         """
         from .collision import add_contours_from_collision
 
@@ -220,9 +226,9 @@ class Scene:
             )
         if not isinstance(bilateral, (bool, np.bool_)):
             raise ArgumentError(f"contact {name!r}: bilateral must be True or False, got {bilateral!r}")
-        if side is not None and not (isinstance(side, numbers.Real) and side in (1, -1)):
+        if side is not None and not (is_number(side) and side in (1, -1)):
             raise ArgumentError(f"contact {name!r}: side must be +1, -1 or None, got {side!r}")
-        if not (isinstance(restitution, numbers.Real) and 0.0 <= restitution <= 1.0):
+        if not (is_number(restitution) and 0.0 <= restitution <= 1.0):
             raise ArgumentError(f"contact {name!r}: restitution must lie in [0, 1], got {restitution!r}")
         if location is not None and (not isinstance(location, (tuple, list)) or len(location) != 2):
             raise ArgumentError(f"contact {name!r}: location must be a pair (u_first, u_second), got {location!r}")
@@ -242,9 +248,7 @@ class Scene:
             _check_friction(name, friction, one, two, found)
         if location is not None:
             for owner, guess in ((a, location[0]), (b, location[1])):
-                if guess is not None and (
-                    np.size(guess) != owner.contour.dimension or not np.isfinite(np.asarray(guess, float)).all()
-                ):
+                if guess is not None and not _are_finite(guess, owner.contour.dimension):
                     raise ArgumentError(
                         f"contact {name!r}: the location guess of {owner.name!r} needs {owner.contour.dimension} "
                         f"finite numbers, got {guess!r}"
@@ -297,6 +301,8 @@ class Scene:
         q (nq,), v (nv,): Pinocchio's configuration and velocity (v defaults to zero). t: time in s.
         free: names of contacts that start open. max_gap: the largest gap in m that is corrected away; the default is
         a twentieth of the smaller contour's size (5 cm where neither has one).
+        Quaternions have norm 1 to 1e-6. One of (1, 0, 0, 0) is warned of, as it is the identity where the real part
+        comes first and half a turn here; (-1, 0, 0, 0) is that half turn without a warning.
         The state says how far q and v were off (`state.correction`).
         Raises StateError for bad sizes or numbers, NoContactError (with the gap) where contours do not touch,
         SingularContactError where the location equations are singular.
@@ -306,29 +312,18 @@ class Scene:
         return find_state(self, q, v, t, free, max_gap)
 
 
+def _are_finite(values: Any, count: int) -> bool:
+    """Whether these are so many finite numbers."""
+    try:
+        array = real_array(values)
+    except NOT_REAL:
+        return False
+    return array.size == count and bool(np.isfinite(array).all())
+
+
 def _check_name(name: Any, error: type[ContactError]) -> None:
     if not isinstance(name, str):
         raise error(f"a name must be a string, got {name!r}")
-
-
-def _geometry(model: pin.Model, file: str, kind: pin.GeometryType, folders: list[str]) -> pin.GeometryModel | None:
-    """Shapes of a URDF; meshes that cannot be found are left out, since they do not matter to the motion."""
-    try:
-        return pin.buildGeomFromUrdf(model, file, kind, package_dirs=folders)
-    except (ValueError, RuntimeError, IndexError):
-        from xml.etree import ElementTree
-
-        tree = ElementTree.parse(file).getroot()
-        for link in tree.iter("link"):
-            for tag in ("visual", "collision"):
-                for shape in [s for s in link.findall(tag) if s.find("geometry/mesh") is not None]:
-                    link.remove(shape)
-        try:
-            return pin.buildGeomFromUrdfString(
-                model, ElementTree.tostring(tree, encoding="unicode"), kind, package_dirs=folders
-            )
-        except (ValueError, RuntimeError, IndexError):
-            return None
 
 
 def _check_friction(contact: str, law: FrictionLaw, one: AttachedContour, two: AttachedContour, found: Pattern) -> None:

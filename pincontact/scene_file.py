@@ -12,7 +12,8 @@ The tables of a file are those of the Python interface, with its names, units an
     [initial]                                       q, v, t, free, max_gap
     [simulation]                                    duration, outputs and the options of `simulate`
 
-Wherever a number is expected, a text is a formula of constants: rpy = ["pi / 2", 0, 0].
+Wherever a number is expected, a text is a formula of constants: rpy = ["pi / 2", 0, 0]. Numbers are finite, but for
+ends of intervals and max_step. In YAML, too, a key stands once and is a text, and numbers are decimal (YAML 1.2).
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ import numpy as np
 import pinocchio as pin
 
 from . import contours as shapes
+from .arguments import is_number, warn_of_order
 from .contours import Contour, Motion
 from .errors import ArgumentError, FrictionError, MissingExtraError, SceneFileError
 from .expressions import CONSTANTS, FUNCTIONS, compiled, evaluate
@@ -123,15 +125,18 @@ def _parse(file: Path) -> dict[str, Any]:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneFileError(f"{file} cannot be read: {error}") from error
+    failures: tuple[type[Exception], ...]
     if suffix == ".toml":
         toml = import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
         read, failures = toml.loads, (toml.TOMLDecodeError, RecursionError)
     else:
         try:
-            yaml = import_module("yaml")
+            import yaml
+
+            from .yaml_text import SceneLoader
         except ImportError:
             raise MissingExtraError(f"{file}: YAML needs the package PyYAML; TOML needs nothing") from None
-        read, failures = yaml.safe_load, (yaml.YAMLError, RecursionError)
+        read, failures = partial(yaml.load, Loader=SceneLoader), (yaml.YAMLError, RecursionError)
     try:
         content = read(text)
     except failures as error:
@@ -225,9 +230,17 @@ def _suggestion(name: str, known: Collection[str]) -> str:
 
 
 def _number(value: Any, constants: Mapping[str, float]) -> float:
+    # formulas of what is not finite are refused where they are evaluated
+    if isinstance(value, str) or (is_number(value) and math.isfinite(value)):
+        return _end(value, constants)
+    raise _Mismatch("a number (finite), or a formula of constants")
+
+
+def _end(value: Any, constants: Mapping[str, float]) -> float:
+    """A number that may be infinite, as an end of an interval is."""
     if isinstance(value, str):
         return evaluate(value, constants)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    if not is_number(value):
         raise _Mismatch("a number, or a formula of constants")
     return float(value)
 
@@ -281,7 +294,7 @@ def _vector(count: int) -> Converter:
 def _interval(value: Any, constants: Mapping[str, float]) -> tuple[float, float]:
     if not isinstance(value, list) or len(value) != 2:
         raise _Mismatch("[low, high]")
-    return _number(value[0], constants), _number(value[1], constants)
+    return _end(value[0], constants), _end(value[1], constants)
 
 
 def _rectangle(value: Any, constants: Mapping[str, float]) -> tuple[Any, Any]:
@@ -386,8 +399,6 @@ def _read_model(root: _Table) -> Scene:
     scene: Scene = root.attempt(kind, make, robot, **options)
     gravity = root.get("gravity", _vector(3), None)
     if gravity is not None:
-        if not np.isfinite(gravity).all():
-            raise root.error("gravity", f"expected 3 finite numbers, got {gravity}")
         scene.model.gravity.linear = np.array(gravity)
     return scene
 
@@ -500,10 +511,10 @@ def _height_field(table: _Table, parameters: Mapping[str, Converter]) -> Contour
 
 def _read_placement(table: _Table) -> pin.SE3:
     xyz = table.get("xyz", _vector(3), [0.0, 0.0, 0.0])
-    for key in ("rpy", "quaternion"):
-        if key in table.content:
-            table.get(key, lambda _, constants: _rotation(table.content, constants))
-    return pin.SE3(_rotation(table.content, table.constants), np.array(xyz))
+    key = "rpy" if "rpy" in table.content else "quaternion"
+    rotation = table.get(key, lambda _, constants: _rotation(table.content, constants), np.eye(3))
+    warn_of_order(f"{table.file}: {table.path('quaternion')}", table.content.get("quaternion", ()), stacklevel=4)
+    return pin.SE3(rotation, np.array(xyz))
 
 
 def _read_motion(table: _Table) -> Motion:
@@ -668,7 +679,7 @@ _SETTINGS: dict[str, Converter] = {
     "atol": _number,
     "method": _text,
     "energies": _flag,
-    "max_step": _number,
+    "max_step": _end,
     "first_step": _number,
     "fixed_step": _number,
     "step": _number,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .arguments import NOT_REAL, is_count, is_number, real_array
+from .arguments import NOT_REAL, check_flag, is_count, is_number, real_array
 from .dynamics.joints import check_guards
 from .dynamics.spare import Spare, put_back, take_spare
 from .errors import ArgumentError, UnusableResult
@@ -81,6 +81,8 @@ def simulate(
     _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps, step)
     times = _output_times(t_eval, state.t, duration)
     users = UserEvent.wrap(events)
+    check_flag("progress", progress)
+    check_flag("energies", energies)
     if control is not None and not callable(control):
         raise ArgumentError(f"control must be callable as control(t, q, v), got {control!r}")
     if not isinstance(method, str):

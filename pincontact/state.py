@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from .arguments import NOT_REAL, is_number, real_array
+from .arguments import NOT_REAL, is_number, real_array, warn_of_order
 from .contacts import Contact, characteristic_length
+from .dynamics.joints import joint_of
 from .dynamics.system import System
 from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
 from .geometry.search import Candidate, find_candidates
@@ -236,7 +237,15 @@ def check_configuration(coordinates: Coordinates, q: ArrayLike) -> np.ndarray:
 def find_state(scene: Scene, q: Any, v: Any | None, t: float, free: Sequence[str], max_gap: float | None) -> State:
     """See `Scene.initial_state`."""
     model = scene.model
-    q = check_configuration(coordinates_of(model), q)
+    coordinates = coordinates_of(model)
+    q = check_configuration(coordinates, q)
+    for kind, iq, iv, _ in coordinates.blocks:
+        offset, size = _UNITS[kind]
+        start = iq + offset
+        # asking for the name of a joint takes longer than all other checks
+        if size == 4 and q[start] == 1.0:
+            what = f"q[{start}:{start + 4}] of joint {joint_of(model, iv)!r}"
+            warn_of_order(what, q[start : start + 4], stacklevel=3)
     v = check_vector("v", np.zeros(model.nv) if v is None else v, model.nv)
     t = check_time("t", t)
     free = [free] if isinstance(free, str) else free
@@ -327,8 +336,13 @@ def _correct(scene: Scene, system: System, q: np.ndarray, v: np.ndarray, t: floa
     names = [c.name for c in system.contacts]
     status = system.evaluate(t)
     if status == MASS_NOT_POSITIVE:
+        # the motion that takes least inertia, and the joint that has the largest part in it
+        mass = pin.crba(scene.model, system.data, system.q, pin.Convention.WORLD)
+        moments, motions = np.linalg.eigh(np.triu(mass) + np.triu(mass, 1).T)
+        joint = joint_of(scene.model, int(np.abs(motions[:, 0]).argmax()))
         raise ModelError(
-            "the mass matrix is not positive definite in this configuration: a joint moves nothing that has inertia"
+            f"the mass matrix is not positive definite in this configuration: joint {joint!r} moves nothing that has "
+            f"inertia (least eigenvalue {moments[0]:.3g})"
         )
     if status == SINGULAR:
         raise SingularContactError("the location equations are singular in this configuration", 0.0)

@@ -163,6 +163,17 @@ def test_ellipsoids_of_a_geometry_model_of_ones_own(tmp_path):
     assert found["egg_ellipsoid"].frame == "universe"
 
 
+def test_half_spaces_become_planes(tmp_path):
+    scene = robot(tmp_path)
+    shapes = pin.GeometryModel()
+    normal = np.array([2.0, -1.0, 2.0]) / 3.0
+    shapes.addGeometryObject(pin.GeometryObject("hill", 0, pin.SE3.Identity(), coal.Halfspace(normal, 0.7)))
+    plane = scene.add_contours_from_collision(geometry=shapes)["hill_plane"]
+    assert isinstance(plane.contour, pc.Plane)
+    np.testing.assert_allclose(plane.placement.rotation[:, 2], normal, rtol=0.0, atol=ROUNDING)
+    np.testing.assert_allclose(plane.placement.translation, 0.7 * normal, rtol=0.0, atol=ROUNDING)
+
+
 def test_other_shapes_are_ignored_with_a_warning(tmp_path):
     (tmp_path / "part.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
     mesh = '<collision><geometry><mesh filename="package://part.obj"/></geometry></collision>'

@@ -1,5 +1,7 @@
 """Robots from other files and objects: the same robot moves the same, and what is left out is said."""
 
+import warnings
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -65,28 +67,12 @@ def dict_of(configurations):
 
 def test_gravity_of_mjcf(tmp_path):
     np.testing.assert_array_equal(pc.Scene.from_mjcf(mjcf(tmp_path, "-1.62")).model.gravity.linear, [0.0, 0.0, -1.62])
-    for text in ("down", "-9.81 1", "nan"):
-        with pytest.raises(pc.ModelError, match="gravity must be 3 finite numbers"):
-            pc.Scene.from_mjcf(mjcf(tmp_path, text))
-
-
-def test_a_mesh_that_is_missing_does_not_matter(tmp_path):
-    text = DISK_MJCF.replace('type="cylinder" size="0.3 0.01"', 'type="mesh" mesh="lost"')
-    scene = pc.Scene.from_mjcf(mjcf(tmp_path, text=text))
-    assert scene.collision_model is None and rolled(scene).success
-
-
-def test_loop_closures_of_mjcf_are_not_left_out_silently(tmp_path):
-    more = '<equality><weld body1="disk"/></equality>'
-    with pytest.warns(UserWarning, match="1 equality constraints"):
-        pc.Scene.from_mjcf(mjcf(tmp_path, more=more))
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("<mujoco", "cannot be read as an MJCF"),
-        ("<robot/>", "not a standard mujoco model"),
         ("<mujoco/>", "no body found"),
     ],
 )
@@ -141,3 +127,144 @@ def test_scene_files_of_other_robots(tmp_path):
     path.write_text('sdf = "disk.sdf"\n')
     with pytest.raises(pc.ContactError, match=r"WITH_SDFORMAT|not found"):
         pc.load_scene(path)
+
+
+# ---------------------------------------------------------------------------------------------------- URDF
+
+MASS = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+LIMIT = '<limit lower="-1" upper="1" effort="5" velocity="2"/>'
+
+
+def urdf(tmp_path, joint=LIMIT, link=MASS, kind="revolute", axis='<axis xyz="0 0 1"/>', more=""):
+    """A file of two links and a joint."""
+    path = tmp_path / "robot.urdf"
+    path.write_text(
+        f'<robot name="r"><link name="a">{MASS}</link><link name="b">{link}</link>'
+        f'<joint name="j" type="{kind}"><parent link="a"/><child link="b"/>{axis}{joint}</joint>{more}</robot>'
+    )
+    return path
+
+
+def test_what_urdfs_say_of_joints_is_read(tmp_path, recwarn):
+    dynamics = '<dynamics damping="3" friction="4"/>'
+    for kind in ("revolute", "prismatic", "continuous"):
+        model = pc.Scene.from_urdf(urdf(tmp_path, LIMIT + dynamics, kind=kind)).model
+        assert (model.damping[0], model.upperDryFrictionLimit[0], model.lowerDryFrictionLimit[0]) == (3.0, 4.0, -4.0)
+        if kind != "continuous":
+            assert (model.lowerPositionLimit[0], model.upperPositionLimit[0]) == (-1.0, 1.0)
+    irrelevant = '<safety_controller k_velocity="1"/><calibration rising="0"/>'
+    more = '<transmission name="t"><type>x</type></transmission><gazebo reference="a"><x/></gazebo><material name="m"/>'
+    pc.Scene.from_urdf(urdf(tmp_path, LIMIT + irrelevant, more=more))
+    assert not recwarn
+
+
+MIMIC = (
+    f'<link name="c">{MASS}</link><joint name="k" type="revolute"><parent link="b"/><child link="c"/>{LIMIT}'
+    '<mimic joint="j" multiplier="2"/></joint>'
+)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"more": MIMIC}, "move on their own here.*: 'k' mimics 'j'"),
+        ({"kind": "floating", "joint": '<dynamics damping="3"/>'}, "left out, .*: damping of joint 'j'"),
+        ({"kind": "planar", "joint": '<dynamics friction="3"/>'}, "left out, .*: friction of joint 'j'"),
+        ({"kind": "planar"}, "left out, .*: limits of joint 'j'"),
+        ({"joint": '<limit effort="5" velocity="2"/>'}, "cannot move, .*: 'j'"),
+        ({"link": MASS.replace('ixx="1"', 'ixx="-1"')}, "no body has the inertia of these links.*: 'b'"),
+        ({"joint": LIMIT + '<dynamic damping="3"/>'}, "not known here, and left out: <dynamic> of joint 'j'"),
+        ({"joint": LIMIT + '<dynamics damping="3" stiffness="4"/>'}, "left out: stiffness of <dynamics> of joint 'j'"),
+        ({"joint": LIMIT + '<origin xyz="0 0 1" quat_xyzw="0 0 1 1"/>'}, "quat_xyzw of <origin> of joint 'j'"),
+        ({"link": MASS + MASS}, "a second <inertial> of link 'b'"),
+        ({"more": "<weather/>"}, "left out: <weather> of the robot"),
+    ],
+)
+def test_what_urdfs_leave_out_is_named(tmp_path, changes, message):
+    with pytest.warns(UserWarning, match=message) as caught:
+        pc.Scene.from_urdf(urdf(tmp_path, **changes))
+    assert len(caught) == 1 and caught[0].filename == __file__
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"axis": '<axis xyz="0 0 0"/>'}, "joint 'j': its axis has no direction"),
+        ({"link": MASS.replace('izz="1"', "")}, "link 'b': izz of its inertia must be a finite number, got None"),
+        ({"link": MASS.replace('mass value="1"', 'mass value="nan"')}, "link 'b': value of its mass .* got 'nan'"),
+        ({"link": MASS.replace('mass value="1"', 'mass value="-1"')}, "link 'b': its mass must not be negative"),
+        ({"link": '<inertial><mass value="1"/></inertial>'}, "link 'b': ixx of its inertia"),
+        ({"kind": "spherical"}, "cannot be read as a URDF"),
+    ],
+)
+def test_what_of_a_urdf_is_refused(tmp_path, changes, message):
+    with pytest.raises(pc.ModelError, match=message):
+        pc.Scene.from_urdf(urdf(tmp_path, **changes))
+
+
+def test_files_that_are_no_urdf(tmp_path):
+    (tmp_path / "x.urdf").write_text("<mujoco/>")
+    with pytest.raises(pc.ModelError, match="first element is <mujoco>, not <robot>"):
+        pc.Scene.from_urdf(tmp_path / "x.urdf")
+
+
+def test_joints_that_move_nothing_are_named(tmp_path):
+    scene = pc.Scene.from_urdf(urdf(tmp_path, link="", more=MIMIC.replace(MASS, "").split("<mimic")[0] + "</joint>"))
+    with pytest.raises(pc.ModelError, match=r"joint '[jk]' moves nothing that has inertia"):
+        scene.initial_state(np.zeros(2))
+
+
+@pytest.mark.parametrize("tag", ["visual", "collision"])
+def test_meshes_that_are_missing_are_named(tmp_path, tag):
+    """The shapes that can be read stay."""
+    (tmp_path / "part.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\n")
+    shapes = "".join(
+        f"<{tag}><geometry>{shape}</geometry></{tag}>"
+        for shape in (
+            '<mesh filename="package://part.obj"/>',
+            '<sphere radius="0.1"/>',
+            '<mesh filename="package://lost/hull.stl"/>',
+        )
+    )
+    with pytest.warns(UserWarning, match=rf"could not be read: {tag} of link 'b' \(mesh package://lost/hull.stl\)$"):
+        scene = pc.Scene.from_urdf(urdf(tmp_path, link=MASS + shapes))
+    shapes = scene.visual_model if tag == "visual" else scene.collision_model
+    assert [item.name for item in shapes.geometryObjects] == ["b_0", "b_1"]
+    if tag == "collision":
+        with pytest.warns(UserWarning, match=r"ignored: b_0 .*could not be read: .*hull\.stl"):
+            assert list(scene.add_contours_from_collision()) == ["b_1_sphere"]
+        with pytest.raises(pc.ModelError, match=r"no contour .* corners of: b_1 \(Sphere\);.*hull\.stl"):
+            scene.add_contours_from_collision(kinds="corners")
+    else:
+        with pytest.raises(pc.ModelError, match=r"no contour was found among faces and rims of: no shape$"):
+            scene.add_contours_from_collision()
+
+
+def test_links_whose_only_mesh_is_missing(tmp_path):
+    shape = '<collision><geometry><mesh filename="lost.stl"/></geometry></collision>'
+    with pytest.warns(UserWarning, match=r"lost\.stl"):
+        scene = pc.Scene.from_urdf(urdf(tmp_path, link=MASS + shape))
+    with pytest.raises(pc.ModelError, match=r"link 'b' has no collision shape; .*could not be read: .*lost\.stl"):
+        scene.add_contours_from_collision(links="b")
+
+
+# ---------------------------------------------------------------------------------------------------- quaternions
+
+
+def test_the_real_part_of_a_quaternion_in_front_is_warned_of():
+    """A ball moves the same however it is turned, so nothing else would tell."""
+    scene = pc.Scene(model())
+    with pytest.warns(UserWarning, match=r"q\[3:7\] of joint 'root' is \(1, 0, 0, 0\), half a turn") as caught:
+        turned = scene.initial_state([0, 0, 0, 1, 0, 0, 0])
+    assert caught[0].filename == __file__
+    spherical = pin.Model()
+    joint = spherical.addJoint(0, pin.JointModelSpherical(), pin.SE3.Identity(), "ball")
+    spherical.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    with pytest.warns(UserWarning, match=r"q\[0:4\] of joint 'ball'"):
+        pc.Scene(spherical).initial_state([1, 0, 0, 0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        meant = scene.initial_state([0, 0, 0, -1, 0, 0, 0])
+        # what a run has come to is nobody's typing error
+        pc.simulate(scene, turned, 0.01)
+    np.testing.assert_array_equal(pin.difference(scene.model, turned.q, meant.q), 0.0)

@@ -375,6 +375,10 @@ def test_outputs_follow_the_duration(tmp_path):
         ("radius = 0.1", "radius = -0.1", r"contours\.ball: Sphere: radius must be positive.*-0\.1"),
         ("radius = 0.1", "radius = true", r"contours\.ball\.radius: expected a number.*got True"),
         ("radius = 0.1", "radius = '0.1 +'", r"contours\.ball\.radius: '0\.1 \+' is not a formula"),
+        ("radius = 0.1", "radius = nan", r"contours\.ball\.radius: expected a number.*got nan"),
+        ("radius = 0.1", "radius = inf", r"contours\.ball\.radius: expected a number .finite.*got inf"),
+        ("radius = 0.1", f"radius = 1{'0' * 400}", r"contours\.ball\.radius: expected a number"),
+        ("duration = 0.5", "duration = inf", r"simulation\.duration: expected a number .finite"),
         ("radius = 0.1", "radius = 'R'", r"contours\.ball\.radius: 'R': unknown name 'R'"),
         ('"Sphere"', '"sphere"', r"contours\.ball\.kind: .*did you mean Sphere"),
         ('"Sphere"', '"Dodecahedron"', r"contours\.ball\.kind: there is no 'Dodecahedron'; expected one of Circle, "),
@@ -448,6 +452,79 @@ def test_files_that_are_none(tmp_path):
         pc.load_scene(write(tmp_path, "- 1", "scene.yaml"))
     with pytest.raises(pc.SceneFileError, match="not valid YAML"):
         pc.load_scene(write(tmp_path, "a: !!python/object/apply:os.getcwd []", "scene.yaml"))
+
+
+YAML = f"""
+urdf: {URDF / "ball.urdf"}
+floating_base: true
+contours:
+  ball: {{kind: Sphere, radius: 0.1, frame: ball}}
+  floor:
+    kind: Plane
+contacts:
+  touch: {{between: [ball, floor], friction: {{mu: 0.4}}}}
+initial:
+  q: [0, 0, 0.1, 0, 0, 0, 1]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "floating_base: true",
+            "floating_base: true\nfloating_base: false",
+            r"floating_base is given twice, first in line 3(.|\n)*line 4",
+        ),
+        ("kind: Plane", "kind: Plane\n    kind: Line", r"kind is given twice, first in line 7(.|\n)*line 8"),
+        ("radius: 0.1", "radius: 0.1, radius: 0.2", r"radius is given twice, first in line 5(.|\n)*line 5"),
+        ("mu: 0.4", "mu: 0.4, mu: 0.5", r"mu is given twice"),
+        ("initial:", "contours: {}\ninitial:", r"contours is given twice, first in line 4(.|\n)*line 10"),
+        ("  touch:", "  on:", r"a key must be a text; put it in quotes(.|\n)*line 9"),
+        ("  touch:", "  1:", r"a key must be a text(.|\n)*line 9"),
+        ("radius: 0.1", "radius: 0:30", "contours.ball.radius: '0:30' is not a formula"),
+        ("radius: 0.1", "radius: .nan", "contours.ball.radius: expected a number.*got nan"),
+        ("radius: 0.1", "radius: .inf", "contours.ball.radius: expected a number .finite.*got inf"),
+        ("radius: 0.1", "radius: yes", "contours.ball.radius: expected a number.*got True"),
+        ("frame: ball", "frame: no", "contours.ball.frame: expected a text, got False"),
+        ("[0, 0, 0.1, 0, 0, 0, 1]", "&q [*q]", r"initial\.q: "),
+    ],
+)
+def test_what_yaml_would_pass_over(tmp_path, old, new, message):
+    pytest.importorskip("yaml")
+    assert old in YAML
+    path = write(tmp_path, YAML.replace(old, new, 1), "scene.yaml")
+    with pytest.raises(pc.SceneFileError, match=message):
+        pc.load_scene(path)
+
+
+def test_numbers_of_yaml(tmp_path):
+    """Exponents without a point, and zeros in front, are decimal numbers; mappings may still be merged."""
+    pytest.importorskip("yaml")
+    text = YAML.replace("radius: 0.1", "radius: 1e-1").replace("[0, 0, 0.1,", "[00, 0, 1E-1,")
+    text = text.replace("kind: Plane", "<<: &plane {kind: Line}\n    kind: Plane\n  wall: *plane")
+    scene = pc.load_scene(write(tmp_path, text, "scene.yaml")).scene
+    assert scene.contours["ball"].contour.shape == (0.1,)
+    assert isinstance(scene.contours["wall"].contour, pc.Line)
+
+
+def test_mappings_of_yaml_that_lead_back_to_themselves(tmp_path):
+    pytest.importorskip("yaml")
+    path = write(tmp_path, YAML.replace("kind: Plane", "&plane\n    frame: *plane"), "scene.yaml")
+    with pytest.raises(pc.SceneFileError, match=r"contours\.floor"):
+        pc.load_scene(path)
+
+
+def test_the_real_part_of_a_quaternion_in_front(tmp_path):
+    text = MINIMAL.replace("[contours.floor]", "[contours.floor]\nquaternion = [1, 0, 0, 0]")
+    with pytest.warns(UserWarning, match=r"contours\.floor\.quaternion is \(1, 0, 0, 0\), half a turn") as caught:
+        load(tmp_path, text)
+    assert caught[0].filename == __file__
+
+
+def test_collision_shapes_that_give_no_contour(tmp_path):
+    with pytest.raises(pc.SceneFileError, match="collision: no contour was found among corners of: ball_0"):
+        load(tmp_path, MINIMAL + "\n[collision]\nkinds = ['corners']")
 
 
 def test_contours_that_do_not_touch_keep_their_gap(tmp_path):

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import NOT_REAL, is_number, real, real_array
 from ..errors import ContourError
 
 # Kinds. Closed-form kinds come first within each dimension; the values are the table's, not the user's.
@@ -66,22 +67,25 @@ class Contour:
         Returns (10, 3): f, f_1, f_2, f_11, f_12, f_22, f_t, f_1t, f_2t, f_tt in the contour's frame; not finite
         where f is not differentiable. Raises ContourError for a wrong number of parameters or chart.
         """
-        given = np.atleast_1d(np.asarray(u, dtype=float))
-        return self.evaluate_many(given[None, :], t, chart)[0]
+        return self.evaluate_many(np.atleast_1d(np.asarray(u))[None], t, chart)[0]
 
     def evaluate_many(self, u: np.ndarray, t: float = 0.0, chart: int = 0) -> np.ndarray:
         """f and its derivatives at parameter values u (n, k): (n, 10, 3), otherwise as `evaluate`."""
         from .table import evaluate_contour
 
-        u = np.asarray(u, dtype=float)
+        try:
+            # a contour without parameters has none of any type
+            u, t = real_array(u) if np.size(u) else np.zeros(np.shape(u)), real(t)
+        except NOT_REAL:
+            raise ContourError(f"{self.name}: u and t must be real numbers, got {u!r} and {t!r}") from None
         if u.ndim != 2 or u.shape[1] != self.dimension:
             raise ContourError(f"{self.name} has {self.dimension} parameters, got {u.shape[-1]}")
-        if not 0 <= chart < self.charts:
+        if not is_number(chart) or chart not in range(self.charts):
             raise ContourError(f"{self.name} has {self.charts} charts, there is no number {chart}")
         parameters = np.zeros((len(u), 2))
         parameters[:, : self.dimension] = u
         out = np.zeros((len(u), DERIVATIVE_ROWS, 3))
-        row, pool, t = self.shape_row(), self.pool, float(t)
+        row, pool = self.shape_row(), self.pool
         for (u1, u2), values in zip(parameters.tolist(), out):
             try:
                 evaluate_contour(self.kind, chart, row, pool, u1, u2, t, values)
@@ -200,8 +204,8 @@ def finite(owner: str, **numbers: Any) -> tuple[float, ...]:
     checked = []
     for name, value in numbers.items():
         try:
-            number = float(value)
-        except (TypeError, ValueError):
+            number = real(value)
+        except NOT_REAL:
             raise ContourError(f"{owner}: {name} must be a number, got {value!r}") from None
         if not np.isfinite(number):
             raise ContourError(f"{owner}: {name} must be finite, got {number}")
@@ -212,8 +216,8 @@ def finite(owner: str, **numbers: Any) -> tuple[float, ...]:
 def interval(owner: str, name: str, ends: Any) -> tuple[float, float]:
     """(low, high) as floats with low < high, either of which may be infinite, or a ContourError."""
     try:
-        low, high = (float(end) for end in ends)
-    except (TypeError, ValueError):
+        low, high = (real(end) for end in ends)
+    except NOT_REAL:
         raise ContourError(f"{owner}: {name} must be two numbers (low, high), got {ends!r}") from None
     if not low < high:
         raise ContourError(f"{owner}: {name} must have low < high, got ({low}, {high})")

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arguments import NOT_REAL, real_array
 from ..errors import ContourError
 from ..jit import kernel
 from .base import (
@@ -172,8 +173,8 @@ class FourierCurve(Contour):
         tables = []
         for name, given in (("cosine", cosine), ("sine", sine)):
             try:
-                table = np.array(given, dtype=float)
-            except (TypeError, ValueError):
+                table = real_array(given)
+            except NOT_REAL:
                 raise ContourError(f"FourierCurve: {name} must be an array of numbers") from None
             if table.ndim != 2 or table.shape[1] not in (2, 3) or len(table) < 2:
                 raise ContourError(f"FourierCurve: {name} must be (n + 1, 2 or 3), n > 0, got {table.shape}")

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ..arguments import NOT_REAL, real_array
 from ..errors import ContourError
 from ..jit import kernel
 from .base import (
@@ -27,8 +28,8 @@ _SMOOTHNESS = 3
 def array(owner: str, name: str, given: Any, *shape: int | None) -> np.ndarray:
     """`given` as a finite float array of this shape (None: any length), or a ContourError."""
     try:
-        values = np.array(given, dtype=float)
-    except (TypeError, ValueError):
+        values = real_array(given)
+    except NOT_REAL:
         raise ContourError(f"{owner}: {name} must be an array of numbers") from None
     if values.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, values.shape)):
         wanted = ", ".join("n" if n is None else str(n) for n in shape)

@@ -58,7 +58,7 @@ def joint_guards(model: pin.Model) -> list[Guard]:
                 high_end = high_ends[iq + k] if high_ends[iq + k] < unbounded else math.inf
             if low_force == high_force == 0.0 and low_end == -math.inf and high_end == math.inf:
                 continue
-            joint = _joint_of(model, iv + k)
+            joint = joint_of(model, iv + k)
             if not low_force <= 0.0 <= high_force:
                 raise ModelError(f"joint {joint!r}: dry friction from {low_force} to {high_force} does not contain 0")
             if not low_end <= high_end:
@@ -78,7 +78,8 @@ def check_guards(guards: list[Guard], q: np.ndarray) -> None:
             )
 
 
-def _joint_of(model: pin.Model, index_v: int) -> str:
+def joint_of(model: pin.Model, index_v: int) -> str:
+    """Name of the joint of a velocity coordinate."""
     for j in range(1, model.njoints):
         start = model.joints[j].idx_v
         if start <= index_v < start + model.joints[j].nv:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..arguments import NOT_REAL, real
 from ..errors import FrictionError
 from .stribeck import stribeck
 
@@ -25,8 +26,8 @@ Coefficient = float | tuple[float, float]
 def _number(owner: str, name: str, value: Any) -> float:
     """The value as a float, or a FrictionError saying which parameter is not finite and non-negative."""
     try:
-        number = float(value)
-    except (TypeError, ValueError):
+        number = real(value)
+    except NOT_REAL:
         raise FrictionError(f"{owner}: {name} must be a number, got {value!r}") from None
     if not (isfinite(number) and number >= 0.0):
         raise FrictionError(f"{owner}: {name} must be finite and not negative, got {number}")
@@ -35,11 +36,11 @@ def _number(owner: str, name: str, value: Any) -> float:
 
 def _coefficient(owner: str, name: str, value: Any) -> Coefficient:
     """A number, or a pair of positive ones."""
-    if isinstance(value, str) or not isinstance(value, (Sequence, np.ndarray)):
+    if isinstance(value, str) or not isinstance(value, (Sequence, np.ndarray)) or np.ndim(value) == 0:
         return _number(owner, name, value)
     if len(value) != 2:
         raise FrictionError(f"{owner}: {name} must be a number or a pair (along, across), got {value!r}")
-    along, across = (_number(owner, name, entry) for entry in value)
+    along, across = (_number(owner, f"{name}[{i}]", entry) for i, entry in enumerate(value))
     if along == 0.0 or across == 0.0:
         raise FrictionError(f"{owner}: {name} of two directions must be positive, got ({along}, {across})")
     return along, across

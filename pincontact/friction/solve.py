@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from ..arguments import NOT_REAL, check_tolerance, real_array
+from ..arguments import NOT_REAL, check_flag, check_tolerance, real_array
 from ..errors import ArgumentError, InfeasibleError, SolverError
 from .attempt import (
     CLASSIFY,
@@ -452,6 +452,7 @@ def solve_contacts(
     matrix, b, friction = _checked_problem(delassus, b, mu)
     contacts = len(friction)
     check_tolerance(tolerance)
+    check_flag("quick", quick)
     if warm is not None and not isinstance(warm, ContactSolution):
         raise ArgumentError(f"warm must be a solution of solve_contacts, got {type(warm).__name__}")
     if warm is not None and warm.modes.shape[0] != contacts:

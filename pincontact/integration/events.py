@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
+from ..arguments import is_number
 from ..errors import ArgumentError, UnusableResult
 from ..layout import DOMAIN_MARGIN, GAP_MARGIN, LENGTH, NOTHING_THERE, OK, SCAN_ROOM
 from .dense import Interpolant
@@ -60,7 +61,7 @@ class UserEvent:
             terminal, direction = getattr(function, "terminal", False), getattr(function, "direction", 0.0)
             if not (terminal is None or isinstance(terminal, (bool, np.bool_, int))):
                 raise ArgumentError(f"events[{i}].terminal must be True or False, got {terminal!r}")
-            if not isinstance(direction, (int, float, np.number)) or math.isnan(direction):
+            if not is_number(direction):
                 raise ArgumentError(f"events[{i}].direction must be a number, got {direction!r}")
             wrapped.append(UserEvent(i, function, bool(terminal), float(direction)))
         return wrapped

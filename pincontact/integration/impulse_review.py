@@ -126,10 +126,10 @@ def impulse_work(step, nv, h, scratch):
     energy that these impulses bring beyond what the smooth forces account for within the step.
 
     Work: an impulse times the mean of the velocities at the step's ends, or of its part in an impact times that of the
-    velocities right before and after it. Kinetic
-    energy: always those at the step's ends. Impulses of equations do no work on v_c. Large impulses that nearly cancel
-    (a wedged chain) magnify what the smooth forces do around their instants, which is known to first order only: no
-    more of it is counted than the change of velocity and that by the smooth forces allow. scratch: (nv,).
+    velocities right before and after it. Kinetic energy: always those at the step's ends. Impulses of equations do no
+    work on v_c. Large impulses that nearly cancel (a wedged chain) magnify what the smooth forces do around their
+    instants, which is known to first order only: no more of it is counted than the change of velocity and that by the
+    smooth forces allow. scratch: (nv,).
     """
     counts, numbers_of_step = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
     kept = numbers_of_step[KEPT]

@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 
 from ..jit import kernel
+from .periods import wrapped
 
 # Header of a tape: offsets into its pool.
 COUNT, VARIABLES, WIDTH, SCRATCH, OUTPUTS = range(5)
 RESULTS = 5  # (slot offset or -1, constant) for up to three outputs
 ROWS = 11  # derivative row of `base` for each entry of a slot
-INSTRUCTIONS = 21
+PERIODS = 21  # (low, high) of u1, then of u2, between which they repeat; equal where they do not
+INSTRUCTIONS = 25
 INSTRUCTION_SIZE = 5  # opcode, offset of a, offset of b, constant c, constant d
 
 # Linear instructions, then SINCOS (two slots), then functions of two arguments, then of one.
@@ -176,6 +178,10 @@ def run_tape(pool, u1, u2, t):
     n = int(pool[VARIABLES])
     width = int(pool[WIDTH])
     target = int(pool[SCRATCH])
+    if pool[PERIODS] < pool[PERIODS + 1]:
+        u1 = wrapped(u1, pool[PERIODS], pool[PERIODS + 1])
+    if pool[PERIODS + 2] < pool[PERIODS + 3]:
+        u2 = wrapped(u2, pool[PERIODS + 2], pool[PERIODS + 3])
     # The derivatives of the variables themselves are constants, stored when the tape is made.
     pool[target] = u1
     if n == 2:

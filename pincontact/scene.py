@@ -14,7 +14,6 @@ from .arguments import NOT_REAL, is_number, real_array
 from .contacts import AttachedContour, Contact
 from .contours import Contour
 from .contours.motion import Motion
-from .dynamics.system import CHARTED_KINDS
 from .errors import ArgumentError, ContactError, ContourError, ModelError, PatternError
 from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern, candidate_patterns, find_pattern
@@ -340,7 +339,7 @@ def _check_friction(contact: str, law: FrictionLaw, one: AttachedContour, two: A
             )
         if along.contour.dimension == 0:
             raise ArgumentError(f"contact {contact!r}: friction is along {along.name!r}, a point, which has no tangent")
-        if along.contour.kind in CHARTED_KINDS:
+        if len(along.contour.charts) > 1:
             raise ArgumentError(
                 f"contact {contact!r}: friction is along {along.name!r}, whose tangents change with its charts; name "
                 "the other contour by along="

@@ -436,10 +436,15 @@ _CONTOURS: dict[type[Contour], dict[str, Converter]] = {
     shapes.Torus: {"major": _number, "minor": _number},
     shapes.SurfaceOfRevolution: {"profile": _profile, "domain": _interval, "periodic": _flag},
     shapes.SplineSurface: {"points": _array, "periodic": _flags, "degree": _integer, "parameters": _array},
-    shapes.ParametricSurface: {"f": _formulas(3, "u1", "u2", "t"), "domain": _rectangle, "periodic": _flags},
+    shapes.ParametricSurface: {
+        "f": _formulas(3, "u1", "u2", "t"),
+        "domain": _rectangle,
+        "periodic": _flags,
+        "time_domain": _interval,
+    },
 }
 # A height field is a function of x and y, or a grid; each is its own set of parameters.
-_HEIGHT_FUNCTION: dict[str, Converter] = {"f": _height, "domain": _rectangle}
+_HEIGHT_FUNCTION: dict[str, Converter] = {"f": _height, "domain": _rectangle, "time_domain": _interval}
 _HEIGHT_GRID: dict[str, Converter] = {"x": _numbers, "y": _numbers, "z": _array, "degree": _integer}
 
 _MOTIONS: dict[type[Motion], dict[str, Converter]] = {
@@ -498,7 +503,7 @@ def _read_contour(table: _Table, scene: Scene) -> None:
 
 
 def _height_field(table: _Table, parameters: Mapping[str, Converter]) -> Contour:
-    optional = ("domain", "degree")
+    optional = ("domain", "degree", "time_domain")
     options = {
         name: table.get(name, convert)
         for name, convert in parameters.items()

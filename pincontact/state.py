@@ -185,7 +185,7 @@ def check_state(scene: Scene, state: Any, coordinates: Coordinates | None = None
         if one == two == 0:
             continue
         for chart, side in ((one, contact.body1), (two, contact.body2)):
-            if not 0 <= chart < side.contour.charts:
+            if chart not in side.contour.charts:
                 raise StateError(f"contact {contact.name!r}: contour {side.name!r} has no chart {chart}")
 
 

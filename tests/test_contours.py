@@ -182,12 +182,7 @@ def outward(contour, u, chart=0):
 def test_normals_point_outwards(contour, direction):
     generator = np.random.default_rng(11)
     low, high = np.nan_to_num(np.array(contour.domain).T, posinf=2.0, neginf=-2.0)
-    charts = [0]
-    if contour.name in ("Sphere", "Ellipsoid"):
-        charts = [0, 1]
-    elif contour.name == "SurfaceOfRevolution":
-        charts = [0, *(chart for chart in (1, 2) if contour.shape[4 + chart])]
-    for chart, _ in itertools.product(charts, range(40)):
+    for chart, _ in itertools.product(contour.charts, range(40)):
         u = low + (high - low) * generator.random(2)
         if contour.name == "SurfaceOfRevolution" and chart:
             u = convert(contour, 0, u, chart)
@@ -216,8 +211,7 @@ ATLASES = [
 @pytest.mark.parametrize("contour", ATLASES, ids=lambda c: c.name)
 def test_charts_describe_the_same_points(contour):
     generator = np.random.default_rng(3)
-    others = (1,) if contour.name != "SurfaceOfRevolution" else (1, 2)
-    for other, _ in itertools.product(others, range(200)):
+    for other, _ in itertools.product(contour.charts[1:], range(200)):
         u = np.array([generator.uniform(*TURN), generator.uniform(*POLES)])
         v = convert(contour, 0, u, other)
         # Each conversion and evaluation rounds once or twice.
@@ -349,8 +343,8 @@ def test_closed_profile():
     ring = pc.SurfaceOfRevolution(np.column_stack([2 + 0.5 * np.cos(s), 0.5 * np.sin(s)]), periodic=True)
     assert ring.periodic == (True, True)
     low, high = ring.domain[1]
-    # The spline's own continuity is as good as SciPy's periodic solve.
-    assert np.abs(ring.evaluate((0.1, low)) - ring.evaluate((0.1, high))).max() < 1e-11
+    # The spline's own continuity is as good as SciPy's periodic solve: rounding, times 1 / h^2 in second derivatives.
+    assert np.abs(ring.evaluate((0.1, low)) - ring.evaluate((0.1, high))).max() < 1e-10
     u = np.array([0.3, 0.4 * (high - low)])
     point = ring.point(u)
     # 30 points, degree 5: interpolation error (2 pi / 30)^6 / 6! or so.
@@ -593,7 +587,7 @@ def test_shape_facts():
         (lambda: pc.Cone(0.5, (None, (-1.0, 1.0))), "apex"),
         (lambda: pc.Torus(1.0, 1.0), "less than major"),
         (lambda: pc.Circle(1.0).evaluate((1.0, 2.0)), "1 parameters, got 2"),
-        (lambda: pc.Sphere(1.0).evaluate((1.0, 2.0), chart=2), "2 charts, there is no number 2"),
+        (lambda: pc.Sphere(1.0).evaluate((1.0, 2.0), chart=2), "charts \\(0, 1\\), there is no number 2"),
     ],
 )
 def test_bad_numbers_are_refused_by_name(build, message):

@@ -252,30 +252,29 @@ def test_ways_of_writing_a_function(name):
         assert np.abs(rows[F_11] - second).max() < 1e-8
 
 
-def expression(generator, depth):
-    """A random formula of u, v, t as text; smooth wherever its arguments are real."""
+FORMS = (
+    "({0} + {1})",
+    "({0} - {1})",
+    "({0} * {1})",
+    "({0}) / (3 + sin({1}))",
+    "sin({0})",
+    "cos({0})",
+    "exp(sin({0}))",
+    "sqrt(2 + cos({0}))",
+    "tanh({0})",
+    "log(2.5 + sin({0}))",
+    "(2 + sin({0})) ** cos({1})",
+    "cos({0}) ** 3",
+    "-({0})",
+)
+
+
+def expression(generator, depth, names="uvt", forms=FORMS):
+    """A random formula of these variables as text; smooth wherever its arguments are real."""
     if depth == 0:
-        return str(generator.choice(["u", "v", "t", f"{generator.uniform(-2, 2):.3f}"]))
-    left, right = (expression(generator, depth - 1) for _ in range(2))
-    return str(
-        generator.choice(
-            [
-                f"({left} + {right})",
-                f"({left} - {right})",
-                f"({left} * {right})",
-                f"({left}) / (3 + sin({right}))",
-                f"sin({left})",
-                f"cos({left})",
-                f"exp(sin({left}))",
-                f"sqrt(2 + cos({left}))",
-                f"tanh({left})",
-                f"log(2.5 + sin({left}))",
-                f"(2 + sin({left})) ** cos({right})",
-                f"cos({left}) ** 3",
-                f"-({left})",
-            ]
-        )
-    )
+        return str(generator.choice([*names, f"{generator.uniform(-2, 2):.3f}"]))
+    parts = [expression(generator, depth - 1, names, forms) for _ in range(2)]
+    return str(generator.choice([form.format(*parts) for form in forms]))
 
 
 def test_random_formulas():
@@ -456,7 +455,8 @@ def test_fitted_periodic_curve_closes():
     curve = pc.ParametricCurve(
         lambda u: (math.cos(u), math.sin(u), float(j0(math.sin(u)))), (-math.pi, math.pi), periodic=True
     )
-    assert np.abs(curve.evaluate(-math.pi) - curve.evaluate(math.pi)).max() < 1e-10
+    # One end of the last piece and one of the first: rounding, times (12^2)^2 in second derivatives.
+    assert np.abs(curve.evaluate(-math.pi) - curve.evaluate(math.pi)).max() < 2e-9
     assert np.abs(curve.evaluate(0.3) - curve.evaluate(0.3 - 4 * math.pi)).max() < 1e-10
     flat = pc.ParametricCurve(lambda u: (j0(u), j1(u), 0.0), (0.1, 1.0))
     assert flat.planar
@@ -508,7 +508,10 @@ def test_smooth_branches_are_fitted_and_rough_ones_refused():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: pc.ParametricCurve(lambda u: (u, abs(u), 0), (-1.0, 1.0)), "absolute value"),
+        (
+            lambda: pc.ParametricCurve(lambda u: (u, abs(u), 0), (-1.0, 1.0)),
+            "first derivative jumps by 2.0e.00 near .0",
+        ),
         (lambda: pc.ParametricCurve(lambda u: (u, u), (-1.0, 1.0)), "3 numbers"),
         (lambda: pc.ParametricCurve(lambda u: (u, math.log(u), 0), (-1.0, 1.0)), "raised ValueError"),
         (lambda: pc.ParametricCurve(lambda u: (u, math.nan, 0), (-1.0, 1.0)), "not finite"),

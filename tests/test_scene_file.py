@@ -213,6 +213,10 @@ CONTOURS = [
         lambda: pc.HeightField(lambda x, y: 0.1 * x * y + 0.2 * x**2),
     ),
     (
+        "kind = 'HeightField'\nf = 'x + abs(t - 5)'\ntime_domain = [0, 4]",
+        lambda: pc.HeightField(lambda x, y, t: x + abs(t - 5), time_domain=(0.0, 4.0)),
+    ),
+    (
         "kind = 'HeightField'\nf = 'sin(x - t)'\ndomain = [[-1, 1], [-1, 1]]",
         lambda: pc.HeightField(lambda x, y, t: math.sin(x - t), domain=((-1.0, 1.0), (-1.0, 1.0))),
     ),

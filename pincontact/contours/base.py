@@ -80,8 +80,8 @@ class Contour:
             raise ContourError(f"{self.name}: u and t must be real numbers, got {u!r} and {t!r}") from None
         if u.ndim != 2 or u.shape[1] != self.dimension:
             raise ContourError(f"{self.name} has {self.dimension} parameters, got {u.shape[-1]}")
-        if not is_number(chart) or chart not in range(self.charts):
-            raise ContourError(f"{self.name} has {self.charts} charts, there is no number {chart}")
+        if not is_number(chart) or chart not in self.charts:
+            raise ContourError(f"{self.name} has the charts {self.charts}, there is no number {chart}")
         parameters = np.zeros((len(u), 2))
         parameters[:, : self.dimension] = u
         out = np.zeros((len(u), DERIVATIVE_ROWS, 3))
@@ -118,11 +118,9 @@ class Contour:
         return type(self).__name__
 
     @property
-    def charts(self) -> int:
-        """How many charts it has; domain and periodic are those of chart 0."""
-        if self.kind == REVOLUTION:
-            return 3
-        return 2 if self.kind in (SPHERE, ELLIPSOID) else 1
+    def charts(self) -> tuple[int, ...]:
+        """The numbers of its charts; domain and periodic are those of chart 0, which every contour has."""
+        return (0, 1) if self.kind in (SPHERE, ELLIPSOID) else (0,)
 
     def samples(self, n: int | Sequence[int] = 50, window: Any = None) -> np.ndarray:
         """A grid of parameter values that covers the domain of the first chart.

@@ -19,6 +19,24 @@ _MOST_PIECES = {1: 4096, 2: 1024}
 _NARROWEST = 1e-5
 # The last two coefficients of a resolved piece, relative to the function's size: close to rounding.
 _RESOLVED = 2e-15
+# A fit is compared with the function at so many points, evenly spread, and at so many more in each piece. What is
+# narrower than their distance may be missed in a function that cannot be looked into.
+_CHECKED = {1: 2000, 2: 50 * 50}
+_CHECKED_PER_PIECE = 4
+# How far it may be off there, relative to the function's size: a resolved piece is at most a few times its last
+# coefficients off.
+_VERIFIED = 5e-14
+# Neighbouring pieces differ in derivatives by what rounding and the coefficients left out make there: of this many
+# times the last ones', all of one sign, since T_n and its derivatives are largest at the ends of a piece.
+_JOINT = 10.0
+# Value, first and second derivatives of T_0, T_1, ... at 1.
+_ENDS = tuple(
+    np.array([math.prod((n * n - k * k) / (2 * k + 1) for k in range(order)) for n in range(_DEGREE + 1)], dtype=float)
+    for order in range(3)
+)
+# Where a function changes to another path closer to another such place than this part of the domain, no piece begins:
+# second derivatives of short pieces are poor, and what happens there is seen at the points that are looked at.
+_SHORTEST = 1e-3
 
 
 class Fit:
@@ -40,30 +58,36 @@ def fit(
     periodic: Sequence[bool],
     derivatives: Callable[..., np.ndarray] | None = None,
     time: bool = False,
+    breaks: Sequence[Sequence[float]] = ((), ()),
+    places: np.ndarray | None = None,
 ) -> Fit:
     """Fit function(u) or function(u1, u2) -> (n,) over a finite domain, to rounding.
 
     derivatives: all first, then all second derivatives (i <= j) by the arguments, (2 or 5, n), fitted together
     with the values by least squares, so that second derivatives are as good as the ones given.
     time: the second argument is t.
-    Raises ContourError naming the place where refinement does not help: a kink, a jump or noise.
+    breaks: for each argument, where the function is known to change.  places: (k, 1 or 2) arguments to look at.
+    Raises ContourError naming the place where refinement does not help, or where neighbouring pieces do not meet in
+    value and two derivatives: a kink, a jump or noise.
     """
     dimension = len(domain)
     solve, nodes = _solver(dimension, derivatives is not None)
-    breaks = [np.linspace(low, high, 3) for low, high in domain]
+    lines = [_first_breaks(ends, known) for ends, known in zip(domain, breaks)]
     pieces: dict[tuple[float, ...], np.ndarray] = {}
+    seen: dict[tuple[float, ...], np.ndarray] = {}
     while True:
-        boxes = list(itertools.product(*(range(len(b) - 1) for b in breaks)))
+        boxes = list(itertools.product(*(range(len(b) - 1) for b in lines)))
         split: list[set[int]] = [set() for _ in domain]
         worst = 0.0
         for box in boxes:
-            ends = [(b[i], b[i + 1]) for b, i in zip(breaks, box)]
+            ends = [(b[i], b[i + 1]) for b, i in zip(lines, box)]
             key = tuple(itertools.chain(*ends))
             if key not in pieces:
                 pieces[key] = solve @ _data(function, derivatives, ends, nodes)
         scale = max(np.abs(piece).max() for piece in pieces.values())
+        coefficients = _assembled(lines, pieces)
         for box in boxes:
-            ends = [(b[i], b[i + 1]) for b, i in zip(breaks, box)]
+            ends = [(b[i], b[i + 1]) for b, i in zip(lines, box)]
             piece = pieces[tuple(itertools.chain(*ends))].reshape((*[_DEGREE + 1] * dimension, -1))
             for axis in range(dimension):
                 tail = np.abs(np.take(piece, (-2, -1), axis=axis)).max()
@@ -72,29 +96,120 @@ def fit(
                     if tail > worst:
                         worst, place = tail, [0.5 * (low + high) for low, high in ends]
         if not any(split):
+            # all pieces are resolved as far as their nodes can see
+            points, at = _points(lines, places)
+            arguments = [tuple(point) for point in points.tolist()]
+            for point in arguments:
+                if point not in seen:
+                    seen[point] = function(*point)
+            expected = np.array([seen[point] for point in arguments])
+            off = np.abs(_values(lines, coefficients, points, at) - expected).max(axis=1)
+            error = float(off.max())
+            for i in np.flatnonzero(~(off <= _VERIFIED * scale)):
+                for axis in range(dimension):
+                    split[axis].add(int(at[i, axis]))
+                if off[i] > worst:
+                    worst, place = off[i], list(arguments[i])
+        if not any(split):
             break
-        refined = [_refined(b, chosen) for b, chosen in zip(breaks, split)]
-        count = math.prod(len(b) - 1 for b in refined)
-        narrow = any(np.diff(b).min() < _NARROWEST * (b[-1] - b[0]) for b in refined)
-        if narrow or count > _MOST_PIECES[dimension]:
+        narrow = any(b[i + 1] - b[i] < 2.0 * _NARROWEST * (b[-1] - b[0]) for b, s in zip(lines, split) for i in s)
+        lines = [_refined(b, chosen) for b, chosen in zip(lines, split)]
+        if narrow or math.prod(len(b) - 1 for b in lines) > _MOST_PIECES[dimension]:
             shown = ", ".join(f"{value:.6g}" for value in place)
             raise ContourError(
                 f"{owner}: the function cannot be traced, and fitting it leaves an error of {worst:.1e} near "
-                f"({shown}); it must be twice differentiable and free of noise"
+                f"({shown}); it must be twice continuously differentiable and free of noise"
             )
-        breaks = refined
-    directions = [Direction.chebyshev(b, _DEGREE, bool(p)) for b, p in zip(breaks, periodic)]
-    shape = tuple(direction.functions for direction in directions)
-    coefficients: np.ndarray | None = None
-    for box in boxes:
-        ends = [(b[i], b[i + 1]) for b, i in zip(breaks, box)]
-        block: np.ndarray = pieces[tuple(itertools.chain(*ends))].reshape((*[_DEGREE + 1] * dimension, -1))
-        if coefficients is None:
-            coefficients = np.empty((*shape, block.shape[-1]))
-        coefficients[tuple(slice(i * (_DEGREE + 1), (i + 1) * (_DEGREE + 1)) for i in box)] = block
-    assert coefficients is not None
-    error = _deviation(function, breaks, directions, coefficients)
-    return Fit(pack(directions, coefficients, time=time), error)
+    _check_joints(owner, lines, periodic, coefficients, scale)
+    directions = [Direction.chebyshev(b, _DEGREE, bool(p)) for b, p in zip(lines, periodic)]
+    shape = [direction.functions for direction in directions]
+    return Fit(pack(directions, coefficients.reshape(*shape, -1), time=time), error)
+
+
+def _first_breaks(ends: tuple[float, float], known: Sequence[float]) -> np.ndarray:
+    """Where the first pieces of one argument end."""
+    low, high = ends
+    far = np.array([low, *known, high])
+    apart = np.diff(far) > _SHORTEST * (high - low)
+    inner = far[1:-1][apart[:-1] & apart[1:]]
+    return np.array([low, *inner, high]) if inner.size else np.linspace(low, high, 3)
+
+
+def _assembled(lines: list[np.ndarray], pieces: dict[tuple[float, ...], np.ndarray]) -> np.ndarray:
+    """Coefficients (pieces of the first argument, its polynomials, the same of the second one, components)."""
+    boxes = itertools.product(*(list(itertools.pairwise(b.tolist())) for b in lines))
+    table = np.array([pieces[tuple(itertools.chain(*box))] for box in boxes])
+    counts = [len(b) - 1 for b in lines]
+    table = table.reshape(*counts, *[_DEGREE + 1] * len(lines), -1)
+    return table if len(lines) == 1 else np.moveaxis(table, 2, 1)
+
+
+def _points(lines: list[np.ndarray], places: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Points (k, n) at which a fit is compared with its function, and the pieces that they are in."""
+    n = len(lines)
+    low, high = np.array([b[0] for b in lines]), np.array([b[-1] for b in lines])
+    # the additive recurrence of the generalised golden ratio: even, and never where halving puts an end of a piece
+    golden = 1.6180339887498949 if n == 1 else 1.3247179572447460
+    steps = np.arange(1, _CHECKED[n] + 1)[:, None] / golden ** np.arange(1, n + 1) % 1.0
+    points = [low + (high - low) * steps]
+    generator = np.random.default_rng(7)
+    corners = np.stack(np.meshgrid(*(b[:-1] for b in lines), indexing="ij"), axis=-1).reshape(-1, n)
+    sizes = np.stack(np.meshgrid(*(np.diff(b) for b in lines), indexing="ij"), axis=-1).reshape(-1, n)
+    for _ in range(_CHECKED_PER_PIECE):
+        points.append(corners + sizes * generator.random(sizes.shape))
+    if places is not None:
+        points.append(places)
+    every = np.concatenate(points)
+    at = [np.clip(np.searchsorted(b, x, side="right") - 1, 0, len(b) - 2) for b, x in zip(lines, every.T)]
+    return every, np.stack(at, axis=1)
+
+
+def _values(lines: list[np.ndarray], coefficients: np.ndarray, points: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The fit at points of pieces, evaluated independently of the kernels."""
+    tables = []
+    for b, x, i in zip(lines, points.T, at.T):
+        tables.append(chebyshev.chebvander((2.0 * x - b[i] - b[i + 1]) / (b[i + 1] - b[i]), _DEGREE))
+    if len(lines) == 1:
+        return np.einsum("km,kmc->kc", tables[0], coefficients[at[:, 0]])
+    return np.einsum("km,kn,kmnc->kc", *tables, coefficients[at[:, 0], :, at[:, 1]], optimize=True)
+
+
+def _check_joints(
+    owner: str, lines: list[np.ndarray], periodic: Sequence[bool], coefficients: np.ndarray, scale: float
+) -> None:
+    """ContourError where neighbouring pieces do not meet in value, first and second derivative."""
+    signs = (-1.0) ** np.arange(_DEGREE + 1)
+    across = chebyshev.chebvander(chebyshev_nodes(_DEGREE), _DEGREE)
+    for axis, b in enumerate(lines):
+        # pieces and polynomials of this argument first
+        table = np.moveaxis(coefficients, (2 * axis, 2 * axis + 1), (0, 1))
+        if len(lines) == 2:
+            table = np.einsum("mn,ijknc->ijkmc", across, table)
+        lower = np.arange(len(b) - 1 if periodic[axis] else len(b) - 2)
+        upper = (lower + 1) % (len(b) - 1)
+        for order, ends in enumerate(_ENDS):
+            scales = (2.0 / np.diff(b)) ** order
+            before = np.tensordot(table, ends, axes=(1, 0))
+            after = np.tensordot(table, ends * signs * (-1.0) ** order, axes=(1, 0))
+            shape = (-1,) + (1,) * (before.ndim - 1)
+            jumps = np.abs(before[lower] * scales[lower].reshape(shape) - after[upper] * scales[upper].reshape(shape))
+            allowed = _JOINT * _RESOLVED * scale * ends[-1] * (scales[lower] + scales[upper])
+            excess = jumps / allowed.reshape(shape)
+            if (excess > 1.0).any():
+                worst = np.unravel_index(int(np.argmax(excess)), excess.shape)
+                i = int(worst[0])
+                where = [b[i + 1]]
+                if len(lines) == 2:
+                    other = lines[1 - axis]
+                    piece, node = worst[1], chebyshev_nodes(_DEGREE)[worst[2]]
+                    where.insert(1 - axis, 0.5 * (other[piece] * (1.0 - node) + other[piece + 1] * (1.0 + node)))
+                what = ("the function", "its first derivative", "its second derivative")[order]
+                seam = "" if upper[i] else f" between the ends of parameter {axis}, which is periodic,"
+                raise ContourError(
+                    f"{owner}: {what} jumps by {float(jumps[worst]):.1e}{seam} near "
+                    f"({', '.join(f'{x:.6g}' for x in where)}), where rounding makes {allowed[i]:.0e} at most; it must "
+                    "be twice continuously differentiable"
+                )
 
 
 def _refined(breaks: np.ndarray, chosen: set[int]) -> np.ndarray:
@@ -151,23 +266,3 @@ def _data(
                 scale *= (0.5 * (high - low)) ** order
             data.append(scale * given[:, i])
     return np.concatenate(data)
-
-
-def _deviation(
-    function: Callable[..., np.ndarray], breaks: list[np.ndarray], directions: list[Direction], coefficients: np.ndarray
-) -> float:
-    """Largest deviation at random points, evaluated independently of the kernels."""
-    generator = np.random.default_rng(7)
-    worst = 0.0
-    for _ in range(200):
-        piece = coefficients
-        point = []
-        for b, direction in zip(breaks, directions):
-            i = int(generator.integers(len(b) - 1))
-            x = generator.uniform(-1.0, 1.0)
-            point.append(float(0.5 * (b[i] + b[i + 1]) + 0.5 * (b[i + 1] - b[i]) * x))
-            start = direction.starts[i]
-            values = chebyshev.chebvander(x, direction.degree).ravel()
-            piece = np.tensordot(values, piece[start : start + direction.degree + 1], axes=1)
-        worst = max(worst, float(np.abs(piece - function(*point)).max()))
-    return worst

@@ -4,22 +4,31 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ..errors import ContourError
+from . import tape as ops
 from .base import SPLINE_CURVE, SPLINE_SURFACE, TAPE_CURVE, TAPE_SURFACE, Contour, F
+from .branches import Survey, names, place, survey
 from .fits import fit
-from .trace import ROWS, Untraceable, trace
+from .trace import ROWS
 
 # How many parameter values a formula is tried at, and how far along an infinite domain and in time.
 _TRIALS = 25
 _REACH = 3.0
 # A traced formula repeats the user's operations up to rounding; more than this is another function.
 _AGREEMENT = 1e-9
+# A closed formula meets itself up to the rounding of the ends of its domain, which are multiples of pi with ten digits
+# at least; derivatives multiply that by the order of the highest harmonic.
+_SEAM = (1e-9, 1e-8, 1e-8)
+_SEAM_ROUNDING = 1e-13
+# Where a seam is looked at: so many values of the other parameter, and so many times.
+_SEAM_POINTS = 97
+_SEAM_TIMES = 8
 # Derivatives given by the user: wrong ones are wrong by far more, and a fit's second derivatives are this good.
 _DERIVATIVE_AGREEMENT = 1e-6
 
@@ -94,13 +103,12 @@ def takes_time(owner: str, function: Callable[..., Any], parameters: int) -> boo
     return False
 
 
-def trials(domain: Sequence[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
-    """Reproducible random values (n, k) of parameters in the domain, and of the time (n,)."""
+def trials(domain: Sequence[tuple[float, float]]) -> np.ndarray:
+    """Reproducible random values (n, k) of parameters in the domain."""
     low = [a if math.isfinite(a) else (b - _REACH if math.isfinite(b) else -_REACH) for a, b in domain]
     high = [b if math.isfinite(b) else (a + _REACH if math.isfinite(a) else _REACH) for a, b in domain]
     generator = np.random.default_rng(20240229)
-    u = np.array(low) + (np.array(high) - np.array(low)) * generator.random((_TRIALS, len(domain)))
-    return u, _REACH * generator.random(_TRIALS)
+    return np.array(low) + (np.array(high) - np.array(low)) * generator.random((_TRIALS, len(domain)))
 
 
 @dataclass
@@ -133,22 +141,27 @@ def compiled(
     """
     if derivatives is not None and not callable(derivatives):
         raise ContourError(f"{formula.owner}: derivatives must be a function, got {derivatives!r}")
-    surface = formula.parameters == 2
-    u, times = trials(domain)
-    if time_domain is not None:
-        times = time_domain[0] + (time_domain[1] - time_domain[0]) * times / _REACH
-    points = np.column_stack([u, times]) if formula.takes_time else u
+    for axis, (low, high) in enumerate(domain):
+        if periodic[axis] and not (math.isfinite(low) and math.isfinite(high)):
+            raise ContourError(f"{formula.owner}: periodic, but the domain ({low}, {high}) is infinite")
+    timed = [(0.0, _REACH) if time_domain is None else time_domain] if formula.takes_time else []
+    box = [*domain, *timed]
+    points = trials(box)
     expected = np.array([formula(*point.tolist()) for point in points])
-    kinks: tuple[int, ...] = ()
-    try:
-        tape = trace(formula.function, formula.variables, formula.outputs)
-        kind = TAPE_SURFACE if surface else TAPE_CURVE
-        program = Program(kind, tape.pool, tape.time_dependent, tape.constants, 0.0)
-        kinks = tape.kinks
-    except Untraceable as reason:
-        program = _fitted(formula, domain, periodic, derivatives, time_domain, str(reason))
+    known = survey(formula, box, time_domain is None)
+    if known.tape is None:
+        program = _fitted(formula, domain, periodic, derivatives, time_domain, known)
+    else:
+        pool = known.tape.pool
+        if known.tape.time_dependent:
+            pool[ops.TIMES : ops.TIMES + 2] = known.times
+        for axis, wraps in enumerate(periodic):
+            if wraps:
+                pool[ops.PERIODS + 2 * axis : ops.PERIODS + 2 * axis + 2] = domain[axis]
+        kind = TAPE_SURFACE if formula.parameters == 2 else TAPE_CURVE
+        program = Program(kind, pool, known.tape.time_dependent, known.tape.constants, 0.0)
+        _check_seams(formula, program, domain, periodic, points)
     contour = Contour(program.kind, formula.parameters, pool=program.pool)
-    signs = np.zeros(len(kinks))
     for point, value in zip(points, expected):
         time = float(point[-1]) if formula.takes_time else 0.0
         found = contour.evaluate(point[: formula.parameters], time)[:, : formula.outputs]
@@ -159,15 +172,6 @@ def compiled(
             rows = list(ROWS[formula.variables][1:])
             size = max(np.abs(given).max(), np.abs(expected).max())
             _compare(formula.owner, f"a derivative at ({shown})", found[rows], given, size, _DERIVATIVE_AGREEMENT)
-        for i, slot in enumerate(kinks):
-            sign = math.copysign(1.0, program.pool[slot])
-            if signs[i] * sign < 0.0:
-                raise ContourError(
-                    f"{formula.owner}: not smooth: f takes the absolute value of a quantity whose sign at "
-                    f"({shown}) is not the one elsewhere in the domain"
-                )
-            signs[i] = sign
-    _check_periodic(formula, domain, periodic, u, np.abs(expected).max())
     return program
 
 
@@ -177,24 +181,24 @@ def _fitted(
     periodic: Sequence[bool],
     derivatives: Callable[..., Any] | None,
     time_domain: tuple[float, float] | None,
-    reason: str,
+    known: Survey,
 ) -> Program:
     timed = formula.takes_time
     if timed and formula.parameters == 2:
         raise ContourError(
             f"{formula.owner}: a surface that depends on time must be made of elementary functions, "
-            f"but tracing it failed: {reason}"
+            f"but tracing it failed: {known.reason}"
         )
-    if timed and time_domain is None:
+    if timed and (time_domain is None or not np.isfinite(time_domain).all()):
         raise ContourError(
-            f"{formula.owner}: tracing f(u, t) failed: {reason}; write it with elementary functions, or give "
+            f"{formula.owner}: tracing f(u, t) failed: {known.reason}; write it with elementary functions, or give "
             "time_domain=(first, last) so that it can be fitted"
         )
-    box = [*domain, time_domain] if timed and time_domain is not None else list(domain)
-    if not np.isfinite(box).all():
+    if not np.isfinite(domain).all():
         raise ContourError(
-            f"{formula.owner}: tracing f failed: {reason}; it can be fitted on a finite domain only, got {box}"
+            f"{formula.owner}: tracing f failed: {known.reason}; it can be fitted on a finite domain only, got {domain}"
         )
+    box = [*domain, *([time_domain] if timed and time_domain is not None else [])]
     second = None
     if derivatives is not None:
         given = derivatives
@@ -202,7 +206,8 @@ def _fitted(
         def second(*arguments: float) -> np.ndarray:
             return formula.derivatives(given, *arguments)
 
-    result = fit(formula.owner, formula, box, [*periodic, False][: len(box)], second, timed)
+    closed = [*periodic, False][: len(box)]
+    result = fit(formula.owner, formula, box, closed, second, timed, known.breaks, known.places)
     kind = SPLINE_SURFACE if formula.parameters == 2 else SPLINE_CURVE
     return Program(kind, result.pool, timed, (None,) * formula.outputs, result.error)
 
@@ -218,27 +223,65 @@ def _compare(owner: str, what: str, found: np.ndarray, expected: np.ndarray, siz
         )
 
 
-def _check_periodic(
+def _check_seams(
     formula: Formula,
+    program: Program,
     domain: Sequence[tuple[float, float]],
     periodic: Sequence[bool],
-    u: np.ndarray,
-    size: float,
+    points: np.ndarray,
 ) -> None:
+    """ContourError unless both ends of periodic parameters are the same in value and first and second derivatives.
+
+    These are what the dynamics use: those by the parameters, by time and mixed ones.
+    """
+    contour = Contour(program.kind, formula.parameters, pool=program.pool)
+    timed = formula.takes_time
+    spans = np.ptp(points, axis=0)
+    rows = list(ROWS[formula.variables])
+    variables = range(len(formula.variables))
+    orders = [(), *((i,) for i in variables), *((i, j) for i in variables for j in variables if i <= j)]
+
+    def evaluated(point: np.ndarray) -> np.ndarray:
+        return contour.evaluate(point[: formula.parameters].tolist(), float(point[-1]) if timed else 0.0)[rows]
+
+    samples = np.array([evaluated(point) for point in points])
+    extent, far = np.ptp(samples[:, 0], axis=0).max(), np.abs(samples[:, 0]).max()
     for axis, wraps in enumerate(periodic):
         if not wraps:
             continue
         low, high = domain[axis]
-        if not (math.isfinite(low) and math.isfinite(high)):
-            raise ContourError(f"{formula.owner}: periodic, but the domain ({low}, {high}) is infinite")
-        for point in u[:3]:
+        for point in _seam(formula, domain, axis, points):
             ends = []
             for end in (low, high):
                 point[axis] = end
-                ends.append(formula(*point.tolist(), *([0.0] if formula.takes_time else [])))
-            # Trigonometric functions of 2 pi are this close to those of zero.
-            if np.abs(ends[0] - ends[1]).max() > _AGREEMENT * size:
-                raise ContourError(
-                    f"{formula.owner}: periodic in parameter {axis}, but f is {ends[0]} at {low} and "
-                    f"{ends[1]} at {high}"
-                )
+                ends.append(evaluated(point))
+            for row, order in enumerate(orders):
+                per = math.prod(float(spans[i]) for i in order)
+                size = np.abs(samples[:, row]).max() + extent / per
+                allowed = _SEAM[len(order)] * size + _SEAM_ROUNDING * far / per
+                if not np.abs(ends[0][row] - ends[1][row]).max() <= allowed:
+                    by = " and ".join(names(formula.variables)[i] for i in order)
+                    raise ContourError(
+                        f"{formula.owner}: periodic in parameter {axis}, but "
+                        f"{f'the derivative of f by {by}' if order else 'f'} is {ends[0][row].tolist()} at {low} and "
+                        f"{ends[1][row].tolist()} at {high} (seen at {place(formula.variables, point)})"
+                    )
+
+
+def _seam(
+    formula: Formula, domain: Sequence[tuple[float, float]], axis: int, points: np.ndarray
+) -> Iterator[np.ndarray]:
+    """Points along the seam of a parameter: other parameters all over their domain, and times all over theirs."""
+    count = _SEAM_POINTS if formula.parameters == 2 else 1
+    low, high = points.min(axis=0), points.max(axis=0)
+    for i in range(count):
+        for j in range(_SEAM_TIMES if formula.takes_time else 1):
+            point = low.copy()
+            if formula.parameters == 2:
+                point[1 - axis] += (high - low)[1 - axis] * i / (count - 1)
+                a, b = domain[1 - axis]
+                if math.isfinite(b - a):
+                    point[1 - axis] = a + (b - a) * i / (count - 1)
+            if formula.takes_time:
+                point[-1] += (high - low)[-1] * (j + 0.3 * (i % 3)) / (_SEAM_TIMES - 1)
+            yield point

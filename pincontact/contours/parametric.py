@@ -23,11 +23,20 @@ class ParametricCurve(Contour):
                   (it branches on u, or calls compiled code) is fitted to rounding instead; `fit_error` says in m
                   how well
     domain:       (low, high) of u; may be infinite if f can be traced
-    periodic:     f(low) and f(high) are the same point, smoothly joined
+    periodic:     f repeats, whether or not its formula does: f(low) and f(high) are the same point, at all times, and
+                  so are the derivatives that the dynamics use, up to the second ones. This is checked
     derivatives:  same arguments -> (f_1, f_11), or (f_1, f_t, f_11, f_1t, f_tt) with time. Not needed; if given,
                   compared with the traced ones, or fitted together with f
-    time_domain:  (first, last) time in s for an f(u, t) that has to be fitted; beyond it the contour goes on with
-                  constant acceleration
+    time_domain:  (first, last) time in s at which f(u, t) is used. Needed if it has to be fitted: beyond it the contour
+                  goes on with constant acceleration then. Also needed if f is smooth at these times only: it has no
+                  value at others then. Without it, f must be smooth at all times from 0 on where it has a value
+
+    f must be twice continuously differentiable inside its domain: a traced formula is searched for all operations that
+    are not smooth everywhere (roots, quotients, angles, inverse functions), by bounds, so that nothing falls between
+    samples. The search has its limits: parameters and times beyond 1e6, and formulas of several variables that are
+    nearly rough in thousands of places. Branches are followed wherever they lead, and a fit begins a new piece where
+    the function changes. Code that cannot be looked into is seen at samples only: there, what is narrower than 1/2000
+    of a curve's domain (1/30 of each side of a surface's) may be missed.
 
     Raises ContourError if f is not finite or not smooth, does not return three numbers, or is not what was traced.
     """
@@ -43,9 +52,7 @@ class ParametricCurve(Contour):
         owner = "ParametricCurve"
         periodic = flag(owner, "periodic", periodic)
         checked = (interval(owner, "domain", domain),)
-        if time_domain is not None:
-            time_domain = interval(owner, "time_domain", time_domain)
-        program = compiled(Formula(owner, f, 1), checked, (periodic,), derivatives, time_domain)
+        program = compiled(Formula(owner, f, 1), checked, (periodic,), derivatives, _times(owner, time_domain))
         _initialise(self, program, checked, (periodic,))
         planar = program.constants[2] == 0.0
         if not planar and program.error > 0.0 and not program.time_dependent:
@@ -63,6 +70,7 @@ class ParametricSurface(Contour):
     periodic:     which parameters wrap around
     derivatives:  same arguments -> (f_1, f_2, f_11, f_12, f_22), or with time (f_1, f_2, f_t, f_11, f_12, f_1t,
                   f_22, f_2t, f_tt); not needed, see `ParametricCurve`
+    time_domain:  (first, last) time in s at which f is used, if it is smooth at these times only
 
     Raises ContourError as `ParametricCurve` does.
     """
@@ -73,11 +81,12 @@ class ParametricSurface(Contour):
         domain: tuple[tuple[float, float], tuple[float, float]],
         periodic: tuple[bool, bool] = (False, False),
         derivatives: Callable[..., Any] | None = None,
+        time_domain: tuple[float, float] | None = None,
     ) -> None:
         owner = "ParametricSurface"
         checked = _rectangle(owner, domain)
         wraps = flags(owner, "periodic", periodic)
-        program = compiled(Formula(owner, f, 2), checked, wraps, derivatives)
+        program = compiled(Formula(owner, f, 2), checked, wraps, derivatives, _times(owner, time_domain))
         _initialise(self, program, checked, wraps)
 
 
@@ -86,7 +95,8 @@ class HeightField(Contour):
 
     HeightField(f):        f(x, y) or f(x, y, t) -> z in m, traced or fitted as in `ParametricCurve`;
                            domain: ((low, high) of x, (low, high) of y), infinite if not given;
-                           derivatives: same arguments -> (f_x, f_y, f_xx, f_xy, f_yy), not needed
+                           derivatives: same arguments -> (f_x, f_y, f_xx, f_xy, f_yy), not needed;
+                           time_domain: as for `ParametricSurface`
     HeightField(x, y, z):  x (n1,), y (n2,) increasing, z (n1, n2), all in m: a spline of the given degree (at least
                            4) through the grid
 
@@ -102,6 +112,7 @@ class HeightField(Contour):
         domain: tuple[tuple[float, float], tuple[float, float]] | None = None,
         degree: int = 5,
         derivatives: Callable[..., Any] | None = None,
+        time_domain: tuple[float, float] | None = None,
     ) -> None:
         owner = "HeightField"
         if callable(f):
@@ -110,12 +121,13 @@ class HeightField(Contour):
             checked = (ALL, ALL) if domain is None else _rectangle(owner, domain)
             formula = Formula(owner, _lifted(f, takes_time(owner, f, 2)), 2)
             second = None if derivatives is None else _lifted_derivatives(derivatives)
-            _initialise(self, compiled(formula, checked, (False, False), second), checked, (False, False))
+            program = compiled(formula, checked, (False, False), second, _times(owner, time_domain))
+            _initialise(self, program, checked, (False, False))
             return
         if y is None or z is None:
             raise ContourError(f"{owner}: a grid needs x, y and z")
-        if domain is not None or derivatives is not None:
-            raise ContourError(f"{owner}: domain and derivatives go with a function, not with a grid")
+        if domain is not None or derivatives is not None or time_domain is not None:
+            raise ContourError(f"{owner}: domain, derivatives and time_domain go with a function, not with a grid")
         x, y, pool = height_grid(owner, f, y, z, degree)
         super().__init__(
             kind=HEIGHT_FIELD,
@@ -145,6 +157,10 @@ def _lifted_derivatives(derivatives: Callable[..., Any]) -> Callable[..., Any]:
     return lifted
 
 
+def _times(owner: str, given: Any) -> tuple[float, float] | None:
+    return None if given is None else interval(owner, "time_domain", given)
+
+
 def _rectangle(owner: str, domain: Any) -> tuple[tuple[float, float], ...]:
     try:
         first, second = domain
@@ -167,8 +183,7 @@ def _initialise(
         time_dependent=program.time_dependent,
         fit_error=program.error,
     )
-    u, _ = trials(domain)
-    rows = np.array([contour.evaluate(value) for value in u])
+    rows = np.array([contour.evaluate(value) for value in trials(domain)])
     size, first = np.abs(rows[:, F]).max(), rows[:, F_1]
     measure = first if len(domain) == 1 else np.cross(first, rows[:, F_2])
     # One singular point is a matter of taste; a shape that is singular everywhere is not a curve or surface.

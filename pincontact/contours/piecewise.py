@@ -10,7 +10,6 @@ still sees a twice differentiable contour.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +17,7 @@ import scipy
 from numpy.polynomial import chebyshev
 
 from ..jit import kernel
+from .periods import wrapped
 
 # Header.
 _COMPONENTS, _FIRST, _DIRECTIONS, _COEFFICIENTS, _TIME = range(5)
@@ -144,8 +144,7 @@ def _functions(pool, block, u):
     count, degree = int(pool[block + _COUNT]), int(pool[block + _DEGREE])
     breaks, scratch = int(pool[block + _BREAKS]), int(pool[block + _SCRATCH])
     if pool[block + _PERIODIC] != 0.0:
-        low, high = pool[breaks], pool[breaks + count]
-        u -= (high - low) * math.floor((u - low) / (high - low))
+        u = wrapped(u, pool[breaks], pool[breaks + count])
     interval = _interval(pool, breaks, count, pool[block + _UNIFORM] != 0.0, u)
     low, high = pool[breaks + interval], pool[breaks + interval + 1]
     scale = 2.0 / (high - low)

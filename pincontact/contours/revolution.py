@@ -123,6 +123,11 @@ class SurfaceOfRevolution(Contour):
         if sum(poles) != 1 and not periodic:
             object.__setattr__(self, "convex_side", _convex(rows, hand))
 
+    @property
+    def charts(self) -> tuple[int, ...]:
+        """As for all contours: 0, and 1 (2) where the low (high) end of the profile is a pole."""
+        return (0, *(chart for chart, pole in ((1, LOW_POLE), (2, HIGH_POLE)) if self.shape[pole]))
+
     def ends(self) -> np.ndarray:
         """(4,) as for all contours; where the profile meets the axis charts 1 and 2 go on, so there is no end."""
         out, row = super().ends(), self.shape_row()

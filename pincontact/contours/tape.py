@@ -10,12 +10,15 @@ from __future__ import annotations
 import math
 
 from ..jit import kernel
+from .periods import wrapped
 
 # Header of a tape: offsets into its pool.
 COUNT, VARIABLES, WIDTH, SCRATCH, OUTPUTS = range(5)
 RESULTS = 5  # (slot offset or -1, constant) for up to three outputs
 ROWS = 11  # derivative row of `base` for each entry of a slot
-INSTRUCTIONS = 21
+PERIODS = 21  # (low, high) of u1, then of u2, between which they repeat; equal where they do not
+TIMES = 25  # first and last time at which the tape is the function; it has no value at others
+INSTRUCTIONS = 27
 INSTRUCTION_SIZE = 5  # opcode, offset of a, offset of b, constant c, constant d
 
 # Linear instructions, then SINCOS (two slots), then functions of two arguments, then of one.
@@ -39,8 +42,7 @@ MULTIPLY, DIVIDE, POWER, ATAN2, HYPOT = range(3, 8)
     ASINH,
     ACOSH,
     ATANH,
-    ABS,
-) = range(8, 26)
+) = range(8, 25)
 
 
 @kernel
@@ -131,13 +133,9 @@ def function_of_one(op, x, c):
     if op == ACOSH:
         f_x = 1.0 / math.sqrt((x - 1.0) * (x + 1.0))
         return math.acosh(x), f_x, -x * f_x * f_x * f_x
-    if op == ATANH:
-        f_x = 1.0 / ((1.0 - x) * (1.0 + x))
-        return math.atanh(x), f_x, 2.0 * x * f_x * f_x
-    # ABS; that x keeps its sign is checked when the tape is made.
-    if x < 0.0:
-        return -x, -1.0, 0.0
-    return x, 1.0, 0.0
+    # ATANH
+    f_x = 1.0 / ((1.0 - x) * (1.0 + x))
+    return math.atanh(x), f_x, 2.0 * x * f_x * f_x
 
 
 @kernel
@@ -176,6 +174,12 @@ def run_tape(pool, u1, u2, t):
     n = int(pool[VARIABLES])
     width = int(pool[WIDTH])
     target = int(pool[SCRATCH])
+    if pool[PERIODS] < pool[PERIODS + 1]:
+        u1 = wrapped(u1, pool[PERIODS], pool[PERIODS + 1])
+    if pool[PERIODS + 2] < pool[PERIODS + 3]:
+        u2 = wrapped(u2, pool[PERIODS + 2], pool[PERIODS + 3])
+    if t < pool[TIMES] or t > pool[TIMES + 1]:
+        u1, t = math.nan, math.nan
     # The derivatives of the variables themselves are constants, stored when the tape is made.
     pool[target] = u1
     if n == 2:

@@ -2,8 +2,8 @@
 
 The function is called with `Symbol` arguments through a copy whose `math` and NumPy know symbols (in its
 globals, its closure and, recursively, in the plain Python functions that it calls), so that nothing of the
-user's is changed. Whatever asks a symbol for its number (a branch, a call into compiled code) stops the trace
-with `Untraceable`.
+user's is changed. A branch follows the outcome at one point, and the path remembers what was compared; `branches`
+finds out where else it is the same. A call into compiled code gets a number, and the path remembers that it is no tape.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import builtins
 import functools
 import math
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,7 @@ import numpy as np
 
 from . import tape as ops
 from .base import F_1, F_1T, F_2, F_2T, F_11, F_12, F_22, F_T, F_TT, F
+from .enclosures import ORIGIN, SIGN, Check, Interval, is_risky, values
 
 # What a slot's entries are, by the variables of the tape: rows of the derivative array.
 ROWS = {
@@ -41,13 +42,11 @@ class Tape:
     pool:            the tape as the kernels read it (writable: it holds its own scratch area)
     time_dependent:  whether t occurs in it
     constants:       for each output its value if it does not depend on any variable, else None
-    kinks:           offsets of the scratch slots whose absolute value is taken
     """
 
     pool: np.ndarray
     time_dependent: bool
     constants: tuple[float | None, ...]
-    kinks: tuple[int, ...]
 
     @property
     def instructions(self) -> int:
@@ -55,22 +54,78 @@ class Tape:
         return int(self.pool[ops.COUNT])
 
 
+class Path:
+    """What a function does at one point, and wherever else its comparisons have the same outcome.
+
+    reason: why there is no tape, empty if there is one
+    """
+
+    def __init__(
+        self, function: Callable[..., Any], variables: str, outputs: int, at: Sequence[float] | None = None
+    ) -> None:
+        self.graph = _Graph(None if at is None else dict(zip(variables, at)))
+        self.reason = ""
+        self._components: list[Any] = []
+        arguments = [self.graph.symbol(("variable", name)) for name in variables]
+        try:
+            result = _replace(function, {})(*arguments)
+            self._components = _components(result, outputs)
+            self.reason = self.graph.leak
+        except Untraceable as reason:
+            self.reason = str(reason)
+        except Exception as error:  # whatever the user's code raises on a symbol means the same
+            self.reason = f"{type(error).__name__}: {error}"
+
+    def tape(self, variables: str) -> Tape:
+        """The tape of this path. Raises `Untraceable` with the reason where there is none."""
+        if self.reason:
+            raise Untraceable(self.reason)
+        return self.graph.tape(self._components, variables)
+
+    @property
+    def comparisons(self) -> list[Check]:
+        """The signs that its comparisons found."""
+        return self.graph.comparisons
+
+    @property
+    def risks(self) -> list[Check]:
+        """The operations of its tape that are not smooth for all arguments."""
+        if self.reason:
+            return []
+        return [
+            check
+            for index in self.graph.reachable(self._roots())
+            if (check := _risk(self.graph.nodes[index])) is not None
+        ]
+
+    @property
+    def cuts(self) -> list[Check]:
+        """The angles of its tape, which jump by a turn at their cut."""
+        if self.reason:
+            return []
+        used = (self.graph.nodes[index] for index in self.graph.reachable(self._roots()))
+        return [(ops.ATAN2, node[2], node[3], 0.0) for node in used if node[:2] == ("two", ops.ATAN2)]
+
+    def _roots(self) -> list[int]:
+        return [part.index for part in self._components if isinstance(part, Symbol)]
+
+
+def _risk(node: tuple[Any, ...]) -> Check | None:
+    if node[0] == "two":
+        op = ORIGIN if node[1] == ops.ATAN2 else node[1]
+        return (op, node[2], node[3], 0.0) if is_risky(op, 0.0) else None
+    if node[0] == "one" and is_risky(node[1], node[3]):
+        return node[1], node[2], node[2], node[3]
+    return None
+
+
 def trace(function: Callable[..., Any], variables: str, outputs: int) -> Tape:
-    """The tape of function(*variables) -> `outputs` numbers.
+    """The tape of function(*variables) -> `outputs` numbers, which compares none of them.
 
     variables: "u", "ut", "uv" or "uvt".
     Raises `Untraceable` with the reason where the function does not follow from elementary operations.
     """
-    graph = _Graph()
-    arguments = [graph.symbol(("variable", name)) for name in variables]
-    try:
-        result = _replace(function, {})(*arguments)
-        components = _components(result, outputs)
-    except Untraceable:
-        raise
-    except Exception as error:  # whatever the user's code raises on a symbol means the same
-        raise Untraceable(f"{type(error).__name__}: {error}") from error
-    return graph.tape(components, variables)
+    return Path(function, variables, outputs).tape(variables)
 
 
 def _components(result: Any, outputs: int) -> list[Any]:
@@ -81,11 +136,35 @@ def _components(result: Any, outputs: int) -> list[Any]:
 
 
 class _Graph:
-    """Expressions without repetition: a node is (operation, arguments..., constants...)."""
+    """Expressions without repetition: a node is (operation, arguments..., constants...).
 
-    def __init__(self) -> None:
+    point:        values of the variables that decide comparisons, None if there are to be none
+    comparisons:  the signs that were decided
+    leak:         what took the number of a symbol out of the graph, empty if nothing did
+    """
+
+    def __init__(self, point: dict[str, float] | None = None) -> None:
         self.nodes: list[tuple[Any, ...]] = []
         self.known: dict[tuple[Any, ...], int] = {}
+        self.comparisons: list[Check] = []
+        self.leak = ""
+        self._point = point
+        self._values: dict[int, Interval] = {}
+
+    def number(self, index: int, what: str) -> float:
+        """The value of a node at the point. Raises Untraceable saying what needs it where there is no point."""
+        if self._point is None:
+            raise Untraceable(f"{what} needs the number of a parameter")
+        missing = [i for i in self.reachable([index]) if i not in self._values]
+        box = {name: Interval(np.array([x]), np.array([x])) for name, x in self._point.items()}
+        self._values.update(values(self.nodes, missing, box, self._values))
+        return float(self._values[index].lo[0])
+
+    def decided(self, index: int, what: str) -> float:
+        """A value whose sign the path depends on from here."""
+        value = self.number(index, what)
+        self.comparisons.append((SIGN, index, index, math.copysign(1.0, value)))
+        return value
 
     def symbol(self, node: tuple[Any, ...]) -> Symbol:
         if node not in self.known:
@@ -137,7 +216,7 @@ class _Graph:
         return self.affine(product.index, c * d, 0.0)
 
     def tape(self, components: list[Any], variables: str) -> Tape:
-        used = self._reachable([part.index for part in components if isinstance(part, Symbol)])
+        used = self.reachable([part.index for part in components if isinstance(part, Symbol)])
         timed = "t" in variables and any(self.nodes[i] == ("variable", "t") for i in used)
         if not timed:
             variables = variables.replace("t", "")
@@ -180,18 +259,16 @@ class _Graph:
             pool[ops.RESULTS + 2 * i] = scratch + width * slots[part.index] if traced else -1.0
             pool[ops.RESULTS + 2 * i + 1] = 0.0 if traced else part
         pool[ops.ROWS : ops.ROWS + width] = rows
-        kinks = []
+        pool[ops.TIMES : ops.TIMES + 2] = -math.inf, math.inf
         for i, (op, a, b, c, d) in enumerate(program):
             at = ops.INSTRUCTIONS + ops.INSTRUCTION_SIZE * i
             pool[at : at + 5] = op, scratch + width * a, scratch + width * b, c, d
-            if op == ops.ABS:
-                kinks.append(scratch + width * a)
         for i in range(n):
             pool[scratch + width * i + 1 + i] = 1.0
         constants = tuple(None if isinstance(part, Symbol) else float(part) for part in components)
-        return Tape(pool, timed, constants, tuple(kinks))
+        return Tape(pool, timed, constants)
 
-    def _reachable(self, roots: list[int]) -> list[int]:
+    def reachable(self, roots: list[int]) -> list[int]:
         """Nodes that the roots depend on; indices grow along dependencies, so sorting orders them."""
         seen: set[int] = set()
         stack = list(roots)
@@ -324,30 +401,110 @@ class Symbol:
     def __pos__(self) -> Symbol:
         return self
 
-    def __abs__(self) -> Symbol:
-        return self.one(ops.ABS)
+    def decided(self, what: str) -> float:
+        """Its value, whose sign the path depends on from here."""
+        return self.graph.decided(self.index, what)
+
+    def whole(self, shift: float = 0.0) -> int:
+        """The whole number below it, plus the shift; the path depends on it from here."""
+        shifted = self + shift
+        below = math.floor(self.graph.number(shifted.index, "rounding"))
+        for rest in (shifted - below, (below + 1) - shifted):
+            rest.decided("rounding")
+        return below
+
+    def __abs__(self) -> Any:
+        return -self if self.decided("an absolute value") < 0.0 else self
+
+    def __floor__(self) -> int:
+        return self.whole()
+
+    def __ceil__(self) -> int:
+        return -(-self).whole()
+
+    def __trunc__(self) -> int:
+        return self.__ceil__() if self.decided("rounding") < 0.0 else self.__floor__()
+
+    __int__ = __trunc__
+
+    def __round__(self, digits: int | None = None) -> Any:
+        scale = 10.0 ** (digits or 0)
+        nearest = (scale * self).whole(0.5)
+        return nearest if digits is None else nearest / scale
+
+    @_operator
+    def __floordiv__(self, other: Any) -> Any:
+        return _quotient(self, other)
+
+    @_operator
+    def __rfloordiv__(self, other: Any) -> Any:
+        return _quotient(other, self)
+
+    @_operator
+    def __mod__(self, other: Any) -> Any:
+        return self - other * _quotient(self, other)
+
+    @_operator
+    def __rmod__(self, other: Any) -> Any:
+        return other - self * _quotient(other, self)
+
+    @_operator
+    def __divmod__(self, other: Any) -> Any:
+        return self // other, self % other
+
+    @_operator
+    def __rdivmod__(self, other: Any) -> Any:
+        return other // self, other % self
+
+    def _difference(self, other: Any) -> float:
+        """The difference, whose sign the path depends on from here."""
+        difference = self - _number(other)
+        return difference.decided("a comparison") if isinstance(difference, Symbol) else difference
+
+    def __lt__(self, other: Any) -> bool:
+        return self._difference(other) < 0.0
+
+    def __le__(self, other: Any) -> bool:
+        return self._difference(other) <= 0.0
+
+    def __gt__(self, other: Any) -> bool:
+        return self._difference(other) > 0.0
+
+    def __ge__(self, other: Any) -> bool:
+        return self._difference(other) >= 0.0
+
+    def __eq__(self, other: Any) -> bool:
+        return self._difference(other) == 0.0
+
+    def __ne__(self, other: Any) -> bool:
+        return self._difference(other) != 0.0
+
+    def __bool__(self) -> bool:
+        return self.decided("a branch") != 0.0
+
+    def __float__(self) -> float:
+        number = self.graph.number(self.index, "a call into compiled code")
+        self.graph.leak = self.graph.leak or "a call into compiled code needs the number of a parameter"
+        return number
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **keywords: Any) -> Any:
-        if method != "__call__" or keywords or ufunc not in _SHIMS:
+        if method == "__call__" and not keywords and ufunc in _SHIMS:
+            return _SHIMS[ufunc](*inputs)
+        if method != "__call__" or any(_holds_symbols(value) for value in inputs):
             raise Untraceable(f"np.{ufunc.__name__} of a parameter")
-        return _SHIMS[ufunc](*inputs)
+        return ufunc(*(float(value) if isinstance(value, Symbol) else value for value in inputs), **keywords)
 
     def __hash__(self) -> int:
         return hash((id(self.graph), self.index))
 
-    __eq__ = _refuse("a comparison")
-    __ne__ = _refuse("a comparison")
-    __lt__ = _refuse("a comparison")
-    __le__ = _refuse("a comparison")
-    __gt__ = _refuse("a comparison")
-    __ge__ = _refuse("a comparison")
-    __bool__ = _refuse("a branch")
-    __float__ = _refuse("a call into compiled code")
     __complex__ = _refuse("a complex number")
-    __int__ = _refuse("an integer")
     __index__ = _refuse("an index")
-    __mod__ = __rmod__ = __floordiv__ = __rfloordiv__ = __divmod__ = __rdivmod__ = _refuse("a remainder")
-    __round__ = __floor__ = __ceil__ = __trunc__ = _refuse("rounding")
+
+
+def _quotient(x: Any, y: Any) -> float:
+    """The whole number below x / y, of which one is a symbol."""
+    ratio = x / y
+    return float(math.floor(ratio))
 
 
 def _two(op: int, x: Any, y: Any) -> Any:
@@ -426,6 +583,19 @@ _ELEMENTARY: list[tuple[str, Callable[..., Any]]] = [
     ("square", lambda x: x * x),
     ("reciprocal", lambda x: 1.0 / x),
     ("fabs abs absolute", abs),
+    ("sign", lambda x: 1.0 if x > 0.0 else -1.0),
+    ("copysign", lambda x, y: abs(x) if y > 0.0 else -abs(x)),
+    ("maximum fmax", lambda x, y: x if x > y else y),
+    ("minimum fmin", lambda x, y: x if x < y else y),
+    ("clip", lambda x, low, high: low if x < low else high if x > high else x),
+    ("heaviside", lambda x, middle: 1.0 if x > 0.0 else 0.0),
+    ("floor", math.floor),
+    ("ceil", math.ceil),
+    ("trunc fix", math.trunc),
+    ("rint", round),
+    ("mod", lambda x, y: x % y),
+    ("fmod", lambda x, y: x - y * math.trunc(x / y)),
+    ("floor_divide", lambda x, y: x // y),
     ("negative", lambda x: -x),
     ("positive", lambda x: x),
     ("radians deg2rad", lambda x: x * _DEGREE),

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from ..callback import kernel_address
 from ..contacts import characteristic_length
-from ..contours.base import DERIVATIVE_ROWS, ELLIPSOID, REVOLUTION, SHAPE_SIZE, SPHERE
+from ..contours.base import DERIVATIVE_ROWS, SHAPE_SIZE
 from ..contours.motion import MOTION_CALLABLE, MOTION_PARAMETERS, MOTION_SIZE
 from ..errors import UnusableResult
 from ..friction.laws import Stribeck
@@ -126,9 +126,6 @@ if TYPE_CHECKING:
     from ..contours.motion import Motion
     from .joints import Guard
 
-# Kinds whose first chart has poles.
-CHARTED_KINDS = (SPHERE, ELLIPSOID, REVOLUTION)
-
 # Friction up to this much above its limit is round-off: a contact exactly at the limit sticks.
 FORCE_SLACK = 1e-13
 # Lengths of resistances below this part of their contact's make torques that rounding of its forces hides.
@@ -191,7 +188,7 @@ class System:
         self._map_guards(guards)
         self._map_resistances()
         self._map_calls()
-        self.counters[CHARTED] = any(b.contour.kind in CHARTED_KINDS for c in self.contacts for b in (c.body1, c.body2))
+        self.counters[CHARTED] = any(len(b.contour.charts) > 1 for c in self.contacts for b in (c.body1, c.body2))
 
     def _map_pinocchio(self) -> None:
         memory, data, model = self.memory, self.data, self.model

@@ -107,7 +107,7 @@ def _refine(system: System, t: float, start: np.ndarray, branch: int, statuses: 
     integers[BRANCH] = branch
     charts = system.side_int[0:2, CHART]
     parameters = slice(system.nq + system.nv, system.nq + system.nv + 4)
-    for wanted in product(range(contact.body1.contour.charts), range(contact.body2.contour.charts)):
+    for wanted in product(contact.body1.contour.charts, contact.body2.contour.charts):
         # a start near a pole is better off in another chart, and one right at it fails in its own
         charts[:] = wanted
         system.location[0] = start if wanted == (0, 0) else np.where(np.array(wanted).repeat(2) == 0, start, 0.0)

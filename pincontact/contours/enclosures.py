@@ -1,0 +1,354 @@
+"""Bounds of a traced formula's quantities over boxes of its variables, by interval arithmetic.
+
+A formula is smooth where no root of it falls to zero, no denominator vanishes, no angle crosses its cut and no
+comparison changes its outcome. Samples cannot show that; bounds can. Boxes are evaluated many at a time: every bound is
+an array with one entry for each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from . import tape as ops
+
+
+class Interval:
+    """Numbers between lo and hi, arrays of one shape; what is not a number is unbounded."""
+
+    __slots__ = ("hi", "lo")
+
+    def __init__(self, lo: np.ndarray, hi: np.ndarray) -> None:
+        self.lo = np.where(np.isnan(lo), -np.inf, lo)
+        self.hi = np.where(np.isnan(hi), np.inf, hi)
+
+    def __add__(self, other: Interval) -> Interval:
+        return Interval(self.lo + other.lo, self.hi + other.hi)
+
+    def __mul__(self, other: Interval) -> Interval:
+        products = [x * y for x in (self.lo, self.hi) for y in (other.lo, other.hi)]
+        # zero times unbounded is zero
+        products = [np.where(np.isnan(product), 0.0, product) for product in products]
+        return Interval(np.minimum.reduce(products), np.maximum.reduce(products))
+
+    def affine(self, factor: float, shift: float = 0.0) -> Interval:
+        """factor x + shift."""
+        ends = (factor * self.lo + shift, factor * self.hi + shift)
+        return Interval(*(ends if factor >= 0.0 else ends[::-1]))
+
+    def rising(self, f: Callable[[np.ndarray], np.ndarray]) -> Interval:
+        """f(x) for a function that grows."""
+        return Interval(f(self.lo), f(self.hi))
+
+    def clipped(self, lo: float, hi: float = np.inf) -> Interval:
+        """What of it is between lo and hi."""
+        return Interval(np.clip(self.lo, lo, hi), np.clip(self.hi, lo, hi))
+
+    def meets(self, other: Interval) -> Interval:
+        """What is in both, which have some number in common, up to rounding."""
+        lo, hi = np.maximum(self.lo, other.lo), np.minimum(self.hi, other.hi)
+        return Interval(np.minimum(lo, hi), np.maximum(lo, hi))
+
+    @property
+    def magnitude(self) -> np.ndarray:
+        """The largest |x|."""
+        return np.maximum(np.abs(self.lo), np.abs(self.hi))
+
+    @property
+    def distance(self) -> np.ndarray:
+        """The least |x|, or a negative number where zero is within."""
+        return np.maximum(self.lo, -self.hi)
+
+    def absolute(self) -> Interval:
+        """|x|."""
+        return Interval(np.maximum(self.distance, 0.0), self.magnitude)
+
+    def inverse(self) -> Interval:
+        """1 / x, unbounded where zero is within."""
+        whole = self.distance <= 0.0
+        return Interval(np.where(whole, -np.inf, 1.0 / self.hi), np.where(whole, np.inf, 1.0 / self.lo))
+
+    def square(self) -> Interval:
+        """x^2."""
+        return self.absolute().rising(np.square)
+
+    def cosine(self) -> Interval:
+        """cos x."""
+        a, b = np.cos(self.lo), np.cos(self.hi)
+        turn = 2.0 * math.pi
+        top = np.floor(self.hi / turn) >= np.ceil(self.lo / turn)
+        bottom = np.floor((self.hi - math.pi) / turn) >= np.ceil((self.lo - math.pi) / turn)
+        unbounded = ~np.isfinite(self.lo) | ~np.isfinite(self.hi)
+        return Interval(
+            np.where(bottom | unbounded, -1.0, np.minimum(a, b)), np.where(top | unbounded, 1.0, np.maximum(a, b))
+        )
+
+    def power(self, c: float) -> Interval:
+        """x^c; of a power that is not whole, where x is positive."""
+        if c < 0.0:
+            return self.power(-c).inverse()
+        if c != round(c):
+            return self.clipped(0.0).rising(lambda x: x**c)
+        return (self if c % 2.0 else self.absolute()).rising(lambda x: x**c)
+
+
+_GROWING: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+    ops.SQRT: np.sqrt,
+    ops.EXP: np.exp,
+    ops.EXPM1: np.expm1,
+    ops.LOG: np.log,
+    ops.LOG1P: np.log1p,
+    ops.ASIN: np.arcsin,
+    ops.ATAN: np.arctan,
+    ops.SINH: np.sinh,
+    ops.TANH: np.tanh,
+    ops.ASINH: np.arcsinh,
+    ops.ACOSH: np.arccosh,
+    ops.ATANH: np.arctanh,
+}
+# Where a function of one variable is defined, if not everywhere.
+_DEFINED = {
+    ops.SQRT: (0.0, np.inf),
+    ops.LOG: (0.0, np.inf),
+    ops.LOG1P: (-1.0, np.inf),
+    ops.ASIN: (-1.0, 1.0),
+    ops.ACOSH: (1.0, np.inf),
+    ops.ATANH: (-1.0, 1.0),
+}
+# First derivatives as powers of polynomials: (square's factor, constant, power) of (factor x^2 + constant)^power.
+_SLOPES = {
+    ops.ASIN: (-1.0, 1.0, -0.5),
+    ops.ATAN: (1.0, 1.0, -1.0),
+    ops.ASINH: (1.0, 1.0, -0.5),
+    ops.ACOSH: (1.0, -1.0, -0.5),
+    ops.ATANH: (-1.0, 1.0, -1.0),
+}
+
+
+def _of_one(op: int, c: float, x: Interval) -> tuple[Interval, Interval]:
+    """Bounds of the function `op` with constant c, and of its derivative."""
+    x = x.clipped(*_DEFINED[op]) if op in _DEFINED else x
+    if op == ops.SQUARE:
+        return x.square(), x.affine(2.0)
+    if op == ops.INVERSE:
+        inverse = x.inverse()
+        return inverse.affine(c), inverse.square().affine(-c)
+    if op == ops.POWER_CONSTANT:
+        return x.power(c), x.power(c - 1.0).affine(c)
+    if op == ops.COSH:
+        return x.absolute().rising(np.cosh), x.rising(np.sinh)
+    if op == ops.TAN:
+        value = x.rising(np.tan)
+        pole = _away(ops.TAN, 0.0, x, x) <= 0.0
+        value = Interval(np.where(pole, -np.inf, value.lo), np.where(pole, np.inf, value.hi))
+        return value, value.square().affine(1.0, 1.0)
+    value = x.rising(_GROWING[op])
+    if op == ops.SQRT:
+        slope = value.inverse().affine(0.5)
+    elif op == ops.EXP:
+        slope = value
+    elif op == ops.EXPM1:
+        slope = x.rising(np.exp)
+    elif op == ops.LOG:
+        slope = x.inverse()
+    elif op == ops.LOG1P:
+        slope = x.affine(1.0, 1.0).inverse()
+    elif op == ops.SINH:
+        slope = x.absolute().rising(np.cosh)
+    elif op == ops.TANH:
+        slope = value.square().affine(-1.0, 1.0)
+    else:
+        factor, constant, power = _SLOPES[op]
+        slope = x.square().affine(factor, constant).clipped(0.0).power(power)
+    return value, slope
+
+
+def _of_two(op: int, x: Interval, y: Interval) -> tuple[Interval, Interval, Interval]:
+    """Bounds of the function `op`, and of its derivatives by x and y."""
+    if op == ops.MULTIPLY:
+        return x * y, y, x
+    if op == ops.DIVIDE:
+        inverse = y.inverse()
+        value = x * inverse
+        return value, inverse, (value * inverse).affine(-1.0)
+    if op == ops.POWER:
+        log, by_log = _of_one(ops.LOG, 0.0, x)
+        value = (log * y).rising(np.exp)
+        return value, value * y * by_log, value * log
+    square = x.square() + y.square()
+    if op == ops.HYPOT:
+        value = square.rising(np.sqrt)
+        inverse = value.inverse()
+        return value, x * inverse, y * inverse
+    # ATAN2 is largest and least at corners, unless its cut is within
+    corners = [np.arctan2(a, b) for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
+    cut = _away(ops.ATAN2, 0.0, x, y) <= 0.0
+    value = Interval(
+        np.where(cut, -math.pi, np.minimum.reduce(corners)), np.where(cut, math.pi, np.maximum.reduce(corners))
+    )
+    inverse = square.inverse()
+    return value, y * inverse, (x * inverse).affine(-1.0)
+
+
+# A comparison: the sign of a quantity, which is that of the constant. ORIGIN: where an angle has no value.
+SIGN, ORIGIN = -1, -2
+
+
+def _away(op: int, c: float, x: Interval, y: Interval) -> np.ndarray:
+    """How far, at least, the arguments of `op` are from where it is not smooth; positive where it is."""
+    if op == SIGN:
+        return x.lo if c > 0.0 else -x.hi
+    if op in (ops.SQRT, ops.LOG, ops.POWER) or (op == ops.POWER_CONSTANT and c != round(c) and c < 2.0):
+        return x.lo
+    if op == ops.POWER_CONSTANT and c != round(c):
+        # twice differentiable at zero
+        return np.where(x.lo == 0.0, np.finfo(float).tiny, x.lo)
+    if op in (ops.INVERSE, ops.POWER_CONSTANT):
+        return x.distance
+    if op == ops.DIVIDE:
+        return y.distance
+    if op == ops.LOG1P:
+        return x.lo + 1.0
+    if op in (ops.ASIN, ops.ATANH):
+        return np.minimum(x.lo + 1.0, 1.0 - x.hi)
+    if op == ops.ACOSH:
+        return x.lo - 1.0
+    if op == ops.TAN:
+        return x.cosine().distance
+    if op == ops.ATAN2:
+        return np.maximum(y.lo, x.distance)
+    return np.maximum(x.distance, y.distance)  # HYPOT, ORIGIN
+
+
+# What is wrong where `_away` is not positive.
+FAULTS = {
+    ops.SQRT: "the square root of a quantity that falls to zero",
+    ops.LOG: "the logarithm of a quantity that falls to zero",
+    ops.LOG1P: "the logarithm of a quantity that falls to zero",
+    ops.POWER: "a power of a quantity that falls to zero",
+    ops.POWER_CONSTANT: "a power of a quantity that falls to zero",
+    ops.INVERSE: "a quotient whose denominator vanishes",
+    ops.DIVIDE: "a quotient whose denominator vanishes",
+    ops.ASIN: "the arc sine or cosine of a quantity that reaches 1 or -1",
+    ops.ATANH: "the inverse hyperbolic tangent of a quantity that reaches 1 or -1",
+    ops.ACOSH: "the inverse hyperbolic cosine of a quantity that falls to 1",
+    ops.TAN: "the tangent of an angle that reaches a quarter turn",
+    ops.HYPOT: "the length of a vector that vanishes",
+    ORIGIN: "the angle of a vector that vanishes",
+}
+
+
+def is_risky(op: int, c: float) -> bool:
+    """Whether there are arguments where the function `op` with constant c is not smooth."""
+    if op == ops.POWER_CONSTANT:
+        return c < 0.0 or c != round(c)
+    return op in FAULTS
+
+
+def is_end(op: int, c: float) -> bool:
+    """Whether the function `op` with constant c has no value beyond where it is not smooth."""
+    if op == ops.POWER_CONSTANT:
+        return c != round(c)
+    return op in _DEFINED or op == ops.POWER
+
+
+# A check: operation, nodes of its arguments (the same twice if it has one) and constant.
+Check = tuple[int, int, int, float]
+
+
+def values(
+    nodes: Sequence[tuple[Any, ...]], order: Sequence[int], box: dict[str, Interval], known: dict[int, Interval]
+) -> dict[int, Interval]:
+    """Bounds of the nodes of a graph by their numbers, in an order in which arguments come first unless known."""
+    with np.errstate(all="ignore"):
+        enclosed = _enclosed(nodes, order, box, {}, known={index: (value, {}) for index, value in known.items()})
+    return {index: value for index, (value, _) in enclosed.items()}
+
+
+def margins(
+    nodes: Sequence[tuple[Any, ...]],
+    order: Sequence[int],
+    checks: Sequence[Check],
+    variables: str,
+    low: np.ndarray,
+    high: np.ndarray,
+    inside: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How far a graph's functions are from where they are not smooth, on boxes.
+
+    low, high, inside: (m, n) ends of the boxes and a point of each. Returns the least margins of all checks on the
+    boxes (k, m), those at the points (k, m), NaN where the quantity is not finite, and bounds of the slopes of the
+    checks' first and second arguments (k, m, n, 2, 2), low before high.
+    """
+    with np.errstate(all="ignore"):
+        points = {name: Interval(inside[:, i], inside[:, i]) for i, name in enumerate(variables)}
+        at_points = values(nodes, order, points, {})
+        box = {name: Interval(low[:, i], high[:, i]) for i, name in enumerate(variables)}
+        reach = {
+            name: Interval(low[:, i] - inside[:, i], high[:, i] - inside[:, i]) for i, name in enumerate(variables)
+        }
+        enclosed = _enclosed(nodes, order, box, reach, at_points)
+        least, there, slopes = [], [], []
+        for op, a, b, c in checks:
+            least.append(_away(op, c, enclosed[a][0], enclosed[b][0]))
+            here = _away(op, c, at_points[a], at_points[b])
+            there.append(np.where(np.isfinite(here), here, np.nan))
+            by_variable = [[enclosed[argument][1][name] for argument in (a, b)] for name in variables]
+            slopes.append([[(slope.lo, slope.hi) for slope in arguments] for arguments in by_variable])
+    return np.array(least), np.array(there), np.moveaxis(np.array(slopes), -1, 1)
+
+
+def _enclosed(
+    nodes: Sequence[tuple[Any, ...]],
+    order: Sequence[int],
+    box: dict[str, Interval],
+    reach: dict[str, Interval],
+    at_points: dict[int, Interval] | None = None,
+    known: dict[int, tuple[Interval, dict[str, Interval]]] | None = None,
+) -> dict[int, tuple[Interval, dict[str, Interval]]]:
+    """Bounds of nodes and of their derivatives by the variables in `reach`: how far the box goes from its point.
+
+    With the values at the points, bounds are sharpened by the mean value theorem: their excess is quadratic in the
+    size of the box then.
+    """
+    out = known or {}
+    for index in order:
+        node = nodes[index]
+        if node[0] == "variable":
+            value = box[node[1]]
+            one, zero = np.ones_like(value.lo), np.zeros_like(value.lo)
+            slopes = {name: Interval(*[one if name == node[1] else zero] * 2) for name in reach}
+            out[index] = value, slopes
+            continue
+        if node[0] == "affine":
+            x, x_slopes = out[node[1]]
+            value = x.affine(node[2], node[3])
+            slopes = {name: slope.affine(node[2]) for name, slope in x_slopes.items()}
+        elif node[0] == "linear":
+            (x, x_slopes), (y, y_slopes) = out[node[1]], out[node[2]]
+            value = x.affine(node[3]) + y.affine(node[4])
+            slopes = {name: x_slopes[name].affine(node[3]) + y_slopes[name].affine(node[4]) for name in reach}
+        elif node[0] == "two":
+            (x, x_slopes), (y, y_slopes) = out[node[2]], out[node[3]]
+            value, by_x, by_y = _of_two(node[1], x, y)
+            slopes = {name: by_x * x_slopes[name] + by_y * y_slopes[name] for name in reach}
+        else:
+            if node[0] in ("sin", "cos"):
+                x, x_slopes = out[node[1]]
+                quarter = 0.5 * math.pi
+                ahead, behind = x.affine(1.0, quarter).cosine(), x.affine(1.0, -quarter).cosine()
+                value, slope = (behind, x.cosine()) if node[0] == "sin" else (x.cosine(), ahead)
+            else:
+                x, x_slopes = out[node[2]]
+                value, slope = _of_one(node[1], node[3], x)
+            slopes = {name: slope * x_slopes[name] for name in reach}
+        if at_points is not None:
+            mean = at_points[index]
+            for name, offset in reach.items():
+                mean = mean + slopes[name] * offset
+            value = value.meets(mean)
+        out[index] = value, slopes
+    return out

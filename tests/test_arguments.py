@@ -145,6 +145,7 @@ CASES = {
             "z": [*table(7), None],
             "degree": [*COUNT, None, 3],
             "domain": PATCH,
+            "time_domain": INTERVAL,
         },
         ("derivatives",),
     ),
@@ -157,7 +158,7 @@ CASES = {
     "ParametricSurface": (
         pc.ParametricSurface,
         {"f": lambda u, v: (u, v, u * v), "domain": ((0.0, 1.0), (0.0, 1.0))},
-        {"domain": [*PATCH, None], "periodic": [*FLAG, (0.5, True)]},
+        {"domain": [*PATCH, None], "periodic": [*FLAG, (0.5, True)], "time_domain": INTERVAL},
         ("f", "derivatives"),
     ),
     "ConstantTwist": (

@@ -304,7 +304,7 @@ class RandomContact:
         friction: pc.FrictionLaw | None = None,
         reverse: bool = False,
     ) -> None:
-        self._arguments = (pattern, names, motions, on_world, seed, reverse)
+        self._arguments = (pattern, names, motions, on_world, seed, friction, reverse)
         rng = np.random.default_rng(seed)
         planar = pattern in PLANAR
         shapes = [contour(pattern, body, name) for body, name in zip((1, 2), names)]
@@ -363,7 +363,8 @@ class RandomContact:
 
     def with_friction(self, friction: pc.FrictionLaw) -> RandomContact:
         """The same contact with another law."""
-        return RandomContact(*self._arguments, friction=friction)
+        *others, _, reverse = self._arguments
+        return RandomContact(*others, friction, reverse)
 
     @staticmethod
     def _inertia(rng: np.random.Generator) -> pin.Inertia:

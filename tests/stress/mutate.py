@@ -358,6 +358,8 @@ def main() -> int:
     for change, result in noticed(sample, tests, options.jobs):
         if result in ("noticed", "hangs"):
             counts[result] += 1
+            if sum(counts.values()) % 20 == 0:
+                print(f"{sum(counts.values())} tried", flush=True)
             continue
         reason = HARMLESS.get((change.file, change.function, change.text, change.what))
         counts["harmless" if reason else "missed"] += 1

@@ -14,7 +14,7 @@ import scipy
 from ..arguments import check_tolerance
 from ..errors import ArgumentError, StateError
 from ..state import State
-from .instant import FIRST_STEP, Instant, derivative
+from .instant import Instant, derivative
 from .symmetry import find_symmetries
 
 if TYPE_CHECKING:
@@ -141,9 +141,7 @@ def linearize(
     coordinates = [coordinates] if isinstance(coordinates, str) else coordinates
     instant = Instant(scene, state, tau)
     if instant.starting():
-        raise StateError(
-            f"contact {instant.starting()[0]!r} begins to slip at this state: no linear motion describes it"
-        )
+        raise StateError(f"{instant.starting()[0]} begins to slip at this state: no linear motion describes it")
     q, v, model, nv = instant.q, instant.v, instant.model, instant.system.nv
     wanted = [_coordinate(model, entry) for entry in coordinates]
     a = instant.evaluate()
@@ -182,8 +180,7 @@ def linearize(
     drag = np.zeros((nv, nv))
     for k in range(nv):
         unit = np.eye(nv)[k]
-        # quadratic in v but for slipping contacts, whose direction turns within a step of the speed of slip
-        step = FIRST_STEP * max(1.0, float(np.abs(v).max(initial=0.0)))
+        step = instant.step_along(dv=unit)
         drag[:, k], off = derivative(lambda h, unit=unit: instant.evaluate(v=v + h * unit), step)  # type: ignore[misc]
         error = max(error, off)
     torque = np.zeros((nv, nv))

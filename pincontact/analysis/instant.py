@@ -31,6 +31,7 @@ from ..layout import (
     LENGTH,
     LOW_END,
     MODE,
+    MU_STATIC,
     NORMAL_MARGIN,
     PATTERN,
     SLIPPING,
@@ -105,9 +106,7 @@ class Instant:
         check_state(scene, state)
         self.scene, self.model = scene, scene.model
         contacts = list(scene.contacts.values())
-        self.system = system = System(
-            scene.model, contacts, guards=joint_guards(scene.model), resistances=True
-        )
+        self.system = system = System(scene.model, contacts, guards=joint_guards(scene.model), resistances=True)
         self.t = float(state.t)
         self.tau = check_vector("tau", np.zeros(system.nv) if tau is None else tau, system.nv)
         self.q, self.v = state.q.copy(), state.v.copy()
@@ -210,12 +209,37 @@ class Instant:
     def starting(self) -> list[str]:
         """What begins to slip, to turn against its resistance, or to move against its dry friction at this very state."""
         system = self.system
-        contacts = np.flatnonzero(system.contact_int[:, FROZEN])
-        return [f"contact {system.contacts[system.owner(int(i))].name!r}" for i in contacts] + [
-            f"joint {guard.joint!r}"
+        items = np.flatnonzero(system.contact_int[:, FROZEN]).tolist() + [
+            system.nc + g
             for g, guard in enumerate(system.guards)
             if system.guard_int[g, GUARD_SIGN] != 0 and self.at_rest(float(self.v[guard.index_v]))
         ]
+        return [self._names(item)[0] for item in items]
+
+    def at_limit(self) -> list[str]:
+        """What rests with friction that is just at its limit: it would move for one sign of a deviation. Not where forces
+        are redundant, of which others might bear."""
+        system = self.system
+        constrained = self.constrained()
+        if self.directions(constrained).redundant:
+            return []
+        friction, normal = system.margins[:, FRICTION_MARGIN], system.margins[:, NORMAL_MARGIN]
+        loads = float(np.abs([system.bias_forces, self.tau]).max(initial=0.0))
+        out = []
+        for item in dict.fromkeys(item for item, _ in constrained):
+            name, joint = self._names(item)
+            sticks = system.contact_int[item, MODE] == STICK and math.isfinite(system.contact_real[item, MU_STATIC])
+            margin = min(friction[item], normal[item]) if joint else friction[item] if sticks else math.inf
+            if margin < _FORCE_ROUND_OFF * loads:
+                out.append(name)
+        return out
+
+    def _names(self, item: int) -> tuple[str, bool]:
+        """What an item is called in messages, and whether it is a joint's coordinate."""
+        system = self.system
+        if system.nc <= item < system.nc + system.ng:
+            return f"joint {system.guards[item - system.nc].joint!r}", True
+        return f"contact {system.contacts[system.owner(item)].name!r}", False
 
     def follow(self) -> None:
         """Look for contact points from those of the last evaluation on, in charts that suit them."""

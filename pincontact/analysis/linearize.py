@@ -118,7 +118,9 @@ def linearize(
 ) -> Linearization:
     """Linearise a scene's motion about an equilibrium or a steady motion.
 
-    Contacts keep the mode they have at the state. Geometric constraints reduce configurations and velocities, rolling
+    Contacts keep the mode they have at the state, and so do joints: one that rests at an end of its way stays there, as
+    if by a GC, one that rests by dry friction has no velocity, as if by a VC, and one that moves has its dry friction
+    as a constant force. Geometric constraints reduce configurations and velocities, rolling
     constraints velocities only, so n = 2 (nv - GCs) - VCs: rolling does not bind the configuration. Derivatives are
     Richardson extrapolations of the package's own constrained accelerations, exact to about 1e-11; their error is
     estimated and reported.
@@ -131,7 +133,8 @@ def linearize(
     coordinates: velocity coordinates (indices, or names such as "steer" and "root_joint.wx") to describe deviations by;
     those are taken that are independent, in this order, then the best conditioned of the others.
     tolerance: how far the motion may be from steady (`Linearization.defect`), relative to v and a where these exceed 1.
-    Raises StateError where it is farther, where a contact begins to slip at the state, or for a bad tau; ArgumentError
+    Raises StateError where it is farther, where a contact or joint begins to slip at the state or rests with its friction
+    just at the limit, or for a bad tau; ArgumentError
     for an unknown coordinate or a state of another scene; SolverError, SingularContactError where there are no
     accelerations.
     """
@@ -142,6 +145,10 @@ def linearize(
     instant = Instant(scene, state, tau)
     if instant.starting():
         raise StateError(f"{instant.starting()[0]} begins to slip at this state: no linear motion describes it")
+    if instant.at_limit():
+        raise StateError(
+            f"{instant.at_limit()[0]} rests with its friction just at the limit: no linear motion describes it"
+        )
     q, v, model, nv = instant.q, instant.v, instant.model, instant.system.nv
     wanted = [_coordinate(model, entry) for entry in coordinates]
     a = instant.evaluate()

@@ -175,8 +175,8 @@ class Instant:
         q: np.ndarray | None = None,
         v: np.ndarray | None = None,
     ) -> float:
-        """First step of differences along directions (nv,) of the configuration, in m and rad, and of the velocity, from
-        (q, v), by default the state's own.
+        """First step of differences along directions (nv,) of the configuration, in m and rad, and of the velocity,
+        from (q, v), by default the state's own.
 
         Accelerations are quadratic in v but for slip, whose direction turns, and whose friction changes, within a
         change of v_c of its own size.
@@ -200,14 +200,14 @@ class Instant:
         return float(min(step, FIRST_STEP * (size / np.maximum(change, 1e-300)).min()))
 
     def _slip(self, items: np.ndarray) -> np.ndarray:
-        """(len(items), 2) tangential components of v_c, or of omega, of the last evaluation; those that friction sees."""
+        """(len(items), 2) tangential components of v_c, or of omega, that friction sees, of the last evaluation."""
         system = self.system
         along = np.einsum("cij,cj->ci", system.basis[items, :2], system.slip[items])
         along[system.contact_int[items, TANGENTS] < 2, 1] = 0.0
         return along
 
     def starting(self) -> list[str]:
-        """What begins to slip, to turn against its resistance, or to move against its dry friction at this very state."""
+        """What begins to slip, to turn against its resistance or to move against its dry friction at this state."""
         system = self.system
         items = np.flatnonzero(system.contact_int[:, FROZEN]).tolist() + [
             system.nc + g
@@ -217,7 +217,7 @@ class Instant:
         return [self._names(item)[0] for item in items]
 
     def at_limit(self) -> list[str]:
-        """What rests with friction that is just at its limit: it would move for one sign of a deviation. Not where forces
+        """What rests with friction just at its limit: it would move for one sign of a deviation. Nothing where forces
         are redundant, of which others might bear."""
         system = self.system
         constrained = self.constrained()
@@ -254,7 +254,7 @@ class Instant:
 
     def constrained(self) -> list[tuple[int, int]]:
         """(item, basis row) of every constrained component of v_c, of omega where turning is resisted, or of a held
-        joint's velocity: normals, then tangents in stick. Items are contacts, guarded joint coordinates, resistances."""
+        joint's velocity: normals, then tangents in stick. Items are those of `System`."""
         integers = self.system.contact_int
         normals, tangents = [], [(self.system.nc + g, 2) for g in self.system.held()]
         for c in [*self.system.closed(), *self.system.resisting()]:

@@ -119,11 +119,10 @@ def linearize(
     """Linearise a scene's motion about an equilibrium or a steady motion.
 
     Contacts keep the mode they have at the state, and so do joints: one that rests at an end of its way stays there, as
-    if by a GC, one that rests by dry friction has no velocity, as if by a VC, and one that moves has its dry friction
-    as a constant force. Geometric constraints reduce configurations and velocities, rolling
-    constraints velocities only, so n = 2 (nv - GCs) - VCs: rolling does not bind the configuration. Derivatives are
-    Richardson extrapolations of the package's own constrained accelerations, exact to about 1e-11; their error is
-    estimated and reported.
+    by a GC, one that rests by dry friction has no velocity, as by a VC, and the dry friction of one that moves is a
+    constant force. Geometric constraints reduce configurations and velocities, rolling constraints velocities only, so
+    n = 2 (nv - GCs) - VCs: rolling does not bind the configuration. Derivatives are Richardson extrapolations of the
+    package's own constrained accelerations, exact to about 1e-11; their error is estimated and reported.
 
     A steady motion follows a symmetry (see `analysis.symmetry`): the deviation is taken in axes that go along with it,
     where A is constant. So a bicycle that runs straight, a disk that rolls in a circle and a bead in a rotating hoop
@@ -133,10 +132,9 @@ def linearize(
     coordinates: velocity coordinates (indices, or names such as "steer" and "root_joint.wx") to describe deviations by;
     those are taken that are independent, in this order, then the best conditioned of the others.
     tolerance: how far the motion may be from steady (`Linearization.defect`), relative to v and a where these exceed 1.
-    Raises StateError where it is farther, where a contact or joint begins to slip at the state or rests with its friction
-    just at the limit, or for a bad tau; ArgumentError
-    for an unknown coordinate or a state of another scene; SolverError, SingularContactError where there are no
-    accelerations.
+    Raises StateError where it is farther, where a contact or a joint begins to slip at the state, or rests with its
+    friction just at the limit, or for a bad tau; ArgumentError for an unknown coordinate or a state of another scene;
+    SolverError, SingularContactError where there are no accelerations.
     """
     check_tolerance(tolerance)
     if not isinstance(coordinates, Sequence):

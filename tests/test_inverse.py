@@ -435,7 +435,7 @@ def test_least_torques_of_legs_with_dry_friction(law):
     """Some joints driven, feet held, against SciPy's bounded least squares, where the equations of motion are rows with
     a weight: they are kept to one part in its square."""
     weight, used, refused = 1e6, 0, 0
-    for seed in range(24):
+    for seed in range(60):
         rng = np.random.default_rng(3000 + seed)
         scene, state = held_tree(seed, law, bool(rng.random() < 0.5), int(rng.integers(1, 3)), int(rng.integers(2, 5)))
         model, nv = scene.model, scene.model.nv
@@ -455,6 +455,10 @@ def test_least_torques_of_legs_with_dry_friction(law):
         contacts /= np.maximum(np.linalg.norm(contacts, axis=0), 1e-300)
         joints = scale * np.linalg.solve(factor, np.eye(nv)) / np.linalg.norm(loads)
         unknowns = np.hstack([joints[:, driven], joints[:, dry], contacts])
+        values = np.linalg.svd(unknowns, compute_uv=False)
+        if values[values > 1e-9].min() < 0.05:
+            # SciPy's solution has the square of that
+            continue
         count = unknowns.shape[1]
         bound = np.full(count, np.inf)
         bound[driven.size : driven.size + dry.size] = friction[dry] / scale
@@ -478,4 +482,4 @@ def test_least_torques_of_legs_with_dry_friction(law):
         assert (np.abs(found.joint_forces) <= friction * (1.0 + 1e-12)).all()
         used += bool((np.abs(np.abs(found.joint_forces) - friction)[dry] < 1e-9 * scale).any())
     assert used > 3
-    assert refused < 20
+    assert 0 < refused < 20

@@ -130,3 +130,40 @@ def random_scene(seed: int) -> tuple[pc.Scene, pc.State, Callable | None]:
         model.lowerPositionLimit[-1], model.upperPositionLimit[-1] = state.q[-1] - low, state.q[-1] + high
     torques = rng.normal(size=model.nv)
     return scene, state, (lambda t, q, v: math.cos(3.0 * t) * torques) if rng.random() < 0.4 else None
+
+
+def resting_chain(seed: int) -> tuple[pc.Scene, np.ndarray, np.ndarray, np.ndarray]:
+    """A cart at rest or moving, with or without dry friction, that carries a chain of joints: free, damped, held by dry
+    friction or pressed onto their stops. Returns scene, q, v, tau."""
+    rng = np.random.default_rng(seed)
+    model, parent = pin.Model(), 0
+    for i in range(int(rng.integers(3, 6))):
+        joint, place = pin.JointModelPX(), pin.SE3.Identity()
+        if i > 0:
+            kind = pin.JointModelRevoluteUnaligned if rng.random() < 0.7 else pin.JointModelPrismaticUnaligned
+            joint, place = kind(axis(rng)), placement(rng, 0.3)
+        parent = model.addJoint(parent, joint, place, f"joint {i}")
+        a = rng.normal(size=(3, 3))
+        inertia = pin.Inertia(rng.uniform(0.5, 2.0), rng.uniform(-0.3, 0.3, 3), 0.02 * (a @ a.T + np.eye(3)))
+        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+    nv = model.nv
+    q, v, damping, load = rng.uniform(-1.0, 1.0, nv), np.zeros(nv), np.zeros(nv), np.zeros(nv)
+    ends, dry = np.array([np.full(nv, -np.inf), np.full(nv, np.inf)]), np.zeros((2, nv))
+    for k, kind in enumerate(["cart", *rng.choice(["free", "damped", "dry", "stop", "dry stop"], nv - 1)]):
+        if "dry" in kind or (k == 0 and rng.random() < 0.6):
+            dry[:, k] = -rng.uniform(0.5, 2.0), rng.uniform(0.5, 2.0)
+        if k == 0 and rng.random() < 0.7:
+            v[0] = rng.uniform(-1.0, 1.0)
+            load[0] = -dry[0 if v[0] > 0.0 else 1, 0]
+        if kind == "damped" or (k == 0 and rng.random() < 0.4):
+            damping[k] = rng.uniform(0.05, 0.5)
+        if kind == "dry":
+            load[k] = rng.uniform(-0.4, 0.4)
+        if "stop" in kind:
+            end = rng.integers(2)
+            ends[:, k], load[k] = [(q[k], q[k] + 1.0), (q[k] - 1.0, q[k])][end], [-5.0, 5.0][end]
+    model.lowerPositionLimit, model.upperPositionLimit = ends
+    model.lowerDryFrictionLimit, model.upperDryFrictionLimit = dry
+    model.damping = damping
+    tau = pin.rnea(model, model.createData(), q, v, np.zeros(nv)) + damping * v + load
+    return pc.Scene(model), q, v, tau

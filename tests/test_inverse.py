@@ -7,9 +7,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from random_contacts import PATTERNS, RandomContact
+from random_scenes import resting_chain
+from scipy.optimize import lsq_linear
 from turning_ball import MASS, RADIUS, G, ball, on_the_floor
 
 import pincontact as pc
+from pincontact.analysis.instant import Instant
 from pincontact.dynamics.system import System
 from pincontact.layout import EVENT
 from pincontact.state import write_discrete
@@ -362,3 +365,121 @@ def test_loads_of_a_tiny_robot_are_loads():
     scene.model.gravity.linear = 1e-9 * scene.model.gravity.linear
     with pytest.raises(pc.SolverError, match="leave"):
         pc.inverse_dynamics(scene, state)
+
+
+# ---------------------------------------------------------------------------------------------------- joints
+
+
+def slider(friction=2.0, ends=(-math.inf, math.inf)):
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slider")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.lowerDryFrictionLimit, model.upperDryFrictionLimit = np.array([-friction]), np.array([friction])
+    model.lowerPositionLimit, model.upperPositionLimit = np.array([ends[0]]), np.array([ends[1]])
+    return pc.Scene(model)
+
+
+@pytest.mark.parametrize(
+    ("speed", "acceleration", "effort", "friction"),
+    [(1.0, 3.0, 5.0, -2.0), (-1.0, 3.0, 1.0, 2.0), (0.0, 3.0, 5.0, -2.0), (0.0, -3.0, -5.0, 2.0), (0.0, 0.0, 0.0, 0.0)],
+)
+def test_dry_friction_of_a_slider(speed, acceleration, effort, friction):
+    """It opposes motion, or the motion that is to begin."""
+    scene = slider()
+    found = pc.inverse_dynamics(scene, scene.initial_state([0.0], [speed]), [acceleration])
+    np.testing.assert_allclose(found.tau, [effort], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(found.joint_forces, [friction], rtol=0.0, atol=1e-12)
+
+
+def test_ends_of_a_joints_way():
+    """They take what pushes against them, and nobody can accelerate beyond."""
+    scene = slider(0.0, (0.0, 1.0))
+    scene.model.gravity.linear = np.array([-9.81, 0.0, 0.0])
+    found = pc.inverse_dynamics(scene, scene.initial_state([0.0]))
+    np.testing.assert_allclose(found.tau, [0.0], atol=1e-12)
+    np.testing.assert_allclose(found.joint_forces, [9.81], rtol=1e-12)
+    np.testing.assert_allclose(pc.inverse_dynamics(scene, scene.initial_state([1.0])).tau, [9.81], rtol=1e-12)
+    with pytest.raises(
+        pc.StateError, match=r"joint 'slider', which is at an end of its way, q\[0\] = 0, beyond it at -1"
+    ):
+        pc.inverse_dynamics(scene, scene.initial_state([0.0]), [-1.0])
+    for acceleration in ([1.0], [0.0]):
+        pc.inverse_dynamics(scene, scene.initial_state([0.0]), acceleration)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_dry_friction_and_ends_of_random_joints(seed):
+    """With all joints driven the least efforts are what is needed beyond the range of each joint's force; a run
+    that starts with them accelerates as wanted."""
+    scene, q, v, _ = resting_chain(seed)
+    model, rng = scene.model, np.random.default_rng(seed)
+    low, high = model.lowerDryFrictionLimit.copy(), model.upperDryFrictionLimit.copy()
+    at_low, at_high = q == model.lowerPositionLimit, q == model.upperPositionLimit
+    a = np.where(rng.random(model.nv) < 0.4, rng.normal(size=model.nv), 0.0)
+    a = np.where(at_low, np.abs(a), np.where(at_high, -np.abs(a), a))
+    state = scene.initial_state(q, v)
+    found = pc.inverse_dynamics(scene, state, a)
+    needed = pin.rnea(model, model.createData(), q, v, a) + model.damping * v
+    moving = np.where(v != 0.0, np.sign(v), np.sign(a))
+    least = np.where(moving < 0.0, high, np.where(at_high & (moving == 0.0), -np.inf, low))
+    most = np.where(moving > 0.0, low, np.where(at_low & (moving == 0.0), np.inf, high))
+    expected = np.clip(needed, least, most)
+    np.testing.assert_allclose(found.joint_forces, expected, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(found.tau, needed - expected, rtol=0.0, atol=1e-10)
+    # friction may be just at its limit, which is known to 1e-13 of it
+    np.testing.assert_allclose(Instant(scene, state, found.tau).evaluate(), a, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("law", ["smooth", "stick"])
+def test_least_torques_of_legs_with_dry_friction(law):
+    """Some joints driven, feet held, against SciPy's bounded least squares, where the equations of motion are rows with
+    a weight: they are kept to one part in its square."""
+    weight, used, refused = 1e6, 0, 0
+    for seed in range(60):
+        rng = np.random.default_rng(3000 + seed)
+        scene, state = held_tree(seed, law, bool(rng.random() < 0.5), int(rng.integers(1, 3)), int(rng.integers(2, 5)))
+        model, nv = scene.model, scene.model.nv
+        data = model.createData()
+        gravity = pin.rnea(model, data, state.q, np.zeros(nv), np.zeros(nv))
+        upper = np.triu(pin.crba(model, data, state.q))
+        factor = np.linalg.cholesky(upper + np.triu(upper, 1).T)
+        scale, loads = np.abs(gravity).max(), np.linalg.solve(factor, gravity)
+        start = 6 if model.joints[1].shortname() == "JointModelFreeFlyer" else 0
+        friction = np.zeros(nv)
+        friction[start:] = np.where(rng.random(nv - start) < 0.6, rng.uniform(0.02, 0.3, nv - start) * scale, 0.0)
+        model.lowerDryFrictionLimit, model.upperDryFrictionLimit = -friction, friction
+        dry, driven = np.flatnonzero(friction), np.flatnonzero(rng.random(nv) < 0.7)
+        rows = np.vstack([part for *_, part in rows_by_pinocchio(scene, state, law).values()])
+        # all in parts of the loads
+        contacts = np.linalg.solve(factor, rows.T)
+        contacts /= np.maximum(np.linalg.norm(contacts, axis=0), 1e-300)
+        joints = scale * np.linalg.solve(factor, np.eye(nv)) / np.linalg.norm(loads)
+        unknowns = np.hstack([joints[:, driven], joints[:, dry], contacts])
+        values = np.linalg.svd(unknowns, compute_uv=False)
+        if values[values > 1e-9].min() < 0.05:
+            # SciPy's solution has the square of that
+            continue
+        count = unknowns.shape[1]
+        bound = np.full(count, np.inf)
+        bound[driven.size : driven.size + dry.size] = friction[dry] / scale
+        matrix = np.vstack([np.eye(count)[: driven.size], weight * unknowns])
+        wanted = np.concatenate([np.zeros(driven.size), weight * loads / np.linalg.norm(loads)])
+        best = lsq_linear(matrix, wanted, (-bound, bound), method="bvls", tol=1e-15, max_iter=1000).x
+        actuation = np.eye(nv)[:, driven]
+        if np.abs(unknowns @ best - loads / np.linalg.norm(loads)).max() > 1e-7:
+            refused += 1
+            with pytest.raises(pc.SolverError, match="leave"):
+                pc.inverse_dynamics(scene, state, actuation=actuation)
+            continue
+        found = pc.inverse_dynamics(scene, state, actuation=actuation)
+        np.testing.assert_allclose(
+            found.efforts,
+            scale * best[: driven.size],
+            rtol=0.0,
+            atol=1e-6 * scale * np.abs(best).max(),
+            err_msg=f"seed {seed}",
+        )
+        assert (np.abs(found.joint_forces) <= friction * (1.0 + 1e-12)).all()
+        used += bool((np.abs(np.abs(found.joint_forces) - friction)[dry] < 1e-9 * scale).any())
+    assert used > 3
+    assert 0 < refused < 20

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from ..dynamics.joints import joint_guards
 from ..dynamics.system import System
 from ..dynamics.units import unwhiten, whiten
 from ..errors import SingularContactError, SolverError
@@ -24,12 +25,18 @@ from ..layout import (
     FREE,
     FRICTION_MARGIN,
     FROZEN,
+    GUARD_END,
+    GUARD_SIGN,
+    HIGH_END,
     LENGTH,
+    LOW_END,
     MODE,
+    MU_STATIC,
     NORMAL_MARGIN,
     PATTERN,
     SLIPPING,
     STICK,
+    STRIBECK_SPEED,
     TANGENTS,
 )
 from ..state import Correction, State, check_state, check_vector, read_discrete, write_discrete
@@ -47,6 +54,10 @@ FIRST_STEP = 0.1
 ABOVE_NOISE = 10.0
 # Forces below this fraction of the loads have no sign.
 _FORCE_ROUND_OFF = 1e-9
+# Joint velocities below this, absolute and relative to the largest, count as rest.
+_AT_REST = 1e-9
+# The part of a step of differences over which it is found how fast slip changes along it.
+_PROBE = 1e-5
 _PROJECTIONS = 20
 
 
@@ -82,8 +93,10 @@ def derivative(f: Callable[[float], np.ndarray], step: float, levels: int = _LEV
 class Instant:
     """The equations of motion near a state of a scene; arrays in the order of Pinocchio's velocity coordinates.
 
-    tau (nv,): joint torques, zero by default. decide: find out which contacts stick, slip and open at the state, as a
-    run that starts there would; otherwise closed contacts with friction that are at rest are taken to stick.
+    tau (nv,): joint torques, zero by default. decide: find out which contacts stick, slip and open at the state, and
+    which joints are held by dry friction or an end of their way, as a run that starts there would. Otherwise closed
+    contacts with friction that are at rest are taken to stick, and joints at rest are free; those that move have their
+    dry friction.
     q, v, tau, t: the state; `system` holds the last evaluation.
     Raises ArgumentError for a state of another scene, StateError for a bad tau, SolverError or SingularContactError
     where the state has no accelerations.
@@ -93,7 +106,7 @@ class Instant:
         check_state(scene, state)
         self.scene, self.model = scene, scene.model
         contacts = list(scene.contacts.values())
-        self.system = system = System(scene.model, contacts, resistances=True)
+        self.system = system = System(scene.model, contacts, guards=joint_guards(scene.model), resistances=True)
         self.t = float(state.t)
         self.tau = check_vector("tau", np.zeros(system.nv) if tau is None else tau, system.nv)
         self.q, self.v = state.q.copy(), state.v.copy()
@@ -119,9 +132,16 @@ class Instant:
             else:
                 rk.evaluate(self.t)
                 transitions.modes_from_velocities()
+                for g, guard in enumerate(system.guards):
+                    speed = float(self.v[guard.index_v])
+                    transitions.modes.release(g, 0 if self.at_rest(speed) else 1 if speed > 0.0 else -1)
         except Stop as stop:
             kind = SingularContactError if stop.code == SINGULAR_CONTACT else SolverError
             raise kind(stop.args[0]) from None
+
+    def at_rest(self, speed: float) -> bool:
+        """Whether a joint velocity is round-off."""
+        return abs(speed) <= _AT_REST * (1.0 + float(np.abs(self.v).max(initial=0.0)))
 
     # ---------------------------------------------------------------- evaluation
 
@@ -148,14 +168,78 @@ class Instant:
         """The configuration moved along a tangent direction (nv,)."""
         return pin.integrate(self.model, self.q if q is None else q, direction)
 
-    def step_along(self, direction: np.ndarray) -> float:
-        """First step of differences along a configuration direction (nv,) in m and rad."""
-        return FIRST_STEP * self.length / max(float(np.abs(direction).max(initial=0.0)), 1e-300)
+    def step_along(
+        self,
+        dq: np.ndarray | None = None,
+        dv: np.ndarray | None = None,
+        q: np.ndarray | None = None,
+        v: np.ndarray | None = None,
+    ) -> float:
+        """First step of differences along directions (nv,) of the configuration, in m and rad, and of the velocity,
+        from (q, v), by default the state's own.
+
+        Accelerations are quadratic in v but for slip, whose direction turns, and whose friction changes, within a
+        change of v_c of its own size.
+        """
+        q, v = self.q if q is None else q, self.v if v is None else v
+        along_q, along_v = (np.zeros(self.system.nv) if x is None else x for x in (dq, dv))
+        fastest = max(1.0, float(np.abs(v).max(initial=0.0)))
+        lengths = float(np.abs(along_q).max(initial=0.0)) / self.length
+        step = FIRST_STEP / max(lengths, float(np.abs(along_v).max(initial=0.0)) / fastest, 1e-300)
+        sliding = np.flatnonzero(self.system.contact_int[:, MODE] == SLIPPING)
+        if not sliding.size:
+            return step
+        probe, slips = _PROBE * step, []
+        for h in (-probe, probe):
+            self.evaluate(self.moved(h * along_q, q), v + h * along_v)
+            slips.append(self._slip(sliding))
+        change = np.linalg.norm(slips[1] - slips[0], axis=1) / (2.0 * probe)
+        size = np.linalg.norm(0.5 * (slips[0] + slips[1]), axis=1)
+        stribeck = self.system.contact_real[sliding, STRIBECK_SPEED]
+        size = np.minimum(size, np.where(stribeck > 0.0, stribeck, math.inf))
+        return float(min(step, FIRST_STEP * (size / np.maximum(change, 1e-300)).min()))
+
+    def _slip(self, items: np.ndarray) -> np.ndarray:
+        """(len(items), 2) tangential components of v_c, or of omega, that friction sees, of the last evaluation."""
+        system = self.system
+        along = np.einsum("cij,cj->ci", system.basis[items, :2], system.slip[items])
+        along[system.contact_int[items, TANGENTS] < 2, 1] = 0.0
+        return along
 
     def starting(self) -> list[str]:
-        """Contacts that begin to slip, or to turn against their resistance, at this very state."""
-        names = list(self.scene.contacts)
-        return [names[self.system.owner(int(i))] for i in np.flatnonzero(self.system.contact_int[:, FROZEN])]
+        """What begins to slip, to turn against its resistance or to move against its dry friction at this state."""
+        system = self.system
+        items = np.flatnonzero(system.contact_int[:, FROZEN]).tolist() + [
+            system.nc + g
+            for g, guard in enumerate(system.guards)
+            if system.guard_int[g, GUARD_SIGN] != 0 and self.at_rest(float(self.v[guard.index_v]))
+        ]
+        return [self._names(item)[0] for item in items]
+
+    def at_limit(self) -> list[str]:
+        """What rests with friction just at its limit: it would move for one sign of a deviation. Nothing where forces
+        are redundant, of which others might bear."""
+        system = self.system
+        constrained = self.constrained()
+        if self.directions(constrained).redundant:
+            return []
+        friction, normal = system.margins[:, FRICTION_MARGIN], system.margins[:, NORMAL_MARGIN]
+        loads = float(np.abs([system.bias_forces, self.tau]).max(initial=0.0))
+        out = []
+        for item in dict.fromkeys(item for item, _ in constrained):
+            name, joint = self._names(item)
+            sticks = system.contact_int[item, MODE] == STICK and math.isfinite(system.contact_real[item, MU_STATIC])
+            margin = min(friction[item], normal[item]) if joint else friction[item] if sticks else math.inf
+            if margin < _FORCE_ROUND_OFF * loads:
+                out.append(name)
+        return out
+
+    def _names(self, item: int) -> tuple[str, bool]:
+        """What an item is called in messages, and whether it is a joint's coordinate."""
+        system = self.system
+        if system.nc <= item < system.nc + system.ng:
+            return f"joint {system.guards[item - system.nc].joint!r}", True
+        return f"contact {system.contacts[system.owner(item)].name!r}", False
 
     def follow(self) -> None:
         """Look for contact points from those of the last evaluation on, in charts that suit them."""
@@ -169,10 +253,10 @@ class Instant:
     # ---------------------------------------------------------------- constraints
 
     def constrained(self) -> list[tuple[int, int]]:
-        """(item, basis row) of every constrained component of v_c, or of omega where turning is resisted: normals,
-        then tangents in stick. Items are contacts, then resistances to turning."""
+        """(item, basis row) of every constrained component of v_c, of omega where turning is resisted, or of a held
+        joint's velocity: normals, then tangents in stick. Items are those of `System`."""
         integers = self.system.contact_int
-        normals, tangents = [], []
+        normals, tangents = [], [(self.system.nc + g, 2) for g in self.system.held()]
         for c in [*self.system.closed(), *self.system.resisting()]:
             if c < self.system.nc:
                 normals.append((c, 2))
@@ -184,9 +268,13 @@ class Instant:
 
     def holonomic(self) -> list[tuple[int, int]]:
         """The rows among `constrained` that are rates of gaps (GC)."""
-        integers = self.system.contact_int
+        system = self.system
+        integers = system.contact_int
+        by_friction = {system.nc + g for g in system.held() if system.guard_int[g, GUARD_END] == 0}
         return [
-            (c, row) for c, row in self.constrained() if row == 2 or (row == 1 and integers[c, PATTERN] == ON_CURVE)
+            (c, row)
+            for c, row in self.constrained()
+            if c not in by_friction and (row == 2 or (row == 1 and integers[c, PATTERN] == ON_CURVE))
         ]
 
     def rows(self, which: list[tuple[int, int]]) -> np.ndarray:
@@ -199,8 +287,16 @@ class Instant:
         return np.array([self.system.basis[c, row] @ self.system.slip[c] for c, row in which])
 
     def gaps(self, which: list[tuple[int, int]]) -> np.ndarray:
-        """Gaps in m of holonomic rows of the last evaluation."""
-        return np.array([self.system.gaps[c, 2 - row] for c, row in which])
+        """Gaps in m of holonomic rows of the last evaluation; ways of held joints to their ends."""
+        return np.array([self.system.gaps[c, 2 - row] - self._end(c) for c, row in which])
+
+    def _end(self, item: int) -> float:
+        """Where a joint coordinate that is held at an end has it; 0 for contacts."""
+        system = self.system
+        if not system.nc <= item < system.nc + system.ng:
+            return 0.0
+        g = item - system.nc
+        return float(system.guard_real[g, LOW_END if system.guard_int[g, GUARD_END] < 0 else HIGH_END])
 
     def biases(self, which: list[tuple[int, int]]) -> np.ndarray:
         """The part of the constrained components' rates that accelerations do not make."""
@@ -225,6 +321,8 @@ class Instant:
     def row_size(self, item: int) -> float:
         """What the size of an item's rows, in the metric of the mass matrix, could be if nothing in them cancelled."""
         system = self.system
+        if system.nc <= item < system.nc + system.ng:
+            return float(np.linalg.norm(whiten(system, system.rows[item, 2])))
         c = system.owner(item)
         size = 0.0
         for side in (2 * c, 2 * c + 1):
@@ -281,12 +379,16 @@ class Instant:
         }
 
     def holds(self) -> bool:
-        """Whether in the last evaluation no unilateral contact pulls and no sticking one exceeds its limit."""
+        """Whether in the last evaluation nothing unilateral pulls and nothing that rests exceeds its friction."""
         margins = self.system.margins
         slack = -_FORCE_ROUND_OFF * max(1.0, float(np.abs(self.system.bias_forces).max(initial=0.0)))
         return all(
             margins[c, NORMAL_MARGIN] >= slack and margins[c, FRICTION_MARGIN] >= slack
-            for c in [*self.system.closed(), *self.system.resisting()]
+            for c in [
+                *self.system.closed(),
+                *self.system.resisting(),
+                *(self.system.nc + g for g in self.system.held()),
+            ]
         )
 
     def driven(self) -> bool:

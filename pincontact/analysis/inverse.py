@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..arguments import NOT_REAL, check_tolerance, real_array
+from ..dynamics.joints import END_SLACK
 from ..dynamics.stretches import associated
 from ..dynamics.units import whiten
 from ..errors import ArgumentError, SolverError, StateError
@@ -42,6 +43,10 @@ _UNCHANGED = 1e-12
 _LIMIT_SLACK = 1e-9
 # Smaller loads, in N or N m, are round-off.
 _NEGLIGIBLE = 1e-6
+# What ProxQP's forces are known to, relative to the loads, and how near to a bound they are at it.
+_ACCURACY, _AT_BOUND = 1e-11, 1e-7
+# What stands for no bound there.
+_UNBOUNDED = 1e20
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +73,7 @@ class InverseDynamics:
     """What `inverse_dynamics` found.
 
     tau (nv,): joint torques, actuation @ efforts; efforts (na,); acceleration (nv,) that they make.
+    joint_forces (nv,): dry friction of joints and what the ends of their ways carry, in N and N m.
     forces: contact -> force (3,) in N on the second contour given, world axes; torques: what resists spinning and
     rolling, likewise.
     residual: what is left of the equations of motion, in N and N m.
@@ -80,7 +86,21 @@ class InverseDynamics:
     forces: dict[str, np.ndarray]
     torques: dict[str, np.ndarray]
     residual: float
+    joint_forces: np.ndarray
     held: tuple[HeldTurn, ...] = ()
+
+
+@dataclass(frozen=True)
+class RestingJoints:
+    """Joint coordinates that rest and are to stay at rest, by dry friction or at an end of their way: indices in v,
+    and the range (low, high) of the force that holds them, infinite towards the inside of an end."""
+
+    index: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    def within(self, forces: np.ndarray, slack: float) -> bool:
+        return bool((forces >= self.low - slack).all() and (forces <= self.high + slack).all())
 
 
 def inverse_dynamics(
@@ -94,7 +114,7 @@ def inverse_dynamics(
 ) -> InverseDynamics:
     """Joint torques and contact forces that give a scene the accelerations wanted at a state:
 
-        M a + nle + damping v = actuation efforts + sum of (contact rows)^T F
+        M a + nle + damping v = actuation efforts + joint forces + sum of (contact rows)^T F
 
     With contacts many pairs of torques and forces do it. The ones returned have the least torques (the norm of
     `efforts`) and, among those, the least contact forces (the norm of their components). Where friction sticks the
@@ -103,13 +123,19 @@ def inverse_dynamics(
     with which, and whether that is within its limit. Contacts that are given in `forces` carry just that, and resist no
     turning.
 
+    Joints have their dry friction: one that moves, or is to begin to, all of it, against its motion; one that rests and
+    is to stay may have any in its range, and the least efforts make use of it. So they do of an end of a joint's way,
+    which pushes as much as it takes. 0 is as good a friction for such a joint: what is to hold without it is found with
+    the model's `lowerDryFrictionLimit` and `upperDryFrictionLimit` at zero.
+
     acceleration (nv,): must keep the closed contacts closed and rolling. None: the one nearest zero, in the norm of the
     mass matrix, that does (going on at constant velocity as far as the contacts let it).
     actuation: (nv, na) matrix, or joint names; None: all joints except a free-flying root.
     forces: contact -> force (3,) on the second contour given, world axes.
     tolerance: largest residual and largest constraint defect that counts as none, relative to the loads.
-    Raises StateError for an acceleration that breaks the contacts (with the contact and the number) or is no vector
-    (nv,), ArgumentError for a bad actuation or an unknown contact, SolverError where these actuators cannot do it.
+    Raises StateError for an acceleration that breaks the contacts (with the contact and the number), that takes a joint
+    beyond its end, or is no vector (nv,), ArgumentError for a bad actuation or an unknown contact, SolverError where
+    these actuators cannot do it.
     """
     check_tolerance(tolerance)
     instant = Instant(scene, state, decide=False)
@@ -133,9 +159,11 @@ def inverse_dynamics(
                 f"acceleration: it takes contact {system.contacts[system.owner(c)].name!r} {kind} at "
                 f"{defects[worst]:.3g} {'m' if c < system.nc else 'rad'}/s^2 (tolerance {tolerance * scale:.3g})"
             )
-    # M a + nle + damping v, from the acceleration that nothing but the loads would make
+    resting, joint_forces = _joint_loads(instant, a, tolerance)
+    # M a + nle + damping v, from the acceleration that the loads and moving joints' friction alone would make
     factor = np.tril(system.factor)
-    needed = factor.T @ (factor @ (a - system.free_acceleration))
+    needed = factor.T @ (factor @ (a - system.free_acceleration)) - joint_forces
+    joint_forces += system.joint_forces()
     loads = max(_NEGLIGIBLE, float(np.abs([needed, system.bias_forces]).max(initial=0.0)))
     signs = {c.name: -1.0 if c.swapped else 1.0 for c in system.contacts}
     for c, contact in enumerate(system.contacts):
@@ -145,17 +173,18 @@ def inverse_dynamics(
     loads = max(loads, float(np.abs(needed).max(initial=0.0)))
     solution = None
     for start in (1.0, -1.0):
-        found = _solve(instant, solved, matrix, needed, np.full(len(solved), start))
-        if found is not None and (solution is None or found[3] < solution[3]):
+        found = _solve(instant, solved, matrix, needed, resting, np.full(len(solved), start))
+        if found is not None and (solution is None or found[-1] < solution[-1]):
             solution = found
-        if solution is not None and solution[3] <= tolerance * loads:
+        if solution is not None and solution[-1] <= tolerance * loads:
             break
     if solution is None:
         raise SolverError(
             "inverse dynamics: no least torques agree with the sign of the normal force of a contact that slides and "
             "cannot open; give its force"
         )
-    efforts, components, shares, residual = solution
+    efforts, components, holding, shares, residual = solution
+    joint_forces[resting.index] += holding
     if residual > tolerance * loads:
         raise SolverError(
             f"inverse dynamics: the actuators and contacts leave {residual:.3g} N (N m) of the equations of motion "
@@ -178,7 +207,33 @@ def inverse_dynamics(
         for item, torque in by_item.items()
         if system.contact_int[item, MODE] == STICK and system.contacts[system.owner(item)].name not in given
     )
-    return InverseDynamics(matrix @ efforts, efforts, a, acting, torques, residual, held)
+    return InverseDynamics(matrix @ efforts, efforts, a, acting, torques, residual, joint_forces, held)
+
+
+def _joint_loads(instant: Instant, a: np.ndarray, tolerance: float) -> tuple[RestingJoints, np.ndarray]:
+    """What holds joints that rest and stay at rest, and the friction (nv,) of those that begin to move."""
+    beginning = np.zeros(a.size)
+    held: list[tuple[int, float, float]] = []
+    still = tolerance * max(1.0, float(np.abs(a).max(initial=0.0)))
+    for guard in instant.system.guards:
+        k, position = guard.index_v, float(instant.q[guard.index_q])
+        if not instant.at_rest(float(instant.v[k])):
+            continue
+        at_low, at_high = position <= guard.low_end + END_SLACK, position >= guard.high_end - END_SLACK
+        if abs(a[k]) <= still:
+            low, high = -np.inf if at_high else guard.low_force, np.inf if at_low else guard.high_force
+            if low < high:
+                held.append((k, low, high))
+        elif at_low if a[k] < 0.0 else at_high:
+            raise StateError(
+                f"acceleration: it takes joint {guard.joint!r}, which is at an end of its way, q[{guard.index_q}] = "
+                f"{position:.9g}, beyond it at {a[k]:.3g} rad/s^2 (m/s^2)"
+            )
+        else:
+            beginning[k] = guard.low_force if a[k] > 0.0 else guard.high_force
+    index = np.array([k for k, *_ in held], dtype=int)
+    bounds = np.array([(low, high) for _, low, high in held]).reshape(-1, 2)
+    return RestingJoints(index, bounds[:, 0], bounds[:, 1]), beginning
 
 
 def _held_turn(instant: Instant, item: int, torque: np.ndarray, forces: dict[str, np.ndarray]) -> HeldTurn:
@@ -217,9 +272,15 @@ def actuation_matrix(model: pin.Model, actuation: Any | None) -> np.ndarray:
 
 
 def _solve(
-    instant: Instant, solved: list[tuple[int, int]], actuation: np.ndarray, needed: np.ndarray, shares: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, float] | None:
-    """Efforts, force components, shares (see `_shares`) and the largest residual; None where shares do not settle."""
+    instant: Instant,
+    solved: list[tuple[int, int]],
+    actuation: np.ndarray,
+    needed: np.ndarray,
+    resting: RestingJoints,
+    shares: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float] | None:
+    """Efforts, force components, forces that hold resting joints, shares (see `_shares`) and the largest residual; None
+    where shares do not settle."""
     columns, sizes = np.zeros((needed.size, len(solved))), np.zeros(len(solved))
     size_of = {item: instant.row_size(item) for item in [*instant.system.closed(), *instant.system.resisting()]}
     for _ in range(_ITERATIONS):
@@ -227,29 +288,101 @@ def _solve(
             units = _unit_forces(instant, c, row, shares[k])
             columns[:, k] = sum(instant.system.rows[item].T @ unit for item, unit in units.items())
             sizes[k] = sum(size_of[item] * np.linalg.norm(unit) for item, unit in units.items())
-        efforts, components = _least(instant, actuation, columns, sizes, needed)
+        efforts, components, holding = _least(instant, actuation, columns, sizes, needed, resting)
         new = _shares(instant, solved, components)
         if np.abs(new - shares).max(initial=0.0) <= _UNCHANGED:
             left = actuation @ efforts + columns @ components - needed
-            return efforts, components, shares, float(np.abs(left).max(initial=0.0))
+            left[resting.index] += holding
+            return efforts, components, holding, shares, float(np.abs(left).max(initial=0.0))
         shares = new
     return None
 
 
 def _least(
-    instant: Instant, actuation: np.ndarray, columns: np.ndarray, sizes: np.ndarray, needed: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Least efforts, then least force components, with actuation efforts + columns components = needed.
+    instant: Instant,
+    actuation: np.ndarray,
+    columns: np.ndarray,
+    sizes: np.ndarray,
+    needed: np.ndarray,
+    resting: RestingJoints,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Least efforts, then least force components, with actuation efforts + columns components + holding = needed, and
+    the forces `holding` of resting joints within their ranges.
 
     sizes: see `Directions`, of the columns.
     """
-    columns, actuators, loads = (whiten(instant.system, part) for part in (columns, actuation, needed))
+    units = np.eye(needed.size)[:, resting.index]
+    columns, actuators, loads, units = (whiten(instant.system, part) for part in (columns, actuation, needed, units))
+    if not resting.index.size:
+        return *_least_unbounded(columns, sizes, actuators, loads), np.zeros(0)
+    size = max(_NEGLIGIBLE, float(np.abs(needed).max(initial=0.0)))
+    holding = _least_with_bounds(columns, sizes, actuators, loads, units, resting, size)
+    # exactly: what is at a bound is known, the rest is as free as contact forces are
+    at_low, at_high = holding <= resting.low + _AT_BOUND * size, holding >= resting.high - _AT_BOUND * size
+    exact = np.where(at_low, resting.low, np.where(at_high, resting.high, 0.0))
+    free = ~(at_low | at_high)
+    efforts, components = _least_unbounded(
+        np.hstack([columns, units[:, free]]),
+        np.concatenate([sizes, np.linalg.norm(units[:, free], axis=0)]),
+        actuators,
+        loads - units @ exact,
+    )
+    components, exact[free] = components[: sizes.size], components[sizes.size :]
+    left = actuators @ efforts + columns @ components + units @ exact - loads
+    if resting.within(exact, _UNCHANGED * size) and np.linalg.norm(left) <= _AT_BOUND * np.linalg.norm(loads):
+        return efforts, components, exact
+    # forces that are redundant with the contacts' would leave their range
+    return *_least_unbounded(columns, sizes, actuators, loads - units @ holding), holding
+
+
+def _least_unbounded(
+    columns: np.ndarray, sizes: np.ndarray, actuators: np.ndarray, loads: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least efforts, then least force components, with actuators efforts + columns components = loads."""
     contacts = Directions(columns, sizes)
     # what contacts cannot take
     left = contacts.complement.T
     driven = Directions(left @ actuators, np.linalg.norm(actuators, axis=0), contacts.complement_precision)
     efforts = driven.combine(left @ loads)
     return efforts, contacts.combine(loads - actuators @ efforts)
+
+
+def _least_with_bounds(
+    columns: np.ndarray,
+    sizes: np.ndarray,
+    actuators: np.ndarray,
+    loads: np.ndarray,
+    units: np.ndarray,
+    resting: RestingJoints,
+    size: float,
+) -> np.ndarray:
+    """The forces in their ranges with which the efforts are least, by ProxQP; size: of the loads in N or N m."""
+    from proxsuite import proxqp
+
+    n = resting.index.size
+    contacts = Directions(columns, sizes)
+    left = contacts.complement.T
+    driven = Directions(left @ actuators, np.linalg.norm(actuators, axis=0), contacts.complement_precision)
+    # efforts and what they leave are linear in the forces
+    wanted = left @ np.column_stack([loads / size, -units])
+    efforts = np.column_stack([driven.combine(column) for column in wanted.T])
+    rest = wanted - left @ actuators @ efforts
+    low, high = (np.clip(bound / size, -_UNBOUNDED, _UNBOUNDED) for bound in (resting.low, resting.high))
+    qp = proxqp.dense.QP(n, rest.shape[0], n)
+    qp.settings.eps_abs, qp.settings.eps_rel = _ACCURACY, 0.0
+    # what cannot be is left as small as can be, and told by who looks at the residual
+    qp.settings.primal_infeasibility_solving = True
+    qp.init(
+        efforts[:, 1:].T @ efforts[:, 1:],
+        efforts[:, 1:].T @ efforts[:, 0],
+        rest[:, 1:],
+        -rest[:, 0],
+        np.eye(n),
+        low,
+        high,
+    )
+    qp.solve()
+    return np.clip(size * qp.results.x, resting.low, resting.high)
 
 
 def _unit_forces(instant: Instant, c: int, row: int, share: float) -> dict[int, np.ndarray]:

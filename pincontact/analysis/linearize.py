@@ -14,7 +14,7 @@ import scipy
 from ..arguments import check_tolerance
 from ..errors import ArgumentError, StateError
 from ..state import State
-from .instant import FIRST_STEP, Instant, derivative
+from .instant import Instant, derivative
 from .symmetry import find_symmetries
 
 if TYPE_CHECKING:
@@ -118,10 +118,11 @@ def linearize(
 ) -> Linearization:
     """Linearise a scene's motion about an equilibrium or a steady motion.
 
-    Contacts keep the mode they have at the state. Geometric constraints reduce configurations and velocities, rolling
-    constraints velocities only, so n = 2 (nv - GCs) - VCs: rolling does not bind the configuration. Derivatives are
-    Richardson extrapolations of the package's own constrained accelerations, exact to about 1e-11; their error is
-    estimated and reported.
+    Contacts keep the mode they have at the state, and so do joints: one that rests at an end of its way stays there, as
+    by a GC, one that rests by dry friction has no velocity, as by a VC, and the dry friction of one that moves is a
+    constant force. Geometric constraints reduce configurations and velocities, rolling constraints velocities only, so
+    n = 2 (nv - GCs) - VCs: rolling does not bind the configuration. Derivatives are Richardson extrapolations of the
+    package's own constrained accelerations, exact to about 1e-11; their error is estimated and reported.
 
     A steady motion follows a symmetry (see `analysis.symmetry`): the deviation is taken in axes that go along with it,
     where A is constant. So a bicycle that runs straight, a disk that rolls in a circle and a bead in a rotating hoop
@@ -131,9 +132,9 @@ def linearize(
     coordinates: velocity coordinates (indices, or names such as "steer" and "root_joint.wx") to describe deviations by;
     those are taken that are independent, in this order, then the best conditioned of the others.
     tolerance: how far the motion may be from steady (`Linearization.defect`), relative to v and a where these exceed 1.
-    Raises StateError where it is farther, where a contact begins to slip at the state, or for a bad tau; ArgumentError
-    for an unknown coordinate or a state of another scene; SolverError, SingularContactError where there are no
-    accelerations.
+    Raises StateError where it is farther, where a contact or a joint begins to slip at the state, or rests with its
+    friction just at the limit, or for a bad tau; ArgumentError for an unknown coordinate or a state of another scene;
+    SolverError, SingularContactError where there are no accelerations.
     """
     check_tolerance(tolerance)
     if not isinstance(coordinates, Sequence):
@@ -141,8 +142,10 @@ def linearize(
     coordinates = [coordinates] if isinstance(coordinates, str) else coordinates
     instant = Instant(scene, state, tau)
     if instant.starting():
+        raise StateError(f"{instant.starting()[0]} begins to slip at this state: no linear motion describes it")
+    if instant.at_limit():
         raise StateError(
-            f"contact {instant.starting()[0]!r} begins to slip at this state: no linear motion describes it"
+            f"{instant.at_limit()[0]} rests with its friction just at the limit: no linear motion describes it"
         )
     q, v, model, nv = instant.q, instant.v, instant.model, instant.system.nv
     wanted = [_coordinate(model, entry) for entry in coordinates]
@@ -182,8 +185,7 @@ def linearize(
     drag = np.zeros((nv, nv))
     for k in range(nv):
         unit = np.eye(nv)[k]
-        # quadratic in v but for slipping contacts, whose direction turns within a step of the speed of slip
-        step = FIRST_STEP * max(1.0, float(np.abs(v).max(initial=0.0)))
+        step = instant.step_along(dv=unit)
         drag[:, k], off = derivative(lambda h, unit=unit: instant.evaluate(v=v + h * unit), step)  # type: ignore[misc]
         error = max(error, off)
     torque = np.zeros((nv, nv))

@@ -35,6 +35,11 @@ class Directions:
         # and to what it is known
         self.complement_precision = precision / float(self._values.min(initial=1.0))
 
+    @property
+    def redundant(self) -> bool:
+        """Whether any combination of them makes nothing."""
+        return bool(self._dependent.shape[1])
+
     @cached_property
     def _redundant(self) -> np.ndarray:
         """(m, m - rank) orthonormal: combinations that make nothing."""

@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import SingularContactError, SolverError, StateError
-from .instant import ABOVE_NOISE, FIRST_STEP, Instant, derivative
+from .instant import ABOVE_NOISE, Instant, derivative
 
 # Random states at which a symmetry must hold, and how far they are from the given one.
 _SAMPLES = 3
@@ -131,7 +131,8 @@ def find_symmetries(instant: Instant) -> Symmetries:
             break
         apart = spread * instant.length * rng.uniform(-1.0, 1.0, nv)
         speed = max(1.0, float(np.abs(instant.v).max(initial=0.0)))
-        v = instant.v + (0.0 if instant.slips() else 0.3 * speed) * rng.uniform(-1.0, 1.0, nv)
+        # velocities, too: what does not turn goes on along its own axes as it does along the world's
+        v = instant.v + 0.3 * speed * spread / _SPREAD * rng.uniform(-1.0, 1.0, nv)
         try:
             block, error = _defects(instant, brackets, *instant.projected(instant.moved(apart), v), rights)
         except (SolverError, SingularContactError):
@@ -179,7 +180,7 @@ def _defects(
             dq = np.zeros(nv)
             dq[rights[index - nv]] = 1.0
             dv, expected = brackets(v) @ dq, brackets(a) @ dq
-        step = min(instant.step_along(dq), FIRST_STEP / max(float(np.abs(dv).max()), 1.0))
+        step = instant.step_along(dq, dv, q, v)
 
         def moved(h: float, dq: np.ndarray = dq, dv: np.ndarray = dv) -> np.ndarray:
             return instant.evaluate(instant.moved(h * dq, q), v + h * dv)

@@ -71,6 +71,8 @@ _FLOOR = 8.0 * float(np.finfo(float).eps)
 _DOUBTS = 3
 # Slips this many times faster than what counts as ended end with one that does.
 _TOGETHER = 8.0
+# What the user's control, or a drive, does in so many seconds is looked at, even where nothing moves.
+_WATCH = 0.1
 
 
 @dataclass
@@ -107,6 +109,9 @@ class Driver:
         self.record, self.flush, self.options, self.progress = record, flush, options, progress
         self.system.set_output_times(options.t_eval)
         self._doubts = 0
+        # what is told when to act, by a control or a drive, acts any time
+        waits = math.isinf(options.max_step) and self.system.varies_with_time
+        self._max_step = _WATCH if waits else options.max_step
 
     @property
     def steps(self) -> int:
@@ -184,12 +189,12 @@ class Driver:
 
     def _allow_start(self, t: float, step: float) -> None:
         """Let slip that starts at t, which ends or interrupts a step, go on for half of that at most."""
-        self.transitions.longest_start = min(0.5 * step, 0.5 * (self._end - t), self.options.max_step)
+        self.transitions.longest_start = min(0.5 * step, 0.5 * (self._end - t), self._max_step)
 
     def _set_limits(self, t: float, t_end: float) -> None:
         """What the compiled steps are controlled by."""
         options, scalars, counters = self.options, self.system.scalars, self.system.counters
-        scalars[END], scalars[MAX_STEP] = t_end, options.max_step
+        scalars[END], scalars[MAX_STEP] = t_end, self._max_step
         scalars[FIXED_STEP] = options.fixed_step or 0.0
         scalars[NEXT_STEP] = options.fixed_step or options.first_step or self.rk.first_step(t, t_end - t)
         scalars[FLOOR] = _FLOOR * max(abs(t), abs(t_end))
@@ -341,7 +346,7 @@ class Driver:
         span, rests, tried = 2.0 * _SLOW_STEPS * _STABLE / float(scalars[TURNING_RATE]), 0, True
         while tried:
             shortest = _SLOW_STEPS * _STABLE / max(float(scalars[TURNING_RATE]), 1e-300)
-            span = min(span, self.options.max_step, self._end - t)
+            span = min(span, self._max_step, self._end - t)
             after = self.transitions.follow_slow_slip(t, span, shortest) if span >= shortest else None
             tried = after is not None
             if after is None:

@@ -79,6 +79,8 @@ _SHORT_SEED = 1e-2
 _SHORTENINGS = 10
 # Slip from rest starts slowly where friction turns it this many times faster than it grows.
 _SLOW_START = 30.0
+# A motion that jumps at a breakpoint moves bodies by no more than so many times what gaps are known to.
+_JUMP_REACHES = 10.0
 # What is added to the slack of a limit of friction that was reached without slip, as a factor, and where that ends.
 _SLACK_GROWTH, _LARGEST_SLACK = 4.0, 1e-10
 _DIRECTION = slice(DIRECTION_X, DIRECTION_X + 3)
@@ -246,6 +248,36 @@ class Transitions:
         self._guards = [self._guard_state(g) for g in range(system.ng)]
         if not self.dips.take_up(t, self.seed):
             raise self.give_up(t, NO_FORCE)
+
+    def pass_jump(self, t: float) -> float:
+        """A control or a motion may have jumped at t: modes of the accepted state anew, and impacts; the new time."""
+        system, rk = self.system, self.rk
+        self._started.clear()
+        rk.load(system.state)
+        status = rk.evaluate(t)
+        if status in (LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE):
+            raise self.give_up(t, status)
+        for c in system.closed():
+            if abs(system.gaps[c]).max() > _JUMP_REACHES * self._reach(c):
+                raise Stop(
+                    STEP_TOO_SMALL,
+                    f"t = {t:.9g} s: a motion jumps, which moves the bodies of contact {self.names[c]!r} "
+                    f"{system.gaps[c, 0]:.3g} m apart at once",
+                )
+        energy, before = self._counted_energy(), system.contact_int[:, MODE].copy()
+        if system.ng:
+            self._guards_from_velocities()
+        self._open_moving(t)
+        undecided = self.modes_from_velocities()
+        for c in [*system.closed(), *system.resisting()]:
+            if before[c] == STICK and system.contact_int[c, MODE] == SLIPPING:
+                self._announce_friction(t, c, True)
+        self._stop_jammed(t)
+        self._settle(t, undecided, _NONE, False)
+        self._count_loss(energy)
+        rk.accept()
+        struck = self.strike(t)
+        return self.start_frozen(t) if struck is None else struck
 
     def _open_moving(self, t: float) -> None:
         """Open the closed contacts of the initial state whose normal velocity is not zero: they part, or strike."""

@@ -47,7 +47,7 @@ def _add_samples(
     largest, least = max(map(abs, values)), min(map(abs, values))
     if min(values) < 0.0 < max(values):
         least = 0.0
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         rough = float(np.linalg.norm(_ROUGHNESS @ values))
     if halvings == 0 or not rough > max(_RESOLVED * largest, _FAR * least):
         samples += [*inner, right]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -527,14 +527,22 @@ class Transitions:
 
     # ---------------------------------------------------------------- joints
 
-    def _guards_from_velocities(self) -> None:
-        """Hold the coordinates that rest at an end or by dry friction, free the others."""
+    def _guards_from_velocities(self, struck: Sequence[int] = ()) -> None:
+        """Hold the coordinates that rest at an end or by dry friction, free the others; struck: those that have been
+        held at an end in an impact, and are unless they leave it."""
         system = self.system
         rest_speed = self._rest_speed()
+        stays = {
+            g: int(system.guard_int[g, GUARD_END])
+            for g in struck
+            if not self._leaves(system.nc + g, abs(system.v[system.guards[g].index_v]), self._guard_reach)
+        }
         for g, guard in enumerate(system.guards):
             position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
             end = -1 if position <= guard.low_end + END_SLACK else int(position >= guard.high_end - END_SLACK)
-            if abs(speed) > rest_speed:
+            if g in stays:
+                self.modes.hold(g, stays[g])
+            elif abs(speed) > rest_speed:
                 self.modes.release(g, 1 if speed > 0.0 else -1)
             elif end != 0 or guard.dry:
                 self.modes.hold(g, end)
@@ -569,10 +577,9 @@ class Transitions:
         system = self.system
         index = system.nc + g
         if kind in (GAP_MARGIN, DOMAIN_MARGIN):
-            # a coordinate that only grazes its end is not counted as an impact
-            if abs(system.v[system.guards[g].index_v]) <= _REST:
-                self._check_chatter(t, index)
+            self._check_chatter(t, index)
             self._stop_joint(t, g, -1 if kind == GAP_MARGIN else 1)
+            self._stop_others(t)
             return self._collide(t, system.closed(), {})
         self._check_chatter(t, index)
         if kind == SPEED_MARGIN:
@@ -582,6 +589,23 @@ class Transitions:
         else:
             self.modes.release(g, 1 if kind == NORMAL_MARGIN else -1)
         return self.resolve(t, self._sticking())
+
+    @property
+    def _guard_reach(self) -> float:
+        """Accuracy to which a coordinate's way to its end is known, in m or rad."""
+        return GAP_TOLERANCE * float(self.system.scale.sum())
+
+    def _stop_others(self, t: float) -> None:
+        """Whatever joint comes to an end at the same instant, as far as that is known, takes part in an impact."""
+        system, reach = self.system, self._guard_reach
+        for g, guard in enumerate(system.guards):
+            if system.contact_int[system.nc + g, MODE] != FREE:
+                continue
+            position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
+            for end, way in (-1, position - guard.low_end), (1, guard.high_end - position):
+                if way <= reach and end * speed >= -_LEAVING_SPEED:
+                    self._stop_joint(t, g, end)
+                    break
 
     def _stop_joint(self, t: float, g: int, end: int) -> None:
         """Guarded joint coordinate g has come to an end of its way, and is held there."""
@@ -943,16 +967,14 @@ class Transitions:
         self._evaluate_rows(t)
         for i in closed:
             leaving = self._leaves_at(i)
-            if integers[i, UNILATERAL] and leaving > _LEAVING_SPEED:
-                # a hop lower than gaps are known is none
-                falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
+            if integers[i, UNILATERAL]:
                 depth = max(-float(system.gaps[i, 0]) - self._reach(i), 0.0)
-                if leaving * leaving > 2.0 * falling * (depth + self._reach(i)):
+                if self._leaves(i, leaving, depth + self._reach(i)):
                     integers[i, MODE] = FREE
                     if depth > 0.0:
                         # rebounds from where it is
                         self.dips.start_at(i, depth)
-        self._guards_from_velocities()
+        self._guards_from_velocities(ends)
         undecided = self.modes_from_velocities(after_impact=True)
         before = self._counted_energy()
         self._stop_jammed(t)
@@ -969,6 +991,12 @@ class Transitions:
         if deep:
             self._leave_dips(t, energy + impact.drives)
         return self.resolve(t, undecided, silent=True)
+
+    def _leaves(self, i: int, leaving: float, reach: float) -> bool:
+        """Whether item i leaves what it has struck, at this speed in m/s: a hop lower than gaps are known is none."""
+        system = self.system
+        falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
+        return leaving > _LEAVING_SPEED and leaving * leaving > 2.0 * falling * reach
 
     def _leave_dips(self, t: float, energy: float) -> None:
         """After an impact of contacts in dips, out of which they have been lifted.

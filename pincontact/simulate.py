@@ -55,6 +55,7 @@ def simulate(
     fixed_step: float | None = None,
     step: float | None = None,
     max_steps: int = 1_000_000,
+    breakpoints: Any | None = None,
 ) -> Trajectory:
     """Integrate a scene from a state over a duration in s.
 
@@ -64,10 +65,14 @@ def simulate(
     many contacts, impacts and jams, of constant `step` in s (default 1e-3) and without error control.
     control: called as control(t, q, v), returns joint torques (nv,); must be smooth between events. q (nq,) and v (nv,)
     are read-only views of the integrator's own arrays, which the next call overwrites: copy what is kept.
-    events: functions g(t, q, v) whose zeros are reported; attributes `terminal` and `direction` as in `solve_ivp`.
+    events: functions g(t, q, v) whose zeros are reported, all those within a step, too; attributes `terminal` and
+    `direction` as in `solve_ivp`.
+    breakpoints: times in s, in any order, at which a control or a motion jumps: steps end there, and what follows is
+    decided anew. Those that are not inside the run are ignored.
     progress: show a bar. energies: integrate the work of friction, drives, torques and damping along (see
     `Trajectory.energies`). max_step, first_step in s; fixed_step: constant steps without error control;
-    max_steps: accepted and rejected together.
+    max_steps: accepted and rejected together. Without a max_step, what varies with time (a control, a contour that is
+    driven unsteadily) is looked at every 0.1 s at least, also where nothing moves; a shorter pulse needs breakpoints.
 
     The model's position limits and dry joint friction are part of its dynamics in every method: a joint stops at a
     limit without rebound and is let go when the limit's force would pull; it sticks within its range of dry friction.
@@ -80,6 +85,7 @@ def simulate(
     """
     _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps, step)
     times = _output_times(t_eval, state.t, duration)
+    jumps = _breakpoints(breakpoints, state.t, duration)
     users = UserEvent.wrap(events)
     check_flag("progress", progress)
     check_flag("energies", energies)
@@ -109,7 +115,9 @@ def simulate(
     write_discrete(system, state.discrete)
     torque = _torque(control, system) if control is not None else None
     if pair is None:
-        run = _simulate_moreau(scene, state, duration, step, spare, users, times, max_steps, torque, progress, began)
+        run = _simulate_moreau(
+            scene, state, duration, step, spare, users, times, max_steps, torque, progress, began, jumps
+        )
         if run.success:
             put_back(scene, spare)
         return run
@@ -117,7 +125,7 @@ def simulate(
     rk.begin_at(state.q, state.v, state.location)
     record = Record(system, state, with_torques=control is not None or system.ng + system.nr > 0)
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration)
-    options = Options(times, max_step, max_steps, fixed_step, first_step)
+    options = Options(times, max_step, max_steps, fixed_step, first_step, jumps)
     with _Bar(progress, state.t, duration) as bar:
         driver = Driver(rk, transitions, users, record.add, record.flush, options, bar.update if progress else None)
 
@@ -155,6 +163,7 @@ def _simulate_moreau(
     torque: Torque | None,
     progress: bool,
     began: float,
+    breakpoints: list[float],
 ) -> Trajectory:
     """The run of method "Moreau" on a spare's system, whose discrete state is set."""
     from .integration.moreau import DEFAULT_STEP, MoreauDriver, MoreauStep
@@ -192,6 +201,7 @@ def _simulate_moreau(
             max_steps,
             torque,
             bar.update if progress else None,
+            breakpoints,
         )
 
         def result(code: int, message: str) -> Trajectory:
@@ -306,6 +316,19 @@ def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray |
     if not ordered:
         raise ArgumentError("t_eval must not decrease")
     return np.minimum(np.maximum(times, t), t + duration)
+
+
+def _breakpoints(given: Any | None, t: float, duration: float) -> list[float]:
+    """Times inside the run, in order and once each."""
+    if given is None:
+        return []
+    try:
+        times = real_array(given).reshape(-1)
+    except NOT_REAL:
+        raise ArgumentError(f"breakpoints must be times in s, got {given!r}") from None
+    if not np.isfinite(times).all():
+        raise ArgumentError(f"breakpoints must be finite, got {given!r}")
+    return [time for time in np.unique(times).tolist() if t < time < t + duration]
 
 
 def _is_ordered(times: list[float]) -> bool:

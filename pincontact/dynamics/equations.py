@@ -28,6 +28,7 @@ from ..layout import (
     GAP_MARGIN,
     GUARD_END,
     GUARD_SIGN,
+    GUARD_V,
     HIGH_END,
     HIGH_FORCE,
     LIMIT_SLACK,
@@ -397,6 +398,10 @@ def contact_dynamics(
         acceleration[k] = free_acceleration[k] + work[k]
         if abs(acceleration[k]) <= _CANCELLED * abs(free_acceleration[k]):
             acceleration[k] = 0.0
+    for g in range(ng):
+        # of the others' forces more may be left than of its own
+        if contact_int[nc + g, MODE] != FREE:
+            acceleration[guard_int[g, GUARD_V]] = 0.0
     status = guard_margins(nc, ng, contact_int, guard_int, guard_real, slip, gaps, force, margins)
     status = max(
         status,

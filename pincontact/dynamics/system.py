@@ -12,7 +12,7 @@ import pinocchio as pin
 from ..callback import kernel_address
 from ..contacts import characteristic_length
 from ..contours.base import DERIVATIVE_ROWS, SHAPE_SIZE
-from ..contours.motion import MOTION_CALLABLE, MOTION_PARAMETERS, MOTION_SIZE
+from ..contours.motion import MOTION_CALLABLE, MOTION_NONE, MOTION_PARAMETERS, MOTION_SIZE, MOTION_TWIST
 from ..errors import UnusableResult
 from ..friction.laws import Stribeck
 from ..geometry.carriers import ORIGIN
@@ -20,6 +20,7 @@ from ..geometry.location import NO_CLOSED_FORM, closed_form
 from ..geometry.patterns import NO_NORMAL
 from ..integration.dense import DENSE_ROWS
 from ..integration.manifold import TURNING, configuration_blocks
+from ..integration.resolution import KEPT_ROWS
 from ..integration.stages import MAX_STAGES, NUMBER_OF_WORKS
 from ..integration.steps import EVALUATE, KINEMATICS, PROJECT, PROJECT_EVALUATED, SCAN, run_task
 from ..jit import compile_kernels
@@ -322,7 +323,7 @@ class System:
         self.across = memory.scratch("across", 2 * nc + 1, POLYNOMIAL_SIZE)
         self.scan_shares = memory.scratch("scan_shares", SCAN_ROOM)
         self.scan_status = memory.integer_scratch("scan_status", SCAN_ROOM)
-        self.scan_margins = memory.scratch("scan_margins", SCAN_ROOM, nc, MARGINS_PER_CONTACT)
+        self.scan_margins = memory.scratch("scan_margins", SCAN_ROOM + KEPT_ROWS, nc, MARGINS_PER_CONTACT)
         self.reference = memory.reals("reference", nc, 3)
         self.reference_start = memory.scratch("reference_start", nc, 3)
         self.reference_rate = memory.scratch("reference_rate", nc, 3)
@@ -403,6 +404,13 @@ class System:
                     raise
 
         return self.callback_of(ask)
+
+    @property
+    def varies_with_time(self) -> bool:
+        """Whether anything but the state decides: a user's function, or a contour that is driven unsteadily."""
+        kinds = self.side_int[: 2 * self.nc, MOTION_KIND]
+        unsteady = (kinds != MOTION_NONE) & (kinds != MOTION_TWIST)
+        return bool(self.asks or unsteady.any() or self.side_int[: 2 * self.nc, TIME_DEPENDENT].any())
 
     def callback_of(self, ask: Callable[[float], None]) -> Callable[[], bool]:
         """ask(t) at the kernels' time, as they call it. What it raises must not pass through compiled code: it gives

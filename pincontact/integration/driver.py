@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,17 +71,23 @@ _FLOOR = 8.0 * float(np.finfo(float).eps)
 _DOUBTS = 3
 # Slips this many times faster than what counts as ended end with one that does.
 _TOGETHER = 8.0
+# What the user's control, or a drive, does in so many seconds is looked at, even where nothing moves.
+_WATCH = 0.1
+# The same for functions of the user's that are looked for zeros.
+_WATCH_EVENTS = 1.0
 
 
 @dataclass
 class Options:
-    """Step-size and output options of a run. t_eval: output times in s, None for every accepted step."""
+    """Step-size and output options of a run. t_eval: output times in s, None for every accepted step;
+    breakpoints: times in s, in order within the run, at which steps end and modes are decided anew."""
 
     t_eval: np.ndarray | None = None
     max_step: float = math.inf
     max_steps: int = 1_000_000
     fixed_step: float | None = None
     first_step: float | None = None
+    breakpoints: Sequence[float] = ()
 
 
 class Driver:
@@ -107,6 +113,13 @@ class Driver:
         self.record, self.flush, self.options, self.progress = record, flush, options, progress
         self.system.set_output_times(options.t_eval)
         self._doubts = 0
+        # what is told when to act, by a control or a drive, acts any time
+        self._max_step = options.max_step
+        if math.isinf(options.max_step):
+            if self.system.varies_with_time:
+                self._max_step = _WATCH
+            elif users:
+                self._max_step = _WATCH_EVENTS
 
     @property
     def steps(self) -> int:
@@ -128,7 +141,8 @@ class Driver:
 
     def _run(self, t: float, t_end: float) -> None:
         options, rk = self.options, self.rk
-        self._end = t_end
+        stops = [*(math.nextafter(time, -math.inf) for time in options.breakpoints), t_end]
+        self._end = stops.pop(0)
         try:
             self.transitions.begin(t)
         except BaseException:
@@ -147,9 +161,13 @@ class Driver:
             self._finish(t)
         else:
             self._after(t)
-        self._set_limits(t, t_end)
+        self._set_limits(t)
         scalars = self.system.scalars
         while t < t_end:
+            if t >= self._end:
+                before, self._end = self._end, stops.pop(0)
+                t = self._pass_jump(max(t, math.nextafter(before, math.inf)))
+                continue
             scalars[NOW] = t
             self.flush()
             why = self.system.run(self._task())
@@ -184,15 +202,31 @@ class Driver:
 
     def _allow_start(self, t: float, step: float) -> None:
         """Let slip that starts at t, which ends or interrupts a step, go on for half of that at most."""
-        self.transitions.longest_start = min(0.5 * step, 0.5 * (self._end - t), self.options.max_step)
+        self.transitions.longest_start = min(0.5 * step, 0.5 * (self._end - t), self._max_step)
 
-    def _set_limits(self, t: float, t_end: float) -> None:
+    def _pass_jump(self, t: float) -> float:
+        """Go on from the breakpoint t in s, behind what jumps there; the new time."""
+        after = math.nextafter(t, math.inf)
+        self._allow_start(after, self.options.fixed_step or math.inf)
+        after = self.transitions.pass_jump(after)
+        self._finish(after)
+        self._watch(after, False)
+        if self.options.t_eval is None:
+            self.record(after)
+        while self._output_due(after):
+            # what was asked for at the breakpoint is shown there
+            self.record(float(self.system.scalars[NEXT_OUTPUT]))
+            self.system.output_done()
+        self._set_limits(after)
+        return after
+
+    def _set_limits(self, t: float) -> None:
         """What the compiled steps are controlled by."""
         options, scalars, counters = self.options, self.system.scalars, self.system.counters
-        scalars[END], scalars[MAX_STEP] = t_end, options.max_step
+        scalars[END], scalars[MAX_STEP] = self._end, self._max_step
         scalars[FIXED_STEP] = options.fixed_step or 0.0
-        scalars[NEXT_STEP] = options.fixed_step or options.first_step or self.rk.first_step(t, t_end - t)
-        scalars[FLOOR] = _FLOOR * max(abs(t), abs(t_end))
+        scalars[NEXT_STEP] = options.fixed_step or options.first_step or self.rk.first_step(t, self._end - t)
+        scalars[FLOOR] = _FLOOR * max(abs(t), abs(self._end))
         scalars[SLOWEST] = math.inf
         counters[ATTEMPT_LIMIT] = options.max_steps
         counters[STALLED] = counters[STIFF_STEPS] = 0
@@ -218,17 +252,20 @@ class Driver:
         """Events, outputs and commitment of the attempted step; returns the new time and whether modes changed."""
         rk, system = self.rk, self.system
         dense: Interpolant | None = None
-        users = self.locator.crossed_users(t_new) if self.locator.users else []
-        if rk.alarm or users:
+        asked = self.locator.users_cross(t, step)
+        if rk.alarm or asked:
             dense = rk.interpolant(t, step)
             if dense is None:
                 return self._reject(t, step)
-            crossing = self.locator.first(t, step, dense, users)
-            while crossing is not None and crossing.margin is None and not self.locator.users[crossing.user].terminal:
-                rk.load(dense(crossing.theta))
-                self.transitions.announce(t + crossing.theta * step, None, "user", crossing.user)
-                users.remove(crossing.user)
-                crossing = self.locator.first(t, step, dense, users)
+            crossing = self.locator.first(t, step) if rk.alarm else None
+            for user in self.locator.user_crossings(t, step, dense) if asked else ():
+                if crossing is not None and crossing.theta <= user.theta:
+                    break
+                if self.locator.users[user.user].terminal:
+                    crossing = user
+                    break
+                rk.load(dense(user.theta))
+                self.transitions.announce(t + user.theta * step, None, "user", user.user)
             if crossing is not None:
                 return self._stop_at(t, step, dense, crossing)
             rk.load(system.new_state)
@@ -341,7 +378,7 @@ class Driver:
         span, rests, tried = 2.0 * _SLOW_STEPS * _STABLE / float(scalars[TURNING_RATE]), 0, True
         while tried:
             shortest = _SLOW_STEPS * _STABLE / max(float(scalars[TURNING_RATE]), 1e-300)
-            span = min(span, self.options.max_step, self._end - t)
+            span = min(span, self._max_step, self._end - t)
             after = self.transitions.follow_slow_slip(t, span, shortest) if span >= shortest else None
             tried = after is not None
             if after is None:

@@ -18,12 +18,15 @@ from ..layout import DOMAIN_MARGIN, GAP_MARGIN, LENGTH, NOTHING_THERE, OK, SCAN_
 from .dense import Interpolant
 from .results import GAP_TOLERANCE
 from .runge_kutta import RungeKutta
+from .sign_changes import Samples, resolve, vertex, with_dips
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
 
-# Samples of the dense output between which a margin's sign change is looked for, all those of one scan.
-_PLACES = tuple(i / (SCAN_ROOM - 1) for i in range(SCAN_ROOM))
+# Samples of the dense output between which a margin's sign change is looked for, all those of one scan: irregular, lest
+# they all be zeros of a sine.
+_PLACES = (0.0, 0.1137, 0.2419, 0.3871, 0.5093, 0.6361, 0.7493, 0.8829, 1.0)
+assert len(_PLACES) == SCAN_ROOM
 # Steps that refine an event's time, and the change of time (relative to the step) that ends them.
 _REFINEMENTS = 8
 _REFINED = 1e-14
@@ -34,6 +37,8 @@ _ROUNDS = 4
 _LOOKS = 3
 # A margin that is positive by this part of its largest size wherever steps went to make it zero has no zero there.
 _POSITIVE = 1e-6
+# A user's function that gets so near to zero, against its largest value in a step, is looked at more closely.
+_NEAR = 0.05
 _XTOL, _RTOL = 1e-15, 8.9e-16
 
 
@@ -82,9 +87,9 @@ class UserEvent:
             raise UnusableResult(f"t = {t:.9g} s: events[{self.index}] returned nan")
         return number
 
-    def crosses(self, value: float) -> bool:
-        """Whether the function went through zero in its direction since its last value."""
-        rises, falls = self.value < 0.0 <= value, self.value > 0.0 >= value
+    def crosses(self, before: float, after: float) -> bool:
+        """Whether the function goes through zero in its direction from one value to another."""
+        rises, falls = before < 0.0 <= after, before > 0.0 >= after
         return (rises and self.direction >= 0.0) or (falls and self.direction <= 0.0)
 
 
@@ -105,6 +110,7 @@ class EventLocator:
 
     def __init__(self, rk: RungeKutta, users: Sequence[UserEvent], depths: np.ndarray) -> None:
         self.rk, self.users, self._depths = rk, users, depths
+        self._at_end: list[float] = []
 
     @cached_property
     def _slack(self) -> np.ndarray:
@@ -131,24 +137,68 @@ class EventLocator:
         """The user's function at the system's (q, v)."""
         return self.users[index].value_at(t, self.rk.system)
 
-    def crossed_users(self, t: float) -> list[int]:
-        """Users' events that changed sign up to the system's state at t."""
-        return [i for i, event in enumerate(self.users) if event.crosses(self.value_of_user(i, t))]
+    def users_cross(self, t: float, step: float) -> bool:
+        """Whether any of the users' functions may go through zero in the attempted step, whose end is loaded.
+
+        They are looked at on the cubic that the slopes at both ends give: dense output of its own may take evaluations.
+        """
+        if not self.users:
+            return False
+        self._at_end = [self.value_of_user(i, t + step) for i in range(len(self.users))]
+        if self.rk.method.extra == 0:
+            return True
+        state_at = self.rk.cubic(step)
+        found = False
+        for i in range(len(self.users)):
+            samples = self._samples(i, self._user(i, t, step, state_at))
+            sizes = [abs(value) for _, value in samples]
+            turns = any(before * after <= 0.0 for (_, before), (_, after) in zip(samples, samples[1:]))
+            if turns or min(sizes) < _NEAR * max(sizes):
+                found = True
+                break
+        self.rk.load(self.rk.system.new_state)
+        return found
+
+    def user_crossings(self, t: float, step: float, dense: Interpolant) -> list[Crossing]:
+        """All zeros of the users' functions in the attempted step, in order; after `users_cross`."""
+        found = []
+        for i, event in enumerate(self.users):
+            value = self._user(i, t, step, dense)
+            samples = self._samples(i, value)
+            for (low, before), (high, after) in zip(samples, samples[1:]):
+                if event.crosses(before, after):
+                    at_end = after == 0.0 or math.isinf(before) or math.isinf(after)
+                    root = high if at_end else scipy.optimize.brentq(value, low, high, xtol=_XTOL, rtol=_RTOL)
+                    found.append(Crossing(float(root), None, i))
+        return sorted(found, key=lambda crossing: crossing.theta)
+
+    def _user(
+        self, index: int, t: float, step: float, state_at: Callable[[float], np.ndarray]
+    ) -> Callable[[float], float]:
+        """User's function number index of fractions of a step, asked once for each: one that answers otherwise the next
+        time (noise) has no root to be found."""
+        known = {0.0: self.users[index].value, 1.0: self._at_end[index]}
+
+        def value(theta: float) -> float:
+            if theta not in known:
+                self.rk.load(state_at(theta))
+                known[theta] = self.value_of_user(index, t + theta * step)
+            return known[theta]
+
+        return value
+
+    def _samples(self, index: int, value: Callable[[float], float]) -> Samples:
+        return with_dips(value, resolve(value, self.users[index].value, self._at_end[index]))
 
     def update_users(self, t: float) -> None:
         """Take the system's state at t as the one that the next crossing is measured from."""
         for i, event in enumerate(self.users):
             event.value = self.value_of_user(i, t)
 
-    def first(self, t: float, step: float, dense: Interpolant, users: list[int]) -> Crossing | None:
-        """Earliest crossing of a margin or of the listed users' events; None where the alarm was false."""
+    def first(self, t: float, step: float) -> Crossing | None:
+        """Earliest crossing of a margin in the step that was interpolated last; None where the alarm was false."""
         self._take_slack()
-        found = self._first_margin(t, step)
-        for index in users:
-            theta = self._user_root(t, step, dense, index)
-            if found is None or theta < found.theta:
-                found = Crossing(theta, None, index)
-        return found
+        return self._first_margin(t, step)
 
     def _margins(self, t: float, step: float, thetas: Sequence[float]) -> np.ndarray:
         """Margins (n, items, MARGINS_PER_CONTACT) at fractions of the step that was interpolated last, less what gaps
@@ -222,7 +272,7 @@ class EventLocator:
         for i, c, kind in np.argwhere(valleys).tolist():
             points = [(thetas[k], float(samples[k, c, kind])) for k in (i, i + 1, i + 2)]
             for _ in range(_LOOKS):
-                theta = _vertex(points)
+                theta = vertex(points)
                 values = self._margins(t, step, [theta]) if theta is not None else samples[:0]
                 if theta is None or not len(values):
                     break
@@ -266,21 +316,6 @@ class EventLocator:
             else:
                 return low
         return float(scipy.optimize.brentq(value, low, high, xtol=_XTOL, rtol=_RTOL))
-
-    def _user_root(self, t: float, step: float, dense: Interpolant, index: int) -> float:
-        known: dict[float, float] = {}
-
-        def value(theta: float) -> float:
-            # asked once for each time: a function that answers otherwise the next time has no root to be found
-            if theta not in known:
-                self.rk.load(dense(theta))
-                known[theta] = self.value_of_user(index, t + theta * step)
-            return known[theta]
-
-        # signs: the product of large values may overflow, of small ones vanish
-        if (value(0.0) > 0.0) == (value(1.0) > 0.0) or value(0.0) == 0.0 or value(1.0) == 0.0:
-            return 1.0
-        return float(scipy.optimize.brentq(value, 0.0, 1.0, xtol=_XTOL, rtol=_RTOL))
 
     def refine(self, t: float, step: float, crossing: Crossing) -> tuple[float, bool]:
         """Attempt steps to the crossing, with secants on the true margin there; returns the last one's size, and
@@ -328,14 +363,3 @@ class EventLocator:
         system = self.rk.system
         return value > _POSITIVE * max(abs(float(system.lowest[c, kind])), abs(float(system.highest[c, kind])))
 
-
-def _vertex(points: list[tuple[float, float]]) -> float | None:
-    """Where the parabola through three points is lowest, strictly between the outer ones; None if it is not."""
-    (x0, y0), (x1, y1), (x2, y2) = points
-    if x0 == x1 or x1 == x2:
-        return None
-    first, second = (y1 - y0) / (x1 - x0), (y2 - y1) / (x2 - x1)
-    if not second > first:
-        return None
-    theta = 0.5 * (x0 + x1) - 0.5 * first * (x2 - x0) / (second - first)
-    return theta if x0 < theta < x2 and theta != x1 else None

@@ -451,7 +451,7 @@ class MoreauDriver:
 
     record(t): called for outputs outside compiled steps, with the state in the system. flush(): makes room for the rows
     that compiled steps write. torque: see `MoreauStep.ask`; progress(t): called now and then, or None.
-    t_eval: output times in s, None for every step.
+    t_eval: output times in s, None for every step. breakpoints: times in s, in order within the run, at which steps end.
     """
 
     def __init__(
@@ -465,7 +465,9 @@ class MoreauDriver:
         max_steps: int,
         torque: Torque | None,
         progress: Callable[[float], None] | None,
+        breakpoints: Sequence[float] = (),
     ) -> None:
+        self.breakpoints, self._earlier_steps = breakpoints, 0
         self.step, self.system, self.users = step, step.system, users
         self.record, self.flush, self.size, self.max_steps = record, flush, size, max_steps
         self.torque, self.progress = torque, progress
@@ -490,8 +492,23 @@ class MoreauDriver:
         for event in self.users:
             event.value = event.value_at(start, self.system)
         self._output(start)
+        for jump in self.breakpoints:
+            self._run_until(start, math.nextafter(jump, -math.inf))
+            self._earlier_steps += step.steps
+            step.steps = 0
+            start = math.nextafter(jump, math.inf)
+            before = self.system.modes.copy()
+            self._check(step.begin(start), start)
+            for c, contact in enumerate(self.system.contacts):
+                if before[c] == STICK and self.system.contact_int[c, MODE] == SLIPPING:
+                    self._announce(jump, contact.name, "slip")
+        self._run_until(start, end)
+
+    def _run_until(self, start: float, end: float) -> None:
+        """Steps of constant size, the last of which ends at the end."""
+        step, size = self.step, self.size
         count = max(math.ceil((end - start) / size - SLIVER), 1) if end > start else 0
-        step.set_run(start, end, size, count, self.max_steps, bool(self.users))
+        step.set_run(start, end, size, count, self.max_steps - self._earlier_steps, bool(self.users))
         why = MARCHING
         while why != AT_END:
             self.flush()
@@ -517,7 +534,7 @@ class MoreauDriver:
     @property
     def steps(self) -> int:
         """Accepted steps so far."""
-        return self.step.steps
+        return self._earlier_steps + self.step.steps
 
     def _check(self, status: int, t: float) -> None:
         if status != OK:
@@ -578,7 +595,7 @@ class MoreauDriver:
     def _user_events(self, t: float, t_new: float) -> None:
         """Locate the zeros of users' functions in the attempted step by shorter ones; a terminal one ends the run."""
         values = [event.value_at(t_new, self.system) for event in self.users]
-        crossed = [i for i, event in enumerate(self.users) if event.crosses(values[i])]
+        crossed = [i for i, event in enumerate(self.users) if event.crosses(event.value, values[i])]
         if not crossed:
             for event, value in zip(self.users, values):
                 event.value = value

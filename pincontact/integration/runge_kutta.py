@@ -102,6 +102,20 @@ class RungeKutta:
             return None
         return Interpolant(self.system)
 
+    def cubic(self, h: float) -> Callable[[float], np.ndarray]:
+        """State at a fraction theta of the attempted step of size h, from the slopes at both ends alone."""
+        system = self.system
+        start, change = system.state.copy(), system.new_state - system.state
+        first = h * system.slopes[0] - change
+        last = change - h * system.slopes[self.method.stages]
+
+        def state_at(theta: float) -> np.ndarray:
+            rest = 1.0 - theta
+            out: np.ndarray = start + theta * (change + rest * (rest * first + theta * last))
+            return out
+
+        return state_at
+
     def begin_at(self, q: np.ndarray, v: np.ndarray, location: np.ndarray) -> None:
         """Make (q, v) and the location parameters (nc, 4) the state at the step's start, and the next one evaluated."""
         system = self.system

@@ -78,6 +78,8 @@ from .manifold import configuration_rate, move, normalize, rate_in_parent_axes, 
 
 # Rows of the coefficient table and of the slopes: 16 for stages and the interpolant, the last one for scratch.
 MAX_STAGES = 17
+# Rows of the error weights: two estimates of the state's error, the rest for margins (see `resolution`).
+ERROR_ROWS = 14
 FRICTION_WORK, DRIVE_WORK, TORQUE_WORK, DAMPING_WORK = range(4)
 NUMBER_OF_WORKS = 4
 
@@ -208,7 +210,7 @@ def error_norm(table, last):
     ny = sizes[NY]
     state, new_state = reals(table[STATE], ny), reals(table[NEW_STATE], ny)
     slopes = matrix(table[SLOPES], MAX_STAGES, ny)
-    weights = matrix(table[WEIGHTS_ERROR], 2, MAX_STAGES)
+    weights = matrix(table[WEIGHTS_ERROR], ERROR_ROWS, MAX_STAGES)
     absolute = reals(table[ABSOLUTE], ny)
     relative = reals(table[SCALE], 1)[0]
     first, second = 0.0, 0.0

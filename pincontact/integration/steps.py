@@ -122,6 +122,7 @@ from ..layout import (
 from ..memory import cube, integer_matrix, integers, matrix, reals
 from .dense import DENSE_ROWS, dense_coefficients, interpolate
 from .recording import BLOCK, output_done, record_row
+from .resolution import KEPT_ROWS, keep_margins, margin_error, set_margins_aside, take_margins_up
 from .stages import (
     MAX_STAGES,
     build_state,
@@ -181,6 +182,8 @@ _FIRST_FRACTION = 0.5
 FAILED_FACTOR = 0.25
 # A remainder of the interval below this fraction of the step is added to it.
 _SLIVER = 1e-9
+# Steps of the longest size that is allowed differ by up to this part, in the sequence of the golden ratio.
+_IRREGULAR, _GOLDEN = 0.3, 0.6180339887498949
 
 # Where 3D slip ends its direction is singular: no step goes further than this fraction of the way to the end.
 _STOP_FRACTION = 0.8
@@ -226,6 +229,7 @@ def _slope(table, index):
     """Slope number `index` from the last evaluation, of the state in STAGE_STATE."""
     ny = integers(table[SIZES], 8)[NY]
     fill_slope(table, reals(table[STAGE_STATE], ny), matrix(table[SLOPES], MAX_STAGES, ny)[index])
+    keep_margins(table, index)
 
 
 @kernel
@@ -263,7 +267,8 @@ def _stages(table, t, h, first, last, adaptive):
 def attempt(table, t, h, adaptive):
     """A step of size h from the state at t, which is kept.
 
-    ALARM tells whether an event function was negative in a stage, or may have been between two.
+    ALARM tells whether an event function was negative in a stage, or may have been between two. adaptive: their
+    resolution counts as an error, too (see `resolution`).
     """
     counters = integers(table[COUNTERS], COUNTERS_SIZE)
     n = MARGINS_PER_CONTACT * count_items(table)
@@ -277,6 +282,8 @@ def attempt(table, t, h, adaptive):
         # written such that infinite margins compare
         if (1.0 + dip) * lowest[i] < dip * highest[i]:
             counters[ALARM] = 1
+    if adaptive and status <= EVENT and reals(table[SCALARS], SCALARS_SIZE)[ERROR_NORM] < 1.0:
+        margin_error(table)
     return status
 
 
@@ -375,7 +382,7 @@ def scan(table, t, h):
     """Margins along the step from t of size h that was interpolated last, at SCAN_SHARES of it: see `System.scan`."""
     n, nc = count_items(table), integers(table[SIZES], 8)[NC]
     shares, statuses = reals(table[SCAN_SHARES], SCAN_ROOM), integers(table[SCAN_STATUS], SCAN_ROOM)
-    found = cube(table[SCAN_MARGINS], SCAN_ROOM, n, MARGINS_PER_CONTACT)
+    found = cube(table[SCAN_MARGINS], SCAN_ROOM + KEPT_ROWS, n, MARGINS_PER_CONTACT)
     margins = matrix(table[MARGINS], n, MARGINS_PER_CONTACT)
     contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
     for i in range(integers(table[COUNTERS], COUNTERS_SIZE)[SCAN_COUNT]):
@@ -532,6 +539,7 @@ def _set_aside(table):
     ny = integers(table[SIZES], 8)[NY]
     stage_state, next_state = reals(table[STAGE_STATE], ny), reals(table[NEXT_STATE], ny)
     fill_slope(table, stage_state, reals(table[NEXT_SLOPE], ny))
+    set_margins_aside(table)
     for i in range(ny):
         next_state[i] = stage_state[i]
     _note_end(table)
@@ -547,6 +555,7 @@ def _take_up(table, t):
     for i in range(ny):
         state[i] = stage_state[i] = next_state[i]
         slope[i] = next_slope[i]
+    take_margins_up(table)
     hand_over(table, stage_state)
     _begin_next(table)
     return _better_charts(table, t)
@@ -675,6 +684,14 @@ def _distance(state, a, b, absolute, relative):
 
 
 @kernel
+def _irregular(count):
+    """Part of the longest step that step number count may take: never twice the same, so that nothing periodic is seen
+    in the same phase for long."""
+    share = _GOLDEN * (count + 1)
+    return 1.0 - _IRREGULAR * (share - math.floor(share))
+
+
+@kernel
 def march(table, task):
     """Steps from NOW towards END until Python is needed; what for.
 
@@ -698,7 +715,7 @@ def march(table, task):
         if _slip_ends(contact_real, n, counters[STALLED]):
             return SLIP_ENDS
         remaining = end - t
-        step = min(h, min(scalars[MAX_STEP], remaining))
+        step = min(h, min(_irregular(counters[STEP_COUNT]) * scalars[MAX_STEP], remaining))
         for c in range(n):
             if contact_real[c, START_SPEED] < math.inf and contact_real[c, START_RATE] < 0.0:
                 stop = _STOP_FRACTION * contact_real[c, START_SPEED] / -contact_real[c, START_RATE]

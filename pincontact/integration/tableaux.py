@@ -18,7 +18,8 @@ from ..errors import ArgumentError
 from ..memory import address_of
 from . import sharp98
 from .dense import DENSE_ROWS
-from .stages import MAX_STAGES
+from .resolution import roughness
+from .stages import ERROR_ROWS, MAX_STAGES
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +54,12 @@ class Tableau:
         them."""
         n = self.c.size
         rows, columns = self.dense.shape
-        a, c, errors = np.zeros((MAX_STAGES, MAX_STAGES)), np.zeros(MAX_STAGES), np.zeros((2, MAX_STAGES))
+        a, c, errors = np.zeros((MAX_STAGES, MAX_STAGES)), np.zeros(MAX_STAGES), np.zeros((ERROR_ROWS, MAX_STAGES))
         dense = np.zeros((DENSE_ROWS, MAX_STAGES + 1))
-        a[:n, :n], c[:n], errors[:, :n] = self.a, self.c, self.errors
+        a[:n, :n], c[:n], errors[:2, :n] = self.a, self.c, self.errors
+        stages = self.stages + 1
+        rough = roughness(self.a[:stages, :stages], self.c[:stages])
+        errors[2 : 2 + len(rough), :stages] = rough
         dense[:rows, : columns - 1], dense[:rows, -1] = self.dense[:, :-1], self.dense[:, -1]
         named = {"coefficients": a, "nodes": c, "weights_error": errors, "dense_weights": dense}
         return [(name, array, address_of(array)) for name, array in named.items()]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from operator import sub
 
 import numpy as np
@@ -80,6 +80,8 @@ _SHORT_SEED = 1e-2
 _SHORTENINGS = 10
 # Slip from rest starts slowly where friction turns it this many times faster than it grows.
 _SLOW_START = 30.0
+# A motion that jumps at a breakpoint moves bodies by no more than so many times what gaps are known to.
+_JUMP_REACHES = 10.0
 # What is added to the slack of a limit of friction that was reached without slip, as a factor, and where that ends.
 _SLACK_GROWTH, _LARGEST_SLACK = 4.0, 1e-10
 _DIRECTION = slice(DIRECTION_X, DIRECTION_X + 3)
@@ -248,6 +250,36 @@ class Transitions:
         self._guards = [self._guard_state(g) for g in range(system.ng)]
         if not self.dips.take_up(t, self.seed):
             raise self.give_up(t, NO_FORCE)
+
+    def pass_jump(self, t: float) -> float:
+        """A control or a motion may have jumped at t: modes of the accepted state anew, and impacts; the new time."""
+        system, rk = self.system, self.rk
+        self._started.clear()
+        rk.load(system.state)
+        status = rk.evaluate(t)
+        if status in (LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE):
+            raise self.give_up(t, status)
+        for c in system.closed():
+            if abs(system.gaps[c]).max() > _JUMP_REACHES * self._reach(c):
+                raise Stop(
+                    STEP_TOO_SMALL,
+                    f"t = {t:.9g} s: a motion jumps, which moves the bodies of contact {self.names[c]!r} "
+                    f"{system.gaps[c, 0]:.3g} m apart at once",
+                )
+        energy, before = self._counted_energy(), system.contact_int[:, MODE].copy()
+        if system.ng:
+            self._guards_from_velocities()
+        self._open_moving(t)
+        undecided = self.modes_from_velocities()
+        for c in [*system.closed(), *system.resisting()]:
+            if before[c] == STICK and system.contact_int[c, MODE] == SLIPPING:
+                self._announce_friction(t, c, True)
+        self._stop_jammed(t)
+        self._settle(t, undecided, _NONE, False)
+        self._count_loss(energy)
+        rk.accept()
+        struck = self.strike(t)
+        return self.start_frozen(t) if struck is None else struck
 
     def _open_moving(self, t: float) -> None:
         """Open the closed contacts of the initial state whose normal velocity is not zero: they part, or strike."""
@@ -497,14 +529,22 @@ class Transitions:
 
     # ---------------------------------------------------------------- joints
 
-    def _guards_from_velocities(self) -> None:
-        """Hold the coordinates that rest at an end or by dry friction, free the others."""
+    def _guards_from_velocities(self, struck: Sequence[int] = ()) -> None:
+        """Hold the coordinates that rest at an end or by dry friction, free the others; struck: those that have been
+        held at an end in an impact, and are unless they leave it."""
         system = self.system
         rest_speed = self._rest_speed()
+        stays = {
+            g: int(system.guard_int[g, GUARD_END])
+            for g in struck
+            if not self._leaves(system.nc + g, abs(system.v[system.guards[g].index_v]), self._guard_reach)
+        }
         for g, guard in enumerate(system.guards):
             position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
             end = -1 if position <= guard.low_end + END_SLACK else int(position >= guard.high_end - END_SLACK)
-            if abs(speed) > rest_speed:
+            if g in stays:
+                self.modes.hold(g, stays[g])
+            elif abs(speed) > rest_speed:
                 self.modes.release(g, 1 if speed > 0.0 else -1)
             elif end != 0 or guard.dry:
                 self.modes.hold(g, end)
@@ -539,10 +579,9 @@ class Transitions:
         system = self.system
         index = system.nc + g
         if kind in (GAP_MARGIN, DOMAIN_MARGIN):
-            # a coordinate that only grazes its end is not counted as an impact
-            if abs(system.v[system.guards[g].index_v]) <= _REST:
-                self._check_chatter(t, index)
+            self._check_chatter(t, index)
             self._stop_joint(t, g, -1 if kind == GAP_MARGIN else 1)
+            self._stop_others(t)
             return self._collide(t, system.closed(), {})
         self._check_chatter(t, index)
         if kind == SPEED_MARGIN:
@@ -552,6 +591,23 @@ class Transitions:
         else:
             self.modes.release(g, 1 if kind == NORMAL_MARGIN else -1)
         return self.resolve(t, self._sticking())
+
+    @property
+    def _guard_reach(self) -> float:
+        """Accuracy to which a coordinate's way to its end is known, in m or rad."""
+        return GAP_TOLERANCE * float(self.system.scale.sum())
+
+    def _stop_others(self, t: float) -> None:
+        """Whatever joint comes to an end at the same instant, as far as that is known, takes part in an impact."""
+        system, reach = self.system, self._guard_reach
+        for g, guard in enumerate(system.guards):
+            if system.contact_int[system.nc + g, MODE] != FREE:
+                continue
+            position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
+            for end, way in (-1, position - guard.low_end), (1, guard.high_end - position):
+                if way <= reach and end * speed >= -_LEAVING_SPEED:
+                    self._stop_joint(t, g, end)
+                    break
 
     def _stop_joint(self, t: float, g: int, end: int) -> None:
         """Guarded joint coordinate g has come to an end of its way, and is held there."""
@@ -914,16 +970,14 @@ class Transitions:
         self._evaluate_rows(t)
         for i in closed:
             leaving = self._leaves_at(i)
-            if integers[i, UNILATERAL] and leaving > _LEAVING_SPEED:
-                # a hop lower than gaps are known is none
-                falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
+            if integers[i, UNILATERAL]:
                 depth = max(-float(system.gaps[i, 0]) - self._reach(i), 0.0)
-                if leaving * leaving > 2.0 * falling * (depth + self._reach(i)):
+                if self._leaves(i, leaving, depth + self._reach(i)):
                     integers[i, MODE] = FREE
                     if depth > 0.0:
                         # rebounds from where it is
                         self.dips.start_at(i, depth)
-        self._guards_from_velocities()
+        self._guards_from_velocities(ends)
         undecided = self.modes_from_velocities(after_impact=True)
         before = self._counted_energy()
         self._stop_jammed(t)
@@ -940,6 +994,12 @@ class Transitions:
         if deep:
             self._leave_dips(t, energy + impact.drives)
         return self.resolve(t, undecided, silent=True)
+
+    def _leaves(self, i: int, leaving: float, reach: float) -> bool:
+        """Whether item i leaves what it has struck, at this speed in m/s: a hop lower than gaps are known is none."""
+        system = self.system
+        falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
+        return leaving > _LEAVING_SPEED and leaving * leaving > 2.0 * falling * reach
 
     def _leave_dips(self, t: float, energy: float) -> None:
         """After an impact of contacts in dips, out of which they have been lifted.

@@ -1,0 +1,166 @@
+"""Whether a step resolves what decides its events: margins as smooth functions of time, seen in its stages.
+
+Where nothing moves, no error is estimated, however much the forces change that hold it: a step may span many periods of
+a load. So the margins of a step's stages are fitted by a polynomial of low degree. What it leaves is to be small, against
+the margin's size, or against its distance from zero, where nothing is decided; else the step is too long. What moves the
+bodies limits steps long before that. Events are then looked for on the dense output, on which margins are exact.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..dynamics.resistance import count_items
+from ..jit import kernel
+from ..layout import (
+    ERROR_NORM,
+    ERROR_ORDER,
+    FLOOR,
+    FRICTION_MARGIN,
+    HIGHEST,
+    LOWEST,
+    MARGINS,
+    MARGINS_PER_CONTACT,
+    NORMAL_MARGIN,
+    NOTHING_THERE,
+    NQ,
+    NSTAGES,
+    NV,
+    SCALARS,
+    SCALARS_SIZE,
+    SCALE,
+    SCAN_MARGINS,
+    SCAN_ROOM,
+    SIZES,
+    STATE,
+    STEP,
+    WEIGHTS_ERROR,
+)
+from ..memory import cube, integers, matrix, reals
+from .results import GAP_TOLERANCE
+from .stages import ERROR_ROWS, MAX_STAGES
+
+# Rows of margins that are kept, of all stages from the step's start on and of one state set aside; they stand behind
+# those of a scan.
+KEPT_ROWS = MAX_STAGES + 1
+# Degree of the polynomials where there are stages enough.
+_DEGREE = 4
+# Accuracy of the conditions of order two.
+_ORDER_TWO = 1e-9
+# What they may leave of a margin: this part of its largest size, or of its least.
+_RESOLVED, _FAR = 1e-2, 0.125
+# Forces below this part of the largest are round-off.
+_FORCE_ROUND_OFF = 1e-9
+# Steps this many times the least are not shortened for a margin: it jumps there.
+_JUMP = 1e3
+
+
+def roughness(a: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(m, n) weights of values in the stages a (n, n) at the nodes (n,), whose sums have the size of what the best
+    polynomial leaves.
+
+    Of equal nodes the last one counts. Stages of first order, in which not even a parabola is one, are left out where
+    there are enough others.
+    """
+    used = [i for i, node in enumerate(nodes) if node not in nodes[i + 1 :]]
+    accurate = [i for i in used if abs(a[i] @ nodes - 0.5 * nodes[i] ** 2) < _ORDER_TWO]
+    if len(accurate) > _DEGREE + 2:
+        used = accurate
+    degree = min(_DEGREE, len(used) - 3)
+    powers = np.vander(2.0 * nodes[used] - 1.0, degree + 1)
+    out = np.zeros((len(used) - degree - 1, len(nodes)))
+    out[:, used] = np.linalg.qr(powers, mode="complete")[0][:, degree + 1 :].T
+    return out
+
+
+@kernel
+def keep_margins(table, index):
+    """Keep the margins of the last evaluation as those of stage number index."""
+    n = count_items(table)
+    kept = cube(table[SCAN_MARGINS], SCAN_ROOM + KEPT_ROWS, n, MARGINS_PER_CONTACT)
+    margins = matrix(table[MARGINS], n, MARGINS_PER_CONTACT)
+    for c in range(n):
+        for kind in range(MARGINS_PER_CONTACT):
+            kept[SCAN_ROOM + index, c, kind] = margins[c, kind]
+
+
+@kernel
+def set_margins_aside(table):
+    """Keep the margins of the last evaluation, those of the next step's start."""
+    keep_margins(table, KEPT_ROWS - 1)
+
+
+@kernel
+def take_margins_up(table):
+    """The next step's start has the margins that were set aside."""
+    n = count_items(table)
+    kept = cube(table[SCAN_MARGINS], SCAN_ROOM + KEPT_ROWS, n, MARGINS_PER_CONTACT)
+    for c in range(n):
+        for kind in range(MARGINS_PER_CONTACT):
+            kept[SCAN_ROOM, c, kind] = kept[SCAN_ROOM + KEPT_ROWS - 1, c, kind]
+
+
+@kernel
+def margin_error(table):
+    """Raise ERROR_NORM of the attempted step where one of its margins is not resolved: to 1 and more."""
+    n, scalars = count_items(table), reals(table[SCALARS], SCALARS_SIZE)
+    lowest, highest = matrix(table[LOWEST], n, MARGINS_PER_CONTACT), matrix(table[HIGHEST], n, MARGINS_PER_CONTACT)
+    worst, floor, largest_force = 0.0, -1.0, 0.0
+    if scalars[STEP] <= _JUMP * scalars[FLOOR]:
+        return
+    for c in range(n):
+        for kind in range(MARGINS_PER_CONTACT):
+            low, high = lowest[c, kind], highest[c, kind]
+            # what the best polynomial leaves is less than what the middle leaves
+            if not low < high or 0.5 * math.sqrt(MAX_STAGES) * (high - low) <= _FAR * low:
+                continue
+            if low == -math.inf or high >= NOTHING_THERE:
+                continue
+            if floor < 0.0:
+                floor, largest_force = _floor(table), _largest_force(lowest, highest, n)
+            allowed = max(_RESOLVED * max(high, -low), _FAR * low)
+            is_force = kind in (NORMAL_MARGIN, FRICTION_MARGIN)
+            allowed = max(allowed, _FORCE_ROUND_OFF * largest_force if is_force else floor)
+            worst = max(worst, _left(table, n, c, kind) / allowed)
+    if worst > 0.0:
+        # errors of polynomials fall with another power of the step than those of the state
+        scaled = worst ** ((scalars[ERROR_ORDER] + 1.0) / (_DEGREE + 1.0))
+        scalars[ERROR_NORM] = max(scalars[ERROR_NORM], min(scaled, 1e100))
+
+
+@kernel
+def _left(table, n, c, kind):
+    """What the best polynomial leaves of a margin in the attempted step: the norm over its stages."""
+    sizes = integers(table[SIZES], 8)
+    kept = cube(table[SCAN_MARGINS], SCAN_ROOM + KEPT_ROWS, n, MARGINS_PER_CONTACT)
+    weights = matrix(table[WEIGHTS_ERROR], ERROR_ROWS, MAX_STAGES)
+    total = 0.0
+    for row in range(2, ERROR_ROWS):
+        part = 0.0
+        for s in range(sizes[NSTAGES] + 1):
+            part += weights[row, s] * kept[SCAN_ROOM + s, c, kind]
+        total += part * part
+    return math.sqrt(total)
+
+
+@kernel
+def _floor(table):
+    """Gaps in m and speeds in m/s below which nothing is known."""
+    sizes, scale = integers(table[SIZES], 8), reals(table[SCALE], 2)
+    velocities = reals(table[STATE], sizes[NQ] + sizes[NV])[sizes[NQ] :]
+    size = 1.0
+    for k in range(sizes[NV]):
+        size = max(size, abs(velocities[k]))
+    return GAP_TOLERANCE * (scale[0] * size + scale[1])
+
+
+@kernel
+def _largest_force(lowest, highest, n):
+    """Largest size of a margin that is a force."""
+    size = 0.0
+    for c in range(n):
+        for kind in (NORMAL_MARGIN, FRICTION_MARGIN):
+            size = max(size, max(abs(lowest[c, kind]), abs(highest[c, kind])))
+    return size

@@ -1,0 +1,91 @@
+"""Where a function of one variable changes its sign in an interval, however often: it is sampled until it is resolved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+# Places in an interval at which a function is sampled, irregular, lest they all be zeros of a sine.
+_PLACES = (0.0, 0.1637, 0.3819, 0.6271, 0.8393, 1.0)
+# Degree of the polynomial by which it is resolved, and what that may leave: a part of the largest value, or of the
+# least.
+_DEGREE = 3
+_RESOLVED, _FAR = 1e-2, 0.125
+# Halvings of the interval: a jump is looked at no closer.
+_HALVINGS = 6
+# Looks at the lowest point between two samples.
+_LOOKS = 3
+
+_ROUGHNESS = np.linalg.qr(np.vander(_PLACES, _DEGREE + 1), mode="complete")[0][:, _DEGREE + 1 :].T
+
+Samples = list[tuple[float, float]]
+
+
+def resolve(value: Callable[[float], float], at_start: float, at_end: float) -> Samples:
+    """(place, value) in order, from 0 to 1, so close that a cubic between them is as good as the function.
+
+    at_start, at_end: its values there.
+    """
+    samples = [(0.0, at_start)]
+    _add_samples(value, (0.0, at_start), (1.0, at_end), _HALVINGS, samples)
+    return samples
+
+
+def _add_samples(
+    value: Callable[[float], float],
+    left: tuple[float, float],
+    right: tuple[float, float],
+    halvings: int,
+    samples: Samples,
+) -> None:
+    """Append samples behind `left` up to `right`."""
+    low, width = left[0], right[0] - left[0]
+    inner = [(low + width * place, value(low + width * place)) for place in _PLACES[1:-1]]
+    values = [left[1], *(sample[1] for sample in inner), right[1]]
+    # sizes: functions may be infinite
+    largest, least = max(map(abs, values)), min(map(abs, values))
+    if min(values) < 0.0 < max(values):
+        least = 0.0
+    with np.errstate(invalid="ignore", over="ignore"):
+        rough = float(np.linalg.norm(_ROUGHNESS @ values))
+    if halvings == 0 or not rough > max(_RESOLVED * largest, _FAR * least):
+        samples += [*inner, right]
+        return
+    middle = low + 0.5 * width
+    half = middle, value(middle)
+    _add_samples(value, left, half, halvings - 1, samples)
+    _add_samples(value, half, right, halvings - 1, samples)
+
+
+def with_dips(value: Callable[[float], float], samples: Samples) -> Samples:
+    """The samples, and those places where the function dips through zero between them and comes back."""
+    found = []
+    for triple in zip(samples, samples[1:], samples[2:]):
+        sign = 1.0 if triple[1][1] > 0.0 else -1.0
+        sizes = [sign * y for _, y in triple]
+        if not (0.0 < sizes[1] <= sizes[0] and sizes[1] <= sizes[2]):
+            continue
+        points = [(x, size) for (x, _), size in zip(triple, sizes)]
+        for _ in range(_LOOKS):
+            place = vertex(points)
+            if place is None:
+                break
+            y = value(place)
+            if sign * y <= 0.0:
+                found.append((place, y))
+                break
+            points = sorted(sorted([*points, (place, sign * y)], key=lambda point: point[1])[:3])
+    return sorted([*samples, *found])
+
+
+def vertex(points: list[tuple[float, float]]) -> float | None:
+    """Where the parabola through three points is lowest, strictly between the outer ones; None if it is not."""
+    (x0, y0), (x1, y1), (x2, y2) = points
+    if x0 == x1 or x1 == x2:
+        return None
+    first, second = (y1 - y0) / (x1 - x0), (y2 - y1) / (x2 - x1)
+    if not second > first:
+        return None
+    theta = 0.5 * (x0 + x1) - 0.5 * first * (x2 - x0) / (second - first)
+    return theta if x0 < theta < x2 and theta != x1 else None

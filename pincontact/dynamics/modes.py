@@ -31,6 +31,7 @@ from ..layout import (
     GUARD_SIGN,
     HAS_REFERENCE,
     HIGH_FORCE,
+    LENGTH,
     LOW_FORCE,
     MODE,
     MU,
@@ -220,26 +221,40 @@ class ModeSolver:
         if not contacts or count == 0 or not 0.0 < speed < math.inf:
             return None
         for c in contacts:
-            rows, bias = (part[c, : system.contact_int[c, TANGENTS]] for part in (system.rows, system.bias))
-            free = np.abs(rows @ system.free_acceleration + bias).max() + np.abs(bias).max()
-            left = np.abs(rows @ system.acceleration + bias).max()
-            if left > _UNHELD * free:
+            tangents = int(system.contact_int[c, TANGENTS])
+            left = system.rows[c, :tangents] @ system.acceleration + system.bias[c, :tangents]
+            # by what forces do and by what turns: either may vanish
+            sizes = np.abs(system.rows[c])
+            turning = (sizes @ np.abs(system.v)).max() ** 2 / system.contact_real[c, LENGTH]
+            rate = (sizes @ np.abs(system.free_acceleration) + np.abs(system.bias[c])).max() + turning
+            if np.abs(left).max() > _UNHELD * rate:
                 return c
         index, whitened = system.row_index[:count], system.whitened_rows[:count]
-        c, row = index[:, 0], index[:, 1]
+        items, row = index[:, 0], index[:, 1]
         lengths = np.linalg.norm(whitened, axis=1)
         moving = (lengths > 0.0) & np.isfinite(lengths)
-        slips = np.isin(c, contacts) & (row < system.contact_int[c, TANGENTS]) & moving
-        residual = np.where(slips, np.einsum("ri,ri->r", system.basis[c, row], system.slip[c]), 0.0)
+        slips = np.isin(items, contacts) & (row < system.contact_int[items, TANGENTS]) & moving
+        residual = np.where(slips, np.einsum("ri,ri->r", system.basis[items, row], system.slip[items]), 0.0)
         if not residual.any():
             return None
         unit, wanted = whitened[moving] / lengths[moving, None], residual[moving] / lengths[moving]
-        taken = np.linalg.lstsq(unit, wanted, rcond=_SINGULAR)[0]
-        rtol, atol = system.scale.tolist()
-        masses = float(np.linalg.norm(system.factor))
-        if float(np.linalg.norm(taken)) <= max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * masses):
+        taken = float(np.linalg.norm(np.linalg.lstsq(unit, wanted, rcond=_SINGULAR)[0]))
+        if taken <= self._negligible(speed):
             return None
-        return int(c[slips][np.argmax(np.abs(residual[slips]) / lengths[slips])])
+        return int(items[slips][np.argmax(np.abs(residual[slips]) / lengths[slips])])
+
+    def _negligible(self, speed: float) -> float:
+        """What constraints may take from a velocity of this size, in the mass metric of the last evaluation."""
+        rtol, atol = self.system.scale.tolist()
+        return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * float(np.linalg.norm(self.system.factor)))
+
+    def taken_from(self, before: np.ndarray) -> tuple[float, float, float]:
+        """How far the velocity is from what it was, how large that was, and how far it may be for errors of steps to
+        explain it: in the mass metric of the last evaluation, in which half a square is an energy."""
+        system = self.system
+        size = float(np.linalg.norm(whitened_velocity(system, before)))
+        change = float(np.linalg.norm(whitened_velocity(system, system.v - before)))
+        return change, size, self._negligible(size)
 
     # ---------------------------------------------------------------- redundant forces
 

@@ -207,8 +207,9 @@ _NEGLIGIBLE = 1e-14
 # Residual (m, and m/s relative to the speeds) below which nothing is corrected.
 _ROUND_OFF = 1e-16
 _LARGEST_CORRECTION = 1e3
-# What a projection may change q and v by, in the step's errors: more is no error of the step.
-_EXPLAINED = 1e3
+# What a projection may change q and v by, in the step's errors, or relative to them, whichever is more: no error of a
+# step is larger, not even where a contour is smooth between its knots only.
+_EXPLAINED, _LEAST_EXPLAINED = 1e3, 1e-6
 _PROJECTED_GAP = 1e-11
 # SETTLE: a correction of q below the first of these leaves gaps of its square, and needs no further evaluation; nor
 # does one after which Newton's method, whose corrections are as the squares of those before, has the next one below the
@@ -315,7 +316,7 @@ def project(table, t, evaluated, purpose, error):
             correct_state(table, 0, 0)
             return OK
         change = correct_state(table, 1, 1)
-        if i == 0 and change > _EXPLAINED * max(error, 1.0):
+        if i == 0 and change > max(_EXPLAINED, _LEAST_EXPLAINED / reals(table[SCALE], 2)[0]) * max(error, 1.0):
             return LOCATION_FAILED
         close = change <= _CLOSE
         size, largest = scalars[CORRECTION_SIZE], 1.0

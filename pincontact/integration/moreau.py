@@ -34,6 +34,7 @@ from ..layout import (
     SINGULAR,
     SLIPPING,
     STICK,
+    TOO_LONG,
     UNILATERAL,
     VISCOUS,
 )
@@ -121,6 +122,8 @@ _LARGEST_FORCE = 10.0
 _SEARCHES = ("sweeps", "path")
 # Motion in one step (rad or m) from which on a failure is put down to steps that are too long.
 _RUNAWAY = 10.0
+# Motion in one step (rad or m) below which no body has turned far in it.
+_TURNS_FAR = 0.3
 # Accuracy of the time of a user's event, relative to the step.
 _EVENT_ACCURACY = 1e-12
 
@@ -425,6 +428,11 @@ class MoreauStep:
             float(self._numbers[H]),
             float(np.abs(system.state[system.nq : system.nq + system.nv]).max(initial=0.0)),
         )
+        if status == TOO_LONG and self._asked is not None and h * fastest < _TURNS_FAR:
+            reason = (
+                f"the control is too stiff for steps of {h:.6g} s: the velocity at the middle of a step, which its "
+                "torques depend on, does not settle"
+            )
         if h * fastest > _RUNAWAY:
             # as where a control is too stiff for the step: other reasons are consequences
             number += f"; a coordinate moves by {h * fastest:.3g} (rad or m) in a step of {h:.6g} s: it may be too long"

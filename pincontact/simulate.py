@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from .dynamics.system import System
     from .integration.moreau import MoreauDriver
 
+# Time steps are at least so long, relative to the latest time: shorter ones would not move it on.
+_SHORTEST_STEP = float(np.finfo(float).eps)
 # So many numbers take less time as a list than as an array.
 _SHORT = 50
 
@@ -290,6 +292,9 @@ def _check(
         raise ArgumentError("step must be finite, got inf")
     if not math.isfinite(duration) or math.isinf(rtol) or math.isinf(atol):
         raise ArgumentError(f"duration, rtol and atol must be finite, got {duration}, {rtol}, {atol}")
+    latest = max(abs(state.t), abs(state.t + duration))
+    if step is not None and duration > 0.0 and step < _SHORTEST_STEP * latest:
+        raise ArgumentError(f"step must be longer than times near {latest:.6g} s are rounded by, got {step}")
     if not is_count(max_steps):
         raise ArgumentError(f"max_steps must be a whole number from 1 to 1e18, got {max_steps!r}")
 

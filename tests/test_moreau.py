@@ -635,6 +635,8 @@ def test_bad_steps():
     for step in (0.0, -1e-3, math.nan, math.inf, "1e-3"):
         with pytest.raises(pc.ArgumentError, match="step"):
             pc.simulate(scene, state, 1.0, method="Moreau", step=step)
+    with pytest.raises(pc.ArgumentError, match="rounded"):
+        pc.simulate(scene, state, 1.0, method="Moreau", step=1e-19)
     with pytest.raises(pc.ArgumentError, match="Moreau"):
         pc.simulate(scene, state, 1.0, step=1e-3)
     assert pc.simulate(scene, state, 1.0, method="Moreau", max_steps=10).status < 0
@@ -750,6 +752,16 @@ def test_runaways_are_told_apart():
     )
     assert run.status < 0
     assert "in a step of 0.1 s" in run.message
+
+
+def test_stiff_controls_are_told_apart():
+    """A damping that is too stiff for explicit torques: no body turns at all, and the message does not say so."""
+    scene = double_pendulum()
+    run = pc.simulate(
+        scene, scene.initial_state([0.3, -0.2]), 1.0, method="Moreau", control=lambda t, q, v: -1e4 * q - 1e2 * v
+    )
+    assert run.status == -9
+    assert "the control is too stiff for steps of 0.001 s" in run.message
 
 
 @pytest.mark.parametrize("law", [pc.Coulomb(0.3), pc.Coulomb(0.3, viscous=0.2), pc.Coulomb(0.0, viscous=0.5)], ids=str)

@@ -31,6 +31,7 @@ from ..layout import (
     GUARD_SIGN,
     HAS_REFERENCE,
     HIGH_FORCE,
+    LENGTH,
     LOW_FORCE,
     MODE,
     MU,
@@ -56,6 +57,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
+from .linear import RANK_TOLERANCE
 from .redundant import Choice, Cone, central_force, null_space
 from .stretches import associated, opposed_slip, stretch
 from .units import contact_rows, delassus, unit_columns, unwhiten, whiten, whitened_velocity
@@ -71,6 +73,14 @@ _WITHOUT_BOUND = 1e100
 _ROUND_OFF = 1e-11
 # Relative accelerations below this fraction of the free ones are round-off: no slip.
 _STILL = 1e-13
+# Stick that leaves more than this part of the relative acceleration that it has to end cannot be: its rows vanish, or
+# other constraints take their place. Exact solutions leave round-off, such ones all of it.
+_UNHELD = 1e-6
+# What stick may take from the velocity, in the mass metric: this part of it, and this many absolute tolerances: so far
+# is slip that counts as ended from zero.
+_TAKEN, _TAKEN_TOLERANCES = 1e-3, 1e4
+# Relative size below which singular values are zero, as pivots are in `dynamics.linear`.
+_SINGULAR = math.sqrt(RANK_TOLERANCE)
 
 
 @dataclass
@@ -144,9 +154,15 @@ class ModeSolver:
             status = evaluate(t)
         if status > EVENT and status != NO_FORCE:
             return Decision(status)
+        passing = self._let_pass(t, undecided, evaluate)
+        if passing:
+            undecided = [c for c in undecided if c not in passing]
+            status = evaluate(t)
+            if status > EVENT and status != NO_FORCE:
+                return Decision(status)
         if beyond is None and (status == OK or (status == EVENT and (self._holds() or self.redistribute(t, evaluate)))):
             # without an event every force lies inside its cone
-            return Decision(status)
+            return Decision(status, passing)
         # contacts beyond their static limit are held by sliding friction at most, the others by static friction
         self._limits = system.contact_real[:, MU_STATIC].copy()
         exceeded = system.margins[:, FRICTION_MARGIN] < 0.0
@@ -154,6 +170,7 @@ class ModeSolver:
             exceeded[beyond] = True
         self._limits[exceeded] = system.contact_real[exceeded, MU]
         decision = self._solve(t, undecided, evaluate)
+        decision.started.update(passing)
         decision.started = {c: a for c, a in decision.started.items() if integers[c, MODE] == SLIPPING}
         return decision
 
@@ -168,6 +185,76 @@ class ModeSolver:
         active = [*system.closed(), *(system.nc + g for g in system.held()), *system.resisting()]
         margins = system.margins.tolist()
         return all(margins[i][NORMAL_MARGIN] >= 0.0 and margins[i][FRICTION_MARGIN] >= 0.0 for i in active)
+
+    # ---------------------------------------------------------------- slip that only passes zero
+
+    def _let_pass(self, t: float, undecided: list[int], evaluate) -> dict[int, float]:
+        """Let slide on what cannot stick although its v_c is zero, as at the dead centre of a crank; which, with the
+        relative acceleration in m/s^2 that it has. The last evaluation is one with all undecided ones sticking.
+
+        There v_c vanishes because of the place, its rows do or are those of other constraints, and no force ends it.
+        Its friction does not change that acceleration, which is therefore that without friction.
+        """
+        system = self.system
+        passing: dict[int, float] = {}
+        while True:
+            c = self._unheld([i for i in undecided if i not in passing])
+            if c is None:
+                return passing
+            system.contact_int[c, MODE] = FRICTIONLESS
+            if evaluate(t) > EVENT:
+                system.contact_int[c, MODE] = STICK
+                evaluate(t)
+                return passing
+            tangents = int(system.contact_int[c, TANGENTS])
+            along = system.rows[c, :tangents] @ system.acceleration + system.bias[c, :tangents]
+            freeze_slip(system, c, np.r_[along, 0.0])
+            passing[c] = float(np.linalg.norm(along))
+            evaluate(t)
+
+    def _unheld(self, undecided: list[int]) -> int | None:
+        """One of these contacts that cannot stick at the last evaluation's velocity, if there is one."""
+        system = self.system
+        count = int(system.counters[ROW_COUNT])
+        speed = float(np.linalg.norm(whitened_velocity(system, system.v)))
+        contacts = [c for c in undecided if c < system.nc]
+        if not contacts or count == 0 or not 0.0 < speed < math.inf:
+            return None
+        for c in contacts:
+            tangents = int(system.contact_int[c, TANGENTS])
+            left = system.rows[c, :tangents] @ system.acceleration + system.bias[c, :tangents]
+            # by what forces do and by what turns: either may vanish
+            sizes = np.abs(system.rows[c])
+            turning = (sizes @ np.abs(system.v)).max() ** 2 / system.contact_real[c, LENGTH]
+            rate = (sizes @ np.abs(system.free_acceleration) + np.abs(system.bias[c])).max() + turning
+            if np.abs(left).max() > _UNHELD * rate:
+                return c
+        index, whitened = system.row_index[:count], system.whitened_rows[:count]
+        items, row = index[:, 0], index[:, 1]
+        lengths = np.linalg.norm(whitened, axis=1)
+        moving = (lengths > 0.0) & np.isfinite(lengths)
+        slips = np.isin(items, contacts) & (row < system.contact_int[items, TANGENTS]) & moving
+        residual = np.where(slips, np.einsum("ri,ri->r", system.basis[items, row], system.slip[items]), 0.0)
+        if not residual.any():
+            return None
+        unit, wanted = whitened[moving] / lengths[moving, None], residual[moving] / lengths[moving]
+        taken = float(np.linalg.norm(np.linalg.lstsq(unit, wanted, rcond=_SINGULAR)[0]))
+        if taken <= self._negligible(speed):
+            return None
+        return int(items[slips][np.argmax(np.abs(residual[slips]) / lengths[slips])])
+
+    def _negligible(self, speed: float) -> float:
+        """What constraints may take from a velocity of this size, in the mass metric of the last evaluation."""
+        rtol, atol = self.system.scale.tolist()
+        return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * float(np.linalg.norm(self.system.factor)))
+
+    def taken_from(self, before: np.ndarray) -> tuple[float, float, float]:
+        """How far the velocity is from what it was, how large that was, and how far it may be for errors of steps to
+        explain it: in the mass metric of the last evaluation, in which half a square is an energy."""
+        system = self.system
+        size = float(np.linalg.norm(whitened_velocity(system, before)))
+        change = float(np.linalg.norm(whitened_velocity(system, system.v - before)))
+        return change, size, self._negligible(size)
 
     # ---------------------------------------------------------------- redundant forces
 

@@ -514,12 +514,12 @@ class System:
         self.run(SCAN, t, step)
         return [status <= EVENT for status in self.scan_status[:n].tolist()], self.scan_margins[:n, : self.items]
 
-    def project(self, t: float, evaluated: bool = False) -> int:
+    def project(self, t: float, evaluated: bool = False, error: float = math.inf) -> int:
         """Put (q, v) and location of `stage_state` on the constraints; returns a status of `layout`.
 
-        evaluated: the system has just been evaluated at that state.
+        evaluated: the system has just been evaluated at that state; error: see `steps.project`.
         """
-        return self.run(PROJECT_EVALUATED if evaluated else PROJECT, t)
+        return self.run(PROJECT_EVALUATED if evaluated else PROJECT, t, error)
 
     @property
     def charted(self) -> bool:

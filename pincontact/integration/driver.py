@@ -307,11 +307,15 @@ class Driver:
         return t
 
     def _project(self, t: float, evaluated: bool) -> None:
-        if not self.rk.project(t, evaluated):
+        if not self.rk.project(t, evaluated, self.rk.error):
             raise self._projection_failed(t)
 
     def _projection_failed(self, t: float) -> Stop:
-        return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
+        return Stop(
+            STEP_TOO_SMALL,
+            f"t = {t:.9g} s: the projection on the constraints failed: it would change the state by more than the "
+            "step's error",
+        )
 
     def _finish(self, t: float) -> None:
         if self.rk.finish_step(t) > EVENT:

@@ -18,6 +18,8 @@ STEP_SLOTS = (
     "start_normal",  # (nc, 2) components of v_c along n and the second normal
     "start_gap",  # (nc,)
     "start_mode",  # (nc,) int
+    "start_domain",  # (nc,) way to the nearest end of the contours' domains, negative beyond it
+    "behind",  # (nc,) int: whether an open contact has passed beside its contours to their far side
     "trend",  # (nv,) mean acceleration of the last step, in the start's axes
     "carried_v",  # (nv,) v_0, and the trend, in the axes of the midpoint
     "carried_trend",
@@ -49,6 +51,7 @@ STEP_SLOTS = (
     "contact_impulse",  # (nc, 3) along the basis, N s
     "joint_impulse",  # (nv,) of limits, dry friction, and of what resists spinning and rolling
     "touch_time",  # (nc,) s after the step's start, negative: did not touch
+    "edge_time",  # (nc,) likewise, when a contact opened at the end of a contour
     "displacement",  # (nv,)
     "mean",  # (nv,) displacement over the step size
     "forces",  # (nc, 3) impulse over step size on the second contour given, world axes
@@ -73,6 +76,8 @@ STEP_SLOTS = (
     START_NORMAL,
     START_GAP,
     START_MODE,
+    START_DOMAIN,
+    BEHIND,
     TREND,
     CARRIED_V,
     CARRIED_TREND,
@@ -104,6 +109,7 @@ STEP_SLOTS = (
     CONTACT_IMPULSE,
     JOINT_IMPULSE,
     TOUCH_TIME,
+    EDGE_TIME,
     DISPLACEMENT,
     MEAN,
     FORCES,
@@ -207,9 +213,19 @@ def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks: i
         memory.scratch(name, contacts, 3)
     memory.scratch("inertias", max(nblocks, 1), INERTIA_SIZE)
     memory.scratch("start_normal", contacts, 2)
-    for name in ("start_gap", "restitution", "sticking", "load", "touch_time", "orientation"):
+    for name in (
+        "start_gap",
+        "restitution",
+        "sticking",
+        "load",
+        "touch_time",
+        "edge_time",
+        "start_domain",
+        "orientation",
+    ):
         memory.scratch(name, contacts)
     memory.integer_scratch("start_mode", contacts)
+    memory.integers("behind", contacts)
     memory.integers("known", contacts, CONTACT_INTS + 2)
     memory.integer_scratch("start_end", max(ng, 1))
     memory.integers("joint_int", max(nj, 1), JOINT_INTS)

@@ -40,6 +40,7 @@ from ..layout import (
     CONTACT_REAL,
     CONTACT_REALS,
     DAMPING,
+    DOMAIN,
     FACTOR,
     FRAMES,
     FREE,
@@ -83,6 +84,7 @@ from .impulse_layout import (
     APPROACH,
     AT_REST,
     AXIS,
+    BEHIND,
     CARRIED_TREND,
     CARRIED_V,
     CHANGE,
@@ -134,6 +136,7 @@ from .impulse_layout import (
     ROW_MASK,
     SHIFT,
     SLIDING,
+    START_DOMAIN,
     START_END,
     START_GAP,
     START_MODE,
@@ -187,6 +190,15 @@ def touch_instant(gap, speed, rate, touching, h):
     else:
         return -1.0
     return instant if instant <= h else -1.0
+
+
+@kernel
+def _within_domains(start, middle, instant, h):
+    """Whether the points of a contact are inside both domains at an instant of the step, by their way to the nearest
+    end at its start and its middle."""
+    if start == math.inf or middle == math.inf:
+        return middle >= 0.0
+    return start + (middle - start) * 2.0 * instant / h >= 0.0
 
 
 @kernel
@@ -301,6 +313,7 @@ def _gather_contacts(table, step, nv, nc, h):
     friction = reals(step[FRICTION], counts[MAX_UNITS])
     start_mode = integers(step[START_MODE], nc)
     start_gap, start_normal = reals(step[START_GAP], nc), matrix(step[START_NORMAL], nc, 2)
+    start_domain, behind = reals(step[START_DOMAIN], nc), integers(step[BEHIND], nc)
     sticking, load, trend = reals(step[STICKING], nc), reals(step[LOAD], nc), reals(step[CARRIED_TREND], nv)
     basis, slip = cube(table[BASIS], nc, 3, 3), matrix(table[SLIP], nc, 3)
     for c in range(nc):
@@ -316,7 +329,9 @@ def _gather_contacts(table, step, nv, nc, h):
         elif opened:
             rate = inner(rows[c, 2], trend, nv) + bias[c, 2]
             instant = touch_instant(start_gap[c], start_normal[c, 0], rate, TOUCHING * contact_real[c, LENGTH], h)
-            if instant < 0.0:
+            if instant < 0.0 or behind[c] != 0:
+                continue
+            if not _within_domains(start_domain[c], contact_real[c, DOMAIN], instant, h):
                 continue
         if contact_real[c, STRIBECK_SPEED] > 0.0 and start_mode[c] != STICK:
             speed = math.hypot(dot(basis[c, 0], slip[c]), dot(basis[c, 1], slip[c]) if two else 0.0)

@@ -11,6 +11,7 @@ import math
 
 from ..callback import call_python, kernel_caller
 from ..dynamics.energy import REST_SPEED
+from ..dynamics.equations import inner
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
 from ..friction import cone
 from ..geometry.small import dot
@@ -22,16 +23,20 @@ from ..layout import (
     CONTACT_INTS,
     CONTACT_REAL,
     CONTACT_REALS,
+    CORRECTION_Q,
     COUNTERS,
     COUNTERS_SIZE,
+    DOMAIN,
     FREE,
     FRICTIONLESS,
     FROZEN,
+    GAPS,
     GUARD_COUNT,
     GUARD_END,
     GUARD_INT,
     GUARD_INTS,
     JOINT_TABLE,
+    LENGTH,
     LOCATION_FAILED,
     MODE,
     MU,
@@ -46,6 +51,7 @@ from ..layout import (
     OK,
     RECORD_STEPS,
     RECORDED,
+    ROWS,
     SCALARS,
     SCALARS_SIZE,
     SINGULAR,
@@ -70,6 +76,7 @@ from .impulse_layout import (
     ASKED,
     ASKED_WITH,
     ASSEMBLE,
+    BEHIND,
     CALL_FAILED,
     CALLS,
     CHANGED,
@@ -82,6 +89,7 @@ from .impulse_layout import (
     CONE_VELOCITIES,
     COUNTS,
     DELASSUS,
+    EDGE_TIME,
     FORCES,
     FRICTION,
     HAS_TREND,
@@ -114,6 +122,7 @@ from .impulse_layout import (
     SET_ASIDE,
     SOLVE_CONES,
     SOLVED_HERE,
+    START_DOMAIN,
     START_MODE,
     START_Q,
     STEP_LIMIT,
@@ -133,6 +142,7 @@ from .impulse_layout import (
 from .impulse_review import AGAIN
 from .impulses import advance, commit, leave_turning_axes, predict_midpoint
 from .recording import BLOCK, output_done
+from .results import CLOSED_APART, CONTOUR_ENDS
 from .stages import hand_over
 from .steps import RECORD, SETTLE, evaluate
 
@@ -158,6 +168,11 @@ _REST = 1e-9
 SLIVER = 1e-9
 # Friction beyond its limit by less than this part of the loads on the joints is round-off.
 _ROUND_OFF = 1e-11
+# The last correction of gaps leaves so much of them, relative to the contact's length, only where the constraints
+# contradict each other.
+_APART = 1e-6
+# Nearer to an end of its domain (in its units) a point is at it.
+_AT_END = 1e-12
 
 _call_task = kernel_caller(INTEGER, TABLE, INTEGER, REAL, REAL)
 _call_on_step = kernel_caller(INTEGER, TABLE, TABLE)
@@ -190,8 +205,16 @@ def _begin(table, step, t):
     basis, slip = cube(table[BASIS], nc, 3, 3), matrix(table[SLIP], nc, 3)
     forces, torques = matrix(step[FORCES], nc, 3), matrix(step[TORQUES], nc, 3)
     touch_time, load = reals(step[TOUCH_TIME], nc), reals(step[LOAD], nc)
+    gaps, behind, size = (
+        matrix(table[GAPS], nc, 2),
+        integers(step[BEHIND], nc),
+        reals(step[NUMBERS], NNUMBERS)[STEP_SIZE],
+    )
     for c in range(nc):
         touch_time[c], load[c] = -1.0, 0.0
+        # deeper than a step could have brought it there from the near side
+        reach = size * abs(dot(basis[c, 2], slip[c])) + _APART * contact_real[c, LENGTH]
+        behind[c] = 1 if contact_int[c, MODE] == FREE and gaps[c, 0] < -reach else 0
         for i in range(3):
             forces[c, i] = torques[c, i] = 0.0
         if contact_int[c, MODE] == FREE:
@@ -305,6 +328,35 @@ def _pass(table, step, t, found):
 
 
 @kernel
+def _review_end(table, step, h):
+    """The attempted step, whose end has been put on the constraints: contacts that went beyond the end of a contour
+    open. A status: those that cannot open end there, and closed ones that are still apart are a failure."""
+    sizes = integers(table[SIZES], 8)
+    nv, nc = sizes[NV], sizes[NC]
+    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    gaps, rows = matrix(table[GAPS], nc, 2), cube(table[ROWS], nc, 3, nv)
+    correction = reals(table[CORRECTION_Q], nv)
+    start_domain, edge_time = reals(step[START_DOMAIN], nc), reals(step[EDGE_TIME], nc)
+    status = OK
+    for c in range(nc):
+        edge_time[c] = -1.0
+        if contact_int[c, MODE] == FREE:
+            continue
+        if not abs(gaps[c, 0] + inner(rows[c, 2], correction, nv)) <= _APART * contact_real[c, LENGTH]:
+            return CLOSED_APART
+        domain, before = contact_real[c, DOMAIN], start_domain[c]
+        if domain >= -_AT_END:
+            continue
+        if contact_int[c, UNILATERAL] == 0:
+            status = CONTOUR_ENDS
+            continue
+        contact_int[c, MODE] = FREE
+        edge_time[c] = h * before / (before - domain) if 0.0 < before < math.inf else 0.0
+    return status
+
+
+@kernel
 def _attempt(table, step, t, h, found):
     """A step of size h from the start at t; a status, or CONE_LEFT."""
     sizes = integers(table[SIZES], 8)
@@ -348,7 +400,8 @@ def _attempt(table, step, t, h, found):
     counts[HAS_TREND] = counts[TREND_BEFORE]
     if status != OK:
         return status
-    return _call_task(integers(step[CALLS], NCALLS)[RUN_TASK], table, SETTLE, t + h, 0.0)
+    status = _call_task(integers(step[CALLS], NCALLS)[RUN_TASK], table, SETTLE, t + h, 0.0)
+    return status if status != OK else _review_end(table, step, h)
 
 
 @kernel

@@ -41,6 +41,7 @@ from ..layout import (
     CORRECTION_Q,
     CORRECTION_V,
     DAMPING,
+    DOMAIN,
     FACTOR,
     FREE,
     FRICTIONLESS,
@@ -102,6 +103,7 @@ from .carrying import INERTIA_SIZE, carry, find_inertias, turning_rate
 from .impulse_layout import (
     ACCELERATION,
     AXIS,
+    BEHIND,
     CARRIED_TREND,
     CARRIED_V,
     CHANGE,
@@ -149,6 +151,7 @@ from .impulse_layout import (
     ROW_MASK,
     SEEN_V,
     SHIFT,
+    START_DOMAIN,
     START_END,
     START_GAP,
     START_LOCATION,
@@ -565,7 +568,9 @@ def commit(table, step, stepped):
     start_location, start_rates = matrix(step[START_LOCATION], nc, 4), matrix(step[START_RATES], nc, 4)
     start_slip, start_normal = matrix(step[START_SLIP], nc, 3), matrix(step[START_NORMAL], nc, 2)
     start_gap, start_mode = reals(step[START_GAP], nc), integers(step[START_MODE], nc)
+    start_domain, behind = reals(step[START_DOMAIN], nc), integers(step[BEHIND], nc)
     contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
     side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
     known = integer_matrix(step[KNOWN], nc, CONTACT_INTS + 2)
     changed = stepped == 0
@@ -586,6 +591,11 @@ def commit(table, step, stepped):
                 gained = inner(rows[c, row], correction_v, nv)
                 for i in range(3):
                     start_slip[c, i] += gained * basis[c, row, i]
+        # what got to the far side beside the contours touches them after it has been on the near side only
+        domain, outside = contact_real[c, DOMAIN], behind[c] != 0
+        outside = outside or domain < 0.0 or (stepped != 0 and start_domain[c] < 0.0)
+        behind[c] = 1 if start_mode[c] == FREE and start_gap[c] < 0.0 and outside else 0
+        start_domain[c] = domain
         start_normal[c, 0], start_normal[c, 1] = dot(basis[c, 2], start_slip[c]), dot(basis[c, 1], start_slip[c])
         for i in range(CONTACT_INTS):
             changed = changed or known[c, i] != contact_int[c, i]

@@ -22,6 +22,7 @@ from ..layout import (
     CHART,
     CONDITION,
     CONTACT_INTS,
+    DOMAIN,
     FREE,
     LOCATION_FAILED,
     MODE,
@@ -33,6 +34,8 @@ from ..layout import (
     SINGULAR,
     SLIPPING,
     STICK,
+    TOO_LONG,
+    UNILATERAL,
     VISCOUS,
 )
 from ..memory import address_of
@@ -99,7 +102,7 @@ from .impulse_steps import (
     UNSOLVED,
     run_steps,
 )
-from .results import FAILURES, FINISHED, TERMINATED, Event, Stop
+from .results import CLOSED_APART, CONTOUR_ENDS, FAILURES, FINISHED, TERMINATED, Event, Stop
 from .results import STEP_LIMIT as AT_STEP_LIMIT
 from .stages import move_charts
 from .steps import run_task
@@ -119,6 +122,8 @@ _LARGEST_FORCE = 10.0
 _SEARCHES = ("sweeps", "path")
 # Motion in one step (rad or m) from which on a failure is put down to steps that are too long.
 _RUNAWAY = 10.0
+# Motion in one step (rad or m) below which no body has turned far in it.
+_TURNS_FAR = 0.3
 # Accuracy of the time of a user's event, relative to the step.
 _EVENT_ACCURACY = 1e-12
 
@@ -163,7 +168,8 @@ class MoreauStep:
     called again with another size; `accept` makes it the start. Arrays (views, world axes, one row a contact):
     forces (nc, 3): mean force over the last step on the contour named second, N; torques (nc, 3): what resisted its
     spinning and rolling, N m;
-    touch_time (nc,): s after the step's start at which a contact closed, negative where it did not.
+    touch_time, edge_time (nc,): s after the step's start at which a contact closed, or opened at the end of a contour,
+    negative where it did not.
     """
 
     def __init__(self, system: System, contacts: Sequence[Contact]) -> None:
@@ -191,6 +197,7 @@ class MoreauStep:
         self.forces = memory["forces"][: system.nc]
         self.torques = memory["torques"][: system.nc]
         self.touch_time = memory["touch_time"][: system.nc]
+        self.edge_time = memory["edge_time"][: system.nc]
         self.start_mode = memory["start_mode"][: system.nc]
         self.joint_impulse = memory["joint_impulse"][: system.nv]
         self._counts, self._numbers = memory["counts"], memory["numbers"]
@@ -409,16 +416,38 @@ class MoreauStep:
             c = int(np.argmin(np.abs(system.contact_real[: system.nc, CONDITION])))
             where = f"contact {system.contacts[c].name!r} ({system.contacts[c].pattern.name}): "
             number = f"; conditioning of J {abs(system.contact_real[c, CONDITION]):.3g}"
+        elif status == CONTOUR_ENDS:
+            where = f"contact {system.contacts[self.nearest_end()].name!r} "
+        elif status == CLOSED_APART:
+            gaps = np.where(system.modes != FREE, np.abs(system.gaps[: system.nc, 0]), 0.0)
+            c = int(np.argmax(gaps))
+            where, number = f"contact {system.contacts[c].name!r}: ", f" by {gaps[c]:.3g} m"
         elif status == NO_FORCE:
             number = f"; relative residual {self.solver.residual:.3g}"
         h, fastest = (
             float(self._numbers[H]),
             float(np.abs(system.state[system.nq : system.nq + system.nv]).max(initial=0.0)),
         )
+        if status == TOO_LONG and self._asked is not None and h * fastest < _TURNS_FAR:
+            reason = (
+                f"the control is too stiff for steps of {h:.6g} s: the velocity at the middle of a step, which its "
+                "torques depend on, does not settle"
+            )
         if h * fastest > _RUNAWAY:
             # as where a control is too stiff for the step: other reasons are consequences
             number += f"; a coordinate moves by {h * fastest:.3g} (rad or m) in a step of {h:.6g} s: it may be too long"
         return Stop(code, f"t = {t:.9g} s: {where}{reason}{number}")
+
+    def nearest_end(self) -> int:
+        """Of the contacts that cannot open the one nearest to the end of a contour, or furthest beyond it."""
+        system = self.system
+        bilateral = system.contact_int[: system.nc, UNILATERAL] == 0
+        return int(np.argmin(np.where(bilateral, system.contact_real[: system.nc, DOMAIN], math.inf)))
+
+    @property
+    def size(self) -> float:
+        """Size in s of the last attempt."""
+        return float(self._numbers[H])
 
     @property
     def joint_force(self) -> np.ndarray:
@@ -487,7 +516,8 @@ class MoreauDriver:
         return FINISHED, "the end of the interval was reached"
 
     def _run(self, start: float, end: float) -> None:
-        step, size = self.step, self.size
+        step = self.step
+        self._plan(start, end)
         self._check(step.begin(start), start)
         for event in self.users:
             event.value = event.value_at(start, self.system)
@@ -505,10 +535,7 @@ class MoreauDriver:
         self._run_until(start, end)
 
     def _run_until(self, start: float, end: float) -> None:
-        """Steps of constant size, the last of which ends at the end."""
-        step, size = self.step, self.size
-        count = max(math.ceil((end - start) / size - SLIVER), 1) if end > start else 0
-        step.set_run(start, end, size, count, self.max_steps - self._earlier_steps, bool(self.users))
+        step, size, count = self.step, self.size, self._plan(start, end)
         why = MARCHING
         while why != AT_END:
             self.flush()
@@ -525,11 +552,20 @@ class MoreauDriver:
                 self.system.output_done()
             elif why == AT_LIMIT:
                 raise Stop(AT_STEP_LIMIT, f"t = {t:.9g} s: the limit of {self.max_steps} steps was reached")
+            elif why == CONTOUR_ENDS:
+                raise self._end_of_contour(t, t + step.size)
             elif why not in (MARCHING, AT_END):
                 self._check(why, t)
             if self.progress is not None:
                 i = step.steps
                 self.progress(end if i == count else start + i * size)
+
+    def _plan(self, start: float, end: float) -> int:
+        """Prepare steps of constant size, the last of which ends at the end; returns how many there are."""
+        size = self.size
+        count = max(math.ceil((end - start) / size - SLIVER), 1) if end > start else 0
+        self.step.set_run(start, end, size, count, self.max_steps - self._earlier_steps, bool(self.users))
+        return count
 
     @property
     def steps(self) -> int:
@@ -547,7 +583,29 @@ class MoreauDriver:
         if abs(h - self.size) <= SLIVER * self.size:
             # not what rounding has made of it
             h = self.size
-        self._check(self.step.attempt(t, h), t)
+        status = self.step.attempt(t, h)
+        if status == CONTOUR_ENDS:
+            raise self._end_of_contour(t, t_new)
+        self._check(status, t)
+
+    def _end_of_contour(self, t: float, t_new: float) -> Stop:
+        """Step from t to where a contact that cannot open reaches the end of a contour, which it does before t_new."""
+        step = self.step
+        name = self.system.contacts[step.nearest_end()].name
+        inside, outside = t, t_new
+        while outside - inside > _EVENT_ACCURACY * (t_new - t):
+            middle = 0.5 * (inside + outside)
+            inside, outside = (middle, outside) if step.attempt(t, middle - t) == OK else (inside, middle)
+        if inside > t:
+            self._attempt(t, inside)
+            if self.users:
+                self._user_events(t, inside)
+            self._report(t, inside)
+            step.accept(inside)
+            step.steps += 1
+        self._announce(inside, name, "edge")
+        self._output(inside)
+        return step.describe(CONTOUR_ENDS, inside)
 
     def _report(self, t: float, t_new: float) -> None:
         """What happened to the contacts in the attempted step."""
@@ -555,8 +613,13 @@ class MoreauDriver:
         found: list[tuple[float, str, str]] = []
         for c, name in enumerate(names):
             before, after = int(step.start_mode[c]), int(self.system.contact_int[c, MODE])
+            edge = float(step.edge_time[c])
             if step.touch_time[c] >= 0.0:
                 found.append((t + float(step.touch_time[c]), name, "touch"))
+            if edge >= 0.0:
+                found.append((t + max(edge, float(step.touch_time[c])), name, "edge"))
+            elif step.touch_time[c] >= 0.0:
+                continue
             elif before != FREE and after == FREE:
                 found.append((t_new, name, "separate"))
             elif before == STICK and after == SLIPPING:

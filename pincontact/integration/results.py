@@ -18,6 +18,10 @@ END_OF_CONTOUR, STEP_TOO_LONG = -8, -9
 # Gaps are known to so many times the tolerance only: nearer contacts touch, deeper ones have not yet.
 GAP_TOLERANCE = 10.0
 
+# Statuses of single time steps, beside those of `layout`: a closed contact that cannot open is beyond the end of a
+# contour, or one ends apart.
+CONTOUR_ENDS, CLOSED_APART = 50, 51
+
 FAILURES = {
     LOCATION_FAILED: (SINGULAR_CONTACT, "the location parameters could not be continued (Newton left its branch)"),
     SINGULAR: (SINGULAR_CONTACT, "the location equations became singular: the point contact degenerates"),
@@ -25,6 +29,8 @@ FAILURES = {
     NO_FORCE: (NO_CONTACT_FORCE, "no contact force satisfies Coulomb's law (Painleve), or none was found"),
     NOT_FINITE: (MODEL_FAILED, "the accelerations are not finite"),
     TOO_LONG: (STEP_TOO_LONG, "the step is too long for this motion: bodies turn too far in it"),
+    CONTOUR_ENDS: (END_OF_CONTOUR, "reached the end of a contour"),
+    CLOSED_APART: (STEP_TOO_LONG, "the step is too long for this motion: a closed contact ends apart"),
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -137,9 +138,9 @@ class RungeKutta:
         self.system.stage_state[:] = y
         load_state(self.system.table)
 
-    def project(self, t: float, evaluated: bool) -> bool:
-        """Put `stage_state` on the constraints; whether it succeeded."""
-        return self.system.project(t, evaluated) == OK
+    def project(self, t: float, evaluated: bool, error: float = math.inf) -> bool:
+        """Put `stage_state` on the constraints; whether it succeeded. error: see `steps.project`."""
+        return self.system.project(t, evaluated, error) == OK
 
     def accept(self) -> None:
         """The projected state becomes the next step's start; its slope is that of the last evaluation."""

@@ -123,6 +123,7 @@ from ..memory import cube, integer_matrix, integers, matrix, reals
 from .dense import DENSE_ROWS, dense_coefficients, interpolate
 from .recording import BLOCK, output_done, record_row
 from .resolution import KEPT_ROWS, keep_margins, margin_error, set_margins_aside, take_margins_up
+from .results import CLOSED_APART
 from .stages import (
     MAX_STAGES,
     build_state,
@@ -209,12 +210,17 @@ _NEGLIGIBLE = 1e-14
 # Residual (m, and m/s relative to the speeds) below which nothing is corrected.
 _ROUND_OFF = 1e-16
 _LARGEST_CORRECTION = 1e3
+# What a projection may change q and v by, in the step's errors, or relative to them, whichever is more: no error of a
+# step is larger, not even where a contour is smooth between its knots only.
+_EXPLAINED, _LEAST_EXPLAINED = 1e3, 1e-6
 _PROJECTED_GAP = 1e-11
 # SETTLE: a correction of q below the first of these leaves gaps of its square, and needs no further evaluation; nor
 # does one after which Newton's method, whose corrections are as the squares of those before, has the next one below the
 # other.
 _SMALL_CORRECTION, _FORETOLD_CORRECTION = 1e-7, 1e-12
 _SETTLEMENTS = 6
+# Gaps in m that it may leave where corrections do not get that small.
+_SETTLED_GAP = 1e-7
 
 
 @kernel
@@ -288,7 +294,7 @@ def attempt(table, t, h, adaptive):
 
 
 @kernel
-def project(table, t, evaluated, purpose):
+def project(table, t, evaluated, purpose, error):
     """Put (q, v) and the location of STAGE_STATE on the constraints, in the mass metric; a status.
 
     No gain to tune and no drift: Newton's iteration on the gaps with the factors of the last evaluation, and the exact
@@ -297,6 +303,8 @@ def project(table, t, evaluated, purpose):
     evaluated: the system has just been evaluated at that state, which saves one evaluation.
     purpose: TO_STEP_ON leaves constraints that are off by the square of a small part of the tolerance, and TO_SHOW the
     accelerations of another state; TO_KEEP is for states that are both shown and gone on from.
+    error: norm of the error of the step that led here, infinite where that is not known. It is what the change has to
+    be explained by: what takes more from q and v is a failure.
     """
     sizes, scalars = integers(table[SIZES], 8), reals(table[SCALARS], SCALARS_SIZE)
     beyond = count_items(table) - sizes[NC]
@@ -314,7 +322,10 @@ def project(table, t, evaluated, purpose):
         if count == 0 or (scalars[GAP_RESIDUAL] <= _ROUND_OFF and scalars[VELOCITY_RESIDUAL] <= _ROUND_OFF):
             correct_state(table, 0, 0)
             return OK
-        close = correct_state(table, 1, 1) <= _CLOSE
+        change = correct_state(table, 1, 1)
+        if i == 0 and change > max(_EXPLAINED, _LEAST_EXPLAINED / reals(table[SCALE], 2)[0]) * max(error, 1.0):
+            return LOCATION_FAILED
+        close = change <= _CLOSE
         size, largest = scalars[CORRECTION_SIZE], 1.0
         for k in range(sizes[NQ]):
             largest = max(largest, abs(q[k]))
@@ -417,7 +428,7 @@ def write_outputs(table, until, inclusive):
             return BLOCK_FULL
         t = scalars[NEXT_OUTPUT]
         _interpolated(table, (t - scalars[DENSE_START]) / scalars[DENSE_STEP])
-        status = project(table, t, False, TO_SHOW)
+        status = project(table, t, False, TO_SHOW, math.inf)
         if status != OK:
             return status
         record_row(table, t)
@@ -440,9 +451,9 @@ def settle(table, t):
         correct_state(table, 1, 1)
         size = reals(table[SCALARS], SCALARS_SIZE)[CORRECTION_SIZE]
         if size <= _SMALL_CORRECTION or size * size * size <= _FORETOLD_CORRECTION * last * last:
-            break
+            return OK
         last = size
-    return OK
+    return OK if reals(table[SCALARS], SCALARS_SIZE)[GAP_RESIDUAL] < _SETTLED_GAP else CLOSED_APART
 
 
 @kernel
@@ -751,7 +762,7 @@ def march(table, task):
             return ATTEMPTED
         inside = scalars[NEXT_OUTPUT] < t_new
         # what is not shown may be a little off, and outputs within the step need not cost the end's evaluation
-        ahead = inside and task == MARCH and project(table, t_new, True, TO_STEP_ON) == OK
+        ahead = inside and task == MARCH and project(table, t_new, True, TO_STEP_ON, error) == OK
         if ahead:
             _set_aside(table)
         if inside:
@@ -767,7 +778,7 @@ def march(table, task):
             scalars[NOW] = t_new
         else:
             shown = task != MARCH or counters[RECORD_STEPS] != 0 or scalars[NEXT_OUTPUT] == t_new
-            if project(table, t_new, not inside, TO_KEEP if shown else TO_STEP_ON) != OK:
+            if project(table, t_new, not inside, TO_KEEP if shown else TO_STEP_ON, error) != OK:
                 return PROJECTION_FAILED
             accept(table)
             scalars[NOW] = t_new
@@ -798,7 +809,7 @@ def run_task(table, task, t, h):
     if task == INTERPOLATION_STAGES:
         return interpolation(table, t, h)
     if task in (PROJECT, PROJECT_EVALUATED):
-        return project(table, t, task == PROJECT_EVALUATED, TO_KEEP)
+        return project(table, t, task == PROJECT_EVALUATED, TO_KEEP, h)
     if task == SETTLE:
         return settle(table, t)
     if task == ACCEPT:

@@ -234,11 +234,11 @@ class Transitions:
         unchanged = not (system.ng or undecided) and given == system.contact_int.tobytes()
         if status == OK and unchanged and not self.held_up():
             # the evaluation stands
-            self._project(t, True)
+            self._project(t, True, explained=True)
             rk.accept()
         else:
             self._stop_jammed(t)
-            self._settle(t, undecided, _NONE, True)
+            self._settle(t, undecided, _NONE, True, explained=True)
         if self._counts_works:
             self._count_loss(energy)
             rk.accept()
@@ -487,11 +487,12 @@ class Transitions:
         at_rest: Mapping[int, np.ndarray],
         silent: bool,
         beyond: int | None = None,
+        explained: bool = False,
     ) -> None:
         system, rk = self.system, self.rk
         before, signs = system.contact_int[:, MODE].copy(), system.contact_int[:, SLIP_SIGN].copy()
         self._decide(t, undecided, beyond)
-        self._project(t, True)
+        self._project(t, True, explained)
         rk.accept()
         for c in [*range(system.nc), *system.resisting()]:
             mode = int(system.contact_int[c, MODE])
@@ -615,9 +616,18 @@ class Transitions:
         self._guards[g] = True, end
         self.modes.hold(g, end)
 
-    def _project(self, t: float, evaluated: bool = False) -> None:
+    def _project(self, t: float, evaluated: bool = False, explained: bool = False) -> None:
+        """Put the state on its constraints; explained: by an impact, say, whatever that takes from the velocity."""
+        before = self.system.v.copy()
         if not self.rk.project(t, evaluated):
             raise Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
+        taken, speed, allowed = self.modes.taken_from(before)
+        if taken > allowed and not explained:
+            raise Stop(
+                STEP_TOO_SMALL,
+                f"t = {t:.9g} s: the projection on the constraints failed: it would change the velocity, of size "
+                f"{speed:.3g} in the mass metric, by {taken:.3g}",
+            )
 
     def _fix_normal_signs(self, t: float) -> None:
         """Flip the assumed sign of a sliding bilateral contact's normal force where it came out the other way."""
@@ -819,7 +829,7 @@ class Transitions:
     def _stop_slips(self, t: float, contacts: list[int]) -> None:
         """End slips at once, by the least change of velocity that does it."""
         self.system.contact_int[contacts, MODE] = STICK
-        self._project(t)
+        self._project(t, explained=True)
 
     def _counted_energy(self) -> float:
         """Energy in J of the system's state, where works are counted."""
@@ -989,7 +999,7 @@ class Transitions:
         ended = self._end_short_slips(t)
         if ended:
             undecided += [c for c in ended if math.isfinite(system.contact_real[c, MU])]
-            self._project(t)
+            self._project(t, explained=True)
         self._count_loss(before)
         if deep:
             self._leave_dips(t, energy + impact.drives)
@@ -1015,7 +1025,7 @@ class Transitions:
             system.stage_state[velocities] *= math.sqrt(1.0 - excess / kinetic)
             self.rk.load(system.stage_state)
             # drives have velocities of their own
-            self._project(t)
+            self._project(t, explained=True)
         if self._counts_works:
             system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] -= excess
 

@@ -35,6 +35,9 @@ _NEAR, _TURN = 0.25, 2.0
 _INSTANTS, _CHANGE = 16, 0.75
 # A step that took bodies this many times as far as it was to is taken again.
 _TOO_FAR = 2.0
+# Constant steps between two looks, at most; and how far one may go where bodies are near, in what others may: through
+# nothing that is as thick as its radius of curvature says.
+MANY_STEPS, _THROUGH = 1_000_000, 8.0
 # Places nearer than this, relative to the contact's length, are the same.
 _SAME = 1e-6
 # Gravity and what changed velocities last, times this, is what may change them next.
@@ -172,9 +175,7 @@ class OpenContacts:
         longest, near = math.inf, False
         gravity = float(np.linalg.norm(self.system.model.gravity.linear))
         for c in contacts:
-            known = self._open.get(c)
-            if known is None:
-                known = self._open[c] = _Open(self.system, c, t)
+            known = self._known(c, t)
             speed, turning = known.speed(self.system)
             drive, follows = known.driven(self.system, t, h)
             speed += drive
@@ -198,6 +199,42 @@ class OpenContacts:
         longest, self._cut = min(longest, self._cut), math.inf
         self.is_near = near
         return longest, near
+
+    def watches(self) -> bool:
+        """Whether constant steps have to be looked at: whether any contact may be elsewhere, or be flown through."""
+        integers = self.system.contact_int[: self.system.nc]
+        balls = np.isin(integers[:, CLOSED_FORM], (POINT_ON_SPHERE, SPHERE_ON_SPHERE))
+        searched = np.array([is_searched(self.system, c) for c in range(self.system.nc)], dtype=bool)
+        return bool(((integers[:, UNILATERAL] != 0) & (balls | searched)).any())
+
+    def look(self, t: float, h: float) -> int:
+        """How many steps of size h from the accepted state at t, which is evaluated, may go before the next look; zero
+        where one may go through what is there."""
+        steps = MANY_STEPS
+        gravity = float(np.linalg.norm(self.system.model.gravity.linear))
+        for c in self._list():
+            known = self._known(c, t)
+            if math.isinf(known.near):
+                continue
+            speed, _ = known.speed(self.system)
+            speed += known.driven(self.system, t, h)[0]
+            acceleration, distance = _SAFETY * gravity, self._distance(known, t)
+            way = speed * h + 0.5 * acceleration * h * h
+            if known.search is not None and way > distance:
+                lost = self.system.gaps[c, 0] >= NOTHING_THERE
+                if lost or known.moved(t) + way > known.elsewhere:
+                    self.find(t, c)
+                distance = self._distance(known, t)
+            if way > max(distance, _THROUGH * known.near):
+                return 0
+            certain = distance if known.search is None else known.elsewhere - known.moved(t)
+            steps = min(steps, max(int(min(_time(speed, acceleration, max(certain, 0.0)) / h, MANY_STEPS)), 1))
+        return steps
+
+    def _known(self, c: int, t: float) -> _Open:
+        if c not in self._open:
+            self._open[c] = _Open(self.system, c, t)
+        return self._open[c]
 
     def _distance(self, known: _Open, t: float) -> float:
         """How far bodies are apart, at least, in m; zero where that is not known."""

@@ -37,6 +37,8 @@ _STARTS = 6
 _FINE, _FINEST = 0.05, 0.05
 # Radius of the neighbourhood of a nearest point that has no other one, in radii of curvature.
 _NEIGHBOURHOOD = 0.5
+# Largest radius of curvature in m that is told from none.
+_LARGEST = 100.0
 # Part of the bends that may be sharper than the radius of curvature that counts: those of poles are the parameters'.
 _SHARPEST = 0.9
 
@@ -110,7 +112,9 @@ class NearestSearch:
         if not all(math.isfinite(low) and math.isfinite(high) for low, high in self.one.domain):
             raise ValueError("body 1 goes on for ever")
         self.whole = Whole(self.one, t)
-        self.bend = min(bend(self.one, t), bend(self.two, t))
+        own, other, extent = bend(self.one, t), bend(self.two, t), self.whole.extent + self.whole.rounding
+        # in a hollow, what is left of its radius beside body 1; a point's own way to bend is none
+        self.bend = min(max(other - extent, 0.5 * min(own, other)), _LARGEST)
         self._single = SingleSystem(system.model, [self.contact])
 
     def pose(self) -> tuple[np.ndarray, np.ndarray]:

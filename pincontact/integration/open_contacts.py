@@ -27,6 +27,7 @@ from ..layout import (
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
+    from ..geometry.search import Candidate
 
 # How far bodies may move within a step where they are near, in radii of curvature, and how far they may turn, in rad:
 # margins are then seen wherever they may be negative.
@@ -38,6 +39,8 @@ _TOO_FAR = 2.0
 # Constant steps between two looks, at most; and how far one may go where bodies are near, in what others may: through
 # nothing that is as thick as its radius of curvature says.
 MANY_STEPS, _THROUGH = 1_000_000, 8.0
+# Places (m) and speeds (m/s, rad/s) are cut off at this.
+_BEYOND = 1e50
 # Places nearer than this, relative to the contact's length, are the same.
 _SAME = 1e-6
 # Gravity and what changed velocities last, times this, is what may change them next.
@@ -73,7 +76,8 @@ class _Open:
     def speed(self, system: System) -> tuple[float, float]:
         """Bounds of the speed in m/s at which points of body 1 move in the frame of body 2, and of its turning, in
         rad/s."""
-        one, two = system.frames[2 * self.c], system.frames[2 * self.c + 1]
+        # speeds beyond all bounds end a run elsewhere
+        one, two = np.clip(system.frames[2 * self.c : 2 * self.c + 2], -_BEYOND, _BEYOND)
         centre = one[ORIGIN].copy()
         extent = 0.0
         if self.whole is not None:
@@ -261,7 +265,7 @@ class OpenContacts:
             lost = self.system.gaps[c, 0] >= NOTHING_THERE
             if known.search is not None and self.apart[c] and (lost or known.moved(t) > known.elsewhere):
                 found = known.search.search(t).candidate
-                if found is not None and -way < found.gap < 0.0 and not self._is_present(c, found.point):
+                if found is not None and -way < found.gap < 0.0 and not self._is_present(c, found):
                     self._cut = 0.5 * step
                     return False
         return True
@@ -293,7 +297,7 @@ class OpenContacts:
         known.rotation, known.centre = search.pose()
         known.distance, known.elsewhere, known.time = nearest.distance, nearest.elsewhere, t
         found = nearest.candidate
-        if found is None or self._is_present(c, found.point):
+        if found is None or self._is_present(c, found):
             return False
         first = system.nq + system.nv + 4 * c
         system.state[first : first + 4] = found.location
@@ -304,13 +308,14 @@ class OpenContacts:
         self.has_moved = True
         return True
 
-    def _is_present(self, c: int, point: np.ndarray) -> bool:
-        """Whether a world point on body 2 is where contact c is."""
-        system = self.system
-        if system.gaps[c, 0] >= NOTHING_THERE:
+    def _is_present(self, c: int, found: Candidate) -> bool:
+        """Whether a candidate is where contact c is."""
+        system, same = self.system, _SAME * self.system.contact_real[c, LENGTH]
+        if not abs(system.gaps[c, 0] - found.gap) < same:
+            # elsewhere, or on another side of body 1
             return False
         present = system.frames[2 * c + 1, ORIGIN] + system.derivatives[2 * c + 1, 0]
-        return bool(np.linalg.norm(present - point) < _SAME * system.contact_real[c, LENGTH])
+        return bool(np.linalg.norm(present - found.point) < same)
 
 
 def _time(speed: float, acceleration: float, way: float) -> float:

@@ -41,6 +41,8 @@ _TOO_FAR = 2.0
 MANY_STEPS, _THROUGH = 1_000_000, 8.0
 # Places (m) and speeds (m/s, rad/s) are cut off at this.
 _BEYOND = 1e50
+# A start that is no deeper than this part of the contact's length, and gets deeper, has just touched.
+_SHALLOW = 0.05
 # Places nearer than this, relative to the contact's length, are the same.
 _SAME = 1e-6
 # Gravity and what changed velocities last, times this, is what may change them next.
@@ -151,8 +153,12 @@ class OpenContacts:
 
     def begin(self, slack: np.ndarray) -> None:
         """The evaluated state is that at which a run starts; slack: (nc,) what gaps may be below zero, in m."""
+        system = self.system
         for c in self._list():
-            self.apart[c] = self.system.gaps[c, 0] >= -slack[c]
+            gap = system.gaps[c, 0]
+            enters = system.contact_real[c, DOMAIN] >= 0.0 and system.basis[c, 2] @ system.slip[c] < 0.0
+            shallow = gap >= -_SHALLOW * system.contact_real[c, LENGTH]
+            self.apart[c] = gap >= -slack[c] or (shallow and enters)
 
     def note(self, scanned: bool, slack: np.ndarray) -> None:
         """The evaluated state has been accepted. scanned: whether events were looked for in the step to it."""

@@ -71,7 +71,7 @@ class Contour:
 
     def evaluate_many(self, u: np.ndarray, t: float = 0.0, chart: int = 0) -> np.ndarray:
         """f and its derivatives at parameter values u (n, k): (n, 10, 3), otherwise as `evaluate`."""
-        from .table import evaluate_contour
+        from .table import evaluate_contours
 
         try:
             # a contour without parameters has none of any type
@@ -86,12 +86,14 @@ class Contour:
         parameters[:, : self.dimension] = u
         out = np.zeros((len(u), DERIVATIVE_ROWS, 3))
         row, pool = self.shape_row(), self.pool
-        for (u1, u2), values in zip(parameters.tolist(), out):
-            try:
-                evaluate_contour(self.kind, chart, row, pool, u1, u2, t, values)
-            except (ArithmeticError, ValueError):
-                # Without compilation Python raises where the kernels' arithmetic gives infinity or NaN.
-                values[:] = np.nan
+        try:
+            evaluate_contours(self.kind, chart, row, pool, parameters, t, out)
+        except (ArithmeticError, ValueError):
+            # Without compilation Python raises where the kernels' arithmetic gives infinity or NaN.
+            if len(u) == 1:
+                out[:] = np.nan
+            else:
+                out = np.concatenate([self.evaluate_many(one[None], t, chart) for one in u])
         return out
 
     def point(self, u: Sequence[float] | float = (), t: float = 0.0, chart: int = 0) -> np.ndarray:

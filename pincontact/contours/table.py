@@ -23,7 +23,7 @@ from .splines import lift
 from .surfaces import closed_form_surface, plane
 from .tape import tape
 
-__all__ = ["convert_chart", "evaluate", "evaluate_contour", "preferred_chart"]
+__all__ = ["convert_chart", "evaluate", "evaluate_contours", "preferred_chart"]
 
 
 @kernel
@@ -58,7 +58,8 @@ def evaluate(kind, chart, shape, pool, u1, u2, t, out):
             lift(u1, u2, out)
 
 
-@entry_kernel(INTEGER, INTEGER, REAL[::1], REAL[::1], REAL, REAL, REAL, REAL[:, ::1], when=CALLED)
-def evaluate_contour(kind, chart, shape, pool, u1, u2, t, out):
-    """`evaluate` for callers in Python."""
-    evaluate(kind, chart, shape, pool, u1, u2, t, out)
+@entry_kernel(INTEGER, INTEGER, REAL[::1], REAL[::1], REAL[:, ::1], REAL, REAL[:, :, ::1], when=CALLED)
+def evaluate_contours(kind, chart, shape, pool, u, t, out):
+    """`evaluate` for callers in Python, at parameters u (n, 2) into out (n, 10, 3)."""
+    for i in range(u.shape[0]):
+        evaluate(kind, chart, shape, pool, u[i, 0], u[i, 1], t, out[i])

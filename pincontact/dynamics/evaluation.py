@@ -93,6 +93,7 @@ from ..layout import (
     NJOINTS,
     NLE,
     NOT_FINITE,
+    NOTHING_THERE,
     NQ,
     NV,
     OK,
@@ -260,6 +261,8 @@ def evaluate_contacts(table, time, with_rows, with_bias):
             if ints[MOTION_KIND] != 0:
                 drive_side(table, side, nc, ints, side_base[side], frames[side], time, vectors)
         one, two = 2 * c, 2 * c + 1
+        u = location[c]
+        start1, start2, start3, start4 = u[0], u[1], u[2], u[3]
         status = contact_kinematics(
             contact_int[c],
             contact_real[c],
@@ -283,11 +286,17 @@ def evaluate_contacts(table, time, with_rows, with_bias):
             counters,
         )
         if status != OK:
-            if contact_int[c, MODE] == FREE and not with_rows:
+            if contact_int[c, MODE] == FREE:
                 # an open contact without a nearest point (parallel lines, a focus) is beyond all ends for the moment
                 contact_real[c, DOMAIN] = -1.0
+                u[0], u[1], u[2], u[3] = start1, start2, start3, start4
+                gaps[c, 0] = NOTHING_THERE
                 for a in range(4):
                     rates[c, a] = 0.0
+                for row in range(3):
+                    slip[c, row] = bias[c, row] = 0.0
+                    for k in range(nv):
+                        rows[c, row, k] = 0.0
                 continue
             return status
         distance = distance_to_ends(

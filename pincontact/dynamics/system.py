@@ -506,7 +506,7 @@ class System:
         """Margins along the step from t that was interpolated last, at shares of it, at most SCAN_ROOM: (n,) whether
         they could be evaluated, (n, items, MARGINS_PER_CONTACT) a view that the next scan overwrites.
 
-        The gap of a contact beyond the end of one of its contours is NOTHING_THERE.
+        The gap of an open contact is NOTHING_THERE where no nearest point was found.
         """
         n = len(shares)
         self.scan_shares[:n] = shares

@@ -65,7 +65,7 @@ def find_candidates(system: System, t: float, guess: np.ndarray) -> list[Candida
     if system.contact_int[0, CLOSED_FORM] != NO_CLOSED_FORM:
         start = np.where(np.isnan(guess), 0.0, guess)
         form = int(system.contact_int[0, CLOSED_FORM])
-        found = [c for c in (_refine(system, t, start, branch, statuses) for branch in BRANCHES[form]) if c is not None]
+        found = [c for c in (refine(system, t, start, branch, statuses) for branch in BRANCHES[form]) if c is not None]
         if np.isfinite(known).all() and len(found) > 1:
             if form == ROUND_ON_PLANE:
                 # the guess of body 1 names the branch
@@ -73,16 +73,16 @@ def find_candidates(system: System, t: float, guess: np.ndarray) -> list[Candida
                 return found[:1]
             # the one to which Newton leads from there
             system.contact_int[0, CLOSED_FORM] = NO_CLOSED_FORM
-            near = _refine(system, t, guess, 1, statuses)
+            near = refine(system, t, guess, 1, statuses)
             system.contact_int[0, CLOSED_FORM] = form
             if near is not None:
                 return [c for c in found if _is_same(c, near, system)]
     elif np.isfinite(known).all():
-        found = [c for c in (_refine(system, t, guess, 1, statuses),) if c is not None]
+        found = [c for c in (refine(system, t, guess, 1, statuses),) if c is not None]
     else:
         found = []
         for start in _seeds(system, t, guess):
-            candidate = _refine(system, t, start, 1, statuses)
+            candidate = refine(system, t, start, 1, statuses)
             if candidate is not None and not any(_is_same(candidate, c, system) for c in found):
                 found.append(candidate)
     if not found and SINGULAR in statuses:
@@ -99,7 +99,7 @@ def _is_same(a: Candidate, b: Candidate, system: System) -> bool:
     return abs(a.gap - b.gap) < _SAME * length and bool(np.linalg.norm(a.point - b.point) < _SAME * length)
 
 
-def _refine(system: System, t: float, start: np.ndarray, branch: int, statuses: set[int]) -> Candidate | None:
+def refine(system: System, t: float, start: np.ndarray, branch: int, statuses: set[int]) -> Candidate | None:
     """Newton from a start (in the first charts); None where it fails or leaves a finite domain. statuses: how it went
     is added."""
     contact = system.contacts[0]

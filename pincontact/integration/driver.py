@@ -17,6 +17,7 @@ from ..layout import (
     FLOOR,
     FREE,
     LAST_ERROR,
+    LOCATION_FAILED,
     MAX_STEP,
     MODE,
     NEXT_OUTPUT,
@@ -108,7 +109,7 @@ class Driver:
         progress: Callable[[float], None] | None = None,
     ) -> None:
         self.rk, self.system, self.transitions = rk, rk.system, transitions
-        self.locator = EventLocator(rk, users, transitions.dips.depths)
+        self.locator = EventLocator(rk, users, transitions.dips.depths, transitions.open)
         transitions.emit = self._output_short_step
         self.record, self.flush, self.options, self.progress = record, flush, options, progress
         self.system.set_output_times(options.t_eval)
@@ -170,10 +171,10 @@ class Driver:
                 continue
             scalars[NOW] = t
             self.flush()
-            why = self.system.run(self._task())
+            why = self.system.run(self._foresee(t, self._task()))
             t = float(scalars[NOW])
             if why == STEPPED:
-                self._watch(t, True)
+                self._watch(t, True, False)
                 self._output_at(t)
             elif why == ATTEMPTED:
                 h = float(scalars[NEXT_STEP])
@@ -240,6 +241,24 @@ class Driver:
             return MARCH_ONE_STEP
         return MARCH
 
+    def _foresee(self, t: float, task: int) -> int:
+        """Bound the next step by what open contacts may hit in it; how far the compiled steps may then go."""
+        scalars, opened = self.system.scalars, self.transitions.open
+        scalars[MAX_STEP] = self._max_step
+        if not opened.are_any():
+            return task
+        longest, near = opened.begin_step(t, float(min(scalars[NEXT_STEP], scalars[MAX_STEP], scalars[END] - t)))
+        if opened.has_moved:
+            # nearest points elsewhere: the same state, located there
+            opened.has_moved = False
+            self.rk.load(self.system.state)
+            if self.rk.evaluate_start(t) > EVENT:
+                raise self.transitions.give_up(t, LOCATION_FAILED)
+            self._finish(t)
+            self.transitions.note_sides(False)
+        scalars[MAX_STEP] = max(min(self._max_step, longest), 4.0 * scalars[FLOOR])
+        return MARCH_ONE_ATTEMPT if near else task
+
     def _restart(self, h: float) -> None:
         """Step size after a mode change; h is what it would have been."""
         self.system.scalars[NEXT_STEP] = self.options.fixed_step or min(h, 10.0 * self.transitions.seed)
@@ -252,8 +271,12 @@ class Driver:
         """Events, outputs and commitment of the attempted step; returns the new time and whether modes changed."""
         rk, system = self.rk, self.system
         dense: Interpolant | None = None
+        opened = self.transitions.open
+        if opened.is_near and not opened.may_stand(t_new, step):
+            self._unmake()
+            return t, False
         asked = self.locator.users_cross(t, step)
-        if rk.alarm or asked:
+        if rk.alarm or asked or opened.is_near:
             dense = rk.interpolant(t, step)
             if dense is None:
                 return self._reject(t, step)
@@ -287,15 +310,19 @@ class Driver:
 
     def _reject(self, t: float, step: float) -> tuple[float, bool]:
         """Try a shorter step where the attempted one has no dense output, as where one of its stages fails."""
-        scalars, counters = self.system.scalars, self.system.counters
-        counters[STEP_COUNT] -= 1
-        counters[REJECTED_COUNT] += 1
+        scalars = self.system.scalars
+        self._unmake()
         if self.options.fixed_step:
             if not self.transitions.held_up():
                 raise self._no_interpolant(t)
             return self._end_jams(t), True
         scalars[NEXT_STEP] = FAILED_FACTOR * step
         return t, False
+
+    def _unmake(self) -> None:
+        """Count the attempted step as rejected."""
+        self.system.counters[STEP_COUNT] -= 1
+        self.system.counters[REJECTED_COUNT] += 1
 
     def _end_jams(self, t: float) -> float:
         """Where no step succeeds, end the slips that friction alone holds up, if there are any; the new time."""
@@ -329,13 +356,14 @@ class Driver:
             self.record(t)
         self._output_at(t)
 
-    def _watch(self, t: float, stepped: bool) -> None:
+    def _watch(self, t: float, stepped: bool, scanned: bool = True) -> None:
         """Take the accepted state at t as the one that the next events are measured from.
 
-        stepped: whether the last attempt led there in the present modes.
+        stepped: whether the last attempt led there in the present modes; scanned: and events were looked for in it.
         """
         self.locator.update_users(t)
         self.transitions.watch_gaps(stepped)
+        self.transitions.note_sides(scanned)
 
     def _stop_at(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> tuple[float, bool]:
         """Step again to the crossing, so that the state there has the method's full order, and switch modes; returns

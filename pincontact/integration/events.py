@@ -14,8 +14,9 @@ import scipy
 
 from ..arguments import is_number
 from ..errors import ArgumentError, UnusableResult
-from ..layout import DOMAIN_MARGIN, GAP_MARGIN, LENGTH, NOTHING_THERE, OK, SCAN_ROOM
+from ..layout import DOMAIN, DOMAIN_MARGIN, GAP_MARGIN, LENGTH, NOTHING_THERE, OK, SCAN_ROOM
 from .dense import Interpolant
+from .open_contacts import OpenContacts
 from .results import GAP_TOLERANCE
 from .runge_kutta import RungeKutta
 from .sign_changes import Samples, resolve, vertex, with_dips
@@ -105,11 +106,14 @@ class Crossing:
 class EventLocator:
     """Finds crossings in the step that its integrator has attempted.
 
-    depths: (items,) how much deeper in m than gaps are known open contacts may be; others change it.
+    depths: (items,) how much deeper in m than gaps are known open contacts may be; others change it. open_contacts:
+    which contacts may touch; is told whose gaps fall through zero beyond an end of a contour.
     """
 
-    def __init__(self, rk: RungeKutta, users: Sequence[UserEvent], depths: np.ndarray) -> None:
-        self.rk, self.users, self._depths = rk, users, depths
+    def __init__(
+        self, rk: RungeKutta, users: Sequence[UserEvent], depths: np.ndarray, open_contacts: OpenContacts
+    ) -> None:
+        self.rk, self.users, self._depths, self._open = rk, users, depths, open_contacts
         self._at_end: list[float] = []
 
     @cached_property
@@ -213,13 +217,36 @@ class EventLocator:
         # what is negative at the start counts as just having crossed
         crosses[:1] |= after[:1] < 0.0
         crosses &= before != NOTHING_THERE
-        # what starts too deep, and leaves, touches nothing
         gaps, later = before[:, :, GAP_MARGIN], after[:, :, GAP_MARGIN]
-        crosses[:, :, GAP_MARGIN] &= (gaps >= 0.0) | (later < gaps)
+        nc = self.rk.system.nc
+        # a joint that starts beyond its end, and comes back, does not meet it; nor does what comes from behind touch
+        crosses[:, nc:, GAP_MARGIN] &= (gaps[:, nc:] >= 0.0) | (later[:, nc:] < gaps[:, nc:])
+        crosses[:1, :nc, GAP_MARGIN] &= (gaps[:1, :nc] >= 0.0) | self._open.apart
         for i in np.flatnonzero(crosses.any(axis=(1, 2))):
             left, right = (thetas[i], before[i]), (thetas[i + 1], after[i])
-            return self._earliest(t, step, np.argwhere(crosses[i]), left, right)
+            crossed = [margin for margin in np.argwhere(crosses[i]) if self._is_there(t, step, margin, left, right)]
+            if crossed:
+                return self._earliest(t, step, np.array(crossed), left, right)
         return None
+
+    def _is_there(
+        self,
+        t: float,
+        step: float,
+        margin: np.ndarray,
+        left: tuple[float, np.ndarray],
+        right: tuple[float, np.ndarray],
+    ) -> bool:
+        """Whether a margin that turns negative between two samples ends a mode: a gap does between points inside both
+        domains only."""
+        c, kind = (int(x) for x in margin)
+        if kind != GAP_MARGIN or c >= self.rk.system.nc:
+            return True
+        theta = self._root(t, step, (c, kind), (left[0], left[1][c, kind]), (right[0], right[1][c, kind]))
+        inside = bool(len(self._margins(t, step, [theta])) and self.rk.system.contact_real[c, DOMAIN] >= 0.0)
+        if not inside:
+            self._open.passed.add(c)
+        return inside
 
     def _earliest(
         self,
@@ -253,6 +280,7 @@ class EventLocator:
             after = margins[0]
             candidates = (after < 0.0) & (before > 0.0) & (before != NOTHING_THERE)
             candidates[c, kind] = False
+            candidates[list(self._open.passed), GAP_MARGIN] = False
             crossed = np.argwhere(candidates)
             if not crossed.size:
                 break

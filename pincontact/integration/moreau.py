@@ -102,9 +102,10 @@ from .impulse_steps import (
     UNSOLVED,
     run_steps,
 )
+from .open_contacts import MANY_STEPS, OpenContacts
 from .results import CLOSED_APART, CONTOUR_ENDS, FAILURES, FINISHED, TERMINATED, Event, Stop
 from .results import STEP_LIMIT as AT_STEP_LIMIT
-from .stages import move_charts
+from .stages import load_state, move_charts
 from .steps import run_task
 
 if TYPE_CHECKING:
@@ -202,6 +203,7 @@ class MoreauStep:
         self.joint_impulse = memory["joint_impulse"][: system.nv]
         self._counts, self._numbers = memory["counts"], memory["numbers"]
         self._rows: _Rows | None = None
+        self._looks = OpenContacts(system).watches()
         self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._table = system.table
         memory["calls"][: len(_CALLED)] = [kernel_address(entry) for entry in _CALLED]
@@ -213,6 +215,7 @@ class MoreauStep:
     def _begin_anew(self) -> None:
         system = self.system
         self.softened = self._left = 0
+        self.open = OpenContacts(system)
         self._asked: tuple[Callable[[], bool], tuple[()]] | None = None
         self._share_tables()
         if self._viscous:
@@ -274,11 +277,19 @@ class MoreauStep:
     def advance(self, count: int) -> int:
         """So many steps of the run, accepted; returns a status of `layout`: where that is not OK, of the step after the
         last accepted one."""
-        counts = self._counts
-        counts[LAST] = counts.item(STEPS) + count
-        status = self._run(STEP)
-        while status == MARCHING:
+        counts, last = self._counts, self._counts.item(STEPS) + count
+        counts[LAST] = last
+        status = MARCHING
+        while status == MARCHING or counts.item(STEPS) < last:
+            if self._looks:
+                # what opens in a step is looked at before the next one
+                steps = self.look() if FREE in self.system.modes.tolist() else 1
+                if steps == 0:
+                    return TOO_LONG
+                counts[LAST] = min(last, counts.item(STEPS) + steps)
             status = self._run(STEP)
+            if status not in (OK, MARCHING):
+                break
         return status
 
     def advance_by_rows(self, tau: np.ndarray, count: int) -> tuple[int, np.ndarray, np.ndarray]:
@@ -289,6 +300,8 @@ class MoreauStep:
         if rows is None or n > len(rows.q):
             rows = _Rows(n, system.nq, system.nv)
             self._rows = rows if n <= _ROWS_KEPT else None
+        if self._looks:
+            return self._advance_row_by_row(tau, count, rows)
         rows.tau[:n] = tau
         self.table[ROWS_TAU], self.table[ROWS_Q], self.table[ROWS_V] = rows.addresses
         counts[ROW_COUNT], counts[ROWS_DONE], counts[ROW_STEPS] = n, 0, count
@@ -299,6 +312,54 @@ class MoreauStep:
             counts[ROW_COUNT] = 0
         done = counts.item(ROWS_DONE)
         return status, rows.q[:done].copy(), rows.v[:done].copy()
+
+    def _advance_row_by_row(self, tau: np.ndarray, count: int, rows: _Rows) -> tuple[int, np.ndarray, np.ndarray]:
+        """`advance_by_rows` with looks at open contacts in between."""
+        nq, nv = self.system.nq, self.system.nv
+        status, done = OK, 0
+        for row in tau:
+            self.system.tau[:] = row
+            status = self.advance(count)
+            if status != OK:
+                break
+            rows.q[done], rows.v[done] = self.system.state[:nq], self.system.state[nq : nq + nv]
+            done += 1
+        return status, rows.q[:done].copy(), rows.v[:done].copy()
+
+    def limit(self, most: int, ahead: int) -> None:
+        """Let `march` stop after so many steps of the run, and after so many from here."""
+        self._counts[STEP_LIMIT] = min(most, self.steps + ahead)
+
+    def look(self) -> int:
+        """How many steps of the run may be taken before open contacts are looked at again: all, where there are none
+        that may be elsewhere; none, where a step may go through what is there."""
+        if not (self._looks and FREE in self.system.modes.tolist()):
+            return MANY_STEPS
+        size = self._numbers.item(STEP_SIZE)
+        t = self._numbers.item(RUN_START) + self.steps * size
+        steps = self.open.look(t, size)
+        if self.open.has_moved:
+            self.open.has_moved = False
+            self._take_locations(t)
+        return steps
+
+    def _take_locations(self, t: float) -> None:
+        """Start the next step with locations that others have set in `system.state`."""
+        system, memory = self.system, self.memory
+        system.stage_state[:] = system.state
+        load_state(system.table)
+        system.evaluate_kinematics(t)
+        for c in range(system.nc):
+            if system.modes[c] != FREE:
+                continue
+            memory["start_location"][c], memory["start_rates"][c] = system.location[c], system.rates[c]
+            memory["start_gap"][c], memory["start_slip"][c] = system.gaps[c, 0], system.slip[c]
+            memory["start_normal"][c] = system.basis[c, [2, 1]] @ system.slip[c]
+            known = memory["known"][c]
+            known[:CONTACT_INTS], known[CONTACT_INTS:] = (
+                system.contact_int[c],
+                system.side_int[2 * c : 2 * c + 2, CHART],
+            )
 
     def march(self, approved: bool = False) -> int:
         """Steps and outputs until something is to be done here: see `run_steps`; approved: beginning with the attempted
@@ -536,10 +597,14 @@ class MoreauDriver:
 
     def _run_until(self, start: float, end: float) -> None:
         step, size, count = self.step, self.size, self._plan(start, end)
+        most = self.max_steps - self._earlier_steps
         why = MARCHING
         while why != AT_END:
             self.flush()
-            why = step.march(approved=why == ATTEMPTED)
+            approved = why == ATTEMPTED
+            ahead = 1 if approved else step.look()
+            step.limit(most, ahead)
+            why = step.march(approved)
             i = step.steps
             t, t_new = start + i * size, end if i >= count - 1 else start + (i + 1) * size
             if why == ATTEMPTED:
@@ -550,11 +615,13 @@ class MoreauDriver:
             elif why == INNER_OUTPUT_LEFT:
                 self._record(float(self._next_output), asked=True)
                 self.system.output_done()
-            elif why == AT_LIMIT:
+            elif why == AT_LIMIT and i >= most:
                 raise Stop(AT_STEP_LIMIT, f"t = {t:.9g} s: the limit of {self.max_steps} steps was reached")
             elif why == CONTOUR_ENDS:
                 raise self._end_of_contour(t, t + step.size)
-            elif why not in (MARCHING, AT_END):
+            elif why == AT_LIMIT and ahead == 0:
+                self._check(TOO_LONG, t)
+            elif why not in (MARCHING, AT_END, AT_LIMIT):
                 self._check(why, t)
             if self.progress is not None:
                 i = step.steps

@@ -36,7 +36,6 @@ from ..layout import (
     DENSE_START,
     DENSE_STEP,
     DIP,
-    DOMAIN,
     END,
     ERROR_NORM,
     ERROR_ORDER,
@@ -50,7 +49,6 @@ from ..layout import (
     FLOOR,
     FORCE,
     FROZEN,
-    GAP_MARGIN,
     GAP_RESIDUAL,
     HIGHEST,
     LAST_ERROR,
@@ -72,7 +70,6 @@ from ..layout import (
     NEXT_TIME,
     NODES,
     NOT_FINITE,
-    NOTHING_THERE,
     NOW,
     NQ,
     NSTAGES,
@@ -391,19 +388,16 @@ def across_slip(table, t, h):
 @kernel
 def scan(table, t, h):
     """Margins along the step from t of size h that was interpolated last, at SCAN_SHARES of it: see `System.scan`."""
-    n, nc = count_items(table), integers(table[SIZES], 8)[NC]
+    n = count_items(table)
     shares, statuses = reals(table[SCAN_SHARES], SCAN_ROOM), integers(table[SCAN_STATUS], SCAN_ROOM)
     found = cube(table[SCAN_MARGINS], SCAN_ROOM + KEPT_ROWS, n, MARGINS_PER_CONTACT)
     margins = matrix(table[MARGINS], n, MARGINS_PER_CONTACT)
-    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
     for i in range(integers(table[COUNTERS], COUNTERS_SIZE)[SCAN_COUNT]):
         _interpolated(table, shares[i])
         statuses[i] = evaluate(table, t + shares[i] * h, 0)
         for c in range(n):
             for kind in range(MARGINS_PER_CONTACT):
                 found[i, c, kind] = margins[c, kind]
-            if c < nc and contact_real[c, DOMAIN] < 0.0:
-                found[i, c, GAP_MARGIN] = NOTHING_THERE
 
 
 @kernel

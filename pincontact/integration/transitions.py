@@ -55,6 +55,7 @@ from ..layout import (
     UNILATERAL,
 )
 from .dips import Dips
+from .open_contacts import OpenContacts
 from .results import CHATTER, END_OF_CONTOUR, FAILURES, GAP_TOLERANCE, SINGULAR_CONTACT, STEP_TOO_SMALL, Event, Stop
 from .runge_kutta import RungeKutta
 from .slow_slip import SlowSlip
@@ -126,6 +127,7 @@ class Transitions:
         self._guards: list[tuple[bool, int]] = []
         self.dips = Dips(rk, self.modes)
         self._reach = self.dips.reach
+        self.open = OpenContacts(rk.system)
         # contacts that have opened, and not been apart by more than gaps are known: their mode before, and the event
         self._barely_open: dict[int, tuple[int, Event]] = {}
         # closed contacts of the initial state that come in
@@ -250,6 +252,7 @@ class Transitions:
         self._guards = [self._guard_state(g) for g in range(system.ng)]
         if not self.dips.take_up(t, self.seed):
             raise self.give_up(t, NO_FORCE)
+        self.open.begin(self._slack())
 
     def pass_jump(self, t: float) -> float:
         """A control or a motion may have jumped at t: modes of the accepted state anew, and impacts; the new time."""
@@ -796,6 +799,19 @@ class Transitions:
             elif stepped and system.highest[c, GAP_MARGIN] > self._reach(c):
                 self._barely_open.pop(c, None)
 
+    def note_sides(self, scanned: bool) -> None:
+        """Take down which open contacts are apart at the accepted state, which is evaluated.
+
+        scanned: whether events were looked for in the step that led there.
+        """
+        if FREE in self.system.modes.tolist():
+            self.open.note(scanned, self._slack())
+
+    def _slack(self) -> np.ndarray:
+        """(nc,) how deep in m open contacts may be."""
+        nc = self.system.nc
+        return np.array([self._reach(c) for c in range(nc)]) + self.dips.depths[:nc]
+
     def held_up(self) -> list[int]:
         """Contacts that slide held up by friction alone."""
         modes = self.system.modes.tolist()
@@ -846,7 +862,8 @@ class Transitions:
         left = math.inf
         for c in range(system.nc):
             approach = -self._leaves_at(c)
-            if system.contact_int[c, MODE] == FREE and system.contact_real[c, DOMAIN] >= 0.0 and approach > 0.0:
+            watched = system.contact_int[c, MODE] == FREE and self.open.apart[c]
+            if watched and system.contact_real[c, DOMAIN] >= 0.0 and approach > 0.0:
                 reach = self._reach(c)
                 way = float(system.gaps[c, 0] + self.dips.depths[c]) + reach
                 left = min(left, max(way, _LEAST_WAY * reach) / approach)
@@ -859,8 +876,10 @@ class Transitions:
         lowest = system.lowest[:n]
         reach = np.array([self._reach(c) if c < system.nc else GAP_TOLERANCE * system.scale.sum() for c in range(n)])
         force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
+        touchable = np.ones(n, dtype=bool)
+        touchable[: system.nc] = self.open.apart
         return bool(
-            (lowest[:, GAP_MARGIN] >= -reach - self.dips.depths[:n]).all()
+            (lowest[touchable, GAP_MARGIN] >= -reach[touchable] - self.dips.depths[:n][touchable]).all()
             and (lowest[:, DOMAIN_MARGIN] >= -reach).all()
             and (lowest[:, [NORMAL_MARGIN, FRICTION_MARGIN]] >= -force).all()
         )

@@ -1,0 +1,332 @@
+"""Open contacts: how far a step may go before they could touch, the nearest points at which they would, and on which
+side of each other their bodies are."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..contours.base import F_T, F_TT
+from ..geometry.carriers import OMEGA, ORIGIN, VELOCITY
+from ..geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
+from ..geometry.nearest import NearestSearch, Whole, is_searched
+from ..layout import (
+    BRANCH,
+    CHART,
+    CLOSED_FORM,
+    DETERMINANT_SIGN,
+    DOMAIN,
+    FREE,
+    LENGTH,
+    NOTHING_THERE,
+    UNILATERAL,
+)
+
+if TYPE_CHECKING:
+    from ..dynamics.system import System
+    from ..geometry.search import Candidate
+
+# How far bodies may move within a step where they are near, in radii of curvature, and how far they may turn, in rad:
+# margins are then seen wherever they may be negative.
+_NEAR, _TURN = 0.25, 2.0
+# Instants of a step at which drives are looked at, and part of its size by which a drive's velocity may change in one.
+_INSTANTS, _CHANGE = 16, 0.75
+# A step that took bodies this many times as far as it was to is taken again.
+_TOO_FAR = 2.0
+# Constant steps between two looks, at most; and how far one may go where bodies are near, in what others may: through
+# nothing that is as thick as its radius of curvature says.
+MANY_STEPS, _THROUGH = 1_000_000, 8.0
+# Places (m) and speeds (m/s, rad/s) are cut off at this.
+_BEYOND = 1e50
+# A start that is no deeper than this part of the contact's length, and gets deeper, has just touched.
+_SHALLOW = 0.05
+# Places nearer than this, relative to the contact's length, are the same.
+_SAME = 1e-6
+# Gravity and what changed velocities last, times this, is what may change them next.
+_SAFETY = 2.0
+
+
+class _Open:
+    """One contact while it is open. searched: whether its nearest points are looked for; near: how far in m bodies may
+    move in a step where they are near each other."""
+
+    def __init__(self, system: System, c: int, t: float) -> None:
+        self.c, self.contact = c, system.contacts[c]
+        self.search: NearestSearch | None = None
+        self.whole: Whole | None = None
+        one, two = self.contact.body1.contour, self.contact.body2.contour
+        self.near = math.inf
+        if is_searched(system, c):
+            with suppress(ValueError):
+                self.search = NearestSearch(system, c, t)
+        if self.search is not None:
+            self.whole, self.near = self.search.whole, _NEAR * self.search.bend
+        elif all(math.isfinite(low) and math.isfinite(high) for low, high in one.domain):
+            self.whole = Whole(one, t)
+        form = system.contact_int[c, CLOSED_FORM]
+        if form in (POINT_ON_SPHERE, SPHERE_ON_SPHERE):
+            # within the other one there is nothing to fly through
+            beside = form == SPHERE_ON_SPHERE and abs(int(system.contact_int[c, BRANCH])) == 1
+            self.near = _NEAR * (two.size + (one.size if beside else 0.0))
+        # distances that the last search has found, and the pose at which it did
+        self.distance = self.elsewhere = -math.inf
+        self.rotation, self.centre, self.time = np.eye(3), np.zeros(3), t
+
+    def speed(self, system: System) -> tuple[float, float]:
+        """Bounds of the speed in m/s at which points of body 1 move in the frame of body 2, and of its turning, in
+        rad/s."""
+        # speeds beyond all bounds end a run elsewhere
+        one, two = np.clip(system.frames[2 * self.c : 2 * self.c + 2], -_BEYOND, _BEYOND)
+        centre = one[ORIGIN].copy()
+        extent = 0.0
+        if self.whole is not None:
+            centre += one[:3] @ self.whole.centre
+            extent = self.whole.extent + self.whole.rounding
+        else:
+            extent = float(np.linalg.norm(system.derivatives[2 * self.c, 0]))
+        relative = one[VELOCITY] + np.cross(one[OMEGA], centre - one[ORIGIN])
+        relative = relative - two[VELOCITY] - np.cross(two[OMEGA], centre - two[ORIGIN])
+        turning = float(np.linalg.norm(one[OMEGA] - two[OMEGA]))
+        shape = 0.0
+        for side, body in ((2 * self.c, self.contact.body1), (2 * self.c + 1, self.contact.body2)):
+            if body.contour.time_dependent:
+                shape += float(np.linalg.norm(system.derivatives[side, 6]))
+        return float(np.linalg.norm(relative)) + turning * extent + shape, turning
+
+    def driven(self, system: System, t: float, h: float) -> tuple[float, float]:
+        """The largest speed in m/s at which drives move points of one contour near the other one up to t + h, and the
+        longest step in s in which their velocities change by no more than they are."""
+        speed = change = 0.0
+        centre = system.frames[2 * self.c, ORIGIN]
+        for side, body in ((2 * self.c, self.contact.body1), (2 * self.c + 1, self.contact.body2)):
+            contour, u = body.contour, system.location[self.c, 2 * (side % 2) :][: body.contour.dimension]
+            reach = float(np.linalg.norm(centre - system.frames[side, ORIGIN])) if side % 2 else 0.0
+            reach += self.whole.extent if self.whole is not None else 0.0
+            for i in range(_INSTANTS if body.motion is not None or contour.time_dependent else 0):
+                when = t + h * (i + 0.5) / _INSTANTS
+                if body.motion is not None:
+                    row = body.motion.evaluate(when)
+                    speed = max(speed, float(np.linalg.norm(row[12:15]) + reach * np.linalg.norm(row[15:18])))
+                    change = max(change, float(np.linalg.norm(row[18:21]) + reach * np.linalg.norm(row[21:24])))
+                if contour.time_dependent:
+                    values = contour.evaluate(u.tolist(), when, int(system.side_int[side, CHART]))
+                    speed = max(speed, float(np.linalg.norm(values[F_T])))
+                    change = max(change, float(np.linalg.norm(values[F_TT])))
+        return speed, _CHANGE * speed / change if change > 0.0 else math.inf
+
+    def moved(self, t: float) -> float:
+        """How far in m any point of body 1 has moved in the frame of body 2 since the last search, at most."""
+        search = self.search
+        if search is None:
+            return 0.0
+        if self.contact.body1.contour.time_dependent or self.contact.body2.contour.time_dependent:
+            return 0.0 if t == self.time else math.inf
+        rotation, centre = search.pose()
+        turned = float(np.linalg.norm(rotation - self.rotation)) / math.sqrt(2.0)
+        return float(np.linalg.norm(centre - self.centre)) + turned * search.whole.extent
+
+
+class OpenContacts:
+    """What is known of a system's open contacts between its steps.
+
+    apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
+    passed: contacts whose gap fell through zero beyond an end of a contour in the last step, or was not seen to.
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.apart = np.ones(system.nc, dtype=bool)
+        self.passed: set[int] = set()
+        self._open: dict[int, _Open] = {}
+        self._acceleration: dict[int, float] = {}
+        self._speeds: dict[int, float] = {}
+        self._allowed: dict[int, float] = {}
+        self._cut = math.inf
+        self.has_moved = self.is_near = False
+        self._controlled: list[int] = []
+        self._absolute = system.absolute.copy()
+
+    # ---------------------------------------------------------------- sides
+
+    def begin(self, slack: np.ndarray) -> None:
+        """The evaluated state is that at which a run starts; slack: (nc,) what gaps may be below zero, in m."""
+        system = self.system
+        for c in self._list():
+            gap = system.gaps[c, 0]
+            enters = system.contact_real[c, DOMAIN] >= 0.0 and system.basis[c, 2] @ system.slip[c] < 0.0
+            shallow = gap >= -_SHALLOW * system.contact_real[c, LENGTH]
+            self.apart[c] = gap >= -slack[c] or (shallow and enters)
+
+    def note(self, scanned: bool, slack: np.ndarray) -> None:
+        """The evaluated state has been accepted. scanned: whether events were looked for in the step to it."""
+        system = self.system
+        for c, mode in enumerate(system.modes.tolist()):
+            gap = system.gaps.item(c, 0)
+            if mode != FREE or 0.0 <= gap < NOTHING_THERE:
+                self.apart[c] = True
+            elif c in self.passed or (not scanned and gap < -slack[c]):
+                self.apart[c] = False
+        self.passed.clear()
+
+    def _list(self) -> list[int]:
+        unilateral = self.system.contact_int[:, UNILATERAL]
+        return [c for c, mode in enumerate(self.system.modes.tolist()) if mode == FREE and unilateral[c]]
+
+    # ---------------------------------------------------------------- steps
+
+    def begin_step(self, t: float, h: float) -> tuple[float, bool]:
+        """The longest step in s from the accepted state, which is evaluated, of those up to h; and whether anything
+        may touch in it."""
+        contacts = self._list()
+        self._allowed.clear()
+        longest, near = math.inf, False
+        gravity = float(np.linalg.norm(self.system.model.gravity.linear))
+        for c in contacts:
+            known = self._known(c, t)
+            speed, turning = known.speed(self.system)
+            drive, follows = known.driven(self.system, t, h)
+            speed += drive
+            self._speeds[c] = speed
+            acceleration = _SAFETY * max(gravity, self._acceleration.get(c, 0.0))
+            distance = self._distance(known, t)
+            if known.search is not None and h > _time(speed, acceleration, distance):
+                moved = known.moved(t)
+                if moved > 0.0 and (distance >= known.near or moved + known.near > known.elsewhere):
+                    self.find(t, c)
+                    distance = self._distance(known, t)
+            self._allowed[c] = allowed = max(distance, known.near)
+            free = _time(speed, acceleration, distance)
+            limit = _time(speed, acceleration, allowed)
+            if h > free:
+                near = True
+                limit = min(limit, max(follows, free))
+                if turning > 0.0 and known.whole is not None and known.whole.extent > 0.0:
+                    limit = min(limit, max(_TURN / turning, free))
+            longest = min(longest, limit)
+        longest, self._cut = min(longest, self._cut), math.inf
+        self.is_near = near
+        return longest, near
+
+    def watches(self) -> bool:
+        """Whether constant steps have to be looked at: whether any contact may be elsewhere, or be flown through."""
+        integers = self.system.contact_int[: self.system.nc]
+        balls = np.isin(integers[:, CLOSED_FORM], (POINT_ON_SPHERE, SPHERE_ON_SPHERE))
+        searched = np.array([is_searched(self.system, c) for c in range(self.system.nc)], dtype=bool)
+        return bool(((integers[:, UNILATERAL] != 0) & (balls | searched)).any())
+
+    def look(self, t: float, h: float) -> int:
+        """How many steps of size h from the accepted state at t, which is evaluated, may go before the next look; zero
+        where one may go through what is there."""
+        steps = MANY_STEPS
+        gravity = float(np.linalg.norm(self.system.model.gravity.linear))
+        for c in self._list():
+            known = self._known(c, t)
+            if math.isinf(known.near):
+                continue
+            speed, _ = known.speed(self.system)
+            speed += known.driven(self.system, t, h)[0]
+            acceleration, distance = _SAFETY * gravity, self._distance(known, t)
+            way = speed * h + 0.5 * acceleration * h * h
+            if known.search is not None and way > distance:
+                lost = self.system.gaps[c, 0] >= NOTHING_THERE
+                if lost or known.moved(t) + way > known.elsewhere:
+                    self.find(t, c)
+                distance = self._distance(known, t)
+            if way > max(distance, _THROUGH * known.near):
+                return 0
+            certain = distance if known.search is None else known.elsewhere - known.moved(t)
+            steps = min(steps, max(int(min(_time(speed, acceleration, max(certain, 0.0)) / h, MANY_STEPS)), 1))
+        return steps
+
+    def _known(self, c: int, t: float) -> _Open:
+        if c not in self._open:
+            self._open[c] = _Open(self.system, c, t)
+        return self._open[c]
+
+    def _distance(self, known: _Open, t: float) -> float:
+        """How far bodies are apart, at least, in m; zero where that is not known."""
+        system, c = self.system, known.c
+        if known.search is not None:
+            return max(known.distance - known.moved(t), 0.0)
+        if system.contact_real[c, DOMAIN] < 0.0 and system.gaps[c, 0] >= NOTHING_THERE:
+            return 0.0
+        return max(abs(float(system.gaps[c, 0])), 0.0)
+
+    def may_stand(self, t: float, step: float) -> bool:
+        """Whether a step to the state at t, which is attempted and evaluated there, went no further than it was to, and
+        past nothing; where it did not, the next one is shorter."""
+        for c, allowed in self._allowed.items():
+            known = self._open[c]
+            speed, _ = known.speed(self.system)
+            drive, _ = known.driven(self.system, t - step, step)
+            speed += drive
+            self._acceleration[c] = abs(speed - self._speeds[c]) / step
+            way = max(speed, self._speeds[c]) * step
+            if way > _TOO_FAR * allowed:
+                self._cut = 0.5 * step
+                return False
+            lost = self.system.gaps[c, 0] >= NOTHING_THERE
+            if known.search is not None and self.apart[c] and (lost or known.moved(t) > known.elsewhere):
+                found = known.search.search(t).candidate
+                if found is not None and -way < found.gap < 0.0 and not self._is_present(c, found):
+                    self._cut = 0.5 * step
+                    return False
+        return True
+
+    def are_any(self) -> bool:
+        """Whether there are open contacts. No error is controlled in where they are, which matters to nobody."""
+        contacts = self._list() if FREE in self.system.modes.tolist() else []
+        if contacts != self._controlled:
+            self._control(contacts)
+        return bool(contacts)
+
+    def _control(self, contacts: list[int]) -> None:
+        self.is_near, self._controlled = False, contacts
+        system = self.system
+        first = system.nq + system.nv
+        system.absolute[first : first + 4 * system.nc] = self._absolute[first : first + 4 * system.nc]
+        for c in contacts:
+            system.absolute[first + 4 * c : first + 4 * c + 4] = 0.0
+
+    # ---------------------------------------------------------------- nearest points
+
+    def find(self, t: float, c: int) -> bool:
+        """Look for the nearest points of contact c at the evaluated state; whether they are others than before, which
+        are then in `system.state`."""
+        system, known = self.system, self._open[c]
+        search = known.search
+        assert search is not None
+        nearest = search.search(t)
+        known.rotation, known.centre = search.pose()
+        known.distance, known.elsewhere, known.time = nearest.distance, nearest.elsewhere, t
+        found = nearest.candidate
+        if found is None or self._is_present(c, found):
+            return False
+        first = system.nq + system.nv + 4 * c
+        system.state[first : first + 4] = found.location
+        system.location[c] = found.location
+        integers = system.contact_int[c]
+        integers[BRANCH], integers[DETERMINANT_SIGN] = found.branch, found.determinant_sign
+        system.side_int[2 * c : 2 * c + 2, CHART] = found.charts
+        self.has_moved = True
+        return True
+
+    def _is_present(self, c: int, found: Candidate) -> bool:
+        """Whether a candidate is where contact c is."""
+        system, same = self.system, _SAME * self.system.contact_real[c, LENGTH]
+        if not abs(system.gaps[c, 0] - found.gap) < same:
+            # elsewhere, or on another side of body 1
+            return False
+        present = system.frames[2 * c + 1, ORIGIN] + system.derivatives[2 * c + 1, 0]
+        return bool(np.linalg.norm(present - found.point) < same)
+
+
+def _time(speed: float, acceleration: float, way: float) -> float:
+    """Time in s in which something of that speed and acceleration goes a way in m."""
+    if math.isinf(way):
+        return math.inf
+    root = math.sqrt(speed * speed + 2.0 * acceleration * way)
+    return 2.0 * way / (speed + root) if speed + root > 0.0 else math.inf

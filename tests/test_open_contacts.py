@@ -1,0 +1,319 @@
+"""Contacts that are open: bodies that are dropped, thrown and flung touch where and when they are nearest, fly through
+nothing, and touch nothing from behind. Distances are computed independently, from dense samples."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import scipy
+
+import pincontact as pc
+from pincontact.dynamics.system import System
+from pincontact.geometry.nearest import NearestSearch
+
+G = 9.81
+METHODS = ["DOP853", "RK45", "RK23", "Sharp98", "Moreau"]
+TOLERANCES = {"rtol": 1e-8, "atol": 1e-10}
+# Event-driven runs locate touches to the error of the state; time stepping, to second order within a step of 1 ms.
+ACCURACY = dict.fromkeys(METHODS, 1e-7) | {"Moreau": 1e-5}
+# What bodies may overlap by in an output: in time stepping by what a step that ends in an impact does, g h^2 and more.
+OVERLAP = dict.fromkeys(METHODS, 1e-7) | {"Moreau": 2e-4}
+
+
+def body(shape):
+    """A point mass that does not turn, or a free body, of 1 kg."""
+    model = pin.Model()
+    if isinstance(shape, pc.Point):
+        joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "body")
+        inertia = pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
+    else:
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+        inertia = pin.Inertia(1.0, np.zeros(3), 1e-3 * np.eye(3))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    return model
+
+
+def scene_of(shape, ground, placement=None, motion=None, **options):
+    scene = pc.Scene(body(shape))
+    scene.add_contour("shape", shape, frame="body")
+    scene.add_contour("ground", ground, placement=placement, motion=motion)
+    scene.add_contact("c", "shape", "ground", **options)
+    return scene
+
+
+def start(scene, position, velocity=(0.0, 0.0, 0.0), spin=(0.0, 0.0, 0.0), free=("c",)):
+    if scene.model.nq == 3:
+        return scene.initial_state(np.array(position, float), np.array(velocity, float), free=list(free))
+    return scene.initial_state([*position, 0, 0, 0, 1], [*velocity, *spin], free=list(free))
+
+
+def run_of(scene, state, duration, method, **options):
+    if method != "Moreau":
+        options = TOLERANCES | options
+    return pc.simulate(scene, state, duration, method=method, **options)
+
+
+def touches(run):
+    return [event.time for event in run.events if event.kind == "touch"]
+
+
+def fall(height):
+    return math.sqrt(2.0 * height / G)
+
+
+# ------------------------------------------------------------------------------------------------- nearest points
+
+
+AMPLITUDE, LENGTH = 0.05, 0.5
+
+
+def waves(domain=((-5.0, 5.0), (-5.0, 5.0))):
+    return pc.HeightField(lambda x, y: AMPLITUDE * math.sin(2.0 * math.pi * x / LENGTH), domain=domain)
+
+
+def wave_gap(x, z, radius):
+    """Distance of a ball from the waves, by samples and a parabola through the least of them."""
+    u = np.linspace(x - 0.7, x + 0.7, 140_001)
+    distances = np.hypot(u - x, AMPLITUDE * np.sin(2.0 * np.pi * u / LENGTH) - z)
+    return float(distances.min()) - radius
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("radius", [0.0, 0.05])
+@pytest.mark.parametrize("domain", [None, ((-5.0, 5.0), (-5.0, 5.0))])
+def test_drops_on_waves(method, radius, domain):
+    """From 0.6 m, over ten places of the waves, from where other places are near at first."""
+    for x in np.linspace(0.01, 0.49, 10):
+        scene = scene_of(pc.Sphere(radius) if radius else pc.Point(), waves(domain))
+        run = run_of(scene, start(scene, (x, 0.0, 0.6)), 0.45, method)
+        assert run.status == 0, run.message
+        height = scipy.optimize.brentq(
+            lambda z, x=x: wave_gap(x, z, radius), AMPLITUDE * math.sin(4 * math.pi * x), 0.6
+        )
+        # the samples' distance is good to the square of their spacing of 1e-5 m over a radius of 0.1 m
+        assert touches(run)[0] == pytest.approx(fall(0.6 - height), abs=ACCURACY[method] + 1e-8)
+        assert min(wave_gap(q[0], q[2], radius) for q in run.q[:: max(len(run.q) // 50, 1)]) > -OVERLAP[method]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_drops_into_a_bowl(method):
+    """A point from places above and beside the centre of an ellipsoid, where what is nearest changes on the way."""
+    axes = np.array([1.0, 1.0, 0.8])
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        place = rng.uniform(-0.15, 0.15, 3) + np.array([0.0, 0.0, 0.1])
+        scene = scene_of(pc.Point(), pc.Ellipsoid(*axes), side=-1)
+        run = run_of(scene, start(scene, place), 0.7, method)
+        assert run.status == 0, run.message
+        bottom = -axes[2] * math.sqrt(1.0 - place[0] ** 2 - place[1] ** 2)
+        assert touches(run)[0] == pytest.approx(fall(place[2] - bottom), abs=ACCURACY[method])
+        assert (np.linalg.norm(run.q / axes, axis=1) <= 1.0 + 2.0 * OVERLAP[method]).all()
+
+
+SHAPES = {
+    "point": pc.Point(),
+    "ball": pc.Sphere(0.06),
+    "ellipsoid": pc.Ellipsoid(0.05, 0.08, 0.1),
+    "ring": pc.Circle(0.08),
+    "torus": pc.Torus(0.08, 0.03),
+}
+GROUNDS = {
+    "waves": waves(),
+    "endless waves": waves(None),
+    "egg box": pc.HeightField(lambda x, y: 0.04 * math.sin(6.0 * x) * math.cos(7.0 * y), domain=((-2, 2), (-2, 2))),
+    "cylinder": pc.Cylinder(0.3),
+    "torus": pc.Torus(0.6, 0.2),
+    "ellipsoid": pc.Ellipsoid(0.7, 0.5, 0.3),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("ground", GROUNDS)
+def test_nearest_points(shape, ground):
+    """Bounds and nearest points against samples of both contours, refined, in random poses that are apart."""
+    rng = np.random.default_rng(len(shape) + 7 * len(ground))
+    one, two = SHAPES[shape], GROUNDS[ground]
+    scene = scene_of(one, two, side=1)
+    system = System(scene.model, list(scene.contacts.values()))
+    # angles as they are, lengths around the poses below
+    window = [(low, high) if abs(low) < 4.0 and low != -2.0 else (-1.2, 1.2) for low, high in two.domain]
+    grid = two.samples((400, 400), window)
+    points = two.evaluate_many(grid)[:, 0]
+    tree = scipy.spatial.cKDTree(points)
+    spacing = 2.0 * np.max(tree.query(points[::97], k=2)[0][:, 1])
+    found = 0
+    for _ in range(8):
+        place = rng.uniform(-0.5, 0.5, 3) + np.array([0.0, 0.0, 0.9])
+        if ground == "cylinder":
+            # beside it
+            place *= [1.0, 0.2, 0.5]
+            place[0] += math.copysign(0.5, place[0])
+        quaternion = rng.normal(size=4)
+        quaternion /= np.linalg.norm(quaternion)
+        system.q[:] = place if system.nq == 3 else [*place, *quaternion]
+        turn = np.eye(3) if system.nq == 3 else pin.Quaternion(quaternion).matrix()
+        own = one.evaluate_many(one.samples((90, 90)[: one.dimension] or 2))[:, 0] @ turn.T + place
+        exact = float(tree.query(own)[0].min())
+        system.evaluate_kinematics(0.0)
+        search = NearestSearch(system, 0, 0.0)
+        nearest = search.search(0.0)
+        # samples are no nearer than what is nearest, and not by more than their spacing farther
+        assert nearest.distance <= exact
+        assert nearest.distance >= 0.7 * exact - 0.05
+        if nearest.candidate is None:
+            continue
+        found += 1
+        assert nearest.elsewhere >= nearest.distance
+        assert exact - 2.0 * spacing - 0.004 <= nearest.candidate.gap <= exact + 1e-9
+    assert found >= 6
+
+
+# -------------------------------------------------------------------------------------------- nothing is flown through
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_plate_is_not_missed(method):
+    """A ball thrown from 4 m at a plate of 0.4 m, that it is above for a moment of its flight only."""
+    plate = pc.Plane(((-0.2, 0.2), (-0.2, 0.2)))
+    for speed in (0.0, 3.0, 20.0):
+        scene = scene_of(pc.Sphere(0.05), plate, restitution=0.5)
+        flight = fall(4.0)
+        state = start(scene, (0.0, 0.0, 4.05))
+        state.q[0], state.v[0] = -speed * flight + 0.05, speed
+        run = run_of(scene, state, 1.5, method)
+        assert run.status == 0, run.message
+        assert touches(run)[0] == pytest.approx(flight, abs=ACCURACY[method])
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23", "Sharp98"])
+def test_what_is_beside_a_plate_is_missed(method):
+    """A ball that gets below the plate beside it, flies on under it, and comes out."""
+    scene = scene_of(pc.Sphere(0.05), pc.Plane(((-0.2, 0.2), (-0.2, 0.2))))
+    state = start(scene, (0.0, 0.0, 4.05))
+    state.q[0], state.v[0] = -4.0 * fall(4.0) - 0.3, 4.0
+    run = run_of(scene, state, 1.5, method)
+    assert run.status == 0
+    assert run.events == []
+    assert run.q[-1, 2] == pytest.approx(4.05 - 0.5 * G * 1.5**2, abs=1e-7)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("shape", ["point", "ball"])
+def test_small_balls_are_not_missed(method, shape):
+    """A point and a ball thrown from afar at a sphere of 1 cm, off its middle."""
+    radius, own = 0.01, 0.004 if shape == "ball" else 0.0
+    reach = radius + own
+    for aside in (0.0, 0.5 * reach, 0.9 * reach):
+        scene = scene_of(pc.Sphere(own) if own else pc.Point(), pc.Sphere(radius), side=1)
+        step = {"step": 2e-4} if method == "Moreau" else {}
+        run = run_of(scene, start(scene, (aside, 0.0, 4.0)), 0.95, method, **step)
+        assert run.status == 0, run.message
+        when = fall(4.0 - math.sqrt(reach**2 - aside**2))
+        # where it grazes, a step of 0.2 ms or 2 mm takes the sphere for its tangent plane
+        assert touches(run)[0] == pytest.approx(when, abs=2e-4 if method == "Moreau" else 1e-7)
+
+
+def test_time_stepping_does_not_fly_through_silently():
+    """A step that takes a point farther than a sphere is thick ends the run instead."""
+    scene = scene_of(pc.Point(), pc.Sphere(0.01), side=1)
+    run = pc.simulate(scene, start(scene, (0.0, 0.0, 4.0)), 0.95, method="Moreau", step=0.02)
+    assert run.status == -9
+    stepper = pc.Stepper(scene, start(scene, (0.0, 0.0, 4.0)), dt=0.02)
+    with pytest.raises(pc.SolverError):
+        stepper.step(np.zeros(3), 50)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23", "Sharp98"])
+def test_a_swinging_plate_is_not_missed(method):
+    """A point that hovers where a plate comes once in a while: neither its state nor its gap's sign at a step's ends
+    tells of it."""
+    amplitude, frequency, height = 0.1, 5.0, 0.09
+    motion = pc.HarmonicMotion(amplitude=(0.0, 0.0, amplitude), frequency=frequency)
+    scene = scene_of(pc.Point(), pc.Plane(), motion=motion)
+    scene.model.gravity.linear = np.zeros(3)
+    run = run_of(scene, start(scene, (0.0, 0.0, height)), 2.0, method)
+    assert run.status == 0
+    assert touches(run)[0] == pytest.approx(math.asin(height / amplitude) / (2.0 * math.pi * frequency), abs=1e-7)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23", "Sharp98"])
+def test_a_turning_arm_is_not_missed(method):
+    """A ball at the end of an arm that turns steadily, which any step follows, dips into a floor once a turn."""
+    model = pin.Model()
+    model.gravity.linear = np.zeros(3)
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "arm")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("arm", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    scene.add_contour("ball", pc.Sphere(0.1), "arm", placement=pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0])))
+    scene.add_contour("floor", pc.Plane(), placement=pin.SE3(np.eye(3), np.array([0.0, 0.0, -1.09])))
+    scene.add_contact("c", "ball", "floor")
+    state = scene.initial_state([-1.0], [7.0], free=["c"])
+    run = run_of(scene, state, 5.0, method)
+    assert run.status == 0
+    # from 1 rad above to where sin = 0.99
+    assert touches(run)[0] == pytest.approx((1.0 + math.asin(0.99)) / 7.0, abs=1e-7)
+
+
+# ------------------------------------------------------------------------------------------------- from behind
+
+
+def table_and_floor():
+    model = body(pc.Sphere(0.1))
+    scene = pc.Scene(model)
+    scene.add_contour("ball", pc.Sphere(0.1), "body")
+    scene.add_contour("table", pc.Plane(((-1.0, 1.0), (-1.0, 1.0))))
+    scene.add_contour("floor", pc.Plane(), placement=pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5])))
+    scene.add_contact("on the table", "ball", "table", friction=None)
+    scene.add_contact("on the floor", "ball", "floor", friction=None)
+    return scene
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23", "Sharp98"])
+def test_a_ball_comes_back_under_the_table(method):
+    """Off the table's end, down to the floor, and back under the table, drawn by a steady force: it stays there."""
+    scene = table_and_floor()
+    state = scene.initial_state([0.5, 0, 0.1, 0, 0, 0, 1], [1.5, 0, 0, 0, 0, 0], free=["on the floor"])
+    run = run_of(
+        scene, state, 2.5, method, control=lambda t, q, v: np.array([-1.5, 0, 0, 0, 0, 0.0]), t_eval=[1.0, 2.0, 2.5]
+    )
+    assert run.status == 0, run.message
+    assert [(event.contact, event.kind) for event in run.events] == [
+        ("on the table", "edge"),
+        ("on the floor", "touch"),
+    ]
+    # x = 0.5 + 1.5 t - 0.75 t^2 all the way, which is under the table after 1.6 s
+    assert run.q[:, 0] == pytest.approx(0.5 + 1.5 * run.t - 0.75 * run.t**2, abs=1e-6)
+    assert run.q[:, 2] == pytest.approx([-0.4, -0.4, -0.4], abs=1e-9)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+def test_a_plate_is_passed_from_below_and_touched_from_above(method):
+    """A point thrown up through a floor that it started under touches it as it comes down again."""
+    scene = scene_of(pc.Point(), pc.Plane(), restitution=0.5)
+    state = start(scene, (0.0, 0.0, 1.0))
+    state.q[2], state.v[2] = -0.5, 5.0
+    run = run_of(scene, state, 1.0, method)
+    assert run.status == 0
+    assert touches(run)[0] == pytest.approx((5.0 + math.sqrt(25.0 - G)) / G, abs=1e-7)
+
+
+# ------------------------------------------------------------------------------------------------- steppers
+
+
+def test_steppers_find_what_is_nearest():
+    """Step by step, in counts and by rows alike, and as `simulate` does."""
+    scene = scene_of(pc.Point(), pc.Ellipsoid(1.0, 1.0, 0.8), side=-1)
+    state = start(scene, (0.05, 0.02, 0.1))
+    run = pc.simulate(scene, state, 1.0, method="Moreau")
+    one, many, rows = (pc.Stepper(scene, state, dt=1e-3) for _ in range(3))
+    for _ in range(1000):
+        one.step(np.zeros(3))
+    many.step(np.zeros(3), 1000)
+    q, _ = rows.rollout(np.zeros((100, 3)), 10)
+    assert np.linalg.norm(run.q[-1] / [1.0, 1.0, 0.8]) == pytest.approx(1.0, abs=1e-9)
+    for last in (one.q, many.q, q[-1]):
+        # looks at other steps find the same points to the rounding of Newton's method
+        assert last == pytest.approx(run.q[-1], abs=1e-9)

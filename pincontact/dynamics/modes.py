@@ -11,11 +11,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ..friction import cone
+from ..friction.loads import Disk, Loads, LoadSolver
 from ..friction.solve import ContactSolver
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
@@ -63,11 +64,6 @@ from .units import contact_rows, delassus, unit_columns, unwhiten, whiten, white
 if TYPE_CHECKING:
     from .system import System
 
-_FIXED_POINT_ITERATIONS = 100
-_UNDAMPED = 12
-_FIXED_POINT_TOLERANCE = 1e-12
-# Loads in N that change by more than this between iterations grow without bound.
-_WITHOUT_BOUND = 1e100
 _ROUND_OFF = 1e-11
 # Relative accelerations below this fraction of the free ones are round-off: no slip.
 _STILL = 1e-13
@@ -104,6 +100,15 @@ class _Problem:
     turns: dict[int, int] = field(default_factory=dict)
 
 
+class _Solution(NamedTuple):
+    """Forces (n, 3) and relative accelerations (n, 3) of a cone problem's units, and their modes (n,)."""
+
+    forces: np.ndarray
+    velocities: np.ndarray
+    modes: np.ndarray
+    residual: float
+
+
 class ModeSolver:
     """Decides modes; keeps the cone solver's buffers and counts what it did."""
 
@@ -117,6 +122,9 @@ class ModeSolver:
         # time, constraint rows and forces of the last choice
         self._last: tuple[float, np.ndarray, np.ndarray] | None = None
         self._limits = np.zeros(system.items)
+        self.loads = LoadSolver()
+        # whether there are no forces where the last decision found none
+        self.proved = False
 
     @cached_property
     def solver(self) -> ContactSolver:
@@ -136,6 +144,7 @@ class ModeSolver:
         """
         system = self.system
         integers = system.contact_int
+        self.proved = False
         for c in undecided:
             integers[c, MODE] = STICK
             integers[c, FROZEN] = 0
@@ -289,19 +298,19 @@ class ModeSolver:
             problem = self._problem_of_sticking(closed)
         else:
             problem = self._problem(closed, undecided, held, resisting)
-        if not self._solve_with_loads(problem, closed, resisting):
+        solution = self._solve_with_loads(problem, closed, held, resisting)
+        if solution is None:
             decision.status = NO_FORCE
             return decision
         base, shapes, turns = problem.base, problem.shapes, problem.turns
-        decision.residual = float(self.solver.residual)
+        decision.residual = solution.residual
         self.worst_residual = max(self.worst_residual, decision.residual)
-        velocities = self.solver.velocities.reshape(-1, 3).copy()
-        forces = self.solver.forces.reshape(-1, 3).copy()
+        velocities, forces, modes = solution.velocities, solution.forces, solution.modes
         for i, shape in shapes.items():
             velocities[i, :2], forces[i, :2] = np.linalg.solve(shape, velocities[i, :2]), shape @ forces[i, :2]
         still = _STILL * max(map(abs, base.tolist()))
         for i, c in enumerate(closed):
-            mode = self.solver.modes[i]
+            mode = modes[i]
             # among redundant contacts one may carry nothing without leaving
             if mode == cone.OPEN and velocities[i, 2] > still:
                 integers[c, MODE] = FREE
@@ -316,11 +325,11 @@ class ModeSolver:
                     decision.started[c] = rate
         for i, u in turns.items():
             rate = float(np.hypot(velocities[u, 0], velocities[u, 1]))
-            if i in undecided and self.solver.modes[u] != cone.STICK and rate > still:
+            if i in undecided and modes[u] != cone.STICK and rate > still:
                 freeze_slip(system, i, velocities[u, :2])
                 decision.started[i] = rate
         for i, g in enumerate(held, start=n):
-            mode, end = self.solver.modes[i], int(system.guard_int[g, GUARD_END])
+            mode, end = modes[i], int(system.guard_int[g, GUARD_END])
             if end == 0 and mode == cone.SLIP and abs(velocities[i, 0]) > still:
                 self.release(g, 1 if velocities[i, 0] > 0.0 else -1)
             elif end != 0 and mode == cone.OPEN and velocities[i, 2] > still:
@@ -401,44 +410,77 @@ class ModeSolver:
                 base[3 * i + 2] = -0.5 * (high - low) * weights[3 * i + 2]
         return _Problem(gram, base, weights, np.array(mu), shapes, turns)
 
-    def _solve_with_loads(self, problem: _Problem, closed: list[int], resisting: list[int]) -> bool:
-        """Solve it with the friction of what slides, and the limits of resistances, that follow from the loads."""
+    def _solve_with_loads(
+        self, problem: _Problem, closed: list[int], held: list[int], resisting: list[int]
+    ) -> _Solution | None:
+        """Its solution, with the friction of what slides and the limits of resistances as multiples of the loads; None
+        where there is none, or none was found."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
         gram, base, turns = problem.gram, problem.base, problem.turns
         sliding = [i for i, c in enumerate(closed) if integers[c, MODE] == SLIPPING and numbers[c, MU] > 0.0]
+        self.cone_problems += 1
         if not sliding and not turns:
-            self.cone_problems += 1
-            return self.solver.solve(gram, base, problem.limits)
-        parents = {i: closed.index(system.owner(i)) for i in resisting}
-        directions = {
-            i: _unstretched(problem.shapes, i, associated(system, closed[i], _direction(system, closed[i])))
-            for i in sliding
-        }
-        turning = {i: _direction(system, i) for i in resisting if integers[i, MODE] == SLIPPING}
-        loads = np.array([max(system.force[c, 2], 0.0) for c in closed])
-        carrying = sorted({*sliding, *parents.values()})
-        for iteration in range(_FIXED_POINT_ITERATIONS):
-            pull = np.zeros(base.size)
-            for i in sliding:
-                pull[3 * i : 3 * i + 2] = -numbers[closed[i], MU_NOW] * loads[i] * directions[i]
+            solver = self.solver
+            if not solver.solve(gram, base, problem.limits):
+                self.proved = solver.certificate is not None
+                return None
+            forces, velocities = solver.forces.reshape(-1, 3).copy(), solver.velocities.reshape(-1, 3).copy()
+            return _Solution(forces, velocities, solver.modes, float(solver.residual))
+        n, size = len(closed), base.size
+        normals = [3 * i + 2 for i in range(n)]
+        normals += [3 * i + 2 for i, g in enumerate(held, start=n) if system.guard_int[g, GUARD_END] != 0]
+        loads = Loads(gram, base, normals)
+        start, slips, limits = np.zeros(size), np.zeros(size), problem.limits.copy()
+        for i, c in enumerate(closed):
+            force = system.force[c].copy()
+            tangents = int(integers[c, TANGENTS])
+            start[3 * i + 2] = max(float(force[2]), 0.0)
+            if i in sliding:
+                direction = _direction(system, c)
+                drag = loads.drag.setdefault(3 * i + 2, np.zeros(size))
+                drag[3 * i : 3 * i + 2] = -numbers[c, MU_NOW] * _unstretched(
+                    problem.shapes, i, associated(system, c, direction)
+                )
+                slips[3 * i : 3 * i + 2] = problem.shapes[i] @ direction if i in problem.shapes else direction
+                limits[i] = numbers[c, MU_NOW]
+            elif limits[i] > 0.0:
+                loads.disks.append(Disk([3 * i + j for j in range(tangents)], float(limits[i]), 3 * i + 2))
+                start[3 * i : 3 * i + 2] = _unstretched(problem.shapes, i, force[:2])
+        for i, g in enumerate(held, start=n):
+            if system.guard_int[g, GUARD_END] == 0:
+                low, high = system.guard_real[g, :2]
+                loads.disks.append(Disk([3 * i], radius=0.5 * (high - low)))
+        for i, u in turns.items():
+            owner, tangents = closed.index(system.owner(i)), int(integers[i, TANGENTS])
+            if integers[i, MODE] == SLIPPING:
+                slips[3 * u : 3 * u + 2] = direction = _direction(system, i)
+                drag = loads.drag.setdefault(3 * owner + 2, np.zeros(size))
+                drag[3 * u : 3 * u + 2] = -numbers[i, MU_NOW] * direction
+            else:
+                rows = [3 * u + j for j in range(tangents)]
+                loads.disks.append(Disk(rows, float(self._limits[i]), 3 * owner + 2))
+                start[3 * u : 3 * u + 2] = system.force[i, :2]
+
+        def guess(speed: float) -> np.ndarray | None:
+            """Forces of the symmetric problem in which what slides has that velocity, and turns have these loads."""
+            pushed = base + speed * slips
             for i, u in turns.items():
-                limit = numbers[i, MU] * loads[parents[i]]
-                if i in turning:
-                    pull[3 * u : 3 * u + 2] = -limit * turning[i]
-                base[3 * u + 2] = 0.0 if i in turning else -limit * problem.weights[3 * u + 2]
-            self.cone_problems += 1
-            if not self.solver.solve(gram, base + gram @ pull, problem.limits):
-                return False
-            new_loads = self.solver.forces[2 : 3 * len(closed) : 3].copy()
-            change = np.abs(new_loads - loads)[carrying].max()
-            # strong coupling of friction and load makes the plain iteration swing
-            loads = new_loads if iteration < _UNDAMPED else 0.5 * (loads + new_loads)
-            if change <= _FIXED_POINT_TOLERANCE * (1.0 + np.abs(loads).max(initial=0.0)):
-                return True
-            if not change < _WITHOUT_BOUND:
-                return False
-        return False
+                load = start[3 * closed.index(system.owner(i)) + 2]
+                pushed[3 * u + 2] = -float(numbers[i, MU]) * load * problem.weights[3 * u + 2]
+            return self.solver.forces if self.solver.solve(gram, pushed, limits) else None
+
+        if not self.loads.solve(loads, start, guess):
+            self.proved = self.loads.proved
+            return None
+        found = self.loads
+        modes = np.full(size // 3, cone.STICK)
+        for row, pressed in zip(normals, found.pressed):
+            modes[row // 3] = cone.STICK if pressed else cone.OPEN
+        for disk, slid in zip(loads.disks, found.slid):
+            if slid and modes[disk.rows[0] // 3] != cone.OPEN:
+                modes[disk.rows[0] // 3] = cone.SLIP
+        return _Solution(found.forces.reshape(-1, 3), found.velocities.reshape(-1, 3), modes, found.residual)
 
     def _keep_solution(
         self, t: float, closed: list[int], held: list[int], turns: dict[int, int], forces: np.ndarray, evaluate

@@ -163,6 +163,8 @@ class Transitions:
         if failure not in FAILURES:
             return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the step size fell below its floor")
         code, reason = FAILURES[failure]
+        if failure == NO_FORCE and self.modes.proved:
+            reason = "no contact forces satisfy Coulomb's law (Painleve)"
         culprit = self._culprit(failure)
         if code == SINGULAR_CONTACT:
             self.announce(t, culprit, "singular")

@@ -1,0 +1,110 @@
+"""Several sliding feet: which of them carry the body is a complementarity problem, solved as one."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pincontact as pc
+
+GRAVITY = 9.81
+
+
+def body_on_feet(points, mu, mass=1.0, inertia=0.01 * np.eye(3)):
+    """A free body, its centre of mass at its origin, and contacts of its feet (n, 3) with a floor."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), inertia), pin.SE3.Identity())
+    model.addBodyFrame("base", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    for i, point in enumerate(points):
+        foot = scene.add_contour(f"foot {i}", pc.Point(), "base", placement=pin.SE3(np.eye(3), np.array(point)))
+        scene.add_contact(f"foot {i}", foot, floor, friction=pc.Coulomb(float(np.broadcast_to(mu, len(points))[i])))
+    return scene
+
+
+def normal_problem(points, mu, mass, inertia, v):
+    """Gap accelerations A N + b of the sliding feet of a body that is level, and A without friction."""
+    linear, omega = v[:3], v[3:]
+    inverse = np.linalg.inv(inertia)
+    free = -inverse @ np.cross(omega, inertia @ omega)
+    n = len(points)
+    operator, base, own = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    up = np.array([0.0, 0.0, 1.0])
+    for i, r in enumerate(points):
+        base[i] = -GRAVITY + np.cross(free, r)[2] + np.cross(omega, np.cross(omega, r))[2]
+        own[i] = 1.0 / mass + np.cross(inverse @ np.cross(r, up), r)[2]
+        for j, s in enumerate(points):
+            slip = linear + np.cross(omega, s)
+            force = up - mu[j] * slip / np.linalg.norm(slip)
+            operator[i, j] = force[2] / mass + np.cross(inverse @ np.cross(s, force), r)[2]
+    return operator, base, own
+
+
+def all_solutions(operator, base):
+    """Every N >= 0, A N + b >= 0, N (A N + b) = 0 that a choice of loaded feet gives."""
+    n, found = len(base), []
+    for number in range(n + 1):
+        for loaded in map(list, combinations(range(n), number)):
+            forces = np.zeros(n)
+            if loaded:
+                forces[loaded] = np.linalg.lstsq(operator[np.ix_(loaded, loaded)], -base[loaded], rcond=1e-11)[0]
+            gaps = operator @ forces + base
+            # round-off of systems of conditioning up to 1e6
+            if (forces >= -1e-8).all() and (gaps >= -1e-8).all() and np.abs(gaps[loaded]).max(initial=0.0) < 1e-8:
+                found.append(forces)
+    return found
+
+
+def test_two_sliding_feet_one_of_which_carries_all():
+    """N = (24.525, 0), with the friction of the loaded foot tipping the body over it."""
+    points = np.array([[0.1, 0.0, -0.2], [-0.1, 0.0, -0.2]])
+    scene = body_on_feet(points, 0.8)
+    state = scene.initial_state([0, 0, 0.2, 0, 0, 0, 1], [1.0, 0, 0, 0, 0, 0])
+    run = pc.simulate(scene, state, 1e-4, t_eval=[0.0])
+    assert run.status == 0
+    # 1 - mu h a / I + a^2 / I = 0.4, and N = g / 0.4
+    assert run.contacts["foot 0"].normal_force[0] == pytest.approx(GRAVITY / 0.4, rel=1e-12)
+    assert run.contacts["foot 1"].mode[0] == -1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_sliding_feet(seed):
+    """The run refuses what has no solution, and takes it where there is one."""
+    rng = np.random.default_rng(seed)
+    refused = loaded_in_part = 0
+    for _ in range(60):
+        n = int(rng.integers(2, 4))
+        height = rng.uniform(0.02, 0.4)
+        points = np.column_stack([rng.uniform(-0.2, 0.2, (n, 2)), np.full(n, -height)])
+        mu = rng.uniform(0.05, 1.2, n)
+        turn = pin.Quaternion(rng.normal(size=4)).normalized().matrix()
+        inertia = turn @ np.diag(rng.uniform(0.5, 1.0, 3) * 10 ** rng.uniform(-2.5, -1.0)) @ turn.T
+        v = np.array([*rng.normal(size=2), 0.0, 0.0, 0.0, rng.normal()])
+        operator, base, own = normal_problem(points, mu, 1.0, inertia, v)
+        solutions = all_solutions(operator, base)
+        scene = body_on_feet(points, mu, 1.0, inertia)
+        run = pc.simulate(scene, scene.initial_state([0, 0, height, 0, 0, 0, 1], v), 1e-5, t_eval=[0.0])
+        # what a foot's own force would push further in is no support
+        sound = [N for N in solutions if not ((N > 1e-8) & (operator.diagonal() <= 0.0)).any()]
+        if run.status == -4:
+            assert not sound
+            refused += 1
+            continue
+        assert run.status == 0, run.message
+        forces = np.array([run.contacts[f"foot {i}"].normal_force[0] for i in range(n)])
+        gaps = operator @ forces + base
+        scale = 1.0 + np.abs(forces).max()
+        # evaluated once, in systems of conditioning up to 1e6
+        assert forces.min() > -1e-8 * scale
+        assert gaps.min() > -1e-8 * scale
+        assert np.abs(forces * gaps).max() < 1e-7 * scale**2
+        if len(sound) == 1:
+            assert forces == pytest.approx(sound[0], abs=1e-7 * scale)
+        loaded_in_part += bool((forces < 1e-9).any())
+    # the family has both
+    assert refused and loaded_in_part

@@ -13,10 +13,11 @@ import pincontact as pc
 GRAVITY = 9.81
 
 
-def body_on_feet(points, mu, mass=1.0, inertia=0.01 * np.eye(3)):
+def body_on_feet(points, mu, mass=1.0, inertia=None):
     """A free body, its centre of mass at its origin, and contacts of its feet (n, 3) with a floor."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    inertia = 0.01 * np.eye(3) if inertia is None else inertia
     model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), inertia), pin.SE3.Identity())
     model.addBodyFrame("base", joint, pin.SE3.Identity(), 0)
     scene = pc.Scene(model)
@@ -28,21 +29,20 @@ def body_on_feet(points, mu, mass=1.0, inertia=0.01 * np.eye(3)):
 
 
 def normal_problem(points, mu, mass, inertia, v):
-    """Gap accelerations A N + b of the sliding feet of a body that is level, and A without friction."""
+    """Gap accelerations A N + b of the sliding feet of a body that is level."""
     linear, omega = v[:3], v[3:]
     inverse = np.linalg.inv(inertia)
     free = -inverse @ np.cross(omega, inertia @ omega)
     n = len(points)
-    operator, base, own = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    operator, base = np.zeros((n, n)), np.zeros(n)
     up = np.array([0.0, 0.0, 1.0])
     for i, r in enumerate(points):
         base[i] = -GRAVITY + np.cross(free, r)[2] + np.cross(omega, np.cross(omega, r))[2]
-        own[i] = 1.0 / mass + np.cross(inverse @ np.cross(r, up), r)[2]
         for j, s in enumerate(points):
             slip = linear + np.cross(omega, s)
             force = up - mu[j] * slip / np.linalg.norm(slip)
             operator[i, j] = force[2] / mass + np.cross(inverse @ np.cross(s, force), r)[2]
-    return operator, base, own
+    return operator, base
 
 
 def all_solutions(operator, base):
@@ -85,7 +85,7 @@ def test_random_sliding_feet(seed):
         turn = pin.Quaternion(rng.normal(size=4)).normalized().matrix()
         inertia = turn @ np.diag(rng.uniform(0.5, 1.0, 3) * 10 ** rng.uniform(-2.5, -1.0)) @ turn.T
         v = np.array([*rng.normal(size=2), 0.0, 0.0, 0.0, rng.normal()])
-        operator, base, own = normal_problem(points, mu, 1.0, inertia, v)
+        operator, base = normal_problem(points, mu, 1.0, inertia, v)
         solutions = all_solutions(operator, base)
         scene = body_on_feet(points, mu, 1.0, inertia)
         run = pc.simulate(scene, scene.initial_state([0, 0, height, 0, 0, 0, 1], v), 1e-5, t_eval=[0.0])
@@ -108,3 +108,84 @@ def test_random_sliding_feet(seed):
         loaded_in_part += bool((forces < 1e-9).any())
     # the family has both
     assert refused and loaded_in_part
+
+
+# ---------------------------------------------------------------- fallback
+
+
+def painleve_rod(energies=False, **options):
+    """A run of a rod that slides on its tip at an angle at which mu = 3 leaves no force (1 m, 1 kg, 1/12 kg m^2)."""
+    inertia = np.diag([1 / 12, 1 / 12, 1e-3])
+    scene = body_on_feet([[0.0, 0.0, -0.5]], 3.0, 1.0, inertia)
+    lean = pin.Quaternion(pin.utils.rotate("y", 0.5))
+    tip = lean.matrix() @ [0.0, 0.0, -0.5]
+    v = lean.matrix().T @ [-1.0, 0.0, 0.0]
+    state = scene.initial_state([*-tip, *lean.coeffs()], [*v, 0, 0, 0])
+    return scene, state, pc.simulate(scene, state, 0.2, energies=energies, **options)
+
+
+def test_painleve_says_that_there_is_no_force_and_what_to_do():
+    run = painleve_rod()[2]
+    assert run.status == -4
+    assert "no contact forces satisfy" in run.message
+    assert 'fallback="Moreau"' in run.message
+
+
+def test_fallback_goes_on_by_time_stepping():
+    scene, state, run = painleve_rod(fallback="Moreau", step=1e-4)
+    alone = pc.simulate(scene, state, 0.2, method="Moreau", step=1e-4)
+    assert run.status == alone.status == 0
+    (event,) = [e for e in run.events if e.kind == "fallback"]
+    assert event.time == 0.0
+    assert repr(event) == "<fallback at 0 s>"
+    # nothing but time stepping is left of it
+    assert run.t[-1] == pytest.approx(0.2)
+    assert run.q[-1] == pytest.approx(alone.q[-1], abs=1e-12)
+    assert len(run.contacts["foot 0"].force) == run.t.size == run.stats["outputs"]
+
+
+@pytest.mark.parametrize("outputs", [None, np.linspace(0.0, 1.0, 41)])
+def test_fallback_joins_two_parts(outputs, monkeypatch, tmp_path):
+    """A run that is stopped in its course goes on from there: one trajectory, whose works are those of the whole."""
+    from pincontact.integration import driver
+    from pincontact.integration.results import CHATTER, Stop
+
+    points = [[x, y, -0.05] for x in (0.1, -0.1) for y in (0.1, -0.1)]
+    scene = body_on_feet(points, 0.2)
+    state = scene.initial_state([0, 0, 0.05, 0, 0, 0, 1], [1.0, 0, 0, 0, 0, 0])
+    whole = pc.simulate(scene, state, 1.0, t_eval=outputs, energies=True)
+
+    def stop(self, t):
+        kept(self, t)
+        if t > 0.3:
+            raise Stop(CHATTER, "stopped")
+
+    kept = driver.Driver._keep_good
+    monkeypatch.setattr(driver.Driver, "_keep_good", stop)
+    run = pc.simulate(
+        scene, state, 1.0, t_eval=outputs, energies=True, max_step=0.05, fallback="Moreau", step=1e-3,
+        control=lambda t, q, v: np.zeros(6), events=lambda t, q, v: 1.0,
+    )  # fmt: skip
+    assert run.status == 0
+    (event,) = [e for e in run.events if e.kind == "fallback"]
+    assert 0.3 < event.time < 0.36
+    assert (np.diff(run.t) > 0.0).all()
+    if outputs is not None:
+        assert run.t == pytest.approx(outputs, abs=0.0)
+    for values in (run.q, run.v, run.contacts["foot 1"].force, run.contacts["foot 1"].mode):
+        assert len(values) == run.t.size
+    # friction is constant: time stepping is exact but for the step in which the block stops
+    assert run.q[-1] == pytest.approx(whole.q[-1], abs=1e-4)
+    energies = run.energies()
+    assert np.abs(energies.balance).max() < 1e-3
+    assert energies.friction_work[-1] == pytest.approx(-0.5, abs=1e-3)
+    run.save(tmp_path / "run.npz")
+    assert pc.Trajectory.load(tmp_path / "run.npz", scene).events[-1].kind == run.events[-1].kind
+
+
+def test_fallback_is_checked():
+    scene, state, _ = painleve_rod()
+    with pytest.raises(pc.ArgumentError, match="fallback must be"):
+        pc.simulate(scene, state, 0.1, fallback="RK45")
+    with pytest.raises(pc.ArgumentError, match="event-driven"):
+        pc.simulate(scene, state, 0.1, method="Moreau", fallback="Moreau")

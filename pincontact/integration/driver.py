@@ -37,6 +37,7 @@ from ..layout import (
     STIFF_STEPS,
     TURNING_RATE,
 )
+from ..state import read_discrete
 from .dense import Interpolant
 from .events import Crossing, EventLocator, UserEvent
 from .results import FINISHED, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
@@ -75,13 +76,17 @@ _TOGETHER = 8.0
 
 @dataclass
 class Options:
-    """Step-size and output options of a run. t_eval: output times in s, None for every accepted step."""
+    """Step-size and output options of a run.
+
+    t_eval: output times in s, None for every accepted step; keep_good: see `Driver.good`.
+    """
 
     t_eval: np.ndarray | None = None
     max_step: float = math.inf
     max_steps: int = 1_000_000
     fixed_step: float | None = None
     first_step: float | None = None
+    keep_good: bool = False
 
 
 class Driver:
@@ -107,6 +112,8 @@ class Driver:
         self.record, self.flush, self.options, self.progress = record, flush, options, progress
         self.system.set_output_times(options.t_eval)
         self._doubts = 0
+        # time (s), state and discrete part of the contacts of the last state that the run came to, where it is kept
+        self.good: tuple[float, np.ndarray, np.ndarray] | None = None
 
     @property
     def steps(self) -> int:
@@ -152,8 +159,12 @@ class Driver:
         while t < t_end:
             scalars[NOW] = t
             self.flush()
+            if options.keep_good:
+                self._keep_good(t)
             why = self.system.run(self._task())
             t = float(scalars[NOW])
+            if options.keep_good:
+                self._keep_good(t)
             if why == STEPPED:
                 self._watch(t, True)
                 self._output_at(t)
@@ -181,6 +192,9 @@ class Driver:
                 raise self._projection_failed(float(scalars[NEXT_TIME]))
             if self.progress is not None:
                 self.progress(t)
+
+    def _keep_good(self, t: float) -> None:
+        self.good = t, self.system.state.copy(), read_discrete(self.system)
 
     def _allow_start(self, t: float, step: float) -> None:
         """Let slip that starts at t, which ends or interrupts a step, go on for half of that at most."""

@@ -11,19 +11,21 @@ from __future__ import annotations
 import math
 
 from ..friction.elimination import minimum_norm_solve
-from ..friction.ellipse import friction_direction, friction_length
+from ..friction.ellipse import friction_direction, friction_length, stretch_pair
 from ..friction.stribeck import stribeck_kernel
 from ..geometry.patterns import NO_NORMAL, ON_CURVE
 from ..geometry.small import dot
 from ..jit import kernel
 from ..layout import (
     ACROSS_X,
+    ANISOTROPIC,
     DIRECTION_X,
     DOMAIN,
     DOMAIN_MARGIN,
     EVENT,
     FREE,
     FRICTION_MARGIN,
+    FRICTIONLESS,
     FROZEN,
     GAP_MARGIN,
     GUARD_END,
@@ -241,9 +243,9 @@ def friction_directions(
 
 @kernel
 def solve_slip(system, n, x, permutation, scratch):
-    """Solve the unsymmetric system of slipping contacts, x (n,) in and out; the least norm where forces are redundant.
+    """Solve the unsymmetric system of slipping contacts, x (n,) in and out; returns its rank.
 
-    False where a contact's own operator has lost positivity, against its frictionless value in the last column of
+    -1 where a contact's own operator has lost positivity, against its frictionless value in the last column of
     system: no force, or two (Painleve). Where that value is zero nothing moves along the normal, whatever pushes: the
     multiplier is left out, and so zero, as among redundant ones.
     """
@@ -255,16 +257,50 @@ def solve_slip(system, n, x, permutation, scratch):
                 system[j, i] = 0.0
             continue
         if not system[i, i] > PAINLEVE_LIMIT * system[i, n]:
-            return False
+            return -1
         moving += 1
-    if moving == 0:
-        return True
-    if n == 1:
-        x[0] /= system[0, 0]
-        return True
+    if n == 1 or moving == 0:
+        if moving == 1:
+            x[0] /= system[0, 0]
+        return moving
     for i in range(n):
         scratch[i, n] = x[i]
-    return minimum_norm_solve(system, scratch[:n, n], n, x, scratch, permutation, RANK_TOLERANCE) > 0
+    rank = minimum_norm_solve(system, scratch[:n, n], n, x, scratch, permutation, RANK_TOLERANCE)
+    return rank if rank > 0 else -1
+
+
+@kernel
+def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents, nv, work):
+    """What a multiplier is measured in where forces are redundant: a contact's force is as large as its length times
+    the root of its mobility, the mean of J M^-1 J^T over its directions.
+
+    So do the equations of cone problems, without units: redundant loads are the same in both. own: n M^-1 n^T.
+    """
+    integers, numbers = contact_int[c], contact_real[c]
+    tangents = integers[TANGENTS]
+    if row != 2 or integers[MODE] == FRICTIONLESS or tangents == 0:
+        return own
+    total, largest = own, own
+    for i in range(2):
+        if i >= tangents:
+            total += largest
+            break
+        if integers[ANISOTROPIC] != 0:
+            first, second = (1.0, 0.0) if i == 0 else (0.0, 1.0)
+            first, second = stretch_pair(numbers, first, second)
+            for k in range(nv):
+                work[k] = first * rows[c, 0, k] + second * rows[c, 1, k]
+        else:
+            for k in range(nv):
+                work[k] = rows[c, i, k]
+        whiten(factor, parents, nv, work, work)
+        size = inner(work, work, nv)
+        total += size
+        largest = max(largest, size)
+    force = 1.0
+    if integers[MODE] == SLIPPING and numbers[MU] < math.inf:
+        force += numbers[MU_NOW] * numbers[MU_NOW]
+    return force * total / 3.0
 
 
 @kernel
@@ -371,8 +407,37 @@ def contact_dynamics(
                 for j in range(count):
                     delassus[i, j] = inner(whitened[i], whitened_forces[j], nv)
                 delassus[i, count] = inner(whitened[i], whitened[i], nv)
-            if not solve_slip(delassus, count, multipliers, permutation, scratch):
+            rank = solve_slip(delassus, count, multipliers, permutation, scratch)
+            if rank < 0:
                 return NO_FORCE
+            if rank < count:
+                # redundant: the least forces, each in its unit
+                right_hand_side(row_index, count, rows, bias, free_acceleration, nv, multipliers)
+                if has_reference:
+                    _take_reference(row_index, count, reference, whitened, whitened_forces, nv, multipliers, work)
+                for j in range(count):
+                    own = inner(whitened[j], whitened[j], nv)
+                    unit = unit_of_force(
+                        contact_int,
+                        contact_real,
+                        row_index[j, 0],
+                        row_index[j, 1],
+                        own,
+                        rows,
+                        factor,
+                        parents,
+                        nv,
+                        work,
+                    )
+                    delassus[j, count] = 1.0 / math.sqrt(unit) if own > 0.0 else 0.0
+                    for i in range(count):
+                        delassus[i, j] = inner(whitened[i], whitened_forces[j], nv) * delassus[j, count]
+                    scratch[j, count] = multipliers[j] if own > 0.0 else 0.0
+                minimum_norm_solve(
+                    delassus, scratch[:count, count], count, multipliers, scratch, permutation, RANK_TOLERANCE
+                )
+                for j in range(count):
+                    multipliers[j] *= delassus[j, count]
         else:
             if has_reference:
                 _take_reference(row_index, count, reference, whitened, whitened, nv, multipliers, work)

@@ -145,10 +145,11 @@ class ModeSolver:
         system = self.system
         integers = system.contact_int
         self.proved = False
+        loaded = self._load_all()
         for c in undecided:
             integers[c, MODE] = STICK
             integers[c, FROZEN] = 0
-        if status is None or system.scalars[HAS_REFERENCE] != 0.0:
+        if status is None or not loaded or system.scalars[HAS_REFERENCE] != 0.0:
             self._take_reference(None)
             status = evaluate(t)
         if status > EVENT and status != NO_FORCE:
@@ -180,10 +181,11 @@ class ModeSolver:
 
     # ---------------------------------------------------------------- redundant forces
 
-    def redistribute(self, t: float, evaluate) -> bool:
+    def redistribute(self, t: float, evaluate, ended: int | None = None) -> bool:
         """Choose other ones among redundant forces, such that all lie inside their cones; False where none do.
 
-        Needs the last evaluation, whose accelerations stay what they are.
+        ended: the contact whose load has come to zero, or comes back from there. Needs the last evaluation, whose
+        accelerations stay what they are, unless loads of what slides are chosen.
         """
         system = self.system
         count = int(system.counters[ROW_COUNT])
@@ -191,7 +193,11 @@ class ModeSolver:
             # of independent rows there is one choice
             return False
         index = system.row_index[:count].copy()
-        slipping = any(system.contact_int[c, MODE] == SLIPPING for c in [*system.closed(), *system.resisting()])
+        closed = system.closed()
+        slipping = any(system.contact_int[c, MODE] == SLIPPING for c in [*closed, *system.resisting()])
+        if slipping and count == len(closed):
+            # no force but loads to choose
+            return self._unload(t, evaluate, ended)
         rows = system.whitened_rows[:count]
         directions = system.whitened_forces[:count] if slipping else rows
         if count == 0 or not np.isfinite(directions).all():
@@ -217,6 +223,47 @@ class ModeSolver:
         for array, values in zip(arrays, before):
             array[:] = values
         system.scalars[kinds], self._last = scalars, last
+        evaluate(t)
+        return False
+
+    def _load_all(self) -> bool:
+        """Let every closed contact carry a load; whether all did."""
+        integers = self.system.contact_int
+        without = [c for c in self.system.closed() if integers[c, UNILATERAL] and integers[c, NORMAL_SIGN] == 0]
+        integers[without, NORMAL_SIGN] = 1
+        return not without
+
+    def _unload(self, t: float, evaluate, ended: int | None) -> bool:
+        """Give the loads of what slides the least values that are not negative; False where contacts open instead.
+
+        A contact that is to carry nothing stays closed by itself, as do four feet on a plane that stand on three. Loads
+        then are continuous in time; those without it enter again where the least ones ask for them.
+        ended: see `redistribute`.
+        """
+        system = self.system
+        integers = system.contact_int
+        before = integers[:, NORMAL_SIGN].copy()
+        closed = [c for c in system.closed() if integers[c, UNILATERAL]]
+        seen = set()
+        self._take_reference(None)
+        if ended is not None:
+            integers[ended, NORMAL_SIGN] = 1 - integers[ended, NORMAL_SIGN]
+        status = evaluate(t)
+        while status <= EVENT:
+            margins = {c: float(system.margins[c, NORMAL_MARGIN]) for c in closed}
+            worst = min(closed, key=lambda c: margins[c], default=None)
+            if worst is None or margins[worst] >= -self.force_round_off():
+                if ended is not None and integers[ended, NORMAL_SIGN] == before[ended]:
+                    break
+                self.redistributions += 1
+                return True
+            state = integers[closed, NORMAL_SIGN].tobytes(), worst
+            if state in seen:
+                break
+            seen.add(state)
+            integers[worst, NORMAL_SIGN] = 1 - integers[worst, NORMAL_SIGN]
+            status = evaluate(t)
+        integers[:, NORMAL_SIGN] = before
         evaluate(t)
         return False
 
@@ -315,7 +362,10 @@ class ModeSolver:
             if mode == cone.OPEN and velocities[i, 2] > still:
                 integers[c, MODE] = FREE
                 decision.opened.append(c)
-            elif c in undecided or (mode == cone.SLIP and math.isinf(numbers[c, MU])):
+                continue
+            if mode == cone.OPEN and integers[c, MODE] == SLIPPING:
+                integers[c, NORMAL_SIGN] = 0
+            if c in undecided or (mode == cone.SLIP and math.isinf(numbers[c, MU])):
                 rate = float(np.hypot(velocities[i, 0], velocities[i, 1]))
                 if mode == cone.STICK or rate <= still:
                     # among redundant contacts one may be at its limit of friction without sliding

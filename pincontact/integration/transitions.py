@@ -388,7 +388,8 @@ class Transitions:
         # a force that jumps, as where contacts cease to be redundant, is not one of choice
         if system.margins[c, kind] > _JUMP * float(np.abs(system.force).max()):
             return False
-        if not self.modes.redistribute(t, self.rk.evaluate):
+        ended = c if kind == NORMAL_MARGIN and c < system.nc and system.contact_int[c, UNILATERAL] else None
+        if not self.modes.redistribute(t, self.rk.evaluate, ended):
             return False
         self._project(t)
         self.rk.accept()

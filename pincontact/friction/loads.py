@@ -199,7 +199,8 @@ class _Scaled:
         """Which normals carry a load, and on which disks the force is on the rim."""
         w = self.operator @ y + self.base
         count = len(self.problem.normals)
-        pressed = y[:count] - w[:count] > 0.0
+        # what redundant contacts carry may be round-off
+        pressed = y[:count] - w[:count] > _TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
         sizes = [float(np.linalg.norm(y[places] - w[places])) for places, _, _ in self.disks]
         return pressed, [size > _radius(factor, k, y, pressed) for size, (_, factor, k) in zip(sizes, self.disks)]
 

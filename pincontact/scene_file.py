@@ -689,6 +689,7 @@ _SETTINGS: dict[str, Converter] = {
     "fixed_step": _number,
     "step": _number,
     "max_steps": _integer,
+    "fallback": _text,
 }
 
 

@@ -17,7 +17,14 @@ from .dynamics.spare import Spare, put_back, take_spare
 from .errors import ArgumentError, UnusableResult
 from .integration.driver import Driver, Options
 from .integration.events import UserEvent
-from .integration.results import CONTROL_FAILED
+from .integration.results import (
+    CHATTER,
+    CONTROL_FAILED,
+    MODEL_FAILED,
+    NO_CONTACT_FORCE,
+    STEP_TOO_SMALL,
+    Event,
+)
 from .integration.runge_kutta import RungeKutta, Torque
 from .integration.tableaux import tableau
 from .integration.transitions import Transitions
@@ -33,6 +40,8 @@ if TYPE_CHECKING:
 
 # Time steps are at least so long, relative to the latest time: shorter ones would not move it on.
 _SHORTEST_STEP = float(np.finfo(float).eps)
+# What ends a run whose motion may go on all the same.
+_FALLS_BACK = (STEP_TOO_SMALL, NO_CONTACT_FORCE, CHATTER, MODEL_FAILED)
 # So many numbers take less time as a list than as an array.
 _SHORT = 50
 
@@ -58,6 +67,7 @@ def simulate(
     step: float | None = None,
     max_steps: int = 1_000_000,
     breakpoints: Any | None = None,
+    fallback: str | None = None,
 ) -> Trajectory:
     """Integrate a scene from a state over a duration in s.
 
@@ -73,8 +83,10 @@ def simulate(
     decided anew. Those that are not inside the run are ignored.
     progress: show a bar. energies: integrate the work of friction, drives, torques and damping along (see
     `Trajectory.energies`). max_step, first_step in s; fixed_step: constant steps without error control;
-    max_steps: accepted and rejected together. Without a max_step, what varies with time (a control, a contour that is
-    driven unsteadily) is looked at every 0.1 s at least, also where nothing moves; a shorter pulse needs breakpoints.
+    max_steps: accepted and rejected together. fallback: "Moreau" lets a run that cannot go on (status -1, -4, -6 or -7)
+    go on by time stepping, with `step`, from its last good state on; an event of kind "fallback" says where.
+    Without a max_step, what varies with time (a control, a contour that is driven unsteadily) is looked at every 0.1 s
+    at least, also where nothing moves; a shorter pulse needs breakpoints.
 
     The model's position limits and dry joint friction are part of its dynamics in every method: a joint stops at a
     limit without rebound and is let go when the limit's force would pull; it sticks within its range of dry friction.
@@ -86,6 +98,7 @@ def simulate(
     `run` of the exception, also of a KeyboardInterrupt.
     """
     _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps, step)
+    _check_fallback(fallback, method)
     times = _output_times(t_eval, state.t, duration)
     jumps = _breakpoints(breakpoints, state.t, duration)
     users = UserEvent.wrap(events)
@@ -95,7 +108,7 @@ def simulate(
         raise ArgumentError(f"control must be callable as control(t, q, v), got {control!r}")
     if not isinstance(method, str):
         raise ArgumentError(f"method must be a name such as 'DOP853', got {method!r}")
-    if step is not None and method != "Moreau":
+    if step is not None and "Moreau" not in (method, fallback):
         raise ArgumentError(f"step is for method 'Moreau'; method {method!r} takes fixed_step or max_step")
     pair = None if method == "Moreau" else tableau(method)
     if pair is not None and fixed_step is None and rtol > pair.coarsest:
@@ -127,7 +140,7 @@ def simulate(
     rk.begin_at(state.q, state.v, state.location)
     record = Record(system, state, with_torques=control is not None or system.ng + system.nr > 0)
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration)
-    options = Options(times, max_step, max_steps, fixed_step, first_step, jumps)
+    options = Options(times, max_step, max_steps, fixed_step, first_step, jumps, keep_good=fallback is not None)
     with _Bar(progress, state.t, duration) as bar:
         driver = Driver(rk, transitions, users, record.add, record.flush, options, bar.update if progress else None)
 
@@ -150,7 +163,54 @@ def simulate(
         run = _run(driver, state.t, duration, result)
     if run.success:
         put_back(scene, spare)
+    elif fallback is not None and run.status in _FALLS_BACK:
+        return _fall_back(
+            run, driver, state, duration, step, energies, users, times, max_steps, control, progress, began, jumps
+        )
     return run
+
+
+def _fall_back(
+    run: Trajectory,
+    driver: Driver,
+    state: State,
+    duration: float,
+    step: float | None,
+    energies: bool,
+    users: list[UserEvent],
+    times: np.ndarray | None,
+    max_steps: int,
+    control: Control | None,
+    progress: bool,
+    began: float,
+    breakpoints: list[float],
+) -> Trajectory:
+    """The run that time stepping makes of one that could not go on, both as one."""
+    scene, (t, good, discrete) = run.scene, driver.good or (state.t, None, state.discrete)
+    start, works = state, None
+    if good is not None:
+        system = driver.system
+        ends = np.cumsum([system.nq, system.nv, 4 * system.nc])
+        q, v, location, works = np.split(good, ends)
+        start = State(scene, q, v, t, location.reshape(-1, 4), discrete)
+    event = Event(t, None, "fallback", start.q.copy(), start.v.copy())
+    spare = take_spare(scene, energies, resistances=False)
+    write_discrete(spare.system, discrete)
+    torque = _torque(control, spare.system) if control is not None else None
+    left = max(1, max_steps - driver.steps - driver.rejected)
+    later = times[times > t] if times is not None else None
+
+    def follow(rest: Trajectory) -> Trajectory:
+        return run.followed_by(rest, t, event, works if energies else None)
+
+    rest = duration - (t - state.t)
+    jumps = [jump for jump in breakpoints if jump > t]
+    whole = _simulate_moreau(
+        scene, start, rest, step, spare, users, later, left, torque, progress, began, jumps, follow
+    )
+    if whole.success:
+        put_back(scene, spare)
+    return whole
 
 
 def _simulate_moreau(
@@ -166,8 +226,9 @@ def _simulate_moreau(
     progress: bool,
     began: float,
     breakpoints: list[float],
+    finish: Callable[[Trajectory], Trajectory] = lambda run: run,
 ) -> Trajectory:
-    """The run of method "Moreau" on a spare's system, whose discrete state is set."""
+    """The run of method "Moreau" on a spare's system, whose discrete state is set; finish: what is made of it."""
     from .integration.moreau import DEFAULT_STEP, MoreauDriver, MoreauStep
     from .integration.stages import load_state
 
@@ -224,7 +285,7 @@ def _simulate_moreau(
                 "cone_residual": stepper.worst_residual,
                 "wall_time": time.perf_counter() - began,
             }
-            return Trajectory.from_record(scene, record, driver.events, code, message, stats)
+            return finish(Trajectory.from_record(scene, record, driver.events, code, message, stats))
 
         return _run(driver, state.t, duration, result)
 
@@ -297,6 +358,13 @@ def _check(
         raise ArgumentError(f"step must be longer than times near {latest:.6g} s are rounded by, got {step}")
     if not is_count(max_steps):
         raise ArgumentError(f"max_steps must be a whole number from 1 to 1e18, got {max_steps!r}")
+
+
+def _check_fallback(fallback: str | None, method: str) -> None:
+    if fallback not in (None, "Moreau"):
+        raise ArgumentError(f"fallback must be 'Moreau' or None, got {fallback!r}")
+    if fallback is not None and method == "Moreau":
+        raise ArgumentError("fallback is for the event-driven methods, such as 'DOP853'; method 'Moreau' has none")
 
 
 def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray | None:

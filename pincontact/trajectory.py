@@ -50,6 +50,8 @@ if TYPE_CHECKING:
 _FORMAT = 1
 # Outputs whose contacts are evaluated before they are put together: some MB.
 _CHUNK = 1024
+# Of two runs in a row these counts are the larger one, others their sum.
+_LARGEST_STATS = ("cone_residual", "wall_time")
 
 
 class Record:
@@ -207,6 +209,36 @@ def _with_output_modes(
     return recorded
 
 
+def _joined(one: Recorded, kept: int, two: Recorded, first: int, works: np.ndarray | None) -> Recorded:
+    """The first `kept` rows of one and those of the other from `first` on, whose works begin at `works` (J)."""
+
+    def rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.concatenate([a[:kept], b[first:]])
+
+    def present(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
+        if a is None or b is None:
+            given = a if a is not None else b
+            if given is None:
+                return None
+            a, b = (x if x is not None else np.zeros((n, *given.shape[1:])) for x, n in zip((a, b), counts))
+        return rows(a, b)
+
+    counts = len(one.discrete), len(two.discrete)
+    references = {i: x for i, x in one.references.items() if i < kept}
+    references |= {kept + i - first: x for i, x in two.references.items() if i >= first}
+    done = None if works is None or one.works is None or two.works is None else rows(one.works, two.works + works)
+    return Recorded(
+        rows(one.location, two.location),
+        rows(one.discrete, two.discrete),
+        rows(one.directions, two.directions),
+        done,
+        one.total_at_start,
+        present(one.torques, two.torques),
+        present(one.resistances, two.resistances),
+        references,
+    )
+
+
 def _load_output(system: System, recorded: Recorded, i: int, q: np.ndarray, v: np.ndarray) -> None:
     """Put the state of one output into a system; a choice of redundant forces in it stays."""
     system.q[:], system.v[:] = q, v
@@ -340,6 +372,35 @@ class Trajectory:
     ) -> Trajectory:
         """From the rows of a run, however many there are."""
         return cls(scene, *record.rows(scene), events, status, message, stats)
+
+    def followed_by(self, rest: Trajectory, t: float, event: Event, works: np.ndarray | None) -> Trajectory:
+        """This run up to t (s) and, from its state there on, another one of the scene, as one, which ends as that does.
+
+        event: says where; works (NUMBER_OF_WORKS,): J up to there, None where they are not recorded.
+        """
+        kept = int(np.searchsorted(self.t, t, side="right"))
+        # where both have that state it is the end of the first
+        first = 1 if kept and rest.t.size and self.t[kept - 1] == rest.t[0] else 0
+        stats = dict(self.stats)
+        for key, value in rest.stats.items():
+            if key in _LARGEST_STATS:
+                stats[key] = max(value, stats.get(key, 0.0))
+            elif isinstance(value, int):
+                stats[key] = value + stats.get(key, 0)
+            else:
+                stats[key] = value
+        stats["outputs"] = kept + rest.t.size - first
+        return Trajectory(
+            self.scene,
+            np.concatenate([self.t[:kept], rest.t[first:]]),
+            np.concatenate([self.q[:kept], rest.q[first:]]),
+            np.concatenate([self.v[:kept], rest.v[first:]]),
+            lambda: _joined(self._recorded, kept, rest._recorded, first, works),
+            [*(e for e in self.events if e.time <= t), event, *rest.events],
+            rest.status,
+            rest.message,
+            stats,
+        )
 
     @property
     def _recorded(self) -> Recorded:

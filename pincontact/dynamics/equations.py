@@ -10,20 +10,22 @@ from __future__ import annotations
 
 import math
 
-from ..friction.elimination import minimum_norm_solve
-from ..friction.ellipse import friction_direction, friction_length
+from ..friction.elimination import least_norm, minimum_norm_solve
+from ..friction.ellipse import friction_direction, friction_length, stretch_pair
 from ..friction.stribeck import stribeck_kernel
 from ..geometry.patterns import NO_NORMAL, ON_CURVE
 from ..geometry.small import dot
 from ..jit import kernel
 from ..layout import (
     ACROSS_X,
+    ANISOTROPIC,
     DIRECTION_X,
     DOMAIN,
     DOMAIN_MARGIN,
     EVENT,
     FREE,
     FRICTION_MARGIN,
+    FRICTIONLESS,
     FROZEN,
     GAP_MARGIN,
     GUARD_END,
@@ -75,6 +77,9 @@ _NORMAL_CHANGE = 1e-15
 # Accelerations that contact forces cancel down to this part are zero, so that what is held does not creep by round-off
 # times the square of a step.
 _CANCELLED = 4e-15
+# A contact without a load stays closed by itself where its relative acceleration, in units of what cancels in it and in
+# m/s^2, is no more than this.
+_CLOSES = 1e-8
 # A slip operator whose pivot falls below this fraction of its frictionless value has lost positivity (Painleve).
 PAINLEVE_LIMIT = 1e-9
 # Friction that holds a contact up alone jams where a unit of it pushes the bodies apart by less than this fraction of
@@ -232,7 +237,7 @@ def friction_directions(
             on_curve = contact_int[c, PATTERN] == ON_CURVE
             if row_index[r, 0] != c or not (row == 2 or (row == 1 and on_curve)):
                 continue
-            share = float(contact_int[c, NORMAL_SIGN])
+            share = float(contact_int[c, NORMAL_SIGN]) if contact_int[c, UNILATERAL] == 0 else 1.0
             if on_curve:
                 share = numbers[NORMAL_1] if row == 2 else numbers[NORMAL_2]
             alone = numbers[MU] == math.inf
@@ -242,30 +247,169 @@ def friction_directions(
 
 @kernel
 def solve_slip(system, n, x, permutation, scratch):
-    """Solve the unsymmetric system of slipping contacts, x (n,) in and out; the least norm where forces are redundant.
+    """Solve the unsymmetric system of slipping contacts, x (n,) in and out; returns its rank.
 
-    False where a contact's own operator has lost positivity, against its frictionless value in the last column of
+    -1 where a contact's own operator has lost positivity, against its frictionless value in the last column of
     system: no force, or two (Painleve). Where that value is zero nothing moves along the normal, whatever pushes: the
     multiplier is left out, and so zero, as among redundant ones.
     """
     moving = 0
     for i in range(n):
+        if system[i, n] < 0.0:
+            # carries nothing, with a column of zeros
+            moving += 1
+            continue
         if system[i, n] == 0.0:
             x[i] = 0.0
             for j in range(n):
                 system[j, i] = 0.0
             continue
         if not system[i, i] > PAINLEVE_LIMIT * system[i, n]:
-            return False
+            return -1
         moving += 1
-    if moving == 0:
-        return True
-    if n == 1:
-        x[0] /= system[0, 0]
-        return True
+    if n == 1 or moving == 0:
+        if moving == 1:
+            x[0] /= system[0, 0]
+        return moving
     for i in range(n):
         scratch[i, n] = x[i]
-    return minimum_norm_solve(system, scratch[:n, n], n, x, scratch, permutation, RANK_TOLERANCE) > 0
+    rank = minimum_norm_solve(system, scratch[:n, n], n, x, scratch, permutation, RANK_TOLERANCE)
+    return rank if rank > 0 else -1
+
+
+@kernel
+def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents, nv, work):
+    """What a multiplier is measured in where forces are redundant: a contact's force is as large as its length times
+    the root of its mobility, the mean of J M^-1 J^T over its directions.
+
+    So do the equations of cone problems, without units: redundant loads are the same in both. own: n M^-1 n^T.
+    """
+    integers, numbers = contact_int[c], contact_real[c]
+    tangents = integers[TANGENTS]
+    if row != 2 or integers[MODE] == FRICTIONLESS or tangents == 0:
+        return own
+    total, largest = own, own
+    for i in range(2):
+        if i >= tangents:
+            total += largest
+            break
+        if integers[ANISOTROPIC] != 0:
+            first, second = (1.0, 0.0) if i == 0 else (0.0, 1.0)
+            first, second = stretch_pair(numbers, first, second)
+            for k in range(nv):
+                work[k] = first * rows[c, 0, k] + second * rows[c, 1, k]
+        else:
+            for k in range(nv):
+                work[k] = rows[c, i, k]
+        whiten(factor, parents, nv, work, work)
+        size = inner(work, work, nv)
+        total += size
+        largest = max(largest, size)
+    force = 1.0
+    if integers[MODE] == SLIPPING and numbers[MU] < math.inf:
+        force += numbers[MU_NOW] * numbers[MU_NOW]
+    return force * total / 3.0
+
+
+@kernel
+def weigh_forces(
+    contact_int, contact_real, rows, row_index, count, factor, parents, nv, whitened, whitened_forces, system, work
+):
+    """The operator with forces in their units, see `unit_of_force`; what they are to be multiplied with, then, in the
+    last column of system (count, count + 1)."""
+    for j in range(count):
+        own = inner(whitened[j], whitened[j], nv)
+        c, row = row_index[j, 0], row_index[j, 1]
+        unit = unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents, nv, work)
+        system[j, count] = 1.0 / math.sqrt(unit) if own > 0.0 else 0.0
+        for i in range(count):
+            system[i, j] = inner(whitened[i], whitened_forces[j], nv) * system[j, count]
+
+
+@kernel
+def carries_nothing(contact_int, nc, c, row):
+    """Whether a row is the normal of a unilateral contact that stays closed without a load, see `ModeSolver.unload`."""
+    return c < nc and row == 2 and contact_int[c, UNILATERAL] != 0 and contact_int[c, NORMAL_SIGN] == 0
+
+
+@kernel
+def leave_unloaded(contact_int, nc, row_index, count, system):
+    """Zero the columns of contacts that carry nothing, and mark them by -1 in the last one; how many there are."""
+    found = 0
+    for j in range(count):
+        if carries_nothing(contact_int, nc, row_index[j, 0], row_index[j, 1]):
+            found += 1
+            system[j, count] = -1.0
+            for i in range(count):
+                system[i, j] = 0.0
+    return found
+
+
+@kernel
+def unloaded_margins(
+    nv,
+    nc,
+    contact_int,
+    contact_real,
+    rows,
+    bias,
+    row_index,
+    count,
+    factor,
+    parents,
+    whitened,
+    whitened_forces,
+    acceleration,
+    multipliers,
+    system,
+    permutation,
+    scratch,
+    margins,
+    work,
+):
+    """Margins of contacts that carry nothing: how far from the least forces a load of theirs would be; EVENT where one
+    is negative, or where such a contact does not stay closed by itself.
+
+    The forces are least among those that are not negative if N = A^T y + s in their units, with s >= 0 at those that
+    are zero (Kuhn and Tucker).
+    """
+    weigh_forces(
+        contact_int,
+        contact_real,
+        rows,
+        row_index,
+        count,
+        factor,
+        parents,
+        nv,
+        whitened,
+        whitened_forces,
+        system,
+        work,
+    )
+    loaded = 0
+    for j in range(count):
+        if system[j, count] > 0.0 and not carries_nothing(contact_int, nc, row_index[j, 0], row_index[j, 1]):
+            for i in range(count):
+                scratch[loaded, i] = system[i, j]
+            scratch[loaded, count] = multipliers[j] / system[j, count]
+            loaded += 1
+    least_norm(scratch, scratch[:count, count], loaded, count, multipliers, system, permutation, RANK_TOLERANCE)
+    status = OK
+    for j in range(count):
+        c = row_index[j, 0]
+        if not carries_nothing(contact_int, nc, c, row_index[j, 1]):
+            continue
+        load = 0.0
+        for i in range(count):
+            load += inner(whitened[i], whitened_forces[j], nv) * multipliers[i]
+        margins[c, NORMAL_MARGIN] = -load * system[j, count] * system[j, count]
+        free, held = bias[c, 2], inner(rows[c, 2], acceleration, nv)
+        if abs(held + free) > _CLOSES * (abs(held) + abs(free) + 1.0):
+            margins[c, NORMAL_MARGIN] = -1.0
+        if margins[c, NORMAL_MARGIN] < 0.0:
+            status = EVENT
+    return status
 
 
 @kernel
@@ -326,6 +470,7 @@ def contact_dynamics(
     free_with_owners(contact_int, nc + ng, total)
     count, slipping = list_rows(contact_int, total, row_index)
     counters[ROW_COUNT], counters[ROW_RANK] = count, 0
+    unloaded = 0
     whiten_rows(factor, parents, nv, rows, row_index, count, whitened)
     iterate = 1
     if slipping:
@@ -372,8 +517,38 @@ def contact_dynamics(
                 for j in range(count):
                     delassus[i, j] = inner(whitened[i], whitened_forces[j], nv)
                 delassus[i, count] = inner(whitened[i], whitened[i], nv)
-            if not solve_slip(delassus, count, multipliers, permutation, scratch):
+            unloaded = leave_unloaded(contact_int, nc, row_index, count, delassus)
+            rank = solve_slip(delassus, count, multipliers, permutation, scratch)
+            if rank < 0:
                 return NO_FORCE
+            counters[ROW_RANK] = rank
+            if rank < count:
+                # redundant: the least forces, each in its unit
+                right_hand_side(row_index, count, rows, bias, free_acceleration, nv, multipliers)
+                if has_reference:
+                    _take_reference(row_index, count, reference, whitened, whitened_forces, nv, multipliers, work)
+                weigh_forces(
+                    contact_int,
+                    contact_real,
+                    rows,
+                    row_index,
+                    count,
+                    factor,
+                    parents,
+                    nv,
+                    whitened,
+                    whitened_forces,
+                    delassus,
+                    work,
+                )
+                leave_unloaded(contact_int, nc, row_index, count, delassus)
+                for j in range(count):
+                    scratch[j, count] = multipliers[j] if delassus[j, count] != 0.0 else 0.0
+                minimum_norm_solve(
+                    delassus, scratch[:count, count], count, multipliers, scratch, permutation, RANK_TOLERANCE
+                )
+                for j in range(count):
+                    multipliers[j] *= max(delassus[j, count], 0.0)
         else:
             if has_reference:
                 _take_reference(row_index, count, reference, whitened, whitened, nv, multipliers, work)
@@ -425,6 +600,31 @@ def contact_dynamics(
             direction,
         ),
     )
+    if unloaded > 0:
+        status = max(
+            status,
+            unloaded_margins(
+                nv,
+                nc,
+                contact_int,
+                contact_real,
+                rows,
+                bias,
+                row_index,
+                count,
+                factor,
+                parents,
+                whitened,
+                whitened_forces,
+                acceleration,
+                multipliers,
+                delassus,
+                permutation,
+                scratch,
+                margins,
+                work,
+            ),
+        )
     if slipping:
         for r in range(count):
             c = row_index[r, 0]

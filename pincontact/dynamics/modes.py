@@ -11,11 +11,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ..friction import cone
+from ..friction.loads import Disk, Loads, LoadSolver
 from ..friction.solve import ContactSolver
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
@@ -65,11 +66,6 @@ from .units import contact_rows, delassus, unit_columns, unwhiten, whiten, white
 if TYPE_CHECKING:
     from .system import System
 
-_FIXED_POINT_ITERATIONS = 100
-_UNDAMPED = 12
-_FIXED_POINT_TOLERANCE = 1e-12
-# Loads in N that change by more than this between iterations grow without bound.
-_WITHOUT_BOUND = 1e100
 _ROUND_OFF = 1e-11
 # Relative accelerations below this fraction of the free ones are round-off: no slip.
 _STILL = 1e-13
@@ -114,6 +110,15 @@ class _Problem:
     turns: dict[int, int] = field(default_factory=dict)
 
 
+class _Solution(NamedTuple):
+    """Forces (n, 3) and relative accelerations (n, 3) of a cone problem's units, and their modes (n,)."""
+
+    forces: np.ndarray
+    velocities: np.ndarray
+    modes: np.ndarray
+    residual: float
+
+
 class ModeSolver:
     """Decides modes; keeps the cone solver's buffers and counts what it did."""
 
@@ -127,6 +132,9 @@ class ModeSolver:
         # time, constraint rows and forces of the last choice
         self._last: tuple[float, np.ndarray, np.ndarray] | None = None
         self._limits = np.zeros(system.items)
+        self.loads = LoadSolver()
+        # whether there are no forces where the last decision found none
+        self.proved = False
 
     @cached_property
     def solver(self) -> ContactSolver:
@@ -146,10 +154,12 @@ class ModeSolver:
         """
         system = self.system
         integers = system.contact_int
+        self.proved = False
+        loaded = self._load_all()
         for c in undecided:
             integers[c, MODE] = STICK
             integers[c, FROZEN] = 0
-        if status is None or system.scalars[HAS_REFERENCE] != 0.0:
+        if status is None or not loaded or system.scalars[HAS_REFERENCE] != 0.0:
             self._take_reference(None)
             status = evaluate(t)
         if status > EVENT and status != NO_FORCE:
@@ -258,10 +268,11 @@ class ModeSolver:
 
     # ---------------------------------------------------------------- redundant forces
 
-    def redistribute(self, t: float, evaluate) -> bool:
+    def redistribute(self, t: float, evaluate, ended: int | None = None) -> bool:
         """Choose other ones among redundant forces, such that all lie inside their cones; False where none do.
 
-        Needs the last evaluation, whose accelerations stay what they are.
+        ended: the contact whose load has come to zero, or comes back from there. Needs the last evaluation, whose
+        accelerations stay what they are, unless loads of what slides are chosen.
         """
         system = self.system
         count = int(system.counters[ROW_COUNT])
@@ -269,7 +280,11 @@ class ModeSolver:
             # of independent rows there is one choice
             return False
         index = system.row_index[:count].copy()
-        slipping = any(system.contact_int[c, MODE] == SLIPPING for c in [*system.closed(), *system.resisting()])
+        closed = system.closed()
+        slipping = any(system.contact_int[c, MODE] == SLIPPING for c in [*closed, *system.resisting()])
+        if slipping and count == len(closed):
+            # no force but loads to choose
+            return self._unload(t, evaluate, ended)
         rows = system.whitened_rows[:count]
         directions = system.whitened_forces[:count] if slipping else rows
         if count == 0 or not np.isfinite(directions).all():
@@ -295,6 +310,47 @@ class ModeSolver:
         for array, values in zip(arrays, before):
             array[:] = values
         system.scalars[kinds], self._last = scalars, last
+        evaluate(t)
+        return False
+
+    def _load_all(self) -> bool:
+        """Let every closed contact carry a load; whether all did."""
+        integers = self.system.contact_int
+        without = [c for c in self.system.closed() if integers[c, UNILATERAL] and integers[c, NORMAL_SIGN] == 0]
+        integers[without, NORMAL_SIGN] = 1
+        return not without
+
+    def _unload(self, t: float, evaluate, ended: int | None) -> bool:
+        """Give the loads of what slides the least values that are not negative; False where contacts open instead.
+
+        A contact that is to carry nothing stays closed by itself, as do four feet on a plane that stand on three. Loads
+        then are continuous in time; those without it enter again where the least ones ask for them.
+        ended: see `redistribute`.
+        """
+        system = self.system
+        integers = system.contact_int
+        before = integers[:, NORMAL_SIGN].copy()
+        closed = [c for c in system.closed() if integers[c, UNILATERAL]]
+        seen = set()
+        self._take_reference(None)
+        if ended is not None:
+            integers[ended, NORMAL_SIGN] = 1 - integers[ended, NORMAL_SIGN]
+        status = evaluate(t)
+        while status <= EVENT:
+            margins = {c: float(system.margins[c, NORMAL_MARGIN]) for c in closed}
+            worst = min(closed, key=lambda c: margins[c], default=None)
+            if worst is None or margins[worst] >= -self.force_round_off():
+                if ended is not None and integers[ended, NORMAL_SIGN] == before[ended]:
+                    break
+                self.redistributions += 1
+                return True
+            state = integers[closed, NORMAL_SIGN].tobytes(), worst
+            if state in seen:
+                break
+            seen.add(state)
+            integers[worst, NORMAL_SIGN] = 1 - integers[worst, NORMAL_SIGN]
+            status = evaluate(t)
+        integers[:, NORMAL_SIGN] = before
         evaluate(t)
         return False
 
@@ -376,24 +432,27 @@ class ModeSolver:
             problem = self._problem_of_sticking(closed)
         else:
             problem = self._problem(closed, undecided, held, resisting)
-        if not self._solve_with_loads(problem, closed, resisting):
+        solution = self._solve_with_loads(problem, closed, held, resisting)
+        if solution is None:
             decision.status = NO_FORCE
             return decision
         base, shapes, turns = problem.base, problem.shapes, problem.turns
-        decision.residual = float(self.solver.residual)
+        decision.residual = solution.residual
         self.worst_residual = max(self.worst_residual, decision.residual)
-        velocities = self.solver.velocities.reshape(-1, 3).copy()
-        forces = self.solver.forces.reshape(-1, 3).copy()
+        velocities, forces, modes = solution.velocities, solution.forces, solution.modes
         for i, shape in shapes.items():
             velocities[i, :2], forces[i, :2] = np.linalg.solve(shape, velocities[i, :2]), shape @ forces[i, :2]
         still = _STILL * max(map(abs, base.tolist()))
         for i, c in enumerate(closed):
-            mode = self.solver.modes[i]
+            mode = modes[i]
             # among redundant contacts one may carry nothing without leaving
             if mode == cone.OPEN and velocities[i, 2] > still:
                 integers[c, MODE] = FREE
                 decision.opened.append(c)
-            elif c in undecided or (mode == cone.SLIP and math.isinf(numbers[c, MU])):
+                continue
+            if mode == cone.OPEN and integers[c, MODE] == SLIPPING:
+                integers[c, NORMAL_SIGN] = 0
+            if c in undecided or (mode == cone.SLIP and math.isinf(numbers[c, MU])):
                 rate = float(np.hypot(velocities[i, 0], velocities[i, 1]))
                 if mode == cone.STICK or rate <= still:
                     # among redundant contacts one may be at its limit of friction without sliding
@@ -403,11 +462,11 @@ class ModeSolver:
                     decision.started[c] = rate
         for i, u in turns.items():
             rate = float(np.hypot(velocities[u, 0], velocities[u, 1]))
-            if i in undecided and self.solver.modes[u] != cone.STICK and rate > still:
+            if i in undecided and modes[u] != cone.STICK and rate > still:
                 freeze_slip(system, i, velocities[u, :2])
                 decision.started[i] = rate
         for i, g in enumerate(held, start=n):
-            mode, end = self.solver.modes[i], int(system.guard_int[g, GUARD_END])
+            mode, end = modes[i], int(system.guard_int[g, GUARD_END])
             if end == 0 and mode == cone.SLIP and abs(velocities[i, 0]) > still:
                 self.release(g, 1 if velocities[i, 0] > 0.0 else -1)
             elif end != 0 and mode == cone.OPEN and velocities[i, 2] > still:
@@ -488,44 +547,77 @@ class ModeSolver:
                 base[3 * i + 2] = -0.5 * (high - low) * weights[3 * i + 2]
         return _Problem(gram, base, weights, np.array(mu), shapes, turns)
 
-    def _solve_with_loads(self, problem: _Problem, closed: list[int], resisting: list[int]) -> bool:
-        """Solve it with the friction of what slides, and the limits of resistances, that follow from the loads."""
+    def _solve_with_loads(
+        self, problem: _Problem, closed: list[int], held: list[int], resisting: list[int]
+    ) -> _Solution | None:
+        """Its solution, with the friction of what slides and the limits of resistances as multiples of the loads; None
+        where there is none, or none was found."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
         gram, base, turns = problem.gram, problem.base, problem.turns
         sliding = [i for i, c in enumerate(closed) if integers[c, MODE] == SLIPPING and numbers[c, MU] > 0.0]
+        self.cone_problems += 1
         if not sliding and not turns:
-            self.cone_problems += 1
-            return self.solver.solve(gram, base, problem.limits)
-        parents = {i: closed.index(system.owner(i)) for i in resisting}
-        directions = {
-            i: _unstretched(problem.shapes, i, associated(system, closed[i], _direction(system, closed[i])))
-            for i in sliding
-        }
-        turning = {i: _direction(system, i) for i in resisting if integers[i, MODE] == SLIPPING}
-        loads = np.array([max(system.force[c, 2], 0.0) for c in closed])
-        carrying = sorted({*sliding, *parents.values()})
-        for iteration in range(_FIXED_POINT_ITERATIONS):
-            pull = np.zeros(base.size)
-            for i in sliding:
-                pull[3 * i : 3 * i + 2] = -numbers[closed[i], MU_NOW] * loads[i] * directions[i]
+            solver = self.solver
+            if not solver.solve(gram, base, problem.limits):
+                self.proved = solver.certificate is not None
+                return None
+            forces, velocities = solver.forces.reshape(-1, 3).copy(), solver.velocities.reshape(-1, 3).copy()
+            return _Solution(forces, velocities, solver.modes, float(solver.residual))
+        n, size = len(closed), base.size
+        normals = [3 * i + 2 for i in range(n)]
+        normals += [3 * i + 2 for i, g in enumerate(held, start=n) if system.guard_int[g, GUARD_END] != 0]
+        loads = Loads(gram, base, normals)
+        start, slips, limits = np.zeros(size), np.zeros(size), problem.limits.copy()
+        for i, c in enumerate(closed):
+            force = system.force[c].copy()
+            tangents = int(integers[c, TANGENTS])
+            start[3 * i + 2] = max(float(force[2]), 0.0)
+            if i in sliding:
+                direction = _direction(system, c)
+                drag = loads.drag.setdefault(3 * i + 2, np.zeros(size))
+                drag[3 * i : 3 * i + 2] = -numbers[c, MU_NOW] * _unstretched(
+                    problem.shapes, i, associated(system, c, direction)
+                )
+                slips[3 * i : 3 * i + 2] = problem.shapes[i] @ direction if i in problem.shapes else direction
+                limits[i] = numbers[c, MU_NOW]
+            elif limits[i] > 0.0:
+                loads.disks.append(Disk([3 * i + j for j in range(tangents)], float(limits[i]), 3 * i + 2))
+                start[3 * i : 3 * i + 2] = _unstretched(problem.shapes, i, force[:2])
+        for i, g in enumerate(held, start=n):
+            if system.guard_int[g, GUARD_END] == 0:
+                low, high = system.guard_real[g, :2]
+                loads.disks.append(Disk([3 * i], radius=0.5 * (high - low)))
+        for i, u in turns.items():
+            owner, tangents = closed.index(system.owner(i)), int(integers[i, TANGENTS])
+            if integers[i, MODE] == SLIPPING:
+                slips[3 * u : 3 * u + 2] = direction = _direction(system, i)
+                drag = loads.drag.setdefault(3 * owner + 2, np.zeros(size))
+                drag[3 * u : 3 * u + 2] = -numbers[i, MU_NOW] * direction
+            else:
+                rows = [3 * u + j for j in range(tangents)]
+                loads.disks.append(Disk(rows, float(self._limits[i]), 3 * owner + 2))
+                start[3 * u : 3 * u + 2] = system.force[i, :2]
+
+        def guess(speed: float) -> np.ndarray | None:
+            """Forces of the symmetric problem in which what slides has that velocity, and turns have these loads."""
+            pushed = base + speed * slips
             for i, u in turns.items():
-                limit = numbers[i, MU] * loads[parents[i]]
-                if i in turning:
-                    pull[3 * u : 3 * u + 2] = -limit * turning[i]
-                base[3 * u + 2] = 0.0 if i in turning else -limit * problem.weights[3 * u + 2]
-            self.cone_problems += 1
-            if not self.solver.solve(gram, base + gram @ pull, problem.limits):
-                return False
-            new_loads = self.solver.forces[2 : 3 * len(closed) : 3].copy()
-            change = np.abs(new_loads - loads)[carrying].max()
-            # strong coupling of friction and load makes the plain iteration swing
-            loads = new_loads if iteration < _UNDAMPED else 0.5 * (loads + new_loads)
-            if change <= _FIXED_POINT_TOLERANCE * (1.0 + np.abs(loads).max(initial=0.0)):
-                return True
-            if not change < _WITHOUT_BOUND:
-                return False
-        return False
+                load = start[3 * closed.index(system.owner(i)) + 2]
+                pushed[3 * u + 2] = -float(numbers[i, MU]) * load * problem.weights[3 * u + 2]
+            return self.solver.forces if self.solver.solve(gram, pushed, limits) else None
+
+        if not self.loads.solve(loads, start, guess):
+            self.proved = self.loads.proved
+            return None
+        found = self.loads
+        modes = np.full(size // 3, cone.STICK)
+        for row, pressed in zip(normals, found.pressed):
+            modes[row // 3] = cone.STICK if pressed else cone.OPEN
+        for disk, slid in zip(loads.disks, found.slid):
+            if slid and modes[disk.rows[0] // 3] != cone.OPEN:
+                modes[disk.rows[0] // 3] = cone.SLIP
+        return _Solution(found.forces.reshape(-1, 3), found.velocities.reshape(-1, 3), modes, found.residual)
 
     def _keep_solution(
         self, t: float, closed: list[int], held: list[int], turns: dict[int, int], forces: np.ndarray, evaluate

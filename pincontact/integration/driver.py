@@ -38,6 +38,7 @@ from ..layout import (
     STIFF_STEPS,
     TURNING_RATE,
 )
+from ..state import read_discrete
 from .dense import Interpolant
 from .events import Crossing, EventLocator, UserEvent
 from .results import FINISHED, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
@@ -80,8 +81,11 @@ _WATCH_EVENTS = 1.0
 
 @dataclass
 class Options:
-    """Step-size and output options of a run. t_eval: output times in s, None for every accepted step;
-    breakpoints: times in s, in order within the run, at which steps end and modes are decided anew."""
+    """Step-size and output options of a run.
+
+    t_eval: output times in s, None for every accepted step; breakpoints: times in s, in order within the run, at which
+    steps end and modes are decided anew; keep_good: see `Driver.good`.
+    """
 
     t_eval: np.ndarray | None = None
     max_step: float = math.inf
@@ -89,6 +93,7 @@ class Options:
     fixed_step: float | None = None
     first_step: float | None = None
     breakpoints: Sequence[float] = ()
+    keep_good: bool = False
 
 
 class Driver:
@@ -121,6 +126,8 @@ class Driver:
                 self._max_step = _WATCH
             elif users:
                 self._max_step = _WATCH_EVENTS
+        # time (s), state and discrete part of the contacts of the last state that the run came to, where it is kept
+        self.good: tuple[float, np.ndarray, np.ndarray] | None = None
 
     @property
     def steps(self) -> int:
@@ -171,8 +178,12 @@ class Driver:
                 continue
             scalars[NOW] = t
             self.flush()
+            if options.keep_good:
+                self._keep_good(t)
             why = self.system.run(self._foresee(t, self._task()))
             t = float(scalars[NOW])
+            if options.keep_good:
+                self._keep_good(t)
             if why == STEPPED:
                 self._watch(t, True, False)
                 self._output_at(t)
@@ -200,6 +211,9 @@ class Driver:
                 raise self._projection_failed(float(scalars[NEXT_TIME]))
             if self.progress is not None:
                 self.progress(t)
+
+    def _keep_good(self, t: float) -> None:
+        self.good = t, self.system.state.copy(), read_discrete(self.system)
 
     def _allow_start(self, t: float, step: float) -> None:
         """Let slip that starts at t, which ends or interrupts a step, go on for half of that at most."""

@@ -390,4 +390,3 @@ class EventLocator:
         """Whether the value of a margin is more than round-off, against its sizes in the last attempt."""
         system = self.rk.system
         return value > _POSITIVE * max(abs(float(system.lowest[c, kind])), abs(float(system.highest[c, kind])))
-

@@ -539,7 +539,7 @@ class MoreauStep:
 class MoreauDriver:
     """A run of constant steps, with outputs and users' events.
 
-    record(t): called for outputs outside compiled steps, with the state in the system. flush(): makes room for the rows
+    record(t): called for outputs outside compiled steps, with the state in the system. flush(): makes room for rows
     that compiled steps write. torque: see `MoreauStep.ask`; progress(t): called now and then, or None.
     t_eval: output times in s, None for every step. breakpoints: times in s, in order within the run, at which steps end.
     """

@@ -15,6 +15,9 @@ STEP_TOO_SMALL, STEP_LIMIT, SINGULAR_CONTACT, NO_CONTACT_FORCE, CONTROL_FAILED, 
 )
 END_OF_CONTOUR, STEP_TOO_LONG = -8, -9
 
+# What is told to those whose run cannot go on.
+ADVICE = 'method="Moreau" goes on with impulses, in steps of constant size; fallback="Moreau" does from here on'
+
 # Gaps are known to so many times the tolerance only: nearer contacts touch, deeper ones have not yet.
 GAP_TOLERANCE = 10.0
 
@@ -49,7 +52,7 @@ class Event:
     kind: "stick", "slip", "separate", "touch", "edge" (the contact point has reached the end of a contour: a unilateral
     contact opens there), "singular" or "user"; of joints: "limit" (a position limit is reached), "release" (its force
     would pull), "stick" and "slip" (dry friction); of contacts that resist spinning or rolling: "turn" and "hold" (it
-    begins, it has come to rest); index: number of the user's event function.
+    begins, it has come to rest); "fallback": from here on time stepping; index: number of the user's event function.
     """
 
     time: float
@@ -62,5 +65,6 @@ class Event:
 
     def __repr__(self) -> str:
         name = self.contact if self.contact is not None else self.joint
-        what = f"{name!r}: {self.kind}" if name is not None else f"{self.kind} event {self.index}"
-        return f"<{what} at {self.time:.9g} s>"
+        what = f"{name!r}: {self.kind}" if name is not None else self.kind
+        number = f" event {self.index}" if self.kind == "user" else ""
+        return f"<{what}{number} at {self.time:.9g} s>"

@@ -56,7 +56,17 @@ from ..layout import (
 )
 from .dips import Dips
 from .open_contacts import OpenContacts
-from .results import CHATTER, END_OF_CONTOUR, FAILURES, GAP_TOLERANCE, SINGULAR_CONTACT, STEP_TOO_SMALL, Event, Stop
+from .results import (
+    ADVICE,
+    CHATTER,
+    END_OF_CONTOUR,
+    FAILURES,
+    GAP_TOLERANCE,
+    SINGULAR_CONTACT,
+    STEP_TOO_SMALL,
+    Event,
+    Stop,
+)
 from .runge_kutta import RungeKutta
 from .slow_slip import SlowSlip
 from .stages import DAMPING_WORK, DRIVE_WORK, FRICTION_WORK, NUMBER_OF_WORKS
@@ -168,6 +178,9 @@ class Transitions:
         if failure not in FAILURES:
             return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the step size fell below its floor")
         code, reason = FAILURES[failure]
+        if failure == NO_FORCE and self.modes.proved:
+            reason = "no contact forces satisfy Coulomb's law (Painleve)"
+        advice = f"; {ADVICE}" if failure == NO_FORCE else ""
         culprit = self._culprit(failure)
         if code == SINGULAR_CONTACT:
             self.announce(t, culprit, "singular")
@@ -176,7 +189,7 @@ class Transitions:
             where = f"contact {self.names[culprit]!r} ({self.system.contacts[culprit].pattern.name}): "
             if code == SINGULAR_CONTACT:
                 number = f"; conditioning of J {abs(self.system.contact_real[culprit, CONDITION]):.3g}"
-        return Stop(code, f"t = {t:.9g} s: {where}{reason}{number}")
+        return Stop(code, f"t = {t:.9g} s: {where}{reason}{number}{advice}")
 
     def _degenerates(self, t: float) -> bool:
         """Whether a closed contact is as good as singular at the accepted state, which is evaluated."""
@@ -208,8 +221,7 @@ class Transitions:
                 raise Stop(
                     CHATTER,
                     f"t = {t:.9g} s: {count} mode changes within {t - recent[-count - 1][0]:.3g} s (chatter), most of "
-                    f"{', '.join(self._describe(i) for i, _ in often)}; "
-                    'method="Moreau" takes such motions in steps of constant size',
+                    f"{', '.join(self._describe(i) for i, _ in often)}; {ADVICE}",
                 )
         if len(recent) > 2 * dense:
             del recent[:dense]
@@ -413,7 +425,8 @@ class Transitions:
         # a force that jumps, as where contacts cease to be redundant, is not one of choice
         if system.margins[c, kind] > _JUMP * float(np.abs(system.force).max()):
             return False
-        if not self.modes.redistribute(t, self.rk.evaluate):
+        ended = c if kind == NORMAL_MARGIN and c < system.nc and system.contact_int[c, UNILATERAL] else None
+        if not self.modes.redistribute(t, self.rk.evaluate, ended):
             return False
         self._project(t)
         self.rk.accept()
@@ -989,7 +1002,7 @@ class Transitions:
         impact = apply_impact(system, self.modes.solver, closed, ends, restitution)
         if impact is None:
             names = ", ".join(repr(self.names[i]) for i in touching) or "a joint's limit"
-            raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}")
+            raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}; {ADVICE}")
         rk.keep_velocity()
         if self._counts_works:
             works = system.stage_state[-NUMBER_OF_WORKS:]

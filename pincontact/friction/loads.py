@@ -1,0 +1,221 @@
+"""Contact problems some of whose contacts slide already, and whose torques resist turning in proportion to loads.
+
+Unknowns are normal forces, N >= 0, w >= 0, N w = 0 with w the relative acceleration, and forces on disks, whose radius
+is given or a multiple of one of the normal forces. The friction of what slides has a known direction and goes with its
+normal force: F = N (n - mu d). So the operator, A = J_n M^-1 (J_n - mu d J_t)^T where everything slides, is not
+symmetric, and need not be of any definiteness: there may be several solutions, or none (Painleve).
+
+With P_+ and P_D the projections on what is not negative and on a disk, solutions are the zeros of
+
+    N - P_+(N - w)     and     T - P_D(T - w_t).
+
+Newton's method finds them from near by (Alart, Curnier, Comput. Methods Appl. Mech. Engrg. 92, 1991). What is near is
+suggested by the present forces, by the symmetric cone problem in which what slides has so large a velocity along its
+direction that it can do nothing else, and, of few contacts, by each choice of those that carry a load.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+
+# Residual, in units of the largest acceleration without forces, up to which a zero is one.
+_TOLERANCE = 1e-10
+_NEWTON_STEPS = 40
+# Below this fraction of what it is without friction, a contact's own operator has lost positivity.
+_POSITIVE = 1e-9
+# Relative singular values below this are those of redundant contacts.
+_RANK = 1e-11
+# Normal forces whose choices of loaded ones are all tried, without and with disks.
+_TRIED, _TRIED_WITH_DISKS = 10, 6
+# Velocities of what slides, in units of the largest acceleration without forces, in the symmetric problem.
+_SPEEDS = (1e3, 1e6)
+
+
+@dataclass
+class Disk:
+    """|F| <= factor N[normal], or <= radius where `normal` is None, of the forces in these rows of the problem."""
+
+    rows: list[int]
+    factor: float = 0.0
+    normal: int | None = None
+    radius: float = 0.0
+
+
+@dataclass
+class Loads:
+    """The problem u = gram F + base over n units of three rows.
+
+    normals: rows with F >= 0, u >= 0, F u = 0; drag: normal row -> (m,) forces in all rows that go with a unit of it;
+    disks: what else is unknown. Forces in other rows are zero.
+    """
+
+    gram: np.ndarray
+    base: np.ndarray
+    normals: list[int]
+    drag: dict[int, np.ndarray] = field(default_factory=dict)
+    disks: list[Disk] = field(default_factory=list)
+
+
+class LoadSolver:
+    """Solves such problems. After `solve` returned True, `forces` (m,) and `velocities` (m,) are a solution; after it
+    returned False, `proved` says whether there is none, or none was found.
+
+    pressed: for each of the normals, whether it carries a load; slid: for each disk, whether the force is on its rim.
+    """
+
+    def __init__(self) -> None:
+        self.forces = self.velocities = np.zeros(0)
+        self.pressed = np.zeros(0, dtype=bool)
+        self.slid: list[bool] = []
+        self.residual = 0.0
+        self.proved = False
+
+    def solve(self, problem: Loads, forces: np.ndarray, guess: Callable[[float], np.ndarray | None]) -> bool:
+        """Solve it from forces (m,), those of `guess`(velocity of what slides), and from all choices of few loads."""
+        scaled = _Scaled(problem)
+        self.proved = False
+        for start, loaded in self._starts(scaled, forces, guess):
+            y, residual = scaled.newton(start, loaded)
+            if residual <= _TOLERANCE:
+                self.forces = scaled.forces(y)
+                self.velocities = problem.gram @ self.forces + problem.base
+                self.velocities[np.abs(self.velocities) <= _TOLERANCE * scaled.largest] = 0.0
+                self.pressed, self.slid = scaled.modes(y)
+                self.residual = residual
+                return True
+        # every choice of loads is one linear system, and none of them has a solution
+        self.proved = not problem.disks and len(problem.normals) <= _TRIED
+        return False
+
+    def _starts(
+        self, scaled: _Scaled, forces: np.ndarray, guess: Callable[[float], np.ndarray | None]
+    ) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
+        """Forces to begin from, and which normals are loaded where that is prescribed."""
+        yield scaled.unknowns(forces), None
+        count, disks = len(scaled.problem.normals), bool(scaled.problem.disks)
+        for speed in _SPEEDS:
+            found = guess(speed * scaled.largest)
+            if found is not None:
+                yield scaled.unknowns(found), None
+        if count <= (_TRIED_WITH_DISKS if disks else _TRIED):
+            # what is closed stays closed, if it can
+            for number in range(count, -1, -1):
+                for chosen in combinations(range(count), number):
+                    loaded = np.zeros(count, dtype=bool)
+                    loaded[list(chosen)] = True
+                    yield np.zeros(scaled.base.size), loaded
+
+
+class _Scaled:
+    """The problem in unknowns y without units: normal forces first, then those of disks."""
+
+    def __init__(self, problem: Loads) -> None:
+        self.problem = problem
+        normals, m = problem.normals, problem.base.size
+        rows = [*normals, *(row for disk in problem.disks for row in disk.rows)]
+        diagonal = problem.gram.diagonal().reshape(-1, 3).mean(axis=1)
+        scale = np.repeat(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 3)
+        self.rows, self.scale = rows, scale[rows]
+        self.expand = np.zeros((m, len(rows)))
+        self.expand[rows, np.arange(len(rows))] = 1.0
+        for k, row in enumerate(normals):
+            if row in problem.drag:
+                self.expand[:, k] += problem.drag[row]
+        self.largest = float(np.abs(problem.base).max(initial=0.0)) or 1.0
+        unit = float(np.abs(scale[rows] * problem.base[rows]).max(initial=0.0)) or 1.0
+        self.expand *= self.scale
+        self.unit = unit
+        self.operator = self.scale[:, None] * (problem.gram @ self.expand)[rows]
+        self.base = self.scale * problem.base[rows] / unit
+        own = problem.gram.diagonal()[normals] * self.scale[: len(normals)] ** 2
+        count = len(normals)
+        self.passive = self.operator.diagonal()[:count] <= _POSITIVE * own
+        self.disks: list[tuple[np.ndarray, float, int | None]] = []
+        at = count
+        for disk in problem.disks:
+            places = np.arange(at, at + len(disk.rows))
+            at += len(disk.rows)
+            if disk.normal is None:
+                self.disks.append((places, disk.radius / (self.scale[places[0]] * unit), None))
+            else:
+                k = normals.index(disk.normal)
+                self.disks.append((places, disk.factor * self.scale[k] / self.scale[places[0]], k))
+
+    def forces(self, y: np.ndarray) -> np.ndarray:
+        """(m,) forces of unknowns."""
+        return self.unit * (self.expand @ y)
+
+    def unknowns(self, forces: np.ndarray) -> np.ndarray:
+        """The unknowns in forces (m,) along the problem's rows."""
+        return np.nan_to_num(forces[self.rows] / (self.scale * self.unit))
+
+    def newton(self, y: np.ndarray, loaded: np.ndarray | None) -> tuple[np.ndarray, float]:
+        """The zero that Newton's method comes to from there, and its residual, infinite where that is no solution.
+
+        loaded: which normal forces are to be there, or None.
+        """
+        count, n = len(self.problem.normals), self.base.size
+        identity = np.eye(n)
+        best, least = y, math.inf
+        for step in range(_NEWTON_STEPS):
+            w = self.operator @ y + self.base
+            press = y[:count] - w[:count] > 0.0 if loaded is None else loaded
+            values = np.where(press, w[:count], y[:count])
+            jacobian = np.where(np.append(press, np.ones(n - count, dtype=bool))[:, None], self.operator, identity)
+            values = np.append(values, w[count:])
+            for places, factor, k in self.disks:
+                radius = _radius(factor, k, y, press)
+                p = y[places] - w[places]
+                size = float(np.sqrt(p @ p))
+                if size <= radius:
+                    continue
+                along = p / size
+                values[places] = y[places] - radius * along
+                turn = radius / size * (np.eye(places.size) - np.outer(along, along))
+                jacobian[places] = identity[places] - turn @ (identity[places] - self.operator[places])
+                if k is not None and y[k] > 0.0 and math.isfinite(factor):
+                    jacobian[places, k] -= factor * along
+            if not np.isfinite(values).all():
+                break
+            terms = 1.0 + float(np.abs(y).max(initial=0.0))
+            residual = float(np.abs(values).max(initial=0.0)) / terms
+            if residual < least:
+                best, least = y, residual
+                if residual <= 1e-3 * _TOLERANCE:
+                    break
+            elif least <= _TOLERANCE:
+                break
+            y = y - np.linalg.lstsq(jacobian, values, rcond=_RANK)[0]
+            if loaded is not None and not self.disks and step == 1:
+                break
+        return best, least if self._admissible(best) else math.inf
+
+    def modes(self, y: np.ndarray) -> tuple[np.ndarray, list[bool]]:
+        """Which normals carry a load, and on which disks the force is on the rim."""
+        w = self.operator @ y + self.base
+        count = len(self.problem.normals)
+        # what redundant contacts carry may be round-off
+        pressed = y[:count] - w[:count] > _TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
+        sizes = [float(np.linalg.norm(y[places] - w[places])) for places, _, _ in self.disks]
+        return pressed, [size > _radius(factor, k, y, pressed) for size, (_, factor, k) in zip(sizes, self.disks)]
+
+    def _admissible(self, y: np.ndarray) -> bool:
+        """Whether nothing pulls or closes; a contact whose own force would not part the bodies carries nothing."""
+        count = len(self.problem.normals)
+        small = _TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
+        w = self.operator[:count] @ y + self.base[:count]
+        return bool((y[:count] >= -small).all() and (w >= -small).all() and (y[:count][self.passive] <= small).all())
+
+
+def _radius(factor: float, k: int | None, y: np.ndarray, pressed: np.ndarray) -> float:
+    """Radius of a disk at the unknowns y."""
+    if k is None:
+        return factor
+    if math.isinf(factor):
+        return math.inf if pressed[k] else 0.0
+    return factor * max(float(y[k]), 0.0)

@@ -1,0 +1,250 @@
+"""Several sliding feet: which of them carry the body is a complementarity problem, solved as one."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pincontact as pc
+
+GRAVITY = 9.81
+
+
+def body_on_feet(points, mu, mass=1.0, inertia=None):
+    """A free body, its centre of mass at its origin, and contacts of its feet (n, 3) with a floor."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    inertia = 0.01 * np.eye(3) if inertia is None else inertia
+    model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), inertia), pin.SE3.Identity())
+    model.addBodyFrame("base", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    for i, point in enumerate(points):
+        foot = scene.add_contour(f"foot {i}", pc.Point(), "base", placement=pin.SE3(np.eye(3), np.array(point)))
+        scene.add_contact(f"foot {i}", foot, floor, friction=pc.Coulomb(float(np.broadcast_to(mu, len(points))[i])))
+    return scene
+
+
+def normal_problem(points, mu, mass, inertia, v):
+    """Gap accelerations A N + b of the sliding feet of a body that is level."""
+    linear, omega = v[:3], v[3:]
+    inverse = np.linalg.inv(inertia)
+    free = -inverse @ np.cross(omega, inertia @ omega)
+    n = len(points)
+    operator, base = np.zeros((n, n)), np.zeros(n)
+    up = np.array([0.0, 0.0, 1.0])
+    for i, r in enumerate(points):
+        base[i] = -GRAVITY + np.cross(free, r)[2] + np.cross(omega, np.cross(omega, r))[2]
+        for j, s in enumerate(points):
+            slip = linear + np.cross(omega, s)
+            force = up - mu[j] * slip / np.linalg.norm(slip)
+            operator[i, j] = force[2] / mass + np.cross(inverse @ np.cross(s, force), r)[2]
+    return operator, base
+
+
+def all_solutions(operator, base):
+    """Every N >= 0, A N + b >= 0, N (A N + b) = 0 that a choice of loaded feet gives."""
+    n, found = len(base), []
+    for number in range(n + 1):
+        for loaded in map(list, combinations(range(n), number)):
+            forces = np.zeros(n)
+            if loaded:
+                forces[loaded] = np.linalg.lstsq(operator[np.ix_(loaded, loaded)], -base[loaded], rcond=1e-11)[0]
+            gaps = operator @ forces + base
+            # round-off of systems of conditioning up to 1e6
+            if (forces >= -1e-8).all() and (gaps >= -1e-8).all() and np.abs(gaps[loaded]).max(initial=0.0) < 1e-8:
+                found.append(forces)
+    return found
+
+
+def test_two_sliding_feet_one_of_which_carries_all():
+    """N = (24.525, 0), with the friction of the loaded foot tipping the body over it."""
+    points = np.array([[0.1, 0.0, -0.2], [-0.1, 0.0, -0.2]])
+    scene = body_on_feet(points, 0.8)
+    state = scene.initial_state([0, 0, 0.2, 0, 0, 0, 1], [1.0, 0, 0, 0, 0, 0])
+    run = pc.simulate(scene, state, 1e-4, t_eval=[0.0])
+    assert run.status == 0
+    # 1 - mu h a / I + a^2 / I = 0.4, and N = g / 0.4
+    assert run.contacts["foot 0"].normal_force[0] == pytest.approx(GRAVITY / 0.4, rel=1e-12)
+    assert run.contacts["foot 1"].mode[0] == -1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_sliding_feet(seed):
+    """The run refuses what has no solution, and takes it where there is one."""
+    rng = np.random.default_rng(seed)
+    refused = loaded_in_part = 0
+    for _ in range(60):
+        n = int(rng.integers(2, 6))
+        height = rng.uniform(0.02, 0.4)
+        points = np.column_stack([rng.uniform(-0.2, 0.2, (n, 2)), np.full(n, -height)])
+        mu = rng.uniform(0.05, 1.2, n)
+        turn = pin.Quaternion(rng.normal(size=4)).normalized().matrix()
+        inertia = turn @ np.diag(rng.uniform(0.5, 1.0, 3) * 10 ** rng.uniform(-2.5, -1.0)) @ turn.T
+        v = np.array([*rng.normal(size=2), 0.0, 0.0, 0.0, rng.normal()])
+        operator, base = normal_problem(points, mu, 1.0, inertia, v)
+        solutions = all_solutions(operator, base)
+        scene = body_on_feet(points, mu, 1.0, inertia)
+        run = pc.simulate(scene, scene.initial_state([0, 0, height, 0, 0, 0, 1], v), 0.0)
+        # what a foot's own force would push further in is no support
+        sound = [N for N in solutions if not ((N > 1e-8) & (operator.diagonal() <= 0.0)).any()]
+        if run.status == -4:
+            assert not sound
+            refused += 1
+            continue
+        assert run.status == 0, run.message
+        forces = np.array([run.contacts[f"foot {i}"].normal_force[0] for i in range(n)])
+        gaps = operator @ forces + base
+        scale = 1.0 + np.abs(forces).max()
+        # evaluated once, in systems of conditioning up to 1e6
+        assert forces.min() > -1e-8 * scale
+        assert gaps.min() > -1e-8 * scale
+        assert np.abs(forces * gaps).max() < 1e-7 * scale**2
+        if len(sound) == 1:
+            assert forces == pytest.approx(sound[0], abs=1e-7 * scale)
+        loaded_in_part += bool((forces < 1e-9).any())
+    # the family has both
+    assert refused and loaded_in_part
+
+
+# ---------------------------------------------------------------- fallback
+
+
+def painleve_rod(energies=False, **options):
+    """A run of a rod that slides on its tip at an angle at which mu = 3 leaves no force (1 m, 1 kg, 1/12 kg m^2)."""
+    inertia = np.diag([1 / 12, 1 / 12, 1e-3])
+    scene = body_on_feet([[0.0, 0.0, -0.5]], 3.0, 1.0, inertia)
+    lean = pin.Quaternion(pin.utils.rotate("y", 0.5))
+    tip = lean.matrix() @ [0.0, 0.0, -0.5]
+    v = lean.matrix().T @ [-1.0, 0.0, 0.0]
+    state = scene.initial_state([*-tip, *lean.coeffs()], [*v, 0, 0, 0])
+    return scene, state, pc.simulate(scene, state, 0.2, energies=energies, **options)
+
+
+def test_painleve_says_that_there_is_no_force_and_what_to_do():
+    run = painleve_rod()[2]
+    assert run.status == -4
+    assert "no contact forces satisfy" in run.message
+    assert 'fallback="Moreau"' in run.message
+
+
+def test_fallback_goes_on_by_time_stepping():
+    scene, state, run = painleve_rod(fallback="Moreau", step=1e-4)
+    alone = pc.simulate(scene, state, 0.2, method="Moreau", step=1e-4)
+    assert run.status == alone.status == 0
+    (event,) = [e for e in run.events if e.kind == "fallback"]
+    assert event.time == 0.0
+    assert repr(event) == "<fallback at 0 s>"
+    # nothing but time stepping is left of it
+    assert run.t[-1] == pytest.approx(0.2)
+    assert run.q[-1] == pytest.approx(alone.q[-1], abs=1e-12)
+    assert len(run.contacts["foot 0"].force) == run.t.size == run.stats["outputs"]
+
+
+@pytest.mark.parametrize("outputs", [None, np.linspace(0.0, 1.0, 41)])
+def test_fallback_joins_two_parts(outputs, monkeypatch, tmp_path):
+    """A run that is stopped in its course goes on from there: one trajectory, whose works are those of the whole."""
+    from pincontact.integration import driver
+    from pincontact.integration.results import CHATTER, Stop
+
+    points = [[x, y, -0.05] for x in (0.1, -0.1) for y in (0.1, -0.1)]
+    scene = body_on_feet(points, 0.2)
+    state = scene.initial_state([0, 0, 0.05, 0, 0, 0, 1], [1.0, 0, 0, 0, 0, 0])
+    whole = pc.simulate(scene, state, 1.0, t_eval=outputs, energies=True)
+
+    def stop(self, t):
+        kept(self, t)
+        if t > 0.3:
+            raise Stop(CHATTER, "stopped")
+
+    kept = driver.Driver._keep_good
+    monkeypatch.setattr(driver.Driver, "_keep_good", stop)
+    run = pc.simulate(
+        scene, state, 1.0, t_eval=outputs, energies=True, max_step=0.05, fallback="Moreau", step=1e-3,
+        control=lambda t, q, v: np.zeros(6), events=lambda t, q, v: 1.0,
+    )  # fmt: skip
+    assert run.status == 0
+    (event,) = [e for e in run.events if e.kind == "fallback"]
+    assert 0.3 < event.time < 0.36
+    assert (np.diff(run.t) > 0.0).all()
+    if outputs is not None:
+        assert run.t == pytest.approx(outputs, abs=0.0)
+    for values in (run.q, run.v, run.contacts["foot 1"].force, run.contacts["foot 1"].mode):
+        assert len(values) == run.t.size
+    # friction is constant: time stepping is exact but for the step in which the block stops
+    assert run.q[-1] == pytest.approx(whole.q[-1], abs=1e-4)
+    energies = run.energies()
+    assert np.abs(energies.balance).max() < 1e-3
+    assert energies.friction_work[-1] == pytest.approx(-0.5, abs=1e-3)
+    run.save(tmp_path / "run.npz")
+    assert pc.Trajectory.load(tmp_path / "run.npz", scene).events[-1].kind == run.events[-1].kind
+
+
+def test_fallback_is_checked():
+    scene, state, _ = painleve_rod()
+    with pytest.raises(pc.ArgumentError, match="fallback must be"):
+        pc.simulate(scene, state, 0.1, fallback="RK45")
+    with pytest.raises(pc.ArgumentError, match="event-driven"):
+        pc.simulate(scene, state, 0.1, method="Moreau", fallback="Moreau")
+
+
+# ---------------------------------------------------------------- redundant loads
+
+
+LAWS = {
+    "Coulomb": lambda i: pc.Coulomb(0.4),
+    "Stribeck": lambda i: pc.Stribeck(mu=0.2, mu_static=0.5, speed=0.1),
+    "two directions": lambda i: pc.Coulomb(mu=(0.5, 0.2)),
+    "four coefficients": lambda i: pc.Coulomb([0.2, 0.3, 0.4, 0.5][i]),
+}
+
+
+def table_that_slides(order, law, height, v=(0.8, 0.3, 0, 0, 0, 4.0), **options):
+    """Where a body ends that slides and spins on four feet, contacts made in this order."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
+    inertia = pin.Inertia(1.0, np.zeros(3), np.diag([0.01, 0.012, 0.02]))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addBodyFrame("base", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    points = [(0.02 + x, 0.01 + y, -height) for x in (0.1, -0.1) for y in (0.1, -0.1)]
+    for i in order:
+        foot = scene.add_contour(f"foot {i}", pc.Point(), "base", placement=pin.SE3(np.eye(3), np.array(points[i])))
+        scene.add_contact(f"foot {i}", foot, floor, friction=LAWS[law](i))
+    state = scene.initial_state([0, 0, height, 0, 0, 0, 1], v)
+    run = pc.simulate(scene, state, 0.5, **options)
+    assert run.status == 0, run.message
+    return run
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_redundant_sliding_feet_carry_the_same_in_all_methods(law):
+    """In slip loads move the body: both kinds of methods take the same ones, whatever the order of the contacts."""
+    one = table_that_slides((0, 1, 2, 3), law, 0.05).q[-1]
+    # round-off, and what it makes of the time at which a contact sticks
+    assert table_that_slides((3, 1, 0, 2), law, 0.05).q[-1] == pytest.approx(one, abs=1e-9)
+    # its own error, of first order in the step at the end of slip; other loads end 1e-4 m apart
+    steps = table_that_slides((0, 1, 2, 3), law, 0.05, method="Moreau", step=2e-4)
+    assert steps.q[-1] == pytest.approx(one, abs=3e-6)
+
+
+def test_a_sliding_foot_that_carries_nothing_stays_closed():
+    """Least loads that are not negative: a foot comes to carry nothing, without an event or a jump of what the others
+    carry, and the motion does not depend on the order of the feet."""
+    v = (-1.0, 0.3, 0, 0, 0, 3.0)
+    times = np.linspace(0.0, 0.5, 501)
+    run = table_that_slides((0, 1, 2, 3), "Coulomb", 0.2, v, t_eval=times)
+    loads = np.column_stack([run.contacts[f"foot {i}"].normal_force for i in range(4)])
+    modes = np.column_stack([run.contacts[f"foot {i}"].mode for i in range(4)])
+    sliding = (modes == 2).all(axis=1)
+    assert (loads[sliding].min(axis=1) < 1e-9).sum() > 100
+    assert (loads[sliding].min(axis=1) > 1e-2).sum() > 100
+    assert loads.min() > -1e-9
+    # they change by up to 90 N/s
+    assert np.abs(np.diff(loads[sliding], axis=0)).max() < 0.1
+    other = table_that_slides((2, 0, 3, 1), "Coulomb", 0.2, v, t_eval=times)
+    assert other.q[-1] == pytest.approx(run.q[-1], abs=1e-9)

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -156,7 +157,7 @@ class EventLocator:
         for i in range(len(self.users)):
             samples = self._samples(i, self._user(i, t, step, state_at))
             sizes = [abs(value) for _, value in samples]
-            turns = any(before * after <= 0.0 for (_, before), (_, after) in zip(samples, samples[1:]))
+            turns = any(before * after <= 0.0 for (_, before), (_, after) in pairwise(samples))
             if turns or min(sizes) < _NEAR * max(sizes):
                 found = True
                 break
@@ -169,7 +170,7 @@ class EventLocator:
         for i, event in enumerate(self.users):
             value = self._user(i, t, step, dense)
             samples = self._samples(i, value)
-            for (low, before), (high, after) in zip(samples, samples[1:]):
+            for (low, before), (high, after) in pairwise(samples):
                 if event.crosses(before, after):
                     at_end = after == 0.0 or math.isinf(before) or math.isinf(after)
                     root = high if at_end else scipy.optimize.brentq(value, low, high, xtol=_XTOL, rtol=_RTOL)

@@ -541,7 +541,8 @@ class MoreauDriver:
 
     record(t): called for outputs outside compiled steps, with the state in the system. flush(): makes room for rows
     that compiled steps write. torque: see `MoreauStep.ask`; progress(t): called now and then, or None.
-    t_eval: output times in s, None for every step. breakpoints: times in s, in order within the run, at which steps end.
+    t_eval: output times in s, None for every step. breakpoints: times in s, in order within the run, at which steps
+    end.
     """
 
     def __init__(
@@ -584,7 +585,11 @@ class MoreauDriver:
             event.value = event.value_at(start, self.system)
         self._output(start)
         for jump in self.breakpoints:
-            self._run_until(start, math.nextafter(jump, -math.inf))
+            # so much before it that no rounding of the step takes it for a whole one, and gets there
+            self._run_until(start, max(start, jump - 2.0 * SLIVER * size))
+            while self._next_output <= jump:
+                self._record(self._next_output, asked=False)
+                self.system.output_done()
             self._earlier_steps += step.steps
             step.steps = 0
             start = math.nextafter(jump, math.inf)

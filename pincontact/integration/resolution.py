@@ -1,9 +1,10 @@
 """Whether a step resolves what decides its events: margins as smooth functions of time, seen in its stages.
 
-Where nothing moves, no error is estimated, however much the forces change that hold it: a step may span many periods of
-a load. So the margins of a step's stages are fitted by a polynomial of low degree. What it leaves is to be small, against
-the margin's size, or against its distance from zero, where nothing is decided; else the step is too long. What moves the
-bodies limits steps long before that. Events are then looked for on the dense output, on which margins are exact.
+Where nothing moves, no error is estimated, however much the forces change that hold it: a step may span many periods
+of a load. So the margins of a step's stages are fitted by a polynomial of low degree. What it leaves is to be small,
+against the margin's size, or against its distance from zero, where nothing is decided; else the step is too long. What
+moves the bodies limits steps long before that. Events are then looked for on the dense output, on which margins are
+exact.
 """
 
 from __future__ import annotations
@@ -137,9 +138,13 @@ def _left(table, n, c, kind):
     kept = cube(table[SCAN_MARGINS], SCAN_ROOM + KEPT_ROWS, n, MARGINS_PER_CONTACT)
     weights = matrix(table[WEIGHTS_ERROR], ERROR_ROWS, MAX_STAGES)
     total = 0.0
+    end = sizes[NSTAGES]
     for row in range(2, ERROR_ROWS):
+        if weights[row, end] == 0.0:
+            # no more rows
+            break
         part = 0.0
-        for s in range(sizes[NSTAGES] + 1):
+        for s in range(end + 1):
             part += weights[row, s] * kept[SCAN_ROOM + s, c, kind]
         total += part * part
     return math.sqrt(total)

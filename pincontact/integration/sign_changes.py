@@ -1,4 +1,4 @@
-"""Where a function of one variable changes its sign in an interval, however often: it is sampled until it is resolved."""
+"""Where a function of one variable changes its sign in an interval, however often: it is sampled until that shows."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 # Places in an interval at which a function is sampled, irregular, lest they all be zeros of a sine.
-_PLACES = (0.0, 0.1637, 0.3819, 0.6271, 0.8393, 1.0)
+_PLACES = (0.0, 0.1137, 0.2419, 0.3871, 0.5647, 0.7219, 0.8629, 1.0)
 # Degree of the polynomial by which it is resolved, and what that may leave: a part of the largest value, or of the
 # least.
 _DEGREE = 3

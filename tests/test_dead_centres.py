@@ -40,7 +40,10 @@ class SliderCrank:
             at_rail.translation[1] -= self.radius
         else:
             tip = scene.add_contour("tip", pc.Point(), "b", placement=place)
-        rail = scene.add_contour("rail", pc.Line(), placement=at_rail)
+        if pattern == "P-S":
+            # a plane with its normal along y: the second tangent is one that no joint moves the tip along
+            at_rail.rotation = pin.utils.rotate("x", -0.5 * math.pi)
+        rail = scene.add_contour("rail", pc.Plane() if pattern == "P-S" else pc.Line(), placement=at_rail)
         scene.add_contact("c", tip, rail, bilateral=True, pattern=pattern, friction=friction)
         return scene
 
@@ -148,7 +151,7 @@ def test_slider_crank_passes_its_dead_centre(method):
     np.testing.assert_allclose([event.time for event in run.events], turns, rtol=0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("pattern", ["P-2C", "P-3C", "2C-2C"])
+@pytest.mark.parametrize("pattern", ["P-2C", "P-3C", "2C-2C", "P-S"])
 @pytest.mark.parametrize("seed", range(6))
 def test_random_slider_cranks(seed, pattern):
     crank, begin, expected, turns = random_crank(seed, 0.05 if pattern == "2C-2C" else 0.0)

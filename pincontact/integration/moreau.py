@@ -586,7 +586,7 @@ class MoreauDriver:
         self._output(start)
         for jump in self.breakpoints:
             # so much before it that no rounding of the step takes it for a whole one, and gets there
-            self._run_until(start, max(start, jump - 2.0 * SLIVER * size))
+            self._run_until(start, max(start, jump - 2.0 * SLIVER * self.size))
             while self._next_output <= jump:
                 self._record(self._next_output, asked=False)
                 self.system.output_done()

@@ -232,9 +232,11 @@ class Scene:
         if location is not None and (not isinstance(location, (tuple, list)) or len(location) != 2):
             raise ArgumentError(f"contact {name!r}: location must be a pair (u_first, u_second), got {location!r}")
         if a.joint == b.joint and a.motion is None and b.motion is None:
+            body = "the universe" if a.joint == 0 else f"joint {self.model.names[a.joint]!r}"
             raise ArgumentError(
-                f"contact {name!r}: contours {a.name!r} and {b.name!r} are fixed to the same body and cannot move "
-                "against each other"
+                f"contact {name!r}: contours {a.name!r} (frame {a.frame!r}) and {b.name!r} (frame {b.frame!r}) are "
+                f"fixed to the same body, that of {body}, and cannot move against each other"
+                + ("; a robot that is to move freely is loaded with floating_base=True" if a.joint == 0 else "")
             )
         one, two = (b, a) if a.contour.dimension > b.contour.dimension else (a, b)
         if pattern is not None and not isinstance(pattern, str):

@@ -263,7 +263,7 @@ def find_state(scene: Scene, q: Any, v: Any | None, t: float, free: Sequence[str
     system.q[:], system.v[:] = q, v
     candidates: dict[str, list[Candidate]] = {}
     for c, contact in enumerate(contacts):
-        found = _candidates(scene, contact, q, v, t)
+        found = _candidates(scene, contact, q, v, t, contact.name in free)
         chosen = _choose(contact, found, contact.name in free, max_gap, system, t)
         candidates[contact.name] = found
         integers = system.contact_int[c]
@@ -290,7 +290,9 @@ def find_state(scene: Scene, q: Any, v: Any | None, t: float, free: Sequence[str
     )
 
 
-def _candidates(scene: Scene, contact: Contact, q: np.ndarray, v: np.ndarray, t: float) -> list[Candidate]:
+def _candidates(
+    scene: Scene, contact: Contact, q: np.ndarray, v: np.ndarray, t: float, is_free: bool
+) -> list[Candidate]:
     single = System(scene.model, [contact])
     single.q[:], single.v[:] = q, v
     single.evaluate_kinematics(t)
@@ -303,7 +305,7 @@ def _candidates(scene: Scene, contact: Contact, q: np.ndarray, v: np.ndarray, t:
                 guess[offset : offset + values.size] = values
     guess[contact.body1.contour.dimension : 2] = 0.0
     guess[2 + contact.body2.contour.dimension :] = 0.0
-    return find_candidates(single, t, guess)
+    return find_candidates(single, t, guess, beyond=is_free)
 
 
 def _choose(
@@ -313,7 +315,8 @@ def _choose(
     pair = f"{contact.first.name!r} and {contact.second.name!r}"
     if not found:
         raise NoContactError(
-            f"contact {contact.name!r}: no point at which {pair} could touch was found in this configuration"
+            f"contact {contact.name!r}: no point at which {pair} could touch was found in this configuration; move q, "
+            "give add_contact a guess location=(u_first, u_second), or look at the contours' domains"
         )
     fitting = [c for c in found if contact.side is None or c.side in (0, contact.side)] or found
     chosen = fitting[0]
@@ -321,10 +324,23 @@ def _choose(
     if not is_free and abs(chosen.gap) > limit:
         raise NoContactError(
             f"contact {contact.name!r}: {pair} do not touch: the gap is {chosen.gap:.6g} m, more than the "
-            f"{limit:.3g} m that is corrected (max_gap); to start open, pass free=[{contact.name!r}]",
+            f"{limit:.3g} m that is corrected (max_gap); {_cure(contact, found, chosen, limit)}",
             chosen.gap,
         )
     return chosen
+
+
+def _cure(contact: Contact, found: list[Candidate], chosen: Candidate, limit: float) -> str:
+    """What to do about a gap that is too large."""
+    side = contact.side or chosen.side or 1
+    if contact.side and any(abs(c.gap) <= limit and c.side == -side for c in found):
+        return f"they touch on the other side: add_contact has side={side:+d}, try side={-side:+d}"
+    if chosen.gap < 0.0:
+        return (
+            "the bodies overlap, or are on the wrong side of each other: move q, or give add_contact "
+            f"side={-side:+d} (here it is {side:+d}{'' if contact.side else ', inferred'})"
+        )
+    return f"move q, or to start open pass free=[{contact.name!r}]"
 
 
 def _gap_length(contact: Contact) -> float:

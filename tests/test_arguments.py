@@ -271,6 +271,8 @@ CASES = {
             "fixed_step": [*NO_NUMBERS, *NEGATIVE, 0.0],
             "step": [*NO_NUMBERS, *INFINITE, *NEGATIVE, 0.0],
             "max_steps": [*COUNT, None],
+            "breakpoints": ["now", True, [True], ["0.0"], [1j], [math.nan], [None], [math.inf]],
+            "fallback": [3, "Euler", True],
             "t_eval": ["now", True, [True], ["0.0"], [1j], [math.nan], [None], [0.005, math.inf], [0.005, 0.0]],
             "method": [3, None, "Euler"],
             "control": [3, "pd"],

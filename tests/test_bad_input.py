@@ -3,12 +3,15 @@ there is."""
 
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import pincontact as pc
+
+URDF = Path(__file__).resolve().parent.parent / "urdf"
 
 RADIUS, LEAN = 0.3, 1.2
 
@@ -204,6 +207,76 @@ def test_contours_apart(scene, gap):
     with pytest.raises(pc.NoContactError, match="rim/floor") as caught:
         scene.initial_state(leaning(HEIGHT + gap), ROLLING)
     assert caught.value.gap == pytest.approx(gap, abs=1e-12)
+
+
+def ball_on(shape, side=None, **options):
+    scene = pc.Scene.from_urdf(URDF / "ball.urdf", floating_base=True)
+    ball, ground = scene.add_contour("ball", pc.Sphere(0.1), "ball"), scene.add_contour("ground", shape)
+    scene.add_contact("c", ball, ground, side=side, **options)
+    return scene
+
+
+def at(*place):
+    return np.r_[place, 0.0, 0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("shape", "side", "place"),
+    [(pc.Plane(), 1, (0.0, 0.0, 0.1)), (pc.Sphere(1.0), 1, (0.0, 0.0, 1.1)), (pc.Sphere(1.0), -1, (0.0, 0.0, -0.9))],
+)
+def test_wrong_side_is_named(shape, side, place):
+    """On a plane, on a ball and in a bowl: where the bodies touch, the message says which side it takes."""
+    ball_on(shape, side).initial_state(at(*place))
+    with pytest.raises(
+        pc.NoContactError, match=re.escape(f"other side: add_contact has side={-side:+d}, try side={side:+d}")
+    ):
+        ball_on(shape, -side).initial_state(at(*place))
+
+
+def test_what_to_do_about_gaps():
+    scene = pc.Scene.from_urdf(URDF / "ball.urdf", floating_base=True)
+    tip, floor = scene.add_contour("tip", pc.Point(), "ball"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", tip, floor)
+    with pytest.raises(pc.NoContactError, match=r"gap is 0\.3 m.*move q, or to start open pass free=\['c'\]"):
+        scene.initial_state(at(0.0, 0.0, 0.3))
+    with pytest.raises(
+        pc.NoContactError, match=r"gap is -0\.3 m.*move q, or give add_contact side=-1 \(here it is \+1"
+    ):
+        scene.initial_state(at(0.0, 0.0, -0.3))
+
+
+def test_forgotten_floating_base():
+    scene = pc.Scene.from_urdf(URDF / "disk.urdf")
+    rim, floor = scene.add_contour("rim", pc.Circle(0.3), "disk"), scene.add_contour("floor", pc.Plane())
+    with pytest.raises(pc.ArgumentError, match=r"'rim' \(frame 'disk'\).*the universe.*floating_base=True"):
+        scene.add_contact("c", rim, floor)
+    moving = pc.Scene.from_urdf(URDF / "disk.urdf", floating_base=True)
+    pair = [moving.add_contour(name, pc.Circle(0.3), "disk") for name in ("one", "two")]
+    with pytest.raises(pc.ArgumentError, match="same body, that of joint 'root_joint', and cannot move") as caught:
+        moving.add_contact("c", *pair)
+    assert "floating_base" not in str(caught.value)
+
+
+def test_open_contacts_may_start_where_nothing_can_touch():
+    """A ball beside a plate falls past it; one above it lands there. A barrel that is tilted beyond the end of its
+    profile falls until it hits, or not at all."""
+    shape = pc.ParametricSurface(lambda u, v: (u, v, 0.0), ((-0.5, 0.5), (-0.5, 0.5)))
+    scene = ball_on(shape)
+    with pytest.raises(pc.ContactError):
+        scene.initial_state(at(1.0, 0.0, 0.1))
+    for x, lands in ((1.0, False), (0.0, True)):
+        run = pc.simulate(scene, scene.initial_state(at(x, 0.0, 0.3), free=["c"]), 0.5)
+        assert run.status == 0, run.message
+        fallen = 0.3 - 0.5 * 9.81 * 0.5**2
+        assert run.q[-1, 2] == pytest.approx(0.1 if lands else fallen, abs=1e-8)
+        assert bool(run.events) == lands
+    scene = pc.Scene.from_urdf(URDF / "ball.urdf", floating_base=True)
+    barrel = scene.add_contour("barrel", pc.SurfaceOfRevolution(lambda u: (0.1 - 0.4 * u * u, u), (-0.1, 0.1)), "ball")
+    scene.add_contact("c", barrel, scene.add_contour("floor", pc.Plane()))
+    turned = pin.Quaternion(pin.utils.rotate("x", 0.5 * np.pi + 0.3)).coeffs()
+    run = pc.simulate(scene, scene.initial_state(np.r_[0.0, 0.0, 0.5, turned], free=["c"]), 0.2)
+    assert run.status == 0, run.message
+    assert run.q[-1, 2] == pytest.approx(0.5 - 0.5 * 9.81 * 0.2**2, abs=1e-8)
 
 
 def test_small_gap_is_closed_and_reported(scene):

@@ -153,6 +153,20 @@ def test_bicycle_in_a_turn():
     np.testing.assert_allclose(run.v[-1], v, rtol=0.0, atol=1e-6)
 
 
+def test_equilibria_beyond_a_joints_limits_are_none():
+    """A pendulum that cannot reach its lowest point; a model without joints is at rest."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0.0, 0.0, -0.3]), 0.01 * np.eye(3)), pin.SE3.Identity())
+    assert abs(pc.find_equilibrium(pc.Scene(model), [0.3]).state.q[0]) < 1e-9
+    model.lowerPositionLimit, model.upperPositionLimit = np.array([0.1]), np.array([1.0])
+    with pytest.raises(pc.StateError, match=r"joint 'hinge'.*beyond the position limits"):
+        pc.find_equilibrium(pc.Scene(model), [0.3])
+    assert pc.find_equilibrium(pc.Scene(pin.Model()), []).residual == 0.0
+    with pytest.raises(pc.SolverError, match="no equilibrium was found"):
+        pc.find_equilibrium(pc.Scene(pin.Model()), [], conditions=lambda q: [1.0])
+
+
 def test_conditions_must_be_numbers():
     scene = ball_on(pc.Plane())
     with pytest.raises(pc.ArgumentError, match="conditions must return numbers, got 'height'"):

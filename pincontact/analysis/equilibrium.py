@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..arguments import check_tolerance
+from ..dynamics.joints import check_guards
 from ..errors import ArgumentError, SingularContactError, SolverError
 from ..scene import Scene
 from ..state import State, check_vector
@@ -63,8 +64,9 @@ def find_equilibrium(
     tau (nv,): joint torques, zero by default. actuation: (nv, na) matrix or joint names whose torques are unknowns too,
     changed no more than is needed (holding torques); None for none. conditions: called as conditions(q), numbers that
     must vanish as well. t: time in s, for drives. tolerance: for `residual`, relative to the free accelerations.
-    Raises StateError for bad numbers, NoContactError where contacts do not touch at q0, SolverError (with the residual)
-    where no equilibrium is found.
+    Joints hold nothing: what dry friction could hold, or an end of a joint's way, is not asked for.
+    Raises StateError for bad numbers and for an equilibrium beyond a joint's limits, NoContactError where contacts do
+    not touch at q0, SolverError (with the residual) where no equilibrium is found.
     """
     _check(scene, conditions, tolerance)
     guess = scene.initial_state(q0, None, t)
@@ -167,6 +169,7 @@ def _found(
             f"no {what} was found near this configuration: the residual is {size:.3g} after {iterations} steps "
             f"(tolerance {tolerance * scale:.3g})"
         )
+    check_guards(instant.system.guards, q)
     tau = instant.tau + torque
     instant.tau = tau
     state = instant.state(q, v)
@@ -181,6 +184,8 @@ def _solve(
     Returns the best x and the number of steps."""
     damping = 1e-3
     r = residual(x)
+    if x.size == 0:
+        return x, 0
     size = float(r @ r)
     for iteration in range(_STEPS):
         if size == 0.0:

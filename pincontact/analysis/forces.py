@@ -53,7 +53,7 @@ def external_forces(
 
     Torques that resist spinning and rolling are among them, but not with given forces. With them
     `pin.aba(model, data, q, v, tau - damping * v, fext)` gives the scene's accelerations (Pinocchio's own algorithms
-    leave the model's joint damping out).
+    leave the model's joint damping out, and dry friction and limits of joints).
 
     tau (nv,): joint torques that act, zero by default. forces: contact -> force (3,) in N on the second contour, world
     axes, instead of those of the motion at the state; contacts that are not named carry none.

@@ -45,6 +45,8 @@ _LIMIT_SLACK = 1e-9
 _NEGLIGIBLE = 1e-6
 # What ProxQP's forces are known to, relative to the loads, and how near to a bound they are at it.
 _ACCURACY, _AT_BOUND = 1e-11, 1e-7
+# Its iterations, outer and inner.
+_ITERATIONS_OF_PROGRAM = 100
 # What stands for no bound there.
 _UNBOUNDED = 1e20
 
@@ -370,6 +372,8 @@ def _least_with_bounds(
     low, high = (np.clip(bound / size, -_UNBOUNDED, _UNBOUNDED) for bound in (resting.low, resting.high))
     qp = proxqp.dense.QP(n, rest.shape[0], n)
     qp.settings.eps_abs, qp.settings.eps_rel = _ACCURACY, 0.0
+    # without an answer it would go on for minutes
+    qp.settings.max_iter = qp.settings.max_iter_in = _ITERATIONS_OF_PROGRAM
     # what cannot be is left as small as can be, and told by who looks at the residual
     qp.settings.primal_infeasibility_solving = True
     qp.init(

@@ -51,10 +51,11 @@ class Candidate:
     charts: tuple[int, int]
 
 
-def find_candidates(system: System, t: float, guess: np.ndarray) -> list[Candidate]:
+def find_candidates(system: System, t: float, guess: np.ndarray, beyond: bool = False) -> list[Candidate]:
     """Candidates of a system with a single contact at its (q, v), nearest (least |gap|) first.
 
-    guess (4,): location parameters, NaN where unknown. A complete guess is followed alone.
+    guess (4,): location parameters, NaN where unknown. A complete guess is followed alone. beyond: where there is none
+    inside the contours' domains, those on their continuations, where nothing touches, will do.
     Raises SingularContactError where there is none and a start ended where the location equations are singular.
     """
     contact = system.contacts[0]
@@ -85,6 +86,12 @@ def find_candidates(system: System, t: float, guess: np.ndarray) -> list[Candida
             candidate = refine(system, t, start, 1, statuses)
             if candidate is not None and not any(_is_same(candidate, c, system) for c in found):
                 found.append(candidate)
+    if not found and beyond:
+        for start in _seeds(system, t, guess):
+            candidate = refine(system, t, start, 1, statuses, inside=False)
+            if candidate is not None:
+                found = [candidate]
+                break
     if not found and SINGULAR in statuses:
         raise SingularContactError(
             f"contact {contact.name!r}: the location equations are singular wherever {contact.first.name!r} and "
@@ -99,9 +106,11 @@ def _is_same(a: Candidate, b: Candidate, system: System) -> bool:
     return abs(a.gap - b.gap) < _SAME * length and bool(np.linalg.norm(a.point - b.point) < _SAME * length)
 
 
-def refine(system: System, t: float, start: np.ndarray, branch: int, statuses: set[int]) -> Candidate | None:
-    """Newton from a start (in the first charts); None where it fails or leaves a finite domain. statuses: how it went
-    is added."""
+def refine(
+    system: System, t: float, start: np.ndarray, branch: int, statuses: set[int], inside: bool = True
+) -> Candidate | None:
+    """Newton from a start (in the first charts); None where it fails, or leaves a finite domain and must be inside.
+    statuses: how it went is added."""
     contact = system.contacts[0]
     integers = system.contact_int[0]
     integers[BRANCH] = branch
@@ -138,7 +147,7 @@ def refine(system: System, t: float, start: np.ndarray, branch: int, statuses: s
             low, high = contour.domain[a]
             if contour.periodic[a]:
                 u[a] -= (high - low) * math.floor((u[a] - low) / (high - low))
-            elif not low <= u[a] <= high:
+            elif inside and not low <= u[a] <= high:
                 return None
     bending = _bending_side(system)
     if system.contact_int[0, CLOSED_FORM] == ROUND_ON_PLANE:

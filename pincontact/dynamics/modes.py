@@ -226,11 +226,15 @@ class ModeSolver:
         """One of these contacts that cannot stick at the last evaluation's velocity, if there is one."""
         system = self.system
         count = int(system.counters[ROW_COUNT])
-        speed = float(np.linalg.norm(whitened_velocity(system, system.v)))
         contacts = [c for c in undecided if c < system.nc]
-        if not contacts or count == 0 or not 0.0 < speed < math.inf:
+        if not contacts or count == 0:
             return None
-        for c in contacts:
+        moving_as = whitened_velocity(system, system.v)
+        speed = math.sqrt(moving_as @ moving_as)
+        if not 0.0 < speed < math.inf:
+            return None
+        # independent rows are held exactly
+        for c in contacts if count != system.counters[ROW_RANK] else ():
             tangents = int(system.contact_int[c, TANGENTS])
             left = system.rows[c, :tangents] @ system.acceleration + system.bias[c, :tangents]
             # by what forces do and by what turns: either may vanish
@@ -240,16 +244,18 @@ class ModeSolver:
             if np.abs(left).max() > _UNHELD * rate:
                 return c
         index, whitened = system.row_index[:count], system.whitened_rows[:count]
+        allowed = self._negligible(speed)
+        lengths = np.sqrt(np.einsum("rk,rk->r", whitened, whitened))
+        slip = max(float(np.abs(system.basis[c] @ system.slip[c]).max()) for c in contacts)
+        # rows that are as dependent as they may be magnify what is wanted no further
+        if slip * math.sqrt(count) <= _SINGULAR * allowed * float(lengths.min()):
+            return None
         items, row = index[:, 0], index[:, 1]
-        lengths = np.linalg.norm(whitened, axis=1)
         moving = (lengths > 0.0) & np.isfinite(lengths)
         slips = np.isin(items, contacts) & (row < system.contact_int[items, TANGENTS]) & moving
         residual = np.where(slips, np.einsum("ri,ri->r", system.basis[items, row], system.slip[items]), 0.0)
-        if not residual.any():
-            return None
         unit, wanted = whitened[moving] / lengths[moving, None], residual[moving] / lengths[moving]
-        taken = float(np.linalg.norm(np.linalg.lstsq(unit, wanted, rcond=_SINGULAR)[0]))
-        if taken <= self._negligible(speed):
+        if float(np.linalg.norm(np.linalg.lstsq(unit, wanted, rcond=_SINGULAR)[0])) <= allowed:
             return None
         return int(items[slips][np.argmax(np.abs(residual[slips]) / lengths[slips])])
 

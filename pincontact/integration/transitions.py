@@ -637,8 +637,10 @@ class Transitions:
         before = self.system.v.copy()
         if not self.rk.project(t, evaluated):
             raise Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
+        if explained:
+            return
         taken, speed, allowed = self.modes.taken_from(before)
-        if taken > allowed and not explained:
+        if taken > allowed:
             raise Stop(
                 STEP_TOO_SMALL,
                 f"t = {t:.9g} s: the projection on the constraints failed: it would change the velocity, of size "

@@ -192,7 +192,11 @@ class EventLocator:
         if kind != GAP_MARGIN or c >= self.rk.system.nc:
             return True
         theta = self._root(t, step, (c, kind), (left[0], left[1][c, kind]), (right[0], right[1][c, kind]))
-        inside = bool(len(self._margins(t, step, [theta])) and self.rk.system.contact_real[c, DOMAIN] >= 0.0)
+        known = len(self._margins(t, step, [theta])) > 0
+        if known and self._open.are_apart(c, t + theta * step):
+            # where it is followed is not where it is nearest
+            return False
+        inside = bool(known and self.rk.system.contact_real[c, DOMAIN] >= 0.0)
         if not inside:
             self._open.passed.add(c)
         return inside

@@ -249,6 +249,9 @@ class EventLocator:
         # a parabola's valley is no deeper than half the change between samples; infinite margins compare
         valleys = (middle >= 0.0) & (middle <= left) & (middle <= right) & (middle < higher)
         valleys &= 1.5 * middle < 0.5 * higher
+        # one that lies between the first two samples, or the last two, has its lowest one at an end of the step
+        for i, end in ((0, left), (-1, right)):
+            valleys[i] |= (end[i] >= 0.0) & (end[i] < middle[i]) & (1.5 * end[i] < 0.5 * higher[i])
         found: dict[float, np.ndarray] = {}
         for i, c, kind in np.argwhere(valleys).tolist():
             points = [(thetas[k], float(samples[k, c, kind])) for k in (i, i + 1, i + 2)]

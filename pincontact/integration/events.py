@@ -244,7 +244,11 @@ class EventLocator:
         if kind != GAP_MARGIN or c >= self.rk.system.nc:
             return True
         theta = self._root(t, step, (c, kind), (left[0], left[1][c, kind]), (right[0], right[1][c, kind]))
-        inside = bool(len(self._margins(t, step, [theta])) and self.rk.system.contact_real[c, DOMAIN] >= 0.0)
+        known = len(self._margins(t, step, [theta])) > 0
+        if known and self._open.are_apart(c, t + theta * step):
+            # where it is followed is not where it is nearest
+            return False
+        inside = bool(known and self.rk.system.contact_real[c, DOMAIN] >= 0.0)
         if not inside:
             self._open.passed.add(c)
         return inside
@@ -297,6 +301,9 @@ class EventLocator:
         # a parabola's valley is no deeper than half the change between samples; infinite margins compare
         valleys = (middle >= 0.0) & (middle <= left) & (middle <= right) & (middle < higher)
         valleys &= 1.5 * middle < 0.5 * higher
+        # one that lies between the first two samples, or the last two, has its lowest one at an end of the step
+        for i, end in ((0, left), (-1, right)):
+            valleys[i] |= (end[i] >= 0.0) & (end[i] < middle[i]) & (1.5 * end[i] < 0.5 * higher[i])
         found: dict[float, np.ndarray] = {}
         for i, c, kind in np.argwhere(valleys).tolist():
             points = [(thetas[k], float(samples[k, c, kind])) for k in (i, i + 1, i + 2)]

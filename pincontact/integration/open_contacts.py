@@ -210,6 +210,11 @@ class OpenContacts:
         self.is_near = near
         return longest, near
 
+    def are_apart(self, c: int, t: float) -> bool:
+        """Whether the last search says that the bodies of contact c cannot touch at the evaluated state."""
+        known = self._open.get(c)
+        return known is not None and known.search is not None and known.distance > known.moved(t)
+
     def watches(self) -> bool:
         """Whether constant steps have to be looked at: whether any contact may be elsewhere, or be flown through."""
         integers = self.system.contact_int[: self.system.nc]

@@ -673,6 +673,7 @@ _SETTINGS: dict[str, Converter] = {
     "fixed_step": _number,
     "step": _number,
     "max_steps": _integer,
+    "breakpoints": _numbers,
 }
 
 

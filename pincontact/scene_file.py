@@ -690,6 +690,7 @@ _SETTINGS: dict[str, Converter] = {
     "step": _number,
     "max_steps": _integer,
     "fallback": _text,
+    "breakpoints": _numbers,
 }
 
 

@@ -72,7 +72,8 @@ class State:
     """A consistent state. Arrays are copies; body order is the paper's (k2 >= k1), `location_of` the user's.
 
     q (nq,), v (nv,): Pinocchio's. t: s. location (nc, 4): u_1, u_2. discrete (nc, 9) int: per contact mode, charts of
-    both bodies, side, branch, sign of det J, sign of slip, sign of the normal force, frozen direction.
+    both bodies, side, branch, sign of det J, sign of slip, sign of the normal force (0: slides,
+    closed, and carries nothing), frozen direction.
     candidates: contact -> every contact point found, nearest first (Sec. 6.2: the location is multi-valued).
     """
 

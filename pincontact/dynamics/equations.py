@@ -269,7 +269,7 @@ def solve_slip(system, n, x, permutation, scratch):
         moving += 1
     if n == 1 or moving == 0:
         if moving == 1:
-            x[0] /= system[0, 0]
+            x[0] = x[0] / system[0, 0] if system[0, n] > 0.0 else 0.0
         return moving
     for i in range(n):
         scratch[i, n] = x[i]
@@ -328,7 +328,7 @@ def weigh_forces(
 
 @kernel
 def carries_nothing(contact_int, nc, c, row):
-    """Whether a row is the normal of a unilateral contact that stays closed without a load, see `ModeSolver.unload`."""
+    """Whether a row is the normal of a unilateral contact that stays closed without a load (NORMAL_SIGN is 0)."""
     return c < nc and row == 2 and contact_int[c, UNILATERAL] != 0 and contact_int[c, NORMAL_SIGN] == 0
 
 

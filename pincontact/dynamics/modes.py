@@ -66,6 +66,8 @@ from .units import contact_rows, delassus, unit_columns, unwhiten, whiten, white
 if TYPE_CHECKING:
     from .system import System
 
+# Fixed point on loads where ideal rolling takes part: iterations in all, undamped ones, relative change that ends it.
+_FIXED_POINT_ITERATIONS, _UNDAMPED, _FIXED_POINT_TOLERANCE = 100, 12, 1e-12
 _ROUND_OFF = 1e-11
 # Relative accelerations below this fraction of the free ones are round-off: no slip.
 _STILL = 1e-13
@@ -613,6 +615,9 @@ class ModeSolver:
                 pushed[3 * u + 2] = -float(numbers[i, MU]) * load * problem.weights[3 * u + 2]
             return self.solver.forces if self.solver.solve(gram, pushed, limits) else None
 
+        if np.isinf(limits[:n]).any():
+            # ideal rolling may slide held up by friction alone, which is no zero of the equations of loads
+            return self._iterate_loads(problem, loads, start, limits)
         if not self.loads.solve(loads, start, guess):
             self.proved = self.loads.proved
             return None
@@ -624,6 +629,33 @@ class ModeSolver:
             if slid and modes[disk.rows[0] // 3] != cone.OPEN:
                 modes[disk.rows[0] // 3] = cone.SLIP
         return _Solution(found.forces.reshape(-1, 3), found.velocities.reshape(-1, 3), modes, found.residual)
+
+    def _iterate_loads(
+        self, problem: _Problem, loads: Loads, start: np.ndarray, limits: np.ndarray
+    ) -> _Solution | None:
+        """The solution as a fixed point: cone problems with the friction and the limits that the last loads give."""
+        base, solver, before = problem.base.copy(), self.solver, start
+        limits = limits.copy()
+        limits[[row // 3 for row in loads.drag if loads.drag[row][row - 2 : row].any()]] = 0.0
+        for iteration in range(_FIXED_POINT_ITERATIONS):
+            pull = np.zeros(base.size)
+            for row, drag in loads.drag.items():
+                pull += before[row] * drag
+            for disk in loads.disks:
+                if disk.normal is not None and disk.rows[0] // 3 != disk.normal // 3:
+                    normal = 3 * (disk.rows[0] // 3) + 2
+                    base[normal] = -disk.factor * before[disk.normal] * problem.weights[normal]
+                    limits[normal // 3] = 1.0
+            self.cone_problems += 1
+            if not solver.solve(problem.gram, base + problem.gram @ pull, limits):
+                return None
+            after = solver.forces + pull
+            change = float(np.abs(after - before)[loads.normals].max())
+            if change <= _FIXED_POINT_TOLERANCE * (1.0 + float(np.abs(after).max())):
+                forces, velocities = after.reshape(-1, 3), solver.velocities.reshape(-1, 3).copy()
+                return _Solution(forces, velocities, solver.modes, float(solver.residual))
+            before = after if iteration < _UNDAMPED else 0.5 * (before + after)
+        return None
 
     def _keep_solution(
         self, t: float, closed: list[int], held: list[int], turns: dict[int, int], forces: np.ndarray, evaluate

@@ -355,6 +355,8 @@ class MoreauStep:
             memory["start_location"][c], memory["start_rates"][c] = system.location[c], system.rates[c]
             memory["start_gap"][c], memory["start_slip"][c] = system.gaps[c, 0], system.slip[c]
             memory["start_normal"][c] = system.basis[c, [2, 1]] @ system.slip[c]
+            domain = system.contact_real[c, DOMAIN]
+            memory["start_domain"][c], memory["behind"][c] = domain, domain < 0.0 > system.gaps[c, 0]
             known = memory["known"][c]
             known[:CONTACT_INTS], known[CONTACT_INTS:] = (
                 system.contact_int[c],

@@ -322,7 +322,7 @@ def check(seed, scene, run, depth):
 
 @pytest.mark.parametrize(("first", "some_slide"), [(0, True), (30, False), (930, True)])
 def test_thrown_bodies(first, some_slide):
-    """Thirty bodies a block, of which some slide or, in one, all that let go dip by less than a slide needs."""
+    """Thirty bodies a block, of which some slide; in one next to all that let go dip by less than a slide needs."""
     slides = 0
     for seed in range(first, first + 30):
         scene, state = thrown_body(seed)
@@ -333,7 +333,7 @@ def test_thrown_bodies(first, some_slide):
             assert run.contacts["c"].conditioning[-1] < 1e-5, seed
         # ten times the tolerances, twice
         slides += check(seed, scene, run, 4e-7) > 0
-    assert (slides >= 1) == some_slide
+    assert slides >= 1 if some_slide else slides <= 1
 
 
 def test_a_slide_that_jams():

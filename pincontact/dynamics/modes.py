@@ -74,6 +74,8 @@ _STILL = 1e-13
 # Stick that leaves more than this part of the relative acceleration that it has to end cannot be: its rows vanish, or
 # other constraints take their place. Exact solutions leave round-off, such ones all of it.
 _UNHELD = 1e-6
+# Rounding of a row per m of its arms, with a margin.
+_ROUNDING = 1e-13
 # What stick may take from the velocity, in the mass metric: this part of it, and this many absolute tolerances: so far
 # is slip that counts as ended from zero.
 _TAKEN, _TAKEN_TOLERANCES = 1e-3, 1e4
@@ -243,7 +245,10 @@ class ModeSolver:
             sizes = np.abs(system.rows[c])
             turning = (sizes @ np.abs(system.v)).max() ** 2 / system.contact_real[c, LENGTH]
             rate = (sizes @ np.abs(system.free_acceleration) + np.abs(system.bias[c])).max() + turning
-            if np.abs(left).max() > _UNHELD * rate:
+            # and not by round-off of rows that are zero
+            most = np.abs(system.free_acceleration).max() + np.abs(system.v).max() ** 2
+            rounding = _ROUNDING * max(system.contact_real[c, LENGTH], 1.0) * most
+            if np.abs(left).max() > max(_UNHELD * rate, rounding):
                 return c
         index, whitened = system.row_index[:count], system.whitened_rows[:count]
         allowed = self._negligible(speed)

@@ -546,9 +546,10 @@ def noisy_controls(long: bool) -> Iterator[Finding]:
                 # each jump of the torque costs some ten steps; noise that is no function of time has no solution, and
                 # steps shrink until they give up: that is said
                 wrong = ["hid the step limit"] if run.stats["steps"] + run.stats["rejected"] > limit + 1 else []
-                yield judge(
-                    f"{name} disk", f"{kind} noise {size:g} N m", run, energy=math.inf, ends=("step",), wrong=wrong
-                )
+                # nor are forces, which are evaluated anew at outputs, those of the steps
+                cone = CONE if held else math.inf
+                title = f"{kind} noise {size:g} N m"
+                yield judge(f"{name} disk", title, run, energy=math.inf, cone=cone, ends=("step",), wrong=wrong)
     bad = {
         "NaN": lambda t, q, v: np.full(6, math.nan if t > 0.05 else 0.0),
         "wrong shape": lambda t, q, v: np.zeros(6 if t <= 0.05 else 5),

@@ -188,7 +188,10 @@ def environment():
 def test_interrupt_leaves_a_file_to_go_on_from(tmp_path):
     script, file = tmp_path / "script.py", tmp_path / "rows"
     script.write_text(
-        "import sys\nimport pincontact as pc\nimport sweep_cases\n"
+        "import signal\n"
+        # a shell's background job ignores interrupts, and so do its children
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "import pincontact as pc\nimport sweep_cases\n"
         "if __name__ == '__main__':\n"
         f"    pc.sweep(sweep_cases.slow, {{'x': range(200)}}, workers=2, file={str(file)!r}, progress=False)\n"
     )

@@ -84,12 +84,13 @@ FEET = [(0.2, 0.1), (0.2, -0.1), (-0.2, 0.03)]
 LEVEL = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]
 
 
-@pytest.mark.parametrize("turning", [0.0, 0.7])
-@pytest.mark.parametrize("law", list(LAWS)[:6])
+@pytest.mark.parametrize(
+    ("law", "turning"),
+    # a plane that has directions lets no circle be steady
+    [(law, turning) for law in list(LAWS)[:6] for turning in (0.0, 0.7) if not (law == "two directions" and turning)],
+)
 def test_block_drawn_over_a_plane(law, turning):
     """Straight on and in a circle, by forces fixed in the body, with its load on one side."""
-    if law == "two directions" and turning:
-        pytest.skip("the plane has directions: no circle is steady")
     scene = block(LAWS[law], FEET)
     state = scene.initial_state(LEVEL, [0.5, 0.2, 0.0, 0.0, 0.0, turning])
     found = check_flow(scene, state, steady_torques(scene, state, np.array([0.0, 0.0, 0.0, 0.1, 0.3, 0.0])))

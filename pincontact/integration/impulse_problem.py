@@ -81,6 +81,7 @@ from ..layout import (
 from ..layout import DELASSUS as DELASSUS_WORK
 from ..memory import cube, integer_matrix, integers, matrix, reals
 from .impulse_layout import (
+    APART,
     APPROACH,
     AT_REST,
     AXIS,
@@ -89,6 +90,7 @@ from .impulse_layout import (
     CARRIED_V,
     CHANGE,
     COUNTS,
+    COUPLED,
     DELASSUS,
     DRIVEN_T1,
     DRY_FRICTION,
@@ -630,6 +632,7 @@ def assemble(table, step):
     counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
     h = numbers[H]
     counts[UNITS] = counts[NEQ] = counts[REVIEWS] = counts[TOUCHED] = 0
+    counts[COUPLED] = APART
     numbers[KEPT], numbers[KEPT_LOW], numbers[KEPT_HIGH] = 1.0, 0.0, 1.0
     mass, factor = matrix(table[MASS], nv, nv), matrix(table[FACTOR], nv, nv)
     damping, tau, nle = reals(table[DAMPING], nv), reals(table[TAU], nv), reals(table[NLE], nv)

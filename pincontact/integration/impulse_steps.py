@@ -73,6 +73,7 @@ from ..memory import cube, integer_matrix, integers, matrix, reals
 from .carrying import INERTIA_SIZE, carry
 from .impulse_layout import (
     ACCELERATION,
+    APART,
     ASKED,
     ASKED_WITH,
     ASSEMBLE,
@@ -88,6 +89,7 @@ from .impulse_layout import (
     CONE_TOLERANCE,
     CONE_VELOCITIES,
     COUNTS,
+    COUPLED,
     DELASSUS,
     EDGE_TIME,
     FORCES,
@@ -291,7 +293,7 @@ def _impulses(table, step, found):
         n = counts[UNITS]
         if found == UNSOLVED:
             return NO_FORCE
-        if found == FRESH and n > 0 and not _solve(step, n):
+        if found == FRESH and n > 0 and (counts[COUPLED] != APART or not _solve(step, n)):
             return CONE_LEFT
         found = FRESH
         status = advance(table, step)

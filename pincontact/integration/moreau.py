@@ -16,6 +16,8 @@ import scipy
 from ..callback import kernel_address
 from ..dynamics.system import System
 from ..friction.attempt import solve_cones
+from ..friction.loads import TOLERANCE as PRODUCT_TOLERANCE
+from ..friction.product import SETTLED, Product
 from ..friction.solve import ContactSolver
 from ..jit import compile_kernels
 from ..layout import (
@@ -41,6 +43,7 @@ from ..layout import (
 from ..memory import address_of
 from .events import UserEvent
 from .impulse_layout import (
+    APART,
     ASKED,
     ASKED_WITH,
     CALL_FAILED,
@@ -51,6 +54,7 @@ from .impulse_layout import (
     CONE_TASK,
     CONE_TOLERANCE,
     CONE_VELOCITIES,
+    COUPLED,
     DRY_FRICTION,
     JOINT_INTS,
     KEPT,
@@ -58,8 +62,14 @@ from .impulse_layout import (
     KEPT_LOW,
     LAST,
     LOWER_LIMIT,
+    NEQ,
+    ON_JOINT,
+    ON_LOADED,
+    ON_TURN,
+    PARENT,
     RIGID_STEPS,
     ROW_COUNT,
+    ROW_MASK,
     ROW_STEPS,
     ROWS_DONE,
     ROWS_Q,
@@ -74,7 +84,11 @@ from .impulse_layout import (
     STEP_SLOTS,
     STEPS,
     THOROUGH,
+    TOGETHER,
     TURNS,
+    UNIT_INDEX,
+    UNIT_KIND,
+    UNIT_LOAD,
     UNITS,
     UPPER_LIMIT,
     WATCHED,
@@ -214,7 +228,9 @@ class MoreauStep:
 
     def _begin_anew(self) -> None:
         system = self.system
-        self.softened = self._left = 0
+        self.softened = self.settled = self._left = 0
+        # by how much the radii of friction were off in settled steps, relative to the largest
+        self.settled_off = 0.0
         self.open = OpenContacts(system)
         self._asked: tuple[Callable[[], bool], tuple[()]] | None = None
         self._share_tables()
@@ -401,13 +417,19 @@ class MoreauStep:
                 memory["friction"][:n],
             )
         self._left += 1
-        solver = self.solver
-        if self.memory["cone_tables"][n]:
-            # the usual path has been tried
-            solved = solver.search(*problem)
-        else:
-            solved = solver.solve(*problem)
-            self._share_tables()
+        solver, counts = self.solver, self._counts
+        solved = False
+        if counts[COUPLED] == APART:
+            if self.memory["cone_tables"][n]:
+                # the usual path has been tried
+                solved = solver.search(*problem)
+            else:
+                solved = solver.solve(*problem)
+                self._share_tables()
+            if not solved and np.isin(self.memory["unit_int"][:n, UNIT_KIND], (ON_LOADED, ON_TURN)).any():
+                counts[COUPLED] = TOGETHER
+        if not solved and counts[COUPLED] != APART:
+            solved = self._solve_together(n, *problem)
         if not solved and not (thorough and self._solve_hard(n, *problem)):
             return False
         self._numbers[CONE_RESIDUAL] = max(self._numbers[CONE_RESIDUAL], solver.residual)
@@ -445,10 +467,27 @@ class MoreauStep:
 
     def _solve_hard(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """What the quick searches did not solve: with a little compliance in the contacts, since with redundant ones b
-        may be out of reach by a little; then without rebounds, and at length.
+        may be out of reach by a little; then without rebounds, and at length; then, with friction that goes with other
+        loads, what has a solution unless bodies are crushed.
 
         (Several points of a body that must not slip, of which one rebounds, are an example.)
         """
+        solver, together = self.solver, self._counts[COUPLED] != APART
+        if not together and self._solve_softened(delassus, b, mu):
+            return True
+        b[2::3] += self._numbers[KEPT] * self.memory["unit_real"][:n, SHIFT]
+        self._numbers[KEPT] = self._numbers[KEPT_LOW] = self._numbers[KEPT_HIGH] = 0.0
+        if not together:
+            solver.quick = False
+            found = solver.solve(delassus, b, mu)
+            solver.quick = True
+            if found:
+                return True
+        self._counts[COUPLED] = TOGETHER
+        return self._solve_together(n, delassus, b, mu) or self._settle(n, delassus, b, mu)
+
+    def _solve_softened(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """The solution with the least compliance that gives one."""
         solver = self.solver
         diagonal = np.einsum("ii->i", delassus)
         stiff = diagonal.copy()
@@ -463,12 +502,65 @@ class MoreauStep:
                     return True
                 solver.forget()
         diagonal[:] = stiff
-        b[2::3] += self._numbers[KEPT] * self.memory["unit_real"][:n, SHIFT]
-        self._numbers[KEPT] = self._numbers[KEPT_LOW] = self._numbers[KEPT_HIGH] = 0.0
-        solver.quick = False
-        found = solver.solve(delassus, b, mu)
-        solver.quick = True
-        return found
+        return False
+
+    def _product(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> Product:
+        """The problem with the loads that it takes as given as functions of the forces."""
+        memory, counts = self.memory, self._counts
+        ints, numbers = memory["unit_int"][:n], memory["unit_real"][:n]
+        masks = ints[:, ROW_MASK]
+        load, slope = np.zeros((n, 2)), np.zeros((n, 2, 3 * n))
+        # impulses of equations: share - overlap^T F, carried back to their rows
+        e, size = int(counts[NEQ]), memory["equation_factor"].shape[0]
+        index = memory["equation_index"][:e]
+        known = np.c_[memory["equation_share"][:e], -memory["overlap"].reshape(-1, size)[: 3 * n, :e].T]
+        factor = memory["equation_factor"][:e, :e]
+        impulses = np.zeros_like(known)
+        for i in range(e - 1, -1, -1):
+            if factor[i, i] > 0.0:
+                impulses[i] = (known[i] - factor[i + 1 :, i] @ impulses[i + 1 :]) / factor[i, i]
+        for u, (kind, c, parent) in enumerate(ints[:, [UNIT_KIND, UNIT_INDEX, PARENT]].tolist()):
+            if masks[u] & 4:
+                slope[u, 0, 3 * u + 2] = 1.0
+            elif kind == ON_TURN and parent >= 0:
+                slope[u, 0, 3 * parent + 2] = 1.0
+            elif kind == ON_JOINT:
+                load[u, 0] = numbers[u, UNIT_LOAD]
+            else:
+                rows = np.flatnonzero((index[:, 0] == c) & (index[:, 1] >= (2 if kind == ON_TURN else 0)))
+                for k, row in enumerate(rows):
+                    load[u, k], slope[u, k] = impulses[row, 0], impulses[row, 1:]
+        base = np.where(np.stack([masks >> row & 1 for row in range(3)], axis=1).ravel() != 0, b, 0.0)
+        normal, tangents = (masks >> 2 & 1).astype(float), ((masks & 1) + (masks >> 1 & 1)).astype(float)
+        return Product(delassus, base, normal, tangents, mu.copy(), load.ravel(), slope.reshape(2 * n, 3 * n))
+
+    def _solve_together(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Solve the problem for forces and loads at once."""
+        product = self._product(n, delassus, b, mu)
+        forces, residual = product.solve(self.solver.start(n))
+        if not residual <= PRODUCT_TOLERANCE:
+            self._nearest = forces
+            return False
+        self._take(product, forces, residual)
+        return True
+
+    def _settle(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Solve it with friction that goes with the loads that came nearest to a solution."""
+        product = self._product(n, delassus, b, mu)
+        forces, residual, off = product.settle(self._nearest)
+        if not residual <= SETTLED:
+            return False
+        self.settled += 1
+        self.settled_off = max(self.settled_off, off)
+        self._take(product, forces, residual)
+        return True
+
+    def _take(self, product: Product, forces: np.ndarray, residual: float) -> None:
+        """Let the solver have these forces as its own."""
+        modes, velocities = product.modes(forces), product.gram @ forces + product.base
+        forces[2::3] = np.where(product.normal > 0.0, forces[2::3], product.radii(forces) / np.where(product.mu > 0.0, product.mu, 1.0))
+        self.solver.warm_start(modes, forces, velocities)
+        self.solver.residual = residual
 
     def describe(self, status: int, t: float) -> Stop:
         """The Stop for a failed status, naming the contact and the number."""

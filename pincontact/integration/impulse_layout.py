@@ -162,7 +162,8 @@ STEP_SLOTS = (
 NCOUNTS = 25
 # counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
 ACCELERATION, MEAN_VELOCITY = 1, 2
-# numbers; FREE_CHANGE: norm of the change of velocity without impulses, in the mass metric; MISS: how far the
+# numbers; AHEAD: s after the step's start at which its geometry and smooth terms are taken, the middle or, where bodies
+# collide, the mean time of the impulses, IMPACT; FREE_CHANGE: norm of the change of velocity without impulses, in the mass metric; MISS: how far the
 # midpoint's velocity was from the step's mean velocity, relative to that, in the metric of the masses; of a run, in s,
 # RUN_START, RUN_END and STEP_SIZE; what is asked of cone problems, and the largest residual of any
 (
@@ -177,8 +178,10 @@ ACCELERATION, MEAN_VELOCITY = 1, 2
     STEP_SIZE,
     CONE_TOLERANCE,
     CONE_RESIDUAL,
-) = range(11)
-NNUMBERS = 11
+    AHEAD,
+    IMPACT,
+) = range(13)
+NNUMBERS = 13
 # calls: `run_task`, `solve_cones`, `assemble`, `move_charts`; a Python function that sets the torques, or 0, its
 # arguments and the result that means failure
 RUN_TASK, SOLVE_CONES, ASSEMBLE, MOVE_CHARTS, ASKED, ASKED_WITH, CALL_FAILED = range(7)

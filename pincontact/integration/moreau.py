@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 import scipy
 
 from ..callback import kernel_address
@@ -119,6 +121,7 @@ from .impulse_steps import (
 from .open_contacts import MANY_STEPS, OpenContacts
 from .results import CLOSED_APART, CONTOUR_ENDS, FAILURES, FINISHED, TERMINATED, Event, Stop
 from .results import STEP_LIMIT as AT_STEP_LIMIT
+from .sign_changes import resolve, with_dips
 from .stages import load_state, move_charts
 from .steps import run_task
 
@@ -669,7 +672,14 @@ class MoreauDriver:
         finally:
             # nothing of the user's is kept
             self.step.ask(None)
-        return FINISHED, "the end of the interval was reached"
+        return FINISHED, "the end of the interval was reached" + self._settled()
+
+    def _settled(self) -> str:
+        """What is to be said of problems that had no solution, or none that was found."""
+        count = self.step.settled
+        if count == 0:
+            return ""
+        return f"; {count} cone problems were settled with friction of other loads, by up to {self.step.settled_off:.2g} of the largest"
 
     def _run(self, start: float, end: float) -> None:
         step = self.step
@@ -822,17 +832,35 @@ class MoreauDriver:
     # ---------------------------------------------------------------- users' events
 
     def _user_events(self, t: float, t_new: float) -> None:
-        """Locate the zeros of users' functions in the attempted step by shorter ones; a terminal one ends the run."""
-        values = [event.value_at(t_new, self.system) for event in self.users]
-        crossed = [i for i, event in enumerate(self.users) if event.crosses(event.value, values[i])]
-        if not crossed:
-            for event, value in zip(self.users, values):
+        """Locate the zeros of users' functions in the attempted step by shorter ones; a terminal one ends the run.
+
+        Where to look is told by the functions on the straight way from the step's start to its end.
+        """
+        system, users = self.system, self.users
+        nq, nv = system.nq, system.nv
+        ends = [(state[:nq].copy(), state[nq : nq + nv].copy()) for state in (system.state, system.stage_state)]
+        values = [event.value_at(t_new, system) for event in users]
+        found: list[tuple[float, int]] = []
+        for event, after in zip(users, values):
+            on_the_way = self._cached(event, after, lambda s, event=event: self._value_between(event, ends, t, t_new, s))
+            samples = with_dips(on_the_way, resolve(on_the_way, event.value, after))
+            turns = sum((low < 0.0) != (high < 0.0) or high == 0.0 for (_, low), (_, high) in pairwise(samples))
+            if turns == 0:
+                continue
+            stepped = self._cached(event, after, lambda s, event=event: self._value_after(event, t, t_new, s))
+            # one zero lies between the ends; of several, those which shorter steps find there, too
+            places = [0.0, 1.0] if turns == 1 and event.crosses(event.value, after) else [s for s, _ in samples]
+            for low, high in pairwise(places):
+                if event.crosses(stepped(low), stepped(high)):
+                    found.append((t + self._root(stepped, low, high) * (t_new - t), event.index))
+        if not found:
+            for event, value in zip(users, values):
                 event.value = value
             return
-        for when, i in sorted((self._root(self.users[i], values[i], t, t_new), i) for i in crossed):
+        for when, i in sorted(found):
             self._attempt(t, when)
             self._announce(when, None, "user", i)
-            if self.users[i].terminal:
+            if users[i].terminal:
                 self._report(t, when)
                 self.step.accept(when)
                 self.step.steps += 1
@@ -840,18 +868,36 @@ class MoreauDriver:
                     self._output(when)
                 raise Stop(TERMINATED, "a terminal event occurred")
         self._attempt(t, t_new)
-        for event, value in zip(self.users, values):
+        for event, value in zip(users, values):
             event.value = value
 
-    def _root(self, event: UserEvent, value: float, t: float, t_new: float) -> float:
-        if value == 0.0:
-            return t_new
-        known = {t: event.value, t_new: value}
+    @staticmethod
+    def _cached(event: UserEvent, after: float, value: Callable[[float], float]) -> Callable[[float], float]:
+        """A function of fractions of a step, with the values that are known at both ends, asked once for each place."""
+        known = {0.0: event.value, 1.0: after}
 
-        def function(when: float) -> float:
-            if when not in known:
-                self._attempt(t, when)
-                known[when] = event.value_at(when, self.system)
-            return known[when]
+        def cached(place: float) -> float:
+            if place not in known:
+                known[place] = value(place)
+            return known[place]
 
-        return float(scipy.optimize.brentq(function, t, t_new, xtol=_EVENT_ACCURACY * (t_new - t)))
+        return cached
+
+    def _value_between(
+        self, event: UserEvent, ends: list[tuple[np.ndarray, np.ndarray]], t: float, t_new: float, place: float
+    ) -> float:
+        (q0, v0), (q1, v1) = ends
+        q = pin.interpolate(self.system.model, q0, q1, place)
+        return event.value_of(t + place * (t_new - t), q, v0 + place * (v1 - v0), self.system)
+
+    def _value_after(self, event: UserEvent, t: float, t_new: float, place: float) -> float:
+        """After a step that is shorter by that factor."""
+        when = t + place * (t_new - t)
+        self._attempt(t, when)
+        return event.value_at(when, self.system)
+
+    @staticmethod
+    def _root(value: Callable[[float], float], low: float, high: float) -> float:
+        if value(high) == 0.0 or math.isinf(value(low)) or math.isinf(value(high)):
+            return high
+        return float(scipy.optimize.brentq(value, low, high, xtol=_EVENT_ACCURACY))

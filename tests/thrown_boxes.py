@@ -50,7 +50,9 @@ def thrown_box(
         scene.add_contact(f"p{k}", corner, floor, friction=friction, restitution=restitution)
     if rng.random() < 0.5:
         # lands flat, or nearly
-        turned = pin.exp3(np.array([0.0, 0.0, rng.uniform(-3.0, 3.0)]) + rng.choice([0.0, 1e-3, 1e-2]) * rng.normal(size=3))
+        turned = pin.exp3(
+            np.array([0.0, 0.0, rng.uniform(-3.0, 3.0)]) + rng.choice([0.0, 1e-3, 1e-2]) * rng.normal(size=3)
+        )
         spin = rng.choice([0.0, 0.1, 1.0]) * rng.normal(size=3)
     else:
         turned, spin = pin.exp3(2.0 * rng.normal(size=3)), 3.0 * rng.normal(size=3)

@@ -100,7 +100,9 @@ class Product:
         best, least = f, math.inf
         for sweeps in rounds:
             u = self.gram @ f + self.base
-            sweep_product(self.gram, self.normal, self.tangents, self.mu, self.radius_base, self.radius_rows, f, u, sweeps)
+            sweep_product(
+                self.gram, self.normal, self.tangents, self.mu, self.radius_base, self.radius_rows, f, u, sweeps
+            )
             if not np.isfinite(f).all():
                 break
             y, residual = scaled.newton(scaled.unknowns(f), None)

@@ -43,6 +43,7 @@ from ..layout import (
     VISCOUS,
 )
 from ..memory import address_of
+from .contradictions import contradiction
 from .events import UserEvent
 from .impulse_layout import (
     APART,
@@ -119,7 +120,7 @@ from .impulse_steps import (
     run_steps,
 )
 from .open_contacts import MANY_STEPS, OpenContacts
-from .results import CLOSED_APART, CONTOUR_ENDS, FAILURES, FINISHED, TERMINATED, Event, Stop
+from .results import CLOSED_APART, CONTOUR_ENDS, CONTRADICTION, FAILURES, FINISHED, TERMINATED, Event, Stop
 from .results import STEP_LIMIT as AT_STEP_LIMIT
 from .sign_changes import resolve, with_dips
 from .stages import load_state, move_charts
@@ -551,7 +552,10 @@ class MoreauStep:
         """Solve it with friction that goes with the loads that came nearest to a solution."""
         product = self._product(n, delassus, b, mu)
         forces, residual, off = product.settle(self._nearest)
-        if not residual <= SETTLED:
+        # ideal rolling has no other friction to go with
+        slips = np.abs((delassus @ forces + b).reshape(-1, 3)[:, :2]).max(axis=1)
+        slipping = np.isinf(mu) & (forces[2::3] > 0.0) & (slips > SETTLED * np.abs(b).max(initial=0.0))
+        if not residual <= SETTLED or slipping.any():
             return False
         self.settled += 1
         self.settled_off = max(self.settled_off, off)
@@ -561,7 +565,9 @@ class MoreauStep:
     def _take(self, product: Product, forces: np.ndarray, residual: float) -> None:
         """Let the solver have these forces as its own."""
         modes, velocities = product.modes(forces), product.gram @ forces + product.base
-        forces[2::3] = np.where(product.normal > 0.0, forces[2::3], product.radii(forces) / np.where(product.mu > 0.0, product.mu, 1.0))
+        forces[2::3] = np.where(
+            product.normal > 0.0, forces[2::3], product.radii(forces) / np.where(product.mu > 0.0, product.mu, 1.0)
+        )
         self.solver.warm_start(modes, forces, velocities)
         self.solver.residual = residual
 
@@ -569,6 +575,8 @@ class MoreauStep:
         """The Stop for a failed status, naming the contact and the number."""
         code, reason = FAILURES[status]
         where = number = ""
+        if status == CONTRADICTION:
+            reason = contradiction(self.system, t + float(self._numbers[H])) or reason
         system = self.system
         if status in (SINGULAR, LOCATION_FAILED) and system.nc:
             c = int(np.argmin(np.abs(system.contact_real[: system.nc, CONDITION])))
@@ -581,7 +589,10 @@ class MoreauStep:
             c = int(np.argmax(gaps))
             where, number = f"contact {system.contacts[c].name!r}: ", f" by {gaps[c]:.3g} m"
         elif status == NO_FORCE:
-            number = f"; relative residual {self.solver.residual:.3g}"
+            ints = self.memory["unit_int"][: int(self._counts[UNITS])]
+            contacts = dict.fromkeys(ints[ints[:, UNIT_KIND] != ON_JOINT, UNIT_INDEX].tolist())
+            number = f" at {', '.join(repr(system.contacts[c].name) for c in contacts)}" if contacts else ""
+            number += f"; relative residual {self.solver.residual:.3g}"
         h, fastest = (
             float(self._numbers[H]),
             float(np.abs(system.state[system.nq : system.nq + system.nv]).max(initial=0.0)),
@@ -842,7 +853,9 @@ class MoreauDriver:
         values = [event.value_at(t_new, system) for event in users]
         found: list[tuple[float, int]] = []
         for event, after in zip(users, values):
-            on_the_way = self._cached(event, after, lambda s, event=event: self._value_between(event, ends, t, t_new, s))
+            on_the_way = self._cached(
+                event, after, lambda s, event=event: self._value_between(event, ends, t, t_new, s)
+            )
             samples = with_dips(on_the_way, resolve(on_the_way, event.value, after))
             turns = sum((low < 0.0) != (high < 0.0) or high == 0.0 for (_, low), (_, high) in pairwise(samples))
             if turns == 0:

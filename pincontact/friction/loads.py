@@ -38,8 +38,8 @@ _SPEEDS = (1e3, 1e6)
 
 @dataclass
 class Disk:
-    """|F| <= factor N[normal], of the forces in these rows of the problem; where `normal` is None, |F| <= radius, or with
-    a load (a (k,), B (k, m)), |F| <= factor |a + B forces|, of all forces."""
+    """|F| <= factor N[normal], of the forces in these rows of the problem; where `normal` is None, |F| <= radius, or
+    with a load (a (k,), B (k, m)) |F| <= factor |a + B forces|, of all forces."""
 
     rows: list[int]
     factor: float = 0.0

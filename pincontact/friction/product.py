@@ -10,10 +10,10 @@ equations for a bilateral contact, a number for dry friction. With the projectio
 solution where F = P(F - u) in all units at once.
 
 Projected Gauss-Seidel comes near, whatever it starts from; Newton's method for the same equations (`loads`) ends at
-round-off. With radii that are given and do not change both solve a convex problem: it has a solution whatever the radii,
-unless contacts that give way are asked for more than they can, and these take energy: their work
-F . (b + G F / 2) is the least there is, at most that of no forces, zero. So where friction leaves no solution, or
-none is found, there is one for the radii of the last forces (`settle`).
+round-off. With radii that are given and do not change both solve a convex problem. It has a solution whatever the
+radii, unless bodies are crushed, and that takes energy: the work F . (b + G F / 2) is the least there is, at most that
+of no forces, zero. So where friction leaves no solution, or none is found, there is one for the radii of the last
+forces (`settle`).
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ class Product:
         return self._search(forces, _SWEEPS)
 
     def settle(self, forces: np.ndarray) -> tuple[np.ndarray, float, float]:
-        """Forces (3n,) for the radii that these have, their residual, and how far the radii are from those of the result,
-        relative to the largest."""
+        """Forces (3n,) for the radii that these have, their residual, and how far the radii are from those of the
+        result, relative to the largest."""
         radii = self.radii(forces)
         given = Product(
             self.gram,

@@ -184,8 +184,9 @@ def review(step, nv, h, scratch):
 
     Slip is opposed along the mean of its velocities at both ends only while it goes on; a contact at rest that starts
     to slip does so with the sliding coefficient; loads that the problem takes as given are a fixed point, which is
-    iterated a few times, then found together with the forces (see `friction.product`); and restitution is lowered where, together with friction, it would create energy (see `dynamics.energy`), or raise the
-    kinetic energy by more than the smooth forces account for within a step. scratch: (nv,).
+    iterated a few times, then found together with the forces (see `friction.product`); and restitution is lowered
+    where, together with friction, it would create energy (see `dynamics.energy`), or raise the kinetic energy by more
+    than the smooth forces account for within a step. scratch: (nv,).
     """
     counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
     n = counts[UNITS]

@@ -1,9 +1,10 @@
 """One time step of Moreau's method: its midpoint, its end, and the state that the next one starts from.
 
 A step of size h from (q_0, v_0) takes all smooth terms at the midpoint q_m = q_0 + (h/2) v_0, v_m = v_0 + (h/2) a,
-with a the velocity's change in the last step over its size. A step in which bodies collide takes them, and the geometry,
-at the mean time of its impulses instead: momenta are carried there by the motion before the impact and from there by the
-one after it, so neither way changes the energy, and what is left of it is of the order h^2. With P the impulses and z the change of velocity by them,
+with a the velocity's change in the last step over its size. A step in which bodies collide takes them, and the
+geometry, at the mean time of its impulses instead: momenta are carried there by the motion before the impact, and from
+there by the one after it, so neither way changes the energy by more than the order h^2. With P the impulses and z the
+change of velocity by them,
 
     (M + (h/2) D) (v_1 - v_0) = h (tau - nle - D v_0) + sum of rows^T P,
 

@@ -806,7 +806,7 @@ def test_all_zeros_of_an_event_within_a_step(seed):
     state = scene.initial_state(upright(0.0, 0.0, height), v, free=["c"])
     zeros = np.sort(rng.uniform(0.0, 0.5, 12))
     zeros = zeros[np.append(True, np.diff(zeros) > 2e-3)]
-    low, high = sorted(rng.uniform(0.005, 0.045, 2) + [0.0, 1e-3])
+    low, high = sorted(rng.uniform(0.005, 0.045, 2) + np.array([0.0, 1e-3]))
     # heights that are passed on the way up and down, both within one step around the top
     top = speed / G
     near = rng.uniform(1e-3, 0.02)

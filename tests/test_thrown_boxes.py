@@ -26,7 +26,7 @@ def test_thrown_boxes(block):
 
 
 def random_product(rng):
-    """A few contacts of one rigid body with eight velocities or fewer, each with a disc for its resistance to turning."""
+    """A few contacts in eight velocities or fewer, each with a disc for its resistance to turning."""
     contacts, nv = int(rng.integers(1, 5)), int(rng.integers(3, 9))
     n = 2 * contacts
     rows = rng.normal(size=(3 * n, nv))
@@ -60,8 +60,8 @@ def laws_violated(product, forces, radii):
 
 
 def test_contacts_and_resistances_together():
-    """300 random problems, coefficients up to 0.8: a solution obeys the laws to 1e-8, since residuals of 1e-10 in forces
-    become larger where the operator is badly conditioned; what settles, for radii that are not those of the solution,
+    """300 random problems, coefficients up to 0.8: a solution obeys the laws to 1e-8, since residuals of 1e-10
+    in forces become larger where the operator is badly conditioned; what settles, for radii that are not those of the solution,
     obeys the laws for the radii that are used, and takes energy."""
     rng = np.random.default_rng(3)
     solved = 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -690,7 +691,8 @@ class MoreauDriver:
         count = self.step.settled
         if count == 0:
             return ""
-        return f"; {count} cone problems were settled with friction of other loads, by up to {self.step.settled_off:.2g} of the largest"
+        off = f"off by up to {self.step.settled_off:.2g} of the largest"
+        return f"; {count} cone problems were settled with the friction of other loads, {off}"
 
     def _run(self, start: float, end: float) -> None:
         step = self.step
@@ -852,24 +854,20 @@ class MoreauDriver:
         ends = [(state[:nq].copy(), state[nq : nq + nv].copy()) for state in (system.state, system.stage_state)]
         values = [event.value_at(t_new, system) for event in users]
         found: list[tuple[float, int]] = []
+        looked = False
         for event, after in zip(users, values):
-            on_the_way = self._cached(
-                event, after, lambda s, event=event: self._value_between(event, ends, t, t_new, s)
-            )
+            on_the_way = self._cached(event, after, partial(self._value_between, event, ends, t, t_new))
             samples = with_dips(on_the_way, resolve(on_the_way, event.value, after))
             turns = sum((low < 0.0) != (high < 0.0) or high == 0.0 for (_, low), (_, high) in pairwise(samples))
             if turns == 0:
                 continue
-            stepped = self._cached(event, after, lambda s, event=event: self._value_after(event, t, t_new, s))
+            looked = True
+            stepped = self._cached(event, after, partial(self._value_after, event, t, t_new))
             # one zero lies between the ends; of several, those which shorter steps find there, too
             places = [0.0, 1.0] if turns == 1 and event.crosses(event.value, after) else [s for s, _ in samples]
             for low, high in pairwise(places):
                 if event.crosses(stepped(low), stepped(high)):
                     found.append((t + self._root(stepped, low, high) * (t_new - t), event.index))
-        if not found:
-            for event, value in zip(users, values):
-                event.value = value
-            return
         for when, i in sorted(found):
             self._attempt(t, when)
             self._announce(when, None, "user", i)
@@ -880,7 +878,9 @@ class MoreauDriver:
                 if self.system.counters[RECORD_STEPS]:
                     self._output(when)
                 raise Stop(TERMINATED, "a terminal event occurred")
-        self._attempt(t, t_new)
+        if looked:
+            # shorter steps have taken its place
+            self._attempt(t, t_new)
         for event, value in zip(users, values):
             event.value = value
 

@@ -121,7 +121,17 @@ from .impulse_steps import (
     run_steps,
 )
 from .open_contacts import MANY_STEPS, OpenContacts
-from .results import CLOSED_APART, CONTOUR_ENDS, CONTRADICTION, FAILURES, FINISHED, TERMINATED, Event, Stop
+from .results import (
+    CLOSED_APART,
+    CONTOUR_ENDS,
+    CONTRADICTION,
+    FAILURES,
+    FINISHED,
+    FLIES_THROUGH,
+    TERMINATED,
+    Event,
+    Stop,
+)
 from .results import STEP_LIMIT as AT_STEP_LIMIT
 from .sign_changes import resolve, with_dips
 from .stages import load_state, move_charts
@@ -306,7 +316,7 @@ class MoreauStep:
                 # what opens in a step is looked at before the next one
                 steps = self.look() if FREE in self.system.modes.tolist() else 1
                 if steps == 0:
-                    return TOO_LONG
+                    return FLIES_THROUGH
                 counts[LAST] = min(last, counts.item(STEPS) + steps)
             status = self._run(STEP)
             if status not in (OK, MARCHING):
@@ -358,11 +368,15 @@ class MoreauStep:
             return MANY_STEPS
         size = self._numbers.item(STEP_SIZE)
         t = self._numbers.item(RUN_START) + self.steps * size
-        steps = self.open.look(t, size)
+        steps = self.open.look(t, size, self.touch_time >= 0.0)
         if self.open.has_moved:
             self.open.has_moved = False
             self._take_locations(t)
         return steps
+
+    def flew_through(self, t: float) -> bool:
+        """Whether the last step, which ended at t, carried an open contact through what was near, unnoticed."""
+        return self._looks and self.open.went_through(t, self.size, self.touch_time >= 0.0)
 
     def _take_locations(self, t: float) -> None:
         """Start the next step with locations that others have set in `system.state`."""
@@ -585,6 +599,8 @@ class MoreauStep:
             number = f"; conditioning of J {abs(system.contact_real[c, CONDITION]):.3g}"
         elif status == CONTOUR_ENDS:
             where = f"contact {system.contacts[self.nearest_end()].name!r} "
+        elif status == FLIES_THROUGH:
+            where = f"contact {system.contacts[self.open.hasty].name!r}: "
         elif status == CLOSED_APART:
             gaps = np.where(system.modes != FREE, np.abs(system.gaps[: system.nc, 0]), 0.0)
             c = int(np.argmax(gaps))
@@ -742,12 +758,14 @@ class MoreauDriver:
             elif why == CONTOUR_ENDS:
                 raise self._end_of_contour(t, t + step.size)
             elif why == AT_LIMIT and ahead == 0:
-                self._check(TOO_LONG, t)
+                self._check(FLIES_THROUGH, t)
             elif why not in (MARCHING, AT_END, AT_LIMIT):
                 self._check(why, t)
             if self.progress is not None:
                 i = step.steps
                 self.progress(end if i == count else start + i * size)
+        if step.flew_through(end):
+            self._check(FLIES_THROUGH, end)
 
     def _plan(self, start: float, end: float) -> int:
         """Prepare steps of constant size, the last of which ends at the end; returns how many there are."""

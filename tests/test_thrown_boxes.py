@@ -61,8 +61,8 @@ def laws_violated(product, forces, radii):
 
 def test_contacts_and_resistances_together():
     """300 random problems, coefficients up to 0.8: a solution obeys the laws to 1e-8, since residuals of 1e-10
-    in forces become larger where the operator is badly conditioned; what settles, for radii that are not those of the solution,
-    obeys the laws for the radii that are used, and takes energy."""
+    in forces become larger where the operator is badly conditioned; what settles, for radii that are not
+    those of the solution, obeys the laws for the radii that are used, and takes energy."""
     rng = np.random.default_rng(3)
     solved = 0
     for _ in range(300):

@@ -165,8 +165,8 @@ ACCELERATION, MEAN_VELOCITY = 1, 2
 # numbers; AHEAD: s after the step's start at which its geometry and smooth terms are taken, the middle or, where bodies
 # collide, the mean time of the impulses, IMPACT; FREE_CHANGE: norm of the change of velocity without impulses, in the
 # mass metric; MISS: how far the midpoint's velocity was from the step's mean velocity, relative to that, in the metric
-# of the masses; of a run, in s, RUN_START, RUN_END and STEP_SIZE; what is asked of cone problems, and the largest residual
-# of any
+# of the masses; of a run, in s, RUN_START, RUN_END and STEP_SIZE; what is asked of cone problems, and the
+# largest residual of any
 (
     H,
     KEPT,

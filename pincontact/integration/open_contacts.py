@@ -25,7 +25,6 @@ from ..layout import (
     NOTHING_THERE,
     UNILATERAL,
 )
-
 from .stages import load_state
 
 if TYPE_CHECKING:

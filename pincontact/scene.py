@@ -306,7 +306,8 @@ class Scene:
         comes first and half a turn here; (-1, 0, 0, 0) is that half turn without a warning.
         The state says how far q and v were off (`state.correction`).
         Raises StateError for bad sizes or numbers and for velocity constraints that contradict each other,
-        NoContactError (with the gap) where contours do not touch, SingularContactError where the location equations are singular.
+        NoContactError (with the gap) where contours do not touch, SingularContactError where the location equations are
+        singular.
         """
         from .state import find_state
 

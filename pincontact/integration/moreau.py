@@ -287,6 +287,7 @@ class MoreauStep:
 
     def begin(self, t: float) -> int:
         """Start from `system.state`; closed contacts get the mode that their v_c shows. Returns a status."""
+        self.open.forget_way()
         return self._run(BEGIN, t)
 
     def attempt(self, t: float, h: float) -> int:

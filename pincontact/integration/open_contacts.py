@@ -260,6 +260,10 @@ class OpenContacts:
             steps = min(steps, max(int(min(_time(speed, acceleration, max(certain, 0.0)) / h, MANY_STEPS)), 1))
         return steps
 
+    def forget_way(self) -> None:
+        """No step has led to the state from which the next one goes."""
+        self._far.clear()
+
     def went_through(self, t: float, h: float, touched: np.ndarray) -> bool:
         """Whether an open contact that did not touch has been closed on the straight way of the last step, which was
         long."""

@@ -193,7 +193,7 @@ NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
 # scalars: of the last evaluation and step, then what steps are controlled by (times and steps in s);
 # DIP is the part of a margin's change over a step by which it may dip between two stages, TURNING_RATE that of the
 # slowest slip, by friction, at the accepted state, 1 / s, BAD_TORQUE the user's torque that was not finite, else 0, and
-# BAD_TIME when that was
+# BAD_TIME when that was; VELOCITY_LEFT: what the last projection leaves of velocities that are to be zero
 (
     TIME,
     STEP,
@@ -221,8 +221,9 @@ NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
     TURNING_RATE,
     BAD_TORQUE,
     BAD_TIME,
-) = range(26)
-SCALARS_SIZE = 26
+    VELOCITY_LEFT,
+) = range(27)
+SCALARS_SIZE = 27
 
 # contact_int; from MODE to FROZEN what a State keeps of it
 (

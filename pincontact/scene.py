@@ -305,8 +305,9 @@ class Scene:
         Quaternions have norm 1 to 1e-6. One of (1, 0, 0, 0) is warned of, as it is the identity where the real part
         comes first and half a turn here; (-1, 0, 0, 0) is that half turn without a warning.
         The state says how far q and v were off (`state.correction`).
-        Raises StateError for bad sizes or numbers, NoContactError (with the gap) where contours do not touch,
-        SingularContactError where the location equations are singular.
+        Raises StateError for bad sizes or numbers and for velocity constraints that contradict each other,
+        NoContactError (with the gap) where contours do not touch, SingularContactError where the location equations are
+        singular.
         """
         from .state import find_state
 

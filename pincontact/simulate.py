@@ -280,6 +280,7 @@ def _simulate_moreau(
                 "cone_problems": stepper.cone_problems,
                 "rigid": stepper.rigid,
                 "softened": stepper.softened,
+                "settled": stepper.settled,
                 "decided": stepper.decided,
                 "qp": stepper.solver.qp_count,
                 "cone_residual": stepper.worst_residual,

@@ -16,6 +16,7 @@ from .dynamics.joints import joint_of
 from .dynamics.system import System
 from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
 from .geometry.search import Candidate, find_candidates
+from .integration.contradictions import contradiction
 from .integration.manifold import (
     CIRCLE_BLOCK,
     FREE_FLYER,
@@ -375,6 +376,9 @@ def _correct(scene: Scene, system: System, q: np.ndarray, v: np.ndarray, t: floa
         : system.nc
     ].ravel()
     if system.project(t) != OK:
+        contradicting = contradiction(system, t)
+        if contradicting:
+            raise StateError(contradicting)
         raise NoContactError(
             f"the constraints cannot be satisfied near this configuration: gaps {gaps}, after correction "
             f"{system.gaps[: system.nc, 0].tolist()} m",

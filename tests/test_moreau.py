@@ -793,3 +793,34 @@ def test_two_points_of_a_turning_body_slide(law):
     assert off[2] <= 1e-5
     # second order, but for the first step
     assert off[2] <= off[0] / 8.0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_all_zeros_of_an_event_within_a_step(seed):
+    """Several functions with several zeros in steps of 0.05 s: of time alone, and of a ball's height on its parabola,
+    dips between samples included. Closed forms; times to what a step's own order leaves, none at all here."""
+    rng = np.random.default_rng(seed)
+    scene = ball_scene(restitution=0.5)
+    height, speed = 5.0, 3.0
+    v = np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0])
+    state = scene.initial_state(upright(0.0, 0.0, height), v, free=["c"])
+    zeros = np.sort(rng.uniform(0.0, 0.5, 12))
+    zeros = zeros[np.append(True, np.diff(zeros) > 2e-3)]
+    low, high = sorted(rng.uniform(0.005, 0.045, 2) + np.array([0.0, 1e-3]))
+    # heights that are passed on the way up and down, both within one step around the top
+    top = speed / G
+    near = rng.uniform(1e-3, 0.02)
+    level = height + 0.5 * speed**2 / G - 0.5 * G * near**2
+    functions = [
+        lambda t, q, v: float(np.prod(t - zeros)),
+        lambda t, q, v: (t - low) * (t - high),
+        lambda t, q, v: q[2] - level,
+        lambda t, q, v: math.sin(2.0 * math.pi * 87.0 * (t - 1e-4)),
+    ]
+    run = pc.simulate(scene, state, 0.5, method="Moreau", step=0.05, events=functions)
+    assert run.status == 0
+    times = [[event.time for event in run.events if event.kind == "user" and event.index == i] for i in range(4)]
+    np.testing.assert_allclose(times[0], zeros, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(times[1], [low, high], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(times[2], [top - near, top + near], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(times[3], 1e-4 + np.arange(87) / 174.0, rtol=0.0, atol=1e-9)

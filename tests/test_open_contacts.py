@@ -233,6 +233,28 @@ def test_time_stepping_does_not_fly_through_silently():
         stepper.step(np.zeros(3), 50)
 
 
+@pytest.mark.parametrize("block", range(4))
+def test_no_step_flies_through_a_ball(block):
+    """120 points and balls thrown at balls of 1 to 50 cm, in steps of 1 to 50 ms: what gets within nine tenths of the
+    ball's radius has touched it, or the run ends and names the contact."""
+    finished = 0
+    for seed in range(30 * block, 30 * block + 30):
+        rng = np.random.default_rng(seed)
+        own, size = float(rng.choice([0.0, 0.01, 0.05])), 10.0 ** rng.uniform(-2.0, -0.3)
+        scene = scene_of(pc.Sphere(own) if own else pc.Point(), pc.Sphere(size), side=1, restitution=0.5)
+        scene.model.gravity.linear = np.zeros(3)
+        along, aside = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
+        way, speed = rng.uniform(1.0, 5.0), 10.0 ** rng.uniform(0.0, 1.6)
+        off = rng.uniform(0.0, 1.0) * (0.9 * size + own)
+        state = start(scene, along * way + aside * off, -along * speed)
+        duration = 2.0 * way / speed
+        step = min(10.0 ** rng.uniform(-3.0, -1.3), duration / 3.0)
+        run = pc.simulate(scene, state, duration, method="Moreau", step=step)
+        assert (run.status == 0 and touches(run)) or (run.status == -9 and "'c'" in run.message), (seed, run.message)
+        finished += run.status == 0
+    assert finished >= 15
+
+
 @pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23", "Sharp98"])
 def test_a_swinging_plate_is_not_missed(method):
     """A point that hovers where a plate comes once in a while: neither its state nor its gap's sign at a step's ends

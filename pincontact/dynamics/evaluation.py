@@ -131,6 +131,7 @@ from ..layout import (
     TIME,
     TIME_DEPENDENT,
     VECTORS,
+    VELOCITY_LEFT,
     VELOCITY_RESIDUAL,
     WHITENED_FORCES,
     WHITENED_ROWS,
@@ -140,7 +141,7 @@ from ..layout import (
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
 from .equations import add_viscous_loads, contact_dynamics, guard_force, list_rows, whiten_rows
-from .linear import factorize_tree, solve_gram, unwhiten, whiten
+from .linear import factorize_tree, inner, solve_gram, unwhiten, whiten
 from .pinocchio_calls import NATIVE_COLUMNS, NATIVE_ROWS
 from .resistance import count_items, free_with_owners, resistance_kinematics, resists
 
@@ -540,8 +541,15 @@ def contact_corrections(table, with_position, with_velocity):
             gap_residual = max(gap_residual, abs(gaps[c, 2 - row]))
     scalars[GAP_RESIDUAL] = gap_residual
     scalars[VELOCITY_RESIDUAL] = velocity_residual
+    scalars[VELOCITY_LEFT] = 0.0
     if with_velocity != 0:
-        _least_correction(table, total, nv, count, whitened, x, factor, correction_v)
+        rank = _least_correction(table, total, nv, count, whitened, x, factor, correction_v)
+        if rank < count:
+            # redundant: whether they can be met together is another question
+            for r in range(count):
+                c, row = row_index[r, 0], row_index[r, 1]
+                left = inner(rows[c, row], correction_v, nv) + dot(basis[c, row], slip[c])
+                scalars[VELOCITY_LEFT] = max(scalars[VELOCITY_LEFT], abs(left))
     if with_position != 0:
         for r in range(count):
             c, row = row_index[r, 0], row_index[r, 1]
@@ -565,8 +573,8 @@ def is_normal_row(pattern, row):
 
 @kernel
 def _least_correction(table, nc, nv, count, whitened, x, factor, out):
-    """out = M^-1 R^T (R M^-1 R^T)^+ x from the whitened rows."""
-    solve_gram(
+    """out = M^-1 R^T (R M^-1 R^T)^+ x from the whitened rows; returns their rank."""
+    rank = solve_gram(
         whitened,
         count,
         nv,
@@ -581,3 +589,4 @@ def _least_correction(table, nc, nv, count, whitened, x, factor, out):
             value += whitened[r, k] * x[r]
         out[k] = value
     unwhiten(factor, integers(table[PARENTS], nv), nv, out, out)
+    return rank

@@ -24,7 +24,7 @@ from itertools import combinations
 import numpy as np
 
 # Residual, in units of the largest acceleration without forces, up to which a zero is one.
-_TOLERANCE = 1e-10
+TOLERANCE = 1e-10
 _NEWTON_STEPS = 40
 # Below this fraction of what it is without friction, a contact's own operator has lost positivity.
 _POSITIVE = 1e-9
@@ -38,12 +38,14 @@ _SPEEDS = (1e3, 1e6)
 
 @dataclass
 class Disk:
-    """|F| <= factor N[normal], or <= radius where `normal` is None, of the forces in these rows of the problem."""
+    """|F| <= factor N[normal], of the forces in these rows of the problem; where `normal` is None, |F| <= radius, or
+    with a load (a (k,), B (k, m)) |F| <= factor |a + B forces|, of all forces."""
 
     rows: list[int]
     factor: float = 0.0
     normal: int | None = None
     radius: float = 0.0
+    load: tuple[np.ndarray, np.ndarray] | None = None
 
 
 @dataclass
@@ -77,14 +79,14 @@ class LoadSolver:
 
     def solve(self, problem: Loads, forces: np.ndarray, guess: Callable[[float], np.ndarray | None]) -> bool:
         """Solve it from forces (m,), those of `guess`(velocity of what slides), and from all choices of few loads."""
-        scaled = _Scaled(problem)
+        scaled = ScaledLoads(problem)
         self.proved = False
         for start, loaded in self._starts(scaled, forces, guess):
             y, residual = scaled.newton(start, loaded)
-            if residual <= _TOLERANCE:
+            if residual <= TOLERANCE:
                 self.forces = scaled.forces(y)
                 self.velocities = problem.gram @ self.forces + problem.base
-                self.velocities[np.abs(self.velocities) <= _TOLERANCE * scaled.largest] = 0.0
+                self.velocities[np.abs(self.velocities) <= TOLERANCE * scaled.largest] = 0.0
                 self.pressed, self.slid = scaled.modes(y)
                 self.residual = residual
                 return True
@@ -93,7 +95,7 @@ class LoadSolver:
         return False
 
     def _starts(
-        self, scaled: _Scaled, forces: np.ndarray, guess: Callable[[float], np.ndarray | None]
+        self, scaled: ScaledLoads, forces: np.ndarray, guess: Callable[[float], np.ndarray | None]
     ) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
         """Forces to begin from, and which normals are loaded where that is prescribed."""
         yield scaled.unknowns(forces), None
@@ -111,7 +113,7 @@ class LoadSolver:
                     yield np.zeros(scaled.base.size), loaded
 
 
-class _Scaled:
+class ScaledLoads:
     """The problem in unknowns y without units: normal forces first, then those of disks."""
 
     def __init__(self, problem: Loads) -> None:
@@ -135,16 +137,20 @@ class _Scaled:
         own = problem.gram.diagonal()[normals] * self.scale[: len(normals)] ** 2
         count = len(normals)
         self.passive = self.operator.diagonal()[:count] <= _POSITIVE * own
-        self.disks: list[tuple[np.ndarray, float, int | None]] = []
+        self.disks: list[_ScaledDisk] = []
         at = count
         for disk in problem.disks:
             places = np.arange(at, at + len(disk.rows))
             at += len(disk.rows)
-            if disk.normal is None:
-                self.disks.append((places, disk.radius / (self.scale[places[0]] * unit), None))
-            else:
+            own = self.scale[places[0]]
+            if disk.normal is not None:
                 k = normals.index(disk.normal)
-                self.disks.append((places, disk.factor * self.scale[k] / self.scale[places[0]], k))
+                self.disks.append(_ScaledDisk(places, disk.factor * self.scale[k] / own, k))
+            elif disk.load is not None:
+                load = disk.load[0] / unit, disk.load[1] @ self.expand
+                self.disks.append(_ScaledDisk(places, disk.factor / own, None, load))
+            else:
+                self.disks.append(_ScaledDisk(places, disk.radius / (own * unit), None))
 
     def forces(self, y: np.ndarray) -> np.ndarray:
         """(m,) forces of unknowns."""
@@ -159,63 +165,100 @@ class _Scaled:
 
         loaded: which normal forces are to be there, or None.
         """
-        count, n = len(self.problem.normals), self.base.size
-        identity = np.eye(n)
         best, least = y, math.inf
         for step in range(_NEWTON_STEPS):
-            w = self.operator @ y + self.base
-            press = y[:count] - w[:count] > 0.0 if loaded is None else loaded
-            values = np.where(press, w[:count], y[:count])
-            jacobian = np.where(np.append(press, np.ones(n - count, dtype=bool))[:, None], self.operator, identity)
-            values = np.append(values, w[count:])
-            for places, factor, k in self.disks:
-                radius = _radius(factor, k, y, press)
-                p = y[places] - w[places]
-                size = float(np.sqrt(p @ p))
-                if size <= radius:
-                    continue
-                along = p / size
-                values[places] = y[places] - radius * along
-                turn = radius / size * (np.eye(places.size) - np.outer(along, along))
-                jacobian[places] = identity[places] - turn @ (identity[places] - self.operator[places])
-                if k is not None and y[k] > 0.0 and math.isfinite(factor):
-                    jacobian[places, k] -= factor * along
+            values, jacobian = self._equations(y, loaded)
             if not np.isfinite(values).all():
                 break
-            terms = 1.0 + float(np.abs(y).max(initial=0.0))
-            residual = float(np.abs(values).max(initial=0.0)) / terms
+            residual = _relative(values, y)
             if residual < least:
                 best, least = y, residual
-                if residual <= 1e-3 * _TOLERANCE:
+                if residual <= 1e-3 * TOLERANCE:
                     break
-            elif least <= _TOLERANCE:
+            elif least <= TOLERANCE:
                 break
             y = y - np.linalg.lstsq(jacobian, values, rcond=_RANK)[0]
             if loaded is not None and not self.disks and step == 1:
                 break
         return best, least if self._admissible(best) else math.inf
 
+    def residual(self, y: np.ndarray) -> float:
+        """How far the unknowns are from a zero."""
+        return _relative(self._equations(y, None)[0], y)
+
+    def _equations(self, y: np.ndarray, loaded: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """What has to vanish, and its derivative; loaded: see `newton`."""
+        count, n = len(self.problem.normals), self.base.size
+        identity = np.eye(n)
+        w = self.operator @ y + self.base
+        press = y[:count] - w[:count] > 0.0 if loaded is None else loaded
+        values = np.where(press, w[:count], y[:count])
+        jacobian = np.where(np.append(press, np.ones(n - count, dtype=bool))[:, None], self.operator, identity)
+        values = np.append(values, w[count:])
+        for disk in self.disks:
+            places = disk.places
+            radius = disk.radius(y, press)
+            p = y[places] - w[places]
+            size = float(np.sqrt(p @ p))
+            if size <= radius:
+                continue
+            along = p / size
+            values[places] = y[places] - radius * along
+            turn = radius / size * (np.eye(places.size) - np.outer(along, along))
+            jacobian[places] = identity[places] - turn @ (identity[places] - self.operator[places])
+            slope = disk.slope(y)
+            if slope is not None:
+                jacobian[places] -= np.outer(along, slope)
+        return values, jacobian
+
     def modes(self, y: np.ndarray) -> tuple[np.ndarray, list[bool]]:
         """Which normals carry a load, and on which disks the force is on the rim."""
         w = self.operator @ y + self.base
         count = len(self.problem.normals)
         # what redundant contacts carry may be round-off
-        pressed = y[:count] - w[:count] > _TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
-        sizes = [float(np.linalg.norm(y[places] - w[places])) for places, _, _ in self.disks]
-        return pressed, [size > _radius(factor, k, y, pressed) for size, (_, factor, k) in zip(sizes, self.disks)]
+        pressed = y[:count] - w[:count] > TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
+        sizes = [float(np.linalg.norm(y[disk.places] - w[disk.places])) for disk in self.disks]
+        return pressed, [size > disk.radius(y, pressed) for size, disk in zip(sizes, self.disks)]
 
     def _admissible(self, y: np.ndarray) -> bool:
         """Whether nothing pulls or closes; a contact whose own force would not part the bodies carries nothing."""
         count = len(self.problem.normals)
-        small = _TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
+        small = TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
         w = self.operator[:count] @ y + self.base[:count]
         return bool((y[:count] >= -small).all() and (w >= -small).all() and (y[:count][self.passive] <= small).all())
 
 
-def _radius(factor: float, k: int | None, y: np.ndarray, pressed: np.ndarray) -> float:
-    """Radius of a disk at the unknowns y."""
-    if k is None:
-        return factor
-    if math.isinf(factor):
-        return math.inf if pressed[k] else 0.0
-    return factor * max(float(y[k]), 0.0)
+def _relative(values: np.ndarray, y: np.ndarray) -> float:
+    return float(np.abs(values).max(initial=0.0)) / (1.0 + float(np.abs(y).max(initial=0.0)))
+
+
+@dataclass
+class _ScaledDisk:
+    """A disk in unknowns: its places among them, its factor, the unknown that is its normal force, its load."""
+
+    places: np.ndarray
+    factor: float
+    normal: int | None
+    load: tuple[np.ndarray, np.ndarray] | None = None
+
+    def radius(self, y: np.ndarray, pressed: np.ndarray) -> float:
+        """At the unknowns y."""
+        if self.load is not None:
+            return self.factor * float(np.linalg.norm(self.load[0] + self.load[1] @ y))
+        if self.normal is None:
+            return self.factor
+        if math.isinf(self.factor):
+            return math.inf if pressed[self.normal] else 0.0
+        return self.factor * max(float(y[self.normal]), 0.0)
+
+    def slope(self, y: np.ndarray) -> np.ndarray | None:
+        """(n,) derivative of the radius, None where it is constant."""
+        if self.load is not None:
+            there = self.load[0] + self.load[1] @ y
+            length = float(np.linalg.norm(there))
+            return self.factor / length * (there @ self.load[1]) if length > 0.0 else None
+        if self.normal is None or not (y[self.normal] > 0.0 and math.isfinite(self.factor)):
+            return None
+        slope = np.zeros(y.size)
+        slope[self.normal] = self.factor
+        return slope

@@ -256,6 +256,11 @@ class ContactSolver:
         """The last solution of every size, as `warm_start` takes it; views."""
         return [(space.modes, space.forces, space.velocities) for space in self._spaces.values() if space.counts[KNOWN]]
 
+    def start(self, contacts: int) -> np.ndarray:
+        """(3n,) a copy of the last forces of problems of this size, zero where there are none."""
+        space = self._workspace(contacts)
+        return space.forces.copy() if space.counts[KNOWN] else np.zeros(3 * contacts)
+
     def tables(self) -> list[tuple[int, np.ndarray]]:
         """(contacts, table of `cone_memory`) of every size of problem there has been, for `attempt.solve_cones`."""
         return [(size, space.table) for size, space in self._spaces.items()]

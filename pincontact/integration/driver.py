@@ -39,9 +39,10 @@ from ..layout import (
     TURNING_RATE,
 )
 from ..state import read_discrete
+from .contradictions import contradiction
 from .dense import Interpolant
 from .events import Crossing, EventLocator, UserEvent
-from .results import FINISHED, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
+from .results import FINISHED, NO_CONTACT_FORCE, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
 from .runge_kutta import RungeKutta
 from .steps import (
     AT_FLOOR,
@@ -352,6 +353,9 @@ class Driver:
             raise self._projection_failed(t)
 
     def _projection_failed(self, t: float) -> Stop:
+        contradicting = contradiction(self.system, t)
+        if contradicting:
+            return Stop(NO_CONTACT_FORCE, f"t = {t:.9g} s: {contradicting}")
         return Stop(
             STEP_TOO_SMALL,
             f"t = {t:.9g} s: the projection on the constraints failed: it would change the state by more than the "

@@ -75,8 +75,12 @@ class UserEvent:
 
     def value_at(self, t: float, system: System) -> float:
         """The function at the system's (q, v). Raises what it raises, UnusableResult for what is no number."""
+        return self.value_of(t, system.q.copy(), system.v.copy(), system)
+
+    def value_of(self, t: float, q: np.ndarray, v: np.ndarray, system: System) -> float:
+        """The function at q and v, as `value_at`."""
         try:
-            result = self.function(t, system.q.copy(), system.v.copy())
+            result = self.function(t, q, v)
         except BaseException:
             system.blame(f"t = {t:.9g} s: events[{self.index}]")
             raise

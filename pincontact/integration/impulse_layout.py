@@ -130,7 +130,8 @@ STEP_SLOTS = (
 # STEPS done and LAST, STEP_LIMIT, WATCHED: whether every step is looked at before it is accepted, TURNS: whether
 # anything resists turning; ROW_COUNT rows that are written by steps, ROWS_DONE so far, a row every ROW_STEPS steps.
 # SOLVED_HERE: cone problems that were solved in compiled code, by CONE_TASK; RIGID_STEPS: those that had a solution in
-# rigid geometry only.
+# rigid geometry only. Of an attempt: COUPLED: whether its problem is solved together with the loads that it takes as
+# given, see below.
 (
     NJ,
     MAX_UNITS,
@@ -156,13 +157,16 @@ STEP_SLOTS = (
     SOLVED_HERE,
     CONE_TASK,
     RIGID_STEPS,
-) = range(24)
-NCOUNTS = 24
+    COUPLED,
+) = range(25)
+NCOUNTS = 25
 # counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
 ACCELERATION, MEAN_VELOCITY = 1, 2
-# numbers; FREE_CHANGE: norm of the change of velocity without impulses, in the mass metric; MISS: how far the
-# midpoint's velocity was from the step's mean velocity, relative to that, in the metric of the masses; of a run, in s,
-# RUN_START, RUN_END and STEP_SIZE; what is asked of cone problems, and the largest residual of any
+# numbers; AHEAD: s after the step's start at which its geometry and smooth terms are taken, the middle or, where bodies
+# collide, the mean time of the impulses, IMPACT; FREE_CHANGE: norm of the change of velocity without impulses, in the
+# mass metric; MISS: how far the midpoint's velocity was from the step's mean velocity, relative to that, in the metric
+# of the masses; of a run, in s, RUN_START, RUN_END and STEP_SIZE; what is asked of cone problems, and the
+# largest residual of any
 (
     H,
     KEPT,
@@ -175,8 +179,10 @@ ACCELERATION, MEAN_VELOCITY = 1, 2
     STEP_SIZE,
     CONE_TOLERANCE,
     CONE_RESIDUAL,
-) = range(11)
-NNUMBERS = 11
+    AHEAD,
+    IMPACT,
+) = range(13)
+NNUMBERS = 13
 # calls: `run_task`, `solve_cones`, `assemble`, `move_charts`; a Python function that sets the torques, or 0, its
 # arguments and the result that means failure
 RUN_TASK, SOLVE_CONES, ASSEMBLE, MOVE_CHARTS, ASKED, ASKED_WITH, CALL_FAILED = range(7)
@@ -190,6 +196,8 @@ LOWER_LIMIT, UPPER_LIMIT, DRY_FRICTION = range(3)
 UNIT_KIND, UNIT_INDEX, ROW_MASK, TOUCHES, MIDPOINT, AT_REST, AXIS, PARENT = range(8)
 UNIT_INTS = 8
 ON_CONTACT, ON_LOADED, ON_JOINT, ON_TURN = range(4)
+# counts[COUPLED]
+APART, TOGETHER = range(2)
 # unit_real
 IMPULSE_TIME, SHIFT, APPROACH, FREE_RATE, START_T1, START_T2, UNIT_LOAD, SLIDING, DRIVEN_T1, DRIVEN_T2 = range(10)
 UNIT_REALS = 10

@@ -81,6 +81,8 @@ from ..layout import (
 from ..layout import DELASSUS as DELASSUS_WORK
 from ..memory import cube, integer_matrix, integers, matrix, reals
 from .impulse_layout import (
+    AHEAD,
+    APART,
     APPROACH,
     AT_REST,
     AXIS,
@@ -89,6 +91,7 @@ from .impulse_layout import (
     CARRIED_V,
     CHANGE,
     COUNTS,
+    COUPLED,
     DELASSUS,
     DRIVEN_T1,
     DRY_FRICTION,
@@ -148,6 +151,7 @@ from .impulse_layout import (
     STICKING,
     TOUCHED,
     TOUCHES,
+    TREND_BEFORE,
     TURNING_RATE,
     UNIT_INDEX,
     UNIT_INT,
@@ -193,12 +197,12 @@ def touch_instant(gap, speed, rate, touching, h):
 
 
 @kernel
-def _within_domains(start, middle, instant, h):
+def _within_domains(start, middle, instant, ahead):
     """Whether the points of a contact are inside both domains at an instant of the step, by their way to the nearest
-    end at its start and its middle."""
+    end at its start and so much later."""
     if start == math.inf or middle == math.inf:
         return middle >= 0.0
-    return start + (middle - start) * 2.0 * instant / h >= 0.0
+    return (start + (middle - start) * instant / ahead if ahead > 0.0 else start) >= 0.0
 
 
 @kernel
@@ -316,6 +320,7 @@ def _gather_contacts(table, step, nv, nc, h):
     start_domain, behind = reals(step[START_DOMAIN], nc), integers(step[BEHIND], nc)
     sticking, load, trend = reals(step[STICKING], nc), reals(step[LOAD], nc), reals(step[CARRIED_TREND], nv)
     basis, slip = cube(table[BASIS], nc, 3, 3), matrix(table[SLIP], nc, 3)
+    ahead = reals(step[NUMBERS], NNUMBERS)[AHEAD]
     for c in range(nc):
         mu, two = contact_real[c, MU], contact_int[c, TANGENTS] == 2
         bilateral, opened = contact_int[c, UNILATERAL] == 0, start_mode[c] == FREE
@@ -331,7 +336,7 @@ def _gather_contacts(table, step, nv, nc, h):
             instant = touch_instant(start_gap[c], start_normal[c, 0], rate, TOUCHING * contact_real[c, LENGTH], h)
             if instant < 0.0 or behind[c] != 0:
                 continue
-            if not _within_domains(start_domain[c], contact_real[c, DOMAIN], instant, h):
+            if not _within_domains(start_domain[c], contact_real[c, DOMAIN], instant, ahead):
                 continue
         if contact_real[c, STRIBECK_SPEED] > 0.0 and start_mode[c] != STICK:
             speed = math.hypot(dot(basis[c, 0], slip[c]), dot(basis[c, 1], slip[c]) if two else 0.0)
@@ -630,6 +635,7 @@ def assemble(table, step):
     counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
     h = numbers[H]
     counts[UNITS] = counts[NEQ] = counts[REVIEWS] = counts[TOUCHED] = 0
+    counts[COUPLED] = APART
     numbers[KEPT], numbers[KEPT_LOW], numbers[KEPT_HIGH] = 1.0, 0.0, 1.0
     mass, factor = matrix(table[MASS], nv, nv), matrix(table[FACTOR], nv, nv)
     damping, tau, nle = reals(table[DAMPING], nv), reals(table[TAU], nv), reals(table[NLE], nv)
@@ -652,9 +658,11 @@ def assemble(table, step):
     numbers[FREE_CHANGE] = math.sqrt(inner(change, change, nv))
     unwhiten(factor, parents, nv, change, change)
     total = 0.0
+    # what no step has told is taken anew where an impact has moved the geometry
+    untold = counts[HAS_TREND] == 0 or (counts[TREND_BEFORE] == 0 and numbers[AHEAD] != 0.5 * h)
     for k in range(nv):
         total += change[k]
-        if counts[HAS_TREND] == 0:
+        if untold:
             trend[k] = change[k] / h
     if total - total != 0.0:
         return NOT_FINITE

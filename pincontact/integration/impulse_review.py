@@ -11,12 +11,14 @@ from ..jit import kernel
 from ..layout import NO_FORCE
 from ..memory import integer_matrix, integers, matrix, reals
 from .impulse_layout import (
+    APART,
     APPROACH,
     AT_REST,
     CONE_FORCES,
     CONE_MODES,
     CONE_VELOCITIES,
     COUNTS,
+    COUPLED,
     DELASSUS,
     EQUATION_FACTOR,
     EQUATION_IMPULSE,
@@ -49,6 +51,7 @@ from .impulse_layout import (
     SLIDING,
     START_T1,
     START_T2,
+    TOGETHER,
     TOUCHES,
     UNIT_INDEX,
     UNIT_INT,
@@ -64,11 +67,11 @@ from .impulse_layout import (
 # What `advance` returns: the step is done, or the cone problem was changed and must be solved again.
 DONE, AGAIN = 0, -1
 
-# Fixed point on the normal loads of bilateral contacts: change that ends it, undamped iterations, all iterations.
+# Fixed point on the loads that cone problems take as given: change that ends it, reviews after which it is left.
 LOAD_CHANGE = 1e-12
 # The same for resistance to turning, whose loads come from a cone problem solved to this accuracy.
 TURN_LOAD_CHANGE = 1e-10
-UNDAMPED = 12
+PATIENCE = 12
 REVIEW_LIMIT = 200
 
 
@@ -180,9 +183,10 @@ def review(step, nv, h, scratch):
     """Whether the solution stands; if not, b or the coefficients are changed and the problem is to be solved again.
 
     Slip is opposed along the mean of its velocities at both ends only while it goes on; a contact at rest that starts
-    to slip does so with the sliding coefficient; loads that the problem takes as given are a fixed point; and
-    restitution is lowered where, together with friction, it would create energy (see `dynamics.energy`), or raise the
-    kinetic energy by more than the smooth forces account for within a step. scratch: (nv,).
+    to slip does so with the sliding coefficient; loads that the problem takes as given are a fixed point, which is
+    iterated a few times, then found together with the forces (see `friction.product`); and restitution is lowered
+    where, together with friction, it would create energy (see `dynamics.energy`), or raise the kinetic energy by more
+    than the smooth forces account for within a step. scratch: (nv,).
     """
     counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
     n = counts[UNITS]
@@ -193,7 +197,7 @@ def review(step, nv, h, scratch):
     b, delassus = reals(step[LOADS], 3 * n), matrix(step[DELASSUS], 3 * n, 3 * n)
     counts[REVIEWS] += 1
     again = False
-    bounces = False
+    bounces = settles = False
     for u in range(n):
         if unit_int[u, MIDPOINT] != 0:
             first, second = unit_real[u, START_T1], unit_real[u, START_T2]
@@ -210,7 +214,7 @@ def review(step, nv, h, scratch):
             friction[u] = values[SLIDING]
             ints[AT_REST] = 0
             again = True
-        if ints[UNIT_KIND] == ON_LOADED or ints[UNIT_KIND] == ON_TURN:
+        if counts[COUPLED] == APART and (ints[UNIT_KIND] == ON_LOADED or ints[UNIT_KIND] == ON_TURN):
             turns = ints[UNIT_KIND] == ON_TURN
             if turns and ints[PARENT] >= 0:
                 load = forces[3 * ints[PARENT] + 2]
@@ -219,11 +223,13 @@ def review(step, nv, h, scratch):
                 load = _normal_load(step, ints[UNIT_INDEX], 2 if turns else 0)
             before = values[UNIT_LOAD]
             if abs(load - before) > (TURN_LOAD_CHANGE if turns else LOAD_CHANGE) * (load + before):
-                values[UNIT_LOAD] = load if counts[REVIEWS] <= UNDAMPED else 0.5 * (load + before)
+                values[UNIT_LOAD] = load
                 b[3 * u + 2] = -delassus[3 * u + 2, 3 * u + 2] * values[UNIT_LOAD]
-                again = True
+                again = settles = True
         if ints[TOUCHES] != 0 and values[SHIFT] > 0.0 and forces[3 * u + 2] > 0.0:
             bounces = True
+    if settles and counts[REVIEWS] > PATIENCE:
+        counts[COUPLED] = TOGETHER
     if again:
         return AGAIN if counts[REVIEWS] < REVIEW_LIMIT else NO_FORCE
     if not bounces:

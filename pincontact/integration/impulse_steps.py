@@ -73,6 +73,8 @@ from ..memory import cube, integer_matrix, integers, matrix, reals
 from .carrying import INERTIA_SIZE, carry
 from .impulse_layout import (
     ACCELERATION,
+    AHEAD,
+    APART,
     ASKED,
     ASKED_WITH,
     ASSEMBLE,
@@ -88,11 +90,13 @@ from .impulse_layout import (
     CONE_TOLERANCE,
     CONE_VELOCITIES,
     COUNTS,
+    COUPLED,
     DELASSUS,
     EDGE_TIME,
     FORCES,
     FRICTION,
     HAS_TREND,
+    IMPACT,
     INERTIAS,
     JOINT_IMPULSE,
     LAST,
@@ -291,7 +295,7 @@ def _impulses(table, step, found):
         n = counts[UNITS]
         if found == UNSOLVED:
             return NO_FORCE
-        if found == FRESH and n > 0 and not _solve(step, n):
+        if found == FRESH and n > 0 and (counts[COUPLED] != APART or not _solve(step, n)):
             return CONE_LEFT
         found = FRESH
         status = advance(table, step)
@@ -305,11 +309,13 @@ def _pass(table, step, t, found):
     counts = integers(step[COUNTS], NCOUNTS)
     if found == FRESH:
         predict_midpoint(table, step)
-        middle = t + 0.5 * reals(step[NUMBERS], NNUMBERS)[H]
+        numbers = reals(step[NUMBERS], NNUMBERS)
+        middle = t + numbers[AHEAD]
         if not _ask(table, step, middle):
             return NOT_FINITE
-        # the passes of an attempt differ in the midpoint's velocity only
-        status = evaluate(table, middle, KINEMATICS_OF_ALL if counts[PASSES] == 0 else VELOCITIES_OF_ALL)
+        # but for impacts the passes of an attempt differ in the midpoint's velocity only
+        moved = counts[PASSES] == 0 or numbers[AHEAD] != 0.5 * numbers[H]
+        status = evaluate(table, middle, KINEMATICS_OF_ALL if moved else VELOCITIES_OF_ALL)
         if status != OK:
             return status
         leave_turning_axes(table, step)
@@ -363,7 +369,7 @@ def _attempt(table, step, t, h, found):
     nq, nv = sizes[NQ], sizes[NV]
     counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
     if found == FRESH:
-        numbers[H] = h
+        numbers[H], numbers[AHEAD] = h, 0.5 * h
         counts[PASSES], counts[TREND_BEFORE] = 0, counts[HAS_TREND]
     while True:
         status = _pass(table, step, t, found)
@@ -379,7 +385,9 @@ def _attempt(table, step, t, h, found):
             # The step is taken again with what it tells: the mean velocity where impacts change it, else, where there
             # is no last step to tell it, the acceleration.
             counts[PASSES], counts[HAS_TREND] = 1, MEAN_VELOCITY
-            if counts[TOUCHED] == 0:
+            if counts[TOUCHED] != 0:
+                numbers[AHEAD] = numbers[IMPACT]
+            else:
                 state, trend = reals(table[STAGE_STATE], sizes[NY]), reals(step[TREND], nv)
                 seen_v, blocks = reals(step[SEEN_V], nv), integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4)
                 for k in range(nv):

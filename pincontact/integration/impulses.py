@@ -1,7 +1,10 @@
 """One time step of Moreau's method: its midpoint, its end, and the state that the next one starts from.
 
 A step of size h from (q_0, v_0) takes all smooth terms at the midpoint q_m = q_0 + (h/2) v_0, v_m = v_0 + (h/2) a,
-with a the velocity's change in the last step over its size. With P the impulses and z the change of velocity by them,
+with a the velocity's change in the last step over its size. A step in which bodies collide takes them, and the
+geometry, at the mean time of its impulses instead: momenta are carried there by the motion before the impact, and from
+there by the one after it, so neither way changes the energy by more than the order h^2. With P the impulses and z the
+change of velocity by them,
 
     (M + (h/2) D) (v_1 - v_0) = h (tau - nle - D v_0) + sum of rows^T P,
 
@@ -102,6 +105,7 @@ from ..memory import cube, integer_matrix, integers, matrix, reals
 from .carrying import INERTIA_SIZE, carry, find_inertias, turning_rate
 from .impulse_layout import (
     ACCELERATION,
+    AHEAD,
     AXIS,
     BEHIND,
     CARRIED_TREND,
@@ -120,6 +124,7 @@ from .impulse_layout import (
     FORCES,
     FREE_CHANGE,
     HAS_TREND,
+    IMPACT,
     IMPULSE_TIME,
     INERTIAS,
     JOINT_GUARD,
@@ -168,6 +173,7 @@ from .impulse_layout import (
     TOUCHED,
     TOUCHES,
     TREND,
+    TREND_BEFORE,
     TURNING_RATE,
     UNIT_INDEX,
     UNIT_INT,
@@ -198,7 +204,8 @@ def predict_midpoint(table, step):
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
     counts = integers(step[COUNTS], NCOUNTS)
-    half = 0.5 * reals(step[NUMBERS], NNUMBERS)[H]
+    numbers = reals(step[NUMBERS], NNUMBERS)
+    half = numbers[AHEAD]
     v, trend, mean = reals(step[START_V], nv), reals(step[TREND], nv), reals(step[MEAN], nv)
     displacement = reals(step[DISPLACEMENT], nv)
     blocks, inertias = _blocks(table, step, sizes[NBLOCKS])
@@ -209,7 +216,8 @@ def predict_midpoint(table, step):
         displacement[k] = half * v[k]
     displace(blocks, start_q, start_q, displacement, state)
     carry(blocks, inertias, start_q, state, v, carried)
-    if counts[PASSES] == 0 or counts[HAS_TREND] == ACCELERATION:
+    moved = half != 0.5 * numbers[H] and counts[TREND_BEFORE] == ACCELERATION
+    if counts[PASSES] == 0 or counts[HAS_TREND] == ACCELERATION or moved:
         # else it is what the first pass had
         carry(blocks, inertias, start_q, state, trend, carried_trend)
     for k in range(nv):
@@ -290,7 +298,7 @@ def _distribute(table, step, nv, nc, h):
     """Impulses of contacts and joints, new modes, ends at which joints are held; in WORK the change of velocity by all
     impulses, whitened, and in DISPLACEMENT what they displace by acting before or after the middle of the step."""
     counts = integers(step[COUNTS], NCOUNTS)
-    n, units, nequations, size = counts[UNITS], counts[MAX_UNITS], counts[NEQ], counts[MAX_EQUATIONS]
+    n, units, nequations, most = counts[UNITS], counts[MAX_UNITS], counts[NEQ], counts[MAX_EQUATIONS]
     ng, kept = integers(table[GUARD_COUNT], 1)[0], reals(step[NUMBERS], NNUMBERS)[KEPT]
     contact_int = integer_matrix(table[CONTACT_INT], nc + ng, CONTACT_INTS)
     guard_int = integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
@@ -299,7 +307,7 @@ def _distribute(table, step, nv, nc, h):
     unit_real = matrix(step[UNIT_REAL], units, UNIT_REALS)
     joint_int = integer_matrix(step[JOINT_INT], counts[NJ], JOINT_INTS)
     forces, whitened = reals(step[CONE_FORCES], 3 * n), matrix(step[WHITENED], 3 * units, nv)
-    index, equation_impulse = integer_matrix(step[EQUATION_INDEX], size, 2), reals(step[EQUATION_IMPULSE], size)
+    index, equation_impulse = integer_matrix(step[EQUATION_INDEX], most, 2), reals(step[EQUATION_IMPULSE], most)
     impulse, joint_impulse = matrix(step[CONTACT_IMPULSE], nc, 3), reals(step[JOINT_IMPULSE], nv)
     touch_time = reals(step[TOUCH_TIME], nc)
     load = reals(step[LOAD], nc)
@@ -320,6 +328,7 @@ def _distribute(table, step, nv, nc, h):
         else:
             contact_int[c, MODE] = STICK if contact_real[c, MU] == math.inf else FRICTIONLESS
     counts[TOUCHED] = 0
+    total = moment = 0.0
     for j in range(counts[NJ]):
         if joint_int[j, JOINT_KIND] == DRY_FRICTION:
             joint_impulse[joint_int[j, JOINT_V]] += h * matrix(step[JOINT_REAL], counts[NJ], 2)[j, 1]
@@ -342,8 +351,12 @@ def _distribute(table, step, nv, nc, h):
             if mask >> row & 1 == 0:
                 continue
             r = 3 * u + row
+            size = 0.0
             for k in range(nv):
                 shifted[k] += early * forces[r] * whitened[r, k]
+                size += (forces[r] * whitened[r, k]) ** 2
+            total += math.sqrt(size)
+            moment += math.sqrt(size) * unit_real[u, IMPULSE_TIME]
             if kind == ON_TURN:
                 axis = unit_int[u, AXIS] + row
                 add_turn_row(table, i, axis, nv, nc, forces[r], joint_impulse)
@@ -361,6 +374,7 @@ def _distribute(table, step, nv, nc, h):
                         contact_int[nc + g, MODE], guard_int[g, GUARD_END] = FRICTIONLESS, -int(sign)
         if kind < ON_JOINT:
             contact_int[i, MODE] = _contact_mode(table, step, u, i, nc, h)
+    reals(step[NUMBERS], NNUMBERS)[IMPACT] = moment / total if total > 0.0 else 0.5 * h
     # impulses that nearly cancel (a wedged body) at different times would throw it far: one alone moves it no further
     limit = 0.25 * h * h * inner(whole, whole, nv)
     moved = inner(shifted, shifted, nv)
@@ -473,7 +487,7 @@ def advance(table, step):
     """
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    h = reals(step[NUMBERS], NNUMBERS)[H]
+    h, ahead = reals(step[NUMBERS], NNUMBERS)[H], reals(step[NUMBERS], NNUMBERS)[AHEAD]
     equation_impulses(step, nv)
     verdict = review(step, nv, h, reals(table[WORK], nv))
     if verdict != DONE:
@@ -520,7 +534,7 @@ def advance(table, step):
             state[guard_int[g, GUARD_Q]] = guard_real[g, LOW_END if end < 0 else HIGH_END]
     location, rates = reals(table[LOCATION], 4 * nc), reals(table[RATES], 4 * nc)
     for k in range(4 * nc):
-        state[nq + nv + k] = location[k] + 0.5 * h * rates[k]
+        state[nq + nv + k] = location[k] + (h - ahead) * rates[k]
     _report_forces(table, step, nc, h)
     hand_over(table, state)
     return DONE

@@ -8,14 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 import scipy
 
 from ..callback import kernel_address
 from ..dynamics.system import System
 from ..friction.attempt import solve_cones
+from ..friction.loads import TOLERANCE as PRODUCT_TOLERANCE
+from ..friction.product import SETTLED, Product
 from ..friction.solve import ContactSolver
 from ..jit import compile_kernels
 from ..layout import (
@@ -39,8 +44,10 @@ from ..layout import (
     VISCOUS,
 )
 from ..memory import address_of
+from .contradictions import contradiction
 from .events import UserEvent
 from .impulse_layout import (
+    APART,
     ASKED,
     ASKED_WITH,
     CALL_FAILED,
@@ -51,6 +58,7 @@ from .impulse_layout import (
     CONE_TASK,
     CONE_TOLERANCE,
     CONE_VELOCITIES,
+    COUPLED,
     DRY_FRICTION,
     JOINT_INTS,
     KEPT,
@@ -58,8 +66,14 @@ from .impulse_layout import (
     KEPT_LOW,
     LAST,
     LOWER_LIMIT,
+    NEQ,
+    ON_JOINT,
+    ON_LOADED,
+    ON_TURN,
+    PARENT,
     RIGID_STEPS,
     ROW_COUNT,
+    ROW_MASK,
     ROW_STEPS,
     ROWS_DONE,
     ROWS_Q,
@@ -74,7 +88,11 @@ from .impulse_layout import (
     STEP_SLOTS,
     STEPS,
     THOROUGH,
+    TOGETHER,
     TURNS,
+    UNIT_INDEX,
+    UNIT_KIND,
+    UNIT_LOAD,
     UNITS,
     UPPER_LIMIT,
     WATCHED,
@@ -103,8 +121,19 @@ from .impulse_steps import (
     run_steps,
 )
 from .open_contacts import MANY_STEPS, OpenContacts
-from .results import CLOSED_APART, CONTOUR_ENDS, FAILURES, FINISHED, TERMINATED, Event, Stop
+from .results import (
+    CLOSED_APART,
+    CONTOUR_ENDS,
+    CONTRADICTION,
+    FAILURES,
+    FINISHED,
+    FLIES_THROUGH,
+    TERMINATED,
+    Event,
+    Stop,
+)
 from .results import STEP_LIMIT as AT_STEP_LIMIT
+from .sign_changes import resolve, with_dips
 from .stages import load_state, move_charts
 from .steps import run_task
 
@@ -214,7 +243,9 @@ class MoreauStep:
 
     def _begin_anew(self) -> None:
         system = self.system
-        self.softened = self._left = 0
+        self.softened = self.settled = self._left = 0
+        # by how much the radii of friction were off in settled steps, relative to the largest
+        self.settled_off = 0.0
         self.open = OpenContacts(system)
         self._asked: tuple[Callable[[], bool], tuple[()]] | None = None
         self._share_tables()
@@ -256,6 +287,7 @@ class MoreauStep:
 
     def begin(self, t: float) -> int:
         """Start from `system.state`; closed contacts get the mode that their v_c shows. Returns a status."""
+        self.open.forget_way()
         return self._run(BEGIN, t)
 
     def attempt(self, t: float, h: float) -> int:
@@ -285,7 +317,7 @@ class MoreauStep:
                 # what opens in a step is looked at before the next one
                 steps = self.look() if FREE in self.system.modes.tolist() else 1
                 if steps == 0:
-                    return TOO_LONG
+                    return FLIES_THROUGH
                 counts[LAST] = min(last, counts.item(STEPS) + steps)
             status = self._run(STEP)
             if status not in (OK, MARCHING):
@@ -337,11 +369,15 @@ class MoreauStep:
             return MANY_STEPS
         size = self._numbers.item(STEP_SIZE)
         t = self._numbers.item(RUN_START) + self.steps * size
-        steps = self.open.look(t, size)
+        steps = self.open.look(t, size, self.touch_time >= 0.0)
         if self.open.has_moved:
             self.open.has_moved = False
             self._take_locations(t)
         return steps
+
+    def flew_through(self, t: float) -> bool:
+        """Whether the last step, which ended at t, carried an open contact through what was near, unnoticed."""
+        return self._looks and self.open.went_through(t, self.size, self.touch_time >= 0.0)
 
     def _take_locations(self, t: float) -> None:
         """Start the next step with locations that others have set in `system.state`."""
@@ -401,13 +437,19 @@ class MoreauStep:
                 memory["friction"][:n],
             )
         self._left += 1
-        solver = self.solver
-        if self.memory["cone_tables"][n]:
-            # the usual path has been tried
-            solved = solver.search(*problem)
-        else:
-            solved = solver.solve(*problem)
-            self._share_tables()
+        solver, counts = self.solver, self._counts
+        solved = False
+        if counts[COUPLED] == APART:
+            if self.memory["cone_tables"][n]:
+                # the usual path has been tried
+                solved = solver.search(*problem)
+            else:
+                solved = solver.solve(*problem)
+                self._share_tables()
+            if not solved and np.isin(self.memory["unit_int"][:n, UNIT_KIND], (ON_LOADED, ON_TURN)).any():
+                counts[COUPLED] = TOGETHER
+        if not solved and counts[COUPLED] != APART:
+            solved = self._solve_together(n, *problem)
         if not solved and not (thorough and self._solve_hard(n, *problem)):
             return False
         self._numbers[CONE_RESIDUAL] = max(self._numbers[CONE_RESIDUAL], solver.residual)
@@ -445,10 +487,27 @@ class MoreauStep:
 
     def _solve_hard(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """What the quick searches did not solve: with a little compliance in the contacts, since with redundant ones b
-        may be out of reach by a little; then without rebounds, and at length.
+        may be out of reach by a little; then without rebounds, and at length; then, with friction that goes with other
+        loads, what has a solution unless bodies are crushed.
 
         (Several points of a body that must not slip, of which one rebounds, are an example.)
         """
+        solver, together = self.solver, self._counts[COUPLED] != APART
+        if not together and self._solve_softened(delassus, b, mu):
+            return True
+        b[2::3] += self._numbers[KEPT] * self.memory["unit_real"][:n, SHIFT]
+        self._numbers[KEPT] = self._numbers[KEPT_LOW] = self._numbers[KEPT_HIGH] = 0.0
+        if not together:
+            solver.quick = False
+            found = solver.solve(delassus, b, mu)
+            solver.quick = True
+            if found:
+                return True
+        self._counts[COUPLED] = TOGETHER
+        return self._solve_together(n, delassus, b, mu) or self._settle(n, delassus, b, mu)
+
+    def _solve_softened(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """The solution with the least compliance that gives one."""
         solver = self.solver
         diagonal = np.einsum("ii->i", delassus)
         stiff = diagonal.copy()
@@ -463,17 +522,77 @@ class MoreauStep:
                     return True
                 solver.forget()
         diagonal[:] = stiff
-        b[2::3] += self._numbers[KEPT] * self.memory["unit_real"][:n, SHIFT]
-        self._numbers[KEPT] = self._numbers[KEPT_LOW] = self._numbers[KEPT_HIGH] = 0.0
-        solver.quick = False
-        found = solver.solve(delassus, b, mu)
-        solver.quick = True
-        return found
+        return False
+
+    def _product(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> Product:
+        """The problem with the loads that it takes as given as functions of the forces."""
+        memory, counts = self.memory, self._counts
+        ints, numbers = memory["unit_int"][:n], memory["unit_real"][:n]
+        masks = ints[:, ROW_MASK]
+        load, slope = np.zeros((n, 2)), np.zeros((n, 2, 3 * n))
+        # impulses of equations: share - overlap^T F, carried back to their rows
+        e, size = int(counts[NEQ]), memory["equation_factor"].shape[0]
+        index = memory["equation_index"][:e]
+        known = np.c_[memory["equation_share"][:e], -memory["overlap"].reshape(-1, size)[: 3 * n, :e].T]
+        factor = memory["equation_factor"][:e, :e]
+        impulses = np.zeros_like(known)
+        for i in range(e - 1, -1, -1):
+            if factor[i, i] > 0.0:
+                impulses[i] = (known[i] - factor[i + 1 :, i] @ impulses[i + 1 :]) / factor[i, i]
+        for u, (kind, c, parent) in enumerate(ints[:, [UNIT_KIND, UNIT_INDEX, PARENT]].tolist()):
+            if masks[u] & 4:
+                slope[u, 0, 3 * u + 2] = 1.0
+            elif kind == ON_TURN and parent >= 0:
+                slope[u, 0, 3 * parent + 2] = 1.0
+            elif kind == ON_JOINT:
+                load[u, 0] = numbers[u, UNIT_LOAD]
+            else:
+                rows = np.flatnonzero((index[:, 0] == c) & (index[:, 1] >= (2 if kind == ON_TURN else 0)))
+                for k, row in enumerate(rows):
+                    load[u, k], slope[u, k] = impulses[row, 0], impulses[row, 1:]
+        base = np.where(np.stack([masks >> row & 1 for row in range(3)], axis=1).ravel() != 0, b, 0.0)
+        normal, tangents = (masks >> 2 & 1).astype(float), ((masks & 1) + (masks >> 1 & 1)).astype(float)
+        return Product(delassus, base, normal, tangents, mu.copy(), load.ravel(), slope.reshape(2 * n, 3 * n))
+
+    def _solve_together(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Solve the problem for forces and loads at once."""
+        product = self._product(n, delassus, b, mu)
+        forces, residual = product.solve(self.solver.start(n))
+        if not residual <= PRODUCT_TOLERANCE:
+            self._nearest = forces
+            return False
+        self._take(product, forces, residual)
+        return True
+
+    def _settle(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Solve it with friction that goes with the loads that came nearest to a solution."""
+        product = self._product(n, delassus, b, mu)
+        forces, residual, off = product.settle(self._nearest)
+        # ideal rolling has no other friction to go with
+        slips = np.abs((delassus @ forces + b).reshape(-1, 3)[:, :2]).max(axis=1)
+        slipping = np.isinf(mu) & (forces[2::3] > 0.0) & (slips > SETTLED * np.abs(b).max(initial=0.0))
+        if not residual <= SETTLED or slipping.any():
+            return False
+        self.settled += 1
+        self.settled_off = max(self.settled_off, off)
+        self._take(product, forces, residual)
+        return True
+
+    def _take(self, product: Product, forces: np.ndarray, residual: float) -> None:
+        """Let the solver have these forces as its own."""
+        modes, velocities = product.modes(forces), product.gram @ forces + product.base
+        forces[2::3] = np.where(
+            product.normal > 0.0, forces[2::3], product.radii(forces) / np.where(product.mu > 0.0, product.mu, 1.0)
+        )
+        self.solver.warm_start(modes, forces, velocities)
+        self.solver.residual = residual
 
     def describe(self, status: int, t: float) -> Stop:
         """The Stop for a failed status, naming the contact and the number."""
         code, reason = FAILURES[status]
         where = number = ""
+        if status == CONTRADICTION:
+            reason = contradiction(self.system, t + float(self._numbers[H])) or reason
         system = self.system
         if status in (SINGULAR, LOCATION_FAILED) and system.nc:
             c = int(np.argmin(np.abs(system.contact_real[: system.nc, CONDITION])))
@@ -481,12 +600,17 @@ class MoreauStep:
             number = f"; conditioning of J {abs(system.contact_real[c, CONDITION]):.3g}"
         elif status == CONTOUR_ENDS:
             where = f"contact {system.contacts[self.nearest_end()].name!r} "
+        elif status == FLIES_THROUGH:
+            where = f"contact {system.contacts[self.open.hasty].name!r}: "
         elif status == CLOSED_APART:
             gaps = np.where(system.modes != FREE, np.abs(system.gaps[: system.nc, 0]), 0.0)
             c = int(np.argmax(gaps))
             where, number = f"contact {system.contacts[c].name!r}: ", f" by {gaps[c]:.3g} m"
         elif status == NO_FORCE:
-            number = f"; relative residual {self.solver.residual:.3g}"
+            ints = self.memory["unit_int"][: int(self._counts[UNITS])]
+            contacts = dict.fromkeys(ints[ints[:, UNIT_KIND] != ON_JOINT, UNIT_INDEX].tolist())
+            number = f" at {', '.join(repr(system.contacts[c].name) for c in contacts)}" if contacts else ""
+            number += f"; relative residual {self.solver.residual:.3g}"
         h, fastest = (
             float(self._numbers[H]),
             float(np.abs(system.state[system.nq : system.nq + system.nv]).max(initial=0.0)),
@@ -577,7 +701,15 @@ class MoreauDriver:
         finally:
             # nothing of the user's is kept
             self.step.ask(None)
-        return FINISHED, "the end of the interval was reached"
+        return FINISHED, "the end of the interval was reached" + self._settled()
+
+    def _settled(self) -> str:
+        """What is to be said of problems that had no solution, or none that was found."""
+        count = self.step.settled
+        if count == 0:
+            return ""
+        off = f"off by up to {self.step.settled_off:.2g} of the largest"
+        return f"; {count} cone problems were settled with the friction of other loads, {off}"
 
     def _run(self, start: float, end: float) -> None:
         step = self.step
@@ -627,12 +759,14 @@ class MoreauDriver:
             elif why == CONTOUR_ENDS:
                 raise self._end_of_contour(t, t + step.size)
             elif why == AT_LIMIT and ahead == 0:
-                self._check(TOO_LONG, t)
+                self._check(FLIES_THROUGH, t)
             elif why not in (MARCHING, AT_END, AT_LIMIT):
                 self._check(why, t)
             if self.progress is not None:
                 i = step.steps
                 self.progress(end if i == count else start + i * size)
+        if step.flew_through(end):
+            self._check(FLIES_THROUGH, end)
 
     def _plan(self, start: float, end: float) -> int:
         """Prepare steps of constant size, the last of which ends at the end; returns how many there are."""
@@ -730,36 +864,72 @@ class MoreauDriver:
     # ---------------------------------------------------------------- users' events
 
     def _user_events(self, t: float, t_new: float) -> None:
-        """Locate the zeros of users' functions in the attempted step by shorter ones; a terminal one ends the run."""
-        values = [event.value_at(t_new, self.system) for event in self.users]
-        crossed = [i for i, event in enumerate(self.users) if event.crosses(event.value, values[i])]
-        if not crossed:
-            for event, value in zip(self.users, values):
-                event.value = value
-            return
-        for when, i in sorted((self._root(self.users[i], values[i], t, t_new), i) for i in crossed):
+        """Locate the zeros of users' functions in the attempted step by shorter ones; a terminal one ends the run.
+
+        Where to look is told by the functions on the straight way from the step's start to its end.
+        """
+        system, users = self.system, self.users
+        nq, nv = system.nq, system.nv
+        ends = [(state[:nq].copy(), state[nq : nq + nv].copy()) for state in (system.state, system.stage_state)]
+        values = [event.value_at(t_new, system) for event in users]
+        found: list[tuple[float, int]] = []
+        looked = False
+        for event, after in zip(users, values):
+            on_the_way = self._cached(event, after, partial(self._value_between, event, ends, t, t_new))
+            samples = with_dips(on_the_way, resolve(on_the_way, event.value, after))
+            turns = sum((low < 0.0) != (high < 0.0) or high == 0.0 for (_, low), (_, high) in pairwise(samples))
+            if turns == 0:
+                continue
+            looked = True
+            stepped = self._cached(event, after, partial(self._value_after, event, t, t_new))
+            # one zero lies between the ends; of several, those which shorter steps find there, too
+            places = [0.0, 1.0] if turns == 1 and event.crosses(event.value, after) else [s for s, _ in samples]
+            for low, high in pairwise(places):
+                if event.crosses(stepped(low), stepped(high)):
+                    found.append((t + self._root(stepped, low, high) * (t_new - t), event.index))
+        for when, i in sorted(found):
             self._attempt(t, when)
             self._announce(when, None, "user", i)
-            if self.users[i].terminal:
+            if users[i].terminal:
                 self._report(t, when)
                 self.step.accept(when)
                 self.step.steps += 1
                 if self.system.counters[RECORD_STEPS]:
                     self._output(when)
                 raise Stop(TERMINATED, "a terminal event occurred")
-        self._attempt(t, t_new)
-        for event, value in zip(self.users, values):
+        if looked:
+            # shorter steps have taken its place
+            self._attempt(t, t_new)
+        for event, value in zip(users, values):
             event.value = value
 
-    def _root(self, event: UserEvent, value: float, t: float, t_new: float) -> float:
-        if value == 0.0:
-            return t_new
-        known = {t: event.value, t_new: value}
+    @staticmethod
+    def _cached(event: UserEvent, after: float, value: Callable[[float], float]) -> Callable[[float], float]:
+        """A function of fractions of a step, with the values that are known at both ends, asked once for each place."""
+        known = {0.0: event.value, 1.0: after}
 
-        def function(when: float) -> float:
-            if when not in known:
-                self._attempt(t, when)
-                known[when] = event.value_at(when, self.system)
-            return known[when]
+        def cached(place: float) -> float:
+            if place not in known:
+                known[place] = value(place)
+            return known[place]
 
-        return float(scipy.optimize.brentq(function, t, t_new, xtol=_EVENT_ACCURACY * (t_new - t)))
+        return cached
+
+    def _value_between(
+        self, event: UserEvent, ends: list[tuple[np.ndarray, np.ndarray]], t: float, t_new: float, place: float
+    ) -> float:
+        (q0, v0), (q1, v1) = ends
+        q = pin.interpolate(self.system.model, q0, q1, place)
+        return event.value_of(t + place * (t_new - t), q, v0 + place * (v1 - v0), self.system)
+
+    def _value_after(self, event: UserEvent, t: float, t_new: float, place: float) -> float:
+        """After a step that is shorter by that factor."""
+        when = t + place * (t_new - t)
+        self._attempt(t, when)
+        return event.value_at(when, self.system)
+
+    @staticmethod
+    def _root(value: Callable[[float], float], low: float, high: float) -> float:
+        if value(high) == 0.0 or math.isinf(value(low)) or math.isinf(value(high)):
+            return high
+        return float(scipy.optimize.brentq(value, low, high, xtol=_EVENT_ACCURACY))

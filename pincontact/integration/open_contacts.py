@@ -8,6 +8,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pinocchio as pin
 
 from ..contours.base import F_T, F_TT
 from ..geometry.carriers import OMEGA, ORIGIN, VELOCITY
@@ -24,6 +25,7 @@ from ..layout import (
     NOTHING_THERE,
     UNILATERAL,
 )
+from .stages import load_state
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
@@ -39,6 +41,8 @@ _TOO_FAR = 2.0
 # Constant steps between two looks, at most; and how far one may go where bodies are near, in what others may: through
 # nothing that is as thick as its radius of curvature says.
 MANY_STEPS, _THROUGH = 1_000_000, 8.0
+# Places on the way of a step that went far, and how deep, relative to the contact's length, it may have grazed there.
+_WAY_STATIONS, _GRAZES = 16, 1e-2
 # Places (m) and speeds (m/s, rad/s) are cut off at this.
 _BEYOND = 1e50
 # A start that is no deeper than this part of the contact's length, and gets deeper, has just touched.
@@ -145,6 +149,10 @@ class OpenContacts:
         self._speeds: dict[int, float] = {}
         self._allowed: dict[int, float] = {}
         self._cut = math.inf
+        # states from which a step went far for what is near, by contact
+        self._far: dict[int, np.ndarray] = {}
+        # the contact for which a step was too long
+        self.hasty = 0
         self.has_moved = self.is_near = False
         self._controlled: list[int] = []
         self._absolute = system.absolute.copy()
@@ -222,9 +230,11 @@ class OpenContacts:
         searched = np.array([is_searched(self.system, c) for c in range(self.system.nc)], dtype=bool)
         return bool(((integers[:, UNILATERAL] != 0) & (balls | searched)).any())
 
-    def look(self, t: float, h: float) -> int:
+    def look(self, t: float, h: float, touched: np.ndarray) -> int:
         """How many steps of size h from the accepted state at t, which is evaluated, may go before the next look; zero
-        where one may go through what is there."""
+        where one may go through what is there, or the last one did. touched: (nc,) which contacts touched in that."""
+        if self.went_through(t, h, touched):
+            return 0
         steps = MANY_STEPS
         gravity = float(np.linalg.norm(self.system.model.gravity.linear))
         for c in self._list():
@@ -241,10 +251,41 @@ class OpenContacts:
                     self.find(t, c)
                 distance = self._distance(known, t)
             if way > max(distance, _THROUGH * known.near):
+                self.hasty = c
                 return 0
+            if way > max(distance, known.near):
+                # so far that the parabola of the gap may not tell
+                self._far[c] = self.system.state.copy()
             certain = distance if known.search is None else known.elsewhere - known.moved(t)
             steps = min(steps, max(int(min(_time(speed, acceleration, max(certain, 0.0)) / h, MANY_STEPS)), 1))
         return steps
+
+    def forget_way(self) -> None:
+        """No step has led to the state from which the next one goes."""
+        self._far.clear()
+
+    def went_through(self, t: float, h: float, touched: np.ndarray) -> bool:
+        """Whether an open contact that did not touch has been closed on the straight way of the last step, which was
+        long."""
+        far, self._far = self._far, {}
+        system, nq = self.system, self.system.nq
+        far = {c: before for c, before in far.items() if system.modes[c] == FREE and self.apart[c] and not touched[c]}
+        if not far:
+            return False
+        end, through = system.state.copy(), False
+        for c, before in far.items():
+            for part in (i / _WAY_STATIONS for i in range(_WAY_STATIONS + 1)):
+                system.stage_state[:] = before + part * (end - before)
+                system.stage_state[:nq] = pin.interpolate(system.model, before[:nq], end[:nq], part)
+                load_state(system.table)
+                system.evaluate_kinematics(t - (1.0 - part) * h)
+                inside = system.contact_real[c, DOMAIN] >= 0.0
+                if inside and system.gaps[c, 0] < -_GRAZES * system.contact_real[c, LENGTH]:
+                    self.hasty, through = c, True
+        system.stage_state[:] = end
+        load_state(system.table)
+        system.evaluate_kinematics(t)
+        return through
 
     def _known(self, c: int, t: float) -> _Open:
         if c not in self._open:

@@ -22,8 +22,9 @@ ADVICE = 'method="Moreau" goes on with impulses, in steps of constant size; fall
 GAP_TOLERANCE = 10.0
 
 # Statuses of single time steps, beside those of `layout`: a closed contact that cannot open is beyond the end of a
-# contour, or one ends apart.
-CONTOUR_ENDS, CLOSED_APART = 50, 51
+# contour, or one ends apart; constraints on velocities contradict each other; an open
+# contact may go, or has gone, through what is near.
+CONTOUR_ENDS, CLOSED_APART, CONTRADICTION, FLIES_THROUGH = 50, 51, 52, 53
 
 FAILURES = {
     LOCATION_FAILED: (SINGULAR_CONTACT, "the location parameters could not be continued (Newton left its branch)"),
@@ -33,6 +34,8 @@ FAILURES = {
     NOT_FINITE: (MODEL_FAILED, "the accelerations are not finite"),
     TOO_LONG: (STEP_TOO_LONG, "the step is too long for this motion: bodies turn too far in it"),
     CONTOUR_ENDS: (END_OF_CONTOUR, "reached the end of a contour"),
+    CONTRADICTION: (NO_CONTACT_FORCE, "velocity constraints cannot be met together"),
+    FLIES_THROUGH: (STEP_TOO_LONG, "the step is too long for this motion: it may go through what is near"),
     CLOSED_APART: (STEP_TOO_LONG, "the step is too long for this motion: a closed contact ends apart"),
 }
 

@@ -111,6 +111,7 @@ from ..layout import (
     TANGENTS,
     TURNING_RATE,
     VECTORS,
+    VELOCITY_LEFT,
     VELOCITY_RESIDUAL,
     WORK,
     Q,
@@ -120,7 +121,7 @@ from ..memory import cube, integer_matrix, integers, matrix, reals
 from .dense import DENSE_ROWS, dense_coefficients, interpolate
 from .recording import BLOCK, output_done, record_row
 from .resolution import KEPT_ROWS, keep_margins, margin_error, set_margins_aside, take_margins_up
-from .results import CLOSED_APART
+from .results import CLOSED_APART, CONTRADICTION
 from .stages import (
     MAX_STAGES,
     build_state,
@@ -207,6 +208,9 @@ _NEGLIGIBLE = 1e-14
 # Residual (m, and m/s relative to the speeds) below which nothing is corrected.
 _ROUND_OFF = 1e-16
 _LARGEST_CORRECTION = 1e3
+# What redundant constraints may leave of velocities, relative to the largest or 1, and, of corrections of q (rad or m),
+# times so much more.
+_CONTRADICTING, _OF_CORRECTION = 1e-5, 1e2
 # What a projection may change q and v by, in the step's errors, or relative to them, whichever is more: no error of a
 # step is larger, not even where a contour is smooth between its knots only.
 _EXPLAINED, _LEAST_EXPLAINED = 1e3, 1e-6
@@ -291,6 +295,19 @@ def attempt(table, t, h, adaptive):
 
 
 @kernel
+def _contradicts(table):
+    """Whether the last correction leaves velocities that it was to take away, since constraints contradict each other:
+    those of rigid geometry do by errors of the configuration only, that is by no more than its own correction."""
+    scalars, v = reals(table[SCALARS], SCALARS_SIZE), reals(table[V], integers(table[SIZES], 8)[NV])
+    if scalars[VELOCITY_LEFT] == 0.0:
+        return False
+    fastest = 1.0
+    for k in range(v.shape[0]):
+        fastest = max(fastest, abs(v[k]))
+    return scalars[VELOCITY_LEFT] > (_CONTRADICTING + _OF_CORRECTION * scalars[CORRECTION_SIZE]) * fastest
+
+
+@kernel
 def project(table, t, evaluated, purpose, error):
     """Put (q, v) and the location of STAGE_STATE on the constraints, in the mass metric; a status.
 
@@ -320,6 +337,8 @@ def project(table, t, evaluated, purpose, error):
             correct_state(table, 0, 0)
             return OK
         change = correct_state(table, 1, 1)
+        if _contradicts(table):
+            return CONTRADICTION
         if i == 0 and change > max(_EXPLAINED, _LEAST_EXPLAINED / reals(table[SCALE], 2)[0]) * max(error, 1.0):
             return LOCATION_FAILED
         close = change <= _CLOSE
@@ -443,6 +462,8 @@ def settle(table, t):
             return status
         contact_corrections(table, 1, 1)
         correct_state(table, 1, 1)
+        if _contradicts(table):
+            return CONTRADICTION
         size = reals(table[SCALARS], SCALARS_SIZE)[CORRECTION_SIZE]
         if size <= _SMALL_CORRECTION or size * size * size <= _FORETOLD_CORRECTION * last * last:
             return OK

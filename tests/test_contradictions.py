@@ -1,0 +1,67 @@
+"""Velocity constraints that cannot be met together are told, with the contacts' names, in every method."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pincontact as pc
+
+METHODS = {"DOP853": {"method": "DOP853"}, "Moreau": {"method": "Moreau", "step": 1e-3}}
+BOTH = pytest.mark.parametrize("method", METHODS)
+
+
+def plate(rng, motion, bilateral=True, turned=None):
+    """A plate on a plane at rest, on which two or more points roll ideally, and on a driven one."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "plate")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.diag([0.01, 0.02, 0.03])), pin.SE3.Identity())
+    model.addFrame(pin.Frame("plate", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
+    scene = pc.Scene(model)
+    fixed, driven = scene.add_contour("fixed", pc.Plane()), scene.add_contour("driven", pc.Plane(), motion=motion)
+    places = (
+        np.array([[0.1, 0.1, 0.0], [0.1, -0.1, 0.0], [-0.1, 0.0, 0.0]])
+        + np.c_[rng.uniform(-0.03, 0.03, (3, 2)), [0, 0, 0]]
+    )
+    for k in rng.permutation(3):
+        point = scene.add_contour(f"p{k}", pc.Point(), "plate", pin.SE3(np.eye(3), places[k]))
+        scene.add_contact(f"p{k}", point, driven if k == 2 else fixed, friction=pc.NoSlip(), bilateral=bilateral)
+    return scene, np.r_[np.zeros(6), 1.0]
+
+
+@pytest.mark.parametrize("bilateral", [True, False])
+@pytest.mark.parametrize("seed", range(5))
+def test_contradiction_at_the_start_is_refused(seed, bilateral):
+    rng = np.random.default_rng(seed)
+    belt = pc.ConstantTwist(linear=[*rng.uniform(0.01, 0.2, 2), 0.0])
+    scene, q = plate(rng, belt, bilateral)
+    with pytest.raises(pc.StateError, match=r"'p2'.* cannot be met together"):
+        scene.initial_state(q)
+
+
+@BOTH
+@pytest.mark.parametrize("bilateral", [True, False])
+@pytest.mark.parametrize("seed", range(4))
+def test_contradiction_in_a_run_ends_it(seed, bilateral, method):
+    """A drive that begins at rest: no run goes on while a contact that must not slip does."""
+    rng = np.random.default_rng(seed)
+    scene, q = plate(
+        rng, pc.HarmonicMotion(rng.uniform(0.02, 0.1, 3) * [1.0, 1.0, 0.0], 1.0, -0.5 * math.pi), bilateral
+    )
+    run = pc.simulate(scene, scene.initial_state(q), 0.3, **METHODS[method])
+    assert run.status == -4
+    assert "'p2'" in run.message
+    # the accepted states keep to their constraints, to 1e-5 where they contradict each other
+    assert run.residuals()["VC"].max() <= 1e-5
+
+
+@BOTH
+@pytest.mark.parametrize("seed", range(4))
+def test_redundant_but_consistent_contacts_go_on(seed, method):
+    """All three on the same drive, or a point driven as the plate that rests would have it: nothing contradicts."""
+    rng = np.random.default_rng(seed)
+    scene, q = plate(rng, pc.HarmonicMotion([0.0, 0.0, 0.0], 1.0, 0.0))
+    run = pc.simulate(scene, scene.initial_state(q), 0.3, **METHODS[method])
+    assert run.status == 0, run.message
+    assert run.residuals()["VC"].max() <= 1e-12

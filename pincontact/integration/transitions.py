@@ -602,7 +602,12 @@ class Transitions:
             return self._collide(t, system.closed(), {})
         self._check_chatter(t, index)
         if kind == SPEED_MARGIN:
-            self.modes.hold(g, 0)
+            speed = float(system.v[system.guards[g].index_v])
+            if abs(speed) > self._rest_speed():
+                # a short step of another's slip has carried it through zero: it slides the other way now
+                self.modes.release(g, 1 if speed > 0.0 else -1)
+            else:
+                self.modes.hold(g, 0)
         elif self._redistribute(t, index, kind):
             return t
         else:

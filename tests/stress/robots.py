@@ -1,0 +1,345 @@
+"""Robots people bring: python tests/stress/robots.py [--limit S] [--runs limp,standing] [--methods DOP853,...] [robot ...]
+
+Every robot of example-robot-data that Pinocchio loads and whose joints all move something with inertia (those of
+Romeo's fingers do not), with spheres at its last links, over
+a plane: dropped limp from 1 cm, and held by PD at its reference configuration, for half a second. Each run has a
+process of its own. Prints a table: status, time in s against that of time stepping, events, and how far the run is
+from time stepping's, and how far halving its step moves that, which tells what is chaotic.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import multiprocessing
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+import pincontact as pc
+from pincontact.dynamics.joints import joint_guards
+
+METHODS = ("Moreau", "DOP853", "RK45")
+RUNS = ("limp", "standing")
+DURATION, STEP = 0.5, 1e-3
+# m: of the spheres at the last links, and what they are dropped from
+RADIUS, HEIGHT = 0.02, 0.01
+FRICTION = 0.7
+# rad/s, and a fraction of critical damping: what PD makes of each joint with the inertia that it moves
+STIFFNESS, DAMPING = 15.0, 1.0
+# An event-driven run takes no more than so many times the time of time stepping.
+FACTOR = 20.0
+# Reference configurations by what SRDF files call them, in this order.
+POSTURES = ("standing", "half_sitting", "home", "default")
+
+# Files below example-robot-data's folder "robots": those that walk, drive or fly, and those that are mounted.
+FREE = (
+    "a1_description/urdf/a1",
+    "alex_description/urdf/alex_nub_hands",
+    "alexander_description/urdf/alexander_v1.lowerBodyOnly",
+    "anymal_b_simple_description/robots/anymal",
+    "anymal_b_simple_description/robots/anymal-kinova",
+    "anymal_c_simple_description/urdf/anymal",
+    "b1_description/urdf/b1",
+    "b1_description/urdf/b1-z1",
+    "bolt_description/robots/bolt",
+    "borinot_description/urdf/borinot_flying_arm_2",
+    "centauro_description/urdf/centauro",
+    "g1_description/urdf/g1_29dof_rev_1_0",
+    "g1_description/urdf/g1_29dof_with_hand_rev_1_0",
+    "go1_description/urdf/go1",
+    "go2_description/urdf/go2",
+    "hector_description/robots/quadrotor_base",
+    "hextilt_description/urdf/hextilt_flying_arm_5",
+    "human_description/robots/human",
+    "hyq_description/robots/hyq_no_sensors",
+    "icub_description/robots/icub",
+    "icub_description/robots/icub_reduced",
+    "iris_description/robots/iris_simple",
+    "laikago_description/urdf/laikago",
+    "pr2_description/urdf/pr2",
+    "quadruped_description/urdf/quadruped",
+    "romeo_description/urdf/romeo_small",
+    "simple_humanoid_description/urdf/simple_humanoid",
+    "simple_humanoid_description/urdf/simple_humanoid_classical",
+    "solo_description/robots/solo",
+    "solo_description/robots/solo12",
+    "talos_data/robots/talos_full_v2",
+    "talos_data/robots/talos_reduced",
+    "tiago_description/robots/tiago",
+    "tiago_description/robots/tiago_dual",
+    "tiago_pro_description/robots/tiago_pro",
+)
+FIXED = (
+    "allegro_hand_description/urdf/allegro_left_hand",
+    "allegro_hand_description/urdf/allegro_right_hand",
+    "asr_twodof_description/urdf/TwoDofs",
+    "baxter_description/urdf/baxter",
+    "double_pendulum_description/urdf/double_pendulum",
+    "double_pendulum_description/urdf/double_pendulum_continuous",
+    "double_pendulum_description/urdf/double_pendulum_simple",
+    "finger_edu_description/robots/finger_edu",
+    "kinova_description/robots/kinova",
+    "panda_description/urdf/panda",
+    "so_arm_description/urdf/so101",
+    "talos_data/robots/talos_left_arm",
+    "ur_description/urdf/ur3_gripper",
+    "ur_description/urdf/ur5_joint_limited_robot",
+    "ur_description/urdf/ur10_robot",
+    "xarm_description/urdf/xarm7",
+    "z1_description/urdf/z1",
+)
+ROBOTS = {
+    # two files have one name
+    file.split("_simple")[0] if file.endswith("/anymal") else Path(file).name: file
+    for file in (*FREE, *FIXED)
+}
+
+
+def robots_folder() -> Path | None:
+    """Where example-robot-data keeps its robots; None where it is not installed."""
+    try:
+        share = metadata.distribution("example-robot-data").locate_file("cmeel.prefix/share")
+    except metadata.PackageNotFoundError:
+        return None
+    folder = Path(str(share)) / "example-robot-data" / "robots"
+    return folder if folder.is_dir() else None
+
+
+@dataclass
+class Robot:
+    """A scene with spheres at the last links, and the configuration in which the lowest one is HEIGHT over the floor."""
+
+    scene: pc.Scene
+    q: np.ndarray
+    free: bool
+
+    @property
+    def model(self) -> pin.Model:
+        return self.scene.model
+
+
+def load(folder: Path, file: str) -> Robot:
+    """Raises what Pinocchio or Scene do of models that cannot be used."""
+    free, urdf = file in FREE, str(folder / f"{file}.urdf")
+    model = pin.buildModelFromUrdf(urdf, pin.JointModelFreeFlyer()) if free else pin.buildModelFromUrdf(urdf)
+    q = _posture(model, folder / file.split("/")[0] / "srdf")
+    # the posture of a file, and the neutral one, may lie beyond the model's limits
+    for guard in joint_guards(model):
+        q[guard.index_q] = min(max(q[guard.index_q], guard.low_end), guard.high_end)
+    if free:
+        q[:7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    scene = pc.Scene(model)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    parents = set(list(model.parents)[1:])
+    feet: list[tuple[float, str]] = []
+    for j in range(1, model.njoints):
+        bodies = [f for f in model.frames if f.parentJoint == j and f.type == pin.FrameType.BODY]
+        if j in parents or not bodies:
+            continue
+        placements = {f.name: data.oMf[model.getFrameId(f.name, pin.FrameType.BODY)].translation[2] for f in bodies}
+        lowest = min(placements, key=lambda name: placements[name])
+        feet.append((float(placements[lowest]), lowest))
+    bottom = min(height for height, _ in feet) - RADIUS - HEIGHT
+    floor_at = 0.0
+    if free:
+        q[2] = -bottom
+    else:
+        floor_at = bottom
+    floor = scene.add_contour("floor", pc.Plane(), placement=pin.SE3(np.eye(3), np.array([0.0, 0.0, floor_at])))
+    for _, name in feet:
+        sphere = scene.add_contour(name, pc.Sphere(RADIUS), name)
+        scene.add_contact(name, sphere, floor, friction=pc.Coulomb(FRICTION))
+    return Robot(scene, q, free)
+
+
+def _posture(model: pin.Model, folder: Path) -> np.ndarray:
+    """The first known reference configuration of the SRDF files beside a robot that fits it, else the neutral one."""
+    for file in sorted(folder.glob("*.srdf"), key=lambda path: len(path.name)):
+        pin.loadReferenceConfigurations(model, str(file), False)
+    known = model.referenceConfigurations
+    for name in POSTURES:
+        if name in known and known[name].size == model.nq and np.isfinite(known[name]).all():
+            return np.array(known[name])
+    return pin.neutral(model)
+
+
+def pd_control(robot: Robot) -> Callable[[float, np.ndarray, np.ndarray], np.ndarray]:
+    """Torques towards the reference configuration, gains in proportion to what each joint moves, gravity held."""
+    model, data, wanted = robot.model, robot.model.createData(), robot.q.copy()
+    pin.crba(model, data, wanted, pin.Convention.WORLD)
+    inertia = np.diag(data.M).copy()
+    gravity = np.array(pin.computeGeneralizedGravity(model, data, wanted))
+    if robot.free:
+        inertia[:6] = gravity[:6] = 0.0
+    stiffness, damping = STIFFNESS**2 * inertia, 2.0 * DAMPING * STIFFNESS * inertia
+
+    def control(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return gravity + stiffness * pin.difference(model, q, wanted) - damping * v
+
+    return control
+
+
+@dataclass
+class Outcome:
+    """What became of one run; distance: in m, of any joint at the end from time stepping's (NaN without one)."""
+
+    status: int
+    message: str
+    seconds: float
+    events: int
+    evaluations: int
+    distance: float = math.nan
+
+
+@dataclass
+class Row:
+    """One robot, one motion: an outcome for each method, and in m what halving time stepping's step changes."""
+
+    robot: str
+    motion: str
+    outcomes: dict[str, Outcome]
+    changes: float
+
+    @property
+    def chaotic(self) -> bool:
+        """Whether time stepping does not say itself where the robot ends."""
+        return not self.changes < 1e-2
+
+    def faults(self) -> Iterator[str]:
+        """What is wrong with it, but for its times."""
+        for method, outcome in self.outcomes.items():
+            if outcome.status != 0:
+                yield f"{method}: {outcome.status}, {outcome.message}"
+            elif not self.chaotic and outcome.distance > 10.0 * max(self.changes, 1e-3):
+                yield f"{method}: {outcome.distance:.2g} m from time stepping, which halved steps move {self.changes:.2g}"
+
+
+def _places(model: pin.Model, q: np.ndarray) -> np.ndarray:
+    """(joints, 3) in m: where the joints are."""
+    data = model.createData()
+    pin.forwardKinematics(model, data, q)
+    return np.array([placement.translation for placement in data.oMi])
+
+
+def measure(
+    robot: Robot, motion: str, methods: tuple[str, ...], report: Callable[[Any], None] = lambda row: None
+) -> Row:
+    """Run one motion in all methods; report(row): called with what is known after each."""
+    scene, model = robot.scene, robot.model
+    state = scene.initial_state(robot.q, np.zeros(model.nv), free=list(scene.contacts))
+    control = pd_control(robot) if motion == "standing" else None
+
+    def run(method: str, **options: Any) -> tuple[Outcome, np.ndarray]:
+        # kernels, and what a first run of a scene prepares, count for no method
+        pc.simulate(scene, state, 1e-6, method=method, control=control)
+        began = time.perf_counter()
+        found = pc.simulate(scene, state, DURATION, method=method, control=control, **options)
+        seconds = time.perf_counter() - began
+        evaluations = int(found.stats.get("rhs", 0))
+        return Outcome(found.status, found.message, seconds, len(found.events), evaluations), _places(
+            model, found.q[-1]
+        )
+
+    row = Row("", motion, {}, math.nan)
+    half, ends = run("Moreau", step=0.5 * STEP)
+    for method in methods:
+        outcome, places = run(method, **({"step": STEP} if method == "Moreau" else {}))
+        if half.status == 0 and outcome.status == 0:
+            outcome.distance = float(np.abs(places - ends).max())
+        if method == "Moreau":
+            row.changes = outcome.distance
+        row.outcomes[method] = outcome
+        report(row)
+    return row
+
+
+def _work(file: str, motion: str, methods: tuple[str, ...], connection: Any) -> None:
+    folder = robots_folder()
+    assert folder is not None
+    try:
+        measure(load(folder, file), motion, methods, connection.send)
+        connection.send(None)
+    except Exception as error:
+        connection.send(f"{type(error).__name__}: {error}")
+
+
+def in_own_process(file: str, motion: str, methods: tuple[str, ...], limit: float) -> tuple[Row | None, str]:
+    """`measure` with a limit of so many s for each method; the row as far as it came, and what ended it early."""
+    context = multiprocessing.get_context("spawn")
+    reader, writer = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(file, motion, methods, writer), daemon=True)
+    process.start()
+    writer.close()
+    row: Row | None = None
+    # the first one compiles kernels
+    left, trouble = 60.0 + limit, ""
+    while True:
+        try:
+            if not reader.poll(left):
+                trouble = f"takes more than {limit:g} s"
+                process.terminate()
+                break
+            received = reader.recv()
+        except EOFError:
+            trouble = "its process died"
+            break
+        if received is None:
+            break
+        if isinstance(received, str):
+            trouble = received
+            break
+        row, left = received, limit
+    process.join()
+    return row, trouble
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("robots", nargs="*", metavar="robot", help=f"any of {', '.join(ROBOTS)}; all by default")
+    parser.add_argument("--limit", type=float, default=30.0, metavar="S", help="on the time of a run; 30 by default")
+    parser.add_argument("--runs", default=",".join(RUNS))
+    parser.add_argument("--methods", default=",".join(METHODS))
+    options = parser.parse_args()
+    if robots_folder() is None:
+        parser.error('pip install "pincontact[robots]" brings the robots')
+    for name in options.robots:
+        if name not in ROBOTS:
+            parser.error(f"there is no robot {name!r}")
+    methods = tuple(options.methods.split(","))
+    print(f"{'robot':32s} {'motion':8s} {'halved':>8s}  " + "  ".join(f"{method:>34s}" for method in methods))
+    bad = total = 0
+    for name in options.robots or ROBOTS:
+        for motion in options.runs.split(","):
+            row, trouble = in_own_process(ROBOTS[name], motion, methods, options.limit)
+            total += 1
+            outcomes = row.outcomes if row is not None else {}
+            cells = [_cell(outcomes.get(method), outcomes.get("Moreau")) for method in methods]
+            changes = f"{row.changes:8.1e}" if row is not None else " " * 8
+            print(f"{name:32s} {motion:8s} {changes}  " + "  ".join(cells).rstrip())
+            faults = [*(row.faults() if row is not None else ()), *([trouble] if trouble else [])]
+            for fault in faults:
+                print(f"    {fault}")
+            bad += bool(faults)
+            sys.stdout.flush()
+    print(f"{total} rows, {bad} with something wrong; each: status, s, times time stepping's, events, m from it")
+    return 1 if bad else 0
+
+
+def _cell(outcome: Outcome | None, other: Outcome | None) -> str:
+    if outcome is None:
+        return f"{'':34s}"
+    factor = outcome.seconds / other.seconds if other is not None else math.nan
+    return f"{outcome.status:3d} {outcome.seconds:7.2f} {factor:5.1f}x {outcome.events:6d} {outcome.distance:8.1e}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -38,7 +38,7 @@ def _solved(upper: np.ndarray, right: np.ndarray, transposed: bool) -> np.ndarra
 
 
 def whitened_velocity(system: System, v: np.ndarray) -> np.ndarray:
-    """L v: half of its square is the kinetic energy of v. BLAS's own for triangles starts threads, too: milliseconds."""
+    """L v: half of its square is the kinetic energy of v. BLAS's own for triangles starts threads, too."""
     return np.tril(system.factor) @ v
 
 

@@ -1005,7 +1005,8 @@ class Transitions:
         closed = system.closed()
         deep = any(c in self.dips.contacts for c in closed)
         energy = sum(self._energies()) if deep else 0.0
-        ends = [g for g in system.held() if system.guard_int[g, GUARD_END] != 0]
+        sides = {g: int(system.guard_int[g, GUARD_END]) for g in system.held() if system.guard_int[g, GUARD_END] != 0}
+        ends = list(sides)
         impact = apply_impact(system, self.modes.solver, closed, ends, restitution)
         if impact is None:
             names = ", ".join(repr(self.names[i]) for i in touching) or "a joint's limit"
@@ -1035,10 +1036,8 @@ class Transitions:
             self._stop_jammed(t)
         else:
             self._stop_slips(t, self.held_up())
-        ended = self._end_short_slips(t)
-        if ended:
-            undecided += [c for c in ended if math.isfinite(system.contact_real[c, MU])]
-            self._project(t, explained=True)
+        if self._end_short_motions(t, closed, sides):
+            undecided = self.modes_from_velocities(after_impact=True)
         self._count_loss(before)
         if deep:
             self._leave_dips(t, energy + impact.drives)
@@ -1078,19 +1077,57 @@ class Transitions:
         if status > EVENT and status != NO_FORCE:
             raise self.give_up(t, LOCATION_FAILED)
 
-    def _end_short_slips(self, t: float) -> list[int]:
-        """Let contacts stick whose slip after an impact would end in a distance shorter than positions are known to.
+    def _end_short_motions(self, t: float, contacts: list[int], sides: dict[int, int]) -> bool:
+        """End what an impact has begun and would end within distances shorter than positions are known to: slips, and
+        hops of what took part, contacts and ends of joints (coordinate -> end); whether there was any.
 
-        Else a body that comes to rest goes on for ever: that slip's friction tips it, and what tips falls as far below
-        the ground as its touch is noticed late.
+        Else a body that comes to rest goes on for ever: such a slip's friction tips it, and what tips falls as far
+        below the ground as its touch is noticed late; and coupled joints that are pressed onto their ends throw each
+        other off them in turn.
         """
-        system = self.system
-        if self.rk.evaluate(t) > EVENT:
-            return []
-        ended = []
-        for c in system.closed():
-            speed, rate = system.contact_real[c, SLIP_SPEED], system.contact_real[c, SLIP_RATE]
-            if system.contact_int[c, MODE] == SLIPPING and rate < 0.0 and speed * speed <= -2.0 * rate * self._reach(c):
-                system.contact_int[c, MODE] = STICK
-                ended.append(c)
-        return ended
+        system, modes = self.system, self.system.contact_int[:, MODE]
+        for count in range(system.items + 1):
+            if self.rk.evaluate(t) > EVENT:
+                break
+            slips = [c for c in system.closed() if modes[c] == SLIPPING and self._stops_short(c)]
+            stops = [g for g in range(system.ng) if modes[system.nc + g] == FREE and self._joint_stops_short(g)]
+            hops = [g for g, end in sides.items() if modes[system.nc + g] == FREE and self._joint_hops(g, end)]
+            touches = [c for c in contacts if modes[c] == FREE and self._hops(t, c)]
+            if not (slips or stops or hops or touches):
+                return count > 0
+            for c in touches:
+                modes[c] = rest_mode(system.contact_real[c, MU])
+            if touches:
+                self.modes_from_velocities(after_impact=True)
+            modes[slips] = STICK
+            for g in stops:
+                self.modes.hold(g, 0)
+            for g in hops:
+                self.modes.hold(g, sides[g])
+            self._project(t, explained=True)
+        return True
+
+    def _stops_short(self, c: int) -> bool:
+        """Whether the slip of contact c ends in a distance that is shorter than positions are known to."""
+        speed, rate = self.system.contact_real[c, [SLIP_SPEED, SLIP_RATE]]
+        return bool(rate < 0.0 and speed * speed <= -2.0 * rate * self._reach(c))
+
+    def _joint_stops_short(self, g: int) -> bool:
+        """The same of joint coordinate g, which slides against its dry friction."""
+        guard, sign = self.system.guards[g], int(self.system.guard_int[g, GUARD_SIGN])
+        speed, rate = self.system.v[guard.index_v], sign * self.system.acceleration[guard.index_v]
+        return bool(guard.dry and sign != 0 and rate < 0.0 and speed * speed <= -2.0 * rate * self._guard_reach)
+
+    def _joint_hops(self, g: int, end: int) -> bool:
+        """Whether joint coordinate g comes back to the end that it leaves from no further than gaps are known."""
+        index = self.system.guards[g].index_v
+        speed, back = self.system.v[index], end * self.system.acceleration[index]
+        return bool(back > 0.0 and speed * speed <= 2.0 * back * self._guard_reach)
+
+    def _hops(self, t: float, c: int) -> bool:
+        """The same of contact c."""
+        reach = self._reach(c)
+        if c in self.dips.contacts or abs(float(self.system.gaps[c, 0])) > reach:
+            return False
+        speed, back = self._leaves_at(c), -self.modes.gap_acceleration(t, c)
+        return back > 0.0 and speed * speed <= 2.0 * back * reach

@@ -877,7 +877,7 @@ class Transitions:
             self.system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += self._counted_energy() - before
 
     def until_touch(self) -> float:
-        """Time in s that the gaps of open contacts last at their present rates."""
+        """Time in s that the gaps of open contacts, and the ways of joints to their ends, last at their present rates."""
         system = self.system
         left = math.inf
         for c in range(system.nc):
@@ -887,6 +887,12 @@ class Transitions:
                 reach = self._reach(c)
                 way = float(system.gaps[c, 0] + self.dips.depths[c]) + reach
                 left = min(left, max(way, _LEAST_WAY * reach) / approach)
+        for g, guard in enumerate(system.guards):
+            speed = float(system.v[guard.index_v])
+            if system.contact_int[system.nc + g, MODE] == FREE and speed != 0.0:
+                position, reach = float(system.q[guard.index_q]), self._guard_reach
+                way = (guard.high_end - position if speed > 0.0 else position - guard.low_end) + reach
+                left = min(left, max(way, _LEAST_WAY * reach) / abs(speed))
         return left
 
     def _uneventful(self) -> bool:

@@ -4,7 +4,8 @@ Every robot of example-robot-data that Pinocchio loads and whose joints all move
 Romeo's fingers do not), with spheres at its last links, over a plane: dropped limp from 1 cm, and held by PD at its
 reference configuration, for half a second, each robot and motion in a process of its own. Prints a table: how far
 halving time stepping's step moves the end, which tells what is chaotic; and for each method status, processor time in
-s, and as a multiple of time stepping's, events, and how far the end is from time stepping's.
+s, and as a multiple of time stepping's, events, and how far the end is from time stepping's. The event-driven methods
+run with fallback="Moreau"; F marks the runs that needed it, with what stopped them.
 """
 
 from __future__ import annotations
@@ -38,6 +39,10 @@ STIFFNESS, DAMPING = 15.0, 1.0
 FACTOR = 20.0
 # s: shorter runs are timed a second time
 _LONG = 2.0
+# m: feet are what is no higher over the lowest sphere; what stands starts so far over the floor
+_LEVEL, _START = 0.05, 1e-3
+# Inertia that PD counts with, as a multiple of what the joint itself moves, at most.
+_HEAVIEST = 8.0
 # Reference configurations by what SRDF files call them, in this order.
 POSTURES = ("standing", "half_sitting", "home", "default")
 
@@ -122,6 +127,7 @@ class Robot:
     scene: pc.Scene
     q: np.ndarray
     free: bool
+    feet: list[str]
 
     @property
     def model(self) -> pin.Model:
@@ -160,7 +166,7 @@ def load(folder: Path, file: str) -> Robot:
     for _, name in feet:
         sphere = scene.add_contour(name, pc.Sphere(RADIUS), name)
         scene.add_contact(name, sphere, floor, friction=pc.Coulomb(FRICTION))
-    return Robot(scene, q, free)
+    return Robot(scene, q, free, [name for _, name in feet])
 
 
 def _posture(model: pin.Model, folder: Path) -> np.ndarray:
@@ -175,30 +181,46 @@ def _posture(model: pin.Model, folder: Path) -> np.ndarray:
 
 
 def pd_control(robot: Robot) -> Callable[[float, np.ndarray, np.ndarray], np.ndarray]:
-    """Torques towards the reference configuration, gains in proportion to what each joint moves, gravity held."""
+    """Torques towards the reference configuration, which there hold up gravity, the feet's share of the weight, too.
+
+    Gains are in proportion to the inertia that a joint moves, with the body's as far as explicit steps bear it.
+    """
     model, data, wanted = robot.model, robot.model.createData(), robot.q.copy()
     pin.crba(model, data, wanted, pin.Convention.WORLD)
     inertia = np.diag(data.M).copy()
-    gravity = np.array(pin.computeGeneralizedGravity(model, data, wanted))
+    held = np.array(pin.computeGeneralizedGravity(model, data, wanted))
     if robot.free:
-        inertia[:6] = gravity[:6] = 0.0
+        weight = pin.computeTotalMass(model) * -model.gravity981[2]
+        pin.computeJointJacobians(model, data, wanted)
+        pin.updateFramePlacements(model, data)
+        heights = {name: data.oMf[model.getFrameId(name, pin.FrameType.BODY)].translation[2] for name in robot.feet}
+        feet = [name for name in robot.feet if heights[name] < min(heights.values()) + _LEVEL]
+        for name in feet:
+            frame = model.getFrameId(name, pin.FrameType.BODY)
+            rows = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+            held -= rows[2] * weight / len(feet)
+        carried = weight / -model.gravity981[2] * wanted[2] ** 2 / len(feet)
+        inertia = np.minimum(inertia + carried, _HEAVIEST * inertia)
+        inertia[:6] = held[:6] = 0.0
     stiffness, damping = STIFFNESS**2 * inertia, 2.0 * DAMPING * STIFFNESS * inertia
 
     def control(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return gravity + stiffness * pin.difference(model, q, wanted) - damping * v
+        return held + stiffness * pin.difference(model, q, wanted) - damping * v
 
     return control
 
 
 @dataclass
 class Outcome:
-    """What became of one run; distance: in m, of any joint at the end from time stepping's (NaN without one)."""
+    """What became of one run; fell_back: whether time stepping had to finish it; distance: in m, of any joint at the
+    end from time stepping's with half the step (NaN without one)."""
 
     status: int
     message: str
     seconds: float
     events: int
     evaluations: int
+    fell_back: bool
     distance: float = math.nan
 
 
@@ -237,7 +259,10 @@ def measure(
 ) -> Row:
     """Run one motion in all methods; report(row): called with what is known after each."""
     scene, model = robot.scene, robot.model
-    state = scene.initial_state(robot.q, np.zeros(model.nv), free=list(scene.contacts))
+    q = robot.q.copy()
+    if motion == "standing" and robot.free:
+        q[2] -= HEIGHT - _START
+    state = scene.initial_state(q, np.zeros(model.nv), free=list(scene.contacts))
     control = pd_control(robot) if motion == "standing" else None
 
     def run(method: str, **options: Any) -> tuple[Outcome, np.ndarray]:
@@ -249,15 +274,14 @@ def measure(
             seconds = min(seconds, time.process_time() - began)
             if seconds > _LONG:
                 break
-        evaluations = int(found.stats.get("rhs", 0))
-        return Outcome(found.status, found.message, seconds, len(found.events), evaluations), _places(
-            model, found.q[-1]
-        )
+        evaluations, fell_back = int(found.stats.get("rhs", 0)), any(e.kind == "fallback" for e in found.events)
+        outcome = Outcome(found.status, found.message, seconds, len(found.events), evaluations, fell_back)
+        return outcome, _places(model, found.q[-1])
 
     row = Row("", motion, {}, math.nan)
     half, ends = run("Moreau", step=0.5 * STEP)
     for method in methods:
-        outcome, places = run(method, **({"step": STEP} if method == "Moreau" else {}))
+        outcome, places = run(method, step=STEP, **({} if method == "Moreau" else {"fallback": "Moreau"}))
         if half.status == 0 and outcome.status == 0:
             outcome.distance = float(np.abs(places - ends).max())
         if method == "Moreau":
@@ -331,6 +355,9 @@ def main() -> int:
             changes = f"{row.changes:8.1e}" if row is not None else " " * 8
             print(f"{name:32s} {motion:8s} {changes}  " + "  ".join(cells).rstrip())
             faults = [*(row.faults() if row is not None else ()), *([trouble] if trouble else [])]
+            for method, outcome in outcomes.items():
+                if outcome.fell_back:
+                    print(f"    {method}: {outcome.message}")
             for fault in faults:
                 print(f"    {fault}")
             bad += bool(faults)
@@ -343,7 +370,8 @@ def _cell(outcome: Outcome | None, other: Outcome | None) -> str:
     if outcome is None:
         return f"{'':34s}"
     factor = outcome.seconds / other.seconds if other is not None else math.nan
-    return f"{outcome.status:3d} {outcome.seconds:7.2f} {factor:5.1f}x {outcome.events:6d} {outcome.distance:8.1e}"
+    status = f"{outcome.status}{'F' if outcome.fell_back else ''}"
+    return f"{status:>3s} {outcome.seconds:7.2f} {factor:5.1f}x {outcome.events:6d} {outcome.distance:8.1e}"
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..dynamics.energy import REST_SPEED, energies_at
 from ..dynamics.impact import apply_impact
-from ..dynamics.joints import END_SLACK
+from ..dynamics.joints import END_SLACK, without_inertia
 from ..dynamics.modes import Decision, ModeSolver, freeze_slip, held_up_by_friction, rest_mode
 from ..dynamics.stretches import opposed_slip
 from ..dynamics.system import FORCE_SLACK
@@ -180,6 +180,8 @@ class Transitions:
         code, reason = FAILURES[failure]
         if failure == NO_FORCE and self.modes.proved:
             reason = "no contact forces satisfy Coulomb's law (Painleve)"
+        if failure == MASS_NOT_POSITIVE:
+            reason = without_inertia(self.system.model, self.system.data, self.system.q)
         advice = f"; {ADVICE}" if failure == NO_FORCE else ""
         culprit = self._culprit(failure)
         if code == SINGULAR_CONTACT:
@@ -877,7 +879,7 @@ class Transitions:
             self.system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += self._counted_energy() - before
 
     def until_touch(self) -> float:
-        """Time in s that the gaps of open contacts, and the ways of joints to their ends, last at their present rates."""
+        """Time in s that gaps of open contacts, and ways of joints to their ends, last at their present rates."""
         system = self.system
         left = math.inf
         for c in range(system.nc):

@@ -1098,8 +1098,11 @@ class Transitions:
             if self.rk.evaluate(t) > EVENT:
                 break
             slips = [c for c in system.closed() if modes[c] == SLIPPING and self._stops_short(c)]
-            stops = [g for g in range(system.ng) if modes[system.nc + g] == FREE and self._joint_stops_short(g)]
-            hops = [g for g, end in sides.items() if modes[system.nc + g] == FREE and self._joint_hops(g, end)]
+            left = [g for g in sides if modes[system.nc + g] == FREE]
+            hops = [g for g in left if self._joint_hops(g, sides[g])]
+            # dry joints that soon stop are what throws others back onto their ends
+            dry = [g for g in range(system.ng) if modes[system.nc + g] == FREE] if left else []
+            stops = [g for g in dry if self._joint_stops_short(g)]
             touches = [c for c in contacts if modes[c] == FREE and self._hops(t, c)]
             if not (slips or stops or hops or touches):
                 return count > 0

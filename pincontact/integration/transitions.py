@@ -176,7 +176,7 @@ class Transitions:
         if (failure == LOCATION_FAILED or failure not in FAILURES) and self._degenerates(t):
             failure = SINGULAR
         if failure not in FAILURES:
-            return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the step size fell below its floor")
+            return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the step size fell below its floor{self._largest_slide()}")
         code, reason = FAILURES[failure]
         if failure == NO_FORCE and self.modes.proved:
             reason = "no contact forces satisfy Coulomb's law (Painleve)"
@@ -192,6 +192,15 @@ class Transitions:
             if code == SINGULAR_CONTACT:
                 number = f"; conditioning of J {abs(self.system.contact_real[culprit, CONDITION]):.3g}"
         return Stop(code, f"t = {t:.9g} s: {where}{reason}{number}{advice}")
+
+    def _largest_slide(self) -> str:
+        """What a message adds where something slides: friction may let forces grow without bound (Painleve)."""
+        sliding = [c for c, mode in enumerate(self.system.modes.tolist()) if mode == SLIPPING]
+        if not sliding:
+            return ""
+        forces = np.linalg.norm(self.system.force[sliding], axis=1)
+        name = self.names[sliding[int(forces.argmax())]]
+        return f"; the largest force on what slides is {forces.max():.3g} N at contact {name!r}; {ADVICE}"
 
     def _degenerates(self, t: float) -> bool:
         """Whether a closed contact is as good as singular at the accepted state, which is evaluated."""
@@ -643,6 +652,8 @@ class Transitions:
         """Put the state on its constraints; explained: by an impact, say, whatever that takes from the velocity."""
         before = self.system.v.copy()
         if not self.rk.project(t, evaluated):
+            if self.rk.evaluate(t) == NO_FORCE:
+                raise self.give_up(t, NO_FORCE)
             raise Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
         if explained:
             return

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import multiprocessing
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -23,6 +22,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from own_process import in_own_process
 
 import pincontact as pc
 from pincontact.dynamics.joints import joint_guards
@@ -30,6 +30,8 @@ from pincontact.dynamics.joints import joint_guards
 METHODS = ("Moreau", "DOP853", "RK45")
 RUNS = ("limp", "standing")
 DURATION, STEP = 0.5, 1e-3
+# s that kernels may take to compile
+COMPILATION = 60.0
 # m: of the spheres at the last links, and what they are dropped from
 RADIUS, HEIGHT = 0.02, 0.01
 FRICTION = 0.7
@@ -307,37 +309,16 @@ def _work(file: str, motion: str, methods: tuple[str, ...], connection: Any) -> 
         measure(load(folder, file), motion, methods, connection.send)
         connection.send(None)
     except Exception as error:
-        connection.send(f"{type(error).__name__}: {error}")
+        # some of ours are not what they were once they have been sent
+        connection.send(RuntimeError(f"{type(error).__name__}: {error}"))
 
 
-def in_own_process(file: str, motion: str, methods: tuple[str, ...], limit: float) -> tuple[Row | None, str]:
+def run_robot(file: str, motion: str, methods: tuple[str, ...], limit: float) -> tuple[Row | None, str]:
     """`measure` with a limit of so many s for each method; the row as far as it came, and what ended it early."""
-    context = multiprocessing.get_context("spawn")
-    reader, writer = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(file, motion, methods, writer), daemon=True)
-    process.start()
-    writer.close()
-    row: Row | None = None
     # the first one compiles kernels
-    left, trouble = 60.0 + limit, ""
-    while True:
-        try:
-            if not reader.poll(left):
-                trouble = f"takes more than {limit:g} s"
-                process.terminate()
-                break
-            received = reader.recv()
-        except EOFError:
-            trouble = "its process died"
-            break
-        if received is None:
-            break
-        if isinstance(received, str):
-            trouble = received
-            break
-        row, left = received, limit
-    process.join()
-    return row, trouble
+    late = f"takes more than {limit:g} s"
+    rows, trouble = in_own_process(_work, (file, motion, methods), lambda n: limit if n else limit + COMPILATION, late)
+    return rows[-1] if rows else None, trouble
 
 
 def main() -> int:
@@ -357,7 +338,7 @@ def main() -> int:
     bad = total = 0
     for name in options.robots or ROBOTS:
         for motion in options.runs.split(","):
-            row, trouble = in_own_process(ROBOTS[name], motion, methods, options.limit)
+            row, trouble = run_robot(ROBOTS[name], motion, methods, options.limit)
             total += 1
             outcomes = row.outcomes if row is not None else {}
             cells = [_cell(outcomes.get(method), outcomes.get("Moreau")) for method in methods]

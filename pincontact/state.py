@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from .arguments import NOT_REAL, is_number, real_array, warn_of_order
 from .contacts import Contact, characteristic_length
-from .dynamics.joints import joint_of
+from .dynamics.joints import joint_of, without_inertia
 from .dynamics.system import System
 from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
 from .geometry.search import Candidate, find_candidates
@@ -50,6 +50,8 @@ if TYPE_CHECKING:
 _NORM_TOLERANCE = 1e-6
 _GAP_FRACTION = 0.05
 _FLOAT = np.dtype(float)
+# Inertia that is left to a joint once all others are free, as part of what it moves, below which it is round-off.
+_NO_INERTIA = 1e-10
 # Of each kind of block of the configuration, where what has norm 1 begins and how long it is.
 _UNITS = {VECTOR: (0, 0), FREE_FLYER: (3, 4), QUATERNION: (0, 4), CIRCLE_BLOCK: (0, 2), PLANAR_BLOCK: (2, 2)}
 
@@ -353,15 +355,9 @@ def _correct(scene: Scene, system: System, q: np.ndarray, v: np.ndarray, t: floa
     """Project (q, v) of the system onto the constraints; reports the change."""
     names = [c.name for c in system.contacts]
     status = system.evaluate(t)
-    if status == MASS_NOT_POSITIVE:
-        # the motion that takes least inertia, and the joint that has the largest part in it
-        mass = pin.crba(scene.model, system.data, system.q, pin.Convention.WORLD)
-        moments, motions = np.linalg.eigh(np.triu(mass) + np.triu(mass, 1).T)
-        joint = joint_of(scene.model, int(np.abs(motions[:, 0]).argmax()))
-        raise ModelError(
-            f"the mass matrix is not positive definite in this configuration: joint {joint!r} moves nothing that has "
-            f"inertia (least eigenvalue {moments[0]:.3g})"
-        )
+    pivots = system.factor.diagonal() ** 2
+    if status == MASS_NOT_POSITIVE or (pivots <= _NO_INERTIA * system.data.M.diagonal()).any():
+        raise ModelError(without_inertia(scene.model, system.data, system.q))
     if status == SINGULAR:
         raise SingularContactError("the location equations are singular in this configuration", 0.0)
     gaps, slips = {}, {}

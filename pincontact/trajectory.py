@@ -398,7 +398,7 @@ class Trajectory:
             lambda: _joined(self._recorded, kept, rest._recorded, first, works),
             [*(e for e in self.events if e.time <= t), event, *rest.events],
             rest.status,
-            rest.message,
+            f"{rest.message}; by time stepping from t = {t:.9g} s on, since at {self.message}",
             stats,
         )
 

@@ -78,6 +78,18 @@ def check_guards(guards: list[Guard], q: np.ndarray) -> None:
             )
 
 
+def without_inertia(model: pin.Model, data: pin.Data, q: np.ndarray) -> str:
+    """The mass matrix's fault at q, as a message names it: the joint with the largest part in the motion that takes
+    least inertia."""
+    mass = pin.crba(model, data, q, pin.Convention.WORLD)
+    moments, motions = np.linalg.eigh(np.triu(mass) + np.triu(mass, 1).T)
+    joint = joint_of(model, int(np.abs(motions[:, 0]).argmax()))
+    return (
+        f"the mass matrix is not positive definite in this configuration: joint {joint!r} moves nothing that has "
+        f"inertia (least eigenvalue {moments[0]:.3g}); give its body some, or its motor (model.armature)"
+    )
+
+
 def joint_of(model: pin.Model, index_v: int) -> str:
     """Name of the joint of a velocity coordinate."""
     for j in range(1, model.njoints):

@@ -193,6 +193,8 @@ class Driver:
                 t, switched = self._complete(t, float(scalars[STEP]), float(scalars[NEXT_TIME]))
                 if switched:
                     self._restart(h)
+                elif self._slides_slowly() and t < t_end:
+                    t = self._slow_slip(t)
             elif why == SLIP_ENDS:
                 h = float(scalars[NEXT_STEP])
                 t = self._end_slip(t)
@@ -421,6 +423,12 @@ class Driver:
         return after, True
 
     # ---------------------------------------------------------------- slow slip and its end
+
+    def _slides_slowly(self) -> bool:
+        """Whether so many steps were stiff as is allowed, where the compiled steps leave it to be asked."""
+        counters = self.system.counters
+        asked = self.locator.users or self.options.fixed_step
+        return bool(not asked and counters[STIFF_STEPS] >= counters[PATIENCE])
 
     def _slow_slip(self, t: float) -> float:
         """Steps with prescribed directions of slip as long as these are longer than many stiff ones; the new time."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..dynamics.energy import REST_SPEED, energies_at
 from ..dynamics.impact import apply_impact
-from ..dynamics.joints import END_SLACK
+from ..dynamics.joints import END_SLACK, without_inertia
 from ..dynamics.modes import Decision, ModeSolver, freeze_slip, held_up_by_friction, rest_mode
 from ..dynamics.stretches import opposed_slip
 from ..dynamics.system import FORCE_SLACK
@@ -176,10 +176,12 @@ class Transitions:
         if (failure == LOCATION_FAILED or failure not in FAILURES) and self._degenerates(t):
             failure = SINGULAR
         if failure not in FAILURES:
-            return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the step size fell below its floor")
+            return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the step size fell below its floor{self._largest_slide()}")
         code, reason = FAILURES[failure]
         if failure == NO_FORCE and self.modes.proved:
             reason = "no contact forces satisfy Coulomb's law (Painleve)"
+        if failure == MASS_NOT_POSITIVE:
+            reason = without_inertia(self.system.model, self.system.data, self.system.q)
         advice = f"; {ADVICE}" if failure == NO_FORCE else ""
         culprit = self._culprit(failure)
         if code == SINGULAR_CONTACT:
@@ -190,6 +192,15 @@ class Transitions:
             if code == SINGULAR_CONTACT:
                 number = f"; conditioning of J {abs(self.system.contact_real[culprit, CONDITION]):.3g}"
         return Stop(code, f"t = {t:.9g} s: {where}{reason}{number}{advice}")
+
+    def _largest_slide(self) -> str:
+        """What a message adds where something slides: friction may let forces grow without bound (Painleve)."""
+        sliding = [c for c, mode in enumerate(self.system.modes.tolist()) if mode == SLIPPING]
+        if not sliding:
+            return ""
+        forces = np.linalg.norm(self.system.force[sliding], axis=1)
+        name = self.names[sliding[int(forces.argmax())]]
+        return f"; the largest force on what slides is {forces.max():.3g} N at contact {name!r}; {ADVICE}"
 
     def _degenerates(self, t: float) -> bool:
         """Whether a closed contact is as good as singular at the accepted state, which is evaluated."""
@@ -602,7 +613,12 @@ class Transitions:
             return self._collide(t, system.closed(), {})
         self._check_chatter(t, index)
         if kind == SPEED_MARGIN:
-            self.modes.hold(g, 0)
+            speed = float(system.v[system.guards[g].index_v])
+            if abs(speed) > self._rest_speed():
+                # a short step of another's slip has carried it through zero: it slides the other way now
+                self.modes.release(g, 1 if speed > 0.0 else -1)
+            else:
+                self.modes.hold(g, 0)
         elif self._redistribute(t, index, kind):
             return t
         else:
@@ -636,6 +652,8 @@ class Transitions:
         """Put the state on its constraints; explained: by an impact, say, whatever that takes from the velocity."""
         before = self.system.v.copy()
         if not self.rk.project(t, evaluated):
+            if self.rk.evaluate(t) == NO_FORCE:
+                raise self.give_up(t, NO_FORCE)
             raise Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
         if explained:
             return
@@ -872,7 +890,7 @@ class Transitions:
             self.system.stage_state[FRICTION_WORK - NUMBER_OF_WORKS] += self._counted_energy() - before
 
     def until_touch(self) -> float:
-        """Time in s that the gaps of open contacts last at their present rates."""
+        """Time in s that gaps of open contacts, and ways of joints to their ends, last at their present rates."""
         system = self.system
         left = math.inf
         for c in range(system.nc):
@@ -882,6 +900,12 @@ class Transitions:
                 reach = self._reach(c)
                 way = float(system.gaps[c, 0] + self.dips.depths[c]) + reach
                 left = min(left, max(way, _LEAST_WAY * reach) / approach)
+        for g, guard in enumerate(system.guards):
+            speed = float(system.v[guard.index_v])
+            if system.contact_int[system.nc + g, MODE] == FREE and speed != 0.0:
+                position, reach = float(system.q[guard.index_q]), self._guard_reach
+                way = (guard.high_end - position if speed > 0.0 else position - guard.low_end) + reach
+                left = min(left, max(way, _LEAST_WAY * reach) / abs(speed))
         return left
 
     def _uneventful(self) -> bool:
@@ -1000,7 +1024,8 @@ class Transitions:
         closed = system.closed()
         deep = any(c in self.dips.contacts for c in closed)
         energy = sum(self._energies()) if deep else 0.0
-        ends = [g for g in system.held() if system.guard_int[g, GUARD_END] != 0]
+        sides = {g: int(system.guard_int[g, GUARD_END]) for g in system.held() if system.guard_int[g, GUARD_END] != 0}
+        ends = list(sides)
         impact = apply_impact(system, self.modes.solver, closed, ends, restitution)
         if impact is None:
             names = ", ".join(repr(self.names[i]) for i in touching) or "a joint's limit"
@@ -1030,10 +1055,8 @@ class Transitions:
             self._stop_jammed(t)
         else:
             self._stop_slips(t, self.held_up())
-        ended = self._end_short_slips(t)
-        if ended:
-            undecided += [c for c in ended if math.isfinite(system.contact_real[c, MU])]
-            self._project(t, explained=True)
+        if self._end_short_motions(t, closed, sides):
+            undecided = self.modes_from_velocities(after_impact=True)
         self._count_loss(before)
         if deep:
             self._leave_dips(t, energy + impact.drives)
@@ -1073,19 +1096,60 @@ class Transitions:
         if status > EVENT and status != NO_FORCE:
             raise self.give_up(t, LOCATION_FAILED)
 
-    def _end_short_slips(self, t: float) -> list[int]:
-        """Let contacts stick whose slip after an impact would end in a distance shorter than positions are known to.
+    def _end_short_motions(self, t: float, contacts: list[int], sides: dict[int, int]) -> bool:
+        """End what an impact has begun and would end within distances shorter than positions are known to: slips, and
+        hops of what took part, contacts and ends of joints (coordinate -> end); whether there was any.
 
-        Else a body that comes to rest goes on for ever: that slip's friction tips it, and what tips falls as far below
-        the ground as its touch is noticed late.
+        Else a body that comes to rest goes on for ever: such a slip's friction tips it, and what tips falls as far
+        below the ground as its touch is noticed late; and coupled joints that are pressed onto their ends throw each
+        other off them in turn.
         """
-        system = self.system
-        if self.rk.evaluate(t) > EVENT:
-            return []
-        ended = []
-        for c in system.closed():
-            speed, rate = system.contact_real[c, SLIP_SPEED], system.contact_real[c, SLIP_RATE]
-            if system.contact_int[c, MODE] == SLIPPING and rate < 0.0 and speed * speed <= -2.0 * rate * self._reach(c):
-                system.contact_int[c, MODE] = STICK
-                ended.append(c)
-        return ended
+        system, modes = self.system, self.system.contact_int[:, MODE]
+        for count in range(system.items + 1):
+            if self.rk.evaluate(t) > EVENT:
+                break
+            slips = [c for c in system.closed() if modes[c] == SLIPPING and self._stops_short(c)]
+            left = [g for g in sides if modes[system.nc + g] == FREE]
+            hops = [g for g in left if self._joint_hops(g, sides[g])]
+            # dry joints that soon stop are what throws others back onto their ends
+            dry = [g for g in range(system.ng) if modes[system.nc + g] == FREE] if left else []
+            stops = [g for g in dry if self._joint_stops_short(g)]
+            touches = [c for c in contacts if modes[c] == FREE and self._hops(t, c)]
+            if not (slips or stops or hops or touches):
+                return count > 0
+            for c in touches:
+                modes[c] = rest_mode(system.contact_real[c, MU])
+            if touches:
+                self.modes_from_velocities(after_impact=True)
+            modes[slips] = STICK
+            for g in stops:
+                self.modes.hold(g, 0)
+            for g in hops:
+                self.modes.hold(g, sides[g])
+            self._project(t, explained=True)
+        return True
+
+    def _stops_short(self, c: int) -> bool:
+        """Whether the slip of contact c ends in a distance that is shorter than positions are known to."""
+        speed, rate = self.system.contact_real[c, [SLIP_SPEED, SLIP_RATE]]
+        return bool(rate < 0.0 and speed * speed <= -2.0 * rate * self._reach(c))
+
+    def _joint_stops_short(self, g: int) -> bool:
+        """The same of joint coordinate g, which slides against its dry friction."""
+        guard, sign = self.system.guards[g], int(self.system.guard_int[g, GUARD_SIGN])
+        speed, rate = self.system.v[guard.index_v], sign * self.system.acceleration[guard.index_v]
+        return bool(guard.dry and sign != 0 and rate < 0.0 and speed * speed <= -2.0 * rate * self._guard_reach)
+
+    def _joint_hops(self, g: int, end: int) -> bool:
+        """Whether joint coordinate g comes back to the end that it leaves from no further than gaps are known."""
+        index = self.system.guards[g].index_v
+        speed, back = self.system.v[index], end * self.system.acceleration[index]
+        return bool(back > 0.0 and speed * speed <= 2.0 * back * self._guard_reach)
+
+    def _hops(self, t: float, c: int) -> bool:
+        """The same of contact c."""
+        reach = self._reach(c)
+        if c in self.dips.contacts or abs(float(self.system.gaps[c, 0])) > reach:
+            return False
+        speed, back = self._leaves_at(c), -self.modes.gap_acceleration(t, c)
+        return back > 0.0 and speed * speed <= 2.0 * back * reach

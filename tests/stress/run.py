@@ -7,7 +7,6 @@ was stressed, worst residual, worst energy error, status) and what is wrong; exi
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import sys
 import time
 from pathlib import Path
@@ -15,6 +14,8 @@ from typing import Any
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
+
+from own_process import in_own_process  # noqa: E402
 
 # s; the long random scenes are 10,000 runs of some 30 ms
 LIMIT_SHORT, LIMIT_LONG = 120.0, 3600.0
@@ -34,32 +35,8 @@ def _work(name: str, long: bool, connection: Any) -> None:
 
 def run_case(name: str, long: bool) -> tuple[list[Any], str]:
     """Findings of one case, and what ended it before its time."""
-    context = multiprocessing.get_context("spawn")
-    reader, writer = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(name, long, writer), daemon=True)
-    process.start()
-    writer.close()
-    findings: list[Any] = []
     end = time.monotonic() + (LIMIT_LONG if long else LIMIT_SHORT)
-    trouble = ""
-    while True:
-        try:
-            if not reader.poll(max(0.0, end - time.monotonic())):
-                trouble = "HANGS"
-                process.terminate()
-                break
-            received = reader.recv()
-        except EOFError:
-            trouble = "its process died"
-            break
-        if received is None:
-            break
-        if isinstance(received, Exception):
-            trouble = f"raised {received!r}"
-            break
-        findings.append(received)
-    process.join()
-    return findings, trouble
+    return in_own_process(_work, (name, long), lambda n: max(0.0, end - time.monotonic()), "HANGS")
 
 
 def main() -> int:

@@ -1,0 +1,47 @@
+"""The short form of `robots.py`: quadrupeds, humanoids and arms whose runs need no time stepping."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import robots
+
+import pincontact as pc
+
+FOLDER = robots.robots_folder()
+# joints of Go1 and G1 rattled for ever, in dry friction and at limits
+LIMP = ("go1", "g1_29dof_rev_1_0", "quadruped", "borinot_flying_arm_2", "finger_edu")
+STANDING = ("a1", "solo12", "xarm7")
+
+
+@pytest.mark.skipif(FOLDER is None, reason='needs pip install "pincontact[robots]"')
+@pytest.mark.parametrize(
+    ("name", "motion"), [*((name, "limp") for name in LIMP), *((name, "standing") for name in STANDING)]
+)
+def test_robot(name, motion):
+    row = robots.measure(robots.load(FOLDER, robots.ROBOTS[name]), motion, ("Moreau", "DOP853"))
+    assert not list(row.faults())
+    assert not row.outcomes["DOP853"].fell_back
+    if motion == "standing":
+        # time stepping's own error, and its limits': steps of a millisecond
+        assert row.outcomes["DOP853"].distance < 1e-3
+
+
+@pytest.mark.parametrize("case", range(8))
+def test_a_mass_matrix_that_is_singular_to_round_off_is_refused(case):
+    """A gimbal without inertia but of its last body, whose outer axes coincide: which sign a pivot has is chance."""
+    rng = np.random.default_rng(case)
+    model, parent = pin.Model(), 0
+    place = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
+    for name, joint in (("outer", pin.JointModelRZ()), ("middle", pin.JointModelRX()), ("inner", pin.JointModelRZ())):
+        parent, place = model.addJoint(parent, joint, place, name), pin.SE3.Identity()
+    inertia = pin.Inertia(rng.uniform(0.5, 2.0), rng.uniform(-1.0, 1.0, 3), np.diag(rng.uniform(0.02, 0.03, 3)))
+    model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+    q = np.array([rng.uniform(-3.0, 3.0), 0.0, rng.uniform(-3.0, 3.0)])
+    with pytest.raises(pc.ModelError, match=r"joint '(outer|inner)' moves nothing that has inertia.*armature"):
+        pc.Scene(model).initial_state(q)
+    model.armature[:] = 1e-3
+    scene = pc.Scene(model)
+    run = pc.simulate(scene, scene.initial_state(q), 0.1)
+    assert run.status == 0 and math.isfinite(float(run.q.sum()))

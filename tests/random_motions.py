@@ -235,7 +235,8 @@ def rolling(rng: np.random.Generator) -> Motion:
     )
     scene.add_contact(
         "c",
-        *((body, floor)[:: rng.choice([-1, 1])]),
+        # side is that of the first of two surfaces
+        *((body, floor)[:: 1 if side else rng.choice([-1, 1])]),
         law(rng, "ground"),
         side=side,
         restitution=float(rng.choice([0.0, 0.0, rng.random()])),

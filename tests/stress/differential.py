@@ -39,8 +39,8 @@ OUTPUTS = 20
 # ends before their time of which is said whether a solution existed
 ENDS_ASKED = 100
 MAX_STEPS = 10_000
-# What runs at default tolerances (1e-8) may differ by, in every component of q, where errors do not grow: a hundred
-# steps' and events'. RK23 takes a hundred times as many steps.
+# What runs at default tolerances (1e-8) may differ by, in every component of q, where errors do not grow and speeds are
+# those of 1 m/s: a hundred steps' and events'. RK23 takes a hundred times as many steps.
 CLOSE = {"DOP853": 1e-6, "Sharp98": 1e-6, "RK45": 1e-6, "RK23": 1e-5}
 # m/s and rad/s that rebounds which end take or leave: 1 mm/s at a tenth of a metre
 REST = 1e-2
@@ -88,10 +88,15 @@ class Runs:
 
     def apart(self, one: pc.Trajectory, two: pc.Trajectory) -> np.ndarray:
         """Largest difference so far of any component of q, at the outputs that both have."""
-        n = min(np.isin(run.t, self.times).sum() for run in (one, two))
+        n = min(self.reached(one), self.reached(two))
         model = self.motion.scene.model
         apart = [np.abs(pin.difference(model, one.q[i], two.q[i])).max(initial=0.0) for i in range(n)]
         return np.maximum.accumulate(np.array(apart)) if n else np.zeros(0)
+
+    def reached(self, run: pc.Trajectory) -> int:
+        """How many of the outputs a run has; one that ends early has a row for its end besides."""
+        n = min(run.t.size, self.times.size)
+        return int((np.abs(run.t[:n] - self.times[:n]) < 1e-9).sum())
 
     def changed(self, size: float, rng: np.random.Generator) -> Motion:
         """The motion with its start and its weights changed by `size`."""
@@ -164,6 +169,8 @@ def solution_after(runs: Runs, name: str, run: pc.Trajectory, exact: pc.Trajecto
 
 def judge(runs: Runs, one: pc.Trajectory, exact: pc.Trajectory, close: float, name: str, finding: Finding) -> None:
     """Compare two runs whose errors are those of tolerances."""
+    # tolerances are relative to what moves
+    close *= max(1.0, float(np.abs(exact.v).max(initial=0.0)))
     apart = runs.apart(one, exact)
     if first_over(apart, close) is None:
         return

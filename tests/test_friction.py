@@ -5,8 +5,11 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from random_contacts import START, RandomContact
 
 import pincontact as pc
+from pincontact.layout import MODE, NO_FORCE, SLIP_SIGN, SLIPPING
+from pincontact.state import write_discrete
 
 G = 9.81
 MASS = 0.4
@@ -133,3 +136,37 @@ def test_shaken_plate(method):
     np.testing.assert_allclose(np.diff(late), 0.5 / frequency, rtol=0.0, atol=1e-3)
     phase = np.abs(np.cos(rate * np.array(late[-4:])))
     np.testing.assert_allclose(phase, math.pi * mu * G / (2.0 * amplitude * rate**2), rtol=0.0, atol=5e-3)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_slip_on_a_curve_is_the_root_of_a_quadratic(seed):
+    """With x the normal force in the plane of two normals, G_nn x = b + mu G_nt |x|: so x = x_0 + mu k |x|, and |x| is
+    a root of a quadratic, the only one that is positive while mu |k| < 1."""
+    rng = np.random.default_rng(seed)
+    names = ("Point", str(rng.choice(["Helix", "Ellipse", "FourierCurve", "SplineCurve"])))
+    on_world, placed = bool(rng.random() < 0.5), int(rng.integers(10**6))
+    mu = rng.uniform(0.1, 1.5)
+    contact = RandomContact("P-3C", names, on_world=on_world, seed=placed, friction=pc.Coulomb(mu))
+    system, state, nv = contact.system, contact.state, contact.scene.model.nv
+    system.tau[:] = rng.normal(size=nv)
+    contact.at()
+    sign = np.sign(system.basis[0, 0] @ system.slip[0])
+    write_discrete(system, state.discrete)
+    system.contact_int[0, [MODE, SLIP_SIGN]] = SLIPPING, int(sign)
+    system.q[:], system.v[:], system.location[:] = state.q, state.v, state.location
+    status = system.evaluate(START)
+    data = contact.scene.model.createData()
+    mass = np.array(pin.crba(contact.scene.model, data, state.q))
+    mass = np.triu(mass) + np.triu(mass, 1).T
+    rows = system.rows[0]
+    gram = rows @ np.linalg.solve(mass, rows.T)
+    free = np.linalg.solve(mass, system.tau - pin.nonLinearEffects(contact.scene.model, data, state.q, state.v))
+    base = -(rows @ free + system.bias[0])[1:]
+    start, turn = np.linalg.solve(gram[1:, 1:], np.column_stack([base, mu * sign * gram[1:, 0]])).T
+    if turn @ turn >= 1.0:
+        # two roots or none
+        assert status == NO_FORCE or system.force[0, 1:] @ turn < np.linalg.norm(system.force[0, 1:])
+        return
+    size = max(np.roots([1.0 - turn @ turn, -2.0 * (start @ turn), -(start @ start)]).real)
+    assert status != NO_FORCE
+    np.testing.assert_allclose(system.force[0, 1:], start + size * turn, rtol=0.0, atol=1e-10 * (1.0 + size))

@@ -74,6 +74,8 @@ from .resistance import free_with_owners, resists, size_of_load
 # Friction on a point of a spatial curve depends on the length of a two-component normal force: fixed point, quadratic.
 _NORMAL_ITERATIONS = 50
 _NORMAL_CHANGE = 1e-15
+# What is left of a change where it has been found, but for round-off of the forces.
+_NORMAL_FOUND = 1e-6
 # Accelerations that contact forces cancel down to this part are zero, so that what is held does not creep by round-off
 # times the square of a step.
 _CANCELLED = 4e-15
@@ -246,12 +248,18 @@ def friction_directions(
 
 
 @kernel
-def solve_slip(system, n, x, permutation, scratch):
+def is_normal_of_curve(contact_int, c, row):
+    """Whether a row is one of the two normals of a point on a spatial curve."""
+    return row != 0 and contact_int[c, PATTERN] == ON_CURVE
+
+
+@kernel
+def solve_slip(contact_int, row_index, system, n, x, permutation, scratch):
     """Solve the unsymmetric system of slipping contacts, x (n,) in and out; returns its rank.
 
     -1 where a contact's own operator has lost positivity, against its frictionless value in the last column of
-    system: no force, or two (Painleve). Where that value is zero nothing moves along the normal, whatever pushes: the
-    multiplier is left out, and so zero, as among redundant ones.
+    system: no force, or two (Painleve); see `curves_lose_positivity` for points on curves. Where that value is zero
+    nothing moves along the normal, whatever pushes: the multiplier is left out, and so zero, as among redundant ones.
     """
     moving = 0
     for i in range(n):
@@ -264,7 +272,9 @@ def solve_slip(system, n, x, permutation, scratch):
             for j in range(n):
                 system[j, i] = 0.0
             continue
-        if not system[i, i] > PAINLEVE_LIMIT * system[i, n]:
+        if not system[i, i] > PAINLEVE_LIMIT * system[i, n] and not is_normal_of_curve(
+            contact_int, row_index[i, 0], row_index[i, 1]
+        ):
             return -1
         moving += 1
     if n == 1 or moving == 0:
@@ -278,6 +288,37 @@ def solve_slip(system, n, x, permutation, scratch):
 
 
 @kernel
+def curves_lose_positivity(contact_int, row_index, count, whitened, whitened_forces, nv):
+    """Whether the own operator of a point on a curve, of both its normals, has lost positivity, as in `solve_slip`.
+
+    Its determinant is that of the frictionless one times 1 - mu l . k, k = G_nn^-1 G_nt, whichever normals are taken;
+    where all motions are in one plane with the tangent, its trace is.
+    """
+    for r in range(count - 1):
+        c = row_index[r, 0]
+        if row_index[r, 1] != 2 or contact_int[c, PATTERN] != ON_CURVE or contact_int[c, MODE] != SLIPPING:
+            continue
+        own, forces = whitened[r : r + 2], whitened_forces[r : r + 2]
+        trace, size, moves_in_plane = plane_of_normals(own, nv)
+        left = inner(own[0], forces[0], nv) + inner(own[1], forces[1], nv)
+        if not moves_in_plane:
+            left = inner(own[0], forces[0], nv) * inner(own[1], forces[1], nv)
+            left -= inner(own[0], forces[1], nv) * inner(own[1], forces[0], nv)
+        if trace > 0.0 and not left > PAINLEVE_LIMIT * (trace if moves_in_plane else size):
+            return True
+    return False
+
+
+@kernel
+def plane_of_normals(own, nv):
+    """Trace and determinant of the operator of two normals, own (2, nv) whitened, and whether all motions along them
+    are in one plane."""
+    first, second, both = inner(own[0], own[0], nv), inner(own[1], own[1], nv), inner(own[0], own[1], nv)
+    size = first * second - both * both
+    return first + second, size, not size > RANK_TOLERANCE * (first + second) ** 2
+
+
+@kernel
 def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents, nv, work):
     """What a multiplier is measured in where forces are redundant: a contact's force is as large as its length times
     the root of its mobility, the mean of J M^-1 J^T over its directions.
@@ -286,10 +327,16 @@ def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents,
     """
     integers, numbers = contact_int[c], contact_real[c]
     tangents = integers[TANGENTS]
-    if row != 2 or integers[MODE] == FRICTIONLESS or tangents == 0:
+    on_curve = is_normal_of_curve(contact_int, c, row)
+    if not on_curve and (row != 2 or integers[MODE] == FRICTIONLESS or tangents == 0):
         return own
     total, largest = own, own
     for i in range(2):
+        if on_curve:
+            # the other normal and the tangent: the same whichever normals are taken
+            whiten(factor, parents, nv, rows[c, 3 - row if i == 0 else 0], work)
+            total += inner(work, work, nv)
+            continue
         if i >= tangents:
             total += largest
             break
@@ -472,7 +519,7 @@ def contact_dynamics(
     counters[ROW_COUNT], counters[ROW_RANK] = count, 0
     unloaded = 0
     whiten_rows(factor, parents, nv, rows, row_index, count, whitened)
-    iterate = 1
+    iterate, change = 1, 0.0
     if slipping:
         for c in range(nc):
             if contact_int[c, MODE] == SLIPPING and contact_int[c, PATTERN] == ON_CURVE and contact_real[c, MU] > 0.0:
@@ -518,7 +565,7 @@ def contact_dynamics(
                     delassus[i, j] = inner(whitened[i], whitened_forces[j], nv)
                 delassus[i, count] = inner(whitened[i], whitened[i], nv)
             unloaded = leave_unloaded(contact_int, nc, row_index, count, delassus)
-            rank = solve_slip(delassus, count, multipliers, permutation, scratch)
+            rank = solve_slip(contact_int, row_index, delassus, count, multipliers, permutation, scratch)
             if rank < 0:
                 return NO_FORCE
             counters[ROW_RANK] = rank
@@ -556,8 +603,15 @@ def contact_dynamics(
         if has_reference:
             for r in range(count):
                 multipliers[r] += reference[row_index[r, 0], row_index[r, 1]]
-        if iterate == 1 or not _update_normal_shares(contact_int, contact_real, row_index, count, multipliers):
+        if iterate == 1:
             break
+        change = _update_normal_shares(contact_int, contact_real, row_index, count, multipliers, whitened, nv)
+        if change <= _NORMAL_CHANGE:
+            break
+    if iterate > 1 and (
+        change > _NORMAL_FOUND or curves_lose_positivity(contact_int, row_index, count, whitened, whitened_forces, nv)
+    ):
+        return NO_FORCE
     for c in range(total):
         for i in range(3):
             force[c, i] = 0.0
@@ -702,22 +756,30 @@ def guard_margins(nc, ng, contact_int, guard_int, guard_real, slip, gaps, force,
 
 
 @kernel
-def _update_normal_shares(contact_int, contact_real, row_index, count, multipliers):
-    """Unit normal force of points on spatial curves from the last multipliers; True while it still changes."""
-    changed = False
+def _update_normal_shares(contact_int, contact_real, row_index, count, multipliers, whitened, nv):
+    """Unit normal force of points on spatial curves from the last multipliers; by how much it has changed.
+
+    Where all motions are in one plane with the tangent, it is in that plane: of redundant forces the least.
+    """
+    change = 0.0
     for r in range(count - 1):
         c = row_index[r, 0]
         if row_index[r, 1] != 2 or contact_int[c, PATTERN] != ON_CURVE or contact_int[c, MODE] != SLIPPING:
             continue
         first, second = multipliers[r], multipliers[r + 1]
+        _, _, moves_in_plane = plane_of_normals(whitened[r : r + 2], nv)
+        if moves_in_plane:
+            larger = r if inner(whitened[r], whitened[r], nv) >= inner(whitened[r + 1], whitened[r + 1], nv) else r + 1
+            one, two = inner(whitened[r], whitened[larger], nv), inner(whitened[r + 1], whitened[larger], nv)
+            along = first * one + second * two
+            first, second = along * one, along * two
         size = math.hypot(first, second)
         if size > 0.0:
             first, second = first / size, second / size
             numbers = contact_real[c]
-            if abs(first - numbers[NORMAL_1]) + abs(second - numbers[NORMAL_2]) > _NORMAL_CHANGE:
-                changed = True
+            change = max(change, abs(first - numbers[NORMAL_1]) + abs(second - numbers[NORMAL_2]))
             numbers[NORMAL_1], numbers[NORMAL_2] = first, second
-    return changed
+    return change
 
 
 @kernel

@@ -1,0 +1,60 @@
+"""The short form of the differential run; `python tests/stress/differential.py` is the long one."""
+
+import differential
+import numpy as np
+import pinocchio as pin
+import pytest
+from differential import CLOSE, Finding, Runs, check, judge
+from random_motions import KINDS, Motion, random_motion
+from test_dead_centres import random_crank
+
+
+@pytest.mark.parametrize("first", [100, 112])
+def test_all_ways_agree(first):
+    """One motion of each kind, followed in five ways."""
+    for seed in range(first, first + len(KINDS)):
+        finding = check(seed)
+        assert not finding.wrong, finding
+
+
+def test_a_wrong_run_is_told():
+    """A run of a slightly different motion is near at first, and is told from errors and from undecided motions."""
+    runs = Runs(random_motion(100)[1])
+    exact = runs.tight()
+    other = runs.tight(runs.motion.rebuilt(gravity=1.0 + 1e-4))
+    for run, wrong in ((runs.run(), 0), (other, 1)):
+        finding = Finding(100, "")
+        judge(runs, run, exact, CLOSE["DOP853"], "", finding)
+        assert len(finding.wrong) == wrong, finding
+
+
+def test_turned_worlds_keep_their_motion():
+    """q and v are the same whatever frame the world has and in whichever order contacts are made."""
+    for seed in range(60, 60 + len(KINDS)):
+        kind, motion = random_motion(seed)
+        rng = np.random.default_rng(seed)
+        start = motion.rebuilt(pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3)), rng).state()
+        # round-off, where a contact point is found by Newton's method
+        assert start.correction.dq < 1e-9 and start.correction.dv < 1e-9, kind
+
+
+@pytest.mark.parametrize("angle", [1e-9, 0.1, 0.5, 1.0, 1.5])
+def test_normals_of_a_curve_are_a_choice(angle):
+    """A slider-crank whose rail is a curve in space, turned about that rail: which two normals the curve has there is
+    chosen from the world's axes, and all forces are in the plane of the crank."""
+    crank, begin, expected, _ = random_crank(1)
+    scene = crank.scene("P-3C")
+    motion = Motion.of(scene, scene.initial_state(*crank.place(*begin)), 1.0)
+    runs = Runs(motion)
+    run = runs.run(motion.rebuilt(pin.SE3(pin.utils.rotate("x", angle), np.zeros(3))), t_eval=runs.times[-1:])
+    assert run.status == 0, run.message
+    # errors of 1e-8 through two dead centres
+    np.testing.assert_allclose([run.q[-1, 0], run.v[-1, 0]], expected, rtol=0.0, atol=2e-6)
+
+
+def test_ends_of_runs_are_explained():
+    """A bead at the end of its wire: no run goes on, and none could."""
+    finding = check(2)
+    assert set(finding.statuses.values()) == {-8}
+    assert all(solution.startswith("none") for _, solution in finding.ends if solution)
+    assert not finding.wrong and differential.ENDS_ASKED > 0

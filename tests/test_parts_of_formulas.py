@@ -90,6 +90,25 @@ def test_without_a_point_nothing_is_decided():
     assert path.risks == path.cuts == []
 
 
+def test_what_of_numpy_is_no_function_of_a_parameter():
+    for function, reason in (
+        (lambda u: np.logaddexp.reduce(u), "np.logaddexp of a parameter"),
+        (lambda u: np.cbrt([u, 1.0])[0], "np.cbrt of a parameter"),
+        (lambda u: np.sin(u, dtype=float), "compiled code"),
+        (lambda u: np.cbrt(u), "compiled code"),
+        (lambda u: np.linalg.norm(np.array([u, 1.0]), 1), "with options"),
+        (lambda u: complex(u).real, "a complex number"),
+        (lambda u: [1.0, 2.0][u], "an index"),
+        (lambda u: u + "1", "str where a number was expected"),
+    ):
+        path = Path(function, "u", 1, [0.5])
+        assert reason in path.reason
+        with pytest.raises(Untraceable):
+            path.tape("u")
+    # numbers that are none of a parameter stay what they are
+    assert trace(lambda u: np.cbrt(8.0) * u + np.linalg.norm(np.array([3.0, 4.0]), 1), "u", 1).instructions == 1
+
+
 ALGEBRA = {
     "sum of multiples": (lambda u, v: 2.0 * (3.0 * u - v) - 4.0 * (v - u), lambda u, v: 10.0 * u - 6.0 * v),
     "sign of a sum": (lambda u, v: -(2.0 * u + 3.0 * v) + 1.0, lambda u, v: 1.0 - 2.0 * u - 3.0 * v),
@@ -403,6 +422,14 @@ def test_a_cap_is_fitted_to_rounding_as_far_as_it_reaches():
             # g is r / d, to a rounding of r
             assert d * g == pytest.approx(r, abs=4e-15)
             assert k == pytest.approx(z, abs=4e-15)
+    # where a fit of all of it is not to rounding, it is of less
+    steep = trace(lambda s: (s / (1.0 + 40.0 * s * s), 1.0 / (1.0 + 40.0 * s * s)), "u", 2)
+    steep = Contour(TAPE_CURVE, 1, pool=steep.pool)
+    pool, reach = revolution._cap("test", steep, 0.0, 1.0, 0.8, 1.0)
+    assert 1e-4 < reach < 0.3**2
+    cap = Contour(pc.base.SPLINE_CURVE, 1, pool=pool)
+    for w in np.linspace(0.0, reach, 11):
+        assert cap.point(w)[:2] == pytest.approx(np.full(2, 1.0 / (1.0 + 40.0 * w)), abs=2e-14)
     for profile, message in (
         (lambda s: (s, 0.5 * s), "apex.*dz/dr = 0.5"),
         (lambda s: (s + 0.1 * s * s, s * s), "r must be odd"),

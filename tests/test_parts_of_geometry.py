@@ -13,7 +13,7 @@ from pincontact.contours.base import F_1, F_2, F
 from pincontact.dynamics.system import System
 from pincontact.geometry import nearest
 from pincontact.geometry.nearest import NearestSearch, Whole, bend
-from pincontact.geometry.search import _sample, _seeds, find_candidates, refine
+from pincontact.geometry.search import _is_solved, _sample, _seeds, find_candidates, refine
 
 UNKNOWN = np.full(4, np.nan)
 
@@ -386,3 +386,33 @@ def test_the_gap_and_the_side_on_which_a_body_bends_away(shape, x, expected, sid
             # where bending does not tell, the gap is counted from the side assumed
             assert c.gap == pytest.approx(gap if bends else side * gap, abs=1e-12)
             assert c.side == bends
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize(
+    ("shape", "ground"),
+    [
+        (pc.Point(), pc.Torus(0.6, 0.2)),
+        (pc.Torus(0.1, 0.03), pc.Torus(0.6, 0.2)),
+        (pc.Circle(0.1), pc.Torus(0.6, 0.2)),
+        (pc.Circle(0.1), pc.Helix(0.6, 0.2)),
+        (pc.Point(), pc.Helix(0.6, 0.2)),
+    ],
+    ids=["P-S", "S-S", "3C-S", "3C-3C", "P-3C"],
+)
+def test_equations_are_solved_for_tangents_of_any_length(shape, ground, scale):
+    """Near a pole a tangent vanishes, and with it every equation: what counts are angles."""
+    system = system_of(shape, ground, [0.9, 0.1, 0.3, *turned(2)])
+    found = find_candidates(system, 0.0, UNKNOWN)[0]
+    assert refine(system, 0.0, found.location, found.branch, set()) is not None
+    derivatives = system.derivatives.copy()
+    tangents = [(0, 1 + a) for a in range(shape.dimension)] + [(1, 1 + a) for a in range(ground.dimension)]
+    for body, row in tangents:
+        system.derivatives[:] = derivatives
+        system.derivatives[body, row] *= scale
+        assert _is_solved(system)
+        # a hundredth of a rad off in the only way that matters
+        length = np.linalg.norm(system.derivatives[body, row])
+        away = system.frames[1, 3] - system.frames[0, 3] + derivatives[1, 0] - derivatives[0, 0]
+        system.derivatives[body, row] += 0.01 * length * away / np.linalg.norm(away)
+        assert not _is_solved(system)

@@ -138,6 +138,32 @@ def test_the_sense_in_which_a_curve_is_convex():
     assert turning(cardioid) == 0
 
 
+def test_arcs_and_turns():
+    turn = 2.0 * math.pi
+    for low, high, closed in (
+        (0.0, turn, True),
+        (-math.pi, math.pi, True),
+        (10.0 * math.pi, 12.0 * math.pi, True),
+        (0.0, turn - 1e-9, False),
+        (1.0, 2.0, False),
+    ):
+        for curve in (pc.Circle(0.3, (low, high)), pc.Ellipse(0.3, 0.2, (low, high))):
+            assert (curve.periodic, curve.convex_side) == ((closed,), int(closed))
+            assert curve.domain == ((low, high),)
+        around = pc.Cylinder(0.3, ((low, high), None))
+        assert (around.periodic, around.convex_side) == ((closed, False), int(closed))
+    for build in (pc.Circle, lambda *x: pc.Ellipse(0.3, *x), lambda r, d: pc.Cylinder(r, (d, None))):
+        with pytest.raises(ContourError, match="must not exceed one turn"):
+            build(0.3, (0.0, turn + 1e-9))
+    # there and back along a line: some coefficient is enough
+    for cosine, sine in (([0, 1], [0, 0]), ([0, 0], [0, 1])):
+        curve = pc.FourierCurve(np.outer(cosine, [1, 2]), np.outer(sine, [1, 2]))
+        along = cosine[1] * math.cos(0.3) + sine[1] * math.sin(0.3)
+        assert curve.point(0.3) == pytest.approx([along, 2.0 * along, 0.0], rel=1e-15)
+    with pytest.raises(ContourError, match="beyond the constant one are zero"):
+        pc.FourierCurve([[1, 2], [0, 0]], [[0, 0], [0, 0]])
+
+
 def test_half_the_diagonal_of_the_box():
     # ends and quarter turns are among the samples: exact boxes
     assert half_diagonal(pc.Line((-1.0, 2.0))) == pytest.approx(1.5, rel=1e-15)

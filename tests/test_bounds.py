@@ -392,6 +392,44 @@ def test_the_domain_is_cut_into_boxes_of_one_path_each(f, domain, changes, enoug
         assert any(((p > a) & (p < b)).all() for p in places for a, b in mine)
 
 
+# Smooth functions, their domains and how many boxes are enough to prove it: one where bounds are sharp.
+PROVED = [
+    (lambda u: math.sqrt(u * u + 1e-4), ((-1.0, 1.0),), 1),
+    (lambda u: math.sqrt(1.0 - u * u), ((-1.0, 1.0),), 1),
+    (lambda u: math.asin(0.999 * math.sin(u)), ((0.0, 6.0),), 1),
+    (lambda u: 1.0 / (1.1 + math.sin(u)), ((0.0, 20.0),), 1),
+    (lambda u: 1.0 / (u + 1.0), ((0.0, INF),), 1),
+    (lambda u: 1.0 / (1.0 - u), ((-INF, 0.0),), 1),
+    (lambda u: abs(u * u + 0.001), ((-1.0, 1.0),), 1),
+    (lambda u: math.log(1.0 + u * u - u), ((-INF, INF),), 24),
+    (lambda u: math.sqrt(4.0 + u * u * u - 3.0 * u), ((-2.0, 2.0),), 30),
+    (lambda u: math.cos(math.atan2(u - 0.3, -1.0)), ((-1.0, 1.0),), 14),
+    (lambda u, v: math.sqrt(u * u + v * v + 1e-2), ((-1.0, 1.0), (-2.0, 3.0)), 1),
+    (lambda u, v: math.sqrt(1.0 + u) * v, ((-1.0, 1.0), (-2.0, 3.0)), 1),
+    (lambda u, v: u + v if u * u + v * v > -0.01 else 0.0, ((-1.0, 1.0), (-1.0, 2.0)), 1),
+    (lambda u, v: 1.0 / (1.5 + u * v - u + v), ((-0.5, 1.0), (0.0, 1.0)), 30),
+    (lambda u, v: math.cos(math.atan2(v - 0.3, -1.0 - u * u)), ((-1.0, 1.0), (-1.0, 2.0)), 1200),
+]
+
+
+@pytest.mark.parametrize(("f", "domain", "enough"), PROVED)
+def test_smooth_functions_are_proved_so_box_by_box(f, domain, enough):
+    search = searched(f, domain)
+    assert search.single
+    assert search.paths[0].checks
+    assert search.edges == []
+    assert len(search.low) == 0
+    assert len(search.cells) <= enough
+    generator = np.random.default_rng(8)
+    points = generator.uniform(np.maximum(search.start, -50.0), np.minimum(search.end, 50.0), (50, len(domain)))
+    low, high = (np.array([cell[1 + i] for cell in search.cells]) for i in range(2))
+    for point in points:
+        assert ((low <= point) & (point <= high)).all(axis=1).sum() == 1
+    # angles may jump in boxes that are narrow only, or where many have been seen
+    for a, b in np.array(search.cuts).reshape(-1, 2, len(domain))[:50]:
+        assert ((b - a) <= branches._CUT_WIDTH * search.size).any()
+
+
 def test_what_is_known_of_a_function_before_it_is_compiled():
     def known(f, *domain, parameters=1, all_times=False):
         return survey(Formula("test", f, parameters, 1), domain, all_times)

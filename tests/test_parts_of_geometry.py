@@ -12,6 +12,7 @@ import pincontact as pc
 from pincontact.contours.base import F_1, F_2, F
 from pincontact.dynamics.system import System
 from pincontact.geometry import nearest
+from pincontact.geometry.frames import curve_normal_axis
 from pincontact.geometry.nearest import NearestSearch, Whole, bend
 from pincontact.geometry.search import _is_solved, _sample, _seeds, find_candidates, refine
 
@@ -416,3 +417,14 @@ def test_equations_are_solved_for_tangents_of_any_length(shape, ground, scale):
         away = system.frames[1, 3] - system.frames[0, 3] + derivatives[1, 0] - derivatives[0, 0]
         system.derivatives[body, row] += 0.01 * length * away / np.linalg.norm(away)
         assert not _is_solved(system)
+
+
+def test_the_axis_that_normals_of_a_curve_are_made_from():
+    """A world axis, of length one and well away from the tangent."""
+    for tangent in np.random.default_rng(9).normal(size=(200, 3)):
+        unit = tangent / np.linalg.norm(tangent)
+        axis = curve_normal_axis(unit)
+        assert sorted(axis) == [0.0, 0.0, 1.0]
+        assert np.linalg.norm(np.cross(unit, axis)) > 0.4
+    assert curve_normal_axis(np.array([1.0, 0.0, 0.0])).tolist() == [0.0, 0.0, 1.0]
+    assert curve_normal_axis(np.array([0.0, 0.0, -1.0])).tolist() == [1.0, 0.0, 0.0]

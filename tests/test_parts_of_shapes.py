@@ -10,7 +10,7 @@ from calling import from_python
 from scipy.interpolate import BSpline
 
 import pincontact.contours as pc
-from pincontact.contours import charts, tape
+from pincontact.contours import charts, piecewise, tape
 from pincontact.contours.base import F_1, F_2, F, half_diagonal, turning
 from pincontact.contours.periods import wrapped
 from pincontact.contours.piecewise import Direction, chebyshev_nodes, pack
@@ -403,7 +403,7 @@ def test_a_tape_of_all_kinds_of_instructions():
 
     def formula(u, v, t):
         a = math.sin(u * v) + math.cos(v - 2.0 * t)
-        b = math.hypot(u + 1.0, t) * math.exp(0.3 * v) - 2.0 * u
+        b = math.hypot(u + 2.0, t) * math.exp(0.3 * v) - 2.0 * u
         return a * b, math.atan2(v, u + 2.0) / (1.0 + t * t) + 4.0, (u + 2.0) ** (v * t) - 0.5 * a
 
     shape = pc.ParametricSurface(formula, ((-1.0, 1.0), (0.5, 1.5)))
@@ -557,6 +557,19 @@ def test_piecewise_polynomials_in_both_variables(kind, uneven):
             assert rows[row, 1] == pytest.approx(quadratic[0] + d * quadratic[1] + d * d / 2 * quadratic[2], abs=2e-11)
         assert rows[1, 1] == pytest.approx(value(end, 0.2, 1, 0) + d * value(end, 0.2, 2, 0), abs=2e-11)
         assert rows[3, 1] == pytest.approx(value(end, 0.2, 2, 0), abs=2e-11)
+
+
+@pytest.mark.parametrize(("breaks", "even"), [([0.5, 1.0, 1.5], True), ([-7.0, -3.0], True), ([0.5, 1.0, 1.6], False)])
+def test_intervals_of_one_length_are_found_by_a_division(breaks, even):
+    direction = Direction.chebyshev(np.array(breaks), 3)
+    pool = pack([direction], np.zeros((direction.functions, 1)))
+    assert bool(pool[piecewise._BLOCKS + piecewise._UNIFORM]) == even
+    find = from_python(piecewise._interval)
+    start, count = int(pool[piecewise._BLOCKS + piecewise._BREAKS]), len(breaks) - 1
+    for u in np.concatenate([breaks, np.linspace(breaks[0] - 1.0, breaks[-1] + 1.0, 41), [math.nan]]):
+        wanted = min(max(int(np.searchsorted(breaks, u, side="right")) - 1, 0), count - 1) if u == u else 0
+        assert find(pool, start, count, even, float(u)) == wanted
+        assert find(pool, start, count, False, float(u)) == wanted
 
 
 def test_a_traced_function_keeps_what_is_common():

@@ -46,6 +46,8 @@ _INSIDE = 0.4637
 # Whether f jumps where an angle of it does is seen in boxes of this part of the domain, and in so many of them.
 _CUT_WIDTH = 1e-3
 _CUTS = 60
+# To rounding, from such a box.
+_HALVINGS = 60
 # How far f may jump there, relative to its size: rounding, far less than angles jump.
 _JUMP = 1e-9
 # So many boxes of each path, and of what lies between two of them, are looked at in fits.
@@ -153,7 +155,7 @@ class _Search:
     hint:       (m,) the path of the box that they were cut from
     cells:      boxes (low, high) on which a path holds, with its number
     edges:      boxes on which paths change, tiny ones or those left over
-    work:       operations that were bounded; those at points cost a quarter of it
+    work:       operations that were bounded
     single:     no second path has been found, but at early times
     known_times: those of the domain
     times:      first and last time for which the first path is good
@@ -236,7 +238,6 @@ class _Search:
             for number, followed in enumerate(self.paths):
                 open_ = np.flatnonzero((out < 0) & among(number))
                 if open_.size:
-                    self.work += len(followed.decisive) // 4
                     out[open_[followed.holds(points[open_])]] = number
         while (out < 0).any():
             if len(self.paths) == _MOST_PATHS:
@@ -360,7 +361,7 @@ class _Search:
                 sign = followed.values(a, order)[check[1]].lo
                 across = sign * followed.values(b, order)[check[1]].lo < 0.0
                 a, b, sign = a[across], b[across], sign[across]
-                for _ in range(60 if len(a) else 0):
+                for _ in range(_HALVINGS):
                     middle = 0.5 * (a + b)
                     same = (followed.values(middle, order)[check[1]].lo * sign > 0.0)[:, None]
                     a, b = np.where(same, middle, a), np.where(same, b, middle)

@@ -131,6 +131,11 @@ def _is_threshold(node: ast.AST) -> bool:
     return isinstance(node, ast.Name) and node.id.isupper() and node.id.startswith("_")
 
 
+def _is_reshape(node: ast.AST) -> bool:
+    """Whether it gives an array another shape: one that does not fit is refused, and any negative length is -1."""
+    return isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "reshape"
+
+
 def _numeric(function: ast.AST) -> Iterator[tuple[ast.AST, bool]]:
     """Nodes of a function that compute, and whether each stands in an index; not in messages, annotations, defaults,
     nor what only says how long a view is or how large a tolerance."""
@@ -147,7 +152,7 @@ def _numeric(function: ast.AST) -> Iterator[tuple[ast.AST, bool]]:
             continue
         yield node, index
         for name, value in ast.iter_fields(node):
-            if name == "annotation":
+            if name == "annotation" or (name == "args" and _is_reshape(node)):
                 continue
             for child in value if isinstance(value, list) else [value]:
                 if isinstance(child, ast.AST):

@@ -428,3 +428,20 @@ def test_the_axis_that_normals_of_a_curve_are_made_from():
         assert np.linalg.norm(np.cross(unit, axis)) > 0.4
     assert curve_normal_axis(np.array([1.0, 0.0, 0.0])).tolist() == [0.0, 0.0, 1.0]
     assert curve_normal_axis(np.array([0.0, 0.0, -1.0])).tolist() == [1.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("turns", [-2, 0, 3])
+def test_a_location_comes_back_into_its_domain_whatever_chart_the_other_has(turns):
+    """A ring that hangs over the pole of an ellipsoid, which is described by its other chart there."""
+    ring, ground = pc.Circle(0.1), pc.Ellipsoid(0.5, 0.4, 0.3)
+    turn = pin.Quaternion(pin.exp3(np.array([0.3, 1.2, 0.1]))).coeffs()
+    system = system_of(ring, ground, [0.02, 0.01, 0.45, *turn])
+    (first, *_) = find_candidates(system, 0.0, UNKNOWN)
+    assert first.charts == (0, 1)
+    # from the pole of the first chart, as a user would name it
+    start = np.array([first.location[0] + 2.0 * math.pi * turns, 0.0, 0.4, 1.5])
+    found = refine(system, 0.0, start, 1, set())
+    assert found is not None
+    assert found.charts == (0, 1)
+    assert found.location == pytest.approx(first.location, abs=1e-9)
+    assert found.gap == pytest.approx(first.gap, abs=1e-14)

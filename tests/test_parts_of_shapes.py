@@ -172,6 +172,15 @@ def test_half_the_diagonal_of_the_box():
     assert half_diagonal(pc.Line()) == math.inf
 
 
+def test_flags_are_true_or_false():
+    points = np.column_stack([np.cos(np.arange(9.0) * 0.69), np.sin(np.arange(9.0) * 0.69)])
+    for given, wanted in ((0, False), (1, True), (np.int64(0), False), (np.bool_(True), True), (True, True)):
+        assert pc.SplineCurve(points, periodic=given).periodic == (wanted,)
+    for bad in (2, -1, 0.0, 1.0, "yes", None):
+        with pytest.raises(ContourError, match="periodic must be True or False"):
+            pc.SplineCurve(points, periodic=bad)
+
+
 def test_ends_are_those_at_which_a_contour_stops():
     inf = math.inf
     assert pc.Line((1.0, 2.0)).ends().tolist() == [1.0, 2.0, -inf, inf]

@@ -445,3 +445,37 @@ def test_a_location_comes_back_into_its_domain_whatever_chart_the_other_has(turn
     assert found.charts == (0, 1)
     assert found.location == pytest.approx(first.location, abs=1e-9)
     assert found.gap == pytest.approx(first.gap, abs=1e-14)
+
+
+@pytest.mark.parametrize("shape", [pc.Circle(0.3), pc.Point()], ids=["3C-3C", "P-3C"])
+def test_starts_of_curves_that_cross_are_the_nearest_pairs(shape):
+    """Their tangents are not to be aligned: each way to weigh that begins with the nearest pair."""
+    ground = pc.Helix(0.6, 0.8, (-9.0, 9.0))
+    system = system_of(shape, ground, [0.5, 0.4, 0.6, *turned(3)])
+    starts = np.array(_seeds(system, 0.0, UNKNOWN))
+    frames = system.frames
+
+    def at(body, contour, u):
+        return frames[body, :3] @ contour.point(u) + frames[body, 3]
+
+    apart = [
+        np.linalg.norm(at(0, shape, s[: shape.dimension]) - at(1, ground, s[2:3])) for s in starts
+    ]  # fmt: skip
+    own = [at(0, shape, u) for u in shape.samples(200)]
+    least = scipy.spatial.cKDTree([at(1, ground, u) for u in np.linspace(-9.0, 9.0, 2000)]).query(own)[0].min()
+    nearest_ = min(apart)
+    assert least - 0.01 < nearest_ < least + 0.03
+    first = starts[int(np.argmin(apart))]
+    assert (np.abs(starts - first).max(axis=1) == 0.0).sum() == 3
+
+
+@pytest.mark.parametrize("shape", [pc.Sphere(0.1), pc.Ellipsoid(0.1, 0.1, 0.1), pc.Circle(0.1)], ids=lambda c: c.name)
+@pytest.mark.parametrize("side", [1, -1])
+def test_both_extreme_points_of_what_is_round_above_and_below_a_plane(shape, side):
+    """The lower one of a body bends away upwards, whatever side is assumed; gaps are counted that way."""
+    turn = pin.Quaternion(pin.exp3(np.array([math.pi / 2, 0.0, 0.0]))).coeffs()
+    for height, wanted in ((0.15, [(0.05, 1), (-0.25, -1)]), (-0.15, [(0.05, -1), (-0.25, 1)])):
+        system = system_of(shape, pc.Plane(), [0.3, 0.2, height, *turn], side=side)
+        found = find_candidates(system, 0.0, UNKNOWN)
+        assert [c.side for c in found] == [bends for _, bends in wanted]
+        assert [c.gap for c in found] == pytest.approx([gap for gap, _ in wanted], abs=1e-15)

@@ -155,7 +155,7 @@ class _Search:
     hint:       (m,) the path of the box that they were cut from
     cells:      boxes (low, high) on which a path holds, with its number
     edges:      boxes on which paths change, tiny ones or those left over
-    work:       operations that were bounded
+    work:       operations that were bounded; those at points cost a quarter of it
     single:     no second path has been found, but at early times
     known_times: those of the domain
     times:      first and last time for which the first path is good
@@ -238,6 +238,7 @@ class _Search:
             for number, followed in enumerate(self.paths):
                 open_ = np.flatnonzero((out < 0) & among(number))
                 if open_.size:
+                    self.work += len(followed.decisive) // 4
                     out[open_[followed.holds(points[open_])]] = number
         while (out < 0).any():
             if len(self.paths) == _MOST_PATHS:

@@ -117,7 +117,7 @@ def fit(
             break
         narrow = any(b[i + 1] - b[i] < 2.0 * _NARROWEST * (b[-1] - b[0]) for b, s in zip(lines, split) for i in s)
         lines = [_refined(b, chosen) for b, chosen in zip(lines, split)]
-        if narrow or len(boxes) >= _MOST_PIECES[dimension]:
+        if narrow or math.prod(len(b) - 1 for b in lines) > _MOST_PIECES[dimension]:
             shown = ", ".join(f"{value:.6g}" for value in place)
             raise ContourError(
                 f"{owner}: the function cannot be traced, and fitting it leaves an error of {worst:.1e} near "

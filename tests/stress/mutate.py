@@ -68,6 +68,12 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "n = 720",
         "720 -> 721",
     ): "the sum over a whole turn has converged to rounding",
+    (
+        "pincontact/contours/fits.py",
+        "fit",
+        "if narrow or math.prod(len(b) - 1 for b in lines) > _MOST_PIECES[dimension]:",
+        "1 -> 2",
+    ): "a limit of effort, by one more of thousands",
 }
 
 

@@ -46,6 +46,8 @@ _INSIDE = 0.4637
 # Whether f jumps where an angle of it does is seen in boxes of this part of the domain, and in so many of them.
 _CUT_WIDTH = 1e-3
 _CUTS = 60
+# To rounding, from such a box.
+_HALVINGS = 60
 # How far f may jump there, relative to its size: rounding, far less than angles jump.
 _JUMP = 1e-9
 # So many boxes of each path, and of what lies between two of them, are looked at in fits.
@@ -360,7 +362,7 @@ class _Search:
                 sign = followed.values(a, order)[check[1]].lo
                 across = sign * followed.values(b, order)[check[1]].lo < 0.0
                 a, b, sign = a[across], b[across], sign[across]
-                for _ in range(60 if len(a) else 0):
+                for _ in range(_HALVINGS):
                     middle = 0.5 * (a + b)
                     same = (followed.values(middle, order)[check[1]].lo * sign > 0.0)[:, None]
                     a, b = np.where(same, middle, a), np.where(same, b, middle)

@@ -208,8 +208,6 @@ def _away(op: int, c: float, x: Interval, y: Interval) -> np.ndarray:
         return np.where(x.lo == 0.0, np.finfo(float).tiny, x.lo)
     if op in (ops.INVERSE, ops.POWER_CONSTANT):
         return x.distance
-    if op == ops.DIVIDE:
-        return y.distance
     if op == ops.LOG1P:
         return x.lo + 1.0
     if op in (ops.ASIN, ops.ATANH):
@@ -231,7 +229,6 @@ FAULTS = {
     ops.POWER: "a power of a quantity that falls to zero",
     ops.POWER_CONSTANT: "a power of a quantity that falls to zero",
     ops.INVERSE: "a quotient whose denominator vanishes",
-    ops.DIVIDE: "a quotient whose denominator vanishes",
     ops.ASIN: "the arc sine or cosine of a quantity that reaches 1 or -1",
     ops.ATANH: "the inverse hyperbolic tangent of a quantity that reaches 1 or -1",
     ops.ACOSH: "the inverse hyperbolic cosine of a quantity that falls to 1",
@@ -242,7 +239,7 @@ FAULTS = {
 
 
 def is_risky(op: int, c: float) -> bool:
-    """Whether there are arguments where the function `op` with constant c is not smooth."""
+    """Whether there are arguments where the function `op` of one variable with constant c is not smooth."""
     if op == ops.POWER_CONSTANT:
         return c < 0.0 or c != round(c)
     return op in FAULTS

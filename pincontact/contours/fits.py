@@ -23,6 +23,9 @@ _RESOLVED = 2e-15
 # narrower than their distance may be missed in a function that cannot be looked into.
 _CHECKED = {1: 2000, 2: 50 * 50}
 _CHECKED_PER_PIECE = 4
+# The points are the additive recurrence of the golden ratio, or of its generalisation to two dimensions: even, and
+# never where halving puts an end of a piece.
+_GOLDEN = {1: 1.6180339887498949, 2: 1.3247179572447460}
 # How far it may be off there, relative to the function's size: a resolved piece is at most a few times its last
 # coefficients off.
 _VERIFIED = 5e-14
@@ -148,9 +151,7 @@ def _points(lines: list[np.ndarray], places: np.ndarray | None) -> tuple[np.ndar
     """Points (k, n) at which a fit is compared with its function, and the pieces that they are in."""
     n = len(lines)
     low, high = np.array([b[0] for b in lines]), np.array([b[-1] for b in lines])
-    # the additive recurrence of the generalised golden ratio: even, and never where halving puts an end of a piece
-    golden = 1.6180339887498949 if n == 1 else 1.3247179572447460
-    steps = np.arange(1, _CHECKED[n] + 1)[:, None] / golden ** np.arange(1, n + 1) % 1.0
+    steps = np.arange(1, _CHECKED[n] + 1)[:, None] / _GOLDEN[n] ** np.arange(1, n + 1) % 1.0
     points = [low + (high - low) * steps]
     generator = np.random.default_rng(7)
     corners = np.stack(np.meshgrid(*(b[:-1] for b in lines), indexing="ij"), axis=-1).reshape(-1, n)

@@ -107,7 +107,8 @@ def pack(directions: list[Direction], coefficients: np.ndarray, first: int = 0, 
         block[_COUNT], block[_DEGREE] = len(breaks) - 1, direction.degree
         block[_PERIODIC], block[_UNIFORM] = direction.periodic, uniform
         block[_BREAKS] = append(breaks)
-        block[_BASIS] = -1.0 if direction.basis is None else append(direction.basis)
+        if direction.basis is not None:
+            block[_BASIS] = append(direction.basis)
         block[_STARTS] = append(direction.starts)
         block[_SCRATCH] = append(np.zeros(6 * (direction.degree + 1)))
         block[_FUNCTIONS] = direction.functions
@@ -166,8 +167,9 @@ def _functions(pool, block, u):
         after_second = 4.0 * next_first + 2.0 * inside * next_second - second
         value, first, second = next_value, next_first, next_second
         next_value, next_first, next_second = after, after_first, after_second
-    if pool[block + _BASIS] >= 0.0:
-        basis = int(pool[block + _BASIS]) + interval * n * n
+    basis = int(pool[block + _BASIS])
+    if basis != 0:
+        basis += interval * n * n
         target = scratch + 3 * n
         for j in range(n):
             value, first, second = 0.0, 0.0, 0.0

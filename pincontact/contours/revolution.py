@@ -44,6 +44,8 @@ _CAP_ROUNDING = 1e-15
 # Second derivatives of a fit are worst at its end, so that part is left to the profile.
 _CAP_KEPT = 0.8
 _PROFILE_SAMPLES = 400
+# Of splines through points; an even one where there are poles, whose knots lie between the points, none at a pole.
+_DEGREE, _POLAR_DEGREE = 5, 6
 
 
 class SurfaceOfRevolution(Contour):
@@ -148,7 +150,7 @@ def _spline_profile(
     """Pool and domain of the spline through (r, z) points, and how far it is one polynomial from each end.
 
     Where the profile starts or ends on the axis it is mirrored there, so that the spline has the parity of a smooth
-    surface. Its degree is even then: knots lie between the points, and none at the pole.
+    surface.
     """
     points = array(owner, "profile", given, None, 2)
     if (points[:, 0] < 0.0).any():
@@ -172,7 +174,7 @@ def _spline_profile(
     if touches[1]:
         sites = np.concatenate([sites, 2.0 * high - s[-2::-1]])
         values = np.concatenate([values, points[-2::-1] * mirror])
-    whole = spline(owner, sites, values, 6 if any(touches) else 5, periodic)
+    whole = spline(owner, sites, values, _POLAR_DEGREE if any(touches) else _DEGREE, periodic)
     # Only the half on this side is evaluated, up to the chart's overshoot.
     return spline_pool(whole, periodic), (float(low), float(high)), (0.5 * (s[1] - s[0]), 0.5 * (s[-1] - s[-2]))
 

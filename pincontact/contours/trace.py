@@ -111,12 +111,17 @@ class Path:
 
 
 def _risk(node: tuple[Any, ...]) -> Check | None:
-    if node[0] == "two":
-        op = ORIGIN if node[1] == ops.ATAN2 else node[1]
-        return (op, node[2], node[3], 0.0) if is_risky(op, 0.0) else None
+    """Where an operation is not smooth, by the arguments that decide it: those of others would only mislead."""
     if node[0] == "one" and is_risky(node[1], node[3]):
         return node[1], node[2], node[2], node[3]
-    return None
+    if node[0] != "two" or node[1] == ops.MULTIPLY:
+        return None
+    op, x, y = node[1:]
+    if op == ops.DIVIDE:
+        return ops.INVERSE, y, y, 0.0
+    if op == ops.POWER:
+        return op, x, x, 0.0
+    return (ORIGIN if op == ops.ATAN2 else op), x, y, 0.0
 
 
 def trace(function: Callable[..., Any], variables: str, outputs: int) -> Tape:
@@ -225,6 +230,10 @@ class _Graph:
 
         order = [i for i in used if self.nodes[i][0] != "variable"]
         program: list[tuple[int, int, int, float, float]] = []
+
+        def append(op: int, a: int, b: int = 0, c: float = 0.0, d: float = 0.0) -> None:
+            program.append((op, a, b, c, d))
+
         slots: dict[int, int] = {}  # node -> slot
         pairs: dict[int, int] = {}
         for name in variables:
@@ -233,21 +242,21 @@ class _Graph:
         for index in order:
             node = self.nodes[index]
             if node[0] == "affine":
-                program.append((ops.AFFINE, slots[node[1]], 0, node[2], node[3]))
+                append(ops.AFFINE, slots[node[1]], c=node[2], d=node[3])
             elif node[0] == "linear":
-                program.append((ops.LINEAR, slots[node[1]], slots[node[2]], node[3], node[4]))
+                append(ops.LINEAR, slots[node[1]], slots[node[2]], node[3], node[4])
             elif node[0] in ("sin", "cos"):
                 argument = node[1]
                 if argument not in pairs:
                     pairs[argument] = count
-                    program.append((ops.SINCOS, slots[argument], 0, 0.0, 0.0))
+                    append(ops.SINCOS, slots[argument])
                     count += 2
                 slots[index] = pairs[argument] + (node[0] == "cos")
                 continue
             elif node[0] == "two":
-                program.append((node[1], slots[node[2]], slots[node[3]], 0.0, 0.0))
+                append(node[1], slots[node[2]], slots[node[3]])
             else:
-                program.append((node[1], slots[node[2]], 0, node[3], 0.0))
+                append(node[1], slots[node[2]], c=node[3])
             slots[index] = count
             count += 1
 
@@ -288,7 +297,7 @@ class _Graph:
             return (node[1],)
         if node[0] == "linear":
             return (node[1], node[2])
-        return tuple(node[2:4]) if node[0] == "two" else (node[2],)
+        return node[2:] if node[0] == "two" else (node[2],)
 
 
 def _refuse(what: str) -> Callable[..., Any]:

@@ -188,7 +188,7 @@ class NearestSearch:
         reach = float(np.linalg.norm(values[0] - centre)) + 2.0 * self.whole.extent + beyond
         box = []
         for a, (low, high) in enumerate(contour.domain):
-            if flat or not math.isfinite(high - low):
+            if flat or not np.isfinite(contour.domain[a]).all():
                 # a field's own parameters are lengths; others are as long as they are where it is touched
                 width = reach / (1.0 if flat else max(float(np.linalg.norm(values[1 + a])), 1e-12))
                 low, high = max(low, around[a] - width), min(high, around[a] + width)

@@ -28,8 +28,9 @@ def moves_in_plane(model: pin.Model, body1: AttachedContour, body2: AttachedCont
         pin.computeJointJacobians(model, data, q)
         pose1, pose2 = (_pose(data, body, 0.37 * sample) for body in (body1, body2))
         normal = pose2.rotation[:, 2]
-        scale = 1.0 + np.linalg.norm(pose1.translation - pose2.translation)
-        if abs(normal @ (pose1.translation - pose2.translation)) > _TOLERANCE * scale:
+        apart = pose1.translation - pose2.translation
+        scale = 1.0 + np.linalg.norm(apart)
+        if abs(normal @ apart) > _TOLERANCE * scale:
             return False
         if body1.contour.dimension > 0 and abs(abs(normal @ pose1.rotation[:, 2]) - 1.0) > _TOLERANCE:
             return False

@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 
 _CURVE_SAMPLES = 241
 _SURFACE_SAMPLES = (61, 31)
-_SEEDS = 24
+# So many starts, a third for each of these weights of alignment against distance, apart from each other by this part of
+# the contact's length; each sample of body 1 with so many neighbours.
+_SEEDS, _WEIGHTS, _APART, _NEIGHBOURS = 24, (1.0, 0.0, 10.0), 0.25, 4
+# What goes on for ever is sampled so far beyond both bodies' distance, in their sizes; the ends of domains are spared.
+_WINDOW, _INSET = 2.0, 1e-3
 # Contours whose parameters are lengths where they are not periodic.
 _LENGTHS = (Cone, Cylinder, HeightField, Line, Plane)
 # Two candidates closer than this (relative to the contact's length) are one.
@@ -224,12 +228,12 @@ def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
         poses.append(pose)
     distance = float(np.linalg.norm(poses[0].translation - poses[1].translation))
     sizes = [b.contour.size if math.isfinite(b.contour.size) else 0.0 for b in (contact.body1, contact.body2)]
-    window = distance + 2.0 * sum(sizes) + 1e-3
+    window = distance + _WINDOW * sum(sizes) + 1e-3
     first = _sample(contact.body1.contour, poses[0], t, window, guess[:2])
     second = _sample(contact.body2.contour, poses[1], t, window, guess[2:])
     length = max(system.contact_real[0, LENGTH], 1e-12)
     tree = scipy.spatial.cKDTree(second[1])
-    neighbours = min(4, len(second[1]))
+    neighbours = min(_NEIGHBOURS, len(second[1]))
     distances, indices = tree.query(first[1], k=neighbours)
     distances, indices = distances.reshape(len(first[1]), -1), indices.reshape(len(first[1]), -1)
     misaligned = np.zeros_like(distances)
@@ -242,15 +246,15 @@ def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
     ones, twos = np.arange(len(first[1])).repeat(neighbours), indices.ravel()
     where = np.hstack([first[1][ones], second[1][twos]])
     parameters = np.hstack([first[0][ones], second[0][twos]])
-    for weight in (1.0, 0.0, 10.0):
+    for weight in _WEIGHTS:
         left = np.argsort((distances + weight * length * misaligned).ravel())
-        for _ in range(_SEEDS // 3):
+        for _ in range(_SEEDS // len(_WEIGHTS)):
             if not left.size:
                 break
             best = left[0]
             seeds.append(parameters[best])
             # seeds apart from each other, or all would fall into one basin
-            left = left[np.linalg.norm(where[left] - where[best], axis=1) > 0.25 * length]
+            left = left[np.linalg.norm(where[left] - where[best], axis=1) > _APART * length]
     return seeds
 
 
@@ -268,7 +272,7 @@ def _sample(
         # what is infinite is cut to the window; so are lengths, but not angles and other people's parameters
         if not contour.periodic[a] and (isinstance(contour, _LENGTHS) or not math.isfinite(high - low)):
             low, high = max(low, -window), min(high, window)
-        inset = 1e-3 * (high - low)
+        inset = _INSET * (high - low)
         axes.append(np.linspace(low + inset, high - inset, counts[a]))
     grid = np.zeros((1, 2))
     if contour.dimension == 1:

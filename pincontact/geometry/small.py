@@ -29,12 +29,6 @@ def add_cross(a, b, out):
 
 
 @kernel
-def triple(a, b, c):
-    """a . (b x c)"""
-    return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])
-
-
-@kernel
 def norm(a):
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 

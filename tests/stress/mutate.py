@@ -7,9 +7,12 @@ random. Each change is shown to the fast part of the suite: the tests that take 
 and reach the changed function, quickest first. Everything runs uncompiled (`NUMBA_DISABLE_JIT`), so that a change costs
 no compilation.
 
-First the survey: each test's duration, and the functions of the package that it reaches (`--survey` keeps it in a
-file, or reads it from there). Thresholds (constants below 1e-3 or above 1e3, named ones, and what multiplies them) are
-left out: a tolerance half as large again is no mistake. So are lengths of views, messages of errors and annotations.
+First the survey: each test's duration, and the functions of the package that it reaches. `--survey` keeps it in a file;
+another run with that file looks at new and changed files of tests only, without the tests known to be slow. (Delete the
+file when the package has changed a good deal.)
+
+Thresholds (constants below 1e-3 or above 1e3, named ones, and what multiplies them) are left out: a tolerance half as
+large again is no mistake. So are lengths of views, messages of errors and annotations.
 
 Prints each change that no test noticed, and exits with 1 if one of them is not in `HARMLESS`, or if fewer than 95 % are
 noticed.
@@ -19,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import hashlib
 import json
 import os
 import random
@@ -195,11 +199,17 @@ class TooSlow(BaseException):
 
 
 class Survey:
-    """Plugin of pytest: duration of each test that passes in its time, and the functions of the package it reaches."""
+    """Plugin of pytest: duration of each test that passes in its time, and the functions of the package it reaches;
+    names of the others. Tests known to be of the others are not run."""
 
-    def __init__(self) -> None:
+    def __init__(self, slow: list[str]) -> None:
         self.tests: dict[str, Any] = {}
+        self.slow = slow
         self._reached: set[Any] = set()
+
+    def pytest_collection_modifyitems(self, items: list[Any]) -> None:
+        self.slow = [item.nodeid for item in items if item.nodeid in self.slow]
+        items[:] = [item for item in items if item.nodeid not in self.slow]
 
     def pytest_runtest_protocol(self, item: Any, nextitem: Any) -> None:
         self._reached = set()
@@ -221,23 +231,32 @@ class Survey:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
 
     def pytest_runtest_logreport(self, report: Any) -> None:
-        if report.when == "call" and report.passed:
+        if report.when != "call":
+            return
+        if report.passed and report.duration <= LIMIT:
             places = {(code.co_filename, code.co_name) for code in self._reached}
             reached = sorted(f"{Path(file).relative_to(ROOT)}:{name}" for file, name in places)
             self.tests[report.nodeid] = {"seconds": report.duration, "reached": reached}
+        else:
+            self.slow.append(report.nodeid)
 
 
 def _too_slow(*_: Any) -> None:
     raise TooSlow
 
 
-def survey(files: list[str], output: str) -> int:
-    """Run the tests of some files with `Survey` and write what it found; in a process of its own."""
+def survey(file: str, output: str) -> int:
+    """Run the tests of one file with `Survey`, but those that the output knows as slow, and write what it found; in a
+    process of its own."""
     signal.signal(signal.SIGALRM, _too_slow)
-    plugin = Survey()
-    pytest.main([*OPTIONS, *files], plugins=[plugin])
-    Path(output).write_text(json.dumps(plugin.tests))
+    plugin = Survey(json.loads(Path(output).read_text()))
+    pytest.main([*OPTIONS, file], plugins=[plugin])
+    Path(output).write_text(json.dumps({"hash": content_hash(file), "tests": plugin.tests, "slow": plugin.slow}))
     return 0
+
+
+def content_hash(file: str) -> str:
+    return hashlib.sha256((ROOT / file).read_bytes()).hexdigest()
 
 
 # files of tests that start processes, look at whole runs only, or at other things than the numerics
@@ -256,27 +275,32 @@ def environment() -> dict[str, str]:
     return {**os.environ, **threads, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(folders)}
 
 
-def fast_part(jobs: int) -> dict[str, Any]:
-    """Duration of each test of the fast part, and what it reaches."""
-    names = [path for path in sorted((ROOT / "tests").rglob("test_*.py")) if not path.stem.startswith(LEFT_OUT)]
-    waiting, running, found = [str(path) for path in names], [], {}
+def fast_part(jobs: int, known: dict[str, Any]) -> dict[str, Any]:
+    """Of each file of tests: its hash, duration of each fast test and what it reaches, and names of the slow ones; as
+    known where the file is what it was."""
+    paths = [path for path in sorted((ROOT / "tests").rglob("test_*.py")) if not path.stem.startswith(LEFT_OUT)]
+    files = [str(path.relative_to(ROOT)) for path in paths]
+    found = {file: known[file] for file in files if file in known and known[file]["hash"] == content_hash(file)}
+    waiting, running = [file for file in files if file not in found], []
     with tempfile.TemporaryDirectory() as folder:
         while waiting or running:
             while waiting and len(running) < jobs:
                 file = waiting.pop()
-                output = f"{folder}/{Path(file).stem}.json"
-                command = [sys.executable, __file__, "--survey-of", file, output]
+                output = Path(folder) / f"{Path(file).stem}.json"
+                output.write_text(json.dumps(known.get(file, {}).get("slow", [])))
+                command = [sys.executable, __file__, "--survey-of", file, str(output)]
                 process = subprocess.Popen(command, cwd=ROOT, env=environment(), stdout=subprocess.DEVNULL)
                 running.append((process, file, output, time.monotonic()))
             for entry in list(running):
                 process, file, output, began = entry
-                if process.poll() is not None:
-                    running.remove(entry)
-                    tests = json.loads(Path(output).read_text()) if Path(output).exists() else {}
-                    fast = {name: test for name, test in tests.items() if test["seconds"] <= LIMIT}
-                    found.update(fast)
-                    print(f"{Path(file).name}: {len(fast)} fast tests of {len(tests)} that passed, "
-                          f"{time.monotonic() - began:.0f} s", flush=True)  # fmt: skip
+                if process.poll() is None:
+                    continue
+                running.remove(entry)
+                if process.returncode != 0:
+                    raise RuntimeError(f"the survey of {file} ended with {process.returncode}")
+                found[file] = json.loads(output.read_text())
+                print(f"{file}: {len(found[file]['tests'])} fast tests, {len(found[file]['slow'])} slow or failing, "
+                      f"{time.monotonic() - began:.0f} s", flush=True)  # fmt: skip
             time.sleep(0.05)
     return found
 
@@ -358,17 +382,16 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the draw")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--only", default="", help="changes in files or functions whose names contain this")
-    parser.add_argument("--survey", default="", help="file that keeps the survey, or has it")
+    parser.add_argument("--survey", default="", help="file that keeps the survey")
     parser.add_argument("--survey-of", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.survey_of:
-        return survey([options.survey_of[0]], options.survey_of[1])
-    if options.survey and Path(options.survey).exists():
-        tests = json.loads(Path(options.survey).read_text())
-    else:
-        tests = fast_part(options.jobs)
-        if options.survey:
-            Path(options.survey).write_text(json.dumps(tests))
+        return survey(*options.survey_of)
+    kept = Path(options.survey) if options.survey else None
+    files = fast_part(options.jobs, json.loads(kept.read_text()) if kept and kept.exists() else {})
+    if kept:
+        kept.write_text(json.dumps(files))
+    tests = {name: test for found in files.values() for name, test in found["tests"].items()}
     everything = [change for change in changes() if options.only in f"{change.file}:{change.function}"]
     sample = random.Random(options.seed).sample(everything, min(options.count, len(everything)))
     print(f"{len(tests)} fast tests, {len(everything)} changes, {len(sample)} drawn", flush=True)

@@ -338,7 +338,7 @@ def test_a_contact_without_friction_has_a_normal_force_alone():
     delassus, b, _ = problem(rng, 3)
     mu = np.array([0.5, 0.0, 0.4])
     f = rng.normal(size=9)
-    g, c, _, _ = scaled(delassus, b)
+    g = scaled(delassus, b)[0]
     made = program(delassus, b, mu, f)
     tangential = [3, 4]
     rest = [0, 1, 2, 5, 6, 7, 8]
@@ -347,10 +347,7 @@ def test_a_contact_without_friction_has_a_normal_force_alone():
     assert not made["hessian"][np.ix_(rest, tangential)].any()
     assert np.linalg.eigvalsh(made["hessian"][np.ix_(tangential, tangential)]).min() > 1.0
     assert not made["gradient"][tangential].any()
-    # the other rows are as they were
-    f[tangential] = 0.0
-    slope = (made["hessian"] @ f + made["gradient"])[5]
-    assert slope == pytest.approx(made["gradient"][5] + made["hessian"][5] @ f, abs=1e-12)
+    # what the normal forces do to each other is as it was
     assert made["hessian"][5, 2] == pytest.approx(g[5, 2], rel=1e-12)
     # F_n >= 0 is one of its rows; the others hold whatever the forces
     facets, upper = made["facets"][4:8], made["upper"][4:8]

@@ -300,3 +300,99 @@ def test_one_contact_is_solved_from_any_start(seed, mode):
         elif modes[0] == STICK:
             assert np.abs(u).max() < 1e-10 * (1.0 + np.abs(f).max())
     assert ended == {OPEN, STICK, SLIP}
+
+
+# ------------------------------------------------------------------------------------------------ several contacts
+
+
+def feet_at_rest(rng, n, margin=1.0):
+    """Scaled problem of n feet of one body (rank 6), and forces (3n,) that hold it at rest well inside their cones."""
+    normals = rng.normal(size=(n, 3))
+    jacobian = []
+    for normal in normals:
+        basis = np.linalg.qr(np.c_[normal, rng.normal(size=(3, 2))])[0][:, [1, 2, 0]]
+        arm = rng.normal(size=3)
+        jacobian.append(basis.T @ np.c_[np.eye(3), -np.cross(np.eye(3), arm)])
+    jacobian = np.vstack(jacobian)
+    mu = rng.uniform(0.4, 0.8, n)
+    turns = rng.uniform(0.0, 2.0 * math.pi, n)
+    share = 0.6 * mu * margin
+    inside = np.c_[share * np.cos(turns), share * np.sin(turns), np.ones(n)] * rng.uniform(0.5, 1.5, n)[:, None]
+    g = jacobian @ jacobian.T
+    return g, -g @ inside.ravel(), mu, inside.ravel()
+
+
+def is_held(forces, mu):
+    rows = forces.reshape(-1, 3)
+    return bool((np.hypot(rows[:, 0], rows[:, 1]) <= mu * rows[:, 2]).all())
+
+
+@SEEDS
+def test_redundant_forces_are_of_least_norm_or_the_nearest(seed):
+    """Of least norm where these are in their cones, else nearest to those given, or, if asked, inside."""
+    rng = np.random.default_rng(seed)
+    least_held = nearest_held = moved = 0
+    for k in range(12):
+        g, c, mu, inside = feet_at_rest(rng, 4, margin=0.5)
+        if k % 2:
+            mu *= 2.5
+        least = -np.linalg.pinv(g, rcond=1e-10) @ c
+        given = inside * (1.0 + 0.02 * rng.normal(size=12))
+        nearest = given - np.linalg.pinv(g, rcond=1e-10) @ (g @ given + c)
+        modes, f = np.full(4, STICK), given.copy()
+        residual, passes, attempts, u = solved(g, c, mu, modes, f)
+        if is_held(least, mu):
+            least_held += 1
+            assert residual <= 1e-10
+            assert (attempts, passes) == (0, 1) or residual > 1e-14
+            assert f == pytest.approx(least, abs=1e-9)
+            assert np.abs(u).max() < 1e-11
+        elif is_held(nearest, mu) and residual <= 1e-10 and attempts == 1 and (modes == STICK).all():
+            nearest_held += 1
+            assert f == pytest.approx(nearest, abs=1e-9)
+        # with a choice of forces inside: there are some, so that they are found, near to those given
+        modes, f = np.full(4, STICK), given.copy()
+        residual, _, _, u = solved(g, c, mu, modes, f, near=2, touching=np.full(4, 2))
+        assert residual <= 1e-10
+        assert (modes == STICK).all()
+        assert is_held(f, mu * (1.0 + 1e-12))
+        assert np.abs(u).max() < 1e-10
+        if is_held(least, mu):
+            assert f == pytest.approx(least, abs=1e-9)
+        else:
+            moved += 1
+            assert np.abs(f - given).max() < 0.3
+        modes, f = np.full(4, OPEN), given.copy()
+        residual, _, _, _ = solved(g, c, mu, modes, f, near=1, touching=np.full(4, 2))
+        # at once: those nearest to the ones given
+        assert residual <= 1e-10
+        assert f == pytest.approx(nearest if is_held(nearest, mu) else f, abs=1e-9)
+        assert np.abs(f - given).max() < 0.3
+    assert least_held and moved and nearest_held
+
+
+@pytest.mark.parametrize("n", [1, 2, 4])
+def test_few_passes_lead_to_a_solution(n):
+    """From rest everywhere and no forces; what is solved is, and what is not says so."""
+    rng = np.random.default_rng(n)
+    solutions = total = tries = 0
+    for _ in range(60):
+        g, c, mu = problem(rng, n)
+        g = 0.3 * g / n + np.eye(3 * n)
+        modes, f = np.full(n, STICK), np.zeros(3 * n)
+        residual, passes, attempts, u = solved(g, c, mu, modes, f, passes=12)
+        assert passes <= 12
+        if residual > 1e-10:
+            continue
+        solutions += 1
+        total += passes
+        tries += attempts
+        assert u == pytest.approx(g @ f + c, abs=1e-12)
+        for i in range(n):
+            rows = slice(3 * i, 3 * i + 3)
+            assert residual_of(f[rows], u[rows], mu[i]) < 1e-9
+            assert {OPEN: not f[rows].any(), STICK: np.abs(u[rows]).max() < 1e-9, SLIP: True}[modes[i]]
+    # modes are corrected on the way, and Newton's steps converge as such do: some four passes, and few second tries
+    assert solutions >= {1: 60, 2: 57, 4: 54}[n]
+    assert total <= {1: 3.7, 2: 4.3, 4: 5.0}[n] * solutions
+    assert tries <= 5

@@ -134,7 +134,7 @@ def test_steps_converge_as_newtons_do(seed, monkeypatch):
 @SEEDS
 def test_units_do_not_matter(seed):
     rng = np.random.default_rng(seed)
-    problem, forces, velocities, pressed, slid = made_problem(rng)
+    problem, forces, _, pressed, slid = made_problem(rng)
     units = np.repeat(10.0 ** rng.uniform(-4.0, 4.0, 7), 3)
     other = replace(
         problem,

@@ -111,6 +111,7 @@ def test_residual_of_infinite_friction():
     assert contact_residual(-3.0, -4.0, 0.0, 0.3, 0.4, 0.0, inf) == pytest.approx(0.0, abs=1e-15)
     # creeping under a load, sinking in, sliding across or along the force: by as much as is to be seen
     assert contact_residual(0.0, 0.0, 2.0, 0.03, 0.04, 0.0, inf) == pytest.approx(0.05, rel=1e-12)
+    assert contact_residual(0.0, 0.0, 0.2, 0.03, 0.04, 0.0, inf) == pytest.approx(0.05, rel=1e-12)
     assert contact_residual(5.0, -7.0, 2.0, 0.0, 0.0, 0.1, inf) == pytest.approx(0.1, rel=1e-12)
     assert contact_residual(0.0, 0.0, 0.0, 0.0, 0.0, -0.1, inf) == pytest.approx(0.1, rel=1e-12)
     assert contact_residual(0.0, 0.0, -0.2, 0.0, 0.0, 0.0, inf) == pytest.approx(0.2, rel=1e-12)

@@ -46,6 +46,17 @@ def test_units_make_cones_circular_and_blocks_unit_sized(seed):
     assert rows[5, 0] == 1.0
 
 
+@SEEDS
+def test_units_of_light_contacts(seed):
+    rng = np.random.default_rng(seed)
+    g, c, mu = problem(rng, 2)
+    g *= 1e-3
+    weight = np.zeros(6)
+    cone_units(g, c, mu, weight)
+    blocks = (weight[:, None] * g * weight).diagonal().reshape(2, 3).sum(axis=1)
+    assert blocks == pytest.approx([3.0, 3.0], rel=1e-13)
+
+
 def test_units_without_load():
     assert cone_units(np.eye(3), np.zeros(3), np.ones(1), np.zeros(3)) == 1.0
 
@@ -76,6 +87,11 @@ def test_a_step_ends_on_the_cone(seed):
         for part in np.linspace(0.0, 0.999, 20):
             assert depth(x + part * step * d) > 0.0
     assert 20 < far < 200
+
+
+def test_a_step_as_good_as_along_the_surface_keeps_its_digits():
+    # 1.1 + s = (1 + 2^-30) s; squares round to 2^-31 of their difference
+    assert cone_step(0.0, 0.0, 1.1, 1.0 + 2.0**-30, 0.0, 1.0) == pytest.approx(1.1 * 2.0**30, rel=2e-9)
 
 
 def test_no_step_leaves_the_cone_without_a_direction():

@@ -299,3 +299,22 @@ def test_a_path_without_end_leaves_for_infinity():
     args = np.diag([1.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0]), np.ones(1), memory.table
     path.follow_path(*args, 1.0, 0.01, 1.0, 1.0, 0)
     assert path.follow_path(*args, 1e-9, 0.01, 1.0, 1.0, 500) == HUGE
+
+
+def test_errors_are_corrected_as_newtons_method_does():
+    """An error of 1e-6 in y, in any of its places, is 1e-12 after one correction: the next step may be longer by as
+    much as after a step that took one."""
+    rng = np.random.default_rng(2)
+    delassus, b, mu = problem(rng, 2)
+    memory = cone_memory(2)
+    start = delassus, b, mu, memory.table
+    path.follow_path(*start, 1.0, 1e-3, 1.0, 1.0, 0)
+    path.follow_path(*start, 0.3, 1e-9, 1.0, 1.0, 100)
+    kept = memory["path"].copy()
+    for place in range(6):
+        memory["path"][:] = kept
+        memory["path"][6, place] += 1e-6
+        # a step as good as none
+        memory["path"][5, 0] = 1e-7
+        path.follow_path(*start, 1e-3, 1e-9, 1.0, 1.0, 1)
+        assert memory["path"][5, 0] == pytest.approx(1e-7 * path.LONGER[1], rel=1e-12)

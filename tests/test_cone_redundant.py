@@ -261,7 +261,8 @@ def test_what_is_moved_inside_is_near_to_the_last_forces(seed, mode):
     rng = np.random.default_rng(seed)
     n, rank = 6, 5
     modes = np.array([STICK] * 5 + [mode])
-    first = np.concatenate([[0], np.cumsum(np.where(modes == STICK, 3, 1))])
+    # a slip's direction may be among the unknowns, too: it is in no cone
+    first = np.concatenate([[0], np.cumsum(np.where(modes == STICK, 3, 1 + seed % 2))])
     unknowns, mu = first[-1], np.full(n, 0.6)
     moved = 0
     for _ in range(5):
@@ -277,14 +278,20 @@ def test_what_is_moved_inside_is_near_to_the_last_forces(seed, mode):
             # of what slides, the length of the force along the cone's surface
             d = buffers["direction"][2 * i : 2 * i + 2]
             length = cosine[i] * last[i, 2] - sine[i] * (d @ last[i, :2])
-            given[first[i] : first[i + 1]] = last[i] if modes[i] == STICK else length
+            if modes[i] == STICK:
+                given[first[i] : first[i + 1]] = last[i]
+            else:
+                given[first[i]] = length
         equations = rng.normal(size=(rank, unknowns))
         # other loads than those of the last forces, which there are forces for well inside
-        target = equations @ (given + 0.3 * np.tile([0, 0, 1.0], n)[:unknowns] * rng.uniform(-1, 1, unknowns))
+        other = 0.3 * np.tile([0, 0, 1.0], n)[:unknowns] * rng.uniform(-1, 1, unknowns)
+        target = equations @ (given + other)
         buffers["a"][:rank, :unknowns], buffers["rhs"][:rank] = equations, target
         arguments = [buffers[name] for name in ("x", "gram", "order")]
         assert least_norm(buffers["a"], buffers["rhs"], rank, unknowns, *arguments, 1e-12) == rank
         x = buffers["x"][:unknowns]
+        if first[-1] - first[-2] == 2:
+            given[-1] = x[-1]
         if is_inside(mu, modes, first, x):
             continue
         moved += 1

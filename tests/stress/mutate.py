@@ -12,7 +12,8 @@ another run with that file looks at new and changed files of tests only, without
 file when the package has changed a good deal.)
 
 Thresholds (constants below 1e-3 or above 1e3, named ones, and what multiplies them) are left out: a tolerance half as
-large again is no mistake. So are lengths of views, messages of errors and annotations.
+large again is no mistake. So are lengths of views, messages of errors, annotations, and * for / where only the sign of
+the result is looked at.
 
 Prints each change that no test noticed, and exits with 1 if one of them is not in `HARMLESS`, or if fewer than 95 % are
 noticed.
@@ -128,7 +129,21 @@ def _is_threshold(node: ast.AST) -> bool:
     """Whether it is a constant of its module, or a number that no formula has but a tolerance."""
     if isinstance(node, ast.Constant) and isinstance(node.value, float):
         return not (node.value == 0.0 or 1e-3 <= abs(node.value) <= 1e3)
-    return isinstance(node, ast.Name) and node.id.isupper() and node.id.startswith("_")
+    if not (isinstance(node, ast.Name) and node.id.isupper()):
+        return False
+    # public names in capitals are places in arrays, but for these
+    return node.id.startswith("_") or node.id.endswith(("TOLERANCE", "ROUND_OFF", "AT_REST"))
+
+
+def _has_sign_only(node: ast.AST) -> bool:
+    """Whether of a product or a quotient only the sign matters, which is the same for both."""
+    return (
+        isinstance(node, ast.Compare)
+        and isinstance(node.comparators[0], ast.Constant)
+        and node.comparators[0].value == 0.0
+        and isinstance(node.left, ast.BinOp)
+        and isinstance(node.left.op, (ast.Mult, ast.Div))
+    )
 
 
 def _numeric(function: ast.AST) -> Iterator[tuple[ast.AST, bool]]:
@@ -139,13 +154,17 @@ def _numeric(function: ast.AST) -> Iterator[tuple[ast.AST, bool]]:
         waiting = [(node, False) for node in body]
     else:
         waiting = []
+    signs: set[int] = set()
     while waiting:
         node, index = waiting.pop()
         if isinstance(node, (ast.Raise, ast.JoinedStr, ast.FunctionDef, ast.ClassDef, ast.Assert)) or _is_room(node):
             continue
         if isinstance(node, ast.BinOp) and (_is_threshold(node.left) or _is_threshold(node.right)):
             continue
-        yield node, index
+        if id(node) not in signs:
+            yield node, index
+        if _has_sign_only(node):
+            signs.add(id(node.left))  # type: ignore[attr-defined]
         for name, value in ast.iter_fields(node):
             if name == "annotation":
                 continue

@@ -15,7 +15,9 @@ from random_scenes import axis, placement
 
 import pincontact as pc
 from pincontact.analysis.instant import Instant
-from pincontact.layout import FREE, GUARD_END, MODE, SLIPPING
+from pincontact.dynamics.impact import apply_impact
+from pincontact.friction.solve import ContactSolver
+from pincontact.layout import FREE, FRICTIONLESS, GUARD_END, MODE, SLIPPING
 
 LAWS = {
     "none": lambda rng: None,
@@ -252,3 +254,119 @@ def test_bilateral(laws, moving):
 def test_all_laws_together(seed):
     rng = np.random.default_rng([11, seed])
     check([12, seed], list(rng.choice(list(LAWS), 3, replace=False)), 2, arm="dry", tilted=bool(seed % 2))
+
+
+# ------------------------------------------------------------------------------------------------ impacts
+
+
+def impulses_of(rng, laws, bilateral=False, restitution=0.0, arm=None):
+    """A body with feet, thrown at its floors: velocities of the feet before and after the impact, impulses (n, 3) on
+    the floors, from the momentum they make, and what the impact says of its work."""
+    scene, points = feet_scene(rng, laws, bilateral=bilateral, arm=arm, tilted=True)
+    nv = scene.model.nv
+    state = scene.initial_state(pin.neutral(scene.model), np.zeros(nv))
+    written = Written(scene, points, state, np.zeros(nv))
+    system = written.system
+    for c in range(len(laws)):
+        system.contact_int[c, MODE] = FRICTIONLESS
+    v = rng.normal(size=nv)
+    v[2] = -2.0
+    system.v[:] = v
+    system.evaluate(0.0)
+    before = [basis @ (-jacobian[:3] @ v) for basis, jacobian, *_ in written.feet]
+    solver = ContactSolver()
+    impact = apply_impact(system, solver, list(range(len(laws))), [], dict.fromkeys(range(len(laws)), restitution))
+    assert impact is not None
+    change = system.v - v
+    after = [basis @ (-jacobian[:3] @ system.v) for basis, jacobian, *_ in written.feet]
+    mass = pin.crba(scene.model, scene.model.createData(), state.q)
+    mass = np.triu(mass) + np.triu(mass, 1).T
+    columns = np.hstack([-jacobian[:3].T @ basis.T for basis, jacobian, *_ in written.feet])
+    for i, law in enumerate(laws):
+        columns[:, 3 * i : 3 * i + 2] *= law != "none"
+    impulses, *_ = np.linalg.lstsq(columns, mass @ change, rcond=1e-12)
+    assert columns @ impulses == pytest.approx(mass @ change, abs=1e-10)
+    kinetic = 0.5 * system.v @ mass @ system.v - 0.5 * v @ mass @ v
+    # a bilateral contact's own velocity, zero but here, takes part in no work
+    assert bilateral or impact.contacts + impact.joints == pytest.approx(kinetic, abs=1e-10)
+    assert impact.drives == 0.0
+    return written, np.array(before), np.array(after), impulses.reshape(-1, 3), impact
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.6])
+@pytest.mark.parametrize("bilateral", [False, True])
+@pytest.mark.parametrize(
+    "laws", ["none", "Coulomb", "ideal", "two directions", "Stribeck", "Coulomb none", "ideal none"]
+)
+def test_impacts_obey_the_laws(laws, bilateral, restitution):
+    """Newton's restitution along the normals, Coulomb's law between impulses and the slip that is left."""
+    laws = [laws] if laws in LAWS else laws.split()
+    rng = np.random.default_rng([20, len(laws), bilateral])
+    for _ in range(3):
+        written, before, after, impulses, impact = impulses_of(rng, laws, bilateral, restitution)
+        size = 1.0 + np.abs(impulses).max()
+        for i, impulse in enumerate(impulses):
+            law = written.contacts[i].friction
+            u, normal = after[i], impulse[2]
+            if bilateral:
+                assert u[2] == pytest.approx(0.0, abs=1e-9 * size)
+                normal = abs(normal)
+            else:
+                # nothing pulls, or closes, and what was pressed leaves as fast as it is to
+                left = u[2] + impact.kept * restitution * min(before[i, 2], 0.0)
+                assert normal >= -1e-9 * size
+                assert left >= -1e-9 * size
+                assert normal * left == pytest.approx(0.0, abs=1e-8 * size)
+            if law is None:
+                assert impulse[:2] == pytest.approx(np.zeros(2), abs=1e-9 * size)
+                continue
+            stretch = np.diag([1.0, law.aspect])
+            speed = np.linalg.norm(u[:2])
+            mu = law.sliding
+            if isinstance(law, pc.Stribeck):
+                mu = float(law.coefficient(np.linalg.norm(before[i, :2])))
+            if speed < 1e-9:
+                if mu < math.inf:
+                    assert np.linalg.norm(np.linalg.solve(stretch, impulse[:2])) <= mu * normal + 1e-8 * size
+            elif mu < math.inf:
+                direction = stretch @ u[:2]
+                expected = -mu * normal * stretch @ direction / np.linalg.norm(direction)
+                assert impulse[:2] == pytest.approx(expected, abs=1e-8 * size)
+            else:
+                assert normal <= 1e-8 * size
+        # kept is all of it, unless that would create energy
+        assert bilateral or impact.contacts <= 1e-12 * size**2
+        assert impact.kept == 1.0 or impact.contacts > -1e-3 * size**2
+
+
+@pytest.mark.parametrize("end", [-1, 1])
+def test_ends_of_joints_take_part_in_impacts(end):
+    """An arm that moves into its end while the foot strikes: its impulse pushes back, and it stops."""
+    rng = np.random.default_rng(21)
+    for _ in range(4):
+        scene, points = feet_scene(rng, ["Coulomb"], arm="low" if end < 0 else "high")
+        nv = scene.model.nv
+        state = scene.initial_state(pin.neutral(scene.model), np.zeros(nv))
+        written = Written(scene, points, state, np.zeros(nv))
+        system = written.system
+        system.guard_int[0, GUARD_END] = end
+        v = rng.normal(size=nv)
+        v[2], v[-1] = -1.0, 3.0 * end
+        system.v[:] = v
+        system.evaluate(0.0)
+        impact = apply_impact(system, ContactSolver(), [0], [0], {})
+        mass = pin.crba(scene.model, scene.model.createData(), state.q)
+        mass = np.triu(mass) + np.triu(mass, 1).T
+        momentum = mass @ (system.v - v)
+        basis, jacobian, *_ = written.feet[0]
+        columns = np.c_[-jacobian[:3].T @ basis.T, np.eye(nv)[-1]]
+        impulses = np.linalg.lstsq(columns, momentum, rcond=1e-12)[0]
+        assert columns @ impulses == pytest.approx(momentum, abs=1e-10)
+        # away from the end, and no further into it
+        assert impulses[3] * end <= 1e-10
+        assert system.v[-1] * end <= 1e-10
+        assert impulses[3] * system.v[-1] == pytest.approx(0.0, abs=1e-10)
+        speed = 0.5 * (v[-1] + system.v[-1])
+        assert impact.joints == pytest.approx(impulses[3] * speed, abs=1e-10)
+        kinetic = 0.5 * system.v @ mass @ system.v - 0.5 * v @ mass @ v
+        assert impact.contacts + impact.joints == pytest.approx(kinetic, abs=1e-10)

@@ -34,7 +34,7 @@ LAWS = {
 ACCURACY = 1e-9
 
 
-def feet_scene(rng, laws, arm=None, bilateral=False, tilted=False):
+def feet_scene(rng, laws, arm=None, bilateral=False, tilted=False, height=0.2):
     """A body on feet, one for each law, each on a plane of its own, and an arm on it: free, dry, or at its end."""
     model = pin.Model()
     model.gravity.linear = np.array([*rng.uniform(-3.0, 3.0, 2), -9.81])
@@ -58,7 +58,7 @@ def feet_scene(rng, laws, arm=None, bilateral=False, tilted=False):
         if "high" in arm:
             model.upperPositionLimit[-1] = 0.0
     scene = pc.Scene(model)
-    points = np.c_[rng.uniform(-0.3, 0.3, (len(laws), 2)), np.full(len(laws), -0.2)]
+    points = np.c_[rng.uniform(-0.3, 0.3, (len(laws), 2)), np.full(len(laws), -height)]
     for i, law in enumerate(laws):
         foot = scene.add_contour(f"foot {i}", pc.Point(), "body", placement=pin.SE3(np.eye(3), points[i]))
         turn = pin.utils.rotate("z", rng.uniform(0.0, 6.0))
@@ -193,7 +193,7 @@ def laws_hold(written, seen):
         seen[name] = seen.get(name, 0) + 1
 
 
-def one(rng, laws, moving=False, **options):
+def one(rng, laws, moving=False, about=False, **options):
     scene, points = feet_scene(rng, laws, **options)
     nv = scene.model.nv
     v = np.zeros(nv)
@@ -201,6 +201,10 @@ def one(rng, laws, moving=False, **options):
         v[:2], v[5] = rng.normal(size=2), rng.normal()
         if nv > 6 and not any(end in options["arm"] for end in ("low", "high")):
             v[6] = rng.normal()
+    if about:
+        # the first foot is a pivot
+        v[5] = rng.uniform(0.5, 3.0)
+        v[:3] = -np.cross(v[3:6], points[0])
     state = scene.initial_state(pin.neutral(scene.model), v)
     tau = np.r_[rng.normal(size=3) * 4.0, rng.normal(size=3) * 0.4, rng.normal(size=nv - 6)]
     return Written(scene, points, state, tau)
@@ -248,6 +252,15 @@ def test_with_an_arm_in_slip(laws, arm):
 def test_bilateral(laws, moving):
     if not (moving and "ideal" in laws):
         check([10, len(laws)], laws, 3, bilateral=True, moving=moving, arm="dry")
+
+
+@pytest.mark.parametrize("laws", ["ideal Coulomb", "ideal Coulomb none", "ideal turning Coulomb", "Coulomb viscous",
+                                  "static Stribeck", "none turning", "Coulomb Coulomb Coulomb"])  # fmt: skip
+def test_about_a_foot_at_rest(laws):
+    """Some rest, or begin to slip, while others slide: their loads depend on each other."""
+    names = ["ideal turning", "Coulomb"] if laws == "ideal turning Coulomb" else laws.split()
+    # low enough that there always is a solution (Painleve)
+    check([13, len(laws)], names, 4, about=True, height=0.02)
 
 
 @pytest.mark.parametrize("seed", range(6))

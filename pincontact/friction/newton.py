@@ -295,9 +295,6 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
                     f[k] = start[k]
         elif attempts == 2 or attempts == 3:
             modes[0] = OPEN if attempts == 2 else STICK
-            f[0] = 0.0
-            f[1] = 0.0
-            f[2] = 0.0
         elif attempts > 3:
             if attempts == 4:
                 candidates = slip_angles(g, c, mu[0], angles)

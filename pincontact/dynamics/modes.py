@@ -441,14 +441,21 @@ class ModeSolver:
             return self._decide_without_cones(t, undecided, closed, evaluate)
         decision = Decision(0, solved=True)
         n = len(closed)
-        if self._all_stick(closed, undecided, held, resisting):
-            problem = self._problem_of_sticking(closed)
-        else:
-            problem = self._problem(closed, undecided, held, resisting)
-        solution = self._solve_with_loads(problem, closed, held, resisting)
-        if solution is None:
-            decision.status = NO_FORCE
-            return decision
+        while True:
+            if self._all_stick(closed, undecided, held, resisting):
+                problem = self._problem_of_sticking(closed)
+            else:
+                problem = self._problem(closed, undecided, held, resisting)
+            solution = self._solve_with_loads(problem, closed, held, resisting)
+            if solution is None:
+                decision.status = NO_FORCE
+                return decision
+            # what gives way has sliding friction from then on, which may change all the rest
+            begun = [c for i, c in enumerate(closed) if c in undecided and solution.modes[i] == cone.SLIP]
+            begun = [c for c in begun if self._limits[c] > numbers[c, MU]]
+            if not begun:
+                break
+            self._limits[begun] = numbers[begun, MU]
         base, shapes, turns = problem.base, problem.shapes, problem.turns
         decision.residual = solution.residual
         self.worst_residual = max(self.worst_residual, decision.residual)

@@ -82,6 +82,7 @@ SLOTS = (
 PASSES, KNOWN, DECIDED, TRIED, TIMES = range(5)
 DECIDERS = ("warm", "exact", "sweeps", "path", "qp")
 BY_WARM, BY_EXACT, BY_SWEEPS, BY_PATH, BY_QP = range(len(DECIDERS))
+UNDECIDED = -1
 COUNTS_LENGTH = TIMES + len(DECIDERS)
 
 

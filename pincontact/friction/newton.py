@@ -30,6 +30,8 @@ ROUND_OFF = 1e-14
 SPEED_TOLERANCE = 1e-12
 # Relative changes of the forces above this are a new choice among redundant forces, below it a refinement.
 REFINEMENT = 1e-2
+# A pass that leaves more than this part of the residual does not converge any more.
+STALLED = 0.5
 # Directions tried in the scan for a single contact's slip; the function scanned has four zeros at most.
 SCAN = 64
 
@@ -48,7 +50,6 @@ def write_system(g, source, mu, modes, buffers):
             p = k + r
             q = k + r
             if modes[i] == SLIP:
-                p = k + 2
                 q = k + 2
                 if r == 1:
                     # The row of d turned by a right angle: d_perp . u_t = 0.
@@ -294,9 +295,6 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
                     f[k] = start[k]
         elif attempts == 2 or attempts == 3:
             modes[0] = OPEN if attempts == 2 else STICK
-            f[0] = 0.0
-            f[1] = 0.0
-            f[2] = 0.0
         elif attempts > 3:
             if attempts == 4:
                 candidates = slip_angles(g, c, mu[0], angles)
@@ -334,7 +332,7 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
                     break
             respond(g, c, f, u, size, buffers[7])
             residual = judge(mu, f, u, size)
-            stalled = residual > 0.5 * before
+            stalled = residual > STALLED * before
             if residual <= ROUND_OFF:
                 return residual, k + 1, attempts
             if not residual < HUGE:

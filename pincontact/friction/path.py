@@ -36,6 +36,9 @@ from .elimination import minimum_norm_solve
 # Part of the way to the cones' boundary that a step takes at most.
 BACK_OFF = 0.99
 PATH_CORRECTIONS = 5
+# The first step, in units of f and of the logarithm of t; how much longer the next may be than one that took so many
+# corrections; how much shorter the next try than one that took too many.
+FIRST_STEP, LONGER, SHORTER = 0.1, (4.0, 2.5, 1.5, 1.0, 0.7), 0.4
 # Scaled forces beyond this have left for infinity, where no solution is.
 ESCAPED = 1e6
 # Steps below the first, or below the round-off of x, lead nowhere.
@@ -219,7 +222,7 @@ def follow_path(delassus, b, mu, table, target, tube, size, saxce, steps):
         for k in range(rows):
             y[k] = x[k]
         tangent[rows] = -1.0
-        memory[0] = 0.1
+        memory[0] = FIRST_STEP
     longest = memory[0]
     largest_x = 1.0
     for _ in range(steps):
@@ -262,7 +265,7 @@ def follow_path(delassus, b, mu, table, target, tube, size, saxce, steps):
                 error = path_residual(g, c, r, saxce, ahead, y_ahead, h, gap)
                 if error <= tube:
                     accepted = True
-                    longest = step * (4.0, 2.5, 1.5, 1.0, 0.7)[correction]
+                    longest = step * LONGER[correction]
                     break
                 if not error < HUGE or correction == PATH_CORRECTIONS - 1:
                     break
@@ -282,7 +285,7 @@ def follow_path(delassus, b, mu, table, target, tube, size, saxce, steps):
                 for k in range(rows):
                     y_ahead[k] += gap[k]
             if not accepted:
-                step *= 0.4
+                step *= SHORTER
         if not accepted:
             break
         largest_x = 0.0

@@ -224,7 +224,7 @@ def turn_slips(rank, source, mu, modes, f, refine, buffers):
             shift[k] -= dot(tilted[k], f)
     for i in range(n):
         arc[i] = 0.0
-        if modes[i] == SLIP and mu[i] > 0.0 and speed[i] > 0.0:
+        if modes[i] == SLIP and mu[i] > 0.0:
             d1 = direction[2 * i]
             d2 = direction[2 * i + 1]
             across = d1 * source[3 * i + 1] - d2 * source[3 * i]

@@ -52,6 +52,7 @@ from .cone import (
     STICK,
     TIMES,
     TRIED,
+    UNDECIDED,
     cone_memory,
 )
 from .feasibility import crushing_combination
@@ -98,7 +99,7 @@ class _Workspace:
         self.forces = self.memory["forces"]
         self.velocities = self.memory["velocities"]
         self.counts = self.memory["counts"]
-        self.counts[DECIDED] = -1
+        self.counts[DECIDED] = UNDECIDED
         self.reached = self.memory["reached"]
         self.qp: ConeQP | None = None
 
@@ -209,7 +210,7 @@ class ContactSolver:
     def decided_by(self) -> str:
         """What decided the last problem that was solved."""
         code = self._space.counts[DECIDED]
-        return DECIDERS[code] if code >= 0 else ""
+        return DECIDERS[code] if code != UNDECIDED else ""
 
     @property
     def decided(self) -> dict[str, int]:
@@ -277,7 +278,7 @@ class ContactSolver:
         self.path_count = self.qp_count = self._qp_before = 0
         for space in self._spaces.values():
             space.counts[:] = 0
-            space.counts[DECIDED] = -1
+            space.counts[DECIDED] = UNDECIDED
 
     def solve(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Solve one problem: delassus (3n, 3n) symmetric, b (3n,), mu (n,), C-contiguous float64. True if solved."""

@@ -1,0 +1,266 @@
+"""The solver of contact problems whose friction goes with loads, alone, on problems made from their solutions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pincontact.friction.loads import Disk, Loads, LoadSolver, _Scaled
+
+SEEDS = pytest.mark.parametrize("seed", range(8))
+
+
+def no_guess(speed):
+    return None
+
+
+def made_problem(rng, coupling=0.3, redundant=False):
+    """A problem and its solution (forces, velocities, which normals press, which disks slide).
+
+    Units: two that slide, one closed with friction on a disk, one open with such a disk, ideal rolling, a resistance of
+    the first one's load, dry friction.
+    """
+    n = 7
+    size = 3 * n
+    scales = np.repeat(10.0 ** rng.uniform(-1.0, 1.0, n), 3)
+    factor = np.eye(size) + coupling * rng.normal(size=(size, size)) / math.sqrt(size)
+    gram = scales[:, None] * (factor @ factor.T) * scales
+    normals = [2, 5, 8, 11, 14]
+    disks = [
+        Disk([6, 7], 0.5, 8), Disk([9, 10], 0.4, 11), Disk([12, 13], math.inf, 14), Disk([15, 16], 0.3, 2),
+        Disk([18], radius=2.0 / scales[18]),
+    ]  # fmt: skip
+    drag = {}
+    for k in (0, 1):
+        angle = rng.uniform(0.0, 2.0 * math.pi)
+        drag[3 * k + 2] = np.zeros(size)
+        drag[3 * k + 2][3 * k : 3 * k + 2] = 0.3 * np.array([math.cos(angle), math.sin(angle)])
+    y, w = np.zeros(size), np.zeros(size)
+    pressed = rng.random(5) < 0.7
+    # that of the open disk is open; the resistance's load is there
+    pressed[[0, 2, 4]], pressed[3] = True, False
+    for row, presses in zip(normals, pressed):
+        (y if presses else w)[row] = rng.uniform(0.5, 2.0) / (scales[row] if presses else 1.0 / scales[row])
+    slid = []
+    for disk in disks:
+        radius = disk.radius if disk.normal is None else disk.factor * y[disk.normal] if y[disk.normal] else 0.0
+        direction = rng.normal(size=len(disk.rows))
+        direction /= np.linalg.norm(direction)
+        slides = bool(rng.random() < 0.5 or radius == 0.0) and radius < math.inf
+        slid.append(slides)
+        if slides:
+            y[disk.rows] = radius * direction
+            w[disk.rows] = -rng.uniform(0.5, 2.0) * scales[disk.rows] * direction
+        else:
+            y[disk.rows] = 0.6 * min(radius, 1.0 / scales[disk.rows[0]]) * direction
+    forces = y.copy()
+    for row, along in drag.items():
+        forces += y[row] * along
+    return Loads(gram, w - gram @ forces, normals, drag, disks), forces, w, pressed, slid
+
+
+def errors(problem, forces, velocities):
+    """How far forces and velocities are from the laws of the problem, each in the others' units."""
+    diagonal = problem.gram.diagonal().reshape(-1, 3).mean(axis=1).repeat(3)
+    y, w = forces * np.sqrt(diagonal), velocities / np.sqrt(diagonal)
+    out = [np.abs(problem.gram @ forces + problem.base - velocities).max() / np.abs(problem.base).max()]
+    out += [abs(min(y[row], w[row])) for row in problem.normals]
+    rest = np.ones(forces.size, dtype=bool)
+    rest[problem.normals] = False
+    for row, along in problem.drag.items():
+        rest[along != 0.0] = False
+        dragged = along != 0.0
+        out.append(np.abs((forces - forces[row] * along)[dragged] * np.sqrt(diagonal)[dragged]).max())
+    for disk in problem.disks:
+        rest[disk.rows] = False
+        load = 1.0 if disk.normal is None else forces[disk.normal]
+        radius = (disk.radius if disk.normal is None else disk.factor * load if load else 0.0) * math.sqrt(
+            diagonal[disk.rows[0]]
+        )
+        if math.isinf(radius):
+            out.append(np.abs(w[disk.rows]).max())
+            continue
+        p = y[disk.rows] - w[disk.rows]
+        length = np.linalg.norm(p)
+        out.append(np.abs(y[disk.rows] - (p if length <= radius else p * (radius / length))).max())
+    out.append(np.abs(forces[rest]).max(initial=0.0))
+    return np.array(out)
+
+
+@SEEDS
+def test_solutions_are_kept_and_found_again_from_near_by(seed):
+    """All kinds of units together; Newton's steps are exact where modes do not change."""
+    rng = np.random.default_rng(seed)
+    problem, forces, velocities, pressed, slid = made_problem(rng)
+    # the laws as they are written out here hold for it
+    assert errors(problem, forces, velocities).max() < 1e-12
+    solver = LoadSolver()
+    for near in (0.0, 1e-3):
+        start = forces * (1.0 + near * rng.uniform(-1.0, 1.0, forces.size))
+        assert solver.solve(problem, start, no_guess)
+        # round-off times a condition number of up to 1e3
+        assert solver.forces == pytest.approx(forces, abs=1e-9 * np.abs(forces).max())
+        assert solver.velocities == pytest.approx(velocities, abs=1e-9 * np.abs(problem.base).max())
+        assert solver.pressed.tolist() == pressed.tolist()
+        assert solver.slid == slid
+        assert solver.residual <= 1e-10
+        # zero, not small
+        assert not solver.velocities[problem.normals][pressed].any()
+    scaled = _Scaled(problem)
+    start = scaled.unknowns(forces * (1.0 + 1e-4 * rng.uniform(-1.0, 1.0, forces.size)))
+    y, residual = scaled.newton(start, None)
+    assert residual <= 1e-13
+    assert scaled.forces(y) == pytest.approx(forces, abs=1e-10 * np.abs(forces).max())
+
+
+@SEEDS
+def test_steps_converge_as_newtons_do(seed, monkeypatch):
+    """The error is squared from step to step: the derivative is the right one for each kind of unit."""
+    from pincontact.friction import loads
+
+    rng = np.random.default_rng(seed)
+    problem, forces, *_ = made_problem(rng)
+    scaled = _Scaled(problem)
+    start = scaled.unknowns(forces * (1.0 + 1e-3 * rng.uniform(-1.0, 1.0, forces.size)))
+    monkeypatch.setattr(loads, "_NEWTON_STEPS", 4)
+    y, _ = scaled.newton(start, None)
+    # 1e-3, 1e-5, 1e-9, round-off, where curvatures and condition numbers are of some ten
+    assert scaled.forces(y) == pytest.approx(forces, abs=1e-10 * np.abs(forces).max())
+
+
+@SEEDS
+def test_units_do_not_matter(seed):
+    rng = np.random.default_rng(seed)
+    problem, forces, _, pressed, slid = made_problem(rng)
+    units = np.repeat(10.0 ** rng.uniform(-4.0, 4.0, 7), 3)
+    other = replace(
+        problem,
+        gram=units[:, None] * problem.gram * units,
+        base=1e3 * units * problem.base,
+        drag={row: along * units[row] / units for row, along in problem.drag.items()},
+        disks=[
+            replace(disk, radius=1e3 * disk.radius / units[disk.rows[0]])
+            if disk.normal is None
+            else replace(disk, factor=disk.factor * units[disk.normal] / units[disk.rows[0]])
+            for disk in problem.disks
+        ],
+    )
+    solver = LoadSolver()
+    assert solver.solve(other, 1e3 * forces / units * (1.0 + 1e-4), no_guess)
+    assert solver.forces == pytest.approx(1e3 * forces / units, rel=1e-8, abs=1e-8 * np.abs(forces).max() / units.max())
+    assert (solver.pressed.tolist(), solver.slid) == (pressed.tolist(), slid)
+
+
+@SEEDS
+def test_a_solution_is_found_from_nothing(seed):
+    """By the choices of what carries a load, or by the guess, whose velocities are in units of the problem."""
+    rng = np.random.default_rng(seed)
+    problem, forces, _, _, _ = made_problem(rng)
+    solver = LoadSolver()
+    nothing = np.zeros(forces.size)
+    assert solver.solve(problem, nothing, no_guess)
+    assert errors(problem, solver.forces, solver.velocities).max() < 1e-8
+    asked = []
+
+    def guess(speed):
+        asked.append(speed)
+        return None if len(asked) == 1 else forces
+
+    # so that the first try is none
+    bad = np.full(forces.size, math.nan)
+    before = solver.forces
+    if solver.solve(problem, bad, guess) and asked:
+        largest = np.abs(problem.base).max()
+        assert asked == [1e3 * largest, 1e6 * largest][: len(asked)]
+    assert solver.forces is not before
+
+
+def linear_problem(operator, base):
+    """Normal forces alone: each contact's normal force drags the others' velocities as the operator says."""
+    n = len(base)
+    gram, full, drag = np.zeros((6 * n, 6 * n)), np.zeros(6 * n), {}
+    # a second body for each, through whose tangential forces everything goes that is not symmetric
+    gram[2 : 3 * n : 3, 2 : 3 * n : 3] = np.diag(np.ones(n))
+    for i in range(n):
+        drag[3 * i + 2] = np.zeros(6 * n)
+        for j in range(n):
+            row = 3 * n + 3 * j
+            gram[row, 3 * j + 2] = gram[3 * j + 2, row] = 1.0
+            gram[row, row] = 4.0
+            drag[3 * i + 2][row] = operator[j, i] - float(i == j)
+    full[2 : 3 * n : 3] = base
+    return Loads(gram, full, [3 * i + 2 for i in range(n)], drag)
+
+
+def complementary(operator, base):
+    """Every N >= 0 with A N + b >= 0, N (A N + b) = 0, by the choices of loads."""
+    n, found = len(base), []
+    for choice in range(2**n):
+        loaded = [i for i in range(n) if choice >> i & 1]
+        forces = np.zeros(n)
+        if loaded:
+            forces[loaded] = np.linalg.solve(operator[np.ix_(loaded, loaded)], -base[loaded])
+        if (forces >= 0.0).all() and (operator @ forces + base >= -1e-12).all():
+            found.append(forces)
+    return found
+
+
+@SEEDS
+def test_loads_of_what_slides_are_found_or_proved_to_be_none(seed):
+    """Operators of any definiteness; a contact that its own force would not part from the other carries nothing."""
+    rng = np.random.default_rng(seed)
+    found = proved = 0
+    for _ in range(10):
+        n = int(rng.integers(1, 5))
+        operator, base = np.eye(n) + 0.8 * rng.normal(size=(n, n)), rng.normal(size=n) - 0.5
+        solutions = [
+            forces for forces in complementary(operator, base) if not (forces[operator.diagonal() <= 0.0] > 0.0).any()
+        ]
+        problem = linear_problem(operator, base)
+        solver = LoadSolver()
+        if solver.solve(problem, np.zeros(6 * n), no_guess):
+            found += 1
+            forces = solver.forces[problem.normals]
+            # of systems with condition numbers of up to 1e4
+            assert min(np.abs(forces - other).max() for other in solutions) < 1e-9 * (1.0 + np.abs(forces).max())
+            assert solver.velocities[problem.normals] == pytest.approx(operator @ forces + base, abs=1e-9)
+            assert solver.pressed.tolist() == (forces > 1e-9).tolist()
+        else:
+            assert not solutions
+            assert solver.proved
+            proved += 1
+    assert found and proved
+
+
+def test_where_disks_take_part_nothing_is_proved():
+    problem = linear_problem(np.array([[-1.0]]), np.array([-1.0]))
+    solver = LoadSolver()
+    assert not solver.solve(problem, np.zeros(6), no_guess)
+    assert solver.proved
+    problem.disks.append(Disk([0], radius=1.0))
+    assert not solver.solve(problem, np.zeros(6), no_guess)
+    assert not solver.proved
+
+
+def test_of_several_solutions_the_one_that_keeps_most_closed_is_first():
+    """What is closed stays closed, if it can: two contacts each of which could carry all, or both a part."""
+    operator, base = np.array([[1.0, 2.0], [2.0, 1.0]]), np.array([-1.0, -1.0])
+    assert len(complementary(operator, base)) == 3
+    solver = LoadSolver()
+    # from a guess that leads nowhere
+    problem = linear_problem(operator, base)
+    assert solver.solve(problem, np.zeros(12), no_guess)
+    assert solver.forces[problem.normals] == pytest.approx([1.0 / 3.0, 1.0 / 3.0], rel=1e-12)
+
+
+def test_redundant_loads_are_the_least():
+    """Two contacts that do the same carry as much."""
+    operator, base = np.ones((2, 2)), np.array([-1.0, -1.0])
+    solver = LoadSolver()
+    problem = linear_problem(operator, base)
+    assert solver.solve(problem, np.zeros(12), no_guess)
+    assert solver.forces[problem.normals] == pytest.approx([0.5, 0.5], rel=1e-12)
+    assert solver.pressed.all()

@@ -38,8 +38,11 @@ def _solved(upper: np.ndarray, right: np.ndarray, transposed: bool) -> np.ndarra
 
 
 def whitened_velocity(system: System, v: np.ndarray) -> np.ndarray:
-    """L v: half of its square is the kinetic energy of v."""
-    return scipy.linalg.blas.dtrmv(system.factor.T, v, trans=1) if v.size else v
+    """L v: half of its square is the kinetic energy of v.
+
+    By numpy's product, since BLAS's own for triangular matrices starts threads however small they are.
+    """
+    return np.tril(system.factor) @ v
 
 
 def unit_columns(system: System, index: int, rows: Sequence[int], sign: float = 1.0) -> np.ndarray:

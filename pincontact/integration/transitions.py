@@ -12,7 +12,7 @@ import numpy as np
 from ..dynamics.energy import REST_SPEED, energies_at
 from ..dynamics.impact import apply_impact
 from ..dynamics.joints import END_SLACK
-from ..dynamics.modes import Decision, ModeSolver, freeze_slip, held_up_by_friction, rest_mode
+from ..dynamics.modes import Decision, ModeSolver, freeze_slip, rest_mode, shares_viscous_force
 from ..dynamics.stretches import opposed_slip
 from ..dynamics.system import FORCE_SLACK
 from ..dynamics.units import whiten
@@ -339,6 +339,8 @@ class Transitions:
             slid = after_impact or integers.item(MODE) == SLIPPING
             integers[FROZEN] = 0
             integers[MODE] = rest_mode(mu)
+            if integers[UNILATERAL]:
+                integers[NORMAL_SIGN] = abs(integers.item(NORMAL_SIGN))
             if mu == 0.0 or (math.isinf(mu) and not (slid and integers[UNILATERAL])):
                 continue
             along = system.basis[c] @ system.slip[c]
@@ -378,6 +380,10 @@ class Transitions:
             return self._touch(t, c)
         self._check_chatter(t, c)
         integers = self.system.contact_int[c]
+        if kind == FRICTION_MARGIN and shares_viscous_force(self.system, c):
+            # all of its viscous friction from here on, and a load that grows from zero
+            self.modes.load(c)
+            return self._go_on(t)
         if kind == FRICTION_MARGIN and integers[MODE] == SLIPPING:
             self._end_jams(t, [c])
             return self.start_frozen(t)
@@ -395,6 +401,8 @@ class Transitions:
             if integers[UNILATERAL]:
                 if self._closes_again(t, c):
                     return self._leave_stick(t, c)
+                if self.modes.share(t, c, self.rk.evaluate):
+                    return self._go_on(t)
                 before = int(integers[MODE])
                 integers[MODE] = FREE
                 self.announce(t, c, "separate")
@@ -416,6 +424,14 @@ class Transitions:
         else:
             numbers[LIMIT_SLACK] = FORCE_SLACK
         return after
+
+    def _go_on(self, t: float) -> float:
+        """Take the state with other forces, of which none has jumped."""
+        if self.rk.evaluate(t) > EVENT:
+            raise self.give_up(t, NO_FORCE)
+        self._project(t, True)
+        self.rk.accept()
+        return t
 
     def _redistribute(self, t: float, c: int, kind: int) -> bool:
         """Whether other ones among redundant forces keep all modes, of which margin `kind` of item c ends one."""
@@ -519,6 +535,8 @@ class Transitions:
             elif c in at_rest:
                 if mode != SLIPPING or self._goes_back(c, at_rest[c]):
                     self._announce_friction(t, c, mode == SLIPPING)
+            elif shares_viscous_force(system, c):
+                continue
             elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
                 self._announce_friction(t, c, True)
         self._announce_guards(t)
@@ -828,9 +846,9 @@ class Transitions:
         return np.array([self._reach(c) for c in range(nc)]) + self.dips.depths[:nc]
 
     def held_up(self) -> list[int]:
-        """Contacts that slide held up by friction alone."""
-        modes = self.system.modes.tolist()
-        return [c for c, mode in enumerate(modes) if mode == SLIPPING and held_up_by_friction(self.system, c)]
+        """Contacts of ideal rolling that slide held up by friction alone."""
+        modes, mu = self.system.modes.tolist(), self.system.contact_real[:, MU].tolist()
+        return [c for c, mode in enumerate(modes) if mode == SLIPPING and mu[c] == math.inf]
 
     def _stop_jammed(self, t: float) -> None:
         """Stop slips that friction alone would have to hold up and cannot: the force it takes grows without bound."""

@@ -134,7 +134,7 @@ def shares_viscous_force(integers):
 
 @kernel
 def is_held_up(integers, numbers):
-    """Whether a contact slides with F_n = 0, held up by friction alone: ideal rolling, or a part of viscous friction."""
+    """Whether a contact slides with F_n = 0, held up by friction alone: ideal rolling, or part of its viscous force."""
     return shares_viscous_force(integers) or (integers[MODE] == SLIPPING and numbers[MU] == math.inf)
 
 
@@ -221,9 +221,9 @@ def friction_directions(
     """whitened_forces[r] = L^-T (direction of the force that multiplier r scales)^T.
 
     For a slipping contact this is n - mu w_t / |w_t|, if friction is isotropic; |F_n| = sign F_n for one normal and
-    l . F_n, with l the unit normal force of the last iterate, for two. Where only friction holds the contact up, F_n = 0,
-    it is -w_t / |w_t|: so ideal rolling slips, the limit for mu without bound, and what viscous friction keeps from
-    closing. A resistance that slips adds its torque to its contact's normal force in the same way.
+    l . F_n, with l the unit normal force of the last iterate, for two. Where only friction holds the contact up and
+    F_n = 0 it is -w_t / |w_t|: so ideal rolling slips, the limit for mu without bound, and so does what viscous friction
+    keeps from closing. A resistance that slips adds its torque to its contact's normal force in the same way.
     """
     for r in range(count):
         for k in range(nv):

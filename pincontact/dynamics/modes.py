@@ -80,6 +80,8 @@ _ROUNDING = 1e-13
 # What stick may take from the velocity, in the mass metric: this part of it, and this many absolute tolerances: so far
 # is slip that counts as ended from zero.
 _TAKEN, _TAKEN_TOLERANCES = 1e-3, 1e4
+# Viscous friction by which a contact is held up is all of it to so much.
+_AT_ALL = 1e-6
 # Relative size below which singular values are zero, as pivots are in `dynamics.linear`.
 _SINGULAR = math.sqrt(RANK_TOLERANCE)
 
@@ -352,7 +354,9 @@ class ModeSolver:
         system = self.system
         integers = system.contact_int
         before = integers[:, NORMAL_SIGN].copy()
-        closed = [c for c in system.closed() if integers[c, UNILATERAL]]
+        closed = [c for c in system.closed() if integers[c, UNILATERAL] and not shares_viscous_force(system, c)]
+        if ended is not None and ended not in closed:
+            return False
         seen = set()
         self._take_reference(None)
         if ended is not None:
@@ -756,15 +760,38 @@ class ModeSolver:
         if not drags(system, c) or shares_viscous_force(system, c):
             return False
         mode, sign = int(integers[MODE]), int(integers[SLIP_SIGN])
-        integers[MODE] = FREE
-        if evaluate(t) <= EVENT and self.gap_acceleration(t, c) < 0.0:
-            along = float(system.basis[c, 0] @ system.slip[c])
-            integers[MODE], integers[NORMAL_SIGN], integers[SLIP_SIGN] = SLIPPING, -1, 1 if along >= 0.0 else -1
-            if evaluate(t) <= EVENT and (system.margins[c, [NORMAL_MARGIN, FRICTION_MARGIN]] >= 0.0).all():
+        if self._closes_without(t, c, evaluate):
+            integers[MODE], integers[NORMAL_SIGN] = SLIPPING, -1
+            if integers[TANGENTS] == 1:
+                integers[SLIP_SIGN] = 1 if system.basis[c, 0] @ system.slip[c] >= 0.0 else -1
+            if evaluate(t) <= EVENT and system.margins[c, NORMAL_MARGIN] >= 0.0 and not self._takes_all(c):
                 return True
         integers[MODE], integers[NORMAL_SIGN], integers[SLIP_SIGN] = mode, 1, sign
         evaluate(t)
         return False
+
+    def _takes_all(self, c: int) -> bool:
+        """Whether contact c is held up by more than all of its viscous friction. It starts with all of it."""
+        system = self.system
+        force = math.hypot(system.force[c, 0], system.force[c, 1])
+        return bool(system.margins[c, FRICTION_MARGIN] < -_AT_ALL * force)
+
+    def _closes_without(self, t: float, c: int, evaluate) -> bool:
+        """Whether contact c would close if it and what would pull without it were let go; it is open then."""
+        system = self.system
+        modes = system.contact_int[: system.nc, MODE].copy()
+        system.contact_int[c, MODE] = FREE
+        closes = False
+        while evaluate(t) <= EVENT:
+            pulls = system.margins[: system.nc, NORMAL_MARGIN] < -self.force_round_off()
+            pulls &= (system.contact_int[: system.nc, UNILATERAL] != 0) & (system.modes[: system.nc] != FREE)
+            if not pulls.any():
+                closes = self.gap_acceleration(t, c) < 0.0
+                break
+            system.contact_int[: system.nc][pulls, MODE] = FREE
+        modes[c] = FREE
+        system.contact_int[: system.nc, MODE] = modes
+        return closes
 
     def gap_acceleration(self, t: float, c: int) -> float:
         """Second derivative in m/s^2 of the gap of an open contact in the last evaluation; NaN if it has no rows."""
@@ -805,8 +832,7 @@ class ModeSolver:
                     worst = -2
                     break
                 if shares_viscous_force(system, c):
-                    if system.margins[c, FRICTION_MARGIN] < -self.force_round_off():
-                        # it takes more than all of its viscous friction
+                    if self._takes_all(c):
                         self.load(c)
                         worst = -2
                         break

@@ -222,8 +222,8 @@ def friction_directions(
 
     For a slipping contact this is n - mu w_t / |w_t|, if friction is isotropic; |F_n| = sign F_n for one normal and
     l . F_n, with l the unit normal force of the last iterate, for two. Where only friction holds the contact up and
-    F_n = 0 it is -w_t / |w_t|: so ideal rolling slips, the limit for mu without bound, and so does what viscous friction
-    keeps from closing. A resistance that slips adds its torque to its contact's normal force in the same way.
+    F_n = 0 it is -w_t / |w_t|: so ideal rolling slips, the limit for mu without bound, and what viscous friction keeps
+    from closing. A resistance that slips adds its torque to its contact's normal force in the same way.
     """
     for r in range(count):
         for k in range(nv):

@@ -310,6 +310,9 @@ class OpenContacts:
         found = nearest.candidate
         if found is None or self._is_present(c, found):
             return False
+        if system.contact_real[c, DOMAIN] >= 0.0 and 0.0 <= system.gaps[c, 0] <= found.gap:
+            # where it is followed is nearer than what was found
+            return False
         first = system.nq + system.nv + 4 * c
         system.state[first : first + 4] = found.location
         system.location[c] = found.location

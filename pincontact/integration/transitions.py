@@ -102,6 +102,8 @@ _JUMP = 1e-6
 # Friction margins below this part of the limit, and loads below this part of the largest, are zero where no choice
 # among redundant forces can raise them.
 _AT_LIMIT = 1e-6
+# So often, and so much shorter each time, is looked for slip that a seed has not shown.
+_LOOKS_FOR_SLIP, _SHORTER_SEED = 3, 0.1
 # Where contacts open as stick ends, they do after this fraction of the usual time.
 _OPENING_SEED = 1e-4
 # Forces below zero, or above their limit, by less than this part of the largest one are no events while slip starts.
@@ -736,9 +738,19 @@ class Transitions:
         # the friction that stick asks for at its limit is against the slip to come
         limit = opposed_slip(system, c, system.force[c, :2]) @ system.basis[c, :2]
         start_q, start_v = system.q.copy(), system.v.copy()
-        tau = min(self.seed, self.until_touch())
+        # the step that led here resolves what decides; a seed that is longer may pass a load by
+        tau = min(self.seed, self.until_touch(), self.longest_start if self.longest_start > 0.0 else math.inf)
         modes = system.contact_int.copy()
         tau, decision, seeded = self._run_on(t, tau)
+        for _ in range(_LOOKS_FOR_SLIP):
+            if decision.started or decision.opened:
+                break
+            # the limit may have been exceeded in between
+            system.contact_int[:] = modes
+            rk.load(system.state)
+            if rk.evaluate_start(t) > EVENT:
+                raise self.give_up(t, NO_FORCE)
+            tau, decision, seeded = self._run_on(t, _SHORTER_SEED * tau)
         if decision.opened:
             # a jump of the forces (Painleve) opens contacts at once, not when slip would show
             system.contact_int[:] = modes

@@ -75,7 +75,9 @@ _RESTART = 4.0
 _DOUBTS = 3
 # Slips this many times faster than what counts as ended end with one that does.
 _TOGETHER = 8.0
-# What the user's control, or a drive, does in so many seconds is looked at, even where nothing moves.
+# What the user's control, or a drive, does in so many seconds is looked at, even where nothing moves: a dozen
+# evaluations in each, so that a minute at rest costs less than a tenth of a second. A pulse that lasts as long is met
+# by several of them.
 _WATCH = 0.1
 # The same for functions of the user's that are looked for zeros.
 _WATCH_EVENTS = 1.0

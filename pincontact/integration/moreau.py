@@ -103,7 +103,7 @@ from .impulse_steps import (
     run_steps,
 )
 from .open_contacts import MANY_STEPS, OpenContacts
-from .results import CLOSED_APART, CONTOUR_ENDS, FAILURES, FINISHED, TERMINATED, Event, Stop
+from .results import CLOSED_APART, CONTOUR_ENDS, FAILURES, FINISHED, FLOWN_THROUGH, TERMINATED, Event, Stop
 from .results import STEP_LIMIT as AT_STEP_LIMIT
 from .stages import load_state, move_charts
 from .steps import run_task
@@ -285,7 +285,7 @@ class MoreauStep:
                 # what opens in a step is looked at before the next one
                 steps = self.look() if FREE in self.system.modes.tolist() else 1
                 if steps == 0:
-                    return TOO_LONG
+                    return FLOWN_THROUGH
                 counts[LAST] = min(last, counts.item(STEPS) + steps)
             status = self._run(STEP)
             if status not in (OK, MARCHING):
@@ -485,6 +485,8 @@ class MoreauStep:
             gaps = np.where(system.modes != FREE, np.abs(system.gaps[: system.nc, 0]), 0.0)
             c = int(np.argmax(gaps))
             where, number = f"contact {system.contacts[c].name!r}: ", f" by {gaps[c]:.3g} m"
+        elif status == FLOWN_THROUGH:
+            where = f"contact {system.contacts[self.open.fastest].name!r}: "
         elif status == NO_FORCE:
             number = f"; relative residual {self.solver.residual:.3g}"
         h, fastest = (
@@ -627,7 +629,7 @@ class MoreauDriver:
             elif why == CONTOUR_ENDS:
                 raise self._end_of_contour(t, t + step.size)
             elif why == AT_LIMIT and ahead == 0:
-                self._check(TOO_LONG, t)
+                self._check(FLOWN_THROUGH, t)
             elif why not in (MARCHING, AT_END, AT_LIMIT):
                 self._check(why, t)
             if self.progress is not None:

@@ -133,6 +133,7 @@ class OpenContacts:
     """What is known of a system's open contacts between its steps.
 
     apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
+    fastest: the contact for which `look` has last found the step too long.
     passed: contacts whose gap fell through zero beyond an end of a contour in the last step, or was not seen to.
     """
 
@@ -145,6 +146,7 @@ class OpenContacts:
         self._speeds: dict[int, float] = {}
         self._allowed: dict[int, float] = {}
         self._cut = math.inf
+        self.fastest = 0
         self.has_moved = self.is_near = False
         self._controlled: list[int] = []
         self._absolute = system.absolute.copy()
@@ -241,6 +243,7 @@ class OpenContacts:
                     self.find(t, c)
                 distance = self._distance(known, t)
             if way > max(distance, _THROUGH * known.near):
+                self.fastest = c
                 return 0
             certain = distance if known.search is None else known.elsewhere - known.moved(t)
             steps = min(steps, max(int(min(_time(speed, acceleration, max(certain, 0.0)) / h, MANY_STEPS)), 1))

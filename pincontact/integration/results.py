@@ -24,6 +24,8 @@ GAP_TOLERANCE = 10.0
 # Statuses of single time steps, beside those of `layout`: a closed contact that cannot open is beyond the end of a
 # contour, or one ends apart.
 CONTOUR_ENDS, CLOSED_APART = 50, 51
+# An open contact's bodies could go through each other in one step.
+FLOWN_THROUGH = 53
 
 FAILURES = {
     LOCATION_FAILED: (SINGULAR_CONTACT, "the location parameters could not be continued (Newton left its branch)"),
@@ -34,6 +36,7 @@ FAILURES = {
     TOO_LONG: (STEP_TOO_LONG, "the step is too long for this motion: bodies turn too far in it"),
     CONTOUR_ENDS: (END_OF_CONTOUR, "reached the end of a contour"),
     CLOSED_APART: (STEP_TOO_LONG, "the step is too long for this motion: a closed contact ends apart"),
+    FLOWN_THROUGH: (STEP_TOO_LONG, "the step is too long for this motion: the open bodies could go through each other"),
 }
 
 

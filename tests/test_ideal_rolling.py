@@ -307,8 +307,9 @@ def check(seed, scene, run, depth):
         # twice a thousandth of the length
         dip = 2e-3 * characteristic_length(contact) if ideal else 0.0
         assert np.nanmin(track.gap) >= -depth - dip, seed
-        # they are rare
-        assert np.mean(track.gap < -depth) <= (0.1 if ideal else 0.0), seed
+        # they are short, in time: what is near takes short steps
+        deep = np.gradient(run.t)[track.gap < -depth].sum()
+        assert deep <= (0.1 * (run.t[-1] - run.t[0]) if ideal else 0.0), seed
         assert track.normal_force.min() >= -1e-7 * (1.0 + track.normal_force.max()), seed
         if ideal:
             alone = track.mode == SLIPPING
@@ -333,7 +334,7 @@ def test_thrown_bodies(first, some_slide):
             assert run.contacts["c"].conditioning[-1] < 1e-5, seed
         # ten times the tolerances, twice
         slides += check(seed, scene, run, 4e-7) > 0
-    assert slides >= 1 if some_slide else slides <= 1
+    assert slides >= 1 if some_slide else slides == 0
 
 
 def test_a_slide_that_jams():
@@ -357,6 +358,19 @@ def test_a_slide_that_jams():
         assert abs(stepped.events[-1].time - stopped) <= 2.0 * h
         # first order, across two impacts
         assert np.abs(stepped.q[-1] - run.q[-1]).max() <= 4.0 * h
+
+
+@pytest.mark.parametrize("case", range(6))
+def test_a_slide_jams_whatever_the_steps(case):
+    """The last steps before the jam fail or not by round-off; the run goes on from it all the same."""
+    rng = np.random.default_rng(case)
+    scene, state = thrown_body(224)
+    v = np.asarray(state.v) * (1.0 + 1e-9 * rng.normal())
+    rtol = 10.0 ** rng.uniform(-9.0, -6.0)
+    start = scene.initial_state(state.q, v, free=["c"], max_gap=0.3) if case % 2 else state
+    run = pc.simulate(scene, start, 0.6, rtol=rtol, atol=1e-2 * rtol, max_step=10.0 ** rng.uniform(-4.0, -1.0))
+    assert run.status == 0, run.message
+    assert kinds(run)[-2:] == ["touch", "stick"]
 
 
 def thrown_box(seed):

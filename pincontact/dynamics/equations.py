@@ -129,9 +129,22 @@ def coefficient_at(numbers, speed):
 
 
 @kernel
+def shares_viscous_force(integers):
+    """Whether a unilateral contact slides with F_n = 0, held up by a part of its viscous force (NORMAL_SIGN is -1)."""
+    return integers[MODE] == SLIPPING and integers[UNILATERAL] != 0 and integers[NORMAL_SIGN] < 0
+
+
+@kernel
+def is_held_up(integers, numbers):
+    """Whether a contact slides with F_n = 0, held up by friction alone: ideal rolling, or part of its viscous force."""
+    return shares_viscous_force(integers) or (integers[MODE] == SLIPPING and numbers[MU] == math.inf)
+
+
+@kernel
 def resists_viscously(integers, numbers):
-    """Whether a contact moves with viscous friction: it touches, and does not stick."""
-    return numbers[VISCOUS] > 0.0 and integers[MODE] != FREE and integers[MODE] != STICK
+    """Whether a contact moves with all of its viscous friction: it touches, and does not stick."""
+    moves = numbers[VISCOUS] > 0.0 and integers[MODE] != FREE and integers[MODE] != STICK
+    return moves and not shares_viscous_force(integers)
 
 
 @kernel
@@ -210,24 +223,26 @@ def friction_directions(
     """whitened_forces[r] = L^-T (direction of the force that multiplier r scales)^T.
 
     For a slipping contact this is n - mu w_t / |w_t|, if friction is isotropic; |F_n| = sign F_n for one normal and
-    l . F_n, with l the unit normal force of the last iterate, for two. Ideal rolling slips where only friction holds
-    the contact up, F_n = 0: the limit for mu without bound, -w_t / |w_t|. A resistance that slips adds its torque to
-    its contact's normal force in the same way.
+    l . F_n, with l the unit normal force of the last iterate, for two. Where only friction holds the contact up and
+    F_n = 0 it is -w_t / |w_t|: so ideal rolling slips, the limit for mu without bound, and what viscous friction keeps
+    from closing. A resistance that slips adds its torque to its contact's normal force in the same way.
     """
     for r in range(count):
         for k in range(nv):
             whitened_forces[r, k] = whitened[r, k]
     for i in range(total):
         integers, numbers = contact_int[i], contact_real[i]
-        if integers[MODE] != SLIPPING or numbers[MU] == 0.0:
+        alone = is_held_up(integers, numbers)
+        if integers[MODE] != SLIPPING or (numbers[MU] == 0.0 and not alone):
             continue
         c = integers[OWNER] if integers[PATTERN] == NO_NORMAL else i
-        if c != i and contact_int[c, MODE] == SLIPPING and contact_real[c, MU] == math.inf:
+        if c != i and is_held_up(contact_int[c], contact_real[c]):
             # without a load
             continue
         numbers[SLIP_SPEED] = slip_direction(integers, numbers, slip[i], basis[i], time, direction)
         numbers[MU_NOW] = coefficient_at(numbers, abs(numbers[SLIP_SPEED]))
-        friction_direction(integers, numbers, direction)
+        if not shares_viscous_force(integers):
+            friction_direction(integers, numbers, direction)
         for k in range(nv):
             work[k] = direction[0] * rows[i, 0, k]
         if integers[TANGENTS] == 2:
@@ -242,7 +257,6 @@ def friction_directions(
             share = float(contact_int[c, NORMAL_SIGN]) if contact_int[c, UNILATERAL] == 0 else 1.0
             if on_curve:
                 share = numbers[NORMAL_1] if row == 2 else numbers[NORMAL_2]
-            alone = numbers[MU] == math.inf
             for k in range(nv):
                 whitened_forces[r, k] = -work[k] if alone else whitened_forces[r, k] - numbers[MU_NOW] * share * work[k]
 
@@ -882,16 +896,19 @@ def _friction_margins(
         for row in range(3):
             relative_acceleration[c, row] = inner(rows[c, row], acceleration, nv) + bias[c, row]
         numbers[SLIP_RATE] = direction[0] * relative_acceleration[c, 0]
+        shares = shares_viscous_force(integers)
         if integers[TANGENTS] == 1:
-            if integers[FROZEN] == 0:
+            if integers[FROZEN] == 0 and numbers[MU] > 0.0:
                 value[SPEED_MARGIN] = speed
         else:
             numbers[SLIP_RATE] += direction[1] * relative_acceleration[c, 1]
-            friction_direction(integers, numbers, direction)
+            if not shares:
+                friction_direction(integers, numbers, direction)
         friction = numbers[MU_NOW] * load
-        if numbers[MU] == math.inf:
-            # held up by friction alone
+        if is_held_up(integers, numbers):
             friction, force[c, 2] = force[c, 2], 0.0
+        if shares:
+            value[FRICTION_MARGIN] = numbers[VISCOUS] * abs(speed) - friction
         if integers[TANGENTS] == 2:
             force[c, 1] = -friction * direction[1]
         force[c, 0] = -friction * direction[0]

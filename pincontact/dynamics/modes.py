@@ -57,6 +57,7 @@ from ..layout import (
     STICK,
     TANGENTS,
     UNILATERAL,
+    VISCOUS,
 )
 from .linear import RANK_TOLERANCE
 from .redundant import Choice, Cone, central_force, null_space
@@ -79,6 +80,8 @@ _ROUNDING = 1e-13
 # What stick may take from the velocity, in the mass metric: this part of it, and this many absolute tolerances: so far
 # is slip that counts as ended from zero.
 _TAKEN, _TAKEN_TOLERANCES = 1e-3, 1e4
+# Viscous friction by which a contact is held up is all of it to so much.
+_AT_ALL = 1e-6
 # Relative size below which singular values are zero, as pivots are in `dynamics.linear`.
 _SINGULAR = math.sqrt(RANK_TOLERANCE)
 
@@ -329,9 +332,17 @@ class ModeSolver:
     def _load_all(self) -> bool:
         """Let every closed contact carry a load; whether all did."""
         integers = self.system.contact_int
-        without = [c for c in self.system.closed() if integers[c, UNILATERAL] and integers[c, NORMAL_SIGN] == 0]
-        integers[without, NORMAL_SIGN] = 1
+        without = [c for c in self.system.closed() if integers[c, UNILATERAL] and integers[c, NORMAL_SIGN] != 1]
+        for c in without:
+            self.load(c)
         return not without
+
+    def load(self, c: int) -> None:
+        """Let closed contact c carry a load."""
+        system = self.system
+        if shares_viscous_force(system, c) and system.contact_real[c, MU] == 0.0:
+            system.contact_int[c, MODE] = FRICTIONLESS
+        system.contact_int[c, NORMAL_SIGN] = 1
 
     def _unload(self, t: float, evaluate, ended: int | None) -> bool:
         """Give the loads of what slides the least values that are not negative; False where contacts open instead.
@@ -343,7 +354,9 @@ class ModeSolver:
         system = self.system
         integers = system.contact_int
         before = integers[:, NORMAL_SIGN].copy()
-        closed = [c for c in system.closed() if integers[c, UNILATERAL]]
+        closed = [c for c in system.closed() if integers[c, UNILATERAL] and not shares_viscous_force(system, c)]
+        if ended is not None and ended not in closed:
+            return False
         seen = set()
         self._take_reference(None)
         if ended is not None:
@@ -435,10 +448,34 @@ class ModeSolver:
         """The cone problem over all closed contacts, held coordinates and resistances to turning; what slides enters
         as known forces, resistances at rest as disks whose radius follows from the load."""
         system = self.system
-        integers, numbers = system.contact_int, system.contact_real
+        integers = system.contact_int
         closed, held, resisting = system.closed(), system.held(), system.resisting()
         if any(not integers[c, UNILATERAL] or held_up_by_friction(system, c) for c in closed):
             return self._decide_without_cones(t, undecided, closed, evaluate)
+        dragging = [c for c in closed if drags(system, c)]
+        modes, guards = integers.copy(), system.guard_int.copy()
+        decision = self._solve_cones(t, undecided, closed, held, resisting, evaluate)
+        if dragging and not self._stay_open(t, [c for c in dragging if c in decision.opened], decision, evaluate):
+            # viscous friction ends where contacts open, which no cone knows
+            integers[:], system.guard_int[:] = modes, guards
+            decision = self._decide_without_cones(t, undecided, closed, evaluate)
+        return decision
+
+    def _stay_open(self, t: float, opened: list[int], decision: Decision, evaluate) -> bool:
+        """Whether the last evaluation, in the modes of this decision, leaves contacts open that it has opened."""
+        if decision.status > EVENT:
+            return False
+        stay = all(self.gap_acceleration(t, c) >= 0.0 for c in opened)
+        if opened:
+            evaluate(t)
+        return stay
+
+    def _solve_cones(
+        self, t: float, undecided: list[int], closed: list[int], held: list[int], resisting: list[int], evaluate
+    ) -> Decision:
+        """`_solve` where nothing else decides than cones."""
+        system = self.system
+        integers, numbers = system.contact_int, system.contact_real
         decision = Decision(0, solved=True)
         n = len(closed)
         while True:
@@ -700,9 +737,12 @@ class ModeSolver:
         self.system.contact_int[self.system.nc + g, MODE] = FRICTIONLESS
 
     def _open(self, t: float, c: int, evaluate, decision: Decision) -> None:
-        """Let contact c go, whose normal force would pull; or slide, if it is ideal rolling that this would close."""
+        """Let contact c go, whose normal force would pull; or slide, if it is ideal rolling that this would close, or
+        the end of viscous friction."""
         system = self.system
         integers, force = system.contact_int[c], system.force[c, :2].copy()
+        if self.share(t, c, evaluate):
+            return
         may_slide = integers[MODE] == STICK and math.isinf(system.contact_real[c, MU])
         integers[MODE] = FREE
         if may_slide and evaluate(t) <= EVENT and self.gap_acceleration(t, c) < 0.0:
@@ -713,6 +753,52 @@ class ModeSolver:
                 return
             integers[[MODE, FROZEN]] = FREE, 0
         decision.opened.append(c)
+
+    def share(self, t: float, c: int, evaluate) -> bool:
+        """Keep contact c, whose normal force would pull, closed without one, by a part of its viscous friction; False
+        where that is not needed, or does not do. Then the contact is what it was.
+
+        Viscous friction ends as a contact opens. Where it pushes the bodies apart, they would close again at once: the
+        contact can neither stay closed nor open. Between both, a part of the friction keeps it where it is (the
+        solution of Filippov, and the limit of ever shorter hops).
+        """
+        system = self.system
+        integers = system.contact_int[c]
+        if not drags(system, c) or shares_viscous_force(system, c):
+            return False
+        mode, sign = int(integers[MODE]), int(integers[SLIP_SIGN])
+        if self._closes_without(t, c, evaluate):
+            integers[MODE], integers[NORMAL_SIGN] = SLIPPING, -1
+            if integers[TANGENTS] == 1:
+                integers[SLIP_SIGN] = 1 if system.basis[c, 0] @ system.slip[c] >= 0.0 else -1
+            if evaluate(t) <= EVENT and system.margins[c, NORMAL_MARGIN] >= 0.0 and not self._takes_all(c):
+                return True
+        integers[MODE], integers[NORMAL_SIGN], integers[SLIP_SIGN] = mode, 1, sign
+        evaluate(t)
+        return False
+
+    def _takes_all(self, c: int) -> bool:
+        """Whether contact c is held up by more than all of its viscous friction. It starts with all of it."""
+        system = self.system
+        force = math.hypot(system.force[c, 0], system.force[c, 1])
+        return bool(system.margins[c, FRICTION_MARGIN] < -_AT_ALL * force)
+
+    def _closes_without(self, t: float, c: int, evaluate) -> bool:
+        """Whether contact c would close if it and what would pull without it were let go; it is open then."""
+        system = self.system
+        modes = system.contact_int[: system.nc, MODE].copy()
+        system.contact_int[c, MODE] = FREE
+        closes = False
+        while evaluate(t) <= EVENT:
+            pulls = system.margins[: system.nc, NORMAL_MARGIN] < -self.force_round_off()
+            pulls &= (system.contact_int[: system.nc, UNILATERAL] != 0) & (system.modes[: system.nc] != FREE)
+            if not pulls.any():
+                closes = self.gap_acceleration(t, c) < 0.0
+                break
+            system.contact_int[: system.nc][pulls, MODE] = FREE
+        modes[c] = FREE
+        system.contact_int[: system.nc, MODE] = modes
+        return closes
 
     def gap_acceleration(self, t: float, c: int) -> float:
         """Second derivative in m/s^2 of the gap of an open contact in the last evaluation; NaN if it has no rows."""
@@ -752,6 +838,12 @@ class ModeSolver:
                         integers[c, NORMAL_SIGN] *= -1
                     worst = -2
                     break
+                if shares_viscous_force(system, c):
+                    if self._takes_all(c):
+                        self.load(c)
+                        worst = -2
+                        break
+                    continue
                 for i in (c, *(i for i in system.resisting() if system.owner(i) == c)):
                     # in N, a resistance's divided by its length
                     scale = 1.0 if i == c else float(system.contact_real[i, MU])
@@ -817,8 +909,23 @@ def freeze_slip(system: System, c: int, direction: np.ndarray) -> None:
 
 
 def held_up_by_friction(system: System, c: int) -> bool:
-    """Whether contact c is ideal rolling that slides, with F_n = 0 and a tangential force against its slip."""
-    return bool(system.contact_int[c, MODE] == SLIPPING and math.isinf(system.contact_real[c, MU]))
+    """Whether contact c slides with F_n = 0 and a tangential force against its slip: ideal rolling, or what a part of
+    its viscous friction keeps from closing."""
+    ideal = system.contact_int[c, MODE] == SLIPPING and math.isinf(system.contact_real[c, MU])
+    return bool(ideal) or shares_viscous_force(system, c)
+
+
+def shares_viscous_force(system: System, c: int) -> bool:
+    """Whether contact c is held up by a part of its viscous friction alone."""
+    integers = system.contact_int[c]
+    return bool(integers[MODE] == SLIPPING and integers[UNILATERAL] and integers[NORMAL_SIGN] < 0)
+
+
+def drags(system: System, c: int) -> bool:
+    """Whether contact c is unilateral and moves with viscous friction, which vanishes as it opens."""
+    integers = system.contact_int[c]
+    moves = integers[MODE] in (SLIPPING, FRICTIONLESS) and integers[UNILATERAL]
+    return bool(moves and system.contact_real[c, VISCOUS] > 0.0)
 
 
 def rest_mode(mu: float) -> int:

@@ -113,8 +113,10 @@ class NearestSearch:
             raise ValueError("body 1 goes on for ever")
         self.whole = Whole(self.one, t)
         own, other, extent = bend(self.one, t), bend(self.two, t), self.whole.extent + self.whole.rounding
-        # in a hollow, what is left of its radius beside body 1; a point's own way to bend is none
-        self.bend = min(max(other - extent, 0.5 * min(own, other)), _LARGEST)
+        self.bend = min(own, other, _LARGEST)
+        if len(self.whole.points) == 1:
+            # of points and balls nothing else can come near than what is; in a hollow, what is left of its radius
+            self.bend = min(max(other - extent, 0.5 * min(own, other)), _LARGEST)
         self._single = SingleSystem(system.model, [self.contact])
 
     def pose(self) -> tuple[np.ndarray, np.ndarray]:

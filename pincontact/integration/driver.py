@@ -70,11 +70,15 @@ _PATIENCE, _LONGEST_PATIENCE = 24, 3072
 _SLOW_STEPS, _STABLE = 20.0, 4.0
 _SLOW_GROWTH, _SLOW_RESTS = 4.0, 6
 _FLOOR = 8.0 * float(np.finfo(float).eps)
+# No step after a mode change begins with less than so many times the least.
+_RESTART = 4.0
 # Crossings in a row that true steps may deny before one is believed: where a margin jumps there is no zero.
 _DOUBTS = 3
 # Slips this many times faster than what counts as ended end with one that does.
 _TOGETHER = 8.0
-# What the user's control, or a drive, does in so many seconds is looked at, even where nothing moves.
+# What the user's control, or a drive, does in so many seconds is looked at, even where nothing moves: a dozen
+# evaluations in each, so that a minute at rest costs less than a tenth of a second. A pulse that lasts as long is met
+# by several of them.
 _WATCH = 0.1
 # The same for functions of the user's that are looked for zeros.
 _WATCH_EVENTS = 1.0
@@ -278,9 +282,14 @@ class Driver:
 
     def _restart(self, h: float) -> None:
         """Step size after a mode change; h is what it would have been."""
-        self.system.scalars[NEXT_STEP] = self.options.fixed_step or min(h, 10.0 * self.transitions.seed)
-        self.system.scalars[SLOWEST], self.system.scalars[LAST_ERROR] = math.inf, 0.0
-        self.system.counters[STALLED] = 0
+        scalars, counters = self.system.scalars, self.system.counters
+        if counters[FAILURE] != OK:
+            # what has cut steps short are the modes that were left
+            h, counters[FAILURE] = self.transitions.seed, OK
+        h = max(h, _RESTART * float(scalars[FLOOR]))
+        scalars[NEXT_STEP] = self.options.fixed_step or min(h, 10.0 * self.transitions.seed)
+        scalars[SLOWEST], scalars[LAST_ERROR] = math.inf, 0.0
+        counters[STALLED] = 0
 
     # ---------------------------------------------------------------- one step
 

@@ -37,8 +37,8 @@ _BISECTIONS = 40
 _ROUNDS = 4
 # Looks at the lowest point between two samples.
 _LOOKS = 3
-# A margin that is positive by this part of its largest size wherever steps went to make it zero has no zero there.
-_POSITIVE = 1e-6
+# A margin that is this part of its largest size away from zero wherever steps went to make it zero has no zero there.
+_NEXT_TO_NOTHING = 1e-6
 # A user's function that gets so near to zero, against its largest value in a step, is looked at more closely.
 _NEAR = 0.05
 _XTOL, _RTOL = 1e-15, 8.9e-16
@@ -377,7 +377,7 @@ class EventLocator:
         c, kind = crossing.margin
         depth = float(self._depths[c]) if kind == GAP_MARGIN else 0.0
         before: tuple[float, float] | None = None
-        denied = True
+        denied, value = True, 0.0
         for _ in range(_REFINEMENTS):
             if self.rk.attempt(t, h) != OK:
                 return h, True
@@ -385,20 +385,20 @@ class EventLocator:
             if before is not None and before[0] != h:
                 slope = (value - before[1]) / (h - before[0])
             before = h, value
-            denied = denied and self._is_positive(c, kind, value)
+            denied = denied and value > self._round_off(c, kind)
             change = -value / slope if slope != 0.0 else 0.0
             if abs(change) <= _REFINED * step or not 0.0 < h + change <= 1.1 * step:
                 break
             h += change
         else:
             self.rk.attempt(t, h)
-        if denied:
-            # outputs were written up to there
+        if denied or value < -self._round_off(c, kind):
+            # outputs were written up to there; a margin that jumps has no zero for secants
             h = crossing.theta * step
             self.rk.attempt(t, h)
         return h, not denied
 
-    def _is_positive(self, c: int, kind: int, value: float) -> bool:
-        """Whether the value of a margin is more than round-off, against its sizes in the last attempt."""
+    def _round_off(self, c: int, kind: int) -> float:
+        """What is next to nothing in a margin, against its sizes in the last attempt."""
         system = self.rk.system
-        return value > _POSITIVE * max(abs(float(system.lowest[c, kind])), abs(float(system.highest[c, kind])))
+        return _NEXT_TO_NOTHING * max(abs(float(system.lowest[c, kind])), abs(float(system.highest[c, kind])))

@@ -390,7 +390,7 @@ def _distribute(table, step, nv, nc, h):
                 load[c] = length / h
                 if length > 0.0:
                     contact_real[c, NORMAL_1], contact_real[c, NORMAL_2] = normal / length, second / length
-            elif normal != 0.0:
+            elif contact_int[c, UNILATERAL] == 0 and normal != 0.0:
                 contact_int[c, NORMAL_SIGN] = 1 if normal > 0.0 else -1
 
 

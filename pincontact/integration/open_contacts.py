@@ -137,6 +137,7 @@ class OpenContacts:
     """What is known of a system's open contacts between its steps.
 
     apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
+    fastest: the contact for which `look` has last found the step too long.
     passed: contacts whose gap fell through zero beyond an end of a contour in the last step, or was not seen to.
     """
 
@@ -350,6 +351,9 @@ class OpenContacts:
         known.distance, known.elsewhere, known.time = nearest.distance, nearest.elsewhere, t
         found = nearest.candidate
         if found is None or self._is_present(c, found):
+            return False
+        if system.contact_real[c, DOMAIN] >= 0.0 and 0.0 <= system.gaps[c, 0] <= found.gap:
+            # where it is followed is nearer than what was found
             return False
         first = system.nq + system.nv + 4 * c
         system.state[first : first + 4] = found.location

@@ -35,8 +35,8 @@ FAILURES = {
     TOO_LONG: (STEP_TOO_LONG, "the step is too long for this motion: bodies turn too far in it"),
     CONTOUR_ENDS: (END_OF_CONTOUR, "reached the end of a contour"),
     CONTRADICTION: (NO_CONTACT_FORCE, "velocity constraints cannot be met together"),
-    FLIES_THROUGH: (STEP_TOO_LONG, "the step is too long for this motion: it may go through what is near"),
     CLOSED_APART: (STEP_TOO_LONG, "the step is too long for this motion: a closed contact ends apart"),
+    FLIES_THROUGH: (STEP_TOO_LONG, "the step is too long for this motion: the open bodies could go through each other"),
 }
 
 

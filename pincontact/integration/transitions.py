@@ -12,7 +12,7 @@ import numpy as np
 from ..dynamics.energy import REST_SPEED, energies_at
 from ..dynamics.impact import apply_impact
 from ..dynamics.joints import END_SLACK, without_inertia
-from ..dynamics.modes import Decision, ModeSolver, freeze_slip, held_up_by_friction, rest_mode
+from ..dynamics.modes import Decision, ModeSolver, freeze_slip, rest_mode, shares_viscous_force
 from ..dynamics.stretches import opposed_slip
 from ..dynamics.system import FORCE_SLACK
 from ..dynamics.units import whiten
@@ -102,6 +102,8 @@ _JUMP = 1e-6
 # Friction margins below this part of the limit, and loads below this part of the largest, are zero where no choice
 # among redundant forces can raise them.
 _AT_LIMIT = 1e-6
+# So often, and so much shorter each time, is looked for slip that a seed has not shown.
+_LOOKS_FOR_SLIP, _SHORTER_SEED = 3, 0.1
 # Where contacts open as stick ends, they do after this fraction of the usual time.
 _OPENING_SEED = 1e-4
 # Forces below zero, or above their limit, by less than this part of the largest one are no events while slip starts.
@@ -350,6 +352,8 @@ class Transitions:
             slid = after_impact or integers.item(MODE) == SLIPPING
             integers[FROZEN] = 0
             integers[MODE] = rest_mode(mu)
+            if integers[UNILATERAL]:
+                integers[NORMAL_SIGN] = abs(integers.item(NORMAL_SIGN))
             if mu == 0.0 or (math.isinf(mu) and not (slid and integers[UNILATERAL])):
                 continue
             along = system.basis[c] @ system.slip[c]
@@ -389,6 +393,10 @@ class Transitions:
             return self._touch(t, c)
         self._check_chatter(t, c)
         integers = self.system.contact_int[c]
+        if kind == FRICTION_MARGIN and shares_viscous_force(self.system, c):
+            # all of its viscous friction from here on, and a load that grows from zero
+            self.modes.load(c)
+            return self._go_on(t)
         if kind == FRICTION_MARGIN and integers[MODE] == SLIPPING:
             self._end_jams(t, [c])
             return self.start_frozen(t)
@@ -406,6 +414,8 @@ class Transitions:
             if integers[UNILATERAL]:
                 if self._closes_again(t, c):
                     return self._leave_stick(t, c)
+                if self.modes.share(t, c, self.rk.evaluate):
+                    return self._go_on(t)
                 before = int(integers[MODE])
                 integers[MODE] = FREE
                 self.announce(t, c, "separate")
@@ -427,6 +437,14 @@ class Transitions:
         else:
             numbers[LIMIT_SLACK] = FORCE_SLACK
         return after
+
+    def _go_on(self, t: float) -> float:
+        """Take the state with other forces, of which none has jumped."""
+        if self.rk.evaluate(t) > EVENT:
+            raise self.give_up(t, NO_FORCE)
+        self._project(t, True)
+        self.rk.accept()
+        return t
 
     def _redistribute(self, t: float, c: int, kind: int) -> bool:
         """Whether other ones among redundant forces keep all modes, of which margin `kind` of item c ends one."""
@@ -530,6 +548,8 @@ class Transitions:
             elif c in at_rest:
                 if mode != SLIPPING or self._goes_back(c, at_rest[c]):
                     self._announce_friction(t, c, mode == SLIPPING)
+            elif shares_viscous_force(system, c):
+                continue
             elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
                 self._announce_friction(t, c, True)
         self._announce_guards(t)
@@ -736,9 +756,19 @@ class Transitions:
         # the friction that stick asks for at its limit is against the slip to come
         limit = opposed_slip(system, c, system.force[c, :2]) @ system.basis[c, :2]
         start_q, start_v = system.q.copy(), system.v.copy()
-        tau = min(self.seed, self.until_touch())
+        # the step that led here resolves what decides; a seed that is longer may pass a load by
+        tau = min(self.seed, self.until_touch(), self.longest_start if self.longest_start > 0.0 else math.inf)
         modes = system.contact_int.copy()
         tau, decision, seeded = self._run_on(t, tau)
+        for _ in range(_LOOKS_FOR_SLIP):
+            if decision.started or decision.opened:
+                break
+            # the limit may have been exceeded in between
+            system.contact_int[:] = modes
+            rk.load(system.state)
+            if rk.evaluate_start(t) > EVENT:
+                raise self.give_up(t, NO_FORCE)
+            tau, decision, seeded = self._run_on(t, _SHORTER_SEED * tau)
         if decision.opened:
             # a jump of the forces (Painleve) opens contacts at once, not when slip would show
             system.contact_int[:] = modes
@@ -846,9 +876,9 @@ class Transitions:
         return np.array([self._reach(c) for c in range(nc)]) + self.dips.depths[:nc]
 
     def held_up(self) -> list[int]:
-        """Contacts that slide held up by friction alone."""
-        modes = self.system.modes.tolist()
-        return [c for c, mode in enumerate(modes) if mode == SLIPPING and held_up_by_friction(self.system, c)]
+        """Contacts of ideal rolling that slide held up by friction alone."""
+        modes, mu = self.system.modes.tolist(), self.system.contact_real[:, MU].tolist()
+        return [c for c, mode in enumerate(modes) if mode == SLIPPING and mu[c] == math.inf]
 
     def _stop_jammed(self, t: float) -> None:
         """Stop slips that friction alone would have to hold up and cannot: the force it takes grows without bound."""

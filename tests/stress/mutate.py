@@ -78,6 +78,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "if narrow or math.prod(len(b) - 1 for b in lines) > _MOST_PIECES[dimension]:",
         "1 -> 2",
     ): "a limit of effort, by one more of thousands",
+    (
         "pincontact/friction/newton.py", "settle", "respond(g, c, f, u, size, buffers[7])", "index 7 -> 8",
     ): "numbers to work in, any that hold nothing",
     (

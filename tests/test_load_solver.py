@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pincontact.friction.loads import Disk, Loads, LoadSolver, _Scaled
+from pincontact.friction.loads import Disk, Loads, LoadSolver, ScaledLoads
 
 SEEDS = pytest.mark.parametrize("seed", range(8))
 
@@ -109,7 +109,7 @@ def test_solutions_are_kept_and_found_again_from_near_by(seed):
         assert solver.residual <= 1e-10
         # zero, not small
         assert not solver.velocities[problem.normals][pressed].any()
-    scaled = _Scaled(problem)
+    scaled = ScaledLoads(problem)
     start = scaled.unknowns(forces * (1.0 + 1e-4 * rng.uniform(-1.0, 1.0, forces.size)))
     y, residual = scaled.newton(start, None)
     assert residual <= 1e-13
@@ -123,7 +123,7 @@ def test_steps_converge_as_newtons_do(seed, monkeypatch):
 
     rng = np.random.default_rng(seed)
     problem, forces, *_ = made_problem(rng)
-    scaled = _Scaled(problem)
+    scaled = ScaledLoads(problem)
     start = scaled.unknowns(forces * (1.0 + 1e-3 * rng.uniform(-1.0, 1.0, forces.size)))
     monkeypatch.setattr(loads, "_NEWTON_STEPS", 4)
     y, _ = scaled.newton(start, None)

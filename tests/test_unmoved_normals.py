@@ -82,7 +82,7 @@ def test_ball_welded_to_the_world_meets_a_belt():
     model.appendBodyToJoint(joint, pin.Inertia(MASS, np.zeros(3), np.eye(3)), pin.SE3.Identity())
     scene = pc.Scene(model)
     ball = scene.add_contour("ball", pc.Sphere(RADIUS), placement=SOMEWHERE)
-    belt = scene.add_contour("belt", pc.Plane(), motion=pc.ConstantTwist([1.0, 0.0, 0.0], [0.0, 0.0, 0.0]))
+    belt = scene.add_contour("belt", pc.Plane(), motion=pc.ConstantTwist([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]))
     scene.add_contact("c", ball, belt, friction=pc.Coulomb(0.3))
     run = pc.simulate(scene, scene.initial_state([0.0], [0.5]), 0.5)
     assert run.status == 0, run.message

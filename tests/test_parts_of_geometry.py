@@ -246,7 +246,11 @@ def test_samples_are_of_the_placed_contour(contour):
                 assert set(column) == {guess[a]}
                 continue
             # all of it, or of what is within the window, but for a thousandth at each end
-            low, high = (low, high) if math.isfinite(high - low) else (-1.5, 1.5)
+            if contour.name == "Helix":
+                # 1.5 m of height are 31.4 rad: the next doubling
+                low, high = -48.0, 48.0
+            elif not math.isfinite(high - low):
+                low, high = -1.5, 1.5
             inset = 1e-3 * (high - low)
             assert (column.min(), column.max()) == pytest.approx((low + inset, high - inset), rel=1e-12)
             steps = np.diff(np.unique(column))
@@ -264,6 +268,48 @@ def test_samples_are_of_the_placed_contour(contour):
             if k == 1:
                 # in the plane of planar curves
                 assert abs(normals[i] @ MOVED.rotation[:, 2]) < 1e-14
+
+
+def by_formula(radius, climb):
+    return pc.ParametricCurve(lambda u: (radius * np.cos(u), radius * np.sin(u), climb * u), (-math.inf, math.inf))
+
+
+@pytest.mark.parametrize("make", [lambda r, c: pc.Helix(r, 2.0 * math.pi * c), by_formula], ids=["Helix", "formula"])
+@pytest.mark.parametrize("seed", range(4))
+def test_what_goes_on_for_ever_in_angles_is_followed_as_far_as_it_is_near(make, seed):
+    """The nearest turn of a helix is found at any height, against samples of 1e-4 rad."""
+    rng = np.random.default_rng(seed)
+    radius, climb = rng.uniform(0.1, 0.5), rng.uniform(0.01, 0.1) * rng.choice([-1.0, 1.0])
+    place = np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-3.0, 3.0)])
+    system = system_of(pc.Point(), make(radius, climb), [*place, 0.0, 0.0, 0.0, 1.0])
+    found = find_candidates(system, 0.0, UNKNOWN)[0]
+    u = place[2] / climb + np.linspace(-10.0, 10.0, 200001)
+    points = np.column_stack([radius * np.cos(u), radius * np.sin(u), climb * u])
+    nearest_one = np.linalg.norm(points - place, axis=1).min()
+    # samples are good to the square of their distance over the radius
+    assert abs(found.gap) == pytest.approx(nearest_one, abs=1e-7)
+
+
+def test_samples_of_what_goes_on_for_ever():
+    """To where it is outside the window, or as many as there may be; from a domain's end where it has one."""
+    for contour, window, ends, count in (
+        (pc.Helix(0.4, 0.2 * math.pi), 3.0, (-48.0, 48.0), 396),
+        (pc.Helix(0.4, 0.2 * math.pi, (5.0, math.inf)), 3.0, (5.0, 53.0), 241),
+        (pc.Helix(0.4, 0.2 * math.pi, (-math.inf, 40.0)), 3.0, (-48.0, 40.0), 363),
+        # that never leaves it, and is one radius a radian
+        (pc.Helix(0.4, 0.0), 1.0, (-256.0, 256.0), 2048),
+        (by_formula(0.4, 0.1), 3.0, (-48.0, 48.0), 241),
+    ):
+        parameters, *_ = _sample(contour, MOVED, 0.0, window, np.full(2, np.nan))
+        inset = 1e-3 * (ends[1] - ends[0])
+        assert (parameters[0, 0], parameters[-1, 0]) == pytest.approx((ends[0] + inset, ends[1] - inset), rel=1e-12)
+        assert len(parameters) == pytest.approx(count, abs=1)
+    surface = pc.ParametricSurface(
+        lambda u, v: (0.1 * u, np.cos(v), np.sin(v)), ((-math.inf, math.inf), (0.0, 2.0 * math.pi)), (False, True)
+    )
+    parameters, *_ = _sample(surface, MOVED, 0.0, 3.0, np.full(2, np.nan))
+    assert len(parameters) == 61 * 31
+    assert parameters[:, 0].max() == pytest.approx(48.0 * (1.0 - 2e-3), rel=1e-12)
 
 
 @pytest.mark.parametrize(

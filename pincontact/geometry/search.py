@@ -263,7 +263,7 @@ def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
 def _within(contour: Contour, a: int, t: float, window: float) -> tuple[float, float, int]:
     """Ends of a parameter without end beyond which the contour is outside the window in m around its origin, or more
     samples away than there may be; and how many samples show what is between."""
-    middle = np.array([min(max(0.0, low), high) for low, high in contour.domain])
+    middle = [min(max(0.0, low), high) for low, high in contour.domain]
     spacing = _SPACING * (contour.size if math.isfinite(contour.size) else window)
     speed = float(np.linalg.norm(contour.evaluate(middle, t)[1 + a]))
     ends = []
@@ -275,7 +275,7 @@ def _within(contour: Contour, a: int, t: float, window: float) -> tuple[float, f
             if np.linalg.norm(contour.point(place, t)) >= window:
                 break
             width *= 2.0
-        ends.append(end if math.isfinite(end) else float(middle[a]) + sign * width)
+        ends.append(end if math.isfinite(end) else middle[a] + sign * width)
     count = speed * (ends[1] - ends[0]) / spacing
     return ends[0], ends[1], int(min(count, _MOST_SAMPLES - 1)) + 1
 

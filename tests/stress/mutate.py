@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import gc
 import hashlib
 import json
 import os
@@ -32,13 +33,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any
 
 import pytest
+from _pytest.runner import runtestprotocol
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "pincontact"
@@ -382,8 +385,50 @@ def fast_part(jobs: int, known: dict[str, Any]) -> dict[str, Any]:
 # -------------------------------------------------------------------------------------------------- the run
 
 
+def put(change: Change) -> None:
+    """Make a change in the functions that have been imported; where it is more than the code of functions (what a
+    function has returned already, other free variables), that is not all of it."""
+    path, codes, waiting = str(ROOT / change.file), {}, [changed_code(change)]
+    while waiting:
+        code = waiting.pop()
+        codes[code.co_qualname, code.co_firstlineno] = code
+        waiting += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
+    for function in gc.get_objects():
+        if isinstance(function, FunctionType) and function.__code__.co_filename == path:
+            code = codes[function.__code__.co_qualname, function.__code__.co_firstlineno]
+            if len(code.co_freevars) == len(function.__code__.co_freevars):
+                function.__code__ = code
+
+
+def show_quickly(change: Change | None, tests: list[Any]) -> int:
+    """Run tests that have been collected with a change put into what they have imported; in a process of its own.
+    Returns how many had been run when one failed, or 0."""
+    gc.unfreeze()
+    if change is not None:
+        put(change)
+    for i, test in enumerate(tests):
+        following = tests[i + 1] if i + 1 < len(tests) else None
+        if any(report.failed for report in runtestprotocol(test, log=False, nextitem=following)):
+            return i + 1
+    return 0
+
+
+def forked(run: Callable[[], int], output: Path) -> int:
+    """A process that runs this in silence, and writes down what it returns."""
+    process = os.fork()
+    if process == 0:
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 1)
+        os.dup2(null, 2)
+        try:
+            output.write_text(str(run()))
+        finally:
+            os._exit(0)
+    return process
+
+
 def show(change: Change, tests: list[str]) -> int:
-    """Run tests with the change made; in a process of its own. Returns pytest's exit code."""
+    """Run tests with everything imported from the changed file; in a process of its own. Returns pytest's exit code."""
     from importlib.machinery import SourceFileLoader
 
     code, path, usual = changed_code(change), str(ROOT / change.file), SourceFileLoader.get_code
@@ -406,48 +451,74 @@ def chosen(change: Change, tests: dict[str, Any]) -> list[str]:
     return out
 
 
-def noticed(sample: list[Change], tests: dict[str, Any], jobs: int) -> Iterator[tuple[Change, str]]:
-    """Each change with "noticed", "hangs", "unreached" or "" for one that no test noticed."""
-    # what every run imports is imported once; the package itself is not
-    sys.path[:0] = [str(ROOT), str(ROOT / "tests"), str(ROOT / "tests/stress")]
-    os.environ.update(environment())
-    os.chdir(ROOT)
-    for name in ("hypothesis", "numba", "numba.extending", "pinocchio", "proxsuite", "scipy.integrate",
-                 "scipy.interpolate", "scipy.optimize", "scipy.spatial.transform"):  # fmt: skip
-        __import__(name)
-    assert "pincontact" not in sys.modules
-    running: dict[int, tuple[Change, float]] = {}
-    waiting = list(reversed(sample))
-    while waiting or running:
-        while waiting and len(running) < jobs:
-            change = waiting.pop()
-            names = chosen(change, tests)
-            if not names:
-                yield change, "unreached"
-                continue
-            process = os.fork()
-            if process == 0:
-                null = os.open(os.devnull, os.O_WRONLY)
-                os.dup2(null, 1)
-                os.dup2(null, 2)
-                status = 70
-                try:
-                    status = show(change, names)
-                finally:
-                    os._exit(status)
-            running[process] = change, time.monotonic()
-        time.sleep(0.02)
-        for process in list(running):
-            change, began = running[process]
-            ended, status = os.waitpid(process, os.WNOHANG)
-            if ended:
-                del running[process]
-                yield change, "noticed" if status != 0 else ""
-            elif time.monotonic() - began > PATIENCE:
-                os.kill(process, signal.SIGKILL)
-                os.waitpid(process, 0)
-                del running[process]
-                yield change, "hangs"
+def noticed(
+    sample: list[Change], tests: dict[str, Any], items: dict[str, Any], jobs: int
+) -> Iterator[tuple[Change, str]]:
+    """Each change with "noticed", "hangs", "unreached" or "" for one that no test noticed.
+
+    It is shown to the tests as they are collected here; what they do not notice is made once more, before anything is
+    imported. A test that has failed must pass here without the change.
+    """
+    gc.collect()
+    gc.freeze()
+    passes: dict[str, bool] = {}
+    running: dict[int, tuple[Change, list[str], float, bool]] = {}
+    waiting = [(change, True) for change in reversed(sample)]
+    with tempfile.TemporaryDirectory() as folder:
+        while waiting or running:
+            while waiting and len(running) < jobs:
+                change, quick = waiting.pop()
+                names = [name for name in chosen(change, tests) if passes.get(name, True)]
+                if not names:
+                    yield change, "unreached"
+                    continue
+                output = Path(folder) / f"{Path(change.file).stem}-{change.node}"
+                output.unlink(missing_ok=True)
+                if quick:
+                    process = forked(lambda: show_quickly(change, [items[name] for name in names]), output)  # noqa: B023
+                else:
+                    given = json.dumps([asdict(change), names, str(output)])
+                    command = [sys.executable, __file__, "--show", given]
+                    process = os.posix_spawn(sys.executable, command, environment())
+                running[process] = change, names, time.monotonic(), quick
+            time.sleep(0.01)
+            for process in list(running):
+                change, names, began, quick = running[process]
+                output = Path(folder) / f"{Path(change.file).stem}-{change.node}"
+                if os.waitpid(process, os.WNOHANG)[0]:
+                    del running[process]
+                    failed = int(output.read_text()) if output.exists() else -1
+                    if failed > 0 and quick:
+                        name = names[failed - 1]
+                        if name not in passes:
+                            alone = Path(folder) / "alone"
+                            os.waitpid(forked(lambda: show_quickly(None, [items[name]]), alone), 0)  # noqa: B023
+                            passes[name] = alone.read_text() == "0"
+                        if not passes[name]:
+                            waiting.append((change, True))
+                            continue
+                    if failed != 0:
+                        yield change, "noticed"
+                    elif quick:
+                        waiting.append((change, False))
+                    else:
+                        yield change, ""
+                elif time.monotonic() - began > PATIENCE:
+                    os.kill(process, signal.SIGKILL)
+                    os.waitpid(process, 0)
+                    del running[process]
+                    yield change, "hangs"
+
+
+class Collected:
+    """Plugin of pytest: hands the tests that it has collected to a function, instead of running them."""
+
+    def __init__(self, use: Callable[[dict[str, Any]], None]) -> None:
+        self.use = use
+
+    def pytest_runtestloop(self, session: Any) -> bool:
+        self.use({item.nodeid: item for item in session.items})
+        return True
 
 
 def main() -> int:
@@ -457,10 +528,17 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--only", default="", help="changes in files or functions whose names contain this")
     parser.add_argument("--survey", default="", help="file that keeps the survey")
+    parser.add_argument("--show", help=argparse.SUPPRESS)
     parser.add_argument("--survey-of", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.survey_of:
         return survey(*options.survey_of)
+    if options.show:
+        change, names, output = json.loads(options.show)
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, 1)
+        Path(output).write_text(str(show(Change(**change), names)))
+        return 0
     kept = Path(options.survey) if options.survey else None
     files = fast_part(options.jobs, json.loads(kept.read_text()) if kept and kept.exists() else {})
     if kept:
@@ -469,8 +547,20 @@ def main() -> int:
     everything = [change for change in changes() if options.only in f"{change.file}:{change.function}"]
     sample = random.Random(options.seed).sample(everything, min(options.count, len(everything)))
     print(f"{len(tests)} fast tests, {len(everything)} changes, {len(sample)} drawn", flush=True)
+    os.environ.update(environment())
+    os.chdir(ROOT)
+    sys.path[:0] = environment()["PYTHONPATH"].split(os.pathsep)
     counts = dict.fromkeys(("noticed", "hangs", "harmless", "missed"), 0)
-    for change, result in noticed(sample, tests, options.jobs):
+    run = [*OPTIONS, "--capture=no", *sorted({name.partition("::")[0] for name in tests})]
+    pytest.main(run, plugins=[Collected(lambda items: report(noticed(sample, tests, items, options.jobs), counts))])
+    share = (counts["noticed"] + counts["hangs"]) / max(len(sample), 1)
+    print(f"{share:.1%} of {len(sample)} changes were noticed: {counts}")
+    return int(counts["missed"] > 0 or share < WANTED)
+
+
+def report(results: Iterator[tuple[Change, str]], counts: dict[str, int]) -> None:
+    """Count results, and print the changes that were not noticed."""
+    for change, result in results:
         if result in ("noticed", "hangs"):
             counts[result] += 1
             if sum(counts.values()) % 20 == 0:
@@ -480,9 +570,6 @@ def main() -> int:
         counts["harmless" if reason else "missed"] += 1
         print(f"{change.file}:{change.line} {change.function}: {change.what} {'(unreached)' if result else ''}\n"
               f"    {change.text}\n    {reason or 'NOT EXPLAINED'}", flush=True)  # fmt: skip
-    share = (counts["noticed"] + counts["hangs"]) / max(len(sample), 1)
-    print(f"{share:.1%} of {len(sample)} changes were noticed: {counts}")
-    return int(counts["missed"] > 0 or share < WANTED)
 
 
 if __name__ == "__main__":

@@ -223,6 +223,8 @@ def test_a_sweep_projects_each_contact_in_its_turn(seed):
     # a contact that moves in one tangential direction alone, and one that does not move at all
     g[4] = g[:, 4] = g[5] = g[:, 5] = 0.0
     g[9:] = g[:, 9:] = 0.0
+    # of any size
+    g *= 10.0 ** rng.integers(-2, 2)
     f = np.abs(rng.normal(size=3 * n))
     u = g @ f + c
     expected = f.copy()

@@ -260,6 +260,13 @@ def test_normal_forces_on_curves(in_plane, seed):
     assert update(*arguments) == pytest.approx(max(changes), rel=1e-12)
     assert numbers[:, [NORMAL_1, NORMAL_2]] == pytest.approx(expected, rel=1e-12)
     assert update(*arguments) == pytest.approx(0.0, abs=1e-15)
+    # where nothing moves along one of both, all of it is along the other, however slightly that moves
+    for none, other in ((2, 3), (3, 2)):
+        parts.whitened[none], parts.whitened[other] = 0.0, 0.01 * rng.normal(size=parts.nv)
+        update(*arguments)
+        share = numbers[1, [NORMAL_1, NORMAL_2]]
+        assert share[none - 2] == 0.0
+        assert share[other - 2] == math.copysign(1.0, multipliers[other])
     # without a force the last one stays
     multipliers[2:4] = 0.0
     assert update(*arguments) == pytest.approx(0.0, abs=1e-15)

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import operator
 
 import numpy as np
 import pinocchio as pin
@@ -590,3 +591,17 @@ def test_what_begins_as_a_point_is_a_contour_at_other_times(begin):
         pc.ParametricSurface(lambda u, v, t: (t * (u + v), u + v, 1.0), ((0.0, 1.0),) * 2, time_domain=domain)
     # one that is more than a point at the start has the size that it has then
     assert pc.ParametricCurve(lambda u, t: ((1.0 + t) * u, u, 0.0), (0.0, 1.0)).size == pytest.approx(math.sqrt(0.5))
+
+
+def test_arrays_of_no_dimension_are_numbers():
+    """Of a symbol or of a number, on either side of an operator."""
+    for function, value in (
+        (lambda u: u + np.asarray(u), 1.4),
+        (lambda u: np.asarray(u, dtype=object) * u, 0.49),
+        (lambda u: u - np.asarray(2.0), -1.3),
+        (lambda u: np.sin(np.asarray(u)) / np.asarray(2), math.sin(0.7) / 2.0),
+    ):
+        tape = trace(lambda u, function=function: (function(u), u, 0.0), "u", 3)
+        assert Contour(TAPE_CURVE, 1, pool=tape.pool).point(0.7)[0] == pytest.approx(value, rel=1e-15)
+    with pytest.raises(Untraceable, match="list where a number was expected"):
+        trace(lambda u: operator.add(u, [1.0]), "u", 1)

@@ -7,13 +7,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy
+from calling import from_python
 
 import pincontact as pc
+from pincontact.constraints.kinematics import basis_at_contact
 from pincontact.contours.base import F_1, F_2, F
 from pincontact.dynamics.system import System
 from pincontact.geometry import nearest
 from pincontact.geometry.frames import curve_normal_axis
 from pincontact.geometry.nearest import NearestSearch, Whole, bend
+from pincontact.geometry.patterns import ON_CURVE
 from pincontact.geometry.search import _is_solved, _sample, _seeds, find_candidates, refine
 
 UNKNOWN = np.full(4, np.nan)
@@ -525,3 +528,41 @@ def test_both_extreme_points_of_what_is_round_above_and_below_a_plane(shape, sid
         found = find_candidates(system, 0.0, UNKNOWN)
         assert [c.side for c in found] == [bends for _, bends in wanted]
         assert [c.gap for c in found] == pytest.approx([gap for gap, _ in wanted], abs=1e-15)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_normals_of_curves_are_made_from_the_axis_that_is_least_along_them(seed):
+    """Curves along the axes, where the other choice would be none, and any others."""
+    make = from_python(basis_at_contact)
+    generator = np.random.default_rng(seed)
+    for tangent in (
+        *np.eye(3),
+        *-np.eye(3),
+        *generator.normal(size=(20, 3)),
+        *generator.normal(size=(9, 3)) * [0.3, 0.3, 2],
+    ):
+        derivatives, basis = np.zeros((10, 3)), np.zeros((3, 3))
+        derivatives[1] = 0.4 * tangent
+        make(ON_CURVE, 1, np.zeros((10, 3)), derivatives, np.zeros(3), basis)
+        unit = tangent / np.linalg.norm(tangent)
+        axis = np.array([0.0, 0.0, 1.0]) if abs(unit[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+        assert curve_normal_axis(unit) == pytest.approx(axis)
+        across = axis - (axis @ unit) * unit
+        across /= np.linalg.norm(across)
+        assert basis == pytest.approx(np.array([unit, across, np.cross(unit, across)]), abs=1e-14)
+
+
+@pytest.mark.parametrize("place", [(0.6, 0.0, 0.5), (-0.9, 0.1, 0.6), (0.1, -0.2, 0.7)])
+def test_the_nearest_of_several_stationary_points(place):
+    """Off the frames' origins, and by the distance between the points, not by what Newton comes to first."""
+    placement = pin.SE3(pin.exp3(np.array([0.3, 0.2, -0.4])), np.array([2.0, -1.0, 3.0]))
+    domain = ((-3.0, 3.0), (-1.0, 1.0))
+    wave = pc.HeightField(lambda x, y: 0.2 * np.cos(3.0 * x) + 0.05 * x + 0.1 * y * y, domain=domain)
+    ball = 0.05
+    system = system_of(pc.Sphere(ball), wave, [*placement.act(np.array(place)), *turned(2)], placement=placement)
+    found = NearestSearch(system, 0, 0.0).search(0.0).candidate
+    x, y = np.meshgrid(np.linspace(-2.0, 2.0, 801), np.linspace(-0.8, 0.8, 321))
+    points = np.stack([x, y, 0.2 * np.cos(3.0 * x) + 0.05 * x + 0.1 * y * y], -1).reshape(-1, 3)
+    # samples of 5e-3 m are good to their square over the distance
+    exact = np.linalg.norm(points - np.array(place), axis=1).min() - ball
+    assert found.gap == pytest.approx(exact, abs=1e-4)

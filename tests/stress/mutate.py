@@ -28,6 +28,7 @@ import hashlib
 import json
 import os
 import random
+import resource
 import signal
 import subprocess
 import sys
@@ -51,7 +52,7 @@ FOLDERS = ("contours", "geometry", "constraints", "dynamics", "friction")
 NO_NUMERICS = ("pincontact/dynamics/pinocchio_calls.py",)
 # s: a test that takes the processor longer, uncompiled, is not in the fast part; what the tests of one change may take
 # it together, and how long they take when they hang
-LIMIT, BUDGET, PATIENCE = 2.0, 30.0, 100.0
+LIMIT, BUDGET, PATIENCE = 2.0, 10.0, 50
 # the part of the changes that has to be noticed
 WANTED = 0.95
 
@@ -420,6 +421,7 @@ def forked(run: Callable[[], int], output: Path) -> int:
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, 1)
         os.dup2(null, 2)
+        resource.setrlimit(resource.RLIMIT_CPU, (PATIENCE, PATIENCE))
         try:
             output.write_text(str(run()))
         finally:
@@ -452,17 +454,18 @@ def chosen(change: Change, tests: dict[str, Any]) -> list[str]:
 
 
 def noticed(
-    sample: list[Change], tests: dict[str, Any], items: dict[str, Any], jobs: int
+    sample: list[Change], tests: dict[str, Any], items: dict[str, Any], before: set[tuple[str, str]], jobs: int
 ) -> Iterator[tuple[Change, str]]:
     """Each change with "noticed", "hangs", "unreached" or "" for one that no test noticed.
 
-    It is shown to the tests as they are collected here; what they do not notice is made once more, before anything is
-    imported. A test that has failed must pass here without the change.
+    It is shown to the tests as they are collected here. What they do not notice is made once more, before anything is
+    imported, if it is in a function (file, name) that was called before the tests. A test that has failed must pass
+    here without the change.
     """
     gc.collect()
     gc.freeze()
     passes: dict[str, bool] = {}
-    running: dict[int, tuple[Change, list[str], float, bool]] = {}
+    running: dict[int, tuple[Change, list[str], bool]] = {}
     waiting = [(change, True) for change in reversed(sample)]
     with tempfile.TemporaryDirectory() as folder:
         while waiting or running:
@@ -480,44 +483,50 @@ def noticed(
                     given = json.dumps([asdict(change), names, str(output)])
                     command = [sys.executable, __file__, "--show", given]
                     process = os.posix_spawn(sys.executable, command, environment())
-                running[process] = change, names, time.monotonic(), quick
+                running[process] = change, names, quick
             time.sleep(0.01)
             for process in list(running):
-                change, names, began, quick = running[process]
+                change, names, quick = running[process]
                 output = Path(folder) / f"{Path(change.file).stem}-{change.node}"
-                if os.waitpid(process, os.WNOHANG)[0]:
-                    del running[process]
-                    failed = int(output.read_text()) if output.exists() else -1
-                    if failed > 0 and quick:
-                        name = names[failed - 1]
-                        if name not in passes:
-                            alone = Path(folder) / "alone"
-                            os.waitpid(forked(lambda: show_quickly(None, [items[name]]), alone), 0)  # noqa: B023
-                            passes[name] = alone.read_text() == "0"
-                        if not passes[name]:
-                            waiting.append((change, True))
-                            continue
-                    if failed != 0:
-                        yield change, "noticed"
-                    elif quick:
-                        waiting.append((change, False))
-                    else:
-                        yield change, ""
-                elif time.monotonic() - began > PATIENCE:
-                    os.kill(process, signal.SIGKILL)
-                    os.waitpid(process, 0)
-                    del running[process]
+                ended, status = os.waitpid(process, os.WNOHANG)
+                if not ended:
+                    continue
+                del running[process]
+                if os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL):
                     yield change, "hangs"
+                    continue
+                failed = int(output.read_text()) if output.exists() else -1
+                if failed > 0 and quick:
+                    name = names[failed - 1]
+                    if name not in passes:
+                        alone = Path(folder) / "alone"
+                        os.waitpid(forked(lambda: show_quickly(None, [items[name]]), alone), 0)  # noqa: B023
+                        passes[name] = alone.read_text() == "0"
+                    if not passes[name]:
+                        waiting.append((change, True))
+                        continue
+                if failed != 0:
+                    yield change, "noticed"
+                elif quick and (str(ROOT / change.file), change.function) in before:
+                    waiting.append((change, False))
+                else:
+                    yield change, ""
 
 
 class Collected:
-    """Plugin of pytest: hands the tests that it has collected to a function, instead of running them."""
+    """Plugin of pytest: hands the tests that it has collected, and the functions (file, name) that were called to
+    collect them, to a function, instead of running them."""
 
-    def __init__(self, use: Callable[[dict[str, Any]], None]) -> None:
+    def __init__(self, use: Callable[[dict[str, Any], set[tuple[str, str]]], None]) -> None:
         self.use = use
+        self.called: set[tuple[str, str]] = set()
+
+    def pytest_collection(self) -> None:
+        sys.setprofile(lambda frame, event, _: self.called.add((frame.f_code.co_filename, frame.f_code.co_name)))
 
     def pytest_runtestloop(self, session: Any) -> bool:
-        self.use({item.nodeid: item for item in session.items})
+        sys.setprofile(None)
+        self.use({item.nodeid: item for item in session.items}, self.called)
         return True
 
 
@@ -537,6 +546,7 @@ def main() -> int:
         change, names, output = json.loads(options.show)
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, 1)
+        resource.setrlimit(resource.RLIMIT_CPU, (PATIENCE, PATIENCE))
         Path(output).write_text(str(show(Change(**change), names)))
         return 0
     kept = Path(options.survey) if options.survey else None
@@ -552,7 +562,12 @@ def main() -> int:
     sys.path[:0] = environment()["PYTHONPATH"].split(os.pathsep)
     counts = dict.fromkeys(("noticed", "hangs", "harmless", "missed"), 0)
     run = [*OPTIONS, "--capture=no", *sorted({name.partition("::")[0] for name in tests})]
-    pytest.main(run, plugins=[Collected(lambda items: report(noticed(sample, tests, items, options.jobs), counts))])
+    pytest.main(
+        run,
+        plugins=[
+            Collected(lambda items, before: report(noticed(sample, tests, items, before, options.jobs), counts)),
+        ],
+    )
     share = (counts["noticed"] + counts["hangs"]) / max(len(sample), 1)
     print(f"{share:.1%} of {len(sample)} changes were noticed: {counts}")
     return int(counts["missed"] > 0 or share < WANTED)

@@ -15,9 +15,11 @@ from pincontact.contours.base import F_1, F_2, F
 from pincontact.dynamics.system import System
 from pincontact.geometry import nearest
 from pincontact.geometry.frames import curve_normal_axis
+from pincontact.geometry.location import conditioning, solve_location
 from pincontact.geometry.nearest import NearestSearch, Whole, bend
-from pincontact.geometry.patterns import ON_CURVE
+from pincontact.geometry.patterns import CROSSING_CURVES, ON_CURVE, ON_SURFACE
 from pincontact.geometry.search import _is_solved, _sample, _seeds, find_candidates, refine
+from pincontact.layout import LENGTH
 
 UNKNOWN = np.full(4, np.nan)
 
@@ -566,3 +568,76 @@ def test_the_nearest_of_several_stationary_points(place):
     # samples of 5e-3 m are good to their square over the distance
     exact = np.linalg.norm(points - np.array(place), axis=1).min() - ball
     assert found.gap == pytest.approx(exact, abs=1e-4)
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(0, 1), (1, 1), (0, 2), (1, 2), (2, 2)])
+@pytest.mark.parametrize("seed", range(3))
+def test_equations_of_the_location(seed, k1, k2):
+    """C1 with the metric of body 2, then C2: the unknowns are u_1, u_2, and the determinant is theirs."""
+    rng = np.random.default_rng([seed, k1, k2])
+    solve = from_python(solve_location)
+    system = rng.normal(size=(4, 8))
+    metric, one, two, sides = system
+    matrix = np.zeros((k1 + k2, k1 + k2))
+    matrix[:k2, :k2] = np.array([[metric[0], metric[1]], [metric[1], metric[2]]])[:k2, :k2]
+    for a, row in enumerate((one, two)[:k1]):
+        matrix[:k2, k2 + a] = row[:k2]
+        matrix[k2 + a, :k2] = row[2 : 2 + k2]
+        matrix[k2 + a, k2:] = row[4 : 4 + k1]
+    right = [*sides[:k2], *sides[2 : 2 + k1]]
+    expected, determinant = np.linalg.solve(matrix, right), np.linalg.det(matrix)
+    if k1 == k2 == 1:
+        # columns in the other order
+        determinant = -determinant
+    singular = system.copy()
+    assert solve(k1, k2, system) == pytest.approx(determinant, rel=1e-10)
+    assert sides[2 : 2 + k2] == pytest.approx(expected[:k2], rel=1e-9)
+    assert sides[:k1] == pytest.approx(expected[k2:], rel=1e-9)
+    # nothing is found, or changed, at a focus
+    singular[0, :3] = 0.0
+    before = singular.copy()
+    assert solve(k1, k2, singular) == 0.0
+    assert (singular == before).all()
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(0, 1), (1, 1), (0, 2), (1, 2), (2, 2)])
+def test_conditioning_has_no_units(k1, k2):
+    """It is the determinant of C1 by unit tangents, and of C2 times a length."""
+    rng = np.random.default_rng([7, k1, k2])
+    first, second, normal = rng.normal(size=(10, 3)), rng.normal(size=(10, 3)), rng.normal(size=3)
+    make = from_python(conditioning)
+    for pattern in (ON_SURFACE, CROSSING_CURVES):
+        expected = 3.0
+        for a in range(k2):
+            expected /= np.linalg.norm(second[1 + a]) ** 2
+        for a in range(k1):
+            expected /= np.linalg.norm(first[1 + a]) ** 2
+            expected *= 1.0 if pattern == CROSSING_CURVES else 0.2 / np.linalg.norm(normal)
+        assert make(pattern, k1, k2, first, second, normal, 0.2, 3.0) == pytest.approx(expected, rel=1e-13)
+
+
+@pytest.mark.parametrize("shape", [pc.Torus(0.3, 0.1), pc.Circle(0.3), pc.Point()], ids=lambda c: c.name)
+def test_starts_are_apart_from_each_other(shape):
+    """Of each weight of alignment, by a quarter of the contact's length on both bodies together."""
+    system = system_of(shape, pc.Torus(0.6, 0.2), [0.4, 0.5, 0.6, *turned(3)])
+    starts = np.array(_seeds(system, 0.0, UNKNOWN))
+    length = system.contact_real[0, LENGTH]
+    poses = [system.frames[i] for i in (0, 1)]
+    k1 = shape.dimension
+    places = np.array(
+        [
+            np.concatenate(
+                [
+                    poses[0][:3] @ shape.evaluate(start[:k1])[F] + poses[0][3],
+                    poses[1][:3] @ pc.Torus(0.6, 0.2).evaluate(start[2:])[F] + poses[1][3],
+                ]
+            )
+            for start in starts
+        ]
+    )
+    distances = np.linalg.norm(places[:, None] - places[None], axis=2)
+    # eight of each weight, if there are so many
+    group = len(starts) // 3 if k1 else 1
+    for i in range(3 if k1 else 1):
+        own = distances[i * group : (i + 1) * group, i * group : (i + 1) * group]
+        assert (own[~np.eye(group, dtype=bool)] > 0.25 * length).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from types import SimpleNamespace
@@ -62,7 +63,9 @@ SEEDS = pytest.mark.parametrize("seed", range(5))
 MODES = (FREE, FRICTIONLESS, STICK, SLIPPING)
 
 
+@functools.cache
 def part(name):
+    """Compiled once."""
     return from_python(getattr(equations, name))
 
 

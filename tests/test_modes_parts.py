@@ -14,6 +14,7 @@ from pincontact.layout import (
     ANISOTROPIC,
     CONTACT_INTS,
     CONTACT_REALS,
+    FRICTION_MARGIN,
     GUARD_END,
     GUARD_INTS,
     GUARD_REALS,
@@ -22,6 +23,7 @@ from pincontact.layout import (
     MODE,
     MU,
     MU_NOW,
+    NORMAL_MARGIN,
     OWNER,
     SLIP_SIGN,
     SLIPPING,
@@ -219,3 +221,20 @@ def test_contacts_alone(contacts, seed):
             aim = forces[i, :count] - velocities[i, :count]
             wanted = on_disk(aim, problem.limits[i] * normal)
             assert forces[i, :count] == pytest.approx(wanted, abs=1e-9)
+
+
+def test_whether_all_forces_lie_inside_their_cones():
+    """Of closed contacts, held coordinates and resistances of closed contacts, and of no others; zero is inside."""
+    solver = object.__new__(ModeSolver)
+    margins = np.ones((9, 5))
+    solver.system = SimpleNamespace(
+        nc=3, ng=3, margins=margins, closed=lambda: [0, 2], held=lambda: [1], resisting=lambda: [7]
+    )
+    watched = {(i, margin) for i in (0, 2, 4, 7) for margin in (NORMAL_MARGIN, FRICTION_MARGIN)}
+    assert solver._holds()
+    for i in range(9):
+        for margin in range(5):
+            for value in (0.0, -1e-12):
+                margins[i, margin] = value
+                assert solver._holds() == (value == 0.0 or (i, margin) not in watched)
+            margins[i, margin] = 1.0

@@ -22,6 +22,7 @@ from pincontact.geometry.search import _is_solved, _sample, _seeds, find_candida
 from pincontact.layout import LENGTH
 
 UNKNOWN = np.full(4, np.nan)
+basis_of, solve_of, conditioning_of = map(from_python, (basis_at_contact, solve_location, conditioning))
 
 
 def free_body(joint=None):
@@ -535,7 +536,6 @@ def test_both_extreme_points_of_what_is_round_above_and_below_a_plane(shape, sid
 @pytest.mark.parametrize("seed", range(3))
 def test_normals_of_curves_are_made_from_the_axis_that_is_least_along_them(seed):
     """Curves along the axes, where the other choice would be none, and any others."""
-    make = from_python(basis_at_contact)
     generator = np.random.default_rng(seed)
     for tangent in (
         *np.eye(3),
@@ -545,7 +545,7 @@ def test_normals_of_curves_are_made_from_the_axis_that_is_least_along_them(seed)
     ):
         derivatives, basis = np.zeros((10, 3)), np.zeros((3, 3))
         derivatives[1] = 0.4 * tangent
-        make(ON_CURVE, 1, np.zeros((10, 3)), derivatives, np.zeros(3), basis)
+        basis_of(ON_CURVE, 1, np.zeros((10, 3)), derivatives, np.zeros(3), basis)
         unit = tangent / np.linalg.norm(tangent)
         axis = np.array([0.0, 0.0, 1.0]) if abs(unit[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
         assert curve_normal_axis(unit) == pytest.approx(axis)
@@ -575,7 +575,6 @@ def test_the_nearest_of_several_stationary_points(place):
 def test_equations_of_the_location(seed, k1, k2):
     """C1 with the metric of body 2, then C2: the unknowns are u_1, u_2, and the determinant is theirs."""
     rng = np.random.default_rng([seed, k1, k2])
-    solve = from_python(solve_location)
     system = rng.normal(size=(4, 8))
     metric, one, two, sides = system
     matrix = np.zeros((k1 + k2, k1 + k2))
@@ -590,13 +589,13 @@ def test_equations_of_the_location(seed, k1, k2):
         # columns in the other order
         determinant = -determinant
     singular = system.copy()
-    assert solve(k1, k2, system) == pytest.approx(determinant, rel=1e-10)
+    assert solve_of(k1, k2, system) == pytest.approx(determinant, rel=1e-10)
     assert sides[2 : 2 + k2] == pytest.approx(expected[:k2], rel=1e-9)
     assert sides[:k1] == pytest.approx(expected[k2:], rel=1e-9)
     # nothing is found, or changed, at a focus
     singular[0, :3] = 0.0
     before = singular.copy()
-    assert solve(k1, k2, singular) == 0.0
+    assert solve_of(k1, k2, singular) == 0.0
     assert (singular == before).all()
 
 
@@ -605,7 +604,6 @@ def test_conditioning_has_no_units(k1, k2):
     """It is the determinant of C1 by unit tangents, and of C2 times a length."""
     rng = np.random.default_rng([7, k1, k2])
     first, second, normal = rng.normal(size=(10, 3)), rng.normal(size=(10, 3)), rng.normal(size=3)
-    make = from_python(conditioning)
     for pattern in (ON_SURFACE, CROSSING_CURVES):
         expected = 3.0
         for a in range(k2):
@@ -613,7 +611,7 @@ def test_conditioning_has_no_units(k1, k2):
         for a in range(k1):
             expected /= np.linalg.norm(first[1 + a]) ** 2
             expected *= 1.0 if pattern == CROSSING_CURVES else 0.2 / np.linalg.norm(normal)
-        assert make(pattern, k1, k2, first, second, normal, 0.2, 3.0) == pytest.approx(expected, rel=1e-13)
+        assert conditioning_of(pattern, k1, k2, first, second, normal, 0.2, 3.0) == pytest.approx(expected, rel=1e-13)
 
 
 @pytest.mark.parametrize("shape", [pc.Torus(0.3, 0.1), pc.Circle(0.3), pc.Point()], ids=lambda c: c.name)
@@ -641,3 +639,28 @@ def test_starts_are_apart_from_each_other(shape):
     for i in range(3 if k1 else 1):
         own = distances[i * group : (i + 1) * group, i * group : (i + 1) * group]
         assert (own[~np.eye(group, dtype=bool)] > 0.25 * length).all()
+
+
+@pytest.mark.parametrize(
+    "contour",
+    [
+        pc.Torus(0.6, 0.2),
+        pc.HeightField(lambda x, y, t: 0.1 * np.sin(2.0 * x + t) * np.cos(y - 0.3 * t)),
+        pc.ParametricSurface(lambda u, v, t: (u + 0.1 * t * v, v, u * v * t), ((-2.0, 2.0), (-2.0, 2.0))),
+        pc.Circle(0.7),
+        pc.ParametricCurve(lambda u, t: (u, 0.1 * t * u * u, 0.1 * np.sin(u + t)), (-2.0, 2.0)),
+    ],
+    ids=lambda c: c.name + (" in time" if c.time_dependent else ""),
+)
+def test_derivatives_of_a_contour_in_world_axes(contour):
+    """All of them that there are, those by time, too; others are not touched."""
+    placement = pin.SE3(pin.exp3(np.array([0.2, 0.3, -0.2])), np.array([0.2, -0.1, 0.4]))
+    place = placement.act(np.array([0.5, 0.4, 0.3]))
+    system = system_of(pc.Point(), contour, [*place, 0.0, 0.0, 0.0, 1.0], placement=placement)
+    system.location[0, 2:] = 0.4, 0.3
+    system.derivatives[1] = 0.0
+    system.evaluate_kinematics(0.6)
+    k = contour.dimension
+    expected = contour.evaluate(system.location[0, 2 : 2 + k], 0.6) @ placement.rotation.T
+    assert system.derivatives[1] == pytest.approx(expected, abs=1e-14)
+    assert bool(expected[6:].any()) == contour.time_dependent

@@ -238,3 +238,25 @@ def test_whether_all_forces_lie_inside_their_cones():
                 margins[i, margin] = value
                 assert solver._holds() == (value == 0.0 or (i, margin) not in watched)
             margins[i, margin] = 1.0
+
+
+@SEEDS
+def test_the_problem_of_what_all_sticks(seed):
+    """From the rows of the last evaluation, normals first: the same as in general; what nothing moves stands alone."""
+    rng = np.random.default_rng([4, seed])
+    system, solver = made(rng)
+    system.contact_int[:, ANISOTROPIC], system.contact_int[:, TANGENTS] = 0, 2
+    contacts = [0, 2, 3]
+    system.rows *= 0.2
+    system.rows[2, 1] = 0.0
+    system.whitened_rows = np.zeros((30, system.nv))
+    for i, c in enumerate(contacts):
+        for k, row in enumerate((2, 0, 1)):
+            system.whitened_rows[3 * i + k] = np.linalg.solve(system.factor.T, system.rows[c, row])
+    found, general = solver._problem_of_sticking(contacts), solver._problem(contacts, contacts, [], [])
+    assert found.gram == pytest.approx(general.gram, abs=1e-13)
+    assert found.base == pytest.approx(general.base, abs=1e-13)
+    assert found.weights == pytest.approx(general.weights, abs=1e-13)
+    assert found.base[4] == 0.0
+    assert found.weights[4] > 0.0
+    assert found.limits.tolist() == general.limits.tolist() == solver._limits[contacts].tolist()

@@ -265,7 +265,8 @@ def _within(contour: Contour, a: int, t: float, window: float) -> tuple[float, f
     samples away than there may be; and how many samples show what is between."""
     middle = [min(max(0.0, low), high) for low, high in contour.domain]
     spacing = _SPACING * (contour.size if math.isfinite(contour.size) else window)
-    speed = float(np.linalg.norm(contour.evaluate(middle, t)[1 + a]))
+    # at least so fast that the window is left, or the samples used up, after a while
+    speed = max(float(np.linalg.norm(contour.evaluate(middle, t)[1 + a])), 1e-3 * spacing / window)
     ends = []
     for sign, end in zip((-1.0, 1.0), contour.domain[a]):
         width = window

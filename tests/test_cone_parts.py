@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from calling import from_python
 
+from pincontact.errors import ArgumentError
 from pincontact.friction import cone
 from pincontact.friction.cone import OPEN, SLIP, STICK
+from pincontact.friction.solve import _checked_problem
 
 scale_problem = from_python(cone.scale_problem)
 respond = from_python(cone.respond)
@@ -223,6 +225,8 @@ def test_a_sweep_projects_each_contact_in_its_turn(seed):
     # a contact that moves in one tangential direction alone, and one that does not move at all
     g[4] = g[:, 4] = g[5] = g[:, 5] = 0.0
     g[9:] = g[:, 9:] = 0.0
+    # of any size
+    g *= 10.0 ** rng.integers(-2, 2)
     f = np.abs(rng.normal(size=3 * n))
     u = g @ f + c
     expected = f.copy()
@@ -357,3 +361,17 @@ def test_a_contact_without_friction_has_a_normal_force_alone():
     assert upper[binding].tolist() == [0.0]
     assert (upper[~binding] > 0.0).all()
     assert (made["facets"][[0, 3, 8, 11]].any(axis=1)).all()
+
+
+def test_a_nearly_symmetric_problem_is_made_symmetric():
+    """Round-off of a product, not more; the rest stays as it is."""
+    rng = np.random.default_rng(3)
+    rows = rng.normal(size=(6, 8))
+    gram = rows @ rows.T
+    error = 1e-10 * np.triu(rng.uniform(0.5, 1.0, (6, 6)), 1)
+    matrix, b, mu = _checked_problem(gram + error, np.arange(6.0), 0.3)
+    assert (matrix == matrix.T).all()
+    assert matrix == pytest.approx(gram + 0.5 * (error + error.T), rel=1e-14)
+    assert (b.tolist(), mu.tolist()) == ([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], [0.3, 0.3])
+    with pytest.raises(ArgumentError, match="not symmetric"):
+        _checked_problem(gram + 1e4 * error, np.zeros(6), 0.3)

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import operator
 
 import numpy as np
 import pinocchio as pin
@@ -564,3 +565,43 @@ def test_what_is_no_placement():
     rotation = motion.placement(2.5).rotation
     assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-14)
     assert rotation == pytest.approx(rounded[:3, :3], abs=2e-6)
+
+
+@pytest.mark.parametrize("begin", [0.0, 2.0])
+def test_what_begins_as_a_point_is_a_contour_at_other_times(begin):
+    """A ring, a sheet and a field of heights that grow; what is a point, or a line, at all times is none."""
+    domain = (begin, begin + 3.0)
+
+    def grown(t):
+        return t - begin
+
+    ring = pc.ParametricCurve(
+        lambda u, t: (grown(t) * np.cos(u), grown(t) * np.sin(u), 0.0), (0.0, 2.0 * math.pi), True, time_domain=domain
+    )
+    sheet = pc.ParametricSurface(
+        lambda u, v, t: (grown(t) * u, grown(t) * v, u * v), ((-1.0, 1.0),) * 2, time_domain=domain
+    )
+    assert ring.point(0.0, begin + 2.0) == pytest.approx([2.0, 0.0, 0.0], abs=1e-15)
+    # half a diagonal of the square around it, at one of the times at which it was looked at
+    assert 0.0 < ring.size < 3.0 * math.sqrt(2.0)
+    assert 0.0 < sheet.size < 3.0 * math.sqrt(3.0)
+    with pytest.raises(ContourError, match="f_1 vanishes all over"):
+        pc.ParametricCurve(lambda u, t: (t, 0.0 * u, 1.0), (0.0, 1.0), time_domain=domain)
+    with pytest.raises(ContourError, match="f_1 x f_2 vanishes all over"):
+        pc.ParametricSurface(lambda u, v, t: (t * (u + v), u + v, 1.0), ((0.0, 1.0),) * 2, time_domain=domain)
+    # one that is more than a point at the start has the size that it has then
+    assert pc.ParametricCurve(lambda u, t: ((1.0 + t) * u, u, 0.0), (0.0, 1.0)).size == pytest.approx(math.sqrt(0.5))
+
+
+def test_arrays_of_no_dimension_are_numbers():
+    """Of a symbol or of a number, on either side of an operator."""
+    for function, value in (
+        (lambda u: u + np.asarray(u), 1.4),
+        (lambda u: np.asarray(u, dtype=object) * u, 0.49),
+        (lambda u: u - np.asarray(2.0), -1.3),
+        (lambda u: np.sin(np.asarray(u)) / np.asarray(2), math.sin(0.7) / 2.0),
+    ):
+        tape = trace(lambda u, function=function: (function(u), u, 0.0), "u", 3)
+        assert Contour(TAPE_CURVE, 1, pool=tape.pool).point(0.7)[0] == pytest.approx(value, rel=1e-15)
+    with pytest.raises(Untraceable, match="list where a number was expected"):
+        trace(lambda u: operator.add(u, [1.0]), "u", 1)

@@ -7,16 +7,22 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy
+from calling import from_python
 
 import pincontact as pc
+from pincontact.constraints.kinematics import basis_at_contact
 from pincontact.contours.base import F_1, F_2, F
 from pincontact.dynamics.system import System
 from pincontact.geometry import nearest
 from pincontact.geometry.frames import curve_normal_axis
+from pincontact.geometry.location import conditioning, solve_location
 from pincontact.geometry.nearest import NearestSearch, Whole, bend
+from pincontact.geometry.patterns import CROSSING_CURVES, ON_CURVE, ON_SURFACE
 from pincontact.geometry.search import _is_solved, _sample, _seeds, find_candidates, refine
+from pincontact.layout import LENGTH
 
 UNKNOWN = np.full(4, np.nan)
+basis_of, solve_of, conditioning_of = map(from_python, (basis_at_contact, solve_location, conditioning))
 
 
 def free_body(joint=None):
@@ -246,7 +252,11 @@ def test_samples_are_of_the_placed_contour(contour):
                 assert set(column) == {guess[a]}
                 continue
             # all of it, or of what is within the window, but for a thousandth at each end
-            low, high = (low, high) if math.isfinite(high - low) else (-1.5, 1.5)
+            if contour.name == "Helix":
+                # 1.5 m of height are 31.4 rad: the next doubling
+                low, high = -48.0, 48.0
+            elif not math.isfinite(high - low):
+                low, high = -1.5, 1.5
             inset = 1e-3 * (high - low)
             assert (column.min(), column.max()) == pytest.approx((low + inset, high - inset), rel=1e-12)
             steps = np.diff(np.unique(column))
@@ -264,6 +274,48 @@ def test_samples_are_of_the_placed_contour(contour):
             if k == 1:
                 # in the plane of planar curves
                 assert abs(normals[i] @ MOVED.rotation[:, 2]) < 1e-14
+
+
+def by_formula(radius, climb):
+    return pc.ParametricCurve(lambda u: (radius * np.cos(u), radius * np.sin(u), climb * u), (-math.inf, math.inf))
+
+
+@pytest.mark.parametrize("make", [lambda r, c: pc.Helix(r, 2.0 * math.pi * c), by_formula], ids=["Helix", "formula"])
+@pytest.mark.parametrize("seed", range(4))
+def test_what_goes_on_for_ever_in_angles_is_followed_as_far_as_it_is_near(make, seed):
+    """The nearest turn of a helix is found at any height, against samples of 1e-4 rad."""
+    rng = np.random.default_rng(seed)
+    radius, climb = rng.uniform(0.1, 0.5), rng.uniform(0.01, 0.1) * rng.choice([-1.0, 1.0])
+    place = np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-3.0, 3.0)])
+    system = system_of(pc.Point(), make(radius, climb), [*place, 0.0, 0.0, 0.0, 1.0])
+    found = find_candidates(system, 0.0, UNKNOWN)[0]
+    u = place[2] / climb + np.linspace(-10.0, 10.0, 200001)
+    points = np.column_stack([radius * np.cos(u), radius * np.sin(u), climb * u])
+    nearest_one = np.linalg.norm(points - place, axis=1).min()
+    # samples are good to the square of their distance over the radius
+    assert abs(found.gap) == pytest.approx(nearest_one, abs=1e-7)
+
+
+def test_samples_of_what_goes_on_for_ever():
+    """To where it is outside the window, or as many as there may be; from a domain's end where it has one."""
+    for contour, window, ends, count in (
+        (pc.Helix(0.4, 0.2 * math.pi), 3.0, (-48.0, 48.0), 396),
+        (pc.Helix(0.4, 0.2 * math.pi, (5.0, math.inf)), 3.0, (5.0, 53.0), 241),
+        (pc.Helix(0.4, 0.2 * math.pi, (-math.inf, 40.0)), 3.0, (-48.0, 40.0), 363),
+        # that never leaves it, and is one radius a radian
+        (pc.Helix(0.4, 0.0), 1.0, (-256.0, 256.0), 2048),
+        (by_formula(0.4, 0.1), 3.0, (-48.0, 48.0), 241),
+    ):
+        parameters, *_ = _sample(contour, MOVED, 0.0, window, np.full(2, np.nan))
+        inset = 1e-3 * (ends[1] - ends[0])
+        assert (parameters[0, 0], parameters[-1, 0]) == pytest.approx((ends[0] + inset, ends[1] - inset), rel=1e-12)
+        assert len(parameters) == pytest.approx(count, abs=1)
+    surface = pc.ParametricSurface(
+        lambda u, v: (0.1 * u, np.cos(v), np.sin(v)), ((-math.inf, math.inf), (0.0, 2.0 * math.pi)), (False, True)
+    )
+    parameters, *_ = _sample(surface, MOVED, 0.0, 3.0, np.full(2, np.nan))
+    assert len(parameters) == 61 * 31
+    assert parameters[:, 0].max() == pytest.approx(48.0 * (1.0 - 2e-3), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -479,3 +531,136 @@ def test_both_extreme_points_of_what_is_round_above_and_below_a_plane(shape, sid
         found = find_candidates(system, 0.0, UNKNOWN)
         assert [c.side for c in found] == [bends for _, bends in wanted]
         assert [c.gap for c in found] == pytest.approx([gap for gap, _ in wanted], abs=1e-15)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_normals_of_curves_are_made_from_the_axis_that_is_least_along_them(seed):
+    """Curves along the axes, where the other choice would be none, and any others."""
+    generator = np.random.default_rng(seed)
+    for tangent in (
+        *np.eye(3),
+        *-np.eye(3),
+        *generator.normal(size=(20, 3)),
+        *generator.normal(size=(9, 3)) * [0.3, 0.3, 2],
+    ):
+        derivatives, basis = np.zeros((10, 3)), np.zeros((3, 3))
+        derivatives[1] = 0.4 * tangent
+        basis_of(ON_CURVE, 1, np.zeros((10, 3)), derivatives, np.zeros(3), basis)
+        unit = tangent / np.linalg.norm(tangent)
+        axis = np.array([0.0, 0.0, 1.0]) if abs(unit[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+        assert curve_normal_axis(unit) == pytest.approx(axis)
+        across = axis - (axis @ unit) * unit
+        across /= np.linalg.norm(across)
+        assert basis == pytest.approx(np.array([unit, across, np.cross(unit, across)]), abs=1e-14)
+
+
+@pytest.mark.parametrize("place", [(0.6, 0.0, 0.5), (-0.9, 0.1, 0.6), (0.1, -0.2, 0.7)])
+def test_the_nearest_of_several_stationary_points(place):
+    """Off the frames' origins, and by the distance between the points, not by what Newton comes to first."""
+    placement = pin.SE3(pin.exp3(np.array([0.3, 0.2, -0.4])), np.array([2.0, -1.0, 3.0]))
+    domain = ((-3.0, 3.0), (-1.0, 1.0))
+    wave = pc.HeightField(lambda x, y: 0.2 * np.cos(3.0 * x) + 0.05 * x + 0.1 * y * y, domain=domain)
+    ball = 0.05
+    system = system_of(pc.Sphere(ball), wave, [*placement.act(np.array(place)), *turned(2)], placement=placement)
+    found = NearestSearch(system, 0, 0.0).search(0.0).candidate
+    x, y = np.meshgrid(np.linspace(-2.0, 2.0, 801), np.linspace(-0.8, 0.8, 321))
+    points = np.stack([x, y, 0.2 * np.cos(3.0 * x) + 0.05 * x + 0.1 * y * y], -1).reshape(-1, 3)
+    # samples of 5e-3 m are good to their square over the distance
+    exact = np.linalg.norm(points - np.array(place), axis=1).min() - ball
+    assert found.gap == pytest.approx(exact, abs=1e-4)
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(0, 1), (1, 1), (0, 2), (1, 2), (2, 2)])
+@pytest.mark.parametrize("seed", range(3))
+def test_equations_of_the_location(seed, k1, k2):
+    """C1 with the metric of body 2, then C2: the unknowns are u_1, u_2, and the determinant is theirs."""
+    rng = np.random.default_rng([seed, k1, k2])
+    system = rng.normal(size=(4, 8))
+    metric, one, two, sides = system
+    matrix = np.zeros((k1 + k2, k1 + k2))
+    matrix[:k2, :k2] = np.array([[metric[0], metric[1]], [metric[1], metric[2]]])[:k2, :k2]
+    for a, row in enumerate((one, two)[:k1]):
+        matrix[:k2, k2 + a] = row[:k2]
+        matrix[k2 + a, :k2] = row[2 : 2 + k2]
+        matrix[k2 + a, k2:] = row[4 : 4 + k1]
+    right = [*sides[:k2], *sides[2 : 2 + k1]]
+    expected, determinant = np.linalg.solve(matrix, right), np.linalg.det(matrix)
+    if k1 == k2 == 1:
+        # columns in the other order
+        determinant = -determinant
+    singular = system.copy()
+    assert solve_of(k1, k2, system) == pytest.approx(determinant, rel=1e-10)
+    assert sides[2 : 2 + k2] == pytest.approx(expected[:k2], rel=1e-9)
+    assert sides[:k1] == pytest.approx(expected[k2:], rel=1e-9)
+    # nothing is found, or changed, at a focus
+    singular[0, :3] = 0.0
+    before = singular.copy()
+    assert solve_of(k1, k2, singular) == 0.0
+    assert (singular == before).all()
+
+
+@pytest.mark.parametrize(("k1", "k2"), [(0, 1), (1, 1), (0, 2), (1, 2), (2, 2)])
+def test_conditioning_has_no_units(k1, k2):
+    """It is the determinant of C1 by unit tangents, and of C2 times a length."""
+    rng = np.random.default_rng([7, k1, k2])
+    first, second, normal = rng.normal(size=(10, 3)), rng.normal(size=(10, 3)), rng.normal(size=3)
+    for pattern in (ON_SURFACE, CROSSING_CURVES):
+        expected = 3.0
+        for a in range(k2):
+            expected /= np.linalg.norm(second[1 + a]) ** 2
+        for a in range(k1):
+            expected /= np.linalg.norm(first[1 + a]) ** 2
+            expected *= 1.0 if pattern == CROSSING_CURVES else 0.2 / np.linalg.norm(normal)
+        assert conditioning_of(pattern, k1, k2, first, second, normal, 0.2, 3.0) == pytest.approx(expected, rel=1e-13)
+
+
+@pytest.mark.parametrize("shape", [pc.Torus(0.3, 0.1), pc.Circle(0.3), pc.Point()], ids=lambda c: c.name)
+def test_starts_are_apart_from_each_other(shape):
+    """Of each weight of alignment, by a quarter of the contact's length on both bodies together."""
+    system = system_of(shape, pc.Torus(0.6, 0.2), [0.4, 0.5, 0.6, *turned(3)])
+    starts = np.array(_seeds(system, 0.0, UNKNOWN))
+    length = system.contact_real[0, LENGTH]
+    poses = [system.frames[i] for i in (0, 1)]
+    k1 = shape.dimension
+    places = np.array(
+        [
+            np.concatenate(
+                [
+                    poses[0][:3] @ shape.evaluate(start[:k1])[F] + poses[0][3],
+                    poses[1][:3] @ pc.Torus(0.6, 0.2).evaluate(start[2:])[F] + poses[1][3],
+                ]
+            )
+            for start in starts
+        ]
+    )
+    distances = np.linalg.norm(places[:, None] - places[None], axis=2)
+    # eight of each weight, if there are so many
+    group = len(starts) // 3 if k1 else 1
+    for i in range(3 if k1 else 1):
+        own = distances[i * group : (i + 1) * group, i * group : (i + 1) * group]
+        assert (own[~np.eye(group, dtype=bool)] > 0.25 * length).all()
+
+
+@pytest.mark.parametrize(
+    "contour",
+    [
+        pc.Torus(0.6, 0.2),
+        pc.HeightField(lambda x, y, t: 0.1 * np.sin(2.0 * x + t) * np.cos(y - 0.3 * t)),
+        pc.ParametricSurface(lambda u, v, t: (u + 0.1 * t * v, v, u * v * t), ((-2.0, 2.0), (-2.0, 2.0))),
+        pc.Circle(0.7),
+        pc.ParametricCurve(lambda u, t: (u, 0.1 * t * u * u, 0.1 * np.sin(u + t)), (-2.0, 2.0)),
+    ],
+    ids=lambda c: c.name + (" in time" if c.time_dependent else ""),
+)
+def test_derivatives_of_a_contour_in_world_axes(contour):
+    """All of them that there are, those by time, too; others are not touched."""
+    placement = pin.SE3(pin.exp3(np.array([0.2, 0.3, -0.2])), np.array([0.2, -0.1, 0.4]))
+    place = placement.act(np.array([0.5, 0.4, 0.3]))
+    system = system_of(pc.Point(), contour, [*place, 0.0, 0.0, 0.0, 1.0], placement=placement)
+    system.location[0, 2:] = 0.4, 0.3
+    system.derivatives[1] = 0.0
+    system.evaluate_kinematics(0.6)
+    k = contour.dimension
+    expected = contour.evaluate(system.location[0, 2 : 2 + k], 0.6) @ placement.rotation.T
+    assert system.derivatives[1] == pytest.approx(expected, abs=1e-14)
+    assert bool(expected[6:].any()) == contour.time_dependent

@@ -238,11 +238,11 @@ def flags(owner: str, name: str, values: Any) -> tuple[bool, bool]:
     return flag(owner, f"{name}[0]", values[0]), flag(owner, f"{name}[1]", values[1])
 
 
-def half_diagonal(contour: Contour) -> float:
+def half_diagonal(contour: Contour, t: float = 0.0) -> float:
     """Half the diagonal of the box around a contour of finite domain, else infinity."""
     if not np.isfinite(contour.domain).all():
         return np.inf
-    points = np.array([contour.point(u) for u in contour.samples(12 if contour.dimension == 2 else 64)])
+    points = np.array([contour.point(u, t) for u in contour.samples(12 if contour.dimension == 2 else 64)])
     return 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
 
 

@@ -119,6 +119,7 @@ class Program:
     time_dependent:  t occurs in it
     constants:       for each output its value if it depends on no variable, else None
     error:           of the fit in the formula's unit, 0 for a tape
+    times:           (first, last) time in s at which it is tried; none where t does not occur
     """
 
     kind: int
@@ -126,6 +127,7 @@ class Program:
     time_dependent: bool
     constants: tuple[float | None, ...]
     error: float
+    times: tuple[tuple[float, float], ...] = ()
 
 
 def compiled(
@@ -161,6 +163,7 @@ def compiled(
         kind = TAPE_SURFACE if formula.parameters == 2 else TAPE_CURVE
         program = Program(kind, pool, known.tape.time_dependent, known.tape.constants, 0.0)
         _check_seams(formula, program, domain, periodic, points)
+    program.times = tuple(timed) if program.time_dependent else ()
     contour = Contour(program.kind, formula.parameters, pool=program.pool)
     for point, value in zip(points, expected):
         time = float(point[-1]) if formula.takes_time else 0.0

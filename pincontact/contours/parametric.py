@@ -172,7 +172,7 @@ def _rectangle(owner: str, domain: Any) -> tuple[tuple[float, float], ...]:
 def _initialise(
     contour: Contour, program: Program, domain: tuple[tuple[float, float], ...], periodic: tuple[bool, ...]
 ) -> None:
-    """Fill in a contour from its compiled formula, and see that it has a tangent or a normal."""
+    """Fill in a contour from its compiled formula, and see that it has a tangent or a normal at some time."""
     Contour.__init__(
         contour,
         kind=program.kind,
@@ -183,12 +183,16 @@ def _initialise(
         time_dependent=program.time_dependent,
         fit_error=program.error,
     )
-    rows = np.array([contour.evaluate(value) for value in trials(domain)])
+    k, points = len(domain), trials([*domain, *program.times])
+    rows = np.array([contour.evaluate(point[:k], *point[k:]) for point in points])
     size, first = np.abs(rows[:, F]).max(), rows[:, F_1]
-    measure = first if len(domain) == 1 else np.cross(first, rows[:, F_2])
+    measure = first if k == 1 else np.cross(first, rows[:, F_2])
     # One singular point is a matter of taste; a shape that is singular everywhere is not a curve or surface.
     if not np.linalg.norm(measure, axis=1).max() > 1e-14 * min(size, 1.0):
-        what = "f_1" if len(domain) == 1 else "f_1 x f_2"
+        what = "f_1" if k == 1 else "f_1 x f_2"
         raise ContourError(f"{contour.name}: {what} vanishes all over the domain")
     if math.isfinite(np.abs(domain).max()):
-        object.__setattr__(contour, "size", half_diagonal(contour))
+        # at the first of these times at which it is more than a point
+        moments = (0.0, *(float(point[-1]) for point in points)) if program.times else (0.0,)
+        size = next((size for size in (half_diagonal(contour, t) for t in moments) if size > 0.0), 0.0)
+        object.__setattr__(contour, "size", size)

@@ -576,7 +576,7 @@ class ModeSolver:
             end, (low, high) = system.guard_int[g, GUARD_END], system.guard_real[g, :2]
             # about its middle, friction is a disk of constant radius; at an end, what the end adds to friction only
             # pushes away from it
-            middle = 0.5 * (low + high) if end == 0 else (low if end < 0 else high)
+            middle = (low, 0.5 * (low + high), high)[end + 1]
             row = system.rows[system.nc + g, 2]
             free += unwhiten(system, whiten(system, row)) * middle
             columns = np.zeros((system.nv, 3))
@@ -694,7 +694,6 @@ class ModeSolver:
                 if disk.normal is not None and disk.rows[0] // 3 != disk.normal // 3:
                     normal = 3 * (disk.rows[0] // 3) + 2
                     base[normal] = -disk.factor * before[disk.normal] * problem.weights[normal]
-                    limits[normal // 3] = 1.0
             self.cone_problems += 1
             if not solver.solve(problem.gram, base + problem.gram @ pull, limits):
                 return None

@@ -97,7 +97,7 @@ class Product:
         for i, count in enumerate(self.tangents.astype(int)):
             f[3 * i : 3 * i + count] = forces[3 * i : 3 * i + count]
             f[3 * i + 2] = forces[3 * i + 2] if self.normal[i] else 0.0
-        best, least = f, math.inf
+        best, least = f.copy(), math.inf
         for sweeps in rounds:
             u = self.gram @ f + self.base
             sweep_product(

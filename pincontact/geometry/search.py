@@ -22,13 +22,15 @@ if TYPE_CHECKING:
     from ..contours import Contour
     from ..dynamics.system import System
 
-_CURVE_SAMPLES = 241
+_CURVE_SAMPLES, _MOST_SAMPLES = 241, 4001
 _SURFACE_SAMPLES = (61, 31)
 # So many starts, a third for each of these weights of alignment against distance, apart from each other by this part of
 # the contact's length; each sample of body 1 with so many neighbours.
 _SEEDS, _WEIGHTS, _APART, _NEIGHBOURS = 24, (1.0, 0.0, 10.0), 0.25, 4
 # What goes on for ever is sampled so far beyond both bodies' distance, in their sizes; the ends of domains are spared.
 _WINDOW, _INSET = 2.0, 1e-3
+# What goes on for ever in other parameters than lengths is sampled at distances of this part of its size.
+_SPACING = 0.25
 # Contours whose parameters are lengths where they are not periodic.
 _LENGTHS = (Cone, Cylinder, HeightField, Line, Plane)
 # Two candidates closer than this (relative to the contact's length) are one.
@@ -258,6 +260,27 @@ def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
     return seeds
 
 
+def _within(contour: Contour, a: int, t: float, window: float) -> tuple[float, float, int]:
+    """Ends of a parameter without end beyond which the contour is outside the window in m around its origin, or more
+    samples away than there may be; and how many samples show what is between."""
+    middle = [min(max(0.0, low), high) for low, high in contour.domain]
+    spacing = _SPACING * (contour.size if math.isfinite(contour.size) else window)
+    # at least so fast that the window is left, or the samples used up, after a while
+    speed = max(float(np.linalg.norm(contour.evaluate(middle, t)[1 + a])), 1e-3 * spacing / window)
+    ends = []
+    for sign, end in zip((-1.0, 1.0), contour.domain[a]):
+        width = window
+        while not math.isfinite(end) and speed * width < 0.25 * _MOST_SAMPLES * spacing:
+            place = middle.copy()
+            place[a] += sign * width
+            if np.linalg.norm(contour.point(place, t)) >= window:
+                break
+            width *= 2.0
+        ends.append(end if math.isfinite(end) else middle[a] + sign * width)
+    count = speed * (ends[1] - ends[0]) / spacing
+    return ends[0], ends[1], int(min(count, _MOST_SAMPLES - 1)) + 1
+
+
 def _sample(
     contour: Contour, pose: pin.SE3, t: float, window: float, guess: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
@@ -269,11 +292,15 @@ def _sample(
         if not math.isnan(guess[a]):
             axes.append(np.array([guess[a]]))
             continue
+        count = counts[a]
         # what is infinite is cut to the window; so are lengths, but not angles and other people's parameters
-        if not contour.periodic[a] and (isinstance(contour, _LENGTHS) or not math.isfinite(high - low)):
+        if not contour.periodic[a] and isinstance(contour, _LENGTHS):
             low, high = max(low, -window), min(high, window)
+        elif not math.isfinite(high - low):
+            low, high, wanted = _within(contour, a, t, window)
+            count = max(count, wanted) if contour.dimension == 1 else count
         inset = _INSET * (high - low)
-        axes.append(np.linspace(low + inset, high - inset, counts[a]))
+        axes.append(np.linspace(low + inset, high - inset, count))
     grid = np.zeros((1, 2))
     if contour.dimension == 1:
         grid = np.column_stack([axes[0], np.zeros_like(axes[0])])

@@ -1,0 +1,485 @@
+"""Accelerations and contact forces of one state: the parts that the equations are made with, each alone."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from calling import from_python
+
+from pincontact.dynamics import equations
+from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
+from pincontact.layout import (
+    ACROSS_X,
+    CONTACT_INTS,
+    CONTACT_REALS,
+    DIRECTION_X,
+    DOMAIN_MARGIN,
+    EVENT,
+    FREE,
+    FRICTION_MARGIN,
+    FRICTIONLESS,
+    FROZEN,
+    GAP_MARGIN,
+    GUARD_END,
+    GUARD_INTS,
+    GUARD_REALS,
+    GUARD_SIGN,
+    HIGH_END,
+    HIGH_FORCE,
+    LIMIT_SLACK,
+    LOW_END,
+    LOW_FORCE,
+    MARGINS_PER_CONTACT,
+    MODE,
+    MU,
+    MU_NOW,
+    MU_STATIC,
+    NORMAL_1,
+    NORMAL_2,
+    NORMAL_MARGIN,
+    NORMAL_SIGN,
+    OK,
+    PATTERN,
+    POLYNOMIAL,
+    SLIP_RATE,
+    SLIP_SIGN,
+    SLIP_SPEED,
+    SLIPPING,
+    SPAN,
+    SPEED_MARGIN,
+    START,
+    STICK,
+    TANGENTS,
+    UNILATERAL,
+    VISCOUS,
+)
+
+SEEDS = pytest.mark.parametrize("seed", range(5))
+MODES = (FREE, FRICTIONLESS, STICK, SLIPPING)
+
+
+@functools.cache
+def part(name):
+    """Compiled once."""
+    return from_python(getattr(equations, name))
+
+
+def items(n):
+    return np.zeros((n, CONTACT_INTS), dtype=np.int64), np.zeros((n, CONTACT_REALS))
+
+
+def made_rows(rng, integers, numbers, nv=7, rank=None):
+    """Constraint rows of items in their modes, in a chain's velocities, whitened; `operator` is that of frictionless
+    normals and of what sticks. rank: all of them in so many directions."""
+    n = len(integers)
+    rows = rng.normal(size=(n, 3, nv))
+    if rank is not None:
+        rows = rows @ (rng.normal(size=(nv, rank)) @ rng.normal(size=(rank, nv)))
+    factor = np.tril(0.3 * rng.normal(size=(nv, nv)), -1) + np.diag(rng.uniform(0.5, 2.0, nv))
+    parents = np.arange(nv) - 1
+    row_index = np.full((3 * n, 2), -1)
+    count, slipping = part("list_rows")(integers, n, row_index)
+    whitened = np.zeros((3 * n, nv))
+    part("whiten_rows")(factor, parents, nv, rows, row_index, count, whitened)
+    index = row_index[:count]
+    inverse = np.linalg.inv(factor.T @ factor)
+    gram = rows[index[:, 0], index[:, 1]] @ inverse @ rows[index[:, 0], index[:, 1]].T
+    assert whitened[:count] @ whitened[:count].T == pytest.approx(gram, abs=1e-11)
+    return SimpleNamespace(
+        nv=nv, rows=rows, factor=factor, parents=parents, row_index=row_index, count=count, slipping=slipping,
+        whitened=whitened, inverse=inverse, index=index,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_what_holds_a_contact(mode):
+    """Of contacts that slide, held up by friction alone, and of viscous friction."""
+    for unilateral, sign, mu, viscous in itertools.product((0, 1), (-1, 0, 1), (0.0, 0.4, math.inf), (0.0, 0.5)):
+        integers, numbers = (array[0] for array in items(1))
+        integers[[MODE, UNILATERAL, NORMAL_SIGN]] = mode, unilateral, sign
+        numbers[[MU, VISCOUS]] = mu, viscous
+        shares = mode == SLIPPING and unilateral == 1 and sign == -1
+        assert part("shares_viscous_force")(integers) == shares
+        assert part("is_held_up")(integers, numbers) == (shares or (mode == SLIPPING and mu == math.inf))
+        moves = mode in (FRICTIONLESS, SLIPPING) and viscous > 0.0
+        assert part("resists_viscously")(integers, numbers) == (moves and not shares)
+
+
+@SEEDS
+def test_viscous_loads(seed):
+    rng = np.random.default_rng(seed)
+    integers, numbers = items(4)
+    integers[:, MODE], integers[:, TANGENTS] = (FRICTIONLESS, SLIPPING, STICK, FREE), (1, 2, 2, 2)
+    numbers[:, VISCOUS] = rng.uniform(0.1, 1.0, 4)
+    basis, slip, rows = rng.normal(size=(4, 3, 3)), rng.normal(size=(4, 3)), rng.normal(size=(4, 3, 5))
+    load = rng.normal(size=5)
+    expected = load - numbers[0, VISCOUS] * rows[0, 0] * (basis[0, 0] @ slip[0])
+    for row in (0, 1):
+        expected -= numbers[1, VISCOUS] * rows[1, row] * (basis[1, row] @ slip[1])
+    part("add_viscous_loads")(5, 4, integers, numbers, basis, slip, rows, load)
+    assert load == pytest.approx(expected, abs=1e-13)
+
+
+@SEEDS
+def test_directions_of_slip(seed):
+    rng = np.random.default_rng(seed)
+    integers, numbers = (array[0] for array in items(1))
+    basis, slip, out = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3), np.zeros(2)
+    along = basis @ slip
+    find = part("slip_direction")
+    # one tangent: the sign is a mode, and the speed along it
+    integers[TANGENTS], integers[SLIP_SIGN] = 1, -1
+    assert find(integers, numbers, slip, basis, 0.3, out) == pytest.approx(-along[0], abs=1e-15)
+    assert out.tolist() == [-1.0, 0.0]
+    integers[TANGENTS] = 2
+    speed = math.hypot(along[0], along[1])
+    assert find(integers, numbers, slip, basis, 0.3, out) == pytest.approx(speed, rel=1e-14)
+    assert out == pytest.approx(along[:2] / speed, rel=1e-14)
+    # a frozen one is a polynomial in the part of its span
+    world, across = rng.normal(size=(2, 3))
+    numbers[DIRECTION_X : DIRECTION_X + 3], numbers[ACROSS_X : ACROSS_X + 3] = world, across
+    polynomial = numbers[POLYNOMIAL : POLYNOMIAL + 5] = rng.normal(size=5)
+    numbers[START], numbers[SPAN] = 0.1, 0.4
+    turn = sum(a * 0.5**i for i, a in enumerate(polynomial))
+    expected = basis[:2] @ (world + turn * across)
+    for frozen, velocity in ((1, slip), (0, 0.0 * slip)):
+        integers[FROZEN] = frozen
+        found = find(integers, numbers, velocity, basis, 0.3, out)
+        assert found == pytest.approx(0.0 if frozen == 0 else speed, rel=1e-14)
+        assert out == pytest.approx(expected / np.linalg.norm(expected), rel=1e-12)
+    # none is none
+    numbers[DIRECTION_X : DIRECTION_X + 3] = numbers[ACROSS_X : ACROSS_X + 3] = 0.0
+    find(integers, numbers, 0.0 * slip, basis, 0.3, out)
+    assert out.tolist() == [0.0, 0.0]
+
+
+def test_rows_in_their_order():
+    """The normal first, then a curve's other normal, then stuck tangents."""
+    integers, _ = items(8)
+    integers[:, MODE] = FREE, FRICTIONLESS, STICK, STICK, SLIPPING, STICK, SLIPPING, STICK
+    integers[:, TANGENTS] = 2, 2, 2, 1, 2, 1, 1, 2
+    integers[:, PATTERN] = ON_SURFACE
+    integers[[5, 6], PATTERN], integers[7, PATTERN] = ON_CURVE, NO_NORMAL
+    index = np.full((24, 2), -1)
+    expected = [[1, 2], [2, 2], [2, 0], [2, 1], [3, 2], [3, 0], [4, 2], [5, 2], [5, 1], [5, 0], [6, 2], [6, 1], [7, 0],
+                [7, 1]]  # fmt: skip
+    assert part("list_rows")(integers, 8, index) == (14, True)
+    assert index[:14].tolist() == expected
+    integers[[4, 6], MODE] = FREE
+    assert part("list_rows")(integers, 8, index) == (11, False)
+
+
+def curves(rng, n=3):
+    """Points on curves that slip, after a contact that does not, with their rows."""
+    integers, numbers = items(n)
+    integers[:, MODE], integers[:, PATTERN], integers[:, TANGENTS] = SLIPPING, ON_CURVE, 1
+    integers[0, PATTERN], integers[0, MODE] = ON_SURFACE, STICK
+    return integers, numbers, made_rows(rng, integers, numbers)
+
+
+@SEEDS
+@pytest.mark.parametrize("in_plane", [False, True])
+def test_motions_along_two_normals(in_plane, seed):
+    own = np.random.default_rng(seed).normal(size=(2, 5))
+    if in_plane:
+        own[1] = -0.7 * own[0]
+    trace, determinant, found = part("plane_of_normals")(own, 4)
+    gram = own[:, :4] @ own[:, :4].T
+    assert trace == pytest.approx(np.trace(gram), rel=1e-14)
+    assert determinant == pytest.approx(np.linalg.det(gram), abs=1e-13 * trace**2)
+    assert found == in_plane
+
+
+def test_the_least_angle_between_normals_that_counts():
+    """Their sine squared is 1e-11 times the trace squared, which is 4 for units."""
+    for sine, in_plane in ((5e-6, True), (8e-6, False)):
+        own = np.array([[1.0, 0.0], [math.sqrt(1.0 - sine**2), sine]])
+        assert part("plane_of_normals")(own, 2)[2] == in_plane
+
+
+@SEEDS
+@pytest.mark.parametrize("in_plane", [False, True])
+def test_operators_of_curves_that_lose_positivity(in_plane, seed):
+    """Against the determinant of the operator of both normals, or its trace."""
+    rng = np.random.default_rng(seed)
+    lost = 0
+    for _ in range(40):
+        integers, _, parts = curves(rng)
+        if in_plane:
+            for row in (2, 4):
+                parts.whitened[row + 1] = rng.normal() * parts.whitened[row]
+        sizes = np.linalg.norm(parts.whitened, axis=1, keepdims=True)
+        forces = parts.whitened + 0.8 * sizes * rng.normal(size=parts.whitened.shape)
+        expected = False
+        for row in (2, 4):
+            own, pushed = parts.whitened[row : row + 2], forces[row : row + 2]
+            size = np.trace if in_plane else np.linalg.det
+            expected = expected or bool(size(own @ pushed.T) <= 0.0)
+        assert (
+            part("curves_lose_positivity")(integers, parts.row_index, parts.count, parts.whitened, forces, parts.nv)
+            == expected
+        )
+        lost += expected
+    assert 0 < lost < 40
+    # what sticks, and what nothing moves, has nothing to lose
+    parts.whitened[2:6] = 0.0
+    arguments = parts.row_index, parts.count, parts.whitened, -parts.whitened, parts.nv
+    assert not part("curves_lose_positivity")(integers, *arguments)
+    integers[:, MODE] = STICK
+    integers[0, MODE] = SLIPPING
+    index = np.array([[0, 2], [0, 1], [1, 2], [1, 1]])
+    own = rng.normal(size=(4, 5))
+    assert not part("curves_lose_positivity")(integers, index, 4, own, -own, 5)
+    integers[1, MODE] = SLIPPING
+    assert part("curves_lose_positivity")(integers, index, 4, own, np.r_[own[:2], -own[2:3], own[3:]], 5)
+
+
+@SEEDS
+@pytest.mark.parametrize("in_plane", [False, True])
+def test_normal_forces_on_curves(in_plane, seed):
+    """Their direction is that of the multipliers; of redundant ones the least with the same effect."""
+    rng = np.random.default_rng(seed)
+    integers, numbers, parts = curves(rng)
+    numbers[:, NORMAL_1], numbers[:, NORMAL_2] = rng.normal(size=(2, 3))
+    multipliers, before = rng.normal(size=parts.count), numbers.copy()
+    expected, changes = before[:, [NORMAL_1, NORMAL_2]], []
+    for c, row in ((1, 2), (2, 4)):
+        if in_plane:
+            # the larger one either of both
+            parts.whitened[row + 1] = (-0.5 if c == 1 else 3.0) * parts.whitened[row]
+        own = parts.whitened[row : row + 2]
+        force = multipliers[row : row + 2]
+        if in_plane:
+            force = np.linalg.pinv(own.T) @ (own.T @ force)
+        changes.append(np.abs(expected[c] - force / np.linalg.norm(force)).sum())
+        expected[c] = force / np.linalg.norm(force)
+    update = part("_update_normal_shares")
+    arguments = integers, numbers, parts.row_index, parts.count, multipliers, parts.whitened, parts.nv
+    assert update(*arguments) == pytest.approx(max(changes), rel=1e-12)
+    assert numbers[:, [NORMAL_1, NORMAL_2]] == pytest.approx(expected, rel=1e-12)
+    assert update(*arguments) == pytest.approx(0.0, abs=1e-15)
+    # where nothing moves along one of both, all of it is along the other, however slightly that moves
+    for none, other in ((2, 3), (3, 2)):
+        parts.whitened[none], parts.whitened[other] = 0.0, 0.01 * rng.normal(size=parts.nv)
+        update(*arguments)
+        share = numbers[1, [NORMAL_1, NORMAL_2]]
+        assert share[none - 2] == 0.0
+        assert share[other - 2] == math.copysign(1.0, multipliers[other])
+    # without a force the last one stays
+    multipliers[2:4] = 0.0
+    assert update(*arguments) == pytest.approx(0.0, abs=1e-15)
+
+
+def units_of(integers, numbers, parts):
+    """(count,) the force by which each multiplier is measured: the mean mobility over the directions of its cone."""
+    out = []
+    for c, row in parts.index:
+        mobility = np.einsum("ik,kl,il->i", parts.rows[c], parts.inverse, parts.rows[c])
+        own = mobility[row]
+        if integers[c, PATTERN] == ON_CURVE and row != 0:
+            unit = mobility.mean()
+        elif row != 2 or integers[c, MODE] == FRICTIONLESS or integers[c, TANGENTS] == 0:
+            out.append(own)
+            continue
+        elif integers[c, TANGENTS] == 1:
+            unit = (own + mobility[0] + max(own, mobility[0])) / 3.0
+        else:
+            unit = mobility.mean()
+        if integers[c, MODE] == SLIPPING and numbers[c, MU] < math.inf:
+            unit *= 1.0 + numbers[c, MU_NOW] ** 2
+        out.append(unit)
+    return np.array(out)
+
+
+def loaded_contacts(rng, rank):
+    """Contacts that slide, of which two carry nothing, one that sticks, one on a curve and one without friction."""
+    integers, numbers = items(7)
+    integers[:, MODE] = SLIPPING, SLIPPING, SLIPPING, SLIPPING, STICK, SLIPPING, FRICTIONLESS
+    integers[:, TANGENTS] = 2, 1, 2, 2, 1, 1, 2
+    integers[:, PATTERN], integers[5, PATTERN] = ON_SURFACE, ON_CURVE
+    integers[:, UNILATERAL], integers[:, NORMAL_SIGN] = 1, 1
+    integers[[1, 2], NORMAL_SIGN] = 0
+    # a bilateral one has no sign that says this
+    integers[5, UNILATERAL], integers[5, NORMAL_SIGN] = 0, 0
+    numbers[:, MU_NOW], numbers[:, MU] = rng.uniform(0.1, 0.8, (2, 7))
+    numbers[3, MU] = math.inf
+    return integers, numbers, made_rows(rng, integers, numbers, rank=rank)
+
+
+@SEEDS
+@pytest.mark.parametrize("rank", [None, 3])
+def test_whether_a_load_would_be_asked_for(rank, seed):
+    """Least forces that are not negative: N = A^T y + s, in their units, with s >= 0 where they are zero."""
+    rng = np.random.default_rng(seed)
+    integers, numbers, parts = loaded_contacts(rng, rank)
+    count, nv = parts.count, parts.nv
+    forces = parts.whitened[:count] + 0.2 * rng.normal(size=(count, nv)) @ np.diag(np.ones(nv))
+    if rank is not None:
+        forces = parts.whitened[:count] * rng.uniform(0.5, 1.5, (count, 1))
+    unit = 1.0 / np.sqrt(units_of(integers, numbers, parts))
+    operator = parts.whitened[:count] @ forces.T
+    system, work = np.zeros((count, count + 1)), np.zeros(nv)
+    arguments = integers, numbers, parts.rows, parts.row_index, count, parts.factor, parts.parents, nv
+    part("weigh_forces")(*arguments, parts.whitened, forces, system, work)
+    assert system[:, count] == pytest.approx(unit, rel=1e-12)
+    assert system[:, :count] == pytest.approx(operator * unit, abs=1e-11)
+    empty = [r for r, (c, row) in enumerate(parts.index.tolist()) if c in (1, 2) and row == 2]
+    for r, (c, row) in enumerate(parts.index.tolist()):
+        assert part("carries_nothing")(integers, 7, c, row) == (r in empty)
+        # beyond the contacts there are others
+        assert not part("carries_nothing")(integers, c, c, row)
+    assert part("leave_unloaded")(integers, 7, parts.row_index, count, system) == 2
+    assert system[empty, count].tolist() == [-1.0, -1.0]
+    assert not system[:, empty].any()
+    rest = [r for r in range(count) if r not in empty]
+    assert system[:, rest] == pytest.approx((operator * unit)[:, rest], abs=1e-11)
+
+    def margins(bias, acceleration):
+        y = rng.normal(size=count)
+        multipliers = np.where(np.isin(np.arange(count), empty), 0.0, unit * ((operator * unit).T @ y))
+        least = np.linalg.pinv((operator * unit)[:, rest].T, rcond=1e-9) @ (multipliers / unit)[rest]
+        out = np.full((7, MARGINS_PER_CONTACT), 5.0)
+        status = part("unloaded_margins")(
+            nv, 7, integers, numbers, parts.rows, bias, parts.row_index, count, parts.factor, parts.parents,
+            parts.whitened, forces, acceleration, multipliers, np.zeros((count, count + 1)),
+            np.zeros(count, dtype=np.int64), np.zeros((count + 1, count + 1)), out, work,
+        )  # fmt: skip
+        # the others' margins are not its business
+        assert (out[[0, 3, 4, 5, 6]] == 5.0).all()
+        assert np.delete(out, NORMAL_MARGIN, axis=1).min() == 5.0
+        assert status == (EVENT if out[1:3, NORMAL_MARGIN].min() < 0.0 else OK)
+        return out[1:3, NORMAL_MARGIN], -(unit * ((operator * unit).T @ least))[empty]
+
+    acceleration = rng.normal(size=nv)
+    bias = -(parts.rows @ acceleration)
+    for _ in range(5):
+        found, expected = margins(bias, acceleration)
+        # of systems with condition numbers of up to 1e4
+        assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+    # what does not stay closed, or not apart, by itself
+    for change, closes in ((1e-9, True), (1e-5, False), (-1e-5, False)):
+        other = bias.copy()
+        other[1, 2] += change
+        found, expected = margins(other, acceleration)
+        assert (found[0] == -1.0) == (not closes)
+        assert found[1] != -1.0
+
+
+@SEEDS
+def test_forces_from_a_reference(seed):
+    """It follows time and loads; what the multipliers have to make up is less by what it does."""
+    rng = np.random.default_rng(seed)
+    index, nv, count = np.array([[0, 2], [1, 2], [1, 0], [2, 1]]), 5, 4
+    rows, bias, free = rng.normal(size=(3, 3, nv)), rng.normal(size=(3, 3)), rng.normal(size=nv)
+    x = np.zeros(count)
+    part("right_hand_side")(index, count, rows, bias, free, nv, x)
+    c, row = index.T
+    assert x == pytest.approx(-(rows[c, row] @ free + bias[c, row]), abs=1e-13)
+    start, rate = rng.normal(size=(2, 3, 3))
+    slope, reference, work = rng.normal(size=(2, 9, nv)), np.full((3, 3), 7.0), np.full(nv, 9.0)
+    part("_move_reference")(index, count, x, 0.3, start, rate, slope, nv, reference, work)
+    places = 3 * c + row
+    expected = start[c, row] + 0.3 * rate[c, row] + slope[1, places] @ (slope[0, places].T @ x)
+    assert reference[c, row] == pytest.approx(expected, abs=1e-12)
+    assert (reference == 7.0).sum() == 9 - count
+    whitened, forces = rng.normal(size=(2, count, nv))
+    left = x.copy()
+    part("_take_reference")(index, count, reference, whitened, forces, nv, left, work)
+    assert left == pytest.approx(x - whitened @ (forces.T @ expected), abs=1e-12)
+
+
+def test_dry_friction_of_joints():
+    numbers = np.zeros(GUARD_REALS)
+    numbers[[LOW_FORCE, HIGH_FORCE]] = -2.0, 3.0
+    for mode, sign, force in ((FREE, 1, -2.0), (FREE, -1, 3.0), (FREE, 0, 0.0), (STICK, 1, 0.0)):
+        guard = np.zeros(GUARD_INTS, dtype=np.int64)
+        guard[GUARD_SIGN] = sign
+        assert part("guard_force")(mode, guard, numbers) == force
+
+
+@SEEDS
+def test_margins_of_guarded_joints(seed):
+    """Moving: ways to both ends, and the speed; held: forces above the lower and below the upper bound."""
+    rng = np.random.default_rng(seed)
+    nc, cases = 2, list(itertools.product((FREE, FRICTIONLESS), (-1, 0, 1), (-1, 0, 1), (False, True), (False, True)))
+    ng = len(cases)
+    integers, _ = items(nc + ng)
+    guards, numbers = np.zeros((ng, GUARD_INTS), dtype=np.int64), np.zeros((ng, GUARD_REALS))
+    slip, gaps, force = rng.normal(size=(nc + ng, 3)), rng.normal(size=(nc + ng, 2)), rng.normal(size=(nc + ng, 3))
+    numbers[:, LOW_FORCE], numbers[:, HIGH_FORCE] = -rng.random(ng), rng.random(ng)
+    expected = np.ones((nc + ng, MARGINS_PER_CONTACT))
+    for g, (mode, sign, end, low, high) in enumerate(cases):
+        i = nc + g
+        integers[i, MODE], guards[g, GUARD_SIGN], guards[g, GUARD_END] = mode, sign, end
+        numbers[g, LOW_END] = gaps[i, 0] - rng.normal() - 0.5 if low else -math.inf
+        numbers[g, HIGH_END] = gaps[i, 0] + rng.normal() + 0.5 if high else math.inf
+        if mode == FREE:
+            if low:
+                expected[i, GAP_MARGIN] = gaps[i, 0] - numbers[g, LOW_END]
+            if high:
+                expected[i, DOMAIN_MARGIN] = numbers[g, HIGH_END] - gaps[i, 0]
+            if sign:
+                expected[i, SPEED_MARGIN] = sign * slip[i, 2]
+        else:
+            if end != 1:
+                expected[i, NORMAL_MARGIN] = force[i, 2] - numbers[g, LOW_FORCE]
+            if end != -1:
+                expected[i, FRICTION_MARGIN] = numbers[g, HIGH_FORCE] - force[i, 2]
+    margins = np.full((nc + ng, MARGINS_PER_CONTACT), 9.0)
+    margins[:nc] = 1.0
+    guard_margins = part("guard_margins")
+    assert guard_margins(nc, ng, integers, guards, numbers, slip, gaps, force, margins) == EVENT
+    assert margins == pytest.approx(expected, abs=1e-15)
+    # one by one
+    for g in range(ng):
+        i = [0, 1, nc + g]
+        arguments = guards[g : g + 1], numbers[g : g + 1], slip[i], gaps[i], force[i], margins[i]
+        status = guard_margins(nc, 1, integers[i], *arguments)
+        assert status == (EVENT if expected[nc + g].min() < 0.0 else OK)
+
+
+@SEEDS
+@pytest.mark.parametrize("tangents", [1, 2])
+def test_margins_of_friction(tangents, seed):
+    """Forces of slip are against it, those of stick within the limit; and rates of the speed."""
+    rng = np.random.default_rng(seed)
+    basis, rows, bias = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=(1, 3, 4)), rng.normal(size=(1, 3))
+    slip, acceleration, load = rng.normal(size=(1, 3)), rng.normal(size=4), rng.uniform(0.5, 2.0)
+    sign = 1 if rng.random() < 0.5 else -1
+    for mode, unilateral, normal_sign, mu in (
+        (STICK, 1, 1, 0.4), (STICK, 1, 1, math.inf), (FRICTIONLESS, 1, 1, 0.0), (SLIPPING, 1, 1, 0.4),
+        (SLIPPING, 1, 1, math.inf), (SLIPPING, 1, -1, 0.4), (SLIPPING, 0, -1, 0.4), (SLIPPING, 1, 1, 0.0),
+    ):  # fmt: skip
+        integers, numbers = (array[0] for array in items(1))
+        integers[[MODE, UNILATERAL, NORMAL_SIGN, TANGENTS, SLIP_SIGN]] = mode, unilateral, normal_sign, tangents, sign
+        numbers[[MU, MU_STATIC, MU_NOW, LIMIT_SLACK, VISCOUS]] = mu, 1.5 * mu, 0.9 * mu, 0.01, 0.3
+        before = rng.normal(size=3)
+        force, relative, value = before[None].copy(), np.zeros((1, 3)), np.full(MARGINS_PER_CONTACT, 1.0)
+        arguments = slip, basis[None].copy(), rows, bias, acceleration, force, relative, value, 0.0, np.zeros(2)
+        with np.errstate(invalid="ignore"):
+            part("_friction_margins")(4, 0, load, integers, numbers, *arguments)
+        expected, after = np.ones(MARGINS_PER_CONTACT), before.copy()
+        if mode == STICK and mu < math.inf:
+            expected[FRICTION_MARGIN] = 1.01 * 1.5 * mu * load - np.linalg.norm(before[:tangents])
+        if mode == SLIPPING:
+            along = (basis @ slip[0])[:2]
+            direction = np.array([sign, 0.0]) if tangents == 1 else along / np.linalg.norm(along)
+            speed, rate = direction @ along, direction @ (rows[0] @ acceleration + bias[0])[:2]
+            assert relative[0] == pytest.approx(rows[0] @ acceleration + bias[0], abs=1e-13)
+            assert numbers[[SLIP_SPEED, SLIP_RATE]] == pytest.approx([speed, rate], abs=1e-13)
+            shares = unilateral == 1 and normal_sign == -1
+            friction = 0.9 * mu * load
+            if shares or mu == math.inf:
+                friction, after[2] = before[2], 0.0
+            after[:tangents] = -friction * direction[:tangents]
+            if shares:
+                expected[FRICTION_MARGIN] = 0.3 * abs(speed) - friction
+            if tangents == 1 and mu > 0.0:
+                expected[SPEED_MARGIN] = speed
+        assert force[0] == pytest.approx(after, abs=1e-13)
+        assert value == pytest.approx(expected, abs=1e-13)

@@ -1,0 +1,197 @@
+"""Contacts and discs whose radii follow from the forces: the parts of the solver, each alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pincontact.friction import product
+from pincontact.friction.cone import LARGEST_FRICTION, OPEN, SLIP, STICK
+from pincontact.friction.loads import TOLERANCE
+from pincontact.friction.product import Product, sweep_product
+
+SEEDS = pytest.mark.parametrize("seed", range(6))
+
+
+def made_problem(rng, given=False):
+    """Units of all kinds: contacts with two tangents, with one and with none, a resistance to turning of the first
+    contact's load, a bilateral contact whose load is a combination of forces, dry friction, and no force at all.
+    given: radii are numbers."""
+    n = 7
+    factor = np.eye(3 * n) + 0.25 * rng.normal(size=(3 * n, 3 * n)) / math.sqrt(n)
+    scales = np.repeat(10.0 ** rng.uniform(-0.5, 0.5, n), 3)
+    gram = scales[:, None] * (factor @ factor.T) * scales
+    normal = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    tangents = np.array([2.0, 1.0, 0.0, 2.0, 2.0, 1.0, 0.0])
+    mu = np.array([0.8, 0.3, 0.0, 0.2, 0.5, 1.0, 0.0])
+    radius_base, radius_rows = np.zeros(2 * n), np.zeros((2 * n, 3 * n))
+    radius_base[10] = 0.3
+    if given:
+        mu[:], radius_base[::2] = 1.0, rng.uniform(0.1, 1.0, n)
+    else:
+        radius_rows[0, 2] = radius_rows[2, 5] = radius_rows[6, 2] = 1.0
+        radius_rows[8:10], radius_base[8:10] = 0.1 * rng.normal(size=(2, 3 * n)), rng.normal(size=2)
+    base = scales * rng.normal(size=3 * n)
+    base[2:9:3] -= 1.0 * scales[2:9:3]
+    return Product(gram, base, normal, tangents, mu, radius_base, radius_rows)
+
+
+def radii_at(problem, forces):
+    load = (problem.radius_base + problem.radius_rows @ forces).reshape(-1, 2)
+    return [mu * math.hypot(*pair) for mu, pair in zip(problem.mu, load)]
+
+
+def follows_the_laws(problem, forces, radii, accuracy):
+    """Each unit's modes, once it is clear that its law holds."""
+    u, modes = problem.gram @ forces + problem.base, []
+    for i, radius in enumerate(radii):
+        k, count, stiffness = 3 * i, int(problem.tangents[i]), problem.gram[3 * i, 3 * i]
+        forces_t, u_t = forces[k : k + count], u[k : k + count]
+        assert not forces[k + count : k + 2].any()
+        if problem.normal[i]:
+            assert forces[k + 2] >= -1e-15
+            assert u[k + 2] >= -accuracy
+            assert forces[k + 2] * u[k + 2] == pytest.approx(0.0, abs=accuracy)
+        else:
+            assert forces[k + 2] == 0.0
+        if np.linalg.norm(u_t) > accuracy:
+            assert forces_t == pytest.approx(-radius * u_t / np.linalg.norm(u_t), abs=accuracy / stiffness)
+        assert np.linalg.norm(forces_t) <= radius + accuracy / stiffness
+        is_open = forces[k + 2] == 0.0 if problem.normal[i] else radius == 0.0
+        slips = np.linalg.norm(u_t) > accuracy or problem.mu[i] == 0.0
+        modes.append(OPEN if is_open else SLIP if slips else STICK)
+    return modes
+
+
+@SEEDS
+def test_solutions_follow_the_laws(seed):
+    rng = np.random.default_rng(seed)
+    problem = made_problem(rng)
+    forces, residual = problem.solve(rng.normal(size=problem.base.size))
+    assert residual <= TOLERANCE
+    assert problem.radii(forces) == pytest.approx(radii_at(problem, forces), rel=1e-13)
+    # zero, where they are but for round-off
+    forces[np.abs(forces) < 1e-15] = 0.0
+    # a residual of 1e-10 in units of the problem
+    modes = follows_the_laws(problem, forces, radii_at(problem, forces), 1e-8)
+    assert problem.modes(forces).tolist() == modes
+    # once found it is kept, after the first sweeps, and from no forces it is the same
+    again, _ = problem.solve(np.zeros_like(forces))
+    assert again == pytest.approx(forces, abs=1e-8)
+
+
+def test_all_modes_occur():
+    found = set()
+    for seed in range(12):
+        problem = made_problem(np.random.default_rng(seed))
+        modes = problem.modes(problem.solve(np.zeros(21))[0])
+        found |= {(i, int(mode)) for i, mode in enumerate(modes)}
+    assert {(i, mode) for i in (0, 1) for mode in (OPEN, SLIP, STICK)} <= found
+    assert {(3, SLIP), (3, STICK), (4, SLIP), (5, SLIP), (5, STICK), (6, OPEN)} <= found
+
+
+@SEEDS
+def test_forces_of_given_radii(seed):
+    """Those of the forces that are given; how far the result's own are from these is told, relative to the largest."""
+    rng = np.random.default_rng([1, seed])
+    problem = made_problem(rng)
+    start = rng.uniform(0.0, 1.0, problem.base.size)
+    radii = np.array(radii_at(problem, start))
+    forces, residual, off = problem.settle(start)
+    assert residual <= TOLERANCE
+    follows_the_laws(problem, forces, radii, 1e-8)
+    assert off == pytest.approx(np.abs(np.array(radii_at(problem, forces)) - radii).max() / radii.max(), rel=1e-12)
+    assert off > 0.0
+    # a solution's radii are its own
+    solution, _ = problem.solve(start)
+    settled, _, off = problem.settle(solution)
+    assert settled == pytest.approx(solution, abs=1e-8)
+    assert off < 1e-8
+    # forces take energy: no more than none would
+    work = settled @ (problem.base + 0.5 * problem.gram @ settled)
+    assert work <= 1e-12
+    # in N, where no radius is there to compare with
+    problem.radius_base[:] = 0.0
+    found, _, off = problem.settle(np.zeros_like(start))
+    assert off == pytest.approx(max(radii_at(problem, found)), rel=1e-12)
+    problem.mu[:] = 0.0
+    assert problem.settle(start)[2] == 0.0
+
+
+@SEEDS
+@pytest.mark.parametrize("given", [False, True])
+def test_a_sweep_goes_from_unit_to_unit(given, seed):
+    """Each unit's forces as if the others' stayed: the normal one exactly, those of a disc by the block's largest
+    eigenvalue. Velocities are those of the forces."""
+    rng = np.random.default_rng([2, seed])
+    problem = made_problem(rng, given)
+    problem.mu[3] = math.inf
+    if seed == 0:
+        # nothing moves along these
+        problem.gram[3:6] = problem.gram[:, 3:6] = 0.0
+    start = rng.uniform(-0.5, 1.0, problem.base.size)
+    start[[4, 6, 7, 9, 11, 14, 16, 17, 18, 19, 20]] = 0.0
+    expected = start.copy()
+    for i in range(problem.mu.size):
+        k, count = 3 * i, int(problem.tangents[i])
+        if problem.normal[i] and problem.gram[k + 2, k + 2] > 0.0:
+            u = problem.gram[k + 2] @ expected + problem.base[k + 2]
+            expected[k + 2] = max(expected[k + 2] - u / problem.gram[k + 2, k + 2], 0.0)
+        block = slice(k, k + count)
+        stiffness = np.linalg.eigvalsh(problem.gram[block, block]).max(initial=0.0)
+        if stiffness == 0.0:
+            continue
+        load = problem.radius_base[2 * i : 2 * i + 2] + problem.radius_rows[2 * i : 2 * i + 2] @ expected
+        radius = min(problem.mu[i], LARGEST_FRICTION) * np.linalg.norm(load)
+        p = expected[block] - (problem.gram[block] @ expected + problem.base[block]) / stiffness
+        expected[block] = p * min(1.0, radius / np.linalg.norm(p))
+    f, u = start.copy(), problem.gram @ start + problem.base
+    arrays = problem.gram, problem.normal, problem.tangents, problem.mu, problem.radius_base, problem.radius_rows
+    sweep_product(*arrays, f, u, 1)
+    assert f == pytest.approx(expected, abs=1e-12)
+    assert u == pytest.approx(problem.gram @ f + problem.base, abs=1e-12)
+    twice, u = start.copy(), problem.gram @ start + problem.base
+    sweep_product(*arrays, twice, u, 2)
+    sweep_product(*arrays, f, u.copy() * 0.0 + problem.gram @ f + problem.base, 1)
+    assert twice == pytest.approx(f, abs=1e-12)
+
+
+@SEEDS
+def test_a_disc_of_the_own_normal_force_is_told_apart(seed):
+    problem = made_problem(np.random.default_rng([3, seed]))
+    disks = problem._loads().disks
+    assert [disk.rows for disk in disks] == [[0, 1], [3], [9, 10], [12, 13], [15]]
+    assert [disk.normal for disk in disks] == [2, 5, None, None, None]
+    assert [disk.factor for disk in disks] == [0.8, 0.3, 0.2, 0.5, 1.0]
+    for disk, i in zip(disks, (0, 1, 3, 4, 5)):
+        assert disk.load[0].tolist() == problem.radius_base[2 * i : 2 * i + 2].tolist()
+        assert disk.load[1].tolist() == problem.radius_rows[2 * i : 2 * i + 2].tolist()
+    assert problem._loads().normals == [2, 5, 8]
+    # no friction, no disc; and a load that is another's is not its own
+    problem.mu[0], problem.radius_rows[2] = 0.0, problem.radius_rows[6]
+    disks = problem._loads().disks
+    assert [disk.rows for disk in disks] == [[3], [9, 10], [12, 13], [15]]
+    assert disks[0].normal is None
+
+
+def test_where_nothing_is_found_the_best_is_kept(monkeypatch):
+    """Forces of the least residual that sweeps have come to; what is not finite is none."""
+    problem = made_problem(np.random.default_rng(4))
+    start = np.random.default_rng(5).normal(size=21)
+    monkeypatch.setattr(product.ScaledLoads, "newton", lambda scaled, y, guess: (y, 1.0))
+    far, near = (problem._search(start, rounds) for rounds in ((1,), (1, 3, 30)))
+    assert 0.0 < near[1] < far[1]
+    # one sweep, three and thirty, from where no other unit has a force: each goes on from the last
+    arrays = problem.gram, problem.normal, problem.tangents, problem.mu, problem.radius_base, problem.radius_rows
+    for (found, _), sweeps in ((far, 1), (near, 34)):
+        f = start.copy()
+        f[[4, 6, 7, 11, 14, 16, 17, 18, 19, 20]] = 0.0
+        sweep_product(*arrays, f, problem.gram @ f + problem.base, sweeps)
+        assert found == pytest.approx(f, abs=1e-12)
+    problem.base[2] = -math.inf
+    with np.errstate(all="ignore"):
+        best, least = problem._search(start, (1, 3))
+    assert np.isfinite(best).all()
+    assert least == math.inf

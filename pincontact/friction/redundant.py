@@ -311,7 +311,8 @@ def move_inside(rank, mu, modes, last, buffers):
     Sought is the solution of the equations R x = t that is nearest to the forces `last` (3n,) in cones a little
     narrower: x = P(last + R^T y) with P the projection onto these, and as many unknowns y as there are equations.
     R P = t is the gradient of a convex function of y, whose zero Newton's method finds (semismooth: P has kinks) in
-    three or four steps, each x corrected to fulfil the equations, until it is inside.
+    three or four steps, each x corrected to fulfil the equations, until it is inside. Where the cones leave no such
+    margin, as little as there is of it the last forces had: they are corrected in the same way.
     What is moved is x, of forces and lengths, not of their changes; rank, and a, gram, order, first, as the solution
     left them, rank below the number of unknowns.
     """
@@ -392,3 +393,10 @@ def move_inside(rank, mu, modes, last, buffers):
         for k in range(rank):
             y[k] += change[k]
         slope = dot(missing[:rank], change[:rank])
+    for j in range(unknowns):
+        z[j] = nearest[j]
+    for k in range(rank):
+        subtract_row(z[:unknowns], rows[k, :unknowns], dot(rows[k, :unknowns], nearest[:unknowns]) - target[k])
+    if is_inside(mu, modes, first, z):
+        for j in range(unknowns):
+            x[j] = z[j]

@@ -131,7 +131,7 @@ STEP_SLOTS = (
 # anything resists turning; ROW_COUNT rows that are written by steps, ROWS_DONE so far, a row every ROW_STEPS steps.
 # SOLVED_HERE: cone problems that were solved in compiled code, by CONE_TASK; RIGID_STEPS: those that had a solution in
 # rigid geometry only. Of an attempt: COUPLED: whether its problem is solved together with the loads that it takes as
-# given, see below.
+# given, see below; HOLDING: whether forces have been looked for that hold what was at rest, see below.
 (
     NJ,
     MAX_UNITS,
@@ -158,8 +158,9 @@ STEP_SLOTS = (
     CONE_TASK,
     RIGID_STEPS,
     COUPLED,
-) = range(25)
-NCOUNTS = 25
+    HOLDING,
+) = range(26)
+NCOUNTS = 26
 # counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
 ACCELERATION, MEAN_VELOCITY = 1, 2
 # numbers; AHEAD: s after the step's start at which its geometry and smooth terms are taken, the middle or, where bodies
@@ -198,6 +199,8 @@ UNIT_INTS = 8
 ON_CONTACT, ON_LOADED, ON_JOINT, ON_TURN = range(4)
 # counts[COUPLED]
 APART, TOGETHER = range(2)
+# counts[HOLDING]: nobody was asked; Python is; they have been looked for
+UNASKED, WANTED, LOOKED_FOR = range(3)
 # unit_real
 IMPULSE_TIME, SHIFT, APPROACH, FREE_RATE, START_T1, START_T2, UNIT_LOAD, SLIDING, DRIVEN_T1, DRIVEN_T2 = range(10)
 UNIT_REALS = 10

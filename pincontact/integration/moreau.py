@@ -18,7 +18,9 @@ import scipy
 
 from ..callback import kernel_address
 from ..dynamics.system import System
-from ..friction.attempt import solve_cones
+from ..friction.attempt import NEAR, WARM_PASSES, solve_cones
+from ..friction.cone import SLIP as SLIPS
+from ..friction.cone import STICK as STICKS
 from ..friction.loads import TOLERANCE as PRODUCT_TOLERANCE
 from ..friction.product import SETTLED, Product
 from ..friction.solve import ContactSolver
@@ -46,6 +48,7 @@ from ..layout import (
 from ..memory import address_of
 from .contradictions import contradiction
 from .events import UserEvent
+from .holding import Units, holding_forces
 from .impulse_layout import (
     APART,
     ASKED,
@@ -60,13 +63,16 @@ from .impulse_layout import (
     CONE_VELOCITIES,
     COUPLED,
     DRY_FRICTION,
+    HOLDING,
     JOINT_INTS,
     KEPT,
     KEPT_HIGH,
     KEPT_LOW,
     LAST,
+    LOOKED_FOR,
     LOWER_LIMIT,
     NEQ,
+    ON_CONTACT,
     ON_JOINT,
     ON_LOADED,
     ON_TURN,
@@ -95,6 +101,7 @@ from .impulse_layout import (
     UNIT_LOAD,
     UNITS,
     UPPER_LIMIT,
+    WANTED,
     WATCHED,
     H,
     step_memory,
@@ -436,8 +443,12 @@ class MoreauStep:
                 memory["loads"][: 3 * n],
                 memory["friction"][:n],
             )
-        self._left += 1
         solver, counts = self.solver, self._counts
+        if counts[HOLDING] == WANTED:
+            self._hold(n, *problem)
+            counts[HOLDING] = LOOKED_FOR
+            return True
+        self._left += 1
         solved = False
         if counts[COUPLED] == APART:
             if self.memory["cone_tables"][n]:
@@ -458,6 +469,38 @@ class MoreauStep:
         self.table[CONE_VELOCITIES] = address_of(solver.velocities)
         self.table[CONE_MODES] = address_of(solver.modes)
         return True
+
+    def _hold(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> None:
+        """Replace a solution that lets slip what was at rest by one that does not, if there is one."""
+        solver, memory = self.solver, self.memory
+        table = solver.table(n)
+        ints = memory["unit_int"][:n]
+        before = solver.modes.copy(), solver.forces.copy(), solver.velocities.copy()
+        resting = (ints[:, UNIT_KIND] == ON_CONTACT) & (
+            self.start_mode[ints[:, UNIT_INDEX] % len(self.start_mode)] == STICK
+        )
+        modes = np.where(resting & (before[0] == SLIPS), STICKS, before[0])
+        found = holding_forces(
+            Units(
+                delassus,
+                b,
+                mu,
+                memory["whitened"][: 3 * n],
+                ints[:, ROW_MASK, None] >> np.arange(3) & 1 != 0,
+                memory["unit_real"][:n, UNIT_LOAD],
+                modes,
+                before[1].reshape(-1, 3),
+                before[2].reshape(-1, 3),
+            )
+        )
+        if found is None:
+            return
+        velocities = delassus @ found + b
+        velocities[np.repeat(modes == STICKS, 3)] = 0.0
+        solver.warm_start(modes, found, velocities)
+        residual = solve_cones(delassus, b, mu, table, NEAR, WARM_PASSES, solver.tolerance, 0, 1)
+        if not residual <= solver.tolerance or (resting & (solver.modes == SLIPS)).any():
+            solver.warm_start(*before)
 
     def _share_tables(self) -> None:
         """Let compiled steps know where the solver works."""

@@ -46,6 +46,7 @@ STEP_SLOTS = (
     "equation_index",  # (ne, 2) int: contact and row
     "equations",  # (ne, nv) orthonormal basis of their whitened rows
     "equation_factor",  # (ne, ne) the rows in that basis
+    "equation_unit",  # (ne,) where they are redundant, what the square of an impulse counts
     "equation_share",  # (ne,) change of velocity in that basis
     "equation_impulse",  # (ne,)
     "contact_impulse",  # (nc, 3) along the basis, N s
@@ -104,6 +105,7 @@ STEP_SLOTS = (
     EQUATION_INDEX,
     EQUATIONS,
     EQUATION_FACTOR,
+    EQUATION_UNIT,
     EQUATION_SHARE,
     EQUATION_IMPULSE,
     CONTACT_IMPULSE,
@@ -255,6 +257,6 @@ def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks: i
     memory.integer_scratch("equation_index", equations, 2)
     memory.scratch("equations", equations, nv)
     memory.scratch("equation_factor", equations, equations)
-    for name in ("equation_share", "equation_impulse"):
+    for name in ("equation_unit", "equation_share", "equation_impulse"):
         memory.scratch(name, equations)
     return memory

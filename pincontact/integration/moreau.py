@@ -577,11 +577,11 @@ class MoreauStep:
         e, size = int(counts[NEQ]), memory["equation_factor"].shape[0]
         index = memory["equation_index"][:e]
         known = np.c_[memory["equation_share"][:e], -memory["overlap"].reshape(-1, size)[: 3 * n, :e].T]
-        factor = memory["equation_factor"][:e, :e]
-        impulses = np.zeros_like(known)
-        for i in range(e - 1, -1, -1):
-            if factor[i, i] > 0.0:
-                impulses[i] = (known[i] - factor[i + 1 :, i] @ impulses[i + 1 :]) / factor[i, i]
+        factor = np.tril(memory["equation_factor"][:e, :e])
+        # of redundant ones the least, as in `impulse_review`
+        says = factor.diagonal() > 0.0
+        root = np.sqrt(memory["equation_unit"][:e]) if not says.all() else np.ones(e)
+        impulses = np.linalg.pinv((factor[:, says] / root[:, None]).T) @ known[says] / root[:, None]
         for u, (kind, c, parent) in enumerate(ints[:, [UNIT_KIND, UNIT_INDEX, PARENT]].tolist()):
             if masks[u] & 4:
                 slope[u, 0, 3 * u + 2] = 1.0

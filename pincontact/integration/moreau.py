@@ -46,9 +46,9 @@ from ..layout import (
     VISCOUS,
 )
 from ..memory import address_of
+from .choices import Units, chosen_forces, holding_forces
 from .contradictions import contradiction
 from .events import UserEvent
-from .holding import Units, holding_forces
 from .impulse_layout import (
     APART,
     ASKED,
@@ -470,6 +470,25 @@ class MoreauStep:
         self.table[CONE_MODES] = address_of(solver.modes)
         return True
 
+    def _units(
+        self,
+        n: int,
+        delassus: np.ndarray,
+        b: np.ndarray,
+        mu: np.ndarray,
+        modes: np.ndarray,
+        forces: np.ndarray,
+        velocities: np.ndarray,
+    ) -> Units:
+        """The problem, with modes (n,), forces and velocities (3n,), for those that choose among redundant forces."""
+        ints = self.memory["unit_int"][:n]
+        real = ints[:, ROW_MASK, None] >> np.arange(3) & 1 != 0
+        turns = ints[:, UNIT_KIND] == ON_TURN
+        parents = np.where(real[:, 2], np.arange(n), np.where(turns, ints[:, PARENT], -1))
+        loads, directions = self.memory["unit_real"][:n, UNIT_LOAD], self.memory["whitened"][: 3 * n]
+        pairs = forces.reshape(-1, 3), velocities.reshape(-1, 3)
+        return Units(delassus, b, mu, directions, real, parents, loads, modes, *pairs)
+
     def _hold(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> None:
         """Replace a solution that lets slip what was at rest by one that does not, if there is one."""
         solver, memory = self.solver, self.memory
@@ -480,19 +499,7 @@ class MoreauStep:
             self.start_mode[ints[:, UNIT_INDEX] % len(self.start_mode)] == STICK
         )
         modes = np.where(resting & (before[0] == SLIPS), STICKS, before[0])
-        found = holding_forces(
-            Units(
-                delassus,
-                b,
-                mu,
-                memory["whitened"][: 3 * n],
-                ints[:, ROW_MASK, None] >> np.arange(3) & 1 != 0,
-                memory["unit_real"][:n, UNIT_LOAD],
-                modes,
-                before[1].reshape(-1, 3),
-                before[2].reshape(-1, 3),
-            )
-        )
+        found = holding_forces(self._units(n, delassus, b, mu, modes, before[1], before[2]))
         if found is None:
             return
         velocities = delassus @ found + b
@@ -604,6 +611,12 @@ class MoreauStep:
         if not residual <= PRODUCT_TOLERANCE:
             self._nearest = forces
             return False
+        chosen = chosen_forces(self._units(n, delassus, b, mu, product.modes(forces), forces, delassus @ forces + b))
+        if chosen is not None:
+            # what slides turns a little
+            chosen, accuracy = product.refine(chosen)
+            if accuracy <= PRODUCT_TOLERANCE:
+                forces, residual = chosen, accuracy
         self._take(product, forces, residual)
         return True
 

@@ -123,7 +123,9 @@ class _Unknowns:
     def solve(self) -> bool:
         """Find the least forces of all; False where they are the only ones, or there are none."""
         units, rows = self.units, self.rows
-        if len(rows) <= 1:
+        alone = np.isinf(units.friction) & (units.modes == SLIP)
+        if len(rows) <= 1 or alone.any():
+            # what slides held up by friction alone has no load
             return False
         if null_space(self.expand.T @ units.directions).shape[1] == 0:
             return False

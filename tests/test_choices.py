@@ -1,4 +1,4 @@
-"""Redundant contacts in time stepping: what holds, which loads, whichever way the world and the contacts are laid out."""
+"""Redundant contacts in time stepping: what holds, which loads, however the world and the contacts are laid out."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def units_of_feet(points, mu, inertia, v, step=1e-6):
     rows = np.vstack([np.hstack([np.eye(3), -pin.skew(p)]) for p in points])
     factor = np.linalg.cholesky(np.linalg.inv(pin.Inertia(1.0, np.zeros(3), inertia).matrix()))
     directions, gyroscopic = rows @ factor, -np.linalg.solve(inertia, np.cross(v[3:], inertia @ v[3:]))
-    rate = np.concatenate([[0.0, 0.0, -GRAVITY] + np.zeros(3), gyroscopic])
+    rate = np.concatenate([[0.0, 0.0, -GRAVITY], gyroscopic])
     spin = np.concatenate([np.cross(v[3:], np.cross(v[3:], p)) for p in points])
     base = rows @ v + step * (rows @ rate + spin)
     slips = (rows @ v).reshape(n, 3)
@@ -194,7 +194,7 @@ def test_points_on_curves_in_turned_worlds(seed):
         turned = motion.rebuilt(pin.SE3(pin.exp3(turn), np.zeros(3)))
         other = pc.simulate(turned.scene, turned.state(), 0.5, method="Moreau", step=1e-3)
         assert other.status == 0, other.message
-        # round-off of 500 steps, of fixed points that end at 1e-12; as another share of both normals it was 0.1 and more
+        # round-off of 500 steps, of fixed points that end at 1e-12; with other normals it was 0.1 off
         np.testing.assert_allclose(other.q[-1], run.q[-1], rtol=0.0, atol=1e-8)
 
 

@@ -26,6 +26,8 @@ _RANK = 1e-11
 _LEFT = 1e-9
 # Loads as negative as this part of the largest are none.
 _NONE = 1e-12
+# How often a motion that no forces could stop is moved into all dual cones, and by how much further than is needed.
+_TRIES, _FURTHER = 30, 1.002
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class Units:
 def holding_forces(units: Units) -> np.ndarray | None:
     """(3n,) central forces of these modes; None where there are none, or no choice."""
     unknowns = _Unknowns(units)
-    return unknowns.central() if unknowns.solve() else None
+    return unknowns.central() if unknowns.solve() and not unknowns.moves_on() else None
 
 
 def chosen_forces(units: Units) -> np.ndarray | None:
@@ -76,7 +78,7 @@ class _Unknowns:
         self.cones: list[Cone] = []
         self.sticks = self.slides = False
         columns: list[np.ndarray] = []
-        scale = np.repeat(1.0 / np.sqrt(units.gram.diagonal().reshape(-1, 3).mean(axis=1)), 3)
+        scale = 1.0 / np.sqrt(units.gram.diagonal().reshape(-1, 3).mean(axis=1))
         # length of a contact's whole force for a unit of its normal force
         lengths: list[float] = []
         places: dict[int, int] = {}
@@ -113,7 +115,7 @@ class _Unknowns:
             elif tangents:
                 self.cones.append(Cone(0, 0.0, mu * float(units.loads[u]), tuple(tangents)))
         self.expand = np.array(columns).T
-        self.unit = scale[self.rows] / np.array(lengths)
+        self.unit = scale[[row // 3 for row in self.rows]] / np.array(lengths)
 
     def _add(self, columns: list[np.ndarray], column: np.ndarray, row: int) -> int:
         columns.append(column.copy())
@@ -146,6 +148,31 @@ class _Unknowns:
             cone.factor * forces[cone.normal] + cone.offset >= np.linalg.norm(forces[list(cone.tangents)])
             for cone in self.cones
         )
+
+    def moves_on(self) -> bool:
+        """Whether no forces inside the cones hold, by a motion that proves it (Farkas): all such forces would do work
+        of one sign on it, and those that are needed do work of the other. Cheap, and mostly found at once near to how
+        the bodies slip; False may mean anything."""
+        if any(cone.offset != 0.0 for cone in self.cones):
+            return False
+        w = self.unit * self.units.velocities.ravel()[self.rows]
+        held = [(cone.normal, list(cone.tangents), cone.factor) for cone in self.cones]
+        for _ in range(_TRIES):
+            for normal, tangents, factor in held:
+                # into the dual cone, the normal part alone: it lifts what slides
+                length = math.sqrt(sum(w[t] ** 2 for t in tangents))
+                w[normal] = max(w[normal], _FURTHER * factor * length if tangents else 0.0)
+            w -= self.null @ (self.null.T @ w)
+            size = float(np.abs(w).max())
+            if not size > 0.0:
+                return False
+            inside = all(
+                w[normal] >= (factor * math.sqrt(sum(w[t] ** 2 for t in tangents)) if tangents else -_NONE * size)
+                for normal, tangents, factor in held
+            )
+            if inside:
+                return bool(w @ self.x < 0.0)
+        return False
 
     def central(self) -> np.ndarray | None:
         """(3n,) forces in the middle of what the cones admit."""

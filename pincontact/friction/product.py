@@ -53,6 +53,12 @@ class Product:
         """Forces (3n,) from those given, and their residual: above `loads.TOLERANCE` that is no solution."""
         return self._search(forces, _SWEEPS)
 
+    def refine(self, forces: np.ndarray) -> tuple[np.ndarray, float]:
+        """The solution (3n,) that Newton's method comes to from forces near to it, and its residual."""
+        scaled = ScaledLoads(self._loads())
+        y, residual = scaled.newton(scaled.unknowns(forces), None)
+        return scaled.forces(y), residual
+
     def settle(self, forces: np.ndarray) -> tuple[np.ndarray, float, float]:
         """Forces (3n,) for the radii that these have, their residual, and how far the radii are from those of the
         result, relative to the largest."""

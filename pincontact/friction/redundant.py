@@ -35,6 +35,8 @@ MARGINS = (1e-2, 1e-3, 1e-4)
 STEPS = 10
 # Part of the dual function's largest curvature that is added where projections have none.
 DAMPING = 1e-3
+# The same where the solution is on the cones' edges, and to be found to this part of the loads.
+SLIGHT, ROUND_OFF = 1e-8, 1e-14
 # A step that goes beyond its best point so far that the slope there is this part of the first is shortened, at most to
 # this part.
 OVERSHOT, SHORTEST = 0.5, 1e-2
@@ -85,14 +87,15 @@ def spring(i, length, speed, sine):
 
 @kernel
 def has_factors(rank, unknowns, mu, modes, length, speed, sine):
-    """Whether `low_rank_solve` can do Newton's step, and is cheaper."""
-    if rank == 0 or 2 * rank > unknowns:
-        return False
+    """Whether `low_rank_solve` can do Newton's step, and is cheaper; or chooses the loads, as where everything slides:
+    the least ones, whatever the slips turn by."""
     stiffest = 0.0
+    slides = True
     for i in range(mu.shape[0]):
+        slides = slides and modes[i] != STICK
         if modes[i] == SLIP:
             stiffest = max(stiffest, spring(i, length, speed, sine))
-    return stiffest <= STIFFEST
+    return rank > 0 and (slides or 2 * rank <= unknowns) and stiffest <= STIFFEST
 
 
 @kernel
@@ -311,7 +314,10 @@ def move_inside(rank, mu, modes, last, buffers):
     Sought is the solution of the equations R x = t that is nearest to the forces `last` (3n,) in cones a little
     narrower: x = P(last + R^T y) with P the projection onto these, and as many unknowns y as there are equations.
     R P = t is the gradient of a convex function of y, whose zero Newton's method finds (semismooth: P has kinks) in
-    three or four steps, each x corrected to fulfil the equations, until it is inside.
+    three or four steps, each x corrected to fulfil the equations, until it is inside. Where the cones leave no such
+    margin, as little as there is of it the last forces had: they are corrected in the same way.
+    Where everything slides, the loads move the bodies: there is one rule, the least ones that are not negative, which
+    the same method finds from no forces, in cones as they are.
     What is moved is x, of forces and lengths, not of their changes; rank, and a, gram, order, first, as the solution
     left them, rank below the number of unknowns.
     """
@@ -340,6 +346,10 @@ def move_inside(rank, mu, modes, last, buffers):
         y[k] = 0.0
     load = 0.0
     loads = 0
+    largest = largest_entry(target[:rank])
+    slides = first[n] > 0
+    for i in range(n):
+        slides = slides and modes[i] != STICK
     for i in range(n):
         row = first[i]
         k = 3 * i
@@ -351,8 +361,10 @@ def move_inside(rank, mu, modes, last, buffers):
         elif modes[i] == SLIP:
             loads += 1
             load += abs(x[row])
-            nearest[row] = cosine[i] * last[k + 2]
-            nearest[row] -= sine[i] * (direction[2 * i] * last[k] + direction[2 * i + 1] * last[k + 1])
+            nearest[row] = 0.0
+            if not slides:
+                nearest[row] = cosine[i] * last[k + 2]
+                nearest[row] -= sine[i] * (direction[2 * i] * last[k] + direction[2 * i + 1] * last[k + 1])
             if first[i + 1] > row + 1:
                 nearest[row + 1] = x[row + 1]
     slope = 0.0
@@ -360,7 +372,7 @@ def move_inside(rank, mu, modes, last, buffers):
         aim = AIMS[step // STEPS]
         if step % STEPS == 0:
             slope = 0.0
-        margin = MARGINS[step // STEPS] * load / loads
+        margin = 0.0 if slides else MARGINS[step // STEPS] * load / loads
         for j in range(unknowns):
             z[j] = nearest[j]
         for k in range(rank):
@@ -371,7 +383,12 @@ def move_inside(rank, mu, modes, last, buffers):
         for k in range(rank):
             missing[k] = target[k] - dot(rows[k, :unknowns], p[:unknowns])
             subtract_row(x[:unknowns], rows[k, :unknowns], -missing[k])
-        if is_inside(mu, modes, first, x):
+        if slides and largest_entry(missing[:rank]) <= ROUND_OFF * largest:
+            # those without a load have none to the last bit
+            for j in range(unknowns):
+                x[j] = p[j]
+            return
+        if not slides and is_inside(mu, modes, first, x):
             return
         ahead = dot(missing[:rank], change[:rank])
         if slope > 0.0 and ahead < -OVERSHOT * slope:
@@ -385,10 +402,17 @@ def move_inside(rank, mu, modes, last, buffers):
         for k in range(rank):
             for j in range(k + 1):
                 gram[k, j] = dot(bent[k, :unknowns], rows[j, :unknowns])
-            gram[k, k] += DAMPING
+            gram[k, k] += SLIGHT if slides else DAMPING
             change[k] = missing[k]
         factor_gram(gram, rank)
         solve_gram(gram, rank, change)
         for k in range(rank):
             y[k] += change[k]
         slope = dot(missing[:rank], change[:rank])
+    for j in range(unknowns):
+        z[j] = nearest[j]
+    for k in range(rank):
+        subtract_row(z[:unknowns], rows[k, :unknowns], dot(rows[k, :unknowns], nearest[:unknowns]) - target[k])
+    if is_inside(mu, modes, first, z):
+        for j in range(unknowns):
+            x[j] = z[j]

@@ -46,6 +46,7 @@ STEP_SLOTS = (
     "equation_index",  # (ne, 2) int: contact and row
     "equations",  # (ne, nv) orthonormal basis of their whitened rows
     "equation_factor",  # (ne, ne) the rows in that basis
+    "equation_unit",  # (ne,) where they are redundant, what the square of an impulse counts
     "equation_share",  # (ne,) change of velocity in that basis
     "equation_impulse",  # (ne,)
     "contact_impulse",  # (nc, 3) along the basis, N s
@@ -104,6 +105,7 @@ STEP_SLOTS = (
     EQUATION_INDEX,
     EQUATIONS,
     EQUATION_FACTOR,
+    EQUATION_UNIT,
     EQUATION_SHARE,
     EQUATION_IMPULSE,
     CONTACT_IMPULSE,
@@ -131,7 +133,7 @@ STEP_SLOTS = (
 # anything resists turning; ROW_COUNT rows that are written by steps, ROWS_DONE so far, a row every ROW_STEPS steps.
 # SOLVED_HERE: cone problems that were solved in compiled code, by CONE_TASK; RIGID_STEPS: those that had a solution in
 # rigid geometry only. Of an attempt: COUPLED: whether its problem is solved together with the loads that it takes as
-# given, see below.
+# given, see below; HOLDING: whether forces have been looked for that hold what was at rest, see below.
 (
     NJ,
     MAX_UNITS,
@@ -158,8 +160,9 @@ STEP_SLOTS = (
     CONE_TASK,
     RIGID_STEPS,
     COUPLED,
-) = range(25)
-NCOUNTS = 25
+    HOLDING,
+) = range(26)
+NCOUNTS = 26
 # counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
 ACCELERATION, MEAN_VELOCITY = 1, 2
 # numbers; AHEAD: s after the step's start at which its geometry and smooth terms are taken, the middle or, where bodies
@@ -198,6 +201,8 @@ UNIT_INTS = 8
 ON_CONTACT, ON_LOADED, ON_JOINT, ON_TURN = range(4)
 # counts[COUPLED]
 APART, TOGETHER = range(2)
+# counts[HOLDING]: nobody was asked; Python is; they have been looked for
+UNASKED, WANTED, LOOKED_FOR = range(3)
 # unit_real
 IMPULSE_TIME, SHIFT, APPROACH, FREE_RATE, START_T1, START_T2, UNIT_LOAD, SLIDING, DRIVEN_T1, DRIVEN_T2 = range(10)
 UNIT_REALS = 10
@@ -252,6 +257,6 @@ def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks: i
     memory.integer_scratch("equation_index", equations, 2)
     memory.scratch("equations", equations, nv)
     memory.scratch("equation_factor", equations, equations)
-    for name in ("equation_share", "equation_impulse"):
+    for name in ("equation_unit", "equation_share", "equation_impulse"):
         memory.scratch(name, equations)
     return memory

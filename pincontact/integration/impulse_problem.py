@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 
 from ..constraints.kinematics import add_rotation_row
-from ..dynamics.equations import coefficient_at
+from ..dynamics.equations import coefficient_at, unit_of_force
 from ..dynamics.linear import factorize_tree, inner, solve_semidefinite, unwhiten, whiten
 from ..dynamics.resistance import drop_unturned
 from ..friction.ellipse import stretch_pair
@@ -76,6 +76,7 @@ from ..layout import (
     TAU,
     UNILATERAL,
     VISCOUS,
+    WORK,
     V,
 )
 from ..layout import DELASSUS as DELASSUS_WORK
@@ -98,6 +99,7 @@ from .impulse_layout import (
     EQUATION_FACTOR,
     EQUATION_INDEX,
     EQUATION_SHARE,
+    EQUATION_UNIT,
     EQUATIONS,
     FREE_CHANGE,
     FREE_RATE,
@@ -413,6 +415,28 @@ def _gather_equations(table, step, nv, nc, h):
             for row in range(2, -1, -1):
                 if row == 2 or (row == 1 and second_normal) or (rolls and (row == 0 or two)):
                     _add_equation(table, step, c, row, nv, nc, h)
+    counts = integers(step[COUNTS], NCOUNTS)
+    nequations, size = counts[NEQ], counts[MAX_EQUATIONS]
+    if not are_redundant(matrix(step[EQUATION_FACTOR], size, size), nequations):
+        return
+    index, unit = integer_matrix(step[EQUATION_INDEX], size, 2), reals(step[EQUATION_UNIT], size)
+    rows, factor = cube(table[ROWS], nc, 3, nv), matrix(table[FACTOR], nv, nv)
+    parents, work = integers(table[PARENTS], nv), reals(table[WORK], nv)
+    for e in range(nequations):
+        c, row = index[e, 0], index[e, 1]
+        whiten(factor, parents, nv, rows[c, row], work)
+        own, unit[e] = inner(work, work, nv), 1.0
+        if own > 0.0:
+            unit[e] = unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents, nv, work)
+
+
+@kernel
+def are_redundant(factor, n):
+    """Whether any of n equations says what those before it do."""
+    redundant = False
+    for e in range(n):
+        redundant = redundant or factor[e, e] == 0.0
+    return redundant
 
 
 @kernel

@@ -7,8 +7,10 @@ import math
 from ..dynamics.energy import ENERGY_SLACK, KEPT_ACCURACY
 from ..dynamics.equations import inner
 from ..friction import cone
+from ..friction.elimination import factor_gram, solve_gram
 from ..jit import kernel
-from ..layout import NO_FORCE
+from ..layout import DELASSUS as DELASSUS_WORK
+from ..layout import NC, NO_FORCE, SIZES
 from ..memory import integer_matrix, integers, matrix, reals
 from .impulse_layout import (
     APART,
@@ -24,6 +26,7 @@ from .impulse_layout import (
     EQUATION_IMPULSE,
     EQUATION_INDEX,
     EQUATION_SHARE,
+    EQUATION_UNIT,
     EQUATIONS,
     FREE_CHANGE,
     FREE_RATE,
@@ -63,6 +66,7 @@ from .impulse_layout import (
     UNITS,
     WHITENED,
 )
+from .impulse_problem import are_redundant
 
 # What `advance` returns: the step is done, or the cone problem was changed and must be solved again.
 DONE, AGAIN = 0, -1
@@ -76,20 +80,49 @@ REVIEW_LIMIT = 200
 
 
 @kernel
-def equation_impulses(step, nv):
-    """Impulses of the equations that go with the cones' forces: R^T P = share - overlap^T F."""
+def equation_impulses(table, step):
+    """Impulses of the equations that go with the cones' forces, R^T P = share - overlap^T F; of redundant ones the
+    least, with contacts' forces in the units of `dynamics.equations.unit_of_force`."""
     counts = integers(step[COUNTS], NCOUNTS)
     n, nequations, size = counts[UNITS], counts[NEQ], counts[MAX_EQUATIONS]
     forces = reals(step[CONE_FORCES], 3 * n)
     overlap, factor = matrix(step[OVERLAP], 3 * counts[MAX_UNITS], size), matrix(step[EQUATION_FACTOR], size, size)
     share, impulse = reals(step[EQUATION_SHARE], size), reals(step[EQUATION_IMPULSE], size)
-    for e in range(nequations - 1, -1, -1):
-        value = share[e]
+    for e in range(nequations):
+        impulse[e] = share[e]
         for r in range(3 * n):
-            value -= overlap[r, e] * forces[r]
+            impulse[e] -= overlap[r, e] * forces[r]
+    if are_redundant(factor, nequations):
+        nc = integers(table[SIZES], 8)[NC]
+        gram = matrix(table[DELASSUS_WORK], 3 * nc, 3 * nc + 1)
+        _least_impulses(factor, reals(step[EQUATION_UNIT], size), nequations, gram, impulse)
+        return
+    for e in range(nequations - 1, -1, -1):
+        value = impulse[e]
         for j in range(e + 1, nequations):
             value -= factor[j, e] * impulse[j]
-        impulse[e] = value / factor[e, e] if factor[e, e] > 0.0 else 0.0
+        impulse[e] = value / factor[e, e]
+
+
+@kernel
+def _least_impulses(factor, unit, n, gram, impulse):
+    """P with R^T P = impulse (n,), in and out, and the least sum of P^2 times its units; gram (n, n): scratch."""
+    for i in range(n):
+        for j in range(i + 1):
+            value = 0.0
+            for e in range(i, n):
+                value += factor[e, i] * factor[e, j] / unit[e]
+            gram[i, j] = value
+        if factor[i, i] == 0.0:
+            # says nothing
+            gram[i, i], impulse[i] = 1.0, 0.0
+    factor_gram(gram, n)
+    solve_gram(gram, n, impulse[:n])
+    for e in range(n - 1, -1, -1):
+        value = 0.0
+        for j in range(e + 1):
+            value += factor[e, j] * impulse[j]
+        impulse[e] = value / unit[e]
 
 
 @kernel

@@ -96,6 +96,7 @@ from .impulse_layout import (
     FORCES,
     FRICTION,
     HAS_TREND,
+    HOLDING,
     IMPACT,
     INERTIAS,
     JOINT_IMPULSE,
@@ -110,6 +111,7 @@ from .impulse_layout import (
     NCOUNTS,
     NNUMBERS,
     NUMBERS,
+    ON_CONTACT,
     PASSES,
     RIGID,
     RIGID_STEPS,
@@ -132,6 +134,7 @@ from .impulse_layout import (
     STEP_LIMIT,
     STEP_SIZE,
     STEPS,
+    STICKING,
     THOROUGH,
     TORQUES,
     TOUCH_TIME,
@@ -139,10 +142,17 @@ from .impulse_layout import (
     TREND,
     TREND_BEFORE,
     TURNS,
+    UNASKED,
+    UNIT_INDEX,
+    UNIT_INT,
+    UNIT_INTS,
+    UNIT_KIND,
     UNITS,
+    WANTED,
     WATCHED,
     H,
 )
+from .impulse_problem import OPENING
 from .impulse_review import AGAIN
 from .impulses import advance, commit, leave_turning_axes, predict_midpoint
 from .recording import BLOCK, output_done
@@ -284,6 +294,26 @@ def _solve(step, n):
 
 
 @kernel
+def _lets_slip(table, step, n):
+    """Whether the solution of the n units lets a contact slip that was at rest."""
+    sizes, counts = integers(table[SIZES], 8), integers(step[COUNTS], NCOUNTS)
+    nc, h = sizes[NC], reals(step[NUMBERS], NNUMBERS)[H]
+    start_mode, sticking = integers(step[START_MODE], nc), reals(step[STICKING], nc)
+    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    unit_int, friction = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS), reals(step[FRICTION], n)
+    modes, velocities = integers(step[CONE_MODES], n), reals(step[CONE_VELOCITIES], 3 * n)
+    for u in range(n):
+        c = unit_int[u, UNIT_INDEX]
+        if unit_int[u, UNIT_KIND] != ON_CONTACT or start_mode[c] != STICK or modes[u] != cone.SLIP:
+            continue
+        # not once more with the coefficient of sliding
+        slides = math.hypot(velocities[3 * u], velocities[3 * u + 1]) * h > OPENING * contact_real[c, LENGTH]
+        if slides and friction[u] >= sticking[c]:
+            return True
+    return False
+
+
+@kernel
 def _impulses(table, step, found):
     """Cone problem and end of the step; a status, or CONE_LEFT. found: see FRESH."""
     counts = integers(step[COUNTS], NCOUNTS)
@@ -295,7 +325,12 @@ def _impulses(table, step, found):
         n = counts[UNITS]
         if found == UNSOLVED:
             return NO_FORCE
-        if found == FRESH and n > 0 and (counts[COUPLED] != APART or not _solve(step, n)):
+        if found == FRESH:
+            counts[HOLDING] = UNASKED
+            if n > 0 and (counts[COUPLED] != APART or not _solve(step, n)):
+                return CONE_LEFT
+        if counts[HOLDING] == UNASKED and counts[COUPLED] == APART and _lets_slip(table, step, n):
+            counts[HOLDING] = WANTED
             return CONE_LEFT
         found = FRESH
         status = advance(table, step)

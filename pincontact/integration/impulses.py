@@ -488,7 +488,7 @@ def advance(table, step):
     sizes = integers(table[SIZES], 8)
     nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
     h, ahead = reals(step[NUMBERS], NNUMBERS)[H], reals(step[NUMBERS], NNUMBERS)[AHEAD]
-    equation_impulses(step, nv)
+    equation_impulses(table, step)
     verdict = review(step, nv, h, reals(table[WORK], nv))
     if verdict != DONE:
         return verdict

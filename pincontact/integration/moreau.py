@@ -18,7 +18,9 @@ import scipy
 
 from ..callback import kernel_address
 from ..dynamics.system import System
-from ..friction.attempt import solve_cones
+from ..friction.attempt import NEAR, WARM_PASSES, solve_cones
+from ..friction.cone import SLIP as SLIPS
+from ..friction.cone import STICK as STICKS
 from ..friction.loads import TOLERANCE as PRODUCT_TOLERANCE
 from ..friction.product import SETTLED, Product
 from ..friction.solve import ContactSolver
@@ -44,6 +46,7 @@ from ..layout import (
     VISCOUS,
 )
 from ..memory import address_of
+from .choices import Units, chosen_forces, holding_forces
 from .contradictions import contradiction
 from .events import UserEvent
 from .impulse_layout import (
@@ -60,13 +63,16 @@ from .impulse_layout import (
     CONE_VELOCITIES,
     COUPLED,
     DRY_FRICTION,
+    HOLDING,
     JOINT_INTS,
     KEPT,
     KEPT_HIGH,
     KEPT_LOW,
     LAST,
+    LOOKED_FOR,
     LOWER_LIMIT,
     NEQ,
+    ON_CONTACT,
     ON_JOINT,
     ON_LOADED,
     ON_TURN,
@@ -95,6 +101,7 @@ from .impulse_layout import (
     UNIT_LOAD,
     UNITS,
     UPPER_LIMIT,
+    WANTED,
     WATCHED,
     H,
     step_memory,
@@ -436,8 +443,12 @@ class MoreauStep:
                 memory["loads"][: 3 * n],
                 memory["friction"][:n],
             )
-        self._left += 1
         solver, counts = self.solver, self._counts
+        if counts[HOLDING] == WANTED:
+            self._hold(n, *problem)
+            counts[HOLDING] = LOOKED_FOR
+            return True
+        self._left += 1
         solved = False
         if counts[COUPLED] == APART:
             if self.memory["cone_tables"][n]:
@@ -458,6 +469,45 @@ class MoreauStep:
         self.table[CONE_VELOCITIES] = address_of(solver.velocities)
         self.table[CONE_MODES] = address_of(solver.modes)
         return True
+
+    def _units(
+        self,
+        n: int,
+        delassus: np.ndarray,
+        b: np.ndarray,
+        mu: np.ndarray,
+        modes: np.ndarray,
+        forces: np.ndarray,
+        velocities: np.ndarray,
+    ) -> Units:
+        """The problem, with modes (n,), forces and velocities (3n,), for those that choose among redundant forces."""
+        ints = self.memory["unit_int"][:n]
+        real = ints[:, ROW_MASK, None] >> np.arange(3) & 1 != 0
+        turns = ints[:, UNIT_KIND] == ON_TURN
+        parents = np.where(real[:, 2], np.arange(n), np.where(turns, ints[:, PARENT], -1))
+        loads, directions = self.memory["unit_real"][:n, UNIT_LOAD], self.memory["whitened"][: 3 * n]
+        pairs = forces.reshape(-1, 3), velocities.reshape(-1, 3)
+        return Units(delassus, b, mu, directions, real, parents, loads, modes, *pairs)
+
+    def _hold(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> None:
+        """Replace a solution that lets slip what was at rest by one that does not, if there is one."""
+        solver, memory = self.solver, self.memory
+        table = solver.table(n)
+        ints = memory["unit_int"][:n]
+        before = solver.modes.copy(), solver.forces.copy(), solver.velocities.copy()
+        resting = (ints[:, UNIT_KIND] == ON_CONTACT) & (
+            self.start_mode[ints[:, UNIT_INDEX] % len(self.start_mode)] == STICK
+        )
+        modes = np.where(resting & (before[0] == SLIPS), STICKS, before[0])
+        found = holding_forces(self._units(n, delassus, b, mu, modes, before[1], before[2]))
+        if found is None:
+            return
+        velocities = delassus @ found + b
+        velocities[np.repeat(modes == STICKS, 3)] = 0.0
+        solver.warm_start(modes, found, velocities)
+        residual = solve_cones(delassus, b, mu, table, NEAR, WARM_PASSES, solver.tolerance, 0, 1)
+        if not residual <= solver.tolerance or (resting & (solver.modes == SLIPS)).any():
+            solver.warm_start(*before)
 
     def _share_tables(self) -> None:
         """Let compiled steps know where the solver works."""
@@ -534,11 +584,11 @@ class MoreauStep:
         e, size = int(counts[NEQ]), memory["equation_factor"].shape[0]
         index = memory["equation_index"][:e]
         known = np.c_[memory["equation_share"][:e], -memory["overlap"].reshape(-1, size)[: 3 * n, :e].T]
-        factor = memory["equation_factor"][:e, :e]
-        impulses = np.zeros_like(known)
-        for i in range(e - 1, -1, -1):
-            if factor[i, i] > 0.0:
-                impulses[i] = (known[i] - factor[i + 1 :, i] @ impulses[i + 1 :]) / factor[i, i]
+        factor = np.tril(memory["equation_factor"][:e, :e])
+        # of redundant ones the least, as in `impulse_review`
+        says = factor.diagonal() > 0.0
+        root = np.sqrt(memory["equation_unit"][:e]) if not says.all() else np.ones(e)
+        impulses = np.linalg.pinv((factor[:, says] / root[:, None]).T) @ known[says] / root[:, None]
         for u, (kind, c, parent) in enumerate(ints[:, [UNIT_KIND, UNIT_INDEX, PARENT]].tolist()):
             if masks[u] & 4:
                 slope[u, 0, 3 * u + 2] = 1.0
@@ -561,6 +611,12 @@ class MoreauStep:
         if not residual <= PRODUCT_TOLERANCE:
             self._nearest = forces
             return False
+        chosen = chosen_forces(self._units(n, delassus, b, mu, product.modes(forces), forces, delassus @ forces + b))
+        if chosen is not None:
+            # what slides turns a little
+            chosen, accuracy = product.refine(chosen)
+            if accuracy <= PRODUCT_TOLERANCE:
+                forces, residual = chosen, accuracy
         self._take(product, forces, residual)
         return True
 

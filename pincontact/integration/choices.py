@@ -1,0 +1,196 @@
+"""Which of redundant forces: those that hold what was at rest, and the least loads of what slides.
+
+Redundant contacts may hold by some of the forces that do the same and slip by others, and the problem may have a
+solution of either kind. Contacts slip only when there is no choice: what is looked for are forces inside all cones with
+which everything stays at rest that was, the same analytic centre as in the event-driven methods.
+
+Where contacts slide the choice moves the bodies. There, too, it is that of the event-driven methods: the least forces,
+if these are inside their cones; else the least loads that are not negative where everything slides, and the analytic
+centre where something sticks.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from ..dynamics.redundant import Cone, central_force, null_space
+from ..friction.cone import OPEN, SLIP
+
+# Relative singular values below this are those of redundant contacts.
+_RANK = 1e-11
+# What may be left of the largest b where the equations contradict each other by no more than round-off.
+_LEFT = 1e-9
+# Loads as negative as this part of the largest are none.
+_NONE = 1e-12
+# How often a motion that no forces could stop is moved into all dual cones, and by how much further than is needed.
+_TRIES, _FURTHER = 30, 1.002
+
+
+@dataclass(frozen=True)
+class Units:
+    """A cone problem of n units (see `impulse_problem`) and what is known of its solution.
+
+    gram (3n, 3n), base (3n,), friction (n,): the problem; directions (3n, nv): gram's factor; real (n, 3): which rows
+    are; parents (n,): the unit of whose normal force a multiple limits the others, -1 where loads (n,) are given;
+    modes (n,): of the solution, what is to be held at rest included; forces, velocities (n, 3).
+    """
+
+    gram: np.ndarray
+    base: np.ndarray
+    friction: np.ndarray
+    directions: np.ndarray
+    real: np.ndarray
+    parents: np.ndarray
+    loads: np.ndarray
+    modes: np.ndarray
+    forces: np.ndarray
+    velocities: np.ndarray
+
+
+def holding_forces(units: Units) -> np.ndarray | None:
+    """(3n,) central forces of these modes; None where there are none, or no choice."""
+    unknowns = _Unknowns(units)
+    return unknowns.central() if unknowns.solve() and not unknowns.moves_on() else None
+
+
+def chosen_forces(units: Units) -> np.ndarray | None:
+    """(3n,) forces of these modes as the rule has them; None where there is no choice, or nothing slides."""
+    unknowns = _Unknowns(units)
+    if not unknowns.slides or not unknowns.solve():
+        return None
+    return unknowns.central() if unknowns.sticks and not unknowns.inside() else unknowns.least()
+
+
+class _Unknowns:
+    """Forces of given modes as unknowns x without units, in which those of contacts count alike.
+
+    sticks, slides: whether any force is one of sticking, any of sliding.
+    """
+
+    def __init__(self, units: Units) -> None:
+        size = units.base.size
+        self.units, self.known = units, np.zeros(size)
+        self.rows: list[int] = []
+        self.cones: list[Cone] = []
+        self.sticks = self.slides = False
+        columns: list[np.ndarray] = []
+        scale = 1.0 / np.sqrt(units.gram.diagonal().reshape(-1, 3).mean(axis=1))
+        # length of a contact's whole force for a unit of its normal force
+        lengths: list[float] = []
+        places: dict[int, int] = {}
+        whole = np.eye(size)
+        # those whose normal forces limit others come first
+        for u in sorted(range(len(units.modes)), key=lambda u: units.parents[u] != u):
+            mode, k, mu, parent = units.modes[u], 3 * u, float(units.friction[u]), int(units.parents[u])
+            if mode == OPEN or (parent >= 0 and parent != u and parent not in places):
+                continue
+            if parent == u:
+                places[u] = self._add(columns, whole[k + 2], k + 2)
+                lengths.append(1.0)
+            if mode == SLIP:
+                self.slides = True
+                speed = float(np.hypot(*units.velocities[u, :2]))
+                if parent < 0:
+                    self.known[k : k + 2] = units.forces[u, :2]
+                elif mu > 0.0 and speed > 0.0:
+                    columns[places[parent]][k : k + 2] -= mu / speed * units.velocities[u, :2]
+                if parent == u:
+                    lengths[places[u]] = math.hypot(1.0, mu)
+                    self.cones.append(Cone(places[u], 1.0, 0.0))
+                continue
+            tangents = []
+            for i in range(2):
+                if units.real[u, i]:
+                    tangents.append(self._add(columns, whole[k + i], k + i))
+                    lengths.append(1.0)
+            if not (tangents and math.isfinite(mu)):
+                tangents, mu = [], 1.0
+            self.sticks = self.sticks or bool(tangents)
+            if parent >= 0:
+                self.cones.append(Cone(places[parent], mu, 0.0, tuple(tangents)))
+            elif tangents:
+                self.cones.append(Cone(0, 0.0, mu * float(units.loads[u]), tuple(tangents)))
+        self.expand = np.array(columns).T
+        self.unit = scale[[row // 3 for row in self.rows]] / np.array(lengths)
+
+    def _add(self, columns: list[np.ndarray], column: np.ndarray, row: int) -> int:
+        columns.append(column.copy())
+        self.rows.append(row)
+        return len(self.rows) - 1
+
+    def solve(self) -> bool:
+        """Find the least forces of all; False where they are the only ones, or there are none."""
+        units, rows = self.units, self.rows
+        alone = np.isinf(units.friction) & (units.modes == SLIP)
+        if len(rows) <= 1 or alone.any():
+            # what slides held up by friction alone has no load
+            return False
+        if null_space(self.expand.T @ units.directions).shape[1] == 0:
+            return False
+        scale = self.unit
+        wanted = -scale * (units.base + units.gram @ self.known)[rows]
+        operator = scale[:, None] * (units.gram @ self.expand)[rows] * scale
+        _, singular, right = np.linalg.svd(operator)
+        rank = int(np.sum(singular > _RANK * singular[0]))
+        self.x = np.linalg.lstsq(operator, wanted, rcond=_RANK)[0]
+        self.null = right[rank:].T
+        left = np.abs(operator @ self.x - wanted).max()
+        return bool(left <= _LEFT * np.abs(units.base).max() * scale.max())
+
+    def inside(self) -> bool:
+        """Whether the least forces are inside all cones."""
+        forces = self.unit * self.x
+        return all(
+            cone.factor * forces[cone.normal] + cone.offset >= np.linalg.norm(forces[list(cone.tangents)])
+            for cone in self.cones
+        )
+
+    def moves_on(self) -> bool:
+        """Whether no forces inside the cones hold, by a motion that proves it (Farkas): all such forces would do work
+        of one sign on it, and those that are needed do work of the other. Cheap, and mostly found at once near to how
+        the bodies slip; False may mean anything."""
+        if any(cone.offset != 0.0 for cone in self.cones):
+            return False
+        w = self.unit * self.units.velocities.ravel()[self.rows]
+        held = [(cone.normal, list(cone.tangents), cone.factor) for cone in self.cones]
+        for _ in range(_TRIES):
+            for normal, tangents, factor in held:
+                # into the dual cone, the normal part alone: it lifts what slides
+                length = math.sqrt(sum(w[t] ** 2 for t in tangents))
+                w[normal] = max(w[normal], _FURTHER * factor * length if tangents else 0.0)
+            w -= self.null @ (self.null.T @ w)
+            size = float(np.abs(w).max())
+            if not size > 0.0:
+                return False
+            inside = all(
+                w[normal] >= (factor * math.sqrt(sum(w[t] ** 2 for t in tangents)) if tangents else -_NONE * size)
+                for normal, tangents, factor in held
+            )
+            if inside:
+                return bool(w @ self.x < 0.0)
+        return False
+
+    def central(self) -> np.ndarray | None:
+        """(3n,) forces in the middle of what the cones admit."""
+        found = central_force(self.unit * self.x, null_space(self.expand.T @ self.units.directions), self.cones)
+        return None if found is None else self._whole(found.forces)
+
+    def least(self) -> np.ndarray | None:
+        """(3n,) the least forces of which no load is negative (Lawson, Hanson, Solving Least Squares Problems, LDP)."""
+        x, null = self.x, self.null
+        loads = [cone.normal for cone in self.cones if cone.factor > 0.0]
+        if x[loads].min(initial=0.0) < -_NONE * np.abs(x).max():
+            multipliers, left = nnls(np.vstack([null[loads].T, -x[loads]]), np.append(np.zeros(null.shape[1]), 1.0))
+            rest = np.vstack([null[loads].T, -x[loads]]) @ multipliers
+            rest[-1] -= 1.0
+            if left <= _NONE:
+                return None
+            x = x - null @ (rest[:-1] / rest[-1])
+        return self._whole(self.unit * np.where(np.isin(np.arange(x.size), loads), np.maximum(x, 0.0), x))
+
+    def _whole(self, forces: np.ndarray) -> np.ndarray:
+        return self.known + self.expand @ forces

@@ -20,9 +20,7 @@ from ..friction.loads import Disk, Loads, LoadSolver
 from ..friction.solve import ContactSolver
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
-    ACROSS_X,
     ANISOTROPIC,
-    DIRECTION_X,
     EVENT,
     FREE,
     FRICTION_MARGIN,
@@ -43,8 +41,6 @@ from ..layout import (
     NORMAL_SIGN,
     OK,
     PATTERN,
-    POLYNOMIAL,
-    POLYNOMIAL_SIZE,
     REFERENCE_MOVES,
     REFERENCE_TIME,
     ROW_COUNT,
@@ -52,13 +48,12 @@ from ..layout import (
     SLIP_RATE,
     SLIP_SIGN,
     SLIPPING,
-    SPAN,
-    START,
     STICK,
     TANGENTS,
     UNILATERAL,
     VISCOUS,
 )
+from .directions import align_slips, freeze_slip, slip_direction
 from .linear import RANK_TOLERANCE
 from .redundant import Choice, Cone, central_force, null_space
 from .stretches import associated, opposed_slip, stretch
@@ -82,6 +77,8 @@ _ROUNDING = 1e-13
 _TAKEN, _TAKEN_TOLERANCES = 1e-3, 1e4
 # Viscous friction by which a contact is held up is all of it to so much.
 _AT_ALL = 1e-6
+# So often the directions of slip that begins, and what of redundant loads is carried where, are brought together.
+_ROUNDS = 4
 # Relative size below which singular values are zero, as pivots are in `dynamics.linear`.
 _SINGULAR = math.sqrt(RANK_TOLERANCE)
 
@@ -531,7 +528,21 @@ class ModeSolver:
         decision.status = evaluate(t)
         if decision.status <= EVENT and not self._holds() and not self.redistribute(t, evaluate):
             self._keep_solution(t, closed, held, turns, forces, evaluate)
+        self._align(t, decision, evaluate)
         return decision
+
+    def _align(self, t: float, decision: Decision, evaluate) -> None:
+        """Turn slip that begins to where it goes under the loads of the last evaluation; it is evaluated anew then."""
+        started = [c for c in decision.started if self.system.contact_int[c, MODE] == SLIPPING]
+        if decision.status > EVENT or not started:
+            return
+        for _ in range(_ROUNDS):
+            # loads that are chosen anew turn it
+            if not align_slips(self.system, t, started, evaluate) or self._holds():
+                break
+            if not self.redistribute(t, evaluate):
+                break
+        decision.started.update((c, float(self.system.contact_real[c, SLIP_RATE])) for c in started)
 
     def _all_stick(self, closed: list[int], undecided: list[int], held: list[int], resisting: list[int]) -> bool:
         """Whether the last evaluation's constraint rows are those of the cone problem: round cones and nothing else."""
@@ -631,7 +642,7 @@ class ModeSolver:
             tangents = int(integers[c, TANGENTS])
             start[3 * i + 2] = max(float(force[2]), 0.0)
             if i in sliding:
-                direction = _direction(system, c)
+                direction = slip_direction(system, c)
                 drag = loads.drag.setdefault(3 * i + 2, np.zeros(size))
                 drag[3 * i : 3 * i + 2] = -numbers[c, MU_NOW] * _unstretched(
                     problem.shapes, i, associated(system, c, direction)
@@ -648,7 +659,7 @@ class ModeSolver:
         for i, u in turns.items():
             owner, tangents = closed.index(system.owner(i)), int(integers[i, TANGENTS])
             if integers[i, MODE] == SLIPPING:
-                slips[3 * u : 3 * u + 2] = direction = _direction(system, i)
+                slips[3 * u : 3 * u + 2] = direction = slip_direction(system, i)
                 drag = loads.drag.setdefault(3 * owner + 2, np.zeros(size))
                 drag[3 * u : 3 * u + 2] = -numbers[i, MU_NOW] * direction
             else:
@@ -860,6 +871,7 @@ class ModeSolver:
                     decision.status = NO_FORCE
                     return decision
                 decision.started[worst] = float(system.contact_real[worst, SLIP_RATE])
+                align_slips(system, t, list(decision.started), evaluate)
         decision.status = NO_FORCE
         return decision
 
@@ -873,39 +885,6 @@ def _normals_last(n: int) -> np.ndarray:
 def _unstretched(shapes: dict[int, np.ndarray], i: int, force: np.ndarray) -> np.ndarray:
     """A tangential force (2,) in the coordinates in which the cone of unit i is round."""
     return np.linalg.solve(shapes[i], force) if i in shapes else force
-
-
-def _direction(system: System, c: int) -> np.ndarray:
-    """Slip direction of a sliding contact along (t1, second)."""
-    if system.contact_int[c, TANGENTS] == 1:
-        return np.array([float(system.contact_int[c, SLIP_SIGN]), 0.0])
-    along = system.basis[c, :2] @ system.slip[c]
-    speed = float(np.hypot(along[0], along[1]))
-    if system.contact_int[c, FROZEN] or speed == 0.0:
-        world = system.contact_real[c, DIRECTION_X : DIRECTION_X + 3]
-        along = system.basis[c, :2] @ world
-        speed = float(np.hypot(along[0], along[1]))
-    return along / speed if speed > 0.0 else np.zeros(2)
-
-
-def freeze_slip(system: System, c: int, direction: np.ndarray) -> None:
-    """Let contact c slip in a given direction (components along t1, second) whatever its present v_c."""
-    integers, numbers = system.contact_int[c], system.contact_real[c]
-    integers[MODE] = SLIPPING
-    if integers[TANGENTS] == 1:
-        integers[SLIP_SIGN] = 1 if direction[0] >= 0.0 else -1
-        integers[FROZEN] = 0
-        return
-    along, aside = float(direction[0]), float(direction[1])
-    size = math.hypot(along, aside)
-    along, aside = (along / size, aside / size) if size > 0.0 else (1.0, 0.0)
-    tangents = list(zip(*system.basis[c, :2].tolist()))
-    numbers[DIRECTION_X : DIRECTION_X + 3] = [along * first + aside * second for first, second in tangents]
-    # n x (a t1 + b second), since n x t1 is the second tangent
-    numbers[ACROSS_X : ACROSS_X + 3] = [along * second - aside * first for first, second in tangents]
-    numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
-    numbers[START], numbers[SPAN] = 0.0, 1.0
-    integers[FROZEN] = 1
 
 
 def held_up_by_friction(system: System, c: int) -> bool:

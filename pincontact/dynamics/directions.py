@@ -1,0 +1,177 @@
+"""Directions of slip: which one a contact has, and which one slip has that begins from rest.
+
+Slip that begins goes where the relative acceleration points, which depends on friction, and so on the direction and on
+the loads. Loads are those that evaluations find, whatever else is known of them: of redundant ones there are several,
+and what is bilateral, or held up by friction, has none that a cone would know.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..layout import (
+    ACROSS_X,
+    DIRECTION_X,
+    EVENT,
+    FROZEN,
+    MODE,
+    POLYNOMIAL,
+    POLYNOMIAL_SIZE,
+    SLIP_RATE,
+    SLIP_SIGN,
+    SLIPPING,
+    SPAN,
+    START,
+    TANGENTS,
+)
+from .stretches import stretch
+from .units import whiten
+
+if TYPE_CHECKING:
+    from .system import System
+
+# A relative acceleration points along a direction if no more than this part of it, and of what friction does to it,
+# is across.
+_ALONG = 1e-11
+# What is left after Newton's method has come as near as rounding lets it is accepted up to this part.
+_ACCEPTED = 1e-8
+# Turn in rad over which derivatives are differences; the error of these leaves as much of each step.
+_TURN = 1e-6
+_NEWTON_STEPS, _LARGEST_TURN = 12, 0.5
+# So often friction is led nearer by projections between attempts, and so many of them each time.
+_ATTEMPTS, _PROJECTIONS = 6, 30
+
+
+def slip_direction(system: System, c: int) -> np.ndarray:
+    """(2,) unit direction along (t1, second) of an item that slides, zero where there is none."""
+    if system.contact_int[c, TANGENTS] == 1:
+        return np.array([float(system.contact_int[c, SLIP_SIGN]), 0.0])
+    along = system.basis[c, :2] @ system.slip[c]
+    speed = math.hypot(along[0], along[1])
+    if system.contact_int[c, FROZEN] or speed == 0.0:
+        along = system.basis[c, :2] @ system.contact_real[c, DIRECTION_X : DIRECTION_X + 3]
+        speed = math.hypot(along[0], along[1])
+    return along / speed if speed > 0.0 else np.zeros(2)
+
+
+def freeze_slip(system: System, c: int, direction: np.ndarray) -> None:
+    """Let contact c slip in a given direction (components along t1, second) whatever its present v_c."""
+    integers, numbers = system.contact_int[c], system.contact_real[c]
+    integers[MODE] = SLIPPING
+    if integers[TANGENTS] == 1:
+        integers[SLIP_SIGN] = 1 if direction[0] >= 0.0 else -1
+        integers[FROZEN] = 0
+        return
+    along, aside = float(direction[0]), float(direction[1])
+    size = math.hypot(along, aside)
+    along, aside = (along / size, aside / size) if size > 0.0 else (1.0, 0.0)
+    tangents = list(zip(*system.basis[c, :2].tolist()))
+    numbers[DIRECTION_X : DIRECTION_X + 3] = [along * first + aside * second for first, second in tangents]
+    # n x (a t1 + b second), since n x t1 is the second tangent
+    numbers[ACROSS_X : ACROSS_X + 3] = [along * second - aside * first for first, second in tangents]
+    numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
+    numbers[START], numbers[SPAN] = 0.0, 1.0
+    integers[FROZEN] = 1
+
+
+def align_slips(system: System, t: float, items: list[int], evaluate: Callable[[float], int]) -> bool:
+    """Turn the frozen directions of these items, which slide, to where their relative accelerations point under the
+    loads of the evaluation in them, which is the last one then; False where there are none, and nothing has changed.
+    """
+    items = [i for i in items if system.contact_int[i, FROZEN]]
+    return not items or _Alignment(system, t, items, evaluate).run()
+
+
+class _Alignment:
+    """Frozen directions of items as angles, and what is across them of relative accelerations."""
+
+    def __init__(self, system: System, t: float, items: list[int], evaluate: Callable[[float], int]) -> None:
+        self.system, self.t, self.items, self.evaluate = system, t, items, evaluate
+        self.stretches = np.array([stretch(system, i) for i in items])
+
+    def run(self) -> bool:
+        start = np.array([math.atan2(y, x) for x, y in (slip_direction(self.system, i) for i in self.items)])
+        angles: np.ndarray | None = start
+        for _ in range(_ATTEMPTS):
+            if self._newton(angles):
+                return True
+            angles = self._project(angles)
+            if angles is None:
+                break
+        self._across(start)
+        return False
+
+    def _across(self, angles: np.ndarray) -> np.ndarray | None:
+        """(k,) relative accelerations in m/s^2 across the directions at these angles; None without an evaluation."""
+        system = self.system
+        for i, angle in zip(self.items, angles.tolist()):
+            freeze_slip(system, i, np.array([math.cos(angle), math.sin(angle)]))
+        if self.evaluate(self.t) > EVENT:
+            return None
+        along = system.relative_acceleration[self.items]
+        return np.cos(angles) * along[:, 1] - np.sin(angles) * along[:, 0]
+
+    def _newton(self, angles: np.ndarray) -> bool:
+        """Newton's method from these angles; whether it has found directions along which slip grows."""
+        system, k = self.system, len(self.items)
+        across = self._across(angles)
+        if across is None:
+            return False
+        scale = self._scale()
+        least = math.inf
+        for _ in range(_NEWTON_STEPS):
+            error = float((np.abs(across) / scale).max())
+            if error <= _ALONG or (error <= _ACCEPTED and error >= 0.5 * least):
+                return bool((system.contact_real[self.items, SLIP_RATE] > 0.0).all())
+            least = min(error, least)
+            jacobian = np.zeros((k, k))
+            for j in range(k):
+                turned = angles.copy()
+                turned[j] += _TURN
+                moved = self._across(turned)
+                if moved is None:
+                    return False
+                jacobian[:, j] = (moved - across) / _TURN
+            step = np.linalg.lstsq(jacobian, across, rcond=_ALONG)[0]
+            angles = angles - step * min(1.0, _LARGEST_TURN / max(float(np.abs(step).max()), _TURN))
+            across = self._across(angles)
+            if across is None:
+                return False
+        return False
+
+    def _scale(self) -> np.ndarray:
+        """(k,) sizes in m/s^2 of the relative accelerations, and of what friction adds to them."""
+        system = self.system
+        sizes = np.linalg.norm(system.relative_acceleration[self.items, :2], axis=1)
+        for k, i in enumerate(self.items):
+            pull = whiten(system, system.force[i, :2] @ system.rows[i, :2])
+            sizes[k] += float(np.linalg.norm(pull)) * float(np.linalg.norm(whiten(system, system.rows[i, :2].T)))
+        return np.where(sizes > 0.0, sizes, 1.0)
+
+    def _project(self, angles: np.ndarray) -> np.ndarray | None:
+        """Angles after projections of friction on the rims of its disks, in stretched coordinates, as loads change."""
+        system = self.system
+        if self._across(angles) is None:
+            return None
+        rows = [self.stretches[k] @ system.rows[i, :2] for k, i in enumerate(self.items)]
+        columns = whiten(system, np.vstack(rows).T)
+        mobility = float(np.linalg.norm(columns, 2)) ** 2
+        if not mobility > 0.0:
+            return None
+        for _ in range(_PROJECTIONS):
+            directions = []
+            for k, i in enumerate(self.items):
+                shape, angle = self.stretches[k], float(angles[k])
+                along = shape @ np.array([math.cos(angle), math.sin(angle)])
+                friction = np.linalg.norm(np.linalg.solve(shape, system.force[i, :2]))
+                along *= friction / np.linalg.norm(along)
+                along += shape @ system.relative_acceleration[i, :2] / mobility
+                directions.append(np.linalg.solve(shape, along))
+            angles = np.array([math.atan2(y, x) for x, y in directions])
+            if self._across(angles) is None:
+                return None
+        return angles

@@ -79,6 +79,8 @@ _TAKEN, _TAKEN_TOLERANCES = 1e-3, 1e4
 _AT_ALL = 1e-6
 # So often the directions of slip that begins, and what of redundant loads is carried where, are brought together.
 _ROUNDS = 4
+# Changes of mode for every contact and coordinate where they are made one by one.
+_CHANGES = 4
 # Relative size below which singular values are zero, as pivots are in `dynamics.linear`.
 _SINGULAR = math.sqrt(RANK_TOLERANCE)
 
@@ -820,60 +822,90 @@ class ModeSolver:
 
     def _decide_without_cones(self, t: float, undecided: list[int], closed: list[int], evaluate) -> Decision:
         """Contacts that cannot open carry |F_n| of either sign, those that friction alone holds up none: both are no
-        cones. Slide the one that exceeds its limit most against its stick force, and look again. Serves one-tangent
-        and few two-tangent contacts."""
+        cones. Slide the one that exceeds its limit most, to where it goes then, and look again; what would go back
+        sticks again. Serves one-tangent and few two-tangent contacts."""
         system = self.system
         integers = system.contact_int
         decision = Decision(0)
-        for _ in range(2 * (len(closed) + system.ng + system.nr) + 2):
-            status = evaluate(t)
-            decision.status = status
-            if status > EVENT:
+        for _ in range(_CHANGES * (len(closed) + system.ng + system.nr) + _CHANGES):
+            decision.status = evaluate(t)
+            if decision.status > EVENT:
                 return decision
-            worst, excess = -1, 0.0
-            for g in system.held():
-                low, high = system.margins[system.nc + g, NORMAL_MARGIN], system.margins[system.nc + g, FRICTION_MARGIN]
-                if min(low, high) < -self.force_round_off():
-                    self.release(g, 1 if low < high else -1)
-                    worst = -2
-                    break
-            if worst == -2:
+            if self._release_one() or self._change_normal(t, closed, evaluate, decision):
                 continue
-            for c in closed:
-                if integers[c, MODE] == FREE:
-                    continue
-                if system.margins[c, NORMAL_MARGIN] < -self.force_round_off():
-                    if integers[c, UNILATERAL]:
-                        self._open(t, c, evaluate, decision)
-                    else:
-                        integers[c, NORMAL_SIGN] *= -1
-                    worst = -2
-                    break
-                if shares_viscous_force(system, c):
-                    if self._takes_all(c):
-                        self.load(c)
-                        worst = -2
-                        break
-                    continue
-                for i in (c, *(i for i in system.resisting() if system.owner(i) == c)):
-                    # in N, a resistance's divided by its length
-                    scale = 1.0 if i == c else float(system.contact_real[i, MU])
-                    if integers[i, MODE] == STICK and system.margins[i, FRICTION_MARGIN] < excess * scale:
-                        worst, excess = i, system.margins[i, FRICTION_MARGIN] / scale
-            if worst == -1:
+            started = [c for c in decision.started if integers[c, MODE] == SLIPPING]
+            back = self._goes_back(t, started, evaluate)
+            if back is not None:
+                integers[back, [MODE, FROZEN]] = STICK, 0
+                continue
+            if (system.margins[closed, NORMAL_MARGIN] < -self.force_round_off()).any():
+                # as it has turned
+                continue
+            worst = self._exceeding(closed)
+            if worst is None:
+                decision.started = {c: float(system.contact_real[c, SLIP_RATE]) for c in started}
                 return decision
-            if worst >= 0:
-                force, owner = system.force[worst].copy(), system.owner(worst)
-                if integers[owner, PATTERN] != ON_CURVE:
-                    integers[owner, NORMAL_SIGN] = 1 if system.force[owner, 2] >= 0.0 else -1
-                freeze_slip(system, worst, opposed_slip(system, worst, force[:2]))
-                if evaluate(t) > EVENT:
-                    decision.status = NO_FORCE
-                    return decision
-                decision.started[worst] = float(system.contact_real[worst, SLIP_RATE])
-                align_slips(system, t, list(decision.started), evaluate)
+            force, owner = system.force[worst].copy(), system.owner(worst)
+            if integers[owner, PATTERN] != ON_CURVE:
+                integers[owner, NORMAL_SIGN] = 1 if system.force[owner, 2] >= 0.0 else -1
+            freeze_slip(system, worst, opposed_slip(system, worst, force[:2]))
+            decision.started[worst] = 0.0
         decision.status = NO_FORCE
         return decision
+
+    def _release_one(self) -> bool:
+        """Let a held joint coordinate move whose force exceeds a bound, if there is one."""
+        system = self.system
+        for g in system.held():
+            low, high = system.margins[system.nc + g, NORMAL_MARGIN], system.margins[system.nc + g, FRICTION_MARGIN]
+            if min(low, high) < -self.force_round_off():
+                self.release(g, 1 if low < high else -1)
+                return True
+        return False
+
+    def _change_normal(self, t: float, closed: list[int], evaluate, decision: Decision) -> bool:
+        """Open a contact that pulls, or take the other sign of the normal force of a bilateral one; whether there was
+        one to change."""
+        system = self.system
+        integers = system.contact_int
+        for c in closed:
+            if integers[c, MODE] == FREE:
+                continue
+            if system.margins[c, NORMAL_MARGIN] < -self.force_round_off():
+                if integers[c, UNILATERAL]:
+                    self._open(t, c, evaluate, decision)
+                else:
+                    integers[c, NORMAL_SIGN] *= -1
+                return True
+            if shares_viscous_force(system, c) and self._takes_all(c):
+                self.load(c)
+                return True
+        return False
+
+    def _goes_back(self, t: float, started: list[int], evaluate) -> int | None:
+        """One of these items, whose slip begins, that friction would not let go anywhere; else they go where their
+        accelerations point."""
+        rates = self.system.contact_real[:, SLIP_RATE]
+        if align_slips(self.system, t, started, evaluate):
+            back = [c for c in started if rates[c] < 0.0]
+        else:
+            back = started
+        return min(back, key=lambda c: float(rates[c]), default=None)
+
+    def _exceeding(self, closed: list[int]) -> int | None:
+        """The item of closed contacts that sticks and exceeds its limit of friction most, if one does."""
+        system = self.system
+        integers = system.contact_int
+        worst, excess = None, 0.0
+        for c in closed:
+            if integers[c, MODE] == FREE or shares_viscous_force(system, c):
+                continue
+            for i in (c, *(i for i in system.resisting() if system.owner(i) == c)):
+                # in N, a resistance's divided by its length
+                scale = 1.0 if i == c else float(system.contact_real[i, MU])
+                if integers[i, MODE] == STICK and system.margins[i, FRICTION_MARGIN] < excess * scale:
+                    worst, excess = i, system.margins[i, FRICTION_MARGIN] / scale
+        return worst
 
 
 @cache

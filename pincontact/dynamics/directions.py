@@ -37,11 +37,13 @@ if TYPE_CHECKING:
 # A relative acceleration points along a direction if no more than this part of it, and of what friction does to it,
 # is across.
 _ALONG = 1e-11
-# What is left after Newton's method has come as near as rounding lets it is accepted up to this part.
+# What is left after Broyden's method has come as near as rounding lets it is accepted up to this part.
 _ACCEPTED = 1e-8
 # Turn in rad over which derivatives are differences; the error of these leaves as much of each step.
 _TURN = 1e-6
-_NEWTON_STEPS, _LARGEST_TURN = 12, 0.5
+_STEPS, _LARGEST_TURN = 16, 0.5
+# Derivatives are found anew where a step leaves more than this part.
+_SLOW = 0.2
 # So often friction is led nearer by projections between attempts, and so many of them each time.
 _ATTEMPTS, _PROJECTIONS = 6, 30
 
@@ -97,7 +99,7 @@ class _Alignment:
         start = np.array([math.atan2(y, x) for x, y in (slip_direction(self.system, i) for i in self.items)])
         angles: np.ndarray | None = start
         for _ in range(_ATTEMPTS):
-            if self._newton(angles):
+            if self._solve(angles):
                 return True
             angles = self._project(angles)
             if angles is None:
@@ -115,33 +117,45 @@ class _Alignment:
         along = system.relative_acceleration[self.items]
         return np.cos(angles) * along[:, 1] - np.sin(angles) * along[:, 0]
 
-    def _newton(self, angles: np.ndarray) -> bool:
-        """Newton's method from these angles; whether it has found directions along which slip grows."""
-        system, k = self.system, len(self.items)
+    def _solve(self, angles: np.ndarray) -> bool:
+        """Broyden's method from these angles; whether it has found directions along which slip grows, or rests."""
+        system = self.system
         across = self._across(angles)
         if across is None:
             return False
         scale = self._scale()
+        jacobian: np.ndarray | None = None
         least = math.inf
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(_STEPS):
             error = float((np.abs(across) / scale).max())
             if error <= _ALONG or (error <= _ACCEPTED and error >= 0.5 * least):
-                return bool((system.contact_real[self.items, SLIP_RATE] > 0.0).all())
-            least = min(error, least)
-            jacobian = np.zeros((k, k))
-            for j in range(k):
-                turned = angles.copy()
-                turned[j] += _TURN
-                moved = self._across(turned)
-                if moved is None:
+                return bool((system.contact_real[self.items, SLIP_RATE] >= -_ACCEPTED * scale).all())
+            if jacobian is None or error > _SLOW * least:
+                jacobian = self._jacobian(angles, across)
+                if jacobian is None:
                     return False
-                jacobian[:, j] = (moved - across) / _TURN
-            step = np.linalg.lstsq(jacobian, across, rcond=_ALONG)[0]
-            angles = angles - step * min(1.0, _LARGEST_TURN / max(float(np.abs(step).max()), _TURN))
-            across = self._across(angles)
-            if across is None:
+            least = min(error, least)
+            step = -np.linalg.lstsq(jacobian, across, rcond=_ALONG)[0]
+            step *= min(1.0, _LARGEST_TURN / max(float(np.abs(step).max()), _TURN))
+            angles = angles + step
+            found = self._across(angles)
+            if found is None:
                 return False
+            jacobian += np.outer(found - across - jacobian @ step, step) / max(float(step @ step), _TURN**4)
+            across = found
         return False
+
+    def _jacobian(self, angles: np.ndarray, across: np.ndarray) -> np.ndarray | None:
+        """(k, k) derivative of `_across` by the angles, at which it is known; None without an evaluation."""
+        columns = []
+        for j in range(angles.size):
+            turned = angles.copy()
+            turned[j] += _TURN
+            moved = self._across(turned)
+            if moved is None:
+                return None
+            columns.append((moved - across) / _TURN)
+        return np.array(columns).T
 
     def _scale(self) -> np.ndarray:
         """(k,) sizes in m/s^2 of the relative accelerations, and of what friction adds to them."""

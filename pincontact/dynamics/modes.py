@@ -844,6 +844,7 @@ class ModeSolver:
             worst = self._exceeding(closed)
             if worst is None:
                 decision.started = {c: float(system.contact_real[c, SLIP_RATE]) for c in started}
+                self._stick_at_limits(t, decision, evaluate)
                 return decision
             force, owner = system.force[worst].copy(), system.owner(worst)
             if integers[owner, PATTERN] != ON_CURVE:
@@ -852,6 +853,24 @@ class ModeSolver:
             decision.started[worst] = 0.0
         decision.status = NO_FORCE
         return decision
+
+    def _still(self) -> float:
+        """Relative accelerations in m/s^2 below which is round-off."""
+        system = self.system
+        count = int(system.counters[ROW_COUNT])
+        c, row = system.row_index[:count].T
+        return _ROUND_OFF * float((np.abs(system.rows[c, row]) @ np.abs(system.free_acceleration)).max(initial=0.0))
+
+    def _stick_at_limits(self, t: float, decision: Decision, evaluate) -> None:
+        """What is at its limit of friction and does not slide sticks, with the redundant forces of the last evaluation."""
+        rest = [c for c, rate in decision.started.items() if rate <= self._still()]
+        if not rest:
+            return
+        for c in rest:
+            self.system.contact_int[c, [MODE, FROZEN]] = STICK, 0
+            del decision.started[c]
+        self._take_reference(self.system.force)
+        decision.status = evaluate(t)
 
     def _release_one(self) -> bool:
         """Let a held joint coordinate move whose force exceeds a bound, if there is one."""
@@ -887,7 +906,7 @@ class ModeSolver:
         accelerations point."""
         rates = self.system.contact_real[:, SLIP_RATE]
         if align_slips(self.system, t, started, evaluate):
-            back = [c for c in started if rates[c] < 0.0]
+            back = [c for c in started if rates[c] < -self._still()]
         else:
             back = started
         return min(back, key=lambda c: float(rates[c]), default=None)

@@ -31,6 +31,7 @@ from ..layout import (
     HAS_REFERENCE,
     HIGH_FORCE,
     LENGTH,
+    LOST_POSITIVITY,
     LOW_FORCE,
     MODE,
     MU,
@@ -176,7 +177,12 @@ class ModeSolver:
             status = evaluate(t)
             if status > EVENT and status != NO_FORCE:
                 return Decision(status)
-        if beyond is None and (status == OK or (status == EVENT and (self._holds() or self.redistribute(t, evaluate)))):
+        positive = system.counters[LOST_POSITIVITY] == 0
+        if (
+            beyond is None
+            and positive
+            and (status == OK or (status == EVENT and (self._holds() or self.redistribute(t, evaluate))))
+        ):
             # without an event every force lies inside its cone
             return Decision(status, passing)
         # contacts beyond their static limit are held by sliding friction at most, the others by static friction

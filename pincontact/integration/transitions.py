@@ -32,6 +32,7 @@ from ..layout import (
     GUARD_SIGN,
     LIMIT_SLACK,
     LOCATION_FAILED,
+    LOST_POSITIVITY,
     MASS_NOT_POSITIVE,
     MODE,
     MU,
@@ -183,6 +184,8 @@ class Transitions:
         code, reason = FAILURES[failure]
         if failure == NO_FORCE and self.modes.proved:
             reason = "no contact forces satisfy Coulomb's law (Painleve)"
+        elif failure == NO_FORCE and self.system.counters[LOST_POSITIVITY]:
+            reason = "friction between several contacts leaves more than one solution (Painleve)"
         if failure == MASS_NOT_POSITIVE:
             reason = without_inertia(self.system.model, self.system.data, self.system.q)
         advice = f"; {ADVICE}" if failure == NO_FORCE else ""
@@ -260,7 +263,8 @@ class Transitions:
         self._open_moving(t)
         undecided = self.modes_from_velocities()
         unchanged = not (system.ng or undecided) and given == system.contact_int.tobytes()
-        if status == OK and unchanged and not self.held_up():
+        stands = status == OK and unchanged and system.counters[LOST_POSITIVITY] == 0
+        if stands and not self.held_up():
             # the evaluation stands
             self._project(t, True, explained=True)
             rk.accept()

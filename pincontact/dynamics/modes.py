@@ -868,7 +868,7 @@ class ModeSolver:
         return _ROUND_OFF * float((np.abs(system.rows[c, row]) @ np.abs(system.free_acceleration)).max(initial=0.0))
 
     def _stick_at_limits(self, t: float, decision: Decision, evaluate) -> None:
-        """What is at its limit of friction and does not slide sticks, with the redundant forces of the last evaluation."""
+        """What is at its limit of friction and does not slide sticks, with the last evaluation's redundant forces."""
         rest = [c for c, rate in decision.started.items() if rate <= self._still()]
         if not rest:
             return

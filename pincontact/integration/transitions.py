@@ -9,10 +9,10 @@ from operator import sub
 
 import numpy as np
 
+from ..dynamics.directions import freeze_slip
 from ..dynamics.energy import REST_SPEED, energies_at
 from ..dynamics.impact import apply_impact
 from ..dynamics.joints import END_SLACK, without_inertia
-from ..dynamics.directions import freeze_slip
 from ..dynamics.modes import Decision, ModeSolver, rest_mode, shares_viscous_force
 from ..dynamics.stretches import opposed_slip
 from ..dynamics.system import FORCE_SLACK

@@ -97,13 +97,14 @@ class _Alignment:
 
     def run(self) -> bool:
         start = np.array([math.atan2(y, x) for x, y in (slip_direction(self.system, i) for i in self.items)])
-        angles: np.ndarray | None = start
+        angles = start
         for _ in range(_ATTEMPTS):
             if self._solve(angles):
                 return True
-            angles = self._project(angles)
-            if angles is None:
+            projected = self._project(angles)
+            if projected is None:
                 break
+            angles = projected
         self._across(start)
         return False
 

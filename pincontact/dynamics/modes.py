@@ -139,7 +139,6 @@ class ModeSolver:
         # time, constraint rows and forces of the last choice
         self._last: tuple[float, np.ndarray, np.ndarray] | None = None
         self._limits = np.zeros(system.items)
-        self.loads = LoadSolver()
         # whether there are no forces where the last decision found none
         self.proved = False
 
@@ -148,6 +147,11 @@ class ModeSolver:
         """Made when the first cone problem is posed."""
         # the loads that what slides is given must be those that evaluations find, which are of least norm
         return ContactSolver(nearest=False)
+
+    @cached_property
+    def loads(self) -> LoadSolver:
+        """Made when the first problem with loads is posed."""
+        return LoadSolver()
 
     def decide(
         self, t: float, undecided: list[int], evaluate, beyond: int | None = None, status: int | None = None

@@ -280,9 +280,10 @@ class Transitions:
             if rk.evaluate_start(t) > EVENT:
                 raise self.give_up(t, NO_FORCE)
         self._guards = [self._guard_state(g) for g in range(system.ng)]
-        if not self.dips.take_up(t, self.seed):
-            raise self.give_up(t, NO_FORCE)
-        self.open.begin(self._slack())
+        if FREE in system.modes.tolist():
+            if not self.dips.take_up(t, self.seed):
+                raise self.give_up(t, NO_FORCE)
+            self.open.begin(self._slack())
 
     def pass_jump(self, t: float) -> float:
         """A control or a motion may have jumped at t: modes of the accepted state anew, and impacts; the new time."""
@@ -675,12 +676,12 @@ class Transitions:
 
     def _project(self, t: float, evaluated: bool = False, explained: bool = False) -> None:
         """Put the state on its constraints; explained: by an impact, say, whatever that takes from the velocity."""
-        before = self.system.v.copy()
+        before = None if explained else self.system.v.copy()
         if not self.rk.project(t, evaluated):
             if self.rk.evaluate(t) == NO_FORCE:
                 raise self.give_up(t, NO_FORCE)
             raise Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
-        if explained:
+        if before is None:
             return
         taken, speed, allowed = self.modes.taken_from(before)
         if taken > allowed:

@@ -240,6 +240,20 @@ def test_bilateral(moving, laws, seed):
     check([10, len(laws), seed], laws, bilateral=True, moving=moving, arm="dry")
 
 
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("laws", [["Coulomb"], ["Coulomb", "viscous"], ["two directions"] * 2, ["Coulomb"] * 3])
+def test_bilateral_from_rest(laws, seed):
+    """Slip begins in a direction of its own, not against the force that would have held."""
+    check([14, len(laws), seed], laws, bilateral=True, arm="dry")
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("law", ["static", "Stribeck", "two directions", "viscous", "turning"])
+def test_four_feet_begin_to_slip_together(law, seed):
+    """Their loads are redundant, and others once they slide: these decide where to."""
+    check([15, list(LAWS).index(law), seed], [law] * 4)
+
+
 @THRICE
 @pytest.mark.parametrize(
     "laws",

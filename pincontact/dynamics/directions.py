@@ -130,7 +130,7 @@ class _Alignment:
         for _ in range(_STEPS):
             error = float((np.abs(across) / scale).max())
             if error <= _ALONG or (error <= _ACCEPTED and error >= 0.5 * least):
-                return bool((system.contact_real[self.items, SLIP_RATE] >= -_ACCEPTED * scale).all())
+                return bool((system.contact_real[self.items, SLIP_RATE] >= -_ALONG * scale).all())
             if jacobian is None or error > _SLOW * least:
                 jacobian = self._jacobian(angles, across)
                 if jacobian is None:

@@ -28,6 +28,7 @@ from ..layout import (
     FROZEN,
     GUARD_END,
     GUARD_SIGN,
+    GUARD_V,
     HAS_REFERENCE,
     HIGH_FORCE,
     LENGTH,
@@ -837,11 +838,17 @@ class ModeSolver:
         system = self.system
         integers = system.contact_int
         decision = Decision(0)
+        # joint coordinates that are let go, with the ends at which they were and the directions in which they go
+        released: dict[int, tuple[int, int]] = {}
         for _ in range(_CHANGES * (len(closed) + system.ng + system.nr) + _CHANGES):
             decision.status = evaluate(t)
             if decision.status > EVENT:
                 return decision
-            if self._release_one() or self._change_normal(t, closed, evaluate, decision):
+            if (
+                self._hold_one(released)
+                or self._release_one(released)
+                or self._change_normal(t, closed, evaluate, decision)
+            ):
                 continue
             started = [c for c in decision.started if integers[c, MODE] == SLIPPING]
             back = self._goes_back(t, started, evaluate)
@@ -882,13 +889,26 @@ class ModeSolver:
         self._take_reference(self.system.force)
         decision.status = evaluate(t)
 
-    def _release_one(self) -> bool:
+    def _release_one(self, released: dict[int, tuple[int, int]]) -> bool:
         """Let a held joint coordinate move whose force exceeds a bound, if there is one."""
         system = self.system
         for g in system.held():
             low, high = system.margins[system.nc + g, NORMAL_MARGIN], system.margins[system.nc + g, FRICTION_MARGIN]
             if min(low, high) < -self.force_round_off():
-                self.release(g, 1 if low < high else -1)
+                sign = 1 if low < high else -1
+                released[g] = int(system.guard_int[g, GUARD_END]), sign
+                self.release(g, sign)
+                return True
+        return False
+
+    def _hold_one(self, released: dict[int, tuple[int, int]]) -> bool:
+        """Hold a joint coordinate again that was let go and would go back, if there is one."""
+        system = self.system
+        for g, (end, sign) in released.items():
+            rate = sign * float(system.acceleration[system.guard_int[g, GUARD_V]])
+            if rate < -_ROUND_OFF * float(np.abs(system.free_acceleration).max()):
+                del released[g]
+                self.hold(g, end)
                 return True
         return False
 

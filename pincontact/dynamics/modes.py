@@ -468,7 +468,16 @@ class ModeSolver:
         if dragging and not self._stay_open(t, [c for c in dragging if c in decision.opened], decision, evaluate):
             # viscous friction ends where contacts open, which no cone knows
             integers[:], system.guard_int[:] = modes, guards
-            decision = self._decide_without_cones(t, undecided, closed, evaluate)
+            return self._decide_without_cones(t, undecided, closed, evaluate)
+        if not self._align(t, decision, evaluate):
+            # redundant loads are others in slip: decide with those
+            kept = integers.copy(), system.guard_int.copy(), system.contact_real.copy()
+            integers[:], system.guard_int[:] = modes, guards
+            other = self._decide_without_cones(t, undecided, closed, evaluate)
+            if other.status <= EVENT:
+                return other
+            integers[:], system.guard_int[:], system.contact_real[:] = kept
+            decision.status = evaluate(t)
         return decision
 
     def _stay_open(self, t: float, opened: list[int], decision: Decision, evaluate) -> bool:
@@ -541,21 +550,22 @@ class ModeSolver:
         decision.status = evaluate(t)
         if decision.status <= EVENT and not self._holds() and not self.redistribute(t, evaluate):
             self._keep_solution(t, closed, held, turns, forces, evaluate)
-        self._align(t, decision, evaluate)
         return decision
 
-    def _align(self, t: float, decision: Decision, evaluate) -> None:
-        """Turn slip that begins to where it goes under the loads of the last evaluation; it is evaluated anew then."""
+    def _align(self, t: float, decision: Decision, evaluate) -> bool:
+        """Turn slip that begins to where it goes under the loads of the last evaluation, and evaluate in it; False
+        where under these loads it does not begin in these modes."""
         started = [c for c in decision.started if self.system.contact_int[c, MODE] == SLIPPING]
         if decision.status > EVENT or not started:
-            return
+            return True
+        aligned = False
         for _ in range(_ROUNDS):
             # loads that are chosen anew turn it
-            if not align_slips(self.system, t, started, evaluate) or self._holds():
-                break
-            if not self.redistribute(t, evaluate):
+            aligned = align_slips(self.system, t, started, evaluate)
+            if not aligned or self._holds() or not self.redistribute(t, evaluate):
                 break
         decision.started.update((c, float(self.system.contact_real[c, SLIP_RATE])) for c in started)
+        return aligned
 
     def _all_stick(self, closed: list[int], undecided: list[int], held: list[int], resisting: list[int]) -> bool:
         """Whether the last evaluation's constraint rows are those of the cone problem: round cones and nothing else."""

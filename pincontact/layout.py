@@ -337,7 +337,8 @@ FREE, FRICTIONLESS, STICK, SLIPPING = -1, 0, 1, 2
 # what an evaluation returns
 OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, TOO_LONG = range(8)
 
-# counters, and settings that are integers; ROW_RANK is that of the last evaluation's constraint rows, 0 if not found
+# counters, and settings that are integers; ROW_RANK is that of the last evaluation's constraint rows, 0 if not found,
+# and LOST_POSITIVITY 1 if there are forces, but those from which compliances would lead away
 (
     NEWTON_COUNT,
     CLOSED_COUNT,
@@ -365,8 +366,9 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, T
     ROW_RANK,
     PARENT_AXES,
     SCAN_COUNT,
-) = range(26)
-COUNTERS_SIZE = 26
+    LOST_POSITIVITY,
+) = range(27)
+COUNTERS_SIZE = 27
 # places along a step that are evaluated by one call, and the gap beyond the end of a contour, where nothing can touch
 SCAN_ROOM = 9
 NOTHING_THERE = 1e300

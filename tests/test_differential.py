@@ -58,3 +58,15 @@ def test_ends_of_runs_are_explained():
     assert set(finding.statuses.values()) == {-8}
     assert all(solution.startswith("none") for _, solution in finding.ends if solution)
     assert not finding.wrong and differential.ENDS_ASKED > 0
+
+
+def test_of_two_solutions_all_ways_take_the_same():
+    """A chain on two sliding contacts, whose common operator has a negative determinant: both could stay closed, or one
+    opens. Compliances lead to the second."""
+    assert not check(1024).wrong
+    motion = random_motion(1024)[1]
+    ends = [Runs(motion).run(), Runs(motion).stepped(5e-4)]
+    for run in ends:
+        assert run.status == 0, run.message
+        # open from the first moment on
+        assert run.contacts["c0"].mode[1] == -1

@@ -34,6 +34,7 @@ from ..layout import (
     HIGH_END,
     HIGH_FORCE,
     LIMIT_SLACK,
+    LOST_POSITIVITY,
     LOW_END,
     LOW_FORCE,
     MARGINS_PER_CONTACT,
@@ -84,6 +85,9 @@ _CANCELLED = 4e-15
 _CLOSES = 1e-8
 # A slip operator whose pivot falls below this fraction of its frictionless value has lost positivity (Painleve).
 PAINLEVE_LIMIT = 1e-9
+# The operator of several contacts has lost it where their determinant is negative, and its last pivot larger than this
+# part of the largest: of nearly redundant ones the least unevenness decides which sign it has.
+COMMON_LIMIT = 1e-3
 # Friction that holds a contact up alone jams where a unit of it pushes the bodies apart by less than this fraction of
 # what a unit of normal force does.
 JAM_LIMIT = 1e-6
@@ -272,7 +276,9 @@ def solve_slip(contact_int, row_index, system, n, x, permutation, scratch):
     """Solve the unsymmetric system of slipping contacts, x (n,) in and out; returns its rank.
 
     -1 where a contact's own operator has lost positivity, against its frictionless value in the last column of
-    system: no force, or two (Painleve); see `curves_lose_positivity` for points on curves. Where that value is zero
+    system: no force, or two (Painleve); see `curves_lose_positivity` for points on curves. So it has of several where
+    their determinant, positive without friction, is negative, which is for the caller to look at: it is system[0, 0]
+    then, where the rank is n. Where that value is zero
     nothing moves along the normal, whatever pushes: the multiplier is left out, and so zero, as among redundant ones.
     """
     moving = 0
@@ -530,7 +536,7 @@ def contact_dynamics(
     """
     free_with_owners(contact_int, nc + ng, total)
     count, slipping = list_rows(contact_int, total, row_index)
-    counters[ROW_COUNT], counters[ROW_RANK] = count, 0
+    counters[ROW_COUNT], counters[ROW_RANK], counters[LOST_POSITIVITY] = count, 0, 0
     unloaded = 0
     whiten_rows(factor, parents, nv, rows, row_index, count, whitened)
     iterate, change = 1, 0.0
@@ -583,6 +589,7 @@ def contact_dynamics(
             if rank < 0:
                 return NO_FORCE
             counters[ROW_RANK] = rank
+            counters[LOST_POSITIVITY] = 1 if rank == count and delassus[0, 0] < -COMMON_LIMIT else 0
             if rank < count:
                 # redundant: the least forces, each in its unit
                 right_hand_side(row_index, count, rows, bias, free_acceleration, nv, multipliers)

@@ -20,9 +20,7 @@ from ..friction.loads import Disk, Loads, LoadSolver
 from ..friction.solve import ContactSolver
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
-    ACROSS_X,
     ANISOTROPIC,
-    DIRECTION_X,
     EVENT,
     FREE,
     FRICTION_MARGIN,
@@ -30,9 +28,11 @@ from ..layout import (
     FROZEN,
     GUARD_END,
     GUARD_SIGN,
+    GUARD_V,
     HAS_REFERENCE,
     HIGH_FORCE,
     LENGTH,
+    LOST_POSITIVITY,
     LOW_FORCE,
     MODE,
     MU,
@@ -43,8 +43,6 @@ from ..layout import (
     NORMAL_SIGN,
     OK,
     PATTERN,
-    POLYNOMIAL,
-    POLYNOMIAL_SIZE,
     REFERENCE_MOVES,
     REFERENCE_TIME,
     ROW_COUNT,
@@ -52,13 +50,12 @@ from ..layout import (
     SLIP_RATE,
     SLIP_SIGN,
     SLIPPING,
-    SPAN,
-    START,
     STICK,
     TANGENTS,
     UNILATERAL,
     VISCOUS,
 )
+from .directions import align_slips, freeze_slip, slip_direction
 from .linear import RANK_TOLERANCE
 from .redundant import Choice, Cone, central_force, null_space
 from .stretches import associated, opposed_slip, stretch
@@ -82,6 +79,10 @@ _ROUNDING = 1e-13
 _TAKEN, _TAKEN_TOLERANCES = 1e-3, 1e4
 # Viscous friction by which a contact is held up is all of it to so much.
 _AT_ALL = 1e-6
+# So often the directions of slip that begins, and what of redundant loads is carried where, are brought together.
+_ROUNDS = 4
+# Changes of mode for every contact and coordinate where they are made one by one.
+_CHANGES = 4
 # Relative size below which singular values are zero, as pivots are in `dynamics.linear`.
 _SINGULAR = math.sqrt(RANK_TOLERANCE)
 
@@ -139,7 +140,6 @@ class ModeSolver:
         # time, constraint rows and forces of the last choice
         self._last: tuple[float, np.ndarray, np.ndarray] | None = None
         self._limits = np.zeros(system.items)
-        self.loads = LoadSolver()
         # whether there are no forces where the last decision found none
         self.proved = False
 
@@ -148,6 +148,11 @@ class ModeSolver:
         """Made when the first cone problem is posed."""
         # the loads that what slides is given must be those that evaluations find, which are of least norm
         return ContactSolver(nearest=False)
+
+    @cached_property
+    def loads(self) -> LoadSolver:
+        """Made when the first problem with loads is posed."""
+        return LoadSolver()
 
     def decide(
         self, t: float, undecided: list[int], evaluate, beyond: int | None = None, status: int | None = None
@@ -177,7 +182,12 @@ class ModeSolver:
             status = evaluate(t)
             if status > EVENT and status != NO_FORCE:
                 return Decision(status)
-        if beyond is None and (status == OK or (status == EVENT and (self._holds() or self.redistribute(t, evaluate)))):
+        positive = system.counters[LOST_POSITIVITY] == 0
+        if (
+            beyond is None
+            and positive
+            and (status == OK or (status == EVENT and (self._holds() or self.redistribute(t, evaluate))))
+        ):
             # without an event every force lies inside its cone
             return Decision(status, passing)
         # contacts beyond their static limit are held by sliding friction at most, the others by static friction
@@ -458,7 +468,16 @@ class ModeSolver:
         if dragging and not self._stay_open(t, [c for c in dragging if c in decision.opened], decision, evaluate):
             # viscous friction ends where contacts open, which no cone knows
             integers[:], system.guard_int[:] = modes, guards
-            decision = self._decide_without_cones(t, undecided, closed, evaluate)
+            return self._decide_without_cones(t, undecided, closed, evaluate)
+        if not self._align(t, decision, evaluate):
+            # redundant loads are others in slip: decide with those
+            kept = integers.copy(), system.guard_int.copy(), system.contact_real.copy()
+            integers[:], system.guard_int[:] = modes, guards
+            other = self._decide_without_cones(t, undecided, closed, evaluate)
+            if other.status <= EVENT:
+                return other
+            integers[:], system.guard_int[:], system.contact_real[:] = kept
+            decision.status = evaluate(t)
         return decision
 
     def _stay_open(self, t: float, opened: list[int], decision: Decision, evaluate) -> bool:
@@ -532,6 +551,21 @@ class ModeSolver:
         if decision.status <= EVENT and not self._holds() and not self.redistribute(t, evaluate):
             self._keep_solution(t, closed, held, turns, forces, evaluate)
         return decision
+
+    def _align(self, t: float, decision: Decision, evaluate) -> bool:
+        """Turn slip that begins to where it goes under the loads of the last evaluation, and evaluate in it; False
+        where under these loads it does not begin in these modes."""
+        started = [c for c in decision.started if self.system.contact_int[c, MODE] == SLIPPING]
+        if decision.status > EVENT or not started:
+            return True
+        aligned = False
+        for _ in range(_ROUNDS):
+            # loads that are chosen anew turn it
+            aligned = align_slips(self.system, t, started, evaluate)
+            if not aligned or self._holds() or not self.redistribute(t, evaluate):
+                break
+        decision.started.update((c, float(self.system.contact_real[c, SLIP_RATE])) for c in started)
+        return aligned
 
     def _all_stick(self, closed: list[int], undecided: list[int], held: list[int], resisting: list[int]) -> bool:
         """Whether the last evaluation's constraint rows are those of the cone problem: round cones and nothing else."""
@@ -631,7 +665,7 @@ class ModeSolver:
             tangents = int(integers[c, TANGENTS])
             start[3 * i + 2] = max(float(force[2]), 0.0)
             if i in sliding:
-                direction = _direction(system, c)
+                direction = slip_direction(system, c)
                 drag = loads.drag.setdefault(3 * i + 2, np.zeros(size))
                 drag[3 * i : 3 * i + 2] = -numbers[c, MU_NOW] * _unstretched(
                     problem.shapes, i, associated(system, c, direction)
@@ -648,7 +682,7 @@ class ModeSolver:
         for i, u in turns.items():
             owner, tangents = closed.index(system.owner(i)), int(integers[i, TANGENTS])
             if integers[i, MODE] == SLIPPING:
-                slips[3 * u : 3 * u + 2] = direction = _direction(system, i)
+                slips[3 * u : 3 * u + 2] = direction = slip_direction(system, i)
                 drag = loads.drag.setdefault(3 * owner + 2, np.zeros(size))
                 drag[3 * u : 3 * u + 2] = -numbers[i, MU_NOW] * direction
             else:
@@ -808,59 +842,128 @@ class ModeSolver:
 
     def _decide_without_cones(self, t: float, undecided: list[int], closed: list[int], evaluate) -> Decision:
         """Contacts that cannot open carry |F_n| of either sign, those that friction alone holds up none: both are no
-        cones. Slide the one that exceeds its limit most against its stick force, and look again. Serves one-tangent
-        and few two-tangent contacts."""
+        cones. Slide the one that exceeds its limit most, to where it goes then, and look again; what would go back
+        sticks again. Serves one-tangent and few two-tangent contacts."""
         system = self.system
         integers = system.contact_int
         decision = Decision(0)
-        for _ in range(2 * (len(closed) + system.ng + system.nr) + 2):
-            status = evaluate(t)
-            decision.status = status
-            if status > EVENT:
+        # joint coordinates that are let go, with the ends at which they were and the directions in which they go
+        released: dict[int, tuple[int, int]] = {}
+        for _ in range(_CHANGES * (len(closed) + system.ng + system.nr) + _CHANGES):
+            decision.status = evaluate(t)
+            if decision.status > EVENT:
                 return decision
-            worst, excess = -1, 0.0
-            for g in system.held():
-                low, high = system.margins[system.nc + g, NORMAL_MARGIN], system.margins[system.nc + g, FRICTION_MARGIN]
-                if min(low, high) < -self.force_round_off():
-                    self.release(g, 1 if low < high else -1)
-                    worst = -2
-                    break
-            if worst == -2:
+            if (
+                self._hold_one(released)
+                or self._release_one(released)
+                or self._change_normal(t, closed, evaluate, decision)
+            ):
                 continue
-            for c in closed:
-                if integers[c, MODE] == FREE:
-                    continue
-                if system.margins[c, NORMAL_MARGIN] < -self.force_round_off():
-                    if integers[c, UNILATERAL]:
-                        self._open(t, c, evaluate, decision)
-                    else:
-                        integers[c, NORMAL_SIGN] *= -1
-                    worst = -2
-                    break
-                if shares_viscous_force(system, c):
-                    if self._takes_all(c):
-                        self.load(c)
-                        worst = -2
-                        break
-                    continue
-                for i in (c, *(i for i in system.resisting() if system.owner(i) == c)):
-                    # in N, a resistance's divided by its length
-                    scale = 1.0 if i == c else float(system.contact_real[i, MU])
-                    if integers[i, MODE] == STICK and system.margins[i, FRICTION_MARGIN] < excess * scale:
-                        worst, excess = i, system.margins[i, FRICTION_MARGIN] / scale
-            if worst == -1:
+            started = [c for c in decision.started if integers[c, MODE] == SLIPPING]
+            back = self._goes_back(t, started, evaluate)
+            if back is not None:
+                integers[back, [MODE, FROZEN]] = STICK, 0
+                continue
+            if (system.margins[closed, NORMAL_MARGIN] < -self.force_round_off()).any():
+                # as it has turned
+                continue
+            worst = self._exceeding(closed)
+            if worst is None:
+                decision.started = {c: float(system.contact_real[c, SLIP_RATE]) for c in started}
+                self._stick_at_limits(t, decision, evaluate)
                 return decision
-            if worst >= 0:
-                force, owner = system.force[worst].copy(), system.owner(worst)
-                if integers[owner, PATTERN] != ON_CURVE:
-                    integers[owner, NORMAL_SIGN] = 1 if system.force[owner, 2] >= 0.0 else -1
-                freeze_slip(system, worst, opposed_slip(system, worst, force[:2]))
-                if evaluate(t) > EVENT:
-                    decision.status = NO_FORCE
-                    return decision
-                decision.started[worst] = float(system.contact_real[worst, SLIP_RATE])
+            force, owner = system.force[worst].copy(), system.owner(worst)
+            if integers[owner, PATTERN] != ON_CURVE:
+                integers[owner, NORMAL_SIGN] = 1 if system.force[owner, 2] >= 0.0 else -1
+            freeze_slip(system, worst, opposed_slip(system, worst, force[:2]))
+            decision.started[worst] = 0.0
         decision.status = NO_FORCE
         return decision
+
+    def _still(self) -> float:
+        """Relative accelerations in m/s^2 below which is round-off."""
+        system = self.system
+        count = int(system.counters[ROW_COUNT])
+        c, row = system.row_index[:count].T
+        return _ROUND_OFF * float((np.abs(system.rows[c, row]) @ np.abs(system.free_acceleration)).max(initial=0.0))
+
+    def _stick_at_limits(self, t: float, decision: Decision, evaluate) -> None:
+        """What is at its limit of friction and does not slide sticks, with the last evaluation's redundant forces."""
+        rest = [c for c, rate in decision.started.items() if rate <= self._still()]
+        if not rest:
+            return
+        for c in rest:
+            self.system.contact_int[c, [MODE, FROZEN]] = STICK, 0
+            del decision.started[c]
+        self._take_reference(self.system.force)
+        decision.status = evaluate(t)
+
+    def _release_one(self, released: dict[int, tuple[int, int]]) -> bool:
+        """Let a held joint coordinate move whose force exceeds a bound, if there is one."""
+        system = self.system
+        for g in system.held():
+            low, high = system.margins[system.nc + g, NORMAL_MARGIN], system.margins[system.nc + g, FRICTION_MARGIN]
+            if min(low, high) < -self.force_round_off():
+                sign = 1 if low < high else -1
+                released[g] = int(system.guard_int[g, GUARD_END]), sign
+                self.release(g, sign)
+                return True
+        return False
+
+    def _hold_one(self, released: dict[int, tuple[int, int]]) -> bool:
+        """Hold a joint coordinate again that was let go and would go back, if there is one."""
+        system = self.system
+        for g, (end, sign) in released.items():
+            rate = sign * float(system.acceleration[system.guard_int[g, GUARD_V]])
+            if rate < -_ROUND_OFF * float(np.abs(system.free_acceleration).max()):
+                del released[g]
+                self.hold(g, end)
+                return True
+        return False
+
+    def _change_normal(self, t: float, closed: list[int], evaluate, decision: Decision) -> bool:
+        """Open a contact that pulls, or take the other sign of the normal force of a bilateral one; whether there was
+        one to change."""
+        system = self.system
+        integers = system.contact_int
+        for c in closed:
+            if integers[c, MODE] == FREE:
+                continue
+            if system.margins[c, NORMAL_MARGIN] < -self.force_round_off():
+                if integers[c, UNILATERAL]:
+                    self._open(t, c, evaluate, decision)
+                else:
+                    integers[c, NORMAL_SIGN] *= -1
+                return True
+            if shares_viscous_force(system, c) and self._takes_all(c):
+                self.load(c)
+                return True
+        return False
+
+    def _goes_back(self, t: float, started: list[int], evaluate) -> int | None:
+        """One of these items, whose slip begins, that friction would not let go anywhere; else they go where their
+        accelerations point."""
+        rates = self.system.contact_real[:, SLIP_RATE]
+        if align_slips(self.system, t, started, evaluate):
+            back = [c for c in started if rates[c] < -self._still()]
+        else:
+            back = started
+        return min(back, key=lambda c: float(rates[c]), default=None)
+
+    def _exceeding(self, closed: list[int]) -> int | None:
+        """The item of closed contacts that sticks and exceeds its limit of friction most, if one does."""
+        system = self.system
+        integers = system.contact_int
+        worst, excess = None, 0.0
+        for c in closed:
+            if integers[c, MODE] == FREE or shares_viscous_force(system, c):
+                continue
+            for i in (c, *(i for i in system.resisting() if system.owner(i) == c)):
+                # in N, a resistance's divided by its length
+                scale = 1.0 if i == c else float(system.contact_real[i, MU])
+                if integers[i, MODE] == STICK and system.margins[i, FRICTION_MARGIN] < excess * scale:
+                    worst, excess = i, system.margins[i, FRICTION_MARGIN] / scale
+        return worst
 
 
 @cache
@@ -872,39 +975,6 @@ def _normals_last(n: int) -> np.ndarray:
 def _unstretched(shapes: dict[int, np.ndarray], i: int, force: np.ndarray) -> np.ndarray:
     """A tangential force (2,) in the coordinates in which the cone of unit i is round."""
     return np.linalg.solve(shapes[i], force) if i in shapes else force
-
-
-def _direction(system: System, c: int) -> np.ndarray:
-    """Slip direction of a sliding contact along (t1, second)."""
-    if system.contact_int[c, TANGENTS] == 1:
-        return np.array([float(system.contact_int[c, SLIP_SIGN]), 0.0])
-    along = system.basis[c, :2] @ system.slip[c]
-    speed = float(np.hypot(along[0], along[1]))
-    if system.contact_int[c, FROZEN] or speed == 0.0:
-        world = system.contact_real[c, DIRECTION_X : DIRECTION_X + 3]
-        along = system.basis[c, :2] @ world
-        speed = float(np.hypot(along[0], along[1]))
-    return along / speed if speed > 0.0 else np.zeros(2)
-
-
-def freeze_slip(system: System, c: int, direction: np.ndarray) -> None:
-    """Let contact c slip in a given direction (components along t1, second) whatever its present v_c."""
-    integers, numbers = system.contact_int[c], system.contact_real[c]
-    integers[MODE] = SLIPPING
-    if integers[TANGENTS] == 1:
-        integers[SLIP_SIGN] = 1 if direction[0] >= 0.0 else -1
-        integers[FROZEN] = 0
-        return
-    along, aside = float(direction[0]), float(direction[1])
-    size = math.hypot(along, aside)
-    along, aside = (along / size, aside / size) if size > 0.0 else (1.0, 0.0)
-    tangents = list(zip(*system.basis[c, :2].tolist()))
-    numbers[DIRECTION_X : DIRECTION_X + 3] = [along * first + aside * second for first, second in tangents]
-    # n x (a t1 + b second), since n x t1 is the second tangent
-    numbers[ACROSS_X : ACROSS_X + 3] = [along * second - aside * first for first, second in tangents]
-    numbers[POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
-    numbers[START], numbers[SPAN] = 0.0, 1.0
-    integers[FROZEN] = 1
 
 
 def held_up_by_friction(system: System, c: int) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -408,9 +409,12 @@ class System:
     @property
     def varies_with_time(self) -> bool:
         """Whether anything but the state decides: a user's function, or a contour that is driven unsteadily."""
-        kinds = self.side_int[: 2 * self.nc, MOTION_KIND]
-        unsteady = (kinds != MOTION_NONE) & (kinds != MOTION_TWIST)
-        return bool(self.asks or unsteady.any() or self.side_int[: 2 * self.nc, TIME_DEPENDENT].any())
+        return self.asks or self._driven_unsteadily
+
+    @cached_property
+    def _driven_unsteadily(self) -> bool:
+        sides = self.side_int[: 2 * self.nc, [MOTION_KIND, TIME_DEPENDENT]].tolist()
+        return any(depends or kind not in (MOTION_NONE, MOTION_TWIST) for kind, depends in sides)
 
     def callback_of(self, ask: Callable[[float], None]) -> Callable[[], bool]:
         """ask(t) at the kernels' time, as they call it. What it raises must not pass through compiled code: it gives

@@ -71,7 +71,8 @@ def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
     norm in the row space; tolerance 0 says that a is regular, and rows alone are exchanged. a (>= rows, >= n) and
     rhs (rows,) are overwritten: where the rank is below n, the first rows of a, as many as the rank, are then unit
     upper trapezoidal, its columns in the order of order (n,), and gram (> rank, >= n) has the Cholesky factor of their
-    products.
+    products. Where it is n, and tolerance positive, a[0, 0] then has the sign of the determinant, and for
+    its size the last pivot relative to the largest.
     """
     if n == 2 and rows == 2:
         # one contact that slips: what complete pivoting would come to
@@ -80,10 +81,13 @@ def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
         if abs(determinant) > tolerance * largest * largest:
             x[0] = (rhs[0] * a[1, 1] - a[0, 1] * rhs[1]) / determinant
             x[1] = (a[0, 0] * rhs[1] - rhs[0] * a[1, 0]) / determinant
+            a[0, 0] = determinant / (largest * largest)
             return 2
     for j in range(n):
         order[j] = j
     largest = 0.0
+    pivot = 0.0
+    sign = 1.0
     rank = 0
     for k in range(min(rows, n)):
         pivot = -1.0
@@ -102,6 +106,8 @@ def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
         if not pivot > tolerance * largest:
             break
         rank += 1
+        if ((p != k) != (q != k)) != (a[p, q] < 0.0):
+            sign = -sign
         if p != k:
             for j in range(n):
                 swap = a[k, j]
@@ -133,6 +139,7 @@ def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
             rhs[k] -= dot(a[k, k + 1 : n], rhs[k + 1 : n])
         for j in range(n):
             x[order[j]] = rhs[j]
+        a[0, 0] = sign * pivot / largest
         return rank
     for i in range(rank):
         for j in range(i + 1):

@@ -30,6 +30,8 @@ _NEWTON_STEPS = 40
 _POSITIVE = 1e-9
 # Relative singular values below this are those of redundant contacts.
 _RANK = 1e-11
+# Nearly redundant contacts, whose smallest singular value is below this part of the largest, may have any determinant.
+_LOST = 1e-3
 # Normal forces whose choices of loaded ones are all tried, without and with disks.
 _TRIED, _TRIED_WITH_DISKS = 10, 6
 # Velocities of what slides, in units of the largest acceleration without forces, in the symmetric problem.
@@ -80,10 +82,12 @@ class LoadSolver:
     def solve(self, problem: Loads, forces: np.ndarray, guess: Callable[[float], np.ndarray | None]) -> bool:
         """Solve it from forces (m,), those of `guess`(velocity of what slides), and from all choices of few loads."""
         scaled = ScaledLoads(problem)
-        self.proved = False
+        self.proved = lost = False
         for start, loaded in self._starts(scaled, forces, guess):
             y, residual = scaled.newton(start, loaded)
-            if residual <= TOLERANCE:
+            if residual <= TOLERANCE and scaled.is_lost(y):
+                lost = True
+            elif residual <= TOLERANCE:
                 self.forces = scaled.forces(y)
                 self.velocities = problem.gram @ self.forces + problem.base
                 self.velocities[np.abs(self.velocities) <= TOLERANCE * scaled.largest] = 0.0
@@ -91,7 +95,7 @@ class LoadSolver:
                 self.residual = residual
                 return True
         # every choice of loads is one linear system, and none of them has a solution
-        self.proved = not problem.disks and len(problem.normals) <= _TRIED
+        self.proved = not lost and not problem.disks and len(problem.normals) <= _TRIED
         return False
 
     def _starts(
@@ -185,6 +189,15 @@ class ScaledLoads:
     def residual(self, y: np.ndarray) -> float:
         """How far the unknowns are from a zero."""
         return _relative(self._equations(y, None)[0], y)
+
+    def is_lost(self, y: np.ndarray) -> bool:
+        """Whether the operator of what is loaded at a zero has lost positivity: its determinant, positive without
+        friction, is negative. From this zero compliances lead away, and as a rule there are others."""
+        jacobian = self._equations(y, None)[1]
+        sizes = np.linalg.norm(jacobian, axis=1)
+        jacobian = jacobian / np.where(sizes > 0.0, sizes, 1.0)[:, None]
+        singular = np.linalg.svd(jacobian, compute_uv=False)
+        return bool(singular.size and singular[-1] > _LOST * singular[0] and np.linalg.slogdet(jacobian)[0] < 0.0)
 
     def _equations(self, y: np.ndarray, loaded: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """What has to vanish, and its derivative; loaded: see `newton`."""

@@ -18,11 +18,13 @@ from ..layout import (
     FREE,
     LAST_ERROR,
     LOCATION_FAILED,
+    LOST_POSITIVITY,
     MAX_STEP,
     MODE,
     NEXT_OUTPUT,
     NEXT_STEP,
     NEXT_TIME,
+    NO_FORCE,
     NOW,
     OK,
     PATIENCE,
@@ -189,6 +191,8 @@ class Driver:
             t = float(scalars[NOW])
             if options.keep_good:
                 self._keep_good(t)
+            if why == STEPPED and self.system.counters[LOST_POSITIVITY]:
+                raise self.transitions.give_up(t, NO_FORCE)
             if why == STEPPED:
                 self._watch(t, True, False)
                 self._output_at(t)

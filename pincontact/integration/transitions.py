@@ -9,10 +9,11 @@ from operator import sub
 
 import numpy as np
 
+from ..dynamics.directions import freeze_slip
 from ..dynamics.energy import REST_SPEED, energies_at
 from ..dynamics.impact import apply_impact
 from ..dynamics.joints import END_SLACK, without_inertia
-from ..dynamics.modes import Decision, ModeSolver, freeze_slip, rest_mode, shares_viscous_force
+from ..dynamics.modes import Decision, ModeSolver, rest_mode, shares_viscous_force
 from ..dynamics.stretches import opposed_slip
 from ..dynamics.system import FORCE_SLACK
 from ..dynamics.units import whiten
@@ -31,6 +32,7 @@ from ..layout import (
     GUARD_SIGN,
     LIMIT_SLACK,
     LOCATION_FAILED,
+    LOST_POSITIVITY,
     MASS_NOT_POSITIVE,
     MODE,
     MU,
@@ -182,6 +184,8 @@ class Transitions:
         code, reason = FAILURES[failure]
         if failure == NO_FORCE and self.modes.proved:
             reason = "no contact forces satisfy Coulomb's law (Painleve)"
+        elif failure == NO_FORCE and self.system.counters[LOST_POSITIVITY]:
+            reason = "friction between several contacts leaves more than one solution (Painleve)"
         if failure == MASS_NOT_POSITIVE:
             reason = without_inertia(self.system.model, self.system.data, self.system.q)
         advice = f"; {ADVICE}" if failure == NO_FORCE else ""
@@ -259,7 +263,8 @@ class Transitions:
         self._open_moving(t)
         undecided = self.modes_from_velocities()
         unchanged = not (system.ng or undecided) and given == system.contact_int.tobytes()
-        if status == OK and unchanged and not self.held_up():
+        stands = status == OK and unchanged and system.counters[LOST_POSITIVITY] == 0
+        if stands and not self.held_up():
             # the evaluation stands
             self._project(t, True, explained=True)
             rk.accept()
@@ -275,9 +280,10 @@ class Transitions:
             if rk.evaluate_start(t) > EVENT:
                 raise self.give_up(t, NO_FORCE)
         self._guards = [self._guard_state(g) for g in range(system.ng)]
-        if not self.dips.take_up(t, self.seed):
-            raise self.give_up(t, NO_FORCE)
-        self.open.begin(self._slack())
+        if FREE in system.modes.tolist():
+            if not self.dips.take_up(t, self.seed):
+                raise self.give_up(t, NO_FORCE)
+            self.open.begin(self._slack())
 
     def pass_jump(self, t: float) -> float:
         """A control or a motion may have jumped at t: modes of the accepted state anew, and impacts; the new time."""
@@ -670,12 +676,12 @@ class Transitions:
 
     def _project(self, t: float, evaluated: bool = False, explained: bool = False) -> None:
         """Put the state on its constraints; explained: by an impact, say, whatever that takes from the velocity."""
-        before = self.system.v.copy()
+        before = None if explained else self.system.v.copy()
         if not self.rk.project(t, evaluated):
             if self.rk.evaluate(t) == NO_FORCE:
                 raise self.give_up(t, NO_FORCE)
             raise Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
-        if explained:
+        if before is None:
             return
         taken, speed, allowed = self.modes.taken_from(before)
         if taken > allowed:

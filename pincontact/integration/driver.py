@@ -421,7 +421,8 @@ class Driver:
             self._after(event_time)
             self.transitions.announce(event_time, None, "user", crossing.user)
             raise Stop(TERMINATED, "a terminal event occurred")
-        self._allow_start(event_time, step)
+        stiff = system.scalars[TURNING_RATE] * self.transitions.seed > 1.0 and not self.options.fixed_step
+        self._allow_start(event_time, max(step, self.transitions.seed if stiff else 0.0))
         try:
             after = self.transitions.switch(event_time, *crossing.margin)
         except Stop:

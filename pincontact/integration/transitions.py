@@ -787,6 +787,7 @@ class Transitions:
         start_q, start_v = system.q.copy(), system.v.copy()
         # the step that led here resolves what decides; a seed that is longer may pass a load by
         tau = min(self.seed, self.until_touch(), self.longest_start if self.longest_start > 0.0 else math.inf)
+        others = self._freeze_others()
         modes = system.contact_int.copy()
         tau, decision, seeded = self._run_on(t, tau)
         for _ in range(_LOOKS_FOR_SLIP):
@@ -814,7 +815,8 @@ class Transitions:
         if started and not decision.opened:
             if c in started:
                 freeze_slip(system, c, system.basis[c, :2] @ limit)
-            slow = SlowSlip(rk, started, [2] * len(started), self._uneventful)
+            powers = [2] * len(started) + [0] * len(others)
+            slow = SlowSlip(rk, [*started, *others], powers, self._uneventful)
             span = slow.follow(t, self.longest_start, _SHORTEST_START * tau)
             if span is not None:
                 self.emit(t, span)

@@ -421,8 +421,7 @@ class Driver:
             self._after(event_time)
             self.transitions.announce(event_time, None, "user", crossing.user)
             raise Stop(TERMINATED, "a terminal event occurred")
-        stiff = system.scalars[TURNING_RATE] * self.transitions.seed > 1.0 and not self.options.fixed_step
-        self._allow_start(event_time, max(step, self.transitions.seed if stiff else 0.0))
+        self._allow_start(event_time, step)
         try:
             after = self.transitions.switch(event_time, *crossing.margin)
         except Stop:
@@ -441,13 +440,8 @@ class Driver:
         return bool(not asked and counters[STIFF_STEPS] >= counters[PATIENCE])
 
     def _slow_slip(self, t: float) -> float:
-        """Steps with prescribed directions of slip as long as these are longer than many stiff ones; the new time.
-
-        Slip slower than it is known has no direction to go on with: it starts anew, from rest, where it is alone (the
-        starts of several cannot be followed as a rule).
-        """
+        """Steps with prescribed directions of slip as long as these are longer than many stiff ones; the new time."""
         scalars, counters = self.system.scalars, self.system.counters
-        begun = t
         span, rests, tried = 2.0 * _SLOW_STEPS * _STABLE / float(scalars[TURNING_RATE]), 0, True
         while tried:
             shortest = _SLOW_STEPS * _STABLE / max(float(scalars[TURNING_RATE]), 1e-300)
@@ -467,17 +461,11 @@ class Driver:
                 self._after(t)
                 tried = t < self._end and counters[STEP_COUNT] < counters[ATTEMPT_LIMIT]
         counters[STIFF_STEPS] = 0
-        numbers = self.system.contact_real
-        unknown = np.flatnonzero(numbers[:, START_SPEED] <= numbers[:, START_TOLERANCE])
-        if t == begun and unknown.size == 1:
-            h = float(scalars[NEXT_STEP])
-            t = self._rest(t, 0.0, unknown.tolist())
-            self._restart(h)
         return t
 
     def _end_slip(self, t: float) -> float:
         """One linear step to the end of slip (its error is the square of a short time), then stick or not."""
-        system = self.system
+        rk, system = self.rk, self.system
         speed, rate = system.contact_real[:, START_SPEED], system.contact_real[:, START_RATE]
         stopping = np.flatnonzero(np.isfinite(speed) & (rate < 0.0))
         allowed = system.contact_real[stopping, START_TOLERANCE]
@@ -490,20 +478,14 @@ class Driver:
         reach = _TOGETHER * 2.0 ** int(system.counters[STALLED]) * system.contact_real[:, START_TOLERANCE]
         with np.errstate(invalid="ignore"):
             near = np.minimum(speed, np.abs(speed + rate * left)) <= reach
-        return self._rest(t, left, [c, *(int(i) for i in np.flatnonzero(near & np.isfinite(speed)) if i != c)])
-
-    def _rest(self, t: float, left: float, contacts: list[int]) -> float:
-        """The slips of these contacts end after a linear step of length left in s; the new time."""
-        rk, system, scalars = self.rk, self.system, self.system.scalars
+        contacts = [c, *(int(i) for i in np.flatnonzero(near & np.isfinite(speed)) if i != c)]
         rk.load(system.state)
         rk.evaluate(t)
         ended = {i: self.transitions.slip_direction(i) for i in contacts}
         # v_c is round-off there and has no direction: not to be evaluated as slip
         system.contact_int[contacts, MODE] = STICK
         rk.load(system.state + left * system.slopes[0])
-        # slow slip has made the last steps short, which says nothing against a start with a prescribed direction
-        alone = len(contacts) == 1 and not self.options.fixed_step
-        self._allow_start(t + left, max(float(scalars[STEP]), self.transitions.seed if alone else 0.0))
+        self._allow_start(t + left, float(scalars[STEP]))
         after = self.transitions.come_to_rest(t + left, ended)
         self._after(after)
         return after

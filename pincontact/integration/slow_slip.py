@@ -56,14 +56,13 @@ _DIVERGED = 3.0
 class SlowSlip:
     """Slip with prescribed directions: of these contacts (or resistances), from the state at t on.
 
-    powers: of the time, with which the v_c of each grows; 2 out of stick at its limit, 1 from rest, 0 where it is there
-    already.
+    power: v_c grows with this power of the time; 2 out of stick at its limit, 1 from rest, 0 where it is there already.
     uneventful(): whether nothing else happens in the last attempt, from its margins.
     """
 
     rk: RungeKutta
     contacts: list[int]
-    powers: list[int]
+    power: int
     uneventful: Callable[[], bool]
 
     def follow(self, t: float, span: float, shortest: float) -> float | None:
@@ -75,7 +74,7 @@ class SlowSlip:
         """
         system = self.rk.system
         tolerance = system.scale[1] + system.scale[0] * float(np.abs(system.v).max(initial=0.0))
-        several = np.count_nonzero(self.powers) > 1
+        several = self.power > 0 and len(self.contacts) > 1
         for _ in range(_TRIES_OF_SEVERAL if several else _HALVINGS):
             if span < shortest:
                 return None
@@ -116,12 +115,12 @@ class SlowSlip:
             return False
         between = self._across(t, span, coefficients, _CHECKS)
         # slip that is there has to stay faster than the tolerance; what grows from rest only has to grow
-        least = np.where(np.array(self.powers) == 0, tolerance, 0.0)
+        least = tolerance if self.power == 0 else 0.0
         # the last attempt has left the state at the end of the span in new_state
         return (
             between is not None
             and float(np.abs(between[0]).max()) <= tolerance
-            and all((least < along.reshape(len(least), -1).min(axis=1)).all() for along in (speeds, between[1]))
+            and min(speeds.min(), between[1].min()) > least
             and self.rk.error < 1.0
         )
 
@@ -133,7 +132,7 @@ class SlowSlip:
         """
         n = POLYNOMIAL_SIZE
         s = np.array(_NODES)
-        all_pulled = [[s ** (j + 1 - power) / (j + 1) for j in range(n)] for power in self.powers]
+        pulled = [s ** (j + 1 - self.power) / (j + 1) for j in range(n)]
         out = np.zeros((len(residual), len(residual)))
         for i in range(len(self.contacts)):
             turn = np.zeros(len(residual))
@@ -141,7 +140,7 @@ class SlowSlip:
             moved = self._across(t, span, turn, _NODES)
             if moved is None:
                 return None
-            for m, pulled in enumerate(all_pulled):
+            for m in range(len(self.contacts)):
                 block = slice(n * m, n * (m + 1))
                 change = (moved[0] - residual)[block] / _PERTURBATION
                 own = speeds[block] if m == i else np.zeros(n)
@@ -161,7 +160,7 @@ class SlowSlip:
         if system.run(ACROSS_SLIP, t, span) > EVENT:
             return None
         count = np.count_nonzero(shares)
-        grown = np.array(shares[:count]) ** np.array(self.powers)[:, None]
+        grown = np.array(shares[:count]) ** self.power
         across, along = (system.across[first + contacts, :count] / grown for first in (1, 1 + system.items))
         return across.ravel(), along.ravel()
 

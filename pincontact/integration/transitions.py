@@ -707,16 +707,13 @@ class Transitions:
             return t
         tau = min(self.seed**1.5, self.until_touch())
         if self._starts_slowly(t, frozen):
-            others = self._freeze_others()
-            slow = SlowSlip(rk, [*frozen, *others], [1] * len(frozen) + [0] * len(others), self._uneventful)
-            took = slow.follow(t, self.longest_start, tau)
+            took = SlowSlip(rk, frozen, 1, self._uneventful).follow(t, self.longest_start, tau)
             if took is not None:
                 self.emit(t, took)
                 rk.load(system.new_state)
                 return self._end_start(t + took)
-            for c in slow.contacts:
+            for c in frozen:
                 system.contact_real[c, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
-            system.contact_int[others, FROZEN] = 0
             rk.load(system.state)
             rk.evaluate_start(t)
         tau = self._attempt(t, tau)
@@ -731,38 +728,12 @@ class Transitions:
         if self.longest_start <= 0.0 or self.rk.evaluate(t) > EVENT:
             return False
         for c in frozen:
-            direction = system.basis[c, :2] @ system.contact_real[c, _DIRECTION]
-            if self._pull_aside(c, direction) > _SLOW_START * system.contact_real[c, SLIP_RATE]:
+            numbers, direction = system.contact_real[c], system.basis[c, :2] @ system.contact_real[c, _DIRECTION]
+            aside = whiten(system, direction[0] * system.rows[c, 1] - direction[1] * system.rows[c, 0])
+            friction = math.hypot(system.force[c, 0], system.force[c, 1])
+            if friction * (aside @ aside) > _SLOW_START * numbers[SLIP_RATE]:
                 return True
         return False
-
-    def _pull_aside(self, c: int, direction: np.ndarray) -> float:
-        """Acceleration in m/s^2 with which friction turns the slip of item c into this direction (2,), per rad."""
-        system = self.system
-        aside = whiten(system, direction[0] * system.rows[c, 1] - direction[1] * system.rows[c, 0])
-        return math.hypot(system.force[c, 0], system.force[c, 1]) * float(aside @ aside)
-
-    def _freeze_others(self) -> list[int]:
-        """Prescribe the directions of slips that are there, and too slow for a start to be followed without that: the
-        evaluated state's; which ones."""
-        system = self.system
-        others = []
-        for c in range(system.items):
-            integers = system.contact_int[c]
-            if (
-                integers[MODE] != SLIPPING
-                or integers[TANGENTS] != 2
-                or integers[FROZEN]
-                or system.contact_real[c, MU] <= 0
-            ):
-                continue
-            along = system.basis[c, :2] @ system.slip[c]
-            speed = math.hypot(along[0], along[1])
-            if 0.0 < speed < self._pull_aside(c, along / speed) * self.longest_start:
-                others.append(c)
-        for c in others:
-            freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
-        return others
 
     def _leave_stick(self, t: float, c: int) -> float:
         """Contact c has reached its friction limit, which for ideal rolling, where mu is without bound, is F_n = 0.
@@ -787,7 +758,6 @@ class Transitions:
         start_q, start_v = system.q.copy(), system.v.copy()
         # the step that led here resolves what decides; a seed that is longer may pass a load by
         tau = min(self.seed, self.until_touch(), self.longest_start if self.longest_start > 0.0 else math.inf)
-        others = self._freeze_others()
         modes = system.contact_int.copy()
         tau, decision, seeded = self._run_on(t, tau)
         for _ in range(_LOOKS_FOR_SLIP):
@@ -815,8 +785,7 @@ class Transitions:
         if started and not decision.opened:
             if c in started:
                 freeze_slip(system, c, system.basis[c, :2] @ limit)
-            powers = [2] * len(started) + [0] * len(others)
-            slow = SlowSlip(rk, [*started, *others], powers, self._uneventful)
+            slow = SlowSlip(rk, started, 2, self._uneventful)
             span = slow.follow(t, self.longest_start, _SHORTEST_START * tau)
             if span is not None:
                 self.emit(t, span)
@@ -841,7 +810,7 @@ class Transitions:
         slipping = [c for c in range(system.items) if system.contact_real[c, START_SPEED] < math.inf]
         for c in slipping:
             freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
-        took = SlowSlip(rk, slipping, [0] * len(slipping), self._uneventful).follow(t, span, shortest)
+        took = SlowSlip(rk, slipping, 0, self._uneventful).follow(t, span, shortest)
         system.contact_int[:, FROZEN] = 0
         if took is not None:
             rk.load(system.new_state)

@@ -14,6 +14,7 @@ from .arguments import NOT_REAL, is_number, real_array
 from .contacts import AttachedContour, Contact
 from .contours import Contour
 from .contours.motion import Motion
+from .dynamics.joints import interrupted_joint
 from .errors import ArgumentError, ContactError, ContourError, ModelError, PatternError
 from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern, candidate_patterns, find_pattern
@@ -30,6 +31,8 @@ class Scene:
     model: a `pin.Model`, or a `pin.RobotWrapper`, whose shapes are then taken too; it is not copied, and must not be
     changed once a state has been made.
     visual_model, collision_model: `pin.GeometryModel` or None, for drawing and for contours from collision shapes.
+
+    Raises ModelError for what is none of these, and for joints that mimic others or were not added depth first.
     """
 
     def __init__(
@@ -52,6 +55,13 @@ class Scene:
             raise ModelError(
                 f"joints that mimic others have no dynamics in Pinocchio: {', '.join(mimics)}; lock them or "
                 "let them be joints of their own"
+            )
+        interrupted = interrupted_joint(model)
+        if interrupted is not None:
+            joint, parent, between = interrupted
+            raise ModelError(
+                f"joint {joint!r}, below {parent!r}, was added after {between!r}, which is not: Pinocchio's mass "
+                f"matrix is wrong for such an order; add all joints below {parent!r} directly after it (depth first)"
             )
         if any(frame.name == "universe" for frame in list(model.frames)[1:]) or "universe" in list(model.names)[1:]:
             raise ModelError("the model has a joint or frame named 'universe', which is the name of the world")

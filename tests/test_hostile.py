@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import math
 import pickle
+import re
 import sys
 import threading
 
@@ -95,6 +96,40 @@ def test_joints_that_mimic():
         model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
     with pytest.raises(pc.ModelError, match="follower"):
         pc.Scene(pin.transformJointIntoMimic(model, first, second, 2.0, 0.0))
+
+
+def test_joints_that_were_not_added_depth_first():
+    """Their mass matrix is wrong where the joints below another do not follow it; other orders are fine."""
+    rng = np.random.default_rng(3)
+    refused = 0
+    for _ in range(40):
+        model, parents = pin.Model(), [0]
+        for j in range(1, 6):
+            parents.append(int(rng.integers(0, j)))
+            place = pin.SE3(pin.utils.rotate("y", rng.uniform(-1, 1)), rng.uniform(-1, 1, 3))
+            model.addJoint(parents[j], pin.JointModelRX(), place, f"joint{j}")
+            model.appendBodyToJoint(j, pin.Inertia.FromSphere(1.0, 0.1), place)
+        q, data = rng.uniform(-1, 1, 5), model.createData()
+        rest = pin.rnea(model, data, q, np.zeros(5), np.zeros(5))
+        columns = np.array([pin.rnea(model, data, q, np.zeros(5), one) - rest for one in np.eye(5)])
+        mass = np.triu(pin.crba(model, data, q, pin.Convention.WORLD))
+        # both are sums of some ten terms of size one
+        right = np.allclose(mass, np.triu(columns), atol=1e-12)
+        if right:
+            pc.Scene(model)
+            continue
+        refused += 1
+        with pytest.raises(pc.ModelError, match="depth first") as caught:
+            pc.Scene(model)
+        joint, above, between = (int(name) for name in re.findall(r"'joint(\d)'", str(caught.value))[:3])
+        below = [above]
+        while parents[below[-1]]:
+            below.append(parents[below[-1]])
+        chain = joint
+        while chain not in (0, above):
+            chain = parents[chain]
+        assert chain == above < between < joint and between not in (above, joint)
+    assert 5 < refused < 35
 
 
 def test_bodies_without_inertia():

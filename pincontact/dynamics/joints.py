@@ -7,6 +7,7 @@ constraint row, as a contact's normal is. Effort and velocity limits are no forc
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -88,6 +89,17 @@ def without_inertia(model: pin.Model, data: pin.Data, q: np.ndarray) -> str:
         f"the mass matrix is not positive definite in this configuration: joint {joint!r} moves nothing that has "
         f"inertia (least eigenvalue {moments[0]:.3g}); give its body some, or its motor (model.armature)"
     )
+
+
+def interrupted_joint(model: pin.Model) -> tuple[str, str, str] | None:
+    """A joint, one that it is below, and one between them in the model's order that is not: Pinocchio's algorithms take
+    the joints below another for those that follow it. None where no order is broken."""
+    for subtree in list(model.subtrees)[1:]:
+        joints = subtree.tolist()
+        for before, joint in itertools.pairwise(joints):
+            if joint != before + 1:
+                return str(model.names[joint]), str(model.names[joints[0]]), str(model.names[before + 1])
+    return None
 
 
 def joint_of(model: pin.Model, index_v: int) -> str:

@@ -11,7 +11,9 @@ With P_+ and P_D the projections on what is not negative and on a disk, solution
 
 Newton's method finds them from near by (Alart, Curnier, Comput. Methods Appl. Mech. Engrg. 92, 1991). What is near is
 suggested by the present forces, by the symmetric cone problem in which what slides has so large a velocity along its
-direction that it can do nothing else, and, of few contacts, by each choice of those that carry a load.
+direction that it can do nothing else, and, of few contacts, by each choice of those that carry a load. Where more
+contacts stick than bodies can feel, as four wheels on a floor, full steps may go to and fro between two choices of what
+sticks: steps that are halved until the residual falls then get there.
 """
 
 from __future__ import annotations
@@ -26,6 +28,8 @@ import numpy as np
 # Residual, in units of the largest acceleration without forces, up to which a zero is one.
 TOLERANCE = 1e-10
 _NEWTON_STEPS = 40
+# How often one is halved, and by which part of its linear forecast the square of what has to vanish then falls.
+_HALVINGS, _FALL = 12, 1e-3
 # Below this fraction of what it is without friction, a contact's own operator has lost positivity.
 _POSITIVE = 1e-9
 # Relative singular values below this are those of redundant contacts.
@@ -83,8 +87,8 @@ class LoadSolver:
         """Solve it from forces (m,), those of `guess`(velocity of what slides), and from all choices of few loads."""
         scaled = ScaledLoads(problem)
         self.proved = lost = False
-        for start, loaded in self._starts(scaled, forces, guess):
-            y, residual = scaled.newton(start, loaded)
+        for start, loaded, halved in self._starts(scaled, forces, guess):
+            y, residual = scaled.newton(start, loaded, halved)
             if residual <= TOLERANCE and scaled.is_lost(y):
                 lost = True
             elif residual <= TOLERANCE:
@@ -100,21 +104,26 @@ class LoadSolver:
 
     def _starts(
         self, scaled: ScaledLoads, forces: np.ndarray, guess: Callable[[float], np.ndarray | None]
-    ) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
-        """Forces to begin from, and which normals are loaded where that is prescribed."""
-        yield scaled.unknowns(forces), None
+    ) -> Iterator[tuple[np.ndarray, np.ndarray | None, bool]]:
+        """Forces to begin from, which normals are loaded where that is prescribed, and whether steps are halved."""
+        present = scaled.unknowns(forces)
+        yield present, None, False
         count, disks = len(scaled.problem.normals), bool(scaled.problem.disks)
         for speed in _SPEEDS:
             found = guess(speed * scaled.largest)
             if found is not None:
-                yield scaled.unknowns(found), None
+                yield scaled.unknowns(found), None, False
         if count <= (_TRIED_WITH_DISKS if disks else _TRIED):
             # what is closed stays closed, if it can
             for number in range(count, -1, -1):
                 for chosen in combinations(range(count), number):
                     loaded = np.zeros(count, dtype=bool)
                     loaded[list(chosen)] = True
-                    yield np.zeros(scaled.base.size), loaded
+                    yield np.zeros(scaled.base.size), loaded, False
+        if disks:
+            yield present, None, True
+            yield np.where(np.arange(present.size) < count, present, 0.0), None, True
+            yield np.zeros(present.size), None, True
 
 
 class ScaledLoads:
@@ -164,10 +173,10 @@ class ScaledLoads:
         """The unknowns in forces (m,) along the problem's rows."""
         return np.nan_to_num(forces[self.rows] / (self.scale * self.unit))
 
-    def newton(self, y: np.ndarray, loaded: np.ndarray | None) -> tuple[np.ndarray, float]:
+    def newton(self, y: np.ndarray, loaded: np.ndarray | None, halved: bool = False) -> tuple[np.ndarray, float]:
         """The zero that Newton's method comes to from there, and its residual, infinite where that is no solution.
 
-        loaded: which normal forces are to be there, or None.
+        loaded: which normal forces are to be there, or None; halved: whether steps are halved until values fall.
         """
         best, least = y, math.inf
         for step in range(_NEWTON_STEPS):
@@ -181,7 +190,14 @@ class ScaledLoads:
                     break
             elif least <= TOLERANCE:
                 break
-            y = y - np.linalg.lstsq(jacobian, values, rcond=_RANK)[0]
+            change = -np.linalg.lstsq(jacobian, values, rcond=_RANK)[0]
+            part, size = 1.0, float(values @ values)
+            for _ in range(_HALVINGS if halved else 0):
+                there, _ = self._equations(y + part * change, loaded)
+                if there @ there < (1.0 - _FALL * part) * size:
+                    break
+                part *= 0.5
+            y = y + part * change
             if loaded is not None and not self.disks and step == 1:
                 break
         return best, least if self._admissible(best) else math.inf

@@ -34,9 +34,8 @@ class Dips:
 
     def reach(self, c: int) -> float:
         """Accuracy in m to which the gap of contact c is known."""
-        system = self._rk.system
-        relative, absolute = (float(x) for x in system.scale)
-        return GAP_TOLERANCE * (absolute + relative * float(system.contact_real[c, LENGTH]))
+        relative, absolute = self._rk.system.scale.tolist()
+        return GAP_TOLERANCE * (absolute + relative * self._rk.system.contact_real.item(c, LENGTH))
 
     def may_be(self, c: int, depth: float) -> bool:
         """Whether contact c may be let go to dip by depth in m."""

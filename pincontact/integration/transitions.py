@@ -874,7 +874,7 @@ class Transitions:
         scanned: whether events were looked for in the step that led there.
         """
         if FREE in self.system.modes.tolist():
-            self.open.note(scanned, self._slack())
+            self.open.note(None if scanned else self._slack())
 
     def _slack(self) -> np.ndarray:
         """(nc,) how deep in m open contacts may be."""

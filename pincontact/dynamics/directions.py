@@ -96,7 +96,11 @@ class _Alignment:
         self.stretches = np.array([stretch(system, i) for i in items])
 
     def run(self) -> bool:
-        start = np.array([math.atan2(y, x) for x, y in (slip_direction(self.system, i) for i in self.items)])
+        directions = [slip_direction(self.system, i) for i in self.items]
+        # what is as good as can be stays what it is to the last bit: an angle rounds it
+        if self._fits(np.array(directions)):
+            return True
+        start = np.array([math.atan2(y, x) for x, y in directions])
         angles = start
         for _ in range(_ATTEMPTS):
             if self._solve(angles):
@@ -107,6 +111,16 @@ class _Alignment:
             angles = projected
         self._across(start)
         return False
+
+    def _fits(self, directions: np.ndarray) -> bool:
+        """Whether relative accelerations point along these directions (k, 2), which the items have."""
+        system = self.system
+        if self.evaluate(self.t) > EVENT:
+            return False
+        along, scale = system.relative_acceleration[self.items], self._scale()
+        across = directions[:, 0] * along[:, 1] - directions[:, 1] * along[:, 0]
+        rates = system.contact_real[self.items, SLIP_RATE]
+        return bool((np.abs(across) <= _ALONG * scale).all() and (rates >= -_ALONG * scale).all())
 
     def _across(self, angles: np.ndarray) -> np.ndarray | None:
         """(k,) relative accelerations in m/s^2 across the directions at these angles; None without an evaluation."""

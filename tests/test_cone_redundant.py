@@ -249,7 +249,7 @@ def nearest_inside(equations, target, last, mu, modes, first):
         x = y - pseudo @ (equations @ y - target)
         kept[0] = y - x
         y, p = x + kept[1], x.copy()
-        project(mu, modes, first, y, redundant.AIMS[0], 0.0, p)
+        project(mu, modes, first, y, redundant._AIMS[0], 0.0, p)
         x, kept[1] = p, y - p
     return x
 

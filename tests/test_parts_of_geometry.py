@@ -664,3 +664,29 @@ def test_derivatives_of_a_contour_in_world_axes(contour):
     expected = contour.evaluate(system.location[0, 2 : 2 + k], 0.6) @ placement.rotation.T
     assert system.derivatives[1] == pytest.approx(expected, abs=1e-14)
     assert bool(expected[6:].any()) == contour.time_dependent
+
+
+@pytest.mark.parametrize("axis", [*np.eye(3), *-np.eye(3)])
+def test_spheres_beside_each_other_along_an_axis(axis):
+    """Centres that differ in one coordinate only do not coincide."""
+    scene = pc.Scene(free_body())
+    small = scene.add_contour("small", pc.Sphere(0.1), frame="body")
+    scene.add_contact("c", small, scene.add_contour("large", pc.Sphere(0.5)))
+    track = pc.simulate(scene, scene.initial_state([*(0.6 * axis), 0.0, 0.0, 0.0, 1.0]), 1e-6).contacts["c"]
+    assert track.point[0] == pytest.approx(0.5 * axis, abs=1e-15)
+
+
+def test_relative_velocity_where_both_contours_move_in_time():
+    """v_c is the difference of the velocities of material points; a contour that changes in time carries its own."""
+    growing = pc.ParametricSurface(
+        lambda u, v, t: (u, v, 0.3 * t + 0.1 * u * u + 0.05 * t * v), ((-2.0, 2.0), (-2.0, 2.0))
+    )
+    point = pc.ParametricCurve(lambda u, t: (u, 0.2 * t, 0.4 * u * u - 0.7 * t), (-2.0, 2.0))
+    system = system_of(point, growing, [0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0])
+    system.v[:] = 0.3, -0.2, 0.1, 0.4, 0.5, -0.6
+    system.evaluate_kinematics(0.5)
+    u1, u2 = system.location[0, 0], system.location[0, 2:]
+    material = pin.exp3(np.zeros(3)) @ np.array([u1, 0.1, 0.4 * u1 * u1 - 0.35])
+    own = system.v[:3] + np.cross(system.v[3:], material) + np.array([0.0, 0.2, -0.7])
+    other = np.array([0.0, 0.0, 0.3 + 0.05 * u2[1]])
+    assert system.slip[0] == pytest.approx(other - own, abs=1e-13)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 # Any forces that solve the problem have to be larger than b asks for by the inverse of this.
-YIELD = 1e-7
+_YIELD = 1e-7
 
 
 def crushing_combination(delassus: np.ndarray, b: np.ndarray) -> np.ndarray | None:
@@ -36,8 +36,8 @@ def crushing_combination(delassus: np.ndarray, b: np.ndarray) -> np.ndarray | No
         return None
     closing = -(approach @ combination) / largest
     # With w = |F|_G the kinetic norm, any solution has w |y|_G >= closing.
-    if closing <= 0.5 or np.sqrt(max(combination @ normal @ combination, 0.0)) > YIELD * closing:
+    if closing <= 0.5 or np.sqrt(max(combination @ normal @ combination, 0.0)) > _YIELD * closing:
         return None
     # Round-off of a force that is there only in the least squares is none that presses.
-    combination[combination < YIELD * combination.max()] = 0.0
+    combination[combination < _YIELD * combination.max()] = 0.0
     return scale * combination

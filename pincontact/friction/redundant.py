@@ -27,19 +27,19 @@ FACTOR, TILTED, ROWS, BENT = range(4)
 DUAL, MISSING, TARGET, NEAREST, STEP = range(5)
 
 # Springs stiffer than this are left to elimination without factors: at rest a direction of slip means nothing.
-STIFFEST = 1e6
+_STIFFEST = 1e6
 # Forces are moved into cones of this part of the width, raised by this part of the mean load, the next after so many
 # steps: wide margins are found in fewer steps, and last longer, but may not be there.
-AIMS = (0.9, 0.99, 0.999)
-MARGINS = (1e-2, 1e-3, 1e-4)
-STEPS = 10
+_AIMS = (0.9, 0.99, 0.999)
+_MARGINS = (1e-2, 1e-3, 1e-4)
+_STEPS = 10
 # Part of the dual function's largest curvature that is added where projections have none.
-DAMPING = 1e-3
+_DAMPING = 1e-3
 # The same where the solution is on the cones' edges, and to be found to this part of the loads.
-SLIGHT, ROUND_OFF = 1e-8, 1e-14
+_SLIGHT, ROUND_OFF = 1e-8, 1e-14
 # A step that goes beyond its best point so far that the slope there is this part of the first is shortened, at most to
 # this part.
-OVERSHOT, SHORTEST = 0.5, 1e-2
+_OVERSHOT, _SHORTEST = 0.5, 1e-2
 
 
 @kernel
@@ -95,7 +95,7 @@ def has_factors(rank, unknowns, mu, modes, length, speed, sine):
         slides = slides and modes[i] != STICK
         if modes[i] == SLIP:
             stiffest = max(stiffest, spring(i, length, speed, sine))
-    return rank > 0 and (slides or 2 * rank <= unknowns) and stiffest <= STIFFEST
+    return rank > 0 and (slides or 2 * rank <= unknowns) and stiffest <= _STIFFEST
 
 
 @kernel
@@ -368,11 +368,11 @@ def move_inside(rank, mu, modes, last, buffers):
             if first[i + 1] > row + 1:
                 nearest[row + 1] = x[row + 1]
     slope = 0.0
-    for step in range(len(AIMS) * STEPS):
-        aim = AIMS[step // STEPS]
-        if step % STEPS == 0:
+    for step in range(len(_AIMS) * _STEPS):
+        aim = _AIMS[step // _STEPS]
+        if step % _STEPS == 0:
             slope = 0.0
-        margin = 0.0 if slides else MARGINS[step // STEPS] * load / loads
+        margin = 0.0 if slides else _MARGINS[step // _STEPS] * load / loads
         for j in range(unknowns):
             z[j] = nearest[j]
         for k in range(rank):
@@ -391,8 +391,8 @@ def move_inside(rank, mu, modes, last, buffers):
         if not slides and is_inside(mu, modes, first, x):
             return
         ahead = dot(missing[:rank], change[:rank])
-        if slope > 0.0 and ahead < -OVERSHOT * slope:
-            share = max(slope / (slope - ahead), SHORTEST)
+        if slope > 0.0 and ahead < -_OVERSHOT * slope:
+            share = max(slope / (slope - ahead), _SHORTEST)
             for k in range(rank):
                 y[k] -= (1.0 - share) * change[k]
                 change[k] *= share
@@ -402,7 +402,7 @@ def move_inside(rank, mu, modes, last, buffers):
         for k in range(rank):
             for j in range(k + 1):
                 gram[k, j] = dot(bent[k, :unknowns], rows[j, :unknowns])
-            gram[k, k] += SLIGHT if slides else DAMPING
+            gram[k, k] += _SLIGHT if slides else _DAMPING
             change[k] = missing[k]
         factor_gram(gram, rank)
         solve_gram(gram, rank, change)

@@ -4,7 +4,7 @@
 
 Signs, operators, indices and constants of the functions in `FOLDERS` are changed one at a time, at places drawn at
 random. Each change is shown to the fast part of the suite: the tests that take less than `LIMIT` seconds uncompiled
-and reach the changed function, quickest first. Everything runs uncompiled (`NUMBA_DISABLE_JIT`), so that a change costs
+and reach the changed function, those that are quick and reach little else first. Everything runs uncompiled (`NUMBA_DISABLE_JIT`), so that a change costs
 no compilation. The tests are collected once; a forked process puts the change into the code of the functions. Where a
 function was called before the tests, and none of them notices, everything is imported again with the change.
 
@@ -53,7 +53,7 @@ FOLDERS = ("contours", "geometry", "constraints", "dynamics", "friction")
 NO_NUMERICS = ("pincontact/dynamics/pinocchio_calls.py",)
 # s: a test that takes the processor longer, uncompiled, is not in the fast part; what the tests of one change may take
 # it together, and how long they take when they hang
-LIMIT, BUDGET, PATIENCE = 2.0, 30.0, 100
+LIMIT, BUDGET, PATIENCE = 2.0, 60.0, 150
 # the part of the changes that has to be noticed
 WANTED = 0.95
 
@@ -452,9 +452,11 @@ def show(change: Change, tests: list[str]) -> int:
 
 
 def chosen(change: Change, tests: dict[str, Any]) -> list[str]:
-    """The tests that reach the change's function, quickest first, as far as the budget goes."""
+    """The tests that reach the change's function, as far as the budget goes: first those that reach little else, since
+    they look at it closely, and are quick."""
     key, spent, out = f"{change.file}:{change.function}", 0.0, []
-    for name in sorted((name for name in tests if key in tests[name]["reached"]), key=lambda n: tests[n]["seconds"]):
+    reaching = [name for name in tests if key in tests[name]["reached"]]
+    for name in sorted(reaching, key=lambda n: tests[n]["seconds"] * len(tests[n]["reached"])):
         spent += tests[name]["seconds"]
         if spent > BUDGET:
             break

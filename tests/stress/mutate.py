@@ -3,10 +3,11 @@
     python tests/stress/mutate.py [--count 400] [--seed 0] [--jobs 2] [--only TEXT] [--survey FILE]
 
 Signs, operators, indices and constants of the functions in `FOLDERS` are changed one at a time, at places drawn at
-random. Each change is shown to the fast part of the suite: the tests that take less than `LIMIT` seconds uncompiled
-and reach the changed function, those that are quick and reach little else first. Everything runs uncompiled
-(`NUMBA_DISABLE_JIT`), so that a change costs no compilation. The tests are collected once; a forked process puts the change into the code of the functions. Where a
-function was called before the tests, and none of them notices, everything is imported again with the change.
+random. Each change is shown to the fast part of the suite: the tests that take less than `LIMIT` seconds uncompiled and
+reach the changed function, those that are quick and reach little else first. Everything runs uncompiled
+(`NUMBA_DISABLE_JIT`), so that a change costs no compilation. The tests are collected once; a forked process puts the
+change into the code of the functions. Where a function was called before the tests, and none of them notices,
+everything is imported again with the change.
 
 First the survey: each test's duration, and the functions of the package that it reaches. `--survey` keeps it in a file;
 another run with that file looks at new and changed files of tests only, without the tests known to be slow. (Delete the

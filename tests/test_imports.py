@@ -4,6 +4,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
+
+from pincontact.jit import cache_root
+
 CODE = """
 import sys
 
@@ -47,3 +51,10 @@ def test_nothing_heavy_is_imported_until_used(tmp_path):
     # not from the checkout: the installed package is meant, and its compiled kernels
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=Path(__file__).parent)
     assert done.returncode == 0, done.stderr
+
+
+def test_an_empty_cache_folder_counts_as_none(monkeypatch):
+    """Kernels are never kept in the present folder (XDG Base Directory Specification)."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", "")
+    assert cache_root().is_absolute()

@@ -470,14 +470,9 @@ class ModeSolver:
             integers[:], system.guard_int[:] = modes, guards
             return self._decide_without_cones(t, undecided, closed, evaluate)
         if not self._align(t, decision, evaluate):
-            # redundant loads are others in slip: decide with those
-            kept = integers.copy(), system.guard_int.copy(), system.contact_real.copy()
+            # redundant loads are others in slip: decide with those, or not at all
             integers[:], system.guard_int[:] = modes, guards
-            other = self._decide_without_cones(t, undecided, closed, evaluate)
-            if other.status <= EVENT:
-                return other
-            integers[:], system.guard_int[:], system.contact_real[:] = kept
-            decision.status = evaluate(t)
+            return self._decide_without_cones(t, undecided, closed, evaluate)
         return decision
 
     def _stay_open(self, t: float, opened: list[int], decision: Decision, evaluate) -> bool:

@@ -70,3 +70,9 @@ def test_of_two_solutions_all_ways_take_the_same():
         assert run.status == 0, run.message
         # open from the first moment on
         assert run.contacts["c0"].mode[1] == -1
+
+
+def test_forces_on_the_rim_of_their_cones_end_no_run_with_an_exception():
+    """Feet of whose redundant forces none lies inside the cones, but for round-off: there is no central one."""
+    run = Runs(random_motion(1140)[1]).run()
+    assert run.status == 0, run.message

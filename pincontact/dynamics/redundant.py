@@ -99,7 +99,12 @@ def central_force(forces: np.ndarray, null: np.ndarray, cones: list[Cone]) -> Ch
     hessian = barriers.derivatives(point)[1][:-1, :-1] + np.eye(z.size)
     # the unit changes along, too
     change = barriers.curvature_along(point, span) - np.outer(2.0 * z, span.T @ (least / unit))
-    return Choice(least + unit * null @ z, -null @ np.linalg.solve(hessian, change), span)
+    try:
+        response = np.linalg.solve(hessian, change)
+    except np.linalg.LinAlgError:
+        # on the rim, but for round-off
+        return None
+    return Choice(least + unit * null @ z, -null @ response, span)
 
 
 def _enter(barriers: _Barriers, z: np.ndarray, values: np.ndarray) -> np.ndarray | None:

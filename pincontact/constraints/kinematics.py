@@ -90,7 +90,9 @@ def shape_in_world(integers, shape, frame, u1, u2, dimension, time, local, world
         rotate(rotation, local[5], world[5])
     if integers[TIME_DEPENDENT] != 0:
         for row in range(6, 10):
-            rotate(rotation, local[row], world[row])
+            # 7 and 8 are the rates of the tangents
+            if row == 9 or row - 7 < dimension:
+                rotate(rotation, local[row], world[row])
 
 
 @kernel

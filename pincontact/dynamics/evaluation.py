@@ -48,6 +48,7 @@ from ..layout import (
     DOMAIN,
     DRIVES_EVALUATED,
     EVALUATION_COUNT,
+    EVENT,
     FACTOR,
     FORCE,
     FRAMES,
@@ -464,6 +465,9 @@ def evaluate_dynamics(table, time):
         scalars[REFERENCE_TIME],
         integers(table[COUNTERS], COUNTERS_SIZE),
     )
+    if status > EVENT:
+        # neither accelerations nor margins were written
+        return status if _finite(free_acceleration, nv) else NOT_FINITE
     lowest, highest = (
         matrix(table[LOWEST], total, MARGINS_PER_CONTACT),
         matrix(table[HIGHEST], total, MARGINS_PER_CONTACT),

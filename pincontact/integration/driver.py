@@ -53,8 +53,10 @@ from .steps import (
     BLOCK_FULL,
     FAILED_FACTOR,
     MARCH,
+    MARCH_APART,
     MARCH_ONE_ATTEMPT,
     MARCH_ONE_STEP,
+    MAY_TOUCH,
     PROJECTION_FAILED,
     SLIP_ENDS,
     SLIP_IS_SLOW,
@@ -177,7 +179,7 @@ class Driver:
         else:
             self._after(t)
         self._set_limits(t)
-        scalars = self.system.scalars
+        scalars, why = self.system.scalars, STEPPED
         while t < t_end:
             if t >= self._end:
                 before, self._end = self._end, stops.pop(0)
@@ -187,7 +189,7 @@ class Driver:
             self.flush()
             if options.keep_good:
                 self._keep_good(t)
-            why = self.system.run(self._foresee(t, self._task()))
+            why = self.system.run(self._foresee(t, self._task(), why == MAY_TOUCH))
             t = float(scalars[NOW])
             if options.keep_good:
                 self._keep_good(t)
@@ -266,12 +268,18 @@ class Driver:
             return MARCH_ONE_STEP
         return MARCH
 
-    def _foresee(self, t: float, task: int) -> int:
-        """Bound the next step by what open contacts may hit in it; how far the compiled steps may then go."""
+    def _foresee(self, t: float, task: int, may_touch: bool) -> int:
+        """Bound the next step by what open contacts may hit in it; how far the compiled steps may then go.
+
+        may_touch: whether these have come back because some may touch.
+        """
         scalars, opened = self.system.scalars, self.transitions.open
         scalars[MAX_STEP] = self._max_step
         if not opened.are_any():
             return task
+        if not may_touch and task == MARCH_ONE_STEP and self.transitions.stay_apart(t):
+            opened.is_near = False
+            return MARCH_APART
         longest, near = opened.begin_step(t, float(min(scalars[NEXT_STEP], scalars[MAX_STEP], scalars[END] - t)))
         if opened.has_moved:
             # nearest points elsewhere: the same state, located there

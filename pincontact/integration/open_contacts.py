@@ -4,28 +4,39 @@ side of each other their bodies are."""
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
-from ..contours.base import F_T, F_TT
-from ..geometry.carriers import OMEGA, ORIGIN, VELOCITY
+from ..contours.base import F_T, F_TT, PLANE
+from ..geometry.carriers import ORIGIN
 from ..geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
 from ..geometry.nearest import NearestSearch, Whole, is_searched
 from ..layout import (
+    APPROACH,
+    BENDING,
     BRANCH,
     CHART,
     CLOSED_FORM,
     DETERMINANT_SIGN,
     DOMAIN,
+    EXTENT,
+    FLAT,
     FREE,
+    HULL_X,
+    HULL_Z,
     LENGTH,
     NOTHING_THERE,
+    SPEEDING,
+    TURNING,
     UNILATERAL,
 )
+from .approach import SAFETY, time_to_cover
 from .stages import load_state
+from .steps import BOUND_SPEEDS
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
@@ -43,14 +54,10 @@ _TOO_FAR = 2.0
 MANY_STEPS, _THROUGH = 1_000_000, 8.0
 # Places on the way of a step that went far, and how deep, relative to the contact's length, it may have grazed there.
 _WAY_STATIONS, _GRAZES = 16, 1e-2
-# Places (m) and speeds (m/s, rad/s) are cut off at this.
-_BEYOND = 1e50
 # A start that is no deeper than this part of the contact's length, and gets deeper, has just touched.
 _SHALLOW = 0.05
 # Places nearer than this, relative to the contact's length, are the same.
 _SAME = 1e-6
-# Gravity and what changed velocities last, times this, is what may change them next.
-_SAFETY = 2.0
 
 
 class _Open:
@@ -79,30 +86,25 @@ class _Open:
             # within the other one there is nothing to fly through
             beside = form == SPHERE_ON_SPHERE and abs(int(system.contact_int[c, BRANCH])) == 1
             self.near = _NEAR * (two.size + (one.size if beside else 0.0))
+        numbers = system.contact_real[c]
+        numbers[EXTENT] = -1.0
+        if self.whole is not None:
+            numbers[HULL_X : HULL_Z + 1], numbers[EXTENT] = self.whole.centre, self.whole.extent
+        # whether its gap tells how far the bodies are apart, at least, and nothing but their velocities does how soon
+        # they may touch
+        self.is_plain = self.search is None and math.isinf(self.near) and not self.is_driven
+        numbers[FLAT] = float(self.is_plain and two.kind == PLANE)
         # distances that the last search has found, and the pose at which it did
         self.distance = self.elsewhere = -math.inf
         self.rotation, self.centre, self.time = np.eye(3), np.zeros(3), t
 
     def speed(self, system: System) -> tuple[float, float]:
         """Bounds of the speed in m/s at which points of body 1 move in the frame of body 2, and of its turning, in
-        rad/s."""
-        # speeds beyond all bounds end a run elsewhere; array functions take ten times as long for three numbers
-        one, two = np.clip(system.frames[2 * self.c : 2 * self.c + 2], -_BEYOND, _BEYOND).tolist()
-        lever = [0.0, 0.0, 0.0]
-        if self.whole is not None:
-            x, y, z = self.whole.centre.tolist()
-            lever = [row[0] * x + row[1] * y + row[2] * z for row in one[:3]]
-            extent = self.whole.extent + self.whole.rounding
-        else:
-            extent = math.hypot(*system.derivatives[2 * self.c, 0].tolist())
-        from_two = [a + b - c for a, b, c in zip(lever, one[ORIGIN], two[ORIGIN])]
-        own = _material_velocity(one[VELOCITY], one[OMEGA], lever)
-        relative = math.dist(own, _material_velocity(two[VELOCITY], two[OMEGA], from_two))
-        turning = math.dist(one[OMEGA], two[OMEGA])
-        shape = 0.0
+        rad/s, from `bound_speeds`."""
+        speed, turning = system.contact_real[self.c, APPROACH : TURNING + 1].tolist()
         for side in self.changing:
-            shape += float(np.linalg.norm(system.derivatives[side, 6]))
-        return relative + turning * extent + shape, turning
+            speed += float(np.linalg.norm(system.derivatives[side, 6]))
+        return speed, turning
 
     def driven(self, system: System, t: float, h: float) -> tuple[float, float]:
         """The largest speed in m/s at which drives move points of one contour near the other one up to t + h, and the
@@ -152,7 +154,6 @@ class OpenContacts:
         self.apart = np.ones(system.nc, dtype=bool)
         self.passed: set[int] = set()
         self._open: dict[int, _Open] = {}
-        self._acceleration: dict[int, float] = {}
         self._speeds: dict[int, float] = {}
         self._allowed: dict[int, float] = {}
         self._cut = math.inf
@@ -162,20 +163,21 @@ class OpenContacts:
         self.hasty = 0
         self.has_moved = self.is_near = False
         self._controlled: list[int] = []
+        self._gravity = float(np.linalg.norm(system.model.gravity.linear))
         self._absolute = system.absolute.copy()
 
     # ---------------------------------------------------------------- sides
 
-    def begin(self, slack: np.ndarray) -> None:
-        """The evaluated state is that at which a run starts; slack: (nc,) what gaps may be below zero, in m."""
+    def begin(self, slack: Callable[[int], float]) -> None:
+        """The evaluated state is that at which a run starts; slack: what its gap may be below zero, in m."""
         system = self.system
         for c in self._list():
             gap = system.gaps[c, 0]
             enters = system.contact_real[c, DOMAIN] >= 0.0 and system.basis[c, 2] @ system.slip[c] < 0.0
             shallow = gap >= -_SHALLOW * system.contact_real[c, LENGTH]
-            self.apart[c] = gap >= -slack[c] or (shallow and enters)
+            self.apart[c] = gap >= -slack(c) or (shallow and enters)
 
-    def note(self, slack: np.ndarray | None) -> None:
+    def note(self, slack: Callable[[int], float] | None) -> None:
         """The evaluated state has been accepted. slack: as `begin` has it, None where events were looked for in the
         step that led there."""
         system = self.system
@@ -183,7 +185,7 @@ class OpenContacts:
             gap = system.gaps.item(c, 0)
             if mode != FREE or 0.0 <= gap < NOTHING_THERE:
                 self.apart[c] = True
-            elif c in self.passed or (slack is not None and gap < -slack[c]):
+            elif c in self.passed or (slack is not None and gap < -slack(c)):
                 self.apart[c] = False
         self.passed.clear()
 
@@ -196,26 +198,27 @@ class OpenContacts:
     def begin_step(self, t: float, h: float) -> tuple[float, bool]:
         """The longest step in s from the accepted state, which is evaluated, of those up to h; and whether anything
         may touch in it."""
-        contacts = self._list()
+        system, contacts = self.system, self._controlled
+        known_of = [self._known(c, t) for c in contacts]
+        system.run(BOUND_SPEEDS)
         self._allowed.clear()
         longest, near = math.inf, False
-        gravity = float(np.linalg.norm(self.system.model.gravity.linear))
-        for c in contacts:
-            known = self._known(c, t)
-            speed, turning = known.speed(self.system)
+        for c, known in zip(contacts, known_of):
+            speed, turning = known.speed(system)
             drive, follows = known.driven(self.system, t, h)
             speed += drive
             self._speeds[c] = speed
-            acceleration = _SAFETY * max(gravity, self._acceleration.get(c, 0.0))
+            acceleration = SAFETY * max(self._gravity, system.contact_real.item(c, SPEEDING))
+            acceleration += system.contact_real.item(c, BENDING)
             distance = self._distance(known, t)
-            if known.search is not None and h > _time(speed, acceleration, distance):
+            if known.search is not None and h > time_to_cover(distance, speed, acceleration):
                 moved = known.moved(t)
                 if moved > 0.0 and (distance >= known.near or moved + known.near > known.elsewhere):
                     self.find(t, c)
                     distance = self._distance(known, t)
             self._allowed[c] = allowed = max(distance, known.near)
-            free = _time(speed, acceleration, distance)
-            limit = _time(speed, acceleration, allowed)
+            free = time_to_cover(distance, speed, acceleration)
+            limit = time_to_cover(allowed, speed, acceleration)
             if h > free:
                 near = True
                 limit = min(limit, max(follows, free))
@@ -244,14 +247,14 @@ class OpenContacts:
         if self.went_through(t, h, touched):
             return 0
         steps = MANY_STEPS
-        gravity = float(np.linalg.norm(self.system.model.gravity.linear))
-        for c in self._list():
-            known = self._known(c, t)
+        known_of = [(c, self._known(c, t)) for c in self._list()]
+        self.system.run(BOUND_SPEEDS)
+        for c, known in known_of:
             if math.isinf(known.near):
                 continue
             speed, _ = known.speed(self.system)
             speed += known.driven(self.system, t, h)[0]
-            acceleration, distance = _SAFETY * gravity, self._distance(known, t)
+            acceleration, distance = SAFETY * self._gravity, self._distance(known, t)
             way = speed * h + 0.5 * acceleration * h * h
             if known.search is not None and way > distance:
                 lost = self.system.gaps[c, 0] >= NOTHING_THERE
@@ -265,7 +268,7 @@ class OpenContacts:
                 # so far that the parabola of the gap may not tell
                 self._far[c] = self.system.state.copy()
             certain = distance if known.search is None else known.elsewhere - known.moved(t)
-            steps = min(steps, max(int(min(_time(speed, acceleration, max(certain, 0.0)) / h, MANY_STEPS)), 1))
+            steps = min(steps, max(int(min(time_to_cover(max(certain, 0.0), speed, acceleration) / h, MANY_STEPS)), 1))
         return steps
 
     def forget_way(self) -> None:
@@ -312,12 +315,14 @@ class OpenContacts:
     def may_stand(self, t: float, step: float) -> bool:
         """Whether a step to the state at t, which is attempted and evaluated there, went no further than it was to, and
         past nothing; where it did not, the next one is shorter."""
+        system = self.system
+        system.run(BOUND_SPEEDS)
         for c, allowed in self._allowed.items():
             known = self._open[c]
             speed, _ = known.speed(self.system)
             drive, _ = known.driven(self.system, t - step, step)
             speed += drive
-            self._acceleration[c] = abs(speed - self._speeds[c]) / step
+            system.contact_real[c, SPEEDING] = abs(speed - self._speeds[c]) / step
             way = max(speed, self._speeds[c]) * step
             if way > _TOO_FAR * allowed:
                 self._cut = 0.5 * step
@@ -329,6 +334,10 @@ class OpenContacts:
                     self._cut = 0.5 * step
                     return False
         return True
+
+    def are_plain(self, t: float) -> bool:
+        """Whether all open contacts are such that compiled steps can tell how long they stay apart."""
+        return all(self.apart[c] and self._known(c, t).is_plain for c in self._controlled)
 
     def are_any(self) -> bool:
         """Whether there are open contacts. No error is controlled in where they are, which matters to nobody."""
@@ -379,17 +388,3 @@ class OpenContacts:
             return False
         present = system.frames[2 * c + 1, ORIGIN] + system.derivatives[2 * c + 1, 0]
         return bool(np.linalg.norm(present - found.point) < same)
-
-
-def _material_velocity(velocity: list[float], omega: list[float], lever: list[float]) -> tuple[float, float, float]:
-    """v + omega x lever."""
-    (u, v, w), (p, q, r), (x, y, z) = velocity, omega, lever
-    return u + q * z - r * y, v + r * x - p * z, w + p * y - q * x
-
-
-def _time(speed: float, acceleration: float, way: float) -> float:
-    """Time in s in which something of that speed and acceleration goes a way in m."""
-    if math.isinf(way):
-        return math.inf
-    root = math.sqrt(speed * speed + 2.0 * acceleration * way)
-    return 2.0 * way / (speed + root) if speed + root > 0.0 else math.inf

@@ -118,6 +118,7 @@ from ..layout import (
     V,
 )
 from ..memory import cube, integer_matrix, integers, matrix, reals
+from .approach import bound_speeds, stay_apart
 from .dense import DENSE_ROWS, dense_coefficients, interpolate
 from .recording import BLOCK, output_done, record_row
 from .resolution import KEPT_ROWS, keep_margins, margin_error, set_margins_aside, take_margins_up
@@ -149,15 +150,28 @@ from .stages import (
     MARCH,
     MARCH_ONE_STEP,
     MARCH_ONE_ATTEMPT,
+    MARCH_APART,
     SETTLE,
     ACROSS_SLIP,
     FIRST_STEP,
     KEEP_VELOCITY,
     SCAN,
-) = range(19)
+    BOUND_SPEEDS,
+) = range(21)
 
 # What MARCH comes back with.
-MARCHING, STEPPED, ATTEMPTED, SLIP_ENDS, SLIP_IS_SLOW, STEP_FAILED, PROJECTION_FAILED, AT_FLOOR, AT_LIMIT = range(9)
+(
+    MARCHING,
+    STEPPED,
+    ATTEMPTED,
+    SLIP_ENDS,
+    SLIP_IS_SLOW,
+    STEP_FAILED,
+    PROJECTION_FAILED,
+    AT_FLOOR,
+    AT_LIMIT,
+    MAY_TOUCH,
+) = range(10)
 # What WRITE_OUTPUTS comes back with, besides a status: there is no room for more rows.
 BLOCK_FULL = 100
 # Attempts after which MARCH comes back all the same, for the keyboard's and the progress bar's sake.
@@ -726,7 +740,8 @@ def march(table, task):
     SLIP_IS_SLOW: so many steps were stiff as PATIENCE allows;
     ATTEMPTED: a step is within its error, but neither projected nor accepted: an event function was negative, or its
     outputs could not all be written, or MARCH_ONE_ATTEMPT asks for it; SLIP_ENDS; STEP_FAILED: rejected because of the
-    status in FAILURE; PROJECTION_FAILED; AT_FLOOR; AT_LIMIT: of attempts.
+    status in FAILURE; PROJECTION_FAILED; AT_FLOOR; AT_LIMIT: of attempts; MAY_TOUCH: open contacts might in the next
+    step, at which MARCH_APART ends.
     """
     scalars, counters = reals(table[SCALARS], SCALARS_SIZE), integers(table[COUNTERS], COUNTERS_SIZE)
     sizes = integers(table[SIZES], 8)
@@ -740,6 +755,8 @@ def march(table, task):
             return AT_LIMIT
         if _slip_ends(contact_real, n, counters[STALLED]):
             return SLIP_ENDS
+        if task == MARCH_APART and not stay_apart(table, min(h, min(scalars[MAX_STEP], end - t))):
+            return MAY_TOUCH
         remaining = end - t
         step = min(h, min(_irregular(counters[STEP_COUNT]) * scalars[MAX_STEP], remaining))
         for c in range(n):
@@ -792,7 +809,7 @@ def march(table, task):
                 return PROJECTION_FAILED
             scalars[NOW] = t_new
         else:
-            shown = task != MARCH or counters[RECORD_STEPS] != 0 or scalars[NEXT_OUTPUT] == t_new
+            shown = task not in (MARCH, MARCH_APART) or counters[RECORD_STEPS] != 0 or scalars[NEXT_OUTPUT] == t_new
             if project(table, t_new, not inside, TO_KEEP if shown else TO_STEP_ON, error) != OK:
                 return PROJECTION_FAILED
             accept(table)
@@ -846,6 +863,9 @@ def run_task(table, task, t, h):
         return OK
     if task == SCAN:
         scan(table, t, h)
+        return OK
+    if task == BOUND_SPEEDS:
+        bound_speeds(table)
         return OK
     if task == KEEP_VELOCITY:
         keep_velocity(table, reals(table[STAGE_STATE], integers(table[SIZES], 8)[NY]))

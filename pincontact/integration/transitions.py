@@ -283,7 +283,7 @@ class Transitions:
         if FREE in system.modes.tolist():
             if not self.dips.take_up(t, self.seed):
                 raise self.give_up(t, NO_FORCE)
-            self.open.begin(self._slack())
+            self.open.begin(self._slack)
 
     def pass_jump(self, t: float) -> float:
         """A control or a motion may have jumped at t: modes of the accepted state anew, and impacts; the new time."""
@@ -874,12 +874,15 @@ class Transitions:
         scanned: whether events were looked for in the step that led there.
         """
         if FREE in self.system.modes.tolist():
-            self.open.note(None if scanned else self._slack())
+            self.open.note(None if scanned else self._slack)
 
-    def _slack(self) -> np.ndarray:
-        """(nc,) how deep in m open contacts may be."""
-        nc = self.system.nc
-        return np.array([self._reach(c) for c in range(nc)]) + self.dips.depths[:nc]
+    def stay_apart(self, t: float) -> bool:
+        """Whether compiled steps can tell how long open contacts stay apart, and nothing else is to be looked at."""
+        return not self.dips.contacts and not self._barely_open and not self.system.ng and self.open.are_plain(t)
+
+    def _slack(self, c: int) -> float:
+        """How deep in m open contact c may be."""
+        return self._reach(c) + self.dips.depths.item(c)
 
     def held_up(self) -> list[int]:
         """Contacts of ideal rolling that slide held up by friction alone."""

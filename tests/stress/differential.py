@@ -223,6 +223,16 @@ def judge(runs: Runs, one: pc.Trajectory, exact: pc.Trajectory, close: float, na
     finding.wrong.append(f"{name}: {apart[i]:.1e} apart at {runs.times[i]:.3f} s, {apart.max():.1e} later")
 
 
+def slides_instead(motion: Motion, stepped: pc.Trajectory, exact: pc.Trajectory) -> bool:
+    """Whether ideal rolling slides in time stepping which the exact run lets go, to dip: both say that they do."""
+
+    def slides(run: pc.Trajectory, name: str) -> bool:
+        return any(event.kind == "slip" and event.contact == name for event in run.events)
+
+    ideal = [name for name, contact in motion.scene.contacts.items() if isinstance(contact.friction, pc.NoSlip)]
+    return any(slides(stepped, name) and not slides(exact, name) for name in ideal)
+
+
 def judge_steps(runs: Runs, exact: pc.Trajectory, finding: Finding) -> None:
     """Compare time stepping with the exact run: steps are halved until it is near, or nearer by half and more."""
     first, second = runs.stepped(STEP), runs.stepped(0.5 * STEP)
@@ -255,6 +265,8 @@ def judge_steps(runs: Runs, exact: pc.Trajectory, finding: Finding) -> None:
     said = " ".join(f"{a.max():.1e}" for a in found)
     if i is None:
         finding.undecided.append(f"steps: {said} apart, changes of {STEP} make {wide.max():.1e}")
+    elif slides_instead(runs.motion, second, exact):
+        finding.undecided.append(f"steps: {said} apart, ideal rolling is let go with a force")
     else:
         finding.wrong.append(f"steps: {said} apart with halved steps, {found[-1][i]:.1e} at {runs.times[i]:.3f} s")
 

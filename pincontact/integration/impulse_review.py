@@ -54,6 +54,7 @@ from .impulse_layout import (
     SLIDING,
     START_T1,
     START_T2,
+    STICKING_AGAIN,
     TOGETHER,
     TOUCHES,
     UNIT_INDEX,
@@ -212,14 +213,25 @@ def impulse_work(step, nv, h, scratch):
 
 
 @kernel
+def slips_back(ints, values, first, second):
+    """Whether the slip of a unit that slid at the step's start turns by a right angle or more, so that it may as well
+    come to rest within the step; first, second: the solution's velocities."""
+    if ints[MIDPOINT] != 0:
+        first -= values[START_T1]
+        second -= values[START_T2]
+    return first * values[START_T1] + second * values[START_T2] <= 0.0
+
+
+@kernel
 def review(step, nv, h, scratch):
     """Whether the solution stands; if not, b or the coefficients are changed and the problem is to be solved again.
 
     Slip is opposed along the mean of its velocities at both ends only while it goes on; a contact at rest that starts
-    to slip does so with the sliding coefficient; loads that the problem takes as given are a fixed point, which is
-    iterated a few times, then found together with the forces (see `friction.product`); and restitution is lowered
-    where, together with friction, it would create energy (see `dynamics.energy`), or raise the kinetic energy by more
-    than the smooth forces account for within a step. scratch: (nv,).
+    to slip does so with the sliding coefficient, and one whose slip turns back comes to rest first, if that of sticking
+    holds it; loads that the problem takes as given are a fixed point, which is iterated a few times, then found
+    together with the forces (see `friction.product`); and restitution is lowered where, together with friction, it
+    would create energy (see `dynamics.energy`), or raise the kinetic energy by more than the smooth forces account for
+    within a step. scratch: (nv,).
     """
     counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
     n = counts[UNITS]
@@ -229,17 +241,22 @@ def review(step, nv, h, scratch):
     modes, friction = integers(step[CONE_MODES], n), reals(step[FRICTION], n)
     b, delassus = reals(step[LOADS], 3 * n), matrix(step[DELASSUS], 3 * n, 3 * n)
     counts[REVIEWS] += 1
-    again = False
-    bounces = settles = False
+    bounces = settles = stops = False
     for u in range(n):
         if unit_int[u, MIDPOINT] != 0:
-            first, second = unit_real[u, START_T1], unit_real[u, START_T2]
-            onward = (velocities[3 * u] - first) * first + (velocities[3 * u + 1] - second) * second
-            again = again or modes[u] == cone.STICK or onward <= 0.0
+            back = slips_back(unit_int[u], unit_real[u], velocities[3 * u], velocities[3 * u + 1])
+            stops = stops or modes[u] == cone.STICK or back
+    again = stops
     for u in range(n):
         ints, values = unit_int[u], unit_real[u]
+        if values[STICKING_AGAIN] > 0.0 and ints[MIDPOINT] == 0 and modes[u] == cone.SLIP:
+            if slips_back(ints, values, velocities[3 * u], velocities[3 * u + 1]):
+                friction[u], values[STICKING_AGAIN] = values[STICKING_AGAIN], 0.0
+                ints[AT_REST] = 1
+                again = True
+                continue
         # all at once, see `impulse_problem`
-        if again and ints[MIDPOINT] != 0:
+        if stops and ints[MIDPOINT] != 0:
             b[3 * u] -= values[START_T1]
             b[3 * u + 1] -= values[START_T2]
             ints[MIDPOINT] = 0

@@ -82,6 +82,7 @@ from .impulse_layout import (
     CALL_FAILED,
     CALLS,
     CHANGED,
+    CHOOSING,
     CONE_FORCES,
     CONE_MODES,
     CONE_RESIDUAL,
@@ -96,6 +97,7 @@ from .impulse_layout import (
     FORCES,
     FRICTION,
     HAS_TREND,
+    HELD,
     HOLDING,
     IMPACT,
     INERTIAS,
@@ -105,6 +107,7 @@ from .impulse_layout import (
     LOADS,
     MAX_UNITS,
     MEAN_VELOCITY,
+    MIDPOINT,
     MISS,
     MOVE_CHARTS,
     NCALLS,
@@ -112,6 +115,7 @@ from .impulse_layout import (
     NNUMBERS,
     NUMBERS,
     ON_CONTACT,
+    ON_TURN,
     PASSES,
     RIGID,
     RIGID_STEPS,
@@ -139,6 +143,7 @@ from .impulse_layout import (
     TORQUES,
     TOUCH_TIME,
     TOUCHED,
+    TOUCHES,
     TREND,
     TREND_BEFORE,
     TURNS,
@@ -147,13 +152,15 @@ from .impulse_layout import (
     UNIT_INT,
     UNIT_INTS,
     UNIT_KIND,
+    UNIT_REAL,
+    UNIT_REALS,
     UNITS,
     WANTED,
     WATCHED,
     H,
 )
 from .impulse_problem import OPENING
-from .impulse_review import AGAIN
+from .impulse_review import AGAIN, slips_back
 from .impulses import advance, commit, leave_turning_axes, predict_midpoint
 from .recording import BLOCK, output_done
 from .results import CLOSED_APART, CONTOUR_ENDS
@@ -295,22 +302,48 @@ def _solve(step, n):
 
 @kernel
 def _lets_slip(table, step, n):
-    """Whether the solution of the n units lets a contact slip that was at rest."""
+    """Whether the solution of the n units lets a contact slip that was at rest, or comes to rest in the step as its
+    slip turns back; marks them."""
     sizes, counts = integers(table[SIZES], 8), integers(step[COUNTS], NCOUNTS)
     nc, h = sizes[NC], reals(step[NUMBERS], NNUMBERS)[H]
     start_mode, sticking = integers(step[START_MODE], nc), reals(step[STICKING], nc)
     contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
     unit_int, friction = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS), reals(step[FRICTION], n)
+    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
     modes, velocities = integers(step[CONE_MODES], n), reals(step[CONE_VELOCITIES], 3 * n)
+    slips = False
     for u in range(n):
-        c = unit_int[u, UNIT_INDEX]
-        if unit_int[u, UNIT_KIND] != ON_CONTACT or start_mode[c] != STICK or modes[u] != cone.SLIP:
-            continue
+        ints, c = unit_int[u], unit_int[u, UNIT_INDEX]
+        ints[HELD] = 0
         # not once more with the coefficient of sliding
-        slides = math.hypot(velocities[3 * u], velocities[3 * u + 1]) * h > OPENING * contact_real[c, LENGTH]
-        if slides and friction[u] >= sticking[c]:
-            return True
-    return False
+        if ints[UNIT_KIND] != ON_CONTACT or friction[u] < sticking[c]:
+            continue
+        first, second = velocities[3 * u], velocities[3 * u + 1]
+        rests = start_mode[c] == STICK
+        if start_mode[c] == SLIPPING and ints[MIDPOINT] == 0 and ints[TOUCHES] == 0:
+            rests = modes[u] == cone.STICK or slips_back(ints, unit_real[u], first, second)
+        ints[HELD] = 1 if rests else 0
+        slides = math.hypot(first, second) * h > OPENING * contact_real[c, LENGTH]
+        slips = slips or (rests and slides and modes[u] == cone.SLIP)
+    return slips
+
+
+@kernel
+def _leaves_choice(step, n):
+    """Whether there is a choice among the forces of the n units that moves the bodies, since some of them slide, and
+    that is not yet what the rule has it: it depends on the last forces, or on torques that are given."""
+    counts = integers(step[COUNTS], NCOUNTS)
+    address = integers(step[CONE_TABLES], counts[MAX_UNITS] + 1)[n]
+    known = integers(integers(address, len(cone.SLOTS))[cone.COUNTS], cone.COUNTS_LENGTH)
+    if known[cone.CHOICES] == 0:
+        return False
+    unit_int, friction = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS), reals(step[FRICTION], n)
+    modes = integers(step[CONE_MODES], n)
+    open_to, slides = known[cone.FOLLOWS] != 0, False
+    for u in range(n):
+        open_to = open_to or unit_int[u, UNIT_KIND] == ON_TURN
+        slides = slides or (unit_int[u, UNIT_KIND] == ON_CONTACT and modes[u] == cone.SLIP and friction[u] > 0.0)
+    return open_to and slides
 
 
 @kernel
@@ -326,11 +359,14 @@ def _impulses(table, step, found):
         if found == UNSOLVED:
             return NO_FORCE
         if found == FRESH:
-            counts[HOLDING] = UNASKED
+            counts[HOLDING], counts[CHOOSING] = UNASKED, 0
             if n > 0 and (counts[COUPLED] != APART or not _solve(step, n)):
                 return CONE_LEFT
         if counts[HOLDING] == UNASKED and counts[COUPLED] == APART and _lets_slip(table, step, n):
             counts[HOLDING] = WANTED
+            return CONE_LEFT
+        if found == FRESH and n > 0 and _leaves_choice(step, n):
+            counts[CHOOSING] = 1
             return CONE_LEFT
         found = FRESH
         status = advance(table, step)

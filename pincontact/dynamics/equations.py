@@ -346,14 +346,21 @@ def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents,
     So do the equations of cone problems, without units: redundant loads are the same in both. own: n M^-1 n^T.
     """
     integers, numbers = contact_int[c], contact_real[c]
-    tangents, on_curve = integers[TANGENTS], integers[PATTERN] == ON_CURVE
-    if not on_curve and (tangents == 0 or integers[MODE] == FRICTIONLESS):
+    tangents = integers[TANGENTS]
+    on_curve = is_normal_of_curve(contact_int, c, row)
+    if not on_curve and (row != 2 or integers[MODE] == FRICTIONLESS or tangents == 0):
         return own
-    # on a curve of both normals and the tangent: the same whichever normals are taken
-    total = largest = 0.0
-    missing = 0
-    for i in range(3):
-        if integers[ANISOTROPIC] != 0 and i < 2:
+    total, largest = own, own
+    for i in range(2):
+        if on_curve:
+            # the other normal and the tangent: the same whichever normals are taken
+            whiten(factor, parents, nv, rows[c, 3 - row if i == 0 else 0], work)
+            total += inner(work, work, nv)
+            continue
+        if i >= tangents:
+            total += largest
+            break
+        if integers[ANISOTROPIC] != 0:
             first, second = (1.0, 0.0) if i == 0 else (0.0, 1.0)
             first, second = stretch_pair(numbers, first, second)
             for k in range(nv):
@@ -362,12 +369,9 @@ def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents,
             for k in range(nv):
                 work[k] = rows[c, i, k]
         whiten(factor, parents, nv, work, work)
-        size = inner(work, work, nv) if i < tangents or i == 2 or on_curve else 0.0
-        # what there is no direction for, or no motion along, counts as much as the largest
-        missing += 1 if size == 0.0 else 0
+        size = inner(work, work, nv)
         total += size
         largest = max(largest, size)
-    total += missing * largest
     force = 1.0
     if integers[MODE] == SLIPPING and numbers[MU] < math.inf:
         force += numbers[MU_NOW] * numbers[MU_NOW]

@@ -133,8 +133,8 @@ STEP_SLOTS = (
 # anything resists turning; ROW_COUNT rows that are written by steps, ROWS_DONE so far, a row every ROW_STEPS steps.
 # SOLVED_HERE: cone problems that were solved in compiled code, by CONE_TASK; RIGID_STEPS: those that had a solution in
 # rigid geometry only. Of an attempt: COUPLED: whether its problem is solved together with the loads that it takes as
-# given, see below; HOLDING: whether forces have been looked for that hold what was at rest, see below; CHOOSING: whether Python is to
-# choose among redundant forces of what slides.
+# given, see below; HOLDING: whether forces have been looked for that hold what was at rest, see below; CHOOSING:
+# whether Python is to choose among redundant forces of what slides.
 (
     NJ,
     MAX_UNITS,
@@ -198,7 +198,7 @@ JOINT_INTS = 4
 LOWER_LIMIT, UPPER_LIMIT, DRY_FRICTION = range(3)
 # unit_int; ROW_MASK: bit r is set where row r is real, the others only fill up the cone. Row r of a unit that resists
 # turning is about basis vector AXIS + r; PARENT is the unit of the contact, -1 where equations give its normal impulse.
-# AT_REST: whether it holds up to its coefficient of sticking. HELD: whether it is to be held at rest if forces can do so.
+# AT_REST: whether it holds up to its coefficient of sticking. HELD: whether it stays at rest if any forces hold it.
 UNIT_KIND, UNIT_INDEX, ROW_MASK, TOUCHES, MIDPOINT, AT_REST, AXIS, PARENT, HELD = range(9)
 UNIT_INTS = 9
 ON_CONTACT, ON_LOADED, ON_JOINT, ON_TURN = range(4)

@@ -249,12 +249,12 @@ def review(step, nv, h, scratch):
     again = stops
     for u in range(n):
         ints, values = unit_int[u], unit_real[u]
-        if values[STICKING_AGAIN] > 0.0 and ints[MIDPOINT] == 0 and modes[u] == cone.SLIP:
-            if slips_back(ints, values, velocities[3 * u], velocities[3 * u + 1]):
-                friction[u], values[STICKING_AGAIN] = values[STICKING_AGAIN], 0.0
-                ints[AT_REST] = 1
-                again = True
-                continue
+        may_rest = values[STICKING_AGAIN] > 0.0 and ints[MIDPOINT] == 0 and modes[u] == cone.SLIP
+        if may_rest and slips_back(ints, values, velocities[3 * u], velocities[3 * u + 1]):
+            friction[u], values[STICKING_AGAIN] = values[STICKING_AGAIN], 0.0
+            ints[AT_REST] = 1
+            again = True
+            continue
         # all at once, see `impulse_problem`
         if stops and ints[MIDPOINT] != 0:
             b[3 * u] -= values[START_T1]

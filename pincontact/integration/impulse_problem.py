@@ -177,6 +177,8 @@ TOUCHING = 1e-12
 OPENING = 1e-12
 # Relative to b, this is nothing.
 WITHIN_ROUND_OFF = 1e-14
+# By this part of b redundant contacts contradict each other at most where gaps at the midpoint make them do so.
+OUT_OF_REACH = 1e-5
 # An equation whose rest after orthogonalisation is below this fraction is redundant.
 REDUNDANT = 1e-10
 
@@ -477,11 +479,12 @@ def _gather_joints(table, step, nv, h):
 
 @kernel
 def _keep_within_reach(table, step, nc):
-    """Redundant contacts: take out of b what second order adds to rigid geometry and no motion could follow.
+    """Redundant contacts: take out of b what no motion of rigid bodies could follow.
 
-    What is added, in the first column of OVERLAP, is projected onto the range of the Delassus matrix. What drives ask
-    for beyond that range is left: there something has to slip. Tangents of contacts that slide already take no part:
-    they need not come to rest, and what changes their slip does so whatever the impulses.
+    Gaps at the midpoint put a little of that into b where contacts move with the bodies that they are on. More of it is
+    in what second order adds to rigid geometry, in the first column of OVERLAP. What drives ask for beyond the range of
+    the Delassus matrix is left: there something has to slip. Tangents of contacts that slide already take no part: they
+    need not come to rest, and what changes their slip does so whatever the impulses.
     """
     counts = integers(step[COUNTS], NCOUNTS)
     n = counts[UNITS]
@@ -493,23 +496,33 @@ def _keep_within_reach(table, step, nc):
         matrix(table[CONSTRAINT_ROWS], 3 * nc, 3 * nc + 1),
     )
     x, start_mode = reals(table[MULTIPLIERS], 3 * nc), integers(step[START_MODE], nc)
-    count, independent, largest, scale = 0, 0, 0.0, 0.0
-    while count < 3 * n and unit_int[count // 3, UNIT_KIND] < ON_JOINT:
-        held = count % 3 == 2 or start_mode[unit_int[count // 3, UNIT_INDEX]] != SLIPPING
-        x[count] = overlap[count, 0] if held else 0.0
-        largest, scale = max(largest, abs(x[count])), max(scale, abs(b[count]))
-        if held and delassus[count, count] > 0.0:
-            independent += 1
-        for j in range(count + 1):
-            system[count, j] = delassus[count, j] if held and (j == count or system[j, j] > 0.0) else 0.0
-        count += 1
-    if count <= 3 or largest <= WITHIN_ROUND_OFF * scale:
+    # all of b, and where that leaves more than gaps explain, second order alone; what is left goes to the second column
+    for whole in range(1, -1, -1):
+        count, independent, largest, scale = 0, 0, 0.0, 0.0
+        while count < 3 * n and unit_int[count // 3, UNIT_KIND] < ON_JOINT:
+            held = count % 3 == 2 or start_mode[unit_int[count // 3, UNIT_INDEX]] != SLIPPING
+            x[count] = (b[count] if whole == 1 else overlap[count, 0]) if held else 0.0
+            largest, scale = max(largest, abs(overlap[count, 0]) if held else 0.0), max(scale, abs(b[count]))
+            if held and delassus[count, count] > 0.0:
+                independent += 1
+            for j in range(count + 1):
+                system[count, j] = delassus[count, j] if held and (j == count or system[j, j] > 0.0) else 0.0
+            count += 1
+        if count <= 3 or largest <= WITHIN_ROUND_OFF * scale:
+            return
+        if solve_semidefinite(system, count, integers(table[PERMUTATION], 3 * nc), x, scratch) == independent:
+            return
+        most = 0.0
+        for r in range(count):
+            held = r % 3 == 2 or start_mode[unit_int[r // 3, UNIT_INDEX]] != SLIPPING
+            wanted = b[r] if whole == 1 else overlap[r, 0]
+            overlap[r, 1] = wanted - inner(delassus[r], x, count) if held else 0.0
+            most = max(most, abs(overlap[r, 1]))
+        if whole == 1 and most > OUT_OF_REACH * scale:
+            continue
+        for r in range(count):
+            b[r] -= overlap[r, 1]
         return
-    if solve_semidefinite(system, count, integers(table[PERMUTATION], 3 * nc), x, scratch) == independent:
-        return
-    for r in range(count):
-        if r % 3 == 2 or start_mode[unit_int[r // 3, UNIT_INDEX]] != SLIPPING:
-            b[r] -= overlap[r, 0] - inner(delassus[r], x, count)
 
 
 @kernel

@@ -158,9 +158,6 @@ DEFAULT_STEP = 1e-3
 _COMPLIANCES = (1e-10, 1e-8, 1e-6, 1e-4)
 # What such a solution's forces may be, as velocities, relative to the largest one in b.
 _LARGEST_FORCE = 10.0
-# Relative singular values below this are those of redundant contacts, and what of b no impulses reach, relative to its
-# largest, where these do not contradict each other.
-_RANK, _OUT_OF_REACH = 1e-11, 1e-5
 # How modes are looked for, quickly in every step, at length (milliseconds) where nothing else has helped; without the
 # search whose linear algebra rounds differently with the alignment of memory.
 _SEARCHES = ("sweeps", "path")
@@ -466,8 +463,6 @@ class MoreauStep:
             else:
                 solved = solver.solve(*problem)
                 self._share_tables()
-            if not solved and self._reconcile(n, *problem[:2]):
-                solved = solver.solve(*problem)
             solved = solved or self._stay(n, *problem)
             if not solved and np.isin(self.memory["unit_int"][:n, UNIT_KIND], (ON_LOADED, ON_TURN)).any():
                 counts[COUPLED] = TOGETHER
@@ -518,29 +513,12 @@ class MoreauStep:
 
     def _stay(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Let all units stay at rest, where all were and the searches have found nothing."""
-        if not self._resting(n).all():
+        ints = self.memory["unit_int"][:n]
+        before = self.start_mode[ints[:, UNIT_INDEX] % max(len(self.start_mode), 1)]
+        if not ((ints[:, UNIT_KIND] == ON_CONTACT) & np.isin(before, (STICK, FRICTIONLESS))).all():
             return False
         modes, nothing = np.where(mu > 0.0, STICKS, SLIPS), np.zeros(3 * n)
         return self._holds(n, delassus, b, mu, modes, (modes, nothing, nothing), mu > 0.0)
-
-    def _resting(self, n: int) -> np.ndarray:
-        """(n,) which units are contacts that were closed and not sliding."""
-        ints = self.memory["unit_int"][:n]
-        modes = self.start_mode[ints[:, UNIT_INDEX] % max(len(self.start_mode), 1)]
-        return (ints[:, UNIT_KIND] == ON_CONTACT) & np.isin(modes, (STICK, FRICTIONLESS))
-
-    def _reconcile(self, n: int, delassus: np.ndarray, b: np.ndarray) -> bool:
-        """Take out of b by what redundant contacts at rest on moving bodies contradict each other, as gaps at the
-        midpoint make them; whether there was anything, and no more than these explain."""
-        held = np.repeat(self._resting(n), 3)
-        wanted = b[held]
-        gram = delassus[np.ix_(held, held)]
-        reached = gram @ np.linalg.lstsq(gram, wanted, rcond=_RANK)[0]
-        off = float(np.abs(reached - wanted).max(initial=0.0))
-        if not self.solver.tolerance * 1e-2 < off / float(np.abs(b).max(initial=1e-300)) < _OUT_OF_REACH:
-            return False
-        b[held] = reached
-        return True
 
     def _holds(
         self,

@@ -16,7 +16,7 @@ STEPS = 1e-3 * np.linspace(0.9, 1.1, 12)
 
 
 def slider(law, slope, tangents):
-    """A mass that slides up a slope at 1 m/s, on a rail in a plane or on one side in space: scene, state, direction in q."""
+    """A mass that slides up a slope at 1 m/s, on a rail in a plane or on one side in space, and the direction in q."""
     plane = tangents == 1
     model = pin.Model()
     kind = pin.JointModelPlanar() if plane else pin.JointModelTranslation()

@@ -198,9 +198,10 @@ JOINT_INTS = 4
 LOWER_LIMIT, UPPER_LIMIT, DRY_FRICTION = range(3)
 # unit_int; ROW_MASK: bit r is set where row r is real, the others only fill up the cone. Row r of a unit that resists
 # turning is about basis vector AXIS + r; PARENT is the unit of the contact, -1 where equations give its normal impulse.
-# AT_REST: whether it holds up to its coefficient of sticking. HELD: whether it stays at rest if any forces hold it.
-UNIT_KIND, UNIT_INDEX, ROW_MASK, TOUCHES, MIDPOINT, AT_REST, AXIS, PARENT, HELD = range(9)
-UNIT_INTS = 9
+# AT_REST: whether it holds up to its coefficient of sticking. SLID: whether it slid at the step's start. HELD:
+# whether it stays at rest if any forces hold it.
+UNIT_KIND, UNIT_INDEX, ROW_MASK, TOUCHES, MIDPOINT, AT_REST, AXIS, PARENT, SLID, HELD = range(10)
+UNIT_INTS = 10
 ON_CONTACT, ON_LOADED, ON_JOINT, ON_TURN = range(4)
 # counts[COUPLED]
 APART, TOGETHER = range(2)

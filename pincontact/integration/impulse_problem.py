@@ -141,6 +141,7 @@ from .impulse_layout import (
     RIGID,
     ROW_MASK,
     SHIFT,
+    SLID,
     SLIDING,
     START_DOMAIN,
     START_END,
@@ -290,7 +291,7 @@ def _add_unit(step, kind, index, mask, mu, instant):
     ints = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)[u]
     numbers = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)[u]
     ints[UNIT_KIND], ints[UNIT_INDEX], ints[ROW_MASK] = kind, index, mask
-    ints[TOUCHES] = ints[MIDPOINT] = ints[AT_REST] = ints[HELD] = 0
+    ints[TOUCHES] = ints[MIDPOINT] = ints[AT_REST] = ints[SLID] = ints[HELD] = 0
     for i in range(UNIT_REALS):
         numbers[i] = 0.0
     numbers[IMPULSE_TIME] = 0.5 * reals(step[NUMBERS], NNUMBERS)[H]
@@ -355,8 +356,9 @@ def _gather_contacts(table, step, nv, nc, h):
             # a contact at rest holds up to its coefficient of sticking
             friction[u] = sticking[c]
             ints[AT_REST] = 1
-        elif start_mode[c] == SLIPPING and sticking[c] > mu:
-            unit_real[u, STICKING_AGAIN] = sticking[c]
+        if start_mode[c] == SLIPPING:
+            ints[SLID] = 1
+            unit_real[u, STICKING_AGAIN] = sticking[c] if sticking[c] > mu else 0.0
         ints[MIDPOINT] = 1 if start_mode[c] == SLIPPING and two and 0.0 < mu < math.inf else 0
 
 

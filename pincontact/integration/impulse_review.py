@@ -51,6 +51,7 @@ from .impulse_layout import (
     REVIEWS,
     ROW_MASK,
     SHIFT,
+    SLID,
     SLIDING,
     START_T1,
     START_T2,
@@ -223,6 +224,30 @@ def slips_back(ints, values, first, second):
 
 
 @kernel
+def may_rest(step, u):
+    """Whether unit u slid at the step's start and comes to rest in this solution, or slips back, and nothing that it is
+    coupled with slides on: what passes by a place of rest, while others slide, does not stop there."""
+    counts = integers(step[COUNTS], NCOUNTS)
+    n = counts[UNITS]
+    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
+    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
+    velocities, modes = reals(step[CONE_VELOCITIES], 3 * n), integers(step[CONE_MODES], n)
+    friction, delassus = reals(step[FRICTION], n), matrix(step[DELASSUS], 3 * n, 3 * n)
+    if unit_int[u, SLID] == 0 or unit_int[u, MIDPOINT] != 0:
+        return False
+    for w in range(n):
+        if unit_int[w, SLID] == 0 or modes[w] == cone.STICK or (w != u and friction[w] == 0.0):
+            continue
+        if slips_back(unit_int[w], unit_real[w], velocities[3 * w], velocities[3 * w + 1]):
+            continue
+        for i in range(3 * u, 3 * u + 3):
+            for j in range(3 * w, 3 * w + 3):
+                if delassus[i, j] != 0.0:
+                    return False
+    return True
+
+
+@kernel
 def review(step, nv, h, scratch):
     """Whether the solution stands; if not, b or the coefficients are changed and the problem is to be solved again.
 
@@ -249,8 +274,7 @@ def review(step, nv, h, scratch):
     again = stops
     for u in range(n):
         ints, values = unit_int[u], unit_real[u]
-        may_rest = values[STICKING_AGAIN] > 0.0 and ints[MIDPOINT] == 0 and modes[u] == cone.SLIP
-        if may_rest and slips_back(ints, values, velocities[3 * u], velocities[3 * u + 1]):
+        if values[STICKING_AGAIN] > 0.0 and modes[u] == cone.SLIP and may_rest(step, u):
             friction[u], values[STICKING_AGAIN] = values[STICKING_AGAIN], 0.0
             ints[AT_REST] = 1
             again = True

@@ -107,7 +107,6 @@ from .impulse_layout import (
     LOADS,
     MAX_UNITS,
     MEAN_VELOCITY,
-    MIDPOINT,
     MISS,
     MOVE_CHARTS,
     NCALLS,
@@ -143,7 +142,6 @@ from .impulse_layout import (
     TORQUES,
     TOUCH_TIME,
     TOUCHED,
-    TOUCHES,
     TREND,
     TREND_BEFORE,
     TURNS,
@@ -152,15 +150,13 @@ from .impulse_layout import (
     UNIT_INT,
     UNIT_INTS,
     UNIT_KIND,
-    UNIT_REAL,
-    UNIT_REALS,
     UNITS,
     WANTED,
     WATCHED,
     H,
 )
 from .impulse_problem import OPENING
-from .impulse_review import AGAIN, slips_back
+from .impulse_review import AGAIN, may_rest
 from .impulses import advance, commit, leave_turning_axes, predict_midpoint
 from .recording import BLOCK, output_done
 from .results import CLOSED_APART, CONTOUR_ENDS
@@ -309,7 +305,6 @@ def _lets_slip(table, step, n):
     start_mode, sticking = integers(step[START_MODE], nc), reals(step[STICKING], nc)
     contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
     unit_int, friction = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS), reals(step[FRICTION], n)
-    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
     modes, velocities = integers(step[CONE_MODES], n), reals(step[CONE_VELOCITIES], 3 * n)
     slips = False
     for u in range(n):
@@ -318,12 +313,9 @@ def _lets_slip(table, step, n):
         # not once more with the coefficient of sliding
         if ints[UNIT_KIND] != ON_CONTACT or friction[u] < sticking[c]:
             continue
-        first, second = velocities[3 * u], velocities[3 * u + 1]
-        rests = start_mode[c] == STICK
-        if start_mode[c] == SLIPPING and ints[MIDPOINT] == 0 and ints[TOUCHES] == 0:
-            rests = modes[u] == cone.STICK or slips_back(ints, unit_real[u], first, second)
+        rests = start_mode[c] == STICK or may_rest(step, u)
         ints[HELD] = 1 if rests else 0
-        slides = math.hypot(first, second) * h > OPENING * contact_real[c, LENGTH]
+        slides = math.hypot(velocities[3 * u], velocities[3 * u + 1]) * h > OPENING * contact_real[c, LENGTH]
         slips = slips or (rests and slides and modes[u] == cone.SLIP)
     return slips
 

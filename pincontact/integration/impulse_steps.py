@@ -323,19 +323,20 @@ def _lets_slip(table, step, n):
 @kernel
 def _leaves_choice(step, n):
     """Whether there is a choice among the forces of the n units that moves the bodies, since some of them slide, and
-    that is not yet what the rule has it: it depends on the last forces, or on torques that are given."""
+    that is not yet what the rule has it, since it depends on the last forces. With torques that resist turning it is
+    left as it is."""
     counts = integers(step[COUNTS], NCOUNTS)
     address = integers(step[CONE_TABLES], counts[MAX_UNITS] + 1)[n]
     known = integers(integers(address, len(cone.SLOTS))[cone.COUNTS], cone.COUNTS_LENGTH)
-    if known[cone.CHOICES] == 0:
+    if known[cone.CHOICES] == 0 or known[cone.FOLLOWS] == 0:
         return False
     unit_int, friction = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS), reals(step[FRICTION], n)
-    modes = integers(step[CONE_MODES], n)
-    open_to, slides = known[cone.FOLLOWS] != 0, False
+    modes, slides = integers(step[CONE_MODES], n), False
     for u in range(n):
-        open_to = open_to or unit_int[u, UNIT_KIND] == ON_TURN
+        if unit_int[u, UNIT_KIND] == ON_TURN:
+            return False
         slides = slides or (unit_int[u, UNIT_KIND] == ON_CONTACT and modes[u] == cone.SLIP and friction[u] > 0.0)
-    return open_to and slides
+    return slides
 
 
 @kernel

@@ -542,19 +542,10 @@ class MoreauStep:
         return solver.residual <= solver.tolerance and not (held & (solver.modes == SLIPS)).any()
 
     def _choose(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> None:
-        """Replace redundant forces that depend on the last ones, or on given torques, by those that the rule has."""
+        """Replace redundant forces that depend on the last ones by those that the rule has."""
         solver = self.solver
         table = solver.table(n)
-        if not solver.choices:
-            return
-        if (self.memory["unit_int"][:n, UNIT_KIND] == ON_TURN).any():
-            modes, forces, velocities = solver.kept()
-            if self._solve_together(n, delassus, b, mu):
-                self._counts[COUPLED] = TOGETHER
-            else:
-                solver.warm_start(modes, forces, velocities)
-            return
-        if not solver.follows:
+        if not (solver.choices and solver.follows) or (self.memory["unit_int"][:n, UNIT_KIND] == ON_TURN).any():
             return
         before = solver.kept()
         found = chosen_forces(self._units(n, delassus, b, mu, *before))

@@ -10,11 +10,13 @@ from .cone import (
     BY_SWEEPS,
     BY_WARM,
     CANDIDATES,
+    CHOICES,
     COUNTS,
     COUNTS_LENGTH,
     DECIDED,
     DIRECTIONS,
     FIRST,
+    FOLLOWS,
     FORCES,
     GRAM,
     HUGE,
@@ -99,7 +101,8 @@ def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
     near = 2 if n > 1 and task in (NEAR, CLASSIFY_NEAR) else 0
     rank = factor_matrix(g, low_rank[FACTOR], vectors[7]) if n > 1 else 0
     residual = HUGE
-    tried = 0
+    tried = directions = 0
+    follows = False
     for turn in range(rounds):
         if swept:
             if turn > 0:
@@ -110,7 +113,7 @@ def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
             for _ in range(sweeps):
                 sweep(g, mu, f, u)
             classify(mu, f, u, trial)
-        result, used, tried = settle(
+        result, used, tried, directions, follows = settle(
             g, c, mu, trial, f, u, angles, start, trials[1], passes, tolerance, near, trials[2], rank, buffers
         )
         counts[PASSES] = used
@@ -118,6 +121,7 @@ def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
         if residual <= tolerance:
             break
     if residual <= tolerance:
+        counts[CHOICES], counts[FOLLOWS] = directions, 1 if follows else 0
         for i in range(n):
             modes[i] = trial[i]
             for k in range(3 * i, 3 * i + 3):

@@ -78,8 +78,9 @@ SLOTS = (
     ORDER, FIRST, TRIAL, PATH,
 ) = range(len(SLOTS))  # fmt: skip
 # In "counts": Newton passes of the last start; whether modes and forces are a solution, to begin from; what decided the
-# last problem; how often there was something to begin from, and how often each of the deciders did.
-PASSES, KNOWN, DECIDED, TRIED, TIMES = range(5)
+# last problem; how often there was something to begin from; in how many directions the last solution's forces may
+# change, and whether they depend on those that it was begun from; how often each of the deciders did.
+PASSES, KNOWN, DECIDED, TRIED, CHOICES, FOLLOWS, TIMES = range(7)
 DECIDERS = ("warm", "exact", "sweeps", "path", "qp")
 BY_WARM, BY_EXACT, BY_SWEEPS, BY_PATH, BY_QP = range(len(DECIDERS))
 UNDECIDED = -1

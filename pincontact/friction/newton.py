@@ -90,7 +90,7 @@ def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, buffers):
     Unknown are f at sticking contacts and, at slipping ones, the length of the force and its turning (as an arc).
     With refine false the forces solved for have least norm; with refine true their change has. near: where these leave
     the cones they are moved inside, near to start (3n,). rank: of the matrix factors in `redundant`, or 0.
-    Returns how many directions there are in which the forces may change.
+    Returns how many directions there are in which the forces may change, and whether they were moved.
     """
     direction, length, speed, sine, cosine, a, rhs, x, aim, gram, order, first, arc = buffers[1:14]
     n = mu.shape[0]
@@ -105,7 +105,7 @@ def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, buffers):
     if first[n] == 0:
         for k in range(3 * n):
             f[k] = 0.0
-        return first[n]
+        return first[n], False
 
     source = u if refine else c
     factored = has_factors(rank, first[n], mu, modes, length, speed, sine)
@@ -123,8 +123,7 @@ def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, buffers):
                     x[row + r] += f[3 * i + r]
             elif modes[i] == SLIP:
                 x[row] += length[i]
-    if near and free > 0:
-        move_inside(found, mu, modes, f if refine else start, buffers)
+    moved = near and free > 0 and move_inside(found, mu, modes, f if refine else start, buffers)
 
     for i in range(n):
         k = 3 * i
@@ -150,7 +149,7 @@ def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, buffers):
             length[i] = x[row]
             f[k] = -sine[i] * length[i] * direction[2 * i]
             f[k + 1] = -sine[i] * length[i] * direction[2 * i + 1]
-    return free
+    return free, moved
 
 
 @kernel
@@ -266,7 +265,8 @@ def slip_angles(g, c, mu, angles):
 
 @kernel
 def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance, near, touching, rank, buffers):
-    """Newton with corrected modes, from modes (n,) and f (3n,); returns residual, passes used, attempts made.
+    """Newton with corrected modes, from modes (n,) and f (3n,); returns residual, passes used, attempts made,
+    in how many directions forces may change, and whether these depend on those begun from.
 
     Redundant contacts get the forces of least norm; where these contradict the modes, the forces nearest to the
     ones given. near > 0: these are a solution of a similar problem, whose redundant modes are tried first. They are
@@ -283,10 +283,8 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
         start_modes[i] = modes[i]
         for k in range(3 * i, 3 * i + 3):
             start[k] = f[k]
-    attempts = 0
-    candidates = 0
-    closed = False
-    again = False
+    attempts = candidates = open_directions = 0
+    closed = again = False
     while True:
         if attempts == 1 or again:
             for i in range(n):
@@ -321,9 +319,12 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
 
         residual = HUGE
         again = False
+        # whether forces are not those of least norm in the present modes
+        follows = refine
         for k in range(passes):
             before = residual
-            open_directions = newton_step(g, c, mu, modes, f, u, refine, near > 0, start, rank, buffers)
+            open_directions, moved = newton_step(g, c, mu, modes, f, u, refine, near > 0, start, rank, buffers)
+            follows = (follows and refine) or moved
             if near > 0 and open_directions == 0:
                 # nothing to choose
                 near = 0
@@ -334,12 +335,13 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
             residual = judge(mu, f, u, size)
             stalled = residual > STALLED * before
             if residual <= ROUND_OFF:
-                return residual, k + 1, attempts
+                return residual, k + 1, attempts, open_directions, follows
             if not residual < HUGE:
                 break
             changes = correct_modes(mu, modes, f, u, direction, length, speed)
+            follows = follows or changes > 0
             if changes == 0 and stalled and residual <= tolerance:
-                return residual, k + 1, attempts
+                return residual, k + 1, attempts, open_directions, follows
             if attempts == 0 and changes > 0 and open_directions > 0 and not (near > 0 and residual <= tolerance):
                 again = True
                 break
@@ -347,7 +349,7 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
                 break
             refine = attempts == 1 or near > 0 or (changes == 0 and residual < REFINEMENT)
         if residual <= tolerance:
-            return residual, passes, attempts
+            return residual, passes, attempts, open_directions, follows
         if near > 0 or closed:
             # what slips turns as its forces change: once more from the ones given; then from the modes alone
             near = 1 if near == 2 and slipping else 0
@@ -355,6 +357,6 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
             continue
         attempts += 1
         if n > 1 and not again:
-            return residual, passes, attempts
+            return residual, passes, attempts, open_directions, follows
         if n == 1 and attempts > 4 and attempts >= 4 + candidates:
-            return residual, passes, attempts
+            return residual, passes, attempts, open_directions, follows

@@ -319,13 +319,13 @@ def move_inside(rank, mu, modes, last, buffers):
     Where everything slides, the loads move the bodies: there is one rule, the least ones that are not negative, which
     the same method finds from no forces, in cones as they are.
     What is moved is x, of forces and lengths, not of their changes; rank, and a, gram, order, first, as the solution
-    left them, rank below the number of unknowns.
+    left them, rank below the number of unknowns. Returns whether the result depends on the last forces.
     """
     direction, _, _, sine, cosine, a, p, x, z, gram, order, first, _, _, low_rank = buffers[1:]
     n = mu.shape[0]
     unknowns = first[n]
     if is_inside(mu, modes, first, x):
-        return
+        return False
     rows = low_rank[ROWS]
     bent = low_rank[BENT]
     scratch = bent[3 * n :]
@@ -387,9 +387,9 @@ def move_inside(rank, mu, modes, last, buffers):
             # those without a load have none to the last bit
             for j in range(unknowns):
                 x[j] = p[j]
-            return
+            return False
         if not slides and is_inside(mu, modes, first, x):
-            return
+            return True
         ahead = dot(missing[:rank], change[:rank])
         if slope > 0.0 and ahead < -_OVERSHOT * slope:
             share = max(slope / (slope - ahead), _SHORTEST)
@@ -416,3 +416,4 @@ def move_inside(rank, mu, modes, last, buffers):
     if is_inside(mu, modes, first, z):
         for j in range(unknowns):
             x[j] = z[j]
+    return True

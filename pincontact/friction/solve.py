@@ -41,8 +41,10 @@ from .attempt import (
 )
 from .cone import (
     BY_PATH,
+    CHOICES,
     DECIDED,
     DECIDERS,
+    FOLLOWS,
     HUGE,
     KNOWN,
     OPEN,
@@ -256,6 +258,20 @@ class ContactSolver:
     def warm_starts(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """The last solution of every size, as `warm_start` takes it; views."""
         return [(space.modes, space.forces, space.velocities) for space in self._spaces.values() if space.counts[KNOWN]]
+
+    def kept(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Modes, forces and velocities of the last problem, copies, as `warm_start` takes them."""
+        return self.modes.copy(), self.forces.copy(), self.velocities.copy()
+
+    @property
+    def choices(self) -> int:
+        """In how many directions the forces of the last solution may change."""
+        return int(self._space.counts[CHOICES])
+
+    @property
+    def follows(self) -> bool:
+        """Whether the forces of the last solution depend on those that it was begun from."""
+        return bool(self._space.counts[FOLLOWS])
 
     def start(self, contacts: int) -> np.ndarray:
         """(3n,) a copy of the last forces of problems of this size, zero where there are none."""

@@ -133,7 +133,8 @@ STEP_SLOTS = (
 # anything resists turning; ROW_COUNT rows that are written by steps, ROWS_DONE so far, a row every ROW_STEPS steps.
 # SOLVED_HERE: cone problems that were solved in compiled code, by CONE_TASK; RIGID_STEPS: those that had a solution in
 # rigid geometry only. Of an attempt: COUPLED: whether its problem is solved together with the loads that it takes as
-# given, see below; HOLDING: whether forces have been looked for that hold what was at rest, see below.
+# given, see below; HOLDING: whether forces have been looked for that hold what was at rest, see below; CHOOSING:
+# whether Python is to choose among redundant forces of what slides.
 (
     NJ,
     MAX_UNITS,
@@ -161,8 +162,9 @@ STEP_SLOTS = (
     RIGID_STEPS,
     COUPLED,
     HOLDING,
-) = range(26)
-NCOUNTS = 26
+    CHOOSING,
+) = range(27)
+NCOUNTS = 27
 # counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
 ACCELERATION, MEAN_VELOCITY = 1, 2
 # numbers; AHEAD: s after the step's start at which its geometry and smooth terms are taken, the middle or, where bodies
@@ -196,16 +198,30 @@ JOINT_INTS = 4
 LOWER_LIMIT, UPPER_LIMIT, DRY_FRICTION = range(3)
 # unit_int; ROW_MASK: bit r is set where row r is real, the others only fill up the cone. Row r of a unit that resists
 # turning is about basis vector AXIS + r; PARENT is the unit of the contact, -1 where equations give its normal impulse.
-UNIT_KIND, UNIT_INDEX, ROW_MASK, TOUCHES, MIDPOINT, AT_REST, AXIS, PARENT = range(8)
-UNIT_INTS = 8
+# AT_REST: whether it holds up to its coefficient of sticking. SLID: whether it slid at the step's start. HELD:
+# whether it stays at rest if any forces hold it.
+UNIT_KIND, UNIT_INDEX, ROW_MASK, TOUCHES, MIDPOINT, AT_REST, AXIS, PARENT, SLID, HELD = range(10)
+UNIT_INTS = 10
 ON_CONTACT, ON_LOADED, ON_JOINT, ON_TURN = range(4)
 # counts[COUPLED]
 APART, TOGETHER = range(2)
 # counts[HOLDING]: nobody was asked; Python is; they have been looked for
 UNASKED, WANTED, LOOKED_FOR = range(3)
-# unit_real
-IMPULSE_TIME, SHIFT, APPROACH, FREE_RATE, START_T1, START_T2, UNIT_LOAD, SLIDING, DRIVEN_T1, DRIVEN_T2 = range(10)
-UNIT_REALS = 10
+# unit_real; STICKING_AGAIN: the coefficient up to which it holds where its slip comes to rest, until that is tried
+(
+    IMPULSE_TIME,
+    SHIFT,
+    APPROACH,
+    FREE_RATE,
+    START_T1,
+    START_T2,
+    UNIT_LOAD,
+    SLIDING,
+    STICKING_AGAIN,
+    DRIVEN_T1,
+    DRIVEN_T2,
+) = range(11)
+UNIT_REALS = 11
 
 
 def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks: int) -> Memory:

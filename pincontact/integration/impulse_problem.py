@@ -105,6 +105,7 @@ from .impulse_layout import (
     FREE_RATE,
     FRICTION,
     HAS_TREND,
+    HELD,
     IMPULSE_TIME,
     JOINT_GUARD,
     JOINT_INT,
@@ -140,6 +141,7 @@ from .impulse_layout import (
     RIGID,
     ROW_MASK,
     SHIFT,
+    SLID,
     SLIDING,
     START_DOMAIN,
     START_END,
@@ -151,6 +153,7 @@ from .impulse_layout import (
     START_T1,
     START_T2,
     STICKING,
+    STICKING_AGAIN,
     TOUCHED,
     TOUCHES,
     TREND_BEFORE,
@@ -175,6 +178,8 @@ TOUCHING = 1e-12
 OPENING = 1e-12
 # Relative to b, this is nothing.
 WITHIN_ROUND_OFF = 1e-14
+# By this part of b redundant contacts contradict each other at most where gaps at the midpoint make them do so.
+OUT_OF_REACH = 1e-5
 # An equation whose rest after orthogonalisation is below this fraction is redundant.
 REDUNDANT = 1e-10
 
@@ -286,7 +291,7 @@ def _add_unit(step, kind, index, mask, mu, instant):
     ints = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)[u]
     numbers = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)[u]
     ints[UNIT_KIND], ints[UNIT_INDEX], ints[ROW_MASK] = kind, index, mask
-    ints[TOUCHES] = ints[MIDPOINT] = ints[AT_REST] = 0
+    ints[TOUCHES] = ints[MIDPOINT] = ints[AT_REST] = ints[SLID] = ints[HELD] = 0
     for i in range(UNIT_REALS):
         numbers[i] = 0.0
     numbers[IMPULSE_TIME] = 0.5 * reals(step[NUMBERS], NNUMBERS)[H]
@@ -351,6 +356,9 @@ def _gather_contacts(table, step, nv, nc, h):
             # a contact at rest holds up to its coefficient of sticking
             friction[u] = sticking[c]
             ints[AT_REST] = 1
+        if start_mode[c] == SLIPPING:
+            ints[SLID] = 1
+            unit_real[u, STICKING_AGAIN] = sticking[c] if sticking[c] > mu else 0.0
         ints[MIDPOINT] = 1 if start_mode[c] == SLIPPING and two and 0.0 < mu < math.inf else 0
 
 
@@ -473,11 +481,12 @@ def _gather_joints(table, step, nv, h):
 
 @kernel
 def _keep_within_reach(table, step, nc):
-    """Redundant contacts: take out of b what second order adds to rigid geometry and no motion could follow.
+    """Redundant contacts: take out of b what no motion of rigid bodies could follow.
 
-    What is added, in the first column of OVERLAP, is projected onto the range of the Delassus matrix. What drives ask
-    for beyond that range is left: there something has to slip. Tangents of contacts that slide already take no part:
-    they need not come to rest, and what changes their slip does so whatever the impulses.
+    Gaps at the midpoint put a little of that into b where contacts move with the bodies that they are on. More of it is
+    in what second order adds to rigid geometry, in the first column of OVERLAP. What drives ask for beyond the range of
+    the Delassus matrix is left: there something has to slip. Tangents of contacts that slide already take no part: they
+    need not come to rest, and what changes their slip does so whatever the impulses.
     """
     counts = integers(step[COUNTS], NCOUNTS)
     n = counts[UNITS]
@@ -489,23 +498,33 @@ def _keep_within_reach(table, step, nc):
         matrix(table[CONSTRAINT_ROWS], 3 * nc, 3 * nc + 1),
     )
     x, start_mode = reals(table[MULTIPLIERS], 3 * nc), integers(step[START_MODE], nc)
-    count, independent, largest, scale = 0, 0, 0.0, 0.0
-    while count < 3 * n and unit_int[count // 3, UNIT_KIND] < ON_JOINT:
-        held = count % 3 == 2 or start_mode[unit_int[count // 3, UNIT_INDEX]] != SLIPPING
-        x[count] = overlap[count, 0] if held else 0.0
-        largest, scale = max(largest, abs(x[count])), max(scale, abs(b[count]))
-        if held and delassus[count, count] > 0.0:
-            independent += 1
-        for j in range(count + 1):
-            system[count, j] = delassus[count, j] if held and (j == count or system[j, j] > 0.0) else 0.0
-        count += 1
-    if count <= 3 or largest <= WITHIN_ROUND_OFF * scale:
+    # all of b, and where that leaves more than gaps explain, second order alone; what is left goes to the second column
+    for whole in range(1, -1, -1):
+        count, independent, largest, scale = 0, 0, 0.0, 0.0
+        while count < 3 * n and unit_int[count // 3, UNIT_KIND] < ON_JOINT:
+            held = count % 3 == 2 or start_mode[unit_int[count // 3, UNIT_INDEX]] != SLIPPING
+            x[count] = (b[count] if whole == 1 else overlap[count, 0]) if held else 0.0
+            largest, scale = max(largest, abs(overlap[count, 0]) if held else 0.0), max(scale, abs(b[count]))
+            if held and delassus[count, count] > 0.0:
+                independent += 1
+            for j in range(count + 1):
+                system[count, j] = delassus[count, j] if held and (j == count or system[j, j] > 0.0) else 0.0
+            count += 1
+        if count <= 3 or largest <= WITHIN_ROUND_OFF * scale:
+            return
+        if solve_semidefinite(system, count, integers(table[PERMUTATION], 3 * nc), x, scratch) == independent:
+            return
+        most = 0.0
+        for r in range(count):
+            held = r % 3 == 2 or start_mode[unit_int[r // 3, UNIT_INDEX]] != SLIPPING
+            wanted = b[r] if whole == 1 else overlap[r, 0]
+            overlap[r, 1] = wanted - inner(delassus[r], x, count) if held else 0.0
+            most = max(most, abs(overlap[r, 1]))
+        if whole == 1 and most > OUT_OF_REACH * scale:
+            continue
+        for r in range(count):
+            b[r] -= overlap[r, 1]
         return
-    if solve_semidefinite(system, count, integers(table[PERMUTATION], 3 * nc), x, scratch) == independent:
-        return
-    for r in range(count):
-        if r % 3 == 2 or start_mode[unit_int[r // 3, UNIT_INDEX]] != SLIPPING:
-            b[r] -= overlap[r, 0] - inner(delassus[r], x, count)
 
 
 @kernel

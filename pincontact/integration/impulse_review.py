@@ -51,9 +51,11 @@ from .impulse_layout import (
     REVIEWS,
     ROW_MASK,
     SHIFT,
+    SLID,
     SLIDING,
     START_T1,
     START_T2,
+    STICKING_AGAIN,
     TOGETHER,
     TOUCHES,
     UNIT_INDEX,
@@ -212,14 +214,49 @@ def impulse_work(step, nv, h, scratch):
 
 
 @kernel
+def slips_back(ints, values, first, second):
+    """Whether the slip of a unit that slid at the step's start turns by a right angle or more, so that it may as well
+    come to rest within the step; first, second: the solution's velocities."""
+    if ints[MIDPOINT] != 0:
+        first -= values[START_T1]
+        second -= values[START_T2]
+    return first * values[START_T1] + second * values[START_T2] <= 0.0
+
+
+@kernel
+def may_rest(step, u):
+    """Whether unit u slid at the step's start and comes to rest in this solution, or slips back, and nothing that it is
+    coupled with slides on: what passes by a place of rest, while others slide, does not stop there."""
+    counts = integers(step[COUNTS], NCOUNTS)
+    n = counts[UNITS]
+    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
+    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
+    velocities, modes = reals(step[CONE_VELOCITIES], 3 * n), integers(step[CONE_MODES], n)
+    friction, delassus = reals(step[FRICTION], n), matrix(step[DELASSUS], 3 * n, 3 * n)
+    if unit_int[u, SLID] == 0 or unit_int[u, MIDPOINT] != 0:
+        return False
+    for w in range(n):
+        if unit_int[w, SLID] == 0 or modes[w] == cone.STICK or (w != u and friction[w] == 0.0):
+            continue
+        if slips_back(unit_int[w], unit_real[w], velocities[3 * w], velocities[3 * w + 1]):
+            continue
+        for i in range(3 * u, 3 * u + 3):
+            for j in range(3 * w, 3 * w + 3):
+                if delassus[i, j] != 0.0:
+                    return False
+    return True
+
+
+@kernel
 def review(step, nv, h, scratch):
     """Whether the solution stands; if not, b or the coefficients are changed and the problem is to be solved again.
 
     Slip is opposed along the mean of its velocities at both ends only while it goes on; a contact at rest that starts
-    to slip does so with the sliding coefficient; loads that the problem takes as given are a fixed point, which is
-    iterated a few times, then found together with the forces (see `friction.product`); and restitution is lowered
-    where, together with friction, it would create energy (see `dynamics.energy`), or raise the kinetic energy by more
-    than the smooth forces account for within a step. scratch: (nv,).
+    to slip does so with the sliding coefficient, and one whose slip turns back comes to rest first, if that of sticking
+    holds it; loads that the problem takes as given are a fixed point, which is iterated a few times, then found
+    together with the forces (see `friction.product`); and restitution is lowered where, together with friction, it
+    would create energy (see `dynamics.energy`), or raise the kinetic energy by more than the smooth forces account for
+    within a step. scratch: (nv,).
     """
     counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
     n = counts[UNITS]
@@ -229,17 +266,21 @@ def review(step, nv, h, scratch):
     modes, friction = integers(step[CONE_MODES], n), reals(step[FRICTION], n)
     b, delassus = reals(step[LOADS], 3 * n), matrix(step[DELASSUS], 3 * n, 3 * n)
     counts[REVIEWS] += 1
-    again = False
-    bounces = settles = False
+    bounces = settles = stops = False
     for u in range(n):
         if unit_int[u, MIDPOINT] != 0:
-            first, second = unit_real[u, START_T1], unit_real[u, START_T2]
-            onward = (velocities[3 * u] - first) * first + (velocities[3 * u + 1] - second) * second
-            again = again or modes[u] == cone.STICK or onward <= 0.0
+            back = slips_back(unit_int[u], unit_real[u], velocities[3 * u], velocities[3 * u + 1])
+            stops = stops or modes[u] == cone.STICK or back
+    again = stops
     for u in range(n):
         ints, values = unit_int[u], unit_real[u]
+        if values[STICKING_AGAIN] > 0.0 and modes[u] == cone.SLIP and may_rest(step, u):
+            friction[u], values[STICKING_AGAIN] = values[STICKING_AGAIN], 0.0
+            ints[AT_REST] = 1
+            again = True
+            continue
         # all at once, see `impulse_problem`
-        if again and ints[MIDPOINT] != 0:
+        if stops and ints[MIDPOINT] != 0:
             b[3 * u] -= values[START_T1]
             b[3 * u + 1] -= values[START_T2]
             ints[MIDPOINT] = 0

@@ -82,6 +82,7 @@ from .impulse_layout import (
     CALL_FAILED,
     CALLS,
     CHANGED,
+    CHOOSING,
     CONE_FORCES,
     CONE_MODES,
     CONE_RESIDUAL,
@@ -96,6 +97,7 @@ from .impulse_layout import (
     FORCES,
     FRICTION,
     HAS_TREND,
+    HELD,
     HOLDING,
     IMPACT,
     INERTIAS,
@@ -112,6 +114,7 @@ from .impulse_layout import (
     NNUMBERS,
     NUMBERS,
     ON_CONTACT,
+    ON_TURN,
     PASSES,
     RIGID,
     RIGID_STEPS,
@@ -153,7 +156,7 @@ from .impulse_layout import (
     H,
 )
 from .impulse_problem import OPENING
-from .impulse_review import AGAIN
+from .impulse_review import AGAIN, may_rest
 from .impulses import advance, commit, leave_turning_axes, predict_midpoint
 from .recording import BLOCK, output_done
 from .results import CLOSED_APART, CONTOUR_ENDS
@@ -295,22 +298,45 @@ def _solve(step, n):
 
 @kernel
 def _lets_slip(table, step, n):
-    """Whether the solution of the n units lets a contact slip that was at rest."""
+    """Whether the solution of the n units lets a contact slip that was at rest, or comes to rest in the step as its
+    slip turns back; marks them."""
     sizes, counts = integers(table[SIZES], 8), integers(step[COUNTS], NCOUNTS)
     nc, h = sizes[NC], reals(step[NUMBERS], NNUMBERS)[H]
     start_mode, sticking = integers(step[START_MODE], nc), reals(step[STICKING], nc)
     contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
     unit_int, friction = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS), reals(step[FRICTION], n)
     modes, velocities = integers(step[CONE_MODES], n), reals(step[CONE_VELOCITIES], 3 * n)
+    slips = False
     for u in range(n):
-        c = unit_int[u, UNIT_INDEX]
-        if unit_int[u, UNIT_KIND] != ON_CONTACT or start_mode[c] != STICK or modes[u] != cone.SLIP:
-            continue
+        ints, c = unit_int[u], unit_int[u, UNIT_INDEX]
+        ints[HELD] = 0
         # not once more with the coefficient of sliding
+        if ints[UNIT_KIND] != ON_CONTACT or friction[u] < sticking[c]:
+            continue
+        rests = start_mode[c] == STICK or may_rest(step, u)
+        ints[HELD] = 1 if rests else 0
         slides = math.hypot(velocities[3 * u], velocities[3 * u + 1]) * h > OPENING * contact_real[c, LENGTH]
-        if slides and friction[u] >= sticking[c]:
-            return True
-    return False
+        slips = slips or (rests and slides and modes[u] == cone.SLIP)
+    return slips
+
+
+@kernel
+def _leaves_choice(step, n):
+    """Whether there is a choice among the forces of the n units that moves the bodies, since some of them slide, and
+    that is not yet what the rule has it, since it depends on the last forces. With torques that resist turning it is
+    left as it is."""
+    counts = integers(step[COUNTS], NCOUNTS)
+    address = integers(step[CONE_TABLES], counts[MAX_UNITS] + 1)[n]
+    known = integers(integers(address, len(cone.SLOTS))[cone.COUNTS], cone.COUNTS_LENGTH)
+    if known[cone.CHOICES] == 0 or known[cone.FOLLOWS] == 0:
+        return False
+    unit_int, friction = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS), reals(step[FRICTION], n)
+    modes, slides = integers(step[CONE_MODES], n), False
+    for u in range(n):
+        if unit_int[u, UNIT_KIND] == ON_TURN:
+            return False
+        slides = slides or (unit_int[u, UNIT_KIND] == ON_CONTACT and modes[u] == cone.SLIP and friction[u] > 0.0)
+    return slides
 
 
 @kernel
@@ -326,11 +352,14 @@ def _impulses(table, step, found):
         if found == UNSOLVED:
             return NO_FORCE
         if found == FRESH:
-            counts[HOLDING] = UNASKED
+            counts[HOLDING], counts[CHOOSING] = UNASKED, 0
             if n > 0 and (counts[COUPLED] != APART or not _solve(step, n)):
                 return CONE_LEFT
         if counts[HOLDING] == UNASKED and counts[COUPLED] == APART and _lets_slip(table, step, n):
             counts[HOLDING] = WANTED
+            return CONE_LEFT
+        if found == FRESH and n > 0 and _leaves_choice(step, n):
+            counts[CHOOSING] = 1
             return CONE_LEFT
         found = FRESH
         status = advance(table, step)

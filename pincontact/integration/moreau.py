@@ -19,6 +19,7 @@ import scipy
 from ..callback import kernel_address
 from ..dynamics.system import System
 from ..friction.attempt import NEAR, WARM_PASSES, solve_cones
+from ..friction.cone import OPEN as OPENS
 from ..friction.cone import SLIP as SLIPS
 from ..friction.cone import STICK as STICKS
 from ..friction.loads import TOLERANCE as PRODUCT_TOLERANCE
@@ -31,6 +32,7 @@ from ..layout import (
     CONTACT_INTS,
     DOMAIN,
     FREE,
+    FRICTIONLESS,
     LOCATION_FAILED,
     MODE,
     NBLOCKS,
@@ -55,6 +57,7 @@ from .impulse_layout import (
     ASKED_WITH,
     CALL_FAILED,
     CHANGED,
+    CHOOSING,
     CONE_FORCES,
     CONE_MODES,
     CONE_RESIDUAL,
@@ -63,6 +66,7 @@ from .impulse_layout import (
     CONE_VELOCITIES,
     COUPLED,
     DRY_FRICTION,
+    HELD,
     HOLDING,
     JOINT_INTS,
     KEPT,
@@ -446,7 +450,9 @@ class MoreauStep:
         solver, counts = self.solver, self._counts
         if counts[HOLDING] == WANTED:
             self._hold(n, *problem)
-            counts[HOLDING] = LOOKED_FOR
+            counts[HOLDING], counts[CHOOSING] = LOOKED_FOR, 1
+        if counts[CHOOSING]:
+            self._choose(n, *problem)
             return True
         self._left += 1
         solved = False
@@ -457,10 +463,13 @@ class MoreauStep:
             else:
                 solved = solver.solve(*problem)
                 self._share_tables()
+            solved = solved or self._stay(n, *problem)
             if not solved and np.isin(self.memory["unit_int"][:n, UNIT_KIND], (ON_LOADED, ON_TURN)).any():
                 counts[COUPLED] = TOGETHER
         if not solved and counts[COUPLED] != APART:
             solved = self._solve_together(n, *problem)
+        elif solved:
+            self._choose(n, *problem)
         if not solved and not (thorough and self._solve_hard(n, *problem)):
             return False
         self._numbers[CONE_RESIDUAL] = max(self._numbers[CONE_RESIDUAL], solver.residual)
@@ -491,22 +500,60 @@ class MoreauStep:
 
     def _hold(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> None:
         """Replace a solution that lets slip what was at rest by one that does not, if there is one."""
-        solver, memory = self.solver, self.memory
-        table = solver.table(n)
-        ints = memory["unit_int"][:n]
-        before = solver.modes.copy(), solver.forces.copy(), solver.velocities.copy()
-        resting = (ints[:, UNIT_KIND] == ON_CONTACT) & (
-            self.start_mode[ints[:, UNIT_INDEX] % len(self.start_mode)] == STICK
-        )
-        modes = np.where(resting & (before[0] == SLIPS), STICKS, before[0])
-        found = holding_forces(self._units(n, delassus, b, mu, modes, before[1], before[2]))
+        solver = self.solver
+        solver.table(n)
+        held = self.memory["unit_int"][:n, HELD] != 0
+        before = solver.kept()
+        # what is to carry nothing in slip may be needed to hold
+        for closed in (SLIPS, OPENS) if (held & (before[0] == OPENS)).any() else (SLIPS,):
+            modes = np.where(held & ((before[0] == SLIPS) | (before[0] == closed)), STICKS, before[0])
+            if self._holds(n, delassus, b, mu, modes, before, held):
+                return
+        solver.warm_start(*before)
+
+    def _stay(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Let all units stay at rest, where all were and the searches have found nothing."""
+        ints = self.memory["unit_int"][:n]
+        before = self.start_mode[ints[:, UNIT_INDEX] % max(len(self.start_mode), 1)]
+        if not ((ints[:, UNIT_KIND] == ON_CONTACT) & np.isin(before, (STICK, FRICTIONLESS))).all():
+            return False
+        modes, nothing = np.where(mu > 0.0, STICKS, SLIPS), np.zeros(3 * n)
+        return self._holds(n, delassus, b, mu, modes, (modes, nothing, nothing), mu > 0.0)
+
+    def _holds(
+        self,
+        n: int,
+        delassus: np.ndarray,
+        b: np.ndarray,
+        mu: np.ndarray,
+        modes: np.ndarray,
+        before: tuple[np.ndarray, np.ndarray, np.ndarray],
+        held: np.ndarray,
+    ) -> bool:
+        """Whether there are forces in these modes (n,), which are the solver's then; held (n,): what must not slip."""
+        solver = self.solver
+        found = holding_forces(self._units(n, delassus, b, mu, modes, *before[1:]))
         if found is None:
-            return
+            return False
         velocities = delassus @ found + b
         velocities[np.repeat(modes == STICKS, 3)] = 0.0
         solver.warm_start(modes, found, velocities)
+        solver.residual = solve_cones(delassus, b, mu, solver.table(n), NEAR, WARM_PASSES, solver.tolerance, 0, 1)
+        return solver.residual <= solver.tolerance and not (held & (solver.modes == SLIPS)).any()
+
+    def _choose(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> None:
+        """Replace redundant forces that depend on the last ones by those that the rule has."""
+        solver = self.solver
+        table = solver.table(n)
+        if not (solver.choices and solver.follows) or (self.memory["unit_int"][:n, UNIT_KIND] == ON_TURN).any():
+            return
+        before = solver.kept()
+        found = chosen_forces(self._units(n, delassus, b, mu, *before))
+        if found is None:
+            return
+        solver.warm_start(before[0], found, delassus @ found + b)
         residual = solve_cones(delassus, b, mu, table, NEAR, WARM_PASSES, solver.tolerance, 0, 1)
-        if not residual <= solver.tolerance or (resting & (solver.modes == SLIPS)).any():
+        if not residual <= solver.tolerance:
             solver.warm_start(*before)
 
     def _share_tables(self) -> None:

@@ -85,7 +85,9 @@ class Runs:
         return self.run(motion, max_step=self.motion.duration / 200.0, **TIGHT)
 
     def stepped(self, step: float, motion: Motion | None = None) -> pc.Trajectory:
-        return self.run(motion, method="Moreau", step=step)
+        # as many as halved steps are
+        most = max(MAX_STEPS, int(2.0 * self.motion.duration / step))
+        return self.run(motion, method="Moreau", step=step, max_steps=most)
 
     def bounces(self, contact: str | None) -> bool:
         return contact in self.motion.scene.contacts and self.motion.scene.contacts[contact].restitution > 0.0

@@ -503,7 +503,8 @@ def test_a_contact_kept_closed_by_a_part_of_its_friction(along, tangents, mode, 
         solver = ModeSolver(system)
         system.contact_int[1, [MODE, TANGENTS, SLIP_SIGN]] = mode, tangents, 5
         system.contact_real[1, VISCOUS] = viscous
-        system.slip[1] = along * system.basis[1, 0] + 0.7 * system.basis[1, 1]
+        system.basis[1] = np.eye(3)
+        system.slip[1] = along, 0.7, 0.1
         system.margins[1, NORMAL_MARGIN] = margin
         monkeypatch.setattr(solver, "_closes_without", saying(closes))
         monkeypatch.setattr(solver, "_takes_all", saying(takes_all))
@@ -995,14 +996,19 @@ def test_modes_of_a_solution(monkeypatch):
 
 @pytest.mark.parametrize(
     ("status", "holds", "chosen", "keeps"),
-    [(EVENT, False, False, True), (EVENT, True, False, False), (OK, False, True, False), (NO_FORCE, False, False, False)],
+    [
+        (EVENT, False, False, True),
+        (EVENT, True, False, False),
+        (OK, False, True, False),
+        (NO_FORCE, False, False, False),
+    ],
 )
 def test_forces_on_rims_are_kept(status, holds, chosen, keeps, monkeypatch):
     """Where there are no others inside, those of the solution, in N along the rows."""
     forces = np.random.default_rng(4).normal(size=(11, 3))
     kinds = [HOLD] * 11
     made = solved_cones(monkeypatch, forces, np.zeros((11, 3)), kinds, (status,), holds, chosen)
-    system, _, decision, kept, evaluate, _ = made
+    decision, kept, evaluate = made[2:5]
     assert decision.status == status
     assert len(kept.asked) == keeps
     if keeps:
@@ -1038,7 +1044,7 @@ def test_what_gives_way_has_sliding_friction(monkeypatch):
 
 @SEEDS
 def test_a_solution_as_the_choice_of_forces(seed):
-    """What slides has none to choose; a coordinate's force is that beyond the middle of its range, or beyond its end."""
+    """What slides has none to choose; a coordinate's is that beyond the middle of its range, or beyond its end."""
     rng = np.random.default_rng(seed)
     system, solver = made(rng)
     system.reference, system.scalars = np.ones((10, 3)), np.ones(SCALARS_SIZE)
@@ -1270,13 +1276,14 @@ def test_what_friction_holds_up_counts_by_its_friction(monkeypatch):
     forces, null, cones = asked.asked[0]
     assert forces.tolist() == [1.0, 5.0, 0.3, 0.1]
     # one of the two that do the same, the second twice as much, and the row that does nothing
-    assert null.T @ [1.0, 2.0, 0.0, 0.0] == pytest.approx(np.zeros(2), abs=1e-12)
-    assert null[3] == pytest.approx(np.zeros(2), abs=1e-12)
+    assert np.abs(np.array([1.0, 2.0, 0.0, 0.0]) @ null).max() < 1e-12
+    assert np.abs(null[3]).max() < 1e-12
     assert len(cones) == 3
-    system.contact_int[1, MODE] = STICK
+    system.contact_int[1, MODE] = FRICTIONLESS
     solver.redistribute(T, never)
-    assert asked.asked[1][0].tolist() == [1.0, 0.0, 0.3, 0.1]
-    assert asked.asked[1][1].T @ [1.0, 1.0, 0.0, 0.0] == pytest.approx(np.zeros(2), abs=1e-12)
+    forces, null, _ = asked.asked[1]
+    assert forces.tolist() == [1.0, 0.0, 0.3, 0.1]
+    assert np.abs(np.array([1.0, 1.0, 0.0, 0.0]) @ null).max() < 1e-12
 
 
 class Feet(Items):

@@ -39,7 +39,7 @@ SEEDS = pytest.mark.parametrize("seed", range(6))
 class Sliding:
     """n items that slide under given loads times coefficients, in a mechanism of nv velocities."""
 
-    def __init__(self, rng, n, friction=0.4, stretched=False, nv=5):
+    def __init__(self, rng, n, friction=0.4, stretched=False, nv=5, unit=1.0):
         self.contact_int = np.full((n, CONTACT_INTS), 3, dtype=np.int64)
         self.contact_real = rng.normal(size=(n, CONTACT_REALS))
         self.contact_int[:, [TANGENTS, FROZEN, ANISOTROPIC]] = 2, 0, int(stretched)
@@ -50,8 +50,8 @@ class Sliding:
         self.rows = rng.normal(size=(n, 3, nv))
         self.factor = np.tril(0.3 * rng.normal(size=(nv, nv)), -1) + np.diag(rng.uniform(0.7, 1.5, nv))
         self.inverse = np.linalg.inv(self.factor.T @ self.factor)
-        self.free = 4.0 * rng.normal(size=nv)
-        self.limits = friction * rng.uniform(0.5, 1.0, n)
+        self.free = 4.0 * unit * rng.normal(size=nv)
+        self.limits = unit * friction * rng.uniform(0.5, 1.0, n)
         self.force, self.relative_acceleration = np.zeros((n, 3)), np.zeros((n, 3))
         self.evaluations, self.status = 0, OK
 
@@ -154,7 +154,8 @@ def left(system):
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_slip_begins_where_its_acceleration_points(n, stretched, seed):
     """By a few evaluations; a direction that is right stays what it is to the last bit."""
-    system = Sliding(np.random.default_rng([n, seed]), n, 0.3 / n, stretched, nv=3 * n)
+    unit = (1e-4, 1.0, 1e4)[seed % 3]
+    system = Sliding(np.random.default_rng([n, seed]), n, 0.3 / n, stretched, 3 * n, unit)
     begin(system, np.random.default_rng(seed).uniform(0.0, 6.0, n))
     assert align_slips(system, 0.7, list(range(n)), system.evaluate)
     spent = system.evaluations
@@ -226,6 +227,35 @@ def test_what_cannot_be_evaluated_has_no_direction():
 
 
 @SEEDS
+def test_whether_directions_fit(seed):
+    """As exactly as round-off of what cancels allows, along and across; without any other evaluation."""
+    rng = np.random.default_rng(seed)
+    system = Sliding(rng, 2)
+    begin(system, [0.4, 2.0])
+    given = np.array([system.along(i) for i in range(2)])
+    alignment = directions._Alignment(system, 0.7, [0, 1], None)
+    scale = np.array([3.0, 0.1])
+    alignment._scale = lambda: scale
+    for i in range(2):
+        for sideways, backwards, fits in (
+            (0.9, 0.9, True), (-0.9, -5.0, True), (1.1, 0.0, False), (-1.1, 0.0, False), (0.0, 1.1, False),
+        ):  # fmt: skip
+            rates, across = np.array([1.0, 1.0]), np.zeros(2)
+            rates[i], across[i] = -1e-11 * backwards * scale[i], 1e-11 * sideways * scale[i]
+
+            def evaluate(t, rates=rates, across=across):
+                for k, d in enumerate(given):
+                    system.relative_acceleration[k, :2] = rates[k] * d + across[k] * np.array([-d[1], d[0]])
+                system.contact_real[:, SLIP_RATE] = rates
+                return system.status
+
+            alignment.evaluate, system.status = evaluate, EVENT
+            assert alignment._fits(given) is fits
+            system.status = NO_FORCE
+            assert not alignment._fits(given)
+
+
+@SEEDS
 def test_sizes_of_what_cancels(seed):
     """Of an item's relative acceleration, and by Cauchy of what its friction adds: |J M^-1 J^T F| <= |J|_M |F|_M."""
     rng = np.random.default_rng(seed)
@@ -241,13 +271,17 @@ def test_sizes_of_what_cancels(seed):
             np.linalg.norm(system.relative_acceleration[i, :2]) + math.sqrt((force @ gram @ force) * np.trace(gram))
         )
     assert alignment._scale() == pytest.approx(expected, rel=1e-12)
+    system.force *= 1e-3
+    system.relative_acceleration *= 1e-3
+    assert alignment._scale() == pytest.approx(1e-3 * np.array(expected), rel=1e-12)
     system.force[:] = system.relative_acceleration[:] = 0.0
     assert alignment._scale().tolist() == [1.0, 1.0]
 
 
 @SEEDS
 @pytest.mark.parametrize("stretched", [False, True])
-def test_projections_lead_to_the_same_directions(stretched, seed):
+@pytest.mark.parametrize("mobile", [0.5, 2.0])
+def test_projections_lead_to_the_same_directions(mobile, stretched, seed):
     """Under loads that are given they converge: thirty of them come near from anywhere, and stay at what is right."""
     rng = np.random.default_rng(seed)
     system = Sliding(rng, 2, 0.2, stretched, nv=6)
@@ -255,6 +289,9 @@ def test_projections_lead_to_the_same_directions(stretched, seed):
         # of nearly the same mobility in all directions
         system.rows[i] = 0.2 * system.rows[i]
         system.rows[i, :, 3 * i : 3 * i + 3] += np.eye(3)
+    system.rows *= mobile
+    system.free /= mobile
+    system.limits /= mobile**2
     system.factor = np.eye(6) + 0.1 * np.tril(rng.normal(size=(6, 6)))
     system.inverse = np.linalg.inv(system.factor.T @ system.factor)
     begin(system, rng.uniform(0.0, 6.0, 2))

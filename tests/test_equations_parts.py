@@ -15,6 +15,7 @@ from pincontact.dynamics import equations
 from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
 from pincontact.layout import (
     ACROSS_X,
+    ANISOTROPIC,
     CONTACT_INTS,
     CONTACT_REALS,
     DIRECTION_X,
@@ -54,6 +55,9 @@ from pincontact.layout import (
     SPEED_MARGIN,
     START,
     STICK,
+    STRETCH_11,
+    STRETCH_12,
+    STRETCH_22,
     TANGENTS,
     UNILATERAL,
     VISCOUS,
@@ -61,6 +65,7 @@ from pincontact.layout import (
 
 SEEDS = pytest.mark.parametrize("seed", range(5))
 MODES = (FREE, FRICTIONLESS, STICK, SLIPPING)
+ELLIPSE = np.array([[1.2, 0.3], [0.3, 0.7]])
 
 
 @functools.cache
@@ -288,6 +293,9 @@ def units_of(integers, numbers, parts):
             continue
         elif integers[c, TANGENTS] == 1:
             unit = (own + mobility[0] + max(own, mobility[0])) / 3.0
+        elif integers[c, ANISOTROPIC]:
+            stretched = ELLIPSE @ parts.rows[c, :2]
+            unit = (own + np.einsum("ik,kl,il->", stretched, parts.inverse, stretched)) / 3.0
         else:
             unit = mobility.mean()
         if integers[c, MODE] == SLIPPING and numbers[c, MU] < math.inf:
@@ -308,6 +316,8 @@ def loaded_contacts(rng, rank):
     integers[5, UNILATERAL], integers[5, NORMAL_SIGN] = 0, 0
     numbers[:, MU_NOW], numbers[:, MU] = rng.uniform(0.1, 0.8, (2, 7))
     numbers[3, MU] = math.inf
+    integers[0, ANISOTROPIC] = 1
+    numbers[0, [STRETCH_11, STRETCH_12, STRETCH_22]] = ELLIPSE[0, 0], ELLIPSE[0, 1], ELLIPSE[1, 1]
     return integers, numbers, made_rows(rng, integers, numbers, rank=rank)
 
 

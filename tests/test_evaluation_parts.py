@@ -15,8 +15,10 @@ import pincontact as pc
 from pincontact.analysis.instant import Instant
 from pincontact.constraints.kinematics import NORMAL_RATE
 from pincontact.contours.base import DERIVATIVE_ROWS
+from pincontact.contours.motion import MOTION_HARMONIC
 from pincontact.dynamics import evaluation, resistance
 from pincontact.dynamics.evaluation import KINEMATICS_OF_ALL, PLACES_OF_ALL, PLACES_OF_CLOSED, VELOCITIES_OF_ALL
+from pincontact.dynamics.system import System
 from pincontact.geometry.carriers import ALPHA, OMEGA
 from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
 from pincontact.layout import (
@@ -53,12 +55,14 @@ from pincontact.layout import (
     ROWS_FORMED,
     SCALARS_SIZE,
     SIDE_INTS,
+    SINGULAR,
     SLIPPING,
     SLOTS,
     SPINNING_ROW,
     STICK,
     SUPPORT_SIZE,
     TANGENTS,
+    TIME_DEPENDENT,
     VELOCITY_LEFT,
     VELOCITY_RESIDUAL,
 )
@@ -336,13 +340,17 @@ def test_what_resists_and_what_it_bears():
 # ---------------------------------------------------------------------------------------------- on scenes
 
 
-def bead(surface, location, height=0.0, frame="bead"):
-    """A point on a slider of three directions over a surface, which it touches at (x, y)."""
+def slider():
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "slider")
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
     model.addBodyFrame("bead", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
+    return model
+
+
+def bead(surface, location, height=0.0):
+    """A point on a slider of three directions over a surface, which it touches at (x, y)."""
+    scene = pc.Scene(slider())
     point = scene.add_contour("point", pc.Point(), frame="bead")
     scene.add_contact("c", point, scene.add_contour("surface", surface), side=1, location=(None, location))
     return Instant(scene, scene.initial_state([*location, height], np.zeros(3)))
@@ -391,6 +399,65 @@ def test_an_open_contact_without_a_nearest_point():
     # one that is closed says so
     system.contact_int[0, MODE] = STICK
     assert system.evaluate_kinematics(0.0) != OK
+
+
+def asked_directly(system, choice=KINEMATICS_OF_ALL):
+    return evaluation.evaluate_state(address_of(system.table), 0.0, choice)
+
+
+@pytest.mark.skipif(not numba.config.DISABLE_JIT, reason="compiled code calls its own parts")
+def test_what_is_left_of_an_open_contact_without_a_place(monkeypatch):
+    """Nothing but where it was; a closed one ends the evaluation with what was found of it."""
+    system = bead(pc.Plane(), (0.1, 0.2)).system
+    system.location[0] = [0.1, 0.2, 0.3, 0.4]
+    place = system.location[0].copy()
+
+    def lost(*given):
+        system.location[:], system.gaps[:], system.contact_real[0, DOMAIN] = 9.0, 9.0, 9.0
+        for array in (system.rates, system.slip, system.bias, system.rows):
+            array[:] = 9.0
+        return SINGULAR
+
+    monkeypatch.setattr(evaluation, "contact_kinematics", lost)
+    for mode, status in ((STICK, SINGULAR), (FREE, OK)):
+        system.contact_int[0, MODE] = mode
+        assert asked_directly(system) == status
+        if mode == FREE:
+            assert (system.location[0] == place).all()
+            assert system.gaps[0].tolist() == [NOTHING_THERE, 9.0]
+            assert system.contact_real[0, DOMAIN] == -1.0
+            assert not any(array.any() for array in (system.rates, system.slip, system.bias, system.rows))
+        else:
+            assert (system.location == 9.0).all()
+            system.location[0] = place
+
+
+@pytest.mark.parametrize(("kind", "timed"), [(0, 0), (0, 1), (MOTION_HARMONIC, 0), (MOTION_HARMONIC, 1)])
+def test_drives_are_evaluated_once_a_side(kind, timed):
+    """One that is at rest leaves the pose as the side's own; what it is driven by is added to that."""
+    motion = pc.HarmonicMotion([0.0, 0.0, 0.2], 0.5) if kind else None
+    scene = pc.Scene(slider())
+    point = scene.add_contour("point", pc.Point(), frame="bead")
+    place = pin.SE3(pin.utils.rotate("x", 0.2), np.array([0.3, 0.4, 0.0]))
+    scene.add_contact("c", point, scene.add_contour("floor", pc.Plane(), placement=place, motion=motion), side=1)
+    system = System(scene.model, list(scene.contacts.values()))
+    system.side_int[1, TIME_DEPENDENT] = timed
+    before = system.counters[DRIVES_EVALUATED]
+    # what an evaluation before has left of it
+    if kind:
+        system.frames[1] = 7.0
+    assert asked_directly(system) == OK
+    assert system.counters[DRIVES_EVALUATED] - before == int(kind != 0 or timed != 0)
+    frame = system.frames[1]
+    assert frame[:3] == pytest.approx(place.rotation, abs=1e-15)
+    offset = place.rotation @ [0.0, 0.0, 0.2] if kind else np.zeros(3)
+    wave = 2.0 * math.pi * 0.5
+    assert frame[3] == pytest.approx(place.translation, abs=1e-15)
+    # at t = 0 of a sine: velocity alone
+    assert frame[4] == pytest.approx(wave * offset, abs=1e-14)
+    assert frame[5:8] == pytest.approx(np.zeros((3, 3)), abs=1e-14)
+    # rows are those of the only side that joints move
+    assert system.rows[0] == pytest.approx(-system.basis[0], abs=1e-13)
 
 
 CHOICES = (0, KINEMATICS_OF_ALL, PLACES_OF_CLOSED, PLACES_OF_ALL, VELOCITIES_OF_ALL)

@@ -193,6 +193,13 @@ def test_every_closed_contact_gets_a_load():
     assert solver._load_all()
 
 
+def test_nothing_is_counted_before_it_is_done():
+    solver = ModeSolver(Items(2, 1))
+    assert (solver.cone_problems, solver.redistributions, solver.worst_residual) == (0, 0, 0.0)
+    assert not solver.redundant
+    assert not solver.proved
+
+
 def test_sizes_of_round_off():
     """Of forces: from the loads on joints. Of relative accelerations: from what cancels in a row."""
     system = Items(3, nv=2)

@@ -606,10 +606,10 @@ class ModeSolver:
             # about its middle, friction is a disk of constant radius; at an end, what the end adds to friction only
             # pushes away from it
             middle = (low, 0.5 * (low + high), high)[end + 1]
-            row = system.rows[system.nc + g, 2]
-            free += unwhiten(system, whiten(system, row)) * middle
+            column = whiten(system, system.rows[system.nc + g, 2])
+            free += unwhiten(system, column) * middle
             columns = np.zeros((system.nv, 3))
-            columns[:, 0 if end == 0 else 2] = whiten(system, row) * (-1.0 if end > 0 else 1.0)
+            columns[:, 0 if end == 0 else 2] = -column if end > 0 else column
             units.append(columns)
             mu.append(1.0 if end == 0 else 0.0)
         turns = {i: len(units) + k for k, i in enumerate(resisting)}

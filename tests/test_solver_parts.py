@@ -228,6 +228,28 @@ def test_minima_of_barriers(pressure, seed):
     assert entered == (pressure > 1.0)
 
 
+@SEEDS
+def test_steps_towards_a_point(seed):
+    """The whole of it, or most of the way to the nearest boundary."""
+    rng = np.random.default_rng(seed)
+    directions, cones, inside = feet(rng, 4, 0.6)
+    null = null_space(directions)
+    barriers = redundant._Barriers(cones, inside, null / np.abs(null).max(), 1.0)
+    point = np.append(np.zeros(null.shape[1]), 0.1)
+    step = 1e-3 * rng.normal(size=point.size)
+    assert barriers.towards(point, step) == pytest.approx(point + step, rel=1e-15)
+    step *= 1e6
+    found = barriers.towards(point, step)
+    share = (found - point) @ step / (step @ step)
+    assert found == pytest.approx(point + share * step, rel=1e-12)
+    # 0.95 of it, by bisection
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if depth_of(barriers, point + middle * step) > 0.0 else (low, middle)
+    assert share == pytest.approx(0.95 * low, rel=1e-9)
+
+
 def depth_of(barriers, point):
     x = barriers.at(point)
     return (x[:, 0] - np.hypot(x[:, 1], x[:, 2])).min()

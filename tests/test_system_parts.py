@@ -246,7 +246,11 @@ def test_laws(laid_out):
 def test_resistances_above_round_off():
     for length, found in ((0.0, []), (0.9e-13, []), (1.1e-13, [(1, True), (1, False)])):
         scene = scene_of([pc.Coulomb(0.3, spinning=length, rolling=length), None])
-        assert System(scene.model, list(scene.contacts.values()), resistances=True).resistances == found
+        system = System(scene.model, list(scene.contacts.values()), resistances=True)
+        assert system.resistances == found
+        # one coefficient is for all directions
+        assert not system.contact_int[:, ANISOTROPIC].any()
+        assert (system.contact_real[:3, [ASPECT, STRETCH_11, STRETCH_22]] == 1.0).all()
 
 
 def test_joint_coordinates(laid_out):

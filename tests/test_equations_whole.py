@@ -6,6 +6,7 @@ then what makes them the solution.
 
 from __future__ import annotations
 
+import functools
 import math
 from types import SimpleNamespace
 
@@ -75,6 +76,7 @@ from pincontact.layout import (
 )
 
 SEEDS = pytest.mark.parametrize("seed", range(3))
+part = functools.cache(from_python)
 ELLIPSE = np.array([[1.2, 0.3], [0.3, 0.7]])
 NC, NG, NR, NVELOCITIES = 8, 3, 5, 32
 TOTAL = NC + NG + NR
@@ -217,7 +219,7 @@ def solved(at, reference=None, moves=None):
         since, start, rate, slope = moves
     held = np.zeros((n, 3)) if reference is None else reference.copy()
     with np.errstate(invalid="ignore"):
-        out.status = from_python(equations.contact_dynamics)(
+        out.status = part(equations.contact_dynamics)(
             nv, NC, out.integers, out.numbers, at.slip, at.basis, at.gaps, at.rows, at.bias, at.factor,
             np.arange(nv) - 1, at.free, out.acceleration, out.row_index, np.zeros((3 * n, nv)),
             np.zeros((3 * n, nv)), np.zeros((3 * n, 3 * n + 1)), np.zeros(3 * n), np.zeros(3 * n, dtype=np.int64),
@@ -498,7 +500,7 @@ def slip_system(operator, own, x, on_curve=False):
     index = np.array([(i, 1 + i % 2) for i in range(n)])
     x, system = x.copy(), np.hstack([operator, np.array(own)[:, None]])
     order, scratch = np.zeros(n, dtype=np.int64), np.zeros((n + 1, n + 1))
-    rank = from_python(equations.solve_slip)(integers, index, system, n, x, order, scratch)
+    rank = part(equations.solve_slip)(integers, index, system, n, x, order, scratch)
     return rank, x, system[0, 0]
 
 

@@ -3,6 +3,7 @@ what an evaluation asks for, on small scenes."""
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numba
@@ -69,6 +70,7 @@ from pincontact.layout import (
 from pincontact.memory import Memory, address_of
 
 SEEDS = pytest.mark.parametrize("seed", range(4))
+part = functools.cache(from_python)
 
 
 def table_of(rng, nc, ng, nr, nv, nq=None):
@@ -155,7 +157,7 @@ def test_corrections_are_the_least_in_the_mass_metric(redundant, seed):
     gaps[4:8, 0] = q[3] - bounds[0, LOW_END], q[5] - bounds[1, HIGH_END], 0.0, 0.0
     slip = memory["slip"].copy()
     slip[4:8, 2] = v[[2, 4, 6, 8]]
-    assert from_python(evaluation.contact_corrections)(memory.table, 1, 1) == len(LISTED)
+    assert part(evaluation.contact_corrections)(memory.table, 1, 1) == len(LISTED)
     assert memory["contact_int"][9, MODE] == FREE
     residual = np.array(
         [memory["basis"][c, row] @ (slip[c] if c < 4 or c > 7 else [0, 0, slip[c, 2]]) for c, row in LISTED]
@@ -184,7 +186,7 @@ def test_corrections_that_are_not_asked_for():
         memory = closed_contacts(rng, True)
         before = memory["correction_q"].copy(), memory["correction_v"].copy()
         memory["scalars"][VELOCITY_LEFT] = 5.0
-        from_python(evaluation.contact_corrections)(memory.table, position, velocity)
+        part(evaluation.contact_corrections)(memory.table, position, velocity)
         assert (memory["correction_q"] == before[0]).all() == (not position)
         assert (memory["correction_v"] == before[1]).all() == (not velocity)
         assert (memory["scalars"][VELOCITY_LEFT] > 0.0) == bool(velocity)
@@ -195,14 +197,14 @@ def test_rows_of_normals():
     expected = {(ON_SURFACE, 2): True, (ON_CURVE, 2): True, (ON_CURVE, 1): True}
     for pattern in (ON_SURFACE, ON_CURVE, NO_NORMAL):
         for row in range(3):
-            found = from_python(evaluation.is_normal_row)(pattern, row)
+            found = part(evaluation.is_normal_row)(pattern, row)
             assert found == expected.get((pattern, row), pattern == NO_NORMAL and row == 2)
 
 
 @pytest.mark.parametrize("place", range(3))
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_numbers_to_go_on_with(value, place):
-    finite = from_python(evaluation._finite)
+    finite = part(evaluation._finite)
     a = np.array([1.0, -2.0, 3.0, value])
     assert finite(a, 3)
     a[place] = value
@@ -215,9 +217,9 @@ def test_numbers_to_go_on_with(value, place):
 
 def test_rows_of_which_round_off_is_left():
     """Against the largest term that cancels: what a joint moves either body by, its angular part times its reach."""
-    drop = from_python(evaluation._drop_round_off)
+    drop = part(evaluation._drop_round_off)
     nv, one = 4, 2
-    for side, part, reach in ((2, "linear", 1.0), (3, "linear", 1.0), (2, "origin", 4.0), (3, "point", 5.0)):
+    for side, kind, reach in ((2, "linear", 1.0), (3, "linear", 1.0), (2, "origin", 4.0), (3, "point", 5.0)):
         for axis in range(3):
             jacobian, support = np.zeros((nv, 6)), np.zeros((6, nv), dtype=np.int64)
             side_int, frames = np.zeros((6, SIDE_INTS), dtype=np.int64), np.zeros((6, 8, 3))
@@ -226,14 +228,14 @@ def test_rows_of_which_round_off_is_left():
             # joints that move neither, sides of other contacts, and other vectors do not count
             jacobian[1], frames[[0, 1, 4, 5]], derivatives[[0, 1, 4, 5]] = 1e6, 1e6, 1e6
             frames[2:4, [0, 1, 2, 4, 5, 6, 7]], derivatives[2:4, 1:] = 1e6, 1e6
-            if part == "linear":
+            if kind == "linear":
                 jacobian[3, axis] = -0.02
                 size = 0.02
             else:
                 jacobian[3, 3 + (axis + 1) % 3] = -0.01
-                (frames[side, 3] if part == "origin" else derivatives[side, 0])[axis] = -reach
+                (frames[side, 3] if kind == "origin" else derivatives[side, 0])[axis] = -reach
                 size = 0.01 * reach
-            if part == "linear" and side == 3:
+            if kind == "linear" and side == 3:
                 side_int[2, SUPPORT_SIZE] = 0
             for scale, left in ((0.97e-13, False), (1.03e-13, True)):
                 row = scale * size * np.array([0.5, -1.0, 0.2, 0.0])
@@ -277,7 +279,7 @@ def test_rows_of_resistances(tangents, seed):
     turning = rng.normal(size=3)
     vectors[NORMAL_RATE] = np.cross(turning, basis[2])
     before = {name: memory[name].copy() for name in ("bias", "rows", "slip", "basis")}
-    from_python(resistance.resistance_kinematics)(memory.table, 1, 6)
+    part(resistance.resistance_kinematics)(memory.table, 1, 6)
     omega = frames[3, OMEGA] - frames[2, OMEGA]
     rate = frames[3, ALPHA] - frames[2, ALPHA]
     about = {4: [basis[2]], 5: [basis[0], basis[1]] if tangents == 2 else [basis[1]]}
@@ -309,7 +311,7 @@ def test_a_contact_with_one_resistance(which):
     memory = table_of(np.random.default_rng(1), 2, 0, 2, 5)
     memory["contact_int"][1, which] = 3
     kept = memory["slip"].copy()
-    from_python(resistance.resistance_kinematics)(memory.table, 1, 4)
+    part(resistance.resistance_kinematics)(memory.table, 1, 4)
     omega = memory["frames"][3, OMEGA] - memory["frames"][2, OMEGA]
     assert memory["slip"][3] == pytest.approx(omega, abs=1e-14)
     assert (memory["slip"][:3] == kept[:3]).all()
@@ -320,19 +322,19 @@ def test_what_resists_and_what_it_bears():
     integers, force = np.zeros((6, CONTACT_INTS), dtype=np.int64), np.zeros((6, 3))
     for spinning, rolling in ((0, 0), (3, 0), (0, 4), (3, 4)):
         integers[0, [SPINNING_ROW, ROLLING_ROW]] = spinning, rolling
-        assert from_python(resistance.resists)(integers[0]) == (spinning + rolling > 0)
+        assert part(resistance.resists)(integers[0]) == (spinning + rolling > 0)
     force[1] = 7.0, -3.0, -4.0
-    assert from_python(resistance.size_of_load)(integers, force, 1) == 4.0
+    assert part(resistance.size_of_load)(integers, force, 1) == 4.0
     integers[1, PATTERN] = ON_CURVE
-    assert from_python(resistance.size_of_load)(integers, force, 1) == 5.0
+    assert part(resistance.size_of_load)(integers, force, 1) == 5.0
     integers[:, MODE], integers[1, MODE], integers[:, OWNER] = STICK, FREE, [1, 1, 1, 1, 0, 1]
-    from_python(resistance.free_with_owners)(integers, 4, 6)
+    part(resistance.free_with_owners)(integers, 4, 6)
     assert integers[:, MODE].tolist() == [STICK, FREE, STICK, STICK, STICK, FREE]
     for largest, kept in ((0.9e-13, False), (-1.1e-13, True)):
         for k in range(3):
             row = np.full(4, 1e-14)
             row[k] = largest
-            from_python(resistance.drop_unturned)(row, 3)
+            part(resistance.drop_unturned)(row, 3)
             assert row[:3].any() == kept
             assert row[3] == 1e-14
 

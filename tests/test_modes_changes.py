@@ -5,6 +5,7 @@ Evaluations are played by functions, so that each step is seen alone.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 
@@ -68,6 +69,7 @@ from pincontact.layout import (
 )
 
 SEEDS = pytest.mark.parametrize("seed", range(4))
+part = functools.cache(from_python)
 T = 0.6
 
 
@@ -1154,7 +1156,7 @@ def test_cones_of_forces():
 def reference_at(system, index, time, loads):
     """The reference that an evaluation takes, from its kernel."""
     reference, work = np.zeros_like(system.reference), np.zeros(system.nv)
-    from_python(equations._move_reference)(
+    part(equations._move_reference)(
         index, len(index), loads, time - system.scalars[REFERENCE_TIME], system.reference_start, system.reference_rate,
         system.reference_slope, system.nv, reference, work,
     )  # fmt: skip

@@ -19,6 +19,8 @@ from pincontact.friction.feasibility import crushing_combination
 from pincontact.friction.loads import ScaledLoads
 from pincontact.friction.solve import COMPLIANCES, ContactSolver
 
+least_norm, sweep = from_python(elimination.least_norm), from_python(cone.sweep)
+
 SEEDS = pytest.mark.parametrize("seed", range(4))
 
 
@@ -115,7 +117,6 @@ def test_signs_of_determinants(unit, n, seed):
         matrix = unit * rng.normal(size=(n, n))
         a, right, x = matrix.copy(), rng.normal(size=n), np.zeros(n)
         wanted = np.linalg.solve(matrix, right)
-        least_norm = from_python(elimination.least_norm)
         arguments = a, right, n, n, x, np.zeros((n + 1, n)), np.zeros(n, dtype=np.int64), 1e-12
         assert least_norm(*arguments) == n
         assert x == pytest.approx(wanted, abs=1e-12 * np.linalg.cond(matrix) * np.abs(wanted).max())
@@ -137,7 +138,7 @@ def test_sweeps_of_soft_contacts(seed):
     last = u.copy()
     rounds = 400
     for _ in range(rounds):
-        from_python(cone.sweep)(g, mu, f, u)
+        sweep(g, mu, f, u)
     assert u == pytest.approx(g @ f + c, abs=1e-12 * rounds * np.abs(g).max() * np.abs(f).max())
     assert np.abs(u - last).max() > 1e-3
     # nothing pulls, and as good as nothing closes
@@ -243,7 +244,7 @@ def test_steps_towards_a_point(seed):
     share = (found - point) @ step / (step @ step)
     assert found == pytest.approx(point + share * step, rel=1e-12)
     # 0.95 of it, by bisection
-    low, high = 0.0, 1.0
+    low, high = 0.0, 1.0 / 0.95
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if depth_of(barriers, point + middle * step) > 0.0 else (low, middle)

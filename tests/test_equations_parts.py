@@ -200,6 +200,19 @@ def test_motions_along_two_normals(in_plane, seed):
     assert found == in_plane
 
 
+@pytest.mark.parametrize("in_plane", [False, True])
+def test_how_little_of_a_curves_operator_is_left(in_plane):
+    """1e-9 of its determinant without friction, or of its trace, in any units."""
+    integers, _ = items(1)
+    integers[0, [MODE, PATTERN]] = SLIPPING, ON_CURVE
+    index = np.array([[0, 2], [0, 1]])
+    for unit in (0.1, 10.0):
+        own = unit * np.array([[1.0, 0.0], [0.0, 0.0 if in_plane else 1.0]])
+        for share, lost in ((1.2e-9, False), (0.8e-9, True)):
+            forces = np.array([[share], [1.0]]) * own
+            assert part("curves_lose_positivity")(integers, index, 2, own, forces, 2) == lost
+
+
 def test_the_least_angle_between_normals_that_counts():
     """Their sine squared is 1e-11 times the trace squared, which is 4 for units."""
     for sine, in_plane in ((5e-6, True), (8e-6, False)):

@@ -487,6 +487,9 @@ def test_slip_that_jams():
         at.numbers[3, MU] = share / pull
         out = solved(at)
         assert (out.status == NO_FORCE) == (status == NO_FORCE)
+        # of what has none nothing is known
+        assert (out.counters[ROW_RANK] == 0) == (status == NO_FORCE)
+        assert status == OK or out.counters[LOST_POSITIVITY] == 0
 
 
 # ---------------------------------------------------------------------------------------------- operators of slip

@@ -38,6 +38,7 @@ from pincontact.layout import (
     GUARD_Q,
     GUARD_REALS,
     GUARD_V,
+    HAS_REFERENCE,
     HIGH_END,
     LOW_END,
     MODE,
@@ -52,6 +53,8 @@ from pincontact.layout import (
     OK,
     OWNER,
     PATTERN,
+    REFERENCE_MOVES,
+    REFERENCE_TIME,
     ROLLING_ROW,
     ROWS_FORMED,
     SCALARS_SIZE,
@@ -131,6 +134,8 @@ def closed_contacts(rng, redundant):
         STICK,
     )
     integers[1, [PATTERN, TANGENTS]] = ON_CURVE, 1
+    # only resistances go with their owners
+    integers[:8, OWNER] = 2
     integers[8:, PATTERN], integers[8:, OWNER] = NO_NORMAL, [0, 2]
     guards[:, GUARD_Q], guards[:, GUARD_V], guards[:, GUARD_END] = [3, 5, 7, 9], [2, 4, 6, 8], [-1, 1, 0, 0]
     bounds[:, LOW_END], bounds[:, HIGH_END] = rng.normal(size=(2, 4))
@@ -405,6 +410,18 @@ def test_an_open_contact_without_a_nearest_point():
 
 def asked_directly(system, choice=KINEMATICS_OF_ALL):
     return evaluation.evaluate_state(address_of(system.table), 0.0, choice)
+
+
+def test_which_reference_forces_are_taken():
+    """None, one that stays, or one that moves."""
+    system = bead(pc.Plane(), (0.1, 0.2)).system
+    for has, moves, expected in ((0.0, 0.0, 5.0), (1.0, 0.0, 5.0), (1.0, 1.0, 3.0 + 0.25 * 4.0)):
+        system.scalars[[HAS_REFERENCE, REFERENCE_MOVES, REFERENCE_TIME]] = has, moves, -0.25
+        system.reference[:], system.reference_start[:], system.reference_rate[:] = 5.0, 3.0, 4.0
+        assert system.evaluate(0.0) == OK
+        # independent forces do not depend on it
+        assert system.force[0, 2] == pytest.approx(9.81 * system.basis[0, 2, 2] * -1.0, rel=1e-12)
+        assert system.reference[0, 2] == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.mark.skipif(not numba.config.DISABLE_JIT, reason="compiled code calls its own parts")

@@ -237,6 +237,8 @@ def test_steps_towards_a_point(seed):
     null = null_space(directions)
     barriers = redundant._Barriers(cones, inside, null / np.abs(null).max(), 1.0)
     point = np.append(np.zeros(null.shape[1]), 0.1)
+    # all cones are enlarged by the last number
+    assert barriers.at(point) == pytest.approx(barriers.at(0.0 * point) + np.array([0.1, 0.0, 0.0]), rel=1e-14)
     step = 1e-3 * rng.normal(size=point.size)
     assert barriers.towards(point, step) == pytest.approx(point + step, rel=1e-15)
     step *= 1e6

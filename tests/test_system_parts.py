@@ -243,6 +243,20 @@ def test_laws(laid_out):
     assert [system.owner(i) for i in (0, 1, 2, 5, 6, 7)] == [0, 1, 2, 1, 1, 2]
 
 
+def test_ellipses_along_a_contour(laid_out):
+    """Of the law's first direction the stretch makes the same, across it `aspect` times as much."""
+    scene, _, system = laid_out
+    system.q[:] = pin.integrate(scene.model, system.q, np.linspace(0.2, -0.3, system.nv))
+    system.evaluate_kinematics(0.0)
+    a, b, d = system.contact_real[2, [STRETCH_11, STRETCH_12, STRETCH_22]]
+    shape = np.array([[a, b], [b, d]])
+    along = system.basis[2, :2] @ system.derivatives[4, 1]
+    assert shape @ along == pytest.approx(along, rel=1e-12)
+    across = np.array([-along[1], along[0]])
+    assert shape @ across == pytest.approx(2.0 * across, rel=1e-12)
+    assert abs(along[1]) > 1e-3 * abs(along[0])
+
+
 def test_resistances_above_round_off():
     for length, found in ((0.0, []), (0.9e-13, []), (1.1e-13, [(1, True), (1, False)])):
         scene = scene_of([pc.Coulomb(0.3, spinning=length, rolling=length), None])

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from calling import from_python
+from test_directions_parts import turned
 
 import pincontact as pc
 from pincontact.analysis.instant import Instant
@@ -106,11 +107,6 @@ def table_of(rng, nc, ng, nr, nv, nq=None):
         rng.uniform(0.5, 2.0, nv)
     )
     return memory
-
-
-def turned(rng):
-    basis = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    return basis * np.linalg.det(basis)
 
 
 # ---------------------------------------------------------------------------------------------- corrections

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from calling import from_python
 from scipy.optimize import nnls
+from test_directions_parts import turned
 from test_modes_parts import CONTACTS, ELLIPSE, HELD, RESISTING, made
 
 from pincontact.dynamics import equations, modes
@@ -115,11 +116,6 @@ class Items:
         self.whitened_rows[: len(index)] = np.linalg.solve(self.factor.T, rows.T).T
         self.whitened_forces = self.whitened_rows.copy()
         self.counters[ROW_RANK] = np.linalg.matrix_rank(rows)
-
-
-def turned(rng):
-    basis = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    return basis * np.linalg.det(basis)
 
 
 class Played:

@@ -104,6 +104,13 @@ def test_sweeps_after_other_stages(seed):
     assert not solver._sweep(space, delassus, b, mu, -1.0)
 
 
+def test_nothing_to_solve():
+    found = solve.solve_contacts(np.zeros((0, 0)), np.zeros(0), 0.3)
+    assert (found.residual, found.iterations, found.qp_count, found.decided_by) == (0.0, 0, 0, "exact")
+    assert found.forces.shape == found.velocities.shape == (0, 3)
+    assert found.modes.shape == found.mu.shape == (0,)
+
+
 # ---------------------------------------------------------------------------------------------- sizes and signs
 
 

@@ -16,7 +16,7 @@ from pincontact.friction import cone, elimination, solve
 from pincontact.friction.attempt import NEAR, WARM, WARM_PASSES
 from pincontact.friction.cone import KNOWN
 from pincontact.friction.feasibility import crushing_combination
-from pincontact.friction.loads import ScaledLoads
+from pincontact.friction.loads import LoadSolver, ScaledLoads
 from pincontact.friction.solve import COMPLIANCES, ContactSolver
 
 least_norm, sweep = from_python(elimination.least_norm), from_python(cone.sweep)
@@ -105,6 +105,8 @@ def test_sweeps_after_other_stages(seed):
 
 
 def test_nothing_to_solve():
+    fresh = LoadSolver()
+    assert (fresh.residual, fresh.proved, fresh.forces.size, fresh.slid) == (0.0, False, 0, [])
     found = solve.solve_contacts(np.zeros((0, 0)), np.zeros(0), 0.3)
     assert (found.residual, found.iterations, found.qp_count, found.decided_by) == (0.0, 0, 0, "exact")
     assert found.forces.shape == found.velocities.shape == (0, 3)
@@ -196,6 +198,8 @@ def test_jaws_that_close(unit):
         soft = gram.copy()
         soft[2, 2] *= 1.0 + share**2
         assert (crushing_combination(soft, b) is not None) == proof
+    # a contact that nothing moves has no unit: its force is a number that is one
+    assert crushing_combination(np.zeros((3, 3)), np.array([0.0, 0.0, -2.0])).tolist() == [1.0]
     b[2] = np.nan
     gram[0, 0] = np.inf
     with np.errstate(invalid="ignore"):

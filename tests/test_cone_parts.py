@@ -351,6 +351,9 @@ def test_a_contact_without_friction_has_a_normal_force_alone():
     assert not made["hessian"][np.ix_(tangential, rest)].any()
     assert not made["hessian"][np.ix_(rest, tangential)].any()
     assert np.linalg.eigvalsh(made["hessian"][np.ix_(tangential, tangential)]).min() > 1.0
+    # without curvature by one in both directions, besides the pull to the last forces
+    flat = program(delassus, b, mu, np.r_[f[:3], 0.0, 0.0, f[5:]])["hessian"]
+    assert flat[np.ix_(tangential, tangential)] == pytest.approx(np.diag(g.diagonal()[3:5] + 1.125), rel=1e-12)
     assert not made["gradient"][tangential].any()
     # what the normal forces do to each other is as it was
     assert made["hessian"][5, 2] == pytest.approx(g[5, 2], rel=1e-12)

@@ -15,6 +15,7 @@ from pincontact.dynamics import equations
 from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
 from pincontact.layout import (
     ACROSS_X,
+    ANISOTROPIC,
     CONTACT_INTS,
     CONTACT_REALS,
     DIRECTION_X,
@@ -54,6 +55,9 @@ from pincontact.layout import (
     SPEED_MARGIN,
     START,
     STICK,
+    STRETCH_11,
+    STRETCH_12,
+    STRETCH_22,
     TANGENTS,
     UNILATERAL,
     VISCOUS,
@@ -61,6 +65,7 @@ from pincontact.layout import (
 
 SEEDS = pytest.mark.parametrize("seed", range(5))
 MODES = (FREE, FRICTIONLESS, STICK, SLIPPING)
+ELLIPSE = np.array([[1.2, 0.3], [0.3, 0.7]])
 
 
 @functools.cache
@@ -195,6 +200,19 @@ def test_motions_along_two_normals(in_plane, seed):
     assert found == in_plane
 
 
+@pytest.mark.parametrize("in_plane", [False, True])
+def test_how_little_of_a_curves_operator_is_left(in_plane):
+    """1e-9 of its determinant without friction, or of its trace, in any units."""
+    integers, _ = items(1)
+    integers[0, [MODE, PATTERN]] = SLIPPING, ON_CURVE
+    index = np.array([[0, 2], [0, 1]])
+    for unit in (0.1, 10.0):
+        own = unit * np.array([[1.0, 0.0], [0.0, 0.0 if in_plane else 1.0]])
+        for share, lost in ((1.2e-9, False), (0.8e-9, True)):
+            forces = np.array([[share], [1.0]]) * own
+            assert part("curves_lose_positivity")(integers, index, 2, own, forces, 2) == lost
+
+
 def test_the_least_angle_between_normals_that_counts():
     """Their sine squared is 1e-11 times the trace squared, which is 4 for units."""
     for sine, in_plane in ((5e-6, True), (8e-6, False)):
@@ -288,6 +306,9 @@ def units_of(integers, numbers, parts):
             continue
         elif integers[c, TANGENTS] == 1:
             unit = (own + mobility[0] + max(own, mobility[0])) / 3.0
+        elif integers[c, ANISOTROPIC]:
+            stretched = ELLIPSE @ parts.rows[c, :2]
+            unit = (own + np.einsum("ik,kl,il->", stretched, parts.inverse, stretched)) / 3.0
         else:
             unit = mobility.mean()
         if integers[c, MODE] == SLIPPING and numbers[c, MU] < math.inf:
@@ -308,6 +329,8 @@ def loaded_contacts(rng, rank):
     integers[5, UNILATERAL], integers[5, NORMAL_SIGN] = 0, 0
     numbers[:, MU_NOW], numbers[:, MU] = rng.uniform(0.1, 0.8, (2, 7))
     numbers[3, MU] = math.inf
+    integers[0, ANISOTROPIC] = 1
+    numbers[0, [STRETCH_11, STRETCH_12, STRETCH_22]] = ELLIPSE[0, 0], ELLIPSE[0, 1], ELLIPSE[1, 1]
     return integers, numbers, made_rows(rng, integers, numbers, rank=rank)
 
 

@@ -127,6 +127,13 @@ def test_cone_problems_are_those_of_the_motion(seed):
     assert velocities[missing] == pytest.approx(alone.reshape(-1, 3)[missing], abs=1e-12)
 
 
+def counted(solver, monkeypatch):
+    """What the cone solver is asked from now on."""
+    tried, solve = [], solver.solve
+    monkeypatch.setattr(solver, "solve", lambda *problem: tried.append(problem) or solve(*problem))
+    return tried
+
+
 def on_disk(aim, radius):
     length = np.linalg.norm(aim)
     return aim * min(1.0, radius / length) if length > 0.0 else aim
@@ -134,15 +141,19 @@ def on_disk(aim, radius):
 
 @SEEDS
 @pytest.mark.parametrize("ideal", [False, True])
-def test_solutions_follow_the_laws_of_what_slides_and_what_rests(ideal, seed):
+def test_solutions_follow_the_laws_of_what_slides_and_what_rests(ideal, seed, monkeypatch):
     rng = np.random.default_rng([1, seed])
     system, solver = made(rng, ideal)
     problem = solver._problem(CONTACTS, [3, 4], HELD, RESISTING)
     if ideal:
         problem.limits[2] = math.inf
+    tried = counted(solver.solver, monkeypatch)
     solution = solver._solve_with_loads(problem, CONTACTS, HELD, RESISTING)
     assert solution is not None
     assert solution.residual <= 1e-9
+    # one, and of a fixed point those that lead to it: by half at least each time
+    assert solver.cone_problems == 1 + (len(tried) if ideal else 0)
+    assert len(tried) <= 45
     forces, modes = solution.forces, solution.modes
     velocities = (problem.gram @ forces.ravel() + problem.base).reshape(-1, 3)
     # of fixed points 1e-10, else round-off

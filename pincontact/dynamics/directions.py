@@ -61,14 +61,14 @@ def slip_direction(system: System, c: int) -> np.ndarray:
 
 
 def freeze_slip(system: System, c: int, direction: np.ndarray) -> None:
-    """Let contact c slip in a given direction (components along t1, second) whatever its present v_c."""
+    """Let contact c slip in a given direction (components along its tangents) whatever its present v_c."""
     integers, numbers = system.contact_int[c], system.contact_real[c]
     integers[MODE] = SLIPPING
     if integers[TANGENTS] == 1:
         integers[SLIP_SIGN] = 1 if direction[0] >= 0.0 else -1
         integers[FROZEN] = 0
         return
-    along, aside = float(direction[0]), float(direction[1])
+    along, aside = direction.tolist()
     size = math.hypot(along, aside)
     along, aside = (along / size, aside / size) if size > 0.0 else (1.0, 0.0)
     tangents = list(zip(*system.basis[c, :2].tolist()))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from ..friction.elimination import least_norm, minimum_norm_solve
-from ..friction.ellipse import friction_direction, friction_length, stretch_pair
+from ..friction.ellipse import friction_direction, friction_length
 from ..friction.stribeck import stribeck_kernel
 from ..geometry.patterns import NO_NORMAL, ON_CURVE
 from ..geometry.small import dot
@@ -63,6 +63,8 @@ from ..layout import (
     SPEED_MARGIN,
     START,
     STICK,
+    STRETCH_11,
+    STRETCH_12,
     STRIBECK_EXPONENT,
     STRIBECK_SPEED,
     TANGENTS,
@@ -106,7 +108,7 @@ def slip_direction(integers, numbers, slip, basis, time, direction):
         return direction[0] * along
     speed = math.hypot(along, aside)
     if integers[FROZEN] != 0 or speed == 0.0:
-        world, across = numbers[DIRECTION_X : DIRECTION_X + 3], numbers[ACROSS_X : ACROSS_X + 3]
+        world, across = numbers[DIRECTION_X:], numbers[ACROSS_X:]
         share = (time - numbers[START]) / numbers[SPAN]
         turn = 0.0
         for j in range(POLYNOMIAL_SIZE - 1, -1, -1):
@@ -354,15 +356,15 @@ def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents,
     for i in range(2):
         if on_curve:
             # the other normal and the tangent: the same whichever normals are taken
-            whiten(factor, parents, nv, rows[c, 3 - row if i == 0 else 0], work)
+            whiten(factor, parents, nv, rows[c, (row + 1 + i) % 3], work)
             total += inner(work, work, nv)
             continue
         if i >= tangents:
             total += largest
             break
         if integers[ANISOTROPIC] != 0:
-            first, second = (1.0, 0.0) if i == 0 else (0.0, 1.0)
-            first, second = stretch_pair(numbers, first, second)
+            # row i of the stretch
+            first, second = numbers[STRETCH_11 + i], numbers[STRETCH_12 + i]
             for k in range(nv):
                 work[k] = first * rows[c, 0, k] + second * rows[c, 1, k]
         else:

@@ -235,7 +235,7 @@ class ModeSolver:
                 return passing
             tangents = int(system.contact_int[c, TANGENTS])
             along = system.rows[c, :tangents] @ system.acceleration + system.bias[c, :tangents]
-            freeze_slip(system, c, np.r_[along, 0.0])
+            freeze_slip(system, c, along)
             passing[c] = float(np.linalg.norm(along))
             evaluate(t)
 
@@ -313,7 +313,7 @@ class ModeSolver:
             return self._unload(t, evaluate, ended)
         rows = system.whitened_rows[:count]
         directions = system.whitened_forces[:count] if slipping else rows
-        if count == 0 or not np.isfinite(directions).all():
+        if not np.isfinite(directions).all():
             return False
         null = null_space(directions)
         self.redundant = null.shape[1] > 0
@@ -490,7 +490,7 @@ class ModeSolver:
         """`_solve` where nothing else decides than cones."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
-        decision = Decision(0, solved=True)
+        decision = Decision(OK, solved=True)
         n = len(closed)
         while True:
             if self._all_stick(closed, undecided, held, resisting):
@@ -606,10 +606,10 @@ class ModeSolver:
             # about its middle, friction is a disk of constant radius; at an end, what the end adds to friction only
             # pushes away from it
             middle = (low, 0.5 * (low + high), high)[end + 1]
-            row = system.rows[system.nc + g, 2]
-            free += unwhiten(system, whiten(system, row)) * middle
+            column = whiten(system, system.rows[system.nc + g, 2])
+            free += unwhiten(system, column) * middle
             columns = np.zeros((system.nv, 3))
-            columns[:, 0 if end == 0 else 2] = whiten(system, row) * (-1.0 if end > 0 else 1.0)
+            columns[:, 0 if end == 0 else 2] = -column if end > 0 else column
             units.append(columns)
             mu.append(1.0 if end == 0 else 0.0)
         turns = {i: len(units) + k for k, i in enumerate(resisting)}
@@ -841,7 +841,7 @@ class ModeSolver:
         sticks again. Serves one-tangent and few two-tangent contacts."""
         system = self.system
         integers = system.contact_int
-        decision = Decision(0)
+        decision = Decision(OK)
         # joint coordinates that are let go, with the ends at which they were and the directions in which they go
         released: dict[int, tuple[int, int]] = {}
         for _ in range(_CHANGES * (len(closed) + system.ng + system.nr) + _CHANGES):

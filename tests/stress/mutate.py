@@ -108,6 +108,12 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "pincontact/dynamics/modes.py", "_problem", "base[3 * i + 2] = -0.5 * (high - low) * weights[3 * i + 2]",
         "index 2 -> 1",
     ): "the rows that a unit misses have the same weight",
+    (
+        "pincontact/dynamics/modes.py", "_decide_without_cones", "decision.started[worst] = 0.0", "0.0 -> 0.5",
+    ): "a place for the rate, which takes it before anybody looks",
+    (
+        "pincontact/dynamics/linear.py", "solve_gram", "pivot, best = rank, -1.0", "1.0 -> 1.5",
+    ): "less than any square, as is any negative number",
 }  # fmt: skip
 
 

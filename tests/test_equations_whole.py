@@ -1,0 +1,558 @@
+"""Accelerations and forces of one state from all kinds of items at once, against solutions made beforehand.
+
+Forces that obey the laws of their modes are chosen, and an acceleration; biases and the acceleration without forces are
+then what makes them the solution.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from types import SimpleNamespace
+
+import numba
+import numpy as np
+import pytest
+from calling import from_python
+
+from pincontact.dynamics import equations
+from pincontact.friction.stribeck import stribeck
+from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
+from pincontact.layout import (
+    ACROSS_X,
+    ANISOTROPIC,
+    CONTACT_INTS,
+    CONTACT_REALS,
+    COUNTERS_SIZE,
+    DIRECTION_X,
+    DOMAIN,
+    DOMAIN_MARGIN,
+    EVENT,
+    FREE,
+    FRICTION_MARGIN,
+    FRICTIONLESS,
+    FROZEN,
+    GAP_MARGIN,
+    GUARD_END,
+    GUARD_INTS,
+    GUARD_REALS,
+    GUARD_V,
+    HIGH_FORCE,
+    LIMIT_SLACK,
+    LOST_POSITIVITY,
+    LOW_FORCE,
+    MARGINS_PER_CONTACT,
+    MODE,
+    MU,
+    MU_FAST,
+    MU_NOW,
+    MU_STATIC,
+    NO_FORCE,
+    NORMAL_1,
+    NORMAL_MARGIN,
+    NORMAL_SIGN,
+    OK,
+    OWNER,
+    PATTERN,
+    POLYNOMIAL,
+    ROLLING_ROW,
+    ROW_COUNT,
+    ROW_RANK,
+    SLIP_RATE,
+    SLIP_SIGN,
+    SLIPPING,
+    SPAN,
+    SPEED_MARGIN,
+    SPINNING_ROW,
+    STICK,
+    STRETCH_11,
+    STRETCH_12,
+    STRETCH_22,
+    STRIBECK_EXPONENT,
+    STRIBECK_SPEED,
+    TANGENTS,
+    UNILATERAL,
+    VISCOUS,
+)
+
+SEEDS = pytest.mark.parametrize("seed", range(3))
+part = functools.cache(from_python)
+ELLIPSE = np.array([[1.2, 0.3], [0.3, 0.7]])
+NC, NG, NR, NVELOCITIES = 8, 3, 5, 32
+TOTAL = NC + NG + NR
+# contacts: open, without friction, in stick on an ellipse; sliding on one, along one tangent with a load that pulls, in
+# a frozen direction as fast as its law is steep, on a curve, and held up by friction alone. Joint coordinates: held at
+# the lower end, moving, held by friction. Resistances of the third, the fourth, the open one, the one in a frozen
+# direction, and the one held up.
+MODES = [FREE, FRICTIONLESS, STICK] + 5 * [SLIPPING] + [FRICTIONLESS, FREE, FRICTIONLESS]
+MODES += [STICK, SLIPPING, STICK, SLIPPING, SLIPPING]
+OWNERS = [2, 3, 0, 5, 7]
+
+
+class Instant(SimpleNamespace):
+    """All arrays of an evaluation at one state, and the solution: `wanted` forces and acceleration."""
+
+
+def directions_of(at):
+    """(TOTAL, 2) unit directions in which items slide."""
+    out = np.zeros((TOTAL, 2))
+    for i in range(TOTAL):
+        along = at.basis[i, :2] @ at.slip[i]
+        if at.integers[i, TANGENTS] == 1:
+            along = np.array([at.integers[i, SLIP_SIGN], 0.0])
+        elif at.integers[i, FROZEN]:
+            along = at.basis[i, :2] @ at.numbers[i, DIRECTION_X : DIRECTION_X + 3]
+        out[i] = along / np.linalg.norm(along)
+    return out
+
+
+def made(seed, slides=True):
+    rng = np.random.default_rng(seed)
+    nv = NVELOCITIES
+    integers, numbers = np.zeros((TOTAL, CONTACT_INTS), dtype=np.int64), np.zeros((TOTAL, CONTACT_REALS))
+    integers[:, TANGENTS], integers[:, PATTERN], integers[:, UNILATERAL] = 2, ON_SURFACE, 1
+    integers[[4, 6, 12, 15], TANGENTS] = 1
+    integers[6, PATTERN], integers[NC + NG :, PATTERN] = ON_CURVE, NO_NORMAL
+    integers[[4, 6], UNILATERAL] = 0
+    integers[:, MODE] = MODES
+    if not slides:
+        integers[integers[:, MODE] == SLIPPING, MODE] = STICK
+    integers[:, SLIP_SIGN], integers[:, NORMAL_SIGN] = rng.choice([-1, 1], TOTAL), 1
+    integers[4, NORMAL_SIGN] = -1
+    integers[[2, 3], ANISOTROPIC] = 1
+    integers[NC + NG :, OWNER] = OWNERS
+    # what resists has rows of that; of a contact that slides they make its load one of its margins
+    integers[OWNERS, SPINNING_ROW], integers[0, ROLLING_ROW] = 11, 13
+    numbers[:, [STRETCH_11, STRETCH_12, STRETCH_22]] = ELLIPSE[0, 0], ELLIPSE[0, 1], ELLIPSE[1, 1]
+    numbers[:, MU], numbers[:, MU_STATIC], numbers[:, LIMIT_SLACK] = rng.uniform(0.1, 0.25, TOTAL), 3.0, 0.01
+    numbers[7, [MU, MU_STATIC]] = math.inf
+    numbers[:, DOMAIN], numbers[:, SPAN], numbers[:, NORMAL_1] = rng.uniform(0.2, 0.8, TOTAL), 1.0, 1.0
+    numbers[5, [MU_FAST, STRIBECK_SPEED, STRIBECK_EXPONENT]] = 0.05, 0.7, 2.0
+    numbers[[1, 3], VISCOUS] = 0.3
+    basis = np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(TOTAL)])
+    slip, gaps = rng.normal(size=(TOTAL, 3)), rng.uniform(0.1, 1.0, (TOTAL, 2))
+    integers[5, FROZEN] = 1
+    numbers[5, DIRECTION_X : DIRECTION_X + 3] = basis[5, 0] - 0.4 * basis[5, 1]
+    numbers[5, ACROSS_X : ACROSS_X + 3], numbers[5, POLYNOMIAL] = 7.0 * basis[5, 2], 1.0
+    for i in (4, 6, 12, 15):
+        # one-sided speeds that grow
+        slip[i] *= integers[i, SLIP_SIGN] * np.sign(basis[i, 0] @ slip[i])
+    guards, bounds = np.zeros((NG, GUARD_INTS), dtype=np.int64), np.zeros((NG, GUARD_REALS))
+    guards[:, GUARD_V], guards[:, GUARD_END] = [3, 5, 8], [-1, 0, 0]
+    bounds[:] = -5.0, 6.0, -math.inf, math.inf
+    rows = 0.15 * rng.normal(size=(TOTAL, 3, nv))
+    for i in range(TOTAL):
+        for row in range(3):
+            rows[i, row, (2 * i + row) % nv] += 1.0
+    at = Instant(integers=integers, numbers=numbers, basis=basis, slip=slip, gaps=gaps, rows=rows, guards=guards,
+                 bounds=bounds, rng=rng)  # fmt: skip
+    at.d = directions_of(at)
+    # friction alone can only hold up what it pushes apart
+    rows[7, 2] = -at.d[7] @ rows[7, :2] + 0.3 * rng.normal(size=nv)
+    for g in range(NG):
+        rows[NC + g], basis[NC + g] = 0.0, np.eye(3)
+        rows[NC + g, 2, guards[g, GUARD_V]] = 1.0
+    at.factor = np.eye(nv) + 0.1 * np.tril(rng.normal(size=(nv, nv)))
+    at.inverse = np.linalg.inv(at.factor.T @ at.factor)
+    solve_backwards(at)
+    return at
+
+
+def solve_backwards(at):
+    """Choose forces that obey the laws, an acceleration, and what makes both the solution."""
+    rng, integers, numbers = at.rng, at.integers, at.numbers
+    force = np.zeros((TOTAL, 3))
+    at.mu = numbers[:, MU].copy()
+    at.mu[5] = stribeck(numbers[5, MU], 0.05, 0.7, 2.0, np.linalg.norm(at.basis[5, :2] @ at.slip[5]))
+    at.constrained = []
+    for i in range(TOTAL):
+        mode, pattern = integers[i, MODE], integers[i, PATTERN]
+        if i >= NC + NG and integers[integers[i, OWNER], MODE] == FREE:
+            continue
+        if mode == FREE:
+            continue
+        load = 0.0
+        if pattern != NO_NORMAL:
+            at.constrained.append((i, 2))
+            force[i, 2] = rng.uniform(0.8, 1.5) * integers[i, NORMAL_SIGN]
+            load = abs(force[i, 2])
+        if pattern == ON_CURVE:
+            at.constrained.append((i, 1))
+            force[i, 1] = rng.normal()
+            load = math.hypot(force[i, 1], force[i, 2])
+        if mode == STICK:
+            for row in range(integers[i, TANGENTS]):
+                at.constrained.append((i, row))
+                force[i, row] = 0.3 * rng.normal()
+        elif mode == SLIPPING:
+            owner = int(integers[i, OWNER])
+            if pattern == NO_NORMAL:
+                load = math.hypot(force[owner, 2], force[owner, 1] if owner == 6 else 0.0)
+            d = at.d[i]
+            if integers[i, ANISOTROPIC]:
+                d = ELLIPSE @ ELLIPSE @ d / np.linalg.norm(ELLIPSE @ d)
+            friction = at.mu[i] * load
+            if math.isinf(at.mu[i]):
+                friction, force[i, 2] = load, 0.0
+            force[i, : integers[i, TANGENTS]] = (-friction * d)[: integers[i, TANGENTS]]
+    nv = NVELOCITIES
+    at.acceleration = rng.normal(size=nv)
+    at.acceleration[at.guards[[0, 2], GUARD_V]] = 0.0
+    at.force = force
+    at.free = at.acceleration - at.inverse @ np.einsum("irk,ir->k", at.rows, force)
+    at.bias = rng.normal(size=(TOTAL, 3))
+    at.bias[NC : NC + NG] = 0.0
+    for i, row in at.constrained:
+        at.bias[i, row] = -at.rows[i, row] @ at.acceleration
+
+
+def solved(at, reference=None, moves=None):
+    """Status and outputs of the kernel; reference (TOTAL, 3); moves: (time since, start, rate, slope) of one."""
+    n, nv = TOTAL, NVELOCITIES
+    out = Instant(
+        acceleration=np.full(nv, 9.0), force=np.full((n, 3), 9.0), relative=np.zeros((n, 3)),
+        margins=np.full((n, MARGINS_PER_CONTACT), 9.0), counters=np.full(COUNTERS_SIZE, 9),
+        integers=at.integers.copy(), numbers=at.numbers.copy(), row_index=np.zeros((3 * n, 2), dtype=np.int64),
+    )  # fmt: skip
+    start, rate, slope, since = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((2, 3 * n, nv)), 0.0
+    if moves is not None:
+        since, start, rate, slope = moves
+    held = np.zeros((n, 3)) if reference is None else reference.copy()
+    with np.errstate(invalid="ignore"):
+        out.status = part(equations.contact_dynamics)(
+            nv, NC, out.integers, out.numbers, at.slip, at.basis, at.gaps, at.rows, at.bias, at.factor,
+            np.arange(nv) - 1, at.free, out.acceleration, out.row_index, np.zeros((3 * n, nv)),
+            np.zeros((3 * n, nv)), np.zeros((3 * n, 3 * n + 1)), np.zeros(3 * n), np.zeros(3 * n, dtype=np.int64),
+            np.zeros((3 * n, 3 * n + 1)), out.force, out.relative, out.margins, np.zeros(nv), 0.7 + since,
+            np.zeros(3), NG, n, at.guards, at.bounds, held, start, rate, slope,
+            reference is not None or moves is not None, moves is not None, 0.7, out.counters,
+        )  # fmt: skip
+    out.reference = held
+    return out
+
+
+def viscous(at):
+    """Viscous forces, which are among the loads already, and reported with the others."""
+    out = np.zeros((TOTAL, 3))
+    for i in (1, 3):
+        if at.integers[i, MODE] != STICK:
+            out[i, :2] = -0.3 * at.basis[i, :2] @ at.slip[i]
+    return out
+
+
+def expected_margins(at):
+    out = np.ones((TOTAL, MARGINS_PER_CONTACT))
+    out[0, GAP_MARGIN] = at.gaps[0, 0]
+    out[1:NC, DOMAIN_MARGIN] = at.numbers[1:NC, DOMAIN]
+    for i in range(TOTAL):
+        mode = at.integers[i, MODE]
+        if i < NC and mode != FREE and at.integers[i, UNILATERAL]:
+            out[i, NORMAL_MARGIN] = at.force[i, 2]
+        if mode == STICK and i not in (7, 13):
+            owner = at.integers[i, OWNER] if i >= NC else i
+            load = math.hypot(at.force[owner, 2], at.force[owner, 1] if owner == 6 else 0.0)
+            tangential = at.force[i, : at.integers[i, TANGENTS]]
+            if at.integers[i, ANISOTROPIC]:
+                tangential = np.linalg.solve(ELLIPSE, tangential)
+            out[i, FRICTION_MARGIN] = 1.01 * 3.0 * load - np.linalg.norm(tangential)
+        if mode == SLIPPING and at.integers[i, TANGENTS] == 1:
+            out[i, SPEED_MARGIN] = at.d[i, 0] * (at.basis[i, 0] @ at.slip[i])
+    if at.integers[4, MODE] == SLIPPING:
+        out[4, NORMAL_MARGIN] = -at.force[4, 2]
+    if at.integers[7, MODE] == SLIPPING:
+        out[7, NORMAL_MARGIN] = math.hypot(*at.force[7, :2])
+        normal = at.inverse @ at.rows[7, 2]
+        out[7, FRICTION_MARGIN] = -(at.d[7] @ at.rows[7, :2]) @ normal / (at.rows[7, 2] @ normal) - equations.JAM_LIMIT
+    out[NC, NORMAL_MARGIN] = at.force[NC, 2] + 5.0
+    out[NC + 2, [NORMAL_MARGIN, FRICTION_MARGIN]] = at.force[NC + 2, 2] + 5.0, 6.0 - at.force[NC + 2, 2]
+    return out
+
+
+@SEEDS
+@pytest.mark.parametrize("slides", [False, True])
+def test_forces_and_accelerations_of_all_kinds_of_items(slides, seed):
+    at = made(seed, slides)
+    out = solved(at)
+    # of systems with condition numbers of up to 1e3; on a curve a fixed point
+    assert out.acceleration == pytest.approx(at.acceleration, abs=1e-10)
+    assert out.force == pytest.approx(at.force + viscous(at), abs=1e-10)
+    margins = expected_margins(at)
+    assert out.margins == pytest.approx(margins, abs=1e-10)
+    assert out.status == (OK if margins.min() >= 0.0 else EVENT)
+    # joint coordinates that are held have none to the last bit
+    assert not out.acceleration[at.guards[[0, 2], GUARD_V]].any()
+    assert out.counters[[ROW_COUNT, ROW_RANK, LOST_POSITIVITY]].tolist() == [len(at.constrained)] * 2 + [0]
+    assert sorted(map(tuple, out.row_index[: len(at.constrained)].tolist())) == sorted(at.constrained)
+    assert out.integers[13, MODE] == FREE
+    for i in range(TOTAL):
+        if at.integers[i, MODE] == SLIPPING:
+            relative = at.rows[i] @ at.acceleration + at.bias[i]
+            assert out.relative[i] == pytest.approx(relative, abs=1e-10)
+            assert out.numbers[i, SLIP_RATE] == pytest.approx(at.d[i] @ relative[:2], abs=1e-10)
+            if i != 15:
+                assert out.numbers[i, MU_NOW] == pytest.approx(at.mu[i], rel=1e-13)
+
+
+@SEEDS
+@pytest.mark.parametrize("slides", [False, True])
+def test_each_margin_below_zero_is_an_event(slides, seed):
+    at = made(seed, slides)
+    assert solved(at).status == OK
+    changes = [(at.gaps, (0, 0), -0.1), (at.numbers, (1, DOMAIN), -0.1), (at.numbers, (2, DOMAIN), -1e-9)]
+    changes += [(at.bounds, (0, LOW_FORCE), 7.0), (at.bounds, (2, HIGH_FORCE), -7.0), (at.numbers, (2, MU_STATIC), 0.0)]
+    changes += [(at.numbers, (11, MU_STATIC), 0.0)]
+    if slides:
+        changes += [(at.integers, (4, NORMAL_SIGN), 1)]
+    for array, place, value in changes:
+        before = array[place]
+        array[place] = value
+        if place == (4, NORMAL_SIGN):
+            # friction is the other way round, then
+            solve_backwards(at)
+            at.bias[4, 2] -= 5.0 * at.rows[4, 2] @ at.inverse @ at.rows[4, 2]
+            out = solved(at)
+            assert (out.margins[4, NORMAL_MARGIN] < 0.0) == (out.force[4, 2] < 0.0)
+            continue
+        assert solved(at).status == EVENT
+        array[place] = before
+
+
+@SEEDS
+@pytest.mark.parametrize("slides", [False, True])
+def test_independent_forces_do_not_depend_on_the_reference(slides, seed):
+    at = made(seed, slides)
+    out = solved(at, at.rng.normal(size=(TOTAL, 3)))
+    assert out.acceleration == pytest.approx(at.acceleration, abs=1e-9)
+    assert out.force == pytest.approx(at.force + viscous(at), abs=1e-9)
+    moves = 0.3, *at.rng.normal(size=(2, TOTAL, 3)), at.rng.normal(size=(2, 3 * TOTAL, NVELOCITIES))
+    out = solved(at, moves=moves)
+    assert out.force == pytest.approx(at.force + viscous(at), abs=1e-8)
+
+
+def doubled(seed, slides):
+    """A second contact does what the one without friction does."""
+    at = made(seed, slides)
+    at.integers[0] = at.integers[1]
+    at.rows[0], at.basis[0], at.slip[0] = at.rows[1], at.basis[1], at.slip[1]
+    at.numbers[0] = at.numbers[1]
+    # without the fixed point on the curve, which takes long uncompiled
+    at.integers[[6, 13], MODE] = FREE
+    at.integers[0, SPINNING_ROW] = 0
+    solve_backwards(at)
+    at.bias[0, 2] = at.bias[1, 2]
+    return at
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("slides", [False, True])
+def test_redundant_forces_are_the_least(slides, seed):
+    at = doubled(seed, slides)
+    whole = at.force[0, 2] + at.force[1, 2]
+    out = solved(at)
+    assert out.counters[ROW_RANK] == len(at.constrained) - 1
+    assert out.acceleration == pytest.approx(at.acceleration, abs=1e-9)
+    assert out.force[:2, 2] == pytest.approx([0.5 * whole, 0.5 * whole], rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("slides", [False, True])
+def test_redundant_forces_are_the_nearest_to_a_reference(slides, seed):
+    """Which is a solution itself."""
+    at = doubled(seed, slides)
+    reference = np.zeros((TOTAL, 3))
+    for i, row in at.constrained:
+        reference[i, row] = at.force[i, row]
+    if slides:
+        # the multiplier of what friction holds up is that friction
+        reference[7, 2] = np.linalg.norm(at.force[7, :2])
+    out = solved(at, reference)
+    assert out.acceleration == pytest.approx(at.acceleration, abs=1e-9)
+    assert out.force[:2, 2] == pytest.approx(at.force[:2, 2], abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("slides", [False, True])
+def test_redundant_forces_follow_a_reference(slides, seed):
+    """Which is where its start, its rate and the loads have brought it: as far from it as each other."""
+    at = doubled(seed, slides)
+    whole = at.force[0, 2] + at.force[1, 2]
+    start, rate = at.rng.normal(size=(2, TOTAL, 3))
+    slope = at.rng.normal(size=(2, 3 * TOTAL, NVELOCITIES))
+    loads = np.array([-(at.rows[i, row] @ at.free + at.bias[i, row]) for i, row in at.constrained])
+    places = np.array([3 * i + row for i, row in at.constrained])
+    moved = start + 0.3 * rate
+    moved.reshape(-1)[places] += slope[1, places] @ (slope[0, places].T @ loads)
+    out = solved(at, moves=(0.3, start, rate, slope))
+    left = out.force[:2, 2] - moved[:2, 2]
+    assert left[0] == pytest.approx(left[1], abs=1e-8 * np.abs(moved).max())
+    assert out.force[:2, 2].sum() == pytest.approx(whole, abs=1e-8 * np.abs(moved).max())
+
+
+@SEEDS
+@pytest.mark.parametrize("slides", [False, True])
+def test_contacts_that_nothing_moves_have_no_forces(slides, seed):
+    """Whatever pushes them; of what friction alone holds up, nothing jams."""
+    at = doubled(seed, slides)
+    at.rows[:2] = 0.0
+    at.rows[7] *= 0.1
+    solve_backwards(at)
+    at.force[:2] = 0.0
+    at.free = at.acceleration - at.inverse @ np.einsum("irk,ir->k", at.rows, at.force)
+    at.bias[:2, 2] = 0.7, -0.4
+    out = solved(at)
+    assert out.acceleration == pytest.approx(at.acceleration, abs=1e-9)
+    assert out.force == pytest.approx(at.force + viscous_of(at, out), abs=1e-8)
+    assert out.margins[7, FRICTION_MARGIN] == pytest.approx(expected_margins(at)[7, FRICTION_MARGIN], abs=1e-9)
+    if slides:
+        at.rows[7, 2] = 0.0
+        at.bias[7, 2] = 0.3
+        out = solved(at)
+        assert not out.force[7].any()
+        assert out.margins[7, FRICTION_MARGIN] == 1.0
+
+
+def viscous_of(at, out):
+    """Viscous forces of what moves, that of the twin included."""
+    whole = viscous(at)
+    whole[0] = whole[1]
+    return whole
+
+
+@SEEDS
+def test_small_margins_are_no_events(seed):
+    at = made(seed)
+    at.slip[[4, 6, 12, 15]] *= 0.1
+    solve_backwards(at)
+    force = solved(at).force[2]
+    tangential = np.linalg.norm(np.linalg.solve(ELLIPSE, force[:2]))
+    at.numbers[2, MU_STATIC] = (tangential + 0.1) / (1.01 * force[2])
+    out = solved(at)
+    assert out.margins[2, FRICTION_MARGIN] == pytest.approx(0.1, abs=1e-9)
+    assert 0.0 < out.margins[12, SPEED_MARGIN] < 0.5
+    assert out.status == OK
+
+
+@pytest.mark.skipif(not numba.config.DISABLE_JIT, reason="compiled code calls its own parts")
+def test_what_ends_the_fixed_point_of_curves(monkeypatch):
+    """Forces that have not settled are none, nor those of a lost operator; it ends where nothing changes."""
+    for change, lost, status, rounds in (
+        (0.0, False, OK, 1), (1e-5, False, NO_FORCE, 50), (0.5e-6, False, OK, 50), (0.0, True, NO_FORCE, 1),
+    ):  # fmt: skip
+        at, asked = made(1), []
+        monkeypatch.setattr(equations, "_update_normal_shares", lambda *given, c=change, a=asked: a.append(1) or c)
+        monkeypatch.setattr(equations, "curves_lose_positivity", lambda *given, lost=lost: lost)
+        assert (solved(at).status == NO_FORCE) == (status == NO_FORCE)
+        assert len(asked) == rounds
+
+
+@SEEDS
+def test_a_contact_that_carries_nothing(seed):
+    """Its twin carries all; it stays closed, as far as the least loads ask for none of it."""
+    at = doubled(seed, True)
+    whole = at.force[0, 2] + at.force[1, 2]
+    at.integers[0, NORMAL_SIGN] = 0
+    out = solved(at)
+    assert out.force[:2, 2] == pytest.approx([0.0, whole], abs=1e-9)
+    assert out.acceleration == pytest.approx(at.acceleration, abs=1e-9)
+    # the least would be half of it: the margin is a load that is missing
+    assert out.margins[0, NORMAL_MARGIN] < 0.0
+    assert out.status == EVENT
+
+
+def test_points_on_curves_without_forces():
+    """Where the two normals' own operator has lost positivity, whatever their single ones are."""
+    at = made(1)
+    at.numbers[6, MU] = 0.0
+    solve_backwards(at)
+    out = solved(at)
+    assert out.force == pytest.approx(at.force + viscous(at), abs=1e-10)
+    # friction that turns with the normal force and pulls harder than it pushes
+    at.rows[6, 0] = 3.0 * at.rows[6, 1] * at.d[6, 0]
+    at.numbers[6, MU] = 4.0
+    assert solved(at).status == NO_FORCE
+
+
+def test_slip_that_jams():
+    """Friction pulls a sliding contact in by more than its normal force pushes it out (Painleve)."""
+    at = made(2)
+    # without the torque that goes with its load, too
+    at.integers[12, MODE] = STICK
+    normal = at.inverse @ at.rows[3, 2]
+    d = ELLIPSE @ ELLIPSE @ at.d[3] / np.linalg.norm(ELLIPSE @ at.d[3])
+    for i in range(2):
+        at.rows[3, i] += at.rows[3, 2] * d[i]
+    pull = d @ at.rows[3, :2] @ normal / (at.rows[3, 2] @ normal)
+    assert pull > 0.0
+    for share, status in ((0.9, OK), (1.0 - 1e-10, NO_FORCE), (1.1, NO_FORCE)):
+        at.numbers[3, MU] = share / pull
+        out = solved(at)
+        assert (out.status == NO_FORCE) == (status == NO_FORCE)
+        # of what has none nothing is known
+        assert (out.counters[ROW_RANK] == 0) == (status == NO_FORCE)
+        assert status == OK or out.counters[LOST_POSITIVITY] == 0
+
+
+# ---------------------------------------------------------------------------------------------- operators of slip
+
+
+def slip_system(operator, own, x, on_curve=False):
+    """What the solver of slip's equations returns, and x."""
+    n = len(own)
+    integers = np.zeros((n, CONTACT_INTS), dtype=np.int64)
+    integers[:, PATTERN] = ON_CURVE if on_curve else ON_SURFACE
+    index = np.array([(i, 1 + i % 2) for i in range(n)])
+    x, system = x.copy(), np.hstack([operator, np.array(own)[:, None]])
+    order, scratch = np.zeros(n, dtype=np.int64), np.zeros((n + 1, n + 1))
+    rank = part(equations.solve_slip)(integers, index, system, n, x, order, scratch)
+    return rank, x, system[0, 0]
+
+
+@SEEDS
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_equations_of_slip(n, seed):
+    rng = np.random.default_rng([n, seed])
+    operator, x = 2.0 * np.eye(n) + 0.6 * rng.normal(size=(n, n)), rng.normal(size=n)
+    operator.flat[:: n + 1] = np.abs(operator.diagonal())
+    own = np.ones(n)
+    rank, found, sign = slip_system(operator, own, x)
+    assert rank == n
+    # condition numbers of up to 1e2
+    assert found == pytest.approx(np.linalg.solve(operator, x), abs=1e-12 * np.linalg.cond(operator))
+    if n > 1:
+        assert (sign > 0.0) == (np.linalg.det(operator) > 0.0)
+    for i in range(n):
+        # one that nothing moves has no force, and asks for none
+        without, rest = own.copy(), np.arange(n) != i
+        without[i] = 0.0
+        blocked = operator.copy()
+        blocked[i] = blocked[:, i] = 0.0
+        given = np.where(rest, x, 0.0)
+        rank, found, _ = slip_system(blocked, without, x)
+        assert rank == n - 1
+        assert found[i] == 0.0
+        assert found[rest] == pytest.approx(np.linalg.solve(operator[np.ix_(rest, rest)], given[rest]), abs=1e-10)
+        # one that carries nothing has no force, but is to be satisfied: here it is
+        unloaded, column = own.copy(), operator.copy()
+        unloaded[i], column[:, i] = -1.0, 0.0
+        forces = np.where(rest, rng.normal(size=n), 0.0)
+        rank, found, _ = slip_system(column, unloaded, column @ forces)
+        assert rank == max(n - 1, 1)
+        assert found == pytest.approx(forces, abs=1e-10)
+
+
+def test_operators_of_slip_that_have_lost_positivity():
+    """Against what they are without friction; a point on a curve is judged by both of its normals."""
+    x = np.array([1.0, 2.0])
+    for share, lost in ((1.2e-9, False), (0.8e-9, True), (0.0, True), (-1.0, True), (math.nan, True)):
+        for i in range(2):
+            operator, own = np.array([[2.0, 0.0], [0.0, 2.0]]), np.array([2.0, 2.0])
+            operator[i, i] = share * (3.0 if i else 1.0)
+            own[i] = 3.0 if i else 1.0
+            assert (slip_system(operator, own, x)[0] == -1) == lost
+        assert (slip_system(np.array([[share]]), np.array([1.0]), x[:1])[0] == -1) == lost
+    operator = np.array([[-1.0, 0.3], [0.2, -1.0]])
+    assert slip_system(operator, np.ones(2), x)[0] == -1
+    assert slip_system(operator, np.ones(2), x, on_curve=True)[0] == 2
+    # nothing at all, and a system that is zero
+    assert slip_system(np.zeros((2, 2)), np.zeros(2), x)[0] == 0
+    assert slip_system(np.zeros((2, 2)), np.ones(2), x, on_curve=True)[0] == -1

@@ -1,0 +1,1369 @@
+"""The choice of modes step by step: what is opened, held, let go, loaded or turned when evaluations say what they do.
+
+Evaluations are played by functions, so that each step is seen alone.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+
+import numpy as np
+import pytest
+from calling import from_python
+from scipy.optimize import nnls
+from test_directions_parts import turned
+from test_modes_parts import CONTACTS, ELLIPSE, HELD, RESISTING, made
+
+from pincontact.dynamics import equations, modes
+from pincontact.dynamics.modes import Decision, ModeSolver
+from pincontact.dynamics.redundant import Choice, Cone
+from pincontact.dynamics.system import System
+from pincontact.friction import cone
+from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
+from pincontact.layout import (
+    ANISOTROPIC,
+    CONTACT_INTS,
+    CONTACT_REALS,
+    COUNTERS_SIZE,
+    DIRECTION_X,
+    EVENT,
+    FREE,
+    FRICTION_MARGIN,
+    FRICTIONLESS,
+    FROZEN,
+    GUARD_END,
+    GUARD_INTS,
+    GUARD_REALS,
+    GUARD_SIGN,
+    GUARD_V,
+    HAS_REFERENCE,
+    HIGH_FORCE,
+    LENGTH,
+    LOCATION_FAILED,
+    LOST_POSITIVITY,
+    LOW_FORCE,
+    MARGINS_PER_CONTACT,
+    MODE,
+    MU,
+    MU_NOW,
+    MU_STATIC,
+    NO_FORCE,
+    NORMAL_MARGIN,
+    NORMAL_SIGN,
+    OK,
+    OWNER,
+    PATTERN,
+    REFERENCE_MOVES,
+    REFERENCE_TIME,
+    ROW_COUNT,
+    ROW_RANK,
+    SCALARS_SIZE,
+    SLIP_RATE,
+    SLIP_SIGN,
+    SLIPPING,
+    STICK,
+    TANGENTS,
+    UNILATERAL,
+    VISCOUS,
+)
+
+SEEDS = pytest.mark.parametrize("seed", range(4))
+part = functools.cache(from_python)
+T = 0.6
+
+
+class Items:
+    """The arrays of contacts, joint coordinates and resistances that an evaluation leaves."""
+
+    closed, held, resisting, owner, modes = (
+        System.closed, System.held, System.resisting, System.owner, System.modes,
+    )  # fmt: skip
+
+    def __init__(self, nc, ng=0, nr=0, nv=6, seed=0):
+        rng = np.random.default_rng(seed)
+        self.nc, self.ng, self.nr, self.nv = nc, ng, nr, nv
+        n = self.items = nc + ng + nr
+        self.contact_int, self.contact_real = np.zeros((n, CONTACT_INTS), np.int64), np.zeros((n, CONTACT_REALS))
+        self.contact_int[:, [TANGENTS, MODE, UNILATERAL, NORMAL_SIGN]] = 2, STICK, 1, 1
+        self.contact_int[nc + ng :, PATTERN] = NO_NORMAL
+        self.contact_real[:, [MU, MU_STATIC, MU_NOW]] = 0.3, 0.5, 0.2
+        self.guard_int, self.guard_real = np.zeros((ng, GUARD_INTS), np.int64), np.zeros((ng, GUARD_REALS))
+        self.guard_int[:, GUARD_V] = np.arange(ng) + 1
+        self.margins, self.force = np.ones((n, MARGINS_PER_CONTACT)), rng.normal(size=(n, 3))
+        self.rows, self.bias = rng.normal(size=(n, 3, nv)), rng.normal(size=(n, 3))
+        self.basis = np.array([turned(rng) for _ in range(n)])
+        self.slip = rng.normal(size=(n, 3))
+        self.v, self.acceleration, self.free_acceleration = rng.normal(size=(3, nv))
+        self.factor = np.eye(nv) + 0.2 * np.tril(rng.normal(size=(nv, nv)))
+        self.inverse = np.linalg.inv(self.factor.T @ self.factor)
+        self.bias_forces, self.tau = np.zeros(nv), np.zeros(nv)
+        self.scale = np.array([1e-8, 1e-10])
+        self.counters, self.scalars = np.zeros(COUNTERS_SIZE, np.int64), np.zeros(SCALARS_SIZE)
+        self.reference = rng.normal(size=(n, 3))
+        self.reference_start, self.reference_rate = rng.normal(size=(2, n, 3))
+        self.reference_slope = rng.normal(size=(2, 3 * n, nv))
+        self.row_index = np.zeros((3 * n, 2), np.int64)
+        self.whitened_rows = self.whitened_forces = np.zeros((3 * n, nv))
+
+    def list_rows(self, index):
+        """Constraint rows (item, row) of an evaluation, whitened."""
+        self.row_index[: len(index)] = index
+        self.counters[ROW_COUNT] = len(index)
+        self.whitened_rows = np.zeros((len(self.row_index), self.nv))
+        rows = np.array([self.rows[c, row] for c, row in index])
+        self.whitened_rows[: len(index)] = np.linalg.solve(self.factor.T, rows.T).T
+        self.whitened_forces = self.whitened_rows.copy()
+        self.counters[ROW_RANK] = np.linalg.matrix_rank(rows)
+
+
+class Played:
+    """An evaluation that returns these statuses one after the other, the last one again and again; what modes it was
+    asked with. then: what happens to the system besides, given the number of the call."""
+
+    def __init__(self, system, *statuses, then=None):
+        self.system, self.statuses, self.then = system, statuses or (OK,), then
+        self.asked = []
+
+    def __call__(self, t):
+        assert t == T
+        self.asked.append(self.system.contact_int[:, MODE].tolist())
+        if self.then is not None:
+            self.then(len(self.asked) - 1)
+        return self.statuses[min(len(self.asked), len(self.statuses)) - 1]
+
+
+def saying(*answers):
+    """A function that answers so, one after the other, the last one again and again; with what it was asked."""
+    asked = []
+
+    def answer(*arguments):
+        asked.append(arguments)
+        return answers[min(len(asked), len(answers)) - 1]
+
+    answer.asked = asked
+    return answer
+
+
+def never(*arguments):
+    raise AssertionError(arguments)
+
+
+def slides_along(system, i, direction):
+    assert system.contact_int[i, [MODE, FROZEN]].tolist() == [SLIPPING, 1]
+    world = system.contact_real[i, DIRECTION_X : DIRECTION_X + 3]
+    assert system.basis[i, :2] @ world == pytest.approx(direction / np.linalg.norm(direction), abs=1e-12)
+
+
+# ---------------------------------------------------------------------------------------------- what contacts are
+
+
+def test_what_contacts_are():
+    system = Items(2)
+    for mode, unilateral, sign, mu, viscous in itertools.product(
+        (FREE, FRICTIONLESS, STICK, SLIPPING), (0, 1), (-1, 0, 1), (0.0, 0.4, math.inf), (0.0, 0.7)
+    ):
+        system.contact_int[1, [MODE, UNILATERAL, NORMAL_SIGN]] = mode, unilateral, sign
+        system.contact_real[1, [MU, VISCOUS]] = mu, viscous
+        shares = mode == SLIPPING and unilateral == 1 and sign == -1
+        assert modes.shares_viscous_force(system, 1) == shares
+        assert modes.held_up_by_friction(system, 1) == (shares or (mode == SLIPPING and mu == math.inf))
+        assert modes.drags(system, 1) == (mode in (FRICTIONLESS, SLIPPING) and unilateral == 1 and viscous > 0.0)
+        before = system.contact_int[0].tolist()
+        ModeSolver(system).load(1)
+        # what only a part of viscous friction has kept closed has no other
+        assert system.contact_int[1, MODE] == (FRICTIONLESS if shares and mu == 0.0 else mode)
+        assert system.contact_int[1, NORMAL_SIGN] == 1
+        assert system.contact_int[0].tolist() == before
+    assert [modes.rest_mode(mu) for mu in (0.0, 1e-9, math.inf)] == [FRICTIONLESS, STICK, STICK]
+
+
+def test_every_closed_contact_gets_a_load():
+    system = Items(6)
+    solver = ModeSolver(system)
+    assert solver._load_all()
+    system.contact_int[:, NORMAL_SIGN] = 1, 0, -1, 0, -1, 0
+    system.contact_int[3, UNILATERAL] = 0
+    system.contact_int[5, MODE] = FREE
+    assert not solver._load_all()
+    assert system.contact_int[:, NORMAL_SIGN].tolist() == [1, 1, 1, 0, 1, 0]
+    assert solver._load_all()
+
+
+def test_nothing_is_counted_before_it_is_done():
+    solver = ModeSolver(Items(2, 1))
+    assert (solver.cone_problems, solver.redistributions, solver.worst_residual) == (0, 0, 0.0)
+    assert not solver.redundant
+    assert not solver.proved
+
+
+def test_sizes_of_round_off():
+    """Of forces: from the loads on joints. Of relative accelerations: from what cancels in a row."""
+    system = Items(3, nv=2)
+    solver = ModeSolver(system)
+    assert solver.force_round_off() == 0.0
+    system.bias_forces[:], system.tau[:] = [1.0, -2.0], [3.0, -4.0]
+    assert solver.force_round_off() == pytest.approx(6e-11, rel=1e-12)
+    assert solver._still() == 0.0
+    system.free_acceleration[:] = -2.0, 3.0
+    system.rows[1, 2], system.rows[2, 0], system.rows[0] = [1.0, -1.0], [-4.0, 2.0], 100.0
+    system.list_rows([(1, 2), (2, 0)])
+    assert solver._still() == pytest.approx(14e-11, rel=1e-12)
+
+
+def test_a_part_of_viscous_friction_is_less_than_all_of_it():
+    system = Items(2)
+    system.force[1] = 3.0, -4.0, 100.0
+    for margin, all_of_it in ((-4.9e-6, False), (-5.1e-6, True), (1.0, False)):
+        system.margins[1, FRICTION_MARGIN] = margin
+        assert ModeSolver(system)._takes_all(1) is all_of_it
+
+
+# ---------------------------------------------------------------------------------------------- joint coordinates
+
+
+@pytest.mark.parametrize("dry", [False, True])
+def test_coordinates_are_held_and_let_go(dry):
+    system = Items(2, 3)
+    solver = ModeSolver(system)
+    system.contact_int[:, MODE] = FREE
+    system.guard_real[:, [LOW_FORCE, HIGH_FORCE]] = [-0.2, 0.1] if dry else [0.0, 0.0]
+    expected, guards = system.contact_int.copy(), system.guard_int.copy()
+    for end in (-1, 0, 1):
+        system.guard_int[1, GUARD_SIGN] = 1
+        solver.hold(1, end)
+        expected[3, MODE] = FRICTIONLESS
+        guards[1, [GUARD_SIGN, GUARD_END]] = 0, end
+        assert (system.contact_int.tolist(), system.guard_int.tolist()) == (expected.tolist(), guards.tolist())
+        sign = 1 if end <= 0 else -1
+        solver.release(1, sign)
+        expected[3, MODE] = FREE
+        guards[1, [GUARD_SIGN, GUARD_END]] = sign if dry else 0, 0
+        assert (system.contact_int.tolist(), system.guard_int.tolist()) == (expected.tolist(), guards.tolist())
+
+
+def test_a_coordinate_moves_whose_force_is_beyond_a_bound():
+    system = Items(4, 3)
+    solver, released = ModeSolver(system), {}
+    system.tau[:] = 10.0
+    system.guard_real[:, HIGH_FORCE] = 0.1
+    system.guard_int[:, GUARD_END] = 1, 0, -1
+    # round-off of the loads
+    system.margins[4:, [NORMAL_MARGIN, FRICTION_MARGIN]] = -0.9e-10
+    assert not solver._release_one(released)
+    system.margins[5, FRICTION_MARGIN], system.margins[6, NORMAL_MARGIN] = -1.1e-10, -0.3
+    assert solver._release_one(released)
+    # below its upper bound: friction cannot push enough that way
+    assert released == {1: (0, -1)}
+    assert system.guard_int[1, GUARD_SIGN] == -1
+    assert solver._release_one(released)
+    assert released == {1: (0, -1), 2: (-1, 1)}
+    assert system.held() == [0]
+    assert not solver._release_one(released)
+    # what would go back is held where it was
+    system.free_acceleration[:] = 0.0, 0.0, 5.0, -20.0, 0.0, 0.0
+    system.acceleration[1:4] = -1.0, 1.9e-10, -1.9e-10
+    assert not solver._hold_one(released)
+    system.acceleration[3] = -2.1e-10
+    assert solver._hold_one(released)
+    assert released == {1: (0, -1)}
+    assert system.held() == [0, 2]
+    assert system.guard_int[2, GUARD_END] == -1
+    system.acceleration[2] = 0.3
+    assert solver._hold_one(released)
+    assert not released
+    assert system.guard_int[1, GUARD_END] == 0
+
+
+# ---------------------------------------------------------------------------------------------- without cones
+
+
+def test_normals_that_pull(monkeypatch):
+    """A unilateral contact opens, a bilateral one has the other sign; one at a time."""
+    system = Items(4)
+    solver, opened = ModeSolver(system), saying(None)
+    monkeypatch.setattr(solver, "_open", opened)
+    system.tau[:] = 10.0
+    system.contact_int[0, MODE], system.contact_int[2, UNILATERAL] = FREE, 0
+    system.contact_int[2, NORMAL_SIGN] = -1
+    system.margins[:, NORMAL_MARGIN] = -5.0, -0.9e-10, -1.1e-10, -0.2
+    decision = Decision(0)
+    assert solver._change_normal(T, [0, 1, 2, 3], never, decision)
+    assert system.contact_int[:, NORMAL_SIGN].tolist() == [1, 1, 1, 1]
+    assert not opened.asked
+    system.margins[2, NORMAL_MARGIN] = 1.0
+    assert solver._change_normal(T, [0, 1, 2, 3], never, decision)
+    assert opened.asked == [(T, 3, never, decision)]
+    # what is held up by more than all of its viscous friction carries a load
+    system.margins[:, NORMAL_MARGIN] = 1.0
+    assert not solver._change_normal(T, [0, 1, 2, 3], never, decision)
+    system.contact_int[1, [MODE, NORMAL_SIGN]] = SLIPPING, -1
+    assert not solver._change_normal(T, [0, 1, 2, 3], never, decision)
+    system.margins[1, FRICTION_MARGIN] = -1.0
+    assert solver._change_normal(T, [0, 1, 2, 3], never, decision)
+    assert system.contact_int[1, [MODE, NORMAL_SIGN]].tolist() == [SLIPPING, 1]
+
+
+def test_what_exceeds_its_friction_most():
+    """In N, a resistance by its torque over its length; of what sticks, and is closed."""
+    system = Items(4, 1, 2)
+    solver = ModeSolver(system)
+    system.contact_int[5:, OWNER] = 2, 0
+    system.contact_real[5:, MU] = 0.05
+    system.margins[:, FRICTION_MARGIN] = -0.1, -0.3, 0.2, -0.25, -9.0, -0.02, -0.01
+    closed = [0, 1, 2, 3]
+    assert solver._exceeding(closed) == 5
+    system.margins[5, FRICTION_MARGIN] = -0.014
+    assert solver._exceeding(closed) == 1
+    system.contact_int[1, MODE] = SLIPPING
+    assert solver._exceeding(closed) == 5
+    system.contact_int[2, MODE] = FREE
+    assert solver._exceeding(closed) == 3
+    # of what carries none the resistance has none
+    system.contact_int[3, MODE], system.contact_int[0, [MODE, NORMAL_SIGN]] = SLIPPING, (SLIPPING, -1)
+    assert solver._exceeding(closed) is None
+    system.contact_int[0, NORMAL_SIGN] = 1
+    assert solver._exceeding(closed) == 6
+    system.margins[:, FRICTION_MARGIN] = 0.0
+    system.contact_int[:, MODE] = STICK
+    assert solver._exceeding(closed) is None
+
+
+def test_slip_that_friction_would_not_let_begin(monkeypatch):
+    system = Items(3, nv=1)
+    solver = ModeSolver(system)
+    system.rows[:], system.free_acceleration[:] = 1.0, 10.0
+    system.list_rows([(0, 2)])
+    system.contact_real[:, SLIP_RATE] = -0.9e-10, -1.1e-10, -1.2e-10
+    aligned = saying(True)
+    monkeypatch.setattr(modes, "align_slips", aligned)
+    assert solver._goes_back(T, [0, 1, 2], never) == 2
+    assert aligned.asked == [(system, T, [0, 1, 2], never)]
+    assert solver._goes_back(T, [0, 1], never) == 1
+    assert solver._goes_back(T, [0], never) is None
+    # without directions one of them all
+    monkeypatch.setattr(modes, "align_slips", saying(False))
+    assert solver._goes_back(T, [0], never) == 0
+    assert solver._goes_back(T, [0, 1], never) == 1
+    assert solver._goes_back(T, [], never) is None
+    # no further than round-off: at its limit, with these forces
+    evaluate = Played(system, EVENT)
+    decision = Decision(0, {0: 0.9e-10, 1: 1.1e-10})
+    system.contact_int[:2, [MODE, FROZEN]] = SLIPPING, 1
+    solver._stick_at_limits(T, decision, evaluate)
+    assert decision.started == {1: 1.1e-10}
+    assert decision.status == EVENT
+    assert system.contact_int[:, MODE].tolist() == [STICK, SLIPPING, STICK]
+    assert system.contact_int[:, FROZEN].tolist() == [0, 1, 0]
+    assert (system.reference == system.force).all()
+    assert len(evaluate.asked) == 1
+    solver._stick_at_limits(T, decision, never)
+    assert decision.started == {1: 1.1e-10}
+
+
+def alone(system, monkeypatch, **parts):
+    """A solver whose parts say and do nothing, but for those given."""
+    solver = ModeSolver(system)
+    quiet = {"_hold_one": False, "_release_one": False, "_change_normal": False, "_goes_back": None, "_exceeding": None}
+    for name, answer in quiet.items():
+        monkeypatch.setattr(solver, name, parts.get(name, saying(answer)))
+    return solver
+
+
+@pytest.mark.parametrize("pattern", [ON_SURFACE, ON_CURVE])
+@pytest.mark.parametrize("load", [-2.0, 0.0, 1.0])
+def test_what_exceeds_its_friction_slides_against_it(load, pattern, monkeypatch):
+    system = Items(2, 0, 1)
+    system.contact_int[:2, PATTERN] = pattern
+    system.contact_int[2, OWNER] = 1
+    system.contact_int[1, ANISOTROPIC] = 0
+    system.contact_int[:, NORMAL_SIGN] = 7
+    system.force[1] = 0.3, -0.4, load
+    system.contact_real[:, SLIP_RATE] = 0.5
+    system.rows[:] = 0.0
+    monkeypatch.setattr(ModeSolver, "_still", lambda self: 0.1)
+    for worst in (1, 2):
+        system.force[2] = 0.6, 0.8, 99.0
+        system.contact_int[:, [MODE, NORMAL_SIGN, FROZEN]] = STICK, 7, 0
+        solver = alone(system, monkeypatch, _exceeding=saying(worst, None))
+        evaluate = Played(system, EVENT)
+        decision = solver._decide_without_cones(T, [0, 1], [0, 1], evaluate)
+        slides_along(system, worst, -system.force[worst, :2])
+        sign = 7 if pattern == ON_CURVE else (1 if load >= 0.0 else -1)
+        assert system.contact_int[:, NORMAL_SIGN].tolist() == [7, sign, 7]
+        assert (decision.status, decision.started) == (EVENT, {worst: 0.5})
+        assert len(evaluate.asked) == 2
+        # as slow as round-off: it sticks after all
+        system.contact_real[:, SLIP_RATE] = 0.1
+        solver = alone(system, monkeypatch, _exceeding=saying(worst, None))
+        decision = solver._decide_without_cones(T, [0, 1], [0, 1], Played(system, EVENT))
+        assert (decision.started, system.contact_int[worst, MODE]) == ({}, STICK)
+        system.contact_real[:, SLIP_RATE] = 0.5
+
+
+def test_one_change_after_the_other(monkeypatch):
+    """Each is followed by an evaluation; what goes back sticks; where it does not end there are no forces."""
+    system = Items(2, 1, 1)
+    system.contact_int[3, OWNER] = 0
+    for name in ("_hold_one", "_release_one", "_change_normal"):
+        solver = alone(system, monkeypatch, **{name: saying(True, True, False)})
+        evaluate = Played(system)
+        assert solver._decide_without_cones(T, [0], [0, 1], evaluate).status == OK
+        assert len(evaluate.asked) == 3
+        solver = alone(system, monkeypatch, **{name: saying(True)})
+        evaluate = Played(system)
+        assert solver._decide_without_cones(T, [0], [0, 1], evaluate).status == NO_FORCE
+        # four for each contact, coordinate and resistance, and four more
+        assert len(evaluate.asked) == 4 * (2 + 1 + 1) + 4
+    evaluate = Played(system, OK, NOT_FORCES)
+    assert alone(system, monkeypatch, _hold_one=saying(True))._decide_without_cones(
+        T, [0], [0, 1], evaluate
+    ).status == NOT_FORCES  # fmt: skip
+    assert len(evaluate.asked) == 2
+    # a force that pulls after slip has turned is looked at again
+    system.tau[:], system.margins[1, NORMAL_MARGIN] = 10.0, -1.1e-10
+    evaluate = Played(system, then=lambda call: system.margins.__setitem__((1, NORMAL_MARGIN), -0.9e-10 * call))
+    system.margins[1, NORMAL_MARGIN] = -1.1e-10
+    solver = alone(system, monkeypatch)
+    assert solver._decide_without_cones(T, [0], [0, 1], evaluate).status == OK
+    assert len(evaluate.asked) == 1
+    evaluate = Played(system, then=lambda call: system.margins.__setitem__((1, NORMAL_MARGIN), -1e-9 * (call == 0)))
+    assert solver._decide_without_cones(T, [0], [0, 1], evaluate).status == OK
+    assert len(evaluate.asked) == 2
+    # what goes back
+    system.contact_real[:, SLIP_RATE] = 0.5
+    solver = alone(system, monkeypatch, _exceeding=saying(0, 1, None), _goes_back=saying(None, 0, None))
+    decision = solver._decide_without_cones(T, [0, 1], [0, 1], Played(system))
+    assert system.contact_int[:2, [MODE, FROZEN]].tolist() == [[STICK, 0], [SLIPPING, 1]]
+    assert decision.started == {1: 0.5}
+
+
+NOT_FORCES = LOCATION_FAILED
+
+
+# ---------------------------------------------------------------------------------------------- contacts that open
+
+
+def test_a_contact_without_a_part_of_its_friction_opens(monkeypatch):
+    for share, mode in ((True, STICK), (False, FREE)):
+        system = Items(2)
+        solver = ModeSolver(system)
+        shared = saying(share)
+        monkeypatch.setattr(solver, "share", shared)
+        decision = Decision(0)
+        # no ideal rolling: it is not evaluated
+        solver._open(T, 1, never, decision)
+        assert shared.asked == [(T, 1, never)]
+        assert system.contact_int[:, MODE].tolist() == [STICK, mode]
+        assert (decision.opened, decision.started) == ([] if share else [1], {})
+
+
+@pytest.mark.parametrize(
+    ("statuses", "gap", "margins", "rate", "slides"),
+    [
+        ((OK, EVENT), -0.1, (0.0, 0.0), 0.2, True),
+        ((EVENT, OK), -0.1, (0.3, 0.2), 1e-3, True),
+        ((NO_FORCE, OK), -0.1, (1.0, 1.0), 0.2, False),
+        ((OK, NO_FORCE), -0.1, (1.0, 1.0), 0.2, False),
+        ((OK, OK), 0.0, (1.0, 1.0), 0.2, False),
+        ((OK, OK), math.nan, (1.0, 1.0), 0.2, False),
+        ((OK, OK), -0.1, (-0.1, 1.0), 0.2, False),
+        ((OK, OK), -0.1, (1.0, -0.1), 0.2, False),
+        ((OK, OK), -0.1, (1.0, 1.0), 0.0, False),
+    ],
+)
+def test_ideal_rolling_that_would_close_again_slides(statuses, gap, margins, rate, slides, monkeypatch):
+    system = Items(3)
+    solver = ModeSolver(system)
+    system.contact_real[1, MU] = math.inf
+    system.margins[:] = -1.0
+    system.margins[1, [NORMAL_MARGIN, FRICTION_MARGIN]] = margins
+    system.contact_real[1, SLIP_RATE] = rate
+    gaps = saying(gap)
+    monkeypatch.setattr(solver, "gap_acceleration", gaps)
+    before, force = system.contact_int.copy(), system.force[1].copy()
+    evaluate = Played(system, *statuses, then=lambda call: system.force.__setitem__(1, 9.0))
+    decision = Decision(0)
+    solver._open(T, 1, evaluate, decision)
+    # first without it
+    assert evaluate.asked[0] == [STICK, FREE, STICK]
+    if slides:
+        slides_along(system, 1, -force[:2])
+        assert gaps.asked == [(T, 1)]
+        assert (decision.started, decision.opened) == ({1: rate}, [])
+    else:
+        assert system.contact_int[1, [MODE, FROZEN]].tolist() == [FREE, 0]
+        assert (decision.started, decision.opened) == ({}, [1])
+    others = [i for i in range(CONTACT_INTS) if i not in (MODE, FROZEN)]
+    assert (system.contact_int[:, others] == before[:, others]).all()
+
+
+@pytest.mark.parametrize("mode", [FRICTIONLESS, SLIPPING])
+@pytest.mark.parametrize("tangents", [1, 2])
+@pytest.mark.parametrize("along", [-0.4, 0.0, 0.3])
+def test_a_contact_kept_closed_by_a_part_of_its_friction(along, tangents, mode, monkeypatch):
+    def tried(status=EVENT, margin=0.0, takes_all=False, closes=True, viscous=0.1):
+        system = Items(2)
+        solver = ModeSolver(system)
+        system.contact_int[1, [MODE, TANGENTS, SLIP_SIGN]] = mode, tangents, 5
+        system.contact_real[1, VISCOUS] = viscous
+        system.basis[1] = np.eye(3)
+        system.slip[1] = along, 0.7, 0.1
+        system.margins[1, NORMAL_MARGIN] = margin
+        monkeypatch.setattr(solver, "_closes_without", saying(closes))
+        monkeypatch.setattr(solver, "_takes_all", saying(takes_all))
+        before = system.contact_int.copy()
+        evaluate = Played(system, status, OK)
+        kept = solver.share(T, 1, evaluate)
+        if kept:
+            assert system.contact_int[1, [MODE, NORMAL_SIGN]].tolist() == [SLIPPING, -1]
+            assert system.contact_int[1, SLIP_SIGN] == (5 if tangents == 2 else 1 if along >= 0.0 else -1)
+            assert evaluate.asked == [[STICK, SLIPPING]]
+            # not twice
+            assert not solver.share(T, 1, never)
+        else:
+            assert system.contact_int.tolist() == before.tolist()
+            assert not evaluate.asked or evaluate.asked[-1] == [STICK, mode]
+        return kept, len(evaluate.asked)
+
+    assert tried() == (True, 1)
+    assert tried(status=NO_FORCE) == (False, 2)
+    assert tried(margin=-1e-3) == (False, 2)
+    assert tried(takes_all=True) == (False, 2)
+    assert tried(closes=False) == (False, 1)
+    assert tried(viscous=0.0) == (False, 0)
+
+
+def test_whether_a_contact_would_close_without_its_friction(monkeypatch):
+    """Together with what would pull without it, which opens, too, while that is looked at."""
+
+    def tried(*statuses, gap=-1.0, pulls=(-1.1e-10,), unilateral=1, free=False):
+        system = Items(4)
+        solver = ModeSolver(system)
+        system.tau[:] = 10.0
+        system.contact_int[2, MODE], system.contact_int[3, UNILATERAL] = SLIPPING, unilateral
+        if free:
+            system.contact_int[3, MODE] = FREE
+        gaps = saying(gap)
+        monkeypatch.setattr(solver, "gap_acceleration", gaps)
+
+        def then(call):
+            system.margins[3, NORMAL_MARGIN] = pulls[call] if call < len(pulls) else 1.0
+
+        evaluate = Played(system, *statuses, then=then)
+        closes = solver._closes_without(T, 1, evaluate)
+        assert gaps.asked in ([], [(T, 1)])
+        assert system.modes.tolist() == [STICK, FREE, SLIPPING, FREE if free else STICK]
+        assert evaluate.asked[0][:3] == [STICK, FREE, SLIPPING]
+        return closes, evaluate.asked[-1][3], len(evaluate.asked)
+
+    assert tried() == (True, FREE, 2)
+    assert tried(EVENT) == (True, FREE, 2)
+    assert tried(gap=0.0) == (False, FREE, 2)
+    assert tried(OK, NO_FORCE) == (False, FREE, 2)
+    assert tried(NO_FORCE) == (False, STICK, 1)
+    assert tried(pulls=(-0.9e-10,)) == (True, STICK, 1)
+    assert tried(unilateral=0) == (True, STICK, 1)
+    assert tried(free=True) == (True, FREE, 1)
+
+
+def test_accelerations_of_gaps():
+    system = Items(3)
+    for status in (OK, EVENT, LOCATION_FAILED):
+        system.evaluate_kinematics = saying(status)
+        found = ModeSolver(system).gap_acceleration(T, 1)
+        if status == OK:
+            assert found == pytest.approx(system.rows[1, 2] @ system.acceleration + system.bias[1, 2], rel=1e-14)
+        else:
+            assert math.isnan(found)
+        assert system.evaluate_kinematics.asked == [(T,)]
+
+
+# ---------------------------------------------------------------------------------------------- slip that passes
+
+
+def test_what_steps_may_be_wrong_by():
+    """1e-3 of a velocity, or ten thousand absolute tolerances of every coordinate, in the mass metric."""
+    system = Items(1)
+    solver = ModeSolver(system)
+    system.scale[:] = 1e-8, 1e-12
+    assert solver._negligible(3.0) == pytest.approx(3e-3, rel=1e-12)
+    system.scale[0] = 1e-2
+    assert solver._negligible(3.0) == pytest.approx(3e-2, rel=1e-12)
+    system.scale[1] = 1e-4
+    assert solver._negligible(3.0) == pytest.approx(math.sqrt((system.factor**2).sum()), rel=1e-12)
+    before = np.random.default_rng(0).normal(size=6)
+    change, size, allowed = solver.taken_from(before)
+    mass = system.factor.T @ system.factor
+    d = system.v - before
+    assert change == pytest.approx(math.sqrt(d @ mass @ d), rel=1e-12)
+    assert size == pytest.approx(math.sqrt(before @ mass @ before), rel=1e-12)
+    assert allowed == solver._negligible(size)
+
+
+def sticking(seed, nv=8):
+    """Two contacts of two tangents and one of one, after an evaluation in stick, whose forces end all slip."""
+    system = Items(3, nv=nv, seed=seed)
+    system.contact_int[2, TANGENTS] = 1
+    system.contact_real[:, LENGTH] = 0.5, 2.0, 4.0
+    # of any size
+    system.rows[0] *= 0.05
+    system.v *= 0.05
+    index = [(0, 2), (0, 0), (0, 1), (1, 2), (1, 0), (1, 1), (2, 2), (2, 0)]
+    system.slip[:] = 0.0
+    system.acceleration[:] = np.linalg.lstsq(
+        np.array([system.rows[c, row] for c, row in index]), [-system.bias[c, row] for c, row in index]
+    )[0]
+    system.list_rows(index)
+    return system
+
+
+@SEEDS
+def test_stick_that_would_take_too_much(seed):
+    """The least change of velocity that ends the slip of these contacts, and leaves other rows alone, by its energy."""
+    rng = np.random.default_rng(seed)
+    system = sticking(seed, nv=9)
+    solver = ModeSolver(system)
+    assert solver._unheld([0, 1, 2]) is None
+    speed = np.linalg.norm(system.factor @ system.v)
+    allowed = solver._negligible(speed)
+    for c, component in ((0, 0), (1, 1), (2, 0)):
+        for given in ([0, 1, 2], [c]):
+            system.slip[:] = 0.0
+            system.slip[c] = system.basis[c, component] - 0.2 * system.basis[c, 2]
+            residual = np.zeros(8)
+            residual[[(0, 2), (0, 0), (0, 1), (1, 2), (1, 0), (1, 1), (2, 2), (2, 0)].index((c, component))] = 1.0
+            needed = np.linalg.norm(np.linalg.pinv(system.whitened_rows[:8]) @ residual)
+            slip = system.slip[c] * allowed / needed
+            system.slip[c] = 0.99 * slip
+            assert solver._unheld(given) is None
+            system.slip[c] = 1.01 * slip
+            assert solver._unheld(given) == c
+            assert solver._unheld([i for i in range(3) if i != c]) is None
+    # whichever moves most for its row
+    system.slip[:] = rng.normal(size=(3, 3))
+    found = solver._unheld([0, 1, 2])
+    lengths = np.linalg.norm(system.whitened_rows[:8], axis=1)
+    sizes = {
+        c: max(
+            abs(system.basis[c, row] @ system.slip[c]) / lengths[r]
+            for r, (i, row) in enumerate(system.row_index[:8].tolist())
+            if i == c and row < system.contact_int[c, TANGENTS]
+        )
+        for c in range(3)
+    }
+    assert found == max(sizes, key=sizes.get)
+    # resistances, and states at rest or worse, are not looked at
+    assert solver._unheld([5]) is None
+    assert solver._unheld([]) is None
+    system.counters[ROW_COUNT], kept = 0, system.v.copy()
+    assert solver._unheld([0, 1, 2]) is None
+    system.counters[ROW_COUNT] = 8
+    for v in (0.0, math.nan):
+        system.v[:] = v
+        assert solver._unheld([0, 1, 2]) is None
+    system.v[:] = kept
+    assert solver._unheld([0, 1, 2]) == found
+
+
+@SEEDS
+def test_stick_that_no_force_brings_about(seed):
+    """Of dependent rows: what is left of the relative acceleration, by what forces and turning do to it."""
+    system = sticking(seed)
+    solver = ModeSolver(system)
+    for c in range(3):
+        system.counters[ROW_RANK] = 7
+        assert solver._unheld([0, 1, 2]) is None
+        sizes = np.abs(system.rows[c])
+        rate = (sizes @ np.abs(system.free_acceleration) + np.abs(system.bias[c])).max()
+        rate += (sizes @ np.abs(system.v)).max() ** 2 / system.contact_real[c, LENGTH]
+        kept = system.bias[c, 0]
+        for part, held in ((0.97e-6, True), (1.03e-6, False)):
+            for sign in (-1.0, 1.0):
+                system.bias[c, 0] = kept + sign * part * rate
+                assert solver._unheld([0, 1, 2]) == (None if held else c)
+                assert solver._unheld([i for i in range(3) if i != c]) is None
+        # independent ones are held exactly, whatever round-off says
+        system.counters[ROW_RANK] = 8
+        assert solver._unheld([0, 1, 2]) is None
+        system.bias[c, 0] = kept
+    # round-off of rows that are zero, by the arms of 2 m and of at least one
+    system.counters[ROW_RANK] = 7
+    for c, arm in ((0, 1.0), (1, 2.0)):
+        rounding = 1e-13 * arm * (np.abs(system.free_acceleration).max() + np.abs(system.v).max() ** 2)
+        rows, bias = system.rows[c].copy(), system.bias[c].copy()
+        system.rows[c] = system.bias[c] = 0.0
+        for part, held in ((0.97, True), (1.03, False)):
+            system.bias[c, 1] = part * rounding
+            assert solver._unheld([c]) == (None if held else c)
+        system.rows[c], system.bias[c] = rows, bias
+
+
+def test_rows_that_move_nothing_do_not_count(monkeypatch):
+    system = sticking(1, nv=9)
+    solver = ModeSolver(system)
+    system.slip[0] = 10.0 * system.basis[0, 0]
+    assert solver._unheld([0]) == 0
+    # a row without effect, and one that is not finite
+    for value in (0.0, math.inf):
+        system.whitened_rows[1] = value
+        assert solver._unheld([0, 1]) is None
+
+
+def test_what_cannot_stick_slides_on_without_friction(monkeypatch):
+    system = Items(3)
+    system.contact_int[2, TANGENTS] = 1
+    solver = ModeSolver(system)
+    unheld = saying(1, 2, None)
+    monkeypatch.setattr(solver, "_unheld", unheld)
+    evaluate = Played(system, EVENT)
+    passing = solver._let_pass(T, [0, 1, 2], evaluate)
+    rates = [system.rows[c, :n] @ system.acceleration + system.bias[c, :n] for c, n in ((1, 2), (2, 1))]
+    assert passing == pytest.approx({1: np.linalg.norm(rates[0]), 2: abs(rates[1][0])})
+    slides_along(system, 1, rates[0])
+    assert system.contact_int[2, [MODE, SLIP_SIGN]].tolist() == [SLIPPING, math.copysign(1, rates[1][0])]
+    assert unheld.asked == [([0, 1, 2],), ([0, 2],), ([0],)]
+    frictionless = [[STICK, FRICTIONLESS, STICK], [STICK, SLIPPING, STICK], [STICK, SLIPPING, FRICTIONLESS]]
+    assert evaluate.asked == [*frictionless, [STICK, SLIPPING, SLIPPING]]
+    # what cannot be evaluated sticks
+    system = Items(2)
+    solver = ModeSolver(system)
+    monkeypatch.setattr(solver, "_unheld", saying(1))
+    evaluate = Played(system, NO_FORCE, OK)
+    assert solver._let_pass(T, [0, 1], evaluate) == {}
+    assert evaluate.asked == [[STICK, FRICTIONLESS], [STICK, STICK]]
+
+
+# ---------------------------------------------------------------------------------------------- the decision
+
+
+def deciding(monkeypatch, loaded=True, passing=None, holds=True, chosen=False):
+    system = Items(3, seed=2)
+    system.contact_int[:, [MODE, FROZEN]] = SLIPPING, 1
+    solver = ModeSolver(system)
+    answers = {"_load_all": loaded, "_let_pass": passing or {}, "_holds": holds, "redistribute": chosen}
+    for name, answer in answers.items():
+        monkeypatch.setattr(solver, name, saying(answer))
+    solved = saying(Decision(7, {0: 1.0, 2: 2.0}))
+    monkeypatch.setattr(solver, "_solve", solved)
+    return system, solver, solved
+
+
+def test_what_sticks_needs_no_cones(monkeypatch):
+    """An evaluation that is known is not made again, unless loads or the choice of forces were others."""
+    for loaded, reference, status, times in (
+        (True, 0.0, OK, 0), (True, 0.0, None, 1), (False, 0.0, OK, 1), (True, 1.0, OK, 1),
+    ):  # fmt: skip
+        system, solver, solved = deciding(monkeypatch, loaded)
+        system.scalars[HAS_REFERENCE], solver.proved = reference, True
+        evaluate = Played(system)
+        decision = solver.decide(T, [0, 2], evaluate, status=status)
+        assert (decision.status, decision.started, decision.solved) == (OK, {}, False)
+        assert len(evaluate.asked) == times
+        assert not solved.asked
+        assert not solver.proved
+        assert system.scalars[HAS_REFERENCE] == 0.0
+        assert system.contact_int[:, MODE].tolist() == [STICK, SLIPPING, STICK]
+        assert system.contact_int[:, FROZEN].tolist() == [0, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("status", "beyond", "holds", "chosen", "lost", "solves"),
+    [
+        (OK, None, False, False, 0, False),
+        (EVENT, None, True, False, 0, False),
+        (EVENT, None, False, True, 0, False),
+        (EVENT, None, False, False, 0, True),
+        (NO_FORCE, None, True, True, 0, True),
+        (OK, 1, True, True, 0, True),
+        (OK, None, True, True, 1, True),
+        (EVENT, None, True, True, 1, True),
+    ],
+)
+def test_when_cones_decide(status, beyond, holds, chosen, lost, solves, monkeypatch):
+    system, solver, solved = deciding(monkeypatch, holds=holds, chosen=chosen)
+    system.counters[LOST_POSITIVITY] = lost
+    system.margins[:, FRICTION_MARGIN] = 0.0, 1.0, -0.1
+    evaluate = Played(system, status)
+    decision = solver.decide(T, [0], evaluate, beyond)
+    if not solves:
+        assert (decision.status, solved.asked) == (status, [])
+        return
+    assert solved.asked == [(T, [0], evaluate)]
+    # what has exceeded its limit is held by sliding friction
+    assert solver._limits.tolist() == [0.5, 0.5 if beyond is None else 0.3, 0.3]
+    assert decision.status == 7
+    # of what was said to begin, that which slides
+    assert decision.started == {2: 2.0}
+
+
+def test_what_passes_is_no_longer_undecided(monkeypatch):
+    system, solver, solved = deciding(monkeypatch, passing={0: 0.7}, holds=False)
+    evaluate = Played(system, OK, EVENT)
+    decision = solver.decide(T, [0, 1], evaluate)
+    assert solved.asked == [(T, [1], evaluate)]
+    assert len(evaluate.asked) == 2
+    assert decision.started == {2: 2.0}
+    system, solver, solved = deciding(monkeypatch, passing={2: 0.7})
+    decision = solver.decide(T, [1, 2], Played(system))
+    assert (decision.status, decision.started, solved.asked) == (OK, {2: 0.7}, [])
+    # it slides, whatever the cones say of it
+    system, solver, solved = deciding(monkeypatch, passing={1: 0.7}, holds=False)
+    decision = solver.decide(T, [0], Played(system, EVENT))
+    assert decision.started == {1: 0.7, 2: 2.0}
+
+
+def test_what_cannot_be_evaluated_is_not_decided(monkeypatch):
+    for passing, statuses in (({}, (LOCATION_FAILED,)), ({0: 0.7}, (OK, LOCATION_FAILED))):
+        system, solver, solved = deciding(monkeypatch, passing=passing)
+        evaluate = Played(system, *statuses)
+        decision = solver.decide(T, [0, 1], evaluate)
+        assert (decision.status, decision.started, solved.asked) == (LOCATION_FAILED, {}, [])
+        assert len(evaluate.asked) == len(statuses)
+
+
+def test_which_way_of_deciding(monkeypatch):
+    """Cones, unless a contact cannot open or is held up by friction, viscous friction opens what would close, or
+    redundant loads turn what begins to slip: then modes and guards are what they were, and are changed one by one."""
+
+    def tried(change=None, stays=True, aligned=True, drags=False, status=OK):
+        system = Items(3, 1)
+        solver = ModeSolver(system)
+        if drags:
+            system.contact_int[1:3, MODE], system.contact_real[1:3, VISCOUS] = FRICTIONLESS, 0.1
+        if change is not None:
+            change(system)
+        before = system.contact_int.copy(), system.guard_int.copy()
+        decision, other = Decision(status, opened=[0, 1]), Decision(9)
+
+        def cones(*arguments):
+            assert arguments == (T, [0], system.closed(), system.held(), [], never)
+            system.contact_int[:], system.guard_int[:] = 5, 6
+            return decision
+
+        def one_by_one(*arguments):
+            assert arguments == (T, [0], system.closed(), never)
+            assert [array.tolist() for array in before] == [system.contact_int.tolist(), system.guard_int.tolist()]
+            return other
+
+        stay, align = saying(stays), saying(aligned)
+        monkeypatch.setattr(solver, "_solve_cones", cones)
+        monkeypatch.setattr(solver, "_decide_without_cones", one_by_one)
+        monkeypatch.setattr(solver, "_stay_open", stay)
+        monkeypatch.setattr(solver, "_align", align)
+        found = solver._solve(T, [0], never)
+        assert [asked[1] for asked in stay.asked] == ([[1]] if drags else [])
+        return found is decision
+
+    assert tried()
+    assert not tried(lambda system: system.contact_int.__setitem__((1, UNILATERAL), 0))
+    assert not tried(lambda system: system.contact_int.__setitem__((1, (MODE, NORMAL_SIGN)), (SLIPPING, -1)))
+    assert tried(lambda system: system.contact_int.__setitem__((1, (MODE, UNILATERAL)), (FREE, 0)))
+    assert tried(drags=True)
+    assert not tried(drags=True, stays=False)
+    assert tried(stays=False)
+    assert not tried(aligned=False)
+    # those that have opened stay open if their gaps grow
+    for gaps, status, stays in (((0.0, 1.0), OK, True), ((-0.1, 1.0), EVENT, False), ((1.0, 1.0), NO_FORCE, False)):
+        system = Items(3)
+        solver = ModeSolver(system)
+        monkeypatch.setattr(solver, "gap_acceleration", lambda t, c, gaps=gaps: gaps[c - 1])
+        evaluate = Played(system)
+        assert solver._stay_open(T, [1, 2], Decision(status), evaluate) is stays
+        # an evaluation with forces, since gaps are looked at without
+        assert len(evaluate.asked) == (status <= EVENT)
+        assert solver._stay_open(T, [], Decision(status), never) is (status <= EVENT)
+
+
+def test_slip_turns_with_loads_that_are_chosen_anew(monkeypatch):
+    def tried(aligned, holds, chosen, status=EVENT, slipping=True):
+        system = Items(3)
+        solver = ModeSolver(system)
+        system.contact_int[1, MODE] = SLIPPING if slipping else STICK
+        system.contact_real[:, SLIP_RATE] = 0.4
+        align = saying(*aligned)
+        monkeypatch.setattr(modes, "align_slips", align)
+        monkeypatch.setattr(solver, "_holds", saying(*holds))
+        monkeypatch.setattr(solver, "redistribute", saying(*chosen))
+        decision = Decision(status, {0: 3.0, 1: 5.0})
+        found = solver._align(T, decision, never)
+        assert all(asked[2] == [1] for asked in align.asked)
+        assert decision.started == {0: 3.0, 1: 0.4 if align.asked else 5.0}
+        return found, len(align.asked)
+
+    assert tried([True], [True], [True]) == (True, 1)
+    assert tried([True], [False], [False]) == (True, 1)
+    assert tried([False], [False], [True]) == (False, 1)
+    assert tried([True], [False, True], [True]) == (True, 2)
+    assert tried([True], [False], [True]) == (True, 4)
+    assert tried([True, False], [False], [True]) == (False, 2)
+    assert tried([False], [False], [True], status=NO_FORCE) == (True, 0)
+    assert tried([False], [False], [True], slipping=False) == (True, 0)
+
+
+# ---------------------------------------------------------------------------------------------- solutions of cones
+
+
+def test_whether_all_rows_are_those_of_cones():
+    """All contacts closed and sticking, undecided or ideal, in round cones of two tangents, and nothing else."""
+    system = Items(3, 1, 1)
+    solver = ModeSolver(system)
+    system.contact_real[2, MU] = math.inf
+    system.counters[ROW_COUNT] = 6
+    assert solver._all_stick([0, 2], [0], [], [])
+    assert not solver._all_stick([0, 2], [2], [], [])
+    assert not solver._all_stick([0, 2], [0], [0], [])
+    assert not solver._all_stick([0, 2], [0], [], [4])
+    for count in (5, 7):
+        system.counters[ROW_COUNT] = count
+        assert not solver._all_stick([0, 2], [0], [], [])
+    system.counters[ROW_COUNT] = 6
+    system.contact_int[0, ANISOTROPIC] = 1
+    assert not solver._all_stick([0, 2], [0], [], [])
+    system.contact_int[0, ANISOTROPIC], system.contact_int[2, MODE] = 0, SLIPPING
+    assert not solver._all_stick([0, 2], [0], [], [])
+
+
+def solved_cones(monkeypatch, forces, velocities, kinds, statuses=(OK,), holds=True, chosen=True):
+    """Contacts 1 .. 6 of seven, of which 1, 2, 3 are undecided and 6 is ideal; joint coordinates at no end, at the
+    lower and at the upper one; two resistances."""
+    system = Items(7, 3, 2)
+    system.contact_int[0, MODE], system.contact_int[[4, 5], MODE] = FREE, SLIPPING
+    system.contact_int[10:, OWNER] = 1, 2
+    system.contact_int[10:, MODE] = STICK
+    system.guard_int[:, GUARD_END] = 0, -1, 1
+    system.guard_real[:, [LOW_FORCE, HIGH_FORCE]] = -0.2, 0.3
+    system.contact_int[7:10, MODE] = FRICTIONLESS
+    system.contact_real[6, MU] = math.inf
+    solver = ModeSolver(system)
+    solver._limits[:] = system.contact_real[:, MU]
+    problem = modes._Problem(
+        np.eye(33), np.full(33, -2e12), np.zeros(33), np.ones(11), {1: ELLIPSE.copy()}, {10: 9, 11: 10}
+    )
+    monkeypatch.setattr(solver, "_problem", saying(problem))
+    solution = saying(modes._Solution(forces.copy(), velocities.copy(), np.array(kinds), 3e-12))
+    monkeypatch.setattr(solver, "_solve_with_loads", solution)
+    monkeypatch.setattr(solver, "_holds", saying(holds))
+    monkeypatch.setattr(solver, "redistribute", saying(chosen))
+    kept = saying(None)
+    monkeypatch.setattr(solver, "_keep_solution", kept)
+    evaluate = Played(system, *statuses)
+    decision = solver._solve_cones(T, [1, 2, 3, 10], system.closed(), system.held(), [10, 11], evaluate)
+    return system, solver, decision, kept, evaluate, solution
+
+
+OPEN, SLIP, HOLD = cone.OPEN, cone.SLIP, cone.STICK
+
+
+def test_modes_of_a_solution(monkeypatch):
+    """What moves by less than 1e-13 of the largest acceleration, here 0.2, rests."""
+    rng = np.random.default_rng(3)
+    forces = rng.normal(size=(11, 3))
+    velocities = np.zeros((11, 3))
+    kinds = [SLIP, SLIP, HOLD, OPEN, OPEN, SLIP, SLIP, OPEN, OPEN, SLIP, SLIP]
+    velocities[0], velocities[1], velocities[2] = [0.4, 0.1, 0.0], [0.3, -0.4, 0.0], [0.5, 0.5, 0.0]
+    velocities[3], velocities[4], velocities[5] = [9.0, 9.0, 0.19], [0.0, 0.0, 0.21], [0.0, -0.3, 0.0]
+    velocities[6, 0], velocities[7, 2], velocities[8, 2] = -0.25, 0.21, 0.19
+    velocities[9, :2], velocities[10, :2] = [0.15, 0.15], [1.0, 0.0]
+    system, solver, decision, kept, evaluate, _ = solved_cones(monkeypatch, forces, velocities, kinds)
+    before = Items(7, 3, 2)
+    # of an ellipse, in its own coordinates; contacts 1 and 3 only hold, at their limits or not
+    slid = np.linalg.solve(ELLIPSE, velocities[1, :2])
+    slides_along(system, 2, slid)
+    slides_along(system, 1, velocities[0, :2])
+    slides_along(system, 6, velocities[5, :2])
+    slides_along(system, 10, velocities[9, :2])
+    rates = {1: math.hypot(0.4, 0.1), 2: np.linalg.norm(slid), 6: 0.3, 10: 0.15 * math.sqrt(2.0)}
+    assert decision.started == pytest.approx(rates)
+    assert system.contact_int[:7, MODE].tolist() == [FREE, SLIPPING, SLIPPING, STICK, SLIPPING, FREE, SLIPPING]
+    assert system.contact_int[11, MODE] == STICK
+    assert decision.opened == [5]
+    # the one that stays closed without leaving carries nothing
+    assert system.contact_int[:7, NORMAL_SIGN].tolist() == [1, 1, 1, 1, 0, 1, 1]
+    # friction gives way along, an end away from it
+    assert system.held() == [2]
+    assert system.guard_int[:, GUARD_SIGN].tolist() == [-1, 1, 0]
+    assert (decision.status, decision.solved, decision.residual) == (OK, True, 3e-12)
+    assert solver.worst_residual == 3e-12
+    assert len(evaluate.asked) == 1
+    assert not kept.asked
+    assert system.contact_real[0].tolist() == before.contact_real[0].tolist()
+    # the other way round; and what rests at its limit
+    velocities[6, 0], velocities[7, 2], velocities[8, 2] = 0.25, 0.19, 0.21
+    velocities[0, :2] = velocities[9, :2] = 0.1
+    system, _, decision, *_ = solved_cones(monkeypatch, forces, velocities, kinds)
+    assert system.guard_int[:, GUARD_SIGN].tolist() == [1, 0, -1]
+    assert system.held() == [1]
+    assert sorted(decision.started) == [2, 6]
+    assert system.contact_int[[1, 10], MODE].tolist() == [STICK, STICK]
+    # what slides already goes on as it does
+    velocities[6, 0], kinds[3], velocities[3] = 0.19, SLIP, [0.5, 0.6, 0.0]
+    system, _, decision, *_ = solved_cones(monkeypatch, forces, velocities, kinds)
+    assert system.held() == [0, 1]
+    assert system.contact_int[4, [MODE, FROZEN]].tolist() == [SLIPPING, 0]
+    assert sorted(decision.started) == [2, 6]
+
+
+@pytest.mark.parametrize(
+    ("status", "holds", "chosen", "keeps"),
+    [
+        (EVENT, False, False, True),
+        (EVENT, True, False, False),
+        (OK, False, True, False),
+        (NO_FORCE, False, False, False),
+    ],
+)
+def test_forces_on_rims_are_kept(status, holds, chosen, keeps, monkeypatch):
+    """Where there are no others inside, those of the solution, in N along the rows."""
+    forces = np.random.default_rng(4).normal(size=(11, 3))
+    kinds = [HOLD] * 11
+    made = solved_cones(monkeypatch, forces, np.zeros((11, 3)), kinds, (status,), holds, chosen)
+    decision, kept, evaluate = made[2:5]
+    assert decision.status == status
+    assert len(kept.asked) == keeps
+    if keeps:
+        t, closed, held, turns, found, function = kept.asked[0]
+        assert (t, closed, held, turns) == (T, [1, 2, 3, 4, 5, 6], [0, 1, 2], {10: 9, 11: 10})
+        assert function is evaluate
+        forces[1, :2] = ELLIPSE @ forces[1, :2]
+        assert found == pytest.approx(forces, abs=1e-14)
+
+
+def test_what_gives_way_has_sliding_friction(monkeypatch):
+    """Undecided contacts in slip, beyond their sliding limits: once more, with those."""
+    system = Items(4)
+    solver = ModeSolver(system)
+    solver._limits[:] = 0.5, 0.5, 0.3, 0.5
+    zero = np.zeros((4, 3))
+    answers = [[SLIP, HOLD, SLIP, SLIP], [SLIP, SLIP, HOLD, SLIP], [SLIP, SLIP, HOLD, SLIP]]
+    limits = []
+
+    def solve(*arguments):
+        limits.append(solver._limits.tolist())
+        return modes._Solution(zero.copy(), zero.copy(), np.array(answers[len(limits) - 1]), 0.0)
+
+    monkeypatch.setattr(solver, "_problem_of_sticking", saying(modes._Problem(zero, np.ones(12), zero, zero)))
+    monkeypatch.setattr(solver, "_all_stick", saying(True))
+    monkeypatch.setattr(solver, "_solve_with_loads", solve)
+    solver._solve_cones(T, [0, 1, 2], [0, 1, 2, 3], [], [], Played(system))
+    assert limits == [[0.5, 0.5, 0.3, 0.5], [0.3, 0.5, 0.3, 0.5], [0.3, 0.3, 0.3, 0.5]]
+    monkeypatch.setattr(solver, "_solve_with_loads", saying(None))
+    decision = solver._solve_cones(T, [0], [0, 1, 2, 3], [], [], never)
+    assert (decision.status, decision.solved) == (NO_FORCE, True)
+
+
+@SEEDS
+def test_a_solution_as_the_choice_of_forces(seed):
+    """What slides has none to choose; a coordinate's is that beyond the middle of its range, or beyond its end."""
+    rng = np.random.default_rng(seed)
+    system, solver = made(rng)
+    system.reference, system.scalars = np.ones((10, 3)), np.ones(SCALARS_SIZE)
+    forces = rng.normal(size=(8, 3))
+    asked = []
+    # coordinates come after the contacts, of which only some are closed, and resistances after those
+    solver._keep_solution(T, [1, 2, 4], HELD, {8: 6, 9: 7}, forces, asked.append)
+    expected = np.zeros((10, 3))
+    expected[[1, 2, 4]] = forces[:3]
+    expected[5:8, 2] = 0.05 + forces[3, 0], -0.3 + forces[4, 2], 0.2 - forces[5, 2]
+    expected[8, :2] = forces[6, :2]
+    assert system.reference == pytest.approx(expected, abs=1e-14)
+    assert system.scalars[[HAS_REFERENCE, REFERENCE_MOVES]].tolist() == [1.0, 0.0]
+    assert asked == [T]
+
+
+@SEEDS
+def test_guesses_are_symmetric_problems(seed, monkeypatch):
+    """What slides has a velocity along, and its friction a limit; torques have the limits of the present loads."""
+    rng = np.random.default_rng([5, seed])
+    system, solver = made(rng)
+    system.force = rng.normal(size=(10, 3))
+    system.force[[1, 2], 2] = 1.5, 2.5
+    problem = solver._problem(CONTACTS, [3, 4], HELD, RESISTING)
+    guesses, asked = [], []
+
+    class Asked:
+        forces = object()
+
+        def solve(self, gram, b, limits):
+            asked.append((gram, b, limits))
+            return len(asked) < 2
+
+    solver.__dict__["solver"] = Asked()
+    monkeypatch.setattr(solver.loads, "solve", lambda loads, start, guess: guesses.append(guess))
+    solver._solve_with_loads(problem, CONTACTS, HELD, RESISTING)
+    assert guesses[0](7.0) is Asked.forces
+    assert guesses[0](7.0) is None
+    gram, b, limits = asked[0]
+    expected = problem.base.copy()
+    along = system.basis[0, :2] @ system.slip[0]
+    expected[:2] += 7.0 * along / np.linalg.norm(along)
+    expected[3] -= 7.0
+    expected[27] += 7.0
+    mu = system.contact_real[:, MU]
+    expected[26] = -mu[8] * 2.5 * problem.weights[26]
+    expected[29] = -mu[9] * 1.5 * problem.weights[29]
+    assert gram is problem.gram
+    assert b == pytest.approx(expected, abs=1e-12)
+    wanted = problem.limits.copy()
+    wanted[:2] = system.contact_real[:2, MU_NOW]
+    assert limits == pytest.approx(wanted, abs=1e-15)
+
+
+# ---------------------------------------------------------------------------------------------- redundant forces
+
+
+def test_cones_of_forces():
+    """Of unilateral contacts, with their static friction where they stick, of bilateral ones' friction under the
+    present sign, of resistances by their contact's load, and the bounds of held coordinates."""
+    system = Items(7, 3, 2)
+    system.contact_int[0, MODE], system.contact_int[1, MODE] = FREE, SLIPPING
+    system.contact_int[3, TANGENTS], system.contact_real[4, MU_STATIC] = 1, math.inf
+    system.contact_int[5:7, UNILATERAL], system.contact_int[6, PATTERN] = 0, ON_CURVE
+    system.contact_int[6, TANGENTS] = 1
+    system.force[5] = 1.0, 1.0, -2.0
+    system.guard_int[:, GUARD_END] = 0, -1, 1
+    system.guard_real[:, LOW_FORCE], system.guard_real[:, HIGH_FORCE] = [-0.2, -0.3, -0.4], [0.5, 0.6, 0.7]
+    system.contact_int[7:10, MODE] = FRICTIONLESS
+    system.contact_int[10:, OWNER] = 2, 5
+    system.contact_int[11, TANGENTS] = 1
+    system.contact_real[10:, MU_STATIC] = 0.02, 0.03
+    listed = [(1, 2), (2, 2), (2, 0), (2, 1), (3, 2), (3, 0), (4, 2), (4, 0), (4, 1), (5, 2), (5, 0), (5, 1), (6, 2)]
+    listed += [(6, 1), (6, 0), (7, 2), (8, 2), (9, 2), (10, 0), (10, 1), (11, 0)]
+    place = {row: r for r, row in enumerate(listed)}
+    expected = [
+        Cone(place[1, 2], 1.0, 0.0), Cone(place[2, 2], 0.5, 0.0, (place[2, 0], place[2, 1])),
+        Cone(place[3, 2], 0.5, 0.0, (place[3, 0],)), Cone(place[4, 2], 1.0, 0.0),
+        Cone(place[5, 2], -0.5, 0.0, (place[5, 0], place[5, 1])),
+        Cone(place[2, 2], 0.02, 0.0, (place[10, 0], place[10, 1])), Cone(place[5, 2], -0.03, 0.0, (place[11, 0],)),
+        Cone(place[7, 2], 1.0, 0.2), Cone(place[7, 2], -1.0, 0.5), Cone(place[8, 2], 1.0, 0.3),
+        Cone(place[9, 2], -1.0, 0.7),
+    ]  # fmt: skip
+
+    def scaled(cones):
+        # of a half-line any multiple is the same
+        return [c if c.tangents or c.offset else Cone(c.normal, math.copysign(1.0, c.factor), 0.0) for c in cones]
+
+    assert scaled(ModeSolver(system)._cones(np.array(listed))) == expected
+    system.contact_int[11, MODE] = SLIPPING
+    assert len(ModeSolver(system)._cones(np.array(listed))) == len(expected) - 1
+
+
+def reference_at(system, index, time, loads):
+    """The reference that an evaluation takes, from its kernel."""
+    reference, work = np.zeros_like(system.reference), np.zeros(system.nv)
+    part(equations._move_reference)(
+        index, len(index), loads, time - system.scalars[REFERENCE_TIME], system.reference_start, system.reference_rate,
+        system.reference_slope, system.nv, reference, work,
+    )  # fmt: skip
+    return reference[index[:, 0], index[:, 1]]
+
+
+@SEEDS
+def test_a_choice_is_followed_along_its_tangent(seed):
+    """In stick with the loads; in slip, after the first, with time as since the last one."""
+    rng = np.random.default_rng(seed)
+    system = Items(3, nv=5, seed=seed)
+    solver = ModeSolver(system)
+    index = np.array([(0, 2), (0, 0), (1, 2), (2, 2), (2, 0), (2, 1)])
+    system.rows[2, 1] = 0.3 * system.rows[0, 2] - system.rows[2, 0]
+    rows = np.array([system.rows[c, row] for c, row in index])
+    whitened = np.linalg.solve(system.factor.T, rows.T).T
+    span = np.linalg.svd(whitened)[0][:, : np.linalg.matrix_rank(whitened)]
+    null = np.linalg.svd(whitened)[0][:, span.shape[1] :]
+    operator = whitened @ (whitened.T @ span)
+    slope = null @ rng.normal(size=(null.shape[1], span.shape[1]))
+    loads = -(rows @ system.free_acceleration + system.bias[index[:, 0], index[:, 1]])
+    first = Choice(rng.normal(size=6), slope, span)
+    solver._follow(0.3, index, first, operator, False)
+    assert system.scalars[[HAS_REFERENCE, REFERENCE_MOVES, REFERENCE_TIME]].tolist() == [1.0, 1.0, 0.3]
+    assert not system.reference.any()
+    for time in (0.3, 0.9):
+        assert reference_at(system, index, time, loads) == pytest.approx(first.forces, abs=1e-11)
+    change = rng.normal(size=span.shape[1])
+    moved = reference_at(system, index, 0.4, loads + operator @ change)
+    assert moved == pytest.approx(first.forces + slope @ change, abs=1e-10)
+    # slip: along the tangent at first, and at the same time
+    second = Choice(rng.normal(size=6), slope, span)
+    for time in (0.2, 0.3):
+        solver._follow(0.3, index, first, operator, False)
+        solver._follow(time, index, second, operator, True)
+        moved = reference_at(system, index, 0.8, loads + operator @ change)
+        assert moved == pytest.approx(second.forces + slope @ change, abs=1e-10)
+    solver._follow(0.3, index, first, operator, True)
+    solver._follow(0.5, index, second, operator, True)
+    expected = second.forces + 0.1 * (second.forces - first.forces) / 0.2
+    assert reference_at(system, index, 0.6, loads + operator @ change) == pytest.approx(expected, abs=1e-12)
+    # not with other rows
+    others = index[::-1].copy()
+    solver._follow(0.7, others, first, operator[::-1], True)
+    assert not system.reference_rate.any()
+    solver._take_reference(None)
+    assert system.scalars[[HAS_REFERENCE, REFERENCE_MOVES]].tolist() == [0.0, 0.0]
+    solver._follow(0.9, others, first, operator[::-1], True)
+    assert not system.reference_rate.any()
+
+
+def redundant():
+    """A body with one velocity on two contacts without friction and one that slides."""
+    system = Items(3, nv=2)
+    system.factor = system.inverse = np.eye(2)
+    system.contact_int[:2, MODE] = FRICTIONLESS
+    system.contact_int[2, MODE] = FREE
+    system.rows[:] = 0.0
+    system.rows[0, 2] = system.rows[1, 2] = [1.0, 0.0]
+    system.force[:] = 0.0
+    system.force[:2, 2] = 1.0, 3.0
+    system.list_rows([(0, 2), (1, 2)])
+    return system, ModeSolver(system)
+
+
+def test_redundant_forces_are_chosen_anew(monkeypatch):
+    """The central ones are those in the middle; what does not hold leaves everything as it was."""
+    system, solver = redundant()
+    system.free_acceleration[:] = -4.0, 0.0
+    system.bias[:] = 0.0
+    monkeypatch.setattr(solver, "_holds", saying(True))
+    assert solver.redistribute(T, Played(system, EVENT))
+    assert (solver.redistributions, solver.redundant) == (1, True)
+    # Newton's last step is that by which the cost falls by 1e-9
+    assert reference_at(system, system.row_index[:2], T, np.array([4.0, 4.0])) == pytest.approx([2.0, 2.0], abs=1e-4)
+    for holds, status in ((False, OK), (True, NO_FORCE)):
+        arrays = system.reference, system.reference_start, system.reference_rate, system.reference_slope, system.scalars
+        for array in arrays:
+            array += 0.125
+        before, last = [array.tolist() for array in arrays], solver._last
+        monkeypatch.setattr(solver, "_holds", saying(holds))
+        evaluate = Played(system, status)
+        assert not solver.redistribute(T, evaluate)
+        assert [array.tolist() for array in arrays] == before
+        assert solver._last is last
+        # the last evaluation is one with what there was
+        assert len(evaluate.asked) == 2
+        assert solver.redistributions == 1
+
+
+def test_when_there_is_no_choice(monkeypatch):
+    system, solver = redundant()
+    system.counters[ROW_RANK] = 2
+    assert not solver.redistribute(T, never)
+    system.counters[ROW_RANK] = 1
+    # loads of what slides alone
+    unload = saying(True)
+    monkeypatch.setattr(solver, "_unload", unload)
+    for i, mode in ((0, SLIPPING), (1, SLIPPING)):
+        system.contact_int[i, MODE] = mode
+        assert solver.redistribute(T, never, 1)
+        assert unload.asked[-1] == (T, never, 1)
+        system.contact_int[i, MODE] = FRICTIONLESS
+    assert len(unload.asked) == 2
+    # forces that are not finite, or independent after all
+    system.whitened_rows[1, 0] = math.nan
+    assert not solver.redistribute(T, never)
+    system.whitened_rows[1] = 0.3, 1.0
+    solver.redundant = True
+    assert not solver.redistribute(T, never)
+    assert not solver.redundant
+    # none inside the cones
+    system.whitened_rows[1] = 1.0, 0.0
+    monkeypatch.setattr(modes, "central_force", saying(None))
+    assert not solver.redistribute(T, never)
+    assert solver.redundant
+
+
+def test_what_friction_holds_up_counts_by_its_friction(monkeypatch):
+    """Its multiplier is the length of its tangential force; directions are those of forces where something slides."""
+    system, solver = redundant()
+    system.contact_int[2, [MODE, TANGENTS]] = STICK, 1
+    system.contact_int[1, [MODE, NORMAL_SIGN]] = SLIPPING, -1
+    system.force[0], system.force[1], system.force[2] = [5.0, 6.0, 1.0], [3.0, -4.0, 0.0], [0.1, 0.2, 0.3]
+    system.rows[2, 0] = [0.0, 1.0]
+    system.list_rows([(0, 2), (1, 2), (2, 2), (2, 0)])
+    system.counters[ROW_RANK] = 3
+    system.whitened_forces[1] = 2.0, 0.0
+    asked = saying(None)
+    monkeypatch.setattr(modes, "central_force", asked)
+    solver.redistribute(T, never)
+    forces, null, cones = asked.asked[0]
+    assert forces.tolist() == [1.0, 5.0, 0.3, 0.1]
+    # one of the two that do the same, the second twice as much, and the row that does nothing
+    assert np.abs(np.array([1.0, 2.0, 0.0, 0.0]) @ null).max() < 1e-12
+    assert np.abs(null[3]).max() < 1e-12
+    assert len(cones) == 3
+    system.contact_int[1, MODE] = FRICTIONLESS
+    solver.redistribute(T, never)
+    forces, null, _ = asked.asked[1]
+    assert forces.tolist() == [1.0, 0.0, 0.3, 0.1]
+    assert np.abs(np.array([1.0, 1.0, 0.0, 0.0]) @ null).max() < 1e-12
+
+
+class Feet(Items):
+    """Feet of a body that slides, whose least loads are those of least norm among the ones that carry any."""
+
+    def __init__(self, operator, loads):
+        n = operator.shape[1]
+        super().__init__(n + 1)
+        self.operator, self.loads, self.evaluations = operator, loads, 0
+        self.contact_int[:, MODE], self.tau[:] = SLIPPING, 1.0
+        # one that is held up by friction has none to choose
+        self.contact_int[n, NORMAL_SIGN] = -1
+        self.margins[n, NORMAL_MARGIN] = -9.0
+
+    def __call__(self, t):
+        n = self.operator.shape[1]
+        self.evaluations += 1
+        loaded = self.contact_int[:n, NORMAL_SIGN] == 1
+        least = np.linalg.pinv(self.operator[:, loaded]) @ self.loads
+        if np.abs(self.operator[:, loaded] @ least - self.loads).max() > 1e-9:
+            return NO_FORCE
+        y = np.linalg.pinv(self.operator[:, loaded].T) @ least
+        self.margins[:n, NORMAL_MARGIN] = -self.operator.T @ y
+        self.margins[:n, NORMAL_MARGIN][loaded] = least
+        return EVENT
+
+
+def test_loads_within_round_off_are_none():
+    feet = Feet(np.ones((1, 2)), np.array([1.0]))
+    evaluate = Played(feet, then=lambda call: feet.margins.__setitem__((slice(2), NORMAL_MARGIN), [1.0, -0.9e-11]))
+    assert ModeSolver(feet)._unload(T, evaluate, None)
+    assert len(evaluate.asked) == 1
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_least_loads_that_are_not_negative(seed):
+    rng = np.random.default_rng(seed)
+    n = 5
+    operator = np.vstack([np.ones(n), rng.normal(size=(1, n))])
+    loads = operator @ rng.uniform(0.0, 1.0, n) * [1.0, 3.0]
+    feasible = operator[1].min() < loads[1] / loads[0] < operator[1].max()
+    # the least of sum N^2, with the balance weighed a million times
+    least = nnls(np.vstack([1e6 * operator, np.eye(n)]), np.append(1e6 * loads, np.zeros(n)))[0]
+    feet = Feet(operator, loads)
+    solver = ModeSolver(feet)
+    feet.scalars[HAS_REFERENCE] = 1.0
+    found = solver._unload(T, feet, None)
+    assert feet.scalars[HAS_REFERENCE] == 0.0
+    signs = feet.contact_int[:, NORMAL_SIGN].tolist()
+    assert signs[n] == -1
+    if not feasible:
+        assert not found
+        assert signs[:n] == [1] * n
+        assert solver.redistributions == 0
+        return
+    assert found
+    assert solver.redistributions == 1
+    assert signs[:n] == (least > 1e-8).astype(int).tolist()
+    assert (np.where(np.array(signs[:n]) == 1, feet.margins[:n, NORMAL_MARGIN], 0.0)) == pytest.approx(least, abs=1e-6)
+    # of one whose load has ended it is known that the sign is the other one; else there is nothing to be had
+    wrong = signs.index(1)
+    kept = feet.contact_int[:, NORMAL_SIGN].copy()
+    assert not solver._unload(T, feet, wrong)
+    assert (feet.contact_int[:, NORMAL_SIGN] == kept).all()
+    assert not solver._unload(T, never, n)
+    if 0 in signs:
+        feet.contact_int[signs.index(0), NORMAL_SIGN] = 1
+        before, feet.evaluations = solver.redistributions, 0
+        assert solver._unload(T, feet, signs.index(0))
+        # with that sign at once
+        assert (solver.redistributions, feet.evaluations) == (before + 1, 1)
+        assert feet.contact_int[:, NORMAL_SIGN].tolist() == signs

@@ -1,0 +1,269 @@
+"""The contact solver's last resorts, and sizes and signs that its parts go by, each alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from calling import from_python
+from test_cone_attempt import is_solution, regular
+from test_cone_parts import problem
+from test_linear_parts import feet
+from test_load_solver import made_problem
+
+from pincontact.dynamics import redundant
+from pincontact.dynamics.redundant import null_space
+from pincontact.friction import cone, elimination, solve
+from pincontact.friction.attempt import NEAR, WARM, WARM_PASSES
+from pincontact.friction.cone import KNOWN
+from pincontact.friction.feasibility import crushing_combination
+from pincontact.friction.loads import LoadSolver, ScaledLoads
+from pincontact.friction.solve import COMPLIANCES, ContactSolver
+
+least_norm, sweep = from_python(elimination.least_norm), from_python(cone.sweep)
+
+SEEDS = pytest.mark.parametrize("seed", range(4))
+
+
+# ---------------------------------------------------------------------------------------------- last resorts
+
+
+def solved_before(seed, **options):
+    """A solver whose last problem was this one."""
+    delassus, b, mu = regular(np.random.default_rng(seed), 3)
+    solver = ContactSolver(**options)
+    assert solver.solve(delassus, b, mu)
+    return solver, solver._space, (delassus, b, mu)
+
+
+@SEEDS
+@pytest.mark.parametrize("nearest", [False, True])
+def test_a_trace_of_compliance(nearest, seed, monkeypatch):
+    """It is tried from less to more, and what it leads to has to solve the problem itself."""
+    solver, space, (delassus, b, mu) = solved_before(seed, nearest=nearest)
+    asked, tasks = [], []
+    blocks = delassus.diagonal().reshape(3, 3).mean(axis=1)
+
+    def follow(space, softened, *rest):
+        asked.append(softened - delassus)
+        # as a path leaves them
+        space.forces *= 1.0 + 1e-9
+        return len(asked) == 2
+
+    def recorded(*arguments):
+        tasks.append(arguments[4:])
+        return cone_solver(*arguments)
+
+    cone_solver = solve.solve_cones
+    monkeypatch.setattr(solver, "_follow", follow)
+    monkeypatch.setattr(solve, "solve_cones", recorded)
+    before = space.forces.copy()
+    assert solver._soften(space, delassus, b, mu)
+    assert solver.residual <= solver.tolerance
+    assert space.forces == pytest.approx(before, rel=1e-8, abs=1e-12 * np.abs(before).max())
+    is_solution(delassus, b, mu, space.memory)
+    assert tasks == [(NEAR if nearest else WARM, WARM_PASSES, solver.tolerance, 0, 1)]
+    for share, softening in zip(COMPLIANCES, asked):
+        # round-off of adding it
+        assert softening == pytest.approx(share * np.diag(np.repeat(blocks, 3)), abs=3e-16 * np.abs(delassus).max())
+    assert len(asked) == 2
+
+
+@pytest.mark.parametrize(("found", "residual", "jams", "times"), [
+    (False, 0.0, False, 3), (True, 1e-9, False, 3), (False, 0.0, True, 1), (True, 2e-10, True, 1),
+])  # fmt: skip
+def test_compliance_that_is_of_no_use(found, residual, jams, times, monkeypatch):
+    """Everything is left as it was before."""
+    solver, space, (delassus, b, mu) = solved_before(0)
+    kept = [array.tolist() for array in (space.modes, space.forces, space.velocities)]
+    asked = []
+
+    def follow(space, *rest):
+        asked.append(1)
+        space.modes[:], space.forces[:], space.velocities[:] = 7, 8.0, 9.0
+        solver.jammed = jams
+        return found
+
+    monkeypatch.setattr(solver, "_follow", follow)
+    monkeypatch.setattr(solve, "solve_cones", lambda *arguments: residual)
+    assert not solver._soften(space, delassus, b, mu)
+    assert [array.tolist() for array in (space.modes, space.forces, space.velocities)] == kept
+    assert len(asked) == times
+
+
+@SEEDS
+def test_sweeps_after_other_stages(seed):
+    """From nothing where nothing is known, whatever the buffers hold."""
+    delassus, b, mu = regular(np.random.default_rng(seed), 3)
+    solver = ContactSolver(stages=("path", "sweeps"))
+    space = solver._workspace(3)
+    space.forces[:] = 1e9
+    assert not space.counts[KNOWN]
+    assert solver._sweep(space, delassus, b, mu, 1e-10)
+    is_solution(delassus, b, mu, space.memory)
+    assert solver.residual <= 1e-10
+    assert not solver._sweep(space, delassus, b, mu, -1.0)
+
+
+def test_nothing_to_solve():
+    fresh = LoadSolver()
+    assert (fresh.residual, fresh.proved, fresh.forces.size, fresh.slid) == (0.0, False, 0, [])
+    found = solve.solve_contacts(np.zeros((0, 0)), np.zeros(0), 0.3)
+    assert (found.residual, found.iterations, found.qp_count, found.decided_by) == (0.0, 0, 0, "exact")
+    assert found.forces.shape == found.velocities.shape == (0, 3)
+    assert found.modes.shape == found.mu.shape == (0,)
+
+
+# ---------------------------------------------------------------------------------------------- sizes and signs
+
+
+@SEEDS
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 6])
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_signs_of_determinants(unit, n, seed):
+    """Where the rank is full, with pivots of any size; its size is that of the last against the largest."""
+    rng = np.random.default_rng([n, seed])
+    for _ in range(10):
+        matrix = unit * rng.normal(size=(n, n))
+        a, right, x = matrix.copy(), rng.normal(size=n), np.zeros(n)
+        wanted = np.linalg.solve(matrix, right)
+        arguments = a, right, n, n, x, np.zeros((n + 1, n)), np.zeros(n, dtype=np.int64), 1e-12
+        assert least_norm(*arguments) == n
+        assert x == pytest.approx(wanted, abs=1e-12 * np.linalg.cond(matrix) * np.abs(wanted).max())
+        assert np.sign(a[0, 0]) == np.sign(np.linalg.det(matrix))
+        # complete pivots do not grow by much
+        assert abs(a[0, 0]) <= 4.0
+        if n == 1:
+            assert abs(a[0, 0]) == pytest.approx(1.0)
+
+
+@SEEDS
+def test_sweeps_of_soft_contacts(seed):
+    """Mobilities far below one are mobilities."""
+    rng = np.random.default_rng(seed)
+    g, c, mu = problem(rng, 3)
+    g *= 1e-3
+    f = np.abs(rng.normal(size=9))
+    u = g @ f + c
+    last = u.copy()
+    rounds = 400
+    for _ in range(rounds):
+        sweep(g, mu, f, u)
+    assert u == pytest.approx(g @ f + c, abs=1e-12 * rounds * np.abs(g).max() * np.abs(f).max())
+    assert np.abs(u - last).max() > 1e-3
+    # nothing pulls, and as good as nothing closes
+    assert (f[2::3] >= 0.0).all()
+    assert u[2::3].min() >= -1e-3 * np.abs(c).max()
+
+
+@SEEDS
+def test_units_of_loads(seed):
+    made = made_problem(np.random.default_rng(seed))[0]
+    for factor in (1e-3, 1e4):
+        made.base *= factor
+        scaled = ScaledLoads(made)
+        assert scaled.largest == np.abs(made.base).max()
+        # the largest is one
+        assert np.abs(scaled.base).max() == pytest.approx(1.0, rel=1e-14)
+        y = np.random.default_rng(seed).normal(size=scaled.base.size)
+        forces = scaled.forces(y)
+        assert scaled.unknowns(forces) == pytest.approx(y, rel=1e-12)
+        velocities = (made.gram @ forces + made.base)[scaled.rows]
+        assert scaled.operator @ y + scaled.base == pytest.approx(velocities * scaled.scale / scaled.unit, rel=1e-9)
+    made.base[:] = 0.0
+    scaled = ScaledLoads(made)
+    assert (scaled.largest, scaled.unit) == (1.0, 1.0)
+    assert not scaled.base.any()
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_jaws_that_close(unit):
+    """Forces that move nothing and press what closes; none where anything gives way by more than 1e-7, or nothing
+    closes."""
+    # two contacts on either side of a body that moves along one direction
+    rows = np.zeros((6, 1))
+    rows[2], rows[5] = 1.0, -1.0
+    gram, b = unit * rows @ rows.T, np.array([0.0, 0.0, -1.0, 0.0, 0.0, -0.5])
+    found = crushing_combination(gram, b)
+    assert found is not None
+    assert found[0] == pytest.approx(found[1], rel=1e-6)
+    # scaled such that together they close by one of the largest b, in their units
+    assert -(found @ b[2::3]) / (np.sqrt(3.0 / unit)) == pytest.approx(1.0, rel=1e-6)
+    assert crushing_combination(gram, -b) is None
+    assert crushing_combination(gram, np.zeros(6)) is None
+    b[5] = 1.5
+    assert crushing_combination(gram, b) is None
+    b[5] = -0.5
+    # a soft jaw: w |y|_G >= closing
+    for share, proof in ((0.3e-7, True), (3e-7, False)):
+        soft = gram.copy()
+        soft[2, 2] *= 1.0 + share**2
+        assert (crushing_combination(soft, b) is not None) == proof
+    # a contact that nothing moves has no unit: its force is a number that is one
+    assert crushing_combination(np.zeros((3, 3)), np.array([0.0, 0.0, -2.0])).tolist() == [1.0]
+    b[2] = np.nan
+    gram[0, 0] = np.inf
+    with np.errstate(invalid="ignore"):
+        assert crushing_combination(gram, b) is None
+
+
+# ---------------------------------------------------------------------------------------------- central forces
+
+
+@SEEDS
+@pytest.mark.parametrize("pressure", [0.5, 40.0, None])
+def test_minima_of_barriers(pressure, seed):
+    """The slope of barriers, of |z|^2 / 2 and of the pressure on the enlargement vanishes, or all cones are entered."""
+    rng = np.random.default_rng(seed)
+    directions, cones, inside = feet(rng, 4, 0.6)
+    null = null_space(directions)
+    null = null / np.abs(null).max()
+    unit = np.linalg.norm(inside)
+    barriers = redundant._Barriers(cones, inside / unit, null, unit)
+    z = 0.3 * rng.normal(size=null.shape[1])
+    start = np.append(z, 0.2 - barriers.values(z).min())
+    if pressure is None:
+        # a given enlargement stays
+        start[-1] = max(start[-1], 0.1)
+    point = redundant._minimise(barriers, start, pressure)
+    gradient = barriers.derivatives(point)[0]
+    gradient[:-1] += point[:-1]
+    assert depth_of(barriers, point) > 0.0
+    if pressure is None:
+        assert point[-1] == start[-1]
+        # a decrement of 1e-9
+        assert np.abs(gradient[:-1]).max() < 1e-3
+        return
+    gradient[-1] += pressure
+    entered = point[-1] < -1e-9
+    assert entered or np.abs(gradient).max() < 1e-3 * max(1.0, pressure)
+    # a light pressure leaves cones enlarged
+    assert entered == (pressure > 1.0)
+
+
+@SEEDS
+def test_steps_towards_a_point(seed):
+    """The whole of it, or most of the way to the nearest boundary."""
+    rng = np.random.default_rng(seed)
+    directions, cones, inside = feet(rng, 4, 0.6)
+    null = null_space(directions)
+    barriers = redundant._Barriers(cones, inside, null / np.abs(null).max(), 1.0)
+    point = np.append(np.zeros(null.shape[1]), 0.1)
+    # all cones are enlarged by the last number
+    assert barriers.at(point) == pytest.approx(barriers.at(0.0 * point) + np.array([0.1, 0.0, 0.0]), rel=1e-14)
+    step = 1e-3 * rng.normal(size=point.size)
+    assert barriers.towards(point, step) == pytest.approx(point + step, rel=1e-15)
+    step *= 1e6
+    found = barriers.towards(point, step)
+    share = (found - point) @ step / (step @ step)
+    assert found == pytest.approx(point + share * step, rel=1e-12)
+    # 0.95 of it, by bisection
+    low, high = 0.0, 1.0 / 0.95
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if depth_of(barriers, point + middle * step) > 0.0 else (low, middle)
+    assert share == pytest.approx(0.95 * low, rel=1e-9)
+
+
+def depth_of(barriers, point):
+    x = barriers.at(point)
+    return (x[:, 0] - np.hypot(x[:, 1], x[:, 2])).min()

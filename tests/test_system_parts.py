@@ -1,0 +1,448 @@
+"""A scene compiled for the kernels: what is laid out for its joints, contacts, laws and drives, table by table."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pincontact as pc
+from pincontact.contacts import characteristic_length
+from pincontact.dynamics import system as system_module
+from pincontact.dynamics.joints import joint_guards
+from pincontact.dynamics.spare import Spare, put_back, take_spare
+from pincontact.dynamics.system import FORCE_SLACK, System
+from pincontact.errors import UnusableResult
+from pincontact.geometry.patterns import NO_NORMAL
+from pincontact.integration.stages import NUMBER_OF_WORKS
+from pincontact.layout import (
+    ALONG_BODY_1,
+    ALONG_BODY_2,
+    ANISOTROPIC,
+    ASKED,
+    ASKED_WITH,
+    ASPECT,
+    BAD_TIME,
+    BAD_TORQUE,
+    CHART,
+    CLOSED_FORM,
+    CONTACT_INTS,
+    FREE,
+    FRICTIONLESS,
+    GUARD_Q,
+    GUARD_SIGN,
+    GUARD_V,
+    HIGH_END,
+    HIGH_FORCE,
+    JOINT,
+    K1,
+    K2,
+    LENGTH,
+    LIMIT_SLACK,
+    LOW_END,
+    LOW_FORCE,
+    MODE,
+    MU,
+    MU_FAST,
+    MU_NOW,
+    MU_STATIC,
+    NBLOCKS,
+    NC,
+    NEXT_OUTPUT,
+    NJOINTS,
+    NORMAL_1,
+    NORMAL_2,
+    NORMAL_SIGN,
+    NQ,
+    NV,
+    NWORK,
+    NY,
+    OUTPUT_COUNT,
+    OUTPUTS_DONE,
+    OWNER,
+    PATTERN,
+    RECORD_STEPS,
+    ROLLING,
+    ROLLING_ROW,
+    SIDE,
+    SLIP_SIGN,
+    SPAN,
+    SPINNING,
+    SPINNING_ROW,
+    START_SPEED,
+    STICK,
+    STRETCH_11,
+    STRETCH_12,
+    STRETCH_22,
+    STRIBECK_EXPONENT,
+    STRIBECK_SPEED,
+    SUPPORT_SIZE,
+    TANGENTS,
+    TIME,
+    TIME_DEPENDENT,
+    UNILATERAL,
+    VISCOUS,
+)
+
+PLACE = pin.SE3(pin.utils.rotate("x", 0.3), np.array([0.1, 0.2, 0.3]))
+LAWS = [
+    pc.Stribeck((0.2, 0.1), (0.6, 0.3), 0.5, 1.5, along="tray", spinning=2e-3, rolling=1e-3),
+    pc.Coulomb((0.3, 0.6), (0.4, 0.8), along="field", viscous=0.7, rolling=3e-3),
+]
+
+
+def tree():
+    """An arm of two links, and a free body on the second, with limits, dry friction and damping."""
+    model = pin.Model()
+    joint = 0
+    for name, kind in (
+        ("shoulder", pin.JointModelRZ()),
+        ("slide", pin.JointModelPX()),
+        ("flyer", pin.JointModelFreeFlyer()),
+    ):
+        joint = model.addJoint(joint, kind, PLACE, name)
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+        model.addBodyFrame(f"{name} body", joint, PLACE, 0)
+    side = model.addJoint(1, pin.JointModelRX(), PLACE, "branch")
+    model.appendBodyToJoint(side, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.lowerPositionLimit[1], model.upperPositionLimit[1] = -0.7, 0.9
+    model.lowerDryFrictionLimit[[1, 8]], model.upperDryFrictionLimit[[1, 8]] = [-0.2, -0.1], [0.3, 0.4]
+    model.damping[:] = np.linspace(0.1, 0.9, model.nv)
+    model.gravity.linear = np.array([0.1, 0.2, -9.0])
+    return model
+
+
+def scene_of(laws=LAWS, motion=None):
+    """A ball over a tray, and over a field of the world that is driven; points that are not found in closed form come
+    first."""
+    scene = pc.Scene(tree())
+    ball = scene.add_contour("ball", pc.Sphere(0.1), frame="flyer body", placement=PLACE)
+    field = scene.add_contour("field", pc.HeightField(lambda x, y: 0.05 * math.sin(x) * math.cos(y)), motion=motion)
+    tray = scene.add_contour("tray", pc.Plane(), frame="slide body")
+    edge = scene.add_contour("edge", pc.Circle(0.4), frame="slide body")
+    scene.add_contact("edge", field, edge, bilateral=True, side=-1)
+    scene.add_contact("tray", ball, tray, friction=laws[0])
+    scene.add_contact("field", field, ball, friction=laws[1], side=1)
+    return scene
+
+
+@pytest.fixture
+def laid_out():
+    scene = scene_of()
+    guards = joint_guards(scene.model)
+    return scene, guards, System(scene.model, list(scene.contacts.values()), True, guards, True)
+
+
+def test_sizes(laid_out):
+    scene, guards, system = laid_out
+    nq, nv = scene.model.nq, scene.model.nv
+    sizes = system.memory["sizes"]
+    ny = nq + nv + 12 + NUMBER_OF_WORKS
+    assert sizes[[NQ, NV, NC, NJOINTS, NBLOCKS, NWORK, NY]].tolist() == [nq, nv, 3, 5, 3, NUMBER_OF_WORKS, ny]
+    assert (system.nq, system.nv, system.nc, system.ng, system.nr, system.items, system.ny) == (nq, nv, 3, 2, 3, 8, ny)
+    assert [len(system.memory[name]) for name in ("state", "new_state", "absolute")] == [ny] * 3
+    assert system.memory["guard_count"].tolist() == [2]
+    assert system.memory["resistance_count"].tolist() == [3]
+    assert len(guards) == 2
+    for name in ("contact_int", "contact_real", "basis", "slip", "rows", "force", "margins", "reference", "location"):
+        assert len(system.memory[name]) == 8
+    assert system.memory["whitened_rows"].shape == (24, nv)
+    assert system.memory["joint_table"][:, 1:].tolist() == [[0, 0, 2], [2, 2, 6], [9, 8, 1]]
+    assert (system.q == pin.neutral(scene.model)).all()
+    assert system.charted
+    assert system.turns
+    without = System(scene.model, [], False)
+    assert without.ny == nq + nv
+    # room for one
+    assert without.contact_int.shape == (1, CONTACT_INTS)
+    assert len(without.side_int) == 2
+    assert not without.charted
+    # places in the state that are not there, or are found without a start: the first contact's circle has one, the
+    # field two, as it has with the ball, which has two
+    start = nq + nv
+    first = [start + 1]
+    assert system.contact_int[:3, CLOSED_FORM].tolist()[1] != system.contact_int[0, CLOSED_FORM]
+    assert system.unfollowed.tolist() == first + [start + 4 + i for i in range(4)]
+
+
+def test_pinocchios_data_in_place(laid_out):
+    scene, _, system = laid_out
+    model, data = scene.model, system.data
+    assert system.memory["parents"].tolist() == list(data.parents_fromRow)[: model.nv]
+    assert system.memory["gravity"].tolist() == [0.1, 0.2, -9.0]
+    assert (system.memory["damping"] == model.damping).all()
+    q = pin.integrate(model, pin.neutral(model), np.linspace(0.1, 0.9, model.nv))
+    system.q[:], system.v[:] = q, np.linspace(-0.5, 0.5, model.nv)
+    system.evaluate_kinematics(0.0)
+    for j in range(1, model.njoints):
+        wanted = data.oMi[j].rotation.ravel(order="F"), data.oMi[j].translation, data.v[j].vector, data.a_gf[j].vector
+        for address, values in zip(system.memory["joint_addresses"][j].tolist(), wanted):
+            found = np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(ctypes.c_double)), (len(values),))
+            assert found.tolist() == values.tolist()
+    # of the mass matrix the upper triangle is what Pinocchio promises
+    assert (np.triu(system.memory["mass"]) == np.triu(data.M)).all()
+    assert np.triu(data.M).any()
+    assert system.memory["jacobian"] == pytest.approx(data.J)
+
+
+def test_contacts_and_their_sides(laid_out):
+    scene, _, system = laid_out
+    contacts = list(scene.contacts.values())
+    integers, numbers = system.contact_int[:3], system.contact_real[:3]
+    assert integers[:, K1].tolist() == [1, 2, 2]
+    assert integers[:, K2].tolist() == [2, 2, 2]
+    assert integers[:, PATTERN].tolist() == [contact.pattern.code for contact in contacts]
+    assert integers[:, TANGENTS].tolist() == [2, 2, 2]
+    assert integers[:, MODE].tolist() == [FRICTIONLESS] * 3
+    assert integers[:, UNILATERAL].tolist() == [0, 1, 1]
+    assert integers[:, SIDE].tolist() == [-1, contacts[1].side or 1, 1]
+    assert integers[:, SLIP_SIGN].tolist() == integers[:, NORMAL_SIGN].tolist() == [1, 1, 1]
+    assert numbers[:, LENGTH].tolist() == [characteristic_length(contact) for contact in contacts]
+    assert numbers[:, [NORMAL_1, NORMAL_2, SPAN]].tolist() == [[1.0, 0.0, 1.0]] * 3
+    assert (system.contact_real[:, START_SPEED] == math.inf).all()
+    assert (system.contact_real[:, LIMIT_SLACK] == FORCE_SLACK).all()
+    for c, contact in enumerate(contacts):
+        for side, attached in enumerate((contact.body1, contact.body2)):
+            row = system.side_int[2 * c + side]
+            assert row[[CHART, JOINT, TIME_DEPENDENT]].tolist() == [0, attached.joint, 0]
+            place = attached.placement_in_joint
+            assert system.side_base[2 * c + side].tolist() == [*place.rotation.ravel(), *place.translation]
+            assert (system.side_shape[2 * c + side] == attached.contour.shape_row()).all()
+            assert system.memory["side_domain"][2 * c + side].tolist() == list(attached.contour.ends())
+            moving = system.support[2 * c + side, : row[SUPPORT_SIZE]].tolist()
+            # what moves it is what its Jacobian has columns for
+            jacobian = pin.computeJointJacobian(scene.model, scene.model.createData(), system.q, attached.joint)
+            assert moving == np.flatnonzero(np.abs(jacobian).max(axis=0)).tolist()
+            if attached.joint == 0:
+                frame = system.frames[2 * c + side]
+                assert (frame[:3] == place.rotation).all()
+                assert (frame[3] == place.translation).all()
+
+
+def test_laws(laid_out):
+    _, _, system = laid_out
+    names = [MU, MU_NOW, MU_FAST, MU_STATIC, VISCOUS, SPINNING, ROLLING, STRIBECK_SPEED, STRIBECK_EXPONENT]
+    numbers = system.contact_real
+    assert not numbers[0, names].any()
+    assert numbers[1, names].tolist() == [0.6, 0.6, 0.2, 0.6, 0.0, 2e-3, 1e-3, 0.5, 1.5]
+    assert numbers[2, names].tolist() == [0.3, 0.3, 0.3, 0.4, 0.7, 0.0, 3e-3, 0.0, 0.0]
+    ellipses = numbers[:3, [ASPECT, STRETCH_11, STRETCH_12, STRETCH_22]]
+    assert ellipses.tolist() == [[1.0, 1.0, 0.0, 1.0], [0.5, 1.0, 0.0, 0.5], [2.0, 1.0, 0.0, 2.0]]
+    assert system.contact_int[:3, ANISOTROPIC].tolist() == [0, ALONG_BODY_2, ALONG_BODY_1]
+    # resistances: about the normal first
+    assert system.resistances == [(1, True), (1, False), (2, False)]
+    integers = system.contact_int
+    assert integers[:3, [SPINNING_ROW, ROLLING_ROW]].tolist() == [[0, 0], [5, 6], [0, 7]]
+    assert [system.resists(c) for c in range(3)] == [False, True, True]
+    assert integers[5:, [OWNER, PATTERN, MODE, TANGENTS, SLIP_SIGN, NORMAL_SIGN]].tolist() == [
+        [1, NO_NORMAL, FREE, 1, 1, 1], [1, NO_NORMAL, FREE, 2, 1, 1], [2, NO_NORMAL, FREE, 2, 1, 1],
+    ]  # fmt: skip
+    assert numbers[5:, [MU, MU_FAST, MU_STATIC, MU_NOW]].tolist() == [[2e-3] * 4, [1e-3] * 4, [3e-3] * 4]
+    assert (numbers[5:, [ASPECT, STRETCH_11, STRETCH_22, SPAN, LENGTH, NORMAL_1]] == 1.0).all()
+    assert [system.owner(i) for i in (0, 1, 2, 5, 6, 7)] == [0, 1, 2, 1, 1, 2]
+
+
+def test_ellipses_along_a_contour(laid_out):
+    """Of the law's first direction the stretch makes the same, across it `aspect` times as much."""
+    scene, _, system = laid_out
+    system.q[:] = pin.integrate(scene.model, system.q, np.linspace(0.2, -0.3, system.nv))
+    system.evaluate_kinematics(0.0)
+    a, b, d = system.contact_real[2, [STRETCH_11, STRETCH_12, STRETCH_22]]
+    shape = np.array([[a, b], [b, d]])
+    along = system.basis[2, :2] @ system.derivatives[4, 1]
+    assert shape @ along == pytest.approx(along, rel=1e-12)
+    across = np.array([-along[1], along[0]])
+    assert shape @ across == pytest.approx(2.0 * across, rel=1e-12)
+    assert abs(along[1]) > 1e-3 * abs(along[0])
+
+
+def test_resistances_above_round_off():
+    for length, found in ((0.0, []), (0.9e-13, []), (1.1e-13, [(1, True), (1, False)])):
+        scene = scene_of([pc.Coulomb(0.3, spinning=length, rolling=length), None])
+        system = System(scene.model, list(scene.contacts.values()), resistances=True)
+        assert system.resistances == found
+        # one coefficient is for all directions
+        assert not system.contact_int[:, ANISOTROPIC].any()
+        assert (system.contact_real[:3, [ASPECT, STRETCH_11, STRETCH_22]] == 1.0).all()
+
+
+def test_joint_coordinates(laid_out):
+    _, guards, system = laid_out
+    assert [guard.joint for guard in guards] == ["slide", "branch"]
+    assert system.guard_int[:, [GUARD_Q, GUARD_V]].tolist() == [[1, 1], [9, 8]]
+    bounds = system.guard_real[:, [LOW_FORCE, HIGH_FORCE, LOW_END, HIGH_END]].tolist()
+    assert bounds == [[-0.2, 0.3, -0.7, 0.9], [-0.1, 0.4, -math.inf, math.inf]]
+    for g, velocity in enumerate((1, 8)):
+        assert system.contact_int[3 + g, MODE] == FREE
+        assert (system.basis[3 + g] == np.eye(3)).all()
+        expected = np.zeros((3, system.nv))
+        expected[2, velocity] = 1.0
+        assert (system.rows[3 + g] == expected).all()
+    # forces of those that are held, friction of those that move
+    kept = system.contact_int.copy()
+    system.force[3:5] = [[9.0, 9.0, 0.7], [9.0, 9.0, -0.6]]
+    for sign, friction in ((-1, 0.3), (0, 0.0), (1, -0.2)):
+        system.guard_int[:, GUARD_SIGN] = sign
+        system.contact_int[3:5, MODE] = FREE, FRICTIONLESS
+        expected = np.zeros(system.nv)
+        expected[[1, 8]] = friction, -0.6
+        assert system.joint_forces().tolist() == expected.tolist()
+        assert system.held() == [1]
+    system.contact_int[3:5, MODE] = FRICTIONLESS, FREE
+    assert system.held() == [0]
+    # what is closed, and resists
+    system.contact_int[:3, MODE] = FREE, STICK, FREE
+    assert system.closed() == [1]
+    assert system.resisting() == [5, 6]
+    system.contact_int[:3, MODE] = FRICTIONLESS, FREE, STICK
+    assert system.closed() == [0, 2]
+    assert system.resisting() == [7]
+    system.contact_int[:] = kept
+
+
+def test_several_contacts_need_other_kernels(monkeypatch):
+    scene, asked = scene_of(), []
+    monkeypatch.setattr(system_module, "compile_kernels", lambda several: asked.append(several))
+    contacts = list(scene.contacts.values())
+    for count in range(4):
+        System(scene.model, contacts[:count])
+    assert asked == [False, False, True, True]
+
+
+@pytest.mark.parametrize(
+    "motion", [None, pc.ConstantTwist(np.array([0.1, 0.0, 0.0]), np.zeros(3)), pc.HarmonicMotion([0, 0, 0.1], 1.0)]
+)
+def test_what_varies_with_time(motion):
+    scene = scene_of(motion=motion)
+    contacts = list(scene.contacts.values())
+    for chosen in (contacts, contacts[1:2], contacts[2:]):
+        system = System(scene.model, chosen)
+        unsteady = isinstance(motion, pc.HarmonicMotion) and chosen != contacts[1:2]
+        assert system.varies_with_time is unsteady
+        assert not system.asks
+        assert system.callback[[ASKED, ASKED_WITH]].tolist() == [0, 0]
+        system.before_evaluation(lambda t: None)
+        assert system.asks
+        assert system.varies_with_time
+        system.before_evaluation()
+        assert not system.asks
+    timed = pc.ParametricCurve(lambda u, t: (u, t, 0.0), (-1.0, 1.0))
+    scene.add_contact("timed", scene.add_contour("timed", timed, frame="slide body"), scene.contours["field"])
+    assert System(scene.model, list(scene.contacts.values())).varies_with_time
+
+
+def test_drives_in_python_are_asked():
+    times = []
+
+    def given(t):
+        times.append(t)
+        if t > 1.0:
+            raise KeyError("late")
+        return pin.SE3.Identity(), np.zeros(6), np.zeros(6)
+
+    scene = scene_of(motion=pc.CallableMotion(given))
+    system = System(scene.model, list(scene.contacts.values()))
+    assert system.asks
+    assert system.varies_with_time
+    assert [(side, name) for side, name, _ in system.python_drives] == [(1, "field"), (4, "field")]
+    times.clear()
+    system.scalars[TIME] = 0.25
+    ask = system.callback_of(lambda t: given(t))
+    assert ask()
+    assert times == [0.25]
+    system.check_callbacks()
+    for time in (1.5, 2.5):
+        system.scalars[TIME] = time
+        assert not ask()
+    assert times == [0.25, 1.5, 2.5]
+    with pytest.raises(KeyError):
+        system.check_callbacks()
+    system.check_callbacks()
+    # what a run says of it
+    assert system.tell(UnusableResult("3 numbers")) == "3 numbers"
+    system.blame("t = 1.5 s: the control")
+    assert system.tell(KeyError("late")) == "t = 1.5 s: the control raised KeyError: 'late'"
+    assert system.tell(ValueError()) == "t = 1.5 s: the control raised ValueError"
+    assert "raised" in system.tell(UnusableResult("own"))
+    assert not system.is_own(UnusableResult("own"))
+    assert system.tell(KeyboardInterrupt()) == "t = 2.5 s: ended by KeyboardInterrupt"
+
+
+def test_torques_that_are_not_finite():
+    scene = scene_of()
+    system = System(scene.model, [])
+    system.check_callbacks()
+    system.check_torques(0.5)
+    system.tau[2] = math.inf
+    with pytest.raises(UnusableResult, match=r"t = 0\.5 s: control returned inf"):
+        system.check_torques(0.5)
+    system.scalars[[BAD_TORQUE, BAD_TIME]] = -math.inf, 0.25
+    with pytest.raises(UnusableResult, match=r"t = 0\.25 s: control returned -inf"):
+        system.check_callbacks()
+
+
+@pytest.mark.parametrize("count", [0, 3, 256, 257])
+def test_times_of_output(count):
+    system = System(scene_of().model, [])
+    times = np.linspace(0.5, 1.0, count)
+    system.counters[OUTPUTS_DONE] = 7
+    system.set_output_times(times)
+    assert system.counters[[OUTPUT_COUNT, OUTPUTS_DONE, RECORD_STEPS]].tolist() == [count, 0, 0]
+    for time in times[:3]:
+        assert system.scalars[NEXT_OUTPUT] == time
+        system.output_done()
+    if count <= 3:
+        assert system.scalars[NEXT_OUTPUT] == math.inf
+    assert (system.output_times == times).all()
+    assert (system.memory["output_times"][:count] == times).all()
+    system.set_output_times(None)
+    assert system.counters[[OUTPUT_COUNT, OUTPUTS_DONE, RECORD_STEPS]].tolist() == [0, 0, 1]
+    assert system.scalars[NEXT_OUTPUT] == math.inf
+
+
+# ---------------------------------------------------------------------------------------------- kept for the next run
+
+
+def test_a_system_fits_what_it_was_made_from():
+    """As long as all of it is the same: options, model, contacts, placements, what contours and motions hold."""
+    motion = pc.SplineMotion(
+        np.linspace(0.0, 1.0, 7), [pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.1 * i])) for i in range(7)]
+    )
+    scene = scene_of(motion=motion)
+    spare = Spare(scene, True, False)
+    assert spare.fits(scene, True, False)
+    assert not spare.fits(scene, True, True)
+    assert not spare.fits(scene, False, False)
+    assert not spare.fits(scene_of(motion=motion), True, False)
+    placement = scene.contours["ball"].placement_in_joint
+    changes = [
+        (scene.model.damping, 0), (placement.translation, 1), (motion.parameters, 0), (motion.pool, 2),
+        (scene.contours["field"].contour.pool, 0),
+    ]  # fmt: skip
+    for array, place in changes:
+        if not array.size or not array.flags.writeable:
+            continue
+        kept = array[place]
+        array[place] += 0.5
+        assert not spare.fits(scene, True, False)
+        array[place] = kept
+        assert spare.fits(scene, True, False)
+    scene.add_contact("more", scene.contours["tray"], scene.contours["field"], side=1)
+    assert not spare.fits(scene, True, False)
+
+
+def test_a_spare_system_is_taken_once():
+    scene = scene_of()
+    spare = take_spare(scene, False, True)
+    put_back(scene, spare)
+    spare.system.q[0] = 7.0
+    again = take_spare(scene, False, True)
+    assert again is spare
+    # as new
+    assert (again.system.q == pin.neutral(scene.model)).all()
+    assert take_spare(scene, False, True) is not spare
+    put_back(scene, spare)
+    assert take_spare(scene, True, True) is not spare

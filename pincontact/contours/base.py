@@ -238,6 +238,13 @@ def flags(owner: str, name: str, values: Any) -> tuple[bool, bool]:
     return flag(owner, f"{name}[0]", values[0]), flag(owner, f"{name}[1]", values[1])
 
 
+def in_space(values: np.ndarray) -> np.ndarray:
+    """Rows (x, y) or (x, y, z) as (n, 3), with z = 0 where they have none."""
+    out = np.zeros((len(values), 3))
+    out[:, : values.shape[1]] = values
+    return out
+
+
 def half_diagonal(contour: Contour, t: float = 0.0) -> float:
     """Half the diagonal of the box around a contour of finite domain, else infinity."""
     if not np.isfinite(contour.domain).all():

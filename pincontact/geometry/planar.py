@@ -26,7 +26,7 @@ def moves_in_plane(model: pin.Model, body1: AttachedContour, body2: AttachedCont
     for sample in range(_SAMPLES):
         q = pin.integrate(model, pin.neutral(model), rng.uniform(-0.7, 0.7, model.nv))
         pin.computeJointJacobians(model, data, q)
-        pose1, pose2 = (_pose(data, body, 0.37 * sample) for body in (body1, body2))
+        pose1, pose2 = (pose_of(data, body, 0.37 * sample) for body in (body1, body2))
         normal = pose2.rotation[:, 2]
         apart = pose1.translation - pose2.translation
         scale = 1.0 + np.linalg.norm(apart)
@@ -53,12 +53,11 @@ def _carried_by(model: pin.Model, ancestor: int, joint: int) -> bool:
     return ancestor in list(model.supports[joint])
 
 
-def _pose(data: pin.Data, body: AttachedContour, t: float) -> pin.SE3:
+def pose_of(data: pin.Data, body: AttachedContour, t: float) -> pin.SE3:
+    """Placement of a contour in the world, of joints as in the data."""
     pose = data.oMi[body.joint] * body.placement_in_joint
     if body.motion is not None:
-        out = np.zeros(24)
-        body.motion.evaluate(t, out)
-        pose = pose * pin.SE3(out[:9].reshape(3, 3), out[9:12].copy())
+        pose = pose * body.motion.placement(t)
     return pose
 
 

@@ -17,6 +17,7 @@ from ..integration.stages import move_charts
 from ..layout import BRANCH, CHART, CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SIDE, SINGULAR
 from .location import BRANCHES, NO_CLOSED_FORM, ROUND_ON_PLANE
 from .patterns import CROSSING_CURVES, ON_CURVE
+from .planar import pose_of
 
 if TYPE_CHECKING:
     from ..contours import Contour
@@ -220,14 +221,7 @@ def _bending_side(system: System) -> int:
 def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
     """Starts for Newton: sample pairs that are near each other, and near with their tangents aligned."""
     contact = system.contacts[0]
-    poses = []
-    for body in (contact.body1, contact.body2):
-        pose = system.data.oMi[body.joint] * body.placement_in_joint
-        if body.motion is not None:
-            out = np.zeros(24)
-            body.motion.evaluate(t, out)
-            pose = pose * pin.SE3(out[:9].reshape(3, 3), out[9:12].copy())
-        poses.append(pose)
+    poses = [pose_of(system.data, body, t) for body in (contact.body1, contact.body2)]
     distance = float(np.linalg.norm(poses[0].translation - poses[1].translation))
     sizes = [b.contour.size if math.isfinite(b.contour.size) else 0.0 for b in (contact.body1, contact.body2)]
     window = distance + _WINDOW * sum(sizes) + 1e-3
@@ -309,15 +303,15 @@ def _sample(
     values = contour.evaluate_many(grid[:, : contour.dimension], t)
     rotation = pose.rotation
     points = values[:, 0] @ rotation.T + pose.translation
-    tangents = []
-    for a in range(contour.dimension):
-        tangent = values[:, 1 + a] @ rotation.T
-        size = np.linalg.norm(tangent, axis=1, keepdims=True)
-        tangents.append(tangent / np.where(size > 0.0, size, 1.0))
+    tangents = [_unit(values[:, 1 + a] @ rotation.T) for a in range(contour.dimension)]
     normals = np.zeros_like(points)
     if contour.dimension == 2:
         normals = np.cross(tangents[0], tangents[1])
     elif contour.dimension == 1:
         normals = np.cross(tangents[0], rotation[:, 2])
-    size = np.linalg.norm(normals, axis=1, keepdims=True)
-    return grid, points, normals / np.where(size > 0.0, size, 1.0), tangents
+    return grid, points, _unit(normals), tangents
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3) of length one; those of length zero stay what they are."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)

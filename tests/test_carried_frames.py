@@ -10,8 +10,8 @@ from pincontact.geometry import carriers
 place_on_joint, add_drive, point_velocity, point_bias = map(
     from_python, (carriers.place_on_joint, carriers.add_drive, carriers.point_velocity, carriers.point_bias)
 )
-H = 1e-3
-# Differences of second order: H^2 times third derivatives of some tens, and roundings over H^2.
+H = 2e-4
+# Differences of second order: H^2 times third derivatives of some hundreds, and roundings over H^2.
 NEAR = {"rel": 1e-4, "abs": 1e-4}
 
 

@@ -8,9 +8,11 @@ import pytest
 from calling import from_python
 
 import pincontact.contours as pc
+from pincontact.constraints import kinematics
 from pincontact.geometry import location as parts
 from pincontact.geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
 
+solve_location, distance_to_ends = from_python(parts.solve_location), from_python(kinematics.distance_to_ends)
 nearest_on_sphere, round_on_plane, point_to_plane, unwrapped = map(
     from_python, (parts.nearest_on_sphere, parts.round_on_plane, parts.point_to_plane, parts.unwrapped)
 )
@@ -130,3 +132,32 @@ def test_the_angle_nearest_to_another():
             assert abs(found - near) <= math.pi + 1e-14
             turns = (found - angle) / (2.0 * math.pi)
             assert turns == pytest.approx(round(turns), abs=1e-14)
+
+
+@pytest.mark.parametrize("k1", [0, 1, 2])
+def test_singular_equations_are_left_as_they_are(k1):
+    """Body 1's equations are those of C1 once more, or the same twice."""
+    for k2 in (1, 2):
+        if k1 > k2:
+            continue
+        system = np.random.default_rng(k1).normal(size=(4, 8))
+        if k1 == 0:
+            system[0, :3] = 0.0
+        elif k1 == 2:
+            system[2] = system[1]
+        else:
+            system[1] = 0.0
+        before = system.copy()
+        assert solve_location(k1, k2, system) == 0.0
+        assert (system == before).all()
+
+
+def test_distances_to_the_ends_of_a_domain():
+    ends = np.array([-1.0, 2.0, 3.0, 7.0])
+    u = np.array([0.5, 4.5])
+    for dimension, wanted in ((0, 9.0), (1, 1.5), (2, 1.5)):
+        assert distance_to_ends(dimension, u, 0, ends, 9.0) == wanted
+        assert distance_to_ends(dimension, u, 1, ends, 9.0) == 9.0
+    for v, wanted in (([-0.9, 5.0], 0.1), ([1.8, 5.0], 0.2), ([0.5, 3.3], 0.3), ([0.5, 6.6], 0.4), ([0.5, 7.5], -0.5)):
+        assert distance_to_ends(2, np.array(v), 0, ends, 9.0) == pytest.approx(wanted, rel=1e-12)
+    assert distance_to_ends(2, u, 0, ends, 0.01) == 0.01

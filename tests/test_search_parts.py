@@ -66,13 +66,13 @@ def test_a_ring_within_a_hollow(charted):
     q = [*place, *turned(5)]
     system = system_of(pc.Circle(0.06), ground, q, side=-1)
     found = NearestSearch(system, 0, 0.0).search(0.0).candidate
-    angles = np.linspace(0.0, 2.0 * math.pi, 721)
+    angles = np.linspace(0.0, 2.0 * math.pi, 361)
     ring = 0.06 * np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
     ring = ring @ pin.Quaternion(np.array(q[3:])).matrix().T + np.array(place)
-    samples = ground.evaluate_many(ground.samples((500, 300)))[:, F]
+    samples = ground.evaluate_many(ground.samples((200, 120)))[:, F]
     exact = scipy.spatial.cKDTree(samples).query(ring)[0].min()
-    # samples 5e-3 m apart are good to half of that squared over the distance
-    assert found.gap == pytest.approx(exact, abs=2e-4)
+    # samples 0.015 m apart are good to half of that squared over the distance
+    assert found.gap == pytest.approx(exact, abs=1e-3)
 
 
 def test_what_is_far_from_the_nearest_point_is_known_to_be_far():

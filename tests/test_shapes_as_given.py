@@ -12,7 +12,7 @@ import pincontact.contours as pc
 from pincontact.contours import branches, piecewise, revolution, trace
 from pincontact.contours.base import TAPE_CURVE, Contour
 from pincontact.contours.branches import _beside_root, _Search, survey
-from pincontact.contours.formula import Formula
+from pincontact.contours.formula import Formula, _seam
 from pincontact.contours.trace import Path
 from pincontact.errors import ContourError
 
@@ -206,7 +206,7 @@ def test_a_twist_of_any_rate(rate):
 
 def test_times_belong_to_what_depends_on_time():
     """A time domain of a function without time has no meaning; fitted or traced it is what it is without."""
-    for f in (lambda u: (u, abs(u - 0.3) ** 3.5, 0.0), lambda u: (u, math.sin(u), 0.0)):
+    for f in (lambda u: (u, math.gamma(u + 2.0), 0.0), lambda u: (u, math.sin(u), 0.0)):
         plain = pc.ParametricCurve(f, (-1.0, 1.0))
         timed = pc.ParametricCurve(f, (-1.0, 1.0), time_domain=(2.0, 5.0))
         assert timed.kind == plain.kind
@@ -214,4 +214,169 @@ def test_times_belong_to_what_depends_on_time():
         for u in (-0.7, 0.3, 0.9):
             assert timed.evaluate(u, 3.0) == pytest.approx(plain.evaluate(u), abs=1e-15)
     with pytest.raises(ContourError, match="give time_domain"):
-        pc.ParametricCurve(lambda u, t: (u, abs(u - t) ** 3.5, 0.0), (-1.0, 1.0))
+        pc.ParametricCurve(lambda u, t: (u, math.gamma(u + t + 2.0), 0.0), (-1.0, 1.0))
+
+
+# Motions.
+
+
+def steady(axis, t):
+    return pin.SE3(pin.exp3(t * np.array(axis)), np.array([math.cos(t), math.sin(t), 0.3]))
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)])
+@pytest.mark.parametrize("turns", [1, 2])
+def test_a_closed_path_of_an_odd_number_of_turns(axis, turns):
+    """The quaternion closes after two rounds only; the motion after each, whenever it begins."""
+    n, begin = 24 * turns, 2.0
+    angles = 2.0 * math.pi * turns * np.arange(n) / n
+    times = begin + 2.0 * math.pi * turns * np.arange(n + 1) / n
+    motion = pc.SplineMotion(times, [steady(axis, angle) for angle in angles], periodic=True)
+    for t in np.linspace(-8.0, 20.0, 40):
+        row, exact = motion.evaluate(t), steady(axis, t - begin)
+        # interpolation by degree 5 in steps of pi / 12
+        assert row[:9].reshape(3, 3) == pytest.approx(exact.rotation, abs=1e-6)
+        assert row[9:12] == pytest.approx(exact.translation, abs=1e-5)
+        assert row[15:18] == pytest.approx(axis, abs=1e-4)
+
+
+@pytest.mark.parametrize("flipped", [(1,), (2, 3), (5,), (0, 4)])
+def test_quaternions_of_either_sign_are_one_rotation(flipped, monkeypatch):
+    """Poses name no signs; whatever comes out of a matrix, the way between two of them is the short one."""
+    from pincontact.contours import motion as module
+
+    times = np.arange(8.0)
+    poses = [steady((0.6, 0.0, 0.8), 0.5 * t) for t in times]
+    expected = pc.SplineMotion(times, poses).pool
+    usual, signs = module._coordinates, iter([-1.0 if i in flipped else 1.0 for i in range(8)])
+
+    def coordinates(pose):
+        found = usual(pose)
+        found[3:] *= next(signs)
+        return found
+
+    monkeypatch.setattr(module, "_coordinates", coordinates)
+    again = module.SplineMotion(times, poses)
+    monkeypatch.undo()
+    plain = module.Motion((), expected)
+    plain.kind = module.MOTION_SPLINE
+    for t in (0.2, 3.3, 6.7):
+        assert again.evaluate(t) == pytest.approx(plain.evaluate(t), abs=1e-13)
+
+
+def test_numbers_of_motions():
+    # an axis of any length; without one, no turn
+    assert pc.HarmonicMotion(axis=(0.0, 0.1, 0.2), angle=0.5, turn_phase=0.3).parameters[3:6] == pytest.approx(
+        np.array([0.0, 1.0, 2.0]) / math.sqrt(5.0)
+    )
+    amplitude = np.array([0.1, 0.2, 0.3])
+    still = pc.HarmonicMotion(amplitude, 2.0, center=(1.0, 2.0, 3.0)).evaluate(0.125)
+    # at the end of its way
+    expected = [*np.eye(3).ravel(), *amplitude, *np.zeros(6), *(-((4.0 * math.pi) ** 2) * amplitude), *np.zeros(3)]
+    assert still == pytest.approx(expected, abs=1e-13)
+    for bad, match in (({"axis": (0.0, 0.0, 0.0)}, "must not be zero"), ({"angle": 0.1}, "needs an axis")):
+        with pytest.raises(ContourError, match=match):
+            pc.HarmonicMotion(**bad)
+
+    def at_rest(t):
+        return pin.SE3.Identity(), np.zeros(6), np.zeros(6)
+
+    assert pc.CallableMotion(at_rest).fit_error == 0.0
+    fitted = pc.CallableMotion(lambda t: pin.SE3(np.eye(3), np.array([math.sin(t), 0.0, 0.0])), time_domain=(0.0, 3.0))
+    assert 0.0 < fitted.fit_error < 1e-14
+
+
+# Fits and seams.
+
+
+def test_fits_are_kept_as_what_they_are():
+    def f(u, v):
+        return u, v, math.gamma(u + 3.0) * v
+
+    surface = pc.ParametricSurface(f, ((-0.5, 0.5), (0.0, 1.0)))
+    assert surface.kind == pc.base.SPLINE_SURFACE
+    assert surface.fit_error > 0.0
+    rows = surface.evaluate((0.2, 0.5))
+    assert rows[4, 2] == pytest.approx((math.gamma(3.2 + 1e-5) - math.gamma(3.2 - 1e-5)) / 2e-5, abs=1e-7)
+
+
+@pytest.mark.parametrize("times", [None, (0.0, 1.0)])
+def test_surfaces_in_time_are_not_fitted(times):
+    with pytest.raises(ContourError, match="a surface that depends on time must be made of elementary"):
+        pc.ParametricSurface(lambda u, v, t: (u, v, math.gamma(u + 3.0 + t)), ((0.0, 1.0),) * 2, time_domain=times)
+
+
+def test_seams_are_looked_at_within_the_times_that_are_tried():
+    points = np.array([[0.1, 0.2, 0.3], [0.8, 4.0, 2.9]])
+    both = Formula("test", lambda u, v, t: (u, v, t), 2)
+    for domain in ((0.0, 5.0), (0.0, math.inf), (-math.inf, 5.0), (-math.inf, math.inf)):
+        along = np.array([point.copy() for point in _seam(both, [(0.0, 1.0), domain], 0, points)])
+        assert np.isfinite(along).all()
+        # times by less than one of seven steps later
+        assert 0.3 <= along[:, 2].min() <= along[:, 2].max() < 2.9 + 2.6 / 7
+        wanted = domain if np.isfinite(domain).all() else (0.2, 4.0)
+        assert (along[:, 1].min(), along[:, 1].max()) == pytest.approx(wanted)
+
+
+# Places.
+
+
+def test_places_of_many_boxes_and_of_many_edges():
+    """The largest boxes of a path; of edges, some from the first to the last, a little before and after each."""
+    search = _Search(Formula("test", lambda u, v: u, 2, 1), ((0.0, 10.0), (0.0, 0.1)), False)
+    search.paths = [None, None]
+    sizes = np.random.default_rng(4).permutation(100) / 100.0
+    corners = [(np.array([0.1 * i, 0.0]), np.array([0.1 * i + 0.01 + 0.05 * s, 0.05])) for i, s in enumerate(sizes)]
+    search.cells = [(i % 2, *box) for i, box in enumerate(corners)]
+    places = search.places()
+    assert places.shape == (80, 2)
+    for number in (0, 1):
+        own = {i for i, (low, high) in enumerate(corners) if any(((low < p) & (p < high)).all() for p in places)}
+        largest = sorted(range(number, 100, 2), key=lambda i: -sizes[i])[:40]
+        assert {i for i in own if i % 2 == number} == set(largest)
+    search.paths, search.cells = [], []
+    for count in (1, 39, 79, 100, 200):
+        lows = np.linspace(1.0, 9.0, count)
+        width = 1e-9 * 10.0
+        search.edges = [(np.array([low, 0.02]), np.array([low + width, 0.06])) for low in lows]
+        places = search.places()
+        assert min(count, 20) <= len(places) <= 82
+        assert places[:, 1] == pytest.approx(np.full(len(places), 0.02 + 0.4637 * 0.04), abs=1e-15)
+        steps = places[:, 0] - lows[np.abs(places[:, :1] - lows).argmin(axis=1)]
+        # both sides of the edge, farther from it than it is wide
+        assert (np.abs(steps) > 2.0 * width).all()
+        assert np.abs(steps).max() < 10.0 * width
+        assert (steps > 0.0).sum() == (steps < 0.0).sum()
+        assert places[:, 0].min() == pytest.approx(1.0, abs=1e-6)
+        assert places[:, 0].max() > 8.5 or count == 1
+
+
+# Traced arithmetic.
+
+
+POWERS = [0.0, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, -1.0, -1.5, 2.5]
+
+
+def test_powers_and_quotients_of_all_sorts():
+    """Each is what Python makes of it; a power of the parameter is one operation at most."""
+    for number in POWERS:
+        for function in (
+            lambda u, c=number: u**c,
+            lambda u, c=number: c / u,
+            lambda u, c=number: c * u,
+            lambda u, c=number: u + c,
+            lambda u, c=number: u - c,
+            lambda u, c=number: c - u,
+            lambda u, c=number: u / (c or 3.0),
+            lambda u, c=number: (abs(c) + 0.5) ** u,
+        ):
+            for u in (0.4, 1.7):
+                # a power of a number is an exponential
+                assert point_of(function, u) == pytest.approx(function(u), rel=4e-16)
+    assert [Path(lambda u, c=c: u**c, "u", 1, [0.4]).tape("u").instructions for c in POWERS] == [
+        *[0, 1, 1, 0],
+        *[1] * 6,
+    ]
+    for base in (0.0, -2.0):
+        assert "not smooth" in Path(lambda u, base=base: base**u, "u", 1, [0.4]).reason
+    assert Path(lambda u: 1.0**u, "u", 1, [0.4]).tape("u").constants == (1.0,)

@@ -24,9 +24,10 @@ from .trace import Path, Tape
 if TYPE_CHECKING:
     from .formula import Formula
 
-# Boxes no wider than this part of the domain, or of 1 where that is infinite, are not cut again; so far from its ends
-# a formula may do what it likes.
+# Boxes no wider than this part of the domain are not cut again; so far from its ends a formula may do what it likes.
 _TINY = 1e-9
+# What is taken for the size of an infinite domain there.
+_UNBOUNDED = 1.0
 # Boxes are examined so many at a time and so many times. Each variable needs some thirty times; what is left over then
 # has been looked at in thousands of places.
 _BATCH = 256
@@ -169,7 +170,7 @@ class _Search:
     def __init__(self, formula: Formula, domain: Sequence[tuple[float, float]], all_times: bool) -> None:
         self.formula, self.owner, self.variables = formula, formula.owner, formula.variables
         low, high = np.array(domain, dtype=float).T
-        self.size = np.where(np.isfinite(high - low), high - low, 1.0)
+        self.size = np.where(np.isfinite(high - low), high - low, _UNBOUNDED)
         self.start, self.end = low + _TINY * self.size, high - _TINY * self.size
         self.low, self.high = self.start[None], self.end[None]
         self.trust, self.branching, self.hint = np.zeros(1), np.zeros(1, dtype=bool), np.zeros(1, dtype=int)

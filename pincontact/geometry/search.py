@@ -30,8 +30,11 @@ _SURFACE_SAMPLES = (61, 31)
 _SEEDS, _WEIGHTS, _APART, _NEIGHBOURS = 24, (1.0, 0.0, 10.0), 0.25, 4
 # What goes on for ever is sampled so far beyond both bodies' distance, in their sizes; the ends of domains are spared.
 _WINDOW, _INSET = 2.0, 1e-3
-# What goes on for ever in other parameters than lengths is sampled at distances of this part of its size.
-_SPACING = 0.25
+# In m, of two points at one place.
+_LEAST_WINDOW = 1e-3
+# What goes on for ever in other parameters than lengths is sampled at distances of this part of its size, as if it were
+# no slower than this part of a window for each of them.
+_SPACING, _SLOWEST = 0.25, 1e-3
 # Contours whose parameters are lengths where they are not periodic.
 _LENGTHS = (Cone, Cylinder, HeightField, Line, Plane)
 # Two candidates closer than this (relative to the contact's length) are one.
@@ -126,7 +129,7 @@ def refine(
     for wanted in product(contact.body1.contour.charts, contact.body2.contour.charts):
         # a start near a pole is better off in another chart, and one right at it fails in its own
         charts[:] = wanted
-        system.location[0] = start if wanted == (0, 0) else np.where(np.array(wanted).repeat(2) == 0, start, 0.0)
+        system.location[0] = np.where(np.array(wanted).repeat(2) == 0, start, 0.0)
         system.state[parameters] = start
         if wanted == (0, 0) and system.charted:
             charts[:] = 0
@@ -224,7 +227,7 @@ def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
     poses = [pose_of(system.data, body, t) for body in (contact.body1, contact.body2)]
     distance = float(np.linalg.norm(poses[0].translation - poses[1].translation))
     sizes = [b.contour.size if math.isfinite(b.contour.size) else 0.0 for b in (contact.body1, contact.body2)]
-    window = distance + _WINDOW * sum(sizes) + 1e-3
+    window = distance + _WINDOW * sum(sizes) + _LEAST_WINDOW
     first = _sample(contact.body1.contour, poses[0], t, window, guess[:2])
     second = _sample(contact.body2.contour, poses[1], t, window, guess[2:])
     length = max(system.contact_real[0, LENGTH], 1e-12)
@@ -260,7 +263,7 @@ def _within(contour: Contour, a: int, t: float, window: float) -> tuple[float, f
     middle = [min(max(0.0, low), high) for low, high in contour.domain]
     spacing = _SPACING * (contour.size if math.isfinite(contour.size) else window)
     # at least so fast that the window is left, or the samples used up, after a while
-    speed = max(float(np.linalg.norm(contour.evaluate(middle, t)[1 + a])), 1e-3 * spacing / window)
+    speed = max(float(np.linalg.norm(contour.evaluate(middle, t)[1 + a])), _SLOWEST * (spacing / window))
     ends = []
     for sign, end in zip((-1.0, 1.0), contour.domain[a]):
         width = window

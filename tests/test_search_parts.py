@@ -7,12 +7,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy
-from test_parts_of_geometry import MOVED, UNKNOWN, system_of, turned
+from test_parts_of_geometry import MOVED, UNKNOWN, free_body, system_of, turned
 
 import pincontact as pc
 from pincontact.contours.base import F
+from pincontact.errors import PatternError
 from pincontact.geometry import nearest
 from pincontact.geometry.nearest import NearestSearch
+from pincontact.geometry.patterns import find_pattern
 from pincontact.geometry.search import _sample, find_candidates
 from pincontact.layout import LAST_NORMAL_X, LOCATION_FAILED, OK, SIDE
 
@@ -200,3 +202,143 @@ def test_a_field_is_one_however_it_is_made():
     for field in (pc.HeightField(lambda x, y: x * y), pc.HeightField(x, x, np.outer(x, x))):
         assert nearest._is_height_field(field)
     assert not nearest._is_height_field(pc.Torus(0.6, 0.2))
+
+
+def test_candidates_of_contours_that_are_placed_somewhere():
+    """Points are the world's, wherever the frames are and however fast."""
+    system = system_of(pc.Circle(0.1), pc.Torus(0.6, 0.2), [1.3, 0.4, 0.2, *turned(2)], placement=MOVED)
+    system.v[:] = np.arange(1.0, 7.0)
+    for found in find_candidates(system, 0.0, UNKNOWN):
+        assert found.point == pytest.approx(MOVED.act(pc.Torus(0.6, 0.2).point(found.location[2:])), abs=1e-12)
+
+
+def test_stationary_points_on_the_other_side_are_not_the_nearest():
+    """In the tube of a torus a ring bends to its inside, whichever side was named."""
+    q = [0.72, 0.1, 0.02, *turned(5)]
+    found = [
+        NearestSearch(system_of(pc.Circle(0.06), pc.Torus(0.6, 0.3), q, side=side), 0, 0.0).search(0.0)
+        for side in (-1, 1)
+    ]
+    assert found[0].candidate.side == -1
+    assert found[1].candidate is None
+    assert found[1].elsewhere == found[1].distance == found[0].distance > 0.0
+
+
+def test_rows_of_derivatives_that_a_contour_has_not_are_left_alone():
+    curve = pc.ParametricCurve(lambda u, t: (u, 0.1 * t * u * u, 0.1 * np.sin(u + t)), (-2.0, 2.0))
+    system = system_of(pc.Point(), curve, [0.4, 0.1, 0.3, *UPRIGHT])
+    system.derivatives[:, [2, 4, 5, 8]] = 7.0
+    system.derivatives[0, [1, 3, 7]] = 7.0
+    assert system.evaluate_kinematics(0.6) == OK
+    assert (system.derivatives[:, [2, 4, 5, 8]] == 7.0).all()
+    assert (system.derivatives[0, [1, 3, 7]] == 7.0).all()
+
+
+def test_patterns_of_pairs_and_mechanisms():
+    """Planar where the mechanism keeps the plane, unless another one is wanted; who wants one gets it, or is told."""
+    circle, line, helix, plane, point = pc.Circle(1.0), pc.Line(), pc.Helix(1.0, 1.0), pc.Plane(), pc.Point()
+    for one, two, spatial, planar in (
+        (point, circle, "P-3C", "P-2C"),
+        (circle, line, "3C-3C", "2C-2C"),
+        (point, helix, "P-3C", "P-3C"),
+        (helix, circle, "3C-3C", "3C-3C"),
+        (point, plane, "P-S", "P-S"),
+        (circle, plane, "3C-S", "3C-S"),
+        (plane, plane, "S-S", "S-S"),
+    ):
+        for keeps, name in ((False, spatial), (True, planar)):
+            assert find_pattern("c", one, two, None, keeps).name == name
+            assert find_pattern("c", one, two, name, keeps).name == name
+            assert find_pattern("c", one, two, spatial, keeps).name == spatial
+        if planar != spatial:
+            with pytest.raises(PatternError, match="can leave the plane"):
+                find_pattern("c", one, two, planar, False)
+    with pytest.raises(PatternError, match="a point against a point"):
+        find_pattern("c", point, point, None, False)
+    with pytest.raises(PatternError, match="not S-S"):
+        find_pattern("c", point, plane, "S-S", False)
+    with pytest.raises(PatternError, match="unknown pattern"):
+        find_pattern("c", point, plane, "P-P", False)
+
+
+@pytest.mark.parametrize("turned_about", [None, *np.eye(3)], ids=["still", "x", "y", "z"])
+@pytest.mark.parametrize("shift", [0.0, 1e-3])
+def test_which_mechanisms_stay_in_a_plane(turned_about, shift):
+    """A planar joint's circle, driven or not, in the plane of a line or a little beside it."""
+
+    def pattern(frames, placement):
+        scene = pc.Scene(free_body(pin.JointModelPlanar()))
+        motion = None if turned_about is None else pc.HarmonicMotion(axis=turned_about, angle=0.1)
+        scene.add_contour("a", pc.Circle(0.1), frame=frames[0], placement=placement, motion=motion)
+        scene.add_contour("b", pc.Ellipse(0.5, 0.4), frame=frames[1])
+        return scene.add_contact("c", "a", "b").pattern.name
+
+    planar = (turned_about is None or turned_about[2] == 1.0) and shift == 0.0
+    for frames in (("body", "universe"), ("universe", "body")):
+        for turn in (0.0, math.pi):
+            placement = pin.SE3(pin.exp3(np.array([turn, 0.0, 0.0])), np.array([0.3, 0.2, shift]))
+            assert pattern(frames, placement) == ("2C-2C" if planar else "3C-3C")
+        tilted = pin.SE3(pin.exp3(np.array([1e-3, 0.0, 0.0])), np.array([0.3, 0.2, 0.0]))
+        assert pattern(frames, tilted) == "3C-3C"
+
+
+def ring_of(scale):
+    """A ring with that many turns in each 2 pi of its parameter."""
+    end = 2.0 * math.pi / scale
+    return pc.ParametricCurve(lambda u: (0.1 * np.cos(scale * u), 0.1 * np.sin(scale * u), 0.0 * u), (0.0, end), True)
+
+
+@pytest.mark.parametrize("scale", [1e-5, 1.0, 1e5])
+def test_locations_are_exact_whatever_parameters_mean(scale):
+    """Steps of Newton's method count as lengths, on either body."""
+    ring, torus = ring_of(scale), pc.Torus(0.6, 0.2)
+    q = [1.0, 0.1, 0.05, *turned(8)]
+    exact = find_candidates(system_of(ring_of(1.0), torus, q), 0.0, UNKNOWN)[0].location
+    system = system_of(ring, torus, q)
+    system.location[0] = exact + np.array([0.02, 0.0, 0.02, 0.02])
+    system.location[0, 0] /= scale
+    assert system.evaluate_kinematics(0.0) == OK
+    assert system.location[0] * [scale, 1.0, 1.0, 1.0] == pytest.approx(exact, abs=1e-12)
+    point = system_of(pc.Point(), ring, [0.07, 0.04, 0.02, *UPRIGHT])
+    point.location[0, 2] = (math.atan2(0.04, 0.07) + 0.02) / scale
+    assert point.evaluate_kinematics(0.0) == OK
+    assert point.location[0, 2] * scale == pytest.approx(math.atan2(0.04, 0.07), abs=1e-12)
+
+
+def test_what_is_convex_says_so():
+    for contour in (pc.Sphere(1.0), pc.Ellipsoid(1.0, 2.0, 3.0), pc.Cylinder(1.0), pc.Cone(0.3), pc.Circle(1.0)):
+        assert contour.convex_side == 1
+    for contour in (pc.Cylinder(1.0, ((0.0, 1.0), None)), pc.Torus(2.0, 1.0), pc.Plane(), pc.Line(), pc.Point()):
+        assert contour.convex_side == 0
+
+
+@pytest.mark.parametrize("place", [(0.6, 0.0, 0.5), (0.1, -0.2, 0.6)])
+def test_the_nearest_of_several_stationary_points_of_a_ring(place):
+    wave = pc.HeightField(
+        lambda x, y: 0.2 * np.cos(3.0 * x) + 0.05 * x + 0.1 * y * y, domain=((-3.0, 3.0), (-1.0, 1.0))
+    )
+    q = [*place, *turned(2)]
+    found = NearestSearch(system_of(pc.Circle(0.2), wave, q), 0, 0.0).search(0.0).candidate
+    angles = np.linspace(0.0, 2.0 * math.pi, 241)
+    ring = 0.2 * np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
+    ring = ring @ pin.Quaternion(np.array(q[3:])).matrix().T + np.array(place)
+    x, y = np.meshgrid(np.linspace(-1.5, 1.5, 401), np.linspace(-0.8, 0.8, 201))
+    points = np.stack([x, y, 0.2 * np.cos(3.0 * x) + 0.05 * x + 0.1 * y * y], -1).reshape(-1, 3)
+    # samples 8e-3 m apart are good to their square over the distance
+    assert found.gap == pytest.approx(scipy.spatial.cKDTree(points).query(ring)[0].min(), abs=5e-4)
+
+
+def test_relative_velocity_on_a_ground_that_turns():
+    """A turntable carries what is on it along its own way, and a torus beside its axis, too."""
+    motion = pc.ConstantTwist((0.3, -0.2, 2.0), (0.1, 0.0, 0.2), (0.1, 0.2, 0.0))
+    for ground, place in ((pc.Plane(), [0.5, 0.4, 0.05]), (pc.Torus(0.6, 0.2), [0.9, 0.2, 0.1])):
+        system = system_of(pc.Sphere(0.05), ground, [*place, *turned(1)], motion=motion)
+        system.v[:] = 0.3, -0.2, 0.1, 0.4, 0.5, -0.6
+        turn = pin.Quaternion(np.array(turned(1))).matrix()
+        system.location[0] = find_candidates(system, 0.0, UNKNOWN)[0].location
+        assert system.evaluate_kinematics(0.0) == OK
+        point = system.frames[0, 3] + system.derivatives[0, 0]
+        other = system.frames[1, 3] + system.derivatives[1, 0]
+        own = turn @ (system.v[:3] + np.cross(system.v[3:], turn.T @ (point - np.array(place))))
+        carried = np.array([0.1, 0.0, 0.2]) + np.cross([0.3, -0.2, 2.0], other - np.array([0.1, 0.2, 0.0]))
+        assert system.slip[0] == pytest.approx(carried - own, abs=1e-13)

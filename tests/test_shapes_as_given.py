@@ -377,6 +377,99 @@ def test_powers_and_quotients_of_all_sorts():
         *[0, 1, 1, 0],
         *[1] * 6,
     ]
+    # the simplest operation there is, for what is known of where it is smooth
+    for power, same in (
+        (lambda u: u**-1, lambda u: 1.0 / u),
+        (lambda u: u**0.5, math.sqrt),
+        (lambda u: u**2, lambda u: u * u),
+    ):
+        pools = [Path(f, "u", 1, [0.4]).tape("u").pool for f in (power, same)]
+        assert pools[0].tolist() == pools[1].tolist()
     for base in (0.0, -2.0):
         assert "not smooth" in Path(lambda u, base=base: base**u, "u", 1, [0.4]).reason
     assert Path(lambda u: 1.0**u, "u", 1, [0.4]).tape("u").constants == (1.0,)
+
+
+def ellipse_of(k, sense, n=4):
+    """k times around, in one sense or the other."""
+    cosine, sine = np.zeros((n, 2)), np.zeros((n, 2))
+    cosine[k, 0], sine[k, 1] = 0.3, 0.2 * sense
+    return pc.FourierCurve(cosine, sine)
+
+
+@pytest.mark.parametrize(("k", "sense", "wanted"), [(1, 1, 1), (1, -1, -1), (2, 1, 0), (3, -1, 0)])
+def test_how_often_a_curve_goes_around(k, sense, wanted):
+    assert ellipse_of(k, sense).convex_side == wanted
+
+
+def test_curves_with_hollows_or_cusps_or_in_space_are_not_convex():
+    for cosine, sine in (
+        # a hollow, a cusp, an eight, out of its plane
+        ([[0, 0], [1, 0], [0.3, 0]], [[0, 0], [0, 1], [0, 0.3]]),
+        ([[0, 0], [2, 0], [-1, 0]], [[0, 0], [0, 2], [0, -1]]),
+        ([[0, 0], [1, 0], [0, 0]], [[0, 0], [0, 0], [0, 1]]),
+        ([[0, 0, 0], [1, 0, 0.1]], [[0, 0, 0], [0, 1, 0]]),
+    ):
+        assert pc.FourierCurve(cosine, sine).convex_side == 0
+
+
+def test_sizes_of_revolutions():
+    """The largest radius, or half the height of what is tall."""
+    assert pc.SurfaceOfRevolution(lambda s: (0.5 + 0.1 * s, 4.0 * s), (0.0, 1.0)).size == pytest.approx(2.0, rel=1e-12)
+    assert pc.SurfaceOfRevolution(lambda s: (2.5 + 0.1 * s, 4.0 * s), (0.0, 1.0)).size == pytest.approx(2.6, rel=1e-12)
+
+
+def test_flags():
+    for given, wanted in ((0, False), (1, True), (np.int64(0), False), (np.bool_(True), True), (False, False)):
+        assert pc.base.flag("test", "name", given) is wanted
+        assert pc.base.flags("test", "name", (given, True)) == (wanted, True)
+        assert pc.base.flags("test", "name", (True, given)) == (True, wanted)
+    for bad in (2, -1, 0.0, 1.0, "yes", None):
+        with pytest.raises(ContourError, match=r"name must be True or False"):
+            pc.base.flag("test", "name", bad)
+        for i in (0, 1):
+            with pytest.raises(ContourError, match=rf"name\[{i}\] must be True or False"):
+                pc.base.flags("test", "name", (bad, True) if i == 0 else (True, bad))
+    for bad in ((True,), (True, False, True), "ab", 1, None):
+        with pytest.raises(ContourError, match="name must be a pair of booleans"):
+            pc.base.flags("test", "name", bad)
+
+
+@pytest.mark.parametrize("domain", [(0.0, math.inf), (-math.inf, 0.0), (-math.inf, math.inf)])
+def test_what_cannot_be_proved_for_ever_is_proved_far_enough(domain):
+    """The difference of two terms that grow without bounds has none in a box without ends."""
+    search = searched(lambda u: math.sqrt(u**4 - u**2 + 1.0), (domain,))
+    assert search.single
+    assert len(search.low) == 0
+    assert len(search.cells) < 200
+    assert min(low[0] for _, low, _ in search.cells) == search.start[0]
+    assert max(high[0] for *_, high in search.cells) == search.end[0]
+    assert all(abs(low[0]) >= 1e6 or abs(high[0]) >= 1e6 for _, low, high in search.cells if np.isinf(high - low)[0])
+
+
+def test_another_function_long_ago():
+    """So long ago that where it changes is not looked for."""
+    formula = Formula("test", lambda u, t: u + abs(t + 2e6), 1, 1)
+    first, last = survey(formula, ((-1.0, 1.0), (0.0, 3.0)), True).times
+    assert -2e6 <= first <= -1e6
+    assert last == math.inf
+
+
+def test_sizes_of_patches_and_of_what_grows():
+    assert pc.Plane(((0.0, 3.0), (1.0, 5.0))).size == 2.5
+    assert pc.Plane(((1.0, 7.0), (-9.0, -1.0))).size == 5.0
+    assert pc.Plane((None, (0.0, 1.0))).size == math.inf
+    # at one of its times, which no parameter is
+    sheet = pc.ParametricSurface(
+        lambda u, v, t: (t * u, t * (v - 10.0), u), ((-1.0, 1.0), (10.0, 12.0)), time_domain=(0.0, 3.0)
+    )
+    assert 0.0 < sheet.size <= 0.5 * math.hypot(3.0 * 2.0, 3.0 * 2.0, 2.0)
+
+
+@pytest.mark.parametrize("degree", [1, 2, 5, 12])
+def test_nodes_are_the_zeros_of_the_next_polynomial(degree):
+    nodes = piecewise.chebyshev_nodes(degree)
+    assert (np.diff(nodes) > 0.0).all()
+    assert np.polynomial.chebyshev.chebval(nodes, [0.0] * (degree + 1) + [1.0]) == pytest.approx(
+        np.zeros(degree + 1), abs=1e-14
+    )

@@ -270,4 +270,5 @@ def turning(contour: Contour) -> int:
         return 0
     turns = (high - low) / n * float((bend / speed).sum()) / (2.0 * np.pi)
     # The sum is exponentially accurate for smooth curves; a whole number of turns is all that matters here.
-    return round(turns) if abs(abs(turns) - 1.0) < 0.25 else 0
+    whole = round(turns)
+    return whole if abs(whole) == 1 else 0

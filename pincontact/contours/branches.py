@@ -129,7 +129,7 @@ def survey(formula: Formula, domain: Sequence[tuple[float, float]], all_times: b
     """
     variables = formula.variables
     search = _Search(formula, domain, all_times)
-    nowhere = search.inside[:0]
+    nowhere = np.zeros((0, len(variables)))
     try:
         search.run()
     except _TooManyPaths:

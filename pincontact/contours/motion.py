@@ -37,6 +37,8 @@ _SPLINE_SCRATCH = 70
 # Of the quaternions of neighbouring poses, their product without sign: half a turn apart it is zero, and nothing tells
 # which way to turn.
 _LEAST_OVERLAP = 0.1
+# Derivatives are wrong if they are off by this part of their size: wrong axes or signs, no digits.
+_WRONG = 1e-2
 
 
 class Motion:
@@ -277,7 +279,7 @@ class CallableMotion(Motion):
         names = np.repeat(["velocity", "angular velocity", "acceleration", "angular acceleration"], 3)
         for i, (found, value) in enumerate(zip(here[12:], expected)):
             size = np.abs(expected[3 * (i // 3) : 3 * (i // 3) + 3]).max()
-            if not abs(found - value) <= 1e-2 * size + 1e-4:
+            if not abs(found - value) <= _WRONG * size + 1e-4:
                 raise ContourError(
                     f"CallableMotion: {names[i]}[{i % 3}] of f({t}) is {found}, but differences give {value} "
                     "(carrier axes, acceleration as second derivative of the position)"

@@ -189,7 +189,7 @@ def _cap(owner: str, curve: Contour, end: float, towards: float, reach: float, s
             f"{owner}: the surface has an apex at s = {end}: the profile meets the axis with slope "
             f"dz/dr = {z_1 / r_1}, not 0; end the domain before it"
         )
-    best = (math.inf, 0, 0.0)
+    best = (math.inf, _CAP_DEGREE, reach)
     for part in _CAP_REACHES:
         length = part * reach
         values = _around_pole(curve, end, towards, length)

@@ -70,6 +70,17 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "pincontact/contours/motion.py", "__call__", "if values[3:] @ near < 0.0:", "0.0 -> 0.5",
     ): "neighbours of so fine a grid are nearly one quaternion, or its negative",
     (
+        "pincontact/contours/enclosures.py", "_away", "return x.lo if c > 0.0 else -x.hi", "0.0 -> 0.5",
+    ): "a sign is 1 or -1",
+    (
+        "pincontact/contours/branches.py", "_path_of",
+        "open_ = np.flatnonzero((out < 0) & among(number))", "0 -> 1",
+    ): "where two paths hold they are the same function",
+    (
+        "pincontact/geometry/nearest.py", "_divided",
+        "signs = [(-1, 0), (1, 0)] if dimension == 1 else [(-1, -1), (-1, 1), (1, -1), (1, 1)]", "0 -> 1",
+    ): "cells of a curve have no width",
+    (
         "pincontact/contours/branches.py", "_end_early",
         "ends = high[high[:, self.time] <= self.known_times[0], self.time]", "index 0 -> 1",
     ): "no box is between the first and the last time of the domain",

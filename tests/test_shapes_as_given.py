@@ -473,3 +473,30 @@ def test_nodes_are_the_zeros_of_the_next_polynomial(degree):
     assert np.polynomial.chebyshev.chebval(nodes, [0.0] * (degree + 1) + [1.0]) == pytest.approx(
         np.zeros(degree + 1), abs=1e-14
     )
+
+
+@pytest.mark.parametrize("other", [(-3.0, -2.0), (0.2, 0.7), (4.0, 9.0), (-1.0, 9.0)])
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("both", [False, True])
+def test_formulas_that_do_not_repeat_themselves_repeat_where_they_are_said_to(axis, other, both):
+    """Whatever the domain of the other parameter is: before, within, after or around this one's."""
+
+    def bump(x, low, high):
+        # with two derivatives zero at both ends
+        return ((x - low) * (high - x)) ** 3
+
+    def f(u, v):
+        x, y = (u, v) if axis == 0 else (v, u)
+        z = bump(y, *other) if both else y
+        return z, bump(x, 0.0, 1.0) * (2.0 + z), 0.0 * x
+
+    domain = ((0.0, 1.0), other) if axis == 0 else (other, (0.0, 1.0))
+    surface = pc.ParametricSurface(f, domain, (both or axis == 0, both or axis == 1))
+    rng = np.random.default_rng(3)
+    period = np.array([high - low for low, high in domain])
+    for _ in range(5):
+        inside = np.array([rng.uniform(*ends) for ends in domain])
+        turns = rng.integers(-3, 4, 2) * np.array(surface.periodic)
+        away = surface.evaluate(inside + turns * period)
+        # a rounding of the parameter, times slopes of some hundreds
+        assert away == pytest.approx(surface.evaluate(inside), rel=1e-9, abs=1e-9)

@@ -232,7 +232,7 @@ def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
     second = _sample(contact.body2.contour, poses[1], t, window, guess[2:])
     length = max(system.contact_real[0, LENGTH], 1e-12)
     tree = scipy.spatial.cKDTree(second[1])
-    neighbours = min(_NEIGHBOURS, len(second[1]))
+    neighbours = min(_NEIGHBOURS, tree.n)
     distances, indices = tree.query(first[1], k=neighbours)
     distances, indices = distances.reshape(len(first[1]), -1), indices.reshape(len(first[1]), -1)
     misaligned = np.zeros_like(distances)
@@ -242,7 +242,7 @@ def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
             misaligned = np.maximum(misaligned, np.abs(np.einsum("ik,ijk->ij", tangent, normals[indices])))
     seeds: list[np.ndarray] = []
     # the samples of both contours, pair by pair
-    ones, twos = np.arange(len(first[1])).repeat(neighbours), indices.ravel()
+    ones, twos = np.arange(len(distances)).repeat(neighbours), indices.ravel()
     where = np.hstack([first[1][ones], second[1][twos]])
     parameters = np.hstack([first[0][ones], second[0][twos]])
     for weight in _WEIGHTS:

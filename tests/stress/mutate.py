@@ -81,6 +81,10 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "signs = [(-1, 0), (1, 0)] if dimension == 1 else [(-1, -1), (-1, 1), (1, -1), (1, 1)]", "0 -> 1",
     ): "cells of a curve have no width",
     (
+        "pincontact/contours/parametric.py", "_initialise",
+        "size = next((size for size in (half_diagonal(contour, t) for t in moments) if size > 0.0), 0.0)", "0.0 -> 0.5",
+    ): "what has a tangent at one of these times is more than a point then",
+    (
         "pincontact/contours/branches.py", "_end_early",
         "ends = high[high[:, self.time] <= self.known_times[0], self.time]", "index 0 -> 1",
     ): "no box is between the first and the last time of the domain",

@@ -1,6 +1,7 @@
 """Numbers of contours and motions as users give them: splines, profiles, tapes, twists, and what is known of them."""
 
 import functools
+import itertools
 import math
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 import pincontact.contours as pc
-from pincontact.contours import branches, piecewise, revolution, trace
+from pincontact.contours import branches, fits, piecewise, revolution, trace
 from pincontact.contours.base import TAPE_CURVE, Contour
 from pincontact.contours.branches import _beside_root, _Search, survey
 from pincontact.contours.formula import Formula, _seam
@@ -500,3 +501,30 @@ def test_formulas_that_do_not_repeat_themselves_repeat_where_they_are_said_to(ax
         away = surface.evaluate(inside + turns * period)
         # a rounding of the parameter, times slopes of some hundreds
         assert away == pytest.approx(surface.evaluate(inside), rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("order", [0, 1, 2, 3])
+def test_pieces_of_different_sizes_meet_or_are_named(axis, order):
+    """A polynomial in pieces, and one with a jump of known size in some derivative along one argument."""
+    lines = [np.array([0.0, 0.25, 2.0]), np.array([-1.0, 0.25, 0.5, 1.0])]
+    solve, nodes = fits._solver(2, False)
+
+    def checked(size):
+        def f(x, y):
+            along = max((x, y)[axis] - 0.25, 0.0)
+            return np.array([1.0, x**3 * y**2 - x * y + size * (along**order if along > 0.0 else 0.0)])
+
+        boxes = itertools.product(*(itertools.pairwise(line.tolist()) for line in lines))
+        pieces = {tuple(itertools.chain(*box)): solve @ fits._data(f, None, list(box), nodes) for box in boxes}
+        fits._check_joints("test", lines, (False, False), fits._assembled(lines, pieces), 8.0)
+
+    checked(0.0)
+    if order == 3:
+        # third derivatives may jump
+        checked(1.0)
+        return
+    name = ("the function", "its first derivative", "its second derivative")[order]
+    place = r"\(0.25, " if axis == 0 else r"\(\S+, 0.25\)"
+    with pytest.raises(ContourError, match=rf"{name} jumps by {(1, 1, 2)[order]}.0e.00 near {place}"):
+        checked(1.0)

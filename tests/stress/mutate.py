@@ -241,10 +241,8 @@ def _is_seed(node: ast.AST) -> bool:
 
 
 def _lengthened(function: ast.FunctionDef) -> set[int]:
-    """Constants whose change makes a view longer: ends of slices that a kernel reads.
-
-    Kernels count, and never ask a view for its length; past the end of its array the checked build finds it.
-    """
+    """Constants whose change makes a view longer: ends of slices that a kernel reads. Kernels count, they do not ask a
+    view for its length."""
     names = [d.func if isinstance(d, ast.Call) else d for d in function.decorator_list]
     if not any(isinstance(name, ast.Name) and name.id in ("kernel", "entry_kernel") for name in names):
         return set()

@@ -241,17 +241,18 @@ def _is_seed(node: ast.AST) -> bool:
 
 
 def _lengthened(function: ast.FunctionDef) -> set[int]:
-    """Constants whose change makes a view longer: ends of slices that a kernel reads. Kernels count, they do not ask a
-    view for its length."""
+    """Constants whose change makes a view longer: ends of slices of fixed length that a kernel reads. What they are
+    handed to takes three numbers, or so many as it is told; only what is as long as a count is asked for its length."""
     names = [d.func if isinstance(d, ast.Call) else d for d in function.decorator_list]
     if not any(isinstance(name, ast.Name) and name.id in ("kernel", "entry_kernel") for name in names):
         return set()
     out = set()
     for node in ast.walk(function):
         if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Slice) and isinstance(node.ctx, ast.Load):
-            end = node.slice.upper
-            # the last term of a sum: where the view begins, plus its length
-            end = end.right if isinstance(end, ast.BinOp) and isinstance(end.op, ast.Add) else end
+            begin, end = node.slice.lower, node.slice.upper
+            if isinstance(end, ast.BinOp) and isinstance(end.op, ast.Add) and begin is not None:
+                # where the view begins, plus its length
+                end = end.right if ast.dump(end.left) == ast.dump(begin) else None
             # (2 becomes 1, which is shorter)
             if isinstance(end, ast.Constant) and end.value != 2:
                 out.add(id(end))

@@ -238,6 +238,13 @@ def flags(owner: str, name: str, values: Any) -> tuple[bool, bool]:
     return flag(owner, f"{name}[0]", values[0]), flag(owner, f"{name}[1]", values[1])
 
 
+def in_space(values: np.ndarray) -> np.ndarray:
+    """Rows (x, y) or (x, y, z) as (n, 3), with z = 0 where they have none."""
+    out = np.zeros((len(values), 3))
+    out[:, : values.shape[1]] = values
+    return out
+
+
 def half_diagonal(contour: Contour, t: float = 0.0) -> float:
     """Half the diagonal of the box around a contour of finite domain, else infinity."""
     if not np.isfinite(contour.domain).all():
@@ -263,4 +270,5 @@ def turning(contour: Contour) -> int:
         return 0
     turns = (high - low) / n * float((bend / speed).sum()) / (2.0 * np.pi)
     # The sum is exponentially accurate for smooth curves; a whole number of turns is all that matters here.
-    return round(turns) if abs(abs(turns) - 1.0) < 0.25 else 0
+    whole = round(turns)
+    return whole if abs(whole) == 1 else 0

@@ -24,9 +24,10 @@ from .trace import Path, Tape
 if TYPE_CHECKING:
     from .formula import Formula
 
-# Boxes no wider than this part of the domain, or of 1 where that is infinite, are not cut again; so far from its ends
-# a formula may do what it likes.
+# Boxes no wider than this part of the domain are not cut again; so far from its ends a formula may do what it likes.
 _TINY = 1e-9
+# What is taken for the size of an infinite domain there.
+_UNBOUNDED = 1.0
 # Boxes are examined so many at a time and so many times. Each variable needs some thirty times; what is left over then
 # has been looked at in thousands of places.
 _BATCH = 256
@@ -52,6 +53,10 @@ _HALVINGS = 60
 _JUMP = 1e-9
 # So many boxes of each path, and of what lies between two of them, are looked at in fits.
 _PLACES = 40
+# Where beside an edge, in its widths from its lower end.
+_BESIDE_EDGES = (-3.0, 4.0)
+# A root that is known no better than to this part of a box is not cut beside: the middle is as good.
+_MOST_DOUBT = 0.1
 
 
 @dataclass
@@ -124,7 +129,7 @@ def survey(formula: Formula, domain: Sequence[tuple[float, float]], all_times: b
     """
     variables = formula.variables
     search = _Search(formula, domain, all_times)
-    nowhere = search.inside[:0]
+    nowhere = np.zeros((0, len(variables)))
     try:
         search.run()
     except _TooManyPaths:
@@ -165,7 +170,7 @@ class _Search:
     def __init__(self, formula: Formula, domain: Sequence[tuple[float, float]], all_times: bool) -> None:
         self.formula, self.owner, self.variables = formula, formula.owner, formula.variables
         low, high = np.array(domain, dtype=float).T
-        self.size = np.where(np.isfinite(high - low), high - low, 1.0)
+        self.size = np.where(np.isfinite(high - low), high - low, _UNBOUNDED)
         self.start, self.end = low + _TINY * self.size, high - _TINY * self.size
         self.low, self.high = self.start[None], self.end[None]
         self.trust, self.branching, self.hint = np.zeros(1), np.zeros(1, dtype=bool), np.zeros(1, dtype=int)
@@ -419,15 +424,15 @@ class _Search:
     def places(self) -> np.ndarray:
         """Points (k, n) on every path, and on both sides of where they change, in a finite domain."""
         out: list[np.ndarray] = []
-        if not np.isfinite(self.end - self.start).all():
+        if not np.isfinite([self.start, self.end]).all():
             return np.zeros((0, len(self.variables)))
         for number in range(len(self.paths)):
             boxes = [(a, b) for path, a, b in self.cells if path == number]
-            boxes.sort(key=lambda box: -float(np.prod((box[1] - box[0]) / self.size)))
+            boxes.sort(key=lambda box: -float(np.prod(box[1] - box[0])))
             out += [_between(a, b, _INSIDE) for a, b in boxes[:_PLACES]]
         for low, high in self.edges[:: 1 + len(self.edges) // _PLACES]:
             thin = (high - low) <= 2.0 * _TINY * self.size
-            for part in (-3.0, 4.0):
+            for part in _BESIDE_EDGES:
                 place = low + np.where(thin, part, _INSIDE) * (high - low)
                 out.append(np.clip(place, self.start, self.end))
         return np.array(out).reshape(-1, len(self.variables))
@@ -456,7 +461,7 @@ def _beside_root(low: float, high: float, line: tuple[float, float, float, float
     if not (np.isfinite([least, most, width]).all() and least * most > 0.0):
         return middle
     doubt = 0.4 * tiny + 2.0 * width * (most - least) / abs(slope)
-    if doubt > 0.1 * width:
+    if doubt > _MOST_DOUBT * width:
         return middle
     for place in (x - value / slope - doubt, x - value / slope + doubt):
         if low + doubt < place < high - doubt:

@@ -37,7 +37,7 @@ def preferred_chart(kind, chart, shape, u1, u2):
 def is_across_pole(kind, chart, shape, u2):
     """Whether parameters have run over a pole of their chart, where they describe the surface turned inside out."""
     if kind in (SPHERE, ELLIPSOID):
-        return abs(u2) > 0.5 * math.pi and math.cos(u2) < 0.0
+        return math.cos(u2) < 0.0
     if kind == REVOLUTION and chart == 0:
         return (shape[LOW_POLE] != 0.0 and u2 < shape[LOW]) or (shape[HIGH_POLE] != 0.0 and u2 > shape[HIGH])
     return False

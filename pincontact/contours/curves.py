@@ -20,6 +20,7 @@ from .base import (
     Contour,
     finite,
     half_diagonal,
+    in_space,
     interval,
     positive,
     turning,
@@ -180,7 +181,7 @@ class FourierCurve(Contour):
                 raise ContourError(f"FourierCurve: {name} must be (n + 1, 2 or 3), n > 0, got {table.shape}")
             if not np.isfinite(table).all():
                 raise ContourError(f"FourierCurve: {name} has an entry that is not finite")
-            tables.append(np.pad(table, ((0, 0), (0, 3 - table.shape[1]))))
+            tables.append(in_space(table))
         if tables[0].shape != tables[1].shape:
             raise ContourError(f"FourierCurve: {len(tables[0])} rows of cosine but {len(tables[1])} of sine")
         if not np.any(tables[0][1:]) and not np.any(tables[1][1:]):

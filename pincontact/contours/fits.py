@@ -192,7 +192,7 @@ def _check_joints(
             scales = (2.0 / np.diff(b)) ** order
             before = np.tensordot(table, ends, axes=(1, 0))
             after = np.tensordot(table, ends * signs * (-1.0) ** order, axes=(1, 0))
-            shape = (-1,) + (1,) * (before.ndim - 1)
+            shape = (len(lower),) + (1,) * (before.ndim - 1)
             jumps = np.abs(before[lower] * scales[lower].reshape(shape) - after[upper] * scales[upper].reshape(shape))
             allowed = _JOINT * _RESOLVED * scale * ends[-1] * (scales[lower] + scales[upper])
             excess = jumps / allowed.reshape(shape)

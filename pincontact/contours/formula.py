@@ -29,6 +29,8 @@ _SEAM_ROUNDING = 1e-13
 # Where a seam is looked at: so many values of the other parameter, and so many times.
 _SEAM_POINTS = 97
 _SEAM_TIMES = 8
+# Neighbouring values of the other parameter are looked at by these parts of a step later, so that no lattice is left.
+_SEAM_STAGGER = (0.0, 0.3, 0.6)
 # Derivatives given by the user: wrong ones are wrong by far more, and a fit's second derivatives are this good.
 _DERIVATIVE_AGREEMENT = 1e-6
 
@@ -152,7 +154,7 @@ def compiled(
     expected = np.array([formula(*point.tolist()) for point in points])
     known = survey(formula, box, time_domain is None)
     if known.tape is None:
-        program = _fitted(formula, domain, periodic, derivatives, time_domain, known)
+        program = _fitted(formula, box, periodic, derivatives, time_domain, known)
     else:
         pool = known.tape.pool
         if known.tape.time_dependent:
@@ -180,12 +182,13 @@ def compiled(
 
 def _fitted(
     formula: Formula,
-    domain: Sequence[tuple[float, float]],
+    box: Sequence[tuple[float, float]],
     periodic: Sequence[bool],
     derivatives: Callable[..., Any] | None,
     time_domain: tuple[float, float] | None,
     known: Survey,
 ) -> Program:
+    """box: (low, high) of each argument, that of time last."""
     timed = formula.takes_time
     if timed and formula.parameters == 2:
         raise ContourError(
@@ -197,11 +200,11 @@ def _fitted(
             f"{formula.owner}: tracing f(u, t) failed: {known.reason}; write it with elementary functions, or give "
             "time_domain=(first, last) so that it can be fitted"
         )
-    if not np.isfinite(domain).all():
+    if not np.isfinite(box).all():
         raise ContourError(
-            f"{formula.owner}: tracing f failed: {known.reason}; it can be fitted on a finite domain only, got {domain}"
+            f"{formula.owner}: tracing f failed: {known.reason}; it can be fitted on a finite domain only, got "
+            f"{box[: formula.parameters]}"
         )
-    box = [*domain, *([time_domain] if timed and time_domain is not None else [])]
     second = None
     if derivatives is not None:
         given = derivatives
@@ -283,8 +286,8 @@ def _seam(
             if formula.parameters == 2:
                 point[1 - axis] += (high - low)[1 - axis] * i / (count - 1)
                 a, b = domain[1 - axis]
-                if math.isfinite(b - a):
+                if np.isfinite(domain[1 - axis]).all():
                     point[1 - axis] = a + (b - a) * i / (count - 1)
             if formula.takes_time:
-                point[-1] += (high - low)[-1] * (j + 0.3 * (i % 3)) / (_SEAM_TIMES - 1)
+                point[-1] += (high - low)[-1] * (j + _SEAM_STAGGER[i % 3]) / (_SEAM_TIMES - 1)
             yield point

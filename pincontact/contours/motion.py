@@ -34,6 +34,11 @@ _DIRECTION, _AXIS, _CENTER = 0, 3, 6
 _ANGLE, _RATE, _PHASE, _TURN_RATE, _TURN_PHASE = range(9, 14)
 # A spline's pool: offset of its scratch area, then position and quaternion as piecewise polynomials.
 _SPLINE_SCRATCH = 70
+# Of the quaternions of neighbouring poses, their product without sign: half a turn apart it is zero, and nothing tells
+# which way to turn.
+_LEAST_OVERLAP = 0.1
+# Derivatives are wrong if they are off by this part of their size: wrong axes or signs, no digits.
+_WRONG = 1e-2
 
 
 class Motion:
@@ -97,7 +102,7 @@ class ConstantTwist(Motion):
     ) -> None:
         omega = array("ConstantTwist", "angular", angular, 3)
         rate = float(np.linalg.norm(omega))
-        axis = omega / rate if rate > 0.0 else np.array([0.0, 0.0, 1.0])
+        axis = omega / rate if rate > 0.0 else omega
         velocity = array("ConstantTwist", "linear", linear, 3)
         super().__init__([*velocity, *axis, *array("ConstantTwist", "center", center, 3), rate])
 
@@ -136,16 +141,19 @@ class HarmonicMotion(Motion):
             owner, frequency=frequency, phase=phase, angle=angle, turn_phase=turn_phase
         )
         (turn_frequency,) = finite(owner, turn_frequency=frequency if turn_frequency is None else turn_frequency)
-        if axis is None and angle != 0.0:
+        n = np.zeros(3)
+        if axis is not None:
+            n = array(owner, "axis", axis, 3)
+            length = float(np.linalg.norm(n))
+            if not length > 0.0:
+                raise ContourError(f"{owner}: axis must not be zero, got {n.tolist()}")
+            n /= length
+        elif angle != 0.0:
             raise ContourError(f"{owner}: an oscillating angle of {angle} rad needs an axis")
-        n = array(owner, "axis", (0.0, 0.0, 1.0) if axis is None else axis, 3)
-        length = float(np.linalg.norm(n))
-        if not length > 0.0:
-            raise ContourError(f"{owner}: axis must not be zero, got {n.tolist()}")
         super().__init__(
             [
                 *array(owner, "amplitude", amplitude, 3),
-                *(n / length),
+                *n,
                 *array(owner, "center", center, 3),
                 angle,
                 2.0 * math.pi * frequency,
@@ -184,15 +192,16 @@ class SplineMotion(Motion):
             overlap = float(values[i, 3:] @ values[i - 1, 3:])
             # Quaternions of opposite sign are the same rotation; a spline needs the near one.
             if overlap < 0.0:
-                values[i, 3:] *= -1.0
-            if abs(overlap) < 0.1:
+                values[i, 3:] = -values[i, 3:]
+            if abs(overlap) < _LEAST_OVERLAP:
                 raise ContourError(
                     f"{owner}: poses {i - 1} and {i} are {2.0 * math.acos(abs(overlap)):.3f} rad apart; add a pose "
                     "between them to say which way to turn"
                 )
         if periodic and values[-1, 3:] @ values[0, 3:] < 0.0:
             # An odd number of turns: the quaternion closes after two rounds only.
-            again = values[1:] * np.repeat([1.0, -1.0], [3, 4])
+            again = values[1:].copy()
+            again[:, 3:] = -again[:, 3:]
             values = np.concatenate([values, again])
             t = np.concatenate([t, t[1:] + (t[-1] - t[0])])
         path = spline(owner, t, values, 5, periodic)
@@ -270,7 +279,7 @@ class CallableMotion(Motion):
         names = np.repeat(["velocity", "angular velocity", "acceleration", "angular acceleration"], 3)
         for i, (found, value) in enumerate(zip(here[12:], expected)):
             size = np.abs(expected[3 * (i // 3) : 3 * (i // 3) + 3]).max()
-            if not abs(found - value) <= 1e-2 * size + 1e-4:
+            if not abs(found - value) <= _WRONG * size + 1e-4:
                 raise ContourError(
                     f"CallableMotion: {names[i]}[{i % 3}] of f({t}) is {found}, but differences give {value} "
                     "(carrier axes, acceleration as second derivative of the position)"

@@ -205,10 +205,10 @@ def piecewise(pool, u1, u2, t, out):
         f, f_1, f_11, f_2, f_12, f_22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(n):
             base = at + j * stride + i
+            c, c_2, c_22 = 0.0, 0.0, 0.0
             if m == 1:
-                c, c_2, c_22 = pool[base], 0.0, 0.0
+                c = pool[base]
             else:
-                c, c_2, c_22 = 0.0, 0.0, 0.0
                 for k in range(m):
                     factor = pool[base + k * components]
                     c += factor * pool[two + k]

@@ -133,7 +133,7 @@ class SurfaceOfRevolution(Contour):
     def ends(self) -> np.ndarray:
         """(4,) as for all contours; where the profile meets the axis charts 1 and 2 go on, so there is no end."""
         out, row = super().ends(), self.shape_row()
-        out[2:4] = np.where([row[LOW_POLE] != 0.0, row[HIGH_POLE] != 0.0], [-np.inf, np.inf], out[2:4])
+        out[2:] = np.where([row[LOW_POLE] != 0.0, row[HIGH_POLE] != 0.0], [-np.inf, np.inf], out[2:])
         return out
 
 
@@ -165,18 +165,18 @@ def _spline_profile(
     if periodic:
         points = np.concatenate([points, points[:1]])
         s = chords(points)
-    mirror = np.array([-1.0, 1.0])
-    low, high = s[0], s[-1]
+    mirrored = np.column_stack([-points[:, 0], points[:, 1]])
+    high = s[-1]
     sites, values = s, points
     if touches[0]:
-        sites = np.concatenate([2.0 * low - s[:0:-1], sites])
-        values = np.concatenate([points[:0:-1] * mirror, values])
+        sites = np.concatenate([-s[:0:-1], sites])
+        values = np.concatenate([mirrored[:0:-1], values])
     if touches[1]:
         sites = np.concatenate([sites, 2.0 * high - s[-2::-1]])
-        values = np.concatenate([values, points[-2::-1] * mirror])
+        values = np.concatenate([values, mirrored[-2::-1]])
     whole = spline(owner, sites, values, _POLAR_DEGREE if any(touches) else _DEGREE, periodic)
     # Only the half on this side is evaluated, up to the chart's overshoot.
-    return spline_pool(whole, periodic), (float(low), float(high)), (0.5 * (s[1] - s[0]), 0.5 * (s[-1] - s[-2]))
+    return spline_pool(whole, periodic), (0.0, float(high)), (0.5 * s[1], 0.5 * (high - s[-2]))
 
 
 def _cap(owner: str, curve: Contour, end: float, towards: float, reach: float, size: float) -> tuple[np.ndarray, float]:
@@ -189,7 +189,7 @@ def _cap(owner: str, curve: Contour, end: float, towards: float, reach: float, s
             f"{owner}: the surface has an apex at s = {end}: the profile meets the axis with slope "
             f"dz/dr = {z_1 / r_1}, not 0; end the domain before it"
         )
-    best = (math.inf, 0, 0.0)
+    best = (math.inf, _CAP_DEGREE, reach)
     for part in _CAP_REACHES:
         length = part * reach
         values = _around_pole(curve, end, towards, length)

@@ -17,6 +17,7 @@ from .base import (
     flag,
     flags,
     half_diagonal,
+    in_space,
     turning,
 )
 from .piecewise import Direction, chebyshev_nodes, pack
@@ -103,7 +104,7 @@ class SplineCurve(Contour):
             curve = _checked(owner, points, periodic)
         else:
             columns = 2 if np.ndim(points) == 2 and np.shape(points)[1] == 2 else 3
-            through = np.pad(array(owner, "points", points, None, columns), ((0, 0), (0, 3 - columns)))
+            through = in_space(array(owner, "points", points, None, columns))
             if periodic:
                 through = np.concatenate([through, through[:1]])
             if parameters is None:
@@ -140,7 +141,7 @@ def _checked(owner: str, curve: scipy.interpolate.BSpline, periodic: bool) -> sc
             f"{owner}: the B-spline is {max(least, 0)} times differentiable at a knot, "
             f"{_SMOOTHNESS} are needed (degree {curve.k})"
         )
-    result = scipy.interpolate.BSpline(knots, np.pad(values, ((0, 0), (0, 3 - values.shape[1]))), curve.k)
+    result = scipy.interpolate.BSpline(knots, in_space(values), curve.k)
     if not np.isfinite(result.c).all() or not np.isfinite(knots).all():
         raise ContourError(f"{owner}: the B-spline has knots or coefficients that are not finite")
     if periodic:

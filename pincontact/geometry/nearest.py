@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from ..contours.base import HEIGHT_FIELD, PLANE, POINT, SPHERE
-from ..layout import CLOSED_FORM, DETERMINANT_SIGN, FREE, MODE, PATTERN, SIDE
+from ..layout import CLOSED_FORM, DETERMINANT_SIGN, FRICTIONLESS, MODE, PATTERN, SIDE
 from .carriers import ORIGIN
 from .location import NO_CLOSED_FORM
 from .patterns import CROSSING_CURVES
@@ -209,7 +209,7 @@ class NearestSearch:
         """The nearest of the stationary points to which Newton's method leads from the best samples."""
         system, single, c = self.system, self._single, self.c
         single.q[:], single.v[:] = system.q, system.v
-        single.contact_int[0, MODE], single.contact_int[0, SIDE] = FREE + 1, system.contact_int[c, SIDE]
+        single.contact_int[0, MODE], single.contact_int[0, SIDE] = FRICTIONLESS, system.contact_int[c, SIDE]
         single.contact_int[0, DETERMINANT_SIGN] = 0
         side = int(system.contact_int[c, SIDE])
         order = np.argsort(distances)

@@ -10,7 +10,8 @@ import pinocchio as pin
 if TYPE_CHECKING:
     from ..contacts import AttachedContour
 
-_SAMPLES = 4
+# So many configurations, as far from the neutral one, at instants so far apart, in s.
+_SAMPLES, _FAR, _LATER = 4, 0.7, 0.37
 _TOLERANCE = 1e-9
 
 
@@ -24,18 +25,18 @@ def moves_in_plane(model: pin.Model, body1: AttachedContour, body2: AttachedCont
     rng = np.random.default_rng(20)
     data = model.createData()
     for sample in range(_SAMPLES):
-        q = pin.integrate(model, pin.neutral(model), rng.uniform(-0.7, 0.7, model.nv))
+        q = pin.integrate(model, pin.neutral(model), rng.uniform(-_FAR, _FAR, model.nv))
         pin.computeJointJacobians(model, data, q)
-        pose1, pose2 = (_pose(data, body, 0.37 * sample) for body in (body1, body2))
+        pose1, pose2 = (pose_of(data, body, _LATER * sample) for body in (body1, body2))
         normal = pose2.rotation[:, 2]
         apart = pose1.translation - pose2.translation
-        scale = 1.0 + np.linalg.norm(apart)
-        if abs(normal @ apart) > _TOLERANCE * scale:
+        allowed = _TOLERANCE * (1.0 + np.linalg.norm(apart))
+        if abs(normal @ apart) > allowed:
             return False
         if body1.contour.dimension > 0 and abs(abs(normal @ pose1.rotation[:, 2]) - 1.0) > _TOLERANCE:
             return False
         jacobian = _jacobian(model, data, body1, pose1) - _jacobian(model, data, body2, pose1)
-        if np.abs(normal @ jacobian[:3]).max(initial=0.0) > _TOLERANCE * scale:
+        if np.abs(normal @ jacobian[:3]).max(initial=0.0) > allowed:
             return False
         turning = jacobian[3:] - np.outer(normal, normal @ jacobian[3:])
         if body1.contour.dimension > 0 and np.abs(turning).max(initial=0.0) > _TOLERANCE:
@@ -53,12 +54,11 @@ def _carried_by(model: pin.Model, ancestor: int, joint: int) -> bool:
     return ancestor in list(model.supports[joint])
 
 
-def _pose(data: pin.Data, body: AttachedContour, t: float) -> pin.SE3:
+def pose_of(data: pin.Data, body: AttachedContour, t: float) -> pin.SE3:
+    """Placement of a contour in the world, of joints as in the data."""
     pose = data.oMi[body.joint] * body.placement_in_joint
     if body.motion is not None:
-        out = np.zeros(24)
-        body.motion.evaluate(t, out)
-        pose = pose * pin.SE3(out[:9].reshape(3, 3), out[9:12].copy())
+        pose = pose * body.motion.placement(t)
     return pose
 
 

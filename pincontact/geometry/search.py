@@ -17,6 +17,7 @@ from ..integration.stages import move_charts
 from ..layout import BRANCH, CHART, CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SIDE, SINGULAR
 from .location import BRANCHES, NO_CLOSED_FORM, ROUND_ON_PLANE
 from .patterns import CROSSING_CURVES, ON_CURVE
+from .planar import pose_of
 
 if TYPE_CHECKING:
     from ..contours import Contour
@@ -29,8 +30,11 @@ _SURFACE_SAMPLES = (61, 31)
 _SEEDS, _WEIGHTS, _APART, _NEIGHBOURS = 24, (1.0, 0.0, 10.0), 0.25, 4
 # What goes on for ever is sampled so far beyond both bodies' distance, in their sizes; the ends of domains are spared.
 _WINDOW, _INSET = 2.0, 1e-3
-# What goes on for ever in other parameters than lengths is sampled at distances of this part of its size.
-_SPACING = 0.25
+# In m, of two points at one place.
+_LEAST_WINDOW = 1e-3
+# What goes on for ever in other parameters than lengths is sampled at distances of this part of its size, as if it were
+# no slower than this part of a window for each of them.
+_SPACING, _SLOWEST = 0.25, 1e-3
 # Contours whose parameters are lengths where they are not periodic.
 _LENGTHS = (Cone, Cylinder, HeightField, Line, Plane)
 # Two candidates closer than this (relative to the contact's length) are one.
@@ -125,7 +129,7 @@ def refine(
     for wanted in product(contact.body1.contour.charts, contact.body2.contour.charts):
         # a start near a pole is better off in another chart, and one right at it fails in its own
         charts[:] = wanted
-        system.location[0] = start if wanted == (0, 0) else np.where(np.array(wanted).repeat(2) == 0, start, 0.0)
+        system.location[0] = np.where(np.array(wanted).repeat(2) == 0, start, 0.0)
         system.state[parameters] = start
         if wanted == (0, 0) and system.charted:
             charts[:] = 0
@@ -220,22 +224,15 @@ def _bending_side(system: System) -> int:
 def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
     """Starts for Newton: sample pairs that are near each other, and near with their tangents aligned."""
     contact = system.contacts[0]
-    poses = []
-    for body in (contact.body1, contact.body2):
-        pose = system.data.oMi[body.joint] * body.placement_in_joint
-        if body.motion is not None:
-            out = np.zeros(24)
-            body.motion.evaluate(t, out)
-            pose = pose * pin.SE3(out[:9].reshape(3, 3), out[9:12].copy())
-        poses.append(pose)
+    poses = [pose_of(system.data, body, t) for body in (contact.body1, contact.body2)]
     distance = float(np.linalg.norm(poses[0].translation - poses[1].translation))
     sizes = [b.contour.size if math.isfinite(b.contour.size) else 0.0 for b in (contact.body1, contact.body2)]
-    window = distance + _WINDOW * sum(sizes) + 1e-3
+    window = distance + _WINDOW * sum(sizes) + _LEAST_WINDOW
     first = _sample(contact.body1.contour, poses[0], t, window, guess[:2])
     second = _sample(contact.body2.contour, poses[1], t, window, guess[2:])
     length = max(system.contact_real[0, LENGTH], 1e-12)
     tree = scipy.spatial.cKDTree(second[1])
-    neighbours = min(_NEIGHBOURS, len(second[1]))
+    neighbours = min(_NEIGHBOURS, tree.n)
     distances, indices = tree.query(first[1], k=neighbours)
     distances, indices = distances.reshape(len(first[1]), -1), indices.reshape(len(first[1]), -1)
     misaligned = np.zeros_like(distances)
@@ -245,7 +242,7 @@ def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
             misaligned = np.maximum(misaligned, np.abs(np.einsum("ik,ijk->ij", tangent, normals[indices])))
     seeds: list[np.ndarray] = []
     # the samples of both contours, pair by pair
-    ones, twos = np.arange(len(first[1])).repeat(neighbours), indices.ravel()
+    ones, twos = np.arange(len(distances)).repeat(neighbours), indices.ravel()
     where = np.hstack([first[1][ones], second[1][twos]])
     parameters = np.hstack([first[0][ones], second[0][twos]])
     for weight in _WEIGHTS:
@@ -266,7 +263,7 @@ def _within(contour: Contour, a: int, t: float, window: float) -> tuple[float, f
     middle = [min(max(0.0, low), high) for low, high in contour.domain]
     spacing = _SPACING * (contour.size if math.isfinite(contour.size) else window)
     # at least so fast that the window is left, or the samples used up, after a while
-    speed = max(float(np.linalg.norm(contour.evaluate(middle, t)[1 + a])), 1e-3 * spacing / window)
+    speed = max(float(np.linalg.norm(contour.evaluate(middle, t)[1 + a])), _SLOWEST * (spacing / window))
     ends = []
     for sign, end in zip((-1.0, 1.0), contour.domain[a]):
         width = window
@@ -309,15 +306,15 @@ def _sample(
     values = contour.evaluate_many(grid[:, : contour.dimension], t)
     rotation = pose.rotation
     points = values[:, 0] @ rotation.T + pose.translation
-    tangents = []
-    for a in range(contour.dimension):
-        tangent = values[:, 1 + a] @ rotation.T
-        size = np.linalg.norm(tangent, axis=1, keepdims=True)
-        tangents.append(tangent / np.where(size > 0.0, size, 1.0))
+    tangents = [_unit(values[:, 1 + a] @ rotation.T) for a in range(contour.dimension)]
     normals = np.zeros_like(points)
     if contour.dimension == 2:
         normals = np.cross(tangents[0], tangents[1])
     elif contour.dimension == 1:
         normals = np.cross(tangents[0], rotation[:, 2])
-    size = np.linalg.norm(normals, axis=1, keepdims=True)
-    return grid, points, normals / np.where(size > 0.0, size, 1.0), tangents
+    return grid, points, _unit(normals), tangents
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3) of length one; those of length zero stay what they are."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)

@@ -644,6 +644,9 @@ class Transitions:
                 self.modes.release(g, 1 if speed > 0.0 else -1)
             else:
                 self.modes.hold(g, 0)
+                if self.rk.evaluate(t) <= EVENT:
+                    # what is left of its speed is no start in either direction
+                    self._project(t, True)
         elif self._redistribute(t, index, kind):
             return t
         else:

@@ -644,9 +644,6 @@ class Transitions:
                 self.modes.release(g, 1 if speed > 0.0 else -1)
             else:
                 self.modes.hold(g, 0)
-                if self.rk.evaluate(t) <= EVENT:
-                    # what is left of its speed is no start in either direction
-                    self._project(t, True)
         elif self._redistribute(t, index, kind):
             return t
         else:
@@ -932,6 +929,10 @@ class Transitions:
                 position, reach = float(system.q[guard.index_q]), self._guard_reach
                 way = (guard.high_end - position if speed > 0.0 else position - guard.low_end) + reach
                 left = min(left, max(way, _LEAST_WAY * reach) / abs(speed))
+                rate = float(system.acceleration[guard.index_v])
+                if guard.dry and rate * speed < 0.0:
+                    # dry friction ends its slip
+                    left = min(left, max(abs(speed), self._rest_speed()) / abs(rate))
         return left
 
     def _uneventful(self) -> bool:

@@ -10,8 +10,8 @@ import robots
 import pincontact as pc
 
 FOLDER = robots.robots_folder()
-# joints of Go1 and G1 rattled for ever, in dry friction and at limits
-LIMP = ("go1", "g1_29dof_rev_1_0", "quadruped", "borinot_flying_arm_2", "finger_edu")
+# joints of Go1, G1 and Z1 rattled for ever, in dry friction and at limits
+LIMP = ("go1", "g1_29dof_rev_1_0", "quadruped", "borinot_flying_arm_2", "finger_edu", "z1")
 STANDING = ("a1", "solo12", "xarm7")
 
 

@@ -28,6 +28,17 @@ def test_robot(name, motion):
         assert row.outcomes["DOP853"].distance < 1e-3
 
 
+@pytest.mark.skipif(FOLDER is None, reason='needs pip install "pincontact[robots]"')
+def test_slips_that_go_back_in_turn_are_given_up():
+    """Centauro's wheels: what slides goes back, and others do; the same modes come back again and again."""
+    robot = robots.load(FOLDER, robots.ROBOTS["centauro"])
+    state = robot.scene.initial_state(robot.q, np.zeros(robot.model.nv), free=list(robot.scene.contacts))
+    run = pc.simulate(robot.scene, state, 0.0452)
+    # a few hundred for steps, the rest for directions in which slip may begin: 20,000 without an end
+    assert run.stats["rhs"] < 6000
+    assert run.status == 0 or (run.status == -4 and "wheel" in run.message and "fallback" in run.message)
+
+
 @pytest.mark.parametrize("case", range(8))
 def test_a_mass_matrix_that_is_singular_to_round_off_is_refused(case):
     """A gimbal without inertia but of its last body, whose outer axes coincide: which sign a pivot has is chance."""

@@ -1047,12 +1047,11 @@ class Transitions:
         system, rk = self.system, self.rk
         integers = system.contact_int
         self._started.clear()
+        near = self._close_near()
         self._evaluate_rows(t)
         closed = system.closed()
         deep = any(c in self.dips.contacts for c in closed)
         energy = sum(self._energies()) if deep else 0.0
-        near = self._close_near()
-        closed += near
         sides = {g: int(system.guard_int[g, GUARD_END]) for g in system.held() if system.guard_int[g, GUARD_END] != 0}
         ends = list(sides)
         impact = apply_impact(system, self.modes.solver, closed, ends, restitution)

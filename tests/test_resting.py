@@ -406,3 +406,57 @@ def test_dry_friction_holds_for_good(case):
     run = pc.simulate(scene, scene.initial_state(q), 1e5, t_eval=np.linspace(0.0, 1e5, 9))
     assert run.status == 0 and not run.events
     assert (run.q == q).all()
+
+
+@pytest.mark.parametrize("friction", [None, pc.Coulomb(0.3)])
+@pytest.mark.parametrize("case", [16, 18, 25, 27, 31, 33, 36, 37])
+def test_stops_and_a_contact_strike_as_one(case, friction):
+    """Sliders that come to their stops and onto a plate, all within what positions are known to: one impact, whatever
+    the others are thrown by each alone."""
+    rng = np.random.default_rng(case)
+    scene = _chain(rng, 3)
+    model, data = scene.model, scene.model.createData()
+    # the plate takes the third stop's place
+    model.lowerPositionLimit[2] = -5.0
+    pin.computeJointJacobians(model, data, np.zeros(3))
+    along = pin.getJointJacobian(model, data, 3, pin.LOCAL_WORLD_ALIGNED)[:3]
+    normal = rng.normal(size=3)
+    while normal @ along[:, 2] < 0.3 * np.linalg.norm(normal):
+        normal = rng.normal(size=3)
+    normal /= np.linalg.norm(normal)
+    tangent = np.cross(normal, rng.normal(size=3))
+    tangent /= np.linalg.norm(tangent)
+    plate = pin.SE3(np.column_stack([tangent, np.cross(normal, tangent), normal]), np.zeros(3))
+    tip, floor = (
+        scene.add_contour("tip", pc.Point(), "joint 2"),
+        scene.add_contour("plate", pc.Plane(), placement=plate),
+    )
+    scene.add_contact("tip", tip, floor, friction=friction)
+    pressed = rng.uniform(1.0, 10.0, 3)
+    load = -(np.r_[pressed[:2], 0.0] + along.T @ normal * pressed[2])
+    # positions are known to ten times the absolute and the relative tolerance: 1e-7
+    ways = rng.uniform(1e-8, 5e-8, 3)
+    q = np.r_[ways[:2], (ways[2] - normal @ along[:, :2] @ ways[:2]) / (normal @ along[:, 2])]
+    state = scene.initial_state(q, rng.uniform(-1.0, 0.5, 3), free=["tip"])
+    run = pc.simulate(scene, state, 1e-4, control=lambda t, q, v: load)
+    assert run.status == 0
+    # speeds are of 1 m/s: all that happens for 1e-5 s is within some micrometres
+    assert len({event.time for event in run.events if event.time < 1e-5}) <= 1
+
+
+@pytest.mark.parametrize("case", [38, 39, 40])
+def test_dry_joints_begin_to_slide_for_good(case):
+    """At its limit of friction a joint's acceleration is round-off, whose sign may be the other one."""
+    rng = np.random.default_rng(case)
+    model, parent, n = pin.Model(), 0, 4
+    for i in range(n):
+        axis, place = rng.normal(size=3), pin.SE3(pin.exp3(rng.normal(size=3)), rng.uniform(-0.3, 0.3, 3))
+        joint = pin.JointModelRevoluteUnaligned(axis / np.linalg.norm(axis))
+        parent = model.addJoint(parent, joint, place, f"joint {i}")
+        mass, lever, size = rng.uniform(0.2, 3.0), rng.uniform(-0.2, 0.2, 3), 10.0 ** rng.uniform(-3.0, -2.0)
+        model.appendBodyToJoint(parent, pin.Inertia(mass, lever, size * np.eye(3)), pin.SE3.Identity())
+    limit = rng.uniform(0.1, 1.0, n)
+    model.upperDryFrictionLimit[:], model.lowerDryFrictionLimit[:] = limit, -limit
+    scene = pc.Scene(model)
+    run = pc.simulate(scene, scene.initial_state(rng.uniform(-1.0, 1.0, n)), 2.0, t_eval=[2.0])
+    assert run.status == 0 and len(run.events) < 60

@@ -9,6 +9,7 @@ those of one choice), it is the solution.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -83,6 +84,8 @@ _AT_ALL = 1e-6
 _ROUNDS = 4
 # Changes of mode for every contact and coordinate where they are made one by one.
 _CHANGES = 4
+# So often the same modes may come back: directions of slip that are found on the way may be others.
+_RETURNS = 2
 # Relative size below which singular values are zero, as pivots are in `dynamics.linear`.
 _SINGULAR = math.sqrt(RANK_TOLERANCE)
 
@@ -844,6 +847,7 @@ class ModeSolver:
         decision = Decision(OK)
         # joint coordinates that are let go, with the ends at which they were and the directions in which they go
         released: dict[int, tuple[int, int]] = {}
+        seen: Counter[bytes] = Counter()
         for _ in range(_CHANGES * (len(closed) + system.ng + system.nr) + _CHANGES):
             decision.status = evaluate(t)
             if decision.status > EVENT:
@@ -867,6 +871,10 @@ class ModeSolver:
                 decision.started = {c: float(system.contact_real[c, SLIP_RATE]) for c in started}
                 self._stick_at_limits(t, decision, evaluate)
                 return decision
+            # what slides from the same modes as before has gone back, and will again
+            seen[integers[:, : FROZEN + 1].tobytes() + system.guard_int.tobytes()] += 1
+            if seen.most_common(1)[0][1] > _RETURNS:
+                break
             force, owner = system.force[worst].copy(), system.owner(worst)
             if integers[owner, PATTERN] != ON_CURVE:
                 integers[owner, NORMAL_SIGN] = 1 if system.force[owner, 2] >= 0.0 else -1

@@ -15,7 +15,7 @@ import scipy
 
 from ..arguments import is_number
 from ..errors import ArgumentError, UnusableResult
-from ..layout import DOMAIN, DOMAIN_MARGIN, GAP_MARGIN, LENGTH, NOTHING_THERE, OK, SCAN_ROOM
+from ..layout import DOMAIN, DOMAIN_MARGIN, GAP_MARGIN, LENGTH, NOTHING_THERE, OK, SCAN_ROOM, SPEED_MARGIN
 from .dense import Interpolant
 from .open_contacts import OpenContacts
 from .results import GAP_TOLERANCE
@@ -39,6 +39,8 @@ _ROUNDS = 4
 _LOOKS = 3
 # A margin that is this part of its largest size away from zero wherever steps went to make it zero has no zero there.
 _NEXT_TO_NOTHING = 1e-6
+# Speeds below this, against 1 or the largest velocity, have no sign.
+_SPEED_ROUND_OFF = 1e-15
 # A user's function that gets so near to zero, against its largest value in a step, is looked at more closely.
 _NEAR = 0.05
 _XTOL, _RTOL = 1e-15, 8.9e-16
@@ -132,6 +134,7 @@ class EventLocator:
 
     def _take_slack(self) -> None:
         self._slack[:, GAP_MARGIN] = self._gap_slack + self._depths
+        self._slack[:, SPEED_MARGIN] = _SPEED_ROUND_OFF * (1.0 + float(np.abs(self.rk.system.v).max(initial=0.0)))
 
     @cached_property
     def _gap_slack(self) -> np.ndarray:
@@ -222,6 +225,10 @@ class EventLocator:
         # what is negative at the start counts as just having crossed
         crosses[:1] |= after[:1] < 0.0
         crosses &= before != NOTHING_THERE
+        # what has begun to slide by round-off in the other direction, and comes back, does not come to rest
+        crosses[:, :, SPEED_MARGIN] &= (before[:, :, SPEED_MARGIN] >= 0.0) | (
+            after[:, :, SPEED_MARGIN] < before[:, :, SPEED_MARGIN]
+        )
         gaps, later = before[:, :, GAP_MARGIN], after[:, :, GAP_MARGIN]
         nc = self.rk.system.nc
         # a joint that starts beyond its end, and comes back, does not meet it; nor does what comes from behind touch

@@ -635,7 +635,6 @@ class Transitions:
         if kind in (GAP_MARGIN, DOMAIN_MARGIN):
             self._check_chatter(t, index)
             self._stop_joint(t, g, -1 if kind == GAP_MARGIN else 1)
-            self._stop_others(t)
             return self._collide(t, system.closed(), {})
         self._check_chatter(t, index)
         if kind == SPEED_MARGIN:
@@ -655,18 +654,6 @@ class Transitions:
     def _guard_reach(self) -> float:
         """Accuracy to which a coordinate's way to its end is known, in m or rad."""
         return GAP_TOLERANCE * float(self.system.scale.sum())
-
-    def _stop_others(self, t: float) -> None:
-        """Whatever joint comes to an end at the same instant, as far as that is known, takes part in an impact."""
-        system, reach = self.system, self._guard_reach
-        for g, guard in enumerate(system.guards):
-            if system.contact_int[system.nc + g, MODE] != FREE:
-                continue
-            position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
-            for end, way in (-1, position - guard.low_end), (1, guard.high_end - position):
-                if way <= reach and end * speed >= -_LEAVING_SPEED:
-                    self._stop_joint(t, g, end)
-                    break
 
     def _stop_joint(self, t: float, g: int, end: int) -> None:
         """Guarded joint coordinate g has come to an end of its way, and is held there."""
@@ -945,6 +932,10 @@ class Transitions:
                 position, reach = float(system.q[guard.index_q]), self._guard_reach
                 way = (guard.high_end - position if speed > 0.0 else position - guard.low_end) + reach
                 left = min(left, max(way, _LEAST_WAY * reach) / abs(speed))
+                rate = float(system.acceleration[guard.index_v])
+                if guard.dry and rate * speed < 0.0:
+                    # dry friction ends its slip
+                    left = min(left, max(abs(speed), self._rest_speed()) / abs(rate))
         return left
 
     def _uneventful(self) -> bool:
@@ -1059,6 +1050,7 @@ class Transitions:
         system, rk = self.system, self.rk
         integers = system.contact_int
         self._started.clear()
+        near = self._close_near()
         self._evaluate_rows(t)
         closed = system.closed()
         deep = any(c in self.dips.contacts for c in closed)
@@ -1085,6 +1077,9 @@ class Transitions:
                     if depth > 0.0:
                         # rebounds from where it is
                         self.dips.start_at(i, depth)
+        for i in near:
+            if integers[i, MODE] != FREE:
+                self.announce(t, i, "touch")
         self._guards_from_velocities(ends)
         undecided = self.modes_from_velocities(after_impact=True)
         before = self._counted_energy()
@@ -1100,6 +1095,36 @@ class Transitions:
         if deep:
             self._leave_dips(t, energy + impact.drives)
         return self.resolve(t, undecided, silent=True)
+
+    def _close_near(self) -> list[int]:
+        """Let all take part in an impact that is as near as positions are known, whatever it does before: contacts,
+        which are returned, and ends of joints.
+
+        What leaves by then may be thrown back at once. Left to an impact of its own, which throws the first one back,
+        both would go to and fro, ever slower, between places that are the same as far as they are known. What rebounds
+        is left to its own impacts.
+        """
+        system, modes = self.system, self.system.contact_int[:, MODE]
+        near = [
+            c
+            for c in range(system.nc)
+            if modes[c] == FREE
+            and system.contact_int[c, UNILATERAL]
+            and self.open.apart[c]
+            and c not in self.dips.contacts
+            and self.restitution[c] == 0.0
+            and self._touches(c)
+        ]
+        for c in near:
+            modes[c] = rest_mode(system.contact_real[c, MU])
+        for g, guard in enumerate(system.guards):
+            if modes[system.nc + g] == FREE:
+                position, reach = float(system.q[guard.index_q]), self._guard_reach
+                if position - guard.low_end <= reach:
+                    self.modes.hold(g, -1)
+                elif guard.high_end - position <= reach:
+                    self.modes.hold(g, 1)
+        return near
 
     def _leaves(self, i: int, leaving: float, reach: float) -> bool:
         """Whether item i leaves what it has struck, at this speed in m/s: a hop lower than gaps are known is none."""

@@ -327,6 +327,8 @@ def _leaves_choice(step, n):
     left as it is."""
     counts = integers(step[COUNTS], NCOUNTS)
     address = integers(step[CONE_TABLES], counts[MAX_UNITS] + 1)[n]
+    if address == 0 or counts[COUPLED] != APART:
+        return False
     known = integers(integers(address, len(cone.SLOTS))[cone.COUNTS], cone.COUNTS_LENGTH)
     if known[cone.CHOICES] == 0 or known[cone.FOLLOWS] == 0:
         return False
@@ -358,7 +360,7 @@ def _impulses(table, step, found):
         if counts[HOLDING] == UNASKED and counts[COUPLED] == APART and _lets_slip(table, step, n):
             counts[HOLDING] = WANTED
             return CONE_LEFT
-        if found == FRESH and n > 0 and _leaves_choice(step, n):
+        if counts[CHOOSING] == 0 and n > 0 and _leaves_choice(step, n):
             counts[CHOOSING] = 1
             return CONE_LEFT
         found = FRESH

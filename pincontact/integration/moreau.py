@@ -450,7 +450,8 @@ class MoreauStep:
         solver, counts = self.solver, self._counts
         if counts[HOLDING] == WANTED:
             self._hold(n, *problem)
-            counts[HOLDING], counts[CHOOSING] = LOOKED_FOR, 1
+            counts[HOLDING] = LOOKED_FOR
+            return True
         if counts[CHOOSING]:
             self._choose(n, *problem)
             return True
@@ -468,8 +469,6 @@ class MoreauStep:
                 counts[COUPLED] = TOGETHER
         if not solved and counts[COUPLED] != APART:
             solved = self._solve_together(n, *problem)
-        elif solved:
-            self._choose(n, *problem)
         if not solved and not (thorough and self._solve_hard(n, *problem)):
             return False
         self._numbers[CONE_RESIDUAL] = max(self._numbers[CONE_RESIDUAL], solver.residual)

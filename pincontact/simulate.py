@@ -281,6 +281,7 @@ def _simulate_moreau(
                 "rigid": stepper.rigid,
                 "softened": stepper.softened,
                 "settled": stepper.settled,
+                "open_loads": stepper.open_loads,
                 "decided": stepper.decided,
                 "qp": stepper.solver.qp_count,
                 "cone_residual": stepper.worst_residual,

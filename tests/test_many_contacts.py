@@ -246,6 +246,27 @@ def test_sliding_feet_come_to_rest_together(feet, spin):
 # ------------------------------------------------------------------------------------------------- simultaneous changes
 
 
+@pytest.mark.parametrize("turning", [False, True])
+@pytest.mark.parametrize("rough", [0, 1, 4])
+def test_time_stepping_says_where_loads_of_sliding_feet_are_open(rough, turning):
+    """A body that spins about a foot, which sticks while the others slide, or slides with resistance to turning on
+    four feet: how these share its weight moves it. Where all slide one rule decides; at rest it does not matter."""
+    scene = body_scene(pin.JointModelFreeFlyer(), 2.0, (0.02, 0.03, 0.04))
+    floor = scene.add_contour("floor", pc.Plane())
+    for i, place in enumerate(BLOCK_FEET):
+        law = pc.Coulomb(5.0 if i < rough else 0.1, spinning=1e-3 if turning else 0.0)
+        foot = scene.add_contour(f"p{i}", pc.Sphere(0.01), "body", pin.SE3(np.eye(3), np.array(place)))
+        scene.add_contact(f"{i}", foot, floor, friction=law)
+    at = np.array(BLOCK_FEET[0])
+    spin = np.array([0.0, 0.0, 0.0 if rough == 4 else 3.0])
+    state = scene.initial_state([0.0, 0.0, 0.06, 0.0, 0.0, 0.0, 1.0], [*(-np.cross(spin, at) * (rough == 1)), *spin])
+    run = pc.simulate(scene, state, 0.02, method="Moreau", step=1e-3)
+    assert run.status == 0
+    is_open = rough == 1 or (rough == 0 and turning)
+    assert (run.stats["open_loads"] > 0) == is_open
+    assert ("leave open how redundant contacts share loads" in run.message) == is_open
+
+
 def grasp_scene(mu, radius=0.1, mass=0.5):
     """A ball held by three fingers that press it radially, 120 degrees apart; v[6:] are the fingers' speeds."""
     scene = body_scene(pin.JointModelFreeFlyer(), mass, np.full(3, 0.4 * mass * radius**2))

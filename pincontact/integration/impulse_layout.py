@@ -134,7 +134,8 @@ STEP_SLOTS = (
 # SOLVED_HERE: cone problems that were solved in compiled code, by CONE_TASK; RIGID_STEPS: those that had a solution in
 # rigid geometry only. Of an attempt: COUPLED: whether its problem is solved together with the loads that it takes as
 # given, see below; HOLDING: whether forces have been looked for that hold what was at rest, see below; CHOOSING:
-# whether Python is to choose among redundant forces of what slides.
+# whether Python is to choose among redundant forces of what slides; OPEN_LOADS: problems in which the rule for these
+# leaves loads open, see `_leaves_choice`.
 (
     NJ,
     MAX_UNITS,
@@ -163,8 +164,9 @@ STEP_SLOTS = (
     COUPLED,
     HOLDING,
     CHOOSING,
-) = range(27)
-NCOUNTS = 27
+    OPEN_LOADS,
+) = range(28)
+NCOUNTS = 28
 # counts[HAS_TREND]: nothing, or what the velocity at the midpoint follows from
 ACCELERATION, MEAN_VELOCITY = 1, 2
 # numbers; AHEAD: s after the step's start at which its geometry and smooth terms are taken, the middle or, where bodies

@@ -115,6 +115,7 @@ from .impulse_layout import (
     NUMBERS,
     ON_CONTACT,
     ON_TURN,
+    OPEN_LOADS,
     PASSES,
     RIGID,
     RIGID_STEPS,
@@ -323,22 +324,29 @@ def _lets_slip(table, step, n):
 @kernel
 def _leaves_choice(step, n):
     """Whether there is a choice among the forces of the n units that moves the bodies, since some of them slide, and
-    that is not yet what the rule has it, since it depends on the last forces. With torques that resist turning it is
-    left as it is."""
+    that is not yet what the rule has it, since it depends on the last forces.
+
+    Where others stick, or torques resist turning, the rule leaves loads open: that is counted, and with such torques
+    the choice is left as it is.
+    """
     counts = integers(step[COUNTS], NCOUNTS)
     address = integers(step[CONE_TABLES], counts[MAX_UNITS] + 1)[n]
     if address == 0 or counts[COUPLED] != APART:
         return False
     known = integers(integers(address, len(cone.SLOTS))[cone.COUNTS], cone.COUNTS_LENGTH)
-    if known[cone.CHOICES] == 0 or known[cone.FOLLOWS] == 0:
+    if known[cone.CHOICES] == 0:
         return False
     unit_int, friction = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS), reals(step[FRICTION], n)
-    modes, slides = integers(step[CONE_MODES], n), False
+    modes = integers(step[CONE_MODES], n)
+    slides = sticks = turns = False
     for u in range(n):
-        if unit_int[u, UNIT_KIND] == ON_TURN:
-            return False
-        slides = slides or (unit_int[u, UNIT_KIND] == ON_CONTACT and modes[u] == cone.SLIP and friction[u] > 0.0)
-    return slides
+        on_contact = unit_int[u, UNIT_KIND] == ON_CONTACT and friction[u] > 0.0
+        turns = turns or unit_int[u, UNIT_KIND] == ON_TURN
+        slides = slides or (on_contact and modes[u] == cone.SLIP)
+        sticks = sticks or (on_contact and modes[u] == cone.STICK)
+    if slides and (sticks or turns):
+        counts[OPEN_LOADS] += 1
+    return slides and not turns and known[cone.FOLLOWS] != 0
 
 
 @kernel

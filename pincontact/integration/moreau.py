@@ -80,6 +80,7 @@ from .impulse_layout import (
     ON_JOINT,
     ON_LOADED,
     ON_TURN,
+    OPEN_LOADS,
     PARENT,
     RIGID_STEPS,
     ROW_COUNT,
@@ -577,6 +578,11 @@ class MoreauStep:
         return int(self._counts[RIGID_STEPS])
 
     @property
+    def open_loads(self) -> int:
+        """Problems in which rigid bodies leave open how redundant contacts share loads on which the motion depends."""
+        return int(self._counts[OPEN_LOADS])
+
+    @property
     def worst_residual(self) -> float:
         """The largest residual of any cone problem."""
         return float(self._numbers[CONE_RESIDUAL])
@@ -803,7 +809,7 @@ class MoreauDriver:
         finally:
             # nothing of the user's is kept
             self.step.ask(None)
-        return FINISHED, "the end of the interval was reached" + self._settled()
+        return FINISHED, "the end of the interval was reached" + self._settled() + self._left_open()
 
     def _settled(self) -> str:
         """What is to be said of problems that had no solution, or none that was found."""
@@ -812,6 +818,13 @@ class MoreauDriver:
             return ""
         off = f"off by up to {self.step.settled_off:.2g} of the largest"
         return f"; {count} cone problems were settled with the friction of other loads, {off}"
+
+    def _left_open(self) -> str:
+        """What is to be said of loads on which the motion depends, and of which more than one choice is right."""
+        count = self.step.open_loads
+        if count == 0:
+            return ""
+        return f"; in {count} cone problems rigid bodies leave open how redundant contacts share loads while some slide"
 
     def _run(self, start: float, end: float) -> None:
         step = self.step

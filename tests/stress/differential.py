@@ -269,6 +269,8 @@ def judge_steps(runs: Runs, exact: pc.Trajectory, finding: Finding) -> None:
         finding.undecided.append(f"steps: {said} apart, changes of {STEP} make {wide.max():.1e}")
     elif slides_instead(runs.motion, second, exact):
         finding.undecided.append(f"steps: {said} apart, ideal rolling is let go with a force")
+    elif first.stats["open_loads"] or second.stats["open_loads"]:
+        finding.undecided.append(f"steps: {said} apart, and say that redundant loads are open")
     else:
         finding.wrong.append(f"steps: {said} apart with halved steps, {found[-1][i]:.1e} at {runs.times[i]:.3f} s")
 

@@ -138,6 +138,32 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "pincontact/dynamics/modes.py", "_decide_without_cones", "decision.started[worst] = 0.0", "0.0 -> 0.5",
     ): "a place for the rate, which takes it before anybody looks",
     (
+        "pincontact/contours/motion.py", "_spline_motion", "piecewise(pool[_SPLINE_SCRATCH:], t, 0.0, 0.0, rows)",
+        "0.0 -> 0.5",
+    ): "a spline of one variable does not read the others",
+    (
+        "pincontact/contours/formula.py", "_check_seams",
+        "extent, far = np.ptp(samples[:, 0], axis=0).max(), np.abs(samples[:, 0]).max()", "0 -> 1",
+    ): "the size by which rounding is allowed for",
+    (
+        "pincontact/geometry/nearest.py", "search", "if len(whole.points) == 1:", "1 -> 2",
+    ): "a tree of one point finds it, too",
+    (
+        "pincontact/friction/redundant.py", "move_inside", "if first[i + 1] > row + 1:", "+ -> -",
+    ): "where this unit has one number, the next unit's is written, and written again with that unit",
+    (
+        "pincontact/friction/redundant.py", "move_inside", "for j in range(k + 1):", "1 -> 2",
+    ): "what is above the diagonal is not read",
+    (
+        "pincontact/friction/solve.py", "centred_forces",
+        "scale = np.repeat(np.sqrt(3.0 / np.maximum(np.diagonal(block).reshape(-1, 3).sum(axis=1), TINY)), 3)",
+        "/ -> *",
+    ): "units in which a change by round-off is least",
+    (
+        "pincontact/friction/solve.py", "complementarity",
+        "tangential += np.where(finite, self.mu, 0.0) * speed * self.forces[:, 2]", "0.0 -> 0.5",
+    ): "what is not finite is left out of the sum in the next line",
+    (
         "pincontact/dynamics/linear.py", "solve_gram", "pivot, best = rank, -1.0", "1.0 -> 1.5",
     ): "less than any square, as is any negative number",
 }  # fmt: skip

@@ -515,3 +515,9 @@ def test_angles_may_jump_where_nothing_else_does(c):
         pc.ParametricCurve(lambda u, t: (u, math.atan2(t - 1.0, -2.0 - u), 0.0), domain)
     surface = pc.ParametricSurface(lambda u, v: (u, v, math.cos(math.atan2(v - c, -2.0 - u))), (domain, domain))
     assert surface.point((0.2, c + 0.01))[2] == pytest.approx(math.cos(math.atan2(0.01, -2.2)), abs=1e-15)
+
+
+@pytest.mark.parametrize(("factor", "lo", "hi"), [(0.3, 1.3, 1.6), (-0.3, 0.4, 0.7), (2.0, 3.0, 5.0), (0.0, 1.0, 1.0)])
+def test_intervals_of_affine_functions(factor, lo, hi):
+    found = Interval(np.array([1.0]), np.array([2.0])).affine(factor, 1.0)
+    assert (found.lo[0], found.hi[0]) == pytest.approx((lo, hi), abs=1e-15)

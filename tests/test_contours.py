@@ -530,6 +530,11 @@ def test_shape_facts():
     assert pc.Circle(1.0).periodic == (True,)
     assert pc.Circle(1.0, domain=(0.0, 1.0)).periodic == (False,)
     assert pc.Circle(1.0, domain=(0.0, 1.0)).convex_side == 0
+    for whole, part in (
+        (pc.Cone(0.4), pc.Cone(0.4, ((0.0, 1.0), None))),
+        (pc.Cylinder(0.2), pc.Cylinder(0.2, ((0.0, 1.0), None))),
+    ):
+        assert (whole.convex_side, part.convex_side) == (1, 0)
     assert pc.Circle(1.0, domain=(0.0, 2 * math.pi)).periodic == (True,)
     assert not pc.Helix(1.0, 1.0).planar
     assert pc.Line((-1.0, 3.0)).size == 2.0

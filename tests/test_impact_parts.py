@@ -10,6 +10,7 @@ import pytest
 
 from pincontact.dynamics import impact
 from pincontact.dynamics.energy import KEPT_ACCURACY
+from pincontact.dynamics.units import delassus
 from pincontact.friction.solve import ContactSolver
 from pincontact.geometry.patterns import ON_CURVE
 from pincontact.layout import (
@@ -348,3 +349,11 @@ def test_ideal_rolling_that_contradicts_itself_by_round_off():
         problem.mu = np.array(mu)
         assert problem._solve_cones(solver, np.zeros(6)) is (len(expected) > 1)
         assert solver.asked == expected
+
+
+def test_missing_rows_are_as_heavy_as_the_others():
+    """Light ones, too; a unit without any has the weight 1."""
+    stack = np.diag([0.1, 0.2, 0.0, 0.0, 0.0, 0.0])
+    gram, weights = delassus(stack)
+    assert weights == pytest.approx([0.0, 0.0, 0.04, 1.0, 1.0, 1.0], abs=1e-16)
+    assert gram == pytest.approx(np.diag([0.01, 0.04, 0.04, 1.0, 1.0, 1.0]), abs=1e-16)

@@ -142,6 +142,10 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "0.0 -> 0.5",
     ): "a spline of one variable does not read the others",
     (
+        "pincontact/contours/branches.py", "_examine",
+        "slope = np.sort(slopes[k, box, j, 0] * followed.checks[k][3])", "* -> /",
+    ): "a sign is 1 or -1",
+    (
         "pincontact/contours/formula.py", "_check_seams",
         "extent, far = np.ptp(samples[:, 0], axis=0).max(), np.abs(samples[:, 0]).max()", "0 -> 1",
     ): "the size by which rounding is allowed for",

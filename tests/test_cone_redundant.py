@@ -46,7 +46,8 @@ def test_sums_and_largest_entries_of_any_length(n):
 
 @pytest.mark.parametrize("tolerance", [0.0, 1e-12])
 @pytest.mark.parametrize(("rows", "n", "rank"), [(1, 1, 1), (2, 2, 2), (2, 2, 1), (3, 3, 3), (5, 5, 5), (5, 5, 3),
-                                                 (3, 6, 3), (4, 6, 2), (6, 4, 4), (4, 4, 0)])  # fmt: skip
+                                                 (3, 6, 3), (4, 6, 2), (6, 4, 4), (4, 4, 0), (2, 4, 2),
+                                                 (2, 3, 1), (4, 2, 2)])  # fmt: skip
 def test_systems_are_solved_by_the_least_x(rows, n, rank, tolerance):
     rng = np.random.default_rng([rows, n, rank])
     if tolerance == 0.0 and not rank == rows == n:

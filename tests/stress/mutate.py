@@ -146,6 +146,10 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "slope = np.sort(slopes[k, box, j, 0] * followed.checks[k][3])", "* -> /",
     ): "a sign is 1 or -1",
     (
+        "pincontact/friction/attempt.py", "attempt",
+        "trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1", "index 1 -> 2",
+    ): "where the corrections of modes begin: the same solution is found",
+    (
         "pincontact/contours/formula.py", "_check_seams",
         "extent, far = np.ptp(samples[:, 0], axis=0).max(), np.abs(samples[:, 0]).max()", "0 -> 1",
     ): "the size by which rounding is allowed for",

@@ -23,11 +23,22 @@ is_inside = from_python(redundant.is_inside)
 project = from_python(redundant.project)
 bend = from_python(redundant.bend)
 move_inside = from_python(redundant.move_inside)
+spring = from_python(redundant.spring)
 
 SEEDS = pytest.mark.parametrize("seed", range(3))
 
 
 # ------------------------------------------------------------------------------------------------ linear algebra
+
+
+@pytest.mark.parametrize(
+    ("length", "speed", "sine", "expected"),
+    [(1.2, 0.25, 0.5, 2.4), (1.2, 4.0, 0.5, 0.15), (1.2, 0.0, 0.5, HUGE), (0.0, 0.2, 0.5, 0.0),
+     (0.0, 0.0, 0.5, HUGE), (0.0, 0.0, 0.0, 0.0)],
+)  # fmt: skip
+def test_stiffness_of_a_turning_slip(length, speed, sine, expected):
+    """Friction over the speed: a small change of slip across turns it by so much."""
+    assert spring(0, [length], [speed], [sine]) == pytest.approx(expected, rel=1e-15)
 
 
 @pytest.mark.parametrize("n", range(10))

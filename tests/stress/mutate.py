@@ -150,6 +150,12 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1", "index 1 -> 2",
     ): "where the corrections of modes begin: the same solution is found",
     (
+        "pincontact/friction/redundant.py", "move_inside", "if step % _STEPS == 0:", "== -> !=",
+    ): "the slope says when a step went too far: other steps, the same end",
+    (
+        "pincontact/dynamics/system.py", "_map_calls", "callback[MODEL] = calls.native[0, 1]", "index 0 -> 1",
+    ): "an address, for compiled code alone; what is found there is checked with every model",
+    (
         "pincontact/contours/formula.py", "_check_seams",
         "extent, far = np.ptp(samples[:, 0], axis=0).max(), np.abs(samples[:, 0]).max()", "0 -> 1",
     ): "the size by which rounding is allowed for",

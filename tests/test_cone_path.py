@@ -275,6 +275,25 @@ def test_what_is_returned_lies_on_the_path(seed, size, saxce):
 
 
 @SEEDS
+def test_the_path_leaves_contacts_without_friction_without_tangential_forces(seed):
+    """Their tangential velocity is what it is, and what it does to the normal forces is in the equations of no row."""
+    rng = np.random.default_rng(seed)
+    delassus, b, mu = problem(rng, 4)
+    mu[rng.integers(2)], mu[2] = 0.0, 0.0
+    memory = cone_memory(4)
+    path.follow_path(delassus, b, mu, memory.table, 1.0, 0.01, 1.0, 1.0, 0)
+    assert path.follow_path(delassus, b, mu, memory.table, 1e-9, 0.01, 1.0, 1.0, 300) <= 1e-9
+    f = memory["forces"].reshape(4, 3)
+    smooth = mu == 0.0
+    assert not f[smooth, :2].any()
+    gap = (delassus @ memory["forces"] + b).reshape(4, 3)[smooth, 2]
+    # up to the path's t in units of the scaled problem
+    assert np.abs(f[smooth, 2] * gap).max() <= 1e-6 * (1.0 + np.abs(f).max())
+    assert gap.min() >= -1e-6
+    assert f[:, 2].min() >= -1e-6
+
+
+@SEEDS
 def test_the_path_ends_at_a_solution(seed):
     """Its distance from one falls with t, down to the end."""
     rng = np.random.default_rng(seed)

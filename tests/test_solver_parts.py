@@ -14,7 +14,7 @@ from pincontact.dynamics import redundant
 from pincontact.dynamics.redundant import null_space
 from pincontact.friction import cone, elimination, solve
 from pincontact.friction.attempt import NEAR, WARM, WARM_PASSES
-from pincontact.friction.cone import KNOWN
+from pincontact.friction.cone import KNOWN, STICK
 from pincontact.friction.feasibility import crushing_combination
 from pincontact.friction.loads import LoadSolver, ScaledLoads
 from pincontact.friction.solve import COMPLIANCES, ContactSolver
@@ -267,3 +267,27 @@ def test_steps_towards_a_point(seed):
 def depth_of(barriers, point):
     x = barriers.at(point)
     return (x[:, 0] - np.hypot(x[:, 1], x[:, 2])).min()
+
+
+def test_two_opposite_contacts_hold_what_a_harder_squeeze_would():
+    """A point pinched between two walls: forces of the last problem that are too small for the weight are moved inside
+    their cones, since there are such forces, rather than let slip."""
+    axes = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    rows = np.vstack([axes, axes * [[1.0], [-1.0], [-1.0]]])
+    delassus, mu = rows @ rows.T, np.array([0.8, 0.8])
+    b = rows @ [0.0, 0.0, -1.0]
+    solver = ContactSolver(nearest=True)
+    solver.table(2)
+    forces = np.array([0.0, 0.5, 0.5, 0.0, -0.5, 0.5])
+    solver.warm_start(np.full(2, STICK), forces, np.zeros(6))
+    assert solver.solve(delassus, b, mu)
+    assert (solver.modes == STICK).all()
+    found = solver.forces.reshape(2, 3)
+    assert (np.hypot(found[:, 0], found[:, 1]) <= mu * found[:, 2] * (1.0 + 1e-12)).all()
+    # one of the equations of a point of 1 kg, solved to round-off
+    assert delassus @ solver.forces + b == pytest.approx(np.zeros(6), abs=1e-12)
+
+
+def test_a_new_solver_has_done_nothing():
+    solver = ContactSolver()
+    assert (solver.residual, solver.jammed, solver.path_count, solver.qp_count) == (0.0, False, 0, 0)

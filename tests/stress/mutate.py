@@ -156,6 +156,66 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "pincontact/dynamics/system.py", "_map_calls", "callback[MODEL] = calls.native[0, 1]", "index 0 -> 1",
     ): "an address, for compiled code alone; what is found there is checked with every model",
     (
+        "pincontact/friction/product.py", "modes",
+        "if self.mu[i] == 0.0 or float(np.linalg.norm(aim)) > radii[i] * (1.0 + TOLERANCE):",
+        "* -> /",
+    ): "a tolerance, on one side of the limit or the other",
+    (
+        "pincontact/friction/redundant.py", "move_inside",
+        "slope = 0.0",
+        "0.0 -> 0.5",
+    ): "set again at the first step",
+    (
+        "pincontact/friction/solve.py", "_sweep",
+        "space.forces[:] = 0.0",
+        "0.0 -> 0.5",
+    ): "where the sweeps begin: they end at the same solution",
+    (
+        "pincontact/friction/solve.py", "centred_forces",
+        "if not (inside.all() and (off <= 1e-3 * AT_REST * terms[rows].max()).all()):",
+        "* -> /",
+    ): "a tolerance",
+    (
+        "pincontact/friction/attempt.py", "attempt",
+        "rank = factor_matrix(g, low_rank[FACTOR], vectors[7]) if n > 1 else 0",
+        "1 -> 2",
+    ): "with and without factors Newton's steps are the same to round-off",
+    (
+        "pincontact/friction/attempt.py", "attempt",
+        "trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1",
+        "+ -> -",
+    ): "where the corrections of modes begin: the same solution is found",
+    (
+        "pincontact/friction/attempt.py", "usual_attempts",
+        "residual, searched = attempt(delassus, b, mu, table, NEAR if nearest else WARM, passes, tolerance, 0, 1)",
+        "0 -> 1",
+    ): "sweeps are of no account to these tasks",
+    (
+        "pincontact/friction/path.py", "follow_path",
+        "if x[rows] <= target or x[rows] > 1.0:",
+        "1.0 -> 1.5",
+    ): "a path that has turned back never comes to its end",
+    (
+        "pincontact/friction/loads.py", "newton",
+        "if loaded is not None and not self.disks and step == 1:",
+        "1 -> 2",
+    ): "the equations are linear then: a second step changes nothing but rounding",
+    (
+        "pincontact/friction/loads.py", "is_lost",
+        "return bool(singular.size and singular[-1] > _LOST * singular[0] and np.linalg.slogdet(jacobian)[0] < 0.0)",
+        "0.0 -> 0.5",
+    ): "the sign of a regular matrix is 1 or -1",
+    (
+        "pincontact/friction/elimination.py", "least_norm",
+        "for k in range(n - 1, -1, -1):",
+        "1 -> 2",
+    ): "the last row has nothing right of its diagonal; other ends of the range are noticed",
+    (
+        "pincontact/dynamics/equations.py", "contact_dynamics",
+        "if contact_int[c, MODE] == SLIPPING and contact_int[c, PATTERN] == ON_CURVE and contact_real[c, MU] > 0.0:",
+        "and -> or",
+    ): "without such contacts the first pass changes nothing, and ends the iteration",
+    (
         "pincontact/contours/formula.py", "_check_seams",
         "extent, far = np.ptp(samples[:, 0], axis=0).max(), np.abs(samples[:, 0]).max()", "0 -> 1",
     ): "the size by which rounding is allowed for",

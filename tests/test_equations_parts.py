@@ -157,6 +157,10 @@ def test_directions_of_slip(seed):
         found = find(integers, numbers, velocity, basis, 0.3, out)
         assert found == pytest.approx(0.0 if frozen == 0 else speed, rel=1e-14)
         assert out == pytest.approx(expected / np.linalg.norm(expected), rel=1e-12)
+    # however small what is left of it in the tangent plane
+    numbers[DIRECTION_X : DIRECTION_X + 3], numbers[ACROSS_X : ACROSS_X + 3] = 1e-3 * world, 1e-3 * across
+    find(integers, numbers, 0.0 * slip, basis, 0.3, out)
+    assert out == pytest.approx(expected / np.linalg.norm(expected), rel=1e-12)
     # none is none
     numbers[DIRECTION_X : DIRECTION_X + 3] = numbers[ACROSS_X : ACROSS_X + 3] = 0.0
     find(integers, numbers, 0.0 * slip, basis, 0.3, out)

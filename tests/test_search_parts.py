@@ -15,7 +15,7 @@ from pincontact.errors import PatternError
 from pincontact.geometry import nearest
 from pincontact.geometry.nearest import NearestSearch
 from pincontact.geometry.patterns import find_pattern
-from pincontact.geometry.search import _sample, find_candidates
+from pincontact.geometry.search import _sample, _within, find_candidates
 from pincontact.layout import LAST_NORMAL_X, LOCATION_FAILED, OK, SIDE
 
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
@@ -342,3 +342,15 @@ def test_relative_velocity_on_a_ground_that_turns():
         own = turn @ (system.v[:3] + np.cross(system.v[3:], turn.T @ (point - np.array(place))))
         carried = np.array([0.1, 0.0, 0.2]) + np.cross([0.3, -0.2, 2.0], other - np.array([0.1, 0.2, 0.0]))
         assert system.slip[0] == pytest.approx(carried - own, abs=1e-13)
+
+
+@pytest.mark.parametrize("slope", [0.0, 3.0])
+def test_windows_of_endless_parameters_are_measured_along_them(slope):
+    """A plane that rises along its second parameter leaves the window in m sooner there."""
+    plane = pc.HeightField(lambda x, y: 2.0 + slope * y)
+    low, high, count = _within(plane, 1, 0.0, 10.0)
+    assert (low, high) == pytest.approx((-10.0, 10.0))
+    flat = _within(plane, 0, 0.0, 10.0)
+    assert flat[:2] == pytest.approx((-10.0, 10.0))
+    # as many samples per metre, up to the rounding of their number
+    assert count == pytest.approx(flat[2] * np.hypot(1.0, slope), abs=3.0)

@@ -216,6 +216,66 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "and -> or",
     ): "without such contacts the first pass changes nothing, and ends the iteration",
     (
+        "pincontact/friction/newton.py", "settle",
+        "near = 0",
+        "0 -> 1",
+    ): "where there is nothing to choose, asking for a choice changes nothing",
+    (
+        "pincontact/contours/enclosures.py", "_of_one",
+        "pole = _away(ops.TAN, 0.0, x, x) <= 0.0",
+        "0.0 -> 0.5",
+    ): "a tangent has no constant",
+    (
+        "pincontact/dynamics/redundant.py", "_minimise",
+        "if within and cost(point + size * step, after) <= before - 0.1 * size * decrement:",
+        "0.1 -> 0.15000000000000002",
+    ): "what part of the foreseen fall a step must have: the same minimum is found",
+    (
+        "pincontact/friction/loads.py", "_starts",
+        "found = guess(speed * scaled.largest)",
+        "* -> /",
+    ): "where searches begin; what they find is a solution or none",
+    (
+        "pincontact/dynamics/modes.py", "_unheld",
+        "most = np.abs(system.free_acceleration).max() + np.abs(system.v).max() ** 2",
+        "2 -> 3",
+    ): "what rounding is measured by",
+    (
+        "pincontact/dynamics/redundant.py", "_enter",
+        "within = (2.0 * count + max(size * (_LARGEST - size), 0.0)) / pressure",
+        "* -> /",
+    ): "a bound that is far from tight: when the search for a point inside is given up",
+    (
+        "pincontact/contours/branches.py", "survey",
+        "if not search.single and not reason:",
+        "and -> or",
+    ): "one of two reasons, in a message",
+    (
+        "pincontact/geometry/nearest.py", "bend",
+        "centres, _ = _cells(box, (_CURVE_CELLS,) if contour.dimension == 1 else (_SURFACE_CELLS,) * 2)",
+        "2 -> 3",
+    ): "numbers of cells beyond the parameters belong to none",
+    (
+        "pincontact/dynamics/equations.py", "contact_dynamics",
+        "scratch[j, count] = multipliers[j] if delassus[j, count] != 0.0 else 0.0",
+        "0.0 -> 0.5",
+    ): "rows without a weight are by themselves, and what they get is multiplied by that weight",
+    (
+        "pincontact/geometry/planar.py", "moves_in_plane",
+        "if body1.contour.dimension == 0:",
+        "0 -> 1",
+    ): "asked for safety: a plane that turns alone about a line on which the point stays would do as well",
+    (
+        "pincontact/contours/revolution.py", "_cap",
+        "if error < 0.5 * best[0]:",
+        "index 0 -> 1",
+    ): "another of the fits, which is refused where it is not good enough",
+    (
+        "pincontact/dynamics/directions.py", "_project",
+        "along += shape @ system.relative_acceleration[i, :2] / mobility",
+        "/ -> *",
+    ): "how long the steps to a fixed point are, which is looked at afterwards",
+    (
         "pincontact/contours/formula.py", "_check_seams",
         "extent, far = np.ptp(samples[:, 0], axis=0).max(), np.abs(samples[:, 0]).max()", "0 -> 1",
     ): "the size by which rounding is allowed for",

@@ -248,3 +248,21 @@ def test_a_sliding_foot_that_carries_nothing_stays_closed():
     assert np.abs(np.diff(loads[sliding], axis=0)).max() < 0.1
     other = table_that_slides((2, 0, 3, 1), "Coulomb", 0.2, v, t_eval=times)
     assert other.q[-1] == pytest.approx(run.q[-1], abs=1e-9)
+
+
+def test_light_and_heavy_bodies_slide_side_by_side():
+    """Their mobilities differ by 1e5, which says nothing of what friction makes of them: each stops by itself."""
+    model = pin.Model()
+    for name, mass in (("light", 0.1), ("heavy", 1e4)):
+        joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, pin.Inertia(mass, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+        model.addBodyFrame(name, joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    for name in ("light", "heavy"):
+        scene.add_contact(name, scene.add_contour(name, pc.Point(), name), floor, friction=pc.Coulomb(0.3))
+    run = pc.simulate(scene, scene.initial_state(np.zeros(6), [1.0, 0.0, 0.0, 0.0, 2.0, 0.0]), 0.1)
+    assert run.status == 0, run.message
+    # v t - mu g t^2 / 2, to the tolerance
+    fall = 0.5 * 0.3 * 9.81 * 0.01
+    assert run.q[-1] == pytest.approx([0.1 - fall, 0.0, 0.0, 0.0, 0.2 - fall, 0.0], abs=1e-8)

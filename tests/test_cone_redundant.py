@@ -38,7 +38,7 @@ SEEDS = pytest.mark.parametrize("seed", range(3))
 )  # fmt: skip
 def test_stiffness_of_a_turning_slip(length, speed, sine, expected):
     """Friction over the speed: a small change of slip across turns it by so much."""
-    assert spring(0, [length], [speed], [sine]) == pytest.approx(expected, rel=1e-15)
+    assert spring(0, np.array([length]), np.array([speed]), np.array([sine])) == pytest.approx(expected, rel=1e-15)
 
 
 @pytest.mark.parametrize("n", range(10))

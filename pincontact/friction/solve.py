@@ -41,10 +41,8 @@ from .attempt import (
 )
 from .cone import (
     BY_PATH,
-    CHOICES,
     DECIDED,
     DECIDERS,
-    FOLLOWS,
     HUGE,
     KNOWN,
     OPEN,
@@ -262,16 +260,6 @@ class ContactSolver:
     def kept(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Modes, forces and velocities of the last problem, copies, as `warm_start` takes them."""
         return self.modes.copy(), self.forces.copy(), self.velocities.copy()
-
-    @property
-    def choices(self) -> int:
-        """In how many directions the forces of the last solution may change."""
-        return int(self._space.counts[CHOICES])
-
-    @property
-    def follows(self) -> bool:
-        """Whether the forces of the last solution depend on those that it was begun from."""
-        return bool(self._space.counts[FOLLOWS])
 
     def start(self, contacts: int) -> np.ndarray:
         """(3n,) a copy of the last forces of problems of this size, zero where there are none."""

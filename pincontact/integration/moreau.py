@@ -514,8 +514,9 @@ class MoreauStep:
     def _stay(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Let all units stay at rest, where all were and the searches have found nothing."""
         ints = self.memory["unit_int"][:n]
-        before = self.start_mode[ints[:, UNIT_INDEX] % max(len(self.start_mode), 1)]
-        if not ((ints[:, UNIT_KIND] == ON_CONTACT) & np.isin(before, (STICK, FRICTIONLESS))).all():
+        if (ints[:, UNIT_KIND] != ON_CONTACT).any():
+            return False
+        if not np.isin(self.start_mode[ints[:, UNIT_INDEX]], (STICK, FRICTIONLESS)).all():
             return False
         modes, nothing = np.where(mu > 0.0, STICKS, SLIPS), np.zeros(3 * n)
         return self._holds(n, delassus, b, mu, modes, (modes, nothing, nothing), mu > 0.0)
@@ -545,8 +546,6 @@ class MoreauStep:
         """Replace redundant forces that depend on the last ones by those that the rule has."""
         solver = self.solver
         table = solver.table(n)
-        if not (solver.choices and solver.follows) or (self.memory["unit_int"][:n, UNIT_KIND] == ON_TURN).any():
-            return
         before = solver.kept()
         found = chosen_forces(self._units(n, delassus, b, mu, *before))
         if found is None:

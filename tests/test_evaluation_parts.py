@@ -414,6 +414,7 @@ def test_which_reference_forces_are_taken():
     for has, moves, expected in ((0.0, 0.0, 5.0), (1.0, 0.0, 5.0), (1.0, 1.0, 3.0 + 0.25 * 4.0)):
         system.scalars[[HAS_REFERENCE, REFERENCE_MOVES, REFERENCE_TIME]] = has, moves, -0.25
         system.reference[:], system.reference_start[:], system.reference_rate[:] = 5.0, 3.0, 4.0
+        system.reference_slope[:] = 0.0
         assert system.evaluate(0.0) == OK
         # independent forces do not depend on it
         assert system.force[0, 2] == pytest.approx(9.81 * system.basis[0, 2, 2] * -1.0, rel=1e-12)

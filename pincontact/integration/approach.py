@@ -8,7 +8,7 @@ from ..geometry.carriers import ACCELERATION, OMEGA, ORIGIN, VELOCITY
 from ..geometry.small import dot, norm, rotate
 from ..jit import kernel
 from ..layout import (
-    APPROACH,
+    APPROACH_SPEED,
     BASIS,
     BENDING,
     CONTACT_INT,
@@ -63,8 +63,8 @@ def _velocity_at(frame, lever, i):
 
 @kernel
 def bound_speed(numbers, one, two, from_origin, normal, vectors):
-    """Bounds of how contour 1 moves in the frame of body 2, from both bodies' frames: APPROACH, the speed of its points
-    in m/s, TURNING, in rad/s, and BENDING, in m/s^2, how fast turning alone changes APPROACH.
+    """Bounds of how contour 1 moves in the frame of body 2, from both bodies' frames (world axes): APPROACH_SPEED of its
+    points in m/s, TURNING in rad/s, and BENDING in m/s^2, how fast turning alone changes the speed.
 
     Contour 1 lies within EXTENT of a point of its frame, or, where EXTENT is negative, is its point from_origin (3,); a
     ball that turns about its centre stays where it is. Where contour 2 is FLAT only speed along the normal counts.
@@ -86,7 +86,7 @@ def bound_speed(numbers, one, two, from_origin, normal, vectors):
         speed = abs(dot(normal, change))
     speed += turning * (numbers[EXTENT] if numbers[EXTENT] >= 0.0 else norm(from_origin))
     numbers[TURNING], numbers[BENDING] = turning, bending
-    numbers[APPROACH] = speed if speed < _BEYOND else _BEYOND
+    numbers[APPROACH_SPEED] = speed if speed < _BEYOND else _BEYOND
 
 
 @kernel
@@ -121,6 +121,6 @@ def stay_apart(table, h):
         if numbers[DOMAIN] < 0.0 and gaps[c, 0] >= NOTHING_THERE:
             return False
         acceleration = SAFETY * max(pull, numbers[SPEEDING]) + numbers[BENDING]
-        if h > _time_to_cover(abs(gaps[c, 0]), numbers[APPROACH], acceleration):
+        if h > _time_to_cover(abs(gaps[c, 0]), numbers[APPROACH_SPEED], acceleration):
             return False
     return True

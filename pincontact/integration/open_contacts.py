@@ -16,7 +16,7 @@ from ..geometry.carriers import ORIGIN
 from ..geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
 from ..geometry.nearest import NearestSearch, Whole, is_searched
 from ..layout import (
-    APPROACH,
+    APPROACH_SPEED,
     BENDING,
     BRANCH,
     CHART,
@@ -101,7 +101,7 @@ class _Open:
     def speed(self, system: System) -> tuple[float, float]:
         """Bounds of the speed in m/s at which points of body 1 move in the frame of body 2, and of its turning, in
         rad/s, from `bound_speeds`."""
-        speed, turning = system.contact_real[self.c, APPROACH : TURNING + 1].tolist()
+        speed, turning = system.contact_real[self.c, APPROACH_SPEED : TURNING + 1].tolist()
         for side in self.changing:
             speed += float(np.linalg.norm(system.derivatives[side, 6]))
         return speed, turning

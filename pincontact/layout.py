@@ -253,9 +253,10 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 
 # contact_real; MU is the coefficient as slip starts, MU_FAST that of fast slip, MU_NOW that of the last evaluation;
 # coefficients of two directions are along the first, times ASPECT across it.
-# HULL_X to HULL_Z and EXTENT: centre (frame of contour 1) and radius in m of a ball in which contour 1 lies. While open:
-# bounds of APPROACH_SPEED in m/s, TURNING in rad/s and BENDING in m/s^2, see `integration.approach`; SPEEDING in m/s^2:
-# how much that speed changed in the last step that might have touched; FLAT: whether contour 2 is a plane at rest.
+# HULL_X to HULL_Z and EXTENT: centre (frame of contour 1) and radius in m of a ball in which contour 1 lies. While
+# open: bounds of APPROACH_SPEED in m/s, TURNING in rad/s and BENDING in m/s^2, see `integration.approach`; SPEEDING in
+# m/s^2: how much that speed changed in the last step that might have touched; FLAT: whether contour 2 is a plane that
+# no motion drives.
 # LIMIT_SLACK is the part of the static limit by which friction may exceed it before stick ends.
 # DOMAIN is the distance of the location from the nearest end of its domain, negative outside;
 # LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart, NEXT_NORMAL that of the

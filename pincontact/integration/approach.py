@@ -63,8 +63,8 @@ def _velocity_at(frame, lever, i):
 
 @kernel
 def bound_speed(numbers, one, two, from_origin, normal, vectors):
-    """Bounds of how contour 1 moves in the frame of body 2, from both bodies' frames (world axes): APPROACH_SPEED of its
-    points in m/s, TURNING in rad/s, and BENDING in m/s^2, how fast turning alone changes the speed.
+    """Bounds of how contour 1 moves in the frame of body 2, from both bodies' frames (world axes): APPROACH_SPEED of
+    its points in m/s, TURNING in rad/s, and BENDING in m/s^2, how fast turning alone changes the speed.
 
     Contour 1 lies within EXTENT of a point of its frame, or, where EXTENT is negative, is its point from_origin (3,); a
     ball that turns about its centre stays where it is. Where contour 2 is FLAT only speed along the normal counts.

@@ -106,7 +106,7 @@ class Answering:
     def __init__(self, answer):
         self.answer, self.asked = answer, []
 
-    def solve(self, gram, b, mu):
+    def solve(self, gram, b, mu, afresh):
         self.asked.append(b.copy())
         self.forces = self.answer(b, len(self.asked))
         return self.forces is not None
@@ -337,7 +337,7 @@ class Refusing:
     def __init__(self, last):
         self.last, self.asked = last, []
 
-    def solve(self, gram, b, mu):
+    def solve(self, gram, b, mu, afresh):
         self.asked.append(mu.tolist())
         return len(self.asked) == self.last
 

@@ -199,9 +199,11 @@ class _Problem:
 
     def _solve_cones(self, solver: ContactSolver, b: np.ndarray) -> bool:
         ideal = np.isinf(self.mu)
-        return solver.solve(self.gram, b, self.mu) or (
+        return solver.solve(self.gram, b, self.mu, afresh=True) or (
             bool(ideal.any())
-            and any(solver.solve(self.gram, b, np.where(ideal, large, self.mu)) for large in _LARGE_FRICTION)
+            and any(
+                solver.solve(self.gram, b, np.where(ideal, large, self.mu), afresh=True) for large in _LARGE_FRICTION
+            )
         )
 
     def work(self, y: np.ndarray) -> tuple[float, float, float]:

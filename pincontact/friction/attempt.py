@@ -28,6 +28,7 @@ from .cone import (
     REACHED,
     SCALARS,
     SCALED,
+    SLIP,
     STICK,
     SYSTEM,
     TIMES,
@@ -44,8 +45,9 @@ from .newton import settle
 from .redundant import FACTOR, factor_matrix
 
 WARM, CLASSIFY, NEAR, CLASSIFY_NEAR, USUAL = 0, 1, 2, 3, 4
-# Added to USUAL: redundant forces may be the nearest to the last; sweeps follow where the last modes do not do.
-NEAREST, SWEEPING = 1, 2
+# Added to USUAL: redundant forces may be the nearest to the last; sweeps follow where the last modes do not do; it is
+# begun at rest without forces, not from the last solution.
+NEAREST, SWEEPING, AFRESH = 1, 2, 8
 
 # Newton passes for one contact, all of whose states are tried, and from the last modes of several: most starts need
 # fewer than five, mode corrections included, and what needs more is found sooner by sweeps.
@@ -131,14 +133,21 @@ def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
 
 
 @kernel
-def usual_attempts(delassus, b, mu, table, nearest, sweeping, tolerance):
-    """From the last solution, if there is one, then by sweeps; see USUAL of `solve_cones`."""
+def usual_attempts(delassus, b, mu, table, nearest, sweeping, afresh, tolerance):
+    """From the last solution, if there is one, or afresh, then by sweeps; see USUAL of `solve_cones`."""
     n = mu.shape[0]
     modes = integers(table[MODES], n)
     forces = reals(table[FORCES], 3 * n)
     counts = integers(table[COUNTS], COUNTS_LENGTH)
     reached = reals(table[REACHED], 1)
     residual = HUGE
+    if afresh:
+        velocities = reals(table[VELOCITIES], 3 * n)
+        for i in range(n):
+            modes[i] = STICK if mu[i] > 0.0 else SLIP
+            for k in range(3 * i, 3 * i + 3):
+                forces[k] = velocities[k] = 0.0
+        counts[KNOWN] = 1
     known = counts[KNOWN] != 0
     if not known and (n == 1 or sweeping):
         for k in range(3 * n):
@@ -178,12 +187,14 @@ def solve_cones(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds)
                  judge's projections; on failure more sweeps, SWEEP_GROWTH times as many in each of `rounds`
       CLASSIFY_NEAR  the same, and redundant forces may be the nearest to the ones swept
       USUAL      from the last solution, if KNOWN of the table's "counts" is not zero, or if there is one contact, which
-                 needs none; with NEAREST added as NEAR; with SWEEPING added, where that fails, by sweeps. passes,
+                 needs none; with NEAREST added as NEAR; with SWEEPING added, where that fails, by sweeps; with AFRESH
+                 added from all at rest, so that the solution is the same whatever the last one was. passes,
                  sweeps and rounds are of no account. What decided, and how often, is counted in "counts"; where
                  nothing did, HUGE is returned, and the residual is in "reached".
-    On success (residual <= tolerance) modes, forces and velocities are written, otherwise none of them is.
+    On success (residual <= tolerance) modes, forces and velocities are written, otherwise (but for AFRESH) none is.
     """
     if task >= USUAL:
-        return usual_attempts(delassus, b, mu, table, (task & NEAREST) != 0, (task & SWEEPING) != 0, tolerance)
+        nearest, sweeping, afresh = (task & NEAREST) != 0, (task & SWEEPING) != 0, (task & AFRESH) != 0
+        return usual_attempts(delassus, b, mu, table, nearest, sweeping, afresh, tolerance)
     residual, _ = attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds)
     return residual

@@ -24,6 +24,7 @@ import numpy.typing as npt
 from ..arguments import NOT_REAL, check_flag, check_tolerance, real_array
 from ..errors import ArgumentError, InfeasibleError, SolverError
 from .attempt import (
+    AFRESH,
     CLASSIFY,
     CLASSIFY_NEAR,
     NEAR,
@@ -284,26 +285,33 @@ class ContactSolver:
             space.counts[:] = 0
             space.counts[DECIDED] = UNDECIDED
 
-    def solve(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """Solve one problem: delassus (3n, 3n) symmetric, b (3n,), mu (n,), C-contiguous float64. True if solved."""
+    def solve(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool = False) -> bool:
+        """Solve one problem: delassus (3n, 3n) symmetric, b (3n,), mu (n,), C-contiguous float64. True if solved.
+
+        afresh: the solution, of several, depends neither on the last one nor on the order of contacts: all stick, if
+        they can, else it is what Newton's method finds from there, or the path.
+        """
         space = self._space
         if space.contacts != mu.shape[0]:
             space = self._workspace(mu.shape[0])
-        self.residual = residual = solve_cones(delassus, b, mu, space.table, self.task, 0, self.tolerance, 0, 0)
-        return residual <= self.tolerance or self.search(delassus, b, mu)
+        task = USUAL + AFRESH if afresh else self.task
+        self.residual = residual = solve_cones(delassus, b, mu, space.table, task, 0, self.tolerance, 0, 0)
+        return residual <= self.tolerance or self.search(delassus, b, mu, afresh)
 
-    def search(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+    def search(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool = False) -> bool:
         """What `solve` does where the last modes and, if these come first, sweeps were of no use."""
         space = self._space
         if space.contacts != mu.shape[0]:
             space = self._workspace(mu.shape[0])
         self._qp_before = self.qp_count
-        self.residual = swept = float(space.reached[0]) if self.task & SWEEPING else np.inf
+        have_swept = bool(self.task & SWEEPING) and not afresh
+        self.residual = swept = float(space.reached[0]) if have_swept else np.inf
         self.certificate = None
         self.jammed = False
-        for stage in self.stages:
+        # sweeps take contacts in their order
+        for stage in sorted(self.stages, key="sweeps".__eq__) if afresh else self.stages:
             if stage == "sweeps":
-                if self.task & SWEEPING:
+                if have_swept:
                     continue
                 solved = self._sweep(space, delassus, b, mu, STRICTNESS * self.tolerance)
                 swept = self.residual

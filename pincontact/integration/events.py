@@ -11,7 +11,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy
 
 from ..arguments import is_number
 from ..errors import ArgumentError, UnusableResult
@@ -20,7 +19,7 @@ from .dense import Interpolant
 from .open_contacts import OpenContacts
 from .results import GAP_TOLERANCE
 from .runge_kutta import RungeKutta
-from .sign_changes import Samples, resolve, vertex, with_dips
+from .sign_changes import Samples, resolve, vertex, with_dips, zero_between
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
@@ -43,7 +42,8 @@ _NEXT_TO_NOTHING = 1e-6
 _SPEED_ROUND_OFF = 1e-15
 # A user's function that gets so near to zero, against its largest value in a step, is looked at more closely.
 _NEAR = 0.05
-_XTOL, _RTOL = 1e-15, 8.9e-16
+# Zeros of margins and of users' functions, as a part of the step.
+_ACCURACY = 1e-15
 
 
 @dataclass
@@ -180,8 +180,8 @@ class EventLocator:
             for (low, before), (high, after) in pairwise(samples):
                 if event.crosses(before, after):
                     at_end = after == 0.0 or math.isinf(before) or math.isinf(after)
-                    root = high if at_end else scipy.optimize.brentq(value, low, high, xtol=_XTOL, rtol=_RTOL)
-                    found.append(Crossing(float(root), None, i))
+                    root = high if at_end else zero_between(value, low, high, _ACCURACY)
+                    found.append(Crossing(root, None, i))
         return sorted(found, key=lambda crossing: crossing.theta)
 
     def _user(
@@ -362,7 +362,7 @@ class EventLocator:
                     break
             else:
                 return low
-        return float(scipy.optimize.brentq(value, low, high, xtol=_XTOL, rtol=_RTOL))
+        return zero_between(value, low, high, _ACCURACY)
 
     def refine(self, t: float, step: float, crossing: Crossing) -> tuple[float, bool]:
         """Attempt steps to the crossing, with secants on the true margin there; returns the last one's size, and

@@ -305,11 +305,15 @@ def _add_unit(step, kind, index, mask, mu, instant):
 
 @kernel
 def _set_impact(numbers, start, rate, restitution, h):
-    """Newton's law for a unit that closes: its rebound, less what the smooth forces take back by the step's end."""
+    """Newton's law for a unit that closes: its rebound, less what the smooth forces take back by the step's end.
+
+    They add nothing to it: what they would lift is closed to the step's end, and free to leave in the next one. The
+    rate holds the forces of the last step, which may have been the unit's own.
+    """
     approach = start + numbers[IMPULSE_TIME] * rate
     numbers[APPROACH], numbers[FREE_RATE] = approach, rate
     if approach < 0.0:
-        numbers[SHIFT] = max(-restitution * approach + (h - numbers[IMPULSE_TIME]) * rate, 0.0)
+        numbers[SHIFT] = max(-restitution * approach + (h - numbers[IMPULSE_TIME]) * min(rate, 0.0), 0.0)
 
 
 @kernel

@@ -14,6 +14,7 @@ from ..dynamics.energy import REST_SPEED
 from ..dynamics.equations import inner
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
 from ..friction import cone
+from ..friction.attempt import AFRESH, USUAL
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
 from ..layout import (
@@ -276,13 +277,15 @@ def _solve(step, n):
     if address == 0:
         return False
     known = integers(address, len(cone.SLOTS))
+    # of several solutions of an impact the one that the past has no part in
+    task = USUAL + AFRESH if counts[TOUCHED] != 0 else counts[CONE_TASK]
     residual = _call_cones(
         integers(step[CALLS], NCALLS)[SOLVE_CONES],
         matrix(step[DELASSUS], 3 * n, 3 * n),
         reals(step[LOADS], 3 * n),
         reals(step[FRICTION], n),
         known,
-        counts[CONE_TASK],
+        task,
         0,
         tolerance,
         0,
@@ -298,16 +301,16 @@ def _solve(step, n):
 
 
 @kernel
-def _lets_slip(table, step, n):
-    """Whether the solution of the n units lets a contact slip that was at rest, or comes to rest in the step as its
-    slip turns back; marks them."""
+def _lets_go(table, step, n):
+    """Whether the solution of the n units lets a contact slip or open that was at rest, or slip that comes to rest in
+    the step as its slip turns back; marks them."""
     sizes, counts = integers(table[SIZES], 8), integers(step[COUNTS], NCOUNTS)
     nc, h = sizes[NC], reals(step[NUMBERS], NNUMBERS)[H]
     start_mode, sticking = integers(step[START_MODE], nc), reals(step[STICKING], nc)
     contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
     unit_int, friction = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS), reals(step[FRICTION], n)
     modes, velocities = integers(step[CONE_MODES], n), reals(step[CONE_VELOCITIES], 3 * n)
-    slips = False
+    goes = False
     for u in range(n):
         ints, c = unit_int[u], unit_int[u, UNIT_INDEX]
         ints[HELD] = 0
@@ -317,8 +320,9 @@ def _lets_slip(table, step, n):
         rests = start_mode[c] == STICK or may_rest(step, u)
         ints[HELD] = 1 if rests else 0
         slides = math.hypot(velocities[3 * u], velocities[3 * u + 1]) * h > OPENING * contact_real[c, LENGTH]
-        slips = slips or (rests and slides and modes[u] == cone.SLIP)
-    return slips
+        opens = velocities[3 * u + 2] * h > OPENING * contact_real[c, LENGTH]
+        goes = goes or (rests and ((slides and modes[u] == cone.SLIP) or (opens and modes[u] == cone.OPEN)))
+    return goes
 
 
 @kernel
@@ -365,7 +369,7 @@ def _impulses(table, step, found):
             counts[HOLDING], counts[CHOOSING] = UNASKED, 0
             if n > 0 and (counts[COUPLED] != APART or not _solve(step, n)):
                 return CONE_LEFT
-        if counts[HOLDING] == UNASKED and counts[COUPLED] == APART and _lets_slip(table, step, n):
+        if counts[HOLDING] == UNASKED and counts[COUPLED] == APART and _lets_go(table, step, n):
             counts[HOLDING] = WANTED
             return CONE_LEFT
         if counts[CHOOSING] == 0 and n > 0 and _leaves_choice(step, n):

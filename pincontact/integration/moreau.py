@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-import scipy
 
 from ..callback import kernel_address
 from ..dynamics.system import System
@@ -100,6 +99,7 @@ from .impulse_layout import (
     STEPS,
     THOROUGH,
     TOGETHER,
+    TOUCHED,
     TURNS,
     UNIT_INDEX,
     UNIT_KIND,
@@ -145,7 +145,7 @@ from .results import (
     Stop,
 )
 from .results import STEP_LIMIT as AT_STEP_LIMIT
-from .sign_changes import resolve, with_dips
+from .sign_changes import resolve, with_dips, zero_between
 from .stages import load_state, move_charts
 from .steps import run_task
 
@@ -457,13 +457,13 @@ class MoreauStep:
             self._choose(n, *problem)
             return True
         self._left += 1
-        solved = False
+        solved, touched = False, bool(counts[TOUCHED])
         if counts[COUPLED] == APART:
             if self.memory["cone_tables"][n]:
                 # the usual path has been tried
-                solved = solver.search(*problem)
+                solved = solver.search(*problem, afresh=touched)
             else:
-                solved = solver.solve(*problem)
+                solved = solver.solve(*problem, afresh=touched)
                 self._share_tables()
             solved = solved or self._stay(n, *problem)
             if not solved and np.isin(self.memory["unit_int"][:n, UNIT_KIND], (ON_LOADED, ON_TURN)).any():
@@ -499,7 +499,7 @@ class MoreauStep:
         return Units(delassus, b, mu, directions, real, parents, loads, modes, *pairs)
 
     def _hold(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> None:
-        """Replace a solution that lets slip what was at rest by one that does not, if there is one."""
+        """Replace a solution that lets go what was at rest by one that does not, if there is one."""
         solver = self.solver
         solver.table(n)
         held = self.memory["unit_int"][:n, HELD] != 0
@@ -1046,4 +1046,4 @@ class MoreauDriver:
     def _root(value: Callable[[float], float], low: float, high: float) -> float:
         if value(high) == 0.0 or math.isinf(value(low)) or math.isinf(value(high)):
             return high
-        return float(scipy.optimize.brentq(value, low, high, xtol=_EVENT_ACCURACY))
+        return zero_between(value, low, high, _EVENT_ACCURACY)

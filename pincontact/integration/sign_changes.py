@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy import optimize
 
 # Places in an interval at which a function is sampled, irregular, lest they all be zeros of a sine.
 _PLACES = (0.0, 0.1137, 0.2419, 0.3871, 0.5647, 0.7219, 0.8629, 1.0)
@@ -14,12 +15,29 @@ _DEGREE = 3
 _RESOLVED, _FAR = 1e-2, 0.125
 # Halvings of the interval: a jump is looked at no closer.
 _HALVINGS = 6
+# What stands for infinite values.
+_HUGE = 1e100
 # Looks at the lowest point between two samples.
 _LOOKS = 3
 
 _ROUGHNESS = np.linalg.qr(np.vander(_PLACES, _DEGREE + 1), mode="complete")[0][:, _DEGREE + 1 :].T
 
 Samples = list[tuple[float, float]]
+
+_ROUND_OFF = 8.9e-16
+
+
+def zero_between(value: Callable[[float], float], low: float, high: float, accuracy: float) -> float:
+    """Where a function that has opposite signs at low and high is zero, or jumps across zero.
+
+    By Brent's method; by bisection where jumps are more than it takes. Infinite values tell no more than their sign.
+    """
+
+    def bounded(place: float) -> float:
+        return max(-_HUGE, min(value(place), _HUGE))
+
+    root, report = optimize.brentq(bounded, low, high, xtol=accuracy, rtol=_ROUND_OFF, full_output=True, disp=False)
+    return float(root if report.converged else optimize.bisect(bounded, low, high, xtol=accuracy, rtol=_ROUND_OFF))
 
 
 def resolve(value: Callable[[float], float], at_start: float, at_end: float) -> Samples:

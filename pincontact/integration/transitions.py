@@ -1074,6 +1074,9 @@ class Transitions:
                 depth = max(-float(system.gaps[i, 0]) - self._reach(i), 0.0)
                 if self._leaves(i, leaving, depth + self._reach(i)):
                     integers[i, MODE] = FREE
+                    if i not in touching and i not in near:
+                        # thrown off by what others have struck
+                        self.announce(t, i, "separate")
                     if depth > 0.0:
                         # rebounds from where it is
                         self.dips.start_at(i, depth)

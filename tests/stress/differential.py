@@ -20,6 +20,7 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -235,6 +236,12 @@ def slides_instead(motion: Motion, stepped: pc.Trajectory, exact: pc.Trajectory)
     return any(slides(stepped, name) and not slides(exact, name) for name in ideal)
 
 
+def strikes_within(step: float, exact: pc.Trajectory, until: float) -> bool:
+    """Whether two impacts of different contacts or stops are less than a step apart: steps take them as one."""
+    struck = [(e.time, e.contact) for e in exact.events if e.kind in ("touch", "limit") and e.time <= until]
+    return any(t1 - t0 < step and one != two for (t0, one), (t1, two) in pairwise(struck))
+
+
 def judge_steps(runs: Runs, exact: pc.Trajectory, finding: Finding) -> None:
     """Compare time stepping with the exact run: steps are halved until it is near, or nearer by half and more."""
     first, second = runs.stepped(STEP), runs.stepped(0.5 * STEP)
@@ -271,6 +278,8 @@ def judge_steps(runs: Runs, exact: pc.Trajectory, finding: Finding) -> None:
         finding.undecided.append(f"steps: {said} apart, ideal rolling is let go with a force")
     elif first.stats["open_loads"] or second.stats["open_loads"]:
         finding.undecided.append(f"steps: {said} apart, and say that redundant loads are open")
+    elif strikes_within(step, exact, runs.times[i]):
+        finding.undecided.append(f"steps: {said} apart, two impacts within a step")
     else:
         finding.wrong.append(f"steps: {said} apart with halved steps, {found[-1][i]:.1e} at {runs.times[i]:.3f} s")
 

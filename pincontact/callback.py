@@ -16,7 +16,7 @@ import numba
 from numba import types
 from numba.extending import intrinsic
 
-from .jit import ENTRIES, INTEGER, REAL
+from .jit import ENTRIES, INTEGER
 
 # `call_python(function, arguments, failure)`: addresses of a callable, of its tuple of arguments and of the result that
 # means failure (False); returns whether it succeeded. An exception stays set, and is raised where the kernel returns.
@@ -82,16 +82,14 @@ else:
 
 # any function of five integers or addresses, or of the first few of them
 call_by_address = kernel_caller(INTEGER, *(INTEGER,) * 5)
-# an entry kernel of (table address, time, choice), such as one that evaluates
-call_kernel = kernel_caller(INTEGER, INTEGER, REAL, INTEGER)
 
 
 @cache
 def kernel_address(entry: Any) -> int:
-    """Where `call_kernel` finds an entry kernel."""
+    """Where `kernel_caller` finds an entry kernel."""
     if numba.config.DISABLE_JIT:
         return id(entry)
-    (signature,) = (arguments for compiled, arguments, *_ in ENTRIES if compiled is entry)
-    entry.compile(signature)
-    result = entry.overloads[signature]
+    (known,) = (known for known in ENTRIES if known.compiled.py_func is entry.__wrapped__)
+    known.compile()
+    result = known.compiled.overloads[known.arguments]
     return int(result.library.get_pointer_to_function(result.fndesc.llvm_cfunc_wrapper_name))

@@ -1,8 +1,8 @@
 """Compilation of the numerical kernels: once, cached on disk, announced.
 
-Two decorators. `kernel` marks a part that other kernels call; `entry_kernel` marks what Python calls. Every
-entry kernel takes one table of addresses and sizes (see `memory.py`), so that one compiled signature serves
-every scene and a call costs a fraction of a microsecond.
+Two decorators. `kernel` marks a part that other kernels call; `entry_kernel` marks what Python calls. An entry kernel
+takes the address of a workspace (see `workspace.py`), so that one compiled signature serves every scene and a call
+costs a fraction of a microsecond.
 
 Numba invalidates a cached function when its own file changes, not when a callee in another file does. Each
 entry kernel's cache directory is therefore keyed by a hash of its module's source and of all that it imports.
@@ -10,7 +10,6 @@ entry kernel's cache directory is therefore keyed by a hash of its module's sour
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import gc
 import hashlib
@@ -24,9 +23,7 @@ from typing import Any, NamedTuple
 
 import numba
 from numba import njit, types
-from numba.core.caching import FunctionCache
-
-from .jit_parts import EntryCompiler, PartCompiler
+from numba.extending import register_jitable
 
 _PACKAGE = Path(__file__).parent
 # Kernels allocate nothing and return no arrays: reference counting, dearer than the numerics, is left out. They keep
@@ -37,10 +34,8 @@ CHECKED = os.environ.get("PINCONTACT_CHECKED", "") not in ("", "0")
 if CHECKED:
     _OPTIONS["boundscheck"] = True
 
-_NO_WRAPPERS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-_OWN_PARTS = PartCompiler is not None and not CHECKED
-_PART_OPTIONS: dict[str, Any] = {**_NO_WRAPPERS, **({"pipeline_class": PartCompiler} if _OWN_PARTS else {})}
-_ENTRY_OPTIONS: dict[str, Any] = {"pipeline_class": EntryCompiler} if _OWN_PARTS else {}
+# Parts are called from kernels alone.
+_PART_OPTIONS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
 _IMPORT = re.compile(r"^ *from (\.+)([\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
@@ -91,24 +86,10 @@ def cache_root() -> Path:
     return base / "pincontact"
 
 
-class _Cache(FunctionCache):
-    """Machine code on disk, which is loaded without making the compiler ready for work: that takes 0.4 s."""
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        try:
-            with self._guard_against_spurious_io_errors():
-                return self._load_overload(sig, target_context)
-        except Exception as error:
-            # files that a crash or a full disk has left: compiled again, and written to an index that can be read
-            print(f"pincontact: a kernel on disk cannot be read ({error}); compiling it again ...", file=sys.stderr)
-            with contextlib.suppress(OSError):
-                self.flush()
-            return None
-
-
 _CACHE = cache_root()
-# When an entry kernel is compiled: before the first run, before the first of several contacts, when it is first called.
-ALWAYS, SEVERAL, CALLED = range(3)
+# When an entry kernel is compiled: before the first run, before the first with Coulomb friction, before the first with
+# several contacts, when it is first called.
+ALWAYS, FRICTION, SEVERAL, CALLED = range(4)
 
 
 class Entry(NamedTuple):
@@ -147,24 +128,15 @@ class Entry(NamedTuple):
 
 ENTRIES: list[Entry] = []
 
-# how many of them were registered when all were known to be compiled, for each choice of `several`
-_complete = {False: 0, True: 0}
+# how many of them were registered when all were known to be compiled, for each choice of what is needed
+_complete: dict[tuple[int, ...], int] = {}
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A numerical routine called by other kernels; compiled into its callers, and not callable from Python."""
+    """A numerical routine called by other kernels, compiled with its callers; called from Python it runs as Python."""
     if numba.config.DISABLE_JIT:
         return function
-    part = njit(**_OPTIONS, **_PART_OPTIONS)(function)
-    call_template = part.get_call_template
-
-    def one_version(arguments: Any, keywords: dict[str, Any]) -> Any:
-        """Not a version for each constant argument: inlining sees the constants anyway."""
-        plain = {name: types.unliteral(argument) for name, argument in keywords.items()}
-        return call_template([types.unliteral(argument) for argument in arguments], plain)
-
-    part.get_call_template = one_version
-    return part
+    return register_jitable(**_OPTIONS, **_PART_OPTIONS)(function)
 
 
 def entry_kernel(
@@ -173,7 +145,7 @@ def entry_kernel(
     """A routine called from Python with arguments of these numba types; compiled once and cached on disk.
 
     aside: compiled in a second process, while the first compiles those that share their parts with each other. when:
-    ALWAYS before the first run; SEVERAL before the first with several contacts; CALLED when it is called.
+    see ALWAYS.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -181,9 +153,7 @@ def entry_kernel(
         directory = _CACHE / source_hash(Path(function.__code__.co_filename))
         numba.config.CACHE_DIR = str(directory)
         try:
-            compiled = njit(cache=True, **_OPTIONS, **_ENTRY_OPTIONS)(function)
-            if not numba.config.DISABLE_JIT:
-                compiled._cache = _Cache(function)
+            compiled = njit(cache=True, **_OPTIONS)(function)
         finally:
             numba.config.CACHE_DIR = previous
         entry = Entry(compiled, arguments, aside, directory, when)
@@ -213,27 +183,26 @@ def _announced(entry: Entry) -> Callable[..., Any]:
 
 # A file in a cache directory whose kernels are all compiled.
 _MARKER = "compiled"
-TABLE = types.int64[::1]
 INTEGER = types.int64
 REAL = types.float64
 
 
-def compile_kernels(several: bool = False) -> None:
+def compile_kernels(friction: bool = False, several: bool = False) -> None:
     """Compile entry kernels that have no machine code on disk yet, with one line to the user.
 
     Done before the first scene runs; later processes load from disk what they use, when they use it. Kernels
     marked `aside` are compiled in a second process meanwhile.
-    several: those for several contacts, too.
+    friction, several: those for Coulomb friction, and for several contacts, too.
     """
-    if numba.config.DISABLE_JIT or _complete[several] == len(ENTRIES):
+    needed = (ALWAYS, *((FRICTION,) if friction else ()), *((SEVERAL,) if several else ()))
+    if numba.config.DISABLE_JIT or _complete.get(needed) == len(ENTRIES):
         return
-    wanted = [entry for entry in ENTRIES if entry.when == ALWAYS or (several and entry.when == SEVERAL)]
-    missing = [entry for entry in wanted if entry.missing]
+    missing = [entry for entry in ENTRIES if entry.when in needed and entry.missing]
     if missing:
-        print("pincontact: compiling kernels, once for this version (under half a minute) ...", file=sys.stderr)
+        print("pincontact: compiling kernels, once for this version (half a minute or so) ...", file=sys.stderr)
         beside = [entry for entry in missing if entry.aside]
         own = [entry for entry in missing if not entry.aside]
-        worker = _start_worker() if beside and own else None
+        worker = _start_worker(needed) if beside and own else None
         for entry in own:
             entry.compile()
         if worker is not None:
@@ -243,20 +212,20 @@ def compile_kernels(several: bool = False) -> None:
             entry.compile()
         for entry in missing:
             entry.mark()
-    _complete[several] = len(ENTRIES)
+    _complete[needed] = len(ENTRIES)
 
 
-def compile_aside() -> None:
+def compile_aside(*needed: int) -> None:
     """The worker's share: kernels marked `aside` that are not on disk."""
     for entry in ENTRIES:
-        if entry.aside and entry.when == ALWAYS and entry.missing:
+        if entry.aside and entry.when in needed and entry.missing:
             entry.compile()
 
 
-def _start_worker() -> subprocess.Popen[bytes] | None:
+def _start_worker(needed: tuple[int, ...]) -> subprocess.Popen[bytes] | None:
     environment = dict(os.environ, PYTHONPATH=os.pathsep.join(os.path.abspath(path) for path in sys.path if path))
     modules = ", ".join(sorted({entry.compiled.py_func.__module__ for entry in ENTRIES}))
-    command = f"import {modules}; from pincontact.jit import compile_aside; compile_aside()"
+    command = f"import {modules}; from pincontact.jit import compile_aside; compile_aside(*{needed})"
     try:
         # from where this package lies: another checkout in the present folder would be imported first
         return subprocess.Popen(

@@ -1,229 +1,206 @@
-"""Names of the arrays that kernels share (slots of the address table) and of the columns within them."""
+"""Arrays that the kernels of a run share, and the columns within them."""
 
 from __future__ import annotations
 
-SLOTS = (
-    "sizes",  # (8,) int: see the SIZE columns
-    "scalars",  # (SCALARS_SIZE,): see the scalars below
-    "callback",  # (CALLBACK_SIZE,) int: what kernels call by address
-    # Pinocchio's data, read in place
-    "mass",  # (nv, nv) lower triangle (Pinocchio's upper one, transposed view)
-    "parents",  # (nv,) int: tree of the mass matrix, see `linear.factorize_tree`
-    "nle",  # (nv,) bias forces
-    "jacobian",  # (nv, 6) one row a velocity coordinate: linear at the world's origin, angular
-    "joint_addresses",  # (njoints, 4) int: rotation, translation, v, a_gf
-    "gravity",  # (3,)
-    "tau",  # (nv,) joint torques of the user
-    "damping",  # (nv,) viscous joint damping of the model
-    # joints: how q' follows from v
-    "joint_table",  # (nblocks, 4) int: kind, index in q, index in v, coordinates
-    # contacts
-    "contact_int",  # (nc, CONTACT_INTS) int
-    "contact_real",  # (nc, CONTACT_REALS)
-    "side_int",  # (2 nc, SIDE_INTS) int: side 2 c is body 1 of contact c, side 2 c + 1 is body 2
-    "side_shape",  # (2 nc, SHAPE_SIZE)
-    "side_domain",  # (2 nc, 4): low and high end of u1 and u2, infinite where there is none
-    "side_base",  # (2 nc, 12) placement in the joint: rotation (9), position (3)
-    "side_motion",  # (2 nc, 24) driven placement relative to the base, and its derivatives
-    "side_motion_parameters",  # (2 nc, MOTION_PARAMETERS)
-    "support",  # (2 nc, nv) int: velocity coordinates that move the side's joint
-    # results of one evaluation
-    "frames",  # (2 nc, 8, 3): rotation rows, origin, velocity, omega, acceleration, alpha (world)
-    "derivatives",  # (2 nc, 10, 3): the contour's derivatives, world axes, from the contour's origin
-    "basis",  # (nc, 3, 3): rows t1, second, n (world)
-    "slip",  # (nc, 3): v_c = v_2 - v_1, world
-    "gaps",  # (nc, 2): n . (r_2 - r_1); second normal's for a point on a spatial curve
-    "rates",  # (nc, 4): location rates u_1', u_2'
-    "bias",  # (nc, 3): row . gamma plus frame rates, along the basis
-    "rows",  # (nc, 3, nv): basis . (J_2 - J_1)
-    "force",  # (nc, 3): force on body 2 along the basis
-    "relative_acceleration",  # (nc, 3): along the basis, for events
-    "margins",  # (nc, MARGINS_PER_CONTACT): event functions, positive while the mode holds
-    "location",  # (nc, 4): u_1 (2), u_2 (2)
-    # linear algebra
-    "factor",  # (nv, nv) Cholesky factor of the mass matrix
-    "acceleration",  # (nv,)
-    "free_acceleration",  # (nv,)
-    "constraint_rows",  # (3 nc, nv)
-    "whitened_rows",  # (3 nc, nv): L^-T rows^T, transposed
-    "whitened_forces",  # (3 nc, nv): the same for the force directions
-    "delassus",  # (3 nc, 3 nc + 1)
-    "multipliers",  # (3 nc,)
-    "row_index",  # (3 nc, 2) int: contact and basis row of each constraint row
-    "permutation",  # (3 nc,) int
-    # Runge-Kutta
-    "state",  # (ny,) at the start of the step: q, v, location, quadratures
-    "stage_state",  # (ny,)
-    "new_state",  # (ny,)
-    "next_state",  # (ny,) start of the next step, and its slope, while outputs of this one are written
-    "next_slope",  # (ny,)
-    "slopes",  # (stages, ny)
-    "coefficients",  # (stages, stages)
-    "nodes",  # (stages,)
-    "weights_error",  # (2, stages)
-    "q",  # (nq,) handed to Pinocchio
-    "v",  # (nv,)
-    "scale",  # (2,) rtol, atol
-    "absolute",  # (ny,) absolute tolerance of each component; 0 leaves it out of the norm
-    # scratch
-    "system",  # (4, 8)
-    "vectors",  # (16, 3)
-    "local",  # (10, 3)
-    "work",  # (nv,)
-    "correction_q",  # (nv,)
-    "correction_v",  # (nv,)
-    "dense",  # (DENSE_ROWS, ny) coefficients of the interpolant
-    "dense_weights",  # (DENSE_ROWS, stages + 1)
-    "counters",  # (COUNTERS_SIZE,) int
-    # outputs
-    "output_times",  # (OUTPUT_COUNT,) s
-    "recorded_reals",  # (BLOCK, ROW_WIDTH) rows, see `recording`
-    "recorded_integers",  # (BLOCK, ...) int
-    # guarded joint coordinates, rows nc .. nc + ng of the contacts' arrays: see `dynamics.joints`
-    "guard_count",  # (1,) int: ng
-    "guard_int",  # (ng, GUARD_INTS) int
-    "guard_real",  # (ng, GUARD_REALS)
-    # resistances to spinning and rolling, rows nc + ng .. nc + ng + nr: see `dynamics.resistance`
-    "resistance_count",  # (1,) int: nr
-    # least and largest margins of a step's stages, and one choice among redundant forces
-    "lowest",  # (nc + ng + nr, MARGINS_PER_CONTACT)
-    "highest",  # (nc + ng + nr, MARGINS_PER_CONTACT)
-    "across",  # (2 (nc + ng + nr) + 1, POLYNOMIAL_SIZE): shares of a step, v_c across directions and along, see `steps`
-    "reference",  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
-    # where the reference follows loads and time: see `equations`
-    "reference_start",  # (nc + ng + nr, 3) at zero loads and REFERENCE_TIME
-    "reference_rate",  # (nc + ng + nr, 3)
-    "reference_slope",  # (2, 3 (nc + ng + nr), nv)
-    # margins along a step: at which shares of it, the evaluations' statuses, and the margins
-    "scan_shares",  # (SCAN_ROOM,)
-    "scan_status",  # (SCAN_ROOM,) int
-    "scan_margins",  # (SCAN_ROOM, nc + ng + nr, MARGINS_PER_CONTACT)
-)
+from .workspace import INTEGERS, REALS, Layout, record
 
-# one integer constant a slot, for the kernels
-(
-    SIZES,
-    SCALARS,
-    CALLBACK,
-    MASS,
-    PARENTS,
-    NLE,
-    JACOBIAN,
-    JOINT_ADDRESSES,
-    GRAVITY,
-    TAU,
-    DAMPING,
-    JOINT_TABLE,
-    CONTACT_INT,
-    CONTACT_REAL,
-    SIDE_INT,
-    SIDE_SHAPE,
-    SIDE_DOMAIN,
-    SIDE_BASE,
-    SIDE_MOTION,
-    SIDE_MOTION_PARAMETERS,
-    SUPPORT,
-    FRAMES,
-    DERIVATIVES,
-    BASIS,
-    SLIP,
-    GAPS,
-    RATES,
-    BIAS,
-    ROWS,
-    FORCE,
-    RELATIVE_ACCELERATION,
-    MARGINS,
-    LOCATION,
-    FACTOR,
-    ACCELERATION,
-    FREE_ACCELERATION,
-    CONSTRAINT_ROWS,
-    WHITENED_ROWS,
-    WHITENED_FORCES,
-    DELASSUS,
-    MULTIPLIERS,
-    ROW_INDEX,
-    PERMUTATION,
-    STATE,
-    STAGE_STATE,
-    NEW_STATE,
-    NEXT_STATE,
-    NEXT_SLOPE,
-    SLOPES,
-    COEFFICIENTS,
-    NODES,
-    WEIGHTS_ERROR,
-    Q,
-    V,
-    SCALE,
-    ABSOLUTE,
-    SYSTEM,
-    VECTORS,
-    LOCAL,
-    WORK,
-    CORRECTION_Q,
-    CORRECTION_V,
-    DENSE,
-    DENSE_WEIGHTS,
-    COUNTERS,
-    OUTPUT_TIMES,
-    RECORDED_REALS,
-    RECORDED_INTEGERS,
-    GUARD_COUNT,
-    GUARD_INT,
-    GUARD_REAL,
-    RESISTANCE_COUNT,
-    LOWEST,
-    HIGHEST,
-    ACROSS,
-    REFERENCE,
-    REFERENCE_START,
-    REFERENCE_RATE,
-    REFERENCE_SLOPE,
-    SCAN_SHARES,
-    SCAN_STATUS,
-    SCAN_MARGINS,
-) = range(len(SLOTS))
-TABLE_SIZE = len(SLOTS)
-
-# sizes
-NQ, NV, NC, NJOINTS, NBLOCKS, NSTAGES, NWORK, NY = range(8)
+SIZES = record(INTEGERS, "nq", "nv", "nc", "njoints", "nblocks", "nstages", "nwork", "ny")
 
 # scalars: of the last evaluation and step, then what steps are controlled by (times and steps in s);
 # DIP is the part of a margin's change over a step by which it may dip between two stages, TURNING_RATE that of the
 # slowest slip, by friction, at the accepted state, 1 / s, BAD_TORQUE the user's torque that was not finite, else 0, and
 # BAD_TIME when that was; VELOCITY_LEFT: what the last projection leaves of velocities that are to be zero
-(
-    TIME,
-    STEP,
-    ERROR_NORM,
-    GAP_RESIDUAL,
-    VELOCITY_RESIDUAL,
-    CORRECTION_SIZE,
-    NOW,
-    NEXT_TIME,
-    NEXT_STEP,
-    END,
-    NEXT_OUTPUT,
-    MAX_STEP,
-    FIXED_STEP,
-    FLOOR,
-    ERROR_ORDER,
-    LAST_ERROR,
-    SLOWEST,
-    DENSE_START,
-    DENSE_STEP,
-    HAS_REFERENCE,
-    REFERENCE_MOVES,
-    REFERENCE_TIME,
-    DIP,
-    TURNING_RATE,
-    BAD_TORQUE,
-    BAD_TIME,
-    VELOCITY_LEFT,
-) = range(27)
-SCALARS_SIZE = 27
+SCALARS = record(
+    REALS,
+    "time",
+    "step",
+    "error_norm",
+    "gap_residual",
+    "velocity_residual",
+    "correction_size",
+    "now",
+    "next_time",
+    "next_step",
+    "end",
+    "next_output",
+    "max_step",
+    "fixed_step",
+    "floor",
+    "error_order",
+    "last_error",
+    "slowest",
+    "dense_start",
+    "dense_step",
+    "has_reference",
+    "reference_moves",
+    "reference_time",
+    "dip",
+    "turning_rate",
+    "bad_torque",
+    "bad_time",
+    "velocity_left",
+)
+
+# counters, and settings that are integers; ROW_RANK is that of the last evaluation's constraint rows, 0 if not found,
+# and LOST_POSITIVITY 1 if there are forces, but those from which compliances would lead away
+COUNTERS = record(
+    INTEGERS,
+    "newton_count",
+    "closed_count",
+    "evaluation_count",
+    "step_count",
+    "rejected_count",
+    "attempt_limit",
+    "stalled",
+    "alarm",
+    "failure",
+    "estimate_after",
+    "extra_stages",
+    "charted",
+    "dense_nested",
+    "output_count",
+    "outputs_done",
+    "recorded",
+    "record_steps",
+    "row_width",
+    "row_count",
+    "rows_formed",
+    "drives_evaluated",
+    "stiff_steps",
+    "patience",
+    "row_rank",
+    "parent_axes",
+    "scan_count",
+    "lost_positivity",
+)
+
+# what kernels call by address: a Python function to be asked first, or 0, and its arguments; one or two of Pinocchio's
+# algorithms and theirs; the result that means failure; the evaluation; the algorithm that gives places, velocities and
+# Jacobians alone; where the rows of `PinocchioCalls.native` are, or 0, and the model, with the two words that it begins
+# with
+CALLBACK = record(
+    INTEGERS,
+    "asked",
+    "asked_with",
+    "called",
+    "called_with",
+    "called_next",
+    "called_next_with",
+    "call_failed",
+    "evaluation",
+    "placed",
+    "placed_with",
+    "native",
+    "model",
+    "model_size",
+    "model_joints",
+)
+
+SYSTEM = Layout(
+    "system",
+    sizes=(SIZES, 0),
+    scalars=(SCALARS, 0),
+    callback=(CALLBACK, 0),
+    # Pinocchio's data, read in place
+    mass=(REALS, 2),  # (nv, nv) lower triangle (Pinocchio's upper one, transposed view)
+    parents=(INTEGERS, 1),  # (nv,): tree of the mass matrix, see `linear.factorize_tree`
+    nle=(REALS, 1),  # (nv,) bias forces
+    jacobian=(REALS, 2),  # (nv, 6) one row a velocity coordinate: linear at the world's origin, angular
+    joint_addresses=(INTEGERS, 2),  # (njoints, 4): rotation, translation, v, a_gf
+    gravity=(REALS, 1),  # (3,)
+    tau=(REALS, 1),  # (nv,) joint torques of the user
+    damping=(REALS, 1),  # (nv,) viscous joint damping of the model
+    # joints: how q' follows from v
+    joint_table=(INTEGERS, 2),  # (nblocks, 4): kind, index in q, index in v, coordinates
+    # contacts
+    contact_int=(INTEGERS, 2),  # (nc, CONTACT_INTS)
+    contact_real=(REALS, 2),  # (nc, CONTACT_REALS)
+    side_int=(INTEGERS, 2),  # (2 nc, SIDE_INTS): side 2 c is body 1 of contact c, side 2 c + 1 is body 2
+    side_shape=(REALS, 2),  # (2 nc, SHAPE_SIZE)
+    side_domain=(REALS, 2),  # (2 nc, 4): low and high end of u1 and u2, infinite where there is none
+    side_base=(REALS, 2),  # (2 nc, 12) placement in the joint: rotation (9), position (3)
+    side_motion=(REALS, 2),  # (2 nc, 24) driven placement relative to the base, and its derivatives
+    side_motion_parameters=(REALS, 2),  # (2 nc, MOTION_PARAMETERS)
+    support=(INTEGERS, 2),  # (2 nc, nv): velocity coordinates that move the side's joint
+    # results of one evaluation
+    frames=(REALS, 3),  # (2 nc, 8, 3): rotation rows, origin, velocity, omega, acceleration, alpha (world)
+    derivatives=(REALS, 3),  # (2 nc, 10, 3): the contour's derivatives, world axes, from the contour's origin
+    basis=(REALS, 3),  # (nc, 3, 3): rows t1, second, n (world)
+    slip=(REALS, 2),  # (nc, 3): v_c = v_2 - v_1, world
+    gaps=(REALS, 2),  # (nc, 2): n . (r_2 - r_1); second normal's for a point on a spatial curve
+    rates=(REALS, 2),  # (nc, 4): location rates u_1', u_2'
+    bias=(REALS, 2),  # (nc, 3): row . gamma plus frame rates, along the basis
+    rows=(REALS, 3),  # (nc, 3, nv): basis . (J_2 - J_1)
+    force=(REALS, 2),  # (nc, 3): force on body 2 along the basis
+    relative_acceleration=(REALS, 2),  # (nc, 3): along the basis, for events
+    margins=(REALS, 2),  # (nc, MARGINS_PER_CONTACT): event functions, positive while the mode holds
+    location=(REALS, 2),  # (nc, 4): u_1 (2), u_2 (2)
+    # linear algebra
+    factor=(REALS, 2),  # (nv, nv) Cholesky factor of the mass matrix
+    acceleration=(REALS, 1),  # (nv,)
+    free_acceleration=(REALS, 1),  # (nv,)
+    constraint_rows=(REALS, 2),  # (3 nc, nv)
+    whitened_rows=(REALS, 2),  # (3 nc, nv): L^-T rows^T, transposed
+    whitened_forces=(REALS, 2),  # (3 nc, nv): the same for the force directions
+    delassus=(REALS, 2),  # (3 nc, 3 nc + 1)
+    multipliers=(REALS, 1),  # (3 nc,)
+    row_index=(INTEGERS, 2),  # (3 nc, 2): contact and basis row of each constraint row
+    permutation=(INTEGERS, 1),  # (3 nc,)
+    # Runge-Kutta
+    state=(REALS, 1),  # (ny,) at the start of the step: q, v, location, quadratures
+    stage_state=(REALS, 1),  # (ny,)
+    new_state=(REALS, 1),  # (ny,)
+    next_state=(REALS, 1),  # (ny,) start of the next step, and its slope, while outputs of this one are written
+    next_slope=(REALS, 1),  # (ny,)
+    slopes=(REALS, 2),  # (stages, ny)
+    coefficients=(REALS, 2),  # (stages, stages)
+    nodes=(REALS, 1),  # (stages,)
+    weights_error=(REALS, 2),  # (2, stages)
+    q=(REALS, 1),  # (nq,) handed to Pinocchio
+    v=(REALS, 1),  # (nv,)
+    scale=(REALS, 1),  # (2,) rtol, atol
+    absolute=(REALS, 1),  # (ny,) absolute tolerance of each component; 0 leaves it out of the norm
+    # scratch
+    location_system=(REALS, 2),  # (4, 8)
+    vectors=(REALS, 2),  # (16, 3)
+    local=(REALS, 2),  # (10, 3)
+    work=(REALS, 1),  # (nv,)
+    correction_q=(REALS, 1),  # (nv,)
+    correction_v=(REALS, 1),  # (nv,)
+    dense=(REALS, 2),  # (DENSE_ROWS, ny) coefficients of the interpolant
+    dense_weights=(REALS, 2),  # (DENSE_ROWS, stages + 1)
+    counters=(COUNTERS, 0),
+    # outputs
+    output_times=(REALS, 1),  # (OUTPUT_COUNT,) s
+    recorded_reals=(REALS, 2),  # (BLOCK, ROW_WIDTH) rows, see `recording`
+    recorded_integers=(INTEGERS, 2),  # (BLOCK, ...)
+    # guarded joint coordinates, rows nc .. nc + ng of the contacts' arrays: see `dynamics.joints`
+    guard_count=(INTEGERS, 1),  # (1,): ng
+    guard_int=(INTEGERS, 2),  # (ng, GUARD_INTS)
+    guard_real=(REALS, 2),  # (ng, GUARD_REALS)
+    # resistances to spinning and rolling, rows nc + ng .. nc + ng + nr: see `dynamics.resistance`
+    resistance_count=(INTEGERS, 1),  # (1,): nr
+    # least and largest margins of a step's stages, and one choice among redundant forces
+    lowest=(REALS, 2),  # (nc + ng + nr, MARGINS_PER_CONTACT)
+    highest=(REALS, 2),  # (nc + ng + nr, MARGINS_PER_CONTACT)
+    across=(
+        REALS,
+        2,
+    ),  # (2 (nc + ng + nr) + 1, POLYNOMIAL_SIZE): shares of a step, v_c across directions and along, see `steps`
+    reference=(REALS, 2),  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
+    # where the reference follows loads and time: see `equations`
+    reference_start=(REALS, 2),  # (nc + ng + nr, 3) at zero loads and REFERENCE_TIME
+    reference_rate=(REALS, 2),  # (nc + ng + nr, 3)
+    reference_slope=(REALS, 3),  # (2, 3 (nc + ng + nr), nv)
+    # margins along a step: at which shares of it, the evaluations' statuses, and the margins
+    scan_shares=(REALS, 1),  # (SCAN_ROOM,)
+    scan_status=(INTEGERS, 1),  # (SCAN_ROOM,)
+    scan_margins=(REALS, 3),  # (SCAN_ROOM, nc + ng + nr, MARGINS_PER_CONTACT)
+)
+
+# the workspace at an address that Python gives an entry kernel
+system_at = SYSTEM.at
+
 
 # contact_int; from MODE to FROZEN what a State keeps of it
 (
@@ -350,61 +327,6 @@ FREE, FRICTIONLESS, STICK, SLIPPING = -1, 0, 1, 2
 # what an evaluation returns
 OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, TOO_LONG = range(8)
 
-# counters, and settings that are integers; ROW_RANK is that of the last evaluation's constraint rows, 0 if not found,
-# and LOST_POSITIVITY 1 if there are forces, but those from which compliances would lead away
-(
-    NEWTON_COUNT,
-    CLOSED_COUNT,
-    EVALUATION_COUNT,
-    STEP_COUNT,
-    REJECTED_COUNT,
-    ATTEMPT_LIMIT,
-    STALLED,
-    ALARM,
-    FAILURE,
-    ESTIMATE_AFTER,
-    EXTRA_STAGES,
-    CHARTED,
-    DENSE_NESTED,
-    OUTPUT_COUNT,
-    OUTPUTS_DONE,
-    RECORDED,
-    RECORD_STEPS,
-    ROW_WIDTH,
-    ROW_COUNT,
-    ROWS_FORMED,
-    DRIVES_EVALUATED,
-    STIFF_STEPS,
-    PATIENCE,
-    ROW_RANK,
-    PARENT_AXES,
-    SCAN_COUNT,
-    LOST_POSITIVITY,
-) = range(27)
-COUNTERS_SIZE = 27
 # places along a step that are evaluated by one call, and the gap beyond the end of a contour, where nothing can touch
 SCAN_ROOM = 9
 NOTHING_THERE = 1e300
-
-# what kernels call by address: a Python function to be asked first, or 0, and its arguments; one or two of Pinocchio's
-# algorithms and theirs; the result that means failure; the evaluation and the address of the table that it is given;
-# the algorithm that gives places, velocities and Jacobians alone; where the rows of `PinocchioCalls.native` are, or 0,
-# and the model, with the two words that it begins with
-(
-    ASKED,
-    ASKED_WITH,
-    CALLED,
-    CALLED_WITH,
-    CALLED_NEXT,
-    CALLED_NEXT_WITH,
-    CALL_FAILED,
-    EVALUATION,
-    OWN_TABLE,
-    PLACED,
-    PLACED_WITH,
-    NATIVE,
-    MODEL,
-    MODEL_SIZE,
-    MODEL_JOINTS,
-) = range(15)
-CALLBACK_SIZE = 15

@@ -29,7 +29,6 @@ from .integration.runge_kutta import RungeKutta, Torque
 from .integration.tableaux import tableau
 from .integration.transitions import Transitions
 from .jit import compile_kernels
-from .layout import CLOSED_COUNT, DRIVES_EVALUATED, EVALUATION_COUNT, NEWTON_COUNT, ROWS_FORMED
 from .scene import Scene
 from .state import State, check_state, write_discrete
 from .trajectory import Record, Trajectory
@@ -248,7 +247,7 @@ def _simulate_moreau(
         # can be found again
         tau = system.tau.copy() if stepper.acts_on_joints else None
         if tau is not None:
-            system.tau += stepper.joint_force
+            system.tau[:] += stepper.joint_force
         record.add(t, stepper.torques if stepper.resists_turning else None)
         if tau is not None:
             system.tau[:] = tau
@@ -271,7 +270,7 @@ def _simulate_moreau(
             if times is None and not len(record):
                 # as in the other methods: a run that cannot begin has the state that it was to begin from
                 system.stage_state[:] = system.state
-                load_state(system.table)
+                load_state(system.address)
                 add(state.t)
             stats = {
                 "steps": driver.steps,
@@ -321,13 +320,13 @@ def _attach(error: BaseException, run: Trajectory) -> None:
 
 def _counts(system: System) -> dict[str, int]:
     """What evaluations have done so far."""
-    counters = system.counters.tolist()
+    counters = dict(zip(system.counters.dtype.names, system.counters.item()))
     return {
-        "pinocchio": counters[EVALUATION_COUNT],
-        "newton": counters[NEWTON_COUNT],
-        "closed_form": counters[CLOSED_COUNT],
-        "contact_rows": counters[ROWS_FORMED],
-        "drives": counters[DRIVES_EVALUATED],
+        "pinocchio": counters["evaluation_count"],
+        "newton": counters["newton_count"],
+        "closed_form": counters["closed_count"],
+        "contact_rows": counters["rows_formed"],
+        "drives": counters["drives_evaluated"],
     }
 
 

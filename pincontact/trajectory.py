@@ -32,15 +32,11 @@ from .layout import (
     EVENT,
     FREE,
     FROZEN_COLUMNS,
-    HAS_REFERENCE,
-    NWORK,
-    RECORDED,
-    ROW_WIDTH,
     STICK,
 )
-from .memory import address_of
 from .scene import Scene
 from .state import Correction, State, discrete_part, read_discrete, write_discrete
+from .workspace import address_of
 
 if TYPE_CHECKING:
     import pandas
@@ -64,25 +60,25 @@ class Record:
     def __init__(self, system: System, start: State, with_torques: bool, by_steps: bool = False) -> None:
         self.system, self.with_torques, self.by_steps = system, with_torques, by_steps
         # works are counted from there on, whatever the outputs
-        counts = system.sizes[NWORK] > 0
+        counts = system.sizes["nwork"] > 0
         self._total_at_start = np.array(sum(energies_at(system.model, start.q, start.v))) if counts else None
         nq, nv, nc = system.nq, system.nv, system.nc
         # t, q, v, tau, works, location, frozen directions' columns, redundant forces chosen, resistances to turning
         turns = 3 * nc if system.nr else 0
-        self._widths = (1, nq, nv, nv, int(system.sizes[NWORK]), 4 * nc, FROZEN_COLUMNS * nc, 3 * nc, turns)
-        system.counters[ROW_WIDTH] = width = sum(self._widths)
+        self._widths = (1, nq, nv, nv, int(system.sizes["nwork"]), 4 * nc, FROZEN_COLUMNS * nc, 3 * nc, turns)
+        system.counters["row_width"] = width = sum(self._widths)
         if width not in system.row_blocks:
             reals = np.empty((BLOCK, width))
             whole = np.empty((BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT), dtype=np.int64)
             named = (("recorded_reals", reals), ("recorded_integers", whole))
             system.row_blocks[width] = [(name, block, address_of(block)) for name, block in named]
         blocks = system.row_blocks[width]
-        self._reals, self._integers = (system.memory.put(*block) for block in blocks)
+        self._reals, self._integers = (system.put(*block) for block in blocks)
         self._blocks: list[tuple[np.ndarray, np.ndarray]] = []
         self._resistances: list[np.ndarray] = []
 
     def __len__(self) -> int:
-        return sum(len(block[0]) for block in self._blocks) + int(self.system.counters[RECORDED])
+        return sum(len(block[0]) for block in self._blocks) + int(self.system.counters["recorded"])
 
     def add(self, t: float, resistances: np.ndarray | None = None) -> None:
         """The state in the system at t; (nc, 3) torques that resist spinning and rolling, where there are any."""
@@ -93,10 +89,10 @@ class Record:
 
     def flush(self, always: bool = False) -> None:
         """Put a full block of rows aside; always: also one that is not full."""
-        count = int(self.system.counters[RECORDED])
+        count = int(self.system.counters["recorded"])
         if count == BLOCK or (always and count):
             self._blocks.append((self._reals[:count].copy(), self._integers[:count].copy()))
-            self.system.counters[RECORDED] = 0
+            self.system.counters["recorded"] = 0
 
     def rows(self, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, Callable[[], Recorded]]:
         """Times (n,), configurations (n, nq), velocities (n, nv), and what gives the rest of all rows of the scene."""
@@ -202,7 +198,7 @@ def _with_output_modes(
             if others:
                 recorded.discrete[i] = read_discrete(system)
                 recorded.directions[i] = present_directions(system)
-            if system.scalars[HAS_REFERENCE]:
+            if system.scalars["has_reference"]:
                 recorded.references[i] = system.reference[: system.nc].copy()
     if spare is not None:
         put_back(scene, spare)
@@ -668,7 +664,7 @@ def _evaluate_outputs(system: System, run: Trajectory, wanted: range) -> _Output
     rows: list[int] = []
     for i in wanted:
         _load_output(system, recorded, i, run.q[i], run.v[i])
-        system.scalars[HAS_REFERENCE] = float(i in recorded.references)
+        system.scalars["has_reference"] = float(i in recorded.references)
         system.reference[:nc] = recorded.references.get(i, 0.0)
         if system.evaluate(float(run.t[i])) <= EVENT:
             for array, view in zip(values, views):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numba
 
-from pincontact.jit import _ENTRY_OPTIONS, _OPTIONS
+from pincontact.jit import _OPTIONS
 
 
 def from_python(part: Callable[..., Any]) -> Callable[..., Any]:
@@ -17,7 +17,7 @@ def from_python(part: Callable[..., Any]) -> Callable[..., Any]:
     if numba.config.DISABLE_JIT:
         return part
 
-    @numba.njit(**_OPTIONS, **_ENTRY_OPTIONS)
+    @numba.njit(**_OPTIONS)
     def compiled(*arguments):
         return part(*arguments)
 

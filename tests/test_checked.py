@@ -30,8 +30,10 @@ def test_an_index_outside_its_array_is_an_error(tmp_path):
     script = """
 import numpy as np
 from pincontact.jit import INTEGER, REAL, entry_kernel, kernel
-from pincontact.callback import call_kernel, kernel_address
-from pincontact.memory import matrix
+from pincontact.callback import kernel_address, kernel_caller
+from pincontact.workspace import matrix_at
+
+call_kernel = kernel_caller(INTEGER, INTEGER, REAL, INTEGER)
 
 @kernel
 def part(a, i, j):
@@ -39,7 +41,7 @@ def part(a, i, j):
 
 @entry_kernel(INTEGER, REAL, INTEGER)
 def entry(address, x, i):
-    return int(part(matrix(address, 2, 3), i, 1))
+    return int(part(matrix_at(address, 2, 3), i, 1))
 
 @entry_kernel(INTEGER, INTEGER, INTEGER)
 def by_address(function, address, i):
@@ -61,15 +63,16 @@ for function, arguments in ((entry, (at, 0.0)), (by_address, (kernel_address(ent
     assert done.stdout.count("found") + done.stderr.count("Exception ignored") == 6, done.stderr
 
 
-def test_a_view_larger_than_its_array_is_an_error(tmp_path):
+def test_an_array_beyond_the_memory_at_its_address_is_an_error(tmp_path):
     """Of uncompiled kernels, which know how long each array is."""
     script = """
-from pincontact.memory import Memory, matrix
-memory = Memory(("a", "b"))
-memory.reals("a", 2, 3), memory.reals("b", 4)
-assert matrix(memory.table[0], 2, 3).shape == (2, 3)
+from pincontact.workspace import REALS, Layout, Workspace, matrix_at
+workspace = Workspace(Layout("test", a=(REALS, 2)))
+workspace.zeros("a", 2, 3)
+address = workspace.table[0, 0]
+assert matrix_at(address, 2, 3).shape == (2, 3)
 try:
-    matrix(memory.table[0], 3, 3)
+    matrix_at(address, 3, 3)
 except IndexError as error:
     print(error)
 """
@@ -80,8 +83,8 @@ except IndexError as error:
 
 def test_memory_that_nobody_has_written_is_no_number(tmp_path):
     script = """
-from pincontact.memory import Memory
-memory = Memory(("a", "b", "c"))
-print(memory.scratch("a", 2), memory.integer_scratch("b", 1)[0] < -2**32, memory.reals("c", 2))
+from pincontact.workspace import INTEGERS, REALS, Layout, Workspace
+workspace = Workspace(Layout("test", a=(REALS, 1), b=(INTEGERS, 1), c=(REALS, 1)))
+print(workspace.scratch("a", 2), workspace.scratch("b", 1)[0] < -2**32, workspace.zeros("c", 2))
 """
     assert in_checked_build(tmp_path, script).stdout == "[nan nan] True [0. 0.]\n"

@@ -12,7 +12,7 @@ from calling import from_python
 from pincontact.errors import ArgumentError, InfeasibleError, SolverError
 from pincontact.friction import elimination, newton, redundant
 from pincontact.friction.attempt import solve_cones
-from pincontact.friction.cone import cone_memory
+from pincontact.friction.cone import cone_workspace
 from pincontact.friction.solve import OPEN, SLIP, STICK, ContactSolver, centred_forces, solve_contacts
 
 GRAVITY = 9.81
@@ -530,7 +530,7 @@ def test_kernels_solve_as_python_does(contacts):
         delassus, b, mu = cold_problem(rng, problem, contacts)
         for load in (b, 1.001 * b, -b):
             assert whole.solve(delassus, load, mu)
-            residual = solve_cones(delassus, load, mu, parts.table(contacts), parts.task, 0, parts.tolerance, 0, 0)
+            residual = solve_cones(delassus, load, mu, parts.address(contacts), parts.task, 0, parts.tolerance, 0, 0)
             if residual > parts.tolerance:
                 left += 1
                 assert parts.search(delassus, load, mu)
@@ -869,8 +869,8 @@ def test_minimum_norm_solve_agrees_with_the_pseudo_inverse(rank):
     matrix = rng.normal(size=(n, rank)) @ rng.normal(size=(rank, n))
     rhs = matrix @ rng.normal(size=n)
     x = np.zeros(n)
-    memory = cone_memory(4)
-    found = minimum_norm_solve(matrix.copy(), rhs.copy(), n, x, memory["gram"], memory["order"], 1e-12)
+    memory = cone_workspace(4)
+    found = minimum_norm_solve(matrix.copy(), rhs.copy(), n, x, memory.gram, memory.order, 1e-12)
     assert found == rank
     # Round-off times the square of the condition number on the row space, below 1e4 for these.
     expected = np.linalg.pinv(matrix, rcond=1e-12) @ rhs

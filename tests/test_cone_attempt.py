@@ -22,7 +22,7 @@ from pincontact.friction.cone import (
     STICK,
     TIMES,
     TRIED,
-    cone_memory,
+    cone_workspace,
 )  # fmt: skip
 from pincontact.friction.feasibility import crushing_combination
 from pincontact.friction.solve import ContactSolution, ContactSolver, solve_contacts
@@ -32,13 +32,13 @@ SEEDS = pytest.mark.parametrize("seed", range(3))
 
 def is_solution(delassus, b, mu, memory):
     n = len(mu)
-    forces, velocities = memory["forces"], memory["velocities"]
+    forces, velocities = memory.forces, memory.velocities
     assert velocities == pytest.approx(delassus @ forces + b, abs=1e-12 * np.abs(b).max())
     for i in range(n):
         f, u = forces[3 * i : 3 * i + 3], velocities[3 * i : 3 * i + 3]
         unit = math.sqrt(np.trace(delassus[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]) / 3.0)
         assert residual_of(f * unit, u / unit, mu[i]) <= 1e-9 * np.abs(b).max() / unit
-        mode = memory["modes"][i]
+        mode = memory.modes[i]
         assert {OPEN: not f.any(), STICK: np.abs(u).max() <= 1e-9 * np.abs(b).max(), SLIP: True}[int(mode)]
 
 
@@ -54,32 +54,32 @@ def test_each_start_leads_to_a_solution(task, unit, seed):
     rng = np.random.default_rng(seed)
     n = 3
     delassus, b, mu = regular(rng, n, unit)
-    memory = cone_memory(n)
-    memory["velocities"][:] = 0.0
+    memory = cone_workspace(n)
+    memory.velocities[:] = 0.0
     sweeps = 20 if task in (attempt.CLASSIFY, attempt.CLASSIFY_NEAR) else 0
-    residual = solve_cones(delassus, b, mu, memory.table, task, 10, 1e-10, sweeps, 2)
+    residual = solve_cones(delassus, b, mu, memory.address, task, 10, 1e-10, sweeps, 2)
     assert residual <= 1e-10
     is_solution(delassus, b, mu, memory)
-    assert 1 <= memory["counts"][PASSES] <= 10
+    assert 1 <= memory.counts[PASSES] <= 10
     # where the solution is known, its modes and forces lead to it at once
-    before = memory["forces"].copy()
-    memory["forces"][:] *= 1.0 + 1e-9
-    assert solve_cones(delassus, b, mu, memory.table, task, 3, 1e-10, 1, 1) <= 1e-10
-    assert memory["forces"] == pytest.approx(before, rel=1e-9, abs=1e-12 * np.abs(before).max())
+    before = memory.forces.copy()
+    memory.forces[:] *= 1.0 + 1e-9
+    assert solve_cones(delassus, b, mu, memory.address, task, 3, 1e-10, 1, 1) <= 1e-10
+    assert memory.forces == pytest.approx(before, rel=1e-9, abs=1e-12 * np.abs(before).max())
 
 
 @SEEDS
 def test_what_fails_leaves_everything_alone(seed):
     rng = np.random.default_rng(seed)
     delassus, b, mu = regular(rng, 2)
-    memory = cone_memory(2)
-    memory["forces"][:], memory["velocities"][:] = rng.normal(size=(2, 6))
-    kept = {name: memory[name].copy() for name in ("modes", "forces", "velocities")}
+    memory = cone_workspace(2)
+    memory.forces[:], memory.velocities[:] = rng.normal(size=(2, 6))
+    kept = {name: getattr(memory, name).copy() for name in ("modes", "forces", "velocities")}
     # no passes, no result
-    assert solve_cones(delassus, b, mu, memory.table, attempt.WARM, 0, 1e-10, 0, 1) == HUGE
-    assert solve_cones(delassus, b, mu, memory.table, attempt.CLASSIFY, 10, 1e-10, 1, 0) == HUGE
+    assert solve_cones(delassus, b, mu, memory.address, attempt.WARM, 0, 1e-10, 0, 1) == HUGE
+    assert solve_cones(delassus, b, mu, memory.address, attempt.CLASSIFY, 10, 1e-10, 1, 0) == HUGE
     for name, array in kept.items():
-        assert (memory[name] == array).all()
+        assert (getattr(memory, name) == array).all()
 
 
 def test_sweeps_go_on_where_they_did_not_do():
@@ -88,9 +88,9 @@ def test_sweeps_go_on_where_they_did_not_do():
     rounds = 0
     for _ in range(60):
         delassus, b, mu = problem(rng, 4)
-        one, two = cone_memory(4), cone_memory(4)
-        short = solve_cones(delassus, b, mu, one.table, attempt.CLASSIFY, 8, 1e-10, 2, 1)
-        longer = solve_cones(delassus, b, mu, two.table, attempt.CLASSIFY, 8, 1e-10, 2, 2)
+        one, two = cone_workspace(4), cone_workspace(4)
+        short = solve_cones(delassus, b, mu, one.address, attempt.CLASSIFY, 8, 1e-10, 2, 1)
+        longer = solve_cones(delassus, b, mu, two.address, attempt.CLASSIFY, 8, 1e-10, 2, 2)
         assert longer <= short
         if short <= 1e-10:
             assert longer == short
@@ -98,11 +98,11 @@ def test_sweeps_go_on_where_they_did_not_do():
         if longer <= 1e-10:
             rounds += 1
             is_solution(delassus, b, mu, two)
-        alone = cone_memory(4)
+        alone = cone_workspace(4)
         eighteen = solve_cones(delassus, b, mu, alone.table, attempt.CLASSIFY, 8, 1e-10, 2 + 16, 1)
         assert (longer <= 1e-10) == (eighteen <= 1e-10)
         if eighteen <= 1e-10:
-            assert two["forces"] == pytest.approx(alone["forces"], abs=1e-9)
+            assert two.forces == pytest.approx(alone["forces"], abs=1e-9)
     assert rounds >= 2
 
 
@@ -111,34 +111,34 @@ def test_what_decided_is_counted():
     usual = attempt.USUAL + attempt.NEAREST + attempt.SWEEPING
     for n in (1, 3):
         delassus, b, mu = regular(rng, n)
-        memory = cone_memory(n)
-        counts = memory["counts"]
-        assert solve_cones(delassus, b, mu, memory.table, usual, 0, 1e-10, 0, 0) <= 1e-10
+        memory = cone_workspace(n)
+        counts = memory.counts
+        assert solve_cones(delassus, b, mu, memory.address, usual, 0, 1e-10, 0, 0) <= 1e-10
         is_solution(delassus, b, mu, memory)
         first = BY_EXACT if n == 1 else BY_SWEEPS
         assert (counts[KNOWN], counts[DECIDED], counts[TRIED]) == (1, first, n == 1)
         assert counts[TIMES + first] == 1
         for k in range(2):
-            assert solve_cones(delassus, b * (1.0 + 1e-3), mu, memory.table, usual, 0, 1e-10, 0, 0) <= 1e-10
+            assert solve_cones(delassus, b * (1.0 + 1e-3), mu, memory.address, usual, 0, 1e-10, 0, 0) <= 1e-10
             assert (counts[DECIDED], counts[TRIED], counts[TIMES + BY_WARM]) == (BY_WARM, (n == 1) + k + 1, k + 1)
         assert counts[TIMES:].sum() == 3
-        reached = float(memory["reached"][0])
+        reached = float(memory.reached[0])
         assert 0.0 <= reached <= 1e-12
         # the mode of one contact is another's: all its states are tried
-        memory["modes"][:] = OPEN if memory["modes"][0] != OPEN else STICK
-        memory["forces"][:] = 5.0
-        assert solve_cones(delassus, b, mu, memory.table, usual, 0, 1e-10, 0, 0) <= 1e-10
+        memory.modes[:] = OPEN if memory.modes[0] != OPEN else STICK
+        memory.forces[:] = 5.0
+        assert solve_cones(delassus, b, mu, memory.address, usual, 0, 1e-10, 0, 0) <= 1e-10
         is_solution(delassus, b, mu, memory)
         # without sweeps there is nothing else for several
         blocked = np.zeros_like(delassus)
-        kept = memory["forces"].copy()
+        kept = memory.forces.copy()
         for task in (usual, usual - attempt.SWEEPING, usual - attempt.NEAREST):
-            assert solve_cones(blocked, np.full(3 * n, -1.0), mu, memory.table, task, 0, 1e-10, 0, 0) == HUGE
-            assert memory["reached"][0] > 1e-3
-        assert (memory["forces"] == kept).all()
+            assert solve_cones(blocked, np.full(3 * n, -1.0), mu, memory.address, task, 0, 1e-10, 0, 0) == HUGE
+            assert memory.reached[0] > 1e-3
+        assert (memory.forces == kept).all()
         counts[KNOWN] = 0
         known = counts[TIMES:].sum()
-        found = solve_cones(delassus, b, mu, memory.table, attempt.USUAL, 0, 1e-10, 0, 0)
+        found = solve_cones(delassus, b, mu, memory.address, attempt.USUAL, 0, 1e-10, 0, 0)
         assert (found <= 1e-10) == (n == 1)
         assert counts[TIMES:].sum() == known + (n == 1)
 
@@ -149,20 +149,20 @@ def test_contacts_at_rest_stay_at_rest_whatever_the_units(seed, unit):
     """Redundant feet, at rest with forces inside, go on with forces inside; what moved slowly is not stopped."""
     rng = np.random.default_rng(seed)
     g, c, mu, inside = feet_at_rest(rng, 4)
-    memory = cone_memory(4)
-    memory["modes"][:], memory["forces"][:], memory["velocities"][:] = OPEN, inside / unit, 0.0
-    assert solve_cones(unit * g, c, mu, memory.table, attempt.NEAR, 8, 1e-10, 0, 1) <= 1e-10
-    assert (memory["modes"] == STICK).all()
-    assert is_held(memory["forces"], mu * (1.0 + 1e-12))
+    memory = cone_workspace(4)
+    memory.modes[:], memory.forces[:], memory.velocities[:] = OPEN, inside / unit, 0.0
+    assert solve_cones(unit * g, c, mu, memory.address, attempt.NEAR, 8, 1e-10, 0, 1) <= 1e-10
+    assert (memory.modes == STICK).all()
+    assert is_held(memory.forces, mu * (1.0 + 1e-12))
     # a single contact that slides at 1e-6 of what acts on it
     edge = np.array([-0.5 - 1e-6, 0.0, 1.0])
     single = np.kron(np.eye(2), np.eye(3)) * unit
     b = -np.r_[edge, edge]
-    memory = cone_memory(2)
-    memory["modes"][:], memory["forces"][:] = SLIP, -b / unit
-    memory["velocities"][:] = np.tile([1e-6, 0.0, 0.0], 2)
-    assert solve_cones(single, b, np.full(2, 0.5), memory.table, attempt.NEAR, 8, 1e-10, 0, 1) <= 1e-10
-    assert memory["velocities"] == pytest.approx(np.tile([1e-6, 0.0, 0.0], 2), abs=1e-14)
+    memory = cone_workspace(2)
+    memory.modes[:], memory.forces[:] = SLIP, -b / unit
+    memory.velocities[:] = np.tile([1e-6, 0.0, 0.0], 2)
+    assert solve_cones(single, b, np.full(2, 0.5), memory.address, attempt.NEAR, 8, 1e-10, 0, 1) <= 1e-10
+    assert memory.velocities == pytest.approx(np.tile([1e-6, 0.0, 0.0], 2), abs=1e-14)
 
 
 # ------------------------------------------------------------------------------------------------ what is said of it

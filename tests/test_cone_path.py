@@ -8,7 +8,7 @@ from calling import from_python
 from test_cone_parts import problem, scaled
 
 from pincontact.friction import path
-from pincontact.friction.cone import HUGE, LARGEST_FRICTION, LEAST_FRICTION, cone_memory
+from pincontact.friction.cone import HUGE, LARGEST_FRICTION, LEAST_FRICTION, cone_workspace
 
 cone_units = from_python(path.cone_units)
 cone_step = from_python(path.cone_step)
@@ -245,9 +245,9 @@ def test_what_is_returned_lies_on_the_path(seed, size, saxce):
     delassus, b, mu = problem(rng, n)
     delassus, b = 1e-3 * delassus, 50.0 * b
     mu[0] = (0.0, math.inf, 0.5)[seed]
-    memory = cone_memory(n)
-    assert path.follow_path(delassus, b, mu, memory.table, 1.0, tube, size, saxce, 0) == 1.0
-    residual, inside, f = point(delassus, b, mu, size, memory["forces"], 1.0, saxce)
+    memory = cone_workspace(n)
+    assert path.follow_path(delassus, b, mu, memory.address, 1.0, tube, size, saxce, 0) == 1.0
+    residual, inside, f = point(delassus, b, mu, size, memory.forces, 1.0, saxce)
     assert f == pytest.approx(np.tile([0.0, 0.0, 1.0], n), abs=1e-13)
     # f = y = e
     assert (residual, inside) == (pytest.approx(0.0, abs=1e-13), pytest.approx(1.0, rel=1e-12))
@@ -256,10 +256,10 @@ def test_what_is_returned_lies_on_the_path(seed, size, saxce):
         reached = 1.0
         while reached > stop:
             before = reached
-            reached = path.follow_path(delassus, b, mu, memory.table, stop, tube, size, saxce, 1)
+            reached = path.follow_path(delassus, b, mu, memory.address, stop, tube, size, saxce, 1)
             assert reached < before or saxce == 1.0
             steps += 1
-            residual, inside, f = point(delassus, b, mu, size, memory["forces"], reached, saxce)
+            residual, inside, f = point(delassus, b, mu, size, memory.forces, reached, saxce)
             # as near as the tube is wide, and what a gap as wide times the forces adds
             assert residual <= tube * (1.0 + 3.0 * np.abs(f).max())
             assert inside > 0.0
@@ -269,9 +269,9 @@ def test_what_is_returned_lies_on_the_path(seed, size, saxce):
     # steep cone of infinite friction takes more
     assert steps <= ({0.1: 23, 1.0: 31, 10.0: 51} if mu[0] > 1e3 else {0.1: 11, 1.0: 9, 10.0: 16})[size]
     # a call that has nothing to do leaves things as they are
-    forces = memory["forces"].copy()
-    assert path.follow_path(delassus, b, mu, memory.table, 0.5, tube, size, saxce, 9) == reached
-    assert memory["forces"] == pytest.approx(forces, rel=1e-14)
+    forces = memory.forces.copy()
+    assert path.follow_path(delassus, b, mu, memory.address, 0.5, tube, size, saxce, 9) == reached
+    assert memory.forces == pytest.approx(forces, rel=1e-14)
 
 
 @SEEDS
@@ -280,13 +280,13 @@ def test_the_path_leaves_contacts_without_friction_without_tangential_forces(see
     rng = np.random.default_rng(seed)
     delassus, b, mu = problem(rng, 4)
     mu[rng.integers(2)], mu[2] = 0.0, 0.0
-    memory = cone_memory(4)
-    path.follow_path(delassus, b, mu, memory.table, 1.0, 0.01, 1.0, 1.0, 0)
-    assert path.follow_path(delassus, b, mu, memory.table, 1e-9, 0.01, 1.0, 1.0, 300) <= 1e-9
-    f = memory["forces"].reshape(4, 3)
+    memory = cone_workspace(4)
+    path.follow_path(delassus, b, mu, memory.address, 1.0, 0.01, 1.0, 1.0, 0)
+    assert path.follow_path(delassus, b, mu, memory.address, 1e-9, 0.01, 1.0, 1.0, 300) <= 1e-9
+    f = memory.forces.reshape(4, 3)
     smooth = mu == 0.0
     assert not f[smooth, :2].any()
-    gap = (delassus @ memory["forces"] + b).reshape(4, 3)[smooth, 2]
+    gap = (delassus @ memory.forces + b).reshape(4, 3)[smooth, 2]
     # up to the path's t in units of the scaled problem
     assert np.abs(f[smooth, 2] * gap).max() <= 1e-6 * (1.0 + np.abs(f).max())
     assert gap.min() >= -1e-6
@@ -299,12 +299,12 @@ def test_the_path_ends_at_a_solution(seed):
     rng = np.random.default_rng(seed)
     n = 4
     delassus, b, mu = problem(rng, n)
-    memory = cone_memory(n)
-    path.follow_path(delassus, b, mu, memory.table, 1.0, 0.01, 1.0, 1.0, 0)
+    memory = cone_workspace(n)
+    path.follow_path(delassus, b, mu, memory.address, 1.0, 0.01, 1.0, 1.0, 0)
     for stop in (1e-3, 1e-6, 1e-9):
-        assert path.follow_path(delassus, b, mu, memory.table, stop, 0.01, 1.0, 1.0, 200) <= stop
-        f = memory["forces"].reshape(n, 3)
-        u = (delassus @ memory["forces"] + b).reshape(n, 3)
+        assert path.follow_path(delassus, b, mu, memory.address, stop, 0.01, 1.0, 1.0, 200) <= stop
+        f = memory.forces.reshape(n, 3)
+        u = (delassus @ memory.forces + b).reshape(n, 3)
         size = 1.0 + np.abs(f).max()
         dual = u[:, 2] + mu * np.hypot(u[:, 0], u[:, 1])
         # both in their cones, and orthogonal, up to t times units of the scaled problem, below 1e3
@@ -314,8 +314,8 @@ def test_the_path_ends_at_a_solution(seed):
 
 
 def test_a_path_without_end_leaves_for_infinity():
-    memory = cone_memory(1)
-    args = np.diag([1.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0]), np.ones(1), memory.table
+    memory = cone_workspace(1)
+    args = np.diag([1.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0]), np.ones(1), memory.address
     path.follow_path(*args, 1.0, 0.01, 1.0, 1.0, 0)
     assert path.follow_path(*args, 1e-9, 0.01, 1.0, 1.0, 500) == HUGE
 
@@ -325,15 +325,15 @@ def test_errors_are_corrected_as_newtons_method_does():
     much as after a step that took one."""
     rng = np.random.default_rng(2)
     delassus, b, mu = problem(rng, 2)
-    memory = cone_memory(2)
-    start = delassus, b, mu, memory.table
+    memory = cone_workspace(2)
+    start = delassus, b, mu, memory.address
     path.follow_path(*start, 1.0, 1e-3, 1.0, 1.0, 0)
     path.follow_path(*start, 0.3, 1e-9, 1.0, 1.0, 100)
-    kept = memory["path"].copy()
+    kept = memory.path.copy()
     for place in range(6):
-        memory["path"][:] = kept
-        memory["path"][6, place] += 1e-6
+        memory.path[:] = kept
+        memory.path[6, place] += 1e-6
         # a step as good as none
-        memory["path"][5, 0] = 1e-7
+        memory.path[5, 0] = 1e-7
         path.follow_path(*start, 1e-3, 1e-9, 1.0, 1.0, 1)
-        assert memory["path"][5, 0] == pytest.approx(1e-7 * path.LONGER[1], rel=1e-12)
+        assert memory.path[5, 0] == pytest.approx(1e-7 * path.LONGER[1], rel=1e-12)

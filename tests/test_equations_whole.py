@@ -349,7 +349,7 @@ def test_redundant_forces_are_the_least(slides, seed):
     at = doubled(seed, slides)
     whole = at.force[0, 2] + at.force[1, 2]
     out = solved(at)
-    assert out.counters[ROW_RANK] == len(at.constrained) - 1
+    assert out.counters["row_rank"] == len(at.constrained) - 1
     assert out.acceleration == pytest.approx(at.acceleration, abs=1e-9)
     assert out.force[:2, 2] == pytest.approx([0.5 * whole, 0.5 * whole], rel=1e-9)
 
@@ -488,8 +488,8 @@ def test_slip_that_jams():
         out = solved(at)
         assert (out.status == NO_FORCE) == (status == NO_FORCE)
         # of what has none nothing is known
-        assert (out.counters[ROW_RANK] == 0) == (status == NO_FORCE)
-        assert status == OK or out.counters[LOST_POSITIVITY] == 0
+        assert (out.counters["row_rank"] == 0) == (status == NO_FORCE)
+        assert status == OK or out.counters["lost_positivity"] == 0
 
 
 # ---------------------------------------------------------------------------------------------- operators of slip

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from calling import from_python
+from pincontact.memory import Memory, address_of
 from test_directions_parts import turned
 
 import pincontact as pc
@@ -26,14 +27,12 @@ from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
 from pincontact.layout import (
     CONTACT_INTS,
     CONTACT_REALS,
-    CORRECTION_SIZE,
     COUNTERS_SIZE,
     DOMAIN,
     DRIVES_EVALUATED,
     EVALUATION_COUNT,
     FREE,
     FRICTIONLESS,
-    GAP_RESIDUAL,
     GUARD_END,
     GUARD_INTS,
     GUARD_Q,
@@ -69,9 +68,7 @@ from pincontact.layout import (
     TANGENTS,
     TIME_DEPENDENT,
     VELOCITY_LEFT,
-    VELOCITY_RESIDUAL,
 )
-from pincontact.memory import Memory, address_of
 
 SEEDS = pytest.mark.parametrize("seed", range(4))
 part = functools.cache(from_python)
@@ -173,11 +170,11 @@ def test_corrections_are_the_least_in_the_mass_metric(redundant, seed):
     expected = inverse @ np.linalg.pinv(rows[normals] @ inverse, rcond=1e-9) @ -left
     assert memory["correction_q"] == pytest.approx(expected, abs=1e-9)
     scalars = memory["scalars"]
-    assert scalars[GAP_RESIDUAL] == pytest.approx(np.abs(left).max(), rel=1e-14)
-    assert scalars[VELOCITY_RESIDUAL] == pytest.approx(np.abs(residual).max(), rel=1e-13)
-    assert scalars[CORRECTION_SIZE] == pytest.approx(np.abs(memory["correction_q"]).max(), rel=1e-14)
+    assert scalars["gap_residual"] == pytest.approx(np.abs(left).max(), rel=1e-14)
+    assert scalars["velocity_residual"] == pytest.approx(np.abs(residual).max(), rel=1e-13)
+    assert scalars["correction_size"] == pytest.approx(np.abs(memory["correction_q"]).max(), rel=1e-14)
     unmet = np.abs(rows @ memory["correction_v"] + residual).max()
-    assert scalars[VELOCITY_LEFT] == (pytest.approx(unmet, rel=1e-9) if redundant else 0.0)
+    assert scalars["velocity_left"] == (pytest.approx(unmet, rel=1e-9) if redundant else 0.0)
     assert redundant == (unmet > 1e-3)
 
 
@@ -458,12 +455,12 @@ def test_drives_are_evaluated_once_a_side(kind, timed):
     scene.add_contact("c", point, scene.add_contour("floor", pc.Plane(), placement=place, motion=motion), side=1)
     system = System(scene.model, list(scene.contacts.values()))
     system.side_int[1, TIME_DEPENDENT] = timed
-    before = system.counters[DRIVES_EVALUATED]
+    before = system.counters["drives_evaluated"]
     # what an evaluation before has left of it
     if kind:
         system.frames[1] = 7.0
     assert asked_directly(system) == OK
-    assert system.counters[DRIVES_EVALUATED] - before == int(kind != 0 or timed != 0)
+    assert system.counters["drives_evaluated"] - before == int(kind != 0 or timed != 0)
     frame = system.frames[1]
     assert frame[:3] == pytest.approx(place.rotation, abs=1e-15)
     offset = place.rotation @ [0.0, 0.0, 0.2] if kind else np.zeros(3)
@@ -525,6 +522,6 @@ def test_which_of_pinocchios_algorithms_are_called_by_address(choice, monkeypatc
         else:
             assert not called
             assert asked
-    system.callback[NATIVE] = 0
+    system.callback["native"] = 0
     evaluation.evaluate_state(address_of(system.table), 0.0, choice)
     assert not called

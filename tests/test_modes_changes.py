@@ -42,7 +42,6 @@ from pincontact.layout import (
     HIGH_FORCE,
     LENGTH,
     LOCATION_FAILED,
-    LOST_POSITIVITY,
     LOW_FORCE,
     MARGINS_PER_CONTACT,
     MODE,
@@ -57,8 +56,6 @@ from pincontact.layout import (
     PATTERN,
     REFERENCE_MOVES,
     REFERENCE_TIME,
-    ROW_COUNT,
-    ROW_RANK,
     SCALARS_SIZE,
     SLIP_RATE,
     SLIP_SIGN,
@@ -110,12 +107,12 @@ class Items:
     def list_rows(self, index):
         """Constraint rows (item, row) of an evaluation, whitened."""
         self.row_index[: len(index)] = index
-        self.counters[ROW_COUNT] = len(index)
+        self.counters["row_count"] = len(index)
         self.whitened_rows = np.zeros((len(self.row_index), self.nv))
         rows = np.array([self.rows[c, row] for c, row in index])
         self.whitened_rows[: len(index)] = np.linalg.solve(self.factor.T, rows.T).T
         self.whitened_forces = self.whitened_rows.copy()
-        self.counters[ROW_RANK] = np.linalg.matrix_rank(rows)
+        self.counters["row_rank"] = np.linalg.matrix_rank(rows)
 
 
 class Played:
@@ -657,9 +654,9 @@ def test_stick_that_would_take_too_much(seed):
     # resistances, and states at rest or worse, are not looked at
     assert solver._unheld([5]) is None
     assert solver._unheld([]) is None
-    system.counters[ROW_COUNT], kept = 0, system.v.copy()
+    system.counters["row_count"], kept = 0, system.v.copy()
     assert solver._unheld([0, 1, 2]) is None
-    system.counters[ROW_COUNT] = 8
+    system.counters["row_count"] = 8
     for v in (0.0, math.nan):
         system.v[:] = v
         assert solver._unheld([0, 1, 2]) is None
@@ -673,7 +670,7 @@ def test_stick_that_no_force_brings_about(seed):
     system = sticking(seed)
     solver = ModeSolver(system)
     for c in range(3):
-        system.counters[ROW_RANK] = 7
+        system.counters["row_rank"] = 7
         assert solver._unheld([0, 1, 2]) is None
         sizes = np.abs(system.rows[c])
         rate = (sizes @ np.abs(system.free_acceleration) + np.abs(system.bias[c])).max()
@@ -685,11 +682,11 @@ def test_stick_that_no_force_brings_about(seed):
                 assert solver._unheld([0, 1, 2]) == (None if held else c)
                 assert solver._unheld([i for i in range(3) if i != c]) is None
         # independent ones are held exactly, whatever round-off says
-        system.counters[ROW_RANK] = 8
+        system.counters["row_rank"] = 8
         assert solver._unheld([0, 1, 2]) is None
         system.bias[c, 0] = kept
     # round-off of rows that are zero, by the arms of 2 m and of at least one
-    system.counters[ROW_RANK] = 7
+    system.counters["row_rank"] = 7
     for c, arm in ((0, 1.0), (1, 2.0)):
         rounding = 1e-13 * arm * (np.abs(system.free_acceleration).max() + np.abs(system.v).max() ** 2)
         rows, bias = system.rows[c].copy(), system.bias[c].copy()
@@ -756,14 +753,14 @@ def test_what_sticks_needs_no_cones(monkeypatch):
         (True, 0.0, OK, 0), (True, 0.0, None, 1), (False, 0.0, OK, 1), (True, 1.0, OK, 1),
     ):  # fmt: skip
         system, solver, solved = deciding(monkeypatch, loaded)
-        system.scalars[HAS_REFERENCE], solver.proved = reference, True
+        system.scalars["has_reference"], solver.proved = reference, True
         evaluate = Played(system)
         decision = solver.decide(T, [0, 2], evaluate, status=status)
         assert (decision.status, decision.started, decision.solved) == (OK, {}, False)
         assert len(evaluate.asked) == times
         assert not solved.asked
         assert not solver.proved
-        assert system.scalars[HAS_REFERENCE] == 0.0
+        assert system.scalars["has_reference"] == 0.0
         assert system.contact_int[:, MODE].tolist() == [STICK, SLIPPING, STICK]
         assert system.contact_int[:, FROZEN].tolist() == [0, 1, 0]
 
@@ -783,7 +780,7 @@ def test_what_sticks_needs_no_cones(monkeypatch):
 )
 def test_when_cones_decide(status, beyond, holds, chosen, lost, solves, monkeypatch):
     system, solver, solved = deciding(monkeypatch, holds=holds, chosen=chosen)
-    system.counters[LOST_POSITIVITY] = lost
+    system.counters["lost_positivity"] = lost
     system.margins[:, FRICTION_MARGIN] = 0.0, 1.0, -0.1
     evaluate = Played(system, status)
     decision = solver.decide(T, [0], evaluate, beyond)
@@ -910,15 +907,15 @@ def test_whether_all_rows_are_those_of_cones():
     system = Items(3, 1, 1)
     solver = ModeSolver(system)
     system.contact_real[2, MU] = math.inf
-    system.counters[ROW_COUNT] = 6
+    system.counters["row_count"] = 6
     assert solver._all_stick([0, 2], [0], [], [])
     assert not solver._all_stick([0, 2], [2], [], [])
     assert not solver._all_stick([0, 2], [0], [0], [])
     assert not solver._all_stick([0, 2], [0], [], [4])
     for count in (5, 7):
-        system.counters[ROW_COUNT] = count
+        system.counters["row_count"] = count
         assert not solver._all_stick([0, 2], [0], [], [])
-    system.counters[ROW_COUNT] = 6
+    system.counters["row_count"] = 6
     system.contact_int[0, ANISOTROPIC] = 1
     assert not solver._all_stick([0, 2], [0], [], [])
     system.contact_int[0, ANISOTROPIC], system.contact_int[2, MODE] = 0, SLIPPING
@@ -1153,7 +1150,7 @@ def reference_at(system, index, time, loads):
     """The reference that an evaluation takes, from its kernel."""
     reference, work = np.zeros_like(system.reference), np.zeros(system.nv)
     part(equations._move_reference)(
-        index, len(index), loads, time - system.scalars[REFERENCE_TIME], system.reference_start, system.reference_rate,
+        index, len(index), loads, time - system.scalars["reference_time"], system.reference_start, system.reference_rate,
         system.reference_slope, system.nv, reference, work,
     )  # fmt: skip
     return reference[index[:, 0], index[:, 1]]
@@ -1245,9 +1242,9 @@ def test_redundant_forces_are_chosen_anew(monkeypatch):
 
 def test_when_there_is_no_choice(monkeypatch):
     system, solver = redundant()
-    system.counters[ROW_RANK] = 2
+    system.counters["row_rank"] = 2
     assert not solver.redistribute(T, never)
-    system.counters[ROW_RANK] = 1
+    system.counters["row_rank"] = 1
     # loads of what slides alone
     unload = saying(True)
     monkeypatch.setattr(solver, "_unload", unload)
@@ -1279,7 +1276,7 @@ def test_what_friction_holds_up_counts_by_its_friction(monkeypatch):
     system.force[0], system.force[1], system.force[2] = [5.0, 6.0, 1.0], [3.0, -4.0, 0.0], [0.1, 0.2, 0.3]
     system.rows[2, 0] = [0.0, 1.0]
     system.list_rows([(0, 2), (1, 2), (2, 2), (2, 0)])
-    system.counters[ROW_RANK] = 3
+    system.counters["row_rank"] = 3
     system.whitened_forces[1] = 2.0, 0.0
     asked = saying(None)
     monkeypatch.setattr(modes, "central_force", asked)
@@ -1340,9 +1337,9 @@ def test_least_loads_that_are_not_negative(seed):
     least = nnls(np.vstack([1e6 * operator, np.eye(n)]), np.append(1e6 * loads, np.zeros(n)))[0]
     feet = Feet(operator, loads)
     solver = ModeSolver(feet)
-    feet.scalars[HAS_REFERENCE] = 1.0
+    feet.scalars["has_reference"] = 1.0
     found = solver._unload(T, feet, None)
-    assert feet.scalars[HAS_REFERENCE] == 0.0
+    assert feet.scalars["has_reference"] == 0.0
     signs = feet.contact_int[:, NORMAL_SIGN].tolist()
     assert signs[n] == -1
     if not feasible:

@@ -66,7 +66,7 @@ def test_the_same_numbers(name, monkeypatch):
             assert np.allclose(one, two, rtol=1e-13, atol=1e-13)
         for system in (native, plain):
             system.data.J[:] = np.nan
-            run_task(system.table, SETTLE, 0.0, 0.0)
+            run_task(system.address, SETTLE, 0.0, 0.0)
         assert np.allclose(native.data.J, plain.data.J, rtol=1e-13, atol=1e-13)
 
 

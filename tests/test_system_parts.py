@@ -51,7 +51,6 @@ from pincontact.layout import (
     MU_STATIC,
     NBLOCKS,
     NC,
-    NEXT_OUTPUT,
     NJOINTS,
     NORMAL_1,
     NORMAL_2,
@@ -81,7 +80,6 @@ from pincontact.layout import (
     STRIBECK_SPEED,
     SUPPORT_SIZE,
     TANGENTS,
-    TIME,
     TIME_DEPENDENT,
     UNILATERAL,
     VISCOUS,
@@ -349,13 +347,13 @@ def test_drives_in_python_are_asked():
     assert system.varies_with_time
     assert [(side, name) for side, name, _ in system.python_drives] == [(1, "field"), (4, "field")]
     times.clear()
-    system.scalars[TIME] = 0.25
+    system.scalars["time"] = 0.25
     ask = system.callback_of(lambda t: given(t))
     assert ask()
     assert times == [0.25]
     system.check_callbacks()
     for time in (1.5, 2.5):
-        system.scalars[TIME] = time
+        system.scalars["time"] = time
         assert not ask()
     assert times == [0.25, 1.5, 2.5]
     with pytest.raises(KeyError):
@@ -388,19 +386,19 @@ def test_torques_that_are_not_finite():
 def test_times_of_output(count):
     system = System(scene_of().model, [])
     times = np.linspace(0.5, 1.0, count)
-    system.counters[OUTPUTS_DONE] = 7
+    system.counters["outputs_done"] = 7
     system.set_output_times(times)
     assert system.counters[[OUTPUT_COUNT, OUTPUTS_DONE, RECORD_STEPS]].tolist() == [count, 0, 0]
     for time in times[:3]:
-        assert system.scalars[NEXT_OUTPUT] == time
+        assert system.scalars["next_output"] == time
         system.output_done()
     if count <= 3:
-        assert system.scalars[NEXT_OUTPUT] == math.inf
+        assert system.scalars["next_output"] == math.inf
     assert (system.output_times == times).all()
     assert (system.memory["output_times"][:count] == times).all()
     system.set_output_times(None)
     assert system.counters[[OUTPUT_COUNT, OUTPUTS_DONE, RECORD_STEPS]].tolist() == [0, 0, 1]
-    assert system.scalars[NEXT_OUTPUT] == math.inf
+    assert system.scalars["next_output"] == math.inf
 
 
 # ---------------------------------------------------------------------------------------------- kept for the next run

@@ -25,7 +25,6 @@ from pincontact.dynamics.system import System
 from pincontact.friction.solve import ContactSolver
 from pincontact.integration import driver
 from pincontact.integration.steps import KEEP_VELOCITY, run_task
-from pincontact.layout import EVALUATION_COUNT
 from pincontact.state import write_discrete
 
 _RUNS = 15
@@ -51,7 +50,7 @@ class Clock:
             entry = [kind, 0.0]
             self._stack.append(entry)
             handles = any(other[0] == "handler" for other in self._stack)
-            before = arguments[0].system.counters[EVALUATION_COUNT] if counts else 0
+            before = arguments[0].system.counters["evaluation_count"] if counts else 0
             began = time.perf_counter()
             try:
                 return function(*arguments, **named)
@@ -59,7 +58,7 @@ class Clock:
                 taken = time.perf_counter() - began
                 self._stack.pop()
                 if counts and not any(other[0] == "handler" for other in self._stack):
-                    self.evaluations += int(arguments[0].system.counters[EVALUATION_COUNT] - before)
+                    self.evaluations += int(arguments[0].system.counters["evaluation_count"] - before)
                 if self._stack:
                     self._stack[-1][1] += taken
                 spent = self.inside if handles else self.outside
@@ -136,7 +135,7 @@ def evaluation_parts(system: System, twin: System) -> tuple[float, float]:
     whole, kernels, call = by_turns(
         lambda: system.evaluate(0.0),
         lambda: twin.evaluate(0.0),
-        lambda: run_task(system.table, KEEP_VELOCITY, 0.0, 0.0),
+        lambda: run_task(system.address, KEEP_VELOCITY, 0.0, 0.0),
     )
     return whole - kernels, kernels - call
 

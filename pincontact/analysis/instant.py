@@ -247,7 +247,7 @@ class Instant:
         start = system.nq + system.nv
         here = slice(start, start + 4 * system.nc)
         system.state[here] = system.location[: system.nc].ravel()
-        move_charts(system.table)
+        move_charts(system.address)
         self._location = system.state[here].reshape(system.nc, 4).copy()
 
     # ---------------------------------------------------------------- constraints

@@ -41,7 +41,6 @@ from ..jit import kernel
 from ..layout import (
     BRANCH,
     CHART,
-    CLOSED_COUNT,
     CLOSED_FORM,
     CONDITION,
     DETERMINANT_SIGN,
@@ -51,7 +50,6 @@ from ..layout import (
     LAST_NORMAL_X,
     LENGTH,
     LOCATION_FAILED,
-    NEWTON_COUNT,
     OK,
     PATTERN,
     POOL_ADDRESS,
@@ -60,7 +58,7 @@ from ..layout import (
     SINGULAR,
     TIME_DEPENDENT,
 )
-from ..memory import reals
+from ..workspace import reals_at
 
 # rows of the scratch array `vectors`
 _DIFFERENCE, _NORMAL, _K_AXIS, _V1, _V2, _A, _B, _C, _D, NORMAL_RATE = range(10)
@@ -73,7 +71,7 @@ def shape_in_world(integers, shape, frame, u1, u2, dimension, time, local, world
         integers[KIND],
         integers[CHART],
         shape,
-        reals(integers[POOL_ADDRESS], integers[POOL_SIZE]),
+        reals_at(integers[POOL_ADDRESS], integers[POOL_SIZE]),
         u1,
         u2,
         time,
@@ -128,7 +126,7 @@ def locate(
     pattern, k1, k2 = integers[PATTERN], integers[K1], integers[K2]
     difference, normal, k_axis = vectors[_DIFFERENCE], vectors[_NORMAL], vectors[_K_AXIS]
     if integers[CLOSED_FORM] != NO_CLOSED_FORM:
-        counters[CLOSED_COUNT] += 1
+        counters.closed_count += 1
         form, branch, found = integers[CLOSED_FORM], integers[BRANCH], True
         if form in (POINT_ON_SPHERE, SPHERE_ON_SPHERE):
             charts = (side1[CHART], side2[CHART])
@@ -152,7 +150,7 @@ def locate(
     length = numbers[LENGTH]
     converged = False
     for _ in range(NEWTON_LIMIT):
-        counters[NEWTON_COUNT] += 1
+        counters.newton_count += 1
         shape_in_world(side1, shape1, frame1, location[0], location[1], k1, time, local, first)
         shape_in_world(side2, shape2, frame2, location[2], location[3], k2, time, local, second)
         point_difference(frame1, frame2, first, second, difference)

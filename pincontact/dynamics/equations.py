@@ -34,7 +34,6 @@ from ..layout import (
     HIGH_END,
     HIGH_FORCE,
     LIMIT_SLACK,
-    LOST_POSITIVITY,
     LOW_END,
     LOW_FORCE,
     MARGINS_PER_CONTACT,
@@ -53,8 +52,6 @@ from ..layout import (
     PATTERN,
     POLYNOMIAL,
     POLYNOMIAL_SIZE,
-    ROW_COUNT,
-    ROW_RANK,
     SLIP_RATE,
     SLIP_SIGN,
     SLIP_SPEED,
@@ -274,38 +271,38 @@ def is_normal_of_curve(contact_int, c, row):
 
 
 @kernel
-def solve_slip(contact_int, row_index, system, n, x, permutation, scratch):
+def solve_slip(contact_int, row_index, operator, n, x, permutation, scratch):
     """Solve the unsymmetric system of slipping contacts, x (n,) in and out; returns its rank.
 
     -1 where a contact's own operator has lost positivity, against its frictionless value in the last column of
     system: no force, or two (Painleve); see `curves_lose_positivity` for points on curves. So it has of several where
-    their determinant, positive without friction, is negative, which is for the caller to look at: it is system[0, 0]
+    their determinant, positive without friction, is negative, which is for the caller to look at: it is operator[0, 0]
     then, where the rank is n. Where that value is zero
     nothing moves along the normal, whatever pushes: the multiplier is left out, and so zero, as among redundant ones.
     """
     moving = 0
     for i in range(n):
-        if system[i, n] < 0.0:
+        if operator[i, n] < 0.0:
             # carries nothing, with a column of zeros
             moving += 1
             continue
-        if system[i, n] == 0.0:
+        if operator[i, n] == 0.0:
             x[i] = 0.0
             for j in range(n):
-                system[j, i] = 0.0
+                operator[j, i] = 0.0
             continue
-        if not system[i, i] > PAINLEVE_LIMIT * system[i, n] and not is_normal_of_curve(
+        if not operator[i, i] > PAINLEVE_LIMIT * operator[i, n] and not is_normal_of_curve(
             contact_int, row_index[i, 0], row_index[i, 1]
         ):
             return -1
         moving += 1
     if n == 1 or moving == 0:
         if moving == 1:
-            x[0] = x[0] / system[0, 0] if system[0, n] > 0.0 else 0.0
+            x[0] = x[0] / operator[0, 0] if operator[0, n] > 0.0 else 0.0
         return moving
     for i in range(n):
         scratch[i, n] = x[i]
-    rank = minimum_norm_solve(system, scratch[:n, n], n, x, scratch, permutation, RANK_TOLERANCE)
+    rank = minimum_norm_solve(operator, scratch[:n, n], n, x, scratch, permutation, RANK_TOLERANCE)
     return rank if rank > 0 else -1
 
 
@@ -382,7 +379,7 @@ def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents,
 
 @kernel
 def weigh_forces(
-    contact_int, contact_real, rows, row_index, count, factor, parents, nv, whitened, whitened_forces, system, work
+    contact_int, contact_real, rows, row_index, count, factor, parents, nv, whitened, whitened_forces, operator, work
 ):
     """The operator with forces in their units, see `unit_of_force`; what they are to be multiplied with, then, in the
     last column of system (count, count + 1)."""
@@ -390,9 +387,9 @@ def weigh_forces(
         own = inner(whitened[j], whitened[j], nv)
         c, row = row_index[j, 0], row_index[j, 1]
         unit = unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents, nv, work)
-        system[j, count] = 1.0 / math.sqrt(unit) if own > 0.0 else 0.0
+        operator[j, count] = 1.0 / math.sqrt(unit) if own > 0.0 else 0.0
         for i in range(count):
-            system[i, j] = inner(whitened[i], whitened_forces[j], nv) * system[j, count]
+            operator[i, j] = inner(whitened[i], whitened_forces[j], nv) * operator[j, count]
 
 
 @kernel
@@ -402,15 +399,15 @@ def carries_nothing(contact_int, nc, c, row):
 
 
 @kernel
-def leave_unloaded(contact_int, nc, row_index, count, system):
+def leave_unloaded(contact_int, nc, row_index, count, operator):
     """Zero the columns of contacts that carry nothing, and mark them by -1 in the last one; how many there are."""
     found = 0
     for j in range(count):
         if carries_nothing(contact_int, nc, row_index[j, 0], row_index[j, 1]):
             found += 1
-            system[j, count] = -1.0
+            operator[j, count] = -1.0
             for i in range(count):
-                system[i, j] = 0.0
+                operator[i, j] = 0.0
     return found
 
 
@@ -430,7 +427,7 @@ def unloaded_margins(
     whitened_forces,
     acceleration,
     multipliers,
-    system,
+    operator,
     permutation,
     scratch,
     margins,
@@ -453,17 +450,17 @@ def unloaded_margins(
         nv,
         whitened,
         whitened_forces,
-        system,
+        operator,
         work,
     )
     loaded = 0
     for j in range(count):
-        if system[j, count] > 0.0 and not carries_nothing(contact_int, nc, row_index[j, 0], row_index[j, 1]):
+        if operator[j, count] > 0.0 and not carries_nothing(contact_int, nc, row_index[j, 0], row_index[j, 1]):
             for i in range(count):
-                scratch[loaded, i] = system[i, j]
-            scratch[loaded, count] = multipliers[j] / system[j, count]
+                scratch[loaded, i] = operator[i, j]
+            scratch[loaded, count] = multipliers[j] / operator[j, count]
             loaded += 1
-    least_norm(scratch, scratch[:count, count], loaded, count, multipliers, system, permutation, RANK_TOLERANCE)
+    least_norm(scratch, scratch[:count, count], loaded, count, multipliers, operator, permutation, RANK_TOLERANCE)
     status = OK
     for j in range(count):
         c = row_index[j, 0]
@@ -472,7 +469,7 @@ def unloaded_margins(
         load = 0.0
         for i in range(count):
             load += inner(whitened[i], whitened_forces[j], nv) * multipliers[i]
-        margins[c, NORMAL_MARGIN] = -load * system[j, count] * system[j, count]
+        margins[c, NORMAL_MARGIN] = -load * operator[j, count] * operator[j, count]
         free, held = bias[c, 2], inner(rows[c, 2], acceleration, nv)
         if abs(held + free) > _CLOSES * (abs(held) + abs(free) + 1.0):
             margins[c, NORMAL_MARGIN] = -1.0
@@ -538,7 +535,7 @@ def contact_dynamics(
     """
     free_with_owners(contact_int, nc + ng, total)
     count, slipping = list_rows(contact_int, total, row_index)
-    counters[ROW_COUNT], counters[ROW_RANK], counters[LOST_POSITIVITY] = count, 0, 0
+    counters.row_count, counters.row_rank, counters.lost_positivity = count, 0, 0
     unloaded = 0
     whiten_rows(factor, parents, nv, rows, row_index, count, whitened)
     iterate, change = 1, 0.0
@@ -590,8 +587,8 @@ def contact_dynamics(
             rank = solve_slip(contact_int, row_index, delassus, count, multipliers, permutation, scratch)
             if rank < 0:
                 return NO_FORCE
-            counters[ROW_RANK] = rank
-            counters[LOST_POSITIVITY] = 1 if rank == count and delassus[0, 0] < -COMMON_LIMIT else 0
+            counters.row_rank = rank
+            counters.lost_positivity = 1 if rank == count and delassus[0, 0] < -COMMON_LIMIT else 0
             if rank < count:
                 # redundant: the least forces, each in its unit
                 right_hand_side(row_index, count, rows, bias, free_acceleration, nv, multipliers)
@@ -622,7 +619,7 @@ def contact_dynamics(
         else:
             if has_reference:
                 _take_reference(row_index, count, reference, whitened, whitened, nv, multipliers, work)
-            counters[ROW_RANK] = solve_gram(whitened, count, nv, delassus, permutation, multipliers, scratch)
+            counters.row_rank = solve_gram(whitened, count, nv, delassus, permutation, multipliers, scratch)
         if has_reference:
             for r in range(count):
                 multipliers[r] += reference[row_index[r, 0], row_index[r, 1]]

@@ -88,7 +88,7 @@ def apply_impact(
         # what the joints receive and the relative velocities do not account for
         before = whitened_velocity(system, system.v)
         drives = float(y @ before + 0.5 * y @ y) - contacts - joints
-    system.v += unwhiten(system, y)
+    system.v[:] += unwhiten(system, y)
     return Impact(contacts, drives, joints, kept)
 
 

@@ -30,10 +30,8 @@ from ..layout import (
     GUARD_END,
     GUARD_SIGN,
     GUARD_V,
-    HAS_REFERENCE,
     HIGH_FORCE,
     LENGTH,
-    LOST_POSITIVITY,
     LOW_FORCE,
     MODE,
     MU,
@@ -44,10 +42,6 @@ from ..layout import (
     NORMAL_SIGN,
     OK,
     PATTERN,
-    REFERENCE_MOVES,
-    REFERENCE_TIME,
-    ROW_COUNT,
-    ROW_RANK,
     SLIP_RATE,
     SLIP_SIGN,
     SLIPPING,
@@ -174,7 +168,7 @@ class ModeSolver:
         for c in undecided:
             integers[c, MODE] = STICK
             integers[c, FROZEN] = 0
-        if status is None or not loaded or system.scalars[HAS_REFERENCE] != 0.0:
+        if status is None or not loaded or system.scalars["has_reference"] != 0.0:
             self._take_reference(None)
             status = evaluate(t)
         if status > EVENT and status != NO_FORCE:
@@ -185,7 +179,7 @@ class ModeSolver:
             status = evaluate(t)
             if status > EVENT and status != NO_FORCE:
                 return Decision(status)
-        positive = system.counters[LOST_POSITIVITY] == 0
+        positive = system.counters["lost_positivity"] == 0
         if (
             beyond is None
             and positive
@@ -245,7 +239,7 @@ class ModeSolver:
     def _unheld(self, undecided: list[int]) -> int | None:
         """One of these contacts that cannot stick at the last evaluation's velocity, if there is one."""
         system = self.system
-        count = int(system.counters[ROW_COUNT])
+        count = int(system.counters["row_count"])
         contacts = [c for c in undecided if c < system.nc]
         if not contacts or count == 0:
             return None
@@ -254,7 +248,7 @@ class ModeSolver:
         if not 0.0 < speed < math.inf:
             return None
         # independent rows are held exactly
-        for c in contacts if count != system.counters[ROW_RANK] else ():
+        for c in contacts if count != system.counters["row_rank"] else ():
             tangents = int(system.contact_int[c, TANGENTS])
             left = system.rows[c, :tangents] @ system.acceleration + system.bias[c, :tangents]
             # by what forces do and by what turns: either may vanish
@@ -304,8 +298,8 @@ class ModeSolver:
         accelerations stay what they are, unless loads of what slides are chosen.
         """
         system = self.system
-        count = int(system.counters[ROW_COUNT])
-        if count == system.counters[ROW_RANK]:
+        count = int(system.counters["row_count"])
+        if count == system.counters["row_rank"]:
             # of independent rows there is one choice
             return False
         index = system.row_index[:count].copy()
@@ -330,15 +324,18 @@ class ModeSolver:
         if found is None:
             return False
         arrays = system.reference, system.reference_start, system.reference_rate, system.reference_slope
-        kinds = [HAS_REFERENCE, REFERENCE_MOVES, REFERENCE_TIME]
-        before, scalars, last = [array.copy() for array in arrays], system.scalars[kinds], self._last
+        kinds = "has_reference", "reference_moves", "reference_time"
+        before, last = [array.copy() for array in arrays], self._last
+        scalars = [system.scalars[kind] for kind in kinds]
         self._follow(t, index, found, rows @ (directions.T @ found.span), slipping)
         if evaluate(t) <= EVENT and self._holds():
             self.redistributions += 1
             return True
         for array, values in zip(arrays, before):
             array[:] = values
-        system.scalars[kinds], self._last = scalars, last
+        for kind, value in zip(kinds, scalars):
+            system.scalars[kind] = value
+        self._last = last
         evaluate(t)
         return False
 
@@ -404,7 +401,7 @@ class ModeSolver:
         c, row = index[:, 0], index[:, 1]
         last = self._last
         self._take_reference(np.zeros_like(system.reference))
-        system.scalars[[REFERENCE_MOVES, REFERENCE_TIME]] = 1.0, t
+        system.scalars["reference_moves"], system.scalars["reference_time"] = 1.0, t
         system.reference_start[:] = system.reference_rate[:] = system.reference_slope[:] = 0.0
         self._last = t, index, choice.forces
         if slipping and last is not None and last[0] < t and np.array_equal(last[1], index):
@@ -421,8 +418,8 @@ class ModeSolver:
     def _take_reference(self, reference: np.ndarray | None) -> None:
         """Choose redundant forces nearest to these (nc + ng + nr, 3), or None: nearest to zero."""
         system = self.system
-        system.scalars[HAS_REFERENCE] = 0.0 if reference is None else 1.0
-        system.scalars[REFERENCE_MOVES] = 0.0
+        system.scalars["has_reference"] = 0.0 if reference is None else 1.0
+        system.scalars["reference_moves"] = 0.0
         self._last = None
         if reference is not None:
             system.reference[:] = reference
@@ -571,7 +568,7 @@ class ModeSolver:
         integers, numbers = system.contact_int, system.contact_real
         return (
             not (held or resisting)
-            and system.counters[ROW_COUNT] == 3 * len(closed)
+            and system.counters["row_count"] == 3 * len(closed)
             and all(
                 integers[c, MODE] == STICK
                 and not integers[c, ANISOTROPIC]
@@ -886,7 +883,7 @@ class ModeSolver:
     def _still(self) -> float:
         """Relative accelerations in m/s^2 below which is round-off."""
         system = self.system
-        count = int(system.counters[ROW_COUNT])
+        count = int(system.counters["row_count"])
         c, row = system.row_index[:count].T
         return _ROUND_OFF * float((np.abs(system.rows[c, row]) @ np.abs(system.free_acceleration)).max(initial=0.0))
 

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 import pinocchio as pin
 
-from ..memory import address_of
+from ..workspace import address_of
 
 # Names of Pinocchio 4's functions of (model, data, q, v), (model, data, q, v, a) and (model, data, q, convention) in
 # its library, for vectors that are passed as Eigen::Ref.

@@ -15,43 +15,25 @@ from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
 from ..jit import kernel
 from ..layout import (
-    BASIS,
-    BIAS,
-    CONTACT_INT,
-    CONTACT_INTS,
-    FRAMES,
     FREE,
-    GUARD_COUNT,
-    JACOBIAN,
     MODE,
-    NC,
-    NV,
     OWNER,
     PATTERN,
-    RESISTANCE_COUNT,
     ROLLING_ROW,
-    ROWS,
-    SIDE_INT,
-    SIDE_INTS,
-    SIZES,
-    SLIP,
     SPINNING_ROW,
-    SUPPORT,
     SUPPORT_SIZE,
     TANGENTS,
-    VECTORS,
 )
-from ..memory import cube, integer_matrix, integers, matrix
 
 # Angular velocities per unit of a joint's below this are round-off.
 _ROUND_OFF = 1e-13
 
 
 @kernel
-def count_items(table):
+def count_items(system):
     """Contacts, guarded joint coordinates and resistances: all that constraint rows may belong to."""
-    beyond = integers(table[GUARD_COUNT], 1)[0] + integers(table[RESISTANCE_COUNT], 1)[0]
-    return integers(table[SIZES], 8)[NC] + beyond
+    beyond = system.guard_count[0] + system.resistance_count[0]
+    return system.sizes.nc + beyond
 
 
 @kernel
@@ -88,20 +70,20 @@ def drop_unturned(row, nv):
 
 
 @kernel
-def resistance_kinematics(table, c, total):
+def resistance_kinematics(system, c, total):
     """Basis, relative angular velocity, rows and biases of contact c's resistances, after its own kinematics.
 
     The rate of a tangential component of omega leaves out what only turns the other tangential one into it: a
     resistance holds both or none, and where it gives way that turns the direction, not the speed.
     """
-    sizes = integers(table[SIZES], 8)
-    nv, nc = sizes[NV], sizes[NC]
-    contact_int = integer_matrix(table[CONTACT_INT], total, CONTACT_INTS)
-    basis, slip = cube(table[BASIS], total, 3, 3), matrix(table[SLIP], total, 3)
-    bias, rows = matrix(table[BIAS], total, 3), cube(table[ROWS], total, 3, nv)
-    frames, normal_rate = cube(table[FRAMES], 2 * nc, 8, 3), matrix(table[VECTORS], 16, 3)[NORMAL_RATE]
-    side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
-    jacobian, support = matrix(table[JACOBIAN], nv, 6), integer_matrix(table[SUPPORT], 2 * nc, nv)
+    sizes = system.sizes
+    nv = sizes.nv
+    contact_int = system.contact_int
+    basis, slip = system.basis, system.slip
+    bias, rows = system.bias, system.rows
+    frames, normal_rate = system.frames, system.vectors[NORMAL_RATE]
+    side_int = system.side_int
+    jacobian, support = system.jacobian, system.support
     one, two = 2 * c, 2 * c + 1
     normal = basis[c, 2]
     for rolls in range(2):

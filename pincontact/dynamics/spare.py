@@ -36,7 +36,7 @@ class Spare:
         self._contacts = list(scene.contacts.values())
         self._sides = [(side, side.placement_in_joint.copy(), _numbers(side)) for side in _sides(self._contacts)]
         self.system = System(scene.model, self._contacts, works, joint_guards(scene.model), resistances)
-        self.system.memory.keep()
+        self.system.keep()
         # what time stepping has made for this system, see `MoreauStep.renew`
         self.stepper: MoreauStep | None = None
 
@@ -64,7 +64,7 @@ def take_spare(scene: Scene, works: bool, resistances: bool) -> Spare:
     spare = _spares.pop(scene, None)
     if spare is None or not spare.fits(scene, works, resistances):
         return Spare(scene, works, resistances)
-    spare.system.memory.restore()
+    spare.system.restore()
     return spare
 
 

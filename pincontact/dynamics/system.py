@@ -29,21 +29,11 @@ from ..layout import (
     ALONG_BODY_1,
     ALONG_BODY_2,
     ANISOTROPIC,
-    ASKED,
-    ASKED_WITH,
     ASPECT,
-    BAD_TIME,
-    BAD_TORQUE,
-    CALL_FAILED,
-    CALLBACK_SIZE,
-    CALLED,
     CHART,
-    CHARTED,
     CLOSED_FORM,
     CONTACT_INTS,
     CONTACT_REALS,
-    COUNTERS_SIZE,
-    EVALUATION,
     EVENT,
     FREE,
     FRICTIONLESS,
@@ -64,9 +54,6 @@ from ..layout import (
     LOW_FORCE,
     MARGINS_PER_CONTACT,
     MODE,
-    MODEL,
-    MODEL_JOINTS,
-    MODEL_SIZE,
     MOTION_KIND,
     MOTION_POOL,
     MOTION_POOL_SIZE,
@@ -74,36 +61,19 @@ from ..layout import (
     MU_FAST,
     MU_NOW,
     MU_STATIC,
-    NATIVE,
-    NBLOCKS,
-    NC,
-    NEXT_OUTPUT,
-    NJOINTS,
     NORMAL_1,
     NORMAL_SIGN,
-    NQ,
-    NV,
-    NWORK,
-    NY,
-    OUTPUT_COUNT,
-    OUTPUTS_DONE,
-    OWN_TABLE,
     OWNER,
     PATTERN,
-    PLACED,
     POLYNOMIAL_SIZE,
     POOL_ADDRESS,
     POOL_SIZE,
-    RECORD_STEPS,
     ROLLING,
     ROLLING_ROW,
-    SCALARS_SIZE,
-    SCAN_COUNT,
     SCAN_ROOM,
     SIDE,
     SIDE_INTS,
     SLIP_SIGN,
-    SLOTS,
     SPAN,
     SPINNING,
     SPINNING_ROW,
@@ -113,13 +83,13 @@ from ..layout import (
     STRIBECK_EXPONENT,
     STRIBECK_SPEED,
     SUPPORT_SIZE,
+    SYSTEM,
     TANGENTS,
-    TIME,
     TIME_DEPENDENT,
     UNILATERAL,
     VISCOUS,
 )
-from ..memory import Memory, address_of
+from ..workspace import Workspace, address_of
 from .evaluation import evaluate_state
 from .pinocchio_calls import PinocchioCalls
 
@@ -137,11 +107,11 @@ _FEW_TIMES = 256
 _NO_TIMES = np.zeros(0)
 
 
-class System:
+class System(Workspace):
     """Everything that one run needs, laid out once.
 
-    The arrays named like the slots of `layout.SLOTS` are attributes of `memory`; the ones used from Python are
-    attributes here. `evaluate(t)` runs Pinocchio and one kernel at the state in `q`, `v`, `location`.
+    The arrays of `layout.SYSTEM` are attributes. `evaluate(t)` runs Pinocchio and one kernel at the state in `q`, `v`,
+    `location`.
     """
 
     def __init__(
@@ -152,7 +122,9 @@ class System:
         guards: Sequence[Guard] = (),
         resistances: bool = False,
     ) -> None:
-        compile_kernels(several=len(contacts) > 1)
+        rubs = any(contact.friction is not None and math.isfinite(contact.friction.sliding) for contact in contacts)
+        compile_kernels(friction=rubs, several=len(contacts) > 1)
+        super().__init__(SYSTEM)
         self.model = model
         self.contacts = list(contacts)
         self.data = model.createData()
@@ -165,64 +137,58 @@ class System:
         nwork = NUMBER_OF_WORKS if works else 0
         ny = nq + nv + 4 * nc + nwork
         self.ny = ny
-        memory = Memory(SLOTS)
-        self.memory = memory
-        self.table = memory.table
         # blocks of rows to be recorded, by their width, which all runs of this system fill
         self.row_blocks: dict[int, list[tuple[str, np.ndarray, int]]] = {}
-        sizes = memory.integers("sizes", 8)
+        sizes = self.zeros("sizes")
         blocks = configuration_blocks(model)
         # whether velocities differ between the axes of joints and of their parents
         self.turns = any(block[0] in TURNING for block in blocks)
-        sizes[[NQ, NV, NC, NJOINTS, NBLOCKS, NWORK, NY]] = nq, nv, nc, model.njoints, len(blocks), nwork, ny
-        self.sizes = sizes
-        self.scalars = memory.reals("scalars", SCALARS_SIZE)
-        self.q = memory.reals("q", nq)
-        self.v = memory.reals("v", nv)
+        sizes[()] = nq, nv, nc, model.njoints, len(blocks), 0, nwork, ny
+        self.zeros("scalars")
+        self.zeros("q", nq)
+        self.zeros("v", nv)
         self.q[:] = pin.neutral(model)
         self.pinocchio = PinocchioCalls(model, self.data, self.q, self.v)
         self._map_pinocchio()
-        table = memory.integers("joint_table", max(len(blocks), 1), 4)
-        if blocks:
-            table[:] = blocks
+        self.zeros("joint_table", len(blocks), 4)[:] = np.reshape(blocks, (-1, 4))
         self._map_contacts()
         self._allocate(max(self.items, 1), nv, ny)
         self._map_guards(guards)
         self._map_resistances()
         self._map_calls()
-        self.counters[CHARTED] = any(len(b.contour.charts) > 1 for c in self.contacts for b in (c.body1, c.body2))
+        self.counters["charted"] = any(len(b.contour.charts) > 1 for c in self.contacts for b in (c.body1, c.body2))
 
     def _map_pinocchio(self) -> None:
-        memory, data, model = self.memory, self.data, self.model
-        memory.put("mass", data.M)
-        memory.integers("parents", max(model.nv, 1))[: model.nv] = list(data.parents_fromRow)[: model.nv]
-        self.bias_forces = memory.put("nle", self.pinocchio.bias_forces)
-        memory.put("jacobian", data.J)
-        addresses = memory.integers("joint_addresses", model.njoints, 4)
+        data, model = self.data, self.model
+        self.put("mass", data.M.T)
+        self.zeros("parents", max(model.nv, 1))[: model.nv] = list(data.parents_fromRow)[: model.nv]
+        self.bias_forces = self.put("nle", self.pinocchio.bias_forces)
+        self.put("jacobian", data.J.T)
+        addresses = self.zeros("joint_addresses", model.njoints, 4)
         for j in range(1, model.njoints):
             pose = data.oMi[j]
             parts = (pose.rotation, pose.translation, data.v[j].vector, data.a_gf[j].vector)
             addresses[j] = [address_of(part) for part in parts]
-        memory.reals("gravity", 3)[:] = model.gravity.linear
-        self.tau = memory.reals("tau", model.nv)
-        damping = memory.reals("damping", model.nv)
+        self.zeros("gravity", 3)[:] = model.gravity.linear
+        self.zeros("tau", model.nv)
+        damping = self.zeros("damping", model.nv)
         damping[:] = model.damping
 
     def _map_contacts(self) -> None:
-        memory, nc = self.memory, max(self.nc, 1)
-        self.contact_int = memory.integers("contact_int", max(self.items, 1), CONTACT_INTS)
-        self.contact_real = memory.reals("contact_real", max(self.items, 1), CONTACT_REALS)
+        nc = max(self.nc, 1)
+        self.zeros("contact_int", max(self.items, 1), CONTACT_INTS)
+        self.zeros("contact_real", max(self.items, 1), CONTACT_REALS)
         self.contact_real[:, START_SPEED] = np.inf
         self.contact_real[:, LIMIT_SLACK] = FORCE_SLACK
-        self.side_int = memory.integers("side_int", 2 * nc, SIDE_INTS)
-        self.side_shape = memory.reals("side_shape", 2 * nc, SHAPE_SIZE)
-        self.side_base = memory.reals("side_base", 2 * nc, 12)
-        self.side_domain = memory.reals("side_domain", 2 * nc, 4)
-        self.side_motion = memory.reals("side_motion", 2 * nc, MOTION_SIZE)
+        self.zeros("side_int", 2 * nc, SIDE_INTS)
+        self.zeros("side_shape", 2 * nc, SHAPE_SIZE)
+        self.zeros("side_base", 2 * nc, 12)
+        self.zeros("side_domain", 2 * nc, 4)
+        self.zeros("side_motion", 2 * nc, MOTION_SIZE)
         self.python_drives: list[tuple[int, str, Motion]] = []
-        self.side_motion_parameters = memory.reals("side_motion_parameters", 2 * nc, MOTION_PARAMETERS)
-        self.support = memory.integers("support", 2 * nc, max(self.nv, 1))
-        self.frames = memory.reals("frames", 2 * nc, 8, 3)
+        self.zeros("side_motion_parameters", 2 * nc, MOTION_PARAMETERS)
+        self.zeros("support", 2 * nc, max(self.nv, 1))
+        self.zeros("frames", 2 * nc, 8, 3)
         self._pools: list[np.ndarray] = []
         for c, contact in enumerate(self.contacts):
             integers, numbers = self.contact_int[c], self.contact_real[c]
@@ -277,66 +243,65 @@ class System:
                 self.python_drives.append((side, attached.name, motion))
 
     def _allocate(self, nc: int, nv: int, ny: int) -> None:
-        memory, rows = self.memory, 3 * nc
-        memory.reals("derivatives", 2 * nc, DERIVATIVE_ROWS, 3)
-        self.derivatives = memory["derivatives"]
-        self.basis = memory.scratch("basis", nc, 3, 3)
-        self.slip = memory.reals("slip", nc, 3)
-        self.gaps = memory.scratch("gaps", nc, 2)
-        self.rates = memory.scratch("rates", nc, 4)
-        self.bias = memory.reals("bias", nc, 3)
-        self.rows = memory.reals("rows", nc, 3, nv)
+        rows = 3 * nc
+        self.zeros("derivatives", 2 * nc, DERIVATIVE_ROWS, 3)
+        self.scratch("basis", nc, 3, 3)
+        self.zeros("slip", nc, 3)
+        self.scratch("gaps", nc, 2)
+        self.scratch("rates", nc, 4)
+        self.zeros("bias", nc, 3)
+        self.zeros("rows", nc, 3, nv)
         # zero where no evaluation has solved for a force: time stepping gives that of joints with the torques
-        self.force = memory.reals("force", nc, 3)
-        self.relative_acceleration = memory.scratch("relative_acceleration", nc, 3)
-        self.margins = memory.scratch("margins", nc, MARGINS_PER_CONTACT)
-        self.location = memory.reals("location", nc, 4)
-        self.factor = memory.reals("factor", nv, nv)
-        self.acceleration = memory.scratch("acceleration", nv)
-        self.free_acceleration = memory.scratch("free_acceleration", nv)
-        memory.scratch("constraint_rows", rows, rows + 1)
-        self.whitened_rows = memory.scratch("whitened_rows", rows, nv)
-        self.whitened_forces = memory.scratch("whitened_forces", rows, nv)
-        memory.scratch("delassus", rows, rows + 1)
-        self.multipliers = memory.scratch("multipliers", rows)
-        self.row_index = memory.integer_scratch("row_index", rows, 2)
-        memory.integer_scratch("permutation", rows)
-        self.state = memory.reals("state", ny)
-        self.stage_state = memory.scratch("stage_state", ny)
-        self.new_state = memory.scratch("new_state", ny)
-        memory.scratch("next_state", ny)
-        memory.scratch("next_slope", ny)
-        self.slopes = memory.scratch("slopes", MAX_STAGES, ny)
-        self.scale = memory.reals("scale", 2)
-        self.absolute = memory.reals("absolute", ny)
-        memory.scratch("system", 4, 8)
-        memory.scratch("vectors", 16, 3)
-        memory.scratch("local", DERIVATIVE_ROWS, 3)
-        memory.scratch("work", max(nv, 1))
-        self.correction_q = memory.scratch("correction_q", nv)
-        self.correction_v = memory.scratch("correction_v", nv)
-        memory.scratch("dense", DENSE_ROWS, ny)
-        self.counters = memory.integers("counters", COUNTERS_SIZE)
-        self._few_times = memory.scratch("output_times", _FEW_TIMES)
+        self.zeros("force", nc, 3)
+        self.scratch("relative_acceleration", nc, 3)
+        self.scratch("margins", nc, MARGINS_PER_CONTACT)
+        self.zeros("location", nc, 4)
+        self.zeros("factor", nv, nv)
+        self.scratch("acceleration", nv)
+        self.scratch("free_acceleration", nv)
+        self.scratch("constraint_rows", rows, rows + 1)
+        self.scratch("whitened_rows", rows, nv)
+        self.scratch("whitened_forces", rows, nv)
+        self.scratch("delassus", rows, rows + 1)
+        self.scratch("multipliers", rows)
+        self.scratch("row_index", rows, 2)
+        self.scratch("permutation", rows)
+        self.zeros("state", ny)
+        self.scratch("stage_state", ny)
+        self.scratch("new_state", ny)
+        self.scratch("next_state", ny)
+        self.scratch("next_slope", ny)
+        self.scratch("slopes", MAX_STAGES, ny)
+        self.zeros("scale", 2)
+        self.zeros("absolute", ny)
+        self.scratch("location_system", 4, 8)
+        self.scratch("vectors", 16, 3)
+        self.scratch("local", DERIVATIVE_ROWS, 3)
+        self.scratch("work", max(nv, 1))
+        self.scratch("correction_q", nv)
+        self.scratch("correction_v", nv)
+        self.scratch("dense", DENSE_ROWS, ny)
+        self.zeros("counters")
+        self._few_times = self.scratch("output_times", _FEW_TIMES)
         self.output_times = _NO_TIMES
-        self.lowest = memory.scratch("lowest", nc, MARGINS_PER_CONTACT)
-        self.highest = memory.scratch("highest", nc, MARGINS_PER_CONTACT)
-        self.across = memory.scratch("across", 2 * nc + 1, POLYNOMIAL_SIZE)
-        self.scan_shares = memory.scratch("scan_shares", SCAN_ROOM)
-        self.scan_status = memory.integer_scratch("scan_status", SCAN_ROOM)
-        self.scan_margins = memory.scratch("scan_margins", SCAN_ROOM + KEPT_ROWS, nc, MARGINS_PER_CONTACT)
-        self.reference = memory.reals("reference", nc, 3)
-        self.reference_start = memory.scratch("reference_start", nc, 3)
-        self.reference_rate = memory.scratch("reference_rate", nc, 3)
-        self.reference_slope = memory.scratch("reference_slope", 2, rows, nv)
+        self.scratch("lowest", nc, MARGINS_PER_CONTACT)
+        self.scratch("highest", nc, MARGINS_PER_CONTACT)
+        self.scratch("across", 2 * nc + 1, POLYNOMIAL_SIZE)
+        self.scratch("scan_shares", SCAN_ROOM)
+        self.scratch("scan_status", SCAN_ROOM)
+        self.scratch("scan_margins", SCAN_ROOM + KEPT_ROWS, nc, MARGINS_PER_CONTACT)
+        self.zeros("reference", nc, 3)
+        self.scratch("reference_start", nc, 3)
+        self.scratch("reference_rate", nc, 3)
+        self.scratch("reference_slope", 2, rows, nv)
 
     def _map_guards(self, guards: Sequence[Guard]) -> None:
         """Guarded joint coordinates are rows after the contacts': one constraint row each, moving unless held."""
-        memory, nc, ng = self.memory, self.nc, self.ng
-        memory.integers("guard_count", 1)[0] = ng
+        nc, ng = self.nc, self.ng
+        self.zeros("guard_count", 1)[0] = ng
         self.guards = list(guards)
-        self.guard_int = memory.integers("guard_int", max(ng, 1), GUARD_INTS)
-        self.guard_real = memory.reals("guard_real", max(ng, 1), GUARD_REALS)
+        self.zeros("guard_int", max(ng, 1), GUARD_INTS)
+        self.zeros("guard_real", max(ng, 1), GUARD_REALS)
         for g, guard in enumerate(guards):
             self.guard_int[g, GUARD_Q], self.guard_int[g, GUARD_V] = guard.index_q, guard.index_v
             self.guard_real[g, LOW_FORCE], self.guard_real[g, HIGH_FORCE] = guard.low_force, guard.high_force
@@ -347,7 +312,7 @@ class System:
 
     def _map_resistances(self) -> None:
         """Resistances to turning are rows after the guarded coordinates': see `resistance`."""
-        self.memory.integers("resistance_count", 1)[0] = self.nr
+        self.zeros("resistance_count", 1)[0] = self.nr
         for item, (c, spins) in enumerate(self.resistances, start=self.nc + self.ng):
             integers, numbers = self.contact_int[item], self.contact_real[item]
             law = self.contacts[c].friction
@@ -367,25 +332,25 @@ class System:
         self._callback_error: BaseException | None = None
         self._culprit = ""
         # kept alive here: the kernels know the addresses only; the one without torques stays the same for good, and so
-        # do the addresses in a copy of the memory
+        # do the addresses in a copy of the arrays
         self._asked = self._asked_for_drives if torque is None else (self._to_be_asked(torque), ())
         asked, given = map(id, self._asked) if self._asked else (0, 0)
         # whether any of the user's functions is called
         self.asks = asked != 0
-        self.callback[ASKED], self.callback[ASKED_WITH] = asked, given
+        self.callback["asked"], self.callback["asked_with"] = asked, given
 
     def _map_calls(self) -> None:
-        self.callback = callback = self.memory.integers("callback", CALLBACK_SIZE)
+        callback = self.zeros("callback")
         calls = self.pinocchio
-        addresses = [id(thing) for call in calls.algorithms for thing in call]
-        callback[CALLED : CALLED + len(addresses)] = addresses
-        callback[PLACED : PLACED + 2] = [id(thing) for thing in calls.placing]
+        for name, (function, given) in zip(("called", "called_next"), calls.algorithms):
+            callback[name], callback[name + "_with"] = id(function), id(given)
+        callback["placed"], callback["placed_with"] = (id(thing) for thing in calls.placing)
         if calls.native is not None:
-            callback[NATIVE] = address_of(calls.native)
-            callback[MODEL] = calls.native[0, 1]
-            callback[MODEL_SIZE], callback[MODEL_JOINTS] = calls.model_words
-        callback[CALL_FAILED] = id(False)
-        callback[[EVALUATION, OWN_TABLE]] = kernel_address(evaluate_state), address_of(self.table)
+            callback["native"] = address_of(calls.native)
+            callback["model"] = calls.native[0, 1]
+            callback["model_size"], callback["model_joints"] = calls.model_words
+        callback["call_failed"] = id(False)
+        callback["evaluation"] = kernel_address(evaluate_state)
         self._asked_for_drives = (self._to_be_asked(None), ()) if self.python_drives else None
         self.before_evaluation()
 
@@ -423,7 +388,7 @@ class System:
 
         def function() -> bool:
             try:
-                ask(scalars.item(TIME))
+                ask(scalars["time"].item())
             except BaseException as error:
                 if self._callback_error is None:
                     self._callback_error = error
@@ -438,8 +403,8 @@ class System:
         error, self._callback_error = self._callback_error, None
         if error is not None:
             raise error
-        if self.scalars.item(BAD_TORQUE) != 0.0:
-            raise _bad_torque(*self.scalars[[BAD_TORQUE, BAD_TIME]])
+        if self.scalars["bad_torque"].item() != 0.0:
+            raise _bad_torque(self.scalars["bad_torque"], self.scalars["bad_time"])
 
     def check_torques(self, t: float) -> None:
         """The same of torques at t that no kernel has looked at."""
@@ -467,7 +432,7 @@ class System:
         if self._culprit and isinstance(error, Exception):
             return f"{self._culprit} raised {type(error).__name__}{text}"
         # an interrupt, say, wherever it came
-        return f"t = {self.scalars[TIME]:.9g} s: ended by {type(error).__name__}{text}"
+        return f"t = {self.scalars['time']:.9g} s: ended by {type(error).__name__}{text}"
 
     def set_output_times(self, times: np.ndarray | None) -> None:
         """Output times in s, in order, of a run that begins; None for an output at every step."""
@@ -477,23 +442,23 @@ class System:
             self._few_times[: given.size] = given
             self.output_times = self._few_times[: given.size]
         else:
-            self.output_times = self.memory.put("output_times", np.ascontiguousarray(given))
-        counters[OUTPUT_COUNT], counters[OUTPUTS_DONE], counters[RECORD_STEPS] = given.size, 0, times is None
+            self.put("output_times", np.ascontiguousarray(given))
+        counters["output_count"], counters["outputs_done"], counters["record_steps"] = given.size, 0, times is None
         self.announce_output()
 
     def announce_output(self) -> None:
         """Tell the compiled steps when the next output is due."""
-        done = self.counters.item(OUTPUTS_DONE)
-        self.scalars[NEXT_OUTPUT] = self.output_times[done] if done < self.output_times.size else math.inf
+        done = self.counters["outputs_done"].item()
+        self.scalars["next_output"] = self.output_times[done] if done < self.output_times.size else math.inf
 
     def output_done(self) -> None:
         """Go on to the next output time."""
-        self.counters[OUTPUTS_DONE] += 1
+        self.counters["outputs_done"] += 1
         self.announce_output()
 
     def run(self, task: int, t: float = 0.0, h: float = 0.0) -> int:
         """A task of `steps.run_task`; returns what it does, raises what `check_callbacks` does."""
-        result = run_task(self.table, task, t, h)
+        result = run_task(self.address, task, t, h)
         if self.asks:
             self.check_callbacks()
         return result
@@ -514,7 +479,7 @@ class System:
         """
         n = len(shares)
         self.scan_shares[:n] = shares
-        self.counters[SCAN_COUNT] = n
+        self.counters["scan_count"] = n
         self.run(SCAN, t, step)
         return [status <= EVENT for status in self.scan_status[:n].tolist()], self.scan_margins[:n, : self.items]
 
@@ -528,7 +493,7 @@ class System:
     @property
     def charted(self) -> bool:
         """Whether any contour has charts to move between."""
-        return bool(self.counters[CHARTED])
+        return bool(self.counters["charted"])
 
     @property
     def modes(self) -> np.ndarray:

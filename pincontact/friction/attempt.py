@@ -2,41 +2,23 @@
 
 from __future__ import annotations
 
-from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
-from ..memory import cube, integer_matrix, integers, matrix, reals
+from ..jit import FRICTION, INTEGER, REAL, entry_kernel, kernel
 from .cone import (
-    ANGLES,
     BY_EXACT,
     BY_SWEEPS,
     BY_WARM,
-    CANDIDATES,
     CHOICES,
-    COUNTS,
-    COUNTS_LENGTH,
     DECIDED,
-    DIRECTIONS,
-    FIRST,
     FOLLOWS,
-    FORCES,
-    GRAM,
     HUGE,
     KNOWN,
-    LOW_RANK,
-    MODES,
-    ORDER,
     PASSES,
-    REACHED,
-    SCALARS,
-    SCALED,
     SLIP,
     STICK,
-    SYSTEM,
     TIMES,
-    TRIAL,
     TRIED,
-    VECTORS,
-    VELOCITIES,
     classify,
+    cone_at,
     respond,
     scale_problem,
     sweep,
@@ -63,30 +45,30 @@ AT_REST = 1e-9
 
 
 @kernel
-def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
+def attempt(delassus, b, mu, cone, task, passes, tolerance, sweeps, rounds):
     """A start of one kind, see `solve_cones`; returns the residual and whether one contact's states were all tried."""
     n = mu.shape[0]
     rows = 3 * n
-    modes = integers(table[MODES], n)
-    forces = reals(table[FORCES], rows)
-    velocities = reals(table[VELOCITIES], rows)
-    counts = integers(table[COUNTS], COUNTS_LENGTH)
-    g = matrix(table[SCALED], rows, rows)
-    vectors = matrix(table[VECTORS], 8, rows)
+    modes = cone.modes
+    forces = cone.forces
+    velocities = cone.velocities
+    counts = cone.counts
+    g = cone.scaled
+    vectors = cone.vectors
     c = vectors[0]
     f = vectors[1]
     u = vectors[2]
     start = vectors[3]
-    scalars = matrix(table[SCALARS], 8, n)
+    scalars = cone.scalars
     scale = scalars[0]
-    angles = reals(table[ANGLES], CANDIDATES)
-    trials = integer_matrix(table[TRIAL], 3, n)
+    angles = cone.angles
+    trials = cone.trial
     trial = trials[0]
-    low_rank = cube(table[LOW_RANK], 4, rows + 5, rows)
+    low_rank = cone.low_rank
     buffers = (
-        scalars[1], reals(table[DIRECTIONS], 2 * n), scalars[2], scalars[3], scalars[4], scalars[5],
-        matrix(table[SYSTEM], rows, rows), vectors[4], vectors[5], vectors[6], matrix(table[GRAM], rows, rows),
-        integers(table[ORDER], rows), integers(table[FIRST], n + 1), scalars[6], vectors[7], low_rank,
+        scalars[1], cone.directions, scalars[2], scalars[3], scalars[4], scalars[5],
+        cone.system, vectors[4], vectors[5], vectors[6], cone.gram,
+        cone.order, cone.first, scalars[6], vectors[7], low_rank,
     )  # fmt: skip
     size = buffers[0]
 
@@ -133,16 +115,16 @@ def attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
 
 
 @kernel
-def usual_attempts(delassus, b, mu, table, nearest, sweeping, afresh, tolerance):
+def usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance):
     """From the last solution, if there is one, or afresh, then by sweeps; see USUAL of `solve_cones`."""
     n = mu.shape[0]
-    modes = integers(table[MODES], n)
-    forces = reals(table[FORCES], 3 * n)
-    counts = integers(table[COUNTS], COUNTS_LENGTH)
-    reached = reals(table[REACHED], 1)
+    modes = cone.modes
+    forces = cone.forces
+    counts = cone.counts
+    reached = cone.reached
     residual = HUGE
     if afresh:
-        velocities = reals(table[VELOCITIES], 3 * n)
+        velocities = cone.velocities
         for i in range(n):
             modes[i] = STICK if mu[i] > 0.0 else SLIP
             for k in range(3 * i, 3 * i + 3):
@@ -157,14 +139,14 @@ def usual_attempts(delassus, b, mu, table, nearest, sweeping, afresh, tolerance)
             modes[0] = STICK
         counts[TRIED] += 1
         passes = NEWTON_PASSES if n == 1 else WARM_PASSES
-        residual, searched = attempt(delassus, b, mu, table, NEAR if nearest else WARM, passes, tolerance, 0, 1)
+        residual, searched = attempt(delassus, b, mu, cone, NEAR if nearest else WARM, passes, tolerance, 0, 1)
         if residual <= tolerance:
             counts[DECIDED] = BY_WARM if known and not searched else BY_EXACT
     if not residual <= tolerance and sweeping:
         task = CLASSIFY_NEAR if nearest else CLASSIFY
         sweeps = SWEEPS + SWEEPS_PER_CONTACT * n
         strict = STRICTNESS * tolerance
-        residual, searched = attempt(delassus, b, mu, table, task, SWEEP_NEWTON_PASSES, strict, sweeps, SWEEP_ROUNDS)
+        residual, searched = attempt(delassus, b, mu, cone, task, SWEEP_NEWTON_PASSES, strict, sweeps, SWEEP_ROUNDS)
         counts[DECIDED] = BY_SWEEPS
         tolerance = strict
     reached[0] = residual
@@ -175,26 +157,29 @@ def usual_attempts(delassus, b, mu, table, nearest, sweeping, afresh, tolerance)
     return residual
 
 
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, INTEGER, INTEGER, REAL, INTEGER, INTEGER, aside=True)
-def solve_cones(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds):
+@entry_kernel(
+    REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, INTEGER, INTEGER, REAL, INTEGER, INTEGER, aside=True, when=FRICTION
+)
+def solve_cones(delassus, b, mu, address, task, passes, tolerance, sweeps, rounds):
     """Forces and velocities of n contacts from what is known of them; returns the residual.
 
-    delassus (3n, 3n) symmetric, b (3n,), mu (n,): the problem; table: that of `cone_memory` for n contacts or more.
+    delassus (3n, 3n) symmetric, b (3n,), mu (n,): the problem; address: that of a `cone_workspace` for n contacts.
     task says how it is begun:
-      WARM       from the modes and forces in the table
+      WARM       from the modes and forces in the cone
       NEAR       the same, and redundant forces may be the nearest to these: the velocities are needed, too
       CLASSIFY   from the forces alone, after `sweeps` Gauss-Seidel passes over them; the modes are read off the
                  judge's projections; on failure more sweeps, SWEEP_GROWTH times as many in each of `rounds`
       CLASSIFY_NEAR  the same, and redundant forces may be the nearest to the ones swept
-      USUAL      from the last solution, if KNOWN of the table's "counts" is not zero, or if there is one contact, which
+      USUAL      from the last solution, if KNOWN of the cone's "counts" is not zero, or if there is one contact, which
                  needs none; with NEAREST added as NEAR; with SWEEPING added, where that fails, by sweeps; with AFRESH
                  added from all at rest, so that the solution is the same whatever the last one was. passes,
                  sweeps and rounds are of no account. What decided, and how often, is counted in "counts"; where
                  nothing did, HUGE is returned, and the residual is in "reached".
     On success (residual <= tolerance) modes, forces and velocities are written, otherwise (but for AFRESH) none is.
     """
+    cone = cone_at(address)
     if task >= USUAL:
         nearest, sweeping, afresh = (task & NEAREST) != 0, (task & SWEEPING) != 0, (task & AFRESH) != 0
-        return usual_attempts(delassus, b, mu, table, nearest, sweeping, afresh, tolerance)
-    residual, _ = attempt(delassus, b, mu, table, task, passes, tolerance, sweeps, rounds)
+        return usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance)
+    residual, _ = attempt(delassus, b, mu, cone, task, passes, tolerance, sweeps, rounds)
     return residual

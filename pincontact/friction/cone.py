@@ -34,7 +34,7 @@ from __future__ import annotations
 from math import inf, sqrt
 
 from ..jit import REAL, SEVERAL, entry_kernel, kernel
-from ..memory import Memory
+from ..workspace import INTEGERS, REALS, Layout, Workspace
 
 OPEN, STICK, SLIP = 0, 1, 2
 
@@ -53,30 +53,28 @@ LEAST_FRICTION, LARGEST_FRICTION = 1e-6, 1e2
 QP_FRICTION = 100.0
 
 
-# Arrays that `attempt.solve_cones` works in, by slot of its table of addresses.
-SLOTS = (
-    "modes",  # (n,) int: in and out
-    "forces",  # (3n,): in and out
-    "velocities",  # (3n,): in and out
-    "counts",  # (COUNTS_LENGTH,) int: see below
-    "reached",  # (1,): out, the least residual where it is above the tolerance
-    "scaled",  # (3n, 3n) the Delassus matrix without units
-    "system",  # (3n + 1, 3n + 1) Newton's matrix
-    "gram",  # (3n + 1, 3n + 1)
-    "low_rank",  # (4, 3n + 5, 3n), see `redundant`
-    "vectors",  # (8, 3n)
-    "scalars",  # (8, n)
-    "directions",  # (2n,) of slip
-    "angles",  # (CANDIDATES,)
-    "order",  # (3n + 1,) int: permutation of the elimination
-    "first",  # (n + 1,) int: first unknown of each contact
-    "trial",  # (3, n) int: modes tried, modes started from, which contacts touched
-    "path",  # (8, 3n + 1) point, tangent, ... of `path.follow_path`
+# Arrays that `attempt.solve_cones` works in, by name.
+CONE = Layout(
+    "cone",
+    modes=(INTEGERS, 1),  # (n,) in and out
+    forces=(REALS, 1),  # (3n,), in and out
+    velocities=(REALS, 1),  # (3n,), in and out
+    counts=(INTEGERS, 1),  # (COUNTS_LENGTH,) see below
+    reached=(REALS, 1),  # (1,): out, the least residual where it is above the tolerance
+    scaled=(REALS, 2),  # (3n, 3n) the Delassus matrix without units
+    system=(REALS, 2),  # (3n + 1, 3n + 1) Newton's matrix
+    gram=(REALS, 2),  # (3n + 1, 3n + 1)
+    low_rank=(REALS, 3),  # (4, 3n + 5, 3n), see `redundant`
+    vectors=(REALS, 2),  # (8, 3n)
+    scalars=(REALS, 2),  # (8, n)
+    directions=(REALS, 1),  # (2n,) of slip
+    angles=(REALS, 1),  # (CANDIDATES,)
+    order=(INTEGERS, 1),  # (3n + 1,) permutation of the elimination
+    first=(INTEGERS, 1),  # (n + 1,) first unknown of each contact
+    trial=(INTEGERS, 2),  # (3, n) modes tried, modes started from, which contacts touched
+    path=(REALS, 2),  # (8, 3n + 1) point, tangent, ... of `path.follow_path`
 )
-(
-    MODES, FORCES, VELOCITIES, COUNTS, REACHED, SCALED, SYSTEM, GRAM, LOW_RANK, VECTORS, SCALARS, DIRECTIONS, ANGLES,
-    ORDER, FIRST, TRIAL, PATH,
-) = range(len(SLOTS))  # fmt: skip
+cone_at = CONE.at
 # In "counts": Newton passes of the last start; whether modes and forces are a solution, to begin from; what decided the
 # last problem; how often there was something to begin from; in how many directions the last solution's forces may
 # change, and whether they depend on those that it was begun from; how often each of the deciders did.
@@ -87,28 +85,28 @@ UNDECIDED = -1
 COUNTS_LENGTH = TIMES + len(DECIDERS)
 
 
-def cone_memory(contacts: int) -> Memory:
-    """The arrays of `SLOTS` for problems of this many contacts; modes start as STICK, everything else as zero."""
+def cone_workspace(contacts: int) -> Workspace:
+    """The arrays of `CONE` for problems of this many contacts; modes start as STICK, everything else as zero."""
     rows = 3 * contacts
-    memory = Memory(SLOTS)
-    memory.integers("modes", contacts)[:] = STICK
-    memory.reals("forces", rows)
-    memory.scratch("velocities", rows)
-    memory.integers("counts", COUNTS_LENGTH)
-    memory.scratch("reached", 1)
-    memory.scratch("scaled", rows, rows)
-    memory.scratch("system", rows + 1, rows + 1)
-    memory.scratch("gram", rows + 1, rows + 1)
-    memory.scratch("low_rank", 4, rows + 5, rows)
-    memory.scratch("vectors", 8, rows)
-    memory.scratch("scalars", 8, contacts)
-    memory.scratch("directions", 2 * contacts)
-    memory.scratch("angles", CANDIDATES)
-    memory.integer_scratch("order", rows + 1)
-    memory.integer_scratch("first", contacts + 1)
-    memory.integer_scratch("trial", 3, contacts)
-    memory.scratch("path", 8, rows + 1)
-    return memory
+    space = Workspace(CONE)
+    space.zeros("modes", contacts)[:] = STICK
+    space.zeros("forces", rows)
+    space.scratch("velocities", rows)
+    space.zeros("counts", COUNTS_LENGTH)
+    space.scratch("reached", 1)
+    space.scratch("scaled", rows, rows)
+    space.scratch("system", rows + 1, rows + 1)
+    space.scratch("gram", rows + 1, rows + 1)
+    space.scratch("low_rank", 4, rows + 5, rows)
+    space.scratch("vectors", 8, rows)
+    space.scratch("scalars", 8, contacts)
+    space.scratch("directions", 2 * contacts)
+    space.scratch("angles", CANDIDATES)
+    space.scratch("order", rows + 1)
+    space.scratch("first", contacts + 1)
+    space.scratch("trial", 3, contacts)
+    space.scratch("path", 8, rows + 1)
+    return space
 
 
 @kernel

@@ -15,20 +15,12 @@ from __future__ import annotations
 
 from math import sqrt
 
-from ..jit import INTEGER, REAL, SEVERAL, TABLE, entry_kernel, kernel
-from ..memory import integers, matrix, reals
+from ..jit import INTEGER, REAL, SEVERAL, entry_kernel, kernel
 from .cone import (
-    FORCES,
-    GRAM,
     HUGE,
     LARGEST_FRICTION,
     LEAST_FRICTION,
-    ORDER,
-    PATH,
-    SCALARS,
-    SCALED,
-    SYSTEM,
-    VECTORS,
+    cone_at,
     scale_problem,
 )
 from .elimination import minimum_norm_solve
@@ -166,26 +158,27 @@ def path_slope(a, r, saxce, x, y, change, slope):
         slope[k + 2] += saxce * ((1.0 - t) * turn - root * change[rows])
 
 
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], TABLE, REAL, REAL, REAL, REAL, INTEGER, when=SEVERAL)
-def follow_path(delassus, b, mu, table, target, tube, size, saxce, steps):
-    """Forces (3n,) in the table where the path (module docstring) has come down to t = target; returns the t reached.
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, REAL, REAL, REAL, REAL, INTEGER, when=SEVERAL)
+def follow_path(delassus, b, mu, address, target, tube, size, saxce, steps):
+    """Forces (3n,) in the workspace where the path (module docstring) is down to t = target; returns the t reached.
 
     A target of 1 starts it; later calls go on, at most `steps` further. What is returned above the target was the end:
     the steps are used up, or became too short; `HUGE` says that the forces grow without bound.
 
-    delassus, b, mu, table: as for `solve_cones`; tube: width round the path in which a point counts as on it, relative
-    to t (in a narrow one the steps are too short to get onto another branch); size: of b, where f = y = e; saxce: 1, or
+    delassus, b, mu, address: as for `solve_cones`; tube: width round the path in which a point counts as on it,
+    relative to t (in a narrow one the steps are too short to get onto another branch); size: of b, where f = y = e; saxce: 1, or
     0 to leave De Saxce's term out, which makes the problem convex. All but target and steps as in the first call.
     """
+    cone = cone_at(address)
     n = mu.shape[0]
     rows = 3 * n
-    forces = reals(table[FORCES], rows)
-    vectors = matrix(table[VECTORS], 8, rows)
-    g = matrix(table[SCALED], rows, rows)
-    system = matrix(table[SYSTEM], rows + 1, rows + 1)
-    gram = matrix(table[GRAM], rows + 1, rows + 1)
-    order = integers(table[ORDER], rows + 1)
-    path = matrix(table[PATH], 8, rows + 1)
+    forces = cone.forces
+    vectors = cone.vectors
+    g = cone.scaled
+    system = cone.system
+    gram = cone.gram
+    order = cone.order
+    path = cone.path
     x = path[0]
     tangent = path[1]
     ahead = path[2]
@@ -200,7 +193,7 @@ def follow_path(delassus, b, mu, table, target, tube, size, saxce, steps):
     weight = vectors[3]
     h = vectors[4]
     slope = vectors[5]
-    scale = reals(table[SCALARS], n)
+    scale = cone.scalars[0]
     largest = scale_problem(delassus, b, n, g, c, scale, r)
     unit = cone_units(g, c, mu, weight) / size
     for k in range(rows):

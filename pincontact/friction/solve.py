@@ -54,7 +54,7 @@ from .cone import (
     TIMES,
     TRIED,
     UNDECIDED,
-    cone_memory,
+    cone_workspace,
 )
 from .feasibility import crushing_combination
 from .path import follow_path
@@ -94,14 +94,14 @@ class _Workspace:
 
     def __init__(self, contacts: int):
         self.contacts = contacts
-        self.memory = cone_memory(contacts)
-        self.table = self.memory.table
-        self.modes = self.memory["modes"]
-        self.forces = self.memory["forces"]
-        self.velocities = self.memory["velocities"]
-        self.counts = self.memory["counts"]
+        self.space = cone_workspace(contacts)
+        self.address = self.space.address
+        self.modes = self.space.modes
+        self.forces = self.space.forces
+        self.velocities = self.space.velocities
+        self.counts = self.space.counts
         self.counts[DECIDED] = UNDECIDED
-        self.reached = self.memory["reached"]
+        self.reached = self.space.reached
         self.qp: ConeQP | None = None
 
     def decide(self, stage: str) -> None:
@@ -172,7 +172,7 @@ class ContactSolver:
                the past
 
     Counters: polish_count (warm starts tried), path_count (paths begun), qp_count (programs), and decided (by stage).
-    Kernels call `attempt.solve_cones` with `table(n)` and `task` themselves; `search` goes on where that failed.
+    Kernels call `attempt.solve_cones` with `address(n)` and `task` themselves; `search` goes on where that failed.
     After a search that failed `jammed` says whether that was because the forces grow without bound on the path; where
     there provably is no solution `certificate` (n,) is the reason, see `InfeasibleError`, otherwise None.
     """
@@ -234,9 +234,9 @@ class ContactSolver:
         self.velocities = space.velocities
         return space
 
-    def table(self, contacts: int) -> np.ndarray:
-        """The table of `cone_memory` that problems of this size are solved in, for kernels that call the solver."""
-        return self._workspace(contacts).table
+    def address(self, contacts: int) -> int:
+        """The address of the `cone_workspace` for problems of this size, for kernels that call the solver."""
+        return self._workspace(contacts).address
 
     def warm_start(self, modes: np.ndarray, forces: np.ndarray, velocities: np.ndarray) -> None:
         """Begin the next problem of this size from these modes (n,), forces and velocities (3n,) or (n, 3)."""
@@ -267,9 +267,9 @@ class ContactSolver:
         space = self._workspace(contacts)
         return space.forces.copy() if space.counts[KNOWN] else np.zeros(3 * contacts)
 
-    def tables(self) -> list[tuple[int, np.ndarray]]:
-        """(contacts, table of `cone_memory`) of every size of problem there has been, for `attempt.solve_cones`."""
-        return [(size, space.table) for size, space in self._spaces.items()]
+    def addresses(self) -> list[tuple[int, int]]:
+        """(contacts, address of its `cone_workspace`) of every size of problem there has been."""
+        return [(size, space.address) for size, space in self._spaces.items()]
 
     def forget(self) -> None:
         """Drop all warm starts."""
@@ -295,7 +295,7 @@ class ContactSolver:
         if space.contacts != mu.shape[0]:
             space = self._workspace(mu.shape[0])
         task = USUAL + AFRESH if afresh else self.task
-        self.residual = residual = solve_cones(delassus, b, mu, space.table, task, 0, self.tolerance, 0, 0)
+        self.residual = residual = solve_cones(delassus, b, mu, space.address, task, 0, self.tolerance, 0, 0)
         return residual <= self.tolerance or self.search(delassus, b, mu, afresh)
 
     def search(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool = False) -> bool:
@@ -342,7 +342,7 @@ class ContactSolver:
         sweeps = SWEEPS + SWEEPS_PER_CONTACT * space.contacts
         task = CLASSIFY_NEAR if self.nearest else CLASSIFY
         self.residual = solve_cones(
-            delassus, b, mu, space.table, task, SWEEP_NEWTON_PASSES, tolerance, sweeps, SWEEP_ROUNDS
+            delassus, b, mu, space.address, task, SWEEP_NEWTON_PASSES, tolerance, sweeps, SWEEP_ROUNDS
         )
         return self.residual <= tolerance
 
@@ -350,7 +350,7 @@ class ContactSolver:
         """Newton and judge from the workspace's forces; True if accepted."""
         residual = np.inf
         if np.isfinite(space.forces).all():
-            residual = solve_cones(*problem, space.table, CLASSIFY, PATH_NEWTON_PASSES, tolerance, 0, 1)
+            residual = solve_cones(*problem, space.address, CLASSIFY, PATH_NEWTON_PASSES, tolerance, 0, 1)
         self.residual = residual if residual <= tolerance else min(self.residual, residual)
         return residual <= tolerance
 
@@ -362,10 +362,10 @@ class ContactSolver:
         escapes = 0
         for tube, size in PATH_STARTS[:1] if self.quick else PATH_STARTS:
             self.path_count += 1
-            follow_path(*problem, space.table, 1.0, tube, size, 1.0, 0)
+            follow_path(*problem, space.address, 1.0, tube, size, 1.0, 0)
             good: np.ndarray | None = None
             for stop in PATH_STOPS:
-                reached = follow_path(*problem, space.table, stop, tube, size, 1.0, steps)
+                reached = follow_path(*problem, space.address, stop, tube, size, 1.0, steps)
                 tried = space.forces.copy()
                 least = self.residual
                 self.residual = np.inf
@@ -399,7 +399,7 @@ class ContactSolver:
         task = NEAR if self.nearest else WARM
         for share in COMPLIANCES:
             if self._follow(space, delassus + share * unit, b, mu):
-                residual = solve_cones(delassus, b, mu, space.table, task, WARM_PASSES, self.tolerance, 0, 1)
+                residual = solve_cones(delassus, b, mu, space.address, task, WARM_PASSES, self.tolerance, 0, 1)
                 self.residual = residual
                 if residual <= self.tolerance:
                     return True
@@ -530,19 +530,19 @@ def centred_forces(
     block = np.ascontiguousarray(matrix[np.ix_(rows, rows)])
     forces = solution.forces[stuck].ravel()
     limits = friction[stuck]
-    memory = cone_memory(len(stuck))
+    space = cone_workspace(len(stuck))
     # The contacts keep still: u = 0 is b with the opposite of what the forces do. Without De Saxce's term, which is of
     # no account at rest, the problem is convex, and its path comes to the centre of all solutions.
     still = -(block @ forces)
     for tube in (0.01, 0.002, 0.0002):
-        follow_path(block, still, limits, memory.table, 1.0, tube, 1.0, 0.0, 0)
-        follow_path(block, still, limits, memory.table, 1e3 * CENTRE, tube, 1.0, 0.0, PATH_STEPS)
+        follow_path(block, still, limits, space.address, 1.0, tube, 1.0, 0.0, 0)
+        follow_path(block, still, limits, space.address, 1e3 * CENTRE, tube, 1.0, 0.0, PATH_STEPS)
         # The last stretch in a narrow tube: the centre is only as exact as that.
-        if follow_path(block, still, limits, memory.table, CENTRE, 1e-6, 1.0, 0.0, PATH_STEPS) <= CENTRE:
+        if follow_path(block, still, limits, space.address, CENTRE, 1e-6, 1.0, 0.0, PATH_STEPS) <= CENTRE:
             break
     else:
         return solution
-    centred = memory["forces"].copy()
+    centred = space.forces.copy()
     # To round-off: the least change that makes up for the rest of t.
     scale = np.repeat(np.sqrt(3.0 / np.maximum(np.diagonal(block).reshape(-1, 3).sum(axis=1), TINY)), 3)
     values, vectors = np.linalg.eigh(scale[:, None] * block * scale)

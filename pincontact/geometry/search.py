@@ -133,7 +133,7 @@ def refine(
         system.state[parameters] = start
         if wanted == (0, 0) and system.charted:
             charts[:] = 0
-            move_charts(system.table)
+            move_charts(system.address)
             system.location[0] = system.state[parameters]
         status = system.evaluate_kinematics(t)
         statuses.add(status)
@@ -143,7 +143,7 @@ def refine(
         return None
     if system.charted:
         system.state[parameters] = system.location[0]
-        if move_charts(system.table):
+        if move_charts(system.address):
             system.location[0] = system.state[parameters]
             if system.evaluate_kinematics(t) != OK:
                 return None

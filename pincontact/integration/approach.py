@@ -9,33 +9,20 @@ from ..geometry.small import dot, norm, rotate
 from ..jit import kernel
 from ..layout import (
     APPROACH_SPEED,
-    BASIS,
     BENDING,
-    CONTACT_INT,
-    CONTACT_INTS,
-    CONTACT_REAL,
-    CONTACT_REALS,
-    DERIVATIVES,
     DOMAIN,
     EXTENT,
     FLAT,
-    FRAMES,
     FREE,
-    GAPS,
-    GRAVITY,
     HULL_X,
     HULL_Y,
     HULL_Z,
     MODE,
-    NC,
     NOTHING_THERE,
-    SIZES,
     SPEEDING,
     TURNING,
     UNILATERAL,
-    VECTORS,
 )
-from ..memory import cube, integer_matrix, integers, matrix, reals
 
 # Gravity and what changed velocities last, times this, is what may change them next.
 SAFETY = 2.0
@@ -90,31 +77,26 @@ def bound_speed(numbers, one, two, from_origin, normal, vectors):
 
 
 @kernel
-def bound_speeds(table):
+def bound_speeds(system):
     """`bound_speed` of all contacts that are open and unilateral, from the last evaluation."""
-    nc = integers(table[SIZES], 8)[NC]
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    frames, derivatives = cube(table[FRAMES], 2 * nc, 8, 3), cube(table[DERIVATIVES], 2 * nc, 10, 3)
-    basis, vectors = cube(table[BASIS], nc, 3, 3), matrix(table[VECTORS], 4, 3)
-    for c in range(nc):
+    contact_int, contact_real = system.contact_int, system.contact_real
+    frames, derivatives = system.frames, system.derivatives
+    for c in range(system.sizes.nc):
         if contact_int[c, MODE] == FREE and contact_int[c, UNILATERAL] != 0:
             one, two, point = frames[2 * c], frames[2 * c + 1], derivatives[2 * c, 0]
-            bound_speed(contact_real[c], one, two, point, basis[c, 2], vectors)
+            bound_speed(contact_real[c], one, two, point, system.basis[c, 2], system.vectors)
 
 
 @kernel
-def stay_apart(table, h):
+def stay_apart(system, h):
     """Whether none of the open contacts can touch within h from the state of the last evaluation.
 
     For contacts whose gap says how far they are apart, of contours that neither move by themselves nor change.
     """
-    bound_speeds(table)
-    nc = integers(table[SIZES], 8)[NC]
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real, gaps = matrix(table[CONTACT_REAL], nc, CONTACT_REALS), matrix(table[GAPS], nc, 2)
-    pull = norm(reals(table[GRAVITY], 3))
-    for c in range(nc):
+    bound_speeds(system)
+    contact_int, contact_real, gaps = system.contact_int, system.contact_real, system.gaps
+    pull = norm(system.gravity)
+    for c in range(system.sizes.nc):
         if contact_int[c, MODE] != FREE or contact_int[c, UNILATERAL] == 0:
             continue
         numbers = contact_real[c]

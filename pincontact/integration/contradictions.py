@@ -6,7 +6,7 @@ import numpy as np
 
 from ..dynamics.system import System
 from ..geometry.patterns import ON_CURVE
-from ..layout import FREE, MODE, PATTERN, STICK, TANGENTS, VELOCITY_LEFT
+from ..layout import FREE, MODE, PATTERN, STICK, TANGENTS
 from .stages import load_state
 
 # Contacts are named whose velocity is off by more than this part of the largest.
@@ -16,9 +16,9 @@ _NAMED = 1e-3
 def contradiction(system: System, t: float) -> str:
     """Which contacts contradict each other after the last projection of `stage_state`, and by how much; "" where none
     do. Leaves that state loaded, with its kinematics."""
-    if not system.scalars[VELOCITY_LEFT] > 0.0:
+    if not system.scalars["velocity_left"] > 0.0:
         return ""
-    load_state(system.table)
+    load_state(system.address)
     system.evaluate_kinematics(t)
     left = np.zeros(system.nc)
     for c in range(system.nc):
@@ -31,7 +31,7 @@ def contradiction(system: System, t: float) -> str:
     if not left.any():
         # joints at their stops
         return (
-            f"velocity constraints cannot be met together: {system.scalars[VELOCITY_LEFT]:.3g} (m/s or rad/s) is left"
+            f"velocity constraints cannot be met together: {system.scalars['velocity_left']:.3g} (m/s or rad/s) is left"
         )
     names = [contact.name for contact, off in zip(system.contacts, left) if off > _NAMED * left.max()]
     named = ", ".join(map(repr, names))

@@ -7,20 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..jit import INTEGER, REAL, entry_kernel, kernel
-from ..layout import (
-    DENSE,
-    DENSE_NESTED,
-    DENSE_WEIGHTS,
-    NEW_STATE,
-    NY,
-    SCALARS,
-    SCALARS_SIZE,
-    SIZES,
-    SLOPES,
-    STATE,
-    STEP,
-)
-from ..memory import integers, matrix, reals
 from .stages import MAX_STAGES
 
 if TYPE_CHECKING:
@@ -31,17 +17,17 @@ DENSE_ROWS = 8
 
 
 @kernel
-def dense_coefficients(table):
+def dense_coefficients(system):
     """Fill DENSE from the slopes of the attempted step: row i is h sum_j w_ij k_j + w_i (y_1 - y_0).
 
     The weight of the difference stands behind those of the stages.
     """
-    ny = integers(table[SIZES], 8)[NY]
-    step = reals(table[SCALARS], SCALARS_SIZE)[STEP]
-    state, new_state = reals(table[STATE], ny), reals(table[NEW_STATE], ny)
-    slopes = matrix(table[SLOPES], MAX_STAGES, ny)
-    weights = matrix(table[DENSE_WEIGHTS], DENSE_ROWS, MAX_STAGES + 1)
-    dense = matrix(table[DENSE], DENSE_ROWS, ny)
+    ny = system.sizes.ny
+    step = system.scalars.step
+    state, new_state = system.state, system.new_state
+    slopes = system.slopes
+    weights = system.dense_weights
+    dense = system.dense
     for row in range(DENSE_ROWS):
         out, weight = dense[row], weights[row]
         for i in range(ny):
@@ -80,8 +66,8 @@ class Interpolant:
     """y(theta) for theta in [0, 1] of the step that a system has attempted; keeps what it needs."""
 
     def __init__(self, system: System) -> None:
-        self._start, self._dense = system.state.copy(), system.memory["dense"].copy()
-        self._nested = int(system.counters[DENSE_NESTED])
+        self._start, self._dense = system.state.copy(), system.dense.copy()
+        self._nested = int(system.counters["dense_nested"])
 
     def __call__(self, theta: float) -> np.ndarray:
         out = np.empty_like(self._start)

@@ -9,36 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..layout import (
-    ATTEMPT_LIMIT,
-    END,
     EVENT,
-    FAILURE,
-    FIXED_STEP,
-    FLOOR,
     FREE,
-    LAST_ERROR,
     LOCATION_FAILED,
-    LOST_POSITIVITY,
-    MAX_STEP,
     MODE,
-    NEXT_OUTPUT,
-    NEXT_STEP,
-    NEXT_TIME,
     NO_FORCE,
-    NOW,
     OK,
-    PATIENCE,
-    REJECTED_COUNT,
-    SLOWEST,
-    STALLED,
     START_RATE,
     START_SPEED,
     START_TOLERANCE,
-    STEP,
-    STEP_COUNT,
     STICK,
-    STIFF_STEPS,
-    TURNING_RATE,
 )
 from ..state import read_discrete
 from .contradictions import contradiction
@@ -141,12 +121,12 @@ class Driver:
     @property
     def steps(self) -> int:
         """Accepted steps so far."""
-        return int(self.system.counters[STEP_COUNT])
+        return int(self.system.counters["step_count"])
 
     @property
     def rejected(self) -> int:
         """Rejected steps so far."""
-        return int(self.system.counters[REJECTED_COUNT])
+        return int(self.system.counters["rejected_count"])
 
     def run(self, t: float, t_end: float) -> tuple[int, str]:
         """Integrate from t to t_end (s); returns a code of `results` and a message. Raises what users' functions do."""
@@ -185,28 +165,28 @@ class Driver:
                 before, self._end = self._end, stops.pop(0)
                 t = self._pass_jump(max(t, math.nextafter(before, math.inf)))
                 continue
-            scalars[NOW] = t
+            scalars["now"] = t
             self.flush()
             if options.keep_good:
                 self._keep_good(t)
             why = self.system.run(self._foresee(t, self._task(), why == MAY_TOUCH))
-            t = float(scalars[NOW])
+            t = float(scalars["now"])
             if options.keep_good:
                 self._keep_good(t)
-            if why == STEPPED and self.system.counters[LOST_POSITIVITY]:
+            if why == STEPPED and self.system.counters["lost_positivity"]:
                 raise self.transitions.give_up(t, NO_FORCE)
             if why == STEPPED:
                 self._watch(t, True, False)
                 self._output_at(t)
             elif why == ATTEMPTED:
-                h = float(scalars[NEXT_STEP])
-                t, switched = self._complete(t, float(scalars[STEP]), float(scalars[NEXT_TIME]))
+                h = float(scalars["next_step"])
+                t, switched = self._complete(t, float(scalars["step"]), float(scalars["next_time"]))
                 if switched:
                     self._restart(h)
                 elif self._slides_slowly() and t < t_end:
                     t = self._slow_slip(t)
             elif why == SLIP_ENDS:
-                h = float(scalars[NEXT_STEP])
+                h = float(scalars["next_step"])
                 t = self._end_slip(t)
                 self._restart(h)
             elif why == SLIP_IS_SLOW:
@@ -221,7 +201,7 @@ class Driver:
                 if options.fixed_step:
                     t = self._end_jams(t)
             elif why == PROJECTION_FAILED:
-                raise self._projection_failed(float(scalars[NEXT_TIME]))
+                raise self._projection_failed(float(scalars["next_time"]))
             if self.progress is not None:
                 self.progress(t)
 
@@ -243,7 +223,7 @@ class Driver:
             self.record(after)
         while self._output_due(after):
             # what was asked for at the breakpoint is shown there
-            self.record(float(self.system.scalars[NEXT_OUTPUT]))
+            self.record(float(self.system.scalars["next_output"]))
             self.system.output_done()
         self._set_limits(after)
         return after
@@ -251,14 +231,14 @@ class Driver:
     def _set_limits(self, t: float) -> None:
         """What the compiled steps are controlled by."""
         options, scalars, counters = self.options, self.system.scalars, self.system.counters
-        scalars[END], scalars[MAX_STEP] = self._end, self._max_step
-        scalars[FIXED_STEP] = options.fixed_step or 0.0
-        scalars[NEXT_STEP] = options.fixed_step or options.first_step or self.rk.first_step(t, self._end - t)
-        scalars[FLOOR] = _FLOOR * max(abs(t), abs(self._end))
-        scalars[SLOWEST] = math.inf
-        counters[ATTEMPT_LIMIT] = options.max_steps
-        counters[STALLED] = counters[STIFF_STEPS] = 0
-        counters[PATIENCE] = _PATIENCE
+        scalars["end"], scalars["max_step"] = self._end, self._max_step
+        scalars["fixed_step"] = options.fixed_step or 0.0
+        scalars["next_step"] = options.fixed_step or options.first_step or self.rk.first_step(t, self._end - t)
+        scalars["floor"] = _FLOOR * max(abs(t), abs(self._end))
+        scalars["slowest"] = math.inf
+        counters["attempt_limit"] = options.max_steps
+        counters["stalled"] = counters["stiff_steps"] = 0
+        counters["patience"] = _PATIENCE
 
     def _task(self) -> int:
         """How far the compiled steps may go on their own."""
@@ -274,13 +254,13 @@ class Driver:
         may_touch: whether these have come back because some may touch.
         """
         scalars, opened = self.system.scalars, self.transitions.open
-        scalars[MAX_STEP] = self._max_step
+        scalars["max_step"] = self._max_step
         if not opened.are_any():
             return task
         if not may_touch and task == MARCH_ONE_STEP and self.transitions.stay_apart(t):
             opened.is_near = False
             return MARCH_APART
-        longest, near = opened.begin_step(t, float(min(scalars[NEXT_STEP], scalars[MAX_STEP], scalars[END] - t)))
+        longest, near = opened.begin_step(t, float(min(scalars["next_step"], scalars["max_step"], scalars["end"] - t)))
         if opened.has_moved:
             # nearest points elsewhere: the same state, located there
             opened.has_moved = False
@@ -289,19 +269,19 @@ class Driver:
                 raise self.transitions.give_up(t, LOCATION_FAILED)
             self._finish(t)
             self.transitions.note_sides(False)
-        scalars[MAX_STEP] = max(min(self._max_step, longest), 4.0 * scalars[FLOOR])
+        scalars["max_step"] = max(min(self._max_step, longest), 4.0 * scalars["floor"])
         return MARCH_ONE_ATTEMPT if near else task
 
     def _restart(self, h: float) -> None:
         """Step size after a mode change; h is what it would have been."""
         scalars, counters = self.system.scalars, self.system.counters
-        if counters[FAILURE] != OK:
+        if counters["failure"] != OK:
             # what has cut steps short are the modes that were left
-            h, counters[FAILURE] = self.transitions.seed, OK
-        h = max(h, _RESTART * float(scalars[FLOOR]))
-        scalars[NEXT_STEP] = self.options.fixed_step or min(h, 10.0 * self.transitions.seed)
-        scalars[SLOWEST], scalars[LAST_ERROR] = math.inf, 0.0
-        counters[STALLED] = 0
+            h, counters["failure"] = self.transitions.seed, OK
+        h = max(h, _RESTART * float(scalars["floor"]))
+        scalars["next_step"] = self.options.fixed_step or min(h, 10.0 * self.transitions.seed)
+        scalars["slowest"], scalars["last_error"] = math.inf, 0.0
+        counters["stalled"] = 0
 
     # ---------------------------------------------------------------- one step
 
@@ -354,18 +334,18 @@ class Driver:
             if not self.transitions.held_up():
                 raise self._no_interpolant(t)
             return self._end_jams(t), True
-        scalars[NEXT_STEP] = FAILED_FACTOR * step
+        scalars["next_step"] = FAILED_FACTOR * step
         return t, False
 
     def _unmake(self) -> None:
         """Count the attempted step as rejected."""
-        self.system.counters[STEP_COUNT] -= 1
-        self.system.counters[REJECTED_COUNT] += 1
+        self.system.counters["step_count"] -= 1
+        self.system.counters["rejected_count"] += 1
 
     def _end_jams(self, t: float) -> float:
         """Where no step succeeds, end the slips that friction alone holds up, if there are any; the new time."""
         if not self.transitions.held_up():
-            raise self.transitions.give_up(t, int(self.system.counters[FAILURE]))
+            raise self.transitions.give_up(t, int(self.system.counters["failure"]))
         t = self.transitions.end_jams(t)
         self._after(t)
         self._restart(self.transitions.seed)
@@ -449,30 +429,30 @@ class Driver:
         """Whether so many steps were stiff as is allowed, where the compiled steps leave it to be asked."""
         counters = self.system.counters
         asked = self.locator.users or self.options.fixed_step
-        return bool(not asked and counters[STIFF_STEPS] >= counters[PATIENCE])
+        return bool(not asked and counters["stiff_steps"] >= counters["patience"])
 
     def _slow_slip(self, t: float) -> float:
         """Steps with prescribed directions of slip as long as these are longer than many stiff ones; the new time."""
         scalars, counters = self.system.scalars, self.system.counters
-        span, rests, tried = 2.0 * _SLOW_STEPS * _STABLE / float(scalars[TURNING_RATE]), 0, True
+        span, rests, tried = 2.0 * _SLOW_STEPS * _STABLE / float(scalars["turning_rate"]), 0, True
         while tried:
-            shortest = _SLOW_STEPS * _STABLE / max(float(scalars[TURNING_RATE]), 1e-300)
+            shortest = _SLOW_STEPS * _STABLE / max(float(scalars["turning_rate"]), 1e-300)
             span = min(span, self._max_step, self._end - t)
             after = self.transitions.follow_slow_slip(t, span, shortest) if span >= shortest else None
             tried = after is not None
             if after is None:
                 # the next steps are explicit again; the longer that fails the longer they are left alone
-                counters[PATIENCE] = min(2 * counters[PATIENCE], _LONGEST_PATIENCE)
+                counters["patience"] = min(2 * counters["patience"], _LONGEST_PATIENCE)
             else:
-                counters[PATIENCE] = _PATIENCE
-                counters[STEP_COUNT] += 1
+                counters["patience"] = _PATIENCE
+                counters["step_count"] += 1
                 # a length that was too much is not asked for again soon
                 rests = _SLOW_RESTS if after - t < 0.9 * span else rests - 1
                 span = (after - t) * (1.0 if rests > 0 else _SLOW_GROWTH)
                 t = after
                 self._after(t)
-                tried = t < self._end and counters[STEP_COUNT] < counters[ATTEMPT_LIMIT]
-        counters[STIFF_STEPS] = 0
+                tried = t < self._end and counters["step_count"] < counters["attempt_limit"]
+        counters["stiff_steps"] = 0
         return t
 
     def _end_slip(self, t: float) -> float:
@@ -484,10 +464,10 @@ class Driver:
         c = int(stopping[np.argmin(speed[stopping] / allowed)])
         scalars = system.scalars
         # at loose tolerances a slip that counts as over may have a long way to go: no further than a step
-        left = min(float(speed[c] / -rate[c]), *(scalars[[NEXT_STEP, MAX_STEP]]), scalars[END] - t)
-        left = float(min(left, scalars[NEXT_OUTPUT] - t, self.transitions.until_touch()))
+        left = min(float(speed[c] / -rate[c]), scalars["next_step"], scalars["max_step"], scalars["end"] - t)
+        left = float(min(left, scalars["next_output"] - t, self.transitions.until_touch()))
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
-        reach = _TOGETHER * 2.0 ** int(system.counters[STALLED]) * system.contact_real[:, START_TOLERANCE]
+        reach = _TOGETHER * 2.0 ** int(system.counters["stalled"]) * system.contact_real[:, START_TOLERANCE]
         with np.errstate(invalid="ignore"):
             near = np.minimum(speed, np.abs(speed + rate * left)) <= reach
         contacts = [c, *(int(i) for i in np.flatnonzero(near & np.isfinite(speed)) if i != c)]
@@ -497,7 +477,7 @@ class Driver:
         # v_c is round-off there and has no direction: not to be evaluated as slip
         system.contact_int[contacts, MODE] = STICK
         rk.load(system.state + left * system.slopes[0])
-        self._allow_start(t + left, float(scalars[STEP]))
+        self._allow_start(t + left, float(scalars["step"]))
         after = self.transitions.come_to_rest(t + left, ended)
         self._after(after)
         return after
@@ -510,7 +490,7 @@ class Driver:
         self._output_at(t)
 
     def _output_due(self, t: float) -> bool:
-        return bool(self.system.scalars[NEXT_OUTPUT] <= t)
+        return bool(self.system.scalars["next_output"] <= t)
 
     def _output_at(self, t: float) -> None:
         """Record the system's state for every output time that has come."""

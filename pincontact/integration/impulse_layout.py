@@ -3,128 +3,71 @@
 from __future__ import annotations
 
 from ..layout import CONTACT_INTS
-from ..memory import Memory
+from ..workspace import INTEGERS, REALS, Layout, Workspace
 from .carrying import INERTIA_SIZE
 
-# Arrays of one step, by slot of their own table; ns units, ne equations.
-STEP_SLOTS = (
-    "counts",  # (NCOUNTS,) int: see the COUNT columns
-    "numbers",  # (8,): see the columns below
-    "start_q",
-    "start_v",
-    "start_location",  # (nc, 4)
-    "start_rates",  # (nc, 4)
-    "start_slip",  # (nc, 3) v_c, world axes
-    "start_normal",  # (nc, 2) components of v_c along n and the second normal
-    "start_gap",  # (nc,)
-    "start_mode",  # (nc,) int
-    "start_domain",  # (nc,) way to the nearest end of the contours' domains, negative beyond it
-    "behind",  # (nc,) int: whether an open contact has passed beside its contours to their far side
-    "trend",  # (nv,) mean acceleration of the last step, in the start's axes
-    "carried_v",  # (nv,) v_0, and the trend, in the axes of the midpoint
-    "carried_trend",
-    "seen_v",  # (nv,) v_0 in the axes of the step's end
-    "turning_rate",  # (nv,) of velocities at the midpoint, see `carrying`
-    "inertias",  # (nblocks, INERTIA_SIZE) of turning joints at the start, see `carrying`
-    "change",  # (nv,) v_free - v_0
-    "restitution",  # (nc,)
-    "sticking",  # (nc,) coefficient up to which a contact at rest sticks
-    "load",  # (nc,) normal impulse over the step size in the last step of contacts whose disks depend on it, N
-    "start_end",  # (ng,) int: end at which a guarded joint coordinate was held, 0: at none
-    "joint_int",  # (nj, JOINT_INTS) int: kind, index in q, index in v, guard
-    "joint_real",  # (nj, 2): limit and nothing, or half the width and the middle of the friction force's range
-    "unit_int",  # (ns, UNIT_INTS) int
-    "unit_real",  # (ns, UNIT_REALS)
-    "whitened",  # (3 ns, nv) L^-T rows^T, without what the equations take
-    "overlap",  # (3 ns, ne) what they take
-    "delassus",  # (9 ns ns,) of which the first (3 n)^2 are used
-    "loads",  # (3 ns,) b of the cone problem
-    "friction",  # (ns,)
-    "cone_forces",  # (3 n,) of the solver
-    "cone_velocities",
-    "cone_modes",
-    "equation_index",  # (ne, 2) int: contact and row
-    "equations",  # (ne, nv) orthonormal basis of their whitened rows
-    "equation_factor",  # (ne, ne) the rows in that basis
-    "equation_unit",  # (ne,) where they are redundant, what the square of an impulse counts
-    "equation_share",  # (ne,) change of velocity in that basis
-    "equation_impulse",  # (ne,)
-    "contact_impulse",  # (nc, 3) along the basis, N s
-    "joint_impulse",  # (nv,) of limits, dry friction, and of what resists spinning and rolling
-    "touch_time",  # (nc,) s after the step's start, negative: did not touch
-    "edge_time",  # (nc,) likewise, when a contact opened at the end of a contour
-    "displacement",  # (nv,)
-    "mean",  # (nv,) displacement over the step size
-    "forces",  # (nc, 3) impulse over step size on the second contour given, world axes
-    "torques",  # (nc, 3) what resists spinning and rolling, likewise
-    "orientation",  # (nc,): -1 where the user named the contours the other way round
-    "known",  # (nc, CONTACT_INTS + 2) int: the contact's integers and charts after the last step
-    "calls",  # (NCALLS,) int: what steps call by address
-    "cone_tables",  # (ns + 1,) int: by number of units the cone solver's table, 0 where there is none yet
-    "set_aside",  # (nv,) the user's torques, while an output has others
-    "rows_tau",  # (rows, nv) torques of the steps that end with a row, and the state then
-    "rows_q",  # (rows, nq)
-    "rows_v",
+# Arrays of one step; ns units, ne equations.
+STEP = Layout(
+    "step",
+    counts=(INTEGERS, 1),  # (NCOUNTS,): see the COUNT columns
+    numbers=(REALS, 1),  # (8,): see the columns below
+    start_q=(REALS, 1),
+    start_v=(REALS, 1),
+    start_location=(REALS, 2),  # (nc, 4)
+    start_rates=(REALS, 2),  # (nc, 4)
+    start_slip=(REALS, 2),  # (nc, 3) v_c, world axes
+    start_normal=(REALS, 2),  # (nc, 2) components of v_c along n and the second normal
+    start_gap=(REALS, 1),  # (nc,)
+    start_mode=(INTEGERS, 1),  # (nc,)
+    start_domain=(REALS, 1),  # (nc,) way to the nearest end of the contours' domains, negative beyond it
+    behind=(INTEGERS, 1),  # (nc,): whether an open contact has passed beside its contours to their far side
+    trend=(REALS, 1),  # (nv,) mean acceleration of the last step, in the start's axes
+    carried_v=(REALS, 1),  # (nv,) v_0, and the trend, in the axes of the midpoint
+    carried_trend=(REALS, 1),
+    seen_v=(REALS, 1),  # (nv,) v_0 in the axes of the step's end
+    turning_rate=(REALS, 1),  # (nv,) of velocities at the midpoint, see `carrying`
+    inertias=(REALS, 2),  # (nblocks, INERTIA_SIZE) of turning joints at the start, see `carrying`
+    change=(REALS, 1),  # (nv,) v_free - v_0
+    restitution=(REALS, 1),  # (nc,)
+    sticking=(REALS, 1),  # (nc,) coefficient up to which a contact at rest sticks
+    load=(REALS, 1),  # (nc,) normal impulse over the step size in the last step of contacts whose disks depend on it, N
+    start_end=(INTEGERS, 1),  # (ng,): end at which a guarded joint coordinate was held, 0: at none
+    joint_int=(INTEGERS, 2),  # (nj, JOINT_INTS): kind, index in q, index in v, guard
+    joint_real=(REALS, 2),  # (nj, 2): limit and nothing, or half the width and the middle of the friction force's range
+    unit_int=(INTEGERS, 2),  # (ns, UNIT_INTS)
+    unit_real=(REALS, 2),  # (ns, UNIT_REALS)
+    whitened=(REALS, 2),  # (3 ns, nv) L^-T rows^T, without what the equations take
+    overlap=(REALS, 2),  # (3 ns, ne) what they take
+    delassus=(REALS, 1),  # (9 ns ns,) of which the first (3 n)^2 are used
+    loads=(REALS, 1),  # (3 ns,) b of the cone problem
+    friction=(REALS, 1),  # (ns,)
+    cone_forces=(REALS, 1),  # (3 n,) of the solver
+    cone_velocities=(REALS, 1),
+    cone_modes=(INTEGERS, 1),
+    equation_index=(INTEGERS, 2),  # (ne, 2): contact and row
+    equations=(REALS, 2),  # (ne, nv) orthonormal basis of their whitened rows
+    equation_factor=(REALS, 2),  # (ne, ne) the rows in that basis
+    equation_unit=(REALS, 1),  # (ne,) where they are redundant, what the square of an impulse counts
+    equation_share=(REALS, 1),  # (ne,) change of velocity in that basis
+    equation_impulse=(REALS, 1),  # (ne,)
+    contact_impulse=(REALS, 2),  # (nc, 3) along the basis, N s
+    joint_impulse=(REALS, 1),  # (nv,) of limits, dry friction, and of what resists spinning and rolling
+    touch_time=(REALS, 1),  # (nc,) s after the step's start, negative: did not touch
+    edge_time=(REALS, 1),  # (nc,) likewise, when a contact opened at the end of a contour
+    displacement=(REALS, 1),  # (nv,)
+    mean=(REALS, 1),  # (nv,) displacement over the step size
+    forces=(REALS, 2),  # (nc, 3) impulse over step size on the second contour given, world axes
+    torques=(REALS, 2),  # (nc, 3) what resists spinning and rolling, likewise
+    orientation=(REALS, 1),  # (nc,): -1 where the user named the contours the other way round
+    known=(INTEGERS, 2),  # (nc, CONTACT_INTS + 2): the contact's integers and charts after the last step
+    calls=(INTEGERS, 1),  # (NCALLS,): what steps call by address
+    cone_tables=(INTEGERS, 1),  # (ns + 1,): by number of units the cone solver's table, 0 where there is none yet
+    set_aside=(REALS, 1),  # (nv,) the user's torques, while an output has others
+    rows_tau=(REALS, 2),  # (rows, nv) torques of the steps that end with a row, and the state then
+    rows_q=(REALS, 2),  # (rows, nq)
+    rows_v=(REALS, 2),
 )
-(
-    COUNTS,
-    NUMBERS,
-    START_Q,
-    START_V,
-    START_LOCATION,
-    START_RATES,
-    START_SLIP,
-    START_NORMAL,
-    START_GAP,
-    START_MODE,
-    START_DOMAIN,
-    BEHIND,
-    TREND,
-    CARRIED_V,
-    CARRIED_TREND,
-    SEEN_V,
-    TURNING_RATE,
-    INERTIAS,
-    CHANGE,
-    RESTITUTION,
-    STICKING,
-    LOAD,
-    START_END,
-    JOINT_INT,
-    JOINT_REAL,
-    UNIT_INT,
-    UNIT_REAL,
-    WHITENED,
-    OVERLAP,
-    DELASSUS,
-    LOADS,
-    FRICTION,
-    CONE_FORCES,
-    CONE_VELOCITIES,
-    CONE_MODES,
-    EQUATION_INDEX,
-    EQUATIONS,
-    EQUATION_FACTOR,
-    EQUATION_UNIT,
-    EQUATION_SHARE,
-    EQUATION_IMPULSE,
-    CONTACT_IMPULSE,
-    JOINT_IMPULSE,
-    TOUCH_TIME,
-    EDGE_TIME,
-    DISPLACEMENT,
-    MEAN,
-    FORCES,
-    TORQUES,
-    ORIENTATION,
-    KNOWN,
-    CALLS,
-    CONE_TABLES,
-    SET_ASIDE,
-    ROWS_TAU,
-    ROWS_Q,
-    ROWS_V,
-) = range(len(STEP_SLOTS))
+step_at = STEP.at
 
 # counts. RIGID: the laws hold for velocities in the midpoint's geometry, see `impulse_problem`. Of an attempt: PASSES
 # over its midpoint before the present one, TREND_BEFORE what counts[HAS_TREND] is without them, THOROUGH whether its
@@ -226,24 +169,24 @@ UNASKED, WANTED, LOOKED_FOR = range(3)
 UNIT_REALS = 11
 
 
-def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks: int) -> Memory:
-    """The arrays of `STEP_SLOTS` for a system with ng guarded joint coordinates, nj limits and dry frictions of these,
+def step_workspace(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks: int) -> Workspace:
+    """The arrays of `STEP` for a system with ng guarded joint coordinates, nj limits and dry frictions of these,
     nt resistances to turning, and nblocks blocks of the configuration."""
-    memory = Memory(STEP_SLOTS)
+    step = Workspace(STEP)
     contacts, units, equations = max(nc, 1), max(nc + nj + nt, 1), max(3 * nc, 1)
-    counts = memory.integers("counts", NCOUNTS)
+    counts = step.zeros("counts", NCOUNTS)
     counts[[NJ, MAX_UNITS, MAX_EQUATIONS]] = nj, units, equations
-    memory.reals("numbers", NNUMBERS)
-    memory.scratch("start_q", nq)
+    step.zeros("numbers", NNUMBERS)
+    step.scratch("start_q", nq)
     carried = "carried_v", "carried_trend", "seen_v", "turning_rate"
     for name in ("start_v", "trend", *carried, "change", "joint_impulse", "displacement", "mean", "set_aside"):
-        memory.scratch(name, max(nv, 1))
+        step.scratch(name, max(nv, 1))
     for name in ("start_location", "start_rates"):
-        memory.scratch(name, contacts, 4)
+        step.scratch(name, contacts, 4)
     for name in ("start_slip", "contact_impulse", "forces", "torques"):
-        memory.scratch(name, contacts, 3)
-    memory.scratch("inertias", max(nblocks, 1), INERTIA_SIZE)
-    memory.scratch("start_normal", contacts, 2)
+        step.scratch(name, contacts, 3)
+    step.scratch("inertias", max(nblocks, 1), INERTIA_SIZE)
+    step.scratch("start_normal", contacts, 2)
     for name in (
         "start_gap",
         "restitution",
@@ -254,27 +197,27 @@ def step_memory(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks: i
         "start_domain",
         "orientation",
     ):
-        memory.scratch(name, contacts)
-    memory.integer_scratch("start_mode", contacts)
-    memory.integers("behind", contacts)
-    memory.integers("known", contacts, CONTACT_INTS + 2)
-    memory.integer_scratch("start_end", max(ng, 1))
-    memory.integers("joint_int", max(nj, 1), JOINT_INTS)
-    memory.reals("joint_real", max(nj, 1), 2)
-    memory.integer_scratch("unit_int", units, UNIT_INTS)
-    memory.scratch("unit_real", units, UNIT_REALS)
-    memory.scratch("whitened", 3 * units, nv)
-    memory.scratch("overlap", 3 * units, equations)
-    memory.scratch("delassus", 9 * units * units)
+        step.scratch(name, contacts)
+    step.scratch("start_mode", contacts)
+    step.zeros("behind", contacts)
+    step.zeros("known", contacts, CONTACT_INTS + 2)
+    step.scratch("start_end", max(ng, 1))
+    step.zeros("joint_int", max(nj, 1), JOINT_INTS)
+    step.zeros("joint_real", max(nj, 1), 2)
+    step.scratch("unit_int", units, UNIT_INTS)
+    step.scratch("unit_real", units, UNIT_REALS)
+    step.scratch("whitened", 3 * units, nv)
+    step.scratch("overlap", 3 * units, equations)
+    step.scratch("delassus", 9 * units * units)
     for name in ("loads", "cone_forces", "cone_velocities"):
-        memory.scratch(name, 3 * units)
-    memory.scratch("friction", units)
-    memory.integer_scratch("cone_modes", units)
-    memory.integers("calls", NCALLS)
-    memory.integers("cone_tables", units + 1)
-    memory.integer_scratch("equation_index", equations, 2)
-    memory.scratch("equations", equations, nv)
-    memory.scratch("equation_factor", equations, equations)
+        step.scratch(name, 3 * units)
+    step.scratch("friction", units)
+    step.scratch("cone_modes", units)
+    step.zeros("calls", NCALLS)
+    step.zeros("cone_tables", units + 1)
+    step.scratch("equation_index", equations, 2)
+    step.scratch("equations", equations, nv)
+    step.scratch("equation_factor", equations, equations)
     for name in ("equation_unit", "equation_share", "equation_impulse"):
-        memory.scratch(name, equations)
-    return memory
+        step.scratch(name, equations)
+    return step

@@ -29,146 +29,80 @@ from ..friction.ellipse import stretch_pair
 from ..geometry.carriers import ALPHA, OMEGA
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
-from ..jit import TABLE, entry_kernel, kernel
+from ..jit import INTEGER, entry_kernel, kernel
 from ..layout import (
     ANISOTROPIC,
-    BASIS,
-    BIAS,
-    CONSTRAINT_ROWS,
-    CONTACT_INT,
-    CONTACT_INTS,
-    CONTACT_REAL,
-    CONTACT_REALS,
-    DAMPING,
     DOMAIN,
-    FACTOR,
-    FRAMES,
     FREE,
-    GUARD_COUNT,
-    JACOBIAN,
     LENGTH,
-    MASS,
     MASS_NOT_POSITIVE,
     MU,
-    MULTIPLIERS,
-    NC,
-    NLE,
     NOT_FINITE,
-    NQ,
-    NV,
     OK,
-    PARENTS,
     PATTERN,
-    PERMUTATION,
     ROLLING,
-    ROWS,
-    SIDE_INT,
-    SIDE_INTS,
-    SIZES,
-    SLIP,
     SLIPPING,
     SPINNING,
     STICK,
     STRIBECK_SPEED,
-    SUPPORT,
     SUPPORT_SIZE,
     TANGENTS,
-    TAU,
     UNILATERAL,
     VISCOUS,
-    WORK,
-    V,
+    system_at,
 )
-from ..layout import DELASSUS as DELASSUS_WORK
-from ..memory import cube, integer_matrix, integers, matrix, reals
+from ..workspace import square
 from .impulse_layout import (
     AHEAD,
     APART,
     APPROACH,
     AT_REST,
     AXIS,
-    BEHIND,
-    CARRIED_TREND,
-    CARRIED_V,
-    CHANGE,
-    COUNTS,
     COUPLED,
-    DELASSUS,
     DRIVEN_T1,
     DRY_FRICTION,
-    EQUATION_FACTOR,
-    EQUATION_INDEX,
-    EQUATION_SHARE,
-    EQUATION_UNIT,
-    EQUATIONS,
     FREE_CHANGE,
     FREE_RATE,
-    FRICTION,
     HAS_TREND,
     HELD,
     IMPULSE_TIME,
     JOINT_GUARD,
-    JOINT_INT,
-    JOINT_INTS,
     JOINT_KIND,
     JOINT_Q,
-    JOINT_REAL,
     JOINT_V,
     KEPT,
     KEPT_HIGH,
     KEPT_LOW,
-    LOAD,
-    LOADS,
     LOWER_LIMIT,
-    MAX_EQUATIONS,
-    MAX_UNITS,
-    MEAN,
     MEAN_VELOCITY,
     MIDPOINT,
-    NCOUNTS,
     NEQ,
     NJ,
-    NNUMBERS,
-    NUMBERS,
     ON_CONTACT,
     ON_JOINT,
     ON_LOADED,
     ON_TURN,
-    OVERLAP,
     PARENT,
-    RESTITUTION,
     REVIEWS,
     RIGID,
     ROW_MASK,
     SHIFT,
     SLID,
     SLIDING,
-    START_DOMAIN,
-    START_END,
-    START_GAP,
-    START_MODE,
-    START_NORMAL,
-    START_Q,
-    START_SLIP,
     START_T1,
     START_T2,
-    STICKING,
     STICKING_AGAIN,
     TOUCHED,
     TOUCHES,
     TREND_BEFORE,
-    TURNING_RATE,
     UNIT_INDEX,
-    UNIT_INT,
-    UNIT_INTS,
     UNIT_KIND,
     UNIT_LOAD,
-    UNIT_REAL,
     UNIT_REALS,
     UNITS,
     UPPER_LIMIT,
-    WHITENED,
     H,
+    step_at,
 )
 
 # A contact nearer than this, relative to its length, is touching.
@@ -213,53 +147,52 @@ def _within_domains(start, middle, instant, ahead):
 
 
 @kernel
-def rigid_velocity(table, step, c, row, nv, nc):
+def rigid_velocity(system, step, c, row, nv, nc):
     """Component of v_c along a basis row at the start's velocity, in the midpoint's geometry."""
-    rows, v0, middle = cube(table[ROWS], nc, 3, nv), reals(step[CARRIED_V], nv), reals(table[V], nv)
-    value = dot(cube(table[BASIS], nc, 3, 3)[c, row], matrix(table[SLIP], nc, 3)[c])
+    rows, v0, middle = system.rows, step.carried_v, system.v
+    value = dot(system.basis[c, row], system.slip[c])
     for k in range(nv):
         value += rows[c, row, k] * (v0[k] - middle[k])
     return value
 
 
 @kernel
-def start_velocity(table, step, c, row, nv, nc):
+def start_velocity(system, step, c, row, nv, nc):
     """Component of v_c along a basis row at the step's start."""
-    if integers(step[COUNTS], NCOUNTS)[RIGID] != 0:
-        return rigid_velocity(table, step, c, row, nv, nc)
+    if step.counts[RIGID] != 0:
+        return rigid_velocity(system, step, c, row, nv, nc)
     # the biases of normals hold the normal's own rate, those of tangents do not
     if row == 2:
-        return matrix(step[START_NORMAL], nc, 2)[c, 0]
-    if row == 1 and integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)[c, PATTERN] == ON_CURVE:
-        return matrix(step[START_NORMAL], nc, 2)[c, 1]
-    return dot(cube(table[BASIS], nc, 3, 3)[c, row], matrix(step[START_SLIP], nc, 3)[c])
+        return step.start_normal[c, 0]
+    if row == 1 and system.contact_int[c, PATTERN] == ON_CURVE:
+        return step.start_normal[c, 1]
+    return dot(system.basis[c, row], step.start_slip[c])
 
 
 @kernel
-def free_gain(table, step, c, row, nv, nc, h):
+def free_gain(system, step, c, row, nv, nc, h):
     """What a component of v_c gains over the step if no impulse acts."""
-    value = inner(cube(table[ROWS], nc, 3, nv)[c, row], reals(step[CHANGE], nv), nv)
-    if integers(step[COUNTS], NCOUNTS)[RIGID] == 0:
-        value += h * matrix(table[BIAS], nc, 3)[c, row]
+    value = inner(system.rows[c, row], step.change, nv)
+    if step.counts[RIGID] == 0:
+        value += h * system.bias[c, row]
     return value
 
 
 @kernel
-def _add_equation(table, step, c, row, nv, nc, h):
+def _add_equation(system, step, c, row, nv, nc, h):
     """One more equation u = 0, orthogonalised (twice, for round-off) against those before."""
-    counts = integers(step[COUNTS], NCOUNTS)
-    size = counts[MAX_EQUATIONS]
+    counts = step.counts
     e = counts[NEQ]
-    index = integer_matrix(step[EQUATION_INDEX], size, 2)
-    equations = matrix(step[EQUATIONS], size, nv)
-    factor = matrix(step[EQUATION_FACTOR], size, size)
-    share = reals(step[EQUATION_SHARE], size)
+    index = step.equation_index
+    equations = step.equations
+    factor = step.equation_factor
+    share = step.equation_share
     index[e, 0], index[e, 1] = c, row
     whiten(
-        matrix(table[FACTOR], nv, nv),
-        integers(table[PARENTS], nv),
+        system.factor,
+        system.parents,
         nv,
-        cube(table[ROWS], nc, 3, nv)[c, row],
+        system.rows[c, row],
         equations[e],
     )
     whole = math.sqrt(inner(equations[e], equations[e], nv))
@@ -276,7 +209,7 @@ def _add_equation(table, step, c, row, nv, nc, h):
     factor[e, e] = rest if independent else 0.0
     for k in range(nv):
         equations[e, k] = equations[e, k] / rest if independent else 0.0
-    value = -start_velocity(table, step, c, row, nv, nc) - free_gain(table, step, c, row, nv, nc, h)
+    value = -start_velocity(system, step, c, row, nv, nc) - free_gain(system, step, c, row, nv, nc, h)
     for j in range(e):
         value -= factor[e, j] * share[j]
     share[e] = value / rest if independent else 0.0
@@ -286,19 +219,19 @@ def _add_equation(table, step, c, row, nv, nc, h):
 @kernel
 def _add_unit(step, kind, index, mask, mu, instant):
     """A new unit, returns its number; instant: when it closes, negative where its impulse is spread over the step."""
-    counts = integers(step[COUNTS], NCOUNTS)
+    counts = step.counts
     u = counts[UNITS]
-    ints = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)[u]
-    numbers = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)[u]
+    ints = step.unit_int[u]
+    numbers = step.unit_real[u]
     ints[UNIT_KIND], ints[UNIT_INDEX], ints[ROW_MASK] = kind, index, mask
     ints[TOUCHES] = ints[MIDPOINT] = ints[AT_REST] = ints[SLID] = ints[HELD] = 0
     for i in range(UNIT_REALS):
         numbers[i] = 0.0
-    numbers[IMPULSE_TIME] = 0.5 * reals(step[NUMBERS], NNUMBERS)[H]
+    numbers[IMPULSE_TIME] = 0.5 * step.numbers[H]
     if instant >= 0.0:
         numbers[IMPULSE_TIME] = instant
         ints[TOUCHES] = counts[TOUCHED] = counts[RIGID] = 1
-    reals(step[FRICTION], counts[MAX_UNITS])[u] = numbers[SLIDING] = mu
+    step.friction[u] = numbers[SLIDING] = mu
     counts[UNITS] = u + 1
     return u
 
@@ -317,21 +250,20 @@ def _set_impact(numbers, start, rate, restitution, h):
 
 
 @kernel
-def _gather_contacts(table, step, nv, nc, h):
+def _gather_contacts(system, step, nv, nc, h):
     """Units of all contacts that take part."""
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    rows, bias = cube(table[ROWS], nc, 3, nv), matrix(table[BIAS], nc, 3)
-    counts = integers(step[COUNTS], NCOUNTS)
-    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
-    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
-    friction = reals(step[FRICTION], counts[MAX_UNITS])
-    start_mode = integers(step[START_MODE], nc)
-    start_gap, start_normal = reals(step[START_GAP], nc), matrix(step[START_NORMAL], nc, 2)
-    start_domain, behind = reals(step[START_DOMAIN], nc), integers(step[BEHIND], nc)
-    sticking, load, trend = reals(step[STICKING], nc), reals(step[LOAD], nc), reals(step[CARRIED_TREND], nv)
-    basis, slip = cube(table[BASIS], nc, 3, 3), matrix(table[SLIP], nc, 3)
-    ahead = reals(step[NUMBERS], NNUMBERS)[AHEAD]
+    contact_int = system.contact_int
+    contact_real = system.contact_real
+    rows, bias = system.rows, system.bias
+    unit_int = step.unit_int
+    unit_real = step.unit_real
+    friction = step.friction
+    start_mode = step.start_mode
+    start_gap, start_normal = step.start_gap, step.start_normal
+    start_domain, behind = step.start_domain, step.behind
+    sticking, load, trend = step.sticking, step.load, step.carried_trend
+    basis, slip = system.basis, system.slip
+    ahead = step.numbers[AHEAD]
     for c in range(nc):
         mu, two = contact_real[c, MU], contact_int[c, TANGENTS] == 2
         bilateral, opened = contact_int[c, UNILATERAL] == 0, start_mode[c] == FREE
@@ -367,14 +299,14 @@ def _gather_contacts(table, step, nv, nc, h):
 
 
 @kernel
-def _gather_turns(table, step, nc, h):
+def _gather_turns(system, step, nc, h):
     """Units that resist spinning and rolling, of the contacts that take part."""
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    counts = integers(step[COUNTS], NCOUNTS)
-    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
-    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
-    load = reals(step[LOAD], nc)
+    contact_int = system.contact_int
+    contact_real = system.contact_real
+    counts = step.counts
+    unit_int = step.unit_int
+    unit_real = step.unit_real
+    load = step.load
     contacts = counts[UNITS]
     for c in range(nc):
         if contact_real[c, SPINNING] == 0.0 and contact_real[c, ROLLING] == 0.0:
@@ -398,42 +330,42 @@ def _gather_turns(table, step, nc, h):
 
 
 @kernel
-def add_turn_row(table, c, axis, nv, nc, factor, out):
+def add_turn_row(system, c, axis, nv, nc, factor, out):
     """out += factor times the row of the relative angular velocity of contact c about a basis vector."""
-    jacobian, about = matrix(table[JACOBIAN], nv, 6), cube(table[BASIS], nc, 3, 3)[c, axis]
-    support = integer_matrix(table[SUPPORT], 2 * nc, nv)
-    side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
+    jacobian, about = system.jacobian, system.basis[c, axis]
+    support = system.support
+    side_int = system.side_int
     for side in range(2 * c, 2 * c + 2):
         signed = factor if side % 2 == 1 else -factor
         add_rotation_row(signed, jacobian, support[side], side_int[side, SUPPORT_SIZE], about, out)
 
 
 @kernel
-def _turning(table, c, axis, quantity, nc):
+def _turning(system, c, axis, quantity, nc):
     """Relative angular velocity (OMEGA), or acceleration at a = 0 (ALPHA), about a basis vector at the midpoint."""
-    frames, about = cube(table[FRAMES], 2 * nc, 8, 3), cube(table[BASIS], nc, 3, 3)[c, axis]
+    frames, about = system.frames, system.basis[c, axis]
     return dot(about, frames[2 * c + 1, quantity]) - dot(about, frames[2 * c, quantity])
 
 
 @kernel
-def _gather_equations(table, step, nv, nc, h):
+def _gather_equations(system, step, nv, nc, h):
     """Bilateral normals and ideal rolling of bilateral contacts."""
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    contact_int = system.contact_int
+    contact_real = system.contact_real
     for c in range(nc):
         if contact_int[c, UNILATERAL] == 0:
             rolls, two = contact_real[c, MU] == math.inf, contact_int[c, TANGENTS] == 2
             second_normal = contact_int[c, PATTERN] == ON_CURVE
             for row in range(2, -1, -1):
                 if row == 2 or (row == 1 and second_normal) or (rolls and (row == 0 or two)):
-                    _add_equation(table, step, c, row, nv, nc, h)
-    counts = integers(step[COUNTS], NCOUNTS)
-    nequations, size = counts[NEQ], counts[MAX_EQUATIONS]
-    if not are_redundant(matrix(step[EQUATION_FACTOR], size, size), nequations):
+                    _add_equation(system, step, c, row, nv, nc, h)
+    counts = step.counts
+    nequations = counts[NEQ]
+    if not are_redundant(step.equation_factor, nequations):
         return
-    index, unit = integer_matrix(step[EQUATION_INDEX], size, 2), reals(step[EQUATION_UNIT], size)
-    rows, factor = cube(table[ROWS], nc, 3, nv), matrix(table[FACTOR], nv, nv)
-    parents, work = integers(table[PARENTS], nv), reals(table[WORK], nv)
+    index, unit = step.equation_index, step.equation_unit
+    rows, factor = system.rows, system.factor
+    parents, work = system.parents, system.work
     for e in range(nequations):
         c, row = index[e, 0], index[e, 1]
         whiten(factor, parents, nv, rows[c, row], work)
@@ -452,17 +384,16 @@ def are_redundant(factor, n):
 
 
 @kernel
-def _gather_joints(table, step, nv, h):
+def _gather_joints(system, step, nv, h):
     """Units of joint limits within reach and of dry friction. A joint that was held at its end is closed, whatever
     rounding makes of its position."""
-    counts = integers(step[COUNTS], NCOUNTS)
-    nq = integers(table[SIZES], 8)[NQ]
+    counts = step.counts
     nj = counts[NJ]
-    joint_int, joint_real = integer_matrix(step[JOINT_INT], nj, JOINT_INTS), matrix(step[JOINT_REAL], nj, 2)
-    start_end = integers(step[START_END], integers(table[GUARD_COUNT], 1)[0])
-    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
-    q, v, trend = reals(step[START_Q], nq), reals(step[CARRIED_V], nv), reals(step[CARRIED_TREND], nv)
-    mean = reals(step[MEAN], nv)
+    joint_int, joint_real = step.joint_int, step.joint_real
+    start_end = step.start_end
+    unit_real = step.unit_real
+    q, v, trend = step.start_q, step.carried_v, step.carried_trend
+    mean = step.mean
     for j in range(nj):
         k = joint_int[j, JOINT_V]
         if joint_int[j, JOINT_KIND] == DRY_FRICTION:
@@ -484,7 +415,7 @@ def _gather_joints(table, step, nv, h):
 
 
 @kernel
-def _keep_within_reach(table, step, nc):
+def _keep_within_reach(system, step, nc):
     """Redundant contacts: take out of b what no motion of rigid bodies could follow.
 
     Gaps at the midpoint put a little of that into b where contacts move with the bodies that they are on. More of it is
@@ -492,16 +423,16 @@ def _keep_within_reach(table, step, nc):
     the Delassus matrix is left: there something has to slip. Tangents of contacts that slide already take no part: they
     need not come to rest, and what changes their slip does so whatever the impulses.
     """
-    counts = integers(step[COUNTS], NCOUNTS)
+    counts = step.counts
     n = counts[UNITS]
-    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
-    overlap = matrix(step[OVERLAP], 3 * counts[MAX_UNITS], counts[MAX_EQUATIONS])
-    delassus, b = matrix(step[DELASSUS], 3 * n, 3 * n), reals(step[LOADS], 3 * n)
-    system, scratch = (
-        matrix(table[DELASSUS_WORK], 3 * nc, 3 * nc + 1),
-        matrix(table[CONSTRAINT_ROWS], 3 * nc, 3 * nc + 1),
+    unit_int = step.unit_int
+    overlap = step.overlap
+    delassus, b = square(step.delassus, 3 * n), step.loads
+    operator, scratch = (
+        system.delassus,
+        system.constraint_rows,
     )
-    x, start_mode = reals(table[MULTIPLIERS], 3 * nc), integers(step[START_MODE], nc)
+    x, start_mode = system.multipliers, step.start_mode
     # all of b, and where that leaves more than gaps explain, second order alone; what is left goes to the second column
     for whole in range(1, -1, -1):
         count, independent, largest, scale = 0, 0, 0.0, 0.0
@@ -512,11 +443,11 @@ def _keep_within_reach(table, step, nc):
             if held and delassus[count, count] > 0.0:
                 independent += 1
             for j in range(count + 1):
-                system[count, j] = delassus[count, j] if held and (j == count or system[j, j] > 0.0) else 0.0
+                operator[count, j] = delassus[count, j] if held and (j == count or operator[j, j] > 0.0) else 0.0
             count += 1
         if count <= 3 or largest <= WITHIN_ROUND_OFF * scale:
             return
-        if solve_semidefinite(system, count, integers(table[PERMUTATION], 3 * nc), x, scratch) == independent:
+        if solve_semidefinite(operator, count, system.permutation, x, scratch) == independent:
             return
         most = 0.0
         for r in range(count):
@@ -532,22 +463,22 @@ def _keep_within_reach(table, step, nc):
 
 
 @kernel
-def _fill_units(table, step, nv, nc, h):
+def _fill_units(system, step, nv, nc, h):
     """Whitened rows, Delassus matrix and b of all units, after the equations have taken their share."""
-    counts = integers(step[COUNTS], NCOUNTS)
-    n, units, nequations, size = counts[UNITS], counts[MAX_UNITS], counts[NEQ], counts[MAX_EQUATIONS]
-    factor, rows = matrix(table[FACTOR], nv, nv), cube(table[ROWS], nc, 3, nv)
-    parents = integers(table[PARENTS], nv)
-    unit_int = integer_matrix(step[UNIT_INT], units, UNIT_INTS)
-    unit_real = matrix(step[UNIT_REAL], units, UNIT_REALS)
-    joint_int = integer_matrix(step[JOINT_INT], counts[NJ], JOINT_INTS)
-    whitened, overlap = matrix(step[WHITENED], 3 * units, nv), matrix(step[OVERLAP], 3 * units, size)
-    equations, share = matrix(step[EQUATIONS], size, nv), reals(step[EQUATION_SHARE], size)
-    delassus, b = matrix(step[DELASSUS], 3 * n, 3 * n), reals(step[LOADS], 3 * n)
-    v, change, trend = reals(step[CARRIED_V], nv), reals(step[CHANGE], nv), reals(step[CARRIED_TREND], nv)
-    restitution, middle = reals(step[RESTITUTION], nc), reals(table[V], nv)
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
+    counts = step.counts
+    n, nequations = counts[UNITS], counts[NEQ]
+    factor, rows = system.factor, system.rows
+    parents = system.parents
+    unit_int = step.unit_int
+    unit_real = step.unit_real
+    joint_int = step.joint_int
+    whitened, overlap = step.whitened, step.overlap
+    equations, share = step.equations, step.equation_share
+    delassus, b = square(step.delassus, 3 * n), step.loads
+    v, change, trend = step.carried_v, step.change, step.carried_trend
+    restitution, middle = step.restitution, system.v
+    contact_int = system.contact_int
+    contact_real = system.contact_real
     for u in range(n):
         if counts[RIGID] != 0:
             # means of both ends and velocities at the end are not those of one rigid body
@@ -574,25 +505,25 @@ def _fill_units(table, step, nv, nc, h):
                 axis = unit_int[u, AXIS] + row
                 for i in range(nv):
                     line[i] = 0.0
-                add_turn_row(table, index, axis, nv, nc, 1.0, line)
+                add_turn_row(system, index, axis, nv, nc, 1.0, line)
                 drop_unturned(line, nv)
                 # what the bodies turn at the midpoint, and what drives add to it
                 turned = inner(line, middle, nv)
-                turning = _turning(table, index, axis, OMEGA, nc)
+                turning = _turning(system, index, axis, OMEGA, nc)
                 unit_real[u, DRIVEN_T1 + row] = turned - turning
                 rigid = turning + inner(line, v, nv) - turned
                 beyond = 0.0
                 if counts[RIGID] == 0:
-                    rate = inner(line, reals(step[TURNING_RATE], nv), nv)
-                    beyond = 0.5 * h * (_turning(table, index, axis, ALPHA, nc) - rate)
+                    rate = inner(line, step.turning_rate, nv)
+                    beyond = 0.5 * h * (_turning(system, index, axis, ALPHA, nc) - rate)
                 start = rigid - beyond
                 gain = inner(line, change, nv) + 2.0 * beyond
             else:
                 for i in range(nv):
                     line[i] = rows[index, row, i]
-                start = start_velocity(table, step, index, row, nv, nc)
-                gain = free_gain(table, step, index, row, nv, nc, h)
-                rigid = rigid_velocity(table, step, index, row, nv, nc)
+                start = start_velocity(system, step, index, row, nv, nc)
+                gain = free_gain(system, step, index, row, nv, nc, h)
+                rigid = rigid_velocity(system, step, index, row, nv, nc)
                 beyond = start + gain - inner(line, change, nv) - rigid
             b[r] = start + gain
             if nequations == 0:
@@ -627,7 +558,7 @@ def _fill_units(table, step, nv, nc, h):
             delassus[i, j] = value
             delassus[j, i] = value
     if counts[RIGID] == 0 and nequations == 0:
-        _keep_within_reach(table, step, nc)
+        _keep_within_reach(system, step, nc)
     for u in range(n):
         mask = unit_int[u, ROW_MASK]
         # rows that only fill up the cone are as heavy as the real ones, since the solver scales by the mean
@@ -653,52 +584,54 @@ def _fill_units(table, step, nv, nc, h):
 
 
 @kernel
-def _add_viscous(table, step, nv, nc, h, factor, change):
+def _add_viscous(system, step, h, change):
     """Viscous friction of the contacts closed at the start, in the system (its lower triangle) and the loads."""
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    rows, start_mode = cube(table[ROWS], nc, 3, nv), integers(step[START_MODE], nc)
+    nv, nc, factor = system.sizes.nv, system.sizes.nc, system.factor
+    contact_int = system.contact_int
+    contact_real = system.contact_real
+    rows, start_mode = system.rows, step.start_mode
     for c in range(nc):
         constant = h * contact_real[c, VISCOUS]
         if constant == 0.0 or start_mode[c] == FREE:
             continue
         for row in range(contact_int[c, TANGENTS]):
             line = rows[c, row]
-            slip = rigid_velocity(table, step, c, row, nv, nc)
+            slip = rigid_velocity(system, step, c, row, nv, nc)
             for i in range(nv):
                 change[i] -= constant * slip * line[i]
                 for j in range(i + 1):
                     factor[i, j] += 0.5 * constant * line[i] * line[j]
 
 
-@entry_kernel(TABLE, TABLE, aside=True)
-def assemble(table, step):
+@entry_kernel(INTEGER, INTEGER, aside=True)
+def assemble(system_address, step_address):
     """The cone problem of the step from the kinematics at its midpoint; OK, or a status of `layout`.
 
     Its size is counts[UNITS]; counts[RIGID] says which geometry to take, and is set where anything touches.
     """
-    sizes = integers(table[SIZES], 8)
-    nv, nc = sizes[NV], sizes[NC]
-    counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
+    system, step = system_at(system_address), step_at(step_address)
+    sizes = system.sizes
+    nv, nc = sizes.nv, sizes.nc
+    counts, numbers = step.counts, step.numbers
     h = numbers[H]
     counts[UNITS] = counts[NEQ] = counts[REVIEWS] = counts[TOUCHED] = 0
     counts[COUPLED] = APART
     numbers[KEPT], numbers[KEPT_LOW], numbers[KEPT_HIGH] = 1.0, 0.0, 1.0
-    mass, factor = matrix(table[MASS], nv, nv), matrix(table[FACTOR], nv, nv)
-    damping, tau, nle = reals(table[DAMPING], nv), reals(table[TAU], nv), reals(table[NLE], nv)
-    v, change, trend = reals(step[CARRIED_V], nv), reals(step[CHANGE], nv), reals(step[CARRIED_TREND], nv)
+    mass, factor = system.mass, system.factor
+    damping, tau, nle = system.damping, system.tau, system.nle
+    v, change, trend = step.carried_v, step.change, step.carried_trend
     for i in range(nv):
         for j in range(i):
             factor[i, j] = mass[i, j]
         factor[i, i] = mass[i, i] + 0.5 * h * damping[i]
         change[i] = h * (tau[i] - nle[i] - damping[i] * v[i])
-    joint_int = integer_matrix(step[JOINT_INT], counts[NJ], JOINT_INTS)
-    joint_real = matrix(step[JOINT_REAL], counts[NJ], 2)
+    joint_int = step.joint_int
+    joint_real = step.joint_real
     for j in range(counts[NJ]):
         if joint_int[j, JOINT_KIND] == DRY_FRICTION:
             change[joint_int[j, JOINT_V]] += h * joint_real[j, 1]
-    _add_viscous(table, step, nv, nc, h, factor, change)
-    parents = integers(table[PARENTS], nv)
+    _add_viscous(system, step, h, change)
+    parents = system.parents
     if not factorize_tree(factor, parents, nv, factor):
         return MASS_NOT_POSITIVE
     whiten(factor, parents, nv, change, change)
@@ -713,10 +646,10 @@ def assemble(table, step):
             trend[k] = change[k] / h
     if total - total != 0.0:
         return NOT_FINITE
-    _gather_contacts(table, step, nv, nc, h)
-    _gather_turns(table, step, nc, h)
-    _gather_joints(table, step, nv, h)
+    _gather_contacts(system, step, nv, nc, h)
+    _gather_turns(system, step, nc, h)
+    _gather_joints(system, step, nv, h)
     # last, since the geometry of the step depends on whether anything touches
-    _gather_equations(table, step, nv, nc, h)
-    _fill_units(table, step, nv, nc, h)
+    _gather_equations(system, step, nv, nc, h)
+    _fill_units(system, step, nv, nc, h)
     return OK

@@ -9,44 +9,24 @@ from ..dynamics.equations import inner
 from ..friction import cone
 from ..friction.elimination import factor_gram, solve_gram
 from ..jit import kernel
-from ..layout import DELASSUS as DELASSUS_WORK
-from ..layout import NC, NO_FORCE, SIZES
-from ..memory import integer_matrix, integers, matrix, reals
+from ..layout import NO_FORCE
+from ..workspace import square
 from .impulse_layout import (
     APART,
     APPROACH,
     AT_REST,
-    CONE_FORCES,
-    CONE_MODES,
-    CONE_VELOCITIES,
-    COUNTS,
     COUPLED,
-    DELASSUS,
-    EQUATION_FACTOR,
-    EQUATION_IMPULSE,
-    EQUATION_INDEX,
-    EQUATION_SHARE,
-    EQUATION_UNIT,
-    EQUATIONS,
     FREE_CHANGE,
     FREE_RATE,
-    FRICTION,
     IMPULSE_TIME,
     KEPT,
     KEPT_HIGH,
     KEPT_LOW,
-    LOADS,
-    MAX_EQUATIONS,
-    MAX_UNITS,
     MIDPOINT,
-    NCOUNTS,
     NEQ,
-    NNUMBERS,
-    NUMBERS,
     ON_JOINT,
     ON_LOADED,
     ON_TURN,
-    OVERLAP,
     PARENT,
     REVIEWS,
     ROW_MASK,
@@ -59,14 +39,9 @@ from .impulse_layout import (
     TOGETHER,
     TOUCHES,
     UNIT_INDEX,
-    UNIT_INT,
-    UNIT_INTS,
     UNIT_KIND,
     UNIT_LOAD,
-    UNIT_REAL,
-    UNIT_REALS,
     UNITS,
-    WHITENED,
 )
 from .impulse_problem import are_redundant
 
@@ -82,22 +57,21 @@ REVIEW_LIMIT = 200
 
 
 @kernel
-def equation_impulses(table, step):
+def equation_impulses(system, step):
     """Impulses of the equations that go with the cones' forces, R^T P = share - overlap^T F; of redundant ones the
     least, with contacts' forces in the units of `dynamics.equations.unit_of_force`."""
-    counts = integers(step[COUNTS], NCOUNTS)
-    n, nequations, size = counts[UNITS], counts[NEQ], counts[MAX_EQUATIONS]
-    forces = reals(step[CONE_FORCES], 3 * n)
-    overlap, factor = matrix(step[OVERLAP], 3 * counts[MAX_UNITS], size), matrix(step[EQUATION_FACTOR], size, size)
-    share, impulse = reals(step[EQUATION_SHARE], size), reals(step[EQUATION_IMPULSE], size)
+    counts = step.counts
+    n, nequations = counts[UNITS], counts[NEQ]
+    forces = step.cone_forces
+    overlap, factor = step.overlap, step.equation_factor
+    share, impulse = step.equation_share, step.equation_impulse
     for e in range(nequations):
         impulse[e] = share[e]
         for r in range(3 * n):
             impulse[e] -= overlap[r, e] * forces[r]
     if are_redundant(factor, nequations):
-        nc = integers(table[SIZES], 8)[NC]
-        gram = matrix(table[DELASSUS_WORK], 3 * nc, 3 * nc + 1)
-        _least_impulses(factor, reals(step[EQUATION_UNIT], size), nequations, gram, impulse)
+        gram = system.delassus
+        _least_impulses(factor, step.equation_unit, nequations, gram, impulse)
         return
     for e in range(nequations - 1, -1, -1):
         value = impulse[e]
@@ -130,9 +104,9 @@ def _least_impulses(factor, unit, n, gram, impulse):
 @kernel
 def _normal_load(step, c, lowest):
     """Length of the normal impulse that the equations give contact c; its normals are the rows from the lowest on."""
-    counts = integers(step[COUNTS], NCOUNTS)
-    index = integer_matrix(step[EQUATION_INDEX], counts[MAX_EQUATIONS], 2)
-    impulse = reals(step[EQUATION_IMPULSE], counts[MAX_EQUATIONS])
+    counts = step.counts
+    index = step.equation_index
+    impulse = step.equation_impulse
     total = 0.0
     for e in range(counts[NEQ]):
         if index[e, 0] == c and index[e, 1] >= lowest:
@@ -143,10 +117,10 @@ def _normal_load(step, c, lowest):
 @kernel
 def velocity_change(step, nv, out):
     """out (nv,) = change of velocity by all impulses, whitened."""
-    counts = integers(step[COUNTS], NCOUNTS)
-    n, nequations, size = counts[UNITS], counts[NEQ], counts[MAX_EQUATIONS]
-    equations, share = matrix(step[EQUATIONS], size, nv), reals(step[EQUATION_SHARE], size)
-    forces, whitened = reals(step[CONE_FORCES], 3 * n), matrix(step[WHITENED], 3 * counts[MAX_UNITS], nv)
+    counts = step.counts
+    n, nequations = counts[UNITS], counts[NEQ]
+    equations, share = step.equations, step.equation_share
+    forces, whitened = step.cone_forces, step.whitened
     for k in range(nv):
         out[k] = 0.0
     for e in range(nequations):
@@ -169,12 +143,12 @@ def impulse_work(step, nv, h, scratch):
     instants, which is known to first order only: no more of it is counted than the change of velocity and that by the
     smooth forces allow. scratch: (nv,).
     """
-    counts, numbers_of_step = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
+    counts, numbers_of_step = step.counts, step.numbers
     kept = numbers_of_step[KEPT]
     n = counts[UNITS]
-    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
-    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
-    forces, velocities = reals(step[CONE_FORCES], 3 * n), reals(step[CONE_VELOCITIES], 3 * n)
+    unit_int = step.unit_int
+    unit_real = step.unit_real
+    forces, velocities = step.cone_forces, step.cone_velocities
     on_contacts, on_joints, size, meanwhile = 0.0, 0.0, 0.0, 0.0
     for u in range(n):
         ints, numbers = unit_int[u], unit_real[u]
@@ -227,12 +201,12 @@ def slips_back(ints, values, first, second):
 def may_rest(step, u):
     """Whether unit u slid at the step's start and comes to rest in this solution, or slips back, and nothing that it is
     coupled with slides on: what passes by a place of rest, while others slide, does not stop there."""
-    counts = integers(step[COUNTS], NCOUNTS)
+    counts = step.counts
     n = counts[UNITS]
-    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
-    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
-    velocities, modes = reals(step[CONE_VELOCITIES], 3 * n), integers(step[CONE_MODES], n)
-    friction, delassus = reals(step[FRICTION], n), matrix(step[DELASSUS], 3 * n, 3 * n)
+    unit_int = step.unit_int
+    unit_real = step.unit_real
+    velocities, modes = step.cone_velocities, step.cone_modes
+    friction, delassus = step.friction, square(step.delassus, 3 * n)
     if unit_int[u, SLID] == 0 or unit_int[u, MIDPOINT] != 0:
         return False
     for w in range(n):
@@ -258,13 +232,13 @@ def review(step, nv, h, scratch):
     would create energy (see `dynamics.energy`), or raise the kinetic energy by more than the smooth forces account for
     within a step. scratch: (nv,).
     """
-    counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
+    counts, numbers = step.counts, step.numbers
     n = counts[UNITS]
-    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
-    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
-    forces, velocities = reals(step[CONE_FORCES], 3 * n), reals(step[CONE_VELOCITIES], 3 * n)
-    modes, friction = integers(step[CONE_MODES], n), reals(step[FRICTION], n)
-    b, delassus = reals(step[LOADS], 3 * n), matrix(step[DELASSUS], 3 * n, 3 * n)
+    unit_int = step.unit_int
+    unit_real = step.unit_real
+    forces, velocities = step.cone_forces, step.cone_velocities
+    modes, friction = step.cone_modes, step.friction
+    b, delassus = step.loads, square(step.delassus, 3 * n)
     counts[REVIEWS] += 1
     bounces = settles = stops = False
     for u in range(n):

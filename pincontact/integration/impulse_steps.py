@@ -16,62 +16,32 @@ from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_
 from ..friction import cone
 from ..friction.attempt import AFRESH, USUAL
 from ..geometry.small import dot
-from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
+from ..jit import INTEGER, REAL, entry_kernel, kernel
 from ..layout import (
-    BASIS,
-    CHARTED,
-    CONTACT_INT,
-    CONTACT_INTS,
-    CONTACT_REAL,
-    CONTACT_REALS,
-    CORRECTION_Q,
-    COUNTERS,
-    COUNTERS_SIZE,
     DOMAIN,
     FREE,
     FRICTIONLESS,
     FROZEN,
-    GAPS,
-    GUARD_COUNT,
     GUARD_END,
-    GUARD_INT,
-    GUARD_INTS,
-    JOINT_TABLE,
     LENGTH,
     LOCATION_FAILED,
     MODE,
     MU,
-    NBLOCKS,
-    NC,
-    NEXT_OUTPUT,
     NO_FORCE,
     NOT_FINITE,
-    NQ,
-    NV,
-    NY,
     OK,
-    RECORD_STEPS,
-    RECORDED,
-    ROWS,
-    SCALARS,
-    SCALARS_SIZE,
     SINGULAR,
-    SIZES,
-    SLIP,
     SLIP_SIGN,
     SLIPPING,
-    STAGE_STATE,
-    STATE,
     STICK,
+    SYSTEM,
     TANGENTS,
-    TAU,
-    TIME,
     TOO_LONG,
     UNILATERAL,
-    V,
+    system_at,
 )
-from ..memory import cube, integer_matrix, integers, matrix, reals
-from .carrying import INERTIA_SIZE, carry
+from ..workspace import square
+from .carrying import carry
 from .impulse_layout import (
     ACCELERATION,
     AHEAD,
@@ -79,41 +49,21 @@ from .impulse_layout import (
     ASKED,
     ASKED_WITH,
     ASSEMBLE,
-    BEHIND,
     CALL_FAILED,
-    CALLS,
     CHANGED,
     CHOOSING,
-    CONE_FORCES,
-    CONE_MODES,
     CONE_RESIDUAL,
-    CONE_TABLES,
     CONE_TASK,
     CONE_TOLERANCE,
-    CONE_VELOCITIES,
-    COUNTS,
     COUPLED,
-    DELASSUS,
-    EDGE_TIME,
-    FORCES,
-    FRICTION,
     HAS_TREND,
     HELD,
     HOLDING,
     IMPACT,
-    INERTIAS,
-    JOINT_IMPULSE,
     LAST,
-    LOAD,
-    LOADS,
-    MAX_UNITS,
     MEAN_VELOCITY,
     MISS,
     MOVE_CHARTS,
-    NCALLS,
-    NCOUNTS,
-    NNUMBERS,
-    NUMBERS,
     ON_CONTACT,
     ON_TURN,
     OPEN_LOADS,
@@ -123,40 +73,28 @@ from .impulse_layout import (
     ROW_COUNT,
     ROW_STEPS,
     ROWS_DONE,
-    ROWS_Q,
-    ROWS_TAU,
-    ROWS_V,
     RUN_END,
     RUN_START,
     RUN_TASK,
-    SEEN_V,
-    SET_ASIDE,
     SOLVE_CONES,
     SOLVED_HERE,
-    START_DOMAIN,
-    START_MODE,
-    START_Q,
     STEP_LIMIT,
     STEP_SIZE,
     STEPS,
-    STICKING,
     THOROUGH,
-    TORQUES,
-    TOUCH_TIME,
     TOUCHED,
-    TREND,
     TREND_BEFORE,
     TURNS,
     UNASKED,
     UNIT_INDEX,
-    UNIT_INT,
-    UNIT_INTS,
     UNIT_KIND,
     UNITS,
     WANTED,
     WATCHED,
     H,
+    step_at,
 )
+from .impulse_layout import STEP as STEP_LAYOUT
 from .impulse_problem import OPENING
 from .impulse_review import AGAIN, may_rest
 from .impulses import advance, commit, leave_turning_axes, predict_midpoint
@@ -193,41 +131,41 @@ _APART = 1e-6
 # Nearer to an end of its domain (in its units) a point is at it.
 _AT_END = 1e-12
 
-_call_task = kernel_caller(INTEGER, TABLE, INTEGER, REAL, REAL)
-_call_on_step = kernel_caller(INTEGER, TABLE, TABLE)
-_call_on_table = kernel_caller(INTEGER, TABLE)
+_call_task = kernel_caller(INTEGER, SYSTEM.type, INTEGER, REAL, REAL)
+_call_on_step = kernel_caller(INTEGER, SYSTEM.type, STEP_LAYOUT.type)
+_call_on_system = kernel_caller(INTEGER, SYSTEM.type)
 _call_cones = kernel_caller(
-    REAL, REAL[:, ::1], REAL[::1], REAL[::1], TABLE, INTEGER, INTEGER, REAL, INTEGER, INTEGER
+    REAL, REAL[:, ::1], REAL[::1], REAL[::1], cone.CONE.type, INTEGER, INTEGER, REAL, INTEGER, INTEGER
 )  # fmt: skip
 
 
 @kernel
-def _begin(table, step, t):
+def _begin(system, step, t):
     """Make STATE what is to be accepted; closed contacts get the mode that their v_c shows. A status."""
-    sizes = integers(table[SIZES], 8)
-    nv, nc, ny = sizes[NV], sizes[NC], sizes[NY]
-    state, stage_state = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
+    sizes = system.sizes
+    nv, nc, ny = sizes.nv, sizes.nc, sizes.ny
+    state, stage_state = system.state, system.stage_state
     for i in range(ny):
         stage_state[i] = state[i]
-    hand_over(table, stage_state)
-    status = evaluate(table, t, KINEMATICS_OF_ALL)
+    hand_over(system, stage_state)
+    status = evaluate(system, t, KINEMATICS_OF_ALL)
     if status != OK:
         return status
-    v, joint_impulse = reals(table[V], nv), reals(step[JOINT_IMPULSE], nv)
+    v, joint_impulse = system.v, step.joint_impulse
     largest = 1.0
     for k in range(nv):
         largest = max(largest, abs(v[k]))
         joint_impulse[k] = 0.0
-    ng = integers(table[GUARD_COUNT], 1)[0]
-    contact_int = integer_matrix(table[CONTACT_INT], nc + ng, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    basis, slip = cube(table[BASIS], nc, 3, 3), matrix(table[SLIP], nc, 3)
-    forces, torques = matrix(step[FORCES], nc, 3), matrix(step[TORQUES], nc, 3)
-    touch_time, load = reals(step[TOUCH_TIME], nc), reals(step[LOAD], nc)
+    ng = system.guard_count[0]
+    contact_int = system.contact_int
+    contact_real = system.contact_real
+    basis, slip = system.basis, system.slip
+    forces, torques = step.forces, step.torques
+    touch_time, load = step.touch_time, step.load
     gaps, behind, size = (
-        matrix(table[GAPS], nc, 2),
-        integers(step[BEHIND], nc),
-        reals(step[NUMBERS], NNUMBERS)[STEP_SIZE],
+        system.gaps,
+        step.behind,
+        step.numbers[STEP_SIZE],
     )
     for c in range(nc):
         touch_time[c], load[c] = -1.0, 0.0
@@ -252,38 +190,48 @@ def _begin(table, step, t):
             ints[MODE] = FRICTIONLESS if mu == 0.0 else STICK
         ints[SLIP_SIGN] = 1 if first >= 0.0 else -1
     # joints at their stops are found by the first step
-    guard_int = integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
+    guard_int = system.guard_int
     for g in range(ng):
         contact_int[nc + g, MODE], guard_int[g, GUARD_END] = FREE, 0
-    integers(step[COUNTS], NCOUNTS)[TOUCHED] = 0
+    step.counts[TOUCHED] = 0
     return OK
 
 
 @kernel
-def _ask(table, step, t):
+def _ask(system, step, t):
     """Let the user's function set the torques for the system's (q, v) at t; False where it fails."""
-    calls = integers(step[CALLS], NCALLS)
+    calls = step.calls
     if calls[ASKED] == 0:
         return True
-    reals(table[SCALARS], SCALARS_SIZE)[TIME] = t
-    return call_python(calls[ASKED], calls[ASKED_WITH], calls[CALL_FAILED]) and torques_finite(table, t)
+    system.scalars.time = t
+    return call_python(calls[ASKED], calls[ASKED_WITH], calls[CALL_FAILED]) and torques_finite(system, t)
+
+
+@kernel
+def take_solution(step, found):
+    """The forces, velocities and modes that a cone solver has found become those of the step."""
+    forces, velocities, modes = step.cone_forces, step.cone_velocities, step.cone_modes
+    for u in range(found.modes.shape[0]):
+        modes[u] = found.modes[u]
+        for k in range(3 * u, 3 * u + 3):
+            forces[k], velocities[k] = found.forces[k], found.velocities[k]
 
 
 @kernel
 def _solve(step, n):
     """Solve the assembled problem of n units in the usual ways; False leaves it to Python."""
-    counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
-    address, tolerance = integers(step[CONE_TABLES], counts[MAX_UNITS] + 1)[n], numbers[CONE_TOLERANCE]
+    counts, numbers = step.counts, step.numbers
+    address, tolerance = step.cone_tables[n], numbers[CONE_TOLERANCE]
     if address == 0:
         return False
-    known = integers(address, len(cone.SLOTS))
+    known = cone.cone_at(address)
     # of several solutions of an impact the one that the past has no part in
     task = USUAL + AFRESH if counts[TOUCHED] != 0 else counts[CONE_TASK]
     residual = _call_cones(
-        integers(step[CALLS], NCALLS)[SOLVE_CONES],
-        matrix(step[DELASSUS], 3 * n, 3 * n),
-        reals(step[LOADS], 3 * n),
-        reals(step[FRICTION], n),
+        step.calls[SOLVE_CONES],
+        square(step.delassus, 3 * n),
+        step.loads[: 3 * n],
+        step.friction[:n],
         known,
         task,
         0,
@@ -295,21 +243,19 @@ def _solve(step, n):
         return False
     counts[SOLVED_HERE] += 1
     numbers[CONE_RESIDUAL] = max(numbers[CONE_RESIDUAL], residual)
-    step[CONE_FORCES], step[CONE_VELOCITIES] = known[cone.FORCES], known[cone.VELOCITIES]
-    step[CONE_MODES] = known[cone.MODES]
+    take_solution(step, known)
     return True
 
 
 @kernel
-def _lets_go(table, step, n):
+def _lets_go(system, step, n):
     """Whether the solution of the n units lets a contact slip or open that was at rest, or slip that comes to rest in
     the step as its slip turns back; marks them."""
-    sizes, counts = integers(table[SIZES], 8), integers(step[COUNTS], NCOUNTS)
-    nc, h = sizes[NC], reals(step[NUMBERS], NNUMBERS)[H]
-    start_mode, sticking = integers(step[START_MODE], nc), reals(step[STICKING], nc)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    unit_int, friction = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS), reals(step[FRICTION], n)
-    modes, velocities = integers(step[CONE_MODES], n), reals(step[CONE_VELOCITIES], 3 * n)
+    h = step.numbers[H]
+    start_mode, sticking = step.start_mode, step.sticking
+    contact_real = system.contact_real
+    unit_int, friction = step.unit_int, step.friction
+    modes, velocities = step.cone_modes, step.cone_velocities
     goes = False
     for u in range(n):
         ints, c = unit_int[u], unit_int[u, UNIT_INDEX]
@@ -333,15 +279,15 @@ def _leaves_choice(step, n):
     Where others stick, or torques resist turning, the rule leaves loads open: that is counted, and with such torques
     the choice is left as it is.
     """
-    counts = integers(step[COUNTS], NCOUNTS)
-    address = integers(step[CONE_TABLES], counts[MAX_UNITS] + 1)[n]
+    counts = step.counts
+    address = step.cone_tables[n]
     if address == 0 or counts[COUPLED] != APART:
         return False
-    known = integers(integers(address, len(cone.SLOTS))[cone.COUNTS], cone.COUNTS_LENGTH)
+    known = cone.cone_at(address).counts
     if known[cone.CHOICES] == 0:
         return False
-    unit_int, friction = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS), reals(step[FRICTION], n)
-    modes = integers(step[CONE_MODES], n)
+    unit_int, friction = step.unit_int, step.friction
+    modes = step.cone_modes
     slides = sticks = turns = False
     for u in range(n):
         on_contact = unit_int[u, UNIT_KIND] == ON_CONTACT and friction[u] > 0.0
@@ -354,11 +300,11 @@ def _leaves_choice(step, n):
 
 
 @kernel
-def _impulses(table, step, found):
+def _impulses(system, step, found):
     """Cone problem and end of the step; a status, or CONE_LEFT. found: see FRESH."""
-    counts = integers(step[COUNTS], NCOUNTS)
+    counts = step.counts
     if found == FRESH:
-        status = _call_on_step(integers(step[CALLS], NCALLS)[ASSEMBLE], table, step)
+        status = _call_on_step(step.calls[ASSEMBLE], system, step)
         if status != OK:
             return status
     while True:
@@ -369,37 +315,37 @@ def _impulses(table, step, found):
             counts[HOLDING], counts[CHOOSING] = UNASKED, 0
             if n > 0 and (counts[COUPLED] != APART or not _solve(step, n)):
                 return CONE_LEFT
-        if counts[HOLDING] == UNASKED and counts[COUPLED] == APART and _lets_go(table, step, n):
+        if counts[HOLDING] == UNASKED and counts[COUPLED] == APART and _lets_go(system, step, n):
             counts[HOLDING] = WANTED
             return CONE_LEFT
         if counts[CHOOSING] == 0 and n > 0 and _leaves_choice(step, n):
             counts[CHOOSING] = 1
             return CONE_LEFT
         found = FRESH
-        status = advance(table, step)
+        status = advance(system, step)
         if status != AGAIN:
             return status
 
 
 @kernel
-def _pass(table, step, t, found):
+def _pass(system, step, t, found):
     """Midpoint, cone problem and end of the step from t; a status, or CONE_LEFT."""
-    counts = integers(step[COUNTS], NCOUNTS)
+    counts = step.counts
     if found == FRESH:
-        predict_midpoint(table, step)
-        numbers = reals(step[NUMBERS], NNUMBERS)
+        predict_midpoint(system, step)
+        numbers = step.numbers
         middle = t + numbers[AHEAD]
-        if not _ask(table, step, middle):
+        if not _ask(system, step, middle):
             return NOT_FINITE
         # but for impacts the passes of an attempt differ in the midpoint's velocity only
         moved = counts[PASSES] == 0 or numbers[AHEAD] != 0.5 * numbers[H]
-        status = evaluate(table, middle, KINEMATICS_OF_ALL if moved else VELOCITIES_OF_ALL)
+        status = evaluate(system, middle, KINEMATICS_OF_ALL if moved else VELOCITIES_OF_ALL)
         if status != OK:
             return status
-        leave_turning_axes(table, step)
+        leave_turning_axes(system, step)
         counts[RIGID] = counts[THOROUGH] = 0
     while True:
-        status = _impulses(table, step, found)
+        status = _impulses(system, step, found)
         if status != NO_FORCE or counts[THOROUGH] != 0:
             return status
         found = FRESH
@@ -412,16 +358,16 @@ def _pass(table, step, t, found):
 
 
 @kernel
-def _review_end(table, step, h):
+def _review_end(system, step, h):
     """The attempted step, whose end has been put on the constraints: contacts that went beyond the end of a contour
     open. A status: those that cannot open end there, and closed ones that are still apart are a failure."""
-    sizes = integers(table[SIZES], 8)
-    nv, nc = sizes[NV], sizes[NC]
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    gaps, rows = matrix(table[GAPS], nc, 2), cube(table[ROWS], nc, 3, nv)
-    correction = reals(table[CORRECTION_Q], nv)
-    start_domain, edge_time = reals(step[START_DOMAIN], nc), reals(step[EDGE_TIME], nc)
+    sizes = system.sizes
+    nv, nc = sizes.nv, sizes.nc
+    contact_int = system.contact_int
+    contact_real = system.contact_real
+    gaps, rows = system.gaps, system.rows
+    correction = system.correction_q
+    start_domain, edge_time = step.start_domain, step.edge_time
     status = OK
     for c in range(nc):
         edge_time[c] = -1.0
@@ -441,16 +387,16 @@ def _review_end(table, step, h):
 
 
 @kernel
-def _attempt(table, step, t, h, found):
+def _attempt(system, step, t, h, found):
     """A step of size h from the start at t; a status, or CONE_LEFT."""
-    sizes = integers(table[SIZES], 8)
-    nq, nv = sizes[NQ], sizes[NV]
-    counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
+    sizes = system.sizes
+    nq, nv = sizes.nq, sizes.nv
+    counts, numbers = step.counts, step.numbers
     if found == FRESH:
         numbers[H], numbers[AHEAD] = h, 0.5 * h
         counts[PASSES], counts[TREND_BEFORE] = 0, counts[HAS_TREND]
     while True:
-        status = _pass(table, step, t, found)
+        status = _pass(system, step, t, found)
         if status == CONE_LEFT:
             return status
         found = FRESH
@@ -466,12 +412,12 @@ def _attempt(table, step, t, h, found):
             if counts[TOUCHED] != 0:
                 numbers[AHEAD] = numbers[IMPACT]
             else:
-                state, trend = reals(table[STAGE_STATE], sizes[NY]), reals(step[TREND], nv)
-                seen_v, blocks = reals(step[SEEN_V], nv), integer_matrix(table[JOINT_TABLE], sizes[NBLOCKS], 4)
+                state, trend = system.stage_state, step.trend
+                seen_v, blocks = step.seen_v, system.joint_table
                 for k in range(nv):
                     trend[k] = (state[nq + k] - seen_v[k]) / h
-                inertias = matrix(step[INERTIAS], sizes[NBLOCKS], INERTIA_SIZE)
-                carry(blocks, inertias, state, reals(step[START_Q], nq), trend, trend)
+                inertias = step.inertias
+                carry(blocks, inertias, state, step.start_q, trend, trend)
                 counts[HAS_TREND] = ACCELERATION
             continue
         # A step in which bodies turn far is taken again with its own mean velocity: the implicit midpoint rule, which
@@ -486,34 +432,34 @@ def _attempt(table, step, t, h, found):
     counts[HAS_TREND] = counts[TREND_BEFORE]
     if status != OK:
         return status
-    status = _call_task(integers(step[CALLS], NCALLS)[RUN_TASK], table, SETTLE, t + h, 0.0)
-    return status if status != OK else _review_end(table, step, h)
+    status = _call_task(step.calls[RUN_TASK], system, SETTLE, t + h, 0.0)
+    return status if status != OK else _review_end(system, step, h)
 
 
 @kernel
-def _accept(table, step, t, stepped):
+def _accept(system, step, t, stepped):
     """STAGE_STATE, at t, becomes the start; see `commit`. counts[CHANGED]: whether modes, signs or charts did."""
-    may_move = stepped != 0 and integers(table[COUNTERS], COUNTERS_SIZE)[CHARTED] != 0
+    may_move = stepped != 0 and system.counters.charted != 0
     while True:
-        changed = commit(table, step, stepped)
-        if not may_move or _call_on_table(integers(step[CALLS], NCALLS)[MOVE_CHARTS], table) == 0:
+        changed = commit(system, step, stepped)
+        if not may_move or _call_on_system(step.calls[MOVE_CHARTS], system) == 0:
             break
-        ny = integers(table[SIZES], 8)[NY]
-        state, stage_state = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
+        ny = system.sizes.ny
+        state, stage_state = system.state, system.stage_state
         for i in range(ny):
             stage_state[i] = state[i]
-        hand_over(table, stage_state)
-        evaluate(table, t, KINEMATICS_OF_ALL)
+        hand_over(system, stage_state)
+        evaluate(system, t, KINEMATICS_OF_ALL)
         may_move, stepped = False, 0
-    integers(step[COUNTS], NCOUNTS)[CHANGED] = 1 if changed else 0
+    step.counts[CHANGED] = 1 if changed else 0
 
 
 @kernel
-def _happens(table, step):
+def _happens(system, step):
     """Whether a contact has another mode after the attempted step, or touched in it."""
-    nc = integers(table[SIZES], 8)[NC]
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    start_mode, touch_time = integers(step[START_MODE], nc), reals(step[TOUCH_TIME], nc)
+    nc = system.sizes.nc
+    contact_int = system.contact_int
+    start_mode, touch_time = step.start_mode, step.touch_time
     happens = False
     for c in range(nc):
         happens = happens or touch_time[c] >= 0.0 or start_mode[c] != contact_int[c, MODE]
@@ -521,35 +467,35 @@ def _happens(table, step):
 
 
 @kernel
-def _output(table, step, t):
+def _output(system, step, t):
     """Record the state at t: OK, OUTPUT_LEFT (its torques are set) or NOT_FINITE."""
-    if not _ask(table, step, t):
+    if not _ask(system, step, t):
         return NOT_FINITE
-    counts, counters = integers(step[COUNTS], NCOUNTS), integers(table[COUNTERS], COUNTERS_SIZE)
-    if counters[RECORDED] == BLOCK or counts[TURNS] != 0:
+    counts, counters = step.counts, system.counters
+    if counters.recorded == BLOCK or counts[TURNS] != 0:
         return OUTPUT_LEFT
-    nv, h = integers(table[SIZES], 8)[NV], reals(step[NUMBERS], NNUMBERS)[H]
-    tau, kept, impulse = reals(table[TAU], nv), reals(step[SET_ASIDE], nv), reals(step[JOINT_IMPULSE], nv)
+    nv, h = system.sizes.nv, step.numbers[H]
+    tau, kept, impulse = system.tau, step.set_aside, step.joint_impulse
     for k in range(nv):
         # forces of limits and dry friction go with the torques, so that contact forces can be found again
         kept[k] = tau[k]
         tau[k] += impulse[k] / h
-    _call_task(integers(step[CALLS], NCALLS)[RUN_TASK], table, RECORD, t, 0.0)
+    _call_task(step.calls[RUN_TASK], system, RECORD, t, 0.0)
     for k in range(nv):
         tau[k] = kept[k]
     return OK
 
 
 @kernel
-def _next_row(table, step):
+def _next_row(system, step):
     """Write q and v as a row, where rows are wanted; whether steps to another one begin, with its torques."""
-    counts, sizes = integers(step[COUNTS], NCOUNTS), integers(table[SIZES], 8)
+    counts, sizes = step.counts, system.sizes
     row, rows = counts[ROWS_DONE], counts[ROW_COUNT]
     if row >= rows:
         return False
-    nq, nv = sizes[NQ], sizes[NV]
-    state = reals(table[STATE], sizes[NY])
-    row_q, row_v = matrix(step[ROWS_Q], rows, nq)[row], matrix(step[ROWS_V], rows, nv)[row]
+    nq, nv = sizes.nq, sizes.nv
+    state = system.state
+    row_q, row_v = step.rows_q[row], step.rows_v[row]
     for i in range(nq):
         row_q[i] = state[i]
     for k in range(nv):
@@ -557,32 +503,33 @@ def _next_row(table, step):
     counts[ROWS_DONE] = row + 1
     if row + 1 == rows:
         return False
-    tau, row_tau = reals(table[TAU], nv), matrix(step[ROWS_TAU], rows, nv)[row + 1]
+    tau, row_tau = system.tau, step.rows_tau[row + 1]
     for k in range(nv):
         tau[k] = row_tau[k]
     counts[LAST] += counts[ROW_STEPS]
     return True
 
 
-@entry_kernel(TABLE, TABLE, INTEGER, INTEGER, REAL, REAL)
-def run_steps(table, step, task, found, t, h):
+@entry_kernel(INTEGER, INTEGER, INTEGER, INTEGER, REAL, REAL)
+def run_steps(system_address, step_address, task, found, t, h):
     """A status of `layout`, or what Python is needed for: see CONE_LEFT.
 
     task: BEGIN at t, ATTEMPT a step of size h from t, ACCEPT it at its end t; STEP, which is both until counts[LAST]
-    are done, and MARCH, steps and outputs until Python is needed, take their times from the table. found: FRESH, or
+    are done, and MARCH, steps and outputs until Python is needed, take their times from the system. found: FRESH, or
     what has become of the cone problem that the last call with this task left, or APPROVED for the step that MARCH came
     back with as ATTEMPTED.
     """
+    system, step = system_at(system_address), step_at(step_address)
     # one loop for all tasks: code that is called from one place is compiled once
-    counts, numbers = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)
+    counts, numbers = step.counts, step.numbers
     scalars, every_step = (
-        reals(table[SCALARS], SCALARS_SIZE),
-        integers(table[COUNTERS], COUNTERS_SIZE)[RECORD_STEPS] != 0,
+        system.scalars,
+        system.counters.record_steps != 0,
     )
     start, size = numbers[RUN_START], numbers[STEP_SIZE]
     slack = SLIVER * size
     if task == BEGIN:
-        status = _begin(table, step, t)
+        status = _begin(system, step, t)
         if status != OK:
             return status
     for _ in range(_BATCH):
@@ -599,35 +546,35 @@ def run_steps(table, step, task, found, t, h):
                 if i == counts[LAST] - 1:
                     t_new = numbers[RUN_END]
                 # an output inside a step is the end of a shorter one, which is then dropped
-                inside = scalars[NEXT_OUTPUT] < t_new - slack
-                h = (scalars[NEXT_OUTPUT] if inside else t_new) - t
+                inside = scalars.next_output < t_new - slack
+                h = (scalars.next_output if inside else t_new) - t
                 if abs(h - size) <= slack:
                     # not what rounding has made of it
                     h = size
         approved = found == APPROVED
         if task >= ATTEMPT and not approved:
-            status = _attempt(table, step, t, h, found)
+            status = _attempt(system, step, t, h, found)
             if status != OK or task == ATTEMPT:
                 return status
         found = FRESH
         if not inside:
-            if task == MARCH and not approved and (counts[WATCHED] != 0 or _happens(table, step)):
+            if task == MARCH and not approved and (counts[WATCHED] != 0 or _happens(system, step)):
                 return ATTEMPTED
-            _accept(table, step, t_new, 0 if task == BEGIN else 1)
+            _accept(system, step, t_new, 0 if task == BEGIN else 1)
             if task < ATTEMPT:
                 return OK
             counts[STEPS] += 1
             if task == STEP:
-                if counts[STEPS] >= counts[LAST] and not _next_row(table, step):
+                if counts[STEPS] >= counts[LAST] and not _next_row(system, step):
                     return OK
                 continue
-        while inside or every_step or scalars[NEXT_OUTPUT] <= t_new + slack:
-            status = _output(table, step, scalars[NEXT_OUTPUT] if inside else t_new)
+        while inside or every_step or scalars.next_output <= t_new + slack:
+            status = _output(system, step, scalars.next_output if inside else t_new)
             if status != OK:
                 return INNER_OUTPUT_LEFT if inside and status == OUTPUT_LEFT else status
             if every_step:
                 break
-            output_done(table)
+            output_done(system)
             if inside:
                 break
     return MARCHING

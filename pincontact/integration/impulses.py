@@ -34,156 +34,71 @@ from ..geometry.small import dot
 from ..jit import kernel
 from ..layout import (
     ANISOTROPIC,
-    BASIS,
-    BIAS,
     CHART,
-    CONTACT_INT,
     CONTACT_INTS,
-    CONTACT_REAL,
-    CONTACT_REALS,
-    CORRECTION_Q,
-    CORRECTION_V,
-    DAMPING,
     DOMAIN,
-    FACTOR,
     FREE,
     FRICTIONLESS,
     FROZEN,
-    GAPS,
-    GUARD_COUNT,
     GUARD_END,
-    GUARD_INT,
-    GUARD_INTS,
     GUARD_Q,
-    GUARD_REAL,
-    GUARD_REALS,
     HIGH_END,
-    JOINT_TABLE,
     LENGTH,
-    LOCATION,
     LOW_END,
-    MASS,
     MODE,
     MOTION_KIND,
     MU,
-    NBLOCKS,
-    NC,
-    NLE,
     NORMAL_1,
     NORMAL_2,
     NORMAL_SIGN,
     NOT_FINITE,
-    NQ,
-    NV,
-    NWORK,
-    NY,
-    PARENTS,
     PATTERN,
-    RATES,
     ROLLING,
-    ROWS,
-    SIDE_INT,
-    SIDE_INTS,
-    SIZES,
-    SLIP,
     SLIP_SIGN,
     SLIPPING,
     SPINNING,
-    STAGE_STATE,
-    STATE,
     STICK,
     TANGENTS,
-    TAU,
     TIME_DEPENDENT,
     UNILATERAL,
     VISCOUS,
-    WORK,
-    Q,
-    V,
 )
-from ..memory import cube, integer_matrix, integers, matrix, reals
-from .carrying import INERTIA_SIZE, carry, find_inertias, turning_rate
+from ..workspace import flat
+from .carrying import carry, find_inertias, turning_rate
 from .impulse_layout import (
     ACCELERATION,
     AHEAD,
     AXIS,
-    BEHIND,
-    CARRIED_TREND,
-    CARRIED_V,
-    CHANGE,
-    CONE_FORCES,
-    CONE_MODES,
-    CONE_VELOCITIES,
-    CONTACT_IMPULSE,
-    COUNTS,
-    DISPLACEMENT,
     DRIVEN_T1,
     DRY_FRICTION,
-    EQUATION_IMPULSE,
-    EQUATION_INDEX,
-    FORCES,
     FREE_CHANGE,
     HAS_TREND,
     IMPACT,
     IMPULSE_TIME,
-    INERTIAS,
     JOINT_GUARD,
-    JOINT_IMPULSE,
-    JOINT_INT,
-    JOINT_INTS,
     JOINT_KIND,
-    JOINT_REAL,
     JOINT_V,
     KEPT,
-    KNOWN,
-    LOAD,
-    MAX_EQUATIONS,
-    MAX_UNITS,
-    MEAN,
     MEAN_VELOCITY,
     MIDPOINT,
     MISS,
-    NCOUNTS,
     NEQ,
     NJ,
-    NNUMBERS,
-    NUMBERS,
     ON_JOINT,
     ON_LOADED,
     ON_TURN,
-    ORIENTATION,
     PASSES,
     ROW_MASK,
-    SEEN_V,
     SHIFT,
-    START_DOMAIN,
-    START_END,
-    START_GAP,
-    START_LOCATION,
-    START_MODE,
-    START_NORMAL,
-    START_Q,
-    START_RATES,
-    START_SLIP,
     START_T1,
     START_T2,
-    START_V,
-    TORQUES,
-    TOUCH_TIME,
     TOUCHED,
     TOUCHES,
-    TREND,
     TREND_BEFORE,
-    TURNING_RATE,
     UNIT_INDEX,
-    UNIT_INT,
-    UNIT_INTS,
     UNIT_KIND,
-    UNIT_REAL,
-    UNIT_REALS,
     UNITS,
     UPPER_LIMIT,
-    WHITENED,
     H,
 )
 from .impulse_problem import OPENING, TOUCHING, add_turn_row, free_gain, rigid_velocity, start_velocity
@@ -193,25 +108,25 @@ from .stages import DAMPING_WORK, DRIVE_WORK, FRICTION_WORK, NUMBER_OF_WORKS, TO
 
 
 @kernel
-def _blocks(table, step, n):
+def _blocks(system, step, n):
     """The n blocks of the configuration and their inertias."""
-    return integer_matrix(table[JOINT_TABLE], n, 4), matrix(step[INERTIAS], n, INERTIA_SIZE)
+    return system.joint_table, step.inertias
 
 
 @kernel
-def predict_midpoint(table, step):
+def predict_midpoint(system, step):
     """Hand over the midpoint's state, from the start and the last step's acceleration or this one's mean velocity."""
-    sizes = integers(table[SIZES], 8)
-    nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    counts = integers(step[COUNTS], NCOUNTS)
-    numbers = reals(step[NUMBERS], NNUMBERS)
+    sizes = system.sizes
+    nq, nv, nc = sizes.nq, sizes.nv, sizes.nc
+    counts = step.counts
+    numbers = step.numbers
     half = numbers[AHEAD]
-    v, trend, mean = reals(step[START_V], nv), reals(step[TREND], nv), reals(step[MEAN], nv)
-    displacement = reals(step[DISPLACEMENT], nv)
-    blocks, inertias = _blocks(table, step, sizes[NBLOCKS])
-    location, rates = reals(step[START_LOCATION], 4 * nc), reals(step[START_RATES], 4 * nc)
-    state, start_q = reals(table[STAGE_STATE], sizes[NY]), reals(step[START_Q], nq)
-    carried, carried_trend = reals(step[CARRIED_V], nv), reals(step[CARRIED_TREND], nv)
+    v, trend, mean = step.start_v, step.trend, step.mean
+    displacement = step.displacement
+    blocks, inertias = _blocks(system, step, sizes.nblocks)
+    location, rates = flat(step.start_location), flat(step.start_rates)
+    state, start_q = system.stage_state, step.start_q
+    carried, carried_trend = step.carried_v, step.carried_trend
     for k in range(nv):
         displacement[k] = half * v[k]
     displace(blocks, start_q, start_q, displacement, state)
@@ -228,20 +143,20 @@ def predict_midpoint(table, step):
             state[nq + k] = mean[k]
     for k in range(4 * nc):
         state[nq + nv + k] = location[k] + half * rates[k]
-    hand_over(table, state)
+    hand_over(system, state)
 
 
 @kernel
-def leave_turning_axes(table, step):
+def leave_turning_axes(system, step):
     """Take what comes of turning axes alone out of the midpoint's bias forces and biases: there velocities change from
     v_0 to v_1 in axes that stand still."""
-    sizes = integers(table[SIZES], 8)
-    nv, nc, rate = sizes[NV], sizes[NC], reals(step[TURNING_RATE], sizes[NV])
-    blocks, inertias = _blocks(table, step, sizes[NBLOCKS])
-    if not turning_rate(blocks, inertias, reals(table[V], nv), rate):
+    sizes = system.sizes
+    nv, nc, rate = sizes.nv, sizes.nc, step.turning_rate
+    blocks, inertias = _blocks(system, step, sizes.nblocks)
+    if not turning_rate(blocks, inertias, system.v, rate):
         return
-    mass, nle = matrix(table[MASS], nv, nv), reals(table[NLE], nv)
-    rows, bias = cube(table[ROWS], nc, 3, nv), matrix(table[BIAS], nc, 3)
+    mass, nle = system.mass, system.nle
+    rows, bias = system.rows, system.bias
     for k in range(nv):
         if rate[k] != 0.0:
             for i in range(nv):
@@ -252,15 +167,15 @@ def leave_turning_axes(table, step):
 
 
 @kernel
-def _contact_mode(table, step, u, c, nc, h):
+def _contact_mode(system, step, u, c, nc, h):
     """Mode of contact c after the step, from the solution of its unit u; notes when it touched."""
-    counts = integers(step[COUNTS], NCOUNTS)
-    n, kept = counts[UNITS], reals(step[NUMBERS], NNUMBERS)[KEPT]
-    ints = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)[u]
-    values = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)[u]
-    velocities, cone_mode = reals(step[CONE_VELOCITIES], 3 * n), integers(step[CONE_MODES], n)[u]
-    integers_c = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)[c]
-    numbers_c = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)[c]
+    counts = step.counts
+    kept = step.numbers[KEPT]
+    ints = step.unit_int[u]
+    values = step.unit_real[u]
+    velocities, cone_mode = step.cone_velocities, step.cone_modes[u]
+    integers_c = system.contact_int[c]
+    numbers_c = system.contact_real[c]
     mu = numbers_c[MU]
     rest = FRICTIONLESS if mu == 0.0 else STICK
     opening = OPENING * numbers_c[LENGTH]
@@ -279,13 +194,13 @@ def _contact_mode(table, step, u, c, nc, h):
     slides = mu != 0.0 and math.hypot(first, second) * h > opening
     if cone_mode == cone.OPEN:
         # without force, though perhaps not apart: among redundant contacts others may carry the load
-        gap = reals(step[START_GAP], nc)[c] if ints[TOUCHES] != 0 else 0.0
+        gap = step.start_gap[c] if ints[TOUCHES] != 0 else 0.0
         apart = (velocities[3 * u + 2] + kept * values[SHIFT]) * h > opening
         if apart or gap > TOUCHING * numbers_c[LENGTH] or (slides and mu == math.inf):
             return FREE
         return SLIPPING if slides else rest
     if ints[TOUCHES] != 0:
-        reals(step[TOUCH_TIME], nc)[c] = values[IMPULSE_TIME]
+        step.touch_time[c] = values[IMPULSE_TIME]
         counts[TOUCHED] = 1
         if kept * values[SHIFT] > 0.0:
             return FREE
@@ -294,26 +209,26 @@ def _contact_mode(table, step, u, c, nc, h):
 
 
 @kernel
-def _distribute(table, step, nv, nc, h):
+def _distribute(system, step, nv, nc, h):
     """Impulses of contacts and joints, new modes, ends at which joints are held; in WORK the change of velocity by all
     impulses, whitened, and in DISPLACEMENT what they displace by acting before or after the middle of the step."""
-    counts = integers(step[COUNTS], NCOUNTS)
-    n, units, nequations, most = counts[UNITS], counts[MAX_UNITS], counts[NEQ], counts[MAX_EQUATIONS]
-    ng, kept = integers(table[GUARD_COUNT], 1)[0], reals(step[NUMBERS], NNUMBERS)[KEPT]
-    contact_int = integer_matrix(table[CONTACT_INT], nc + ng, CONTACT_INTS)
-    guard_int = integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    unit_int = integer_matrix(step[UNIT_INT], units, UNIT_INTS)
-    unit_real = matrix(step[UNIT_REAL], units, UNIT_REALS)
-    joint_int = integer_matrix(step[JOINT_INT], counts[NJ], JOINT_INTS)
-    forces, whitened = reals(step[CONE_FORCES], 3 * n), matrix(step[WHITENED], 3 * units, nv)
-    index, equation_impulse = integer_matrix(step[EQUATION_INDEX], most, 2), reals(step[EQUATION_IMPULSE], most)
-    impulse, joint_impulse = matrix(step[CONTACT_IMPULSE], nc, 3), reals(step[JOINT_IMPULSE], nv)
-    touch_time = reals(step[TOUCH_TIME], nc)
-    load = reals(step[LOAD], nc)
-    basis, torques = cube(table[BASIS], nc, 3, 3), matrix(step[TORQUES], nc, 3)
-    orientation = reals(step[ORIENTATION], nc)
-    whole, shifted = reals(table[WORK], nv), reals(step[DISPLACEMENT], nv)
+    counts = step.counts
+    n, nequations = counts[UNITS], counts[NEQ]
+    ng, kept = system.guard_count[0], step.numbers[KEPT]
+    contact_int = system.contact_int
+    guard_int = system.guard_int
+    contact_real = system.contact_real
+    unit_int = step.unit_int
+    unit_real = step.unit_real
+    joint_int = step.joint_int
+    forces, whitened = step.cone_forces, step.whitened
+    index, equation_impulse = step.equation_index, step.equation_impulse
+    impulse, joint_impulse = step.contact_impulse, step.joint_impulse
+    touch_time = step.touch_time
+    load = step.load
+    basis, torques = system.basis, step.torques
+    orientation = step.orientation
+    whole, shifted = system.work, step.displacement
     velocity_change(step, nv, whole)
     for k in range(nv):
         shifted[k] = joint_impulse[k] = 0.0
@@ -331,7 +246,7 @@ def _distribute(table, step, nv, nc, h):
     total = moment = 0.0
     for j in range(counts[NJ]):
         if joint_int[j, JOINT_KIND] == DRY_FRICTION:
-            joint_impulse[joint_int[j, JOINT_V]] += h * matrix(step[JOINT_REAL], counts[NJ], 2)[j, 1]
+            joint_impulse[joint_int[j, JOINT_V]] += h * step.joint_real[j, 1]
     for e in range(nequations):
         impulse[index[e, 0], index[e, 1]] += equation_impulse[e]
     for u in range(n):
@@ -359,7 +274,7 @@ def _distribute(table, step, nv, nc, h):
             moment += math.sqrt(size) * unit_real[u, IMPULSE_TIME]
             if kind == ON_TURN:
                 axis = unit_int[u, AXIS] + row
-                add_turn_row(table, i, axis, nv, nc, forces[r], joint_impulse)
+                add_turn_row(system, i, axis, nv, nc, forces[r], joint_impulse)
                 for j in range(3):
                     torques[i, j] += orientation[i] * forces[r] * basis[i, axis, j] / h
             elif kind == ON_JOINT:
@@ -373,8 +288,8 @@ def _distribute(table, step, nv, nc, h):
                         g = joint_int[i, JOINT_GUARD]
                         contact_int[nc + g, MODE], guard_int[g, GUARD_END] = FRICTIONLESS, -int(sign)
         if kind < ON_JOINT:
-            contact_int[i, MODE] = _contact_mode(table, step, u, i, nc, h)
-    reals(step[NUMBERS], NNUMBERS)[IMPACT] = moment / total if total > 0.0 else 0.5 * h
+            contact_int[i, MODE] = _contact_mode(system, step, u, i, nc, h)
+    step.numbers[IMPACT] = moment / total if total > 0.0 else 0.5 * h
     # impulses that nearly cancel (a wedged body) at different times would throw it far: one alone moves it no further
     limit = 0.25 * h * h * inner(whole, whole, nv)
     moved = inner(shifted, shifted, nv)
@@ -395,19 +310,19 @@ def _distribute(table, step, nv, nc, h):
 
 
 @kernel
-def _viscous_impulses(table, step, nv, nc, h, v1):
+def _viscous_impulses(system, step, nv, nc, h, v1):
     """Add viscous impulses to those of the contacts; returns their work on v_c."""
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    rows, start_mode = cube(table[ROWS], nc, 3, nv), integers(step[START_MODE], nc)
-    v0, impulse = reals(step[CARRIED_V], nv), matrix(step[CONTACT_IMPULSE], nc, 3)
+    contact_int = system.contact_int
+    contact_real = system.contact_real
+    rows, start_mode = system.rows, step.start_mode
+    v0, impulse = step.carried_v, step.contact_impulse
     work = 0.0
     for c in range(nc):
         constant = h * contact_real[c, VISCOUS]
         if constant == 0.0 or start_mode[c] == FREE:
             continue
         for row in range(contact_int[c, TANGENTS]):
-            mean = rigid_velocity(table, step, c, row, nv, nc)
+            mean = rigid_velocity(system, step, c, row, nv, nc)
             for k in range(nv):
                 mean += 0.5 * rows[c, row, k] * (v1[k] - v0[k])
             impulse[c, row] -= constant * mean
@@ -416,15 +331,15 @@ def _viscous_impulses(table, step, nv, nc, h, v1):
 
 
 @kernel
-def _work_on_misses(table, step, nv, nc):
+def _work_on_misses(system, step, nv, nc):
     """Work in J of impulses of closed contacts on constrained velocities that are not zero at the step's start, as in
     the first step from a state that does not keep to its constraints."""
-    counts, basis = integers(step[COUNTS], NCOUNTS), cube(table[BASIS], nc, 3, 3)
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    start_slip, start_normal = matrix(step[START_SLIP], nc, 3), matrix(step[START_NORMAL], nc, 2)
-    start_mode, impulse = integers(step[START_MODE], nc), matrix(step[CONTACT_IMPULSE], nc, 3)
-    index = integer_matrix(step[EQUATION_INDEX], counts[MAX_EQUATIONS], 2)
-    of_equations = reals(step[EQUATION_IMPULSE], counts[MAX_EQUATIONS])
+    counts, basis = step.counts, system.basis
+    contact_int = system.contact_int
+    start_slip, start_normal = step.start_slip, step.start_normal
+    start_mode, impulse = step.start_mode, step.contact_impulse
+    index = step.equation_index
+    of_equations = step.equation_impulse
     twice = 0.0
     for c in range(nc):
         if contact_int[c, UNILATERAL] != 0 and start_mode[c] != FREE:
@@ -439,16 +354,16 @@ def _work_on_misses(table, step, nv, nc):
 
 
 @kernel
-def _add_works(table, step, nv, nc, h, v1, viscous, works):
+def _add_works(system, step, nv, nc, h, v1, viscous, works):
     """Works over the step, with that of viscous friction; what drives do is what impulses do on the joints less what
     they do on v_c."""
-    rows, impulse = cube(table[ROWS], nc, 3, nv), matrix(step[CONTACT_IMPULSE], nc, 3)
-    change = reals(step[CHANGE], nv)
-    v0, tau, damping = reals(step[CARRIED_V], nv), reals(table[TAU], nv), reals(table[DAMPING], nv)
-    on_contacts, on_joints, _, _ = impulse_work(step, nv, h, reals(table[WORK], nv))
-    works[FRICTION_WORK] += on_contacts + viscous + _work_on_misses(table, step, nv, nc)
+    rows, impulse = system.rows, step.contact_impulse
+    change = step.change
+    v0, tau, damping = step.carried_v, system.tau, system.damping
+    on_contacts, on_joints, _, _ = impulse_work(step, nv, h, system.work)
+    works[FRICTION_WORK] += on_contacts + viscous + _work_on_misses(system, step, nv, nc)
     works[DAMPING_WORK] += on_joints
-    side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
+    side_int = system.side_int
     for c in range(nc):
         is_driven = False
         for side in range(2 * c, 2 * c + 2):
@@ -456,13 +371,13 @@ def _add_works(table, step, nv, nc, h, v1, viscous, works):
         for row in range(3 if is_driven else 0):
             line = rows[c, row]
             # what v_c is on average where nothing but the drive moves it, against what the joints make of it
-            driven = start_velocity(table, step, c, row, nv, nc)
-            driven += 0.5 * (free_gain(table, step, c, row, nv, nc, h) - inner(line, change, nv))
+            driven = start_velocity(system, step, c, row, nv, nc)
+            driven += 0.5 * (free_gain(system, step, c, row, nv, nc, h) - inner(line, change, nv))
             works[DRIVE_WORK] += impulse[c, row] * (inner(line, v0, nv) - driven)
-    counts = integers(step[COUNTS], NCOUNTS)
-    unit_int = integer_matrix(step[UNIT_INT], counts[MAX_UNITS], UNIT_INTS)
-    unit_real = matrix(step[UNIT_REAL], counts[MAX_UNITS], UNIT_REALS)
-    forces = reals(step[CONE_FORCES], 3 * counts[UNITS])
+    counts = step.counts
+    unit_int = step.unit_int
+    unit_real = step.unit_real
+    forces = step.cone_forces
     for u in range(counts[UNITS]):
         if unit_int[u, UNIT_KIND] == ON_TURN:
             for row in range(2):
@@ -471,36 +386,36 @@ def _add_works(table, step, nv, nc, h, v1, viscous, works):
         mean = 0.5 * (v0[k] + v1[k])
         works[TORQUE_WORK] += h * tau[k] * mean
         works[DAMPING_WORK] -= h * damping[k] * mean * mean
-    joint_int = integer_matrix(step[JOINT_INT], counts[NJ], JOINT_INTS)
+    joint_int = step.joint_int
     for j in range(counts[NJ]):
         if joint_int[j, JOINT_KIND] == DRY_FRICTION:
             # the constant part of a range that is not symmetric, beside the unit's
             k = joint_int[j, JOINT_V]
-            works[DAMPING_WORK] += h * matrix(step[JOINT_REAL], counts[NJ], 2)[j, 1] * 0.5 * (v0[k] + v1[k])
+            works[DAMPING_WORK] += h * step.joint_real[j, 1] * 0.5 * (v0[k] + v1[k])
 
 
 @kernel
-def advance(table, step):
+def advance(system, step):
     """Review the cone problem's solution and carry out the step: state, modes, impulses; hands over its end.
 
     Returns DONE, AGAIN (solve the changed problem first) or a status of `layout`.
     """
-    sizes = integers(table[SIZES], 8)
-    nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    h, ahead = reals(step[NUMBERS], NNUMBERS)[H], reals(step[NUMBERS], NNUMBERS)[AHEAD]
-    equation_impulses(table, step)
-    verdict = review(step, nv, h, reals(table[WORK], nv))
+    sizes = system.sizes
+    nq, nv, nc = sizes.nq, sizes.nv, sizes.nc
+    h, ahead = step.numbers[H], step.numbers[AHEAD]
+    equation_impulses(system, step)
+    verdict = review(step, nv, h, system.work)
     if verdict != DONE:
         return verdict
-    _distribute(table, step, nv, nc, h)
-    factor, change = matrix(table[FACTOR], nv, nv), reals(step[CHANGE], nv)
-    gained, displacement, mean = reals(table[WORK], nv), reals(step[DISPLACEMENT], nv), reals(step[MEAN], nv)
-    parents = integers(table[PARENTS], nv)
+    _distribute(system, step, nv, nc, h)
+    factor, change = system.factor, step.change
+    gained, displacement, mean = system.work, step.displacement, step.mean
+    parents = system.parents
     unwhiten(factor, parents, nv, gained, gained)
     unwhiten(factor, parents, nv, displacement, displacement)
-    start_q, start_v, state = reals(step[START_Q], nq), reals(step[CARRIED_V], nv), reals(table[STAGE_STATE], sizes[NY])
+    start_q, start_v, state = step.start_q, step.carried_v, system.stage_state
     v1 = state[nq : nq + nv]
-    assumed, mass = reals(table[V], nv), matrix(table[MASS], nv, nv)
+    assumed, mass = system.v, system.mass
     total = miss = speed = 0.0
     for k in range(nv):
         v1[k] = start_v[k] + change[k] + gained[k]
@@ -509,42 +424,42 @@ def advance(table, step):
         miss += mass[k, k] * (mean[k] - assumed[k]) ** 2
         speed += mass[k, k] * mean[k] ** 2
         total += v1[k]
-    numbers = reals(step[NUMBERS], NNUMBERS)
+    numbers = step.numbers
     # a body that comes to rest is not fast, but neither is it far off
     speed += numbers[FREE_CHANGE] ** 2
     numbers[MISS] = math.sqrt(miss / speed) if miss > 0.0 else 0.0
     if total - total != 0.0:
         return NOT_FINITE
-    viscous = _viscous_impulses(table, step, nv, nc, h, v1)
-    if sizes[NWORK] > 0:
-        start, works = reals(table[STATE], sizes[NY])[nq + nv + 4 * nc :], state[nq + nv + 4 * nc :]
+    viscous = _viscous_impulses(system, step, nv, nc, h, v1)
+    if sizes.nwork > 0:
+        start, works = system.state[nq + nv + 4 * nc :], state[nq + nv + 4 * nc :]
         for i in range(NUMBER_OF_WORKS):
             works[i] = start[i]
-        _add_works(table, step, nv, nc, h, v1, viscous, works)
-    (blocks, inertias), middle = _blocks(table, step, sizes[NBLOCKS]), reals(table[Q], nq)
+        _add_works(system, step, nv, nc, h, v1, viscous, works)
+    (blocks, inertias), middle = _blocks(system, step, sizes.nblocks), system.q
     displace(blocks, start_q, middle, displacement, state)
     carry(blocks, inertias, middle, state, v1, v1)
-    carry(blocks, inertias, middle, state, start_v, reals(step[SEEN_V], nv))
-    ng = integers(table[GUARD_COUNT], 1)[0]
-    guard_int, guard_real = integer_matrix(table[GUARD_INT], ng, GUARD_INTS), matrix(table[GUARD_REAL], ng, GUARD_REALS)
+    carry(blocks, inertias, middle, state, start_v, step.seen_v)
+    ng = system.guard_count[0]
+    guard_int, guard_real = system.guard_int, system.guard_real
     for g in range(ng):
         # to the last bit; what that does to contacts is settled with this end as a constraint
         end = guard_int[g, GUARD_END]
         if end != 0:
             state[guard_int[g, GUARD_Q]] = guard_real[g, LOW_END if end < 0 else HIGH_END]
-    location, rates = reals(table[LOCATION], 4 * nc), reals(table[RATES], 4 * nc)
+    location, rates = flat(system.location), flat(system.rates)
     for k in range(4 * nc):
         state[nq + nv + k] = location[k] + (h - ahead) * rates[k]
-    _report_forces(table, step, nc, h)
-    hand_over(table, state)
+    _report_forces(system, step, nc, h)
+    hand_over(system, state)
     return DONE
 
 
 @kernel
-def _report_forces(table, step, nc, h):
+def _report_forces(system, step, nc, h):
     """Mean forces over the step on the contours named second, world axes (of the step's midpoint)."""
-    basis, impulse = cube(table[BASIS], nc, 3, 3), matrix(step[CONTACT_IMPULSE], nc, 3)
-    forces, orientation = matrix(step[FORCES], nc, 3), reals(step[ORIENTATION], nc)
+    basis, impulse = system.basis, step.contact_impulse
+    forces, orientation = step.forces, step.orientation
     for c in range(nc):
         for i in range(3):
             value = impulse[c, 0] * basis[c, 0, i] + impulse[c, 1] * basis[c, 1, i] + impulse[c, 2] * basis[c, 2, i]
@@ -552,44 +467,44 @@ def _report_forces(table, step, nc, h):
 
 
 @kernel
-def commit(table, step, stepped):
+def commit(system, step, stepped):
     """Make STAGE_STATE the next step's start, with the kinematics of its evaluation, moved on by the last corrections.
 
     stepped: 0 for the first state of a run, which has no corrections and no step behind it.
     Returns whether anything discrete (modes, signs, charts) is not what it was before.
     """
-    sizes = integers(table[SIZES], 8)
-    nq, nv, nc = sizes[NQ], sizes[NV], sizes[NC]
-    counts, h = integers(step[COUNTS], NCOUNTS), reals(step[NUMBERS], NNUMBERS)[H]
-    stage, state = reals(table[STAGE_STATE], sizes[NY]), reals(table[STATE], sizes[NY])
-    start_q, start_v, trend = reals(step[START_Q], nq), reals(step[START_V], nv), reals(step[TREND], nv)
-    seen_v = reals(step[SEEN_V], nv)
-    correction_q, correction_v = reals(table[CORRECTION_Q], nv), reals(table[CORRECTION_V], nv)
-    for i in range(sizes[NY]):
+    sizes = system.sizes
+    nq, nv, nc = sizes.nq, sizes.nv, sizes.nc
+    counts, h = step.counts, step.numbers[H]
+    stage, state = system.stage_state, system.state
+    start_q, start_v, trend = step.start_q, step.start_v, step.trend
+    seen_v = step.seen_v
+    correction_q, correction_v = system.correction_q, system.correction_v
+    for i in range(sizes.ny):
         state[i] = stage[i]
     for i in range(nq):
         start_q[i] = stage[i]
-    blocks, inertias = _blocks(table, step, sizes[NBLOCKS])
-    find_inertias(blocks, matrix(table[MASS], nv, nv), inertias)
+    blocks, inertias = _blocks(system, step, sizes.nblocks)
+    find_inertias(blocks, system.mass, inertias)
     counts[HAS_TREND] = ACCELERATION if stepped != 0 and counts[TOUCHED] == 0 else 0
     for k in range(nv):
         if stepped != 0:
             trend[k] = (stage[nq + k] - seen_v[k]) / h
         start_v[k] = stage[nq + k]
-    basis, rows = cube(table[BASIS], nc, 3, 3), cube(table[ROWS], nc, 3, nv)
-    slip, gaps = matrix(table[SLIP], nc, 3), matrix(table[GAPS], nc, 2)
-    location, rates = matrix(table[LOCATION], nc, 4), matrix(table[RATES], nc, 4)
-    start_location, start_rates = matrix(step[START_LOCATION], nc, 4), matrix(step[START_RATES], nc, 4)
-    start_slip, start_normal = matrix(step[START_SLIP], nc, 3), matrix(step[START_NORMAL], nc, 2)
-    start_gap, start_mode = reals(step[START_GAP], nc), integers(step[START_MODE], nc)
-    start_domain, behind = reals(step[START_DOMAIN], nc), integers(step[BEHIND], nc)
-    contact_int = integer_matrix(table[CONTACT_INT], nc, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], nc, CONTACT_REALS)
-    side_int = integer_matrix(table[SIDE_INT], 2 * nc, SIDE_INTS)
-    known = integer_matrix(step[KNOWN], nc, CONTACT_INTS + 2)
+    basis, rows = system.basis, system.rows
+    slip, gaps = system.slip, system.gaps
+    location, rates = system.location, system.rates
+    start_location, start_rates = step.start_location, step.start_rates
+    start_slip, start_normal = step.start_slip, step.start_normal
+    start_gap, start_mode = step.start_gap, step.start_mode
+    start_domain, behind = step.start_domain, step.behind
+    contact_int = system.contact_int
+    contact_real = system.contact_real
+    side_int = system.side_int
+    known = step.known
     changed = stepped == 0
-    ng = integers(table[GUARD_COUNT], 1)[0]
-    start_end, guard_int = integers(step[START_END], ng), integer_matrix(table[GUARD_INT], ng, GUARD_INTS)
+    ng = system.guard_count[0]
+    start_end, guard_int = step.start_end, system.guard_int
     for g in range(ng):
         start_end[g] = guard_int[g, GUARD_END]
     for c in range(nc):

@@ -34,11 +34,8 @@ from ..layout import (
     FRICTIONLESS,
     LOCATION_FAILED,
     MODE,
-    NBLOCKS,
-    NEXT_OUTPUT,
     NO_FORCE,
     OK,
-    RECORD_STEPS,
     SINGULAR,
     SLIPPING,
     STICK,
@@ -46,7 +43,6 @@ from ..layout import (
     UNILATERAL,
     VISCOUS,
 )
-from ..memory import address_of
 from .choices import Units, chosen_forces, holding_forces
 from .contradictions import contradiction
 from .events import UserEvent
@@ -57,12 +53,9 @@ from .impulse_layout import (
     CALL_FAILED,
     CHANGED,
     CHOOSING,
-    CONE_FORCES,
-    CONE_MODES,
     CONE_RESIDUAL,
     CONE_TASK,
     CONE_TOLERANCE,
-    CONE_VELOCITIES,
     COUPLED,
     DRY_FRICTION,
     HELD,
@@ -86,16 +79,12 @@ from .impulse_layout import (
     ROW_MASK,
     ROW_STEPS,
     ROWS_DONE,
-    ROWS_Q,
-    ROWS_TAU,
-    ROWS_V,
     RUN_END,
     RUN_START,
     SHIFT,
     SOLVED_HERE,
     STEP_LIMIT,
     STEP_SIZE,
-    STEP_SLOTS,
     STEPS,
     THOROUGH,
     TOGETHER,
@@ -109,7 +98,7 @@ from .impulse_layout import (
     WANTED,
     WATCHED,
     H,
-    step_memory,
+    step_workspace,
 )
 from .impulse_problem import assemble
 from .impulse_steps import (
@@ -200,7 +189,7 @@ class _Rows:
 
     def __init__(self, n: int, nq: int, nv: int) -> None:
         self.tau, self.q, self.v = np.empty((n, nv)), np.empty((n, nq)), np.empty((n, nv))
-        self.addresses = address_of(self.tau), address_of(self.q), address_of(self.v)
+        self.arrays = {"rows_tau": self.tau, "rows_q": self.q, "rows_v": self.v}
 
 
 class MoreauStep:
@@ -216,7 +205,7 @@ class MoreauStep:
 
     def __init__(self, system: System, contacts: Sequence[Contact]) -> None:
         # these kernels are compiled for those who use them
-        compile_kernels(several=True)
+        compile_kernels(friction=True, several=True)
         self.system = system
         self._viscous = bool((system.contact_real[: system.nc, VISCOUS] > 0.0).any())
         joint_int, joint_real = joint_constraints(system.guards)
@@ -226,31 +215,29 @@ class MoreauStep:
         self.resists_turning = turns > 0
         # whether forces act on joints that are neither torques nor contact forces
         self.acts_on_joints = self.joints > 0 or self.resists_turning
-        self.memory = memory = step_memory(
-            system.nq, system.nv, system.nc, system.ng, self.joints, turns, int(system.sizes[NBLOCKS])
+        self.step_arrays = arrays = step_workspace(
+            system.nq, system.nv, system.nc, system.ng, self.joints, turns, int(system.sizes["nblocks"])
         )
-        self.table = memory.table
-        memory["joint_int"][: self.joints], memory["joint_real"][: self.joints] = joint_int, joint_real
+        arrays.joint_int[: self.joints], arrays.joint_real[: self.joints] = joint_int, joint_real
         for c, contact in enumerate(contacts):
-            memory["restitution"][c] = contact.restitution
-            memory["sticking"][c] = 0.0 if contact.friction is None else contact.friction.sticking
-            memory["orientation"][c] = -1.0 if contact.swapped else 1.0
+            arrays.restitution[c] = contact.restitution
+            arrays.sticking[c] = 0.0 if contact.friction is None else contact.friction.sticking
+            arrays.orientation[c] = -1.0 if contact.swapped else 1.0
         self.solver = ContactSolver(stages=_SEARCHES, quick=True)
-        self.forces = memory["forces"][: system.nc]
-        self.torques = memory["torques"][: system.nc]
-        self.touch_time = memory["touch_time"][: system.nc]
-        self.edge_time = memory["edge_time"][: system.nc]
-        self.start_mode = memory["start_mode"][: system.nc]
-        self.joint_impulse = memory["joint_impulse"][: system.nv]
-        self._counts, self._numbers = memory["counts"], memory["numbers"]
+        self.forces = arrays.forces[: system.nc]
+        self.torques = arrays.torques[: system.nc]
+        self.touch_time = arrays.touch_time[: system.nc]
+        self.edge_time = arrays.edge_time[: system.nc]
+        self.start_mode = arrays.start_mode[: system.nc]
+        self.joint_impulse = arrays.joint_impulse[: system.nv]
+        self._counts, self._numbers = arrays.counts, arrays.numbers
         self._rows: _Rows | None = None
         self._looks = OpenContacts(system).watches()
         self._problems: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
-        self._table = system.table
-        memory["calls"][: len(_CALLED)] = [kernel_address(entry) for entry in _CALLED]
-        memory["calls"][CALL_FAILED] = id(False)
-        memory["numbers"][CONE_TOLERANCE], memory["counts"][CONE_TASK] = self.solver.tolerance, self.solver.task
-        memory.keep()
+        arrays.calls[: len(_CALLED)] = [kernel_address(entry) for entry in _CALLED]
+        arrays.calls[CALL_FAILED] = id(False)
+        arrays.numbers[CONE_TOLERANCE], arrays.counts[CONE_TASK] = self.solver.tolerance, self.solver.task
+        arrays.keep()
         self._begin_anew()
 
     def _begin_anew(self) -> None:
@@ -263,11 +250,11 @@ class MoreauStep:
         self._share_tables()
         if self._viscous:
             # the mass matrix with viscous friction couples branches of the tree
-            system.memory["parents"][:] = np.arange(max(system.nv, 1)) - 1
+            system.parents[:] = np.arange(max(system.nv, 1)) - 1
 
     def renew(self) -> None:
         """Be as new, for a system that is as new: buffers are kept, nothing in them matters."""
-        self.memory.restore()
+        self.step_arrays.restore()
         self.solver.renew()
         self._begin_anew()
 
@@ -278,7 +265,7 @@ class MoreauStep:
         output: torque(t). None for constant torques."""
         # kept alive here: the kernels know the addresses only
         self._asked = None
-        calls = self.memory["calls"]
+        calls = self.step_arrays.calls
         # one by one: several at once take many times as long
         calls[ASKED] = calls[ASKED_WITH] = 0
         if torque is None:
@@ -289,10 +276,12 @@ class MoreauStep:
 
     def _run(self, task: int, t: float = 0.0, h: float = 0.0, found: int = FRESH) -> int:
         """A task of `run_steps`, with the cone problems that it leaves. Raises what `System.check_callbacks` does."""
-        result = run_steps(self._table, self.table, task, found, t, h)
+        result = run_steps(self.system.address, self.step_arrays.address, task, found, t, h)
         while result == CONE_LEFT:
             solved = self._solve(int(self._counts[UNITS]), bool(self._counts[THOROUGH]))
-            result = run_steps(self._table, self.table, task, SOLVED if solved else UNSOLVED, t, h)
+            result = run_steps(
+                self.system.address, self.step_arrays.address, task, SOLVED if solved else UNSOLVED, t, h
+            )
         if self.system.asks:
             self.system.check_callbacks()
         return result
@@ -347,7 +336,8 @@ class MoreauStep:
         if self._looks:
             return self._advance_row_by_row(tau, count, rows)
         rows.tau[:n] = tau
-        self.table[ROWS_TAU], self.table[ROWS_Q], self.table[ROWS_V] = rows.addresses
+        for name, array in rows.arrays.items():
+            self.step_arrays.put(name, array)
         counts[ROW_COUNT], counts[ROWS_DONE], counts[ROW_STEPS] = n, 0, count
         system.tau[:] = tau[0]
         try:
@@ -393,19 +383,19 @@ class MoreauStep:
 
     def _take_locations(self, t: float) -> None:
         """Start the next step with locations that others have set in `system.state`."""
-        system, memory = self.system, self.memory
+        system, arrays = self.system, self.step_arrays
         system.stage_state[:] = system.state
-        load_state(system.table)
+        load_state(system.address)
         system.evaluate_kinematics(t)
         for c in range(system.nc):
             if system.modes[c] != FREE:
                 continue
-            memory["start_location"][c], memory["start_rates"][c] = system.location[c], system.rates[c]
-            memory["start_gap"][c], memory["start_slip"][c] = system.gaps[c, 0], system.slip[c]
-            memory["start_normal"][c] = system.basis[c, [2, 1]] @ system.slip[c]
+            arrays.start_location[c], arrays.start_rates[c] = system.location[c], system.rates[c]
+            arrays.start_gap[c], arrays.start_slip[c] = system.gaps[c, 0], system.slip[c]
+            arrays.start_normal[c] = system.basis[c, [2, 1]] @ system.slip[c]
             domain = system.contact_real[c, DOMAIN]
-            memory["start_domain"][c], memory["behind"][c] = domain, domain < 0.0 > system.gaps[c, 0]
-            known = memory["known"][c]
+            arrays.start_domain[c], arrays.behind[c] = domain, domain < 0.0 > system.gaps[c, 0]
+            known = arrays.known[c]
             known[:CONTACT_INTS], known[CONTACT_INTS:] = (
                 system.contact_int[c],
                 system.side_int[2 * c : 2 * c + 2, CHART],
@@ -433,7 +423,7 @@ class MoreauStep:
     @property
     def known(self) -> tuple[np.ndarray, np.ndarray]:
         """Integers (nc, CONTACT_INTS) and charts (nc, 2) of contacts after the last accepted step; views."""
-        known = self.memory["known"][: self.system.nc]
+        known = self.step_arrays.known[: self.system.nc]
         return known[:, :CONTACT_INTS], known[:, CONTACT_INTS:]
 
     # ---------------------------------------------------------------- cone problems
@@ -442,11 +432,11 @@ class MoreauStep:
         """Solve the assembled problem of n units; its solution is where `advance` looks for it."""
         problem = self._problems.get(n)
         if problem is None:
-            memory = self.memory
+            arrays = self.step_arrays
             problem = self._problems[n] = (
-                memory["delassus"][: 9 * n * n].reshape(3 * n, 3 * n),
-                memory["loads"][: 3 * n],
-                memory["friction"][:n],
+                arrays.delassus[: 9 * n * n].reshape(3 * n, 3 * n),
+                arrays.loads[: 3 * n],
+                arrays.friction[:n],
             )
         solver, counts = self.solver, self._counts
         if counts[HOLDING] == WANTED:
@@ -459,14 +449,14 @@ class MoreauStep:
         self._left += 1
         solved, touched = False, bool(counts[TOUCHED])
         if counts[COUPLED] == APART:
-            if self.memory["cone_tables"][n]:
+            if self.step_arrays.cone_tables[n]:
                 # the usual path has been tried
                 solved = solver.search(*problem, afresh=touched)
             else:
                 solved = solver.solve(*problem, afresh=touched)
                 self._share_tables()
             solved = solved or self._stay(n, *problem)
-            if not solved and np.isin(self.memory["unit_int"][:n, UNIT_KIND], (ON_LOADED, ON_TURN)).any():
+            if not solved and np.isin(self.step_arrays.unit_int[:n, UNIT_KIND], (ON_LOADED, ON_TURN)).any():
                 counts[COUPLED] = TOGETHER
         if not solved and counts[COUPLED] != APART:
             solved = self._solve_together(n, *problem)
@@ -474,9 +464,9 @@ class MoreauStep:
             return False
         self._numbers[CONE_RESIDUAL] = max(self._numbers[CONE_RESIDUAL], solver.residual)
         # each size has buffers of its own
-        self.table[CONE_FORCES] = address_of(solver.forces)
-        self.table[CONE_VELOCITIES] = address_of(solver.velocities)
-        self.table[CONE_MODES] = address_of(solver.modes)
+        arrays = self.step_arrays
+        arrays.cone_forces[: 3 * n], arrays.cone_velocities[: 3 * n] = solver.forces, solver.velocities
+        arrays.cone_modes[:n] = solver.modes
         return True
 
     def _units(
@@ -490,19 +480,19 @@ class MoreauStep:
         velocities: np.ndarray,
     ) -> Units:
         """The problem, with modes (n,), forces and velocities (3n,), for those that choose among redundant forces."""
-        ints = self.memory["unit_int"][:n]
+        ints = self.step_arrays.unit_int[:n]
         real = ints[:, ROW_MASK, None] >> np.arange(3) & 1 != 0
         turns = ints[:, UNIT_KIND] == ON_TURN
         parents = np.where(real[:, 2], np.arange(n), np.where(turns, ints[:, PARENT], -1))
-        loads, directions = self.memory["unit_real"][:n, UNIT_LOAD], self.memory["whitened"][: 3 * n]
+        loads, directions = self.step_arrays.unit_real[:n, UNIT_LOAD], self.step_arrays.whitened[: 3 * n]
         pairs = forces.reshape(-1, 3), velocities.reshape(-1, 3)
         return Units(delassus, b, mu, directions, real, parents, loads, modes, *pairs)
 
     def _hold(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> None:
         """Replace a solution that lets go what was at rest by one that does not, if there is one."""
         solver = self.solver
-        solver.table(n)
-        held = self.memory["unit_int"][:n, HELD] != 0
+        solver.address(n)
+        held = self.step_arrays.unit_int[:n, HELD] != 0
         before = solver.kept()
         # what is to carry nothing in slip may be needed to hold
         for closed in (SLIPS, OPENS) if (held & (before[0] == OPENS)).any() else (SLIPS,):
@@ -513,7 +503,7 @@ class MoreauStep:
 
     def _stay(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Let all units stay at rest, where all were and the searches have found nothing."""
-        ints = self.memory["unit_int"][:n]
+        ints = self.step_arrays.unit_int[:n]
         if (ints[:, UNIT_KIND] != ON_CONTACT).any():
             return False
         if not np.isin(self.start_mode[ints[:, UNIT_INDEX]], (STICK, FRICTIONLESS)).all():
@@ -539,27 +529,27 @@ class MoreauStep:
         velocities = delassus @ found + b
         velocities[np.repeat(modes == STICKS, 3)] = 0.0
         solver.warm_start(modes, found, velocities)
-        solver.residual = solve_cones(delassus, b, mu, solver.table(n), NEAR, WARM_PASSES, solver.tolerance, 0, 1)
+        solver.residual = solve_cones(delassus, b, mu, solver.address(n), NEAR, WARM_PASSES, solver.tolerance, 0, 1)
         return solver.residual <= solver.tolerance and not (held & (solver.modes == SLIPS)).any()
 
     def _choose(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> None:
         """Replace redundant forces that depend on the last ones by those that the rule has."""
         solver = self.solver
-        table = solver.table(n)
+        address = solver.address(n)
         before = solver.kept()
         found = chosen_forces(self._units(n, delassus, b, mu, *before))
         if found is None:
             return
         solver.warm_start(before[0], found, delassus @ found + b)
-        residual = solve_cones(delassus, b, mu, table, NEAR, WARM_PASSES, solver.tolerance, 0, 1)
+        residual = solve_cones(delassus, b, mu, address, NEAR, WARM_PASSES, solver.tolerance, 0, 1)
         if not residual <= solver.tolerance:
             solver.warm_start(*before)
 
     def _share_tables(self) -> None:
         """Let compiled steps know where the solver works."""
-        for size, table in self.solver.tables():
-            if size < self.memory["cone_tables"].size:
-                self.memory["cone_tables"][size] = address_of(table)
+        for size, address in self.solver.addresses():
+            if size < self.step_arrays.cone_tables.size:
+                self.step_arrays.cone_tables[size] = address
 
     @property
     def cone_problems(self) -> int:
@@ -596,7 +586,7 @@ class MoreauStep:
         solver, together = self.solver, self._counts[COUPLED] != APART
         if not together and self._solve_softened(delassus, b, mu):
             return True
-        b[2::3] += self._numbers[KEPT] * self.memory["unit_real"][:n, SHIFT]
+        b[2::3] += self._numbers[KEPT] * self.step_arrays.unit_real[:n, SHIFT]
         self._numbers[KEPT] = self._numbers[KEPT_LOW] = self._numbers[KEPT_HIGH] = 0.0
         if not together:
             solver.quick = False
@@ -627,18 +617,18 @@ class MoreauStep:
 
     def _product(self, n: int, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> Product:
         """The problem with the loads that it takes as given as functions of the forces."""
-        memory, counts = self.memory, self._counts
-        ints, numbers = memory["unit_int"][:n], memory["unit_real"][:n]
+        arrays, counts = self.step_arrays, self._counts
+        ints, numbers = arrays.unit_int[:n], arrays.unit_real[:n]
         masks = ints[:, ROW_MASK]
         load, slope = np.zeros((n, 2)), np.zeros((n, 2, 3 * n))
         # impulses of equations: share - overlap^T F, carried back to their rows
-        e, size = int(counts[NEQ]), memory["equation_factor"].shape[0]
-        index = memory["equation_index"][:e]
-        known = np.c_[memory["equation_share"][:e], -memory["overlap"].reshape(-1, size)[: 3 * n, :e].T]
-        factor = np.tril(memory["equation_factor"][:e, :e])
+        e, size = int(counts[NEQ]), arrays.equation_factor.shape[0]
+        index = arrays.equation_index[:e]
+        known = np.c_[arrays.equation_share[:e], -arrays.overlap.reshape(-1, size)[: 3 * n, :e].T]
+        factor = np.tril(arrays.equation_factor[:e, :e])
         # of redundant ones the least, as in `impulse_review`
         says = factor.diagonal() > 0.0
-        root = np.sqrt(memory["equation_unit"][:e]) if not says.all() else np.ones(e)
+        root = np.sqrt(arrays.equation_unit[:e]) if not says.all() else np.ones(e)
         impulses = np.linalg.pinv((factor[:, says] / root[:, None]).T) @ known[says] / root[:, None]
         for u, (kind, c, parent) in enumerate(ints[:, [UNIT_KIND, UNIT_INDEX, PARENT]].tolist()):
             if masks[u] & 4:
@@ -714,7 +704,7 @@ class MoreauStep:
             c = int(np.argmax(gaps))
             where, number = f"contact {system.contacts[c].name!r}: ", f" by {gaps[c]:.3g} m"
         elif status == NO_FORCE:
-            ints = self.memory["unit_int"][: int(self._counts[UNITS])]
+            ints = self.step_arrays.unit_int[: int(self._counts[UNITS])]
             contacts = dict.fromkeys(ints[ints[:, UNIT_KIND] != ON_JOINT, UNIT_INDEX].tolist())
             number = f" at {', '.join(repr(system.contacts[c].name) for c in contacts)}" if contacts else ""
             number += f"; relative residual {self.solver.residual:.3g}"
@@ -752,9 +742,9 @@ class MoreauStep:
 
     def copy_to(self, other: MoreauStep) -> None:
         """Give the step of an equal system all that the next step depends on, warm starts of the solver included."""
-        for name in STEP_SLOTS:
+        for name in self.step_arrays.layout.arrays:
             if name not in _OWN:
-                other.memory[name][...] = self.memory[name]
+                getattr(other.step_arrays, name)[...] = getattr(self.step_arrays, name)
         mine, its = self.system, other.system
         for name in ("state", "stage_state", "q", "v", "tau", "location", "contact_int", "contact_real"):
             getattr(its, name)[...] = getattr(mine, name)
@@ -958,11 +948,11 @@ class MoreauDriver:
 
     @property
     def _next_output(self) -> float:
-        return float(self.system.scalars[NEXT_OUTPUT])
+        return float(self.system.scalars["next_output"])
 
     def _output(self, t: float, asked: bool = False) -> None:
         """Record the state at t, once for every output time that falls on it; asked: torques are set for it."""
-        if self.system.counters[RECORD_STEPS]:
+        if self.system.counters["record_steps"]:
             self._record(t, asked)
             return
         while self._next_output <= t + SLIVER * self.size:
@@ -1008,7 +998,7 @@ class MoreauDriver:
                 self._report(t, when)
                 self.step.accept(when)
                 self.step.steps += 1
-                if self.system.counters[RECORD_STEPS]:
+                if self.system.counters["record_steps"]:
                     self._output(when)
                 raise Stop(TERMINATED, "a terminal event occurred")
         if looked:

@@ -288,13 +288,13 @@ class OpenContacts:
             for part in (i / _WAY_STATIONS for i in range(_WAY_STATIONS + 1)):
                 system.stage_state[:] = before + part * (end - before)
                 system.stage_state[:nq] = pin.interpolate(system.model, before[:nq], end[:nq], part)
-                load_state(system.table)
+                load_state(system.address)
                 system.evaluate_kinematics(t - (1.0 - part) * h)
                 inside = system.contact_real[c, DOMAIN] >= 0.0
                 if inside and system.gaps[c, 0] < -_GRAZES * system.contact_real[c, LENGTH]:
                     self.hasty, through = c, True
         system.stage_state[:] = end
-        load_state(system.table)
+        load_state(system.address)
         system.evaluate_kinematics(t)
         return through
 

@@ -16,30 +16,12 @@ import numpy as np
 from ..dynamics.resistance import count_items
 from ..jit import kernel
 from ..layout import (
-    ERROR_NORM,
-    ERROR_ORDER,
-    FLOOR,
     FRICTION_MARGIN,
-    HIGHEST,
-    LOWEST,
-    MARGINS,
     MARGINS_PER_CONTACT,
     NORMAL_MARGIN,
     NOTHING_THERE,
-    NQ,
-    NSTAGES,
-    NV,
-    SCALARS,
-    SCALARS_SIZE,
-    SCALE,
-    SCAN_MARGINS,
     SCAN_ROOM,
-    SIZES,
-    STATE,
-    STEP,
-    WEIGHTS_ERROR,
 )
-from ..memory import cube, integers, matrix, reals
 from .results import GAP_TOLERANCE
 from .stages import ERROR_ROWS, MAX_STAGES
 
@@ -77,39 +59,39 @@ def roughness(a: np.ndarray, nodes: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def keep_margins(table, index):
+def keep_margins(system, index):
     """Keep the margins of the last evaluation as those of stage number index."""
-    n = count_items(table)
-    kept = cube(table[SCAN_MARGINS], SCAN_ROOM + KEPT_ROWS, n, MARGINS_PER_CONTACT)
-    margins = matrix(table[MARGINS], n, MARGINS_PER_CONTACT)
+    n = count_items(system)
+    kept = system.scan_margins
+    margins = system.margins
     for c in range(n):
         for kind in range(MARGINS_PER_CONTACT):
             kept[SCAN_ROOM + index, c, kind] = margins[c, kind]
 
 
 @kernel
-def set_margins_aside(table):
+def set_margins_aside(system):
     """Keep the margins of the last evaluation, those of the next step's start."""
-    keep_margins(table, KEPT_ROWS - 1)
+    keep_margins(system, KEPT_ROWS - 1)
 
 
 @kernel
-def take_margins_up(table):
+def take_margins_up(system):
     """The next step's start has the margins that were set aside."""
-    n = count_items(table)
-    kept = cube(table[SCAN_MARGINS], SCAN_ROOM + KEPT_ROWS, n, MARGINS_PER_CONTACT)
+    n = count_items(system)
+    kept = system.scan_margins
     for c in range(n):
         for kind in range(MARGINS_PER_CONTACT):
             kept[SCAN_ROOM, c, kind] = kept[SCAN_ROOM + KEPT_ROWS - 1, c, kind]
 
 
 @kernel
-def margin_error(table):
+def margin_error(system):
     """Raise ERROR_NORM of the attempted step where one of its margins is not resolved: to 1 and more."""
-    n, scalars = count_items(table), reals(table[SCALARS], SCALARS_SIZE)
-    lowest, highest = matrix(table[LOWEST], n, MARGINS_PER_CONTACT), matrix(table[HIGHEST], n, MARGINS_PER_CONTACT)
+    n, scalars = count_items(system), system.scalars
+    lowest, highest = system.lowest, system.highest
     worst, floor, largest_force = 0.0, -1.0, 0.0
-    if scalars[STEP] <= _JUMP * scalars[FLOOR]:
+    if scalars.step <= _JUMP * scalars.floor:
         return
     for c in range(n):
         for kind in range(MARGINS_PER_CONTACT):
@@ -120,25 +102,25 @@ def margin_error(table):
             if low == -math.inf or high >= NOTHING_THERE:
                 continue
             if floor < 0.0:
-                floor, largest_force = _floor(table), _largest_force(lowest, highest, n)
+                floor, largest_force = _floor(system), _largest_force(lowest, highest, n)
             allowed = max(_RESOLVED * max(high, -low), _FAR * low)
             is_force = kind in (NORMAL_MARGIN, FRICTION_MARGIN)
             allowed = max(allowed, _FORCE_ROUND_OFF * largest_force if is_force else floor)
-            worst = max(worst, _left(table, n, c, kind) / allowed)
+            worst = max(worst, _left(system, n, c, kind) / allowed)
     if worst > 0.0:
         # errors of polynomials fall with another power of the step than those of the state
-        scaled = worst ** ((scalars[ERROR_ORDER] + 1.0) / (_DEGREE + 1.0))
-        scalars[ERROR_NORM] = max(scalars[ERROR_NORM], min(scaled, 1e100))
+        scaled = worst ** ((scalars.error_order + 1.0) / (_DEGREE + 1.0))
+        scalars.error_norm = max(scalars.error_norm, min(scaled, 1e100))
 
 
 @kernel
-def _left(table, n, c, kind):
+def _left(system, n, c, kind):
     """What the best polynomial leaves of a margin in the attempted step: the norm over its stages."""
-    sizes = integers(table[SIZES], 8)
-    kept = cube(table[SCAN_MARGINS], SCAN_ROOM + KEPT_ROWS, n, MARGINS_PER_CONTACT)
-    weights = matrix(table[WEIGHTS_ERROR], ERROR_ROWS, MAX_STAGES)
+    sizes = system.sizes
+    kept = system.scan_margins
+    weights = system.weights_error
     total = 0.0
-    end = sizes[NSTAGES]
+    end = sizes.nstages
     for row in range(2, ERROR_ROWS):
         if weights[row, end] == 0.0:
             # no more rows
@@ -151,12 +133,12 @@ def _left(table, n, c, kind):
 
 
 @kernel
-def _floor(table):
+def _floor(system):
     """Gaps in m and speeds in m/s below which nothing is known."""
-    sizes, scale = integers(table[SIZES], 8), reals(table[SCALE], 2)
-    velocities = reals(table[STATE], sizes[NQ] + sizes[NV])[sizes[NQ] :]
+    sizes, scale = system.sizes, system.scale
+    velocities = system.state[sizes.nq :]
     size = 1.0
-    for k in range(sizes[NV]):
+    for k in range(sizes.nv):
         size = max(size, abs(velocities[k]))
     return GAP_TOLERANCE * (scale[0] * size + scale[1])
 

@@ -7,19 +7,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ..layout import (
-    ALARM,
-    DENSE_NESTED,
-    DIP,
-    ERROR_NORM,
-    ERROR_ORDER,
-    ESTIMATE_AFTER,
-    EVALUATION_COUNT,
     EVENT,
-    EXTRA_STAGES,
-    NEXT_STEP,
-    NSTAGES,
     OK,
-    PARENT_AXES,
 )
 from .dense import Interpolant
 from .stages import load_state
@@ -54,13 +43,13 @@ class RungeKutta:
         self.system, self.method = system, method
         system.before_evaluation(torque)
         for table in method.tables:
-            system.memory.put(*table)
-        system.sizes[NSTAGES] = method.stages
-        system.counters[ESTIMATE_AFTER], system.counters[EXTRA_STAGES] = method.estimate_after, method.extra
-        system.scalars[ERROR_ORDER] = method.error_order
-        system.counters[DENSE_NESTED] = method.nested
-        system.scalars[DIP] = _DIP * method.widest**2
-        system.counters[PARENT_AXES] = system.turns
+            system.put(*table)
+        system.sizes["nstages"] = method.stages
+        system.counters["estimate_after"], system.counters["extra_stages"] = method.estimate_after, method.extra
+        system.scalars["error_order"] = method.error_order
+        system.counters["dense_nested"] = method.nested
+        system.scalars["dip"] = _DIP * method.widest**2
+        system.counters["parent_axes"] = system.turns
         system.scale[0], system.scale[1] = rtol, atol
         system.absolute.fill(atol)
         # no error is estimated in parameters that nothing depends on
@@ -69,17 +58,17 @@ class RungeKutta:
     @property
     def evaluations(self) -> int:
         """How many evaluations there have been."""
-        return int(self.system.counters[EVALUATION_COUNT])
+        return int(self.system.counters["evaluation_count"])
 
     @property
     def error(self) -> float:
         """Error norm of the last attempt, 1 at the tolerance."""
-        return float(self.system.scalars[ERROR_NORM])
+        return float(self.system.scalars["error_norm"])
 
     @property
     def alarm(self) -> bool:
         """Whether an event function was negative in any stage of the last attempt, or may have been between them."""
-        return bool(self.system.counters[ALARM])
+        return bool(self.system.counters["alarm"])
 
     def evaluate_start(self, t: float) -> int:
         """Evaluate at system.state and store its slope; the state is what `stage_state` holds afterwards."""
@@ -123,7 +112,7 @@ class RungeKutta:
         end = system.nq + system.nv
         system.stage_state[: system.nq], system.stage_state[system.nq :] = q, 0.0
         system.stage_state[end : end + 4 * system.nc] = location.ravel()
-        load_state(system.table)
+        load_state(system.address)
         # to the last bit: there and back again would round
         system.v[:] = v
         self.keep_velocity()
@@ -136,7 +125,7 @@ class RungeKutta:
     def load(self, y: np.ndarray) -> None:
         """Make y the state that the next evaluation sees."""
         self.system.stage_state[:] = y
-        load_state(self.system.table)
+        load_state(self.system.address)
 
     def project(self, t: float, evaluated: bool, error: float = math.inf) -> bool:
         """Put `stage_state` on the constraints; whether it succeeded. error: see `steps.project`."""
@@ -149,4 +138,4 @@ class RungeKutta:
     def first_step(self, t: float, span: float) -> float:
         """Size of the first step from the state at t, at most span; one evaluation."""
         self.system.run(FIRST_STEP, t, span)
-        return float(self.system.scalars[NEXT_STEP])
+        return float(self.system.scalars["next_step"])

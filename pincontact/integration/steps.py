@@ -8,123 +8,42 @@ from __future__ import annotations
 
 import math
 
-from ..callback import call_kernel
+from ..callback import kernel_caller
 from ..dynamics.equations import slip_direction
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, PLACES_OF_ALL, PLACES_OF_CLOSED, contact_corrections
 from ..dynamics.linear import inner, whiten
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
-from ..jit import INTEGER, REAL, TABLE, entry_kernel, kernel
+from ..jit import INTEGER, REAL, entry_kernel, kernel
 from ..layout import (
-    ABSOLUTE,
-    ACROSS,
-    ALARM,
-    ATTEMPT_LIMIT,
-    BASIS,
-    CALLBACK,
-    CALLBACK_SIZE,
-    CHARTED,
-    CONTACT_INT,
-    CONTACT_INTS,
-    CONTACT_REAL,
-    CONTACT_REALS,
-    CORRECTION_SIZE,
-    COUNTERS,
-    COUNTERS_SIZE,
-    DENSE,
-    DENSE_NESTED,
-    DENSE_START,
-    DENSE_STEP,
-    DIP,
-    END,
-    ERROR_NORM,
-    ERROR_ORDER,
-    ESTIMATE_AFTER,
-    EVALUATION,
     EVENT,
-    EXTRA_STAGES,
-    FACTOR,
-    FAILURE,
-    FIXED_STEP,
-    FLOOR,
-    FORCE,
     FROZEN,
-    GAP_RESIDUAL,
-    HIGHEST,
-    LAST_ERROR,
     LAST_NORMAL_X,
     LOCATION_FAILED,
-    LOWEST,
-    MARGINS,
     MARGINS_PER_CONTACT,
-    MAX_STEP,
     MODE,
     MU,
-    NC,
-    NEW_STATE,
     NEXT_NORMAL_X,
-    NEXT_OUTPUT,
-    NEXT_SLOPE,
-    NEXT_STATE,
-    NEXT_STEP,
-    NEXT_TIME,
-    NODES,
     NOT_FINITE,
-    NOW,
-    NQ,
-    NSTAGES,
-    NV,
-    NY,
     OK,
-    OWN_TABLE,
-    PARENTS,
-    PATIENCE,
     POLYNOMIAL_SIZE,
-    RECORD_STEPS,
-    RECORDED,
-    REJECTED_COUNT,
-    ROWS,
-    SCALARS,
-    SCALARS_SIZE,
-    SCALE,
-    SCAN_COUNT,
-    SCAN_MARGINS,
-    SCAN_ROOM,
-    SCAN_SHARES,
-    SCAN_STATUS,
-    SIZES,
-    SLIP,
     SLIP_RATE,
     SLIP_SPEED,
     SLIPPING,
-    SLOPES,
-    SLOWEST,
-    STAGE_STATE,
-    STALLED,
     START_RATE,
     START_SPEED,
     START_TOLERANCE,
-    STATE,
-    STEP,
-    STEP_COUNT,
-    STIFF_STEPS,
+    SYSTEM,
     TANGENTS,
-    TURNING_RATE,
-    VECTORS,
-    VELOCITY_LEFT,
-    VELOCITY_RESIDUAL,
-    WORK,
-    Q,
-    V,
+    system_at,
 )
-from ..memory import cube, integer_matrix, integers, matrix, reals
+from ..workspace import flat
 from .approach import bound_speeds, stay_apart
-from .dense import DENSE_ROWS, dense_coefficients, interpolate
+from .dense import dense_coefficients, interpolate
 from .recording import BLOCK, output_done, record_row
-from .resolution import KEPT_ROWS, keep_margins, margin_error, set_margins_aside, take_margins_up
+from .resolution import keep_margins, margin_error, set_margins_aside, take_margins_up
 from .results import CLOSED_APART, CONTRADICTION
 from .stages import (
-    MAX_STAGES,
     build_state,
     change_charts,
     correct_state,
@@ -238,91 +157,92 @@ _SETTLEMENTS = 6
 _SETTLED_GAP = 1e-7
 
 
+_call_evaluation = kernel_caller(INTEGER, SYSTEM.type, REAL, INTEGER)
+
+
 @kernel
-def evaluate(table, time, only_kinematics):
+def evaluate(system, time, only_kinematics):
     """Pinocchio's terms and one evaluation at (q, v), by a kernel of its own; arguments and status are its."""
-    callback = integers(table[CALLBACK], CALLBACK_SIZE)
-    return call_kernel(callback[EVALUATION], callback[OWN_TABLE], time, only_kinematics)
+    return _call_evaluation(system.callback.evaluation, system, time, only_kinematics)
 
 
 @kernel
-def _slope(table, index):
+def _slope(system, index):
     """Slope number `index` from the last evaluation, of the state in STAGE_STATE."""
-    ny = integers(table[SIZES], 8)[NY]
-    fill_slope(table, reals(table[STAGE_STATE], ny), matrix(table[SLOPES], MAX_STAGES, ny)[index])
-    keep_margins(table, index)
+    fill_slope(system, system.stage_state, system.slopes[index])
+    keep_margins(system, index)
 
 
 @kernel
-def _stages(table, t, h, first, last, adaptive):
+def _stages(system, t, h, first, last, adaptive):
     """Stages first .. last of a step of size h from the state at t; a status.
 
     adaptive: leave the step's end unevaluated where the error estimate already rejects it.
     """
-    scalars, counters = reals(table[SCALARS], SCALARS_SIZE), integers(table[COUNTERS], COUNTERS_SIZE)
-    nodes = reals(table[NODES], MAX_STAGES)
-    end, estimate_after = integers(table[SIZES], 8)[NSTAGES], counters[ESTIMATE_AFTER]
-    scalars[STEP] = h
+    scalars, counters = system.scalars, system.counters
+    nodes = system.nodes
+    end, estimate_after = system.sizes.nstages, counters.estimate_after
+    scalars.step = h
     for s in range(first, last + 1):
-        if adaptive and s == end and end > estimate_after and scalars[ERROR_NORM] >= 1.0:
+        if adaptive and s == end and end > estimate_after and scalars.error_norm >= 1.0:
             break
         if s == first or s > end:
-            build_state(table, s)
-        status = evaluate(table, t + nodes[s] * h, 0)
+            build_state(system, s)
+        status = evaluate(system, t + nodes[s] * h, 0)
         if status > EVENT:
             return status
         if status == EVENT:
-            counters[ALARM] = 1
-        _slope(table, s)
+            counters.alarm = 1
+        _slope(system, s)
         if s < end:
-            build_state(table, s + 1)
+            build_state(system, s + 1)
         if s == estimate_after:
-            norm = error_norm(table, s)
-            scalars[ERROR_NORM] = norm
+            norm = error_norm(system, s)
+            scalars.error_norm = norm
             if not norm < math.inf:
                 return NOT_FINITE
     return OK
 
 
 @kernel
-def attempt(table, t, h, adaptive):
+def attempt(system, t, h, adaptive):
     """A step of size h from the state at t, which is kept.
 
     ALARM tells whether an event function was negative in a stage, or may have been between two. adaptive: their
     resolution counts as an error, too (see `resolution`).
     """
-    counters = integers(table[COUNTERS], COUNTERS_SIZE)
-    n = MARGINS_PER_CONTACT * count_items(table)
-    lowest, highest = reals(table[LOWEST], n), reals(table[HIGHEST], n)
+    counters = system.counters
+    n = MARGINS_PER_CONTACT * count_items(system)
+    lowest, highest = flat(system.lowest), flat(system.highest)
     for i in range(n):
         lowest[i], highest[i] = math.inf, -math.inf
-    counters[ALARM] = 0
-    status = _stages(table, t, h, 1, integers(table[SIZES], 8)[NSTAGES], adaptive)
-    dip = reals(table[SCALARS], SCALARS_SIZE)[DIP]
+    counters.alarm = 0
+    status = _stages(system, t, h, 1, system.sizes.nstages, adaptive)
+    dip = system.scalars.dip
     for i in range(n):
         # written such that infinite margins compare
         if (1.0 + dip) * lowest[i] < dip * highest[i]:
-            counters[ALARM] = 1
-    if adaptive and status <= EVENT and reals(table[SCALARS], SCALARS_SIZE)[ERROR_NORM] < 1.0:
-        margin_error(table)
+            counters.alarm = 1
+    if adaptive and status <= EVENT and system.scalars.error_norm < 1.0:
+        margin_error(system)
     return status
 
 
 @kernel
-def _contradicts(table):
+def _contradicts(system):
     """Whether the last correction leaves velocities that it was to take away, since constraints contradict each other:
     those of rigid geometry do by errors of the configuration only, that is by no more than its own correction."""
-    scalars, v = reals(table[SCALARS], SCALARS_SIZE), reals(table[V], integers(table[SIZES], 8)[NV])
-    if scalars[VELOCITY_LEFT] == 0.0:
+    scalars, v = system.scalars, system.v
+    if scalars.velocity_left == 0.0:
         return False
     fastest = 1.0
     for k in range(v.shape[0]):
         fastest = max(fastest, abs(v[k]))
-    return scalars[VELOCITY_LEFT] > (_CONTRADICTING + _OF_CORRECTION * scalars[CORRECTION_SIZE]) * fastest
+    return scalars.velocity_left > (_CONTRADICTING + _OF_CORRECTION * scalars.correction_size) * fastest
 
 
 @kernel
-def project(table, t, evaluated, purpose, error):
+def project(system, t, evaluated, purpose, error):
     """Put (q, v) and the location of STAGE_STATE on the constraints, in the mass metric; a status.
 
     No gain to tune and no drift: Newton's iteration on the gaps with the factors of the last evaluation, and the exact
@@ -334,30 +254,30 @@ def project(table, t, evaluated, purpose, error):
     error: norm of the error of the step that led here, infinite where that is not known. It is what the change has to
     be explained by: what takes more from q and v is a failure.
     """
-    sizes, scalars = integers(table[SIZES], 8), reals(table[SCALARS], SCALARS_SIZE)
-    beyond = count_items(table) - sizes[NC]
-    if sizes[NC] + beyond == 0:
+    sizes, scalars = system.sizes, system.scalars
+    beyond = count_items(system) - sizes.nc
+    if sizes.nc + beyond == 0:
         return OK
-    q = reals(table[Q], sizes[NQ])
+    q = system.q
     # forces of guarded joints and resistances are shown with the state
     part = PLACES_OF_CLOSED if purpose == TO_SHOW and beyond == 0 else 0
     for i in range(_PROJECTIONS):
         if i > 0 or not evaluated:
-            status = evaluate(table, t, part)
+            status = evaluate(system, t, part)
             if status > EVENT:
                 return status
-        count = contact_corrections(table, 1, 1)
-        if count == 0 or (scalars[GAP_RESIDUAL] <= _ROUND_OFF and scalars[VELOCITY_RESIDUAL] <= _ROUND_OFF):
-            correct_state(table, 0, 0)
+        count = contact_corrections(system, 1, 1)
+        if count == 0 or (scalars.gap_residual <= _ROUND_OFF and scalars.velocity_residual <= _ROUND_OFF):
+            correct_state(system, 0, 0)
             return OK
-        change = correct_state(table, 1, 1)
-        if _contradicts(table):
+        change = correct_state(system, 1, 1)
+        if _contradicts(system):
             return CONTRADICTION
-        if i == 0 and change > max(_EXPLAINED, _LEAST_EXPLAINED / reals(table[SCALE], 2)[0]) * max(error, 1.0):
+        if i == 0 and change > max(_EXPLAINED, _LEAST_EXPLAINED / system.scale[0]) * max(error, 1.0):
             return LOCATION_FAILED
         close = change <= _CLOSE
-        size, largest = scalars[CORRECTION_SIZE], 1.0
-        for k in range(sizes[NQ]):
+        size, largest = scalars.correction_size, 1.0
+        for k in range(sizes.nq):
             largest = max(largest, abs(q[k]))
         if size <= _NEGLIGIBLE * largest or (close and purpose == TO_STEP_ON):
             return OK
@@ -365,48 +285,48 @@ def project(table, t, evaluated, purpose, error):
             break
         if close and beyond == 0:
             part = PLACES_OF_CLOSED
-    return OK if scalars[GAP_RESIDUAL] < _PROJECTED_GAP else LOCATION_FAILED
+    return OK if scalars.gap_residual < _PROJECTED_GAP else LOCATION_FAILED
 
 
 @kernel
-def interpolation(table, t, h):
+def interpolation(system, t, h):
     """The extra stages and the coefficients of dense output for the attempted step of size h from t; a status."""
-    scalars = reals(table[SCALARS], SCALARS_SIZE)
-    first = integers(table[SIZES], 8)[NSTAGES] + 1
-    extra = integers(table[COUNTERS], COUNTERS_SIZE)[EXTRA_STAGES]
-    scalars[DENSE_START], scalars[DENSE_STEP] = t, h
-    status = _stages(table, t, h, first, first + extra - 1, False)
+    scalars = system.scalars
+    first = system.sizes.nstages + 1
+    extra = system.counters.extra_stages
+    scalars.dense_start, scalars.dense_step = t, h
+    status = _stages(system, t, h, first, first + extra - 1, False)
     if status <= EVENT:
-        dense_coefficients(table)
+        dense_coefficients(system)
     return status
 
 
 @kernel
-def across_slip(table, t, h):
+def across_slip(system, t, h):
     """How well prescribed slip directions hold in a step of size h from the state at t, which is attempted; a status.
 
     ACROSS is filled with v_c across the direction at the shares of the step in its first row, up to a zero, and then
     with v_c along it.
     """
-    n = count_items(table)
-    status = start(table, t)
+    n = count_items(system)
+    status = start(system, t)
     if status <= EVENT:
-        status = attempt(table, t, h, False)
+        status = attempt(system, t, h, False)
     if status == OK:
-        status = interpolation(table, t, h)
+        status = interpolation(system, t, h)
     if status > EVENT:
         return status
-    contact_int = integer_matrix(table[CONTACT_INT], n, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
-    basis, slip = cube(table[BASIS], n, 3, 3), matrix(table[SLIP], n, 3)
-    across = matrix(table[ACROSS], 2 * n + 1, POLYNOMIAL_SIZE)
-    direction = matrix(table[VECTORS], 16, 3)[0]
+    contact_int = system.contact_int
+    contact_real = system.contact_real
+    basis, slip = system.basis, system.slip
+    across = system.across
+    direction = system.vectors[0]
     for k in range(POLYNOMIAL_SIZE):
         share = across[0, k]
         if share == 0.0:
             break
-        _interpolated(table, share)
-        status = evaluate(table, t + share * h, KINEMATICS_OF_ALL)
+        _interpolated(system, share)
+        status = evaluate(system, t + share * h, KINEMATICS_OF_ALL)
         if status > EVENT:
             return status
         for c in range(n):
@@ -419,126 +339,125 @@ def across_slip(table, t, h):
 
 
 @kernel
-def scan(table, t, h):
+def scan(system, t, h):
     """Margins along the step from t of size h that was interpolated last, at SCAN_SHARES of it: see `System.scan`."""
-    n = count_items(table)
-    shares, statuses = reals(table[SCAN_SHARES], SCAN_ROOM), integers(table[SCAN_STATUS], SCAN_ROOM)
-    found = cube(table[SCAN_MARGINS], SCAN_ROOM + KEPT_ROWS, n, MARGINS_PER_CONTACT)
-    margins = matrix(table[MARGINS], n, MARGINS_PER_CONTACT)
-    for i in range(integers(table[COUNTERS], COUNTERS_SIZE)[SCAN_COUNT]):
-        _interpolated(table, shares[i])
-        statuses[i] = evaluate(table, t + shares[i] * h, 0)
+    n = count_items(system)
+    shares, statuses = system.scan_shares, system.scan_status
+    found = system.scan_margins
+    margins = system.margins
+    for i in range(system.counters.scan_count):
+        _interpolated(system, shares[i])
+        statuses[i] = evaluate(system, t + shares[i] * h, 0)
         for c in range(n):
             for kind in range(MARGINS_PER_CONTACT):
                 found[i, c, kind] = margins[c, kind]
 
 
 @kernel
-def _interpolated(table, theta):
+def _interpolated(system, theta):
     """Hand over the state at the fraction theta of the step that was interpolated last."""
-    ny = integers(table[SIZES], 8)[NY]
-    stage_state = reals(table[STAGE_STATE], ny)
-    nested = integers(table[COUNTERS], COUNTERS_SIZE)[DENSE_NESTED]
-    interpolate(matrix(table[DENSE], DENSE_ROWS, ny), reals(table[STATE], ny), nested, theta, stage_state)
-    hand_over(table, stage_state)
+    stage_state = system.stage_state
+    nested = system.counters.dense_nested
+    interpolate(system.dense, system.state, nested, theta, stage_state)
+    hand_over(system, stage_state)
 
 
 @kernel
-def write_outputs(table, until, inclusive):
+def write_outputs(system, until, inclusive):
     """Record the output times before `until`, or up to it, of the step that was interpolated last.
 
     Each is projected on the constraints. A status, or BLOCK_FULL.
     """
-    scalars, counters = reals(table[SCALARS], SCALARS_SIZE), integers(table[COUNTERS], COUNTERS_SIZE)
-    while scalars[NEXT_OUTPUT] < until or (inclusive and scalars[NEXT_OUTPUT] == until):
-        if counters[RECORDED] == BLOCK:
+    scalars, counters = system.scalars, system.counters
+    while scalars.next_output < until or (inclusive and scalars.next_output == until):
+        if counters.recorded == BLOCK:
             return BLOCK_FULL
-        t = scalars[NEXT_OUTPUT]
-        _interpolated(table, (t - scalars[DENSE_START]) / scalars[DENSE_STEP])
-        status = project(table, t, False, TO_SHOW, math.inf)
+        t = scalars.next_output
+        _interpolated(system, (t - scalars.dense_start) / scalars.dense_step)
+        status = project(system, t, False, TO_SHOW, math.inf)
         if status != OK:
             return status
-        record_row(table, t)
-        output_done(table)
+        record_row(system, t)
+        output_done(system)
     return OK
 
 
 @kernel
-def settle(table, t):
+def settle(system, t):
     """Kinematics of STAGE_STATE, which is put on the constraints with whatever factor there is; a status.
 
     For a method that needs no accelerations; open contacts are evaluated too.
     """
     last = 0.0
     for _ in range(_SETTLEMENTS):
-        status = evaluate(table, t, PLACES_OF_ALL)
+        status = evaluate(system, t, PLACES_OF_ALL)
         if status != OK:
             return status
-        contact_corrections(table, 1, 1)
-        correct_state(table, 1, 1)
-        if _contradicts(table):
+        contact_corrections(system, 1, 1)
+        correct_state(system, 1, 1)
+        if _contradicts(system):
             return CONTRADICTION
-        size = reals(table[SCALARS], SCALARS_SIZE)[CORRECTION_SIZE]
+        size = system.scalars.correction_size
         if size <= _SMALL_CORRECTION or size * size * size <= _FORETOLD_CORRECTION * last * last:
             return OK
         last = size
-    return OK if reals(table[SCALARS], SCALARS_SIZE)[GAP_RESIDUAL] < _SETTLED_GAP else CLOSED_APART
+    return OK if system.scalars.gap_residual < _SETTLED_GAP else CLOSED_APART
 
 
 @kernel
-def accept(table):
+def accept(system):
     """The projected state becomes the next step's start; its slope is that of the last evaluation."""
-    ny = integers(table[SIZES], 8)[NY]
-    _slope(table, 0)
-    state, stage_state = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
+    ny = system.sizes.ny
+    _slope(system, 0)
+    state, stage_state = system.state, system.stage_state
     for i in range(ny):
         state[i] = stage_state[i]
 
 
 @kernel
-def start(table, t):
+def start(system, t):
     """Evaluate at STATE and store its slope; a status."""
-    ny = integers(table[SIZES], 8)[NY]
-    state, stage_state = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
+    ny = system.sizes.ny
+    state, stage_state = system.state, system.stage_state
     for i in range(ny):
         stage_state[i] = state[i]
-    hand_over(table, stage_state)
-    status = evaluate(table, t, 0)
+    hand_over(system, stage_state)
+    status = evaluate(system, t, 0)
     if status <= EVENT:
-        _slope(table, 0)
+        _slope(system, 0)
     return status
 
 
 @kernel
-def finish_step(table, t):
+def finish_step(system, t):
     """What follows every accepted state: better charts, and what the next step is held against; a status."""
-    status = _better_charts(table, t)
+    status = _better_charts(system, t)
     if status <= EVENT:
-        _note_end(table)
-        _begin_next(table)
+        _note_end(system)
+        _begin_next(system)
         status = OK
     return status
 
 
 @kernel
-def _better_charts(table, t):
+def _better_charts(system, t):
     """Other charts for STATE where there are better ones, and its slope in them; a status."""
-    if integers(table[COUNTERS], COUNTERS_SIZE)[CHARTED] != 0 and change_charts(table) > 0:
-        return start(table, t)
+    if system.counters.charted != 0 and change_charts(system) > 0:
+        return start(system, t)
     return OK
 
 
 @kernel
-def _note_end(table):
+def _note_end(system):
     """From the last evaluation, that of STAGE_STATE, what the next step is held against: each contact's normal, the
     speed and rate of every 3D slip with the error that is allowed in it, and how fast friction turns it.
     """
-    sizes = integers(table[SIZES], 8)
-    nv, n = sizes[NV], count_items(table)
-    contact_int = integer_matrix(table[CONTACT_INT], n, CONTACT_INTS)
-    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
-    basis, rows = cube(table[BASIS], n, 3, 3), cube(table[ROWS], n, 3, nv)
-    v, tolerances = reals(table[V], nv), reals(table[SCALE], 2)
+    sizes = system.sizes
+    nv, n = sizes.nv, count_items(system)
+    contact_int = system.contact_int
+    contact_real = system.contact_real
+    basis, rows = system.basis, system.rows
+    v, tolerances = system.v, system.scale
     turning = 0.0
     for c in range(n):
         integer, number = contact_int[c], contact_real[c]
@@ -548,7 +467,7 @@ def _note_end(table):
         if integer[MODE] != SLIPPING or integer[TANGENTS] != 2 or integer[FROZEN] != 0 or not number[MU] > 0.0:
             continue
         number[START_SPEED], number[START_RATE] = number[SLIP_SPEED], number[SLIP_RATE]
-        turning = max(turning, _turning_rate(table, c, n))
+        turning = max(turning, _turning_rate(system, c, n))
         allowed = _SMALLEST_STOP_SPEED
         for row in range(3):
             value = 0.0
@@ -556,63 +475,63 @@ def _note_end(table):
                 value += abs(rows[c, row, k]) * (tolerances[1] + tolerances[0] * abs(v[k]))
             allowed = max(allowed, value)
         number[START_TOLERANCE] = allowed
-    reals(table[SCALARS], SCALARS_SIZE)[TURNING_RATE] = turning
+    system.scalars.turning_rate = turning
 
 
 @kernel
-def _begin_next(table):
+def _begin_next(system):
     """What was noted holds from here on; steps that slow slip makes stiff are counted."""
-    n, scalars = count_items(table), reals(table[SCALARS], SCALARS_SIZE)
-    counters = integers(table[COUNTERS], COUNTERS_SIZE)
-    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
+    n, scalars = count_items(system), system.scalars
+    counters = system.counters
+    contact_real = system.contact_real
     for c in range(n):
         for i in range(3):
             contact_real[c, LAST_NORMAL_X + i] = contact_real[c, NEXT_NORMAL_X + i]
-    stiff = scalars[TURNING_RATE] * scalars[STEP] > _STIFF
-    counters[STIFF_STEPS] = counters[STIFF_STEPS] + 1 if stiff else 0
+    stiff = scalars.turning_rate * scalars.step > _STIFF
+    counters.stiff_steps = counters.stiff_steps + 1 if stiff else 0
     _watch_slips(contact_real, n, scalars, counters, True)
 
 
 @kernel
-def _set_aside(table):
+def _set_aside(system):
     """Keep the end of a step, projected and evaluated, while outputs within the step are evaluated."""
-    ny = integers(table[SIZES], 8)[NY]
-    stage_state, next_state = reals(table[STAGE_STATE], ny), reals(table[NEXT_STATE], ny)
-    fill_slope(table, stage_state, reals(table[NEXT_SLOPE], ny))
-    set_margins_aside(table)
+    ny = system.sizes.ny
+    stage_state, next_state = system.stage_state, system.next_state
+    fill_slope(system, stage_state, system.next_slope)
+    set_margins_aside(system)
     for i in range(ny):
         next_state[i] = stage_state[i]
-    _note_end(table)
+    _note_end(system)
 
 
 @kernel
-def _take_up(table, t):
+def _take_up(system, t):
     """Go on from what was set aside; a status. The last evaluation is another one, unless charts were changed."""
-    ny = integers(table[SIZES], 8)[NY]
-    state, stage_state = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
-    slope = matrix(table[SLOPES], MAX_STAGES, ny)[0]
-    next_state, next_slope = reals(table[NEXT_STATE], ny), reals(table[NEXT_SLOPE], ny)
+    ny = system.sizes.ny
+    state, stage_state = system.state, system.stage_state
+    slope = system.slopes[0]
+    next_state, next_slope = system.next_state, system.next_slope
     for i in range(ny):
         state[i] = stage_state[i] = next_state[i]
         slope[i] = next_slope[i]
-    take_margins_up(table)
-    hand_over(table, stage_state)
-    _begin_next(table)
-    return _better_charts(table, t)
+    take_margins_up(system)
+    hand_over(system, stage_state)
+    _begin_next(system)
+    return _better_charts(system, t)
 
 
 @kernel
-def _turning_rate(table, c, n):
+def _turning_rate(system, c, n):
     """How fast friction turns the slip of item c into the direction in which it would go, in 1 / s: |F_t| w M^-1 w^T
     over the speed, with w the row across the slip."""
-    nv = integers(table[SIZES], 8)[NV]
-    force = matrix(table[FORCE], n, 3)[c]
-    basis, rows, slip = cube(table[BASIS], n, 3, 3)[c], cube(table[ROWS], n, 3, nv)[c], matrix(table[SLIP], n, 3)[c]
-    work = reals(table[WORK], nv)
+    nv = system.sizes.nv
+    force = system.force[c]
+    basis, rows, slip = system.basis[c], system.rows[c], system.slip[c]
+    work = system.work
     first, second = dot(basis[0], slip), dot(basis[1], slip)
     for k in range(nv):
         work[k] = first * rows[1, k] - second * rows[0, k]
-    whiten(matrix(table[FACTOR], nv, nv), integers(table[PARENTS], nv), nv, work, work)
+    whiten(system.factor, system.parents, nv, work, work)
     speed = math.hypot(first, second)
     return math.hypot(force[0], force[1]) * inner(work, work, nv) / speed**3 if speed > 0.0 else 0.0
 
@@ -630,15 +549,15 @@ def _watch_slips(contact_real, n, scalars, counters, accepted):
                 near = near or speed <= number[START_TOLERANCE] * 2.0**_STOP_DOUBLINGS
     if slowest == math.inf:
         # a slip that grows again has passed its slowest point: that was not its end
-        if accepted and least < math.inf and least > _ESCAPE * scalars[SLOWEST]:
-            scalars[SLOWEST] = math.inf
-            counters[STALLED] = 0
+        if accepted and least < math.inf and least > _ESCAPE * scalars.slowest:
+            scalars.slowest = math.inf
+            counters.stalled = 0
         return
-    if accepted and slowest < _PROGRESS * scalars[SLOWEST]:
-        scalars[SLOWEST] = slowest
-        counters[STALLED] = 0
+    if accepted and slowest < _PROGRESS * scalars.slowest:
+        scalars.slowest = slowest
+        counters.stalled = 0
     elif near:
-        counters[STALLED] = min(counters[STALLED] + 1, _STOP_DOUBLINGS)
+        counters.stalled = min(counters.stalled + 1, _STOP_DOUBLINGS)
 
 
 @kernel
@@ -667,7 +586,7 @@ def _next_step(h, error, last_error, order, rejected):
 
 
 @kernel
-def first_step(table, t, span):
+def first_step(system, t, span):
     """NEXT_STEP: the first step from STATE, from the sizes of the state, of its slope and of that one's rate, all in
     tolerances; span: time in s that there is, and the step where nothing is controlled.
 
@@ -675,12 +594,12 @@ def first_step(table, t, span):
     has no unit of time, and is far too long for what turns fast; rate over slope has one, but is a guess at one
     instant. The lesser of both is within a factor of three of what the control settles at.
     """
-    sizes, scalars = integers(table[SIZES], 8), reals(table[SCALARS], SCALARS_SIZE)
-    ny, n = sizes[NY], count_items(table)
-    state, stage_state = reals(table[STATE], ny), reals(table[STAGE_STATE], ny)
-    slope, moved = matrix(table[SLOPES], MAX_STAGES, ny)[0], reals(table[NEXT_SLOPE], ny)
-    absolute, relative = reals(table[ABSOLUTE], ny), reals(table[SCALE], 2)[0]
-    scalars[NEXT_STEP] = span
+    sizes, scalars = system.sizes, system.scalars
+    ny, n = sizes.ny, count_items(system)
+    state, stage_state = system.state, system.stage_state
+    slope, moved = system.slopes[0], system.next_slope
+    absolute, relative = system.absolute, system.scale[0]
+    scalars.next_step = span
     for i in range(ny):
         moved[i] = 0.0
     size, rate = _distance(state, state, moved, absolute, relative), _distance(state, slope, moved, absolute, relative)
@@ -692,23 +611,23 @@ def first_step(table, t, span):
         h = min(0.01 * size / rate, span)
         for i in range(ny):
             stage_state[i] = state[i] + h * slope[i]
-        hand_over(table, stage_state)
-        if evaluate(table, t + h, 0) <= EVENT:
-            fill_slope(table, stage_state, moved)
+        hand_over(system, stage_state)
+        if evaluate(system, t + h, 0) <= EVENT:
+            fill_slope(system, stage_state, moved)
             change = _distance(state, slope, moved, absolute, relative) / h
-            exponent = 1.0 / (scalars[ERROR_ORDER] + 1.0)
+            exponent = 1.0 / (scalars.error_order + 1.0)
             longer = (0.01 / max(rate, change)) ** exponent
             if change > 0.0:
                 longer = min(longer, (10.0 * change / rate / rate) ** exponent * rate / change)
             if longer < math.inf:
                 h = max(h, _FIRST_FRACTION * longer)
-        hand_over(table, state)
-    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
+        hand_over(system, state)
+    contact_real = system.contact_real
     for c in range(n):
         # slip that has just begun turns within the time that it has gone on
         if contact_real[c, START_SPEED] < _FIRST_FRACTION * h * abs(contact_real[c, START_RATE]):
             h = contact_real[c, START_SPEED] / (_FIRST_FRACTION * abs(contact_real[c, START_RATE]))
-    scalars[NEXT_STEP] = min(h, span)
+    scalars.next_step = min(h, span)
 
 
 @kernel
@@ -732,7 +651,7 @@ def _irregular(count):
 
 
 @kernel
-def march(table, task):
+def march(system, task):
     """Steps from NOW towards END until Python is needed; what for.
 
     MARCHING: not yet, call again; STEPPED: a step was accepted, which MARCH_ONE_STEP asks for, or END was reached, or
@@ -743,131 +662,132 @@ def march(table, task):
     status in FAILURE; PROJECTION_FAILED; AT_FLOOR; AT_LIMIT: of attempts; MAY_TOUCH: open contacts might in the next
     step, at which MARCH_APART ends.
     """
-    scalars, counters = reals(table[SCALARS], SCALARS_SIZE), integers(table[COUNTERS], COUNTERS_SIZE)
-    sizes = integers(table[SIZES], 8)
-    n, ny = count_items(table), sizes[NY]
-    stage_state = reals(table[STAGE_STATE], ny)
-    contact_real = matrix(table[CONTACT_REAL], n, CONTACT_REALS)
-    end, fixed = scalars[END], scalars[FIXED_STEP]
+    scalars, counters = system.scalars, system.counters
+    sizes = system.sizes
+    n, ny = count_items(system), sizes.ny
+    stage_state = system.stage_state
+    contact_real = system.contact_real
+    end, fixed = scalars.end, scalars.fixed_step
     for _ in range(_BATCH):
-        t, h = scalars[NOW], scalars[NEXT_STEP]
-        if counters[STEP_COUNT] + counters[REJECTED_COUNT] >= counters[ATTEMPT_LIMIT]:
+        t, h = scalars.now, scalars.next_step
+        if counters.step_count + counters.rejected_count >= counters.attempt_limit:
             return AT_LIMIT
-        if _slip_ends(contact_real, n, counters[STALLED]):
+        if _slip_ends(contact_real, n, counters.stalled):
             return SLIP_ENDS
-        if task == MARCH_APART and not stay_apart(table, min(h, min(scalars[MAX_STEP], end - t))):
+        if task == MARCH_APART and not stay_apart(system, min(h, min(scalars.max_step, end - t))):
             return MAY_TOUCH
         remaining = end - t
-        step = min(h, min(_irregular(counters[STEP_COUNT]) * scalars[MAX_STEP], remaining))
+        step = min(h, min(_irregular(counters.step_count) * scalars.max_step, remaining))
         for c in range(n):
             if contact_real[c, START_SPEED] < math.inf and contact_real[c, START_RATE] < 0.0:
                 stop = _STOP_FRACTION * contact_real[c, START_SPEED] / -contact_real[c, START_RATE]
-                if stop < scalars[FLOOR]:
+                if stop < scalars.floor:
                     return SLIP_ENDS
                 step = min(step, stop)
         if remaining - step < _SLIVER * step:
             step = remaining
-        if step < scalars[FLOOR] and step < remaining:
+        if step < scalars.floor and step < remaining:
             return AT_FLOOR
-        status = attempt(table, t, step, fixed == 0.0)
-        error = scalars[ERROR_NORM]
+        status = attempt(system, t, step, fixed == 0.0)
+        error = scalars.error_norm
         if status != OK or (fixed == 0.0 and error >= 1.0):
-            counters[REJECTED_COUNT] += 1
+            counters.rejected_count += 1
             _watch_slips(contact_real, n, scalars, counters, False)
             if status != OK:
-                counters[FAILURE] = status
-                scalars[NEXT_STEP] = FAILED_FACTOR * step
+                counters.failure = status
+                scalars.next_step = FAILED_FACTOR * step
                 return STEP_FAILED
-            scalars[NEXT_STEP] = _next_step(step, error, 0.0, scalars[ERROR_ORDER], True)
+            scalars.next_step = _next_step(step, error, 0.0, scalars.error_order, True)
             continue
-        counters[FAILURE] = OK
+        counters.failure = OK
         proposal = fixed
         if fixed == 0.0:
-            proposal = _next_step(step, error, scalars[LAST_ERROR], scalars[ERROR_ORDER], False)
-            scalars[LAST_ERROR] = error
+            proposal = _next_step(step, error, scalars.last_error, scalars.error_order, False)
+            scalars.last_error = error
         # a step cut short for an output or a stop says nothing against the larger one
-        scalars[NEXT_STEP] = proposal if step == h else max(proposal, min(h, 10.0 * step))
+        scalars.next_step = proposal if step == h else max(proposal, min(h, 10.0 * step))
         t_new = end if step == remaining else t + step
-        scalars[NEXT_TIME] = t_new
-        counters[STEP_COUNT] += 1
-        if task == MARCH_ONE_ATTEMPT or counters[ALARM] != 0:
+        scalars.next_time = t_new
+        counters.step_count += 1
+        if task == MARCH_ONE_ATTEMPT or counters.alarm != 0:
             return ATTEMPTED
-        inside = scalars[NEXT_OUTPUT] < t_new
+        inside = scalars.next_output < t_new
         # what is not shown may be a little off, and outputs within the step need not cost the end's evaluation
-        ahead = inside and task == MARCH and project(table, t_new, True, TO_STEP_ON, error) == OK
+        ahead = inside and task == MARCH and project(system, t_new, True, TO_STEP_ON, error) == OK
         if ahead:
-            _set_aside(table)
+            _set_aside(system)
         if inside:
-            if interpolation(table, t, step) > EVENT or write_outputs(table, t_new, False) != OK:
+            if interpolation(system, t, step) > EVENT or write_outputs(system, t_new, False) != OK:
                 return ATTEMPTED
-            new_state = reals(table[NEW_STATE], ny)
+            new_state = system.new_state
             for i in range(ny):
                 stage_state[i] = new_state[i]
-            hand_over(table, stage_state)
-        if ahead and scalars[NEXT_OUTPUT] > t_new:
-            if _take_up(table, t_new) > EVENT:
+            hand_over(system, stage_state)
+        if ahead and scalars.next_output > t_new:
+            if _take_up(system, t_new) > EVENT:
                 return PROJECTION_FAILED
-            scalars[NOW] = t_new
+            scalars.now = t_new
         else:
-            shown = task not in (MARCH, MARCH_APART) or counters[RECORD_STEPS] != 0 or scalars[NEXT_OUTPUT] == t_new
-            if project(table, t_new, not inside, TO_KEEP if shown else TO_STEP_ON, error) != OK:
+            shown = task not in (MARCH, MARCH_APART) or counters.record_steps != 0 or scalars.next_output == t_new
+            if project(system, t_new, not inside, TO_KEEP if shown else TO_STEP_ON, error) != OK:
                 return PROJECTION_FAILED
-            accept(table)
-            scalars[NOW] = t_new
-            if finish_step(table, t_new) > EVENT:
+            accept(system)
+            scalars.now = t_new
+            if finish_step(system, t_new) > EVENT:
                 return PROJECTION_FAILED
-        if counters[RECORD_STEPS] != 0:
-            record_row(table, t_new)
-        while scalars[NEXT_OUTPUT] <= t_new and counters[RECORDED] < BLOCK:
-            record_row(table, t_new)
-            output_done(table)
-        if counters[STIFF_STEPS] >= counters[PATIENCE] and fixed == 0.0:
+        if counters.record_steps != 0:
+            record_row(system, t_new)
+        while scalars.next_output <= t_new and counters.recorded < BLOCK:
+            record_row(system, t_new)
+            output_done(system)
+        if counters.stiff_steps >= counters.patience and fixed == 0.0:
             return SLIP_IS_SLOW
-        if task == MARCH_ONE_STEP or t_new >= end or counters[RECORDED] == BLOCK:
+        if task == MARCH_ONE_STEP or t_new >= end or counters.recorded == BLOCK:
             return STEPPED
     return MARCHING
 
 
-@entry_kernel(TABLE, INTEGER, REAL, REAL, aside=True)
-def run_task(table, task, t, h):
+@entry_kernel(INTEGER, INTEGER, REAL, REAL, aside=True)
+def run_task(address, task, t, h):
     """All tasks behind one entry, since they share their parts.
 
     Returns a status of `layout`; for the MARCH tasks, which take their times from the scalars, what they came back for.
     """
+    system = system_at(address)
     if task in (EVALUATE, KINEMATICS):
-        return evaluate(table, t, KINEMATICS_OF_ALL if task == KINEMATICS else 0)
+        return evaluate(system, t, KINEMATICS_OF_ALL if task == KINEMATICS else 0)
     if task == ATTEMPT:
-        return attempt(table, t, h, False)
+        return attempt(system, t, h, False)
     if task == INTERPOLATION_STAGES:
-        return interpolation(table, t, h)
+        return interpolation(system, t, h)
     if task in (PROJECT, PROJECT_EVALUATED):
-        return project(table, t, task == PROJECT_EVALUATED, TO_KEEP, h)
+        return project(system, t, task == PROJECT_EVALUATED, TO_KEEP, h)
     if task == SETTLE:
-        return settle(table, t)
+        return settle(system, t)
     if task == ACCEPT:
-        accept(table)
+        accept(system)
         return OK
     if task == START:
-        return start(table, t)
+        return start(system, t)
     if task == RECORD:
-        record_row(table, t)
+        record_row(system, t)
         return OK
     if task == WRITE_OUTPUTS:
-        return write_outputs(table, t, True)
+        return write_outputs(system, t, True)
     if task == FINISH_STEP:
-        return finish_step(table, t)
+        return finish_step(system, t)
     if task == ACROSS_SLIP:
-        return across_slip(table, t, h)
+        return across_slip(system, t, h)
     if task == FIRST_STEP:
-        first_step(table, t, h)
+        first_step(system, t, h)
         return OK
     if task == SCAN:
-        scan(table, t, h)
+        scan(system, t, h)
         return OK
     if task == BOUND_SPEEDS:
-        bound_speeds(table)
+        bound_speeds(system)
         return OK
     if task == KEEP_VELOCITY:
-        keep_velocity(table, reals(table[STAGE_STATE], integers(table[SIZES], 8)[NY]))
+        keep_velocity(system, system.stage_state)
         return OK
-    return march(table, task)
+    return march(system, task)

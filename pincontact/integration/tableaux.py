@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from ..errors import ArgumentError
-from ..memory import address_of
+from ..workspace import address_of
 from . import sharp98
 from .dense import DENSE_ROWS
 from .resolution import roughness

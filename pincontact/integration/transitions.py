@@ -32,7 +32,6 @@ from ..layout import (
     GUARD_SIGN,
     LIMIT_SLACK,
     LOCATION_FAILED,
-    LOST_POSITIVITY,
     MASS_NOT_POSITIVE,
     MODE,
     MU,
@@ -184,7 +183,7 @@ class Transitions:
         code, reason = FAILURES[failure]
         if failure == NO_FORCE and self.modes.proved:
             reason = "no contact forces satisfy Coulomb's law (Painleve)"
-        elif failure == NO_FORCE and self.system.counters[LOST_POSITIVITY]:
+        elif failure == NO_FORCE and self.system.counters["lost_positivity"]:
             reason = "friction between several contacts leaves more than one solution (Painleve)"
         if failure == MASS_NOT_POSITIVE:
             reason = without_inertia(self.system.model, self.system.data, self.system.q)
@@ -263,7 +262,7 @@ class Transitions:
         self._open_moving(t)
         undecided = self.modes_from_velocities()
         unchanged = not (system.ng or undecided) and given == system.contact_int.tobytes()
-        stands = status == OK and unchanged and system.counters[LOST_POSITIVITY] == 0
+        stands = status == OK and unchanged and system.counters["lost_positivity"] == 0
         if stands and not self.held_up():
             # the evaluation stands
             self._project(t, True, explained=True)
@@ -976,7 +975,7 @@ class Transitions:
         decision = self._decide(t + tau, self._sticking())
         change = 0.5 * tau * (system.acceleration - acceleration)
         rk.load(stick)
-        system.v += change
+        system.v[:] += change
         rk.keep_velocity()
         return tau, decision, system.stage_state.copy()
 

@@ -1,0 +1,299 @@
+"""Arrays that compiled kernels and Python see under the same names.
+
+A `Layout` declares arrays, once: name, kind of number, dimensions. A `Workspace` holds the arrays of one layout. To a
+kernel it is a single value, the address of a table of its arrays' addresses and extents: `system.mass[i, j]` reads
+the array in place, whatever its size, so one compiled kernel serves every scene, and a call costs a fraction of a
+microsecond. Python uses the same names; Pinocchio's own `data` is read in place in the same way.
+
+A workspace must outlive every kernel call that is given it, and no array in it may be resized.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from typing import TYPE_CHECKING, Any
+
+import numba
+import numpy as np
+from numba import types
+from numba.extending import intrinsic, lower_getattr_generic, models, register_model
+
+from .jit import CHECKED
+
+REALS, INTEGERS = np.dtype(np.float64), np.dtype(np.int64)
+_NUMBA: dict[np.dtype[Any], Any] = {REALS: types.float64, INTEGERS: types.int64}
+# Words of an array in a workspace's table: its address and up to three extents.
+_WORDS = 4
+
+
+def record(kind: np.dtype[Any], *names: str) -> np.dtype[Any]:
+    """A record of numbers of one kind."""
+    return np.dtype([(name, kind) for name in names])
+
+
+class Layout:
+    """Names, kinds and dimensions of the arrays of a kind of workspace.
+
+    arrays: name -> (REALS, INTEGERS or a record's dtype, number of dimensions; 0 for a single record)
+    """
+
+    def __init__(self, name: str, **arrays: tuple[np.dtype[Any], int]):
+        self.name = name
+        self.arrays = arrays
+        self.places = {array: i for i, array in enumerate(arrays)}
+        # numba's type of such a workspace, and `at(address)` for entry kernels, which are given the address
+        self.type = WorkspaceType(self)
+        self.at = _workspace_at(self.type)
+
+
+class WorkspaceType(types.Record):
+    """numba's type of workspaces of one layout: a record of addresses and extents, whose fields read as arrays."""
+
+    def __init__(self, layout: Layout):
+        words = types.NestedArray(types.int64, (_WORDS,))
+        fields = [(name, {"type": words, "offset": 8 * _WORDS * i}) for i, name in enumerate(layout.arrays)]
+        super().__init__(fields, 8 * _WORDS * len(fields), True)
+        self.name = f"Workspace({layout.name})"
+        self.layout = layout
+
+    def typeof(self, key: str) -> Any:
+        return array_type(*self.layout.arrays[key])
+
+
+def _workspace_at(kind: WorkspaceType) -> Any:
+    if numba.config.DISABLE_JIT:
+        return lambda given: given if isinstance(given, Workspace) else ctypes.cast(int(given), ctypes.py_object).value
+
+    @intrinsic
+    def at(typing_context, address):
+        def generate(context, builder, signature, values):
+            return builder.inttoptr(values[0], context.get_value_type(kind))
+
+        return kind(types.int64), generate
+
+    return at
+
+
+def array_type(item: np.dtype[Any], dimensions: int) -> Any:
+    """numba's type of a C-contiguous array, or of a single record."""
+    if item not in _NUMBA:
+        _NUMBA[item] = numba.from_dtype(item)
+    return types.Array(_NUMBA[item], dimensions, "C") if dimensions else _NUMBA[item]
+
+
+def _view(context: Any, builder: Any, kind: types.Array, address: Any, shape: list[Any]) -> Any:
+    """LLVM's value of a C-contiguous array at an address, whose memory is not counted."""
+    # imported when code is generated: it costs as much as the rest of the package
+    from numba.np.arrayobj import make_array, populate_array
+
+    size = context.get_constant(types.intp, kind.dtype.bitwidth // 8)
+    strides = [size]
+    for extent in reversed(shape[1:]):
+        strides.insert(0, builder.mul(strides[0], extent))
+    view = make_array(kind)(context, builder)
+    data = builder.inttoptr(address, context.get_data_type(kind.dtype).as_pointer())
+    populate_array(view, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None)
+    return view._getvalue()
+
+
+def _loaded(builder: Any, table: Any, place: int) -> Any:
+    """A word of a table."""
+    from llvmlite import ir
+
+    word = ir.IntType(64)
+    return builder.load(builder.gep(builder.bitcast(table, word.as_pointer()), [ir.Constant(word, place)]))
+
+
+register_model(WorkspaceType)(models.RecordModel)
+
+
+@lower_getattr_generic(WorkspaceType)
+def _attribute(context: Any, builder: Any, kind: WorkspaceType, value: Any, name: str) -> Any:
+    item, dimensions = kind.layout.arrays[name]
+    first = _WORDS * kind.layout.places[name]
+    kind_of_array = array_type(item, dimensions)
+    words = [_loaded(builder, value, first + i) for i in range(1 + dimensions)]
+    if not dimensions:
+        return builder.inttoptr(words[0], context.get_value_type(kind_of_array))
+    return _view(context, builder, kind_of_array, words[0], words[1:])
+
+
+# Of arrays whose addresses were asked for: how many bytes there are from there on. Kept by the checked build only.
+_room: dict[int, int] = {}
+
+
+def address_of(array: np.ndarray) -> int:
+    """The address of an array's first element."""
+    address = int(array.__array_interface__["data"][0])
+    if CHECKED:
+        _room[address] = array.nbytes
+    return address
+
+
+def _at_address(dimensions: int, item: np.dtype[Any]) -> Any:
+    """`f(address, *shape)` for kernels: a view of the memory at an address, rows contiguous."""
+    if numba.config.DISABLE_JIT:
+        kind = ctypes.c_double if item == REALS else ctypes.c_int64
+
+        def view(address: int, *shape: int) -> np.ndarray:
+            count = math.prod(shape)
+            if CHECKED and 8 * count > _room.get(int(address), 0):
+                raise IndexError(f"a view of {count} numbers on an array of {_room.get(int(address), 0) // 8}")
+            if count == 0:
+                return np.zeros(shape, item)
+            pointer = ctypes.cast(int(address), ctypes.POINTER(kind))
+            return np.ctypeslib.as_array(pointer, shape=(count,)).reshape(shape)
+
+        return view
+    kind = array_type(item, dimensions)
+
+    def typed() -> Any:
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            return _view(context, builder, kind, values[0], list(values[1:]))
+
+        return kind(*(types.int64,) * (1 + dimensions)), generate
+
+    # numba reads the number of arguments off the signature
+    if dimensions == 1:
+        return intrinsic(lambda typing_context, address, n: typed())
+    return intrinsic(lambda typing_context, address, n, m: typed())
+
+
+# `reals_at(address, n)`, `integers_at(address, n)`, `matrix_at(address, n, m)`, `integer_matrix_at(address, n, m)`
+reals_at, integers_at = _at_address(1, REALS), _at_address(1, INTEGERS)
+matrix_at, integer_matrix_at = _at_address(2, REALS), _at_address(2, INTEGERS)
+
+if numba.config.DISABLE_JIT:
+
+    def flat(array):
+        return array.reshape(-1)
+
+    def square(array, n):
+        return array[: n * n].reshape(n, n)
+
+else:
+
+    @intrinsic
+    def flat(typing_context, array):
+        """All numbers of an array of reals, as a vector."""
+
+        def generate(context, builder, signature, values):
+            from numba.np.arrayobj import make_array
+
+            whole = make_array(signature.args[0])(context, builder, values[0])
+            address = builder.ptrtoint(whole.data, context.get_value_type(types.int64))
+            return _view(context, builder, signature.return_type, address, [whole.nitems])
+
+        return array_type(REALS, 1)(array), generate
+
+    @intrinsic
+    def square(typing_context, array, n):
+        """The first n^2 numbers of a vector of reals as a matrix (n, n)."""
+
+        def generate(context, builder, signature, values):
+            from numba.np.arrayobj import make_array
+
+            whole = make_array(signature.args[0])(context, builder, values[0])
+            address = builder.ptrtoint(whole.data, context.get_value_type(types.int64))
+            return _view(context, builder, signature.return_type, address, [values[1], values[1]])
+
+        return array_type(REALS, 2)(array, types.int64), generate
+
+
+# Numbers in the pieces that memory is taken in, and on whose multiples arrays begin (64 bytes).
+_CHUNK = 4096
+_ALIGNMENT = 8
+_NOTHING = np.zeros(0)
+# What the checked build finds in integers that nobody has written: no index.
+_UNSET = -(1 << 40)
+
+
+def _by_name(array: np.ndarray) -> Any:
+    """The array, or its single record, with fields that uncompiled kernels read as attributes."""
+    if array.dtype.names and numba.config.DISABLE_JIT:
+        array = array.view(np.recarray)
+    return array[()] if array.ndim == 0 else array
+
+
+class Workspace:
+    """The arrays of one layout, by name."""
+
+    _piece: np.ndarray
+    _cut_off: int
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    def __init__(self, layout: Layout):
+        self.layout = layout
+        self.table = np.zeros((len(layout.arrays), _WORDS), dtype=np.int64)
+        # what kernels are given
+        self.address = id(self) if numba.config.DISABLE_JIT else address_of(self.table)
+        # new arrays are cut from one: a fraction of the time of making each
+        self._pieces: list[np.ndarray] = []
+        self._at = 0
+        # names of what has come since `keep`, and what they stood for then
+        self._since: dict[str, np.ndarray | None] = {}
+        self._start_piece()
+
+    def put(self, name: str, array: np.ndarray, address: int = 0) -> np.ndarray:
+        """Place an array under its name; it is kept alive as long as this workspace is. address: its own, if known."""
+        self._place(name, array, address_of(array) if CHECKED or not address else address)
+        return array
+
+    def zeros(self, name: str, *shape: int) -> np.ndarray:
+        """A new array of zeros under that name."""
+        item = self.layout.arrays[name][0]
+        words = math.prod(shape) * (item.itemsize // 8)
+        room = -(-words // _ALIGNMENT) * _ALIGNMENT
+        start = self._cut_off
+        if start + room > self._piece.size:
+            self._piece, start = np.zeros(max(room, _CHUNK)), 0
+            self._pieces.append(self._piece)
+            self._at = address_of(self._piece)
+        self._cut_off = start + room
+        array: np.ndarray = np.ndarray(shape, item, self._piece, 8 * start)
+        self._place(name, array, address_of(array) if CHECKED else self._at + 8 * start)
+        return array
+
+    def scratch(self, name: str, *shape: int) -> np.ndarray:
+        """A new array that is to be written before it is read: NaN, or no index, in the checked build."""
+        array = self.zeros(name, *shape)
+        if CHECKED:
+            array.fill(math.nan if array.dtype == REALS else _UNSET)
+        return array
+
+    def _place(self, name: str, array: np.ndarray, address: int) -> None:
+        if name not in self._since:
+            self._since[name] = self.__dict__.get(name)
+        self.__dict__[name] = _by_name(array)
+        self.table[self.layout.places[name], : 1 + array.ndim] = (address, *array.shape)
+
+    def keep(self) -> None:
+        """Remember all there is now, for `restore`."""
+        # of the last piece what arrays have been cut from: a copy should not drive them out of the processor's cache
+        used = [*self._pieces[:-1], *(piece[: self._cut_off] for piece in self._pieces[-1:])]
+        self._kept = len(self._pieces), [(part, part.copy()) for part in used], self.table.copy()
+        self._since.clear()
+        self._start_piece()
+
+    def restore(self) -> None:
+        """Make everything what it was at `keep`, bit by bit: arrays made since are gone, those put here stay theirs."""
+        pieces, used, table = self._kept
+        for part, values in used:
+            np.copyto(part, values)
+        del self._pieces[pieces:]
+        self.table[:] = table
+        for name, array in self._since.items():
+            if array is None:
+                del self.__dict__[name]
+            else:
+                self.__dict__[name] = array
+        self._since.clear()
+        self._start_piece()
+
+    def _start_piece(self) -> None:
+        """Let the next array be cut from a new piece, where all is zero."""
+        self._piece, self._cut_off = _NOTHING, 0

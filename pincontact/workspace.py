@@ -19,10 +19,9 @@ import numpy as np
 from numba import types
 from numba.extending import intrinsic, lower_getattr_generic, models, register_model
 
+from .arrays import INTEGERS, REALS, array_type, item_type, make_view, parts_of
 from .jit import CHECKED
 
-REALS, INTEGERS = np.dtype(np.float64), np.dtype(np.int64)
-_NUMBA: dict[np.dtype[Any], Any] = {REALS: types.float64, INTEGERS: types.int64}
 # Words of an array in a workspace's table: its address and up to three extents.
 _WORDS = 4
 
@@ -75,28 +74,6 @@ def _workspace_at(kind: WorkspaceType) -> Any:
     return at
 
 
-def array_type(item: np.dtype[Any], dimensions: int) -> Any:
-    """numba's type of a C-contiguous array, or of a single record."""
-    if item not in _NUMBA:
-        _NUMBA[item] = numba.from_dtype(item)
-    return types.Array(_NUMBA[item], dimensions, "C") if dimensions else _NUMBA[item]
-
-
-def _view(context: Any, builder: Any, kind: types.Array, address: Any, shape: list[Any]) -> Any:
-    """LLVM's value of a C-contiguous array at an address, whose memory is not counted."""
-    # imported when code is generated: it costs as much as the rest of the package
-    from numba.np.arrayobj import make_array, populate_array
-
-    size = context.get_constant(types.intp, kind.dtype.bitwidth // 8)
-    strides = [size]
-    for extent in reversed(shape[1:]):
-        strides.insert(0, builder.mul(strides[0], extent))
-    view = make_array(kind)(context, builder)
-    data = builder.inttoptr(address, context.get_data_type(kind.dtype).as_pointer())
-    populate_array(view, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None)
-    return view._getvalue()
-
-
 def _loaded(builder: Any, table: Any, place: int) -> Any:
     """A word of a table."""
     from llvmlite import ir
@@ -116,7 +93,8 @@ def _attribute(context: Any, builder: Any, kind: WorkspaceType, value: Any, name
     words = [_loaded(builder, value, first + i) for i in range(1 + dimensions)]
     if not dimensions:
         return builder.inttoptr(words[0], context.get_value_type(kind_of_array))
-    return _view(context, builder, kind_of_array, words[0], words[1:])
+    pointer = builder.inttoptr(words[0], context.get_data_type(item_type(item)).as_pointer())
+    return make_view(context, builder, kind_of_array, pointer, words[1:], None)
 
 
 # Of arrays whose addresses were asked for: how many bytes there are from there on. Kept by the checked build only.
@@ -150,7 +128,8 @@ def _at_address(dimensions: int, item: np.dtype[Any]) -> Any:
 
     def typed() -> Any:
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-            return _view(context, builder, kind, values[0], list(values[1:]))
+            pointer = builder.inttoptr(values[0], context.get_data_type(item_type(item)).as_pointer())
+            return make_view(context, builder, kind, pointer, list(values[1:]), None)
 
         return kind(*(types.int64,) * (1 + dimensions)), generate
 
@@ -179,11 +158,11 @@ else:
         """All numbers of an array of reals, as a vector."""
 
         def generate(context, builder, signature, values):
-            from numba.np.arrayobj import make_array
-
-            whole = make_array(signature.args[0])(context, builder, values[0])
-            address = builder.ptrtoint(whole.data, context.get_value_type(types.int64))
-            return _view(context, builder, signature.return_type, address, [whole.nitems])
+            data, shape = parts_of(context, builder, array, values[0])
+            size = shape[0]
+            for extent in shape[1:]:
+                size = builder.mul(size, extent)
+            return make_view(context, builder, signature.return_type, data, [size], None)
 
         return array_type(REALS, 1)(array), generate
 
@@ -192,11 +171,8 @@ else:
         """The first n^2 numbers of a vector of reals as a matrix (n, n)."""
 
         def generate(context, builder, signature, values):
-            from numba.np.arrayobj import make_array
-
-            whole = make_array(signature.args[0])(context, builder, values[0])
-            address = builder.ptrtoint(whole.data, context.get_value_type(types.int64))
-            return _view(context, builder, signature.return_type, address, [values[1], values[1]])
+            data, _ = parts_of(context, builder, array, values[0])
+            return make_view(context, builder, signature.return_type, data, [values[1], values[1]], None)
 
         return array_type(REALS, 2)(array, types.int64), generate
 

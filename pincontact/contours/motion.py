@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from ..arrays import view
 from ..errors import ContourError, UnusableResult
 from ..jit import CALLED, INTEGER, REAL, entry_kernel, kernel
 from .base import finite, flag, interval
@@ -458,4 +459,4 @@ def evaluate_motion(kind, parameters, pool, t, out):
 @entry_kernel(INTEGER, REAL[::1], REAL[::1], REAL, REAL[::1], when=CALLED)
 def fill_motion(kind, parameters, pool, t, out):
     """`evaluate_motion` for callers in Python."""
-    evaluate_motion(kind, parameters, pool, t, out)
+    evaluate_motion(kind, view(parameters), view(pool), t, view(out))

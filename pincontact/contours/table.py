@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..arrays import view
 from ..jit import CALLED, INTEGER, REAL, entry_kernel, kernel
 from .base import (
     CYCLOID,
@@ -62,4 +63,4 @@ def evaluate(kind, chart, shape, pool, u1, u2, t, out):
 def evaluate_contours(kind, chart, shape, pool, u, t, out):
     """`evaluate` for callers in Python, at parameters u (n, 2) into out (n, 10, 3)."""
     for i in range(u.shape[0]):
-        evaluate(kind, chart, shape, pool, u[i, 0], u[i, 1], t, out[i])
+        evaluate(kind, chart, view(shape), view(pool), u[i, 0], u[i, 1], t, view(out)[i])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..arrays import view
 from ..jit import FRICTION, INTEGER, REAL, entry_kernel, kernel
 from .cone import (
     BY_EXACT,
@@ -178,6 +179,7 @@ def solve_cones(delassus, b, mu, address, task, passes, tolerance, sweeps, round
     On success (residual <= tolerance) modes, forces and velocities are written, otherwise (but for AFRESH) none is.
     """
     cone = cone_at(address)
+    delassus, b, mu = view(delassus), view(b), view(mu)
     if task >= USUAL:
         nearest, sweeping, afresh = (task & NEAREST) != 0, (task & SWEEPING) != 0, (task & AFRESH) != 0
         return usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance)

@@ -33,6 +33,7 @@ from __future__ import annotations
 
 from math import inf, sqrt
 
+from ..arrays import view
 from ..jit import REAL, SEVERAL, entry_kernel, kernel
 from ..workspace import INTEGERS, REALS, Layout, Workspace
 
@@ -303,6 +304,8 @@ def assemble_qp(delassus, b, mu, f, proximal, hessian, gradient, facets, upper, 
     hessian (3n, 3n), gradient (3n,), facets (4n, 3n; zero outside the contacts' blocks), upper (4n,): output;
     unit (3n,): output, the forces that scaled ones are counted in; work (8n,): scratch.
     """
+    delassus, b, mu, f = view(delassus), view(b), view(mu), view(f)
+    hessian, gradient, work = view(hessian), view(gradient), view(work)
     n = mu.shape[0]
     rows = 3 * n
     c = work[0:rows]

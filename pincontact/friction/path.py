@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from math import sqrt
 
+from ..arrays import view
 from ..jit import INTEGER, REAL, SEVERAL, entry_kernel, kernel
 from .cone import (
     HUGE,
@@ -170,6 +171,7 @@ def follow_path(delassus, b, mu, address, target, tube, size, saxce, steps):
     0 to leave De Saxce's term out, which makes the problem convex. All but target and steps as in the first call.
     """
     cone = cone_at(address)
+    delassus, b, mu = view(delassus), view(b), view(mu)
     n = mu.shape[0]
     rows = 3 * n
     forces = cone.forces

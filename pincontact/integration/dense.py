@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..arrays import view
 from ..jit import INTEGER, REAL, entry_kernel, kernel
 from .stages import MAX_STAGES
 
@@ -59,7 +60,7 @@ def interpolate(dense, start, nested, theta, out):
 @entry_kernel(REAL[:, ::1], REAL[::1], INTEGER, REAL, REAL[::1])
 def fill_interpolated(dense, start, nested, theta, out):
     """`interpolate` for callers in Python."""
-    interpolate(dense, start, nested, theta, out)
+    interpolate(view(dense), view(start), nested, theta, view(out))
 
 
 class Interpolant:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from ..arrays import as_array
 from ..callback import call_python, kernel_caller
 from ..dynamics.energy import REST_SPEED
 from ..dynamics.equations import inner
@@ -229,9 +230,9 @@ def _solve(step, n):
     task = USUAL + AFRESH if counts[TOUCHED] != 0 else counts[CONE_TASK]
     residual = _call_cones(
         step.calls[SOLVE_CONES],
-        square(step.delassus, 3 * n),
-        step.loads[: 3 * n],
-        step.friction[:n],
+        as_array(square(step.delassus, 3 * n)),
+        as_array(step.loads[: 3 * n]),
+        as_array(step.friction[:n]),
         known,
         task,
         0,

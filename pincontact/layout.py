@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from .contours.base import DERIVATIVE_ROWS, SHAPE_SIZE
+from .contours.motion import MOTION_PARAMETERS, MOTION_SIZE
 from .workspace import INTEGERS, REALS, Layout, record
 
 SIZES = record(INTEGERS, "nq", "nv", "nc", "njoints", "nblocks", "nstages", "nwork", "ny")
@@ -95,112 +97,6 @@ CALLBACK = record(
     "model_size",
     "model_joints",
 )
-
-SYSTEM = Layout(
-    "system",
-    sizes=(SIZES, 0),
-    scalars=(SCALARS, 0),
-    callback=(CALLBACK, 0),
-    # Pinocchio's data, read in place
-    mass=(REALS, 2),  # (nv, nv) lower triangle (Pinocchio's upper one, transposed view)
-    parents=(INTEGERS, 1),  # (nv,): tree of the mass matrix, see `linear.factorize_tree`
-    nle=(REALS, 1),  # (nv,) bias forces
-    jacobian=(REALS, 2),  # (nv, 6) one row a velocity coordinate: linear at the world's origin, angular
-    joint_addresses=(INTEGERS, 2),  # (njoints, 4): rotation, translation, v, a_gf
-    gravity=(REALS, 1),  # (3,)
-    tau=(REALS, 1),  # (nv,) joint torques of the user
-    damping=(REALS, 1),  # (nv,) viscous joint damping of the model
-    # joints: how q' follows from v
-    joint_table=(INTEGERS, 2),  # (nblocks, 4): kind, index in q, index in v, coordinates
-    # contacts
-    contact_int=(INTEGERS, 2),  # (nc, CONTACT_INTS)
-    contact_real=(REALS, 2),  # (nc, CONTACT_REALS)
-    side_int=(INTEGERS, 2),  # (2 nc, SIDE_INTS): side 2 c is body 1 of contact c, side 2 c + 1 is body 2
-    side_shape=(REALS, 2),  # (2 nc, SHAPE_SIZE)
-    side_domain=(REALS, 2),  # (2 nc, 4): low and high end of u1 and u2, infinite where there is none
-    side_base=(REALS, 2),  # (2 nc, 12) placement in the joint: rotation (9), position (3)
-    side_motion=(REALS, 2),  # (2 nc, 24) driven placement relative to the base, and its derivatives
-    side_motion_parameters=(REALS, 2),  # (2 nc, MOTION_PARAMETERS)
-    support=(INTEGERS, 2),  # (2 nc, nv): velocity coordinates that move the side's joint
-    # results of one evaluation
-    frames=(REALS, 3),  # (2 nc, 8, 3): rotation rows, origin, velocity, omega, acceleration, alpha (world)
-    derivatives=(REALS, 3),  # (2 nc, 10, 3): the contour's derivatives, world axes, from the contour's origin
-    basis=(REALS, 3),  # (nc, 3, 3): rows t1, second, n (world)
-    slip=(REALS, 2),  # (nc, 3): v_c = v_2 - v_1, world
-    gaps=(REALS, 2),  # (nc, 2): n . (r_2 - r_1); second normal's for a point on a spatial curve
-    rates=(REALS, 2),  # (nc, 4): location rates u_1', u_2'
-    bias=(REALS, 2),  # (nc, 3): row . gamma plus frame rates, along the basis
-    rows=(REALS, 3),  # (nc, 3, nv): basis . (J_2 - J_1)
-    force=(REALS, 2),  # (nc, 3): force on body 2 along the basis
-    relative_acceleration=(REALS, 2),  # (nc, 3): along the basis, for events
-    margins=(REALS, 2),  # (nc, MARGINS_PER_CONTACT): event functions, positive while the mode holds
-    location=(REALS, 2),  # (nc, 4): u_1 (2), u_2 (2)
-    # linear algebra
-    factor=(REALS, 2),  # (nv, nv) Cholesky factor of the mass matrix
-    acceleration=(REALS, 1),  # (nv,)
-    free_acceleration=(REALS, 1),  # (nv,)
-    constraint_rows=(REALS, 2),  # (3 nc, nv)
-    whitened_rows=(REALS, 2),  # (3 nc, nv): L^-T rows^T, transposed
-    whitened_forces=(REALS, 2),  # (3 nc, nv): the same for the force directions
-    delassus=(REALS, 2),  # (3 nc, 3 nc + 1)
-    multipliers=(REALS, 1),  # (3 nc,)
-    row_index=(INTEGERS, 2),  # (3 nc, 2): contact and basis row of each constraint row
-    permutation=(INTEGERS, 1),  # (3 nc,)
-    # Runge-Kutta
-    state=(REALS, 1),  # (ny,) at the start of the step: q, v, location, quadratures
-    stage_state=(REALS, 1),  # (ny,)
-    new_state=(REALS, 1),  # (ny,)
-    next_state=(REALS, 1),  # (ny,) start of the next step, and its slope, while outputs of this one are written
-    next_slope=(REALS, 1),  # (ny,)
-    slopes=(REALS, 2),  # (stages, ny)
-    coefficients=(REALS, 2),  # (stages, stages)
-    nodes=(REALS, 1),  # (stages,)
-    weights_error=(REALS, 2),  # (2, stages)
-    q=(REALS, 1),  # (nq,) handed to Pinocchio
-    v=(REALS, 1),  # (nv,)
-    scale=(REALS, 1),  # (2,) rtol, atol
-    absolute=(REALS, 1),  # (ny,) absolute tolerance of each component; 0 leaves it out of the norm
-    # scratch
-    location_system=(REALS, 2),  # (4, 8)
-    vectors=(REALS, 2),  # (16, 3)
-    local=(REALS, 2),  # (10, 3)
-    work=(REALS, 1),  # (nv,)
-    correction_q=(REALS, 1),  # (nv,)
-    correction_v=(REALS, 1),  # (nv,)
-    dense=(REALS, 2),  # (DENSE_ROWS, ny) coefficients of the interpolant
-    dense_weights=(REALS, 2),  # (DENSE_ROWS, stages + 1)
-    counters=(COUNTERS, 0),
-    # outputs
-    output_times=(REALS, 1),  # (OUTPUT_COUNT,) s
-    recorded_reals=(REALS, 2),  # (BLOCK, ROW_WIDTH) rows, see `recording`
-    recorded_integers=(INTEGERS, 2),  # (BLOCK, ...)
-    # guarded joint coordinates, rows nc .. nc + ng of the contacts' arrays: see `dynamics.joints`
-    guard_count=(INTEGERS, 1),  # (1,): ng
-    guard_int=(INTEGERS, 2),  # (ng, GUARD_INTS)
-    guard_real=(REALS, 2),  # (ng, GUARD_REALS)
-    # resistances to spinning and rolling, rows nc + ng .. nc + ng + nr: see `dynamics.resistance`
-    resistance_count=(INTEGERS, 1),  # (1,): nr
-    # least and largest margins of a step's stages, and one choice among redundant forces
-    lowest=(REALS, 2),  # (nc + ng + nr, MARGINS_PER_CONTACT)
-    highest=(REALS, 2),  # (nc + ng + nr, MARGINS_PER_CONTACT)
-    across=(
-        REALS,
-        2,
-    ),  # (2 (nc + ng + nr) + 1, POLYNOMIAL_SIZE): shares of a step, v_c across directions and along, see `steps`
-    reference=(REALS, 2),  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
-    # where the reference follows loads and time: see `equations`
-    reference_start=(REALS, 2),  # (nc + ng + nr, 3) at zero loads and REFERENCE_TIME
-    reference_rate=(REALS, 2),  # (nc + ng + nr, 3)
-    reference_slope=(REALS, 3),  # (2, 3 (nc + ng + nr), nv)
-    # margins along a step: at which shares of it, the evaluations' statuses, and the margins
-    scan_shares=(REALS, 1),  # (SCAN_ROOM,)
-    scan_status=(INTEGERS, 1),  # (SCAN_ROOM,)
-    scan_margins=(REALS, 3),  # (SCAN_ROOM, nc + ng + nr, MARGINS_PER_CONTACT)
-)
-
-# the workspace at an address that Python gives an entry kernel
-system_at = SYSTEM.at
-
 
 # contact_int; from MODE to FROZEN what a State keeps of it
 (
@@ -330,3 +226,118 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, T
 # places along a step that are evaluated by one call, and the gap beyond the end of a contour, where nothing can touch
 SCAN_ROOM = 9
 NOTHING_THERE = 1e300
+
+
+SYSTEM = Layout(
+    "system",
+    sizes=(SIZES, 0),
+    scalars=(SCALARS, 0),
+    callback=(CALLBACK, 0),
+    # Pinocchio's data, read in place
+    mass=(REALS, 2),  # (nv, nv) lower triangle (Pinocchio's upper one, transposed view)
+    parents=(INTEGERS, 1),  # (nv,): tree of the mass matrix, see `linear.factorize_tree`
+    nle=(REALS, 1),  # (nv,) bias forces
+    jacobian=(REALS, 2, 6),  # (nv, 6) one row a velocity coordinate: linear at the world's origin, angular
+    joint_addresses=(INTEGERS, 2, 4),  # (njoints, 4): rotation, translation, v, a_gf
+    gravity=(REALS, 1),  # (3,)
+    tau=(REALS, 1),  # (nv,) joint torques of the user
+    damping=(REALS, 1),  # (nv,) viscous joint damping of the model
+    # joints: how q' follows from v
+    joint_table=(INTEGERS, 2, 4),  # (nblocks, 4): kind, index in q, index in v, coordinates
+    # contacts
+    contact_int=(INTEGERS, 2, CONTACT_INTS),  # (nc, CONTACT_INTS)
+    contact_real=(REALS, 2, CONTACT_REALS),  # (nc, CONTACT_REALS)
+    side_int=(INTEGERS, 2, SIDE_INTS),  # (2 nc, SIDE_INTS): side 2 c is body 1 of contact c, side 2 c + 1 is body 2
+    side_shape=(REALS, 2, SHAPE_SIZE),  # (2 nc, SHAPE_SIZE)
+    side_domain=(REALS, 2, 4),  # (2 nc, 4): low and high end of u1 and u2, infinite where there is none
+    side_base=(REALS, 2, 12),  # (2 nc, 12) placement in the joint: rotation (9), position (3)
+    side_motion=(REALS, 2, MOTION_SIZE),  # (2 nc, 24) driven placement relative to the base, and its derivatives
+    side_motion_parameters=(REALS, 2, MOTION_PARAMETERS),  # (2 nc, MOTION_PARAMETERS)
+    support=(INTEGERS, 2),  # (2 nc, nv): velocity coordinates that move the side's joint
+    # results of one evaluation
+    frames=(REALS, 3, 8, 3),  # (2 nc, 8, 3): rotation rows, origin, velocity, omega, acceleration, alpha (world)
+    derivatives=(
+        REALS,
+        3,
+        DERIVATIVE_ROWS,
+        3,
+    ),  # (2 nc, 10, 3): the contour's, world axes, from its origin
+    basis=(REALS, 3, 3, 3),  # (nc, 3, 3): rows t1, second, n (world)
+    slip=(REALS, 2, 3),  # (nc, 3): v_c = v_2 - v_1, world
+    gaps=(REALS, 2, 2),  # (nc, 2): n . (r_2 - r_1); second normal's for a point on a spatial curve
+    rates=(REALS, 2, 4),  # (nc, 4): location rates u_1', u_2'
+    bias=(REALS, 2, 3),  # (nc, 3): row . gamma plus frame rates, along the basis
+    rows=(REALS, 3),  # (nc, 3, nv): basis . (J_2 - J_1)
+    force=(REALS, 2, 3),  # (nc, 3): force on body 2 along the basis
+    relative_acceleration=(REALS, 2, 3),  # (nc, 3): along the basis, for events
+    margins=(
+        REALS,
+        2,
+        MARGINS_PER_CONTACT,
+    ),  # (nc, 5): event functions, positive while the mode holds
+    location=(REALS, 2, 4),  # (nc, 4): u_1 (2), u_2 (2)
+    # linear algebra
+    factor=(REALS, 2),  # (nv, nv) Cholesky factor of the mass matrix
+    acceleration=(REALS, 1),  # (nv,)
+    free_acceleration=(REALS, 1),  # (nv,)
+    constraint_rows=(REALS, 2),  # (3 nc, nv)
+    whitened_rows=(REALS, 2),  # (3 nc, nv): L^-T rows^T, transposed
+    whitened_forces=(REALS, 2),  # (3 nc, nv): the same for the force directions
+    delassus=(REALS, 2),  # (3 nc, 3 nc + 1)
+    multipliers=(REALS, 1),  # (3 nc,)
+    row_index=(INTEGERS, 2, 2),  # (3 nc, 2): contact and basis row of each constraint row
+    permutation=(INTEGERS, 1),  # (3 nc,)
+    # Runge-Kutta
+    state=(REALS, 1),  # (ny,) at the start of the step: q, v, location, quadratures
+    stage_state=(REALS, 1),  # (ny,)
+    new_state=(REALS, 1),  # (ny,)
+    next_state=(REALS, 1),  # (ny,) start of the next step, and its slope, while outputs of this one are written
+    next_slope=(REALS, 1),  # (ny,)
+    slopes=(REALS, 2),  # (stages, ny)
+    coefficients=(REALS, 2),  # (stages, stages)
+    nodes=(REALS, 1),  # (stages,)
+    weights_error=(REALS, 2),  # (2, stages)
+    q=(REALS, 1),  # (nq,) handed to Pinocchio
+    v=(REALS, 1),  # (nv,)
+    scale=(REALS, 1),  # (2,) rtol, atol
+    absolute=(REALS, 1),  # (ny,) absolute tolerance of each component; 0 leaves it out of the norm
+    # scratch
+    location_system=(REALS, 2, 8),  # (4, 8)
+    vectors=(REALS, 2, 3),  # (16, 3)
+    local=(REALS, 2, 3),  # (10, 3)
+    work=(REALS, 1),  # (nv,)
+    correction_q=(REALS, 1),  # (nv,)
+    correction_v=(REALS, 1),  # (nv,)
+    dense=(REALS, 2),  # (DENSE_ROWS, ny) coefficients of the interpolant
+    dense_weights=(REALS, 2),  # (DENSE_ROWS, stages + 1)
+    counters=(COUNTERS, 0),
+    # outputs
+    output_times=(REALS, 1),  # (OUTPUT_COUNT,) s
+    recorded_reals=(REALS, 2),  # (BLOCK, ROW_WIDTH) rows, see `recording`
+    recorded_integers=(INTEGERS, 2),  # (BLOCK, ...)
+    # guarded joint coordinates, rows nc .. nc + ng of the contacts' arrays: see `dynamics.joints`
+    guard_count=(INTEGERS, 1),  # (1,): ng
+    guard_int=(INTEGERS, 2, GUARD_INTS),  # (ng, GUARD_INTS)
+    guard_real=(REALS, 2, GUARD_REALS),  # (ng, GUARD_REALS)
+    # resistances to spinning and rolling, rows nc + ng .. nc + ng + nr: see `dynamics.resistance`
+    resistance_count=(INTEGERS, 1),  # (1,): nr
+    # least and largest margins of a step's stages, and one choice among redundant forces
+    lowest=(REALS, 2, MARGINS_PER_CONTACT),  # (nc + ng + nr, MARGINS_PER_CONTACT)
+    highest=(REALS, 2, MARGINS_PER_CONTACT),  # (nc + ng + nr, MARGINS_PER_CONTACT)
+    across=(
+        REALS,
+        2,
+    ),  # (2 (nc + ng + nr) + 1, POLYNOMIAL_SIZE): shares of a step, v_c across directions and along, see `steps`
+    reference=(REALS, 2, 3),  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
+    # where the reference follows loads and time: see `equations`
+    reference_start=(REALS, 2, 3),  # (nc + ng + nr, 3) at zero loads and REFERENCE_TIME
+    reference_rate=(REALS, 2, 3),  # (nc + ng + nr, 3)
+    reference_slope=(REALS, 3),  # (2, 3 (nc + ng + nr), nv)
+    # margins along a step: at which shares of it, the evaluations' statuses, and the margins
+    scan_shares=(REALS, 1),  # (SCAN_ROOM,)
+    scan_status=(INTEGERS, 1),  # (SCAN_ROOM,)
+    scan_margins=(REALS, 3),  # (SCAN_ROOM, nc + ng + nr, MARGINS_PER_CONTACT)
+)
+
+# the workspace at an address that Python gives an entry kernel
+system_at = SYSTEM.at

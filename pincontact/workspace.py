@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
+from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, lower_getattr_generic, models, register_model
 
@@ -34,12 +35,14 @@ def record(kind: np.dtype[Any], *names: str) -> np.dtype[Any]:
 class Layout:
     """Names, kinds and dimensions of the arrays of a kind of workspace.
 
-    arrays: name -> (REALS, INTEGERS or a record's dtype, number of dimensions; 0 for a single record)
+    arrays: name -> (REALS, INTEGERS or a record's dtype, number of dimensions; 0 for a single record), and after these
+    the extents of its last dimensions, where they are the same in all workspaces
     """
 
-    def __init__(self, name: str, **arrays: tuple[np.dtype[Any], int]):
+    def __init__(self, name: str, **arrays: tuple[Any, ...]):
         self.name = name
-        self.arrays = arrays
+        self.arrays = {array: declared[:2] for array, declared in arrays.items()}
+        self.inner: dict[str, tuple[int, ...]] = {array: declared[2:] for array, declared in arrays.items()}
         self.places = {array: i for i, array in enumerate(arrays)}
         # numba's type of such a workspace, and `at(address)` for entry kernels, which are given the address
         self.type = WorkspaceType(self)
@@ -76,8 +79,6 @@ def _workspace_at(kind: WorkspaceType) -> Any:
 
 def _loaded(builder: Any, table: Any, place: int) -> Any:
     """A word of a table."""
-    from llvmlite import ir
-
     word = ir.IntType(64)
     return builder.load(builder.gep(builder.bitcast(table, word.as_pointer()), [ir.Constant(word, place)]))
 
@@ -90,7 +91,8 @@ def _attribute(context: Any, builder: Any, kind: WorkspaceType, value: Any, name
     item, dimensions = kind.layout.arrays[name]
     first = _WORDS * kind.layout.places[name]
     kind_of_array = array_type(item, dimensions)
-    words = [_loaded(builder, value, first + i) for i in range(1 + dimensions)]
+    inner = [ir.Constant(ir.IntType(64), extent) for extent in kind.layout.inner[name]]
+    words = [_loaded(builder, value, first + i) for i in range(1 + dimensions - len(inner))] + inner
     if not dimensions:
         return builder.inttoptr(words[0], context.get_value_type(kind_of_array))
     pointer = builder.inttoptr(words[0], context.get_data_type(item_type(item)).as_pointer())
@@ -244,6 +246,9 @@ class Workspace:
     def _place(self, name: str, array: np.ndarray, address: int) -> None:
         if name not in self._since:
             self._since[name] = self.__dict__.get(name)
+        inner = self.layout.inner[name]
+        if array.shape[array.ndim - len(inner) :] != inner:
+            raise ValueError(f"{name} is declared with {inner} as its last extents, got {array.shape}")
         self.__dict__[name] = _by_name(array)
         self.table[self.layout.places[name], : 1 + array.ndim] = (address, *array.shape)
 

@@ -95,9 +95,9 @@ def evaluate_state(address, time, only_kinematics):
         first, given = (callback.placed, callback.placed_with) if places else (callback.called, callback.called_with)
         if not call_python(first, given, callback.call_failed):
             return NOT_FINITE
-        if not places and callback.called_next != 0:
-            if not call_python(callback.called_next, callback.called_next_with, callback.call_failed):
-                return NOT_FINITE
+        follows = 0 if places else callback.called_next
+        if follows != 0 and not call_python(follows, callback.called_next_with, callback.call_failed):
+            return NOT_FINITE
     counters.evaluation_count += 1
     with_rows = only_kinematics in (KINEMATICS_OF_ALL, PLACES_OF_ALL, VELOCITIES_OF_ALL)
     status = evaluate_contacts(system, time, with_rows, not places)

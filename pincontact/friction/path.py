@@ -168,7 +168,8 @@ def follow_path(delassus, b, mu, address, target, tube, size, saxce, steps):
 
     delassus, b, mu, address: as for `solve_cones`; tube: width round the path in which a point counts as on it,
     relative to t (in a narrow one the steps are too short to get onto another branch); size: of b, where f = y = e;
-    saxce: 1, or 0 to leave De Saxce's term out, which makes the problem convex. All but target and steps as in the first call.
+    saxce: 1, or 0 to leave De Saxce's term out, which makes the problem convex. All but target and steps as in the
+    first call.
     """
     cone = cone_at(address)
     delassus, b, mu = view(delassus), view(b), view(mu)

@@ -7,13 +7,16 @@ from collections.abc import Callable
 from typing import Any
 
 import numba
+import numpy as np
 
 from pincontact.jit import _OPTIONS
+from pincontact.workspace import Layout, _by_name
 
 
-def from_python(part: Callable[..., Any]) -> Callable[..., Any]:
+def from_python(part: Callable[..., Any], layout: Layout | None = None) -> Callable[..., Any]:
     """A function that calls the part, compiled like an entry kernel but not cached, and with little optimisation, which
-    is most of the time that compilation takes."""
+    is most of the time that compilation takes. layout: that of the workspace which the part's first argument is, if
+    any."""
     if numba.config.DISABLE_JIT:
         return part
 
@@ -21,13 +24,27 @@ def from_python(part: Callable[..., Any]) -> Callable[..., Any]:
     def compiled(*arguments):
         return part(*arguments)
 
+    if layout is not None:
+        at = layout.at
+
+        @numba.njit(**_OPTIONS)
+        def compiled_at(address, *arguments):
+            return part(at(address), *arguments)
+
     @functools.wraps(part)
     def call(*arguments: Any) -> Any:
         usual = numba.config.OPT
         numba.config.OPT = type(usual)(1)
         try:
+            if layout is not None:
+                return compiled_at(arguments[0].address, *arguments[1:])
             return compiled(*arguments)
         finally:
             numba.config.OPT = usual
 
     return call
+
+
+def record_of(kind: np.dtype[Any], value: float = 0) -> Any:
+    """A record with the same number in all fields, as workspaces have it."""
+    return _by_name(np.full((), value, kind))

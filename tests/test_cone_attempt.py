@@ -99,10 +99,10 @@ def test_sweeps_go_on_where_they_did_not_do():
             rounds += 1
             is_solution(delassus, b, mu, two)
         alone = cone_workspace(4)
-        eighteen = solve_cones(delassus, b, mu, alone.table, attempt.CLASSIFY, 8, 1e-10, 2 + 16, 1)
+        eighteen = solve_cones(delassus, b, mu, alone.address, attempt.CLASSIFY, 8, 1e-10, 2 + 16, 1)
         assert (longer <= 1e-10) == (eighteen <= 1e-10)
         if eighteen <= 1e-10:
-            assert two.forces == pytest.approx(alone["forces"], abs=1e-9)
+            assert two.forces == pytest.approx(alone.forces, abs=1e-9)
     assert rounds >= 2
 
 

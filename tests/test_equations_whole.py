@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numba
 import numpy as np
 import pytest
-from calling import from_python
+from calling import from_python, record_of
 
 from pincontact.dynamics import equations
 from pincontact.friction.stribeck import stribeck
@@ -23,7 +23,7 @@ from pincontact.layout import (
     ANISOTROPIC,
     CONTACT_INTS,
     CONTACT_REALS,
-    COUNTERS_SIZE,
+    COUNTERS,
     DIRECTION_X,
     DOMAIN,
     DOMAIN_MARGIN,
@@ -39,7 +39,6 @@ from pincontact.layout import (
     GUARD_V,
     HIGH_FORCE,
     LIMIT_SLACK,
-    LOST_POSITIVITY,
     LOW_FORCE,
     MARGINS_PER_CONTACT,
     MODE,
@@ -56,8 +55,6 @@ from pincontact.layout import (
     PATTERN,
     POLYNOMIAL,
     ROLLING_ROW,
-    ROW_COUNT,
-    ROW_RANK,
     SLIP_RATE,
     SLIP_SIGN,
     SLIPPING,
@@ -211,7 +208,7 @@ def solved(at, reference=None, moves=None):
     n, nv = TOTAL, NVELOCITIES
     out = Instant(
         acceleration=np.full(nv, 9.0), force=np.full((n, 3), 9.0), relative=np.zeros((n, 3)),
-        margins=np.full((n, MARGINS_PER_CONTACT), 9.0), counters=np.full(COUNTERS_SIZE, 9),
+        margins=np.full((n, MARGINS_PER_CONTACT), 9.0), counters=record_of(COUNTERS, 9),
         integers=at.integers.copy(), numbers=at.numbers.copy(), row_index=np.zeros((3 * n, 2), dtype=np.int64),
     )  # fmt: skip
     start, rate, slope, since = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((2, 3 * n, nv)), 0.0
@@ -281,7 +278,7 @@ def test_forces_and_accelerations_of_all_kinds_of_items(slides, seed):
     assert out.status == (OK if margins.min() >= 0.0 else EVENT)
     # joint coordinates that are held have none to the last bit
     assert not out.acceleration[at.guards[[0, 2], GUARD_V]].any()
-    assert out.counters[[ROW_COUNT, ROW_RANK, LOST_POSITIVITY]].tolist() == [len(at.constrained)] * 2 + [0]
+    assert out.counters[["row_count", "row_rank", "lost_positivity"]].tolist() == (*[len(at.constrained)] * 2, 0)
     assert sorted(map(tuple, out.row_index[: len(at.constrained)].tolist())) == sorted(at.constrained)
     assert out.integers[13, MODE] == FREE
     for i in range(TOTAL):

@@ -1,4 +1,4 @@
-"""Parts of an evaluation on tables made by hand: corrections of constraints, resistances' rows, round-off of rows; and
+"""Parts of an evaluation on arrays made by hand: corrections of constraints, resistances' rows, round-off of rows; and
 what an evaluation asks for, on small scenes."""
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from calling import from_python
-from pincontact.memory import Memory, address_of
 from test_directions_parts import turned
 
 import pincontact as pc
@@ -27,10 +26,7 @@ from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
 from pincontact.layout import (
     CONTACT_INTS,
     CONTACT_REALS,
-    COUNTERS_SIZE,
     DOMAIN,
-    DRIVES_EVALUATED,
-    EVALUATION_COUNT,
     FREE,
     FRICTIONLESS,
     GUARD_END,
@@ -38,72 +34,61 @@ from pincontact.layout import (
     GUARD_Q,
     GUARD_REALS,
     GUARD_V,
-    HAS_REFERENCE,
     HIGH_END,
     LOW_END,
     MODE,
-    MODEL,
-    MODEL_JOINTS,
-    MODEL_SIZE,
-    NATIVE,
-    NC,
     NOTHING_THERE,
-    NQ,
-    NV,
     OK,
     OWNER,
     PATTERN,
-    REFERENCE_MOVES,
-    REFERENCE_TIME,
     ROLLING_ROW,
-    ROWS_FORMED,
-    SCALARS_SIZE,
     SIDE_INTS,
     SINGULAR,
     SLIPPING,
-    SLOTS,
     SPINNING_ROW,
     STICK,
     SUPPORT_SIZE,
+    SYSTEM,
     TANGENTS,
     TIME_DEPENDENT,
-    VELOCITY_LEFT,
 )
+from pincontact.workspace import Workspace, address_of
 
 SEEDS = pytest.mark.parametrize("seed", range(4))
 part = functools.cache(from_python)
 
 
-def table_of(rng, nc, ng, nr, nv, nq=None):
+def system_of(rng, nc, ng, nr, nv, nq=None):
     """Random numbers in all arrays that parts of an evaluation read and write, and a chain's mass matrix, factored."""
-    memory, n = Memory(SLOTS), nc + ng + nr
+    system, n = Workspace(SYSTEM), nc + ng + nr
     nq = nv if nq is None else nq
-    memory.integers("sizes", 8)[[NQ, NV, NC]] = nq, nv, nc
-    memory.integers("guard_count", 1)[0], memory.integers("resistance_count", 1)[0] = ng, nr
-    memory.reals("scalars", SCALARS_SIZE)
-    memory.integers("counters", COUNTERS_SIZE)
-    memory.integers("contact_int", n, CONTACT_INTS)[:, TANGENTS] = 2
-    memory.reals("contact_real", n, CONTACT_REALS)
-    memory.integers("guard_int", max(ng, 1), GUARD_INTS)
-    memory.reals("guard_real", max(ng, 1), GUARD_REALS)
-    memory.reals("q", nq)[:], memory.reals("v", nv)[:] = rng.normal(size=nq), rng.normal(size=nv)
+    system.zeros("sizes")
+    system.sizes["nq"], system.sizes["nv"], system.sizes["nc"] = nq, nv, nc
+    system.zeros("guard_count", 1)[0], system.zeros("resistance_count", 1)[0] = ng, nr
+    system.zeros("scalars")
+    system.zeros("counters")
+    system.zeros("contact_int", n, CONTACT_INTS)[:, TANGENTS] = 2
+    system.zeros("contact_real", n, CONTACT_REALS)
+    system.zeros("guard_int", max(ng, 1), GUARD_INTS)
+    system.zeros("guard_real", max(ng, 1), GUARD_REALS)
+    system.zeros("q", nq)[:], system.zeros("v", nv)[:] = rng.normal(size=nq), rng.normal(size=nv)
     for name, shape in (
         ("basis", (n, 3, 3)), ("slip", (n, 3)), ("gaps", (n, 2)), ("rows", (n, 3, nv)), ("bias", (n, 3)),
         ("correction_q", (nv,)), ("correction_v", (nv,)), ("multipliers", (3 * n,)), ("vectors", (16, 3)),
         ("whitened_rows", (3 * n, nv)), ("delassus", (3 * n, 3 * n + 1)), ("constraint_rows", (3 * n, 3 * n + 1)),
         ("frames", (2 * nc, 8, 3)), ("jacobian", (nv, 6)), ("derivatives", (2 * nc, DERIVATIVE_ROWS, 3)),
     ):  # fmt: skip
-        memory.reals(name, *shape)[:] = rng.normal(size=shape)
-    memory["basis"][:] = [turned(rng) for _ in range(n)]
-    memory.integers("row_index", 3 * n, 2)
-    memory.integers("permutation", 3 * n)
-    memory.integers("side_int", 2 * nc, SIDE_INTS)
-    memory.integers("support", 2 * nc, nv)
-    memory.integers("parents", nv)[:] = np.arange(nv) - 1
-    memory.reals("factor", nv, nv)[:] = np.tril(0.3 * rng.normal(size=(nv, nv)), -1) + np.diag(
+        system.zeros(name, *shape)[:] = rng.normal(size=shape)
+    system.basis[:] = [turned(rng) for _ in range(n)]
+    system.zeros("row_index", 3 * n, 2)
+    system.zeros("permutation", 3 * n)
+    system.zeros("side_int", 2 * nc, SIDE_INTS)
+    system.zeros("support", 2 * nc, nv)
+    system.zeros("parents", nv)[:] = np.arange(nv) - 1
+    system.zeros("factor", nv, nv)[:] = np.tril(0.3 * rng.normal(size=(nv, nv)), -1) + np.diag(
         rng.uniform(0.5, 2.0, nv)
     )
-    return memory
+    return system
 
 
 # ---------------------------------------------------------------------------------------------- corrections
@@ -112,8 +97,8 @@ def table_of(rng, nc, ng, nr, nv, nq=None):
 def closed_contacts(rng, redundant):
     """Contacts that stick, slide on a curve, are open and without friction; coordinates held at each end, at none, and
     free; resistances of the first, and of the open one."""
-    memory = table_of(rng, 4, 4, 2, 16, 18)
-    integers, guards, bounds = memory["contact_int"], memory["guard_int"], memory["guard_real"]
+    system = system_of(rng, 4, 4, 2, 16, 18)
+    integers, guards, bounds = system.contact_int, system.guard_int, system.guard_real
     integers[:, MODE] = (
         STICK,
         SLIPPING,
@@ -133,12 +118,12 @@ def closed_contacts(rng, redundant):
     guards[:, GUARD_Q], guards[:, GUARD_V], guards[:, GUARD_END] = [3, 5, 7, 9], [2, 4, 6, 8], [-1, 1, 0, 0]
     bounds[:, LOW_END], bounds[:, HIGH_END] = rng.normal(size=(2, 4))
     for g in range(4):
-        memory["basis"][4 + g], memory["rows"][4 + g] = np.eye(3), 0.0
-        memory["rows"][4 + g, 2, guards[g, GUARD_V]] = 1.0
+        system.basis[4 + g], system.rows[4 + g] = np.eye(3), 0.0
+        system.rows[4 + g, 2, guards[g, GUARD_V]] = 1.0
     if redundant:
         # the same gap twice
-        memory["rows"][3, 2], memory["gaps"][3, 0] = memory["rows"][0, 2], memory["gaps"][0, 0]
-    return memory
+        system.rows[3, 2], system.gaps[3, 0] = system.rows[0, 2], system.gaps[0, 0]
+    return system
 
 
 LISTED = [(0, 2), (0, 0), (0, 1), (1, 2), (1, 1), (3, 2), (4, 2), (5, 2), (6, 2), (8, 0), (8, 1)]
@@ -149,31 +134,31 @@ LISTED = [(0, 2), (0, 0), (0, 1), (1, 2), (1, 1), (3, 2), (4, 2), (5, 2), (6, 2)
 def test_corrections_are_the_least_in_the_mass_metric(redundant, seed):
     """Of positions by the gaps, where held ends have theirs; of velocities by what has to rest."""
     rng = np.random.default_rng(seed)
-    memory = closed_contacts(rng, redundant)
-    q, v, factor = memory["q"], memory["v"], memory["factor"]
-    gaps, bounds = memory["gaps"].copy(), memory["guard_real"]
+    system = closed_contacts(rng, redundant)
+    q, v, factor = system.q, system.v, system.factor
+    gaps, bounds = system.gaps.copy(), system.guard_real
     gaps[4:8, 0] = q[3] - bounds[0, LOW_END], q[5] - bounds[1, HIGH_END], 0.0, 0.0
-    slip = memory["slip"].copy()
+    slip = system.slip.copy()
     slip[4:8, 2] = v[[2, 4, 6, 8]]
-    assert part(evaluation.contact_corrections)(memory.table, 1, 1) == len(LISTED)
-    assert memory["contact_int"][9, MODE] == FREE
+    assert part(evaluation.contact_corrections, SYSTEM)(system, 1, 1) == len(LISTED)
+    assert system.contact_int[9, MODE] == FREE
     residual = np.array(
-        [memory["basis"][c, row] @ (slip[c] if c < 4 or c > 7 else [0, 0, slip[c, 2]]) for c, row in LISTED]
+        [system.basis[c, row] @ (slip[c] if c < 4 or c > 7 else [0, 0, slip[c, 2]]) for c, row in LISTED]
     )
-    rows = np.array([memory["rows"][c, row] for c, row in LISTED])
+    rows = np.array([system.rows[c, row] for c, row in LISTED])
     inverse = np.linalg.inv(factor)
     expected = inverse @ np.linalg.pinv(rows @ inverse, rcond=1e-9) @ -residual
     # systems with condition numbers of up to 1e3
-    assert memory["correction_v"] == pytest.approx(expected, abs=1e-9)
+    assert system.correction_v == pytest.approx(expected, abs=1e-9)
     normals = [i for i, (c, row) in enumerate(LISTED) if row == 2 or c == 1]
     left = np.array([gaps[LISTED[i][0], 2 - LISTED[i][1]] for i in normals])
     expected = inverse @ np.linalg.pinv(rows[normals] @ inverse, rcond=1e-9) @ -left
-    assert memory["correction_q"] == pytest.approx(expected, abs=1e-9)
-    scalars = memory["scalars"]
+    assert system.correction_q == pytest.approx(expected, abs=1e-9)
+    scalars = system.scalars
     assert scalars["gap_residual"] == pytest.approx(np.abs(left).max(), rel=1e-14)
     assert scalars["velocity_residual"] == pytest.approx(np.abs(residual).max(), rel=1e-13)
-    assert scalars["correction_size"] == pytest.approx(np.abs(memory["correction_q"]).max(), rel=1e-14)
-    unmet = np.abs(rows @ memory["correction_v"] + residual).max()
+    assert scalars["correction_size"] == pytest.approx(np.abs(system.correction_q).max(), rel=1e-14)
+    unmet = np.abs(rows @ system.correction_v + residual).max()
     assert scalars["velocity_left"] == (pytest.approx(unmet, rel=1e-9) if redundant else 0.0)
     assert redundant == (unmet > 1e-3)
 
@@ -181,14 +166,14 @@ def test_corrections_are_the_least_in_the_mass_metric(redundant, seed):
 def test_corrections_that_are_not_asked_for():
     rng = np.random.default_rng(7)
     for position, velocity in ((0, 1), (1, 0), (0, 0)):
-        memory = closed_contacts(rng, True)
-        before = memory["correction_q"].copy(), memory["correction_v"].copy()
-        memory["scalars"][VELOCITY_LEFT] = 5.0
-        part(evaluation.contact_corrections)(memory.table, position, velocity)
-        assert (memory["correction_q"] == before[0]).all() == (not position)
-        assert (memory["correction_v"] == before[1]).all() == (not velocity)
-        assert (memory["scalars"][VELOCITY_LEFT] > 0.0) == bool(velocity)
-        assert memory["scalars"][VELOCITY_LEFT] != 5.0
+        system = closed_contacts(rng, True)
+        before = system.correction_q.copy(), system.correction_v.copy()
+        system.scalars["velocity_left"] = 5.0
+        part(evaluation.contact_corrections, SYSTEM)(system, position, velocity)
+        assert (system.correction_q == before[0]).all() == (not position)
+        assert (system.correction_v == before[1]).all() == (not velocity)
+        assert (system.scalars["velocity_left"] > 0.0) == bool(velocity)
+        assert system.scalars["velocity_left"] != 5.0
 
 
 def test_rows_of_normals():
@@ -266,54 +251,54 @@ def test_rows_of_resistances(tangents, seed):
     """Their rates are derivatives of the components of omega along a basis that turns, but for what a tangent gets
     from the other one; their rows what joints do to them."""
     rng = np.random.default_rng(seed)
-    memory = table_of(rng, 2, 1, 3, 6)
-    integers, frames, vectors = memory["contact_int"], memory["frames"], memory["vectors"]
+    system = system_of(rng, 2, 1, 3, 6)
+    integers, frames, vectors = system.contact_int, system.frames, system.vectors
     integers[1, TANGENTS] = tangents
     integers[1, [SPINNING_ROW, ROLLING_ROW]] = 4, 5
     integers[4, TANGENTS], integers[5, TANGENTS] = 1, tangents
-    side_int, support = memory["side_int"], memory["support"]
+    side_int, support = system.side_int, system.support
     side_int[2:, SUPPORT_SIZE], support[2, :2], support[3, :3] = [2, 3], [0, 3], [1, 2, 3]
-    basis = memory["basis"][1].copy()
+    basis = system.basis[1].copy()
     turning = rng.normal(size=3)
     vectors[NORMAL_RATE] = np.cross(turning, basis[2])
-    before = {name: memory[name].copy() for name in ("bias", "rows", "slip", "basis")}
-    part(resistance.resistance_kinematics)(memory.table, 1, 6)
+    before = {name: getattr(system, name).copy() for name in ("bias", "rows", "slip", "basis")}
+    part(resistance.resistance_kinematics, SYSTEM)(system, 1, 6)
     omega = frames[3, OMEGA] - frames[2, OMEGA]
     rate = frames[3, ALPHA] - frames[2, ALPHA]
     about = {4: [basis[2]], 5: [basis[0], basis[1]] if tangents == 2 else [basis[1]]}
     jacobian = np.zeros((3, 6))
-    jacobian[:, [1, 2, 3]] += memory["jacobian"][[1, 2, 3], 3:].T
-    jacobian[:, [0, 3]] -= memory["jacobian"][[0, 3], 3:].T
+    jacobian[:, [1, 2, 3]] += system.jacobian[[1, 2, 3], 3:].T
+    jacobian[:, [0, 3]] -= system.jacobian[[0, 3], 3:].T
     for item, axes in about.items():
-        assert memory["slip"][item] == pytest.approx(omega, abs=1e-14)
+        assert system.slip[item] == pytest.approx(omega, abs=1e-14)
         for row, axis in enumerate(axes):
-            assert memory["basis"][item, row] == pytest.approx(axis, abs=1e-15)
+            assert system.basis[item, row] == pytest.approx(axis, abs=1e-15)
             # (axis . omega)', with axis' = turning x axis
             change = axis @ rate + np.cross(turning, axis) @ omega
             for other in basis[:2]:
                 if item == 5 and other @ axis < 0.5:
                     change -= (np.cross(turning, axis) @ other) * (other @ omega)
-            assert memory["bias"][item, row] == pytest.approx(change, abs=1e-12)
-            assert memory["rows"][item, row] == pytest.approx(axis @ jacobian, abs=1e-13)
+            assert system.bias[item, row] == pytest.approx(change, abs=1e-12)
+            assert system.rows[item, row] == pytest.approx(axis @ jacobian, abs=1e-13)
         rest = slice(len(axes), 3)
-        assert (memory["bias"][item, rest] == before["bias"][item, rest]).all()
-        assert (memory["rows"][item, rest] == before["rows"][item, rest]).all()
+        assert (system.bias[item, rest] == before["bias"][item, rest]).all()
+        assert (system.rows[item, rest] == before["rows"][item, rest]).all()
         # a basis of its own
-        assert np.linalg.det(memory["basis"][item]) == pytest.approx(1.0, rel=1e-12)
+        assert np.linalg.det(system.basis[item]) == pytest.approx(1.0, rel=1e-12)
     for name, values in before.items():
-        assert (memory[name][[0, 1, 2, 3]] == values[[0, 1, 2, 3]]).all()
+        assert (getattr(system, name)[[0, 1, 2, 3]] == values[[0, 1, 2, 3]]).all()
 
 
 @pytest.mark.parametrize("which", [SPINNING_ROW, ROLLING_ROW])
 def test_a_contact_with_one_resistance(which):
-    memory = table_of(np.random.default_rng(1), 2, 0, 2, 5)
-    memory["contact_int"][1, which] = 3
-    kept = memory["slip"].copy()
-    part(resistance.resistance_kinematics)(memory.table, 1, 4)
-    omega = memory["frames"][3, OMEGA] - memory["frames"][2, OMEGA]
-    assert memory["slip"][3] == pytest.approx(omega, abs=1e-14)
-    assert (memory["slip"][:3] == kept[:3]).all()
-    assert memory["basis"][3, 0] == pytest.approx(memory["basis"][1, 2 if which == SPINNING_ROW else 0], abs=1e-15)
+    system = system_of(np.random.default_rng(1), 2, 0, 2, 5)
+    system.contact_int[1, which] = 3
+    kept = system.slip.copy()
+    part(resistance.resistance_kinematics, SYSTEM)(system, 1, 4)
+    omega = system.frames[3, OMEGA] - system.frames[2, OMEGA]
+    assert system.slip[3] == pytest.approx(omega, abs=1e-14)
+    assert (system.slip[:3] == kept[:3]).all()
+    assert system.basis[3, 0] == pytest.approx(system.basis[1, 2 if which == SPINNING_ROW else 0], abs=1e-15)
 
 
 def test_what_resists_and_what_it_bears():
@@ -402,14 +387,15 @@ def test_an_open_contact_without_a_nearest_point():
 
 
 def asked_directly(system, choice=KINEMATICS_OF_ALL):
-    return evaluation.evaluate_state(address_of(system.table), 0.0, choice)
+    return evaluation.evaluate_state(system.address, 0.0, choice)
 
 
 def test_which_reference_forces_are_taken():
     """None, one that stays, or one that moves."""
     system = bead(pc.Plane(), (0.1, 0.2)).system
     for has, moves, expected in ((0.0, 0.0, 5.0), (1.0, 0.0, 5.0), (1.0, 1.0, 3.0 + 0.25 * 4.0)):
-        system.scalars[[HAS_REFERENCE, REFERENCE_MOVES, REFERENCE_TIME]] = has, moves, -0.25
+        for name, value in zip(("has_reference", "reference_moves", "reference_time"), (has, moves, -0.25)):
+            system.scalars[name] = value
         system.reference[:], system.reference_start[:], system.reference_rate[:] = 5.0, 3.0, 4.0
         system.reference_slope[:] = 0.0
         assert system.evaluate(0.0) == OK
@@ -484,12 +470,13 @@ def test_what_an_evaluation_is_confined_to(mode, choice):
     system = instant.system
     instant.evaluate()
     system.contact_int[0, MODE] = mode
-    counts = system.counters[[EVALUATION_COUNT, ROWS_FORMED, DRIVES_EVALUATED]].copy()
+    counted = ["evaluation_count", "rows_formed", "drives_evaluated"]
+    counts = np.array(system.counters[counted].tolist())
     system.rows[:], system.bias[:], system.free_acceleration[:] = 5.0, 5.0, 5.0
-    status = evaluation.evaluate_state(address_of(system.table), 0.0, choice)
+    status = evaluation.evaluate_state(system.address, 0.0, choice)
     assert status == OK
     with_rows = mode != FREE or choice in (KINEMATICS_OF_ALL, PLACES_OF_ALL, VELOCITIES_OF_ALL)
-    found = system.counters[[EVALUATION_COUNT, ROWS_FORMED, DRIVES_EVALUATED]] - counts
+    found = np.array(system.counters[counted].tolist()) - counts
     assert found.tolist() == [1, int(with_rows), 0]
     assert (system.rows[0] == 5.0).all() != with_rows
     assert (system.free_acceleration == 5.0).all() == (choice != 0)
@@ -509,12 +496,12 @@ def test_which_of_pinocchios_algorithms_are_called_by_address(choice, monkeypatc
     monkeypatch.setattr(evaluation, "call_by_address", lambda *numbers: called.append([int(n) for n in numbers]))
     through_python = evaluation.call_python
     monkeypatch.setattr(evaluation, "call_python", lambda *given: asked.append(given[0]) or through_python(*given))
-    system.callback[[NATIVE, MODEL]] = address_of(native), address_of(words)
+    system.callback["native"], system.callback["model"] = address_of(native), address_of(words)
     for size, joints in ((11, 12), (11, 13), (10, 12)):
         called.clear()
         asked.clear()
-        system.callback[[MODEL_SIZE, MODEL_JOINTS]] = size, joints
-        evaluation.evaluate_state(address_of(system.table), 0.0, choice)
+        system.callback["model_size"], system.callback["model_joints"] = size, joints
+        evaluation.evaluate_state(system.address, 0.0, choice)
         if (size, joints) == (11, 12):
             rows = {PLACES_OF_CLOSED: [2], PLACES_OF_ALL: [2], VELOCITIES_OF_ALL: [0]}.get(choice, [0, 1])
             assert called == native[rows].tolist()
@@ -523,5 +510,5 @@ def test_which_of_pinocchios_algorithms_are_called_by_address(choice, monkeypatc
             assert not called
             assert asked
     system.callback["native"] = 0
-    evaluation.evaluate_state(address_of(system.table), 0.0, choice)
+    evaluation.evaluate_state(system.address, 0.0, choice)
     assert not called

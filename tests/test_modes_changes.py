@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 import pytest
-from calling import from_python
+from calling import from_python, record_of
 from scipy.optimize import nnls
 from test_directions_parts import turned
 from test_modes_parts import CONTACTS, ELLIPSE, HELD, RESISTING, made
@@ -26,7 +26,7 @@ from pincontact.layout import (
     ANISOTROPIC,
     CONTACT_INTS,
     CONTACT_REALS,
-    COUNTERS_SIZE,
+    COUNTERS,
     DIRECTION_X,
     EVENT,
     FREE,
@@ -38,7 +38,6 @@ from pincontact.layout import (
     GUARD_REALS,
     GUARD_SIGN,
     GUARD_V,
-    HAS_REFERENCE,
     HIGH_FORCE,
     LENGTH,
     LOCATION_FAILED,
@@ -54,9 +53,7 @@ from pincontact.layout import (
     OK,
     OWNER,
     PATTERN,
-    REFERENCE_MOVES,
-    REFERENCE_TIME,
-    SCALARS_SIZE,
+    SCALARS,
     SLIP_RATE,
     SLIP_SIGN,
     SLIPPING,
@@ -97,7 +94,7 @@ class Items:
         self.inverse = np.linalg.inv(self.factor.T @ self.factor)
         self.bias_forces, self.tau = np.zeros(nv), np.zeros(nv)
         self.scale = np.array([1e-8, 1e-10])
-        self.counters, self.scalars = np.zeros(COUNTERS_SIZE, np.int64), np.zeros(SCALARS_SIZE)
+        self.counters, self.scalars = record_of(COUNTERS), record_of(SCALARS)
         self.reference = rng.normal(size=(n, 3))
         self.reference_start, self.reference_rate = rng.normal(size=(2, n, 3))
         self.reference_slope = rng.normal(size=(2, 3 * n, nv))
@@ -1055,7 +1052,7 @@ def test_a_solution_as_the_choice_of_forces(seed):
     """What slides has none to choose; a coordinate's is that beyond the middle of its range, or beyond its end."""
     rng = np.random.default_rng(seed)
     system, solver = made(rng)
-    system.reference, system.scalars = np.ones((10, 3)), np.ones(SCALARS_SIZE)
+    system.reference, system.scalars = np.ones((10, 3)), record_of(SCALARS, 1.0)
     forces = rng.normal(size=(8, 3))
     asked = []
     # coordinates come after the contacts, of which only some are closed, and resistances after those
@@ -1065,7 +1062,7 @@ def test_a_solution_as_the_choice_of_forces(seed):
     expected[5:8, 2] = 0.05 + forces[3, 0], -0.3 + forces[4, 2], 0.2 - forces[5, 2]
     expected[8, :2] = forces[6, :2]
     assert system.reference == pytest.approx(expected, abs=1e-14)
-    assert system.scalars[[HAS_REFERENCE, REFERENCE_MOVES]].tolist() == [1.0, 0.0]
+    assert system.scalars[["has_reference", "reference_moves"]].tolist() == (1.0, 0.0)
     assert asked == [T]
 
 
@@ -1150,8 +1147,8 @@ def reference_at(system, index, time, loads):
     """The reference that an evaluation takes, from its kernel."""
     reference, work = np.zeros_like(system.reference), np.zeros(system.nv)
     part(equations._move_reference)(
-        index, len(index), loads, time - system.scalars["reference_time"], system.reference_start, system.reference_rate,
-        system.reference_slope, system.nv, reference, work,
+        index, len(index), loads, time - system.scalars["reference_time"], system.reference_start,
+        system.reference_rate, system.reference_slope, system.nv, reference, work,
     )  # fmt: skip
     return reference[index[:, 0], index[:, 1]]
 
@@ -1173,7 +1170,7 @@ def test_a_choice_is_followed_along_its_tangent(seed):
     loads = -(rows @ system.free_acceleration + system.bias[index[:, 0], index[:, 1]])
     first = Choice(rng.normal(size=6), slope, span)
     solver._follow(0.3, index, first, operator, False)
-    assert system.scalars[[HAS_REFERENCE, REFERENCE_MOVES, REFERENCE_TIME]].tolist() == [1.0, 1.0, 0.3]
+    assert system.scalars[["has_reference", "reference_moves", "reference_time"]].tolist() == (1.0, 1.0, 0.3)
     assert not system.reference.any()
     for time in (0.3, 0.9):
         assert reference_at(system, index, time, loads) == pytest.approx(first.forces, abs=1e-11)
@@ -1196,7 +1193,7 @@ def test_a_choice_is_followed_along_its_tangent(seed):
     solver._follow(0.7, others, first, operator[::-1], True)
     assert not system.reference_rate.any()
     solver._take_reference(None)
-    assert system.scalars[[HAS_REFERENCE, REFERENCE_MOVES]].tolist() == [0.0, 0.0]
+    assert system.scalars[["has_reference", "reference_moves"]].tolist() == (0.0, 0.0)
     solver._follow(0.9, others, first, operator[::-1], True)
     assert not system.reference_rate.any()
 
@@ -1225,8 +1222,12 @@ def test_redundant_forces_are_chosen_anew(monkeypatch):
     assert (solver.redistributions, solver.redundant) == (1, True)
     # Newton's last step is that by which the cost falls by 1e-9
     assert reference_at(system, system.row_index[:2], T, np.array([4.0, 4.0])) == pytest.approx([2.0, 2.0], abs=1e-4)
+    numbers = np.zeros(len(SCALARS.names))
+    # the same, one by one and by name
+    kept, system.scalars = system.scalars.tolist(), numbers.view(SCALARS)[0]
+    numbers[:] = kept
     for holds, status in ((False, OK), (True, NO_FORCE)):
-        arrays = system.reference, system.reference_start, system.reference_rate, system.reference_slope, system.scalars
+        arrays = system.reference, system.reference_start, system.reference_rate, system.reference_slope, numbers
         for array in arrays:
             array += 0.125
         before, last = [array.tolist() for array in arrays], solver._last

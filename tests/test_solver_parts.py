@@ -277,7 +277,7 @@ def test_two_opposite_contacts_hold_what_a_harder_squeeze_would():
     delassus, mu = rows @ rows.T, np.array([0.8, 0.8])
     b = rows @ [0.0, 0.0, -1.0]
     solver = ContactSolver(nearest=True)
-    solver.table(2)
+    solver.address(2)
     forces = np.array([0.0, 0.5, 0.5, 0.0, -0.5, 0.5])
     solver.warm_start(np.full(2, STICK), forces, np.zeros(6))
     assert solver.solve(delassus, b, mu)

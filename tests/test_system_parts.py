@@ -22,11 +22,7 @@ from pincontact.layout import (
     ALONG_BODY_1,
     ALONG_BODY_2,
     ANISOTROPIC,
-    ASKED,
-    ASKED_WITH,
     ASPECT,
-    BAD_TIME,
-    BAD_TORQUE,
     CHART,
     CLOSED_FORM,
     CONTACT_INTS,
@@ -49,21 +45,11 @@ from pincontact.layout import (
     MU_FAST,
     MU_NOW,
     MU_STATIC,
-    NBLOCKS,
-    NC,
-    NJOINTS,
     NORMAL_1,
     NORMAL_2,
     NORMAL_SIGN,
-    NQ,
-    NV,
-    NWORK,
-    NY,
-    OUTPUT_COUNT,
-    OUTPUTS_DONE,
     OWNER,
     PATTERN,
-    RECORD_STEPS,
     ROLLING,
     ROLLING_ROW,
     SIDE,
@@ -137,18 +123,19 @@ def laid_out():
 def test_sizes(laid_out):
     scene, guards, system = laid_out
     nq, nv = scene.model.nq, scene.model.nv
-    sizes = system.memory["sizes"]
+    sizes = system.sizes
     ny = nq + nv + 12 + NUMBER_OF_WORKS
-    assert sizes[[NQ, NV, NC, NJOINTS, NBLOCKS, NWORK, NY]].tolist() == [nq, nv, 3, 5, 3, NUMBER_OF_WORKS, ny]
+    assert sizes[["nq", "nv", "nc", "njoints", "nblocks"]].tolist() == (nq, nv, 3, 5, 3)
+    assert sizes[["nwork", "ny"]].tolist() == (NUMBER_OF_WORKS, ny)
     assert (system.nq, system.nv, system.nc, system.ng, system.nr, system.items, system.ny) == (nq, nv, 3, 2, 3, 8, ny)
-    assert [len(system.memory[name]) for name in ("state", "new_state", "absolute")] == [ny] * 3
-    assert system.memory["guard_count"].tolist() == [2]
-    assert system.memory["resistance_count"].tolist() == [3]
+    assert [len(getattr(system, name)) for name in ("state", "new_state", "absolute")] == [ny] * 3
+    assert system.guard_count.tolist() == [2]
+    assert system.resistance_count.tolist() == [3]
     assert len(guards) == 2
     for name in ("contact_int", "contact_real", "basis", "slip", "rows", "force", "margins", "reference", "location"):
-        assert len(system.memory[name]) == 8
-    assert system.memory["whitened_rows"].shape == (24, nv)
-    assert system.memory["joint_table"][:, 1:].tolist() == [[0, 0, 2], [2, 2, 6], [9, 8, 1]]
+        assert len(getattr(system, name)) == 8
+    assert system.whitened_rows.shape == (24, nv)
+    assert system.joint_table[:, 1:].tolist() == [[0, 0, 2], [2, 2, 6], [9, 8, 1]]
     assert (system.q == pin.neutral(scene.model)).all()
     assert system.charted
     assert system.turns
@@ -169,21 +156,21 @@ def test_sizes(laid_out):
 def test_pinocchios_data_in_place(laid_out):
     scene, _, system = laid_out
     model, data = scene.model, system.data
-    assert system.memory["parents"].tolist() == list(data.parents_fromRow)[: model.nv]
-    assert system.memory["gravity"].tolist() == [0.1, 0.2, -9.0]
-    assert (system.memory["damping"] == model.damping).all()
+    assert system.parents.tolist() == list(data.parents_fromRow)[: model.nv]
+    assert system.gravity.tolist() == [0.1, 0.2, -9.0]
+    assert (system.damping == model.damping).all()
     q = pin.integrate(model, pin.neutral(model), np.linspace(0.1, 0.9, model.nv))
     system.q[:], system.v[:] = q, np.linspace(-0.5, 0.5, model.nv)
     system.evaluate_kinematics(0.0)
     for j in range(1, model.njoints):
         wanted = data.oMi[j].rotation.ravel(order="F"), data.oMi[j].translation, data.v[j].vector, data.a_gf[j].vector
-        for address, values in zip(system.memory["joint_addresses"][j].tolist(), wanted):
+        for address, values in zip(system.joint_addresses[j].tolist(), wanted):
             found = np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(ctypes.c_double)), (len(values),))
             assert found.tolist() == values.tolist()
     # of the mass matrix the upper triangle is what Pinocchio promises
-    assert (np.triu(system.memory["mass"]) == np.triu(data.M)).all()
+    assert (np.triu(system.mass) == np.triu(data.M)).all()
     assert np.triu(data.M).any()
-    assert system.memory["jacobian"] == pytest.approx(data.J)
+    assert system.jacobian == pytest.approx(data.J.T)
 
 
 def test_contacts_and_their_sides(laid_out):
@@ -209,7 +196,7 @@ def test_contacts_and_their_sides(laid_out):
             place = attached.placement_in_joint
             assert system.side_base[2 * c + side].tolist() == [*place.rotation.ravel(), *place.translation]
             assert (system.side_shape[2 * c + side] == attached.contour.shape_row()).all()
-            assert system.memory["side_domain"][2 * c + side].tolist() == list(attached.contour.ends())
+            assert system.side_domain[2 * c + side].tolist() == list(attached.contour.ends())
             moving = system.support[2 * c + side, : row[SUPPORT_SIZE]].tolist()
             # what moves it is what its Jacobian has columns for
             jacobian = pin.computeJointJacobian(scene.model, scene.model.createData(), system.q, attached.joint)
@@ -301,13 +288,15 @@ def test_joint_coordinates(laid_out):
     system.contact_int[:] = kept
 
 
-def test_several_contacts_need_other_kernels(monkeypatch):
-    scene, asked = scene_of(), []
-    monkeypatch.setattr(system_module, "compile_kernels", lambda several: asked.append(several))
-    contacts = list(scene.contacts.values())
-    for count in range(4):
-        System(scene.model, contacts[:count])
-    assert asked == [False, False, True, True]
+def test_several_contacts_and_friction_need_other_kernels(monkeypatch):
+    """Bodies that cannot slip have no friction to be solved for by them."""
+    scene, asked = scene_of((LAWS[0], pc.NoSlip())), []
+    monkeypatch.setattr(system_module, "compile_kernels", lambda friction, several: asked.append((friction, several)))
+    edge, tray, field = scene.contacts.values()
+    for contacts in ([], [edge], [tray], [field], [edge, field], [edge, tray], [edge, tray, field]):
+        System(scene.model, contacts)
+    alone, together = [(False, False), (False, False), (True, False), (False, False)], [(False, True), (True, True)]
+    assert asked == [*alone, *together, (True, True)]
 
 
 @pytest.mark.parametrize(
@@ -321,7 +310,7 @@ def test_what_varies_with_time(motion):
         unsteady = isinstance(motion, pc.HarmonicMotion) and chosen != contacts[1:2]
         assert system.varies_with_time is unsteady
         assert not system.asks
-        assert system.callback[[ASKED, ASKED_WITH]].tolist() == [0, 0]
+        assert system.callback[["asked", "asked_with"]].tolist() == (0, 0)
         system.before_evaluation(lambda t: None)
         assert system.asks
         assert system.varies_with_time
@@ -377,7 +366,7 @@ def test_torques_that_are_not_finite():
     system.tau[2] = math.inf
     with pytest.raises(UnusableResult, match=r"t = 0\.5 s: control returned inf"):
         system.check_torques(0.5)
-    system.scalars[[BAD_TORQUE, BAD_TIME]] = -math.inf, 0.25
+    system.scalars["bad_torque"], system.scalars["bad_time"] = -math.inf, 0.25
     with pytest.raises(UnusableResult, match=r"t = 0\.25 s: control returned -inf"):
         system.check_callbacks()
 
@@ -388,16 +377,16 @@ def test_times_of_output(count):
     times = np.linspace(0.5, 1.0, count)
     system.counters["outputs_done"] = 7
     system.set_output_times(times)
-    assert system.counters[[OUTPUT_COUNT, OUTPUTS_DONE, RECORD_STEPS]].tolist() == [count, 0, 0]
+    assert system.counters[["output_count", "outputs_done", "record_steps"]].tolist() == (count, 0, 0)
     for time in times[:3]:
         assert system.scalars["next_output"] == time
         system.output_done()
     if count <= 3:
         assert system.scalars["next_output"] == math.inf
     assert (system.output_times == times).all()
-    assert (system.memory["output_times"][:count] == times).all()
+    assert (system.output_times[:count] == times).all()
     system.set_output_times(None)
-    assert system.counters[[OUTPUT_COUNT, OUTPUTS_DONE, RECORD_STEPS]].tolist() == [0, 0, 1]
+    assert system.counters[["output_count", "outputs_done", "record_steps"]].tolist() == (0, 0, 1)
     assert system.scalars["next_output"] == math.inf
 
 

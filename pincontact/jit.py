@@ -88,8 +88,8 @@ def cache_root() -> Path:
 
 _CACHE = cache_root()
 # When an entry kernel is compiled: before the first run, before the first with Coulomb friction, before the first with
-# several contacts, when it is first called.
-ALWAYS, FRICTION, SEVERAL, CALLED = range(4)
+# several contacts, before the first by time stepping, when it is first called.
+ALWAYS, FRICTION, SEVERAL, STEPPING, CALLED = range(5)
 
 
 class Entry(NamedTuple):
@@ -187,14 +187,15 @@ INTEGER = types.int64
 REAL = types.float64
 
 
-def compile_kernels(friction: bool = False, several: bool = False) -> None:
+def compile_kernels(friction: bool = False, several: bool = False, stepping: bool = False) -> None:
     """Compile entry kernels that have no machine code on disk yet, with one line to the user.
 
     Done before the first scene runs; later processes load from disk what they use, when they use it. Kernels
     marked `aside` are compiled in a second process meanwhile.
-    friction, several: those for Coulomb friction, and for several contacts, too.
+    friction, several, stepping: those for Coulomb friction, for several contacts and for time stepping, too.
     """
-    needed = (ALWAYS, *((FRICTION,) if friction else ()), *((SEVERAL,) if several else ()))
+    asked = {FRICTION: friction, SEVERAL: several, STEPPING: stepping}
+    needed = (ALWAYS, *(when for when, wanted in asked.items() if wanted))
     if numba.config.DISABLE_JIT or _complete.get(needed) == len(ENTRIES):
         return
     missing = [entry for entry in ENTRIES if entry.when in needed and entry.missing]

@@ -29,7 +29,7 @@ from ..friction.ellipse import stretch_pair
 from ..geometry.carriers import ALPHA, OMEGA
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
-from ..jit import INTEGER, entry_kernel, kernel
+from ..jit import INTEGER, STEPPING, entry_kernel, kernel
 from ..layout import (
     ANISOTROPIC,
     DOMAIN,
@@ -603,7 +603,7 @@ def _add_viscous(system, step, h, change):
                     factor[i, j] += 0.5 * constant * line[i] * line[j]
 
 
-@entry_kernel(INTEGER, INTEGER, aside=True)
+@entry_kernel(INTEGER, INTEGER, aside=True, when=STEPPING)
 def assemble(system_address, step_address):
     """The cone problem of the step from the kinematics at its midpoint; OK, or a status of `layout`.
 

@@ -17,7 +17,7 @@ from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_
 from ..friction import cone
 from ..friction.attempt import AFRESH, USUAL
 from ..geometry.small import dot
-from ..jit import INTEGER, REAL, entry_kernel, kernel
+from ..jit import INTEGER, REAL, STEPPING, entry_kernel, kernel
 from ..layout import (
     DOMAIN,
     FREE,
@@ -511,7 +511,7 @@ def _next_row(system, step):
     return True
 
 
-@entry_kernel(INTEGER, INTEGER, INTEGER, INTEGER, REAL, REAL)
+@entry_kernel(INTEGER, INTEGER, INTEGER, INTEGER, REAL, REAL, when=STEPPING)
 def run_steps(system_address, step_address, task, found, t, h):
     """A status of `layout`, or what Python is needed for: see CONE_LEFT.
 

@@ -205,7 +205,7 @@ class MoreauStep:
 
     def __init__(self, system: System, contacts: Sequence[Contact]) -> None:
         # these kernels are compiled for those who use them
-        compile_kernels(friction=True, several=True)
+        compile_kernels(friction=True, several=True, stepping=True)
         self.system = system
         self._viscous = bool((system.contact_real[: system.nc, VISCOUS] > 0.0).any())
         joint_int, joint_real = joint_constraints(system.guards)

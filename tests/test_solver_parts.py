@@ -60,7 +60,7 @@ def test_a_trace_of_compliance(nearest, seed, monkeypatch):
     assert solver._soften(space, delassus, b, mu)
     assert solver.residual <= solver.tolerance
     assert space.forces == pytest.approx(before, rel=1e-8, abs=1e-12 * np.abs(before).max())
-    is_solution(delassus, b, mu, space.memory)
+    is_solution(delassus, b, mu, space)
     assert tasks == [(NEAR if nearest else WARM, WARM_PASSES, solver.tolerance, 0, 1)]
     for share, softening in zip(COMPLIANCES, asked):
         # round-off of adding it
@@ -99,7 +99,7 @@ def test_sweeps_after_other_stages(seed):
     space.forces[:] = 1e9
     assert not space.counts[KNOWN]
     assert solver._sweep(space, delassus, b, mu, 1e-10)
-    is_solution(delassus, b, mu, space.memory)
+    is_solution(delassus, b, mu, space)
     assert solver.residual <= 1e-10
     assert not solver._sweep(space, delassus, b, mu, -1.0)
 

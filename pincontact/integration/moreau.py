@@ -442,9 +442,11 @@ class MoreauStep:
         if counts[HOLDING] == WANTED:
             self._hold(n, *problem)
             counts[HOLDING] = LOOKED_FOR
+            self._hand_over(n)
             return True
         if counts[CHOOSING]:
             self._choose(n, *problem)
+            self._hand_over(n)
             return True
         self._left += 1
         solved, touched = False, bool(counts[TOUCHED])
@@ -463,11 +465,14 @@ class MoreauStep:
         if not solved and not (thorough and self._solve_hard(n, *problem)):
             return False
         self._numbers[CONE_RESIDUAL] = max(self._numbers[CONE_RESIDUAL], solver.residual)
-        # each size has buffers of its own
-        arrays = self.step_arrays
+        self._hand_over(n)
+        return True
+
+    def _hand_over(self, n: int) -> None:
+        """Put the solver's solution for n units where the compiled steps read it."""
+        solver, arrays = self.solver, self.step_arrays
         arrays.cone_forces[: 3 * n], arrays.cone_velocities[: 3 * n] = solver.forces, solver.velocities
         arrays.cone_modes[:n] = solver.modes
-        return True
 
     def _units(
         self,

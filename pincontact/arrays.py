@@ -227,6 +227,32 @@ def _reshape(array, n, m):
     return lambda array, n, m: _matrix(array, n, m)
 
 
+# Of arrays whose addresses were asked for: how many bytes there are from there on. Kept by the checked build only.
+ROOM: dict[int, int] = {}
+
+
+def address_of(array: np.ndarray) -> int:
+    """The address of an array's first element."""
+    address = int(array.__array_interface__["data"][0])
+    if CHECKED:
+        ROOM[address] = array.nbytes
+    return address
+
+
+if numba.config.DISABLE_JIT:
+    address = address_of
+else:
+
+    @intrinsic
+    def address(typing_context, array):
+        """Where an array's first element is."""
+
+        def generate(context, builder, signature, values):
+            return builder.ptrtoint(parts_of(context, builder, array, values[0])[0], _WORD)
+
+        return types.int64(array), generate
+
+
 if numba.config.DISABLE_JIT or CHECKED:
 
     def view(array):

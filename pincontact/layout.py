@@ -77,9 +77,9 @@ COUNTERS = record(
 )
 
 # what kernels call by address: a Python function to be asked first, or 0, and its arguments; one or two of Pinocchio's
-# algorithms and theirs; the result that means failure; the evaluation; the algorithm that gives places, velocities and
-# Jacobians alone; where the rows of `PinocchioCalls.native` are, or 0, and the model, with the two words that it begins
-# with
+# algorithms and theirs; the result that means failure; the evaluation and its second part; the algorithm that gives
+# places, velocities and Jacobians alone; where the rows of `PinocchioCalls.native` are, or 0, and the model, with the
+# two words that it begins with
 CALLBACK = record(
     INTEGERS,
     "asked",
@@ -90,6 +90,7 @@ CALLBACK = record(
     "called_next_with",
     "call_failed",
     "evaluation",
+    "dynamics",
     "placed",
     "placed_with",
     "native",
@@ -191,7 +192,8 @@ POLYNOMIAL_SIZE = 5
 FROZEN_COLUMNS = 8 + POLYNOMIAL_SIZE
 CONTACT_REALS = POLYNOMIAL + POLYNOMIAL_SIZE
 
-# side_int
+# side_int; POOL_ADDRESS, MOTION_POOL: of further numbers of the contour and its motion; EVALUATOR, MOTION_EVALUATOR:
+# of the kernels that evaluate them
 (
     KIND,
     CHART,
@@ -203,8 +205,10 @@ CONTACT_REALS = POLYNOMIAL + POLYNOMIAL_SIZE
     SUPPORT_SIZE,
     MOTION_POOL,
     MOTION_POOL_SIZE,
-) = range(10)
-SIDE_INTS = 10
+    EVALUATOR,
+    MOTION_EVALUATOR,
+) = range(12)
+SIDE_INTS = 12
 
 # guard_int: indices in q and v, direction of motion (0 without dry friction), end at which it is held (0: at none)
 GUARD_Q, GUARD_V, GUARD_SIGN, GUARD_END = range(4)

@@ -20,7 +20,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, lower_getattr_generic, models, register_model
 
-from .arrays import INTEGERS, REALS, array_type, item_type, make_view, parts_of
+from .arrays import INTEGERS, REALS, ROOM, address_of, array_type, item_type, make_view, parts_of
 from .jit import CHECKED
 
 # Words of an array in a workspace's table: its address and up to three extents.
@@ -99,18 +99,6 @@ def _attribute(context: Any, builder: Any, kind: WorkspaceType, value: Any, name
     return make_view(context, builder, kind_of_array, pointer, words[1:], None)
 
 
-# Of arrays whose addresses were asked for: how many bytes there are from there on. Kept by the checked build only.
-_room: dict[int, int] = {}
-
-
-def address_of(array: np.ndarray) -> int:
-    """The address of an array's first element."""
-    address = int(array.__array_interface__["data"][0])
-    if CHECKED:
-        _room[address] = array.nbytes
-    return address
-
-
 def _at_address(dimensions: int, item: np.dtype[Any]) -> Any:
     """`f(address, *shape)` for kernels: a view of the memory at an address, rows contiguous."""
     if numba.config.DISABLE_JIT:
@@ -118,8 +106,8 @@ def _at_address(dimensions: int, item: np.dtype[Any]) -> Any:
 
         def view(address: int, *shape: int) -> np.ndarray:
             count = math.prod(shape)
-            if CHECKED and 8 * count > _room.get(int(address), 0):
-                raise IndexError(f"a view of {count} numbers on an array of {_room.get(int(address), 0) // 8}")
+            if CHECKED and 8 * count > ROOM.get(int(address), 0):
+                raise IndexError(f"a view of {count} numbers on an array of {ROOM.get(int(address), 0) // 8}")
             if count == 0:
                 return np.zeros(shape, item)
             pointer = ctypes.cast(int(address), ctypes.POINTER(kind))

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 
-from ..contours.table import evaluate
+from ..arrays import address
+from ..contours.table import call_contour
 from ..geometry.carriers import point_bias, point_velocity
 from ..geometry.frames import STEEP
 from ..geometry.location import (
@@ -44,6 +45,7 @@ from ..layout import (
     CLOSED_FORM,
     CONDITION,
     DETERMINANT_SIGN,
+    EVALUATOR,
     K1,
     K2,
     KIND,
@@ -58,7 +60,6 @@ from ..layout import (
     SINGULAR,
     TIME_DEPENDENT,
 )
-from ..workspace import reals_at
 
 # rows of the scratch array `vectors`
 _DIFFERENCE, _NORMAL, _K_AXIS, _V1, _V2, _A, _B, _C, _D, NORMAL_RATE = range(10)
@@ -67,15 +68,17 @@ _DIFFERENCE, _NORMAL, _K_AXIS, _V1, _V2, _A, _B, _C, _D, NORMAL_RATE = range(10)
 @kernel
 def shape_in_world(integers, shape, frame, u1, u2, dimension, time, local, world):
     """Evaluate a contour and turn its derivatives to world axes."""
-    evaluate(
+    call_contour(
+        integers[EVALUATOR],
         integers[KIND],
         integers[CHART],
-        shape,
-        reals_at(integers[POOL_ADDRESS], integers[POOL_SIZE]),
+        address(shape),
+        integers[POOL_ADDRESS],
+        integers[POOL_SIZE],
         u1,
         u2,
         time,
-        local,
+        address(local),
     )
     rotation = frame[0:3]
     rotate(rotation, local[0], world[0])

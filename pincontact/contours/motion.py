@@ -15,8 +15,10 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import view
+from ..callback import kernel_caller
 from ..errors import ContourError, UnusableResult
 from ..jit import CALLED, INTEGER, REAL, entry_kernel, kernel
+from ..workspace import reals_at
 from .base import finite, flag, interval
 from .fits import fit
 from .piecewise import piecewise
@@ -454,6 +456,20 @@ def evaluate_motion(kind, parameters, pool, t, out):
     elif kind == MOTION_NONE:
         for i in range(MOTION_SIZE):
             out[i] = 1.0 if i in (0, 4, 8) else 0.0
+
+
+_ARGUMENTS = (INTEGER, INTEGER, INTEGER, INTEGER, REAL, INTEGER)
+# `call_motion(motion, kind, parameters, pool, pool_size, t, out)`: `evaluate_motion` by the kernel at address `motion`;
+# parameters, pool, out: addresses of (MOTION_PARAMETERS,), (pool_size,) and (24,).
+call_motion = kernel_caller(INTEGER, *_ARGUMENTS)
+
+
+@entry_kernel(*_ARGUMENTS, when=CALLED)
+def motion_at(kind, parameters, pool, pool_size, t, out):
+    """See `call_motion`."""
+    given, rest = reals_at(parameters, MOTION_PARAMETERS), reals_at(pool, pool_size)
+    evaluate_motion(kind, given, rest, t, reals_at(out, MOTION_SIZE))
+    return 0
 
 
 @entry_kernel(INTEGER, REAL[::1], REAL[::1], REAL, REAL[::1], when=CALLED)

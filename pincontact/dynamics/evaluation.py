@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 
-from ..callback import call_by_address, call_python
+from ..arrays import address as address_in
+from ..callback import call_by_address, call_python, kernel_caller
 from ..constraints.kinematics import add_point_rows, contact_kinematics, distance_to_ends
-from ..contours.motion import evaluate_motion
+from ..contours.motion import call_motion
 from ..friction.ellipse import set_stretch
 from ..geometry.carriers import add_drive, place_on_joint
 from ..geometry.patterns import ON_CURVE
@@ -34,6 +35,7 @@ from ..layout import (
     MARGINS_PER_CONTACT,
     MASS_NOT_POSITIVE,
     MODE,
+    MOTION_EVALUATOR,
     MOTION_KIND,
     MOTION_POOL,
     MOTION_POOL_SIZE,
@@ -103,7 +105,16 @@ def evaluate_state(address, time, only_kinematics):
     status = evaluate_contacts(system, time, with_rows, not places)
     if status != OK or only_kinematics != 0:
         return status
-    return evaluate_dynamics(system, time)
+    return _call_dynamics(callback.dynamics, address, time)
+
+
+_call_dynamics = kernel_caller(INTEGER, INTEGER, REAL)
+
+
+@entry_kernel(INTEGER, REAL)
+def dynamics_at(address, time):
+    """`evaluate_dynamics` of the system at an address."""
+    return evaluate_dynamics(system_at(address), time)
 
 
 @kernel
@@ -281,8 +292,15 @@ def drive_side(system, side, nc, ints, base, frame, time, vectors):
             for i in range(3):
                 frame[row, i] = 0.0
     parameters = system.side_motion_parameters[side]
-    pool = reals_at(ints[MOTION_POOL], ints[MOTION_POOL_SIZE])
-    evaluate_motion(ints[MOTION_KIND], parameters, pool, time, motion)
+    call_motion(
+        ints[MOTION_EVALUATOR],
+        ints[MOTION_KIND],
+        address_in(parameters),
+        ints[MOTION_POOL],
+        ints[MOTION_POOL_SIZE],
+        time,
+        address_in(motion),
+    )
     add_drive(motion, frame, vectors)
 
 

@@ -13,7 +13,8 @@ import pinocchio as pin
 from ..callback import kernel_address
 from ..contacts import characteristic_length
 from ..contours.base import DERIVATIVE_ROWS, SHAPE_SIZE
-from ..contours.motion import MOTION_CALLABLE, MOTION_NONE, MOTION_PARAMETERS, MOTION_SIZE, MOTION_TWIST
+from ..contours.motion import MOTION_CALLABLE, MOTION_NONE, MOTION_PARAMETERS, MOTION_SIZE, MOTION_TWIST, motion_at
+from ..contours.table import contour_address
 from ..errors import UnusableResult
 from ..friction.laws import Stribeck
 from ..geometry.carriers import ORIGIN
@@ -34,6 +35,7 @@ from ..layout import (
     CLOSED_FORM,
     CONTACT_INTS,
     CONTACT_REALS,
+    EVALUATOR,
     EVENT,
     FREE,
     FRICTIONLESS,
@@ -54,6 +56,7 @@ from ..layout import (
     LOW_FORCE,
     MARGINS_PER_CONTACT,
     MODE,
+    MOTION_EVALUATOR,
     MOTION_KIND,
     MOTION_POOL,
     MOTION_POOL_SIZE,
@@ -90,7 +93,7 @@ from ..layout import (
     VISCOUS,
 )
 from ..workspace import Workspace, address_of
-from .evaluation import evaluate_state
+from .evaluation import dynamics_at, evaluate_state
 from .pinocchio_calls import PinocchioCalls
 
 if TYPE_CHECKING:
@@ -220,6 +223,7 @@ class System(Workspace):
         integers[KIND], integers[CHART], integers[JOINT] = contour.kind, 0, attached.joint
         integers[TIME_DEPENDENT] = int(contour.time_dependent)
         integers[POOL_ADDRESS], integers[POOL_SIZE] = address_of(pool), pool.size
+        integers[EVALUATOR] = contour_address(contour.kind)
         self.side_shape[side] = contour.shape_row()
         self.side_domain[side] = contour.ends()
         placement = attached.placement_in_joint
@@ -238,6 +242,7 @@ class System(Workspace):
             self._pools.append(motion_pool)
             integers[MOTION_KIND] = motion.kind
             integers[MOTION_POOL], integers[MOTION_POOL_SIZE] = address_of(motion_pool), motion_pool.size
+            integers[MOTION_EVALUATOR] = kernel_address(motion_at)
             self.side_motion_parameters[side, : parameters.size] = parameters
             if motion.kind == MOTION_CALLABLE:
                 self.python_drives.append((side, attached.name, motion))
@@ -350,7 +355,7 @@ class System(Workspace):
             callback["model"] = calls.native[0, 1]
             callback["model_size"], callback["model_joints"] = calls.model_words
         callback["call_failed"] = id(False)
-        callback["evaluation"] = kernel_address(evaluate_state)
+        callback["evaluation"], callback["dynamics"] = kernel_address(evaluate_state), kernel_address(dynamics_at)
         self._asked_for_drives = (self._to_be_asked(None), ()) if self.python_drives else None
         self.before_evaluation()
 

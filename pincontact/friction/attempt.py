@@ -178,8 +178,12 @@ def solve_cones(delassus, b, mu, address, task, passes, tolerance, sweeps, round
                  nothing did, HUGE is returned, and the residual is in "reached".
     On success (residual <= tolerance) modes, forces and velocities are written, otherwise (but for AFRESH) none is.
     """
-    cone = cone_at(address)
-    delassus, b, mu = view(delassus), view(b), view(mu)
+    return _solve(view(delassus), view(b), view(mu), cone_at(address), task, passes, tolerance, sweeps, rounds)
+
+
+@kernel
+def _solve(delassus, b, mu, cone, task, passes, tolerance, sweeps, rounds):
+    # a part: what an entry kernel calls itself is compiled once more for those that are called by parts
     if task >= USUAL:
         nearest, sweeping, afresh = (task & NEAREST) != 0, (task & SWEEPING) != 0, (task & AFRESH) != 0
         return usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance)

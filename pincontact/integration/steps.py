@@ -753,7 +753,12 @@ def run_task(address, task, t, h):
 
     Returns a status of `layout`; for the MARCH tasks, which take their times from the scalars, what they came back for.
     """
-    system = system_at(address)
+    return _run(system_at(address), task, t, h)
+
+
+@kernel
+def _run(system, task, t, h):
+    # a part: what an entry kernel calls itself is compiled once more for those that are called by parts
     if task in (EVALUATE, KINEMATICS):
         return evaluate(system, t, KINEMATICS_OF_ALL if task == KINEMATICS else 0)
     if task == ATTEMPT:

@@ -15,6 +15,7 @@ import gc
 import hashlib
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -113,6 +114,13 @@ class Entry(NamedTuple):
         gc.disable()
         try:
             self.compiled.compile(self.arguments)
+        except Exception as error:
+            if not self.directory.exists():
+                raise
+            # files that a crash or a full disk has left; an error of another kind comes again
+            print(f"pincontact: a kernel on disk cannot be read ({error}); compiling it again ...", file=sys.stderr)
+            shutil.rmtree(self.directory, ignore_errors=True)
+            self.compiled.compile(self.arguments)
         finally:
             if collecting:
                 gc.enable()
@@ -158,7 +166,7 @@ def entry_kernel(
             numba.config.CACHE_DIR = previous
         entry = Entry(compiled, arguments, aside, directory, when)
         ENTRIES.append(entry)
-        return compiled if when == ALWAYS or numba.config.DISABLE_JIT else _announced(entry)
+        return compiled if numba.config.DISABLE_JIT else _announced(entry)
 
     return decorate
 
@@ -171,9 +179,11 @@ def _announced(entry: Entry) -> Callable[..., Any]:
     def call(*values: Any) -> Any:
         nonlocal unknown
         if unknown:
-            if entry.missing:
+            missing = entry.missing
+            if missing:
                 print("pincontact: compiling a kernel, once for this version (some seconds) ...", file=sys.stderr)
-                entry.compile()
+            entry.compile()
+            if missing:
                 entry.mark()
             unknown = False
         return compiled(*values)

@@ -77,7 +77,7 @@ COUNTERS = record(
 )
 
 # what kernels call by address: a Python function to be asked first, or 0, and its arguments; one or two of Pinocchio's
-# algorithms and theirs; the result that means failure; the evaluation and its second part; the algorithm that gives
+# algorithms and theirs; the result that means failure; the evaluation; the algorithm that gives
 # places, velocities and Jacobians alone; where the rows of `PinocchioCalls.native` are, or 0, and the model, with the
 # two words that it begins with
 CALLBACK = record(
@@ -90,7 +90,6 @@ CALLBACK = record(
     "called_next_with",
     "call_failed",
     "evaluation",
-    "dynamics",
     "placed",
     "placed_with",
     "native",

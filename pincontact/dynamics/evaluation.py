@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from ..arrays import address as address_in
-from ..callback import call_by_address, call_python, kernel_caller
+from ..callback import call_by_address, call_python
 from ..constraints.kinematics import add_point_rows, contact_kinematics, distance_to_ends
 from ..contours.motion import call_motion
 from ..friction.ellipse import set_stretch
@@ -105,16 +105,7 @@ def evaluate_state(address, time, only_kinematics):
     status = evaluate_contacts(system, time, with_rows, not places)
     if status != OK or only_kinematics != 0:
         return status
-    return _call_dynamics(callback.dynamics, address, time)
-
-
-_call_dynamics = kernel_caller(INTEGER, INTEGER, REAL)
-
-
-@entry_kernel(INTEGER, REAL)
-def dynamics_at(address, time):
-    """`evaluate_dynamics` of the system at an address."""
-    return evaluate_dynamics(system_at(address), time)
+    return evaluate_dynamics(system, time)
 
 
 @kernel

@@ -93,7 +93,7 @@ from ..layout import (
     VISCOUS,
 )
 from ..workspace import Workspace, address_of
-from .evaluation import dynamics_at, evaluate_state
+from .evaluation import evaluate_state
 from .pinocchio_calls import PinocchioCalls
 
 if TYPE_CHECKING:
@@ -355,7 +355,7 @@ class System(Workspace):
             callback["model"] = calls.native[0, 1]
             callback["model_size"], callback["model_joints"] = calls.model_words
         callback["call_failed"] = id(False)
-        callback["evaluation"], callback["dynamics"] = kernel_address(evaluate_state), kernel_address(dynamics_at)
+        callback["evaluation"] = kernel_address(evaluate_state)
         self._asked_for_drives = (self._to_be_asked(None), ()) if self.python_drives else None
         self.before_evaluation()
 

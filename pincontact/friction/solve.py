@@ -288,8 +288,8 @@ class ContactSolver:
     def solve(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool = False) -> bool:
         """Solve one problem: delassus (3n, 3n) symmetric, b (3n,), mu (n,), C-contiguous float64. True if solved.
 
-        afresh: the solution, of several, depends neither on the last one nor on the order of contacts: all stick, if
-        they can, else it is what Newton's method finds from there, or the path.
+        afresh: of several solutions not the one nearest to the last, but what Newton's method finds from all at rest,
+        else the path, which knows no order of contacts.
         """
         space = self._space
         if space.contacts != mu.shape[0]:
@@ -308,7 +308,7 @@ class ContactSolver:
         self.residual = swept = float(space.reached[0]) if have_swept else np.inf
         self.certificate = None
         self.jammed = False
-        # sweeps take contacts in their order
+        # sweeps take contacts in their order: last, and where the path runs away without a proof
         for stage in sorted(self.stages, key="sweeps".__eq__) if afresh else self.stages:
             if stage == "sweeps":
                 if have_swept:
@@ -324,7 +324,7 @@ class ContactSolver:
             if solved:
                 space.decide(stage)
                 return True
-            if self.jammed:
+            if self.jammed and not (afresh and self.certificate is None):
                 break
         if "sweeps" in self.stages and swept <= self.tolerance and self._sweep(space, delassus, b, mu, self.tolerance):
             # What they had found was good enough, if not as good as can be.

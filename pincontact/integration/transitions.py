@@ -342,7 +342,7 @@ class Transitions:
                 stops = True
         if self._striking:
             return self._touch(t, self._striking[0])
-        return self._collide(t, system.closed(), {}) if stops else None
+        return self._collide(t, [], {}) if stops else None
 
     def modes_from_velocities(self, after_impact: bool = False) -> list[int]:
         """Give closed contacts and their resistances the mode that their slip shows; returns those at rest whose
@@ -634,7 +634,7 @@ class Transitions:
         if kind in (GAP_MARGIN, DOMAIN_MARGIN):
             self._check_chatter(t, index)
             self._stop_joint(t, g, -1 if kind == GAP_MARGIN else 1)
-            return self._collide(t, system.closed(), {})
+            return self._collide(t, [], {})
         self._check_chatter(t, index)
         if kind == SPEED_MARGIN:
             speed = float(system.v[system.guards[g].index_v])
@@ -1045,7 +1045,10 @@ class Transitions:
         return bool(abs(self.system.gaps[c, 0]) <= reach and self.system.highest[c, GAP_MARGIN] <= reach)
 
     def _collide(self, t: float, touching: list[int], restitution: dict[int, float]) -> float:
-        """Impulses on all closed contacts and ends of joints, then new modes from the velocities after them."""
+        """Impulses on all closed contacts and ends of joints, then new modes from the velocities after them.
+
+        touching: contacts that have struck, whose modes the caller announces.
+        """
         system, rk = self.system, self.rk
         integers = system.contact_int
         self._started.clear()
@@ -1058,7 +1061,7 @@ class Transitions:
         ends = list(sides)
         impact = apply_impact(system, self.modes.solver, closed, ends, restitution)
         if impact is None:
-            names = ", ".join(repr(self.names[i]) for i in touching) or "a joint's limit"
+            names = ", ".join(repr(self.names[i]) for i in touching or closed) or "a joint's limit"
             raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}; {ADVICE}")
         rk.keep_velocity()
         if self._counts_works:

@@ -236,14 +236,20 @@ def slides_instead(motion: Motion, stepped: pc.Trajectory, exact: pc.Trajectory)
     return any(slides(stepped, name) and not slides(exact, name) for name in ideal)
 
 
-def strikes_within(step: float, until: float, *runs: pc.Trajectory) -> bool:
+def strikes_within(step: float, since: float, until: float, *runs: pc.Trajectory) -> bool:
     """Whether two impacts of different contacts or stops are less than a step apart: steps take them as one, and the
     first may keep the second from striking in the exact run."""
     for run in runs:
-        struck = [(e.time, e.contact) for e in run.events if e.kind in ("touch", "limit") and e.time <= until]
+        struck = [(e.time, e.contact) for e in run.events if e.kind in ("touch", "limit") and since < e.time <= until]
         if any(t1 - t0 < step and one != two for (t0, one), (t1, two) in pairwise(struck)):
             return True
     return False
+
+
+def near_until(runs: Runs, apart: np.ndarray, allowed: float) -> tuple[float, float]:
+    """The outputs between which runs come to be further apart than that."""
+    i = first_over(apart, allowed) or 0
+    return float(runs.times[max(i - 1, 0)]), float(runs.times[i])
 
 
 def judge_steps(runs: Runs, exact: pc.Trajectory, finding: Finding) -> None:
@@ -282,7 +288,7 @@ def judge_steps(runs: Runs, exact: pc.Trajectory, finding: Finding) -> None:
         finding.undecided.append(f"steps: {said} apart, ideal rolling is let go with a force")
     elif first.stats["open_loads"] or second.stats["open_loads"]:
         finding.undecided.append(f"steps: {said} apart, and say that redundant loads are open")
-    elif strikes_within(step, float(runs.times[i]), exact, run):
+    elif strikes_within(step, *near_until(runs, found[-1], COVERED * step * speed), exact, run):
         finding.undecided.append(f"steps: {said} apart, two impacts within a step")
     else:
         finding.wrong.append(f"steps: {said} apart with halved steps, {found[-1][i]:.1e} at {runs.times[i]:.3f} s")

@@ -70,7 +70,7 @@ def drop_unturned(row, nv):
 
 
 @kernel
-def resistance_kinematics(system, c, total):
+def resistance_kinematics(system, c):
     """Basis, relative angular velocity, rows and biases of contact c's resistances, after its own kinematics.
 
     The rate of a tangential component of omega leaves out what only turns the other tangential one into it: a

@@ -226,6 +226,19 @@ FREE, FRICTIONLESS, STICK, SLIPPING = -1, 0, 1, 2
 # what an evaluation returns
 OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, TOO_LONG = range(8)
 
+# Memory of a Runge-Kutta step. Rows of the coefficients and of the slopes: 16 for stages and the interpolant, the last
+# one for scratch; of the error weights: two estimates of the state's error, the rest for event functions (see
+# `integration.resolution`); of the interpolant's coefficients (Sharp98 uses all, DOP853 seven, RK45 four, RK23 three);
+# of event functions that are kept behind those of a scan: of all stages from the step's start on, and of one state.
+MAX_STAGES = 17
+ERROR_ROWS = 14
+DENSE_ROWS = 8
+KEPT_ROWS = MAX_STAGES + 1
+# quadratures at the end of the state, J, where energies are recorded: work of friction, of prescribed motions, of the
+# user's torques, of the joints' damping and dry friction
+FRICTION_WORK, DRIVE_WORK, TORQUE_WORK, DAMPING_WORK = range(4)
+NUMBER_OF_WORKS = 4
+
 # places along a step that are evaluated by one call, and the gap beyond the end of a contour, where nothing can touch
 SCAN_ROOM = 9
 NOTHING_THERE = 1e300

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import ModelError, StateError
-from ..integration.manifold import VECTOR, configuration_blocks
+from .manifold import VECTOR, configuration_blocks
 
 # A coordinate beyond its end by no more than this (rad or m) is at it.
 END_SLACK = 1e-9

@@ -90,7 +90,7 @@ def evaluate_state(address, time, part):
 
 @kernel
 def ask_user(system):
-    """Call the user's control and motions, if there are any; whether they have answered with numbers."""
+    """Call the user's control and prescribed motions, where there are any; whether all torques are finite."""
     callback = system.callback
     if callback.asked == 0:
         return True
@@ -223,7 +223,7 @@ def measure_ends(system, c):
 
 @inlined_kernel
 def form_rows(system, c):
-    """Constraint rows of a contact and of its resistances, and the stretch of friction along body 1's tangent."""
+    """Constraint rows of a contact and of its resistances, and friction-ellipse scaling along body 1's tangent."""
     integers = system.contact_int[c]
     system.counters.rows_formed += 1
     if integers[ANISOTROPIC] == ALONG_BODY_1:

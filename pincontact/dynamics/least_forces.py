@@ -64,7 +64,7 @@ def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents,
             total += largest
             break
         if integers[ANISOTROPIC] != 0:
-            # row i of the stretch
+            # row i of the friction ellipse's scaling
             first, second = numbers[STRETCH_11 + i], numbers[STRETCH_12 + i]
             for k in range(nv):
                 work[k] = first * rows[c, 0, k] + second * rows[c, 1, k]

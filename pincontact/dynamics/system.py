@@ -198,8 +198,8 @@ class System(Workspace):
             numbers[NORMAL_1] = numbers[SPAN] = 1.0
             self._map_side(2 * c, one)
             self._map_side(2 * c + 1, two)
-        # places in the state of location parameters that are not there, or not followed: a closed form needs no start
-        # to find them
+        # places in the state of contact coordinates that do not exist, or are not integrated: a closed form needs no
+        # start to find them
         columns = self.contact_int[: self.nc]
         unfollowed = np.tile(np.arange(2), 2) >= np.repeat(columns[:, [K1, K2]], 2, axis=1)
         unfollowed[columns[:, CLOSED_FORM] != NO_CLOSED_FORM] = True
@@ -276,7 +276,7 @@ class System(Workspace):
         self.scratch("reference_slope", 2, rows, nv)
 
     def _map_guards(self, guards: Sequence[Guard]) -> None:
-        """Guarded joint coordinates are rows after the contacts': one constraint row each, moving unless held."""
+        """Joint coordinates with limits or dry friction are items after the contacts, of one constraint row each."""
         nc, ng = self.nc, self.ng
         self.zeros("guard_count", 1)[0] = ng
         self.guards = list(guards)
@@ -291,7 +291,7 @@ class System(Workspace):
             self.rows[nc + g, 2, guard.index_v] = 1.0
 
     def _map_resistances(self) -> None:
-        """Resistances to turning are rows after the guarded coordinates': see `resistance`."""
+        """Resistances to turning are rows after those of joint coordinates: see `resistance`."""
         self.zeros("resistance_count", 1)[0] = self.nr
         for item, (c, spins) in enumerate(self.resistances, start=self.nc + self.ng):
             integers, numbers = self.contact_int[item], self.contact_real[item]
@@ -353,7 +353,7 @@ class System(Workspace):
 
     @property
     def varies_with_time(self) -> bool:
-        """Whether anything but the state decides: a user's function, or a contour that is driven unsteadily."""
+        """Whether evaluations depend on time: by a user's function, or by a prescribed motion that is not steady."""
         return self.asks or self._driven_unsteadily
 
     @cached_property
@@ -439,7 +439,7 @@ class System(Workspace):
         return self.contact_int[: self.nc, MODE]
 
     def held(self) -> list[int]:
-        """Numbers of the guarded joint coordinates that are held."""
+        """Numbers of the joint coordinates that their limits or dry friction hold."""
         return [g for g in range(self.ng) if self.contact_int[self.nc + g, MODE] != FREE]
 
     def joint_forces(self) -> np.ndarray:

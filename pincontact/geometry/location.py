@@ -1,6 +1,6 @@
-"""Location parameters: conditions C1 and C2, their values and their rates (Eqs. 1-7).
+"""Contact coordinates: conditions C1 and C2, their values and their rates (Eqs. 1-7).
 
-Of the m equations, k well-conditioned ones are solved for the location parameters p = (u_1, u_2): C1 projected on
+Of the m equations, k well-conditioned ones are solved for the contact coordinates p = (u_1, u_2): C1 projected on
 the tangents, t . (r_2 - r_1) = 0, and C2, N . t_1 = 0 with N the normal of body 2. What is left of C1 is the gap
 along the normal. Written so, p is a smooth function of (q, t) also off the constraint, and the gap's rate is
 exactly the normal component of v_c.
@@ -34,7 +34,7 @@ BRANCHES = {
 
 
 def closed_form(kind1: int, kind2: int) -> int:
-    """Which closed form solves the location equations of two kinds of contours, if any."""
+    """Which closed form gives the contact coordinates of two kinds of contours, if any."""
     if kind2 == PLANE and kind1 == POINT:
         return POINT_ON_PLANE
     if kind2 == PLANE and kind1 in (CIRCLE, ELLIPSE, SPHERE, ELLIPSOID):
@@ -181,7 +181,7 @@ def solve_location(k1, k2, equations):
 
 @kernel
 def tangent_at_fixed_u(frame, derivatives, a, out):
-    """Rate of the tangent t_a at fixed location parameters: omega x t_a + R d2c/du dt."""
+    """Rate of the tangent t_a at fixed contact coordinates: omega x t_a + R d2c/du dt."""
     for i in range(3):
         out[i] = derivatives[7 + a, i]
     add_cross(frame[OMEGA], derivatives[1 + a], out)

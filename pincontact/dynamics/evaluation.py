@@ -10,17 +10,15 @@ The protocol, in the arrays of `layout.SYSTEM`. Loaded before the call: `q`, `v`
 
 What is valid afterwards, where the status is OK or EVENT:
 
-| part | Pinocchio's terms | contacts | forces, accelerations, factor |
-|---|---|---|---|
-| 0 | all | all of 3 for closed ones; for open ones all but `rows` | yes |
-| KINEMATICS_OF_ALL | all | all of 3 for all contacts | as they were |
-| VELOCITIES_OF_ALL | but mass, Jacobians and poses, for q of the evaluation before | all of 3 for all | as they were |
-| PLACES_OF_ALL | but mass and bias forces | but `bias`, for all contacts | as they were |
-| PLACES_OF_CLOSED | but mass and bias forces | but `bias`, and but `rows` of open ones | as they were |
+- part 0: everything, but for `rows` of open contacts;
+- KINEMATICS_OF_ALL: 1 to 3 for all contacts, `rows` of open ones too; what 4 writes stays as it was;
+- VELOCITIES_OF_ALL: the same, with mass, Jacobians and poses of the evaluation before, which was at the same q;
+- PLACES_OF_ALL: the same without `mass`, `nle` and accelerations: no `bias`, nor the last rows of `frames`;
+- PLACES_OF_CLOSED: as PLACES_OF_ALL, but no `rows` of open contacts.
 
-With NO_FORCE the kinematics are valid and `free_acceleration` is, but nothing after it. With any other status the
-evaluation broke off in the contact, or the step, that it speaks of. An open contact without a nearest point does not
-end it: its gap is NOTHING_THERE. `contact_corrections` reads the last evaluation's rows, gaps, v_c and factor, and
+With NO_FORCE the kinematics, `factor` and `free_acceleration` are valid, and nothing after them. With any other status
+the evaluation broke off in the contact, or the step, that it speaks of. An open contact without a nearest point
+does not end it: its gap is NOTHING_THERE. `contact_corrections` reads the last evaluation's rows, gaps, v_c and factor, and
 overwrites `whitened_rows`, `multipliers` and `row_index`.
 """
 

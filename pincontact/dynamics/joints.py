@@ -23,8 +23,8 @@ END_SLACK = 1e-9
 
 @dataclass(frozen=True)
 class Guard:
-    """A coordinate with a limit or dry friction: joint name, indices in q and v, range of the dry friction force in N or
-    N m (low <= 0 <= high), range of q (infinite without a limit; always so where the configuration is no vector)."""
+    """A coordinate with a limit or dry friction: joint name, indices in q and v, range of the dry friction force in N
+    or N m (low <= 0 <= high), range of q (infinite without a limit; always so where the configuration is no vector)."""
 
     joint: str
     index_q: int

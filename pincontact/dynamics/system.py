@@ -36,7 +36,6 @@ from ..layout import (
     GUARD_INTS,
     GUARD_Q,
     GUARD_REALS,
-    GUARD_SIGN,
     GUARD_V,
     HIGH_END,
     HIGH_FORCE,
@@ -86,6 +85,7 @@ from ..layout import (
     VISCOUS,
 )
 from ..workspace import Workspace, address_of
+from .equations import guard_force
 from .evaluation import KINEMATICS_OF_ALL, evaluate_state
 from .manifold import TURNING, configuration_blocks
 from .pinocchio_calls import PinocchioCalls
@@ -446,11 +446,9 @@ class System(Workspace):
         """(nv,) forces of joint limits and dry joint friction in the last evaluation, N or N m."""
         out = np.zeros(self.nv)
         for g in range(self.ng):
-            guard, numbers = self.guard_int[g], self.guard_real[g]
-            if self.contact_int[self.nc + g, MODE] != FREE:
-                out[guard[GUARD_V]] = self.force[self.nc + g, 2]
-            elif guard[GUARD_SIGN]:
-                out[guard[GUARD_V]] = numbers[LOW_FORCE if guard[GUARD_SIGN] > 0 else HIGH_FORCE]
+            guard, mode = self.guard_int[g], self.contact_int[self.nc + g, MODE]
+            moving = guard_force(mode, guard, self.guard_real[g])
+            out[guard[GUARD_V]] = moving if mode == FREE else self.force[self.nc + g, 2]
         return out
 
     def closed(self) -> list[int]:

@@ -13,11 +13,7 @@ import pinocchio as pin
 from .arguments import NOT_REAL, is_number, real_array, warn_of_order
 from .contacts import Contact, characteristic_length
 from .dynamics.joints import joint_of, without_inertia
-from .dynamics.system import System
-from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
-from .geometry.search import Candidate, find_candidates
-from .integration.contradictions import contradiction
-from .integration.manifold import (
+from .dynamics.manifold import (
     CIRCLE_BLOCK,
     FREE_FLYER,
     PLANAR_BLOCK,
@@ -25,6 +21,11 @@ from .integration.manifold import (
     VECTOR,
     configuration_blocks,
 )
+from .dynamics.system import System
+from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
+from .geometry.search import Candidate, find_candidates
+from .integration.contradictions import contradiction
+from .integration.run_system import RunSystem
 from .layout import (
     BRANCH,
     CHART,
@@ -263,7 +264,7 @@ def find_state(scene: Scene, q: Any, v: Any | None, t: float, free: Sequence[str
         if scene.contacts[name].bilateral:
             raise ArgumentError(f"free: contact {name!r} is bilateral and cannot open")
     contacts = list(scene.contacts.values())
-    system = System(model, contacts)
+    system = RunSystem(model, contacts)
     system.q[:], system.v[:] = q, v
     candidates: dict[str, list[Candidate]] = {}
     for c, contact in enumerate(contacts):
@@ -351,7 +352,7 @@ def _gap_length(contact: Contact) -> float:
     return characteristic_length(contact)
 
 
-def _correct(scene: Scene, system: System, q: np.ndarray, v: np.ndarray, t: float) -> Correction:
+def _correct(scene: Scene, system: RunSystem, q: np.ndarray, v: np.ndarray, t: float) -> Correction:
     """Project (q, v) of the system onto the constraints; reports the change."""
     names = [c.name for c in system.contacts]
     status = system.evaluate(t)

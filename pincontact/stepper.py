@@ -9,9 +9,9 @@ import numpy as np
 
 from .arguments import NOT_REAL, is_count, is_number, real_array
 from .dynamics.joints import joint_guards
-from .dynamics.system import System
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
 from .integration.moreau import DEFAULT_STEP, MoreauStep
+from .integration.run_system import RunSystem
 from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
 from .state import State, check_state, check_vector, coordinates_of, discrete_views, read_discrete, views_of_system
@@ -39,7 +39,7 @@ class Stepper:
         self.scene, self.dt = scene, float(dt)
         self._coordinates = coordinates_of(scene.model)
         contacts = list(scene.contacts.values())
-        self._system = system = System(scene.model, contacts, guards=joint_guards(scene.model))
+        self._system = system = RunSystem(scene.model, contacts, guards=joint_guards(scene.model))
         self._step = MoreauStep(system, contacts)
         nq, nv, nc = system.nq, system.nv, system.nc
         self.q, self.v = (_locked(part) for part in (system.state[:nq], system.state[nq : nq + nv]))

@@ -17,12 +17,12 @@ import pinocchio as pin
 from .contacts import Contact, characteristic_length
 from .dynamics.energy import energies_at
 from .dynamics.spare import put_back, take_spare
-from .dynamics.system import System
 from .errors import TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
 from .integration.output_modes import OutputModes
 from .integration.recording import BLOCK, INTEGERS_PER_CONTACT
 from .integration.results import Event
+from .integration.run_system import RunSystem
 from .integration.slow_slip import frozen_directions, present_directions, set_frozen_directions
 from .integration.steps import RECORD
 from .layout import (
@@ -57,7 +57,7 @@ class Record:
     see `OutputModes`.
     """
 
-    def __init__(self, system: System, start: State, with_torques: bool, by_steps: bool = False) -> None:
+    def __init__(self, system: RunSystem, start: State, with_torques: bool, by_steps: bool = False) -> None:
         self.system, self.with_torques, self.by_steps = system, with_torques, by_steps
         # works are counted from there on, whatever the outputs
         counts = system.sizes["nwork"] > 0
@@ -190,7 +190,7 @@ def _with_output_modes(
         return recorded
     # the run's own system, if nothing has been added to the scene since
     spare = take_spare(scene, works, resistances=False) if list(scene.contacts.values()) == contacts else None
-    system = System(scene.model, contacts) if spare is None else spare.system
+    system = RunSystem(scene.model, contacts) if spare is None else spare.system
     modes = OutputModes(system)
     for i in resting:
         _load_output(system, recorded, i, q[i], v[i])
@@ -235,7 +235,7 @@ def _joined(one: Recorded, kept: int, two: Recorded, first: int, works: np.ndarr
     )
 
 
-def _load_output(system: System, recorded: Recorded, i: int, q: np.ndarray, v: np.ndarray) -> None:
+def _load_output(system: RunSystem, recorded: Recorded, i: int, q: np.ndarray, v: np.ndarray) -> None:
     """Put the state of one output into a system; a choice of redundant forces in it stays."""
     system.q[:], system.v[:] = q, v
     system.location[: system.nc] = recorded.location[i]
@@ -611,7 +611,7 @@ def _part(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
 def _evaluate_tracks(run: Trajectory) -> tuple[dict[str, ContactTrack], dict[str, dict[str, np.ndarray]]]:
     """Evaluate the contacts again at every output: the run itself keeps only what it cannot do without."""
     contacts = list(run.scene.contacts.values())
-    system = System(run.scene.model, contacts)
+    system = RunSystem(run.scene.model, contacts)
     n, resistances = run.t.size, run._recorded.resistances
     tracks = {c.name: _empty_track(c, n) for c in contacts}
     residuals = {c.name: {kind: np.zeros(n) for kind in ("C1", "C2", "GC", "VC")} for c in contacts}
@@ -626,7 +626,7 @@ def _evaluate_tracks(run: Trajectory) -> tuple[dict[str, ContactTrack], dict[str
 
 
 class _Outputs(NamedTuple):
-    """What evaluations at m outputs leave of the contacts, in the arrays of `System`, a row for each.
+    """What evaluations at m outputs leave of the contacts, in the arrays of `RunSystem`, a row for each.
 
     rows (m,): which outputs they are; shapes (m, 2 nc, 3, 3): points and first derivatives, in world axes; frames (m,
     2 nc, 5, 3): rotation, place and velocity of what carries them; the rest (m, nc, ...), of sides (m, 2 nc).
@@ -645,7 +645,7 @@ class _Outputs(NamedTuple):
     charts: np.ndarray
 
 
-def _evaluate_outputs(system: System, run: Trajectory, wanted: range) -> _Outputs:
+def _evaluate_outputs(system: RunSystem, run: Trajectory, wanted: range) -> _Outputs:
     """Of the wanted outputs, those that can be evaluated."""
     nc, recorded = system.nc, run._recorded
     views = (

@@ -8,8 +8,8 @@ import pytest
 from reference import build
 
 import pincontact as pc
-from pincontact.dynamics.system import System
 from pincontact.integration.events import EventLocator
+from pincontact.integration.run_system import RunSystem
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.tableaux import tableau
 from pincontact.layout import DOMAIN, EVENT, NORMAL_MARGIN, OK
@@ -294,7 +294,7 @@ def test_a_scan_finds_what_evaluations_find():
     scene.add_contact("edge", "ball", strip, friction=None)
     q = np.array([0.0, 0.0, RADIUS + 0.02, 0.0, 0.0, 0.0, 1.0])
     state = scene.initial_state(q, np.array([3.0, 0.0, -0.2, 0.0, 1.0, 0.0]), free=["c", "edge"])
-    system = System(scene.model, list(scene.contacts.values()))
+    system = RunSystem(scene.model, list(scene.contacts.values()))
     write_discrete(system, state.discrete)
     rk = RungeKutta(system, tableau("DOP853"), 1e-6, 1e-8, None)
     rk.begin_at(state.q, state.v, state.location)

@@ -12,6 +12,7 @@ import math
 import numpy as np
 import pytest
 from calling import from_python, record_of
+from made_systems import made_system
 from scipy.optimize import nnls
 from test_directions_parts import turned
 from test_modes_parts import CONTACTS, ELLIPSE, HELD, RESISTING, made
@@ -58,6 +59,7 @@ from pincontact.layout import (
     SLIP_SIGN,
     SLIPPING,
     STICK,
+    SYSTEM,
     TANGENTS,
     UNILATERAL,
     VISCOUS,
@@ -1145,12 +1147,13 @@ def test_cones_of_forces():
 
 def reference_at(system, index, time, loads):
     """The reference that an evaluation takes, from its kernel."""
-    reference, work = np.zeros_like(system.reference), np.zeros(system.nv)
-    part(equations._move_reference)(
-        index, len(index), loads, time - system.scalars["reference_time"], system.reference_start,
-        system.reference_rate, system.reference_slope, system.nv, reference, work,
-    )  # fmt: skip
-    return reference[index[:, 0], index[:, 1]]
+    made = made_system(system.nc, system.ng, system.nr, system.nv)
+    for name in ("reference_start", "reference_rate", "reference_slope"):
+        getattr(made, name)[:] = getattr(system, name)
+    made.row_index[: len(index)], made.multipliers[: len(index)] = index, loads
+    made.scalars["time"], made.scalars["reference_time"] = time, system.scalars["reference_time"]
+    part(equations.move_reference, SYSTEM)(made, len(index))
+    return made.reference[index[:, 0], index[:, 1]]
 
 
 @SEEDS

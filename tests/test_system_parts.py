@@ -17,7 +17,7 @@ from pincontact.dynamics.spare import Spare, put_back, take_spare
 from pincontact.dynamics.system import FORCE_SLACK, System
 from pincontact.errors import UnusableResult
 from pincontact.geometry.patterns import NO_NORMAL
-from pincontact.integration.stages import NUMBER_OF_WORKS
+from pincontact.integration.run_system import RunSystem
 from pincontact.layout import (
     ALONG_BODY_1,
     ALONG_BODY_2,
@@ -48,6 +48,7 @@ from pincontact.layout import (
     NORMAL_1,
     NORMAL_2,
     NORMAL_SIGN,
+    NUMBER_OF_WORKS,
     OWNER,
     PATTERN,
     ROLLING,
@@ -117,7 +118,7 @@ def scene_of(laws=LAWS, motion=None):
 def laid_out():
     scene = scene_of()
     guards = joint_guards(scene.model)
-    return scene, guards, System(scene.model, list(scene.contacts.values()), True, guards, True)
+    return scene, guards, RunSystem(scene.model, list(scene.contacts.values()), True, guards, True)
 
 
 def test_sizes(laid_out):
@@ -373,7 +374,7 @@ def test_torques_that_are_not_finite():
 
 @pytest.mark.parametrize("count", [0, 3, 256, 257])
 def test_times_of_output(count):
-    system = System(scene_of().model, [])
+    system = RunSystem(scene_of().model, [])
     times = np.linspace(0.5, 1.0, count)
     system.counters["outputs_done"] = 7
     system.set_output_times(times)

@@ -31,8 +31,8 @@ from random_contacts import (
 import pincontact as pc
 from pincontact.analysis.instant import Instant
 from pincontact.dynamics.equations import slip_direction
-from pincontact.dynamics.system import System
 from pincontact.geometry.carriers import OMEGA
+from pincontact.integration.run_system import RunSystem
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.tableaux import tableau
 from pincontact.layout import (
@@ -268,7 +268,7 @@ class Steps:
 
     def __init__(self, contact: RandomContact, instant: Instant, law: str) -> None:
         self.contact, self.law, self.here = contact, law, contact.at()
-        self.system = System(contact.scene.model, list(contact.scene.contacts.values()))
+        self.system = RunSystem(contact.scene.model, list(contact.scene.contacts.values()))
         write_discrete(self.system, read_discrete(instant.system))
         self.rk = RungeKutta(self.system, tableau("RK45"), 1e-10, 1e-12, None)
 

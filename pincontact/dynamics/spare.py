@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 from ..friction.laws import Coulomb, NoSlip, Stribeck
+from ..integration.run_system import RunSystem
 from .joints import joint_guards
-from .system import System
 
 if TYPE_CHECKING:
     from ..contacts import AttachedContour, Contact
@@ -35,7 +35,7 @@ class Spare:
         self._given, self._model = scene.model, scene.model.copy()
         self._contacts = list(scene.contacts.values())
         self._sides = [(side, side.placement_in_joint.copy(), _numbers(side)) for side in _sides(self._contacts)]
-        self.system = System(scene.model, self._contacts, works, joint_guards(scene.model), resistances)
+        self.system = RunSystem(scene.model, self._contacts, works, joint_guards(scene.model), resistances)
         self.system.keep()
         # what time stepping has made for this system, see `MoreauStep.renew`
         self.stepper: MoreauStep | None = None

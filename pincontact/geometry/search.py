@@ -13,8 +13,8 @@ import scipy
 
 from ..contours import Cone, Cylinder, HeightField, Line, Plane
 from ..errors import SingularContactError
-from ..integration.stages import move_charts
 from ..layout import BRANCH, CHART, CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SIDE, SINGULAR
+from .chart_changes import move_charts
 from .location import BRANCHES, NO_CLOSED_FORM, ROUND_ON_PLANE
 from .patterns import CROSSING_CURVES, ON_CURVE
 from .planar import pose_of

@@ -8,13 +8,10 @@ import numpy as np
 
 from ..arrays import view
 from ..jit import INTEGER, REAL, entry_kernel, kernel
-from .stages import MAX_STAGES
+from ..layout import DENSE_ROWS, MAX_STAGES
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
-
-# Rows of the coefficients: Sharp98 uses all of them, DOP853 seven, RK45 four, RK23 three.
-DENSE_ROWS = 8
 
 
 @kernel

@@ -22,7 +22,7 @@ from .runge_kutta import RungeKutta
 from .sign_changes import Samples, resolve, vertex, with_dips, zero_between
 
 if TYPE_CHECKING:
-    from ..dynamics.system import System
+    from .run_system import RunSystem
 
 # Samples of the dense output between which a margin's sign change is looked for, all those of one scan: irregular, lest
 # they all be zeros of a sine.
@@ -75,11 +75,11 @@ class UserEvent:
             wrapped.append(UserEvent(i, function, bool(terminal), float(direction)))
         return wrapped
 
-    def value_at(self, t: float, system: System) -> float:
+    def value_at(self, t: float, system: RunSystem) -> float:
         """The function at the system's (q, v). Raises what it raises, UnusableResult for what is no number."""
         return self.value_of(t, system.q.copy(), system.v.copy(), system)
 
-    def value_of(self, t: float, q: np.ndarray, v: np.ndarray, system: System) -> float:
+    def value_of(self, t: float, q: np.ndarray, v: np.ndarray, system: RunSystem) -> float:
         """The function at q and v, as `value_at`."""
         try:
             result = self.function(t, q, v)

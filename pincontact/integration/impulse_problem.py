@@ -22,9 +22,10 @@ from __future__ import annotations
 import math
 
 from ..constraints.kinematics import add_rotation_row
-from ..dynamics.equations import coefficient_at, unit_of_force
+from ..dynamics.least_forces import unit_of_force
 from ..dynamics.linear import factorize_tree, inner, solve_semidefinite, unwhiten, whiten
 from ..dynamics.resistance import drop_unturned
+from ..dynamics.sliding import coefficient_at
 from ..friction.ellipse import stretch_pair
 from ..geometry.carriers import ALPHA, OMEGA
 from ..geometry.patterns import ON_CURVE

@@ -27,6 +27,7 @@ import math
 
 from ..dynamics.equations import inner
 from ..dynamics.linear import unwhiten
+from ..dynamics.manifold import displace
 from ..friction import cone
 from ..friction.ellipse import stretch_pair
 from ..geometry.patterns import ON_CURVE
@@ -103,7 +104,6 @@ from .impulse_layout import (
 )
 from .impulse_problem import OPENING, TOUCHING, add_turn_row, free_gain, rigid_velocity, start_velocity
 from .impulse_review import DONE, equation_impulses, impulse_work, review, velocity_change
-from .manifold import displace
 from .stages import DAMPING_WORK, DRIVE_WORK, FRICTION_WORK, NUMBER_OF_WORKS, TORQUE_WORK, hand_over
 
 

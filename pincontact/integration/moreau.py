@@ -16,7 +16,6 @@ import numpy as np
 import pinocchio as pin
 
 from ..callback import kernel_address
-from ..dynamics.system import System
 from ..friction.attempt import NEAR, WARM_PASSES, solve_cones
 from ..friction.cone import OPEN as OPENS
 from ..friction.cone import SLIP as SLIPS
@@ -24,6 +23,7 @@ from ..friction.cone import STICK as STICKS
 from ..friction.loads import TOLERANCE as PRODUCT_TOLERANCE
 from ..friction.product import SETTLED, Product
 from ..friction.solve import ContactSolver
+from ..geometry.chart_changes import move_charts
 from ..jit import compile_kernels
 from ..layout import (
     CHART,
@@ -134,8 +134,9 @@ from .results import (
     Stop,
 )
 from .results import STEP_LIMIT as AT_STEP_LIMIT
+from .run_system import RunSystem
 from .sign_changes import resolve, with_dips, zero_between
-from .stages import load_state, move_charts
+from .stages import load_state
 from .steps import run_task
 
 if TYPE_CHECKING:
@@ -203,7 +204,7 @@ class MoreauStep:
     negative where it did not.
     """
 
-    def __init__(self, system: System, contacts: Sequence[Contact]) -> None:
+    def __init__(self, system: RunSystem, contacts: Sequence[Contact]) -> None:
         # these kernels are compiled for those who use them
         compile_kernels(friction=True, several=True, stepping=True)
         self.system = system

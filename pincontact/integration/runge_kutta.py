@@ -18,7 +18,7 @@ from .tableaux import Tableau
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..dynamics.system import System
+    from .run_system import RunSystem
 
 # Margin on the depth of a parabola's dip between two stages.
 _DIP = 1.5
@@ -37,7 +37,7 @@ class RungeKutta:
     torque: fills `system.tau` for (t, system.q, system.v); or None.
     """
 
-    def __init__(self, system: System, method: Tableau, rtol: float, atol: float, torque: Torque | None) -> None:
+    def __init__(self, system: RunSystem, method: Tableau, rtol: float, atol: float, torque: Torque | None) -> None:
         if method.extra and rtol >= _LOOSE:
             method = method.without_extra_stages
         self.system, self.method = system, method

@@ -13,6 +13,7 @@ from ..dynamics.equations import slip_direction
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, PLACES_OF_ALL, PLACES_OF_CLOSED, contact_corrections
 from ..dynamics.linear import inner, whiten
 from ..dynamics.resistance import count_items
+from ..geometry.chart_changes import change_charts
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, entry_kernel, kernel
 from ..layout import (
@@ -45,7 +46,6 @@ from .resolution import keep_margins, margin_error, set_margins_aside, take_marg
 from .results import CLOSED_APART, CONTRADICTION
 from .stages import (
     build_state,
-    change_charts,
     correct_state,
     error_norm,
     fill_slope,
@@ -55,8 +55,6 @@ from .stages import (
 
 # What `run_task` does.
 (
-    EVALUATE,
-    KINEMATICS,
     ATTEMPT,
     INTERPOLATION_STAGES,
     PROJECT,
@@ -76,7 +74,7 @@ from .stages import (
     KEEP_VELOCITY,
     SCAN,
     BOUND_SPEEDS,
-) = range(21)
+) = range(19)
 
 # What MARCH comes back with.
 (
@@ -340,7 +338,7 @@ def across_slip(system, t, h):
 
 @kernel
 def scan(system, t, h):
-    """Margins along the step from t of size h that was interpolated last, at SCAN_SHARES of it: see `System.scan`."""
+    """Margins along the step from t of size h that was interpolated last, at SCAN_SHARES: see `RunSystem.scan`."""
     n = count_items(system)
     shares, statuses = system.scan_shares, system.scan_status
     found = system.scan_margins
@@ -759,8 +757,6 @@ def run_task(address, task, t, h):
 @kernel
 def _run(system, task, t, h):
     # a part: what an entry kernel calls itself is compiled once more for those that are called by parts
-    if task in (EVALUATE, KINEMATICS):
-        return evaluate(system, t, KINEMATICS_OF_ALL if task == KINEMATICS else 0)
     if task == ATTEMPT:
         return attempt(system, t, h, False)
     if task == INTERPOLATION_STAGES:

@@ -15,11 +15,10 @@ import numpy as np
 import scipy
 
 from ..errors import ArgumentError
+from ..layout import DENSE_ROWS, ERROR_ROWS, MAX_STAGES
 from ..workspace import address_of
 from . import sharp98
-from .dense import DENSE_ROWS
 from .resolution import roughness
-from .stages import ERROR_ROWS, MAX_STAGES
 
 
 @dataclass(frozen=True, eq=False)

@@ -211,11 +211,6 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "1 -> 2",
     ): "the last row has nothing right of its diagonal; other ends of the range are noticed",
     (
-        "pincontact/dynamics/equations.py", "contact_dynamics",
-        "if contact_int[c, MODE] == SLIPPING and contact_int[c, PATTERN] == ON_CURVE and contact_real[c, MU] > 0.0:",
-        "and -> or",
-    ): "without such contacts the first pass changes nothing, and ends the iteration",
-    (
         "pincontact/friction/newton.py", "settle",
         "near = 0",
         "0 -> 1",
@@ -256,8 +251,8 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "2 -> 3",
     ): "numbers of cells beyond the parameters belong to none",
     (
-        "pincontact/dynamics/equations.py", "contact_dynamics",
-        "scratch[j, count] = multipliers[j] if delassus[j, count] != 0.0 else 0.0",
+        "pincontact/dynamics/least_forces.py", "solve_for_least",
+        "scratch[j, count] = multipliers[j] if operator[j, count] != 0.0 else 0.0",
         "0.0 -> 0.5",
     ): "rows without a weight are by themselves, and what they get is multiplied by that weight",
     (

@@ -17,8 +17,8 @@ What is valid afterwards, where the status is OK or EVENT:
 - PLACES_OF_CLOSED: as PLACES_OF_ALL, but no `rows` of open contacts.
 
 With NO_FORCE the kinematics, `factor` and `free_acceleration` are valid, and nothing after them. With any other status
-the evaluation broke off in the contact, or the step, that it speaks of. An open contact without a nearest point
-does not end it: its gap is NOTHING_THERE. `contact_corrections` reads the last evaluation's rows, gaps, v_c and factor, and
+the evaluation broke off in the contact, or the step, that it speaks of. An open contact without a nearest point does
+not end it: its gap is NOTHING_THERE. `contact_corrections` reads the last evaluation's rows, gaps, v_c and factor, and
 overwrites `whitened_rows`, `multipliers` and `row_index`.
 """
 

@@ -16,8 +16,8 @@ from test_directions_parts import turned
 import pincontact as pc
 from pincontact.analysis.instant import Instant
 from pincontact.constraints.kinematics import NORMAL_RATE
-from pincontact.contours.base import DERIVATIVE_ROWS
 from pincontact.contours.motion import MOTION_HARMONIC
+from pincontact.contours.sizes import DERIVATIVE_ROWS
 from pincontact.dynamics import evaluation, resistance
 from pincontact.dynamics.evaluation import KINEMATICS_OF_ALL, PLACES_OF_ALL, PLACES_OF_CLOSED, VELOCITIES_OF_ALL
 from pincontact.dynamics.system import System

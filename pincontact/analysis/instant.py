@@ -14,10 +14,10 @@ from ..dynamics.system import System
 from ..dynamics.units import unwhiten, whiten
 from ..errors import SingularContactError, SolverError
 from ..geometry.carriers import ORIGIN
+from ..geometry.chart_changes import move_charts
 from ..geometry.patterns import ON_CURVE
 from ..integration.results import FAILURES, SINGULAR_CONTACT, Stop
 from ..integration.runge_kutta import RungeKutta
-from ..integration.stages import move_charts
 from ..integration.tableaux import tableau
 from ..integration.transitions import Transitions
 from ..layout import (

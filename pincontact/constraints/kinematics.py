@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from ..arrays import address
-from ..contours.table import call_contour
+from ..contours.evaluation import call_contour
 from ..geometry.carriers import point_bias, point_velocity
 from ..geometry.frames import STEEP
 from ..geometry.location import (
@@ -70,7 +70,6 @@ def shape_in_world(integers, shape, frame, u1, u2, dimension, time, local, world
     """Evaluate a contour and turn its derivatives to world axes."""
     call_contour(
         integers[EVALUATOR],
-        integers[KIND],
         integers[CHART],
         address(shape),
         integers[POOL_ADDRESS],

@@ -19,17 +19,14 @@ from ..callback import kernel_caller
 from ..errors import ContourError, UnusableResult
 from ..jit import CALLED, INTEGER, REAL, entry_kernel, kernel
 from ..workspace import reals_at
-from .base import finite, flag, interval
+from .base import as_written
+from .checks import array, finite, flag, interval
 from .fits import fit
 from .piecewise import piecewise
-from .splines import array, spline, spline_pool
+from .sizes import MOTION_PARAMETERS, MOTION_SIZE
+from .splines import spline, spline_pool
 
 MOTION_NONE, MOTION_HARMONIC, MOTION_TWIST, MOTION_SPLINE, MOTION_CALLABLE = range(5)
-
-# Row of numbers that the kernel reads, and of what it writes: rotation (row-major), position, velocity, angular
-# velocity, acceleration, angular acceleration.
-MOTION_PARAMETERS = 16
-MOTION_SIZE = 24
 
 # Parameters of a turn about a fixed axis through a fixed point with a translation: both are proportional to time
 # (twist) or to a sine.
@@ -62,6 +59,15 @@ class Motion:
                 "given when it is made"
             )
         super().__setattr__(name, value)
+
+    def __new__(cls, *given: Any, **named: Any) -> Motion:
+        made = super().__new__(cls)
+        made.__dict__["_written"] = as_written(cls, given, named)
+        return made
+
+    def __repr__(self) -> str:
+        written: str = self.__dict__["_written"]
+        return written
 
     def __init__(self, parameters: Sequence[float] = (), pool: np.ndarray | None = None) -> None:
         self.parameters = np.zeros(MOTION_PARAMETERS)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import ContourError
-from .base import F_1, F_2, HEIGHT_FIELD, Contour, F, flag, flags, half_diagonal, interval, turning
-from .curves import ALL
+from .base import ALL, F_1, F_2, Contour, F, half_diagonal
+from .checks import flag, flags, interval
 from .formula import Formula, Program, compiled, takes_time, trials
-from .splines import height_grid
+from .splines import height_grid, height_spline
 
 
 class ParametricCurve(Contour):
@@ -53,13 +53,7 @@ class ParametricCurve(Contour):
         periodic = flag(owner, "periodic", periodic)
         checked = (interval(owner, "domain", domain),)
         program = compiled(Formula(owner, f, 1), checked, (periodic,), derivatives, _times(owner, time_domain))
-        _initialise(self, program, checked, (periodic,))
-        planar = program.constants[2] == 0.0
-        if not planar and program.error > 0.0 and not program.time_dependent:
-            # A fit of zeros is zero.
-            planar = all(self.point(u)[2] == 0.0 for u in self.samples(200))
-        object.__setattr__(self, "planar", planar)
-        object.__setattr__(self, "convex_side", turning(self))
+        super().__init__(**_arguments(owner, program, checked, (periodic,)))
 
 
 class ParametricSurface(Contour):
@@ -87,7 +81,7 @@ class ParametricSurface(Contour):
         checked = _rectangle(owner, domain)
         wraps = flags(owner, "periodic", periodic)
         program = compiled(Formula(owner, f, 2), checked, wraps, derivatives, _times(owner, time_domain))
-        _initialise(self, program, checked, wraps)
+        super().__init__(**_arguments(owner, program, checked, wraps))
 
 
 class HeightField(Contour):
@@ -122,7 +116,7 @@ class HeightField(Contour):
             formula = Formula(owner, _lifted(f, takes_time(owner, f, 2)), 2)
             second = None if derivatives is None else _lifted_derivatives(derivatives)
             program = compiled(formula, checked, (False, False), second, _times(owner, time_domain))
-            _initialise(self, program, checked, (False, False))
+            super().__init__(**_arguments(owner, program, checked), lengths=True)
             return
         if y is None or z is None:
             raise ContourError(f"{owner}: a grid needs x, y and z")
@@ -130,13 +124,12 @@ class HeightField(Contour):
             raise ContourError(f"{owner}: domain, derivatives and time_domain go with a function, not with a grid")
         x, y, pool = height_grid(owner, f, y, z, degree)
         super().__init__(
-            kind=HEIGHT_FIELD,
-            dimension=2,
+            height_spline,
+            2,
             pool=pool,
             domain=((float(x[0]), float(x[-1])), (float(y[0]), float(y[-1]))),
-            periodic=(False, False),
+            lengths=True,
         )
-        object.__setattr__(self, "size", half_diagonal(self))
 
 
 def _lifted(f: Callable[..., Any], timed: bool) -> Callable[..., Any]:
@@ -169,30 +162,35 @@ def _rectangle(owner: str, domain: Any) -> tuple[tuple[float, float], ...]:
     return interval(owner, "domain[0]", first), interval(owner, "domain[1]", second)
 
 
-def _initialise(
-    contour: Contour, program: Program, domain: tuple[tuple[float, float], ...], periodic: tuple[bool, ...]
-) -> None:
-    """Fill in a contour from its compiled formula, and see that it has a tangent or a normal at some time."""
-    Contour.__init__(
-        contour,
-        kind=program.kind,
-        dimension=len(domain),
-        pool=program.pool,
-        domain=domain,
-        periodic=periodic,
-        time_dependent=program.time_dependent,
-        fit_error=program.error,
-    )
-    k, points = len(domain), trials([*domain, *program.times])
+def _arguments(
+    owner: str,
+    program: Program,
+    domain: tuple[tuple[float, float], ...],
+    periodic: tuple[bool, ...] = (False, False),
+) -> dict[str, Any]:
+    """What `Contour` is to be given for a compiled formula, which must have a tangent or a normal at some time."""
+    k = len(domain)
+    numbers = {
+        "evaluator": program.evaluator,
+        "dimension": k,
+        "pool": program.pool,
+        "domain": domain,
+        "periodic": periodic,
+        "time_dependent": program.time_dependent,
+    }
+    contour = Contour(**numbers, size=math.inf)
+    points = trials([*domain, *program.times])
     rows = np.array([contour.evaluate(point[:k], *point[k:]) for point in points])
     size, first = np.abs(rows[:, F]).max(), rows[:, F_1]
     measure = first if k == 1 else np.cross(first, rows[:, F_2])
     # One singular point is a matter of taste; a shape that is singular everywhere is not a curve or surface.
     if not np.linalg.norm(measure, axis=1).max() > 1e-14 * min(size, 1.0):
-        what = "f_1" if k == 1 else "f_1 x f_2"
-        raise ContourError(f"{contour.name}: {what} vanishes all over the domain")
-    if math.isfinite(np.abs(domain).max()):
-        # at the first of these times at which it is more than a point
-        moments = (0.0, *(float(point[-1]) for point in points)) if program.times else (0.0,)
-        size = next((size for size in (half_diagonal(contour, t) for t in moments) if size > 0.0), 0.0)
-        object.__setattr__(contour, "size", size)
+        raise ContourError(f"{owner}: {'f_1' if k == 1 else 'f_1 x f_2'} vanishes all over the domain")
+    # at the first of these times at which it is more than a point
+    moments = (0.0, *(float(point[-1]) for point in points)) if program.times else (0.0,)
+    numbers["size"] = next((size for size in (half_diagonal(contour, t) for t in moments) if size > 0.0), 0.0)
+    numbers["planar"] = k == 1 and program.constants[2] == 0.0
+    if k == 1 and program.error > 0.0 and not program.time_dependent:
+        # a fit of zeros is zero
+        numbers["planar"] = all(contour.point(u)[2] == 0.0 for u in contour.samples(200))
+    return {**numbers, "fit_error": program.error}

@@ -7,38 +7,16 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..arguments import NOT_REAL, real_array
 from ..errors import ContourError
-from ..jit import kernel
-from .base import (
-    SPLINE_CURVE,
-    SPLINE_SURFACE,
-    Contour,
-    flag,
-    flags,
-    half_diagonal,
-    in_space,
-    turning,
-)
-from .piecewise import Direction, chebyshev_nodes, pack
+from ..workspace import reals_at
+from .base import Contour
+from .checks import array, flag, flags, in_space
+from .evaluation import contour_kernel, rows_at
+from .piecewise import Direction, chebyshev_nodes, fitted, pack, piecewise
+from .surfaces import put_plane
 
 # f has to be three times differentiable: the dynamics use f_11, and their integration one order more.
 _SMOOTHNESS = 3
-
-
-def array(owner: str, name: str, given: Any, *shape: int | None) -> np.ndarray:
-    """`given` as a finite float array of this shape (None: any length), or a ContourError."""
-    try:
-        values = real_array(given)
-    except NOT_REAL:
-        raise ContourError(f"{owner}: {name} must be an array of numbers") from None
-    if values.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, values.shape)):
-        wanted = ", ".join("n" if n is None else str(n) for n in shape)
-        raise ContourError(f"{owner}: {name} must have shape ({wanted}), got {values.shape}")
-    if not np.isfinite(values).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        raise ContourError(f"{owner}: {name}{list(where)} is not finite")
-    return values
 
 
 def spline(
@@ -116,15 +94,13 @@ class SplineCurve(Contour):
                 u = array(owner, "parameters", parameters, len(through))
             curve = spline(owner, u, through, degree, periodic)
         super().__init__(
-            kind=SPLINE_CURVE,
-            dimension=1,
+            fitted,
+            1,
             pool=spline_pool(curve, periodic),
             domain=((float(curve.t[curve.k]), float(curve.t[-curve.k - 1])),),
             periodic=(periodic,),
             planar=not np.any(curve.c[:, 2]),
         )
-        object.__setattr__(self, "size", half_diagonal(self))
-        object.__setattr__(self, "convex_side", turning(self))
 
 
 def _checked(owner: str, curve: scipy.interpolate.BSpline, periodic: bool) -> scipy.interpolate.BSpline:
@@ -190,13 +166,12 @@ class SplineSurface(Contour):
                 name = f"parameters[{axis}]"
                 lines.append(array(owner, name, parameters[axis], grid.shape[axis]))
         super().__init__(
-            kind=SPLINE_SURFACE,
-            dimension=2,
+            fitted,
+            2,
             pool=_tensor_pool(owner, lines, grid, degree, periodic, first=0),
             domain=tuple((float(line[0]), float(line[-1])) for line in lines),
             periodic=periodic,
         )
-        object.__setattr__(self, "size", half_diagonal(self))
 
 
 def _tensor_pool(
@@ -216,11 +191,10 @@ def height_grid(owner: str, x: Any, y: Any, z: Any, degree: int) -> tuple[np.nda
     return x, y, _tensor_pool(owner, [x, y], heights[..., None], degree, (False, False), first=2)
 
 
-@kernel
-def lift(u1, u2, out):
-    """f = (u1, u2, z): complete out, whose column z is there."""
-    for row in range(6):
-        out[row, 0], out[row, 1] = 0.0, 0.0
-    out[0, 0], out[0, 1] = u1, u2
-    out[1, 0] = 1.0
-    out[2, 1] = 1.0
+@contour_kernel
+def height_spline(chart, shape, pool, pool_size, u1, u2, t, out):
+    """(u1, u2, z), whose column z is a spline."""
+    f = rows_at(out)
+    put_plane(f, u1, u2)
+    piecewise(reals_at(pool, pool_size), u1, u2, t, f)
+    return 0

@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 
 from ..jit import kernel
+from ..workspace import reals_at
+from .evaluation import contour_kernel, rows_at
 from .periods import wrapped
 
 # Header of a tape: offsets into its pool.
@@ -233,3 +235,10 @@ def tape(pool, u1, u2, t, out):
         else:
             for k in range(width):
                 out[int(pool[ROWS + k]), i] = pool[slot + k]
+
+
+@contour_kernel
+def traced(chart, shape, pool, pool_size, u1, u2, t, out):
+    """Evaluates contours whose pool is a tape."""
+    tape(reals_at(pool, pool_size), u1, u2, t, rows_at(out))
+    return 0

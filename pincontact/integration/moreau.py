@@ -24,6 +24,7 @@ from ..friction.cone import STICK as STICKS
 from ..friction.loads import TOLERANCE as PRODUCT_TOLERANCE
 from ..friction.product import SETTLED, Product
 from ..friction.solve import ContactSolver
+from ..geometry.chart_changes import move_charts
 from ..jit import compile_kernels
 from ..layout import (
     CHART,
@@ -135,7 +136,7 @@ from .results import (
 )
 from .results import STEP_LIMIT as AT_STEP_LIMIT
 from .sign_changes import resolve, with_dips, zero_between
-from .stages import load_state, move_charts
+from .stages import load_state
 from .steps import run_task
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The states of a Runge-Kutta step: handed to Pinocchio, made from slopes, corrected, moved to other charts.
+"""The states of a Runge-Kutta step: handed to Pinocchio, made from slopes, corrected.
 
 State: y = (q, w, location parameters, quadratures). q is ambient; w is v in the axes of the joints' parents (see
 `manifold`) where the counter PARENT_AXES is set, as it is for the pairs, and v itself elsewhere. The location
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from ..contours.charts import convert_chart, is_across_pole, preferred_chart, turned_back
+from ..contours.charts import is_across_pole, turned_back
 from ..dynamics.equations import guard_force
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
@@ -21,12 +21,10 @@ from ..layout import (
     GUARD_V,
     KIND,
     MODE,
-    POOL_ADDRESS,
-    POOL_SIZE,
     STICK,
     system_at,
 )
-from ..workspace import flat, reals_at
+from ..workspace import flat
 from .manifold import configuration_rate, move, normalize, rate_in_parent_axes, to_joint_axes, to_parent_axes
 
 # Rows of the coefficient system and of the slopes: 16 for stages and the interpolant, the last one for scratch.
@@ -240,30 +238,3 @@ def keep_velocity(system, state):
     else:
         for k in range(nv):
             out[k] = v[k]
-
-
-@kernel
-def change_charts(system):
-    """Move the location parameters in STATE to better charts; returns how many contours changed theirs."""
-    sizes = system.sizes
-    nc, first = sizes.nc, sizes.nq + sizes.nv
-    state = system.state
-    side_int = system.side_int
-    side_shape = system.side_shape
-    changed = 0
-    for side in range(2 * nc):
-        ints = side_int[side]
-        u = state[first + 2 * side : first + 2 * side + 2]
-        chart = preferred_chart(ints[KIND], ints[CHART], side_shape[side], u[0], u[1])
-        if chart != ints[CHART]:
-            pool = reals_at(ints[POOL_ADDRESS], ints[POOL_SIZE])
-            u[0], u[1] = convert_chart(ints[KIND], side_shape[side], pool, ints[CHART], u[0], u[1], chart)
-            ints[CHART] = chart
-            changed += 1
-    return changed
-
-
-@entry_kernel(INTEGER)
-def move_charts(address):
-    """`change_charts` for callers in Python."""
-    return change_charts(system_at(address))

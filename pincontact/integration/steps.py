@@ -13,6 +13,7 @@ from ..dynamics.equations import slip_direction
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, PLACES_OF_ALL, PLACES_OF_CLOSED, contact_corrections
 from ..dynamics.linear import inner, whiten
 from ..dynamics.resistance import count_items
+from ..geometry.chart_changes import change_charts
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, entry_kernel, kernel
 from ..layout import (
@@ -45,7 +46,6 @@ from .resolution import keep_margins, margin_error, set_margins_aside, take_marg
 from .results import CLOSED_APART, CONTRADICTION
 from .stages import (
     build_state,
-    change_charts,
     correct_state,
     error_norm,
     fill_slope,

@@ -10,7 +10,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 import pincontact.contours as pc
-from pincontact.contours import branches, checks, fits, piecewise, revolution, trace
+from pincontact.contours import branches, checks, fits, piecewise, revolution, substitutes, trace
 from pincontact.contours.base import Contour
 from pincontact.contours.branches import _beside_root, _Search, survey
 from pincontact.contours.formula import Formula, _seam
@@ -111,7 +111,7 @@ def test_what_is_not_zero_is_true(value, wanted):
 
 
 def test_python_functions_of_numpy_are_left_as_they_are():
-    assert trace._replace(np.full, {}) is np.full
+    assert substitutes.replaced(np.full, {}) is np.full
     assert point_of(lambda u: np.full((2,), u)[1] + np.eye(2)[0, 0], 0.3) == 1.3
 
 

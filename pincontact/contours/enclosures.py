@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
 from . import tape as ops
+from .tape import Node
+
+# What may be checked besides the operations of a tape: a comparison finds the sign of a quantity, which is that of the
+# constant; ORIGIN: where an angle has no value.
+SIGN, ORIGIN = -4, -5
 
 
 class Interval:
@@ -138,6 +142,9 @@ def _of_one(op: int, c: float, x: Interval) -> tuple[Interval, Interval]:
         return inverse.affine(c), inverse.square().affine(-c)
     if op == ops.POWER_CONSTANT:
         return x.power(c), x.power(c - 1.0).affine(c)
+    if op in (ops.SIN, ops.COS):
+        behind, ahead = (x.affine(1.0, quarter).cosine() for quarter in (-0.5 * math.pi, 0.5 * math.pi))
+        return (behind, x.cosine()) if op == ops.SIN else (x.cosine(), ahead)
     if op == ops.COSH:
         return x.absolute().rising(np.cosh), x.rising(np.sinh)
     if op == ops.TAN:
@@ -191,10 +198,6 @@ def _of_two(op: int, x: Interval, y: Interval) -> tuple[Interval, Interval, Inte
     )
     inverse = square.inverse()
     return value, y * inverse, (x * inverse).affine(-1.0)
-
-
-# A comparison: the sign of a quantity, which is that of the constant. ORIGIN: where an angle has no value.
-SIGN, ORIGIN = -1, -2
 
 
 def _away(op: int, c: float, x: Interval, y: Interval) -> np.ndarray:
@@ -257,7 +260,7 @@ Check = tuple[int, int, int, float]
 
 
 def values(
-    nodes: Sequence[tuple[Any, ...]], order: Sequence[int], box: dict[str, Interval], known: dict[int, Interval]
+    nodes: Sequence[Node], order: Sequence[int], box: dict[str, Interval], known: dict[int, Interval]
 ) -> dict[int, Interval]:
     """Bounds of the nodes of a graph by their numbers, in an order in which arguments come first unless known."""
     with np.errstate(all="ignore"):
@@ -266,7 +269,7 @@ def values(
 
 
 def margins(
-    nodes: Sequence[tuple[Any, ...]],
+    nodes: Sequence[Node],
     order: Sequence[int],
     checks: Sequence[Check],
     variables: str,
@@ -299,7 +302,7 @@ def margins(
 
 
 def _enclosed(
-    nodes: Sequence[tuple[Any, ...]],
+    nodes: Sequence[Node],
     order: Sequence[int],
     box: dict[str, Interval],
     reach: dict[str, Interval],
@@ -314,33 +317,26 @@ def _enclosed(
     out = known or {}
     for index in order:
         node = nodes[index]
-        if node[0] == "variable":
-            value = box[node[1]]
+        if node.op == ops.VARIABLE:
+            value = box[node.name]
             one, zero = np.ones_like(value.lo), np.zeros_like(value.lo)
-            slopes = {name: Interval(*[one if name == node[1] else zero] * 2) for name in reach}
+            slopes = {name: Interval(*[one if name == node.name else zero] * 2) for name in reach}
             out[index] = value, slopes
             continue
-        if node[0] == "affine":
-            x, x_slopes = out[node[1]]
-            value = x.affine(node[2], node[3])
-            slopes = {name: slope.affine(node[2]) for name, slope in x_slopes.items()}
-        elif node[0] == "linear":
-            (x, x_slopes), (y, y_slopes) = out[node[1]], out[node[2]]
-            value = x.affine(node[3]) + y.affine(node[4])
-            slopes = {name: x_slopes[name].affine(node[3]) + y_slopes[name].affine(node[4]) for name in reach}
-        elif node[0] == "two":
-            (x, x_slopes), (y, y_slopes) = out[node[2]], out[node[3]]
-            value, by_x, by_y = _of_two(node[1], x, y)
+        x, x_slopes = out[node.x]
+        if node.op == ops.AFFINE:
+            value = x.affine(node.c, node.d)
+            slopes = {name: slope.affine(node.c) for name, slope in x_slopes.items()}
+        elif node.op == ops.LINEAR:
+            y, y_slopes = out[node.y]
+            value = x.affine(node.c) + y.affine(node.d)
+            slopes = {name: x_slopes[name].affine(node.c) + y_slopes[name].affine(node.d) for name in reach}
+        elif node.y >= 0:
+            y, y_slopes = out[node.y]
+            value, by_x, by_y = _of_two(node.op, x, y)
             slopes = {name: by_x * x_slopes[name] + by_y * y_slopes[name] for name in reach}
         else:
-            if node[0] in ("sin", "cos"):
-                x, x_slopes = out[node[1]]
-                quarter = 0.5 * math.pi
-                ahead, behind = x.affine(1.0, quarter).cosine(), x.affine(1.0, -quarter).cosine()
-                value, slope = (behind, x.cosine()) if node[0] == "sin" else (x.cosine(), ahead)
-            else:
-                x, x_slopes = out[node[2]]
-                value, slope = _of_one(node[1], node[3], x)
+            value, slope = _of_one(node.op, node.c, x)
             slopes = {name: slope * x_slopes[name] for name in reach}
         if at_points is not None:
             mean = at_points[index]

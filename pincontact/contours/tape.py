@@ -8,6 +8,7 @@ variables (forward mode), in the order value, first derivatives, second derivati
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from ..jit import kernel
 from ..workspace import reals_at
@@ -45,6 +46,20 @@ MULTIPLY, DIVIDE, POWER, ATAN2, HYPOT = range(3, 8)
     ACOSH,
     ATANH,
 ) = range(8, 25)
+# Of a formula before it is a tape: a variable, and sine and cosine, which one instruction computes together.
+VARIABLE, SIN, COS = -1, -2, -3
+
+
+class Node(NamedTuple):
+    """An operation of a formula: one of these numbers, the nodes of its arguments (-1: none), its constants and, of a
+    variable, the name."""
+
+    op: int
+    x: int = -1
+    y: int = -1
+    c: float = 0.0
+    d: float = 0.0
+    name: str = ""
 
 
 @kernel

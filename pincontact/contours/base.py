@@ -161,7 +161,20 @@ class Contour:
         return self.evaluate_many(np.atleast_1d(np.asarray(u))[None], t, chart)[0]
 
     def evaluate_many(self, u: np.ndarray, t: float = 0.0, chart: int = 0) -> np.ndarray:
-        """f and its derivatives at parameter values u (n, k): (n, 10, 3), otherwise as `evaluate`."""
+        """f and its derivatives at many parameter values.
+
+        Parameters
+        ----------
+        u : (n, k) array
+            Parameters of the given chart.
+        t, chart
+            As for `evaluate`.
+
+        Returns
+        -------
+        (n, 10, 3) array
+            The rows of `evaluate` for each of them.
+        """
         try:
             # a contour without parameters has none of any type
             u, t = real_array(u) if np.size(u) else np.zeros(np.shape(u)), real(t)
@@ -209,11 +222,28 @@ class Contour:
     def samples(self, n: int | Sequence[int] = 50, window: Any = None) -> np.ndarray:
         """A grid of parameter values that covers the domain of the first chart.
 
-        n:       values along each parameter, or one number for each; ends are included, except that a parameter
-                 that wraps around has its end once
-        window:  ((low, high) for each parameter); needed where the domain is infinite, and cut to the domain
-        Returns (number of points, k), the last parameter running fastest.
-        Raises ContourError for an infinite domain without a window.
+        Parameters
+        ----------
+        n : int or k ints
+            Values along each parameter; ends are included, except that a parameter that wraps around has its end once.
+        window : k pairs (low, high), optional
+            Needed where the domain is infinite, and cut to the domain.
+
+        Returns
+        -------
+        (number of points, k) array
+            The last parameter runs fastest.
+
+        Raises
+        ------
+        ContourError
+            For an infinite domain without a window.
+
+        Examples
+        --------
+        >>> import pincontact as pc
+        >>> pc.Plane().samples(2, window=((0, 1), (0, 1))).tolist()
+        [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]]
         """
         axes = self._axes(n, window, closed=False)
         if not axes:
@@ -221,9 +251,26 @@ class Contour:
         return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
 
     def polyline(self, n: int = 100, window: Any = None, t: float = 0.0) -> np.ndarray:
-        """Points (n, 3) along a curve, both ends included, so that a closed curve ends where it starts.
+        """Points along a curve, both ends included, so that a closed curve ends where it starts.
 
-        window: ((low, high),) as in `samples`. Raises ContourError for anything but a curve.
+        Parameters
+        ----------
+        n : int
+            Number of points.
+        window : ((low, high),), optional
+            As for `samples`.
+        t : float
+            Time in s.
+
+        Returns
+        -------
+        (n, 3) array
+            In the contour's frame.
+
+        Raises
+        ------
+        ContourError
+            For anything but a curve.
         """
         if self.dimension != 1:
             raise ContourError(f"{self.name} is not a curve: it has {self.dimension} parameters")
@@ -231,10 +278,28 @@ class Contour:
         return np.array([self.point(u, t) for u in axis])
 
     def mesh(self, n: int | Sequence[int] = 40, window: Any = None, t: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (n1 n2, 3) and triangles (m, 3) of a surface, counter-clockwise seen from outside.
+        """Triangles of a surface; seams of parameters that wrap around are closed.
 
-        Seams of parameters that wrap around are closed. window: as in `samples`.
-        Raises ContourError for anything but a surface.
+        Parameters
+        ----------
+        n : int or two ints
+            Values along each parameter.
+        window : two pairs (low, high), optional
+            As for `samples`.
+        t : float
+            Time in s.
+
+        Returns
+        -------
+        vertices : (n1 n2, 3) array
+            In the contour's frame.
+        triangles : (m, 3) array
+            Indices of their vertices, counter-clockwise seen from outside.
+
+        Raises
+        ------
+        ContourError
+            For anything but a surface.
         """
         if self.dimension != 2:
             raise ContourError(f"{self.name} is not a surface: it has {self.dimension} parameters")

@@ -18,19 +18,6 @@ from .splines import height_grid, height_spline
 class ParametricCurve(Contour):
     """A curve f(u) or f(u, t) -> (x, y, z) in m, t in s.
 
-    f:            written with `math` or NumPy functions of numbers. It is traced into a tape once, so that no
-                  Python runs during a simulation and all derivatives are exact. A function that cannot be traced
-                  (it branches on u, or calls compiled code) is fitted to rounding instead; `fit_error` says in m
-                  how well
-    domain:       (low, high) of u; may be infinite if f can be traced
-    periodic:     f repeats, whether or not its formula does: f(low) and f(high) are the same point, at all times, and
-                  so are the derivatives that the dynamics use, up to the second ones. This is checked
-    derivatives:  same arguments -> (f_1, f_11), or (f_1, f_t, f_11, f_1t, f_tt) with time. Not needed; if given,
-                  compared with the traced ones, or fitted together with f
-    time_domain:  (first, last) time in s at which f(u, t) is used. Needed if it has to be fitted: beyond it the contour
-                  goes on with constant acceleration then. Also needed if f is smooth at these times only: it has no
-                  value at others then. Without it, f must be smooth at all times from 0 on where it has a value
-
     f must be twice continuously differentiable inside its domain: a traced formula is searched for all operations that
     are not smooth everywhere (roots, quotients, angles, inverse functions), by bounds, so that nothing falls between
     samples. The search has its limits: parameters and times beyond 1e6, and formulas of several variables that are
@@ -38,7 +25,37 @@ class ParametricCurve(Contour):
     the function changes. Code that cannot be looked into is seen at samples only: there, what is narrower than 1/2000
     of a curve's domain (1/30 of each side of a surface's) may be missed.
 
-    Raises ContourError if f is not finite or not smooth, does not return three numbers, or is not what was traced.
+    Parameters
+    ----------
+    f : callable
+        Written with `math` or NumPy functions of numbers. It is traced into a tape once, so that no Python runs during
+        a simulation and all derivatives are exact. A function that cannot be traced (it branches on u, or calls
+        compiled code) is fitted to round-off instead; `fit_error` says in m how well.
+    domain : (low, high)
+        Ends of u; may be infinite if f can be traced.
+    periodic : bool
+        f repeats, whether or not its formula does: f(low) and f(high) are the same point, at all times, and so are the
+        derivatives that the dynamics use, up to the second ones. This is checked.
+    derivatives : callable, optional
+        Same arguments -> (f_1, f_11), or (f_1, f_t, f_11, f_1t, f_tt) with time. Not needed; if given, compared with
+        the traced ones, or fitted together with f.
+    time_domain : (first, last), optional
+        Time in s at which f(u, t) is used. Needed if it has to be fitted: beyond it the contour goes on with constant
+        acceleration then. Also needed if f is smooth at these times only: it has no value at others then. Without it, f
+        must be smooth at all times from 0 on where it has a value.
+
+    Raises
+    ------
+    ContourError
+        If f is not finite or not smooth, does not return three numbers, or is not what was traced.
+
+    Examples
+    --------
+    >>> import math
+    >>> import pincontact as pc
+    >>> chain = pc.ParametricCurve(lambda u: (u, math.cosh(u), 0.0), domain=(-1.0, 1.0))
+    >>> chain.evaluate(0.0)[[0, 1, 3]].tolist()  # f, f_1, f_11
+    [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     """
 
     def __init__(
@@ -59,14 +76,31 @@ class ParametricCurve(Contour):
 class ParametricSurface(Contour):
     """A surface f(u1, u2) or f(u1, u2, t) -> (x, y, z) in m, t in s; its normal is along f_1 x f_2.
 
-    f:            as for `ParametricCurve`; with time it must be traceable
-    domain:       ((low, high) of u1, (low, high) of u2); may be infinite if f can be traced
-    periodic:     which parameters wrap around
-    derivatives:  same arguments -> (f_1, f_2, f_11, f_12, f_22), or with time (f_1, f_2, f_t, f_11, f_12, f_1t,
-                  f_22, f_2t, f_tt); not needed, see `ParametricCurve`
-    time_domain:  (first, last) time in s at which f is used, if it is smooth at these times only
+    Parameters
+    ----------
+    f : callable
+        As for `ParametricCurve`; with time it must be traceable.
+    domain : ((low, high), (low, high))
+        Ends of u1 and u2; may be infinite if f can be traced.
+    periodic : pair of bool
+        Which parameters wrap around.
+    derivatives : callable, optional
+        Same arguments -> (f_1, f_2, f_11, f_12, f_22), or with time
+        (f_1, f_2, f_t, f_11, f_12, f_1t, f_22, f_2t, f_tt); not needed, see `ParametricCurve`.
+    time_domain : (first, last), optional
+        Time in s at which f is used, if it is smooth at these times only.
 
-    Raises ContourError as `ParametricCurve` does.
+    Raises
+    ------
+    ContourError
+        As `ParametricCurve` does.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> saddle = pc.ParametricSurface(lambda u, v: (u, v, u * v), domain=((-1.0, 1.0), (-1.0, 1.0)))
+    >>> saddle.point((0.5, 0.5)).tolist()
+    [0.5, 0.5, 0.25]
     """
 
     def __init__(
@@ -87,14 +121,38 @@ class ParametricSurface(Contour):
 class HeightField(Contour):
     """A surface over its frame's xy-plane, (x, y, z(x, y)), normal upwards: from a function or from a grid.
 
-    HeightField(f):        f(x, y) or f(x, y, t) -> z in m, traced or fitted as in `ParametricCurve`;
-                           domain: ((low, high) of x, (low, high) of y), infinite if not given;
-                           derivatives: same arguments -> (f_x, f_y, f_xx, f_xy, f_yy), not needed;
-                           time_domain: as for `ParametricSurface`
-    HeightField(x, y, z):  x (n1,), y (n2,) increasing, z (n1, n2), all in m: a spline of the given degree (at least
-                           4) through the grid
+    Parameters
+    ----------
+    f : callable, or (n1,) array
+        f(x, y) or f(x, y, t) -> z in m, traced or fitted as in `ParametricCurve`. Or the x of a grid, increasing, in m.
+    y : (n2,) array
+        Of a grid, increasing, in m.
+    z : (n1, n2) array
+        Heights of a grid in m; a spline through them is made.
+    domain : ((low, high), (low, high)), optional
+        Ends of x and y for a function; infinite if not given.
+    degree : int
+        Of the spline, at least 4.
+    derivatives : callable, optional
+        Of a function: same arguments -> (f_x, f_y, f_xx, f_xy, f_yy); not needed.
+    time_domain : (first, last), optional
+        As for `ParametricSurface`.
 
-    Raises ContourError for what cannot be traced, fitted or interpolated.
+    Raises
+    ------
+    ContourError
+        For what cannot be traced, fitted or interpolated.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pincontact as pc
+    >>> bowl = pc.HeightField(lambda x, y: 0.5 * (x * x + 2.0 * y * y))
+    >>> bowl.point((1.0, 1.0)).tolist()
+    [1.0, 1.0, 1.5]
+    >>> x = np.linspace(-1.0, 1.0, 9)
+    >>> pc.HeightField(x, x, np.outer(x, x)).domain
+    ((-1.0, 1.0), (-1.0, 1.0))
     """
 
     def __init__(

@@ -57,12 +57,28 @@ class SurfaceOfRevolution(Contour):
     Where the profile meets the axis, at an end, it must be smooth as a surface (r odd, z even in the distance from
     the end, both parameters such as arc length or an angle); charts 1 and 2 cover those poles.
 
-    profile:     callable s -> (r, z) in m, traced or fitted as in `ParametricCurve`; or points (n, 2), joined by a
-                 spline that also passes the axis smoothly where its first or last point has r = 0
-    domain:      (low, high) of s, finite, for a callable
-    periodic:    the profile closes (away from the axis)
+    Parameters
+    ----------
+    profile : callable s -> (r, z), or (n, 2) array
+        In m. A function is traced or fitted as in `ParametricCurve`; points are joined by a spline that also passes the
+        axis smoothly where its first or last point has r = 0.
+    domain : (low, high)
+        Ends of s, finite; for a function only.
+    periodic : bool
+        The profile closes (away from the axis).
 
-    Raises ContourError for a profile that crosses the axis, or meets it with an edge or an apex.
+    Raises
+    ------
+    ContourError
+        For a profile that crosses the axis, or meets it with an edge or an apex.
+
+    Examples
+    --------
+    >>> import math
+    >>> import pincontact as pc
+    >>> egg = pc.SurfaceOfRevolution(lambda s: (0.1 * math.cos(s), 0.14 * math.sin(s)), (-math.pi / 2, math.pi / 2))
+    >>> egg.charts, egg.convex_side, egg.point((0.0, 0.0)).tolist()
+    ((0, 1, 2), 1, [0.1, 0.0, 0.0])
     """
 
     def __init__(self, profile: Any, domain: tuple[float, float] | None = None, periodic: bool = False) -> None:

@@ -63,16 +63,33 @@ def spline_pool(curve: scipy.interpolate.BSpline, periodic: bool) -> np.ndarray:
 class SplineCurve(Contour):
     """An interpolating spline through points, or a given B-spline.
 
-    points:      (n, 3) in m, (n, 2) for a curve in the xy-plane, or a `scipy.interpolate.BSpline` with such values
-                 (`degree` and `parameters` are then its own)
-    periodic:    closed: the first point follows the last one (do not repeat it). For a BSpline: its ends meet,
-                 with three derivatives
-    degree:      at least 4; the curve is degree - 1 times differentiable
-    parameters:  (n,) values of u at the points, (n + 1,) if periodic; chord lengths from the first point if not given,
-                 so that u is close to the arc length in m
+    Parameters
+    ----------
+    points : (n, 3) or (n, 2) array, or scipy.interpolate.BSpline
+        In m; with two columns the curve lies in the xy-plane. A B-spline of such values brings its own degree and
+        parameters, and must be three times differentiable.
+    periodic : bool
+        Closed: the first point follows the last one (do not repeat it). For a B-spline: its ends meet, with three
+        derivatives.
+    degree : int
+        At least 4; the curve is degree - 1 times differentiable.
+    parameters : (n,) array, or (n + 1,) if periodic
+        Values of u at the points; chord lengths from the first point if not given, so that u is close to the arc
+        length in m.
 
-    Raises ContourError for too few, coincident or non-finite points and for splines less than three times
-    differentiable.
+    Raises
+    ------
+    ContourError
+        For too few, coincident or non-finite points and for splines less than three times differentiable.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pincontact as pc
+    >>> angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    >>> cam = pc.SplineCurve(np.c_[0.05 * np.cos(angle), 0.04 * np.sin(angle)], periodic=True)
+    >>> cam.planar, cam.convex_side, cam.point(0.0).tolist()
+    (True, 1, [0.05, 0.0, 0.0])
     """
 
     def __init__(self, points: Any, periodic: bool = False, degree: int = 5, parameters: Any = None) -> None:
@@ -135,13 +152,29 @@ def _checked(owner: str, curve: scipy.interpolate.BSpline, periodic: bool) -> sc
 class SplineSurface(Contour):
     """A tensor product of interpolating splines through a grid of points.
 
-    points:      (n1, n2, 3) in m; f_1 x f_2 is the outward normal, so the order of the grid's axes decides the side
-    periodic:    which grid directions close (do not repeat the first row or column)
-    degree:      at least 4
-    parameters:  (u1, u2) values at the grid lines, one more than lines where periodic; mean chord lengths if not
-                 given
+    Parameters
+    ----------
+    points : (n1, n2, 3) array
+        In m. f_1 x f_2 is the outward normal, so the order of the grid's axes decides the side.
+    periodic : pair of bool
+        Which grid directions close (do not repeat the first row or column).
+    degree : int
+        At least 4.
+    parameters : pair of arrays
+        Values of u1 and u2 at the grid lines, one more than lines where periodic; mean chord lengths if not given.
 
-    Raises ContourError for too few, coincident or non-finite points.
+    Raises
+    ------
+    ContourError
+        For too few, coincident or non-finite points.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pincontact as pc
+    >>> x, y = np.meshgrid(np.linspace(0.0, 1.0, 8), np.linspace(0.0, 1.0, 8), indexing="ij")
+    >>> pc.SplineSurface(np.stack([x, y, 0.1 * x * y], axis=-1)).point((0.0, 0.0)).round(12).tolist()
+    [0.0, 0.0, 0.0]
     """
 
     def __init__(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -99,42 +100,64 @@ class Interval:
         return (self if c % 2.0 else self.absolute()).rising(lambda x: x**c)
 
 
-_GROWING: dict[int, Callable[[np.ndarray], np.ndarray]] = {
-    ops.SQRT: np.sqrt,
-    ops.EXP: np.exp,
-    ops.EXPM1: np.expm1,
-    ops.LOG: np.log,
-    ops.LOG1P: np.log1p,
-    ops.ASIN: np.arcsin,
-    ops.ATAN: np.arctan,
-    ops.SINH: np.sinh,
-    ops.TANH: np.tanh,
-    ops.ASINH: np.arcsinh,
-    ops.ACOSH: np.arccosh,
-    ops.ATANH: np.arctanh,
+class _Rule(NamedTuple):
+    """A growing function of one variable.
+
+    f: the function; slope: bounds of its derivative from those of its argument and its value; domain: where it is
+    defined; fault: what is wrong where its argument reaches an end of that.
+    """
+
+    f: Callable[[np.ndarray], np.ndarray]
+    slope: Callable[[Interval, Interval], Interval]
+    domain: tuple[float, float] = (-np.inf, np.inf)
+    fault: str = ""
+
+
+def _power_of_square(factor: float, constant: float, power: float) -> Callable[[Interval, Interval], Interval]:
+    """(factor x^2 + constant)^power."""
+    return lambda x, _: x.square().affine(factor, constant).clipped(0.0).power(power)
+
+
+_FALLS, _REACHES = "of a quantity that falls to", "of a quantity that reaches 1 or -1"
+_RULES = {
+    ops.SQRT: _Rule(np.sqrt, lambda _, f: f.inverse().affine(0.5), (0.0, np.inf), f"the square root {_FALLS} zero"),
+    ops.EXP: _Rule(np.exp, lambda _, f: f),
+    ops.EXPM1: _Rule(np.expm1, lambda x, _: x.rising(np.exp)),
+    ops.LOG: _Rule(np.log, lambda x, _: x.inverse(), (0.0, np.inf), f"the logarithm {_FALLS} zero"),
+    ops.LOG1P: _Rule(
+        np.log1p, lambda x, _: x.affine(1.0, 1.0).inverse(), (-1.0, np.inf), f"the logarithm {_FALLS} zero"
+    ),
+    ops.ASIN: _Rule(np.arcsin, _power_of_square(-1.0, 1.0, -0.5), (-1.0, 1.0), f"the arc sine or cosine {_REACHES}"),
+    ops.ATAN: _Rule(np.arctan, _power_of_square(1.0, 1.0, -1.0)),
+    ops.SINH: _Rule(np.sinh, lambda x, _: x.absolute().rising(np.cosh)),
+    ops.TANH: _Rule(np.tanh, lambda _, f: f.square().affine(-1.0, 1.0)),
+    ops.ASINH: _Rule(np.arcsinh, _power_of_square(1.0, 1.0, -0.5)),
+    ops.ACOSH: _Rule(
+        np.arccosh, _power_of_square(1.0, -1.0, -0.5), (1.0, np.inf), f"the inverse hyperbolic cosine {_FALLS} 1"
+    ),
+    ops.ATANH: _Rule(
+        np.arctanh, _power_of_square(-1.0, 1.0, -1.0), (-1.0, 1.0), f"the inverse hyperbolic tangent {_REACHES}"
+    ),
 }
-# Where a function of one variable is defined, if not everywhere.
-_DEFINED = {
-    ops.SQRT: (0.0, np.inf),
-    ops.LOG: (0.0, np.inf),
-    ops.LOG1P: (-1.0, np.inf),
-    ops.ASIN: (-1.0, 1.0),
-    ops.ACOSH: (1.0, np.inf),
-    ops.ATANH: (-1.0, 1.0),
-}
-# First derivatives as powers of polynomials: (square's factor, constant, power) of (factor x^2 + constant)^power.
-_SLOPES = {
-    ops.ASIN: (-1.0, 1.0, -0.5),
-    ops.ATAN: (1.0, 1.0, -1.0),
-    ops.ASINH: (1.0, 1.0, -0.5),
-    ops.ACOSH: (1.0, -1.0, -0.5),
-    ops.ATANH: (-1.0, 1.0, -1.0),
+# What is wrong where `_away` is not positive.
+FAULTS = {
+    **{op: rule.fault for op, rule in _RULES.items() if rule.fault},
+    ops.POWER: f"a power {_FALLS} zero",
+    ops.POWER_CONSTANT: f"a power {_FALLS} zero",
+    ops.INVERSE: "a quotient whose denominator vanishes",
+    ops.TAN: "the tangent of an angle that reaches a quarter turn",
+    ops.HYPOT: "the length of a vector that vanishes",
+    ORIGIN: "the angle of a vector that vanishes",
 }
 
 
 def _of_one(op: int, c: float, x: Interval) -> tuple[Interval, Interval]:
     """Bounds of the function `op` with constant c, and of its derivative."""
-    x = x.clipped(*_DEFINED[op]) if op in _DEFINED else x
+    if op in _RULES:
+        rule = _RULES[op]
+        x = x.clipped(*rule.domain)
+        value = x.rising(rule.f)
+        return value, rule.slope(x, value)
     if op == ops.SQUARE:
         return x.square(), x.affine(2.0)
     if op == ops.INVERSE:
@@ -147,30 +170,11 @@ def _of_one(op: int, c: float, x: Interval) -> tuple[Interval, Interval]:
         return (behind, x.cosine()) if op == ops.SIN else (x.cosine(), ahead)
     if op == ops.COSH:
         return x.absolute().rising(np.cosh), x.rising(np.sinh)
-    if op == ops.TAN:
-        value = x.rising(np.tan)
-        pole = _away(ops.TAN, 0.0, x, x) <= 0.0
-        value = Interval(np.where(pole, -np.inf, value.lo), np.where(pole, np.inf, value.hi))
-        return value, value.square().affine(1.0, 1.0)
-    value = x.rising(_GROWING[op])
-    if op == ops.SQRT:
-        slope = value.inverse().affine(0.5)
-    elif op == ops.EXP:
-        slope = value
-    elif op == ops.EXPM1:
-        slope = x.rising(np.exp)
-    elif op == ops.LOG:
-        slope = x.inverse()
-    elif op == ops.LOG1P:
-        slope = x.affine(1.0, 1.0).inverse()
-    elif op == ops.SINH:
-        slope = x.absolute().rising(np.cosh)
-    elif op == ops.TANH:
-        slope = value.square().affine(-1.0, 1.0)
-    else:
-        factor, constant, power = _SLOPES[op]
-        slope = x.square().affine(factor, constant).clipped(0.0).power(power)
-    return value, slope
+    # TAN
+    value = x.rising(np.tan)
+    pole = _away(op, 0.0, x, x) <= 0.0
+    value = Interval(np.where(pole, -np.inf, value.lo), np.where(pole, np.inf, value.hi))
+    return value, value.square().affine(1.0, 1.0)
 
 
 def _of_two(op: int, x: Interval, y: Interval) -> tuple[Interval, Interval, Interval]:
@@ -204,41 +208,21 @@ def _away(op: int, c: float, x: Interval, y: Interval) -> np.ndarray:
     """How far, at least, the arguments of `op` are from where it is not smooth; positive where it is."""
     if op == SIGN:
         return x.lo if c > 0.0 else -x.hi
-    if op in (ops.SQRT, ops.LOG, ops.POWER) or (op == ops.POWER_CONSTANT and c != round(c) and c < 2.0):
-        return x.lo
-    if op == ops.POWER_CONSTANT and c != round(c):
+    if op in _RULES:
+        low, high = _RULES[op].domain
+        return np.minimum(x.lo - low, high - x.hi) if high < np.inf else x.lo - low
+    if op == ops.POWER_CONSTANT and c != round(c) and c >= 2.0:
         # twice differentiable at zero
         return np.where(x.lo == 0.0, np.finfo(float).tiny, x.lo)
+    if op == ops.POWER or (op == ops.POWER_CONSTANT and c != round(c)):
+        return x.lo
     if op in (ops.INVERSE, ops.POWER_CONSTANT):
         return x.distance
-    if op == ops.LOG1P:
-        return x.lo + 1.0
-    if op in (ops.ASIN, ops.ATANH):
-        return np.minimum(x.lo + 1.0, 1.0 - x.hi)
-    if op == ops.ACOSH:
-        return x.lo - 1.0
     if op == ops.TAN:
         return x.cosine().distance
     if op == ops.ATAN2:
         return np.maximum(y.lo, x.distance)
     return np.maximum(x.distance, y.distance)  # HYPOT, ORIGIN
-
-
-# What is wrong where `_away` is not positive.
-FAULTS = {
-    ops.SQRT: "the square root of a quantity that falls to zero",
-    ops.LOG: "the logarithm of a quantity that falls to zero",
-    ops.LOG1P: "the logarithm of a quantity that falls to zero",
-    ops.POWER: "a power of a quantity that falls to zero",
-    ops.POWER_CONSTANT: "a power of a quantity that falls to zero",
-    ops.INVERSE: "a quotient whose denominator vanishes",
-    ops.ASIN: "the arc sine or cosine of a quantity that reaches 1 or -1",
-    ops.ATANH: "the inverse hyperbolic tangent of a quantity that reaches 1 or -1",
-    ops.ACOSH: "the inverse hyperbolic cosine of a quantity that falls to 1",
-    ops.TAN: "the tangent of an angle that reaches a quarter turn",
-    ops.HYPOT: "the length of a vector that vanishes",
-    ORIGIN: "the angle of a vector that vanishes",
-}
 
 
 def is_risky(op: int, c: float) -> bool:
@@ -252,7 +236,7 @@ def is_end(op: int, c: float) -> bool:
     """Whether the function `op` with constant c has no value beyond where it is not smooth."""
     if op == ops.POWER_CONSTANT:
         return c != round(c)
-    return op in _DEFINED or op == ops.POWER
+    return op == ops.POWER or (op in _RULES and bool(_RULES[op].fault))
 
 
 # A check: operation, nodes of its arguments (the same twice if it has one) and constant.

@@ -88,8 +88,8 @@ class SplineCurve(Contour):
     >>> import pincontact as pc
     >>> angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     >>> cam = pc.SplineCurve(np.c_[0.05 * np.cos(angle), 0.04 * np.sin(angle)], periodic=True)
-    >>> cam.planar, cam.convex_side, cam.point(0.0).tolist()
-    (True, 1, [0.05, 0.0, 0.0])
+    >>> cam.planar, cam.periodic, cam.convex_side
+    (True, (True,), 1)
     """
 
     def __init__(self, points: Any, periodic: bool = False, degree: int = 5, parameters: Any = None) -> None:
@@ -173,8 +173,9 @@ class SplineSurface(Contour):
     >>> import numpy as np
     >>> import pincontact as pc
     >>> x, y = np.meshgrid(np.linspace(0.0, 1.0, 8), np.linspace(0.0, 1.0, 8), indexing="ij")
-    >>> pc.SplineSurface(np.stack([x, y, 0.1 * x * y], axis=-1)).point((0.0, 0.0)).round(12).tolist()
-    [0.0, 0.0, 0.0]
+    >>> sheet = pc.SplineSurface(np.stack([x, y, 0.1 * x * y], axis=-1))
+    >>> bool(abs(sheet.point((0.0, 0.0))).max() < 1e-12)
+    True
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Driven contours: a placement as a function of time, with its first two time derivatives.
+"""Prescribed motions of contours: a placement as a function of time, with its first two time derivatives.
 
 A motion moves a contour relative to the frame that carries it: a heaving plate, a turntable, a belt, a prescribed
 cam. All vectors are in the axes of the carrier; velocities and accelerations are those of the moving origin, relative
@@ -296,8 +296,8 @@ class SplineMotion(Motion):
             again[:, 3:] = -again[:, 3:]
             values = np.concatenate([values, again])
             t = np.concatenate([t, t[1:] + (t[-1] - t[0])])
-        path = spline(owner, t, values, 5, periodic)
-        super().__init__((), _motion_pool(spline_pool(path, periodic)))
+        curve = spline(owner, t, values, 5, periodic)
+        super().__init__((), _motion_pool(spline_pool(curve, periodic)))
 
 
 class CallableMotion(Motion):
@@ -349,7 +349,7 @@ class CallableMotion(Motion):
             super().__init__()
             for part in (0.137, 0.618):
                 self._check(first + part * (last - first))
-            # what it raises in a run is told there, with the contour's name
+            # what it raises in a run is reported there, with the contour's name
             self._function = given
             return
         if time_domain is None:
@@ -414,7 +414,7 @@ def _named_failure(owner: str, f: Callable[[float], Any]) -> Callable[[float], A
 class _QuaternionBranch:
     """Coordinates of a pose with the quaternion's sign continued from the first time.
 
-    Signs are settled once on a fine grid of times; a value in between takes the sign of its nearest neighbour.
+    Signs are chosen once on a fine grid of times; a value in between takes the sign of its nearest neighbour.
     """
 
     _GRID = 2000
@@ -478,8 +478,8 @@ def _coordinates(pose: pin.SE3) -> np.ndarray:
     return np.concatenate([pose.translation, quaternion.coeffs()])
 
 
-def _motion_pool(path: np.ndarray) -> np.ndarray:
-    return np.concatenate([np.zeros(_SPLINE_SCRATCH), path])
+def _motion_pool(polynomials: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.zeros(_SPLINE_SCRATCH), polynomials])
 
 
 @kernel

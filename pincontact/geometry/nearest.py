@@ -32,7 +32,7 @@ _STARTS = 6
 _FINE, _FINEST = 0.05, 0.05
 # Radius of the neighbourhood of a nearest point that has no other one, in radii of curvature.
 _NEIGHBOURHOOD = 0.5
-# Largest radius of curvature in m that is told from none.
+# Radii of curvature beyond this, in m, count as this.
 _LARGEST = 100.0
 # Part of the bends that may be sharper than the radius of curvature that counts: those of poles are the parameters'.
 _SHARPEST = 0.9
@@ -104,7 +104,7 @@ class NearestSearch:
         self.one: Contour = contact.body1.contour
         self.two: Contour = contact.body2.contour
         if not all(math.isfinite(low) and math.isfinite(high) for low, high in self.one.domain):
-            raise ValueError("body 1 goes on for ever")
+            raise ValueError("body 1 is unbounded")
         self.whole = Whole(self.one, t)
         own, other, extent = bend(self.one, t), bend(self.two, t), self.whole.extent + self.whole.rounding
         self.bend = min(own, other, _LARGEST)

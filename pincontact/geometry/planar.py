@@ -31,8 +31,8 @@ def moves_in_plane(model: pin.Model, body1: Carried, body2: Carried) -> bool:
     """Whether contour 1 stays in the xy-plane of contour 2 in every configuration.
 
     Tested where it must hold: at a few configurations made from fixed pseudo-random velocities, the relative
-    Jacobian has no motion out of the plane, and the planes coincide. Driven contours count as planar when their
-    placement keeps to the plane over a few instants.
+    Jacobian has no motion out of the plane, and the planes coincide. Contours with a prescribed motion
+    count as planar if their placement keeps to the plane at a few instants.
     """
     rng = np.random.default_rng(20)
     data = model.createData()

@@ -24,12 +24,13 @@ _SURFACE_SAMPLES = (61, 31)
 # So many starts, a third for each of these weights of alignment against distance, apart from each other by this part of
 # the contact's length; each sample of body 1 with so many neighbours.
 _SEEDS, _WEIGHTS, _APART, _NEIGHBOURS = 24, (1.0, 0.0, 10.0), 0.25, 4
-# What goes on for ever is sampled so far beyond both bodies' distance, in their sizes; the ends of domains are spared.
+# Unbounded contours are sampled as far as the bodies' distance plus so many of their sizes; samples keep off the ends
+# of domains by this part of them.
 _WINDOW, _INSET = 2.0, 1e-3
-# In m, of two points at one place.
+# At least so far, in m: two points at one place have neither size nor distance.
 _LEAST_WINDOW = 1e-3
-# What goes on for ever in other parameters than lengths is sampled at distances of this part of its size, as if it were
-# no slower than this part of a window for each of them.
+# Along unbounded parameters other than lengths, samples are this part of the contour's size apart; its speed |f_a| is
+# taken for at least this part of a window per unit of the parameter.
 _SPACING, _SLOWEST = 0.25, 1e-3
 # Two candidates closer than this (relative to the contact's length) are one.
 _SAME = 1e-6
@@ -41,9 +42,12 @@ _SOLVED = 1e-6
 class Candidate:
     """A stationary point of the distance between two contours.
 
-    location (4,): u_1 (2), u_2 (2); gap: signed distance in m along the normal of the side assumed; side: the side of
-    e_3 on which body 1 bends away, 0 where the shapes do not decide; point (3,): world point on body 2;
-    determinant_sign and branch: which solution of the location equations it is. charts: of both bodies.
+    location: (4,) contact coordinates u_1 (2), u_2 (2).
+    gap: signed distance in m along the normal of the side assumed.
+    side: the side of e_3 on which body 1 bends away, 0 where the shapes do not decide.
+    point: (3,) point on body 2, world frame.
+    determinant_sign, branch: which solution of the location equations it is.
+    charts: of both bodies.
     """
 
     location: np.ndarray
@@ -58,7 +62,7 @@ class Candidate:
 def find_candidates(system: Workspace, t: float, guess: np.ndarray, beyond: bool = False) -> list[Candidate]:
     """Candidates of a system with a single contact at its (q, v), nearest (least |gap|) first.
 
-    guess (4,): location parameters, NaN where unknown. A complete guess is followed alone. beyond: where there is none
+    guess (4,): contact coordinates, NaN where unknown. A complete guess is the only start. beyond: where there is none
     inside the contours' domains, those on their continuations, where nothing touches, will do.
     Raises SingularContactError where there is none and a start ended where the location equations are singular.
     """

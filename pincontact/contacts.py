@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pinocchio as pin
 
-from .contours import Contour
+from .contours.base import Contour
 from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern
 

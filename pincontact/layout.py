@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from .contours.base import DERIVATIVE_ROWS, SHAPE_SIZE
-from .contours.motion import MOTION_PARAMETERS, MOTION_SIZE
+from .contours.sizes import DERIVATIVE_ROWS, MOTION_PARAMETERS, MOTION_SIZE, SHAPE_SIZE
 from .workspace import INTEGERS, REALS, Layout, record
 
 SIZES = record(INTEGERS, "nq", "nv", "nc", "njoints", "nblocks", "nstages", "nwork", "ny")

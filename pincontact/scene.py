@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from .arguments import NOT_REAL, is_number, real_array
+from .collision import contours_from_collision
 from .contacts import AttachedContour, Contact
 from .contours import Contour
 from .contours.motion import Motion
@@ -197,9 +198,13 @@ class Scene:
         (naming what was seen), ContourError for a name taken or a shape without extent, ArgumentError for an unknown
         kind.
         """
-        from .collision import add_contours_from_collision
-
-        return add_contours_from_collision(self, links, kinds, geometry)
+        shapes, unread = (self.collision_model, self._unread_shapes) if geometry is None else (geometry, ())
+        found = contours_from_collision(self.model, shapes, links, kinds, unread)
+        # all or nothing: a name that is taken must not leave half of the contours behind
+        for name, *_ in found:
+            if name in self.contours:
+                raise ContourError(f"there is already a contour named {name!r}")
+        return {name: self.add_contour(name, contour, frame, place) for name, contour, frame, place in found}
 
     def add_contact(
         self,

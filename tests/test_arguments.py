@@ -388,4 +388,4 @@ def test_numbers_of_other_types_are_numbers(number):
     assert pc.Circle(number).shape == pc.Circle(0.25).shape
     assert pc.Coulomb(number) == pc.Coulomb(0.25)
     assert pc.HarmonicMotion(frequency=number).parameters[10] == pc.HarmonicMotion(frequency=0.25).parameters[10]
-    assert pc.Circle(np.int64(2)).shape == (2.0,)
+    assert pc.Circle(np.int64(2)).size == 2.0

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 
 from ..arrays import address
-from ..contours.table import call_contour
+from ..contours.evaluation import call_contour
 from ..geometry.carriers import OMEGA, ORIGIN, point_bias, point_velocity
 from ..geometry.frames import STEEP
 from ..geometry.location import (
@@ -82,7 +82,6 @@ def shape_in_world(system, c, body):
     integers, local, world = system.side_int[side], system.local, system.derivatives[side]
     call_contour(
         integers[EVALUATOR],
-        integers[KIND],
         integers[CHART],
         address(system.side_shape[side]),
         integers[POOL_ADDRESS],

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import ContourError
-from .base import TAPE_CURVE, TAPE_SURFACE, Contour
+from .base import Contour
 from .enclosures import FAULTS, Check, Interval, is_end, margins, values
+from .tape import traced
 from .trace import Path, Tape
 
 if TYPE_CHECKING:
@@ -374,7 +375,7 @@ class _Search:
                 sides.append(np.stack([a, b], axis=1))
         pairs = np.concatenate(sides)
         parameters = self.variables.replace("t", "")
-        contour = Contour(TAPE_SURFACE if parameters == "uv" else TAPE_CURVE, len(parameters), pool=tape.pool)
+        contour = Contour(traced, len(parameters), pool=tape.pool)
         times = pairs[..., -1] if "t" in self.variables else np.zeros(pairs.shape[:2])
         rows = np.array(
             [

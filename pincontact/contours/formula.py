@@ -12,9 +12,11 @@ import numpy as np
 
 from ..errors import ContourError
 from . import tape as ops
-from .base import SPLINE_CURVE, SPLINE_SURFACE, TAPE_CURVE, TAPE_SURFACE, Contour, F
+from .base import Contour, F
 from .branches import Survey, names, place, survey
 from .fits import fit
+from .piecewise import fitted
+from .tape import traced
 from .trace import ROWS
 
 # How many parameter values a formula is tried at, and how far along an infinite domain and in time.
@@ -117,14 +119,14 @@ def trials(domain: Sequence[tuple[float, float]]) -> np.ndarray:
 class Program:
     """What became of a formula.
 
-    kind:            of the contour that evaluates it
+    evaluator:       kernel of the contour that evaluates it
     time_dependent:  t occurs in it
     constants:       for each output its value if it depends on no variable, else None
     error:           of the fit in the formula's unit, 0 for a tape
     times:           (first, last) time in s at which it is tried; none where t does not occur
     """
 
-    kind: int
+    evaluator: Any
     pool: np.ndarray
     time_dependent: bool
     constants: tuple[float | None, ...]
@@ -162,11 +164,10 @@ def compiled(
         for axis, wraps in enumerate(periodic):
             if wraps:
                 pool[ops.PERIODS + 2 * axis : ops.PERIODS + 2 * axis + 2] = domain[axis]
-        kind = TAPE_SURFACE if formula.parameters == 2 else TAPE_CURVE
-        program = Program(kind, pool, known.tape.time_dependent, known.tape.constants, 0.0)
+        program = Program(traced, pool, known.tape.time_dependent, known.tape.constants, 0.0)
         _check_seams(formula, program, domain, periodic, points)
     program.times = tuple(timed) if program.time_dependent else ()
-    contour = Contour(program.kind, formula.parameters, pool=program.pool)
+    contour = Contour(program.evaluator, formula.parameters, pool=program.pool)
     for point, value in zip(points, expected):
         time = float(point[-1]) if formula.takes_time else 0.0
         found = contour.evaluate(point[: formula.parameters], time)[:, : formula.outputs]
@@ -214,8 +215,7 @@ def _fitted(
 
     closed = [*periodic, False][: len(box)]
     result = fit(formula.owner, formula, box, closed, second, timed, known.breaks, known.places)
-    kind = SPLINE_SURFACE if formula.parameters == 2 else SPLINE_CURVE
-    return Program(kind, result.pool, timed, (None,) * formula.outputs, result.error)
+    return Program(fitted, result.pool, timed, (None,) * formula.outputs, result.error)
 
 
 def _compare(owner: str, what: str, found: np.ndarray, expected: np.ndarray, size: float, tolerance: float) -> None:
@@ -240,7 +240,7 @@ def _check_seams(
 
     These are what the dynamics use: those by the parameters, by time and mixed ones.
     """
-    contour = Contour(program.kind, formula.parameters, pool=program.pool)
+    contour = Contour(program.evaluator, formula.parameters, pool=program.pool)
     timed = formula.takes_time
     spans = np.ptp(points, axis=0)
     rows = list(ROWS[formula.variables])

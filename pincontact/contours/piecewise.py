@@ -17,6 +17,8 @@ import scipy
 from numpy.polynomial import chebyshev
 
 from ..jit import kernel
+from ..workspace import reals_at
+from .evaluation import contour_kernel, rows_at
 from .periods import wrapped
 
 # Header.
@@ -228,3 +230,10 @@ def piecewise(pool, u1, u2, t, out):
             out[row, column] = f_2
             out[row + 2 if row == 2 else 7, column] = f_12
             out[row + 3, column] = f_22
+
+
+@contour_kernel
+def fitted(chart, shape, pool, pool_size, u1, u2, t, out):
+    """Evaluates contours whose pool is a piecewise polynomial, a spline or a fit."""
+    piecewise(reals_at(pool, pool_size), u1, u2, t, rows_at(out))
+    return 0

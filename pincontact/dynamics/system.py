@@ -12,9 +12,8 @@ import pinocchio as pin
 
 from ..callback import kernel_address
 from ..contacts import characteristic_length
-from ..contours.base import DERIVATIVE_ROWS, SHAPE_SIZE
-from ..contours.motion import MOTION_CALLABLE, MOTION_NONE, MOTION_PARAMETERS, MOTION_SIZE, MOTION_TWIST, motion_at
-from ..contours.table import contour_address
+from ..contours.motion import MOTION_CALLABLE, MOTION_NONE, MOTION_TWIST, motion_at
+from ..contours.sizes import DERIVATIVE_ROWS, MOTION_PARAMETERS, MOTION_SIZE, SHAPE_SIZE
 from ..errors import UnusableResult
 from ..friction.laws import Stribeck
 from ..geometry.carriers import ORIGIN
@@ -212,7 +211,7 @@ class System(Workspace):
         integers[KIND], integers[CHART], integers[JOINT] = contour.kind, 0, attached.joint
         integers[TIME_DEPENDENT] = int(contour.time_dependent)
         integers[POOL_ADDRESS], integers[POOL_SIZE] = address_of(pool), pool.size
-        integers[EVALUATOR] = contour_address(contour.kind)
+        integers[EVALUATOR] = kernel_address(contour.evaluator)
         self.side_shape[side] = contour.shape_row()
         self.side_domain[side] = contour.ends()
         placement = attached.placement_in_joint
@@ -432,6 +431,10 @@ class System(Workspace):
     def charted(self) -> bool:
         """Whether any contour has charts to move between."""
         return bool(self.counters["charted"])
+
+    def alone(self, c: int) -> System:
+        """A system of contact c only."""
+        return System(self.model, [self.contacts[c]])
 
     @property
     def modes(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The states of a Runge-Kutta step: handed to Pinocchio, made from slopes, corrected, moved to other charts.
+"""The states of a Runge-Kutta step: handed to Pinocchio, made from slopes, corrected.
 
 State: y = (q, w, location parameters, quadratures). q is ambient; w is v in the axes of the joints' parents (see
 `manifold`) where the counter PARENT_AXES is set, as it is for the pairs, and v itself elsewhere. The location

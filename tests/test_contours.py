@@ -688,3 +688,26 @@ def test_every_public_contour_has_an_example():
 def test_contours_are_shown_as_they_were_written(shape, written):
     assert repr(shape) == written
     assert repr(copy.copy(shape)) == written
+
+
+INF = math.inf
+
+
+@pytest.mark.parametrize(
+    ("shape", "ends"),
+    [
+        (pc.Point(), (-INF, INF, -INF, INF)),
+        (pc.Circle(1.0), (-INF, INF, -INF, INF)),
+        (pc.Circle(1.0, (0.0, 1.0)), (0.0, 1.0, -INF, INF)),
+        (pc.Cycloid(1.0), (1e-4 - math.pi, math.pi - 1e-4, -INF, INF)),
+        (pc.Plane(((-1, 2), None)), (-1.0, 2.0, -INF, INF)),
+        (pc.Sphere(1.0), (-INF, INF, -INF, INF)),
+        (pc.Cone(0.4, (None, (0.0, 2.0))), (-INF, INF, 1e-6, 2.0)),
+        (pc.SurfaceOfRevolution(lambda s: (1.0 + 0.1 * s, s), (0.0, 2.0)), (-INF, INF, 0.0, 2.0)),
+        (pc.SurfaceOfRevolution(lambda s: (math.sin(s), -math.cos(s)), (0.0, 2.0)), (-INF, INF, -INF, 2.0)),
+        (pc.SurfaceOfRevolution(lambda s: (math.cos(s), math.sin(s)), (-1.0, math.pi / 2)), (-INF, INF, -1.0, INF)),
+    ],
+    ids=lambda value: repr(value) if isinstance(value, pc.Contour) else "",
+)
+def test_contacts_end_where_the_contour_does(shape, ends):
+    assert shape.ends().tolist() == pytest.approx(ends)

@@ -13,8 +13,9 @@ from pincontact.contours import fits, revolution
 from pincontact.contours.base import Contour
 from pincontact.contours.branches import _Followed
 from pincontact.contours.fits import fit
-from pincontact.contours.formula import Formula, _seam, takes_time, trials
+from pincontact.contours.formula import Formula, takes_time, trials
 from pincontact.contours.piecewise import fitted
+from pincontact.contours.program import _seam
 from pincontact.contours.tape import traced
 from pincontact.contours.trace import Path, Untraceable, trace
 from pincontact.errors import ContourError

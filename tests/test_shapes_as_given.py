@@ -13,8 +13,9 @@ import pincontact.contours as pc
 from pincontact.contours import branches, checks, fits, piecewise, revolution, substitutes, trace
 from pincontact.contours.base import Contour
 from pincontact.contours.branches import _beside_root, _Search, survey
-from pincontact.contours.formula import Formula, _seam
+from pincontact.contours.formula import Formula
 from pincontact.contours.piecewise import fitted
+from pincontact.contours.program import _seam
 from pincontact.contours.tape import traced
 from pincontact.contours.trace import Path
 from pincontact.errors import ContourError

@@ -12,18 +12,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import ContourError
 from .base import Contour
 from .enclosures import FAULTS, Check, Interval, is_end, margins, values
+from .formula import Formula
 from .tape import traced
 from .trace import Path, Tape
-
-if TYPE_CHECKING:
-    from .formula import Formula
 
 # Boxes no wider than this part of the domain are not cut again; so far from its ends a formula may do what it likes.
 _TINY = 1e-9

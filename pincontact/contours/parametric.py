@@ -11,7 +11,8 @@ import numpy as np
 from ..errors import ContourError
 from .base import ALL, F_1, F_2, Contour, F, half_diagonal
 from .checks import flag, flags, interval
-from .formula import Formula, Program, compiled, takes_time, trials
+from .formula import Formula, takes_time, trials
+from .program import Program, compiled
 from .splines import height_grid, height_spline
 
 

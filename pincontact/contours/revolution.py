@@ -22,8 +22,9 @@ from .base import ALL, F_1, F_11, REVOLUTION, TURN, Contour, F
 from .charts import HAND, HIGH, LOW, TRACED
 from .checks import array, flag, interval
 from .evaluation import contour_kernel, rows_at
-from .formula import Formula, compiled
+from .formula import Formula
 from .piecewise import Direction, chebyshev_nodes, fitted, pack, piecewise
+from .program import compiled
 from .sizes import SHAPE_SIZE
 from .splines import chords, spline, spline_pool
 from .surfaces import put_revolved

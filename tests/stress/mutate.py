@@ -81,8 +81,8 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "signs = [(-1, 0), (1, 0)] if dimension == 1 else [(-1, -1), (-1, 1), (1, -1), (1, 1)]", "0 -> 1",
     ): "cells of a curve have no width",
     (
-        "pincontact/contours/parametric.py", "_initialise",
-        "size = next((size for size in (half_diagonal(contour, t) for t in moments) if size > 0.0), 0.0)", "0.0 -> 0.5",
+        "pincontact/contours/parametric.py", "_arguments",
+        "numbers[\"size\"] = next((size for size in (half_diagonal(contour, t) for t in moments) if size > 0.0), 0.0)", "0.0 -> 0.5",
     ): "what has a tangent at one of these times is more than a point then",
     (
         "pincontact/contours/branches.py", "_end_early",
@@ -217,7 +217,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
     ): "where there is nothing to choose, asking for a choice changes nothing",
     (
         "pincontact/contours/enclosures.py", "_of_one",
-        "pole = _away(ops.TAN, 0.0, x, x) <= 0.0",
+        "pole = _away(op, 0.0, x, x) <= 0.0",
         "0.0 -> 0.5",
     ): "a tangent has no constant",
     (
@@ -271,7 +271,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "/ -> *",
     ): "how long the steps to a fixed point are, which is looked at afterwards",
     (
-        "pincontact/contours/formula.py", "_check_seams",
+        "pincontact/contours/program.py", "_check_seams",
         "extent, far = np.ptp(samples[:, 0], axis=0).max(), np.abs(samples[:, 0]).max()", "0 -> 1",
     ): "the size by which rounding is allowed for",
     (

@@ -19,7 +19,7 @@ DENSE_ROWS = 8
 
 @kernel
 def dense_coefficients(system):
-    """Fill DENSE from the slopes of the attempted step: row i is h sum_j w_ij k_j + w_i (y_1 - y_0).
+    """Fill DENSE from the slopes of the trial step: row i is h sum_j w_ij k_j + w_i (y_1 - y_0).
 
     The weight of the difference stands behind those of the stages.
     """

@@ -13,7 +13,6 @@ import numpy as np
 
 from .arguments import NOT_REAL, check_flag, is_count, is_number, real_array
 from .dynamics.joints import check_guards
-from .dynamics.spare import Spare, put_back, take_spare
 from .errors import ArgumentError, UnusableResult
 from .integration.driver import Driver, Options
 from .integration.events import UserEvent
@@ -31,11 +30,12 @@ from .integration.transitions import Transitions
 from .jit import compile_kernels
 from .scene import Scene
 from .state import State, check_state, write_discrete
+from .system_cache import CachedSystem, put_back, take_system
 from .trajectory import Record, Trajectory
 
 if TYPE_CHECKING:
     from .dynamics.system import System
-    from .integration.moreau import MoreauDriver
+    from .integration.moreau_driver import MoreauDriver
 
 # Time steps are at least so long, relative to the latest time: shorter ones would not move it on.
 _SHORTEST_STEP = float(np.finfo(float).eps)
@@ -117,12 +117,12 @@ def simulate(
         )
     if pair is None:
         # imported, and with it kernels to compile, for those who use it
-        from .integration import moreau  # noqa: F401
+        from .integration import moreau_driver  # noqa: F401
     compile_kernels()
     began = time.perf_counter()
     contacts = list(scene.contacts.values())
-    spare = take_spare(scene, energies, resistances=pair is not None)
-    system = spare.system
+    cached = take_system(scene, energies, resistances=pair is not None)
+    system = cached.system
     if pair is not None:
         # time stepping brings what is beyond its limits back
         check_guards(system.guards, state.q)
@@ -130,10 +130,10 @@ def simulate(
     torque = _torque(control, system) if control is not None else None
     if pair is None:
         run = _simulate_moreau(
-            scene, state, duration, step, spare, users, times, max_steps, torque, progress, began, jumps
+            scene, state, duration, step, cached, users, times, max_steps, torque, progress, began, jumps
         )
         if run.success:
-            put_back(scene, spare)
+            put_back(scene, cached)
         return run
     rk = RungeKutta(system, pair, rtol, atol, torque)
     rk.begin_at(state.q, state.v, state.location)
@@ -161,7 +161,7 @@ def simulate(
 
         run = _run(driver, state.t, duration, result)
     if run.success:
-        put_back(scene, spare)
+        put_back(scene, cached)
     elif fallback is not None and run.status in _FALLS_BACK:
         return _fall_back(
             run, driver, state, duration, step, energies, users, times, max_steps, control, progress, began, jumps
@@ -193,9 +193,9 @@ def _fall_back(
         q, v, location, works = np.split(good, ends)
         start = State(scene, q, v, t, location.reshape(-1, 4), discrete)
     event = Event(t, None, "fallback", start.q.copy(), start.v.copy())
-    spare = take_spare(scene, energies, resistances=False)
-    write_discrete(spare.system, discrete)
-    torque = _torque(control, spare.system) if control is not None else None
+    cached = take_system(scene, energies, resistances=False)
+    write_discrete(cached.system, discrete)
+    torque = _torque(control, cached.system) if control is not None else None
     left = max(1, max_steps - driver.steps - driver.rejected)
     later = times[times > t] if times is not None else None
 
@@ -205,10 +205,10 @@ def _fall_back(
     rest = duration - (t - state.t)
     jumps = [jump for jump in breakpoints if jump > t]
     whole = _simulate_moreau(
-        scene, start, rest, step, spare, users, later, left, torque, progress, began, jumps, follow
+        scene, start, rest, step, cached, users, later, left, torque, progress, began, jumps, follow
     )
     if whole.success:
-        put_back(scene, spare)
+        put_back(scene, cached)
     return whole
 
 
@@ -217,7 +217,7 @@ def _simulate_moreau(
     state: State,
     duration: float,
     step: float | None,
-    spare: Spare,
+    cached: CachedSystem,
     users: list[UserEvent],
     times: np.ndarray | None,
     max_steps: int,
@@ -227,17 +227,18 @@ def _simulate_moreau(
     breakpoints: list[float],
     finish: Callable[[Trajectory], Trajectory] = lambda run: run,
 ) -> Trajectory:
-    """The run of method "Moreau" on a spare's system, whose discrete state is set; finish: what is made of it."""
-    from .integration.moreau import DEFAULT_STEP, MoreauDriver, MoreauStep
+    """The run of method "Moreau" on a cached system, whose discrete state is set; finish: what is made of it."""
+    from .integration.moreau import DEFAULT_STEP, MoreauStep
+    from .integration.moreau_driver import MoreauDriver
     from .integration.stages import load_state
 
     size = DEFAULT_STEP if step is None else step
-    system, stepper = spare.system, spare.stepper
+    system, stepper = cached.system, cached.stepper
     end = system.nq + system.nv
     system.state[: system.nq], system.state[system.nq : end] = state.q, state.v
     system.state[end : end + 4 * system.nc] = state.location.ravel()
     if stepper is None:
-        stepper = spare.stepper = MoreauStep(system, system.contacts)
+        stepper = cached.stepper = MoreauStep(system, system.contacts)
     else:
         stepper.renew()
     record = Record(system, state, with_torques=torque is not None or stepper.acts_on_joints, by_steps=True)
@@ -276,14 +277,7 @@ def _simulate_moreau(
                 "steps": driver.steps,
                 "outputs": len(record),
                 **_counts(system),
-                "cone_problems": stepper.cone_problems,
-                "rigid": stepper.rigid,
-                "softened": stepper.softened,
-                "settled": stepper.settled,
-                "open_loads": stepper.open_loads,
-                "decided": stepper.decided,
-                "qp": stepper.solver.qp_count,
-                "cone_residual": stepper.worst_residual,
+                **stepper.stats,
                 "wall_time": time.perf_counter() - began,
             }
             return finish(Trajectory.from_record(scene, record, driver.events, code, message, stats))

@@ -16,7 +16,6 @@ import pinocchio as pin
 
 from .contacts import Contact, characteristic_length
 from .dynamics.energy import energies_at
-from .dynamics.spare import put_back, take_spare
 from .errors import TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
 from .integration.output_modes import OutputModes
@@ -36,6 +35,7 @@ from .layout import (
 )
 from .scene import Scene
 from .state import Correction, State, discrete_part, read_discrete, write_discrete
+from .system_cache import put_back, take_system
 from .workspace import address_of
 
 if TYPE_CHECKING:
@@ -189,8 +189,8 @@ def _with_output_modes(
     if not resting:
         return recorded
     # the run's own system, if nothing has been added to the scene since
-    spare = take_spare(scene, works, resistances=False) if list(scene.contacts.values()) == contacts else None
-    system = RunSystem(scene.model, contacts) if spare is None else spare.system
+    cached = take_system(scene, works, resistances=False) if list(scene.contacts.values()) == contacts else None
+    system = RunSystem(scene.model, contacts) if cached is None else cached.system
     modes = OutputModes(system)
     for i in resting:
         _load_output(system, recorded, i, q[i], v[i])
@@ -200,8 +200,8 @@ def _with_output_modes(
                 recorded.directions[i] = present_directions(system)
             if system.scalars["has_reference"]:
                 recorded.references[i] = system.reference[: system.nc].copy()
-    if spare is not None:
-        put_back(scene, spare)
+    if cached is not None:
+        put_back(scene, cached)
     return recorded
 
 

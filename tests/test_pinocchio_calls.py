@@ -13,7 +13,7 @@ import pincontact as pc
 from pincontact.dynamics import pinocchio_calls
 from pincontact.dynamics.pinocchio_calls import PinocchioCalls
 from pincontact.integration.run_system import RunSystem
-from pincontact.integration.steps import SETTLE, run_task
+from pincontact.integration.steps import PROJECT_PLACES, run_task
 
 here = pytest.mark.skipif(
     sys.platform != "linux" or bool(numba.config.DISABLE_JIT), reason="known to be there on Linux, for compiled kernels"
@@ -66,7 +66,7 @@ def test_the_same_numbers(name, monkeypatch):
             assert np.allclose(one, two, rtol=1e-13, atol=1e-13)
         for system in (native, plain):
             system.data.J[:] = np.nan
-            run_task(system.address, SETTLE, 0.0, 0.0)
+            run_task(system.address, PROJECT_PLACES, 0.0, 0.0)
         assert np.allclose(native.data.J, plain.data.J, rtol=1e-13, atol=1e-13)
 
 

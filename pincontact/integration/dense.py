@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @kernel
 def dense_coefficients(system):
-    """Fill DENSE from the slopes of the attempted step: row i is h sum_j w_ij k_j + w_i (y_1 - y_0).
+    """Fill DENSE from the slopes of the trial step: row i is h sum_j w_ij k_j + w_i (y_1 - y_0).
 
     The weight of the difference stands behind those of the stages.
     """

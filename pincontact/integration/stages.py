@@ -1,21 +1,22 @@
 """The states of a Runge-Kutta step: handed to Pinocchio, made from slopes, corrected.
 
-State: y = (q, w, location parameters, quadratures). q is ambient; w is v in the axes of the joints' parents (see
-`manifold`) where the counter PARENT_AXES is set, as it is for the pairs, and v itself elsewhere. The location
-parameters ride along as the start of Newton's iteration and take part in the error norm; the quadratures are the powers
-of friction, drive, torque and damping when energies are recorded.
+State: y = (q, w, contact coordinates, quadratures). q is ambient; w is v in the axes of the joints' parents (see
+`manifold`) where the counter PARENT_AXES is set, as it is for the pairs, and v itself elsewhere. The contact
+coordinates ride along as the start of Newton's iteration and take part in the error norm; the quadratures are the
+powers of friction, prescribed motions, torques and damping when energies are recorded.
 """
 
 from __future__ import annotations
 
 import math
 
+from ..callback import kernel_caller
 from ..contours.charts import is_across_pole, turned_back
 from ..dynamics.equations import guard_force
 from ..dynamics.manifold import configuration_rate, move, normalize, rate_in_parent_axes, to_joint_axes, to_parent_axes
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
-from ..jit import INTEGER, entry_kernel, kernel
+from ..jit import INTEGER, REAL, entry_kernel, kernel
 from ..layout import (
     CHART,
     DAMPING_WORK,
@@ -28,15 +29,24 @@ from ..layout import (
     MODE,
     NUMBER_OF_WORKS,
     STICK,
+    SYSTEM,
     TORQUE_WORK,
     system_at,
 )
 from ..workspace import flat
 
+_call_evaluation = kernel_caller(INTEGER, SYSTEM.type, REAL, INTEGER)
+
+
+@kernel
+def evaluate(system, time, only_kinematics):
+    """Pinocchio's terms and one evaluation at (q, v), by a kernel of its own; arguments and status are its."""
+    return _call_evaluation(system.callback.evaluation, system, time, only_kinematics)
+
 
 @kernel
 def hand_over(system, state):
-    """Give a state to Pinocchio (normalised) and to the location solver."""
+    """Give a state to Pinocchio (normalised) and to the search for contact coordinates."""
     sizes = system.sizes
     nq, nv, nc = sizes.nq, sizes.nv, sizes.nc
     q, v, blocks = system.q, system.v, system.joint_table
@@ -88,7 +98,8 @@ def fill_slope(system, state, slope):
 
 @kernel
 def _powers(system, nv, nc, out):
-    """Powers in W: contact force on v_c, contact force of drives, user's torques, joints' damping and dry friction.
+    """Powers in W: contact force on v_c, contact force of prescribed motions, user's torques, joints' damping and dry
+    friction.
 
     Torques that resist turning count with the contact forces.
     """
@@ -184,15 +195,15 @@ def error_norm(system, last):
 
 @entry_kernel(INTEGER)
 def load_state(address):
-    """Hand over STAGE_STATE to Pinocchio and the location solver."""
+    """Hand over STAGE_STATE to Pinocchio and the search for contact coordinates."""
     system = system_at(address)
     hand_over(system, system.stage_state)
 
 
 @kernel
 def correct_state(system, with_position, with_velocity):
-    """Apply the last corrections to STAGE_STATE: v first (its rows belong to the old q), then q; take the location
-    found, moved along with q. Returns the largest change of q and v in tolerances.
+    """Apply the last corrections to STAGE_STATE: v first (its rows belong to the old q), then q; take the contact
+    coordinates found, moved along with q. Returns the largest change of q and v in tolerances.
     """
     sizes = system.sizes
     nq, nv, nc = sizes.nq, sizes.nv, sizes.nc
@@ -210,13 +221,7 @@ def correct_state(system, with_position, with_velocity):
             v[k] += correction[k]
     if with_position != 0:
         moved = system.slopes[MAX_STAGES - 1]
-        move(
-            system.joint_table,
-            q,
-            system.correction_q,
-            moved,
-            q,
-        )
+        move(system.joint_table, q, system.correction_q, moved, q)
         for i in range(nq):
             change = max(change, abs(moved[i]) / (absolute[i] + relative * abs(state[i])))
     for i in range(nq):

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 
-from ..dynamics.equations import coefficient_at
 from ..dynamics.linear import inner
+from ..dynamics.sliding import coefficient_at
 from ..geometry.small import dot
 from ..jit import kernel
 from ..layout import (

@@ -51,6 +51,7 @@ from ..layout import (
     NORMAL_2,
     NORMAL_SIGN,
     NOT_FINITE,
+    NUMBER_OF_WORKS,
     PATTERN,
     ROLLING,
     SLIP_SIGN,
@@ -76,7 +77,7 @@ from .impulse_review import DONE, review, slip_at_end
 from .impulse_units import TOUCHING
 from .impulse_velocities import add_turn_row
 from .impulse_works import add_viscous_impulses, add_works, velocity_change
-from .stages import NUMBER_OF_WORKS, hand_over
+from .stages import hand_over
 
 
 @kernel

@@ -57,7 +57,7 @@ class RunSystem(System):
     def project(self, t: float, evaluated: bool = False, error: float = math.inf) -> int:
         """Put (q, v) and location of `stage_state` on the constraints; returns a status of `layout`.
 
-        evaluated: the system has just been evaluated at that state; error: see `steps.project`.
+        evaluated: the system has just been evaluated at that state; error: see `projection.project`.
         """
         return self.run(PROJECT_EVALUATED if evaluated else PROJECT, t, error)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from ..dynamics.equations import slip_direction
 from ..dynamics.evaluation import KINEMATICS_OF_ALL
 from ..dynamics.resistance import count_items
+from ..dynamics.sliding import slip_direction
 from ..geometry.small import dot
 from ..jit import kernel
 from ..layout import EVENT, FROZEN, MARGINS_PER_CONTACT, NOT_FINITE, OK, POLYNOMIAL_SIZE
@@ -111,7 +111,7 @@ def load_interpolated(system, theta):
 
 @kernel
 def scan(system, t, h):
-    """Event functions at SCAN_SHARES of the step from t of size h that was interpolated last: see `System.scan`."""
+    """Event functions at SCAN_SHARES of the step from t of size h that was interpolated last: see `RunSystem.scan`."""
     n = count_items(system)
     shares, statuses = system.scan_shares, system.scan_status
     found, margins = system.scan_margins, system.margins

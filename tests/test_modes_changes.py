@@ -1043,10 +1043,14 @@ def test_what_gives_way_has_sliding_friction(monkeypatch):
         limits.append(solver._limits.tolist())
         return ModeSolution(zero.copy(), zero.copy(), np.array(answers[len(limits) - 1]), 0.0)
 
-    monkeypatch.setattr(modes, "problem_of_sticking", saying(ModeProblem(zero, np.ones(12), zero, zero)))
+    posed = saying(ModeProblem(zero, np.ones(12), zero, zero))
+    monkeypatch.setattr(modes, "problem_of_sticking", posed)
     monkeypatch.setattr(modes, "all_stick", saying(True))
     monkeypatch.setattr(solver, "_solve_with_loads", solve)
     solver._solve_cones(T, [0, 1, 2], [0, 1, 2, 3], [], [], Played(system))
+    # with the limits that the slip found so far has left
+    assert all(asked[0] is system and asked[1] is solver._limits and asked[2] == [0, 1, 2, 3] for asked in posed.asked)
+    assert posed.asked
     assert limits == [[0.5, 0.5, 0.3, 0.5], [0.3, 0.5, 0.3, 0.5], [0.3, 0.3, 0.3, 0.5]]
     monkeypatch.setattr(solver, "_solve_with_loads", saying(None))
     decision = solver._solve_cones(T, [0], [0, 1, 2, 3], [], [], never)

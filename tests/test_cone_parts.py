@@ -9,16 +9,16 @@ from calling import from_python
 from pincontact.errors import ArgumentError
 from pincontact.friction import cone
 from pincontact.friction.cone import OPEN, SLIP, STICK
-from pincontact.friction.solve import _checked_problem
+from pincontact.friction.problem import checked_problem
 
 scale_problem = from_python(cone.scale_problem)
 respond = from_python(cone.respond)
 contact_residual = from_python(cone.contact_residual)
-judge = from_python(cone.judge)
+natural_map_residual = from_python(cone.natural_map_residual)
 start_slip = from_python(cone.start_slip)
 classify = from_python(cone.classify)
 turn_direction = from_python(cone.turn_direction)
-sweep = from_python(cone.sweep)
+gauss_seidel_pass = from_python(cone.gauss_seidel_pass)
 
 SEEDS = pytest.mark.parametrize("seed", range(3))
 # of a few dozen terms of order one
@@ -131,16 +131,22 @@ def test_residual_of_infinite_friction():
 def test_the_judge_takes_residuals_relative_to_what_cancels():
     mu, nothing = np.full(2, 0.5), np.zeros(6)
     u = np.array([0.0, 0.0, -0.2, 0.0, 0.0, -0.03])
-    assert judge(mu, nothing, u, np.array([10.0, 1.0])) == pytest.approx(0.03, rel=1e-12)
+    assert natural_map_residual(mu, nothing, u, np.array([10.0, 1.0])) == pytest.approx(0.03, rel=1e-12)
     # not below the floor, nor beyond the cap
     u = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -1e-6])
-    assert judge(mu, nothing, u, np.array([10.0, 1e-9])) == pytest.approx(1e-6 / (cone.FLOOR * 10.0), rel=1e-12)
+    assert natural_map_residual(mu, nothing, u, np.array([10.0, 1e-9])) == pytest.approx(
+        1e-6 / (cone.FLOOR * 10.0), rel=1e-12
+    )
     u[5] = -3.0
-    assert judge(mu, nothing, u, np.array([1.0, 1e9])) == pytest.approx(3.0 / cone.CANCELLATION, rel=1e-12)
+    assert natural_map_residual(mu, nothing, u, np.array([1.0, 1e9])) == pytest.approx(
+        3.0 / cone.CANCELLATION, rel=1e-12
+    )
     # whichever contact is the worst
     u[2] = -8.0
-    assert judge(mu, nothing, u, np.array([1e9, 1e9])) == pytest.approx(8.0 / cone.CANCELLATION, rel=1e-12)
-    assert judge(mu, nothing, nothing, np.zeros(2)) == 0.0
+    assert natural_map_residual(mu, nothing, u, np.array([1e9, 1e9])) == pytest.approx(
+        8.0 / cone.CANCELLATION, rel=1e-12
+    )
+    assert natural_map_residual(mu, nothing, nothing, np.zeros(2)) == 0.0
 
 
 @pytest.mark.parametrize("place", range(2))
@@ -148,9 +154,9 @@ def test_the_judge_takes_residuals_relative_to_what_cancels():
 def test_the_judge_refuses_what_is_not_finite(place, value):
     mu, f, u, size = np.full(2, 0.5), np.zeros(6), np.zeros(6), np.ones(2)
     size[place] = value
-    assert judge(mu, f, u, size) == math.inf
+    assert natural_map_residual(mu, f, u, size) == math.inf
     size[place], u[3 * place + 2] = 1.0, -1e301
-    assert judge(mu, f, u, size) == math.inf
+    assert natural_map_residual(mu, f, u, size) == math.inf
 
 
 # ------------------------------------------------------------------------------------------- modes and directions
@@ -240,7 +246,7 @@ def test_a_sweep_projects_each_contact_in_its_turn(seed):
         if stiffness > 0.0:
             moved = expected[k : k + 2] - (g[k : k + 2] @ expected + c[k : k + 2]) / stiffness
             expected[k : k + 2] = on_disk(moved, min(mu[i], cone.LARGEST_FRICTION) * expected[k + 2])
-    sweep(g, mu, f, u)
+    gauss_seidel_pass(g, mu, f, u)
     assert f == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())
     assert u == pytest.approx(g @ f + c, abs=1e-12 * np.abs(g).sum())
 
@@ -372,9 +378,9 @@ def test_a_nearly_symmetric_problem_is_made_symmetric():
     rows = rng.normal(size=(6, 8))
     gram = rows @ rows.T
     error = 1e-10 * np.triu(rng.uniform(0.5, 1.0, (6, 6)), 1)
-    matrix, b, mu = _checked_problem(gram + error, np.arange(6.0), 0.3)
+    matrix, b, mu = checked_problem(gram + error, np.arange(6.0), 0.3)
     assert (matrix == matrix.T).all()
     assert matrix == pytest.approx(gram + 0.5 * (error + error.T), rel=1e-14)
     assert (b.tolist(), mu.tolist()) == ([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], [0.3, 0.3])
     with pytest.raises(ArgumentError, match="not symmetric"):
-        _checked_problem(gram + 1e4 * error, np.zeros(6), 0.3)
+        checked_problem(gram + 1e4 * error, np.zeros(6), 0.3)

@@ -12,14 +12,14 @@ which is the complementarity of F in the cone K = {|F_t| <= mu F_n} with u + mu 
 Saxce's correction). An infinite mu is the limit of large ones: u_t = 0 wherever F_n > 0; the limit leaves one more
 state, a slip that is held up by friction alone, F_n = 0 and F_t = -|F_t| d.
 
-Here are the pieces: the problem without units, the judge of a result, and what forces and velocities say of modes.
+Here are the pieces: the problem without units, the residual of a result, and what forces and velocities say of modes.
 `newton` solves the equations of given modes; where these come from is the business of `attempt` and `solve`.
 
 Scaling. Everything below runs on a problem without units: the forces of contact i are divided by s_i and its u
 multiplied by it, s_i = (trace(G_ii) / 3)^(-1/2), which leaves the cones as they are and makes the diagonal blocks
 unit-sized; then b is divided by its largest entry.
 
-Judge. The residual is that of the two projections
+Residual of the natural map: that of the two projections
 
     F_n - max(F_n - u_n, 0)     and     F_t - P_D(F_t - u_t),   D the disk of radius mu max(F_n, 0),
 
@@ -73,7 +73,7 @@ CONE = Layout(
     order=(INTEGERS, 1),  # (3n + 1,) permutation of the elimination
     first=(INTEGERS, 1),  # (n + 1,) first unknown of each contact
     trial=(INTEGERS, 2),  # (3, n) modes tried, modes started from, which contacts touched
-    path=(REALS, 2),  # (8, 3n + 1) point, tangent, ... of `path.follow_path`
+    homotopy=(REALS, 2),  # (8, 3n + 1) point, tangent, ... of `homotopy.follow_homotopy`
 )
 cone_at = CONE.at
 # In "counts": Newton passes of the last start; whether modes and forces are a solution, to begin from; what decided the
@@ -81,7 +81,7 @@ cone_at = CONE.at
 # change, and whether they depend on those that it was begun from; how often each of the deciders did.
 PASSES, KNOWN, DECIDED, TRIED, CHOICES, FOLLOWS, TIMES = range(7)
 DECIDERS = ("warm", "exact", "sweeps", "path", "qp")
-BY_WARM, BY_EXACT, BY_SWEEPS, BY_PATH, BY_QP = range(len(DECIDERS))
+BY_WARM, BY_EXACT, BY_GAUSS_SEIDEL, BY_HOMOTOPY, BY_QP = range(len(DECIDERS))
 UNDECIDED = -1
 COUNTS_LENGTH = TIMES + len(DECIDERS)
 
@@ -106,7 +106,7 @@ def cone_workspace(contacts: int) -> Workspace:
     space.scratch("order", rows + 1)
     space.scratch("first", contacts + 1)
     space.scratch("trial", 3, contacts)
-    space.scratch("path", 8, rows + 1)
+    space.scratch("homotopy", 8, rows + 1)
     return space
 
 
@@ -160,7 +160,7 @@ def respond(g, c, f, u, size, terms):
             u[r] += (t1 + t2) + tn
             terms[r] += (abs(t1) + abs(t2)) + abs(tn)
     for i in range(size.shape[0]):
-        # A sum, through which what is not a number gets to the judge.
+        # A sum, through which what is not a number gets to the residual.
         size[i] = (terms[3 * i] + terms[3 * i + 1]) + terms[3 * i + 2]
 
 
@@ -188,7 +188,7 @@ def contact_residual(f1, f2, fn, u1, u2, un, mu):
 
 
 @kernel
-def judge(mu, f, u, size):
+def natural_map_residual(mu, f, u, size):
     """Largest relative residual over the contacts (module docstring); infinite if anything is not finite."""
     n = mu.shape[0]
     largest = 0.0
@@ -237,7 +237,7 @@ def start_slip(k, mu, f, u, direction, i):
 
 @kernel
 def classify(mu, f, u, modes):
-    """Modes (n,) suggested by approximate forces and velocities: where the projections of the judge land."""
+    """Modes (n,) suggested by approximate forces and velocities: where the projections of the natural map land."""
     n = mu.shape[0]
     for i in range(n):
         k = 3 * i
@@ -264,8 +264,8 @@ def turn_direction(direction, i, arc, radius):
 
 
 @kernel
-def sweep(g, mu, f, u):
-    """One Gauss-Seidel pass of the judge's projections over all contacts; f (3n,) and u = g f + c (3n,) are updated."""
+def gauss_seidel_pass(g, mu, f, u):
+    """One pass of projected Gauss-Seidel over all contacts; f (3n,) and u = g f + c (3n,) are updated."""
     n = mu.shape[0]
     rows = 3 * n
     for i in range(n):

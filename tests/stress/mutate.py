@@ -112,15 +112,15 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "1 -> 2",
     ): "a limit of effort, by one more of thousands",
     (
-        "pincontact/friction/newton.py", "settle", "respond(g, c, f, u, size, buffers[7])", "index 7 -> 8",
+        "pincontact/friction/newton.py", "active_set_solve", "respond(g, c, f, u, size, work.x)", "index 7 -> 8",
     ): "numbers to work in, any that hold nothing",
     (
-        "pincontact/friction/newton.py", "settle",
+        "pincontact/friction/newton.py", "active_set_solve",
         "force = -c[2] / stiffness if c[2] * stiffness < 0.0 else 0.0", "0.0 -> 0.5",
     ): "where a slip begins from: Newton's modes are corrected where it cannot be",
     (
         "pincontact/friction/attempt.py", "attempt",
-        "rank = factor_matrix(g, low_rank[FACTOR], vectors[7]) if n > 1 else 0", "> -> <",
+        "rank = factor_matrix(g, low_rank[FACTOR], vectors[7], RANK_TOLERANCE) if n > 1 else 0", "> -> <",
     ): "with and without factors Newton's steps are the same to round-off",
     (
         "pincontact/friction/solve.py", "solve",
@@ -128,15 +128,16 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "0 -> 1",
     ): "passes, sweeps and rounds are of no account to usual tasks",
     (
-        "pincontact/dynamics/modes.py", "_cones",
+        "pincontact/dynamics/redistribution.py", "_cones",
         "cones.append(Cone(normal, mu, 0.0, tangents) if tangents else Cone(normal, 1.0, 0.0))", "1.0 -> 1.5",
     ): "the logarithm of a multiple has the same derivatives",
     (
-        "pincontact/dynamics/modes.py", "_problem", "base[3 * i + 2] = -0.5 * (high - low) * weights[3 * i + 2]",
+        "pincontact/dynamics/mode_problem.py", "mode_problem",
+        "base[3 * i + 2] = -0.5 * (high - low) * weights[3 * i + 2]",
         "index 2 -> 1",
     ): "the rows that a unit misses have the same weight",
     (
-        "pincontact/dynamics/modes.py", "_decide_without_cones", "decision.started[worst] = 0.0", "0.0 -> 0.5",
+        "pincontact/dynamics/mode_changes.py", "_decide_without_cones", "decision.started[worst] = 0.0", "0.0 -> 0.5",
     ): "a place for the rate, which takes it before anybody looks",
     (
         "pincontact/contours/motion.py", "_spline_motion", "piecewise(pool[_SPLINE_SCRATCH:], t, 0.0, 0.0, rows)",
@@ -167,18 +168,18 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "0.0 -> 0.5",
     ): "set again at the first step",
     (
-        "pincontact/friction/solve.py", "_sweep",
+        "pincontact/friction/solve.py", "_gauss_seidel",
         "space.forces[:] = 0.0",
         "0.0 -> 0.5",
     ): "where the sweeps begin: they end at the same solution",
     (
-        "pincontact/friction/solve.py", "centred_forces",
+        "pincontact/friction/centred.py", "centred_forces",
         "if not (inside.all() and (off <= 1e-3 * AT_REST * terms[rows].max()).all()):",
         "* -> /",
     ): "a tolerance",
     (
         "pincontact/friction/attempt.py", "attempt",
-        "rank = factor_matrix(g, low_rank[FACTOR], vectors[7]) if n > 1 else 0",
+        "rank = factor_matrix(g, low_rank[FACTOR], vectors[7], RANK_TOLERANCE) if n > 1 else 0",
         "1 -> 2",
     ): "with and without factors Newton's steps are the same to round-off",
     (
@@ -192,7 +193,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "0 -> 1",
     ): "sweeps are of no account to these tasks",
     (
-        "pincontact/friction/path.py", "follow_path",
+        "pincontact/friction/homotopy.py", "follow_homotopy",
         "if x[rows] <= target or x[rows] > 1.0:",
         "1.0 -> 1.5",
     ): "a path that has turned back never comes to its end",
@@ -212,7 +213,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "1 -> 2",
     ): "the last row has nothing right of its diagonal; other ends of the range are noticed",
     (
-        "pincontact/friction/newton.py", "settle",
+        "pincontact/friction/newton.py", "active_set_solve",
         "near = 0",
         "0 -> 1",
     ): "where there is nothing to choose, asking for a choice changes nothing",
@@ -232,7 +233,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "* -> /",
     ): "where searches begin; what they find is a solution or none",
     (
-        "pincontact/dynamics/modes.py", "_unheld",
+        "pincontact/dynamics/passing_slip.py", "_unheld",
         "most = np.abs(system.free_acceleration).max() + np.abs(system.v).max() ** 2",
         "2 -> 3",
     ): "what rounding is measured by",
@@ -285,7 +286,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "pincontact/friction/redundant.py", "move_inside", "for j in range(k + 1):", "1 -> 2",
     ): "what is above the diagonal is not read",
     (
-        "pincontact/friction/solve.py", "centred_forces",
+        "pincontact/friction/centred.py", "centred_forces",
         "scale = np.repeat(np.sqrt(3.0 / np.maximum(np.diagonal(block).reshape(-1, 3).sum(axis=1), TINY)), 3)",
         "/ -> *",
     ): "units in which a change by round-off is least",

@@ -157,7 +157,7 @@ def simulate(
                 "redistributions": modes.redistributions,
                 "wall_time": time.perf_counter() - began,
             }
-            return Trajectory.from_record(scene, record, transitions.events, code, message, stats)
+            return Trajectory.from_record(scene, record, transitions.reports.events, code, message, stats)
 
         run = _run(driver, state.t, duration, result)
     if run.success:

@@ -9,7 +9,7 @@ from reference import build
 
 import pincontact as pc
 from pincontact.dynamics.system import System
-from pincontact.integration.events import EventLocator
+from pincontact.integration.locator import EventLocator
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.tableaux import tableau
 from pincontact.layout import DOMAIN, EVENT, NORMAL_MARGIN, OK
@@ -266,7 +266,7 @@ def test_a_dip_of_the_dense_output_alone_is_none(monkeypatch):
     """A margin that is negative between the ends of a step, but not where a true step goes, changes no mode."""
     scene, state = rolling_in_a_bowl(0.4)
     plain = pc.simulate(scene, state, 1.0, rtol=1e-6, atol=1e-8)
-    true_margins, dipped = EventLocator._margins, []
+    true_margins, dipped = EventLocator._values, []
 
     def dips(self, t, step, thetas):
         margins = true_margins(self, t, step, thetas)
@@ -276,7 +276,7 @@ def test_a_dip_of_the_dense_output_alone_is_none(monkeypatch):
                 values[0, NORMAL_MARGIN] -= 20.0 * math.sin(math.pi * (theta - 0.3) / 0.3)
         return margins
 
-    monkeypatch.setattr(EventLocator, "_margins", dips)
+    monkeypatch.setattr(EventLocator, "_values", dips)
     monkeypatch.setattr(RungeKutta, "alarm", property(lambda self: True))
     # a user's event brings every step to where its margins are looked at
     run = pc.simulate(scene, state, 1.0, rtol=1e-6, atol=1e-8, events=lambda t, q, v: 1.0)

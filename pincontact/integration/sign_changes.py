@@ -18,7 +18,9 @@ _HALVINGS = 6
 # What stands for infinite values.
 _HUGE = 1e100
 # Looks at the lowest point between two samples.
-_LOOKS = 3
+LOOKS = 3
+# Zeros of event functions in a step, as a part of it.
+ACCURACY = 1e-15
 
 _ROUGHNESS = np.linalg.qr(np.vander(_PLACES, _DEGREE + 1), mode="complete")[0][:, _DEGREE + 1 :].T
 
@@ -85,7 +87,7 @@ def with_dips(value: Callable[[float], float], samples: Samples) -> Samples:
         if not (0.0 < sizes[1] <= sizes[0] and sizes[1] <= sizes[2]):
             continue
         points = [(x, size) for (x, _), size in zip(triple, sizes)]
-        for _ in range(_LOOKS):
+        for _ in range(LOOKS):
             place = vertex(points)
             if place is None:
                 break

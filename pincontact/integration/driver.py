@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..dynamics.system import System
 from ..layout import (
     EVENT,
     FREE,
@@ -26,7 +27,6 @@ from ..layout import (
     START_TOLERANCE,
     STICK,
 )
-from ..state import read_discrete
 from .contradictions import projection_failure
 from .dense import Interpolant
 from .events import UserEvent, UserEvents
@@ -56,13 +56,14 @@ from .transitions import Transitions
 # Steps that slow slip makes stiff before its direction is prescribed instead, and at most after that has failed;
 # the least length of a step with a prescribed direction, in stiff ones that cost as much and last this time over that
 # in which friction turns the slip; how much longer the next one is tried, and after how many of the same length where
-# longer ones have failed.
+# longer ones have failed: those that took less than the last factor of what was asked for.
 _PATIENCE, _LONGEST_PATIENCE = 24, 3072
 _SLOW_STEPS, _STABLE = 20.0, 4.0
-_SLOW_GROWTH, _SLOW_RESTS = 4.0, 6
+_SLOW_GROWTH, _SLOW_RESTS, _SLOW_CUT = 4.0, 6, 0.9
 _FLOOR = 8.0 * float(np.finfo(float).eps)
-# No step after a mode change begins with less than so many times the least.
-_RESTART = 4.0
+# No step after a mode change, or where bodies are near, is shorter than so many times the least; none after a mode
+# change longer than so many times the seed of a slip.
+_RESTART, _RESTART_SEEDS = 4.0, 10.0
 # Crossings in a row that true steps may deny before one is believed: an event function that jumps has no zero.
 _DOUBTS = 3
 # Slips this many times faster than what counts as ended end with one that does.
@@ -80,7 +81,8 @@ class Options:
     """Step-size and output options of a run.
 
     t_eval: output times in s, None for every accepted step; breakpoints: times in s, in order within the run, at which
-    steps end and modes are decided anew; keep_good: see `Driver.good`.
+    steps end and modes are decided anew; discrete: of a system, the discrete part of its contacts; None where
+    `Driver.good` is not to be kept.
     """
 
     t_eval: np.ndarray | None = None
@@ -89,7 +91,7 @@ class Options:
     fixed_step: float | None = None
     first_step: float | None = None
     breakpoints: Sequence[float] = ()
-    keep_good: bool = False
+    discrete: Callable[[System], np.ndarray] | None = None
 
 
 class Driver:
@@ -223,9 +225,8 @@ class Driver:
 
     def _keep_good(self, t: float) -> None:
         """Keep the accepted state as the last good one, where that is asked for."""
-        if not self.options.keep_good:
-            return
-        self.good = t, self.system.state.copy(), read_discrete(self.system)
+        if self.options.discrete is not None:
+            self.good = t, self.system.state.copy(), self.options.discrete(self.system)
 
     def _allow_start(self, t: float, step: float) -> None:
         """Let slip that starts at t, which ends or interrupts a step, go on for half of that at most."""
@@ -284,7 +285,7 @@ class Driver:
                 raise self.transitions.reports.failure(t, LOCATION_FAILED)
             self._finish(t)
             self.transitions.note_sides(False)
-        scalars["max_step"] = max(min(self._max_step, longest), 4.0 * scalars["floor"])
+        scalars["max_step"] = max(min(self._max_step, longest), _RESTART * scalars["floor"])
         return MARCH_ONE_ATTEMPT if near else task
 
     def _restart(self, h: float) -> None:
@@ -294,7 +295,7 @@ class Driver:
             # what has cut steps short are the modes that were left
             h, counters["failure"] = self.transitions.onset.seed, OK
         h = max(h, _RESTART * float(scalars["floor"]))
-        scalars["next_step"] = self.options.fixed_step or min(h, 10.0 * self.transitions.onset.seed)
+        scalars["next_step"] = self.options.fixed_step or min(h, _RESTART_SEEDS * self.transitions.onset.seed)
         scalars["slowest"], scalars["last_error"] = math.inf, 0.0
         counters["stalled"] = 0
 
@@ -460,7 +461,7 @@ class Driver:
                 counters["patience"] = _PATIENCE
                 counters["step_count"] += 1
                 # a length that was too much is not asked for again soon
-                rests = _SLOW_RESTS if after - t < 0.9 * span else rests - 1
+                rests = _SLOW_RESTS if after - t < _SLOW_CUT * span else rests - 1
                 span = (after - t) * (1.0 if rests > 0 else _SLOW_GROWTH)
                 t = after
                 self._after(t)

@@ -7,7 +7,8 @@ the distance to the end of a contour) is positive while a mode holds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,7 +18,7 @@ from ..layout import DOMAIN, DOMAIN_MARGIN, GAP_MARGIN, NOTHING_THERE, OK, SCAN_
 from .accuracy import gap_accuracy
 from .open_contacts import OpenContacts
 from .runge_kutta import RungeKutta
-from .sign_changes import ACCURACY, LOOKS, vertex, zero_between
+from .sign_changes import ACCURACY, look_below_zero, zero_between
 
 # Samples of the dense output between which a sign change is looked for, all those of one scan: irregular, lest they all
 # be zeros of a sine.
@@ -122,17 +123,28 @@ class EventLocator:
         found: dict[float, _Sample] = {}
         for i, c, kind in np.argwhere(valleys).tolist():
             points = [(sample.theta, float(sample.values[c, kind])) for sample in samples[i : i + 3]]
-            for _ in range(LOOKS):
-                theta = vertex(points)
-                lowest = self._values(t, step, [theta]) if theta is not None else values[:0]
-                if theta is None or not len(lowest):
-                    break
-                if lowest[0][c, kind] < 0.0:
-                    found[theta] = _Sample(theta, lowest[0])
-                    break
-                points = sorted(points, key=lambda point: point[1])[:2]
-                points = sorted([*points, (theta, float(lowest[0][c, kind]))])
+            looked: dict[float, np.ndarray] = {}
+            lowest = look_below_zero(self._function(t, step, (c, kind), math.inf, looked), points)
+            if lowest is not None and lowest[1] < 0.0:
+                found[lowest[0]] = _Sample(lowest[0], looked[lowest[0]])
         return sorted([*samples, *found.values()], key=lambda sample: sample.theta)
+
+    def _function(
+        self, t: float, step: float, which: tuple[int, int], missing: float, known: dict[float, np.ndarray]
+    ) -> Callable[[float], float]:
+        """One event function of fractions of the step, `missing` where it cannot be evaluated; known: values of all by
+        fraction, which is added to.
+
+        Each fraction is asked for once: a control that answers otherwise the next time (noise) has no root to be found.
+        """
+
+        def value(theta: float) -> float:
+            if theta not in known:
+                values = self._values(t, step, [theta])
+                known[theta] = values[0] if len(values) else np.full_like(self._slack, missing)
+            return float(known[theta][which])
+
+        return value
 
     # ---------------------------------------------------------------- crossings
 
@@ -201,15 +213,8 @@ class EventLocator:
 
     def _root(self, t: float, step: float, crossed: tuple[int, int], left: _Sample, right: _Sample) -> float:
         """Where an event function turns negative between two samples."""
-        # asked once for each time: a control that answers otherwise the next time (noise) has no root to be found
-        known = {sample.theta: float(sample.values[crossed]) for sample in (left, right)}
-
-        def value(theta: float) -> float:
-            if theta not in known:
-                values = self._values(t, step, [theta])
-                known[theta] = float(values[0][crossed]) if len(values) else -1.0
-            return known[theta]
-
+        # what cannot be evaluated counts as beyond the root
+        value = self._function(t, step, crossed, -1.0, {sample.theta: sample.values for sample in (left, right)})
         low = left.theta
         if left.values[crossed] <= 0.0:
             # the mode was entered on its boundary: look for the part where it holds first

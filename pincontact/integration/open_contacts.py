@@ -145,7 +145,7 @@ class OpenContacts:
     """What is known of a system's open contacts between its steps.
 
     apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
-    fastest: the contact for which `look` has last found the step too long.
+    hasty: the contact for which `look` has last found the step too long.
     passed: contacts whose gap fell through zero beyond an end of a contour in the last step, or was not seen to.
     """
 
@@ -159,7 +159,6 @@ class OpenContacts:
         self._cut = math.inf
         # states from which a step went far for what is near, by contact
         self._far: dict[int, np.ndarray] = {}
-        # the contact for which a step was too long
         self.hasty = 0
         self.has_moved = self.is_near = False
         self._controlled: list[int] = []

@@ -385,7 +385,9 @@ class Driver:
             time = t + theta * step
             if user.terminal:
                 self._write_before(time)
-                self._load_after(t, theta * step)
+                if theta > 0.0:
+                    self.rk.attempt(t, theta * step)
+                self.rk.load(self.system.new_state if theta > 0.0 else self.system.state)
                 self._project(time, False)
                 self.rk.accept()
                 self._after(time)
@@ -404,9 +406,7 @@ class Driver:
         if crossing.theta > 0.0:
             taken, happens = self.locator.refine(t, step, crossing)
             time = t + taken
-            rk.load(self.system.new_state)
-        else:
-            rk.load(self.system.state)
+        rk.load(self.system.new_state if crossing.theta > 0.0 else self.system.state)
         self._project(time, False)
         if not happens and self._doubts < _DOUBTS:
             # a shorter step, like any other
@@ -428,14 +428,6 @@ class Driver:
         """Write the outputs of the interpolated step up to the event at `time`."""
         if self.outputs.due(time):
             self.outputs.write_until(time)
-
-    def _load_after(self, t: float, h: float) -> None:
-        """Load the state after a trial step of size h from the accepted state, or that state itself."""
-        if h > 0.0:
-            self.rk.attempt(t, h)
-            self.rk.load(self.system.new_state)
-        else:
-            self.rk.load(self.system.state)
 
     # ---------------------------------------------------------------- slow slip and its end
 

@@ -287,6 +287,28 @@ def test_a_dip_of_the_dense_output_alone_is_none(monkeypatch):
     np.testing.assert_allclose(run.q[-1], plain.q[-1], rtol=0.0, atol=1e-5)
 
 
+@pytest.mark.parametrize("known", [0, 1, 2])
+def test_what_cannot_be_evaluated_along_a_step_has_no_events(known, monkeypatch):
+    """A dense output that can be evaluated at its beginning only is searched that far."""
+    scene, state = rolling_in_a_bowl(0.4)
+    plain = pc.simulate(scene, state, 0.2, rtol=1e-6, atol=1e-8)
+    true_values, cut = EventLocator._values, []
+
+    def short(self, t, step, thetas):
+        values = true_values(self, t, step, thetas)
+        cut.append(len(values) > known)
+        return values[:known]
+
+    monkeypatch.setattr(EventLocator, "_values", short)
+    monkeypatch.setattr(RungeKutta, "alarm", property(lambda self: True))
+    run = pc.simulate(scene, state, 0.2, rtol=1e-6, atol=1e-8, events=lambda t, q, v: 1.0)
+    assert any(cut)
+    assert run.status == 0, run.message
+    assert run.events == []
+    # other steps, the same tolerance
+    np.testing.assert_allclose(run.q[-1], plain.q[-1], rtol=0.0, atol=1e-5)
+
+
 def test_a_scan_finds_what_evaluations_find():
     """All margins along a step at once, bit by bit, beyond the end of a contour too."""
     scene = ball_scene(pc.Coulomb(0.3))

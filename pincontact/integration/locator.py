@@ -72,6 +72,8 @@ class EventLocator:
         """The earliest crossing; None where the alarm was false."""
         self._set_slack()
         samples = [_Sample(theta, values) for theta, values in zip(_PLACES, self._values(t, step, _PLACES))]
+        if len(samples) < 2:
+            return None
         samples = self._with_lowest(t, step, samples)
         crosses = self._crossings(np.array([sample.values for sample in samples]))
         for i in np.flatnonzero(crosses.any(axis=(1, 2))):

@@ -29,7 +29,7 @@ from .integration.tableaux import tableau
 from .integration.transitions import Transitions
 from .jit import compile_kernels
 from .scene import Scene
-from .state import State, check_state, write_discrete
+from .state import State, check_state, read_discrete, write_discrete
 from .system_cache import CachedSystem, put_back, take_system
 from .trajectory import Record, Trajectory
 
@@ -139,7 +139,9 @@ def simulate(
     rk.begin_at(state.q, state.v, state.location)
     record = Record(system, state, with_torques=control is not None or system.ng + system.nr > 0)
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration)
-    options = Options(times, max_step, max_steps, fixed_step, first_step, jumps, keep_good=fallback is not None)
+    options = Options(
+        times, max_step, max_steps, fixed_step, first_step, jumps, read_discrete if fallback is not None else None
+    )
     with _Bar(progress, state.t, duration) as bar:
         driver = Driver(rk, transitions, users, record.add, record.flush, options, bar.update if progress else None)
 
@@ -157,7 +159,7 @@ def simulate(
                 "redistributions": modes.redistributions,
                 "wall_time": time.perf_counter() - began,
             }
-            return Trajectory.from_record(scene, record, transitions.events, code, message, stats)
+            return Trajectory.from_record(scene, record, transitions.reports.events, code, message, stats)
 
         run = _run(driver, state.t, duration, result)
     if run.success:

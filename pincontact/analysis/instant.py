@@ -131,7 +131,7 @@ class Instant:
                 transitions.begin(self.t)
             else:
                 rk.evaluate(self.t)
-                transitions.modes_from_velocities()
+                transitions.changes.set_from_velocities()
                 for g, guard in enumerate(system.guards):
                     speed = float(self.v[guard.index_v])
                     transitions.modes.release(g, 0 if self.at_rest(speed) else 1 if speed > 0.0 else -1)

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from .run_system import RunSystem
 
 # How far bodies may move within a step where they are near, in radii of curvature, and how far they may turn, in rad:
-# margins are then seen wherever they may be negative.
+# gaps are then seen wherever they may be negative.
 _NEAR, _TURN = 0.25, 2.0
 # Instants of a step at which drives are looked at, and part of its size by which a drive's velocity may change in one.
 _INSTANTS, _CHANGE = 16, 0.75
@@ -145,7 +145,7 @@ class OpenContacts:
     """What is known of a system's open contacts between its steps.
 
     apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
-    fastest: the contact for which `look` has last found the step too long.
+    hasty: the contact for which `look` has last found the step too long.
     passed: contacts whose gap fell through zero beyond an end of a contour in the last step, or was not seen to.
     """
 
@@ -159,7 +159,6 @@ class OpenContacts:
         self._cut = math.inf
         # states from which a step went far for what is near, by contact
         self._far: dict[int, np.ndarray] = {}
-        # the contact for which a step was too long
         self.hasty = 0
         self.has_moved = self.is_near = False
         self._controlled: list[int] = []
@@ -313,8 +312,8 @@ class OpenContacts:
         return max(abs(float(system.gaps[c, 0])), 0.0)
 
     def may_stand(self, t: float, step: float) -> bool:
-        """Whether a step to the state at t, which is attempted and evaluated there, went no further than it was to, and
-        past nothing; where it did not, the next one is shorter."""
+        """Whether the trial step to the state at t, which is evaluated, went no further than it was to, and past
+        nothing; where it did not, the next one is shorter."""
         system = self.system
         system.run(BOUND_SPEEDS)
         for c, allowed in self._allowed.items():

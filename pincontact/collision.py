@@ -6,17 +6,14 @@ import difflib
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from .contacts import Assembly
 from .contours import Circle, Contour, Cylinder, Ellipsoid, Line, Plane, Point, Sphere
 from .errors import ArgumentError, ContourError, ModelError
-
-if TYPE_CHECKING:
-    from .contacts import AttachedContour
-    from .scene import Scene
 
 KINDS = ("faces", "rims", "edges", "corners")
 
@@ -27,24 +24,26 @@ _AXES = "xyz"
 _SIGNS = ((1.0, "+"), (-1.0, "-"))
 
 
-def add_contours_from_collision(
-    scene: Scene,
+def contours_from_collision(
+    scene: Assembly,
+    shapes: pin.GeometryModel | None,
+    unread: Sequence[str],
     links: Iterable[str] | None,
     kinds: Collection[str],
-    geometry: pin.GeometryModel | None,
-) -> dict[str, AttachedContour]:
-    """See `Scene.add_contours_from_collision`."""
+) -> list[tuple[str, Contour, str, pin.SE3]]:
+    """Names, contours, frames and placements in them, as `Scene.add_contours_from_collision` attaches them.
+
+    unread: names of shapes that could not be read, for messages.
+    """
     wanted_kinds = _names("kinds", kinds)
     for kind in wanted_kinds:
         if kind not in KINDS:
             raise ArgumentError(f"kinds: unknown kind {kind!r}; one or more of {', '.join(KINDS)}")
-    shapes = scene.collision_model if geometry is None else geometry
     if shapes is None:
         raise ModelError("the scene was made from a model alone, without collision shapes; pass geometry=")
     if not isinstance(shapes, pin.GeometryModel):
         raise ArgumentError(f"geometry must be a pinocchio GeometryModel or None, got {type(shapes).__name__}")
     objects = list(shapes.geometryObjects)
-    unread = scene._unread_shapes if geometry is None else ()
     names = None if links is None else _links(scene.model, objects, _names("links", links), unread)
     found: list[tuple[str, Contour, str, pin.SE3]] = []
     seen: list[str] = []
@@ -84,7 +83,7 @@ def add_contours_from_collision(
         raise ModelError("; ".join([f"no contour was found among {made}", *remarks]))
     if remarks:
         warnings.warn("; ".join(remarks), stacklevel=3)
-    return {name: scene.add_contour(name, contour, frame, place) for name, contour, frame, place in found}
+    return found
 
 
 def _names(argument: str, given: Any) -> list[str]:

@@ -15,6 +15,7 @@ from .arguments import NOT_REAL, check_flag, is_count, is_number, real_array
 from .dynamics.joints import check_guards
 from .dynamics.spare import Spare, put_back, take_spare
 from .errors import ArgumentError, UnusableResult
+from .integration.discrete import write_discrete
 from .integration.driver import Driver, Options
 from .integration.events import UserEvent
 from .integration.results import (
@@ -30,7 +31,7 @@ from .integration.tableaux import tableau
 from .integration.transitions import Transitions
 from .jit import compile_kernels
 from .scene import Scene
-from .state import State, check_state, write_discrete
+from .state import State, check_state
 from .trajectory import Record, Trajectory
 
 if TYPE_CHECKING:

@@ -11,10 +11,11 @@ from .arguments import NOT_REAL, is_count, is_number, real_array
 from .dynamics.joints import joint_guards
 from .dynamics.system import System
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
+from .integration.discrete import discrete_views, read_discrete, views_of_system
 from .integration.moreau import DEFAULT_STEP, MoreauStep
 from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
-from .state import State, check_state, check_vector, coordinates_of, discrete_views, read_discrete, views_of_system
+from .state import State, check_state, check_vector, coordinates_of
 
 
 class Stepper:

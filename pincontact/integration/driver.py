@@ -20,9 +20,9 @@ from ..layout import (
     START_TOLERANCE,
     STICK,
 )
-from ..state import read_discrete
 from .contradictions import contradiction
 from .dense import Interpolant
+from .discrete import read_discrete
 from .events import Crossing, EventLocator, UserEvent
 from .results import FINISHED, NO_CONTACT_FORCE, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
 from .runge_kutta import RungeKutta

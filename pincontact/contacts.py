@@ -64,6 +64,15 @@ class Contact:
         return self.first if self.swapped else self.second
 
 
+class Assembly:
+    """A Pinocchio model, contours on its frames and contacts between them: the data of a `Scene`, in the order in which
+    they were added."""
+
+    model: pin.Model
+    contours: dict[str, AttachedContour]
+    contacts: dict[str, Contact]
+
+
 def characteristic_length(contact: Contact) -> float:
     """The contact's natural length in m: the smaller contour's size, 1 m if neither has one."""
     sizes = [s.contour.size for s in (contact.first, contact.second)]

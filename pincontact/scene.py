@@ -5,14 +5,14 @@ from __future__ import annotations
 import difflib
 import os
 from collections.abc import Collection, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from .arguments import NOT_REAL, is_number, real_array
 from .collision import contours_from_collision
-from .contacts import AttachedContour, Contact
+from .contacts import Assembly, AttachedContour, Contact
 from .contours import Contour
 from .contours.motion import Motion
 from .dynamics.joints import interrupted_joint
@@ -21,12 +21,10 @@ from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern, candidate_patterns, find_pattern
 from .geometry.planar import moves_in_plane
 from .robot_files import Folders, Robot, read_mjcf, read_sdf, read_urdf
-
-if TYPE_CHECKING:
-    from .state import State
+from .state import State, find_state
 
 
-class Scene:
+class Scene(Assembly):
     """A robot and the contacts it keeps.
 
     model: a `pin.Model`, or a `pin.RobotWrapper`, whose shapes are then taken too; it is not copied, and must not be
@@ -324,8 +322,6 @@ class Scene:
         NoContactError (with the gap) where contours do not touch, SingularContactError where the location equations are
         singular.
         """
-        from .state import find_state
-
         return find_state(self, q, v, t, free, max_gap)
 
 

@@ -10,11 +10,12 @@ import numpy as np
 from .arguments import NOT_REAL, is_count, is_number, real_array
 from .dynamics.joints import joint_guards
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
+from .integration.discrete import discrete_views, read_discrete, views_of_system
 from .integration.moreau import DEFAULT_STEP, MoreauStep
 from .integration.run_system import RunSystem
 from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
-from .state import State, check_state, check_vector, coordinates_of, discrete_views, read_discrete, views_of_system
+from .state import State, check_state, check_vector, coordinates_of
 
 
 class Stepper:

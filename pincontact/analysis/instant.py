@@ -15,6 +15,7 @@ from ..errors import SingularContactError, SolverError
 from ..geometry.carriers import ORIGIN
 from ..geometry.chart_changes import move_charts
 from ..geometry.patterns import ON_CURVE
+from ..integration.discrete import read_discrete, write_discrete
 from ..integration.results import FAILURES, SINGULAR_CONTACT, Stop
 from ..integration.run_system import RunSystem
 from ..integration.runge_kutta import RungeKutta
@@ -39,7 +40,7 @@ from ..layout import (
     STRIBECK_SPEED,
     TANGENTS,
 )
-from ..state import Correction, State, check_state, check_vector, read_discrete, write_discrete
+from ..state import Correction, State, check_state, check_vector
 from .kinematics import jacobians
 from .ranks import Directions
 

@@ -176,7 +176,7 @@ def simulate(
 
 
 def _simulate_by_events(request: _Request, pair: Tableau, rtol: float, atol: float, options: Options) -> Trajectory:
-    """The run of an event-driven method; where `options.discrete is not None`, time stepping goes on where it could not."""
+    """The run of an event-driven method; with `options.discrete` time stepping goes on where it could not."""
     scene, state, duration = request.scene, request.state, request.duration
     cached = take_system(scene, request.energies, resistances=True)
     system = cached.system

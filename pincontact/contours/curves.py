@@ -9,10 +9,11 @@ import numpy as np
 
 from ..errors import ContourError
 from ..jit import kernel
-from ..workspace import reals_at
+from ..workspace import matrix_at, reals_at
 from .base import ALL, CIRCLE, ELLIPSE, TURN, Contour
 from .checks import array, finite, in_space, interval, positive
-from .evaluation import contour_kernel, rows_at
+from .evaluation import contour_kernel
+from .sizes import DERIVATIVE_ROWS
 
 _WHOLE = 2.0 * math.pi * (1.0 + 1e-14)
 # A contact comes to an end so far from a cusp, rad, since u' grows without bound towards it. What is left of the arch
@@ -251,7 +252,7 @@ def put_curve(out, x, y, z, x_1, y_1, z_1, x_11, y_11, z_11):
 
 @contour_kernel
 def line(chart, shape, pool, pool_size, u1, u2, t, out):
-    put_curve(rows_at(out), u1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    put_curve(matrix_at(out, DERIVATIVE_ROWS, 3), u1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     return 0
 
 
@@ -261,7 +262,7 @@ def round_curve(chart, shape, pool, pool_size, u1, u2, t, out):
     numbers = reals_at(shape, 3)
     a, b, climb = numbers[0], numbers[1], numbers[2]
     c, s = math.cos(u1), math.sin(u1)
-    put_curve(rows_at(out), a * c, b * s, climb * u1, -a * s, b * c, climb, -a * c, -b * s, 0.0)
+    put_curve(matrix_at(out, DERIVATIVE_ROWS, 3), a * c, b * s, climb * u1, -a * s, b * c, climb, -a * c, -b * s, 0.0)
     return 0
 
 
@@ -272,14 +273,14 @@ def cycloid(chart, shape, pool, pool_size, u1, u2, t, out):
     # 1 - cos u and 1 + cos u without cancellation
     half_s, half_c = math.sin(0.5 * u1), math.cos(0.5 * u1)
     y, x_1 = 2.0 * a * half_s * half_s, 2.0 * a * half_c * half_c
-    put_curve(rows_at(out), a * (u1 + s), y, 0.0, x_1, a * s, 0.0, -a * s, a * c, 0.0)
+    put_curve(matrix_at(out, DERIVATIVE_ROWS, 3), a * (u1 + s), y, 0.0, x_1, a * s, 0.0, -a * s, a * c, 0.0)
     return 0
 
 
 @contour_kernel
 def fourier(chart, shape, pool, pool_size, u1, u2, t, out):
     """Coefficients (cosine, sine) of each order in turn; the angle is advanced by complex multiplication."""
-    f, table = rows_at(out), reals_at(pool, pool_size)
+    f, table = matrix_at(out, DERIVATIVE_ROWS, 3), reals_at(pool, pool_size)
     for i in range(3):
         f[0, i], f[1, i], f[3, i] = 0.0, 0.0, 0.0
     c, s = math.cos(u1), math.sin(u1)

@@ -22,9 +22,7 @@ import numpy as np
 
 from ..arrays import address, view
 from ..callback import kernel_address, kernel_caller
-from ..jit import CALLED, INTEGER, REAL, entry_kernel, kernel
-from ..workspace import matrix_at
-from .sizes import DERIVATIVE_ROWS
+from ..jit import CALLED, INTEGER, REAL, entry_kernel
 
 _ARGUMENTS = (INTEGER, INTEGER, INTEGER, INTEGER, REAL, REAL, REAL, INTEGER)
 # `call_contour(evaluator, chart, shape, pool, pool_size, u1, u2, t, out)`: the kernel at address `evaluator`.
@@ -34,12 +32,6 @@ call_contour = kernel_caller(INTEGER, *_ARGUMENTS)
 def contour_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Decorator of a kernel that evaluates a shape, with the parameters above."""
     return entry_kernel(*_ARGUMENTS, when=CALLED)(function)
-
-
-@kernel
-def rows_at(out):
-    """The (10, 3) rows at an address."""
-    return matrix_at(out, DERIVATIVE_ROWS, 3)
 
 
 def evaluate_contour(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from ..workspace import matrix_at
 from .base import POINT, Contour
-from .evaluation import contour_kernel, rows_at
+from .evaluation import contour_kernel
+from .sizes import DERIVATIVE_ROWS
 
 
 class Point(Contour):
@@ -22,6 +24,6 @@ class Point(Contour):
 
 @contour_kernel
 def point(chart, shape, pool, pool_size, u1, u2, t, out):
-    f = rows_at(out)
+    f = matrix_at(out, DERIVATIVE_ROWS, 3)
     f[0, 0], f[0, 1], f[0, 2] = 0.0, 0.0, 0.0
     return 0

@@ -8,11 +8,12 @@ import numpy as np
 import scipy
 
 from ..errors import ContourError
-from ..workspace import reals_at
+from ..workspace import matrix_at, reals_at
 from .base import Contour
 from .checks import array, flag, flags, in_space
-from .evaluation import contour_kernel, rows_at
+from .evaluation import contour_kernel
 from .piecewise import Direction, chebyshev_nodes, fitted, pack, piecewise
+from .sizes import DERIVATIVE_ROWS
 from .surfaces import put_plane
 
 # f has to be three times differentiable: the dynamics use f_11, and their integration one order more.
@@ -228,7 +229,7 @@ def height_grid(owner: str, x: Any, y: Any, z: Any, degree: int) -> tuple[np.nda
 @contour_kernel
 def height_spline(chart, shape, pool, pool_size, u1, u2, t, out):
     """(u1, u2, z), whose column z is a spline."""
-    f = rows_at(out)
+    f = matrix_at(out, DERIVATIVE_ROWS, 3)
     put_plane(f, u1, u2)
     piecewise(reals_at(pool, pool_size), u1, u2, t, f)
     return 0

@@ -7,11 +7,12 @@ from typing import Any
 
 from ..errors import ContourError
 from ..jit import kernel
-from ..workspace import reals_at
+from ..workspace import matrix_at, reals_at
 from .base import ALL, ELLIPSOID, PLANE, SPHERE, TURN, Contour
 from .checks import interval, positive
 from .curves import arc
-from .evaluation import contour_kernel, rows_at
+from .evaluation import contour_kernel
+from .sizes import DERIVATIVE_ROWS
 
 _HALF_TURN = (-0.5 * math.pi, 0.5 * math.pi)
 # A contact comes to an end so far from an apex, m, since u1' and the curvature grow without bound towards it.
@@ -252,7 +253,7 @@ class Torus(Contour):
 
 @contour_kernel
 def plane(chart, shape, pool, pool_size, u1, u2, t, out):
-    f = rows_at(out)
+    f = matrix_at(out, DERIVATIVE_ROWS, 3)
     f[0, 2] = 0.0
     put_plane(f, u1, u2)
     for row in range(1, 6):
@@ -294,7 +295,20 @@ def ellipsoid(chart, shape, pool, pool_size, u1, u2, t, out):
     if chart == 1:
         a, b, c = b, c, a
     c2, s2 = math.cos(u2), math.sin(u2)
-    put_revolved(rows_at(out), chart, math.cos(u1), math.sin(u1), c2, c * s2, -s2, c * c2, -c2, -c * s2, a, b)
+    put_revolved(
+        matrix_at(out, DERIVATIVE_ROWS, 3),
+        chart,
+        math.cos(u1),
+        math.sin(u1),
+        c2,
+        c * s2,
+        -s2,
+        c * c2,
+        -c2,
+        -c * s2,
+        a,
+        b,
+    )
     return 0
 
 
@@ -304,7 +318,9 @@ def straight_profile(chart, shape, pool, pool_size, u1, u2, t, out):
     numbers = reals_at(shape, 3)
     slope, climb = numbers[1], numbers[2]
     r, z = numbers[0] + slope * u2, climb * u2
-    put_revolved(rows_at(out), 0, math.cos(u1), math.sin(u1), r, z, slope, climb, 0.0, 0.0, 1.0, 1.0)
+    put_revolved(
+        matrix_at(out, DERIVATIVE_ROWS, 3), 0, math.cos(u1), math.sin(u1), r, z, slope, climb, 0.0, 0.0, 1.0, 1.0
+    )
     return 0
 
 
@@ -312,5 +328,7 @@ def straight_profile(chart, shape, pool, pool_size, u1, u2, t, out):
 def torus(chart, shape, pool, pool_size, u1, u2, t, out):
     radii = reals_at(shape, 2)
     r, z = radii[1] * math.cos(u2), radii[1] * math.sin(u2)
-    put_revolved(rows_at(out), 0, math.cos(u1), math.sin(u1), radii[0] + r, z, -z, r, -r, -z, 1.0, 1.0)
+    put_revolved(
+        matrix_at(out, DERIVATIVE_ROWS, 3), 0, math.cos(u1), math.sin(u1), radii[0] + r, z, -z, r, -r, -z, 1.0, 1.0
+    )
     return 0

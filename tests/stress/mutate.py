@@ -82,7 +82,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
     ): "cells of a curve have no width",
     (
         "pincontact/contours/parametric.py", "_arguments",
-        "numbers[\"size\"] = next((size for size in (half_diagonal(contour, t) for t in moments) if size > 0.0), 0.0)",
+        'numbers["size"] = next((size for size in (half_diagonal(contour, t) for t in moments) if size > 0.0), 0.0)',
         "0.0 -> 0.5",
     ): "what has a tangent at one of these times is more than a point then",
     (

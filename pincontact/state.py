@@ -26,7 +26,6 @@ from .errors import ArgumentError, ModelError, NoContactError, SingularContactEr
 from .geometry.search import Candidate, find_candidates
 from .integration.contradictions import contradiction
 from .integration.discrete import DISCRETE_COLUMNS, read_discrete
-
 from .integration.run_system import RunSystem
 from .layout import (
     BRANCH,

@@ -8,12 +8,12 @@ import pytest
 from reference import build
 
 import pincontact as pc
+from pincontact.integration.discrete import write_discrete
 from pincontact.integration.locator import EventLocator
 from pincontact.integration.run_system import RunSystem
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.tableaux import tableau
 from pincontact.layout import DOMAIN, EVENT, NORMAL_MARGIN, OK
-from pincontact.state import write_discrete
 
 G = 9.81
 RADIUS = 0.1

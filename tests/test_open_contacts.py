@@ -11,9 +11,9 @@ import scipy
 
 import pincontact as pc
 from pincontact.geometry.nearest import NearestSearch
+from pincontact.integration.discrete import write_discrete
 from pincontact.integration.open_contacts import OpenContacts
 from pincontact.integration.run_system import RunSystem
-from pincontact.state import write_discrete
 
 G = 9.81
 METHODS = ["DOP853", "RK45", "RK23", "Sharp98", "Moreau"]

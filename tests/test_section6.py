@@ -21,8 +21,8 @@ import pincontact as pc
 from pincontact.dynamics.system import System
 from pincontact.geometry import location
 from pincontact.geometry.patterns import PATTERNS as TABLE
+from pincontact.integration.discrete import write_discrete
 from pincontact.layout import K1, K2, OK, PATTERN, SYSTEM
-from pincontact.state import write_discrete
 
 MASS, RADIUS, GRAVITY, MU = 1.7, 0.45, 9.81, 0.3
 J1, J3 = 0.25 * MASS * RADIUS**2, 0.5 * MASS * RADIUS**2

@@ -32,6 +32,7 @@ import pincontact as pc
 from pincontact.analysis.instant import Instant
 from pincontact.dynamics.equations import slip_direction
 from pincontact.geometry.carriers import OMEGA
+from pincontact.integration.discrete import read_discrete, write_discrete
 from pincontact.integration.run_system import RunSystem
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.tableaux import tableau
@@ -52,7 +53,6 @@ from pincontact.layout import (
     TANGENTS,
 )
 from pincontact.layout import START as START_TIME
-from pincontact.state import read_discrete, write_discrete
 
 EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
 LAWS = {"frictionless": None, "slipping": pc.Coulomb(0.15), "rolling": pc.NoSlip()}

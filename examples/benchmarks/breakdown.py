@@ -23,9 +23,9 @@ from timing import by_turns, free_body
 import pincontact as pc
 from pincontact.friction.solve import ContactSolver
 from pincontact.integration import driver
+from pincontact.integration.discrete import write_discrete
 from pincontact.integration.run_system import RunSystem
 from pincontact.integration.steps import KEEP_VELOCITY, run_task
-from pincontact.state import write_discrete
 
 _RUNS = 15
 # What Python calls for compiled work, and the driver's handlers of what may be an event.

@@ -99,7 +99,7 @@ def test_section_names_the_winner(finished, tmp_path):
     assert result.reach["cam"] == pytest.approx(0.06, rel=0.01)
     small.reach["cam"] = result.reach["cam"]
     assert [level for _, level, _, _ in work_precision.losses(small)] == [1e-2]
-    assert "(cam and flat follower 0.06 m)" in " ".join(work_precision.section(small).split())
+    assert "from its start: cam and flat follower 0.06 m." in " ".join(work_precision.section(small).split())
 
 
 def test_unknown_names():
@@ -162,7 +162,7 @@ def test_parts_of_an_evaluation_are_told_apart():
 def test_clock_counts_what_is_nested_once():
     """Two kinds of work, one within the other: what each takes itself adds up to the whole."""
     scene, state = breakdown._bouncing_ball()
-    compiled, handler = breakdown.System.run, breakdown.driver.Driver._complete
+    compiled, handler = breakdown.RunSystem.run, breakdown.driver.Driver._complete
     began = time.perf_counter()
     with breakdown.timed() as clock:
         run = pc.simulate(scene, state, 0.5, t_eval=[0.5])
@@ -172,4 +172,4 @@ def test_clock_counts_what_is_nested_once():
     assert set(clock.inside) >= {"compiled", "handler"}
     assert 0.0 < sum(clock.inside.values()) + sum(clock.outside.values()) <= whole
     # and everything is as it was
-    assert (breakdown.System.run, breakdown.driver.Driver._complete) == (compiled, handler)
+    assert (breakdown.RunSystem.run, breakdown.driver.Driver._complete) == (compiled, handler)

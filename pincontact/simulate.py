@@ -15,6 +15,7 @@ from .arguments import NOT_REAL, check_flag, is_count, is_number, real_array
 from .dynamics.joints import check_guards
 from .dynamics.spare import Spare, put_back, take_spare
 from .errors import ArgumentError, UnusableResult
+from .friction.solve import ContactSolver, check_contact_solver
 from .integration.driver import Driver, Options
 from .integration.events import UserEvent
 from .integration.results import (
@@ -44,6 +45,8 @@ _FALLS_BACK = (STEP_TOO_SMALL, NO_CONTACT_FORCE, CHATTER, MODEL_FAILED)
 # So many numbers take less time as a list than as an array.
 _SHORT = 50
 
+_PROGRAMS = ("qp", "qp_iterations", "qp_failures")
+
 Control = Callable[[float, np.ndarray, np.ndarray], Any]
 
 
@@ -67,6 +70,7 @@ def simulate(
     max_steps: int = 1_000_000,
     breakpoints: Any | None = None,
     fallback: str | None = None,
+    contact_solver: str = "auto",
 ) -> Trajectory:
     """Integrate a scene from a state over a duration in s.
 
@@ -84,6 +88,9 @@ def simulate(
     `Trajectory.energies`). max_step, first_step in s; fixed_step: constant steps without error control;
     max_steps: accepted and rejected together. fallback: "Moreau" lets a run that cannot go on (status -1, -4, -6 or -7)
     go on by time stepping, with `step`, from its last good state on; an event of kind "fallback" says where.
+    contact_solver: how Coulomb's law is solved where stick or slip is undecided: "auto", cheapest ways first, or
+    "proxqp", by a sequence of ProxQP programs; what these leave unsolved is solved as by "auto" and counted in
+    stats["qp_failures"], programs in "qp", their iterations in "qp_iterations".
     Without a max_step, what varies with time (a control, a contour that is driven unsteadily) is looked at every 0.1 s
     at least, also where nothing moves; a shorter pulse needs breakpoints.
 
@@ -98,6 +105,7 @@ def simulate(
     """
     _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps, step)
     _check_fallback(fallback, method)
+    check_contact_solver(contact_solver)
     times = _output_times(t_eval, state.t, duration)
     jumps = _breakpoints(breakpoints, state.t, duration)
     users = UserEvent.wrap(events)
@@ -130,7 +138,7 @@ def simulate(
     torque = _torque(control, system) if control is not None else None
     if pair is None:
         run = _simulate_moreau(
-            scene, state, duration, step, spare, users, times, max_steps, torque, progress, began, jumps
+            scene, state, duration, step, spare, users, times, max_steps, torque, progress, began, jumps, contact_solver
         )
         if run.success:
             put_back(scene, spare)
@@ -139,6 +147,7 @@ def simulate(
     rk.begin_at(state.q, state.v, state.location)
     record = Record(system, state, with_torques=control is not None or system.ng + system.nr > 0)
     transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration)
+    transitions.modes.contact_solver = contact_solver
     options = Options(times, max_step, max_steps, fixed_step, first_step, jumps, keep_good=fallback is not None)
     with _Bar(progress, state.t, duration) as bar:
         driver = Driver(rk, transitions, users, record.add, record.flush, options, bar.update if progress else None)
@@ -152,7 +161,7 @@ def simulate(
                 "outputs": len(record),
                 **_counts(system),
                 "cone_problems": modes.cone_problems,
-                "qp": modes.solver.qp_count if modes.cone_problems else 0,
+                **(_programs(modes.solver) if modes.cone_problems else dict.fromkeys(_PROGRAMS, 0)),
                 "cone_residual": modes.worst_residual,
                 "redistributions": modes.redistributions,
                 "wall_time": time.perf_counter() - began,
@@ -164,8 +173,9 @@ def simulate(
         put_back(scene, spare)
     elif fallback is not None and run.status in _FALLS_BACK:
         return _fall_back(
-            run, driver, state, duration, step, energies, users, times, max_steps, control, progress, began, jumps
-        )
+            run, driver, state, duration, step, energies, users, times, max_steps, control, progress, began, jumps,
+            contact_solver,
+        )  # fmt: skip
     return run
 
 
@@ -183,6 +193,7 @@ def _fall_back(
     progress: bool,
     began: float,
     breakpoints: list[float],
+    contact_solver: str,
 ) -> Trajectory:
     """The run that time stepping makes of one that could not go on, both as one."""
     scene, (t, good, discrete) = run.scene, driver.good or (state.t, None, state.discrete)
@@ -205,7 +216,7 @@ def _fall_back(
     rest = duration - (t - state.t)
     jumps = [jump for jump in breakpoints if jump > t]
     whole = _simulate_moreau(
-        scene, start, rest, step, spare, users, later, left, torque, progress, began, jumps, follow
+        scene, start, rest, step, spare, users, later, left, torque, progress, began, jumps, contact_solver, follow
     )
     if whole.success:
         put_back(scene, spare)
@@ -225,6 +236,7 @@ def _simulate_moreau(
     progress: bool,
     began: float,
     breakpoints: list[float],
+    contact_solver: str,
     finish: Callable[[Trajectory], Trajectory] = lambda run: run,
 ) -> Trajectory:
     """The run of method "Moreau" on a spare's system, whose discrete state is set; finish: what is made of it."""
@@ -240,6 +252,7 @@ def _simulate_moreau(
         stepper = spare.stepper = MoreauStep(system, system.contacts)
     else:
         stepper.renew()
+    stepper.choose(contact_solver)
     record = Record(system, state, with_torques=torque is not None or stepper.acts_on_joints, by_steps=True)
 
     def add(t: float) -> None:
@@ -282,7 +295,7 @@ def _simulate_moreau(
                 "settled": stepper.settled,
                 "open_loads": stepper.open_loads,
                 "decided": stepper.decided,
-                "qp": stepper.solver.qp_count,
+                **_programs(stepper.solver),
                 "cone_residual": stepper.worst_residual,
                 "wall_time": time.perf_counter() - began,
             }
@@ -316,6 +329,11 @@ def _attach(error: BaseException, run: Trajectory) -> None:
         # a class that cannot be written to takes no notes either
         with suppress(Exception):
             error.add_note(f"pincontact: the run up to there is not kept, {type(error).__name__}.run is something else")
+
+
+def _programs(solver: ContactSolver) -> dict[str, int]:
+    """What ProxQP has done so far."""
+    return dict(zip(_PROGRAMS, (solver.qp_count, solver.qp_iterations, solver.qp_failures)))
 
 
 def _counts(system: System) -> dict[str, int]:

@@ -11,6 +11,7 @@ from .arguments import NOT_REAL, is_count, is_number, real_array
 from .dynamics.joints import joint_guards
 from .dynamics.system import System
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
+from .friction.solve import check_contact_solver
 from .integration.moreau import DEFAULT_STEP, MoreauStep
 from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
@@ -28,19 +29,21 @@ class Stepper:
         while True:
             state = stepper.step(controller(stepper.t, stepper.q, stepper.v))
 
-    scene, state: as for `simulate`. dt: step in s.
+    scene, state, contact_solver: as for `simulate`. dt: step in s.
     Raises ArgumentError for a dt that is not positive and finite or a state of another scene.
     """
 
-    def __init__(self, scene: Scene, state: State, dt: float = DEFAULT_STEP) -> None:
+    def __init__(self, scene: Scene, state: State, dt: float = DEFAULT_STEP, contact_solver: str = "auto") -> None:
         if not (is_number(dt) and 0.0 < dt < math.inf):
             raise ArgumentError(f"dt must be a positive number of seconds, got {dt!r}")
+        check_contact_solver(contact_solver)
         check_state(scene, state)
         self.scene, self.dt = scene, float(dt)
         self._coordinates = coordinates_of(scene.model)
         contacts = list(scene.contacts.values())
         self._system = system = System(scene.model, contacts, guards=joint_guards(scene.model))
         self._step = MoreauStep(system, contacts)
+        self._step.choose(contact_solver)
         nq, nv, nc = system.nq, system.nv, system.nc
         self.q, self.v = (_locked(part) for part in (system.state[:nq], system.state[nq : nq + nv]))
         self._location = _locked(system.state[nq + nv : nq + nv + 4 * nc].reshape(nc, 4))

@@ -139,12 +139,13 @@ class ModeSolver:
         self._limits = np.zeros(system.items)
         # whether there are no forces where the last decision found none
         self.proved = False
+        self.contact_solver = "auto"
 
     @cached_property
     def solver(self) -> ContactSolver:
         """Made when the first cone problem is posed."""
         # the loads that what slides is given must be those that evaluations find, which are of least norm
-        return ContactSolver(nearest=False)
+        return ContactSolver(nearest=False, contact_solver=self.contact_solver)
 
     @cached_property
     def loads(self) -> LoadSolver:

@@ -227,7 +227,8 @@ def _solve(step, n):
         return False
     known = cone.cone_at(address)
     # of several solutions of an impact the one that the past has no part in
-    task = USUAL + AFRESH if counts[TOUCHED] != 0 else counts[CONE_TASK]
+    usual = counts[CONE_TASK] >= USUAL
+    task = USUAL + AFRESH if usual and counts[TOUCHED] != 0 else counts[CONE_TASK]
     residual = _call_cones(
         step.calls[SOLVE_CONES],
         as_array(square(step.delassus, 3 * n)),

@@ -252,6 +252,11 @@ class MoreauStep:
             # the mass matrix with viscous friction couples branches of the tree
             system.parents[:] = np.arange(max(system.nv, 1)) - 1
 
+    def choose(self, contact_solver: str) -> None:
+        """How contact problems are solved, see `ContactSolver.choose`."""
+        self.solver.choose(contact_solver)
+        self._counts[CONE_TASK] = self.solver.task
+
     def renew(self) -> None:
         """Be as new, for a system that is as new: buffers are kept, nothing in them matters."""
         self.step_arrays.restore()

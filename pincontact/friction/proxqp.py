@@ -118,7 +118,7 @@ class ConePrograms:
         forces: np.ndarray,
         warm: bool,
         finish: Callable[[], bool],
-        programs: int = PROGRAMS,
+        programs: int,
     ) -> bool:
         """Whether `finish()` took the forces of a program for the beginning of a solution.
 

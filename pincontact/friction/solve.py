@@ -58,7 +58,7 @@ from .cone import (
 )
 from .feasibility import crushing_combination
 from .path import follow_path
-from .proxqp import ConePrograms
+from .proxqp import PROGRAMS, ConePrograms
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactSolution", "ContactSolver", "centred_forces", "solve_contacts"]
 
@@ -81,6 +81,8 @@ QUICK_PATH_STEPS = 20
 COMPLIANCES = (1e-12, 1e-13, 1e-11)
 # Newton passes from a program's forces.
 PROGRAM_NEWTON_PASSES = 8
+# Programs per beginning where the search is to be quick: 99 problems in 100 need no more.
+QUICK_PROGRAMS = 10
 STAGES = ("sweeps", "path", "qp")
 CONTACT_SOLVERS = ("auto", "proxqp")
 # The value of t at which redundant forces count as centred.
@@ -459,7 +461,8 @@ class ContactSolver:
             )
             return self.residual <= self.tolerance
 
-        if space.programs.solve(delassus, b, mu, space.forces, warm, finish):
+        programs = QUICK_PROGRAMS if self.quick else PROGRAMS
+        if space.programs.solve(delassus, b, mu, space.forces, warm, finish, programs):
             return True
         space.forces[:] = before
         return False

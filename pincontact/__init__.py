@@ -24,8 +24,9 @@ from .errors import (
     StateError,
     TrajectoryError,
 )
+from .friction.centred import centred_forces
 from .friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
-from .friction.solve import ContactSolution, centred_forces, solve_contacts
+from .friction.solve import ContactSolution, solve_contacts
 from .integration.results import Event
 from .scene import Scene
 from .scene_file import LoadedScene, load_scene

@@ -33,7 +33,8 @@ _WORD = ir.IntType(64)
 
 
 class View(types.Type):
-    """numba's type of such arrays. item: numba's type of an element; strided: whether there are gaps between rows."""
+    """numba's type of such arrays. item: numba's type of an element, a number or a record; strided: whether there are
+    gaps between rows."""
 
     def __init__(self, item: Any, ndim: int, strided: bool = False):
         self.item, self.ndim, self.strided = item, ndim, strided
@@ -196,7 +197,8 @@ def _getitem(context: Any, builder: Any, signature: Any, values: Any) -> Any:
     (view, index), kind = signature.args, signature.return_type
     pointer, extents, steps = _element(context, builder, view, values[0], index, values[1])
     if not isinstance(kind, View):
-        return builder.load(pointer)
+        # a number, or where a record is
+        return context.unpack_value(builder, kind, pointer)
     return make_view(context, builder, kind, pointer, extents, steps if kind.strided else None)
 
 

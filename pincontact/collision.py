@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import difflib
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from .contours import Circle, Contour, Cylinder, Ellipsoid, Line, Plane, Point, Sphere
 from .errors import ArgumentError, ContourError, ModelError
-
-if TYPE_CHECKING:
-    from .contacts import AttachedContour
-    from .scene import Scene
 
 KINDS = ("faces", "rims", "edges", "corners")
 
@@ -27,30 +23,32 @@ _AXES = "xyz"
 _SIGNS = ((1.0, "+"), (-1.0, "-"))
 
 
-def add_contours_from_collision(
-    scene: Scene,
+def contours_from_collision(
+    model: pin.Model,
+    shapes: pin.GeometryModel | None,
     links: Iterable[str] | None,
     kinds: Collection[str],
-    geometry: pin.GeometryModel | None,
-) -> dict[str, AttachedContour]:
-    """See `Scene.add_contours_from_collision`."""
+    unread: Collection[str] = (),
+) -> list[tuple[str, Contour, str, pin.SE3]]:
+    """Name, contour, frame and placement in it of the parts that `Scene.add_contours_from_collision` adds.
+
+    shapes: of the links, None where there are none. unread: names of shapes that could not be read, for messages.
+    """
     wanted_kinds = _names("kinds", kinds)
     for kind in wanted_kinds:
         if kind not in KINDS:
             raise ArgumentError(f"kinds: unknown kind {kind!r}; one or more of {', '.join(KINDS)}")
-    shapes = scene.collision_model if geometry is None else geometry
     if shapes is None:
         raise ModelError("the scene was made from a model alone, without collision shapes; pass geometry=")
     if not isinstance(shapes, pin.GeometryModel):
         raise ArgumentError(f"geometry must be a pinocchio GeometryModel or None, got {type(shapes).__name__}")
     objects = list(shapes.geometryObjects)
-    unread = scene._unread_shapes if geometry is None else ()
-    names = None if links is None else _links(scene.model, objects, _names("links", links), unread)
+    names = None if links is None else _links(model, objects, _names("links", links), unread)
     found: list[tuple[str, Contour, str, pin.SE3]] = []
     seen: list[str] = []
     ignored: list[str] = []
     for item in objects:
-        frame = _carrier(scene.model, item)
+        frame = _carrier(model, item)
         if names is not None and frame.name not in names:
             continue
         shown = f"{item.name} ({type(item.geometry).__name__})"
@@ -67,10 +65,6 @@ def add_contours_from_collision(
         for part, kind, contour, placement in parts:
             if kind in wanted_kinds:
                 found.append((f"{item.name}_{part}", contour, frame.name, in_frame * placement))
-    # all or nothing: a name that is taken must not leave half of the contours behind
-    for name, *_ in found:
-        if name in scene.contours:
-            raise ContourError(f"there is already a contour named {name!r}")
     remarks = []
     if ignored:
         remarks.append(
@@ -84,7 +78,7 @@ def add_contours_from_collision(
         raise ModelError("; ".join([f"no contour was found among {made}", *remarks]))
     if remarks:
         warnings.warn("; ".join(remarks), stacklevel=3)
-    return {name: scene.add_contour(name, contour, frame, place) for name, contour, frame, place in found}
+    return found
 
 
 def _names(argument: str, given: Any) -> list[str]:
@@ -96,7 +90,7 @@ def _names(argument: str, given: Any) -> list[str]:
     return names
 
 
-def _links(model: pin.Model, objects: list[Any], links: list[str], unread: Sequence[str]) -> set[str]:
+def _links(model: pin.Model, objects: list[Any], links: list[str], unread: Collection[str]) -> set[str]:
     """The links asked for, once every one of them is known to have a collision shape."""
     having = {_carrier(model, item).name for item in objects}
     for name in sorted(set(links) - having):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pinocchio as pin
 
-from .contours import Contour
+from .contours.base import Contour
 from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern
 
@@ -62,6 +62,15 @@ class Contact:
     @property
     def body2(self) -> AttachedContour:
         return self.first if self.swapped else self.second
+
+
+class Assembly:
+    """A Pinocchio model, contours on its frames and contacts between them: the data of a `Scene`, in the order in which
+    they were added."""
+
+    model: pin.Model
+    contours: dict[str, AttachedContour]
+    contacts: dict[str, Contact]
 
 
 def characteristic_length(contact: Contact) -> float:

@@ -1,8 +1,8 @@
 """Compilation of the numerical kernels: once, cached on disk, announced.
 
-Two decorators. `kernel` marks a part that other kernels call; `entry_kernel` marks what Python calls. An entry kernel
-takes the address of a workspace (see `workspace.py`), so that one compiled signature serves every scene and a call
-costs a fraction of a microsecond.
+Three decorators. `kernel` marks a part that other kernels call, `inlined_kernel` one that a single kernel calls, and
+`entry_kernel` what Python calls. An entry kernel takes the address of a workspace (see `workspace.py`), so that one
+compiled signature serves every scene and a call costs a fraction of a microsecond.
 
 Numba invalidates a cached function when its own file changes, not when a callee in another file does. Each
 entry kernel's cache directory is therefore keyed by a hash of its module's source and of all that it imports.
@@ -145,6 +145,15 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     if numba.config.DISABLE_JIT:
         return function
     return register_jitable(**_OPTIONS, **_PART_OPTIONS)(function)
+
+
+def inlined_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A kernel with one caller, which is compiled as part of it: numba repeats machine code at each level of calls, and
+    takes long over large functions, so this is for what stands between a large kernel and its parts."""
+    if numba.config.DISABLE_JIT:
+        return function
+    inlined: Callable[..., Any] = njit(inline="always", **_OPTIONS, **_PART_OPTIONS)(function)
+    return inlined
 
 
 def entry_kernel(

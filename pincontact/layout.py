@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from .contours.base import DERIVATIVE_ROWS, SHAPE_SIZE
-from .contours.motion import MOTION_PARAMETERS, MOTION_SIZE
+from .contours.sizes import DERIVATIVE_ROWS, MOTION_PARAMETERS, MOTION_SIZE, SHAPE_SIZE
 from .workspace import INTEGERS, REALS, Layout, record
 
 SIZES = record(INTEGERS, "nq", "nv", "nc", "njoints", "nblocks", "nstages", "nwork", "ny")
@@ -131,7 +130,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 # m/s^2: how much that speed changed in the last step that might have touched; FLAT: whether contour 2 is a plane that
 # no motion drives.
 # LIMIT_SLACK is the part of the static limit by which friction may exceed it before stick ends.
-# DOMAIN is the distance of the location from the nearest end of its domain, negative outside;
+# DOMAIN is the distance of the contact coordinates from the nearest end of their domain, negative outside;
 # LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart, NEXT_NORMAL that of the
 # state about to be accepted; START_SPEED and _RATE are those of 3D slip there, infinite where there is none.
 # A frozen slip direction is DIRECTION + p(s) ACROSS with p of the coefficients POLYNOMIAL.. in s = (t - START) / SPAN;
@@ -216,7 +215,7 @@ GUARD_INTS = 4
 LOW_FORCE, HIGH_FORCE, LOW_END, HIGH_END = range(4)
 GUARD_REALS = 4
 
-# margins: positive while the mode holds
+# margins: event functions, positive while the mode holds
 NORMAL_MARGIN, FRICTION_MARGIN, GAP_MARGIN, SPEED_MARGIN, DOMAIN_MARGIN = range(5)
 MARGINS_PER_CONTACT = 5
 
@@ -225,6 +224,19 @@ FREE, FRICTIONLESS, STICK, SLIPPING = -1, 0, 1, 2
 
 # what an evaluation returns
 OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, TOO_LONG = range(8)
+
+# Memory of a Runge-Kutta step. Rows of the coefficients and of the slopes: 16 for stages and the interpolant, the last
+# one for scratch; of the error weights: two estimates of the state's error, the rest for event functions (see
+# `integration.resolution`); of the interpolant's coefficients (Sharp98 uses all, DOP853 seven, RK45 four, RK23 three);
+# of event functions that are kept behind those of a scan: of all stages from the step's start on, and of one state.
+MAX_STAGES = 17
+ERROR_ROWS = 14
+DENSE_ROWS = 8
+KEPT_ROWS = MAX_STAGES + 1
+# quadratures at the end of the state, J, where energies are recorded: work of friction, of prescribed motions, of the
+# user's torques, of the joints' damping and dry friction
+FRICTION_WORK, DRIVE_WORK, TORQUE_WORK, DAMPING_WORK = range(4)
+NUMBER_OF_WORKS = 4
 
 # places along a step that are evaluated by one call, and the gap beyond the end of a contour, where nothing can touch
 SCAN_ROOM = 9
@@ -254,21 +266,16 @@ SYSTEM = Layout(
     side_shape=(REALS, 2, SHAPE_SIZE),  # (2 nc, SHAPE_SIZE)
     side_domain=(REALS, 2, 4),  # (2 nc, 4): low and high end of u1 and u2, infinite where there is none
     side_base=(REALS, 2, 12),  # (2 nc, 12) placement in the joint: rotation (9), position (3)
-    side_motion=(REALS, 2, MOTION_SIZE),  # (2 nc, 24) driven placement relative to the base, and its derivatives
+    side_motion=(REALS, 2, MOTION_SIZE),  # (2 nc, 24) prescribed placement relative to the base, and its derivatives
     side_motion_parameters=(REALS, 2, MOTION_PARAMETERS),  # (2 nc, MOTION_PARAMETERS)
     support=(INTEGERS, 2),  # (2 nc, nv): velocity coordinates that move the side's joint
     # results of one evaluation
     frames=(REALS, 3, 8, 3),  # (2 nc, 8, 3): rotation rows, origin, velocity, omega, acceleration, alpha (world)
-    derivatives=(
-        REALS,
-        3,
-        DERIVATIVE_ROWS,
-        3,
-    ),  # (2 nc, 10, 3): the contour's, world axes, from its origin
+    derivatives=(REALS, 3, DERIVATIVE_ROWS, 3),  # (2 nc, 10, 3): the contour's, world axes, from its origin
     basis=(REALS, 3, 3, 3),  # (nc, 3, 3): rows t1, second, n (world)
     slip=(REALS, 2, 3),  # (nc, 3): v_c = v_2 - v_1, world
     gaps=(REALS, 2, 2),  # (nc, 2): n . (r_2 - r_1); second normal's for a point on a spatial curve
-    rates=(REALS, 2, 4),  # (nc, 4): location rates u_1', u_2'
+    rates=(REALS, 2, 4),  # (nc, 4): rates of the contact coordinates u_1', u_2'
     bias=(REALS, 2, 3),  # (nc, 3): row . gamma plus frame rates, along the basis
     rows=(REALS, 3),  # (nc, 3, nv): basis . (J_2 - J_1)
     force=(REALS, 2, 3),  # (nc, 3): force on body 2 along the basis
@@ -278,7 +285,7 @@ SYSTEM = Layout(
         2,
         MARGINS_PER_CONTACT,
     ),  # (nc, 5): event functions, positive while the mode holds
-    location=(REALS, 2, 4),  # (nc, 4): u_1 (2), u_2 (2)
+    location=(REALS, 2, 4),  # (nc, 4): contact coordinates u_1 (2), u_2 (2)
     # linear algebra
     factor=(REALS, 2),  # (nv, nv) Cholesky factor of the mass matrix
     acceleration=(REALS, 1),  # (nv,)
@@ -291,7 +298,7 @@ SYSTEM = Layout(
     row_index=(INTEGERS, 2, 2),  # (3 nc, 2): contact and basis row of each constraint row
     permutation=(INTEGERS, 1),  # (3 nc,)
     # Runge-Kutta
-    state=(REALS, 1),  # (ny,) at the start of the step: q, v, location, quadratures
+    state=(REALS, 1),  # (ny,) at the start of the step: q, v, contact coordinates, quadratures
     stage_state=(REALS, 1),  # (ny,)
     new_state=(REALS, 1),  # (ny,)
     next_state=(REALS, 1),  # (ny,) start of the next step, and its slope, while outputs of this one are written
@@ -318,25 +325,23 @@ SYSTEM = Layout(
     output_times=(REALS, 1),  # (OUTPUT_COUNT,) s
     recorded_reals=(REALS, 2),  # (BLOCK, ROW_WIDTH) rows, see `recording`
     recorded_integers=(INTEGERS, 2),  # (BLOCK, ...)
-    # guarded joint coordinates, rows nc .. nc + ng of the contacts' arrays: see `dynamics.joints`
+    # joint coordinates with limits or dry friction, rows nc .. nc + ng of the contacts' arrays: see `dynamics.joints`
     guard_count=(INTEGERS, 1),  # (1,): ng
     guard_int=(INTEGERS, 2, GUARD_INTS),  # (ng, GUARD_INTS)
     guard_real=(REALS, 2, GUARD_REALS),  # (ng, GUARD_REALS)
     # resistances to spinning and rolling, rows nc + ng .. nc + ng + nr: see `dynamics.resistance`
     resistance_count=(INTEGERS, 1),  # (1,): nr
-    # least and largest margins of a step's stages, and one choice among redundant forces
+    # least and largest event functions of a step's stages, and one choice among redundant forces
     lowest=(REALS, 2, MARGINS_PER_CONTACT),  # (nc + ng + nr, MARGINS_PER_CONTACT)
     highest=(REALS, 2, MARGINS_PER_CONTACT),  # (nc + ng + nr, MARGINS_PER_CONTACT)
-    across=(
-        REALS,
-        2,
-    ),  # (2 (nc + ng + nr) + 1, POLYNOMIAL_SIZE): shares of a step, v_c across directions and along, see `steps`
+    # (2 (nc + ng + nr) + 1, POLYNOMIAL_SIZE): shares of a step, v_c across directions and along, see `steps`
+    across=(REALS, 2),
     reference=(REALS, 2, 3),  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
     # where the reference follows loads and time: see `equations`
     reference_start=(REALS, 2, 3),  # (nc + ng + nr, 3) at zero loads and REFERENCE_TIME
     reference_rate=(REALS, 2, 3),  # (nc + ng + nr, 3)
     reference_slope=(REALS, 3),  # (2, 3 (nc + ng + nr), nv)
-    # margins along a step: at which shares of it, the evaluations' statuses, and the margins
+    # event functions along a step: at which shares of it, the evaluations' statuses, and their values
     scan_shares=(REALS, 1),  # (SCAN_ROOM,)
     scan_status=(INTEGERS, 1),  # (SCAN_ROOM,)
     scan_margins=(REALS, 3),  # (SCAN_ROOM, nc + ng + nr, MARGINS_PER_CONTACT)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import difflib
 import os
 from collections.abc import Collection, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from .arguments import NOT_REAL, is_number, real_array
-from .contacts import AttachedContour, Contact
+from .collision import contours_from_collision
+from .contacts import Assembly, AttachedContour, Contact
 from .contours import Contour
 from .contours.motion import Motion
 from .dynamics.joints import interrupted_joint
@@ -20,12 +21,10 @@ from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern, candidate_patterns, find_pattern
 from .geometry.planar import moves_in_plane
 from .robot_files import Folders, Robot, read_mjcf, read_sdf, read_urdf
-
-if TYPE_CHECKING:
-    from .state import State
+from .state import State, find_state
 
 
-class Scene:
+class Scene(Assembly):
     """A robot and the contacts it keeps.
 
     model: a `pin.Model`, or a `pin.RobotWrapper`, whose shapes are then taken too; it is not copied, and must not be
@@ -197,9 +196,13 @@ class Scene:
         (naming what was seen), ContourError for a name taken or a shape without extent, ArgumentError for an unknown
         kind.
         """
-        from .collision import add_contours_from_collision
-
-        return add_contours_from_collision(self, links, kinds, geometry)
+        shapes, unread = (self.collision_model, self._unread_shapes) if geometry is None else (geometry, ())
+        found = contours_from_collision(self.model, shapes, links, kinds, unread)
+        # all or nothing: a name that is taken must not leave half of the contours behind
+        for name, *_ in found:
+            if name in self.contours:
+                raise ContourError(f"there is already a contour named {name!r}")
+        return {name: self.add_contour(name, contour, frame, place) for name, contour, frame, place in found}
 
     def add_contact(
         self,
@@ -319,8 +322,6 @@ class Scene:
         NoContactError (with the gap) where contours do not touch, SingularContactError where the location equations are
         singular.
         """
-        from .state import find_state
-
         return find_state(self, q, v, t, free, max_gap)
 
 

@@ -7,15 +7,16 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .arguments import NOT_REAL, check_flag, is_count, is_number, real_array
 from .dynamics.joints import check_guards
-from .dynamics.spare import Spare, put_back, take_spare
 from .errors import ArgumentError, UnusableResult
-from .friction.solve import ContactSolver, check_contact_solver
+from .friction.solve import check_contact_solver
+from .integration.discrete import read_discrete, write_discrete
 from .integration.driver import Driver, Options
 from .integration.events import UserEvent
 from .integration.results import (
@@ -27,16 +28,17 @@ from .integration.results import (
     Event,
 )
 from .integration.runge_kutta import RungeKutta, Torque
-from .integration.tableaux import tableau
+from .integration.tableaux import Tableau, tableau
 from .integration.transitions import Transitions
 from .jit import compile_kernels
 from .scene import Scene
-from .state import State, check_state, write_discrete
+from .state import State, check_state
+from .system_cache import put_back, take_system
 from .trajectory import Record, Trajectory
 
 if TYPE_CHECKING:
     from .dynamics.system import System
-    from .integration.moreau import MoreauDriver
+    from .integration.moreau_driver import MoreauDriver
 
 # Time steps are at least so long, relative to the latest time: shorter ones would not move it on.
 _SHORTEST_STEP = float(np.finfo(float).eps)
@@ -45,9 +47,34 @@ _FALLS_BACK = (STEP_TOO_SMALL, NO_CONTACT_FORCE, CHATTER, MODEL_FAILED)
 # So many numbers take less time as a list than as an array.
 _SHORT = 50
 
-_PROGRAMS = ("qp", "qp_iterations", "qp_failures")
-
 Control = Callable[[float, np.ndarray, np.ndarray], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class _Request:
+    """A run that is asked for, checked: where it starts, how long it lasts, and its options as in `simulate`.
+
+    users: events of the user; times: of outputs in s, or None for every step; breakpoints: in order, inside the run;
+    began: the time on the clock in s.
+    """
+
+    scene: Scene
+    state: State
+    duration: float
+    step: float | None
+    max_steps: int
+    users: list[UserEvent]
+    times: np.ndarray | None
+    breakpoints: list[float]
+    control: Control | None
+    energies: bool
+    progress: bool
+    began: float
+    contact_solver: str
+
+    def torque(self, system: System) -> Torque | None:
+        """What asks the control for a system's torques."""
+        return None if self.control is None else _torque(self.control, system)
 
 
 def simulate(
@@ -125,32 +152,54 @@ def simulate(
         )
     if pair is None:
         # imported, and with it kernels to compile, for those who use it
-        from .integration import moreau  # noqa: F401
+        from .integration import moreau_driver  # noqa: F401
     compile_kernels()
-    began = time.perf_counter()
-    contacts = list(scene.contacts.values())
-    spare = take_spare(scene, energies, resistances=pair is not None)
-    system = spare.system
-    if pair is not None:
-        # time stepping brings what is beyond its limits back
-        check_guards(system.guards, state.q)
-    write_discrete(system, state.discrete)
-    torque = _torque(control, system) if control is not None else None
+    request = _Request(
+        scene,
+        state,
+        duration,
+        step,
+        max_steps,
+        users,
+        times,
+        jumps,
+        control,
+        energies,
+        progress,
+        time.perf_counter(),
+        contact_solver,
+    )
     if pair is None:
-        run = _simulate_moreau(
-            scene, state, duration, step, spare, users, times, max_steps, torque, progress, began, jumps, contact_solver
-        )
-        if run.success:
-            put_back(scene, spare)
-        return run
+        return _simulate_moreau(request)
+    options = Options(
+        times,
+        max_step,
+        max_steps,
+        fixed_step,
+        first_step,
+        jumps,
+        discrete=read_discrete if fallback is not None else None,
+    )
+    return _simulate_by_events(request, pair, rtol, atol, options)
+
+
+def _simulate_by_events(request: _Request, pair: Tableau, rtol: float, atol: float, options: Options) -> Trajectory:
+    """The run of an event-driven method; with `options.discrete` time stepping goes on where it could not."""
+    scene, state, duration = request.scene, request.state, request.duration
+    cached = take_system(scene, request.energies, resistances=True)
+    system = cached.system
+    # time stepping brings what is beyond its limits back
+    check_guards(system.guards, state.q)
+    write_discrete(system, state.discrete)
+    torque = request.torque(system)
     rk = RungeKutta(system, pair, rtol, atol, torque)
     rk.begin_at(state.q, state.v, state.location)
-    record = Record(system, state, with_torques=control is not None or system.ng + system.nr > 0)
-    transitions = Transitions(rk, list(scene.contacts), [c.restitution for c in contacts], duration)
-    transitions.modes.contact_solver = contact_solver
-    options = Options(times, max_step, max_steps, fixed_step, first_step, jumps, keep_good=fallback is not None)
-    with _Bar(progress, state.t, duration) as bar:
-        driver = Driver(rk, transitions, users, record.add, record.flush, options, bar.update if progress else None)
+    record = Record(system, state, with_torques=torque is not None or system.ng + system.nr > 0)
+    restitution = [contact.restitution for contact in scene.contacts.values()]
+    transitions = Transitions(rk, list(scene.contacts), restitution, duration, request.contact_solver)
+    with _Bar(request.progress, state.t, duration) as bar:
+        show = bar.update if request.progress else None
+        driver = Driver(rk, transitions, request.users, record.add, record.flush, options, show)
 
         def result(code: int, message: str) -> Trajectory:
             modes = transitions.modes
@@ -161,42 +210,25 @@ def simulate(
                 "outputs": len(record),
                 **_counts(system),
                 "cone_problems": modes.cone_problems,
-                **(_programs(modes.solver) if modes.cone_problems else dict.fromkeys(_PROGRAMS, 0)),
+                **modes.program_counts,
                 "cone_residual": modes.worst_residual,
                 "redistributions": modes.redistributions,
-                "wall_time": time.perf_counter() - began,
+                "wall_time": time.perf_counter() - request.began,
             }
-            return Trajectory.from_record(scene, record, transitions.events, code, message, stats)
+            return Trajectory.from_record(scene, record, transitions.reports.events, code, message, stats)
 
         run = _run(driver, state.t, duration, result)
     if run.success:
-        put_back(scene, spare)
-    elif fallback is not None and run.status in _FALLS_BACK:
-        return _fall_back(
-            run, driver, state, duration, step, energies, users, times, max_steps, control, progress, began, jumps,
-            contact_solver,
-        )  # fmt: skip
+        put_back(scene, cached)
+    elif options.discrete is not None and run.status in _FALLS_BACK:
+        return _fall_back(run, driver, request)
     return run
 
 
-def _fall_back(
-    run: Trajectory,
-    driver: Driver,
-    state: State,
-    duration: float,
-    step: float | None,
-    energies: bool,
-    users: list[UserEvent],
-    times: np.ndarray | None,
-    max_steps: int,
-    control: Control | None,
-    progress: bool,
-    began: float,
-    breakpoints: list[float],
-    contact_solver: str,
-) -> Trajectory:
+def _fall_back(run: Trajectory, driver: Driver, request: _Request) -> Trajectory:
     """The run that time stepping makes of one that could not go on, both as one."""
-    scene, (t, good, discrete) = run.scene, driver.good or (state.t, None, state.discrete)
+    scene, state = request.scene, request.state
+    t, good, discrete = driver.good or (state.t, None, state.discrete)
     start, works = state, None
     if good is not None:
         system = driver.system
@@ -204,55 +236,36 @@ def _fall_back(
         q, v, location, works = np.split(good, ends)
         start = State(scene, q, v, t, location.reshape(-1, 4), discrete)
     event = Event(t, None, "fallback", start.q.copy(), start.v.copy())
-    spare = take_spare(scene, energies, resistances=False)
-    write_discrete(spare.system, discrete)
-    torque = _torque(control, spare.system) if control is not None else None
-    left = max(1, max_steps - driver.steps - driver.rejected)
-    later = times[times > t] if times is not None else None
-
-    def follow(rest: Trajectory) -> Trajectory:
-        return run.followed_by(rest, t, event, works if energies else None)
-
-    rest = duration - (t - state.t)
-    jumps = [jump for jump in breakpoints if jump > t]
-    whole = _simulate_moreau(
-        scene, start, rest, step, spare, users, later, left, torque, progress, began, jumps, contact_solver, follow
+    rest = replace(
+        request,
+        state=replace(start, discrete=discrete),
+        duration=request.duration - (t - state.t),
+        max_steps=max(1, request.max_steps - driver.steps - driver.rejected),
+        times=None if request.times is None else request.times[request.times > t],
+        breakpoints=[jump for jump in request.breakpoints if jump > t],
     )
-    if whole.success:
-        put_back(scene, spare)
-    return whole
+    return _simulate_moreau(rest, lambda end: run.followed_by(end, t, event, works if request.energies else None))
 
 
-def _simulate_moreau(
-    scene: Scene,
-    state: State,
-    duration: float,
-    step: float | None,
-    spare: Spare,
-    users: list[UserEvent],
-    times: np.ndarray | None,
-    max_steps: int,
-    torque: Torque | None,
-    progress: bool,
-    began: float,
-    breakpoints: list[float],
-    contact_solver: str,
-    finish: Callable[[Trajectory], Trajectory] = lambda run: run,
-) -> Trajectory:
-    """The run of method "Moreau" on a spare's system, whose discrete state is set; finish: what is made of it."""
-    from .integration.moreau import DEFAULT_STEP, MoreauDriver, MoreauStep
+def _simulate_moreau(request: _Request, finish: Callable[[Trajectory], Trajectory] = lambda run: run) -> Trajectory:
+    """The run of method "Moreau"; finish: what is made of it."""
+    from .integration.moreau import DEFAULT_STEP, MoreauStep
+    from .integration.moreau_driver import MoreauDriver
     from .integration.stages import load_state
 
-    size = DEFAULT_STEP if step is None else step
-    system, stepper = spare.system, spare.stepper
+    scene, state, duration = request.scene, request.state, request.duration
+    cached = take_system(scene, request.energies, resistances=False)
+    system, stepper = cached.system, cached.stepper
+    write_discrete(system, state.discrete)
+    torque = request.torque(system)
     end = system.nq + system.nv
     system.state[: system.nq], system.state[system.nq : end] = state.q, state.v
     system.state[end : end + 4 * system.nc] = state.location.ravel()
     if stepper is None:
-        stepper = spare.stepper = MoreauStep(system, system.contacts)
+        stepper = cached.stepper = MoreauStep(system, system.contacts)
     else:
         stepper.renew()
-    stepper.choose(contact_solver)
+    stepper.cones.choose(request.contact_solver)
     record = Record(system, state, with_torques=torque is not None or stepper.acts_on_joints, by_steps=True)
 
     def add(t: float) -> None:
@@ -265,22 +278,22 @@ def _simulate_moreau(
         if tau is not None:
             system.tau[:] = tau
 
-    with _Bar(progress, state.t, duration) as bar:
+    with _Bar(request.progress, state.t, duration) as bar:
         driver = MoreauDriver(
             stepper,
-            users,
+            request.users,
             add,
             record.flush,
-            size,
-            times,
-            max_steps,
+            DEFAULT_STEP if request.step is None else request.step,
+            request.times,
+            request.max_steps,
             torque,
-            bar.update if progress else None,
-            breakpoints,
+            bar.update if request.progress else None,
+            request.breakpoints,
         )
 
         def result(code: int, message: str) -> Trajectory:
-            if times is None and not len(record):
+            if request.times is None and not len(record):
                 # as in the other methods: a run that cannot begin has the state that it was to begin from
                 system.stage_state[:] = system.state
                 load_state(system.address)
@@ -289,19 +302,15 @@ def _simulate_moreau(
                 "steps": driver.steps,
                 "outputs": len(record),
                 **_counts(system),
-                "cone_problems": stepper.cone_problems,
-                "rigid": stepper.rigid,
-                "softened": stepper.softened,
-                "settled": stepper.settled,
-                "open_loads": stepper.open_loads,
-                "decided": stepper.decided,
-                **_programs(stepper.solver),
-                "cone_residual": stepper.worst_residual,
-                "wall_time": time.perf_counter() - began,
+                **stepper.stats,
+                "wall_time": time.perf_counter() - request.began,
             }
             return finish(Trajectory.from_record(scene, record, driver.events, code, message, stats))
 
-        return _run(driver, state.t, duration, result)
+        run = _run(driver, state.t, duration, result)
+    if run.success:
+        put_back(scene, cached)
+    return run
 
 
 def _run(
@@ -329,11 +338,6 @@ def _attach(error: BaseException, run: Trajectory) -> None:
         # a class that cannot be written to takes no notes either
         with suppress(Exception):
             error.add_note(f"pincontact: the run up to there is not kept, {type(error).__name__}.run is something else")
-
-
-def _programs(solver: ContactSolver) -> dict[str, int]:
-    """What ProxQP has done so far."""
-    return dict(zip(_PROGRAMS, (solver.qp_count, solver.qp_iterations, solver.qp_failures)))
 
 
 def _counts(system: System) -> dict[str, int]:

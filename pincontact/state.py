@@ -11,13 +11,9 @@ import numpy as np
 import pinocchio as pin
 
 from .arguments import NOT_REAL, is_number, real_array, warn_of_order
-from .contacts import Contact, characteristic_length
+from .contacts import Assembly, Contact, characteristic_length
 from .dynamics.joints import joint_of, without_inertia
-from .dynamics.system import System
-from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
-from .geometry.search import Candidate, find_candidates
-from .integration.contradictions import contradiction
-from .integration.manifold import (
+from .dynamics.manifold import (
     CIRCLE_BLOCK,
     FREE_FLYER,
     PLANAR_BLOCK,
@@ -25,23 +21,26 @@ from .integration.manifold import (
     VECTOR,
     configuration_blocks,
 )
+from .dynamics.system import System
+from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
+from .geometry.search import Candidate, find_candidates
+from .integration.contradictions import contradiction
+from .integration.discrete import DISCRETE_COLUMNS, read_discrete
+from .integration.run_system import RunSystem
 from .layout import (
     BRANCH,
     CHART,
     DETERMINANT_SIGN,
     FREE,
     FRICTIONLESS,
-    FROZEN,
     MASS_NOT_POSITIVE,
     MODE,
     OK,
     SIDE,
-    SIDE_INTS,
     SINGULAR,
     SLIPPING,
     STICK,
 )
-from .scene import Scene
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -80,7 +79,7 @@ class State:
     candidates: contact -> every contact point found, nearest first (Sec. 6.2: the location is multi-valued).
     """
 
-    scene: Scene
+    scene: Assembly
     q: np.ndarray
     v: np.ndarray
     t: float
@@ -101,50 +100,6 @@ class State:
         return (u2, u1) if entry.swapped else (u1, u2)
 
 
-# mode, both charts, and the rest of what is kept of a contact's integers
-DISCRETE_COLUMNS = 3 + FROZEN - MODE
-
-
-def discrete_part(contact_int: np.ndarray, charts: np.ndarray) -> np.ndarray:
-    """(..., nc, DISCRETE_COLUMNS) the discrete part of contacts, given their integers and charts (..., nc, 2)."""
-    out = np.empty((*contact_int.shape[:-1], DISCRETE_COLUMNS), dtype=np.int64)
-    for target, source in discrete_views(out, contact_int, charts):
-        target[...] = source
-    return out
-
-
-def discrete_views(
-    discrete: np.ndarray, contact_int: np.ndarray, charts: np.ndarray
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Which columns of the discrete part (..., nc, DISCRETE_COLUMNS) are which of contacts' integers and charts."""
-    return [
-        (discrete[..., 0], contact_int[..., MODE]),
-        (discrete[..., 1:3], charts),
-        (discrete[..., 3:], contact_int[..., SIDE : FROZEN + 1]),
-    ]
-
-
-def read_discrete(system: System) -> np.ndarray:
-    """(nc, DISCRETE_COLUMNS) the discrete part of a system's contacts."""
-    return discrete_part(*_discrete_of(system))
-
-
-def _discrete_of(system: System) -> tuple[np.ndarray, np.ndarray]:
-    """Integers and charts (nc, 2) of a system's contacts; views."""
-    return system.contact_int[: system.nc], system.side_int.reshape(-1, 2, SIDE_INTS)[: system.nc, :, CHART]
-
-
-def write_discrete(system: System, discrete: np.ndarray) -> None:
-    """Set the discrete part of a system's contacts."""
-    for source, target in views_of_system(discrete, system):
-        target[...] = source
-
-
-def views_of_system(discrete: np.ndarray, system: System) -> list[tuple[np.ndarray, np.ndarray]]:
-    """`discrete_views` of a system's contacts."""
-    return discrete_views(discrete, *_discrete_of(system))
-
-
 class Coordinates(NamedTuple):
     """What a model's q and v consist of: their sizes, and the blocks of q, see `configuration_blocks`."""
 
@@ -157,13 +112,13 @@ def coordinates_of(model: pin.Model) -> Coordinates:
     return Coordinates(model.nq, model.nv, configuration_blocks(model))
 
 
-def check_state(scene: Scene, state: Any, coordinates: Coordinates | None = None) -> None:
+def check_state(scene: Assembly, state: Any, coordinates: Coordinates | None = None) -> None:
     """Raise ArgumentError for what is no state of this scene, StateError where its numbers cannot be used.
 
     A state's arrays may be written to, and it may be made by `dataclasses.replace`: nothing is known of them, and the
     kernels that are given them check nothing. coordinates: the model's, where they are known.
     """
-    if not isinstance(scene, Scene):
+    if not isinstance(scene, Assembly):
         raise ArgumentError(f"the first argument must be a Scene, got {type(scene).__name__}")
     if not isinstance(state, State):
         raise ArgumentError(f"a state must come from scene.initial_state(q, v), got {type(state).__name__}")
@@ -238,7 +193,7 @@ def check_configuration(coordinates: Coordinates, q: ArrayLike) -> np.ndarray:
     return array
 
 
-def find_state(scene: Scene, q: Any, v: Any | None, t: float, free: Sequence[str], max_gap: float | None) -> State:
+def find_state(scene: Assembly, q: Any, v: Any | None, t: float, free: Sequence[str], max_gap: float | None) -> State:
     """See `Scene.initial_state`."""
     model = scene.model
     coordinates = coordinates_of(model)
@@ -263,7 +218,7 @@ def find_state(scene: Scene, q: Any, v: Any | None, t: float, free: Sequence[str
         if scene.contacts[name].bilateral:
             raise ArgumentError(f"free: contact {name!r} is bilateral and cannot open")
     contacts = list(scene.contacts.values())
-    system = System(model, contacts)
+    system = RunSystem(model, contacts)
     system.q[:], system.v[:] = q, v
     candidates: dict[str, list[Candidate]] = {}
     for c, contact in enumerate(contacts):
@@ -295,7 +250,7 @@ def find_state(scene: Scene, q: Any, v: Any | None, t: float, free: Sequence[str
 
 
 def _candidates(
-    scene: Scene, contact: Contact, q: np.ndarray, v: np.ndarray, t: float, is_free: bool
+    scene: Assembly, contact: Contact, q: np.ndarray, v: np.ndarray, t: float, is_free: bool
 ) -> list[Candidate]:
     single = System(scene.model, [contact])
     single.q[:], single.v[:] = q, v
@@ -351,7 +306,7 @@ def _gap_length(contact: Contact) -> float:
     return characteristic_length(contact)
 
 
-def _correct(scene: Scene, system: System, q: np.ndarray, v: np.ndarray, t: float) -> Correction:
+def _correct(scene: Assembly, system: RunSystem, q: np.ndarray, v: np.ndarray, t: float) -> Correction:
     """Project (q, v) of the system onto the constraints; reports the change."""
     names = [c.name for c in system.contacts]
     status = system.evaluate(t)

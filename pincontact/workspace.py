@@ -200,9 +200,7 @@ class Workspace:
         # new arrays are cut from one: a fraction of the time of making each
         self._pieces: list[np.ndarray] = []
         self._at = 0
-        # names of what has come since `keep`, and what they stood for then
-        self._since: dict[str, np.ndarray | None] = {}
-        self._start_piece()
+        self._piece, self._cut_off = _NOTHING, 0
 
     def put(self, name: str, array: np.ndarray, address: int = 0) -> np.ndarray:
         """Place an array under its name; it is kept alive as long as this workspace is. address: its own, if known."""
@@ -227,13 +225,11 @@ class Workspace:
     def scratch(self, name: str, *shape: int) -> np.ndarray:
         """A new array that is to be written before it is read: NaN, or no index, in the checked build."""
         array = self.zeros(name, *shape)
-        if CHECKED:
-            array.fill(math.nan if array.dtype == REALS else _UNSET)
+        for part in [array[field] for field in array.dtype.names or ()] or [array] if CHECKED else ():
+            part.fill(math.nan if part.dtype == REALS else _UNSET)
         return array
 
     def _place(self, name: str, array: np.ndarray, address: int) -> None:
-        if name not in self._since:
-            self._since[name] = self.__dict__.get(name)
         inner = self.layout.inner[name]
         if array.shape[array.ndim - len(inner) :] != inner:
             raise ValueError(f"{name} is declared with {inner} as its last extents, got {array.shape}")
@@ -241,28 +237,15 @@ class Workspace:
         self.table[self.layout.places[name], : 1 + array.ndim] = (address, *array.shape)
 
     def keep(self) -> None:
-        """Remember all there is now, for `restore`."""
-        # of the last piece what arrays have been cut from: a copy should not drive them out of the processor's cache
-        used = [*self._pieces[:-1], *(piece[: self._cut_off] for piece in self._pieces[-1:])]
-        self._kept = len(self._pieces), [(part, part.copy()) for part in used], self.table.copy()
-        self._since.clear()
-        self._start_piece()
+        """Remember all numbers, and what every name stands for, for `restore`."""
+        named = {name: self.__dict__[name] for name in self.layout.arrays if name in self.__dict__}
+        self._kept = [(piece, piece.copy()) for piece in self._pieces], self.table.copy(), named
 
     def restore(self) -> None:
-        """Make everything what it was at `keep`, bit by bit: arrays made since are gone, those put here stay theirs."""
-        pieces, used, table = self._kept
-        for part, values in used:
-            np.copyto(part, values)
-        del self._pieces[pieces:]
+        """Make everything what it was at `keep`, bit by bit: of arrays put here since, the workspace forgets where they
+        are."""
+        pieces, table, named = self._kept
+        for piece, values in pieces:
+            np.copyto(piece, values)
         self.table[:] = table
-        for name, array in self._since.items():
-            if array is None:
-                del self.__dict__[name]
-            else:
-                self.__dict__[name] = array
-        self._since.clear()
-        self._start_piece()
-
-    def _start_piece(self) -> None:
-        """Let the next array be cut from a new piece, where all is zero."""
-        self._piece, self._cut_off = _NOTHING, 0
+        self.__dict__.update(named)

@@ -18,8 +18,8 @@ from numba.core.config import DISABLE_JIT
 import pincontact as pc
 from pincontact.dynamics.system import System
 from pincontact.geometry.frames import contact_frame, dual_basis
+from pincontact.integration.discrete import write_discrete
 from pincontact.layout import CONDITION, OK, PATTERN
-from pincontact.state import write_discrete
 
 # dimensions of both contours
 PATTERNS = {

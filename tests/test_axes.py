@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ellipj, ellipk
 
 import pincontact as pc
-from pincontact.dynamics.system import System
+from pincontact.integration.run_system import RunSystem
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.tableaux import tableau
 
@@ -41,7 +41,7 @@ def states(seed):
     pin.seed(seed)
     rng = np.random.default_rng(seed)
     model = model_of_all_joints()
-    pair = RungeKutta(System(model, []), tableau("DOP853"), 1e-8, 1e-10, None)
+    pair = RungeKutta(RunSystem(model, []), tableau("DOP853"), 1e-8, 1e-10, None)
     low, high = -np.ones(model.nq), np.ones(model.nq)
     return pair, [(pin.randomConfiguration(model, low, high), rng.normal(size=model.nv)) for _ in range(20)]
 

@@ -139,7 +139,7 @@ def test_capsule_caps_close_its_cylinder(tmp_path):
     scene = robot(tmp_path, base=CAPSULE)
     found = scene.add_contours_from_collision()
     low, high = found["base_0_cylinder"].contour.domain[1]
-    assert found["base_0_cylinder"].contour.shape == found["base_0_cap_+z"].contour.shape == (0.05,)
+    assert found["base_0_cylinder"].contour.size == found["base_0_cap_+z"].contour.size == 0.05
     for name, end in (("base_0_cap_-z", low), ("base_0_cap_+z", high)):
         np.testing.assert_allclose(in_shape(scene, found[name], "base_0").translation, [0.0, 0.0, end], atol=ROUNDING)
 

@@ -12,14 +12,14 @@ from calling import from_python
 from pincontact.errors import ArgumentError, InfeasibleError, SolverError
 from pincontact.friction import elimination, newton, redundant
 from pincontact.friction.attempt import solve_cones
-from pincontact.friction.cone import cone_workspace
-from pincontact.friction.solve import OPEN, SLIP, STICK, ContactSolver, centred_forces, solve_contacts
+from pincontact.friction.centred import centred_forces
+from pincontact.friction.cone import CANDIDATES, RANK_TOLERANCE, cone_workspace
+from pincontact.friction.solve import OPEN, SLIP, STICK, ContactSolver, solve_contacts
 
 GRAVITY = 9.81
 
-minimum_norm_solve = from_python(elimination.minimum_norm_solve)
 newton_step = from_python(newton.newton_step)
-factor_matrix = from_python(redundant.factor_matrix)
+factor_matrix = from_python(elimination.factor_matrix)
 least_norm = from_python(elimination.least_norm)
 move_inside = from_python(redundant.move_inside)
 
@@ -863,14 +863,14 @@ def test_no_contacts_and_no_load():
 
 
 @pytest.mark.parametrize("rank", [1, 4, 7, 10])
-def test_minimum_norm_solve_agrees_with_the_pseudo_inverse(rank):
+def test_solutions_of_least_norm_agree_with_the_pseudo_inverse(rank):
     rng = np.random.default_rng(rank)
     n = 10
     matrix = rng.normal(size=(n, rank)) @ rng.normal(size=(rank, n))
     rhs = matrix @ rng.normal(size=n)
     x = np.zeros(n)
     memory = cone_workspace(4)
-    found = minimum_norm_solve(matrix.copy(), rhs.copy(), n, x, memory.gram, memory.order, 1e-12)
+    found = least_norm(matrix.copy(), rhs.copy(), n, n, x, memory.gram, memory.order, 1e-12)
     assert found == rank
     # Round-off times the square of the condition number on the row space, below 1e4 for these.
     expected = np.linalg.pinv(matrix, rcond=1e-12) @ rhs
@@ -878,15 +878,17 @@ def test_minimum_norm_solve_agrees_with_the_pseudo_inverse(rank):
 
 
 def newton_buffers(contacts):
-    """What Newton works in, in its order (see `attempt`), by name."""
+    """What Newton works in, by name."""
     rows = 3 * contacts
     shapes = {
         "size": contacts, "direction": 2 * contacts, "length": contacts, "speed": contacts, "sine": contacts,
-        "cosine": contacts, "a": (rows, rows), "rhs": rows, "x": rows, "row_of_g": rows, "gram": (rows, rows),
+        "cosine": contacts, "a": (rows, rows), "rhs": rows, "x": rows, "row": rows, "gram": (rows, rows),
         "order": rows, "first": contacts + 1, "arc": contacts, "shift": rows, "low_rank": (4, rows + 5, rows),
+        "angles": CANDIDATES, "start": rows, "start_modes": contacts,
     }  # fmt: skip
     return {
-        name: np.zeros(shape, dtype=np.int64 if name in ("order", "first") else float) for name, shape in shapes.items()
+        name: np.zeros(shape, dtype=np.int64 if name in ("order", "first", "start_modes") else float)
+        for name, shape in shapes.items()
     }
 
 
@@ -949,10 +951,10 @@ def test_a_factor_of_the_matrix_gives_a_newton_step(contacts, rank, refine):
         f = f.ravel()
         before, known = f.copy(), {name: array.copy() for name, array in buffers.items()}
         u = g @ f + c
-        found = factor_matrix(g, buffers["low_rank"][0], buffers["shift"])
+        found = factor_matrix(g, buffers["low_rank"][0], buffers["shift"], RANK_TOLERANCE)
         # rounding of 3n terms, times a condition number below 1e3
         np.testing.assert_allclose(buffers["low_rank"][0, :found].T @ buffers["low_rank"][0, :found], g, atol=1e-11)
-        newton_step(g, c, mu, modes, f, u, refine, False, before, found, tuple(buffers.values()))
+        newton_step(g, c, mu, modes, f, u, refine, False, before, found, newton.NewtonWork(**buffers))
         slips, sticks = modes == SLIP, modes == STICK
         counts = 3 * sticks + slips * np.where(mu > 0.0, 2, 1)
         if buffers["first"][-1] != 3 * sticks.sum() + slips.sum() or found * 2 > counts.sum():
@@ -997,7 +999,7 @@ def test_redundant_forces_are_moved_into_cones_however_narrow(mu):
         x = buffers["x"]
         np.testing.assert_allclose(equations @ x[:n], target, atol=1e-12 * n)
         before = x[:n].copy()
-        move_inside(rank, np.full(contacts, mu), modes, rng.normal(size=3 * contacts), tuple(buffers.values()))
+        move_inside(rank, np.full(contacts, mu), modes, rng.normal(size=3 * contacts), newton.NewtonWork(**buffers))
         moved += (x[:n] != before).any()
         np.testing.assert_allclose(equations @ x[:n], target, atol=1e-12 * n)
         for i in range(contacts):

@@ -11,7 +11,7 @@ from pincontact.friction import attempt
 from pincontact.friction.attempt import solve_cones
 from pincontact.friction.cone import (
     BY_EXACT,
-    BY_SWEEPS,
+    BY_GAUSS_SEIDEL,
     BY_WARM,
     DECIDED,
     HUGE,
@@ -115,7 +115,7 @@ def test_what_decided_is_counted():
         counts = memory.counts
         assert solve_cones(delassus, b, mu, memory.address, usual, 0, 1e-10, 0, 0) <= 1e-10
         is_solution(delassus, b, mu, memory)
-        first = BY_EXACT if n == 1 else BY_SWEEPS
+        first = BY_EXACT if n == 1 else BY_GAUSS_SEIDEL
         assert (counts[KNOWN], counts[DECIDED], counts[TRIED]) == (1, first, n == 1)
         assert counts[TIMES + first] == 1
         for k in range(2):

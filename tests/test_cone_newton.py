@@ -16,7 +16,7 @@ correct_modes = from_python(newton.correct_modes)
 close_touching = from_python(newton.close_touching)
 slip_equation = from_python(newton.slip_equation)
 slip_angles = from_python(newton.slip_angles)
-settle = from_python(newton.settle)
+active_set_solve = from_python(newton.active_set_solve)
 
 SEEDS = pytest.mark.parametrize("seed", range(4))
 
@@ -55,7 +55,7 @@ def test_a_step_solves_newtons_equations(seed, refine):
         f = f.ravel()
         before, known = f.copy(), {name: array.copy() for name, array in buffers.items()}
         u = g @ f + c
-        assert newton_step(g, c, mu, modes, f, u, refine, False, before, 0, tuple(buffers.values())) == (0, False)
+        assert newton_step(g, c, mu, modes, f, u, refine, False, before, 0, newton.NewtonWork(**buffers)) == (0, False)
         # what slips with friction has turned by atan(arc / (friction force + speed))
         new = buffers["direction"].reshape(n, 2)
         assert np.linalg.norm(new, axis=1) == pytest.approx(np.ones(n), rel=1e-13)
@@ -83,7 +83,9 @@ def test_a_slip_that_neither_pushes_nor_moves_keeps_its_direction():
     buffers["direction"][0] = 1.0
     buffers["sine"][:], buffers["cosine"][:] = 0.6, 0.8
     f, c = np.zeros(3), np.array([0.0, 0.0, -2.0])
-    newton_step(np.eye(3), c, np.array([0.75]), np.array([SLIP]), f, c, False, False, f, 0, tuple(buffers.values()))
+    newton_step(
+        np.eye(3), c, np.array([0.75]), np.array([SLIP]), f, c, False, False, f, 0, newton.NewtonWork(**buffers)
+    )
     # the length whose normal part is the load
     assert f == pytest.approx([-1.5, 0.0, 2.0], rel=1e-14)
     assert buffers["direction"].tolist() == [1.0, 0.0]
@@ -93,7 +95,7 @@ def test_open_contacts_have_no_forces_and_leave_nothing_to_choose():
     buffers = newton_buffers(2)
     f = np.ones(6)
     modes = np.full(2, OPEN)
-    left = newton_step(np.eye(6), f, np.ones(2), modes, f, f.copy(), True, True, f, 0, tuple(buffers.values()))
+    left = newton_step(np.eye(6), f, np.ones(2), modes, f, f.copy(), True, True, f, 0, newton.NewtonWork(**buffers))
     assert left == (0, False)
     assert not f.any()
 
@@ -109,7 +111,7 @@ def test_a_step_counts_the_directions_in_which_forces_may_change(refine):
         buffers["length"][:] = buffers["speed"][:] = 1.0
         buffers["sine"][:], buffers["cosine"][:] = mu / np.hypot(1.0, mu), 1.0 / np.hypot(1.0, mu)
         f = np.ones(12)
-        left = newton_step(g, g @ c, mu, modes, f, g @ (f + c), refine, False, f, 0, tuple(buffers.values()))
+        left = newton_step(g, g @ c, mu, modes, f, g @ (f + c), refine, False, f, 0, newton.NewtonWork(**buffers))
         # eleven unknowns; that the slip turns where it points is one equation more than the bodies' motions
         assert left == (11 - (rank + 1), False)
 
@@ -268,12 +270,11 @@ def test_a_direction_in_which_two_meet_is_found(angle):
 
 
 def solved(g, c, mu, modes, f, passes=20, tolerance=1e-10, near=0, touching=None):
-    """What `settle` comes to from there: residual, passes, attempts, u; modes and forces are changed."""
+    """What `active_set_solve` comes to from there: residual, passes, attempts, u; modes and forces are changed."""
     n = len(mu)
     u, buffers = np.zeros(3 * n), newton_buffers(n)
-    scratch = np.zeros(CANDIDATES), np.zeros(3 * n), np.zeros(n, dtype=np.int64)
     touching = np.zeros(n, dtype=np.int64) if touching is None else touching
-    out = settle(g, c, mu, modes, f, u, *scratch, passes, tolerance, near, touching, 0, tuple(buffers.values()))
+    out = active_set_solve(g, c, mu, modes, f, u, passes, tolerance, near, touching, 0, newton.NewtonWork(**buffers))
     return *out[:3], u
 
 

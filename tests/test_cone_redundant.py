@@ -9,14 +9,15 @@ from calling import from_python
 from test_cone import newton_buffers
 
 from pincontact.friction import elimination, redundant
-from pincontact.friction.cone import HUGE, LARGEST_FRICTION, OPEN, SLIP, STICK
+from pincontact.friction.cone import HUGE, LARGEST_FRICTION, OPEN, RANK_TOLERANCE, SLIP, STICK
+from pincontact.friction.newton import NewtonWork
 
 least_norm = from_python(elimination.least_norm)
 largest_entry = from_python(elimination.largest_entry)
 dot = from_python(elimination.dot)
 factor_gram = from_python(elimination.factor_gram)
 solve_gram = from_python(elimination.solve_gram)
-factor_matrix = from_python(redundant.factor_matrix)
+factor_matrix = from_python(elimination.factor_matrix)
 spring = from_python(redundant.spring)
 has_factors = from_python(redundant.has_factors)
 is_inside = from_python(redundant.is_inside)
@@ -128,14 +129,14 @@ def test_factors_of_singular_matrices(seed):
     for rank in (1, 4, 6, 7):
         root = rng.normal(size=(rank, 12))
         g, factor = root.T @ root, np.full((7, 12), 5.0)
-        found = factor_matrix(g, factor, np.zeros(12))
+        found = factor_matrix(g, factor, np.zeros(12), RANK_TOLERANCE)
         # narrower than half, or not at all
         assert found == (rank if 2 * rank <= 12 else 0)
         if found:
             assert factor[:found].T @ factor[:found] == pytest.approx(g, abs=1e-12 * np.abs(g).max())
             # the largest pivot comes first
             assert (factor[0] ** 2).max() == pytest.approx(g.diagonal().max(), rel=1e-13)
-    assert factor_matrix(np.zeros((6, 6)), factor, np.zeros(6)) == 0
+    assert factor_matrix(np.zeros((6, 6)), factor, np.zeros(6), RANK_TOLERANCE) == 0
 
 
 # ------------------------------------------------------------------------------------------------ springs
@@ -307,7 +308,7 @@ def test_what_is_moved_inside_is_near_to_the_last_forces(seed, mode):
         if is_inside(mu, modes, first, x):
             continue
         moved += 1
-        move_inside(rank, mu, modes, last.ravel(), tuple(buffers.values()))
+        move_inside(rank, mu, modes, last.ravel(), NewtonWork(**buffers))
         assert is_inside(mu, modes, first, x)
         assert equations @ x == pytest.approx(target, abs=1e-11)
         expected = nearest_inside(equations, target, given, mu, modes, first)

@@ -1,7 +1,11 @@
 """Contours in closed form, revolutions, splines and charts against independent differentiation."""
 
+import copy
+import doctest
+import importlib
 import itertools
 import math
+import pkgutil
 
 import numpy as np
 import pytest
@@ -78,6 +82,10 @@ def fourier(u):
     return [
         sum(COSINE[k, i] * np.cos(k * u) + SINE[k, i] * np.sin(k * u) for k in range(len(COSINE))) for i in range(3)
     ]
+
+
+def fourier_sum(u):
+    return u, math.cos(u), 0.0
 
 
 CURVES = {
@@ -194,7 +202,7 @@ def test_normals_point_outwards(contour, direction):
 
 
 def convert(contour, chart, u, new_chart):
-    return convert_chart(contour.kind, contour.shape_row(), contour.pool, chart, u[0], u[1], new_chart)
+    return convert_chart(contour.kind, contour.shape_row(), chart, u[0], u[1], new_chart)
 
 
 def preferred(contour, chart, u):
@@ -651,3 +659,55 @@ def test_meshes_enclose_their_volume():
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()
     with pytest.raises(ContourError, match="not a surface"):
         pc.Line().mesh()
+
+
+@pytest.mark.parametrize("module", list(pkgutil.iter_modules(pc.__path__)), ids=lambda module: module.name)
+def test_examples_of_docstrings(module):
+    found = doctest.testmod(importlib.import_module(f"pincontact.contours.{module.name}"))
+    assert found.failed == 0
+
+
+def test_every_public_contour_has_an_example():
+    for name in pc.__all__:
+        assert ">>> " in getattr(pc, name).__doc__, name
+
+
+@pytest.mark.parametrize(
+    ("shape", "written"),
+    [
+        (pc.Plane(), "Plane()"),
+        (pc.Plane(((-1, 1), None)), "Plane(domain=((-1, 1), None))"),
+        (pc.Circle(np.float64(0.3)), "Circle(radius=0.3)"),
+        (pc.Ellipsoid(1.0, c=3, b=2), "Ellipsoid(a=1.0, b=2, c=3)"),
+        (pc.FourierCurve(COSINE, SINE), "FourierCurve(cosine=array(4, 3), sine=array(4, 3))"),
+        (pc.ParametricCurve(fourier_sum, (-1, 1)), "ParametricCurve(f=fourier_sum, domain=(-1, 1))"),
+        (pc.ConstantTwist(angular=(0, 0, 1)), "ConstantTwist(angular=(0, 0, 1))"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_contours_are_shown_as_they_were_written(shape, written):
+    assert repr(shape) == written
+    assert repr(copy.copy(shape)) == written
+
+
+INF = math.inf
+
+
+@pytest.mark.parametrize(
+    ("shape", "ends"),
+    [
+        (pc.Point(), (-INF, INF, -INF, INF)),
+        (pc.Circle(1.0), (-INF, INF, -INF, INF)),
+        (pc.Circle(1.0, (0.0, 1.0)), (0.0, 1.0, -INF, INF)),
+        (pc.Cycloid(1.0), (1e-4 - math.pi, math.pi - 1e-4, -INF, INF)),
+        (pc.Plane(((-1, 2), None)), (-1.0, 2.0, -INF, INF)),
+        (pc.Sphere(1.0), (-INF, INF, -INF, INF)),
+        (pc.Cone(0.4, (None, (0.0, 2.0))), (-INF, INF, 1e-6, 2.0)),
+        (pc.SurfaceOfRevolution(lambda s: (1.0 + 0.1 * s, s), (0.0, 2.0)), (-INF, INF, 0.0, 2.0)),
+        (pc.SurfaceOfRevolution(lambda s: (math.sin(s), -math.cos(s)), (0.0, 2.0)), (-INF, INF, -INF, 2.0)),
+        (pc.SurfaceOfRevolution(lambda s: (math.cos(s), math.sin(s)), (-1.0, math.pi / 2)), (-INF, INF, -1.0, INF)),
+    ],
+    ids=lambda value: repr(value) if isinstance(value, pc.Contour) else "",
+)
+def test_contacts_end_where_the_contour_does(shape, ends):
+    assert shape.ends().tolist() == pytest.approx(ends)

@@ -21,13 +21,11 @@ from pincontact.contours.base import (
     F_22,
     F_T,
     F_TT,
-    HEIGHT_FIELD,
-    SPLINE_CURVE,
-    SPLINE_SURFACE,
-    TAPE_CURVE,
-    TAPE_SURFACE,
     F,
 )
+from pincontact.contours.piecewise import fitted
+from pincontact.contours.splines import height_spline
+from pincontact.contours.tape import traced
 from pincontact.contours.trace import Untraceable, trace
 from pincontact.errors import ContourError
 
@@ -118,7 +116,7 @@ def test_every_function_and_its_derivatives(name):
             return u + x, v + function(x), x * function(x)
 
         surface = pc.ParametricSurface(f, ((0.5, 1.0), (0.3, 0.8)))
-        assert surface.kind == TAPE_SURFACE
+        assert surface.evaluator is traced
         assert surface.time_dependent
 
         def formula(u, v, t):
@@ -236,7 +234,7 @@ SPELLINGS = {
 def test_ways_of_writing_a_function(name):
     function = SPELLINGS[name]
     curve = pc.ParametricCurve(function, (-1.0, 2.0))
-    assert curve.kind == TAPE_CURVE
+    assert curve.evaluator is traced
     assert curve.fit_error == 0.0
     for u in (-0.9, 0.3, 1.7):
         rows = curve.evaluate(u)
@@ -286,7 +284,7 @@ def test_random_formulas():
         tape = trace(real, "uvt", 3)
         names = {name: getattr(np, name) for name in ("sin", "cos", "exp", "sqrt", "tanh", "log")}
         exact = eval(f"lambda u, v, t: ({text})", names)
-        surface = pc.Contour(TAPE_SURFACE, 2, pool=tape.pool, time_dependent=tape.time_dependent)
+        surface = pc.Contour(traced, 2, pool=tape.pool, time_dependent=tape.time_dependent)
         point = generator.uniform(-1, 1, 3)
         expected = reference(exact, point, SURFACE_IN_TIME, radius=0.02, nodes=12)
         # Depth three: conditioning of nested functions multiplies rounding by tens.
@@ -344,13 +342,13 @@ def test_height_field_of_a_function():
     assert moving.evaluate((0.3, 0.0), 0.7)[[F_T, F_1T, F_TT], 2] == pytest.approx(
         [-0.2 * math.cos(-1.1), 0.2 * math.sin(-1.1), -0.4 * math.sin(-1.1)], rel=1e-14
     )
-    assert pc.HeightField(np.arange(7.0), np.arange(8.0), np.zeros((7, 8))).kind == HEIGHT_FIELD
+    assert pc.HeightField(np.arange(7.0), np.arange(8.0), np.zeros((7, 8))).evaluator is height_spline
     given = pc.HeightField(
         lambda x, y: j0(x) * y,
         domain=((1.0, 2.0), (0.0, 0.5)),
         derivatives=lambda x, y: (-j1(x) * y, j0(x), -0.5 * (j0(x) - jv(2, x)) * y, -j1(x), 0.0),
     )
-    assert given.kind == SPLINE_SURFACE
+    assert given.evaluator is fitted
     assert given.evaluate((1.3, 0.4))[F_11, 2] == pytest.approx(-0.2 * (j0(1.3) - jv(2, 1.3)), abs=2e-11)
 
 
@@ -434,7 +432,7 @@ def bessel_derivatives(u):
 @pytest.mark.parametrize("given", [None, bessel_derivatives])
 def test_fitted_curve(given):
     curve = pc.ParametricCurve(bessel, (0.0, 20.0), derivatives=given)
-    assert curve.kind == SPLINE_CURVE
+    assert curve.evaluator is fitted
     # Fitted to rounding: the largest entry is 20.
     assert 0.0 < curve.fit_error < 20 * 1e-14
     worst = np.zeros(3)
@@ -476,7 +474,7 @@ def test_fitted_surface(with_derivatives):
         return rows
 
     surface = pc.ParametricSurface(f, ((0.0, 2.0), (0.0, 1.5)), derivatives=derivatives if with_derivatives else None)
-    assert surface.kind == SPLINE_SURFACE
+    assert surface.evaluator is fitted
     assert surface.fit_error < 1e-13
     tolerance = 5e-11 if with_derivatives else 2e-9  # as for curves
     for u in grid((0.0, 2.0), (0.0, 1.5), n=8):

@@ -11,9 +11,10 @@ from scipy.special import j0
 from test_contours_formulas import FORMS, expression
 
 import pincontact as pc
-from pincontact.contours.base import F_1, F_11, SPLINE_CURVE, SPLINE_SURFACE, TAPE_CURVE, TAPE_SURFACE, F
+from pincontact.contours.base import F_1, F_11, F
 from pincontact.contours.enclosures import FAULTS, Interval, _of_one, _of_two
-from pincontact.contours.tape import ATAN2, COSH, MULTIPLY, SQUARE, function_of_one, function_of_two
+from pincontact.contours.piecewise import fitted
+from pincontact.contours.tape import ATAN2, COSH, MULTIPLY, SQUARE, function_of_one, function_of_two, traced
 from pincontact.errors import ContourError
 
 TURNS = (-1000, -3, -1, 1, 2, 1000)
@@ -203,7 +204,7 @@ def test_random_periodic_formulas_are_taken_and_repeat():
             return r * math.cos(a), r * math.sin(a), 0.0
 
         curve = pc.ParametricCurve(f, (low, low + period), periodic=True)
-        assert curve.kind == TAPE_CURVE
+        assert curve.evaluator is traced
         for u in low + period * generator.random(4):
             for turns in TURNS[1:-1]:
                 assert np.abs(curve.point(u + turns * period) - np.array(f(u))).max() < 1e-12
@@ -335,34 +336,34 @@ def test_kinks_and_jumps_are_refused_where_they_are(function, message):
 
 
 @pytest.mark.parametrize(
-    ("function", "kind"),
+    ("function", "evaluator"),
     [
-        (lambda x: math.sqrt(1.0 - x * x), TAPE_CURVE),  # an end of the domain is where a shape may end so
-        (lambda x: math.sqrt(1.0 + x), TAPE_CURVE),
-        (lambda x: math.acos(x), TAPE_CURVE),
-        (lambda x: math.hypot(x, 1e-4), TAPE_CURVE),
-        (lambda x: math.sqrt(x * x - 0.6 * x + 0.0901), TAPE_CURVE),
-        (lambda x: (x * x) ** 2.5, TAPE_CURVE),
-        (lambda x: abs(x - 2.0), TAPE_CURVE),
-        (lambda x: max(x, -1.5) + np.minimum(x, 3.0) + np.clip(x, -2.0, 2.0), TAPE_CURVE),
-        (lambda x: (x + 1.5) % 4.0, TAPE_CURVE),
-        (lambda x: math.acos(math.cos(x + 1.5)), TAPE_CURVE),
-        (lambda x: math.tan(x), TAPE_CURVE),
-        (lambda x: math.cos(3.0 * math.atan2(x, -1.0)), TAPE_CURVE),  # the angle jumps, its cosine does not
-        (lambda x: 0.2 if x < 7.0 else 1.0, TAPE_CURVE),
-        (lambda x: abs(x) ** 3, SPLINE_CURVE),
-        (lambda x: max(x - 0.3, 0.0) ** 3, SPLINE_CURVE),
-        (lambda x: x**3 if x > 0.3 else 0.27 * x - 0.054 + 0.9 * (x - 0.3) ** 2, SPLINE_CURVE),
-        (lambda x: math.cos(2.0 * math.pi * (x % 1.0)), SPLINE_CURVE),
-        (lambda x: math.sin(x) / x if x != 0.0 else 1.0, SPLINE_CURVE),
-        (lambda x: math.sin(x) / x if abs(x) > 1e-8 else 1.0, SPLINE_CURVE),
-        (lambda x: math.exp(-1.0 / x) if x > 0.0 else 0.0, SPLINE_CURVE),
-        (lambda x: j0(x) if x < 0.2 else j0(x) + (x - 0.2) ** 3, SPLINE_CURVE),
+        (lambda x: math.sqrt(1.0 - x * x), traced),  # an end of the domain is where a shape may end so
+        (lambda x: math.sqrt(1.0 + x), traced),
+        (lambda x: math.acos(x), traced),
+        (lambda x: math.hypot(x, 1e-4), traced),
+        (lambda x: math.sqrt(x * x - 0.6 * x + 0.0901), traced),
+        (lambda x: (x * x) ** 2.5, traced),
+        (lambda x: abs(x - 2.0), traced),
+        (lambda x: max(x, -1.5) + np.minimum(x, 3.0) + np.clip(x, -2.0, 2.0), traced),
+        (lambda x: (x + 1.5) % 4.0, traced),
+        (lambda x: math.acos(math.cos(x + 1.5)), traced),
+        (lambda x: math.tan(x), traced),
+        (lambda x: math.cos(3.0 * math.atan2(x, -1.0)), traced),  # the angle jumps, its cosine does not
+        (lambda x: 0.2 if x < 7.0 else 1.0, traced),
+        (lambda x: abs(x) ** 3, fitted),
+        (lambda x: max(x - 0.3, 0.0) ** 3, fitted),
+        (lambda x: x**3 if x > 0.3 else 0.27 * x - 0.054 + 0.9 * (x - 0.3) ** 2, fitted),
+        (lambda x: math.cos(2.0 * math.pi * (x % 1.0)), fitted),
+        (lambda x: math.sin(x) / x if x != 0.0 else 1.0, fitted),
+        (lambda x: math.sin(x) / x if abs(x) > 1e-8 else 1.0, fitted),
+        (lambda x: math.exp(-1.0 / x) if x > 0.0 else 0.0, fitted),
+        (lambda x: j0(x) if x < 0.2 else j0(x) + (x - 0.2) ** 3, fitted),
     ],
 )
-def test_smooth_functions_are_taken(function, kind):
+def test_smooth_functions_are_taken(function, evaluator):
     found = curve(function)
-    assert found.kind == kind
+    assert found.evaluator is evaluator
     assert found.fit_error < 1e-13
     for u in np.random.default_rng(2).uniform(*D, 50):
         assert found.point(u)[1] == pytest.approx(float(function(u)), abs=1e-13)
@@ -416,12 +417,12 @@ def test_random_smooth_formulas_are_traced():
                 contour = pc.ParametricSurface(
                     eval(f"lambda {', '.join(names)}: (u, v, f({', '.join(names)}))", {"f": f}), (domain, domain)
                 )
-                assert contour.kind == TAPE_SURFACE
+                assert contour.evaluator is traced
             else:
                 contour = pc.ParametricCurve(
                     eval(f"lambda {', '.join(names)}: (u, f({', '.join(names)}), 0)", {"f": f}), domain
                 )
-                assert contour.kind == TAPE_CURVE
+                assert contour.evaluator is traced
 
 
 def test_random_smooth_functions_are_fitted():
@@ -436,7 +437,7 @@ def test_random_smooth_functions_are_fitted():
             )
         else:
             contour = curve(blind(f), (-1.5, 2.0))
-        assert contour.kind == SPLINE_CURVE
+        assert contour.evaluator is fitted
         # ends of the domain included, relative to the largest coordinate
         assert contour.fit_error < 1e-13 * max(1.0, np.abs(contour.evaluate_many(contour.samples(50))[:, F]).max())
 
@@ -496,7 +497,7 @@ def test_narrow_smooth_branches_and_bumps_are_fitted():
 
     for function, place in ((branch, 0.405), (blind(peak), 0.317)):
         found = curve(function)
-        assert found.kind == SPLINE_CURVE
+        assert found.evaluator is fitted
         assert found.point(place)[1] == pytest.approx(0.01, abs=1e-14)
         assert found.fit_error < 1e-13
 
@@ -536,9 +537,9 @@ def test_surfaces_with_kinks_are_refused():
         (lambda x, y: (x * x + y * y) * math.cos(3.0 * math.atan2(y, x)), ((-2.0, -1.0), (-1.0, 1.0))),
         (lambda x, y: abs(5.0 + x + y), box),
     ):
-        assert pc.HeightField(f, domain=domain).kind == TAPE_SURFACE
+        assert pc.HeightField(f, domain=domain).evaluator is traced
     joined = pc.HeightField(lambda x, y: max(x - 0.3, 0.0) ** 3 * (1.0 + y), domain=box)
-    assert joined.kind == SPLINE_SURFACE
+    assert joined.evaluator is fitted
     assert joined.evaluate((0.3, 0.5))[F_11, 2] == pytest.approx(0.0, abs=1e-8)  # as for curves
 
 
@@ -563,7 +564,7 @@ def test_kinks_in_time_are_refused():
         (lambda u, t: max(0.0, t), (0.0, 100.0), (-0.1, -8.0)),
     ):
         made = moving(f)
-        assert made.kind == TAPE_CURVE
+        assert made.evaluator is traced
         for t in good:
             assert made.point(0.3, t)[1] == pytest.approx(f(0.3, t), abs=1e-14)
         # no value is better than that of another branch
@@ -571,9 +572,9 @@ def test_kinks_in_time_are_refused():
     limited = moving(lambda u, t: math.sqrt((t - 5.0) ** 2), time_domain=(0.0, 4.0))
     assert [limited.point(0.3, t)[1] for t in (0.0, 4.0)] == [5.0, 1.0]
     assert math.isnan(limited.point(0.3, 5.5)[1])
-    assert moving(lambda u, t: min(t, 1.0), time_domain=(0.0, 0.9)).kind == TAPE_CURVE
-    assert moving(lambda u, t: math.sqrt(1.0 + t)).kind == TAPE_CURVE  # not defined before t = -1
-    assert pc.HeightField(lambda x, y, t: x + math.sqrt((t - 5.0) ** 2), time_domain=(0.0, 4.0)).kind == TAPE_SURFACE
+    assert moving(lambda u, t: min(t, 1.0), time_domain=(0.0, 0.9)).evaluator is traced
+    assert moving(lambda u, t: math.sqrt(1.0 + t)).evaluator is traced  # not defined before t = -1
+    assert pc.HeightField(lambda x, y, t: x + math.sqrt((t - 5.0) ** 2), time_domain=(0.0, 4.0)).evaluator is traced
     ramp = moving(lambda u, t: 0.0 if t < 1.0 else (t - 1.0) ** 4 * (1.0 + u), time_domain=(0.0, 2.0))
     assert ramp.point(0.5, 1.7)[1] == pytest.approx(1.5 * 0.7**4, abs=1e-14)
 
@@ -737,7 +738,7 @@ def test_an_angle_that_does_not_matter_is_followed_at_other_times_too():
     made = pc.ParametricCurve(
         lambda u, t: (u, math.cos(math.atan2(u, -1.0)) + abs(t + 2.0) + math.sqrt(6.0 - t), 0.0), D
     )
-    assert made.kind == TAPE_CURVE
+    assert made.evaluator is traced
     assert made.point(-0.3, 1.0)[1] == pytest.approx(math.cos(math.atan2(-0.3, -1.0)) + 3.0 + math.sqrt(5.0), abs=1e-14)
     with pytest.raises(ContourError, match="atan2"):
         pc.ParametricCurve(lambda u, t: (u, math.atan2(u, -1.0) + abs(t + 2.0) + math.sqrt(6.0 - t), 0.0), D)

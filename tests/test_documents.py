@@ -73,6 +73,22 @@ def test_paper_table_names_what_is_there():
     assert checked > 60
 
 
+FOLDERS = [ROOT / "pincontact", ROOT, ROOT / "tests", ROOT / "tests" / "stress", *(ROOT / "examples").glob("**/")]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_documents_name_what_is_there(document):
+    """Files, and the functions and classes that are named after a file."""
+    text = re.sub(r"```.*?```", "", document.read_text(encoding="utf-8"), flags=re.DOTALL)
+    text = re.sub(r"\s*\n\s*", " ", text)
+    for file, names in re.findall(r"`([\w/]+\.py)`(?::? ((?:`[\w.]+`(?:, | and )?)+))?", text):
+        path = next((folder / file for folder in FOLDERS if (folder / file).exists()), None)
+        assert path is not None, file
+        source = path.read_text(encoding="utf-8")
+        for name in re.findall(r"\w+", " ".join(n for n in re.findall(r"`([\w.]+)`", names) if not n.endswith(".py"))):
+            assert re.search(rf"\b(def|class) {name}\b|^{name}\b.*=", source, re.MULTILINE), f"{file}: {name}"
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_links_lead_somewhere(document):
     for link in re.findall(r"\]\(([^)#]+)\)", document.read_text(encoding="utf-8")):

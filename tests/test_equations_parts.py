@@ -5,14 +5,15 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from calling import from_python
+from made_systems import made_system
 
-from pincontact.dynamics import equations
+from pincontact.dynamics import equations, event_functions, least_forces, sliding
 from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
+from pincontact.jit import kernel
 from pincontact.layout import (
     ACROSS_X,
     ANISOTROPIC,
@@ -58,6 +59,7 @@ from pincontact.layout import (
     STRETCH_11,
     STRETCH_12,
     STRETCH_22,
+    SYSTEM,
     TANGENTS,
     UNILATERAL,
     VISCOUS,
@@ -68,37 +70,36 @@ MODES = (FREE, FRICTIONLESS, STICK, SLIPPING)
 ELLIPSE = np.array([[1.2, 0.3], [0.3, 0.7]])
 
 
-@functools.cache
-def part(name):
-    """Compiled once."""
-    return from_python(getattr(equations, name))
+part = functools.cache(from_python)
+
+
+def part_of_system(kernel):
+    """One that takes a workspace."""
+    return part(kernel, SYSTEM)
 
 
 def items(n):
     return np.zeros((n, CONTACT_INTS), dtype=np.int64), np.zeros((n, CONTACT_REALS))
 
 
-def made_rows(rng, integers, numbers, nv=7, rank=None):
-    """Constraint rows of items in their modes, in a chain's velocities, whitened; `operator` is that of frictionless
-    normals and of what sticks. rank: all of them in so many directions."""
-    n = len(integers)
-    rows = rng.normal(size=(n, 3, nv))
-    if rank is not None:
-        rows = rows @ (rng.normal(size=(nv, rank)) @ rng.normal(size=(rank, nv)))
-    factor = np.tril(0.3 * rng.normal(size=(nv, nv)), -1) + np.diag(rng.uniform(0.5, 2.0, nv))
-    parents = np.arange(nv) - 1
-    row_index = np.full((3 * n, 2), -1)
-    count, slipping = part("list_rows")(integers, n, row_index)
-    whitened = np.zeros((3 * n, nv))
-    part("whiten_rows")(factor, parents, nv, rows, row_index, count, whitened)
-    index = row_index[:count]
-    inverse = np.linalg.inv(factor.T @ factor)
-    gram = rows[index[:, 0], index[:, 1]] @ inverse @ rows[index[:, 0], index[:, 1]].T
-    assert whitened[:count] @ whitened[:count].T == pytest.approx(gram, abs=1e-11)
-    return SimpleNamespace(
-        nv=nv, rows=rows, factor=factor, parents=parents, row_index=row_index, count=count, slipping=slipping,
-        whitened=whitened, inverse=inverse, index=index,
-    )  # fmt: skip
+class Constrained:
+    """A workspace of random items in their modes, in a chain's velocities, with its constraint rows listed."""
+
+    def __init__(self, rng, integers, numbers, nv=7, rank=None):
+        """rank: rows are in so many directions."""
+        self.n = len(integers)
+        self.system = system = made_system(self.n, nv=nv, rng=rng)
+        self.integers, self.numbers = system.contact_int, system.contact_real
+        self.integers[:], self.numbers[:] = integers, numbers
+        if rank is not None:
+            system.rows[:] = system.rows @ (rng.normal(size=(nv, rank)) @ rng.normal(size=(rank, nv)))
+        system.row_index[:] = -1
+        self.count, self.slipping = part_of_system(equations.list_constraints)(system)
+        self.inverse = np.linalg.inv(system.factor.T @ system.factor)
+        self.index, self.whitened = system.row_index[: self.count], system.whitened_rows[: self.count]
+        self.forces = system.whitened_forces[: self.count]
+        rows = system.rows[self.index[:, 0], self.index[:, 1]]
+        assert self.whitened @ self.whitened.T == pytest.approx(rows @ self.inverse @ rows.T, abs=1e-11)
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -109,24 +110,29 @@ def test_what_holds_a_contact(mode):
         integers[[MODE, UNILATERAL, NORMAL_SIGN]] = mode, unilateral, sign
         numbers[[MU, VISCOUS]] = mu, viscous
         shares = mode == SLIPPING and unilateral == 1 and sign == -1
-        assert part("shares_viscous_force")(integers) == shares
-        assert part("is_held_up")(integers, numbers) == (shares or (mode == SLIPPING and mu == math.inf))
+        assert part(sliding.shares_viscous_force)(integers) == shares
+        assert part(sliding.is_held_up)(integers, numbers) == (shares or (mode == SLIPPING and mu == math.inf))
         moves = mode in (FRICTIONLESS, SLIPPING) and viscous > 0.0
-        assert part("resists_viscously")(integers, numbers) == (moves and not shares)
+        assert part(sliding.resists_viscously)(integers, numbers) == (moves and not shares)
+
+
+@kernel
+def viscous_loads(system):
+    equations.add_viscous_loads(system, system.free_acceleration)
 
 
 @SEEDS
 def test_viscous_loads(seed):
     rng = np.random.default_rng(seed)
-    integers, numbers = items(4)
+    system = made_system(4, rng=rng)
+    integers, numbers = system.contact_int, system.contact_real
     integers[:, MODE], integers[:, TANGENTS] = (FRICTIONLESS, SLIPPING, STICK, FREE), (1, 2, 2, 2)
     numbers[:, VISCOUS] = rng.uniform(0.1, 1.0, 4)
-    basis, slip, rows = rng.normal(size=(4, 3, 3)), rng.normal(size=(4, 3)), rng.normal(size=(4, 3, 5))
-    load = rng.normal(size=5)
+    basis, slip, rows, load = system.basis, system.slip, system.rows, system.free_acceleration
     expected = load - numbers[0, VISCOUS] * rows[0, 0] * (basis[0, 0] @ slip[0])
     for row in (0, 1):
         expected -= numbers[1, VISCOUS] * rows[1, row] * (basis[1, row] @ slip[1])
-    part("add_viscous_loads")(5, 4, integers, numbers, basis, slip, rows, load)
+    part_of_system(viscous_loads)(system)
     assert load == pytest.approx(expected, abs=1e-13)
 
 
@@ -136,7 +142,7 @@ def test_directions_of_slip(seed):
     integers, numbers = (array[0] for array in items(1))
     basis, slip, out = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3), np.zeros(2)
     along = basis @ slip
-    find = part("slip_direction")
+    find = part(sliding.slip_direction)
     # one tangent: the sign is a mode, and the speed along it
     integers[TANGENTS], integers[SLIP_SIGN] = 1, -1
     assert find(integers, numbers, slip, basis, 0.3, out) == pytest.approx(-along[0], abs=1e-15)
@@ -177,18 +183,19 @@ def test_rows_in_their_order():
     index = np.full((24, 2), -1)
     expected = [[1, 2], [2, 2], [2, 0], [2, 1], [3, 2], [3, 0], [4, 2], [5, 2], [5, 1], [5, 0], [6, 2], [6, 1], [7, 0],
                 [7, 1]]  # fmt: skip
-    assert part("list_rows")(integers, 8, index) == (14, True)
+    assert part(equations.list_rows)(integers, 8, index) == (14, True)
     assert index[:14].tolist() == expected
     integers[[4, 6], MODE] = FREE
-    assert part("list_rows")(integers, 8, index) == (11, False)
+    assert part(equations.list_rows)(integers, 8, index) == (11, False)
 
 
 def curves(rng, n=3):
-    """Points on curves that slip, after a contact that does not, with their rows."""
+    """Points on curves that slip with friction, after a contact that does not."""
     integers, numbers = items(n)
     integers[:, MODE], integers[:, PATTERN], integers[:, TANGENTS] = SLIPPING, ON_CURVE, 1
     integers[0, PATTERN], integers[0, MODE] = ON_SURFACE, STICK
-    return integers, numbers, made_rows(rng, integers, numbers)
+    numbers[:, MU] = 0.3
+    return Constrained(rng, integers, numbers)
 
 
 @SEEDS
@@ -197,7 +204,7 @@ def test_motions_along_two_normals(in_plane, seed):
     own = np.random.default_rng(seed).normal(size=(2, 5))
     if in_plane:
         own[1] = -0.7 * own[0]
-    trace, determinant, found = part("plane_of_normals")(own, 4)
+    trace, determinant, found = part(equations.plane_of_normals)(own, 4)
     gram = own[:, :4] @ own[:, :4].T
     assert trace == pytest.approx(np.trace(gram), rel=1e-14)
     assert determinant == pytest.approx(np.linalg.det(gram), abs=1e-13 * trace**2)
@@ -207,58 +214,57 @@ def test_motions_along_two_normals(in_plane, seed):
 @pytest.mark.parametrize("in_plane", [False, True])
 def test_how_little_of_a_curves_operator_is_left(in_plane):
     """1e-9 of its determinant without friction, or of its trace, in any units."""
-    integers, _ = items(1)
-    integers[0, [MODE, PATTERN]] = SLIPPING, ON_CURVE
-    index = np.array([[0, 2], [0, 1]])
+    system = made_system(1, nv=2)
+    system.contact_int[0, [MODE, PATTERN]] = SLIPPING, ON_CURVE
+    system.row_index[:2] = [0, 2], [0, 1]
     for unit in (0.1, 10.0):
         own = unit * np.array([[1.0, 0.0], [0.0, 0.0 if in_plane else 1.0]])
         for share, lost in ((1.2e-9, False), (0.8e-9, True)):
-            forces = np.array([[share], [1.0]]) * own
-            assert part("curves_lose_positivity")(integers, index, 2, own, forces, 2) == lost
+            system.whitened_rows[:2], system.whitened_forces[:2] = own, np.array([[share], [1.0]]) * own
+            assert part_of_system(equations.curves_lose_positivity)(system, 2) == lost
 
 
 def test_the_least_angle_between_normals_that_counts():
     """Their sine squared is 1e-11 times the trace squared, which is 4 for units."""
     for sine, in_plane in ((5e-6, True), (8e-6, False)):
         own = np.array([[1.0, 0.0], [math.sqrt(1.0 - sine**2), sine]])
-        assert part("plane_of_normals")(own, 2)[2] == in_plane
+        assert part(equations.plane_of_normals)(own, 2)[2] == in_plane
 
 
 @SEEDS
 @pytest.mark.parametrize("in_plane", [False, True])
 def test_operators_of_curves_that_lose_positivity(in_plane, seed):
     """Against the determinant of the operator of both normals, or its trace."""
-    rng = np.random.default_rng(seed)
-    lost = 0
+    rng, lost = np.random.default_rng(seed), 0
+    loses = part_of_system(equations.curves_lose_positivity)
     for _ in range(40):
-        integers, _, parts = curves(rng)
+        parts = curves(rng)
+        whitened, forces = parts.whitened, parts.forces
         if in_plane:
             for row in (2, 4):
-                parts.whitened[row + 1] = rng.normal() * parts.whitened[row]
-        sizes = np.linalg.norm(parts.whitened, axis=1, keepdims=True)
-        forces = parts.whitened + 0.8 * sizes * rng.normal(size=parts.whitened.shape)
+                whitened[row + 1] = rng.normal() * whitened[row]
+        sizes = np.linalg.norm(whitened, axis=1, keepdims=True)
+        forces[:] = whitened + 0.8 * sizes * rng.normal(size=whitened.shape)
         expected = False
         for row in (2, 4):
-            own, pushed = parts.whitened[row : row + 2], forces[row : row + 2]
+            own, pushed = whitened[row : row + 2], forces[row : row + 2]
             size = np.trace if in_plane else np.linalg.det
             expected = expected or bool(size(own @ pushed.T) <= 0.0)
-        assert (
-            part("curves_lose_positivity")(integers, parts.row_index, parts.count, parts.whitened, forces, parts.nv)
-            == expected
-        )
+        assert loses(parts.system, parts.count) == expected
         lost += expected
     assert 0 < lost < 40
     # what sticks, and what nothing moves, has nothing to lose
-    parts.whitened[2:6] = 0.0
-    arguments = parts.row_index, parts.count, parts.whitened, -parts.whitened, parts.nv
-    assert not part("curves_lose_positivity")(integers, *arguments)
-    integers[:, MODE] = STICK
-    integers[0, MODE] = SLIPPING
-    index = np.array([[0, 2], [0, 1], [1, 2], [1, 1]])
-    own = rng.normal(size=(4, 5))
-    assert not part("curves_lose_positivity")(integers, index, 4, own, -own, 5)
-    integers[1, MODE] = SLIPPING
-    assert part("curves_lose_positivity")(integers, index, 4, own, np.r_[own[:2], -own[2:3], own[3:]], 5)
+    whitened[2:6] = 0.0
+    forces[:] = -whitened
+    assert not loses(parts.system, parts.count)
+    parts.index[:4], whitened[:4] = [[0, 2], [0, 1], [1, 2], [1, 1]], rng.normal(size=(4, 7))
+    parts.integers[:, MODE] = STICK
+    parts.integers[0, MODE] = SLIPPING
+    forces[:4] = -whitened[:4]
+    assert not loses(parts.system, 4)
+    parts.integers[1, MODE] = SLIPPING
+    forces[[0, 1, 3]] = whitened[[0, 1, 3]]
+    assert loses(parts.system, 4)
 
 
 @SEEDS
@@ -266,42 +272,46 @@ def test_operators_of_curves_that_lose_positivity(in_plane, seed):
 def test_normal_forces_on_curves(in_plane, seed):
     """Their direction is that of the multipliers; of redundant ones the least with the same effect."""
     rng = np.random.default_rng(seed)
-    integers, numbers, parts = curves(rng)
+    parts = curves(rng)
+    numbers, multipliers, whitened = parts.numbers, parts.system.multipliers, parts.whitened
     numbers[:, NORMAL_1], numbers[:, NORMAL_2] = rng.normal(size=(2, 3))
-    multipliers, before = rng.normal(size=parts.count), numbers.copy()
+    before = numbers.copy()
     expected, changes = before[:, [NORMAL_1, NORMAL_2]], []
     for c, row in ((1, 2), (2, 4)):
         if in_plane:
             # the larger one either of both
-            parts.whitened[row + 1] = (-0.5 if c == 1 else 3.0) * parts.whitened[row]
-        own = parts.whitened[row : row + 2]
+            whitened[row + 1] = (-0.5 if c == 1 else 3.0) * whitened[row]
+        own = whitened[row : row + 2]
         force = multipliers[row : row + 2]
         if in_plane:
             force = np.linalg.pinv(own.T) @ (own.T @ force)
         changes.append(np.abs(expected[c] - force / np.linalg.norm(force)).sum())
         expected[c] = force / np.linalg.norm(force)
-    update = part("_update_normal_shares")
-    arguments = integers, numbers, parts.row_index, parts.count, multipliers, parts.whitened, parts.nv
-    assert update(*arguments) == pytest.approx(max(changes), rel=1e-12)
+    update = part_of_system(equations.update_normal_shares)
+    assert update(parts.system, parts.count) == pytest.approx(max(changes), rel=1e-12)
     assert numbers[:, [NORMAL_1, NORMAL_2]] == pytest.approx(expected, rel=1e-12)
-    assert update(*arguments) == pytest.approx(0.0, abs=1e-15)
+    assert update(parts.system, parts.count) == pytest.approx(0.0, abs=1e-15)
     # where nothing moves along one of both, all of it is along the other, however slightly that moves
     for none, other in ((2, 3), (3, 2)):
-        parts.whitened[none], parts.whitened[other] = 0.0, 0.01 * rng.normal(size=parts.nv)
-        update(*arguments)
+        whitened[none], whitened[other] = 0.0, 0.01 * rng.normal(size=7)
+        update(parts.system, parts.count)
         share = numbers[1, [NORMAL_1, NORMAL_2]]
         assert share[none - 2] == 0.0
         assert share[other - 2] == math.copysign(1.0, multipliers[other])
-    # without a force the last one stays
+    # without a force, or without friction, the last one stays
     multipliers[2:4] = 0.0
-    assert update(*arguments) == pytest.approx(0.0, abs=1e-15)
+    assert update(parts.system, parts.count) == pytest.approx(0.0, abs=1e-15)
+    multipliers[2:4], kept = rng.normal(size=2), numbers.copy()
+    numbers[:, MU] = 0.0
+    assert update(parts.system, parts.count) == 0.0
+    assert (numbers[:, [NORMAL_1, NORMAL_2]] == kept[:, [NORMAL_1, NORMAL_2]]).all()
 
 
-def units_of(integers, numbers, parts):
+def units_of(parts):
     """(count,) the force by which each multiplier is measured: the mean mobility over the directions of its cone."""
-    out = []
+    out, integers, numbers, all_rows = [], parts.integers, parts.numbers, parts.system.rows
     for c, row in parts.index:
-        mobility = np.einsum("ik,kl,il->i", parts.rows[c], parts.inverse, parts.rows[c])
+        mobility = np.einsum("ik,kl,il->i", all_rows[c], parts.inverse, all_rows[c])
         own = mobility[row]
         if integers[c, PATTERN] == ON_CURVE and row != 0:
             unit = mobility.mean()
@@ -311,7 +321,7 @@ def units_of(integers, numbers, parts):
         elif integers[c, TANGENTS] == 1:
             unit = (own + mobility[0] + max(own, mobility[0])) / 3.0
         elif integers[c, ANISOTROPIC]:
-            stretched = ELLIPSE @ parts.rows[c, :2]
+            stretched = ELLIPSE @ all_rows[c, :2]
             unit = (own + np.einsum("ik,kl,il->", stretched, parts.inverse, stretched)) / 3.0
         else:
             unit = mobility.mean()
@@ -335,7 +345,7 @@ def loaded_contacts(rng, rank):
     numbers[3, MU] = math.inf
     integers[0, ANISOTROPIC] = 1
     numbers[0, [STRETCH_11, STRETCH_12, STRETCH_22]] = ELLIPSE[0, 0], ELLIPSE[0, 1], ELLIPSE[1, 1]
-    return integers, numbers, made_rows(rng, integers, numbers, rank=rank)
+    return Constrained(rng, integers, numbers, rank=rank)
 
 
 @SEEDS
@@ -343,81 +353,100 @@ def loaded_contacts(rng, rank):
 def test_whether_a_load_would_be_asked_for(rank, seed):
     """Least forces that are not negative: N = A^T y + s, in their units, with s >= 0 where they are zero."""
     rng = np.random.default_rng(seed)
-    integers, numbers, parts = loaded_contacts(rng, rank)
-    count, nv = parts.count, parts.nv
-    forces = parts.whitened[:count] + 0.2 * rng.normal(size=(count, nv)) @ np.diag(np.ones(nv))
+    parts = loaded_contacts(rng, rank)
+    system, count, nv = parts.system, parts.count, 7
+    forces = parts.whitened + 0.2 * rng.normal(size=(count, nv))
     if rank is not None:
-        forces = parts.whitened[:count] * rng.uniform(0.5, 1.5, (count, 1))
-    unit = 1.0 / np.sqrt(units_of(integers, numbers, parts))
-    operator = parts.whitened[:count] @ forces.T
-    system, work = np.zeros((count, count + 1)), np.zeros(nv)
-    arguments = integers, numbers, parts.rows, parts.row_index, count, parts.factor, parts.parents, nv
-    part("weigh_forces")(*arguments, parts.whitened, forces, system, work)
-    assert system[:, count] == pytest.approx(unit, rel=1e-12)
-    assert system[:, :count] == pytest.approx(operator * unit, abs=1e-11)
+        forces = parts.whitened * rng.uniform(0.5, 1.5, (count, 1))
+    parts.forces[:] = forces
+    unit = 1.0 / np.sqrt(units_of(parts))
+    operator, found = parts.whitened @ forces.T, system.delassus[:count, : count + 1]
+    part_of_system(least_forces.weigh_forces)(system, count)
+    assert found[:, count] == pytest.approx(unit, rel=1e-12)
+    assert found[:, :count] == pytest.approx(operator * unit, abs=1e-11)
     empty = [r for r, (c, row) in enumerate(parts.index.tolist()) if c in (1, 2) and row == 2]
-    for r, (c, row) in enumerate(parts.index.tolist()):
-        assert part("carries_nothing")(integers, 7, c, row) == (r in empty)
+    for r in range(count):
+        system.sizes["nc"] = 7
+        assert part_of_system(least_forces.carries_nothing)(system, r) == (r in empty)
         # beyond the contacts there are others
-        assert not part("carries_nothing")(integers, c, c, row)
-    assert part("leave_unloaded")(integers, 7, parts.row_index, count, system) == 2
-    assert system[empty, count].tolist() == [-1.0, -1.0]
-    assert not system[:, empty].any()
+        system.sizes["nc"] = parts.index[r, 0]
+        assert not part_of_system(least_forces.carries_nothing)(system, r)
+    system.sizes["nc"] = 7
+    part_of_system(least_forces.leave_unloaded)(system, count)
+    assert np.flatnonzero(found[:, count] == -1.0).tolist() == empty
+    assert not found[:, empty].any()
     rest = [r for r in range(count) if r not in empty]
-    assert system[:, rest] == pytest.approx((operator * unit)[:, rest], abs=1e-11)
+    assert found[:, rest] == pytest.approx((operator * unit)[:, rest], abs=1e-11)
 
-    def margins(bias, acceleration):
+    def margins(bias):
         y = rng.normal(size=count)
         multipliers = np.where(np.isin(np.arange(count), empty), 0.0, unit * ((operator * unit).T @ y))
         least = np.linalg.pinv((operator * unit)[:, rest].T, rcond=1e-9) @ (multipliers / unit)[rest]
-        out = np.full((7, MARGINS_PER_CONTACT), 5.0)
-        status = part("unloaded_margins")(
-            nv, 7, integers, numbers, parts.rows, bias, parts.row_index, count, parts.factor, parts.parents,
-            parts.whitened, forces, acceleration, multipliers, np.zeros((count, count + 1)),
-            np.zeros(count, dtype=np.int64), np.zeros((count + 1, count + 1)), out, work,
-        )  # fmt: skip
-        # the others' margins are not its business
+        system.margins[:], system.multipliers[:count], system.bias[:], out = 5.0, multipliers, bias, system.margins
+        status = part_of_system(unloaded)(system, count)
+        # the others' event functions are not its business
         assert (out[[0, 3, 4, 5, 6]] == 5.0).all()
         assert np.delete(out, NORMAL_MARGIN, axis=1).min() == 5.0
         assert status == (EVENT if out[1:3, NORMAL_MARGIN].min() < 0.0 else OK)
         return out[1:3, NORMAL_MARGIN], -(unit * ((operator * unit).T @ least))[empty]
 
-    acceleration = rng.normal(size=nv)
-    bias = -(parts.rows @ acceleration)
+    bias = -(system.rows @ system.acceleration)
     for _ in range(5):
-        found, expected = margins(bias, acceleration)
+        found, expected = margins(bias)
         # of systems with condition numbers of up to 1e4
         assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
     # what does not stay closed, or not apart, by itself
     for change, closes in ((1e-9, True), (1e-5, False), (-1e-5, False)):
         other = bias.copy()
         other[1, 2] += change
-        found, expected = margins(other, acceleration)
+        found, expected = margins(other)
         assert (found[0] == -1.0) == (not closes)
         assert found[1] != -1.0
+    # none of them, none to look at
+    parts.integers[:, NORMAL_SIGN] = 1
+    system.margins[:] = 5.0
+    assert part_of_system(unloaded)(system, count) == OK
+    assert (system.margins == 5.0).all()
 
 
 @SEEDS
 def test_forces_from_a_reference(seed):
     """It follows time and loads; what the multipliers have to make up is less by what it does."""
     rng = np.random.default_rng(seed)
-    index, nv, count = np.array([[0, 2], [1, 2], [1, 0], [2, 1]]), 5, 4
-    rows, bias, free = rng.normal(size=(3, 3, nv)), rng.normal(size=(3, 3)), rng.normal(size=nv)
-    x = np.zeros(count)
-    part("right_hand_side")(index, count, rows, bias, free, nv, x)
+    system, count = made_system(3, rng=rng), 4
+    index = system.row_index[:count]
+    index[:] = [0, 2], [1, 2], [1, 0], [2, 1]
     c, row = index.T
-    assert x == pytest.approx(-(rows[c, row] @ free + bias[c, row]), abs=1e-13)
-    start, rate = rng.normal(size=(2, 3, 3))
-    slope, reference, work = rng.normal(size=(2, 9, nv)), np.full((3, 3), 7.0), np.full(nv, 9.0)
-    part("_move_reference")(index, count, x, 0.3, start, rate, slope, nv, reference, work)
+    right = part_of_system(right_hand_sides)
+    loads = -(system.rows[c, row] @ system.free_acceleration + system.bias[c, row])
+    right(system, count)
+    x = system.multipliers[:count]
+    assert x == pytest.approx(loads, abs=1e-13)
+    system.reference[:] = 7.0
+    system.reference_start[:], system.reference_rate[:] = rng.normal(size=(2, 3, 3))
+    slope = system.reference_slope
+    slope[:] = rng.normal(size=slope.shape)
     places = 3 * c + row
-    expected = start[c, row] + 0.3 * rate[c, row] + slope[1, places] @ (slope[0, places].T @ x)
-    assert reference[c, row] == pytest.approx(expected, abs=1e-12)
-    assert (reference == 7.0).sum() == 9 - count
-    whitened, forces = rng.normal(size=(2, count, nv))
-    left = x.copy()
-    part("_take_reference")(index, count, reference, whitened, forces, nv, left, work)
-    assert left == pytest.approx(x - whitened @ (forces.T @ expected), abs=1e-12)
+    moved = system.reference_start[c, row] + 0.3 * system.reference_rate[c, row]
+    moved += slope[1, places] @ (slope[0, places].T @ loads)
+    system.scalars["time"], system.scalars["reference_time"], system.scalars["has_reference"] = 0.7, 0.4, 1.0
+    operator = system.whitened_rows[:count] @ system.whitened_forces[:count].T
+    for moves, reference in ((0.0, np.full(count, 7.0)), (1.0, moved)):
+        system.scalars["reference_moves"] = moves
+        right(system, count)
+        assert system.reference[c, row] == pytest.approx(reference, abs=1e-12)
+        assert (system.reference == 7.0).sum() == (9 if moves == 0.0 else 9 - count)
+        assert x == pytest.approx(loads - operator @ reference, abs=1e-11)
+
+
+@kernel
+def right_hand_sides(system, count):
+    equations.right_hand_sides(system, count, system.whitened_forces)
+
+
+@kernel
+def unloaded(system, count):
+    return least_forces.unloaded_margins(system, count)
 
 
 def test_dry_friction_of_joints():
@@ -426,7 +455,7 @@ def test_dry_friction_of_joints():
     for mode, sign, force in ((FREE, 1, -2.0), (FREE, -1, 3.0), (FREE, 0, 0.0), (STICK, 1, 0.0)):
         guard = np.zeros(GUARD_INTS, dtype=np.int64)
         guard[GUARD_SIGN] = sign
-        assert part("guard_force")(mode, guard, numbers) == force
+        assert part(equations.guard_force)(mode, guard, numbers) == force
 
 
 @SEEDS
@@ -435,9 +464,9 @@ def test_margins_of_guarded_joints(seed):
     rng = np.random.default_rng(seed)
     nc, cases = 2, list(itertools.product((FREE, FRICTIONLESS), (-1, 0, 1), (-1, 0, 1), (False, True), (False, True)))
     ng = len(cases)
-    integers, _ = items(nc + ng)
-    guards, numbers = np.zeros((ng, GUARD_INTS), dtype=np.int64), np.zeros((ng, GUARD_REALS))
-    slip, gaps, force = rng.normal(size=(nc + ng, 3)), rng.normal(size=(nc + ng, 2)), rng.normal(size=(nc + ng, 3))
+    system = made_system(nc, ng, rng=rng)
+    integers, guards, numbers = system.contact_int, system.guard_int, system.guard_real
+    slip, gaps, force, margins = system.slip, system.gaps, system.force, system.margins
     numbers[:, LOW_FORCE], numbers[:, HIGH_FORCE] = -rng.random(ng), rng.random(ng)
     expected = np.ones((nc + ng, MARGINS_PER_CONTACT))
     for g, (mode, sign, end, low, high) in enumerate(cases):
@@ -457,17 +486,17 @@ def test_margins_of_guarded_joints(seed):
                 expected[i, NORMAL_MARGIN] = force[i, 2] - numbers[g, LOW_FORCE]
             if end != -1:
                 expected[i, FRICTION_MARGIN] = numbers[g, HIGH_FORCE] - force[i, 2]
-    margins = np.full((nc + ng, MARGINS_PER_CONTACT), 9.0)
-    margins[:nc] = 1.0
-    guard_margins = part("guard_margins")
-    assert guard_margins(nc, ng, integers, guards, numbers, slip, gaps, force, margins) == EVENT
+    margins[:nc], margins[nc:] = 1.0, 9.0
+    of_joints = part_of_system(event_functions.joint_margins)
+    assert of_joints(system) == EVENT
     assert margins == pytest.approx(expected, abs=1e-15)
     # one by one
     for g in range(ng):
-        i = [0, 1, nc + g]
-        arguments = guards[g : g + 1], numbers[g : g + 1], slip[i], gaps[i], force[i], margins[i]
-        status = guard_margins(nc, 1, integers[i], *arguments)
-        assert status == (EVENT if expected[nc + g].min() < 0.0 else OK)
+        alone = made_system(nc, 1)
+        for name in ("contact_int", "slip", "gaps", "force"):
+            getattr(alone, name)[nc] = getattr(system, name)[nc + g]
+        alone.guard_int[0], alone.guard_real[0] = guards[g], numbers[g]
+        assert of_joints(alone) == (EVENT if expected[nc + g].min() < 0.0 else OK)
 
 
 @SEEDS
@@ -475,29 +504,29 @@ def test_margins_of_guarded_joints(seed):
 def test_margins_of_friction(tangents, seed):
     """Forces of slip are against it, those of stick within the limit; and rates of the speed."""
     rng = np.random.default_rng(seed)
-    basis, rows, bias = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=(1, 3, 4)), rng.normal(size=(1, 3))
-    slip, acceleration, load = rng.normal(size=(1, 3)), rng.normal(size=4), rng.uniform(0.5, 2.0)
+    system, load = made_system(2, rng=rng), rng.uniform(0.5, 2.0)
+    basis, slip, force, value = system.basis[1], system.slip[1], system.force[1], system.margins[1]
+    relative = system.rows[1] @ system.acceleration + system.bias[1]
     sign = 1 if rng.random() < 0.5 else -1
     for mode, unilateral, normal_sign, mu in (
         (STICK, 1, 1, 0.4), (STICK, 1, 1, math.inf), (FRICTIONLESS, 1, 1, 0.0), (SLIPPING, 1, 1, 0.4),
         (SLIPPING, 1, 1, math.inf), (SLIPPING, 1, -1, 0.4), (SLIPPING, 0, -1, 0.4), (SLIPPING, 1, 1, 0.0),
     ):  # fmt: skip
-        integers, numbers = (array[0] for array in items(1))
+        integers, numbers = system.contact_int[1], system.contact_real[1]
         integers[[MODE, UNILATERAL, NORMAL_SIGN, TANGENTS, SLIP_SIGN]] = mode, unilateral, normal_sign, tangents, sign
         numbers[[MU, MU_STATIC, MU_NOW, LIMIT_SLACK, VISCOUS]] = mu, 1.5 * mu, 0.9 * mu, 0.01, 0.3
         before = rng.normal(size=3)
-        force, relative, value = before[None].copy(), np.zeros((1, 3)), np.full(MARGINS_PER_CONTACT, 1.0)
-        arguments = slip, basis[None].copy(), rows, bias, acceleration, force, relative, value, 0.0, np.zeros(2)
+        force[:], value[:] = before, 1.0
         with np.errstate(invalid="ignore"):
-            part("_friction_margins")(4, 0, load, integers, numbers, *arguments)
+            part_of_system(event_functions.friction_margins)(system, 1, load)
         expected, after = np.ones(MARGINS_PER_CONTACT), before.copy()
         if mode == STICK and mu < math.inf:
             expected[FRICTION_MARGIN] = 1.01 * 1.5 * mu * load - np.linalg.norm(before[:tangents])
         if mode == SLIPPING:
-            along = (basis @ slip[0])[:2]
+            along = (basis @ slip)[:2]
             direction = np.array([sign, 0.0]) if tangents == 1 else along / np.linalg.norm(along)
-            speed, rate = direction @ along, direction @ (rows[0] @ acceleration + bias[0])[:2]
-            assert relative[0] == pytest.approx(rows[0] @ acceleration + bias[0], abs=1e-13)
+            speed, rate = direction @ along, direction @ relative[:2]
+            assert system.relative_acceleration[1] == pytest.approx(relative, abs=1e-13)
             assert numbers[[SLIP_SPEED, SLIP_RATE]] == pytest.approx([speed, rate], abs=1e-13)
             shares = unilateral == 1 and normal_sign == -1
             friction = 0.9 * mu * load
@@ -508,5 +537,5 @@ def test_margins_of_friction(tangents, seed):
                 expected[FRICTION_MARGIN] = 0.3 * abs(speed) - friction
             if tangents == 1 and mu > 0.0:
                 expected[SPEED_MARGIN] = speed
-        assert force[0] == pytest.approx(after, abs=1e-13)
+        assert force == pytest.approx(after, abs=1e-13)
         assert value == pytest.approx(expected, abs=1e-13)

@@ -13,17 +13,19 @@ from types import SimpleNamespace
 import numba
 import numpy as np
 import pytest
-from calling import from_python, record_of
+from calling import from_python
+from made_systems import made_system
 
 from pincontact.dynamics import equations
+from pincontact.dynamics.event_functions import JAM_LIMIT
 from pincontact.friction.stribeck import stribeck
 from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
+from pincontact.jit import kernel
 from pincontact.layout import (
     ACROSS_X,
     ANISOTROPIC,
     CONTACT_INTS,
     CONTACT_REALS,
-    COUNTERS,
     DIRECTION_X,
     DOMAIN,
     DOMAIN_MARGIN,
@@ -67,6 +69,7 @@ from pincontact.layout import (
     STRETCH_22,
     STRIBECK_EXPONENT,
     STRIBECK_SPEED,
+    SYSTEM,
     TANGENTS,
     UNILATERAL,
     VISCOUS,
@@ -205,27 +208,32 @@ def solve_backwards(at):
 
 def solved(at, reference=None, moves=None):
     """Status and outputs of the kernel; reference (TOTAL, 3); moves: (time since, start, rate, slope) of one."""
-    n, nv = TOTAL, NVELOCITIES
-    out = Instant(
-        acceleration=np.full(nv, 9.0), force=np.full((n, 3), 9.0), relative=np.zeros((n, 3)),
-        margins=np.full((n, MARGINS_PER_CONTACT), 9.0), counters=record_of(COUNTERS, 9),
-        integers=at.integers.copy(), numbers=at.numbers.copy(), row_index=np.zeros((3 * n, 2), dtype=np.int64),
-    )  # fmt: skip
-    start, rate, slope, since = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((2, 3 * n, nv)), 0.0
+    nv = NVELOCITIES
+    system = made_system(NC, NG, NR, nv)
+    system.contact_int[:], system.contact_real[:] = at.integers, at.numbers
+    system.guard_int[:], system.guard_real[:] = at.guards, at.bounds
+    for name in ("slip", "basis", "gaps", "rows", "bias", "factor"):
+        getattr(system, name)[:] = getattr(at, name)
+    system.free_acceleration[:] = at.free
+    for name in ("row_count", "row_rank", "lost_positivity"):
+        system.counters[name] = 9
+    for array in (system.acceleration, system.force, system.margins):
+        array[:] = 9.0
+    since = 0.0
     if moves is not None:
-        since, start, rate, slope = moves
-    held = np.zeros((n, 3)) if reference is None else reference.copy()
+        since, system.reference_start[:], system.reference_rate[:], system.reference_slope[:] = moves
+    if reference is not None:
+        system.reference[:] = reference
+    scalars = system.scalars
+    scalars["time"], scalars["reference_time"] = 0.7 + since, 0.7
+    scalars["has_reference"], scalars["reference_moves"] = reference is not None or moves is not None, moves is not None
     with np.errstate(invalid="ignore"):
-        out.status = part(equations.contact_dynamics)(
-            nv, NC, out.integers, out.numbers, at.slip, at.basis, at.gaps, at.rows, at.bias, at.factor,
-            np.arange(nv) - 1, at.free, out.acceleration, out.row_index, np.zeros((3 * n, nv)),
-            np.zeros((3 * n, nv)), np.zeros((3 * n, 3 * n + 1)), np.zeros(3 * n), np.zeros(3 * n, dtype=np.int64),
-            np.zeros((3 * n, 3 * n + 1)), out.force, out.relative, out.margins, np.zeros(nv), 0.7 + since,
-            np.zeros(3), NG, n, at.guards, at.bounds, held, start, rate, slope,
-            reference is not None or moves is not None, moves is not None, 0.7, out.counters,
-        )  # fmt: skip
-    out.reference = held
-    return out
+        status = part(equations.contact_dynamics, SYSTEM)(system)
+    return Instant(
+        status=status, acceleration=system.acceleration, force=system.force, relative=system.relative_acceleration,
+        margins=system.margins, counters=system.counters, integers=system.contact_int, numbers=system.contact_real,
+        row_index=system.row_index, reference=system.reference,
+    )  # fmt: skip
 
 
 def viscous(at):
@@ -259,7 +267,7 @@ def expected_margins(at):
     if at.integers[7, MODE] == SLIPPING:
         out[7, NORMAL_MARGIN] = math.hypot(*at.force[7, :2])
         normal = at.inverse @ at.rows[7, 2]
-        out[7, FRICTION_MARGIN] = -(at.d[7] @ at.rows[7, :2]) @ normal / (at.rows[7, 2] @ normal) - equations.JAM_LIMIT
+        out[7, FRICTION_MARGIN] = -(at.d[7] @ at.rows[7, :2]) @ normal / (at.rows[7, 2] @ normal) - JAM_LIMIT
     out[NC, NORMAL_MARGIN] = at.force[NC, 2] + 5.0
     out[NC + 2, [NORMAL_MARGIN, FRICTION_MARGIN]] = at.force[NC + 2, 2] + 5.0, 6.0 - at.force[NC + 2, 2]
     return out
@@ -436,7 +444,7 @@ def test_what_ends_the_fixed_point_of_curves(monkeypatch):
         (0.0, False, OK, 1), (1e-5, False, NO_FORCE, 50), (0.5e-6, False, OK, 50), (0.0, True, NO_FORCE, 1),
     ):  # fmt: skip
         at, asked = made(1), []
-        monkeypatch.setattr(equations, "_update_normal_shares", lambda *given, c=change, a=asked: a.append(1) or c)
+        monkeypatch.setattr(equations, "update_normal_shares", lambda *given, c=change, a=asked: a.append(1) or c)
         monkeypatch.setattr(equations, "curves_lose_positivity", lambda *given, lost=lost: lost)
         assert (solved(at).status == NO_FORCE) == (status == NO_FORCE)
         assert len(asked) == rounds
@@ -495,13 +503,17 @@ def test_slip_that_jams():
 def slip_system(operator, own, x, on_curve=False):
     """What the solver of slip's equations returns, and x."""
     n = len(own)
-    integers = np.zeros((n, CONTACT_INTS), dtype=np.int64)
-    integers[:, PATTERN] = ON_CURVE if on_curve else ON_SURFACE
-    index = np.array([(i, 1 + i % 2) for i in range(n)])
-    x, system = x.copy(), np.hstack([operator, np.array(own)[:, None]])
-    order, scratch = np.zeros(n, dtype=np.int64), np.zeros((n + 1, n + 1))
-    rank = part(equations.solve_slip)(integers, index, system, n, x, order, scratch)
-    return rank, x, system[0, 0]
+    made = made_system(n)
+    made.contact_int[:, PATTERN] = ON_CURVE if on_curve else ON_SURFACE
+    made.row_index[:n] = [(i, 1 + i % 2) for i in range(n)]
+    made.multipliers[:n], made.delassus[:n, :n], made.delassus[:n, n] = x, operator, own
+    rank = part(slip_solver, SYSTEM)(made, n)
+    return rank, made.multipliers[:n], made.delassus[0, 0]
+
+
+@kernel
+def slip_solver(system, n):
+    return equations.solve_slip(system, n)
 
 
 @SEEDS

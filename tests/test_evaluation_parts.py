@@ -11,12 +11,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from calling import from_python
-from test_directions_parts import turned
+from made_systems import made_system
 
 import pincontact as pc
 from pincontact.analysis.instant import Instant
+from pincontact.constraints import kinematics
 from pincontact.constraints.kinematics import NORMAL_RATE
-from pincontact.contours.base import DERIVATIVE_ROWS
 from pincontact.contours.motion import MOTION_HARMONIC
 from pincontact.dynamics import evaluation, resistance
 from pincontact.dynamics.evaluation import KINEMATICS_OF_ALL, PLACES_OF_ALL, PLACES_OF_CLOSED, VELOCITIES_OF_ALL
@@ -25,14 +25,11 @@ from pincontact.geometry.carriers import ALPHA, OMEGA
 from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
 from pincontact.layout import (
     CONTACT_INTS,
-    CONTACT_REALS,
     DOMAIN,
     FREE,
     FRICTIONLESS,
     GUARD_END,
-    GUARD_INTS,
     GUARD_Q,
-    GUARD_REALS,
     GUARD_V,
     HIGH_END,
     LOW_END,
@@ -42,7 +39,6 @@ from pincontact.layout import (
     OWNER,
     PATTERN,
     ROLLING_ROW,
-    SIDE_INTS,
     SINGULAR,
     SLIPPING,
     SPINNING_ROW,
@@ -52,43 +48,14 @@ from pincontact.layout import (
     TANGENTS,
     TIME_DEPENDENT,
 )
-from pincontact.workspace import Workspace, address_of
+from pincontact.workspace import address_of
 
 SEEDS = pytest.mark.parametrize("seed", range(4))
 part = functools.cache(from_python)
 
 
 def system_of(rng, nc, ng, nr, nv, nq=None):
-    """Random numbers in all arrays that parts of an evaluation read and write, and a chain's mass matrix, factored."""
-    system, n = Workspace(SYSTEM), nc + ng + nr
-    nq = nv if nq is None else nq
-    system.zeros("sizes")
-    system.sizes["nq"], system.sizes["nv"], system.sizes["nc"] = nq, nv, nc
-    system.zeros("guard_count", 1)[0], system.zeros("resistance_count", 1)[0] = ng, nr
-    system.zeros("scalars")
-    system.zeros("counters")
-    system.zeros("contact_int", n, CONTACT_INTS)[:, TANGENTS] = 2
-    system.zeros("contact_real", n, CONTACT_REALS)
-    system.zeros("guard_int", max(ng, 1), GUARD_INTS)
-    system.zeros("guard_real", max(ng, 1), GUARD_REALS)
-    system.zeros("q", nq)[:], system.zeros("v", nv)[:] = rng.normal(size=nq), rng.normal(size=nv)
-    for name, shape in (
-        ("basis", (n, 3, 3)), ("slip", (n, 3)), ("gaps", (n, 2)), ("rows", (n, 3, nv)), ("bias", (n, 3)),
-        ("correction_q", (nv,)), ("correction_v", (nv,)), ("multipliers", (3 * n,)), ("vectors", (16, 3)),
-        ("whitened_rows", (3 * n, nv)), ("delassus", (3 * n, 3 * n + 1)), ("constraint_rows", (3 * n, 3 * n + 1)),
-        ("frames", (2 * nc, 8, 3)), ("jacobian", (nv, 6)), ("derivatives", (2 * nc, DERIVATIVE_ROWS, 3)),
-    ):  # fmt: skip
-        system.zeros(name, *shape)[:] = rng.normal(size=shape)
-    system.basis[:] = [turned(rng) for _ in range(n)]
-    system.zeros("row_index", 3 * n, 2)
-    system.zeros("permutation", 3 * n)
-    system.zeros("side_int", 2 * nc, SIDE_INTS)
-    system.zeros("support", 2 * nc, nv)
-    system.zeros("parents", nv)[:] = np.arange(nv) - 1
-    system.zeros("factor", nv, nv)[:] = np.tril(0.3 * rng.normal(size=(nv, nv)), -1) + np.diag(
-        rng.uniform(0.5, 2.0, nv)
-    )
-    return system
+    return made_system(nc, ng, nr, nv, nq, rng)
 
 
 # ---------------------------------------------------------------------------------------------- corrections
@@ -200,13 +167,13 @@ def test_numbers_to_go_on_with(value, place):
 
 def test_rows_of_which_round_off_is_left():
     """Against the largest term that cancels: what a joint moves either body by, its angular part times its reach."""
-    drop = part(evaluation._drop_round_off)
-    nv, one = 4, 2
+    drop = part(kinematics.drop_round_off, SYSTEM)
+    nv = 4
     for side, kind, reach in ((2, "linear", 1.0), (3, "linear", 1.0), (2, "origin", 4.0), (3, "point", 5.0)):
         for axis in range(3):
-            jacobian, support = np.zeros((nv, 6)), np.zeros((6, nv), dtype=np.int64)
-            side_int, frames = np.zeros((6, SIDE_INTS), dtype=np.int64), np.zeros((6, 8, 3))
-            derivatives = np.zeros((6, DERIVATIVE_ROWS, 3))
+            system = made_system(3, nv=nv)
+            jacobian, support, side_int = system.jacobian, system.support, system.side_int
+            frames, derivatives = system.frames, system.derivatives
             side_int[[2, 3], SUPPORT_SIZE], support[[2, 3], 1] = 2, 3
             # joints that move neither, sides of other contacts, and other vectors do not count
             jacobian[1], frames[[0, 1, 4, 5]], derivatives[[0, 1, 4, 5]] = 1e6, 1e6, 1e6
@@ -221,24 +188,25 @@ def test_rows_of_which_round_off_is_left():
             if kind == "linear" and side == 3:
                 side_int[2, SUPPORT_SIZE] = 0
             for scale, left in ((0.97e-13, False), (1.03e-13, True)):
-                row = scale * size * np.array([0.5, -1.0, 0.2, 0.0])
+                row = system.rows[1, 2]
+                row[:] = scale * size * np.array([0.5, -1.0, 0.2, 0.0])
                 before = row.copy()
-                drop(row, nv, one, jacobian, support, side_int, frames, derivatives)
+                drop(system, 1, 2)
                 assert (row == (before if left else 0.0)).all()
     # no joint moves either
-    row = np.array([1e-10, 0.0, 0.0, 0.0])
+    row[:] = [1e-10, 0.0, 0.0, 0.0]
     side_int[:, SUPPORT_SIZE] = 0
-    drop(row, nv, one, jacobian, support, side_int, frames, derivatives)
+    drop(system, 1, 2)
     assert row[0] == 1e-10
     # nor are rows looked at that are not small
     side_int[:, SUPPORT_SIZE], jacobian[:] = 2, 1e6
     for k in range(nv):
-        row = np.zeros(nv)
+        row[:] = 0.0
         row[k] = -1.1e-9
-        drop(row, nv, one, jacobian, support, side_int, frames, derivatives)
+        drop(system, 1, 2)
         assert row[k] == -1.1e-9
         row[k] = 0.9e-9
-        drop(row, nv, one, jacobian, support, side_int, frames, derivatives)
+        drop(system, 1, 2)
         assert not row.any()
 
 
@@ -262,7 +230,7 @@ def test_rows_of_resistances(tangents, seed):
     turning = rng.normal(size=3)
     vectors[NORMAL_RATE] = np.cross(turning, basis[2])
     before = {name: getattr(system, name).copy() for name in ("bias", "rows", "slip", "basis")}
-    part(resistance.resistance_kinematics, SYSTEM)(system, 1, 6)
+    part(resistance.resistance_kinematics, SYSTEM)(system, 1)
     omega = frames[3, OMEGA] - frames[2, OMEGA]
     rate = frames[3, ALPHA] - frames[2, ALPHA]
     about = {4: [basis[2]], 5: [basis[0], basis[1]] if tangents == 2 else [basis[1]]}
@@ -294,7 +262,7 @@ def test_a_contact_with_one_resistance(which):
     system = system_of(np.random.default_rng(1), 2, 0, 2, 5)
     system.contact_int[1, which] = 3
     kept = system.slip.copy()
-    part(resistance.resistance_kinematics, SYSTEM)(system, 1, 4)
+    part(resistance.resistance_kinematics, SYSTEM)(system, 1)
     omega = system.frames[3, OMEGA] - system.frames[2, OMEGA]
     assert system.slip[3] == pytest.approx(omega, abs=1e-14)
     assert (system.slip[:3] == kept[:3]).all()

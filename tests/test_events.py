@@ -8,12 +8,12 @@ import pytest
 from reference import build
 
 import pincontact as pc
-from pincontact.dynamics.system import System
-from pincontact.integration.events import EventLocator
+from pincontact.integration.discrete import write_discrete
+from pincontact.integration.locator import EventLocator
+from pincontact.integration.run_system import RunSystem
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.tableaux import tableau
 from pincontact.layout import DOMAIN, EVENT, NORMAL_MARGIN, OK
-from pincontact.state import write_discrete
 
 G = 9.81
 RADIUS = 0.1
@@ -266,7 +266,7 @@ def test_a_dip_of_the_dense_output_alone_is_none(monkeypatch):
     """A margin that is negative between the ends of a step, but not where a true step goes, changes no mode."""
     scene, state = rolling_in_a_bowl(0.4)
     plain = pc.simulate(scene, state, 1.0, rtol=1e-6, atol=1e-8)
-    true_margins, dipped = EventLocator._margins, []
+    true_margins, dipped = EventLocator._values, []
 
     def dips(self, t, step, thetas):
         margins = true_margins(self, t, step, thetas)
@@ -276,11 +276,33 @@ def test_a_dip_of_the_dense_output_alone_is_none(monkeypatch):
                 values[0, NORMAL_MARGIN] -= 20.0 * math.sin(math.pi * (theta - 0.3) / 0.3)
         return margins
 
-    monkeypatch.setattr(EventLocator, "_margins", dips)
+    monkeypatch.setattr(EventLocator, "_values", dips)
     monkeypatch.setattr(RungeKutta, "alarm", property(lambda self: True))
     # a user's event brings every step to where its margins are looked at
     run = pc.simulate(scene, state, 1.0, rtol=1e-6, atol=1e-8, events=lambda t, q, v: 1.0)
     assert dipped
+    assert run.status == 0, run.message
+    assert run.events == []
+    # other steps, the same tolerance
+    np.testing.assert_allclose(run.q[-1], plain.q[-1], rtol=0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("known", [0, 1, 2])
+def test_what_cannot_be_evaluated_along_a_step_has_no_events(known, monkeypatch):
+    """A dense output that can be evaluated at its beginning only is searched that far."""
+    scene, state = rolling_in_a_bowl(0.4)
+    plain = pc.simulate(scene, state, 0.2, rtol=1e-6, atol=1e-8)
+    true_values, cut = EventLocator._values, []
+
+    def short(self, t, step, thetas):
+        values = true_values(self, t, step, thetas)
+        cut.append(len(values) > known)
+        return values[:known]
+
+    monkeypatch.setattr(EventLocator, "_values", short)
+    monkeypatch.setattr(RungeKutta, "alarm", property(lambda self: True))
+    run = pc.simulate(scene, state, 0.2, rtol=1e-6, atol=1e-8, events=lambda t, q, v: 1.0)
+    assert any(cut)
     assert run.status == 0, run.message
     assert run.events == []
     # other steps, the same tolerance
@@ -294,7 +316,7 @@ def test_a_scan_finds_what_evaluations_find():
     scene.add_contact("edge", "ball", strip, friction=None)
     q = np.array([0.0, 0.0, RADIUS + 0.02, 0.0, 0.0, 0.0, 1.0])
     state = scene.initial_state(q, np.array([3.0, 0.0, -0.2, 0.0, 1.0, 0.0]), free=["c", "edge"])
-    system = System(scene.model, list(scene.contacts.values()))
+    system = RunSystem(scene.model, list(scene.contacts.values()))
     write_discrete(system, state.discrete)
     rk = RungeKutta(system, tableau("DOP853"), 1e-6, 1e-8, None)
     rk.begin_at(state.q, state.v, state.location)

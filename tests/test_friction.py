@@ -8,8 +8,8 @@ import pytest
 from random_contacts import START, RandomContact
 
 import pincontact as pc
+from pincontact.integration.discrete import write_discrete
 from pincontact.layout import MODE, NO_FORCE, SLIP_SIGN, SLIPPING
-from pincontact.state import write_discrete
 
 G = 9.81
 MASS = 0.4

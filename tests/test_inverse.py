@@ -14,8 +14,8 @@ from turning_ball import MASS, RADIUS, G, ball, on_the_floor
 import pincontact as pc
 from pincontact.analysis.instant import Instant
 from pincontact.dynamics.system import System
+from pincontact.integration.discrete import write_discrete
 from pincontact.layout import EVENT
-from pincontact.state import write_discrete
 
 URDF = Path(__file__).resolve().parent.parent / "urdf"
 SHAPES = {

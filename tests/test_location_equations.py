@@ -6,16 +6,25 @@ Contours are quadratic in their parameters and in time, on bodies that move like
 import numpy as np
 import pytest
 from calling import from_python
+from made_systems import made_system
 from test_carried_frames import NEAR, Course, H, frame_of
 
 from pincontact.constraints import kinematics
 from pincontact.geometry import location as parts
 from pincontact.geometry.patterns import CROSSING_CURVES, ON_CURVE, ON_SURFACE, PLANAR
+from pincontact.layout import K1, K2, PATTERN, SIDE, SYSTEM
 
-location_jacobian, location_residual, rate_equations, raw_normal = map(
-    from_python, (parts.location_jacobian, parts.location_residual, parts.rate_equations, parts.raw_normal)
+location_jacobian, location_residual, rate_equations, measure, acceleration_bias = (
+    from_python(part, SYSTEM)
+    for part in (
+        parts.location_jacobian,
+        parts.location_residual,
+        parts.rate_equations,
+        kinematics.measure,
+        kinematics.acceleration_bias,
+    )
 )
-acceleration_bias, basis_at_contact = map(from_python, (kinematics.acceleration_bias, kinematics.basis_at_contact))
+basis_at_contact = from_python(kinematics.basis_at_contact)
 
 CASES = [
     (PLANAR, 0, 1),
@@ -82,14 +91,16 @@ class Contact:
         rows = [self.constants[body], slope[0], slope[1], bend[0, 0], bend[0, 1], bend[1, 1]]
         return np.array([*rows, slope[2], bend[0, 2], bend[1, 2], bend[2, 2]]) @ turn.T
 
-    def arrays(self):
-        """What the kernels are given: frames, derivatives, difference, normal, the plane's normal."""
-        frames = [frame_of(course) for course in self.courses]
-        first, second = self.derivatives(0), self.derivatives(1)
-        difference = frames[1][3] + second[0] - frames[0][3] - first[0]
-        normal, k_axis = np.zeros(3), np.zeros(3)
-        raw_normal(self.pattern, first, second, frames[1], normal, k_axis)
-        return frames, first, second, difference, normal, k_axis
+    def system(self):
+        """It is contact 1 of a workspace, with both contours evaluated and measured."""
+        system = made_system(2, rng=np.random.default_rng(1))
+        system.contact_int[1, [PATTERN, K1, K2]] = self.pattern, self.k1, self.k2
+        system.frames[2:] = [frame_of(course) for course in self.courses]
+        system.derivatives[2:] = self.derivatives(0), self.derivatives(1)
+        measure(system, 1)
+        apart = self.point(1, np.zeros(2), 0.0) - self.point(0, np.zeros(2), 0.0)
+        assert system.vectors[parts.DIFFERENCE] == pytest.approx(apart, abs=1e-13)
+        return system
 
 
 def by_differences(f):
@@ -101,12 +112,11 @@ def by_differences(f):
 def test_equations_with_all_their_derivatives(seed, pattern, k1, k2):
     contact = Contact(pattern, k1, k2, seed)
     n, zero = k1 + k2, np.zeros(k1 + k2)
-    frames, first, second, difference, normal, k_axis = contact.arrays()
+    system = contact.system()
     if pattern != ON_CURVE:
-        assert normal == pytest.approx(contact.normal(zero, 0.0), abs=1e-12)
-    system, scratch = np.zeros((4, 8)), np.zeros((3, 3))
-    location_jacobian(pattern, k1, k2, first, second, difference, normal, k_axis, system, scratch)
-    metric, one, two, sides = system
+        assert system.vectors[parts.NORMAL] == pytest.approx(contact.normal(zero, 0.0), abs=1e-12)
+    location_jacobian(system, 1)
+    metric, one, two, sides = system.location_system
     matrix = np.zeros((n, n))
     matrix[:k2, :k2] = np.array([[metric[0], metric[1]], [metric[1], metric[2]]])[:k2, :k2]
     for a, row in enumerate((one, two)[:k1]):
@@ -118,10 +128,10 @@ def test_equations_with_all_their_derivatives(seed, pattern, k1, k2):
     def right():
         return np.array([*sides[:k2], *sides[2 : 2 + k1]])
 
-    location_residual(pattern, k1, k2, first, second, difference, normal, system)
+    location_residual(system, 1)
     assert right() == pytest.approx(-contact.equations(zero, 0.0), abs=1e-12)
-    slip = contact.slip(zero, 0.0)
-    rate_equations(pattern, k1, k2, *frames, first, second, difference, slip, normal, k_axis, system, np.zeros((3, 3)))
+    system.slip[1] = contact.slip(zero, 0.0)
+    rate_equations(system, 1)
     assert right() == pytest.approx(-by_differences(lambda h: contact.equations(zero, h)), **NEAR)
 
 
@@ -130,14 +140,15 @@ def test_equations_with_all_their_derivatives(seed, pattern, k1, k2):
 def test_the_bias_of_the_acceleration(side, pattern, k1, k2):
     """Rates of v_c along the contact's way, where the bodies' coordinates have none, met by normals that turn."""
     contact = Contact(pattern, k1, k2, 3)
-    frames, first, second, _, normal, k_axis = contact.arrays()
+    system = contact.system()
+    system.contact_int[1, SIDE] = side
     way = np.random.default_rng(k1 + 3 * k2).normal(size=k1 + k2)
-    rates = np.zeros(4)
-    rates[:k1], rates[2 : 2 + k2] = way[k2:], way[:k2]
-    basis, bias, vectors = np.zeros((3, 3)), np.full(3, np.nan), np.zeros((10, 3))
-    basis_at_contact(pattern, side, first, second, normal, basis)
+    system.rates[1, :k1], system.rates[1, 2 : 2 + k2] = way[k2:], way[:k2]
+    basis, vectors = np.zeros((3, 3)), system.vectors
+    basis_at_contact(pattern, side, *system.derivatives[2:], vectors[parts.NORMAL], basis)
     slip = contact.slip(np.zeros(k1 + k2), 0.0)
-    acceleration_bias(pattern, side, *frames, first, second, rates, basis, slip, normal, k_axis, vectors, k1, k2, bias)
+    system.basis[1], system.slip[1], system.bias[1] = basis, slip, np.nan
+    acceleration_bias(system, 1)
     expected = basis @ by_differences(lambda h: contact.slip(h * way, h))
 
     def unit(vector):
@@ -152,4 +163,4 @@ def test_the_bias_of_the_acceleration(side, pattern, k1, k2):
         normal_rate = by_differences(lambda h: -side * unit(contact.normal(h * way, h)))
         assert vectors[kinematics.NORMAL_RATE] == pytest.approx(normal_rate, **NEAR)
         expected[2] += normal_rate @ slip
-    assert bias == pytest.approx(expected, **NEAR)
+    assert system.bias[1] == pytest.approx(expected, **NEAR)

@@ -12,11 +12,14 @@ import math
 import numpy as np
 import pytest
 from calling import from_python, record_of
+from made_systems import made_system
 from scipy.optimize import nnls
 from test_directions_parts import turned
 from test_modes_parts import CONTACTS, ELLIPSE, HELD, RESISTING, made
 
-from pincontact.dynamics import equations, modes
+from pincontact.dynamics import contact_modes, equations, mode_changes, modes, redistribution
+from pincontact.dynamics.mode_loads import ModeSolution
+from pincontact.dynamics.mode_problem import ModeProblem, all_stick, mode_problem
 from pincontact.dynamics.modes import Decision, ModeSolver
 from pincontact.dynamics.redundant import Choice, Cone
 from pincontact.dynamics.system import System
@@ -58,6 +61,7 @@ from pincontact.layout import (
     SLIP_SIGN,
     SLIPPING,
     STICK,
+    SYSTEM,
     TANGENTS,
     UNILATERAL,
     VISCOUS,
@@ -161,16 +165,18 @@ def test_what_contacts_are():
         system.contact_int[1, [MODE, UNILATERAL, NORMAL_SIGN]] = mode, unilateral, sign
         system.contact_real[1, [MU, VISCOUS]] = mu, viscous
         shares = mode == SLIPPING and unilateral == 1 and sign == -1
-        assert modes.shares_viscous_force(system, 1) == shares
-        assert modes.held_up_by_friction(system, 1) == (shares or (mode == SLIPPING and mu == math.inf))
-        assert modes.drags(system, 1) == (mode in (FRICTIONLESS, SLIPPING) and unilateral == 1 and viscous > 0.0)
+        assert contact_modes.shares_viscous_force(system, 1) == shares
+        assert contact_modes.held_up_by_friction(system, 1) == (shares or (mode == SLIPPING and mu == math.inf))
+        assert contact_modes.drags(system, 1) == (
+            mode in (FRICTIONLESS, SLIPPING) and unilateral == 1 and viscous > 0.0
+        )
         before = system.contact_int[0].tolist()
         ModeSolver(system).load(1)
         # what only a part of viscous friction has kept closed has no other
         assert system.contact_int[1, MODE] == (FRICTIONLESS if shares and mu == 0.0 else mode)
         assert system.contact_int[1, NORMAL_SIGN] == 1
         assert system.contact_int[0].tolist() == before
-    assert [modes.rest_mode(mu) for mu in (0.0, 1e-9, math.inf)] == [FRICTIONLESS, STICK, STICK]
+    assert [contact_modes.rest_mode(mu) for mu in (0.0, 1e-9, math.inf)] == [FRICTIONLESS, STICK, STICK]
 
 
 def test_every_closed_contact_gets_a_load():
@@ -331,13 +337,13 @@ def test_slip_that_friction_would_not_let_begin(monkeypatch):
     system.list_rows([(0, 2)])
     system.contact_real[:, SLIP_RATE] = -0.9e-10, -1.1e-10, -1.2e-10
     aligned = saying(True)
-    monkeypatch.setattr(modes, "align_slips", aligned)
+    monkeypatch.setattr(mode_changes, "align_slips", aligned)
     assert solver._goes_back(T, [0, 1, 2], never) == 2
     assert aligned.asked == [(system, T, [0, 1, 2], never)]
     assert solver._goes_back(T, [0, 1], never) == 1
     assert solver._goes_back(T, [0], never) is None
     # without directions one of them all
-    monkeypatch.setattr(modes, "align_slips", saying(False))
+    monkeypatch.setattr(mode_changes, "align_slips", saying(False))
     assert solver._goes_back(T, [0], never) == 0
     assert solver._goes_back(T, [0, 1], never) == 1
     assert solver._goes_back(T, [], never) is None
@@ -905,18 +911,18 @@ def test_whether_all_rows_are_those_of_cones():
     solver = ModeSolver(system)
     system.contact_real[2, MU] = math.inf
     system.counters["row_count"] = 6
-    assert solver._all_stick([0, 2], [0], [], [])
-    assert not solver._all_stick([0, 2], [2], [], [])
-    assert not solver._all_stick([0, 2], [0], [0], [])
-    assert not solver._all_stick([0, 2], [0], [], [4])
+    assert all_stick(solver.system, [0, 2], [0], [], [])
+    assert not all_stick(solver.system, [0, 2], [2], [], [])
+    assert not all_stick(solver.system, [0, 2], [0], [0], [])
+    assert not all_stick(solver.system, [0, 2], [0], [], [4])
     for count in (5, 7):
         system.counters["row_count"] = count
-        assert not solver._all_stick([0, 2], [0], [], [])
+        assert not all_stick(solver.system, [0, 2], [0], [], [])
     system.counters["row_count"] = 6
     system.contact_int[0, ANISOTROPIC] = 1
-    assert not solver._all_stick([0, 2], [0], [], [])
+    assert not all_stick(solver.system, [0, 2], [0], [], [])
     system.contact_int[0, ANISOTROPIC], system.contact_int[2, MODE] = 0, SLIPPING
-    assert not solver._all_stick([0, 2], [0], [], [])
+    assert not all_stick(solver.system, [0, 2], [0], [], [])
 
 
 def solved_cones(monkeypatch, forces, velocities, kinds, statuses=(OK,), holds=True, chosen=True):
@@ -932,11 +938,11 @@ def solved_cones(monkeypatch, forces, velocities, kinds, statuses=(OK,), holds=T
     system.contact_real[6, MU] = math.inf
     solver = ModeSolver(system)
     solver._limits[:] = system.contact_real[:, MU]
-    problem = modes._Problem(
+    problem = ModeProblem(
         np.eye(33), np.full(33, -2e12), np.zeros(33), np.ones(11), {1: ELLIPSE.copy()}, {10: 9, 11: 10}
     )
-    monkeypatch.setattr(solver, "_problem", saying(problem))
-    solution = saying(modes._Solution(forces.copy(), velocities.copy(), np.array(kinds), 3e-12))
+    monkeypatch.setattr(modes, "mode_problem", saying(problem))
+    solution = saying(ModeSolution(forces.copy(), velocities.copy(), np.array(kinds), 3e-12))
     monkeypatch.setattr(solver, "_solve_with_loads", solution)
     monkeypatch.setattr(solver, "_holds", saying(holds))
     monkeypatch.setattr(solver, "redistribute", saying(chosen))
@@ -1035,12 +1041,16 @@ def test_what_gives_way_has_sliding_friction(monkeypatch):
 
     def solve(*arguments):
         limits.append(solver._limits.tolist())
-        return modes._Solution(zero.copy(), zero.copy(), np.array(answers[len(limits) - 1]), 0.0)
+        return ModeSolution(zero.copy(), zero.copy(), np.array(answers[len(limits) - 1]), 0.0)
 
-    monkeypatch.setattr(solver, "_problem_of_sticking", saying(modes._Problem(zero, np.ones(12), zero, zero)))
-    monkeypatch.setattr(solver, "_all_stick", saying(True))
+    posed = saying(ModeProblem(zero, np.ones(12), zero, zero))
+    monkeypatch.setattr(modes, "problem_of_sticking", posed)
+    monkeypatch.setattr(modes, "all_stick", saying(True))
     monkeypatch.setattr(solver, "_solve_with_loads", solve)
     solver._solve_cones(T, [0, 1, 2], [0, 1, 2, 3], [], [], Played(system))
+    # with the limits that the slip found so far has left
+    assert all(asked[0] is system and asked[1] is solver._limits and asked[2] == [0, 1, 2, 3] for asked in posed.asked)
+    assert posed.asked
     assert limits == [[0.5, 0.5, 0.3, 0.5], [0.3, 0.5, 0.3, 0.5], [0.3, 0.3, 0.3, 0.5]]
     monkeypatch.setattr(solver, "_solve_with_loads", saying(None))
     decision = solver._solve_cones(T, [0], [0, 1, 2, 3], [], [], never)
@@ -1073,7 +1083,7 @@ def test_guesses_are_symmetric_problems(seed, monkeypatch):
     system, solver = made(rng)
     system.force = rng.normal(size=(10, 3))
     system.force[[1, 2], 2] = 1.5, 2.5
-    problem = solver._problem(CONTACTS, [3, 4], HELD, RESISTING)
+    problem = mode_problem(solver.system, solver._limits, CONTACTS, [3, 4], HELD, RESISTING)
     guesses, asked = [], []
 
     class Asked:
@@ -1145,12 +1155,13 @@ def test_cones_of_forces():
 
 def reference_at(system, index, time, loads):
     """The reference that an evaluation takes, from its kernel."""
-    reference, work = np.zeros_like(system.reference), np.zeros(system.nv)
-    part(equations._move_reference)(
-        index, len(index), loads, time - system.scalars["reference_time"], system.reference_start,
-        system.reference_rate, system.reference_slope, system.nv, reference, work,
-    )  # fmt: skip
-    return reference[index[:, 0], index[:, 1]]
+    made = made_system(system.nc, system.ng, system.nr, system.nv)
+    for name in ("reference_start", "reference_rate", "reference_slope"):
+        getattr(made, name)[:] = getattr(system, name)
+    made.row_index[: len(index)], made.multipliers[: len(index)] = index, loads
+    made.scalars["time"], made.scalars["reference_time"] = time, system.scalars["reference_time"]
+    part(equations.move_reference, SYSTEM)(made, len(index))
+    return made.reference[index[:, 0], index[:, 1]]
 
 
 @SEEDS
@@ -1264,7 +1275,7 @@ def test_when_there_is_no_choice(monkeypatch):
     assert not solver.redundant
     # none inside the cones
     system.whitened_rows[1] = 1.0, 0.0
-    monkeypatch.setattr(modes, "central_force", saying(None))
+    monkeypatch.setattr(redistribution, "central_force", saying(None))
     assert not solver.redistribute(T, never)
     assert solver.redundant
 
@@ -1280,7 +1291,7 @@ def test_what_friction_holds_up_counts_by_its_friction(monkeypatch):
     system.counters["row_rank"] = 3
     system.whitened_forces[1] = 2.0, 0.0
     asked = saying(None)
-    monkeypatch.setattr(modes, "central_force", asked)
+    monkeypatch.setattr(redistribution, "central_force", asked)
     solver.redistribute(T, never)
     forces, null, cones = asked.asked[0]
     assert forces.tolist() == [1.0, 5.0, 0.3, 0.1]

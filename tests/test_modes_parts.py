@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from pincontact.dynamics.mode_problem import mode_problem, problem_of_sticking
 from pincontact.dynamics.modes import ModeSolver
 from pincontact.friction import cone
 from pincontact.layout import (
@@ -100,7 +101,7 @@ def test_cone_problems_are_those_of_the_motion(seed):
     """Velocities of the units are accelerations that their forces make; what has no row stands alone."""
     rng = np.random.default_rng(seed)
     system, solver = made(rng, ideal=bool(seed % 2))
-    problem = solver._problem(CONTACTS, [3, 4], HELD, RESISTING)
+    problem = mode_problem(system, solver._limits, CONTACTS, [3, 4], HELD, RESISTING)
     assert problem.turns == {8: 8, 9: 9}
     assert list(problem.shapes) == [3]
     assert problem.shapes[3] == pytest.approx(ELLIPSE)
@@ -144,7 +145,7 @@ def on_disk(aim, radius):
 def test_solutions_follow_the_laws_of_what_slides_and_what_rests(ideal, seed, monkeypatch):
     rng = np.random.default_rng([1, seed])
     system, solver = made(rng, ideal)
-    problem = solver._problem(CONTACTS, [3, 4], HELD, RESISTING)
+    problem = mode_problem(system, solver._limits, CONTACTS, [3, 4], HELD, RESISTING)
     if ideal:
         problem.limits[2] = math.inf
     tried = counted(solver.solver, monkeypatch)
@@ -193,7 +194,7 @@ def test_solutions_begin_from_the_last_forces(seed, monkeypatch):
     rng = np.random.default_rng([2, seed])
     system, solver = made(rng)
     system.force = rng.normal(size=(10, 3))
-    problem = solver._problem(CONTACTS, [3, 4], HELD, RESISTING)
+    problem = mode_problem(system, solver._limits, CONTACTS, [3, 4], HELD, RESISTING)
     asked = []
     monkeypatch.setattr(solver.loads, "solve", lambda loads, start, guess: asked.append((loads, start)))
     assert solver._solve_with_loads(problem, CONTACTS, HELD, RESISTING) is None
@@ -214,7 +215,7 @@ def test_solutions_begin_from_the_last_forces(seed, monkeypatch):
 def test_contacts_alone(contacts, seed):
     rng = np.random.default_rng([3, seed, len(contacts)])
     system, solver = made(rng)
-    problem = solver._problem(contacts, [c for c in contacts if c > 1], [], [])
+    problem = mode_problem(system, solver._limits, contacts, [c for c in contacts if c > 1], [], [])
     assert problem.gram.shape == (3 * len(contacts),) * 2
     solution = solver._solve_with_loads(problem, contacts, [], [])
     forces, velocities = solution.forces, (problem.gram @ solution.forces.ravel() + problem.base).reshape(-1, 3)
@@ -264,7 +265,10 @@ def test_the_problem_of_what_all_sticks(seed):
     for i, c in enumerate(contacts):
         for k, row in enumerate((2, 0, 1)):
             system.whitened_rows[3 * i + k] = np.linalg.solve(system.factor.T, system.rows[c, row])
-    found, general = solver._problem_of_sticking(contacts), solver._problem(contacts, contacts, [], [])
+    found, general = (
+        problem_of_sticking(system, solver._limits, contacts),
+        mode_problem(system, solver._limits, contacts, contacts, [], []),
+    )
     assert found.gram == pytest.approx(general.gram, abs=1e-13)
     assert found.base == pytest.approx(general.base, abs=1e-13)
     assert found.weights == pytest.approx(general.weights, abs=1e-13)

@@ -10,10 +10,10 @@ import pytest
 import scipy
 
 import pincontact as pc
-from pincontact.dynamics.system import System
 from pincontact.geometry.nearest import NearestSearch
+from pincontact.integration.discrete import write_discrete
 from pincontact.integration.open_contacts import OpenContacts
-from pincontact.state import write_discrete
+from pincontact.integration.run_system import RunSystem
 
 G = 9.81
 METHODS = ["DOP853", "RK45", "RK23", "Sharp98", "Moreau"]
@@ -151,7 +151,7 @@ def test_nearest_points(shape, ground):
     rng = np.random.default_rng(len(shape) + 7 * len(ground))
     one, two = SHAPES[shape], GROUNDS[ground]
     scene = scene_of(one, two, side=1)
-    system = System(scene.model, list(scene.contacts.values()))
+    system = RunSystem(scene.model, list(scene.contacts.values()))
     tree, spacing = samples_of(ground)
     found = 0
     for _ in range(4):
@@ -396,7 +396,7 @@ def test_what_may_touch_within_a_step_is_foreseen():
         gap = height + rise * times - 0.5 * G * times**2 + turned[:, 2] - radius
         touch = times[int(np.argmax(gap < 0.0))]
         state = start(scene, (0.0, 0.0, height), (0.0, 0.0, rise), spin)
-        system = System(scene.model, list(scene.contacts.values()))
+        system = RunSystem(scene.model, list(scene.contacts.values()))
         system.q[:], system.v[:], system.location[:] = state.q, state.v, state.location
         write_discrete(system, state.discrete)
         system.evaluate(0.0)

@@ -10,10 +10,13 @@ import pytest
 
 import pincontact.contours as pc
 from pincontact.contours import fits, revolution
-from pincontact.contours.base import TAPE_CURVE, Contour
+from pincontact.contours.base import Contour
 from pincontact.contours.branches import _Followed
 from pincontact.contours.fits import fit
-from pincontact.contours.formula import Formula, _seam, takes_time, trials
+from pincontact.contours.formula import Formula, takes_time, trials
+from pincontact.contours.piecewise import fitted
+from pincontact.contours.program import _seam
+from pincontact.contours.tape import traced
 from pincontact.contours.trace import Path, Untraceable, trace
 from pincontact.errors import ContourError
 
@@ -63,7 +66,7 @@ def test_a_path_holds_where_its_decisions_are_the_same(name):
         same = np.array([decided(float(u)) == decided(float(at)) for u in points])
         # a path may be narrower than it need be where a decision does not matter to the outcome, but not wider
         assert (holds == same).all()
-        curve = Contour(TAPE_CURVE, 1, pool=path.tape("u").pool)
+        curve = Contour(traced, 1, pool=path.tape("u").pool)
         for u in points[holds]:
             assert curve.point(float(u))[0] == pytest.approx(float(function(float(u))), abs=4e-15)
 
@@ -145,7 +148,7 @@ ALGEBRA = {
 def test_what_is_simplified_stays_the_same(name):
     function, expected = ALGEBRA[name]
     found = trace(function, "uv", 1)
-    surface = Contour(pc.base.TAPE_SURFACE, 2, pool=found.pool)
+    surface = Contour(traced, 2, pool=found.pool)
     for u, v in np.random.default_rng(3).uniform(-1.5, 1.5, (10, 2)).tolist():
         assert surface.point((u, v))[0] == pytest.approx(expected(u, v), rel=4e-15, abs=4e-15)
 
@@ -173,7 +176,7 @@ def test_a_fit_is_the_function_with_its_derivatives(given):
 
     one = fit("test", wave, [(0.5, 1.2)], [False], wave_derivatives if given else None)
     assert one.error < 1e-14
-    curve = Contour(pc.base.SPLINE_CURVE, 1, pool=one.pool)
+    curve = Contour(fitted, 1, pool=one.pool)
     for x in np.linspace(0.5, 1.2, 23):
         rows = curve.evaluate(float(x))
         assert rows[0, :2] == pytest.approx(wave(x), abs=2e-14)
@@ -181,7 +184,7 @@ def test_a_fit_is_the_function_with_its_derivatives(given):
         assert rows[[1, 3], :2] == pytest.approx(wave_derivatives(x), abs=1e-9)
     two = fit("test", of_two, [(0.5, 1.2), (2.0, 5.0)], [False, False], derivatives if given else None)
     assert two.error < 1e-12
-    surface = Contour(pc.base.SPLINE_SURFACE, 2, pool=two.pool)
+    surface = Contour(fitted, 2, pool=two.pool)
     for x, y in itertools.product(np.linspace(0.5, 1.2, 5), np.linspace(2.0, 5.0, 6)):
         rows = surface.evaluate((x, y))
         assert rows[0, :2] == pytest.approx(of_two(x, y), rel=1e-13)
@@ -200,7 +203,7 @@ def test_derivatives_that_are_given_improve_a_fit():
 
     off = []
     for given in (derivatives, None):
-        curve = Contour(pc.base.SPLINE_CURVE, 1, pool=fit("test", wave, [(0.0, 1.0)], [False], given).pool)
+        curve = Contour(fitted, 1, pool=fit("test", wave, [(0.0, 1.0)], [False], given).pool)
         points = np.linspace(0.0, 1.0, 201)
         off.append(max(abs(curve.evaluate(float(x))[3, 0] + 81 * math.sin(9 * x)) for x in points))
         assert max(abs(curve.point(float(x))[0] - math.sin(9 * x)) for x in points) < 4e-15
@@ -412,9 +415,9 @@ def test_a_cap_is_fitted_to_rounding_as_far_as_it_reaches():
         (lambda s: (math.sin(3.0 - s) * 2.0, math.cosh(s - 3.0)), 3.0, -1.0),
     ):
         tape = trace(profile, "u", 2)
-        curve = Contour(TAPE_CURVE, 1, pool=tape.pool)
+        curve = Contour(traced, 1, pool=tape.pool)
         pool, reach = revolution._cap("test", curve, end, towards, 0.8, 1.0)
-        cap = Contour(pc.base.SPLINE_CURVE, 1, pool=pool)
+        cap = Contour(fitted, 1, pool=pool)
         assert 0.05**2 < reach < 0.8**2
         for d in np.linspace(0.0, 1.0, 21) * math.sqrt(reach):
             g, k = cap.point(d * d)[:2]
@@ -424,10 +427,10 @@ def test_a_cap_is_fitted_to_rounding_as_far_as_it_reaches():
             assert k == pytest.approx(z, abs=4e-15)
     # where a fit of all of it is not to rounding, it is of less
     steep = trace(lambda s: (s / (1.0 + 40.0 * s * s), 1.0 / (1.0 + 40.0 * s * s)), "u", 2)
-    steep = Contour(TAPE_CURVE, 1, pool=steep.pool)
+    steep = Contour(traced, 1, pool=steep.pool)
     pool, reach = revolution._cap("test", steep, 0.0, 1.0, 0.8, 1.0)
     assert 1e-4 < reach < 0.3**2
-    cap = Contour(pc.base.SPLINE_CURVE, 1, pool=pool)
+    cap = Contour(fitted, 1, pool=pool)
     for w in np.linspace(0.0, reach, 11):
         assert cap.point(w)[:2] == pytest.approx(np.full(2, 1.0 / (1.0 + 40.0 * w)), abs=2e-14)
     for profile, message in (
@@ -436,7 +439,7 @@ def test_a_cap_is_fitted_to_rounding_as_far_as_it_reaches():
         (lambda s: (s, s * s + 0.1 * s**3), "z even"),
         (lambda s: (s**3, s * s), "tangentially"),
     ):
-        curve = Contour(TAPE_CURVE, 1, pool=trace(profile, "u", 2).pool)
+        curve = Contour(traced, 1, pool=trace(profile, "u", 2).pool)
         with pytest.raises(ContourError, match=message):
             revolution._cap("test", curve, 0.0, 1.0, 0.8, 1.0)
 
@@ -602,6 +605,6 @@ def test_arrays_of_no_dimension_are_numbers():
         (lambda u: np.sin(np.asarray(u)) / np.asarray(2), math.sin(0.7) / 2.0),
     ):
         tape = trace(lambda u, function=function: (function(u), u, 0.0), "u", 3)
-        assert Contour(TAPE_CURVE, 1, pool=tape.pool).point(0.7)[0] == pytest.approx(value, rel=1e-15)
+        assert Contour(traced, 1, pool=tape.pool).point(0.7)[0] == pytest.approx(value, rel=1e-15)
     with pytest.raises(Untraceable, match="list where a number was expected"):
         trace(lambda u: operator.add(u, [1.0]), "u", 1)

@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 import scipy
 from calling import from_python
+from made_systems import made_system
 
 import pincontact as pc
 from pincontact.constraints.kinematics import basis_at_contact
@@ -15,14 +16,15 @@ from pincontact.contours.base import F_1, F_2, F
 from pincontact.dynamics.system import System
 from pincontact.geometry import nearest
 from pincontact.geometry.frames import curve_normal_axis
-from pincontact.geometry.location import conditioning, solve_location
+from pincontact.geometry.location import NORMAL, conditioning, solve_location
 from pincontact.geometry.nearest import NearestSearch, Whole, bend
 from pincontact.geometry.patterns import CROSSING_CURVES, ON_CURVE, ON_SURFACE
 from pincontact.geometry.search import _is_solved, _sample, _seeds, find_candidates, refine
-from pincontact.layout import LENGTH
+from pincontact.layout import K1, K2, LENGTH, PATTERN, SYSTEM
 
 UNKNOWN = np.full(4, np.nan)
-basis_of, solve_of, conditioning_of = map(from_python, (basis_at_contact, solve_location, conditioning))
+basis_of, solve_of = from_python(basis_at_contact), from_python(solve_location)
+conditioning_of = from_python(conditioning, SYSTEM)
 
 
 def free_body(joint=None):
@@ -216,7 +218,7 @@ def test_how_far_a_search_may_look_without_finding_others():
     flat = pc.HeightField(lambda x, y: 0.1 * x, domain=((-1.0, 1.0), (-1.0, 1.0)))
     assert NearestSearch(system_of(pc.Point(), flat, far), 0, 0.0).bend == 100.0
     system = system_of(pc.Cylinder(0.1), torus, far)
-    with pytest.raises(ValueError, match="for ever"):
+    with pytest.raises(ValueError, match="unbounded"):
         NearestSearch(system, 0, 0.0)
 
 
@@ -602,8 +604,9 @@ def test_equations_of_the_location(seed, k1, k2):
 @pytest.mark.parametrize(("k1", "k2"), [(0, 1), (1, 1), (0, 2), (1, 2), (2, 2)])
 def test_conditioning_has_no_units(k1, k2):
     """It is the determinant of C1 by unit tangents, and of C2 times a length."""
-    rng = np.random.default_rng([7, k1, k2])
-    first, second, normal = rng.normal(size=(10, 3)), rng.normal(size=(10, 3)), rng.normal(size=3)
+    system = made_system(2, rng=np.random.default_rng([7, k1, k2]))
+    system.contact_real[1, LENGTH], system.contact_int[1, [K1, K2]] = 0.2, [k1, k2]
+    first, second, normal = system.derivatives[2], system.derivatives[3], system.vectors[NORMAL]
     for pattern in (ON_SURFACE, CROSSING_CURVES):
         expected = 3.0
         for a in range(k2):
@@ -611,7 +614,8 @@ def test_conditioning_has_no_units(k1, k2):
         for a in range(k1):
             expected /= np.linalg.norm(first[1 + a]) ** 2
             expected *= 1.0 if pattern == CROSSING_CURVES else 0.2 / np.linalg.norm(normal)
-        assert conditioning_of(pattern, k1, k2, first, second, normal, 0.2, 3.0) == pytest.approx(expected, rel=1e-13)
+        system.contact_int[1, PATTERN] = pattern
+        assert conditioning_of(system, 1, 3.0) == pytest.approx(expected, rel=1e-13)
 
 
 @pytest.mark.parametrize("shape", [pc.Torus(0.3, 0.1), pc.Circle(0.3), pc.Point()], ids=lambda c: c.name)

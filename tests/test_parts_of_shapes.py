@@ -13,7 +13,7 @@ import pincontact.contours as pc
 from pincontact.contours import charts, piecewise, tape
 from pincontact.contours.base import F_1, F_2, F, half_diagonal, turning
 from pincontact.contours.periods import wrapped
-from pincontact.contours.piecewise import Direction, chebyshev_nodes, pack
+from pincontact.contours.piecewise import Direction, chebyshev_nodes, fitted, pack
 from pincontact.contours.trace import trace
 from pincontact.errors import ContourError
 
@@ -298,9 +298,9 @@ def test_charts_describe_the_same_point_from_each_to_each(name):
         u = float(generator.uniform(-3.0, 3.0)), float(generator.uniform(low + 0.01, high - 0.01))
         there = {0: u}
         for chart in contour.charts[1:]:
-            there[chart] = convert_chart(contour.kind, row, contour.pool, 0, *u, chart)
+            there[chart] = convert_chart(contour.kind, row, 0, *u, chart)
         for a, b in itertools.product(contour.charts, repeat=2):
-            v = convert_chart(contour.kind, row, contour.pool, a, *there[a], b)
+            v = convert_chart(contour.kind, row, a, *there[a], b)
             # a few roundings, of numbers of the size of the parameters
             assert np.abs(np.subtract(v, there[b])).max() < 2e-13
             assert np.abs(contour.point(v, chart=b) - contour.point(u)).max() < 1e-14
@@ -316,7 +316,7 @@ def test_caps_have_the_derivatives_of_the_point_in_their_parameters(name):
 
         def point(a, b, chart=chart):
             # by way of the first chart, whose formulas these are not
-            return contour.point(convert_chart(contour.kind, row, contour.pool, chart, a, b, 0))
+            return contour.point(convert_chart(contour.kind, row, chart, a, b, 0))
 
         for radius in (0.05, 0.3, 0.7, 0.9):
             a, b = radius * math.cos(0.7), radius * math.sin(0.7)
@@ -549,7 +549,7 @@ def test_piecewise_polynomials_in_both_variables(kind, uneven):
     data = value(nodes[0][:, None], nodes[1][None, :], 0, 0)
     coefficients = tables[0] @ data @ tables[1].T
     pool = pack(directions, np.stack([coefficients, 2.0 * coefficients], axis=-1), first=1)
-    shape = pc.base.Contour(pc.base.SPLINE_SURFACE, 2, pool=pool)
+    shape = pc.Contour(fitted, 2, pool=pool)
     points = [(x, y) for x in (0.0, 0.2, 0.3, 0.35, 1.0, 1.7, 2.0) for y in (-1.0, -0.4, 0.0, 0.8, 1.0)]
     for x, y in points:
         rows = shape.evaluate((x, y))

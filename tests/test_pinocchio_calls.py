@@ -12,8 +12,8 @@ from reference import build
 import pincontact as pc
 from pincontact.dynamics import pinocchio_calls
 from pincontact.dynamics.pinocchio_calls import PinocchioCalls
-from pincontact.dynamics.system import System
-from pincontact.integration.steps import SETTLE, run_task
+from pincontact.integration.run_system import RunSystem
+from pincontact.integration.steps import PROJECT_PLACES, run_task
 
 here = pytest.mark.skipif(
     sys.platform != "linux" or bool(numba.config.DISABLE_JIT), reason="known to be there on Linux, for compiled kernels"
@@ -51,10 +51,10 @@ def terms(system):
 def test_the_same_numbers(name, monkeypatch):
     model = MODELS[name]()
     rng = np.random.default_rng(5)
-    native = System(model, [])
+    native = RunSystem(model, [])
     assert native.pinocchio.native is not None
     through_python(monkeypatch)
-    plain = System(model, [])
+    plain = RunSystem(model, [])
     assert plain.pinocchio.native is None
     for _ in range(5):
         q, v = pin.integrate(model, pin.neutral(model), rng.normal(size=model.nv)), rng.normal(size=model.nv)
@@ -66,7 +66,7 @@ def test_the_same_numbers(name, monkeypatch):
             assert np.allclose(one, two, rtol=1e-13, atol=1e-13)
         for system in (native, plain):
             system.data.J[:] = np.nan
-            run_task(system.address, SETTLE, 0.0, 0.0)
+            run_task(system.address, PROJECT_PLACES, 0.0, 0.0)
         assert np.allclose(native.data.J, plain.data.J, rtol=1e-13, atol=1e-13)
 
 
@@ -106,12 +106,12 @@ def test_a_missing_function_means_calls_through_python(monkeypatch):
     for cached in (pinocchio_calls._functions, pinocchio_calls._agrees):
         cached.cache_clear()
     try:
-        assert System(free_body(), []).pinocchio.native is None
+        assert RunSystem(free_body(), []).pinocchio.native is None
     finally:
         monkeypatch.undo()
         for cached in (pinocchio_calls._functions, pinocchio_calls._agrees):
             cached.cache_clear()
-    assert System(free_body(), []).pinocchio.native is not None
+    assert RunSystem(free_body(), []).pinocchio.native is not None
 
 
 @here
@@ -122,12 +122,12 @@ def test_a_function_that_does_something_else_is_not_used(monkeypatch):
     monkeypatch.setattr(pinocchio_calls, "_functions", lambda: [places, mass_matrix, places])
     pinocchio_calls._agrees.cache_clear()
     try:
-        assert System(free_body(), []).pinocchio.native is None
+        assert RunSystem(free_body(), []).pinocchio.native is None
     finally:
         monkeypatch.undo()
         pinocchio_calls._agrees.cache_clear()
     assert inverse_dynamics != places
-    assert System(free_body(), []).pinocchio.native is not None
+    assert RunSystem(free_body(), []).pinocchio.native is not None
 
 
 def test_only_models_are_taken_for_such():
@@ -169,7 +169,7 @@ def split(model):
 def test_a_model_of_another_size_raises(change, says):
     """C++ would throw through compiled code, and end the process."""
     model = free_body()
-    system = System(model, [])
+    system = RunSystem(model, [])
     system.evaluate(0.0)
     change(model)
     with pytest.raises(SystemError) as raised:

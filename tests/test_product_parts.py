@@ -10,7 +10,7 @@ import pytest
 from pincontact.friction import product
 from pincontact.friction.cone import LARGEST_FRICTION, OPEN, SLIP, STICK
 from pincontact.friction.loads import TOLERANCE
-from pincontact.friction.product import Product, sweep_product
+from pincontact.friction.product import Product, gauss_seidel_product
 
 SEEDS = pytest.mark.parametrize("seed", range(6))
 
@@ -149,12 +149,12 @@ def test_a_sweep_goes_from_unit_to_unit(given, seed):
         expected[block] = p * min(1.0, radius / np.linalg.norm(p))
     f, u = start.copy(), problem.gram @ start + problem.base
     arrays = problem.gram, problem.normal, problem.tangents, problem.mu, problem.radius_base, problem.radius_rows
-    sweep_product(*arrays, f, u, 1)
+    gauss_seidel_product(*arrays, f, u, 1)
     assert f == pytest.approx(expected, abs=1e-12)
     assert u == pytest.approx(problem.gram @ f + problem.base, abs=1e-12)
     twice, u = start.copy(), problem.gram @ start + problem.base
-    sweep_product(*arrays, twice, u, 2)
-    sweep_product(*arrays, f, u.copy() * 0.0 + problem.gram @ f + problem.base, 1)
+    gauss_seidel_product(*arrays, twice, u, 2)
+    gauss_seidel_product(*arrays, f, u.copy() * 0.0 + problem.gram @ f + problem.base, 1)
     assert twice == pytest.approx(f, abs=1e-12)
 
 
@@ -188,7 +188,7 @@ def test_where_nothing_is_found_the_best_is_kept(monkeypatch):
     for (found, _), sweeps in ((far, 1), (near, 34)):
         f = start.copy()
         f[[4, 6, 7, 11, 14, 16, 17, 18, 19, 20]] = 0.0
-        sweep_product(*arrays, f, problem.gram @ f + problem.base, sweeps)
+        gauss_seidel_product(*arrays, f, problem.gram @ f + problem.base, sweeps)
         assert found == pytest.approx(f, abs=1e-12)
     problem.base[2] = -math.inf
     with np.errstate(all="ignore"):

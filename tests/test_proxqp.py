@@ -70,10 +70,10 @@ def test_random_problems_are_solved_without_help(contacts, count, redundant):
             assert errors(*problem, solver.forces) <= 1e-9
     assert solved >= count - 1
     assert solver.decided["qp"] == solved
-    assert solver.qp_failures == count - solved
+    assert solver.program_counts["qp_failures"] == count - solved
     # a sequence is short, its first program often enough
     assert count <= solver.qp_count <= 6 * count
-    assert solver.qp_iterations >= solver.qp_count
+    assert solver.program_counts["qp_iterations"] >= solver.qp_count
 
 
 def test_forces_are_the_homotopys_where_these_are_unique():
@@ -141,7 +141,7 @@ def test_what_has_no_solution_is_refused_and_proved():
     b = np.tile([0.3, 0.0, -1.0], 2)
     solver = alone()
     assert not solver.solve(delassus, b, np.full(2, 0.5))
-    assert solver.qp_failures == 1
+    assert solver.program_counts["qp_failures"] == 1
     with pytest.raises(pc.InfeasibleError) as error:
         solve_contacts(delassus, b, 0.5, contact_solver="proxqp")
     assert (error.value.certificate > 0.0).all()
@@ -165,7 +165,7 @@ def test_a_failed_sequence_leaves_everything_as_it_was_and_others_take_over():
     for mine, before in zip(solver.kept(), kept, strict=True):
         np.testing.assert_array_equal(mine, before)
     solver.renew()
-    assert (solver.qp_count, solver.qp_iterations, solver.qp_failures) == (0, 0, 0)
+    assert solver.program_counts == {"qp": 0, "qp_iterations": 0, "qp_failures": 0}
 
 
 def test_the_same_problem_gives_the_same_bits():
@@ -238,6 +238,13 @@ def test_a_stepper_uses_it_and_a_later_run_of_the_scene_does_not():
             stepper.step(np.array([8.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
     np.testing.assert_allclose(steppers[1].q, steppers[0].q, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(steppers[1].v, steppers[0].v, rtol=0.0, atol=1e-9)
+    # a copy goes on with the same solver
+    twin, problems = steppers[1].copy(), steppers[1]._step.stats["cone_problems"]
+    assert problems > 0
+    for one in (twin, steppers[1]):
+        one.step(np.array([8.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert twin._step.stats["decided"]["qp"] > 0
+    np.testing.assert_array_equal(twin.v, steppers[1].v)
     assert pc.simulate(scene, state, 0.01, method="Moreau", contact_solver="proxqp").stats["qp"] > 0
     assert pc.simulate(scene, state, 0.01, method="Moreau").stats["qp"] == 0
 

@@ -508,7 +508,7 @@ def test_numbers_of_yaml(tmp_path):
     text = YAML.replace("radius: 0.1", "radius: 1e-1").replace("[0, 0, 0.1,", "[00, 0, 1E-1,")
     text = text.replace("kind: Plane", "<<: &plane {kind: Line}\n    kind: Plane\n  wall: *plane")
     scene = pc.load_scene(write(tmp_path, text, "scene.yaml")).scene
-    assert scene.contours["ball"].contour.shape == (0.1,)
+    assert scene.contours["ball"].contour.size == 0.1
     assert isinstance(scene.contours["wall"].contour, pc.Line)
 
 

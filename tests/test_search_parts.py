@@ -12,7 +12,6 @@ from test_parts_of_geometry import MOVED, UNKNOWN, free_body, system_of, turned
 import pincontact as pc
 from pincontact.contours.base import F
 from pincontact.errors import PatternError
-from pincontact.geometry import nearest
 from pincontact.geometry.nearest import NearestSearch
 from pincontact.geometry.patterns import find_pattern
 from pincontact.geometry.search import _sample, _within, find_candidates
@@ -197,11 +196,11 @@ def test_the_normal_points_from_body_1_into_body_2(side):
             assert basis[2] @ outward * side < 0.0
 
 
-def test_a_field_is_one_however_it_is_made():
+def test_parameters_of_a_field_are_lengths_however_it_is_made():
     x = np.linspace(-1.0, 1.0, 8)
     for field in (pc.HeightField(lambda x, y: x * y), pc.HeightField(x, x, np.outer(x, x))):
-        assert nearest._is_height_field(field)
-    assert not nearest._is_height_field(pc.Torus(0.6, 0.2))
+        assert field.lengths
+    assert not pc.Torus(0.6, 0.2).lengths
 
 
 def test_candidates_of_contours_that_are_placed_somewhere():

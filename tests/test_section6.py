@@ -15,13 +15,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from calling import from_python
+from made_systems import made_system
 
 import pincontact as pc
 from pincontact.dynamics.system import System
 from pincontact.geometry import location
 from pincontact.geometry.patterns import PATTERNS as TABLE
-from pincontact.layout import OK
-from pincontact.state import write_discrete
+from pincontact.integration.discrete import write_discrete
+from pincontact.layout import K1, K2, OK, PATTERN, SYSTEM
 
 MASS, RADIUS, GRAVITY, MU = 1.7, 0.45, 9.81, 0.3
 J1, J3 = 0.25 * MASS * RADIUS**2, 0.5 * MASS * RADIUS**2
@@ -283,24 +284,28 @@ def test_conditions_and_jacobians_at_any_beta():
 def test_newtons_step_at_any_beta():
     """What the package solves for the location (C1 along both tangents of the plane, C2) is f_1, f_2 and f_4 of Eqs.
     42 and 43, wherever the rim and the plane's point are."""
-    jacobian, residual = from_python(location.location_jacobian), from_python(location.location_residual)
+    jacobian, residual = (
+        from_python(part, SYSTEM) for part in (location.location_jacobian, location.location_residual)
+    )
     solve, rng, rim = from_python(location.solve_location), np.random.default_rng(9), pc.Circle(RADIUS)
-    normal, k_axis = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    system = made_system(1)
+    system.contact_int[0, [PATTERN, K1, K2]] = TABLE["3C-S"].code, 1, 2
+    system.vectors[location.NORMAL] = 0.0, 0.0, 1.0
     for q, _, beta in random_betas():
         q[2] += rng.uniform(-1.0, 1.0)
         p = np.array([beta - q[5], *rng.uniform(-2.0, 2.0, 2)])
         rotation = np.array([rim_point(np.r_[0, 0, 0, q[3:]], xi) / RADIUS for xi in (0.0, 0.5 * math.pi)]).T
         rotation = np.column_stack([rotation, np.cross(*rotation.T)])
-        first, second = rim.evaluate(p[0]) @ rotation.T, np.zeros((10, 3))
+        first, second = system.derivatives
+        first[:] = rim.evaluate(p[0]) @ rotation.T
         second[:3] = [[p[1], p[2], 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
-        difference, system, scratch = second[0] - first[0] - q[:3], np.zeros((4, 8)), np.zeros((2, 3))
-        code = TABLE["3C-S"].code
-        jacobian(code, 1, 2, first, second, difference, normal, k_axis, system, scratch)
-        residual(code, 1, 2, first, second, difference, normal, system)
-        solve(1, 2, system)
+        system.vectors[location.DIFFERENCE] = second[0] - first[0] - q[:3]
+        jacobian(system, 0)
+        residual(system, 0)
+        solve(1, 2, system.location_system)
         by_p = jacobian_of(lambda x, q=q: conditions(q, x, False)[[0, 1, 3]], p)
         step = -np.linalg.solve(by_p, conditions(q, p, False)[[0, 1, 3]])
-        assert_equal(system[3, [0, 2, 3]], step)
+        assert_equal(system.location_system[3, [0, 2, 3]], step)
 
 
 def test_location_rates(frictionless, states):

@@ -10,10 +10,13 @@ import pytest
 from scipy.interpolate import BSpline
 
 import pincontact.contours as pc
-from pincontact.contours import branches, fits, piecewise, revolution, trace
-from pincontact.contours.base import TAPE_CURVE, Contour
+from pincontact.contours import branches, checks, fits, piecewise, revolution, substitutes, trace
+from pincontact.contours.base import Contour
 from pincontact.contours.branches import _beside_root, _Search, survey
-from pincontact.contours.formula import Formula, _seam
+from pincontact.contours.formula import Formula
+from pincontact.contours.piecewise import fitted
+from pincontact.contours.program import _seam
+from pincontact.contours.tape import traced
 from pincontact.contours.trace import Path
 from pincontact.errors import ContourError
 
@@ -85,7 +88,7 @@ def test_cuts_beside_roots_that_are_anywhere():
 def point_of(function, u):
     path = Path(function, "u", 1, [u])
     assert path.reason == ""
-    return Contour(TAPE_CURVE, 1, pool=path.tape("u").pool).point(u)[0]
+    return Contour(traced, 1, pool=path.tape("u").pool).point(u)[0]
 
 
 def test_a_sign_moves_into_a_sum_and_nothing_else_does():
@@ -109,7 +112,7 @@ def test_what_is_not_zero_is_true(value, wanted):
 
 
 def test_python_functions_of_numpy_are_left_as_they_are():
-    assert trace._replace(np.full, {}) is np.full
+    assert substitutes.replaced(np.full, {}) is np.full
     assert point_of(lambda u: np.full((2,), u)[1] + np.eye(2)[0, 0], 0.3) == 1.3
 
 
@@ -295,7 +298,7 @@ def test_fits_are_kept_as_what_they_are():
         return u, v, math.gamma(u + 3.0) * v
 
     surface = pc.ParametricSurface(f, ((-0.5, 0.5), (0.0, 1.0)))
-    assert surface.kind == pc.base.SPLINE_SURFACE
+    assert surface.evaluator is fitted
     assert surface.fit_error > 0.0
     rows = surface.evaluate((0.2, 0.5))
     assert rows[4, 2] == pytest.approx((math.gamma(3.2 + 1e-5) - math.gamma(3.2 - 1e-5)) / 2e-5, abs=1e-7)
@@ -422,18 +425,18 @@ def test_sizes_of_revolutions():
 
 def test_flags():
     for given, wanted in ((0, False), (1, True), (np.int64(0), False), (np.bool_(True), True), (False, False)):
-        assert pc.base.flag("test", "name", given) is wanted
-        assert pc.base.flags("test", "name", (given, True)) == (wanted, True)
-        assert pc.base.flags("test", "name", (True, given)) == (True, wanted)
+        assert checks.flag("test", "name", given) is wanted
+        assert checks.flags("test", "name", (given, True)) == (wanted, True)
+        assert checks.flags("test", "name", (True, given)) == (True, wanted)
     for bad in (2, -1, 0.0, 1.0, "yes", None):
         with pytest.raises(ContourError, match=r"name must be True or False"):
-            pc.base.flag("test", "name", bad)
+            checks.flag("test", "name", bad)
         for i in (0, 1):
             with pytest.raises(ContourError, match=rf"name\[{i}\] must be True or False"):
-                pc.base.flags("test", "name", (bad, True) if i == 0 else (True, bad))
+                checks.flags("test", "name", (bad, True) if i == 0 else (True, bad))
     for bad in ((True,), (True, False, True), "ab", 1, None):
         with pytest.raises(ContourError, match="name must be a pair of booleans"):
-            pc.base.flags("test", "name", bad)
+            checks.flags("test", "name", bad)
 
 
 @pytest.mark.parametrize("domain", [(0.0, math.inf), (-math.inf, 0.0), (-math.inf, math.inf)])

@@ -117,7 +117,7 @@ def test_outputs_of_time_stepping_cost_no_evaluation():
     assert list(track.mode[11:]) == [2] * 10
     assert np.allclose(track.tangential_force[:10], 39.24 * many.t[:10], atol=1e-12)
     assert np.allclose(track.tangential_force[11:], 0.4 * 9.81, atol=1e-12)
-    # asked for once, it stays, whatever the scene's spare system, which has been put back, does next
+    # asked for once, it stays, whatever the scene's cached system, which has been put back, does next
     found = many.state(10).discrete.tobytes()
     again = pc.simulate(scene, state, 0.2, t_eval=[0.2], **options)
     assert many.state(10).discrete.tobytes() == found

@@ -19,7 +19,8 @@ from pincontact.friction.feasibility import crushing_combination
 from pincontact.friction.loads import LoadSolver, ScaledLoads
 from pincontact.friction.solve import COMPLIANCES, ContactSolver
 
-least_norm, sweep = from_python(elimination.least_norm), from_python(cone.sweep)
+least_norm = from_python(elimination.least_norm)
+gauss_seidel_pass = from_python(cone.gauss_seidel_pass)
 
 SEEDS = pytest.mark.parametrize("seed", range(4))
 
@@ -54,10 +55,10 @@ def test_a_trace_of_compliance(nearest, seed, monkeypatch):
         return cone_solver(*arguments)
 
     cone_solver = solve.solve_cones
-    monkeypatch.setattr(solver, "_follow", follow)
+    monkeypatch.setattr(solver, "_homotopy", follow)
     monkeypatch.setattr(solve, "solve_cones", recorded)
     before = space.forces.copy()
-    assert solver._soften(space, delassus, b, mu)
+    assert solver._compliant_homotopy(space, delassus, b, mu)
     assert solver.residual <= solver.tolerance
     assert space.forces == pytest.approx(before, rel=1e-8, abs=1e-12 * np.abs(before).max())
     is_solution(delassus, b, mu, space)
@@ -83,9 +84,9 @@ def test_compliance_that_is_of_no_use(found, residual, jams, times, monkeypatch)
         solver.jammed = jams
         return found
 
-    monkeypatch.setattr(solver, "_follow", follow)
+    monkeypatch.setattr(solver, "_homotopy", follow)
     monkeypatch.setattr(solve, "solve_cones", lambda *arguments: residual)
-    assert not solver._soften(space, delassus, b, mu)
+    assert not solver._compliant_homotopy(space, delassus, b, mu)
     assert [array.tolist() for array in (space.modes, space.forces, space.velocities)] == kept
     assert len(asked) == times
 
@@ -98,10 +99,10 @@ def test_sweeps_after_other_stages(seed):
     space = solver._workspace(3)
     space.forces[:] = 1e9
     assert not space.counts[KNOWN]
-    assert solver._sweep(space, delassus, b, mu, 1e-10)
+    assert solver._gauss_seidel(space, delassus, b, mu, 1e-10)
     is_solution(delassus, b, mu, space)
     assert solver.residual <= 1e-10
-    assert not solver._sweep(space, delassus, b, mu, -1.0)
+    assert not solver._gauss_seidel(space, delassus, b, mu, -1.0)
 
 
 def test_nothing_to_solve():
@@ -147,7 +148,7 @@ def test_sweeps_of_soft_contacts(seed):
     last = u.copy()
     rounds = 400
     for _ in range(rounds):
-        sweep(g, mu, f, u)
+        gauss_seidel_pass(g, mu, f, u)
     assert u == pytest.approx(g @ f + c, abs=1e-12 * rounds * np.abs(g).max() * np.abs(f).max())
     assert np.abs(u - last).max() > 1e-3
     # nothing pulls, and as good as nothing closes

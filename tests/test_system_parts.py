@@ -13,11 +13,10 @@ import pincontact as pc
 from pincontact.contacts import characteristic_length
 from pincontact.dynamics import system as system_module
 from pincontact.dynamics.joints import joint_guards
-from pincontact.dynamics.spare import Spare, put_back, take_spare
 from pincontact.dynamics.system import FORCE_SLACK, System
 from pincontact.errors import UnusableResult
 from pincontact.geometry.patterns import NO_NORMAL
-from pincontact.integration.stages import NUMBER_OF_WORKS
+from pincontact.integration.run_system import RunSystem
 from pincontact.layout import (
     ALONG_BODY_1,
     ALONG_BODY_2,
@@ -48,6 +47,7 @@ from pincontact.layout import (
     NORMAL_1,
     NORMAL_2,
     NORMAL_SIGN,
+    NUMBER_OF_WORKS,
     OWNER,
     PATTERN,
     ROLLING,
@@ -70,6 +70,7 @@ from pincontact.layout import (
     UNILATERAL,
     VISCOUS,
 )
+from pincontact.system_cache import CachedSystem, put_back, take_system
 
 PLACE = pin.SE3(pin.utils.rotate("x", 0.3), np.array([0.1, 0.2, 0.3]))
 LAWS = [
@@ -117,7 +118,7 @@ def scene_of(laws=LAWS, motion=None):
 def laid_out():
     scene = scene_of()
     guards = joint_guards(scene.model)
-    return scene, guards, System(scene.model, list(scene.contacts.values()), True, guards, True)
+    return scene, guards, RunSystem(scene.model, list(scene.contacts.values()), True, guards, True)
 
 
 def test_sizes(laid_out):
@@ -373,7 +374,7 @@ def test_torques_that_are_not_finite():
 
 @pytest.mark.parametrize("count", [0, 3, 256, 257])
 def test_times_of_output(count):
-    system = System(scene_of().model, [])
+    system = RunSystem(scene_of().model, [])
     times = np.linspace(0.5, 1.0, count)
     system.counters["outputs_done"] = 7
     system.set_output_times(times)
@@ -399,11 +400,11 @@ def test_a_system_fits_what_it_was_made_from():
         np.linspace(0.0, 1.0, 7), [pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.1 * i])) for i in range(7)]
     )
     scene = scene_of(motion=motion)
-    spare = Spare(scene, True, False)
-    assert spare.fits(scene, True, False)
-    assert not spare.fits(scene, True, True)
-    assert not spare.fits(scene, False, False)
-    assert not spare.fits(scene_of(motion=motion), True, False)
+    cached = CachedSystem(scene, True, False)
+    assert cached.fits(scene, True, False)
+    assert not cached.fits(scene, True, True)
+    assert not cached.fits(scene, False, False)
+    assert not cached.fits(scene_of(motion=motion), True, False)
     placement = scene.contours["ball"].placement_in_joint
     changes = [
         (scene.model.damping, 0), (placement.translation, 1), (motion.parameters, 0), (motion.pool, 2),
@@ -414,22 +415,22 @@ def test_a_system_fits_what_it_was_made_from():
             continue
         kept = array[place]
         array[place] += 0.5
-        assert not spare.fits(scene, True, False)
+        assert not cached.fits(scene, True, False)
         array[place] = kept
-        assert spare.fits(scene, True, False)
+        assert cached.fits(scene, True, False)
     scene.add_contact("more", scene.contours["tray"], scene.contours["field"], side=1)
-    assert not spare.fits(scene, True, False)
+    assert not cached.fits(scene, True, False)
 
 
-def test_a_spare_system_is_taken_once():
+def test_a_cached_system_is_taken_once():
     scene = scene_of()
-    spare = take_spare(scene, False, True)
-    put_back(scene, spare)
-    spare.system.q[0] = 7.0
-    again = take_spare(scene, False, True)
-    assert again is spare
+    cached = take_system(scene, False, True)
+    put_back(scene, cached)
+    cached.system.q[0] = 7.0
+    again = take_system(scene, False, True)
+    assert again is cached
     # as new
     assert (again.system.q == pin.neutral(scene.model)).all()
-    assert take_spare(scene, False, True) is not spare
-    put_back(scene, spare)
-    assert take_spare(scene, True, True) is not spare
+    assert take_system(scene, False, True) is not cached
+    put_back(scene, cached)
+    assert take_system(scene, True, True) is not cached

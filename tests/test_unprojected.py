@@ -31,8 +31,9 @@ from random_contacts import (
 import pincontact as pc
 from pincontact.analysis.instant import Instant
 from pincontact.dynamics.equations import slip_direction
-from pincontact.dynamics.system import System
 from pincontact.geometry.carriers import OMEGA
+from pincontact.integration.discrete import read_discrete, write_discrete
+from pincontact.integration.run_system import RunSystem
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.tableaux import tableau
 from pincontact.layout import (
@@ -52,7 +53,6 @@ from pincontact.layout import (
     TANGENTS,
 )
 from pincontact.layout import START as START_TIME
-from pincontact.state import read_discrete, write_discrete
 
 EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
 LAWS = {"frictionless": None, "slipping": pc.Coulomb(0.15), "rolling": pc.NoSlip()}
@@ -268,7 +268,7 @@ class Steps:
 
     def __init__(self, contact: RandomContact, instant: Instant, law: str) -> None:
         self.contact, self.law, self.here = contact, law, contact.at()
-        self.system = System(contact.scene.model, list(contact.scene.contacts.values()))
+        self.system = RunSystem(contact.scene.model, list(contact.scene.contacts.values()))
         write_discrete(self.system, read_discrete(instant.system))
         self.rk = RungeKutta(self.system, tableau("RK45"), 1e-10, 1e-12, None)
 

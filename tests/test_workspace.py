@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pincontact.jit import INTEGER, REAL, entry_kernel, kernel
+from pincontact.jit import CHECKED, INTEGER, REAL, entry_kernel, kernel
 from pincontact.workspace import INTEGERS, REALS, Layout, Workspace, flat, record, square
 
 LAYOUT = Layout(
@@ -14,6 +14,7 @@ LAYOUT = Layout(
     mass=(REALS, 2),
     order=(INTEGERS, 1),
     cube=(REALS, 3),
+    parts=(np.dtype([("kind", INTEGERS), ("weight", REALS)]), 1),
 )
 workspace_at = LAYOUT.at
 
@@ -40,6 +41,20 @@ def last_at(address):
     order = workspace.order
     whole, corner = flat(workspace.cube), square(flat(workspace.cube), order[0])
     return whole[whole.shape[0] - 1] + 1000.0 * corner[1, 0] + 1e6 * corner.shape[1]
+
+
+@kernel
+def grow(part):
+    part.weight *= 2.0 if part.kind == 1 else 1.0
+
+
+@entry_kernel(INTEGER)
+def grow_at(address):
+    parts = workspace_at(address).parts
+    for i in range(len(parts)):
+        grow(parts[i])
+        parts[i].kind += 10
+    return parts[0].weight
 
 
 def filled(n):
@@ -69,6 +84,19 @@ def test_an_array_that_is_put_in_its_place_is_read_from_then_on():
     workspace.zeros("cube", 2, 5, 2)
     assert advance_at(workspace.address, 1.0) == 525
     assert workspace.mass is other and not other.any()
+
+
+def test_records_of_an_array_are_read_and_written_in_place():
+    workspace = Workspace(LAYOUT)
+    parts = workspace.zeros("parts", 3)
+    parts["kind"], parts["weight"] = [1, 2, 1], [0.5, 3.0, 4.0]
+    assert grow_at(workspace.address) == 1.0
+    assert workspace.parts.tolist() == [(11, 1.0), (12, 3.0), (11, 8.0)]
+
+
+def test_what_nobody_has_written_is_marked_in_records_too():
+    parts = Workspace(LAYOUT).scratch("parts", 2)
+    assert (np.isnan(parts["weight"]).all() and (parts["kind"] < -1e9).all()) == CHECKED
 
 
 def test_other_shapes_of_the_same_numbers():

@@ -21,15 +21,15 @@ import pinocchio as pin
 from timing import by_turns, free_body
 
 import pincontact as pc
-from pincontact.dynamics.system import System
 from pincontact.friction.solve import ContactSolver
 from pincontact.integration import driver
+from pincontact.integration.discrete import write_discrete
+from pincontact.integration.run_system import RunSystem
 from pincontact.integration.steps import KEEP_VELOCITY, run_task
-from pincontact.state import write_discrete
 
 _RUNS = 15
 # What Python calls for compiled work, and the driver's handlers of what may be an event.
-_COMPILED = [(System, "run")]
+_COMPILED = [(RunSystem, "run"), (RunSystem, "evaluate")]
 _CONE = [(ContactSolver, "solve")]
 _HANDLERS = [(driver.Driver, "_complete"), (driver.Driver, "_end_slip"), (driver.Driver, "_slow_slip")]
 
@@ -115,15 +115,15 @@ def _push(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.array([5.0 * np.sin(6.0 * t), 0.0, 0.0, 0.0, 0.0, 0.5 * np.cos(5.0 * t)])
 
 
-def _evaluated(scene: pc.Scene, state: pc.State) -> System:
-    system = System(scene.model, list(scene.contacts.values()))
+def _evaluated(scene: pc.Scene, state: pc.State) -> RunSystem:
+    system = RunSystem(scene.model, list(scene.contacts.values()))
     write_discrete(system, state.discrete)
     system.q[:], system.v[:], system.location[: system.nc] = state.q, state.v, state.location
     system.evaluate(0.0)
     return system
 
 
-def evaluation_parts(system: System, twin: System) -> tuple[float, float]:
+def evaluation_parts(system: RunSystem, twin: RunSystem) -> tuple[float, float]:
     """Microseconds of Pinocchio and of the kernels in one evaluation; nan where kernels call Pinocchio through Python,
     and the parts cannot be told apart.
 

@@ -22,8 +22,8 @@ from timing import by_turns, free_body
 
 import pincontact as pc
 from pincontact.dynamics.system import System
+from pincontact.integration.discrete import write_discrete
 from pincontact.layout import MODE, MU, STICK
-from pincontact.state import write_discrete
 
 _RUNS = 15
 Writer = Callable[[str, float, float, float], None]

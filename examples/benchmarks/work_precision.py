@@ -422,7 +422,8 @@ def _small_motions(result: Result) -> str:
     if not small:
         return ""
     return (
-        f"Errors as large as a whole motion are not counted: nothing gets further from its start ({'; '.join(small)})."
+        "Errors as large as the motion itself are not counted. Largest distance of a body from its start: "
+        f"{'; '.join(small)}."
     )
 
 

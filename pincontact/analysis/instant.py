@@ -10,14 +10,15 @@ import numpy as np
 import pinocchio as pin
 
 from ..dynamics.joints import joint_guards
-from ..dynamics.system import System
 from ..dynamics.units import unwhiten, whiten
 from ..errors import SingularContactError, SolverError
 from ..geometry.carriers import ORIGIN
+from ..geometry.chart_changes import move_charts
 from ..geometry.patterns import ON_CURVE
+from ..integration.discrete import read_discrete, write_discrete
 from ..integration.results import FAILURES, SINGULAR_CONTACT, Stop
+from ..integration.run_system import RunSystem
 from ..integration.runge_kutta import RungeKutta
-from ..integration.stages import move_charts
 from ..integration.tableaux import tableau
 from ..integration.transitions import Transitions
 from ..layout import (
@@ -39,7 +40,7 @@ from ..layout import (
     STRIBECK_SPEED,
     TANGENTS,
 )
-from ..state import Correction, State, check_state, check_vector, read_discrete, write_discrete
+from ..state import Correction, State, check_state, check_vector
 from .kinematics import jacobians
 from .ranks import Directions
 
@@ -106,7 +107,7 @@ class Instant:
         check_state(scene, state)
         self.scene, self.model = scene, scene.model
         contacts = list(scene.contacts.values())
-        self.system = system = System(scene.model, contacts, guards=joint_guards(scene.model), resistances=True)
+        self.system = system = RunSystem(scene.model, contacts, guards=joint_guards(scene.model), resistances=True)
         self.t = float(state.t)
         self.tau = check_vector("tau", np.zeros(system.nv) if tau is None else tau, system.nv)
         self.q, self.v = state.q.copy(), state.v.copy()
@@ -131,7 +132,7 @@ class Instant:
                 transitions.begin(self.t)
             else:
                 rk.evaluate(self.t)
-                transitions.modes_from_velocities()
+                transitions.changes.set_from_velocities()
                 for g, guard in enumerate(system.guards):
                     speed = float(self.v[guard.index_v])
                     transitions.modes.release(g, 0 if self.at_rest(speed) else 1 if speed > 0.0 else -1)
@@ -254,7 +255,7 @@ class Instant:
 
     def constrained(self) -> list[tuple[int, int]]:
         """(item, basis row) of every constrained component of v_c, of omega where turning is resisted, or of a held
-        joint's velocity: normals, then tangents in stick. Items are those of `System`."""
+        joint's velocity: normals, then tangents in stick. Items are those of `RunSystem`."""
         integers = self.system.contact_int
         normals, tangents = [], [(self.system.nc + g, 2) for g in self.system.held()]
         for c in [*self.system.closed(), *self.system.resisting()]:

@@ -12,8 +12,9 @@ from ..errors import SingularContactError
 from ..geometry.carriers import OMEGA, ORIGIN
 from ..geometry.frames import contact_frame, curve_normal_axis, dual_basis
 from ..geometry.patterns import CROSSING_CURVES, ON_SURFACE, PLANAR
+from ..integration.discrete import write_discrete
 from ..layout import CONDITION, OK, PATTERN, SUPPORT_SIZE
-from ..state import State, check_state, write_discrete
+from ..state import State, check_state
 
 if TYPE_CHECKING:
     from ..contacts import Contact

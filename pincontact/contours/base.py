@@ -1,12 +1,13 @@
-"""What a contour is: a kind, a few numbers, and derivatives up to second order (Defs. 1-4).
+"""What a contour is: numbers, a kernel that evaluates them, and derivatives up to second order (Defs. 1-4).
 
-A contour is a point, a curve f(u) or a surface f(u1, u2) in its own frame. The compiled kernels see it as one
-row of a flat table: an integer kind, `SHAPE_SIZE` shape parameters and, for kinds with more data, a pool of
-numbers.
+A contour is a point, a curve f(u) or a surface f(u1, u2) in its own frame. Compiled code sees it as the address of its
+kernel (see `evaluation`), `SHAPE_SIZE` shape parameters and, for shapes with more data, a pool of numbers.
 """
 
 from __future__ import annotations
 
+import inspect
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,64 +16,165 @@ import numpy as np
 
 from ..arguments import NOT_REAL, is_number, real, real_array
 from ..errors import ContourError
-
-# Kinds. Closed-form kinds come first within each dimension; the values are the table's, not the user's.
-POINT = 0
-LINE, CIRCLE, ELLIPSE, HELIX, CYCLOID, FOURIER_CURVE, SPLINE_CURVE, TAPE_CURVE = range(10, 18)
-PLANE, SPHERE, ELLIPSOID, CYLINDER, CONE, TORUS = range(30, 36)
-REVOLUTION, HEIGHT_FIELD, SPLINE_SURFACE, TAPE_SURFACE = range(36, 40)
-
-SHAPE_SIZE = 8
+from .checks import interval
+from .evaluation import evaluate_contour
+from .sizes import DERIVATIVE_ROWS, SHAPE_SIZE
 
 # Rows of the derivative array that every evaluation fills: f and its derivatives by u1, u2 and t.
-F, F_1, F_2, F_11, F_12, F_22, F_T, F_1T, F_2T, F_TT = range(10)
-DERIVATIVE_ROWS = 10
+F, F_1, F_2, F_11, F_12, F_22, F_T, F_1T, F_2T, F_TT = range(DERIVATIVE_ROWS)
+
+# Shapes that compiled code tells apart: those with a closed form of the contact coordinates (see `geometry.location`)
+# or with several charts (see `charts`). All others are OTHER.
+OTHER, POINT, CIRCLE, ELLIPSE, PLANE, SPHERE, ELLIPSOID, REVOLUTION = range(8)
+
+ALL = (-np.inf, np.inf)
+TURN = (-np.pi, np.pi)
+# In place of what is worked out from the shape.
+_FROM_SHAPE: Any = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Contour:
-    """A shape that can touch another, in its own frame; units are metres and radians.
+    """A shape that can touch another, in its own frame; base class of all contours.
 
-    kind:            row of the flat table (one of the constants above)
-    dimension:       number of parameters k: 0 point, 1 curve, 2 surface
-    shape:           up to SHAPE_SIZE numbers read by the kernels
-    pool:            further numbers (coefficients, knots, instructions), possibly empty
-    domain:          (low, high) of each parameter in the first chart; infinite where unbounded
-    periodic:        whether each parameter wraps around its domain
-    planar:          the curve lies in its frame's xy-plane (so it may form a planar pattern)
-    time_dependent:  f depends on t explicitly
-    size:            a characteristic length in m, infinite for planes and lines
-    convex_side:     +1 if the material that this contour bounds is convex and lies on the side opposite to
-                     e_3 (e_3 points out of a convex body), -1 if e_3 points into it, 0 if the shape does not
-                     decide. For planar curves the normal is e_1 x k.
-    fit_error:       how far in m the contour is from the function it was fitted to, 0 where it is exact
+    Users make one of the subclasses. A new kind of contour is a subclass that hands its numbers, and a kernel that
+    evaluates them, to this constructor.
+
+    Parameters
+    ----------
+    evaluator : kernel
+        Evaluates f and its derivatives; see `contours.evaluation`.
+    dimension : int
+        Number of parameters k: 0 point, 1 curve, 2 surface.
+    shape : tuple of float
+        Up to `SHAPE_SIZE` numbers that the kernel reads.
+    pool : (n,) array
+        Further numbers (coefficients, knots, instructions).
+    domain : k pairs (low, high)
+        Range of each parameter in the first chart, lengths in m and angles in rad; infinite if not given.
+    periodic : k bools
+        Whether each parameter wraps around its domain; not, if not given.
+    limits : k pairs (low, high)
+        Where a contact point comes to the contour's end, if elsewhere than at the ends of the domain.
+    charts : tuple of int
+        Numbers of its charts; domain and periodic are those of chart 0, which every contour has.
+    planar : bool
+        The curve lies in its frame's xy-plane, so that it may form a planar pattern.
+    time_dependent : bool
+        f depends on t explicitly.
+    size : float
+        A characteristic length in m, infinite for planes and lines; half the diagonal of the box around the contour
+        if not given.
+    convex_side : int
+        +1 if the material that this contour bounds is convex and lies on the side opposite to e_3 (e_3 points out of a
+        convex body), -1 if e_3 points into it, 0 if the shape does not decide. For planar curves the normal is
+        e_1 x k. If not given, found by integrating the curvature of a closed planar curve, and 0 for other shapes.
+    fit_error : float
+        How far in m the contour is from the function it was fitted to, 0 where it is exact.
+    kind : int
+        By what compiled code knows the shape, where it has a closed form or charts for it.
+    lengths : bool
+        Parameters that do not wrap around are lengths in m.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> rim = pc.Circle(radius=0.3)
+    >>> rim, rim.dimension, rim.planar
+    (Circle(radius=0.3), 1, True)
+    >>> rim.point(0.0).tolist()
+    [0.3, 0.0, 0.0]
     """
 
-    kind: int
+    evaluator: Any
     dimension: int
     shape: tuple[float, ...] = ()
-    pool: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
+    pool: np.ndarray = field(default_factory=lambda: np.zeros(0))
     domain: tuple[tuple[float, float], ...] = ()
     periodic: tuple[bool, ...] = ()
+    limits: tuple[tuple[float, float], ...] = ()
+    charts: tuple[int, ...] = (0,)
     planar: bool = False
     time_dependent: bool = False
-    size: float = np.inf
-    convex_side: int = 0
+    size: float = _FROM_SHAPE
+    convex_side: int = _FROM_SHAPE
     fit_error: float = 0.0
+    kind: int = OTHER
+    lengths: bool = False
+
+    def __new__(cls, *given: Any, **named: Any) -> Contour:
+        made = super().__new__(cls)
+        object.__setattr__(made, "_written", as_written(cls, given, named))
+        return made
+
+    def __post_init__(self) -> None:
+        if not self.domain:
+            self._set(domain=(ALL,) * self.dimension)
+        if not self.periodic:
+            self._set(periodic=(False,) * self.dimension)
+        if not self.limits:
+            ends = zip(self.domain, self.periodic)
+            self._set(limits=tuple(ALL if wraps else domain for domain, wraps in ends))
+        if self.size is None:
+            self._set(size=half_diagonal(self))
+        if self.convex_side is None:
+            self._set(convex_side=turning(self))
+
+    def _set(self, **values: Any) -> None:
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        written: str = self.__dict__["_written"]
+        return written
 
     def evaluate(self, u: Sequence[float] | float = (), t: float = 0.0, chart: int = 0) -> np.ndarray:
         """f and its derivatives at one parameter value.
 
-        u: the k parameters of the given chart; t: time in s.
-        Returns (10, 3): f, f_1, f_2, f_11, f_12, f_22, f_t, f_1t, f_2t, f_tt in the contour's frame; not finite
-        where f is not differentiable. Raises ContourError for a wrong number of parameters or chart.
+        Parameters
+        ----------
+        u : (k,) array or float
+            Parameters of the given chart.
+        t : float
+            Time in s.
+        chart : int
+            One of `charts`.
+
+        Returns
+        -------
+        (10, 3) array
+            f, f_1, f_2, f_11, f_12, f_22, f_t, f_1t, f_2t, f_tt in the contour's frame; not finite where f is not
+            differentiable.
+
+        Raises
+        ------
+        ContourError
+            For a wrong number of parameters or chart.
+
+        Examples
+        --------
+        >>> import pincontact as pc
+        >>> f, f_1, _, f_11, *_ = pc.Circle(radius=0.3).evaluate(0.0)
+        >>> f.tolist(), f_1.tolist(), f_11.tolist()
+        ([0.3, 0.0, 0.0], [-0.0, 0.3, 0.0], [-0.3, -0.0, 0.0])
         """
         return self.evaluate_many(np.atleast_1d(np.asarray(u))[None], t, chart)[0]
 
     def evaluate_many(self, u: np.ndarray, t: float = 0.0, chart: int = 0) -> np.ndarray:
-        """f and its derivatives at parameter values u (n, k): (n, 10, 3), otherwise as `evaluate`."""
-        from .table import evaluate_contours
+        """f and its derivatives at many parameter values.
 
+        Parameters
+        ----------
+        u : (n, k) array
+            Parameters of the given chart.
+        t, chart
+            As for `evaluate`.
+
+        Returns
+        -------
+        (n, 10, 3) array
+            The rows of `evaluate` for each of them.
+        """
         try:
             # a contour without parameters has none of any type
             u, t = real_array(u) if np.size(u) else np.zeros(np.shape(u)), real(t)
@@ -85,9 +187,8 @@ class Contour:
         parameters = np.zeros((len(u), 2))
         parameters[:, : self.dimension] = u
         out = np.zeros((len(u), DERIVATIVE_ROWS, 3))
-        row, pool = self.shape_row(), self.pool
         try:
-            evaluate_contours(self.kind, chart, row, pool, parameters, t, out)
+            evaluate_contour(self.evaluator, chart, self.shape_row(), self.pool, parameters, t, out)
         except (ArithmeticError, ValueError):
             # Without compilation Python raises where the kernels' arithmetic gives infinity or NaN.
             if len(u) == 1:
@@ -104,9 +205,7 @@ class Contour:
         """(4,) low and high end of u1 and u2 at which the contour stops; infinite where it does not (periodic
         parameters, poles)."""
         out = np.array([-np.inf, np.inf, -np.inf, np.inf])
-        for a in range(self.dimension):
-            if not self.periodic[a] and not (self.kind in (SPHERE, ELLIPSOID) and a == 1):
-                out[2 * a : 2 * a + 2] = self.domain[a]
+        out[: 2 * self.dimension] = np.ravel(self.limits)
         return out
 
     def shape_row(self) -> np.ndarray:
@@ -117,21 +216,34 @@ class Contour:
 
     @property
     def name(self) -> str:
+        """The name of its class."""
         return type(self).__name__
-
-    @property
-    def charts(self) -> tuple[int, ...]:
-        """The numbers of its charts; domain and periodic are those of chart 0, which every contour has."""
-        return (0, 1) if self.kind in (SPHERE, ELLIPSOID) else (0,)
 
     def samples(self, n: int | Sequence[int] = 50, window: Any = None) -> np.ndarray:
         """A grid of parameter values that covers the domain of the first chart.
 
-        n:       values along each parameter, or one number for each; ends are included, except that a parameter
-                 that wraps around has its end once
-        window:  ((low, high) for each parameter); needed where the domain is infinite, and cut to the domain
-        Returns (number of points, k), the last parameter running fastest.
-        Raises ContourError for an infinite domain without a window.
+        Parameters
+        ----------
+        n : int or k ints
+            Values along each parameter; ends are included, except that a parameter that wraps around has its end once.
+        window : k pairs (low, high), optional
+            Needed where the domain is infinite, and cut to the domain.
+
+        Returns
+        -------
+        (number of points, k) array
+            The last parameter runs fastest.
+
+        Raises
+        ------
+        ContourError
+            For an infinite domain without a window.
+
+        Examples
+        --------
+        >>> import pincontact as pc
+        >>> pc.Plane().samples(2, window=((0, 1), (0, 1))).tolist()
+        [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]]
         """
         axes = self._axes(n, window, closed=False)
         if not axes:
@@ -139,9 +251,26 @@ class Contour:
         return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
 
     def polyline(self, n: int = 100, window: Any = None, t: float = 0.0) -> np.ndarray:
-        """Points (n, 3) along a curve, both ends included, so that a closed curve ends where it starts.
+        """Points along a curve, both ends included, so that a closed curve ends where it starts.
 
-        window: ((low, high),) as in `samples`. Raises ContourError for anything but a curve.
+        Parameters
+        ----------
+        n : int
+            Number of points.
+        window : ((low, high),), optional
+            As for `samples`.
+        t : float
+            Time in s.
+
+        Returns
+        -------
+        (n, 3) array
+            In the contour's frame.
+
+        Raises
+        ------
+        ContourError
+            For anything but a curve.
         """
         if self.dimension != 1:
             raise ContourError(f"{self.name} is not a curve: it has {self.dimension} parameters")
@@ -149,10 +278,28 @@ class Contour:
         return np.array([self.point(u, t) for u in axis])
 
     def mesh(self, n: int | Sequence[int] = 40, window: Any = None, t: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (n1 n2, 3) and triangles (m, 3) of a surface, counter-clockwise seen from outside.
+        """Triangles of a surface; seams of parameters that wrap around are closed.
 
-        Seams of parameters that wrap around are closed. window: as in `samples`.
-        Raises ContourError for anything but a surface.
+        Parameters
+        ----------
+        n : int or two ints
+            Values along each parameter.
+        window : two pairs (low, high), optional
+            As for `samples`.
+        t : float
+            Time in s.
+
+        Returns
+        -------
+        vertices : (n1 n2, 3) array
+            In the contour's frame.
+        triangles : (m, 3) array
+            Indices of their vertices, counter-clockwise seen from outside.
+
+        Raises
+        ------
+        ContourError
+            For anything but a surface.
         """
         if self.dimension != 2:
             raise ContourError(f"{self.name} is not a surface: it has {self.dimension} parameters")
@@ -190,59 +337,21 @@ class Contour:
         return axes
 
 
-def positive(owner: str, **lengths: Any) -> tuple[float, ...]:
-    """The given lengths as floats, or a ContourError naming the one that is not positive and finite."""
-    checked = finite(owner, **lengths)
-    for name, number in zip(lengths, checked):
-        if not number > 0.0:
-            raise ContourError(f"{owner}: {name} must be positive and finite, got {number}")
-    return checked
-
-
-def finite(owner: str, **numbers: Any) -> tuple[float, ...]:
-    """The given numbers as floats, or a ContourError naming the one that is not finite."""
-    checked = []
-    for name, value in numbers.items():
-        try:
-            number = real(value)
-        except NOT_REAL:
-            raise ContourError(f"{owner}: {name} must be a number, got {value!r}") from None
-        if not np.isfinite(number):
-            raise ContourError(f"{owner}: {name} must be finite, got {number}")
-        checked.append(number)
-    return tuple(checked)
-
-
-def interval(owner: str, name: str, ends: Any) -> tuple[float, float]:
-    """(low, high) as floats with low < high, either of which may be infinite, or a ContourError."""
+def as_written(cls: type, given: tuple[Any, ...], named: dict[str, Any]) -> str:
+    """How a user would write the object of a class that is made with these arguments; long ones are shortened."""
     try:
-        low, high = (real(end) for end in ends)
-    except NOT_REAL:
-        raise ContourError(f"{owner}: {name} must be two numbers (low, high), got {ends!r}") from None
-    if not low < high:
-        raise ContourError(f"{owner}: {name} must have low < high, got ({low}, {high})")
-    return low, high
+        arguments = inspect.signature(cls.__init__).bind(None, *given, **named).arguments  # type: ignore[misc]
+    except TypeError:  # the constructor says what is wrong with them
+        return f"{cls.__name__}(...)"
+    return f"{cls.__name__}({', '.join(f'{name}={_shown(value)}' for name, value in list(arguments.items())[1:])})"
 
 
-def flag(owner: str, name: str, value: Any) -> bool:
-    """True or False, or a ContourError."""
-    if isinstance(value, (bool, np.bool_)) or (isinstance(value, (int, np.integer)) and value in (0, 1)):
-        return bool(value)
-    raise ContourError(f"{owner}: {name} must be True or False, got {value!r}")
-
-
-def flags(owner: str, name: str, values: Any) -> tuple[bool, bool]:
-    """Two of them, one for each parameter of a surface, or a ContourError."""
-    if isinstance(values, (str, bytes)) or not isinstance(values, (Sequence, np.ndarray)) or len(values) != 2:
-        raise ContourError(f"{owner}: {name} must be a pair of booleans, got {values!r}")
-    return flag(owner, f"{name}[0]", values[0]), flag(owner, f"{name}[1]", values[1])
-
-
-def in_space(values: np.ndarray) -> np.ndarray:
-    """Rows (x, y) or (x, y, z) as (n, 3), with z = 0 where they have none."""
-    out = np.zeros((len(values), 3))
-    out[:, : values.shape[1]] = values
-    return out
+def _shown(value: Any) -> str:
+    if isinstance(value, np.ndarray) and value.ndim:
+        return f"array{value.shape}"
+    if callable(value):
+        return getattr(value, "__name__", type(value).__name__)
+    return reprlib.repr(value.item() if isinstance(value, np.generic) else value)
 
 
 def half_diagonal(contour: Contour, t: float = 0.0) -> float:

@@ -12,17 +12,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import ContourError
-from .base import TAPE_CURVE, TAPE_SURFACE, Contour
+from .base import Contour
 from .enclosures import FAULTS, Check, Interval, is_end, margins, values
+from .formula import Formula
+from .tape import traced
 from .trace import Path, Tape
-
-if TYPE_CHECKING:
-    from .formula import Formula
 
 # Boxes no wider than this part of the domain are not cut again; so far from its ends a formula may do what it likes.
 _TINY = 1e-9
@@ -374,7 +372,7 @@ class _Search:
                 sides.append(np.stack([a, b], axis=1))
         pairs = np.concatenate(sides)
         parameters = self.variables.replace("t", "")
-        contour = Contour(TAPE_SURFACE if parameters == "uv" else TAPE_CURVE, len(parameters), pool=tape.pool)
+        contour = Contour(traced, len(parameters), pool=tape.pool)
         times = pairs[..., -1] if "t" in self.variables else np.zeros(pairs.shape[:2])
         rows = np.array(
             [

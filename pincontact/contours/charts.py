@@ -10,7 +10,10 @@ import math
 
 from ..jit import kernel
 from .base import ELLIPSOID, REVOLUTION, SPHERE
-from .revolution import ENTER, HIGH, HIGH_POLE, LEAVE, LOW, LOW_POLE
+
+# Shape parameters of a surface of revolution: sign of the azimuth, ends of the profile, distances from a pole at which
+# the cap chart is entered and left, which ends are poles, and whether the profile is a tape (or piecewise polynomials).
+HAND, LOW, HIGH, ENTER, LEAVE, LOW_POLE, HIGH_POLE, TRACED = range(8)
 
 # A latitude is left where its cosine falls below this; the other chart's cosine is then at least sqrt(3)/2, which
 # is the hysteresis.
@@ -57,7 +60,7 @@ def turned_back(kind, chart, shape, u1, u2):
 
 
 @kernel
-def convert_chart(kind, shape, pool, chart, u1, u2, new_chart):
+def convert_chart(kind, shape, chart, u1, u2, new_chart):
     """Parameters (u1, u2) in new_chart of the point that has parameters (u1, u2) in chart.
 
     Angles come out in (-pi, pi]. At a pole the angle is arbitrary: zero.

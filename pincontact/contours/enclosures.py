@@ -9,11 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from . import tape as ops
+from .tape import Node
+
+# What may be checked besides the operations of a tape: a comparison finds the sign of a quantity, which is that of the
+# constant; ORIGIN: where an angle has no value.
+SIGN, ORIGIN = -4, -5
 
 
 class Interval:
@@ -95,42 +100,64 @@ class Interval:
         return (self if c % 2.0 else self.absolute()).rising(lambda x: x**c)
 
 
-_GROWING: dict[int, Callable[[np.ndarray], np.ndarray]] = {
-    ops.SQRT: np.sqrt,
-    ops.EXP: np.exp,
-    ops.EXPM1: np.expm1,
-    ops.LOG: np.log,
-    ops.LOG1P: np.log1p,
-    ops.ASIN: np.arcsin,
-    ops.ATAN: np.arctan,
-    ops.SINH: np.sinh,
-    ops.TANH: np.tanh,
-    ops.ASINH: np.arcsinh,
-    ops.ACOSH: np.arccosh,
-    ops.ATANH: np.arctanh,
+class _Rule(NamedTuple):
+    """A growing function of one variable.
+
+    f: the function; slope: bounds of its derivative from those of its argument and its value; domain: where it is
+    defined; fault: what is wrong where its argument reaches an end of that.
+    """
+
+    f: Callable[[np.ndarray], np.ndarray]
+    slope: Callable[[Interval, Interval], Interval]
+    domain: tuple[float, float] = (-np.inf, np.inf)
+    fault: str = ""
+
+
+def _power_of_square(factor: float, constant: float, power: float) -> Callable[[Interval, Interval], Interval]:
+    """(factor x^2 + constant)^power."""
+    return lambda x, _: x.square().affine(factor, constant).clipped(0.0).power(power)
+
+
+_FALLS, _REACHES = "of a quantity that falls to", "of a quantity that reaches 1 or -1"
+_RULES = {
+    ops.SQRT: _Rule(np.sqrt, lambda _, f: f.inverse().affine(0.5), (0.0, np.inf), f"the square root {_FALLS} zero"),
+    ops.EXP: _Rule(np.exp, lambda _, f: f),
+    ops.EXPM1: _Rule(np.expm1, lambda x, _: x.rising(np.exp)),
+    ops.LOG: _Rule(np.log, lambda x, _: x.inverse(), (0.0, np.inf), f"the logarithm {_FALLS} zero"),
+    ops.LOG1P: _Rule(
+        np.log1p, lambda x, _: x.affine(1.0, 1.0).inverse(), (-1.0, np.inf), f"the logarithm {_FALLS} zero"
+    ),
+    ops.ASIN: _Rule(np.arcsin, _power_of_square(-1.0, 1.0, -0.5), (-1.0, 1.0), f"the arc sine or cosine {_REACHES}"),
+    ops.ATAN: _Rule(np.arctan, _power_of_square(1.0, 1.0, -1.0)),
+    ops.SINH: _Rule(np.sinh, lambda x, _: x.absolute().rising(np.cosh)),
+    ops.TANH: _Rule(np.tanh, lambda _, f: f.square().affine(-1.0, 1.0)),
+    ops.ASINH: _Rule(np.arcsinh, _power_of_square(1.0, 1.0, -0.5)),
+    ops.ACOSH: _Rule(
+        np.arccosh, _power_of_square(1.0, -1.0, -0.5), (1.0, np.inf), f"the inverse hyperbolic cosine {_FALLS} 1"
+    ),
+    ops.ATANH: _Rule(
+        np.arctanh, _power_of_square(-1.0, 1.0, -1.0), (-1.0, 1.0), f"the inverse hyperbolic tangent {_REACHES}"
+    ),
 }
-# Where a function of one variable is defined, if not everywhere.
-_DEFINED = {
-    ops.SQRT: (0.0, np.inf),
-    ops.LOG: (0.0, np.inf),
-    ops.LOG1P: (-1.0, np.inf),
-    ops.ASIN: (-1.0, 1.0),
-    ops.ACOSH: (1.0, np.inf),
-    ops.ATANH: (-1.0, 1.0),
-}
-# First derivatives as powers of polynomials: (square's factor, constant, power) of (factor x^2 + constant)^power.
-_SLOPES = {
-    ops.ASIN: (-1.0, 1.0, -0.5),
-    ops.ATAN: (1.0, 1.0, -1.0),
-    ops.ASINH: (1.0, 1.0, -0.5),
-    ops.ACOSH: (1.0, -1.0, -0.5),
-    ops.ATANH: (-1.0, 1.0, -1.0),
+# What is wrong where `_away` is not positive.
+FAULTS = {
+    **{op: rule.fault for op, rule in _RULES.items() if rule.fault},
+    ops.POWER: f"a power {_FALLS} zero",
+    ops.POWER_CONSTANT: f"a power {_FALLS} zero",
+    ops.INVERSE: "a quotient whose denominator vanishes",
+    ops.TAN: "the tangent of an angle that reaches a quarter turn",
+    ops.HYPOT: "the length of a vector that vanishes",
+    ORIGIN: "the angle of a vector that vanishes",
 }
 
 
 def _of_one(op: int, c: float, x: Interval) -> tuple[Interval, Interval]:
     """Bounds of the function `op` with constant c, and of its derivative."""
-    x = x.clipped(*_DEFINED[op]) if op in _DEFINED else x
+    if op in _RULES:
+        rule = _RULES[op]
+        x = x.clipped(*rule.domain)
+        value = x.rising(rule.f)
+        return value, rule.slope(x, value)
     if op == ops.SQUARE:
         return x.square(), x.affine(2.0)
     if op == ops.INVERSE:
@@ -138,32 +165,16 @@ def _of_one(op: int, c: float, x: Interval) -> tuple[Interval, Interval]:
         return inverse.affine(c), inverse.square().affine(-c)
     if op == ops.POWER_CONSTANT:
         return x.power(c), x.power(c - 1.0).affine(c)
+    if op in (ops.SIN, ops.COS):
+        behind, ahead = (x.affine(1.0, quarter).cosine() for quarter in (-0.5 * math.pi, 0.5 * math.pi))
+        return (behind, x.cosine()) if op == ops.SIN else (x.cosine(), ahead)
     if op == ops.COSH:
         return x.absolute().rising(np.cosh), x.rising(np.sinh)
-    if op == ops.TAN:
-        value = x.rising(np.tan)
-        pole = _away(ops.TAN, 0.0, x, x) <= 0.0
-        value = Interval(np.where(pole, -np.inf, value.lo), np.where(pole, np.inf, value.hi))
-        return value, value.square().affine(1.0, 1.0)
-    value = x.rising(_GROWING[op])
-    if op == ops.SQRT:
-        slope = value.inverse().affine(0.5)
-    elif op == ops.EXP:
-        slope = value
-    elif op == ops.EXPM1:
-        slope = x.rising(np.exp)
-    elif op == ops.LOG:
-        slope = x.inverse()
-    elif op == ops.LOG1P:
-        slope = x.affine(1.0, 1.0).inverse()
-    elif op == ops.SINH:
-        slope = x.absolute().rising(np.cosh)
-    elif op == ops.TANH:
-        slope = value.square().affine(-1.0, 1.0)
-    else:
-        factor, constant, power = _SLOPES[op]
-        slope = x.square().affine(factor, constant).clipped(0.0).power(power)
-    return value, slope
+    # TAN
+    value = x.rising(np.tan)
+    pole = _away(op, 0.0, x, x) <= 0.0
+    value = Interval(np.where(pole, -np.inf, value.lo), np.where(pole, np.inf, value.hi))
+    return value, value.square().affine(1.0, 1.0)
 
 
 def _of_two(op: int, x: Interval, y: Interval) -> tuple[Interval, Interval, Interval]:
@@ -193,49 +204,25 @@ def _of_two(op: int, x: Interval, y: Interval) -> tuple[Interval, Interval, Inte
     return value, y * inverse, (x * inverse).affine(-1.0)
 
 
-# A comparison: the sign of a quantity, which is that of the constant. ORIGIN: where an angle has no value.
-SIGN, ORIGIN = -1, -2
-
-
 def _away(op: int, c: float, x: Interval, y: Interval) -> np.ndarray:
     """How far, at least, the arguments of `op` are from where it is not smooth; positive where it is."""
     if op == SIGN:
         return x.lo if c > 0.0 else -x.hi
-    if op in (ops.SQRT, ops.LOG, ops.POWER) or (op == ops.POWER_CONSTANT and c != round(c) and c < 2.0):
-        return x.lo
-    if op == ops.POWER_CONSTANT and c != round(c):
+    if op in _RULES:
+        low, high = _RULES[op].domain
+        return np.minimum(x.lo - low, high - x.hi) if high < np.inf else x.lo - low
+    if op == ops.POWER_CONSTANT and c != round(c) and c >= 2.0:
         # twice differentiable at zero
         return np.where(x.lo == 0.0, np.finfo(float).tiny, x.lo)
+    if op == ops.POWER or (op == ops.POWER_CONSTANT and c != round(c)):
+        return x.lo
     if op in (ops.INVERSE, ops.POWER_CONSTANT):
         return x.distance
-    if op == ops.LOG1P:
-        return x.lo + 1.0
-    if op in (ops.ASIN, ops.ATANH):
-        return np.minimum(x.lo + 1.0, 1.0 - x.hi)
-    if op == ops.ACOSH:
-        return x.lo - 1.0
     if op == ops.TAN:
         return x.cosine().distance
     if op == ops.ATAN2:
         return np.maximum(y.lo, x.distance)
     return np.maximum(x.distance, y.distance)  # HYPOT, ORIGIN
-
-
-# What is wrong where `_away` is not positive.
-FAULTS = {
-    ops.SQRT: "the square root of a quantity that falls to zero",
-    ops.LOG: "the logarithm of a quantity that falls to zero",
-    ops.LOG1P: "the logarithm of a quantity that falls to zero",
-    ops.POWER: "a power of a quantity that falls to zero",
-    ops.POWER_CONSTANT: "a power of a quantity that falls to zero",
-    ops.INVERSE: "a quotient whose denominator vanishes",
-    ops.ASIN: "the arc sine or cosine of a quantity that reaches 1 or -1",
-    ops.ATANH: "the inverse hyperbolic tangent of a quantity that reaches 1 or -1",
-    ops.ACOSH: "the inverse hyperbolic cosine of a quantity that falls to 1",
-    ops.TAN: "the tangent of an angle that reaches a quarter turn",
-    ops.HYPOT: "the length of a vector that vanishes",
-    ORIGIN: "the angle of a vector that vanishes",
-}
 
 
 def is_risky(op: int, c: float) -> bool:
@@ -249,7 +236,7 @@ def is_end(op: int, c: float) -> bool:
     """Whether the function `op` with constant c has no value beyond where it is not smooth."""
     if op == ops.POWER_CONSTANT:
         return c != round(c)
-    return op in _DEFINED or op == ops.POWER
+    return op == ops.POWER or (op in _RULES and bool(_RULES[op].fault))
 
 
 # A check: operation, nodes of its arguments (the same twice if it has one) and constant.
@@ -257,7 +244,7 @@ Check = tuple[int, int, int, float]
 
 
 def values(
-    nodes: Sequence[tuple[Any, ...]], order: Sequence[int], box: dict[str, Interval], known: dict[int, Interval]
+    nodes: Sequence[Node], order: Sequence[int], box: dict[str, Interval], known: dict[int, Interval]
 ) -> dict[int, Interval]:
     """Bounds of the nodes of a graph by their numbers, in an order in which arguments come first unless known."""
     with np.errstate(all="ignore"):
@@ -266,7 +253,7 @@ def values(
 
 
 def margins(
-    nodes: Sequence[tuple[Any, ...]],
+    nodes: Sequence[Node],
     order: Sequence[int],
     checks: Sequence[Check],
     variables: str,
@@ -299,7 +286,7 @@ def margins(
 
 
 def _enclosed(
-    nodes: Sequence[tuple[Any, ...]],
+    nodes: Sequence[Node],
     order: Sequence[int],
     box: dict[str, Interval],
     reach: dict[str, Interval],
@@ -314,33 +301,26 @@ def _enclosed(
     out = known or {}
     for index in order:
         node = nodes[index]
-        if node[0] == "variable":
-            value = box[node[1]]
+        if node.op == ops.VARIABLE:
+            value = box[node.name]
             one, zero = np.ones_like(value.lo), np.zeros_like(value.lo)
-            slopes = {name: Interval(*[one if name == node[1] else zero] * 2) for name in reach}
+            slopes = {name: Interval(*[one if name == node.name else zero] * 2) for name in reach}
             out[index] = value, slopes
             continue
-        if node[0] == "affine":
-            x, x_slopes = out[node[1]]
-            value = x.affine(node[2], node[3])
-            slopes = {name: slope.affine(node[2]) for name, slope in x_slopes.items()}
-        elif node[0] == "linear":
-            (x, x_slopes), (y, y_slopes) = out[node[1]], out[node[2]]
-            value = x.affine(node[3]) + y.affine(node[4])
-            slopes = {name: x_slopes[name].affine(node[3]) + y_slopes[name].affine(node[4]) for name in reach}
-        elif node[0] == "two":
-            (x, x_slopes), (y, y_slopes) = out[node[2]], out[node[3]]
-            value, by_x, by_y = _of_two(node[1], x, y)
+        x, x_slopes = out[node.x]
+        if node.op == ops.AFFINE:
+            value = x.affine(node.c, node.d)
+            slopes = {name: slope.affine(node.c) for name, slope in x_slopes.items()}
+        elif node.op == ops.LINEAR:
+            y, y_slopes = out[node.y]
+            value = x.affine(node.c) + y.affine(node.d)
+            slopes = {name: x_slopes[name].affine(node.c) + y_slopes[name].affine(node.d) for name in reach}
+        elif node.y >= 0:
+            y, y_slopes = out[node.y]
+            value, by_x, by_y = _of_two(node.op, x, y)
             slopes = {name: by_x * x_slopes[name] + by_y * y_slopes[name] for name in reach}
         else:
-            if node[0] in ("sin", "cos"):
-                x, x_slopes = out[node[1]]
-                quarter = 0.5 * math.pi
-                ahead, behind = x.affine(1.0, quarter).cosine(), x.affine(1.0, -quarter).cosine()
-                value, slope = (behind, x.cosine()) if node[0] == "sin" else (x.cosine(), ahead)
-            else:
-                x, x_slopes = out[node[2]]
-                value, slope = _of_one(node[1], node[3], x)
+            value, slope = _of_one(node.op, node.c, x)
             slopes = {name: slope * x_slopes[name] for name in reach}
         if at_points is not None:
             mean = at_points[index]

@@ -1,4 +1,4 @@
-"""Driven contours: a placement as a function of time, with its first two time derivatives.
+"""Prescribed motions of contours: a placement as a function of time, with its first two time derivatives.
 
 A motion moves a contour relative to the frame that carries it: a heaving plate, a turntable, a belt, a prescribed
 cam. All vectors are in the axes of the carrier; velocities and accelerations are those of the moving origin, relative
@@ -19,17 +19,14 @@ from ..callback import kernel_caller
 from ..errors import ContourError, UnusableResult
 from ..jit import CALLED, INTEGER, REAL, entry_kernel, kernel
 from ..workspace import reals_at
-from .base import finite, flag, interval
+from .base import as_written
+from .checks import array, finite, flag, interval
 from .fits import fit
 from .piecewise import piecewise
-from .splines import array, spline, spline_pool
+from .sizes import MOTION_PARAMETERS, MOTION_SIZE
+from .splines import spline, spline_pool
 
 MOTION_NONE, MOTION_HARMONIC, MOTION_TWIST, MOTION_SPLINE, MOTION_CALLABLE = range(5)
-
-# Row of numbers that the kernel reads, and of what it writes: rotation (row-major), position, velocity, angular
-# velocity, acceleration, angular acceleration.
-MOTION_PARAMETERS = 16
-MOTION_SIZE = 24
 
 # Parameters of a turn about a fixed axis through a fixed point with a translation: both are proportional to time
 # (twist) or to a sine.
@@ -45,9 +42,25 @@ _WRONG = 1e-2
 
 
 class Motion:
-    """A placement of time. Subclasses say which; kind, parameters (16,) and pool are what the kernels read.
+    """A placement as a function of time; base class of all motions.
 
+    Parameters
+    ----------
+    parameters : (16,) array
+        Numbers that the kernels read, by kind.
+    pool : (n,) array
+        Further numbers, those of a spline.
+
+    Notes
+    -----
     A motion of kind MOTION_CALLABLE is evaluated in Python; all others are compiled.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> belt = pc.ConstantTwist(linear=(0.5, 0.0, 0.0))
+    >>> belt.placement(2.0).translation.tolist()
+    [1.0, 0.0, 0.0]
     """
 
     kind: int = MOTION_NONE
@@ -63,16 +76,35 @@ class Motion:
             )
         super().__setattr__(name, value)
 
+    def __new__(cls, *given: Any, **named: Any) -> Motion:
+        made = super().__new__(cls)
+        made.__dict__["_written"] = as_written(cls, given, named)
+        return made
+
+    def __repr__(self) -> str:
+        written: str = self.__dict__["_written"]
+        return written
+
     def __init__(self, parameters: Sequence[float] = (), pool: np.ndarray | None = None) -> None:
         self.parameters = np.zeros(MOTION_PARAMETERS)
         self.parameters[: len(parameters)] = parameters
         self.pool = np.zeros(0) if pool is None else pool
 
     def evaluate(self, t: float, out: np.ndarray | None = None) -> np.ndarray:
-        """Placement and its derivatives at time t in s, as the row (24,) that the kernels use; into out if given.
+        """Placement and its derivatives, as the row that the kernels use.
 
-        rotation (9, row-major) of the contour in its carrier, position (3), linear velocity (3), angular velocity
-        (3), linear acceleration (3), angular acceleration (3), in carrier axes.
+        Parameters
+        ----------
+        t : float
+            Time in s.
+        out : (24,) array, optional
+            Where to put it.
+
+        Returns
+        -------
+        (24,) array
+            Rotation (9, row-major) of the contour in its carrier, position (3), linear velocity (3), angular velocity
+            (3), linear acceleration (3), angular acceleration (3), in carrier axes.
         """
         if out is None:
             out = np.zeros(MOTION_SIZE)
@@ -80,7 +112,7 @@ class Motion:
         return out
 
     def placement(self, t: float) -> pin.SE3:
-        """Placement of the contour in its carrier."""
+        """Placement of the contour in its carrier at time t in s."""
         row = self.evaluate(t)
         return pin.SE3(row[:9].reshape(3, 3), row[9:12])
 
@@ -88,11 +120,28 @@ class Motion:
 class ConstantTwist(Motion):
     """Constant angular velocity about a fixed axis and constant linear velocity: turntable, belt, screw.
 
-    angular:  (3,) angular velocity in rad/s, carrier axes
-    linear:   (3,) velocity in m/s, carrier axes
-    center:   (3,) a point of the axis at t = 0, in m; it moves with `linear`
+    The placement at t = 0 is the identity.
 
-    The placement at t = 0 is the identity. Raises ContourError for numbers that are not finite.
+    Parameters
+    ----------
+    angular : (3,) array
+        Angular velocity in rad/s, carrier axes.
+    linear : (3,) array
+        Velocity in m/s, carrier axes.
+    center : (3,) array
+        A point of the axis at t = 0, in m; it moves with `linear`.
+
+    Raises
+    ------
+    ContourError
+        For numbers that are not finite.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> turntable = pc.ConstantTwist(angular=(0.0, 0.0, 2.0))
+    >>> turntable.evaluate(0.0)[15:18].tolist()
+    [0.0, 0.0, 2.0]
     """
 
     kind = MOTION_TWIST
@@ -116,14 +165,36 @@ class HarmonicMotion(Motion):
     Position: amplitude sin(2 pi frequency t + phase); angle about `axis` through `center`:
     angle sin(2 pi turn_frequency t + turn_phase).
 
-    amplitude:       (3,) in m, carrier axes
-    frequency:       in Hz;  phase: in rad
-    axis:            (3,) any length but zero, carrier axes
-    angle:           amplitude of the angle in rad
-    turn_frequency:  in Hz, that of the translation if not given;  turn_phase: in rad
-    center:          (3,) a point of the axis, in m
+    Parameters
+    ----------
+    amplitude : (3,) array
+        In m, carrier axes.
+    frequency : float
+        In Hz.
+    phase : float
+        In rad.
+    axis : (3,) array, optional
+        Of any length but zero, carrier axes.
+    angle : float
+        Amplitude of the angle in rad.
+    turn_frequency : float, optional
+        In Hz, that of the translation if not given.
+    turn_phase : float
+        In rad.
+    center : (3,) array
+        A point of the axis, in m.
 
-    Raises ContourError for numbers that are not finite, or an angle without an axis.
+    Raises
+    ------
+    ContourError
+        For numbers that are not finite, or an angle without an axis.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> heave = pc.HarmonicMotion(amplitude=(0.0, 0.0, 0.1), frequency=0.5)
+    >>> heave.placement(0.5).translation.round(12).tolist()
+    [0.0, 0.0, 0.1]
     """
 
     kind = MOTION_HARMONIC
@@ -168,15 +239,33 @@ class HarmonicMotion(Motion):
 
 
 class SplineMotion(Motion):
-    """A smooth path through placements: quintic splines of the position and of the quaternion, normalised.
+    """A smooth motion through placements: quintic splines of the position and of the quaternion, normalised.
 
-    times:     (n,) increasing, in s; n + 1 if periodic, the last one closing the path
-    poses:     n `pin.SE3` or (4, 4) homogeneous matrices, contour in carrier; at least 6
-    periodic:  the path closes and repeats
+    Before the first and after the last time a motion that is not periodic goes on with constant second derivatives of
+    its splines.
 
-    Before the first and after the last time a path that is not periodic goes on with constant second derivatives of
-    its splines. Raises ContourError for too few poses, times that do not increase, matrices that are no placements,
-    or two poses half a turn apart.
+    Parameters
+    ----------
+    times : (n,) array, or (n + 1,) if periodic
+        Increasing, in s; if periodic, the last one closes the motion.
+    poses : sequence of n pin.SE3 or (4, 4) arrays
+        Contour in carrier, at least 6.
+    periodic : bool
+        The motion closes and repeats.
+
+    Raises
+    ------
+    ContourError
+        For too few poses, times that do not increase, matrices that are no placements, or two poses half a turn apart.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pinocchio as pin
+    >>> import pincontact as pc
+    >>> poses = [pin.SE3(np.eye(3), np.array([0.1 * i, 0.0, 0.0])) for i in range(6)]
+    >>> pc.SplineMotion(range(6), poses).placement(2.5).translation.round(12).tolist()
+    [0.25, 0.0, 0.0]
     """
 
     kind = MOTION_SPLINE
@@ -207,21 +296,39 @@ class SplineMotion(Motion):
             again[:, 3:] = -again[:, 3:]
             values = np.concatenate([values, again])
             t = np.concatenate([t, t[1:] + (t[-1] - t[0])])
-        path = spline(owner, t, values, 5, periodic)
-        super().__init__((), _motion_pool(spline_pool(path, periodic)))
+        curve = spline(owner, t, values, 5, periodic)
+        super().__init__((), _motion_pool(spline_pool(curve, periodic)))
 
 
 class CallableMotion(Motion):
     """A motion given by a Python function.
 
-    f(t) -> (pose, velocity, acceleration): pose a `pin.SE3`, velocity (6,) and acceleration (6,) linear before
-    angular, as at the top of this file. It is called in Python once per evaluation of the dynamics.
+    Parameters
+    ----------
+    f : callable
+        f(t) -> (pose, velocity, acceleration): pose a `pin.SE3`, velocity (6,) and acceleration (6,) linear before
+        angular, in carrier axes; the acceleration is the second derivative of the position. It is called in Python
+        once per evaluation of the dynamics. Or f(t) -> pose, with a time domain: the pose is fitted there to
+        round-off, once, and no Python runs afterwards.
+    time_domain : (first, last), optional
+        In s, for an f that returns poses only; `fit_error` says how well they were fitted. Beyond it the motion goes on
+        with constant second derivatives.
 
-    f(t) -> pose, with time_domain=(first, last) in s: the pose is fitted there to rounding, once, and no Python runs
-    afterwards; `fit_error` says how well. Beyond the time domain it goes on with constant second derivatives.
+    Raises
+    ------
+    ContourError
+        For a function that raises, naming it, for a pose without time domain, results of the wrong kind, or derivatives
+        that are not those of the pose.
 
-    Raises ContourError for a function that raises, naming it, for a pose without time domain, results of the wrong
-    kind, or derivatives that are not those of the pose.
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pinocchio as pin
+    >>> import pincontact as pc
+    >>> def lift(t):
+    ...     return pin.SE3(np.eye(3), np.array([0.0, 0.0, t * t]))
+    >>> pc.CallableMotion(lift, time_domain=(0.0, 1.0)).placement(0.5).translation.round(12).tolist()
+    [0.0, 0.0, 0.25]
     """
 
     kind = MOTION_CALLABLE
@@ -242,7 +349,7 @@ class CallableMotion(Motion):
             super().__init__()
             for part in (0.137, 0.618):
                 self._check(first + part * (last - first))
-            # what it raises in a run is told there, with the contour's name
+            # what it raises in a run is reported there, with the contour's name
             self._function = given
             return
         if time_domain is None:
@@ -307,7 +414,7 @@ def _named_failure(owner: str, f: Callable[[float], Any]) -> Callable[[float], A
 class _QuaternionBranch:
     """Coordinates of a pose with the quaternion's sign continued from the first time.
 
-    Signs are settled once on a fine grid of times; a value in between takes the sign of its nearest neighbour.
+    Signs are chosen once on a fine grid of times; a value in between takes the sign of its nearest neighbour.
     """
 
     _GRID = 2000
@@ -371,8 +478,8 @@ def _coordinates(pose: pin.SE3) -> np.ndarray:
     return np.concatenate([pose.translation, quaternion.coeffs()])
 
 
-def _motion_pool(path: np.ndarray) -> np.ndarray:
-    return np.concatenate([np.zeros(_SPLINE_SCRATCH), path])
+def _motion_pool(polynomials: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.zeros(_SPLINE_SCRATCH), polynomials])
 
 
 @kernel

@@ -17,16 +17,19 @@ from numpy.polynomial import chebyshev
 
 from ..errors import ContourError
 from ..jit import kernel
-from .base import F_1, F_11, REVOLUTION, SPLINE_CURVE, TAPE_CURVE, Contour, F, flag, interval
-from .curves import TURN
-from .formula import Formula, compiled
-from .piecewise import Direction, chebyshev_nodes, pack
-from .splines import array, chords, spline, spline_pool
+from ..workspace import matrix_at, reals_at
+from .base import ALL, F_1, F_11, REVOLUTION, TURN, Contour, F
+from .charts import HAND, HIGH, LOW, TRACED
+from .checks import array, flag, interval
+from .evaluation import contour_kernel
+from .formula import Formula
+from .piecewise import Direction, chebyshev_nodes, fitted, pack, piecewise
+from .program import compiled
+from .sizes import DERIVATIVE_ROWS, SHAPE_SIZE
+from .splines import chords, spline, spline_pool
 from .surfaces import put_revolved
+from .tape import tape, traced
 
-# Shape parameters: h, ends of the profile, cap chart entered and left at these distances, which ends are poles,
-# and whether the profile is a tape (or piecewise polynomials).
-HAND, LOW, HIGH, ENTER, LEAVE, LOW_POLE, HIGH_POLE, TRACED = range(8)
 # Pool: profile's offset, then for each end the offset of (g, k) and the d^2 up to which they hold.
 PROFILE, LOW_CAP, LOW_REACH, HIGH_CAP, HIGH_REACH = range(5)
 POOL_HEADER = 5
@@ -55,12 +58,28 @@ class SurfaceOfRevolution(Contour):
     Where the profile meets the axis, at an end, it must be smooth as a surface (r odd, z even in the distance from
     the end, both parameters such as arc length or an angle); charts 1 and 2 cover those poles.
 
-    profile:     callable s -> (r, z) in m, traced or fitted as in `ParametricCurve`; or points (n, 2), joined by a
-                 spline that also passes the axis smoothly where its first or last point has r = 0
-    domain:      (low, high) of s, finite, for a callable
-    periodic:    the profile closes (away from the axis)
+    Parameters
+    ----------
+    profile : callable s -> (r, z), or (n, 2) array
+        In m. A function is traced or fitted as in `ParametricCurve`; points are joined by a spline that also passes the
+        axis smoothly where its first or last point has r = 0.
+    domain : (low, high)
+        Ends of s, finite; for a function only.
+    periodic : bool
+        The profile closes (away from the axis).
 
-    Raises ContourError for a profile that crosses the axis, or meets it with an edge or an apex.
+    Raises
+    ------
+    ContourError
+        For a profile that crosses the axis, or meets it with an edge or an apex.
+
+    Examples
+    --------
+    >>> import math
+    >>> import pincontact as pc
+    >>> egg = pc.SurfaceOfRevolution(lambda s: (0.1 * math.cos(s), 0.14 * math.sin(s)), (-math.pi / 2, math.pi / 2))
+    >>> egg.charts, egg.convex_side, egg.point((0.0, 0.0)).tolist()
+    ((0, 1, 2), 1, [0.1, 0.0, 0.0])
     """
 
     def __init__(self, profile: Any, domain: tuple[float, float] | None = None, periodic: bool = False) -> None:
@@ -74,13 +93,13 @@ class SurfaceOfRevolution(Contour):
             if not (math.isfinite(low) and math.isfinite(high)):
                 raise ContourError(f"{owner}: domain must be finite, got ({low}, {high})")
             program = compiled(_profile_formula(owner, profile), ((low, high),), (periodic,))
-            kind, pool, error = program.kind, program.pool, program.error
+            evaluator, pool, error = program.evaluator, program.pool, program.error
         else:
             if domain is not None:
                 raise ContourError(f"{owner}: domain goes with a callable profile, not with points")
             pool, (low, high), reaches = _spline_profile(owner, profile, periodic)
-            kind, error = SPLINE_CURVE, 0.0
-        curve = Contour(kind, 1, pool=pool, domain=((low, high),))
+            evaluator, error = fitted, 0.0
+        curve = Contour(evaluator, 1, pool=pool, size=math.inf)
         samples = np.linspace(low, high, _PROFILE_SAMPLES)
         rows = np.array([curve.evaluate(s) for s in samples])[:, [F, F_1, F_11], :2]
         smooth = np.isfinite(rows).all(axis=(1, 2))
@@ -103,38 +122,34 @@ class SurfaceOfRevolution(Contour):
             caps.append(_cap(owner, curve, (low, high)[end], 1.0 - 2.0 * end, reach, size) if pole else None)
         hand = _outward(rows, samples)
         enter = _ENTER * (high - low)
+        low_pole, high_pole = poles
         super().__init__(
-            kind=REVOLUTION,
-            dimension=2,
+            revolution,
+            2,
             shape=(
                 hand,
                 low,
                 high,
                 enter,
                 _LEAVE_FACTOR * enter,
-                float(poles[0]),
-                float(poles[1]),
-                float(kind == TAPE_CURVE),
+                float(low_pole),
+                float(high_pole),
+                float(evaluator is traced),
             ),
             pool=_assemble(pool, caps),
             domain=(TURN, (low, high)),
             periodic=(True, periodic),
+            # where the profile meets the axis charts 1 and 2 go on, so there is no end
+            limits=(
+                ALL,
+                (-math.inf if low_pole or periodic else low, math.inf if high_pole or periodic else high),
+            ),
+            charts=(0, *(chart for chart, pole in zip((1, 2), poles) if pole)),
             size=max(float(r.max()), 0.5 * float(np.ptp(rows[:, 0, 1]))),
+            convex_side=_convex(rows, hand) if sum(poles) != 1 and not periodic else 0,
             fit_error=error,
+            kind=REVOLUTION,
         )
-        if sum(poles) != 1 and not periodic:
-            object.__setattr__(self, "convex_side", _convex(rows, hand))
-
-    @property
-    def charts(self) -> tuple[int, ...]:
-        """As for all contours: 0, and 1 (2) where the low (high) end of the profile is a pole."""
-        return (0, *(chart for chart, pole in ((1, LOW_POLE), (2, HIGH_POLE)) if self.shape[pole]))
-
-    def ends(self) -> np.ndarray:
-        """(4,) as for all contours; where the profile meets the axis charts 1 and 2 go on, so there is no end."""
-        out, row = super().ends(), self.shape_row()
-        out[2:] = np.where([row[LOW_POLE] != 0.0, row[HIGH_POLE] != 0.0], [-np.inf, np.inf], out[2:])
-        return out
 
 
 def _profile_formula(owner: str, profile: Callable[..., Any]) -> Formula:
@@ -278,6 +293,18 @@ def revolution_source(chart, shape, pool, u1, u2):
     if w <= pool[HIGH_REACH]:
         return int(pool[HIGH_CAP]), w, False
     return int(pool[PROFILE]), shape[HIGH] - math.sqrt(w), traced
+
+
+@contour_kernel
+def revolution(chart, shape, pool, pool_size, u1, u2, t, out):
+    numbers, table, f = reals_at(shape, SHAPE_SIZE), reals_at(pool, pool_size), matrix_at(out, DERIVATIVE_ROWS, 3)
+    start, argument, is_tape = revolution_source(chart, numbers, table, u1, u2)
+    if is_tape:
+        tape(table[start:], argument, u2, t, f)
+    else:
+        piecewise(table[start:], argument, u2, t, f)
+    revolve(chart, numbers, table, u1, u2, f)
+    return 0
 
 
 @kernel

@@ -7,38 +7,17 @@ from typing import Any
 import numpy as np
 import scipy
 
-from ..arguments import NOT_REAL, real_array
 from ..errors import ContourError
-from ..jit import kernel
-from .base import (
-    SPLINE_CURVE,
-    SPLINE_SURFACE,
-    Contour,
-    flag,
-    flags,
-    half_diagonal,
-    in_space,
-    turning,
-)
-from .piecewise import Direction, chebyshev_nodes, pack
+from ..workspace import matrix_at, reals_at
+from .base import Contour
+from .checks import array, flag, flags, in_space
+from .evaluation import contour_kernel
+from .piecewise import Direction, chebyshev_nodes, fitted, pack, piecewise
+from .sizes import DERIVATIVE_ROWS
+from .surfaces import put_plane
 
 # f has to be three times differentiable: the dynamics use f_11, and their integration one order more.
 _SMOOTHNESS = 3
-
-
-def array(owner: str, name: str, given: Any, *shape: int | None) -> np.ndarray:
-    """`given` as a finite float array of this shape (None: any length), or a ContourError."""
-    try:
-        values = real_array(given)
-    except NOT_REAL:
-        raise ContourError(f"{owner}: {name} must be an array of numbers") from None
-    if values.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, values.shape)):
-        wanted = ", ".join("n" if n is None else str(n) for n in shape)
-        raise ContourError(f"{owner}: {name} must have shape ({wanted}), got {values.shape}")
-    if not np.isfinite(values).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        raise ContourError(f"{owner}: {name}{list(where)} is not finite")
-    return values
 
 
 def spline(
@@ -85,16 +64,33 @@ def spline_pool(curve: scipy.interpolate.BSpline, periodic: bool) -> np.ndarray:
 class SplineCurve(Contour):
     """An interpolating spline through points, or a given B-spline.
 
-    points:      (n, 3) in m, (n, 2) for a curve in the xy-plane, or a `scipy.interpolate.BSpline` with such values
-                 (`degree` and `parameters` are then its own)
-    periodic:    closed: the first point follows the last one (do not repeat it). For a BSpline: its ends meet,
-                 with three derivatives
-    degree:      at least 4; the curve is degree - 1 times differentiable
-    parameters:  (n,) values of u at the points, (n + 1,) if periodic; chord lengths from the first point if not given,
-                 so that u is close to the arc length in m
+    Parameters
+    ----------
+    points : (n, 3) or (n, 2) array, or scipy.interpolate.BSpline
+        In m; with two columns the curve lies in the xy-plane. A B-spline of such values brings its own degree and
+        parameters, and must be three times differentiable.
+    periodic : bool
+        Closed: the first point follows the last one (do not repeat it). For a B-spline: its ends meet, with three
+        derivatives.
+    degree : int
+        At least 4; the curve is degree - 1 times differentiable.
+    parameters : (n,) array, or (n + 1,) if periodic
+        Values of u at the points; chord lengths from the first point if not given, so that u is close to the arc
+        length in m.
 
-    Raises ContourError for too few, coincident or non-finite points and for splines less than three times
-    differentiable.
+    Raises
+    ------
+    ContourError
+        For too few, coincident or non-finite points and for splines less than three times differentiable.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pincontact as pc
+    >>> angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    >>> cam = pc.SplineCurve(np.c_[0.05 * np.cos(angle), 0.04 * np.sin(angle)], periodic=True)
+    >>> cam.planar, cam.periodic, cam.convex_side
+    (True, (True,), 1)
     """
 
     def __init__(self, points: Any, periodic: bool = False, degree: int = 5, parameters: Any = None) -> None:
@@ -116,15 +112,13 @@ class SplineCurve(Contour):
                 u = array(owner, "parameters", parameters, len(through))
             curve = spline(owner, u, through, degree, periodic)
         super().__init__(
-            kind=SPLINE_CURVE,
-            dimension=1,
+            fitted,
+            1,
             pool=spline_pool(curve, periodic),
             domain=((float(curve.t[curve.k]), float(curve.t[-curve.k - 1])),),
             periodic=(periodic,),
             planar=not np.any(curve.c[:, 2]),
         )
-        object.__setattr__(self, "size", half_diagonal(self))
-        object.__setattr__(self, "convex_side", turning(self))
 
 
 def _checked(owner: str, curve: scipy.interpolate.BSpline, periodic: bool) -> scipy.interpolate.BSpline:
@@ -159,13 +153,30 @@ def _checked(owner: str, curve: scipy.interpolate.BSpline, periodic: bool) -> sc
 class SplineSurface(Contour):
     """A tensor product of interpolating splines through a grid of points.
 
-    points:      (n1, n2, 3) in m; f_1 x f_2 is the outward normal, so the order of the grid's axes decides the side
-    periodic:    which grid directions close (do not repeat the first row or column)
-    degree:      at least 4
-    parameters:  (u1, u2) values at the grid lines, one more than lines where periodic; mean chord lengths if not
-                 given
+    Parameters
+    ----------
+    points : (n1, n2, 3) array
+        In m. f_1 x f_2 is the outward normal, so the order of the grid's axes decides the side.
+    periodic : pair of bool
+        Which grid directions close (do not repeat the first row or column).
+    degree : int
+        At least 4.
+    parameters : pair of arrays
+        Values of u1 and u2 at the grid lines, one more than lines where periodic; mean chord lengths if not given.
 
-    Raises ContourError for too few, coincident or non-finite points.
+    Raises
+    ------
+    ContourError
+        For too few, coincident or non-finite points.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pincontact as pc
+    >>> x, y = np.meshgrid(np.linspace(0.0, 1.0, 8), np.linspace(0.0, 1.0, 8), indexing="ij")
+    >>> sheet = pc.SplineSurface(np.stack([x, y, 0.1 * x * y], axis=-1))
+    >>> bool(abs(sheet.point((0.0, 0.0))).max() < 1e-12)
+    True
     """
 
     def __init__(
@@ -190,13 +201,12 @@ class SplineSurface(Contour):
                 name = f"parameters[{axis}]"
                 lines.append(array(owner, name, parameters[axis], grid.shape[axis]))
         super().__init__(
-            kind=SPLINE_SURFACE,
-            dimension=2,
+            fitted,
+            2,
             pool=_tensor_pool(owner, lines, grid, degree, periodic, first=0),
             domain=tuple((float(line[0]), float(line[-1])) for line in lines),
             periodic=periodic,
         )
-        object.__setattr__(self, "size", half_diagonal(self))
 
 
 def _tensor_pool(
@@ -216,11 +226,10 @@ def height_grid(owner: str, x: Any, y: Any, z: Any, degree: int) -> tuple[np.nda
     return x, y, _tensor_pool(owner, [x, y], heights[..., None], degree, (False, False), first=2)
 
 
-@kernel
-def lift(u1, u2, out):
-    """f = (u1, u2, z): complete out, whose column z is there."""
-    for row in range(6):
-        out[row, 0], out[row, 1] = 0.0, 0.0
-    out[0, 0], out[0, 1] = u1, u2
-    out[1, 0] = 1.0
-    out[2, 1] = 1.0
+@contour_kernel
+def height_spline(chart, shape, pool, pool_size, u1, u2, t, out):
+    """(u1, u2, z), whose column z is a spline."""
+    f = matrix_at(out, DERIVATIVE_ROWS, 3)
+    put_plane(f, u1, u2)
+    piecewise(reals_at(pool, pool_size), u1, u2, t, f)
+    return 0

@@ -5,72 +5,97 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from ..errors import ContourError
 from ..jit import kernel
-from .base import CONE, CYLINDER, ELLIPSOID, PLANE, SPHERE, TORUS, Contour, interval, positive
-from .curves import ALL, TURN, closes
+from ..workspace import matrix_at, reals_at
+from .base import ALL, ELLIPSOID, PLANE, SPHERE, TURN, Contour
+from .checks import interval, positive
+from .curves import arc
+from .evaluation import contour_kernel
+from .sizes import DERIVATIVE_ROWS
 
 _HALF_TURN = (-0.5 * math.pi, 0.5 * math.pi)
+# A contact comes to an end so far from an apex, m, since u1' and the curvature grow without bound towards it.
+_APEX = 1e-6
 
 
-def _patch(
-    owner: str, domain: Any, whole: tuple[tuple[float, float], tuple[float, float]]
-) -> tuple[tuple[float, float], ...]:
-    """Domain of a surface, one (low, high) or None for each parameter."""
-    if domain is None:
-        return whole
+def _pair(owner: str, domain: Any) -> tuple[Any, Any]:
+    """Both parts of the domain of a surface, each (low, high) or None; none means None for both."""
     try:
-        first, second = domain
+        first, second = (None, None) if domain is None else domain
     except (TypeError, ValueError):
         raise ContourError(f"{owner}: domain must be a pair of (low, high) or None, got {domain!r}") from None
-    return tuple(
-        limits if part is None else interval(owner, f"domain[{i}]", part)
-        for i, (part, limits) in enumerate(zip((first, second), whole))
-    )
+    return first, second
 
 
-def _around(owner: str, domain: Any, along: tuple[float, float]) -> tuple[tuple[tuple[float, float], ...], bool]:
-    """Domain of a surface around an axis, and whether it goes all the way round."""
-    patch = _patch(owner, domain, (TURN, along))
-    low, high = patch[0]
-    closed = closes(low, high)
-    if not (closed or high - low < 2.0 * math.pi):
-        raise ContourError(f"{owner}: domain[0] must not exceed one turn, got {high - low} rad")
-    return patch, closed
+def _along(owner: str, name: str, given: Any) -> tuple[float, float]:
+    """Domain of a length; no domain means all of it."""
+    return ALL if given is None else interval(owner, name, given)
 
 
 class Plane(Contour):
     """f(u1, u2) = (u1, u2, 0), normal +z.
 
-    domain: ((low, high), (low, high)) in m for a rectangular patch, either of them None if infinite.
-    Raises ContourError unless low < high.
+    Parameters
+    ----------
+    domain : ((low, high), (low, high)), optional
+        In m for a rectangular patch, either of them None if infinite.
+
+    Raises
+    ------
+    ContourError
+        Unless low < high.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> pc.Plane(), pc.Plane(domain=((-1, 1), None)).domain
+    (Plane(), ((-1.0, 1.0), (-inf, inf)))
     """
 
     def __init__(self, domain: Any = None) -> None:
-        patch = _patch("Plane", domain, (ALL, ALL))
+        parts = _pair("Plane", domain)
+        patch = (_along("Plane", "domain[0]", parts[0]), _along("Plane", "domain[1]", parts[1]))
         size = 0.5 * math.hypot(patch[0][1] - patch[0][0], patch[1][1] - patch[1][0])
-        super().__init__(kind=PLANE, dimension=2, domain=patch, periodic=(False, False), size=size)
+        super().__init__(plane, 2, domain=patch, size=size, kind=PLANE, lengths=True)
 
 
 class Sphere(Contour):
-    """Chart 0: f = radius (cos u2 cos u1, cos u2 sin u1, sin u2), poles on z.
+    """A ball's surface. Chart 0: f = radius (cos u2 cos u1, cos u2 sin u1, sin u2), poles on z.
 
     Chart 1 is the same with the axes turned (x, y, z) -> (y, z, x), poles on x.
-    radius: m. Raises ContourError unless it is positive.
+
+    Parameters
+    ----------
+    radius : float
+        In m.
+
+    Raises
+    ------
+    ContourError
+        Unless the radius is positive.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> ball = pc.Sphere(radius=0.1)
+    >>> ball.point((0.0, 0.0)).tolist(), ball.charts
+    ([0.1, 0.0, 0.0], (0, 1))
     """
 
     def __init__(self, radius: float) -> None:
         (radius,) = positive("Sphere", radius=radius)
         super().__init__(
-            kind=SPHERE,
-            dimension=2,
-            shape=(radius,),
+            ellipsoid,
+            2,
+            shape=(radius, radius, radius),
             domain=(TURN, _HALF_TURN),
             periodic=(True, False),
+            limits=(ALL, ALL),
+            charts=(0, 1),
             size=radius,
             convex_side=1,
+            kind=SPHERE,
         )
 
 
@@ -78,104 +103,169 @@ class Ellipsoid(Contour):
     """Chart 0: f = (a cos u2 cos u1, b cos u2 sin u1, c sin u2), poles on z.
 
     Chart 1: f = (a sin u2, b cos u2 cos u1, c cos u2 sin u1), poles on x.
-    a, b, c: semi-axes along x, y, z in m. Raises ContourError unless they are positive.
+
+    Parameters
+    ----------
+    a, b, c : float
+        Semi-axes along x, y, z in m.
+
+    Raises
+    ------
+    ContourError
+        Unless they are positive.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> pc.Ellipsoid(a=0.3, b=0.2, c=0.1).point((0.0, 0.0), chart=1).tolist()
+    [0.0, 0.2, 0.0]
     """
 
     def __init__(self, a: float, b: float, c: float) -> None:
         a, b, c = positive("Ellipsoid", a=a, b=b, c=c)
         super().__init__(
-            kind=ELLIPSOID,
-            dimension=2,
+            ellipsoid,
+            2,
             shape=(a, b, c),
             domain=(TURN, _HALF_TURN),
             periodic=(True, False),
+            limits=(ALL, ALL),
+            charts=(0, 1),
             size=max(a, b, c),
             convex_side=1,
+            kind=ELLIPSOID,
         )
 
 
 class Cylinder(Contour):
     """f(u1, u2) = (radius cos u1, radius sin u1, u2), axis z.
 
-    radius: m; domain: ((low, high) of u1 in rad, (low, high) of u2 in m), either of them None if whole.
-    Raises ContourError for a radius that is not positive or a domain that is not an interval.
+    Parameters
+    ----------
+    radius : float
+        In m.
+    domain : ((low, high) of u1 in rad, (low, high) of u2 in m), optional
+        Either of them None if whole.
+
+    Raises
+    ------
+    ContourError
+        For a radius that is not positive or a domain that is not an interval.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> pc.Cylinder(radius=0.2, domain=(None, (0.0, 1.0))).periodic
+    (True, False)
     """
 
     def __init__(self, radius: float, domain: Any = None) -> None:
-        (radius,) = positive("Cylinder", radius=radius)
-        patch, closed = _around("Cylinder", domain, ALL)
+        owner = "Cylinder"
+        (radius,) = positive(owner, radius=radius)
+        around, along = _pair(owner, domain)
+        angle, closed = arc(owner, "domain[0]", around)
         super().__init__(
-            kind=CYLINDER,
-            dimension=2,
-            shape=(radius,),
-            domain=patch,
+            straight_profile,
+            2,
+            shape=(radius, 0.0, 1.0),
+            domain=(angle, _along(owner, "domain[1]", along)),
             periodic=(closed, False),
             size=radius,
-            convex_side=1 if closed else 0,
+            convex_side=int(closed),
+            lengths=True,
         )
-
-
-# A contact comes to an end so far from an apex, m, since u1' and the curvature grow without bound towards it.
-_APEX = 1e-6
 
 
 class Cone(Contour):
     """f(u1, u2) = u2 (sin a cos u1, sin a sin u1, cos a): axis z, apex at the origin, opening to +z.
 
-    half_angle: a, between axis and surface, rad, in (0, pi/2). u2 is the distance from the apex in m, which is an
-    end of the domain: no point contact has a tangent plane there.
-    domain: ((low, high) of u1 in rad, (low, high) of u2 in m), either of them None if whole.
-    Raises ContourError for an angle out of bounds or a domain that is not an interval of u2 >= 0.
+    Parameters
+    ----------
+    half_angle : float
+        a, between axis and surface, in rad, in (0, pi/2).
+    domain : ((low, high) of u1 in rad, (low, high) of u2 in m), optional
+        Either of them None if whole. u2 is the distance from the apex, which is an end of the domain: no point contact
+        has a tangent plane there.
+
+    Raises
+    ------
+    ContourError
+        For an angle out of bounds or a domain that is not an interval of u2 >= 0.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> pc.Cone(half_angle=0.4).ends()[2:].tolist()
+    [1e-06, inf]
     """
 
     def __init__(self, half_angle: float, domain: Any = None) -> None:
-        (half_angle,) = positive("Cone", half_angle=half_angle)
+        owner = "Cone"
+        (half_angle,) = positive(owner, half_angle=half_angle)
         if not half_angle < 0.5 * math.pi:
-            raise ContourError(f"Cone: half_angle must be less than pi/2, got {half_angle}")
-        patch, closed = _around("Cone", domain, (0.0, math.inf))
-        if patch[1][0] < 0.0:
-            raise ContourError(f"Cone: domain[1] must not go beyond the apex at 0, got {patch[1]}")
+            raise ContourError(f"{owner}: half_angle must be less than pi/2, got {half_angle}")
+        around, along = _pair(owner, domain)
+        angle, closed = arc(owner, "domain[0]", around)
+        low, high = (0.0, math.inf) if along is None else interval(owner, "domain[1]", along)
+        if low < 0.0:
+            raise ContourError(f"{owner}: domain[1] must not go beyond the apex at 0, got {(low, high)}")
         super().__init__(
-            kind=CONE,
-            dimension=2,
-            shape=(math.sin(half_angle), math.cos(half_angle)),
-            domain=patch,
+            straight_profile,
+            2,
+            shape=(0.0, math.sin(half_angle), math.cos(half_angle)),
+            domain=(angle, (low, high)),
             periodic=(closed, False),
-            size=patch[1][1],
-            convex_side=1 if closed else 0,
+            limits=(ALL if closed else angle, (max(low, _APEX), high)),
+            size=high,
+            convex_side=int(closed),
+            lengths=True,
         )
-
-    def ends(self) -> np.ndarray:
-        out = super().ends()
-        out[2] = max(out[2], _APEX)
-        return out
 
 
 class Torus(Contour):
     """f = ((major + minor cos u2) cos u1, (major + minor cos u2) sin u1, minor sin u2), axis z.
 
-    major: radius of the centre circle in m; minor: of the tube, less than major.
-    Raises ContourError for radii out of bounds.
+    Parameters
+    ----------
+    major : float
+        Radius of the centre circle in m.
+    minor : float
+        Radius of the tube in m, less than major.
+
+    Raises
+    ------
+    ContourError
+        For radii out of bounds.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> pc.Torus(major=1.0, minor=0.25).point((0.0, 0.0)).tolist()
+    [1.25, 0.0, 0.0]
     """
 
     def __init__(self, major: float, minor: float) -> None:
         major, minor = positive("Torus", major=major, minor=minor)
         if not minor < major:
             raise ContourError(f"Torus: minor must be less than major, got {minor} and {major}")
-        super().__init__(
-            kind=TORUS,
-            dimension=2,
-            shape=(major, minor),
-            domain=(TURN, TURN),
-            periodic=(True, True),
-            size=major + minor,
-        )
+        super().__init__(torus, 2, shape=(major, minor), domain=(TURN, TURN), periodic=(True, True), size=major + minor)
+
+
+@contour_kernel
+def plane(chart, shape, pool, pool_size, u1, u2, t, out):
+    f = matrix_at(out, DERIVATIVE_ROWS, 3)
+    f[0, 2] = 0.0
+    put_plane(f, u1, u2)
+    for row in range(1, 6):
+        f[row, 2] = 0.0
+    return 0
 
 
 @kernel
-def plane(u1, u2, out):
+def put_plane(out, u1, u2):
+    """Write columns x and y of f = (u1, u2, z)."""
     for row in range(6):
-        out[row, 0], out[row, 1], out[row, 2] = 0.0, 0.0, 0.0
+        out[row, 0], out[row, 1] = 0.0, 0.0
     out[0, 0], out[0, 1] = u1, u2
     out[1, 0] = 1.0
     out[2, 1] = 1.0
@@ -197,25 +287,48 @@ def put_revolved(out, turn, c, s, r, z, r_2, z_2, r_22, z_22, a, b):
     out[5, x], out[5, y], out[5, w] = ac * r_22, bs * r_22, z_22
 
 
-@kernel
-def closed_form_surface(kind, chart, shape, u1, u2, out):
-    """Sphere, ellipsoid, cylinder, cone or torus: profiles turned about an axis."""
-    c1, s1 = math.cos(u1), math.sin(u1)
-    if kind == CYLINDER:
-        put_revolved(out, 0, c1, s1, shape[0], u2, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0)
-        return
-    if kind == CONE:
-        sine, cosine = shape[0], shape[1]
-        put_revolved(out, 0, c1, s1, sine * u2, cosine * u2, sine, cosine, 0.0, 0.0, 1.0, 1.0)
-        return
-    c2, s2 = math.cos(u2), math.sin(u2)
-    if kind == TORUS:
-        r, z = shape[1] * c2, shape[1] * s2
-        put_revolved(out, 0, c1, s1, shape[0] + r, z, -z, r, -r, -z, 1.0, 1.0)
-        return
-    a, b, c = shape[0], shape[0], shape[0]
-    if kind == ELLIPSOID:
-        b, c = shape[1], shape[2]
+@contour_kernel
+def ellipsoid(chart, shape, pool, pool_size, u1, u2, t, out):
+    """An ellipse with semi-axes 1 and c, turned about its second axis and stretched by a and b."""
+    axes = reals_at(shape, 3)
+    a, b, c = axes[0], axes[1], axes[2]
     if chart == 1:
         a, b, c = b, c, a
-    put_revolved(out, chart, c1, s1, c2, c * s2, -s2, c * c2, -c2, -c * s2, a, b)
+    c2, s2 = math.cos(u2), math.sin(u2)
+    put_revolved(
+        matrix_at(out, DERIVATIVE_ROWS, 3),
+        chart,
+        math.cos(u1),
+        math.sin(u1),
+        c2,
+        c * s2,
+        -s2,
+        c * c2,
+        -c2,
+        -c * s2,
+        a,
+        b,
+    )
+    return 0
+
+
+@contour_kernel
+def straight_profile(chart, shape, pool, pool_size, u1, u2, t, out):
+    """The profile r = r_0 + slope u2, z = climb u2, turned about z: a cylinder or a cone."""
+    numbers = reals_at(shape, 3)
+    slope, climb = numbers[1], numbers[2]
+    r, z = numbers[0] + slope * u2, climb * u2
+    put_revolved(
+        matrix_at(out, DERIVATIVE_ROWS, 3), 0, math.cos(u1), math.sin(u1), r, z, slope, climb, 0.0, 0.0, 1.0, 1.0
+    )
+    return 0
+
+
+@contour_kernel
+def torus(chart, shape, pool, pool_size, u1, u2, t, out):
+    radii = reals_at(shape, 2)
+    r, z = radii[1] * math.cos(u2), radii[1] * math.sin(u2)
+    put_revolved(
+        matrix_at(out, DERIVATIVE_ROWS, 3), 0, math.cos(u1), math.sin(u1), radii[0] + r, z, -z, r, -r, -z, 1.0, 1.0
+    )
+    return 0

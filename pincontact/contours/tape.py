@@ -8,9 +8,13 @@ variables (forward mode), in the order value, first derivatives, second derivati
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from ..jit import kernel
+from ..workspace import matrix_at, reals_at
+from .evaluation import contour_kernel
 from .periods import wrapped
+from .sizes import DERIVATIVE_ROWS
 
 # Header of a tape: offsets into its pool.
 COUNT, VARIABLES, WIDTH, SCRATCH, OUTPUTS = range(5)
@@ -43,6 +47,20 @@ MULTIPLY, DIVIDE, POWER, ATAN2, HYPOT = range(3, 8)
     ACOSH,
     ATANH,
 ) = range(8, 25)
+# Of a formula before it is a tape: a variable, and sine and cosine, which one instruction computes together.
+VARIABLE, SIN, COS = -1, -2, -3
+
+
+class Node(NamedTuple):
+    """An operation of a formula: one of these numbers, the nodes of its arguments (-1: none), its constants and, of a
+    variable, the name."""
+
+    op: int
+    x: int = -1
+    y: int = -1
+    c: float = 0.0
+    d: float = 0.0
+    name: str = ""
 
 
 @kernel
@@ -233,3 +251,10 @@ def tape(pool, u1, u2, t, out):
         else:
             for k in range(width):
                 out[int(pool[ROWS + k]), i] = pool[slot + k]
+
+
+@contour_kernel
+def traced(chart, shape, pool, pool_size, u1, u2, t, out):
+    """Evaluates contours whose pool is a tape."""
+    tape(reals_at(pool, pool_size), u1, u2, t, matrix_at(out, DERIVATIVE_ROWS, 3))
+    return 0

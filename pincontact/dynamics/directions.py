@@ -1,8 +1,8 @@
 """Directions of slip: which one a contact has, and which one slip has that begins from rest.
 
-Slip that begins goes where the relative acceleration points, which depends on friction, and so on the direction and on
-the loads. Loads are those that evaluations find, whatever else is known of them: of redundant ones there are several,
-and what is bilateral, or held up by friction, has none that a cone would know.
+Slip that begins has the direction of the relative acceleration, which depends on friction, and so on that direction and
+on the loads. The loads are those of evaluations in these directions, not those of a cone problem: redundant loads are
+not unique, and contacts that are bilateral, or held up by friction, have no load in a cone.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ if TYPE_CHECKING:
 # A relative acceleration points along a direction if no more than this part of it, and of what friction does to it,
 # is across.
 _ALONG = 1e-11
-# What is left after Broyden's method has come as near as rounding lets it is accepted up to this part.
+# Where Broyden's method stops at round-off, a relative residual up to this is accepted.
 _ACCEPTED = 1e-8
-# Turn in rad over which derivatives are differences; the error of these leaves as much of each step.
+# Angle in rad of the differences that give derivatives; its error leaves as much of each step.
 _TURN = 1e-6
 _STEPS, _LARGEST_TURN = 16, 0.5
 # Derivatives are found anew where a step leaves more than this part.
 _SLOW = 0.2
-# So often friction is led nearer by projections between attempts, and so many of them each time.
+# Rounds of projections of friction between trials of Broyden's method, and projections in each.
 _ATTEMPTS, _PROJECTIONS = 6, 30
 
 
@@ -97,7 +97,7 @@ class _Alignment:
 
     def run(self) -> bool:
         directions = [slip_direction(self.system, i) for i in self.items]
-        # what is as good as can be stays what it is to the last bit: an angle rounds it
+        # directions that fit already stay as they are to the last bit: conversion to angles would round them
         if self._fits(np.array(directions)):
             return True
         start = np.array([math.atan2(y, x) for x, y in directions])

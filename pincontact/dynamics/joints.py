@@ -1,8 +1,8 @@
-"""Joint coordinates with position limits or dry friction ("guards"), as the model states them.
+"""Joint limits and dry joint friction, as the model states them.
 
-A guarded coordinate moves, under a dry friction that opposes it, or is held: by its friction, whose force is then
-anything in its range, or by an end of its way, which takes away the force's bound on one side. A held coordinate is one
-constraint row, as a contact's normal is. Effort and velocity limits are no forces and are not enforced.
+A coordinate that has either is an item beside the contacts. It moves, under a dry friction that opposes it, or it is
+held: by friction, whose force is then anything in its range, or by a limit, which bounds the force on one side only. A
+held coordinate is one constraint row, as a contact's normal is. Effort and velocity limits are not enforced.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import ModelError, StateError
-from ..integration.manifold import VECTOR, configuration_blocks
+from .manifold import VECTOR, configuration_blocks
 
 # A coordinate beyond its end by no more than this (rad or m) is at it.
 END_SLACK = 1e-9
@@ -23,8 +23,8 @@ END_SLACK = 1e-9
 
 @dataclass(frozen=True)
 class Guard:
-    """One guarded coordinate: joint name, indices in q and v, range of the dry friction force in N or N m (low <= 0 <=
-    high), range of q (infinite where there is no limit; always so where the configuration is no vector)."""
+    """A coordinate with a limit or dry friction: joint name, indices in q and v, range of the dry friction force in N
+    or N m (low <= 0 <= high), range of q (infinite without a limit; always so where the configuration is no vector)."""
 
     joint: str
     index_q: int
@@ -80,8 +80,8 @@ def check_guards(guards: list[Guard], q: np.ndarray) -> None:
 
 
 def without_inertia(model: pin.Model, data: pin.Data, q: np.ndarray) -> str:
-    """The mass matrix's fault at q, as a message names it: the joint with the largest part in the motion that takes
-    least inertia."""
+    """Why the mass matrix is not positive at q, for a message: the joint that moves most in the motion of least
+    inertia."""
     mass = pin.crba(model, data, q, pin.Convention.WORLD)
     moments, motions = np.linalg.eigh(np.triu(mass) + np.triu(mass, 1).T)
     joint = joint_of(model, int(np.abs(motions[:, 0]).argmax()))

@@ -91,192 +91,140 @@ def unwhiten(factor, parents, n, right, out):
 
 
 @kernel
-def solve_semidefinite(system, n, permutation, x, scratch):
-    """Minimum-norm solution of a consistent symmetric positive semidefinite system.
+def solve_semidefinite(matrix, n, permutation, x, lower):
+    """Least-norm solution of a consistent symmetric positive semidefinite system; returns its rank.
 
-    system (n, n): overwritten; x (n,): right-hand side in, solution out; permutation (n,) int and scratch (n, n + 1).
-    Cholesky with diagonal pivoting, A = P L L^T P^T with L of full column rank r; where r < n the solution of
-    least norm is L (L^T L)^-2 L^T b in pivoted order.
-    Returns the rank.
+    matrix (n, n): the lower triangle is read, all is overwritten; x (n,): right-hand side in, solution out;
+    permutation (n,) int and lower (n, n + 1) are overwritten. The method is that of `solve_gram`.
     """
     for i in range(n):
         permutation[i] = i
-        scratch[i, n] = system[i, i]
-    rank = n
-    for k in range(n):
-        pivot = k
-        best = -1.0
-        for i in range(k, n):
-            scale = scratch[permutation[i], n]
-            ratio = system[i, i] / scale if scale > 0.0 else 0.0
-            if ratio > best:
-                best, pivot = ratio, i
-        if not best > RANK_TOLERANCE:
-            rank = k
-            break
-        if pivot != k:
-            permutation[k], permutation[pivot] = permutation[pivot], permutation[k]
-            for j in range(k):
-                system[k, j], system[pivot, j] = system[pivot, j], system[k, j]
-            # swap row and column k and pivot of the remaining lower triangle
-            system[k, k], system[pivot, pivot] = system[pivot, pivot], system[k, k]
-            for j in range(k + 1, pivot):
-                system[j, k], system[pivot, j] = system[pivot, j], system[j, k]
-            for j in range(pivot + 1, n):
-                system[j, k], system[j, pivot] = system[j, pivot], system[j, k]
-        root = math.sqrt(system[k, k])
-        system[k, k] = root
-        for i in range(k + 1, n):
-            system[i, k] /= root
-        for j in range(k + 1, n):
-            for i in range(j, n):
-                system[i, j] -= system[i, k] * system[j, k]
-    for i in range(n):
-        scratch[i, n] = x[permutation[i]]
-    if rank == n:
-        for i in range(n):
-            value = scratch[i, n]
-            for k in range(i):
-                value -= system[i, k] * scratch[k, n]
-            scratch[i, n] = value / system[i, i]
-        for i in range(n - 1, -1, -1):
-            value = scratch[i, n]
-            for k in range(i + 1, n):
-                value -= system[k, i] * scratch[k, n]
-            scratch[i, n] = value / system[i, i]
-    else:
-        _least_norm(system, n, rank, scratch)
-    for i in range(n):
-        x[permutation[i]] = scratch[i, n]
+        lower[i, n - 1] = lower[i, n] = matrix[i, i]
+    rank = 0
+    while rank < n and take_pivot(lower, permutation, rank, n):
+        p = permutation[rank]
+        for i in range(rank + 1, n):
+            other = permutation[i]
+            eliminate(lower, p, other, rank, n, matrix[max(p, other), min(p, other)])
+        rank += 1
+    # of the matrix, which is no longer needed, a factor of rank below n leaves the last column free
+    solve_factored(lower, permutation, n, rank, x, matrix, matrix[:n, n - 1])
     return rank
-
-
-@kernel
-def _least_norm(lower, n, rank, scratch):
-    """scratch[:, n] = L (L^T L)^-2 L^T scratch[:, n] for the n x rank trapezoid L."""
-    # y = L^T b, then twice (L^T L)^-1 by its Cholesky factor, then L y
-    for i in range(rank):
-        value = 0.0
-        for k in range(i, n):
-            value += lower[k, i] * scratch[k, n]
-        scratch[i, n] = value
-    for i in range(rank):
-        for j in range(i + 1):
-            value = 0.0
-            for k in range(i, n):
-                value += lower[k, i] * lower[k, j]
-            for k in range(j):
-                value -= scratch[i, k] * scratch[j, k]
-            scratch[i, j] = math.sqrt(value) if i == j else value / scratch[j, j]
-    for _ in range(2):
-        for i in range(rank):
-            value = scratch[i, n]
-            for k in range(i):
-                value -= scratch[i, k] * scratch[k, n]
-            scratch[i, n] = value / scratch[i, i]
-        for i in range(rank - 1, -1, -1):
-            value = scratch[i, n]
-            for k in range(i + 1, rank):
-                value -= scratch[k, i] * scratch[k, n]
-            scratch[i, n] = value / scratch[i, i]
-    for i in range(n - 1, -1, -1):
-        value = 0.0
-        for k in range(min(i + 1, rank)):
-            value += lower[i, k] * scratch[k, n]
-        scratch[i, n] = value
 
 
 @kernel
 def solve_gram(rows, m, n, lower, permutation, x, scratch):
-    """Least-norm solution of the consistent system (R R^T) x = b, R the rows (m, n).
+    """Least-norm solution of the consistent system (R R^T) x = b, R the rows (m, n); returns its rank.
 
     x (m,): b in, solution out; lower (m, m + 1), permutation (m,) int and scratch (m, m + 1) are overwritten.
     Cholesky with pivoting, R R^T = P L L^T P^T with L of full column rank r; only the columns of R R^T that are needed
     are formed, so the cost is linear in m where r stays small. Where r < m the solution of least norm is
-    L (L^T L)^-2 L^T b in pivoted order. Returns the rank.
+    L (L^T L)^-2 L^T b in pivoted order. Row i of L is row permutation[i] of lower.
     """
     for i in range(m):
         permutation[i] = i
-        scratch[i, m] = lower[i, m] = inner(rows[i], rows[i], n)
+        lower[i, m - 1] = lower[i, m] = inner(rows[i], rows[i], n)
     rank = 0
-    while rank < m:
-        pivot, best = rank, -1.0
-        for i in range(rank, m):
-            p = permutation[i]
-            ratio = lower[p, m] / scratch[p, m] if scratch[p, m] > 0.0 else 0.0
-            if ratio > best:
-                best, pivot = ratio, i
-        if not best > RANK_TOLERANCE:
-            break
-        p = permutation[pivot]
-        permutation[pivot] = permutation[rank]
-        permutation[rank] = p
-        own, known = rows[p], lower[p]
-        root = math.sqrt(known[m])
-        known[rank] = root
+    while rank < m and take_pivot(lower, permutation, rank, m):
+        p = permutation[rank]
         for i in range(rank + 1, m):
-            other, line = rows[permutation[i]], lower[permutation[i]]
-            value = (inner(own, other, n) - inner(known, line, rank)) / root
-            line[rank] = value
-            line[m] -= value * value
+            other = permutation[i]
+            eliminate(lower, p, other, rank, m, inner(rows[p], rows[other], n))
         rank += 1
-    for i in range(m):
-        scratch[i, m] = x[permutation[i]]
-    if rank == m:
-        _solve_lower(lower, permutation, m, scratch)
-    else:
-        _solve_trapezoid(lower, permutation, m, rank, scratch)
-    for i in range(m):
-        x[permutation[i]] = scratch[i, m]
+    solve_factored(lower, permutation, m, rank, x, scratch, scratch[:m, m])
     return rank
 
 
 @kernel
-def _solve_lower(lower, permutation, m, scratch):
-    """scratch[:, m] = (L L^T)^-1 scratch[:, m], row i of L being row permutation[i] of lower."""
-    for i in range(m):
-        row, value = lower[permutation[i]], scratch[i, m]
-        for k in range(i):
-            value -= row[k] * scratch[k, m]
-        scratch[i, m] = value / row[i]
-    for i in range(m - 1, -1, -1):
-        row = lower[permutation[i]]
-        value = scratch[i, m] / row[i]
-        scratch[i, m] = value
-        for k in range(i):
-            scratch[k, m] -= row[k] * value
+def take_pivot(lower, permutation, rank, m):
+    """Bring the row with the largest pivot, relative to its diagonal, to place `rank`; False where none is left.
+
+    What is left of each row's diagonal stands in column m, the diagonal itself in column m - 1, which the factor needs
+    for the last row only.
+    """
+    pivot, best = rank, -1.0
+    for i in range(rank, m):
+        p = permutation[i]
+        ratio = lower[p, m] / lower[p, m - 1] if lower[p, m - 1] > 0.0 else 0.0
+        if ratio > best:
+            best, pivot = ratio, i
+    if not best > RANK_TOLERANCE:
+        return False
+    p = permutation[pivot]
+    permutation[pivot] = permutation[rank]
+    permutation[rank] = p
+    lower[p, rank] = math.sqrt(lower[p, m])
+    return True
 
 
 @kernel
-def _solve_trapezoid(lower, permutation, m, rank, scratch):
-    """scratch[:, m] = L (L^T L)^-2 L^T scratch[:, m] for the m x rank trapezoid L (rows as in `_solve_lower`)."""
-    # y = L^T b, then twice (L^T L)^-1 by its Cholesky factor, then L y
+def eliminate(lower, p, other, rank, m, product):
+    """Entry of another row in column `rank`, of which row p has the pivot; product: the matrix's entry of both rows."""
+    own, line = lower[p], lower[other]
+    value = (product - inner(own, line, rank)) / own[rank]
+    line[rank] = value
+    line[m] -= value * value
+
+
+@kernel
+def solve_factored(lower, permutation, m, rank, x, gram, y):
+    """x (m,) = the least-norm solution, from the factor of that rank; gram (rank, rank) and y (m,) are overwritten."""
+    for i in range(m):
+        y[i] = x[permutation[i]]
+    if rank == m:
+        _solve_lower(lower, permutation, m, y)
+    else:
+        _solve_trapezoid(lower, permutation, m, rank, gram, y)
+    for i in range(m):
+        x[permutation[i]] = y[i]
+
+
+@kernel
+def _solve_lower(lower, permutation, m, y):
+    """y = (L L^T)^-1 y, y (m,) in pivoted order."""
+    for i in range(m):
+        row, value = lower[permutation[i]], y[i]
+        for k in range(i):
+            value -= row[k] * y[k]
+        y[i] = value / row[i]
+    for i in range(m - 1, -1, -1):
+        row = lower[permutation[i]]
+        value = y[i] / row[i]
+        y[i] = value
+        for k in range(i):
+            y[k] -= row[k] * value
+
+
+@kernel
+def _solve_trapezoid(lower, permutation, m, rank, gram, y):
+    """y = L (L^T L)^-2 L^T y for the m x rank trapezoid L, y (m,) in pivoted order."""
+    # L^T y, then twice (L^T L)^-1 by its Cholesky factor, then L times that
     for i in range(rank):
         value = 0.0
         for k in range(i, m):
-            value += lower[permutation[k], i] * scratch[k, m]
-        scratch[i, m] = value
+            value += lower[permutation[k], i] * y[k]
+        y[i] = value
     for i in range(rank):
         for j in range(i + 1):
             value = 0.0
             for k in range(i, m):
                 value += lower[permutation[k], i] * lower[permutation[k], j]
             for k in range(j):
-                value -= scratch[i, k] * scratch[j, k]
-            scratch[i, j] = math.sqrt(value) if i == j else value / scratch[j, j]
+                value -= gram[i, k] * gram[j, k]
+            gram[i, j] = math.sqrt(value) if i == j else value / gram[j, j]
     for _ in range(2):
         for i in range(rank):
-            value = scratch[i, m]
+            value = y[i]
             for k in range(i):
-                value -= scratch[i, k] * scratch[k, m]
-            scratch[i, m] = value / scratch[i, i]
+                value -= gram[i, k] * y[k]
+            y[i] = value / gram[i, i]
         for i in range(rank - 1, -1, -1):
-            value = scratch[i, m] / scratch[i, i]
-            scratch[i, m] = value
+            value = y[i] / gram[i, i]
+            y[i] = value
             for k in range(i):
-                scratch[k, m] -= scratch[i, k] * value
+                y[k] -= gram[i, k] * value
     for i in range(m - 1, -1, -1):
         row, value = lower[permutation[i]], 0.0
         for k in range(min(i + 1, rank)):
-            value += row[k] * scratch[k, m]
-        scratch[i, m] = value
+            value += row[k] * y[k]
+        y[i] = value

@@ -44,7 +44,7 @@ def resists(integers_c):
 
 @kernel
 def free_with_owners(contact_int, first, total):
-    """What is apart resists nothing: free the resistances, items first .. total, of open contacts."""
+    """Free the resistances, items first .. total, of open contacts."""
     for i in range(first, total):
         if contact_int[contact_int[i, OWNER], MODE] == FREE:
             contact_int[i, MODE] = FREE
@@ -70,7 +70,7 @@ def drop_unturned(row, nv):
 
 
 @kernel
-def resistance_kinematics(system, c, total):
+def resistance_kinematics(system, c):
     """Basis, relative angular velocity, rows and biases of contact c's resistances, after its own kinematics.
 
     The rate of a tangential component of omega leaves out what only turns the other tangential one into it: a

@@ -12,19 +12,13 @@ import pinocchio as pin
 
 from ..callback import kernel_address
 from ..contacts import characteristic_length
-from ..contours.base import DERIVATIVE_ROWS, SHAPE_SIZE
-from ..contours.motion import MOTION_CALLABLE, MOTION_NONE, MOTION_PARAMETERS, MOTION_SIZE, MOTION_TWIST, motion_at
-from ..contours.table import contour_address
+from ..contours.motion import MOTION_CALLABLE, MOTION_NONE, MOTION_TWIST, motion_at
+from ..contours.sizes import DERIVATIVE_ROWS, MOTION_PARAMETERS, MOTION_SIZE, SHAPE_SIZE
 from ..errors import UnusableResult
 from ..friction.laws import Stribeck
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import NO_CLOSED_FORM, closed_form
 from ..geometry.patterns import NO_NORMAL
-from ..integration.dense import DENSE_ROWS
-from ..integration.manifold import TURNING, configuration_blocks
-from ..integration.resolution import KEPT_ROWS
-from ..integration.stages import MAX_STAGES, NUMBER_OF_WORKS
-from ..integration.steps import EVALUATE, KINEMATICS, PROJECT, PROJECT_EVALUATED, SCAN, run_task
 from ..jit import compile_kernels
 from ..layout import (
     ALONG_BODY_1,
@@ -36,13 +30,11 @@ from ..layout import (
     CONTACT_INTS,
     CONTACT_REALS,
     EVALUATOR,
-    EVENT,
     FREE,
     FRICTIONLESS,
     GUARD_INTS,
     GUARD_Q,
     GUARD_REALS,
-    GUARD_SIGN,
     GUARD_V,
     HIGH_END,
     HIGH_FORCE,
@@ -66,14 +58,13 @@ from ..layout import (
     MU_STATIC,
     NORMAL_1,
     NORMAL_SIGN,
+    NUMBER_OF_WORKS,
     OWNER,
     PATTERN,
-    POLYNOMIAL_SIZE,
     POOL_ADDRESS,
     POOL_SIZE,
     ROLLING,
     ROLLING_ROW,
-    SCAN_ROOM,
     SIDE,
     SIDE_INTS,
     SLIP_SIGN,
@@ -93,7 +84,9 @@ from ..layout import (
     VISCOUS,
 )
 from ..workspace import Workspace, address_of
-from .evaluation import evaluate_state
+from .equations import guard_force
+from .evaluation import KINEMATICS_OF_ALL, evaluate_state
+from .manifold import TURNING, configuration_blocks
 from .pinocchio_calls import PinocchioCalls
 
 if TYPE_CHECKING:
@@ -105,13 +98,10 @@ if TYPE_CHECKING:
 FORCE_SLACK = 1e-13
 # Lengths of resistances below this part of their contact's make torques that rounding of its forces hides.
 _NEGLIGIBLE_RESISTANCE = 1e-12
-# So many output times there is room for in every system.
-_FEW_TIMES = 256
-_NO_TIMES = np.zeros(0)
 
 
 class System(Workspace):
-    """Everything that one run needs, laid out once.
+    """Everything that evaluations of a scene need, laid out once (see `evaluation` for the protocol).
 
     The arrays of `layout.SYSTEM` are attributes. `evaluate(t)` runs Pinocchio and one kernel at the state in `q`, `v`,
     `location`.
@@ -140,8 +130,6 @@ class System(Workspace):
         nwork = NUMBER_OF_WORKS if works else 0
         ny = nq + nv + 4 * nc + nwork
         self.ny = ny
-        # blocks of rows to be recorded, by their width, which all runs of this system fill
-        self.row_blocks: dict[int, list[tuple[str, np.ndarray, int]]] = {}
         sizes = self.zeros("sizes")
         blocks = configuration_blocks(model)
         # whether velocities differ between the axes of joints and of their parents
@@ -209,8 +197,8 @@ class System(Workspace):
             numbers[NORMAL_1] = numbers[SPAN] = 1.0
             self._map_side(2 * c, one)
             self._map_side(2 * c + 1, two)
-        # places in the state of location parameters that are not there, or not followed: a closed form needs no start
-        # to find them
+        # places in the state of contact coordinates that do not exist, or are not integrated: a closed form needs no
+        # start to find them
         columns = self.contact_int[: self.nc]
         unfollowed = np.tile(np.arange(2), 2) >= np.repeat(columns[:, [K1, K2]], 2, axis=1)
         unfollowed[columns[:, CLOSED_FORM] != NO_CLOSED_FORM] = True
@@ -223,7 +211,7 @@ class System(Workspace):
         integers[KIND], integers[CHART], integers[JOINT] = contour.kind, 0, attached.joint
         integers[TIME_DEPENDENT] = int(contour.time_dependent)
         integers[POOL_ADDRESS], integers[POOL_SIZE] = address_of(pool), pool.size
-        integers[EVALUATOR] = contour_address(contour.kind)
+        integers[EVALUATOR] = kernel_address(contour.evaluator)
         self.side_shape[side] = contour.shape_row()
         self.side_domain[side] = contour.ends()
         placement = attached.placement_in_joint
@@ -272,36 +260,22 @@ class System(Workspace):
         self.scratch("row_index", rows, 2)
         self.scratch("permutation", rows)
         self.zeros("state", ny)
-        self.scratch("stage_state", ny)
-        self.scratch("new_state", ny)
-        self.scratch("next_state", ny)
-        self.scratch("next_slope", ny)
-        self.scratch("slopes", MAX_STAGES, ny)
-        self.zeros("scale", 2)
-        self.zeros("absolute", ny)
         self.scratch("location_system", 4, 8)
         self.scratch("vectors", 16, 3)
         self.scratch("local", DERIVATIVE_ROWS, 3)
         self.scratch("work", max(nv, 1))
         self.scratch("correction_q", nv)
         self.scratch("correction_v", nv)
-        self.scratch("dense", DENSE_ROWS, ny)
         self.zeros("counters")
-        self._few_times = self.scratch("output_times", _FEW_TIMES)
-        self.output_times = _NO_TIMES
         self.scratch("lowest", nc, MARGINS_PER_CONTACT)
         self.scratch("highest", nc, MARGINS_PER_CONTACT)
-        self.scratch("across", 2 * nc + 1, POLYNOMIAL_SIZE)
-        self.scratch("scan_shares", SCAN_ROOM)
-        self.scratch("scan_status", SCAN_ROOM)
-        self.scratch("scan_margins", SCAN_ROOM + KEPT_ROWS, nc, MARGINS_PER_CONTACT)
         self.zeros("reference", nc, 3)
         self.scratch("reference_start", nc, 3)
         self.scratch("reference_rate", nc, 3)
         self.scratch("reference_slope", 2, rows, nv)
 
     def _map_guards(self, guards: Sequence[Guard]) -> None:
-        """Guarded joint coordinates are rows after the contacts': one constraint row each, moving unless held."""
+        """Joint coordinates with limits or dry friction are items after the contacts, of one constraint row each."""
         nc, ng = self.nc, self.ng
         self.zeros("guard_count", 1)[0] = ng
         self.guards = list(guards)
@@ -316,7 +290,7 @@ class System(Workspace):
             self.rows[nc + g, 2, guard.index_v] = 1.0
 
     def _map_resistances(self) -> None:
-        """Resistances to turning are rows after the guarded coordinates': see `resistance`."""
+        """Resistances to turning are rows after those of joint coordinates: see `resistance`."""
         self.zeros("resistance_count", 1)[0] = self.nr
         for item, (c, spins) in enumerate(self.resistances, start=self.nc + self.ng):
             integers, numbers = self.contact_int[item], self.contact_real[item]
@@ -378,7 +352,7 @@ class System(Workspace):
 
     @property
     def varies_with_time(self) -> bool:
-        """Whether anything but the state decides: a user's function, or a contour that is driven unsteadily."""
+        """Whether evaluations depend on time: by a user's function, or by a prescribed motion that is not steady."""
         return self.asks or self._driven_unsteadily
 
     @cached_property
@@ -439,66 +413,28 @@ class System(Workspace):
         # an interrupt, say, wherever it came
         return f"t = {self.scalars['time']:.9g} s: ended by {type(error).__name__}{text}"
 
-    def set_output_times(self, times: np.ndarray | None) -> None:
-        """Output times in s, in order, of a run that begins; None for an output at every step."""
-        counters, given = self.counters, _NO_TIMES if times is None else times
-        if given.size <= _FEW_TIMES:
-            # an array's address takes longer to find than these to copy
-            self._few_times[: given.size] = given
-            self.output_times = self._few_times[: given.size]
-        else:
-            self.put("output_times", np.ascontiguousarray(given))
-        counters["output_count"], counters["outputs_done"], counters["record_steps"] = given.size, 0, times is None
-        self.announce_output()
-
-    def announce_output(self) -> None:
-        """Tell the compiled steps when the next output is due."""
-        done = self.counters["outputs_done"].item()
-        self.scalars["next_output"] = self.output_times[done] if done < self.output_times.size else math.inf
-
-    def output_done(self) -> None:
-        """Go on to the next output time."""
-        self.counters["outputs_done"] += 1
-        self.announce_output()
-
-    def run(self, task: int, t: float = 0.0, h: float = 0.0) -> int:
-        """A task of `steps.run_task`; returns what it does, raises what `check_callbacks` does."""
-        result = run_task(self.address, task, t, h)
+    def checked(self, result: int) -> int:
+        """What an entry kernel that evaluates has returned; raises what `check_callbacks` does."""
         if self.asks:
             self.check_callbacks()
         return result
 
     def evaluate(self, t: float) -> int:
-        """Accelerations, forces and margins at (q, v) in the present modes; returns a status of `layout`."""
-        return self.run(EVALUATE, t)
+        """Accelerations, forces and event functions at (q, v) in the present modes; returns a status of `layout`."""
+        return self.checked(evaluate_state(self.address, t, 0))
 
     def evaluate_kinematics(self, t: float) -> int:
-        """Location, rows and biases of all contacts at (q, v), open ones too; returns a status of `layout`."""
-        return self.run(KINEMATICS, t)
-
-    def scan(self, t: float, step: float, shares: Sequence[float]) -> tuple[list[bool], np.ndarray]:
-        """Margins along the step from t that was interpolated last, at shares of it, at most SCAN_ROOM: (n,) whether
-        they could be evaluated, (n, items, MARGINS_PER_CONTACT) a view that the next scan overwrites.
-
-        The gap of an open contact is NOTHING_THERE where no nearest point was found.
-        """
-        n = len(shares)
-        self.scan_shares[:n] = shares
-        self.counters["scan_count"] = n
-        self.run(SCAN, t, step)
-        return [status <= EVENT for status in self.scan_status[:n].tolist()], self.scan_margins[:n, : self.items]
-
-    def project(self, t: float, evaluated: bool = False, error: float = math.inf) -> int:
-        """Put (q, v) and location of `stage_state` on the constraints; returns a status of `layout`.
-
-        evaluated: the system has just been evaluated at that state; error: see `steps.project`.
-        """
-        return self.run(PROJECT_EVALUATED if evaluated else PROJECT, t, error)
+        """Contact coordinates, rows and biases of all contacts at (q, v), open ones too; a status of `layout`."""
+        return self.checked(evaluate_state(self.address, t, KINEMATICS_OF_ALL))
 
     @property
     def charted(self) -> bool:
         """Whether any contour has charts to move between."""
         return bool(self.counters["charted"])
+
+    def alone(self, c: int) -> System:
+        """A system of contact c only."""
+        return System(self.model, [self.contacts[c]])
 
     @property
     def modes(self) -> np.ndarray:
@@ -506,18 +442,16 @@ class System(Workspace):
         return self.contact_int[: self.nc, MODE]
 
     def held(self) -> list[int]:
-        """Numbers of the guarded joint coordinates that are held."""
+        """Numbers of the joint coordinates that their limits or dry friction hold."""
         return [g for g in range(self.ng) if self.contact_int[self.nc + g, MODE] != FREE]
 
     def joint_forces(self) -> np.ndarray:
         """(nv,) forces of joint limits and dry joint friction in the last evaluation, N or N m."""
         out = np.zeros(self.nv)
         for g in range(self.ng):
-            guard, numbers = self.guard_int[g], self.guard_real[g]
-            if self.contact_int[self.nc + g, MODE] != FREE:
-                out[guard[GUARD_V]] = self.force[self.nc + g, 2]
-            elif guard[GUARD_SIGN]:
-                out[guard[GUARD_V]] = numbers[LOW_FORCE if guard[GUARD_SIGN] > 0 else HIGH_FORCE]
+            guard, mode = self.guard_int[g], self.contact_int[self.nc + g, MODE]
+            moving = guard_force(mode, guard, self.guard_real[g])
+            out[guard[GUARD_V]] = moving if mode == FREE else self.force[self.nc + g, 2]
         return out
 
     def closed(self) -> list[int]:

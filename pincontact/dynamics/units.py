@@ -43,7 +43,7 @@ def whitened_velocity(system: System, v: np.ndarray) -> np.ndarray:
 
 
 def unit_columns(system: System, index: int, rows: Sequence[int], sign: float = 1.0) -> np.ndarray:
-    """(nv, 3) the unit of contact `index` (or of guarded coordinate `index` - nc), with these of its rows only."""
+    """(nv, 3) the unit of contact `index` (or of joint coordinate `index` - nc), with these of its rows only."""
     columns = whiten(system, system.rows[index].T)
     for row in {0, 1, 2}.difference(rows):
         columns[:, row] = 0.0

@@ -6,7 +6,7 @@ from ..arrays import view
 from ..jit import FRICTION, INTEGER, REAL, entry_kernel, kernel
 from .cone import (
     BY_EXACT,
-    BY_SWEEPS,
+    BY_GAUSS_SEIDEL,
     BY_WARM,
     CHOICES,
     DECIDED,
@@ -14,18 +14,20 @@ from .cone import (
     HUGE,
     KNOWN,
     PASSES,
+    RANK_TOLERANCE,
     SLIP,
     STICK,
     TIMES,
     TRIED,
     classify,
     cone_at,
+    gauss_seidel_pass,
     respond,
     scale_problem,
-    sweep,
 )
-from .newton import settle
-from .redundant import FACTOR, factor_matrix
+from .elimination import factor_matrix
+from .newton import NewtonWork, active_set_solve
+from .redundant import FACTOR
 
 WARM, CLASSIFY, NEAR, CLASSIFY_NEAR, USUAL = 0, 1, 2, 3, 4
 # Added to USUAL: redundant forces may be the nearest to the last; sweeps follow where the last modes do not do; it is
@@ -62,16 +64,14 @@ def attempt(delassus, b, mu, cone, task, passes, tolerance, sweeps, rounds):
     start = vectors[3]
     scalars = cone.scalars
     scale = scalars[0]
-    angles = cone.angles
     trials = cone.trial
     trial = trials[0]
     low_rank = cone.low_rank
-    buffers = (
-        scalars[1], cone.directions, scalars[2], scalars[3], scalars[4], scalars[5],
-        cone.system, vectors[4], vectors[5], vectors[6], cone.gram,
-        cone.order, cone.first, scalars[6], vectors[7], low_rank,
+    work = NewtonWork(
+        scalars[1], cone.directions, scalars[2], scalars[3], scalars[4], scalars[5], cone.system, vectors[4],
+        vectors[5], vectors[6], cone.gram, cone.order, cone.first, scalars[6], vectors[7], low_rank, cone.angles,
+        start, trials[1],
     )  # fmt: skip
-    size = buffers[0]
 
     unit = scale_problem(delassus, b, n, g, c, scale, u)
     for i in range(n):
@@ -84,7 +84,7 @@ def attempt(delassus, b, mu, cone, task, passes, tolerance, sweeps, rounds):
             trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1
     swept = task in (CLASSIFY, CLASSIFY_NEAR)
     near = 2 if n > 1 and task in (NEAR, CLASSIFY_NEAR) else 0
-    rank = factor_matrix(g, low_rank[FACTOR], vectors[7]) if n > 1 else 0
+    rank = factor_matrix(g, low_rank[FACTOR], vectors[7], RANK_TOLERANCE) if n > 1 else 0
     residual = HUGE
     tried = directions = 0
     follows = False
@@ -94,12 +94,12 @@ def attempt(delassus, b, mu, cone, task, passes, tolerance, sweeps, rounds):
                 for k in range(rows):
                     f[k] = start[k]
                 sweeps *= SWEEP_GROWTH
-            respond(g, c, f, u, size, vectors[4])
+            respond(g, c, f, u, work.size, vectors[4])
             for _ in range(sweeps):
-                sweep(g, mu, f, u)
+                gauss_seidel_pass(g, mu, f, u)
             classify(mu, f, u, trial)
-        result, used, tried, directions, follows = settle(
-            g, c, mu, trial, f, u, angles, start, trials[1], passes, tolerance, near, trials[2], rank, buffers
+        result, used, tried, directions, follows = active_set_solve(
+            g, c, mu, trial, f, u, passes, tolerance, near, trials[2], rank, work
         )
         counts[PASSES] = used
         residual = min(residual, result)
@@ -148,7 +148,7 @@ def usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance):
         sweeps = SWEEPS + SWEEPS_PER_CONTACT * n
         strict = STRICTNESS * tolerance
         residual, searched = attempt(delassus, b, mu, cone, task, SWEEP_NEWTON_PASSES, strict, sweeps, SWEEP_ROUNDS)
-        counts[DECIDED] = BY_SWEEPS
+        counts[DECIDED] = BY_GAUSS_SEIDEL
         tolerance = strict
     reached[0] = residual
     if not residual <= tolerance:
@@ -169,7 +169,7 @@ def solve_cones(delassus, b, mu, address, task, passes, tolerance, sweeps, round
       WARM       from the modes and forces in the cone
       NEAR       the same, and redundant forces may be the nearest to these: the velocities are needed, too
       CLASSIFY   from the forces alone, after `sweeps` Gauss-Seidel passes over them; the modes are read off the
-                 judge's projections; on failure more sweeps, SWEEP_GROWTH times as many in each of `rounds`
+                 natural map's projections; on failure more sweeps, SWEEP_GROWTH times as many in each of `rounds`
       CLASSIFY_NEAR  the same, and redundant forces may be the nearest to the ones swept
       USUAL      from the last solution, if KNOWN of the cone's "counts" is not zero, or if there is one contact, which
                  needs none; with NEAREST added as NEAR; with SWEEPING added, where that fails, by sweeps; with AFRESH

@@ -12,14 +12,14 @@ which is the complementarity of F in the cone K = {|F_t| <= mu F_n} with u + mu 
 Saxce's correction). An infinite mu is the limit of large ones: u_t = 0 wherever F_n > 0; the limit leaves one more
 state, a slip that is held up by friction alone, F_n = 0 and F_t = -|F_t| d.
 
-Here are the pieces: the problem without units, the judge of a result, and what forces and velocities say of modes.
+Here are the pieces: the problem without units, the residual of a result, and what forces and velocities say of modes.
 `newton` solves the equations of given modes; where these come from is the business of `attempt` and `solve`.
 
 Scaling. Everything below runs on a problem without units: the forces of contact i are divided by s_i and its u
 multiplied by it, s_i = (trace(G_ii) / 3)^(-1/2), which leaves the cones as they are and makes the diagonal blocks
 unit-sized; then b is divided by its largest entry.
 
-Judge. The residual is that of the two projections
+Residual of the natural map: that of the two projections
 
     F_n - max(F_n - u_n, 0)     and     F_t - P_D(F_t - u_t),   D the disk of radius mu max(F_n, 0),
 
@@ -33,8 +33,7 @@ from __future__ import annotations
 
 from math import inf, sqrt
 
-from ..arrays import view
-from ..jit import REAL, SEVERAL, entry_kernel, kernel
+from ..jit import kernel
 from ..workspace import INTEGERS, REALS, Layout, Workspace
 
 OPEN, STICK, SLIP = 0, 1, 2
@@ -50,8 +49,6 @@ CANDIDATES = 12
 HUGE = 1e300
 # Outside this range a cone is too flat or too steep to tell modes by; Newton uses the true coefficient.
 LEAST_FRICTION, LARGEST_FRICTION = 1e-6, 1e2
-# Larger coefficients make the QP's facets too steep for it; the modes found are then corrected by Newton.
-QP_FRICTION = 100.0
 
 
 # Arrays that `attempt.solve_cones` works in, by name.
@@ -73,7 +70,7 @@ CONE = Layout(
     order=(INTEGERS, 1),  # (3n + 1,) permutation of the elimination
     first=(INTEGERS, 1),  # (n + 1,) first unknown of each contact
     trial=(INTEGERS, 2),  # (3, n) modes tried, modes started from, which contacts touched
-    path=(REALS, 2),  # (8, 3n + 1) point, tangent, ... of `path.follow_path`
+    homotopy=(REALS, 2),  # (8, 3n + 1) point, tangent, ... of `homotopy.follow_homotopy`
 )
 cone_at = CONE.at
 # In "counts": Newton passes of the last start; whether modes and forces are a solution, to begin from; what decided the
@@ -81,7 +78,7 @@ cone_at = CONE.at
 # change, and whether they depend on those that it was begun from; how often each of the deciders did.
 PASSES, KNOWN, DECIDED, TRIED, CHOICES, FOLLOWS, TIMES = range(7)
 DECIDERS = ("warm", "exact", "sweeps", "path", "qp")
-BY_WARM, BY_EXACT, BY_SWEEPS, BY_PATH, BY_QP = range(len(DECIDERS))
+BY_WARM, BY_EXACT, BY_GAUSS_SEIDEL, BY_HOMOTOPY, BY_QP = range(len(DECIDERS))
 UNDECIDED = -1
 COUNTS_LENGTH = TIMES + len(DECIDERS)
 
@@ -106,7 +103,7 @@ def cone_workspace(contacts: int) -> Workspace:
     space.scratch("order", rows + 1)
     space.scratch("first", contacts + 1)
     space.scratch("trial", 3, contacts)
-    space.scratch("path", 8, rows + 1)
+    space.scratch("homotopy", 8, rows + 1)
     return space
 
 
@@ -160,7 +157,7 @@ def respond(g, c, f, u, size, terms):
             u[r] += (t1 + t2) + tn
             terms[r] += (abs(t1) + abs(t2)) + abs(tn)
     for i in range(size.shape[0]):
-        # A sum, through which what is not a number gets to the judge.
+        # A sum, through which what is not a number gets to the residual.
         size[i] = (terms[3 * i] + terms[3 * i + 1]) + terms[3 * i + 2]
 
 
@@ -188,7 +185,7 @@ def contact_residual(f1, f2, fn, u1, u2, un, mu):
 
 
 @kernel
-def judge(mu, f, u, size):
+def natural_map_residual(mu, f, u, size):
     """Largest relative residual over the contacts (module docstring); infinite if anything is not finite."""
     n = mu.shape[0]
     largest = 0.0
@@ -237,7 +234,7 @@ def start_slip(k, mu, f, u, direction, i):
 
 @kernel
 def classify(mu, f, u, modes):
-    """Modes (n,) suggested by approximate forces and velocities: where the projections of the judge land."""
+    """Modes (n,) suggested by approximate forces and velocities: where the projections of the natural map land."""
     n = mu.shape[0]
     for i in range(n):
         k = 3 * i
@@ -264,8 +261,8 @@ def turn_direction(direction, i, arc, radius):
 
 
 @kernel
-def sweep(g, mu, f, u):
-    """One Gauss-Seidel pass of the judge's projections over all contacts; f (3n,) and u = g f + c (3n,) are updated."""
+def gauss_seidel_pass(g, mu, f, u):
+    """One pass of projected Gauss-Seidel over all contacts; f (3n,) and u = g f + c (3n,) are updated."""
     n = mu.shape[0]
     rows = 3 * n
     for i in range(n):
@@ -290,82 +287,3 @@ def sweep(g, mu, f, u):
             f[k + 1] += change2
             for j in range(rows):
                 u[j] += change1 * g[k, j] + change2 * g[k + 1, j]
-
-
-@entry_kernel(
-    REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL, REAL[:, ::1], REAL[::1], REAL[:, ::1], REAL[::1],
-    REAL[::1], REAL[::1], when=SEVERAL,
-)  # fmt: skip
-def assemble_qp(delassus, b, mu, f, proximal, hessian, gradient, facets, upper, unit, work):
-    """The quadratic program around scaled forces f (3n,): min f' H f / 2 + g' f with facets f <= upper.
-
-    Four tangent planes per contact, the first at the direction of f itself; the cone's curvature times its
-    multiplier |u_t| in the Hessian; De Saxce's shift mu |u_t| n and the proximal pull to f in the gradient.
-    hessian (3n, 3n), gradient (3n,), facets (4n, 3n; zero outside the contacts' blocks), upper (4n,): output;
-    unit (3n,): output, the forces that scaled ones are counted in; work (8n,): scratch.
-    """
-    delassus, b, mu, f = view(delassus), view(b), view(mu), view(f)
-    hessian, gradient, work = view(hessian), view(gradient), view(work)
-    n = mu.shape[0]
-    rows = 3 * n
-    c = work[0:rows]
-    u = work[rows : 2 * rows]
-    scale = work[2 * rows : 2 * rows + n]
-    size = work[2 * rows + n : 2 * rows + 2 * n]
-    largest = scale_problem(delassus, b, n, hessian, c, scale, u)
-    respond(hessian, c, f, u, size, gradient)
-    for i in range(n):
-        k = 3 * i
-        friction = min(mu[i], QP_FRICTION)
-        length = sqrt(f[k] ** 2 + f[k + 1] ** 2)
-        d1 = u[k] - f[k]
-        d2 = u[k + 1] - f[k + 1]
-        slip = 0.0
-        if length > 0.0:
-            d1 = -f[k]
-            d2 = -f[k + 1]
-        norm = sqrt(d1 * d1 + d2 * d2)
-        if norm > 0.0:
-            d1 /= norm
-            d2 /= norm
-        else:
-            d1 = 1.0
-            d2 = 0.0
-        if length > 0.0:
-            slip = max(d1 * u[k] + d2 * u[k + 1], 0.0)
-        curvature = min(slip / length, 1e3) if length > 0.0 else 0.0
-        for r in range(3):
-            gradient[k + r] = c[k + r] - proximal * f[k + r]
-            hessian[k + r, k + r] += proximal
-            unit[k + r] = scale[i] * largest
-        gradient[k + 2] += friction * slip
-        hessian[k, k] += curvature * d2 * d2
-        hessian[k, k + 1] -= curvature * d1 * d2
-        hessian[k + 1, k] -= curvature * d1 * d2
-        hessian[k + 1, k + 1] += curvature * d1 * d1
-        sine, cosine = cone_angle(friction)
-        for j in range(4):
-            row = 4 * i + j
-            e1 = (-d1, d1, -d2, d2)[j]
-            e2 = (-d2, d2, d1, -d1)[j]
-            facets[row, k] = cosine * e1
-            facets[row, k + 1] = cosine * e2
-            facets[row, k + 2] = -sine
-            upper[row] = 0.0
-        if friction == 0.0:
-            # No cone is left but F_n >= 0; the tangential forces are decoupled, and stay zero.
-            for j in range(4):
-                row = 4 * i + j
-                upper[row] = 1.0
-                for r in range(3):
-                    facets[row, k + r] = 0.0
-            upper[4 * i] = 0.0
-            facets[4 * i, k + 2] = -1.0
-            hessian[k, k] += 1.0
-            hessian[k + 1, k + 1] += 1.0
-            for r in range(2):
-                gradient[k + r] = 0.0
-                for j in range(rows):
-                    if j != k + r:
-                        hessian[k + r, j] = 0.0
-                        hessian[j, k + r] = 0.0

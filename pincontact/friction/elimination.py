@@ -1,4 +1,8 @@
-"""Linear systems of contacts, singular ones too, without allocation: elimination and solutions of least norm."""
+"""Linear systems of contacts, singular ones too, without allocation.
+
+`least_norm`: elimination with complete pivoting; `factor_matrix`: a semidefinite matrix as a product of narrow factors;
+`factor_gram`, `solve_gram`: Cholesky's factorisation of a definite one.
+"""
 
 from __future__ import annotations
 
@@ -55,12 +59,6 @@ def dot(x, y):
     for j in range(n - n % 4, n):
         first += x[j] * y[j]
     return (first + second) + (third + fourth)
-
-
-@kernel
-def minimum_norm_solve(a, rhs, n, x, gram, order, tolerance):
-    """`least_norm` of a square system."""
-    return least_norm(a, rhs, n, n, x, gram, order, tolerance)
 
 
 @kernel
@@ -154,6 +152,41 @@ def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
     for j in range(n):
         x[order[j]] = combined[j]
     return rank
+
+
+@kernel
+def factor_matrix(g, factor, rest, tolerance):
+    """Rows (r, 3n) of L^T in factor, largest pivots first; returns r, or 0 if it is more than half of 3n.
+
+    Cholesky's factor with diagonal pivoting of g (3n, 3n), positive semidefinite, up to pivots of `tolerance` times the
+    largest; rest (3n,): scratch.
+    """
+    rows = g.shape[0]
+    for j in range(rows):
+        rest[j] = g[j, j]
+    largest = 0.0
+    for k in range(rows // 2 + 1):
+        pivot = 0.0
+        p = 0
+        for j in range(rows):
+            if rest[j] > pivot:
+                pivot = rest[j]
+                p = j
+        largest = max(largest, pivot)
+        if not pivot > tolerance * largest:
+            return k
+        row = factor[k]
+        source = g[p]
+        for j in range(rows):
+            row[j] = source[j]
+        for i in range(k):
+            subtract_row(row, factor[i], factor[i, p])
+        inverse = 1.0 / sqrt(pivot)
+        for j in range(rows):
+            row[j] *= inverse
+            rest[j] -= row[j] * row[j]
+        rest[p] = 0.0
+    return 0
 
 
 @kernel

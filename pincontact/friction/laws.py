@@ -126,14 +126,6 @@ def _set_coefficients(law: Any) -> None:
 class Coulomb(FrictionLaw):
     """Dry friction (Sec. 5.3): stick while |F_t| <= mu_static F_n, else F_t = -mu F_n v_t / |v_t|.
 
-    mu:        coefficient of sliding friction, finite, >= 0; 0 is frictionless
-    mu_static: coefficient that has to be exceeded before a sticking contact slides, >= mu; None means mu
-    viscous:   c in N s/m, >= 0: a further force -c v_t, whatever the normal force
-    spinning:  length in m, >= 0: a torque up to spinning * F_n resists rotation about the normal
-    rolling:   length in m, >= 0: a torque up to rolling * F_n resists rotation about the tangents
-    along:     name of the contour whose first tangent the first of two coefficients belongs to; None means the
-               tangent e_1 of the contact frame, body 2's
-
     mu = (mu_1, mu_2), both positive, is friction of two directions, along a tangent and across it: stick while
     (F_1 / mu_1)^2 + (F_2 / mu_2)^2 <= F_n^2, else the force on that ellipse that takes most power from the slip
     (the associated law), F_t = -F_n S^2 v_t / |S v_t| with S = diag(mu_1, mu_2). mu_static is then a pair of the same
@@ -142,7 +134,32 @@ class Coulomb(FrictionLaw):
     The torques are dry friction, too: of that length where there is rotation, and what holds it at rest where there is
     none. Lengths below 1e-12 of the contours' size are taken as zero by event-driven runs.
 
-    Raises FrictionError for a parameter that is negative or not finite, mu_static < mu, pairs out of proportion.
+    Parameters
+    ----------
+    mu : float or (float, float)
+        Coefficient of sliding friction, finite, >= 0; 0 is frictionless.
+    mu_static : float or (float, float), optional
+        Coefficient that has to be exceeded before a sticking contact slides, >= mu; None means mu.
+    viscous : float
+        c in N s/m, >= 0: a further force -c v_t, whatever the normal force.
+    spinning : float
+        Length in m, >= 0: a torque up to spinning * F_n resists rotation about the normal.
+    rolling : float
+        Length in m, >= 0: a torque up to rolling * F_n resists rotation about the tangents.
+    along : str, optional
+        Name of the contour whose first tangent the first of two coefficients belongs to; None means the tangent e_1
+        of the contact frame, body 2's.
+
+    Raises
+    ------
+    FrictionError
+        For a parameter that is negative or not finite, mu_static < mu, pairs out of proportion.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> pc.Coulomb(0.3, mu_static=0.4).sticking
+    0.4
     """
 
     mu: Coefficient
@@ -176,12 +193,29 @@ class Stribeck(FrictionLaw):
     Slip at speed s is opposed by F_n (mu + (mu_static - mu) exp(-(s / speed)^exponent)): slip starts with the force
     that stick ends with.
 
-    mu:        coefficient of fast slip; mu_static: of stick and of slip that starts, >= mu
-    speed:     m/s, > 0, at which the difference has fallen to 1 / e
-    exponent:  1 (Tustin) to 50; 2 is the Gaussian curve
-
     The other parameters, and pairs of coefficients, are those of `Coulomb`.
-    Raises FrictionError for a parameter out of bounds.
+
+    Parameters
+    ----------
+    mu : float or (float, float)
+        Coefficient of fast slip.
+    mu_static : float or (float, float)
+        Coefficient of stick and of slip that starts, >= mu.
+    speed : float
+        In m/s, > 0, at which the difference has fallen to 1 / e.
+    exponent : float
+        1 (Tustin) to 50; 2 is the Gaussian curve.
+
+    Raises
+    ------
+    FrictionError
+        For a parameter out of bounds.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> pc.Stribeck(0.2, 0.4, speed=0.1).coefficient([0.0, 10.0]).tolist()
+    [0.4, 0.2]
     """
 
     mu: Coefficient
@@ -235,7 +269,16 @@ class NoSlip(FrictionLaw):
     again by more than a thousandth of its length, it slides with F_n = 0, held up by the tangential force against its
     slip, until it sticks again or opens.
 
-    spinning, rolling: resistance to spinning and rolling in m, as of `Coulomb`.
+    Parameters
+    ----------
+    spinning, rolling : float
+        Resistance to spinning and rolling in m, as of `Coulomb`.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> pc.NoSlip().sliding
+    inf
     """
 
     spinning: float = field(default=0.0, kw_only=True)

@@ -6,6 +6,9 @@ All states of a single contact are tried, if need be: no search is left to other
 from __future__ import annotations
 
 from math import atan2, cos, pi, sin
+from typing import NamedTuple
+
+import numpy as np
 
 from ..jit import kernel
 from .cone import (
@@ -16,7 +19,7 @@ from .cone import (
     SLIP,
     STICK,
     cone_angle,
-    judge,
+    natural_map_residual,
     respond,
     start_slip,
     turn_direction,
@@ -36,10 +39,39 @@ STALLED = 0.5
 SCAN = 64
 
 
+class NewtonWork(NamedTuple):
+    """What Newton's steps work in, for n contacts in scaled units; rows = 3n.
+
+    Of slipping contacts: direction of slip (by twos), length of the force, speed. first: the first unknown of each
+    contact. arc: by how much slips turn in a step. low_rank: see `redundant`.
+    """
+
+    size: np.ndarray  # (n,) of the terms in u
+    direction: np.ndarray  # (2n,)
+    length: np.ndarray  # (n,)
+    speed: np.ndarray  # (n,)
+    sine: np.ndarray  # (n,) of the cones' half angles
+    cosine: np.ndarray  # (n,)
+    a: np.ndarray  # (rows, rows) Newton's matrix
+    rhs: np.ndarray  # (rows,)
+    x: np.ndarray  # (rows,) unknowns
+    row: np.ndarray  # (rows,) scratch
+    gram: np.ndarray  # (rows + 1, rows)
+    order: np.ndarray  # (rows,)
+    first: np.ndarray  # (n + 1,)
+    arc: np.ndarray  # (n,)
+    shift: np.ndarray  # (rows,)
+    low_rank: np.ndarray  # (4, rows + 5, rows)
+    angles: np.ndarray  # (CANDIDATES,) of slip of a single contact
+    start: np.ndarray  # (rows,) forces begun from
+    start_modes: np.ndarray  # (n,)
+
+
 @kernel
-def write_system(g, source, mu, modes, buffers):
+def write_system(g, source, mu, modes, work):
     """Newton's matrix and right-hand side of the unknowns that `first` counts, see `newton_step`."""
-    direction, length, speed, sine, cosine, a, rhs, _, row_of_g, _, _, first = buffers[1:13]
+    direction, length, speed, sine, cosine = work.direction, work.length, work.speed, work.sine, work.cosine
+    a, rhs, row_of_g, first = work.a, work.rhs, work.row, work.first
     n = mu.shape[0]
     for i in range(n):
         k = 3 * i
@@ -84,7 +116,7 @@ def write_system(g, source, mu, modes, buffers):
 
 
 @kernel
-def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, buffers):
+def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, work):
     """One Newton step on the equations of the modes; f (3n,) is updated, and the slips' directions and lengths.
 
     Unknown are f at sticking contacts and, at slipping ones, the length of the force and its turning (as an arc).
@@ -92,7 +124,8 @@ def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, buffers):
     the cones they are moved inside, near to start (3n,). rank: of the matrix factors in `redundant`, or 0.
     Returns how many directions there are in which the forces may change, and whether they were moved.
     """
-    direction, length, speed, sine, cosine, a, rhs, x, aim, gram, order, first, arc = buffers[1:14]
+    direction, length, speed, sine, cosine = work.direction, work.length, work.speed, work.sine, work.cosine
+    x, aim, first, arc = work.x, work.row, work.first, work.arc
     n = mu.shape[0]
     first[0] = 0
     for i in range(n):
@@ -110,10 +143,10 @@ def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, buffers):
     source = u if refine else c
     factored = has_factors(rank, first[n], mu, modes, length, speed, sine)
     if factored:
-        found = low_rank_solve(rank, source, mu, modes, buffers)
+        found = low_rank_solve(rank, source, modes, work)
     else:
-        write_system(g, source, mu, modes, buffers)
-        found = least_norm(a, rhs, first[n], first[n], x, gram, order, RANK_TOLERANCE)
+        write_system(g, source, mu, modes, work)
+        found = least_norm(work.a, work.rhs, first[n], first[n], x, work.gram, work.order, RANK_TOLERANCE)
     free = first[n] - found
     if refine:
         for i in range(n):
@@ -123,7 +156,7 @@ def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, buffers):
                     x[row + r] += f[3 * i + r]
             elif modes[i] == SLIP:
                 x[row] += length[i]
-    moved = near and free > 0 and move_inside(found, mu, modes, f if refine else start, buffers)
+    moved = near and free > 0 and move_inside(found, mu, modes, f if refine else start, work)
 
     for i in range(n):
         k = 3 * i
@@ -137,7 +170,7 @@ def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, buffers):
             aim[k + 1] = -sine[i] * pushed * direction[2 * i + 1]
             aim[k + 2] = cosine[i] * pushed
     if factored:
-        turn_slips(rank, source, mu, modes, f, refine, buffers)
+        turn_slips(rank, source, mu, modes, f, refine, work)
     for k in range(3 * n):
         f[k] = aim[k]
     for i in range(n):
@@ -264,19 +297,31 @@ def slip_angles(g, c, mu, angles):
 
 
 @kernel
-def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance, near, touching, rank, buffers):
-    """Newton with corrected modes, from modes (n,) and f (3n,); returns residual, passes used, attempts made,
-    in how many directions forces may change, and whether these depend on those begun from.
+def start_slips(mu, modes, f, u, work):
+    """Directions, force lengths and speeds with which slips start; none for other contacts."""
+    for i in range(mu.shape[0]):
+        work.length[i] = 0.0
+        work.speed[i] = 0.0
+        work.direction[2 * i] = 1.0
+        work.direction[2 * i + 1] = 0.0
+        if modes[i] == SLIP:
+            work.length[i], work.speed[i] = start_slip(3 * i, mu[i], f, u, work.direction, i)
+
+
+@kernel
+def active_set_solve(g, c, mu, modes, f, u, passes, tolerance, near, touching, rank, work):
+    """Newton's method with modes corrected after each step, from modes (n,) and f (3n,); returns the residual, Newton
+    passes used, starts tried, in how many directions forces may change, and whether these depend on those begun from.
 
     Redundant contacts get the forces of least norm; where these contradict the modes, the forces nearest to the
     ones given. near > 0: these are a solution of a similar problem, whose redundant modes are tried first. They are
     given the forces nearest to them that lie inside the cones, where those of least norm do not (2), or at once (1).
     One contact is solved exactly: if the start given does not lead to a solution, every other one that there can be is
-    tried until the judge accepts: open, stick, and slip along each of `slip_angles`.
-    touching (n,): see `close_touching`, of use if near > 0; rank: see `newton_step`; start (3n,), start_modes (n,):
-    scratch.
+    tried until the residual is below the tolerance: open, stick, and slip along each of `slip_angles`.
+    touching (n,): see `close_touching`, of use if near > 0; rank: see `newton_step`.
     """
-    size, direction, length, speed, sine, cosine = buffers[:6]
+    size, direction, length, speed = work.size, work.direction, work.length, work.speed
+    sine, cosine, start, start_modes = work.sine, work.cosine, work.start, work.start_modes
     n = mu.shape[0]
     for i in range(n):
         sine[i], cosine[i] = cone_angle(mu[i])
@@ -295,8 +340,8 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
             modes[0] = OPEN if attempts == 2 else STICK
         elif attempts > 3:
             if attempts == 4:
-                candidates = slip_angles(g, c, mu[0], angles)
-            _, stiffness, d1, d2 = slip_equation(g, c, mu[0], angles[attempts - 4])
+                candidates = slip_angles(g, c, mu[0], work.angles)
+            _, stiffness, d1, d2 = slip_equation(g, c, mu[0], work.angles[attempts - 4])
             force = -c[2] / stiffness if c[2] * stiffness < 0.0 else 0.0
             modes[0] = SLIP
             f[0] = -sine[0] * force * d1
@@ -308,14 +353,8 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
             slipping = slipping or modes[i] == SLIP
         refine = attempts == 1 or near == 1
         if slipping or refine:
-            respond(g, c, f, u, size, buffers[7])
-        for i in range(n):
-            length[i] = 0.0
-            speed[i] = 0.0
-            direction[2 * i] = 1.0
-            direction[2 * i + 1] = 0.0
-            if modes[i] == SLIP:
-                length[i], speed[i] = start_slip(3 * i, mu[i], f, u, direction, i)
+            respond(g, c, f, u, size, work.x)
+        start_slips(mu, modes, f, u, work)
 
         residual = HUGE
         again = False
@@ -323,7 +362,7 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
         follows = refine
         for k in range(passes):
             before = residual
-            open_directions, moved = newton_step(g, c, mu, modes, f, u, refine, near > 0, start, rank, buffers)
+            open_directions, moved = newton_step(g, c, mu, modes, f, u, refine, near > 0, start, rank, work)
             follows = (follows and refine) or moved
             if near > 0 and open_directions == 0:
                 # nothing to choose
@@ -331,8 +370,8 @@ def settle(g, c, mu, modes, f, u, angles, start, start_modes, passes, tolerance,
                 again = closed
                 if again:
                     break
-            respond(g, c, f, u, size, buffers[7])
-            residual = judge(mu, f, u, size)
+            respond(g, c, f, u, size, work.x)
+            residual = natural_map_residual(mu, f, u, size)
             stalled = residual > STALLED * before
             if residual <= ROUND_OFF:
                 return residual, k + 1, attempts, open_directions, follows

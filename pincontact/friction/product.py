@@ -106,7 +106,7 @@ class Product:
         best, least = f.copy(), math.inf
         for sweeps in rounds:
             u = self.gram @ f + self.base
-            sweep_product(
+            gauss_seidel_product(
                 self.gram, self.normal, self.tangents, self.mu, self.radius_base, self.radius_rows, f, u, sweeps
             )
             if not np.isfinite(f).all():
@@ -133,7 +133,7 @@ class Product:
 @entry_kernel(
     REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL[::1], REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, when=CALLED
 )  # fmt: skip
-def sweep_product(gram, normal, tangents, mu, radius_base, radius_rows, f, u, sweeps):
+def gauss_seidel_product(gram, normal, tangents, mu, radius_base, radius_rows, f, u, sweeps):
     """Passes of projected Gauss-Seidel over all units; f (3n,) and u = gram f + base (3n,) are updated."""
     n, rows = mu.shape[0], f.shape[0]
     for _ in range(sweeps):

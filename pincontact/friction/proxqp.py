@@ -25,14 +25,15 @@ Four things make the sequence converge in practice.
                 so that the forces turn as they do in Newton's method for the disks (sequential quadratic programming).
     proximal    A term that pulls to the last forces makes singular matrices definite and far steps shorter, as the
                 damping of a Levenberg-Marquardt method does. It shrinks with the natural-map residual of these
-                (`cone.judge`), to a size that only matters where forces are redundant.
+                (`cone.natural_map_residual`), to a size that only matters where forces are redundant.
     relaxation  Where one change of the forces goes back on the one before (rates below -1: cycles), only part of
                 it is made, and more again where it does not.
     series      From the second beginning on, changes in one direction are summed as a geometric series (Aitken). Its
                 limit is behind where the changes grow: a fixed point that the sequence alone would leave.
 
 Nothing of this has to converge to the end: after each program Newton's method (`newton`) is tried from its forces, in
-the modes that these and their velocities suggest, and what it ends at is accepted by the judge or the sequence goes on.
+the modes that these and their velocities suggest. What it ends at is the solution if its natural-map residual is within
+the tolerance; else the sequence goes on.
 
 The sequence begins at the forces of the last solution; without these, or where it has not come to an end, at parts of
 the normal forces that each contact would have alone. It gives up where the forces grow beyond all bounds.
@@ -52,7 +53,7 @@ import numpy as np
 
 from ..arrays import view
 from ..jit import REAL, SEVERAL, entry_kernel, kernel
-from .cone import HUGE, LARGEST_FRICTION, judge, respond, scale_problem
+from .cone import HUGE, LARGEST_FRICTION, natural_map_residual, respond, scale_problem
 
 # Programs per beginning, and the beginnings: how much of the normal forces that contacts would have alone, the proximal
 # term per residual, and from which cosine of two changes on they count as a series (2: never).
@@ -106,6 +107,11 @@ class ConePrograms:
         settings.compute_preconditioner = False
         self._qp.init(self._hessian, self._gradient, None, None, self._facets, self._lower, self._upper)
 
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """The counters."""
+        return self.programs, self.iterations, self.failures
+
     def renew(self) -> None:
         """Counters are as new."""
         self.programs = self.iterations = self.failures = 0
@@ -158,7 +164,7 @@ class ConePrograms:
 def weigh(g, mu, vectors, scalars, state):
     """Velocities and residual of the forces in the vectors."""
     respond(g, vectors[C], vectors[F], vectors[U], scalars[1], vectors[SCRATCH])
-    state[RESIDUAL] = judge(mu, vectors[F], vectors[U], scalars[1])
+    state[RESIDUAL] = natural_map_residual(mu, vectors[F], vectors[U], scalars[1])
 
 
 @kernel

@@ -43,40 +43,6 @@ _OVERSHOT, _SHORTEST = 0.5, 1e-2
 
 
 @kernel
-def factor_matrix(g, factor, rest):
-    """Rows (r, 3n) of L^T in factor, largest pivots first; returns r, or 0 if it is more than half of 3n.
-
-    g (3n, 3n): scaled Delassus matrix; rest (3n,): scratch.
-    """
-    rows = g.shape[0]
-    for j in range(rows):
-        rest[j] = g[j, j]
-    largest = 0.0
-    for k in range(rows // 2 + 1):
-        pivot = 0.0
-        p = 0
-        for j in range(rows):
-            if rest[j] > pivot:
-                pivot = rest[j]
-                p = j
-        largest = max(largest, pivot)
-        if not pivot > RANK_TOLERANCE * largest:
-            return k
-        row = factor[k]
-        source = g[p]
-        for j in range(rows):
-            row[j] = source[j]
-        for i in range(k):
-            subtract_row(row, factor[i], factor[i, p])
-        inverse = 1.0 / sqrt(pivot)
-        for j in range(rows):
-            row[j] *= inverse
-            rest[j] -= row[j] * row[j]
-        rest[p] = 0.0
-    return 0
-
-
-@kernel
 def spring(i, length, speed, sine):
     """kappa of a sliding contact, 0 for none; infinite where its direction is unknown."""
     reach = sine[i] * length[i]
@@ -99,78 +65,55 @@ def has_factors(rank, unknowns, mu, modes, length, speed, sine):
 
 
 @kernel
-def low_rank_solve(rank, source, mu, modes, buffers):
-    """Newton's step with the factors: x of least norm of what `first` counts, one unknown for a slip; returns its rank.
-
-    source (3n,): what u is without x, see `newton_step`. `turn_slips` is the rest of the step.
-    """
-    (
-        direction, length, speed, sine, cosine, a, rhs, x, _, gram, order, first, arc, shift, low_rank,
-    ) = buffers[1:]  # fmt: skip
-    n = mu.shape[0]
-    factor = low_rank[FACTOR]
-    tilted = low_rank[TILTED]
-    rows = low_rank[ROWS]
-    first[0] = 0
+def tilt_factor(rank, source, modes, work):
+    """The factor in the metric that the springs of turning slips make (module docstring), and, in shift (rank,), what
+    their turning does; arc (n,): the springs."""
+    direction, arc, shift, gram = work.direction, work.arc, work.shift, work.gram
+    factor, tilted = work.low_rank[FACTOR], work.low_rank[TILTED]
+    n = modes.shape[0]
     bent = False
     for i in range(n):
-        first[i + 1] = first[i] + (3 if modes[i] == STICK else 1 if modes[i] == SLIP else 0)
-        arc[i] = 0.0
-        if modes[i] == SLIP:
-            arc[i] = spring(i, length, speed, sine)
-            bent = bent or arc[i] > 0.0
-    unknowns = first[n]
-
-    # metric, and the factor in it
+        arc[i] = spring(i, work.length, work.speed, work.sine) if modes[i] == SLIP else 0.0
+        bent = bent or arc[i] > 0.0
     for k in range(rank):
         shift[k] = 0.0
         for j in range(tilted.shape[1]):
             tilted[k, j] = factor[k, j]
-    if bent:
-        for k in range(rank):
-            for j in range(k + 1):
-                gram[k, j] = 1.0 if j == k else 0.0
-        for i in range(n):
-            if arc[i] > 0.0:
-                for k in range(rank):
-                    rhs[k] = direction[2 * i] * factor[k, 3 * i + 1] - direction[2 * i + 1] * factor[k, 3 * i]
-                for k in range(rank):
-                    subtract_row(gram[k, : k + 1], rhs[: k + 1], -arc[i] * rhs[k])
-        factor_gram(gram, rank)
-        for k in range(rank):
-            for j in range(k):
-                subtract_row(tilted[k], tilted[j], gram[k, j])
-            inverse = 1.0 / gram[k, k]
-            for j in range(tilted.shape[1]):
-                tilted[k, j] *= inverse
-        for i in range(n):
-            if arc[i] > 0.0:
-                d1 = direction[2 * i]
-                d2 = direction[2 * i + 1]
-                load = -arc[i] * (d1 * source[3 * i + 1] - d2 * source[3 * i])
-                for k in range(rank):
-                    shift[k] += load * (d1 * tilted[k, 3 * i + 1] - d2 * tilted[k, 3 * i])
-
-    # equations rows^T a x = rhs
+    if not bent:
+        return
+    across = work.rhs
     for k in range(rank):
-        t = tilted[k]
-        for i in range(n):
-            row = first[i]
-            if modes[i] == STICK:
-                for r in range(3):
-                    rows[k, row + r] = t[3 * i + r]
-                    a[k, row + r] = t[3 * i + r]
-            elif modes[i] == SLIP:
-                along = direction[2 * i] * t[3 * i] + direction[2 * i + 1] * t[3 * i + 1]
-                rows[k, row] = t[3 * i + 2]
-                a[k, row] = cosine[i] * t[3 * i + 2] - sine[i] * along
+        for j in range(k + 1):
+            gram[k, j] = 1.0 if j == k else 0.0
     for i in range(n):
-        for r in range(first[i], first[i + 1]):
-            rhs[r] = -source[3 * i + (r - first[i] if modes[i] == STICK else 2)]
+        if arc[i] > 0.0:
+            for k in range(rank):
+                across[k] = direction[2 * i] * factor[k, 3 * i + 1] - direction[2 * i + 1] * factor[k, 3 * i]
+            for k in range(rank):
+                subtract_row(gram[k, : k + 1], across[: k + 1], -arc[i] * across[k])
+    factor_gram(gram, rank)
     for k in range(rank):
-        subtract_row(rhs[:unknowns], rows[k, :unknowns], shift[k])
+        for j in range(k):
+            subtract_row(tilted[k], tilted[j], gram[k, j])
+        inverse = 1.0 / gram[k, k]
+        for j in range(tilted.shape[1]):
+            tilted[k, j] *= inverse
+    for i in range(n):
+        if arc[i] > 0.0:
+            d1 = direction[2 * i]
+            d2 = direction[2 * i + 1]
+            load = -arc[i] * (d1 * source[3 * i + 1] - d2 * source[3 * i])
+            for k in range(rank):
+                shift[k] += load * (d1 * tilted[k, 3 * i + 1] - d2 * tilted[k, 3 * i])
 
-    # Elimination with complete pivoting makes rows^T unit lower trapezoidal and solves with it, for a x (in x).
+
+@kernel
+def solve_product(rows, a, rhs, rank, unknowns, x):
+    """Solve rows^T (a x) = rhs for a x, given rows and a (rank, unknowns); returns how many equations a x are left.
+
+    Elimination with complete pivoting makes rows^T unit lower trapezoidal, while a takes the inverse steps; a x is in
+    rhs then. x: scratch.
+    """
     equations = 0
     largest = 0.0
     for k in range(min(rank, unknowns)):
@@ -210,17 +153,51 @@ def low_rank_solve(rank, source, mu, modes, buffers):
         subtract_row(rhs[:unknowns], rows[k, :unknowns], x[k])
     for k in range(equations):
         rhs[k] = x[k]
-    return least_norm(a, rhs, equations, unknowns, x, gram, order, RANK_TOLERANCE)
+    return equations
 
 
 @kernel
-def turn_slips(rank, source, mu, modes, f, refine, buffers):
-    """arc (n,): by how much slips turn in a step of `low_rank_solve` to the forces in buffers[9], not turned yet."""
-    direction, length, speed, sine = buffers[1:5]
-    aim = buffers[9]
-    arc, shift, low_rank = buffers[13:]
+def low_rank_solve(rank, source, modes, work):
+    """Newton's step with the factors: x of least norm of what `first` counts, one unknown for a slip; returns its rank.
+
+    source (3n,): what u is without x, see `newton_step`. `turn_slips` is the rest of the step.
+    """
+    direction, first, a, rhs, shift = work.direction, work.first, work.a, work.rhs, work.shift
+    tilted, rows = work.low_rank[TILTED], work.low_rank[ROWS]
+    n = modes.shape[0]
+    first[0] = 0
+    for i in range(n):
+        first[i + 1] = first[i] + (3 if modes[i] == STICK else 1 if modes[i] == SLIP else 0)
+    unknowns = first[n]
+    tilt_factor(rank, source, modes, work)
+    # equations rows^T a x = rhs
+    for k in range(rank):
+        t = tilted[k]
+        for i in range(n):
+            row = first[i]
+            if modes[i] == STICK:
+                for r in range(3):
+                    rows[k, row + r] = t[3 * i + r]
+                    a[k, row + r] = t[3 * i + r]
+            elif modes[i] == SLIP:
+                along = direction[2 * i] * t[3 * i] + direction[2 * i + 1] * t[3 * i + 1]
+                rows[k, row] = t[3 * i + 2]
+                a[k, row] = work.cosine[i] * t[3 * i + 2] - work.sine[i] * along
+    for i in range(n):
+        for r in range(first[i], first[i + 1]):
+            rhs[r] = -source[3 * i + (r - first[i] if modes[i] == STICK else 2)]
+    for k in range(rank):
+        subtract_row(rhs[:unknowns], rows[k, :unknowns], shift[k])
+    equations = solve_product(rows, a, rhs, rank, unknowns, work.x)
+    return least_norm(a, rhs, equations, unknowns, work.x, work.gram, work.order, RANK_TOLERANCE)
+
+
+@kernel
+def turn_slips(rank, source, mu, modes, f, refine, work):
+    """arc (n,): by how much slips turn in a step of `low_rank_solve` to the forces in work.row, not turned yet."""
+    direction, length, speed, sine = work.direction, work.length, work.speed, work.sine
+    aim, arc, shift, tilted = work.row, work.arc, work.shift, work.low_rank[TILTED]
     n = mu.shape[0]
-    tilted = low_rank[TILTED]
     for k in range(rank):
         shift[k] += dot(tilted[k], aim)
         if refine:
@@ -308,33 +285,10 @@ def bend(rank, mu, modes, first, z, aim, margin, rows, bent):
 
 
 @kernel
-def move_inside(rank, mu, modes, last, buffers):
-    """Move redundant forces that are outside their cones into them, along the null space of Newton's last matrix.
-
-    Sought is the solution of the equations R x = t that is nearest to the forces `last` (3n,) in cones a little
-    narrower: x = P(last + R^T y) with P the projection onto these, and as many unknowns y as there are equations.
-    R P = t is the gradient of a convex function of y, whose zero Newton's method finds (semismooth: P has kinks) in
-    three or four steps, each x corrected to fulfil the equations, until it is inside. Where the cones leave no such
-    margin, as little as there is of it the last forces had: they are corrected in the same way.
-    Where everything slides, the loads move the bodies: there is one rule, the least ones that are not negative, which
-    the same method finds from no forces, in cones as they are.
-    What is moved is x, of forces and lengths, not of their changes; rank, and a, gram, order, first, as the solution
-    left them, rank below the number of unknowns. Returns whether the result depends on the last forces.
-    """
-    direction, _, _, sine, cosine, a, p, x, z, gram, order, first, _, _, low_rank = buffers[1:]
-    n = mu.shape[0]
-    unknowns = first[n]
-    if is_inside(mu, modes, first, x):
-        return False
-    rows = low_rank[ROWS]
-    bent = low_rank[BENT]
-    scratch = bent[3 * n :]
-    y = scratch[DUAL]
-    missing = scratch[MISSING]
-    target = scratch[TARGET]
-    nearest = scratch[NEAREST]
-    change = scratch[STEP]
-    # orthonormal equations, unknowns in their order
+def orthonormal_equations(rank, unknowns, work):
+    """The equations that `least_norm` has left in a and gram, as orthonormal rows (rank, unknowns) in ROWS, unknowns in
+    their own order."""
+    rows, a, gram, order = work.low_rank[ROWS], work.a, work.gram, work.order
     for k in range(rank):
         for j in range(unknowns):
             rows[k, order[j]] = a[k, j] if j >= k else 0.0
@@ -342,15 +296,16 @@ def move_inside(rank, mu, modes, last, buffers):
             subtract_row(rows[k, :unknowns], rows[j, :unknowns], gram[k, j])
         for j in range(unknowns):
             rows[k, j] /= gram[k, k]
-        target[k] = dot(rows[k, :unknowns], x[:unknowns])
-        y[k] = 0.0
+
+
+@kernel
+def nearest_unknowns(modes, last, slides, nearest, work):
+    """The unknowns that are sought near: those of the forces last (3n,), none where everything slides. Returns the sum
+    of the loads in x, and how many there are."""
+    x, first, direction, sine, cosine = work.x, work.first, work.direction, work.sine, work.cosine
     load = 0.0
     loads = 0
-    largest = largest_entry(target[:rank])
-    slides = first[n] > 0
-    for i in range(n):
-        slides = slides and modes[i] != STICK
-    for i in range(n):
+    for i in range(modes.shape[0]):
         row = first[i]
         k = 3 * i
         if modes[i] == STICK:
@@ -367,6 +322,45 @@ def move_inside(rank, mu, modes, last, buffers):
                 nearest[row] -= sine[i] * (direction[2 * i] * last[k] + direction[2 * i + 1] * last[k + 1])
             if first[i + 1] > row + 1:
                 nearest[row + 1] = x[row + 1]
+    return load, loads
+
+
+@kernel
+def move_inside(rank, mu, modes, last, work):
+    """Move redundant forces that are outside their cones into them, along the null space of Newton's last matrix.
+
+    Sought is the solution of the equations R x = t that is nearest to the forces `last` (3n,) in cones a little
+    narrower: x = P(last + R^T y) with P the projection onto these, and as many unknowns y as there are equations.
+    R P = t is the gradient of a convex function of y, whose zero Newton's method finds (semismooth: P has kinks) in
+    three or four steps, each x corrected to fulfil the equations, until it is inside. Where the cones leave no such
+    margin, as little as there is of it the last forces had: they are corrected in the same way.
+    Where everything slides, the loads move the bodies: there is one rule, the least ones that are not negative, which
+    the same method finds from no forces, in cones as they are.
+    What is moved is x, of forces and lengths, not of their changes; rank, and a, gram, order, first, as the solution
+    left them, rank below the number of unknowns. Returns whether the result depends on the last forces.
+    """
+    x, p, z, gram, first, low_rank = work.x, work.rhs, work.row, work.gram, work.first, work.low_rank
+    n = mu.shape[0]
+    unknowns = first[n]
+    if is_inside(mu, modes, first, x):
+        return False
+    rows = low_rank[ROWS]
+    bent = low_rank[BENT]
+    scratch = bent[3 * n :]
+    y = scratch[DUAL]
+    missing = scratch[MISSING]
+    target = scratch[TARGET]
+    nearest = scratch[NEAREST]
+    change = scratch[STEP]
+    orthonormal_equations(rank, unknowns, work)
+    for k in range(rank):
+        target[k] = dot(rows[k, :unknowns], x[:unknowns])
+        y[k] = 0.0
+    largest = largest_entry(target[:rank])
+    slides = unknowns > 0
+    for i in range(n):
+        slides = slides and modes[i] != STICK
+    load, loads = nearest_unknowns(modes, last, slides, nearest, work)
     slope = 0.0
     for step in range(len(_AIMS) * _STEPS):
         aim = _AIMS[step // _STEPS]

@@ -1,12 +1,12 @@
 """The contact problem with Coulomb friction: who sticks, slips and separates, and the forces (Sec. 5.3).
 
-What has to be found is the modes; whatever suggests them, `newton` computes the forces and the judge of `cone`
-accepts or refuses them. The suggestions come from, cheapest first,
+What has to be found is the modes; whatever suggests them, `newton` computes the forces and the residual of the
+natural map (`cone`) accepts or refuses them. The suggestions come from, cheapest first,
 
     warm    the modes and forces of the last solution: redundant forces that have left their cones are moved into them
     sweeps  a few Gauss-Seidel passes over the last forces, and more if these do not do; redundant forces as before
-    path    the homotopy of `path`, which finds a solution unless the forces on it grow without bound; once more, with a
-            trace of compliance, where all has failed
+    path    a homotopy (`homotopy`), which finds a solution unless the forces on it grow without bound; once more, with
+            a trace of compliance, where all has failed
     qp      a sequence of ProxQP programs (`proxqp`); before all others where the caller asks for it
 
 The first two are one call of compiled code (`attempt`), which other kernels can make, too. A single contact needs no
@@ -16,12 +16,12 @@ from the same problem and warm start; its forces are rounded to fewer digits bef
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from ..arguments import NOT_REAL, check_flag, check_tolerance, real_array
+from ..arguments import check_flag, check_tolerance
 from ..errors import ArgumentError, InfeasibleError, SolverError
 from .attempt import (
     AFRESH,
@@ -41,14 +41,13 @@ from .attempt import (
     solve_cones,
 )
 from .cone import (
-    BY_PATH,
+    BY_HOMOTOPY,
     DECIDED,
     DECIDERS,
     HUGE,
     KNOWN,
     OPEN,
     PASSES,
-    RANK_TOLERANCE,
     SLIP,
     STICK,
     TIMES,
@@ -57,10 +56,11 @@ from .cone import (
     cone_workspace,
 )
 from .feasibility import crushing_combination
-from .path import follow_path
+from .homotopy import follow_homotopy
+from .problem import checked_problem
 from .proxqp import PROGRAMS, ConePrograms
 
-__all__ = ["OPEN", "SLIP", "STICK", "ContactSolution", "ContactSolver", "centred_forces", "solve_contacts"]
+__all__ = ["OPEN", "SLIP", "STICK", "ContactSolution", "ContactSolver", "solve_contacts"]
 
 # Newton passes from a point of the path: near a solution three do, elsewhere none.
 PATH_NEWTON_PASSES = 6
@@ -85,11 +85,8 @@ PROGRAM_NEWTON_PASSES = 8
 QUICK_PROGRAMS = 10
 STAGES = ("sweeps", "path", "qp")
 CONTACT_SOLVERS = ("auto", "proxqp")
-# The value of t at which redundant forces count as centred.
-CENTRE = 1e-9
-# Velocities relative to the terms that cancel in them.
-AT_REST = 1e-9
-TINY = 1e-300
+# Counts of ProxQP where it had nothing to do.
+NO_PROGRAMS = {"qp": 0, "qp_iterations": 0, "qp_failures": 0}
 
 
 class _Workspace:
@@ -119,14 +116,25 @@ class _Workspace:
 class ContactSolution:
     """Forces and relative velocities of n contacts that obey Coulomb's law; rows are (t1, t2, n).
 
-    forces:      (n, 3), N (or N s, if b was a velocity)
-    velocities:  (n, 3), u = G F + b: m/s^2 (or m/s)
-    modes:       (n,) OPEN, STICK or SLIP
-    residual:    relative residual of the judge (see `cone`), without units
-    iterations:  Newton passes of the start that decided
-    qp_count:    programs that ProxQP was given
-    decided_by:  "warm", "exact", or the stage of the search: see the module
-    mu:          (n,) the coefficients
+    Attributes
+    ----------
+    forces : (n, 3) array
+        In N, or in N s if b was a velocity.
+    velocities : (n, 3) array
+        u = G F + b in m/s^2, or in m/s.
+    modes : (n,) array of int
+        OPEN (0), STICK (1) or SLIP (2).
+    residual : float
+        Relative residual of the natural map, without units.
+    iterations : int
+        Newton iterations of the start that was accepted.
+    qp_count : int
+        Programs that ProxQP was given.
+    decided_by : str
+        What found the modes: "warm" (the last solution), "exact" (all states of a single contact), "sweeps" (projected
+        Gauss-Seidel), "path" (homotopy) or "qp" (ProxQP).
+    mu : (n,) array
+        The coefficients.
     """
 
     forces: np.ndarray
@@ -173,10 +181,10 @@ class ContactSolver:
     nearest:   redundant forces may be the ones nearest to the last, or to what sweeps have found, where those of least
                norm leave their cones; else other modes are looked for, and what slides has loads that do not depend on
                the past
+
     contact_solver: see `choose`
 
-    Counters: polish_count (warm starts tried), path_count (paths begun), qp_count (programs), qp_iterations,
-    qp_failures (problems that its programs did not solve), and decided (by stage).
+    Counters: polish_count (warm starts tried), path_count (paths begun), program_counts, and decided (by stage).
     Kernels call `attempt.solve_cones` with `address(n)` and `task` themselves; `search` goes on where that failed.
     After a search that failed `jammed` says whether that was because the forces grow without bound on the path; where
     there provably is no solution `certificate` (n,) is the reason, see `InfeasibleError`, otherwise None.
@@ -237,27 +245,20 @@ class ContactSolver:
         return sum(int(space.counts[TRIED]) for space in self._spaces.values())
 
     @property
-    def _order(self) -> tuple[str, ...]:
-        others = tuple(stage for stage in self.stages if stage != "qp")
-        return ("qp", *others) if self.programs_first else self.stages
+    def program_counts(self) -> dict[str, int]:
+        """What ProxQP did, as `Trajectory.stats` has it: programs, their iterations, and problems that they left."""
+        counts = [space.programs.counts for space in self._spaces.values() if space.programs is not None]
+        return {name: sum(found) for name, found in zip(NO_PROGRAMS, zip(*counts))} if counts else dict(NO_PROGRAMS)
 
     @property
     def qp_count(self) -> int:
         """Programs that ProxQP was given."""
-        return self._of_programs("programs")
+        return self.program_counts["qp"]
 
     @property
-    def qp_iterations(self) -> int:
-        """Iterations that ProxQP took for them."""
-        return self._of_programs("iterations")
-
-    @property
-    def qp_failures(self) -> int:
-        """Problems whose programs led to no solution."""
-        return self._of_programs("failures")
-
-    def _of_programs(self, counter: str) -> int:
-        return sum(getattr(space.programs, counter) for space in self._spaces.values() if space.programs is not None)
+    def _order(self) -> tuple[str, ...]:
+        others = tuple(stage for stage in self.stages if stage != "qp")
+        return ("qp", *others) if self.programs_first else self.stages
 
     def _workspace(self, contacts: int) -> _Workspace:
         space = self._spaces.get(contacts)
@@ -336,44 +337,52 @@ class ContactSolver:
         return residual <= self.tolerance or self.search(delassus, b, mu, afresh)
 
     def search(self, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool = False) -> bool:
-        """What `solve` does where the last modes and, if these come first, sweeps were of no use."""
+        """The ladder of solvers above the kernel's: what `solve` does where its starts have failed.
+
+        Stages are tried in their order until one's modes are accepted, cheapest first: projected Gauss-Seidel, the
+        homotopy, programs of ProxQP; these come first where they are chosen. Gauss-Seidel depends on the order of
+        contacts; afresh puts it last, and lets it try where the forces of the homotopy grow without bound but no
+        certificate proves that there are none.
+        Only then are results taken that are within the tolerance, but not as good as a start aims at, and, last of all,
+        contacts given a trace of compliance.
+        """
         space = self._space
         if space.contacts != mu.shape[0]:
             space = self._workspace(mu.shape[0])
+        problem = delassus, b, mu
         self._qp_before = self.qp_count
-        have_swept = bool(self.task & SWEEPING) and not afresh
-        self.residual = swept = float(space.reached[0]) if have_swept else np.inf
-        self.certificate = None
-        self.jammed = False
-        # sweeps take contacts in their order: last, and where the path runs away without a proof
+        self.certificate, self.jammed = None, False
+        tried_already = bool(self.task & SWEEPING) and not afresh
+        self.residual = swept = float(space.reached[0]) if tried_already else np.inf
         for stage in sorted(self._order, key="sweeps".__eq__) if afresh else self._order:
             if stage == "sweeps":
-                if have_swept:
+                if tried_already:
                     continue
-                solved = self._sweep(space, delassus, b, mu, STRICTNESS * self.tolerance)
+                solved = self._gauss_seidel(space, *problem, STRICTNESS * self.tolerance)
                 swept = self.residual
             elif not (np.isfinite(delassus).all() and np.isfinite(b).all()):
                 return False
             elif stage == "path":
-                solved = self._follow(space, delassus, b, mu)
+                solved = self._homotopy(space, *problem)
             else:
-                solved = self._program(space, delassus, b, mu, afresh)
+                solved = self._programs(space, *problem, afresh)
             if solved:
                 space.decide(stage)
                 return True
             if self.jammed and not (afresh and self.certificate is None):
                 break
-        if "sweeps" in self.stages and swept <= self.tolerance and self._sweep(space, delassus, b, mu, self.tolerance):
-            # What they had found was good enough, if not as good as can be.
+        if "sweeps" in self.stages and swept <= self.tolerance and self._gauss_seidel(space, *problem, self.tolerance):
             space.decide("sweeps")
             return True
-        if "path" in self.stages and not (self.quick or self.jammed) and self._soften(space, delassus, b, mu):
+        if "path" in self.stages and not (self.quick or self.jammed) and self._compliant_homotopy(space, *problem):
             space.decide("path")
             return True
         return False
 
-    def _sweep(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, tolerance: float) -> bool:
-        """Modes from Gauss-Seidel sweeps, from the last forces if there are any."""
+    def _gauss_seidel(
+        self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, tolerance: float
+    ) -> bool:
+        """Modes from projected Gauss-Seidel, from the last forces if there are any."""
         if not space.counts[KNOWN]:
             space.forces[:] = 0.0
         sweeps = SWEEPS + SWEEPS_PER_CONTACT * space.contacts
@@ -384,25 +393,25 @@ class ContactSolver:
         return self.residual <= tolerance
 
     def _newton(self, space: _Workspace, problem: tuple[np.ndarray, np.ndarray, np.ndarray], tolerance: float) -> bool:
-        """Newton and judge from the workspace's forces; True if accepted."""
+        """Newton's method from the workspace's forces; True if accepted."""
         residual = np.inf
         if np.isfinite(space.forces).all():
             residual = solve_cones(*problem, space.address, CLASSIFY, PATH_NEWTON_PASSES, tolerance, 0, 1)
         self.residual = residual if residual <= tolerance else min(self.residual, residual)
         return residual <= tolerance
 
-    def _follow(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """Modes from the path, tried again and again on its way down, from one beginning after the other."""
+    def _homotopy(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Modes from the homotopy, tried again and again on its way down, from one beginning after the other."""
         problem = delassus, b, mu
         before = space.forces.copy()
         steps = QUICK_PATH_STEPS if self.quick else PATH_STEPS
         escapes = 0
         for tube, size in PATH_STARTS[:1] if self.quick else PATH_STARTS:
             self.path_count += 1
-            follow_path(*problem, space.address, 1.0, tube, size, 1.0, 0)
+            follow_homotopy(*problem, space.address, 1.0, tube, size, 1.0, 0)
             good: np.ndarray | None = None
             for stop in PATH_STOPS:
-                reached = follow_path(*problem, space.address, stop, tube, size, 1.0, steps)
+                reached = follow_homotopy(*problem, space.address, stop, tube, size, 1.0, steps)
                 tried = space.forces.copy()
                 least = self.residual
                 self.residual = np.inf
@@ -428,14 +437,14 @@ class ContactSolver:
                     return False
         return False
 
-    def _soften(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """Modes from the path of contacts with a trace of compliance: where the matrix is singular the path may lose
-        itself in round-off."""
+    def _compliant_homotopy(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+        """Modes from the homotopy of contacts with a trace of compliance: of a singular matrix it may be lost in
+        round-off."""
         before = space.modes.copy(), space.forces.copy(), space.velocities.copy()
         unit = np.diag(np.repeat(np.diag(delassus).reshape(-1, 3).mean(axis=1), 3))
         task = NEAR if self.nearest else WARM
         for share in COMPLIANCES:
-            if self._follow(space, delassus + share * unit, b, mu):
+            if self._homotopy(space, delassus + share * unit, b, mu):
                 residual = solve_cones(delassus, b, mu, space.address, task, WARM_PASSES, self.tolerance, 0, 1)
                 self.residual = residual
                 if residual <= self.tolerance:
@@ -445,7 +454,7 @@ class ContactSolver:
                 break
         return False
 
-    def _program(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool) -> bool:
+    def _programs(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool) -> bool:
         """Modes from a sequence of ProxQP programs, from the last forces if these are to be kept to."""
         if self.quick and not self.programs_first:
             return False
@@ -469,7 +478,7 @@ class ContactSolver:
 
     def solution(self, mu: np.ndarray) -> ContactSolution:
         """The last problem's solution as a value of its own."""
-        searched = self.programs_first or self._space.counts[DECIDED] >= BY_PATH
+        searched = self.programs_first or self._space.counts[DECIDED] >= BY_HOMOTOPY
         return ContactSolution(
             forces=self.forces.reshape(-1, 3).copy(),
             velocities=self.velocities.reshape(-1, 3).copy(),
@@ -484,7 +493,7 @@ class ContactSolver:
 
 def check_contact_solver(contact_solver: str) -> None:
     """ArgumentError unless it is one of `CONTACT_SOLVERS`."""
-    if contact_solver not in CONTACT_SOLVERS:
+    if not isinstance(contact_solver, str) or contact_solver not in CONTACT_SOLVERS:
         raise ArgumentError(f"contact_solver must be one of {CONTACT_SOLVERS}, got {contact_solver!r}")
 
 
@@ -497,24 +506,53 @@ def solve_contacts(
     quick: bool = False,
     contact_solver: str = "auto",
 ) -> ContactSolution:
-    """Forces F and u = G F + b of n contacts under Coulomb's law, exactly (Sec. 5.3; see `cone` for the statement).
-
-    delassus:  (3n, 3n) Delassus matrix G, symmetric positive semidefinite; 1/kg; rows (t1, t2, n) per contact
-    b:         (3n,) or (n, 3) relative accelerations in m/s^2 (or velocities in m/s) at zero contact force
-    mu:        (n,) or one number: coefficients of friction; 0 is frictionless, inf never slips while it presses
-    warm:      a solution of a similar problem with as many contacts, to start from
-    tolerance: relative residual up to which a solution is accepted
-    quick:     give up early where the cheap ways fail, for control loops; a few hard problems in a thousand are lost
-    contact_solver: "auto", cheapest ways first, or "proxqp": a sequence of ProxQP programs before all others
+    """Forces F and u = G F + b of n contacts under Coulomb's law, exactly (Sec. 5.3).
 
     Where contacts are redundant the forces are one choice among several (see `centred_forces`); u is not affected.
     The same arguments give the same bits.
 
-    Raises ArgumentError for wrong shapes, numbers that are not finite or a matrix that is not symmetric or has a
-    negative diagonal; InfeasibleError where there provably is no solution; SolverError, with the residual, where none
-    was found.
+    Parameters
+    ----------
+    delassus : (3n, 3n) array_like
+        Delassus matrix G in 1/kg, symmetric positive semidefinite; rows (t1, t2, n) of each contact.
+    b : (3n,) or (n, 3) array_like
+        Relative accelerations in m/s^2 (or velocities in m/s) at zero contact force.
+    mu : (n,) array_like or float
+        Coefficients of friction; 0 is frictionless, inf never slips while it presses.
+    warm : ContactSolution, optional
+        A solution of a similar problem with as many contacts, to start from.
+    tolerance : float
+        Relative residual up to which a solution is accepted.
+    quick : bool
+        Give up early where the cheap ways fail, for control loops; a few hard problems in a thousand are lost.
+    contact_solver : {"auto", "proxqp"}
+        "auto": cheapest ways first. "proxqp": a sequence of ProxQP programs before all others.
+
+    Returns
+    -------
+    ContactSolution
+
+    Raises
+    ------
+    ArgumentError
+        For wrong shapes, numbers that are not finite, a matrix that is not symmetric or has a negative diagonal, or
+        another contact_solver.
+    InfeasibleError
+        Where there provably is no solution.
+    SolverError
+        Where none was found, with the residual.
+
+    Examples
+    --------
+    A body of 2 kg that rests on a plane and is pushed sideways by less than its friction allows:
+
+    >>> import numpy as np
+    >>> import pincontact as pc
+    >>> solution = pc.solve_contacts(np.eye(3) / 2.0, [1.0, 0.5, -9.81], mu=0.5)
+    >>> solution.forces.round(6).tolist()
+    [[-2.0, -1.0, 19.62]]
     """
-    matrix, b, friction = _checked_problem(delassus, b, mu)
+    matrix, b, friction = checked_problem(delassus, b, mu)
     contacts = len(friction)
     check_tolerance(tolerance)
     check_flag("quick", quick)
@@ -543,102 +581,3 @@ def solve_contacts(
         f"no forces found that satisfy Coulomb's law at these {contacts} contacts{reason}: relative residual "
         f"{solver.residual:.3g}, tolerance {tolerance:.3g}"
     )
-
-
-def centred_forces(
-    delassus: npt.ArrayLike, b: npt.ArrayLike, mu: npt.ArrayLike, solution: ContactSolution
-) -> ContactSolution:
-    """The solution with other forces where sticking contacts are redundant: well inside their cones.
-
-    delassus, b, mu: the problem, as for `solve_contacts`; solution: one of it.
-
-    All that changes are the forces of the contacts at rest (u = 0), by combinations that move nothing (G dF = 0), so
-    that the velocities stay. The new forces are the most central ones: they maximise the sum of log(mu^2 F_n^2 -
-    |F_t|^2) less a linear term, which bounds what contacts that press against each other could add to themselves. They
-    are unique, change smoothly with the problem, and hold on under changes that would take forces of least norm out of
-    the cones. Where no forces lie inside the cones (all are about to slip) the solution is returned as it is.
-
-    Raises ArgumentError for a problem that `solve_contacts` would refuse, or a solution of another size.
-    """
-    matrix, b, friction = _checked_problem(delassus, b, mu)
-    contacts = len(friction)
-    if not isinstance(solution, ContactSolution):
-        raise ArgumentError(f"the solution must be one of solve_contacts, got {type(solution).__name__}")
-    if solution.modes.shape[0] != contacts:
-        raise ArgumentError(f"the solution has {solution.modes.shape[0]} contacts, the problem has {contacts}")
-    # At rest counts, not the mode: a force of least norm on its cone's edge slips at zero speed, and a contact that
-    # only just touches can take a load.
-    terms = np.abs(b) + np.abs(matrix) @ np.abs(solution.forces.ravel())
-    size = terms.reshape(-1, 3).max(axis=1)
-    speed = np.abs(solution.velocities).max(axis=1)
-    stuck = np.flatnonzero((speed <= AT_REST * np.maximum(size, AT_REST * size.max(initial=0.0))) & (friction > 0.0))
-    if not stuck.size:
-        return solution
-    rows = (3 * stuck[:, None] + np.arange(3)).ravel()
-    block = np.ascontiguousarray(matrix[np.ix_(rows, rows)])
-    forces = solution.forces[stuck].ravel()
-    limits = friction[stuck]
-    space = cone_workspace(len(stuck))
-    # The contacts keep still: u = 0 is b with the opposite of what the forces do. Without De Saxce's term, which is of
-    # no account at rest, the problem is convex, and its path comes to the centre of all solutions.
-    still = -(block @ forces)
-    for tube in (0.01, 0.002, 0.0002):
-        follow_path(block, still, limits, space.address, 1.0, tube, 1.0, 0.0, 0)
-        follow_path(block, still, limits, space.address, 1e3 * CENTRE, tube, 1.0, 0.0, PATH_STEPS)
-        # The last stretch in a narrow tube: the centre is only as exact as that.
-        if follow_path(block, still, limits, space.address, CENTRE, 1e-6, 1.0, 0.0, PATH_STEPS) <= CENTRE:
-            break
-    else:
-        return solution
-    centred = space.forces.copy()
-    # To round-off: the least change that makes up for the rest of t.
-    scale = np.repeat(np.sqrt(3.0 / np.maximum(np.diagonal(block).reshape(-1, 3).sum(axis=1), TINY)), 3)
-    values, vectors = np.linalg.eigh(scale[:, None] * block * scale)
-    kept = values > RANK_TOLERANCE * values[-1]
-    for _ in range(2):
-        missing = scale * (block @ (forces - centred))
-        centred += scale * (vectors[:, kept] @ ((vectors[:, kept].T @ missing) / values[kept]))
-    inside = np.hypot(centred[::3], centred[1::3]) < limits * centred[2::3]
-    off = np.abs(block @ (centred - forces))
-    if not (inside.all() and (off <= 1e-3 * AT_REST * terms[rows].max()).all()):
-        return solution
-    moved, modes = solution.forces.copy(), solution.modes.copy()
-    moved[stuck], modes[stuck] = centred.reshape(-1, 3), STICK
-    velocities = (matrix @ moved.ravel() + b).reshape(-1, 3)
-    return replace(solution, forces=moved, velocities=velocities, modes=modes)
-
-
-def _checked_problem(
-    delassus: npt.ArrayLike, b: npt.ArrayLike, mu: npt.ArrayLike
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The problem as contiguous arrays (3n, 3n), (3n,), (n,); ArgumentError if it is none."""
-    try:
-        matrix, b, given = (np.ascontiguousarray(real_array(value)) for value in (delassus, b, mu))
-    except NOT_REAL as error:
-        raise ArgumentError(f"the Delassus matrix, b and mu must be arrays of real numbers: {error}") from None
-    b, given = b.reshape(-1), given.reshape(np.shape(mu))
-    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.shape[0] % 3:
-        raise ArgumentError(f"the Delassus matrix must be (3n, 3n), got {matrix.shape}")
-    contacts = matrix.shape[0] // 3
-    if b.shape[0] != 3 * contacts:
-        raise ArgumentError(f"b must have {3 * contacts} entries for {contacts} contacts, got {b.shape[0]}")
-    if given.ndim > 1 or given.size not in (1, contacts):
-        raise ArgumentError(f"mu must be one number or ({contacts},), got shape {given.shape}")
-    friction = np.array(np.broadcast_to(given, (contacts,)))
-    if not (np.isfinite(matrix).all() and np.isfinite(b).all()):
-        raise ArgumentError("the Delassus matrix and b must be finite")
-    if np.isnan(friction).any() or (friction < 0.0).any():
-        raise ArgumentError(f"mu must not be negative or NaN, got {friction.tolist()}")
-    diagonal = np.diagonal(matrix)
-    if contacts and diagonal.min() < 0.0:
-        raise ArgumentError(f"the Delassus matrix has a negative diagonal entry, {diagonal.min()}")
-    # |G_ij - G_ji| against sqrt(G_ii G_jj), the largest a positive semidefinite matrix allows: free of units.
-    allowed = 1e-8 * np.outer(np.sqrt(diagonal), np.sqrt(diagonal)) + 1e-14 * diagonal.max(initial=0.0)
-    asymmetry = np.abs(matrix - matrix.T)
-    if (asymmetry > allowed).any():
-        row, column = np.unravel_index(np.argmax(asymmetry - allowed), matrix.shape)
-        worst = (int(row), int(column))
-        raise ArgumentError(f"the Delassus matrix is not symmetric: entries {worst} differ by {asymmetry[worst]:.3g}")
-    if asymmetry.any():
-        matrix = 0.5 * (matrix + matrix.T)
-    return matrix, b, friction

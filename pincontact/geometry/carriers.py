@@ -1,9 +1,9 @@
-"""Where a contour is and how it moves: from Pinocchio's joint, the contour's placement and its own drive."""
+"""Where a contour is and how it moves: from Pinocchio's joint, the contour's placement and its prescribed motion."""
 
 from __future__ import annotations
 
 from ..jit import kernel
-from .small import add_cross, cross, rotate
+from .small import add_cross, cross, rotate, rotate_back
 
 # Rows of one side's frame array (8, 3): rotation in rows 0-2, then these.
 ORIGIN, VELOCITY, OMEGA, ACCELERATION, ALPHA = 3, 4, 5, 6, 7
@@ -18,7 +18,7 @@ def place_on_joint(base, rotation_columns, translation, spatial_velocity, spatia
     spatial_velocity (6,): `data.v`, local, linear and angular velocity.
     spatial_bias (6,): `data.a_gf`, local, bias acceleration minus gravity.
     """
-    position, bias = scratch[0], scratch[1]
+    position, omega = scratch[0], frame[OMEGA]
     for i in range(3):
         for j in range(3):
             frame[i, j] = (
@@ -26,38 +26,29 @@ def place_on_joint(base, rotation_columns, translation, spatial_velocity, spatia
                 + rotation_columns[1, i] * base[3 + j]
                 + rotation_columns[2, i] * base[6 + j]
             )
-        position[i] = (
-            rotation_columns[0, i] * base[9] + rotation_columns[1, i] * base[10] + rotation_columns[2, i] * base[11]
-        )
-        frame[ORIGIN, i] = translation[i] + position[i]
-        frame[OMEGA, i] = (
-            rotation_columns[0, i] * spatial_velocity[3]
-            + rotation_columns[1, i] * spatial_velocity[4]
-            + rotation_columns[2, i] * spatial_velocity[5]
-        )
-        frame[VELOCITY, i] = (
-            rotation_columns[0, i] * spatial_velocity[0]
-            + rotation_columns[1, i] * spatial_velocity[1]
-            + rotation_columns[2, i] * spatial_velocity[2]
-        )
-        frame[ALPHA, i] = (
-            rotation_columns[0, i] * spatial_bias[3]
-            + rotation_columns[1, i] * spatial_bias[4]
-            + rotation_columns[2, i] * spatial_bias[5]
-        )
-        bias[i] = (
-            rotation_columns[0, i] * spatial_bias[0]
-            + rotation_columns[1, i] * spatial_bias[1]
-            + rotation_columns[2, i] * spatial_bias[2]
-            + gravity[i]
-        )
-    omega = frame[OMEGA]
+    rotate_back(rotation_columns, base[9:12], position)
+    rotate_back(rotation_columns, spatial_velocity[0:3], frame[VELOCITY])
+    rotate_back(rotation_columns, spatial_velocity[3:6], omega)
+    rotate_back(rotation_columns, spatial_bias[0:3], frame[ACCELERATION])
+    rotate_back(rotation_columns, spatial_bias[3:6], frame[ALPHA])
     for i in range(3):
-        frame[ACCELERATION, i] = bias[i]
+        frame[ORIGIN, i] = translation[i] + position[i]
+        frame[ACCELERATION, i] += gravity[i]
     add_cross(omega, position, frame[VELOCITY])
     # classical acceleration of a point = spatial one at that point + omega x its velocity
     add_cross(frame[ALPHA], position, frame[ACCELERATION])
     add_cross(omega, frame[VELOCITY], frame[ACCELERATION])
+
+
+@kernel
+def rest_in_world(base, frame):
+    """The frame of a contour fixed to the world, as base (12,) of `place_on_joint` has it, at rest."""
+    for i in range(3):
+        for j in range(3):
+            frame[i, j] = base[3 * i + j]
+        frame[ORIGIN, i] = base[9 + i]
+        for row in range(VELOCITY, ALPHA + 1):
+            frame[row, i] = 0.0
 
 
 @kernel

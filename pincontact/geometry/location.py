@@ -1,6 +1,6 @@
-"""Location parameters: conditions C1 and C2, their values and their rates (Eqs. 1-7).
+"""Contact coordinates: conditions C1 and C2, their values and their rates (Eqs. 1-7).
 
-Of the m equations, k well-conditioned ones are solved for the location parameters p = (u_1, u_2): C1 projected on
+Of the m equations, k well-conditioned ones are solved for the contact coordinates p = (u_1, u_2): C1 projected on
 the tangents, t . (r_2 - r_1) = 0, and C2, N . t_1 = 0 with N the normal of body 2. What is left of C1 is the gap
 along the normal. Written so, p is a smooth function of (q, t) also off the constraint, and the gap's rate is
 exactly the normal component of v_c.
@@ -12,6 +12,7 @@ import math
 
 from ..contours.base import CIRCLE, ELLIPSE, ELLIPSOID, PLANE, POINT, SPHERE
 from ..jit import kernel
+from ..layout import K1, K2, LENGTH, PATTERN
 from .carriers import OMEGA, ORIGIN
 from .patterns import CROSSING_CURVES, ON_SURFACE, PLANAR
 from .small import add_cross, cross, dot, norm, rotate_back
@@ -33,7 +34,7 @@ BRANCHES = {
 
 
 def closed_form(kind1: int, kind2: int) -> int:
-    """Which closed form solves the location equations of two kinds of contours, if any."""
+    """Which closed form gives the contact coordinates of two kinds of contours, if any."""
     if kind2 == PLANE and kind1 == POINT:
         return POINT_ON_PLANE
     if kind2 == PLANE and kind1 in (CIRCLE, ELLIPSE, SPHERE, ELLIPSOID):
@@ -62,16 +63,23 @@ def raw_normal(pattern, first, second, frame2, out, k_axis):
         cross(second[1], first[1], out)
 
 
-# Rows of `system`: of the equations of C1 (symmetric: 11, 12, 22) the block of u_2; of each parameter a of body 1 what
-# it adds to both of these (2), what u_2 adds to its own equation (2), and what both parameters do (2); right-hand
-# sides of C1 (2), then of body 1's equations (2), and in their place the solution, u_1 (2), then u_2 (2).
+# Rows of the scratch array `vectors` that belong to the contact under evaluation: r_2 - r_1, N, and the plane's normal
+# of planar patterns; from FREE_VECTORS on they are anybody's.
+DIFFERENCE, NORMAL, PLANE_NORMAL, FREE_VECTORS = range(4)
+_RATE, _NORMAL_RATE = FREE_VECTORS, FREE_VECTORS + 1
+# Rows of `location_system`: of the equations of C1 (symmetric: 11, 12, 22) the block of u_2; of each parameter a of
+# body 1 what it adds to both of these (2), what u_2 adds to its own equation (2), and what both parameters do (2);
+# right-hand sides of C1 (2), then of body 1's equations (2), and in their place the solution, u_1 (2), then u_2 (2).
 _METRIC, _BODY_1, SIDES = 0, 1, 3
 
 
 @kernel
-def location_jacobian(pattern, k1, k2, first, second, difference, normal, k_axis, system, scratch):
+def location_jacobian(system, c):
     """J = df/dp (Eq. 5) by blocks: k2 equations of C1, then k1, one for each parameter of body 1."""
-    tangent, metric = second[1], system[_METRIC]
+    pattern, k1, k2 = system.contact_int[c, PATTERN], system.contact_int[c, K1], system.contact_int[c, K2]
+    first, second = system.derivatives[2 * c], system.derivatives[2 * c + 1]
+    vectors, equations = system.vectors, system.location_system
+    difference, tangent, metric = vectors[DIFFERENCE], second[1], equations[_METRIC]
     metric[0] = dot(second[3], difference) + dot(tangent, tangent)
     if k2 == 2:
         metric[1] = dot(second[4], difference) + dot(tangent, second[2])
@@ -79,16 +87,16 @@ def location_jacobian(pattern, k1, k2, first, second, difference, normal, k_axis
     if k1 == 0:
         return
     # dN / du_2
-    turned, other = scratch[0], scratch[1]
+    turned, other = vectors[_RATE], vectors[_NORMAL_RATE]
     if pattern == ON_SURFACE:
         cross(second[3], second[2], turned)
         add_cross(tangent, second[4], turned)
         cross(second[4], second[2], other)
         add_cross(tangent, second[5], other)
     elif pattern == PLANAR:
-        cross(second[3], k_axis, turned)
+        cross(second[3], vectors[PLANE_NORMAL], turned)
     for a in range(k1):
-        along, row = first[1 + a], system[_BODY_1 + a]
+        along, row = first[1 + a], equations[_BODY_1 + a]
         row[0] = -dot(tangent, along)
         if k2 == 2:
             row[1], row[3] = -dot(second[2], along), dot(other, along)
@@ -97,28 +105,30 @@ def location_jacobian(pattern, k1, k2, first, second, difference, normal, k_axis
         else:
             row[2] = dot(turned, along)
             for b in range(k1):
-                row[4 + b] = dot(normal, first[second_row(a, b)])
+                row[4 + b] = dot(vectors[NORMAL], first[second_row(a, b)])
 
 
 @kernel
-def location_residual(pattern, k1, k2, first, second, difference, normal, system):
+def location_residual(system, c):
     """Minus the k equations, as right-hand sides."""
-    sides = system[SIDES]
-    for a in range(k2):
-        sides[a] = -dot(second[1 + a], difference)
-    for a in range(k1):
-        sides[2 + a] = -dot(first[1 + a], difference if pattern == CROSSING_CURVES else normal)
+    integers, vectors, sides = system.contact_int[c], system.vectors, system.location_system[SIDES]
+    first, second = system.derivatives[2 * c], system.derivatives[2 * c + 1]
+    for a in range(integers[K2]):
+        sides[a] = -dot(second[1 + a], vectors[DIFFERENCE])
+    across = vectors[DIFFERENCE if integers[PATTERN] == CROSSING_CURVES else NORMAL]
+    for a in range(integers[K1]):
+        sides[2 + a] = -dot(first[1 + a], across)
 
 
 @kernel
-def solve_location(k1, k2, system):
+def solve_location(k1, k2, equations):
     """The solution of J p = right-hand sides, in their place. Returns det J; 0 leaves them as they are.
 
     The equations of C1 are solved for u_2 first. Their block is the metric of body 2, changed by a gap over its radii
     of curvature, and singular only where body 1 is at its focus; what is left has as many unknowns as body 1 has
     parameters.
     """
-    metric, sides, row = system[_METRIC], system[SIDES], system[_BODY_1]
+    metric, sides, row = equations[_METRIC], equations[SIDES], equations[_BODY_1]
     if k2 == 1:
         regular = metric[0]
         if regular == 0.0:
@@ -154,7 +164,7 @@ def solve_location(k1, k2, system):
         u = right / first
         sides[0], sides[2], sides[3] = u, p1 - x1 * u, p2 - x2 * u
         return regular * first
-    below = system[_BODY_1 + 1]
+    below = equations[_BODY_1 + 1]
     y1, y2 = a * below[0] + b * below[1], b * below[0] + d * below[1]
     second = row[5] - row[2] * y1 - row[3] * y2
     third = below[4] - below[2] * x1 - below[3] * x2
@@ -171,52 +181,55 @@ def solve_location(k1, k2, system):
 
 @kernel
 def tangent_at_fixed_u(frame, derivatives, a, out):
-    """Rate of the tangent t_a at fixed location parameters: omega x t_a + R d2c/du dt."""
+    """Rate of the tangent t_a at fixed contact coordinates: omega x t_a + R d2c/du dt."""
     for i in range(3):
         out[i] = derivatives[7 + a, i]
     add_cross(frame[OMEGA], derivatives[1 + a], out)
 
 
 @kernel
-def rate_equations(
-    pattern, k1, k2, frame1, frame2, first, second, difference, velocity, normal, k_axis, system, scratch
-):
-    """Minus (f_q q' + f_t) of the k equations (Eq. 5), as right-hand sides. velocity: v_c."""
-    rate, sides = scratch[0], system[SIDES]
+def rate_equations(system, c):
+    """Minus (f_q q' + f_t) of the k equations (Eq. 5), as right-hand sides."""
+    pattern, k1, k2 = system.contact_int[c, PATTERN], system.contact_int[c, K1], system.contact_int[c, K2]
+    first, second = system.derivatives[2 * c], system.derivatives[2 * c + 1]
+    frame1, frame2, slip = system.frames[2 * c], system.frames[2 * c + 1], system.slip[c]
+    vectors, sides = system.vectors, system.location_system[SIDES]
+    rate, normal_rate, plane_normal = vectors[_RATE], vectors[_NORMAL_RATE], vectors[PLANE_NORMAL]
     for a in range(k2):
         tangent_at_fixed_u(frame2, second, a, rate)
-        sides[a] = -dot(second[1 + a], velocity) - dot(rate, difference)
+        sides[a] = -dot(second[1 + a], slip) - dot(rate, vectors[DIFFERENCE])
     if pattern == CROSSING_CURVES:
         tangent_at_fixed_u(frame1, first, 0, rate)
-        sides[2] = -dot(first[1], velocity) - dot(rate, difference)
+        sides[2] = -dot(first[1], slip) - dot(rate, vectors[DIFFERENCE])
     elif k1 > 0:
-        normal_rate = scratch[1]
         tangent_at_fixed_u(frame2, second, 0, rate)
         if pattern == ON_SURFACE:
             cross(rate, second[2], normal_rate)
             tangent_at_fixed_u(frame2, second, 1, rate)
-            add_cross(second[1], rate, normal_rate)
         else:
-            cross(rate, k_axis, normal_rate)
-            cross(frame2[OMEGA], k_axis, rate)
-            add_cross(second[1], rate, normal_rate)
+            cross(rate, plane_normal, normal_rate)
+            cross(frame2[OMEGA], plane_normal, rate)
+        add_cross(second[1], rate, normal_rate)
         for a in range(k1):
             tangent_at_fixed_u(frame1, first, a, rate)
-            sides[2 + a] = -dot(normal_rate, first[1 + a]) - dot(normal, rate)
+            sides[2 + a] = -dot(normal_rate, first[1 + a]) - dot(vectors[NORMAL], rate)
 
 
 @kernel
-def conditioning(pattern, k1, k2, first, second, normal, length, determinant):
+def conditioning(system, c, determinant):
     """|det J| without units: 1 for well-placed equations, 0 where the contact degenerates.
 
     Rows and columns are divided by the tangents' lengths, the rows of C2 (curvatures) multiplied by length in m.
     """
-    for a in range(k2):
-        determinant /= dot(second[1 + a], second[1 + a])
-    for a in range(k1):
-        determinant /= dot(first[1 + a], first[1 + a])
-        if pattern != CROSSING_CURVES:
-            determinant *= length / norm(normal)
+    integers = system.contact_int[c]
+    for a in range(integers[K2]):
+        tangent = system.derivatives[2 * c + 1, 1 + a]
+        determinant /= dot(tangent, tangent)
+    for a in range(integers[K1]):
+        tangent = system.derivatives[2 * c, 1 + a]
+        determinant /= dot(tangent, tangent)
+        if integers[PATTERN] != CROSSING_CURVES:
+            determinant *= system.contact_real[c, LENGTH] / norm(system.vectors[NORMAL])
     return determinant
 
 
@@ -237,20 +250,16 @@ def round_on_plane(kind, chart, shape, frame1, frame2, branch, location, scratch
     for i in range(3):
         direction[i] = branch * frame2[i, 2]
     rotate_back(frame1[0:3], direction, local)
-    if kind == CIRCLE:
-        if local[0] == 0.0 and local[1] == 0.0:
-            return False
-        location[0] = unwrapped(math.atan2(local[1], local[0]), location[0])
-    elif kind == ELLIPSE:
-        if local[0] == 0.0 and local[1] == 0.0:
-            return False
-        location[0] = unwrapped(math.atan2(shape[1] * local[1], shape[0] * local[0]), location[0])
-    else:
-        # the parameter sphere's point is proportional to (a n_x, b n_y, c n_z)
-        if kind == ELLIPSOID:
-            for i in range(3):
-                local[i] *= shape[i]
+    if kind in (ELLIPSE, ELLIPSOID):
+        # the parameter circle's or sphere's point is proportional to (a n_x, b n_y, c n_z)
+        for i in range(2 if kind == ELLIPSE else 3):
+            local[i] *= shape[i]
+    if kind in (SPHERE, ELLIPSOID):
         _set_angles(chart, local, location[0:2])
+        return True
+    if local[0] == 0.0 and local[1] == 0.0:
+        return False
+    location[0] = unwrapped(math.atan2(local[1], local[0]), location[0])
     return True
 
 

@@ -8,22 +8,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
-from ..contours.base import HEIGHT_FIELD, PLANE, POINT, SPHERE
+from ..contours import Contour, HeightField, Plane, Sphere
 from ..layout import CLOSED_FORM, DETERMINANT_SIGN, FRICTIONLESS, MODE, PATTERN, SIDE
+from ..workspace import Workspace
 from .carriers import ORIGIN
 from .location import NO_CLOSED_FORM
 from .patterns import CROSSING_CURVES
 from .search import Candidate, refine
-
-if TYPE_CHECKING:
-    from ..contacts import Contact
-    from ..contours import Contour
-    from ..dynamics.system import System
 
 # Cells of a curve and along each parameter of a surface to begin with, how often they are divided, and how many are.
 _CURVE_CELLS, _SURFACE_CELLS = 128, 24
@@ -37,7 +32,7 @@ _STARTS = 6
 _FINE, _FINEST = 0.05, 0.05
 # Radius of the neighbourhood of a nearest point that has no other one, in radii of curvature.
 _NEIGHBOURHOOD = 0.5
-# Largest radius of curvature in m that is told from none.
+# Radii of curvature beyond this, in m, count as this.
 _LARGEST = 100.0
 # Part of the bends that may be sharper than the radius of curvature that counts: those of poles are the parameters'.
 _SHARPEST = 0.9
@@ -60,9 +55,9 @@ class Whole:
     def __init__(self, contour: Contour, t: float) -> None:
         self.rounding = 0.0
         self.parameters, self.points, self.radius = np.zeros((1, 2)), np.zeros((1, 3)), 0.0
-        if contour.kind == SPHERE:
+        if isinstance(contour, Sphere):
             self.rounding = contour.shape[0]
-        elif contour.kind != POINT:
+        elif contour.dimension > 0:
             counts = (_WHOLE_CURVE,) if contour.dimension == 1 else _WHOLE_SURFACE
             centres, half = _cells(contour.domain, counts)
             values = _values(contour, centres, t)
@@ -77,7 +72,7 @@ def bend(contour: Contour, t: float) -> float:
     """Least radius of curvature in m of a contour, poles of its parameters left out; infinite for what is straight."""
     if contour.dimension == 0:
         return math.inf
-    if contour.kind == SPHERE:
+    if isinstance(contour, Sphere):
         return contour.shape[0]
     box = [(max(low, -_window(contour)), min(high, _window(contour))) for low, high in contour.domain]
     centres, _ = _cells(box, (_CURVE_CELLS,) if contour.dimension == 1 else (_SURFACE_CELLS,) * 2)
@@ -98,26 +93,25 @@ def _window(contour: Contour) -> float:
 
 
 class NearestSearch:
-    """Searches the nearest points of one contact of a system, which is in any state.
+    """Searches the nearest points of one contact of a system (`dynamics.system`), which is in any state.
 
     bend: least radius of curvature of both contours, in m. Raises ValueError where body 1 has no finite extent.
     """
 
-    def __init__(self, system: System, c: int, t: float) -> None:
-        from ..dynamics.system import System as SingleSystem
-
+    def __init__(self, system: Workspace, c: int, t: float) -> None:
         self.system, self.c = system, c
-        self.contact: Contact = system.contacts[c]
-        self.one, self.two = self.contact.body1.contour, self.contact.body2.contour
+        contact = system.contacts[c]
+        self.one: Contour = contact.body1.contour
+        self.two: Contour = contact.body2.contour
         if not all(math.isfinite(low) and math.isfinite(high) for low, high in self.one.domain):
-            raise ValueError("body 1 goes on for ever")
+            raise ValueError("body 1 is unbounded")
         self.whole = Whole(self.one, t)
         own, other, extent = bend(self.one, t), bend(self.two, t), self.whole.extent + self.whole.rounding
         self.bend = min(own, other, _LARGEST)
         if len(self.whole.points) == 1:
             # of points and balls nothing else can come near than what is; in a hollow, what is left of its radius
             self.bend = min(max(other - extent, 0.5 * min(own, other)), _LARGEST)
-        self._single = SingleSystem(system.model, [self.contact])
+        self._single = system.alone(c)
 
     def pose(self) -> tuple[np.ndarray, np.ndarray]:
         """Rotation of body 1's contour in the frame of body 2's, and its centre there, as last evaluated."""
@@ -182,7 +176,7 @@ class NearestSearch:
     def _box(self, t: float, centre: np.ndarray, beyond: float) -> list[tuple[float, float]]:
         """The part of body 2's domain that what is near must be in."""
         contour = self.two
-        flat = contour.kind == PLANE or _is_height_field(contour)
+        flat = isinstance(contour, (Plane, HeightField))
         around = centre[:2].copy() if flat else self.system.location[self.c, 2:4].copy()
         for a, (low, high) in enumerate(contour.domain):
             around[a] = min(max(around[a], low), high)
@@ -221,7 +215,7 @@ class NearestSearch:
             left = left[np.linalg.norm(points[left] - points[first], axis=1) > apart]
             start = np.zeros(4)
             start[2:] = parameters[first]
-            if self.one.kind == SPHERE:
+            if isinstance(self.one, Sphere):
                 start[:2] = self._facing(points[first])
             else:
                 start[:2] = self.whole.parameters[pair[first]]
@@ -242,14 +236,10 @@ class NearestSearch:
         return math.atan2(y, x), math.atan2(z, math.hypot(x, y))
 
 
-def is_searched(system: System, c: int) -> bool:
+def is_searched(system: Workspace, c: int) -> bool:
     """Whether the nearest points of a contact have to be looked for: where no closed form gives them."""
     integers = system.contact_int[c]
     return bool(integers[CLOSED_FORM] == NO_CLOSED_FORM and integers[PATTERN] != CROSSING_CURVES)
-
-
-def _is_height_field(contour: Contour) -> bool:
-    return contour.kind == HEIGHT_FIELD or type(contour).__name__ == "HeightField"
 
 
 def _cells(box: list[tuple[float, float]] | tuple[tuple[float, float], ...], counts: tuple[int, ...]):

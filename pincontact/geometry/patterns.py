@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..contours import Contour
+from ..contours.base import Contour
 from ..errors import PatternError
 
 # How the contact frame is built (Def. 5): from the surface's two tangents, from both curves' tangents, from a
@@ -18,7 +18,7 @@ NO_NORMAL = -1
 class Pattern:
     """One row of Table 1.
 
-    equations (m), parameters (k) and constraints (nu = m - k) count C1 and C2, the location parameters and the
+    equations (m), parameters (k) and constraints (nu = m - k) count C1 and C2, the contact coordinates and the
     geometric constraints; tangents counts the velocity constraints of rolling. code says how the frame is built.
     """
 

@@ -5,38 +5,33 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 import scipy
 
-from ..contours import Cone, Cylinder, HeightField, Line, Plane
+from ..contours import Contour
 from ..errors import SingularContactError
-from ..integration.stages import move_charts
 from ..layout import BRANCH, CHART, CLOSED_FORM, CONDITION, DETERMINANT_SIGN, LENGTH, OK, PATTERN, SIDE, SINGULAR
+from ..workspace import Workspace
+from .chart_changes import move_charts
 from .location import BRANCHES, NO_CLOSED_FORM, ROUND_ON_PLANE
 from .patterns import CROSSING_CURVES, ON_CURVE
 from .planar import pose_of
-
-if TYPE_CHECKING:
-    from ..contours import Contour
-    from ..dynamics.system import System
 
 _CURVE_SAMPLES, _MOST_SAMPLES = 241, 4001
 _SURFACE_SAMPLES = (61, 31)
 # So many starts, a third for each of these weights of alignment against distance, apart from each other by this part of
 # the contact's length; each sample of body 1 with so many neighbours.
 _SEEDS, _WEIGHTS, _APART, _NEIGHBOURS = 24, (1.0, 0.0, 10.0), 0.25, 4
-# What goes on for ever is sampled so far beyond both bodies' distance, in their sizes; the ends of domains are spared.
+# Unbounded contours are sampled as far as the bodies' distance plus so many of their sizes; samples keep off the ends
+# of domains by this part of them.
 _WINDOW, _INSET = 2.0, 1e-3
-# In m, of two points at one place.
+# At least so far, in m: two points at one place have neither size nor distance.
 _LEAST_WINDOW = 1e-3
-# What goes on for ever in other parameters than lengths is sampled at distances of this part of its size, as if it were
-# no slower than this part of a window for each of them.
+# Along unbounded parameters other than lengths, samples are this part of the contour's size apart; its speed |f_a| is
+# taken for at least this part of a window per unit of the parameter.
 _SPACING, _SLOWEST = 0.25, 1e-3
-# Contours whose parameters are lengths where they are not periodic.
-_LENGTHS = (Cone, Cylinder, HeightField, Line, Plane)
 # Two candidates closer than this (relative to the contact's length) are one.
 _SAME = 1e-6
 # Newton may run into a pole, where a tangent vanishes and every equation with it; unit tangents tell. Relative.
@@ -47,9 +42,12 @@ _SOLVED = 1e-6
 class Candidate:
     """A stationary point of the distance between two contours.
 
-    location (4,): u_1 (2), u_2 (2); gap: signed distance in m along the normal of the side assumed; side: the side of
-    e_3 on which body 1 bends away, 0 where the shapes do not decide; point (3,): world point on body 2;
-    determinant_sign and branch: which solution of the location equations it is. charts: of both bodies.
+    location: (4,) contact coordinates u_1 (2), u_2 (2).
+    gap: signed distance in m along the normal of the side assumed.
+    side: the side of e_3 on which body 1 bends away, 0 where the shapes do not decide.
+    point: (3,) point on body 2, world frame.
+    determinant_sign, branch: which solution of the location equations it is.
+    charts: of both bodies.
     """
 
     location: np.ndarray
@@ -61,10 +59,10 @@ class Candidate:
     charts: tuple[int, int]
 
 
-def find_candidates(system: System, t: float, guess: np.ndarray, beyond: bool = False) -> list[Candidate]:
+def find_candidates(system: Workspace, t: float, guess: np.ndarray, beyond: bool = False) -> list[Candidate]:
     """Candidates of a system with a single contact at its (q, v), nearest (least |gap|) first.
 
-    guess (4,): location parameters, NaN where unknown. A complete guess is followed alone. beyond: where there is none
+    guess (4,): contact coordinates, NaN where unknown. A complete guess is the only start. beyond: where there is none
     inside the contours' domains, those on their continuations, where nothing touches, will do.
     Raises SingularContactError where there is none and a start ended where the location equations are singular.
     """
@@ -111,13 +109,13 @@ def find_candidates(system: System, t: float, guess: np.ndarray, beyond: bool = 
     return sorted(found, key=lambda c: abs(c.gap))
 
 
-def _is_same(a: Candidate, b: Candidate, system: System) -> bool:
+def _is_same(a: Candidate, b: Candidate, system: Workspace) -> bool:
     length = system.contact_real[0, LENGTH]
     return abs(a.gap - b.gap) < _SAME * length and bool(np.linalg.norm(a.point - b.point) < _SAME * length)
 
 
 def refine(
-    system: System, t: float, start: np.ndarray, branch: int, statuses: set[int], inside: bool = True
+    system: Workspace, t: float, start: np.ndarray, branch: int, statuses: set[int], inside: bool = True
 ) -> Candidate | None:
     """Newton from a start (in the first charts); None where it fails, or leaves a finite domain and must be inside.
     statuses: how it went is added."""
@@ -172,7 +170,7 @@ def refine(
     return Candidate(location, gap, bending, point.copy(), sign, branch, (int(charts[0]), int(charts[1])))
 
 
-def _is_solved(system: System) -> bool:
+def _is_solved(system: Workspace) -> bool:
     """Whether C1, but for the gap, and C2 hold for unit tangents too."""
     contact = system.contacts[0]
     if system.contact_int[0, CLOSED_FORM] != NO_CLOSED_FORM:
@@ -192,7 +190,7 @@ def _is_solved(system: System) -> bool:
     return all(abs(tangent @ normal) <= _SOLVED * np.linalg.norm(tangent) for tangent in tangents1)
 
 
-def _bending_side(system: System) -> int:
+def _bending_side(system: Workspace) -> int:
     """Sign of e_3 . (curvature of body 1 - curvature of body 2): the side towards which body 1 bends away.
 
     0 for points, for crossing curves, and where the relative curvature has no definite sign.
@@ -221,7 +219,7 @@ def _bending_side(system: System) -> int:
     return 0
 
 
-def _seeds(system: System, t: float, guess: np.ndarray) -> list[np.ndarray]:
+def _seeds(system: Workspace, t: float, guess: np.ndarray) -> list[np.ndarray]:
     """Starts for Newton: sample pairs that are near each other, and near with their tangents aligned."""
     contact = system.contacts[0]
     poses = [pose_of(system.data, body, t) for body in (contact.body1, contact.body2)]
@@ -291,7 +289,7 @@ def _sample(
             continue
         count = counts[a]
         # what is infinite is cut to the window; so are lengths, but not angles and other people's parameters
-        if not contour.periodic[a] and isinstance(contour, _LENGTHS):
+        if not contour.periodic[a] and contour.lengths:
             low, high = max(low, -window), min(high, window)
         elif not math.isfinite(high - low):
             low, high, wanted = _within(contour, a, t, window)

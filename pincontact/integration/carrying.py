@@ -10,8 +10,8 @@ With velocities so carried to the axes at one instant, their rate there is v' + 
 
 from __future__ import annotations
 
+from ..dynamics.manifold import FREE_FLYER, PLANAR_BLOCK, QUATERNION, rotate_by_quaternion
 from ..jit import kernel
-from .manifold import FREE_FLYER, PLANAR_BLOCK, QUATERNION, rotate_by_quaternion
 
 # Columns of a block's inertia: c, J by rows and its inverse.
 CENTRE, MOMENT, INVERSE = 0, 3, 12

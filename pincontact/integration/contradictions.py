@@ -7,6 +7,7 @@ import numpy as np
 from ..dynamics.system import System
 from ..geometry.patterns import ON_CURVE
 from ..layout import FREE, MODE, PATTERN, STICK, TANGENTS
+from .results import NO_CONTACT_FORCE, STEP_TOO_SMALL, Stop
 from .stages import load_state
 
 # Contacts are named whose velocity is off by more than this part of the largest.
@@ -36,3 +37,15 @@ def contradiction(system: System, t: float) -> str:
     names = [contact.name for contact, off in zip(system.contacts, left) if off > _NAMED * left.max()]
     named = ", ".join(map(repr, names))
     return f"the velocity constraints of contacts {named} cannot be met together: {left.max():.3g} m/s is left"
+
+
+def projection_failure(system: System, t: float) -> Stop:
+    """The Stop for a step that could not be projected on the constraints."""
+    contradicting = contradiction(system, t)
+    if contradicting:
+        return Stop(NO_CONTACT_FORCE, f"t = {t:.9g} s: {contradicting}")
+    return Stop(
+        STEP_TOO_SMALL,
+        f"t = {t:.9g} s: the projection on the constraints failed: it would change the state by more than the step's "
+        "error",
+    )

@@ -8,18 +8,15 @@ import numpy as np
 
 from ..arrays import view
 from ..jit import INTEGER, REAL, entry_kernel, kernel
-from .stages import MAX_STAGES
+from ..layout import DENSE_ROWS, MAX_STAGES
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
 
-# Rows of the coefficients: Sharp98 uses all of them, DOP853 seven, RK45 four, RK23 three.
-DENSE_ROWS = 8
-
 
 @kernel
 def dense_coefficients(system):
-    """Fill DENSE from the slopes of the attempted step: row i is h sum_j w_ij k_j + w_i (y_1 - y_0).
+    """Fill DENSE from the slopes of the trial step: row i is h sum_j w_ij k_j + w_i (y_1 - y_0).
 
     The weight of the difference stands behind those of the stages.
     """

@@ -1,4 +1,10 @@
-"""Event-driven integration: smooth steps in fixed modes between located mode changes."""
+"""Event-driven integration: smooth steps in fixed modes between located mode changes.
+
+The way of a run, see `Driver`: compiled steps go on until something may have happened (`_step`). The trial step is then
+searched for events (`_complete`; `locator`, `events`). The state is stepped to the first one, where `transitions`
+changes the modes (`_change_modes`). What is accepted is written (`_after`; `outputs`), and the next step is bounded
+(`_restart`, `_foresee`).
+"""
 
 from __future__ import annotations
 
@@ -8,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..dynamics.system import System
 from ..layout import (
     EVENT,
     FREE,
@@ -20,17 +27,18 @@ from ..layout import (
     START_TOLERANCE,
     STICK,
 )
-from ..state import read_discrete
-from .contradictions import contradiction
+from .contradictions import projection_failure
 from .dense import Interpolant
-from .events import Crossing, EventLocator, UserEvent
-from .results import FINISHED, NO_CONTACT_FORCE, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
+from .events import UserEvent, UserEvents
+from .jams import held_up
+from .locator import Crossing, EventLocator
+from .outputs import Outputs, no_dense_output
+from .results import FINISHED, STEP_LIMIT, TERMINATED, Stop
 from .runge_kutta import RungeKutta
 from .steps import (
     AT_FLOOR,
     AT_LIMIT,
     ATTEMPTED,
-    BLOCK_FULL,
     FAILED_FACTOR,
     MARCH,
     MARCH_APART,
@@ -42,21 +50,21 @@ from .steps import (
     SLIP_IS_SLOW,
     STEP_FAILED,
     STEPPED,
-    WRITE_OUTPUTS,
 )
 from .transitions import Transitions
 
 # Steps that slow slip makes stiff before its direction is prescribed instead, and at most after that has failed;
 # the least length of a step with a prescribed direction, in stiff ones that cost as much and last this time over that
 # in which friction turns the slip; how much longer the next one is tried, and after how many of the same length where
-# longer ones have failed.
+# longer ones have failed: those that took less than the last factor of what was asked for.
 _PATIENCE, _LONGEST_PATIENCE = 24, 3072
 _SLOW_STEPS, _STABLE = 20.0, 4.0
-_SLOW_GROWTH, _SLOW_RESTS = 4.0, 6
+_SLOW_GROWTH, _SLOW_RESTS, _SLOW_CUT = 4.0, 6, 0.9
 _FLOOR = 8.0 * float(np.finfo(float).eps)
-# No step after a mode change begins with less than so many times the least.
-_RESTART = 4.0
-# Crossings in a row that true steps may deny before one is believed: where a margin jumps there is no zero.
+# No step after a mode change, or where bodies are near, is shorter than so many times the least; none after a mode
+# change longer than so many times the seed of a slip.
+_RESTART, _RESTART_SEEDS = 4.0, 10.0
+# Crossings in a row that true steps may deny before one is believed: an event function that jumps has no zero.
 _DOUBTS = 3
 # Slips this many times faster than what counts as ended end with one that does.
 _TOGETHER = 8.0
@@ -73,7 +81,8 @@ class Options:
     """Step-size and output options of a run.
 
     t_eval: output times in s, None for every accepted step; breakpoints: times in s, in order within the run, at which
-    steps end and modes are decided anew; keep_good: see `Driver.good`.
+    steps end and modes are decided anew; discrete: of a system, the discrete part of its contacts; None where
+    `Driver.good` is not to be kept.
     """
 
     t_eval: np.ndarray | None = None
@@ -82,7 +91,7 @@ class Options:
     fixed_step: float | None = None
     first_step: float | None = None
     breakpoints: Sequence[float] = ()
-    keep_good: bool = False
+    discrete: Callable[[System], np.ndarray] | None = None
 
 
 class Driver:
@@ -103,10 +112,11 @@ class Driver:
         progress: Callable[[float], None] | None = None,
     ) -> None:
         self.rk, self.system, self.transitions = rk, rk.system, transitions
-        self.locator = EventLocator(rk, users, transitions.dips.depths, transitions.open)
-        transitions.emit = self._output_short_step
-        self.record, self.flush, self.options, self.progress = record, flush, options, progress
-        self.system.set_output_times(options.t_eval)
+        self.locator = EventLocator(rk, transitions.penetration.depths, transitions.open)
+        self.users = UserEvents(rk, users)
+        self.outputs = Outputs(rk, record, flush, options.t_eval)
+        transitions.onset.emit = self.outputs.write_short_step
+        self.options, self.progress = options, progress
         self._doubts = 0
         # what is told when to act, by a control or a drive, acts any time
         self._max_step = options.max_step
@@ -137,80 +147,90 @@ class Driver:
         return FINISHED, "the end of the interval was reached"
 
     def _run(self, t: float, t_end: float) -> None:
-        options, rk = self.options, self.rk
-        stops = [*(math.nextafter(time, -math.inf) for time in options.breakpoints), t_end]
-        self._end = stops.pop(0)
+        stops = [*(math.nextafter(time, -math.inf) for time in self.options.breakpoints), t_end]
+        self._end, why = stops.pop(0), STEPPED
+        t = self._begin(t, t_end)
+        while t < t_end:
+            if t >= self._end:
+                jump, self._end = math.nextafter(self._end, math.inf), stops.pop(0)
+                t = self._pass_jump(max(t, jump))
+                continue
+            t, why = self._step(t, why)
+            t = self._respond(t, t_end, why)
+            if self.progress is not None:
+                self.progress(t)
+
+    def _begin(self, t: float, t_end: float) -> float:
+        """Decide the modes of the initial state, and what strikes or slips there; the new time."""
         try:
             self.transitions.begin(t)
         except BaseException:
             # what there is: the state that the run was to start from
-            rk.load(self.system.state)
-            self._output_start(t)
+            self.rk.load(self.system.state)
+            self.outputs.write_state(t)
             raise
-        self._output_start(t)
+        self.outputs.write_state(t)
         struck = None
         if t_end > t:
-            self._allow_start(t, 0.0 if self.locator.users else options.fixed_step or math.inf)
+            self._allow_start(t, 0.0 if self.users else self.options.fixed_step or math.inf)
             struck = self.transitions.strike(t)
-            t = self.transitions.start_frozen(t) if struck is None else struck
+            t = self.transitions.onset.start(t) if struck is None else struck
         if struck is None:
-            self.locator.update_users(t)
+            self.users.update(t)
             self._finish(t)
         else:
             self._after(t)
         self._set_limits(t)
-        scalars, why = self.system.scalars, STEPPED
-        while t < t_end:
-            if t >= self._end:
-                before, self._end = self._end, stops.pop(0)
-                t = self._pass_jump(max(t, math.nextafter(before, math.inf)))
-                continue
-            scalars["now"] = t
-            self.flush()
-            if options.keep_good:
-                self._keep_good(t)
-            why = self.system.run(self._foresee(t, self._task(), why == MAY_TOUCH))
-            t = float(scalars["now"])
-            if options.keep_good:
-                self._keep_good(t)
-            if why == STEPPED and self.system.counters["lost_positivity"]:
-                raise self.transitions.give_up(t, NO_FORCE)
-            if why == STEPPED:
-                self._watch(t, True, False)
-                self._output_at(t)
-            elif why == ATTEMPTED:
-                h = float(scalars["next_step"])
-                t, switched = self._complete(t, float(scalars["step"]), float(scalars["next_time"]))
-                if switched:
-                    self._restart(h)
-                elif self._slides_slowly() and t < t_end:
-                    t = self._slow_slip(t)
-            elif why == SLIP_ENDS:
-                h = float(scalars["next_step"])
-                t = self._end_slip(t)
-                self._restart(h)
-            elif why == SLIP_IS_SLOW:
-                self._watch(t, True)
-                self._output_at(t)
+        return t
+
+    def _step(self, t: float, why: int) -> tuple[float, int]:
+        """Let compiled steps go on as far as they can; the new time, and why they come back. why: the last time."""
+        scalars = self.system.scalars
+        scalars["now"] = t
+        self.outputs.flush()
+        self._keep_good(t)
+        why = self.system.run(self._foresee(t, self._task(), why == MAY_TOUCH))
+        t = float(scalars["now"])
+        self._keep_good(t)
+        return t, why
+
+    def _respond(self, t: float, t_end: float, why: int) -> float:
+        """Do what compiled steps leave to be done: events, transitions, outputs; the new time."""
+        scalars, usual_step = self.system.scalars, float(self.system.scalars["next_step"])
+        if why == STEPPED:
+            if self.system.counters["lost_positivity"]:
+                raise self.transitions.reports.failure(t, NO_FORCE)
+            self._watch(t, True, False)
+            self.outputs.write_asked(t)
+        elif why == ATTEMPTED:
+            t, switched = self._complete(t, float(scalars["step"]), float(scalars["next_time"]))
+            if switched:
+                self._restart(usual_step)
+            elif self._slides_slowly() and t < t_end:
                 t = self._slow_slip(t)
-            elif why == AT_LIMIT:
-                raise Stop(STEP_LIMIT, f"t = {t:.9g} s: the limit of {options.max_steps} steps was reached")
-            elif why == AT_FLOOR:
-                t = self._end_jams(t)
-            elif why == STEP_FAILED:
-                if options.fixed_step:
-                    t = self._end_jams(t)
-            elif why == PROJECTION_FAILED:
-                raise self._projection_failed(float(scalars["next_time"]))
-            if self.progress is not None:
-                self.progress(t)
+        elif why == SLIP_ENDS:
+            t = self._end_slip(t)
+            self._restart(usual_step)
+        elif why == SLIP_IS_SLOW:
+            self._watch(t, True)
+            self.outputs.write_asked(t)
+            t = self._slow_slip(t)
+        elif why == AT_LIMIT:
+            raise Stop(STEP_LIMIT, f"t = {t:.9g} s: the limit of {self.options.max_steps} steps was reached")
+        elif why == AT_FLOOR or (why == STEP_FAILED and self.options.fixed_step):
+            t = self._end_jams(t)
+        elif why == PROJECTION_FAILED:
+            raise projection_failure(self.system, float(scalars["next_time"]))
+        return t
 
     def _keep_good(self, t: float) -> None:
-        self.good = t, self.system.state.copy(), read_discrete(self.system)
+        """Keep the accepted state as the last good one, where that is asked for."""
+        if self.options.discrete is not None:
+            self.good = t, self.system.state.copy(), self.options.discrete(self.system)
 
     def _allow_start(self, t: float, step: float) -> None:
         """Let slip that starts at t, which ends or interrupts a step, go on for half of that at most."""
-        self.transitions.longest_start = min(0.5 * step, 0.5 * (self._end - t), self._max_step)
+        self.transitions.onset.longest = min(0.5 * step, 0.5 * (self._end - t), self._max_step)
 
     def _pass_jump(self, t: float) -> float:
         """Go on from the breakpoint t in s, behind what jumps there; the new time."""
@@ -219,12 +239,8 @@ class Driver:
         after = self.transitions.pass_jump(after)
         self._finish(after)
         self._watch(after, False)
-        if self.options.t_eval is None:
-            self.record(after)
-        while self._output_due(after):
-            # what was asked for at the breakpoint is shown there
-            self.record(float(self.system.scalars["next_output"]))
-            self.system.output_done()
+        # what was asked for at the breakpoint is shown there
+        self.outputs.write_state(after, at_their_times=True)
         self._set_limits(after)
         return after
 
@@ -242,7 +258,7 @@ class Driver:
 
     def _task(self) -> int:
         """How far the compiled steps may go on their own."""
-        if self.locator.users:
+        if self.users:
             return MARCH_ONE_ATTEMPT
         if self.system.ng or FREE in self.system.modes.tolist():
             return MARCH_ONE_STEP
@@ -266,10 +282,10 @@ class Driver:
             opened.has_moved = False
             self.rk.load(self.system.state)
             if self.rk.evaluate_start(t) > EVENT:
-                raise self.transitions.give_up(t, LOCATION_FAILED)
+                raise self.transitions.reports.failure(t, LOCATION_FAILED)
             self._finish(t)
             self.transitions.note_sides(False)
-        scalars["max_step"] = max(min(self._max_step, longest), 4.0 * scalars["floor"])
+        scalars["max_step"] = max(min(self._max_step, longest), _RESTART * scalars["floor"])
         return MARCH_ONE_ATTEMPT if near else task
 
     def _restart(self, h: float) -> None:
@@ -277,45 +293,34 @@ class Driver:
         scalars, counters = self.system.scalars, self.system.counters
         if counters["failure"] != OK:
             # what has cut steps short are the modes that were left
-            h, counters["failure"] = self.transitions.seed, OK
+            h, counters["failure"] = self.transitions.onset.seed, OK
         h = max(h, _RESTART * float(scalars["floor"]))
-        scalars["next_step"] = self.options.fixed_step or min(h, 10.0 * self.transitions.seed)
+        scalars["next_step"] = self.options.fixed_step or min(h, _RESTART_SEEDS * self.transitions.onset.seed)
         scalars["slowest"], scalars["last_error"] = math.inf, 0.0
         counters["stalled"] = 0
 
     # ---------------------------------------------------------------- one step
 
     def _complete(self, t: float, step: float, t_new: float) -> tuple[float, bool]:
-        """Events, outputs and commitment of the attempted step; returns the new time and whether modes changed."""
+        """Events, outputs and commitment of the trial step; returns the new time and whether modes changed."""
         rk, system = self.rk, self.system
         dense: Interpolant | None = None
         opened = self.transitions.open
         if opened.is_near and not opened.may_stand(t_new, step):
             self._unmake()
             return t, False
-        asked = self.locator.users_cross(t, step)
-        if rk.alarm or asked or opened.is_near:
+        asked = self.users.may_cross(t, step)
+        if rk.alarm or asked or opened.is_near or self.outputs.due(t_new):
             dense = rk.interpolant(t, step)
             if dense is None:
                 return self._reject(t, step)
             crossing = self.locator.first(t, step) if rk.alarm else None
-            for user in self.locator.user_crossings(t, step, dense) if asked else ():
-                if crossing is not None and crossing.theta <= user.theta:
-                    break
-                if self.locator.users[user.user].terminal:
-                    crossing = user
-                    break
-                rk.load(dense(user.theta))
-                self.transitions.announce(t + user.theta * step, None, "user", user.user)
+            if asked:
+                self._announce_user_events(t, step, dense, math.inf if crossing is None else crossing.theta)
             if crossing is not None:
-                return self._stop_at(t, step, dense, crossing)
-            rk.load(system.new_state)
-        if self._output_due(t_new):
-            if dense is None:
-                dense = rk.interpolant(t, step)
-                if dense is None:
-                    return self._reject(t, step)
-            self._output_until(t_new)
+                return self._change_modes(t, step, crossing)
+            if self.outputs.due(t_new):
+                self.outputs.write_until(t_new)
             rk.load(system.new_state)
         self._project(t_new, dense is None)
         rk.accept()
@@ -323,112 +328,113 @@ class Driver:
         self._doubts = 0
         return t_new, False
 
-    def _no_interpolant(self, t: float) -> Stop:
-        return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the dense output of a step could not be evaluated")
-
     def _reject(self, t: float, step: float) -> tuple[float, bool]:
-        """Try a shorter step where the attempted one has no dense output, as where one of its stages fails."""
+        """Try a shorter step where the trial step has no dense output, as where one of its stages fails."""
         scalars = self.system.scalars
         self._unmake()
         if self.options.fixed_step:
-            if not self.transitions.held_up():
-                raise self._no_interpolant(t)
+            if not held_up(self.system):
+                raise no_dense_output(t)
             return self._end_jams(t), True
         scalars["next_step"] = FAILED_FACTOR * step
         return t, False
 
     def _unmake(self) -> None:
-        """Count the attempted step as rejected."""
+        """Count the trial step as rejected."""
         self.system.counters["step_count"] -= 1
         self.system.counters["rejected_count"] += 1
 
     def _end_jams(self, t: float) -> float:
         """Where no step succeeds, end the slips that friction alone holds up, if there are any; the new time."""
-        if not self.transitions.held_up():
-            raise self.transitions.give_up(t, int(self.system.counters["failure"]))
+        if not held_up(self.system):
+            raise self.transitions.reports.failure(t, int(self.system.counters["failure"]))
         t = self.transitions.end_jams(t)
         self._after(t)
-        self._restart(self.transitions.seed)
+        self._restart(self.transitions.onset.seed)
         return t
 
     def _project(self, t: float, evaluated: bool) -> None:
         if not self.rk.project(t, evaluated, self.rk.error):
-            raise self._projection_failed(t)
-
-    def _projection_failed(self, t: float) -> Stop:
-        contradicting = contradiction(self.system, t)
-        if contradicting:
-            return Stop(NO_CONTACT_FORCE, f"t = {t:.9g} s: {contradicting}")
-        return Stop(
-            STEP_TOO_SMALL,
-            f"t = {t:.9g} s: the projection on the constraints failed: it would change the state by more than the "
-            "step's error",
-        )
+            raise projection_failure(self.system, t)
 
     def _finish(self, t: float) -> None:
         if self.rk.finish_step(t) > EVENT:
-            raise self._projection_failed(t)
+            raise projection_failure(self.system, t)
 
     def _after(self, t: float, stepped: bool = False) -> None:
         """What follows every state that is accepted here; stepped: see `_watch`."""
         self._finish(t)
         self._watch(t, stepped)
-        if self.options.t_eval is None:
-            self.record(t)
-        self._output_at(t)
+        self.outputs.write_state(t)
 
     def _watch(self, t: float, stepped: bool, scanned: bool = True) -> None:
         """Take the accepted state at t as the one that the next events are measured from.
 
-        stepped: whether the last attempt led there in the present modes; scanned: and events were looked for in it.
+        stepped: whether the last trial step led there in the present modes; scanned: and events were looked for in it.
         """
-        self.locator.update_users(t)
-        self.transitions.watch_gaps(stepped)
+        self.users.update(t)
+        self.transitions.penetration.watch(stepped)
         self.transitions.note_sides(scanned)
 
-    def _stop_at(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> tuple[float, bool]:
+    def _announce_user_events(self, t: float, step: float, dense: Interpolant, until: float) -> None:
+        """The zeros of the user's functions in the trial step before the fraction `until`; a terminal one raises Stop,
+        after a step to it."""
+        for theta, user in self.users.crossings(t, step, dense):
+            if theta >= until:
+                return
+            time = t + theta * step
+            if user.terminal:
+                self._write_before(time)
+                if theta > 0.0:
+                    self.rk.attempt(t, theta * step)
+                self.rk.load(self.system.new_state if theta > 0.0 else self.system.state)
+                self._project(time, False)
+                self.rk.accept()
+                self._after(time)
+            else:
+                self.rk.load(dense(theta))
+            self.transitions.reports.announce(time, None, "user", user.index)
+            if user.terminal:
+                raise Stop(TERMINATED, "a terminal event occurred")
+
+    def _change_modes(self, t: float, step: float, crossing: Crossing) -> tuple[float, bool]:
         """Step again to the crossing, so that the state there has the method's full order, and switch modes; returns
         the new time and whether modes changed."""
-        rk, system = self.rk, self.system
-        event_time = t + crossing.theta * step
-        if self._output_due(event_time):
-            self._output_until(event_time)
-        happens = True
+        rk = self.rk
+        time, happens = t + crossing.theta * step, True
+        self._write_before(time)
         if crossing.theta > 0.0:
             taken, happens = self.locator.refine(t, step, crossing)
-            event_time = t + taken
-            rk.load(system.new_state)
-        else:
-            rk.load(system.state)
-        self._project(event_time, False)
+            time = t + taken
+        rk.load(self.system.new_state if crossing.theta > 0.0 else self.system.state)
+        self._project(time, False)
         if not happens and self._doubts < _DOUBTS:
             # a shorter step, like any other
             self._doubts += 1
             rk.accept()
-            self._after(event_time, True)
-            return event_time, False
+            self._after(time, True)
+            return time, False
         self._doubts = 0
-        if crossing.margin is None:
-            rk.accept()
-            self._after(event_time)
-            self.transitions.announce(event_time, None, "user", crossing.user)
-            raise Stop(TERMINATED, "a terminal event occurred")
-        self._allow_start(event_time, step)
+        self._allow_start(time, step)
         try:
-            after = self.transitions.switch(event_time, *crossing.margin)
+            after = self.transitions.switch(time, crossing.c, crossing.kind)
         except Stop:
-            if self.options.t_eval is None:
-                self.record(event_time)
+            self.outputs.write_end(time)
             raise
         self._after(after)
         return after, True
+
+    def _write_before(self, time: float) -> None:
+        """Write the outputs of the interpolated step up to the event at `time`."""
+        if self.outputs.due(time):
+            self.outputs.write_until(time)
 
     # ---------------------------------------------------------------- slow slip and its end
 
     def _slides_slowly(self) -> bool:
         """Whether so many steps were stiff as is allowed, where the compiled steps leave it to be asked."""
         counters = self.system.counters
-        asked = self.locator.users or self.options.fixed_step
+        asked = self.users or self.options.fixed_step
         return bool(not asked and counters["stiff_steps"] >= counters["patience"])
 
     def _slow_slip(self, t: float) -> float:
@@ -438,7 +444,7 @@ class Driver:
         while tried:
             shortest = _SLOW_STEPS * _STABLE / max(float(scalars["turning_rate"]), 1e-300)
             span = min(span, self._max_step, self._end - t)
-            after = self.transitions.follow_slow_slip(t, span, shortest) if span >= shortest else None
+            after = self.transitions.onset.follow_slow_slip(t, span, shortest) if span >= shortest else None
             tried = after is not None
             if after is None:
                 # the next steps are explicit again; the longer that fails the longer they are left alone
@@ -447,7 +453,7 @@ class Driver:
                 counters["patience"] = _PATIENCE
                 counters["step_count"] += 1
                 # a length that was too much is not asked for again soon
-                rests = _SLOW_RESTS if after - t < 0.9 * span else rests - 1
+                rests = _SLOW_RESTS if after - t < _SLOW_CUT * span else rests - 1
                 span = (after - t) * (1.0 if rests > 0 else _SLOW_GROWTH)
                 t = after
                 self._after(t)
@@ -465,7 +471,7 @@ class Driver:
         scalars = system.scalars
         # at loose tolerances a slip that counts as over may have a long way to go: no further than a step
         left = min(float(speed[c] / -rate[c]), scalars["next_step"], scalars["max_step"], scalars["end"] - t)
-        left = float(min(left, scalars["next_output"] - t, self.transitions.until_touch()))
+        left = float(min(left, scalars["next_output"] - t, self.transitions.onset.until_touch()))
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
         reach = _TOGETHER * 2.0 ** int(system.counters["stalled"]) * system.contact_real[:, START_TOLERANCE]
         with np.errstate(invalid="ignore"):
@@ -473,7 +479,7 @@ class Driver:
         contacts = [c, *(int(i) for i in np.flatnonzero(near & np.isfinite(speed)) if i != c)]
         rk.load(system.state)
         rk.evaluate(t)
-        ended = {i: self.transitions.slip_direction(i) for i in contacts}
+        ended = {i: self.transitions.changes.slip_direction(i) for i in contacts}
         # v_c is round-off there and has no direction: not to be evaluated as slip
         system.contact_int[contacts, MODE] = STICK
         rk.load(system.state + left * system.slopes[0])
@@ -481,35 +487,3 @@ class Driver:
         after = self.transitions.come_to_rest(t + left, ended)
         self._after(after)
         return after
-
-    # ---------------------------------------------------------------- outputs
-
-    def _output_start(self, t: float) -> None:
-        if self.options.t_eval is None:
-            self.record(t)
-        self._output_at(t)
-
-    def _output_due(self, t: float) -> bool:
-        return bool(self.system.scalars["next_output"] <= t)
-
-    def _output_at(self, t: float) -> None:
-        """Record the system's state for every output time that has come."""
-        while self._output_due(t):
-            self.record(t)
-            self.system.output_done()
-
-    def _output_short_step(self, t: float, step: float) -> None:
-        if self._output_due(t + step):
-            if self.rk.interpolant(t, step) is None:
-                raise self._no_interpolant(t)
-            self._output_until(t + step)
-
-    def _output_until(self, until: float) -> None:
-        """Record the output times up to `until` in the step that was interpolated last."""
-        self.flush()
-        status = self.system.run(WRITE_OUTPUTS, until)
-        while status == BLOCK_FULL:
-            self.flush()
-            status = self.system.run(WRITE_OUTPUTS, until)
-        if status != OK:
-            raise self._projection_failed(until)

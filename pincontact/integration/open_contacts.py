@@ -39,11 +39,11 @@ from .stages import load_state
 from .steps import BOUND_SPEEDS
 
 if TYPE_CHECKING:
-    from ..dynamics.system import System
     from ..geometry.search import Candidate
+    from .run_system import RunSystem
 
 # How far bodies may move within a step where they are near, in radii of curvature, and how far they may turn, in rad:
-# margins are then seen wherever they may be negative.
+# gaps are then seen wherever they may be negative.
 _NEAR, _TURN = 0.25, 2.0
 # Instants of a step at which drives are looked at, and part of its size by which a drive's velocity may change in one.
 _INSTANTS, _CHANGE = 16, 0.75
@@ -64,7 +64,7 @@ class _Open:
     """One contact while it is open. searched: whether its nearest points are looked for; near: how far in m bodies may
     move in a step where they are near each other."""
 
-    def __init__(self, system: System, c: int, t: float) -> None:
+    def __init__(self, system: RunSystem, c: int, t: float) -> None:
         self.c, self.contact = c, system.contacts[c]
         self.search: NearestSearch | None = None
         self.whole: Whole | None = None
@@ -98,7 +98,7 @@ class _Open:
         self.distance = self.elsewhere = -math.inf
         self.rotation, self.centre, self.time = np.eye(3), np.zeros(3), t
 
-    def speed(self, system: System) -> tuple[float, float]:
+    def speed(self, system: RunSystem) -> tuple[float, float]:
         """Bounds of the speed in m/s at which points of body 1 move in the frame of body 2, and of its turning, in
         rad/s, from `bound_speeds`."""
         speed, turning = system.contact_real[self.c, APPROACH_SPEED : TURNING + 1].tolist()
@@ -106,7 +106,7 @@ class _Open:
             speed += float(np.linalg.norm(system.derivatives[side, 6]))
         return speed, turning
 
-    def driven(self, system: System, t: float, h: float) -> tuple[float, float]:
+    def driven(self, system: RunSystem, t: float, h: float) -> tuple[float, float]:
         """The largest speed in m/s at which drives move points of one contour near the other one up to t + h, and the
         longest step in s in which their velocities change by no more than they are."""
         speed = change = 0.0
@@ -145,11 +145,11 @@ class OpenContacts:
     """What is known of a system's open contacts between its steps.
 
     apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
-    fastest: the contact for which `look` has last found the step too long.
+    hasty: the contact for which `look` has last found the step too long.
     passed: contacts whose gap fell through zero beyond an end of a contour in the last step, or was not seen to.
     """
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: RunSystem) -> None:
         self.system = system
         self.apart = np.ones(system.nc, dtype=bool)
         self.passed: set[int] = set()
@@ -159,7 +159,6 @@ class OpenContacts:
         self._cut = math.inf
         # states from which a step went far for what is near, by contact
         self._far: dict[int, np.ndarray] = {}
-        # the contact for which a step was too long
         self.hasty = 0
         self.has_moved = self.is_near = False
         self._controlled: list[int] = []
@@ -313,8 +312,8 @@ class OpenContacts:
         return max(abs(float(system.gaps[c, 0])), 0.0)
 
     def may_stand(self, t: float, step: float) -> bool:
-        """Whether a step to the state at t, which is attempted and evaluated there, went no further than it was to, and
-        past nothing; where it did not, the next one is shorter."""
+        """Whether the trial step to the state at t, which is evaluated, went no further than it was to, and past
+        nothing; where it did not, the next one is shorter."""
         system = self.system
         system.run(BOUND_SPEEDS)
         for c, allowed in self._allowed.items():

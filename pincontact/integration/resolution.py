@@ -16,18 +16,17 @@ import numpy as np
 from ..dynamics.resistance import count_items
 from ..jit import kernel
 from ..layout import (
+    ERROR_ROWS,
     FRICTION_MARGIN,
+    KEPT_ROWS,
     MARGINS_PER_CONTACT,
+    MAX_STAGES,
     NORMAL_MARGIN,
     NOTHING_THERE,
     SCAN_ROOM,
 )
 from .results import GAP_TOLERANCE
-from .stages import ERROR_ROWS, MAX_STAGES
 
-# Rows of margins that are kept, of all stages from the step's start on and of one state set aside; they stand behind
-# those of a scan.
-KEPT_ROWS = MAX_STAGES + 1
 # Degree of the polynomials where there are stages enough.
 _DEGREE = 4
 # Accuracy of the conditions of order two.

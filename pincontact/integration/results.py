@@ -18,7 +18,7 @@ END_OF_CONTOUR, STEP_TOO_LONG = -8, -9
 # What is told to those whose run cannot go on.
 ADVICE = 'method="Moreau" goes on with impulses, in steps of constant size; fallback="Moreau" does from here on'
 
-# Gaps are known to so many times the tolerance only: nearer contacts touch, deeper ones have not yet.
+# Error of gaps, in tolerances of positions: a contact whose gap is smaller than that is closed.
 GAP_TOLERANCE = 10.0
 
 # Statuses of single time steps, beside those of `layout`: a closed contact that cannot open is beyond the end of a

@@ -12,13 +12,13 @@ from ..layout import (
 )
 from .dense import Interpolant
 from .stages import load_state
-from .steps import ACCEPT, ATTEMPT, FINISH_STEP, FIRST_STEP, INTERPOLATION_STAGES, KEEP_VELOCITY, START
+from .steps import ACCEPT, FINISH_STEP, FIRST_STEP, INTERPOLATION_STAGES, KEEP_VELOCITY, START, TRIAL_STEP
 from .tableaux import Tableau
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..dynamics.system import System
+    from .run_system import RunSystem
 
 # Margin on the depth of a parabola's dip between two stages.
 _DIP = 1.5
@@ -37,7 +37,7 @@ class RungeKutta:
     torque: fills `system.tau` for (t, system.q, system.v); or None.
     """
 
-    def __init__(self, system: System, method: Tableau, rtol: float, atol: float, torque: Torque | None) -> None:
+    def __init__(self, system: RunSystem, method: Tableau, rtol: float, atol: float, torque: Torque | None) -> None:
         if method.extra and rtol >= _LOOSE:
             method = method.without_extra_stages
         self.system, self.method = system, method
@@ -80,20 +80,20 @@ class RungeKutta:
 
     def attempt(self, t: float, h: float) -> int:
         """A step of size h from the state at t; returns a status."""
-        return self.system.run(ATTEMPT, t, h)
+        return self.system.run(TRIAL_STEP, t, h)
 
     def finish_step(self, t: float) -> int:
         """What follows every accepted state (see `steps.finish_step`); returns a status."""
         return self.system.run(FINISH_STEP, t)
 
     def interpolant(self, t: float, h: float) -> Interpolant | None:
-        """Dense output of the attempted step; needs the extra stages of the method. None if one of them fails."""
+        """Dense output of the trial step; needs the extra stages of the method. None if one of them fails."""
         if self.system.run(INTERPOLATION_STAGES, t, h) > EVENT:
             return None
         return Interpolant(self.system)
 
     def cubic(self, h: float) -> Callable[[float], np.ndarray]:
-        """State at a fraction theta of the attempted step of size h, from the slopes at both ends alone."""
+        """State at a fraction theta of the trial step of size h, from the slopes at both ends alone."""
         system = self.system
         start, change = system.state.copy(), system.new_state - system.state
         first = h * system.slopes[0] - change
@@ -107,7 +107,7 @@ class RungeKutta:
         return state_at
 
     def begin_at(self, q: np.ndarray, v: np.ndarray, location: np.ndarray) -> None:
-        """Make (q, v) and the location parameters (nc, 4) the state at the step's start, and the next one evaluated."""
+        """Make (q, v) and the contact coordinates (nc, 4) the state at the step's start, and the next one evaluated."""
         system = self.system
         end = system.nq + system.nv
         system.stage_state[: system.nq], system.stage_state[system.nq :] = q, 0.0
@@ -128,7 +128,7 @@ class RungeKutta:
         load_state(self.system.address)
 
     def project(self, t: float, evaluated: bool, error: float = math.inf) -> bool:
-        """Put `stage_state` on the constraints; whether it succeeded. error: see `steps.project`."""
+        """Put `stage_state` on the constraints; whether it succeeded. error: see `projection.project`."""
         return self.system.project(t, evaluated, error) == OK
 
     def accept(self) -> None:

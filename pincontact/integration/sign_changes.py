@@ -19,6 +19,8 @@ _HALVINGS = 6
 _HUGE = 1e100
 # Looks at the lowest point between two samples.
 _LOOKS = 3
+# Zeros of event functions in a step, as a part of it.
+ACCURACY = 1e-15
 
 _ROUGHNESS = np.linalg.qr(np.vander(_PLACES, _DEGREE + 1), mode="complete")[0][:, _DEGREE + 1 :].T
 
@@ -85,19 +87,27 @@ def with_dips(value: Callable[[float], float], samples: Samples) -> Samples:
         if not (0.0 < sizes[1] <= sizes[0] and sizes[1] <= sizes[2]):
             continue
         points = [(x, size) for (x, _), size in zip(triple, sizes)]
-        for _ in range(_LOOKS):
-            place = vertex(points)
-            if place is None:
-                break
-            y = value(place)
-            if sign * y <= 0.0:
-                found.append((place, y))
-                break
-            points = sorted(sorted([*points, (place, sign * y)], key=lambda point: point[1])[:3])
+        lowest = look_below_zero(lambda x, sign=sign: sign * value(x), points)  # type: ignore[misc]
+        if lowest is not None:
+            found.append((lowest[0], sign * lowest[1]))
     return sorted([*samples, *found])
 
 
-def vertex(points: list[tuple[float, float]]) -> float | None:
+def look_below_zero(value: Callable[[float], float], points: Samples) -> tuple[float, float] | None:
+    """Look at the lowest points of parabolas through three points (place, value) for one where the function is not
+    positive; (place, value) there, None if there is none."""
+    for _ in range(_LOOKS):
+        place = _vertex(points)
+        if place is None:
+            return None
+        y = value(place)
+        if y <= 0.0:
+            return place, y
+        points = sorted([*sorted(points, key=lambda point: point[1])[:2], (place, y)])
+    return None
+
+
+def _vertex(points: list[tuple[float, float]]) -> float | None:
     """Where the parabola through three points is lowest, strictly between the outer ones; None if it is not."""
     (x0, y0), (x1, y1), (x2, y2) = points
     if x0 == x1 or x1 == x2:

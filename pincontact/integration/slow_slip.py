@@ -57,7 +57,7 @@ class SlowSlip:
     """Slip with prescribed directions: of these contacts (or resistances), from the state at t on.
 
     power: v_c grows with this power of the time; 2 out of stick at its limit, 1 from rest, 0 where it is there already.
-    uneventful(): whether nothing else happens in the last attempt, from its margins.
+    uneventful(): whether nothing else happens in the last trial step, from its event functions.
     """
 
     rk: RungeKutta
@@ -116,7 +116,7 @@ class SlowSlip:
         between = self._across(t, span, coefficients, _CHECKS)
         # slip that is there has to stay faster than the tolerance; what grows from rest only has to grow
         least = tolerance if self.power == 0 else 0.0
-        # the last attempt has left the state at the end of the span in new_state
+        # the last trial step has left the state at the end of the span in new_state
         return (
             between is not None
             and float(np.abs(between[0]).max()) <= tolerance

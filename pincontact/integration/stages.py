@@ -1,45 +1,52 @@
-"""The states of a Runge-Kutta step: handed to Pinocchio, made from slopes, corrected, moved to other charts.
+"""The states of a Runge-Kutta step: handed to Pinocchio, made from slopes, corrected.
 
-State: y = (q, w, location parameters, quadratures). q is ambient; w is v in the axes of the joints' parents (see
-`manifold`) where the counter PARENT_AXES is set, as it is for the pairs, and v itself elsewhere. The location
-parameters ride along as the start of Newton's iteration and take part in the error norm; the quadratures are the powers
-of friction, drive, torque and damping when energies are recorded.
+State: y = (q, w, contact coordinates, quadratures). q is ambient; w is v in the axes of the joints' parents (see
+`manifold`) where the counter PARENT_AXES is set, as it is for the pairs, and v itself elsewhere. The contact
+coordinates ride along as the start of Newton's iteration and take part in the error norm; the quadratures are the
+powers of friction, prescribed motions, torques and damping when energies are recorded.
 """
 
 from __future__ import annotations
 
 import math
 
-from ..contours.charts import convert_chart, is_across_pole, preferred_chart, turned_back
+from ..callback import kernel_caller
+from ..contours.charts import is_across_pole, turned_back
 from ..dynamics.equations import guard_force
+from ..dynamics.manifold import configuration_rate, move, normalize, rate_in_parent_axes, to_joint_axes, to_parent_axes
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
-from ..jit import INTEGER, entry_kernel, kernel
+from ..jit import INTEGER, REAL, entry_kernel, kernel
 from ..layout import (
     CHART,
+    DAMPING_WORK,
+    DRIVE_WORK,
     FREE,
+    FRICTION_WORK,
     GUARD_V,
     KIND,
+    MAX_STAGES,
     MODE,
-    POOL_ADDRESS,
-    POOL_SIZE,
+    NUMBER_OF_WORKS,
     STICK,
+    SYSTEM,
+    TORQUE_WORK,
     system_at,
 )
-from ..workspace import flat, reals_at
-from .manifold import configuration_rate, move, normalize, rate_in_parent_axes, to_joint_axes, to_parent_axes
+from ..workspace import flat
 
-# Rows of the coefficient system and of the slopes: 16 for stages and the interpolant, the last one for scratch.
-MAX_STAGES = 17
-# Rows of the error weights: two estimates of the state's error, the rest for margins (see `resolution`).
-ERROR_ROWS = 14
-FRICTION_WORK, DRIVE_WORK, TORQUE_WORK, DAMPING_WORK = range(4)
-NUMBER_OF_WORKS = 4
+_call_evaluation = kernel_caller(INTEGER, SYSTEM.type, REAL, INTEGER)
+
+
+@kernel
+def evaluate(system, time, only_kinematics):
+    """Pinocchio's terms and one evaluation at (q, v), by a kernel of its own; arguments and status are its."""
+    return _call_evaluation(system.callback.evaluation, system, time, only_kinematics)
 
 
 @kernel
 def hand_over(system, state):
-    """Give a state to Pinocchio (normalised) and to the location solver."""
+    """Give a state to Pinocchio (normalised) and to the search for contact coordinates."""
     sizes = system.sizes
     nq, nv, nc = sizes.nq, sizes.nv, sizes.nc
     q, v, blocks = system.q, system.v, system.joint_table
@@ -91,7 +98,8 @@ def fill_slope(system, state, slope):
 
 @kernel
 def _powers(system, nv, nc, out):
-    """Powers in W: contact force on v_c, contact force of drives, user's torques, joints' damping and dry friction.
+    """Powers in W: contact force on v_c, contact force of prescribed motions, user's torques, joints' damping and dry
+    friction.
 
     Torques that resist turning count with the contact forces.
     """
@@ -187,15 +195,15 @@ def error_norm(system, last):
 
 @entry_kernel(INTEGER)
 def load_state(address):
-    """Hand over STAGE_STATE to Pinocchio and the location solver."""
+    """Hand over STAGE_STATE to Pinocchio and the search for contact coordinates."""
     system = system_at(address)
     hand_over(system, system.stage_state)
 
 
 @kernel
 def correct_state(system, with_position, with_velocity):
-    """Apply the last corrections to STAGE_STATE: v first (its rows belong to the old q), then q; take the location
-    found, moved along with q. Returns the largest change of q and v in tolerances.
+    """Apply the last corrections to STAGE_STATE: v first (its rows belong to the old q), then q; take the contact
+    coordinates found, moved along with q. Returns the largest change of q and v in tolerances.
     """
     sizes = system.sizes
     nq, nv, nc = sizes.nq, sizes.nv, sizes.nc
@@ -213,13 +221,7 @@ def correct_state(system, with_position, with_velocity):
             v[k] += correction[k]
     if with_position != 0:
         moved = system.slopes[MAX_STAGES - 1]
-        move(
-            system.joint_table,
-            q,
-            system.correction_q,
-            moved,
-            q,
-        )
+        move(system.joint_table, q, system.correction_q, moved, q)
         for i in range(nq):
             change = max(change, abs(moved[i]) / (absolute[i] + relative * abs(state[i])))
     for i in range(nq):
@@ -240,30 +242,3 @@ def keep_velocity(system, state):
     else:
         for k in range(nv):
             out[k] = v[k]
-
-
-@kernel
-def change_charts(system):
-    """Move the location parameters in STATE to better charts; returns how many contours changed theirs."""
-    sizes = system.sizes
-    nc, first = sizes.nc, sizes.nq + sizes.nv
-    state = system.state
-    side_int = system.side_int
-    side_shape = system.side_shape
-    changed = 0
-    for side in range(2 * nc):
-        ints = side_int[side]
-        u = state[first + 2 * side : first + 2 * side + 2]
-        chart = preferred_chart(ints[KIND], ints[CHART], side_shape[side], u[0], u[1])
-        if chart != ints[CHART]:
-            pool = reals_at(ints[POOL_ADDRESS], ints[POOL_SIZE])
-            u[0], u[1] = convert_chart(ints[KIND], side_shape[side], pool, ints[CHART], u[0], u[1], chart)
-            ints[CHART] = chart
-            changed += 1
-    return changed
-
-
-@entry_kernel(INTEGER)
-def move_charts(address):
-    """`change_charts` for callers in Python."""
-    return change_charts(system_at(address))

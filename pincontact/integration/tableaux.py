@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
-import runpy
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy
 
 from ..errors import ArgumentError
+from ..layout import DENSE_ROWS, ERROR_ROWS, MAX_STAGES
 from ..workspace import address_of
 from . import sharp98
-from .dense import DENSE_ROWS
 from .resolution import roughness
-from .stages import ERROR_ROWS, MAX_STAGES
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,33 +157,19 @@ def free_dense(a: np.ndarray, order: int, further: int = 1) -> np.ndarray:
     return np.column_stack([weights.T, np.zeros(order + further)])
 
 
-def _coefficients_of_dop853() -> dict[str, Any]:
-    """N_STAGES, A, B, C, D, E3 and E5, with the interpolant's extra stages in A and C.
-
-    From SciPy's file of them alone where it is found: to import `scipy.integrate` takes longer than all else together.
-    """
-    file = Path(scipy.__file__).parent / "integrate" / "_ivp" / "dop853_coefficients.py"
-    if file.exists():
-        return runpy.run_path(str(file))
-    pair = scipy.integrate.DOP853
-    n, extra = pair.n_stages, pair.A_EXTRA
-    a = np.zeros((n + 1 + len(extra), n + 1 + len(extra)))
-    a[:n, :n], a[n, :n], a[n + 1 :] = pair.A, pair.B, extra
-    c = np.concatenate([pair.C, [1.0], pair.C_EXTRA])
-    return {"N_STAGES": n, "A": a, "B": pair.B, "C": c, "D": pair.D, "E3": pair.E3, "E5": pair.E5}
-
-
 def _dop853() -> Tableau:
-    found = _coefficients_of_dop853()
-    n, a, c = found["N_STAGES"], found["A"], found["C"]
-    errors = np.zeros((2, n + 4))
-    errors[0, : n + 1], errors[1, : n + 1] = found["E5"], found["E3"]
+    pair = scipy.integrate.DOP853
+    n, extra = pair.n_stages, len(pair.A_EXTRA)
+    a, errors = np.zeros((n + 1 + extra, n + 1 + extra)), np.zeros((2, n + 4))
+    a[:n, :n], a[n, :n], a[n + 1 :] = pair.A, pair.B, pair.A_EXTRA
+    c = np.concatenate([pair.C, [1.0], pair.C_EXTRA])
+    errors[0, : n + 1], errors[1, : n + 1] = pair.E5, pair.E3
     # Hairer's form: the difference, the slopes at both ends, and four combinations of all stages
     dense = np.zeros((7, n + 5))
     dense[0, -1], dense[1, -1], dense[2, -1] = 1.0, -1.0, 2.0
     dense[1, 0], dense[2, 0], dense[2, n] = 1.0, -1.0, -1.0
-    dense[3:, : n + 4] = found["D"]
-    return Tableau("DOP853", n, 8, 7, a, c, errors, n - 1, 3, dense, True)
+    dense[3:, : n + 4] = pair.D
+    return Tableau("DOP853", n, 8, 7, a, c, errors, n - 1, extra, dense, True)
 
 
 def _single_estimate(name: str) -> Tableau:

@@ -34,8 +34,8 @@ from random_motions import KINDS, Motion, random_motion
 
 import pincontact as pc
 from pincontact.dynamics.system import System
+from pincontact.integration.discrete import write_discrete
 from pincontact.layout import FRICTIONLESS, OK
-from pincontact.state import write_discrete
 
 METHODS = ("DOP853", "DOP853", "DOP853", "RK45", "RK23", "Sharp98")
 TIGHT: dict[str, Any] = {"rtol": 1e-11, "atol": 1e-13}

@@ -1,4 +1,4 @@
-"""The path to a solution of the contact problem: sure where others only hope (Sec. 5.3).
+"""A homotopy to a solution of the contact problem, for problems that no other start solves (Sec. 5.3).
 
 The cones are scaled to |f_t| <= f_n; then y = (u_t, u_n / mu + |u_t|) is in the same cone, and orthogonal to f. With
 the product of the cone's algebra, f o y = (f_n y_t + y_n f_t, f . y), and its unit e, that is f o y = 0. The path is
@@ -24,11 +24,11 @@ from .cone import (
     cone_at,
     scale_problem,
 )
-from .elimination import minimum_norm_solve
+from .elimination import least_norm
 
 # Part of the way to the cones' boundary that a step takes at most.
 BACK_OFF = 0.99
-PATH_CORRECTIONS = 5
+CORRECTIONS = 5
 # The first step, in units of f and of the logarithm of t; how much longer the next may be than one that took so many
 # corrections; how much shorter the next try than one that took too many.
 FIRST_STEP, LONGER, SHORTER = 0.1, (4.0, 2.5, 1.5, 1.0, 0.7), 0.4
@@ -78,7 +78,7 @@ def cone_step(x1, x2, xn, d1, d2, dn):
 
 
 @kernel
-def path_residual(a, c, r, saxce, x, y, h, gap):
+def homotopy_residual(a, c, r, saxce, x, y, h, gap):
     """Residuals of the path's equations at x = (f, t) and y (3n,); returns the largest relative to t, or `HUGE`.
 
     h (3n,) = f o y - t e and gap (3n,) = G f + ... - y (module docstring): output; a (3n, 3n), c, r (3n,): the problem
@@ -109,7 +109,7 @@ def path_residual(a, c, r, saxce, x, y, h, gap):
 
 
 @kernel
-def path_matrix(a, r, saxce, x, y, border, system):
+def homotopy_matrix(a, r, saxce, x, y, border, system):
     """system (3n + 1, 3n + 1) is the derivative of f o y - t e by x = (f, t), y in step, and the border as last row."""
     rows = y.shape[0]
     t = x[rows]
@@ -144,7 +144,7 @@ def path_matrix(a, r, saxce, x, y, border, system):
 
 
 @kernel
-def path_slope(a, r, saxce, x, y, change, slope):
+def homotopy_slope(a, r, saxce, x, y, change, slope):
     """The change of y (3n,) that goes with a change (3n + 1,) of x = (f, t), added to slope (3n,)."""
     rows = y.shape[0]
     t = x[rows]
@@ -159,8 +159,70 @@ def path_slope(a, r, saxce, x, y, change, slope):
         slope[k + 2] += saxce * ((1.0 - t) * turn - root * change[rows])
 
 
+@kernel
+def circular_problem(delassus, b, mu, size, cone):
+    """The problem in circular cones (`cone_units`) into `cone.scaled`, and c, r, weight into the first rows of
+    `cone.vectors`; returns the units of forces in them, the second that of the
+    scaled problem."""
+    n = mu.shape[0]
+    rows = 3 * n
+    g = cone.scaled
+    c = cone.vectors[0]
+    r = cone.vectors[1]
+    weight = cone.vectors[3]
+    largest = scale_problem(delassus, b, n, g, c, cone.scalars[0], r)
+    unit = cone_units(g, c, mu, weight) / size
+    for k in range(rows):
+        c[k] *= weight[k] / unit
+        for j in range(rows):
+            g[k, j] *= weight[k] * weight[j]
+            if (mu[k // 3] == 0.0 and k % 3 < 2) or (mu[j // 3] == 0.0 and j % 3 < 2):
+                # Without friction the tangential forces are zero and what they would act on is of no interest.
+                c[k] = 0.0 if mu[k // 3] == 0.0 and k % 3 < 2 else c[k]
+                g[k, j] = 0.0
+    for k in range(rows):
+        r[k] = -c[k] + (1.0 if k % 3 == 2 else 0.0)
+        for j in range(2, rows, 3):
+            r[k] -= g[k, j]
+    return unit, largest
+
+
+@kernel
+def correct_point(tube, saxce, cone):
+    """Newton's corrections of the point ahead (x and y of the point after the next step), across the tangent; returns
+    how many it took into the tube, -1 where these are not enough."""
+    rows = cone.forces.shape[0]
+    g, system = cone.scaled, cone.system
+    c, r, gap, h = cone.vectors[0], cone.vectors[1], cone.vectors[2], cone.vectors[4]
+    point = cone.homotopy
+    tangent, ahead, change, rhs = point[1], point[2], point[3], point[4]
+    y_ahead = point[7][:rows]
+    for correction in range(CORRECTIONS):
+        error = homotopy_residual(g, c, r, saxce, ahead, y_ahead, h, gap)
+        if error <= tube:
+            return correction
+        if not error < HUGE or correction == CORRECTIONS - 1:
+            break
+        homotopy_matrix(g, r, saxce, ahead, y_ahead, tangent, system)
+        for k in range(0, rows, 3):
+            root = sqrt(y_ahead[k] ** 2 + y_ahead[k + 1] ** 2 + ahead[rows] ** 2)
+            turn = (y_ahead[k] * gap[k] + y_ahead[k + 1] * gap[k + 1]) / root
+            change_n = gap[k + 2] + saxce * (1.0 - ahead[rows]) * turn
+            rhs[k] = -h[k] - ahead[k + 2] * gap[k] - ahead[k] * change_n
+            rhs[k + 1] = -h[k + 1] - ahead[k + 2] * gap[k + 1] - ahead[k + 1] * change_n
+            rhs[k + 2] = -h[k + 2] - ahead[k] * gap[k] - ahead[k + 1] * gap[k + 1] - ahead[k + 2] * change_n
+        rhs[rows] = 0.0
+        least_norm(system, rhs, rows + 1, rows + 1, change, cone.gram, cone.order, 0.0)
+        homotopy_slope(g, r, saxce, ahead, y_ahead, change, gap)
+        for k in range(rows + 1):
+            ahead[k] += change[k]
+        for k in range(rows):
+            y_ahead[k] += gap[k]
+    return -1
+
+
 @entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, REAL, REAL, REAL, REAL, INTEGER, when=SEVERAL)
-def follow_path(delassus, b, mu, address, target, tube, size, saxce, steps):
+def follow_homotopy(delassus, b, mu, address, target, tube, size, saxce, steps):
     """Forces (3n,) in the workspace where the path (module docstring) is down to t = target; returns the t reached.
 
     A target of 1 starts it; later calls go on, at most `steps` further. What is returned above the target was the end:
@@ -175,42 +237,21 @@ def follow_path(delassus, b, mu, address, target, tube, size, saxce, steps):
     delassus, b, mu = view(delassus), view(b), view(mu)
     n = mu.shape[0]
     rows = 3 * n
-    forces = cone.forces
     vectors = cone.vectors
     g = cone.scaled
     system = cone.system
-    gram = cone.gram
-    order = cone.order
-    path = cone.path
-    x = path[0]
-    tangent = path[1]
-    ahead = path[2]
-    change = path[3]
-    rhs = path[4]
-    memory = path[5]
-    y = path[6][:rows]
-    y_ahead = path[7][:rows]
-    c = vectors[0]
+    point = cone.homotopy
+    x = point[0]
+    tangent = point[1]
+    ahead = point[2]
+    change = point[3]
+    rhs = point[4]
+    memory = point[5]
+    y = point[6][:rows]
+    y_ahead = point[7][:rows]
     r = vectors[1]
-    gap = vectors[2]
-    weight = vectors[3]
-    h = vectors[4]
     slope = vectors[5]
-    scale = cone.scalars[0]
-    largest = scale_problem(delassus, b, n, g, c, scale, r)
-    unit = cone_units(g, c, mu, weight) / size
-    for k in range(rows):
-        c[k] *= weight[k] / unit
-        for j in range(rows):
-            g[k, j] *= weight[k] * weight[j]
-            if (mu[k // 3] == 0.0 and k % 3 < 2) or (mu[j // 3] == 0.0 and j % 3 < 2):
-                # Without friction the tangential forces are zero and what they would act on is of no interest.
-                c[k] = 0.0 if mu[k // 3] == 0.0 and k % 3 < 2 else c[k]
-                g[k, j] = 0.0
-    for k in range(rows):
-        r[k] = -c[k] + (1.0 if k % 3 == 2 else 0.0)
-        for j in range(2, rows, 3):
-            r[k] -= g[k, j]
+    unit, largest = circular_problem(delassus, b, mu, size, cone)
     if target == 1.0:
         for k in range(rows + 1):
             x[k] = 1.0 if k % 3 == 2 or k == rows else 0.0
@@ -224,11 +265,11 @@ def follow_path(delassus, b, mu, address, target, tube, size, saxce, steps):
     for _ in range(steps):
         if x[rows] <= target or x[rows] > 1.0:
             break
-        path_matrix(g, r, saxce, x, y, tangent, system)
+        homotopy_matrix(g, r, saxce, x, y, tangent, system)
         for k in range(rows):
             rhs[k] = 0.0
         rhs[rows] = 1.0
-        minimum_norm_solve(system, rhs, rows + 1, change, gram, order, 0.0)
+        least_norm(system, rhs, rows + 1, rows + 1, change, cone.gram, cone.order, 0.0)
         norm = 0.0
         for k in range(rows):
             norm += change[k] * change[k]
@@ -241,7 +282,7 @@ def follow_path(delassus, b, mu, address, target, tube, size, saxce, steps):
         # How far along it the cones are left.
         for k in range(rows):
             slope[k] = 0.0
-        path_slope(g, r, saxce, x, y, tangent, slope)
+        homotopy_slope(g, r, saxce, x, y, tangent, slope)
         t = x[rows]
         step = 1e10
         for k in range(0, rows, 3):
@@ -257,30 +298,11 @@ def follow_path(delassus, b, mu, address, target, tube, size, saxce, steps):
                 ahead[k] = x[k] + step * tangent[k]
             for k in range(rows):
                 y_ahead[k] = y[k] + step * slope[k]
-            for correction in range(PATH_CORRECTIONS):
-                error = path_residual(g, c, r, saxce, ahead, y_ahead, h, gap)
-                if error <= tube:
-                    accepted = True
-                    longest = step * LONGER[correction]
-                    break
-                if not error < HUGE or correction == PATH_CORRECTIONS - 1:
-                    break
-                path_matrix(g, r, saxce, ahead, y_ahead, tangent, system)
-                for k in range(0, rows, 3):
-                    root = sqrt(y_ahead[k] ** 2 + y_ahead[k + 1] ** 2 + ahead[rows] ** 2)
-                    turn = (y_ahead[k] * gap[k] + y_ahead[k + 1] * gap[k + 1]) / root
-                    change_n = gap[k + 2] + saxce * (1.0 - ahead[rows]) * turn
-                    rhs[k] = -h[k] - ahead[k + 2] * gap[k] - ahead[k] * change_n
-                    rhs[k + 1] = -h[k + 1] - ahead[k + 2] * gap[k + 1] - ahead[k + 1] * change_n
-                    rhs[k + 2] = -h[k + 2] - ahead[k] * gap[k] - ahead[k + 1] * gap[k + 1] - ahead[k + 2] * change_n
-                rhs[rows] = 0.0
-                minimum_norm_solve(system, rhs, rows + 1, change, gram, order, 0.0)
-                path_slope(g, r, saxce, ahead, y_ahead, change, gap)
-                for k in range(rows + 1):
-                    ahead[k] += change[k]
-                for k in range(rows):
-                    y_ahead[k] += gap[k]
-            if not accepted:
+            corrections = correct_point(tube, saxce, cone)
+            if corrections >= 0:
+                accepted = True
+                longest = step * LONGER[corrections]
+            else:
                 step *= SHORTER
         if not accepted:
             break
@@ -294,5 +316,5 @@ def follow_path(delassus, b, mu, address, target, tube, size, saxce, steps):
             return HUGE
     memory[0] = longest
     for k in range(rows):
-        forces[k] = x[k] * weight[k] * unit * scale[k // 3] * largest
+        cone.forces[k] = x[k] * vectors[3][k] * unit * cone.scalars[0][k // 3] * largest
     return x[rows]

@@ -11,7 +11,7 @@ import pytest
 from reference import build
 
 import pincontact as pc
-from pincontact.dynamics import spare
+from pincontact import system_cache
 
 DURATION = 0.4
 TIMES = np.linspace(0.0, DURATION, 9)
@@ -92,8 +92,8 @@ def assert_same(a, b):
     assert {**a.stats, "wall_time": 0} == {**b.stats, "wall_time": 0}
 
 
-def has_spare(scene):
-    return scene in spare._spares
+def is_cached(scene):
+    return scene in system_cache._cache
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -112,7 +112,7 @@ def test_runs_are_the_same_bit_by_bit(name):
     kept = [run.q.copy() for run in firsts]
     for options, first in zip(ways, firsts, strict=True):
         simulated(scene, state, **options)
-        assert has_spare(scene)
+        assert is_cached(scene)
         assert_same(simulated(scene, state, **options), first)
     # nothing of an earlier run is written to
     assert all((run.q == q).all() for run, q in zip(firsts, kept, strict=True))
@@ -218,7 +218,7 @@ def test_runs_that_fail_leave_nothing_behind():
 
     with pytest.raises(ValueError, match="no more"):
         simulated(scene, state, control=fails)
-    assert not has_spare(scene)
+    assert not is_cached(scene)
     assert_same(simulated(scene, state), first)
     with pytest.raises(pc.ArgumentError, match="mine"):
         simulated(scene, state, control=raises)
@@ -237,7 +237,7 @@ def test_nothing_of_the_user_is_kept_alive():
     gone = weakref.ref(control)
     del control
     gc.collect()
-    assert has_spare(scene)
+    assert is_cached(scene)
     assert gone() is None
     gone = weakref.ref(scene)
     del scene, state

@@ -119,17 +119,17 @@ def configuration_rate(blocks, q, unit_q, v, out):
 
 
 @kernel
-def to_parent_axes(blocks, unit_q, v, out):
-    """out = velocities v (nv,), or any tangent vector, with those of turning joints in the axes of their parents."""
+def _turn_axes(blocks, unit_q, sign, v, out):
+    """out = v (nv,) with the velocities of turning joints turned by the joints' rotations, or back (sign -1.0)."""
     for b in range(blocks.shape[0]):
         kind, iq, iv, n = blocks[b, 0], blocks[b, 1], blocks[b, 2], blocks[b, 3]
         if kind in (FREE_FLYER, QUATERNION):
             first = iq + 3 if kind == FREE_FLYER else iq
-            x, y, z, w = unit_q[first], unit_q[first + 1], unit_q[first + 2], unit_q[first + 3]
+            x, y, z, w = sign * unit_q[first], sign * unit_q[first + 1], sign * unit_q[first + 2], unit_q[first + 3]
             for i in range(iv, iv + n, 3):
                 out[i], out[i + 1], out[i + 2] = rotate_by_quaternion(x, y, z, w, v[i], v[i + 1], v[i + 2])
         elif kind == PLANAR_BLOCK:
-            c, s = unit_q[iq + 2], unit_q[iq + 3]
+            c, s = unit_q[iq + 2], sign * unit_q[iq + 3]
             out[iv], out[iv + 1] = c * v[iv] - s * v[iv + 1], s * v[iv] + c * v[iv + 1]
             out[iv + 2] = v[iv + 2]
         else:
@@ -138,22 +138,15 @@ def to_parent_axes(blocks, unit_q, v, out):
 
 
 @kernel
+def to_parent_axes(blocks, unit_q, v, out):
+    """out = velocities v (nv,), or any tangent vector, with those of turning joints in the axes of their parents."""
+    _turn_axes(blocks, unit_q, 1.0, v, out)
+
+
+@kernel
 def to_joint_axes(blocks, unit_q, w, out):
     """The inverse of `to_parent_axes`: velocities in Pinocchio's axes."""
-    for b in range(blocks.shape[0]):
-        kind, iq, iv, n = blocks[b, 0], blocks[b, 1], blocks[b, 2], blocks[b, 3]
-        if kind in (FREE_FLYER, QUATERNION):
-            first = iq + 3 if kind == FREE_FLYER else iq
-            x, y, z, real = -unit_q[first], -unit_q[first + 1], -unit_q[first + 2], unit_q[first + 3]
-            for i in range(iv, iv + n, 3):
-                out[i], out[i + 1], out[i + 2] = rotate_by_quaternion(x, y, z, real, w[i], w[i + 1], w[i + 2])
-        elif kind == PLANAR_BLOCK:
-            c, s = unit_q[iq + 2], unit_q[iq + 3]
-            out[iv], out[iv + 1] = c * w[iv] + s * w[iv + 1], c * w[iv + 1] - s * w[iv]
-            out[iv + 2] = w[iv + 2]
-        else:
-            for i in range(iv, iv + n):
-                out[i] = w[i]
+    _turn_axes(blocks, unit_q, -1.0, w, out)
 
 
 @kernel

@@ -1,9 +1,9 @@
 """Compiled systems kept between the runs of a scene: making one costs as much as a short run.
 
-A scene has one spare at most. A run takes it, so that runs within runs and runs in other threads make their own, and
-puts it back when it has ended well. It is used again only if everything that it was made from still has the same bits:
-models, placements and motions are objects that users can write to. All its arrays are then what they were when new, so
-that a run cannot tell.
+One system of a scene is kept at most. A run takes it, so that runs within runs and runs in other threads make their
+own, and puts it back when it has ended well. It is used again only if everything that it was made from still has the
+same bits: models, placements and motions are objects that users can write to. All its arrays are then what they were
+when new, so that a run cannot tell.
 """
 
 from __future__ import annotations
@@ -12,22 +12,23 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
-from ..friction.laws import Coulomb, NoSlip, Stribeck
-from .joints import joint_guards
-from .system import System
+from .contacts import AttachedContour, Contact
+from .dynamics.joints import joint_guards
+from .friction.laws import Coulomb, NoSlip, Stribeck
+from .integration.run_system import RunSystem
+from .scene import Scene
 
 if TYPE_CHECKING:
-    from ..contacts import AttachedContour, Contact
-    from ..integration.moreau import MoreauStep
-    from ..scene import Scene
+    # with it come kernels to compile, for those who use them
+    from .integration.moreau import MoreauStep
 
 # not in the scene, whose copies must not share it
-_spares: WeakKeyDictionary[Scene, Spare] = WeakKeyDictionary()
+_cache: WeakKeyDictionary[Scene, CachedSystem] = WeakKeyDictionary()
 # laws that cannot be written to
 _CONSTANT_LAWS = (type(None), Coulomb, Stribeck, NoSlip)
 
 
-class Spare:
+class CachedSystem:
     """A system, and copies of what it was made from."""
 
     def __init__(self, scene: Scene, works: bool, resistances: bool) -> None:
@@ -35,7 +36,7 @@ class Spare:
         self._given, self._model = scene.model, scene.model.copy()
         self._contacts = list(scene.contacts.values())
         self._sides = [(side, side.placement_in_joint.copy(), _numbers(side)) for side in _sides(self._contacts)]
-        self.system = System(scene.model, self._contacts, works, joint_guards(scene.model), resistances)
+        self.system = RunSystem(scene.model, self._contacts, works, joint_guards(scene.model), resistances)
         self.system.keep()
         # what time stepping has made for this system, see `MoreauStep.renew`
         self.stepper: MoreauStep | None = None
@@ -56,24 +57,24 @@ class Spare:
         )
 
 
-def take_spare(scene: Scene, works: bool, resistances: bool) -> Spare:
-    """A system of the scene as it is now, with all guards of its model, as new. Raises what `System` does.
+def take_system(scene: Scene, works: bool, resistances: bool) -> CachedSystem:
+    """A system of the scene as it is now, with all limited joints of its model, as new. Raises what `System` does.
 
     works: with an account of works in the state; resistances: with resistances to turning as items of their own.
     """
-    spare = _spares.pop(scene, None)
-    if spare is None or not spare.fits(scene, works, resistances):
-        return Spare(scene, works, resistances)
-    spare.system.restore()
-    return spare
+    cached = _cache.pop(scene, None)
+    if cached is None or not cached.fits(scene, works, resistances):
+        return CachedSystem(scene, works, resistances)
+    cached.system.restore()
+    return cached
 
 
-def put_back(scene: Scene, spare: Spare) -> None:
+def put_back(scene: Scene, cached: CachedSystem) -> None:
     """Keep it for the scene's next run; nobody may use its system any more."""
     # nothing of the user's is kept alive
-    spare.system.before_evaluation()
-    if all(type(contact.friction) in _CONSTANT_LAWS for contact in spare.system.contacts):
-        _spares[scene] = spare
+    cached.system.before_evaluation()
+    if all(type(contact.friction) in _CONSTANT_LAWS for contact in cached.system.contacts):
+        _cache[scene] = cached
 
 
 def _sides(contacts: list[Contact]) -> Iterator[AttachedContour]:

@@ -7,14 +7,14 @@ import pytest
 from calling import from_python
 from test_cone_parts import problem, scaled
 
-from pincontact.friction import path
+from pincontact.friction import homotopy
 from pincontact.friction.cone import HUGE, LARGEST_FRICTION, LEAST_FRICTION, cone_workspace
 
-cone_units = from_python(path.cone_units)
-cone_step = from_python(path.cone_step)
-path_residual = from_python(path.path_residual)
-path_matrix = from_python(path.path_matrix)
-path_slope = from_python(path.path_slope)
+cone_units = from_python(homotopy.cone_units)
+cone_step = from_python(homotopy.cone_step)
+homotopy_residual = from_python(homotopy.homotopy_residual)
+homotopy_matrix = from_python(homotopy.homotopy_matrix)
+homotopy_slope = from_python(homotopy.homotopy_slope)
 
 SEEDS = pytest.mark.parametrize("seed", range(3))
 
@@ -140,7 +140,7 @@ def test_residuals_of_the_paths_equations(seed, saxce):
     for off in (0.0, 1.0):
         y = exact + off * rng.normal(size=9)
         h, gap = np.zeros(9), np.zeros(9)
-        worst = path_residual(a, c, r, saxce, x, y, h, gap)
+        worst = homotopy_residual(a, c, r, saxce, x, y, h, gap)
         assert h == pytest.approx(products(x, y), rel=1e-13, abs=1e-12)
         expected = a @ x[:-1] + c + x[-1] * r - y
         expected[2::3] += saxce * (1.0 - x[-1]) * np.sqrt(y[::3] ** 2 + y[1::3] ** 2 + x[-1] ** 2)
@@ -153,31 +153,31 @@ def test_the_gap_counts_beyond_round_off():
     """Where f o y = t e holds to the bit, what is missing in y counts, but not the last digits of large terms."""
     a, c, r = np.diag([1.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.zeros(3)
     x, y, h, gap = np.array([0.0, 0.0, 1.0, 1.0]), np.array([0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3)
-    assert path_residual(a, c, r, 1.0, x, y, h, gap) == pytest.approx(0.0, abs=1e-13)
+    assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) == pytest.approx(0.0, abs=1e-13)
     c[2] = 1.5
-    assert path_residual(a, c, r, 1.0, x, y, h, gap) == pytest.approx(0.5, rel=1e-13)
+    assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) == pytest.approx(0.5, rel=1e-13)
     c[2] = 0.5
-    assert path_residual(a, c, r, 1.0, x, y, h, gap) == pytest.approx(0.5, rel=1e-13)
+    assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) == pytest.approx(0.5, rel=1e-13)
     # 1e4 of a load against as much of a force: the sum is exact to 1e-12
     a[2, 2], c[2] = 1e4, 1.0 - 1e4 + 1e-11
-    assert path_residual(a, c, r, 1.0, x, y, h, gap) <= 0.0
+    assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) <= 0.0
     a[2, 2], r[2], c[2] = 0.0, 1e4, 1.0 - 1e4 + 1e-9
-    assert path_residual(a, c, r, 1.0, x, y, h, gap) == pytest.approx(1e-9, rel=1e-2)
+    assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) == pytest.approx(1e-9, rel=1e-2)
 
 
 def test_outside_of_the_cones_there_is_no_path():
     a, c, r, x, y_of = on_path(np.random.default_rng(0), 2, 1.0)
     y, h, gap = y_of(x), np.zeros(6), np.zeros(6)
-    assert path_residual(a, c, r, 1.0, x, y, h, gap) < HUGE
+    assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) < HUGE
     for place in range(2):
         for array in (x, y):
             kept = array[3 * place + 2]
             array[3 * place + 2] = 0.99 * math.hypot(*array[3 * place : 3 * place + 2])
-            assert path_residual(a, c, r, 1.0, x, y, h, gap) == HUGE
+            assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) == HUGE
             array[3 * place + 2] = kept
     for t in (0.0, -0.1):
         x[-1] = t
-        assert path_residual(a, c, r, 1.0, x, y, h, gap) == HUGE
+        assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) == HUGE
 
 
 @SAXCE
@@ -195,17 +195,17 @@ def test_derivatives_of_the_paths_equations(seed, saxce):
     # step^2 times third derivatives, and round-off over step
     accuracy = 1e-7 * np.abs(derivative).max()
     border, system = rng.normal(size=10), np.full((10, 10), 5.0)
-    path_matrix(a, r, saxce, x, y_of(x), border, system)
+    homotopy_matrix(a, r, saxce, x, y_of(x), border, system)
     assert system[:9] == pytest.approx(derivative, abs=accuracy)
     # lengths count t by its logarithm
     assert system[9] == pytest.approx([*border[:9], border[9] / x[9] ** 2], rel=1e-14)
     change, slope = rng.normal(size=10), np.zeros(9)
-    path_slope(a, r, saxce, x, y_of(x), change, slope)
+    homotopy_slope(a, r, saxce, x, y_of(x), change, slope)
     assert slope == pytest.approx(slopes @ change, abs=accuracy)
     # gaps that are there already are closed with the change
     rest = 1e-4 * rng.normal(size=9)
     closed = rest.copy()
-    path_slope(a, r, saxce, x, y_of(x), np.zeros(10), closed)
+    homotopy_slope(a, r, saxce, x, y_of(x), np.zeros(10), closed)
     turn = np.zeros(9)
     y, t = y_of(x), x[-1]
     for k in (0, 3, 6):
@@ -246,7 +246,7 @@ def test_what_is_returned_lies_on_the_path(seed, size, saxce):
     delassus, b = 1e-3 * delassus, 50.0 * b
     mu[0] = (0.0, math.inf, 0.5)[seed]
     memory = cone_workspace(n)
-    assert path.follow_path(delassus, b, mu, memory.address, 1.0, tube, size, saxce, 0) == 1.0
+    assert homotopy.follow_homotopy(delassus, b, mu, memory.address, 1.0, tube, size, saxce, 0) == 1.0
     residual, inside, f = point(delassus, b, mu, size, memory.forces, 1.0, saxce)
     assert f == pytest.approx(np.tile([0.0, 0.0, 1.0], n), abs=1e-13)
     # f = y = e
@@ -256,7 +256,7 @@ def test_what_is_returned_lies_on_the_path(seed, size, saxce):
         reached = 1.0
         while reached > stop:
             before = reached
-            reached = path.follow_path(delassus, b, mu, memory.address, stop, tube, size, saxce, 1)
+            reached = homotopy.follow_homotopy(delassus, b, mu, memory.address, stop, tube, size, saxce, 1)
             assert reached < before or saxce == 1.0
             steps += 1
             residual, inside, f = point(delassus, b, mu, size, memory.forces, reached, saxce)
@@ -270,7 +270,7 @@ def test_what_is_returned_lies_on_the_path(seed, size, saxce):
     assert steps <= ({0.1: 23, 1.0: 31, 10.0: 51} if mu[0] > 1e3 else {0.1: 11, 1.0: 9, 10.0: 16})[size]
     # a call that has nothing to do leaves things as they are
     forces = memory.forces.copy()
-    assert path.follow_path(delassus, b, mu, memory.address, 0.5, tube, size, saxce, 9) == reached
+    assert homotopy.follow_homotopy(delassus, b, mu, memory.address, 0.5, tube, size, saxce, 9) == reached
     assert memory.forces == pytest.approx(forces, rel=1e-14)
 
 
@@ -281,8 +281,8 @@ def test_the_path_leaves_contacts_without_friction_without_tangential_forces(see
     delassus, b, mu = problem(rng, 4)
     mu[rng.integers(2)], mu[2] = 0.0, 0.0
     memory = cone_workspace(4)
-    path.follow_path(delassus, b, mu, memory.address, 1.0, 0.01, 1.0, 1.0, 0)
-    assert path.follow_path(delassus, b, mu, memory.address, 1e-9, 0.01, 1.0, 1.0, 300) <= 1e-9
+    homotopy.follow_homotopy(delassus, b, mu, memory.address, 1.0, 0.01, 1.0, 1.0, 0)
+    assert homotopy.follow_homotopy(delassus, b, mu, memory.address, 1e-9, 0.01, 1.0, 1.0, 300) <= 1e-9
     f = memory.forces.reshape(4, 3)
     smooth = mu == 0.0
     assert not f[smooth, :2].any()
@@ -300,9 +300,9 @@ def test_the_path_ends_at_a_solution(seed):
     n = 4
     delassus, b, mu = problem(rng, n)
     memory = cone_workspace(n)
-    path.follow_path(delassus, b, mu, memory.address, 1.0, 0.01, 1.0, 1.0, 0)
+    homotopy.follow_homotopy(delassus, b, mu, memory.address, 1.0, 0.01, 1.0, 1.0, 0)
     for stop in (1e-3, 1e-6, 1e-9):
-        assert path.follow_path(delassus, b, mu, memory.address, stop, 0.01, 1.0, 1.0, 200) <= stop
+        assert homotopy.follow_homotopy(delassus, b, mu, memory.address, stop, 0.01, 1.0, 1.0, 200) <= stop
         f = memory.forces.reshape(n, 3)
         u = (delassus @ memory.forces + b).reshape(n, 3)
         size = 1.0 + np.abs(f).max()
@@ -316,8 +316,8 @@ def test_the_path_ends_at_a_solution(seed):
 def test_a_path_without_end_leaves_for_infinity():
     memory = cone_workspace(1)
     args = np.diag([1.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0]), np.ones(1), memory.address
-    path.follow_path(*args, 1.0, 0.01, 1.0, 1.0, 0)
-    assert path.follow_path(*args, 1e-9, 0.01, 1.0, 1.0, 500) == HUGE
+    homotopy.follow_homotopy(*args, 1.0, 0.01, 1.0, 1.0, 0)
+    assert homotopy.follow_homotopy(*args, 1e-9, 0.01, 1.0, 1.0, 500) == HUGE
 
 
 def test_errors_are_corrected_as_newtons_method_does():
@@ -327,13 +327,13 @@ def test_errors_are_corrected_as_newtons_method_does():
     delassus, b, mu = problem(rng, 2)
     memory = cone_workspace(2)
     start = delassus, b, mu, memory.address
-    path.follow_path(*start, 1.0, 1e-3, 1.0, 1.0, 0)
-    path.follow_path(*start, 0.3, 1e-9, 1.0, 1.0, 100)
-    kept = memory.path.copy()
+    homotopy.follow_homotopy(*start, 1.0, 1e-3, 1.0, 1.0, 0)
+    homotopy.follow_homotopy(*start, 0.3, 1e-9, 1.0, 1.0, 100)
+    kept = memory.homotopy.copy()
     for place in range(6):
-        memory.path[:] = kept
-        memory.path[6, place] += 1e-6
+        memory.homotopy[:] = kept
+        memory.homotopy[6, place] += 1e-6
         # a step as good as none
-        memory.path[5, 0] = 1e-7
-        path.follow_path(*start, 1e-3, 1e-9, 1.0, 1.0, 1)
-        assert memory.path[5, 0] == pytest.approx(1e-7 * path.LONGER[1], rel=1e-12)
+        memory.homotopy[5, 0] = 1e-7
+        homotopy.follow_homotopy(*start, 1e-3, 1e-9, 1.0, 1.0, 1)
+        assert memory.homotopy[5, 0] == pytest.approx(1e-7 * homotopy.LONGER[1], rel=1e-12)

@@ -1,0 +1,61 @@
+"""What a contact's mode says of its forces, and the outcome of a choice of modes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from ..layout import (
+    FRICTIONLESS,
+    MODE,
+    MU,
+    NORMAL_SIGN,
+    SLIPPING,
+    STICK,
+    UNILATERAL,
+    VISCOUS,
+)
+
+if TYPE_CHECKING:
+    from .system import System
+
+
+@dataclass
+class Decision:
+    """Outcome of `ModeSolver.decide`.
+
+    status: of the evaluation in the new modes; started: contacts that begin to slip, with the relative acceleration
+    in m/s^2 at which they do; opened: contacts that open; residual of the cone problem, 0 where none was solved.
+    """
+
+    status: int
+    started: dict[int, float] = field(default_factory=dict)
+    opened: list[int] = field(default_factory=list)
+    residual: float = 0.0
+    solved: bool = False
+
+
+def held_up_by_friction(system: System, c: int) -> bool:
+    """Whether contact c slides with F_n = 0 and a tangential force against its slip: ideal rolling, or what a part of
+    its viscous friction keeps from closing."""
+    ideal = system.contact_int[c, MODE] == SLIPPING and math.isinf(system.contact_real[c, MU])
+    return bool(ideal) or shares_viscous_force(system, c)
+
+
+def shares_viscous_force(system: System, c: int) -> bool:
+    """Whether contact c is held up by a part of its viscous friction alone."""
+    integers = system.contact_int[c]
+    return bool(integers[MODE] == SLIPPING and integers[UNILATERAL] and integers[NORMAL_SIGN] < 0)
+
+
+def drags(system: System, c: int) -> bool:
+    """Whether contact c is unilateral and moves with viscous friction, which vanishes as it opens."""
+    integers = system.contact_int[c]
+    moves = integers[MODE] in (SLIPPING, FRICTIONLESS) and integers[UNILATERAL]
+    return bool(moves and system.contact_real[c, VISCOUS] > 0.0)
+
+
+def rest_mode(mu: float) -> int:
+    """The mode of a closed contact that does not slide."""
+    return FRICTIONLESS if mu == 0.0 else STICK

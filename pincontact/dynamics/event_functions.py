@@ -1,0 +1,180 @@
+"""Event functions of the present modes, (items, MARGINS_PER_CONTACT): positive while a mode holds, 1 where it has none.
+
+Each function fills the rows of its items in `margins`, from the forces and accelerations just found, and returns OK, or
+EVENT where one is negative. Contacts that carry nothing have theirs in `least_forces`.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..friction.ellipse import friction_direction, friction_length
+from ..geometry.patterns import ON_CURVE
+from ..jit import kernel
+from ..layout import (
+    DOMAIN,
+    DOMAIN_MARGIN,
+    EVENT,
+    FREE,
+    FRICTION_MARGIN,
+    FROZEN,
+    GAP_MARGIN,
+    GUARD_END,
+    GUARD_SIGN,
+    HIGH_END,
+    HIGH_FORCE,
+    LIMIT_SLACK,
+    LOW_END,
+    LOW_FORCE,
+    MARGINS_PER_CONTACT,
+    MODE,
+    MU,
+    MU_NOW,
+    MU_STATIC,
+    NORMAL_MARGIN,
+    NORMAL_SIGN,
+    OK,
+    OWNER,
+    PATTERN,
+    SLIP_RATE,
+    SLIP_SPEED,
+    SLIPPING,
+    SPEED_MARGIN,
+    STICK,
+    TANGENTS,
+    UNILATERAL,
+    VISCOUS,
+)
+from .linear import inner
+from .resistance import resists, size_of_load
+from .sliding import is_held_up, resists_viscously, shares_viscous_force, slip_direction, viscous_force
+
+# Friction that holds a contact up alone jams where a unit of it pushes the bodies apart by less than this fraction of
+# what a unit of normal force does.
+JAM_LIMIT = 1e-6
+
+
+@kernel
+def status_of(value):
+    """EVENT where one of an item's event functions is negative."""
+    for i in range(MARGINS_PER_CONTACT):
+        if value[i] < 0.0:
+            return EVENT
+    return OK
+
+
+@kernel
+def joint_margins(system):
+    """Event functions of joint coordinates with limits or dry friction.
+
+    Moving: way to the lower (GAP) and to the upper end (DOMAIN), speed. Held: force above its lower (NORMAL) and below
+    its upper bound (FRICTION), of which the end it rests on takes one away.
+    """
+    status, nc = OK, system.sizes.nc
+    for g in range(system.guard_count[0]):
+        i, guard, numbers = nc + g, system.guard_int[g], system.guard_real[g]
+        value, position, force = system.margins[i], system.gaps[i, 0], system.force[i, 2]
+        for k in range(MARGINS_PER_CONTACT):
+            value[k] = 1.0
+        if system.contact_int[i, MODE] == FREE:
+            if numbers[LOW_END] > -math.inf:
+                value[GAP_MARGIN] = position - numbers[LOW_END]
+            if numbers[HIGH_END] < math.inf:
+                value[DOMAIN_MARGIN] = numbers[HIGH_END] - position
+            if guard[GUARD_SIGN] != 0:
+                value[SPEED_MARGIN] = guard[GUARD_SIGN] * system.slip[i, 2]
+        else:
+            if guard[GUARD_END] <= 0:
+                value[NORMAL_MARGIN] = force - numbers[LOW_FORCE]
+            if guard[GUARD_END] >= 0:
+                value[FRICTION_MARGIN] = numbers[HIGH_FORCE] - force
+        status = max(status, status_of(value))
+    return status
+
+
+@kernel
+def contact_margins(system):
+    """Event functions of contacts: gap of open ones; end of the domain, load and friction of the others.
+
+    Forces of slip are completed on the way: friction, and what is viscous.
+    """
+    status = OK
+    for c in range(system.sizes.nc):
+        integers, numbers, value, force = system.contact_int[c], system.contact_real[c], system.margins[c], system.force
+        for i in range(MARGINS_PER_CONTACT):
+            value[i] = 1.0
+        if integers[MODE] == FREE:
+            value[GAP_MARGIN] = system.gaps[c, 0]
+        else:
+            value[DOMAIN_MARGIN] = numbers[DOMAIN]
+            if integers[UNILATERAL] != 0:
+                value[NORMAL_MARGIN] = force[c, 2]
+            elif integers[PATTERN] != ON_CURVE and (integers[MODE] == SLIPPING or resists(integers)):
+                value[NORMAL_MARGIN] = integers[NORMAL_SIGN] * force[c, 2]
+            friction_margins(system, c, size_of_load(system.contact_int, force, c))
+            if resists_viscously(integers, numbers):
+                for row in range(integers[TANGENTS]):
+                    force[c, row] += viscous_force(numbers, system.basis[c, row], system.slip[c])
+        status = max(status, status_of(value))
+    return status
+
+
+@kernel
+def resistance_margins(system, first, total):
+    """Event functions of the resistances to turning, items first .. total, whose loads are their contacts'."""
+    status, contact_int = OK, system.contact_int
+    for i in range(first, total):
+        value = system.margins[i]
+        for k in range(MARGINS_PER_CONTACT):
+            value[k] = 1.0
+        friction_margins(system, i, size_of_load(contact_int, system.force, contact_int[i, OWNER]))
+        status = max(status, status_of(value))
+    return status
+
+
+@kernel
+def friction_margins(system, c, load):
+    """Friction of item c under a load |F_n|: complete its force in slip, fill its event functions."""
+    integers, numbers, value, force = system.contact_int[c], system.contact_real[c], system.margins[c], system.force[c]
+    tangents = integers[TANGENTS]
+    if integers[MODE] == STICK:
+        if numbers[MU_STATIC] < math.inf:
+            tangential = abs(force[0])
+            if tangents == 2:
+                tangential = friction_length(integers, numbers, force[0], force[1])
+            value[FRICTION_MARGIN] = (1.0 + numbers[LIMIT_SLACK]) * numbers[MU_STATIC] * load - tangential
+    elif integers[MODE] == SLIPPING:
+        relative, direction = system.relative_acceleration[c], system.vectors[0]
+        for row in range(3):
+            relative[row] = inner(system.rows[c, row], system.acceleration, system.sizes.nv) + system.bias[c, row]
+        speed = slip_direction(integers, numbers, system.slip[c], system.basis[c], system.scalars.time, direction)
+        rate = direction[0] * relative[0]
+        if tangents == 2:
+            rate += direction[1] * relative[1]
+        elif integers[FROZEN] == 0 and numbers[MU] > 0.0:
+            value[SPEED_MARGIN] = speed
+        numbers[SLIP_SPEED], numbers[SLIP_RATE] = speed, rate
+        friction, shares = numbers[MU_NOW] * load, shares_viscous_force(integers)
+        if is_held_up(integers, numbers):
+            friction, force[2] = force[2], 0.0
+        if shares:
+            value[FRICTION_MARGIN] = numbers[VISCOUS] * abs(speed) - friction
+        elif tangents == 2:
+            friction_direction(integers, numbers, direction)
+        for row in range(tangents):
+            force[row] = -friction * direction[row]
+
+
+@kernel
+def jam_margins(system, count):
+    """Event functions of contacts that slide, held up by friction alone: whether it still pushes the bodies apart."""
+    status, nv = OK, system.sizes.nv
+    for r in range(count):
+        c = system.row_index[r, 0]
+        if c < system.sizes.nc and system.contact_int[c, MODE] == SLIPPING and system.contact_real[c, MU] == math.inf:
+            whitened = system.whitened_rows[r]
+            lift, own = inner(whitened, system.whitened_forces[r], nv), inner(whitened, whitened, nv)
+            system.margins[c, FRICTION_MARGIN] = lift / own - JAM_LIMIT if own > 0.0 else 1.0
+            if system.margins[c, FRICTION_MARGIN] < 0.0:
+                status = EVENT
+    return status

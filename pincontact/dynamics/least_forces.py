@@ -1,0 +1,180 @@
+"""Redundant forces of slip: the least of them, measured in units of their mobility, and contacts that carry none.
+
+Where constraint rows depend on each other, many forces give the same accelerations. The least are taken, each divided
+by its unit (`unit_of_force`), so that the choice does not depend on what lengths and masses are measured in.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..friction.elimination import least_norm
+from ..geometry.patterns import ON_CURVE
+from ..jit import inlined_kernel, kernel
+from ..layout import (
+    ANISOTROPIC,
+    EVENT,
+    FRICTIONLESS,
+    MODE,
+    MU,
+    MU_NOW,
+    NORMAL_MARGIN,
+    NORMAL_SIGN,
+    OK,
+    PATTERN,
+    SLIPPING,
+    STRETCH_11,
+    STRETCH_12,
+    TANGENTS,
+    UNILATERAL,
+)
+from .linear import RANK_TOLERANCE, inner, whiten
+
+# A contact without a load stays closed by itself where its relative acceleration, in units of what cancels in it and in
+# m/s^2, is no more than this.
+_CLOSES = 1e-8
+
+
+@kernel
+def is_normal_of_curve(contact_int, c, row):
+    """Whether a row is one of the two normals of a point on a spatial curve."""
+    return row != 0 and contact_int[c, PATTERN] == ON_CURVE
+
+
+@kernel
+def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents, nv, work):
+    """What a multiplier is measured in where forces are redundant: a contact's force is as large as its length times
+    the root of its mobility, the mean of J M^-1 J^T over its directions.
+
+    So do the equations of cone problems, without units: redundant loads are the same in both. own: n M^-1 n^T.
+    """
+    integers, numbers = contact_int[c], contact_real[c]
+    tangents = integers[TANGENTS]
+    on_curve = is_normal_of_curve(contact_int, c, row)
+    if not on_curve and (row != 2 or integers[MODE] == FRICTIONLESS or tangents == 0):
+        return own
+    total, largest = own, own
+    for i in range(2):
+        if on_curve:
+            # the other normal and the tangent: the same whichever normals are taken
+            whiten(factor, parents, nv, rows[c, (row + 1 + i) % 3], work)
+            total += inner(work, work, nv)
+            continue
+        if i >= tangents:
+            total += largest
+            break
+        if integers[ANISOTROPIC] != 0:
+            # row i of the friction ellipse's scaling
+            first, second = numbers[STRETCH_11 + i], numbers[STRETCH_12 + i]
+            for k in range(nv):
+                work[k] = first * rows[c, 0, k] + second * rows[c, 1, k]
+        else:
+            for k in range(nv):
+                work[k] = rows[c, i, k]
+        whiten(factor, parents, nv, work, work)
+        size = inner(work, work, nv)
+        total += size
+        largest = max(largest, size)
+    force = 1.0
+    if integers[MODE] == SLIPPING and numbers[MU] < math.inf:
+        force += numbers[MU_NOW] * numbers[MU_NOW]
+    return force * total / 3.0
+
+
+@kernel
+def weigh_forces(system, count):
+    """The operator (count, count) with forces in their units, into `delassus`; its last column is the factor from a
+    force in its unit to N."""
+    operator, whitened, directions = system.delassus, system.whitened_rows, system.whitened_forces
+    nv, row_index = system.sizes.nv, system.row_index
+    for j in range(count):
+        own = inner(whitened[j], whitened[j], nv)
+        unit = unit_of_force(
+            system.contact_int,
+            system.contact_real,
+            row_index[j, 0],
+            row_index[j, 1],
+            own,
+            system.rows,
+            system.factor,
+            system.parents,
+            nv,
+            system.work,
+        )
+        operator[j, count] = 1.0 / math.sqrt(unit) if own > 0.0 else 0.0
+        for i in range(count):
+            operator[i, j] = inner(whitened[i], directions[j], nv) * operator[j, count]
+
+
+@kernel
+def carries_nothing(system, r):
+    """Whether row r is the normal of a unilateral contact that stays closed without a load (NORMAL_SIGN is 0)."""
+    c, row = system.row_index[r, 0], system.row_index[r, 1]
+    integers = system.contact_int[c]
+    return c < system.sizes.nc and row == 2 and integers[UNILATERAL] != 0 and integers[NORMAL_SIGN] == 0
+
+
+@kernel
+def leave_unloaded(system, count):
+    """Zero the columns of contacts that carry nothing in `delassus`, and mark them by -1 in its last one."""
+    operator = system.delassus
+    for j in range(count):
+        if carries_nothing(system, j):
+            operator[j, count] = -1.0
+            for i in range(count):
+                operator[i, j] = 0.0
+
+
+@inlined_kernel
+def solve_for_least(system, count):
+    """Multipliers of least norm in their units, from the right-hand sides in their place."""
+    operator, multipliers, scratch = system.delassus, system.multipliers, system.constraint_rows
+    weigh_forces(system, count)
+    leave_unloaded(system, count)
+    for j in range(count):
+        scratch[j, count] = multipliers[j] if operator[j, count] != 0.0 else 0.0
+    right = scratch[:count, count]
+    least_norm(operator, right, count, count, multipliers, scratch, system.permutation, RANK_TOLERANCE)
+    for j in range(count):
+        multipliers[j] *= max(operator[j, count], 0.0)
+
+
+@inlined_kernel
+def unloaded_margins(system, count):
+    """Event functions of contacts that carry nothing: how far from the least forces a load of theirs would be; EVENT
+    where one is negative, or where such a contact does not stay closed by itself.
+
+    The forces are least among those that are not negative if N = A^T y + s in their units, with s >= 0 at those that
+    are zero (Kuhn and Tucker).
+    """
+    unloaded = 0
+    for j in range(count):
+        unloaded += carries_nothing(system, j)
+    if unloaded == 0:
+        return OK
+    nv, operator, multipliers, scratch = system.sizes.nv, system.delassus, system.multipliers, system.constraint_rows
+    weigh_forces(system, count)
+    loaded = 0
+    for j in range(count):
+        if operator[j, count] > 0.0 and not carries_nothing(system, j):
+            for i in range(count):
+                scratch[loaded, i] = operator[i, j]
+            scratch[loaded, count] = multipliers[j] / operator[j, count]
+            loaded += 1
+    right = scratch[:count, count]
+    least_norm(scratch, right, loaded, count, multipliers, operator, system.permutation, RANK_TOLERANCE)
+    status = OK
+    for j in range(count):
+        if not carries_nothing(system, j):
+            continue
+        c, load = system.row_index[j, 0], 0.0
+        for i in range(count):
+            load += inner(system.whitened_rows[i], system.whitened_forces[j], nv) * multipliers[i]
+        margin = -load * operator[j, count] * operator[j, count]
+        free, held = system.bias[c, 2], inner(system.rows[c, 2], system.acceleration, nv)
+        if abs(held + free) > _CLOSES * (abs(held) + abs(free) + 1.0):
+            margin = -1.0
+        system.margins[c, NORMAL_MARGIN] = margin
+        if margin < 0.0:
+            status = EVENT
+    return status

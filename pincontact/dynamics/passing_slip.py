@@ -1,0 +1,119 @@
+"""Slip that only passes zero, as at the dead centre of a crank: contacts that no force can make stick."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..layout import (
+    EVENT,
+    FRICTIONLESS,
+    LENGTH,
+    MODE,
+    STICK,
+    TANGENTS,
+)
+from .directions import freeze_slip
+from .linear import RANK_TOLERANCE
+from .units import whitened_velocity
+
+if TYPE_CHECKING:
+    from .system import System
+
+
+# Stick that leaves more than this part of the relative acceleration that it has to end cannot be: its rows vanish, or
+# other constraints take their place. Exact solutions leave round-off, such ones all of it.
+_UNHELD = 1e-6
+# Rounding of a row per m of its arms, with a margin.
+_ROUNDING = 1e-13
+# What stick may take from the velocity, in the mass metric: this part of it, and this many absolute tolerances: so far
+# is slip that counts as ended from zero.
+_TAKEN, _TAKEN_TOLERANCES = 1e-3, 1e4
+# Relative size below which singular values are zero, as pivots are in `dynamics.linear`.
+_SINGULAR = math.sqrt(RANK_TOLERANCE)
+
+
+class PassingSlip:
+    """Finds contacts that cannot stick although their slip velocity is zero, and lets them slide on."""
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+
+    def _let_pass(self, t: float, undecided: list[int], evaluate) -> dict[int, float]:
+        """Let slide on what cannot stick although its v_c is zero, as at the dead centre of a crank; which, with the
+        relative acceleration in m/s^2 that it has. The last evaluation is one with all undecided ones sticking.
+
+        There v_c vanishes because of the place, its rows do or are those of other constraints, and no force ends it.
+        Its friction does not change that acceleration, which is therefore that without friction.
+        """
+        system = self.system
+        passing: dict[int, float] = {}
+        while True:
+            c = self._unheld([i for i in undecided if i not in passing])
+            if c is None:
+                return passing
+            system.contact_int[c, MODE] = FRICTIONLESS
+            if evaluate(t) > EVENT:
+                system.contact_int[c, MODE] = STICK
+                evaluate(t)
+                return passing
+            tangents = int(system.contact_int[c, TANGENTS])
+            along = system.rows[c, :tangents] @ system.acceleration + system.bias[c, :tangents]
+            freeze_slip(system, c, along)
+            passing[c] = float(np.linalg.norm(along))
+            evaluate(t)
+
+    def _unheld(self, undecided: list[int]) -> int | None:
+        """One of these contacts that cannot stick at the last evaluation's velocity, if there is one."""
+        system = self.system
+        count = int(system.counters["row_count"])
+        contacts = [c for c in undecided if c < system.nc]
+        if not contacts or count == 0:
+            return None
+        moving_as = whitened_velocity(system, system.v)
+        speed = math.sqrt(moving_as @ moving_as)
+        if not 0.0 < speed < math.inf:
+            return None
+        # independent rows are held exactly
+        for c in contacts if count != system.counters["row_rank"] else ():
+            tangents = int(system.contact_int[c, TANGENTS])
+            left = system.rows[c, :tangents] @ system.acceleration + system.bias[c, :tangents]
+            # by what forces do and by what turns: either may vanish
+            sizes = np.abs(system.rows[c])
+            turning = (sizes @ np.abs(system.v)).max() ** 2 / system.contact_real[c, LENGTH]
+            rate = (sizes @ np.abs(system.free_acceleration) + np.abs(system.bias[c])).max() + turning
+            # and not by round-off of rows that are zero
+            most = np.abs(system.free_acceleration).max() + np.abs(system.v).max() ** 2
+            rounding = _ROUNDING * max(system.contact_real[c, LENGTH], 1.0) * most
+            if np.abs(left).max() > max(_UNHELD * rate, rounding):
+                return c
+        index, whitened = system.row_index[:count], system.whitened_rows[:count]
+        allowed = self._negligible(speed)
+        lengths = np.sqrt(np.einsum("rk,rk->r", whitened, whitened))
+        slip = max(float(np.abs(system.basis[c] @ system.slip[c]).max()) for c in contacts)
+        # rows that are as dependent as they may be magnify what is wanted no further
+        if slip * math.sqrt(count) <= _SINGULAR * allowed * float(lengths.min()):
+            return None
+        items, row = index[:, 0], index[:, 1]
+        moving = (lengths > 0.0) & np.isfinite(lengths)
+        slips = np.isin(items, contacts) & (row < system.contact_int[items, TANGENTS]) & moving
+        residual = np.where(slips, np.einsum("ri,ri->r", system.basis[items, row], system.slip[items]), 0.0)
+        unit, wanted = whitened[moving] / lengths[moving, None], residual[moving] / lengths[moving]
+        if float(np.linalg.norm(np.linalg.lstsq(unit, wanted, rcond=_SINGULAR)[0])) <= allowed:
+            return None
+        return int(items[slips][np.argmax(np.abs(residual[slips]) / lengths[slips])])
+
+    def _negligible(self, speed: float) -> float:
+        """What constraints may take from a velocity of this size, in the mass metric of the last evaluation."""
+        rtol, atol = self.system.scale.tolist()
+        return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * float(np.linalg.norm(self.system.factor)))
+
+    def taken_from(self, before: np.ndarray) -> tuple[float, float, float]:
+        """How far the velocity is from what it was, how large that was, and how far it may be for errors of steps to
+        explain it: in the mass metric of the last evaluation, in which half a square is an energy."""
+        system = self.system
+        size = float(np.linalg.norm(whitened_velocity(system, before)))
+        change = float(np.linalg.norm(whitened_velocity(system, system.v - before)))
+        return change, size, self._negligible(size)

@@ -1,0 +1,229 @@
+"""The choice among redundant forces of an evaluation: inside all cones, or the least loads of what slides.
+
+Forces of least norm are what evaluations find. Where these leave their cones, the central ones (`redundant`) are taken,
+and evaluations follow these as loads change. Where everything slides, loads are what is chosen: the least ones that
+are not negative.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..geometry.patterns import ON_CURVE
+from ..layout import (
+    EVENT,
+    FRICTION_MARGIN,
+    FRICTIONLESS,
+    GUARD_END,
+    HIGH_FORCE,
+    LOW_FORCE,
+    MODE,
+    MU,
+    MU_STATIC,
+    NORMAL_MARGIN,
+    NORMAL_SIGN,
+    PATTERN,
+    SLIPPING,
+    STICK,
+    TANGENTS,
+    UNILATERAL,
+)
+from .contact_modes import held_up_by_friction, shares_viscous_force
+from .redundant import Choice, Cone, central_force, null_space
+
+if TYPE_CHECKING:
+    from .system import System
+
+
+# Forces below this part of the loads on the joints are round-off.
+_ROUND_OFF = 1e-11
+
+
+class RedundantForces:
+    """Chooses among redundant forces of a system, and lets evaluations know the choice.
+
+    redistributions: how often forces were chosen; redundant: whether forces at the last attempt to were redundant.
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.redistributions = 0
+        self.redundant = False
+        # time, constraint rows and forces of the last choice
+        self._last: tuple[float, np.ndarray, np.ndarray] | None = None
+
+    def redistribute(self, t: float, evaluate, ended: int | None = None) -> bool:
+        """Choose other ones among redundant forces, such that all lie inside their cones; False where none do.
+
+        ended: the contact whose load has come to zero, or comes back from there. Needs the last evaluation, whose
+        accelerations stay what they are, unless loads of what slides are chosen.
+        """
+        system = self.system
+        count = int(system.counters["row_count"])
+        if count == system.counters["row_rank"]:
+            # of independent rows there is one choice
+            return False
+        index = system.row_index[:count].copy()
+        closed = system.closed()
+        slipping = any(system.contact_int[c, MODE] == SLIPPING for c in [*closed, *system.resisting()])
+        if slipping and count == len(closed):
+            # no force but loads to choose
+            return self._unload(t, evaluate, ended)
+        rows = system.whitened_rows[:count]
+        directions = system.whitened_forces[:count] if slipping else rows
+        if not np.isfinite(directions).all():
+            return False
+        null = null_space(directions)
+        self.redundant = null.shape[1] > 0
+        if not self.redundant:
+            return False
+        forces = system.force[index[:, 0], index[:, 1]]
+        for r, (c, row) in enumerate(index):
+            if row == 2 and c < system.nc and held_up_by_friction(system, c):
+                forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
+        found = central_force(forces, null, self._cones(index))
+        if found is None:
+            return False
+        arrays = system.reference, system.reference_start, system.reference_rate, system.reference_slope
+        kinds = "has_reference", "reference_moves", "reference_time"
+        before, last = [array.copy() for array in arrays], self._last
+        scalars = [system.scalars[kind] for kind in kinds]
+        self._follow(t, index, found, rows @ (directions.T @ found.span), slipping)
+        if evaluate(t) <= EVENT and self._holds():
+            self.redistributions += 1
+            return True
+        for array, values in zip(arrays, before):
+            array[:] = values
+        for kind, value in zip(kinds, scalars):
+            system.scalars[kind] = value
+        self._last = last
+        evaluate(t)
+        return False
+
+    def _load_all(self) -> bool:
+        """Let every closed contact carry a load; whether all did."""
+        integers = self.system.contact_int
+        without = [c for c in self.system.closed() if integers[c, UNILATERAL] and integers[c, NORMAL_SIGN] != 1]
+        for c in without:
+            self.load(c)
+        return not without
+
+    def load(self, c: int) -> None:
+        """Let closed contact c carry a load."""
+        system = self.system
+        if shares_viscous_force(system, c) and system.contact_real[c, MU] == 0.0:
+            system.contact_int[c, MODE] = FRICTIONLESS
+        system.contact_int[c, NORMAL_SIGN] = 1
+
+    def _unload(self, t: float, evaluate, ended: int | None) -> bool:
+        """Give the loads of what slides the least values that are not negative; False where contacts open instead.
+
+        A contact that is to carry nothing stays closed by itself, as do four feet on a plane that stand on three. Loads
+        then are continuous in time; those without it enter again where the least ones ask for them.
+        ended: see `redistribute`.
+        """
+        system = self.system
+        integers = system.contact_int
+        before = integers[:, NORMAL_SIGN].copy()
+        closed = [c for c in system.closed() if integers[c, UNILATERAL] and not shares_viscous_force(system, c)]
+        if ended is not None and ended not in closed:
+            return False
+        seen = set()
+        self._take_reference(None)
+        if ended is not None:
+            integers[ended, NORMAL_SIGN] = 1 - integers[ended, NORMAL_SIGN]
+        status = evaluate(t)
+        while status <= EVENT:
+            margins = {c: float(system.margins[c, NORMAL_MARGIN]) for c in closed}
+            worst = min(closed, key=lambda c: margins[c], default=None)
+            if worst is None or margins[worst] >= -self.force_round_off():
+                if ended is not None and integers[ended, NORMAL_SIGN] == before[ended]:
+                    break
+                self.redistributions += 1
+                return True
+            state = integers[closed, NORMAL_SIGN].tobytes(), worst
+            if state in seen:
+                break
+            seen.add(state)
+            integers[worst, NORMAL_SIGN] = 1 - integers[worst, NORMAL_SIGN]
+            status = evaluate(t)
+        integers[:, NORMAL_SIGN] = before
+        evaluate(t)
+        return False
+
+    def _follow(self, t: float, index: np.ndarray, choice: Choice, operator: np.ndarray, slipping: bool) -> None:
+        """Take the choice for the reference, and let that move as the choice will.
+
+        index (count, 2): the constraint rows; operator (count, r): what forces along `choice.span` do to them. What
+        slips changes directions of forces, too: there the tangent along loads is good for a first guess only, and
+        after that the rate is the one since the last choice.
+        """
+        system = self.system
+        c, row = index[:, 0], index[:, 1]
+        last = self._last
+        self._take_reference(np.zeros_like(system.reference))
+        system.scalars["reference_moves"], system.scalars["reference_time"] = 1.0, t
+        system.reference_start[:] = system.reference_rate[:] = system.reference_slope[:] = 0.0
+        self._last = t, index, choice.forces
+        if slipping and last is not None and last[0] < t and np.array_equal(last[1], index):
+            system.reference_start[c, row] = choice.forces
+            system.reference_rate[c, row] = (choice.forces - last[2]) / (t - last[0])
+            return
+        loads = -(np.einsum("rk,k->r", system.rows[c, row], system.free_acceleration) + system.bias[c, row])
+        across = np.linalg.pinv(operator)
+        system.reference_start[c, row] = choice.forces - choice.slope @ (across @ loads)
+        rank = choice.span.shape[1]
+        system.reference_slope[0, 3 * c + row, :rank] = across.T
+        system.reference_slope[1, 3 * c + row, :rank] = choice.slope
+
+    def _take_reference(self, reference: np.ndarray | None) -> None:
+        """Choose redundant forces nearest to these (nc + ng + nr, 3), or None: nearest to zero."""
+        system = self.system
+        system.scalars["has_reference"] = 0.0 if reference is None else 1.0
+        system.scalars["reference_moves"] = 0.0
+        self._last = None
+        if reference is not None:
+            system.reference[:] = reference
+
+    def _cones(self, index: np.ndarray) -> list[Cone]:
+        """The cones of the forces in the constraint rows `index` (count, 2)."""
+        system = self.system
+        rows = {(int(c), int(row)): r for r, (c, row) in enumerate(index)}
+        cones = []
+        for c in system.closed():
+            integers, mu = system.contact_int[c], float(system.contact_real[c, MU_STATIC])
+            normal, sticks = rows[c, 2], integers[MODE] == STICK and math.isfinite(mu)
+            tangents = tuple(rows[c, row] for row in range(integers[TANGENTS])) if sticks else ()
+            if integers[UNILATERAL]:
+                cones.append(Cone(normal, mu, 0.0, tangents) if tangents else Cone(normal, 1.0, 0.0))
+            elif tangents and integers[PATTERN] != ON_CURVE:
+                cones.append(Cone(normal, math.copysign(mu, system.force[c, 2]), 0.0, tangents))
+        for i in system.resisting():
+            if system.contact_int[i, MODE] == STICK:
+                owner, tangents = system.owner(i), tuple(rows[i, row] for row in range(system.contact_int[i, TANGENTS]))
+                limit = float(system.contact_real[i, MU_STATIC])
+                if not system.contact_int[owner, UNILATERAL]:
+                    limit = math.copysign(limit, system.force[owner, 2])
+                cones.append(Cone(rows[owner, 2], limit, 0.0, tangents))
+        for g in system.held():
+            row, end = rows[system.nc + g, 2], system.guard_int[g, GUARD_END]
+            if end <= 0:
+                cones.append(Cone(row, 1.0, -float(system.guard_real[g, LOW_FORCE])))
+            if end >= 0:
+                cones.append(Cone(row, -1.0, float(system.guard_real[g, HIGH_FORCE])))
+        return cones
+
+    def _holds(self) -> bool:
+        """Whether every force of the last evaluation lies inside its cone."""
+        system = self.system
+        active = [*system.closed(), *(system.nc + g for g in system.held()), *system.resisting()]
+        margins = system.margins.tolist()
+        return all(margins[i][NORMAL_MARGIN] >= 0.0 and margins[i][FRICTION_MARGIN] >= 0.0 for i in active)
+
+    def force_round_off(self) -> float:
+        """Forces in N (or N m) below which a sign means nothing, from the loads on the joints."""
+        loads = zip(self.system.bias_forces.tolist(), self.system.tau.tolist())
+        return _ROUND_OFF * max((abs(bias) + abs(torque) for bias, torque in loads), default=0.0)

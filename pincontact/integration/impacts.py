@@ -1,0 +1,219 @@
+"""Impacts: contacts that close and joints that reach an end of their way, the impulses, and the modes after them."""
+
+from __future__ import annotations
+
+import math
+
+from ..dynamics.energy import REST_SPEED
+from ..dynamics.impact import apply_impact
+from ..dynamics.modes import rest_mode
+from ..layout import EVENT, FREE, MODE, MU, NO_FORCE, SLIP_RATE, SLIP_SPEED, SLIPPING, STICK, UNILATERAL
+from .accuracy import gap_rate
+from .jams import held_up, stop_jammed, stop_slips
+from .penetration import Penetration
+from .results import ADVICE, FAILURES, Stop
+from .slip_onset import SlipOnset
+
+# After an impact what leaves faster than this, in m/s, opens.
+_LEAVING_SPEED = 1e-3 * REST_SPEED
+
+
+class Impacts:
+    """Impacts of the state that `onset` goes on from; methods return the time after them.
+
+    restitution: (nc,) coefficients.
+    """
+
+    def __init__(self, onset: SlipOnset, penetration: Penetration, restitution: list[float]) -> None:
+        self.onset, self.penetration, self.restitution = onset, penetration, restitution
+        self.changes, self.system, self.rk = onset.changes, onset.system, onset.rk
+        self.joints, self.reports = self.changes.joints, self.changes.reports
+
+    def touch(self, t: float, c: int) -> float:
+        """Contact c closes: impulses on all closed contacts, then new modes from the velocities after them."""
+        system, penetration, modes = self.system, self.penetration, self.system.contact_int[:, MODE]
+        # whatever touches at the same instant, by symmetry, takes part
+        others = [i for i in range(system.nc) if i != c and modes[i] == FREE and penetration.touches(i)]
+        touching = [c, *(i for i in others if gap_rate(system, i) <= _LEAVING_SPEED)]
+        rebounding = {
+            i: self.restitution[i] for i in touching if -self.restitution[i] * gap_rate(system, i) > REST_SPEED
+        }
+        unopened: dict[int, int] = {}
+        for i in touching:
+            if i not in rebounding and penetration.has_stayed_closed(i):
+                # as far as gaps are known it has not opened
+                unopened[i], event = penetration.barely_open.pop(i)
+                self.reports.withdraw(event)
+            else:
+                self.reports.announce(t, i, "touch")
+            modes[i] = rest_mode(system.contact_real[i, MU])
+        if not rebounding:
+            self.reports.check_chatter(t, c)
+        count = len(self.reports.events)
+        after = self.collide(t, touching, rebounding)
+        names = {event.contact for event in self.reports.events[count:]}
+        for i, before in unopened.items():
+            if modes[i] == FREE:
+                if self.reports.names[i] not in names:
+                    self.reports.announce(t, i, "separate")
+            elif modes[i] != before:
+                self.reports.announce_friction(t, i, bool(modes[i] == SLIPPING))
+        return after
+
+    def collide(self, t: float, touching: list[int], restitution: dict[int, float]) -> float:
+        """Impulses on all closed contacts and ends of joints, then new modes from the velocities after them.
+
+        touching: contacts that have struck, whose modes the caller announces; restitution: coefficients of those that
+        rebound.
+        """
+        system, changes = self.system, self.changes
+        changes.started.clear()
+        near = self._close_near()
+        changes.evaluate_rows(t)
+        closed, ends = system.closed(), self.joints.held_at_ends()
+        deep = any(c in self.penetration.contacts for c in closed)
+        energy = sum(changes.energies()) if deep else 0.0
+        impact = apply_impact(system, changes.modes.solver, closed, list(ends), restitution)
+        if impact is None:
+            names = ", ".join(repr(self.reports.names[i]) for i in touching or closed) or "a joint's limit"
+            raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}; {ADVICE}")
+        self.rk.keep_velocity()
+        changes.count_works(impact.contacts, impact.drives, impact.joints)
+        changes.evaluate_rows(t)
+        self._open_leaving(t, closed, touching, near)
+        self.joints.set_from_velocities({g: end for g, end in ends.items() if not self._joint_leaves(g)})
+        undecided = changes.set_from_velocities(after_impact=True)
+        before = changes.counted_energy()
+        stop_jammed(changes, t)
+        # what stays closed with a normal velocity (a hop that is none) stops here, which may turn slow slips
+        if self.rk.project(t, False):
+            stop_jammed(changes, t)
+        else:
+            stop_slips(changes, t, held_up(system))
+        if self._end_short_motions(t, closed, ends):
+            undecided = changes.set_from_velocities(after_impact=True)
+        changes.count_loss(before)
+        if deep:
+            self._return_lift(t, energy + impact.drives)
+        return self.onset.resolve(t, undecided, silent=True)
+
+    # ---------------------------------------------------------------- what takes part, and what leaves
+
+    def _close_near(self) -> list[int]:
+        """Let all take part in an impact that is as near as positions are known, whatever it does before: contacts,
+        which are returned, and ends of joints.
+
+        What leaves by then may be thrown back at once. Left to an impact of its own, which throws the first one back,
+        both would go to and fro, ever slower, between places that are the same as far as they are known. What rebounds
+        is left to its own impacts.
+        """
+        system, modes = self.system, self.system.contact_int[:, MODE]
+        near = [
+            c
+            for c in range(system.nc)
+            if modes[c] == FREE
+            and system.contact_int[c, UNILATERAL]
+            and self.onset.open.apart[c]
+            and c not in self.penetration.contacts
+            and self.restitution[c] == 0.0
+            and self.penetration.touches(c)
+        ]
+        for c in near:
+            modes[c] = rest_mode(system.contact_real[c, MU])
+        self.joints.hold_near()
+        return near
+
+    def _open_leaving(self, t: float, closed: list[int], touching: list[int], near: list[int]) -> None:
+        """Open the contacts that leave what they have struck; announce those that nobody else does."""
+        system = self.system
+        for i in closed:
+            if not system.contact_int[i, UNILATERAL]:
+                continue
+            accuracy = self.penetration.accuracy(i)
+            depth = max(-float(system.gaps[i, 0]) - accuracy, 0.0)
+            if self._leaves(i, gap_rate(system, i), depth + accuracy):
+                system.contact_int[i, MODE] = FREE
+                if i not in touching and i not in near:
+                    # thrown off by what others have struck
+                    self.reports.announce(t, i, "separate")
+                if depth > 0.0:
+                    # rebounds from where it is
+                    self.penetration.tolerate(i, depth)
+        for i in near:
+            if system.contact_int[i, MODE] != FREE:
+                self.reports.announce(t, i, "touch")
+
+    def _joint_leaves(self, g: int) -> bool:
+        system = self.system
+        speed = abs(float(system.v[system.guards[g].index_v]))
+        return self._leaves(system.nc + g, speed, self.joints.accuracy(g))
+
+    def _leaves(self, i: int, leaving: float, height: float) -> bool:
+        """Whether item i leaves what it has struck, at this speed in m/s: a hop lower than `height` in m is none."""
+        system = self.system
+        falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
+        return leaving > _LEAVING_SPEED and leaving * leaving > 2.0 * falling * height
+
+    def _return_lift(self, t: float, energy: float) -> None:
+        """After an impact of contacts that had penetrated, and have been lifted out.
+
+        The motion has what it fell too far, and gives back what the lift takes beyond what the impact took.
+        energy: in J, that of the motion before the impact, and of drives.
+        """
+        system, changes = self.system, self.changes
+        kinetic, potential = changes.energies()
+        excess = min(max(kinetic + potential - energy, 0.0), kinetic)
+        if excess > 0.0:
+            system.stage_state[system.nq : system.nq + system.nv] *= math.sqrt(1.0 - excess / kinetic)
+            self.rk.load(system.stage_state)
+            # drives have velocities of their own
+            changes.project(t, explained=True)
+        changes.count_works(friction=-excess)
+
+    # ---------------------------------------------------------------- motions too short to be told from rest
+
+    def _end_short_motions(self, t: float, contacts: list[int], ends: dict[int, int]) -> bool:
+        """End what an impact has begun and would end within distances shorter than positions are known to: slips, and
+        hops of what took part, contacts and ends of joints (coordinate -> end); whether there was any.
+
+        Else a body that comes to rest goes on for ever: such a slip's friction tips it, and what tips falls as far
+        below the ground as its touch is noticed late; and coupled joints that are pressed onto their ends throw each
+        other off them in turn.
+        """
+        system, changes, joints = self.system, self.changes, self.joints
+        modes = system.contact_int[:, MODE]
+        for count in range(system.items + 1):
+            if self.rk.evaluate(t) > EVENT:
+                break
+            slips = [c for c in system.closed() if modes[c] == SLIPPING and self._stops_soon(c)]
+            left = [g for g in ends if joints.is_free(g)]
+            hops = [g for g in left if joints.returns_soon(g, ends[g])]
+            # dry joints that soon stop are what throws others back onto their ends
+            stops = [g for g in range(system.ng) if left and joints.is_free(g) and joints.stops_soon(g)]
+            touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c)]
+            if not (slips or stops or hops or touches):
+                return count > 0
+            for c in touches:
+                modes[c] = rest_mode(system.contact_real[c, MU])
+            if touches:
+                changes.set_from_velocities(after_impact=True)
+            modes[slips] = STICK
+            for g in stops:
+                changes.modes.hold(g, 0)
+            for g in hops:
+                changes.modes.hold(g, ends[g])
+            changes.project(t, explained=True)
+        return True
+
+    def _stops_soon(self, c: int) -> bool:
+        """Whether the slip of contact c ends in a distance that is shorter than positions are known to."""
+        speed, rate = self.system.contact_real[c, [SLIP_SPEED, SLIP_RATE]]
+        return bool(rate < 0.0 and speed * speed <= -2.0 * rate * self.penetration.accuracy(c))
+
+    def _returns_soon(self, t: float, c: int) -> bool:
+        """Whether contact c comes back from no further than gaps are known."""
+        accuracy = self.penetration.accuracy(c)
+        if c in self.penetration.contacts or abs(float(self.system.gaps[c, 0])) > accuracy:
+            return False
+        speed, back = gap_rate(self.system, c), -self.changes.modes.gap_acceleration(t, c)
+        return back > 0.0 and speed * speed <= 2.0 * back * accuracy

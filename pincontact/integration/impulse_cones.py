@@ -1,0 +1,312 @@
+"""Cone problems of time steps that the compiled ways do not solve, and choices among redundant forces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..friction.attempt import NEAR, WARM_PASSES, solve_cones
+from ..friction.cone import OPEN, SLIP, STICK
+from ..friction.loads import TOLERANCE as PRODUCT_TOLERANCE
+from ..friction.product import SETTLED, Product
+from ..friction.solve import ContactSolver
+from ..layout import FRICTIONLESS
+from ..layout import STICK as AT_REST
+from ..workspace import Workspace
+from .choices import Units, chosen_forces, holding_forces
+from .impulse_layout import APART, LOOKED_FOR, ON_CONTACT, ON_JOINT, ON_LOADED, ON_TURN, TOGETHER, WANTED
+
+# Compliances relative to the contacts' own, tried in turn where the cone problem has no solution.
+_COMPLIANCES = (1e-10, 1e-8, 1e-6, 1e-4)
+# What such a solution's forces may be, as velocities, relative to the largest one in b.
+_LARGEST_FORCE = 10.0
+# How modes are looked for, quickly in every step, at length (milliseconds) where nothing else has helped; without the
+# search whose linear algebra rounds differently with the alignment of memory.
+_SEARCHES = ("sweeps", "path")
+
+# Modes (n,), forces and velocities (3n,) of a solution.
+Solution = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The assembled problem of n units, views of the step's arrays: velocities = gram forces + base."""
+
+    n: int
+    gram: np.ndarray
+    base: np.ndarray
+    friction: np.ndarray
+    units: np.ndarray
+    directions: np.ndarray
+
+    @property
+    def cones(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As the solver takes it."""
+        return self.gram, self.base, self.friction
+
+    def with_solution(self, modes: np.ndarray, forces: np.ndarray, velocities: np.ndarray | None = None) -> Units:
+        """The problem with a solution of it, for those that choose among redundant forces."""
+        units, velocities = self.units, self.gram @ forces + self.base if velocities is None else velocities
+        real = self.real_rows
+        turns = units["kind"] == ON_TURN
+        parents = np.where(real[:, 2], np.arange(self.n), np.where(turns, units["parent"], -1))
+        pairs = forces.reshape(-1, 3), velocities.reshape(-1, 3)
+        return Units(*self.cones, self.directions, real, parents, units["load"], modes, *pairs)
+
+    @property
+    def real_rows(self) -> np.ndarray:
+        """(n, 3) which rows do not only fill up their cones."""
+        real: np.ndarray = self.units["mask"][:, None] >> np.arange(3) & 1 != 0
+        return real
+
+
+class ImpulseSolver:
+    """The solver of a step's cone problems, for what compiled code leaves of them.
+
+    solver: the contact solver, whose tables the compiled code uses, too. Counters: problems that were left, solved with
+    compliance (softened), or with the friction of other loads (settled), and by how much the radii of friction were off
+    in the latter, relative to the largest.
+    """
+
+    def __init__(self, arrays: Workspace) -> None:
+        self.solver = ContactSolver(stages=_SEARCHES, quick=True)
+        self._arrays, self._counts, self._numbers = arrays, arrays.counts, arrays.numbers
+        self._problems: dict[int, _Problem] = {}
+        self._numbers["cone_tolerance"], self._counts["cone_task"] = self.solver.tolerance, self.solver.task
+
+    def choose(self, contact_solver: str) -> None:
+        """How contact problems are solved from now on, see `ContactSolver.choose`."""
+        self.solver.choose(contact_solver)
+        self._counts["cone_task"] = self.solver.task
+
+    def begin(self) -> None:
+        """Count anew."""
+        self.left = self.softened = self.settled = 0
+        self.settled_off = 0.0
+        self._share_tables()
+
+    def copy_to(self, other: ImpulseSolver) -> None:
+        """Give another solver the warm starts of this one."""
+        other.solver.forget()
+        for solution in self.solver.warm_starts():
+            other.solver.warm_start(*solution)
+        other._share_tables()
+
+    def solve(self) -> bool:
+        """Solve the assembled problem; its solution is where `impulses.advance` looks for it."""
+        n, counts, solver = self._counts["units"].item(), self._counts, self.solver
+        problem = self._problems.get(n)
+        if problem is None:
+            arrays = self._arrays
+            problem = self._problems[n] = _Problem(
+                n,
+                arrays.delassus[: 9 * n * n].reshape(3 * n, 3 * n),
+                arrays.loads[: 3 * n],
+                arrays.friction[:n],
+                arrays.units[:n],
+                arrays.whitened[: 3 * n],
+            )
+        if counts["holding"] == WANTED:
+            self._hold(problem)
+            counts["holding"] = LOOKED_FOR
+        elif counts["choosing"]:
+            self._choose(problem)
+        else:
+            self.left += 1
+            if not (self._search(problem) or (counts["thorough"] and self._search_hard(problem))):
+                return False
+            self._numbers["cone_residual"] = max(self._numbers["cone_residual"], solver.residual)
+        arrays = self._arrays
+        arrays.cone_forces[: 3 * n], arrays.cone_velocities[: 3 * n] = solver.forces, solver.velocities
+        arrays.cone_modes[:n] = solver.modes
+        return True
+
+    def _share_tables(self) -> None:
+        """Let compiled steps know where the solver works."""
+        for size, address in self.solver.addresses():
+            if size < self._arrays.cone_tables.size:
+                self._arrays.cone_tables[size] = address
+
+    # ---------------------------------------------------------------- redundant forces
+
+    def _hold(self, problem: _Problem) -> None:
+        """Replace a solution that lets go what was at rest by one that does not, if there is one."""
+        solver = self.solver
+        solver.address(problem.n)
+        held = problem.units["held"] != 0
+        before = solver.kept()
+        # what is to carry nothing in slip may be needed to hold
+        for closed in (SLIP, OPEN) if (held & (before[0] == OPEN)).any() else (SLIP,):
+            modes = np.where(held & ((before[0] == SLIP) | (before[0] == closed)), STICK, before[0])
+            if self._holds(problem, modes, before, held):
+                return
+        solver.warm_start(*before)
+
+    def _stay(self, problem: _Problem) -> bool:
+        """Let all units stay at rest, where all were and the searches have found nothing."""
+        units, mu = problem.units, problem.friction
+        if (units["kind"] != ON_CONTACT).any():
+            return False
+        if not np.isin(self._arrays.start_mode[units["index"]], (AT_REST, FRICTIONLESS)).all():
+            return False
+        modes, nothing = np.where(mu > 0.0, STICK, SLIP), np.zeros(3 * problem.n)
+        return self._holds(problem, modes, (modes, nothing, nothing), mu > 0.0)
+
+    def _holds(self, problem: _Problem, modes: np.ndarray, before: Solution, held: np.ndarray) -> bool:
+        """Whether there are forces in these modes (n,), which are the solver's then; held (n,): what must not slip."""
+        found = holding_forces(problem.with_solution(modes, *before[1:]))
+        if found is None:
+            return False
+        velocities = problem.gram @ found + problem.base
+        velocities[np.repeat(modes == STICK, 3)] = 0.0
+        self.solver.residual = residual = self._solve_near(problem, modes, found, velocities)
+        return residual <= self.solver.tolerance and not (held & (self.solver.modes == SLIP)).any()
+
+    def _choose(self, problem: _Problem) -> None:
+        """Replace redundant forces that depend on the last ones by those that the rule has."""
+        solver = self.solver
+        solver.address(problem.n)
+        before = solver.kept()
+        found = chosen_forces(problem.with_solution(*before))
+        if found is None:
+            return
+        residual = self._solve_near(problem, before[0], found, problem.gram @ found + problem.base)
+        if not residual <= solver.tolerance:
+            solver.warm_start(*before)
+
+    def _solve_near(self, problem: _Problem, modes: np.ndarray, forces: np.ndarray, velocities: np.ndarray) -> float:
+        """Residual of the solution that Newton's method finds from this one."""
+        solver = self.solver
+        solver.warm_start(modes, forces, velocities)
+        address = solver.address(problem.n)
+        return float(solve_cones(*problem.cones, address, NEAR, WARM_PASSES, solver.tolerance, 0, 1))
+
+    # ---------------------------------------------------------------- searches
+
+    def _search(self, problem: _Problem) -> bool:
+        """The quick ways; loads that the problem takes as given are then found together with the forces."""
+        counts = self._counts
+        if counts["coupled"] == APART:
+            touched = bool(counts["touched"])
+            if self._arrays.cone_tables[problem.n]:
+                # the usual homotopy has been tried
+                solved = self.solver.search(*problem.cones, afresh=touched)
+            else:
+                solved = self.solver.solve(*problem.cones, afresh=touched)
+                self._share_tables()
+            if solved or self._stay(problem):
+                return True
+            if not np.isin(problem.units["kind"], (ON_LOADED, ON_TURN)).any():
+                return False
+            counts["coupled"] = TOGETHER
+        return self._solve_together(problem)
+
+    def _search_hard(self, problem: _Problem) -> bool:
+        """What the quick searches did not solve: with a little compliance in the contacts, since with redundant ones b
+        may be out of reach by a little; then without rebounds, and at length; then, with friction that goes with other
+        loads, what has a solution unless bodies are crushed.
+
+        (Several points of a body that must not slip, of which one rebounds, are an example.)
+        """
+        solver, counts, numbers = self.solver, self._counts, self._numbers
+        apart = counts["coupled"] == APART
+        if apart and self._solve_softened(problem):
+            return True
+        problem.base[2::3] += numbers["kept"] * problem.units["shift"]
+        numbers["kept"] = numbers["kept_low"] = numbers["kept_high"] = 0.0
+        if apart:
+            solver.quick = False
+            found = solver.solve(*problem.cones)
+            solver.quick = True
+            if found:
+                return True
+        counts["coupled"] = TOGETHER
+        return self._solve_together(problem) or self._solve_with_given_radii(problem)
+
+    def _solve_softened(self, problem: _Problem) -> bool:
+        """The solution with the least compliance that gives one."""
+        solver = self.solver
+        diagonal = np.einsum("ii->i", problem.gram)
+        stiff = diagonal.copy()
+        unit = np.repeat(stiff.reshape(-1, 3).mean(axis=1), 3)
+        largest = _LARGEST_FORCE * float(np.abs(problem.base).max())
+        for share in _COMPLIANCES:
+            diagonal[:] = stiff + share * unit
+            if solver.solve(*problem.cones):
+                # contacts that wedge each other are held by next to nothing but the compliance
+                if float((unit * np.abs(solver.forces)).max()) <= largest:
+                    self.softened += 1
+                    return True
+                solver.forget()
+        diagonal[:] = stiff
+        return False
+
+    def _product(self, problem: _Problem) -> Product:
+        """The problem with the loads that it takes as given as functions of the forces."""
+        arrays, n, units = self._arrays, problem.n, problem.units
+        load, slope = np.zeros((n, 2)), np.zeros((n, 2, 3 * n))
+        # impulses of equations: share - overlap^T F, carried back to their rows
+        e = self._counts["equations"].item()
+        index = arrays.equation_index[:e]
+        known = np.c_[arrays.equation_share[:e], -arrays.overlap[: 3 * n, :e].T]
+        factor = np.tril(arrays.equation_factor[:e, :e])
+        # of redundant ones the least, as in `impulse_equations`
+        says = factor.diagonal() > 0.0
+        root = np.sqrt(arrays.equation_unit[:e]) if not says.all() else np.ones(e)
+        impulses = np.linalg.pinv((factor[:, says] / root[:, None]).T) @ known[says] / root[:, None]
+        real = problem.real_rows
+        for u, (kind, c, parent) in enumerate(units[["kind", "index", "parent"]].tolist()):
+            if real[u, 2]:
+                slope[u, 0, 3 * u + 2] = 1.0
+            elif kind == ON_TURN and parent >= 0:
+                slope[u, 0, 3 * parent + 2] = 1.0
+            elif kind == ON_JOINT:
+                load[u, 0] = units["load"][u]
+            else:
+                rows = np.flatnonzero((index[:, 0] == c) & (index[:, 1] >= (2 if kind == ON_TURN else 0)))
+                for k, row in enumerate(rows):
+                    load[u, k], slope[u, k] = impulses[row, 0], impulses[row, 1:]
+        base = np.where(real.ravel(), problem.base, 0.0)
+        normal, tangents = real[:, 2].astype(float), real[:, :2].sum(axis=1).astype(float)
+        loads = load.ravel(), slope.reshape(2 * n, 3 * n)
+        return Product(problem.gram, base, normal, tangents, problem.friction.copy(), *loads)
+
+    def _solve_together(self, problem: _Problem) -> bool:
+        """Solve the problem for forces and loads at once."""
+        product = self._product(problem)
+        forces, residual = product.solve(self.solver.start(problem.n))
+        if not residual <= PRODUCT_TOLERANCE:
+            self._nearest = forces
+            return False
+        chosen = chosen_forces(problem.with_solution(product.modes(forces), forces))
+        if chosen is not None:
+            # what slides turns a little
+            chosen, accuracy = product.refine(chosen)
+            if accuracy <= PRODUCT_TOLERANCE:
+                forces, residual = chosen, accuracy
+        self._take(product, forces, residual)
+        return True
+
+    def _solve_with_given_radii(self, problem: _Problem) -> bool:
+        """Solve it with friction that goes with the loads that came nearest to a solution."""
+        product, mu, base = self._product(problem), problem.friction, problem.base
+        forces, residual, off = product.settle(self._nearest)
+        # ideal rolling has no other friction to go with
+        slips = np.abs((problem.gram @ forces + base).reshape(-1, 3)[:, :2]).max(axis=1)
+        slipping = np.isinf(mu) & (forces[2::3] > 0.0) & (slips > SETTLED * np.abs(base).max(initial=0.0))
+        if not residual <= SETTLED or slipping.any():
+            return False
+        self.settled += 1
+        self.settled_off = max(self.settled_off, off)
+        self._take(product, forces, residual)
+        return True
+
+    def _take(self, product: Product, forces: np.ndarray, residual: float) -> None:
+        """Let the solver have these forces as its own."""
+        modes, velocities = product.modes(forces), product.gram @ forces + product.base
+        forces[2::3] = np.where(
+            product.normal > 0.0, forces[2::3], product.radii(forces) / np.where(product.mu > 0.0, product.mu, 1.0)
+        )
+        self.solver.warm_start(modes, forces, velocities)
+        self.solver.residual = residual

@@ -1,0 +1,286 @@
+"""One trial step of Moreau's method in compiled code: see `impulses` for what it is.
+
+It comes back to Python for cone problems that the usual ways do not solve, and goes on from there.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..arrays import as_array
+from ..callback import call_python, kernel_caller
+from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
+from ..dynamics.linear import inner
+from ..friction import cone
+from ..friction.attempt import AFRESH, USUAL
+from ..jit import INTEGER, REAL, kernel
+from ..layout import (
+    DOMAIN,
+    FREE,
+    LENGTH,
+    LOCATION_FAILED,
+    MODE,
+    NO_FORCE,
+    NOT_FINITE,
+    OK,
+    SINGULAR,
+    STICK,
+    SYSTEM,
+    TOO_LONG,
+    UNILATERAL,
+)
+from ..workspace import square
+from .carrying import carry
+from .impulse_layout import ACCELERATION, APART, MEAN_VELOCITY, ON_CONTACT, ON_TURN, STEP, UNASKED, WANTED
+from .impulse_problem import OPENING
+from .impulse_review import AGAIN, may_rest
+from .impulses import advance, leave_turning_axes, predict_midpoint
+from .results import CLOSED_APART, CONTOUR_ENDS
+from .stages import evaluate
+from .steps import PROJECT_PLACES
+
+# What it comes back with, besides a status: a cone problem is to be solved.
+CONE_LEFT = 100
+# What has become of the cone problem that the last call left, if it left one; or the trial step is to be accepted.
+FRESH, SOLVED, UNSOLVED, APPROVED = range(4)
+
+# A step is taken again where the velocity at its midpoint was off by this fraction, at most so many times; corrections
+# that leave it off by the last have not converged.
+_FAR = 0.06
+_CORRECTIONS = 8
+_LOST = 0.08
+# The last correction of gaps leaves so much of them, relative to the contact's length, only where the constraints
+# contradict each other.
+APART_AT_END = 1e-6
+# Nearer to an end of its domain (in its units) a point is at it.
+_AT_END = 1e-12
+
+call_task = kernel_caller(INTEGER, SYSTEM.type, INTEGER, REAL, REAL)
+_call_on_step = kernel_caller(INTEGER, SYSTEM.type, STEP.type)
+_call_cones = kernel_caller(
+    REAL, REAL[:, ::1], REAL[::1], REAL[::1], cone.CONE.type, INTEGER, INTEGER, REAL, INTEGER, INTEGER
+)  # fmt: skip
+
+
+@kernel
+def ask(system, step, t):
+    """Let the user's function set the torques for the system's (q, v) at t; False where it fails."""
+    calls = step.calls
+    if calls.asked == 0:
+        return True
+    system.scalars.time = t
+    return call_python(calls.asked, calls.asked_with, calls.call_failed) and torques_finite(system, t)
+
+
+@kernel
+def _take_solution(step, found):
+    """The forces, velocities and modes that a cone solver has found become those of the step."""
+    forces, velocities, modes = step.cone_forces, step.cone_velocities, step.cone_modes
+    for u in range(found.modes.shape[0]):
+        modes[u] = found.modes[u]
+        for k in range(3 * u, 3 * u + 3):
+            forces[k], velocities[k] = found.forces[k], found.velocities[k]
+
+
+@kernel
+def _solve(step, n):
+    """Solve the assembled problem of n units in the usual ways; False leaves it to Python."""
+    counts, numbers = step.counts, step.numbers
+    address, tolerance = step.cone_tables[n], numbers.cone_tolerance
+    if address == 0:
+        return False
+    known = cone.cone_at(address)
+    # of several solutions of an impact the one that the past has no part in
+    usual = counts.cone_task >= USUAL
+    task = USUAL + AFRESH if usual and counts.touched != 0 else counts.cone_task
+    residual = _call_cones(
+        step.calls.solve_cones,
+        as_array(square(step.delassus, 3 * n)),
+        as_array(step.loads[: 3 * n]),
+        as_array(step.friction[:n]),
+        known,
+        task,
+        0,
+        tolerance,
+        0,
+        0,
+    )
+    if not residual <= tolerance:
+        return False
+    counts.solved += 1
+    numbers.cone_residual = max(numbers.cone_residual, residual)
+    _take_solution(step, known)
+    return True
+
+
+@kernel
+def _lets_go(system, step, n):
+    """Whether the solution of the n units lets a contact slip or open that was at rest, or slip that comes to rest in
+    the step as its slip turns back; marks them."""
+    h, velocities, goes = step.numbers.h, step.cone_velocities, False
+    for u in range(n):
+        unit = step.units[u]
+        c, mode = unit.index, step.cone_modes[u]
+        unit.held = 0
+        # not once more with the coefficient of sliding
+        if unit.kind != ON_CONTACT or step.friction[u] < step.sticking[c]:
+            continue
+        rests = step.start_mode[c] == STICK or may_rest(step, u)
+        unit.held = 1 if rests else 0
+        opening = OPENING * system.contact_real[c, LENGTH]
+        slides = mode == cone.SLIP and math.hypot(velocities[3 * u], velocities[3 * u + 1]) * h > opening
+        opens = mode == cone.OPEN and velocities[3 * u + 2] * h > opening
+        goes = goes or (rests and (slides or opens))
+    return goes
+
+
+@kernel
+def _leaves_choice(step, n):
+    """Whether there is a choice among the forces of the n units that moves the bodies, since some of them slide, and
+    that is not yet what the rule has it, since it depends on the last forces.
+
+    Where others stick, or torques resist turning, the rule leaves loads open: that is counted, and with such torques
+    the choice is left as it is.
+    """
+    address = step.cone_tables[n]
+    if address == 0 or step.counts.coupled != APART:
+        return False
+    known = cone.cone_at(address).counts
+    if known[cone.CHOICES] == 0:
+        return False
+    slides = sticks = turns = False
+    for u in range(n):
+        kind, mode = step.units[u].kind, step.cone_modes[u]
+        on_contact = kind == ON_CONTACT and step.friction[u] > 0.0
+        turns = turns or kind == ON_TURN
+        slides = slides or (on_contact and mode == cone.SLIP)
+        sticks = sticks or (on_contact and mode == cone.STICK)
+    if slides and (sticks or turns):
+        step.counts.open_loads += 1
+    return slides and not turns and known[cone.FOLLOWS] != 0
+
+
+@kernel
+def _impulses(system, step, found):
+    """Cone problem and end of the step; a status, or CONE_LEFT. found: see FRESH."""
+    counts = step.counts
+    if found == FRESH:
+        status = _call_on_step(step.calls.assemble, system, step)
+        if status != OK:
+            return status
+    while True:
+        n = counts.units
+        if found == UNSOLVED:
+            return NO_FORCE
+        if found == FRESH:
+            counts.holding, counts.choosing = UNASKED, 0
+            if n > 0 and (counts.coupled != APART or not _solve(step, n)):
+                return CONE_LEFT
+        if counts.holding == UNASKED and counts.coupled == APART and _lets_go(system, step, n):
+            counts.holding = WANTED
+            return CONE_LEFT
+        if counts.choosing == 0 and n > 0 and _leaves_choice(step, n):
+            counts.choosing = 1
+            return CONE_LEFT
+        found = FRESH
+        status = advance(system, step)
+        if status != AGAIN:
+            return status
+
+
+@kernel
+def _pass(system, step, t, found):
+    """Midpoint, cone problem and end of the step from t; a status, or CONE_LEFT."""
+    counts, numbers = step.counts, step.numbers
+    if found == FRESH:
+        predict_midpoint(system, step)
+        middle = t + numbers.ahead
+        if not ask(system, step, middle):
+            return NOT_FINITE
+        # but for impacts the passes of a trial step differ in the midpoint's velocity only
+        moved = counts.passes == 0 or numbers.ahead != 0.5 * numbers.h
+        status = evaluate(system, middle, KINEMATICS_OF_ALL if moved else VELOCITIES_OF_ALL)
+        if status != OK:
+            return status
+        leave_turning_axes(system, step)
+        counts.rigid = counts.thorough = 0
+    while True:
+        status = _impulses(system, step, found)
+        if status != NO_FORCE or counts.thorough != 0:
+            return status
+        found = FRESH
+        if counts.rigid == 0:
+            # redundant contacts may contradict each other by what only rigid geometry leaves out
+            counts.rigid = 1
+            counts.rigid_steps += 1
+        else:
+            counts.thorough = 1
+
+
+@kernel
+def _review_end(system, step, h):
+    """The trial step, whose end has been put on the constraints: contacts that went beyond the end of a contour
+    open. A status: those that cannot open end there, and closed ones that are still apart are a failure."""
+    nv, correction, status = system.sizes.nv, system.correction_q, OK
+    for c in range(system.sizes.nc):
+        contact, numbers = system.contact_int[c], system.contact_real[c]
+        step.edge_time[c] = -1.0
+        if contact[MODE] == FREE:
+            continue
+        if not abs(system.gaps[c, 0] + inner(system.rows[c, 2], correction, nv)) <= APART_AT_END * numbers[LENGTH]:
+            return CLOSED_APART
+        domain, before = numbers[DOMAIN], step.start_domain[c]
+        if domain >= -_AT_END:
+            continue
+        if contact[UNILATERAL] == 0:
+            status = CONTOUR_ENDS
+            continue
+        contact[MODE] = FREE
+        step.edge_time[c] = h * before / (before - domain) if 0.0 < before < math.inf else 0.0
+    return status
+
+
+@kernel
+def trial_step(system, step, t, h, found):
+    """A step of size h from the start at t; a status, or CONE_LEFT."""
+    counts, numbers = step.counts, step.numbers
+    if found == FRESH:
+        numbers.h, numbers.ahead = h, 0.5 * h
+        counts.passes, counts.trend_before = 0, counts.has_trend
+    while True:
+        status = _pass(system, step, t, found)
+        if status == CONE_LEFT:
+            return status
+        found = FRESH
+        before = counts.passes
+        if before > 1 and status in (LOCATION_FAILED, SINGULAR):
+            status = TOO_LONG
+        if status != OK:
+            break
+        if before == 0 and (counts.touched != 0 or counts.trend_before == 0):
+            # The step is taken again with what it tells: the mean velocity where impacts change it, else, where there
+            # is no last step to tell it, the acceleration.
+            counts.passes, counts.has_trend = 1, MEAN_VELOCITY
+            if counts.touched != 0:
+                numbers.ahead = numbers.impact
+            else:
+                state, trend, nq = system.stage_state, step.trend, system.sizes.nq
+                for k in range(system.sizes.nv):
+                    trend[k] = (state[nq + k] - step.seen_v[k]) / h
+                carry(system.joint_table, step.inertias, state, step.start_q, trend, trend)
+                counts.has_trend = ACCELERATION
+            continue
+        # A step in which bodies turn far is taken again with its own mean velocity: the implicit midpoint rule, which
+        # stays stable where the velocity foretold from the last step does not.
+        if before > _CORRECTIONS:
+            if numbers.miss > _LOST:
+                status = TOO_LONG
+            break
+        if counts.touched != 0 or not numbers.miss > _FAR:
+            break
+        counts.passes, counts.has_trend = max(before, 1) + 1, MEAN_VELOCITY
+    counts.has_trend = counts.trend_before
+    if status != OK:
+        return status
+    status = call_task(step.calls.run_task, system, PROJECT_PLACES, t + h, 0.0)
+    return status if status != OK else _review_end(system, step, h)

@@ -1,0 +1,172 @@
+"""Units of a step's cone problem: what takes part in it, and when its impulse acts.
+
+Units are the cones of the problem: unilateral contacts that are closed or close in the step; bilateral ones with
+Coulomb friction, whose normal impulse is an equation and their cone a disk of given radius; resistance to spinning and
+to rolling, disks of torques with a radius from the contact's normal impulse; joint limits; dry friction of joints.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..dynamics.linear import inner
+from ..dynamics.sliding import coefficient_at
+from ..geometry.small import dot
+from ..jit import kernel
+from ..layout import (
+    DOMAIN,
+    FREE,
+    LENGTH,
+    MU,
+    ROLLING,
+    SLIPPING,
+    SPINNING,
+    STICK,
+    STRIBECK_SPEED,
+    TANGENTS,
+    UNILATERAL,
+)
+from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, MEAN_VELOCITY, ON_CONTACT, ON_JOINT, ON_LOADED, ON_TURN
+
+# A contact nearer than this, relative to its length, is touching: round-off of positions, with room to spare.
+TOUCHING = 1e-12
+
+
+@kernel
+def _touch_instant(gap, speed, rate, touching, h):
+    """When gap + speed s + rate s^2 / 2 falls through zero for s in [0, h]; negative if it does not."""
+    if gap <= touching and speed <= 0.0:
+        return 0.0 if speed < 0.0 or rate <= 0.0 else -1.0
+    discriminant = speed * speed - 2.0 * rate * gap
+    if discriminant < 0.0:
+        # below the surface for the whole parabola, or above it
+        return 0.0 if gap < 0.0 else -1.0
+    root = math.sqrt(discriminant)
+    if speed < 0.0:
+        instant = 2.0 * gap / (root - speed)
+    elif rate < 0.0:
+        instant = (speed + root) / -rate
+    else:
+        return -1.0
+    return instant if instant <= h else -1.0
+
+
+@kernel
+def _within_domains(start, middle, instant, ahead):
+    """Whether the points of a contact are inside both domains at an instant of the step, by their way to the nearest
+    end at its start and so much later."""
+    if start == math.inf or middle == math.inf:
+        return middle >= 0.0
+    return (start + (middle - start) * instant / ahead if ahead > 0.0 else start) >= 0.0
+
+
+@kernel
+def _add_unit(step, kind, index, mask, mu, instant):
+    """A new unit, returns its number; instant: when it closes, negative where its impulse is spread over the step."""
+    counts = step.counts
+    u = counts.units
+    unit = step.units[u]
+    unit.kind, unit.index, unit.mask = kind, index, mask
+    unit.touches = unit.midpoint = unit.at_rest = unit.slid = unit.held = 0
+    unit.approach = unit.free_rate = unit.shift = unit.load = unit.sticking_again = 0.0
+    unit.axis, unit.parent = 0, -1
+    unit.impulse_time = 0.5 * step.numbers.h
+    if instant >= 0.0:
+        unit.impulse_time = instant
+        unit.touches = counts.touched = counts.rigid = 1
+    step.friction[u] = unit.sliding = mu
+    for row in range(2):
+        step.unit_start[u, row] = step.unit_driven[u, row] = 0.0
+    counts.units = u + 1
+    return u
+
+
+@kernel
+def gather_contacts(system, step):
+    """Units of all contacts that take part."""
+    nv, h, ahead = system.sizes.nv, step.numbers.h, step.numbers.ahead
+    contact_int, contact_real = system.contact_int, system.contact_real
+    start_mode, sticking = step.start_mode, step.sticking
+    for c in range(system.sizes.nc):
+        mu, two, mode = contact_real[c, MU], contact_int[c, TANGENTS] == 2, start_mode[c]
+        bilateral = contact_int[c, UNILATERAL] == 0
+        kind, mask = ON_CONTACT, 4 if mu == 0.0 else (7 if two else 5)
+        instant = -1.0
+        if bilateral:
+            # the cone's normal carries a given impulse: the disk's radius is mu times it
+            kind, mask = ON_LOADED, 3 if two else 1
+            if mu == 0.0 or mu == math.inf:
+                continue
+        elif mode == FREE:
+            rate = inner(system.rows[c, 2], step.carried_trend, nv) + system.bias[c, 2]
+            touching = TOUCHING * contact_real[c, LENGTH]
+            instant = _touch_instant(step.start_gap[c], step.start_normal[c, 0], rate, touching, h)
+            if instant < 0.0 or step.behind[c] != 0:
+                continue
+            if not _within_domains(step.start_domain[c], contact_real[c, DOMAIN], instant, ahead):
+                continue
+        if contact_real[c, STRIBECK_SPEED] > 0.0 and mode != STICK:
+            basis, slip = system.basis[c], system.slip[c]
+            mu = coefficient_at(contact_real[c], math.hypot(dot(basis[0], slip), dot(basis[1], slip) if two else 0.0))
+        u = _add_unit(step, kind, c, mask, mu, instant)
+        unit = step.units[u]
+        if bilateral:
+            unit.load = h * step.load[c]
+        if mode == STICK and sticking[c] > mu:
+            # a contact at rest holds up to its coefficient of sticking
+            step.friction[u] = sticking[c]
+            unit.at_rest = 1
+        if mode == SLIPPING:
+            unit.slid = 1
+            unit.sticking_again = sticking[c] if sticking[c] > mu else 0.0
+            unit.midpoint = 1 if two and 0.0 < mu < math.inf else 0
+
+
+@kernel
+def gather_turns(system, step):
+    """Units that resist spinning and rolling, of the contacts that take part."""
+    contact_int, contact_real, units = system.contact_int, system.contact_real, step.units
+    contacts = step.counts.units
+    for c in range(system.sizes.nc):
+        if contact_real[c, SPINNING] == 0.0 and contact_real[c, ROLLING] == 0.0:
+            continue
+        parent = -1
+        if contact_int[c, UNILATERAL] != 0:
+            for u in range(contacts):
+                if units[u].index == c:
+                    parent = u
+            if parent < 0:
+                continue
+        two = contact_int[c, TANGENTS] == 2
+        for spins in range(2):
+            length = contact_real[c, SPINNING if spins == 1 else ROLLING]
+            if length > 0.0:
+                unit = units[_add_unit(step, ON_TURN, c, 3 if two and spins == 0 else 1, length, -1.0)]
+                # in a plane everything rolls about its normal, the second basis vector
+                unit.axis = 2 if spins == 1 else (0 if two else 1)
+                unit.parent, unit.load = parent, step.numbers.h * step.load[c]
+
+
+@kernel
+def gather_joints(step):
+    """Units of joint limits within reach and of dry friction. A joint that was held at its end is closed, whatever
+    rounding makes of its position."""
+    h = step.numbers.h
+    for j in range(step.counts.joints):
+        joint = step.joints[j]
+        k = joint.index_v
+        if joint.kind == DRY_FRICTION:
+            u = _add_unit(step, ON_JOINT, j, 1, 1.0, -1.0)
+            step.units[u].load = h * joint.bound
+            continue
+        sign = 1.0 if joint.kind == LOWER_LIMIT else -1.0
+        gap = sign * (step.start_q[joint.index_q] - joint.bound)
+        speed, rate, thrown = sign * step.carried_v[k], sign * step.carried_trend[k], sign * step.mean[k]
+        held = step.start_end[joint.guard] * sign < 0.0
+        resting = held or (gap <= TOUCHING and abs(speed) * h <= TOUCHING)
+        instant = _touch_instant(gap, speed, rate, TOUCHING, h)
+        if instant < 0.0 and step.counts.has_trend == MEAN_VELOCITY and thrown < 0.0 and gap + h * thrown < 0.0:
+            # by an impact of this step
+            instant = max(gap / -thrown, 0.0)
+        if resting or instant >= 0.0:
+            _add_unit(step, ON_JOINT, j, 4, 0.0, -1.0 if resting else instant)

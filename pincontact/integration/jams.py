@@ -1,0 +1,41 @@
+"""Ideal rolling that slides held up by friction alone, and jams: no step is short enough, or its force grows without
+bound. Its slip is ended at once, by the least change of velocity that does it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..dynamics.system import System
+from ..layout import EVENT, FRICTION_MARGIN, MODE, MU, SLIPPING, STICK
+from .mode_changes import ModeChanges
+
+
+def held_up(system: System) -> list[int]:
+    """Contacts of ideal rolling that slide held up by friction alone."""
+    modes, mu = system.modes.tolist(), system.contact_real[:, MU].tolist()
+    return [c for c, mode in enumerate(modes) if mode == SLIPPING and mu[c] == math.inf]
+
+
+def stop_jammed(changes: ModeChanges, t: float) -> None:
+    """Stop slips that friction alone would have to hold up and cannot: the force it takes grows without bound."""
+    system, sliding = changes.system, held_up(changes.system)
+    if sliding and changes.rk.evaluate(t) <= EVENT:
+        sliding = [c for c in sliding if system.margins[c, FRICTION_MARGIN] < 0.0]
+    if sliding:
+        stop_slips(changes, t, sliding)
+
+
+def stop_slips(changes: ModeChanges, t: float, contacts: list[int]) -> None:
+    """End slips at once, by the least change of velocity that does it."""
+    changes.system.contact_int[contacts, MODE] = STICK
+    changes.project(t, explained=True)
+
+
+def end_jams(changes: ModeChanges, t: float, contacts: list[int]) -> None:
+    """End the slips of jammed contacts, and decide the modes that follow."""
+    energy = changes.counted_energy()
+    stop_slips(changes, t, contacts)
+    changes.count_loss(energy)
+    changes.settle(t, changes.sticking(), dict.fromkeys(contacts, np.zeros(3)))

@@ -1,0 +1,137 @@
+"""Events of guarded joint coordinates: they reach an end of their way, leave it, stick and slip by dry friction."""
+
+from __future__ import annotations
+
+from ..dynamics.joints import END_SLACK
+from ..dynamics.modes import ModeSolver
+from ..layout import DOMAIN_MARGIN, FREE, GAP_MARGIN, GUARD_END, GUARD_SIGN, MODE, NORMAL_MARGIN, SPEED_MARGIN
+from .accuracy import gap_accuracy, rest_speed
+from .reports import Reports
+
+
+class JointEvents:
+    """What the guarded coordinates of a system do, and what has been announced of it.
+
+    A coordinate g is held at an end of its way (-1 the lower, +1 the upper one) or by dry friction (0), or moves.
+    """
+
+    def __init__(self, modes: ModeSolver, reports: Reports) -> None:
+        self.system, self.modes, self.reports = modes.system, modes, reports
+        # of every coordinate: see `_state`
+        self._announced: list[tuple[bool, int]] = []
+
+    def begin(self) -> None:
+        """The present state is that of a run's start, of which nothing is announced."""
+        self._announced = [self._state(g) for g in range(self.system.ng)]
+
+    def is_free(self, g: int) -> bool:
+        """Whether coordinate g is not held."""
+        return bool(self.system.contact_int[self.system.nc + g, MODE] == FREE)
+
+    def accuracy(self, g: int) -> float:
+        """Error in m or rad of the distance of coordinate g from its ends."""
+        return float(gap_accuracy(self.system)[self.system.nc + g])
+
+    def set_from_velocities(self, stay: dict[int, int] | None = None) -> None:
+        """Hold the coordinates that rest at an end or by dry friction, free the others; stay: ends at which some are
+        held whatever their velocities (coordinate -> end)."""
+        system, stay = self.system, stay or {}
+        slowest = rest_speed(system)
+        for g, guard in enumerate(system.guards):
+            position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
+            end = -1 if position <= guard.low_end + END_SLACK else int(position >= guard.high_end - END_SLACK)
+            if g in stay:
+                self.modes.hold(g, stay[g])
+            elif abs(speed) > slowest:
+                self.modes.release(g, 1 if speed > 0.0 else -1)
+            elif end != 0 or guard.dry:
+                self.modes.hold(g, end)
+            else:
+                self.modes.release(g, 0)
+
+    def held_at_ends(self) -> dict[int, int]:
+        """The coordinates that are held at an end of their way, and at which."""
+        ends = {g: int(self.system.guard_int[g, GUARD_END]) for g in self.system.held()}
+        return {g: end for g, end in ends.items() if end != 0}
+
+    def stop_those_at_ends(self, t: float) -> bool:
+        """Hold the free coordinates that are at an end of their way and move beyond it; whether there are any."""
+        system, found = self.system, False
+        for g, guard in enumerate(system.guards):
+            position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
+            low, high = position <= guard.low_end + END_SLACK, position >= guard.high_end - END_SLACK
+            if self.is_free(g) and ((low and speed < 0.0) or (high and speed > 0.0)):
+                self.stop(t, g, -1 if low else 1)
+                found = True
+        return found
+
+    def stop(self, t: float, g: int, end: int) -> None:
+        """Coordinate g has come to an end of its way, and is held there."""
+        self.reports.announce(t, self.system.nc + g, "limit")
+        self._announced[g] = True, end
+        self.modes.hold(g, end)
+
+    def hold_near(self) -> None:
+        """Hold the free coordinates that are as near to an end as positions are known."""
+        for g, guard in enumerate(self.system.guards):
+            position, accuracy = float(self.system.q[guard.index_q]), self.accuracy(g)
+            if not self.is_free(g):
+                continue
+            if position - guard.low_end <= accuracy:
+                self.modes.hold(g, -1)
+            elif guard.high_end - position <= accuracy:
+                self.modes.hold(g, 1)
+
+    def switch(self, t: float, g: int, kind: int) -> bool:
+        """Event function `kind` of coordinate g has reached zero at t; whether g strikes an end of its way."""
+        system = self.system
+        if kind in (GAP_MARGIN, DOMAIN_MARGIN):
+            self.stop(t, g, -1 if kind == GAP_MARGIN else 1)
+            return True
+        if kind == SPEED_MARGIN:
+            speed = float(system.v[system.guards[g].index_v])
+            if abs(speed) > rest_speed(system):
+                # a short step of another's slip has carried it through zero: it slides the other way now
+                self.modes.release(g, 1 if speed > 0.0 else -1)
+            else:
+                self.modes.hold(g, 0)
+        else:
+            self.modes.release(g, 1 if kind == NORMAL_MARGIN else -1)
+        return False
+
+    def announce_changes(self, t: float) -> None:
+        """Events of the coordinates whose state is not what was last announced."""
+        for g, before in enumerate(self._announced):
+            now = self._state(g)
+            if now == before:
+                continue
+            self._announced[g] = now
+            if now[0]:
+                kind = "limit" if now[1] else "stick"
+            elif before[0] and before[1]:
+                kind = "release"
+            elif before[0] or before[1] * now[1] < 0:
+                kind = "slip"
+            else:
+                continue
+            self.reports.announce(t, self.system.nc + g, kind)
+
+    def _state(self, g: int) -> tuple[bool, int]:
+        """Whether coordinate g is held, and at which end (0: by friction), or in which direction it slips."""
+        held = not self.is_free(g)
+        return held, int(self.system.guard_int[g, GUARD_END if held else GUARD_SIGN])
+
+    # ---------------------------------------------------------------- motions too short to be told from rest
+
+    def stops_soon(self, g: int) -> bool:
+        """Whether dry friction ends the motion of coordinate g in a distance that is smaller than the error of
+        positions. Needs the evaluation."""
+        guard, sign = self.system.guards[g], int(self.system.guard_int[g, GUARD_SIGN])
+        speed, rate = self.system.v[guard.index_v], sign * self.system.acceleration[guard.index_v]
+        return bool(guard.dry and sign != 0 and rate < 0.0 and speed * speed <= -2.0 * rate * self.accuracy(g))
+
+    def returns_soon(self, g: int, end: int) -> bool:
+        """Whether coordinate g comes back to the end that it leaves from no further than that. Needs the evaluation."""
+        index = self.system.guards[g].index_v
+        speed, back = self.system.v[index], end * self.system.acceleration[index]
+        return bool(back > 0.0 and speed * speed <= 2.0 * back * self.accuracy(g))

@@ -1,0 +1,277 @@
+"""Locating an event: where in a step an event function of a mode turns negative, found on the dense output and refined
+with true steps.
+
+An event function (a row of `system.margins`: a gap, a normal force, what is left to the friction limit, a slip speed,
+the distance to the end of a contour) is positive while a mode holds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..layout import DOMAIN, DOMAIN_MARGIN, GAP_MARGIN, NOTHING_THERE, OK, SCAN_ROOM, SPEED_MARGIN
+from .accuracy import gap_accuracy
+from .open_contacts import OpenContacts
+from .runge_kutta import RungeKutta
+from .sign_changes import ACCURACY, look_below_zero, zero_between
+
+# Samples of the dense output between which a sign change is looked for, all those of one scan: irregular, lest they all
+# be zeros of a sine.
+_PLACES = (0.0, 0.1137, 0.2419, 0.3871, 0.5093, 0.6361, 0.7493, 0.8829, 1.0)
+assert len(_PLACES) == SCAN_ROOM
+# Steps that refine an event's time, and the change of time (relative to the step) that ends them.
+_REFINEMENTS = 8
+_REFINED = 1e-14
+# The slope at an event is taken over this part of the step before it, and no further back than half the way to it.
+_SLOPE_OVER = 1e-4
+# No step to an event goes further beyond the step in which it was seen.
+_FURTHEST = 1.1
+_BISECTIONS = 40
+# Looks for what crosses before the first crossing that was found, beyond one for each event function.
+_ROUNDS = 4
+# An event function that is this part of its largest size away from zero wherever steps went to make it zero has no zero
+# there.
+_NEXT_TO_NOTHING = 1e-6
+# Speeds below this, against 1 or the largest velocity, have no sign.
+_SPEED_ROUND_OFF = 1e-15
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """A sign change at a fraction theta of the step: of event function `kind` of item c."""
+
+    theta: float
+    c: int
+    kind: int
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """All event functions (items, MARGINS_PER_CONTACT) at a fraction theta of the step."""
+
+    theta: float
+    values: np.ndarray
+
+
+class EventLocator:
+    """Finds the first crossing in the trial step that its integrator has interpolated last, from t and of size step.
+
+    depths: (items,) how much deeper in m than their accuracy open contacts may be; others change it. open_contacts:
+    which contacts may touch; is told whose gaps fall through zero beyond an end of a contour.
+    """
+
+    def __init__(self, rk: RungeKutta, depths: np.ndarray, open_contacts: OpenContacts) -> None:
+        self.rk, self.system, self._depths, self._open = rk, rk.system, depths, open_contacts
+
+    def first(self, t: float, step: float) -> Crossing | None:
+        """The earliest crossing; None where the alarm was false."""
+        self._set_slack()
+        samples = [_Sample(theta, values) for theta, values in zip(_PLACES, self._values(t, step, _PLACES))]
+        if len(samples) < 2:
+            return None
+        samples = self._with_lowest(t, step, samples)
+        crosses = self._crossings(np.array([sample.values for sample in samples]))
+        for i in np.flatnonzero(crosses.any(axis=(1, 2))):
+            left, right = samples[i], samples[i + 1]
+            crossed = [(c, kind) for c, kind in np.argwhere(crosses[i]).tolist()]
+            crossed = [pair for pair in crossed if self._ends_mode(t, step, pair, left, right)]
+            if crossed:
+                return self._earliest(t, step, np.array(crossed), left, right)
+        return None
+
+    # ---------------------------------------------------------------- values
+
+    @cached_property
+    def _slack(self) -> np.ndarray:
+        """(items, MARGINS_PER_CONTACT) what event functions may be below zero; of gaps as `_set_slack` has it."""
+        slack = np.zeros_like(self.system.margins[: self.system.items])
+        # both ends of a joint coordinate
+        nc = self.system.nc
+        slack[nc:, DOMAIN_MARGIN] = self._accuracy[nc:]
+        return slack
+
+    @cached_property
+    def _accuracy(self) -> np.ndarray:
+        return gap_accuracy(self.system)
+
+    def _set_slack(self) -> None:
+        self._slack[:, GAP_MARGIN] = self._accuracy + self._depths
+        self._slack[:, SPEED_MARGIN] = _SPEED_ROUND_OFF * (1.0 + float(np.abs(self.system.v).max(initial=0.0)))
+
+    def _values(self, t: float, step: float, thetas: Sequence[float]) -> np.ndarray:
+        """Event functions (n, items, MARGINS_PER_CONTACT) at fractions of the step, plus what they may be below zero;
+        there are fewer than fractions where one of them cannot be evaluated: those before it."""
+        known, found = self.system.scan(t, step, thetas)
+        return (found[: known.index(False)] if False in known else found) + self._slack
+
+    def _with_lowest(self, t: float, step: float, samples: list[_Sample]) -> list[_Sample]:
+        """The samples, and the lowest points of event functions between them, if they are negative there."""
+        if len(samples) < 3:
+            return samples
+        values = np.array([sample.values for sample in samples])
+        left, middle, right = values[:-2], values[1:-1], values[2:]
+        higher = np.maximum(left, right)
+        # a parabola's valley is no deeper than half the change between samples; infinite values compare
+        valleys = (middle >= 0.0) & (middle <= left) & (middle <= right) & (middle < higher)
+        valleys &= 1.5 * middle < 0.5 * higher
+        # one that lies between the first two samples, or the last two, has its lowest one at an end of the step
+        for i, end in ((0, left), (-1, right)):
+            valleys[i] |= (end[i] >= 0.0) & (end[i] < middle[i]) & (1.5 * end[i] < 0.5 * higher[i])
+        found: dict[float, _Sample] = {}
+        for i, c, kind in np.argwhere(valleys).tolist():
+            points = [(sample.theta, float(sample.values[c, kind])) for sample in samples[i : i + 3]]
+            looked: dict[float, np.ndarray] = {}
+            lowest = look_below_zero(self._function(t, step, (c, kind), math.inf, looked), points)
+            if lowest is not None and lowest[1] < 0.0:
+                found[lowest[0]] = _Sample(lowest[0], looked[lowest[0]])
+        return sorted([*samples, *found.values()], key=lambda sample: sample.theta)
+
+    def _function(
+        self, t: float, step: float, which: tuple[int, int], missing: float, known: dict[float, np.ndarray]
+    ) -> Callable[[float], float]:
+        """One event function of fractions of the step, `missing` where it cannot be evaluated; known: values of all by
+        fraction, which is added to.
+
+        Each fraction is asked for once: a control that answers otherwise the next time (noise) has no root to be found.
+        """
+
+        def value(theta: float) -> float:
+            if theta not in known:
+                values = self._values(t, step, [theta])
+                known[theta] = values[0] if len(values) else np.full_like(self._slack, missing)
+            return float(known[theta][which])
+
+        return value
+
+    # ---------------------------------------------------------------- crossings
+
+    def _crossings(self, samples: np.ndarray) -> np.ndarray:
+        """(n - 1, items, MARGINS_PER_CONTACT) which event functions turn negative between two of n samples."""
+        before, after = samples[:-1], samples[1:]
+        crosses = (after < 0.0) & (before >= 0.0)
+        # what is negative at the start counts as just having crossed
+        crosses[:1] |= after[:1] < 0.0
+        crosses &= before != NOTHING_THERE
+        # what has begun to slide by round-off in the other direction, and comes back, does not come to rest
+        crosses[:, :, SPEED_MARGIN] &= (before[:, :, SPEED_MARGIN] >= 0.0) | (
+            after[:, :, SPEED_MARGIN] < before[:, :, SPEED_MARGIN]
+        )
+        gaps, later, nc = before[:, :, GAP_MARGIN], after[:, :, GAP_MARGIN], self.system.nc
+        # a joint that starts beyond its end, and comes back, does not meet it; nor does what comes from behind touch
+        crosses[:, nc:, GAP_MARGIN] &= (gaps[:, nc:] >= 0.0) | (later[:, nc:] < gaps[:, nc:])
+        crosses[:1, :nc, GAP_MARGIN] &= (gaps[:1, :nc] >= 0.0) | self._open.apart
+        return crosses
+
+    def _ends_mode(self, t: float, step: float, crossed: tuple[int, int], left: _Sample, right: _Sample) -> bool:
+        """Whether an event function that turns negative between two samples ends a mode: a gap does between points
+        inside both domains only."""
+        c, kind = crossed
+        if kind != GAP_MARGIN or c >= self.system.nc:
+            return True
+        theta = self._root(t, step, crossed, left, right)
+        known = len(self._values(t, step, [theta])) > 0
+        if known and self._open.are_apart(c, t + theta * step):
+            # where it is followed is not where it is nearest
+            return False
+        inside = bool(known and self.system.contact_real[c, DOMAIN] >= 0.0)
+        if not inside:
+            self._open.passed.add(c)
+        return inside
+
+    def _earliest(self, t: float, step: float, crossed: np.ndarray, left: _Sample, right: _Sample) -> Crossing:
+        """First of the event functions `crossed` (n, 2) that turn negative between two samples.
+
+        The root of one is the next sample, at which most others are seen to cross later, and some to have been negative
+        in between.
+        """
+        found: Crossing | None = None
+        for _ in range(crossed.shape[0] + _ROUNDS):
+            before, after = (sample.values[crossed[:, 0], crossed[:, 1]] for sample in (left, right))
+            # the one that is first on straight lines; what is infinite or zero at both ends counts as last
+            with np.errstate(invalid="ignore", divide="ignore"):
+                places = np.nan_to_num(before / (before - after), nan=1.0, posinf=1.0)
+            c, kind = crossed[int(np.argmin(places))].tolist()
+            theta = self._root(t, step, (c, kind), left, right)
+            if found is not None and theta >= found.theta:
+                break
+            found = Crossing(theta, c, kind)
+            values = self._values(t, step, [theta])
+            if not len(values):
+                break
+            right = _Sample(theta, values[0])
+            candidates = (right.values < 0.0) & (left.values > 0.0) & (left.values != NOTHING_THERE)
+            candidates[c, kind] = False
+            candidates[list(self._open.passed), GAP_MARGIN] = False
+            crossed = np.argwhere(candidates)
+            if not crossed.size:
+                break
+        assert found is not None
+        return found
+
+    def _root(self, t: float, step: float, crossed: tuple[int, int], left: _Sample, right: _Sample) -> float:
+        """Where an event function turns negative between two samples."""
+        # what cannot be evaluated counts as beyond the root
+        value = self._function(t, step, crossed, -1.0, {sample.theta: sample.values for sample in (left, right)})
+        low = left.theta
+        if left.values[crossed] <= 0.0:
+            # the mode was entered on its boundary: look for the part where it holds first
+            probe = right.theta
+            for _ in range(_BISECTIONS):
+                probe = low + 0.5 * (probe - low)
+                if value(probe) > 0.0:
+                    break
+            else:
+                return low
+            low = probe
+        return zero_between(value, low, right.theta, ACCURACY)
+
+    # ---------------------------------------------------------------- true steps
+
+    def refine(self, t: float, step: float, crossing: Crossing) -> tuple[float, bool]:
+        """Take trial steps to the crossing, with secants on the true event function there; returns the last one's size,
+        and whether there is a crossing: at loose tolerances the dense output may dip where the motion does not.
+
+        The state that the trial step leaves is of the method's full order; only where to stop came from the dense
+        output.
+        """
+        h = crossing.theta * step
+        back = max(h - _SLOPE_OVER * step, 0.5 * h)
+        c, kind = crossing.c, crossing.kind
+        self._set_slack()
+        ends = self._values(t, step, [back / step, h / step])
+        if len(ends) < 2:
+            self.rk.attempt(t, h)
+            return h, True
+        slope = float(ends[1][c, kind] - ends[0][c, kind]) / (h - back)
+        depth = float(self._depths[c]) if kind == GAP_MARGIN else 0.0
+        before: tuple[float, float] | None = None
+        denied, value = True, 0.0
+        for _ in range(_REFINEMENTS):
+            if self.rk.attempt(t, h) != OK:
+                return h, True
+            value = float(self.system.margins[c, kind]) + depth
+            if before is not None and before[0] != h:
+                slope = (value - before[1]) / (h - before[0])
+            before = h, value
+            denied = denied and value > self._round_off(c, kind)
+            change = -value / slope if slope != 0.0 else 0.0
+            if abs(change) <= _REFINED * step or not 0.0 < h + change <= _FURTHEST * step:
+                break
+            h += change
+        else:
+            self.rk.attempt(t, h)
+        if denied or value < -self._round_off(c, kind):
+            # outputs were written up to there; a function that jumps has no zero for secants
+            h = crossing.theta * step
+            self.rk.attempt(t, h)
+        return h, not denied
+
+    def _round_off(self, c: int, kind: int) -> float:
+        """What is next to nothing in an event function, against its sizes in the last trial step."""
+        lowest, highest = float(self.system.lowest[c, kind]), float(self.system.highest[c, kind])
+        return _NEXT_TO_NOTHING * max(abs(lowest), abs(highest))

@@ -1,0 +1,274 @@
+"""Modes that are decided anew at one instant: who sticks, slips or opens, the state projected accordingly, and the
+events of what has changed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..dynamics.energy import energies_at
+from ..dynamics.modes import Decision, ModeSolver, rest_mode, shares_viscous_force
+from ..geometry.patterns import ON_CURVE
+from ..layout import (
+    DIRECTION_X,
+    EVENT,
+    FREE,
+    FRICTION_MARGIN,
+    FROZEN,
+    LOCATION_FAILED,
+    MODE,
+    MU,
+    MU_STATIC,
+    NO_FORCE,
+    NORMAL_1,
+    NORMAL_MARGIN,
+    NORMAL_SIGN,
+    PATTERN,
+    SLIP_SIGN,
+    SLIPPING,
+    STICK,
+    TANGENTS,
+    UNILATERAL,
+)
+from .accuracy import rest_speed
+from .joint_events import JointEvents
+from .reports import Reports
+from .results import STEP_TOO_SMALL, Stop
+from .runge_kutta import RungeKutta
+from .stages import DAMPING_WORK, DRIVE_WORK, FRICTION_WORK, NUMBER_OF_WORKS
+
+# An event function this far from zero, relative to the largest force, where its sign changes has no root there.
+_JUMP = 1e-6
+# Event functions of friction below this part of the limit, and loads below this part of the largest, are zero where no
+# choice among redundant forces can raise them.
+_AT_LIMIT = 1e-6
+
+
+class ModeChanges:
+    """Changes the modes of the state in `stage_state`, projects it and accepts it; raises Stop where that fails."""
+
+    def __init__(self, rk: RungeKutta, modes: ModeSolver, reports: Reports, joints: JointEvents) -> None:
+        self.rk, self.system, self.modes, self.reports, self.joints = rk, rk.system, modes, reports, joints
+        # directions in which slip began or went on since the last impact
+        self.started: dict[int, np.ndarray] = {}
+        # whether the state carries the account of works
+        self._counts_works = rk.system.ny > rk.system.nq + rk.system.nv + 4 * rk.system.nc
+
+    # ---------------------------------------------------------------- modes
+
+    def sticking(self) -> list[int]:
+        """Contacts and resistances that stick by Coulomb friction: a change elsewhere may upset them."""
+        integers, numbers = self.system.contact_int, self.system.contact_real
+        items = [*self.system.closed(), *self.system.resisting()]
+        return [c for c in items if integers[c, MODE] == STICK and math.isfinite(numbers[c, MU])]
+
+    def set_from_velocities(self, after_impact: bool = False) -> list[int]:
+        """Give closed contacts and their resistances the mode that their slip shows; returns those at rest whose
+        friction is undecided.
+
+        Ideal rolling slides where it did, or after an impact that left it without a normal impulse.
+        """
+        system, numbers = self.system, self.system.contact_real
+        undecided, slowest = [], -1.0
+        for c in [*system.closed(), *system.resisting()]:
+            integers, mu = system.contact_int[c], numbers.item(c, MU)
+            slid = after_impact or integers.item(MODE) == SLIPPING
+            integers[FROZEN] = 0
+            integers[MODE] = rest_mode(mu)
+            if integers[UNILATERAL]:
+                integers[NORMAL_SIGN] = abs(integers.item(NORMAL_SIGN))
+            if mu == 0.0 or (math.isinf(mu) and not (slid and integers[UNILATERAL])):
+                continue
+            along = system.basis[c] @ system.slip[c]
+            speed = abs(along[0]) if integers[TANGENTS] == 1 else math.hypot(along[0], along[1])
+            slowest = slowest if slowest > 0.0 else rest_speed(system)
+            if speed > slowest:
+                integers[MODE] = SLIPPING
+                integers[SLIP_SIGN] = 1 if along[0] >= 0.0 else -1
+                self.guess_normal(system.owner(c))
+            elif math.isfinite(mu):
+                undecided.append(c)
+        return undecided
+
+    def guess_normal(self, c: int) -> None:
+        """Sign (or direction) of a bilateral contact's normal force as in the last evaluation."""
+        integers, numbers, force = self.system.contact_int[c], self.system.contact_real[c], self.system.force[c]
+        if integers[UNILATERAL]:
+            return
+        if integers[PATTERN] == ON_CURVE:
+            size = math.hypot(force[1], force[2])
+            if size > 0.0:
+                numbers[NORMAL_1 : NORMAL_1 + 2] = force[2] / size, force[1] / size
+        else:
+            integers[NORMAL_SIGN] = 1 if force[2] >= 0.0 else -1
+
+    def decide(self, t: float, undecided: list[int], beyond: int | None = None) -> Decision:
+        """Decide modes; the last evaluation is the one in them."""
+        decision = self.modes.decide(t, undecided, self.rk.evaluate, beyond)
+        if decision.status > EVENT:
+            raise self.reports.failure(t, decision.status)
+        self._correct_normal_signs(t)
+        return decision
+
+    def _correct_normal_signs(self, t: float) -> None:
+        """Flip the assumed sign of a sliding bilateral contact's normal force where it came out the other way."""
+        system = self.system
+        for c in system.closed():
+            integers = system.contact_int[c]
+            slips = integers[MODE] == SLIPPING or system.resists(c)
+            if slips and not integers[UNILATERAL] and integers[PATTERN] != ON_CURVE:
+                self.rk.evaluate(t)
+                if system.margins[c, NORMAL_MARGIN] < -self.modes.force_round_off():
+                    integers[NORMAL_SIGN] *= -1
+                    self.rk.evaluate(t)
+
+    def settle(
+        self,
+        t: float,
+        undecided: list[int],
+        at_rest: Mapping[int, np.ndarray] | None = None,
+        silent: bool = False,
+        beyond: int | None = None,
+        explained: bool = False,
+    ) -> None:
+        """Decide the modes of contacts at rest, project and accept the state, and announce what has changed.
+
+        at_rest: contacts that have just come to rest and the directions of their slip till then; what slips on as it
+        did is no event. silent: announce separations only. beyond: a contact whose static friction has been exceeded.
+        explained: see `project`.
+        """
+        system, at_rest = self.system, at_rest or {}
+        before, signs = system.contact_int[:, MODE].copy(), system.contact_int[:, SLIP_SIGN].copy()
+        self.decide(t, undecided, beyond)
+        self.project(t, True, explained)
+        self.rk.accept()
+        for c in [*range(system.nc), *system.resisting()]:
+            mode = int(system.contact_int[c, MODE])
+            if mode == FREE and before[c] != FREE:
+                self.reports.announce(t, c, "separate")
+            elif silent:
+                continue
+            elif c in at_rest:
+                if mode != SLIPPING or self._goes_back(c, at_rest[c]):
+                    self.reports.announce_friction(t, c, mode == SLIPPING)
+            elif shares_viscous_force(system, c):
+                continue
+            elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
+                self.reports.announce_friction(t, c, True)
+        self.joints.announce_changes(t)
+
+    def slip_direction(self, c: int) -> np.ndarray:
+        """Unit vector, world axes, of the slip of an item that slides; zero where there is none."""
+        system = self.system
+        along = system.basis[c, :2] @ system.slip[c]
+        if system.contact_int[c, TANGENTS] == 1:
+            along = np.array([float(system.contact_int[c, SLIP_SIGN]), 0.0])
+        elif system.contact_int[c, FROZEN]:
+            along = system.basis[c, :2] @ system.contact_real[c, DIRECTION_X : DIRECTION_X + 3]
+        speed = math.hypot(along[0], along[1])
+        return along @ system.basis[c, :2] / speed if speed > 0.0 else np.zeros(3)
+
+    def _goes_back(self, c: int, ended: np.ndarray) -> bool:
+        """Whether item c slips on against the direction in which its slip has ended.
+
+        Where slip is slower than it is known, that direction is noise; the one in which it started is not.
+        """
+        direction = self.slip_direction(c)
+        return bool(direction @ ended <= 0.0 and direction @ self.started.get(c, ended) <= 0.0)
+
+    # ---------------------------------------------------------------- redundant forces
+
+    def redistribute(self, t: float, c: int, kind: int) -> bool:
+        """Whether other ones among redundant forces keep all modes, of which event function `kind` of item c ends
+        one."""
+        system = self.system
+        if self.rk.evaluate(t) > EVENT:
+            return False
+        # a force that jumps, as where contacts cease to be redundant, is not one of choice
+        if system.margins[c, kind] > _JUMP * float(np.abs(system.force).max()):
+            return False
+        ended = c if kind == NORMAL_MARGIN and c < system.nc and system.contact_int[c, UNILATERAL] else None
+        if not self.modes.redistribute(t, self.rk.evaluate, ended):
+            return False
+        self.project(t)
+        self.rk.accept()
+        return True
+
+    def limiting(self, c: int, kind: int) -> tuple[int, int]:
+        """The event function that ends a mode, where `kind` of contact c is zero and no other redundant forces would
+        do.
+
+        Forces that shrink to nothing leave their cone anywhere: whether the others have reached the limit of friction,
+        so that all slip and the unloaded contact with them, or that contact opens, is seen at the others.
+        """
+        system = self.system
+        if not self.modes.redundant or c >= system.nc or not system.contact_int[c, UNILATERAL]:
+            return c, kind
+        loads = np.abs(system.force[: system.nc, 2])
+        loads[loads <= _AT_LIMIT * loads.max(initial=0.0)] = 0.0
+        if loads[c] > 0.0:
+            return c, kind
+        limits = {i: float(system.contact_real[i, MU_STATIC] * loads[system.owner(i)]) for i in self.sticking()}
+        limited = [i for i, limit in limits.items() if abs(system.margins[i, FRICTION_MARGIN]) < _AT_LIMIT * limit]
+        return (max(limited, key=lambda i: loads[system.owner(i)]), FRICTION_MARGIN) if limited else (c, NORMAL_MARGIN)
+
+    # ---------------------------------------------------------------- the state
+
+    def project(self, t: float, evaluated: bool = False, explained: bool = False) -> None:
+        """Put the state on its constraints; explained: by an impact, say, whatever that takes from the velocity."""
+        before = None if explained else self.system.v.copy()
+        if not self.rk.project(t, evaluated):
+            if self.rk.evaluate(t) == NO_FORCE:
+                raise self.reports.failure(t, NO_FORCE)
+            raise Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the projection on the constraints failed")
+        if before is None:
+            return
+        taken, speed, allowed = self.modes.taken_from(before)
+        if taken > allowed:
+            raise Stop(
+                STEP_TOO_SMALL,
+                f"t = {t:.9g} s: the projection on the constraints failed: it would change the velocity, of size "
+                f"{speed:.3g} in the mass metric, by {taken:.3g}",
+            )
+
+    def evaluate_accepted(self, t: float) -> None:
+        """Load the accepted state and evaluate it in the present modes."""
+        if self.rk.evaluate_start(t) > EVENT:
+            raise self.reports.failure(t, NO_FORCE)
+
+    def evaluate_rows(self, t: float) -> None:
+        """Evaluate what an impact needs: rows, v_c and the factor of M; forces there may be none."""
+        status = self.rk.evaluate(t)
+        if status > EVENT and status != NO_FORCE:
+            raise self.reports.failure(t, LOCATION_FAILED)
+
+    def accept_with_other_forces(self, t: float) -> None:
+        """Accept the state with other forces, of which none has jumped."""
+        if self.rk.evaluate(t) > EVENT:
+            raise self.reports.failure(t, NO_FORCE)
+        self.project(t, True)
+        self.rk.accept()
+
+    # ---------------------------------------------------------------- the account of works
+
+    def energies(self) -> tuple[float, float]:
+        """Kinetic and potential energy in J at the system's (q, v)."""
+        return energies_at(self.system.model, self.system.q, self.system.v)
+
+    def counted_energy(self) -> float:
+        """Energy in J of the system's state, where works are counted."""
+        return sum(self.energies()) if self._counts_works else 0.0
+
+    def count_loss(self, before: float) -> None:
+        """Book what projections took from the energy `before` in J as work of friction."""
+        self.count_works(friction=self.counted_energy() - before)
+
+    def count_works(self, friction: float = 0.0, drives: float = 0.0, damping: float = 0.0) -> None:
+        """Add works in J to the account, where there is one."""
+        if self._counts_works:
+            works = self.system.stage_state[-NUMBER_OF_WORKS:]
+            works[FRICTION_WORK] += friction
+            works[DRIVE_WORK] += drives
+            works[DAMPING_WORK] += damping

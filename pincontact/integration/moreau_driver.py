@@ -1,0 +1,299 @@
+"""A run of Moreau's method: constant steps, outputs, and users' events."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+
+from ..layout import FREE, LOCATION_FAILED, MODE, OK, SINGULAR, SLIPPING, STICK
+from .events import UserEvent
+from .impulse_steps import AT_END, AT_LIMIT, GOING_ON, INNER_OUTPUT_LEFT, OUTPUT_LEFT, TRIED
+from .moreau import MoreauStep, Torque
+from .results import CONTOUR_ENDS, FINISHED, FLIES_THROUGH, TERMINATED, Event, Stop
+from .results import STEP_LIMIT as AT_STEP_LIMIT
+from .sign_changes import resolve, with_dips, zero_between
+from .step_control import SLIVER
+
+# Accuracy of the time of a user's event, relative to the step.
+_EVENT_ACCURACY = 1e-12
+
+
+class MoreauDriver:
+    """A run of constant steps, with outputs and users' events.
+
+    record(t): called for outputs outside compiled steps, with the state in the system. flush(): makes room for rows
+    that compiled steps write. torque: see `MoreauStep.ask`; progress(t): called now and then, or None.
+    t_eval: output times in s, None for every step. breakpoints: times in s, in order within the run, at which steps
+    end.
+    """
+
+    def __init__(
+        self,
+        step: MoreauStep,
+        users: list[UserEvent],
+        record: Callable[[float], None],
+        flush: Callable[[], None],
+        size: float,
+        t_eval: np.ndarray | None,
+        max_steps: int,
+        torque: Torque | None,
+        progress: Callable[[float], None] | None,
+        breakpoints: Sequence[float] = (),
+    ) -> None:
+        self.breakpoints, self._earlier_steps = breakpoints, 0
+        self.step, self.system, self.users = step, step.system, users
+        self.record, self.flush, self.size, self.max_steps = record, flush, size, max_steps
+        self.torque, self.progress = torque, progress
+        self.events: list[Event] = []
+        self.system.set_output_times(t_eval)
+
+    def run(self, t: float, t_end: float) -> tuple[int, str]:
+        """Step from t to t_end (s); returns a code of `results` and a message. Raises what users' functions do."""
+        self.step.ask(self.torque)
+        try:
+            self._run(t, t_end)
+        except Stop as stop:
+            return stop.code, stop.message
+        finally:
+            # nothing of the user's is kept
+            self.step.ask(None)
+        return FINISHED, "the end of the interval was reached" + self._remarks()
+
+    def _remarks(self) -> str:
+        """What is to be said of problems that had no solution, or none that was found, and of loads on which the motion
+        depends, and of which more than one choice is right."""
+        cones, left_open, said = self.step.cones, self.step.stats["open_loads"], ""
+        if cones.settled:
+            off = f"off by up to {cones.settled_off:.2g} of the largest"
+            said += f"; {cones.settled} cone problems were settled with the friction of other loads, {off}"
+        if left_open:
+            said += f"; in {left_open} cone problems rigid bodies leave open how redundant contacts share loads while "
+            said += "some slide"
+        return said
+
+    def _run(self, start: float, end: float) -> None:
+        step = self.step
+        self._plan(start, end)
+        self._check(step.begin(start), start)
+        for event in self.users:
+            event.value = event.value_at(start, self.system)
+        self._output(start)
+        for jump in self.breakpoints:
+            # so much before it that no rounding of the step takes it for a whole one, and gets there
+            self._run_until(start, max(start, jump - 2.0 * SLIVER * self.size))
+            while self._next_output <= jump:
+                self._record(self._next_output, asked=False)
+                self.system.output_done()
+            self._earlier_steps += step.steps
+            step.steps = 0
+            start = math.nextafter(jump, math.inf)
+            before = self.system.modes.copy()
+            self._check(step.begin(start), start)
+            for c, contact in enumerate(self.system.contacts):
+                if before[c] == STICK and self.system.contact_int[c, MODE] == SLIPPING:
+                    self._announce(jump, contact.name, "slip")
+        self._run_until(start, end)
+
+    def _run_until(self, start: float, end: float) -> None:
+        step, size, count = self.step, self.size, self._plan(start, end)
+        most = self.max_steps - self._earlier_steps
+        why = GOING_ON
+        while why != AT_END:
+            self.flush()
+            approved = why == TRIED
+            ahead = 1 if approved else step.look()
+            why = step.integrate(most, ahead, approved)
+            i = step.steps
+            t, t_new = start + i * size, end if i >= count - 1 else start + (i + 1) * size
+            if why == TRIED:
+                self._user_events(t, t_new)
+                self._report(t, t_new)
+            elif why == OUTPUT_LEFT:
+                self._output(end if i == count else t, asked=True)
+            elif why == INNER_OUTPUT_LEFT:
+                self._record(float(self._next_output), asked=True)
+                self.system.output_done()
+            elif why == AT_LIMIT and i >= most:
+                raise Stop(AT_STEP_LIMIT, f"t = {t:.9g} s: the limit of {self.max_steps} steps was reached")
+            elif why == CONTOUR_ENDS:
+                raise self._end_of_contour(t, t + step.size)
+            elif why == AT_LIMIT and ahead == 0:
+                self._check(FLIES_THROUGH, t)
+            elif why not in (GOING_ON, AT_END, AT_LIMIT):
+                self._check(why, t)
+            if self.progress is not None:
+                i = step.steps
+                self.progress(end if i == count else start + i * size)
+        if step.flew_through(end):
+            self._check(FLIES_THROUGH, end)
+
+    def _plan(self, start: float, end: float) -> int:
+        """Prepare steps of constant size, the last of which ends at the end; returns how many there are."""
+        size = self.size
+        count = max(math.ceil((end - start) / size - SLIVER), 1) if end > start else 0
+        self.step.set_run(start, end, size, count, self.max_steps - self._earlier_steps, bool(self.users))
+        return count
+
+    @property
+    def steps(self) -> int:
+        """Accepted steps so far."""
+        return self._earlier_steps + self.step.steps
+
+    def _check(self, status: int, t: float) -> None:
+        if status != OK:
+            if status in (SINGULAR, LOCATION_FAILED):
+                self._announce(t, None, "singular")
+            raise self.step.describe(status, t)
+
+    def _try_step(self, t: float, t_new: float) -> None:
+        h = t_new - t
+        if abs(h - self.size) <= SLIVER * self.size:
+            # not what rounding has made of it
+            h = self.size
+        status = self.step.try_step(t, h)
+        if status == CONTOUR_ENDS:
+            raise self._end_of_contour(t, t_new)
+        self._check(status, t)
+
+    def _end_of_contour(self, t: float, t_new: float) -> Stop:
+        """Step from t to where a contact that cannot open reaches the end of a contour, which it does before t_new."""
+        step = self.step
+        name = self.system.contacts[step.nearest_end()].name
+        inside, outside = t, t_new
+        while outside - inside > _EVENT_ACCURACY * (t_new - t):
+            middle = 0.5 * (inside + outside)
+            inside, outside = (middle, outside) if step.try_step(t, middle - t) == OK else (inside, middle)
+        if inside > t:
+            self._try_step(t, inside)
+            if self.users:
+                self._user_events(t, inside)
+            self._report(t, inside)
+            step.accept(inside)
+            step.steps += 1
+        self._announce(inside, name, "edge")
+        self._output(inside)
+        return step.describe(CONTOUR_ENDS, inside)
+
+    def _report(self, t: float, t_new: float) -> None:
+        """What happened to the contacts in the trial step."""
+        step, names = self.step, [c.name for c in self.system.contacts]
+        found: list[tuple[float, str, str]] = []
+        for c, name in enumerate(names):
+            before, after = int(step.start_mode[c]), int(self.system.contact_int[c, MODE])
+            edge = float(step.edge_time[c])
+            if step.touch_time[c] >= 0.0:
+                found.append((t + float(step.touch_time[c]), name, "touch"))
+            if edge >= 0.0:
+                found.append((t + max(edge, float(step.touch_time[c])), name, "edge"))
+            elif step.touch_time[c] >= 0.0:
+                continue
+            elif before != FREE and after == FREE:
+                found.append((t_new, name, "separate"))
+            elif before == STICK and after == SLIPPING:
+                found.append((t_new, name, "slip"))
+            elif before == SLIPPING and after == STICK:
+                found.append((t_new, name, "stick"))
+        for when, name, kind in sorted(found, key=lambda entry: entry[0]):
+            self._announce(when, name, kind)
+
+    def _announce(self, t: float, contact: str | None, kind: str, index: int = -1) -> None:
+        self.events.append(Event(t, contact, kind, self.system.q.copy(), self.system.v.copy(), index))
+
+    # ---------------------------------------------------------------- outputs
+
+    @property
+    def _next_output(self) -> float:
+        return float(self.system.scalars["next_output"])
+
+    def _output(self, t: float, asked: bool = False) -> None:
+        """Record the state at t, once for every output time that falls on it; asked: torques are set for it."""
+        if self.system.counters["record_steps"]:
+            self._record(t, asked)
+            return
+        while self._next_output <= t + SLIVER * self.size:
+            self._record(t, asked)
+            self.system.output_done()
+
+    def _record(self, t: float, asked: bool) -> None:
+        if self.torque is not None and not asked:
+            self.torque(t)
+            self.system.check_torques(t)
+        self.record(t)
+
+    # ---------------------------------------------------------------- users' events
+
+    def _user_events(self, t: float, t_new: float) -> None:
+        """Locate the zeros of users' functions in the trial step by shorter ones; a terminal one ends the run.
+
+        Where to look is told by the functions on the straight way from the step's start to its end.
+        """
+        system, users = self.system, self.users
+        nq, nv = system.nq, system.nv
+        ends = [(state[:nq].copy(), state[nq : nq + nv].copy()) for state in (system.state, system.stage_state)]
+        values = [event.value_at(t_new, system) for event in users]
+        found: list[tuple[float, int]] = []
+        looked = False
+        for event, after in zip(users, values):
+            on_the_way = self._cached(event, after, partial(self._value_between, event, ends, t, t_new))
+            samples = with_dips(on_the_way, resolve(on_the_way, event.value, after))
+            turns = sum((low < 0.0) != (high < 0.0) or high == 0.0 for (_, low), (_, high) in pairwise(samples))
+            if turns == 0:
+                continue
+            looked = True
+            stepped = self._cached(event, after, partial(self._value_after, event, t, t_new))
+            # one zero lies between the ends; of several, those which shorter steps find there, too
+            places = [0.0, 1.0] if turns == 1 and event.crosses(event.value, after) else [s for s, _ in samples]
+            for low, high in pairwise(places):
+                if event.crosses(stepped(low), stepped(high)):
+                    found.append((t + self._root(stepped, low, high) * (t_new - t), event.index))
+        for when, i in sorted(found):
+            self._try_step(t, when)
+            self._announce(when, None, "user", i)
+            if users[i].terminal:
+                self._report(t, when)
+                self.step.accept(when)
+                self.step.steps += 1
+                if self.system.counters["record_steps"]:
+                    self._output(when)
+                raise Stop(TERMINATED, "a terminal event occurred")
+        if looked:
+            # shorter steps have taken its place
+            self._try_step(t, t_new)
+        for event, value in zip(users, values):
+            event.value = value
+
+    @staticmethod
+    def _cached(event: UserEvent, after: float, value: Callable[[float], float]) -> Callable[[float], float]:
+        """A function of fractions of a step, with the values that are known at both ends, asked once for each place."""
+        known = {0.0: event.value, 1.0: after}
+
+        def cached(place: float) -> float:
+            if place not in known:
+                known[place] = value(place)
+            return known[place]
+
+        return cached
+
+    def _value_between(
+        self, event: UserEvent, ends: list[tuple[np.ndarray, np.ndarray]], t: float, t_new: float, place: float
+    ) -> float:
+        (q0, v0), (q1, v1) = ends
+        q = pin.interpolate(self.system.model, q0, q1, place)
+        return event.value_of(t + place * (t_new - t), q, v0 + place * (v1 - v0), self.system)
+
+    def _value_after(self, event: UserEvent, t: float, t_new: float, place: float) -> float:
+        """After a step that is shorter by that factor."""
+        when = t + place * (t_new - t)
+        self._try_step(t, when)
+        return event.value_at(when, self.system)
+
+    @staticmethod
+    def _root(value: Callable[[float], float], low: float, high: float) -> float:
+        if value(high) == 0.0 or math.isinf(value(low)) or math.isinf(value(high)):
+            return high
+        return zero_between(value, low, high, _EVENT_ACCURACY)

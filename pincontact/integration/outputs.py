@@ -1,0 +1,70 @@
+"""Where outputs are written in an event-driven run: at accepted states, and within steps from the dense output."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..layout import OK
+from .contradictions import projection_failure
+from .results import STEP_TOO_SMALL, Stop
+from .runge_kutta import RungeKutta
+from .steps import BLOCK_FULL, WRITE_OUTPUTS
+
+
+def no_dense_output(t: float) -> Stop:
+    """The Stop for a step that has none."""
+    return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the dense output of a step could not be evaluated")
+
+
+class Outputs:
+    """Writes the outputs at given times, or at every accepted state.
+
+    record(t): writes the state in the system. flush(): makes room for the rows that compiled steps write. times: s,
+    None for every accepted state.
+    """
+
+    def __init__(
+        self, rk: RungeKutta, record: Callable[[float], None], flush: Callable[[], None], times: np.ndarray | None
+    ) -> None:
+        self.rk, self.system, self.record, self.flush = rk, rk.system, record, flush
+        self.every_state = times is None
+        self.system.set_output_times(times)
+
+    def due(self, t: float) -> bool:
+        """Whether an output is asked for at t or before."""
+        return bool(self.system.scalars["next_output"] <= t)
+
+    def write_state(self, t: float, at_their_times: bool = False) -> None:
+        """The system's state at t has been accepted: write it, where all are, and for every output time that has come,
+        as that of t or of the time that was asked for."""
+        self.write_end(t)
+        self.write_asked(t, at_their_times)
+
+    def write_end(self, t: float) -> None:
+        """Write the system's state where all are written."""
+        if self.every_state:
+            self.record(t)
+
+    def write_asked(self, t: float, at_their_times: bool = False) -> None:
+        """Write the system's state for every output time that has come; see `write_state`."""
+        while self.due(t):
+            self.record(float(self.system.scalars["next_output"]) if at_their_times else t)
+            self.system.output_done()
+
+    def write_until(self, until: float) -> None:
+        """Write the output times up to `until` in the step that was interpolated last."""
+        status = BLOCK_FULL
+        while status == BLOCK_FULL:
+            self.flush()
+            status = self.system.run(WRITE_OUTPUTS, until)
+        if status != OK:
+            raise projection_failure(self.system, until)
+
+    def write_short_step(self, t: float, step: float) -> None:
+        """Write the output times in the last trial step, from t, whatever its size in s."""
+        if self.due(t + step):
+            if self.rk.interpolant(t, step) is None:
+                raise no_dense_output(t)
+            self.write_until(t + step)

@@ -1,0 +1,146 @@
+"""What a run says of itself: the list of its events, why it stops, and chatter, which stops it."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from ..dynamics.joints import without_inertia
+from ..dynamics.modes import ModeSolver
+from ..layout import CONDITION, LOCATION_FAILED, MASS_NOT_POSITIVE, NO_FORCE, SINGULAR, SLIPPING
+from .results import ADVICE, CHATTER, FAILURES, SINGULAR_CONTACT, STEP_TOO_SMALL, Event, Stop
+from .runge_kutta import RungeKutta
+
+# Chatter: so many mode changes within this fraction of the run, or so many within this fraction of it (and at most
+# this time in s) for every contact and guarded joint coordinate. Rebounds are not counted, they end by themselves.
+_CHATTER_EVENTS, _CHATTER_SPAN = 40, 1e-9
+_DENSE_EVENTS, _DENSE_SPAN, _DENSE_TIME = 500, 1e-2, 1.0
+# Contacts named in the message.
+_CHATTER_NAMES = 3
+# Below this conditioning of the location equations, a failure is that of a contact that degenerates.
+_DEGENERATE = 1e-5
+
+
+class Reports:
+    """The events of a run, and the messages with which it stops.
+
+    An *item* is a contact (0 to nc - 1), a guarded joint coordinate (the next ng) or a contact's resistance to turning.
+    span: duration of the run in s.
+    """
+
+    def __init__(self, rk: RungeKutta, modes: ModeSolver, names: list[str], span: float) -> None:
+        self.rk, self.system, self.modes, self.names, self.span = rk, rk.system, modes, names, span
+        self.events: list[Event] = []
+        self._changes: list[tuple[float, int]] = []
+
+    # ---------------------------------------------------------------- events
+
+    def announce(self, t: float, item: int | None, kind: str, index: int = -1) -> Event:
+        """Add an event of an item, or of the user's function number index, with the system's present state."""
+        return self.announce_at(t, item, kind, self.system.q.copy(), self.system.v.copy(), index)
+
+    def announce_at(
+        self, t: float, item: int | None, kind: str, q: np.ndarray, v: np.ndarray, index: int = -1
+    ) -> Event:
+        """Add an event with the state (q, v)."""
+        contact, joint = self._name(item) if item is not None else (None, None)
+        event = Event(t, contact, kind, q, v, index, joint)
+        self.events.append(event)
+        return event
+
+    def friction_event(self, item: int, slips: bool) -> str:
+        """Kind of the event that a contact, or its resistance to turning, begins to slip or comes to rest."""
+        if item >= self.system.nc:
+            return "turn" if slips else "hold"
+        return "slip" if slips else "stick"
+
+    def announce_friction(self, t: float, item: int, slips: bool) -> None:
+        """A contact, or what resists its turning, has begun to slip or come to rest."""
+        self.announce(t, item, self.friction_event(item, slips))
+
+    def withdraw(self, event: Event) -> None:
+        """Take an event back."""
+        self.events = [other for other in self.events if other is not event]
+
+    def _name(self, item: int) -> tuple[str | None, str | None]:
+        """Name of an item's contact, or else of its joint."""
+        nc, ng = self.system.nc, self.system.ng
+        if nc <= item < nc + ng:
+            return None, self.system.guards[item - nc].joint
+        return self.names[self.system.owner(item)], None
+
+    def _describe(self, item: int) -> str:
+        contact, joint = self._name(item)
+        return f"contact {contact!r}" if contact is not None else f"joint {joint!r}"
+
+    # ---------------------------------------------------------------- ends of runs
+
+    def check_chatter(self, t: float, item: int) -> None:
+        """Count a mode change of an item; raises Stop where there are too many in too short a time."""
+        changes = self._changes
+        changes.append((t, item))
+        dense = _DENSE_EVENTS * self.system.items
+        limits = (_CHATTER_EVENTS, _CHATTER_SPAN * self.span), (dense, min(_DENSE_SPAN * self.span, _DENSE_TIME))
+        for count, span in limits:
+            if len(changes) > count and t - changes[-count - 1][0] <= span:
+                often = Counter(i for _, i in changes[-count:]).most_common(_CHATTER_NAMES)
+                raise Stop(
+                    CHATTER,
+                    f"t = {t:.9g} s: {count} mode changes within {t - changes[-count - 1][0]:.3g} s (chatter), most of "
+                    f"{', '.join(self._describe(i) for i, _ in often)}; {ADVICE}",
+                )
+        if len(changes) > 2 * dense:
+            del changes[:dense]
+
+    def failure(self, t: float, status: int) -> Stop:
+        """The Stop for the status of an evaluation or a step; it names the contact, its pattern and the number."""
+        if (status == LOCATION_FAILED or status not in FAILURES) and self._degenerates(t):
+            status = SINGULAR
+        if status not in FAILURES:
+            return Stop(STEP_TOO_SMALL, f"t = {t:.9g} s: the step size fell below its floor{self._largest_slide()}")
+        code, reason = FAILURES[status]
+        if status == NO_FORCE and self.modes.proved:
+            reason = "no contact forces satisfy Coulomb's law (Painleve)"
+        elif status == NO_FORCE and self.system.counters["lost_positivity"]:
+            reason = "friction between several contacts leaves more than one solution (Painleve)"
+        if status == MASS_NOT_POSITIVE:
+            reason = without_inertia(self.system.model, self.system.data, self.system.q)
+        advice = f"; {ADVICE}" if status == NO_FORCE else ""
+        culprit = self._culprit(status)
+        if code == SINGULAR_CONTACT:
+            self.announce(t, culprit, "singular")
+        where, number = "", ""
+        if culprit is not None:
+            where = f"contact {self.names[culprit]!r} ({self.system.contacts[culprit].pattern.name}): "
+            if code == SINGULAR_CONTACT:
+                number = f"; conditioning of J {abs(self.system.contact_real[culprit, CONDITION]):.3g}"
+        return Stop(code, f"t = {t:.9g} s: {where}{reason}{number}{advice}")
+
+    def _largest_slide(self) -> str:
+        """What a message adds where something slides: friction may let forces grow without bound (Painleve)."""
+        sliding = np.flatnonzero(self.system.modes == SLIPPING)
+        if not sliding.size:
+            return ""
+        forces = np.linalg.norm(self.system.force[sliding], axis=1)
+        name = self.names[sliding[forces.argmax()]]
+        return f"; the largest force on what slides is {forces.max():.3g} N at contact {name!r}; {ADVICE}"
+
+    def _degenerates(self, t: float) -> bool:
+        """Whether a closed contact is as good as singular at the accepted state, which is evaluated."""
+        system = self.system
+        closed = system.closed()
+        if not closed:
+            return False
+        self.rk.load(system.state)
+        self.rk.evaluate(t)
+        return bool(np.abs(system.contact_real[closed, CONDITION]).min() < _DEGENERATE)
+
+    def _culprit(self, status: int) -> int | None:
+        """The contact that a failure is put down to."""
+        system = self.system
+        if status == NO_FORCE:
+            return next(iter(np.flatnonzero(system.modes == SLIPPING).tolist()), None)
+        if status in (SINGULAR, LOCATION_FAILED) and system.nc:
+            return int(np.argmin(np.abs(system.contact_real[: system.nc, CONDITION])))
+        return None

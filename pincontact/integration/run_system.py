@@ -1,0 +1,84 @@
+"""A system with the memory of a run: the states and slopes of steps, output times, and the tasks of compiled steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..dynamics.system import System
+from ..layout import DENSE_ROWS, EVENT, KEPT_ROWS, MARGINS_PER_CONTACT, MAX_STAGES, POLYNOMIAL_SIZE, SCAN_ROOM
+from .steps import PROJECT, PROJECT_EVALUATED, SCAN, run_task
+
+# So many output times there is room for in every system.
+_FEW_TIMES = 256
+_NO_TIMES = np.zeros(0)
+
+
+class RunSystem(System):
+    """What one run needs, laid out once. Arguments are those of `System`."""
+
+    def __init__(self, *given: Any, **options: Any) -> None:
+        super().__init__(*given, **options)
+        ny, items = self.ny, max(self.items, 1)
+        # blocks of rows to be recorded, by their width, which all runs of this system fill
+        self.row_blocks: dict[int, list[tuple[str, np.ndarray, int]]] = {}
+        for name in ("stage_state", "new_state", "next_state", "next_slope"):
+            self.scratch(name, ny)
+        self.scratch("slopes", MAX_STAGES, ny)
+        self.scratch("dense", DENSE_ROWS, ny)
+        self.zeros("scale", 2)
+        self.zeros("absolute", ny)
+        self.scratch("across", 2 * items + 1, POLYNOMIAL_SIZE)
+        self.scratch("scan_shares", SCAN_ROOM)
+        self.scratch("scan_status", SCAN_ROOM)
+        self.scratch("scan_margins", SCAN_ROOM + KEPT_ROWS, items, MARGINS_PER_CONTACT)
+        self._few_times = self.scratch("output_times", _FEW_TIMES)
+        self.output_times = _NO_TIMES
+
+    def run(self, task: int, t: float = 0.0, h: float = 0.0) -> int:
+        """A task of `steps.run_task`; returns what it does, raises what `check_callbacks` does."""
+        return self.checked(run_task(self.address, task, t, h))
+
+    def scan(self, t: float, step: float, shares: Sequence[float]) -> tuple[list[bool], np.ndarray]:
+        """Event functions along the step from t that was interpolated last, at shares of it, at most SCAN_ROOM: (n,)
+        whether they could be evaluated, (n, items, MARGINS_PER_CONTACT) a view that the next scan overwrites.
+
+        The gap of an open contact is NOTHING_THERE where no nearest point was found.
+        """
+        n = len(shares)
+        self.scan_shares[:n] = shares
+        self.counters["scan_count"] = n
+        self.run(SCAN, t, step)
+        return [status <= EVENT for status in self.scan_status[:n].tolist()], self.scan_margins[:n, : self.items]
+
+    def project(self, t: float, evaluated: bool = False, error: float = math.inf) -> int:
+        """Put (q, v) and location of `stage_state` on the constraints; returns a status of `layout`.
+
+        evaluated: the system has just been evaluated at that state; error: see `projection.project`.
+        """
+        return self.run(PROJECT_EVALUATED if evaluated else PROJECT, t, error)
+
+    def set_output_times(self, times: np.ndarray | None) -> None:
+        """Output times in s, in order, of a run that begins; None for an output at every step."""
+        counters, given = self.counters, _NO_TIMES if times is None else times
+        if given.size <= _FEW_TIMES:
+            # an array's address takes longer to find than these to copy
+            self._few_times[: given.size] = given
+            self.output_times = self._few_times[: given.size]
+        else:
+            self.put("output_times", np.ascontiguousarray(given))
+        counters["output_count"], counters["outputs_done"], counters["record_steps"] = given.size, 0, times is None
+        self.announce_output()
+
+    def announce_output(self) -> None:
+        """Tell the compiled steps when the next output is due."""
+        done = self.counters["outputs_done"].item()
+        self.scalars["next_output"] = self.output_times[done] if done < self.output_times.size else math.inf
+
+    def output_done(self) -> None:
+        """Go on to the next output time."""
+        self.counters["outputs_done"] += 1
+        self.announce_output()

@@ -1,0 +1,142 @@
+"""Slip in three dimensions at the ends of steps: where it ends its direction is singular, and where it is slow friction
+turns it faster than explicit steps follow."""
+
+from __future__ import annotations
+
+import math
+
+from ..dynamics.linear import inner, whiten
+from ..dynamics.resistance import count_items
+from ..geometry.small import dot
+from ..jit import kernel
+from ..layout import (
+    FROZEN,
+    LAST_NORMAL_X,
+    MODE,
+    MU,
+    NEXT_NORMAL_X,
+    SLIP_RATE,
+    SLIP_SPEED,
+    SLIPPING,
+    START_RATE,
+    START_SPEED,
+    START_TOLERANCE,
+    TANGENTS,
+)
+
+# No step goes further than this fraction of the way to the end of slip.
+_STOP_FRACTION = 0.8
+# Slip has ended once its speed is down to the error that steps are allowed to make in it, where its direction is noise;
+# the rest is one linear step, whose error is of second order in the time left. Where steps no longer get anywhere near
+# the end, the speed that counts as ended is doubled at every trial step, so many times at most.
+_STOP_DOUBLINGS = 10
+_PROGRESS = 0.9
+# Growth by which a slip has got away from its slowest point.
+_ESCAPE = 2.0
+# Speed in m/s that counts as ended whatever the tolerances.
+_SMALLEST_STOP_SPEED = 1e-13
+# Steps of more than this over the time in which friction turns a slip are held back by stability, not by accuracy: the
+# pairs' limits are 2.5, 3.3 and 6.4.
+_STIFF = 2.0
+
+
+@kernel
+def note_end(system):
+    """From the last evaluation, that of STAGE_STATE, what the next step is held against: each contact's normal, the
+    speed and rate of every 3D slip with the error that is allowed in it, and how fast friction turns it.
+    """
+    nv, n, v = system.sizes.nv, count_items(system), system.v
+    relative, absolute = system.scale[0], system.scale[1]
+    turning = 0.0
+    for c in range(n):
+        contact, number, basis = system.contact_int[c], system.contact_real[c], system.basis[c]
+        for i in range(3):
+            number[NEXT_NORMAL_X + i] = basis[2, i]
+        number[START_SPEED] = math.inf
+        if contact[MODE] != SLIPPING or contact[TANGENTS] != 2 or contact[FROZEN] != 0 or not number[MU] > 0.0:
+            continue
+        number[START_SPEED], number[START_RATE] = number[SLIP_SPEED], number[SLIP_RATE]
+        turning = max(turning, _turning_rate(system, c, n))
+        allowed = _SMALLEST_STOP_SPEED
+        for row in range(3):
+            line, value = system.rows[c, row], 0.0
+            for k in range(nv):
+                value += abs(line[k]) * (absolute + relative * abs(v[k]))
+            allowed = max(allowed, value)
+        number[START_TOLERANCE] = allowed
+    system.scalars.turning_rate = turning
+
+
+@kernel
+def _turning_rate(system, c, n):
+    """How fast friction turns the slip of item c into the direction in which it would go, in 1 / s: |F_t| w M^-1 w^T
+    over the speed, with w the row across the slip."""
+    nv, force, work = system.sizes.nv, system.force[c], system.work
+    basis, rows, slip = system.basis[c], system.rows[c], system.slip[c]
+    first, second = dot(basis[0], slip), dot(basis[1], slip)
+    for k in range(nv):
+        work[k] = first * rows[1, k] - second * rows[0, k]
+    whiten(system.factor, system.parents, nv, work, work)
+    speed = math.hypot(first, second)
+    return math.hypot(force[0], force[1]) * inner(work, work, nv) / speed**3 if speed > 0.0 else 0.0
+
+
+@kernel
+def begin_next(system):
+    """What was noted holds from here on; steps that slow slip makes stiff are counted."""
+    n, scalars, counters = count_items(system), system.scalars, system.counters
+    contact_real = system.contact_real
+    for c in range(n):
+        for i in range(3):
+            contact_real[c, LAST_NORMAL_X + i] = contact_real[c, NEXT_NORMAL_X + i]
+    stiff = scalars.turning_rate * scalars.step > _STIFF
+    counters.stiff_steps = counters.stiff_steps + 1 if stiff else 0
+    watch_slips(system, n, True)
+
+
+@kernel
+def watch_slips(system, n, accepted):
+    """Count trial steps that bring no slip nearer to its end, while one that slows down is within reach of it."""
+    scalars, counters = system.scalars, system.counters
+    least, slowest, near = math.inf, math.inf, False
+    for c in range(n):
+        number = system.contact_real[c]
+        speed = number[START_SPEED]
+        if speed < math.inf:
+            least = min(least, speed)
+            if number[START_RATE] < 0.0:
+                slowest = min(slowest, speed)
+                near = near or speed <= number[START_TOLERANCE] * 2.0**_STOP_DOUBLINGS
+    if slowest == math.inf:
+        # a slip that grows again has passed its slowest point: that was not its end
+        if accepted and least < math.inf and least > _ESCAPE * scalars.slowest:
+            scalars.slowest = math.inf
+            counters.stalled = 0
+        return
+    if accepted and slowest < _PROGRESS * scalars.slowest:
+        scalars.slowest = slowest
+        counters.stalled = 0
+    elif near:
+        counters.stalled = min(counters.stalled + 1, _STOP_DOUBLINGS)
+
+
+@kernel
+def slip_ends(system, n):
+    """Whether a slip is as good as over."""
+    for c in range(n):
+        number = system.contact_real[c]
+        allowed = number[START_TOLERANCE] * 2.0**system.counters.stalled
+        if number[START_RATE] < 0.0 and number[START_SPEED] < math.inf and number[START_SPEED] <= allowed:
+            return True
+    return False
+
+
+@kernel
+def time_to_stop(system, n):
+    """Time in s after which a step must end before slip does; infinite where none slows down."""
+    least = math.inf
+    for c in range(n):
+        number = system.contact_real[c]
+        if number[START_SPEED] < math.inf and number[START_RATE] < 0.0:
+            least = min(least, _STOP_FRACTION * number[START_SPEED] / -number[START_RATE])
+    return least

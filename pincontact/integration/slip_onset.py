@@ -1,0 +1,295 @@
+"""Onset of slip: out of stick at the friction limit, from rest, and slow slip that is followed in steps of its own.
+
+Slip that begins has no direction in v_c yet. It is given one (`freeze_slip`), in which a short step is taken. Where
+friction turns slow slip faster than it grows, the direction is found by collocation (`slow_slip`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from ..dynamics.directions import freeze_slip
+from ..dynamics.modes import Decision
+from ..dynamics.stretches import opposed_slip
+from ..dynamics.units import whiten
+from ..layout import (
+    DIRECTION_X,
+    DOMAIN,
+    DOMAIN_MARGIN,
+    EVENT,
+    FREE,
+    FRICTION_MARGIN,
+    FROZEN,
+    GAP_MARGIN,
+    MODE,
+    MU,
+    MU_STATIC,
+    NO_FORCE,
+    NORMAL_MARGIN,
+    OK,
+    POLYNOMIAL,
+    POLYNOMIAL_SIZE,
+    SLIP_RATE,
+    START_SPEED,
+    STICK,
+    TANGENTS,
+)
+from .accuracy import gap_accuracy, gap_rate, rest_speed
+from .jams import held_up, stop_slips
+from .mode_changes import ModeChanges
+from .open_contacts import OpenContacts
+from .slow_slip import SlowSlip
+from .steps import FAILED_FACTOR
+
+# The start of slip is followed over times down to this fraction of the seed's.
+_SHORTEST_START = 1e-3
+# Where it cannot be followed, slip is seeded after this fraction of the usual time.
+_SHORT_SEED = 1e-2
+# So often a seed is shortened, to a millionth, where the motion turns within it: a disk that is almost flat turns round
+# in microseconds.
+_SHORTENINGS = 10
+# Slip from rest starts slowly where friction turns it this many times faster than it grows.
+_SLOW_START = 30.0
+# So often, and so much shorter each time, is looked for slip that a seed has not shown.
+_LOOKS_FOR_SLIP, _SHORTER_SEED = 3, 0.1
+# Where contacts open as stick ends, they do after this fraction of the usual time.
+_OPENING_SEED = 1e-4
+# Forces below zero, or above their limit, by less than this part of the largest one are no events while slip starts.
+_FORCE_ACCURACY = 1e-6
+# A gap that is closed already counts as so much of its accuracy.
+_LEAST_WAY = 1e-2
+
+
+class SlipOnset:
+    """Starts slips of the state that `changes` has decided the modes of; methods return the time after it.
+
+    depths: (items,) how much deeper in m than their accuracy open contacts may be, see `penetration`.
+    seed: time in s after which slip from rest is seeded: its error is of third order in it.
+    longest: the longest time in s that the start of slip may take; the driver keeps it current.
+    emit(t, step): writes the outputs that fall into a short step (start, size in s) taken here; the driver sets it.
+    """
+
+    def __init__(self, changes: ModeChanges, opened: OpenContacts, depths: np.ndarray, span: float) -> None:
+        self.changes, self.rk, self.system = changes, changes.rk, changes.system
+        self.open, self.depths = opened, depths
+        self.longest = 0.0
+        self.emit: Callable[[float, float], None] = lambda t, step: None
+        # the cube root of the relative tolerance, and no more than a hundredth of the run
+        cube_root = (1e-2 * max(float(self.system.scale[0]), 1e-14)) ** (1.0 / 3.0)
+        self.seed = min(cube_root, 1e-2 * span if span > 0.0 else 1.0)
+
+    def resolve(
+        self,
+        t: float,
+        undecided: list[int],
+        at_rest: Mapping[int, np.ndarray] | None = None,
+        silent: bool = False,
+        beyond: int | None = None,
+    ) -> float:
+        """Decide the modes of contacts at rest (see `ModeChanges.settle`), and start those that slip."""
+        self.changes.settle(t, undecided, at_rest, silent, beyond)
+        return self.start(t)
+
+    # ---------------------------------------------------------------- from rest, with a finite acceleration
+
+    def start(self, t: float) -> float:
+        """Start slip that has been given a direction: by a tiny step in that direction, so that v_c has one."""
+        system = self.system
+        frozen = np.flatnonzero(system.contact_int[:, FROZEN]).tolist()
+        if not frozen:
+            return t
+        tau = min(self.seed**1.5, self.until_touch())
+        if self._starts_slowly(t, frozen):
+            took = self._follow(t, frozen, 1, self.longest, tau)
+            if took is not None:
+                return self._end(t, took, system.new_state)
+            system.contact_real[frozen, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
+            self.rk.evaluate_start(t)
+        tau = self._trial_step(t, tau)
+        return self._end(t, tau, system.new_state)
+
+    def _starts_slowly(self, t: float, frozen: list[int]) -> bool:
+        """Whether friction turns any of these slips, which start from rest, much faster than they grow."""
+        system = self.system
+        self.rk.load(system.state)
+        if self.longest <= 0.0 or self.rk.evaluate(t) > EVENT:
+            return False
+        for c in frozen:
+            numbers = system.contact_real[c]
+            direction = system.basis[c, :2] @ numbers[DIRECTION_X : DIRECTION_X + 3]
+            aside = whiten(system, direction[0] * system.rows[c, 1] - direction[1] * system.rows[c, 0])
+            friction = math.hypot(system.force[c, 0], system.force[c, 1])
+            if friction * (aside @ aside) > _SLOW_START * numbers[SLIP_RATE]:
+                return True
+        return False
+
+    # ---------------------------------------------------------------- out of stick, at the friction limit
+
+    def leave_stick(self, t: float, c: int) -> float:
+        """Contact c has reached its friction limit, which for ideal rolling, where mu is without bound, is F_n = 0.
+
+        With one tangent the slip's sign is known. With two its direction is not: stick runs on for a short time tau,
+        and the cone problem there tells who slips and where to. From there `slow_slip` follows the direction; where it
+        cannot, slip is a_t tau / 2 after tau, since the relative acceleration grows from zero: an error of order tau^3.
+        """
+        system, changes = self.system, self.changes
+        if system.contact_int[c, TANGENTS] == 1:
+            changes.guess_normal(system.owner(c))
+            freeze_slip(system, c, -system.force[c, :1])
+            changes.reports.announce_friction(t, c, True)
+            return self.resolve(t, changes.sticking())
+        if system.contact_real[c, MU_STATIC] > system.contact_real[c, MU]:
+            # friction falls to its sliding value: slip starts with a finite acceleration
+            return self.resolve(t, changes.sticking(), beyond=c)
+        changes.project(t)
+        self.rk.accept()
+        # the friction that stick asks for at its limit is against the slip to come
+        limit = opposed_slip(system, c, system.force[c, :2]) @ system.basis[c, :2]
+        start_q, start_v = system.q.copy(), system.v.copy()
+        tau, decision, seeded = self._find_slip(t)
+        for item in decision.started:
+            changes.reports.announce_at(t, item, changes.reports.friction_event(item, True), start_q, start_v)
+        for item in decision.opened:
+            changes.reports.announce(t + tau, item, "separate")
+        started = [i for i in decision.started if system.contact_int[i, FROZEN]]
+        if started and not decision.opened:
+            if c in started:
+                freeze_slip(system, c, system.basis[c, :2] @ limit)
+            took = self._follow(t, started, 2, self.longest, _SHORTEST_START * tau)
+            if took is not None:
+                return self._end(t, took, system.new_state)
+            # not even a short start can be followed: seed the slip as close to its beginning as v_c can show it
+            system.contact_int[started, MODE] = STICK
+            changes.evaluate_accepted(t)
+            tau, _, seeded = self._run_on(t, _SHORT_SEED * tau)
+        return self._end(t, tau, seeded)
+
+    def _find_slip(self, t: float) -> tuple[float, Decision, np.ndarray]:
+        """Let stick run on from the accepted state until something slips or opens; see `_run_on`."""
+        system = self.system
+        # the step that led here resolves what decides; a seed that is longer may pass a load by
+        tau = min(self.seed, self.until_touch(), self.longest if self.longest > 0.0 else math.inf)
+        modes = system.contact_int.copy()
+        tau, decision, seeded = self._run_on(t, tau)
+        factors = [_SHORTER_SEED] * _LOOKS_FOR_SLIP
+        while factors and not (decision.started or decision.opened):
+            # the limit may have been exceeded in between
+            tau, decision, seeded = self._run_on(t, factors.pop() * tau, modes)
+        if decision.opened:
+            # a jump of the forces (Painleve) opens contacts at once, not when slip would show
+            tau, decision, seeded = self._run_on(t, _OPENING_SEED * tau, modes)
+        return tau, decision, seeded
+
+    def _run_on(self, t: float, tau: float, modes: np.ndarray | None = None) -> tuple[float, Decision, np.ndarray]:
+        """Stick runs on from the accepted state for tau, or less (see `_trial_step`), where the modes are decided anew.
+
+        modes: integers of the items to start with, where they are not the present ones. Returns how long, the decision,
+        and the state there with the slip velocity a_t tau / 2 added.
+        """
+        rk, system, changes = self.rk, self.system, self.changes
+        if modes is not None:
+            system.contact_int[:] = modes
+            changes.evaluate_accepted(t)
+        tau = self._trial_step(t, tau)
+        rk.load(system.new_state)
+        changes.project(t + tau)
+        stick = system.stage_state.copy()
+        acceleration = system.acceleration.copy()
+        decision = changes.decide(t + tau, changes.sticking())
+        change = 0.5 * tau * (system.acceleration - acceleration)
+        rk.load(stick)
+        system.v[:] += change
+        rk.keep_velocity()
+        return tau, decision, system.stage_state.copy()
+
+    # ---------------------------------------------------------------- slow slip
+
+    def follow_slow_slip(self, t: float, span: float, shortest: float) -> float | None:
+        """Move the accepted state at t on with prescribed directions of all slip that has them in v_c; the time after
+        it, None where that did not do and nothing has changed. span, shortest: times in s to try."""
+        rk, system = self.rk, self.system
+        rk.load(system.state)
+        rk.evaluate(t)
+        slipping = [c for c in range(system.items) if system.contact_real[c, START_SPEED] < math.inf]
+        for c in slipping:
+            freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
+        took = self._follow(t, slipping, 0, span, shortest)
+        system.contact_int[:, FROZEN] = 0
+        if took is not None:
+            rk.load(system.new_state)
+            # where slip is as good as over, v_c has no direction of its own to go on with
+            if rk.evaluate(t + took) <= EVENT:
+                system.contact_int[slipping, FROZEN] = 1
+                return self._end(t, took, system.new_state)
+        self.changes.evaluate_accepted(t)
+        return None
+
+    # ---------------------------------------------------------------- steps
+
+    def _trial_step(self, t: float, tau: float) -> float:
+        """A step from the accepted state of tau, or of as much less as its error asks for; how long it is."""
+        for _ in range(_SHORTENINGS):
+            if self.rk.attempt(t, tau) == OK and self.rk.error < 1.0:
+                return tau
+            tau *= FAILED_FACTOR
+        raise self.changes.reports.failure(t, NO_FORCE)
+
+    def _follow(self, t: float, contacts: list[int], power: int, span: float, shortest: float) -> float | None:
+        """A step with prescribed directions of slip; see `SlowSlip`."""
+        return SlowSlip(self.rk, contacts, power, self._is_uneventful).follow(t, span, shortest)
+
+    def _end(self, t: float, tau: float, state: np.ndarray) -> float:
+        """Accept the state after a step of size tau; slip has a direction of its own from there on."""
+        self.emit(t, tau)
+        t += tau
+        self.rk.load(state)
+        changes, integers = self.changes, self.system.contact_int
+        for c in np.flatnonzero(integers[:, FROZEN]).tolist():
+            changes.started[c] = changes.slip_direction(c)
+        integers[:, FROZEN] = 0
+        sliding = held_up(self.system)
+        if not sliding:
+            changes.project(t)
+        elif not self.rk.project(t, False):
+            # v_c has come out in a direction in which friction alone holds nothing up: that slip has jammed
+            stop_slips(changes, t, sliding)
+        self.rk.accept()
+        return t
+
+    def _is_uneventful(self) -> bool:
+        """Whether nothing opened, closed or began to slip in the last trial step, within the errors of gaps and
+        forces."""
+        system, n = self.system, self.system.items
+        lowest, accuracy = system.lowest[:n], gap_accuracy(system)
+        force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
+        touchable = np.ones(n, dtype=bool)
+        touchable[: system.nc] = self.open.apart
+        return bool(
+            (lowest[touchable, GAP_MARGIN] >= -(accuracy + self.depths)[touchable]).all()
+            and (lowest[:, DOMAIN_MARGIN] >= -accuracy).all()
+            and (lowest[:, [NORMAL_MARGIN, FRICTION_MARGIN]] >= -force).all()
+        )
+
+    def until_touch(self) -> float:
+        """Time in s that gaps of open contacts, and ways of joints to their ends, last at their present rates."""
+        system, accuracy = self.system, gap_accuracy(self.system)
+        left = math.inf
+        for c in np.flatnonzero((system.modes == FREE) & self.open.apart).tolist():
+            approach = -gap_rate(system, c)
+            if system.contact_real[c, DOMAIN] >= 0.0 and approach > 0.0:
+                way = float(system.gaps[c, 0] + self.depths[c] + accuracy[c])
+                left = min(left, max(way, _LEAST_WAY * float(accuracy[c])) / approach)
+        for g, guard in enumerate(system.guards):
+            speed = float(system.v[guard.index_v])
+            if self.changes.joints.is_free(g) and speed != 0.0:
+                position, reach = float(system.q[guard.index_q]), float(accuracy[system.nc + g])
+                way = (guard.high_end - position if speed > 0.0 else position - guard.low_end) + reach
+                left = min(left, max(way, _LEAST_WAY * reach) / abs(speed))
+                rate = float(system.acceleration[guard.index_v])
+                if guard.dry and rate * speed < 0.0:
+                    # dry friction ends its slip
+                    left = min(left, max(abs(speed), rest_speed(system)) / abs(rate))
+        return left

@@ -1,0 +1,157 @@
+"""One Runge-Kutta step: its stages, its dense output, and what is looked at along it."""
+
+from __future__ import annotations
+
+import math
+
+from ..dynamics.evaluation import KINEMATICS_OF_ALL
+from ..dynamics.resistance import count_items
+from ..dynamics.sliding import slip_direction
+from ..geometry.small import dot
+from ..jit import kernel
+from ..layout import EVENT, FROZEN, MARGINS_PER_CONTACT, NOT_FINITE, OK, POLYNOMIAL_SIZE
+from ..workspace import flat
+from .dense import dense_coefficients, interpolate
+from .resolution import keep_margins, margin_error
+from .stages import build_state, error_norm, evaluate, fill_slope, hand_over
+
+
+@kernel
+def keep_slope(system, index):
+    """Slope number `index` from the last evaluation, of the state in STAGE_STATE."""
+    fill_slope(system, system.stage_state, system.slopes[index])
+    keep_margins(system, index)
+
+
+@kernel
+def start(system, t):
+    """Evaluate at STATE and store its slope; a status."""
+    state, stage_state = system.state, system.stage_state
+    for i in range(system.sizes.ny):
+        stage_state[i] = state[i]
+    hand_over(system, stage_state)
+    status = evaluate(system, t, 0)
+    if status <= EVENT:
+        keep_slope(system, 0)
+    return status
+
+
+@kernel
+def _stages(system, t, h, first, last, adaptive):
+    """Stages first .. last of a step of size h from the state at t; a status.
+
+    adaptive: leave the step's end unevaluated where the error estimate already rejects it.
+    """
+    scalars, counters, nodes = system.scalars, system.counters, system.nodes
+    end, estimate_after = system.sizes.nstages, counters.estimate_after
+    scalars.step = h
+    for s in range(first, last + 1):
+        if adaptive and s == end and end > estimate_after and scalars.error_norm >= 1.0:
+            break
+        if s == first or s > end:
+            build_state(system, s)
+        status = evaluate(system, t + nodes[s] * h, 0)
+        if status > EVENT:
+            return status
+        if status == EVENT:
+            counters.alarm = 1
+        keep_slope(system, s)
+        if s < end:
+            build_state(system, s + 1)
+        if s == estimate_after:
+            scalars.error_norm = error_norm(system, s)
+            if not scalars.error_norm < math.inf:
+                return NOT_FINITE
+    return OK
+
+
+@kernel
+def trial_step(system, t, h, adaptive):
+    """A step of size h from the state at t, which is kept.
+
+    ALARM tells whether an event function was negative in a stage, or may have been between two. adaptive: their
+    resolution counts as an error, too (see `resolution`).
+    """
+    counters = system.counters
+    n = MARGINS_PER_CONTACT * count_items(system)
+    lowest, highest = flat(system.lowest), flat(system.highest)
+    for i in range(n):
+        lowest[i], highest[i] = math.inf, -math.inf
+    counters.alarm = 0
+    status = _stages(system, t, h, 1, system.sizes.nstages, adaptive)
+    dip = system.scalars.dip
+    for i in range(n):
+        # written such that infinite margins compare
+        if (1.0 + dip) * lowest[i] < dip * highest[i]:
+            counters.alarm = 1
+    if adaptive and status <= EVENT and system.scalars.error_norm < 1.0:
+        margin_error(system)
+    return status
+
+
+@kernel
+def interpolation(system, t, h):
+    """The extra stages and the coefficients of dense output for the trial step of size h from t; a status."""
+    scalars = system.scalars
+    first = system.sizes.nstages + 1
+    extra = system.counters.extra_stages
+    scalars.dense_start, scalars.dense_step = t, h
+    status = _stages(system, t, h, first, first + extra - 1, False)
+    if status <= EVENT:
+        dense_coefficients(system)
+    return status
+
+
+@kernel
+def load_interpolated(system, theta):
+    """Hand over the state at the fraction theta of the step that was interpolated last."""
+    interpolate(system.dense, system.state, system.counters.dense_nested, theta, system.stage_state)
+    hand_over(system, system.stage_state)
+
+
+@kernel
+def scan(system, t, h):
+    """Event functions at SCAN_SHARES of the step from t of size h that was interpolated last: see `RunSystem.scan`."""
+    n = count_items(system)
+    shares, statuses = system.scan_shares, system.scan_status
+    found, margins = system.scan_margins, system.margins
+    for i in range(system.counters.scan_count):
+        load_interpolated(system, shares[i])
+        statuses[i] = evaluate(system, t + shares[i] * h, 0)
+        for c in range(n):
+            for kind in range(MARGINS_PER_CONTACT):
+                found[i, c, kind] = margins[c, kind]
+
+
+@kernel
+def across_slip(system, t, h):
+    """How well prescribed slip directions hold in a step of size h from the state at t, which is tried; a status.
+
+    ACROSS is filled with v_c across the direction at the shares of the step in its first row, up to a zero, and then
+    with v_c along it.
+    """
+    n = count_items(system)
+    status = start(system, t)
+    if status <= EVENT:
+        status = trial_step(system, t, h, False)
+    if status == OK:
+        status = interpolation(system, t, h)
+    if status > EVENT:
+        return status
+    across, direction = system.across, system.vectors[0]
+    for k in range(POLYNOMIAL_SIZE):
+        share = across[0, k]
+        if share == 0.0:
+            break
+        load_interpolated(system, share)
+        status = evaluate(system, t + share * h, KINEMATICS_OF_ALL)
+        if status > EVENT:
+            return status
+        for c in range(n):
+            contact, basis, slip = system.contact_int[c], system.basis[c], system.slip[c]
+            if contact[FROZEN] != 0:
+                slip_direction(contact, system.contact_real[c], slip, basis, t + share * h, direction)
+                first, second = dot(basis[0], slip), dot(basis[1], slip)
+                across[c + 1, k] = direction[0] * second - direction[1] * first
+                across[n + c + 1, k] = direction[0] * first + direction[1] * second
+    return OK

@@ -1,0 +1,222 @@
+"""What a run writes down of every output, and how that is read back: rows of numbers, joined runs, loaded states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from .contacts import Contact
+from .dynamics.energy import energies_at
+from .integration.discrete import discrete_part, read_discrete, write_discrete
+from .integration.output_modes import OutputModes
+from .integration.recording import BLOCK, INTEGERS_PER_CONTACT
+from .integration.run_system import RunSystem
+from .integration.slow_slip import frozen_directions, present_directions, set_frozen_directions
+from .integration.steps import RECORD
+from .layout import (
+    CONTACT_INTS,
+    FROZEN_COLUMNS,
+    STICK,
+)
+from .scene import Scene
+from .state import State
+from .system_cache import put_back, take_system
+from .workspace import address_of
+
+
+class Record:
+    """Rows written during a run: what is needed to rebuild everything else.
+
+    start: the state that the run starts from; by_steps: the modes in the rows are those of steps of a constant size,
+    see `OutputModes`.
+    """
+
+    def __init__(self, system: RunSystem, start: State, with_torques: bool, by_steps: bool = False) -> None:
+        self.system, self.with_torques, self.by_steps = system, with_torques, by_steps
+        # works are counted from there on, whatever the outputs
+        counts = system.sizes["nwork"] > 0
+        self._total_at_start = np.array(sum(energies_at(system.model, start.q, start.v))) if counts else None
+        nq, nv, nc = system.nq, system.nv, system.nc
+        # t, q, v, tau, works, location, frozen directions' columns, redundant forces chosen, resistances to turning
+        turns = 3 * nc if system.nr else 0
+        self._widths = (1, nq, nv, nv, int(system.sizes["nwork"]), 4 * nc, FROZEN_COLUMNS * nc, 3 * nc, turns)
+        system.counters["row_width"] = width = sum(self._widths)
+        if width not in system.row_blocks:
+            reals = np.empty((BLOCK, width))
+            whole = np.empty((BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT), dtype=np.int64)
+            named = (("recorded_reals", reals), ("recorded_integers", whole))
+            system.row_blocks[width] = [(name, block, address_of(block)) for name, block in named]
+        blocks = system.row_blocks[width]
+        self._reals, self._integers = (system.put(*block) for block in blocks)
+        self._blocks: list[tuple[np.ndarray, np.ndarray]] = []
+        self._resistances: list[np.ndarray] = []
+
+    def __len__(self) -> int:
+        return sum(len(block[0]) for block in self._blocks) + int(self.system.counters["recorded"])
+
+    def add(self, t: float, resistances: np.ndarray | None = None) -> None:
+        """The state in the system at t; (nc, 3) torques that resist spinning and rolling, where there are any."""
+        if resistances is not None:
+            self._resistances.append(resistances.copy())
+        self.flush()
+        self.system.run(RECORD, t)
+
+    def flush(self, always: bool = False) -> None:
+        """Put a full block of rows aside; always: also one that is not full."""
+        count = int(self.system.counters["recorded"])
+        if count == BLOCK or (always and count):
+            self._blocks.append((self._reals[:count].copy(), self._integers[:count].copy()))
+            self.system.counters["recorded"] = 0
+
+    def rows(self, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray, Callable[[], Recorded]]:
+        """Times (n,), configurations (n, nq), velocities (n, nv), and what gives the rest of all rows of the scene."""
+        self.flush(always=True)
+        blocks = self._blocks or [(self._reals[:0].copy(), self._integers[:0].copy())]
+        values, integers = blocks[0] if len(blocks) == 1 else (np.concatenate(parts) for parts in zip(*blocks))
+        system, at = self.system, 1 + self._widths[1]
+        swapped = [contact.swapped for contact in system.contacts]
+        t, q, v = values[:, 0].copy(), values[:, 1:at].copy(), values[:, at : at + self._widths[2]].copy()
+        rest = partial(
+            _unpack,
+            values,
+            integers,
+            self._widths,
+            swapped,
+            self.with_torques,
+            self._resistances,
+            self._total_at_start,
+        )
+        if self.by_steps and system.nc:
+            rest = partial(_with_output_modes, rest, scene, system.contacts, self._widths[4] > 0, t, q, v)
+        return t, q, v, rest
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """What a run keeps of every output besides t, q and v, to rebuild everything else from.
+
+    location (n, nc, 4); discrete (n, nc, DISCRETE_COLUMNS), see `State`; directions (n, nc, 3) prescribed slip
+    directions; works (n, NUMBER_OF_WORKS) and total energy at the run's start in J; torques (n, nv) of the user and on
+    joints; resistances (n, nc, 3) torques in N m on the second contours; references: output -> redundant forces chosen
+    there (nc, 3). None for what was not recorded.
+    """
+
+    location: np.ndarray
+    discrete: np.ndarray
+    directions: np.ndarray
+    works: np.ndarray | None
+    total_at_start: np.ndarray | None
+    torques: np.ndarray | None
+    resistances: np.ndarray | None
+    references: dict[int, np.ndarray] = field(default_factory=dict)
+
+
+def _unpack(
+    values: np.ndarray,
+    integers: np.ndarray,
+    widths: tuple[int, ...],
+    swapped: list[bool],
+    with_torques: bool,
+    of_steps: list[np.ndarray],
+    total_at_start: np.ndarray | None,
+) -> Recorded:
+    """The columns of rows `values` (n, sum of widths) and of the contacts' integers.
+
+    of_steps: torques that resist turning, (nc, 3) a row, where they are not in the rows.
+    """
+    n, nc = len(values), len(swapped)
+    ends = np.cumsum(widths)
+    t = values[:, 0]
+    parts = [values[:, end - width : end].copy() for width, end in zip(widths[3:], ends[3:])]
+    torques, works, location, frozen, references, resistances = parts
+    whole = integers[:, : nc * INTEGERS_PER_CONTACT].reshape(n, nc, INTEGERS_PER_CONTACT)
+    if of_steps:
+        resistances = np.array(of_steps)
+    elif widths[-1]:
+        orientation = np.array([-1.0 if second_first else 1.0 for second_first in swapped])
+        resistances = orientation[:, None] * resistances.reshape(n, nc, 3)
+    references = references.reshape(n, nc, 3)
+    return Recorded(
+        location.reshape(n, nc, 4),
+        discrete_part(whole[:, :, :CONTACT_INTS], whole[:, :, CONTACT_INTS:]),
+        frozen_directions(whole, frozen.reshape(n, nc, FROZEN_COLUMNS), t),
+        works if works.shape[1] else None,
+        total_at_start,
+        torques if with_torques else None,
+        resistances if resistances.shape[1] else None,
+        {int(i): references[i] for i in np.flatnonzero(references.any(axis=(1, 2)))},
+    )
+
+
+def _with_output_modes(
+    unpack: Callable[[], Recorded],
+    scene: Scene,
+    contacts: list[Contact],
+    works: bool,
+    t: np.ndarray,
+    q: np.ndarray,
+    v: np.ndarray,
+) -> Recorded:
+    """What was recorded, with the modes that hold at the outputs in place of the steps' own."""
+    recorded = unpack()
+    resting = np.flatnonzero((recorded.discrete[:, :, 0] == STICK).any(axis=1)).tolist()
+    if not resting:
+        return recorded
+    # the run's own system, if nothing has been added to the scene since
+    cached = take_system(scene, works, resistances=False) if list(scene.contacts.values()) == contacts else None
+    system = RunSystem(scene.model, contacts) if cached is None else cached.system
+    modes = OutputModes(system)
+    for i in resting:
+        load_output(system, recorded, i, q[i], v[i])
+        with modes.at(float(t[i])) as others:
+            if others:
+                recorded.discrete[i] = read_discrete(system)
+                recorded.directions[i] = present_directions(system)
+            if system.scalars["has_reference"]:
+                recorded.references[i] = system.reference[: system.nc].copy()
+    if cached is not None:
+        put_back(scene, cached)
+    return recorded
+
+
+def joined(one: Recorded, kept: int, two: Recorded, first: int, works: np.ndarray | None) -> Recorded:
+    """The first `kept` rows of one and those of the other from `first` on, whose works begin at `works` (J)."""
+
+    def rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return np.concatenate([a[:kept], b[first:]])
+
+    def present(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
+        if a is None or b is None:
+            given = a if a is not None else b
+            if given is None:
+                return None
+            a, b = (x if x is not None else np.zeros((n, *given.shape[1:])) for x, n in zip((a, b), counts))
+        return rows(a, b)
+
+    counts = len(one.discrete), len(two.discrete)
+    references = {i: x for i, x in one.references.items() if i < kept}
+    references |= {kept + i - first: x for i, x in two.references.items() if i >= first}
+    done = None if works is None or one.works is None or two.works is None else rows(one.works, two.works + works)
+    return Recorded(
+        rows(one.location, two.location),
+        rows(one.discrete, two.discrete),
+        rows(one.directions, two.directions),
+        done,
+        one.total_at_start,
+        present(one.torques, two.torques),
+        present(one.resistances, two.resistances),
+        references,
+    )
+
+
+def load_output(system: RunSystem, recorded: Recorded, i: int, q: np.ndarray, v: np.ndarray) -> None:
+    """Put the state of one output into a system; a choice of redundant forces in it stays."""
+    system.q[:], system.v[:] = q, v
+    system.location[: system.nc] = recorded.location[i]
+    write_discrete(system, recorded.discrete[i])
+    set_frozen_directions(system, recorded.directions[i])
+    if recorded.torques is not None:
+        system.tau[:] = recorded.torques[i]

@@ -1,0 +1,217 @@
+"""Contacts over time: evaluated again at every output of a run, with the residuals of their constraints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from .contacts import Contact, characteristic_length
+from .geometry.frames import contact_frame, dual_basis
+from .integration.run_system import RunSystem
+from .layout import (
+    CHART,
+    CONDITION,
+    EVENT,
+    FREE,
+    STICK,
+)
+from .records import Recorded, load_output
+from .scene import Scene
+
+# Outputs whose contacts are evaluated before they are put together: some MB.
+_CHUNK = 1024
+
+
+@dataclass(frozen=True, eq=False)
+class ContactTrack:
+    """One contact over time, a row per output; world axes, SI units.
+
+    location:        (n, k) location parameters p* = (u_1, u_2) in the paper's order (k2 >= k1); while open, like
+                     point and frame, of the nearest points
+    location_first, location_second: the same by the user's contours; charts (n, 2) of (body 1, body 2)
+    point:           (n, 3) contact point
+    frame:           (n, 3, 3) e_1, e_2, e_3 of Definition 5 as columns
+    dual_frame:      (n, 3, 3) m^1, m^2, m^3 as columns (Eq. 26)
+    force:           (n, 3) on the second contour named by the user
+    multipliers:     (n, 3) components of that force in the dual frame, F_j = e_j . F (Prop. 6)
+    normal_force, tangential_force: (n,) in N; the normal one is positive in compression (a length for a point on a
+                     spatial curve)
+    torque:          (n, 3) what resists spinning and rolling, on the second contour, N m; by time stepping its mean
+                     over the last step
+    slip_velocity:   (n, 3) v_c, of the second contour's material point against the first's
+    mode:            (n,) -1 open, 0 frictionless, 1 stick, 2 slip
+    gap:             (n,) in m, positive when apart
+    conditioning:    (n,) of the location equations, 1 good, 0 singular
+    """
+
+    location: np.ndarray
+    location_first: np.ndarray
+    location_second: np.ndarray
+    charts: np.ndarray
+    point: np.ndarray
+    frame: np.ndarray
+    dual_frame: np.ndarray
+    force: np.ndarray
+    multipliers: np.ndarray
+    normal_force: np.ndarray
+    tangential_force: np.ndarray
+    torque: np.ndarray
+    slip_velocity: np.ndarray
+    mode: np.ndarray
+    gap: np.ndarray
+    conditioning: np.ndarray
+
+
+def evaluate_tracks(
+    scene: Scene, t: np.ndarray, q: np.ndarray, v: np.ndarray, recorded: Recorded
+) -> tuple[dict[str, ContactTrack], dict[str, dict[str, np.ndarray]]]:
+    """Evaluate the contacts again at every output: the run itself keeps only what it cannot do without."""
+    contacts = list(scene.contacts.values())
+    system = RunSystem(scene.model, contacts)
+    n, resistances = t.size, recorded.resistances
+    tracks = {c.name: _empty_track(c, n) for c in contacts}
+    residuals = {c.name: {kind: np.zeros(n) for kind in ("C1", "C2", "GC", "VC")} for c in contacts}
+    for start in range(0, n if contacts else 0, _CHUNK):
+        outputs = _evaluate_outputs(system, t, q, v, recorded, range(start, min(start + _CHUNK, n)))
+        for c, contact in enumerate(contacts):
+            _fill_track(outputs, c, contact, tracks[contact.name])
+            if resistances is not None:
+                tracks[contact.name].torque[outputs.rows] = resistances[outputs.rows, c]
+            _fill_residuals(outputs, c, contact, residuals[contact.name])
+    return tracks, residuals
+
+
+class _Outputs(NamedTuple):
+    """What evaluations at m outputs leave of the contacts, in the arrays of `System`, a row for each.
+
+    rows (m,): which outputs they are; shapes (m, 2 nc, 3, 3): points and first derivatives, in world axes; frames (m,
+    2 nc, 5, 3): rotation, place and velocity of what carries them; the rest (m, nc, ...), of sides (m, 2 nc).
+    """
+
+    rows: np.ndarray
+    location: np.ndarray
+    shapes: np.ndarray
+    frames: np.ndarray
+    basis: np.ndarray
+    slip: np.ndarray
+    gaps: np.ndarray
+    force: np.ndarray
+    modes: np.ndarray
+    conditioning: np.ndarray
+    charts: np.ndarray
+
+
+def _evaluate_outputs(
+    system: RunSystem, t: np.ndarray, q: np.ndarray, v: np.ndarray, recorded: Recorded, wanted: range
+) -> _Outputs:
+    """Of the wanted outputs, those that can be evaluated."""
+    nc = system.nc
+    views = (
+        system.location[:nc],
+        system.derivatives[: 2 * nc, :3],
+        system.frames[: 2 * nc, :5],
+        system.basis[:nc],
+        system.slip[:nc],
+        system.gaps[:nc],
+        system.force[:nc],
+        system.modes,
+        system.contact_real[:nc, CONDITION],
+        system.side_int[: 2 * nc, CHART],
+    )
+    values = [np.empty((len(wanted), *view.shape), view.dtype) for view in views]
+    rows: list[int] = []
+    for i in wanted:
+        load_output(system, recorded, i, q[i], v[i])
+        system.scalars["has_reference"] = float(i in recorded.references)
+        system.reference[:nc] = recorded.references.get(i, 0.0)
+        if system.evaluate(float(t[i])) <= EVENT:
+            for array, view in zip(values, views):
+                array[len(rows)] = view
+            rows.append(i)
+    return _Outputs(np.array(rows, dtype=np.int64), *(array[: len(rows)] for array in values))
+
+
+def _empty_track(contact: Contact, n: int) -> ContactTrack:
+    k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
+    first, second = (k2, k1) if contact.swapped else (k1, k2)
+
+    def nan(*shape: int) -> np.ndarray:
+        return np.full((n, *shape), np.nan)
+
+    return ContactTrack(
+        nan(k1 + k2),
+        nan(first),
+        nan(second),
+        np.zeros((n, 2), dtype=np.int64),
+        nan(3),
+        nan(3, 3),
+        nan(3, 3),
+        np.zeros((n, 3)),
+        np.zeros((n, 3)),
+        np.zeros(n),
+        np.zeros(n),
+        np.zeros((n, 3)),
+        nan(3),
+        np.full(n, FREE),
+        nan(),
+        nan(),
+    )
+
+
+def _fill_track(outputs: _Outputs, c: int, contact: Contact, track: ContactTrack) -> None:
+    rows, one, two = outputs.rows, 2 * c, 2 * c + 1
+    k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
+    u1, u2 = outputs.location[:, c, :k1], outputs.location[:, c, 2 : 2 + k2]
+    track.mode[rows] = modes = outputs.modes[:, c]
+    track.location[rows] = np.hstack([u1, u2])
+    track.location_first[rows], track.location_second[rows] = (u2, u1) if contact.swapped else (u1, u2)
+    track.charts[rows] = outputs.charts[:, one : two + 1]
+    first, second, carrier, basis = (
+        outputs.shapes[:, one],
+        outputs.shapes[:, two],
+        outputs.frames[:, two],
+        outputs.basis[:, c],
+    )
+    track.point[rows] = carrier[:, 3] + second[:, 0]
+    frame = contact_frame(contact.pattern.code, first, second, carrier[:, 0:3, 2], basis)
+    track.frame[rows], track.dual_frame[rows] = frame, dual_basis(frame)
+    sign = -1.0 if contact.swapped else 1.0
+    gaps = outputs.gaps[:, c]
+    track.gap[rows] = gaps[:, 0] if contact.pattern.constraints == 1 else np.hypot(gaps[:, 0], gaps[:, 1])
+    track.conditioning[rows] = np.abs(outputs.conditioning[:, c])
+    track.slip_velocity[rows] = sign * outputs.slip[:, c]
+    closed = modes != FREE
+    along = outputs.force[closed, c]
+    force = sign * np.einsum("nij,ni->nj", basis[closed], along)
+    rows = rows[closed]
+    track.force[rows] = force
+    track.multipliers[rows] = np.einsum("nij,ni->nj", frame[closed], force)
+    if contact.pattern.constraints == 2:
+        normal, tangential = np.hypot(along[:, 1], along[:, 2]), np.abs(along[:, 0])
+    else:
+        normal, tangential = along[:, 2], np.hypot(along[:, 0], along[:, 1])
+    track.normal_force[rows], track.tangential_force[rows] = normal, tangential
+
+
+def _fill_residuals(outputs: _Outputs, c: int, contact: Contact, residuals: dict[str, np.ndarray]) -> None:
+    closed = outputs.modes[:, c] != FREE
+    rows, modes = outputs.rows[closed], outputs.modes[closed, c]
+    first, second = outputs.shapes[closed, 2 * c], outputs.shapes[closed, 2 * c + 1]
+    carriers, basis = outputs.frames[closed, 2 * c : 2 * c + 2], outputs.basis[closed, c]
+    length = characteristic_length(contact)
+    difference = (carriers[:, 1, 3] - carriers[:, 0, 3]) + (second[:, 0] - first[:, 0])
+    residuals["C1"][rows] = np.linalg.norm(difference, axis=1) / length
+    residuals["GC"][rows] = np.abs(outputs.gaps[closed, c]).max(axis=1) / length
+    k1 = contact.body1.contour.dimension
+    if k1 > 0 and contact.pattern.name != "3C-3C":
+        tangents = first[:, 1 : 1 + k1]
+        across = np.abs(np.einsum("nai,ni->na", tangents, basis[:, 2])) / np.linalg.norm(tangents, axis=2)
+        residuals["C2"][rows] = across.max(axis=1)
+    components = np.abs(np.einsum("nij,nj->ni", basis, outputs.slip[closed, c]))
+    normals = slice(2 if contact.pattern.constraints == 1 else 1, 3)
+    worst = components[:, normals].max(axis=1)
+    held = components[:, : contact.pattern.tangents].max(axis=1, initial=0.0)
+    speeds = np.linalg.norm(carriers[:, :, 4], axis=2).max(axis=1, initial=1.0)
+    residuals["VC"][rows] = np.where(modes == STICK, np.maximum(worst, held), worst) / speeds

@@ -15,6 +15,7 @@ import numpy as np
 from .arguments import NOT_REAL, check_flag, is_count, is_number, real_array
 from .dynamics.joints import check_guards
 from .errors import ArgumentError, UnusableResult
+from .friction.solve import check_contact_solver
 from .integration.discrete import read_discrete, write_discrete
 from .integration.driver import Driver, Options
 from .integration.events import UserEvent
@@ -69,6 +70,7 @@ class _Request:
     energies: bool
     progress: bool
     began: float
+    contact_solver: str
 
     def torque(self, system: System) -> Torque | None:
         """What asks the control for a system's torques."""
@@ -95,6 +97,7 @@ def simulate(
     max_steps: int = 1_000_000,
     breakpoints: Any | None = None,
     fallback: str | None = None,
+    contact_solver: str = "auto",
 ) -> Trajectory:
     """Integrate a scene from a state over a duration in s.
 
@@ -112,6 +115,9 @@ def simulate(
     `Trajectory.energies`). max_step, first_step in s; fixed_step: constant steps without error control;
     max_steps: accepted and rejected together. fallback: "Moreau" lets a run that cannot go on (status -1, -4, -6 or -7)
     go on by time stepping, with `step`, from its last good state on; an event of kind "fallback" says where.
+    contact_solver: how Coulomb's law is solved where stick or slip is undecided: "auto", cheapest ways first, or
+    "proxqp", by a sequence of ProxQP programs; what these leave unsolved is solved as by "auto" and counted in
+    stats["qp_failures"], programs in "qp", their iterations in "qp_iterations".
     Without a max_step, what varies with time (a control, a contour that is driven unsteadily) is looked at every 0.1 s
     at least, also where nothing moves; a shorter pulse needs breakpoints.
 
@@ -126,6 +132,7 @@ def simulate(
     """
     _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps, step)
     _check_fallback(fallback, method)
+    check_contact_solver(contact_solver)
     times = _output_times(t_eval, state.t, duration)
     jumps = _breakpoints(breakpoints, state.t, duration)
     users = UserEvent.wrap(events)
@@ -160,6 +167,7 @@ def simulate(
         energies,
         progress,
         time.perf_counter(),
+        contact_solver,
     )
     if pair is None:
         return _simulate_moreau(request)
@@ -188,7 +196,7 @@ def _simulate_by_events(request: _Request, pair: Tableau, rtol: float, atol: flo
     rk.begin_at(state.q, state.v, state.location)
     record = Record(system, state, with_torques=torque is not None or system.ng + system.nr > 0)
     restitution = [contact.restitution for contact in scene.contacts.values()]
-    transitions = Transitions(rk, list(scene.contacts), restitution, duration)
+    transitions = Transitions(rk, list(scene.contacts), restitution, duration, request.contact_solver)
     with _Bar(request.progress, state.t, duration) as bar:
         show = bar.update if request.progress else None
         driver = Driver(rk, transitions, request.users, record.add, record.flush, options, show)
@@ -202,7 +210,7 @@ def _simulate_by_events(request: _Request, pair: Tableau, rtol: float, atol: flo
                 "outputs": len(record),
                 **_counts(system),
                 "cone_problems": modes.cone_problems,
-                "qp": modes.solver.qp_count if modes.cone_problems else 0,
+                **modes.program_counts,
                 "cone_residual": modes.worst_residual,
                 "redistributions": modes.redistributions,
                 "wall_time": time.perf_counter() - request.began,
@@ -257,6 +265,7 @@ def _simulate_moreau(request: _Request, finish: Callable[[Trajectory], Trajector
         stepper = cached.stepper = MoreauStep(system, system.contacts)
     else:
         stepper.renew()
+    stepper.cones.choose(request.contact_solver)
     record = Record(system, state, with_torques=torque is not None or stepper.acts_on_joints, by_steps=True)
 
     def add(t: float) -> None:

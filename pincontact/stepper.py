@@ -10,6 +10,7 @@ import numpy as np
 from .arguments import NOT_REAL, is_count, is_number, real_array
 from .dynamics.joints import joint_guards
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
+from .friction.solve import check_contact_solver
 from .integration.discrete import discrete_views, read_discrete, views_of_system
 from .integration.moreau import DEFAULT_STEP, MoreauStep
 from .integration.run_system import RunSystem
@@ -29,19 +30,34 @@ class Stepper:
         while True:
             state = stepper.step(controller(stepper.t, stepper.q, stepper.v))
 
-    scene, state: as for `simulate`. dt: step in s.
-    Raises ArgumentError for a dt that is not positive and finite or a state of another scene.
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    state : State
+        Where it starts, a state of this scene.
+    dt : float
+        Step in s.
+    contact_solver : {"auto", "proxqp"}
+        How Coulomb's law is solved, as for `simulate`.
+
+    Raises
+    ------
+    ArgumentError
+        For a dt that is not positive and finite, a state of another scene, or another contact_solver.
     """
 
-    def __init__(self, scene: Scene, state: State, dt: float = DEFAULT_STEP) -> None:
+    def __init__(self, scene: Scene, state: State, dt: float = DEFAULT_STEP, contact_solver: str = "auto") -> None:
         if not (is_number(dt) and 0.0 < dt < math.inf):
             raise ArgumentError(f"dt must be a positive number of seconds, got {dt!r}")
+        check_contact_solver(contact_solver)
         check_state(scene, state)
-        self.scene, self.dt = scene, float(dt)
+        self.scene, self.dt, self._contact_solver = scene, float(dt), contact_solver
         self._coordinates = coordinates_of(scene.model)
         contacts = list(scene.contacts.values())
         self._system = system = RunSystem(scene.model, contacts, guards=joint_guards(scene.model))
         self._step = MoreauStep(system, contacts)
+        self._step.cones.choose(contact_solver)
         nq, nv, nc = system.nq, system.nv, system.nc
         self.q, self.v = (_locked(part) for part in (system.state[:nq], system.state[nq : nq + nv]))
         self._location = _locked(system.state[nq + nv : nq + nv + 4 * nc].reshape(nc, 4))
@@ -175,7 +191,7 @@ class Stepper:
 
     def copy(self) -> Stepper:
         """Another stepper in the same situation, warm starts included: both go on alike, to the last bit."""
-        twin = Stepper(self.scene, self.state, self.dt)
+        twin = Stepper(self.scene, self.state, self.dt, self._contact_solver)
         self._step.copy_to(twin._step)
         twin._show_modes()
         twin._start = self._start

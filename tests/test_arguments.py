@@ -49,6 +49,7 @@ def table(count):
 
 
 FLAG = ["yes", None, 0.5, 2, []]
+CONTACT_SOLVER = ["qp", "ProxQP", "", None, 3, True, [], ["auto"], np.array(["auto", "auto"])]
 WAVE = [[math.cos(u), math.sin(u), 0.1 * math.sin(2 * u)] for u in np.linspace(0.0, 6.0, 12)]
 BUMPS = np.array([[[x, y, 0.1 * x * y] for y in range(7)] for x in range(7)], dtype=float)
 POSES = [pin.SE3(np.eye(3), np.array([0.1 * i, 0.0, 0.0])) for i in range(8)]
@@ -273,6 +274,7 @@ CASES = {
             "max_steps": [*COUNT, None],
             "breakpoints": ["now", True, [True], ["0.0"], [1j], [math.nan], [None], [math.inf]],
             "fallback": [3, "Euler", True],
+            "contact_solver": CONTACT_SOLVER,
             "t_eval": ["now", True, [True], ["0.0"], [1j], [math.nan], [None], [0.005, math.inf], [0.005, 0.0]],
             "method": [3, None, "Euler"],
             "control": [3, "pd"],
@@ -282,7 +284,7 @@ CASES = {
         },
         (),
     ),
-    "Stepper": (call_of(pc.Stepper), {}, {"dt": [*POSITIVE, None]}, ()),
+    "Stepper": (call_of(pc.Stepper), {}, {"dt": [*POSITIVE, None], "contact_solver": CONTACT_SOLVER}, ()),
     "Stepper.step": (
         call_of(lambda scene, state, **options: pc.Stepper(scene, state).step(**options)),
         {"tau": np.zeros(6)},
@@ -310,6 +312,7 @@ CASES = {
             "mu": ["0.3", True, 1j, [True], ["0.3"], math.nan, -0.3, [0.3, 0.3], None],
             "tolerance": [*NO_NUMBERS, *NEGATIVE, 0.0, None],
             "quick": FLAG,
+            "contact_solver": CONTACT_SOLVER,
         },
         ("warm",),
     ),

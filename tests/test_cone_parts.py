@@ -51,7 +51,7 @@ def residual_of(f, u, mu):
     return max(normal, np.linalg.norm(f[:2] - on_disk(f[:2] - u[:2], mu * max(f[2], 0.0))))
 
 
-# ------------------------------------------------------------------------------------------- problem and judge
+# ------------------------------------------------------------------------------------------- problem and natural map
 
 
 @SEEDS
@@ -249,127 +249,6 @@ def test_a_sweep_projects_each_contact_in_its_turn(seed):
     gauss_seidel_pass(g, mu, f, u)
     assert f == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())
     assert u == pytest.approx(g @ f + c, abs=1e-12 * np.abs(g).sum())
-
-
-# ------------------------------------------------------------------------------------------- quadratic programs
-
-
-def program(delassus, b, mu, f, proximal=0.125):
-    """The quadratic program around scaled forces, by name."""
-    n = len(mu)
-    out = {
-        "hessian": np.zeros((3 * n, 3 * n)), "gradient": np.zeros(3 * n), "facets": np.zeros((4 * n, 3 * n)),
-        "upper": np.full(4 * n, 9.0), "unit": np.zeros(3 * n),
-    }  # fmt: skip
-    cone.assemble_qp(delassus, b, mu, f, proximal, *out.values(), np.zeros(8 * n))
-    return out
-
-
-@SEEDS
-def test_the_program_has_the_cone_problems_slope_and_curvature(seed):
-    """At the forces it is made around its slope is u + mu |u_t| n, which vanishes in a solution but for the facets; its
-    curvature is G and that of the cone, |u_t| times the curvature of |F_t|, and the pull to these forces."""
-    rng = np.random.default_rng(seed)
-    n, proximal = 5, 0.125
-    delassus, b, mu = problem(rng, n)
-    mu[0] = 1e9
-    g, c, scale, largest = scaled(delassus, b)
-    # small ones, so that some of them are against the slip and some with it; one is none
-    f = 0.1 * rng.normal(size=3 * n)
-    f[3:5] = 0.0
-    u = g @ f + c
-    made = program(delassus, b, mu, f, proximal)
-    assert made["unit"] == pytest.approx(np.repeat(scale, 3) * largest, rel=ROUND_OFF)
-    slope, curvature = u.copy(), g + proximal * np.eye(3 * n)
-    step = 1e-5
-    slips = []
-    for i in range(n):
-        t = slice(3 * i, 3 * i + 2)
-        length = np.linalg.norm(f[t])
-        slip = max(-f[t] @ u[t] / length, 0.0) if length > 0.0 else 0.0
-        slips.append(slip)
-        slope[3 * i + 2] += min(mu[i], cone.QP_FRICTION) * slip
-        for k in range(2):
-            ahead = np.zeros(2)
-            ahead[k] = step
-            before, after = f[t] - ahead, f[t] + ahead
-            if length > 0.0:
-                # the slope of |F_t| is its direction
-                change = (after / np.linalg.norm(after) - before / np.linalg.norm(before)) / (2.0 * step)
-                curvature[t, 3 * i + k] += slip * change
-    assert max(slips) > 0.0 and min(slips) == 0.0
-    assert made["hessian"] @ f + made["gradient"] == pytest.approx(slope, abs=1e-11 * np.abs(g).sum())
-    # central differences err by step^2 over |F_t|^3, which is below 1e4
-    assert made["hessian"] == pytest.approx(curvature, abs=1e-5 * np.abs(g).max())
-    assert not made["upper"].any()
-
-
-def test_the_cones_curvature_is_bounded_where_its_edge_is_near():
-    made = program(np.eye(3), np.array([1.0, 0.0, -1.0]), np.array([0.5]), np.array([-1e-9, 0.0, 1.0]), 0.0)
-    assert made["hessian"] == pytest.approx(np.diag([1.0, 1.0 + 1e3, 1.0]), rel=1e-12)
-
-
-@SEEDS
-def test_facets_are_four_planes_that_touch_the_cone(seed):
-    rng = np.random.default_rng(seed)
-    n = 4
-    delassus, b, mu = problem(rng, n)
-    f = rng.normal(size=3 * n)
-    # no tangential force: where the velocity would push it; no velocity, either: along the first direction
-    f[3:5] = 0.0
-    f[6:9] = 0.0
-    delassus[6:9] = delassus[:, 6:9] = 0.0
-    b[6:8] = 0.0
-    g, c, _, _ = scaled(delassus, b)
-    u = g @ f + c
-    facets = program(delassus, b, mu, f)["facets"]
-    turns = np.linspace(0.0, 2.0 * math.pi, 360, endpoint=False)
-    for i in range(n):
-        own = facets[4 * i : 4 * i + 4, 3 * i : 3 * i + 3]
-        others = np.delete(facets[4 * i : 4 * i + 4], np.s_[3 * i : 3 * i + 3], axis=1)
-        assert not others.any()
-        assert np.linalg.norm(own, axis=1) == pytest.approx(np.ones(4), rel=ROUND_OFF)
-        # planes through the apex and a line of the cone's surface, which has no point beyond them
-        surface = np.c_[mu[i] * np.cos(turns), mu[i] * np.sin(turns), np.ones(360)]
-        beyond = own @ surface.T
-        assert beyond.max() <= ROUND_OFF
-        # of 360 lines one is within half a degree
-        assert beyond.max(axis=1) == pytest.approx(np.zeros(4), abs=1e-4)
-        # the first touches it at the force, the others at right angles from each other
-        normals = own[:, :2] / np.linalg.norm(own[:, :2], axis=1, keepdims=True)
-        along = f[3 * i : 3 * i + 2] if f[3 * i : 3 * i + 2].any() else -u[3 * i : 3 * i + 2]
-        along = along if along.any() else np.array([-1.0, 0.0])
-        assert normals[0] == pytest.approx(along / np.linalg.norm(along), abs=1e-12)
-        assert np.abs(normals @ normals.T).sum() == pytest.approx(8.0, rel=1e-12)
-        assert normals.sum(axis=0) == pytest.approx(np.zeros(2), abs=1e-12)
-
-
-def test_a_contact_without_friction_has_a_normal_force_alone():
-    rng = np.random.default_rng(1)
-    delassus, b, _ = problem(rng, 3)
-    mu = np.array([0.5, 0.0, 0.4])
-    f = rng.normal(size=9)
-    g = scaled(delassus, b)[0]
-    made = program(delassus, b, mu, f)
-    tangential = [3, 4]
-    rest = [0, 1, 2, 5, 6, 7, 8]
-    # nothing acts on its tangential forces, and these on nothing: they are zero
-    assert not made["hessian"][np.ix_(tangential, rest)].any()
-    assert not made["hessian"][np.ix_(rest, tangential)].any()
-    assert np.linalg.eigvalsh(made["hessian"][np.ix_(tangential, tangential)]).min() > 1.0
-    # without curvature by one in both directions, besides the pull to the last forces
-    flat = program(delassus, b, mu, np.r_[f[:3], 0.0, 0.0, f[5:]])["hessian"]
-    assert flat[np.ix_(tangential, tangential)] == pytest.approx(np.diag(g.diagonal()[3:5] + 1.125), rel=1e-12)
-    assert not made["gradient"][tangential].any()
-    # what the normal forces do to each other is as it was
-    assert made["hessian"][5, 2] == pytest.approx(g[5, 2], rel=1e-12)
-    # F_n >= 0 is one of its rows; the others hold whatever the forces
-    facets, upper = made["facets"][4:8], made["upper"][4:8]
-    binding = facets.any(axis=1)
-    assert facets[binding].tolist() == [[0.0] * 5 + [-1.0] + [0.0] * 3]
-    assert upper[binding].tolist() == [0.0]
-    assert (upper[~binding] > 0.0).all()
-    assert (made["facets"][[0, 3, 8, 11]].any(axis=1)).all()
 
 
 def test_a_nearly_symmetric_problem_is_made_symmetric():

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..friction import cone
 from ..friction.loads import Disk, Loads, LoadSolver
-from ..friction.solve import ContactSolver
+from ..friction.solve import NO_PROGRAMS, ContactSolver
 from ..layout import (
     GUARD_END,
     MODE,
@@ -50,8 +50,9 @@ class LoadedCones:
     cone_problems: how many were posed; proved: whether there are no forces where the last search found none.
     """
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, contact_solver: str = "auto") -> None:
         self.system = system
+        self._contact_solver = contact_solver
         self.cone_problems = 0
         self.proved = False
         # coefficients of friction of what may stick
@@ -61,7 +62,12 @@ class LoadedCones:
     def solver(self) -> ContactSolver:
         """Made when the first cone problem is posed."""
         # the loads that what slides is given must be those that evaluations find, which are of least norm
-        return ContactSolver(nearest=False)
+        return ContactSolver(nearest=False, contact_solver=self._contact_solver)
+
+    @property
+    def program_counts(self) -> dict[str, int]:
+        """What ProxQP did for them, see `ContactSolver.program_counts`."""
+        return self.solver.program_counts if self.cone_problems else NO_PROGRAMS
 
     @cached_property
     def loads(self) -> LoadSolver:

@@ -59,12 +59,12 @@ _ROUNDS = 4
 class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
     """Resolves the modes of all contacts at a state; keeps the cone solver's buffers and counts what it did.
 
-    worst_residual: the largest of the cone problems'.
+    contact_solver: see `ContactSolver`. worst_residual: the largest of the cone problems'.
     """
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, contact_solver: str = "auto") -> None:
         ModeChanges.__init__(self, system)
-        LoadedCones.__init__(self, system)
+        LoadedCones.__init__(self, system, contact_solver)
         self.worst_residual = 0.0
 
     def decide(

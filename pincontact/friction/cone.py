@@ -33,8 +33,7 @@ from __future__ import annotations
 
 from math import inf, sqrt
 
-from ..arrays import view
-from ..jit import REAL, SEVERAL, entry_kernel, kernel
+from ..jit import kernel
 from ..workspace import INTEGERS, REALS, Layout, Workspace
 
 OPEN, STICK, SLIP = 0, 1, 2
@@ -50,8 +49,6 @@ CANDIDATES = 12
 HUGE = 1e300
 # Outside this range a cone is too flat or too steep to tell modes by; Newton uses the true coefficient.
 LEAST_FRICTION, LARGEST_FRICTION = 1e-6, 1e2
-# Larger coefficients make the QP's facets too steep for it; the modes found are then corrected by Newton.
-QP_FRICTION = 100.0
 
 
 # Arrays that `attempt.solve_cones` works in, by name.
@@ -290,82 +287,3 @@ def gauss_seidel_pass(g, mu, f, u):
             f[k + 1] += change2
             for j in range(rows):
                 u[j] += change1 * g[k, j] + change2 * g[k + 1, j]
-
-
-@entry_kernel(
-    REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL, REAL[:, ::1], REAL[::1], REAL[:, ::1], REAL[::1],
-    REAL[::1], REAL[::1], when=SEVERAL,
-)  # fmt: skip
-def assemble_qp(delassus, b, mu, f, proximal, hessian, gradient, facets, upper, unit, work):
-    """The quadratic program around scaled forces f (3n,): min f' H f / 2 + g' f with facets f <= upper.
-
-    Four tangent planes per contact, the first at the direction of f itself; the cone's curvature times its
-    multiplier |u_t| in the Hessian; De Saxce's shift mu |u_t| n and the proximal pull to f in the gradient.
-    hessian (3n, 3n), gradient (3n,), facets (4n, 3n; zero outside the contacts' blocks), upper (4n,): output;
-    unit (3n,): output, the forces that scaled ones are counted in; work (8n,): scratch.
-    """
-    delassus, b, mu, f = view(delassus), view(b), view(mu), view(f)
-    hessian, gradient, work = view(hessian), view(gradient), view(work)
-    n = mu.shape[0]
-    rows = 3 * n
-    c = work[0:rows]
-    u = work[rows : 2 * rows]
-    scale = work[2 * rows : 2 * rows + n]
-    size = work[2 * rows + n : 2 * rows + 2 * n]
-    largest = scale_problem(delassus, b, n, hessian, c, scale, u)
-    respond(hessian, c, f, u, size, gradient)
-    for i in range(n):
-        k = 3 * i
-        friction = min(mu[i], QP_FRICTION)
-        length = sqrt(f[k] ** 2 + f[k + 1] ** 2)
-        d1 = u[k] - f[k]
-        d2 = u[k + 1] - f[k + 1]
-        slip = 0.0
-        if length > 0.0:
-            d1 = -f[k]
-            d2 = -f[k + 1]
-        norm = sqrt(d1 * d1 + d2 * d2)
-        if norm > 0.0:
-            d1 /= norm
-            d2 /= norm
-        else:
-            d1 = 1.0
-            d2 = 0.0
-        if length > 0.0:
-            slip = max(d1 * u[k] + d2 * u[k + 1], 0.0)
-        curvature = min(slip / length, 1e3) if length > 0.0 else 0.0
-        for r in range(3):
-            gradient[k + r] = c[k + r] - proximal * f[k + r]
-            hessian[k + r, k + r] += proximal
-            unit[k + r] = scale[i] * largest
-        gradient[k + 2] += friction * slip
-        hessian[k, k] += curvature * d2 * d2
-        hessian[k, k + 1] -= curvature * d1 * d2
-        hessian[k + 1, k] -= curvature * d1 * d2
-        hessian[k + 1, k + 1] += curvature * d1 * d1
-        sine, cosine = cone_angle(friction)
-        for j in range(4):
-            row = 4 * i + j
-            e1 = (-d1, d1, -d2, d2)[j]
-            e2 = (-d2, d2, d1, -d1)[j]
-            facets[row, k] = cosine * e1
-            facets[row, k + 1] = cosine * e2
-            facets[row, k + 2] = -sine
-            upper[row] = 0.0
-        if friction == 0.0:
-            # No cone is left but F_n >= 0; the tangential forces are decoupled, and stay zero.
-            for j in range(4):
-                row = 4 * i + j
-                upper[row] = 1.0
-                for r in range(3):
-                    facets[row, k + r] = 0.0
-            upper[4 * i] = 0.0
-            facets[4 * i, k + 2] = -1.0
-            hessian[k, k] += 1.0
-            hessian[k + 1, k + 1] += 1.0
-            for r in range(2):
-                gradient[k + r] = 0.0
-                for j in range(rows):
-                    if j != k + r:
-                        hessian[k + r, j] = 0.0
-                        hessian[j, k + r] = 0.0

@@ -7,7 +7,7 @@ natural map (`cone`) accepts or refuses them. The suggestions come from, cheapes
     sweeps  a few Gauss-Seidel passes over the last forces, and more if these do not do; redundant forces as before
     path    a homotopy (`homotopy`), which finds a solution unless the forces on it grow without bound; once more, with
             a trace of compliance, where all has failed
-    qp      a sequence of ProxQP programs (`qp`)
+    qp      a sequence of ProxQP programs (`proxqp`); before all others where the caller asks for it
 
 The first two are one call of compiled code (`attempt`), which other kernels can make, too. A single contact needs no
 search: all of its states can be tried (`exact`). All but ProxQP compute the same to the bit
@@ -58,7 +58,7 @@ from .cone import (
 from .feasibility import crushing_combination
 from .homotopy import follow_homotopy
 from .problem import checked_problem
-from .qp import ConeQP
+from .proxqp import PROGRAMS, ConePrograms
 
 __all__ = ["OPEN", "SLIP", "STICK", "ContactSolution", "ContactSolver", "solve_contacts"]
 
@@ -79,9 +79,14 @@ PATH_STEPS = 500
 QUICK_PATH_STEPS = 20
 # Compliances, relative to a contact's own, with which the path is tried again where all else has failed.
 COMPLIANCES = (1e-12, 1e-13, 1e-11)
-# Programs per search: a third one rarely finds what two did not.
-QP_LIMIT = 2
+# Newton passes from a program's forces.
+PROGRAM_NEWTON_PASSES = 8
+# Programs per beginning where the search is to be quick: 99 problems in 100 need no more.
+QUICK_PROGRAMS = 10
 STAGES = ("sweeps", "path", "qp")
+CONTACT_SOLVERS = ("auto", "proxqp")
+# Counts of ProxQP where it had nothing to do.
+NO_PROGRAMS = {"qp": 0, "qp_iterations": 0, "qp_failures": 0}
 
 
 class _Workspace:
@@ -97,7 +102,7 @@ class _Workspace:
         self.counts = self.space.counts
         self.counts[DECIDED] = UNDECIDED
         self.reached = self.space.reached
-        self.qp: ConeQP | None = None
+        self.programs: ConePrograms | None = None
 
     def decide(self, stage: str) -> None:
         """Count a problem that a stage outside of the kernel has solved."""
@@ -177,7 +182,9 @@ class ContactSolver:
                norm leave their cones; else other modes are looked for, and what slides has loads that do not depend on
                the past
 
-    Counters: polish_count (warm starts tried), path_count (paths begun), qp_count (programs), and decided (by stage).
+    contact_solver: see `choose`
+
+    Counters: polish_count (warm starts tried), path_count (paths begun), program_counts, and decided (by stage).
     Kernels call `attempt.solve_cones` with `address(n)` and `task` themselves; `search` goes on where that failed.
     After a search that failed `jammed` says whether that was because the forces grow without bound on the path; where
     there provably is no solution `certificate` (n,) is the reason, see `InfeasibleError`, otherwise None.
@@ -189,6 +196,7 @@ class ContactSolver:
         stages: tuple[str, ...] = STAGES,
         quick: bool = False,
         nearest: bool = True,
+        contact_solver: str = "auto",
     ):
         unknown = set(stages) - set(STAGES)
         if unknown:
@@ -197,16 +205,22 @@ class ContactSolver:
         self.stages = stages
         self.quick = quick
         self.nearest = nearest
-        # what the kernel does; the other stages are seen to here
-        self.task = USUAL + (NEAREST if nearest else 0) + (SWEEPING if stages[:1] == ("sweeps",) else 0)
+        self.choose(contact_solver)
         self.residual = 0.0
         self.jammed = False
         self.certificate: np.ndarray | None = None
         self.path_count = 0
-        self.qp_count = 0
         self._qp_before = 0
         self._spaces: dict[int, _Workspace] = {}
         self._space = self._workspace(1)
+
+    def choose(self, contact_solver: str) -> None:
+        """Solve what follows in the order of the stages ("auto"), or by ProxQP programs before them ("proxqp")."""
+        check_contact_solver(contact_solver)
+        self.programs_first = contact_solver == "proxqp"
+        # what the kernel does, nothing where programs are first; the other stages are seen to here
+        usual = USUAL + (NEAREST if self.nearest else 0) + (SWEEPING if self.stages[:1] == ("sweeps",) else 0)
+        self.task = WARM if self.programs_first else usual
 
     @property
     def iterations(self) -> int:
@@ -223,12 +237,28 @@ class ContactSolver:
     def decided(self) -> dict[str, int]:
         """How many problems were decided by what."""
         total = map(sum, zip(*(space.counts[TIMES:].tolist() for space in self._spaces.values())))
-        return {name: count for name, count in zip(DECIDERS, total) if name in ("warm", "exact", *self.stages)}
+        return {name: count for name, count in zip(DECIDERS, total) if name in ("warm", "exact", *self._order)}
 
     @property
     def polish_count(self) -> int:
         """How many warm starts were tried, those of single contacts from nothing included."""
         return sum(int(space.counts[TRIED]) for space in self._spaces.values())
+
+    @property
+    def program_counts(self) -> dict[str, int]:
+        """What ProxQP did, as `Trajectory.stats` has it: programs, their iterations, and problems that they left."""
+        counts = [space.programs.counts for space in self._spaces.values() if space.programs is not None]
+        return {name: sum(found) for name, found in zip(NO_PROGRAMS, zip(*counts))} if counts else dict(NO_PROGRAMS)
+
+    @property
+    def qp_count(self) -> int:
+        """Programs that ProxQP was given."""
+        return self.program_counts["qp"]
+
+    @property
+    def _order(self) -> tuple[str, ...]:
+        others = tuple(stage for stage in self.stages if stage != "qp")
+        return ("qp", *others) if self.programs_first else self.stages
 
     def _workspace(self, contacts: int) -> _Workspace:
         space = self._spaces.get(contacts)
@@ -286,8 +316,10 @@ class ContactSolver:
         """Be as new, with the buffers that there are."""
         self.forget()
         self.residual, self.jammed, self.certificate = 0.0, False, None
-        self.path_count = self.qp_count = self._qp_before = 0
+        self.path_count = self._qp_before = 0
         for space in self._spaces.values():
+            if space.programs is not None:
+                space.programs.renew()
             space.counts[:] = 0
             space.counts[DECIDED] = UNDECIDED
 
@@ -300,7 +332,7 @@ class ContactSolver:
         space = self._space
         if space.contacts != mu.shape[0]:
             space = self._workspace(mu.shape[0])
-        task = USUAL + AFRESH if afresh else self.task
+        task = USUAL + AFRESH if afresh and not self.programs_first else self.task
         self.residual = residual = solve_cones(delassus, b, mu, space.address, task, 0, self.tolerance, 0, 0)
         return residual <= self.tolerance or self.search(delassus, b, mu, afresh)
 
@@ -308,8 +340,9 @@ class ContactSolver:
         """The ladder of solvers above the kernel's: what `solve` does where its starts have failed.
 
         Stages are tried in their order until one's modes are accepted, cheapest first: projected Gauss-Seidel, the
-        homotopy, programs of ProxQP. Gauss-Seidel depends on the order of contacts; afresh puts it last, and lets it
-        try where the forces of the homotopy grow without bound but no certificate proves that there are none.
+        homotopy, programs of ProxQP; these come first where they are chosen. Gauss-Seidel depends on the order of
+        contacts; afresh puts it last, and lets it try where the forces of the homotopy grow without bound but no
+        certificate proves that there are none.
         Only then are results taken that are within the tolerance, but not as good as a start aims at, and, last of all,
         contacts given a trace of compliance.
         """
@@ -321,7 +354,7 @@ class ContactSolver:
         self.certificate, self.jammed = None, False
         tried_already = bool(self.task & SWEEPING) and not afresh
         self.residual = swept = float(space.reached[0]) if tried_already else np.inf
-        for stage in sorted(self.stages, key="sweeps".__eq__) if afresh else self.stages:
+        for stage in sorted(self._order, key="sweeps".__eq__) if afresh else self._order:
             if stage == "sweeps":
                 if tried_already:
                     continue
@@ -332,7 +365,7 @@ class ContactSolver:
             elif stage == "path":
                 solved = self._homotopy(space, *problem)
             else:
-                solved = self._programs(space, *problem)
+                solved = self._programs(space, *problem, afresh)
             if solved:
                 space.decide(stage)
                 return True
@@ -421,39 +454,47 @@ class ContactSolver:
                 break
         return False
 
-    def _programs(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
-        """Modes from a sequence of QPs, each around the forces of the last."""
-        if self.quick:
+    def _programs(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool) -> bool:
+        """Modes from a sequence of ProxQP programs, from the last forces if these are to be kept to."""
+        if self.quick and not self.programs_first:
             return False
-        if space.qp is None:
-            space.qp = ConeQP(space.contacts)
+        if space.programs is None:
+            space.programs = ConePrograms(space.contacts)
         before = space.forces.copy()
-        space.qp.restart()
-        for _ in range(QP_LIMIT):
-            self.qp_count += 1
-            finished = space.qp.solve(delassus, b, mu)
-            if not np.isfinite(space.qp.estimate).all():
-                return False
-            space.forces[:] = space.qp.estimate * space.qp.unit
-            if self._newton(space, (delassus, b, mu), self.tolerance):
-                return True
-            space.forces[:] = before
-            if not finished:
-                return False
+        warm = bool(space.counts[KNOWN]) and self.programs_first and not afresh
+        task = CLASSIFY_NEAR if self.nearest and not afresh else CLASSIFY
+
+        def finish() -> bool:
+            self.residual = solve_cones(
+                delassus, b, mu, space.address, task, PROGRAM_NEWTON_PASSES, self.tolerance, 0, 1
+            )
+            return self.residual <= self.tolerance
+
+        programs = QUICK_PROGRAMS if self.quick else PROGRAMS
+        if space.programs.solve(delassus, b, mu, space.forces, warm, finish, programs):
+            return True
+        space.forces[:] = before
         return False
 
     def solution(self, mu: np.ndarray) -> ContactSolution:
         """The last problem's solution as a value of its own."""
+        searched = self.programs_first or self._space.counts[DECIDED] >= BY_HOMOTOPY
         return ContactSolution(
             forces=self.forces.reshape(-1, 3).copy(),
             velocities=self.velocities.reshape(-1, 3).copy(),
             modes=self.modes.copy(),
             residual=self.residual,
             iterations=self.iterations,
-            qp_count=self.qp_count - self._qp_before if self._space.counts[DECIDED] >= BY_HOMOTOPY else 0,
+            qp_count=self.qp_count - self._qp_before if searched else 0,
             decided_by=self.decided_by,
             mu=np.array(mu, dtype=float),
         )
+
+
+def check_contact_solver(contact_solver: str) -> None:
+    """ArgumentError unless it is one of `CONTACT_SOLVERS`."""
+    if not isinstance(contact_solver, str) or contact_solver not in CONTACT_SOLVERS:
+        raise ArgumentError(f"contact_solver must be one of {CONTACT_SOLVERS}, got {contact_solver!r}")
 
 
 def solve_contacts(
@@ -463,6 +504,7 @@ def solve_contacts(
     warm: ContactSolution | None = None,
     tolerance: float = 1e-10,
     quick: bool = False,
+    contact_solver: str = "auto",
 ) -> ContactSolution:
     """Forces F and u = G F + b of n contacts under Coulomb's law, exactly (Sec. 5.3).
 
@@ -483,6 +525,8 @@ def solve_contacts(
         Relative residual up to which a solution is accepted.
     quick : bool
         Give up early where the cheap ways fail, for control loops; a few hard problems in a thousand are lost.
+    contact_solver : {"auto", "proxqp"}
+        "auto": cheapest ways first. "proxqp": a sequence of ProxQP programs before all others.
 
     Returns
     -------
@@ -491,7 +535,8 @@ def solve_contacts(
     Raises
     ------
     ArgumentError
-        For wrong shapes, numbers that are not finite, or a matrix that is not symmetric or has a negative diagonal.
+        For wrong shapes, numbers that are not finite, a matrix that is not symmetric or has a negative diagonal, or
+        another contact_solver.
     InfeasibleError
         Where there provably is no solution.
     SolverError
@@ -511,6 +556,7 @@ def solve_contacts(
     contacts = len(friction)
     check_tolerance(tolerance)
     check_flag("quick", quick)
+    check_contact_solver(contact_solver)
     if warm is not None and not isinstance(warm, ContactSolution):
         raise ArgumentError(f"warm must be a solution of solve_contacts, got {type(warm).__name__}")
     if warm is not None and warm.modes.shape[0] != contacts:
@@ -519,7 +565,7 @@ def solve_contacts(
         empty = np.zeros((0, 3))
         return ContactSolution(empty, empty.copy(), np.zeros(0, dtype=np.int64), 0.0, 0, 0, "exact", friction)
 
-    solver = ContactSolver(tolerance, quick=quick)
+    solver = ContactSolver(tolerance, quick=quick, contact_solver=contact_solver)
     if warm is not None:
         solver.warm_start(warm.modes, warm.forces, warm.velocities)
     if solver.solve(matrix, b, friction):

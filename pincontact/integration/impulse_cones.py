@@ -75,6 +75,11 @@ class ImpulseSolver:
         self._problems: dict[int, _Problem] = {}
         self._numbers["cone_tolerance"], self._counts["cone_task"] = self.solver.tolerance, self.solver.task
 
+    def choose(self, contact_solver: str) -> None:
+        """How contact problems are solved from now on, see `ContactSolver.choose`."""
+        self.solver.choose(contact_solver)
+        self._counts["cone_task"] = self.solver.task
+
     def begin(self) -> None:
         """Count anew."""
         self.left = self.softened = self.settled = 0

@@ -91,7 +91,8 @@ def _solve(step, n):
         return False
     known = cone.cone_at(address)
     # of several solutions of an impact the one that the past has no part in
-    task = USUAL + AFRESH if counts.touched != 0 else counts.cone_task
+    usual = counts.cone_task >= USUAL
+    task = USUAL + AFRESH if usual and counts.touched != 0 else counts.cone_task
     residual = _call_cones(
         step.calls.solve_cones,
         as_array(square(step.delassus, 3 * n)),

@@ -316,7 +316,7 @@ class MoreauStep:
             "settled": cones.settled,
             "open_loads": int(counts["open_loads"]),
             "decided": cones.solver.decided,
-            "qp": cones.solver.qp_count,
+            **cones.solver.program_counts,
             "cone_residual": float(self._numbers["cone_residual"]),
         }
 

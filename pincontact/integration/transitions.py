@@ -58,12 +58,14 @@ class Transitions:
     """Changes the modes of a system whose state is in `stage_state`, and leaves it ready for the next step.
 
     Methods return the time, which a start of slip moves on by a short seed step; they raise Stop where the run ends.
-    names, restitution: of the contacts; span: duration of the run in s.
+    names, restitution: of the contacts; span: duration of the run in s; contact_solver: as for `simulate`.
     """
 
-    def __init__(self, rk: RungeKutta, names: list[str], restitution: list[float], span: float) -> None:
+    def __init__(
+        self, rk: RungeKutta, names: list[str], restitution: list[float], span: float, contact_solver: str = "auto"
+    ) -> None:
         self.rk, self.system = rk, rk.system
-        self.modes = ModeSolver(rk.system)
+        self.modes = ModeSolver(rk.system, contact_solver)
         self.reports = Reports(rk, self.modes, names, span)
         self.open = OpenContacts(rk.system)
         self.penetration = Penetration(rk, self.modes)

@@ -122,23 +122,30 @@ class Penetration:
     def _foresee(self, t: float, c: int, tau: float, gap: float = 0.0, rate: float = 0.0) -> float:
         """How deep in m the gap of an open contact gets from the accepted state on; infinite if it does not recover.
 
-        tau: time in s over which the rate j of the gap's second derivative a is measured; gap, rate: its value in m
-        and first derivative. From 0 and 0 it dips by 2 |a|^3 / (3 j^2). The accepted state's evaluation is lost.
+        tau: time in s over which the rate j of the gap's second derivative a is measured, to second order, since the
+        depth decides when the contact touches; gap, rate: its value in m and first derivative. From 0 and 0 it dips by
+        2 |a|^3 / (3 j^2). The accepted state's evaluation is lost.
         """
-        rk, system = self._rk, self._rk.system
-        first = later = math.nan
-        if rk.evaluate_start(t) <= EVENT:
+        first = math.nan
+        if self._rk.evaluate_start(t) <= EVENT:
             first = self._modes.gap_acceleration(t, c)
         if first >= 0.0 and rate >= 0.0:
             return max(0.0, -gap)
-        if tau > 0.0 and rk.attempt(t, tau) == OK:
-            rk.load(system.new_state)
-            if rk.evaluate(t + tau) <= EVENT:
-                later = self._modes.gap_acceleration(t + tau, c)
-        jerk = (later - first) / tau if tau > 0.0 else math.nan
+        jerk = math.nan
+        if tau > 0.0:
+            half, whole = (self._acceleration_after(t, c, span) for span in (0.5 * tau, tau))
+            jerk = (4.0 * half - whole - 3.0 * first) / tau
         if not jerk > 0.0:
             return math.inf
         # the later root of rate + first s + jerk s^2 / 2; where there is none the gap only rises
         root = first * first - 2.0 * jerk * rate
         lowest = max(math.sqrt(root) - first, 0.0) / jerk if root > 0.0 else 0.0
         return max(-(gap + lowest * (rate + lowest * (0.5 * first + lowest * jerk / 6.0))), 0.0)
+
+    def _acceleration_after(self, t: float, c: int, tau: float) -> float:
+        """Second derivative of the gap of contact c in m/s^2, tau after the accepted state; NaN where there is none."""
+        rk = self._rk
+        if rk.attempt(t, tau) != OK:
+            return math.nan
+        rk.load(rk.system.new_state)
+        return self._modes.gap_acceleration(t + tau, c) if rk.evaluate(t + tau) <= EVENT else math.nan

@@ -218,6 +218,8 @@ class ContactSolver:
         """Solve what follows in the order of the stages ("auto"), or by ProxQP programs before them ("proxqp")."""
         check_contact_solver(contact_solver)
         self.programs_first = contact_solver == "proxqp"
+        others = [stage for stage in self.stages if stage != "qp"]
+        self._order = ["qp", *others] if self.programs_first else list(self.stages)
         # what the kernel does, nothing where programs are first; the other stages are seen to here
         usual = USUAL + (NEAREST if self.nearest else 0) + (SWEEPING if self.stages[:1] == ("sweeps",) else 0)
         self.task = WARM if self.programs_first else usual
@@ -254,11 +256,6 @@ class ContactSolver:
     def qp_count(self) -> int:
         """Programs that ProxQP was given."""
         return self.program_counts["qp"]
-
-    @property
-    def _order(self) -> tuple[str, ...]:
-        others = tuple(stage for stage in self.stages if stage != "qp")
-        return ("qp", *others) if self.programs_first else self.stages
 
     def _workspace(self, contacts: int) -> _Workspace:
         space = self._spaces.get(contacts)

@@ -514,6 +514,7 @@ _SETTINGS: dict[str, Converter] = {
     "step": as_number,
     "max_steps": as_integer,
     "fallback": as_text,
+    "contact_solver": as_text,
     "breakpoints": as_numbers,
 }
 

@@ -12,6 +12,7 @@ from .accuracy import gap_rate
 from .jams import held_up, stop_jammed, stop_slips
 from .penetration import Penetration
 from .results import ADVICE, FAILURES, Stop
+from .short_hops import end_hops
 from .slip_onset import SlipOnset
 
 # After an impact what leaves faster than this, in m/s, opens.
@@ -86,6 +87,7 @@ class Impacts:
         before = changes.counted_energy()
         stop_jammed(changes, t)
         # what stays closed with a normal velocity (a hop that is none) stops here, which may turn slow slips
+        self._end_hops(t)
         if self.rk.project(t, False):
             stop_jammed(changes, t)
         else:
@@ -202,8 +204,14 @@ class Impacts:
                 changes.modes.hold(g, 0)
             for g in hops:
                 changes.modes.hold(g, ends[g])
+            self._end_hops(t)
             changes.project(t, explained=True)
         return True
+
+    def _end_hops(self, t: float) -> None:
+        """End what leaves, or slides, but is held in the present modes; what no impulses do is left to a projection."""
+        if self.rk.evaluate(t) <= EVENT and end_hops(self.system):
+            self.rk.keep_velocity()
 
     def _stops_soon(self, c: int) -> bool:
         """Whether the slip of contact c ends in a distance that is shorter than positions are known to."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .arguments import NOT_REAL, check_flag, is_count, is_number, real_array
+from .dynamics.energy import energy_gained
 from .dynamics.joints import check_guards
 from .errors import ArgumentError, UnusableResult
 from .friction.solve import check_contact_solver
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
 _SHORTEST_STEP = float(np.finfo(float).eps)
 # What ends a run whose motion may go on all the same.
 _FALLS_BACK = (STEP_TOO_SMALL, NO_CONTACT_FORCE, CHATTER, MODEL_FAILED)
+# Gain of energy, see `energy_gained`, of which a run of time stepping tells.
+_TOLD_GAIN = 1e-3
 # So many numbers take less time as a list than as an array.
 _SHORT = 50
 
@@ -305,7 +308,12 @@ def _simulate_moreau(request: _Request, finish: Callable[[Trajectory], Trajector
                 **stepper.stats,
                 "wall_time": time.perf_counter() - request.began,
             }
-            return finish(Trajectory.from_record(scene, record, driver.events, code, message, stats))
+            run = Trajectory.from_record(scene, record, driver.events, code, message, stats)
+            if system.is_passive:
+                stats["energy_gained"] = gained = energy_gained(scene.model, run.q, run.v)
+                if gained > _TOLD_GAIN:
+                    run.message += f"; the energy has grown by {gained:.2g} of the largest, which shorter steps lessen"
+            return finish(run)
 
         run = _run(driver, state.t, duration, result)
     if run.success:

@@ -17,6 +17,8 @@ ENERGY_SLACK = 1e-9
 KEPT_ACCURACY = 1e-3
 # Slower than this, in m/s, nothing rebounds, and what is closed at the start of a run and comes in does not collide.
 REST_SPEED = 1e-3
+# So many states of a run are enough to see whether its energy grows.
+_LOOKED_AT = 64
 
 
 def energies_at(model: pin.Model, q: np.ndarray, v: np.ndarray, data: pin.Data | None = None) -> tuple[float, float]:
@@ -30,3 +32,15 @@ def energies_at(model: pin.Model, q: np.ndarray, v: np.ndarray, data: pin.Data |
     mass = np.triu(pin.crba(model, data, q))
     kinetic = float(v @ mass @ v - 0.5 * (v * v) @ mass.diagonal())
     return kinetic, float(pin.computePotentialEnergy(model, data, q))
+
+
+def energy_gained(model: pin.Model, q: np.ndarray, v: np.ndarray) -> float:
+    """Largest gain of total energy in J between two of at most `_LOOKED_AT` states, rows of q and v in time order, over
+    the largest kinetic energy of these and the range of the total."""
+    rows = np.unique(np.linspace(0, len(q) - 1, min(len(q), _LOOKED_AT)).astype(int))
+    data = model.createData()
+    found = np.array([energies_at(model, q[i], v[i], data) for i in rows]).reshape(-1, 2)
+    total = found.sum(axis=1)
+    gained = float((total - np.minimum.accumulate(total)).max(initial=0.0))
+    scale = float(found[:, 0].max(initial=0.0) + np.ptp(total)) if rows.size else 0.0
+    return gained / scale if scale > 0.0 else 0.0

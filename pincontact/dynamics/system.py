@@ -355,6 +355,11 @@ class System(Workspace):
         """Whether evaluations depend on time: by a user's function, or by a prescribed motion that is not steady."""
         return self.asks or self._driven_unsteadily
 
+    @property
+    def is_passive(self) -> bool:
+        """Whether nothing does work on the motion: no user's function, and no prescribed motion."""
+        return not (self.asks or self.side_int[: 2 * self.nc, [MOTION_KIND, TIME_DEPENDENT]].any())
+
     @cached_property
     def _driven_unsteadily(self) -> bool:
         sides = self.side_int[: 2 * self.nc, [MOTION_KIND, TIME_DEPENDENT]].tolist()

@@ -1,0 +1,44 @@
+"""Time stepping tells of energy that its errors make."""
+
+import numpy as np
+import pytest
+from random_motions import random_motion
+from test_moreau import ball_scene, upright
+
+import pincontact as pc
+
+
+def test_growing_energy_is_told():
+    """A box thrown on a rough floor: the first-order errors of long steps in which it strikes make energy."""
+    _, motion = random_motion(70039)
+    assert motion.passive
+    runs = [
+        pc.simulate(motion.scene, motion.state(), 1.0, method="Moreau", step=step, energies=True)
+        for step in (1e-2, 1e-3)
+    ]
+    for run in runs:
+        total = run.energies().total
+        gained = (total - np.minimum.accumulate(total)).max()
+        scale = run.energies().kinetic.max() + np.ptp(total)
+        # only some of the outputs are looked at
+        assert 0.0 < run.stats["energy_gained"] <= 1.05 * gained / scale
+    assert runs[0].stats["energy_gained"] > 1e-3 > 10.0 * runs[1].stats["energy_gained"]
+    assert "the energy has grown by 0.003" in runs[0].message
+    assert "energy" not in runs[1].message
+
+
+def test_energy_that_something_gives_is_not_told():
+    """A ball on a floor that moves up, and one that a control lifts."""
+    scene = ball_scene()
+    state = scene.initial_state(upright(0.0, 0.0, 0.1))
+    run = pc.simulate(scene, state, 0.1, method="Moreau", control=lambda t, q, v: np.array([0, 0, 40.0, 0, 0, 0]))
+    assert run.status == 0 and "energy" not in run.message and "energy_gained" not in run.stats
+    model = scene.model
+    lift = pc.Scene(model)
+    lift.add_contour("ball", pc.Sphere(0.1), "body")
+    lift.add_contour("floor", pc.Plane(), motion=pc.ConstantTwist(linear=(0.0, 0.0, 1.0)))
+    lift.add_contact("c", "ball", "floor")
+    state = lift.initial_state(upright(0.0, 0.0, 0.1), np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
+    run = pc.simulate(lift, state, 0.1, method="Moreau")
+    assert run.status == 0 and "energy" not in run.message and "energy_gained" not in run.stats
+    assert run.q[-1, 2] == pytest.approx(0.2, abs=1e-9)

@@ -1,4 +1,4 @@
-"""Bodies that rock or bounce to rest while they slide: hops too low to be resolved brake as resolved ones do."""
+"""Bodies that rock or bounce to rest while they slide: low hops are resolved, since their landings brake."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def _errors(scene: pc.Scene, tilt: float, mu: float, **options: object) -> tuple
 def test_sliding_body_rocks_to_rest(method, restitution, mu):
     """A heavy bar thrown from foot to foot: each landing throws the other foot up, lower by a factor, without end."""
     scene = _bar(mu, restitution, inertia=0.3)
-    # hops as high as the tolerance in m are left out, at first order: without friction in it 1.7e-4 m were missing
+    # hops below 1e-13 m are left out, with the root of that times friction; 1.7e-4 m if hops of 1e-8 m were
     position, velocity = _errors(scene, 0.01, mu, method=method, rtol=1e-8, atol=1e-8)
     assert position < 2e-7
-    assert velocity < 1e-9
+    assert velocity < 1e-6

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..layout import LENGTH
+from ..layout import LENGTH, VISCOUS
 from .results import GAP_TOLERANCE
 
 if TYPE_CHECKING:
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 # Slip slower than this (m/s, absolute and relative to the largest velocity) counts as rest where modes are set anew.
 _REST = 1e-9
+# Part of the accuracy of gaps to which hops are resolved, and round-off of gaps, relative to coordinates of unit size.
+_RESOLVED, _ROUND_OFF = 1e-6, 2e-14
 
 
 def gap_accuracy(system: System) -> np.ndarray:
@@ -26,6 +28,20 @@ def gap_accuracy(system: System) -> np.ndarray:
     lengths[: system.nc] = system.contact_real[: system.nc, LENGTH]
     relative, absolute = system.scale
     return GAP_TOLERANCE * (absolute + relative * lengths)
+
+
+def gap_resolution(system: System) -> np.ndarray:
+    """(items,) how low hops are that are none, and how far open gaps may be below zero, in m or rad.
+
+    Gaps are computed from the configuration to round-off, however large its error is; only what two motions are
+    compared by, such as contacts that touch at the same time, is not known better than to `gap_accuracy`. With viscous
+    friction, which ends as a contact opens, hops may get shorter without end: there they are resolved no further.
+    """
+    accuracy = gap_accuracy(system)
+    viscous = np.zeros(system.items, dtype=bool)
+    viscous[: system.nc] = system.contact_real[: system.nc, VISCOUS] > 0.0
+    round_off = _ROUND_OFF * max(1.0, float(np.abs(system.q).max(initial=0.0)))
+    return np.where(viscous, accuracy, np.maximum(_RESOLVED * accuracy, round_off))
 
 
 def rest_speed(system: System) -> float:

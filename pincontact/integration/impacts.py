@@ -12,7 +12,6 @@ from .accuracy import gap_rate
 from .jams import held_up, stop_jammed, stop_slips
 from .penetration import Penetration
 from .results import ADVICE, FAILURES, Stop
-from .short_hops import end_hops
 from .slip_onset import SlipOnset
 
 # After an impact what leaves faster than this, in m/s, opens.
@@ -87,7 +86,6 @@ class Impacts:
         before = changes.counted_energy()
         stop_jammed(changes, t)
         # what stays closed with a normal velocity (a hop that is none) stops here, which may turn slow slips
-        self._end_hops(t)
         if self.rk.project(t, False):
             stop_jammed(changes, t)
         else:
@@ -131,16 +129,16 @@ class Impacts:
         for i in closed:
             if not system.contact_int[i, UNILATERAL]:
                 continue
-            accuracy = self.penetration.accuracy(i)
-            depth = max(-float(system.gaps[i, 0]) - accuracy, 0.0)
-            if self._leaves(i, gap_rate(system, i), depth + accuracy):
+            below, lowest = -float(system.gaps[i, 0]), self.penetration.resolution(i)
+            height = max(below - self.penetration.accuracy(i), 0.0) + lowest
+            if self._leaves(i, gap_rate(system, i), height):
                 system.contact_int[i, MODE] = FREE
                 if i not in touching and i not in near:
                     # thrown off by what others have struck
                     self.reports.announce(t, i, "separate")
-                if depth > 0.0:
+                if below > lowest:
                     # rebounds from where it is
-                    self.penetration.tolerate(i, depth)
+                    self.penetration.tolerate(i, below)
         for i in near:
             if system.contact_int[i, MODE] != FREE:
                 self.reports.announce(t, i, "touch")
@@ -204,14 +202,8 @@ class Impacts:
                 changes.modes.hold(g, 0)
             for g in hops:
                 changes.modes.hold(g, ends[g])
-            self._end_hops(t)
             changes.project(t, explained=True)
         return True
-
-    def _end_hops(self, t: float) -> None:
-        """End what leaves, or slides, but is held in the present modes; what no impulses do is left to a projection."""
-        if self.rk.evaluate(t) <= EVENT and end_hops(self.system):
-            self.rk.keep_velocity()
 
     def _stops_soon(self, c: int) -> bool:
         """Whether the slip of contact c ends in a distance that is shorter than positions are known to."""
@@ -220,8 +212,7 @@ class Impacts:
 
     def _returns_soon(self, t: float, c: int) -> bool:
         """Whether contact c comes back from no further than gaps are known."""
-        accuracy = self.penetration.accuracy(c)
-        if c in self.penetration.contacts or abs(float(self.system.gaps[c, 0])) > accuracy:
+        if c in self.penetration.contacts or abs(float(self.system.gaps[c, 0])) > self.penetration.accuracy(c):
             return False
         speed, back = gap_rate(self.system, c), -self.changes.modes.gap_acceleration(t, c)
-        return back > 0.0 and speed * speed <= 2.0 * back * accuracy
+        return back > 0.0 and speed * speed <= 2.0 * back * self.penetration.resolution(c)

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from ..layout import DOMAIN, DOMAIN_MARGIN, GAP_MARGIN, NOTHING_THERE, OK, SCAN_ROOM, SPEED_MARGIN
-from .accuracy import gap_accuracy
+from .accuracy import gap_resolution
 from .open_contacts import OpenContacts
 from .runge_kutta import RungeKutta
 from .sign_changes import ACCURACY, look_below_zero, zero_between
@@ -97,7 +97,7 @@ class EventLocator:
 
     @cached_property
     def _accuracy(self) -> np.ndarray:
-        return gap_accuracy(self.system)
+        return gap_resolution(self.system)
 
     def _set_slack(self) -> None:
         self._slack[:, GAP_MARGIN] = self._accuracy + self._depths

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..dynamics.modes import ModeSolver
 from ..layout import DOMAIN, EVENT, FREE, GAP_MARGIN, LENGTH, MODE, MU, OK, STICK, UNILATERAL
-from .accuracy import gap_accuracy, gap_rate
+from .accuracy import gap_accuracy, gap_rate, gap_resolution
 from .results import Event
 from .runge_kutta import RungeKutta
 
@@ -42,9 +42,13 @@ class Penetration:
         """Error in m of the gap of contact c."""
         return float(gap_accuracy(self._rk.system)[c])
 
+    def resolution(self, c: int) -> float:
+        """Height in m below which a hop of contact c is none."""
+        return float(gap_resolution(self._rk.system)[c])
+
     def slack(self, c: int) -> float:
         """How deep in m open contact c may be."""
-        return self.accuracy(c) + float(self.depths[c])
+        return self.resolution(c) + float(self.depths[c])
 
     def touches(self, c: int) -> bool:
         """Whether the gap of an open contact is zero within its error, between points inside both domains."""
@@ -116,7 +120,7 @@ class Penetration:
         return _DEEPEST * float(self._rk.system.contact_real[c, LENGTH])
 
     def _tolerate_dip(self, c: int, depth: float) -> None:
-        if depth > self.accuracy(c):
+        if depth > 0.0:
             self.tolerate(c, _SLACK * depth)
 
     def _foresee(self, t: float, c: int, tau: float, gap: float = 0.0, rate: float = 0.0) -> float:

@@ -14,6 +14,8 @@ from ..errors import ArgumentError, StateError
 from .instant import Instant
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from ..scene import Scene
     from ..state import State
 
@@ -70,7 +72,7 @@ def external_forces(
     return joint_forces(scene.model, system.data, system.contacts, instant.points(), acting, torques)
 
 
-def check_forces(scene: Scene, forces: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def check_forces(scene: Scene, forces: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
     """Given contact forces as finite arrays (3,)."""
     if not isinstance(forces, Mapping):
         raise ArgumentError(f"forces must be a mapping from contacts to forces (3,), got {type(forces).__name__}")

@@ -118,7 +118,7 @@ def simulate(
     rtol, atol : float
         Relative and absolute tolerance of every component of q (tangent to its manifold, in m and rad), of v and of the
         location parameters.
-    t_eval : (n,) array, optional
+    t_eval : (n,) array_like, optional
         Times in s, in order, at which the result is wanted; every accepted step, if not given.
     method : {"DOP853", "RK45", "RK23", "Sharp98", "Moreau"}
         "DOP853", "RK45" and "RK23" are SciPy's Runge-Kutta pairs; "Sharp98" is for errors of 1e-10, at rtol of 1e-5 and
@@ -168,8 +168,10 @@ def simulate(
     StateError
         For a state whose numbers cannot be used, likewise.
 
-    Notes ----- What control, events and callable motions raise is passed on as it is. Everything up to there is then a
-    Trajectory, too, of status -5: the attribute `run` of the exception, also of a KeyboardInterrupt.
+    Notes
+    -----
+    What control, events and callable motions raise is passed on as it is. Everything up to there is then a Trajectory,
+    too, of status -5: the attribute `run` of the exception, also of a KeyboardInterrupt.
 
     Examples
     --------

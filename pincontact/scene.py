@@ -466,9 +466,9 @@ class Scene(Assembly):
 
         Parameters
         ----------
-        q : (nq,) array
+        q : (nq,) array_like
             Pinocchio's configuration, in m and rad; quaternions (x, y, z, w) have norm 1 to 1e-6.
-        v : (nv,) array, optional
+        v : (nv,) array_like, optional
             Pinocchio's velocity in m/s and rad/s, zero if not given.
         t : float
             Time in s.

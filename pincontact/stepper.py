@@ -161,7 +161,7 @@ class Stepper:
 
         Parameters
         ----------
-        tau : (nv,) array
+        tau : (nv,) array_like
             Joint torques in N and N m.
         count : int
             Number of steps, at least 1.
@@ -211,7 +211,7 @@ class Stepper:
 
         Parameters
         ----------
-        torques : (n, nv) array
+        torques : (n, nv) array_like
             Joint torques in N and N m, row by row.
         count : int
             Number of steps for which each row is held, at least 1.

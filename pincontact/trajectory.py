@@ -322,8 +322,8 @@ class Trajectory:
         Returns
         -------
         dict of str to (n,) array
-            Without units. "C1": |r_2 - r_1| and "GC": the gap, both relative to the contact's length; "C2": e_3 .
-            tangents of body 1; "VC": constrained components of v_c relative to the speeds.
+            Without units. "C1": distance of the points r_1 and r_2, and "GC": the gap, both relative to the contact's
+            length; "C2": e_3 . tangents of body 1; "VC": constrained components of v_c relative to the speeds.
         """
         self._all_tracks()
         n = self.t.size

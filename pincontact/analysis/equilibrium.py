@@ -77,13 +77,13 @@ def find_equilibrium(
     Parameters
     ----------
     scene : Scene
-    q0 : (nq,) array
+    q0 : (nq,) array_like
         Where the search starts, in m and rad.
-    tau : (nv,) array, optional
+    tau : (nv,) array_like, optional
         Joint torques in N and N m, zero if not given.
     t : float
         Time in s, for prescribed motions.
-    actuation : (nv, na) array or sequence of str, optional
+    actuation : (nv, na) array_like or sequence of str, optional
         Matrix, or names of joints, whose torques are unknowns, too: they are changed no more than is needed (holding
         torques). No torques are, if not given.
     conditions : callable, optional
@@ -168,9 +168,9 @@ def find_steady_motion(
     Parameters
     ----------
     scene : Scene
-    q0 : (nq,) array
+    q0 : (nq,) array_like
         Where the search starts, in m and rad.
-    v0 : (nv,) array
+    v0 : (nv,) array_like
         Likewise, in m/s and rad/s.
     tau, t
         As for `find_equilibrium`.

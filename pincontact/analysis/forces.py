@@ -62,9 +62,9 @@ def external_forces(
     scene : Scene
     state : State
         A state of this scene.
-    tau : (nv,) array, optional
+    tau : (nv,) array_like, optional
         Joint torques that act in N and N m, zero if not given.
-    forces : mapping of str to (3,) array, optional
+    forces : mapping of str to (3,) array_like, optional
         Forces of contacts in N on the second contour, world axes, instead of those of the motion at the state; contacts
         that are not named carry none.
 

@@ -156,14 +156,14 @@ def inverse_dynamics(
     scene : Scene
     state : State
         A state of this scene.
-    acceleration : (nv,) array, optional
+    acceleration : (nv,) array_like, optional
         In m/s^2 and rad/s^2, Pinocchio's order; must keep the closed contacts closed and rolling. If not given, the one
         nearest zero, in the norm of the mass matrix, that does (going on at constant velocity as far as the contacts
         let it).
-    actuation : (nv, na) array or sequence of str, optional
+    actuation : (nv, na) array_like or sequence of str, optional
         How efforts act on the velocity coordinates, or names of the joints that are driven; all joints except a
         free-flying root, if not given.
-    forces : mapping of str to (3,) array, optional
+    forces : mapping of str to (3,) array_like, optional
         Given forces of contacts in N, on the second contour, world axes.
     tolerance : float
         Largest residual and largest constraint defect that counts as none, relative to the loads.

@@ -89,7 +89,7 @@ class Linearization:
 
         Parameters
         ----------
-        dq, dv : (nv,) array
+        dq, dv : (nv,) array_like
             Deviation of configuration (tangent) and velocity.
 
         Returns
@@ -163,7 +163,7 @@ def linearize(
     scene : Scene
     state : State
         The equilibrium, or a state of the steady motion.
-    tau : (nv,) array, optional
+    tau : (nv,) array_like, optional
         Joint torques that act in N and N m, zero if not given.
     coordinates : sequence of str or int
         Velocity coordinates (indices, or names such as "steer" and "root_joint.wx") to describe deviations by. Those

@@ -44,16 +44,19 @@ _WRONG = 1e-2
 class Motion:
     """A placement as a function of time; base class of all motions.
 
+    A motion of kind MOTION_CALLABLE is evaluated in Python; all others are compiled.
+
     Parameters
     ----------
-    parameters : (16,) array
-        Numbers that the kernels read, by kind.
-    pool : (n,) array
+    parameters : sequence of float
+        Up to 16 numbers that the kernels read, by kind.
+    pool : (n,) array, optional
         Further numbers, those of a spline.
 
-    Notes
-    -----
-    A motion of kind MOTION_CALLABLE is evaluated in Python; all others are compiled.
+    Attributes
+    ----------
+    kind : int
+        By what compiled code knows the motion.
 
     Examples
     --------
@@ -112,7 +115,17 @@ class Motion:
         return out
 
     def placement(self, t: float) -> pin.SE3:
-        """Placement of the contour in its carrier at time t in s."""
+        """Placement of the contour in its carrier.
+
+        Parameters
+        ----------
+        t : float
+            Time in s.
+
+        Returns
+        -------
+        pin.SE3
+        """
         row = self.evaluate(t)
         return pin.SE3(row[:9].reshape(3, 3), row[9:12])
 
@@ -270,7 +283,7 @@ class SplineMotion(Motion):
 
     kind = MOTION_SPLINE
 
-    def __init__(self, times: Sequence[float], poses: Sequence[Any], periodic: bool = False) -> None:
+    def __init__(self, times: Sequence[float], poses: Sequence[pin.SE3 | np.ndarray], periodic: bool = False) -> None:
         owner = "SplineMotion"
         periodic = flag(owner, "periodic", periodic)
         if not isinstance(poses, (Sequence, np.ndarray)):
@@ -311,8 +324,12 @@ class CallableMotion(Motion):
         once per evaluation of the dynamics. Or f(t) -> pose, with a time domain: the pose is fitted there to
         round-off, once, and no Python runs afterwards.
     time_domain : (first, last), optional
-        In s, for an f that returns poses only; `fit_error` says how well they were fitted. Beyond it the motion goes on
-        with constant second derivatives.
+        In s, for an f that returns poses only. Beyond it the motion goes on with constant second derivatives.
+
+    Attributes
+    ----------
+    fit_error : float
+        Largest error of fitted positions (m) and quaternions, 0 where f returns velocities, too.
 
     Raises
     ------
@@ -362,7 +379,23 @@ class CallableMotion(Motion):
         super().__init__((), _motion_pool(result.pool))
 
     def evaluate(self, t: float, out: np.ndarray | None = None) -> np.ndarray:
-        """As `Motion.evaluate`."""
+        """Placement and its derivatives, as the row that the kernels use.
+
+        Parameters
+        ----------
+        t, out
+            As for `Motion.evaluate`.
+
+        Returns
+        -------
+        (24,) array
+            As that of `Motion.evaluate`.
+
+        Raises
+        ------
+        ContourError
+            For what is no placement, velocity and acceleration.
+        """
         if self.kind == MOTION_SPLINE:
             return super().evaluate(t, out)
         if out is None:

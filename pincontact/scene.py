@@ -127,6 +127,8 @@ class Scene(Assembly):
         ------
         ModelError
             When the file is missing or cannot be read.
+        ArgumentError
+            For a floating_base that is neither True nor False.
 
         Warns
         -----
@@ -199,6 +201,8 @@ class Scene(Assembly):
             With other builds.
         ModelError
             When the file is missing or cannot be read.
+        ArgumentError
+            For a floating_base that is neither True nor False.
 
         Warns
         -----

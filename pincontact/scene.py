@@ -494,7 +494,7 @@ class Scene(Assembly):
         ArgumentError
             For a bad max_gap, and for names in `free` that are none of contacts that can open.
         ModelError
-            For a joint that moves no inertia.
+            For a joint that moves no inertia, or is of a type that is not known.
         NoContactError
             Where contours do not touch; it has the gap.
         SingularContactError

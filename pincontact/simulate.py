@@ -121,9 +121,9 @@ def simulate(
     t_eval : (n,) array_like, optional
         Times in s, in order, at which the result is wanted; every accepted step, if not given.
     method : {"DOP853", "RK45", "RK23", "Sharp98", "Moreau"}
-        "DOP853", "RK45" and "RK23" are SciPy's Runge-Kutta pairs; "Sharp98" is for errors of 1e-10, at rtol of 1e-5 and
-        less. They find every event. "Moreau" is time stepping with impulses, for many contacts, impacts and jams, with
-        constant steps and without error control.
+        "DOP853", "RK45" and "RK23" are the Runge-Kutta pairs of SciPy's `solve_ivp`; "Sharp98" is for errors of 1e-10,
+        at rtol of 1e-5 and less. These locate events. "Moreau" is time stepping with impulses, for many contacts,
+        impacts and jams, with constant steps and without error control.
     control : callable, optional
         Called as control(t, q, v), returns joint torques (nv,) in N and N m; must be smooth between events. q (nq,) and
         v (nv,) are read-only views of the integrator's own arrays, which the next call overwrites: copy what is kept.

@@ -90,7 +90,7 @@ class InverseDynamics:
     efforts : (na,) array
         Of the actuators, in N and N m.
     acceleration : (nv,) array
-        That they make, in m/s^2 and rad/s^2.
+        The one that was wanted, or found, in m/s^2 and rad/s^2.
     forces : dict of str to (3,) array
         Force of each contact in N, on the second contour given, world axes.
     torques : dict of str to (3,) array

@@ -26,9 +26,9 @@ class ContactKinematics:
     """The paper's equations of one contact at one state, as numbers.
 
     World axes unless said, SI units. Relative quantities are of the second contour that the user named against the
-    first, so v_c is the track's slip_velocity, and with its force and multipliers v_c . force = components .
-    multipliers. Parameters and frames are in the paper's order, in which body 2 has at least as many parameters as body
-    1 (as given when equal). m is the number of location equations, k that of location parameters.
+    first, as in `ContactTrack`: v_c is its slip_velocity, and v_c . force = components . multipliers. Parameters and
+    frames are in the paper's order, in which body 2 has at least as many parameters as body 1 (as given when equal).
+    m is the number of location equations, k that of location parameters.
 
     Attributes
     ----------

@@ -33,8 +33,8 @@ class Linearization:
     """x' = A x + B dtau about a steady motion, for n independent deviations x.
 
     x holds deviations of some of the model's velocity coordinates: the first `positions` of them of the configuration
-    (dq, tangent to it as `pin.difference` gives it), the others of the velocity (dv). Every consistent deviation is dq
-    = dq_dx x, dv = dv_dx x. dtau are changes of the joint torques. SI units, Pinocchio's order.
+    (dq, tangent to it as `pin.difference` gives it), the others of the velocity (dv). All consistent deviations are
+    dq = dq_dx x, dv = dv_dx x. dtau are changes of the joint torques. SI units, Pinocchio's order.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Linearization:
     positions : int
         How many of them are of the configuration.
     names : list of str
-        The same in words, "q:steer" or "v:root_joint.wx".
+        Their names, such as "q:steer" or "v:root_joint.wx".
     dq_dx, dv_dx : (nv, n) array
         Deviations of all coordinates.
     symmetries : (n, s) array

@@ -89,8 +89,8 @@ def sweep(
         Whether rows of the file that failed are run again.
     executor : concurrent.futures.Executor, optional
         Any, such as Dask's `client.get_executor()` or mpi4py's MPIPoolExecutor. If not given, the sweep makes processes
-        of its own. `build` and `measure` must be functions of a module then, and a script needs `if __name__ ==
-        "__main__":`.
+        of its own. Then `build` and `measure` must be functions of a module, and a script needs
+        `if __name__ == "__main__":`.
     workers : int, optional
         Number of these processes, one for each core if not given; with 0 all runs are made in this process.
     progress : bool

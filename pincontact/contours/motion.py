@@ -44,8 +44,6 @@ _WRONG = 1e-2
 class Motion:
     """A placement as a function of time; base class of all motions.
 
-    A motion of kind MOTION_CALLABLE is evaluated in Python; all others are compiled.
-
     Parameters
     ----------
     parameters : sequence of float
@@ -56,7 +54,7 @@ class Motion:
     Attributes
     ----------
     kind : int
-        By what compiled code knows the motion.
+        MOTION_CALLABLE is evaluated in Python, all others are compiled.
 
     Examples
     --------
@@ -108,6 +106,11 @@ class Motion:
         (24,) array
             Rotation (9, row-major) of the contour in its carrier, position (3), linear velocity (3), angular velocity
             (3), linear acceleration (3), angular acceleration (3), in carrier axes.
+
+        Raises
+        ------
+        ContourError
+            Where the function of a `CallableMotion` returned something else than it has to.
         """
         if out is None:
             out = np.zeros(MOTION_SIZE)
@@ -379,23 +382,6 @@ class CallableMotion(Motion):
         super().__init__((), _motion_pool(result.pool))
 
     def evaluate(self, t: float, out: np.ndarray | None = None) -> np.ndarray:
-        """Placement and its derivatives, as the row that the kernels use.
-
-        Parameters
-        ----------
-        t, out
-            As for `Motion.evaluate`.
-
-        Returns
-        -------
-        (24,) array
-            As that of `Motion.evaluate`.
-
-        Raises
-        ------
-        ContourError
-            For what is no placement, velocity and acceleration.
-        """
         if self.kind == MOTION_SPLINE:
             return super().evaluate(t, out)
         if out is None:
@@ -412,13 +398,8 @@ class CallableMotion(Motion):
         h = 1e-5
         before, here, after = self.evaluate(t - h), self.evaluate(t), self.evaluate(t + h)
         turn = after[:9].reshape(3, 3) @ before[:9].reshape(3, 3).T
-        expected = np.concatenate(
-            [
-                (after[9:12] - before[9:12]) / (2.0 * h),
-                pin.log3(turn) / (2.0 * h),
-                (after[12:18] - before[12:18]) / (2.0 * h),
-            ]
-        )
+        changes = [after[9:12] - before[9:12], pin.log3(turn), after[12:18] - before[12:18]]
+        expected = np.concatenate(changes) / (2.0 * h)
         names = np.repeat(["velocity", "angular velocity", "acceleration", "angular acceleration"], 3)
         for i, (found, value) in enumerate(zip(here[12:], expected)):
             size = np.abs(expected[3 * (i // 3) : 3 * (i // 3) + 3]).max()

@@ -435,11 +435,8 @@ def plot(
     Parameters
     ----------
     run : Trajectory
-    kinds : str or sequence of str, optional
-        Any of "motion", "forces", "cone", "slip", "location", "energy", "residuals"; all that the run has something
-        for, if not given.
-    axes : matplotlib.axes.Axes or sequence of them, optional
-        As many axes to draw into; a new figure's, if not given.
+    kinds, axes
+        As for `Trajectory.plot`.
 
     Returns
     -------
@@ -448,10 +445,8 @@ def plot(
 
     Raises
     ------
-    ArgumentError
-        For an unknown kind, none at all, or another number of axes than of kinds.
-    MissingExtraError
-        Without Matplotlib.
+    ArgumentError, MissingExtraError
+        As `Trajectory.plot` does.
     """
     chosen = [kinds] if isinstance(kinds, str) else kinds
     if chosen is None:

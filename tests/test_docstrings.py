@@ -40,9 +40,9 @@ def public_members(cls):
     return {name: m for name, m in vars(cls).items() if not name.startswith("_") and function_of(m)}
 
 
-def annotations(thing):
-    """Annotations as they are written, of a function or of a class's own body."""
-    return {name: text for name, text in vars(thing).get("__annotations__", {}).items() if not name.startswith("_")}
+def annotations(cls):
+    """Annotations of public attributes in a class's own body, as they are written."""
+    return {name: text for name, text in inspect.get_annotations(cls).items() if not name.startswith("_")}
 
 
 def handed_out(thing):

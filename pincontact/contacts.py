@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pinocchio as pin
 
@@ -13,15 +13,29 @@ from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from .contours.motion import Motion
 
 
 @dataclass(frozen=True, eq=False)
 class AttachedContour:
-    """A contour carried by a frame of the model.
+    """A contour carried by a frame of the model; `Scene.add_contour` makes it.
 
-    placement: contour in frame. motion: placement of time, applied after it, or None.
-    joint, placement_in_joint: where the frame's joint carries it (joint 0 is the world).
+    Attributes
+    ----------
+    name : str
+    contour : Contour
+    frame : str
+        Name of the frame, or of a joint that has none.
+    placement : pin.SE3
+        Contour in frame.
+    motion : Motion, optional
+        A further placement as a function of time, applied after it.
+    joint : int
+        The frame's joint; 0 is the world.
+    placement_in_joint : pin.SE3
+        Contour in joint, without the motion.
     """
 
     name: str
@@ -35,10 +49,24 @@ class AttachedContour:
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """A persistent contact of two contours.
+    """A persistent contact of two contours; `Scene.add_contact` makes it.
 
-    body1, body2: the paper's order (k2 >= k1); swapped says whether the user named them the other way round.
-    side: +1 or -1, on which side of e_3 body 1 lies; None is decided by the initial state.
+    Attributes
+    ----------
+    name : str
+    first, second : AttachedContour
+        In the user's order.
+    friction : FrictionLaw, optional
+        None where there is none.
+    bilateral : bool
+        Whether the contact never opens.
+    pattern : Pattern
+    location : (u_first, u_second), optional
+        The user's guess of the location parameters, in m or rad.
+    side : {1, -1}, optional
+        On which side of e_3 body 1 lies; None is decided by the initial state.
+    restitution : float
+        Newton's coefficient, 0 to 1.
     """
 
     name: str
@@ -47,26 +75,37 @@ class Contact:
     friction: FrictionLaw | None
     bilateral: bool
     pattern: Pattern
-    location: tuple[Any, Any] | None
+    location: tuple[ArrayLike | None, ArrayLike | None] | None
     side: int | None
     restitution: float
 
     @property
     def swapped(self) -> bool:
+        """Whether the user named the contours the other way round than the paper does, which has k2 >= k1."""
         return self.first.contour.dimension > self.second.contour.dimension
 
     @property
     def body1(self) -> AttachedContour:
+        """The paper's body 1, the contour with fewer parameters; the first one where both have as many."""
         return self.second if self.swapped else self.first
 
     @property
     def body2(self) -> AttachedContour:
+        """The paper's body 2."""
         return self.first if self.swapped else self.second
 
 
 class Assembly:
-    """A Pinocchio model, contours on its frames and contacts between them: the data of a `Scene`, in the order in which
-    they were added."""
+    """The data of a `Scene`.
+
+    Attributes
+    ----------
+    model : pin.Model
+    contours : dict of str to AttachedContour
+        In the order in which they were added.
+    contacts : dict of str to Contact
+        Likewise.
+    """
 
     model: pin.Model
     contours: dict[str, AttachedContour]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 class ContactError(Exception):
@@ -18,8 +21,10 @@ class ContourError(ContactError, ValueError):
 
 
 class UnusableResult(ContourError):
-    """What a user's function returned is not what it was asked for: a run ends with that as its message. Where there is
-    no run, only the motions of contours are asked."""
+    """What a user's function returned is not what it was asked for.
+
+    A run ends with that as its message. Where there is no run, only the motions of contours are asked.
+    """
 
 
 class PatternError(ContactError, ValueError):
@@ -37,7 +42,10 @@ class StateError(ContactError, ValueError):
 class NoContactError(ContactError):
     """The contours of a contact do not touch in the given configuration.
 
-    gap: distance in m between the contours at the nearest candidate point, NaN if there is none.
+    Attributes
+    ----------
+    gap : float
+        Distance in m between the contours at the nearest candidate point, NaN if there is none.
     """
 
     def __init__(self, message: str, gap: float = float("nan")):
@@ -48,7 +56,10 @@ class NoContactError(ContactError):
 class SingularContactError(ContactError):
     """The location equations (Eq. 6) are singular: the point contact degenerates to a line or an area.
 
-    conditioning: the dimensionless measure of J that fell below its threshold.
+    Attributes
+    ----------
+    conditioning : float
+        The dimensionless measure of J that fell below its threshold.
     """
 
     def __init__(self, message: str, conditioning: float = float("nan")):
@@ -67,10 +78,13 @@ class SolverError(ContactError):
 class InfeasibleError(SolverError):
     """A contact problem provably has no solution.
 
-    certificate: (n,) normal forces that move nothing (G y = 0) while the contacts they press approach (b . y < 0).
+    Attributes
+    ----------
+    certificate : (n,) array, optional
+        Normal forces y that move nothing (G y = 0) while the contacts they press approach (b . y < 0).
     """
 
-    def __init__(self, message: str, certificate: Any = None):
+    def __init__(self, message: str, certificate: np.ndarray | None = None):
         super().__init__(message)
         self.certificate = certificate
 

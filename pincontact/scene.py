@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 from collections.abc import Collection, Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,15 +23,42 @@ from .geometry.planar import moves_in_plane
 from .robot_files import Folders, Robot, read_mjcf, read_sdf, read_urdf
 from .state import State, find_state
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
 
 class Scene(Assembly):
     """A robot and the contacts it keeps.
 
-    model: a `pin.Model`, or a `pin.RobotWrapper`, whose shapes are then taken too; it is not copied, and must not be
-    changed once a state has been made.
-    visual_model, collision_model: `pin.GeometryModel` or None, for drawing and for contours from collision shapes.
+    Parameters
+    ----------
+    model : pin.Model or pin.RobotWrapper
+        Of a RobotWrapper the shapes are taken, too. The model is not copied, and must not be changed once a state has
+        been made.
+    visual_model, collision_model : pin.GeometryModel, optional
+        For drawing, and for contours from collision shapes.
 
-    Raises ModelError for what is none of these, and for joints that mimic others or were not added depth first.
+    Attributes
+    ----------
+    contours : dict of str to AttachedContour
+        In the order in which they were added.
+    contacts : dict of str to Contact
+        Likewise.
+
+    Raises
+    ------
+    ModelError
+        For what is none of these, and for joints that mimic others or were not added depth first.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> scene = pc.Scene.from_urdf("urdf/ball.urdf", floating_base=True)
+    >>> ball = scene.add_contour("ball", pc.Sphere(0.1), frame="ball")
+    >>> floor = scene.add_contour("floor", pc.Plane())
+    >>> scene.add_contact("ball/floor", ball, floor, friction=pc.Coulomb(0.5)).pattern.name
+    'S-S'
+    >>> state = scene.initial_state([0, 0, 0.1, 0, 0, 0, 1])
     """
 
     def __init__(
@@ -81,12 +108,33 @@ class Scene(Assembly):
     ) -> Scene:
         """A scene from a URDF file.
 
-        floating_base: whether the root link moves freely (Pinocchio's free-flyer joint: q starts with position and
-        quaternion x y z w, v with linear and angular velocity in body axes) or is fixed to the world.
-        package_dirs: folders in which `package://` mesh paths are looked up; the file's own folder is always one.
-        Joints that mimic others are joints of their own. A warning names them, and whatever else of the file is not
-        read as it stands there: unknown elements, shapes whose meshes are missing, joints that cannot move.
-        Raises ModelError when the file is missing or cannot be read.
+        Joints that mimic others are joints of their own.
+
+        Parameters
+        ----------
+        path : str or Path
+        floating_base : bool
+            Whether the root link moves freely (Pinocchio's free-flyer joint: q starts with position and quaternion x y
+            z w, v with linear and angular velocity in body axes) or is fixed to the world.
+        package_dirs : str, Path or sequence of them, optional
+            Folders in which `package://` mesh paths are looked up; the file's own folder is always one.
+
+        Returns
+        -------
+        Scene
+
+        Raises
+        ------
+        ModelError
+            When the file is missing or cannot be read.
+        ArgumentError
+            For a floating_base that is neither True nor False.
+
+        Warns
+        -----
+        UserWarning
+            Names joints that mimic others, and whatever else of the file is not read as it stands there: unknown
+            elements, shapes whose meshes are missing, joints that cannot move.
         """
         return cls._of(read_urdf(os.fspath(path), floating_base, package_dirs))
 
@@ -101,10 +149,27 @@ class Scene(Assembly):
         `model.referenceConfigurations`. A base moves freely where the file has a <freejoint>. What has no name is
         called by its kind and its number in MuJoCo, as body_2.
 
-        A warning names what makes forces and is left out (springs, tendons, equality constraints, limits of balls,
-        gravity compensation, fluids, armature and dry friction of free joints), and height fields, which are no shapes
-        here. Raises ModelError when the file is missing, with MuJoCo's message when it cannot be compiled, and for
-        flexible bodies; MissingExtraError without MuJoCo.
+        Parameters
+        ----------
+        path : str or Path
+
+        Returns
+        -------
+        Scene
+
+        Raises
+        ------
+        ModelError
+            When the file is missing, with MuJoCo's message when it cannot be compiled, and for flexible bodies.
+        MissingExtraError
+            Without MuJoCo.
+
+        Warns
+        -----
+        UserWarning
+            Names what makes forces and is left out (springs, tendons, equality constraints, limits of balls, gravity
+            compensation, fluids, armature and dry friction of free joints), and height fields, which are no shapes
+            here.
         """
         return cls._of(read_mjcf(os.fspath(path)))
 
@@ -118,9 +183,31 @@ class Scene(Assembly):
     ) -> Scene:
         """A scene from an SDF file, with builds of Pinocchio that read them (pinocchio.WITH_SDFORMAT).
 
-        floating_base, package_dirs: as for `from_urdf`. root_link: name of the link to take as root, "" for the first.
-        Raises MissingExtraError with other builds, ModelError when the file is missing or cannot be read; warns of loop
-        closures, which are left out.
+        Parameters
+        ----------
+        path : str or Path
+        floating_base, package_dirs
+            As for `from_urdf`.
+        root_link : str
+            Name of the link to take as root, "" for the first.
+
+        Returns
+        -------
+        Scene
+
+        Raises
+        ------
+        MissingExtraError
+            With other builds.
+        ModelError
+            When the file is missing or cannot be read.
+        ArgumentError
+            For a floating_base that is neither True nor False.
+
+        Warns
+        -----
+        UserWarning
+            Names loop closures, which are left out.
         """
         return cls._of(read_sdf(os.fspath(path), floating_base, package_dirs, root_link))
 
@@ -138,11 +225,30 @@ class Scene(Assembly):
         placement: pin.SE3 | None = None,
         motion: Motion | None = None,
     ) -> AttachedContour:
-        """Attach a contour to a frame of the model ("universe" is the world).
+        """Attach a contour to a frame of the model.
 
-        frame: name of a frame, or of a joint that has none (`pin.Model.addJoint` makes none).
-        placement: pose of the contour in the frame; motion: a further pose, of time (a driven contour).
-        Raises ContourError for a name taken or a wrong type, ModelError for a frame the model does not have.
+        Parameters
+        ----------
+        name : str
+            Of the contour, not taken yet.
+        contour : Contour
+        frame : str
+            Name of a frame, or of a joint that has none (`pin.Model.addJoint` makes none); "universe" is the world.
+        placement : pin.SE3, optional
+            Pose of the contour in the frame, the identity if not given.
+        motion : Motion, optional
+            A further pose as a function of time: a prescribed motion of the contour against its frame.
+
+        Returns
+        -------
+        AttachedContour
+
+        Raises
+        ------
+        ContourError
+            For a name that is taken, what is no contour, placement or motion.
+        ModelError
+            For a frame that the model does not have.
         """
         _check_name(name, ContourError)
         if name in self.contours:
@@ -183,18 +289,46 @@ class Scene(Assembly):
     ) -> dict[str, AttachedContour]:
         """Attach contours made from the primitive collision shapes of the model's links.
 
-        links: names of the links, None for all.
-        kinds: which parts, any of "faces" (spheres, ellipsoids, sides of cylinders and capsules, a capsule's caps as
-        whole spheres, a box's six patches, a half-space's plane), "rims" (a cylinder's two circles), "edges" and
-        "corners" (a box's twelve lines and eight points). A cylinder's flat ends are no contours; its rims are what
-        touches.
-        geometry: shapes to use instead of the scene's own `collision_model`.
         Names are Pinocchio's name of the shape and the part's: wheel_0_cylinder, wheel_0_rim_+z, foot_1_sphere,
         foot_0_face_-z, foot_0_edge_+x-y, foot_0_corner_+x+y-z, arm_0_cap_+z.
-        Returns the new contours by name; other shapes (meshes), and those that could not be read, are named in a
-        warning. Raises ModelError without collision shapes, for a link that has none, or where no contour is found
-        (naming what was seen), ContourError for a name taken or a shape without extent, ArgumentError for an unknown
-        kind.
+
+        Parameters
+        ----------
+        links : iterable of str, optional
+            Names of the links, all if not given.
+        kinds : collection of str
+            Which parts, any of "faces" (spheres, ellipsoids, sides of cylinders and capsules, a capsule's caps as whole
+            spheres, a box's six patches, a half-space's plane), "rims" (a cylinder's two circles), "edges" and
+            "corners" (a box's twelve lines and eight points). A cylinder's flat ends are no contours; its rims are what
+            touches.
+        geometry : pin.GeometryModel, optional
+            Shapes to use instead of the scene's own `collision_model`.
+
+        Returns
+        -------
+        dict of str to AttachedContour
+            The new contours.
+
+        Raises
+        ------
+        ModelError
+            Without collision shapes, for a link that has none, or where no contour is found (naming what was seen).
+        ContourError
+            For a name that is taken or a shape without extent.
+        ArgumentError
+            For an unknown kind.
+
+        Warns
+        -----
+        UserWarning
+            Names other shapes (meshes), and those that could not be read.
+
+        Examples
+        --------
+        >>> import pincontact as pc
+        >>> scene = pc.Scene.from_urdf("urdf/block.urdf", floating_base=True)
+        >>> list(scene.add_contours_from_collision(kinds=["corners"]))[:2]
+        ['block_0_corner_+x+y+z', 'block_0_corner_+x+y-z']
         """
         shapes, unread = (self.collision_model, self._unread_shapes) if geometry is None else (geometry, ())
         found = contours_from_collision(self.model, shapes, links, kinds, unread)
@@ -212,19 +346,41 @@ class Scene(Assembly):
         friction: FrictionLaw | None = None,
         bilateral: bool = False,
         pattern: str | None = None,
-        location: tuple[Any, Any] | None = None,
+        location: tuple[ArrayLike | None, ArrayLike | None] | None = None,
         side: int | None = None,
         restitution: float = 0.0,
     ) -> Contact:
         """Let two contours keep in touch.
 
-        first, second: attached contours or their names, in any order; reported forces act on the second.
-        friction: None (frictionless), Coulomb(mu), Stribeck(mu, mu_static, speed) or NoSlip().
-        bilateral: the contact never opens; a point on a spatial curve always is.
-        pattern: one of the seven names, None to infer. location: guess (u_first, u_second), either may be None.
-        side: +1 or -1, on which side of e_3 body 1 (the one with fewer parameters) lies; None to infer.
-        restitution: Newton's coefficient, 0 to 1, when the contact closes again.
-        Raises ArgumentError, PatternError, ContourError.
+        Parameters
+        ----------
+        name : str
+            Of the contact, not taken yet.
+        first, second : AttachedContour or str
+            Attached contours or their names, in any order; reported forces act on the second.
+        friction : FrictionLaw, optional
+            Such as Coulomb(mu), Stribeck(mu, mu_static, speed) or NoSlip(); frictionless, if not given.
+        bilateral : bool
+            Whether the contact never opens; that of a point on a spatial curve never does.
+        pattern : str, optional
+            One of the seven names, such as "P-S"; inferred, if not given.
+        location : (u_first, u_second), optional
+            Guess of the location parameters: of each contour as many numbers as it has parameters (m, rad), or None.
+        side : {1, -1}, optional
+            On which side of e_3 body 1, the contour with fewer parameters, lies; inferred, if not given.
+        restitution : float
+            Newton's coefficient, 0 to 1, when the contact closes again.
+
+        Returns
+        -------
+        Contact
+
+        Raises
+        ------
+        ArgumentError
+            For a name that is taken, an unknown contour, two contours of one body, or another argument out of bounds.
+        PatternError
+            Where the contours form no pattern, or not the one asked for.
         """
         _check_name(name, ArgumentError)
         if name in self.contacts:
@@ -303,8 +459,8 @@ class Scene(Assembly):
 
     def initial_state(
         self,
-        q: Any,
-        v: Any | None = None,
+        q: ArrayLike,
+        v: ArrayLike | None = None,
         t: float = 0.0,
         *,
         free: Sequence[str] = (),
@@ -312,15 +468,55 @@ class Scene(Assembly):
     ) -> State:
         """A consistent state near (q, v): location parameters found, q and v corrected in the mass metric.
 
-        q (nq,), v (nv,): Pinocchio's configuration and velocity (v defaults to zero). t: time in s.
-        free: names of contacts that start open. max_gap: the largest gap in m that is corrected away; the default is
-        a twentieth of the smaller contour's size (5 cm where neither has one).
-        Quaternions have norm 1 to 1e-6. One of (1, 0, 0, 0) is warned of, as it is the identity where the real part
-        comes first and half a turn here; (-1, 0, 0, 0) is that half turn without a warning.
-        The state says how far q and v were off (`state.correction`).
-        Raises StateError for bad sizes or numbers and for velocity constraints that contradict each other,
-        NoContactError (with the gap) where contours do not touch, SingularContactError where the location equations are
-        singular.
+        Parameters
+        ----------
+        q : (nq,) array_like
+            Pinocchio's configuration, in m and rad; quaternions (x, y, z, w) have norm 1 to 1e-6.
+        v : (nv,) array_like, optional
+            Pinocchio's velocity in m/s and rad/s, zero if not given.
+        t : float
+            Time in s.
+        free : sequence of str
+            Names of contacts that start open.
+        max_gap : float, optional
+            The largest gap in m that is corrected away; if not given, a twentieth of the smaller contour's size (5 cm
+            where neither has one).
+
+        Returns
+        -------
+        State
+            Its `correction` says how far q and v were off.
+
+        Raises
+        ------
+        StateError
+            For bad sizes or numbers and for velocity constraints that contradict each other.
+        ArgumentError
+            For a bad max_gap, and for names in `free` that are none of contacts that can open.
+        ModelError
+            For a joint that moves no inertia, or is of a type that is not known.
+        NoContactError
+            Where contours do not touch; it has the gap.
+        SingularContactError
+            Where the location equations are singular.
+
+        Warns
+        -----
+        UserWarning
+            Of a quaternion (1, 0, 0, 0), which is the identity where the real part comes first, and half a turn about x
+            here; (-1, 0, 0, 0) is the same half turn without a warning.
+
+        Examples
+        --------
+        A ball that starts a millimetre above the floor is put on it:
+
+        >>> import pincontact as pc
+        >>> scene = pc.Scene.from_urdf("urdf/ball.urdf", floating_base=True)
+        >>> ball = scene.add_contour("ball", pc.Sphere(0.1), frame="ball")
+        >>> contact = scene.add_contact("ball/floor", ball, scene.add_contour("floor", pc.Plane()))
+        >>> state = scene.initial_state([0, 0, 0.101, 0, 0, 0, 1])
+        >>> float(state.q[2].round(12)), round(state.correction.gaps["ball/floor"], 12)
+        (0.1, 0.001)
         """
         return find_state(self, q, v, t, free, max_gap)
 

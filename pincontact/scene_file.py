@@ -102,8 +102,17 @@ _VARIABLES = ("u", "u1", "u2", "s", "x", "y", "t")
 class LoadedScene:
     """What a scene file describes.
 
-    scene, state: ready for `simulate`. settings: the options of `simulate` that the file gives, outputs excepted.
-    outputs: number of equally spaced output times, or the times in s themselves, or None for every step.
+    Attributes
+    ----------
+    path : Path
+        The file.
+    scene : Scene
+    state : State
+        Ready for `simulate`.
+    settings : dict
+        The options of `simulate` that the file gives, outputs excepted.
+    outputs : int or tuple of float, optional
+        Number of equally spaced output times, or the times in s themselves; every step, if not given.
     """
 
     path: Path
@@ -115,7 +124,19 @@ class LoadedScene:
     def options(self, **changes: Any) -> dict[str, Any]:
         """Keyword arguments for `simulate`: the file's, with changes; t_eval follows from outputs and duration.
 
-        Raises ArgumentError where neither the file nor the changes say the duration.
+        Parameters
+        ----------
+        **changes : dict
+            Arguments of `simulate`.
+
+        Returns
+        -------
+        dict
+
+        Raises
+        ------
+        ArgumentError
+            Where neither the file nor the changes say the duration.
         """
         options = {**self.settings, **changes}
         if "duration" not in options:
@@ -130,18 +151,55 @@ class LoadedScene:
         return options
 
     def simulate(self, **changes: Any) -> Trajectory:
-        """Run the scene with the file's settings; changes are arguments of `pincontact.simulate`."""
+        """Run the scene with the file's settings.
+
+        Parameters
+        ----------
+        **changes : dict
+            Arguments of `pincontact.simulate` that replace the file's.
+
+        Returns
+        -------
+        Trajectory
+
+        Raises
+        ------
+        ArgumentError, StateError
+            As `pincontact.simulate` does, and where neither the file nor the changes say the duration.
+        """
         from .simulate import simulate
 
         return simulate(self.scene, self.state, **self.options(**changes))
 
 
 def load_scene(path: str | os.PathLike[str]) -> LoadedScene:
-    """Read a scene file (.toml; .yaml and .yml where PyYAML is installed) and find its initial state.
+    """Read a scene file and find its initial state.
 
-    Raises SceneFileError, with the file and the key, for a file that cannot be read and for everything in it that is
-    missing, unknown or out of bounds; NoContactError and SingularContactError where the contours do not touch as the
-    initial state demands; MissingExtraError for YAML without PyYAML.
+    Parameters
+    ----------
+    path : str or Path
+        A .toml file; .yaml and .yml where PyYAML is installed.
+
+    Returns
+    -------
+    LoadedScene
+
+    Raises
+    ------
+    SceneFileError
+        For a file that cannot be read and for everything in it that is missing, unknown or out of bounds; with the file
+        and the key.
+    NoContactError, SingularContactError
+        Where the contours do not touch as the initial state demands.
+    MissingExtraError
+        For YAML without PyYAML.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> loaded = pc.load_scene("examples/scenes/ball_on_turntable.toml")
+    >>> loaded.outputs, loaded.simulate(duration=0.5).t.size
+    (201, 201)
     """
     file = Path(path)
     root = Table(file, "", _parse(file), {})

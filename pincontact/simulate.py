@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -38,6 +38,8 @@ from .system_cache import put_back, take_system
 from .trajectory import Record, Trajectory
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from .dynamics.system import System
     from .integration.moreau_driver import MoreauDriver
 
@@ -50,7 +52,8 @@ _TOLD_GAIN = 1e-3
 # So many numbers take less time as a list than as an array.
 _SHORT = 50
 
-Control = Callable[[float, np.ndarray, np.ndarray], Any]
+Control = Callable[[float, np.ndarray, np.ndarray], "ArrayLike"]
+EventFunction = Callable[[float, np.ndarray, np.ndarray], float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +90,10 @@ def simulate(
     *,
     rtol: float = 1e-8,
     atol: float = 1e-10,
-    t_eval: Any | None = None,
+    t_eval: ArrayLike | None = None,
     method: str = "DOP853",
     control: Control | None = None,
-    events: Any | None = None,
+    events: EventFunction | Sequence[EventFunction] | None = None,
     progress: bool = False,
     energies: bool = False,
     max_step: float = math.inf,
@@ -98,40 +101,97 @@ def simulate(
     fixed_step: float | None = None,
     step: float | None = None,
     max_steps: int = 1_000_000,
-    breakpoints: Any | None = None,
+    breakpoints: ArrayLike | None = None,
     fallback: str | None = None,
     contact_solver: str = "auto",
 ) -> Trajectory:
-    """Integrate a scene from a state over a duration in s.
-
-    rtol, atol: relative and absolute tolerance of every component of q (tangent to its manifold), v and the location.
-    t_eval: times at which the result is wanted, None for every accepted step. method: "DOP853", "RK45"
-    or "RK23"; "Sharp98" for errors of 1e-10, at rtol of 1e-5 and less; or "Moreau": time stepping with impulses, for
-    many contacts, impacts and jams, of constant `step` in s (default 1e-3) and without error control.
-    control: called as control(t, q, v), returns joint torques (nv,); must be smooth between events. q (nq,) and v (nv,)
-    are read-only views of the integrator's own arrays, which the next call overwrites: copy what is kept.
-    events: functions g(t, q, v) whose zeros are reported, all those within a step, too; attributes `terminal` and
-    `direction` as in `solve_ivp`.
-    breakpoints: times in s, in any order, at which a control or a motion jumps: steps end there, and what follows is
-    decided anew. Those that are not inside the run are ignored.
-    progress: show a bar. energies: integrate the work of friction, drives, torques and damping along (see
-    `Trajectory.energies`). max_step, first_step in s; fixed_step: constant steps without error control;
-    max_steps: accepted and rejected together. fallback: "Moreau" lets a run that cannot go on (status -1, -4, -6 or -7)
-    go on by time stepping, with `step`, from its last good state on; an event of kind "fallback" says where.
-    contact_solver: how Coulomb's law is solved where stick or slip is undecided: "auto", cheapest ways first, or
-    "proxqp", by a sequence of ProxQP programs; what these leave unsolved is solved as by "auto" and counted in
-    stats["qp_failures"], programs in "qp", their iterations in "qp_iterations".
-    Without a max_step, what varies with time (a control, a contour that is driven unsteadily) is looked at every 0.1 s
-    at least, also where nothing moves; a shorter pulse needs breakpoints.
+    """Integrate a scene's motion from a state on.
 
     The model's position limits and dry joint friction are part of its dynamics in every method: a joint stops at a
     limit without rebound and is let go when the limit's force would pull; it sticks within its range of dry friction.
     Effort and velocity limits are not enforced: a control has to keep to them itself.
 
-    Returns a Trajectory, also when the run could not go on: see its `status` and `message`.
-    Raises ArgumentError or StateError for bad arguments, before any work is done; and whatever control, events and
-    callable motions raise, as it is. Everything up to there is then a Trajectory, too, of status -5: the attribute
-    `run` of the exception, also of a KeyboardInterrupt.
+    Parameters
+    ----------
+    scene : Scene
+    state : State
+        Where the motion starts, from `Scene.initial_state`, `Trajectory.state` or `Stepper.state`.
+    duration : float
+        In s, >= 0.
+    rtol, atol : float
+        Relative and absolute tolerance of every component of q (tangent to its manifold, in m and rad), of v and of the
+        location parameters.
+    t_eval : (n,) array_like, optional
+        Times in s, in order, at which the result is wanted; every accepted step, if not given.
+    method : {"DOP853", "RK45", "RK23", "Sharp98", "Moreau"}
+        "DOP853", "RK45" and "RK23" are the Runge-Kutta pairs of SciPy's `solve_ivp`; "Sharp98" is for errors of 1e-10,
+        at rtol of 1e-5 and less. These locate events. "Moreau" is time stepping with impulses, for many contacts,
+        impacts and jams, with constant steps and without error control.
+    control : callable, optional
+        Called as control(t, q, v), returns joint torques (nv,) in N and N m; must be smooth between events. q (nq,) and
+        v (nv,) are read-only views of the integrator's own arrays, which the next call overwrites: copy what is kept.
+    events : callable or sequence of callables, optional
+        Functions g(t, q, v) whose zeros are reported, also where there are several within a step; attributes `terminal`
+        and `direction` as in SciPy's `solve_ivp`.
+    progress : bool
+        Whether to show a bar.
+    energies : bool
+        Whether to integrate the work of friction, prescribed motions, torques and damping along (see
+        `Trajectory.energies`).
+    max_step, first_step : float, optional
+        The longest and the first step in s. Without a max_step, what varies with time (a control, a contour that is
+        moved unsteadily) is looked at every 0.1 s at least, also where nothing moves; a shorter pulse needs
+        breakpoints.
+    fixed_step : float, optional
+        Constant steps in s without error control, of an event-driven method.
+    step : float, optional
+        Step in s of method "Moreau", 1e-3 if not given.
+    max_steps : int
+        Accepted and rejected ones together; a run that needs more ends with status -2.
+    breakpoints : sequence of float, optional
+        Times in s, in any order, at which a control or a motion jumps: steps end there, and the modes of contacts are
+        decided anew. Those that are not inside the run are ignored.
+    fallback : {"Moreau"}, optional
+        Lets a run that cannot go on (status -1, -4, -6 or -7) go on by time stepping, with `step`, from its last good
+        state on; an event of kind "fallback" says where.
+    contact_solver : {"auto", "proxqp"}
+        How Coulomb's law is solved where stick or slip is undecided: the cheapest ways first, or by a sequence of
+        ProxQP programs. What these leave unsolved is solved as by "auto" and counted in stats["qp_failures"], programs
+        in "qp", their iterations in "qp_iterations".
+
+    Returns
+    -------
+    Trajectory
+        Also when the run could not go on: see its `status` and `message`.
+
+    Raises
+    ------
+    ArgumentError
+        For an argument out of bounds or a state of another scene, before any work is done.
+    StateError
+        For a state whose numbers cannot be used, likewise.
+
+    Notes
+    -----
+    What control, events and callable motions raise is passed on as it is. Everything up to there is then a Trajectory,
+    too, of status -5: the attribute `run` of the exception, also of a KeyboardInterrupt.
+
+    Examples
+    --------
+    A solid ball that slides at 1 m/s rolls after 2 v / (7 mu g), at 5/7 of its speed:
+
+    >>> import numpy as np
+    >>> import pincontact as pc
+    >>> scene = pc.Scene.from_urdf("urdf/ball.urdf", floating_base=True)
+    >>> ball = scene.add_contour("ball", pc.Sphere(0.1), frame="ball")
+    >>> floor = scene.add_contour("floor", pc.Plane())
+    >>> contact = scene.add_contact("ball/floor", ball, floor, friction=pc.Coulomb(0.2))
+    >>> state = scene.initial_state([0, 0, 0.1, 0, 0, 0, 1], [1.0, 0, 0, 0, 0, 0])
+    >>> run = pc.simulate(scene, state, duration=0.5)
+    >>> [(event.kind, round(event.time, 6)) for event in run.events]
+    [('stick', 0.145624)]
+    >>> run.status, round(float(np.linalg.norm(run.v[-1, :3])), 6)
+    (0, 0.714286)
     """
     _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps, step)
     _check_fallback(fallback, method)
@@ -398,7 +458,7 @@ def _check_fallback(fallback: str | None, method: str) -> None:
         raise ArgumentError("fallback is for the event-driven methods, such as 'DOP853'; method 'Moreau' has none")
 
 
-def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray | None:
+def _output_times(t_eval: ArrayLike | None, t: float, duration: float) -> np.ndarray | None:
     if t_eval is None:
         return None
     try:
@@ -422,7 +482,7 @@ def _output_times(t_eval: Any | None, t: float, duration: float) -> np.ndarray |
     return np.minimum(np.maximum(times, t), t + duration)
 
 
-def _breakpoints(given: Any | None, t: float, duration: float) -> list[float]:
+def _breakpoints(given: ArrayLike | None, t: float, duration: float) -> list[float]:
     """Times inside the run, in order and once each."""
     if given is None:
         return []

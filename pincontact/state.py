@@ -59,8 +59,16 @@ _UNITS = {VECTOR: (0, 0), FREE_FLYER: (3, 4), QUATERNION: (0, 4), CIRCLE_BLOCK: 
 class Correction:
     """How far the user's (q, v) was from the constraints, and how far it was moved.
 
-    gaps: contact -> gap in m before the correction; slips: contact -> (normal, tangential) components of v_c in m/s
-    before it; dq, dv: largest component of the change of configuration (tangent space) and velocity.
+    Attributes
+    ----------
+    gaps : dict of str to float
+        Gap of each contact in m before the correction.
+    slips : dict of str to (float, float)
+        Normal and tangential component of each contact's v_c in m/s before the correction.
+    dq : float
+        Largest component of the change of configuration (tangent to it), in m and rad.
+    dv : float
+        Largest component of the change of velocity, in m/s and rad/s.
     """
 
     gaps: dict[str, float]
@@ -71,12 +79,28 @@ class Correction:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A consistent state. Arrays are copies; body order is the paper's (k2 >= k1), `location_of` the user's.
+    """A state of a scene that meets its constraints, from `Scene.initial_state`, `Trajectory.state` or `Stepper`.
 
-    q (nq,), v (nv,): Pinocchio's. t: s. location (nc, 4): u_1, u_2. discrete (nc, 9) int: per contact mode, charts of
-    both bodies, side, branch, sign of det J, sign of slip, sign of the normal force (0: slides,
-    closed, and carries nothing), frozen direction.
-    candidates: contact -> every contact point found, nearest first (Sec. 6.2: the location is multi-valued).
+    Parameters of contacts are in the paper's order of bodies (k2 >= k1); `location_of` has them in the user's.
+
+    Attributes
+    ----------
+    scene : Scene
+    q : (nq,) array
+        Pinocchio's configuration, in m and rad.
+    v : (nv,) array
+        Pinocchio's velocity, in m/s and rad/s.
+    t : float
+        Time in s.
+    location : (nc, 4) array
+        Location parameters of each contact, two for u_1, two for u_2, in m or rad.
+    discrete : (nc, 9) array of int
+        Of each contact mode, charts of both bodies, side, branch, sign of det J, sign of slip, sign of the normal force
+        (0 where it slides, closed, and carries nothing), frozen direction.
+    correction : Correction, optional
+        What `Scene.initial_state` changed.
+    candidates : dict of str to list of Candidate, optional
+        Every contact point that `Scene.initial_state` found, nearest first (Sec. 6.2: the location is multi-valued).
     """
 
     scene: Assembly
@@ -89,7 +113,23 @@ class State:
     candidates: dict[str, list[Candidate]] | None = None
 
     def location_of(self, contact: str) -> tuple[np.ndarray, np.ndarray]:
-        """(u_first, u_second) of a contact, in the order in which the user named its contours."""
+        """Location parameters of a contact, in the order in which the user named its contours.
+
+        Parameters
+        ----------
+        contact : str
+            Its name.
+
+        Returns
+        -------
+        u_first, u_second : (k,) array
+            In m or rad.
+
+        Raises
+        ------
+        ArgumentError
+            For an unknown contact.
+        """
         names = list(self.scene.contacts)
         if contact not in names:
             raise ArgumentError(f"unknown contact {contact!r}; contacts: {', '.join(names) or 'none'}")
@@ -193,7 +233,9 @@ def check_configuration(coordinates: Coordinates, q: ArrayLike) -> np.ndarray:
     return array
 
 
-def find_state(scene: Assembly, q: Any, v: Any | None, t: float, free: Sequence[str], max_gap: float | None) -> State:
+def find_state(
+    scene: Assembly, q: ArrayLike, v: ArrayLike | None, t: float, free: Sequence[str], max_gap: float | None
+) -> State:
     """See `Scene.initial_state`."""
     model = scene.model
     coordinates = coordinates_of(model)

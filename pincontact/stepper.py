@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,22 +18,20 @@ from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
 from .state import State, check_state, check_vector, coordinates_of
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
 
 class Stepper:
     """Advances a scene by constant steps with the torque held constant in each (method "Moreau" of `simulate`).
 
-    All arrays are allocated once. `q` (nq,), `v` (nv,), `modes` (nc,) and the arrays in `forces` (N), in `torques`
-    (N m, what resists spinning and rolling) and in the state that `step` returns are views that the next step
-    overwrites; `state` makes copies. The same start and the same torques give the same numbers to the last bit.
-
-        stepper = pc.Stepper(scene, state, dt=1e-3)
-        while True:
-            state = stepper.step(controller(stepper.t, stepper.q, stepper.v))
+    All arrays are allocated once. Those of the attributes, and of the state that `step` returns, are read-only views
+    that the next step overwrites; `state` makes copies. The same start and the same torques give the same numbers to
+    the last bit.
 
     Parameters
     ----------
     scene : Scene
-        The scene.
     state : State
         Where it starts, a state of this scene.
     dt : float
@@ -41,10 +39,47 @@ class Stepper:
     contact_solver : {"auto", "proxqp"}
         How Coulomb's law is solved, as for `simulate`.
 
+    Attributes
+    ----------
+    q : (nq,) array
+        Configuration, in m and rad.
+    v : (nv,) array
+        Velocity, in m/s and rad/s.
+    modes : (nc,) array of int
+        -1 open, 0 frictionless, 1 stick, 2 slip, in the order of the scene's contacts.
+    forces : dict of str to (3,) array
+        Mean force of each contact over the last step in N, on the second contour given, world axes.
+    torques : dict of str to (3,) array
+        What resists spinning and rolling in N m, likewise.
+
     Raises
     ------
     ArgumentError
         For a dt that is not positive and finite, a state of another scene, or another contact_solver.
+    StateError
+        For a state whose numbers cannot be used.
+    SingularContactError
+        Where contacts degenerate at the state.
+
+    Examples
+    --------
+    A ball is pushed for a tenth of a second, and rolls on:
+
+    >>> import numpy as np
+    >>> import pincontact as pc
+    >>> scene = pc.Scene.from_urdf("urdf/ball.urdf", floating_base=True)
+    >>> ball = scene.add_contour("ball", pc.Sphere(0.1), frame="ball")
+    >>> floor = scene.add_contour("floor", pc.Plane())
+    >>> contact = scene.add_contact("ball/floor", floor, ball, friction=pc.Coulomb(0.5))
+    >>> stepper = pc.Stepper(scene, scene.initial_state([0, 0, 0.1, 0, 0, 0, 1]), dt=1e-3)
+    >>> for _ in range(100):
+    ...     state = stepper.step([0, 0, 0, 0, 0.2 - 0.01 * stepper.v[4], 0])
+    >>> state = stepper.step([0] * 6, count=100)
+    >>> speed, turning = np.linalg.norm(stepper.v[:3]), np.linalg.norm(stepper.v[3:])
+    >>> round(stepper.t, 9), bool(speed > 0.2 and abs(speed - 0.1 * turning) < 1e-12)
+    (0.2, True)
+    >>> bool(abs(stepper.forces["ball/floor"][2] - 9.81 * scene.model.inertias[1].mass) < 1e-9)
+    True
     """
 
     def __init__(self, scene: Scene, state: State, dt: float = DEFAULT_STEP, contact_solver: str = "auto") -> None:
@@ -87,7 +122,20 @@ class Stepper:
     def reset(self, state: State) -> None:
         """Start again from a state of the same scene, as if newly made.
 
-        Raises ArgumentError for a state of another scene, SingularContactError where its contacts degenerate.
+        Parameters
+        ----------
+        state : State
+
+        Raises
+        ------
+        ArgumentError
+            For a state of another scene.
+        StateError
+            For a state whose numbers cannot be used.
+        SingularContactError
+            Where its contacts degenerate.
+        SolverError
+            Where it cannot begin for another reason.
         """
         check_state(self.scene, state, self._coordinates)
         system = self._system
@@ -105,13 +153,34 @@ class Stepper:
         self._raise_for(self._step.begin(self._start))
         self._show_modes()
 
-    def step(self, tau: Any, count: int = 1) -> State:
-        """One step, or count of them, under the joint torques tau (nv,) (N, N m), which are held constant; returns the
-        state at the end, made of views.
+    def step(self, tau: ArrayLike, count: int = 1) -> State:
+        """One step, or several, under joint torques that are held constant.
 
-        Raises StateError for a tau of another shape or with entries that are not finite, ArgumentError for a count
-        below 1, SingularContactError where contacts degenerate, SolverError where no impulses were found, and what a
-        callable motion raises, as it is; the stepper is then where the last step that could be made has ended.
+        After an error the stepper is where the last step that could be made has ended. What a callable motion raises is
+        passed on as it is.
+
+        Parameters
+        ----------
+        tau : (nv,) array_like
+            Joint torques in N and N m.
+        count : int
+            Number of steps, at least 1.
+
+        Returns
+        -------
+        State
+            At the end, made of views.
+
+        Raises
+        ------
+        StateError
+            For a tau of another shape or with entries that are not finite.
+        ArgumentError
+            For a count below 1.
+        SingularContactError
+            Where contacts degenerate.
+        SolverError
+            Where no impulses were found.
         """
         tau = self._check_torque(tau)
         if type(count) is not int or count != 1:
@@ -137,11 +206,29 @@ class Stepper:
         state.__dict__["t"] = self.t
         return state
 
-    def rollout(self, torques: Any, count: int = 1) -> tuple[np.ndarray, np.ndarray]:
-        """Steps under the torques (N, N m) in each of n rows (n, nv), every one held for count steps; returns q (n, nq)
-        and v (n, nv) after each row: for sampling and learning, without a call a step.
+    def rollout(self, torques: ArrayLike, count: int = 1) -> tuple[np.ndarray, np.ndarray]:
+        """Steps under a sequence of torques, without a call from Python for each step: for sampling and learning.
 
-        Raises what `step` does; the stepper is then where the last step that could be made has ended, at `t`.
+        Parameters
+        ----------
+        torques : (n, nv) array_like
+            Joint torques in N and N m, row by row.
+        count : int
+            Number of steps for which each row is held, at least 1.
+
+        Returns
+        -------
+        q : (n, nq) array
+            Configurations after each row, in m and rad.
+        v : (n, nv) array
+            Velocities, in m/s and rad/s.
+
+        Raises
+        ------
+        StateError
+            For torques of another shape or with entries that are not finite.
+        ArgumentError, SingularContactError, SolverError
+            As `step` does. The stepper is then where the last step that could be made has ended, at `t`.
         """
         rows = self._check_rows(torques)
         count = _check_count(count)
@@ -162,7 +249,7 @@ class Stepper:
         for target, source in self._shown:
             target[...] = source
 
-    def _check_torque(self, tau: Any) -> np.ndarray:
+    def _check_torque(self, tau: ArrayLike) -> np.ndarray:
         if type(tau) is not np.ndarray or tau.dtype != np.float64 or tau.shape != self._shape:
             if np.shape(tau) != self._shape:
                 raise StateError(f"tau must have shape {self._shape}, got {np.shape(tau)}")
@@ -170,9 +257,11 @@ class Stepper:
         # entries that are not finite make accelerations that are not, which costs nothing to notice
         return tau
 
-    def _check_rows(self, torques: Any) -> np.ndarray:
-        nv, rows = self._shape[0], torques
-        if type(rows) is not np.ndarray or rows.dtype != np.float64:
+    def _check_rows(self, torques: ArrayLike) -> np.ndarray:
+        nv = self._shape[0]
+        if type(torques) is np.ndarray and torques.dtype == np.float64:
+            rows = torques
+        else:
             try:
                 rows = real_array(torques)
             except NOT_REAL:
@@ -190,7 +279,12 @@ class Stepper:
         raise SolverError(message)
 
     def copy(self) -> Stepper:
-        """Another stepper in the same situation, warm starts included: both go on alike, to the last bit."""
+        """Another stepper in the same situation, warm starts included: both go on alike, to the last bit.
+
+        Returns
+        -------
+        Stepper
+        """
         twin = Stepper(self.scene, self.state, self.dt, self._contact_solver)
         self._step.copy_to(twin._step)
         twin._show_modes()

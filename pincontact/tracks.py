@@ -28,22 +28,41 @@ _CHUNK = 1024
 class ContactTrack:
     """One contact over time, a row per output; world axes, SI units.
 
-    location:        (n, k) location parameters p* = (u_1, u_2) in the paper's order (k2 >= k1); while open, like
-                     point and frame, of the nearest points
-    location_first, location_second: the same by the user's contours; charts (n, 2) of (body 1, body 2)
-    point:           (n, 3) contact point
-    frame:           (n, 3, 3) e_1, e_2, e_3 of Definition 5 as columns
-    dual_frame:      (n, 3, 3) m^1, m^2, m^3 as columns (Eq. 26)
-    force:           (n, 3) on the second contour named by the user
-    multipliers:     (n, 3) components of that force in the dual frame, F_j = e_j . F (Prop. 6)
-    normal_force, tangential_force: (n,) in N; the normal one is positive in compression (a length for a point on a
-                     spatial curve)
-    torque:          (n, 3) what resists spinning and rolling, on the second contour, N m; by time stepping its mean
-                     over the last step
-    slip_velocity:   (n, 3) v_c, of the second contour's material point against the first's
-    mode:            (n,) -1 open, 0 frictionless, 1 stick, 2 slip
-    gap:             (n,) in m, positive when apart
-    conditioning:    (n,) of the location equations, 1 good, 0 singular
+    While the contact is open, location, point and frame are those of the nearest points. k is the number of location
+    parameters, in m or rad.
+
+    Attributes
+    ----------
+    location : (n, k) array
+        Location parameters p* = (u_1, u_2) in the paper's order of bodies (k2 >= k1).
+    location_first, location_second : (n, k1 or k2) array
+        The same by the user's contours.
+    charts : (n, 2) array of int
+        Of body 1 and body 2.
+    point : (n, 3) array
+        Contact point.
+    frame : (n, 3, 3) array
+        e_1, e_2, e_3 of Definition 5 as columns.
+    dual_frame : (n, 3, 3) array
+        m^1, m^2, m^3 as columns (Eq. 26).
+    force : (n, 3) array
+        On the second contour named by the user.
+    multipliers : (n, 3) array
+        Components of that force in the dual frame, F_j = e_j . F (Prop. 6).
+    normal_force : (n,) array
+        Positive in compression; for a point on a spatial curve the length of the part across the curve.
+    tangential_force : (n,) array
+        A length.
+    torque : (n, 3) array
+        What resists spinning and rolling, on the second contour, in N m; by time stepping its mean over the last step.
+    slip_velocity : (n, 3) array
+        v_c, of the second contour's material point against the first's.
+    mode : (n,) array of int
+        -1 open, 0 frictionless, 1 stick, 2 slip.
+    gap : (n,) array
+        Positive when apart.
+    conditioning : (n,) array
+        Of the location equations, 1 good, 0 singular.
     """
 
     location: np.ndarray

@@ -6,7 +6,7 @@ import json
 import os
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from .tracks import ContactTrack, evaluate_tracks
 if TYPE_CHECKING:
     import pandas
     import xarray
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _FORMAT = 1
@@ -34,12 +35,27 @@ _LARGEST_STATS = ("cone_residual", "wall_time")
 
 @dataclass(frozen=True, eq=False)
 class Energies:
-    """Energies in J, (n,) each; works are None unless the run recorded them.
+    """Energies at every output; works are None unless the run recorded them.
 
-    kinetic is with the rotors' (armature). friction_work is that of contact forces on v_c, and of their impulses in
-    impacts; damping_work that of joints' damping, dry friction and limits. total = kinetic + potential.
     Works are counted from the state that the run started from, whether that is an output or not, and with what impacts
-    took out of it there; so is the balance: total - total_at_start - all works, what the integration lost or won.
+    took out of it there.
+
+    Attributes
+    ----------
+    kinetic : (n,) array
+        In J, with the rotors' (armature).
+    potential : (n,) array
+        In J.
+    friction_work : (n,) array, optional
+        Of contact forces on v_c, and of their impulses in impacts, in J.
+    drive_work : (n,) array, optional
+        Of contact forces on prescribed motions, in J.
+    torque_work : (n,) array, optional
+        Of the control's torques, in J.
+    damping_work : (n,) array, optional
+        Of joints' damping, dry friction and limits, in J.
+    total_at_start : float, optional
+        Kinetic and potential energy in J where works are zero.
     """
 
     kinetic: np.ndarray
@@ -52,10 +68,18 @@ class Energies:
 
     @property
     def total(self) -> np.ndarray:
+        """Kinetic and potential energy, (n,), in J."""
         return self.kinetic + self.potential
 
     @property
     def balance(self) -> np.ndarray:
+        """What the integration lost or won, (n,), in J: total - total_at_start - all works.
+
+        Raises
+        ------
+        TrajectoryError
+            Where the run did not record works.
+        """
         works = (self.friction_work, self.drive_work, self.torque_work, self.damping_work)
         if self.total_at_start is None or any(w is None for w in works):
             raise TrajectoryError("the run did not record works: simulate(..., energies=True)")
@@ -85,8 +109,40 @@ class _Tracks(Mapping[str, ContactTrack]):
 class Trajectory:
     """What `simulate` returns.
 
-    t (n,), q (n, nq), v (n, nv); status: 0 finished, 1 a terminal event, negative: could not go on (message says
-    why); events: list of Event; stats: counts and wall time in s; contacts: name -> ContactTrack.
+    Attributes
+    ----------
+    scene : Scene
+    t : (n,) array
+        Times of the outputs in s.
+    q : (n, nq) array
+        Configurations, in m and rad.
+    v : (n, nv) array
+        Velocities, in m/s and rad/s.
+    contacts : mapping of str to ContactTrack
+        Evaluated when first asked for.
+    events : list of Event
+        In their order.
+    status : int
+        0 finished, 1 a terminal event, negative: the run could not go on.
+    message : str
+        Says so in words: for what could not go on, why.
+    stats : dict
+        Counts of evaluations, steps, solved problems, and `wall_time` in s.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> scene = pc.Scene.from_urdf("urdf/ball.urdf", floating_base=True)
+    >>> ball = scene.add_contour("ball", pc.Sphere(0.1), frame="ball")
+    >>> floor = scene.add_contour("floor", pc.Plane())
+    >>> contact = scene.add_contact("ball/floor", floor, ball, friction=pc.Coulomb(0.2))
+    >>> state = scene.initial_state([0, 0, 0.1, 0, 0, 0, 1], [1.0, 0, 0, 0, 0, 0])
+    >>> run = pc.simulate(scene, state, 0.1, t_eval=[0.0, 0.1], energies=True)
+    >>> track = run.contacts["ball/floor"]
+    >>> track.mode.tolist(), (track.tangential_force / track.normal_force).round(9).tolist()
+    ([2, 2], [0.2, 0.2])
+    >>> bool(abs(run.energies().balance[-1]) < 1e-9)
+    True
     """
 
     def __init__(
@@ -113,13 +169,38 @@ class Trajectory:
     def from_record(
         cls, scene: Scene, record: Record, events: list[Event], status: int, message: str, stats: dict[str, Any]
     ) -> Trajectory:
-        """From the rows of a run, however many there are."""
+        """From the rows of a run, however many there are; `simulate` calls it.
+
+        Parameters
+        ----------
+        scene : Scene
+        record : Record
+        events, status, message, stats
+            As the attributes.
+
+        Returns
+        -------
+        Trajectory
+        """
         return cls(scene, *record.rows(scene), events, status, message, stats)
 
     def followed_by(self, rest: Trajectory, t: float, event: Event, works: np.ndarray | None) -> Trajectory:
-        """This run up to t (s) and, from its state there on, another one of the scene, as one, which ends as that does.
+        """This run up to a time and, from its state there on, another one of the scene; it ends as that does.
 
-        event: says where; works (NUMBER_OF_WORKS,): J up to there, None where they are not recorded.
+        Parameters
+        ----------
+        rest : Trajectory
+            The other run.
+        t : float
+            Where it starts, in s.
+        event : Event
+            Says so.
+        works : (4,) array or None
+            The works up to there in J, where they are recorded.
+
+        Returns
+        -------
+        Trajectory
         """
         kept = int(np.searchsorted(self.t, t, side="right"))
         # where both have that state it is the end of the first
@@ -165,7 +246,17 @@ class Trajectory:
         return f"<Trajectory of {self.t.size} outputs, {len(self.events)} events, status {self.status}: {self.message}>"
 
     def state(self, index: int = -1) -> State:
-        """The state of one output, to start another run from."""
+        """The state of one output, to start another run from.
+
+        Parameters
+        ----------
+        index : int
+            Of the output; negative ones count from the end.
+
+        Returns
+        -------
+        State
+        """
         return State(
             self.scene,
             self.q[index].copy(),
@@ -179,10 +270,25 @@ class Trajectory:
     # ------------------------------------------------------------------ contacts
 
     def external_forces(self, index: int = -1) -> pin.StdVec_Force:
-        """The contacts' forces at one output as Pinocchio's external forces, one a joint, in the joint's frame.
+        """The contacts' forces at one output as Pinocchio's external forces.
 
         `pin.aba(model, data, run.q[i], run.v[i], tau - damping * v, run.external_forces(i))` gives the run's
         accelerations.
+
+        Parameters
+        ----------
+        index : int
+            Of the output; negative ones count from the end.
+
+        Returns
+        -------
+        pin.StdVec_Force
+            One for each joint, in the joint's frame, in N and N m.
+
+        Raises
+        ------
+        TrajectoryError
+            For a run that was read from a file without its scene.
         """
         from .analysis.forces import joint_forces
 
@@ -211,10 +317,13 @@ class Trajectory:
         return self._tracks
 
     def residuals(self) -> dict[str, np.ndarray]:
-        """Worst constraint residual of all closed contacts at every output, (n,) each, without units.
+        """Worst constraint residual of all closed contacts at every output.
 
-        C1: |r_2 - r_1| and GC: the gap, relative to the contact's length; C2: e_3 . tangents of body 1; VC: constrained
-        components of v_c relative to the speeds.
+        Returns
+        -------
+        dict of str to (n,) array
+            Without units. "C1": distance of the points r_1 and r_2, and "GC": the gap, both relative to the contact's
+            length; "C2": e_3 . tangents of body 1; "VC": constrained components of v_c relative to the speeds.
         """
         self._all_tracks()
         n = self.t.size
@@ -226,7 +335,17 @@ class Trajectory:
     # ------------------------------------------------------------------ energies
 
     def energies(self) -> Energies:
-        """Kinetic and potential energy at every output; works where the run recorded them (energies=True)."""
+        """Kinetic and potential energy at every output; works where the run recorded them (energies=True).
+
+        Returns
+        -------
+        Energies
+
+        Raises
+        ------
+        TrajectoryError
+            For a run that was read from a file without its scene.
+        """
         model, recorded = self._model(), self._recorded
         data = model.createData()
         found = np.array([energies_at(model, q, v, data) for q, v in zip(self.q, self.v)]).reshape(-1, 2)
@@ -243,7 +362,12 @@ class Trajectory:
     # ------------------------------------------------------------------ files
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write everything, contact tracks included, to an npz file. The scene itself is not stored."""
+        """Write everything, contact tracks included, to an npz file; the scene is not stored.
+
+        Parameters
+        ----------
+        path : str or Path
+        """
         tracks, recorded = self._all_tracks(), self._recorded
         arrays: dict[str, np.ndarray] = {
             "t": self.t,
@@ -279,9 +403,21 @@ class Trajectory:
     def load(cls, path: str | os.PathLike[str], scene: Scene | None = None) -> Trajectory:
         """Read a file of `save`.
 
-        scene: the scene that was simulated, for replay and further runs; without it a bare one stands in, and the
-        stored arrays are all there is.
-        Raises TrajectoryError for a file that is missing or not a stored trajectory.
+        Parameters
+        ----------
+        path : str or Path
+        scene : Scene, optional
+            The scene that was simulated, for replay and further runs. Without it a scene with an empty model stands in,
+            and the stored arrays are all there is.
+
+        Returns
+        -------
+        Trajectory
+
+        Raises
+        ------
+        TrajectoryError
+            For a file that is missing or not a stored trajectory, and for a scene with other contacts.
         """
         if scene is not None and not isinstance(scene, Scene):
             raise TrajectoryError(f"the scene must be a Scene, got {type(scene).__name__}")
@@ -326,17 +462,32 @@ class Trajectory:
     def to_xarray(self) -> xarray.Dataset:
         """An xarray Dataset over t: q, v, energies, and everything of the contact tracks over a dimension `contact`.
 
-        Raises MissingExtraError without xarray (the extra `data`).
+        Returns
+        -------
+        xarray.Dataset
+
+        Raises
+        ------
+        MissingExtraError
+            Without xarray (the extra `data`).
         """
         from .tables import run_to_xarray
 
         return run_to_xarray(self)
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A DataFrame with a row for each output, its index t: columns such as q.knee, v.root_joint[3],
-        rim/floor.force.z and rim/floor.mode (frames are left to `to_xarray`).
+        """A DataFrame with a row for each output, its index t.
 
-        Raises MissingExtraError without pandas (the extra `data`).
+        Returns
+        -------
+        pandas.DataFrame
+            Columns such as q.knee, v.root_joint[3], rim/floor.force.z and rim/floor.mode (frames are left to
+            `to_xarray`).
+
+        Raises
+        ------
+        MissingExtraError
+            Without pandas (the extra `data`).
         """
         from .tables import run_to_pandas
 
@@ -344,11 +495,34 @@ class Trajectory:
 
     # ------------------------------------------------------------------ views
 
-    def plot(self, **options: Any) -> Figure:
-        """Figures of the run (needs the extra `plot`); see `pincontact.view.plots.plot`."""
+    def plot(
+        self, kinds: str | Sequence[str] | None = None, axes: Axes | Sequence[Axes] | np.ndarray | None = None
+    ) -> Figure:
+        """Plots of the run in one figure; single ones are in `pincontact.view.plots`.
+
+        Parameters
+        ----------
+        kinds : str or sequence of str, optional
+            Any of "motion", "forces", "cone", "slip", "location", "energy", "residuals"; all that the run has something
+            for, if not given.
+        axes : matplotlib.axes.Axes or sequence of them, optional
+            As many axes to draw into; a new figure's, if not given.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Its axes are in the order of the kinds.
+
+        Raises
+        ------
+        ArgumentError
+            For an unknown kind, none at all, or another number of axes than of kinds.
+        MissingExtraError
+            Without Matplotlib (the extra `plot`).
+        """
         from .view.plots import plot
 
-        return plot(self, **options)
+        return plot(self, kinds, axes)
 
 
 def _part(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

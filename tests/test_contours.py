@@ -1,11 +1,8 @@
 """Contours in closed form, revolutions, splines and charts against independent differentiation."""
 
 import copy
-import doctest
-import importlib
 import itertools
 import math
-import pkgutil
 
 import numpy as np
 import pytest
@@ -659,12 +656,6 @@ def test_meshes_enclose_their_volume():
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()
     with pytest.raises(ContourError, match="not a surface"):
         pc.Line().mesh()
-
-
-@pytest.mark.parametrize("module", list(pkgutil.iter_modules(pc.__path__)), ids=lambda module: module.name)
-def test_examples_of_docstrings(module):
-    found = doctest.testmod(importlib.import_module(f"pincontact.contours.{module.name}"))
-    assert found.failed == 0
 
 
 def test_every_public_contour_has_an_example():

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +17,8 @@ from .instant import ABOVE_NOISE, FIRST_STEP, Instant, derivative
 from .inverse import actuation_matrix
 from .symmetry import find_symmetries
 
-Conditions = Callable[[np.ndarray, np.ndarray], Any]
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 _STEPS = 200
 # Directions in which the residual changes by less than this fraction of the largest change are left alone.
@@ -29,13 +30,23 @@ _LEAST_DAMPING, _MOST_DAMPING = 1e-13, 1e6
 
 @dataclass(frozen=True, eq=False)
 class SteadyMotion:
-    """An equilibrium or a steady motion.
+    """An equilibrium or a steady motion, as `find_equilibrium` and `find_steady_motion` find it.
 
-    state: on the constraints to round-off. tau (nv,): joint torques that act, those found included.
-    forces: contact -> force (3,) in N on the second contour given, world axes.
-    residual: largest component of what should vanish (gaps by the contacts' length, m, rad, s).
-    holds: whether no unilateral contact pulls and none exceeds its friction limit.
-    iterations: of the Levenberg-Marquardt method.
+    Attributes
+    ----------
+    state : State
+        On the constraints to round-off.
+    tau : (nv,) array
+        Joint torques that act in N and N m, those found included.
+    forces : dict of str to (3,) array
+        Force of each contact in N, on the second contour given, world axes.
+    residual : float
+        Largest component of what should vanish: gaps by the contacts' length, velocities and accelerations in m, rad,
+        s.
+    holds : bool
+        Whether no unilateral contact pulls and none exceeds its friction limit.
+    iterations : int
+        Of the Levenberg-Marquardt method.
     """
 
     state: State
@@ -48,25 +59,73 @@ class SteadyMotion:
 
 def find_equilibrium(
     scene: Scene,
-    q0: Any,
-    tau: Any | None = None,
+    q0: ArrayLike,
+    tau: ArrayLike | None = None,
     *,
     t: float = 0.0,
-    actuation: Any | None = None,
-    conditions: Callable[[np.ndarray], Any] | None = None,
+    actuation: ArrayLike | Sequence[str] | None = None,
+    conditions: Callable[[np.ndarray], ArrayLike] | None = None,
     tolerance: float = 1e-10,
 ) -> SteadyMotion:
     """The equilibrium nearest to q0: all contacts closed, no velocities, no accelerations.
 
-    Contacts with friction stick, with whatever force that takes: see `holds`. Stable or not is not asked for; see
-    `linearize`. Where equilibria fill a whole family (a ball on a plane) the one found is near q0.
+    Contacts with friction stick, with whatever force that takes; `SteadyMotion.holds` says whether friction allows it.
+    Whether the equilibrium is stable is a question for `linearize`. Where equilibria fill a whole family (a ball on a
+    plane) the one found is near q0. Joints hold nothing: dry friction of joints and the push of joint limits are left
+    out.
 
-    tau (nv,): joint torques, zero by default. actuation: (nv, na) matrix or joint names whose torques are unknowns too,
-    changed no more than is needed (holding torques); None for none. conditions: called as conditions(q), numbers that
-    must vanish as well. t: time in s, for drives. tolerance: for `residual`, relative to the free accelerations.
-    Joints hold nothing: what dry friction could hold, or an end of a joint's way, is not asked for.
-    Raises StateError for bad numbers and for an equilibrium beyond a joint's limits, NoContactError where contacts do
-    not touch at q0, SolverError (with the residual) where no equilibrium is found.
+    Parameters
+    ----------
+    scene : Scene
+    q0 : (nq,) array_like
+        Where the search starts, in m and rad.
+    tau : (nv,) array_like, optional
+        Joint torques in N and N m, zero if not given.
+    t : float
+        Time in s, for prescribed motions.
+    actuation : (nv, na) array_like or sequence of str, optional
+        Matrix, or names of joints, whose torques are unknowns, too: they are changed no more than is needed (holding
+        torques). No torques are, if not given.
+    conditions : callable, optional
+        Called as conditions(q); returns numbers that must vanish as well.
+    tolerance : float
+        For `SteadyMotion.residual`, relative to the accelerations without contacts where these exceed 1.
+
+    Returns
+    -------
+    SteadyMotion
+
+    Raises
+    ------
+    ArgumentError
+        For a bad actuation, conditions or tolerance.
+    StateError
+        For bad numbers, and for an equilibrium beyond a joint's limits.
+    NoContactError
+        Where contacts do not touch at q0.
+    SingularContactError
+        Where contacts degenerate at q0.
+    SolverError
+        Where no equilibrium is found; the message has the residual.
+
+    Examples
+    --------
+    A bead on a circular wire hangs at its lowest point:
+
+    >>> import numpy as np
+    >>> import pinocchio as pin
+    >>> import pincontact as pc
+    >>> model = pin.Model()
+    >>> joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "bead")
+    >>> model.appendBodyToJoint(joint, pin.Inertia.FromSphere(0.1, 0.01), pin.SE3.Identity())
+    >>> scene = pc.Scene(model)
+    >>> def circle(u):
+    ...     return 0.5 * np.cos(u), 0.0, 0.5 * np.sin(u)
+    >>> wire = scene.add_contour("wire", pc.ParametricCurve(circle, domain=(-np.pi, np.pi), periodic=True))
+    >>> contact = scene.add_contact("bead/wire", wire, scene.add_contour("bead", pc.Point(), frame="bead"))
+    >>> rest = pc.find_equilibrium(scene, [0.2, 0.0, -0.45])
+    >>> float(rest.state.q[2].round(9)), float(rest.forces["bead/wire"][2].round(9)), rest.holds
+    (-0.5, 0.981, True)
     """
     _check(scene, conditions, tolerance)
     guess = scene.initial_state(q0, None, t)
@@ -92,22 +151,45 @@ def find_equilibrium(
 
 def find_steady_motion(
     scene: Scene,
-    q0: Any,
-    v0: Any,
-    tau: Any | None = None,
+    q0: ArrayLike,
+    v0: ArrayLike,
+    tau: ArrayLike | None = None,
     *,
     t: float = 0.0,
-    conditions: Conditions | None = None,
-    actuation: Any | None = None,
+    conditions: Callable[[np.ndarray, np.ndarray], ArrayLike] | None = None,
+    actuation: ArrayLike | Sequence[str] | None = None,
     tolerance: float = 1e-10,
 ) -> SteadyMotion:
-    """The steady motion nearest to (q0, v0), one that follows the scene's symmetries (see `analysis.symmetry`).
+    """The steady motion nearest to (q0, v0), one that follows the scene's symmetries.
 
-    A disk that rolls in a circle, a vehicle that turns, a bead in a rotating hoop.
+    A disk that rolls in a circle, a vehicle that turns, a bead in a rotating hoop: seen from axes that go along, they
+    are at rest. Steady motions come in families; what is to be kept (a lean, a speed) goes into `conditions`.
 
-    Steady motions come in families; what is to be kept (a lean, a speed) goes into conditions(q, v), numbers that must
-    vanish as well. Other arguments as for `find_equilibrium`.
-    Raises as `find_equilibrium`, and StateError where a drive keeps every motion from being steady.
+    Parameters
+    ----------
+    scene : Scene
+    q0 : (nq,) array_like
+        Where the search starts, in m and rad.
+    v0 : (nv,) array_like
+        Likewise, in m/s and rad/s.
+    tau, t
+        As for `find_equilibrium`.
+    conditions : callable, optional
+        Called as conditions(q, v); returns numbers that must vanish as well.
+    actuation, tolerance
+        As for `find_equilibrium`.
+
+    Returns
+    -------
+    SteadyMotion
+
+    Raises
+    ------
+    ArgumentError, NoContactError, SingularContactError, SolverError
+        As `find_equilibrium` does.
+    StateError
+        For bad numbers, for a motion beyond a joint's limits, and where a prescribed motion keeps every motion from
+        being steady.
     """
     _check(scene, conditions, tolerance)
     guess = scene.initial_state(q0, v0, t)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -14,6 +14,8 @@ from ..errors import ArgumentError, StateError
 from .instant import Instant
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from ..scene import Scene
     from ..state import State
 
@@ -47,18 +49,38 @@ def joint_forces(
 
 
 def external_forces(
-    scene: Scene, state: State, tau: Any | None = None, *, forces: Mapping[str, Any] | None = None
+    scene: Scene, state: State, tau: ArrayLike | None = None, *, forces: Mapping[str, ArrayLike] | None = None
 ) -> pin.StdVec_Force:
-    """The contacts' forces at a state as Pinocchio's external forces, one for each joint, in the joint's frame.
+    """The contacts' forces at a state as Pinocchio's external forces.
 
-    Torques that resist spinning and rolling are among them, but not with given forces. With them
-    `pin.aba(model, data, q, v, tau - damping * v, fext)` gives the scene's accelerations (Pinocchio's own algorithms
-    leave the model's joint damping out, and dry friction and limits of joints).
+    With them `pin.aba(model, data, q, v, tau - damping * v, fext)` gives the scene's accelerations (Pinocchio's own
+    algorithms leave the model's joint damping out, and dry friction and limits of joints). Torques that resist spinning
+    and rolling are among them, but not with given forces.
 
-    tau (nv,): joint torques that act, zero by default. forces: contact -> force (3,) in N on the second contour, world
-    axes, instead of those of the motion at the state; contacts that are not named carry none.
-    Raises ArgumentError for a state of another scene or an unknown contact, StateError for a bad tau or force,
-    SolverError or SingularContactError where there are no forces.
+    Parameters
+    ----------
+    scene : Scene
+    state : State
+        A state of this scene.
+    tau : (nv,) array_like, optional
+        Joint torques that act in N and N m, zero if not given.
+    forces : mapping of str to (3,) array_like, optional
+        Forces of contacts in N on the second contour, world axes, instead of those of the motion at the state; contacts
+        that are not named carry none.
+
+    Returns
+    -------
+    pin.StdVec_Force
+        One for each joint, in the joint's frame, in N and N m.
+
+    Raises
+    ------
+    ArgumentError
+        For a state of another scene or an unknown contact.
+    StateError
+        For a bad tau or force.
+    SolverError, SingularContactError
+        Where there are no forces.
     """
     instant = Instant(scene, state, tau, decide=forces is None)
     if forces is None:
@@ -70,7 +92,7 @@ def external_forces(
     return joint_forces(scene.model, system.data, system.contacts, instant.points(), acting, torques)
 
 
-def check_forces(scene: Scene, forces: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def check_forces(scene: Scene, forces: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
     """Given contact forces as finite arrays (3,)."""
     if not isinstance(forces, Mapping):
         raise ArgumentError(f"forces must be a mapping from contacts to forces (3,), got {type(forces).__name__}")

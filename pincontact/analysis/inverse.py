@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -33,6 +33,8 @@ from .instant import Instant
 from .ranks import Directions
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from ..scene import Scene
     from ..state import State
 
@@ -55,8 +57,15 @@ _UNBOUNDED = 1e20
 class HeldTurn:
     """What keeps a contact that resists spinning or rolling from turning.
 
-    contact: its name; kind: "spinning" or "rolling"; torque (3,): on the second contour given, world axes, N m;
-    limit: the most that the resistance can do under the contact's normal force, N m.
+    Attributes
+    ----------
+    contact : str
+        Its name.
+    kind : {"spinning", "rolling"}
+    torque : (3,) array
+        On the second contour given, world axes, N m.
+    limit : float
+        The most that the resistance can do under the contact's normal force, N m.
     """
 
     contact: str
@@ -72,14 +81,26 @@ class HeldTurn:
 
 @dataclass(frozen=True, eq=False)
 class InverseDynamics:
-    """What `inverse_dynamics` found.
+    """Joint torques and contact forces, as `inverse_dynamics` finds them.
 
-    tau (nv,): joint torques, actuation @ efforts; efforts (na,); acceleration (nv,) that they make.
-    joint_forces (nv,): dry friction of joints and what the ends of their ways carry, in N and N m.
-    forces: contact -> force (3,) in N on the second contour given, world axes; torques: what resists spinning and
-    rolling, likewise.
-    residual: what is left of the equations of motion, in N and N m.
-    held: of the torques those of resistances that are at rest, each with the limit that it was not made to obey.
+    Attributes
+    ----------
+    tau : (nv,) array
+        Joint torques in N and N m, actuation @ efforts.
+    efforts : (na,) array
+        Of the actuators, in N and N m.
+    acceleration : (nv,) array
+        The one that was wanted, or found, in m/s^2 and rad/s^2.
+    forces : dict of str to (3,) array
+        Force of each contact in N, on the second contour given, world axes.
+    torques : dict of str to (3,) array
+        What resists spinning and rolling in N m, likewise.
+    residual : float
+        What is left of the equations of motion, in N and N m.
+    joint_forces : (nv,) array
+        Dry friction of joints and what the ends of their ways carry, in N and N m.
+    held : tuple of HeldTurn
+        Of `torques` those of resistances that are at rest, each with the limit that it was not made to obey.
     """
 
     tau: np.ndarray
@@ -108,15 +129,15 @@ class RestingJoints:
 def inverse_dynamics(
     scene: Scene,
     state: State,
-    acceleration: Any | None = None,
+    acceleration: ArrayLike | None = None,
     *,
-    actuation: Any | None = None,
-    forces: Mapping[str, Any] | None = None,
+    actuation: ArrayLike | Sequence[str] | None = None,
+    forces: Mapping[str, ArrayLike] | None = None,
     tolerance: float = 1e-8,
 ) -> InverseDynamics:
-    """Joint torques and contact forces that give a scene the accelerations wanted at a state:
+    """Joint torques and contact forces that give a scene the accelerations wanted at a state.
 
-        M a + nle + damping v = actuation efforts + joint forces + sum of (contact rows)^T F
+    They solve M a + nle + damping v = actuation efforts + joint forces + sum of (contact rows)^T F.
 
     With contacts many pairs of torques and forces do it. The ones returned have the least torques (the norm of
     `efforts`) and, among those, the least contact forces (the norm of their components). Where friction sticks the
@@ -125,19 +146,59 @@ def inverse_dynamics(
     with which, and whether that is within its limit. Contacts that are given in `forces` carry just that, and resist no
     turning.
 
-    Joints have their dry friction: one that moves, or is to begin to, all of it, against its motion; one that rests and
-    is to stay may have any in its range, and the least efforts make use of it. So they do of an end of a joint's way,
-    which pushes as much as it takes. 0 is as good a friction for such a joint: what is to hold without it is found with
-    the model's `lowerDryFrictionLimit` and `upperDryFrictionLimit` at zero.
+    Joints have their dry friction. One that moves, or is to begin to, has all of it, against its motion. One that rests
+    and is to stay at rest may have any friction in its range, and any push of a limit that it rests at; the least
+    efforts make use of both. Where the range contains zero, no friction is as possible as any other: to find torques
+    that hold without it, set the model's `lowerDryFrictionLimit` and `upperDryFrictionLimit` to zero.
 
-    acceleration (nv,): must keep the closed contacts closed and rolling. None: the one nearest zero, in the norm of the
-    mass matrix, that does (going on at constant velocity as far as the contacts let it).
-    actuation: (nv, na) matrix, or joint names; None: all joints except a free-flying root.
-    forces: contact -> force (3,) on the second contour given, world axes.
-    tolerance: largest residual and largest constraint defect that counts as none, relative to the loads.
-    Raises StateError for an acceleration that breaks the contacts (with the contact and the number), that takes a joint
-    beyond its end, or is no vector (nv,), ArgumentError for a bad actuation or an unknown contact, SolverError where
-    these actuators cannot do it.
+    Parameters
+    ----------
+    scene : Scene
+    state : State
+        A state of this scene.
+    acceleration : (nv,) array_like, optional
+        In m/s^2 and rad/s^2, Pinocchio's order; must keep the closed contacts closed and rolling. If not given, the one
+        nearest zero, in the norm of the mass matrix, that does (going on at constant velocity as far as the contacts
+        let it).
+    actuation : (nv, na) array_like or sequence of str, optional
+        How efforts act on the velocity coordinates, or names of the joints that are driven; all joints except a
+        free-flying root, if not given.
+    forces : mapping of str to (3,) array_like, optional
+        Given forces of contacts in N, on the second contour, world axes.
+    tolerance : float
+        Largest residual and largest constraint defect that counts as none, relative to the loads.
+
+    Returns
+    -------
+    InverseDynamics
+
+    Raises
+    ------
+    StateError
+        For an acceleration that breaks the contacts (with the contact and the number), that takes a joint beyond its
+        end, or is no vector (nv,).
+    ArgumentError
+        For a bad actuation, an unknown contact, or a state of another scene.
+    SolverError
+        Where these actuators cannot do it.
+
+    Examples
+    --------
+    A ball on a table accelerates at 1 m/s^2: its own torque about y is all there is to drive it.
+
+    >>> import pincontact as pc
+    >>> scene = pc.Scene.from_urdf("urdf/ball.urdf", floating_base=True)
+    >>> ball = scene.add_contour("ball", pc.Sphere(0.1), frame="ball")
+    >>> floor = scene.add_contour("floor", pc.Plane())
+    >>> contact = scene.add_contact("ball/floor", floor, ball, friction=pc.NoSlip())
+    >>> state = scene.initial_state([0, 0, 0.1, 0, 0, 0, 1])
+    >>> torque_about_y = [[0], [0], [0], [0], [1], [0]]
+    >>> found = pc.inverse_dynamics(scene, state, [1, 0, 0, 0, 10, 0], actuation=torque_about_y)
+    >>> mass, inertia = scene.model.inertias[1].mass, scene.model.inertias[1].inertia[1, 1]
+    >>> bool(abs(found.efforts[0] - (0.1 * mass + 10 * inertia)) < 1e-9)
+    True
+    >>> bool(abs(found.forces["ball/floor"] - [mass, 0, 9.81 * mass]).max() < 1e-9)
+    True
     """
     check_tolerance(tolerance)
     instant = Instant(scene, state, decide=False)
@@ -248,7 +309,7 @@ def _held_turn(instant: Instant, item: int, torque: np.ndarray, forces: dict[str
     return HeldTurn(name, kind, torque, float(system.contact_real[item, MU_STATIC]) * load)
 
 
-def actuation_matrix(model: pin.Model, actuation: Any | None) -> np.ndarray:
+def actuation_matrix(model: pin.Model, actuation: ArrayLike | Sequence[str] | None) -> np.ndarray:
     """(nv, na): how efforts act on the velocity coordinates; from a matrix, joint names or None (see above)."""
     nv = model.nv
     if isinstance(actuation, str):

@@ -23,27 +23,48 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ContactKinematics:
-    """One contact at one state, as in its `ContactTrack`; world axes unless said, SI units.
+    """The paper's equations of one contact at one state, as numbers.
 
-    Relative quantities are of the second contour that the user named against the first, so v_c is the track's
-    slip_velocity, and with its force and multipliers v_c . force = components . multipliers. Parameters and frames are
-    in the paper's order, in which body 2 has at least as many parameters as body 1 (as given when equal).
+    World axes unless said, SI units. Relative quantities are of the second contour that the user named against the
+    first, as in `ContactTrack`: v_c is its slip_velocity, and v_c . force = components . multipliers. Parameters and
+    frames are in the paper's order, in which body 2 has at least as many parameters as body 1 (as given when equal).
+    m is the number of location equations, k that of location parameters.
 
-    f (m,):           conditions C1, components of r_first - r_second as in Eq. 42 (world x, y, z; the plane's x, y for
-                      a planar pattern, in axes of body 2), then C2, e_3 . tau_1^a (Eqs. 1, 2)
-    f_q (m, nv):      their derivatives along Pinocchio's velocity coordinates (Eq. 5)
-    J (m, k):         their derivatives by the location parameters p = (u_1, u_2)
-    f_t (m,):         their explicit rates, from drives
-    location (k,), rates (k,): p and p' (Eq. 6)
-    frame, dual_frame (3, 3): e_j and m^j as columns (Def. 5, Eq. 26)
-    v_c (3,):         velocity of the second contour's material point against the first's (Eq. 10)
-    components (3,):  v_c^j = m^j . v_c (Eq. 12)
-    rows (3, nv):     d v_c^j / d v (Eqs. 17, 29)
-    drift (3,):       the part of v_c^j that drives make, v_c^j = rows v + drift
-    bias (3,):        rate of v_c^j is rows a + bias (acceleration level)
-    gap:              n . (r_2 - r_1) in m, positive when apart
-    conditioning:     of the location equations, 1 good, 0 singular
-    point (3,):       the contact point on body 2
+    Attributes
+    ----------
+    f : (m,) array
+        Conditions C1, components of r_first - r_second as in Eq. 42 (along world x, y, z; for a planar pattern along
+        the plane's x, y, in axes of body 2), then C2, e_3 . tau_1^a (Eqs. 1, 2). In m, C2 without unit.
+    f_q : (m, nv) array
+        Derivatives of f along Pinocchio's velocity coordinates (Eq. 5).
+    J : (m, k) array
+        Derivatives of f by the location parameters.
+    f_t : (m,) array
+        Explicit rates of f, from prescribed motions and contours that depend on time.
+    location : (k,) array
+        Location parameters p = (u_1, u_2), in m or rad.
+    rates : (k,) array
+        p' (Eq. 6).
+    frame : (3, 3) array
+        e_1, e_2, e_3 as columns (Def. 5).
+    dual_frame : (3, 3) array
+        m^1, m^2, m^3 as columns (Eq. 26).
+    v_c : (3,) array
+        Velocity in m/s of the second contour's material point against the first's (Eq. 10).
+    components : (3,) array
+        v_c^j = m^j . v_c (Eq. 12).
+    rows : (3, nv) array
+        Derivatives of v_c^j by v (Eqs. 17, 29).
+    drift : (3,) array
+        Part of v_c^j that prescribed motions make: v_c^j = rows v + drift.
+    bias : (3,) array
+        Rate of v_c^j without accelerations a: it is rows a + bias.
+    gap : float
+        n . (r_2 - r_1) in m, positive when apart.
+    conditioning : float
+        Of the location equations, 1 good, 0 singular.
+    point : (3,) array
+        Contact point on body 2, in m.
     """
 
     f: np.ndarray
@@ -67,7 +88,44 @@ class ContactKinematics:
 def analyze(scene: Scene, state: State) -> dict[str, ContactKinematics]:
     """The kinematics of every contact of a scene at a state of it, signed as the user named its contours.
 
-    Raises ArgumentError for a state of another scene, SingularContactError where the location equations are singular.
+    Parameters
+    ----------
+    scene : Scene
+    state : State
+        A state of this scene.
+
+    Returns
+    -------
+    dict of str to ContactKinematics
+        By names of contacts.
+
+    Raises
+    ------
+    ArgumentError
+        For a state of another scene.
+    StateError
+        For a state whose numbers cannot be used.
+    SingularContactError
+        Where the location equations are singular.
+
+    Examples
+    --------
+    A wheel's point of contact moves over the ground as fast as its centre:
+
+    >>> import numpy as np
+    >>> import pinocchio as pin
+    >>> import pincontact as pc
+    >>> scene = pc.Scene.from_urdf("urdf/disk.urdf", floating_base=True)
+    >>> rim = scene.add_contour("rim", pc.Circle(radius=0.3), frame="disk")
+    >>> floor = scene.add_contour("floor", pc.Plane())
+    >>> contact = scene.add_contact("wheel", rim, floor, friction=pc.NoSlip())
+    >>> upright = pin.Quaternion(pin.utils.rotate("x", np.pi / 2)).coeffs()
+    >>> state = scene.initial_state([0, 0, 0.3, *upright], [0.6, 0, 0, 0, 0, -2.0])
+    >>> found = pc.analyze(scene, state)["wheel"]
+    >>> np.abs(found.rates).round(9).tolist()  # of u on the rim in rad/s, of (x, y) on the floor in m/s
+    [2.0, 0.6, 0.0]
+    >>> bool(np.abs(found.v_c).max() < 1e-12)
+    True
     """
     check_state(scene, state)
     contacts = list(scene.contacts.values())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +18,8 @@ from .instant import Instant, derivative
 from .symmetry import find_symmetries
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from ..scene import Scene
 
 # A coordinate is chosen only if the others depend on it by less than the inverse of this.
@@ -30,15 +32,29 @@ _NO_MOTION = 1e-7
 class Linearization:
     """x' = A x + B dtau about a steady motion, for n independent deviations x.
 
-    x holds the deviations of the velocity coordinates `indices` of the model: the first `positions` of them of the
-    configuration (dq, tangent to it as `pin.difference` gives it), the others of the velocity (dv). `names` says so in
-    words, "q:steer" or "v:root_joint.wx". Every consistent deviation is dq = dq_dx x, dv = dv_dx x.
+    x holds deviations of some of the model's velocity coordinates: the first `positions` of them of the configuration
+    (dq, tangent to it as `pin.difference` gives it), the others of the velocity (dv). All consistent deviations are
+    dq = dq_dx x, dv = dv_dx x. dtau are changes of the joint torques. SI units, Pinocchio's order.
 
-    A (n, n), B (n, nv); dq_dx, dv_dx (nv, n); dtau joint torques, in Pinocchio's order; SI units.
-    symmetries (n, s): deviations that lead to the same motion elsewhere (position on the plane, heading, spin), by
-    columns; they span an invariant subspace of A.
-    error: estimated error of A's entries, from the differences and from how exactly A keeps to consistent deviations.
-    defect: how far the motion is from steady, in m, rad and s.
+    Attributes
+    ----------
+    A : (n, n) array
+    B : (n, nv) array
+    indices : (n,) array of int
+        Velocity coordinates that x holds.
+    positions : int
+        How many of them are of the configuration.
+    names : list of str
+        Their names, such as "q:steer" or "v:root_joint.wx".
+    dq_dx, dv_dx : (nv, n) array
+        Deviations of all coordinates.
+    symmetries : (n, s) array
+        By columns, deviations that lead to the same motion elsewhere (position on the plane, heading, spin); they span
+        an invariant subspace of A.
+    error : float
+        Estimated error of A's entries, from the differences and from how exactly A keeps to consistent deviations.
+    defect : float
+        How far the motion is from steady, in m, rad and s.
     """
 
     A: np.ndarray
@@ -60,16 +76,26 @@ class Linearization:
 
     @property
     def eigenvalues(self) -> np.ndarray:
-        """(n,) complex, in 1/s, the least stable first."""
+        """Eigenvalues of A, (n,) complex, in 1/s, the least stable first."""
         return self._eigen[0]
 
     @property
     def eigenvectors(self) -> np.ndarray:
-        """(n, n) complex, by columns, in x."""
+        """Eigenvectors of A, (n, n) complex, by columns, in x."""
         return self._eigen[1]
 
-    def reduce(self, dq: Any, dv: Any) -> np.ndarray:
-        """x of a consistent deviation dq, dv (nv,)."""
+    def reduce(self, dq: ArrayLike, dv: ArrayLike) -> np.ndarray:
+        """The coordinates x of a consistent deviation.
+
+        Parameters
+        ----------
+        dq, dv : (nv,) array_like
+            Deviation of configuration (tangent) and velocity.
+
+        Returns
+        -------
+        (n,) array
+        """
         dq, dv = np.asarray(dq, dtype=float), np.asarray(dv, dtype=float)
         return np.concatenate([dq[self.indices[: self.positions]], dv[self.indices[self.positions :]]])
 
@@ -77,9 +103,13 @@ class Linearization:
         """The same with deviations along the symmetries left out: what matters to stability.
 
         Position, heading and spin are dropped, and their eigenvalues with them (zeros, or plus and minus i times the
-        turning rate). What is left of steady motions that come in families, such as the speed of a vehicle, is a zero
-        eigenvalue for each of their parameters.
-        The coordinates that remain keep their names; the others are whatever makes the deviation along symmetries zero.
+        turning rate). Where steady motions come in families, a zero eigenvalue is left for each parameter of the
+        family, such as the speed of a vehicle. The coordinates that remain keep their names; the others take the values
+        with which the deviation along symmetries is zero.
+
+        Returns
+        -------
+        Linearization
         """
         if self.symmetries.shape[1] == 0:
             return self
@@ -111,7 +141,7 @@ class Linearization:
 def linearize(
     scene: Scene,
     state: State,
-    tau: Any | None = None,
+    tau: ArrayLike | None = None,
     *,
     coordinates: Sequence[str | int] = (),
     tolerance: float = 1e-6,
@@ -120,21 +150,54 @@ def linearize(
 
     Contacts keep the mode they have at the state, and so do joints: one that rests at an end of its way stays there, as
     by a GC, one that rests by dry friction has no velocity, as by a VC, and the dry friction of one that moves is a
-    constant force. Geometric constraints reduce configurations and velocities, rolling constraints velocities only, so
-    n = 2 (nv - GCs) - VCs: rolling does not bind the configuration. Derivatives are Richardson extrapolations of the
-    package's own constrained accelerations, exact to about 1e-11; their error is estimated and reported.
+    constant force. Geometric constraints (GC) reduce configurations and velocities, rolling constraints (VC) velocities
+    only, so n = 2 (nv - GCs) - VCs: rolling does not bind the configuration. Derivatives are Richardson extrapolations
+    of the package's own constrained accelerations, exact to about 1e-11; their error is estimated and reported.
 
-    A steady motion follows a symmetry (see `analysis.symmetry`): the deviation is taken in axes that go along with it,
-    where A is constant. So a bicycle that runs straight, a disk that rolls in a circle and a bead in a rotating hoop
-    are all points of rest.
+    A steady motion follows a symmetry of the scene: the deviation is taken in axes that go along with it, where A is
+    constant. So a bicycle that runs straight, a disk that rolls in a circle and a bead in a rotating hoop are all
+    points of rest.
 
-    tau (nv,): the joint torques that act, zero by default.
-    coordinates: velocity coordinates (indices, or names such as "steer" and "root_joint.wx") to describe deviations by;
-    those are taken that are independent, in this order, then the best conditioned of the others.
-    tolerance: how far the motion may be from steady (`Linearization.defect`), relative to v and a where these exceed 1.
-    Raises StateError where it is farther, where a contact or a joint begins to slip at the state, or rests with its
-    friction just at the limit, or for a bad tau; ArgumentError for an unknown coordinate or a state of another scene;
-    SolverError, SingularContactError where there are no accelerations.
+    Parameters
+    ----------
+    scene : Scene
+    state : State
+        The equilibrium, or a state of the steady motion.
+    tau : (nv,) array_like, optional
+        Joint torques that act in N and N m, zero if not given.
+    coordinates : sequence of str or int
+        Velocity coordinates (indices, or names such as "steer" and "root_joint.wx") to describe deviations by. Those
+        are taken that are independent, in this order, then the best conditioned of the others.
+    tolerance : float
+        How far the motion may be from steady (`Linearization.defect`), relative to v and a where these exceed 1.
+
+    Returns
+    -------
+    Linearization
+
+    Raises
+    ------
+    StateError
+        Where the motion is farther from steady, where a contact or a joint begins to slip at the state, or rests with
+        its friction just at the limit, or for a bad tau.
+    ArgumentError
+        For an unknown coordinate or a state of another scene.
+    SolverError, SingularContactError
+        Where there are no accelerations.
+
+    Examples
+    --------
+    A ball at the bottom of a bowl swings with the angular frequency sqrt(g / (R - r)) if nothing makes it roll:
+
+    >>> import pincontact as pc
+    >>> scene = pc.Scene.from_urdf("urdf/ball.urdf", floating_base=True)
+    >>> ball = scene.add_contour("ball", pc.Sphere(0.1), frame="ball")
+    >>> bowl = scene.add_contour("bowl", pc.Sphere(1.0))
+    >>> contact = scene.add_contact("ball/bowl", ball, bowl, side=-1)
+    >>> state = scene.initial_state([0, 0, -0.9, 0, 0, 0, 1])
+    >>> motion = pc.linearize(scene, state).without_symmetries()
+    >>> sorted(abs(motion.eigenvalues.imag).round(6).tolist())[-2:], round((9.81 / 0.9) ** 0.5, 6)
+    ([3.301515, 3.301515], 3.301515)
     """
     check_tolerance(tolerance)
     if not isinstance(coordinates, Sequence):

@@ -12,7 +12,7 @@ import pickle
 import sys
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from functools import partial
 from importlib import import_module
@@ -39,11 +39,13 @@ _QUEUE_PER_WORKER = 4
 _TRACEBACK_LINES = 40
 
 Figures = dict[str, Any]
+# A parameter's: a number, a text, None, or a sequence of these.
+Value = bool | float | str | None | Sequence[Any] | np.ndarray
 
 
 def sweep(
     build: Callable[..., Any],
-    parameters: Mapping[str, Any] | Any,
+    parameters: Mapping[str, Iterable[Value]] | Iterable[Mapping[str, Value]] | np.ndarray,
     *,
     names: Sequence[str] | None = None,
     measure: Callable[[Trajectory], Mapping[str, Any]] | None = None,
@@ -55,28 +57,72 @@ def sweep(
     workers: int | None = None,
     progress: bool = True,
 ) -> SweepTable:
-    """Call `build` with many sets of parameters, simulate what it describes, and collect figures.
+    """Call a function with many sets of parameters, simulate what it describes, and collect figures.
 
-    build(**parameters): called where the run is made (models and scenes do not travel between processes). It returns
-    (scene, state, options), with `simulate`'s arguments as a dict; or what `load_scene` returns; or a Trajectory;
-    or a mapping of figures, name -> number, text, None, or an array or list of these.
-    parameters: name -> values for the grid of all combinations, the last name running fastest; or a list of dicts,
-    a structured array, or an array (n, k) with k `names`. Values are numbers, texts, None, and sequences of these.
-    measure(run): figures of a run, instead of status, message, events and steps (counts), t_end, q_end, v_end.
-    file: rows are appended to it as they come (JSON lines). An interrupted sweep goes on where it was: rows in the
-    file are not run again; with retry=True, those that failed are.
-    runs: a folder that keeps every Trajectory (`Trajectory.load(row["run"])`), reachable from every worker.
-    resume: False begins the file anew; "anyway" goes on with a file although `build`, `measure` or the package have
-    changed, which is an error otherwise.
-    executor: any `concurrent.futures.Executor`, such as Dask's `client.get_executor()` or mpi4py's MPIPoolExecutor;
-    None makes processes of its own, as many as `workers` (default: one for each core; 0: all runs in this process).
-    Then build and measure must be functions of a module, and a script needs `if __name__ == "__main__":`.
-    progress: show a bar.
+    A run that raises is a row with its `error`; so is one that takes its process down. Ctrl-C ends the runs under way
+    and leaves a file from which the same call goes on.
 
-    A run that raises is a row with its `error`; so is one that takes its process down. Returns the table, in the order
-    of the parameters. Ctrl-C ends the runs under way and leaves a file from which the same call goes on.
-    Raises ArgumentError for bad arguments, a file that does not belong to this sweep or is in use; TrajectoryError for
-    a file that is damaged; SolverError where no worker can be started.
+    Parameters
+    ----------
+    build : callable
+        Called as build(**parameters) where the run is made (models and scenes do not travel between processes). It
+        returns (scene, state, options), with `simulate`'s arguments as a dict; or what `load_scene` returns; or a
+        Trajectory; or a mapping of figures, from names to numbers, texts, None, or arrays or lists of these.
+    parameters : mapping of str to sequence, sequence of mappings, or (n, k) array
+        Values of each parameter, for the grid of all combinations, the last name running fastest; or a list of dicts, a
+        structured array, or an array with k `names`, for a list of samples. Values are numbers, texts, None, and
+        sequences of these.
+    names : sequence of str, optional
+        Of the columns of an array.
+    measure : callable, optional
+        measure(run) returns a mapping of figures of a Trajectory, instead of status, message, events and steps
+        (counts), t_end, q_end, v_end.
+    file : str or Path, optional
+        Rows are appended to it as they come (JSON lines). An interrupted sweep goes on where it was: rows in the file
+        are not run again.
+    runs : str or Path, optional
+        A folder that keeps every Trajectory (`Trajectory.load(row["run"])`), reachable from every worker.
+    resume : bool or {"anyway"}
+        False begins the file anew; "anyway" goes on with a file although `build`, `measure` or the package have
+        changed, which is an error otherwise.
+    retry : bool
+        Whether rows of the file that failed are run again.
+    executor : concurrent.futures.Executor, optional
+        Any, such as Dask's `client.get_executor()` or mpi4py's MPIPoolExecutor. If not given, the sweep makes processes
+        of its own. Then `build` and `measure` must be functions of a module, and a script needs
+        `if __name__ == "__main__":`.
+    workers : int, optional
+        Number of these processes, one for each core if not given; with 0 all runs are made in this process.
+    progress : bool
+        Whether to show a bar.
+
+    Returns
+    -------
+    SweepTable
+        A row for each run, in the order of the parameters.
+
+    Raises
+    ------
+    ArgumentError
+        For bad arguments, and for a file that does not belong to this sweep or is in use.
+    TrajectoryError
+        For a file that is damaged.
+    SolverError
+        Where no worker can be started, or an executor broke.
+
+    Examples
+    --------
+    >>> import pincontact as pc
+    >>> def build(mu):
+    ...     scene = pc.Scene.from_urdf("urdf/ball.urdf", floating_base=True)
+    ...     ball, floor = scene.add_contour("ball", pc.Sphere(0.1), "ball"), scene.add_contour("floor", pc.Plane())
+    ...     scene.add_contact("ball", ball, floor, friction=pc.Coulomb(mu))
+    ...     return scene, scene.initial_state([0, 0, 0.1, 0, 0, 0, 1], [1.0, 0, 0, 0, 0, 0]), {"duration": 0.5}
+    >>> def measure(run):
+    ...     return {"rolls_after": run.events[0].time}
+    >>> table = pc.sweep(build, {"mu": [0.1, 0.2]}, measure=measure, workers=0, progress=False)
+    >>> table.column("rolls_after").round(6).tolist()  # 2 v / (7 mu g)
+    [0.291248, 0.145624]
     """
     samples, grid = _samples(parameters, names)
     for name, call in (("build", build), ("measure", measure)):

@@ -24,8 +24,16 @@ if TYPE_CHECKING:
 class SweepTable(Sequence[Row]):
     """Rows of a sweep, in the order of its parameters; each a dict of parameters, figures and `error`.
 
-    rows: the dicts; a figure that a row lacks is not in it. parameters: names of the parameters.
-    axes: name -> values of the grid, None for a list of samples. seconds: wall time of this call, s.
+    Attributes
+    ----------
+    rows : list of dict
+        A figure that a row lacks is not in it.
+    parameters : tuple of str
+        Names of the parameters.
+    axes : dict of str to list, optional
+        Values of each parameter of the grid; None for a list of samples.
+    seconds : float
+        Wall time of the call of `sweep`, in s; NaN for a table from a file.
     """
 
     rows: list[Row]
@@ -35,7 +43,21 @@ class SweepTable(Sequence[Row]):
 
     @classmethod
     def load(cls, file: str | os.PathLike[str]) -> SweepTable:
-        """The rows of a sweep's file, in the order in which they came. Raises TrajectoryError for another file."""
+        """The rows of a sweep's file, in the order in which they came.
+
+        Parameters
+        ----------
+        file : str or Path
+
+        Returns
+        -------
+        SweepTable
+
+        Raises
+        ------
+        TrajectoryError
+            For a file that is not one of a sweep, or is empty or damaged.
+        """
         header, rows, _ = read_rows(Path(file))
         if not header:
             raise TrajectoryError(f"{os.fspath(file)} is empty")
@@ -66,20 +88,54 @@ class SweepTable(Sequence[Row]):
         return [row for row in self.rows if row["error"]]
 
     def column(self, name: str) -> np.ndarray:
-        """(n, ...) one parameter or figure; NaN, "" or None where a row has none. Raises ArgumentError for its name."""
+        """One parameter or figure of all rows.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        (n, ...) array
+            NaN, "" or None where a row has none.
+
+        Raises
+        ------
+        ArgumentError
+            For a name that is no column's.
+        """
         if name not in self.columns:
             raise ArgumentError(f"the sweep has no column {name!r}; columns: {', '.join(self.columns)}")
         return _column([row.get(name) for row in self.rows])
 
     def grid(self, name: str) -> np.ndarray:
-        """A column in the grid's shape, one axis a parameter in their order. Raises ArgumentError without a grid."""
+        """A column in the grid's shape, one axis a parameter in their order.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        (n_1, ..., n_k, ...) array
+
+        Raises
+        ------
+        ArgumentError
+            For a name that is no column's, or without a grid.
+        """
         if self.axes is None:
             raise ArgumentError("the sweep ran over a list of samples, not over a grid")
         values = self.column(name)
         return values.reshape(*(len(axis) for axis in self.axes.values()), *values.shape[1:])
 
     def to_numpy(self) -> np.ndarray:
-        """(n,) structured array with a field for each column."""
+        """A structured array with a field for each column.
+
+        Returns
+        -------
+        (n,) array
+        """
         columns = {name: self.column(name) for name in self.columns}
         out = np.empty(len(self), dtype=[(name, values.dtype, values.shape[1:]) for name, values in columns.items()])
         for name, values in columns.items():
@@ -87,7 +143,17 @@ class SweepTable(Sequence[Row]):
         return out
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A DataFrame with a row for each run. Raises MissingExtraError without pandas."""
+        """A DataFrame with a row for each run.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        MissingExtraError
+            Without pandas (the extra `data`).
+        """
         package = required("pandas", "a DataFrame")
         columns = {name: self.column(name) for name in self.columns}
         return package.DataFrame(
@@ -95,7 +161,17 @@ class SweepTable(Sequence[Row]):
         )
 
     def to_xarray(self) -> xarray.Dataset:
-        """A Dataset over the grid's axes, or over "run" for samples. Raises MissingExtraError without xarray."""
+        """A Dataset over the grid's axes, or over "run" for samples.
+
+        Returns
+        -------
+        xarray.Dataset
+
+        Raises
+        ------
+        MissingExtraError
+            Without xarray (the extra `data`).
+        """
         package = required("xarray", "a Dataset")
         if self.axes is None:
             axes, shaped = ["run"], self.column

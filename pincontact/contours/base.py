@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -31,6 +31,8 @@ ALL = (-np.inf, np.inf)
 TURN = (-np.pi, np.pi)
 # In place of what is worked out from the shape.
 _FROM_SHAPE: Any = None
+# (low, high) of each parameter, None for the whole domain.
+Window = Sequence[Sequence[float] | None] | np.ndarray | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -86,7 +88,7 @@ class Contour:
     [0.3, 0.0, 0.0]
     """
 
-    evaluator: Any
+    evaluator: Callable[..., Any]
     dimension: int
     shape: tuple[float, ...] = ()
     pool: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -174,6 +176,11 @@ class Contour:
         -------
         (n, 10, 3) array
             The rows of `evaluate` for each of them.
+
+        Raises
+        ------
+        ContourError
+            For a wrong number of parameters or chart.
         """
         try:
             # a contour without parameters has none of any type
@@ -198,18 +205,39 @@ class Contour:
         return out
 
     def point(self, u: Sequence[float] | float = (), t: float = 0.0, chart: int = 0) -> np.ndarray:
-        """The point f(u, t), (3,), in the contour's frame."""
+        """The point f(u, t) in the contour's frame.
+
+        Parameters
+        ----------
+        u, t, chart
+            As for `evaluate`.
+
+        Returns
+        -------
+        (3,) array
+            In m.
+        """
         return self.evaluate(u, t, chart)[F]
 
     def ends(self) -> np.ndarray:
-        """(4,) low and high end of u1 and u2 at which the contour stops; infinite where it does not (periodic
-        parameters, poles)."""
+        """Where the contour stops.
+
+        Returns
+        -------
+        (4,) array
+            Low and high end of u1 and u2 in m or rad; infinite where it does not stop (periodic parameters, poles).
+        """
         out = np.array([-np.inf, np.inf, -np.inf, np.inf])
         out[: 2 * self.dimension] = np.ravel(self.limits)
         return out
 
     def shape_row(self) -> np.ndarray:
-        """The shape parameters padded to SHAPE_SIZE."""
+        """The shape parameters padded to `SHAPE_SIZE`, as kernels read them.
+
+        Returns
+        -------
+        (8,) array
+        """
         row = np.zeros(SHAPE_SIZE)
         row[: len(self.shape)] = self.shape
         return row
@@ -219,7 +247,7 @@ class Contour:
         """The name of its class."""
         return type(self).__name__
 
-    def samples(self, n: int | Sequence[int] = 50, window: Any = None) -> np.ndarray:
+    def samples(self, n: int | Sequence[int] = 50, window: Window = None) -> np.ndarray:
         """A grid of parameter values that covers the domain of the first chart.
 
         Parameters
@@ -250,7 +278,7 @@ class Contour:
             return np.zeros((1, 0))
         return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
 
-    def polyline(self, n: int = 100, window: Any = None, t: float = 0.0) -> np.ndarray:
+    def polyline(self, n: int = 100, window: Window = None, t: float = 0.0) -> np.ndarray:
         """Points along a curve, both ends included, so that a closed curve ends where it starts.
 
         Parameters
@@ -277,7 +305,7 @@ class Contour:
         (axis,) = self._axes(n, window, closed=True)
         return np.array([self.point(u, t) for u in axis])
 
-    def mesh(self, n: int | Sequence[int] = 40, window: Any = None, t: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    def mesh(self, n: int | Sequence[int] = 40, window: Window = None, t: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Triangles of a surface; seams of parameters that wrap around are closed.
 
         Parameters
@@ -313,10 +341,10 @@ class Contour:
         c, d = i * n2 + (j + 1) % n2, (i + 1) % n1 * n2 + (j + 1) % n2
         return vertices, np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
 
-    def _wraps(self, axis: int, window: Any) -> bool:
+    def _wraps(self, axis: int, window: Window) -> bool:
         return self.periodic[axis] and (window is None or window[axis] is None)
 
-    def _axes(self, n: int | Sequence[int], window: Any, closed: bool) -> list[np.ndarray]:
+    def _axes(self, n: int | Sequence[int], window: Window, closed: bool) -> list[np.ndarray]:
         counts = list(n) if isinstance(n, (Sequence, np.ndarray)) else [n] * self.dimension
         whole = all(isinstance(count, (int, np.integer)) for count in counts)
         if not whole or len(counts) != self.dimension or any(count < 2 for count in counts):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from .base import ALL, CIRCLE, ELLIPSE, TURN, Contour
 from .checks import array, finite, in_space, interval, positive
 from .evaluation import contour_kernel
 from .sizes import DERIVATIVE_ROWS
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 _WHOLE = 2.0 * math.pi * (1.0 + 1e-14)
 # A contact comes to an end so far from a cusp, rad, since u' grows without bound towards it. What is left of the arch
@@ -203,7 +206,7 @@ class FourierCurve(Contour):
 
     Parameters
     ----------
-    cosine, sine : (n + 1, 3) or (n + 1, 2) array
+    cosine, sine : (n + 1, 3) or (n + 1, 2) array_like
         Coefficients in m, n > 0; with two columns the curve is planar. sine[0] has no effect.
 
     Raises
@@ -219,7 +222,7 @@ class FourierCurve(Contour):
     (True, 1, [0.4, 0.0, 0.0])
     """
 
-    def __init__(self, cosine: Any, sine: Any) -> None:
+    def __init__(self, cosine: ArrayLike, sine: ArrayLike) -> None:
         owner = "FourierCurve"
         tables = [array(owner, name, given, None, None) for name, given in (("cosine", cosine), ("sine", sine))]
         for name, table in zip(("cosine", "sine"), tables):

@@ -46,14 +46,15 @@ class Motion:
 
     Parameters
     ----------
-    parameters : (16,) array
-        Numbers that the kernels read, by kind.
-    pool : (n,) array
+    parameters : sequence of float
+        Up to 16 numbers that the kernels read, by kind.
+    pool : (n,) array, optional
         Further numbers, those of a spline.
 
-    Notes
-    -----
-    A motion of kind MOTION_CALLABLE is evaluated in Python; all others are compiled.
+    Attributes
+    ----------
+    kind : int
+        MOTION_CALLABLE is evaluated in Python, all others are compiled.
 
     Examples
     --------
@@ -105,6 +106,11 @@ class Motion:
         (24,) array
             Rotation (9, row-major) of the contour in its carrier, position (3), linear velocity (3), angular velocity
             (3), linear acceleration (3), angular acceleration (3), in carrier axes.
+
+        Raises
+        ------
+        ContourError
+            Where the function of a `CallableMotion` returned something else than it has to.
         """
         if out is None:
             out = np.zeros(MOTION_SIZE)
@@ -112,7 +118,17 @@ class Motion:
         return out
 
     def placement(self, t: float) -> pin.SE3:
-        """Placement of the contour in its carrier at time t in s."""
+        """Placement of the contour in its carrier.
+
+        Parameters
+        ----------
+        t : float
+            Time in s.
+
+        Returns
+        -------
+        pin.SE3
+        """
         row = self.evaluate(t)
         return pin.SE3(row[:9].reshape(3, 3), row[9:12])
 
@@ -270,7 +286,7 @@ class SplineMotion(Motion):
 
     kind = MOTION_SPLINE
 
-    def __init__(self, times: Sequence[float], poses: Sequence[Any], periodic: bool = False) -> None:
+    def __init__(self, times: Sequence[float], poses: Sequence[pin.SE3 | np.ndarray], periodic: bool = False) -> None:
         owner = "SplineMotion"
         periodic = flag(owner, "periodic", periodic)
         if not isinstance(poses, (Sequence, np.ndarray)):
@@ -311,8 +327,12 @@ class CallableMotion(Motion):
         once per evaluation of the dynamics. Or f(t) -> pose, with a time domain: the pose is fitted there to
         round-off, once, and no Python runs afterwards.
     time_domain : (first, last), optional
-        In s, for an f that returns poses only; `fit_error` says how well they were fitted. Beyond it the motion goes on
-        with constant second derivatives.
+        In s, for an f that returns poses only. Beyond it the motion goes on with constant second derivatives.
+
+    Attributes
+    ----------
+    fit_error : float
+        Largest error of fitted positions (m) and quaternions, 0 where f returns velocities, too.
 
     Raises
     ------
@@ -362,7 +382,6 @@ class CallableMotion(Motion):
         super().__init__((), _motion_pool(result.pool))
 
     def evaluate(self, t: float, out: np.ndarray | None = None) -> np.ndarray:
-        """As `Motion.evaluate`."""
         if self.kind == MOTION_SPLINE:
             return super().evaluate(t, out)
         if out is None:
@@ -379,13 +398,8 @@ class CallableMotion(Motion):
         h = 1e-5
         before, here, after = self.evaluate(t - h), self.evaluate(t), self.evaluate(t + h)
         turn = after[:9].reshape(3, 3) @ before[:9].reshape(3, 3).T
-        expected = np.concatenate(
-            [
-                (after[9:12] - before[9:12]) / (2.0 * h),
-                pin.log3(turn) / (2.0 * h),
-                (after[12:18] - before[12:18]) / (2.0 * h),
-            ]
-        )
+        changes = [after[9:12] - before[9:12], pin.log3(turn), after[12:18] - before[12:18]]
+        expected = np.concatenate(changes) / (2.0 * h)
         names = np.repeat(["velocity", "angular velocity", "acceleration", "angular acceleration"], 3)
         for i, (found, value) in enumerate(zip(here[12:], expected)):
             size = np.abs(expected[3 * (i // 3) : 3 * (i // 3) + 3]).max()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from .checks import flag, flags, interval
 from .formula import Formula, takes_time, trials
 from .program import Program, compiled
 from .splines import height_grid, height_spline
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 
 class ParametricCurve(Contour):
@@ -124,11 +127,11 @@ class HeightField(Contour):
 
     Parameters
     ----------
-    f : callable, or (n1,) array
+    f : callable, or (n1,) array_like
         f(x, y) or f(x, y, t) -> z in m, traced or fitted as in `ParametricCurve`. Or the x of a grid, increasing, in m.
-    y : (n2,) array
+    y : (n2,) array_like, optional
         Of a grid, increasing, in m.
-    z : (n1, n2) array
+    z : (n1, n2) array_like, optional
         Heights of a grid in m; a spline through them is made.
     domain : ((low, high), (low, high)), optional
         Ends of x and y for a function; infinite if not given.
@@ -158,9 +161,9 @@ class HeightField(Contour):
 
     def __init__(
         self,
-        f: Any,
-        y: Any = None,
-        z: Any = None,
+        f: Callable[..., Any] | ArrayLike,
+        y: ArrayLike | None = None,
+        z: ArrayLike | None = None,
         *,
         domain: tuple[tuple[float, float], tuple[float, float]] | None = None,
         degree: int = 5,

@@ -9,8 +9,8 @@ smooth at the pole. Near the pole g and k are Chebyshev fits in d^2; beyond it t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -29,6 +29,9 @@ from .sizes import DERIVATIVE_ROWS, SHAPE_SIZE
 from .splines import chords, spline, spline_pool
 from .surfaces import put_revolved
 from .tape import tape, traced
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 # Pool: profile's offset, then for each end the offset of (g, k) and the d^2 up to which they hold.
 PROFILE, LOW_CAP, LOW_REACH, HIGH_CAP, HIGH_REACH = range(5)
@@ -60,10 +63,10 @@ class SurfaceOfRevolution(Contour):
 
     Parameters
     ----------
-    profile : callable s -> (r, z), or (n, 2) array
+    profile : callable s -> (r, z), or (n, 2) array_like
         In m. A function is traced or fitted as in `ParametricCurve`; points are joined by a spline that also passes the
         axis smoothly where its first or last point has r = 0.
-    domain : (low, high)
+    domain : (low, high), optional
         Ends of s, finite; for a function only.
     periodic : bool
         The profile closes (away from the axis).
@@ -82,7 +85,12 @@ class SurfaceOfRevolution(Contour):
     ((0, 1, 2), 1, [0.1, 0.0, 0.0])
     """
 
-    def __init__(self, profile: Any, domain: tuple[float, float] | None = None, periodic: bool = False) -> None:
+    def __init__(
+        self,
+        profile: Callable[[float], Sequence[Any]] | ArrayLike,
+        domain: tuple[float, float] | None = None,
+        periodic: bool = False,
+    ) -> None:
         owner = "SurfaceOfRevolution"
         periodic = flag(owner, "periodic", periodic)
         reaches = None

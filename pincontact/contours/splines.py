@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
@@ -15,6 +15,9 @@ from .evaluation import contour_kernel
 from .piecewise import Direction, chebyshev_nodes, fitted, pack, piecewise
 from .sizes import DERIVATIVE_ROWS
 from .surfaces import put_plane
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 # f has to be three times differentiable: the dynamics use f_11, and their integration one order more.
 _SMOOTHNESS = 3
@@ -66,7 +69,7 @@ class SplineCurve(Contour):
 
     Parameters
     ----------
-    points : (n, 3) or (n, 2) array, or scipy.interpolate.BSpline
+    points : (n, 3) or (n, 2) array_like, or scipy.interpolate.BSpline
         In m; with two columns the curve lies in the xy-plane. A B-spline of such values brings its own degree and
         parameters, and must be three times differentiable.
     periodic : bool
@@ -74,7 +77,7 @@ class SplineCurve(Contour):
         derivatives.
     degree : int
         At least 4; the curve is degree - 1 times differentiable.
-    parameters : (n,) array, or (n + 1,) if periodic
+    parameters : (n,) array_like, or (n + 1,) if periodic, optional
         Values of u at the points; chord lengths from the first point if not given, so that u is close to the arc
         length in m.
 
@@ -93,7 +96,13 @@ class SplineCurve(Contour):
     (True, (True,), 1)
     """
 
-    def __init__(self, points: Any, periodic: bool = False, degree: int = 5, parameters: Any = None) -> None:
+    def __init__(
+        self,
+        points: ArrayLike | scipy.interpolate.BSpline,
+        periodic: bool = False,
+        degree: int = 5,
+        parameters: ArrayLike | None = None,
+    ) -> None:
         owner = "SplineCurve"
         periodic = flag(owner, "periodic", periodic)
         if isinstance(points, scipy.interpolate.BSpline):
@@ -155,13 +164,13 @@ class SplineSurface(Contour):
 
     Parameters
     ----------
-    points : (n1, n2, 3) array
+    points : (n1, n2, 3) array_like
         In m. f_1 x f_2 is the outward normal, so the order of the grid's axes decides the side.
     periodic : pair of bool
         Which grid directions close (do not repeat the first row or column).
     degree : int
         At least 4.
-    parameters : pair of arrays
+    parameters : ((n1,) array_like, (n2,) array_like), optional
         Values of u1 and u2 at the grid lines, one more than lines where periodic; mean chord lengths if not given.
 
     Raises
@@ -181,10 +190,10 @@ class SplineSurface(Contour):
 
     def __init__(
         self,
-        points: Any,
+        points: ArrayLike,
         periodic: tuple[bool, bool] = (False, False),
         degree: int = 5,
-        parameters: tuple[Any, Any] | None = None,
+        parameters: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> None:
         owner = "SplineSurface"
         periodic = flags(owner, "periodic", periodic)

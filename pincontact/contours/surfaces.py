@@ -17,9 +17,11 @@ from .sizes import DERIVATIVE_ROWS
 _HALF_TURN = (-0.5 * math.pi, 0.5 * math.pi)
 # A contact comes to an end so far from an apex, m, since u1' and the curvature grow without bound towards it.
 _APEX = 1e-6
+# (low, high) of both parameters, None for all of one.
+Domain = tuple[tuple[float, float] | None, tuple[float, float] | None] | None
 
 
-def _pair(owner: str, domain: Any) -> tuple[Any, Any]:
+def _pair(owner: str, domain: Domain) -> tuple[Any, Any]:
     """Both parts of the domain of a surface, each (low, high) or None; none means None for both."""
     try:
         first, second = (None, None) if domain is None else domain
@@ -53,7 +55,7 @@ class Plane(Contour):
     (Plane(), ((-1.0, 1.0), (-inf, inf)))
     """
 
-    def __init__(self, domain: Any = None) -> None:
+    def __init__(self, domain: Domain = None) -> None:
         parts = _pair("Plane", domain)
         patch = (_along("Plane", "domain[0]", parts[0]), _along("Plane", "domain[1]", parts[1]))
         size = 0.5 * math.hypot(patch[0][1] - patch[0][0], patch[1][1] - patch[1][0])
@@ -159,7 +161,7 @@ class Cylinder(Contour):
     (True, False)
     """
 
-    def __init__(self, radius: float, domain: Any = None) -> None:
+    def __init__(self, radius: float, domain: Domain = None) -> None:
         owner = "Cylinder"
         (radius,) = positive(owner, radius=radius)
         around, along = _pair(owner, domain)
@@ -199,7 +201,7 @@ class Cone(Contour):
     [1e-06, inf]
     """
 
-    def __init__(self, half_angle: float, domain: Any = None) -> None:
+    def __init__(self, half_angle: float, domain: Domain = None) -> None:
         owner = "Cone"
         (half_angle,) = positive(owner, half_angle=half_angle)
         if not half_angle < 0.5 * math.pi:

@@ -34,7 +34,7 @@ def centred_forces(
     Parameters
     ----------
     delassus, b, mu
-        The problem, as for `solve_contacts`.
+        As for `solve_contacts`.
     solution : ContactSolution
         A solution of it.
 

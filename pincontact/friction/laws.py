@@ -55,9 +55,19 @@ def _last(value: Coefficient) -> float:
 
 
 class FrictionLaw(ABC):
-    """What limits the tangential force of a contact. A contact without a law (None) is frictionless.
+    """What limits the tangential force of a contact; base class of all laws.
 
-    Coefficients of two directions are those along the first; `aspect` is what they are times across it.
+    A contact without a law (None) is frictionless. Of two directions, coefficients are those along the first; `aspect`
+    is what they are times across it.
+
+    Attributes
+    ----------
+    viscous : float
+        c in N s/m: a further force -c v_t, whatever the normal force.
+    spinning, rolling : float
+        Lengths in m: torques up to length * F_n resist rotation about the normal, about the tangents.
+    along : str, optional
+        Name of the contour whose first tangent the first of two coefficients belongs to.
     """
 
     viscous: float = 0.0
@@ -91,7 +101,18 @@ class FrictionLaw(ABC):
         return self.spinning > 0.0 or self.rolling > 0.0
 
     def coefficient(self, speed: npt.ArrayLike) -> np.ndarray:
-        """Coefficient in force while the contact slips at a speed in m/s, of the speed's shape."""
+        """Coefficient in force while the contact slips.
+
+        Parameters
+        ----------
+        speed : (...) array_like
+            Slip speeds in m/s.
+
+        Returns
+        -------
+        (...) array
+            Of the speed's shape.
+        """
         return np.full(np.shape(speed), self.sliding)
 
     def _set_resistances(self) -> None:
@@ -193,18 +214,18 @@ class Stribeck(FrictionLaw):
     Slip at speed s is opposed by F_n (mu + (mu_static - mu) exp(-(s / speed)^exponent)): slip starts with the force
     that stick ends with.
 
-    The other parameters, and pairs of coefficients, are those of `Coulomb`.
-
     Parameters
     ----------
     mu : float or (float, float)
-        Coefficient of fast slip.
+        Coefficient of fast slip; of two directions as for `Coulomb`.
     mu_static : float or (float, float)
         Coefficient of stick and of slip that starts, >= mu.
     speed : float
         In m/s, > 0, at which the difference has fallen to 1 / e.
     exponent : float
         1 (Tustin) to 50; 2 is the Gaussian curve.
+    viscous, spinning, rolling, along
+        As for `Coulomb`.
 
     Raises
     ------
@@ -264,15 +285,20 @@ class Stribeck(FrictionLaw):
 class NoSlip(FrictionLaw):
     """Ideal rolling (VC, Sec. 4): whatever tangential force keeps the contact from slipping.
 
-    It is the limit of Coulomb's law for large mu. A unilateral contact is let go where its normal force reaches zero,
-    however large the tangential force is by then; but where that force is all that keeps the contact from closing
-    again by more than a thousandth of its length, it slides with F_n = 0, held up by the tangential force against its
-    slip, until it sticks again or opens.
+    It is the limit of Coulomb's law for large mu. A unilateral contact opens where its normal force reaches zero,
+    however large the tangential force is by then. Where the bodies would then penetrate by more than a thousandth of
+    the contact's length, it slides instead, with F_n = 0 and carried by the tangential force against its slip, until it
+    sticks again or opens.
 
     Parameters
     ----------
     spinning, rolling : float
         Resistance to spinning and rolling in m, as of `Coulomb`.
+
+    Raises
+    ------
+    FrictionError
+        For a length that is negative or not finite.
 
     Examples
     --------

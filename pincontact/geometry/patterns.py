@@ -16,10 +16,20 @@ NO_NORMAL = -1
 
 @dataclass(frozen=True)
 class Pattern:
-    """One row of Table 1.
+    """One row of Table 1: how two kinds of contour touch.
 
-    equations (m), parameters (k) and constraints (nu = m - k) count C1 and C2, the contact coordinates and the
-    geometric constraints; tangents counts the velocity constraints of rolling. code says how the frame is built.
+    Attributes
+    ----------
+    name : str
+        Such as "P-S".
+    code : int
+        How the contact frame is built.
+    equations : int
+        Number m of the conditions C1 and C2.
+    parameters : int
+        Number k of the location parameters.
+    tangents : int
+        Number of the velocity constraints of rolling.
     """
 
     name: str
@@ -30,6 +40,7 @@ class Pattern:
 
     @property
     def constraints(self) -> int:
+        """Number nu = m - k of the geometric constraints."""
         return self.equations - self.parameters
 
 

@@ -42,12 +42,20 @@ _SOLVED = 1e-6
 class Candidate:
     """A stationary point of the distance between two contours.
 
-    location: (4,) contact coordinates u_1 (2), u_2 (2).
-    gap: signed distance in m along the normal of the side assumed.
-    side: the side of e_3 on which body 1 bends away, 0 where the shapes do not decide.
-    point: (3,) point on body 2, world frame.
-    determinant_sign, branch: which solution of the location equations it is.
-    charts: of both bodies.
+    Attributes
+    ----------
+    location : (4,) array
+        Location parameters, two for u_1, two for u_2, in m or rad.
+    gap : float
+        Signed distance in m along the normal of the side assumed.
+    side : int
+        The side of e_3 on which body 1 bends away, +1 or -1, 0 where the shapes do not decide.
+    point : (3,) array
+        Point on body 2 in m, world frame.
+    determinant_sign, branch : int
+        Which solution of the location equations it is.
+    charts : (int, int)
+        Of both bodies.
     """
 
     location: np.ndarray

@@ -50,12 +50,28 @@ class Stop(Exception):
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened at a time (s), to a contact or a joint (both None for a user's event), with the state.
+    """Something that happened at a time, with the state.
 
-    kind: "stick", "slip", "separate", "touch", "edge" (the contact point has reached the end of a contour: a unilateral
-    contact opens there), "singular" or "user"; of joints: "limit" (a position limit is reached), "release" (its force
-    would pull), "stick" and "slip" (dry friction); of contacts that resist spinning or rolling: "turn" and "hold" (it
-    begins, it has come to rest); "fallback": from here on time stepping; index: number of the user's event function.
+    Attributes
+    ----------
+    time : float
+        In s.
+    contact : str or None
+        To which contact; None for events of joints and of the user.
+    kind : str
+        Of contacts: "stick", "slip", "separate", "touch", "edge" (the contact point has reached the end of a contour: a
+        unilateral contact opens there), "singular"; where contacts resist spinning or rolling, "turn" and "hold"
+        (turning begins, has come to rest). Of joints: "limit" (a position limit is reached), "release" (its force would
+        pull), "stick" and "slip" (dry friction). "user": an event function of the user. "fallback": from here on time
+        stepping.
+    q : (nq,) array
+        Configuration, in m and rad.
+    v : (nv,) array
+        Velocity, in m/s and rad/s.
+    index : int
+        Number of the user's event function, -1 for other events.
+    joint : str or None
+        To which joint.
     """
 
     time: float

@@ -7,7 +7,8 @@ one contact; None takes all of them. Matplotlib is imported on the first call; w
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,13 +17,21 @@ from ..layout import FREE, SLIPPING
 from .replay import MODE_COLORS
 from .sampling import MODE_NAMES
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from ..friction.laws import FrictionLaw
+    from ..tracks import ContactTrack
+    from ..trajectory import Trajectory
+
 # A longer legend stands beside the plot, in columns of so many rows.
 _LEGEND_INSIDE, _LEGEND_ROWS = 6, 16
 # Works smaller than this part of the energy are rounding.
 _NO_WORK = 1e-12
 
 
-def _pyplot() -> Any:
+def _pyplot() -> ModuleType:
     try:
         from matplotlib import pyplot
     except ImportError as error:
@@ -32,11 +41,11 @@ def _pyplot() -> Any:
     return pyplot
 
 
-def _axes(ax: Any) -> Any:
+def _axes(ax: Axes | None) -> Axes:
     return _pyplot().subplots(layout="constrained")[1] if ax is None else ax
 
 
-def _tracks(run: Any, contact: str | None) -> dict[str, Any]:
+def _tracks(run: Trajectory, contact: str | None) -> dict[str, ContactTrack]:
     """The tracks to draw, by name. Raises ArgumentError for a contact the run does not have."""
     if contact is None:
         return dict(run.contacts)
@@ -46,7 +55,7 @@ def _tracks(run: Any, contact: str | None) -> dict[str, Any]:
     return {contact: run.contacts[contact]}
 
 
-def _finish(ax: Any, ylabel: str, legend: bool = True) -> Any:
+def _finish(ax: Axes, ylabel: str, legend: bool = True) -> Axes:
     ax.set_xlabel("t [s]")
     ax.set_ylabel(ylabel)
     ax.grid(alpha=0.3)
@@ -59,19 +68,30 @@ def _finish(ax: Any, ylabel: str, legend: bool = True) -> Any:
     return ax
 
 
-def _label(name: str, text: str, tracks: dict[str, Any]) -> str:
+def _label(name: str, text: str, tracks: dict[str, ContactTrack]) -> str:
     return text if len(tracks) == 1 else f"{name}: {text}"
 
 
-def _law(run: Any, name: str) -> Any:
+def _law(run: Trajectory, name: str) -> FrictionLaw | None:
     """The friction law of a contact; None where there is none, or the run was read from a file without its scene."""
     return run.scene.contacts[name].friction if name in run.scene.contacts else None
 
 
-def limit(run: Any, name: str) -> np.ndarray | None:
-    """Largest dry friction force in N that the law allows at each time, (n,); None where the law sets no single limit.
+def limit(run: Trajectory, name: str) -> np.ndarray | None:
+    """Largest dry friction force that the law of a contact allows.
 
     Sliding contacts have the coefficient of their speed, all others the one up to which they stick.
+
+    Parameters
+    ----------
+    run : Trajectory
+    name : str
+        Of the contact.
+
+    Returns
+    -------
+    (n,) array or None
+        In N at each output; None where the law sets no single limit.
     """
     law = _law(run, name)
     if law is None or not np.isfinite(law.sticking) or law.aspect != 1.0:
@@ -84,11 +104,37 @@ def limit(run: Any, name: str) -> np.ndarray | None:
 
 
 def mode_bands(
-    run: Any, contact: str, ax: Any, part: tuple[float, float] = (0.0, 1.0), alpha: float = 0.13, legend: bool = True
-) -> Any:
+    run: Trajectory,
+    contact: str,
+    ax: Axes,
+    part: tuple[float, float] = (0.0, 1.0),
+    alpha: float = 0.13,
+    legend: bool = True,
+) -> Axes:
     """Shade the times of each mode of one contact: green stick, red slip, blue frictionless, grey free.
 
-    part: of the height of the axes, from 0 to 1; alpha: opacity; legend: whether to name the modes.
+    Parameters
+    ----------
+    run : Trajectory
+    contact : str
+        Name of the contact.
+    ax : matplotlib.axes.Axes
+        Where to draw, over t in s.
+    part : (float, float)
+        Lower and upper end of the bands, of the height of the axes, from 0 to 1.
+    alpha : float
+        Opacity.
+    legend : bool
+        Whether to name the modes.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ArgumentError
+        For a contact that the run does not have.
     """
     mode = np.asarray(_tracks(run, contact)[contact].mode)
     t = np.asarray(run.t)
@@ -105,8 +151,26 @@ def mode_bands(
     return ax
 
 
-def motion(run: Any, ax: Any = None, velocities: bool = False) -> Any:
-    """Configuration over time, or the velocity coordinates; named after the joints (m, rad; m/s, rad/s)."""
+def motion(run: Trajectory, ax: Axes | None = None, velocities: bool = False) -> Axes:
+    """Configuration or velocity over time, named after the joints.
+
+    Parameters
+    ----------
+    run : Trajectory
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's, if not given.
+    velocities : bool
+        Whether to draw velocity coordinates (m/s, rad/s) instead of the configuration (m, rad).
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    MissingExtraError
+        Without Matplotlib.
+    """
     ax = _axes(ax)
     model = run.scene.model
     values = np.asarray(run.v if velocities else run.q)
@@ -124,8 +188,28 @@ def motion(run: Any, ax: Any = None, velocities: bool = False) -> Any:
     return _finish(ax, "v [m/s, rad/s]" if velocities else "q [m, rad]", legend=values.shape[1] <= 14)
 
 
-def forces(run: Any, contact: str | None = None, ax: Any = None) -> Any:
-    """Normal and friction force in N over time, with the largest friction the law allows (dashed)."""
+def forces(run: Trajectory, contact: str | None = None, ax: Axes | None = None) -> Axes:
+    """Normal and friction force in N over time, with the largest friction that the law allows (dashed).
+
+    Parameters
+    ----------
+    run : Trajectory
+    contact : str, optional
+        Name of a contact; all of them, if not given.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's, if not given.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ArgumentError
+        For a contact that the run does not have.
+    MissingExtraError
+        Without Matplotlib.
+    """
     ax = _axes(ax)
     tracks = _tracks(run, contact)
     # one contact: a line each in the legend; several: their colours, and the styles once
@@ -144,8 +228,28 @@ def forces(run: Any, contact: str | None = None, ax: Any = None) -> Any:
     return _finish(ax, "force [N]")
 
 
-def friction_cone(run: Any, contact: str | None = None, ax: Any = None) -> Any:
-    """Friction force against normal force, N, coloured by mode, with the cone's edge |F_t| = mu F_n (Sec. 5.3)."""
+def friction_cone(run: Trajectory, contact: str | None = None, ax: Axes | None = None) -> Axes:
+    """Friction force against normal force in N, coloured by mode, with the cone's edge |F_t| = mu F_n (Sec. 5.3).
+
+    Parameters
+    ----------
+    run : Trajectory
+    contact : str, optional
+        Name of a contact; all of them, if not given.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's, if not given.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ArgumentError
+        For a contact that the run does not have.
+    MissingExtraError
+        Without Matplotlib.
+    """
     ax = _axes(ax)
     named: set[int] = set()
     edges: set[float] = set()
@@ -169,8 +273,28 @@ def friction_cone(run: Any, contact: str | None = None, ax: Any = None) -> Any:
     return ax
 
 
-def slip(run: Any, contact: str | None = None, ax: Any = None) -> Any:
-    """Slip speed in m/s over time, with the modes: shaded for one contact, as strips from the top for several."""
+def slip(run: Trajectory, contact: str | None = None, ax: Axes | None = None) -> Axes:
+    """Slip speed in m/s over time, with the modes: shaded for one contact, as strips from the top for several.
+
+    Parameters
+    ----------
+    run : Trajectory
+    contact : str, optional
+        Name of a contact; all of them, if not given.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's, if not given.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ArgumentError
+        For a contact that the run does not have.
+    MissingExtraError
+        Without Matplotlib.
+    """
     ax = _axes(ax)
     tracks = _tracks(run, contact)
     for name, track in tracks.items():
@@ -196,8 +320,28 @@ def slip(run: Any, contact: str | None = None, ax: Any = None) -> Any:
     return _finish(ax, "slip speed [m/s]")
 
 
-def location(run: Any, contact: str | None = None, ax: Any = None) -> Any:
-    """Location parameters of the contact point on both contours over time (m or rad); broken where a chart ends."""
+def location(run: Trajectory, contact: str | None = None, ax: Axes | None = None) -> Axes:
+    """Location parameters of the contact point on both contours over time, in m or rad; broken where a chart ends.
+
+    Parameters
+    ----------
+    run : Trajectory
+    contact : str, optional
+        Name of a contact; all of them, if not given.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's, if not given.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ArgumentError
+        For a contact that the run does not have.
+    MissingExtraError
+        Without Matplotlib.
+    """
     ax = _axes(ax)
     tracks = _tracks(run, contact)
     for name, track in tracks.items():
@@ -212,10 +356,27 @@ def location(run: Any, contact: str | None = None, ax: Any = None) -> Any:
     return _finish(ax, "location [m, rad]")
 
 
-def energy(run: Any, ax: Any = None) -> Any:
-    """Kinetic and potential energy, their sum, and the works the run recorded, J, over time.
+def energy(run: Trajectory, ax: Axes | None = None) -> Axes:
+    """Kinetic and potential energy, their sum, and the works that the run recorded, in J over time.
 
-    A work that is zero throughout, to rounding, such as that of drives which are not there, is left out.
+    A work that is zero throughout, to rounding, such as that of prescribed motions where there are none, is left out.
+
+    Parameters
+    ----------
+    run : Trajectory
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's, if not given.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    TrajectoryError
+        For a run that was read from a file without its scene.
+    MissingExtraError
+        Without Matplotlib.
     """
     ax = _axes(ax)
     energies = run.energies()
@@ -228,8 +389,24 @@ def energy(run: Any, ax: Any = None) -> Any:
     return _finish(ax, "energy [J]")
 
 
-def residuals(run: Any, ax: Any = None) -> Any:
-    """How far the constraints are from being met, on a logarithmic scale. Exact zeros have no place on it."""
+def residuals(run: Trajectory, ax: Axes | None = None) -> Axes:
+    """Residuals of the constraints over time, on a logarithmic scale; exact zeros have no place on it.
+
+    Parameters
+    ----------
+    run : Trajectory
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure's, if not given.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    MissingExtraError
+        Without Matplotlib.
+    """
     ax = _axes(ax)
     for name, values in run.residuals().items():
         size = np.abs(np.asarray(values, dtype=float))
@@ -238,7 +415,7 @@ def residuals(run: Any, ax: Any = None) -> Any:
     return _finish(ax, "residual")
 
 
-KINDS: dict[str, Callable[..., Any]] = {
+KINDS: dict[str, Callable[..., Axes]] = {
     "motion": motion,
     "forces": forces,
     "cone": friction_cone,
@@ -250,15 +427,26 @@ KINDS: dict[str, Callable[..., Any]] = {
 _CONTACT_KINDS = ("forces", "cone", "slip", "location")
 
 
-def plot(run: Any, kinds: str | Sequence[str] | None = None, axes: Any = None) -> Any:
+def plot(
+    run: Trajectory, kinds: str | Sequence[str] | None = None, axes: Axes | Sequence[Axes] | np.ndarray | None = None
+) -> Figure:
     """Several plots of a run in one figure.
 
-    kinds: any of "motion", "forces", "cone", "slip", "location", "energy", "residuals"; None draws all that
-           this run has something for
-    axes:  as many Axes to draw into; None makes a figure
+    Parameters
+    ----------
+    run : Trajectory
+    kinds, axes
+        As for `Trajectory.plot`.
 
-    Returns the Figure, its axes in the order of the kinds.
-    Raises ArgumentError for an unknown kind or a wrong number of axes, MissingExtraError without matplotlib.
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Its axes are in the order of the kinds.
+
+    Raises
+    ------
+    ArgumentError, MissingExtraError
+        As `Trajectory.plot` does.
     """
     chosen = [kinds] if isinstance(kinds, str) else kinds
     if chosen is None:
@@ -276,14 +464,13 @@ def plot(run: Any, kinds: str | Sequence[str] | None = None, axes: Any = None) -
         _, grid = _pyplot().subplots(
             rows, columns, figsize=(5.6 * columns, 3.1 * rows), layout="constrained", squeeze=False
         )
-        axes = grid.reshape(-1)
-        for unused in axes[len(chosen) :]:
+        for unused in grid.flat[len(chosen) :]:
             unused.remove()
-        axes = axes[: len(chosen)]
-    axes = np.atleast_1d(np.asarray(axes, dtype=object)).reshape(-1)
-    if len(axes) != len(chosen):
-        raise ArgumentError(f"{len(chosen)} kinds of plot need as many axes, got {len(axes)}")
-    for kind, ax in zip(chosen, axes):
+        axes = grid.flat[: len(chosen)]
+    given = np.atleast_1d(np.asarray(axes, dtype=object)).reshape(-1)
+    if len(given) != len(chosen):
+        raise ArgumentError(f"{len(chosen)} kinds of plot need as many axes, got {len(given)}")
+    for kind, ax in zip(chosen, given):
         KINDS[kind](run, ax=ax)
         ax.set_title(kind, fontsize="medium")
-    return axes[0].figure
+    return given[0].figure

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,12 @@ from .sampling import (
 )
 from .stage import MODE_COLORS, ROOT, Stage
 
+if TYPE_CHECKING:
+    import meshcat
+    from pinocchio.visualize import MeshcatVisualizer
+
+    from ..trajectory import Trajectory
+
 PARTS = ("robot", "contours", "points", "traces", "forces")
 
 # Where the camera stands, its vertical field of view in degrees, the narrowest window that shows everything, width over
@@ -33,57 +39,80 @@ _FIELD_OF_VIEW, _ASPECT, _FREE_HEIGHT = 40.0, 1.3, 0.8
 
 
 def replay(
-    run: Any,
+    run: Trajectory,
     *,
     fps: float = 30.0,
     speed: float = 1.0,
-    viewer: Any = None,
+    viewer: meshcat.Visualizer | MeshcatVisualizer | None = None,
     open: bool = True,
     force_scale: float | None = None,
     follow: str | None = None,
     show: Collection[str] = PARTS,
     max_frames: int = 3000,
     repetitions: int = 1,
-) -> Any:
+) -> meshcat.Visualizer:
     """Play a run in a Meshcat viewer.
 
-    run:         a Trajectory
-    fps:         frames per second of the replay
-    speed:       seconds of motion per second of replay
-    viewer:      a meshcat.Visualizer, or Pinocchio's MeshcatVisualizer, to draw into; None starts one
-    open:        open a browser if the viewer was started here
-    force_scale: length of the force arrows in m/N; None fits them to the scene
-    follow:      name of a contact, contour or frame which the camera stays with
-    show:        what to draw, any of "robot", "contours", "points", "traces", "forces"
-    max_frames:  a longer run gets fewer frames per second
-    repetitions: how often it is played before it stops
+    Forces are drawn on the body that moves: on the second contour of the contact as it was given, unless that one
+    belongs to the world and the first does not. Green arrows stick, red ones slip, blue ones are frictionless.
 
-    Forces are drawn on the body that moves: on the second contour of the contact as it was given, unless that
-    one belongs to the world and the first does not. Green arrows stick, red ones slip, blue ones are frictionless.
+    Parameters
+    ----------
+    run : Trajectory
+        With its scene.
+    fps : float
+        Frames per second of the replay.
+    speed : float
+        Seconds of motion per second of replay.
+    viewer : meshcat.Visualizer or pinocchio.visualize.MeshcatVisualizer, optional
+        Where to draw; a new one, if not given.
+    open : bool
+        Whether to open a browser for a viewer that is started here.
+    force_scale : float, optional
+        Length of the force arrows in m/N; fitted to the scene, if not given.
+    follow : str, optional
+        Name of a contact, contour or frame which the camera stays with.
+    show : collection of str
+        What to draw, any of "robot", "contours", "points", "traces", "forces".
+    max_frames : int
+        A longer run gets fewer frames per second.
+    repetitions : int
+        How often it is played before it stops.
 
-    Returns the meshcat.Visualizer; pass it again as `viewer` to draw the next run in the same window.
-    Raises ArgumentError for an argument out of bounds or an unknown name, MissingExtraError without meshcat.
+    Returns
+    -------
+    meshcat.Visualizer
+        Pass it again as `viewer` to draw the next run in the same window.
+
+    Raises
+    ------
+    ArgumentError
+        For an argument out of bounds, an unknown name, or a run of no duration.
+    TrajectoryError
+        For a run that was read from a file without its scene.
+    MissingExtraError
+        Without meshcat.
     """
     picture = compose(run, fps, speed, max_frames, force_scale, follow, show)
     if repetitions < 1:
         raise ArgumentError(f"repetitions must be at least 1, got {repetitions}")
     own = viewer is None
-    if own:
+    if viewer is None:
         try:
             import meshcat
         except ImportError as error:
             raise MissingExtraError(f"a replay needs meshcat: pip install meshcat ({error})") from error
         viewer = meshcat.Visualizer()
-    viewer = getattr(viewer, "viewer", viewer)
+    drawn: meshcat.Visualizer = getattr(viewer, "viewer", viewer)
     for command in picture.commands(environment=own, repetitions=repetitions, time_scale=1.0 / speed):
-        viewer.window.send(Command(command))
+        drawn.window.send(Command(command))
     if own and open:
-        viewer.open()
-    return viewer
+        drawn.open()
+    return drawn
 
 
 def export_html(
-    run: Any,
+    run: Trajectory,
     path: str | Path,
     *,
     fps: float = 30.0,
@@ -96,12 +125,35 @@ def export_html(
 ) -> Path:
     """Write a replay as one HTML file that needs neither network nor Python.
 
-    The arguments are those of `replay`. The page has a time slider with a mark at each event, a choice of speeds,
-    and each contact's mode and forces. No server or browser is started. `#t=1.5` after the file's address opens
-    it paused at that time in s.
+    The page has a time slider with a mark at each event, a choice of speeds, and each contact's mode and forces. No
+    server or browser is started. `#t=1.5` after the file's address opens it paused at that time in s.
 
-    Returns the path. Raises ArgumentError for an argument out of bounds or an unknown name, MissingExtraError
-    without meshcat, OSError if the file cannot be written.
+    Parameters
+    ----------
+    run : Trajectory
+        With its scene.
+    path : str or Path
+        The file.
+    fps, max_frames, speed, force_scale, follow, show
+        As for `replay`.
+    title : str
+        Of the page.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ArgumentError
+        For an argument out of bounds, an unknown name, or a run of no duration.
+    TrajectoryError
+        For a run that was read from a file without its scene.
+    MissingExtraError
+        Without meshcat.
+    OSError
+        If the file cannot be written.
     """
     from .page import render_page
 

@@ -140,6 +140,26 @@ def test_nearest_points_that_are_searched():
     same_as_loops(scene, starts, random_torques((2, 3, 6), 0.05), 2e-3, 20)
 
 
+def test_a_reset_forgets_what_was_found():
+    """Nearest points on a ground that changes with time hold for their instant: at the same one another start has its
+    own."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "root")
+    model.appendBodyToJoint(joint, pin.Inertia.FromEllipsoid(1.0, 0.1, 0.08, 0.05), pin.SE3.Identity())
+    scene = pc.Scene(model)
+    wave = pc.HeightField(lambda x, y, t: 0.05 * math.sin(3.0 * x - t) * math.cos(3.0 * y), domain=((-2.0, 2.0),) * 2)
+    scene.add_contour("body", pc.Ellipsoid(0.1, 0.08, 0.05), "root")
+    scene.add_contact("c", "body", scene.add_contour("ground", wave))
+    high, low = (scene.initial_state([0, 0, z, 0, 0, 0, 1], free=["c"]) for z in (1.0, 0.15))
+    again, new = pc.Stepper(scene, high), pc.Stepper(scene, low)
+    again.step(np.zeros(6))
+    again.reset(low)
+    for stepper in (again, new):
+        stepper.step(np.zeros(6))
+    found, expected = (stepper._step._open._open[0].distance for stepper in (again, new))
+    assert found == expected < 0.2
+
+
 def test_proxqp():
     scene, state = block_scene(0.4)
     same_as_loops(scene, state, random_torques((2, 5, 6), [20.0, 20.0, 5.0, 1.0, 1.0, 1.0]), contact_solver="proxqp")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -96,67 +96,74 @@ def rollout(
         if not is_count(count):
             raise ArgumentError(f"{name} must be a whole number, at least 1, got {count!r}")
     check_contact_solver(contact_solver)
+    starts, rows = _starts(scene, states, torques)
+    nq, nv = scene.model.nq, scene.model.nv
+    b, t = rows.shape[:2]
+    gains, targets = _actuators(pd, nq, b, t)
+    q, v, status = np.full((b, t, nq), np.nan), np.full((b, t, nv), np.nan), np.full(b, FINISHED)
+    if not b or not t:
+        return q, v, status
+    steppers = []
+    for _ in range(min(threads or available_cores(), b)):
+        # a start that fails at once is a status, too
+        stepper = Stepper.__new__(Stepper)
+        stepper._make(scene, dt, contact_solver)
+        if gains is not None:
+            stepper.pd(*gains)
+        steppers.append(stepper)
+    waiting = deque(range(b))
+
+    def work(stepper: Stepper) -> None:
+        for i in _taken(waiting):
+            found = stepper._begin(starts[i])
+            if found == OK:
+                given = None if targets is None else targets[i]
+                found, q_i, v_i = stepper._step.advance_by_rows(rows[i], int(substeps), given)
+                q[i, : len(q_i)], v[i, : len(v_i)] = q_i, v_i
+            if found != OK:
+                status[i] = FAILURES[found][0]
+
+    if len(steppers) == 1:
+        work(steppers[0])
+        return q, v, status
+    with ThreadPoolExecutor(len(steppers)) as pool:
+        try:
+            done, _ = wait([pool.submit(work, stepper) for stepper in steppers], return_when=FIRST_EXCEPTION)
+        finally:
+            # after an exception or an interrupt the others end with the starts that they are at
+            waiting.clear()
+    for future in done:
+        future.result()
+    return q, v, status
+
+
+def _taken(waiting: deque[int]) -> Iterator[int]:
+    """Numbers of starts, each of which one thread takes."""
+    while True:
+        try:
+            yield waiting.popleft()
+        except IndexError:
+            return
+
+
+def _starts(scene: Scene, states: Any, torques: ArrayLike) -> tuple[list[State], np.ndarray]:
+    """B states, and B rows of torques (B, T, nv), which have been checked."""
     if not isinstance(scene, Scene):
         raise ArgumentError(f"the first argument must be a Scene, got {type(scene).__name__}")
     if not isinstance(states, (State, Sequence)):
         raise ArgumentError(f"states must come from scene.initial_state(q, v), got {type(states).__name__}")
     coordinates = coordinates_of(scene.model)
-    nq, nv = scene.model.nq, scene.model.nv
     starts = [states] if isinstance(states, State) else list(states)
     for state in starts:
         check_state(scene, state, coordinates)
-    rows = _rows("torques", torques, nv)
+    rows = _rows("torques", torques, scene.model.nv)
     if rows.ndim == 2:
         rows = np.broadcast_to(rows, (len(starts), *rows.shape))
     if isinstance(states, State):
         starts *= len(rows)
     if len(rows) != len(starts):
         raise StateError(f"torques are for {len(rows)} starts, there are {len(starts)} states")
-    b, t = rows.shape[:2]
-    gains, targets = _actuators(pd, nq, b, t)
-    q, v, status = np.full((b, t, nq), np.nan), np.full((b, t, nv), np.nan), np.full(b, FINISHED)
-    if not b or not t:
-        return q, v, status
-    waiting = deque(range(b))
-
-    def work(stepper: Stepper) -> None:
-        try:
-            while waiting:
-                try:
-                    i = waiting.popleft()
-                except IndexError:
-                    # another thread was faster
-                    return
-                found = stepper._begin(starts[i])
-                if found == OK:
-                    found, q_i, v_i = stepper._step.advance_by_rows(
-                        rows[i], int(substeps), None if targets is None else targets[i]
-                    )
-                    q[i, : len(q_i)], v[i, : len(v_i)] = q_i, v_i
-                if found != OK:
-                    status[i] = FAILURES[found][0]
-        except BaseException:
-            waiting.clear()
-            raise
-
-    steppers = []
-    for _ in range(min(threads or available_cores(), b)):
-        stepper = Stepper(scene, starts[0], dt, contact_solver)
-        if gains is not None:
-            stepper.pd(*gains)
-        steppers.append(stepper)
-    if len(steppers) == 1:
-        work(steppers[0])
-        return q, v, status
-    with ThreadPoolExecutor(len(steppers)) as pool:
-        futures = [pool.submit(work, stepper) for stepper in steppers]
-        try:
-            for future in futures:
-                future.result()
-        finally:
-            # an interrupt here: the others end with the starts that they are at
-            waiting.clear()
-    return q, v, status
+    return starts, rows
 
 
 def _rows(name: str, given: Any, columns: int) -> np.ndarray:

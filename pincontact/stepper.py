@@ -62,6 +62,11 @@ class Stepper:
             raise ArgumentError(f"dt must be a positive number of seconds, got {dt!r}")
         check_contact_solver(contact_solver)
         check_state(scene, state)
+        self._make(scene, dt, contact_solver)
+        self.reset(state)
+
+    def _make(self, scene: Scene, dt: float, contact_solver: str) -> None:
+        """All but the start."""
         self.scene, self.dt, self._contact_solver = scene, float(dt), contact_solver
         self._coordinates = coordinates_of(scene.model)
         contacts = list(scene.contacts.values())
@@ -84,7 +89,6 @@ class Stepper:
         self._shape, self._tau = (nv,), system.tau
         self._parts = vars(State(scene, self.q, self.v, 0.0, self._location, self._discrete))
         self._start = 0.0
-        self.reset(state)
 
     @property
     def t(self) -> float:

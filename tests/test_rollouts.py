@@ -85,13 +85,18 @@ def test_quadruped():
     assert modes >= {STICK, SLIPPING}
 
 
-def test_rolling_disk():
-    """A circle on a plane, whose contact coordinates are followed by Newton's method."""
+def disk_scene():
     scene = pc.Scene.from_urdf(Path(__file__).resolve().parents[1] / "urdf" / "disk.urdf", floating_base=True)
     rim, floor = scene.add_contour("rim", pc.Circle(0.3), "disk"), scene.add_contour("floor", pc.Plane())
     scene.add_contact("rim", rim, floor, friction=pc.Coulomb(0.8))
     q = pin.neutral(scene.model)
     q[2], q[3:] = 0.2796, [0, 0.564642, 0, 0.825336]
+    return scene, q
+
+
+def test_rolling_disk():
+    """A circle on a plane, whose contact coordinates are followed by Newton's method."""
+    scene, q = disk_scene()
     starts = [scene.initial_state(q, [0, 0, 0, 0, 0, spin]) for spin in (0.0, 3.0, 8.0)]
     same_as_loops(scene, starts, random_torques((3, 30, 6), 0.3), substeps=4)
 
@@ -178,6 +183,21 @@ def test_failures_are_statuses():
     assert 0 < np.isfinite(q[1, :, 0]).sum() < 300
 
 
+def test_starts_that_fail_at_once():
+    """A disk that lies flat touches along its rim."""
+    scene, q = disk_scene()
+    fine, flat = scene.initial_state(q), scene.initial_state(q)
+    flat.q[2], flat.q[3:] = 0.0, [0, 0, 0, 1]
+    with pytest.raises(pc.SingularContactError):
+        pc.Stepper(scene, flat)
+    for threads in (1, 2):
+        q, v, status = pc.rollout(scene, [flat, fine, flat], np.zeros((3, 4, 6)), threads=threads)
+        assert status.tolist() == [-3, 0, -3]
+        assert np.isnan(q[::2]).all()
+        assert np.isnan(v[::2]).all()
+        np.testing.assert_array_equal(q[1], pc.Stepper(scene, fine).rollout(np.zeros((4, 6)))[0])
+
+
 def test_one_state_one_torque():
     scene, state = block_scene(0.3)
     torques = random_torques((3, 5, 6), 3.0)
@@ -194,7 +214,7 @@ def test_one_state_one_torque():
 def test_arguments_are_checked_before_any_step(monkeypatch):
     scene, state = block_scene(0.3)
     other = block_scene(0.3)[1]
-    monkeypatch.setattr(pc.Stepper, "__init__", lambda *given, **options: pytest.fail("work was begun"))
+    monkeypatch.setattr(pc.Stepper, "_make", lambda *given, **options: pytest.fail("work was begun"))
     spoilt = np.zeros((2, 3, 6))
     spoilt[1, 2, 4] = math.inf
     for error, message, given in [

@@ -31,10 +31,10 @@ STIFFNESS, DAMPING = 2000.0, 20.0
 PERIOD = 2000
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=1_000_000)
-    count = parser.parse_args().steps
+    count = parser.parse_args(arguments).steps
     scene = quadruped()
     state = standing(scene)
     stepper = pc.Stepper(scene, state, 1e-3)
@@ -62,13 +62,16 @@ def main() -> None:
     loop(min(count, 2 * PERIOD))
     gc.collect()
     gc.disable()
-    loop(count)
+    try:
+        loop(count)
+    finally:
+        gc.enable()
     print(f"load {os.getloadavg()[0]:.1f}; {count} steps, us\n{'':10}{'wall':>10}{'processor':>12}")
     for share in (0.5, 0.9, 0.99, 0.999, 0.9999, 1.0):
         wall, work = 1e-3 * np.quantile(times, share, axis=0)
         print(f"{100.0 * share:8.5g} %{wall:10.1f}{work:12.1f}")
     tracemalloc.start()
-    loop(PERIOD)
+    loop(min(count, PERIOD))
     before, _ = tracemalloc.get_traced_memory()
     tracemalloc.reset_peak()
     loop(min(count, 5 * PERIOD))

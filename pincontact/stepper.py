@@ -160,7 +160,7 @@ class Stepper:
         >>> stepper.pd(1e6, 2e3, [0.5] * model.nq)
         >>> for _ in range(1000):
         ...     _ = stepper.step([0.0] * model.nv)
-        >>> abs(stepper.q - 0.5).max() < 1e-3
+        >>> bool(abs(stepper.q - 0.5).max() < 1e-3)
         True
         """
         actuators = actuators_of(self.scene.model, kp, kd)

@@ -6,6 +6,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numba
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -241,6 +242,7 @@ def test_arguments_are_checked_before_any_step(monkeypatch):
         pc.rollout(scene.model, state, np.zeros((3, 6)))
 
 
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="about compiled steps")
 def test_the_lock_is_released(monkeypatch):
     """While one thread is in compiled steps others run Python: with an interval of a minute for switching they would
     otherwise wait until it ends."""

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from .analysis.linearize import Linearization, linearize
     from .analysis.sweep import sweep
     from .analysis.sweep_table import SweepTable
+    from .rollouts import rollout
     from .stepper import Stepper
     from .view.replay import export_html, replay
 
@@ -90,6 +91,7 @@ __all__ = [
     "linearize",
     "load_scene",
     "replay",
+    "rollout",
     "simulate",
     "solve_contacts",
     "sweep",
@@ -109,6 +111,7 @@ _LAZY = {
     "inverse_dynamics": "analysis.inverse",
     "linearize": "analysis.linearize",
     "replay": "view.replay",
+    "rollout": "rollouts",
     "SweepTable": "analysis.sweep_table",
     "sweep": "analysis.sweep",
 }

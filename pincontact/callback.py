@@ -1,8 +1,8 @@
 """Calls from compiled code by address: how a kernel reaches Pinocchio without leaving its loop, and another kernel.
 
-For a call into Python the kernel holds the interpreter's lock and goes through Python's own C interface, so any
-callable will do; where Pinocchio's functions are not reached by their own addresses (see `pinocchio_calls`), it is
-they, with their arguments. A kernel that is called by its address is not compiled into its caller once more.
+Kernels run without the interpreter's lock. For a call into Python they take it and go through Python's own C interface,
+so any callable will do; where Pinocchio's functions are not reached by their own addresses (see `pinocchio_calls`), it
+is they, with their arguments. A kernel that is called by its address is not compiled into its caller once more.
 """
 
 from __future__ import annotations
@@ -71,9 +71,17 @@ else:
                 builder.module, ir.FunctionType(ir.VoidType(), [pointer]), "Py_DecRef"
             )
             callable_, arguments_, failure_ = (builder.inttoptr(value, pointer) for value in values)
+            state = ir.IntType(32)
+            take = cgutils.get_or_insert_function(builder.module, ir.FunctionType(state, []), "PyGILState_Ensure")
+            leave = cgutils.get_or_insert_function(
+                builder.module, ir.FunctionType(ir.VoidType(), [state]), "PyGILState_Release"
+            )
+            # whether the thread has the lock or not
+            before = builder.call(take, [])
             result = builder.call(call, [callable_, arguments_])
             # releasing nothing is allowed
             builder.call(release, [result])
+            builder.call(leave, [before])
             failed = builder.or_(cgutils.is_null(builder, result), builder.icmp_unsigned("==", result, failure_))
             return builder.not_(failed)
 

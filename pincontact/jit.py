@@ -27,9 +27,9 @@ from numba import njit, types
 from numba.extending import register_jitable
 
 _PACKAGE = Path(__file__).parent
-# Kernels allocate nothing and return no arrays: reference counting, dearer than the numerics, is left out. They keep
-# the interpreter's lock: some call back into Python.
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+# Kernels allocate nothing and return no arrays: reference counting, dearer than the numerics, is left out. They run
+# without the interpreter's lock, which `callback.call_python` takes, so that other threads compute at the same time.
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False, "nogil": True}
 # The checked build, for tests: numba's own compilation with its bounds checks, memory that nobody has written is NaN.
 CHECKED = os.environ.get("PINCONTACT_CHECKED", "") not in ("", "0")
 if CHECKED:

@@ -6,11 +6,13 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pinocchio as pin
 
 from .arguments import NOT_REAL, is_count, is_number, real_array
 from .dynamics.joints import joint_guards
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
 from .friction.solve import check_contact_solver
+from .integration.actuators import actuators_of
 from .integration.discrete import discrete_views, read_discrete, views_of_system
 from .integration.moreau import DEFAULT_STEP, MoreauStep
 from .integration.run_system import RunSystem
@@ -25,9 +27,10 @@ if TYPE_CHECKING:
 class Stepper:
     """Advances a scene by constant steps with the torque held constant in each (method "Moreau" of `simulate`).
 
-    All arrays are allocated once. Those of the attributes, and of the state that `step` returns, are read-only views
-    that the next step overwrites; `state` makes copies. The same start and the same torques give the same numbers to
-    the last bit.
+    All arrays are allocated once. Those of the attributes, and of the state that `step` returns, are views that the
+    next step overwrites; `state` makes copies. The same start and the same torques give the same numbers to the last
+    bit. Steps are made without the interpreter's lock: steppers of their own run in threads side by side, one stepper
+    belongs to one thread at a time.
 
     Parameters
     ----------
@@ -51,6 +54,10 @@ class Stepper:
         Mean force of each contact over the last step in N, on the second contour given, world axes.
     torques : dict of str to (3,) array
         What resists spinning and rolling in N m, likewise.
+    target : (nq,) array
+        Where the actuators of `pd` aim; may be written to between steps.
+    actuation : (nv,) array
+        Their mean torques over the last step, in N and N m.
 
     Raises
     ------
@@ -87,6 +94,11 @@ class Stepper:
             raise ArgumentError(f"dt must be a positive number of seconds, got {dt!r}")
         check_contact_solver(contact_solver)
         check_state(scene, state)
+        self._make(scene, dt, contact_solver)
+        self.reset(state)
+
+    def _make(self, scene: Scene, dt: float, contact_solver: str) -> None:
+        """All but the start."""
         self.scene, self.dt, self._contact_solver = scene, float(dt), contact_solver
         self._coordinates = coordinates_of(scene.model)
         contacts = list(scene.contacts.values())
@@ -103,10 +115,12 @@ class Stepper:
         self.modes = self._discrete[:, 0]
         self.forces = {name: _locked(self._step.forces[c]) for c, name in enumerate(scene.contacts)}
         self.torques = {name: _locked(self._step.torques[c]) for c, name in enumerate(scene.contacts)}
+        self.target = self._step.target
+        self.target[:] = pin.neutral(scene.model)
+        self.actuation = _locked(self._step.step_arrays.actuation[:nv])
         self._shape, self._tau = (nv,), system.tau
         self._parts = vars(State(scene, self.q, self.v, 0.0, self._location, self._discrete))
         self._start = 0.0
-        self.reset(state)
 
     @property
     def t(self) -> float:
@@ -120,7 +134,7 @@ class Stepper:
         return State(self.scene, q, v, self.t, location, discrete)
 
     def reset(self, state: State) -> None:
-        """Start again from a state of the same scene, as if newly made.
+        """Start again from a state of the same scene, as if newly made; actuators and their target stay.
 
         Parameters
         ----------
@@ -138,6 +152,10 @@ class Stepper:
             Where it cannot begin for another reason.
         """
         check_state(self.scene, state, self._coordinates)
+        self._raise_for(self._begin(state))
+
+    def _begin(self, state: State) -> int:
+        """Start from a state that has been checked; a status of `layout`."""
         system = self._system
         nq, nv = system.nq, system.nv
         # a state of this very stepper may be made of views of what is written here: of the same parts
@@ -150,8 +168,48 @@ class Stepper:
         self._start = float(state.t)
         self._step.set_run(self._start, math.inf, self.dt, 0, 0, False)
         self._step.forget()
-        self._raise_for(self._step.begin(self._start))
+        status = self._step.begin(self._start)
         self._show_modes()
+        return status
+
+    def pd(self, kp: ArrayLike, kd: ArrayLike, target: ArrayLike) -> None:
+        """Give the joints PD actuators, in place of those that they had.
+
+        Their torques are kp (target - q) - kd v, to which the tau of `step` is added. They act implicitly, also in the cone problems of contacts: no gains make the steps unstable, and steps are of
+        second order in dt. What is too fast for dt is damped as by a step of its own length. To change the target write
+        to `stepper.target`; a target velocity w is the tau kd w.
+
+        Parameters
+        ----------
+        kp, kd : float or array_like (nv,)
+            Gains in N m/rad and N m s/rad (N/m and N s/m of prismatic joints), at least 0. A number is the gain of
+            every joint of one degree of freedom. kp is for coordinates that are a joint's own, also of unbounded
+            rotations, where it pulls the shorter way round; not for free, planar and spherical joints.
+        target : array_like (nq,)
+            Configuration in which they have no torque at rest; of coordinates without kp the number does not matter.
+
+        Raises
+        ------
+        ArgumentError
+            For gains that are negative, not finite, of another shape, or kp where no coordinate can have a target.
+        StateError
+            For a target of another size or with entries that are not finite.
+
+        Examples
+        --------
+        >>> import pinocchio as pin, pincontact as pc
+        >>> model = pin.buildSampleModelManipulator()
+        >>> scene = pc.Scene(model)
+        >>> stepper = pc.Stepper(scene, scene.initial_state(pin.neutral(model)), dt=1e-3)
+        >>> stepper.pd(1e6, 2e3, [0.5] * model.nq)
+        >>> for _ in range(1000):
+        ...     _ = stepper.step([0.0] * model.nv)
+        >>> bool(abs(stepper.q - 0.5).max() < 1e-3)
+        True
+        """
+        actuators = actuators_of(self.scene.model, kp, kd)
+        self.target[:] = check_vector("target", target, self.target.size)
+        self._step.actuate(actuators)
 
     def step(self, tau: ArrayLike, count: int = 1) -> State:
         """One step, or several, under joint torques that are held constant.
@@ -197,6 +255,7 @@ class Stepper:
             self._show_modes()
             if status == NOT_FINITE:
                 check_vector("tau", tau, tau.size)
+                check_vector("target", self.target, self.target.size)
             self._raise_for(status)
         if count > 1 or step.changed:
             self._show_modes()
@@ -241,6 +300,8 @@ class Stepper:
         if status == NOT_FINITE and not np.isfinite(rows).all():
             i, j = np.argwhere(~np.isfinite(rows))[0]
             raise StateError(f"torques[{i}, {j}] is {rows[i, j]}")
+        if status == NOT_FINITE:
+            check_vector("target", self.target, self.target.size)
         self._raise_for(status)
         return q, v
 

@@ -297,6 +297,26 @@ CASES = {
         {"torques": [*vectors(6), None, np.zeros((2, 5)), np.full((2, 6), True)], "count": [*COUNT, None]},
         (),
     ),
+    "Stepper.pd": (
+        call_of(lambda scene, state, **options: pc.Stepper(scene, state).pd(**options)),
+        {"kp": 0.0, "kd": 0.3, "target": np.ones(7)},
+        {"kp": [*NOT_NEGATIVE, None], "kd": [*NOT_NEGATIVE, None], "target": [*vectors(7), None]},
+        (),
+    ),
+    "rollout": (
+        call_of(pc.rollout),
+        {"torques": np.zeros((2, 3, 6))},
+        {
+            "torques": [*vectors(6), None, np.zeros((2, 5)), np.full((2, 6), True), [["0.3"] * 6], [[math.nan] * 6]],
+            "dt": [*POSITIVE, None],
+            "substeps": [*COUNT, None],
+            "threads": COUNT,
+            "contact_solver": CONTACT_SOLVER,
+            "pd": [3, "pd", (1.0, 2.0), [1.0, 2.0, 3.0]],
+        },
+        # as the state of all others: test_rollouts
+        ("states",),
+    ),
     "Scene": (
         pc.Scene,
         {"model": pin.Model()},

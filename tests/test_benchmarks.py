@@ -17,6 +17,8 @@ BENCHMARKS = Path(__file__).parents[1] / "examples" / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 
 import breakdown  # noqa: E402
+import real_time  # noqa: E402
+import rollouts  # noqa: E402
 import work_precision  # noqa: E402
 from peers import scenes  # noqa: E402
 from peers.measure import Row, largest_distance  # noqa: E402
@@ -173,3 +175,20 @@ def test_clock_counts_what_is_nested_once():
     assert 0.0 < sum(clock.inside.values()) + sum(clock.outside.values()) <= whole
     # and everything is as it was
     assert (breakdown.RunSystem.run, breakdown.driver.Driver._complete) == (compiled, handler)
+
+
+@pytest.mark.parametrize("scene", ["block", "quadruped"])
+def test_rollouts(scene, capsys, monkeypatch):
+    """Errors of all starts fall with the step; springs are the actuators'."""
+    monkeypatch.setattr(rollouts, "mujocos", lambda problems: iter(()))
+    rows = rollouts.main(["--starts", "3", "--quick", "--scenes", scene])
+    errors = [error for _, label, _, error, _, _ in rows if label == "pincontact"]
+    assert len(errors) == 3
+    assert errors[0] > 1.5 * errors[1] > 2.25 * errors[2]
+    assert errors[2] < 1e-3
+    assert "speed-up" in capsys.readouterr().out
+
+
+def test_control_loop(capsys):
+    real_time.main(["--steps", "200"])
+    assert "99.9 %" in capsys.readouterr().out

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from ..cores import available_cores
 from ..errors import ArgumentError, SolverError
 from ..jit import compile_kernels
 from ..scene import Scene
@@ -328,7 +329,7 @@ class _Sweep:
                     for key in self._waiting:
                         self._keep(_perform(*self._task(key)))
                 else:
-                    self._in_processes(min(workers or _cores(), len(self._waiting)))
+                    self._in_processes(min(workers or available_cores(), len(self._waiting)))
         finally:
             if bar is not None:
                 bar.close()
@@ -459,10 +460,6 @@ def _check_travels(function: Any, what: str) -> None:
             f"{what} was defined interactively and cannot be imported by other processes: put it in a module, or pass "
             "workers=0"
         )
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _bar(done: int, total: int) -> Any:

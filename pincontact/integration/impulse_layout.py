@@ -18,14 +18,15 @@ from .carrying import INERTIA_SIZE
 # midpoint's velocity follows from, trend_before: the same in the first pass; thorough: whether its cone problems are
 # solved with all means; changed: whether anything discrete is another since the last step. Of a run: steps done, the
 # last one, and the limit; watched: whether every step is looked at before it is accepted; turns: whether anything
-# resists turning; row_count rows that steps write, rows_done so far, a row every row_steps steps. Of the solver:
-# problems solved in compiled code by the task cone_task, and steps that had a solution in rigid geometry only.
+# resists turning; row_count rows that steps write, rows_done so far, a row every row_steps steps, targeted: whether
+# each has a target of its own. Of the solver: problems solved in compiled code by the task cone_task, and steps that
+# had a solution in rigid geometry only. actuators: how many there are.
 COUNTS = record(
     INTEGERS,
     *("joints", "units", "equations", "touched", "reviews", "rigid", "coupled", "holding", "choosing", "open_loads"),
     *("passes", "has_trend", "trend_before", "thorough", "changed"),
-    *("steps", "last", "step_limit", "watched", "turns", "row_count", "rows_done", "row_steps"),
-    *("solved", "cone_task", "rigid_steps"),
+    *("steps", "last", "step_limit", "watched", "turns", "row_count", "rows_done", "row_steps", "targeted"),
+    *("solved", "cone_task", "rigid_steps", "actuators"),
 )
 # counts.has_trend: nothing, or what the velocity at the midpoint follows from
 ACCELERATION, MEAN_VELOCITY = 1, 2
@@ -39,11 +40,11 @@ UNASKED, WANTED, LOOKED_FOR = range(3)
 # where bodies collide, the mean time of the impulses, impact. kept: part of the restitution that is applied, and the
 # bounds between which it is looked for. free_change: norm of the change of velocity without impulses, in the metric of
 # the masses; miss: how far the midpoint's velocity was from the step's mean velocity, relative to that, in this metric.
-# Of a run, in s: its start and end and the size of its steps. cone_tolerance: what is asked of cone problems, and the
-# largest residual of any.
+# weight: of the step's end in the forces of actuators, see `actuators`. Of a run, in s: its start and end and the size
+# of its steps. cone_tolerance: what is asked of cone problems, and the largest residual of any.
 NUMBERS = record(
     REALS,
-    *("h", "ahead", "impact", "kept", "kept_low", "kept_high", "free_change", "miss"),
+    *("h", "ahead", "impact", "kept", "kept_low", "kept_high", "free_change", "miss", "weight"),
     *("run_start", "run_end", "step_size", "cone_tolerance", "cone_residual"),
 )
 # What steps call by address: kernels, and a Python function that sets the torques, or 0, its arguments and the result
@@ -56,6 +57,12 @@ JOINT = np.dtype(
     [*((name, INTEGERS) for name in ("kind", "index_q", "index_v", "guard")), ("bound", REALS), ("middle", REALS)]
 )
 LOWER_LIMIT, UPPER_LIMIT, DRY_FRICTION = range(3)
+
+# An implicit PD actuator: where its coordinate is in q and v, whether q has cosine and sine of it there; gains in
+# N m/rad and N m s/rad, or N/m and N s/m.
+ACTUATOR = np.dtype(
+    [*((name, INTEGERS) for name in ("index_q", "index_v", "circular")), ("stiffness", REALS), ("damping", REALS)]
+)
 
 # A unit of the cone problem. kind and index: of which contact or joint; mask: bit r is set where row r is real, the
 # others only fill up the cone; touches: whether it closes in the step; midpoint: whether slip is opposed along the mean
@@ -116,6 +123,10 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "orientation": (REALS, "contacts"),
     "load": (REALS, "contacts"),
     "joints": (JOINT, "joints"),
+    # actuators, the configuration that they aim at, and their mean torques over the last step
+    "actuators": (ACTUATOR, "nv"),
+    "target": (REALS, "nq"),
+    "actuation": (REALS, "nv"),
     # the cone problem: units, and of their two tangents the velocities at the start and what drives add to them; rows
     # of units without what the equations take, L^-T rows^T, and what these take; Delassus matrix, of which the first
     # (3 n)^2 numbers are used, b, coefficients of friction; the solver's solution
@@ -152,10 +163,10 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     # the user's torques, while an output has others
     "set_aside": (REALS, "nv"),
 }
-# Arrays of a rollout, made for it: torques of the steps that end with a row, and the state then.
-_OF_ROWS = {"rows_tau": (REALS, 2), "rows_q": (REALS, 2), "rows_v": (REALS, 2)}
+# Arrays of a rollout, made for it: torques and targets of the steps that end with a row, and the state then.
+_OF_ROWS = {"rows_tau": (REALS, 2), "rows_target": (REALS, 2), "rows_q": (REALS, 2), "rows_v": (REALS, 2)}
 # What is read before a step writes it.
-_ZERO = {"counts", "numbers", "calls", "behind", "known", "joints", "cone_tables"}
+_ZERO = {"counts", "numbers", "calls", "behind", "known", "joints", "cone_tables", "actuators", "target", "actuation"}
 
 STEP = Layout("step", **{name: (kind, len(extents)) for name, (kind, *extents) in _ARRAYS.items()}, **_OF_ROWS)
 step_at = STEP.at

@@ -20,6 +20,7 @@ from ..geometry.carriers import ALPHA, OMEGA
 from ..jit import INTEGER, STEPPING, entry_kernel, kernel
 from ..layout import ANISOTROPIC, FREE, MASS_NOT_POSITIVE, NOT_FINITE, OK, SLIPPING, TANGENTS, VISCOUS, system_at
 from ..workspace import square
+from .actuators import add_actuators, end_weight
 from .impulse_equations import gather_equations
 from .impulse_layout import APART, DRY_FRICTION, ON_JOINT, ON_TURN, UPPER_LIMIT, step_at
 from .impulse_units import gather_contacts, gather_joints, gather_turns
@@ -251,7 +252,7 @@ def _add_viscous(system, step, h, change):
 
 @kernel
 def _change_freely(system, step):
-    """Change of velocity without impulses, and the factor of M + (h/2) D; a status."""
+    """Change of velocity without impulses, and the factor of M + (h/2) D with what actuators add; a status."""
     nv, h, counts, numbers = system.sizes.nv, step.numbers.h, step.counts, step.numbers
     mass, factor, parents = system.mass, system.factor, system.parents
     damping, tau, nle = system.damping, system.tau, system.nle
@@ -264,6 +265,9 @@ def _change_freely(system, step):
     for j in range(counts.joints):
         if step.joints[j].kind == DRY_FRICTION:
             change[step.joints[j].index_v] += h * step.joints[j].middle
+    if counts.actuators > 0:
+        numbers.weight = end_weight(step, mass, h)
+        add_actuators(step, h, factor, change)
     _add_viscous(system, step, h, change)
     if not factorize_tree(factor, parents, nv, factor):
         return MASS_NOT_POSITIVE

@@ -168,7 +168,7 @@ def _output(system, step, t):
 
 @kernel
 def _next_row(system, step):
-    """Write q and v as a row, where rows are wanted; whether steps to another one begin, with its torques."""
+    """Write q and v as a row, where rows are wanted; whether steps to another one begin, with what is given for it."""
     counts, sizes = step.counts, system.sizes
     row, rows = counts.rows_done, counts.row_count
     if row >= rows:
@@ -186,6 +186,10 @@ def _next_row(system, step):
     tau, row_tau = system.tau, step.rows_tau[row + 1]
     for k in range(nv):
         tau[k] = row_tau[k]
+    if counts.targeted != 0:
+        target, row_target = step.target, step.rows_target[row + 1]
+        for i in range(nq):
+            target[i] = row_target[i]
     counts.last += counts.row_steps
     return True
 

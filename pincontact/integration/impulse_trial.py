@@ -31,7 +31,7 @@ from ..layout import (
 )
 from ..workspace import square
 from .carrying import carry
-from .impulse_layout import ACCELERATION, APART, MEAN_VELOCITY, ON_CONTACT, ON_TURN, STEP, UNASKED, WANTED
+from .impulse_layout import ACCELERATION, APART, LOOKED_FOR, MEAN_VELOCITY, ON_CONTACT, ON_TURN, STEP, UNASKED, WANTED
 from .impulse_problem import OPENING
 from .impulse_review import AGAIN, may_rest
 from .impulses import advance, leave_turning_axes, predict_midpoint
@@ -52,6 +52,9 @@ _LOST = 0.08
 # The last correction of gaps leaves so much of them, relative to the contact's length, only where the constraints
 # contradict each other.
 APART_AT_END = 1e-6
+# Rows whose Gram determinant, of rows scaled to unit length, is larger are independent for `choices`, too: their least
+# singular value is above 1e-5, that of forces at their limits of friction above 1e-5 / sqrt(2).
+_INDEPENDENT = 1e-9
 # Nearer to an end of its domain (in its units) a point is at it.
 _AT_END = 1e-12
 
@@ -135,6 +138,34 @@ def _lets_go(system, step, n):
 
 
 @kernel
+def may_be_redundant(step, nv, n, factor, row_of):
+    """Whether forces of the n units may be redundant. They are not where the rows are independent: the least eigenvalue
+    of their Gram matrix, scaled to a unit diagonal, is at least its determinant over e.
+
+    factor (m, m), row_of (m,): room for so many rows; where there are more, they may be redundant.
+    """
+    whitened, delassus = step.whitened, square(step.delassus, 3 * n)
+    count, room, determinant = 0, row_of.shape[0], 1.0
+    for r in range(3 * n):
+        if step.units[r // 3].mask >> r % 3 & 1 == 0:
+            continue
+        size = inner(whitened[r], whitened[r], nv)
+        if size == 0.0 or count == room:
+            return True
+        rest, own = size, factor[count]
+        for j in range(count):
+            other = factor[j]
+            own[j] = (delassus[r, row_of[j]] - inner(own, other, j)) / other[j]
+            rest -= own[j] * own[j]
+        determinant *= rest / size
+        if not determinant > _INDEPENDENT:
+            return True
+        own[count], row_of[count] = math.sqrt(rest), r
+        count += 1
+    return False
+
+
+@kernel
 def _leaves_choice(step, n):
     """Whether there is a choice among the forces of the n units that moves the bodies, since some of them slide, and
     that is not yet what the rule has it, since it depends on the last forces.
@@ -177,8 +208,11 @@ def _impulses(system, step, found):
             if n > 0 and (counts.coupled != APART or not _solve(step, n)):
                 return CONE_LEFT
         if counts.holding == UNASKED and counts.coupled == APART and _lets_go(system, step, n):
-            counts.holding = WANTED
-            return CONE_LEFT
+            # whatever is not redundant cannot be chosen to hold
+            redundant = may_be_redundant(step, system.sizes.nv, n, system.delassus, system.permutation)
+            counts.holding = WANTED if redundant else LOOKED_FOR
+            if counts.holding == WANTED:
+                return CONE_LEFT
         if counts.choosing == 0 and n > 0 and _leaves_choice(step, n):
             counts.choosing = 1
             return CONE_LEFT

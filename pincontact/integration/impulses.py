@@ -14,7 +14,7 @@ of the midpoint: v_0 is carried there from the start's, v_1 from there to the en
 changes in their rate is left out of nle and of the biases of v_c. A ball may spin as fast as it likes.
 
 Joint damping D, to which viscous friction of contacts is added, enters by the trapezoidal rule, which no step size
-makes unstable.
+makes unstable. What PD actuators add to both sides says `actuators`.
 
 Every impulse has its time in the step: the middle for contacts that were closed (a force, spread over the step), the
 instant of touching for those that close. The displacement is h v_0 + (h/2) (v_free - v_0) + (h - time) z, so a body
@@ -61,6 +61,7 @@ from ..layout import (
     UNILATERAL,
 )
 from ..workspace import flat
+from .actuators import find_actuation
 from .carrying import carry, find_inertias, turning_rate
 from .impulse_equations import equation_impulses
 from .impulse_layout import (
@@ -306,6 +307,8 @@ def advance(system, step):
     numbers.miss = math.sqrt(miss / speed) if miss > 0.0 else 0.0
     if total - total != 0.0:
         return NOT_FINITE
+    if step.counts.actuators > 0:
+        find_actuation(step, h, v1)
     viscous = add_viscous_impulses(system, step, v1)
     if sizes.nwork > 0:
         start, works = system.state[nq + nv + 4 * nc :], state[nq + nv + 4 * nc :]

@@ -44,6 +44,7 @@ from .steps import run_task
 if TYPE_CHECKING:
     from ..contacts import Contact
     from ..dynamics.joints import Guard
+    from .actuators import Actuator
 
 DEFAULT_STEP = 1e-3
 
@@ -55,7 +56,7 @@ _TURNS_FAR = 0.3
 # Kernels that steps call by address.
 _CALLED = {"run_task": run_task, "solve_cones": solve_cones, "assemble": assemble, "move_charts": move_charts}
 # Arrays of a step that are not of its state: addresses, and what there is within a call only.
-_OWN = ("calls", "cone_tables", "rows_tau", "rows_q", "rows_v")
+_OWN = ("calls", "cone_tables", "rows_tau", "rows_target", "rows_q", "rows_v")
 
 # Rows of a rollout, up to which their room is kept for the next one.
 _ROWS_KEPT = 10_000
@@ -78,11 +79,12 @@ def joint_constraints(guards: Sequence[Guard]) -> list[tuple[int, int, int, int,
 
 
 class _Rows:
-    """Rows of torques, q and v, and where they are: to ask for an address takes as long as to copy many rows."""
+    """Rows of torques, targets, q and v, and where they are: to ask for an address takes as long as to copy many
+    rows."""
 
     def __init__(self, n: int, nq: int, nv: int) -> None:
-        self.tau, self.q, self.v = np.empty((n, nv)), np.empty((n, nq)), np.empty((n, nv))
-        self.arrays = {"rows_tau": self.tau, "rows_q": self.q, "rows_v": self.v}
+        self.tau, self.target, self.q, self.v = (np.empty((n, columns)) for columns in (nv, nq, nq, nv))
+        self.arrays = {"rows_tau": self.tau, "rows_target": self.target, "rows_q": self.q, "rows_v": self.v}
 
 
 class MoreauStep:
@@ -219,20 +221,40 @@ class MoreauStep:
                 break
         return status
 
-    def advance_by_rows(self, tau: np.ndarray, count: int) -> tuple[int, np.ndarray, np.ndarray]:
-        """So many steps under the torques in each row of tau (n, nv), n at least 1; returns a status as `advance` does,
-        and q (m, nq) and v (m, nv) after every row that was finished."""
+    def actuate(self, actuators: Sequence[Actuator]) -> None:
+        """Have these PD actuators, and no others, from the next step on; they aim at `target`."""
+        arrays, n = self.step_arrays, len(actuators)
+        arrays.actuation[:] = 0.0
+        if n:
+            arrays.actuators[:n] = actuators
+        self._counts["actuators"] = n
+
+    @property
+    def target(self) -> np.ndarray:
+        """(nq,) configuration at which the actuators aim; a view that may be written to."""
+        target: np.ndarray = self.step_arrays.target[: self.system.nq]
+        return target
+
+    def advance_by_rows(
+        self, tau: np.ndarray, count: int, targets: np.ndarray | None = None
+    ) -> tuple[int, np.ndarray, np.ndarray]:
+        """So many steps under the torques in each row of tau (n, nv), n at least 1, with the target in the same row of
+        targets (n, nq), where these are given; returns a status as `advance` does, and q (m, nq) and v (m, nv) after
+        every row that was finished."""
         system, counts, n = self.system, self._counts, len(tau)
         rows = self._rows
         if rows is None or n > len(rows.q):
             rows = _Rows(n, system.nq, system.nv)
             self._rows = rows if n <= _ROWS_KEPT else None
         if self._looks:
-            return self._advance_row_by_row(tau, count, rows)
+            return self._advance_row_by_row(tau, count, targets, rows)
         rows.tau[:n] = tau
+        if targets is not None:
+            rows.target[:n], self.target[:] = targets, targets[0]
         for name, array in rows.arrays.items():
             self.step_arrays.put(name, array)
         counts["row_count"], counts["rows_done"], counts["row_steps"] = n, 0, count
+        counts["targeted"] = targets is not None
         system.tau[:] = tau[0]
         try:
             status = self.advance(count)
@@ -241,12 +263,16 @@ class MoreauStep:
         done = counts["rows_done"].item()
         return status, rows.q[:done].copy(), rows.v[:done].copy()
 
-    def _advance_row_by_row(self, tau: np.ndarray, count: int, rows: _Rows) -> tuple[int, np.ndarray, np.ndarray]:
+    def _advance_row_by_row(
+        self, tau: np.ndarray, count: int, targets: np.ndarray | None, rows: _Rows
+    ) -> tuple[int, np.ndarray, np.ndarray]:
         """`advance_by_rows` with looks at open contacts in between."""
         nq, nv = self.system.nq, self.system.nv
         status, done = OK, 0
-        for row in tau:
+        for i, row in enumerate(tau):
             self.system.tau[:] = row
+            if targets is not None:
+                self.target[:] = targets[i]
             status = self.advance(count)
             if status != OK:
                 break
@@ -380,3 +406,6 @@ class MoreauStep:
     def forget(self) -> None:
         """Let the next step depend on the state alone."""
         self.cones.solver.forget()
+        if self._looks:
+            # what was found on another way
+            self._open = OpenContacts(self.system)

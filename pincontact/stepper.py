@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .arguments import NOT_REAL, is_count, is_number, real_array
+from .display import shortened
 from .dynamics.joints import joint_guards
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
 from .friction.solve import check_contact_solver
@@ -24,7 +25,8 @@ class Stepper:
 
     All arrays are allocated once. `q` (nq,), `v` (nv,), `modes` (nc,) and the arrays in `forces` (N), in `torques`
     (N m, what resists spinning and rolling) and in the state that `step` returns are views that the next step
-    overwrites; `state` makes copies. The same start and the same torques give the same numbers to the last bit.
+    overwrites; `state` makes copies. The same start and the same torques give the same numbers to the last bit, and so
+    does a stepper that is copied or pickled in between.
 
         stepper = pc.Stepper(scene, state, dt=1e-3)
         while True:
@@ -191,11 +193,26 @@ class Stepper:
 
     def copy(self) -> Stepper:
         """Another stepper in the same situation, warm starts included: both go on alike, to the last bit."""
-        twin = Stepper(self.scene, self.state, self.dt, self._contact_solver)
-        self._step.copy_to(twin._step)
-        twin._show_modes()
-        twin._start = self._start
+        twin = type(self).__new__(type(self))
+        twin.__setstate__(self.__getstate__())
         return twin
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a pickled stepper consists of: its situation and the scene, not its memory."""
+        return {
+            "scene": self.scene,
+            "state": self.state,
+            "dt": self.dt,
+            "contact_solver": self._contact_solver,
+            "start": self._start,
+            "step": self._step.kept(),
+        }
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        Stepper.__init__(self, kept["scene"], kept["state"], kept["dt"], kept["contact_solver"])
+        self._step.restore(kept["step"])
+        self._show_modes()
+        self._start = kept["start"]
 
     # buffers must not be shared; the scene, which does not change, is
     __copy__ = copy
@@ -204,7 +221,7 @@ class Stepper:
         return self.copy()
 
     def __repr__(self) -> str:
-        return f"<Stepper at t = {self.t:.9g} s, dt = {self.dt:g} s, contacts: {', '.join(self.forces) or 'none'}>"
+        return f"<Stepper at t = {self.t:.9g} s, dt = {self.dt:g} s, contacts: {shortened(self.forces)}>"
 
 
 def _check_count(count: Any) -> int:

@@ -177,12 +177,12 @@ def test_panda_without_its_description_says_what_is_missing(monkeypatch):
 
 def test_ball_on_plate():
     pytest.importorskip("gymnasium", reason="needs gymnasium: pip install pincontact[gym]")
-    found = run_example("ball_on_plate", duration=0.8)
-    # from 172 mm and moving away
+    found = run_example("ball_on_plate", duration=0.6)
+    # it starts 172 mm away, near a corner, and 0.29 m/s fast: left alone it would fall off
     assert found["start"] == pytest.approx(math.hypot(0.14, 0.1), abs=1e-12)
-    assert found["fell"] == 0.0 and found["end"] < 0.6 * found["start"]
-    # a run under the planned torques is the episode, to the last bit but what a control's time may round
-    assert found["replayed"] < 1e-12
+    assert found["fell"] == 0.0 and found["end"] < 0.9 * found["start"] and found["speed"] < 0.2
+    # a run under the planned torques is the episode, to the last bit
+    assert found["replayed"] == 0.0
 
 
 def options_of(path):

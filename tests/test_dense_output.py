@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from random_scenes import random_scene
 
 import pincontact as pc
 
@@ -223,3 +224,26 @@ def test_a_run_that_fails_has_what_there_is():
     with pytest.raises(KeyError) as caught:
         pc.simulate(scene, state, 5.0, dense_output=True, control=control)
     np.testing.assert_allclose(caught.value.run.sol(caught.value.run.t[-1]).q, caught.value.run.q[-1], atol=1e-12)
+
+
+def test_random_scenes():
+    """With all joints, laws, motions, joint limits, dry friction and torques: as outputs are, and nothing left out."""
+    kinds = set()
+    for seed in range(40, 54):
+        scene, state, control = random_scene(seed)
+        t = state.t + np.linspace(0.0, 0.4, 33)
+        run = pc.simulate(scene, state, 0.4, t_eval=t, control=control, rtol=1e-7, atol=1e-9, dense_output=True)
+        kinds |= {event.kind for event in run.events}
+        ends = np.array([(piece.start, piece.end) for piece in run._dense._pieces])
+        np.testing.assert_allclose(ends[1:, 0], ends[:-1, 1], rtol=1e-15, atol=1e-300)
+        assert run.status == 0 and ends[-1, 1] == t[-1]
+        # at a start that is an event, outputs are what was before, and there are no steps before
+        sample = run.sol(t[1:])
+        np.testing.assert_allclose(sample.q, run.q[1:], atol=1e-6)
+        for name, track in run.contacts.items():
+            close = np.abs(sample.contacts[name].force - track.force[1:]).max(axis=1) < 1e-5 * (
+                1.0 + np.abs(track.force).max()
+            )
+            # forces jump at events, and what is next to one may be on its other side
+            assert close.mean() > 0.9, seed
+    assert kinds >= {"touch", "slip", "stick"}

@@ -247,3 +247,43 @@ def test_random_scenes():
             # forces jump at events, and what is next to one may be on its other side
             assert close.mean() > 0.9, seed
     assert kinds >= {"touch", "slip", "stick"}
+
+
+def test_redundant_forces_are_those_of_the_run():
+    """Four corners that stick under a growing push: some reach their limits before all do, and the run chooses forces
+    that hold, which are part of what a step depends on."""
+    scene, _ = sliding_block()
+    state = scene.initial_state([0, 0, 0.1, 0, 0, 0, 1])
+    weight = sum(inertia.mass for inertia in scene.model.inertias) * G
+
+    def push(t, q, v):
+        return np.array([0.4 * weight * t, 0, 0, 0, 0, 0.01 * weight * t])
+
+    run = pc.simulate(scene, state, 0.9, control=push, dense_output=True)
+    assert run.status == 0 and run.stats["redistributions"] == 1
+    # what was chosen late does not act early
+    early = pc.simulate(scene, state, 0.4, control=push)
+    for name, track in run.sol(0.4).contacts.items():
+        np.testing.assert_allclose(track.force, early.contacts[name].force[-1], atol=1e-9 * weight)
+    t = np.linspace(0.0, 0.9, 181)
+    tracks = run.sol(t).contacts
+    total = sum(track.force_on(name) for name, track in tracks.items())
+    np.testing.assert_allclose(total[:, 0], -0.4 * weight * t, atol=1e-9 * weight)
+    np.testing.assert_allclose(total[:, 2], weight, rtol=1e-9)
+    for track in tracks.values():
+        assert (track.mode == 1).all()
+        assert (track.tangential_force <= 0.4 * track.normal_force * (1.0 + 1e-9)).all()
+        # the push is linear in time, and so are the forces but where they were chosen anew
+        bends = np.abs(np.diff(track.force, 2, axis=0)).max(axis=1) > 1e-7 * weight
+        assert np.count_nonzero(bends) <= 2
+
+
+@pytest.mark.parametrize("angle", np.linspace(0.1, 6.1, 7))
+def test_friction_at_the_end_of_slip(angle):
+    """At the very event v_c is round-off and has no direction: friction is against the slip before it all the same."""
+    scene, state = ball([math.cos(angle), math.sin(angle), 0, 0, 0, 0])
+    run = pc.simulate(scene, state, 0.3, dense_output=True, rtol=1e-6, atol=1e-8)
+    (event,) = run.events
+    for t in (event.time, np.nextafter(event.time, 0.0), 0.5 * event.time):
+        friction = run.sol(t).contacts["c"].force_on("ball")[:2]
+        np.testing.assert_allclose(friction, -MU * 0.5 * G * np.array([math.cos(angle), math.sin(angle)]), atol=1e-6)

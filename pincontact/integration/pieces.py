@@ -108,6 +108,16 @@ class Pieces:
         for name, value in piece.scalars.items():
             system.scalars[name] = value
         system.scalars["dense_start"], system.scalars["dense_step"] = piece.start, piece.size
+        if not piece.scalars["reference_moves"]:
+            self._record(times, flush)
+            return
+        for i, t in enumerate(times.tolist()):
+            # redundant forces follow loads and time: an evaluation there chooses those of t
+            system.scan(piece.start, piece.size, [(t - piece.start) / piece.size])
+            self._record(times[i : i + 1], flush)
+
+    def _record(self, times: np.ndarray, flush: Callable[[], None]) -> None:
+        system = self.system
         system.set_output_times(times)
         status = BLOCK_FULL
         while status == BLOCK_FULL:

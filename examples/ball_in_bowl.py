@@ -69,7 +69,7 @@ def main(html: Path | None = None, duration: float = 5.0) -> dict[str, float]:
         f"height kept to {result['height_drift']:.1e} m for {duration:g} s"
     )
     if html is not None:
-        pc.export_html(run, html)
+        print(f"wrote {pc.export_html(run, html)}")
     return result
 
 

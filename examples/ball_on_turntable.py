@@ -45,14 +45,14 @@ def main(html: Path | None = None, circles: int = 7) -> dict[str, float]:
         "closing": float(np.linalg.norm(path[-1] - path[0])),
     }
     print(
-        f"{run.message}; a circle of {radii[0]:.6f} m about ({centre[0]:.6f}, {centre[1]:.6f}) m, "
+        f"{run.message} A circle of {radii[0]:.6f} m about ({centre[0]:.6f}, {centre[1]:.6f}) m, "
         f"round to {np.ptp(radii):.1e} m"
     )
     print(
         f"at {result['rate_ratio']:.12f} of the table's rate (2/7 = {2 / 7:.12f}); closes to {result['closing']:.1e} m"
     )
     if html is not None:
-        pc.export_html(run, html)
+        print(f"wrote {pc.export_html(run, html)}")
     return result
 
 

@@ -37,7 +37,7 @@ def main(html: Path | None = None, duration: float = 6.0) -> dict[str, float]:
         speeds[name] = float(np.linalg.norm(run.v[-1, :3]))
         print(f"from {start:.3f} m/s: {run.message} {speeds[name]:.9f} m/s at the end, {run.q[-1, 2]:.3f} m down")
         if html is not None and name == "slow":
-            pc.export_html(run, html)
+            print(f"wrote {pc.export_html(run, html)}")
     print(f"limit {limit:.9f} m/s")
     return {"limit": limit, "from_rest": speeds["slow"], "from_above": speeds["fast"]}
 

@@ -58,9 +58,9 @@ def main(html: Path | None = None, speed: float = 1.5, backspin: float = 60.0, s
     }
     for name, unit in (("slides", "s"), ("rolls", "s"), ("spins", "s"), ("place", "m")):
         print(f"{name:7s} {found[name]:.12f} {unit}, closed form {expected[name]:.12f}")
-    print(f"{run.message}; at rest to {np.abs(run.v[-1]).max():.1e}")
+    print(f"{run.message} At rest to {np.abs(run.v[-1]).max():.1e}")
     if html is not None:
-        pc.export_html(run, html)
+        print(f"wrote {pc.export_html(run, html)}")
     return found | {f"expected_{name}": value for name, value in expected.items()} | {"events": len(run.events)}
 
 

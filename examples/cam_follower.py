@@ -93,7 +93,7 @@ def main(html: Path | None = None) -> dict[str, float]:
         f"(closed form {result['expected_angle']:.9f})"
     )
     if html is not None:
-        pc.export_html(slow, html)
+        print(f"wrote {pc.export_html(slow, html)}")
     return result
 
 

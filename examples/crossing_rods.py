@@ -66,7 +66,7 @@ def main(html: Path | None = None, duration: float = 4.0) -> dict[str, float]:
     print(f"level balance found {result['off_top']:.1e} m off the top; {run.message}")
     print(f"rocks at {linear:.9f} rad/s (closed form {closed_form:.9f}), by 0.6 rad at {result['large_frequency']:.6f}")
     if html is not None:
-        pc.export_html(run, html)
+        print(f"wrote {pc.export_html(run, html)}")
     return result
 
 

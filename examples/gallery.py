@@ -54,11 +54,9 @@ def example(name: str) -> Any:
 
 def replay(name: str, folder: Path) -> Path:
     """Run an example and return the page that it writes."""
-    page = folder / name
+    page = folder / f"{name}.html"
     example(name).main(html=page)
-    if page.is_file():
-        return page.rename(folder / f"{name}.html")
-    return sorted(page.glob("*.html"))[-1]
+    return page
 
 
 def picture(page: Path, time: float, browser: str, folder: Path, target: Path) -> None:

@@ -142,7 +142,7 @@ def main(html: Path | None = None, duration: float = 2.5) -> dict[str, float]:
     )
     print(f"back where it began the ball has turned by {math.degrees(result['turned']):.2f} degrees")
     if html is not None:
-        pc.export_html(run, html)
+        print(f"wrote {pc.export_html(run, html)}")
     return result
 
 

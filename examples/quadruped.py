@@ -71,7 +71,7 @@ def main(html: Path | None = None, push: float = 16.0) -> dict[str, float]:
 
     rest = pc.simulate(scene, state, 1.0, control=stance)
     # the friction of a foot that creeps can turn in no time; time stepping does not mind, and finds the slip to a step
-    run = pc.simulate(scene, state, duration, control=control, method="Moreau", step=step)
+    run = pc.simulate(scene, state, duration, control=control, method="Moreau", dt=step)
     ice = run.contacts[ICY]
     coarse = float(run.t[np.argmax(ice.mode == SLIP)])
     # which an event-driven run then locates
@@ -102,7 +102,7 @@ def main(html: Path | None = None, push: float = 16.0) -> dict[str, float]:
         f"{result['others_slip']:.0e} m/s at most"
     )
     if html is not None:
-        pc.export_html(run, html)
+        print(f"wrote {pc.export_html(run, html)}")
     return result
 
 

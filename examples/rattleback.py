@@ -65,7 +65,7 @@ def main(html: Path | None = None, duration: float = 5.0) -> dict[str, float]:
             f"{vertical.max():+.3f} rad/s, turns back after {result[f'{name}_reversal']:.2f} s"
         )
         if html is not None and name == "backward":
-            pc.export_html(run, html)
+            print(f"wrote {pc.export_html(run, html)}")
     return result
 
 

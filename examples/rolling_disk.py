@@ -4,7 +4,7 @@ Four runs of the same robot: rolling without slip as an ideal constraint and wit
 that slides and comes to roll; and a disk that rolls over a dome until it slips and takes off. Each prints its events,
 energy balance, constraint residuals and how much faster than real time it ran.
 
-    python examples/rolling_disk.py [--html FOLDER] [--replay]
+    python examples/rolling_disk.py [--html FILE] [--replay]
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def simulate(title: str, scene: pc.Scene, state: pc.State, duration: float) -> p
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--html", type=Path, metavar="FOLDER", help="write a replay of each run as an HTML file")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write a replay of the dome as an HTML file")
     parser.add_argument("--replay", action="store_true", help="play each run in a Meshcat viewer")
     arguments = parser.parse_args()
 
@@ -83,13 +83,10 @@ def main() -> None:
     state = dome.initial_state(*tilted(1.4, 5.0))
     runs["dome"] = simulate("Over a dome, Coulomb mu = 0.7", dome, state, 1.5)
 
-    for name, run in runs.items():
-        if arguments.html:
-            arguments.html.mkdir(parents=True, exist_ok=True)
-            path = arguments.html / f"{name}.html"
-            pc.export_html(run, path)
-            print(f"wrote {path}")
-        if arguments.replay:
+    if arguments.html:
+        print(f"wrote {pc.export_html(runs['dome'], arguments.html)}")
+    if arguments.replay:
+        for run in runs.values():
             pc.replay(run)
 
 

@@ -125,7 +125,7 @@ def main(html: Path | None = None, duration: float = 4.0) -> dict[str, float]:
             f"the wheels slip at {result[f'{name}_slip']:.3g} m/s in the end"
         )
     if html is not None:
-        pc.export_html(run, html)
+        print(f"wrote {pc.export_html(run, html)}")
     return result
 
 

@@ -79,7 +79,7 @@ def main(html: Path | None = None, duration: float = 3.0) -> dict[str, float]:
         f"Jellett's integral changed by {result['jellett_drift']:.1e} of itself"
     )
     if html is not None:
-        pc.export_html(run, html)
+        print(f"wrote {pc.export_html(run, html)}")
     return result
 
 

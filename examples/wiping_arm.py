@@ -139,7 +139,7 @@ def main(html: Path | None = None, duration: float = 2.0, samples: int = 64) -> 
     )
     print(f"friction worked {work[-1]:.6f} J; mu N times the way is {MU * PRESS * way:.6f} J")
     if html is not None:
-        pc.export_html(run, html)
+        print(f"wrote {pc.export_html(run, html)}")
     return result
 
 

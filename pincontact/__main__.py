@@ -1,4 +1,4 @@
-"""The command line: `python -m pincontact run scene.toml` and `python -m pincontact info scene.toml`.
+"""The command line: `pincontact run scene.toml` and `pincontact info scene.toml`, or `python -m pincontact ...`.
 
 Exit codes: 0 done, 1 the run could not finish, 2 bad input (said in one line on stderr), 130 interrupted.
 """
@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
+from .display import MODE_NAMES
 from .errors import ContactError
 from .friction.laws import Coulomb, FrictionLaw, Stribeck
-from .layout import FREE, FRICTIONLESS, SLIPPING, STICK
+from .layout import FREE
 from .scene_file import LoadedScene, load_scene
 from .simulate import simulate
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 DONE, NOT_FINISHED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-_MODES = {FREE: "open", FRICTIONLESS: "frictionless", STICK: "stick", SLIPPING: "slip"}
 _EVENTS_SHOWN = 20
 
 
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m pincontact", description="Simulate persistent point contacts.")
+    parser = argparse.ArgumentParser(prog="pincontact", description="Simulate persistent point contacts.")
     parser.add_argument("--version", action="version", version=_versions())
     commands = parser.add_subparsers(dest="command", required=True, metavar="command")
     run = commands.add_parser("run", help="simulate a scene file and print a summary")
@@ -63,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--duration", type=float, metavar="SECONDS", help="simulated time, instead of the file's")
     run.add_argument("--method", metavar="NAME", help="DOP853, Sharp98, RK45, RK23 or Moreau, instead of the file's")
     run.add_argument("--rtol", type=float, metavar="NUMBER", help="relative tolerance of a step")
-    run.add_argument("--step", type=float, metavar="SECONDS", help="step of method Moreau")
+    run.add_argument("--dt", "--step", type=float, metavar="SECONDS", help="step of method Moreau")
     run.add_argument("--html", metavar="FILE", help="write a replay as one HTML file")
     run.add_argument("--save", metavar="FILE", help="write the trajectory as an npz file")
     run.add_argument("--progress", action="store_true", help="show a bar over simulated time")
@@ -106,18 +106,17 @@ def _cell(value: Any) -> str:
 
 def _run(loaded: LoadedScene, options: argparse.Namespace) -> int:
     changes: dict[str, Any] = {"progress": options.progress}
-    for name in ("duration", "method", "rtol", "step"):
+    for name in ("duration", "method", "rtol", "dt"):
         if getattr(options, name) is not None:
             changes[name] = getattr(options, name)
     for target in (options.html, options.save):
         # a long run must not end in a file that cannot be written
         if target is not None and not Path(target).resolve().parent.is_dir():
-            raise FileNotFoundError(f"{target}: there is no folder {Path(target).parent}")
+            raise FileNotFoundError(f"{target}: there is no folder {Path(target).parent}.")
     run = loaded.simulate(**changes)
     _summary(loaded, run)
     if options.save is not None:
-        run.save(options.save)
-        print(f"\nwrote {options.save}")
+        print(f"\nwrote {run.save(options.save)}")
     if options.html is not None and run.t.size:
         from .view.replay import export_html
 
@@ -159,7 +158,9 @@ def _tracks(run: Trajectory) -> Iterable[tuple[str, Any]]:
 def _contact_row(entry: tuple[str, Any]) -> Sequence[Any]:
     name, track = entry
     modes = Counter(int(mode) for mode in track.mode)
-    shares = ", ".join(f"{_MODES[mode]} {100.0 * count / track.mode.size:.0f} %" for mode, count in modes.most_common())
+    shares = ", ".join(
+        f"{MODE_NAMES[mode]} {100.0 * count / track.mode.size:.0f} %" for mode, count in modes.most_common()
+    )
     closed = track.mode != FREE
     slip = np.linalg.norm(track.slip_velocity[closed], axis=1)
     force = track.normal_force
@@ -226,7 +227,7 @@ def _info(loaded: LoadedScene) -> int:
                 (
                     name,
                     *state.location_of(name),
-                    _MODES[int(track.mode[0])],
+                    MODE_NAMES[int(track.mode[0])],
                     track.conditioning[0],
                     track.normal_force[0],
                 )

@@ -29,7 +29,7 @@ def real(value: Any) -> float:
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise TypeError(f"no real number: {value!r}")
+        raise TypeError(f"no real number: {value!r}.")
     return float(value)
 
 
@@ -72,7 +72,7 @@ def real_array(value: ArrayLike) -> np.ndarray:
         return np.array([real(entry) for entry in array.flat]).reshape(array.shape)
     if array.dtype.kind not in "iuf":
         # NumPy would read numbers out of text, drop imaginary parts, and take truth values for 0 and 1
-        raise TypeError(f"an array of {array.dtype}")
+        raise TypeError(f"an array of {array.dtype}.")
     return np.array(array, dtype=float)
 
 
@@ -81,6 +81,6 @@ def warn_of_order(what: str, quaternion: ArrayLike, stacklevel: int) -> None:
     if np.array_equal(quaternion, (1.0, 0.0, 0.0, 0.0)):
         warnings.warn(
             f"{what} is (1, 0, 0, 0), half a turn about x: the order is x, y, z, w, and (0, 0, 0, 1) is no turn; where "
-            "half a turn is meant, (-1, 0, 0, 0) says so without this warning",
+            "half a turn is meant, (-1, 0, 0, 0) says so without this warning.",
             stacklevel=stacklevel + 1,
         )

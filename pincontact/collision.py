@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from .contours import Circle, Contour, Cylinder, Ellipsoid, Line, Plane, Point, Sphere
-from .errors import ArgumentError, ContourError, ModelError
+from .errors import ArgumentError, ContourError, ModelError, sentence
 
 KINDS = ("faces", "rims", "edges", "corners")
 
@@ -77,7 +77,7 @@ def contours_from_collision(
         made = f"{' and '.join(wanted_kinds) or 'nothing'} of: {', '.join(seen) or 'no shape'}"
         raise ModelError("; ".join([f"no contour was found among {made}", *remarks]))
     if remarks:
-        warnings.warn("; ".join(remarks), stacklevel=3)
+        warnings.warn(sentence("; ".join(remarks)), stacklevel=3)
     return found
 
 

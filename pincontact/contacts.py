@@ -46,6 +46,10 @@ class AttachedContour:
     joint: int
     placement_in_joint: pin.SE3
 
+    def __repr__(self) -> str:
+        motion = "" if self.motion is None else f", moved by {self.motion!r}"
+        return f"<AttachedContour {self.name!r}: {self.contour!r} on frame {self.frame!r}{motion}>"
+
 
 @dataclass(frozen=True, eq=False)
 class Contact:
@@ -78,6 +82,10 @@ class Contact:
     location: tuple[ArrayLike | None, ArrayLike | None] | None
     side: int | None
     restitution: float
+
+    def __repr__(self) -> str:
+        law = "frictionless" if self.friction is None else repr(self.friction)
+        return f"<Contact {self.name!r}: {self.pattern.name} of {self.first.name!r} and {self.second.name!r}, {law}>"
 
     @property
     def swapped(self) -> bool:

@@ -8,8 +8,20 @@ if TYPE_CHECKING:
     import numpy as np
 
 
+def sentence(text: str) -> str:
+    """A message as a sentence: with a full stop at its end, if it has none and does not end otherwise.
+
+    Messages often end in a number, a name or another message, which may bring a full stop of its own.
+    """
+    text = text.rstrip()
+    return text if not text or text.endswith((".", "!", "?")) else f"{text}."
+
+
 class ContactError(Exception):
-    """Base of every error raised by pincontact."""
+    """Base of every error raised by pincontact. Its message ends in a full stop."""
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(*([sentence(message)] if message else []))
 
 
 class ModelError(ContactError, ValueError):

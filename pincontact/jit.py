@@ -26,6 +26,8 @@ import numba
 from numba import njit, types
 from numba.extending import register_jitable
 
+from .log import log
+
 _PACKAGE = Path(__file__).parent
 # Kernels allocate nothing and return no arrays: reference counting, dearer than the numerics, is left out. They run
 # without the interpreter's lock, which `callback.call_python` takes, so that other threads compute at the same time.
@@ -118,7 +120,7 @@ class Entry(NamedTuple):
             if not self.directory.exists():
                 raise
             # files that a crash or a full disk has left; an error of another kind comes again
-            print(f"pincontact: a kernel on disk cannot be read ({error}); compiling it again ...", file=sys.stderr)
+            log.warning("a kernel on disk cannot be read (%s); compiling it again ...", error)
             shutil.rmtree(self.directory, ignore_errors=True)
             self.compiled.compile(self.arguments)
         finally:
@@ -190,7 +192,7 @@ def _announced(entry: Entry) -> Callable[..., Any]:
         if unknown:
             missing = entry.missing
             if missing:
-                print("pincontact: compiling a kernel, once for this version (some seconds) ...", file=sys.stderr)
+                log.info("compiling a kernel, once for this version (some seconds) ...")
             entry.compile()
             if missing:
                 entry.mark()
@@ -219,7 +221,7 @@ def compile_kernels(friction: bool = False, several: bool = False, stepping: boo
         return
     missing = [entry for entry in ENTRIES if entry.when in needed and entry.missing]
     if missing:
-        print("pincontact: compiling kernels, once for this version (half a minute or so) ...", file=sys.stderr)
+        log.info("compiling kernels, once for this version (half a minute or so) ...")
         beside = [entry for entry in missing if entry.aside]
         own = [entry for entry in missing if not entry.aside]
         worker = _start_worker(needed) if beside and own else None

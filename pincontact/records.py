@@ -113,6 +113,19 @@ class Recorded:
     resistances: np.ndarray | None
     references: dict[int, np.ndarray] = field(default_factory=dict)
 
+    def rows(self, which: np.ndarray) -> Recorded:
+        """These outputs, in this order."""
+        return Recorded(
+            self.location[which],
+            self.discrete[which],
+            self.directions[which],
+            None if self.works is None else self.works[which],
+            self.total_at_start,
+            None if self.torques is None else self.torques[which],
+            None if self.resistances is None else self.resistances[which],
+            {new: self.references[old] for new, old in enumerate(which.tolist()) if old in self.references},
+        )
+
 
 def _unpack(
     values: np.ndarray,

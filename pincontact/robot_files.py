@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from .arguments import check_flag
-from .errors import ArgumentError, MissingExtraError, ModelError
+from .errors import ArgumentError, MissingExtraError, ModelError, sentence
 
 Folders = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None
 
@@ -275,4 +275,4 @@ def _warn(file: str, found: Mapping[str, Sequence[str]]) -> None:
     """One warning of a file, as by its reader's caller: remarks, each with what it is about."""
     remarks = [f"{remark}: {', '.join(dict.fromkeys(of))}" for remark, of in found.items() if of]
     if remarks:
-        warnings.warn(f"{file}: {'; '.join(remarks)}", stacklevel=4)
+        warnings.warn(sentence(f"{file}: {'; '.join(remarks)}"), stacklevel=4)

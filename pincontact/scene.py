@@ -15,6 +15,7 @@ from .collision import contours_from_collision
 from .contacts import Assembly, AttachedContour, Contact
 from .contours import Contour
 from .contours.motion import Motion
+from .display import html_table, shortened
 from .dynamics.joints import interrupted_joint
 from .errors import ArgumentError, ContactError, ContourError, ModelError, PatternError
 from .friction.laws import FrictionLaw
@@ -216,6 +217,25 @@ class Scene(Assembly):
         scene = cls(robot.model, robot.visual_model, robot.collision_model)
         scene._unread_shapes = robot.unread
         return scene
+
+    def __repr__(self) -> str:
+        model = self.model
+        return (
+            f"<Scene {model.name!r}: nq {model.nq}, nv {model.nv}; contours {shortened(self.contours)}; "
+            f"contacts {shortened(self.contacts)}>"
+        )
+
+    def _repr_html_(self) -> str:
+        model = self.model
+        contours = [(c.name, repr(c.contour), c.frame, c.motion or "") for c in self.contours.values()]
+        contacts = [
+            (c.name, c.first.name, c.second.name, c.pattern.name, c.friction or "none") for c in self.contacts.values()
+        ]
+        return (
+            html_table("Scene", ("model", "joints", "nq", "nv"), [(model.name, model.njoints - 1, model.nq, model.nv)])
+            + html_table("Contours", ("name", "contour", "frame", "motion"), contours)
+            + html_table("Contacts", ("name", "first", "second", "pattern", "friction"), contacts)
+        )
 
     def add_contour(
         self,

@@ -138,6 +138,9 @@ class LoadedScene:
         ArgumentError
             Where neither the file nor the changes say the duration.
         """
+        if "step" in changes and "dt" not in changes:
+            # the same by its other name, in place of the file's
+            changes["dt"] = changes.pop("step")
         options = {**self.settings, **changes}
         if "duration" not in options:
             raise ArgumentError(f"{self.path}: simulation.duration is not in the file, and none was given")
@@ -569,8 +572,10 @@ _SETTINGS: dict[str, Converter] = {
     "max_step": as_number_or_infinity,
     "first_step": as_number,
     "fixed_step": as_number,
+    "dt": as_number,
     "step": as_number,
     "max_steps": as_integer,
+    "dense_output": as_flag,
     "fallback": as_text,
     "contact_solver": as_text,
     "breakpoints": as_numbers,
@@ -591,4 +596,8 @@ def _read_simulation(table: Table | None) -> tuple[dict[str, Any], int | tuple[f
     table.allow("outputs", *_SETTINGS)
     settings = {key: table.get(key, convert, None) for key, convert in _SETTINGS.items()}
     outputs = table.get("outputs", _outputs, None)
+    if settings["dt"] is not None and settings["step"] is not None:
+        raise table.error("step", "it is another name of dt, which is given, too")
+    settings["dt"] = settings.pop("step") if settings["dt"] is None else settings["dt"]
+    settings.pop("step", None)
     return {key: value for key, value in settings.items() if value is not None}, outputs

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .arguments import NOT_REAL, check_flag, is_count, is_number, real_array
+from .arguments import NOT_REAL, check_flag, check_positive, is_count, is_number, real_array
 from .dynamics.energy import energy_gained
 from .dynamics.joints import check_guards
 from .errors import ArgumentError, UnusableResult
@@ -20,6 +20,7 @@ from .friction.solve import check_contact_solver
 from .integration.discrete import read_discrete, write_discrete
 from .integration.driver import Driver, Options
 from .integration.events import UserEvent
+from .integration.pieces import Pieces
 from .integration.results import (
     CHATTER,
     CONTROL_FAILED,
@@ -33,6 +34,7 @@ from .integration.tableaux import Tableau, tableau
 from .integration.transitions import Transitions
 from .jit import compile_kernels
 from .scene import Scene
+from .solution import DenseOutput
 from .state import State, check_state
 from .system_cache import put_back, take_system
 from .trajectory import Record, Trajectory
@@ -67,7 +69,7 @@ class _Request:
     scene: Scene
     state: State
     duration: float
-    step: float | None
+    dt: float | None
     max_steps: int
     users: list[UserEvent]
     times: np.ndarray | None
@@ -99,11 +101,13 @@ def simulate(
     max_step: float = math.inf,
     first_step: float | None = None,
     fixed_step: float | None = None,
-    step: float | None = None,
+    dt: float | None = None,
     max_steps: int = 1_000_000,
     breakpoints: ArrayLike | None = None,
     fallback: str | None = None,
     contact_solver: str = "auto",
+    dense_output: bool = False,
+    step: float | None = None,
 ) -> Trajectory:
     """Integrate a scene's motion from a state on.
 
@@ -144,7 +148,7 @@ def simulate(
         breakpoints.
     fixed_step : float, optional
         Constant steps in s without error control, of an event-driven method.
-    step : float, optional
+    dt : float, optional
         Step in s of method "Moreau", 1e-3 if not given.
     max_steps : int
         Accepted and rejected ones together; a run that needs more ends with status -2.
@@ -152,12 +156,17 @@ def simulate(
         Times in s, in any order, at which a control or a motion jumps: steps end there, and the modes of contacts are
         decided anew. Those that are not inside the run are ignored.
     fallback : {"Moreau"}, optional
-        Lets a run that cannot go on (status -1, -4, -6 or -7) go on by time stepping, with `step`, from its last good
+        Lets a run that cannot go on (status -1, -4, -6 or -7) go on by time stepping, with `dt`, from its last good
         state on; an event of kind "fallback" says where.
     contact_solver : {"auto", "proxqp"}
         How Coulomb's law is solved where stick or slip is undecided: the cheapest ways first, or by a sequence of
         ProxQP programs. What these leave unsolved is solved as by "auto" and counted in stats["qp_failures"], programs
         in "qp", their iterations in "qp_iterations".
+    dense_output : bool
+        Whether to keep the interpolants of all steps, some kB each, for `Trajectory.sol`; for event-driven methods
+        without fallback.
+    step : float, optional
+        Another name of dt.
 
     Returns
     -------
@@ -193,20 +202,24 @@ def simulate(
     >>> run.status, round(float(np.linalg.norm(run.v[-1, :3])), 6)
     (0, 0.714286)
     """
-    _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps, step)
+    _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps)
     _check_fallback(fallback, method)
+    dt = _time_step(dt, step, max(abs(state.t), abs(state.t + duration)) if duration > 0.0 else 0.0)
     check_contact_solver(contact_solver)
     times = _output_times(t_eval, state.t, duration)
     jumps = _breakpoints(breakpoints, state.t, duration)
     users = UserEvent.wrap(events)
     check_flag("progress", progress)
     check_flag("energies", energies)
+    check_flag("dense_output", dense_output)
     if control is not None and not callable(control):
         raise ArgumentError(f"control must be callable as control(t, q, v), got {control!r}")
     if not isinstance(method, str):
         raise ArgumentError(f"method must be a name such as 'DOP853', got {method!r}")
-    if step is not None and "Moreau" not in (method, fallback):
-        raise ArgumentError(f"step is for method 'Moreau'; method {method!r} takes fixed_step or max_step")
+    if dt is not None and "Moreau" not in (method, fallback):
+        raise ArgumentError(f"dt is for method 'Moreau'; method {method!r} takes fixed_step or max_step")
+    if dense_output and "Moreau" in (method, fallback):
+        raise ArgumentError("dense_output is for the event-driven methods, such as 'DOP853', without a fallback")
     pair = None if method == "Moreau" else tableau(method)
     if pair is not None and fixed_step is None and rtol > pair.coarsest:
         raise ArgumentError(
@@ -221,7 +234,7 @@ def simulate(
         scene,
         state,
         duration,
-        step,
+        dt,
         max_steps,
         users,
         times,
@@ -243,10 +256,12 @@ def simulate(
         jumps,
         discrete=read_discrete if fallback is not None else None,
     )
-    return _simulate_by_events(request, pair, rtol, atol, options)
+    return _simulate_by_events(request, pair, rtol, atol, options, dense_output)
 
 
-def _simulate_by_events(request: _Request, pair: Tableau, rtol: float, atol: float, options: Options) -> Trajectory:
+def _simulate_by_events(
+    request: _Request, pair: Tableau, rtol: float, atol: float, options: Options, dense_output: bool
+) -> Trajectory:
     """The run of an event-driven method; with `options.discrete` time stepping goes on where it could not."""
     scene, state, duration = request.scene, request.state, request.duration
     cached = take_system(scene, request.energies, resistances=True)
@@ -257,7 +272,12 @@ def _simulate_by_events(request: _Request, pair: Tableau, rtol: float, atol: flo
     torque = request.torque(system)
     rk = RungeKutta(system, pair, rtol, atol, torque)
     rk.begin_at(state.q, state.v, state.location)
-    record = Record(system, state, with_torques=torque is not None or system.ng + system.nr > 0)
+    with_torques = torque is not None or system.ng + system.nr > 0
+    record = Record(system, state, with_torques)
+    dense = None
+    if dense_output:
+        options.pieces = Pieces(system)
+        dense = DenseOutput(scene, state, options.pieces, with_torques)
     restitution = [contact.restitution for contact in scene.contacts.values()]
     transitions = Transitions(rk, list(scene.contacts), restitution, duration, request.contact_solver)
     with _Bar(request.progress, state.t, duration) as bar:
@@ -278,11 +298,12 @@ def _simulate_by_events(request: _Request, pair: Tableau, rtol: float, atol: flo
                 "redistributions": modes.redistributions,
                 "wall_time": time.perf_counter() - request.began,
             }
-            return Trajectory.from_record(scene, record, transitions.reports.events, code, message, stats)
+            return Trajectory.from_record(scene, record, transitions.reports.events, code, message, stats, dense)
 
         run = _run(driver, state.t, duration, result)
     if run.success:
-        put_back(scene, cached)
+        if dense is None:
+            put_back(scene, cached)
     elif options.discrete is not None and run.status in _FALLS_BACK:
         return _fall_back(run, driver, request)
     return run
@@ -347,7 +368,7 @@ def _simulate_moreau(request: _Request, finish: Callable[[Trajectory], Trajector
             request.users,
             add,
             record.flush,
-            DEFAULT_STEP if request.step is None else request.step,
+            DEFAULT_STEP if request.dt is None else request.dt,
             request.times,
             request.max_steps,
             torque,
@@ -430,25 +451,32 @@ def _check(
     first_step: float | None,
     fixed_step: float | None,
     max_steps: int,
-    step: float | None,
 ) -> None:
     check_state(scene, state)
     needed = (("duration", duration), ("rtol", rtol), ("atol", atol), ("max_step", max_step))
-    optional = (("first_step", first_step), ("fixed_step", fixed_step), ("step", step))
+    optional = (("first_step", first_step), ("fixed_step", fixed_step))
     for name, value in (*needed, *((name, value) for name, value in optional if value is not None)):
         if not is_number(value):
             raise ArgumentError(f"{name} must be a number, got {value!r}")
         if not value > 0.0 and (value < 0.0 or name not in ("duration", "rtol")):
             raise ArgumentError(f"{name} must be positive, got {value}")
-    if step is not None and math.isinf(step):
-        raise ArgumentError("step must be finite, got inf")
     if not math.isfinite(duration) or math.isinf(rtol) or math.isinf(atol):
         raise ArgumentError(f"duration, rtol and atol must be finite, got {duration}, {rtol}, {atol}")
-    latest = max(abs(state.t), abs(state.t + duration))
-    if step is not None and duration > 0.0 and step < _SHORTEST_STEP * latest:
-        raise ArgumentError(f"step must be longer than times near {latest:.6g} s are rounded by, got {step}")
     if not is_count(max_steps):
         raise ArgumentError(f"max_steps must be a whole number from 1 to 1e18, got {max_steps!r}")
+
+
+def _time_step(dt: float | None, step: float | None, latest: float) -> float | None:
+    """The step of time stepping, given by either of its names, or None; for times up to `latest` in s."""
+    if dt is not None and step is not None:
+        raise ArgumentError(f"step is another name of dt: give one of them, got dt={dt!r} and step={step!r}")
+    name, value = ("dt", dt) if step is None else ("step", step)
+    if value is None:
+        return None
+    check_positive(**{name: value})
+    if value < _SHORTEST_STEP * latest:
+        raise ArgumentError(f"{name} must be longer than times near {latest:.6g} s are rounded by, got {value}")
+    return value
 
 
 def _check_fallback(fallback: str | None, method: str) -> None:
@@ -564,7 +592,8 @@ class _Bar:
 
 
 class PlainBar:
-    """What `progress=True` shows without tqdm: a percentage, at most a hundred times. total: in the unit of update."""
+    """What `progress=True` shows on stderr without tqdm: a percentage, at most a hundred times. total: in the unit of
+    update."""
 
     def __init__(self, total: float, **_: Any) -> None:
         self._total, self._n, self._shown = total, 0.0, -1
@@ -574,7 +603,8 @@ class PlainBar:
         percent = int(100.0 * self._n / self._total) if self._total > 0.0 else 100
         if percent > self._shown:
             self._shown = percent
-            print(f"\rpincontact: {percent:3d} %", end="", flush=True)
+            sys.stderr.write(f"\rpincontact: {percent:3d} %")
+            sys.stderr.flush()
 
     def close(self) -> None:
-        print()
+        sys.stderr.write("\n")

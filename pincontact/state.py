@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from .arguments import NOT_REAL, is_number, real_array, warn_of_order
 from .contacts import Assembly, Contact, characteristic_length
+from .display import MODE_NAMES, html_table, numbers, shortened
 from .dynamics.joints import joint_of, without_inertia
 from .dynamics.manifold import (
     CIRCLE_BLOCK,
@@ -111,6 +112,18 @@ class State:
     discrete: np.ndarray
     correction: Correction | None = None
     candidates: dict[str, list[Candidate]] | None = None
+
+    def __repr__(self) -> str:
+        modes = [f"{name} {mode}" for name, mode in self._modes()]
+        return f"<State at t = {self.t:.9g} s: {shortened(modes)}\n q {numbers(self.q)}, v {numbers(self.v)}>"
+
+    def _repr_html_(self) -> str:
+        facts = [("t [s]", f"{self.t:.9g}"), ("q", numbers(self.q)), ("v", numbers(self.v)), *self._modes()]
+        return html_table("State", ("of", "is"), facts)
+
+    def _modes(self) -> list[tuple[str, str]]:
+        """Contacts and their modes, as far as they are decided: a run decides those of Coulomb friction."""
+        return [(name, MODE_NAMES[mode]) for name, mode in zip(self.scene.contacts, self.discrete[:, 0].tolist())]
 
     def location_of(self, contact: str) -> tuple[np.ndarray, np.ndarray]:
         """Location parameters of a contact, in the order in which the user named its contours.

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from .arguments import NOT_REAL, is_count, is_number, real_array
+from .display import shortened
 from .dynamics.joints import joint_guards
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
 from .friction.solve import check_contact_solver
@@ -29,7 +30,7 @@ class Stepper:
 
     All arrays are allocated once. Those of the attributes, and of the state that `step` returns, are views that the
     next step overwrites; `state` makes copies. The same start and the same torques give the same numbers to the last
-    bit. Steps are made without the interpreter's lock: steppers of their own run in threads side by side, one stepper
+    bit, and so does a stepper that is copied or pickled in between. Steps are made without the interpreter's lock: steppers of their own run in threads side by side, one stepper
     belongs to one thread at a time.
 
     Parameters
@@ -346,11 +347,26 @@ class Stepper:
         -------
         Stepper
         """
-        twin = Stepper(self.scene, self.state, self.dt, self._contact_solver)
-        self._step.copy_to(twin._step)
-        twin._show_modes()
-        twin._start = self._start
+        twin = type(self).__new__(type(self))
+        twin.__setstate__(self.__getstate__())
         return twin
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a pickled stepper consists of: its situation and the scene, not its memory."""
+        return {
+            "scene": self.scene,
+            "state": self.state,
+            "dt": self.dt,
+            "contact_solver": self._contact_solver,
+            "start": self._start,
+            "step": self._step.kept(),
+        }
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        Stepper.__init__(self, kept["scene"], kept["state"], kept["dt"], kept["contact_solver"])
+        self._step.restore(kept["step"])
+        self._show_modes()
+        self._start = kept["start"]
 
     # buffers must not be shared; the scene, which does not change, is
     __copy__ = copy
@@ -359,7 +375,7 @@ class Stepper:
         return self.copy()
 
     def __repr__(self) -> str:
-        return f"<Stepper at t = {self.t:.9g} s, dt = {self.dt:g} s, contacts: {', '.join(self.forces) or 'none'}>"
+        return f"<Stepper at t = {self.t:.9g} s, dt = {self.dt:g} s, contacts: {shortened(self.forces)}>"
 
 
 def _check_count(count: Any) -> int:

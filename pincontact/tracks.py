@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .contacts import Contact, characteristic_length
+from .contacts import AttachedContour, Contact, characteristic_length
+from .display import MODE_NAMES, html_table
+from .errors import ArgumentError, TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
 from .integration.run_system import RunSystem
 from .layout import (
@@ -26,7 +28,7 @@ _CHUNK = 1024
 
 @dataclass(frozen=True, eq=False)
 class ContactTrack:
-    """One contact over time, a row per output; world axes, SI units.
+    """One contact over time, a row per output; world axes, SI units. `force_on` knows which body a force acts on.
 
     While the contact is open, location, point and frame are those of the nearest points. k is the number of location
     parameters, in m or rad.
@@ -63,6 +65,8 @@ class ContactTrack:
         Positive when apart.
     conditioning : (n,) array
         Of the location equations, 1 good, 0 singular.
+    contours : (2,) tuple of str
+        Names of the first and the second contour.
     """
 
     location: np.ndarray
@@ -81,6 +85,67 @@ class ContactTrack:
     mode: np.ndarray
     gap: np.ndarray
     conditioning: np.ndarray
+    contours: tuple[str, str] = ("", "")
+
+    def force_on(self, contour: str | AttachedContour) -> np.ndarray:
+        """The contact force on one of the two contours.
+
+        Parameters
+        ----------
+        contour : str or AttachedContour
+            The contour, or its name.
+
+        Returns
+        -------
+        (n, 3) array
+            World axes, N. On the second contour it is `force`, on the first the opposite.
+
+        Raises
+        ------
+        ArgumentError
+            For a contour that is neither of the two.
+        TrajectoryError
+            For a run from a file that does not have the contours' names.
+        """
+        name = contour.name if isinstance(contour, AttachedContour) else contour
+        if not all(self.contours):
+            raise TrajectoryError("the run was read from a file of an earlier version, without the contours' names")
+        if not isinstance(name, str) or name not in self.contours:
+            first, second = self.contours
+            raise ArgumentError(f"the contact is one of {first!r} and {second!r}, got {name!r}")
+        return self.force.copy() if name == self.contours[1] else -self.force
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All that is an array, by name."""
+        return {name: values for name, values in vars(self).items() if name != "contours"}
+
+    def at(self, index: int) -> ContactTrack:
+        """One output: the same arrays without their first axis."""
+        return ContactTrack(**{name: values[index] for name, values in self.arrays().items()}, contours=self.contours)
+
+    def __repr__(self) -> str:
+        return f"<ContactTrack of {' and '.join(map(repr, self.contours))}: {'; '.join(self._summary().values())}>"
+
+    def _repr_html_(self) -> str:
+        return html_table(
+            "ContactTrack", ("of", "is"), [("contours", ", ".join(self.contours)), *self._summary().items()]
+        )
+
+    def _summary(self) -> dict[str, str]:
+        """What is told of it at a glance."""
+        mode, n = np.atleast_1d(self.mode), np.size(self.mode)
+        if n == 0:
+            return {"outputs": "no outputs"}
+        kinds, counts = np.unique(mode, return_counts=True)
+        shares = [f"{MODE_NAMES[int(kind)]} {100.0 * count / n:.0f} %" for kind, count in zip(kinds, counts)]
+        force, slip = np.atleast_1d(self.normal_force), np.linalg.norm(np.atleast_2d(self.slip_velocity), axis=1)
+        closed = mode != FREE
+        return {
+            "outputs": f"{n} output{'s' * (n > 1)}",
+            "modes": ", ".join(shares),
+            "normal force": f"{force.min():.4g} to {force.max():.4g} N",
+            "slip": f"slip up to {slip[closed].max(initial=0.0):.4g} m/s",
+        }
 
 
 def evaluate_tracks(
@@ -176,6 +241,7 @@ def _empty_track(contact: Contact, n: int) -> ContactTrack:
         np.full(n, FREE),
         nan(),
         nan(),
+        (contact.first.name, contact.second.name),
     )
 
 

@@ -9,16 +9,20 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 
+from .arguments import is_number
+from .display import html_table, shortened
 from .dynamics.energy import energies_at
-from .errors import TrajectoryError
+from .errors import TrajectoryError, sentence
 from .integration.results import Event
 from .records import Record, Recorded, joined
 from .scene import Scene
+from .solution import DenseOutput, Sample
 from .state import Correction, State
 from .tracks import ContactTrack, evaluate_tracks
 
@@ -31,6 +35,8 @@ if TYPE_CHECKING:
 _FORMAT = 1
 # Of two runs in a row these counts are the larger one, others their sum.
 _LARGEST_STATS = ("cone_residual", "wall_time")
+# Rows of the table of events that a notebook shows.
+_EVENTS_SHOWN = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,18 +162,27 @@ class Trajectory:
         status: int,
         message: str,
         stats: dict[str, Any],
+        dense: DenseOutput | None = None,
     ) -> None:
         self.scene = scene
         self.t, self.q, self.v = t, q, v
-        self.status, self.message, self.events, self.stats = status, message, events, stats
+        self.status, self.message, self.events, self.stats = status, sentence(message), events, stats
         self._unpack: Callable[[], Recorded] | None = recorded
         self._tracks: dict[str, ContactTrack] | None = None
         self._residuals: dict[str, dict[str, np.ndarray]] = {}
         self.contacts: Mapping[str, ContactTrack] = _Tracks(self)
+        self._dense = dense
 
     @classmethod
     def from_record(
-        cls, scene: Scene, record: Record, events: list[Event], status: int, message: str, stats: dict[str, Any]
+        cls,
+        scene: Scene,
+        record: Record,
+        events: list[Event],
+        status: int,
+        message: str,
+        stats: dict[str, Any],
+        dense: DenseOutput | None = None,
     ) -> Trajectory:
         """From the rows of a run, however many there are; `simulate` calls it.
 
@@ -177,12 +192,18 @@ class Trajectory:
         record : Record
         events, status, message, stats
             As the attributes.
+        dense : DenseOutput, optional
+            For `sol`.
 
         Returns
         -------
         Trajectory
         """
-        return cls(scene, *record.rows(scene), events, status, message, stats)
+        return cls(scene, *record.rows(scene), events, status, message, stats, dense)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # the interpolants belong to the memory of the run
+        return {**self.__dict__, "_dense": None}
 
     def followed_by(self, rest: Trajectory, t: float, event: Event, works: np.ndarray | None) -> Trajectory:
         """This run up to a time and, from its state there on, another one of the scene; it ends as that does.
@@ -222,7 +243,7 @@ class Trajectory:
             lambda: joined(self._recorded, kept, rest._recorded, first, works),
             [*(e for e in self.events if e.time <= t), event, *rest.events],
             rest.status,
-            f"{rest.message}; by time stepping from t = {t:.9g} s on, since at {self.message}",
+            f"{rest.message.removesuffix('.')}; by time stepping from t = {t:.9g} s on, since at {self.message}",
             stats,
         )
 
@@ -243,7 +264,55 @@ class Trajectory:
         return self.status >= 0
 
     def __repr__(self) -> str:
-        return f"<Trajectory of {self.t.size} outputs, {len(self.events)} events, status {self.status}: {self.message}>"
+        return f"<Trajectory {self._times()}; {len(self.events)} events; status {self.status}: {self.message}>"
+
+    def _times(self) -> str:
+        n = self.t.size
+        return f"of {n} outputs, {self.t[0]:.6g} to {self.t[-1]:.6g} s" if n else "without outputs"
+
+    def _repr_html_(self) -> str:
+        facts = [
+            ("outputs", self._times()),
+            ("status", f"{self.status}: {self.message}"),
+            ("contacts", shortened(self.contacts)),
+            ("stats", ", ".join(f"{key} {value:.6g}" for key, value in self.stats.items() if is_number(value))),
+        ]
+        shown = [(f"{e.time:.9g}", e.contact or e.joint or "", e.kind) for e in self.events[:_EVENTS_SHOWN]]
+        rest = len(self.events) - len(shown)
+        if rest:
+            shown.append(("...", "", f"{rest} more"))
+        return html_table("Trajectory", ("of", "is"), facts) + html_table("Events", ("t [s]", "of", "kind"), shown)
+
+    def sol(self, t: float | np.ndarray) -> Sample:
+        """The run at any time in it: needs `simulate(..., dense_output=True)`.
+
+        It has the accuracy of the integrator's interpolant, and its contacts are those of the state there: put on the
+        constraints, with forces and modes of their own. At the time of an event it is what was before the event.
+
+        Parameters
+        ----------
+        t : float or (n,) array
+            Times in s, in any order.
+
+        Returns
+        -------
+        Sample
+            `t`, `q` (nq,), `v` (nv,) and `contacts`, a mapping from names to tracks without an axis of time (`force`
+            (3,), `location` (k,), ...); for an array of times all with n rows. A control is called again at these
+            times, for the torques.
+
+        Raises
+        ------
+        ArgumentError
+            For what is no time between start and end of the run.
+        TrajectoryError
+            Without dense output: not asked for, or the run was read from a file or pickled.
+        SolverError
+            Where the interpolated state cannot be put on the constraints.
+        """
+        if self._dense is None:
+            raise TrajectoryError("the run has kept no dense output: simulate(..., dense_output=True)")
+        return self._dense(t)
 
     def state(self, index: int = -1) -> State:
         """The state of one output, to start another run from.
@@ -361,13 +430,20 @@ class Trajectory:
 
     # ------------------------------------------------------------------ files
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write everything, contact tracks included, to an npz file; the scene is not stored.
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write everything, contact tracks included, to an npz file; the scene and dense output are not stored.
 
         Parameters
         ----------
-        path : str or Path
+        path : str or os.PathLike
+            The file; `.npz` is added to a name that does not end so, as NumPy does.
+
+        Returns
+        -------
+        pathlib.Path
+            The file that was written.
         """
+        file_path = _with_suffix(path)
         tracks, recorded = self._all_tracks(), self._recorded
         arrays: dict[str, np.ndarray] = {
             "t": self.t,
@@ -381,7 +457,7 @@ class Trajectory:
         arrays |= {key: value for key, value in optional.items() if value is not None}
         # not the scene's names: a run that was read without its scene has its tracks all the same
         for i, name in enumerate(tracks):
-            for key, value in vars(tracks[name]).items():
+            for key, value in tracks[name].arrays().items():
                 arrays[f"track{i}.{key}"] = value
             for key, value in self._residuals[name].items():
                 arrays[f"residual{i}.{key}"] = value
@@ -393,15 +469,16 @@ class Trajectory:
             "message": self.message,
             "stats": self.stats,
             "contacts": list(tracks),
+            "contours": [track.contours for track in tracks.values()],
             "events": [[e.time, e.contact, e.kind, e.index, e.joint] for e in self.events],
         }
-        # a number would be a file that is open already
-        with open(os.fspath(path), "wb") as file:
+        with file_path.open("wb") as file:
             np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)  # type: ignore[arg-type]
+        return file_path
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], scene: Scene | None = None) -> Trajectory:
-        """Read a file of `save`.
+        """Read a file of `save`; `.npz` is added to a name without it, unless there is such a file.
 
         Parameters
         ----------
@@ -422,7 +499,7 @@ class Trajectory:
         if scene is not None and not isinstance(scene, Scene):
             raise TrajectoryError(f"the scene must be a Scene, got {type(scene).__name__}")
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with np.load(path if os.path.exists(path) else _with_suffix(path), allow_pickle=False) as file:
                 header = json.loads(str(file["header"]))
                 arrays = {key: file[key] for key in file.files if key != "header"}
             if header["format"] != _FORMAT:
@@ -449,7 +526,11 @@ class Trajectory:
                 header["message"],
                 header["stats"],
             )
-            run._tracks = {name: ContactTrack(**_part(arrays, f"track{i}.")) for i, name in enumerate(names)}
+            contours = header.get("contours", [("", "")] * len(names))
+            run._tracks = {
+                name: ContactTrack(**_part(arrays, f"track{i}."), contours=tuple(contours[i]))
+                for i, name in enumerate(names)
+            }
             run._residuals = {name: _part(arrays, f"residual{i}.") for i, name in enumerate(names)}
         except (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile, zlib.error) as error:
             raise TrajectoryError(f"{os.fspath(path)} is not a stored trajectory: {error}") from error
@@ -523,6 +604,11 @@ class Trajectory:
         from .view.plots import plot
 
         return plot(self, kinds, axes)
+
+
+def _with_suffix(path: str | os.PathLike[str]) -> Path:
+    name = os.fsdecode(path)
+    return Path(name if name.endswith(".npz") else f"{name}.npz")
 
 
 def _part(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

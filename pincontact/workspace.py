@@ -107,7 +107,7 @@ def _at_address(dimensions: int, item: np.dtype[Any]) -> Any:
         def view(address: int, *shape: int) -> np.ndarray:
             count = math.prod(shape)
             if CHECKED and 8 * count > ROOM.get(int(address), 0):
-                raise IndexError(f"a view of {count} numbers on an array of {ROOM.get(int(address), 0) // 8}")
+                raise IndexError(f"a view of {count} numbers on an array of {ROOM.get(int(address), 0) // 8}.")
             if count == 0:
                 return np.zeros(shape, item)
             pointer = ctypes.cast(int(address), ctypes.POINTER(kind))
@@ -232,7 +232,7 @@ class Workspace:
     def _place(self, name: str, array: np.ndarray, address: int) -> None:
         inner = self.layout.inner[name]
         if array.shape[array.ndim - len(inner) :] != inner:
-            raise ValueError(f"{name} is declared with {inner} as its last extents, got {array.shape}")
+            raise ValueError(f"{name} is declared with {inner} as its last extents, got {array.shape}.")
         self.__dict__[name] = _by_name(array)
         self.table[self.layout.places[name], : 1 + array.ndim] = (address, *array.shape)
 

@@ -78,7 +78,7 @@ except IndexError as error:
 """
     done = in_checked_build(tmp_path, script, NUMBA_DISABLE_JIT="1")
     assert done.returncode == 0, done.stderr
-    assert done.stdout == "a view of 9 numbers on an array of 6\n"
+    assert done.stdout == "a view of 9 numbers on an array of 6.\n"
 
 
 def test_memory_that_nobody_has_written_is_no_number(tmp_path):

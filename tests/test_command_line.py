@@ -234,7 +234,7 @@ def test_usage_is_bad_input(capsys):
         with pytest.raises(SystemExit) as stopped:
             main(arguments)
         assert stopped.value.code == 2
-    assert "usage: python -m pincontact" in capsys.readouterr().err
+    assert "usage: pincontact" in capsys.readouterr().err
 
 
 # Not the checkout: the installed package is meant, and its compiled kernels.

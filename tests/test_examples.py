@@ -1,5 +1,6 @@
 """The gallery: each script's main() in a short form, its numbers against closed forms and published ones."""
 
+import ast
 import importlib.util
 import math
 from importlib import metadata
@@ -172,3 +173,40 @@ def test_panda_without_its_description_says_what_is_missing(monkeypatch):
     monkeypatch.setattr(metadata, "distribution", missing)
     with pytest.raises(RuntimeError, match=r"pincontact\[robots\].*example-robot-data"):
         run_example("panda_rolls_ball")
+
+
+def test_ball_on_plate():
+    pytest.importorskip("gymnasium", reason="needs gymnasium: pip install pincontact[gym]")
+    found = run_example("ball_on_plate", duration=0.6)
+    # it starts 172 mm away, near a corner, and 0.29 m/s fast: left alone it would fall off
+    assert found["start"] == pytest.approx(math.hypot(0.14, 0.1), abs=1e-12)
+    assert found["fell"] == 0.0 and found["end"] < 0.9 * found["start"] and found["speed"] < 0.2
+    # a run under the planned torques is the episode, to the last bit
+    assert found["replayed"] == 0.0
+
+
+def options_of(path):
+    """What calls of an example's script say of `--html`, and whether what it writes is printed."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    added = [
+        call
+        for call in calls
+        if call.args and isinstance(call.args[0], ast.Constant) and call.args[0].value == "--html"
+    ]
+    metavars = [k.value.value for call in added for k in call.keywords if k.arg == "metavar"]
+    exported = [call for call in calls if ast.unparse(call.func).endswith("export_html")]
+    said = [call for call in calls if ast.unparse(call.func) == "print" and "export_html" in ast.unparse(call)]
+    return metavars, len(exported), len(said)
+
+
+def test_html_is_a_file_in_every_example():
+    """And each says what it wrote."""
+    seen = 0
+    for path in sorted(EXAMPLES.glob("*.py")):
+        metavars, exported, said = options_of(path)
+        if exported:
+            assert metavars == ["FILE"] and exported == said == 1, path.name
+            assert "[--html FILE]" in path.read_text(encoding="utf-8")
+            seen += 1
+    assert seen >= 15

@@ -2,6 +2,10 @@
 
 import gc
 import math
+import os
+import pickle
+import subprocess
+import sys
 import tracemalloc
 
 import numpy as np
@@ -86,18 +90,46 @@ def test_reset_starts_again(make):
     np.testing.assert_array_equal(drive(stepper, taus), first)
 
 
+@pytest.mark.parametrize("contact_solver", ["auto", "proxqp"])
+@pytest.mark.parametrize(
+    "duplicate", [pc.Stepper.copy, lambda x: pickle.loads(pickle.dumps(x))], ids=["copy", "pickle"]
+)
 @pytest.mark.parametrize("make", [bouncing, lambda: block_scene(0.3)])
-def test_copies_go_on_alike(make):
+def test_copies_go_on_alike(make, duplicate, contact_solver):
     scene, state = make()
     taus = torques(120, 6)
-    stepper = pc.Stepper(scene, state)
+    stepper = pc.Stepper(scene, state, contact_solver=contact_solver)
     drive(stepper, taus[:60])
-    twin = stepper.copy()
-    assert twin.t == stepper.t
+    twin = duplicate(stepper)
+    assert twin.t == stepper.t and twin.dt == stepper.dt and repr(twin) == repr(stepper)
     ahead = drive(stepper, taus[60:])
     # the copy has not moved with the original
     assert twin.t == pytest.approx(0.06)
     np.testing.assert_array_equal(drive(twin, taus[60:]), ahead)
+
+
+def test_a_pickled_stepper_goes_on_in_another_process(tmp_path):
+    """To the last bit; what comes from there can be a start here."""
+    scene, state = block_scene(0.3)
+    taus = torques(80, 6)
+    stepper = pc.Stepper(scene, state)
+    drive(stepper, taus[:40])
+    (tmp_path / "stepper").write_bytes(pickle.dumps((stepper, taus[40:])))
+    script = (
+        "import pickle, sys\n"
+        "stepper, taus = pickle.load(open(sys.argv[1], 'rb'))\n"
+        "rows = stepper.rollout(taus)\n"
+        "pickle.dump((rows, stepper.state, stepper.forces), open(sys.argv[2], 'wb'))\n"
+    )
+    paths = [str(tmp_path / name) for name in ("stepper", "result")]
+    environment = dict(os.environ, PYTHONPATH=os.pathsep.join(filter(None, sys.path)))
+    subprocess.run([sys.executable, "-c", script, *paths], check=True, env=environment)
+    (q, v), there, forces = pickle.loads((tmp_path / "result").read_bytes())
+    here = stepper.rollout(taus[40:])
+    np.testing.assert_array_equal(q, here[0])
+    np.testing.assert_array_equal(v, here[1])
+    assert there.t == stepper.t and forces["foot0"].tolist() == stepper.forces["foot0"].tolist()
+    assert pc.Stepper(there.scene, there).step(taus[0]).t > there.t
 
 
 def test_same_motion_as_simulate():

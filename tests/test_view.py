@@ -524,7 +524,7 @@ def test_frame_times_rate_ends_and_cap():
 
 def test_a_run_of_one_row_makes_a_page(tmp_path):
     run = fake_run(rows=2)
-    track = vars(run.contacts[CONTACT])
+    track = run.contacts[CONTACT].arrays()
     first = pc.ContactTrack(**{key: value[:1] for key, value in track.items()})
     still = changed(run, t=run.t[:1], q=run.q[:1], v=run.v[:1], contacts={CONTACT: first})
     commands = commands_of(export_html(still, tmp_path / "x.html").read_text(encoding="utf-8"))
@@ -598,7 +598,9 @@ def test_points_lie_on_the_contour_however_far_apart_the_rows_are():
 
 def test_a_contact_that_never_closes_shows_nothing(run, tmp_path):
     empty = {
-        key: np.full_like(value, np.nan) for key, value in vars(run.contacts[CONTACT]).items() if value.dtype == float
+        key: np.full_like(value, np.nan)
+        for key, value in run.contacts[CONTACT].arrays().items()
+        if value.dtype == float
     }
     track = replace(run.contacts[CONTACT], **empty, mode=np.full(len(run.t), FREE))
     track = replace(track, force=np.zeros_like(track.force))

@@ -274,9 +274,7 @@ def _figures_of(run: Trajectory, measure: Any, folder: str | None, key: str) -> 
     if folder is not None:
         target = os.path.join(folder, f"{key}.npz")
         # a file with this name is a whole one
-        partly = f"{target}.{os.getpid()}.part"
-        run.save(partly)
-        os.replace(partly, target)
+        os.replace(run.save(f"{target}.{os.getpid()}.part"), target)
         figures["run"] = target
     return figures
 

@@ -7,9 +7,11 @@ kernel (see `evaluation`), `SHAPE_SIZE` shape parameters and, for shapes with mo
 from __future__ import annotations
 
 import inspect
+import math
 import reprlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -29,6 +31,8 @@ OTHER, POINT, CIRCLE, ELLIPSE, PLANE, SPHERE, ELLIPSOID, REVOLUTION = range(8)
 
 ALL = (-np.inf, np.inf)
 TURN = (-np.pi, np.pi)
+# Numbers in an argument that is shown as it was written, and its characters.
+_MOST_NUMBERS, _LONGEST_ARGUMENT = 16, 50
 # In place of what is worked out from the shape.
 _FROM_SHAPE: Any = None
 # (low, high) of each parameter, None for the whole domain.
@@ -129,6 +133,9 @@ class Contour:
     def __repr__(self) -> str:
         written: str = self.__dict__["_written"]
         return written
+
+    def _repr_html_(self) -> str:
+        return f"<code>{escape(repr(self))}</code>"
 
     def evaluate(self, u: Sequence[float] | float = (), t: float = 0.0, chart: int = 0) -> np.ndarray:
         """f and its derivatives at one parameter value.
@@ -366,7 +373,8 @@ class Contour:
 
 
 def as_written(cls: type, given: tuple[Any, ...], named: dict[str, Any]) -> str:
-    """How a user would write the object of a class that is made with these arguments; long ones are shortened."""
+    """How a user would write the object of a class that is made with these arguments; long ones, and functions, are
+    shown by their size or name. Without these it can be read as Python: `eval(repr(contour))` is the same contour."""
     try:
         arguments = inspect.signature(cls.__init__).bind(None, *given, **named).arguments  # type: ignore[misc]
     except TypeError:  # the constructor says what is wrong with them
@@ -375,11 +383,28 @@ def as_written(cls: type, given: tuple[Any, ...], named: dict[str, Any]) -> str:
 
 
 def _shown(value: Any) -> str:
-    if isinstance(value, np.ndarray) and value.ndim:
-        return f"array{value.shape}"
     if callable(value):
         return getattr(value, "__name__", type(value).__name__)
-    return reprlib.repr(value.item() if isinstance(value, np.generic) else value)
+    try:
+        shape = np.shape(value)
+    except ValueError:
+        # parts of different shapes
+        inner = ", ".join(map(_shown, value))
+        return f"[{inner}]" if isinstance(value, list) else f"({inner})"
+    if math.prod(shape) <= _MOST_NUMBERS:
+        text = repr(_plain(value))
+        if len(text) <= _LONGEST_ARGUMENT:
+            return text
+    return f"array{shape}" if shape else reprlib.repr(value)
+
+
+def _plain(value: Any) -> Any:
+    """The same of Python's own numbers and lists."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    if type(value) in (list, tuple):
+        return type(value)(map(_plain, value))
+    return value
 
 
 def half_diagonal(contour: Contour, t: float = 0.0) -> float:

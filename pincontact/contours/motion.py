@@ -73,7 +73,7 @@ class Motion:
             raise AttributeError(
                 f"{type(self).__name__} has no attribute {name!r}, only "
                 f"{', '.join(known for known in self._ATTRIBUTES if not known.startswith('_'))}; its numbers are "
-                "given when it is made"
+                "given when it is made."
             )
         super().__setattr__(name, value)
 

@@ -87,7 +87,7 @@ def pack(directions: list[Direction], coefficients: np.ndarray, first: int = 0, 
     """
     coefficients = np.ascontiguousarray(coefficients, dtype=float)
     if coefficients.shape[:-1] != tuple(direction.functions for direction in directions):
-        raise ValueError(f"coefficients {coefficients.shape} do not fit the directions")
+        raise ValueError(f"coefficients {coefficients.shape} do not fit the directions.")
     parts: list[np.ndarray] = [np.zeros(_BLOCKS + _BLOCK * len(directions))]
     header = parts[0]
     size = len(header)

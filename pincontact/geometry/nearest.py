@@ -104,7 +104,7 @@ class NearestSearch:
         self.one: Contour = contact.body1.contour
         self.two: Contour = contact.body2.contour
         if not all(math.isfinite(low) and math.isfinite(high) for low, high in self.one.domain):
-            raise ValueError("body 1 is unbounded")
+            raise ValueError("body 1 is unbounded.")
         self.whole = Whole(self.one, t)
         own, other, extent = bend(self.one, t), bend(self.two, t), self.whole.extent + self.whole.rounding
         self.bend = min(own, other, _LARGEST)

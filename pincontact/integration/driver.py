@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..dynamics.directions import freeze_slip
 from ..dynamics.system import System
 from ..layout import (
     EVENT,
@@ -33,6 +34,7 @@ from .events import UserEvent, UserEvents
 from .jams import held_up
 from .locator import Crossing, EventLocator
 from .outputs import Outputs, no_dense_output
+from .pieces import Pieces
 from .results import FINISHED, STEP_LIMIT, TERMINATED, Stop
 from .runge_kutta import RungeKutta
 from .steps import (
@@ -82,7 +84,7 @@ class Options:
 
     t_eval: output times in s, None for every accepted step; breakpoints: times in s, in order within the run, at which
     steps end and modes are decided anew; discrete: of a system, the discrete part of its contacts; None where
-    `Driver.good` is not to be kept.
+    `Driver.good` is not to be kept; pieces: keeps the interpolants of all steps, None where they are not wanted.
     """
 
     t_eval: np.ndarray | None = None
@@ -92,6 +94,7 @@ class Options:
     first_step: float | None = None
     breakpoints: Sequence[float] = ()
     discrete: Callable[[System], np.ndarray] | None = None
+    pieces: Pieces | None = None
 
 
 class Driver:
@@ -114,7 +117,7 @@ class Driver:
         self.rk, self.system, self.transitions = rk, rk.system, transitions
         self.locator = EventLocator(rk, transitions.penetration.depths, transitions.open)
         self.users = UserEvents(rk, users)
-        self.outputs = Outputs(rk, record, flush, options.t_eval)
+        self.outputs = Outputs(rk, record, flush, options.t_eval, options.pieces)
         transitions.onset.emit = self.outputs.write_short_step
         self.options, self.progress = options, progress
         self._doubts = 0
@@ -181,6 +184,8 @@ class Driver:
         else:
             self._after(t)
         self._set_limits(t)
+        if t >= t_end and self.outputs.pieces is not None and not len(self.outputs.pieces):
+            self.outputs.pieces.keep_point(t)
         return t
 
     def _step(self, t: float, why: int) -> tuple[float, int]:
@@ -258,7 +263,7 @@ class Driver:
 
     def _task(self) -> int:
         """How far the compiled steps may go on their own."""
-        if self.users:
+        if self.users or self.outputs.pieces is not None:
             return MARCH_ONE_ATTEMPT
         if self.system.ng or FREE in self.system.modes.tolist():
             return MARCH_ONE_STEP
@@ -310,7 +315,7 @@ class Driver:
             self._unmake()
             return t, False
         asked = self.users.may_cross(t, step)
-        if rk.alarm or asked or opened.is_near or self.outputs.due(t_new):
+        if rk.alarm or asked or opened.is_near or self.outputs.need_dense(t_new):
             dense = rk.interpolant(t, step)
             if dense is None:
                 return self._reject(t, step)
@@ -323,6 +328,7 @@ class Driver:
                 self.outputs.write_until(t_new)
             rk.load(system.new_state)
         self._project(t_new, dense is None)
+        self.outputs.keep(t, t_new, step)
         rk.accept()
         self._after(t_new, True)
         self._doubts = 0
@@ -387,6 +393,7 @@ class Driver:
                 self._write_before(time)
                 if theta > 0.0:
                     self.rk.attempt(t, theta * step)
+                    self._keep_to(t, theta * step, step)
                 self.rk.load(self.system.new_state if theta > 0.0 else self.system.state)
                 self._project(time, False)
                 self.rk.accept()
@@ -406,6 +413,7 @@ class Driver:
         if crossing.theta > 0.0:
             taken, happens = self.locator.refine(t, step, crossing)
             time = t + taken
+            self._keep_to(t, taken, step)
         rk.load(self.system.new_state if crossing.theta > 0.0 else self.system.state)
         self._project(time, False)
         if not happens and self._doubts < _DOUBTS:
@@ -423,6 +431,32 @@ class Driver:
             raise
         self._after(after)
         return after, True
+
+    def _keep_to(self, t: float, taken: float, step: float) -> None:
+        """Keep the interpolant of the step from t that was taken to an event, where all are kept; that of the whole
+        step where the shorter one has none. The trial step stays the shorter one."""
+        if self.outputs.pieces is None:
+            return
+        new_state, error = self.system.new_state.copy(), self.rk.error
+        for size in (taken, step):
+            if self.rk.attempt(t, size) == OK and self.rk.interpolant(t, size) is not None:
+                break
+        else:
+            raise no_dense_output(t)
+        self.outputs.keep(t, t + taken, size)
+        self.system.new_state[:], self.system.scalars["error_norm"] = new_state, error
+
+    def _keep_end_of_slip(self, t: float, left: float, ended: dict[int, np.ndarray]) -> None:
+        """Keep the straight line of `_end_slip`, where all steps are kept, with the directions of slip at its start: at
+        its end v_c has none."""
+        pieces, system = self.outputs.pieces, self.system
+        if pieces is None:
+            return
+        integers, numbers = system.contact_int.copy(), system.contact_real.copy()
+        for c, direction in ended.items():
+            freeze_slip(system, c, system.basis[c, :2] @ direction)
+        pieces.keep_line(t, t + left, system.slopes[0])
+        system.contact_int[:], system.contact_real[:] = integers, numbers
 
     def _write_before(self, time: float) -> None:
         """Write the outputs of the interpolated step up to the event at `time`."""
@@ -480,6 +514,7 @@ class Driver:
         rk.load(system.state)
         rk.evaluate(t)
         ended = {i: self.transitions.changes.slip_direction(i) for i in contacts}
+        self._keep_end_of_slip(t, left, ended)
         # v_c is round-off there and has no direction: not to be evaluated as slip
         system.contact_int[contacts, MODE] = STICK
         rk.load(system.state + left * system.slopes[0])

@@ -86,12 +86,16 @@ class ImpulseSolver:
         self.settled_off = 0.0
         self._share_tables()
 
-    def copy_to(self, other: ImpulseSolver) -> None:
-        """Give another solver the warm starts of this one."""
-        other.solver.forget()
-        for solution in self.solver.warm_starts():
-            other.solver.warm_start(*solution)
-        other._share_tables()
+    def kept(self) -> list[tuple[np.ndarray, ...]]:
+        """Copies of the warm starts, for `restore`."""
+        return [tuple(part.copy() for part in solution) for solution in self.solver.warm_starts()]
+
+    def restore(self, kept: list[tuple[np.ndarray, ...]]) -> None:
+        """Take the warm starts of another solver."""
+        self.solver.forget()
+        for modes, forces, velocities in kept:
+            self.solver.warm_start(modes, forces, velocities)
+        self._share_tables()
 
     def solve(self) -> bool:
         """Solve the assembled problem; its solution is where `impulses.advance` looks for it."""

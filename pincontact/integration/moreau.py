@@ -57,6 +57,8 @@ _TURNS_FAR = 0.3
 _CALLED = {"run_task": run_task, "solve_cones": solve_cones, "assemble": assemble, "move_charts": move_charts}
 # Arrays of a step that are not of its state: addresses, and what there is within a call only.
 _OWN = ("calls", "cone_tables", "rows_tau", "rows_target", "rows_q", "rows_v")
+# Arrays of the system that are of the state.
+_OF_SYSTEM = ("state", "stage_state", "q", "v", "tau", "location", "contact_int", "contact_real")
 
 # Rows of a rollout, up to which their room is kept for the next one.
 _ROWS_KEPT = 10_000
@@ -389,19 +391,35 @@ class MoreauStep:
 
     # ---------------------------------------------------------------- copies
 
-    def copy_to(self, other: MoreauStep) -> None:
-        """Give the step of an equal system all that the next step depends on, warm starts of the solver included."""
-        mine, its = self.step_arrays, other.step_arrays
-        for name, (_, dimensions) in mine.layout.arrays.items():
-            if name not in _OWN and dimensions:
-                getattr(its, name)[...] = getattr(mine, name)
-        for record in ("counts", "numbers"):
-            for field in getattr(mine, record).dtype.names:
-                getattr(its, record)[field] = getattr(mine, record)[field]
-        for name in ("state", "stage_state", "q", "v", "tau", "location", "contact_int", "contact_real"):
-            getattr(other.system, name)[...] = getattr(self.system, name)
-        other.system.side_int[:, CHART] = self.system.side_int[:, CHART]
-        self.cones.copy_to(other.cones)
+    def kept(self) -> dict[str, Any]:
+        """Copies of all that the next step depends on, warm starts of the solver included, for `restore`."""
+        arrays, system = self.step_arrays, self.system
+        return {
+            "arrays": {
+                name: getattr(arrays, name).copy()
+                for name, (_, dimensions) in arrays.layout.arrays.items()
+                if name not in _OWN and dimensions
+            },
+            "records": {
+                record: {field: getattr(arrays, record)[field].item() for field in getattr(arrays, record).dtype.names}
+                for record in ("counts", "numbers")
+            },
+            "system": {name: getattr(system, name).copy() for name in _OF_SYSTEM},
+            "charts": system.side_int[:, CHART].copy(),
+            "warm_starts": self.cones.kept(),
+        }
+
+    def restore(self, kept: dict[str, Any]) -> None:
+        """Go on as the step of an equal system would that `kept` is of."""
+        for name, values in kept["arrays"].items():
+            getattr(self.step_arrays, name)[...] = values
+        for record, fields in kept["records"].items():
+            for field, value in fields.items():
+                getattr(self.step_arrays, record)[field] = value
+        for name, values in kept["system"].items():
+            getattr(self.system, name)[...] = values
+        self.system.side_int[:, CHART] = kept["charts"]
+        self.cones.restore(kept["warm_starts"])
 
     def forget(self) -> None:
         """Let the next step depend on the state alone."""

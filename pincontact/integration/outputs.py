@@ -8,6 +8,7 @@ import numpy as np
 
 from ..layout import OK
 from .contradictions import projection_failure
+from .pieces import Pieces
 from .results import STEP_TOO_SMALL, Stop
 from .runge_kutta import RungeKutta
 from .steps import BLOCK_FULL, WRITE_OUTPUTS
@@ -22,19 +23,33 @@ class Outputs:
     """Writes the outputs at given times, or at every accepted state.
 
     record(t): writes the state in the system. flush(): makes room for the rows that compiled steps write. times: s,
-    None for every accepted state.
+    None for every accepted state. pieces: keeps the interpolants of all steps, where that is asked for.
     """
 
     def __init__(
-        self, rk: RungeKutta, record: Callable[[float], None], flush: Callable[[], None], times: np.ndarray | None
+        self,
+        rk: RungeKutta,
+        record: Callable[[float], None],
+        flush: Callable[[], None],
+        times: np.ndarray | None,
+        pieces: Pieces | None = None,
     ) -> None:
         self.rk, self.system, self.record, self.flush = rk, rk.system, record, flush
-        self.every_state = times is None
+        self.every_state, self.pieces = times is None, pieces
         self.system.set_output_times(times)
 
     def due(self, t: float) -> bool:
         """Whether an output is asked for at t or before."""
         return bool(self.system.scalars["next_output"] <= t)
+
+    def need_dense(self, t: float) -> bool:
+        """Whether a step that ends at t has to be interpolated for them."""
+        return self.pieces is not None or self.due(t)
+
+    def keep(self, t: float, end: float, size: float) -> None:
+        """Keep the last interpolant, of a trial step from t of this size in s, up to `end`, where all are kept."""
+        if self.pieces is not None:
+            self.pieces.keep(t, end, size)
 
     def write_state(self, t: float, at_their_times: bool = False) -> None:
         """The system's state at t has been accepted: write it, where all are, and for every output time that has come,
@@ -64,7 +79,8 @@ class Outputs:
 
     def write_short_step(self, t: float, step: float) -> None:
         """Write the output times in the last trial step, from t, whatever its size in s."""
-        if self.due(t + step):
+        if self.need_dense(t + step):
             if self.rk.interpolant(t, step) is None:
                 raise no_dense_output(t)
             self.write_until(t + step)
+            self.keep(t, t + step, step)

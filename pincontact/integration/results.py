@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 
@@ -87,3 +88,6 @@ class Event:
         what = f"{name!r}: {self.kind}" if name is not None else self.kind
         number = f" event {self.index}" if self.kind == "user" else ""
         return f"<{what}{number} at {self.time:.9g} s>"
+
+    def _repr_html_(self) -> str:
+        return f"<code>{escape(repr(self)[1:-1])}</code>"

@@ -79,7 +79,7 @@ def draw_geometry(drawing: Drawing, path: str, geometry: pin.GeometryObject) -> 
     mesh = geometry_mesh(geometry)
     if mesh is None:
         kind = type(geometry.geometry).__name__
-        warnings.warn(f"geometry {geometry.name!r} ({kind}) is not drawn", UserWarning, stacklevel=2)
+        warnings.warn(f"geometry {geometry.name!r} ({kind}) is not drawn.", UserWarning, stacklevel=2)
         return
     drawing.mesh(path, mesh, tuple(np.asarray(geometry.meshColor, dtype=float)))
     drawing.transform(path, placement)

@@ -130,7 +130,7 @@ def _cases(problem: Problem) -> Iterator[Case]:
                 yield Case(method, f"rtol {rtol:g}", run, shown, _counts)
     for each in MOREAU_INTERVALS:
         step = problem.duration / (problem.intervals * each)
-        yield Case("Moreau", f"step {step:.3g} s", simulate(problem, "Moreau", step=step), shown, _counts)
+        yield Case("Moreau", f"step {step:.3g} s", simulate(problem, "Moreau", dt=step), shown, _counts)
     # torques are constant in its steps, which springs are not
     for each in MOREAU_INTERVALS if _springs(problem) is None else ():
         steps = problem.intervals * each

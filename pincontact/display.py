@@ -1,0 +1,42 @@
+"""How objects show themselves: names of modes, short lists, tables for notebooks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+import numpy as np
+
+from .layout import FREE, FRICTIONLESS, SLIPPING, STICK
+
+MODE_NAMES = {FREE: "open", FRICTIONLESS: "frictionless", STICK: "stick", SLIPPING: "slip"}
+
+# So many characters of names, and so many numbers of a vector, stand in a `repr`.
+_CHARACTERS, _NUMBERS = 70, 14
+
+
+def shortened(names: Iterable[str]) -> str:
+    """Names in a row; of many the first ones, and how many more there are."""
+    known = list(names)
+    ends = np.cumsum([len(name) + 2 for name in known])
+    count = max(1, int(np.count_nonzero(ends <= _CHARACTERS)))
+    rest = len(known) - count
+    text = ", ".join(known[:count])
+    return f"{text} and {rest} more" if rest > 0 else text or "none"
+
+
+def numbers(vector: np.ndarray) -> str:
+    """A vector with four digits; of a long one the beginning and the end."""
+    return np.array2string(
+        vector, precision=4, suppress_small=True, threshold=_NUMBERS, edgeitems=_NUMBERS // 2, max_line_width=10_000
+    )
+
+
+def html_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A titled table, as notebooks show it; texts are escaped. Empty without rows."""
+    cells = [[escape(str(entry)) for entry in row] for row in rows]
+    if not cells:
+        return ""
+    head = "".join(f"<th>{escape(entry)}</th>" for entry in heads)
+    body = "".join(f"<tr>{''.join(f'<td>{entry}</td>' for entry in row)}</tr>" for row in cells)
+    return f"<table><caption>{escape(title)}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"

@@ -1,0 +1,116 @@
+"""Settings of the documentation site.
+
+    pip install ".[docs]"
+    sphinx-build -W -j auto pincontact/docs build/site
+
+runs all notebooks. With `-t replays` it also runs the examples and embeds their replays in the gallery (two minutes
+more; needs the extra `robots` for those with robots of others).
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+DOCS = Path(__file__).resolve().parent
+ROOT = DOCS.parents[1]
+# what notebooks import, and examples
+sys.path[:0] = [str(ROOT), str(DOCS), str(ROOT / "examples")]
+os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(DOCS), *filter(None, [os.environ.get("PYTHONPATH")])])
+
+import pincontact  # noqa: E402
+
+project = "pincontact"
+author = "The pincontact developers"
+copyright = "The pincontact developers"
+version = release = pincontact.__version__
+
+extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc", "myst_nb"]
+source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
+templates_path = ["_templates"]
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 4
+
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600
+nb_merge_streams = True
+
+autosummary_generate = True
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+numpydoc_show_class_members = False
+numpydoc_xref_param_type = False
+
+html_theme = "pydata_sphinx_theme"
+html_title = f"pincontact {release}"
+html_show_sourcelink = False
+html_theme_options = {
+    "show_toc_level": 2,
+    "navigation_with_keys": False,
+    "header_links_before_dropdown": 8,
+    "secondary_sidebar_items": ["page-toc"],
+}
+html_sidebars = {"cheat_sheet": [], "faq": [], "coming_from": []}
+
+
+def setup(app: Sphinx) -> None:
+    app.connect("builder-inited", make_folder)
+    app.connect("build-finished", copy_replays)
+
+
+def make_folder(app: Sphinx) -> None:
+    """Where notebooks and examples write their files: a folder with the robots of `urdf/`."""
+    folder = Path(app.outdir).parent / "site_files"
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(ROOT / "urdf", folder / "urdf")
+    os.environ["PINCONTACT_SITE_FILES"] = str(folder)
+    # notebooks run without settings of the user's, and say nothing of how kernels are connected
+    profile = folder / "ipython" / "profile_default"
+    profile.mkdir(parents=True)
+    (profile / "ipython_kernel_config.py").write_text("c.IPKernelApp.log_level = 'ERROR'\n", encoding="utf-8")
+    os.environ["IPYTHONDIR"] = str(profile.parent)
+    if app.tags.has("replays"):
+        run_examples(folder)
+
+
+def run_examples(folder: Path) -> None:
+    """The replays of the gallery, each as the page replay_NAME.html."""
+    import gallery
+
+    for name in gallery.SHOWN:
+        try:
+            with silent():
+                page = gallery.replay(name, folder)
+        except RuntimeError as error:
+            print(f"left out {name}: {error}")
+            continue
+        page.rename(folder / f"replay_{name}.html")
+
+
+@contextmanager
+def silent() -> Iterator[None]:
+    """Without what is printed."""
+    shown, sys.stdout = sys.stdout, open(os.devnull, "w", encoding="utf-8")
+    try:
+        yield
+    finally:
+        sys.stdout.close()
+        sys.stdout = shown
+
+
+def copy_replays(app: Sphinx, failure: Exception | None) -> None:
+    """Put the pages that notebooks and examples wrote beside the site's own."""
+    if failure is None and app.builder.format == "html":
+        target = Path(app.outdir) / "replays"
+        target.mkdir(exist_ok=True)
+        for page in Path(os.environ["PINCONTACT_SITE_FILES"]).glob("*.html"):
+            shutil.copy(page, target)

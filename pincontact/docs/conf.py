@@ -17,8 +17,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from docutils.nodes import SkipNode
+from docutils.utils.math.latex2mathml import tex2mathml
+
 if TYPE_CHECKING:
+    from docutils.nodes import math, math_block
     from sphinx.application import Sphinx
+    from sphinx.writers.html5 import HTML5Translator
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parents[1]
@@ -33,7 +38,7 @@ author = "The pincontact developers"
 copyright = "The pincontact developers"
 version = release = pincontact.__version__
 
-extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc", "myst_nb"]
+extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc", "myst_nb"]
 source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
 templates_path = ["_templates"]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
@@ -43,6 +48,8 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 600
 nb_merge_streams = True
+# such as that kernels are being compiled
+nb_output_stderr = "remove"
 
 autosummary_generate = True
 autodoc_typehints = "none"
@@ -50,21 +57,34 @@ autodoc_member_order = "bysource"
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
 
+html_math_renderer = "mathml"
 html_theme = "pydata_sphinx_theme"
 html_title = f"pincontact {release}"
 html_show_sourcelink = False
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
-    "header_links_before_dropdown": 8,
+    "header_links_before_dropdown": 7,
     "secondary_sidebar_items": ["page-toc"],
 }
 html_sidebars = {"cheat_sheet": [], "faq": [], "coming_from": []}
 
 
 def setup(app: Sphinx) -> None:
+    app.add_html_math_renderer("mathml", (visit_math, None), (visit_math_block, None))
     app.connect("builder-inited", make_folder)
     app.connect("build-finished", copy_replays)
+
+
+def visit_math(translator: HTML5Translator, node: math) -> None:
+    """Formulas as MathML, which browsers draw without a network."""
+    translator.body.append(tex2mathml(node.astext()))
+    raise SkipNode
+
+
+def visit_math_block(translator: HTML5Translator, node: math_block) -> None:
+    translator.body.append(f"<p>{tex2mathml(node.astext(), as_block=True)}</p>")
+    raise SkipNode
 
 
 def make_folder(app: Sphinx) -> None:

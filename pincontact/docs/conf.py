@@ -12,24 +12,25 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from docutils.nodes import SkipNode
+from docutils.nodes import SkipNode, image, raw
 from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.util.docutils import SphinxDirective
 
 if TYPE_CHECKING:
-    from docutils.nodes import math, math_block
+    from docutils.nodes import Node, math, math_block
     from sphinx.application import Sphinx
     from sphinx.writers.html5 import HTML5Translator
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parents[1]
 # what notebooks import, and examples
-sys.path[:0] = [str(ROOT), str(DOCS), str(ROOT / "examples")]
-os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(DOCS), *filter(None, [os.environ.get("PYTHONPATH")])])
+sys.path[:0] = [str(DOCS), str(ROOT / "examples")]
+os.environ["PYTHONPATH"] = os.pathsep.join([str(DOCS), *filter(None, [os.environ.get("PYTHONPATH")])])
 
 import pincontact  # noqa: E402
 
@@ -67,11 +68,12 @@ html_theme_options = {
     "header_links_before_dropdown": 7,
     "secondary_sidebar_items": ["page-toc"],
 }
-html_sidebars = {"cheat_sheet": [], "faq": [], "coming_from": []}
+html_sidebars: dict[str, list[str]] = {"cheat_sheet": [], "faq": [], "coming_from": []}
 
 
 def setup(app: Sphinx) -> None:
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math_block, None))
+    app.add_directive("replay", Replay)
     app.connect("builder-inited", make_folder)
     app.connect("build-finished", copy_replays)
 
@@ -85,6 +87,20 @@ def visit_math(translator: HTML5Translator, node: math) -> None:
 def visit_math_block(translator: HTML5Translator, node: math_block) -> None:
     translator.body.append(f"<p>{tex2mathml(node.astext(), as_block=True)}</p>")
     raise SkipNode
+
+
+class Replay(SphinxDirective):
+    """The replay of an example of the gallery, or its picture where the site is built without."""
+
+    required_arguments = 1
+
+    def run(self) -> list[Node]:
+        name = self.arguments[0]
+        if (Path(os.environ["PINCONTACT_SITE_FILES"]) / f"{name}.html").is_file():
+            style = "width:100%;height:30em;border:0"
+            frame = f'<iframe src="replays/{name}.html" title="Replay: {name}" loading="lazy" style="{style}"></iframe>'
+            return [raw("", frame, format="html")]
+        return [image(uri=f"figures/{name}.png", alt=name)]
 
 
 def make_folder(app: Sphinx) -> None:
@@ -103,28 +119,17 @@ def make_folder(app: Sphinx) -> None:
 
 
 def run_examples(folder: Path) -> None:
-    """The replays of the gallery, each as the page replay_NAME.html."""
+    """The replays of the gallery, each as the page NAME.html."""
     import gallery
 
     for name in gallery.SHOWN:
         try:
-            with silent():
+            with redirect_stdout(StringIO()):
                 page = gallery.replay(name, folder)
         except RuntimeError as error:
             print(f"left out {name}: {error}")
             continue
-        page.rename(folder / f"replay_{name}.html")
-
-
-@contextmanager
-def silent() -> Iterator[None]:
-    """Without what is printed."""
-    shown, sys.stdout = sys.stdout, open(os.devnull, "w", encoding="utf-8")
-    try:
-        yield
-    finally:
-        sys.stdout.close()
-        sys.stdout = shown
+        page.rename(folder / f"{name}.html")
 
 
 def copy_replays(app: Sphinx, failure: Exception | None) -> None:

@@ -154,10 +154,10 @@ def tangent_plane(ax: Axes, force: tuple[float, float] = (0.25, 0.85)) -> None:
     e, m = to_plane @ frame.frame[:, :2], to_plane @ frame.dual_frame[:, :2]
     drawn = np.array(force)
 
-    def arrow(vector: np.ndarray, text: str, colour: str, start: np.ndarray | None = None, width: float = 1.6) -> None:
-        start = np.zeros(2) if start is None else start
-        ax.annotate("", start + vector, start, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": width})
-        ax.text(*(start + 1.1 * vector), text, color=colour, ha="center", va="center", fontsize=12)
+    def arrow(vector: np.ndarray, text: str, colour: str, width: float = 1.6) -> None:
+        (x, y), (at_x, at_y) = vector, 1.1 * vector
+        ax.annotate("", (x, y), (0.0, 0.0), arrowprops={"arrowstyle": "-|>", "color": colour, "lw": width})
+        ax.text(at_x, at_y, text, color=colour, ha="center", va="center", fontsize=12)
 
     for j in range(2):
         arrow(e[:, j], f"$e_{j + 1}$", FRAME)

@@ -42,6 +42,10 @@ SHOWN = {
     "panda_rolls_ball": 1.6,
     "bicycle": 1.0,
     "rattleback": 2.0,
+    "go2": 0.6,
+    "talos": 2.0,
+    "mujoco_ant": 1.0,
+    "mecanum": 1.0,
 }
 
 

@@ -97,8 +97,8 @@ def main(html: Path | None = None, push: float = 25.0) -> dict[str, float]:
     }
     print(f"one second at rest: q moves by {result['rest_drift']:.0e}")
     print(
-        f"{push:.0f} N: {run.message} It sways by {1e3 * result['sway']:.1f} mm and ends {result['returns']:.1e} from its "
-        f"stance; feet slip with {result['slip']:.0e} m/s at most"
+        f"{push:.0f} N: {run.message} It sways by {1e3 * result['sway']:.1f} mm and ends {result['returns']:.1e} from "
+        f"its stance; feet slip with {result['slip']:.0e} m/s at most"
     )
     print(f"{3.0 * push:.0f} N: {hard.message} {hard.events[:6]}")
     if html is not None:

@@ -2,8 +2,8 @@
 
 A roller is an ellipsoid whose axis is inclined by 45 degrees to the wheel's; it turns freely. The floor is handed from
 one to the next, within 0.07 mm of a round wheel. Speed controllers turn the wheels as the usual kinematics of mecanum
-wheels ask for. These are nowhere in the simulation, which has 40 contacts of single rollers with friction; the base goes
-where they say, up to what the floor's uneven way from roller to roller takes.
+wheels ask for. These are nowhere in the simulation, which has 40 contacts of single rollers with friction; the base
+goes where they say, up to what the floor's uneven way from roller to roller takes.
 
     python examples/mecanum.py [--html FILE]
 """
@@ -127,8 +127,8 @@ def main(html: Path | None = None, duration: float = 2.0) -> dict[str, float]:
         touching = sum(track.mode >= 0 for track in run.contacts.values())
         result[f"{name}_least"] = float(touching.min())
         print(
-            f"{name:8s} {run.message} {found[along]:.4f} of {asked[along]:.1f}, others {result[f'{name}_across']:.0e}; "
-            f"up and down {1e3 * result[f'{name}_bump']:.3f} mm; {touching.min()} to {touching.max()} rollers on the floor"
+            f"{name:8s} {run.message} {found[along]:.4f} of {asked[along]:.1f}, others {result[f'{name}_across']:.0e}; up "
+            f"and down {1e3 * result[f'{name}_bump']:.3f} mm; {touching.min()} to {touching.max()} rollers touch"
         )
         if html is not None and name == "sideways":
             pc.export_html(run, html)

@@ -86,7 +86,8 @@ def main(html: Path | None = None, duration: float = 3.0) -> dict[str, float]:
         tau[6:] -= stiffness * (q[7:] - wanted(t)) + damping * v[6:]
         return tau
 
-    run = pc.simulate(scene, state, duration, control=control, rtol=1e-6, t_eval=np.linspace(0.0, duration, 91))
+    times = np.linspace(0.0, duration, 91)
+    run = pc.simulate(scene, state, duration, control=control, method="Moreau", step=1e-3, t_eval=times)
     centres = [pin.centerOfMass(model, data, row)[:2].copy() for row in (run.q[0], run.q[-1])]
     weight = pin.computeTotalMass(model) * 9.81
     tracks = list(run.contacts.values())
@@ -102,8 +103,8 @@ def main(html: Path | None = None, duration: float = 3.0) -> dict[str, float]:
         "all_stick": float(all((track.mode == 1).all() for track in tracks)),
     }
     print(
-        f"{run.message} The centre of mass moves forward by {1e3 * result['moved']:.2f} mm; the centre of pressure is "
-        f"{1e3 * result['start_apart']:.0e} mm from below it at the start and {1e3 * result['end_apart']:.2f} mm at the end"
+        f"{run.message} The centre of mass moves forward by {1e3 * result['moved']:.2f} mm; the centre of pressure "
+        f"is {1e3 * result['start_apart']:.0e} mm from it at the start and {1e3 * result['end_apart']:.2f} mm at the end"
     )
     print(f"corners slip with {result['corner_speed']:.0e} m/s at most, the least load is {result['least_load']:.1f} N")
     if html is not None:

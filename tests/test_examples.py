@@ -226,7 +226,7 @@ def test_mujoco_ant():
 def test_mecanum():
     found = run_example("mecanum", duration=1.6)
     for name in ("ahead", "sideways", "round"):
-        assert found[f"{name}_status"] == 0 and found[f"{name}_least"] >= 4.0
+        assert found[f"{name}_status"] == 0 and found[f"{name}_least"] >= (2.0 if name == "round" else 4.0)
         # ellipsoids for barrels: 0.07 mm of 0.1 m, and the rollers' own slip when they take over
         assert found[f"{name}_bump"] < 2e-4
         assert found[f"{name}_ratio"] == pytest.approx(1.0, abs=0.03)

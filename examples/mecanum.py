@@ -127,8 +127,8 @@ def main(html: Path | None = None, duration: float = 2.0) -> dict[str, float]:
         touching = sum(track.mode >= 0 for track in run.contacts.values())
         result[f"{name}_least"] = float(touching.min())
         print(
-            f"{name:8s} {run.message} {found[along]:.4f} of {asked[along]:.1f}, others {result[f'{name}_across']:.0e}; up "
-            f"and down {1e3 * result[f'{name}_bump']:.3f} mm; {touching.min()} to {touching.max()} rollers touch"
+            f"{name:8s} {run.message} {found[along]:.4f} of {asked[along]:.1f}, others {result[f'{name}_across']:.0e}; "
+            f"up and down {1e3 * result[f'{name}_bump']:.3f} mm; {touching.min()} to {touching.max()} rollers touch"
         )
         if html is not None and name == "sideways":
             pc.export_html(run, html)

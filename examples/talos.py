@@ -87,7 +87,7 @@ def main(html: Path | None = None, duration: float = 3.0) -> dict[str, float]:
         return tau
 
     times = np.linspace(0.0, duration, 91)
-    run = pc.simulate(scene, state, duration, control=control, method="Moreau", step=1e-3, t_eval=times)
+    run = pc.simulate(scene, state, duration, control=control, rtol=1e-6, t_eval=times)
     centres = [pin.centerOfMass(model, data, row)[:2].copy() for row in (run.q[0], run.q[-1])]
     weight = pin.computeTotalMass(model) * 9.81
     tracks = list(run.contacts.values())
@@ -104,7 +104,7 @@ def main(html: Path | None = None, duration: float = 3.0) -> dict[str, float]:
     }
     print(
         f"{run.message} The centre of mass moves forward by {1e3 * result['moved']:.2f} mm; the centre of pressure "
-        f"is {1e3 * result['start_apart']:.0e} mm from it at the start and {1e3 * result['end_apart']:.2f} mm at the end"
+        f"is {1e3 * result['start_apart']:.0e} mm from it at first and {1e3 * result['end_apart']:.2f} mm at last"
     )
     print(f"corners slip with {result['corner_speed']:.0e} m/s at most, the least load is {result['least_load']:.1f} N")
     if html is not None:

@@ -150,7 +150,7 @@ def test_paper_table_names_what_is_there():
     assert checked > 60
 
 
-FOLDERS = [ROOT / "pincontact", ROOT, ROOT / "tests", ROOT / "tests" / "stress", *(ROOT / "examples").glob("**/")]
+FOLDERS = [ROOT / "pincontact", ROOT, DOCS, ROOT / "tests", ROOT / "tests" / "stress", *(ROOT / "examples").glob("**/")]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)

@@ -40,7 +40,8 @@ copyright = "The pincontact developers"
 version = release = pincontact.__version__
 
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc", "myst_nb"]
-source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
+# the first is that of generated pages
+source_suffix = {".rst": "restructuredtext", ".md": "myst-nb"}
 templates_path = ["_templates"]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 4
@@ -60,6 +61,8 @@ numpydoc_xref_param_type = False
 
 html_math_renderer = "mathml"
 html_theme = "pydata_sphinx_theme"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_title = f"pincontact {release}"
 html_show_sourcelink = False
 html_theme_options = {
@@ -74,8 +77,15 @@ html_sidebars: dict[str, list[str]] = {"cheat_sheet": [], "faq": [], "coming_fro
 def setup(app: Sphinx) -> None:
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math_block, None))
     app.add_directive("replay", Replay)
+    # before numpydoc reads them
+    app.connect("autodoc-process-docstring", escape_bars, priority=400)
     app.connect("builder-inited", make_folder)
     app.connect("build-finished", copy_replays)
+
+
+def escape_bars(app: Sphinx, kind: str, name: str, thing: object, options: object, lines: list[str]) -> None:
+    """Absolute values in docstrings, as in |F_t|, are no substitutions."""
+    lines[:] = [line if line.lstrip().startswith((">>>", "...")) else line.replace("|", "\\|") for line in lines]
 
 
 def visit_math(translator: HTML5Translator, node: math) -> None:

@@ -10,6 +10,7 @@ more; needs the extra `robots` for those with robots of others).
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sys
 from contextlib import redirect_stdout
@@ -78,14 +79,16 @@ def setup(app: Sphinx) -> None:
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math_block, None))
     app.add_directive("replay", Replay)
     # before numpydoc reads them
-    app.connect("autodoc-process-docstring", escape_bars, priority=400)
+    app.connect("autodoc-process-docstring", escape_markup, priority=400)
     app.connect("builder-inited", make_folder)
     app.connect("build-finished", copy_replays)
 
 
-def escape_bars(app: Sphinx, kind: str, name: str, thing: object, options: object, lines: list[str]) -> None:
-    """Absolute values in docstrings, as in |F_t|, are no substitutions."""
-    lines[:] = [line if line.lstrip().startswith((">>>", "...")) else line.replace("|", "\\|") for line in lines]
+def escape_markup(app: Sphinx, kind: str, name: str, thing: object, options: object, lines: list[str]) -> None:
+    """What docstrings write plainly, as |F_t|, foot_0_face_-z and build(**parameters), is no markup."""
+    for number, line in enumerate(lines):
+        if not line.lstrip().startswith((">>>", "...")):
+            lines[number] = re.sub(r"\||(?<=\()\*\*|_(?=[-+]\w)", lambda found: "\\" + "\\".join(found[0]), line)
 
 
 def visit_math(translator: HTML5Translator, node: math) -> None:

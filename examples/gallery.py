@@ -122,7 +122,7 @@ def main(target: Path = FIGURES) -> None:
         for title, time in SHOWN.items():
             try:
                 page = replay(title, folder)
-            except RuntimeError as error:
+            except (RuntimeError, ImportError) as error:
                 print(f"left out {title}: {error}")
                 continue
             picture(page, time, browser, folder, target / f"{title}.png")

@@ -72,7 +72,9 @@ html_theme_options = {
     "header_links_before_dropdown": 7,
     "secondary_sidebar_items": ["page-toc"],
 }
-html_sidebars: dict[str, list[str]] = {page: [] for page in ("changelog", "cheat_sheet", "coming_from", "faq", "gallery")}
+html_sidebars: dict[str, list[str]] = {
+    page: [] for page in ("changelog", "cheat_sheet", "coming_from", "faq", "gallery")
+}
 
 
 def setup(app: Sphinx) -> None:

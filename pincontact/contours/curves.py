@@ -168,7 +168,7 @@ class Helix(Contour):
 
 
 class Cycloid(Contour):
-    """One arch of a cycloid, opening to +y (a cup): f(u) = radius (u + sin u, 1 - cos u, 0), -pi < u < pi.
+    """One arch of a cycloid, opening to +y (a cup): f(u) = radius (u + sin u, 1 - cos u, 0), |u| < pi.
 
     Parameters
     ----------

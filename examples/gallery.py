@@ -42,6 +42,10 @@ SHOWN = {
     "panda_rolls_ball": 1.6,
     "bicycle": 1.0,
     "rattleback": 2.0,
+    "go2": 0.6,
+    "talos": 2.0,
+    "mujoco_ant": 1.0,
+    "mecanum": 1.0,
 }
 
 
@@ -116,7 +120,7 @@ def main(target: Path = FIGURES) -> None:
         for title, time in SHOWN.items():
             try:
                 page = replay(title, folder)
-            except RuntimeError as error:
+            except (RuntimeError, ImportError) as error:
                 print(f"left out {title}: {error}")
                 continue
             picture(page, time, browser, folder, target / f"{title}.png")

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import argparse
 import math
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from robot_data import RobotDataMissing, robot_data
 
 import pincontact as pc
 
@@ -28,26 +28,8 @@ ARM_JOINTS = 7
 READY = np.array([0.0, -0.2, 0.0, -2.4, 0.0, 2.2, math.pi / 4])
 
 
-class RobotDataMissing(RuntimeError):
-    """The arm's description is not installed."""
-
-
-def robot_data() -> Path:
-    """The folder that holds example-robot-data. Raises RobotDataMissing where there is none."""
-    try:
-        folder = metadata.distribution("example-robot-data").locate_file("cmeel.prefix/share")
-    except metadata.PackageNotFoundError:
-        folder = Path("share")
-    path = Path(str(folder))
-    if not (path / "example-robot-data" / "robots" / "panda_description").is_dir():
-        raise RobotDataMissing(
-            'the Panda arm\'s URDF is missing: pip install "pincontact[robots]" (example-robot-data)'
-        )
-    return path
-
-
 def arm_with_fingers_closed() -> tuple[pin.Model, pin.GeometryModel]:
-    share = robot_data()
+    share = robot_data("panda_description")
     urdf = share / "example-robot-data" / "robots" / "panda_description" / "urdf" / "panda.urdf"
     model, _, visual = pin.buildModelsFromUrdf(str(urdf), package_dirs=[str(share)])
     fingers = [model.getJointId(f"panda_finger_joint{i}") for i in (1, 2)]

@@ -15,7 +15,7 @@ import numpy as np
 from .arguments import NOT_REAL, check_flag, check_positive, is_count, is_number, real_array
 from .dynamics.energy import energy_gained
 from .dynamics.joints import check_guards
-from .errors import ArgumentError, UnusableResult
+from .errors import ArgumentError, UnusableResult, sentence
 from .friction.solve import check_contact_solver
 from .integration.discrete import read_discrete, write_discrete
 from .integration.driver import Driver, Options
@@ -393,7 +393,8 @@ def _simulate_moreau(request: _Request, finish: Callable[[Trajectory], Trajector
             if system.is_passive:
                 stats["energy_gained"] = gained = energy_gained(scene.model, run.q, run.v)
                 if gained > _TOLD_GAIN:
-                    run.message += f"; the energy has grown by {gained:.2g} of the largest, which shorter steps lessen"
+                    remark = f"; the energy has grown by {gained:.2g} of the largest, which shorter steps lessen"
+                    run.message = sentence(message + remark)
             return finish(run)
 
         run = _run(driver, state.t, duration, result)

@@ -1,8 +1,10 @@
 """What the README and the documents say is so: their scripts run, the names they list are there."""
 
+import inspect
 import re
 import runpy
 import shutil
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,8 @@ import pincontact as pc
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "pincontact" / "docs"
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
+DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("**/*.md"))]
+NOTEBOOKS = [path for path in sorted((DOCS / "tutorials").glob("*.md")) if path.stem != "index"]
 
 
 def scripts(name):
@@ -46,6 +49,80 @@ def test_scripts_about_contours(index, tmp_path, monkeypatch):
     assert any(isinstance(value, pc.Contour) for value in names.values()) or "Catenary" in names
 
 
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks(notebook, tmp_path, monkeypatch):
+    """The cells of a tutorial as one script: the site shows what they print, here their results are looked at."""
+    pyplot = pytest.importorskip("matplotlib.pyplot", reason="Matplotlib is not installed: notebooks draw with it")
+    monkeypatch.setattr(pyplot, "show", lambda: None)
+    monkeypatch.delenv("PINCONTACT_SITE_FILES", raising=False)
+    cells = re.findall(r"```\{code-cell\}\n(?::[^\n]*\n)*(.*?)```", notebook.read_text(encoding="utf-8"), re.DOTALL)
+    names = result_of("\n".join(cells), tmp_path, monkeypatch)
+    pyplot.close("all")
+    if "run" in names:
+        assert names["run"].status in (0, 1), names["run"].message
+        assert max(values.max() for values in names["run"].residuals().values()) <= 1e-12
+    # what the text says of the results
+    if notebook.stem == "first_run":
+        assert [event.kind for event in names["run"].events] == ["stick", "slip", "stick"]
+    elif notebook.stem == "own_robot":
+        assert not names["run"].events and (names["run"].contacts["tip/table"].mode == 1).all()
+    elif notebook.stem == "friction_and_events":
+        kinds = [event.kind for event in names["run"].events]
+        assert kinds == ["stick", "slip"] * (len(kinds) // 2) + ["stick"] * (len(kinds) % 2) and len(kinds) > 4
+        # events are located to the tolerances of the run
+        slips = [names["stiffness"] * event.q[0] for event in names["run"].events if event.kind == "slip"]
+        np.testing.assert_allclose(slips, names["law"].mu_static * 9.81, rtol=1e-8)
+    elif notebook.stem == "control_loop":
+        assert np.linalg.norm(names["history"][-1, 1:3]) < 1e-3 and names["away"].max() < 2e-3
+    elif notebook.stem == "bicycle":
+        assert names["weave"] == pytest.approx(4.29238253634111, abs=1e-9)
+        assert names["capsize"] == pytest.approx(6.02426201538837, abs=1e-9)
+    else:
+        np.testing.assert_allclose(names["table"].column("time"), names["expected"], rtol=1e-8)
+
+
+def test_drawings(monkeypatch):
+    """Each drawing's bodies touch, and its frames are dual, to rounding; what is drawn is there."""
+    pytest.importorskip("matplotlib", reason="Matplotlib is not installed: nothing is drawn")
+    monkeypatch.syspath_prepend(str(DOCS))
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    import drawings
+
+    assert sorted(drawings.CASES) == sorted(["P-2C", "P-3C", "P-S", "2C-2C", "3C-3C", "3C-S", "S-S"])
+    for name in drawings.CASES:
+        contact = drawings.touch(name).contact
+        np.testing.assert_allclose(contact.f, 0.0, atol=1e-13)
+        np.testing.assert_allclose(contact.dual_frame.T @ contact.frame, np.eye(3), atol=1e-13)
+    oblique = drawings.touch("3C-3C").contact.frame
+    assert abs(oblique[:, 0] @ oblique[:, 1]) > 0.3
+    figure = drawings.patterns()
+    assert [ax.get_title() for ax in figure.axes] == list(drawings.CASES)
+    drawings.plt.close("all")
+
+
+@cache
+def attributes(kind):
+    """Of a class and of its objects."""
+    assigned = re.findall(r"self\.(\w+)", inspect.getsource(kind))
+    return {*dir(kind), *getattr(kind, "__annotations__", ()), *assigned}
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_documents_use_names_that_are_there(document):
+    text = document.read_text(encoding="utf-8")
+    # a class of its own
+    assert not [name for name in set(re.findall(r"\bpc\.(\w+)", text)) - {"Catenary"} if not hasattr(pc, name)]
+    kinds = {"scene": pc.Scene, "run": pc.Trajectory, "track": pc.ContactTrack, "stepper": pc.Stepper}
+    # names of files have a dot, too
+    uses = set(re.findall(r"\b(scene|run|track|stepper)\.(?!html|npz|toml|py\b)([a-z]\w*)", text))
+    assert not [f"{owner}.{name}" for owner, name in uses if name not in attributes(kinds[owner])]
+
+
+def test_reference_lists_all_public_names():
+    listed = re.findall(r"^   (\w+)$", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(listed) == sorted(pc.__all__)
+
+
 def test_public_names_are_listed():
     section = re.search(r"## The public names(.*?)\n## ", DOCUMENTS[0].read_text(encoding="utf-8"), re.DOTALL)
     missing = [name for name in pc.__all__ if f"`{name}`" not in section[1]]
@@ -73,7 +150,7 @@ def test_paper_table_names_what_is_there():
     assert checked > 60
 
 
-FOLDERS = [ROOT / "pincontact", ROOT, ROOT / "tests", ROOT / "tests" / "stress", *(ROOT / "examples").glob("**/")]
+FOLDERS = [ROOT / "pincontact", ROOT, DOCS, ROOT / "tests", ROOT / "tests" / "stress", *(ROOT / "examples").glob("**/")]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)

@@ -3,6 +3,7 @@
 import ast
 import importlib.util
 import math
+import sys
 from importlib import metadata
 from pathlib import Path
 
@@ -12,6 +13,9 @@ EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
 def run_example(name, **options):
+    # examples import what they share
+    if str(EXAMPLES) not in sys.path:
+        sys.path.insert(0, str(EXAMPLES))
     specification = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
@@ -149,11 +153,17 @@ def test_wiping_arm():
     assert found["way"] == pytest.approx(2.0 * math.pi * 0.1, rel=0.02)
 
 
+def needs(*packages):
+    """Skip where a package with robots is not installed."""
+    for package in packages:
+        try:
+            metadata.distribution(package)
+        except metadata.PackageNotFoundError:
+            pytest.skip(f"{package} is not installed, whose robot is simulated")
+
+
 def test_panda_rolls_ball():
-    try:
-        metadata.distribution("example-robot-data")
-    except metadata.PackageNotFoundError:
-        pytest.skip("example-robot-data is not installed: the Panda arm is not simulated")
+    needs("example-robot-data")
     found = run_example("panda_rolls_ball")
     assert found["status"] == 0 and found["events"] == 0
     assert found["slip"] < 1e-12
@@ -210,3 +220,54 @@ def test_html_is_a_file_in_every_example():
             assert "[--html FILE]" in path.read_text(encoding="utf-8")
             seen += 1
     assert seen >= 15
+
+
+def test_go2():
+    needs("example-robot-data")
+    found = run_example("go2")
+    assert found["status"] == 0 and found["events"] == 0
+    # an equilibrium held by springs: nothing moves but rounding
+    assert found["rest_drift"] < 1e-11
+    assert found["weight_error"] < 1e-10
+    # the trapezoidal rule over the outputs
+    assert found["mean_error"] < 1e-4
+    assert found["sway"] > 3e-3
+    # what joint dampers leave a second after the push
+    assert found["returns"] < 1e-4
+    assert found["slip"] < 1e-12
+    assert found["hard_status"] == 0 and found["hard_slips"] >= 2 and found["hard_slides"] > 1e-3
+
+
+def test_talos():
+    needs("example-robot-data")
+    found = run_example("talos", duration=2.0)
+    assert found["status"] == 0
+    # statics at rest, to rounding of 90 kg; at the end the robot still sways a little
+    assert found["start_apart"] < 1e-9 and found["weight_error"] < 1e-10
+    assert found["moved"] > 0.01
+    assert found["end_speed"] < 1e-2 and found["end_apart"] < 0.1 * found["moved"]
+    assert found["all_stick"] == 1.0 and found["corner_speed"] < 1e-11
+    assert found["least_load"] > 10.0
+
+
+def test_mujoco_ant():
+    pytest.importorskip("mujoco", reason="mujoco is not installed: it reads the ant, and runs beside it")
+    needs("gymnasium")
+    found = run_example("mujoco_ant")
+    assert found["status"] == 0 and found["slips"] == found["sticks"] == 1.0
+    assert found["rises"] > 0.02 and found["slides"] > 0.02
+    # MuJoCo's contacts creep and give way: less than a hundredth of the motion
+    assert found["height_apart"] < 2e-4
+    assert found["angle_apart"] < 5e-4
+
+
+def test_mecanum():
+    found = run_example("mecanum", duration=1.6)
+    for name in ("ahead", "sideways", "round"):
+        assert found[f"{name}_status"] == 0 and found[f"{name}_least"] >= (2.0 if name == "round" else 4.0)
+        # ellipsoids for barrels: 0.07 mm of 0.1 m, and the rollers' own slip when they take over
+        assert found[f"{name}_bump"] < 2e-4
+        assert found[f"{name}_ratio"] == pytest.approx(1.0, abs=0.03)
+        assert found[f"{name}_across"] < 5e-3
+    # straight ahead rollers do not turn, and nothing slips but where they meet
+    assert found["ahead_ratio"] == pytest.approx(1.0, abs=2e-3)

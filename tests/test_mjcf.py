@@ -391,6 +391,41 @@ def test_shapes(tmp_path):
     assert_same_shapes(scene, peer)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_floors_are_where_mujoco_touches_them(tmp_path, seed):
+    """A plane becomes a contour without ends: gap, normal and contact point beneath a ball are those of MuJoCo."""
+    rng = np.random.default_rng(seed)
+    turn, where = rng.uniform(-60.0, 60.0, 3), rng.normal(size=3)
+    tilt = f'pos="{where[0]} {where[1]} {where[2]}" euler="{turn[0]} {turn[1]} {turn[2]}"'
+    # a size that ends far from the ball: it is for the picture alone
+    world = f'<geom name="floor" type="plane" size="0.1 0.1 1" {tilt}/>'
+    ball = '<body name="ball"><freejoint/><geom size="0.2" pos="0.05 0 0.02"/></body>'
+    path = written(tmp_path, file(world + ball, angle="degree"))
+    scene = pc.Scene.from_mjcf(path)
+    found = scene.add_contours_from_collision()
+    scene.add_contact("ball/floor", found["ball_0_sphere"], found["world_0_plane"])
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    floor = pin.SE3(data.geom("floor").xmat.reshape(3, 3), data.geom("floor").xpos)
+    # over the floor, far from its origin, a little inside
+    pose = pin.SE3(pin.exp3(rng.normal(size=3)), np.zeros(3))
+    offset = pose.rotation @ np.array([0.05, 0.0, 0.02])
+    pose.translation = floor.act(np.array([*rng.uniform(2.0, 5.0, 2), 0.2 - 1e-3])) - offset
+    q = pin.SE3ToXYZQUAT(pose)
+    data.qpos[:] = [*q[:3], q[6], *q[3:6]]
+    mujoco.mj_forward(model, data)
+    (touch,) = data.contact
+    state = scene.initial_state(q)
+    assert state.correction.gaps["ball/floor"] == pytest.approx(touch.dist, abs=ROUNDING * 10.0)
+    at = pc.analyze(scene, state)["ball/floor"]
+    np.testing.assert_allclose(at.frame[:, 2], touch.frame[:3], rtol=0.0, atol=ROUNDING)
+    # half the depth is corrected along the normal, or all of it, by what moves: the ball
+    across = (at.point - touch.pos) - ((at.point - touch.pos) @ touch.frame[:3]) * touch.frame[:3]
+    assert norm(across) < 1e-3 * 0.3
+    assert abs((at.point - floor.translation) @ floor.rotation[:, 2]) < 1e-12 * 10.0
+
+
 def test_shapes_that_cannot_be_read_are_named(tmp_path):
     path = written(tmp_path, file(arm(parts='<geom size="0.1"/>') + '<geom type="hfield" hfield="h"/>', HILL))
     with pytest.warns(UserWarning, match="hfield"):

@@ -36,6 +36,7 @@ from .trajectory import ContactTrack, Trajectory
 
 if TYPE_CHECKING:
     from .analysis.equilibrium import SteadyMotion, find_equilibrium, find_steady_motion
+    from .analysis.farkas import FarkasCertificate
     from .analysis.forces import external_forces
     from .analysis.inverse import InverseDynamics, inverse_dynamics
     from .analysis.linearize import Linearization, linearize
@@ -57,6 +58,7 @@ __all__ = [
     "ContourError",
     "Coulomb",
     "Event",
+    "FarkasCertificate",
     "FrictionError",
     "FrictionLaw",
     "InfeasibleError",
@@ -98,6 +100,7 @@ __all__ = [
 
 # Imported when first used: Meshcat costs more than everything else together, the stepper has kernels of its own.
 _LAZY = {
+    "FarkasCertificate": "analysis.farkas",
     "InverseDynamics": "analysis.inverse",
     "Linearization": "analysis.linearize",
     "SteadyMotion": "analysis.equilibrium",

@@ -308,3 +308,39 @@ def check_certificate(case: Case, certificate: pc.FarkasCertificate, independent
             squares = np.array([along, across]) ** 2 * independent.slip[name]
             work = moved[2] - float(moved[:2] @ squares) / math.sqrt(squares @ independent.slip[name])
         assert work >= -1e-7 * size, name
+
+
+def solve(case: Case, **options: object) -> pc.InverseDynamics:
+    return pc.inverse_dynamics(
+        case.scene,
+        case.state,
+        case.wanted,
+        weights=case.weights,
+        cones=True,
+        effort_limits=True,
+        **options,  # type: ignore[arg-type]
+    )
+
+
+def check_case(case: Case) -> str:
+    """Solve a case and check all; what came of it: "reached", "nearest" or "nothing"."""
+    independent = by_pinocchio(case)
+    try:
+        found = solve(case, unreachable="nearest")
+    except pc.InfeasibleError as error:
+        check_certificate(case, error.certificate, independent)
+        return "nothing"
+    check_result(case, found, independent)
+    rows, _ = tasks(case)
+    missed = float(np.linalg.norm(rows @ (found.acceleration - nearest_without_limits(case, independent))))
+    # finite differences of the frames' velocities
+    assert abs(missed - found.shortfall) <= 1e-6 * (1.0 + missed)
+    if found.certificate is None:
+        return "reached"
+    check_certificate(case, found.certificate, independent)
+    try:
+        solve(case)
+    except pc.InfeasibleError as error:
+        check_certificate(case, error.certificate, independent)
+        return "nearest"
+    raise AssertionError("accelerations that cannot be reached were not refused")

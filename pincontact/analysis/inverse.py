@@ -14,7 +14,7 @@ from ..dynamics.units import whiten
 from ..errors import ArgumentError, SolverError, StateError
 from ..geometry.patterns import ON_CURVE
 from ..layout import MODE, MU_STATIC, PATTERN, ROLLING_ROW, STICK
-from ..state import check_state, check_vector
+from ..state import check_vector
 from .farkas import FarkasCertificate
 from .forces import check_forces
 from .instant import Instant
@@ -196,7 +196,6 @@ def inverse_dynamics(
             raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}, got {value!r}")
     options = Options(cones, effort_limits, unreachable, redundant, tolerance)
     if isinstance(acceleration, Mapping) or weights is not None or warm is not None or options.limited:
-        check_state(scene, state)
         program = _program(scene, state, warm)
         tasks = program.tasks.read(acceleration, weights, program.instant.q, program.instant.v)
         wanted = Wanted(
@@ -256,18 +255,16 @@ def inverse_dynamics(
 def _program(scene: Scene, state: State, warm: InverseDynamics | None) -> InverseProgram:
     """The program of the last result, at this state, or a new one."""
     if warm is None:
-        program = InverseProgram(scene, state)
-    elif not isinstance(warm, InverseDynamics) or warm.program is None:
+        return InverseProgram(scene, state)
+    if not isinstance(warm, InverseDynamics) or warm.program is None:
         raise ArgumentError(
             "warm must be the result of inverse_dynamics with limits, named accelerations or a choice of forces, got "
             + (type(warm).__name__ if not isinstance(warm, InverseDynamics) else "one without")
         )
-    elif not warm.program.fits(scene):
+    if not warm.program.fits(scene):
         raise ArgumentError("warm: the result belongs to another scene, or contacts were added after it was made")
-    else:
-        program = warm.program
-    program.instant.move_to(state)
-    return program
+    warm.program.instant.move_to(state)
+    return warm.program
 
 
 def _within_limits(program: InverseProgram, wanted: Wanted, vector: bool) -> InverseDynamics:

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..dynamics.stretches import stretch
-from ..dynamics.units import unwhiten, whiten, whitened_velocity
+from ..dynamics.units import unwhiten, whiten
 from ..errors import SolverError
 from ..friction.cone_least_squares import Region
 from ..geometry.patterns import ON_CURVE
-from ..layout import MODE, MU_STATIC, PATTERN, STICK, TANGENTS, UNILATERAL
+from ..layout import ANISOTROPIC, MODE, MU_STATIC, PATTERN, SLIPPING, STICK, TANGENTS, UNILATERAL
 from .instant import Instant
 from .inverse_loads import RestingJoints, joint_loads, unit_forces
 from .ranks import Directions
@@ -29,6 +29,7 @@ from .tasks import Tasks
 _LEAST_LOAD = 1e-6
 # Equations whose part in no unknown is more than this depend on each other.
 _DEPENDENT = 1e-9
+_ROUND = np.eye(2)
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,7 @@ class Problem:
         sizes: dict[int, float],
     ) -> None:
         self.instant, system = instant, instant.system
+        self._factor = np.tril(system.factor)
         self.opening = opening_contacts(instant, wanted.given)
         constrained = [item for item in instant.constrained() if system.owner(item[0]) not in self.opening]
         self.items = [item for item in constrained if system.contacts[system.owner(item[0])].name not in wanted.given]
@@ -116,7 +118,7 @@ class Problem:
         """Weighted tasks as rows (r, nz) @ z = goal (r,), not yet in units of `rate`."""
         system = self.instant.system
         if tasks.rows is None or tasks.weights is None:
-            return self.span, whitened_velocity(system, tasks.wanted) - self.origin
+            return self.span, self._factor @ tasks.wanted - self.origin
         weights = np.sqrt(tasks.weights)
         whitened = whiten(system, tasks.rows.T).T
         return weights[:, None] * (whitened @ self.span), weights * (tasks.wanted - whitened @ self.origin)
@@ -142,6 +144,9 @@ class Problem:
         columns = np.zeros((nv, na + len(self.items) + self.resting.index.size))
         columns[:, :na] = wanted.actuation
         for k, (c, row) in enumerate(self.items):
+            if system.contact_int[c, MODE] != SLIPPING and not system.nr:
+                columns[:, na + k] = system.rows[c, row]
+                continue
             for item, unit in unit_forces(instant, c, row, self.shares[k]).items():
                 columns[:, na + k] += system.rows[item].T @ unit
         columns[self.resting.index, na + len(self.items) + np.arange(self.resting.index.size)] = 1.0
@@ -153,7 +158,7 @@ class Problem:
                 sign = -1.0 if contact.swapped else 1.0
                 known += system.rows[c].T @ (system.basis[c] @ (sign * wanted.given[contact.name]))
         self.known = known
-        free = whitened_velocity(system, system.free_acceleration) + whiten(system, known)
+        free = self._factor @ system.free_acceleration + whiten(system, known)
         self.load = max(_LEAST_LOAD, float(np.abs([system.bias_forces, known]).max(initial=0.0)))
         whitened = whiten(system, columns)
         self.rate = float(np.linalg.norm(free - self.origin)) or 1.0
@@ -242,7 +247,8 @@ class Problem:
                 self._add_row(normal, 0.0, np.inf, name)
             if not limited:
                 continue
-            cone, scale = np.zeros((3, self.start.size)), np.linalg.inv(stretch(system, c))
+            scale = np.linalg.inv(stretch(system, c)) if integers[ANISOTROPIC] else _ROUND
+            cone = np.zeros((3, self.start.size))
             # torques are in parts of their lever
             cone[0] = normal * (limit if c < system.nc else 1.0)
             for i in range(integers[TANGENTS]):
@@ -259,7 +265,6 @@ class Problem:
 
     def residual(self, u: np.ndarray) -> float:
         """The largest entry of what u leaves of the equations of motion, in N and N m."""
-        system = self.instant.system
-        change = whitened_velocity(system, self.acceleration(u) - system.free_acceleration)
-        left = np.tril(system.factor).T @ change - self.known - self.columns @ (self.load * u[self.efforts.start :])
+        change = self._factor @ (self.acceleration(u) - self.instant.system.free_acceleration)
+        left = self._factor.T @ change - self.known - self.columns @ (self.load * u[self.efforts.start :])
         return float(np.abs(left).max(initial=0.0))

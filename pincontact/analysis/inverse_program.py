@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ..state import State
 
 # Directions that move tasks, efforts or forces by less than this part of what moves them most do not move them.
-_NULL = 1e-9
+_NULL, _CLEARLY = 1e-9, 1e-12
 # Rounds in which directions of normal forces of contacts that cannot open settle, and by what they may still change.
 _ROUNDS, _SETTLED = 20, 1e-9
 
@@ -59,6 +59,7 @@ class InverseProgram:
 
     def __init__(self, scene: Scene, state: State) -> None:
         self.instant = Instant(scene, state, decide=False)
+        self.instant.move_to(state)
         self.tasks = TaskReader(scene.model)
         self._contacts = list(scene.contacts.values())
         self._reach, self._efforts, self._forces, self._elastic = (ConeLeastSquares() for _ in range(4))
@@ -238,6 +239,11 @@ class _Tasks:
 
 def _null(matrix: np.ndarray) -> np.ndarray:
     """(n, k) orthonormal null directions of a matrix (m, n)."""
+    if matrix.shape[0] >= matrix.shape[1] > 0:
+        # as a rule there is none, which costs less to see
+        squares = np.linalg.eigvalsh(matrix.T @ matrix)
+        if squares[0] > _CLEARLY * max(1.0, squares[-1]):
+            return np.zeros((matrix.shape[1], 0))
     _, values, rows = np.linalg.svd(matrix)
     return rows[int((values > _NULL * max(1.0, values.max(initial=0.0))).sum()) :].T
 

@@ -137,9 +137,8 @@ def main(html: Path | None = None, duration: float = 2.0, step: float = 1e-3) ->
         "up_and_down": float(np.ptp(heights)),
         "slides": float(stepper.modes[0] == 2),
     }
-    print(
-        f"{way:.3f} m slid over waves of {1e3 * result['up_and_down']:.1f} mm, {1e3 * off:.3f} mm off the circle at most"
-    )
+    waves = 1e3 * result["up_and_down"]
+    print(f"{way:.3f} m slid over waves of {waves:.1f} mm, {1e3 * off:.3f} mm off the circle at most")
     print(f"normal force {PRESS} N kept to {result['force_error']:.1e} N, torques at most {efforts:.1f} N m")
     print(f"friction worked {work:.6f} J; mu N times the way is {-MU * PRESS * way:.6f} J")
     if html is not None:

@@ -65,9 +65,10 @@ class SolverError(ContactError):
 
 
 class InfeasibleError(SolverError):
-    """A contact problem provably has no solution.
+    """A contact problem provably has no solution, or wanted accelerations are out of reach.
 
-    certificate: (n,) normal forces that move nothing (G y = 0) while the contacts they press approach (b . y < 0).
+    certificate: of `solve_contacts`, (n,) normal forces that move nothing (G y = 0) while the contacts they press
+    approach (b . y < 0); of `inverse_dynamics`, a `FarkasCertificate`.
     """
 
     def __init__(self, message: str, certificate: Any = None):

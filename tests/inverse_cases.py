@@ -307,7 +307,8 @@ def check_certificate(case: Case, certificate: pc.FarkasCertificate, independent
         else:
             squares = np.array([along, across]) ** 2 * independent.slip[name]
             work = moved[2] - float(moved[:2] @ squares) / math.sqrt(squares @ independent.slip[name])
-        assert work >= -1e-7 * size, name
+        # of the multipliers again
+        assert work >= -1e-5 * size, (name, work / size)
 
 
 def solve(case: Case, **options: object) -> pc.InverseDynamics:

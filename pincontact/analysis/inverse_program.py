@@ -19,12 +19,12 @@ import numpy as np
 
 from ..dynamics.redundant import Cone, central_force
 from ..errors import InfeasibleError, SolverError
-from ..friction.cone_least_squares import ConeLeastSquares, Region
+from ..friction.cone_least_squares import ConeLeastSquares, ConeSolution, Region
 from ..layout import TANGENTS, UNILATERAL
 from .farkas import FarkasCertificate, certificate_of, multipliers_of_elastic
 from .instant import Instant
 from .inverse_loads import shares_of
-from .inverse_problem import Problem, Wanted
+from .inverse_problem import Options, Problem, Wanted
 from .tasks import TaskReader
 
 if TYPE_CHECKING:
@@ -142,23 +142,8 @@ class InverseProgram:
         if self._reached:
             solution = self._efforts.solve(rows @ null, -(rest + rows @ point), inner, null.T @ guess)
         if solution is None:
-            nearest = self._reach.solve(level.matrix, level.right, region, guess)
-            if nearest is None:
-                raise self._nothing(problem, level, region)
-            point, missed = nearest.y, level.matrix @ nearest.y - level.right
-            distance = level.scale * float(np.linalg.norm(missed))
-            self._reached = distance <= options.tolerance * level.size
-            if not self._reached:
-                shortfall = distance
-                task = level.rows.T @ missed / level.scale
-                certificate = certificate_of(problem, nearest.cones, nearest.rows, task, start + basis @ level.point)
-                if options.unreachable == "error":
-                    self._reached = True
-                    raise InfeasibleError(
-                        f"inverse dynamics: the accelerations are out of reach, by {shortfall:.3g} in the norm of the "
-                        f"weights, for {certificate}",
-                        certificate,
-                    )
+            nearest, shortfall, certificate = self._nearest(problem, level, region, guess, options)
+            point = nearest.y
             region, shared = region.face(nearest)
             null = _null(np.vstack([level.matrix, shared]))
             inner = region.restricted(point, null, keep=True)
@@ -175,6 +160,37 @@ class InverseProgram:
         components = problem.load * self._last[problem.components]
         self._last_forces = dict(zip(problem.items, components.tolist()))
         return Solved(problem, self._last, shortfall, certificate)
+
+    def _nearest(
+        self, problem: Problem, level: _Tasks, region: Region, guess: np.ndarray, options: Options
+    ) -> tuple[ConeSolution, float, FarkasCertificate | None]:
+        """The nearest accelerations, their distance, and why there is one."""
+        nearest = self._reach.solve(level.matrix, level.right, region, guess)
+        if nearest is None:
+            raise self._nothing(problem, level, region)
+        unit = float(np.linalg.norm(level.matrix @ nearest.y - level.right))
+        shortfall = level.scale * unit
+        self._reached = shortfall <= options.tolerance * level.size
+        if self._reached:
+            return nearest, 0.0, None
+        scale = 1.0
+        if not nearest.exact:
+            # multipliers are as large as the distance; in units of it they are known better
+            again = self._reach.solve(level.matrix / unit, level.right / unit, region, nearest.y)
+            if again is not None:
+                nearest, scale = again, unit
+                shortfall = level.scale * float(np.linalg.norm(level.matrix @ nearest.y - level.right))
+        task = level.rows.T @ (level.matrix @ nearest.y - level.right) / (level.scale * scale**2)
+        wanted = problem.start + problem.basis @ level.point
+        certificate = certificate_of(problem, nearest.cones, nearest.rows, task, wanted)
+        if options.unreachable == "error":
+            self._reached = True
+            raise InfeasibleError(
+                f"inverse dynamics: the accelerations are out of reach, by {shortfall:.3g} in the norm of the weights, "
+                f"for {certificate}",
+                certificate,
+            )
+        return nearest, shortfall, certificate
 
     def _choose_forces(
         self, problem: Problem, redundant: str, point: np.ndarray, free: np.ndarray, region: Region

@@ -123,11 +123,13 @@ def _without_round_off(matrix: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True, eq=False)
 class ConeSolution:
     """y (n,); multipliers of the cones (m, 3), in minus their dual cones, and of the rows (k,), positive at `high`:
-    A^T (A y - b) + sum of cones^T multipliers + rows^T multipliers = 0."""
+    A^T (A y - b) + sum of cones^T multipliers + rows^T multipliers = 0; exact: to round-off, else to ProxQP's accuracy.
+    """
 
     y: np.ndarray
     cones: np.ndarray
     rows: np.ndarray
+    exact: bool = False
 
 
 class ConeLeastSquares:
@@ -313,4 +315,4 @@ def _solve_active(
     on_cones[apex] = multipliers[at_rows.size : count].reshape(-1, 3)
     on_cones[edge, 0] = -multipliers[count:]
     on_cones[edge, 1:] = multipliers[count:, None] * d
-    return ConeSolution(y, on_cones, rows)
+    return ConeSolution(y, on_cones, rows, exact=True)

@@ -163,16 +163,21 @@ class Instant:
             else:
                 rk.evaluate(self.t)
                 transitions.changes.set_from_velocities()
+                slow = self._rest_speed
                 for g, guard in enumerate(system.guards):
                     speed = float(self.v[guard.index_v])
-                    transitions.modes.release(g, 0 if self.at_rest(speed) else 1 if speed > 0.0 else -1)
+                    transitions.modes.release(g, 0 if abs(speed) <= slow else 1 if speed > 0.0 else -1)
         except Stop as stop:
             kind = SingularContactError if stop.code == SINGULAR_CONTACT else SolverError
             raise kind(stop.args[0]) from None
 
     def at_rest(self, speed: float) -> bool:
         """Whether a joint velocity is round-off."""
-        return abs(speed) <= _AT_REST * (1.0 + float(np.abs(self.v).max(initial=0.0)))
+        return abs(speed) <= self._rest_speed
+
+    @property
+    def _rest_speed(self) -> float:
+        return _AT_REST * (1.0 + float(np.abs(self.v).max(initial=0.0)))
 
     # ---------------------------------------------------------------- evaluation
 

@@ -13,7 +13,7 @@ from ..arguments import NOT_REAL, check_flag, check_tolerance, real_array
 from ..dynamics.units import whiten
 from ..errors import ArgumentError, SolverError, StateError
 from ..geometry.patterns import ON_CURVE
-from ..layout import MODE, MU_STATIC, PATTERN, ROLLING_ROW, STICK
+from ..layout import MODE, MU_STATIC, PATTERN, ROLLING_ROW, SLIPPING, STICK
 from ..state import check_vector
 from .farkas import FarkasCertificate
 from .forces import check_forces
@@ -320,11 +320,16 @@ def _contact_forces(
     """Forces and torques on second contours, and the turns that are held, from components of forces."""
     system = instant.system
     signs = {contact.name: -1.0 if contact.swapped else 1.0 for contact in system.contacts}
+    # the given ones stay as they are: no component is theirs
     acting = {name: np.zeros(3) for name in signs} | given
     torques = {name: np.zeros(3) for name in signs}
     by_item = {item: np.zeros(3) for item in system.resisting()}
+    names = [contact.name for contact in system.contacts]
     for k, (c, row) in enumerate(solved):
-        name = system.contacts[system.owner(c)].name
+        name = names[system.owner(c)]
+        if not system.nr and system.contact_int[c, MODE] != SLIPPING:
+            acting[name] += signs[name] * components[k] * system.basis[c, row]
+            continue
         for item, unit in unit_forces(instant, c, row, shares[k]).items():
             part = signs[name] * components[k] * (system.basis[item].T @ unit)
             if item < system.nc:

@@ -72,6 +72,8 @@ class Region:
         is one ray, or at its apex. Cones would have no interior there; those are half-spaces, s >= 0, instead.
         """
         x = self.apexes + self.cones @ solution.y
+        if not (solution.cones.any() or solution.rows.any()):
+            return self, np.zeros((0, solution.y.size))
         largest = max(np.abs(solution.cones).max(initial=0.0), np.abs(solution.rows).max(initial=0.0))
         size = max(float(largest), _ACTIVE)
         pressed = -solution.cones[:, 0] > _MULTIPLIED * size

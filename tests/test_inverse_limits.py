@@ -11,6 +11,7 @@ from inverse_cases import by_pinocchio, check_case, random_case, solve, tasks
 from scipy.optimize import minimize
 
 import pincontact as pc
+from pincontact.friction import cone_least_squares
 from pincontact.friction.cone_least_squares import ConeLeastSquares, Region
 
 URDF = Path(__file__).resolve().parent.parent / "urdf"
@@ -71,6 +72,31 @@ def test_least_squares_within_cones_by_their_multipliers():
         assert np.einsum("mi,mi->", elastic.cones, region.apexes) - rows @ ends > 1e-9
         refuted += 1
     assert solved > 45 and refuted > 3
+
+
+def test_facets_alone_come_to_the_same(monkeypatch):
+    """Without Newton's method at the end the half-spaces are refined until no cone is left by more than 1e-7; where
+    they become too much alike for ProxQP, nothing is returned."""
+    solved = 0
+    for seed in range(30):
+        rng = np.random.default_rng(100 + seed)
+        matrix, right, region = rng.normal(size=(12, 12)), 3.0 * rng.normal(size=12), random_region(rng, 12)
+        exact = ConeLeastSquares().solve(matrix, right, region, np.zeros(12))
+        if exact is None or not exact.exact:
+            continue
+        with monkeypatch.context() as patched:
+            patched.setattr(cone_least_squares, "_finish", lambda *given: None)
+            level = ConeLeastSquares()
+            refined = level.solve(matrix, right, region, np.zeros(12))
+        if refined is None:
+            continue
+        assert not refined.exact
+        check_multipliers(region, refined)
+        assert level.programs > 1
+        solved += 1
+        # within the facets' distance from the cones, by the objective's curvature
+        np.testing.assert_allclose(refined.y, exact.y, rtol=0.0, atol=1e-2)
+    assert solved > 3
 
 
 # ---------------------------------------------------------------------------------- random states

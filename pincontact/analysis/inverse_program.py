@@ -65,7 +65,9 @@ class InverseProgram:
         self._reach, self._efforts, self._forces, self._elastic = (ConeLeastSquares() for _ in range(4))
         self._reached = True
         self._last: np.ndarray | None = None
+        # by item and row, of the last call and of the one before
         self._last_forces: dict[tuple[int, int], float] = {}
+        self._before: dict[tuple[int, int], float] = {}
         self._sizes: dict[int, float] = {}
 
     def fits(self, scene: Scene) -> bool:
@@ -82,6 +84,7 @@ class InverseProgram:
 
         Raises InfeasibleError with a certificate, SolverError where the equations cannot be balanced.
         """
+        self._before = self._last_forces
         system = self.instant.system
         two_sided = [
             c
@@ -200,7 +203,7 @@ class InverseProgram:
         forces, rows = problem.start[problem.components] + basis @ point, basis @ free
         aim = np.zeros(forces.size)
         if redundant == "last":
-            aim = np.array([self._last_forces.get(item, 0.0) for item in problem.items]) / problem.load
+            aim = np.array([self._before.get(item, 0.0) for item in problem.items]) / problem.load
         elif redundant == "centred":
             # in the coordinates of the cones, and all other limits
             values = np.concatenate([region.apexes.ravel(), *_distances(region, None)])

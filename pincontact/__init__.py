@@ -36,6 +36,7 @@ from .trajectory import ContactTrack, Trajectory
 
 if TYPE_CHECKING:
     from .analysis.equilibrium import SteadyMotion, find_equilibrium, find_steady_motion
+    from .analysis.farkas import FarkasCertificate
     from .analysis.forces import external_forces
     from .analysis.inverse import InverseDynamics, inverse_dynamics
     from .analysis.linearize import Linearization, linearize
@@ -58,6 +59,7 @@ __all__ = [
     "ContourError",
     "Coulomb",
     "Event",
+    "FarkasCertificate",
     "FrictionError",
     "FrictionLaw",
     "InfeasibleError",
@@ -100,6 +102,7 @@ __all__ = [
 
 # Imported when first used: Meshcat costs more than everything else together, the stepper has kernels of its own.
 _LAZY = {
+    "FarkasCertificate": "analysis.farkas",
     "InverseDynamics": "analysis.inverse",
     "Linearization": "analysis.linearize",
     "SteadyMotion": "analysis.equilibrium",
@@ -121,5 +124,6 @@ def __getattr__(name: str) -> Any:
     if name in _LAZY:
         from importlib import import_module
 
-        return getattr(import_module(f".{_LAZY[name]}", __name__), name)
+        value = globals()[name] = getattr(import_module(f".{_LAZY[name]}", __name__), name)
+        return value
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}.")

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    import numpy as np
-
 
 def sentence(text: str) -> str:
     """A message as a sentence: with a full stop at its end, if it has none and does not end otherwise.
@@ -88,15 +83,16 @@ class SolverError(ContactError):
 
 
 class InfeasibleError(SolverError):
-    """A contact problem provably has no solution.
+    """A contact problem provably has no solution, or wanted accelerations are out of reach.
 
     Attributes
     ----------
-    certificate : (n,) array, optional
-        Normal forces y that move nothing (G y = 0) while the contacts they press approach (b . y < 0).
+    certificate : (n,) array or FarkasCertificate, optional
+        Of `solve_contacts` normal forces y that move nothing (G y = 0) while the contacts they press approach
+        (b . y < 0); of `inverse_dynamics` a `FarkasCertificate`.
     """
 
-    def __init__(self, message: str, certificate: np.ndarray | None = None):
+    def __init__(self, message: str, certificate: object = None):
         super().__init__(message)
         self.certificate = certificate
 

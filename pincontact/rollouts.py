@@ -78,6 +78,8 @@ def rollout(
     ArgumentError, StateError
         For arguments that are not as above, before any step.
 
+    Notes
+    -----
     What a callable motion raises is raised as it is.
 
     Examples

@@ -30,8 +30,8 @@ class Stepper:
 
     All arrays are allocated once. Those of the attributes, and of the state that `step` returns, are views that the
     next step overwrites; `state` makes copies. The same start and the same torques give the same numbers to the last
-    bit, and so does a stepper that is copied or pickled in between. Steps are made without the interpreter's lock: steppers of their own run in threads side by side, one stepper
-    belongs to one thread at a time.
+    bit, and so does a stepper that is copied or pickled in between. Steps are made without the interpreter's lock:
+    steppers of their own run in threads side by side, one stepper belongs to one thread at a time.
 
     Parameters
     ----------
@@ -176,9 +176,10 @@ class Stepper:
     def pd(self, kp: ArrayLike, kd: ArrayLike, target: ArrayLike) -> None:
         """Give the joints PD actuators, in place of those that they had.
 
-        Their torques are kp (target - q) - kd v, to which the tau of `step` is added. They act implicitly, also in the cone problems of contacts: no gains make the steps unstable, and steps are of
-        second order in dt. What is too fast for dt is damped as by a step of its own length. To change the target write
-        to `stepper.target`; a target velocity w is the tau kd w.
+        Their torques are kp (target - q) - kd v, to which the tau of `step` is added. They act implicitly, also in the
+        cone problems of contacts: no gains make the steps unstable, and steps are of second order in dt. What is too
+        fast for dt is damped as by a step of its own length. To change the target write to `stepper.target`; a target
+        velocity w is the tau kd w.
 
         Parameters
         ----------

@@ -162,6 +162,45 @@ def needs(*packages):
             pytest.skip(f"{package} is not installed, whose robot is simulated")
 
 
+def test_quadruped_lifts_foot():
+    found = run_example("quadruped_lifts_foot", duration=1.8, step=5e-3)
+    assert found["raised"] == pytest.approx(0.03, rel=1e-3)
+    assert found["trunk_error"] < 1e-4
+    # three feet at rest but for what the controller's rates leave
+    assert found["load_error"] < 1e-2
+    assert found["least_load"] > 10.0
+    assert found["largest_ratio"] < 0.6
+    assert found["largest_effort"] < 8.0
+    # rounding, of loads of 60 N
+    assert found["residual"] < 1e-11
+    assert found["lifted_force"] == 0.0
+
+
+def test_arm_wipes_in_closed_loop():
+    found = run_example("arm_wipes_in_closed_loop", duration=0.4, step=2e-3)
+    assert found["slides"] == 1.0
+    # torques are those of the step's begin: of first order in the step
+    assert found["force_error"] < 20.0 * 1e-2
+    assert found["mean_force"] == pytest.approx(20.0, rel=2e-3)
+    assert found["work_error"] < 2e-3
+    assert found["off_circle"] < 1e-3
+    assert found["largest_effort"] < 60.0
+    assert found["up_and_down"] > 1e-3
+
+
+def test_rover_drives_curve():
+    found = run_example("rover_drives_curve", duration=2.5, step=5e-3)
+    assert found["sliding"] == 0.0
+    assert found["limited"] > 10.0
+    # what is trusted in, and no more
+    assert found["largest_ratio"] == pytest.approx(0.45, abs=1e-6)
+    assert found["speed"] == pytest.approx(1.4, rel=1e-5)
+    # forces of a step along the axes at its end
+    assert found["sideways"] == pytest.approx(found["expected_sideways"], rel=1e-3)
+    assert found["transfer"] == pytest.approx(found["expected_transfer"], rel=1e-3)
+    assert found["off_circle"] < 0.02
+
+
 def test_panda_rolls_ball():
     needs("example-robot-data")
     found = run_example("panda_rolls_ball")

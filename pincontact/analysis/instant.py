@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
 
+from ..dynamics.energy import REST_SPEED
 from ..dynamics.joints import joint_guards
 from ..dynamics.units import unwhiten, whiten
 from ..errors import SingularContactError, SolverError
@@ -33,6 +35,7 @@ from ..layout import (
     LOW_END,
     MODE,
     MU_STATIC,
+    NO_FORCE,
     NORMAL_MARGIN,
     PATTERN,
     SLIPPING,
@@ -108,41 +111,73 @@ class Instant:
         self.scene, self.model = scene, scene.model
         contacts = list(scene.contacts.values())
         self.system = system = RunSystem(scene.model, contacts, guards=joint_guards(scene.model), resistances=True)
-        self.t = float(state.t)
         self.tau = check_vector("tau", np.zeros(system.nv) if tau is None else tau, system.nv)
-        self.q, self.v = state.q.copy(), state.v.copy()
+        # forces of the modes at hand are of no use where they are not decided
+        self._decide = decide
+        self._take(state, decide)
+        # the natural length of the motion in m, by which steps of differences are chosen
+        lengths = system.contact_real[: system.nc, LENGTH]
+        self.length = min(1.0, float(lengths.min(initial=1.0)))
+
+    def move_to(self, state: State) -> None:
+        """Take another state of the scene, with contacts and joints as for `decide=False`.
+
+        Contacts that stick in the state, as the last step of time stepping left it, do so here, too, where they creep.
+        """
+        check_state(self.scene, state)
+        self._take(state, False)
+        system = self.system
+        creeping = [
+            c
+            for c in system.closed()
+            if system.contact_int[c, MODE] == SLIPPING
+            and state.discrete[c, 0] == STICK
+            and float(np.linalg.norm(self._slip(np.array([c])))) <= REST_SPEED
+        ]
+        if creeping:
+            system.contact_int[creeping, MODE] = STICK
+            self.evaluate()
+
+    def _take(self, state: State, decide: bool) -> None:
+        system = self.system
+        self.t, self.q, self.v = float(state.t), state.q.copy(), state.v.copy()
         self._location = state.location.copy()
         system.tau[:] = self.tau
         write_discrete(system, state.discrete)
         self._set_modes(state, decide)
         self.evaluate()
         self._location = system.location[: system.nc].copy()
-        # the natural length of the motion in m, by which steps of differences are chosen
-        lengths = system.contact_real[: system.nc, LENGTH]
-        self.length = min(1.0, float(lengths.min(initial=1.0)))
+
+    @cached_property
+    def _transitions(self) -> Transitions:
+        rk = RungeKutta(self.system, tableau("DOP853"), 1e-10, 1e-12, None)
+        return Transitions(rk, list(self.scene.contacts), [0.0] * self.system.nc, 0.0)
 
     def _set_modes(self, state: State, decide: bool) -> None:
-        system = self.system
-        names = list(self.scene.contacts)
-        rk = RungeKutta(system, tableau("DOP853"), 1e-10, 1e-12, None)
+        system, transitions = self.system, self._transitions
+        rk = transitions.rk
         rk.begin_at(state.q, state.v, state.location)
-        transitions = Transitions(rk, names, [0.0] * system.nc, 0.0)
         try:
             if decide:
                 transitions.begin(self.t)
             else:
                 rk.evaluate(self.t)
                 transitions.changes.set_from_velocities()
+                slow = self._rest_speed
                 for g, guard in enumerate(system.guards):
                     speed = float(self.v[guard.index_v])
-                    transitions.modes.release(g, 0 if self.at_rest(speed) else 1 if speed > 0.0 else -1)
+                    transitions.modes.release(g, 0 if abs(speed) <= slow else 1 if speed > 0.0 else -1)
         except Stop as stop:
             kind = SingularContactError if stop.code == SINGULAR_CONTACT else SolverError
             raise kind(stop.args[0]) from None
 
     def at_rest(self, speed: float) -> bool:
         """Whether a joint velocity is round-off."""
-        return abs(speed) <= _AT_REST * (1.0 + float(np.abs(self.v).max(initial=0.0)))
+        return abs(speed) <= self._rest_speed
+
+    @property
+    def _rest_speed(self) -> float:
+        return _AT_REST * (1.0 + float(np.abs(self.v).max(initial=0.0)))
 
     # ---------------------------------------------------------------- evaluation
 
@@ -160,7 +195,7 @@ class Instant:
         system.tau[:] = self.tau if tau is None else tau
         system.location[: system.nc] = self._location
         status = system.evaluate(self.t if t is None else t)
-        if status > EVENT:
+        if status > EVENT and (self._decide or status != NO_FORCE):
             code, reason = FAILURES[status]
             raise (SingularContactError if code == SINGULAR_CONTACT else SolverError)(reason)
         return system.acceleration.copy()

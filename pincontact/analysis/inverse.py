@@ -3,34 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
-from ..arguments import NOT_REAL, check_tolerance, real_array
-from ..dynamics.joints import END_SLACK
-from ..dynamics.stretches import associated
+from ..arguments import NOT_REAL, check_flag, check_tolerance, real_array
 from ..dynamics.units import whiten
 from ..errors import ArgumentError, SolverError, StateError
 from ..geometry.patterns import ON_CURVE
-from ..layout import (
-    MODE,
-    MU_NOW,
-    MU_STATIC,
-    PATTERN,
-    ROLLING_ROW,
-    SLIP_SIGN,
-    SLIPPING,
-    STICK,
-    TANGENTS,
-    UNILATERAL,
-)
+from ..layout import MODE, MU_STATIC, PATTERN, ROLLING_ROW, SLIPPING, STICK
 from ..state import check_vector
+from .farkas import FarkasCertificate
 from .forces import check_forces
 from .instant import Instant
+from .inverse_loads import RestingJoints, joint_loads, shares_of, unit_forces
+from .inverse_problem import Options, Wanted, opening_contacts
+from .inverse_program import InverseProgram
 from .ranks import Directions
+from .tasks import Accelerations, Weights
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -51,6 +43,7 @@ _ACCURACY, _AT_BOUND = 1e-11, 1e-7
 _ITERATIONS_OF_PROGRAM = 100
 # What stands for no bound there.
 _UNBOUNDED = 1e20
+_UNREACHABLE, _REDUNDANT = ("error", "nearest"), ("least", "centred", "last")
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +94,11 @@ class InverseDynamics:
         Dry friction of joints and what the ends of their ways carry, in N and N m.
     held : tuple of HeldTurn
         Of `torques` those of resistances that are at rest, each with the limit that it was not made to obey.
+    shortfall : float
+        By how much the accelerations wanted are missed, where limits put them out of reach: the root of the sum of
+        weight * error^2, of what could be reached without limits.
+    certificate : FarkasCertificate or None
+        Why they are out of reach.
     """
 
     tau: np.ndarray
@@ -111,62 +109,89 @@ class InverseDynamics:
     residual: float
     joint_forces: np.ndarray
     held: tuple[HeldTurn, ...] = ()
-
-
-@dataclass(frozen=True)
-class RestingJoints:
-    """Joint coordinates that rest and are to stay at rest, by dry friction or at an end of their way: indices in v,
-    and the range (low, high) of the force that holds them, infinite towards the inside of an end."""
-
-    index: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-
-    def within(self, forces: np.ndarray, slack: float) -> bool:
-        return bool((forces >= self.low - slack).all() and (forces <= self.high + slack).all())
+    shortfall: float = 0.0
+    certificate: FarkasCertificate | None = None
+    _program: InverseProgram | None = field(default=None, repr=False)
 
 
 def inverse_dynamics(
     scene: Scene,
     state: State,
-    acceleration: ArrayLike | None = None,
+    acceleration: Accelerations = None,
     *,
     actuation: ArrayLike | Sequence[str] | None = None,
     forces: Mapping[str, ArrayLike] | None = None,
     tolerance: float = 1e-8,
+    cones: bool = False,
+    effort_limits: bool = False,
+    weights: Weights = None,
+    unreachable: str = "error",
+    redundant: str = "least",
+    warm: InverseDynamics | None = None,
 ) -> InverseDynamics:
     """Joint torques and contact forces that give a scene the accelerations wanted at a state.
 
     They solve M a + nle + damping v = actuation efforts + joint forces + sum of (contact rows)^T F.
 
     With contacts many pairs of torques and forces do it. The ones returned have the least torques (the norm of
-    `efforts`) and, among those, the least contact forces (the norm of their components). Where friction sticks the
-    force is whatever it takes: its cone is not imposed, compare `forces` with it; contacts that slide carry Coulomb's
-    force. Likewise a resistance to spinning or rolling that is at rest holds with whatever torque it takes: `held` says
-    with which, and whether that is within its limit. Contacts that are given in `forces` carry just that, and resist no
-    turning.
+    `efforts`) and, among those, the contact forces that `redundant` chooses. Closed contacts stay closed; those at rest
+    stick or roll, and carry what that takes, within their cones with `cones=True`; contacts that slide carry Coulomb's
+    force. Likewise a resistance to spinning or rolling that is at rest holds with whatever torque it takes, or with
+    `cones=True` within its limit: `held` says with which, and whether that is within. Contacts that are given in
+    `forces` carry just that, and resist no turning.
 
     Joints have their dry friction. One that moves, or is to begin to, has all of it, against its motion. One that rests
     and is to stay at rest may have any friction in its range, and any push of a limit that it rests at; the least
     efforts make use of both. Where the range contains zero, no friction is as possible as any other: to find torques
     that hold without it, set the model's `lowerDryFrictionLimit` and `upperDryFrictionLimit` to zero.
 
+    Limits, named accelerations and choices of forces make it a sequence of quadratic programs, solved by ProxQP: the
+    accelerations nearest to those wanted, the least efforts with these, and the chosen forces with these efforts. In a
+    control loop pass the last result as `warm`; the programs then go on from its solution, at a fraction of the time:
+
+        found = None
+        while True:
+            found = pc.inverse_dynamics(scene, stepper.state, wanted, cones=True, effort_limits=True, warm=found)
+            stepper.step(found.tau)
+
     Parameters
     ----------
     scene : Scene
+        The scene.
     state : State
-        A state of this scene.
-    acceleration : (nv,) array_like, optional
-        In m/s^2 and rad/s^2, Pinocchio's order; must keep the closed contacts closed and rolling. If not given, the one
-        nearest zero, in the norm of the mass matrix, that does (going on at constant velocity as far as the contacts
+        A state of it. A contact that sticks in the state, as the last step of a `Stepper` left it, sticks.
+    acceleration : (nv,) array_like, mapping or None
+        Wanted. A vector must keep the closed contacts closed and rolling, unless `unreachable="nearest"`. A mapping
+        has for names of joints the accelerations of their coordinates (a free flyer's are in body axes), and for names
+        of other frames that of the frame's origin (3,), or of that and the frame's rotation (6,), both in world axes.
+        None: the one nearest zero, in the norm of the mass matrix (going on at constant velocity as far as the contacts
         let it).
-    actuation : (nv, na) array_like or sequence of str, optional
-        How efforts act on the velocity coordinates, or names of the joints that are driven; all joints except a
-        free-flying root, if not given.
-    forces : mapping of str to (3,) array_like, optional
-        Given forces of contacts in N, on the second contour, world axes.
+    actuation : (nv, na) array_like, sequence of str or None
+        Matrix, or names of joints; None: all joints except a free-flying root.
+    forces : mapping of str to (3,) array_like or None
+        Contact -> force in N on the second contour given, world axes. A unilateral contact that is given no force may
+        open: its gap is kept from shrinking only.
     tolerance : float
         Largest residual and largest constraint defect that counts as none, relative to the loads.
+    cones : bool
+        Contact forces stay in their friction cones, elliptic ones too, and push, to 1e-6 of the loads. Where contacts
+        cannot open, their cones are those about the direction of the normal force that they would have without them.
+    effort_limits : bool
+        The torques that actuators make stay within the model's `effortLimit`.
+    weights : array_like, mapping or None
+        How much accelerations count that cannot all be reached: the sum of weight * error^2 is least. One number or
+        (nv,) for a vector, else name -> one number, or one for each of its entries. None: 1, but for a vector the norm
+        of the mass matrix.
+    unreachable : {"error", "nearest"}
+        What is done where cones, limits or (for a vector) contacts do not let the accelerations be as near to those
+        wanted as they could be without: InfeasibleError, or the nearest ones, with `shortfall` and `certificate`.
+    redundant : {"least", "centred", "last"}
+        Which contact forces are taken among those with the same efforts and accelerations: those of least norm of their
+        components, the most central ones within cones (of least norm where the cones leave no inside), or those nearest
+        to the forces of `warm`.
+    warm : InverseDynamics or None
+        The result of the last call for this scene with limits, named accelerations, a choice of forces or `warm`. It
+        hands its programs on. The scene and its model must be what they were.
 
     Returns
     -------
@@ -178,7 +203,10 @@ def inverse_dynamics(
         For an acceleration that breaks the contacts (with the contact and the number), that takes a joint beyond its
         end, or is no vector (nv,).
     ArgumentError
-        For a bad actuation, an unknown contact, or a state of another scene.
+        For a bad actuation, weight or option, an unknown contact, joint or frame, or a state of another scene.
+    InfeasibleError
+        Where cones and limits make the accelerations impossible, or all of them whatever `unreachable` says; its
+        `certificate` is a `FarkasCertificate`.
     SolverError
         Where these actuators cannot do it.
 
@@ -201,6 +229,22 @@ def inverse_dynamics(
     True
     """
     check_tolerance(tolerance)
+    check_flag("cones", cones)
+    check_flag("effort_limits", effort_limits)
+    for name, value, known in (("unreachable", unreachable, _UNREACHABLE), ("redundant", redundant, _REDUNDANT)):
+        if not (isinstance(value, str) and value in known):
+            raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}, got {value!r}")
+    options = Options(cones, effort_limits, unreachable, redundant, tolerance)
+    if isinstance(acceleration, Mapping) or weights is not None or warm is not None or options.limited:
+        program = _program(scene, state, warm)
+        tasks = program.tasks.read(acceleration, weights, program.instant.q, program.instant.v)
+        wanted = Wanted(
+            tasks,
+            actuation_matrix(scene.model, actuation),
+            check_forces(scene, {} if forces is None else forces),
+            options,
+        )
+        return _within_limits(program, wanted, not (acceleration is None or isinstance(acceleration, Mapping)))
     instant = Instant(scene, state, decide=False)
     system, model = instant.system, scene.model
     given = check_forces(scene, {} if forces is None else forces)
@@ -212,26 +256,17 @@ def inverse_dynamics(
         a = -instant.least_change(constrained, bias)
     else:
         a = check_vector("acceleration", acceleration, system.nv)
-        scale = max(1.0, float(np.abs(a).max(initial=0.0)), float(np.abs(bias).max(initial=0.0)))
-        defects = instant.rows(constrained) @ a + bias
-        if constrained and np.abs(defects).max() > tolerance * scale:
-            worst = int(np.argmax(np.abs(defects)))
-            c, row = constrained[worst]
-            kind = "apart" if (c, row) in instant.holonomic() else "into slip" if c < system.nc else "into turning"
-            raise StateError(
-                f"acceleration: it takes contact {system.contacts[system.owner(c)].name!r} {kind} at "
-                f"{defects[worst]:.3g} {'m' if c < system.nc else 'rad'}/s^2 (tolerance {tolerance * scale:.3g})"
-            )
-    resting, joint_forces = _joint_loads(instant, a, tolerance)
+        _check_kept(instant, constrained, a, tolerance)
+    resting, joint_forces, _ = joint_loads(instant, a, tolerance)
     # M a + nle + damping v, from the acceleration that the loads and moving joints' friction alone would make
     factor = np.tril(system.factor)
     needed = factor.T @ (factor @ (a - system.free_acceleration)) - joint_forces
     joint_forces += system.joint_forces()
     loads = max(_NEGLIGIBLE, float(np.abs([needed, system.bias_forces]).max(initial=0.0)))
-    signs = {c.name: -1.0 if c.swapped else 1.0 for c in system.contacts}
     for c, contact in enumerate(system.contacts):
         if contact.name in given:
-            needed = needed - system.rows[c].T @ (system.basis[c] @ (signs[contact.name] * given[contact.name]))
+            sign = -1.0 if contact.swapped else 1.0
+            needed = needed - system.rows[c].T @ (system.basis[c] @ (sign * given[contact.name]))
     solved = [(c, row) for c, row in constrained if system.contacts[system.owner(c)].name not in given]
     loads = max(loads, float(np.abs(needed).max(initial=0.0)))
     solution = None
@@ -253,12 +288,89 @@ def inverse_dynamics(
             f"inverse dynamics: the actuators and contacts leave {residual:.3g} N (N m) of the equations of motion "
             f"(tolerance {tolerance * loads:.3g})"
         )
-    acting = {name: np.zeros(3) for name in scene.contacts} | given
-    torques = {name: np.zeros(3) for name in scene.contacts}
+    acting, torques, held = _contact_forces(instant, solved, components, shares, given)
+    return InverseDynamics(matrix @ efforts, efforts, a, acting, torques, residual, joint_forces, held)
+
+
+def _program(scene: Scene, state: State, warm: InverseDynamics | None) -> InverseProgram:
+    """The program of the last result, at this state, or a new one."""
+    if warm is None:
+        return InverseProgram(scene, state)
+    if not isinstance(warm, InverseDynamics) or warm._program is None:
+        raise ArgumentError(
+            "warm must be the result of inverse_dynamics with limits, named accelerations or a choice of forces, got "
+            + (type(warm).__name__ if not isinstance(warm, InverseDynamics) else "one without")
+        )
+    if not warm._program.fits(scene):
+        raise ArgumentError("warm: the result belongs to another scene, or contacts were added after it was made")
+    warm._program.instant.move_to(state)
+    return warm._program
+
+
+def _within_limits(program: InverseProgram, wanted: Wanted, vector: bool) -> InverseDynamics:
+    """What the program finds; vector: the wanted accelerations are one, of all coordinates."""
+    instant, options = program.instant, wanted.options
+    if vector and options.unreachable == "error":
+        opening = opening_contacts(instant, wanted.given)
+        constrained = [item for item in instant.constrained() if instant.system.owner(item[0]) not in opening]
+        _check_kept(instant, constrained, wanted.tasks.wanted, options.tolerance)
+    found = program.solve(wanted)
+    problem, system = found.problem, instant.system
+    residual = problem.residual(found.u)
+    joint_forces = system.joint_forces() + problem.beginning
+    joint_forces[problem.resting.index] += found.holding
+    acting, torques, held = _contact_forces(instant, problem.items, found.components, problem.shares, wanted.given)
+    return InverseDynamics(
+        wanted.actuation @ found.efforts,
+        found.efforts,
+        problem.acceleration(found.u),
+        acting,
+        torques,
+        residual,
+        joint_forces,
+        held,
+        found.shortfall,
+        found.certificate,
+        program,
+    )
+
+
+def _check_kept(instant: Instant, constrained: list[tuple[int, int]], a: np.ndarray, tolerance: float) -> None:
+    """Raise StateError for an acceleration (nv,) that breaks the contacts."""
+    system, bias = instant.system, instant.biases(constrained)
+    scale = max(1.0, float(np.abs(a).max(initial=0.0)), float(np.abs(bias).max(initial=0.0)))
+    defects = instant.rows(constrained) @ a + bias
+    if constrained and np.abs(defects).max() > tolerance * scale:
+        worst = int(np.argmax(np.abs(defects)))
+        c, row = constrained[worst]
+        kind = "apart" if (c, row) in instant.holonomic() else "into slip" if c < system.nc else "into turning"
+        raise StateError(
+            f"acceleration: it takes contact {system.contacts[system.owner(c)].name!r} {kind} at "
+            f"{defects[worst]:.3g} {'m' if c < system.nc else 'rad'}/s^2 (tolerance {tolerance * scale:.3g})"
+        )
+
+
+def _contact_forces(
+    instant: Instant,
+    solved: list[tuple[int, int]],
+    components: np.ndarray,
+    shares: np.ndarray,
+    given: dict[str, np.ndarray],
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], tuple[HeldTurn, ...]]:
+    """Forces and torques on second contours, and the turns that are held, from components of forces."""
+    system = instant.system
+    signs = {contact.name: -1.0 if contact.swapped else 1.0 for contact in system.contacts}
+    # the given ones stay as they are: no component is theirs
+    acting = {name: np.zeros(3) for name in signs} | given
+    torques = {name: np.zeros(3) for name in signs}
     by_item = {item: np.zeros(3) for item in system.resisting()}
+    names = [contact.name for contact in system.contacts]
     for k, (c, row) in enumerate(solved):
-        name = system.contacts[system.owner(c)].name
-        for item, unit in _unit_forces(instant, c, row, shares[k]).items():
+        name = names[system.owner(c)]
+        if not system.nr and system.contact_int[c, MODE] != SLIPPING:
+            acting[name] += signs[name] * components[k] * system.basis[c, row]
+            continue
+        for item, unit in unit_forces(instant, c, row, shares[k]).items():
             part = signs[name] * components[k] * (system.basis[item].T @ unit)
             if item < system.nc:
                 acting[name] = acting[name] + part
@@ -270,33 +382,7 @@ def inverse_dynamics(
         for item, torque in by_item.items()
         if system.contact_int[item, MODE] == STICK and system.contacts[system.owner(item)].name not in given
     )
-    return InverseDynamics(matrix @ efforts, efforts, a, acting, torques, residual, joint_forces, held)
-
-
-def _joint_loads(instant: Instant, a: np.ndarray, tolerance: float) -> tuple[RestingJoints, np.ndarray]:
-    """What holds joints that rest and stay at rest, and the friction (nv,) of those that begin to move."""
-    beginning = np.zeros(a.size)
-    held: list[tuple[int, float, float]] = []
-    still = tolerance * max(1.0, float(np.abs(a).max(initial=0.0)))
-    for guard in instant.system.guards:
-        k, position = guard.index_v, float(instant.q[guard.index_q])
-        if not instant.at_rest(float(instant.v[k])):
-            continue
-        at_low, at_high = position <= guard.low_end + END_SLACK, position >= guard.high_end - END_SLACK
-        if abs(a[k]) <= still:
-            low, high = -np.inf if at_high else guard.low_force, np.inf if at_low else guard.high_force
-            if low < high:
-                held.append((k, low, high))
-        elif at_low if a[k] < 0.0 else at_high:
-            raise StateError(
-                f"acceleration: it takes joint {guard.joint!r}, which is at an end of its way, q[{guard.index_q}] = "
-                f"{position:.9g}, beyond it at {a[k]:.3g} rad/s^2 (m/s^2)"
-            )
-        else:
-            beginning[k] = guard.low_force if a[k] > 0.0 else guard.high_force
-    index = np.array([k for k, *_ in held], dtype=int)
-    bounds = np.array([(low, high) for _, low, high in held]).reshape(-1, 2)
-    return RestingJoints(index, bounds[:, 0], bounds[:, 1]), beginning
+    return acting, torques, held
 
 
 def _held_turn(instant: Instant, item: int, torque: np.ndarray, forces: dict[str, np.ndarray]) -> HeldTurn:
@@ -342,17 +428,17 @@ def _solve(
     resting: RestingJoints,
     shares: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float] | None:
-    """Efforts, force components, forces that hold resting joints, shares (see `_shares`) and the largest residual; None
-    where shares do not settle."""
+    """Efforts, force components, forces that hold resting joints, shares (see `shares_of`) and the largest residual;
+    None where shares do not settle."""
     columns, sizes = np.zeros((needed.size, len(solved))), np.zeros(len(solved))
     size_of = {item: instant.row_size(item) for item in [*instant.system.closed(), *instant.system.resisting()]}
     for _ in range(_ITERATIONS):
         for k, (c, row) in enumerate(solved):
-            units = _unit_forces(instant, c, row, shares[k])
+            units = unit_forces(instant, c, row, shares[k])
             columns[:, k] = sum(instant.system.rows[item].T @ unit for item, unit in units.items())
             sizes[k] = sum(size_of[item] * np.linalg.norm(unit) for item, unit in units.items())
         efforts, components, holding = _least(instant, actuation, columns, sizes, needed, resting)
-        new = _shares(instant, solved, components)
+        new = shares_of(instant, solved, components)
         if np.abs(new - shares).max(initial=0.0) <= _UNCHANGED:
             left = actuation @ efforts + columns @ components - needed
             left[resting.index] += holding
@@ -448,38 +534,3 @@ def _least_with_bounds(
     )
     qp.solve()
     return np.clip(size * qp.results.x, resting.low, resting.high)
-
-
-def _unit_forces(instant: Instant, c: int, row: int, share: float) -> dict[int, np.ndarray]:
-    """Item -> force on body 2 along its basis that a unit of one component brings with it: the component itself, and of
-    a normal one the friction of the contact and of its resistances where they slide."""
-    system = instant.system
-    unit = np.zeros(3)
-    unit[row] = 1.0
-    out = {c: unit}
-    if c >= system.nc or not (row == 2 or (row == 1 and system.contact_int[c, PATTERN] == ON_CURVE)):
-        return out
-    for item in (c, *(i for i in system.resisting() if system.owner(i) == c)):
-        integers = system.contact_int[item]
-        if integers[MODE] != SLIPPING:
-            continue
-        force, mu = out.setdefault(item, np.zeros(3)), system.contact_real[item, MU_NOW]
-        if integers[TANGENTS] == 1:
-            force[0] -= mu * share * float(integers[SLIP_SIGN])
-        else:
-            along = system.basis[item, :2] @ system.slip[item]
-            force[:2] -= mu * share * associated(system, item, along / np.hypot(along[0], along[1]))
-    return out
-
-
-def _shares(instant: Instant, solved: list[tuple[int, int]], components: np.ndarray) -> np.ndarray:
-    """|F_n| by each normal component: the components of its unit vector on a spatial curve, else its sign."""
-    out = np.ones(len(solved))
-    integers = instant.system.contact_int
-    for c in {c for c, _ in solved if c < instant.system.nc}:
-        on_curve = integers[c, PATTERN] == ON_CURVE
-        normals = [k for k, (other, row) in enumerate(solved) if other == c and (row == 2 or (row == 1 and on_curve))]
-        size = float(np.linalg.norm(components[normals]))
-        if size > 0.0 and not integers[c, UNILATERAL]:
-            out[normals] = components[normals] / size
-    return out

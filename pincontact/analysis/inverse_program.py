@@ -1,0 +1,277 @@
+"""Inverse dynamics within limits: least squares on several levels, over the admissible motions and forces of a state.
+
+In the free directions s of `Problem`, within its cones and half-spaces, one after the other,
+
+    reach     the weighted distance of the accelerations from those wanted is least,
+    efforts   the norm of the efforts, among what is as near,
+    forces    the distance of contact forces from chosen ones, among what has these efforts.
+
+Each level is a `ConeLeastSquares` in what the one before leaves free, and begins inside. The first is left out as long
+as the accelerations wanted can be reached, which the second finds out. Where they cannot, the multipliers of the first
+are a certificate; where nothing is admissible, those of the least enlargement of all limits.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..dynamics.redundant import Cone, central_force
+from ..errors import InfeasibleError, SolverError
+from ..friction.cone_least_squares import ConeLeastSquares, ConeSolution, Region
+from ..layout import TANGENTS, UNILATERAL
+from .farkas import FarkasCertificate, certificate_of, multipliers_of_elastic
+from .instant import Instant
+from .inverse_loads import shares_of
+from .inverse_problem import Options, Problem, Wanted
+from .tasks import TaskReader
+
+if TYPE_CHECKING:
+    from ..scene import Scene
+    from ..state import State
+
+# Directions that move tasks, efforts or forces by less than this part of what moves them most do not move them.
+_NULL, _CLEARLY = 1e-9, 1e-12
+# Rounds in which directions of normal forces of contacts that cannot open settle, and by what they may still change.
+_ROUNDS, _SETTLED = 20, 1e-9
+
+
+class Solved:
+    """What a program found: the problem, u, by how much the wanted accelerations are missed, in the norm of the
+    weighted tasks, and why."""
+
+    def __init__(
+        self, problem: Problem, u: np.ndarray, shortfall: float, certificate: FarkasCertificate | None
+    ) -> None:
+        self.problem, self.shortfall, self.certificate = problem, shortfall, certificate
+        self.u = u
+        self.efforts = problem.load * u[problem.efforts]
+        self.components = problem.load * u[problem.components]
+        self.holding = problem.load * u[problem.holding]
+
+
+class InverseProgram:
+    """The programs of one scene, which go on from call to call: evaluation, facets, multipliers, the last forces.
+
+    The scene and its model must stay as they are.
+    """
+
+    def __init__(self, scene: Scene, state: State) -> None:
+        self.instant = Instant(scene, state, decide=False)
+        self.instant.move_to(state)
+        self.tasks = TaskReader(scene.model)
+        self._contacts = list(scene.contacts.values())
+        self._reach, self._efforts, self._forces, self._elastic = (ConeLeastSquares() for _ in range(4))
+        self._reached = True
+        self._last: np.ndarray | None = None
+        # by item and row, of the last call and of the one before
+        self._last_forces: dict[tuple[int, int], float] = {}
+        self._before: dict[tuple[int, int], float] = {}
+        self._sizes: dict[int, float] = {}
+
+    def fits(self, scene: Scene) -> bool:
+        """Whether it was made for this scene with these contacts."""
+        return self.instant.scene is scene and self._contacts == list(scene.contacts.values())
+
+    @property
+    def programs(self) -> int:
+        """How many quadratic programs ProxQP has solved."""
+        return sum(level.programs for level in (self._reach, self._efforts, self._forces, self._elastic))
+
+    def solve(self, wanted: Wanted) -> Solved:
+        """At the state of `instant`.
+
+        Raises InfeasibleError with a certificate, SolverError where the equations cannot be balanced.
+        """
+        self._before = self._last_forces
+        system = self.instant.system
+        two_sided = [
+            c
+            for c in system.closed()
+            if not system.contact_int[c, UNILATERAL]
+            and system.contacts[c].name not in wanted.given
+            and (system.contact_int[c, TANGENTS] > 0 or system.resists(c))
+        ]
+        if not two_sided:
+            return self._solve(Problem(self.instant, wanted, {}, 1.0, [], self._sizes), wanted)
+        # cones about |F_n| are not convex: they are taken about the direction that F_n has without them
+        best: Solved | None = None
+        failure = SolverError("the nearest accelerations are others")
+        for sign in (1.0, -1.0):
+            try:
+                found = self._settle(wanted, sign, two_sided)
+            except SolverError as error:
+                failure = error
+                continue
+            if best is None or found.shortfall < best.shortfall:
+                best = found
+            if best.certificate is None:
+                return best
+        if best is not None and wanted.options.unreachable == "nearest":
+            return Solved(best.problem, best.u, best.shortfall, None)
+        raise SolverError(
+            f"inverse dynamics: nothing was found for either sign of the normal force of contacts that cannot open, "
+            f"{', '.join(repr(system.contacts[c].name) for c in two_sided)}: {failure}"
+        )
+
+    def _settle(self, wanted: Wanted, sign: float, two_sided: list[int]) -> Solved:
+        """With the directions of normal forces that agree with these, from those without the contacts' cones on."""
+        instant, unlimited = self.instant, two_sided
+        shares: dict[tuple[int, int], float] = {}
+        for _ in range(_ROUNDS):
+            problem = Problem(instant, wanted, shares, sign, unlimited, self._sizes)
+            found = self._solve(problem, wanted)
+            again = shares_of(instant, problem.items, found.components)
+            if not unlimited and np.abs(again - problem.shares).max(initial=0.0) <= _SETTLED:
+                return found
+            if unlimited and sign < 0.0:
+                # the other way than what the first attempt came from
+                again = np.where([c in two_sided and row != 0 for c, row in problem.items], -again, again)
+            unlimited, shares = [], dict(zip(problem.items, again.tolist()))
+        raise SolverError("the directions of normal forces do not settle")
+
+    # ---------------------------------------------------------------- levels
+
+    def _solve(self, problem: Problem, wanted: Wanted) -> Solved:
+        options, start, basis = wanted.options, problem.start, problem.basis
+        region = problem.region.restricted(start, basis)
+        level = _Tasks(problem, wanted)
+        last = self._last
+        guess = np.zeros(basis.shape[1]) if last is None or last.size != start.size else basis.T @ (last - start)
+        rows, rest = basis[problem.efforts], start[problem.efforts]
+        point, null, shortfall, certificate, solution = level.point, level.null, 0.0, None, None
+        inner = region.restricted(point, null)
+        if self._reached:
+            solution = self._efforts.solve(rows @ null, -(rest + rows @ point), inner, null.T @ guess)
+        if solution is None:
+            nearest, shortfall, certificate = self._nearest(problem, level, region, guess, options)
+            point = nearest.y
+            region, shared = region.face(nearest)
+            null = _null(np.vstack([level.matrix, shared]))
+            inner = region.restricted(point, null, keep=True)
+            solution = self._efforts.solve(rows @ null, -(rest + rows @ point), inner, np.zeros(null.shape[1]))
+            if solution is None:
+                raise SolverError("inverse dynamics: ProxQP did not find the least efforts")
+        point = point + null @ solution.y
+        inner, shared = inner.face(solution)
+        free = _null(np.vstack([rows @ null, shared]))
+        if free.shape[1]:
+            inner = inner.restricted(solution.y, free, keep=True)
+            point = self._choose_forces(problem, options.redundant, point, null @ free, inner)
+        self._last = start + basis @ point
+        components = problem.load * self._last[problem.components]
+        self._last_forces = dict(zip(problem.items, components.tolist()))
+        return Solved(problem, self._last, shortfall, certificate)
+
+    def _nearest(
+        self, problem: Problem, level: _Tasks, region: Region, guess: np.ndarray, options: Options
+    ) -> tuple[ConeSolution, float, FarkasCertificate | None]:
+        """The nearest accelerations, their distance, and why there is one."""
+        nearest = self._reach.solve(level.matrix, level.right, region, guess)
+        if nearest is None:
+            raise self._nothing(problem, level, region)
+        unit = float(np.linalg.norm(level.matrix @ nearest.y - level.right))
+        shortfall = level.scale * unit
+        self._reached = shortfall <= options.tolerance * level.size
+        if self._reached:
+            return nearest, 0.0, None
+        scale = 1.0
+        if not nearest.exact:
+            # multipliers are as large as the distance; in units of it they are known better
+            again = self._reach.solve(level.matrix / unit, level.right / unit, region, nearest.y)
+            if again is not None:
+                nearest, scale = again, unit
+                shortfall = level.scale * float(np.linalg.norm(level.matrix @ nearest.y - level.right))
+        task = level.rows.T @ (level.matrix @ nearest.y - level.right) / (level.scale * scale**2)
+        wanted = problem.start + problem.basis @ level.point
+        certificate = certificate_of(problem, nearest.cones, nearest.rows, task, wanted)
+        if options.unreachable == "error":
+            self._reached = True
+            raise InfeasibleError(
+                f"inverse dynamics: the accelerations are out of reach, by {shortfall:.3g} in the norm of the weights, "
+                f"for {certificate}",
+                certificate,
+            )
+        return nearest, shortfall, certificate
+
+    def _choose_forces(
+        self, problem: Problem, redundant: str, point: np.ndarray, free: np.ndarray, region: Region
+    ) -> np.ndarray:
+        """The point with the forces nearest to what is chosen, among point + free @ x."""
+        basis = problem.basis[problem.components]
+        forces, rows = problem.start[problem.components] + basis @ point, basis @ free
+        aim = np.zeros(forces.size)
+        if redundant == "last":
+            aim = np.array([self._before.get(item, 0.0) for item in problem.items]) / problem.load
+        elif redundant == "centred":
+            # in the coordinates of the cones, and all other limits
+            values = np.concatenate([region.apexes.ravel(), *_distances(region, None)])
+            slopes = np.vstack([region.cones.reshape(-1, free.shape[1]), *_distances(region, free)])
+            count = 3 * len(region.cones)
+            cones = [Cone(i, 1.0, 0.0, (i + 1, i + 2)) for i in range(0, count, 3)]
+            cones += [Cone(i, 1.0, 0.0) for i in range(count, values.size)]
+            found = central_force(values, slopes, cones)
+            if found is not None:
+                return point + free @ np.linalg.lstsq(slopes, found.forces - values, rcond=None)[0]
+        solution = self._forces.solve(rows, aim - forces, region, np.zeros(free.shape[1]))
+        return point if solution is None else point + free @ solution.y
+
+    def _nothing(self, problem: Problem, level: _Tasks, region: Region) -> SolverError:
+        """The error where nothing is admissible whatever the accelerations, with its certificate."""
+        elastic = region.elastic()
+        n, total = region.rows.shape[1], elastic.rows.shape[1]
+        matrix = np.hstack([np.zeros((total - n, n)), np.eye(total - n)])
+        found = self._elastic.solve(matrix, np.zeros(total - n), elastic, np.zeros(total))
+        if found is None:
+            return SolverError("inverse dynamics: ProxQP found neither forces within the limits nor a reason why")
+        on_cones, on_rows = multipliers_of_elastic(found, len(region.rows))
+        task = np.zeros(problem.span.shape[1])
+        at = problem.start + problem.basis @ level.point
+        certificate = certificate_of(problem, on_cones, on_rows, task, at)
+        return InfeasibleError(
+            f"inverse dynamics: no forces within the limits keep these contacts, whatever the accelerations, for "
+            f"{certificate}",
+            certificate,
+        )
+
+
+class _Tasks:
+    """The tasks in free directions: rows (r, nz) in z; matrix (r, p), right (r,) without units and without what no
+    direction reaches; scale: their unit, size: that of the wanted accelerations; point (p,): where they are reached;
+    null (p, k): orthonormal, what does not move them."""
+
+    def __init__(self, problem: Problem, wanted: Wanted) -> None:
+        rows, goal = problem.goal(wanted.tasks)
+        nz = problem.span.shape[1]
+        self.rows = rows * problem.rate
+        self.scale = float(np.sqrt((self.rows * self.rows).sum(axis=1).max(initial=0.0))) or 1.0
+        self.size = float(np.linalg.norm(goal)) + self.scale
+        self.matrix = (self.rows @ problem.basis[:nz]) / self.scale
+        missing = (goal - self.rows @ problem.start[:nz]) / self.scale
+        left, values, right = np.linalg.svd(self.matrix)
+        rank = int((values > _NULL * values.max(initial=0.0)).sum())
+        reached = left[:, :rank].T @ missing
+        self.right = left[:, :rank] @ reached
+        self.point, self.null = right[:rank].T @ (reached / values[:rank]), right[rank:].T
+
+
+def _null(matrix: np.ndarray) -> np.ndarray:
+    """(n, k) orthonormal null directions of a matrix (m, n)."""
+    if matrix.shape[0] >= matrix.shape[1] > 0:
+        # as a rule there is none, which costs less to see
+        squares = np.linalg.eigvalsh(matrix.T @ matrix)
+        if squares[0] > _CLEARLY * max(1.0, squares[-1]):
+            return np.zeros((matrix.shape[1], 0))
+    _, values, rows = np.linalg.svd(matrix)
+    return rows[int((values > _NULL * max(1.0, values.max(initial=0.0))).sum()) :].T
+
+
+def _distances(region: Region, free: np.ndarray | None) -> list[np.ndarray]:
+    """Distances from the finite ends of rows' ranges at zero, or with free directions their slopes; of those rows only
+    that these move."""
+    moved = np.abs(region.rows).max(axis=1, initial=0.0) > _NULL
+    low, high = moved & np.isfinite(region.low), moved & np.isfinite(region.high)
+    if free is None:
+        return [-region.low[low], region.high[high]]
+    return [region.rows[low], -region.rows[high]]

@@ -184,7 +184,7 @@ def _mode_strips(run: Any, names: list[str], ax: Any) -> None:
         mode_bands(run, name, strips, part, 0.8, legend=False)
         seen |= {int(kind) for kind in np.unique(run.contacts[name].mode)}
     strips.set(ylim=(0.0, 1.0), yticks=[1.0 - (row + 0.5) / len(names) for row in range(len(names))])
-    small = min(7.0, 60.0 * height)
+    small = max(3.0, min(7.0, 95.0 * height))
     strips.set_yticklabels(names, fontsize=small)
     for label, name in zip(strips.get_yticklabels(), names):
         label.set_color(_color(run, name))
@@ -218,10 +218,12 @@ def location(run: Any, contact: str | None = None, ax: Any = None) -> Any:
         changed = np.concatenate([[False], (charts[1:] != charts[:-1]).any(axis=1)])[: len(charts)]
         contact_of = run.scene.contacts.get(name)
         sides = ("first", "second") if contact_of is None else (contact_of.first.name, contact_of.second.name)
+        styles = iter(("-", "--", ":", "-."))
         for side, values in zip(sides, (track.location_first, track.location_second)):
             for k in range(values.shape[1]):
                 whole = np.where(changed, np.nan, values[:, k])
-                ax.plot(run.t, whole, label=_label(name, f"{side} u{k + 1}", tracks))
+                style = {} if len(tracks) == 1 else {"color": _color(run, name), "linestyle": next(styles)}
+                ax.plot(run.t, whole, label=_label(name, f"{side} u{k + 1}", tracks), **style)
     return _finish(ax, "location [m, rad]")
 
 

@@ -67,6 +67,10 @@ def draw_robot(
         if command["type"] == "set_object":
             # What stands beside the object is nothing to the viewer.
             command.pop("materials", None)
+            for item in command["object"]["geometries"]:
+                # an older name, of which the viewer complains
+                if item["type"] == "_meshfile":
+                    item["type"] = "_meshfile_geometry"
             _rename(command["object"])
     drawing.commands += recorder.commands
 

@@ -32,12 +32,23 @@ async function unpack() {
 }
 
 // The camera was placed for a wide window; a narrow one sees as much from further away.
+let further = 1;
 function fitCamera() {
-  const aspect = window.innerWidth / window.innerHeight;
-  const k = Math.max(1, info.aspect / aspect);
-  viewer.camera.position.multiplyScalar(k);
+  const pane = element("meshcat-pane");
+  const wanted = Math.max(1, info.aspect / (pane.clientWidth / pane.clientHeight));
+  viewer.camera.position.multiplyScalar(wanted / further);
+  further = wanted;
   viewer.controls.update();
   viewer.set_dirty();
+}
+
+// The plots stand beside the scene where there is room for both.
+function layOut() {
+  document.body.classList.toggle("beside", element("plots").open && window.innerWidth > 900);
+  viewer.set_3d_pane_size();
+  fitCamera();
+  drawPlots();
+  labelTicks();
 }
 
 // ---- the bar
@@ -190,8 +201,8 @@ function seekInPlot(event) {
 }
 canvas.addEventListener("pointerdown", seekInPlot);
 canvas.addEventListener("pointermove", seekInPlot);
-element("plots").addEventListener("toggle", drawPlots);
-window.addEventListener("resize", () => { drawPlots(); labelTicks(); });
+element("plots").addEventListener("toggle", layOut);
+window.addEventListener("resize", layOut);
 
 // ---- playing
 
@@ -223,11 +234,9 @@ function follow() {
 
 const ready = unpack().then(() => {
   viewer.gui.close();
-  fitCamera();
   applySpeed();
-  labelTicks();
   element("plots").open = window.innerWidth > 900 && rows.length > 0;
-  drawPlots();
+  layOut();
   run(true);
   // "page.html#t=1.5" opens the page paused at that time.
   const wanted = /[#&]t=([-+.0-9e]+)/.exec(location.hash);

@@ -22,6 +22,7 @@ _PAGE = """<!DOCTYPE html>
   body { margin: 0; font: 13px/1.45 system-ui, sans-serif; color: #1d2733; }
   #meshcat-pane { width: 100vw; height: 100vh; height: 100dvh; overflow: hidden; }
   .panel { position: absolute; background: rgba(255, 255, 255, 0.86); border-radius: 6px; z-index: 2; }
+  .dg.ac { z-index: 1; }
   #contacts { left: 12px; top: 12px; padding: 4px 10px; max-width: calc(100vw - 44px); max-height: 45vh;
               overflow: auto; }
   #contacts summary { cursor: pointer; }
@@ -31,6 +32,8 @@ _PAGE = """<!DOCTYPE html>
   .swatch { display: inline-block; width: 0.75em; height: 0.75em; border-radius: 50%; margin-right: 0.4em; }
   .line { display: inline-block; width: 1em; height: 3px; margin-right: 0.4em; vertical-align: middle; }
   #plots { right: 12px; bottom: 92px; padding: 4px 10px; }
+  body.beside #meshcat-pane { width: calc(100vw - 466px); }
+  body.beside #plots canvas { width: 420px; height: min(420px, 60vh); }
   #plots summary { cursor: pointer; }
   #plots canvas { display: block; width: min(420px, 40vw); height: min(260px, 36vh); cursor: crosshair; }
   #bar { left: 12px; right: 12px; bottom: 12px; padding: 6px 12px; display: flex; flex-wrap: wrap; gap: 4px 12px;

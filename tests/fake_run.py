@@ -102,10 +102,16 @@ def fake_run(rows: int = 121, name: str = "rim/floor") -> SimpleNamespace:
     potential = MASS * GRAVITY * (RADIUS + np.array([height(x) for x in t]))
     kinetic = np.full(rows, 0.75 * MASS * SPEED**2)
     work = -0.5 * np.minimum(t, SLIP_END)
+    q, v = np.array([pin.SE3ToXYZQUAT(placement(x)) for x in t]), np.array([velocity(x) for x in t])
+
+    discrete = scene.initial_state(q[0], v[0]).discrete
+
     return SimpleNamespace(
         t=t,
-        q=np.array([pin.SE3ToXYZQUAT(placement(x)) for x in t]),
-        v=np.array([velocity(x) for x in t]),
+        q=q,
+        v=v,
+        # Charts, sides and branches are those of the start; enough of them for contacts that a test adds.
+        state=lambda row: SimpleNamespace(discrete=np.repeat(discrete, 3, axis=0)),
         status=0,
         message="reached the end",
         events=[

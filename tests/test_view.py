@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import json
 import re
 import sys
@@ -40,10 +41,11 @@ from pincontact.errors import ArgumentError, TrajectoryError
 from pincontact.geometry.patterns import PATTERNS
 from pincontact.layout import FREE, SLIPPING, STICK
 from pincontact.view import arrows, export_html, meshes, plots, replay
-from pincontact.view.bodies import geometry_mesh, tile_size
 from pincontact.view.drawing import Drawing
+from pincontact.view.outlines import tile_size
+from pincontact.view.page import pack_commands
+from pincontact.view.palette import MODE_COLORS, contact_color
 from pincontact.view.replay import (
-    MODE_COLORS,
     PARTS,
     compose,
     fitting_distance,
@@ -97,8 +99,10 @@ def unpacked(commands):
 
 def commands_of(text):
     """The commands a page carries out."""
-    block = re.search(r"const commands = \[\n(.*?)\n\];", text, re.S).group(1)
-    return [umsgpack.unpackb(base64.b64decode(x), ext_handlers=HANDLERS) for x in re.findall(r'"([^"]*)"', block)]
+    places = json.loads(re.search(r"^const commands = (.*);$", text, re.M).group(1))
+    data = gzip.decompress(base64.b64decode(re.search(r'^const packed = "(.*)";$', text, re.M).group(1)))
+    pieces = [b"".join(data[a:b] for a, b in zip(place[::2], place[1::2])) for place in places]
+    return [umsgpack.unpackb(piece, ext_handlers=HANDLERS) for piece in pieces]
 
 
 def tracks_of(commands):
@@ -113,7 +117,8 @@ def changed(thing, **attributes):
 
 
 def frames_at(run, times):
-    return contact_frames(run, CONTACT, times, joint_placements(run.scene.model, configurations(run, times)))
+    q = configurations(run, times)
+    return contact_frames(run, CONTACT, times, q, joint_placements(run.scene.model, q))
 
 
 class Elements(HTMLParser):
@@ -132,13 +137,13 @@ def test_page_is_self_contained(page):
     parser = Elements()
     parser.feed(page)
     tags = [tag for tag, _ in parser.elements]
-    assert tags.count("script") == 2
+    assert tags.count("script") == 3
     assert "link" not in tags and "iframe" not in tags and "img" not in tags
     for _, attributes in parser.elements:
         assert not {"src", "href", "srcset", "data"} & set(attributes)
     assert "MeshCat" in page
     # A closed element of its own for every script: nothing inside one ended it early.
-    assert page.count("</script>") == 2
+    assert page.count("</script>") == 3
     assert "<title>a &lt;wheel&gt; &amp; its floor</title>" in page
 
 
@@ -234,7 +239,7 @@ def test_page_info_is_what_the_bar_shows(page, run):
 
 def test_page_text_cannot_end_its_script(tmp_path):
     text = export_html(fake_run(name="</script><b>"), tmp_path / "x.html").read_text(encoding="utf-8")
-    assert text.count("</script>") == 2
+    assert text.count("</script>") == 3
     info = json.loads(re.search(r"^const info = (.*);$", text, re.M).group(1).replace("<\\/", "</"))
     assert info["contacts"][0]["name"] == "</script><b>"
 
@@ -589,7 +594,7 @@ def test_points_lie_on_the_contour_however_far_apart_the_rows_are():
     run = fake_run(rows=11)
     times = np.linspace(0.0, 1.5, 151)
     q = configurations(run, times)
-    points = contact_frames(run, CONTACT, times, joint_placements(run.scene.model, q)).point
+    points = contact_frames(run, CONTACT, times, q, joint_placements(run.scene.model, q)).point
     for where, placed in zip(points, q):
         local = pin.XYZQUATToSE3(placed).actInv(where)
         # round-off
@@ -636,9 +641,6 @@ RING = np.column_stack([np.cos(np.arange(80) * np.pi / 40), np.sin(np.arange(80)
 @pytest.mark.parametrize(
     ("mesh", "expected"),
     [
-        (meshes.box(np.array([1.0, 2.0, 3.0])), 6.0),
-        (meshes.cylinder(0.5, 2.0, 80), 0.5 * np.pi),
-        (meshes.cone(0.5, 3.0, 80), 0.25 * np.pi),
         (meshes.ellipsoid(np.array([1.0, 2.0, 0.5]), 80), 4.0 / 3.0 * np.pi),
         (meshes.capsule(0.5, 2.0, 80), 0.5 * np.pi + np.pi / 6.0),
         (arrows.unit_shaft(), np.pi),
@@ -716,25 +718,7 @@ def test_tile_size_is_round():
     assert [tile_size(x) for x in (0.3, 0.05, 7.0, 1.0, 19.0)] == pytest.approx([0.2, 0.05, 5.0, 1.0, 10.0])
 
 
-def test_geometry_objects_become_meshes():
-    import coal
-
-    shapes = {
-        coal.Box(1.0, 2.0, 3.0): 6.0,
-        coal.Sphere(0.5): np.pi / 6.0,
-        coal.Cylinder(0.5, 2.0): 0.5 * np.pi,
-        coal.Capsule(0.5, 2.0): 0.5 * np.pi + np.pi / 6.0,
-        coal.Cone(0.5, 3.0): 0.25 * np.pi,
-        coal.Ellipsoid(1.0, 2.0, 0.5): 4.0 / 3.0 * np.pi,
-    }
-    for shape, expected in shapes.items():
-        geometry = pin.GeometryObject("x", 0, pin.SE3.Identity(), shape)
-        # 32 to 40 sides: a few per cent less than round
-        assert volume(geometry_mesh(geometry)) == pytest.approx(expected, rel=0.03)
-    assert geometry_mesh(pin.GeometryObject("x", 0, pin.SE3.Identity(), coal.Halfspace())) is None
-
-
-def test_visuals_are_drawn_below_their_joint_and_unknown_ones_named(run, tmp_path):
+def test_visuals_are_drawn_below_their_joint(run, tmp_path):
     import coal
 
     visual = pin.GeometryModel()
@@ -744,16 +728,17 @@ def test_visuals_are_drawn_below_their_joint_and_unknown_ones_named(run, tmp_pat
     visual.addGeometryObject(box)
     visual.addGeometryObject(pin.GeometryObject("ground", 0, pin.SE3.Identity(), coal.Halfspace()))
     robot = changed(run, scene=changed(run.scene, visual_model=visual))
-    with pytest.warns(UserWarning, match="'ground' \\(Halfspace\\) is not drawn"):
-        text = export_html(robot, tmp_path / "x.html").read_text(encoding="utf-8")
+    text = export_html(robot, tmp_path / "x.html").read_text(encoding="utf-8")
     commands = commands_of(text)
     path = "/meshcat/pincontact/bodies/root/visuals/hub"
     (made,) = (c for c in commands if c["type"] == "set_object" and c["path"] == path)
     material = made["object"]["materials"][0]
-    assert material["color"] == 0xFF8000 and material["opacity"] == 0.5 and material["transparent"]
+    assert material["color"] == 0xFF7F00 and material["opacity"] == 0.5 and material["transparent"]
     (placed,) = (c for c in commands if c["type"] == "set_transform" and c["path"] == path)
     matrix = np.reshape(placed["matrix"], (4, 4)).T
     assert matrix == pytest.approx(pose.homogeneous, abs=1e-15)
+    # Pinocchio draws a half space as a large square.
+    assert "/meshcat/pincontact/bodies/universe/visuals/ground" in {c["path"] for c in commands}
     # A body with a picture of its own keeps its contour's curve, without a disc.
     drawn = {c["path"] for c in commands if c["type"] == "set_object"}
     assert "/meshcat/pincontact/bodies/root/contours/rim/curve" in drawn
@@ -762,8 +747,9 @@ def test_visuals_are_drawn_below_their_joint_and_unknown_ones_named(run, tmp_pat
 
 def test_scene_size_follows_what_moves(run):
     times = np.linspace(0.0, END, 10)
-    placements = joint_placements(run.scene.model, configurations(run, times))
-    contacts = {CONTACT: contact_frames(run, CONTACT, times, placements)}
+    q = configurations(run, times)
+    placements = joint_placements(run.scene.model, q)
+    contacts = {CONTACT: contact_frames(run, CONTACT, times, q, placements)}
     assert scene_size(run.scene, placements, contacts) == RADIUS
 
 
@@ -938,14 +924,6 @@ def test_plot_arguments(run, pyplot):
         plots.plot(run, [])
 
 
-def test_distance_from_a_mesh_is_that_from_its_surface():
-    cube = meshes.box(np.array([2.0, 2.0, 2.0]))
-    points = np.array([[0.0, 0.0, 0.0], [3.0, 0.2, 0.1], [2.0, 2.0, 0.0], [2.0, 2.0, 2.0], [1.0, 0.3, -0.4]])
-    # inside, next to a face, an edge and a corner, and on a face
-    expected = [1.0, 2.0, np.sqrt(2.0), np.sqrt(3.0), 0.0]
-    assert meshes.distance(cube, points) == pytest.approx(expected, abs=1e-14)
-
-
 def test_a_fingertip_that_no_visual_covers_is_drawn(run):
     import coal
 
@@ -984,10 +962,54 @@ def test_camera_sees_all_and_no_more_than_that():
 def test_several_contacts_have_a_strip_of_modes_each_and_one_legend_of_styles(run, pyplot):
     both = changed(run, contacts={CONTACT: run.contacts[CONTACT], "other": run.contacts[CONTACT]})
     both.scene = changed(run.scene, contacts={name: run.scene.contacts[CONTACT] for name in both.contacts})
-    strips = [patch for patch in plots.slip(both).patches if patch.get_height() < 0.2]
-    assert len(strips) == 8
+    ax = plots.slip(both)
+    (strips,) = ax.child_axes
+    assert len(strips.patches) == 8 and not ax.patches
+    assert [label.get_text() for label in strips.get_yticklabels()] == [CONTACT, "other"]
     labels = plots.forces(both).get_legend_handles_labels()[1]
     assert labels == [CONTACT, "other", "normal", "friction", "friction limit"]
+
+
+def test_a_contact_has_one_colour_everywhere(run, pyplot):
+    both = changed(run, contacts={"other": run.contacts[CONTACT], CONTACT: run.contacts[CONTACT]})
+    both.scene = changed(run.scene, contacts={name: run.scene.contacts[CONTACT] for name in both.contacts})
+    for kind in (plots.forces, plots.slip):
+        (alone,) = {line.get_color() for line in kind(both, CONTACT).get_lines()}
+        assert alone == contact_color(1) != contact_color(0)
+    assert plots.slip(both).child_axes[0].get_yticklabels()[1].get_color() == contact_color(1)
+    info = page_info(compose(both, 30.0, 1.0, 3000, None, None, ()), both, 1.0)
+    assert [contact["color"] for contact in info["contacts"]] == [contact_color(0), contact_color(1)]
+
+
+def test_legends_cover_nothing(run, pyplot):
+    figure = plots.plot(run)
+    figure.canvas.draw()
+    for ax in figure.axes:
+        legend = ax.get_legend()
+        if legend is not None:
+            # beside the axes
+            assert legend.get_window_extent().x0 >= ax.get_window_extent().x1
+
+
+def test_a_page_stores_equal_objects_once():
+    shape = {"type": "set_object", "object": {"data": "x" * 1000}}
+    places, packed = pack_commands([{"path": name, **shape} for name in ("/a", "/b")])
+    data = gzip.decompress(packed)
+    found = [umsgpack.unpackb(b"".join(data[a:b] for a, b in zip(p[::2], p[1::2]))) for p in places]
+    assert found == [{"path": name, **shape} for name in ("/a", "/b")]
+    assert len(data) < 1200
+
+
+def test_contact_point_is_where_the_bodies_touch_however_far_apart_the_rows_are():
+    # A ball rolls 10 rad in 4 rows: interpolated parameters would lie up to a radius above the table.
+    scene = pc.Scene(wheel_model())
+    scene.add_contact(CONTACT, scene.add_contour("ball", Sphere(0.3), "disk"), scene.add_contour("floor", Plane()))
+    state = scene.initial_state([0, 0, 0.3, 0, 0, 0, 1], [0, 3.0, 0, -10.0, 0, 0])
+    run = pc.simulate(scene, state, 1.0, t_eval=np.linspace(0.0, 1.0, 5))
+    times = np.linspace(0.0, 1.0, 60)
+    found = frames_at(run, times)
+    assert found.point[:, 2] == pytest.approx(0.0, abs=1e-12)
+    assert found.point[:, :2] == pytest.approx(np.column_stack([0 * times, 3.0 * times]), abs=1e-9)
 
 
 def test_location_is_broken_where_the_chart_changes(run, pyplot):

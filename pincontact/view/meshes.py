@@ -52,18 +52,6 @@ def _strip(cells: int) -> np.ndarray:
     return np.concatenate([np.column_stack([low, low + 1, high]), np.column_stack([low + 1, high + 1, high])])
 
 
-def cylinder(radius: float, height: float, sides: int = 32) -> Mesh:
-    """A closed cylinder about z, centred at the origin."""
-    h = 0.5 * height
-    return lathe(np.array([[0.0, -h], [radius, -h], [radius, h], [0.0, h]]), sides)
-
-
-def cone(radius: float, height: float, sides: int = 32) -> Mesh:
-    """A closed cone about z, centred at half its height, apex up."""
-    h = 0.5 * height
-    return lathe(np.array([[0.0, -h], [radius, -h], [0.0, h]]), sides)
-
-
 def capsule(radius: float, length: float, sides: int = 32) -> Mesh:
     """A cylinder of that length about z, centred, closed with half spheres of its radius."""
     angle = np.linspace(-0.5 * np.pi, 0.0, sides // 4 + 1)
@@ -81,36 +69,6 @@ def ellipsoid(radii: np.ndarray, sides: int = 40) -> Mesh:
     unit = capsule(1.0, 0.0, sides)
     normals = unit.vertices / radii
     return Mesh(unit.vertices * radii, unit.faces, normals / np.linalg.norm(normals, axis=1, keepdims=True))
-
-
-def box(sides: np.ndarray) -> Mesh:
-    """A box with these full side lengths, centred."""
-    vertices: list[np.ndarray] = []
-    normals: list[np.ndarray] = []
-    faces: list[np.ndarray] = []
-    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            corners = np.empty((4, 3))
-            corners[:, axis] = sign
-            corners[:, (axis + 1) % 3] = square[:, 0]
-            corners[:, (axis + 2) % 3] = sign * square[:, 1]
-            normal = np.zeros(3)
-            normal[axis] = sign
-            faces.append(np.array([[0, 1, 2], [0, 2, 3]]) + 4 * len(vertices))
-            vertices.append(0.5 * corners * sides)
-            normals.append(np.tile(normal, (4, 1)))
-    return Mesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(normals))
-
-
-def soup(vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
-    """A mesh of flat-shaded triangles: each vertex carries its own triangle's normal."""
-    corners = vertices[triangles]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
-    count = 3 * len(triangles)
-    return Mesh(corners.reshape(count, 3), np.arange(count).reshape(-1, 3), np.repeat(normal, 3, axis=0))
 
 
 def tube(points: np.ndarray, radius: float, closed: bool, sides: int = 8) -> Mesh:
@@ -339,26 +297,3 @@ def _near(contour: Contour, window: np.ndarray, centre: np.ndarray, radius: floa
     low = np.maximum(grid[near].min(axis=0) - 0.5 * step, window[:, 0])
     high = np.minimum(grid[near].max(axis=0) + 0.5 * step, window[:, 1])
     return np.column_stack([low, high])
-
-
-def distance(mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    """Distance in m of each point, (n, 3), from the nearest triangle. Returns (n,)."""
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    area = np.linalg.norm(normal, axis=1)
-    flat = area == 0.0
-    normal = normal / np.where(flat, 1.0, area)[:, None]
-    out = np.empty(len(points))
-    for i, point in enumerate(points):
-        squared = np.full(len(a), np.inf)
-        inside = ~flat
-        for start, end in ((a, b), (b, c), (c, a)):
-            edge, towards = end - start, point - start
-            length = np.einsum("ij,ij->i", edge, edge)
-            along = np.einsum("ij,ij->i", edge, towards) / np.where(length > 0.0, length, 1.0)
-            rest = towards - np.clip(along, 0.0, 1.0)[:, None] * edge
-            squared = np.minimum(squared, np.einsum("ij,ij->i", rest, rest))
-            inside &= np.einsum("ij,ij->i", np.cross(edge, towards), normal) >= 0.0
-        above = np.einsum("ij,ij->i", point - a, normal)
-        out[i] = np.sqrt(np.where(inside, above**2, squared).min(initial=np.inf))
-    return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import html
 import json
 from importlib.util import find_spec
@@ -15,33 +16,58 @@ _PAGE = """<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
 <title>@TITLE@</title>
 <style>
   body { margin: 0; font: 13px/1.45 system-ui, sans-serif; color: #1d2733; }
-  #meshcat-pane { width: 100vw; height: 100vh; overflow: hidden; }
-  .panel { position: absolute; background: rgba(255, 255, 255, 0.82); border-radius: 6px; }
-  #contacts { left: 12px; top: 12px; padding: 6px 10px; border-collapse: separate; border-spacing: 8px 1px;
-              font-variant-numeric: tabular-nums; }
+  #meshcat-pane { width: 100vw; height: 100vh; height: 100dvh; overflow: hidden; }
+  .panel { position: absolute; background: rgba(255, 255, 255, 0.86); border-radius: 6px; z-index: 2; }
+  .dg.ac { z-index: 1; }
+  #contacts { left: 12px; top: 12px; padding: 4px 10px; max-width: calc(100vw - 44px); max-height: 45vh;
+              overflow: auto; }
+  #contacts summary { cursor: pointer; }
+  #contacts table { border-spacing: 8px 1px; font-variant-numeric: tabular-nums; }
   #contacts th { text-align: left; font-weight: 600; }
   #contacts td.number { text-align: right; min-width: 6.5em; }
-  #contacts .swatch { display: inline-block; width: 0.75em; height: 0.75em; border-radius: 50%;
-                      margin-right: 0.4em; }
-  #bar { left: 12px; right: 12px; bottom: 12px; padding: 6px 12px; display: flex; gap: 12px;
+  .swatch { display: inline-block; width: 0.75em; height: 0.75em; border-radius: 50%; margin-right: 0.4em; }
+  .line { display: inline-block; width: 1em; height: 3px; margin-right: 0.4em; vertical-align: middle; }
+  #plots { right: 12px; bottom: 92px; padding: 4px 10px; }
+  body.beside #meshcat-pane { width: calc(100vw - 466px); }
+  body.beside #plots canvas { width: 420px; height: min(420px, 60vh); }
+  #plots summary { cursor: pointer; }
+  #plots canvas { display: block; width: min(420px, 40vw); height: min(260px, 36vh); cursor: crosshair; }
+  #bar { left: 12px; right: 12px; bottom: 12px; padding: 6px 12px; display: flex; flex-wrap: wrap; gap: 4px 12px;
          align-items: center; }
-  #bar button { width: 5.5em; }
+  #bar button#play { width: 5.5em; min-height: 32px; }
   #clock { min-width: 8em; text-align: right; font-variant-numeric: tabular-nums; }
-  #track { position: relative; flex: 1; }
-  #track input { width: 100%; margin: 0; display: block; }
-  #ticks { position: absolute; left: 8px; right: 8px; top: -4px; height: 4px; pointer-events: none; }
-  #ticks i { position: absolute; width: 2px; height: 6px; margin-left: -1px; background: #555; }
+  #track { position: relative; flex: 1 1 220px; padding-top: 16px; }
+  #track input { width: 100%; margin: 0; display: block; height: 28px; touch-action: none; }
+  #ticks { position: absolute; left: 8px; right: 8px; top: 0; height: 18px; }
+  #ticks button { position: absolute; top: 12px; width: 12px; height: 12px; margin: 0 0 0 -6px; padding: 0; border: 0;
+                  background: linear-gradient(#555, #555) center / 2px 100% no-repeat; cursor: pointer; }
+  #ticks span { position: absolute; top: -2px; font-size: 11px; line-height: 14px; white-space: nowrap;
+                transform: translateX(-50%); pointer-events: none; }
+  #note { left: 12px; bottom: 92px; padding: 4px 10px; max-width: 50vw; display: none; }
+  @media (max-width: 640px) {
+    #track { flex: 1 1 100%; order: -1; }
+    #track input { height: 40px; }
+    #contacts { max-height: 26vh; font-size: 12px; }
+    #contacts td.number { min-width: 5em; }
+    #contacts .on { display: none; }
+    #plots canvas { width: calc(100vw - 44px); height: 22vh; }
+    #plots, #note { bottom: 128px; }
+    #clock { min-width: 7em; flex: 1; }
+  }
 </style>
 </head>
 <body>
 <div id="meshcat-pane"></div>
-<table id="contacts" class="panel"></table>
+<details id="contacts" class="panel" open><summary></summary><table></table></details>
+<details id="plots" class="panel"><summary>forces</summary><canvas></canvas></details>
+<div id="note" class="panel"></div>
 <div id="bar" class="panel">
   <button id="play">pause</button>
-  <div id="track"><div id="ticks"></div><input id="time" type="range" min="0" value="0"></div>
+  <div id="track"><div id="ticks"></div><input id="time" type="range" min="0" value="0" aria-label="time"></div>
   <span id="clock"></span>
   <label>speed <select id="speed"></select></label>
   <label><input id="loop" type="checkbox"> repeat</label>
@@ -50,103 +76,11 @@ _PAGE = """<!DOCTYPE html>
 <script>
 "use strict";
 const info = @INFO@;
-const commands = [
-@COMMANDS@
-];
-const viewer = new MeshCat.Viewer(document.getElementById("meshcat-pane"));
-for (const text of commands) {
-  viewer.handle_command_bytearray(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)));
-}
-const animator = viewer.animator;
-const element = (id) => document.getElementById(id);
-
-const slider = element("time");
-slider.max = info.duration;
-slider.step = info.duration / 10000;
-for (const [time, contact, kind] of info.events) {
-  const tick = document.createElement("i");
-  tick.title = (contact ? contact + ": " : "") + kind;
-  tick.style.left = (100 * (time - info.start)) / info.duration + "%";
-  element("ticks").appendChild(tick);
-}
-
-const speeds = [0.05, 0.1, 0.25, 0.5, 1, 2, 5, 10];
-if (!speeds.includes(info.speed)) speeds.push(info.speed);
-for (const value of speeds.sort((a, b) => a - b)) {
-  const label = value + "\\u00d7";
-  element("speed").add(new Option(label, value, false, value === info.speed));
-}
-const applySpeed = () => { animator.mixer.timeScale = Number(element("speed").value); };
-element("speed").addEventListener("change", applySpeed);
-applySpeed();
-
-const rows = info.contacts.map((contact) => {
-  const row = element("contacts").insertRow();
-  const head = document.createElement("th");
-  head.textContent = contact.name;
-  head.title = "the arrows show the force on " + contact.on;
-  row.appendChild(head);
-  const mode = row.insertCell();
-  const swatch = document.createElement("span");
-  swatch.className = "swatch";
-  const word = document.createElement("span");
-  mode.append(swatch, word);
-  const normal = row.insertCell(), friction = row.insertCell(), on = row.insertCell();
-  normal.className = friction.className = "number";
-  on.textContent = "on " + contact.on;
-  return { contact, swatch, word, normal, friction };
-});
-if (rows.length === 0) element("contacts").style.display = "none";
-
-function show(time) {
-  slider.value = time;
-  element("clock").textContent = "t = " + (info.start + time).toFixed(3) + " s";
-  const frame = Math.max(0, Math.min(info.frames - 1, Math.floor(time / info.step + 1e-6)));
-  for (const row of rows) {
-    const mode = row.contact.mode[frame];
-    row.word.textContent = info.modes[mode].name;
-    row.swatch.style.background = info.modes[mode].color;
-    row.normal.textContent = "N = " + row.contact.normal[frame].toPrecision(4) + " N";
-    row.friction.textContent = "T = " + row.contact.friction[frame].toPrecision(4) + " N";
-  }
-}
-
-let running = false;
-function run(on) {
-  running = on;
-  if (running) animator.play(); else animator.pause();
-  element("play").textContent = running ? "pause" : "play";
-}
-function seek(time) {
-  animator.seek(time);
-  animator.display_progress(time);
-  show(time);
-}
-element("play").addEventListener("click", () => run(!running));
-slider.addEventListener("input", () => seek(Number(slider.value)));
-document.addEventListener("keydown", (event) => {
-  if (event.code === "Space" && event.target === document.body) { event.preventDefault(); run(!running); }
-});
-function follow() {
-  requestAnimationFrame(follow);
-  // The scrubber and buttons of meshcat's own panel may have moved the animation, too.
-  if (animator.playing !== running) {
-    if (running && element("loop").checked) run(true);
-    else { running = animator.playing; element("play").textContent = running ? "pause" : "play"; }
-  }
-  if (Number(slider.value) !== animator.time) show(animator.time);
-}
-run(true);
-// "page.html#t=1.5" opens the page paused at that time.
-const wanted = /[#&]t=([-+.0-9e]+)/.exec(location.hash);
-if (wanted) {
-  run(false);
-  seek(Math.max(0, Math.min(info.duration, Number(wanted[1]) - info.start)));
-} else {
-  show(0);
-}
-follow();
+// Where in the packed bytes each command lies; what several commands have in common is there once.
+const commands = @COMMANDS@;
+const packed = "@PACKED@";
 </script>
+<script>@SCRIPT@</script>
 </body>
 </html>
 """
@@ -172,22 +106,50 @@ def _script_safe(text: str) -> str:
     return text.replace("</", "<\\/").replace("<!--", "<\\!--")
 
 
+def pack_commands(commands: list[dict[str, Any]]) -> tuple[list[list[int]], bytes]:
+    """Commands as MessagePack, compressed, with equal objects stored once: the four legs of a robot are one mesh.
+
+    Returns for each command the borders of its pieces, [start, end, start, end], in the bytes before compression,
+    and these bytes compressed (gzip).
+    """
+    import umsgpack  # type: ignore[import-untyped]
+
+    pieces: dict[bytes, int] = {}
+    places: list[list[int]] = []
+    size = 0
+    for command in commands:
+        head = {key: value for key, value in command.items() if key != "object"}
+        start = umsgpack.packb(head)
+        if "object" in command:
+            # One more entry of the map: its number is in the low half of the first byte.
+            start = bytes([start[0] + 1]) + start[1:] + umsgpack.packb("object")
+        place = []
+        for piece in (start, *([umsgpack.packb(command["object"])] if "object" in command else [])):
+            if piece not in pieces:
+                pieces[piece] = size
+                size += len(piece)
+            place += [pieces[piece], pieces[piece] + len(piece)]
+        places.append(place)
+    # No time stamp: pages of one run are equal.
+    return places, gzip.compress(b"".join(pieces), 9, mtime=0)
+
+
 def render_page(commands: list[dict[str, Any]], info: dict[str, Any], title: str) -> str:
     """The page as text.
 
     commands: meshcat's, in order; info: what the bar shows (see `replay.page_info`); title: plain text.
     """
-    import umsgpack  # type: ignore[import-untyped]
-
-    packed = [base64.b64encode(umsgpack.packb(command)).decode("ascii") for command in commands]
+    places, packed = pack_commands(commands)
     parts = {
         "@TITLE@": html.escape(title),
         "@VIEWER@": _script_safe(viewer_script()),
-        "@INFO@": _script_safe(json.dumps(info, allow_nan=False)),
-        "@COMMANDS@": ",\n".join(f'"{text}"' for text in packed),
+        "@INFO@": _script_safe(json.dumps(info, allow_nan=False, separators=(",", ":"))),
+        "@COMMANDS@": json.dumps(places, separators=(",", ":")),
+        "@PACKED@": base64.b64encode(packed).decode("ascii"),
+        "@SCRIPT@": _script_safe((Path(__file__).parent / "page.js").read_text(encoding="utf-8")),
     }
     page = _PAGE
-    # The big parts last and once each: a part's text is never searched for the next one's mark.
+    # A part's text is never searched for the next one's mark.
     pieces = []
     for mark, text in parts.items():
         before, page = page.split(mark)

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..errors import ArgumentError, MissingExtraError
-from ..layout import FREE, SLIPPING
-from .replay import MODE_COLORS
-from .sampling import MODE_NAMES
+from ..layout import FREE
+from .palette import MODE_COLORS, contact_color
+from .sampling import MODE_NAMES, friction_limit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,8 +25,17 @@ if TYPE_CHECKING:
     from ..tracks import ContactTrack
     from ..trajectory import Trajectory
 
-# A longer legend stands beside the plot, in columns of so many rows.
-_LEGEND_INSIDE, _LEGEND_ROWS = 6, 16
+# A legend has columns of so many rows.
+_LEGEND_ROWS = 16
+_LIMIT = "friction limit"
+# Height of a strip of modes, as a part of the axes, as long as there are no more than so many.
+_STRIP, _MANY_STRIPS = 0.075, 8
+_RESIDUALS = {
+    "C1": "C1: distance of the points",
+    "C2": "C2: tangents out of the plane",
+    "GC": "GC: gap (geometric constraint)",
+    "VC": "VC: slip (velocity constraint)",
+}
 # Works smaller than this part of the energy are rounding.
 _NO_WORK = 1e-12
 
@@ -60,12 +69,16 @@ def _finish(ax: Axes, ylabel: str, legend: bool = True) -> Axes:
     ax.set_ylabel(ylabel)
     ax.grid(alpha=0.3)
     entries = len(ax.get_legend_handles_labels()[0])
-    if legend and entries > _LEGEND_INSIDE:
+    if legend and entries:
+        # Beside the axes, where it covers nothing.
         columns = -(-entries // _LEGEND_ROWS)
         ax.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5), ncols=columns)
-    elif legend and entries:
-        ax.legend(fontsize="small")
     return ax
+
+
+def _color(run: Trajectory, name: str) -> str:
+    """The colour of a contact in every picture."""
+    return contact_color(list(run.contacts).index(name))
 
 
 def _label(name: str, text: str, tracks: dict[str, ContactTrack]) -> str:
@@ -93,14 +106,9 @@ def limit(run: Trajectory, name: str) -> np.ndarray | None:
     (n,) array or None
         In N at each output; None where the law sets no single limit.
     """
-    law = _law(run, name)
-    if law is None or not np.isfinite(law.sticking) or law.aspect != 1.0:
-        return None
     track = run.contacts[name]
-    slipping = np.asarray(track.mode) == SLIPPING
-    coefficient = np.full(slipping.shape, law.sticking)
-    coefficient[slipping] = law.coefficient(np.linalg.norm(np.asarray(track.slip_velocity)[slipping], axis=1))
-    return coefficient * np.asarray(track.normal_force)
+    speed = np.linalg.norm(np.asarray(track.slip_velocity), axis=1)
+    return friction_limit(_law(run, name), np.asarray(track.mode), np.asarray(track.normal_force), speed)
 
 
 def mode_bands(
@@ -214,14 +222,14 @@ def forces(run: Trajectory, contact: str | None = None, ax: Axes | None = None) 
     tracks = _tracks(run, contact)
     # one contact: a line each in the legend; several: their colours, and the styles once
     alone = len(tracks) == 1
-    styles = {"normal": "-", "friction": ":", "friction limit": "--"}
+    styles = {"normal": "-", "friction": ":", _LIMIT: "--"}
     for name, track in tracks.items():
-        (line,) = ax.plot(run.t, track.normal_force, label="normal" if alone else name)
-        color = line.get_color()
+        color = _color(run, name)
+        ax.plot(run.t, track.normal_force, color=color, label="normal" if alone else name)
         ax.plot(run.t, track.tangential_force, ":", color=color, label="friction" if alone else None)
         largest = limit(run, name)
         if largest is not None:
-            ax.plot(run.t, largest, "--", color=color, alpha=0.6, label="friction limit" if alone else None)
+            ax.plot(run.t, largest, "--", color=color, alpha=0.6, label=_LIMIT if alone else None)
     if len(tracks) > 1:
         for text, style in styles.items():
             ax.plot([], [], style, color="0.3", label=text)
@@ -273,8 +281,29 @@ def friction_cone(run: Trajectory, contact: str | None = None, ax: Axes | None =
     return ax
 
 
+def _mode_strips(run: Trajectory, names: list[str], ax: Axes) -> None:
+    """One strip a contact above the axes, its name beside it, in the contact's colour; the modes' colours below all."""
+    height = _STRIP if len(names) <= _MANY_STRIPS else _STRIP * _MANY_STRIPS / len(names)
+    strips = ax.inset_axes((0.0, 1.02, 1.0, height * len(names)), sharex=ax)
+    seen: set[int] = set()
+    for row, name in enumerate(names):
+        part = 1.0 - (row + 0.85) / len(names), 1.0 - (row + 0.15) / len(names)
+        mode_bands(run, name, strips, part, 0.8, legend=False)
+        seen |= {int(kind) for kind in np.unique(run.contacts[name].mode)}
+    strips.set(ylim=(0.0, 1.0), yticks=[1.0 - (row + 0.5) / len(names) for row in range(len(names))])
+    small = max(3.0, min(7.0, 95.0 * height))
+    strips.set_yticklabels(names, fontsize=small)
+    for label, name in zip(strips.get_yticklabels(), names):
+        label.set_color(_color(run, name))
+    strips.tick_params(bottom=False, labelbottom=False, left=False, pad=2)
+    for spine in strips.spines.values():
+        spine.set_visible(False)
+    for kind in sorted(seen):
+        ax.fill_between([], [], color=MODE_COLORS[kind], alpha=0.8, linewidth=0.0, label=MODE_NAMES[kind])
+
+
 def slip(run: Trajectory, contact: str | None = None, ax: Axes | None = None) -> Axes:
-    """Slip speed in m/s over time, with the modes: shaded for one contact, as strips from the top for several.
+    """Slip speed in m/s over time, with the modes: shaded for one contact, as strips above the plot for several.
 
     Parameters
     ----------
@@ -298,25 +327,12 @@ def slip(run: Trajectory, contact: str | None = None, ax: Axes | None = None) ->
     ax = _axes(ax)
     tracks = _tracks(run, contact)
     for name, track in tracks.items():
-        ax.plot(run.t, np.linalg.norm(track.slip_velocity, axis=1), label=_label(name, "slip speed", tracks))
+        speed = np.linalg.norm(track.slip_velocity, axis=1)
+        ax.plot(run.t, speed, color=_color(run, name), label=_label(name, "slip speed", tracks))
     if len(tracks) == 1:
         mode_bands(run, next(iter(tracks)), ax)
     elif tracks:
-        # room for the strips above the curves
-        height = min(0.05, 0.5 / len(tracks))
-        ax.margins(y=0.05 + height * len(tracks))
-        for row, name in enumerate(tracks):
-            mode_bands(run, name, ax, (1.0 - (row + 0.8) * height, 1.0 - row * height), 0.6, legend=False)
-            ax.annotate(
-                name,
-                (0.0, 1.0 - (row + 0.4) * height),
-                (3, 0),
-                "axes fraction",
-                "offset points",
-                fontsize="xx-small",
-                ha="left",
-                va="center",
-            )
+        _mode_strips(run, list(tracks), ax)
     return _finish(ax, "slip speed [m/s]")
 
 
@@ -349,10 +365,14 @@ def location(run: Trajectory, contact: str | None = None, ax: Axes | None = None
         changed = np.concatenate([[False], (charts[1:] != charts[:-1]).any(axis=1)])[: len(charts)]
         contact_of = run.scene.contacts.get(name)
         sides = ("first", "second") if contact_of is None else (contact_of.first.name, contact_of.second.name)
+        styles = iter(("-", "--", ":", "-."))
         for side, values in zip(sides, (track.location_first, track.location_second)):
             for k in range(values.shape[1]):
                 whole = np.where(changed, np.nan, values[:, k])
-                ax.plot(run.t, whole, label=_label(name, f"{side} u{k + 1}", tracks))
+                style: dict[str, Any] = (
+                    {} if len(tracks) == 1 else {"color": _color(run, name), "linestyle": next(styles)}
+                )
+                ax.plot(run.t, whole, label=_label(name, f"{side} u{k + 1}", tracks), **style)
     return _finish(ax, "location [m, rad]")
 
 
@@ -410,7 +430,7 @@ def residuals(run: Trajectory, ax: Axes | None = None) -> Axes:
     ax = _axes(ax)
     for name, values in run.residuals().items():
         size = np.abs(np.asarray(values, dtype=float))
-        ax.plot(run.t, np.where(size > 0.0, size, np.nan), label=name)
+        ax.plot(run.t, np.where(size > 0.0, size, np.nan), label=_RESIDUALS.get(name, name))
     ax.set_yscale("log")
     return _finish(ax, "residual")
 
@@ -472,5 +492,7 @@ def plot(
         raise ArgumentError(f"{len(chosen)} kinds of plot need as many axes, got {len(given)}")
     for kind, ax in zip(chosen, given):
         KINDS[kind](run, ax=ax)
-        ax.set_title(kind, fontsize="medium")
+        # above the strips of modes, if there are any
+        above = [child for child in ax.child_axes if child.get_ylim() == (0.0, 1.0)]
+        (above[0] if above else ax).set_title(kind, fontsize="medium")
     return given[0].figure

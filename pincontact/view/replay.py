@@ -11,8 +11,10 @@ import numpy as np
 
 from ..arguments import check_positive
 from ..errors import ArgumentError, MissingExtraError, TrajectoryError
-from .bodies import geometry_reach
+from ..layout import FREE
 from .drawing import Command, Drawing, color_number
+from .palette import MODE_COLORS, contact_color
+from .robot import geometry_reach
 from .sampling import (
     MODE_NAMES,
     ContactFrames,
@@ -20,9 +22,11 @@ from .sampling import (
     contact_frames,
     contour_placements,
     frame_times,
+    friction_limit,
+    intervals,
     joint_placements,
 )
-from .stage import MODE_COLORS, ROOT, Stage
+from .stage import ROOT, Stage
 
 if TYPE_CHECKING:
     import meshcat
@@ -31,11 +35,15 @@ if TYPE_CHECKING:
     from ..trajectory import Trajectory
 
 PARTS = ("robot", "contours", "points", "traces", "forces")
+# Drawn on request only.
+MORE_PARTS = ("frames", "dual_frames", "cones")
 
 # Where the camera stands, its vertical field of view in degrees, the narrowest window that shows everything, width over
 # height, and the part of the height that is free of panels.
 _VIEW_FROM = np.array([0.506, -0.759, 0.409]) / np.linalg.norm([0.506, -0.759, 0.409])
 _FIELD_OF_VIEW, _ASPECT, _FREE_HEIGHT = 40.0, 1.3, 0.8
+# Radius of the thinnest lines as a part of the distance that they are seen from: two pixels of a page of 600.
+_THINNEST = 0.0018
 
 
 def replay(
@@ -73,7 +81,9 @@ def replay(
     follow : str, optional
         Name of a contact, contour or frame which the camera stays with.
     show : collection of str
-        What to draw, any of "robot", "contours", "points", "traces", "forces".
+        What to draw, any of "robot", "contours", "points", "traces", "forces", and on request "frames" and
+        "dual_frames", the contact frames (e_1 red, e_2 green, e_3 blue) and their duals (paler), and "cones", circular
+        friction cones.
     max_frames : int
         A longer run gets fewer frames per second.
     repetitions : int
@@ -172,7 +182,8 @@ class Picture:
 
     times: (n,) of the frames, s, from 0; start: time of the first frame in the run, s; size: of the scene, m;
     low, high: (3,) corners of the box that holds the motion; target: (3,) what the camera looks at first;
-    distance: of the camera, m; contacts: by name; sign: +1 where arrows show the force on the second contour.
+    distance: of the camera, m; contacts: by name; sign: +1 where arrows show the force on the second contour;
+    limits: of friction, (n,) in N, or None.
     """
 
     drawing: Drawing
@@ -186,6 +197,7 @@ class Picture:
     followed: np.ndarray | None
     contacts: dict[str, ContactFrames]
     sign: dict[str, float]
+    limits: dict[str, np.ndarray | None]
 
     def commands(self, environment: bool, repetitions: int = 1, time_scale: float = 1.0) -> list[dict[str, Any]]:
         """All commands. environment: set background, light and camera, too; time_scale: stretches the replay."""
@@ -215,9 +227,10 @@ def compose(
     if not isinstance(show, Collection):
         raise ArgumentError(f"show must be names of parts, got {show!r}; possible: {', '.join(PARTS)}")
     parts = {show} if isinstance(show, str) else {str(part) for part in show}
-    unknown = sorted(parts.difference(PARTS))
+    possible = (*PARTS, *MORE_PARTS)
+    unknown = sorted(parts.difference(possible))
     if unknown:
-        raise ArgumentError(f"show has unknown parts {', '.join(unknown)}; possible: {', '.join(PARTS)}")
+        raise ArgumentError(f"show has unknown parts {', '.join(unknown)}; possible: {', '.join(possible)}")
     if force_scale is not None:
         check_positive(force_scale=force_scale)
     scene = run.scene
@@ -229,8 +242,10 @@ def compose(
             f"the run has configurations of {np.shape(run.q)[1]} numbers and its scene's model needs {model.nq}; a run "
             "read from a file has to be given its scene: Trajectory.load(path, scene)"
         )
-    placements = joint_placements(model, configurations(run, frames))
-    contacts = {name: contact_frames(run, name, frames, placements) for name in scene.contacts}
+    q = configurations(run, frames)
+    placements = joint_placements(model, q)
+    axes = not parts.isdisjoint(("frames", "dual_frames"))
+    contacts = {name: contact_frames(run, name, frames, q, placements, axes) for name in scene.contacts}
     followed = None if follow is None else _followed_path(scene, follow, frames, placements, contacts)
 
     size = scene_size(scene, placements, contacts)
@@ -246,7 +261,9 @@ def compose(
     # A run of no length is shown as a picture that lasts for one frame.
     times = frames - start if frames[-1] > start else np.array([0.0, 1.0 / fps])
     drawing = Drawing(ROOT)
-    stage = Stage(drawing, run, frames, times, placements, contacts, size)
+    # Lines are as wide as the eye needs from where the camera stands.
+    line = max(0.012 * size, _THINNEST * distance)
+    stage = Stage(drawing, run, frames, times, placements, contacts, size, line)
     stage.move_bodies()
     if "robot" in parts:
         stage.draw_robot()
@@ -259,7 +276,20 @@ def compose(
     sign = {name: _arrow_sign(contact) for name, contact in scene.contacts.items()}
     if "forces" in parts:
         stage.draw_forces(force_scale or fitting_force_scale(contacts, size), sign)
-    return Picture(drawing, times, start, size, low, high, target, distance, followed, contacts, sign)
+    if "cones" in parts:
+        stage.draw_cones(sign)
+    for part in ("frames", "dual_frames"):
+        if part in parts:
+            stage.draw_axes(dual=part == "dual_frames")
+    limits = {name: _limits(run, name, frames, contacts[name]) for name in contacts}
+    return Picture(drawing, times, start, size, low, high, target, distance, followed, contacts, sign, limits)
+
+
+def _limits(run: Any, name: str, moments: np.ndarray, frames: ContactFrames) -> np.ndarray | None:
+    """The friction limit in N at the frames."""
+    speed = np.nan_to_num(np.linalg.norm(run.contacts[name].slip_velocity, axis=1))
+    speed = speed[intervals(np.asarray(run.t, dtype=float), moments)]
+    return friction_limit(run.scene.contacts[name].friction, frames.mode, np.linalg.norm(frames.normal, axis=1), speed)
 
 
 def scene_size(scene: Any, placements: np.ndarray, contacts: dict[str, ContactFrames]) -> float:
@@ -339,15 +369,17 @@ def page_info(picture: Picture, run: Any, speed: float) -> dict[str, Any]:
     """What the bar of the page shows; numbers only, times in s, forces in N."""
     times = picture.times
     contacts = []
-    for name, frames in picture.contacts.items():
+    for number, (name, frames) in enumerate(picture.contacts.items()):
         contact = run.scene.contacts[name]
         contacts.append(
             {
                 "name": name,
+                "color": contact_color(number),
                 "on": (contact.second if picture.sign[name] > 0.0 else contact.first).name,
                 "mode": [int(m) for m in frames.mode],
                 "normal": _short(np.linalg.norm(frames.normal, axis=1)),
                 "friction": _short(np.linalg.norm(frames.friction, axis=1)),
+                "limit": _short(picture.limits[name]),
             }
         )
     return {
@@ -356,6 +388,8 @@ def page_info(picture: Picture, run: Any, speed: float) -> dict[str, Any]:
         "step": float(times[1] - times[0]),
         "frames": len(times),
         "speed": float(speed),
+        "aspect": _ASPECT,
+        "free": FREE,
         "contacts": contacts,
         "events": [[float(e.time), e.contact or "", e.kind] for e in run.events],
         "modes": {
@@ -368,8 +402,8 @@ def page_info(picture: Picture, run: Any, speed: float) -> dict[str, Any]:
     }
 
 
-def _short(values: np.ndarray) -> list[float]:
-    return [float(f"{x:.5g}") for x in values]
+def _short(values: np.ndarray | None) -> list[float] | None:
+    return None if values is None else [float(f"{x:.5g}") for x in values]
 
 
 def _arrow_sign(contact: Any) -> float:

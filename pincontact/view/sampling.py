@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,8 +10,12 @@ import numpy as np
 import pinocchio as pin
 
 from ..arguments import check_positive, is_number
+from ..dynamics.system import System
 from ..errors import ArgumentError
-from ..layout import FREE, FRICTIONLESS, SLIPPING, STICK
+from ..geometry.carriers import ORIGIN
+from ..geometry.frames import contact_frame
+from ..integration.discrete import write_discrete
+from ..layout import FREE, FRICTIONLESS, OK, PATTERN, SLIPPING, STICK
 from .arrows import continuous
 
 MODE_NAMES = {FREE: "free", FRICTIONLESS: "frictionless", STICK: "stick", SLIPPING: "slip"}
@@ -21,13 +26,15 @@ class ContactFrames:
     """One contact at the times of the frames.
 
     mode: (n,) ints; point: (n, 3) world, m; normal, friction: (n, 3) the two parts of the force on the second
-    contour, world, N. While the contact is free the forces are zero and the point stays on body 1 where it was.
+    contour, world, N; frame: (n, 3, 3) contact frames, where they were asked for. While the contact is free the forces
+    are zero and the point stays on body 1 where it was.
     """
 
     mode: np.ndarray
     point: np.ndarray
     normal: np.ndarray
     friction: np.ndarray
+    frame: np.ndarray
 
     @property
     def touching(self) -> np.ndarray:
@@ -66,7 +73,8 @@ class Motion:
 
     Between two rows: the cubic in the tangent space of the first row's q that meets q and v at both ends, fourth
     order in the spacing. Where the velocities do not tell of the same motion as the configurations (an impact in
-    between, rows half a turn apart) the shortest path instead, which is what the rows alone say.
+    between, rows half a turn apart) the shortest path instead, which is what the rows alone say. Places of free bodies
+    follow cubics in the world, not screws: a ball that rolls stays on its table however far it rolls between two rows.
     """
 
     def __init__(self, model: pin.Model, t: np.ndarray, q: np.ndarray, v: np.ndarray) -> None:
@@ -74,6 +82,9 @@ class Motion:
         self._t, self._q, self._v = t, q, v
         self._row = -1
         self._cubic = (np.zeros(0),) * 3
+        joints = [joint for joint in model.joints if joint.shortname() == "JointModelFreeFlyer"]
+        self._free = [(joint.idx_q, joint.idx_v) for joint in joints]
+        self._places: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     def _prepare(self, row: int) -> None:
         model = self._model
@@ -86,7 +97,15 @@ class Motion:
         if not np.linalg.norm(d - expected) <= 0.5 * max(np.linalg.norm(d), np.linalg.norm(expected)):
             start = end = d
         self._row = row
-        self._cubic = (start, 3.0 * d - 2.0 * start - end, start + end - 2.0 * d)
+        self._cubic = _cubic(d, start, end)
+        self._places = []
+        for at, v_at in self._free:
+            moved = q1[at : at + 3] - q0[at : at + 3]
+            ends = (moved, moved)
+            if start is not end:
+                rows = ((q0, self._v[row]), (q1, self._v[row + 1]))
+                ends = tuple(h * pin.Quaternion(q[at + 3 : at + 7]).matrix() @ v[v_at : v_at + 3] for q, v in rows)
+            self._places.append(_cubic(moved, *ends))
 
     def __call__(self, time: float, row: int) -> np.ndarray:
         """q, (nq,), at a time between rows `row` and `row + 1`."""
@@ -95,8 +114,20 @@ class Motion:
         if row != self._row:
             self._prepare(row)
         s = (time - self._t[row]) / (self._t[row + 1] - self._t[row])
-        linear, square, cube = self._cubic
-        return pin.integrate(self._model, self._q[row], s * (linear + s * (square + s * cube)))
+        q = pin.integrate(self._model, self._q[row], _at(self._cubic, s))
+        for (at, _), place in zip(self._free, self._places):
+            q[at : at + 3] = self._q[row, at : at + 3] + _at(place, s)
+        return q
+
+
+def _cubic(d: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients of s, s^2, s^3 of the cubic from 0 to d with these derivatives at both ends."""
+    return start, 3.0 * d - 2.0 * start - end, start + end - 2.0 * d
+
+
+def _at(cubic: tuple[np.ndarray, np.ndarray, np.ndarray], s: float) -> np.ndarray:
+    linear, square, cube = cubic
+    return s * (linear + s * (square + s * cube))
 
 
 def configurations(run: Any, times: np.ndarray) -> np.ndarray:
@@ -147,33 +178,36 @@ def contour_placements(attached: Any, placements: np.ndarray, times: np.ndarray)
 
 
 def _phases(t: np.ndarray, touching: np.ndarray, chart: np.ndarray) -> np.ndarray:
-    """(n,) numbers, equal for consecutive rows of one phase: one contact, one chart, increasing times."""
-    cut = (touching[1:] != touching[:-1]) | (chart[1:] != chart[:-1]) | ~(t[1:] > t[:-1])
+    """(n,) numbers, equal for consecutive rows of one phase: touching or not, two charts (n, 2), increasing times."""
+    cut = (touching[1:] != touching[:-1]) | (chart[1:] != chart[:-1]).any(axis=1) | ~(t[1:] > t[:-1])
     return np.concatenate([[0], np.cumsum(cut)])
 
 
-def contact_frames(run: Any, name: str, times: np.ndarray, placements: np.ndarray) -> ContactFrames:
-    """One contact of a run at the given times, when the joints are at placements, (n, njoints, 4, 4).
+def contact_frames(
+    run: Any, name: str, times: np.ndarray, q: np.ndarray, placements: np.ndarray, axes: bool = False
+) -> ContactFrames:
+    """One contact of a run at the given times.
 
-    Forces and location parameters are interpolated by monotone cubics, each phase of contact by itself: no component
-    of a force overshoots the recorded ones or leaks into a free phase. The point is that of body 1's contour at its
-    parameters, so that it lies on the contour however far apart the rows are.
+    q: (n, nq), the configurations then; placements: (n, njoints, 4, 4), those of the joints.
+
+    The contact point, and the contact frame if `axes` asks for it, are located anew at each time; the location
+    parameters of the run's rows, interpolated, are only where the search starts. Forces are interpolated by monotone
+    cubics, each phase of contact by itself: no component overshoots the recorded ones or leaks into a free phase.
     """
     from scipy.interpolate import PchipInterpolator
 
     contact, track = run.scene.contacts[name], run.contacts[name]
-    t, body = np.asarray(run.t, dtype=float), contact.body1
-    dimension = body.contour.dimension
-    location, chart = track.location[:, :dimension], track.charts[:, 0]
+    t, dimension = np.asarray(run.t, dtype=float), contact.body1.contour.dimension
+    charts = track.charts
     normal, friction = split_force(contact, track)
-    rows = np.column_stack([normal, friction, location])
+    rows = np.column_stack([normal, friction, track.location])
     touching = (track.mode != FREE) & np.isfinite(rows).all(axis=1)
     row = intervals(t, times)
     # The last time belongs to the last row, not to the one before it.
     row = np.where(times >= t[-1], len(t) - 1, row)
 
     values = np.where(touching[row][:, None], rows[row], 0.0)
-    phase = _phases(t, touching, chart)
+    phase = _phases(t, touching, charts)
     for number in np.unique(phase[touching]):
         members = np.flatnonzero(phase == number)
         # Between the last row of a phase and the next phase there is nothing to interpolate with.
@@ -184,9 +218,81 @@ def contact_frames(run: Any, name: str, times: np.ndarray, placements: np.ndarra
     shown = touching[row]
     held = np.maximum.accumulate(np.where(shown, np.arange(len(times)), -1))
     held = np.where(held >= 0, held, int(np.argmax(shown)))
-    carrier = contour_placements(body, placements, times)
-    points = np.empty((len(times), 3))
+    carrier = contour_placements(contact.body1, placements, times)
+    locator = _Locator(run, name)
+    points, frames = np.empty((len(times), 3)), np.tile(np.eye(3), (len(times), 1, 1))
     for i, k in enumerate(held):
-        local = body.contour.point(list(values[k, 6:]), float(times[i]), int(chart[row[k]]))
-        points[i] = carrier[i, :3, :3] @ local + carrier[i, :3, 3]
-    return ContactFrames(np.where(shown, track.mode[row], FREE), points, values[:, 0:3], values[:, 3:6])
+        found = locator.find(int(row[i]), q[i], float(times[i]), values[i, 6:]) if shown[i] else False
+        if found:
+            points[i] = locator.point
+            if axes:
+                frames[i] = locator.frame()
+        else:
+            # An open contact's point stays on body 1 where it was.
+            local = contact.body1.contour.point(
+                list(values[k, 6 : 6 + dimension]), float(times[i]), int(charts[row[k], 0])
+            )
+            points[i] = carrier[i, :3, :3] @ local + carrier[i, :3, 3]
+            frames[i] = frames[i - 1] if i else frames[i]
+    return ContactFrames(np.where(shown, track.mode[row], FREE), points, values[:, 0:3], values[:, 3:6], frames)
+
+
+class _Locator:
+    """Finds the contact point of one contact at any configuration near a row of a run."""
+
+    def __init__(self, run: Any, name: str) -> None:
+        contact = run.scene.contacts[name]
+        self._run, self._number = run, list(run.scene.contacts).index(name)
+        self._system = System(run.scene.model, [contact])
+        self._sizes = contact.body1.contour.dimension, contact.body2.contour.dimension
+        self._row = -1
+
+    def find(self, row: int, q: np.ndarray, t: float, location: np.ndarray) -> bool:
+        """Whether there is a contact point; location: (k,) where to start from."""
+        system, (k1, k2) = self._system, self._sizes
+        if row != self._row:
+            # charts, sides and branches hold between rows
+            self._discrete = self._run.state(row).discrete[self._number : self._number + 1]
+            self._row = row
+        write_discrete(system, self._discrete)
+        system.q[:], system.v[:] = q, 0.0
+        system.location[0] = 0.0
+        system.location[0, :k1], system.location[0, 2 : 2 + k2] = location[:k1], location[k1:]
+        return bool(system.evaluate_kinematics(t) == OK and np.isfinite(self.point).all())
+
+    @property
+    def point(self) -> np.ndarray:
+        """(3,) the point on body 1, world."""
+        return np.array(self._system.frames[0][ORIGIN] + self._system.derivatives[0][0])
+
+    def frame(self) -> np.ndarray:
+        """(3, 3) e_1, e_2, e_3 (Definition 5) as columns, world."""
+        system = self._system
+        first, second = system.derivatives[0].copy(), system.derivatives[1].copy()
+        pattern = int(system.contact_int[0, PATTERN])
+        return np.array(contact_frame(pattern, first, second, system.frames[1][0:3, 2].copy(), system.basis[0]))
+
+
+def friction_limit(law: Any, mode: np.ndarray, normal: np.ndarray, speed: np.ndarray) -> np.ndarray | None:
+    """Largest dry friction force in N that a law allows, (n,); None where it sets no single limit.
+
+    mode: (n,); normal: (n,) in N; speed: (n,) of slip, m/s. Sliding contacts have the coefficient of their speed, all
+    others the one up to which they stick.
+    """
+    if law is None or not np.isfinite(law.sticking) or law.aspect != 1.0:
+        return None
+    slipping = mode == SLIPPING
+    coefficient = np.full(slipping.shape, law.sticking)
+    coefficient[slipping] = law.coefficient(speed[slipping])
+    return coefficient * normal
+
+
+def turning_rate(run: Any, joints: Iterable[int], most: int = 500) -> float:
+    """The fastest turning in rad/s of any of these joints' bodies, at the rows of a run, or `most` of them."""
+    model = run.scene.model
+    data = model.createData()
+    fastest = 0.0
+    for row in range(0, len(run.t), max(1, len(run.t) // most)):
+        pin.forwardKinematics(model, data, np.asarray(run.q[row]), np.asarray(run.v[row]))
+        fastest = max([fastest, *(float(np.linalg.norm(data.v[j].angular)) for j in joints)])
+    return fastest

@@ -6,10 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from ..layout import FREE, FRICTIONLESS, SLIPPING, STICK
+from ..geometry.frames import dual_basis
+from ..layout import FRICTIONLESS, SLIPPING, STICK
 from . import arrows, meshes
-from .bodies import contour_meshes, contour_opacity, draw_geometry, shades, shown_by
 from .drawing import FRONT_SIDE, Drawing
+from .outlines import contour_meshes, contour_opacity, shades
+from .palette import MODE_COLORS
+from .robot import draw_robot, shown_by
 from .sampling import (
     MODE_NAMES,
     ContactFrames,
@@ -18,16 +21,11 @@ from .sampling import (
     contour_placements,
     joint_placements,
     quaternions,
+    turning_rate,
 )
 
 ROOT = ("meshcat", "pincontact")
 
-MODE_COLORS = {
-    FREE: (0.75, 0.75, 0.75),
-    FRICTIONLESS: (0.20, 0.45, 0.85),
-    STICK: (0.15, 0.62, 0.30),
-    SLIPPING: (0.88, 0.25, 0.15),
-}
 _TRACE_COLOR = (0.10, 0.10, 0.14)
 _POINT_COLOR = (0.08, 0.08, 0.10)
 # Drawn over everything else: a contact point is always hidden inside the bodies that touch there.
@@ -35,7 +33,8 @@ _ON_TOP = {"depthTest": False, "transparent": True, "side": FRONT_SIDE, "renderO
 # Pushed back a little, so that curves and traces that lie in a surface are not half swallowed by it.
 _BEHIND_LINES = {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 1.0}
 
-_TRACE_POINTS, _TRACE_SIDES = 6000, 6
+# Points of all traces together, and of one at least; and how far a body turns from one to the next, rad.
+_TRACE_POINTS, _FEWEST, _TURN, _TRACE_SIDES = 30000, 600, 0.1, 6
 _SNAPSHOTS = 40
 _SHOWN_SAMPLES = 24
 
@@ -52,10 +51,11 @@ class Stage:
         placements: np.ndarray,
         contacts: dict[str, ContactFrames],
         size: float,
+        line: float,
     ) -> None:
         self.drawing, self.run, self.scene, self.model = drawing, run, run.scene, run.scene.model
         self.moments, self.times, self.placements = moments, times, placements
-        self.contacts, self.size = contacts, size
+        self.contacts, self.size, self.line = contacts, size, line
 
     def body(self, joint: int, *names: str) -> str:
         return self.drawing.path("bodies", str(self.model.names[joint]), *names)
@@ -80,10 +80,9 @@ class Stage:
         self._animate(path, local)
 
     def draw_robot(self) -> None:
-        if self.scene.visual_model is None:
-            return
-        for geometry in self.scene.visual_model.geometryObjects:
-            draw_geometry(self.drawing, self.body(geometry.parentJoint, "visuals", geometry.name), geometry)
+        visual = self.scene.visual_model
+        if visual is not None:
+            draw_robot(self.drawing, self.model, visual, lambda item: self.body(item.parentJoint, "visuals", item.name))
 
     def draw_contours(self, with_robot: bool) -> None:
         """All contours, but for surfaces that the body's own visual geometry shows already."""
@@ -103,7 +102,7 @@ class Stage:
             if contour.time_dependent:
                 moments = list(self.moments[:: max(1, len(self.moments) // _SNAPSHOTS)])
             for number, moment in enumerate(moments):
-                parts = contour_meshes(contour, near, self.size, joint, filled, float(moment))
+                parts = contour_meshes(contour, near, self.size, self.line, joint, filled, float(moment))
                 nodes = (path, f"at {number}") if len(moments) > 1 else (path,)
                 base = "/".join(nodes)
                 for part, mesh in parts.items():
@@ -153,12 +152,18 @@ class Stage:
 
     def draw_traces(self) -> None:
         """The contact point's way through the world and over each moving body, growing with time."""
-        # Finer than the frames: a wheel turns a good part of a radian between two of them.
-        count = min(4 * (len(self.moments) - 1) + 1, _TRACE_POINTS)
-        moments = np.linspace(self.moments[0], self.moments[-1], count)
-        placements = joint_placements(self.model, configurations(self.run, moments))
+        if not self.contacts:
+            return
+        # Finer than the frames: a wheel turns a good part of a radian between two of them, a top many times round.
+        start, end = self.moments[0], self.moments[-1]
+        sides = [side for contact in self.scene.contacts.values() for side in (contact.first, contact.second)]
+        turned = turning_rate(self.run, {side.joint for side in sides}) * (end - start)
+        wanted = max(4 * (len(self.moments) - 1), int(turned / _TURN))
+        moments = np.linspace(start, end, min(wanted, max(_FEWEST, _TRACE_POINTS // len(self.contacts))) + 1)
+        q = configurations(self.run, moments)
+        placements = joint_placements(self.model, q)
         for name in self.contacts:
-            frames = contact_frames(self.run, name, moments, placements)
+            frames = contact_frames(self.run, name, moments, q, placements)
             contact = self.scene.contacts[name]
             self._trace(self.drawing.path("contacts", name, "trace"), frames.point, frames.touching, moments)
             for side in (contact.first, contact.second):
@@ -173,10 +178,10 @@ class Stage:
     def _trace(self, path: str, points: np.ndarray, touching: np.ndarray, moments: np.ndarray) -> None:
         tubes, indices, until = [], 0, []
         for phase in np.split(np.arange(len(points)), 1 + np.flatnonzero(touching[1:] != touching[:-1])):
-            kept = phase[meshes.simplify(points[phase], 0.002 * self.size, 0.2 * self.size)]
+            kept = phase[meshes.simplify(points[phase], 5e-4 * self.size, 0.2 * self.size)]
             if not touching[phase[0]] or len(kept) < 2:
                 continue
-            tubes.append(meshes.tube(points[kept], 0.008 * self.size, False, _TRACE_SIDES))
+            tubes.append(meshes.tube(points[kept], 0.67 * self.line, False, _TRACE_SIDES))
             ends = indices + 6 * _TRACE_SIDES * np.arange(len(kept))
             until.append(np.column_stack([moments[kept], ends]))
             indices = ends[-1]
@@ -199,18 +204,59 @@ class Stage:
                 if modes and arrow.visible.any():
                     self._arrow(self.drawing.path("contacts", name, part), arrow, frames, modes)
 
+    def draw_axes(self, dual: bool) -> None:
+        """The contact frame e_1, e_2, e_3 (red, green, blue), or its dual basis m^1, m^2, m^3 (the same, paler)."""
+        for name, frames in self.contacts.items():
+            axes = frames.frame
+            if dual:
+                axes = np.array([dual_basis(np.ascontiguousarray(frame)) for frame in axes])
+            for j in range(3):
+                arrow = arrows.place_arrow(frames.point, 0.6 * self.size * axes[:, :, j], 0.08 * self.size)
+                path = self.drawing.path("contacts", name, f"{'m' if dual else 'e'}{j + 1}")
+                color = np.where(np.arange(3) == j, 0.85, 0.55 if dual else 0.1)
+                self._place(path, arrow, frames.touching)
+                for piece, mesh in (("shaft", arrows.unit_shaft()), ("head", arrows.unit_head())):
+                    self.drawing.mesh(f"{path}/{piece}/axis", mesh, color, False, **_ON_TOP)
+
+    def draw_cones(self, sign: dict[str, float]) -> None:
+        """Circular friction cones, from the contact point towards the body on which the arrows show the force."""
+        for name, frames in self.contacts.items():
+            contact = self.scene.contacts[name]
+            law = contact.friction
+            if law is None or not np.isfinite(law.sticking) or law.aspect != 1.0 or contact.pattern.constraints == 2:
+                continue
+            height = 0.8 * self.size / np.hypot(1.0, law.sticking)
+            arrow = arrows.place_arrow(frames.point, sign[name] * _unit(frames.normal), self.size)
+            path = self.drawing.path("contacts", name, "cone")
+            if not arrow.visible.any():
+                continue
+            self.drawing.animate_placement(path, self.times, arrow.tail, arrow.quaternion)
+            self.drawing.animate_visibility(path, self.times, arrow.visible & frames.touching)
+            shape = meshes.lathe(np.array([[0.0, 0.0], [law.sticking * height, height]]), 40)
+            self.drawing.mesh(path, shape, (0.95, 0.75, 0.2, 0.35), False, depthWrite=False)
+
     def _arrow(self, path: str, arrow: arrows.Arrow, frames: ContactFrames, modes: list[int]) -> None:
+        self._place(path, arrow, frames.touching)
         drawing, times = self.drawing, self.times
-        drawing.animate_placement(path, times, arrow.tail, arrow.quaternion)
-        drawing.animate_visibility(path, times, arrow.visible & frames.touching)
-        drawing.animate(f"{path}/shaft", "scale", "vector3", times, arrow.shaft_scale)
-        drawing.animate(f"{path}/head", "position", "vector3", times, arrow.head_position)
-        drawing.animate(f"{path}/head", "scale", "vector3", times, arrow.head_scale)
         for piece, mesh in (("shaft", arrows.unit_shaft()), ("head", arrows.unit_head())):
             for mode in modes:
                 node = f"{path}/{piece}/{MODE_NAMES[mode]}"
                 drawing.mesh(node, mesh, MODE_COLORS[mode], False, **_ON_TOP)
                 drawing.animate_visibility(node, times, frames.mode == mode)
+
+    def _place(self, path: str, arrow: arrows.Arrow, shown: np.ndarray) -> None:
+        drawing, times = self.drawing, self.times
+        drawing.animate_placement(path, times, arrow.tail, arrow.quaternion)
+        drawing.animate_visibility(path, times, arrow.visible & shown)
+        drawing.animate(f"{path}/shaft", "scale", "vector3", times, arrow.shaft_scale)
+        drawing.animate(f"{path}/head", "position", "vector3", times, arrow.head_position)
+        drawing.animate(f"{path}/head", "scale", "vector3", times, arrow.head_scale)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    """(n, 3) vectors at length 1; zero stays zero."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
 
 
 def _into(placements: np.ndarray, points: np.ndarray) -> np.ndarray:

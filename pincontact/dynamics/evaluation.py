@@ -27,14 +27,14 @@ from __future__ import annotations
 import math
 
 from ..arrays import address as address_in
-from ..callback import call_by_address, call_python
+from ..callback import call_by_address, call_python, separate_kernel
 from ..constraints.kinematics import constraint_rows, contact_kinematics, distance_to_ends
 from ..contours.motion import call_motion
 from ..friction.ellipse import set_stretch
 from ..geometry.carriers import add_drive, place_on_joint, rest_in_world
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
-from ..jit import INTEGER, REAL, entry_kernel, inlined_kernel, kernel
+from ..jit import BOOLEAN, INTEGER, REAL, entry_kernel, inlined_kernel, kernel
 from ..layout import (
     ALONG_BODY_1,
     ANISOTROPIC,
@@ -60,6 +60,7 @@ from ..layout import (
     NOTHING_THERE,
     OK,
     PATTERN,
+    SYSTEM,
     TIME_DEPENDENT,
     system_at,
 )
@@ -136,7 +137,7 @@ def torques_finite(system, time):
     return True
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, BOOLEAN, BOOLEAN)
 def evaluate_contacts(system, with_rows, with_bias):
     """Kinematics of all contacts at the guess in `location`; with_rows: constraint rows also where no force may act;
     with_bias: what accelerations of v_c have besides the rows.
@@ -281,7 +282,7 @@ def _finite(a, n):
     return total - total == 0.0
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, INTEGER, INTEGER)
 def contact_corrections(system, with_position, with_velocity):
     """Corrections of q and v in the mass metric from the last evaluation (its rows, gaps, v_c and factor of M).
 

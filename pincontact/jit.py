@@ -157,7 +157,7 @@ class Entry(NamedTuple):
 
     def prepare(self) -> None:
         """Compile or load it with what it always calls; it may run then. The user is told if it takes time."""
-        needed = [part for part in _parts(self.compiled.py_func) if part.when in (ALWAYS, self.when)]
+        needed = [part for part in _parts(self.compiled.py_func) if part.when in {ALWAYS, self.when} - {CALLED}]
         missing = [entry for entry in (*needed, self) if not entry.compiled.overloads and entry.missing]
         if missing:
             print("pincontact: compiling a kernel, once for this version (some seconds) ...", file=sys.stderr)

@@ -7,10 +7,10 @@ import pytest
 from numba import types
 
 from pincontact.callback import separate_kernel
-from pincontact.jit import CALLED, INTEGER, REAL, SEPARATE, SEVERAL, Entry, entry_kernel, kernel
+from pincontact.jit import CALLED, INTEGER, REAL, SEPARATE, Entry, entry_kernel, kernel
 
 
-@separate_kernel(REAL, REAL, INTEGER, when=SEVERAL)
+@separate_kernel(REAL, REAL, INTEGER, when=CALLED)
 def power(x, n):
     result = 1.0
     for _ in range(n):
@@ -28,7 +28,7 @@ def sum_of_powers(x):
     return 1.0 + powers(x)
 
 
-@separate_kernel(INTEGER, REAL, when=SEVERAL)
+@separate_kernel(INTEGER, REAL, when=CALLED)
 def meaningless_part(x):
     return x.nothing
 

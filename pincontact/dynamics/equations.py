@@ -218,12 +218,23 @@ def add_reference(system, count):
 @inlined_kernel
 def solve_sticking(system, count):
     """Multipliers without slip: J M^-1 J^T f = -(J a_free + bias), the least from the reference if redundant."""
-    whitened, scratch = system.whitened_rows, system.constraint_rows
-    right_hand_sides(system, count, whitened)
-    system.counters.row_rank = solve_gram(
-        whitened, count, system.sizes.nv, system.delassus, system.permutation, system.multipliers, scratch
-    )
+    right_hand_sides(system, count, system.whitened_rows)
+    system.counters.row_rank = solve_for_rows(system, count)
     add_reference(system, count)
+
+
+@separate_kernel(INTEGER, SYSTEM.type, INTEGER)
+def solve_for_rows(system, count):
+    """The least multipliers x with R R^T x = b, R the whitened rows, from b in their place; returns the rank of R."""
+    return solve_gram(
+        system.whitened_rows,
+        count,
+        system.sizes.nv,
+        system.delassus,
+        system.permutation,
+        system.multipliers,
+        system.constraint_rows,
+    )
 
 
 @separate_kernel(BOOLEAN, SYSTEM.type, INTEGER)

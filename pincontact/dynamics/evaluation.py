@@ -65,8 +65,8 @@ from ..layout import (
     system_at,
 )
 from ..workspace import integer_matrix_at, integers_at, matrix_at, reals_at
-from .equations import add_viscous_loads, contact_dynamics, guard_force, list_constraints
-from .linear import factorize_tree, inner, solve_gram, unwhiten, whiten
+from .equations import add_viscous_loads, contact_dynamics, guard_force, list_constraints, solve_for_rows
+from .linear import factorize_tree, inner, unwhiten, whiten
 from .pinocchio_calls import NATIVE_COLUMNS, NATIVE_ROWS
 from .resistance import count_items, resistance_kinematics, resists
 
@@ -366,8 +366,8 @@ def is_normal_row(pattern, row):
 @kernel
 def _least_correction(system, count, out):
     """out = M^-1 R^T (R M^-1 R^T)^+ multipliers from the whitened rows R; returns their rank."""
-    nv, whitened, x, scratch = system.sizes.nv, system.whitened_rows, system.multipliers, system.constraint_rows
-    rank = solve_gram(whitened, count, nv, system.delassus, system.permutation, x, scratch)
+    nv, whitened, x = system.sizes.nv, system.whitened_rows, system.multipliers
+    rank = solve_for_rows(system, count)
     for k in range(nv):
         value = 0.0
         for r in range(count):

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ..arrays import INTEGERS, REALS, array_type
-from ..callback import separate_kernel
-from ..jit import INTEGER, kernel
-
-_VECTOR, _MATRIX = array_type(REALS, 1), array_type(REALS, 2)
+from ..jit import kernel
 
 # A pivot below this fraction of its row's diagonal counts as zero: redundant constraints.
 RANK_TOLERANCE = 1e-11
@@ -116,7 +112,7 @@ def solve_semidefinite(matrix, n, permutation, x, lower):
     return rank
 
 
-@separate_kernel(INTEGER, _MATRIX, INTEGER, INTEGER, _MATRIX, array_type(INTEGERS, 1), _VECTOR, _MATRIX)
+@kernel
 def solve_gram(rows, m, n, lower, permutation, x, scratch):
     """Least-norm solution of the consistent system (R R^T) x = b, R the rows (m, n); returns its rank.
 

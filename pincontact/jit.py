@@ -4,8 +4,12 @@ Three decorators. `kernel` marks a part that other kernels call, `inlined_kernel
 `entry_kernel` what Python calls. An entry kernel takes the address of a workspace (see `workspace.py`), so that one
 compiled signature serves every scene and a call costs a fraction of a microsecond.
 
-Numba invalidates a cached function when its own file changes, not when a callee in another file does. Each
-entry kernel's cache directory is therefore keyed by a hash of its module's source and of all that it imports.
+Numba optimises the machine code of a part again in each kernel that calls it, at every level of calls: a deep tree of
+kernels takes several times as long to compile as its parts one by one. A fourth decorator, `callback.separate_kernel`,
+marks where the tree is cut.
+
+Numba invalidates a cached function when its own file changes, not when a callee in another file does. Each entry or
+separate kernel's cache directory is therefore keyed by a hash of its module's source and of all that it imports.
 """
 
 from __future__ import annotations
@@ -18,8 +22,11 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FunctionType
 from typing import Any, NamedTuple
 
 import numba
@@ -31,11 +38,11 @@ from .log import log
 _PACKAGE = Path(__file__).parent
 # Kernels allocate nothing and return no arrays: reference counting, dearer than the numerics, is left out. They run
 # without the interpreter's lock, which `callback.call_python` takes, so that other threads compute at the same time.
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False, "nogil": True}
+KERNEL_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False, "nogil": True}
 # The checked build, for tests: numba's own compilation with its bounds checks, memory that nobody has written is NaN.
 CHECKED = os.environ.get("PINCONTACT_CHECKED", "") not in ("", "0")
 if CHECKED:
-    _OPTIONS["boundscheck"] = True
+    KERNEL_OPTIONS["boundscheck"] = True
 
 # Parts are called from kernels alone.
 _PART_OPTIONS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -61,6 +68,7 @@ def _imported_files(file: Path) -> list[Path]:
     return found
 
 
+@functools.cache
 def source_hash(file: Path) -> str:
     """Key of all that the machine code of a file's kernels depends on: it, what it imports, numba, where they are."""
     reached = {file}
@@ -90,53 +98,106 @@ def cache_root() -> Path:
 
 
 _CACHE = cache_root()
-# When an entry kernel is compiled: before the first run, before the first with Coulomb friction, before the first with
-# several contacts, before the first by time stepping, when it is first called.
-ALWAYS, FRICTION, SEVERAL, STEPPING, CALLED = range(5)
+# When a kernel is compiled: before the first run, before the first with several contacts, before the first by time
+# stepping, when it is first called.
+ALWAYS, SEVERAL, STEPPING, CALLED = range(4)
+
+
+@contextmanager
+def _compiling(directory: Path) -> Iterator[None]:
+    """numba's settings while a kernel is compiled or loaded."""
+    # what a compiler makes is kept or goes at once: looking for garbage is a tenth of its time
+    collecting, vectorizes, folder = gc.isenabled(), numba.config.LOOP_VECTORIZE, numba.config.CACHE_DIR
+    gc.disable()
+    # most loops are over a few numbers: vectors do not pay, and looking for them takes a tenth of the time
+    numba.config.LOOP_VECTORIZE, numba.config.CACHE_DIR = 0, str(directory)
+    try:
+        yield
+    finally:
+        numba.config.LOOP_VECTORIZE, numba.config.CACHE_DIR = vectorizes, folder
+        if collecting:
+            gc.enable()
 
 
 class Entry(NamedTuple):
-    """An entry kernel: compiled function, argument types, whether compiled aside, cache directory, and when."""
+    """An entry or separate kernel: compiled function, argument types, cache directory, and when it is compiled."""
 
     compiled: Any
     arguments: tuple[Any, ...]
-    aside: bool
     directory: Path
     when: int
 
     @property
+    def name(self) -> str:
+        function = self.compiled.py_func
+        return f"{function.__module__}.{function.__qualname__}"
+
+    @property
     def missing(self) -> bool:
         """Whether it may have no machine code on disk yet."""
-        return not (self.directory / _MARKER).exists()
+        return not self._marker.exists()
+
+    @property
+    def _marker(self) -> Path:
+        """A file in the cache directory which says that it is compiled."""
+        return self.directory / f"{self.name} is compiled"
 
     def compile(self) -> None:
-        """Compile it, or load it."""
-        # what a compiler makes is kept or goes at once: looking for garbage is a tenth of its time
-        collecting = gc.isenabled()
-        gc.disable()
-        try:
-            self.compiled.compile(self.arguments)
-        except Exception as error:
-            if not self.directory.exists():
-                raise
-            # files that a crash or a full disk has left; an error of another kind comes again
-            log.warning("a kernel on disk cannot be read (%s); compiling it again ...", error)
-            shutil.rmtree(self.directory, ignore_errors=True)
-            self.compiled.compile(self.arguments)
-        finally:
-            if collecting:
-                gc.enable()
+        """Compile it, or load it; not the separate kernels that it calls."""
+        if self.compiled.overloads:
+            return
+        with _compiling(self.directory):
+            try:
+                self.compiled.compile(self.arguments)
+            except Exception as error:
+                if not self.directory.exists():
+                    raise
+                # files that a crash or a full disk has left; an error of another kind comes again
+                log.warning("a kernel on disk cannot be read (%s); compiling it again ...", error)
+                shutil.rmtree(self.directory, ignore_errors=True)
+                self.compiled.compile(self.arguments)
+
+    def prepare(self) -> None:
+        """Compile or load it with what it always calls; it may run then. The user is told if it takes time."""
+        needed = [part for part in _parts(self.compiled.py_func) if part.when in {ALWAYS, self.when} - {CALLED}]
+        missing = [entry for entry in (*needed, self) if not entry.compiled.overloads and entry.missing]
+        if missing:
+            log.info("compiling a kernel, once for this version (some seconds) ...")
+        for entry in (*needed, self):
+            entry.compile()
+        for entry in missing:
+            entry.mark()
 
     def mark(self) -> None:
         """Note on disk that it is compiled."""
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
-            (self.directory / _MARKER).touch()
+            self._marker.touch()
         except OSError:
             pass
 
 
 ENTRIES: list[Entry] = []
+# separate kernels (see `callback`)
+SEPARATE: dict[Any, Entry] = {}
+
+
+@functools.cache
+def _parts(function: Any) -> list[Entry]:
+    """The separate kernels that a kernel calls, by itself or by others."""
+    found, reached, waiting = [], {function}, [function]
+    while waiting:
+        caller = waiting.pop()
+        for name in caller.__code__.co_names:
+            called = caller.__globals__.get(name)
+            called = getattr(called, "py_func", called)
+            if isinstance(called, FunctionType) and called not in reached:
+                reached.add(called)
+                waiting.append(called)
+                if called in SEPARATE:
+                    found.append(SEPARATE[called])
+    return found
+
 
 # how many of them were registered when all were known to be compiled, for each choice of what is needed
 _complete: dict[tuple[int, ...], int] = {}
@@ -146,7 +207,7 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """A numerical routine called by other kernels, compiled with its callers; called from Python it runs as Python."""
     if numba.config.DISABLE_JIT:
         return function
-    return register_jitable(**_OPTIONS, **_PART_OPTIONS)(function)
+    return register_jitable(**KERNEL_OPTIONS, **_PART_OPTIONS)(function)
 
 
 def inlined_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -154,28 +215,26 @@ def inlined_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     takes long over large functions, so this is for what stands between a large kernel and its parts."""
     if numba.config.DISABLE_JIT:
         return function
-    inlined: Callable[..., Any] = njit(inline="always", **_OPTIONS, **_PART_OPTIONS)(function)
+    inlined: Callable[..., Any] = njit(inline="always", **KERNEL_OPTIONS, **_PART_OPTIONS)(function)
     return inlined
 
 
-def entry_kernel(
-    *arguments: Any, aside: bool = False, when: int = ALWAYS
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def cache_directory(function: Any) -> Path:
+    """Where machine code of a kernel is kept."""
+    return _CACHE / source_hash(Path(function.__code__.co_filename))
+
+
+def entry_kernel(*arguments: Any, when: int = ALWAYS) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """A routine called from Python with arguments of these numba types; compiled once and cached on disk.
 
-    aside: compiled in a second process, while the first compiles those that share their parts with each other. when:
-    see ALWAYS.
+    when: see ALWAYS.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        previous = numba.config.CACHE_DIR
-        directory = _CACHE / source_hash(Path(function.__code__.co_filename))
-        numba.config.CACHE_DIR = str(directory)
-        try:
-            compiled = njit(cache=True, **_OPTIONS)(function)
-        finally:
-            numba.config.CACHE_DIR = previous
-        entry = Entry(compiled, arguments, aside, directory, when)
+        directory = cache_directory(function)
+        with _compiling(directory):
+            compiled = njit(cache=True, **KERNEL_OPTIONS)(function)
+        entry = Entry(compiled, arguments, directory, when)
         ENTRIES.append(entry)
         return compiled if numba.config.DISABLE_JIT else _announced(entry)
 
@@ -190,64 +249,71 @@ def _announced(entry: Entry) -> Callable[..., Any]:
     def call(*values: Any) -> Any:
         nonlocal unknown
         if unknown:
-            missing = entry.missing
-            if missing:
-                log.info("compiling a kernel, once for this version (some seconds) ...")
-            entry.compile()
-            if missing:
-                entry.mark()
+            entry.prepare()
             unknown = False
         return compiled(*values)
 
     return call
 
 
-# A file in a cache directory whose kernels are all compiled.
-_MARKER = "compiled"
+# Processes that compile at the same time, at most.
+_MOST = 4
 INTEGER = types.int64
 REAL = types.float64
+BOOLEAN = types.boolean
+NOTHING = types.none
 
 
-def compile_kernels(friction: bool = False, several: bool = False, stepping: bool = False) -> None:
-    """Compile entry kernels that have no machine code on disk yet, with one line to the user.
+def compile_kernels(several: bool = False, stepping: bool = False) -> None:
+    """Compile kernels that have no machine code on disk yet, with one line to the user.
 
-    Done before the first scene runs; later processes load from disk what they use, when they use it. Kernels
-    marked `aside` are compiled in a second process meanwhile.
-    friction, several, stepping: those for Coulomb friction, for several contacts and for time stepping, too.
+    Done before the first scene runs, in several processes; later ones load from disk what they use, when they use it.
+    several, stepping: those for several contacts and for time stepping, too.
     """
-    asked = {FRICTION: friction, SEVERAL: several, STEPPING: stepping}
+    asked = {SEVERAL: several, STEPPING: stepping}
     needed = (ALWAYS, *(when for when, wanted in asked.items() if wanted))
     if numba.config.DISABLE_JIT or _complete.get(needed) == len(ENTRIES):
         return
     missing = [entry for entry in ENTRIES if entry.when in needed and entry.missing]
     if missing:
-        log.info("compiling kernels, once for this version (half a minute or so) ...")
-        beside = [entry for entry in missing if entry.aside]
-        own = [entry for entry in missing if not entry.aside]
-        worker = _start_worker(needed) if beside and own else None
-        for entry in own:
-            entry.compile()
-        if worker is not None:
-            worker.wait()
-        # what the worker has compiled is loaded from disk; without a worker this is where it gets done
-        for entry in beside:
-            entry.compile()
+        log.info("compiling kernels, once for this version (a quarter of a minute or so) ...")
+        with tempfile.TemporaryDirectory() as claims:
+            workers = [_start_worker(claims, missing) for _ in range(min(os.cpu_count() or 1, len(missing), _MOST) - 1)]
+            for entry in missing:
+                if _claim(claims, entry):
+                    entry.compile()
+            for worker in workers:
+                if worker is not None:
+                    worker.wait()
+        # what workers have compiled is loaded from disk; what one of them has left undone is done here
         for entry in missing:
+            entry.compile()
             entry.mark()
     _complete[needed] = len(ENTRIES)
 
 
-def compile_aside(*needed: int) -> None:
-    """The worker's share: kernels marked `aside` that are not on disk."""
-    for entry in ENTRIES:
-        if entry.aside and entry.when in needed and entry.missing:
-            entry.compile()
+def _claim(claims: str, entry: Entry) -> bool:
+    """Whether no other process compiles it."""
+    try:
+        (Path(claims) / entry.name).touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
 
 
-def _start_worker(needed: tuple[int, ...]) -> subprocess.Popen[bytes] | None:
+def compile_claimed(claims: str, names: list[str]) -> None:
+    """A worker's share of these kernels, the last first: they meet the others' from there."""
+    entries = {entry.name: entry for entry in ENTRIES}
+    for name in reversed(names):
+        if name in entries and _claim(claims, entries[name]):
+            entries[name].compile()
+
+
+def _start_worker(claims: str, missing: list[Entry]) -> subprocess.Popen[bytes] | None:
     environment = dict(os.environ, PYTHONPATH=os.pathsep.join(os.path.abspath(path) for path in sys.path if path))
-    modules = ", ".join(sorted({entry.compiled.py_func.__module__ for entry in ENTRIES}))
-    command = f"import {modules}; from pincontact.jit import compile_aside; compile_aside(*{needed})"
+    modules = ", ".join(sorted({entry.compiled.py_func.__module__ for entry in missing}))
+    names = [entry.name for entry in missing]
+    command = f"import {modules}; from pincontact.jit import compile_claimed; compile_claimed({claims!r}, {names})"
     try:
         # from where this package lies: another checkout in the present folder would be imported first
         return subprocess.Popen(

@@ -45,7 +45,7 @@ class Layout:
         self.inner: dict[str, tuple[int, ...]] = {array: declared[2:] for array, declared in arrays.items()}
         self.places = {array: i for i, array in enumerate(arrays)}
         # numba's type of such a workspace, and `at(address)` for entry kernels, which are given the address
-        self.type = WorkspaceType(self)
+        self.type = _TYPES[name] = WorkspaceType(self)
         self.at = _workspace_at(self.type)
 
 
@@ -59,8 +59,19 @@ class WorkspaceType(types.Record):
         self.name = f"Workspace({layout.name})"
         self.layout = layout
 
+    def __reduce__(self) -> Any:
+        # numba keeps the types of arguments beside machine code
+        return _workspace_type, (self.layout.name,)
+
     def typeof(self, key: str) -> Any:
         return array_type(*self.layout.arrays[key])
+
+
+_TYPES: dict[str, WorkspaceType] = {}
+
+
+def _workspace_type(name: str) -> WorkspaceType:
+    return _TYPES[name]
 
 
 def _workspace_at(kind: WorkspaceType) -> Any:

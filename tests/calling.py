@@ -9,7 +9,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from pincontact.jit import _OPTIONS
+from pincontact.jit import KERNEL_OPTIONS
 from pincontact.workspace import Layout, _by_name
 
 
@@ -20,14 +20,14 @@ def from_python(part: Callable[..., Any], layout: Layout | None = None) -> Calla
     if numba.config.DISABLE_JIT:
         return part
 
-    @numba.njit(**_OPTIONS)
+    @numba.njit(**KERNEL_OPTIONS)
     def compiled(*arguments):
         return part(*arguments)
 
     if layout is not None:
         at = layout.at
 
-        @numba.njit(**_OPTIONS)
+        @numba.njit(**KERNEL_OPTIONS)
         def compiled_at(address, *arguments):
             return part(at(address), *arguments)
 

@@ -7,4 +7,4 @@ def pytest_configure(config: pytest.Config) -> None:
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
         from pincontact.jit import compile_kernels
 
-        compile_kernels(friction=True, several=True, stepping=True)
+        compile_kernels(several=True, stepping=True)

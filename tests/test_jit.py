@@ -6,7 +6,53 @@ import numba
 import pytest
 from numba import types
 
-from pincontact.jit import CALLED, Entry
+from pincontact.callback import separate_kernel
+from pincontact.jit import CALLED, INTEGER, REAL, SEPARATE, Entry, entry_kernel, kernel
+
+
+@separate_kernel(REAL, REAL, INTEGER, when=CALLED)
+def power(x, n):
+    result = 1.0
+    for _ in range(n):
+        result *= x
+    return result
+
+
+@kernel
+def powers(x):
+    return 10.0 * power(x, 2) + power(x, 3)
+
+
+@entry_kernel(REAL, when=CALLED)
+def sum_of_powers(x):
+    return 1.0 + powers(x)
+
+
+@separate_kernel(INTEGER, REAL, when=CALLED)
+def meaningless_part(x):
+    return x.nothing
+
+
+@entry_kernel(REAL, when=CALLED)
+def with_meaningless_part(x):
+    return 1 if x < 0.0 else meaningless_part(x)
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="machine code")
+def test_a_separate_kernel_is_fetched_where_it_is_called():
+    """Also from Python it is called by its name."""
+    entry = SEPARATE[power]
+    assert not entry.compiled.overloads
+    assert [sum_of_powers(x) for x in (0.0, 2.0, 3.0)] == [1.0, 49.0, 118.0]
+    assert entry.compiled.overloads
+    assert power(2.0, 5) == 32.0
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="machine code")
+def test_a_separate_kernel_that_cannot_be_fetched_is_an_error():
+    assert with_meaningless_part(-1.0) == 1
+    with pytest.raises((numba.TypingError, SystemError)):
+        with_meaningless_part(2.0)
 
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="machine code")
@@ -22,7 +68,7 @@ def test_kernels_on_disk_that_cannot_be_read_are_compiled_again(suffix, keep, tm
 
     def called():
         compiled = numba.njit(cache=True)(seven_times)
-        Entry(compiled, (types.int64,), False, tmp_path, CALLED).compile()
+        Entry(compiled, (types.int64,), tmp_path, CALLED).compile()
         assert compiled(3) == 21
         return sum(compiled.stats.cache_hits.values())
 
@@ -42,4 +88,4 @@ def test_kernels_that_cannot_be_compiled_say_why(tmp_path, monkeypatch):
         return x.nothing
 
     with pytest.raises(numba.TypingError, match="nothing"):
-        Entry(numba.njit(cache=True)(meaningless), (types.int64,), False, tmp_path, CALLED).compile()
+        Entry(numba.njit(cache=True)(meaningless), (types.int64,), tmp_path, CALLED).compile()

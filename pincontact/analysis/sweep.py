@@ -388,7 +388,7 @@ class _Sweep:
         _check_travels(self._measure, "measure")
         # kernels are compiled here once, those of method "Moreau" too, and not by every worker
         import_module("..integration.moreau", __package__)
-        compile_kernels(friction=True, several=True, stepping=True)
+        compile_kernels(several=True, stepping=True)
         keys = list(self._waiting)
         while keys:
             suspects = self._pool(workers, keys, _QUEUE_PER_WORKER * workers)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 
 from ..arrays import address
+from ..callback import separate_kernel
 from ..contours.evaluation import call_contour
 from ..geometry.carriers import OMEGA, ORIGIN, point_bias, point_velocity
 from ..geometry.frames import STEEP
@@ -44,7 +45,7 @@ from ..geometry.location import (
 )
 from ..geometry.patterns import CROSSING_CURVES, ON_CURVE, ON_SURFACE, PLANAR
 from ..geometry.small import add_cross, cross, dot, norm, rotate
-from ..jit import inlined_kernel, kernel
+from ..jit import BOOLEAN, INTEGER, inlined_kernel, kernel
 from ..layout import (
     BRANCH,
     CHART,
@@ -65,6 +66,7 @@ from ..layout import (
     SIDE,
     SINGULAR,
     SUPPORT_SIZE,
+    SYSTEM,
     TIME_DEPENDENT,
 )
 
@@ -216,7 +218,7 @@ def basis_at_contact(pattern, side, first, second, normal, basis):
         cross(n, t1, other)
 
 
-@inlined_kernel
+@separate_kernel(INTEGER, SYSTEM.type, INTEGER, BOOLEAN)
 def contact_kinematics(system, c, with_bias):
     """Contact coordinates, basis, v_c, gaps, rates of the coordinates (Eq. 6) and, where it is wanted, the bias.
 

@@ -15,10 +15,11 @@ from __future__ import annotations
 
 import math
 
+from ..callback import separate_kernel
 from ..friction.elimination import least_norm
 from ..friction.ellipse import friction_direction
 from ..geometry.patterns import NO_NORMAL, ON_CURVE
-from ..jit import inlined_kernel, kernel
+from ..jit import BOOLEAN, INTEGER, inlined_kernel, kernel
 from ..layout import (
     FREE,
     GUARD_SIGN,
@@ -37,11 +38,12 @@ from ..layout import (
     SLIP_SPEED,
     SLIPPING,
     STICK,
+    SYSTEM,
     TANGENTS,
     UNILATERAL,
 )
 from .event_functions import contact_margins, jam_margins, joint_margins, resistance_margins
-from .least_forces import is_normal_of_curve, leave_unloaded, solve_for_least, unloaded_margins
+from .least_forces import count_unloaded, is_normal_of_curve, leave_unloaded, solve_for_least, unloaded_margins
 from .linear import RANK_TOLERANCE, inner, solve_gram, unwhiten, whiten
 from .resistance import count_items, free_with_owners
 from .sliding import coefficient_at, is_held_up, resists_viscously, shares_viscous_force, slip_direction, viscous_force
@@ -61,7 +63,7 @@ PAINLEVE_LIMIT = 1e-9
 COMMON_LIMIT = 1e-3
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type)
 def contact_dynamics(system):
     """Accelerations, forces on body 2 along each basis, and the event functions of the present modes.
 
@@ -82,7 +84,9 @@ def contact_dynamics(system):
     status = max(joint_margins(system), contact_margins(system))
     status = max(status, resistance_margins(system, resistances, count_items(system)))
     if slipping:
-        status = max(status, unloaded_margins(system, count), jam_margins(system, count))
+        if count_unloaded(system, count) > 0:
+            status = max(status, unloaded_margins(system, count))
+        status = max(status, jam_margins(system, count))
     return status
 
 
@@ -214,15 +218,26 @@ def add_reference(system, count):
 @inlined_kernel
 def solve_sticking(system, count):
     """Multipliers without slip: J M^-1 J^T f = -(J a_free + bias), the least from the reference if redundant."""
-    whitened, scratch = system.whitened_rows, system.constraint_rows
-    right_hand_sides(system, count, whitened)
-    system.counters.row_rank = solve_gram(
-        whitened, count, system.sizes.nv, system.delassus, system.permutation, system.multipliers, scratch
-    )
+    right_hand_sides(system, count, system.whitened_rows)
+    system.counters.row_rank = solve_for_rows(system, count)
     add_reference(system, count)
 
 
-@inlined_kernel
+@separate_kernel(INTEGER, SYSTEM.type, INTEGER)
+def solve_for_rows(system, count):
+    """The least multipliers x with R R^T x = b, R the whitened rows, from b in their place; returns the rank of R."""
+    return solve_gram(
+        system.whitened_rows,
+        count,
+        system.sizes.nv,
+        system.delassus,
+        system.permutation,
+        system.multipliers,
+        system.constraint_rows,
+    )
+
+
+@separate_kernel(BOOLEAN, SYSTEM.type, INTEGER)
 def solve_slipping(system, count):
     """Multipliers with slip, J_n M^-1 (J_n - mu d J_t)^T f = -(J a_free + bias); False where there are none.
 

@@ -27,14 +27,14 @@ from __future__ import annotations
 import math
 
 from ..arrays import address as address_in
-from ..callback import call_by_address, call_python
+from ..callback import call_by_address, call_python, separate_kernel
 from ..constraints.kinematics import constraint_rows, contact_kinematics, distance_to_ends
 from ..contours.motion import call_motion
 from ..friction.ellipse import set_stretch
 from ..geometry.carriers import add_drive, place_on_joint, rest_in_world
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
-from ..jit import INTEGER, REAL, entry_kernel, inlined_kernel, kernel
+from ..jit import BOOLEAN, INTEGER, REAL, entry_kernel, inlined_kernel, kernel
 from ..layout import (
     ALONG_BODY_1,
     ANISOTROPIC,
@@ -60,12 +60,13 @@ from ..layout import (
     NOTHING_THERE,
     OK,
     PATTERN,
+    SYSTEM,
     TIME_DEPENDENT,
     system_at,
 )
 from ..workspace import integer_matrix_at, integers_at, matrix_at, reals_at
-from .equations import add_viscous_loads, contact_dynamics, guard_force, list_constraints
-from .linear import factorize_tree, inner, solve_gram, unwhiten, whiten
+from .equations import add_viscous_loads, contact_dynamics, guard_force, list_constraints, solve_for_rows
+from .linear import factorize_tree, inner, unwhiten, whiten
 from .pinocchio_calls import NATIVE_COLUMNS, NATIVE_ROWS
 from .resistance import count_items, resistance_kinematics, resists
 
@@ -136,7 +137,7 @@ def torques_finite(system, time):
     return True
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, BOOLEAN, BOOLEAN)
 def evaluate_contacts(system, with_rows, with_bias):
     """Kinematics of all contacts at the guess in `location`; with_rows: constraint rows also where no force may act;
     with_bias: what accelerations of v_c have besides the rows.
@@ -281,7 +282,7 @@ def _finite(a, n):
     return total - total == 0.0
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, INTEGER, INTEGER)
 def contact_corrections(system, with_position, with_velocity):
     """Corrections of q and v in the mass metric from the last evaluation (its rows, gaps, v_c and factor of M).
 
@@ -365,8 +366,8 @@ def is_normal_row(pattern, row):
 @kernel
 def _least_correction(system, count, out):
     """out = M^-1 R^T (R M^-1 R^T)^+ multipliers from the whitened rows R; returns their rank."""
-    nv, whitened, x, scratch = system.sizes.nv, system.whitened_rows, system.multipliers, system.constraint_rows
-    rank = solve_gram(whitened, count, nv, system.delassus, system.permutation, x, scratch)
+    nv, whitened, x = system.sizes.nv, system.whitened_rows, system.multipliers
+    rank = solve_for_rows(system, count)
     for k in range(nv):
         value = 0.0
         for r in range(count):

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 
+from ..callback import separate_kernel
 from ..friction.elimination import least_norm
 from ..geometry.patterns import ON_CURVE
-from ..jit import inlined_kernel, kernel
+from ..jit import INTEGER, NOTHING, SEVERAL, kernel
 from ..layout import (
     ANISOTROPIC,
     EVENT,
@@ -25,6 +26,7 @@ from ..layout import (
     SLIPPING,
     STRETCH_11,
     STRETCH_12,
+    SYSTEM,
     TANGENTS,
     UNILATERAL,
 )
@@ -115,6 +117,15 @@ def carries_nothing(system, r):
 
 
 @kernel
+def count_unloaded(system, count):
+    """How many of the rows are such normals."""
+    unloaded = 0
+    for j in range(count):
+        unloaded += carries_nothing(system, j)
+    return unloaded
+
+
+@kernel
 def leave_unloaded(system, count):
     """Zero the columns of contacts that carry nothing in `delassus`, and mark them by -1 in its last one."""
     operator = system.delassus
@@ -125,7 +136,7 @@ def leave_unloaded(system, count):
                 operator[i, j] = 0.0
 
 
-@inlined_kernel
+@separate_kernel(NOTHING, SYSTEM.type, INTEGER, when=SEVERAL)
 def solve_for_least(system, count):
     """Multipliers of least norm in their units, from the right-hand sides in their place."""
     operator, multipliers, scratch = system.delassus, system.multipliers, system.constraint_rows
@@ -139,7 +150,7 @@ def solve_for_least(system, count):
         multipliers[j] *= max(operator[j, count], 0.0)
 
 
-@inlined_kernel
+@separate_kernel(INTEGER, SYSTEM.type, INTEGER, when=SEVERAL)
 def unloaded_margins(system, count):
     """Event functions of contacts that carry nothing: how far from the least forces a load of theirs would be; EVENT
     where one is negative, or where such a contact does not stay closed by itself.
@@ -147,11 +158,6 @@ def unloaded_margins(system, count):
     The forces are least among those that are not negative if N = A^T y + s in their units, with s >= 0 at those that
     are zero (Kuhn and Tucker).
     """
-    unloaded = 0
-    for j in range(count):
-        unloaded += carries_nothing(system, j)
-    if unloaded == 0:
-        return OK
     nv, operator, multipliers, scratch = system.sizes.nv, system.delassus, system.multipliers, system.constraint_rows
     weigh_forces(system, count)
     loaded = 0

@@ -9,21 +9,13 @@ from __future__ import annotations
 
 import math
 
+from ..callback import separate_kernel
 from ..constraints.kinematics import NORMAL_RATE, add_rotation_row
 from ..geometry.carriers import ALPHA, OMEGA
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
-from ..jit import kernel
-from ..layout import (
-    FREE,
-    MODE,
-    OWNER,
-    PATTERN,
-    ROLLING_ROW,
-    SPINNING_ROW,
-    SUPPORT_SIZE,
-    TANGENTS,
-)
+from ..jit import CALLED, INTEGER, NOTHING, kernel
+from ..layout import FREE, MODE, OWNER, PATTERN, ROLLING_ROW, SPINNING_ROW, SUPPORT_SIZE, SYSTEM, TANGENTS
 
 # Angular velocities per unit of a joint's below this are round-off.
 _ROUND_OFF = 1e-13
@@ -69,7 +61,7 @@ def drop_unturned(row, nv):
         row[k] = 0.0
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, INTEGER, when=CALLED)
 def resistance_kinematics(system, c):
     """Basis, relative angular velocity, rows and biases of contact c's resistances, after its own kinematics.
 

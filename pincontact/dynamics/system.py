@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -115,8 +114,7 @@ class System(Workspace):
         guards: Sequence[Guard] = (),
         resistances: bool = False,
     ) -> None:
-        rubs = any(contact.friction is not None and math.isfinite(contact.friction.sliding) for contact in contacts)
-        compile_kernels(friction=rubs, several=len(contacts) > 1)
+        compile_kernels(several=len(contacts) > 1)
         super().__init__(SYSTEM)
         self.model = model
         self.contacts = list(contacts)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..arrays import view
-from ..jit import FRICTION, INTEGER, REAL, entry_kernel, kernel
+from ..jit import INTEGER, REAL, SEVERAL, entry_kernel, kernel
 from .cone import (
     BY_EXACT,
     BY_GAUSS_SEIDEL,
@@ -158,9 +158,7 @@ def usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance):
     return residual
 
 
-@entry_kernel(
-    REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, INTEGER, INTEGER, REAL, INTEGER, INTEGER, aside=True, when=FRICTION
-)
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, INTEGER, INTEGER, REAL, INTEGER, INTEGER, when=SEVERAL)
 def solve_cones(delassus, b, mu, address, task, passes, tolerance, sweeps, rounds):
     """Forces and velocities of n contacts from what is known of them; returns the residual.
 

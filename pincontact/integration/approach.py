@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
+from ..callback import separate_kernel
 from ..geometry.carriers import ACCELERATION, OMEGA, ORIGIN, VELOCITY
 from ..geometry.small import dot, norm, rotate
-from ..jit import kernel
+from ..jit import BOOLEAN, NOTHING, REAL, kernel
 from ..layout import (
     APPROACH_SPEED,
     BENDING,
@@ -20,6 +21,7 @@ from ..layout import (
     MODE,
     NOTHING_THERE,
     SPEEDING,
+    SYSTEM,
     TURNING,
     UNILATERAL,
 )
@@ -76,7 +78,7 @@ def bound_speed(numbers, one, two, from_origin, normal, vectors):
     numbers[APPROACH_SPEED] = speed if speed < _BEYOND else _BEYOND
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type)
 def bound_speeds(system):
     """`bound_speed` of all contacts that are open and unilateral, from the last evaluation."""
     contact_int, contact_real = system.contact_int, system.contact_real
@@ -87,7 +89,7 @@ def bound_speeds(system):
             bound_speed(contact_real[c], one, two, point, system.basis[c, 2], system.vectors)
 
 
-@kernel
+@separate_kernel(BOOLEAN, SYSTEM.type, REAL)
 def stay_apart(system, h):
     """Whether none of the open contacts can touch within h from the state of the last evaluation.
 

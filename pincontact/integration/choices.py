@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from ..dynamics.redundant import Cone, central_force, null_space
 from ..friction.cone import OPEN, SLIP
@@ -184,7 +184,9 @@ class _Unknowns:
         x, null = self.x, self.null
         loads = [cone.normal for cone in self.cones if cone.factor > 0.0]
         if x[loads].min(initial=0.0) < -_NONE * np.abs(x).max():
-            multipliers, left = nnls(np.vstack([null[loads].T, -x[loads]]), np.append(np.zeros(null.shape[1]), 1.0))
+            multipliers, left = scipy.optimize.nnls(
+                np.vstack([null[loads].T, -x[loads]]), np.append(np.zeros(null.shape[1]), 1.0)
+            )
             rest = np.vstack([null[loads].T, -x[loads]]) @ multipliers
             rest[-1] -= 1.0
             if left <= _NONE:

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..arrays import view
-from ..jit import INTEGER, REAL, entry_kernel, kernel
-from ..layout import DENSE_ROWS, MAX_STAGES
+from ..callback import separate_kernel
+from ..jit import INTEGER, NOTHING, REAL, entry_kernel, kernel
+from ..layout import DENSE_ROWS, MAX_STAGES, SYSTEM
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type)
 def dense_coefficients(system):
     """Fill DENSE from the slopes of the trial step: row i is h sum_j w_ij k_j + w_i (y_1 - y_0).
 

@@ -302,7 +302,7 @@ def _assemble(system, step):
     return OK
 
 
-@entry_kernel(INTEGER, INTEGER, aside=True, when=STEPPING)
+@entry_kernel(INTEGER, INTEGER, when=STEPPING)
 def assemble(system_address, step_address):
     """The cone problem of the step from the kinematics at its midpoint; OK, or a status of `layout`.
 

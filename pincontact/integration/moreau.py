@@ -102,7 +102,7 @@ class MoreauStep:
 
     def __init__(self, system: RunSystem, contacts: Sequence[Contact]) -> None:
         # these kernels are compiled for those who use them
-        compile_kernels(friction=True, several=True, stepping=True)
+        compile_kernels(several=True, stepping=True)
         self.system = system
         self._viscous = bool((system.contact_real[: system.nc, VISCOUS] > 0.0).any())
         joints = joint_constraints(system.guards)

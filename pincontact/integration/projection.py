@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from ..callback import separate_kernel
 from ..dynamics.evaluation import PLACES_OF_ALL, PLACES_OF_CLOSED, contact_corrections
 from ..dynamics.resistance import count_items
-from ..jit import kernel
-from ..layout import EVENT, LOCATION_FAILED, OK
+from ..jit import BOOLEAN, INTEGER, REAL, kernel
+from ..layout import EVENT, LOCATION_FAILED, OK, SYSTEM
 from .results import CLOSED_APART, CONTRADICTION
 from .stages import correct_state, evaluate
 
@@ -51,7 +52,7 @@ def _contradicts(system):
     return scalars.velocity_left > (_CONTRADICTING + _OF_CORRECTION * scalars.correction_size) * fastest
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, REAL, BOOLEAN, INTEGER, REAL)
 def project(system, t, evaluated, purpose, error):
     """Put (q, v) and the contact coordinates of STAGE_STATE on the constraints, in the mass metric; a status.
 
@@ -97,7 +98,7 @@ def project(system, t, evaluated, purpose, error):
     return OK if scalars.gap_residual < _PROJECTED_GAP else LOCATION_FAILED
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, REAL)
 def project_places(system, t):
     """Kinematics of STAGE_STATE, which is put on the constraints with whatever factor there is; a status.
 

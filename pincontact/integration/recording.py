@@ -4,20 +4,11 @@ from __future__ import annotations
 
 import math
 
+from ..callback import separate_kernel
 from ..dynamics.equations import guard_force
 from ..dynamics.resistance import count_items
-from ..jit import kernel
-from ..layout import (
-    CHART,
-    CONTACT_INTS,
-    FREE,
-    FROZEN_COLUMNS,
-    GUARD_V,
-    MODE,
-    OWNER,
-    START,
-    TANGENTS,
-)
+from ..jit import NOTHING, REAL, kernel
+from ..layout import CHART, CONTACT_INTS, FREE, FROZEN_COLUMNS, GUARD_V, MODE, OWNER, START, SYSTEM, TANGENTS
 from ..workspace import flat
 
 # Integers of a contact in a row: its own, and its two charts.
@@ -26,7 +17,7 @@ INTEGERS_PER_CONTACT = CONTACT_INTS + 2
 BLOCK = 256
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, REAL)
 def record_row(system, t):
     """Write the state in (Q, V, LOCATION) at t as the next row: t, q, v, tau, works, location, frozen directions,
     redundant forces where they were chosen, torques on body 2 that resist turning where there may be any.

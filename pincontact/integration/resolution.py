@@ -13,8 +13,9 @@ import math
 
 import numpy as np
 
+from ..callback import separate_kernel
 from ..dynamics.resistance import count_items
-from ..jit import kernel
+from ..jit import NOTHING, kernel
 from ..layout import (
     ERROR_ROWS,
     FRICTION_MARGIN,
@@ -24,6 +25,7 @@ from ..layout import (
     NORMAL_MARGIN,
     NOTHING_THERE,
     SCAN_ROOM,
+    SYSTEM,
 )
 from .results import GAP_TOLERANCE
 
@@ -84,7 +86,7 @@ def take_margins_up(system):
             kept[SCAN_ROOM, c, kind] = kept[SCAN_ROOM + KEPT_ROWS - 1, c, kind]
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type)
 def margin_error(system):
     """Raise ERROR_NORM of the attempted step where one of its margins is not resolved: to 1 and more."""
     n, scalars = count_items(system), system.scalars

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 # Places in an interval at which a function is sampled, irregular, lest they all be zeros of a sine.
 _PLACES = (0.0, 0.1137, 0.2419, 0.3871, 0.5647, 0.7219, 0.8629, 1.0)
@@ -38,8 +38,9 @@ def zero_between(value: Callable[[float], float], low: float, high: float, accur
     def bounded(place: float) -> float:
         return max(-_HUGE, min(value(place), _HUGE))
 
-    root, report = optimize.brentq(bounded, low, high, xtol=accuracy, rtol=_ROUND_OFF, full_output=True, disp=False)
-    return float(root if report.converged else optimize.bisect(bounded, low, high, xtol=accuracy, rtol=_ROUND_OFF))
+    limits = {"xtol": accuracy, "rtol": _ROUND_OFF}
+    root, report = scipy.optimize.brentq(bounded, low, high, full_output=True, disp=False, **limits)
+    return float(root if report.converged else scipy.optimize.bisect(bounded, low, high, **limits))
 
 
 def resolve(value: Callable[[float], float], at_start: float, at_end: float) -> Samples:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import math
 
+from ..callback import separate_kernel
 from ..dynamics.linear import inner, whiten
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
-from ..jit import kernel
+from ..jit import NOTHING, kernel
 from ..layout import (
     FROZEN,
     LAST_NORMAL_X,
@@ -21,6 +22,7 @@ from ..layout import (
     START_RATE,
     START_SPEED,
     START_TOLERANCE,
+    SYSTEM,
     TANGENTS,
 )
 
@@ -40,7 +42,7 @@ _SMALLEST_STOP_SPEED = 1e-13
 _STIFF = 2.0
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type)
 def note_end(system):
     """From the last evaluation, that of STAGE_STATE, what the next step is held against: each contact's normal, the
     speed and rate of every 3D slip with the error that is allowed in it, and how fast friction turns it.

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 
-from ..callback import kernel_caller
+from ..arrays import REALS, array_type
+from ..callback import kernel_caller, separate_kernel
 from ..contours.charts import is_across_pole, turned_back
 from ..dynamics.equations import guard_force
 from ..dynamics.manifold import configuration_rate, move, normalize, rate_in_parent_axes, to_joint_axes, to_parent_axes
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
-from ..jit import INTEGER, REAL, entry_kernel, kernel
+from ..jit import INTEGER, NOTHING, REAL, entry_kernel, kernel
 from ..layout import (
     CHART,
     DAMPING_WORK,
@@ -44,7 +45,7 @@ def evaluate(system, time, only_kinematics):
     return _call_evaluation(system.callback.evaluation, system, time, only_kinematics)
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, array_type(REALS, 1))
 def hand_over(system, state):
     """Give a state to Pinocchio (normalised) and to the search for contact coordinates."""
     sizes = system.sizes
@@ -69,7 +70,7 @@ def hand_over(system, state):
         location[i], location[i + 1] = turned_back(kind, chart, side_shape[side], u[i], u[i + 1])
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, array_type(REALS, 1), array_type(REALS, 1))
 def fill_slope(system, state, slope):
     """y' from the last evaluation."""
     sizes = system.sizes
@@ -133,7 +134,7 @@ def _powers(system, nv, nc, out):
         out[DAMPING_WORK] -= damping[k] * v[k] * v[k]
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, INTEGER)
 def build_state(system, index):
     """State number `index` of the step: y + h sum_j a_ij k_j; index = number of stages gives the new state."""
     sizes = system.sizes
@@ -160,7 +161,7 @@ def build_state(system, index):
     hand_over(system, out)
 
 
-@kernel
+@separate_kernel(REAL, SYSTEM.type, INTEGER)
 def error_norm(system, last):
     """Norm of the step's error estimate, 1 at the tolerance; stages 0 .. last are known.
 
@@ -200,7 +201,7 @@ def load_state(address):
     hand_over(system, system.stage_state)
 
 
-@kernel
+@separate_kernel(REAL, SYSTEM.type, INTEGER, INTEGER)
 def correct_state(system, with_position, with_velocity):
     """Apply the last corrections to STAGE_STATE: v first (its rows belong to the old q), then q; take the contact
     coordinates found, moved along with q. Returns the largest change of q and v in tolerances.

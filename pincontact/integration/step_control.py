@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
+from ..callback import separate_kernel
 from ..dynamics.resistance import count_items
-from ..jit import kernel
-from ..layout import EVENT, START_RATE, START_SPEED
+from ..jit import NOTHING, REAL, kernel
+from ..layout import EVENT, START_RATE, START_SPEED, SYSTEM
 from .stages import evaluate, fill_slope, hand_over
 
 # Safety, and the bounds of one change.
@@ -58,7 +59,7 @@ def _distance(state, a, b, absolute, relative):
     return math.sqrt(total / count) if count > 0 else -1.0
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, REAL, REAL)
 def first_step(system, t, span):
     """NEXT_STEP: the first step from STATE, from the sizes of the state, of its slope and of that one's rate, all in
     tolerances; span: time in s that there is, and the step where nothing is controlled.

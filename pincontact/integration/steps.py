@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 
+from ..callback import separate_kernel
 from ..dynamics.resistance import count_items
 from ..geometry.chart_changes import change_charts
-from ..jit import INTEGER, REAL, entry_kernel, kernel
-from ..layout import EVENT, OK, system_at
+from ..jit import BOOLEAN, INTEGER, REAL, entry_kernel, kernel
+from ..layout import EVENT, OK, SYSTEM, system_at
 from .approach import bound_speeds, stay_apart
 from .projection import TO_KEEP, TO_SHOW, TO_STEP_ON, project, project_places
 from .recording import BLOCK, output_done, record_row
@@ -63,7 +64,7 @@ BLOCK_FULL = 100
 _BATCH = 256
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, REAL, BOOLEAN)
 def write_outputs(system, until, inclusive):
     """Record the output times before `until`, or up to it, of the step that was interpolated last.
 
@@ -100,7 +101,7 @@ def _better_charts(system, t):
     return OK
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, REAL)
 def finish_step(system, t):
     """What follows every accepted state: better charts, and what the next step is held against; a status."""
     status = _better_charts(system, t)
@@ -137,7 +138,7 @@ def _take_up(system, t):
     return _better_charts(system, t)
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, INTEGER, REAL, REAL, REAL)
 def _complete(system, task, t, step, error):
     """Outputs, projection and acceptance of the trial step from t, of this size and error norm; OK, or what Python is
     needed for."""
@@ -174,7 +175,7 @@ def _complete(system, task, t, step, error):
     return OK
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, INTEGER)
 def integrate(system, task):
     """Steps from NOW towards END until Python is needed; what for.
 
@@ -237,7 +238,7 @@ def integrate(system, task):
     return MARCHING
 
 
-@entry_kernel(INTEGER, INTEGER, REAL, REAL, aside=True)
+@entry_kernel(INTEGER, INTEGER, REAL, REAL)
 def run_task(address, task, t, h):
     """All tasks behind one entry, since they share their parts.
 

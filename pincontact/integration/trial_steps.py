@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 
+from ..callback import separate_kernel
 from ..dynamics.evaluation import KINEMATICS_OF_ALL
 from ..dynamics.resistance import count_items
 from ..dynamics.sliding import slip_direction
 from ..geometry.small import dot
-from ..jit import kernel
-from ..layout import EVENT, FROZEN, MARGINS_PER_CONTACT, NOT_FINITE, OK, POLYNOMIAL_SIZE
+from ..jit import BOOLEAN, INTEGER, NOTHING, REAL, kernel
+from ..layout import EVENT, FROZEN, MARGINS_PER_CONTACT, NOT_FINITE, OK, POLYNOMIAL_SIZE, SYSTEM
 from ..workspace import flat
 from .dense import dense_coefficients, interpolate
 from .resolution import keep_margins, margin_error
@@ -23,7 +24,7 @@ def keep_slope(system, index):
     keep_margins(system, index)
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, REAL)
 def start(system, t):
     """Evaluate at STATE and store its slope; a status."""
     state, stage_state = system.state, system.stage_state
@@ -36,7 +37,7 @@ def start(system, t):
     return status
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, REAL, REAL, INTEGER, INTEGER, BOOLEAN)
 def _stages(system, t, h, first, last, adaptive):
     """Stages first .. last of a step of size h from the state at t; a status.
 
@@ -65,7 +66,7 @@ def _stages(system, t, h, first, last, adaptive):
     return OK
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, REAL, REAL, BOOLEAN)
 def trial_step(system, t, h, adaptive):
     """A step of size h from the state at t, which is kept.
 
@@ -89,7 +90,7 @@ def trial_step(system, t, h, adaptive):
     return status
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, REAL, REAL)
 def interpolation(system, t, h):
     """The extra stages and the coefficients of dense output for the trial step of size h from t; a status."""
     scalars = system.scalars
@@ -102,14 +103,14 @@ def interpolation(system, t, h):
     return status
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, REAL)
 def load_interpolated(system, theta):
     """Hand over the state at the fraction theta of the step that was interpolated last."""
     interpolate(system.dense, system.state, system.counters.dense_nested, theta, system.stage_state)
     hand_over(system, system.stage_state)
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, REAL, REAL)
 def scan(system, t, h):
     """Event functions at SCAN_SHARES of the step from t of size h that was interpolated last: see `RunSystem.scan`."""
     n = count_items(system)
@@ -123,7 +124,7 @@ def scan(system, t, h):
                 found[i, c, kind] = margins[c, kind]
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, REAL, REAL)
 def across_slip(system, t, h):
     """How well prescribed slip directions hold in a step of size h from the state at t, which is tried; a status.
 

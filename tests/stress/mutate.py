@@ -407,7 +407,7 @@ def _lengthened(function: ast.FunctionDef) -> set[int]:
     """Constants whose change makes a view longer: ends of slices of fixed length that a kernel reads. What they are
     handed to takes three numbers, or so many as it is told; only what is as long as a count is asked for its length."""
     names = [d.func if isinstance(d, ast.Call) else d for d in function.decorator_list]
-    if not any(isinstance(name, ast.Name) and name.id in ("kernel", "entry_kernel") for name in names):
+    if not any(isinstance(name, ast.Name) and name.id.endswith("kernel") for name in names):
         return set()
     out = set()
     for node in ast.walk(function):

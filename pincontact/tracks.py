@@ -116,11 +116,27 @@ class ContactTrack:
         return self.force.copy() if name == self.contours[1] else -self.force
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All that is an array, by name."""
+        """All that is an array.
+
+        Returns
+        -------
+        dict of str to array
+            By the name of the attribute.
+        """
         return {name: values for name, values in vars(self).items() if name != "contours"}
 
     def at(self, index: int) -> ContactTrack:
-        """One output: the same arrays without their first axis."""
+        """One output: the same arrays without their first axis.
+
+        Parameters
+        ----------
+        index : int
+            Of the output.
+
+        Returns
+        -------
+        ContactTrack
+        """
         return ContactTrack(**{name: values[index] for name, values in self.arrays().items()}, contours=self.contours)
 
     def __repr__(self) -> str:

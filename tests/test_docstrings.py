@@ -53,10 +53,15 @@ def handed_out(thing):
     return [*annotations(thing).values(), *(text for call in calls for text in handed_out(call))]
 
 
+def is_own(thing):
+    """Whether a function of `plots` is not from elsewhere."""
+    return inspect.isfunction(thing) and thing.__module__ == plots.__name__
+
+
 def public_names():
     """What `__all__` lists, of the package and of `view`, the plots, and the classes of all that these hand out."""
     names = {name: getattr(module, name) for module in (pc, view) for name in module.__all__}
-    names |= {f"plots.{name}": f for name, f in vars(plots).items() if inspect.isfunction(f) and name[0] != "_"}
+    names |= {f"plots.{name}": f for name, f in vars(plots).items() if name[0] != "_" and is_own(f)}
     waiting = list(names.values())
     while waiting:
         thing = waiting.pop()
@@ -128,13 +133,15 @@ def constructor(cls):
 
 
 def attributes(cls):
-    """Public attributes: annotated in the class's body, or set in its constructor."""
+    """Public attributes: annotated in the class's body, or set in its constructor or in what that makes (`_make`)."""
     made = constructor(cls)
     found = list(annotations(cls))
     if made is not None and made.__code__.co_filename == inspect.getsourcefile(cls):
         found += [
             node.attr
-            for node in syntax(made)
+            for method in (made, vars(cls).get("_make"))
+            if method is not None
+            for node in syntax(method)
             if isinstance(node, ast.Attribute)
             and isinstance(node.ctx, ast.Store)
             and ast.unparse(node.value) == "self"

@@ -348,7 +348,7 @@ def test_drives_in_python_are_asked():
         system.check_callbacks()
     system.check_callbacks()
     # what a run says of it
-    assert system.tell(UnusableResult("3 numbers")) == "3 numbers"
+    assert system.tell(UnusableResult("3 numbers")) == "3 numbers."
     system.blame("t = 1.5 s: the control")
     assert system.tell(KeyError("late")) == "t = 1.5 s: the control raised KeyError: 'late'"
     assert system.tell(ValueError()) == "t = 1.5 s: the control raised ValueError"

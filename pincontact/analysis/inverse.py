@@ -178,7 +178,7 @@ def inverse_dynamics(
         cannot open, their cones are those about the direction of the normal force that they would have without them.
     effort_limits : bool
         The torques that actuators make stay within the model's `effortLimit`.
-    weights : array_like, mapping or None
+    weights : float, (nv,) array_like or mapping, optional
         How much accelerations count that cannot all be reached: the sum of weight * error^2 is least. One number or
         (nv,) for a vector, else name -> one number, or one for each of its entries. None: 1, but for a vector the norm
         of the mass matrix.

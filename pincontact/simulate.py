@@ -216,6 +216,7 @@ def _simulate_by_events(request: _Request, pair: Tableau, rtol: float, atol: flo
                 **modes.program_counts,
                 "cone_residual": modes.worst_residual,
                 "redistributions": modes.redistributions,
+                "open_loads": driver.open_loads,
                 "wall_time": time.perf_counter() - request.began,
             }
             return Trajectory.from_record(scene, record, transitions.reports.events, code, message, stats)

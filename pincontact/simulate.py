@@ -296,6 +296,7 @@ def _simulate_by_events(
                 **modes.program_counts,
                 "cone_residual": modes.worst_residual,
                 "redistributions": modes.redistributions,
+                "open_loads": driver.open_loads,
                 "wall_time": time.perf_counter() - request.began,
             }
             return Trajectory.from_record(scene, record, transitions.reports.events, code, message, stats, dense)

@@ -42,6 +42,27 @@ if TYPE_CHECKING:
 _ROUND_OFF = 1e-11
 
 
+# Relative singular values below this are those of redundant contacts, and parts of the forces that move nothing.
+_REDUNDANT, _MOVES = 1e-9, 1e-6
+
+
+def leaves_loads_open(system: System) -> bool:
+    """Whether the motion depends on how redundant contacts share loads, in the last evaluation, and no rule decides it:
+    some slide while others stick, or torques resist turning."""
+    count = int(system.counters["row_count"])
+    if count == system.counters["row_rank"]:
+        return False
+    modes, rough = system.contact_int[:, MODE], system.contact_real[:, MU] > 0.0
+    closed, resisting = system.closed(), system.resisting()
+    slides = any(modes[c] == SLIPPING and rough[c] for c in closed)
+    if not slides or not (resisting or any(modes[c] == STICK and rough[c] for c in closed)):
+        return False
+    rows, directions = system.whitened_rows[:count], system.whitened_forces[:count]
+    _, singular, right = np.linalg.svd(rows @ directions.T)
+    changes = right[singular <= _REDUNDANT * singular[0]] @ directions
+    return bool(np.abs(changes).max(initial=0.0) > _MOVES * np.abs(directions).max())
+
+
 class RedundantForces:
     """Chooses among redundant forces of a system, and lets evaluations know the choice.
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..dynamics.directions import freeze_slip
+from ..dynamics.redistribution import leaves_loads_open
 from ..dynamics.system import System
 from ..layout import (
     EVENT,
@@ -35,7 +36,7 @@ from .jams import held_up
 from .locator import Crossing, EventLocator
 from .outputs import Outputs, no_dense_output
 from .pieces import Pieces
-from .results import FINISHED, STEP_LIMIT, TERMINATED, Stop
+from .results import FINISHED, OPEN_LOADS, STEP_LIMIT, TERMINATED, Stop
 from .runge_kutta import RungeKutta
 from .steps import (
     AT_FLOOR,
@@ -128,6 +129,8 @@ class Driver:
                 self._max_step = _WATCH
             elif users:
                 self._max_step = _WATCH_EVENTS
+        # how often modes were entered in which the motion depends on loads that nothing decides
+        self.open_loads = 0
         # time (s), state and discrete part of the contacts of the last state that the run came to, where it is kept
         self.good: tuple[float, np.ndarray, np.ndarray] | None = None
 
@@ -147,7 +150,8 @@ class Driver:
             self._run(t, t_end)
         except Stop as stop:
             return stop.code, stop.message
-        return FINISHED, "the end of the interval was reached"
+        said = f"; after {self.open_loads} changes of modes {OPEN_LOADS}" if self.open_loads else ""
+        return FINISHED, "the end of the interval was reached" + said
 
     def _run(self, t: float, t_end: float) -> None:
         stops = [*(math.nextafter(time, -math.inf) for time in self.options.breakpoints), t_end]
@@ -260,6 +264,7 @@ class Driver:
         counters["attempt_limit"] = options.max_steps
         counters["stalled"] = counters["stiff_steps"] = 0
         counters["patience"] = _PATIENCE
+        self.open_loads += leaves_loads_open(self.system)
 
     def _task(self) -> int:
         """How far the compiled steps may go on their own."""
@@ -303,6 +308,7 @@ class Driver:
         scalars["next_step"] = self.options.fixed_step or min(h, _RESTART_SEEDS * self.transitions.onset.seed)
         scalars["slowest"], scalars["last_error"] = math.inf, 0.0
         counters["stalled"] = 0
+        self.open_loads += leaves_loads_open(self.system)
 
     # ---------------------------------------------------------------- one step
 

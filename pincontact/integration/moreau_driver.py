@@ -14,7 +14,7 @@ from ..layout import FREE, LOCATION_FAILED, MODE, OK, SINGULAR, SLIPPING, STICK
 from .events import UserEvent
 from .impulse_steps import AT_END, AT_LIMIT, GOING_ON, INNER_OUTPUT_LEFT, OUTPUT_LEFT, TRIED
 from .moreau import MoreauStep, Torque
-from .results import CONTOUR_ENDS, FINISHED, FLIES_THROUGH, TERMINATED, Event, Stop
+from .results import CONTOUR_ENDS, FINISHED, FLIES_THROUGH, OPEN_LOADS, TERMINATED, Event, Stop
 from .results import STEP_LIMIT as AT_STEP_LIMIT
 from .sign_changes import resolve, with_dips, zero_between
 from .step_control import SLIVER
@@ -72,8 +72,7 @@ class MoreauDriver:
             off = f"off by up to {cones.settled_off:.2g} of the largest"
             said += f"; {cones.settled} cone problems were settled with the friction of other loads, {off}"
         if left_open:
-            said += f"; in {left_open} cone problems rigid bodies leave open how redundant contacts share loads while "
-            said += "some slide"
+            said += f"; in {left_open} cone problems {OPEN_LOADS}"
         return said
 
     def _run(self, start: float, end: float) -> None:

@@ -21,6 +21,8 @@ ADVICE = 'method="Moreau" goes on with impulses, in steps of constant size; fall
 
 # Error of gaps, in tolerances of positions: a contact whose gap is smaller than that is closed.
 GAP_TOLERANCE = 10.0
+# What runs say of forces on which the motion depends, and of which more than one choice is right.
+OPEN_LOADS = "rigid bodies leave open how redundant contacts share loads while some slide"
 
 # Statuses of single time steps, beside those of `layout`: a closed contact that cannot open is beyond the end of a
 # contour, or one ends apart; constraints on velocities contradict each other; an open

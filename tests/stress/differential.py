@@ -236,6 +236,9 @@ def judge(
             f"{name}: {apart.max():.1e} apart, {nearer.max():.1e} with a hundredth of the tolerance"
         )
         return
+    if one.stats["open_loads"] or exact.stats["open_loads"]:
+        finding.undecided.append(f"{name}: {apart.max():.1e} apart, and say that redundant loads are open")
+        return
     finding.wrong.append(f"{name}: {apart[i]:.1e} apart at {runs.times[i]:.3f} s, {apart.max():.1e} later")
 
 
@@ -299,7 +302,7 @@ def judge_steps(runs: Runs, exact: pc.Trajectory, finding: Finding) -> None:
         finding.undecided.append(f"steps: {said} apart, changes of {STEP} make {wide.max():.1e}")
     elif slides_instead(runs.motion, second, exact):
         finding.undecided.append(f"steps: {said} apart, ideal rolling is let go with a force")
-    elif first.stats["open_loads"] or second.stats["open_loads"]:
+    elif any(r.stats["open_loads"] for r in (first, second, exact)):
         finding.undecided.append(f"steps: {said} apart, and say that redundant loads are open")
     elif strikes_within(step, *near_until(runs, found[-1], COVERED * step * speed), exact, run):
         finding.undecided.append(f"steps: {said} apart, two impacts within a step")

@@ -71,3 +71,22 @@ def test_random_contacts(pattern, reverse):
     run = pc.simulate(contact.scene, contact.state, 0.021, t_eval=times, **EXACT)
     assert run.success and not run.events
     assert_rates_are_differences(run.contacts["c"], STEP)
+
+
+def test_open_contacts_without_nearest_points():
+    """In the middle of a sphere no point of it is the nearest: there are no rates, and no equations."""
+    model, joint = pin.Model(), 0
+    for name, kind in (("x", pin.JointModelPX), ("y", pin.JointModelPY), ("z", pin.JointModelPZ)):
+        joint = model.addJoint(joint, kind(), pin.SE3.Identity(), name)
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    model.gravity.linear = np.zeros(3)
+    scene = pc.Scene(model)
+    tip, shell = scene.add_contour("tip", pc.Point(), "body"), scene.add_contour("shell", pc.Sphere(0.5))
+    scene.add_contact("c", tip, shell, side=-1)
+    state = scene.initial_state([0.125, 0.0, 0.0], [-1.0, 0.0, 0.0], free=["c"])
+    run = pc.simulate(scene, state, 0.25, t_eval=[0.0, 0.125, 0.25])
+    np.testing.assert_array_equal(np.isnan(run.contacts["c"].rates), [[False] * 2, [True] * 2, [False] * 2])
+    assert pc.analyze(scene, run.state(0))["c"].gap == pytest.approx(0.375)
+    with pytest.raises(pc.SingularContactError, match="'c' is open and has no nearest points"):
+        pc.analyze(scene, run.state(1))

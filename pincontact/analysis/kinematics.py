@@ -14,7 +14,7 @@ from ..geometry.carriers import OMEGA, ORIGIN
 from ..geometry.frames import contact_frame, curve_normal_axis, dual_basis
 from ..geometry.patterns import CROSSING_CURVES, ON_SURFACE, PLANAR
 from ..integration.discrete import write_discrete
-from ..layout import CONDITION, OK, PATTERN
+from ..layout import CONDITION, NOTHING_THERE, OK, PATTERN
 from ..state import State, check_state, check_vector
 from .instant import Instant
 
@@ -159,7 +159,7 @@ def analyze(scene: Scene, state: State, tau: ArrayLike | None = None) -> dict[st
     StateError
         For a state whose numbers cannot be used, or a bad tau.
     SingularContactError
-        Where the location equations are singular.
+        Where the location equations are singular, or an open contact has no nearest points.
 
     Examples
     --------
@@ -192,6 +192,9 @@ def analyze(scene: Scene, state: State, tau: ArrayLike | None = None) -> dict[st
     write_discrete(system, state.discrete)
     if system.evaluate_kinematics(state.t) != OK:
         raise SingularContactError("the location equations are singular at this state", 0.0)
+    for contact, gap in zip(contacts, system.gaps[:, 0]):
+        if gap == NOTHING_THERE:
+            raise SingularContactError(f"contact {contact.name!r} is open and has no nearest points at this state", 0.0)
     lower = np.tril(system.mass)
     mass, generalized = lower + np.tril(lower, -1).T, torques - system.damping * state.v - system.bias_forces
     forces = _Forces(scene, state, torques)

@@ -17,6 +17,7 @@ from .layout import (
     CONDITION,
     EVENT,
     FREE,
+    NOTHING_THERE,
     STICK,
 )
 from .records import Recorded, load_output
@@ -39,6 +40,8 @@ class ContactTrack:
         Location parameters p* = (u_1, u_2) in the paper's order of bodies (k2 >= k1).
     location_first, location_second : (n, k1 or k2) array
         The same by the user's contours.
+    rates : (n, k) array
+        p*' in m/s or rad/s (Eq. 6), in the order of `location`; NaN where an open contact has no nearest points.
     charts : (n, 2) array of int
         Of body 1 and body 2.
     point : (n, 3) array
@@ -72,6 +75,7 @@ class ContactTrack:
     location: np.ndarray
     location_first: np.ndarray
     location_second: np.ndarray
+    rates: np.ndarray
     charts: np.ndarray
     point: np.ndarray
     frame: np.ndarray
@@ -192,6 +196,7 @@ class _Outputs(NamedTuple):
 
     rows: np.ndarray
     location: np.ndarray
+    rates: np.ndarray
     shapes: np.ndarray
     frames: np.ndarray
     basis: np.ndarray
@@ -210,6 +215,7 @@ def _evaluate_outputs(
     nc = system.nc
     views = (
         system.location[:nc],
+        system.rates[:nc],
         system.derivatives[: 2 * nc, :3],
         system.frames[: 2 * nc, :5],
         system.basis[:nc],
@@ -244,6 +250,7 @@ def _empty_track(contact: Contact, n: int) -> ContactTrack:
         nan(k1 + k2),
         nan(first),
         nan(second),
+        nan(k1 + k2),
         np.zeros((n, 2), dtype=np.int64),
         nan(3),
         nan(3, 3),
@@ -268,6 +275,8 @@ def _fill_track(outputs: _Outputs, c: int, contact: Contact, track: ContactTrack
     track.mode[rows] = modes = outputs.modes[:, c]
     track.location[rows] = np.hstack([u1, u2])
     track.location_first[rows], track.location_second[rows] = (u2, u1) if contact.swapped else (u1, u2)
+    there = outputs.gaps[:, c, 0] != NOTHING_THERE
+    track.rates[rows[there]] = np.hstack([outputs.rates[there, c, :k1], outputs.rates[there, c, 2 : 2 + k2]])
     track.charts[rows] = outputs.charts[:, one : two + 1]
     first, second, carrier, basis = (
         outputs.shapes[:, one],

@@ -85,6 +85,7 @@ def fake_run(rows: int = 121, name: str = "rim/floor") -> SimpleNamespace:
         location=np.column_stack([lowest, points[:, :2]]),
         location_first=lowest[:, None],
         location_second=points[:, :2],
+        rates=np.where(touching, SPEED, np.nan)[:, None] * np.column_stack([np.full(rows, 1.0 / RADIUS), ahead[:, :2]]),
         charts=np.zeros((rows, 2), dtype=np.int64),
         point=points,
         frame=frame,

@@ -1,5 +1,5 @@
 """`pincontact.analyze` on random contacts of all patterns: the conditions and each of their derivatives, components of
-v_c in an oblique frame and their rates."""
+v_c in an oblique frame and their rates, the equations of motion."""
 
 import dataclasses
 import math
@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given, reject, settings
 from hypothesis import strategies as st
 from random_contacts import PATTERNS, PLANAR, START, RandomContact, contacts
 
@@ -15,6 +15,7 @@ import pincontact as pc
 
 # Differences of eighth order, see `random_contacts`; derivatives of conditions have no conditioning in them.
 DIFFERENCES = 1e-8
+LAWS = {"smooth": None, "rolling": pc.NoSlip(), "rough": pc.Coulomb(0.2, viscous=0.1)}
 EACH_PATTERN = pytest.mark.parametrize("pattern", PATTERNS)
 CHECKED = settings(max_examples=12, deadline=None, derandomize=True, database=None)
 
@@ -110,12 +111,70 @@ def test_rates_of_the_components(pattern, data):
     expected = found.rows @ contact.acceleration + found.bias
     scale = (1.0 + np.abs(expected).max()) / found.conditioning
     assert np.abs(rate - expected).max() <= 10.0 * DIFFERENCES * scale
+    assert_close(contact.derivative(lambda h: analyzed(contact, h).location), found.rates)
+
+
+@pytest.mark.parametrize("law", LAWS)
+@EACH_PATTERN
+@settings(CHECKED, max_examples=5)
+@given(data=st.data())
+def test_equations_of_motion(pattern, law, data):
+    """M a = H + rows^T multipliers (Eq. 31) gives accelerations that Pinocchio finds with the contact's wrenches, and
+    along which differences of v_c^j vanish where it is constrained."""
+    contact = data.draw(contacts(pattern, friction=LAWS[law], oblique=True, reversible=True))
+    model, state = contact.scene.model, contact.state
+    rng = np.random.default_rng(state.v.size)
+    model.damping, tau = rng.uniform(0.1, 0.5, model.nv), rng.normal(size=model.nv)
+    found = pc.analyze(contact.scene, state, tau)["c"]
+    try:
+        wrenches = pc.external_forces(contact.scene, state, tau)
+    except pc.SolverError:
+        with pytest.raises(pc.SolverError):
+            assert found.force
+        reject()
+    other = model.createData()
+    acting = tau - model.damping * state.v
+    direction = rng.normal(size=model.nv)
+    moved = pin.rnea(model, other, state.q, state.v, direction) - acting
+    # rounding of a few products, by the conditioning of masses and contact
+    scale = (1.0 + np.abs(found.force).max()) / found.conditioning
+    np.testing.assert_allclose(found.M @ direction - found.H, moved, rtol=0.0, atol=1e-11 * scale)
+    np.testing.assert_allclose(found.dual_frame @ found.multipliers, found.force, rtol=0.0, atol=1e-13 * scale)
+    acceleration = np.linalg.solve(found.M, found.H + found.rows.T @ found.multipliers)
+    by_pinocchio = pin.aba(model, other, state.q, state.v, acting, wrenches)
+    np.testing.assert_allclose(acceleration, by_pinocchio, rtol=0.0, atol=1e-10 * scale)
+    contact.acceleration = acceleration
+    if pattern == "P-3C":
+        assume(abs(abs(found.frame[2, 0]) - 0.9) > 0.02)
+    rate = contact.derivative(lambda h: analyzed(contact, h).components)
+    normals = [1, 2] if pattern == "P-3C" else [2]
+    held = normals if law != "rolling" else [0, 2] if pattern in PLANAR else [0, 1, 2]
+    assert np.abs(rate[held]).max() <= 10.0 * DIFFERENCES * scale * (1.0 + np.abs(acceleration).max())
+    if law != "rolling":
+        assert found.force @ found.v_c <= 1e-11 * scale
 
 
 def test_analysis_needs_a_state_of_the_scene():
     one, other = (RandomContact("P-S", ("Point", "Plane"), seed=seed) for seed in (1, 2))
     with pytest.raises(pc.ArgumentError, match="another scene"):
         pc.analyze(one.scene, other.state)
+
+
+def test_analysis_checks_torques():
+    contact = RandomContact("P-S", ("Point", "Plane"), seed=1)
+    for tau, text in (([1.0], r"tau must have 12 entries"), (np.full(12, np.nan), r"tau\[0\] is nan")):
+        with pytest.raises(pc.StateError, match=text):
+            pc.analyze(contact.scene, contact.state, tau)
+
+
+def test_forces_are_those_of_the_state_that_was_given():
+    """They are solved for when they are asked for, and the state may have been written to by then."""
+    contact = RandomContact("P-S", ("Point", "Ellipsoid"), seed=2, friction=pc.Coulomb(0.2))
+    first, second = (pc.analyze(contact.scene, contact.state)["c"] for _ in range(2))
+    expected = first.force
+    contact.state.v[:] *= 2.0
+    np.testing.assert_array_equal(second.force, expected)
+    assert np.abs(pc.analyze(contact.scene, contact.state)["c"].force - expected).max() > 1e-3
 
 
 def test_parallel_rods_are_singular():

@@ -97,6 +97,24 @@ def test_crossing_rods():
     assert found["energy_drift"] < 1e-9
 
 
+def test_paper_section6():
+    found = run_example("paper_section6")
+    # both sides are integrated at 1e-11, over some ten radians of turning
+    for name in ("q", "v", "force", "location", "rates", "traces"):
+        assert found[f"rolling_{name}"] < 1e-8 and found[f"sliding_{name}"] < 1e-8, name
+    # the same formulas at the same state
+    assert max(found["rolling_matrices"], found["sliding_matrices"]) < 1e-11
+    # Prop. 5: without slip both traces are of one length
+    assert found["rolling_way"] > 6.0 and found["rolling_apart"] < 1e-9
+    assert found["sliding_apart"] > 0.1 and 1.0 < found["sticks_at"] < 2.0
+
+
+def test_paper_section6_is_drawn(tmp_path):
+    pytest.importorskip("matplotlib", reason="Matplotlib is in the extra `plot`")
+    run_example("paper_section6", duration=0.2, plot=tmp_path / "section6.png")
+    assert (tmp_path / "section6.png").stat().st_size > 10_000
+
+
 def test_ball_in_bowl():
     found = run_example("ball_in_bowl", duration=2.0)
     assert found["swing"] == pytest.approx(found["swing_closed_form"], rel=1e-10)

@@ -302,7 +302,10 @@ TENDON = '<tendon><fixed name="t" {}><joint joint="elbow" coef="1"/></fixed></te
             file(f'<body><joint type="free" name="f" armature="1"/>{BALL}</body>'),
             r"armature of a free .*\(joint 'f'\)\.$",
         ),
-        (file(f'<body><joint type="free" frictionloss="1"/>{BALL}</body>'), r"dry friction .*\(joint 'body_1_free'\)\.$"),
+        (
+            file(f'<body><joint type="free" frictionloss="1"/>{BALL}</body>'),
+            r"dry friction .*\(joint 'body_1_free'\)\.$",
+        ),
         (file(arm() + '<geom type="hfield" hfield="h"/>', HILL), r"could not be read: geom 'geom_0' \(hfield\)\.$"),
         (file(arm('stiffness="1"') + '<geom type="hfield" hfield="h"/>', HILL), "left out.* stiffness.*hfield"),
     ],

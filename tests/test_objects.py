@@ -27,7 +27,11 @@ from pincontact.view.plots import plot
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "pincontact"
-SOURCES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py")) if "docs" not in path.parts}
+SOURCES = {
+    path: ast.parse(path.read_text(encoding="utf-8"))
+    for path in sorted(PACKAGE.rglob("*.py"))
+    if "docs" not in path.parts
+}
 
 
 def sliding_ball(mu=0.2):

@@ -192,7 +192,7 @@ def test_proposition_3(pattern, data):
 
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_constraints_stay_closed_along_runs(pattern):
-    """Eq. 16: what holds of the rates holds of the functions, over a run, without any stabilisation."""
+    """Runs are projected on what Eq. 16 says; `test_unprojected` has steps that are not."""
     contact = _running(pattern, None)
     run = pc.simulate(contact.scene, contact.state, 0.3, rtol=1e-9, atol=1e-11)
     assert run.success, run.message
@@ -275,7 +275,8 @@ def curvature(contact, rng):
 def test_proposition_4(pattern, data):
     """A point that sticks and two crossing curves keep their location: holonomic; planar rolling is, too.
 
-    A curve or surface that rolls on a surface is not: the forms of its constraints have a curvature.
+    A free curve or surface that rolls on a surface is not: the forms of its constraints have a curvature. Joints can
+    take it away.
     """
     contact = data.draw(contacts(pattern))
     value, scale = curvature(contact, np.random.default_rng(data.draw(st.integers(0, 1000))))
@@ -340,6 +341,27 @@ def test_holonomy_of_a_rolling_ball():
     assert np.linalg.norm(turn) > 0.5
     # to leading order it is the area inside, over the radius squared, about the vertical
     assert turn[2] == pytest.approx(-a * b, rel=0.5)
+
+
+def test_a_guided_wheel_is_holonomic():
+    """3C-S on joints that keep the wheel in a plane: driven to and fro, its place remains a function of its angle."""
+    radius, model, joint = 0.3, pin.Model(), 0
+    for name, kind in (("x", pin.JointModelPX), ("z", pin.JointModelPZ), ("angle", pin.JointModelRY)):
+        joint = model.addJoint(joint, kind(), pin.SE3.Identity(), name)
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.diag([0.02, 0.045, 0.02])), pin.SE3.Identity())
+    model.addBodyFrame("wheel", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    upright = pin.SE3(pin.utils.rotate("x", 0.5 * math.pi), np.zeros(3))
+    scene.add_contour("rim", pc.Circle(radius), "wheel", upright)
+    scene.add_contour("floor", pc.Plane())
+    assert scene.add_contact("c", "rim", "floor", friction=pc.NoSlip()).pattern.name == "3C-S"
+    state = scene.initial_state([0.0, radius, 0.4], [0.0, 0.0, 0.0])
+    run = pc.simulate(scene, state, 2.0, control=lambda t, q, v: np.array([0.0, 0.0, math.cos(3.0 * t)]), rtol=1e-10)
+    assert run.success, run.message
+    x, angle = run.q[:, 0], run.q[:, 2] - 0.4
+    assert np.ptp(x) > 0.1 and np.ptp(np.sign(run.v[:, 2])) == 2.0
+    # integrated at 1e-10
+    np.testing.assert_allclose(x, radius * angle, rtol=0.0, atol=1e-9)
 
 
 def test_planar_rolling_is_an_arc_length():

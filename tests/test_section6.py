@@ -497,7 +497,7 @@ def test_sliding_dynamics(sliding, states):
 
 
 def test_analysis(frictionless, states):
-    """Conditions (42, 43), their Jacobians, the frame (41) and v_c as `analyze` gives them."""
+    """Conditions (42, 43), their Jacobians, the frame (41), v_c, M and H (60) as `analyze` gives them."""
     for q, v in states[:200]:
         found = pc.analyze(frictionless.scene, frictionless.state(q, v))["rim/floor"]
         s4, c4, s5, c5 = sines(q)
@@ -522,3 +522,5 @@ def test_analysis(frictionless, states):
         assert_equal(found.rows.T, rows)
         assert_equal(found.drift, np.zeros(3))
         np.testing.assert_allclose(found.bias, constraint_bias(q, v, frictionless.cb), rtol=0.0, atol=1e-9)
+        assert_equal(found.M, mass_matrix(q))
+        assert_equal(found.H, generalized_forces(q, v))

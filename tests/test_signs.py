@@ -44,14 +44,14 @@ def moving(pattern, law, reverse):
 @each
 def test_analysis_is_that_of_the_tracks(pattern, law, reverse):
     """Every field against the track at the same state, against each other, and v_c against Pinocchio."""
-    scene, run, _ = moving(pattern, law, reverse)
+    scene, run, tau = moving(pattern, law, reverse)
     track, contact, model = run.contacts["c"], scene.contacts["c"], scene.model
     for i in range(3):
         state = run.state(i)
-        found = pc.analyze(scene, state)["c"]
+        found = pc.analyze(scene, state, tau)["c"]
         scale = ROUND_OFF * (1.0 + np.abs(found.v_c).max())
         np.testing.assert_allclose(found.v_c, track.slip_velocity[i], rtol=0.0, atol=scale)
-        for name in ("frame", "dual_frame", "point", "location", "gap"):
+        for name in ("frame", "dual_frame", "point", "location", "rates", "gap"):
             np.testing.assert_allclose(getattr(found, name), getattr(track, name)[i], rtol=0.0, atol=ROUND_OFF)
         np.testing.assert_allclose(found.frame @ found.components, found.v_c, rtol=0.0, atol=scale)
         np.testing.assert_allclose(found.rows @ state.v + found.drift, found.components, rtol=0.0, atol=scale)
@@ -68,6 +68,8 @@ def test_analysis_is_that_of_the_tracks(pattern, law, reverse):
         # force and power in components
         force, multipliers = track.force[i], track.multipliers[i]
         size = ROUND_OFF * (1.0 + np.abs(force).max())
+        np.testing.assert_allclose(found.force, force, rtol=0.0, atol=size)
+        np.testing.assert_allclose(found.multipliers, multipliers, rtol=0.0, atol=size)
         np.testing.assert_allclose(found.dual_frame @ multipliers, force, rtol=0.0, atol=size)
         power = force @ track.slip_velocity[i]
         assert abs(multipliers @ found.components - power) <= size * (1.0 + np.abs(found.v_c).max())

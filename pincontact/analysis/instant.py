@@ -44,7 +44,6 @@ from ..layout import (
     TANGENTS,
 )
 from ..state import Correction, State, check_state, check_vector
-from .kinematics import jacobians
 from .ranks import Directions
 
 if TYPE_CHECKING:
@@ -363,7 +362,7 @@ class Instant:
         size = 0.0
         for side in (2 * c, 2 * c + 1):
             point = system.frames[side, ORIGIN] + system.derivatives[side, 0]
-            linear, angular = jacobians(system, side, point)
+            linear, angular = system.jacobians(side, point)
             size = math.hypot(size, float(np.linalg.norm(whiten(system, (linear if item == c else angular).T))))
         return size
 

@@ -1,8 +1,9 @@
-"""The paper's equations of every contact at one state, as numbers."""
+"""The paper's equations of every contact, and of motion, at one state, as numbers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,22 +14,39 @@ from ..geometry.carriers import OMEGA, ORIGIN
 from ..geometry.frames import contact_frame, curve_normal_axis, dual_basis
 from ..geometry.patterns import CROSSING_CURVES, ON_SURFACE, PLANAR
 from ..integration.discrete import write_discrete
-from ..layout import CONDITION, OK, PATTERN, SUPPORT_SIZE
-from ..state import State, check_state
+from ..layout import CONDITION, NOTHING_THERE, OK, PATTERN
+from ..state import State, check_state, check_vector
+from .instant import Instant
 
 if TYPE_CHECKING:
-    from ..contacts import Contact
+    from numpy.typing import ArrayLike
+
     from ..scene import Scene
+
+
+class _Forces:
+    """All contacts' forces at a state, solved for when first asked for: kinematics need none, and may have none."""
+
+    def __init__(self, scene: Scene, state: State, tau: np.ndarray) -> None:
+        names = ("q", "v", "location", "discrete")
+        self._at = scene, replace(state, **{name: getattr(state, name).copy() for name in names}), tau
+
+    @cached_property
+    def by_contact(self) -> dict[str, np.ndarray]:
+        return Instant(*self._at).forces()
 
 
 @dataclass(frozen=True, eq=False)
 class ContactKinematics:
-    """The paper's equations of one contact at one state, as numbers.
+    """The paper's equations of one contact, and of motion, at one state, as numbers.
 
     World axes unless said, SI units. Relative quantities are of the second contour that the user named against the
     first, as in `ContactTrack`: v_c is its slip_velocity, and v_c . force = components . multipliers. Parameters and
     frames are in the paper's order, in which body 2 has at least as many parameters as body 1 (as given when equal).
     m is the number of location equations, k that of location parameters.
+
+    The equations of motion (Eqs. 31, 60) are M a = H + sum over all contacts of rows^T multipliers, and what acts on
+    joints by dry friction and limits, or resists spinning and rolling. M and H are the same for all contacts.
 
     Attributes
     ----------
@@ -45,6 +63,11 @@ class ContactKinematics:
         Location parameters p = (u_1, u_2), in m or rad.
     rates : (k,) array
         p' (Eq. 6).
+    M : (nv, nv) array
+        Mass matrix of Pinocchio's velocity coordinates.
+    H : (nv,) array
+        Generalized forces tau - damping v - nle: torques, joint damping, and Pinocchio's nonlinear effects, which are
+        gravity, centrifugal and Coriolis forces; in N and N m.
     frame : (3, 3) array
         e_1, e_2, e_3 as columns (Def. 5).
     dual_frame : (3, 3) array
@@ -73,6 +96,8 @@ class ContactKinematics:
     f_t: np.ndarray
     location: np.ndarray
     rates: np.ndarray
+    M: np.ndarray
+    H: np.ndarray
     frame: np.ndarray
     dual_frame: np.ndarray
     v_c: np.ndarray
@@ -83,16 +108,44 @@ class ContactKinematics:
     gap: float
     conditioning: float
     point: np.ndarray
+    _name: str
+    _forces: _Forces
+
+    @cached_property
+    def force(self) -> np.ndarray:
+        """F, (3,) in N: the force on the second contour at the state, as a motion that starts there has it.
+
+        It is solved for when it is first asked for, and zero where the contact is open.
+
+        Raises
+        ------
+        SolverError, SingularContactError
+            Where there are no forces.
+        """
+        return self._forces.by_contact[self._name]
+
+    @cached_property
+    def multipliers(self) -> np.ndarray:
+        """Lambda, (3,) in N: components of `force` in the dual frame, F_j = e_j . F (Eq. 27).
+
+        Raises
+        ------
+        SolverError, SingularContactError
+            Where there are no forces.
+        """
+        return self.frame.T @ self.force
 
 
-def analyze(scene: Scene, state: State) -> dict[str, ContactKinematics]:
-    """The kinematics of every contact of a scene at a state of it, signed as the user named its contours.
+def analyze(scene: Scene, state: State, tau: ArrayLike | None = None) -> dict[str, ContactKinematics]:
+    """The equations of every contact of a scene, and of motion, at a state, signed as the user named the contours.
 
     Parameters
     ----------
     scene : Scene
     state : State
         A state of this scene.
+    tau : (nv,) array_like, optional
+        Joint torques that act in N and N m, zero if not given. H and forces depend on them.
 
     Returns
     -------
@@ -104,9 +157,9 @@ def analyze(scene: Scene, state: State) -> dict[str, ContactKinematics]:
     ArgumentError
         For a state of another scene.
     StateError
-        For a state whose numbers cannot be used.
+        For a state whose numbers cannot be used, or a bad tau.
     SingularContactError
-        Where the location equations are singular.
+        Where the location equations are singular, or an open contact has no nearest points.
 
     Examples
     --------
@@ -126,19 +179,30 @@ def analyze(scene: Scene, state: State) -> dict[str, ContactKinematics]:
     [2.0, 0.6, 0.0]
     >>> bool(np.abs(found.v_c).max() < 1e-12)
     True
+    >>> weight = scene.model.inertias[1].mass * 9.81
+    >>> bool(np.abs(found.force - [0, 0, -weight]).max() < 1e-9)  # on the floor, which was named second
+    True
     """
     check_state(scene, state)
     contacts = list(scene.contacts.values())
     system = System(scene.model, contacts)
+    torques = check_vector("tau", np.zeros(system.nv) if tau is None else tau, system.nv)
     system.q[:], system.v[:] = state.q, state.v
     system.location[: system.nc] = state.location
     write_discrete(system, state.discrete)
     if system.evaluate_kinematics(state.t) != OK:
         raise SingularContactError("the location equations are singular at this state", 0.0)
-    return {contact.name: _one(system, c, contact) for c, contact in enumerate(contacts)}
+    for contact, gap in zip(contacts, system.gaps[:, 0]):
+        if gap == NOTHING_THERE:
+            raise SingularContactError(f"contact {contact.name!r} is open and has no nearest points at this state", 0.0)
+    lower = np.tril(system.mass)
+    mass, generalized = lower + np.tril(lower, -1).T, torques - system.damping * state.v - system.bias_forces
+    forces = _Forces(scene, state, torques)
+    return {contact.name: _one(system, c, mass, generalized, forces) for c, contact in enumerate(contacts)}
 
 
-def _one(system: System, c: int, contact: Contact) -> ContactKinematics:
+def _one(system: System, c: int, mass: np.ndarray, generalized: np.ndarray, forces: _Forces) -> ContactKinematics:
+    contact = system.contacts[c]
     one, two = 2 * c, 2 * c + 1
     k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
     first, second = system.derivatives[one].copy(), system.derivatives[two].copy()
@@ -149,7 +213,7 @@ def _one(system: System, c: int, contact: Contact) -> ContactKinematics:
     dual = dual_basis(frame)
     v = system.v
     points = (frame1[ORIGIN] + first[0], frame2[ORIGIN] + second[0])
-    linear, angular = zip(*(jacobians(system, side, point) for side, point in ((one, points[0]), (two, points[1]))))
+    linear, angular = zip(*(system.jacobians(side, point) for side, point in ((one, points[0]), (two, points[1]))))
     # the paper's order of bodies is not always the user's
     sign = -1.0 if contact.swapped else 1.0
     relative, velocity, difference = (
@@ -196,6 +260,8 @@ def _one(system: System, c: int, contact: Contact) -> ContactKinematics:
         f_t=np.array(rates, dtype=float) - f_q_array @ v,
         location=system.location[c, kept].copy(),
         rates=system.rates[c, kept].copy(),
+        M=mass.copy(),
+        H=generalized.copy(),
         frame=frame,
         dual_frame=dual,
         v_c=velocity,
@@ -206,17 +272,9 @@ def _one(system: System, c: int, contact: Contact) -> ContactKinematics:
         gap=float(system.gaps[c, 0] if contact.pattern.constraints == 1 else np.hypot(*system.gaps[c])),
         conditioning=float(abs(system.contact_real[c, CONDITION])),
         point=points[1].copy(),
+        _name=contact.name,
+        _forces=forces,
     )
-
-
-def jacobians(system: System, side: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(3, nv) linear Jacobian of the material point at `point`, (3, nv) angular Jacobian of its body."""
-    linear, angular = np.zeros((3, system.nv)), np.zeros((3, system.nv))
-    jacobian = np.asarray(system.data.J).reshape(6, system.nv)
-    for column in system.support[side, : system.side_int[side, SUPPORT_SIZE]]:
-        angular[:, column] = jacobian[3:, column]
-        linear[:, column] = jacobian[:3, column] + np.cross(jacobian[3:, column], point)
-    return linear, angular
 
 
 def _normal_derivatives(

@@ -457,6 +457,15 @@ class System(Workspace):
             out[guard[GUARD_V]] = moving if mode == FREE else self.force[self.nc + g, 2]
         return out
 
+    def jacobians(self, side: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(3, nv) linear Jacobian of the material point of a side at `point`, (3, nv) angular Jacobian of its body."""
+        linear, angular = np.zeros((3, self.nv)), np.zeros((3, self.nv))
+        jacobian = np.asarray(self.data.J).reshape(6, self.nv)
+        for column in self.support[side, : self.side_int[side, SUPPORT_SIZE]]:
+            angular[:, column] = jacobian[3:, column]
+            linear[:, column] = jacobian[:3, column] + np.cross(jacobian[3:, column], point)
+        return linear, angular
+
     def closed(self) -> list[int]:
         """Indices of the contacts that are not open."""
         return [c for c, mode in enumerate(self.modes.tolist()) if mode != FREE]

@@ -124,7 +124,7 @@ class ContactTrack:
 
         Returns
         -------
-        dict of str to array
+        dict of str to ndarray
             By the name of the attribute.
         """
         return {name: values for name, values in vars(self).items() if name != "contours"}

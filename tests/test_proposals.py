@@ -2,6 +2,9 @@
 
 import itertools
 import math
+import warnings
+from importlib import metadata
+from pathlib import Path
 
 import coal
 import numpy as np
@@ -222,3 +225,29 @@ def test_contours_of_another_scene_are_refused():
     with pytest.raises(pc.ArgumentError, match=r"contact 'b0-b1'.*another scene"):
         scene.add_contacts([b1, b0], [b0, other])
     assert not scene.contacts
+
+
+def test_a_quadruped_falls_on_a_floor():
+    """Declared in two lines: feet and corners near the floor, on which the limp robot comes down."""
+    try:
+        description = metadata.distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data")
+    except metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed: no quadruped falls")
+    path = Path(description) / "robots" / "a1_description" / "urdf" / "a1.urdf"
+    with warnings.catch_warnings():
+        # meshes are not looked up
+        warnings.simplefilter("ignore")
+        scene = pc.Scene.from_urdf(path, floating_base=True)
+        scene.add_contours_from_collision(kinds="corners")
+        scene.add_contours_from_collision(links=[f"{leg}_foot" for leg in ("FL", "FR", "RL", "RR")])
+    q = np.concatenate([[0.0, 0.0, 0.35, 0.0, 0.0, 0.0, 1.0], np.tile([0.0, 0.8, -1.6], 4)])
+    scene.add_contour("floor", pc.Plane())
+    contacts = scene.add_contacts(*scene.propose_contacts(0.1, q), friction=pc.Coulomb(0.7))
+    names = [contact.name for contact in contacts]
+    assert sum("foot" in name for name in names) == 4 and all(name.endswith("-floor") for name in names)
+    run = pc.simulate(scene, scene.initial_state(q, free=names), 0.3, method="Moreau", step=2e-3)
+    assert run.status == 0
+    # it has come down, and no contour is below the floor by more than steps of 2 ms leave
+    assert run.q[-1, 2] < 0.3
+    assert max(run.contacts[name].force[:, 2].min() for name in names) <= 0.0
+    assert min(run.contacts[name].gap.min() for name in names) > -1e-3

@@ -447,7 +447,7 @@ class Scene(Assembly):
             As many of one as of the other, in pairs; one alone is paired with each of the others. A contact's name is
             those of its contours, "first-second".
         friction, bilateral, side, restitution
-            Of each, as for `add_contact`.
+            As for `add_contact`, of each.
 
         Returns
         -------

@@ -227,7 +227,7 @@ def main(duration: float = 2.0, plot: Path | None = None, html: Path | None = No
         draw(runs, plot)
         print(f"wrote {plot}")
     if html is not None:
-        pc.export_html(runs["rolling"][0], html)
+        print(f"wrote {pc.export_html(runs['rolling'][0], html)}")
         print(f"wrote {html}")
     return result
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pinocchio as pin
 
+from .arguments import NOT_REAL, real_array
 from .contours.base import Contour
+from .errors import ArgumentError
 from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern
 
@@ -125,3 +129,82 @@ def characteristic_length(contact: Contact) -> float:
     sizes = [s.contour.size for s in (contact.first, contact.second)]
     finite = [s for s in sizes if math.isfinite(s) and s > 0.0]
     return min(finite) if finite else 1.0
+
+
+# What `Scene.add_contacts` takes: one attached contour or its name, or several.
+Contours = AttachedContour | str | Iterable[AttachedContour | str]
+
+
+def in_pairs(firsts: Contours, seconds: Contours) -> list[tuple[str, AttachedContour | str, AttachedContour | str]]:
+    """Name of the contact and its contours, for as many of both, or for one and many."""
+    first, second = _listed("firsts", firsts), _listed("seconds", seconds)
+    if len(first) == 1:
+        first *= len(second)
+    elif len(second) == 1:
+        second *= len(first)
+    if len(first) != len(second):
+        raise ArgumentError(
+            f"firsts and seconds must be as many, or one of them one alone, got {len(first)} and {len(second)} contours"
+        )
+    return [(f"{_name(one)}-{_name(two)}", one, two) for one, two in zip(first, second)]
+
+
+def _listed(argument: str, given: Contours) -> list[AttachedContour | str]:
+    listed = [given] if isinstance(given, (AttachedContour, str)) else None
+    if listed is None and isinstance(given, Iterable):
+        listed = list(given)
+    if listed is None or not all(isinstance(one, (AttachedContour, str)) for one in listed):
+        raise ArgumentError(f"{argument} must be contours or names of contours, got {given!r}")
+    return listed
+
+
+def _name(given: AttachedContour | str) -> str:
+    return given if isinstance(given, str) else given.name
+
+
+def check_friction(contact: str, law: FrictionLaw, one: AttachedContour, two: AttachedContour, found: Pattern) -> None:
+    """Whether a law has its directions at a contact of this pattern; ArgumentError otherwise."""
+    if isinstance(getattr(law, "mu", None), tuple):
+        if found.tangents != 2:
+            raise ArgumentError(
+                f"contact {contact!r}: friction of two directions needs two tangents; {found.name} has one"
+            )
+        along = two if law.along is None else {one.name: one, two.name: two}.get(law.along)
+        if along is None:
+            raise ArgumentError(
+                f"contact {contact!r}: friction is along {law.along!r}, which is neither {one.name!r} nor {two.name!r}"
+            )
+        if along.contour.dimension == 0:
+            raise ArgumentError(f"contact {contact!r}: friction is along {along.name!r}, a point, which has no tangent")
+        if len(along.contour.charts) > 1:
+            raise ArgumentError(
+                f"contact {contact!r}: friction is along {along.name!r}, whose tangents change with its charts; name "
+                "the other contour by along="
+            )
+    if law.spinning > 0.0 and found.tangents != 2:
+        raise ArgumentError(f"contact {contact!r}: nothing spins about the normal of {found.name}; spinning must be 0")
+    if law.rolling > 0.0 and found.constraints == 2:
+        raise ArgumentError(f"contact {contact!r}: a point on a spatial curve does not roll; rolling must be 0")
+
+
+def check_location(contact: str, first: AttachedContour, second: AttachedContour, location: Any) -> None:
+    """ArgumentError unless a guess of location parameters is None or, for each contour, None or its numbers."""
+    if location is None:
+        return
+    if not isinstance(location, (tuple, list)) or len(location) != 2:
+        raise ArgumentError(f"contact {contact!r}: location must be a pair (u_first, u_second), got {location!r}")
+    for owner, guess in zip((first, second), location):
+        if guess is not None and not _are_finite(guess, owner.contour.dimension):
+            raise ArgumentError(
+                f"contact {contact!r}: the location guess of {owner.name!r} needs {owner.contour.dimension} "
+                f"finite numbers, got {guess!r}"
+            )
+
+
+def _are_finite(values: Any, count: int) -> bool:
+    """Whether these are so many finite numbers."""
+    try:
+        array = real_array(values)
+    except NOT_REAL:
+        return False
+    return array.size == count and bool(np.isfinite(array).all())

@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from .arguments import NOT_REAL, is_number, real_array
+from .arguments import is_number
 from .collision import contours_from_collision
-from .contacts import Assembly, AttachedContour, Contact
+from .contacts import Assembly, AttachedContour, Contact, Contours, check_friction, check_location, in_pairs
 from .contours import Contour
 from .contours.motion import Motion
 from .display import html_table, shortened
 from .dynamics.joints import interrupted_joint
 from .errors import ArgumentError, ContactError, ContourError, ModelError, PatternError
 from .friction.laws import FrictionLaw
-from .geometry.patterns import Pattern, candidate_patterns, find_pattern
+from .geometry.patterns import candidate_patterns, find_pattern
 from .geometry.planar import moves_in_plane
+from .proposals import propose_pairs
 from .robot_files import Folders, Robot, read_mjcf, read_sdf, read_urdf
 from .state import State, find_state
 
@@ -418,8 +419,6 @@ class Scene(Assembly):
             raise ArgumentError(f"contact {name!r}: side must be +1, -1 or None, got {side!r}")
         if not (is_number(restitution) and 0.0 <= restitution <= 1.0):
             raise ArgumentError(f"contact {name!r}: restitution must lie in [0, 1], got {restitution!r}")
-        if location is not None and (not isinstance(location, (tuple, list)) or len(location) != 2):
-            raise ArgumentError(f"contact {name!r}: location must be a pair (u_first, u_second), got {location!r}")
         if a.joint == b.joint and a.motion is None and b.motion is None:
             body = "the universe" if a.joint == 0 else f"joint {self.model.names[a.joint]!r}"
             raise ArgumentError(
@@ -435,14 +434,8 @@ class Scene(Assembly):
             planar = moves_in_plane(self.model, one, two)
         found = find_pattern(name, one.contour, two.contour, pattern, planar)
         if friction is not None:
-            _check_friction(name, friction, one, two, found)
-        if location is not None:
-            for owner, guess in ((a, location[0]), (b, location[1])):
-                if guess is not None and not _are_finite(guess, owner.contour.dimension):
-                    raise ArgumentError(
-                        f"contact {name!r}: the location guess of {owner.name!r} needs {owner.contour.dimension} "
-                        f"finite numbers, got {guess!r}"
-                    )
+            check_friction(name, friction, one, two, found)
+        check_location(name, a, b, location)
         contact = Contact(
             name,
             a,
@@ -456,6 +449,87 @@ class Scene(Assembly):
         )
         self.contacts[name] = contact
         return contact
+
+    def add_contacts(
+        self,
+        firsts: Contours,
+        seconds: Contours,
+        friction: FrictionLaw | None = None,
+        bilateral: bool = False,
+        side: int | None = None,
+        restitution: float = 0.0,
+    ) -> list[Contact]:
+        """Let many contours keep in touch: all of them, or, where one contact is refused, none.
+
+        Parameters
+        ----------
+        firsts, seconds : AttachedContour, str or iterable of them
+            As many of one as of the other, in pairs; one alone is paired with each of the others. A contact's name is
+            those of its contours, "first-second".
+        friction, bilateral, side, restitution
+            As for `add_contact`, of each.
+
+        Returns
+        -------
+        list of Contact
+            In the order of the pairs.
+
+        Raises
+        ------
+        ArgumentError, PatternError
+            For numbers of contours that make no pairs, and as for `add_contact`.
+
+        Examples
+        --------
+        >>> import pincontact as pc
+        >>> scene = pc.Scene.from_urdf("urdf/block.urdf", floating_base=True)
+        >>> corners = scene.add_contours_from_collision(kinds="corners")
+        >>> floor = scene.add_contour("floor", pc.Plane())
+        >>> scene.add_contacts(corners, floor, friction=pc.Coulomb(0.5))[0].name
+        'block_0_corner_+x+y+z-floor'
+        """
+        added: list[Contact] = []
+        try:
+            for name, first, second in in_pairs(firsts, seconds):
+                added.append(self.add_contact(name, first, second, friction, bilateral, None, None, side, restitution))
+        except ContactError:
+            for contact in added:
+                del self.contacts[contact.name]
+            raise
+        return added
+
+    def propose_contacts(self, distance: float, q: ArrayLike | None = None) -> tuple[list[str], list[str]]:
+        """Pairs of contours near each other that can keep a regular point contact, for `add_contacts`.
+
+        Points, spheres, ellipsoids, planes, rectangles, circles (as disks), and lines and cylinders with ends. Left out
+        are contours of one body, of parent and child (of the world and a base only if that cannot translate), pairs
+        that have a contact, flat on flat, curve on rim, and what is parallel at q.
+
+        Parameters
+        ----------
+        distance : float
+            In m; what is nearer is proposed, also what overlaps.
+        q : (nq,) array_like
+            Pinocchio's configuration in m and rad, the neutral one if not given; motions of contours are at time 0.
+
+        Returns
+        -------
+        firsts, seconds : list of str
+            Names of the contours of each pair, in the order of the scene's contours.
+
+        Raises
+        ------
+        ArgumentError
+            For a distance that is not positive.
+        StateError
+            For a configuration of the wrong size or with bad numbers.
+
+        Warns
+        -----
+        UserWarning
+            Names other contours.
+        """
+        return propose_pairs(self, distance, q)
 
     def _frame_id(self, contour: str, frame: str) -> int:
         """Index of a frame by name; a body's where a joint has the same name, as is common in URDFs."""
@@ -541,40 +615,6 @@ class Scene(Assembly):
         return find_state(self, q, v, t, free, max_gap)
 
 
-def _are_finite(values: Any, count: int) -> bool:
-    """Whether these are so many finite numbers."""
-    try:
-        array = real_array(values)
-    except NOT_REAL:
-        return False
-    return array.size == count and bool(np.isfinite(array).all())
-
-
 def _check_name(name: Any, error: type[ContactError]) -> None:
     if not isinstance(name, str):
         raise error(f"a name must be a string, got {name!r}")
-
-
-def _check_friction(contact: str, law: FrictionLaw, one: AttachedContour, two: AttachedContour, found: Pattern) -> None:
-    """Whether a law has its directions at a contact of this pattern; ArgumentError otherwise."""
-    if isinstance(getattr(law, "mu", None), tuple):
-        if found.tangents != 2:
-            raise ArgumentError(
-                f"contact {contact!r}: friction of two directions needs two tangents; {found.name} has one"
-            )
-        along = two if law.along is None else {one.name: one, two.name: two}.get(law.along)
-        if along is None:
-            raise ArgumentError(
-                f"contact {contact!r}: friction is along {law.along!r}, which is neither {one.name!r} nor {two.name!r}"
-            )
-        if along.contour.dimension == 0:
-            raise ArgumentError(f"contact {contact!r}: friction is along {along.name!r}, a point, which has no tangent")
-        if len(along.contour.charts) > 1:
-            raise ArgumentError(
-                f"contact {contact!r}: friction is along {along.name!r}, whose tangents change with its charts; name "
-                "the other contour by along="
-            )
-    if law.spinning > 0.0 and found.tangents != 2:
-        raise ArgumentError(f"contact {contact!r}: nothing spins about the normal of {found.name}; spinning must be 0")
-    if law.rolling > 0.0 and found.constraints == 2:
-        raise ArgumentError(f"contact {contact!r}: a point on a spatial curve does not roll; rolling must be 0")

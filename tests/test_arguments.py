@@ -230,6 +230,25 @@ CASES = {
         },
         (),
     ),
+    "add_contacts": (
+        lambda **options: ball_scene().add_contacts(**options),
+        {"firsts": "ball", "seconds": "floor"},
+        {
+            "firsts": [3, None, True, "roof", ["roof"], [3], [None]],
+            "seconds": [3, None, True, "roof", ["roof"], [3], [None]],
+            "friction": [0.3, "0.3", True],
+            "bilateral": FLAG,
+            "side": [*NUMBER, 0, 0.5, 2],
+            "restitution": [*NOT_NEGATIVE, None, 1.1],
+        },
+        (),
+    ),
+    "propose_contacts": (
+        lambda **options: ball_scene().propose_contacts(**options),
+        {"distance": 0.1},
+        {"distance": [*POSITIVE, None], "q": vectors(7, [0.3] * 7)},
+        (),
+    ),
     "add_contour": (
         lambda **options: ball_scene().add_contour(**options),
         {"name": "new", "contour": pc.Plane()},
@@ -369,6 +388,8 @@ NAMED = {
     ("initial_state", "max_gap"): "max_gap|gap",
     ("add_contact", "first"): "contour",
     ("add_contact", "second"): "contour",
+    ("add_contacts", "firsts"): "firsts|contour",
+    ("add_contacts", "seconds"): "seconds|contour",
     ("add_contour", "contour"): "expected a contour",
     ("SplineCurve", "parameters"): "parameters",
     ("Contour.evaluate", "chart"): "chart",
@@ -389,7 +410,8 @@ def test_the_cases_are_complete():
         _, right, refused, others = CASES[name]
         parameters = set(inspect.signature(getattr(pc, name)).parameters) - {"scene", "state"}
         assert parameters == set(right) & parameters | set(refused) | set(others), name
-    for name in ("add_contact", "add_contour", "add_contours_from_collision", "initial_state"):
+    methods = ("add_contact", "add_contacts", "propose_contacts", "add_contour", "add_contours_from_collision")
+    for name in (*methods, "initial_state"):
         parameters = set(inspect.signature(getattr(pc.Scene, name)).parameters) - {"self"}
         assert parameters == set(CASES[name][2]), name
 

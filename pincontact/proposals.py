@@ -50,9 +50,9 @@ def propose_pairs(scene: Assembly, distance: float, q: ArrayLike | None) -> tupl
         shapes.addGeometryObject(pin.GeometryObject(attached.name, attached.joint, placement * in_contour, shape))
         solids.append(attached)
     if left_out:
+        names = ", ".join(left_out)
         warnings.warn(
-            "contours of which no contact is proposed, having no end or no closed form: " + ", ".join(left_out),
-            stacklevel=3,
+            f"contours of which no contact is proposed, having no end or no closed form: {names}.", stacklevel=3
         )
     taken = {frozenset((contact.first.name, contact.second.name)) for contact in scene.contacts.values()}
     together = _held_together(model)

@@ -147,7 +147,7 @@ def inverse_dynamics(
 
     Limits, named accelerations and choices of forces make it a sequence of quadratic programs, solved by ProxQP: the
     accelerations nearest to those wanted, the least efforts with these, and the chosen forces with these efforts. In a
-    control loop pass the last result as `warm`; the programs then go on from its solution, at a fraction of the time:
+    control loop pass the last result as `warm`; the programs then go on from its solution, at a fraction of the time::
 
         found = None
         while True:

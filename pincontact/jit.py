@@ -276,7 +276,7 @@ def compile_kernels(several: bool = False, stepping: bool = False) -> None:
         return
     missing = [entry for entry in ENTRIES if entry.when in needed and entry.missing]
     if missing:
-        log.info("compiling kernels, once for this version (a quarter of a minute or so) ...")
+        log.info("compiling kernels, once for this version (half a minute or so) ...")
         with tempfile.TemporaryDirectory() as claims:
             workers = [_start_worker(claims, missing) for _ in range(min(os.cpu_count() or 1, len(missing), _MOST) - 1)]
             for entry in missing:

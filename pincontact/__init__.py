@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from .analysis.sweep_table import SweepTable
     from .rollouts import rollout
     from .stepper import Stepper
+    from .view.recording import export_rerun
     from .view.replay import export_html, replay
 
 __version__ = "0.1.0"
@@ -86,6 +87,7 @@ __all__ = [
     "analyze",
     "centred_forces",
     "export_html",
+    "export_rerun",
     "external_forces",
     "find_equilibrium",
     "find_steady_motion",
@@ -108,6 +110,7 @@ _LAZY = {
     "SteadyMotion": "analysis.equilibrium",
     "Stepper": "stepper",
     "export_html": "view.replay",
+    "export_rerun": "view.recording",
     "external_forces": "analysis.forces",
     "find_equilibrium": "analysis.equilibrium",
     "find_steady_motion": "analysis.equilibrium",

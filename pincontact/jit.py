@@ -78,8 +78,9 @@ def source_hash(file: Path) -> str:
             if path not in reached:
                 reached.add(path)
                 waiting.append(path)
-    # numba keeps machine code by the path of its source, so another copy of the package is another cache
-    digest = hashlib.sha256(f"{numba.__version__} {_PACKAGE} {CHECKED}".encode())
+    # numba keeps machine code by the path of its source and the time of its last change: another copy of the package is
+    # another cache, and one that was installed again
+    digest = hashlib.sha256(f"{numba.__version__} {_PACKAGE} {CHECKED} {file.stat().st_mtime_ns}".encode())
     for path in sorted(reached):
         digest.update(_texts[path])
     return digest.hexdigest()[:16]
@@ -182,21 +183,29 @@ ENTRIES: list[Entry] = []
 SEPARATE: dict[Any, Entry] = {}
 
 
+def _called(function: Any) -> list[FunctionType]:
+    """The functions that a kernel calls."""
+    named = (function.__globals__.get(name) for name in function.__code__.co_names)
+    functions = (getattr(thing, "py_func", thing) for thing in named)
+    return [called for called in functions if isinstance(called, FunctionType)]
+
+
 @functools.cache
 def _parts(function: Any) -> list[Entry]:
     """The separate kernels that a kernel calls, by itself or by others."""
-    found, reached, waiting = [], {function}, [function]
+    reached, waiting = {function}, [function]
     while waiting:
-        caller = waiting.pop()
-        for name in caller.__code__.co_names:
-            called = caller.__globals__.get(name)
-            called = getattr(called, "py_func", called)
-            if isinstance(called, FunctionType) and called not in reached:
-                reached.add(called)
-                waiting.append(called)
-                if called in SEPARATE:
-                    found.append(SEPARATE[called])
-    return found
+        new = [called for called in _called(waiting.pop()) if called not in reached]
+        reached.update(new)
+        waiting += new
+    return [SEPARATE[called] for called in reached - {function} if called in SEPARATE]
+
+
+@functools.cache
+def _size(function: Any) -> int:
+    """Bytes of code that are compiled with a kernel, those of what it calls among them."""
+    parts = (called for called in _called(function) if called not in SEPARATE and called is not function)
+    return len(function.__code__.co_code) + sum(map(_size, parts))
 
 
 # how many of them were registered when all were known to be compiled, for each choice of what is needed
@@ -275,6 +284,8 @@ def compile_kernels(several: bool = False, stepping: bool = False) -> None:
     if numba.config.DISABLE_JIT or _complete.get(needed) == len(ENTRIES):
         return
     missing = [entry for entry in ENTRIES if entry.when in needed and entry.missing]
+    # the longest first, so that all processes end at the same time
+    missing.sort(key=lambda entry: -_size(entry.compiled.py_func))
     if missing:
         log.info("compiling kernels, once for this version (half a minute or so) ...")
         with tempfile.TemporaryDirectory() as claims:
@@ -302,9 +313,9 @@ def _claim(claims: str, entry: Entry) -> bool:
 
 
 def compile_claimed(claims: str, names: list[str]) -> None:
-    """A worker's share of these kernels, the last first: they meet the others' from there."""
+    """A worker's share of these kernels."""
     entries = {entry.name: entry for entry in ENTRIES}
-    for name in reversed(names):
+    for name in names:
         if name in entries and _claim(claims, entries[name]):
             entries[name].compile()
 

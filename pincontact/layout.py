@@ -295,6 +295,7 @@ SYSTEM = Layout(
     whitened_forces=(REALS, 2),  # (3 nc, nv): the same for the force directions
     delassus=(REALS, 2),  # (3 nc, 3 nc + 1)
     multipliers=(REALS, 1),  # (3 nc,)
+    right_side=(REALS, 1),  # (3 nc,)
     row_index=(INTEGERS, 2, 2),  # (3 nc, 2): contact and basis row of each constraint row
     permutation=(INTEGERS, 1),  # (3 nc,)
     # Runge-Kutta

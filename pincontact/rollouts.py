@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from .layout import OK
 from .scene import Scene
 from .state import State, check_state, coordinates_of
 from .stepper import Stepper
+from .system_cache import put_back, take_system
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -105,14 +106,15 @@ def rollout(
     q, v, status = np.full((b, t, nq), np.nan), np.full((b, t, nv), np.nan), np.full(b, FINISHED)
     if not b or not t:
         return q, v, status
-    steppers = []
+    systems, steppers = [], []
     for _ in range(min(threads or available_cores(), b)):
         # a start that fails at once is a status, too
-        stepper = Stepper.__new__(Stepper)
-        stepper._make(scene, dt, contact_solver)
+        stepper, system = Stepper.__new__(Stepper), take_system(scene, works=False, resistances=False)
+        stepper._make(scene, system.stepper(), dt, contact_solver)
         if gains is not None:
             stepper.pd(*gains)
         steppers.append(stepper)
+        systems.append(system)
     waiting = deque(range(b))
 
     def work(stepper: Stepper) -> None:
@@ -125,9 +127,17 @@ def rollout(
             if found != OK:
                 status[i] = FAILURES[found][0]
 
+    _in_threads(work, steppers, waiting)
+    for system in systems:
+        put_back(scene, system)
+    return q, v, status
+
+
+def _in_threads(work: Callable[[Stepper], None], steppers: Sequence[Stepper], waiting: deque[int]) -> None:
+    """work(stepper) for each of them in a thread of its own, while starts are waiting. Raises what the work raises."""
     if len(steppers) == 1:
         work(steppers[0])
-        return q, v, status
+        return
     with ThreadPoolExecutor(len(steppers)) as pool:
         try:
             done, _ = wait([pool.submit(work, stepper) for stepper in steppers], return_when=FIRST_EXCEPTION)
@@ -136,7 +146,6 @@ def rollout(
             waiting.clear()
     for future in done:
         future.result()
-    return q, v, status
 
 
 def _taken(waiting: deque[int]) -> Iterator[int]:

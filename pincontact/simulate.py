@@ -334,22 +334,19 @@ def _fall_back(run: Trajectory, driver: Driver, request: _Request) -> Trajectory
 
 def _simulate_moreau(request: _Request, finish: Callable[[Trajectory], Trajectory] = lambda run: run) -> Trajectory:
     """The run of method "Moreau"; finish: what is made of it."""
-    from .integration.moreau import DEFAULT_STEP, MoreauStep
+    from .integration.moreau import DEFAULT_STEP
     from .integration.moreau_driver import MoreauDriver
     from .integration.stages import load_state
 
     scene, state, duration = request.scene, request.state, request.duration
     cached = take_system(scene, request.energies, resistances=False)
-    system, stepper = cached.system, cached.stepper
+    system = cached.system
     write_discrete(system, state.discrete)
     torque = request.torque(system)
     end = system.nq + system.nv
     system.state[: system.nq], system.state[system.nq : end] = state.q, state.v
     system.state[end : end + 4 * system.nc] = state.location.ravel()
-    if stepper is None:
-        stepper = cached.stepper = MoreauStep(system, system.contacts)
-    else:
-        stepper.renew()
+    stepper = cached.stepper()
     stepper.cones.choose(request.contact_solver)
     record = Record(system, state, with_torques=torque is not None or stepper.acts_on_joints, by_steps=True)
 

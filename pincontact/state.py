@@ -123,7 +123,10 @@ class State:
 
     def _modes(self) -> list[tuple[str, str]]:
         """Contacts and their modes, as far as they are decided: a run decides those of Coulomb friction."""
-        return [(name, MODE_NAMES[mode]) for name, mode in zip(self.scene.contacts, self.discrete[:, 0].tolist())]
+        return [
+            (name, "closed" if mode == FRICTIONLESS and contact.friction is not None else MODE_NAMES[mode])
+            for (name, contact), mode in zip(self.scene.contacts.items(), self.discrete[:, 0].tolist())
+        ]
 
     def location_of(self, contact: str) -> tuple[np.ndarray, np.ndarray]:
         """Location parameters of a contact, in the order in which the user named its contours.

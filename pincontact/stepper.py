@@ -95,16 +95,17 @@ class Stepper:
             raise ArgumentError(f"dt must be a positive number of seconds, got {dt!r}")
         check_contact_solver(contact_solver)
         check_state(scene, state)
-        self._make(scene, dt, contact_solver)
+        contacts = list(scene.contacts.values())
+        system = RunSystem(scene.model, contacts, guards=joint_guards(scene.model))
+        self._make(scene, MoreauStep(system, contacts), dt, contact_solver)
         self.reset(state)
 
-    def _make(self, scene: Scene, dt: float, contact_solver: str) -> None:
-        """All but the start."""
+    def _make(self, scene: Scene, step: MoreauStep, dt: float, contact_solver: str) -> None:
+        """All but the start, by steps that are as new and only this stepper's."""
         self.scene, self.dt, self._contact_solver = scene, float(dt), contact_solver
         self._coordinates = coordinates_of(scene.model)
-        contacts = list(scene.contacts.values())
-        self._system = system = RunSystem(scene.model, contacts, guards=joint_guards(scene.model))
-        self._step = MoreauStep(system, contacts)
+        self._step = step
+        self._system = system = step.system
         self._step.cones.choose(contact_solver)
         nq, nv, nc = system.nq, system.nv, system.nc
         self.q, self.v = (_locked(part) for part in (system.state[:nq], system.state[nq : nq + nv]))

@@ -1,18 +1,20 @@
 """Compiled systems kept between the runs of a scene: making one costs as much as a short run.
 
-One system of a scene is kept at most. A run takes it, so that runs within runs and runs in other threads make their
-own, and puts it back when it has ended well. It is used again only if everything that it was made from still has the
-same bits: models, placements and motions are objects that users can write to. All its arrays are then what they were
-when new, so that a run cannot tell.
+Of a scene and of every way to run it as many are kept as there are processors. A run takes one, so that runs within
+runs and runs in other threads have their own, and puts it back when it has ended well. It is used again only if
+everything that it was made from still has the same bits: models, placements and motions are objects that users can
+write to. All its arrays are then what they were when new, so that a run cannot tell.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 from .contacts import AttachedContour, Contact
+from .cores import available_cores
 from .dynamics.joints import joint_guards
 from .friction.laws import Coulomb, NoSlip, Stribeck
 from .integration.run_system import RunSystem
@@ -22,8 +24,9 @@ if TYPE_CHECKING:
     # with it come kernels to compile, for those who use them
     from .integration.moreau import MoreauStep
 
-# not in the scene, whose copies must not share it
-_cache: WeakKeyDictionary[Scene, CachedSystem] = WeakKeyDictionary()
+# by works and resistances; not in the scene, whose copies must not share it. What is done to a deque is done at once,
+# also where other threads do it
+_cache: WeakKeyDictionary[Scene, dict[tuple[bool, bool], deque[CachedSystem]]] = WeakKeyDictionary()
 # laws that cannot be written to
 _CONSTANT_LAWS = (type(None), Coulomb, Stribeck, NoSlip)
 
@@ -32,21 +35,29 @@ class CachedSystem:
     """A system, and copies of what it was made from."""
 
     def __init__(self, scene: Scene, works: bool, resistances: bool) -> None:
-        self._options = works, resistances
+        self.options = works, resistances
         self._given, self._model = scene.model, scene.model.copy()
         self._contacts = list(scene.contacts.values())
         self._sides = [(side, side.placement_in_joint.copy(), _numbers(side)) for side in _sides(self._contacts)]
         self.system = RunSystem(scene.model, self._contacts, works, joint_guards(scene.model), resistances)
         self.system.keep()
-        # what time stepping has made for this system, see `MoreauStep.renew`
-        self.stepper: MoreauStep | None = None
+        self._stepper: MoreauStep | None = None
 
-    def fits(self, scene: Scene, works: bool, resistances: bool) -> bool:
+    def stepper(self) -> MoreauStep:
+        """Time stepping of this system, as new."""
+        if self._stepper is None:
+            from .integration.moreau import MoreauStep
+
+            self._stepper = MoreauStep(self.system, self._contacts)
+        else:
+            self._stepper.renew()
+        return self._stepper
+
+    def fits(self, scene: Scene) -> bool:
         """Whether a new system would be the same."""
         contacts = self._contacts
         return (
-            self._options == (works, resistances)
-            and scene.model is self._given
+            scene.model is self._given
             and scene.model == self._model
             and len(scene.contacts) == len(contacts)
             and all(now is then for now, then in zip(scene.contacts.values(), contacts))
@@ -62,8 +73,11 @@ def take_system(scene: Scene, works: bool, resistances: bool) -> CachedSystem:
 
     works: with an account of works in the state; resistances: with resistances to turning as items of their own.
     """
-    cached = _cache.pop(scene, None)
-    if cached is None or not cached.fits(scene, works, resistances):
+    try:
+        cached = _cache[scene][works, resistances].pop()
+    except (KeyError, IndexError):
+        return CachedSystem(scene, works, resistances)
+    if not cached.fits(scene):
         return CachedSystem(scene, works, resistances)
     cached.system.restore()
     return cached
@@ -74,7 +88,8 @@ def put_back(scene: Scene, cached: CachedSystem) -> None:
     # nothing of the user's is kept alive
     cached.system.before_evaluation()
     if all(type(contact.friction) in _CONSTANT_LAWS for contact in cached.system.contacts):
-        _cache[scene] = cached
+        kept = _cache.setdefault(scene, {}).setdefault(cached.options, deque(maxlen=available_cores()))
+        kept.append(cached)
 
 
 def _sides(contacts: list[Contact]) -> Iterator[AttachedContour]:

@@ -8,11 +8,15 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba import types
+from numba.extending import intrinsic
 
-from pincontact.jit import KERNEL_OPTIONS
+from pincontact.arrays import View, make_view, parts_of
+from pincontact.jit import CHECKED, KERNEL_OPTIONS
 from pincontact.workspace import Layout, _by_name
 
 
+@functools.cache
 def from_python(part: Callable[..., Any], layout: Layout | None = None) -> Callable[..., Any]:
     """A function that calls the part, compiled like an entry kernel but not cached, and with little optimisation, which
     is most of the time that compilation takes. layout: that of the workspace which the part's first argument is, if
@@ -22,14 +26,14 @@ def from_python(part: Callable[..., Any], layout: Layout | None = None) -> Calla
 
     @numba.njit(**KERNEL_OPTIONS)
     def compiled(*arguments):
-        return part(*arguments)
+        return part(*_as_kernels_have_them(arguments))
 
     if layout is not None:
         at = layout.at
 
         @numba.njit(**KERNEL_OPTIONS)
         def compiled_at(address, *arguments):
-            return part(at(address), *arguments)
+            return part(at(address), *_as_kernels_have_them(arguments))
 
     @functools.wraps(part)
     def call(*arguments: Any) -> Any:
@@ -43,6 +47,29 @@ def from_python(part: Callable[..., Any], layout: Layout | None = None) -> Calla
             numba.config.OPT = usual
 
     return call
+
+
+@intrinsic
+def _as_kernels_have_them(typing_context, arguments):
+    """Arguments, contiguous arrays of numba's among them as those of kernels (see `arrays`)."""
+    kinds = [_kernel_type(kind) for kind in arguments.types]
+
+    def generate(context, builder, signature, values):
+        items = []
+        for i, (given, kind) in enumerate(zip(arguments.types, kinds)):
+            item = builder.extract_value(values[0], i)
+            if kind is not given:
+                data, shape = parts_of(context, builder, given, item)
+                item = make_view(context, builder, kind, data, shape, None)
+            items.append(item)
+        return context.make_tuple(builder, signature.return_type, items)
+
+    return types.Tuple(kinds)(arguments), generate
+
+
+def _kernel_type(given: Any) -> Any:
+    contiguous = isinstance(given, types.Array) and given.layout == "C" and not CHECKED
+    return View(given.dtype, given.ndim) if contiguous else given
 
 
 def record_of(kind: np.dtype[Any], value: float = 0) -> Any:

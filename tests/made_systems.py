@@ -39,7 +39,8 @@ def made_system(nc, ng=0, nr=0, nv=5, nq=None, rng=None):
     for name, shape in (
         ("q", (nq,)), ("v", (nv,)), ("basis", (n, 3, 3)), ("slip", (n, 3)), ("gaps", (n, 2)), ("rows", (n, 3, nv)),
         ("bias", (n, 3)), ("correction_q", (nv,)), ("correction_v", (nv,)), ("multipliers", (3 * n,)),
-        ("vectors", (16, 3)), ("whitened_rows", (3 * n, nv)), ("whitened_forces", (3 * n, nv)),
+        ("right_side", (3 * n,)), ("vectors", (16, 3)),
+        ("whitened_rows", (3 * n, nv)), ("whitened_forces", (3 * n, nv)),
         ("delassus", (3 * n, 3 * n + 1)), ("constraint_rows", (3 * n + 1, 3 * n + 1)), ("frames", (2 * nc, 8, 3)),
         ("jacobian", (nv, 6)), ("derivatives", (2 * nc, DERIVATIVE_ROWS, 3)), ("force", (n, 3)), ("work", (nv,)),
         ("relative_acceleration", (n, 3)), ("margins", (n, MARGINS_PER_CONTACT)), ("acceleration", (nv,)),

@@ -381,6 +381,7 @@ OTHERS = {
     **dict.fromkeys(("analyze", "external_forces", "inverse_dynamics"), "take states; arrays: test_hostile"),
     **dict.fromkeys(("find_equilibrium", "find_steady_motion"), "take what initial_state takes"),
     **dict.fromkeys(("replay", "export_html"), "take runs; numbers of pictures: test_hostile"),
+    "export_rerun": "takes runs: test_rerun",
     "centred_forces": "takes what solve_contacts has made",
 }
 # Arguments whose check names something else than the argument.

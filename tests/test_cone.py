@@ -13,15 +13,15 @@ from pincontact.errors import ArgumentError, InfeasibleError, SolverError
 from pincontact.friction import elimination, newton, redundant
 from pincontact.friction.attempt import solve_cones
 from pincontact.friction.centred import centred_forces
-from pincontact.friction.cone import CANDIDATES, RANK_TOLERANCE, cone_workspace
+from pincontact.friction.cone import CONE, RANK_TOLERANCE, cone_workspace
 from pincontact.friction.solve import OPEN, SLIP, STICK, ContactSolver, solve_contacts
 
 GRAVITY = 9.81
 
-newton_step = from_python(newton.newton_step)
+newton_step = from_python(newton.newton_step, CONE)
 factor_matrix = from_python(elimination.factor_matrix)
 least_norm = from_python(elimination.least_norm)
-move_inside = from_python(redundant.move_inside)
+move_inside = from_python(redundant.move_inside, CONE)
 
 
 def complementarity_errors(delassus, b, mu, forces):
@@ -877,19 +877,12 @@ def test_solutions_of_least_norm_agree_with_the_pseudo_inverse(rank):
     np.testing.assert_allclose(x, expected, atol=1e-8 * np.abs(expected).max())
 
 
-def newton_buffers(contacts):
-    """What Newton works in, by name."""
-    rows = 3 * contacts
-    shapes = {
-        "size": contacts, "direction": 2 * contacts, "length": contacts, "speed": contacts, "sine": contacts,
-        "cosine": contacts, "a": (rows, rows), "rhs": rows, "x": rows, "row": rows, "gram": (rows, rows),
-        "order": rows, "first": contacts + 1, "arc": contacts, "shift": rows, "low_rank": (4, rows + 5, rows),
-        "angles": CANDIDATES, "start": rows, "start_modes": contacts,
-    }  # fmt: skip
-    return {
-        name: np.zeros(shape, dtype=np.int64 if name in ("order", "first", "start_modes") else float)
-        for name, shape in shapes.items()
-    }
+def newton_workspace(contacts):
+    """What Newton works in, all zero."""
+    cone = cone_workspace(contacts)
+    for name in CONE.arrays:
+        getattr(cone, name)[:] = 0
+    return cone
 
 
 def newton_errors(g, source, mu, modes, known, change, arcs, refine, length):
@@ -936,35 +929,33 @@ def test_a_factor_of_the_matrix_gives_a_newton_step(contacts, rank, refine):
         mu = rng.choice([0.0, 0.2, 0.9, 3.0], contacts)
         modes = rng.choice([OPEN, STICK, STICK, SLIP], contacts)
         modes[mu == 0.0] = SLIP
-        buffers = newton_buffers(contacts)
+        cone = newton_workspace(contacts)
         angles = rng.uniform(0.0, 2.0 * math.pi, contacts)
-        buffers["direction"][:] = np.c_[np.cos(angles), np.sin(angles)].ravel()
+        cone.direction[:] = np.c_[np.cos(angles), np.sin(angles)].ravel()
         # not so slow that a slip's direction would be as good as unknown
-        buffers["length"][:], buffers["speed"][:] = rng.uniform(0.0, 2.0, (2, contacts))
-        buffers["speed"] += 1e-3
-        buffers["sine"][:], buffers["cosine"][:] = mu / np.hypot(1.0, mu), 1.0 / np.hypot(1.0, mu)
+        cone.length[:], cone.speed[:] = rng.uniform(0.0, 2.0, (2, contacts))
+        cone.speed += 1e-3
+        cone.sine[:], cone.cosine[:] = mu / np.hypot(1.0, mu), 1.0 / np.hypot(1.0, mu)
         f = np.zeros((contacts, 3))
         for i in range(contacts):
-            push = buffers["length"][i] * buffers["sine"][i] * buffers["direction"][2 * i : 2 * i + 2]
-            slipping = np.r_[-push, buffers["length"][i] * buffers["cosine"][i]]
+            push = cone.length[i] * cone.sine[i] * cone.direction[2 * i : 2 * i + 2]
+            slipping = np.r_[-push, cone.length[i] * cone.cosine[i]]
             f[i] = slipping if modes[i] == SLIP else rng.normal(size=3) * (modes[i] == STICK)
         f = f.ravel()
-        before, known = f.copy(), {name: array.copy() for name, array in buffers.items()}
+        before, known = f.copy(), {name: getattr(cone, name).copy() for name in CONE.arrays}
         u = g @ f + c
-        found = factor_matrix(g, buffers["low_rank"][0], buffers["shift"], RANK_TOLERANCE)
+        found = factor_matrix(g, cone.low_rank[0], cone.shift, RANK_TOLERANCE)
         # rounding of 3n terms, times a condition number below 1e3
-        np.testing.assert_allclose(buffers["low_rank"][0, :found].T @ buffers["low_rank"][0, :found], g, atol=1e-11)
-        newton_step(g, c, mu, modes, f, u, refine, False, before, found, newton.NewtonWork(**buffers))
+        np.testing.assert_allclose(cone.low_rank[0, :found].T @ cone.low_rank[0, :found], g, atol=1e-11)
+        newton_step(cone, g, c, mu, modes, f, u, refine, False, before, found)
         slips, sticks = modes == SLIP, modes == STICK
         counts = 3 * sticks + slips * np.where(mu > 0.0, 2, 1)
-        if buffers["first"][-1] != 3 * sticks.sum() + slips.sum() or found * 2 > counts.sum():
+        if cone.first[-1] != 3 * sticks.sum() + slips.sum() or found * 2 > counts.sum():
             continue
         used += 1
-        turned = np.where(slips & (mu > 0.0), buffers["arc"], 0.0)
+        turned = np.where(slips & (mu > 0.0), cone.arc, 0.0)
         source = u if refine else c
-        errors, scale = newton_errors(
-            g, source, mu, modes, known, f - refine * before, turned, refine, buffers["length"]
-        )
+        errors, scale = newton_errors(g, source, mu, modes, known, f - refine * before, turned, refine, cone.length)
         # round-off times condition numbers of up to 1e4 of a random factor and its springs
         np.testing.assert_allclose(errors, 0.0, atol=1e-10 * scale)
     assert used >= 5
@@ -976,14 +967,14 @@ def test_redundant_forces_are_moved_into_cones_however_narrow(mu):
     contacts, rank = 12, 6
     moved = 0
     for _ in range(40):
-        buffers = newton_buffers(contacts)
+        cone = newton_workspace(contacts)
         modes = rng.choice([STICK, STICK, SLIP], contacts)
         counts = np.where(modes == STICK, 3, 1)
-        first = buffers["first"]
+        first = cone.first
         first[1:] = np.cumsum(counts)
         n = first[-1]
-        buffers["direction"][::2] = 1.0
-        buffers["sine"][:], buffers["cosine"][:] = mu / math.hypot(1.0, mu), 1.0 / math.hypot(1.0, mu)
+        cone.direction[::2] = 1.0
+        cone.sine[:], cone.cosine[:] = mu / math.hypot(1.0, mu), 1.0 / math.hypot(1.0, mu)
         # forces at four fifths of friction's limit are one solution, so that there are some inside
         loads = rng.uniform(0.1, 1.0, contacts)
         inside = np.zeros(n)
@@ -992,14 +983,14 @@ def test_redundant_forces_are_moved_into_cones_however_narrow(mu):
             force = loads[i] * np.array([0.8 * mu * math.cos(turn), 0.8 * mu * math.sin(turn), 1.0])
             inside[first[i] : first[i + 1]] = force if modes[i] == STICK else loads[i]
         equations = rng.normal(size=(rank, n))
-        buffers["a"][:rank, :n] = equations
-        buffers["rhs"][:rank] = target = equations @ inside
-        arguments = [buffers[name] for name in ("x", "gram", "order")]
-        assert least_norm(buffers["a"], buffers["rhs"], rank, n, *arguments, 1e-12) == rank
-        x = buffers["x"]
+        cone.system[:rank, :n] = equations
+        cone.rhs[:rank] = target = equations @ inside
+        arguments = [getattr(cone, name) for name in ("x", "gram", "order")]
+        assert least_norm(cone.system, cone.rhs, rank, n, *arguments, 1e-12) == rank
+        x = cone.x
         np.testing.assert_allclose(equations @ x[:n], target, atol=1e-12 * n)
         before = x[:n].copy()
-        move_inside(rank, np.full(contacts, mu), modes, rng.normal(size=3 * contacts), newton.NewtonWork(**buffers))
+        move_inside(cone, rank, np.full(contacts, mu), modes, rng.normal(size=3 * contacts))
         moved += (x[:n] != before).any()
         np.testing.assert_allclose(equations @ x[:n], target, atol=1e-12 * n)
         for i in range(contacts):

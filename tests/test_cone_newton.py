@@ -5,18 +5,18 @@ import math
 import numpy as np
 import pytest
 from calling import from_python
-from test_cone import newton_buffers, newton_errors
+from test_cone import newton_errors, newton_workspace
 from test_cone_parts import problem, residual_of
 
 from pincontact.friction import newton
-from pincontact.friction.cone import CANDIDATES, OPEN, SLIP, STICK
+from pincontact.friction.cone import CANDIDATES, CONE, OPEN, SLIP, STICK
 
-newton_step = from_python(newton.newton_step)
+newton_step = from_python(newton.newton_step, CONE)
 correct_modes = from_python(newton.correct_modes)
 close_touching = from_python(newton.close_touching)
 slip_equation = from_python(newton.slip_equation)
 slip_angles = from_python(newton.slip_angles)
-active_set_solve = from_python(newton.active_set_solve)
+active_set_solve = from_python(newton.active_set_solve, CONE)
 
 SEEDS = pytest.mark.parametrize("seed", range(4))
 
@@ -41,36 +41,36 @@ def test_a_step_solves_newtons_equations(seed, refine):
         mu = rng.choice([0.0, 0.3, 2.0], n)
         modes = rng.permutation(np.array([OPEN, STICK, STICK, SLIP, SLIP]))
         modes[mu == 0.0] = rng.choice([OPEN, SLIP])
-        buffers = newton_buffers(n)
+        cone = newton_workspace(n)
         angles = rng.uniform(0.0, 2.0 * math.pi, n)
-        buffers["direction"][:] = np.c_[np.cos(angles), np.sin(angles)].ravel()
-        buffers["length"][:], buffers["speed"][:] = rng.uniform(0.2, 2.0, (2, n))
-        buffers["sine"][:], buffers["cosine"][:] = mu / np.hypot(1.0, mu), 1.0 / np.hypot(1.0, mu)
+        cone.direction[:] = np.c_[np.cos(angles), np.sin(angles)].ravel()
+        cone.length[:], cone.speed[:] = rng.uniform(0.2, 2.0, (2, n))
+        cone.sine[:], cone.cosine[:] = mu / np.hypot(1.0, mu), 1.0 / np.hypot(1.0, mu)
         f = np.zeros((n, 3))
         for i in range(n):
             if modes[i] == STICK:
                 f[i] = rng.normal(size=3)
             elif modes[i] == SLIP:
-                f[i] = buffers["length"][i] * edge(mu[i], angles[i])
+                f[i] = cone.length[i] * edge(mu[i], angles[i])
         f = f.ravel()
-        before, known = f.copy(), {name: array.copy() for name, array in buffers.items()}
+        before, known = f.copy(), {name: getattr(cone, name).copy() for name in CONE.arrays}
         u = g @ f + c
-        assert newton_step(g, c, mu, modes, f, u, refine, False, before, 0, newton.NewtonWork(**buffers)) == (0, False)
+        assert newton_step(cone, g, c, mu, modes, f, u, refine, False, before, 0) == (0, False)
         # what slips with friction has turned by atan(arc / (friction force + speed))
-        new = buffers["direction"].reshape(n, 2)
+        new = cone.direction.reshape(n, 2)
         assert np.linalg.norm(new, axis=1) == pytest.approx(np.ones(n), rel=1e-13)
         turned = np.arctan2(new[:, 1], new[:, 0]) - angles
         arcs = np.tan(turned) * (known["sine"] * known["length"] + known["speed"])
         arcs[(modes != SLIP) | (mu == 0.0)] = 0.0
         errors, size = newton_errors(
-            g, u if refine else c, mu, modes, known, f - refine * before, arcs, refine, buffers["length"]
+            g, u if refine else c, mu, modes, known, f - refine * before, arcs, refine, cone.length
         )
         # round-off times condition numbers of up to 1e4
         assert errors == pytest.approx(np.zeros(errors.size), abs=1e-10 * size)
         for i in range(n):
             force = f[3 * i : 3 * i + 3]
             if modes[i] == SLIP:
-                expected = buffers["length"][i] * edge(mu[i], math.atan2(new[i, 1], new[i, 0]))
+                expected = cone.length[i] * edge(mu[i], math.atan2(new[i, 1], new[i, 0]))
                 assert force == pytest.approx(expected, abs=1e-12 * size)
             elif modes[i] == OPEN:
                 assert not force.any()
@@ -79,23 +79,21 @@ def test_a_step_solves_newtons_equations(seed, refine):
 
 
 def test_a_slip_that_neither_pushes_nor_moves_keeps_its_direction():
-    buffers = newton_buffers(1)
-    buffers["direction"][0] = 1.0
-    buffers["sine"][:], buffers["cosine"][:] = 0.6, 0.8
+    cone = newton_workspace(1)
+    cone.direction[0] = 1.0
+    cone.sine[:], cone.cosine[:] = 0.6, 0.8
     f, c = np.zeros(3), np.array([0.0, 0.0, -2.0])
-    newton_step(
-        np.eye(3), c, np.array([0.75]), np.array([SLIP]), f, c, False, False, f, 0, newton.NewtonWork(**buffers)
-    )
+    newton_step(cone, np.eye(3), c, np.array([0.75]), np.array([SLIP]), f, c, False, False, f, 0)
     # the length whose normal part is the load
     assert f == pytest.approx([-1.5, 0.0, 2.0], rel=1e-14)
-    assert buffers["direction"].tolist() == [1.0, 0.0]
+    assert cone.direction.tolist() == [1.0, 0.0]
 
 
 def test_open_contacts_have_no_forces_and_leave_nothing_to_choose():
-    buffers = newton_buffers(2)
+    cone = newton_workspace(2)
     f = np.ones(6)
     modes = np.full(2, OPEN)
-    left = newton_step(np.eye(6), f, np.ones(2), modes, f, f.copy(), True, True, f, 0, newton.NewtonWork(**buffers))
+    left = newton_step(cone, np.eye(6), f, np.ones(2), modes, f, f.copy(), True, True, f, 0)
     assert left == (0, False)
     assert not f.any()
 
@@ -106,12 +104,12 @@ def test_a_step_counts_the_directions_in_which_forces_may_change(refine):
     for rank in (3, 5, 7):
         g, c, mu = problem(rng, 4, rank)
         modes = np.array([STICK, SLIP, STICK, STICK])
-        buffers = newton_buffers(4)
-        buffers["direction"][::2] = 1.0
-        buffers["length"][:] = buffers["speed"][:] = 1.0
-        buffers["sine"][:], buffers["cosine"][:] = mu / np.hypot(1.0, mu), 1.0 / np.hypot(1.0, mu)
+        cone = newton_workspace(4)
+        cone.direction[::2] = 1.0
+        cone.length[:] = cone.speed[:] = 1.0
+        cone.sine[:], cone.cosine[:] = mu / np.hypot(1.0, mu), 1.0 / np.hypot(1.0, mu)
         f = np.ones(12)
-        left = newton_step(g, g @ c, mu, modes, f, g @ (f + c), refine, False, f, 0, newton.NewtonWork(**buffers))
+        left = newton_step(cone, g, g @ c, mu, modes, f, g @ (f + c), refine, False, f, 0)
         # eleven unknowns; that the slip turns where it points is one equation more than the bodies' motions
         assert left == (11 - (rank + 1), False)
 
@@ -272,9 +270,9 @@ def test_a_direction_in_which_two_meet_is_found(angle):
 def solved(g, c, mu, modes, f, passes=20, tolerance=1e-10, near=0, touching=None):
     """What `active_set_solve` comes to from there: residual, passes, attempts, u; modes and forces are changed."""
     n = len(mu)
-    u, buffers = np.zeros(3 * n), newton_buffers(n)
+    u, cone = np.zeros(3 * n), newton_workspace(n)
     touching = np.zeros(n, dtype=np.int64) if touching is None else touching
-    out = active_set_solve(g, c, mu, modes, f, u, passes, tolerance, near, touching, 0, newton.NewtonWork(**buffers))
+    out = active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touching, 0)
     return *out[:3], u
 
 

@@ -6,11 +6,10 @@ from itertools import product
 import numpy as np
 import pytest
 from calling import from_python
-from test_cone import newton_buffers
+from test_cone import newton_workspace
 
 from pincontact.friction import elimination, redundant
-from pincontact.friction.cone import HUGE, LARGEST_FRICTION, OPEN, RANK_TOLERANCE, SLIP, STICK
-from pincontact.friction.newton import NewtonWork
+from pincontact.friction.cone import CONE, HUGE, LARGEST_FRICTION, OPEN, RANK_TOLERANCE, SLIP, STICK
 
 least_norm = from_python(elimination.least_norm)
 largest_entry = from_python(elimination.largest_entry)
@@ -23,7 +22,7 @@ has_factors = from_python(redundant.has_factors)
 is_inside = from_python(redundant.is_inside)
 project = from_python(redundant.project)
 bend = from_python(redundant.bend)
-move_inside = from_python(redundant.move_inside)
+move_inside = from_python(redundant.move_inside, CONE)
 spring = from_python(redundant.spring)
 
 SEEDS = pytest.mark.parametrize("seed", range(3))
@@ -279,17 +278,17 @@ def test_what_is_moved_inside_is_near_to_the_last_forces(seed, mode):
     unknowns, mu = first[-1], np.full(n, 0.6)
     moved = 0
     for _ in range(5):
-        buffers = newton_buffers(n)
-        buffers["first"][:] = first
+        cone = newton_workspace(n)
+        cone.first[:] = first
         turns = rng.uniform(0.0, 2.0 * math.pi, n)
-        buffers["direction"][:] = np.c_[np.cos(turns), np.sin(turns)].ravel()
+        cone.direction[:] = np.c_[np.cos(turns), np.sin(turns)].ravel()
         sine, cosine = mu / np.hypot(1.0, mu), 1.0 / np.hypot(1.0, mu)
-        buffers["sine"][:], buffers["cosine"][:] = sine, cosine
+        cone.sine[:], cone.cosine[:] = sine, cosine
         last = rng.normal(size=(n, 3)) * 0.1 + [0.0, 0.0, 1.0]
         given = np.zeros(unknowns)
         for i in range(n):
             # of what slides, the length of the force along the cone's surface
-            d = buffers["direction"][2 * i : 2 * i + 2]
+            d = cone.direction[2 * i : 2 * i + 2]
             length = cosine[i] * last[i, 2] - sine[i] * (d @ last[i, :2])
             if modes[i] == STICK:
                 given[first[i] : first[i + 1]] = last[i]
@@ -299,16 +298,16 @@ def test_what_is_moved_inside_is_near_to_the_last_forces(seed, mode):
         # other loads than those of the last forces, which there are forces for well inside
         other = 0.3 * np.tile([0, 0, 1.0], n)[:unknowns] * rng.uniform(-1, 1, unknowns)
         target = equations @ (given + other)
-        buffers["a"][:rank, :unknowns], buffers["rhs"][:rank] = equations, target
-        arguments = [buffers[name] for name in ("x", "gram", "order")]
-        assert least_norm(buffers["a"], buffers["rhs"], rank, unknowns, *arguments, 1e-12) == rank
-        x = buffers["x"][:unknowns]
+        cone.system[:rank, :unknowns], cone.rhs[:rank] = equations, target
+        arguments = [getattr(cone, name) for name in ("x", "gram", "order")]
+        assert least_norm(cone.system, cone.rhs, rank, unknowns, *arguments, 1e-12) == rank
+        x = cone.x[:unknowns]
         if first[-1] - first[-2] == 2:
             given[-1] = x[-1]
         if is_inside(mu, modes, first, x):
             continue
         moved += 1
-        move_inside(rank, mu, modes, last.ravel(), NewtonWork(**buffers))
+        move_inside(cone, rank, mu, modes, last.ravel())
         assert is_inside(mu, modes, first, x)
         assert equations @ x == pytest.approx(target, abs=1e-11)
         expected = nearest_inside(equations, target, given, mu, modes, first)

@@ -3,8 +3,11 @@
 import dataclasses
 import math
 
+import numpy as np
+import pinocchio as pin
 import pytest
 
+import pincontact as pc
 from pincontact.errors import FrictionError
 from pincontact.friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
 
@@ -108,3 +111,51 @@ def test_stribeck_falls_from_static_to_sliding():
 def test_bad_curves_are_refused(arguments, match):
     with pytest.raises(FrictionError, match=match):
         Stribeck(*arguments)
+
+
+class Own(FrictionLaw):
+    """A user's law with constant coefficients."""
+
+    sliding, sticking = 0.2, 0.3
+
+
+class OwnCurve(Own):
+    def coefficient(self, speed):
+        return 0.2 + 0.1 / (1.0 + np.asarray(speed))
+
+
+class OwnStribeck(Stribeck):
+    def coefficient(self, speed):
+        return 2.0 * super().coefficient(speed)
+
+
+class OwnOnset(Own):
+    onset = 0.3
+
+
+def sliding_point(law):
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "slider")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("block", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    point, floor = scene.add_contour("point", pc.Point(), "block"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("foot", point, floor, friction=law)
+    return scene
+
+
+def test_constant_laws_of_users_are_evaluated():
+    scene = sliding_point(Own())
+    state = scene.initial_state(np.zeros(3), [1.0, 0.0, 0.0])
+    force = pc.analyze(scene, state)["foot"].force
+    # of 1 kg; a few ulp
+    assert np.linalg.norm(force[:2]) == pytest.approx(0.2 * 9.81, rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    "law", [OwnCurve(), OwnStribeck(0.1, 0.3, 0.02), OwnOnset()], ids=["curve", "Stribeck", "onset"]
+)
+def test_laws_without_a_kernel_are_refused(law):
+    # they used to slide with the coefficient at the onset of slip, whatever their speed
+    with pytest.raises(FrictionError, match=f"'foot': no kernel computes the coefficient of {type(law).__name__}"):
+        sliding_point(law).initial_state(np.zeros(3), [1.0, 0.0, 0.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from calling import from_python
 
-from pincontact.dynamics import linear, redundant
+from pincontact.dynamics import barrier, linear
 from pincontact.dynamics.redundant import Cone, central_force, null_space
 
 inner = from_python(linear.inner)
@@ -215,11 +215,11 @@ def test_the_way_out_of_cones(seed):
         if rng.random() < 0.3:
             # one without tangents
             x[1, 1:] = dx[1, 1:] = 0.0
-        way = redundant._way(x, dx)
+        way = barrier.way_inside(x.ravel(), dx.ravel())
         for part in np.linspace(0.0, 0.999, 15):
             assert depths(x + part * way * dx).min() > 0.0
-        if way < 1.0 / redundant._TO_BOUNDARY:
+        if way < 1.0 / barrier.TO_BOUNDARY:
             # of double roots only half the digits are left
             assert depths(x + way * dx).min() == pytest.approx(0.0, abs=1e-6)
         else:
-            assert way == 1.0 / redundant._TO_BOUNDARY
+            assert way == 1.0 / barrier.TO_BOUNDARY

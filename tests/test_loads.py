@@ -14,7 +14,9 @@ GRAVITY = 9.81
 
 
 def body_on_feet(points, mu, mass=1.0, inertia=None):
-    """A free body, its centre of mass at its origin, and contacts of its feet (n, 3) with a floor."""
+    """A free body, its centre of mass at its origin, and contacts of its feet (n, 3) with a floor; mu: of all, of each,
+    or laws."""
+    laws = mu if isinstance(mu, list) else np.broadcast_to(mu, len(points)).tolist()
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "base")
     inertia = 0.01 * np.eye(3) if inertia is None else inertia
@@ -24,7 +26,9 @@ def body_on_feet(points, mu, mass=1.0, inertia=None):
     floor = scene.add_contour("floor", pc.Plane())
     for i, point in enumerate(points):
         foot = scene.add_contour(f"foot {i}", pc.Point(), "base", placement=pin.SE3(np.eye(3), np.array(point)))
-        scene.add_contact(f"foot {i}", foot, floor, friction=pc.Coulomb(float(np.broadcast_to(mu, len(points))[i])))
+        scene.add_contact(
+            f"foot {i}", foot, floor, friction=laws[i] if isinstance(laws[i], pc.Coulomb) else pc.Coulomb(laws[i])
+        )
     return scene
 
 

@@ -373,3 +373,14 @@ def test_plain_progress_goes_to_stderr(capsys):
         "pincontact:  75 %",
         "pincontact: 100 %\n",
     ]
+
+
+def test_a_state_does_not_call_a_contact_with_friction_frictionless():
+    scene = pc.Scene.from_urdf(Path(__file__).parent.parent / "urdf" / "ball.urdf", floating_base=True)
+    ball, floor = scene.add_contour("ball", pc.Sphere(0.1), "ball"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("rough", ball, floor, friction=pc.Coulomb(0.5))
+    scene.add_contact("smooth", ball, scene.add_contour("plate", pc.Plane()))
+    state = scene.initial_state([0, 0, 0.1, 0, 0, 0, 1])
+    # a run decides whether the first sticks or slips
+    assert "rough closed, smooth frictionless" in repr(state)
+    assert "closed" in state._repr_html_()

@@ -284,6 +284,19 @@ def test_redundant_forces_alone_are_asked_for(monkeypatch):
     torques = pc.inverse_dynamics(scene, state).tau + random_torques((2, 30, 1), 1.0) * TWIST
     pc.rollout(scene, state, torques, threads=1)
     assert not asked
+    # in the plane of its joints there is one way to slip
+    model = pin.Model()
+    for joint in (pin.JointModelPX(), pin.JointModelPZ()):
+        last = model.addJoint(model.njoints - 1, joint, pin.SE3.Identity(), str(joint))
+        model.appendBodyToJoint(last, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    slider = pc.Scene(model)
+    point, floor = slider.add_contour("point", pc.Point(), model.names[2]), slider.add_contour("floor", pc.Plane())
+    slider.add_contact("c", point, floor, friction=pc.Coulomb(0.4))
+    pushes = np.c_[6.0 * np.sin(0.05 * np.arange(400.0)), np.zeros(400)]
+    stepper = pc.Stepper(slider, slider.initial_state([0.0, 0.0]))
+    modes = [stepper.step(push).discrete[0, 0] for push in pushes]
+    assert {*modes} == {STICK, SLIPPING}
+    assert not asked
     block, start = block_scene(0.4)
     pc.rollout(block, start, random_torques((1, 20, 6), 20.0), threads=1)
     assert 4 in asked
@@ -322,10 +335,17 @@ def test_rows_that_cannot_be_redundant():
         if real.sum() > nv:
             assert found
     assert min(counts.values()) > 50
-    # no room, a row that acts on nothing
+    # no room
     assert redundant(step, nv, n, np.zeros((0, 1)), np.zeros(0, dtype=np.int64))
-    step.whitened[0], step.units["mask"][0] = 0.0, 7
-    assert redundant(step, nv, n, np.zeros((3 * n, 3 * n + 1)), np.zeros(3 * n, dtype=np.int64))
+    # a normal row that acts on nothing bears any load; friction that does bears none
+    room = np.zeros((6, 7)), np.zeros(6, dtype=np.int64)
+    for idle, expected in ((2, True), (1, False), (0, False)):
+        step = step_workspace(6, 6, 2, 0, 0, 0, 1)
+        step.units["mask"][:2] = 7
+        rows = np.eye(6)
+        rows[idle] = 0.0
+        step.whitened[:6, :6], step.delassus[:36] = rows, (rows @ rows.T).ravel()
+        assert redundant(step, 6, 2, *room) == expected
 
 
 def controlled(seed):

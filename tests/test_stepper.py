@@ -74,8 +74,8 @@ def test_steps_allocate_nothing_that_stays():
         after, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    # a float or a State may be replaced by one of another size; an array of this scene has 200 bytes and more
-    assert after - before <= 1000
+    # a few objects may be replaced by larger ones; a float a step that stays would be 14,400 bytes
+    assert after - before <= 5000
     assert peak - before <= 16_000
 
 

@@ -12,6 +12,7 @@ from reference import build
 
 import pincontact as pc
 from pincontact import system_cache
+from pincontact.integration.run_system import RunSystem
 
 DURATION = 0.4
 TIMES = np.linspace(0.0, DURATION, 9)
@@ -93,7 +94,7 @@ def assert_same(a, b):
 
 
 def is_cached(scene):
-    return scene in system_cache._cache
+    return any(system_cache._cache.get(scene, {}).values())
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -260,3 +261,80 @@ def test_threads_that_ask_a_run_at_once():
         one, two = pool.map(lambda _: run.state(-1), range(2))
     assert one.discrete.tobytes() == two.discrete.tobytes()
     assert run._recorded is run._recorded
+
+
+def rolled_out(scene, state, starts=3, threads=3):
+    torques = np.random.default_rng(1).normal(size=(starts, 5, scene.model.nv))
+    return pc.rollout(scene, state, torques, 1e-3, 4, threads=threads)
+
+
+def test_rollouts_make_their_systems_once(monkeypatch):
+    """The second call makes none, also after runs of other kinds; of more than there are processors those are not kept
+    that nobody could use at once."""
+    made = []
+    monkeypatch.setattr(system_cache, "available_cores", lambda: 3)
+    monkeypatch.setattr(
+        system_cache, "RunSystem", lambda *given, **options: made.append(1) or RunSystem(*given, **options)
+    )
+    scene, state = ball_on()
+    first = rolled_out(scene, state)
+    assert len(made) == 3
+    simulated(scene, state)
+    assert len(made) == 4
+    simulated(scene, state, method="Moreau", step=0.01)
+    for threads in (1, 3):
+        for one, other in zip(rolled_out(scene, state, threads=threads), first):
+            np.testing.assert_array_equal(one, other)
+    assert len(made) == 4
+    rolled_out(scene, state, starts=8, threads=8)
+    assert len(made) == 9
+    assert sum(len(kept) for kept in system_cache._cache[scene].values()) == 4
+
+
+def test_rollouts_see_what_was_changed():
+    """Of a model that was written to, and of actuators and solvers that the next call has not."""
+    scene, state = ball_on()
+    first = rolled_out(scene, state)
+    rolled = pc.rollout(scene, state, np.zeros((2, 5, 6)), 1e-3, 4, 2, "proxqp", (0.0, 3.0, state.q))
+    assert (rolled[0] != first[0][:2]).any()
+    for one, other in zip(rolled_out(scene, state), first):
+        np.testing.assert_array_equal(one, other)
+    set_gravity(scene)
+    fresh, fresh_state = ball_on()
+    set_gravity(fresh)
+    for one, other, before in zip(rolled_out(scene, state), rolled_out(fresh, fresh_state), first):
+        np.testing.assert_array_equal(one, other)
+        assert one.dtype == int or (one != before).any()
+
+
+def test_rollouts_at_once():
+    """From threads of the user's own: each has its systems."""
+    scene, state = ball_on()
+    alone = rolled_out(scene, state)
+    with ThreadPoolExecutor(4) as pool:
+        for found in pool.map(lambda _: rolled_out(scene, state), range(12)):
+            for one, other in zip(found, alone):
+                np.testing.assert_array_equal(one, other)
+
+
+def test_rollouts_that_raise_keep_no_system():
+    fails = []
+
+    def shaken(t):
+        if fails:
+            raise ZeroDivisionError("the drive")
+        return heaving(t)
+
+    scene, state = ball_on(pc.CallableMotion(shaken))
+    first = rolled_out(scene, state)
+    fails.append(True)
+    with pytest.raises(ZeroDivisionError, match="the drive"):
+        rolled_out(scene, state)
+    assert not is_cached(scene)
+    fails.clear()
+    for one, other in zip(rolled_out(scene, state), first):
+        np.testing.assert_array_equal(one, other)
+    gone = weakref.ref(scene)
+    del scene, state
+    gc.collect()
+    assert gone() is None

@@ -11,6 +11,7 @@ import warnings
 from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -53,6 +54,7 @@ from pincontact.view.replay import (
     page_info,
     scene_size,
 )
+from pincontact.view.robot import draw_robot
 from pincontact.view.sampling import (
     Motion,
     configurations,
@@ -1021,3 +1023,32 @@ def test_location_is_broken_where_the_chart_changes(run, pyplot):
     assert np.isfinite(whole[30]) and np.isnan(broken[30])
     whole[30] = np.nan
     assert np.array_equal(whole, broken, equal_nan=True)
+
+
+def test_a_scaled_mesh_from_triangles_is_scaled_once():
+    # meshcat cannot merge the parts of this Collada file, so its triangles are drawn, which Pinocchio has scaled.
+    urdf = Path(__file__).parent.parent / "urdf" / "cart.urdf"
+    (given,) = (g for g in pc.Scene.from_urdf(urdf).visual_model.geometryObjects if g.name == "cart_1")
+    import coal
+
+    scale = np.array([0.5, -2.0, 1.0])
+    shape = coal.MeshLoader().load(given.meshPath, scale)
+    visual = pin.GeometryModel()
+    visual.addGeometryObject(
+        pin.GeometryObject("mast", 0, 0, pin.SE3.Identity(), shape, given.meshPath, scale, True, np.ones(4))
+    )
+    drawing = Drawing()
+    draw_robot(drawing, pin.Model(), visual, lambda item: "/mast")
+    (made,) = (c for c in drawing.commands if c["type"] == "set_object")
+    (placed,) = (c for c in drawing.commands if c["type"] == "set_transform")
+    (geometry,) = made["object"]["geometries"]
+    position = unpacked([{"x": geometry["data"]["attributes"]["position"]["array"]}])[0]["x"].reshape(-1, 3)
+    drawn = position @ np.reshape(placed["matrix"], (4, 4))[:3, :3]
+    # float32
+    assert drawn == pytest.approx(shape.vertices(), abs=1e-6)
+
+
+def test_events_of_joints_are_named(run):
+    stop = SimpleNamespace(time=1.0, contact=None, kind="limit", joint="elbow")
+    info = page_info(compose(run, 30.0, 1.0, 3000, None, None, ()), changed(run, events=[stop]), 1.0)
+    assert info["events"] == [[1.0, "elbow", "limit"]]

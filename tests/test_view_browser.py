@@ -8,37 +8,21 @@ from __future__ import annotations
 import html
 import json
 import re
-import shutil
 import subprocess
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from fake_run import HOP_START, SLIP_END, fake_run, placement
+from browser import FLAGS, PROGRAM, Browser
+from fake_run import END, HOP_END, HOP_START, SLIP_END, fake_run, placement
 
 import pincontact as pc
 from pincontact.view import export_html
 from pincontact.view.replay import MORE_PARTS, PARTS
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium found: pages are not opened, only read")
-
-FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--window-size=800,600",
-    "--virtual-time-budget=3000",
-]
+pytestmark = pytest.mark.skipif(PROGRAM is None, reason="no Chromium found: pages are not opened, only read")
 
 # Runs after the page's own script: looks at three.js' objects at some times, and leaves what it saw in the page.
 PROBE = """
@@ -109,7 +93,7 @@ ready.then(() => {
     rows: [...element("contacts").querySelectorAll("tr")].filter((row) => row.style.display !== "none").length,
     summary: element("contacts").querySelector("summary").textContent,
     ticks: [...element("ticks").querySelectorAll("button")].map((tick) => tick.title),
-    width: window.innerWidth,
+    width: window.innerWidth, list: element("contacts").getBoundingClientRect().height,
   });
   document.body.appendChild(output);
 });
@@ -119,7 +103,18 @@ ready.then(() => {
 
 def browse(page, folder, *flags):
     done = subprocess.run(
-        [BROWSER, *FLAGS, f"--user-data-dir={folder}", *flags, page], capture_output=True, text=True, timeout=180
+        [
+            PROGRAM,
+            *FLAGS,
+            "--window-size=800,600",
+            "--virtual-time-budget=3000",
+            f"--user-data-dir={folder}",
+            *flags,
+            page,
+        ],
+        capture_output=True,
+        text=True,
+        timeout=180,
     )
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout
@@ -235,6 +230,8 @@ def test_all_parts_are_in_the_picture(tmp_path, make, drawn, rows, size):
     bodies = {item.name for item in scene.visual_model.geometryObjects}
     assert bodies <= {path.split("/")[-1] for path in paths}
     assert state["rows"] == rows
+    # sixteen closed contacts are folded, and leave the scene free
+    assert 10 < state["list"] < 0.2 * size[1]
     width, height, right, bottom = state["slider"]
     # room for a finger, within the window
     assert width > 150 and height >= 28 and right <= state["width"] and bottom <= size[1]
@@ -243,3 +240,207 @@ def test_all_parts_are_in_the_picture(tmp_path, make, drawn, rows, size):
         # of the URDF; of the Collada file, whose parts meshcat cannot merge
         assert colors["cart_0"] == 0xD83319 and colors["cart_1"] == 0x193FCC
         assert len(text.encode()) < 1.5e6
+
+
+# What a user does with a page
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with Browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    return export_html(fake_run(), tmp_path_factory.mktemp("page") / "run.html")
+
+
+def test_event_marks_have_labels_and_tooltips_and_lead_to_their_times(browser, page):
+    browser.resize(1000, 600)
+    browser.open(page)
+    marks = browser.run(
+        """[...element("ticks").querySelectorAll("button")].map((tick) => {
+          const box = tick.getBoundingClientRect(), x = box.x + box.width / 2, y = box.y + box.height / 2;
+          return [tick.title, x, y, document.elementFromPoint(x, y) === tick];
+        })"""
+    )
+    events = [(SLIP_END, "rim/floor: stick"), (HOP_START, "rim/floor: separate"), (HOP_END, "rim/floor: touch")]
+    assert [title for title, *_ in marks] == [f"{text}, t = {time:.4f} s" for time, text in [*events, (2.5, "user")]]
+    bar = browser.run(
+        "(() => { const box = element('ticks').getBoundingClientRect(); return [box.left, box.width]; })()"
+    )
+    for (title, x, y, reached), time in zip(marks, [SLIP_END, HOP_START, HOP_END, 2.5]):
+        assert reached, f"{title} is covered by something else"
+        # at its time on the slider
+        assert x == pytest.approx(bar[0] + bar[1] * time / END, abs=1.0)
+        browser.press(x, y)
+        assert browser.run("element('clock').textContent") == f"t = {time:.3f} s"
+        assert browser.run("Number(slider.value)") == pytest.approx(time, abs=END / 10000)
+    labels = browser.run(
+        """[...element("ticks").querySelectorAll("span")].map((label) => {
+          const box = label.getBoundingClientRect();
+          return [label.textContent, box.left, box.right, box.width > 0 && getComputedStyle(label).visibility];
+        })"""
+    )
+    # there is no room for that of the touch, 0.2 s later
+    assert [text for text, *_ in labels] == ["stick", "separate", "user"]
+    assert all(left[2] < right[1] for left, right in pairwise(labels)) and {v for *_, v in labels} == {"visible"}
+
+
+def dark_columns(browser):
+    """x of the columns of the plot that are dark from top to bottom, in its pixels."""
+    return browser.run(
+        """(() => {
+          const pen = canvas.getContext("2d"), high = Math.round(canvas.height * 0.8), found = [];
+          const data = pen.getImageData(0, 0, canvas.width, high).data;
+          for (let x = 0; x < canvas.width; x += 1) {
+            let dark = 0;
+            for (let y = 0; y < high; y += 1) {
+              const at = 4 * (y * canvas.width + x);
+              if (data[at + 3] > 100 && data[at] + data[at + 1] + data[at + 2] < 240) dark += 1;
+            }
+            if (dark > 0.95 * high) found.push(x);
+          }
+          return found;
+        })()"""
+    )
+
+
+def test_plots_and_animation_have_one_time(browser, page):
+    browser.resize(1200, 700)
+    browser.open(page, "#t=0")
+    left, right, width = browser.run("[margin.left, margin.right, canvas.clientWidth]")
+    assert width > 300, "there is no plot"
+    for time in (0.5, 1.7, 2.9):
+        browser.run(f"run(false); seek({time})")
+        (first, *others) = dark_columns(browser)
+        assert len(others) < 3
+        # a line of one pixel
+        assert first == pytest.approx(left + (width - left - right) * time / END, abs=2.0)
+    x, y = browser.run("(() => { const box = canvas.getBoundingClientRect(); return [box.left, box.top]; })()")
+    wanted = [0.8, 2.0]
+    at = [x + left + (width - left - right) * time / END for time in wanted]
+    # a press, and a drag
+    browser.press(at[0], y + 50)
+    assert browser.run("Number(slider.value)") == pytest.approx(wanted[0], abs=END / (width - left - right))
+    browser.press(at[0], y + 50, (at[1], y + 60))
+    assert browser.run("Number(slider.value)") == pytest.approx(wanted[1], abs=END / (width - left - right))
+    body = browser.run("viewer.scene_tree.find(['meshcat', 'pincontact', 'bodies', 'root']).object.position.toArray()")
+    # the animation is there, too: one pixel of the plot is 6 mm of the way
+    assert body == pytest.approx(placement(wanted[1]).translation, abs=0.01)
+    # all contacts' numbers are drawn: beside the axes' grey and black there is the contact's colour
+    assert (
+        browser.run(
+            """(() => {
+          const data = picture.getContext("2d").getImageData(0, 0, picture.width, picture.height).data;
+          let blue = 0;
+          for (let i = 0; i < data.length; i += 4) if (data[i + 2] > data[i] + 100) blue += 1;
+          return blue;
+        })()"""
+        )
+        > 300
+    )
+
+
+@pytest.mark.parametrize("size", [(1000, 600), (640, 480), (390, 844)], ids=["desktop", "small", "phone"])
+def test_camera_frames_what_moves(browser, page, size):
+    browser.resize(*size, touch=size[0] < 400)
+    # a phone gives the window its size while the page is read
+    early = "document.addEventListener('DOMContentLoaded', () => window.dispatchEvent(new Event('resize')));"
+    added = browser.call("Page.addScriptToEvaluateOnNewDocument", source=early)
+    browser.open(page, "#t=0")
+    browser.call("Page.removeScriptToEvaluateOnNewDocument", **added)
+    corners = browser.run(
+        f"""(() => {{
+          const found = [], body = viewer.scene_tree.find(["meshcat", "pincontact", "bodies", "root"]).object;
+          for (let time = 0; time <= {END}; time += 0.1) {{
+            seek(time);
+            viewer.scene.updateMatrixWorld(true);
+            viewer.camera.updateMatrixWorld(true);
+            body.traverse((mesh) => {{
+              if (!mesh.isMesh) return;
+              const at = mesh.geometry.attributes.position;
+              for (let i = 0; i < at.count; i += 7) {{
+                const p = viewer.camera.position.clone().set(at.getX(i), at.getY(i), at.getZ(i));
+                p.applyMatrix4(mesh.matrixWorld).project(viewer.camera);
+                found.push([p.x, p.y]);
+              }}
+            }});
+          }}
+          return found;
+        }})()"""
+    )
+    pane = browser.run("[element('meshcat-pane').clientWidth, element('meshcat-pane').clientHeight]")
+    x, y = ((np.array(corners) * [1.0, -1.0] + 1.0) * 0.5 * pane).T
+    bar = browser.run("element('bar').getBoundingClientRect().top")
+    # all of the wheel at all times, above the bar, and not from far away
+    assert x.min() >= 0.0 and x.max() <= pane[0] and y.min() >= 0.0 and y.max() <= bar
+    assert max(np.ptp(x) / pane[0], np.ptp(y) / bar) > 0.5
+
+
+def test_slider_works_with_a_finger_on_a_phone(browser, page):
+    browser.resize(390, 844, touch=True)
+    browser.open(page, "#t=0")
+    left, top, width, height = browser.run(
+        "(() => { const box = slider.getBoundingClientRect(); return [box.left, box.top, box.width, box.height]; })()"
+    )
+    # room for a finger, across the whole page
+    assert height >= 40 and width > 0.8 * 390
+    y = top + height / 2
+    point = {"x": left + 10.0, "y": y}
+    browser.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[point])
+    for part in (0.2, 0.4, 0.6):
+        browser.call("Input.dispatchTouchEvent", type="touchMove", touchPoints=[{"x": left + part * width, "y": y}])
+    browser.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    # the thumb is some 16 pixels wide
+    assert browser.run("Number(slider.value)") == pytest.approx(0.6 * END, abs=0.05 * END)
+    assert browser.run("element('play').textContent") == "play"
+    assert browser.run("document.documentElement.scrollWidth") <= 390
+
+
+TEXTURED = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><up_axis>Z_UP</up_axis></asset>
+<library_images><image id="i"><init_from>red.png</init_from></image></library_images>
+<library_effects><effect id="e"><profile_COMMON>
+<newparam sid="s"><surface type="2D"><init_from>i</init_from></surface></newparam>
+<newparam sid="t"><sampler2D><source>s</source></sampler2D></newparam>
+<technique sid="c"><lambert><diffuse><texture texture="t" texcoord="UV"/></diffuse></lambert></technique>
+</profile_COMMON></effect></library_effects>
+<library_materials><material id="m"><instance_effect url="#e"/></material></library_materials>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="pa" count="9">-1 0 -1 1 0 -1 0 0 1</float_array><technique_common>
+<accessor source="#pa" count="3" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source>
+<source id="n"><float_array id="na" count="9">0 -1 0 0 -1 0 0 -1 0</float_array><technique_common>
+<accessor source="#na" count="3" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source>
+<source id="u"><float_array id="ua" count="6">0 0 1 0 0 1</float_array><technique_common>
+<accessor source="#ua" count="3" stride="2"><param name="S" type="float"/><param name="T" type="float"/>
+</accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="1" material="m"><input semantic="VERTEX" source="#v" offset="0"/>
+<input semantic="NORMAL" source="#n" offset="1"/><input semantic="TEXCOORD" source="#u" offset="2" set="0"/>
+<p>0 0 0 1 1 1 2 2 2</p></triangles></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="w"><node><instance_geometry url="#g"><bind_material><technique_common>
+<instance_material symbol="m" target="#m"><bind_vertex_input semantic="UV" input_semantic="TEXCOORD" input_set="0"/>
+</instance_material></technique_common></bind_material></instance_geometry></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#w"/></scene></COLLADA>
+"""
+
+
+def test_images_of_meshes_are_there_before_anything_moves(browser, tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    image.new("RGB", (512, 512), (230, 20, 20)).save(tmp_path / "red.png")
+    (tmp_path / "sign.dae").write_text(TEXTURED)
+    origin = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    mesh = '<visual><geometry><mesh filename="sign.dae"/></geometry></visual>'
+    (tmp_path / "sign.urdf").write_text(f'<robot name="sign"><link name="sign">{origin}{mesh}</link></robot>')
+    scene = pc.Scene.from_urdf(tmp_path / "sign.urdf", floating_base=True)
+    run = pc.simulate(scene, scene.initial_state([0, 0, 0, 0, 0, 0, 1]), 0.1)
+    browser.resize(800, 600)
+    browser.open(export_html(run, tmp_path / "run.html"), "#t=0")
+    red, green, blue = browser.picture()[80:450].reshape(-1, 3).T
+    assert ((red > 100) & (green < 60) & (blue < 60)).sum() > 10000
+    assert browser.run("said") == []

@@ -6,7 +6,8 @@ distance of any marker from a run to rtol 1e-13, over all output times of the fi
 are of the whole batch, per start: on the wall, and of all processors together, which is the one to compare on a busy
 machine. Speed-up: wall time in one thread over that in several.
 
-    python examples/benchmarks/rollouts.py [--starts 64] [--threads 2] [--scenes disk_roll,quadruped,block] [--quick]
+    python examples/benchmarks/rollouts.py [--starts 64] [--threads 2] [--scenes disk_roll,quadruped,block]
+        [--repeats 5] [--quick]
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from peers.scenes import FLOOR, SCENES, Body, Problem, Shape, Touch, marked
+from peers.problem import FLOOR, Body, Problem, Shape, Touch, marked
+from peers.scenes import SCENES
 from peers.with_pincontact import build_scene, consistent, reference
 
 import pincontact as pc
 
-REPEATS = 5
 # steps in each of the output intervals
 OURS, MUJOCO = (1, 2, 5, 10, 50), (5, 20, 50, 200, 1000)
 
@@ -102,14 +103,16 @@ def mujocos(problems: list[Problem]) -> Iterator[tuple[str, float, Run]]:
             yield f"MuJoCo {label}", dt, run
 
 
-def timed(run: Run, threads: int, repeats: int) -> tuple[float, float, np.ndarray]:
-    """Least wall and processor time in s, and what the last run gave."""
-    wall = work = np.inf
+def timed(run: Run, threads: int, repeats: int) -> tuple[np.ndarray, np.ndarray]:
+    """Least wall and processor times in s of runs in one thread and in several, by turns: [[wall, processor], ...]; and
+    what the last run gave."""
+    least = np.full((2, 2), np.inf)
     for _ in range(repeats):
-        began, before = time.perf_counter(), time.process_time()
-        q = run(threads)
-        wall, work = min(wall, time.perf_counter() - began), min(work, time.process_time() - before)
-    return wall, work, q
+        for times, count in zip(least, (1, threads)):
+            began, before = time.perf_counter(), time.process_time()
+            q = run(count)
+            np.minimum(times, (time.perf_counter() - began, time.process_time() - before), out=times)
+    return least, q
 
 
 def main(arguments: list[str] | None = None) -> list[tuple[str, str, float, float, float, float]]:
@@ -118,6 +121,7 @@ def main(arguments: list[str] | None = None) -> list[tuple[str, str, float, floa
     parser.add_argument("--starts", type=int, default=64)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--scenes", default=",".join(PROBLEMS))
+    parser.add_argument("--repeats", type=int, default=5, help="runs by turns, of which the least time counts")
     parser.add_argument("--quick", action="store_true", help="one run each, without the shortest steps")
     options = parser.parse_args(arguments)
     rows = []
@@ -133,12 +137,11 @@ def main(arguments: list[str] | None = None) -> list[tuple[str, str, float, floa
             for k, (label, dt, run) in enumerate(engine(problems)):
                 if options.quick and k % len(OURS) > 2:
                     continue
-                repeats = 1 if options.quick else REPEATS
+                repeats = 1 if options.quick else options.repeats
                 try:
                     if not options.quick:
                         run(1)
-                    wall, work, q = timed(run, 1, repeats)
-                    walls, works, _ = timed(run, options.threads, repeats)
+                    ((wall, work), (walls, works)), q = timed(run, options.threads, repeats)
                 except RuntimeError as failure:
                     print(f"{label:18}{dt:10.2g}  {str(failure)[:60]}")
                     continue

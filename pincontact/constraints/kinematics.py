@@ -45,7 +45,7 @@ from ..geometry.location import (
 )
 from ..geometry.patterns import CROSSING_CURVES, ON_CURVE, ON_SURFACE, PLANAR
 from ..geometry.small import add_cross, cross, dot, norm, rotate
-from ..jit import BOOLEAN, INTEGER, inlined_kernel, kernel
+from ..jit import BOOLEAN, INTEGER, NOTHING, inlined_kernel, kernel
 from ..layout import (
     BRANCH,
     CHART,
@@ -148,7 +148,7 @@ def locate_in_closed_form(system, c):
     return OK
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, INTEGER)
 def locate(system, c):
     """Contact coordinates from the guess in `location`, and both contours evaluated there.
 
@@ -274,7 +274,7 @@ def location_rates(system, c):
     return OK
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, INTEGER)
 def acceleration_bias(system, c):
     """bias (3,): row . gamma + frame rate . v_c, so that row . (J_2 - J_1) a + bias is the rate of row . v_c.
 

@@ -173,7 +173,7 @@ class HeightField(Contour):
         owner = "HeightField"
         if callable(f):
             if y is not None or z is not None:
-                raise ContourError(f"{owner}: give a function or a grid x, y, z, not both")
+                raise ContourError(f"{owner}: give a function f (and domain=) or a grid x, y, z, not both")
             checked = (ALL, ALL) if domain is None else _rectangle(owner, domain)
             formula = Formula(owner, _lifted(f, takes_time(owner, f, 2)), 2)
             second = None if derivatives is None else _lifted_derivatives(derivatives)

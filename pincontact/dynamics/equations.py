@@ -347,7 +347,7 @@ def solve_slip(system, n):
     the multiplier is left out, and so zero, as among redundant ones. -1 there marks a contact that carries nothing.
     """
     operator, x, scratch, row_index = system.delassus, system.multipliers, system.constraint_rows, system.row_index
-    moving = 0
+    right, moving = system.right_side, 0
     for i in range(n):
         own = operator[i, n]
         if own == 0.0:
@@ -364,8 +364,8 @@ def solve_slip(system, n):
             x[0] = x[0] / operator[0, 0] if operator[0, n] > 0.0 else 0.0
         return moving
     for i in range(n):
-        scratch[i, n] = x[i]
-    rank = least_norm(operator, scratch[:n, n], n, n, x, scratch, system.permutation, RANK_TOLERANCE)
+        right[i] = x[i]
+    rank = least_norm(operator, right, n, n, x, scratch, system.permutation, RANK_TOLERANCE)
     return rank if rank > 0 else -1
 
 

@@ -140,11 +140,11 @@ def leave_unloaded(system, count):
 def solve_for_least(system, count):
     """Multipliers of least norm in their units, from the right-hand sides in their place."""
     operator, multipliers, scratch = system.delassus, system.multipliers, system.constraint_rows
+    right = system.right_side
     weigh_forces(system, count)
     leave_unloaded(system, count)
     for j in range(count):
-        scratch[j, count] = multipliers[j] if operator[j, count] != 0.0 else 0.0
-    right = scratch[:count, count]
+        right[j] = multipliers[j] if operator[j, count] != 0.0 else 0.0
     least_norm(operator, right, count, count, multipliers, scratch, system.permutation, RANK_TOLERANCE)
     for j in range(count):
         multipliers[j] *= max(operator[j, count], 0.0)
@@ -159,15 +159,15 @@ def unloaded_margins(system, count):
     are zero (Kuhn and Tucker).
     """
     nv, operator, multipliers, scratch = system.sizes.nv, system.delassus, system.multipliers, system.constraint_rows
+    right = system.right_side
     weigh_forces(system, count)
     loaded = 0
     for j in range(count):
         if operator[j, count] > 0.0 and not carries_nothing(system, j):
             for i in range(count):
                 scratch[loaded, i] = operator[i, j]
-            scratch[loaded, count] = multipliers[j] / operator[j, count]
+            right[loaded] = multipliers[j] / operator[j, count]
             loaded += 1
-    right = scratch[:count, count]
     least_norm(scratch, right, loaded, count, multipliers, operator, system.permutation, RANK_TOLERANCE)
     status = OK
     for j in range(count):

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
+    ANISOTROPIC,
     EVENT,
     FRICTION_MARGIN,
     FRICTIONLESS,
@@ -33,6 +34,7 @@ from ..layout import (
 )
 from .contact_modes import held_up_by_friction, shares_viscous_force
 from .redundant import Choice, Cone, central_force, null_space
+from .stretches import stretch
 
 if TYPE_CHECKING:
     from .system import System
@@ -218,10 +220,11 @@ class RedundantForces:
             integers, mu = system.contact_int[c], float(system.contact_real[c, MU_STATIC])
             normal, sticks = rows[c, 2], integers[MODE] == STICK and math.isfinite(mu)
             tangents = tuple(rows[c, row] for row in range(integers[TANGENTS])) if sticks else ()
+            scaling = np.linalg.inv(stretch(system, c)) if tangents and integers[ANISOTROPIC] else None
             if integers[UNILATERAL]:
-                cones.append(Cone(normal, mu, 0.0, tangents) if tangents else Cone(normal, 1.0, 0.0))
+                cones.append(Cone(normal, mu, 0.0, tangents, scaling) if tangents else Cone(normal, 1.0, 0.0))
             elif tangents and integers[PATTERN] != ON_CURVE:
-                cones.append(Cone(normal, math.copysign(mu, system.force[c, 2]), 0.0, tangents))
+                cones.append(Cone(normal, math.copysign(mu, system.force[c, 2]), 0.0, tangents, scaling))
         for i in system.resisting():
             if system.contact_int[i, MODE] == STICK:
                 owner, tangents = system.owner(i), tuple(rows[i, row] for row in range(system.contact_int[i, TANGENTS]))

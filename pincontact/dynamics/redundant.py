@@ -17,16 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .barrier import INSIDE, SCRATCH_ROWS, TO_BOUNDARY, minimise, way_inside
+
 # A null direction: unit rows that combine to less than this (the square root of the kernels' rank tolerance).
 _NULL = 3e-6
-# Forces count as admissible if they are inside their cones by this fraction of the largest force.
-_INSIDE = 1e-9
-_NEWTON_STEPS = 60
 _SHARPENING = 8.0
-_BACKTRACKS = 50
-_CONVERGED = 1e-9
-# Part of the way to the nearest boundary that a step may go.
-_TO_BOUNDARY = 0.95
 # Size of the forces of interest, relative to those of least norm.
 _LARGEST = 1e3
 # Normal forces that the choice changes by less than this part of others are not redundant.
@@ -36,12 +31,16 @@ _SIGNS = np.array([1.0, -1.0, -1.0])
 
 @dataclass(frozen=True)
 class Cone:
-    """factor x[normal] + offset >= |x[tangents]|, of forces x; or of a number alone, where there are no tangents."""
+    """factor x[normal] + offset >= |scaling x[tangents]|, of forces x; or >= 0, where there are no tangents.
+
+    scaling (2, 2): None for round cones.
+    """
 
     normal: int
     factor: float
     offset: float
     tangents: tuple[int, ...] = ()
+    scaling: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -82,21 +81,21 @@ def central_force(forces: np.ndarray, null: np.ndarray, cones: list[Cone]) -> Ch
     # about the least norm, in its units: the centre then is one of the loads alone, whatever was chosen before
     least = span @ (span.T @ forces)
     unit = float(np.linalg.norm(least))
-    if unit <= _INSIDE * largest:
+    if unit <= INSIDE * largest:
         unit = largest
     barriers = _Barriers(cones, least / unit, null, unit)
     if barriers.unloaded():
         return None
     z = np.linalg.lstsq(null, (forces - least) / unit, rcond=None)[0]
     values = barriers.values(z)
-    if values.min() <= _INSIDE:
+    if values.min() <= INSIDE:
         found = _enter(barriers, z, values)
         if found is None:
             return None
         z = found
-    point = _minimise(barriers, np.append(z, 0.0), None)
+    point = _minimise(barriers, np.append(z, 0.0))
     z = point[:-1]
-    hessian = barriers.derivatives(point)[1][:-1, :-1] + np.eye(z.size)
+    hessian = barriers.curvature(point) + np.eye(z.size)
     # the unit changes along, too
     change = barriers.curvature_along(point, span) - np.outer(2.0 * z, span.T @ (least / unit))
     try:
@@ -111,19 +110,19 @@ def _enter(barriers: _Barriers, z: np.ndarray, values: np.ndarray) -> np.ndarray
     """A point inside all cones (phase one), from one of these distances inside; None where there is none."""
     count = values.size
     # as far outside as the others are inside: the steps to come are of that size
-    start = max(float(np.median(np.abs(values))), 10.0 * _INSIDE) - float(values.min())
+    start = max(float(np.median(np.abs(values))), 10.0 * INSIDE) - float(values.min())
     point = np.append(z, start)
     pressure = 2.0 * count / start
     before: np.ndarray | None = None
     while True:
         point = _minimise(barriers, point, pressure)
-        if point[-1] < -_INSIDE:
+        if point[-1] < -INSIDE:
             return point[:-1]
         # the least enlargement is lower by no more than the number of logarithms (and the square's part in the
         # balance, for forces of interest) over the pressure
         size = float(np.linalg.norm(point[:-1]))
         within = (2.0 * count + max(size * (_LARGEST - size), 0.0)) / pressure
-        if point[-1] > within or within < _INSIDE:
+        if point[-1] > within or within < INSIDE:
             return None
         pressure *= _SHARPENING
         last, before = before, point
@@ -143,8 +142,8 @@ class _Barriers:
         for i, cone in enumerate(cones):
             self.parts[i, 0, cone.normal] = cone.factor
             self.start[i, 0] = cone.offset / unit
-            for j, tangent in enumerate(cone.tangents):
-                self.parts[i, 1 + j, tangent] = 1.0
+            n = len(cone.tangents)
+            self.parts[i, 1 : 1 + n, cone.tangents] = np.eye(n) if cone.scaling is None else cone.scaling.T
         self.start += self.parts @ forces
         self.rows = np.zeros((m, 3, k + 1))
         self.rows[:, :, :k] = self.parts @ null
@@ -163,87 +162,36 @@ class _Barriers:
     def unloaded(self) -> bool:
         """Whether a cone is left with no force by its normal part, whatever the choice."""
         fixed = np.abs(self.rows[:, 0, :-1]).max(axis=1) <= _FIXED
-        return bool((self.start[fixed, 0] <= _INSIDE).any())
+        return bool((self.start[fixed, 0] <= INSIDE).any())
 
     def towards(self, point: np.ndarray, step: np.ndarray) -> np.ndarray:
         """The point after that step, or as far along it as is well inside."""
-        way = _way(self.at(point), (self.flat @ step).reshape(self.start.shape))
-        return point + min(1.0, _TO_BOUNDARY * way) * step
+        way = way_inside(self.at(point).ravel(), self.flat @ step)
+        return point + min(1.0, TO_BOUNDARY * way) * step
 
-    def derivatives(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gradient (k + 1,) and Hessian of the sum of barriers at a point inside."""
-        slopes, curvatures = _derivatives(self.at(point))
-        curved = (curvatures @ self.rows).reshape(self.flat.shape)
-        return self.flat.T @ slopes.ravel(), self.flat.T @ curved
+    def curvature(self, point: np.ndarray) -> np.ndarray:
+        """(k, k) Hessian by z of the sum of barriers at a point inside."""
+        curved = (_curvatures(self.at(point)) @ self.rows).reshape(self.flat.shape)
+        return (self.flat.T @ curved)[:-1, :-1]
 
     def curvature_along(self, point: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """(k, r) change of the gradient by z for forces that change along the directions (n, r)."""
-        curvatures = _derivatives(self.at(point))[1]
-        curved = (curvatures @ (self.parts @ directions)).reshape(-1, directions.shape[1])
+        curved = (_curvatures(self.at(point)) @ (self.parts @ directions)).reshape(-1, directions.shape[1])
         return self.flat[:, :-1].T @ curved
 
 
-def _derivatives(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients (m, 3) and Hessians (m, 3, 3) of the barriers in (s, t1, t2)."""
-    inside = _insides(x)
-    slopes = -2.0 * (_SIGNS * x) / inside[:, None]
-    curvatures = slopes[:, :, None] * slopes[:, None, :] - (2.0 / inside)[:, None, None] * np.diag(_SIGNS)
-    return slopes, curvatures
-
-
-def _insides(x: np.ndarray) -> np.ndarray:
-    """(m,) s^2 - |t|^2, without the cancellation near the boundary."""
+def _curvatures(x: np.ndarray) -> np.ndarray:
+    """(m, 3, 3) Hessians of the barriers in (s, t1, t2)."""
     length = np.hypot(x[:, 1], x[:, 2])
-    return (x[:, 0] - length) * (x[:, 0] + length)
+    # s^2 - |t|^2 without the cancellation near the boundary
+    inside = (x[:, 0] - length) * (x[:, 0] + length)
+    slopes = -2.0 * (_SIGNS * x) / inside[:, None]
+    return slopes[:, :, None] * slopes[:, None, :] - (2.0 / inside)[:, None, None] * np.diag(_SIGNS)
 
 
-def _way(x: np.ndarray, dx: np.ndarray) -> float:
-    """Largest step along dx (m, 3) from x (m, 3) that stays inside all cones, at most 1 / `_TO_BOUNDARY`."""
-    a = (dx * dx) @ _SIGNS
-    b = (x * dx) @ _SIGNS
-    c = _insides(x)
-    # a w^2 + 2 b w + c = 0, the least positive root, as c / (-b + sqrt(b^2 - a c)); none where that is not positive.
-    # From inside b^2 >= a c; they are equal in cones without tangents, but for rounding.
-    root = np.sqrt(np.maximum(b * b - a * c, 0.0))
-    below = root - b
-    way = np.divide(c, below, out=np.full_like(c, np.inf), where=below > 0.0)
-    return float(min(way.min(), 1.0 / _TO_BOUNDARY))
-
-
-def _minimise(barriers: _Barriers, point: np.ndarray, pressure: float | None) -> np.ndarray:
-    """Newton with backtracking on barriers + |z|^2 / 2 + pressure times the enlargement, which None keeps fixed."""
-    free = point.size if pressure is not None else point.size - 1
-    force = pressure or 0.0
-
-    def cost(point: np.ndarray, x: np.ndarray) -> float:
-        return float(0.5 * (point[:-1] @ point[:-1]) + force * point[-1] - np.log(_insides(x)).sum())
-
-    for _ in range(_NEWTON_STEPS):
-        gradient, hessian = barriers.derivatives(point)
-        gradient[:-1] += point[:-1]
-        gradient[-1] += force
-        hessian.flat[: -1 : point.size + 1] += 1.0
-        step = np.zeros_like(point)
-        try:
-            step[:free] = -np.linalg.solve(hessian[:free, :free], gradient[:free])
-        except np.linalg.LinAlgError:
-            # so near the rim that round-off decides
-            break
-        decrement = -float(gradient @ step)
-        if not decrement > _CONVERGED:
-            break
-        x = barriers.at(point)
-        dx = (barriers.flat @ step).reshape(x.shape)
-        size, before = _TO_BOUNDARY * _way(x, dx), cost(point, x)
-        for _ in range(_BACKTRACKS):
-            after = x + size * dx
-            within = bool((after[:, 0] > np.hypot(after[:, 1], after[:, 2])).all())
-            if within and cost(point + size * step, after) <= before - 0.1 * size * decrement:
-                break
-            size *= 0.5
-        else:
-            break
-        point = point + size * step
-        if pressure is not None and point[-1] < -_INSIDE:
-            break
-    return point
+def _minimise(barriers: _Barriers, point: np.ndarray, pressure: float = 0.0) -> np.ndarray:
+    """The lowest point of barriers + |z|^2 / 2 + pressure times the enlargement, see `minimise`, from one inside."""
+    found, flat = point.copy(), barriers.flat
+    scratch = np.empty((SCRATCH_ROWS, max(flat.shape)))
+    minimise(flat, barriers.start.ravel(), found, pressure, np.empty((point.size, point.size)), scratch)
+    return found

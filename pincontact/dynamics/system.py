@@ -13,8 +13,8 @@ from ..callback import kernel_address
 from ..contacts import characteristic_length
 from ..contours.motion import MOTION_CALLABLE, MOTION_NONE, MOTION_TWIST, motion_at
 from ..contours.sizes import DERIVATIVE_ROWS, MOTION_PARAMETERS, MOTION_SIZE, SHAPE_SIZE
-from ..errors import UnusableResult
-from ..friction.laws import Stribeck
+from ..errors import FrictionError, UnusableResult
+from ..friction.laws import FrictionLaw, Stribeck
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import NO_CLOSED_FORM, closed_form
 from ..geometry.patterns import NO_NORMAL
@@ -255,6 +255,7 @@ class System(Workspace):
         self.scratch("whitened_forces", rows, nv)
         self.scratch("delassus", rows, rows + 1)
         self.scratch("multipliers", rows)
+        self.scratch("right_side", rows)
         self.scratch("row_index", rows, 2)
         self.scratch("permutation", rows)
         self.zeros("state", ny)
@@ -507,6 +508,13 @@ def _map_friction(contact: Contact, integers: np.ndarray, numbers: np.ndarray) -
     numbers[ASPECT] = numbers[STRETCH_11] = numbers[STRETCH_22] = 1.0
     if law is None:
         return
+    # laws whose coefficient the kernels evaluate as a function of speed: Stribeck and what only derives from it
+    curve = Stribeck if isinstance(law, Stribeck) else FrictionLaw
+    if type(law).coefficient is not curve.coefficient or (curve is FrictionLaw and law.onset != law.sliding):
+        raise FrictionError(
+            f"contact {contact.name!r}: no kernel computes the coefficient of {type(law).__name__}, which depends on "
+            "slip speed"
+        )
     numbers[MU] = numbers[MU_NOW] = law.onset
     numbers[MU_FAST], numbers[MU_STATIC] = law.sliding, law.sticking
     numbers[VISCOUS], numbers[SPINNING], numbers[ROLLING] = law.viscous, law.spinning, law.rolling

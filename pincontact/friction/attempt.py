@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from ..arrays import view
-from ..jit import INTEGER, REAL, SEVERAL, entry_kernel, kernel
+from ..arrays import REALS, array_type, view
+from ..callback import separate_kernel
+from ..jit import INTEGER, REAL, entry_kernel, kernel
 from .cone import (
     BY_EXACT,
     BY_GAUSS_SEIDEL,
     BY_WARM,
     CHOICES,
+    CONE,
     DECIDED,
     FOLLOWS,
     HUGE,
     KNOWN,
     PASSES,
     RANK_TOLERANCE,
+    SEARCHED,
     SLIP,
     STICK,
     TIMES,
@@ -26,7 +29,7 @@ from .cone import (
     scale_problem,
 )
 from .elimination import factor_matrix
-from .newton import NewtonWork, active_set_solve
+from .newton import active_set_solve
 from .redundant import FACTOR
 
 WARM, CLASSIFY, NEAR, CLASSIFY_NEAR, USUAL = 0, 1, 2, 3, 4
@@ -47,44 +50,32 @@ STRICTNESS = 0.01
 AT_REST = 1e-9
 
 
-@kernel
-def attempt(delassus, b, mu, cone, task, passes, tolerance, sweeps, rounds):
-    """A start of one kind, see `solve_cones`; returns the residual and whether one contact's states were all tried."""
+_MATRIX, _VECTOR = array_type(REALS, 2), array_type(REALS, 1)
+
+
+@separate_kernel(REAL, CONE.type, _MATRIX, _VECTOR, _VECTOR, INTEGER, INTEGER, REAL, INTEGER, INTEGER)
+def attempt(cone, delassus, b, mu, task, passes, tolerance, sweeps, rounds):
+    """A start of one kind, see `solve_cones`; returns the residual."""
     n = mu.shape[0]
     rows = 3 * n
     modes = cone.modes
     forces = cone.forces
     velocities = cone.velocities
     counts = cone.counts
-    g = cone.scaled
-    vectors = cone.vectors
-    c = vectors[0]
-    f = vectors[1]
-    u = vectors[2]
-    start = vectors[3]
-    scalars = cone.scalars
-    scale = scalars[0]
-    trials = cone.trial
-    trial = trials[0]
-    low_rank = cone.low_rank
-    work = NewtonWork(
-        scalars[1], cone.directions, scalars[2], scalars[3], scalars[4], scalars[5], cone.system, vectors[4],
-        vectors[5], vectors[6], cone.gram, cone.order, cone.first, scalars[6], vectors[7], low_rank, cone.angles,
-        start, trials[1],
-    )  # fmt: skip
-
+    g, c, f, u, start = cone.scaled, cone.c, cone.f, cone.u, cone.start
+    scale, trial, touching = cone.scale, cone.trial_modes, cone.touching
     unit = scale_problem(delassus, b, n, g, c, scale, u)
     for i in range(n):
         trial[i] = modes[i]
         for k in range(3 * i, 3 * i + 3):
             f[k] = forces[k] / (scale[i] * unit)
         still = AT_REST * unit / scale[i]
-        trials[2, i] = 0
+        touching[i] = 0
         if task == NEAR and abs(velocities[3 * i + 2]) <= still:
-            trials[2, i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1
+            touching[i] = 2 if abs(velocities[3 * i]) + abs(velocities[3 * i + 1]) <= still else 1
     swept = task in (CLASSIFY, CLASSIFY_NEAR)
     near = 2 if n > 1 and task in (NEAR, CLASSIFY_NEAR) else 0
-    rank = factor_matrix(g, low_rank[FACTOR], vectors[7], RANK_TOLERANCE) if n > 1 else 0
+    rank = factor_matrix(g, cone.low_rank[FACTOR], cone.rhs, RANK_TOLERANCE) if n > 1 else 0
     residual = HUGE
     tried = directions = 0
     follows = False
@@ -94,12 +85,12 @@ def attempt(delassus, b, mu, cone, task, passes, tolerance, sweeps, rounds):
                 for k in range(rows):
                     f[k] = start[k]
                 sweeps *= SWEEP_GROWTH
-            respond(g, c, f, u, work.size, vectors[4])
+            respond(g, c, f, u, cone.size, cone.rhs)
             for _ in range(sweeps):
                 gauss_seidel_pass(g, mu, f, u)
             classify(mu, f, u, trial)
         result, used, tried, directions, follows = active_set_solve(
-            g, c, mu, trial, f, u, passes, tolerance, near, trials[2], rank, work
+            cone, g, c, mu, trial, f, u, passes, tolerance, near, touching, rank
         )
         counts[PASSES] = used
         residual = min(residual, result)
@@ -112,7 +103,8 @@ def attempt(delassus, b, mu, cone, task, passes, tolerance, sweeps, rounds):
             for k in range(3 * i, 3 * i + 3):
                 forces[k] = f[k] * (scale[i] * unit)
                 velocities[k] = u[k] * unit / scale[i]
-    return residual, tried > 1
+    counts[SEARCHED] = 1 if tried > 1 else 0
+    return residual
 
 
 @kernel
@@ -140,14 +132,14 @@ def usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance):
             modes[0] = STICK
         counts[TRIED] += 1
         passes = NEWTON_PASSES if n == 1 else WARM_PASSES
-        residual, searched = attempt(delassus, b, mu, cone, NEAR if nearest else WARM, passes, tolerance, 0, 1)
+        residual = attempt(cone, delassus, b, mu, NEAR if nearest else WARM, passes, tolerance, 0, 1)
         if residual <= tolerance:
-            counts[DECIDED] = BY_WARM if known and not searched else BY_EXACT
+            counts[DECIDED] = BY_WARM if known and counts[SEARCHED] == 0 else BY_EXACT
     if not residual <= tolerance and sweeping:
         task = CLASSIFY_NEAR if nearest else CLASSIFY
         sweeps = SWEEPS + SWEEPS_PER_CONTACT * n
         strict = STRICTNESS * tolerance
-        residual, searched = attempt(delassus, b, mu, cone, task, SWEEP_NEWTON_PASSES, strict, sweeps, SWEEP_ROUNDS)
+        residual = attempt(cone, delassus, b, mu, task, SWEEP_NEWTON_PASSES, strict, sweeps, SWEEP_ROUNDS)
         counts[DECIDED] = BY_GAUSS_SEIDEL
         tolerance = strict
     reached[0] = residual
@@ -158,7 +150,7 @@ def usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance):
     return residual
 
 
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, INTEGER, INTEGER, REAL, INTEGER, INTEGER, when=SEVERAL)
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, INTEGER, INTEGER, REAL, INTEGER, INTEGER)
 def solve_cones(delassus, b, mu, address, task, passes, tolerance, sweeps, rounds):
     """Forces and velocities of n contacts from what is known of them; returns the residual.
 
@@ -185,5 +177,4 @@ def _solve(delassus, b, mu, cone, task, passes, tolerance, sweeps, rounds):
     if task >= USUAL:
         nearest, sweeping, afresh = (task & NEAREST) != 0, (task & SWEEPING) != 0, (task & AFRESH) != 0
         return usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance)
-    residual, _ = attempt(delassus, b, mu, cone, task, passes, tolerance, sweeps, rounds)
-    return residual
+    return attempt(cone, delassus, b, mu, task, passes, tolerance, sweeps, rounds)

@@ -51,7 +51,8 @@ HUGE = 1e300
 LEAST_FRICTION, LARGEST_FRICTION = 1e-6, 1e2
 
 
-# Arrays that `attempt.solve_cones` works in, by name.
+# What the solvers work in, by name; rows = 3n. But for what goes in and out, the problem is without units. Of slipping
+# contacts: direction of slip (by twos), length of the force, speed.
 CONE = Layout(
     "cone",
     modes=(INTEGERS, 1),  # (n,) in and out
@@ -63,20 +64,37 @@ CONE = Layout(
     system=(REALS, 2),  # (3n + 1, 3n + 1) Newton's matrix
     gram=(REALS, 2),  # (3n + 1, 3n + 1)
     low_rank=(REALS, 3),  # (4, 3n + 5, 3n), see `redundant`
-    vectors=(REALS, 2),  # (8, 3n)
-    scalars=(REALS, 2),  # (8, n)
-    directions=(REALS, 1),  # (2n,) of slip
-    angles=(REALS, 1),  # (CANDIDATES,)
+    c=(REALS, 1),  # (3n,) b
+    f=(REALS, 1),  # (3n,) forces
+    u=(REALS, 1),  # (3n,) velocities, g f + c
+    start=(REALS, 1),  # (3n,) forces begun from
+    rhs=(REALS, 1),  # (3n,) of Newton's equations
+    x=(REALS, 1),  # (3n,) their unknowns
+    row=(REALS, 1),  # (3n,) scratch
+    shift=(REALS, 1),  # (3n,) see `redundant.tilt_factor`
+    scale=(REALS, 1),  # (n,) factors from the forces to their units
+    size=(REALS, 1),  # (n,) of the terms in u
+    length=(REALS, 1),  # (n,)
+    speed=(REALS, 1),  # (n,)
+    sine=(REALS, 1),  # (n,) of the cones' half angles
+    cosine=(REALS, 1),  # (n,)
+    arc=(REALS, 1),  # (n,) by how much slips turn in a step
+    direction=(REALS, 1),  # (2n,)
+    angles=(REALS, 1),  # (CANDIDATES,) of slip of a single contact
     order=(INTEGERS, 1),  # (3n + 1,) permutation of the elimination
     first=(INTEGERS, 1),  # (n + 1,) first unknown of each contact
-    trial=(INTEGERS, 2),  # (3, n) modes tried, modes started from, which contacts touched
+    trial_modes=(INTEGERS, 1),  # (n,)
+    start_modes=(INTEGERS, 1),  # (n,)
+    touching=(INTEGERS, 1),  # (n,) see `newton.close_touching`
     homotopy=(REALS, 2),  # (8, 3n + 1) point, tangent, ... of `homotopy.follow_homotopy`
+    path=(REALS, 2),  # (4, 3n) r, gap, weight, ... of the same
 )
 cone_at = CONE.at
 # In "counts": Newton passes of the last start; whether modes and forces are a solution, to begin from; what decided the
 # last problem; how often there was something to begin from; in how many directions the last solution's forces may
-# change, and whether they depend on those that it was begun from; how often each of the deciders did.
-PASSES, KNOWN, DECIDED, TRIED, CHOICES, FOLLOWS, TIMES = range(7)
+# change, and whether they depend on those that it was begun from; whether all states of a single contact were tried;
+# how often each of the deciders did.
+PASSES, KNOWN, DECIDED, TRIED, CHOICES, FOLLOWS, SEARCHED, TIMES = range(8)
 DECIDERS = ("warm", "exact", "sweeps", "path", "qp")
 BY_WARM, BY_EXACT, BY_GAUSS_SEIDEL, BY_HOMOTOPY, BY_QP = range(len(DECIDERS))
 UNDECIDED = -1
@@ -96,14 +114,18 @@ def cone_workspace(contacts: int) -> Workspace:
     space.scratch("system", rows + 1, rows + 1)
     space.scratch("gram", rows + 1, rows + 1)
     space.scratch("low_rank", 4, rows + 5, rows)
-    space.scratch("vectors", 8, rows)
-    space.scratch("scalars", 8, contacts)
-    space.scratch("directions", 2 * contacts)
+    for name in ("c", "f", "u", "start", "rhs", "x", "row", "shift"):
+        space.scratch(name, rows)
+    for name in ("scale", "size", "length", "speed", "sine", "cosine", "arc"):
+        space.scratch(name, contacts)
+    space.scratch("direction", 2 * contacts)
     space.scratch("angles", CANDIDATES)
     space.scratch("order", rows + 1)
     space.scratch("first", contacts + 1)
-    space.scratch("trial", 3, contacts)
+    for name in ("trial_modes", "start_modes", "touching"):
+        space.scratch(name, contacts)
     space.scratch("homotopy", 8, rows + 1)
+    space.scratch("path", 4, rows)
     return space
 
 

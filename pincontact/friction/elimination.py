@@ -10,7 +10,9 @@ from math import sqrt
 
 import numpy as np
 
-from ..jit import kernel
+from ..arrays import INTEGERS, REALS, array_type
+from ..callback import separate_kernel
+from ..jit import INTEGER, REAL, kernel
 
 # Unsigned: an index that cannot be negative is not looked at for that.
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
@@ -61,7 +63,10 @@ def dot(x, y):
     return (first + second) + (third + fourth)
 
 
-@kernel
+_MATRIX, _VECTOR = array_type(REALS, 2), array_type(REALS, 1)
+
+
+@separate_kernel(INTEGER, _MATRIX, _VECTOR, INTEGER, INTEGER, _VECTOR, _MATRIX, array_type(INTEGERS, 1), REAL)
 def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
     """x (n,) of least norm with a x = rhs for a consistent system that may be singular; returns the rank.
 

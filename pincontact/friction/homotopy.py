@@ -38,6 +38,8 @@ ESCAPED = 1e6
 SHORTEST_STEP, ROUND_OFF_STEP = 1e-8, 1e-13
 # Of the terms that cancel in y.
 ROUND_OFF = 1e-14
+# Rows of `cone.path`: of the problem, what is left of y's equation, units of forces, y's change along the path.
+_R, _GAP, _WEIGHT, _SLOPE = range(4)
 
 
 @kernel
@@ -161,16 +163,13 @@ def homotopy_slope(a, r, saxce, x, y, change, slope):
 
 @kernel
 def circular_problem(delassus, b, mu, size, cone):
-    """The problem in circular cones (`cone_units`) into `cone.scaled`, and c, r, weight into the first rows of
-    `cone.vectors`; returns the units of forces in them, the second that of the
-    scaled problem."""
+    """The problem in circular cones (`cone_units`) into `cone.scaled`, `cone.c`, r and weight; returns the units of
+    forces in them, the second that of the scaled problem."""
     n = mu.shape[0]
     rows = 3 * n
     g = cone.scaled
-    c = cone.vectors[0]
-    r = cone.vectors[1]
-    weight = cone.vectors[3]
-    largest = scale_problem(delassus, b, n, g, c, cone.scalars[0], r)
+    c, r, weight = cone.c, cone.path[_R], cone.path[_WEIGHT]
+    largest = scale_problem(delassus, b, n, g, c, cone.scale, r)
     unit = cone_units(g, c, mu, weight) / size
     for k in range(rows):
         c[k] *= weight[k] / unit
@@ -193,7 +192,7 @@ def correct_point(tube, saxce, cone):
     how many it took into the tube, -1 where these are not enough."""
     rows = cone.forces.shape[0]
     g, system = cone.scaled, cone.system
-    c, r, gap, h = cone.vectors[0], cone.vectors[1], cone.vectors[2], cone.vectors[4]
+    c, r, gap, h = cone.c, cone.path[_R], cone.path[_GAP], cone.rhs
     point = cone.homotopy
     tangent, ahead, change, rhs = point[1], point[2], point[3], point[4]
     y_ahead = point[7][:rows]
@@ -237,7 +236,6 @@ def follow_homotopy(delassus, b, mu, address, target, tube, size, saxce, steps):
     delassus, b, mu = view(delassus), view(b), view(mu)
     n = mu.shape[0]
     rows = 3 * n
-    vectors = cone.vectors
     g = cone.scaled
     system = cone.system
     point = cone.homotopy
@@ -249,8 +247,7 @@ def follow_homotopy(delassus, b, mu, address, target, tube, size, saxce, steps):
     memory = point[5]
     y = point[6][:rows]
     y_ahead = point[7][:rows]
-    r = vectors[1]
-    slope = vectors[5]
+    r, weight, slope = cone.path[_R], cone.path[_WEIGHT], cone.path[_SLOPE]
     unit, largest = circular_problem(delassus, b, mu, size, cone)
     if target == 1.0:
         for k in range(rows + 1):
@@ -316,5 +313,5 @@ def follow_homotopy(delassus, b, mu, address, target, tube, size, saxce, steps):
             return HUGE
     memory[0] = longest
     for k in range(rows):
-        cone.forces[k] = x[k] * vectors[3][k] * unit * cone.scalars[0][k // 3] * largest
+        cone.forces[k] = x[k] * weight[k] * unit * cone.scale[k // 3] * largest
     return x[rows]

@@ -57,6 +57,9 @@ def _last(value: Coefficient) -> float:
 class FrictionLaw(ABC):
     """What limits the tangential force of a contact; base class of all laws.
 
+    Laws derived from it elsewhere have constant coefficients: a law whose `coefficient` is its own, or whose `onset`
+    is not `sliding`, is refused where it would be evaluated, since kernels compute coefficients.
+
     A contact without a law (None) is frictionless. Of two directions, coefficients are those along the first; `aspect`
     is what they are times across it.
 

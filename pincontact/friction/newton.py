@@ -6,11 +6,10 @@ All states of a single contact are tried, if need be: no search is left to other
 from __future__ import annotations
 
 from math import atan2, cos, pi, sin
-from typing import NamedTuple
 
-import numpy as np
-
-from ..jit import kernel
+from ..arrays import REALS, array_type
+from ..callback import separate_kernel
+from ..jit import CALLED, INTEGER, REAL, kernel
 from .cone import (
     CANDIDATES,
     HUGE,
@@ -38,40 +37,14 @@ STALLED = 0.5
 # Directions tried in the scan for a single contact's slip; the function scanned has four zeros at most.
 SCAN = 64
 
-
-class NewtonWork(NamedTuple):
-    """What Newton's steps work in, for n contacts in scaled units; rows = 3n.
-
-    Of slipping contacts: direction of slip (by twos), length of the force, speed. first: the first unknown of each
-    contact. arc: by how much slips turn in a step. low_rank: see `redundant`.
-    """
-
-    size: np.ndarray  # (n,) of the terms in u
-    direction: np.ndarray  # (2n,)
-    length: np.ndarray  # (n,)
-    speed: np.ndarray  # (n,)
-    sine: np.ndarray  # (n,) of the cones' half angles
-    cosine: np.ndarray  # (n,)
-    a: np.ndarray  # (rows, rows) Newton's matrix
-    rhs: np.ndarray  # (rows,)
-    x: np.ndarray  # (rows,) unknowns
-    row: np.ndarray  # (rows,) scratch
-    gram: np.ndarray  # (rows + 1, rows)
-    order: np.ndarray  # (rows,)
-    first: np.ndarray  # (n + 1,)
-    arc: np.ndarray  # (n,)
-    shift: np.ndarray  # (rows,)
-    low_rank: np.ndarray  # (4, rows + 5, rows)
-    angles: np.ndarray  # (CANDIDATES,) of slip of a single contact
-    start: np.ndarray  # (rows,) forces begun from
-    start_modes: np.ndarray  # (n,)
+_VECTOR = array_type(REALS, 1)
 
 
 @kernel
-def write_system(g, source, mu, modes, work):
+def write_system(cone, g, source, mu, modes):
     """Newton's matrix and right-hand side of the unknowns that `first` counts, see `newton_step`."""
-    direction, length, speed, sine, cosine = work.direction, work.length, work.speed, work.sine, work.cosine
-    a, rhs, row_of_g, first = work.a, work.rhs, work.row, work.first
+    direction, length, speed, sine, cosine = cone.direction, cone.length, cone.speed, cone.sine, cone.cosine
+    a, rhs, row_of_g, first = cone.system, cone.rhs, cone.row, cone.first
     n = mu.shape[0]
     for i in range(n):
         k = 3 * i
@@ -116,7 +89,7 @@ def write_system(g, source, mu, modes, work):
 
 
 @kernel
-def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, work):
+def newton_step(cone, g, c, mu, modes, f, u, refine, near, start, rank):
     """One Newton step on the equations of the modes; f (3n,) is updated, and the slips' directions and lengths.
 
     Unknown are f at sticking contacts and, at slipping ones, the length of the force and its turning (as an arc).
@@ -124,8 +97,8 @@ def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, work):
     the cones they are moved inside, near to start (3n,). rank: of the matrix factors in `redundant`, or 0.
     Returns how many directions there are in which the forces may change, and whether they were moved.
     """
-    direction, length, speed, sine, cosine = work.direction, work.length, work.speed, work.sine, work.cosine
-    x, aim, first, arc = work.x, work.row, work.first, work.arc
+    direction, length, speed, sine, cosine = cone.direction, cone.length, cone.speed, cone.sine, cone.cosine
+    x, aim, first, arc = cone.x, cone.row, cone.first, cone.arc
     n = mu.shape[0]
     first[0] = 0
     for i in range(n):
@@ -143,10 +116,10 @@ def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, work):
     source = u if refine else c
     factored = has_factors(rank, first[n], mu, modes, length, speed, sine)
     if factored:
-        found = low_rank_solve(rank, source, modes, work)
+        found = low_rank_solve(cone, rank, source, modes)
     else:
-        write_system(g, source, mu, modes, work)
-        found = least_norm(work.a, work.rhs, first[n], first[n], x, work.gram, work.order, RANK_TOLERANCE)
+        write_system(cone, g, source, mu, modes)
+        found = least_norm(cone.system, cone.rhs, first[n], first[n], x, cone.gram, cone.order, RANK_TOLERANCE)
     free = first[n] - found
     if refine:
         for i in range(n):
@@ -156,7 +129,7 @@ def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, work):
                     x[row + r] += f[3 * i + r]
             elif modes[i] == SLIP:
                 x[row] += length[i]
-    moved = near and free > 0 and move_inside(found, mu, modes, f if refine else start, work)
+    moved = near and free > 0 and move_inside(cone, found, mu, modes, f if refine else start)
 
     for i in range(n):
         k = 3 * i
@@ -170,7 +143,7 @@ def newton_step(g, c, mu, modes, f, u, refine, near, start, rank, work):
             aim[k + 1] = -sine[i] * pushed * direction[2 * i + 1]
             aim[k + 2] = cosine[i] * pushed
     if factored:
-        turn_slips(rank, source, mu, modes, f, refine, work)
+        turn_slips(cone, rank, source, mu, modes, f, refine)
     for k in range(3 * n):
         f[k] = aim[k]
     for i in range(n):
@@ -253,7 +226,7 @@ def slip_equation(g, c, mu, angle):
     return equation, stiffness, d1, d2
 
 
-@kernel
+@separate_kernel(INTEGER, array_type(REALS, 2), _VECTOR, REAL, _VECTOR, when=CALLED)
 def slip_angles(g, c, mu, angles):
     """Angles of d at which one contact (3 x 3) may slip, into angles (at least `CANDIDATES`,); returns how many.
 
@@ -297,19 +270,19 @@ def slip_angles(g, c, mu, angles):
 
 
 @kernel
-def start_slips(mu, modes, f, u, work):
+def start_slips(cone, mu, modes, f, u):
     """Directions, force lengths and speeds with which slips start; none for other contacts."""
     for i in range(mu.shape[0]):
-        work.length[i] = 0.0
-        work.speed[i] = 0.0
-        work.direction[2 * i] = 1.0
-        work.direction[2 * i + 1] = 0.0
+        cone.length[i] = 0.0
+        cone.speed[i] = 0.0
+        cone.direction[2 * i] = 1.0
+        cone.direction[2 * i + 1] = 0.0
         if modes[i] == SLIP:
-            work.length[i], work.speed[i] = start_slip(3 * i, mu[i], f, u, work.direction, i)
+            cone.length[i], cone.speed[i] = start_slip(3 * i, mu[i], f, u, cone.direction, i)
 
 
 @kernel
-def active_set_solve(g, c, mu, modes, f, u, passes, tolerance, near, touching, rank, work):
+def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touching, rank):
     """Newton's method with modes corrected after each step, from modes (n,) and f (3n,); returns the residual, Newton
     passes used, starts tried, in how many directions forces may change, and whether these depend on those begun from.
 
@@ -320,8 +293,8 @@ def active_set_solve(g, c, mu, modes, f, u, passes, tolerance, near, touching, r
     tried until the residual is below the tolerance: open, stick, and slip along each of `slip_angles`.
     touching (n,): see `close_touching`, of use if near > 0; rank: see `newton_step`.
     """
-    size, direction, length, speed = work.size, work.direction, work.length, work.speed
-    sine, cosine, start, start_modes = work.sine, work.cosine, work.start, work.start_modes
+    size, direction, length, speed = cone.size, cone.direction, cone.length, cone.speed
+    sine, cosine, start, start_modes = cone.sine, cone.cosine, cone.start, cone.start_modes
     n = mu.shape[0]
     for i in range(n):
         sine[i], cosine[i] = cone_angle(mu[i])
@@ -340,8 +313,8 @@ def active_set_solve(g, c, mu, modes, f, u, passes, tolerance, near, touching, r
             modes[0] = OPEN if attempts == 2 else STICK
         elif attempts > 3:
             if attempts == 4:
-                candidates = slip_angles(g, c, mu[0], work.angles)
-            _, stiffness, d1, d2 = slip_equation(g, c, mu[0], work.angles[attempts - 4])
+                candidates = slip_angles(g, c, mu[0], cone.angles)
+            _, stiffness, d1, d2 = slip_equation(g, c, mu[0], cone.angles[attempts - 4])
             force = -c[2] / stiffness if c[2] * stiffness < 0.0 else 0.0
             modes[0] = SLIP
             f[0] = -sine[0] * force * d1
@@ -353,8 +326,8 @@ def active_set_solve(g, c, mu, modes, f, u, passes, tolerance, near, touching, r
             slipping = slipping or modes[i] == SLIP
         refine = attempts == 1 or near == 1
         if slipping or refine:
-            respond(g, c, f, u, size, work.x)
-        start_slips(mu, modes, f, u, work)
+            respond(g, c, f, u, size, cone.x)
+        start_slips(cone, mu, modes, f, u)
 
         residual = HUGE
         again = False
@@ -362,7 +335,7 @@ def active_set_solve(g, c, mu, modes, f, u, passes, tolerance, near, touching, r
         follows = refine
         for k in range(passes):
             before = residual
-            open_directions, moved = newton_step(g, c, mu, modes, f, u, refine, near > 0, start, rank, work)
+            open_directions, moved = newton_step(cone, g, c, mu, modes, f, u, refine, near > 0, start, rank)
             follows = (follows and refine) or moved
             if near > 0 and open_directions == 0:
                 # nothing to choose
@@ -370,7 +343,7 @@ def active_set_solve(g, c, mu, modes, f, u, passes, tolerance, near, touching, r
                 again = closed
                 if again:
                     break
-            respond(g, c, f, u, size, work.x)
+            respond(g, c, f, u, size, cone.x)
             residual = natural_map_residual(mu, f, u, size)
             stalled = residual > STALLED * before
             if residual <= ROUND_OFF:

@@ -19,8 +19,10 @@ from __future__ import annotations
 
 from math import sqrt
 
-from ..jit import kernel
-from .cone import HUGE, LARGEST_FRICTION, RANK_TOLERANCE, SLIP, STICK
+from ..arrays import INTEGERS, REALS, array_type
+from ..callback import separate_kernel
+from ..jit import BOOLEAN, INTEGER, SEVERAL, kernel
+from .cone import CONE, HUGE, LARGEST_FRICTION, RANK_TOLERANCE, SLIP, STICK
 from .elimination import dot, factor_gram, largest_entry, least_norm, solve_gram, subtract_row
 
 FACTOR, TILTED, ROWS, BENT = range(4)
@@ -65,15 +67,15 @@ def has_factors(rank, unknowns, mu, modes, length, speed, sine):
 
 
 @kernel
-def tilt_factor(rank, source, modes, work):
+def tilt_factor(cone, rank, source, modes):
     """The factor in the metric that the springs of turning slips make (module docstring), and, in shift (rank,), what
     their turning does; arc (n,): the springs."""
-    direction, arc, shift, gram = work.direction, work.arc, work.shift, work.gram
-    factor, tilted = work.low_rank[FACTOR], work.low_rank[TILTED]
+    direction, arc, shift, gram = cone.direction, cone.arc, cone.shift, cone.gram
+    factor, tilted = cone.low_rank[FACTOR], cone.low_rank[TILTED]
     n = modes.shape[0]
     bent = False
     for i in range(n):
-        arc[i] = spring(i, work.length, work.speed, work.sine) if modes[i] == SLIP else 0.0
+        arc[i] = spring(i, cone.length, cone.speed, cone.sine) if modes[i] == SLIP else 0.0
         bent = bent or arc[i] > 0.0
     for k in range(rank):
         shift[k] = 0.0
@@ -81,7 +83,7 @@ def tilt_factor(rank, source, modes, work):
             tilted[k, j] = factor[k, j]
     if not bent:
         return
-    across = work.rhs
+    across = cone.rhs
     for k in range(rank):
         for j in range(k + 1):
             gram[k, j] = 1.0 if j == k else 0.0
@@ -156,20 +158,23 @@ def solve_product(rows, a, rhs, rank, unknowns, x):
     return equations
 
 
-@kernel
-def low_rank_solve(rank, source, modes, work):
+_VECTOR, _MODES = array_type(REALS, 1), array_type(INTEGERS, 1)
+
+
+@separate_kernel(INTEGER, CONE.type, INTEGER, _VECTOR, _MODES, when=SEVERAL)
+def low_rank_solve(cone, rank, source, modes):
     """Newton's step with the factors: x of least norm of what `first` counts, one unknown for a slip; returns its rank.
 
     source (3n,): what u is without x, see `newton_step`. `turn_slips` is the rest of the step.
     """
-    direction, first, a, rhs, shift = work.direction, work.first, work.a, work.rhs, work.shift
-    tilted, rows = work.low_rank[TILTED], work.low_rank[ROWS]
+    direction, first, a, rhs, shift = cone.direction, cone.first, cone.system, cone.rhs, cone.shift
+    tilted, rows = cone.low_rank[TILTED], cone.low_rank[ROWS]
     n = modes.shape[0]
     first[0] = 0
     for i in range(n):
         first[i + 1] = first[i] + (3 if modes[i] == STICK else 1 if modes[i] == SLIP else 0)
     unknowns = first[n]
-    tilt_factor(rank, source, modes, work)
+    tilt_factor(cone, rank, source, modes)
     # equations rows^T a x = rhs
     for k in range(rank):
         t = tilted[k]
@@ -182,21 +187,21 @@ def low_rank_solve(rank, source, modes, work):
             elif modes[i] == SLIP:
                 along = direction[2 * i] * t[3 * i] + direction[2 * i + 1] * t[3 * i + 1]
                 rows[k, row] = t[3 * i + 2]
-                a[k, row] = work.cosine[i] * t[3 * i + 2] - work.sine[i] * along
+                a[k, row] = cone.cosine[i] * t[3 * i + 2] - cone.sine[i] * along
     for i in range(n):
         for r in range(first[i], first[i + 1]):
             rhs[r] = -source[3 * i + (r - first[i] if modes[i] == STICK else 2)]
     for k in range(rank):
         subtract_row(rhs[:unknowns], rows[k, :unknowns], shift[k])
-    equations = solve_product(rows, a, rhs, rank, unknowns, work.x)
-    return least_norm(a, rhs, equations, unknowns, work.x, work.gram, work.order, RANK_TOLERANCE)
+    equations = solve_product(rows, a, rhs, rank, unknowns, cone.x)
+    return least_norm(a, rhs, equations, unknowns, cone.x, cone.gram, cone.order, RANK_TOLERANCE)
 
 
 @kernel
-def turn_slips(rank, source, mu, modes, f, refine, work):
-    """arc (n,): by how much slips turn in a step of `low_rank_solve` to the forces in work.row, not turned yet."""
-    direction, length, speed, sine = work.direction, work.length, work.speed, work.sine
-    aim, arc, shift, tilted = work.row, work.arc, work.shift, work.low_rank[TILTED]
+def turn_slips(cone, rank, source, mu, modes, f, refine):
+    """arc (n,): by how much slips turn in a step of `low_rank_solve` to the forces in cone.row, not turned yet."""
+    direction, length, speed, sine = cone.direction, cone.length, cone.speed, cone.sine
+    aim, arc, shift, tilted = cone.row, cone.arc, cone.shift, cone.low_rank[TILTED]
     n = mu.shape[0]
     for k in range(rank):
         shift[k] += dot(tilted[k], aim)
@@ -285,10 +290,10 @@ def bend(rank, mu, modes, first, z, aim, margin, rows, bent):
 
 
 @kernel
-def orthonormal_equations(rank, unknowns, work):
+def orthonormal_equations(cone, rank, unknowns):
     """The equations that `least_norm` has left in a and gram, as orthonormal rows (rank, unknowns) in ROWS, unknowns in
     their own order."""
-    rows, a, gram, order = work.low_rank[ROWS], work.a, work.gram, work.order
+    rows, a, gram, order = cone.low_rank[ROWS], cone.system, cone.gram, cone.order
     for k in range(rank):
         for j in range(unknowns):
             rows[k, order[j]] = a[k, j] if j >= k else 0.0
@@ -299,10 +304,10 @@ def orthonormal_equations(rank, unknowns, work):
 
 
 @kernel
-def nearest_unknowns(modes, last, slides, nearest, work):
+def nearest_unknowns(cone, modes, last, slides, nearest):
     """The unknowns that are sought near: those of the forces last (3n,), none where everything slides. Returns the sum
     of the loads in x, and how many there are."""
-    x, first, direction, sine, cosine = work.x, work.first, work.direction, work.sine, work.cosine
+    x, first, direction, sine, cosine = cone.x, cone.first, cone.direction, cone.sine, cone.cosine
     load = 0.0
     loads = 0
     for i in range(modes.shape[0]):
@@ -325,8 +330,8 @@ def nearest_unknowns(modes, last, slides, nearest, work):
     return load, loads
 
 
-@kernel
-def move_inside(rank, mu, modes, last, work):
+@separate_kernel(BOOLEAN, CONE.type, INTEGER, _VECTOR, _MODES, _VECTOR, when=SEVERAL)
+def move_inside(cone, rank, mu, modes, last):
     """Move redundant forces that are outside their cones into them, along the null space of Newton's last matrix.
 
     Sought is the solution of the equations R x = t that is nearest to the forces `last` (3n,) in cones a little
@@ -339,7 +344,7 @@ def move_inside(rank, mu, modes, last, work):
     What is moved is x, of forces and lengths, not of their changes; rank, and a, gram, order, first, as the solution
     left them, rank below the number of unknowns. Returns whether the result depends on the last forces.
     """
-    x, p, z, gram, first, low_rank = work.x, work.rhs, work.row, work.gram, work.first, work.low_rank
+    x, p, z, gram, first, low_rank = cone.x, cone.rhs, cone.row, cone.gram, cone.first, cone.low_rank
     n = mu.shape[0]
     unknowns = first[n]
     if is_inside(mu, modes, first, x):
@@ -352,7 +357,7 @@ def move_inside(rank, mu, modes, last, work):
     target = scratch[TARGET]
     nearest = scratch[NEAREST]
     change = scratch[STEP]
-    orthonormal_equations(rank, unknowns, work)
+    orthonormal_equations(cone, rank, unknowns)
     for k in range(rank):
         target[k] = dot(rows[k, :unknowns], x[:unknowns])
         y[k] = 0.0
@@ -360,7 +365,7 @@ def move_inside(rank, mu, modes, last, work):
     slides = unknowns > 0
     for i in range(n):
         slides = slides and modes[i] != STICK
-    load, loads = nearest_unknowns(modes, last, slides, nearest, work)
+    load, loads = nearest_unknowns(cone, modes, last, slides, nearest)
     slope = 0.0
     for step in range(len(_AIMS) * _STEPS):
         aim = _AIMS[step // _STEPS]

@@ -10,8 +10,10 @@ With velocities so carried to the axes at one instant, their rate there is v' + 
 
 from __future__ import annotations
 
+from ..arrays import INTEGERS, REALS, array_type
+from ..callback import separate_kernel
 from ..dynamics.manifold import FREE_FLYER, PLANAR_BLOCK, QUATERNION, rotate_by_quaternion
-from ..jit import kernel
+from ..jit import NOTHING, STEPPING, kernel
 
 # Columns of a block's inertia: c, J by rows and its inverse.
 CENTRE, MOMENT, INVERSE = 0, 3, 12
@@ -19,6 +21,8 @@ INERTIA_SIZE = 21
 # Determinant of J, relative to that of a ball, below which angular velocities are carried instead: of a needle's
 # momentum along its axis nothing but the round-off of the others may be left.
 _SLENDER = 1e-3
+
+_VECTOR = array_type(REALS, 1)
 
 
 @kernel
@@ -75,7 +79,9 @@ def _times(row, at, x, y, z):
     )
 
 
-@kernel
+@separate_kernel(
+    NOTHING, array_type(INTEGERS, 2), array_type(REALS, 2), _VECTOR, _VECTOR, _VECTOR, _VECTOR, when=STEPPING
+)
 def carry(blocks, inertias, source, target, v, out):
     """out = velocities v (nv,) at the configuration `source`, in whose axes they are, carried to `target` (out may be
     v). Both configurations are normalised."""

@@ -146,7 +146,7 @@ class Impacts:
     def _joint_leaves(self, g: int) -> bool:
         system = self.system
         speed = abs(float(system.v[system.guards[g].index_v]))
-        return self._leaves(system.nc + g, speed, self.joints.accuracy(g))
+        return self._leaves(system.nc + g, speed, self.joints.resolution(g))
 
     def _leaves(self, i: int, leaving: float, height: float) -> bool:
         """Whether item i leaves what it has struck, at this speed in m/s: a hop lower than `height` in m is none."""
@@ -208,7 +208,7 @@ class Impacts:
     def _stops_soon(self, c: int) -> bool:
         """Whether the slip of contact c ends in a distance that is shorter than positions are known to."""
         speed, rate = self.system.contact_real[c, [SLIP_SPEED, SLIP_RATE]]
-        return bool(rate < 0.0 and speed * speed <= -2.0 * rate * self.penetration.accuracy(c))
+        return bool(rate < 0.0 and speed * speed <= -2.0 * rate * self.penetration.resolution(c))
 
     def _returns_soon(self, t: float, c: int) -> bool:
         """Whether contact c comes back from no further than gaps are known."""

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 
+from ..callback import separate_kernel
 from ..dynamics.least_forces import unit_of_force
 from ..dynamics.linear import inner, whiten
 from ..friction.elimination import factor_gram, solve_gram
 from ..geometry.patterns import ON_CURVE
-from ..jit import kernel
-from ..layout import MU, PATTERN, TANGENTS, UNILATERAL
+from ..jit import NOTHING, STEPPING, kernel
+from ..layout import MU, PATTERN, SYSTEM, TANGENTS, UNILATERAL
+from .impulse_layout import STEP
 from .impulse_velocities import free_gain, start_velocity
 
 # An equation of which less than this part is left after orthogonalisation is redundant.
@@ -49,7 +51,7 @@ def _add_equation(system, step, c, row):
     step.counts.equations = e + 1
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, STEP.type, when=STEPPING)
 def gather_equations(system, step):
     """Bilateral normals and ideal rolling of bilateral contacts."""
     contact_int, contact_real = system.contact_int, system.contact_real

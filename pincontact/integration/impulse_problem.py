@@ -13,16 +13,28 @@ from __future__ import annotations
 
 import math
 
+from ..callback import separate_kernel
 from ..dynamics.linear import factorize_tree, inner, solve_semidefinite, unwhiten, whiten
 from ..dynamics.resistance import drop_unturned
 from ..friction.ellipse import stretch_pair
 from ..geometry.carriers import ALPHA, OMEGA
-from ..jit import INTEGER, STEPPING, entry_kernel, kernel
-from ..layout import ANISOTROPIC, FREE, MASS_NOT_POSITIVE, NOT_FINITE, OK, SLIPPING, TANGENTS, VISCOUS, system_at
+from ..jit import INTEGER, NOTHING, STEPPING, entry_kernel, kernel
+from ..layout import (
+    ANISOTROPIC,
+    FREE,
+    MASS_NOT_POSITIVE,
+    NOT_FINITE,
+    OK,
+    SLIPPING,
+    SYSTEM,
+    TANGENTS,
+    VISCOUS,
+    system_at,
+)
 from ..workspace import square
 from .actuators import add_actuators, end_weight
 from .impulse_equations import gather_equations
-from .impulse_layout import APART, DRY_FRICTION, ON_JOINT, ON_TURN, UPPER_LIMIT, step_at
+from .impulse_layout import APART, DRY_FRICTION, ON_JOINT, ON_TURN, STEP, UPPER_LIMIT, step_at
 from .impulse_units import gather_contacts, gather_joints, gather_turns
 from .impulse_velocities import add_turn_row, free_gain, relative_turning, rigid_velocity, start_velocity
 
@@ -129,8 +141,8 @@ def _fill_row(system, step, u, row):
             line[k] -= part * equation[k]
 
 
-@kernel
-def _fill_unit(system, step, u):
+@separate_kernel(NOTHING, SYSTEM.type, STEP.type, INTEGER, when=STEPPING)
+def fill_unit(system, step, u):
     """Rows of unit u; elliptic cones are stretched."""
     unit, start, rigid = step.units[u], step.unit_start, step.counts.rigid != 0
     if rigid:
@@ -152,8 +164,8 @@ def _fill_unit(system, step, u):
         start[u, 0], start[u, 1] = stretch_pair(numbers, start[u, 0], start[u, 1])
 
 
-@kernel
-def _keep_within_reach(system, step):
+@separate_kernel(NOTHING, SYSTEM.type, STEP.type, when=STEPPING)
+def keep_within_reach(system, step):
     """Redundant contacts: take out of b what no motion of rigid bodies could follow.
 
     Gaps at the midpoint put a little of that into b where contacts move with the bodies that they are on. More of it is
@@ -224,12 +236,12 @@ def _fill_units(system, step):
     n, nv = step.counts.units, system.sizes.nv
     whitened, delassus = step.whitened, square(step.delassus, 3 * n)
     for u in range(n):
-        _fill_unit(system, step, u)
+        fill_unit(system, step, u)
     for i in range(3 * n):
         for j in range(i + 1):
             delassus[i, j] = delassus[j, i] = inner(whitened[i], whitened[j], nv)
     if step.counts.rigid == 0 and step.counts.equations == 0:
-        _keep_within_reach(system, step)
+        keep_within_reach(system, step)
     for u in range(n):
         _complete_unit(step.units[u], step.unit_start[u], delassus, step.loads, 3 * u)
 
@@ -250,8 +262,8 @@ def _add_viscous(system, step, h, change):
                     factor[i, j] += 0.5 * constant * line[i] * line[j]
 
 
-@kernel
-def _change_freely(system, step):
+@separate_kernel(INTEGER, SYSTEM.type, STEP.type, when=STEPPING)
+def change_freely(system, step):
     """Change of velocity without impulses, and the factor of M + (h/2) D with what actuators add; a status."""
     nv, h, counts, numbers = system.sizes.nv, step.numbers.h, step.counts, step.numbers
     mass, factor, parents = system.mass, system.factor, system.parents
@@ -290,7 +302,7 @@ def _assemble(system, step):
     counts.units = counts.equations = counts.reviews = counts.touched = 0
     counts.coupled = APART
     numbers.kept, numbers.kept_low, numbers.kept_high = 1.0, 0.0, 1.0
-    status = _change_freely(system, step)
+    status = change_freely(system, step)
     if status != OK:
         return status
     gather_contacts(system, step)

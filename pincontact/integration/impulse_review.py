@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from ..arrays import REALS, array_type
+from ..callback import separate_kernel
 from ..dynamics.energy import ENERGY_SLACK, KEPT_ACCURACY
 from ..friction import cone
-from ..jit import kernel
+from ..jit import INTEGER, REAL, STEPPING, kernel
 from ..layout import NO_FORCE
 from ..workspace import square
 from .impulse_equations import normal_load
-from .impulse_layout import APART, ON_LOADED, ON_TURN, TOGETHER
+from .impulse_layout import APART, ON_LOADED, ON_TURN, STEP, TOGETHER
 from .impulse_works import impulse_work
 
 # What `review` returns: the step is done, or the cone problem was changed and must be solved again.
@@ -77,7 +79,7 @@ def _updates_load(step, u, delassus):
     return True
 
 
-@kernel
+@separate_kernel(INTEGER, STEP.type, INTEGER, REAL, array_type(REALS, 1), when=STEPPING)
 def review(step, nv, h, scratch):
     """Whether the solution stands; if not, b or the coefficients are changed and the problem is to be solved again.
 

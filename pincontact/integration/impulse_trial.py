@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 
 from ..arrays import as_array
-from ..callback import call_python, kernel_caller
+from ..callback import call_python, kernel_caller, separate_kernel
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
 from ..dynamics.linear import inner
 from ..friction import cone
 from ..friction.attempt import AFRESH, USUAL
-from ..jit import INTEGER, REAL, kernel
+from ..jit import INTEGER, REAL, STEPPING, kernel
 from ..layout import (
     DOMAIN,
     FREE,
@@ -140,7 +140,8 @@ def _lets_go(system, step, n):
 @kernel
 def may_be_redundant(step, nv, n, factor, row_of):
     """Whether forces of the n units may be redundant. They are not where the rows are independent: the least eigenvalue
-    of their Gram matrix, scaled to a unit diagonal, is at least its determinant over e.
+    of their Gram matrix, scaled to a unit diagonal, is at least its determinant over e. Friction that acts on nothing
+    does not count, as that across a mechanism which moves in a plane: it is zero, and any other would hold less.
 
     factor (m, m), row_of (m,): room for so many rows; where there are more, they may be redundant.
     """
@@ -150,6 +151,8 @@ def may_be_redundant(step, nv, n, factor, row_of):
         if step.units[r // 3].mask >> r % 3 & 1 == 0:
             continue
         size = inner(whitened[r], whitened[r], nv)
+        if size == 0.0 and r % 3 < 2:
+            continue
         if size == 0.0 or count == room:
             return True
         rest, own = size, factor[count]
@@ -274,7 +277,7 @@ def _review_end(system, step, h):
     return status
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, STEP.type, REAL, REAL, INTEGER, when=STEPPING)
 def trial_step(system, step, t, h, found):
     """A step of size h from the start at t; a status, or CONE_LEFT."""
     counts, numbers = step.counts, step.numbers

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 
+from ..callback import separate_kernel
 from ..dynamics.linear import inner
 from ..dynamics.sliding import coefficient_at
 from ..geometry.small import dot
-from ..jit import kernel
+from ..jit import NOTHING, STEPPING, kernel
 from ..layout import (
     DOMAIN,
     FREE,
@@ -23,10 +24,11 @@ from ..layout import (
     SPINNING,
     STICK,
     STRIBECK_SPEED,
+    SYSTEM,
     TANGENTS,
     UNILATERAL,
 )
-from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, MEAN_VELOCITY, ON_CONTACT, ON_JOINT, ON_LOADED, ON_TURN
+from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, MEAN_VELOCITY, ON_CONTACT, ON_JOINT, ON_LOADED, ON_TURN, STEP
 
 # A contact nearer than this, relative to its length, is touching: round-off of positions, with room to spare.
 TOUCHING = 1e-12
@@ -81,7 +83,7 @@ def _add_unit(step, kind, index, mask, mu, instant):
     return u
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, STEP.type, when=STEPPING)
 def gather_contacts(system, step):
     """Units of all contacts that take part."""
     nv, h, ahead = system.sizes.nv, step.numbers.h, step.numbers.ahead

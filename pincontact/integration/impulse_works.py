@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 
+from ..arrays import REALS, array_type
+from ..callback import separate_kernel
 from ..dynamics.linear import inner
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
-from ..jit import kernel
+from ..jit import CALLED, NOTHING, REAL, kernel
 from ..layout import (
     DAMPING_WORK,
     DRIVE_WORK,
@@ -15,13 +17,14 @@ from ..layout import (
     FRICTION_WORK,
     MOTION_KIND,
     PATTERN,
+    SYSTEM,
     TANGENTS,
     TIME_DEPENDENT,
     TORQUE_WORK,
     UNILATERAL,
     VISCOUS,
 )
-from .impulse_layout import DRY_FRICTION, ON_JOINT, ON_TURN
+from .impulse_layout import DRY_FRICTION, ON_JOINT, ON_TURN, STEP
 from .impulse_velocities import free_gain, rigid_velocity, start_velocity
 
 
@@ -146,7 +149,7 @@ def _work_of_drives(system, step):
     return work
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, STEP.type, array_type(REALS, 1), REAL, array_type(REALS, 1), when=CALLED)
 def add_works(system, step, v1, viscous, works):
     """Works over the step, with that of viscous friction."""
     nv, h, v0, tau, damping = system.sizes.nv, step.numbers.h, step.carried_v, system.tau, system.damping

@@ -25,13 +25,14 @@ from __future__ import annotations
 
 import math
 
+from ..callback import separate_kernel
 from ..dynamics.linear import inner, unwhiten
 from ..dynamics.manifold import displace
 from ..friction import cone
 from ..friction.ellipse import stretch_pair
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
-from ..jit import kernel
+from ..jit import BOOLEAN, INTEGER, NOTHING, STEPPING, kernel
 from ..layout import (
     ANISOTROPIC,
     CHART,
@@ -58,6 +59,7 @@ from ..layout import (
     SLIPPING,
     SPINNING,
     STICK,
+    SYSTEM,
     UNILATERAL,
 )
 from ..workspace import flat
@@ -71,6 +73,7 @@ from .impulse_layout import (
     ON_JOINT,
     ON_LOADED,
     ON_TURN,
+    STEP,
     UPPER_LIMIT,
 )
 from .impulse_problem import OPENING
@@ -81,7 +84,7 @@ from .impulse_works import add_viscous_impulses, add_works, velocity_change
 from .stages import hand_over
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, STEP.type, when=STEPPING)
 def predict_midpoint(system, step):
     """Hand over the midpoint's state, from the start and the last step's acceleration or this one's mean velocity."""
     nq, nv, nc = system.sizes.nq, system.sizes.nv, system.sizes.nc
@@ -108,7 +111,7 @@ def predict_midpoint(system, step):
     hand_over(system, state)
 
 
-@kernel
+@separate_kernel(NOTHING, SYSTEM.type, STEP.type, when=STEPPING)
 def leave_turning_axes(system, step):
     """Take what comes of turning axes alone out of the midpoint's bias forces and biases: there velocities change from
     v_0 to v_1 in axes that stand still."""
@@ -209,8 +212,8 @@ def _take_turn(system, step, c, axis, force):
         torque[j] += step.orientation[c] * force * about[j] / step.numbers.h
 
 
-@kernel
-def _distribute(system, step):
+@separate_kernel(NOTHING, SYSTEM.type, STEP.type, when=STEPPING)
+def distribute(system, step):
     """Impulses of contacts and joints, new modes, ends at which joints are held; in WORK the change of velocity by all
     impulses, whitened, and in DISPLACEMENT what they displace by acting before or after the middle of the step."""
     nv, h, whole, shifted = system.sizes.nv, step.numbers.h, system.work, step.displacement
@@ -275,7 +278,7 @@ def _note_loads(system, step):
             contact[NORMAL_SIGN] = 1 if normal > 0.0 else -1
 
 
-@kernel
+@separate_kernel(INTEGER, SYSTEM.type, STEP.type, when=STEPPING)
 def advance(system, step):
     """Review the cone problem's solution and carry out the step: state, modes, impulses; hands over its end.
 
@@ -287,7 +290,7 @@ def advance(system, step):
     verdict = review(step, nv, h, system.work)
     if verdict != DONE:
         return verdict
-    _distribute(system, step)
+    distribute(system, step)
     factor, parents, change = system.factor, system.parents, step.change
     gained, displacement, mean = system.work, step.displacement, step.mean
     unwhiten(factor, parents, nv, gained, gained)
@@ -343,7 +346,7 @@ def _report_forces(system, step):
             forces[c, i] = orientation[c] * value / h
 
 
-@kernel
+@separate_kernel(BOOLEAN, SYSTEM.type, STEP.type, INTEGER, when=STEPPING)
 def commit(system, step, stepped):
     """Make STAGE_STATE the next step's start, with the kinematics of its evaluation, moved on by the last corrections.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import ModeSolver
 from ..layout import DOMAIN_MARGIN, FREE, GAP_MARGIN, GUARD_END, GUARD_SIGN, MODE, NORMAL_MARGIN, SPEED_MARGIN
-from .accuracy import gap_accuracy, rest_speed
+from .accuracy import gap_accuracy, gap_resolution, rest_speed
 from .reports import Reports
 
 
@@ -31,6 +31,10 @@ class JointEvents:
     def accuracy(self, g: int) -> float:
         """Error in m or rad of the distance of coordinate g from its ends."""
         return float(gap_accuracy(self.system)[self.system.nc + g])
+
+    def resolution(self, g: int) -> float:
+        """Way in m or rad below which a motion of coordinate g is none."""
+        return float(gap_resolution(self.system)[self.system.nc + g])
 
     def set_from_velocities(self, stay: dict[int, int] | None = None) -> None:
         """Hold the coordinates that rest at an end or by dry friction, free the others; stay: ends at which some are
@@ -128,10 +132,10 @@ class JointEvents:
         positions. Needs the evaluation."""
         guard, sign = self.system.guards[g], int(self.system.guard_int[g, GUARD_SIGN])
         speed, rate = self.system.v[guard.index_v], sign * self.system.acceleration[guard.index_v]
-        return bool(guard.dry and sign != 0 and rate < 0.0 and speed * speed <= -2.0 * rate * self.accuracy(g))
+        return bool(guard.dry and sign != 0 and rate < 0.0 and speed * speed <= -2.0 * rate * self.resolution(g))
 
     def returns_soon(self, g: int, end: int) -> bool:
         """Whether coordinate g comes back to the end that it leaves from no further than that. Needs the evaluation."""
         index = self.system.guards[g].index_v
         speed, back = self.system.v[index], end * self.system.acceleration[index]
-        return bool(back > 0.0 and speed * speed <= 2.0 * back * self.accuracy(g))
+        return bool(back > 0.0 and speed * speed <= 2.0 * back * self.resolution(g))

@@ -92,13 +92,16 @@ class SlowSlip:
         if first is None:
             return False
         residual, speeds = first
-        jacobian = self._jacobian(t, span, residual, speeds)
-        if jacobian is None:
-            return False
+        jacobian: np.ndarray | None = None
         largest = _DIVERGED * float(np.abs(residual).max())
         for _ in range(_ITERATIONS):
             if np.abs(residual).max() <= _CONVERGED * tolerance:
                 break
+            if jacobian is None:
+                # slip that does not turn needs none
+                jacobian = self._jacobian(t, span, residual, speeds)
+                if jacobian is None:
+                    return False
             try:
                 step = -np.linalg.solve(jacobian, residual)
             except np.linalg.LinAlgError:

@@ -31,11 +31,24 @@ async function unpack() {
   }
 }
 
-// The camera was placed for a wide window; a narrow one sees as much from further away.
+// Images of meshes come in later than the meshes; the viewer would show them with the next movement only.
+async function redrawWithImages() {
+  const lacksImage = (object) => [object.material].flat().some((m) => m && m.map && !m.map.image);
+  for (let tries = 0; tries < 200; tries += 1) {
+    let lacking = false;
+    viewer.scene.traverse((object) => { lacking = lacking || lacksImage(object); });
+    if (!lacking) break;
+    await new Promise((done) => setTimeout(done, 50));
+  }
+  viewer.set_dirty();
+}
+
+// The camera was placed for a wide window with a low bar; another one sees as much from further away.
 let further = 1;
 function fitCamera() {
   const pane = element("meshcat-pane");
-  const wanted = Math.max(1, info.aspect / (pane.clientWidth / pane.clientHeight));
+  const free = 2 * element("bar").offsetTop / pane.clientHeight - 1;
+  const wanted = Math.max(1, info.aspect / (pane.clientWidth / pane.clientHeight), info.height / Math.max(free, 0.2));
   viewer.camera.position.multiplyScalar(wanted / further);
   further = wanted;
   viewer.controls.update();
@@ -235,7 +248,11 @@ function follow() {
 const ready = unpack().then(() => {
   viewer.gui.close();
   applySpeed();
+  // A long list would hide the scene; its heading says how many are closed.
+  element("contacts").open = rows.filter((row) => row.contact.mode[0] !== info.free).length <= 6;
   element("plots").open = window.innerWidth > 900 && rows.length > 0;
+  // The camera has just been placed; a window that changed its size before has moved none.
+  further = 1;
   layOut();
   run(true);
   // "page.html#t=1.5" opens the page paused at that time.
@@ -247,4 +264,5 @@ const ready = unpack().then(() => {
     show(0);
   }
   follow();
+  return redrawWithImages();
 }).catch((error) => { complain("this page needs a browser with DecompressionStream: " + error); });

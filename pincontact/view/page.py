@@ -131,7 +131,7 @@ def pack_commands(commands: list[dict[str, Any]]) -> tuple[list[list[int]], byte
             place += [pieces[piece], pieces[piece] + len(piece)]
         places.append(place)
     # No time stamp: pages of one run are equal.
-    return places, gzip.compress(b"".join(pieces), 9, mtime=0)
+    return places, gzip.compress(b"".join(pieces), 6, mtime=0)
 
 
 def render_page(commands: list[dict[str, Any]], info: dict[str, Any], title: str) -> str:

@@ -180,16 +180,19 @@ def export_html(
 class Picture:
     """A composed replay.
 
-    times: (n,) of the frames, s, from 0; start: time of the first frame in the run, s; size: of the scene, m;
-    low, high: (3,) corners of the box that holds the motion; target: (3,) what the camera looks at first;
+    times: (n,) of the frames, s, from 0; moments: (n,) the same in the run; placements: (n, njoints, 4, 4) of the
+    joints; size: of the scene, m; line: radius of lines, m; low, high: (3,) corners of the box that holds the motion;
+    target: (3,) what the camera looks at first;
     distance: of the camera, m; contacts: by name; sign: +1 where arrows show the force on the second contour;
     limits: of friction, (n,) in N, or None.
     """
 
     drawing: Drawing
     times: np.ndarray
-    start: float
+    moments: np.ndarray
+    placements: np.ndarray
     size: float
+    line: float
     low: np.ndarray
     high: np.ndarray
     target: np.ndarray
@@ -198,6 +201,11 @@ class Picture:
     contacts: dict[str, ContactFrames]
     sign: dict[str, float]
     limits: dict[str, np.ndarray | None]
+
+    def stage(self, run: Any, drawing: Drawing | None = None) -> Stage:
+        """What draws the run's parts, into the picture's own drawing if no other is given."""
+        drawing = self.drawing if drawing is None else drawing
+        return Stage(drawing, run, self.moments, self.times, self.placements, self.contacts, self.size, self.line)
 
     def commands(self, environment: bool, repetitions: int = 1, time_scale: float = 1.0) -> list[dict[str, Any]]:
         """All commands. environment: set background, light and camera, too; time_scale: stretches the replay."""
@@ -222,8 +230,6 @@ def compose(
     show: Collection[str],
 ) -> Picture:
     """Everything of a replay that does not depend on where it is shown. Raises ArgumentError."""
-    if not hasattr(run, "scene"):
-        raise ArgumentError(f"a run is needed, got {type(run).__name__}")
     if not isinstance(show, Collection):
         raise ArgumentError(f"show must be names of parts, got {show!r}; possible: {', '.join(PARTS)}")
     parts = {show} if isinstance(show, str) else {str(part) for part in show}
@@ -233,20 +239,44 @@ def compose(
         raise ArgumentError(f"show has unknown parts {', '.join(unknown)}; possible: {', '.join(possible)}")
     if force_scale is not None:
         check_positive(force_scale=force_scale)
+    picture = frame(run, fps, speed, max_frames, follow, axes=not parts.isdisjoint(("frames", "dual_frames")))
+    stage = picture.stage(run)
+    stage.move_bodies()
+    if "robot" in parts:
+        stage.draw_robot()
+    if "contours" in parts:
+        stage.draw_contours(with_robot="robot" in parts)
+    if "points" in parts:
+        stage.draw_points()
+    if "traces" in parts:
+        stage.draw_traces()
+    if "forces" in parts:
+        stage.draw_forces(force_scale or fitting_force_scale(picture.contacts, picture.size), picture.sign)
+    if "cones" in parts:
+        stage.draw_cones(picture.sign)
+    for part in ("frames", "dual_frames"):
+        if part in parts:
+            stage.draw_axes(dual=part == "dual_frames")
+    return picture
+
+
+def frame(run: Any, fps: float, speed: float, max_frames: int, follow: str | None, axes: bool = False) -> Picture:
+    """A replay in which nothing is drawn yet; axes: with contact frames. Raises ArgumentError, TrajectoryError."""
+    if not hasattr(run, "scene"):
+        raise ArgumentError(f"a run is needed, got {type(run).__name__}")
     scene = run.scene
     model = scene.model
     t = np.asarray(run.t, dtype=float)
-    frames = frame_times(t, fps, speed, max_frames)
+    moments = frame_times(t, fps, speed, max_frames)
     if np.shape(run.q)[1] != model.nq:
         raise TrajectoryError(
             f"the run has configurations of {np.shape(run.q)[1]} numbers and its scene's model needs {model.nq}; a run "
             "read from a file has to be given its scene: Trajectory.load(path, scene)"
         )
-    q = configurations(run, frames)
+    q = configurations(run, moments)
     placements = joint_placements(model, q)
-    axes = not parts.isdisjoint(("frames", "dual_frames"))
-    contacts = {name: contact_frames(run, name, frames, q, placements, axes) for name in scene.contacts}
-    followed = None if follow is None else _followed_path(scene, follow, frames, placements, contacts)
+    contacts = {name: contact_frames(run, name, moments, q, placements, axes) for name in scene.contacts}
+    followed = None if follow is None else _followed_path(scene, follow, moments, placements, contacts)
 
     size = scene_size(scene, placements, contacts)
     centres, radii = what_moves(scene, placements, contacts, size)
@@ -257,32 +287,28 @@ def compose(
     else:
         target, distance = followed[0], 4.5 * size
 
-    start = float(frames[0])
     # A run of no length is shown as a picture that lasts for one frame.
-    times = frames - start if frames[-1] > start else np.array([0.0, 1.0 / fps])
-    drawing = Drawing(ROOT)
+    times = moments - moments[0] if moments[-1] > moments[0] else np.array([0.0, 1.0 / fps])
     # Lines are as wide as the eye needs from where the camera stands.
     line = max(0.012 * size, _THINNEST * distance)
-    stage = Stage(drawing, run, frames, times, placements, contacts, size, line)
-    stage.move_bodies()
-    if "robot" in parts:
-        stage.draw_robot()
-    if "contours" in parts:
-        stage.draw_contours(with_robot="robot" in parts)
-    if "points" in parts:
-        stage.draw_points()
-    if "traces" in parts:
-        stage.draw_traces()
     sign = {name: _arrow_sign(contact) for name, contact in scene.contacts.items()}
-    if "forces" in parts:
-        stage.draw_forces(force_scale or fitting_force_scale(contacts, size), sign)
-    if "cones" in parts:
-        stage.draw_cones(sign)
-    for part in ("frames", "dual_frames"):
-        if part in parts:
-            stage.draw_axes(dual=part == "dual_frames")
-    limits = {name: _limits(run, name, frames, contacts[name]) for name in contacts}
-    return Picture(drawing, times, start, size, low, high, target, distance, followed, contacts, sign, limits)
+    limits = {name: _limits(run, name, moments, contacts[name]) for name in contacts}
+    return Picture(
+        Drawing(ROOT),
+        times,
+        moments,
+        placements,
+        size,
+        line,
+        low,
+        high,
+        target,
+        distance,
+        followed,
+        contacts,
+        sign,
+        limits,
+    )
 
 
 def _limits(run: Any, name: str, moments: np.ndarray, frames: ContactFrames) -> np.ndarray | None:
@@ -383,15 +409,16 @@ def page_info(picture: Picture, run: Any, speed: float) -> dict[str, Any]:
             }
         )
     return {
-        "start": picture.start,
+        "start": float(picture.moments[0]),
         "duration": float(times[-1]),
         "step": float(times[1] - times[0]),
         "frames": len(times),
         "speed": float(speed),
         "aspect": _ASPECT,
+        "height": _FREE_HEIGHT,
         "free": FREE,
         "contacts": contacts,
-        "events": [[float(e.time), e.contact or "", e.kind] for e in run.events],
+        "events": [[float(e.time), e.contact or e.joint or "", e.kind] for e in run.events],
         "modes": {
             str(mode): {
                 "name": name,

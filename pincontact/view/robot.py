@@ -43,21 +43,22 @@ def draw_robot(
 
         def loadMeshFromFile(self, geometry_object: pin.GeometryObject) -> Any:
             if geometry_object.name in plain:
-                return loadMesh(geometry_object.geometry)
+                mesh = loadMesh(geometry_object.geometry)
+                # Pinocchio has scaled them; the visualiser scales all that comes from files, in its placements.
+                mesh.vertices = mesh.vertices / geometry_object.meshScale
+                return mesh
             return super().loadMeshFromFile(geometry_object)
 
     # meshcat's viewer merges the parts of a Collada file, and fails or misplaces them where it cannot: these are drawn
     # from the triangles that Pinocchio has loaded.
-    files = {item.name: item.meshPath for item in visual.geometryObjects if item.meshPath.lower().endswith(".dae")}
+    files = {item.name: item.meshPath for item in visual.geometryObjects if _is_collada(item)}
     merges = {file: _merges(file) for file in set(files.values())}
-    plain = {name: _plain_color(file) for name, file in files.items() if not merges[file]}
+    plain = {name for name, file in files.items() if not merges[file]}
     recorder = _Recorder()
     visualizer = Visualizer(model, None, visual)
     visualizer.initViewer(meshcat.Visualizer.view_into(recorder, meshcat.path.Path()))
     for geometry in visual.geometryObjects:
-        # Black is what files say that leave colour to the mesh; it would show no shading.
-        colored = geometry.overrideMaterial and geometry.meshColor[:3].any()
-        color = None if colored else plain.get(geometry.name)
+        color = geometry_color(geometry) if geometry.name in plain else None
         visualizer.loadViewerGeometryObject(geometry, pin.GeometryType.VISUAL, color)
     # With every joint at the origin, placements are those in the joints' frames.
     for joint in range(model.njoints):
@@ -88,6 +89,18 @@ def _merges(path: str) -> bool:
         elif event == "end" and tag in ("triangles", "polylist", "polygons"):
             kinds.add(frozenset((i.get("semantic"), i.get("set")) for i in element if i.tag.endswith("input")))
     return len(kinds) <= 1
+
+
+def _is_collada(geometry: pin.GeometryObject) -> bool:
+    return bool(geometry.meshPath.lower().endswith(".dae"))
+
+
+def geometry_color(geometry: pin.GeometryObject) -> list[float]:
+    """RGBA of a geometry that has one colour: that of the URDF, or its Collada file's first."""
+    # Black is what files say that leave colour to the mesh; it would show no shading.
+    if _is_collada(geometry) and not (geometry.overrideMaterial and geometry.meshColor[:3].any()):
+        return _plain_color(geometry.meshPath)
+    return [float(x) for x in geometry.meshColor]
 
 
 def _plain_color(path: str) -> list[float]:

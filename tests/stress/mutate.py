@@ -112,7 +112,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "1 -> 2",
     ): "a limit of effort, by one more of thousands",
     (
-        "pincontact/friction/newton.py", "active_set_solve", "respond(g, c, f, u, size, work.x)", "index 7 -> 8",
+        "pincontact/friction/newton.py", "active_set_solve", "respond(g, c, f, u, size, cone.x)", "index 7 -> 8",
     ): "numbers to work in, any that hold nothing",
     (
         "pincontact/friction/newton.py", "active_set_solve",
@@ -120,7 +120,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
     ): "where a slip begins from: Newton's modes are corrected where it cannot be",
     (
         "pincontact/friction/attempt.py", "attempt",
-        "rank = factor_matrix(g, low_rank[FACTOR], vectors[7], RANK_TOLERANCE) if n > 1 else 0", "> -> <",
+        "rank = factor_matrix(g, cone.low_rank[FACTOR], cone.rhs, RANK_TOLERANCE) if n > 1 else 0", "> -> <",
     ): "with and without factors Newton's steps are the same to round-off",
     (
         "pincontact/friction/solve.py", "solve",
@@ -179,7 +179,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
     ): "a tolerance",
     (
         "pincontact/friction/attempt.py", "attempt",
-        "rank = factor_matrix(g, low_rank[FACTOR], vectors[7], RANK_TOLERANCE) if n > 1 else 0",
+        "rank = factor_matrix(g, cone.low_rank[FACTOR], cone.rhs, RANK_TOLERANCE) if n > 1 else 0",
         "1 -> 2",
     ): "with and without factors Newton's steps are the same to round-off",
     (

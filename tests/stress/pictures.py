@@ -1,47 +1,32 @@
 """Pictures of robots people bring: python tests/stress/pictures.py [robot ...] [--folder FOLDER]
 
-Every robot of example-robot-data is drawn in Chromium twice: as a replay, and by Pinocchio's own `MeshcatVisualizer`
-alone, Collada files that meshcat cannot merge included, under the same light, from the same side. Prints a table: size
-of the page in MB, seconds to write it, commands that could not be carried out in the replay (0 is right) and in
-Pinocchio's drawing, pixels that show the robot in each, and how much of Pinocchio's robot the replay shows. The
-pictures are left in the folder.
+Every robot of example-robot-data is drawn in Chromium twice: as a replay, and by what Pinocchio's own
+`MeshcatVisualizer` sends for the same configuration, under the same light, from the same side. Prints a table: size of
+the page in MB, seconds to write it and to open it, commands that the browser could not carry out for the replay (0 is
+right) and for Pinocchio's drawing, pixels that show the robot, and how far both pictures agree: pixels that show it in
+both, of those that show it in either. The pictures are left in the folder.
 """
 
 from __future__ import annotations
 
 import argparse
-import html
 import re
-import shutil
-import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from browser import PROGRAM, Browser
 from robots import FREE, ROBOTS, _posture, robots_folder
 
 import pincontact as pc
-from pincontact.view import robot as drawn_robot
-from pincontact.view.replay import PARTS
-
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--window-size=640,480",
-    "--virtual-time-budget=4000",
-]
+from pincontact.view.page import render_page
+from pincontact.view.replay import compose, page_info
+from pincontact.view.stage import ROOT
 
 
 def still(folder: Path, file: str) -> SimpleNamespace:
@@ -61,30 +46,39 @@ def still(folder: Path, file: str) -> SimpleNamespace:
     )
 
 
-def picture(page: Path, folder: Path) -> np.ndarray | None:
-    """(height, width, 3) what the browser shows of a page; None where it does not come to an end."""
+def look(browser: Browser, page: Path) -> tuple[np.ndarray | None, int]:
+    """What the browser shows of a page, (height, width, 3), None where it does not come to an end; and how many
+    commands the page could not carry out, -1 where it does not say."""
     from PIL import Image
 
-    image = page.with_suffix(".png")
-    image.unlink(missing_ok=True)
-    profile = f"--user-data-dir={folder / 'profile'}"
     try:
-        command = [BROWSER, *FLAGS, profile, f"--screenshot={image}", f"{page.as_uri()}#t=0"]
-        subprocess.run(command, capture_output=True, timeout=120)
-    except subprocess.TimeoutExpired:
-        return None
-    return np.asarray(Image.open(image).convert("RGB"), dtype=int)[20:380] if image.exists() else None
+        browser.open(page, "#t=0", listen=False)
+        failed = len(re.findall("not drawn", browser.run("element('note').textContent")))
+        browser.run("[element('note'), element('bar')].forEach((panel) => { panel.style.visibility = 'hidden'; })")
+        image = browser.picture()
+    except (RuntimeError, TimeoutError):
+        return None, -1
+    Image.fromarray(image.astype(np.uint8)).save(page.with_suffix(".png"))
+    return image[20:], failed
 
 
-def failed(page: Path, folder: Path) -> int:
-    """Commands that a page could not carry out."""
-    command = [BROWSER, *FLAGS, f"--user-data-dir={folder / 'profile'}", "--dump-dom", page.as_uri()]
-    try:
-        dom = subprocess.run(command, capture_output=True, text=True, timeout=120).stdout
-    except subprocess.TimeoutExpired:
-        return -1
-    note = re.search(r'<div id="note"[^>]*>(.*?)</div>\s*<div id="bar"', dom, re.S)
-    return len(re.findall("not drawn", html.unescape(note.group(1)))) if note else -1
+def write_pinocchios(run: SimpleNamespace, page: Path) -> None:
+    """What Pinocchio's `MeshcatVisualizer` sends by itself, under the light and the camera of the replay."""
+    import meshcat
+    from pinocchio.visualize import MeshcatVisualizer
+
+    sent: list[dict[str, Any]] = []
+    window = SimpleNamespace(send=lambda command: sent.append(command.lower()))
+    visualizer = MeshcatVisualizer(run.scene.model, None, run.scene.visual_model)
+    visualizer.initViewer(meshcat.Visualizer.view_into(window, meshcat.path.Path(ROOT[:1])))
+    visualizer.loadViewerModel(ROOT[1])
+    visualizer.display(run.q[0])
+    for command in sent:
+        command.pop("materials", None)
+    picture = compose(run, 30.0, 1.0, 3000, None, None, ())
+    *commands, animation = picture.commands(environment=True)
+    # the first command deletes what is there
+    page.write_text(render_page([*commands, *sent, animation], page_info(picture, run, 1.0), "Pinocchio's"), "utf-8")
 
 
 def main() -> int:
@@ -93,44 +87,36 @@ def main() -> int:
     parser.add_argument("--folder", type=Path, default=Path("pictures"))
     options = parser.parse_args()
     share, faults = robots_folder(), 0
-    if share is None or BROWSER is None:
+    if share is None or PROGRAM is None:
         print("example-robot-data and Chromium are needed")
         return 2
     folder = options.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    print(
-        f"{'robot':26s} {'MB':>5s} {'s':>5s} {'failed':>6s} {'theirs':>6s} {'pixels':>7s} {'theirs':>7s} {'shown':>6s}"
-    )
-    for name in options.robots:
-        run = still(share, ROBOTS[name])
-        page, other, empty = (folder / f"{name}{part}.html" for part in ("", "_pinocchio", "_empty"))
-        start = time.perf_counter()
-        pc.export_html(run, page)
-        seconds = time.perf_counter() - start
-        merges, drawn_robot._merges = drawn_robot._merges, lambda path: True
-        try:
-            pc.export_html(run, other)
-        finally:
-            drawn_robot._merges = merges
-        pc.export_html(run, empty, show=[part for part in PARTS if part != "robot"])
-        for x in (page, other, empty):
-            # what the page says would hide the robot
-            text = x.read_text(encoding="utf-8")
-            x.write_text(text.replace("</head>", "<style>#note { visibility: hidden; }</style></head>", 1), "utf-8")
-        images = [picture(x, folder) for x in (page, other, empty)]
-        misses = [failed(x, folder) for x in (page, other)]
-        pixels = [0, 0]
-        shown = float("nan")
-        if all(image is not None for image in images):
-            masks = [np.abs(image - images[2]).sum(axis=2) > 30 for image in images[:2]]
-            pixels = [int(mask.sum()) for mask in masks]
-            shown = float((masks[0] & masks[1]).sum() / max(1, pixels[1]))
-        faults += misses[0] != 0 or pixels[0] < 300
-        print(
-            f"{name:26s} {page.stat().st_size / 1e6:5.1f} {seconds:5.1f} {misses[0]:6d} {misses[1]:6d} "
-            f"{pixels[0]:7d} {pixels[1]:7d} {shown:6.2f}",
-            flush=True,
-        )
+    print(f"{'robot':26s} {'MB':>5s} {'s':>5s} {'open':>5s} {'failed':>6s} {'theirs':>6s} {'pixels':>7s} {'agree':>6s}")
+    with tempfile.TemporaryDirectory() as profile, Browser(Path(profile), (640, 480)) as browser:
+        for name in options.robots:
+            run = still(share, ROBOTS[name])
+            page, other, empty = (folder / f"{name}{part}.html" for part in ("", "_pinocchio", "_empty"))
+            start = time.perf_counter()
+            pc.export_html(run, page)
+            written = time.perf_counter()
+            image, failed = look(browser, page)
+            opened = time.perf_counter()
+            write_pinocchios(run, other)
+            pc.export_html(run, empty, show=[])
+            theirs, their_failed = look(browser, other)
+            background, _ = look(browser, empty)
+            pixels, agreement = 0, float("nan")
+            if image is not None and theirs is not None and background is not None:
+                mask, their_mask = (np.abs(seen - background).sum(axis=2) > 30 for seen in (image, theirs))
+                pixels = int(mask.sum())
+                agreement = float((mask & their_mask).sum() / max(1, (mask | their_mask).sum()))
+            faults += failed != 0 or pixels < 300
+            print(
+                f"{name:26s} {page.stat().st_size / 1e6:5.1f} {written - start:5.1f} {opened - written:5.1f} "
+                f"{failed:6d} {their_failed:6d} {pixels:7d} {agreement:6.2f}",
+                flush=True,
+            )
     return int(faults > 0)
 
 

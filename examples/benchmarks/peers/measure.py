@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .scenes import Problem
+from .problem import Problem
 
 
 class Unsupported(Exception):
@@ -36,9 +36,9 @@ _LEAST = 2
 
 @dataclass(frozen=True)
 class Effort:
-    """How long to measure. longest: s of a single run beyond which the ladder of a method ends; repeats: runs whose
-    lower median is taken, as long as they take together less than `total` s; every: take each n-th rung of a ladder
-    only."""
+    """How long to measure. longest: s of a single run beyond which the ladder of a method ends, three times that in
+    scenes of many events; repeats: runs whose lower median is taken, as long as they take together less than `total` s;
+    every: take each n-th rung of a ladder only."""
 
     longest: float = 0.6
     repeats: int = 21
@@ -136,7 +136,7 @@ def measure(engine: Engine, problem: Problem, reference: np.ndarray, effort: Eff
             row.steps, row.evaluations = counts.get("steps"), counts.get("evaluations")
             row.error = largest_distance(case.positions(result), reference)
             row.note = "did not reach the end" if math.isnan(row.error) else ""
-            if seconds > effort.longest:
+            if seconds > (3.0 if problem.events else 1.0) * effort.longest:
                 finished.add(case.method)
         except Exception as failure:  # whatever an engine raises is a result of that engine, not the benchmark's end
             row.note = " ".join(str(failure).split())[:160] or type(failure).__name__

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from .scenes import WORLD, Body, Problem
+from .problem import WORLD, Body, Problem
 
 _ALIGNED = {
     ("revolute", (1.0, 0.0, 0.0)): pin.JointModelRX,

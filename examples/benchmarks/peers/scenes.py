@@ -1,218 +1,37 @@
-"""The benchmark's scenes as numbers: bodies, joints, shapes, contacts and starts that every engine builds for itself.
-
-Nothing here knows an engine. SI units; q and v of a body are what Pinocchio calls them: a free joint has q = (position,
-quaternion x y z w) and v = (linear, angular velocity) in body axes; the other joints have their own coordinate.
-"""
+"""The benchmark's scenes: here those of contacts that stay, roll, slide or begin to roll once."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-G = 9.81
-NO_SLIP = math.inf
-WORLD = "world"
-
-
-@dataclass(frozen=True)
-class Body:
-    """A rigid body on a joint. place (3,), turn (3, 3): the joint's frame in the parent's; axis (3,) in that frame.
-
-    com (3,) in body axes, inertia (3, 3) about it. damping, stiffness: of the joint's spring, which rests at `rest`.
-    """
-
-    name: str
-    joint: str  # free, revolute, prismatic or translation
-    mass: float
-    inertia: np.ndarray
-    parent: str = WORLD
-    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    turn: np.ndarray = field(default_factory=lambda: np.eye(3))
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    damping: float = 0.0
-    stiffness: float = 0.0
-    rest: float = 0.0
-
-    @property
-    def sizes(self) -> tuple[int, int]:
-        """Numbers in q and in v."""
-        return {"free": (7, 6), "translation": (3, 3)}.get(self.joint, (1, 1))
-
-
-@dataclass(frozen=True)
-class Shape:
-    """A shape on a body, at a place in its frame.
-
-    kind: disk (radius; axis z), sphere (radius), bowl (radius; the inside), ellipsoid (semi-axes), plane (z = 0), line
-    (along x), point, helix (radius, pitch per turn).
-    """
-
-    kind: str
-    size: tuple[float, ...] = ()
-    body: str = WORLD
-    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Touch:
-    """Two shapes in contact; mu = 0 is frictionless, infinity ideal rolling or sticking."""
-
-    first: Shape
-    second: Shape
-    mu: float
-    side: int | None = None
-    bilateral: bool = False
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A scene, its start (as written; made consistent before it is handed to the engines) and what is measured.
-
-    markers: (body, point in its frame); the error is the largest distance of any of them from the reference at any of
-    intervals + 1 equidistant times. closed_form: positions (n, markers, 3) at times (n,), or None. starts_at_stick:
-    the start's velocity is made consistent with sticking contacts, not only with touching ones.
-    """
-
-    name: str
-    title: str
-    bodies: tuple[Body, ...]
-    touches: tuple[Touch, ...]
-    q: np.ndarray
-    v: np.ndarray
-    duration: float
-    markers: tuple[tuple[str, tuple[float, float, float]], ...]
-    measured: str
-    closed_form: Callable[[np.ndarray], np.ndarray] | None = None
-    gravity: tuple[float, float, float] = (0.0, 0.0, -G)
-    intervals: int = 20
-    starts_at_stick: bool = False
-
-    @property
-    def times(self) -> np.ndarray:
-        return np.linspace(0.0, self.duration, self.intervals + 1)
-
-    def body(self, name: str) -> Body:
-        return next(b for b in self.bodies if b.name == name)
-
-    def slices(self) -> dict[str, tuple[slice, slice]]:
-        """Where each body's numbers are in q and in v."""
-        found, iq, iv = {}, 0, 0
-        for body in self.bodies:
-            nq, nv = body.sizes
-            found[body.name] = (slice(iq, iq + nq), slice(iv, iv + nv))
-            iq, iv = iq + nq, iv + nv
-        return found
-
-
-# ---------------------------------------------------------------------------------------------------- kinematics
-
-
-def rotation(axis: tuple[float, float, float], angle: float) -> np.ndarray:
-    """Rotation by an angle about an axis (Rodrigues)."""
-    x = skew(np.array(axis) / np.linalg.norm(axis))
-    return np.eye(3) + math.sin(angle) * x + (1.0 - math.cos(angle)) * x @ x
-
-
-def skew(a: np.ndarray) -> np.ndarray:
-    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
-
-
-def matrix(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a quaternion (x, y, z, w), which need not be of length one."""
-    w, u = quaternion[3], skew(quaternion[:3])
-    return np.eye(3) + 2.0 / (quaternion @ quaternion) * (w * u + u @ u)
-
-
-def quaternion(turn: np.ndarray) -> np.ndarray:
-    """Quaternion (x, y, z, w) of a rotation matrix."""
-    pairs = 1.0 + np.array(
-        [
-            turn[0, 0] - turn[1, 1] - turn[2, 2],
-            turn[1, 1] - turn[0, 0] - turn[2, 2],
-            turn[2, 2] - turn[0, 0] - turn[1, 1],
-            turn[0, 0] + turn[1, 1] + turn[2, 2],
-        ]
-    )
-    largest = int(np.argmax(pairs))
-    s = 2.0 * math.sqrt(pairs[largest])
-    out = np.empty(4)
-    out[largest] = 0.25 * s
-    x = (turn - turn.T) / s
-    odd = np.array([x[2, 1], x[0, 2], x[1, 0]])
-    if largest == 3:
-        out[:3] = odd
-        return out
-    out[3] = odd[largest]
-    for i in range(3):
-        if i != largest:
-            out[i] = (turn[i, largest] + turn[largest, i]) / s
-    return out
-
-
-@dataclass
-class Pose:
-    """A body in the world: rotation (3, 3), origin (3,), velocity of the origin and angular velocity in world axes."""
-
-    turn: np.ndarray
-    place: np.ndarray
-    velocity: np.ndarray
-    omega: np.ndarray
-
-
-def poses(problem: Problem, q: np.ndarray, v: np.ndarray | None = None) -> dict[str, Pose]:
-    """Where every body is, and how it moves."""
-    out = {WORLD: Pose(np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3))}
-    v = np.zeros(len(q)) if v is None else v
-    for body, (iq, iv) in zip(problem.bodies, problem.slices().values()):
-        parent, x, u = out[body.parent], q[iq], v[iv]
-        turn, arm = parent.turn @ body.turn, parent.turn @ np.array(body.place)
-        omega, relative = parent.omega, np.zeros(3)
-        axis = turn @ np.array(body.axis)
-        if body.joint == "free":
-            turn, arm = turn @ matrix(x[3:]), arm + turn @ x[:3]
-            relative, omega = turn @ u[:3], omega + turn @ u[3:]
-        elif body.joint == "revolute":
-            turn = turn @ rotation(body.axis, float(x[0]))
-            omega = omega + axis * u[0]
-        elif body.joint == "prismatic":
-            arm, relative = arm + axis * x[0], axis * u[0]
-        else:
-            arm, relative = arm + turn @ x, turn @ u
-        velocity = parent.velocity + np.cross(parent.omega, arm) + relative
-        out[body.name] = Pose(turn, parent.place + arm, velocity, omega)
-    return out
-
-
-def marked(problem: Problem, configurations: np.ndarray) -> np.ndarray:
-    """Positions (n, markers, 3) of the markers for configurations (n, nq)."""
-    out = np.empty((len(configurations), len(problem.markers), 3))
-    for i, q in enumerate(configurations):
-        where = poses(problem, q)
-        for k, (name, point) in enumerate(problem.markers):
-            out[i, k] = where[name].place + where[name].turn @ np.array(point)
-    return out
-
-
-# ---------------------------------------------------------------------------------------------------- scenes
-
-FLOOR = Shape("plane")
-CENTRE = (0.0, 0.0, 0.0)
-
-
-def _free(position, turn, velocity, omega) -> tuple[np.ndarray, np.ndarray]:
-    """(q, v) of a free joint from the velocity of its origin in world axes and the angular velocity in body axes."""
-    return np.r_[position, quaternion(turn)], np.r_[turn.T @ np.asarray(velocity, float), omega]
+from .event_scenes import EVENT_SCENES
+from .problem import (
+    CENTRE,
+    FLOOR,
+    NO_SLIP,
+    WORLD,
+    Body,
+    G,
+    Problem,
+    Shape,
+    Touch,
+    balanced,
+    free,
+    marked,
+    matrix,
+    quaternion,
+    rotation,
+)
 
 
 def _disk(name: str, title: str, mu: float, duration: float, start, velocity, omega) -> Problem:
     radius, mass = 0.5, 1.0
     disk = Body("disk", "free", mass, np.diag([0.25, 0.25, 0.5]) * mass * radius**2)
     turn = matrix(np.array(start[3:]))
-    q, v = _free(start[:3], turn, velocity, omega)
+    q, v = free(start[:3], turn, velocity, omega)
     touch = Touch(Shape("disk", (radius,), "disk"), FLOOR, mu)
     return Problem(name, title, (disk,), (touch,), q, v, duration, (("disk", CENTRE),), "centre of the disk")
 
@@ -251,7 +70,7 @@ def tippe_top() -> Problem:
     mass, radius, offset = 0.006, 0.015, 0.003
     ball = Body("ball", "free", mass, np.diag([8e-7, 8e-7, 7e-7]), com=(0.0, 0.0, -offset))
     turn = rotation((1.0, 0.0, 0.0), 0.1)
-    q, v = _free((0.0, 0.0, radius), turn, (0.0, 0.0, 0.0), (0.0, 0.0, 180.0))
+    q, v = free((0.0, 0.0, radius), turn, (0.0, 0.0, 0.0), (0.0, 0.0, 180.0))
     touch = Touch(Shape("sphere", (radius,), "ball"), FLOOR, 0.3)
     return Problem("tippe_top", "tippe top: sliding sphere", (ball,), (touch,), q, v, 0.5,
                    (("ball", ball.com),), "centre of mass")  # fmt: skip
@@ -263,7 +82,7 @@ def ball_in_bowl() -> Problem:
     length = bowl - radius
     ball = Body("ball", "free", mass, np.eye(3) * 0.4 * mass * radius**2)
     start = (length * math.sin(amplitude), 0.0, -length * math.cos(amplitude))
-    q, v = _free(start, np.eye(3), np.zeros(3), np.zeros(3))
+    q, v = free(start, np.eye(3), np.zeros(3), np.zeros(3))
 
     def closed_form(times: np.ndarray) -> np.ndarray:
         from scipy.special import ellipj, ellipk
@@ -356,7 +175,7 @@ def bicycle() -> Problem:
              seen(np.array([base, 0.0, front]), fork_at), flat),
     )  # fmt: skip
     velocity = np.array([speed, 0.0, 0.0]) + np.cross([rolling, 0.0, 0.0], frame_at)
-    q, v = _free(frame_at, np.eye(3), velocity, (rolling, 0.0, 0.0))
+    q, v = free(frame_at, np.eye(3), velocity, (rolling, 0.0, 0.0))
     touches = (
         Touch(Shape("disk", (rear,), "rear wheel"), FLOOR, NO_SLIP),
         Touch(Shape("disk", (front,), "front wheel"), FLOOR, NO_SLIP),
@@ -421,20 +240,13 @@ def quadruped() -> Problem:
         angles += [0.0, lean * forward, -2.0 * lean * forward]
         touches.append(Touch(Shape("point", (), f"{name} shank", (0.0, 0.0, -shank)), FLOOR, 0.8))
     q = np.r_[0.0, 0.0, (thigh + shank) * math.cos(lean), 0.0, 0.0, 0.0, 1.0, angles]
-    # each joint's spring balances a quarter of the weight on its foot: torque = -axis . (arm x force)
-    where = poses(Problem("", "", tuple(bodies), (), q, np.zeros(18), 0.0, (), ""), q)
-    force = np.array([0.0, 0.0, 0.25 * G * sum(body.mass for body in bodies)])
-    for i, (body, angle) in enumerate(zip(bodies[1:], angles), 1):
-        foot = where[f"{body.name[:2]} shank"]
-        arm = foot.place + foot.turn @ np.array([0.0, 0.0, -shank]) - where[body.name].place
-        torque = -(where[body.name].turn @ np.array(body.axis)) @ np.cross(arm, force)
-        bodies[i] = replace(body, rest=angle + torque / stiffness)
     v = np.r_[0.12, 0.08, 0.0, 0.15, -0.2, 0.25, np.zeros(12)]
-    return Problem("quadruped", "standing quadruped, base swaying", tuple(bodies), tuple(touches), q, v, 2.0,
+    sprung = balanced(tuple(bodies), q, tuple(touches))
+    return Problem("quadruped", "standing quadruped, base swaying", sprung, tuple(touches), q, v, 2.0,
                    (("base", CENTRE),), "origin of the base", starts_at_stick=True)  # fmt: skip
 
 
-SCENES: dict[str, Callable[[], Problem]] = {
+SMOOTH_SCENES: dict[str, Callable[[], Problem]] = {
     make.__name__: make
     for make in (
         disk_roll,
@@ -449,3 +261,4 @@ SCENES: dict[str, Callable[[], Problem]] = {
         quadruped,
     )
 }
+SCENES = SMOOTH_SCENES | EVENT_SCENES

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .measure import Case, Engine, Unsupported
-from .scenes import NO_SLIP, WORLD, Body, Problem, Shape, Touch, matrix, skew
+from .problem import NO_SLIP, WORLD, Body, Problem, Shape, Touch, matrix, skew
 
 # points and rims get this much thickness in m, since contacts are between bodies with an inside
 THICKNESS = 1e-5
@@ -67,7 +67,8 @@ def _add_joint(plant, body: Body, parent, child) -> None:
         kinds[body.joint](body.name, frame, child.body_frame(), np.array(body.axis), damping=body.damping)
     )
     if body.stiffness:
-        plant.AddForceElement(drake.RevoluteSpring(joint, body.rest, body.stiffness))
+        spring = drake.RevoluteSpring if body.joint == "revolute" else drake.PrismaticSpring
+        plant.AddForceElement(spring(joint, body.rest, body.stiffness))
 
 
 def build(problem: Problem, step: float, options: dict[str, Any]):
@@ -113,8 +114,30 @@ def build(problem: Problem, step: float, options: dict[str, Any]):
     plant.Finalize()
     if not step:
         plant.set_stiction_tolerance(options["stiction"])
+    if problem.drive is not None:
+        _add_drive(problem, builder, plant, step)
     diagram = builder.Build()
     return diagram, plant
+
+
+def _add_drive(problem: Problem, builder, plant, step: float) -> None:
+    """Sines of time as generalised forces; a discrete plant takes those of its steps' middles."""
+    import pydrake.all as drake
+
+    given = problem.drive
+    assert given is not None
+    amplitude, phase = np.zeros(plant.num_velocities()), np.zeros(plant.num_velocities())
+    rate = np.full(plant.num_velocities(), given.rate)
+    for body, (_, iv) in zip(problem.bodies, problem.slices().values()):
+        if body.joint == "free":
+            # angular before linear
+            at = plant.GetBodyByName(body.name).floating_velocities_start_in_v()
+            where = [*range(at + 3, at + 6), *range(at, at + 3)]
+        else:
+            where = [plant.GetJointByName(body.name).velocity_start()]
+        amplitude[where], phase[where] = given.amplitude[iv], given.phase[iv] + 0.5 * given.rate * step
+    source = builder.AddSystem(drake.Sine(amplitude, rate, phase, True))
+    builder.Connect(source.get_output_port(0), plant.get_applied_generalized_force_input_port())
 
 
 def _properties(touch: Touch, step: float, options: dict[str, Any]):

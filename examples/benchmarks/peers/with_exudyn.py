@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .measure import Case, Engine, Unsupported
-from .scenes import NO_SLIP, WORLD, Problem, Touch, poses, skew
+from .problem import NO_SLIP, WORLD, Problem, Touch, poses, skew
 
 SOLVERS = {"trapezoidal": "TrapezoidalIndex2", "generalized alpha": "GeneralizedAlpha"}
 STEPS = (2, 5, 20, 50, 200, 500, 2000, 5000)  # at 1 its bicycle does not end
@@ -31,6 +31,8 @@ class _Builder:
     """A system with the scene in it and a sensor for each marker."""
 
     def __init__(self, problem: Problem) -> None:
+        if problem.drive is not None:
+            raise Unsupported("not set up for forces that are functions of time")
         import exudyn
         import exudyn.utilities as items
 
@@ -133,7 +135,7 @@ class _Builder:
                     useLinearProportionalZone=True,
                 )
             )
-        elif kinds == ("point", "plane"):
+        elif kinds == ("point", "plane") and not self.problem.events:
             pose = poses(self.problem, self.problem.q)[first.body]
             foot = pose.place + pose.turn @ np.array(first.place)
             self.system.AddObject(

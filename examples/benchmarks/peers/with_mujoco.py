@@ -9,18 +9,27 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from .measure import Case, Engine, Unsupported
-from .scenes import NO_SLIP, WORLD, Body, Problem, Shape, Touch, marked, matrix, quaternion
+from .problem import NO_SLIP, WORLD, Body, Problem, Shape, Touch, marked, matrix, quaternion
 
 # points and rims get this much thickness in m, since contacts are between bodies with an inside
 THICKNESS = 1e-5
+# half the length in m of a box that stands for a plane
+BOX = 10.0
 # of friction where the scene has ideal rolling
 STICKY = 10.0
-# method -> integrator, and how hard contacts are: impedance and time constant (in steps, 2 is the least) of the
-# restoring acceleration, and how much harder friction is than the normal
+# method -> integrator, and how hard contacts are: impedance, time constant (in steps, 2 is the least) and damping ratio
+# of the restoring acceleration, and how much harder friction is than the normal
 METHODS = {
-    "RK4": ("RK4", {"impedance": 0.99, "impratio": 100.0, "tau": 2.0}),
-    "RK4 soft": ("RK4", {"impedance": 0.9, "impratio": 1.0, "tau": 20.0}),
-    "implicit": ("implicitfast", {"impedance": 0.99, "impratio": 100.0, "tau": 2.0}),
+    "RK4": ("RK4", {"impedance": 0.99, "impratio": 100.0, "tau": 2.0, "ratio": 1.0}),
+    "RK4 soft": ("RK4", {"impedance": 0.9, "impratio": 1.0, "tau": 20.0, "ratio": 1.0}),
+    "implicit": ("implicitfast", {"impedance": 0.99, "impratio": 100.0, "tau": 2.0, "ratio": 1.0}),
+}
+# in scenes of many events: what lands does not rebound, which it does with less damping
+EVENT_METHODS = {
+    "RK4": METHODS["RK4"],
+    "implicit": METHODS["implicit"],
+    "implicit plastic": ("implicitfast", {"impedance": 0.99, "impratio": 100.0, "tau": 2.0, "ratio": 5.0}),
+    "implicit soft": ("implicitfast", {"impedance": 0.9, "impratio": 1.0, "tau": 2.0, "ratio": 2.0}),
 }
 STEPS = (1, 2, 3, 5, 10, 20, 50, 200, 500, 2000)
 
@@ -44,8 +53,11 @@ def _geom(shape: Shape, touch: Touch, group: int) -> str:
         kind, size = "ellipsoid", shape.size
     elif shape.kind == "point":
         kind, size, place = "sphere", (THICKNESS,), np.add(place, (0.0, 0.0, THICKNESS))
-    elif shape.kind == "plane":
+    elif shape.kind == "plane" and shape.body == WORLD:
         kind, size = "plane", (0.0, 0.0, 1.0)
+    elif shape.kind == "plane":
+        # planes do not move: the top of a box does
+        kind, size, place = "box", (BOX, BOX, 1.0), np.add(place, (0.0, 0.0, -1.0))
     elif shape.kind == "line":
         # a thick bar whose lower face holds the line
         kind, size, place = "box", (1.0, 0.1, 0.5), np.add(place, (0.0, 0.1, 0.0))
@@ -94,7 +106,7 @@ def model_text(problem: Problem, step: float, integrator: str, options: dict[str
     return f"""<mujoco><compiler angle="radian" autolimits="false"/>
 <option timestep="{step!r}" gravity="{_numbers(problem.gravity)}" integrator="{integrator}" cone="elliptic"
  impratio="{options["impratio"]}" solver="Newton" iterations="100" tolerance="1e-12" ls_tolerance="1e-6"/>
-<default><geom solref="{options["tau"] * step!r} 1" solimp="{hard} {hard} 0.001"/></default>
+<default><geom solref="{options["tau"] * step!r} {options["ratio"]}" solimp="{hard} {hard} 0.001"/></default>
 <worldbody>{"".join(geoms.get(WORLD, []))}{roots}</worldbody></mujoco>"""
 
 
@@ -139,9 +151,18 @@ def case(problem: Problem, label: str, integrator: str, each: int, options: dict
     mujoco.mj_getState(model, start, first[0], whole)
     # in this thread
     rollout, nq = Rollout(nthread=0), model.nq
+    forces: dict[str, Any] = {}
+    if problem.drive is not None:
+        # constant in a step, with the value of its middle
+        rows = problem.drive(problem.duration / steps * (np.arange(steps) + 0.5))
+        control = np.zeros((1, steps, model.nv))
+        for body, (_, iv) in zip(problem.bodies, problem.slices().values()):
+            at = model.jnt_dofadr[model.body(body.name).jntadr[0]]
+            control[0, :, at : at + body.sizes[1]] = rows[:, iv]
+        forces = {"control": control, "control_spec": mujoco.mjtState.mjSTATE_QFRC_APPLIED.value}
 
     def run() -> np.ndarray:
-        states, _ = rollout.rollout([model], [data], first, nstep=steps)
+        states, _ = rollout.rollout([model], [data], first, nstep=steps, **forces)
         rows = np.empty((problem.intervals + 1, nq))
         # a state is the time, q and v
         rows[0], rows[1:] = start.qpos, states[0, each - 1 :: each, 1 : 1 + nq]
@@ -158,7 +179,7 @@ def case(problem: Problem, label: str, integrator: str, each: int, options: dict
 
 
 def _cases(problem: Problem) -> Iterator[Case]:
-    for label, (integrator, options) in METHODS.items():
+    for label, (integrator, options) in (EVENT_METHODS if problem.events else METHODS).items():
         for each in STEPS:
             yield case(problem, label, integrator, each, options)
 
@@ -181,5 +202,7 @@ ENGINE = Engine(
         "RK4": _COMMON + "solref 2 steps, solimp 0.99, impratio 100",
         "RK4 soft": _COMMON + "solref 20 steps, solimp 0.9, impratio 1",
         "implicit": _COMMON + "implicitfast, solref 2 steps, solimp 0.99, impratio 100",
+        "implicit plastic": _COMMON + "in scenes of many events: the same with damping ratio 5",
+        "implicit soft": _COMMON + "in scenes of many events: damping ratio 2, solimp 0.9, impratio 1",
     },
 )

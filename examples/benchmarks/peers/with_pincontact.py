@@ -11,9 +11,9 @@ import pinocchio as pin
 
 import pincontact as pc
 
-from .measure import Case, Engine
+from .measure import Case, Engine, largest_distance
 from .pinocchio_model import build_model
-from .scenes import NO_SLIP, WORLD, Problem, Shape, Touch, marked
+from .problem import NO_SLIP, WORLD, Problem, Shape, Touch, marked
 
 # largest and smallest rtol; between 1 and 1e-2 there are two in every decade
 PAIRS = {"DOP853": (1.0, 1e-12), "Sharp98": (1e-5, 1e-12), "RK45": (1.0, 1e-10), "RK23": (1.0, 1e-5)}
@@ -60,26 +60,55 @@ def consistent(problem: Problem) -> Problem:
     written = problem
     if problem.starts_at_stick:
         written = replace(problem, touches=tuple(replace(touch, mu=NO_SLIP) for touch in problem.touches))
-    state = build_scene(written).initial_state(problem.q, problem.v)
+    state = start(build_scene(written), problem)
     return replace(problem, q=np.array(state.q), v=np.array(state.v))
 
 
-def _springs(problem: Problem) -> Callable[[float, np.ndarray, np.ndarray], np.ndarray] | None:
-    """Joint springs as a controller; dampers are the model's own."""
-    sprung = [(body, *where) for body, where in zip(problem.bodies, problem.slices().values()) if body.stiffness]
+def start(scene: pc.Scene, problem: Problem) -> pc.State:
+    """The problem's start as a state of its scene."""
+    apart = tuple(f"{i}" for i, touch in enumerate(problem.touches) if touch.apart)
+    return scene.initial_state(problem.q, problem.v, free=apart)
+
+
+def _springs(problem: Problem) -> tuple[slice, slice, np.ndarray, np.ndarray] | None:
+    """Where in q and in v the joints with springs are, their stiffness and their rest; dampers are the model's own."""
+    places = [(body, *where) for body, where in zip(problem.bodies, problem.slices().values())]
+    sprung = [i for i, (body, _, _) in enumerate(places) if body.stiffness]
     if not sprung:
         return None
-    nv = problem.v.size
-    # springs on the last joints of the tree, as here, are a slice, which is the cheapest to read and to write
-    iq, iv = sprung[0][1].start, sprung[0][2].start
-    stiffness, rest = (np.array([getattr(body, name) for body, _, _ in sprung]) for name in ("stiffness", "rest"))
-    assert problem.q.size - iq == stiffness.size == nv - iv, "springs must be on the last joints"
-    torque = np.zeros(nv)
-    free, preload = torque[iv:], stiffness * rest
+    # a slice is the cheapest to read and to write: what is between them has springs of no stiffness
+    between = places[sprung[0] : sprung[-1] + 1]
+    assert all(body.sizes == (1, 1) for body, _, _ in between), "springs are for joints of one coordinate"
+    stiffness, rest = (np.array([getattr(body, name) for body, _, _ in between]) for name in ("stiffness", "rest"))
+    (_, iq, iv), (_, jq, jv) = between[0], between[-1]
+    return slice(iq.start, jq.stop), slice(iv.start, jv.stop), stiffness, rest
+
+
+def control_of(problem: Problem) -> Callable[[float, np.ndarray, np.ndarray], np.ndarray] | None:
+    """Springs and what drives the scene, as a controller."""
+    springs, drive = _springs(problem), problem.drive
+    if springs is None and drive is None:
+        return None
+    torque = np.zeros(problem.v.size)
+    if springs is not None:
+        iq, iv, stiffness, rest = springs
+        sprung, preload = torque[iv], stiffness * rest
+    if drive is not None:
+        # amplitude sin(rate t + phase) without a sine for every coordinate
+        rate, ahead, across = drive.rate, drive.amplitude * np.cos(drive.phase), drive.amplitude * np.sin(drive.phase)
+        if not across.any():
+            across = None
 
     def control(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        np.multiply(stiffness, q[iq:], out=free)
-        np.subtract(preload, free, out=free)
+        if drive is not None:
+            np.multiply(ahead, math.sin(rate * t), out=torque)
+            if across is not None:
+                np.add(torque, across * math.cos(rate * t), out=torque)
+            if springs is not None:
+                np.add(sprung, preload - stiffness * q[iq], out=sprung)
+        else:
+            np.multiply(stiffness, q[iq], out=sprung)
+            np.subtract(preload, sprung, out=sprung)
         return torque
 
     return control
@@ -88,21 +117,41 @@ def _springs(problem: Problem) -> Callable[[float, np.ndarray, np.ndarray], np.n
 def simulate(problem: Problem, method: str, **options) -> Callable[[], pc.Trajectory]:
     """A run with outputs at the problem's times."""
     scene = build_scene(problem)
-    state = scene.initial_state(problem.q, problem.v)
-    times, control = problem.times, _springs(problem)
+    state = start(scene, problem)
+    times, control = problem.times, control_of(problem)
     return lambda: pc.simulate(scene, state, problem.duration, t_eval=times, method=method, control=control, **options)
 
 
-def rollout(problem: Problem, each: int) -> Callable[[], np.ndarray]:
-    """The motion by a `Stepper`, `each` steps at a time between the outputs: configurations (n, nq)."""
-    scene, step = build_scene(problem), problem.duration / (problem.intervals * each)
-    state, torques = scene.initial_state(problem.q, problem.v), np.zeros((problem.intervals, problem.v.size))
+def stepper_of(problem: Problem, step: float) -> tuple[pc.Stepper, pc.State]:
+    """A stepper whose actuators are the problem's springs, and where it starts."""
+    scene = build_scene(problem)
+    state = start(scene, problem)
     stepper = pc.Stepper(scene, state, step)
+    if springs := _springs(problem):
+        iq, iv, stiffness, rest = springs
+        gains, target = np.zeros(problem.v.size), np.array(problem.q)
+        gains[iv], target[iq] = stiffness, rest
+        stepper.pd(gains, 0.0, target)
+    return stepper, state
+
+
+def rollout(problem: Problem, each: int) -> Callable[[], np.ndarray]:
+    """The motion by a `Stepper`, `each` steps at a time between the outputs: configurations (n, nq).
+
+    What drives the scene has the value of its steps' middles.
+    """
+    count = problem.intervals * each
+    step = problem.duration / count
+    stepper, state = stepper_of(problem, step)
+    # rows of torques, and for how many steps each is held
+    torques, held = np.zeros((problem.intervals, problem.v.size)), each
+    if problem.drive is not None:
+        torques, held = problem.drive(step * (np.arange(count) + 0.5)), 1
 
     def run() -> np.ndarray:
         stepper.reset(state)
         rows = np.empty((problem.intervals + 1, problem.q.size))
-        rows[0], rows[1:] = state.q, stepper.rollout(torques, each)[0]
+        rows[0], rows[1:] = state.q, stepper.rollout(torques, held)[0][each // held - 1 :: each // held]
         return rows
 
     return run
@@ -131,8 +180,7 @@ def _cases(problem: Problem) -> Iterator[Case]:
     for each in MOREAU_INTERVALS:
         step = problem.duration / (problem.intervals * each)
         yield Case("Moreau", f"step {step:.3g} s", simulate(problem, "Moreau", dt=step), shown, _counts)
-    # torques are constant in its steps, which springs are not
-    for each in MOREAU_INTERVALS if _springs(problem) is None else ():
+    for each in MOREAU_INTERVALS:
         steps = problem.intervals * each
         yield Case(
             "Stepper",
@@ -144,14 +192,21 @@ def _cases(problem: Problem) -> Iterator[Case]:
 
 
 def reference(problem: Problem) -> tuple[np.ndarray, str, float]:
-    """Positions to compare with, where they are from, and how sure they are (m)."""
-    tight = positions(problem, simulate(problem, "DOP853", rtol=1e-13, atol=1e-15)())
+    """Positions to compare with, where they are from and what they were compared with, and how well they agree (m)."""
+
+    def found(method: str, **options) -> np.ndarray:
+        return positions(problem, simulate(problem, method, **options)())
+
     if problem.closed_form is not None:
-        exact = problem.closed_form(problem.times)
-        return exact, "closed form", float(np.linalg.norm(tight - exact, axis=2).max())
-    other = positions(problem, simulate(problem, "DOP853", rtol=1e-12, atol=1e-14, max_step=0.003 * problem.duration)())
-    sure = float(np.linalg.norm(tight - other, axis=2).max())
-    return tight, "self-converged: DOP853 at rtol 1e-13", max(sure, math.ulp(1.0))
+        exact, tight = problem.closed_form(problem.times), found("DOP853", rtol=1e-13, atol=1e-15)
+        return exact, "closed form; pincontact at rtol 1e-13 agrees", largest_distance(tight, exact)
+    if problem.events:
+        tight, other = found("DOP853", rtol=1e-11, atol=1e-13), found("Moreau", dt=problem.duration / 2e5)
+        return tight, "DOP853 at rtol 1e-11; time stepping in 2e5 steps agrees", largest_distance(tight, other)
+    tight = found("DOP853", rtol=1e-13, atol=1e-15)
+    other = found("DOP853", rtol=1e-12, atol=1e-14, max_step=0.003 * problem.duration)
+    sure = max(largest_distance(tight, other), math.ulp(1.0))
+    return tight, "self-converged: DOP853 at rtol 1e-13; rtol 1e-12 and other steps agree", sure
 
 
 ENGINE = Engine(

@@ -386,6 +386,7 @@ class Driver:
         """
         self.users.update(t)
         self.transitions.penetration.watch(stepped)
+        self.transitions.joints.watch(stepped)
         self.transitions.note_sides(scanned)
 
     def _announce_user_events(self, t: float, step: float, dense: Interpolant, until: float) -> None:

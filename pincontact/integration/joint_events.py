@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import ModeSolver
 from ..layout import DOMAIN_MARGIN, FREE, GAP_MARGIN, GUARD_END, GUARD_SIGN, MODE, NORMAL_MARGIN, SPEED_MARGIN
@@ -13,16 +15,20 @@ class JointEvents:
     """What the guarded coordinates of a system do, and what has been announced of it.
 
     A coordinate g is held at an end of its way (-1 the lower, +1 the upper one) or by dry friction (0), or moves.
+    depths: (items,) how far in m or rad moving coordinates may be beyond their ends; the event locator reads it.
     """
 
-    def __init__(self, modes: ModeSolver, reports: Reports) -> None:
-        self.system, self.modes, self.reports = modes.system, modes, reports
+    def __init__(self, modes: ModeSolver, reports: Reports, depths: np.ndarray) -> None:
+        self.system, self.modes, self.reports, self._depths = modes.system, modes, reports, depths
+        # at which end a coordinate has been, if it was no further from it since than positions are known
+        self._at_end: dict[int, int] = {}
         # of every coordinate: see `_state`
         self._announced: list[tuple[bool, int]] = []
 
     def begin(self) -> None:
         """The present state is that of a run's start, of which nothing is announced."""
         self._announced = [self._state(g) for g in range(self.system.ng)]
+        self._at_end = self.held_at_ends()
 
     def is_free(self, g: int) -> bool:
         """Whether coordinate g is not held."""
@@ -73,18 +79,57 @@ class JointEvents:
         """Coordinate g has come to an end of its way, and is held there."""
         self.reports.announce(t, self.system.nc + g, "limit")
         self._announced[g] = True, end
-        self.modes.hold(g, end)
+        self._hold(g, end)
 
     def hold_near(self) -> None:
-        """Hold the free coordinates that are as near to an end as positions are known."""
-        for g, guard in enumerate(self.system.guards):
-            position, accuracy = float(self.system.q[guard.index_q]), self.accuracy(g)
-            if not self.is_free(g):
-                continue
-            if position - guard.low_end <= accuracy:
-                self.modes.hold(g, -1)
-            elif guard.high_end - position <= accuracy:
-                self.modes.hold(g, 1)
+        """Hold the free coordinates that come to an end, and are as near to it as positions are known.
+
+        What has left that end by less is held only where it is back: its hop has been followed to round-off.
+        """
+        for g in filter(self.is_free, range(self.system.ng)):
+            for end in (-1, 1):
+                near = self.resolution(g) if self._at_end.get(g) == end else self.accuracy(g)
+                if self._way(g, end) <= near:
+                    self._hold(g, end)
+                    break
+
+    def _hold(self, g: int, end: int) -> None:
+        self.modes.hold(g, end)
+        self._at_end[g] = end
+
+    def _way(self, g: int, end: int) -> float:
+        """Distance in m or rad of coordinate g from an end; negative beyond it."""
+        guard = self.system.guards[g]
+        position = float(self.system.q[guard.index_q])
+        return guard.high_end - position if end > 0 else position - guard.low_end
+
+    def watch(self, stepped: bool) -> None:
+        """Look which coordinates have left their ends at the accepted state, and which are beyond.
+
+        What moves back from beyond an end, where the corrections of others have put it, is let do so: it would be
+        stopped again and again. stepped: whether the last trial step led there in the present modes.
+        """
+        system = self.system
+        self._at_end |= self.held_at_ends()
+        for g in filter(self.is_free, [*self._at_end]):
+            end = self._at_end[g]
+            ways = [self._way(g, end)]
+            if stepped:
+                ways.append(float(system.highest[system.nc + g, DOMAIN_MARGIN if end > 0 else GAP_MARGIN]))
+            if max(ways) > self.accuracy(g):
+                del self._at_end[g]
+        if system.ng:
+            self._depths[system.nc :] = [self._depth(g) for g in range(system.ng)]
+
+    def _depth(self, g: int) -> float:
+        """How far coordinate g may be beyond its ends in the next step."""
+        if not self.is_free(g):
+            return 0.0
+        end = min((-1, 1), key=lambda end: self._way(g, end))
+        way, speed = self._way(g, end), float(self.system.v[self.system.guards[g].index_v])
+        if way < 0.0 and end * speed < 0.0:
+            return -way
+        return float(self._depths[self.system.nc + g]) if way <= self.accuracy(g) else 0.0
 
     def switch(self, t: float, g: int, kind: int) -> bool:
         """Event function `kind` of coordinate g has reached zero at t; whether g strikes an end of its way."""

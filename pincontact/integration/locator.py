@@ -61,8 +61,9 @@ class _Sample:
 class EventLocator:
     """Finds the first crossing in the trial step that its integrator has interpolated last, from t and of size step.
 
-    depths: (items,) how much deeper in m than their accuracy open contacts may be; others change it. open_contacts:
-    which contacts may touch; is told whose gaps fall through zero beyond an end of a contour.
+    depths: (items,) how much deeper in m or rad than their resolution open contacts, and joints beyond their ends, may
+    be; others change it. open_contacts: which contacts may touch; is told whose gaps fall through zero beyond an end of
+    a contour.
     """
 
     def __init__(self, rk: RungeKutta, depths: np.ndarray, open_contacts: OpenContacts) -> None:
@@ -89,18 +90,17 @@ class EventLocator:
     @cached_property
     def _slack(self) -> np.ndarray:
         """(items, MARGINS_PER_CONTACT) what event functions may be below zero; of gaps as `_set_slack` has it."""
-        slack = np.zeros_like(self.system.margins[: self.system.items])
-        # both ends of a joint coordinate
-        nc = self.system.nc
-        slack[nc:, DOMAIN_MARGIN] = self._accuracy[nc:]
-        return slack
+        return np.zeros_like(self.system.margins[: self.system.items])
 
     @cached_property
     def _accuracy(self) -> np.ndarray:
         return gap_resolution(self.system)
 
     def _set_slack(self) -> None:
+        nc = self.system.nc
         self._slack[:, GAP_MARGIN] = self._accuracy + self._depths
+        # the upper end of a joint coordinate
+        self._slack[nc:, DOMAIN_MARGIN] = self._slack[nc:, GAP_MARGIN]
         self._slack[:, SPEED_MARGIN] = _SPEED_ROUND_OFF * (1.0 + float(np.abs(self.system.v).max(initial=0.0)))
 
     def _values(self, t: float, step: float, thetas: Sequence[float]) -> np.ndarray:
@@ -161,10 +161,9 @@ class EventLocator:
         crosses[:, :, SPEED_MARGIN] &= (before[:, :, SPEED_MARGIN] >= 0.0) | (
             after[:, :, SPEED_MARGIN] < before[:, :, SPEED_MARGIN]
         )
-        gaps, later, nc = before[:, :, GAP_MARGIN], after[:, :, GAP_MARGIN], self.system.nc
-        # a joint that starts beyond its end, and comes back, does not meet it; nor does what comes from behind touch
-        crosses[:, nc:, GAP_MARGIN] &= (gaps[:, nc:] >= 0.0) | (later[:, nc:] < gaps[:, nc:])
-        crosses[:1, :nc, GAP_MARGIN] &= (gaps[:1, :nc] >= 0.0) | self._open.apart
+        nc = self.system.nc
+        # what comes from behind does not touch
+        crosses[:1, :nc, GAP_MARGIN] &= (before[:1, :nc, GAP_MARGIN] >= 0.0) | self._open.apart
         return crosses
 
     def _ends_mode(self, t: float, step: float, crossed: tuple[int, int], left: _Sample, right: _Sample) -> bool:
@@ -248,7 +247,8 @@ class EventLocator:
             self.rk.attempt(t, h)
             return h, True
         slope = float(ends[1][c, kind] - ends[0][c, kind]) / (h - back)
-        depth = float(self._depths[c]) if kind == GAP_MARGIN else 0.0
+        is_way = kind == GAP_MARGIN or (kind == DOMAIN_MARGIN and c >= self.system.nc)
+        depth = float(self._depths[c]) if is_way else 0.0
         before: tuple[float, float] | None = None
         denied, value = True, 0.0
         for _ in range(_REFINEMENTS):

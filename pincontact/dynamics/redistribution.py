@@ -56,7 +56,7 @@ def leaves_loads_open(system: System) -> bool:
         return False
     modes, rough = system.contact_int[:, MODE], system.contact_real[:, MU] > 0.0
     closed, resisting = system.closed(), system.resisting()
-    slides = any(modes[c] == SLIPPING and rough[c] for c in closed)
+    slides = any(modes[i] == SLIPPING and rough[i] for i in [*closed, *resisting])
     if not slides or not (resisting or any(modes[c] == STICK and rough[c] for c in closed)):
         return False
     rows, directions = system.whitened_rows[:count], system.whitened_forces[:count]
@@ -100,21 +100,34 @@ class RedundantForces:
         if not np.isfinite(directions).all():
             return False
         null = null_space(directions)
-        self.redundant = null.shape[1] > 0
-        if not self.redundant:
-            return False
+        choices = [null]
+        if slipping:
+            # the motion depends on forces that the constraints leave open, too: see `leaves_loads_open`
+            open_forces = null_space(directions @ rows.T)
+            if open_forces.shape[1] > null.shape[1]:
+                choices.append(open_forces)
+        self.redundant = choices[-1].shape[1] > 0
         forces = system.force[index[:, 0], index[:, 1]]
         for r, (c, row) in enumerate(index):
             if row == 2 and c < system.nc and held_up_by_friction(system, c):
                 forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
-        found = central_force(forces, null, self._cones(index))
-        if found is None:
-            return False
+        cones = self._cones(index)
+        for null in choices:
+            found = central_force(forces, null, cones)
+            if found is not None and self._takes(t, evaluate, index, found, slipping):
+                return True
+        return False
+
+    def _takes(self, t: float, evaluate, index: np.ndarray, choice: Choice, slipping: bool) -> bool:
+        """Take the choice for the reference, if then all forces lie inside their cones; whether they do."""
+        system, count = self.system, len(index)
         arrays = system.reference, system.reference_start, system.reference_rate, system.reference_slope
         kinds = "has_reference", "reference_moves", "reference_time"
         before, last = [array.copy() for array in arrays], self._last
         scalars = [system.scalars[kind] for kind in kinds]
-        self._follow(t, index, found, rows @ (directions.T @ found.span), slipping)
+        directions = system.whitened_forces[:count] if slipping else system.whitened_rows[:count]
+        operator = system.whitened_rows[:count] @ (directions.T @ choice.span)
+        self._follow(t, index, choice, operator, slipping)
         if evaluate(t) <= EVENT and self._holds():
             self.redistributions += 1
             return True

@@ -12,8 +12,10 @@ JOINTS, DURATION = 6, 0.5
 
 
 def _falling_chain(seed: int, mirrored: bool) -> pc.Trajectory:
-    """A hanging chain of hinges between stops, thrown at random. In the mirror each hinge turns about the opposite axis,
-    so that its coordinate changes its sign, and its ends their places."""
+    """A hanging chain of hinges between stops, thrown at random.
+
+    In the mirror each hinge turns about the opposite axis: its coordinate changes its sign, its ends their places.
+    """
     rng = np.random.default_rng(seed)
     sign = -1.0 if mirrored else 1.0
     model, parent, place = pin.Model(), 0, pin.SE3.Identity()
@@ -26,7 +28,8 @@ def _falling_chain(seed: int, mirrored: bool) -> pc.Trajectory:
         place = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.25]))
     ends = np.sort(sign * np.array([-rng.uniform(0.0, 0.05, JOINTS), rng.uniform(0.0, 0.05, JOINTS)]), axis=0)
     model.lowerPositionLimit, model.upperPositionLimit = ends
-    model.lowerDryFrictionLimit, model.upperDryFrictionLimit = np.array([[-1.0], [1.0]]) * rng.uniform(0.0, 0.01, JOINTS) * rng.integers(0, 2, JOINTS)
+    friction = rng.uniform(0.0, 0.01, JOINTS) * rng.integers(0, 2, JOINTS)
+    model.lowerDryFrictionLimit, model.upperDryFrictionLimit = -friction, friction
     scene = pc.Scene(model)
     state = scene.initial_state(np.zeros(JOINTS), sign * rng.normal(size=JOINTS))
     run: pc.Trajectory = pc.simulate(scene, state, DURATION)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -61,12 +62,27 @@ def test_what_rests_stays_where_forces_can_hold_it(mu, options):
         55252,  # a chain that jams as it strikes
         55828,  # a chain at rest between two surfaces, which could open
         50212,  # a contact that strikes without rebound beside one that slides
+        91852,  # ideal rolling beside a joint in dry friction, which could open from the first step on
     ],
 )
 def test_all_methods_take_the_same(seed):
     """In turned worlds and other orders of contacts, event-driven and by time stepping."""
     finding = check(seed)
     assert not finding.wrong and min(finding.statuses.values()) == 0, finding
+
+
+@pytest.mark.parametrize("seed", [91852, 55828, 90040])
+def test_runs_know_no_earlier_runs(seed):
+    """The solver's tables are kept for the scene's next run, not what they held."""
+    motion = random_motion(seed)[1]
+    fresh, stepped = Runs(motion), {"method": "Moreau", "step": 1e-3, "max_steps": 1000}
+    first = fresh.run(**stepped)
+    other = motion.rebuilt(gravity=0.3)
+    pc.simulate(motion.scene, replace(motion, v=-2.0 * motion.v).state(), 0.05, **stepped | {"max_steps": 50})
+    fresh.run(motion=other, **stepped)
+    again = fresh.run(**stepped)
+    np.testing.assert_array_equal(first.q, again.q)
+    np.testing.assert_array_equal(first.v, again.v)
 
 
 def sticks_or_opens(rng, n):

@@ -287,6 +287,11 @@ class ContactSolver:
             space.velocities[:] = velocities.reshape(-1)
         space.counts[KNOWN] = 1
 
+    def is_warm(self, contacts: int) -> bool:
+        """Whether problems of this size begin from a last solution."""
+        space = self._spaces.get(contacts)
+        return space is not None and bool(space.counts[KNOWN])
+
     def warm_starts(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """The last solution of every size, as `warm_start` takes it; views."""
         return [(space.modes, space.forces, space.velocities) for space in self._spaces.values() if space.counts[KNOWN]]

@@ -12,10 +12,11 @@ from ..friction.loads import TOLERANCE as PRODUCT_TOLERANCE
 from ..friction.product import SETTLED, Product
 from ..friction.solve import ContactSolver
 from ..layout import FRICTIONLESS
-from ..layout import STICK as AT_REST
+from ..layout import STICK as STICKING
 from ..workspace import Workspace
 from .choices import Units, chosen_forces, holding_forces
 from .impulse_layout import APART, LOOKED_FOR, ON_CONTACT, ON_JOINT, ON_LOADED, ON_TURN, TOGETHER, WANTED
+from .impulse_problem import OPENING
 
 # Compliances relative to the contacts' own, tried in turn where the cone problem has no solution.
 _COMPLIANCES = (1e-10, 1e-8, 1e-6, 1e-4)
@@ -24,6 +25,9 @@ _LARGEST_FORCE = 10.0
 # How modes are looked for, quickly in every step, at length (milliseconds) where nothing else has helped; without the
 # search whose linear algebra rounds differently with the alignment of memory.
 _SEARCHES = ("sweeps", "path")
+
+# Modes in which contacts are at rest, or have no friction.
+_AT_REST = (STICKING, FRICTIONLESS)
 
 # Modes (n,), forces and velocities (3n,) of a solution.
 Solution = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -152,7 +156,7 @@ class ImpulseSolver:
         units, mu = problem.units, problem.friction
         if (units["kind"] != ON_CONTACT).any():
             return False
-        if not np.isin(self._arrays.start_mode[units["index"]], (AT_REST, FRICTIONLESS)).all():
+        if not np.isin(self._arrays.start_mode[units["index"]], _AT_REST).all():
             return False
         modes, nothing = np.where(mu > 0.0, STICK, SLIP), np.zeros(3 * problem.n)
         return self._holds(problem, modes, (modes, nothing, nothing), mu > 0.0)
@@ -193,10 +197,11 @@ class ImpulseSolver:
         counts = self._counts
         if counts["coupled"] == APART:
             touched = bool(counts["touched"])
-            if self._arrays.cone_tables[problem.n]:
-                # the usual homotopy has been tried
+            if self.solver.is_warm(problem.n):
+                # the usual ways have been tried
                 solved = self.solver.search(*problem.cones, afresh=touched)
             else:
+                self._stay_as_before(problem)
                 solved = self.solver.solve(*problem.cones, afresh=touched)
                 self._share_tables()
             if solved or self._stay(problem):
@@ -205,6 +210,18 @@ class ImpulseSolver:
                 return False
             counts["coupled"] = TOGETHER
         return self._solve_together(problem)
+
+    def _stay_as_before(self, problem: _Problem) -> None:
+        """Let the first problem of a size begin with all contacts at rest, if all were at the start of the step."""
+        units, velocities = problem.units, np.zeros((problem.n, 3))
+        contacts = units["index"][units["kind"] < ON_JOINT]
+        if not np.isin(self._arrays.start_mode[contacts], _AT_REST).all():
+            return
+        velocities[:, :2] = self._arrays.unit_start[: problem.n]
+        moves = np.abs(velocities).max(axis=1) * self._numbers["h"] > OPENING
+        moves[units["kind"] < ON_JOINT] = False
+        modes = np.where(moves | (problem.friction == 0.0), SLIP, STICK)
+        self.solver.warm_start(modes, np.zeros(3 * problem.n), velocities.ravel())
 
     def _search_hard(self, problem: _Problem) -> bool:
         """What the quick searches did not solve: with a little compliance in the contacts, since with redundant ones b

@@ -94,8 +94,10 @@ def _solve(step, n):
         return False
     known = cone.cone_at(address)
     # of several solutions of an impact the one that the past has no part in
-    usual = counts.cone_task >= USUAL
-    task = USUAL + AFRESH if usual and counts.touched != 0 else counts.cone_task
+    afresh = counts.cone_task >= USUAL and counts.touched != 0
+    task = USUAL + AFRESH if afresh else counts.cone_task
+    if not afresh and known.counts[cone.KNOWN] == 0:
+        return False
     residual = _call_cones(
         step.calls.solve_cones,
         as_array(square(step.delassus, 3 * n)),
@@ -182,16 +184,18 @@ def _leaves_choice(step, n):
     known = cone.cone_at(address).counts
     if known[cone.CHOICES] == 0:
         return False
-    slides = sticks = turns = False
+    slides = sticks = turns = rests = False
     for u in range(n):
-        kind, mode = step.units[u].kind, step.cone_modes[u]
+        kind, slips = step.units[u].kind, step.cone_modes[u] == cone.SLIP
         on_contact = kind == ON_CONTACT and step.friction[u] > 0.0
-        turns = turns or kind == ON_TURN
-        slides = slides or (on_contact and mode == cone.SLIP)
-        sticks = sticks or (on_contact and mode == cone.STICK)
-    if slides and (sticks or turns):
+        turns = turns or (kind == ON_TURN and slips)
+        rests = rests or (kind == ON_TURN and not slips)
+        slides = slides or (on_contact and slips)
+        sticks = sticks or (on_contact and step.cone_modes[u] == cone.STICK)
+    resists = turns or rests
+    if (slides and (sticks or resists)) or (turns and sticks):
         step.counts.open_loads += 1
-    return slides and not turns and known[cone.FOLLOWS] != 0
+    return slides and not resists and known[cone.FOLLOWS] != 0
 
 
 @kernel

@@ -110,6 +110,8 @@ class SliderCrank:
                 method="DOP853",
                 rtol=1e-12,
                 atol=1e-13,
+                # events are found on the dense output, which is less exact than the steps
+                max_step=5e-3,
                 events=event,
             )
             t, y = float(found.t[-1]), found.y[:, -1]

@@ -32,9 +32,10 @@ def check_multipliers(region, found):
     assert region.contains(found.y, 1e-7)
     assert (np.hypot(found.cones[:, 1], found.cones[:, 2]) <= -found.cones[:, 0] + 1e-7).all()
     x = region.apexes + region.cones @ found.y
-    np.testing.assert_allclose(np.einsum("mi,mi->m", x, found.cones), 0.0, atol=1e-6)
+    # either factor is off by 1e-7, the other of sizes up to some tens
+    np.testing.assert_allclose(np.einsum("mi,mi->m", x, found.cones), 0.0, atol=4e-6)
     ends = np.where(found.rows > 0.0, region.high, region.low)
-    np.testing.assert_allclose(found.rows * (region.rows @ found.y - ends), 0.0, atol=1e-6)
+    np.testing.assert_allclose(found.rows * (region.rows @ found.y - ends), 0.0, atol=4e-6)
 
 
 def test_least_squares_within_cones_by_their_multipliers():

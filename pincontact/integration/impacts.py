@@ -35,9 +35,7 @@ class Impacts:
         # whatever touches at the same instant, by symmetry, takes part
         others = [i for i in range(system.nc) if i != c and modes[i] == FREE and penetration.touches(i)]
         touching = [c, *(i for i in others if gap_rate(system, i) <= _LEAVING_SPEED)]
-        rebounding = {
-            i: self.restitution[i] for i in touching if -self.restitution[i] * gap_rate(system, i) > REST_SPEED
-        }
+        rebounding = {i: self.restitution[i] for i in touching if self._rebounds(i)}
         unopened: dict[int, int] = {}
         for i in touching:
             if i not in rebounding and penetration.has_stayed_closed(i):
@@ -59,6 +57,19 @@ class Impacts:
             elif modes[i] != before:
                 self.reports.announce_friction(t, i, bool(modes[i] == SLIPPING))
         return after
+
+    def stop_joints(self, t: float) -> float:
+        """Joints have struck ends of their ways, and are held there: impulses as in `touch`, in which a contact takes
+        part that rebounds at the same instant."""
+        opened = [c for c in range(self.system.nc) if self.system.contact_int[c, MODE] == FREE]
+        for c in opened:
+            if self.onset.open.apart[c] and self.penetration.touches(c) and self._rebounds(c):
+                return self.touch(t, c)
+        return self.collide(t, [], {})
+
+    def _rebounds(self, c: int) -> bool:
+        """Whether contact c comes in so fast that it leaves again."""
+        return -self.restitution[c] * gap_rate(self.system, c) > REST_SPEED
 
     def collide(self, t: float, touching: list[int], restitution: dict[int, float]) -> float:
         """Impulses on all closed contacts and ends of joints, then new modes from the velocities after them.

@@ -162,7 +162,7 @@ class Transitions:
         stops = self.joints.stop_those_at_ends(t)
         if self._striking:
             return self.impacts.touch(t, self._striking[0])
-        return self.impacts.collide(t, [], {}) if stops else None
+        return self.impacts.stop_joints(t) if stops else None
 
     # ---------------------------------------------------------------- events
 
@@ -197,7 +197,7 @@ class Transitions:
         if kind in (NORMAL_MARGIN, FRICTION_MARGIN) and self.changes.redistribute(t, c, kind):
             return t
         if self.joints.switch(t, c - self.system.nc, kind):
-            return self.impacts.collide(t, [], {})
+            return self.impacts.stop_joints(t)
         return self.onset.resolve(t, self.changes.sticking())
 
     def _reach_end(self, t: float, c: int) -> float:

@@ -54,6 +54,8 @@ CONVERGING, FALLS_TO = 1e2, 0.2
 REST = 1e-2
 # Energy made, over the largest kinetic energy: by errors of the tolerance, and of first order of a time step.
 GAIN, GAIN_STEPS = 1e-6, 0.1
+# s: impacts nearer to each other are one at default tolerances, which know positions to 1e-7 m.
+SAME = 1e-7
 # Errors of time stepping, over those that halving shows, and over what its velocities cover in a step.
 HALVED, COVERED = 4.0, 2.0
 
@@ -235,6 +237,9 @@ def judge(
         finding.undecided.append(
             f"{name}: {apart.max():.1e} apart, {nearer.max():.1e} with a hundredth of the tolerance"
         )
+        return
+    if strikes_within(SAME, *near_until(runs, apart, close), one, exact):
+        finding.undecided.append(f"{name}: {apart.max():.1e} apart, two impacts as near as positions are known")
         return
     if one.stats["open_loads"] or exact.stats["open_loads"]:
         finding.undecided.append(f"{name}: {apart.max():.1e} apart, and say that redundant loads are open")

@@ -49,40 +49,47 @@ _PART_OPTIONS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper":
 
 
 _IMPORT = re.compile(r"^ *from (\.+)([\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
-_texts: dict[Path, bytes] = {}
-_imports: dict[Path, list[Path]] = {}
-
-
-def _imported_files(file: Path) -> list[Path]:
-    """The package's files that a file of it imports."""
-    if file in _imports:
-        return _imports[file]
-    _texts[file] = file.read_bytes()
-    found = []
-    for dots, module, names in _IMPORT.findall(_texts[file].decode()):
-        base = file.parents[len(dots) - 1].joinpath(*filter(None, module.split(".")))
-        candidates = [base.with_suffix(".py"), base / "__init__.py"]
-        candidates += [base / f"{name}.py" for name in re.findall(r"\w+", names)]
-        found += [path for path in candidates if path.is_file()]
-    _imports[file] = found
-    return found
+_NAME = re.compile(r"\w+")
 
 
 @functools.cache
-def source_hash(file: Path) -> str:
+def _names_in(folder: str) -> frozenset[str]:
+    return frozenset(os.listdir(folder)) if os.path.isdir(folder) else frozenset()
+
+
+@functools.cache
+def _read(file: str) -> tuple[bytes, tuple[str, ...]]:
+    """Digest of a file's text, and the package's files that it imports."""
+    text = Path(file).read_bytes()
+    found = []
+    for dots, module, names in _IMPORT.findall(text.decode()):
+        base = os.path.dirname(file)
+        for _ in dots[1:]:
+            base = os.path.dirname(base)
+        *folders, last = ["", *filter(None, module.split("."))]
+        above = os.path.join(base, *folders) if last else base
+        base = os.path.join(above, last) if last else base
+        if last and f"{last}.py" in _names_in(above):
+            found.append(f"{base}.py")
+        inside = _names_in(base)
+        wanted = ("__init__.py", *(f"{name}.py" for name in _NAME.findall(names)))
+        found += [os.path.join(base, name) for name in wanted if name in inside]
+    return hashlib.sha256(text).digest(), tuple(found)
+
+
+@functools.cache
+def source_hash(file: str) -> str:
     """Key of all that the machine code of a file's kernels depends on: it, what it imports, numba, where they are."""
-    reached = {file}
-    waiting = [file]
+    reached, waiting = {file}, [file]
     while waiting:
-        for path in _imported_files(waiting.pop()):
-            if path not in reached:
-                reached.add(path)
-                waiting.append(path)
+        new = [path for path in _read(waiting.pop())[1] if path not in reached]
+        reached.update(new)
+        waiting += new
     # numba keeps machine code by the path of its source and the time of its last change: another copy of the package is
     # another cache, and one that was installed again
-    digest = hashlib.sha256(f"{numba.__version__} {_PACKAGE} {CHECKED} {file.stat().st_mtime_ns}".encode())
+    digest = hashlib.sha256(f"{numba.__version__} {_PACKAGE} {CHECKED} {os.stat(file).st_mtime_ns}".encode())
     for path in sorted(reached):
-        digest.update(_texts[path])
+        digest.update(_read(path)[0])
     return digest.hexdigest()[:16]
 
 
@@ -230,7 +237,7 @@ def inlined_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def cache_directory(function: Any) -> Path:
     """Where machine code of a kernel is kept."""
-    return _CACHE / source_hash(Path(function.__code__.co_filename))
+    return _CACHE / source_hash(function.__code__.co_filename)
 
 
 def entry_kernel(*arguments: Any, when: int = ALWAYS) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

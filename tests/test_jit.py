@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
 import numba
 import pytest
 from numba import types
 
+from pincontact import jit
 from pincontact.callback import separate_kernel
 from pincontact.jit import CALLED, INTEGER, REAL, SEPARATE, Entry, entry_kernel, kernel
 
@@ -89,3 +92,37 @@ def test_kernels_that_cannot_be_compiled_say_why(tmp_path, monkeypatch):
 
     with pytest.raises(numba.TypingError, match="nothing"):
         Entry(numba.njit(cache=True)(meaningless), (types.int64,), tmp_path, CALLED).compile()
+
+
+def test_the_key_follows_all_that_a_file_imports(tmp_path):
+    """By modules and by names, over several files and around a circle; not what it does not import."""
+    texts = {
+        "one/first.py": "from ..two import middle\n",
+        "two/__init__.py": "",
+        "two/middle.py": "from .last import (\n    a,\n    b,\n)\n",
+        "two/last.py": "from ..one.first import c\n",
+        "two/other.py": "from .last import a\n",
+    }
+    for name, text in texts.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+
+    def keys():
+        # as in a new process
+        for cached in (jit.source_hash, jit._read, jit._names_in):
+            cached.cache_clear()
+        return [jit.source_hash(str(tmp_path / name)) for name in ("one/first.py", "two/other.py")]
+
+    before = keys()
+    assert keys() == before
+    for name, follows in (
+        ("two/last.py", [True, True]),
+        ("two/middle.py", [True, True]),
+        ("two/other.py", [False, True]),
+    ):
+        (tmp_path / name).write_text(texts[name] + "# edited\n")
+        after = keys()
+        assert [new != old for new, old in zip(after, before)] == follows, name
+        before = after
+    os.utime(tmp_path / "one/first.py", ns=(1, 1))
+    assert [new != old for new, old in zip(keys(), before)] == [True, False]

@@ -30,6 +30,8 @@ from .redundant import has_factors, low_rank_solve, move_inside, turn_slips
 ROUND_OFF = 1e-14
 # Redundant forces of what slips are those of least norm when these change by no more than this part of the largest.
 SETTLED = 1e-11
+# A residual beyond this after least forces were looked for once more is left as it was before.
+TURNED = 1e-9
 # A slip speed this far below zero (scaled) turns slip into stick; less is round-off on a redundant contact.
 SPEED_TOLERANCE = 1e-12
 # Relative changes of the forces above this are a new choice among redundant forces, below it a refinement.
@@ -346,7 +348,7 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
         again = False
         # whether forces are not those of least norm in the present modes
         follows = refine
-        settled = False
+        settled, kept = False, HUGE
         for k in range(passes):
             before = residual
             open_directions, moved, change = newton_step(cone, g, c, mu, modes, f, u, refine, near > 0, start, rank)
@@ -367,7 +369,18 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
                 if settled or not least or k + 2 >= passes or not slips(modes):
                     return residual, k + 1, attempts, open_directions, follows
                 # least for directions of slip that have turned since
-                refine = False
+                for j in range(3 * n):
+                    start[j] = f[j]
+                kept, refine = residual, False
+                continue
+            if kept < HUGE and (residual > TURNED or (refine and stalled) or k + 1 >= passes):
+                # directions turn too much: as they were
+                for j in range(3 * n):
+                    f[j] = start[j]
+                respond(g, c, f, u, size, cone.x)
+                return kept, k + 1, attempts, open_directions, follows
+            if kept < HUGE:
+                refine = True
                 continue
             if not residual < HUGE:
                 break

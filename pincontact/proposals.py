@@ -11,7 +11,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from .arguments import check_positive
+from .arguments import check_flag, check_positive
 from .contacts import Assembly, AttachedContour
 from .contours import Circle, Contour, Cylinder, Ellipsoid, Line, Plane, Point, Sphere
 from .geometry.patterns import PLANAR, candidate_patterns, find_pattern
@@ -30,9 +30,10 @@ _ROUND = (Sphere, Ellipsoid)
 _FLAT = ({Plane}, {Plane, Line}, {Plane, Cylinder}, {Circle}, {Circle, Line}, {Point}, {Point, Circle}, {Point, Line})
 
 
-def propose_pairs(scene: Assembly, distance: float, q: ArrayLike | None) -> tuple[list[str], list[str]]:
+def propose_pairs(scene: Assembly, distance: float, q: ArrayLike | None, within: bool) -> tuple[list[str], list[str]]:
     """Names of the contours that `Scene.propose_contacts` returns."""
     check_positive(distance=distance)
+    check_flag("within", within)
     model = scene.model
     configuration = pin.neutral(model) if q is None else check_configuration(coordinates_of(model), q)
     shapes = pin.GeometryModel()
@@ -55,11 +56,12 @@ def propose_pairs(scene: Assembly, distance: float, q: ArrayLike | None) -> tupl
             f"contours of which no contact is proposed, having no end or no closed form: {names}.", stacklevel=3
         )
     taken = {frozenset((contact.first.name, contact.second.name)) for contact in scene.contacts.values()}
-    together = _held_together(model)
+    together, robots = _held_together(model), _robots(model)
     pairs = [
         (i, j)
         for i, j in combinations(range(len(solids)), 2)
         if (min(solids[i].joint, solids[j].joint), max(solids[i].joint, solids[j].joint)) not in together
+        and (within or robots[solids[i].joint] != robots[solids[j].joint])
         and frozenset((solids[i].name, solids[j].name)) not in taken
         and candidate_patterns(*_in_order(solids[i].contour, solids[j].contour))
     ]
@@ -105,6 +107,14 @@ def _held_together(model: pin.Model) -> set[tuple[int, int]]:
         if parent > 0 or not jacobian[:3, start : start + model.nvs[joint]].any():
             pairs.add((parent, joint))
     return pairs
+
+
+def _robots(model: pin.Model) -> list[int]:
+    """For each joint that of the world's children from which it hangs; 0 for the world."""
+    roots = [0]
+    for joint in range(1, model.njoints):
+        roots.append(roots[model.parents[joint]] or joint)
+    return roots
 
 
 def _near(

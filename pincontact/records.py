@@ -30,12 +30,12 @@ from .workspace import address_of
 class Record:
     """Rows written during a run: what is needed to rebuild everything else.
 
-    start: the state that the run starts from; by_steps: the modes in the rows are those of steps of a constant size,
-    see `OutputModes`.
+    start: the state that the run starts from; steps_by: the contact solver of time stepping, None in other runs: the
+    modes in the rows are then those of steps, see `OutputModes`.
     """
 
-    def __init__(self, system: RunSystem, start: State, with_torques: bool, by_steps: bool = False) -> None:
-        self.system, self.with_torques, self.by_steps = system, with_torques, by_steps
+    def __init__(self, system: RunSystem, start: State, with_torques: bool, steps_by: str | None = None) -> None:
+        self.system, self.with_torques, self.steps_by = system, with_torques, steps_by
         # works are counted from there on, whatever the outputs
         counts = system.sizes["nwork"] > 0
         self._total_at_start = np.array(sum(energies_at(system.model, start.q, start.v))) if counts else None
@@ -89,8 +89,9 @@ class Record:
             self._resistances,
             self._total_at_start,
         )
-        if self.by_steps and system.nc:
-            rest = partial(_with_output_modes, rest, scene, system.contacts, self._widths[4] > 0, t, q, v)
+        if self.steps_by is not None and system.nc:
+            works = self._widths[4] > 0
+            rest = partial(_with_output_modes, rest, scene, system.contacts, works, self.steps_by, t, q, v)
         return t, q, v, rest
 
 
@@ -169,6 +170,7 @@ def _with_output_modes(
     scene: Scene,
     contacts: list[Contact],
     works: bool,
+    contact_solver: str,
     t: np.ndarray,
     q: np.ndarray,
     v: np.ndarray,
@@ -181,7 +183,7 @@ def _with_output_modes(
     # the run's own system, if nothing has been added to the scene since
     cached = take_system(scene, works, resistances=False) if list(scene.contacts.values()) == contacts else None
     system = RunSystem(scene.model, contacts) if cached is None else cached.system
-    modes = OutputModes(system)
+    modes = OutputModes(system, contact_solver)
     for i in resting:
         load_output(system, recorded, i, q[i], v[i])
         with modes.at(float(t[i])) as others:

@@ -498,12 +498,14 @@ class Scene(Assembly):
             raise
         return added
 
-    def propose_contacts(self, distance: float, q: ArrayLike | None = None) -> tuple[list[str], list[str]]:
+    def propose_contacts(
+        self, distance: float, q: ArrayLike | None = None, within: bool = False
+    ) -> tuple[list[str], list[str]]:
         """Pairs of contours near each other that can keep a regular point contact, for `add_contacts`.
 
         Points, spheres, ellipsoids, planes, rectangles, circles (as disks), and lines and cylinders with ends. Left out
-        are contours of one body, of parent and child (of the world and a base only if that cannot translate), pairs
-        that have a contact, flat on flat, curve on rim, and what is parallel at q.
+        are contours of one robot (what hangs from one joint of the world), of the world and a base that cannot
+        translate, pairs that have a contact, flat on flat, curve on rim, and what is parallel at q.
 
         Parameters
         ----------
@@ -511,6 +513,9 @@ class Scene(Assembly):
             In m; what is nearer is proposed, also what overlaps.
         q : (nq,) array_like
             Pinocchio's configuration in m and rad, the neutral one if not given; motions of contours are at time 0.
+        within : bool
+            Propose pairs of links of one robot, too, but those of parent and child. Collision shapes are often
+            generous: links that never meet may overlap at q.
 
         Returns
         -------
@@ -520,7 +525,7 @@ class Scene(Assembly):
         Raises
         ------
         ArgumentError
-            For a distance that is not positive.
+            For a distance that is not positive, or a `within` that is neither True nor False.
         StateError
             For a configuration of the wrong size or with bad numbers.
 
@@ -529,7 +534,7 @@ class Scene(Assembly):
         UserWarning
             Names other contours.
         """
-        return propose_pairs(self, distance, q)
+        return propose_pairs(self, distance, q, within)
 
     def _frame_id(self, contour: str, frame: str) -> int:
         """Index of a frame by name; a body's where a joint has the same name, as is common in URDFs."""

@@ -348,7 +348,8 @@ def _simulate_moreau(request: _Request, finish: Callable[[Trajectory], Trajector
     system.state[end : end + 4 * system.nc] = state.location.ravel()
     stepper = cached.stepper()
     stepper.cones.choose(request.contact_solver)
-    record = Record(system, state, with_torques=torque is not None or stepper.acts_on_joints, by_steps=True)
+    with_torques = torque is not None or stepper.acts_on_joints
+    record = Record(system, state, with_torques, steps_by=request.contact_solver)
 
     def add(t: float) -> None:
         # forces on the joints of limits, friction and resistance to turning go with the torques, so that contact forces

@@ -246,7 +246,7 @@ CASES = {
     "propose_contacts": (
         lambda **options: ball_scene().propose_contacts(**options),
         {"distance": 0.1},
-        {"distance": [*POSITIVE, None], "q": vectors(7, [0.3] * 7)},
+        {"distance": [*POSITIVE, None], "q": vectors(7, [0.3] * 7), "within": FLAG},
         (),
     ),
     "add_contour": (

@@ -18,6 +18,7 @@ BENCHMARKS = Path(__file__).parents[1] / "examples" / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 
 import breakdown  # noqa: E402
+import cone  # noqa: E402
 import real_time  # noqa: E402
 import rollouts  # noqa: E402
 import work_precision  # noqa: E402
@@ -258,3 +259,22 @@ def test_rollouts(scene, capsys, monkeypatch):
 def test_control_loop(loop, capsys):
     real_time.main(["--steps", "200", "--loops", loop])
     assert "99.9 %" in capsys.readouterr().out
+
+
+def test_what_programs_solve_alone_is_counted_by_rank(capsys):
+    count = 60
+    unsolved = cone.program_shares(count, 0)
+    lines = capsys.readouterr().out.splitlines()[unsolved:]
+    assert unsolved <= 1
+    assert lines[0].startswith(f"all: {count - unsolved} of {count} ")
+    # dense problems of more rows than columns, feet from three on, and bodies with more contacts than motions
+    full, redundant = (int(line.split(" of ")[1].split()[0]) for line in lines[1:3])
+    assert full + redundant == count and min(full, redundant) >= 10
+
+
+def test_programs_take_no_help_from_other_stages():
+    solver = cone.programs_alone()
+    for _, _, problem in cone.random_problems(10, 0):
+        solver.forget()
+        assert solver.solve(*problem)
+    assert solver.decided == {"warm": 0, "exact": 0, "qp": 10}

@@ -136,13 +136,15 @@ def chain(root):
 @pytest.mark.parametrize("root", [pin.JointModelFreeFlyer(), pin.JointModelPZ(), pin.JointModelRZ()])
 def test_neighbours_are_left_out(root):
     """A base that can leave the floor is no neighbour of the world's; one that only turns on it is."""
-    found = set(zip(*chain(root).propose_contacts(0.05)))
+    found = set(zip(*chain(root).propose_contacts(0.05, within=True)))
     on_floor = {("floor", f"{kind}{i}") for kind in ("ball", "other") for i in range(3)}
     if "RZ" in root.shortname():
         on_floor -= {("floor", "ball0"), ("floor", "other0")}
     apart = {pair for pair in found if "floor" not in pair}
     assert found - apart == on_floor
     assert apart == {(f"{a}0", f"{b}2") for a in ("ball", "other") for b in ("ball", "other")}
+    # by default no links of one robot
+    assert set(zip(*chain(root).propose_contacts(0.05))) == on_floor
 
 
 def test_planar_mechanisms_have_planar_pairs():
@@ -251,3 +253,50 @@ def test_a_quadruped_falls_on_a_floor():
     assert run.q[-1, 2] < 0.3
     assert max(run.contacts[name].force[:, 2].min() for name in names) <= 0.0
     assert min(run.contacts[name].gap.min() for name in names) > -1e-3
+
+
+def humanoid():
+    """A trunk with two legs of two links and feet of four corners; a ball in the way. Shapes of the links overlap."""
+    model = pin.Model()
+    trunk = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "trunk")
+    model.appendBodyToJoint(trunk, pin.Inertia.FromBox(20.0, 0.2, 0.3, 0.5), pin.SE3.Identity())
+    for side, y in (("left", 0.1), ("right", -0.1)):
+        parent, place = trunk, np.array([0.0, y, -0.3])
+        for link in ("thigh", "shank", "foot"):
+            parent = model.addJoint(parent, pin.JointModelRY(), pin.SE3(np.eye(3), place), f"{side} {link}")
+            model.appendBodyToJoint(parent, pin.Inertia.FromSphere(2.0, 0.1), pin.SE3.Identity())
+            place = np.array([0.0, 0.0, -0.4])
+    ball = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
+    model.appendBodyToJoint(ball, pin.Inertia.FromSphere(1.0, 0.1), pin.SE3.Identity())
+    scene = pc.Scene(model)
+    for side in ("left", "right"):
+        scene.add_contour(f"{side} knee", pc.Sphere(0.12), f"{side} shank")
+        for i, (x, y) in enumerate(((0.15, 0.05), (0.15, -0.05), (-0.05, 0.05), (-0.05, -0.05))):
+            corner = pin.SE3(np.eye(3), np.array([x, y, -0.05]))
+            scene.add_contour(f"{side} corner {i}", pc.Point(), f"{side} foot", corner)
+    scene.add_contour("belly", pc.Sphere(0.15), "trunk")
+    scene.add_contour("ball", pc.Sphere(0.1), "ball")
+    q = pin.neutral(model)
+    q[2], q[-7:-4] = 1.15, (0.25, 0.1, 0.1)
+    return scene, q
+
+
+def test_a_humanoid_on_a_floor_is_two_lines():
+    """Its corners and the ball, which lies before a foot, on the floor; knees that overlap touch on request only."""
+    scene, q = humanoid()
+    floor = scene.add_contour("floor", pc.Plane())
+    contacts = scene.add_contacts(*scene.propose_contacts(0.02, q), friction=pc.Coulomb(0.8))
+    corners = [f"{side} corner {i}-floor" for side in ("left", "right") for i in range(4)]
+    assert [contact.name for contact in contacts] == [*corners, "ball-floor"]
+    assert all(contact.second is floor for contact in contacts)
+    pairs = set(zip(*scene.propose_contacts(0.02, q, within=True)))
+    assert pairs == {("left knee", "right knee")}
+    # another robot's, or an object's, are proposed
+    assert ("left corner 0", "ball") in set(zip(*scene.propose_contacts(0.2, q)))
+    run = pc.simulate(scene, scene.initial_state(q), 0.05, method="Moreau")
+    assert run.status == 0 and all((run.contacts[name].gap > -1e-9).all() for name in corners)
+
+
+def test_a_flag_is_true_or_false():
+    with pytest.raises(pc.ArgumentError, match="within"):
+        humanoid()[0].propose_contacts(0.1, within="links")

@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+import reference
 
 import pincontact as pc
+from pincontact.friction.loads import Loads, LoadSolver
 from pincontact.friction.proxqp import ConePrograms
 from pincontact.friction.solve import OPEN, SLIP, STICK, ContactSolver, solve_contacts
 
@@ -219,8 +221,7 @@ def test_a_block_on_four_feet_moves_as_it_does_otherwise(method, duration, heigh
     assert run.success and usual.success
     np.testing.assert_allclose(run.t, usual.t, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(run.q, usual.q, rtol=0.0, atol=1e-9)
-    # how feet that slide share the load is found to 1e-9 from the last step's directions, which are a step old
-    np.testing.assert_allclose(run.v, usual.v, rtol=0.0, atol=5e-9)
+    np.testing.assert_allclose(run.v, usual.v, rtol=0.0, atol=1e-9)
     stats = run.stats
     assert usual.stats["qp"] == usual.stats["qp_iterations"] == 0
     assert stats["qp_failures"] == 0
@@ -278,3 +279,57 @@ def test_a_quadruped_slips_as_it_does_otherwise(method, duration, options):
     assert run.stats["qp_failures"] == 0
     assert run.stats["cone_problems"] <= run.stats["qp"] <= 1.1 * run.stats["cone_problems"]
     assert usual.stats["qp"] == 0
+
+
+WITH_FRICTION = [
+    name for name in reference.NAMES if any(c.friction is not None for c in reference.build(name)[0].contacts.values())
+]
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
+@pytest.mark.parametrize("name", WITH_FRICTION)
+def test_reference_scenes_move_as_they_do_otherwise(name, method):
+    scene, state = reference.build(name)
+    end = float(reference.reference(name)["t"][-1])
+    options, end = ({"rtol": 1e-10, "atol": 1e-12}, end) if method == "DOP853" else ({"step": 1e-3}, min(end, 1.0))
+    usual, run = (
+        pc.simulate(scene, state, end, method=method, contact_solver=choice, **options) for choice in ("auto", "proxqp")
+    )
+    for mine, other in ((run.t, usual.t), (run.q, usual.q), (run.v, usual.v)):
+        np.testing.assert_allclose(mine, other, rtol=0.0, atol=1e-9)
+    assert run.stats["qp_failures"] == 0
+    assert run.stats["cone_problems"] <= run.stats["qp"] and usual.stats["qp"] == 0
+    assert method == "DOP853" or run.stats["cone_problems"] > 0
+
+
+def test_outputs_of_time_stepping_are_solved_by_programs_too(monkeypatch):
+    """Their modes are found when somebody asks for them: a disk that comes to roll, with more friction than it has."""
+    solved = []
+    solve = ConePrograms.solve
+    monkeypatch.setattr(ConePrograms, "solve", lambda self, *given: solved.append(1) or solve(self, *given))
+    name = "disk_in_circular_bowl_slip_then_roll"
+    end = float(reference.reference(name)["t"][-1])
+    counts, modes = {}, {}
+    for choice in ("auto", "proxqp"):
+        run = pc.simulate(*reference.build(name), end, method="Moreau", step=1e-3, contact_solver=choice)
+        solved.clear()
+        modes[choice] = run.contacts["0"].mode
+        counts[choice] = len(solved)
+    assert counts["auto"] == 0 < counts["proxqp"]
+    np.testing.assert_array_equal(modes["proxqp"], modes["auto"])
+
+
+def test_problems_with_loads_begin_from_the_programs_guess():
+    """Two loads that do not touch each other; only a start with both pressed has them in the first place."""
+    problem, asked = Loads(np.eye(6), np.tile([0.0, 0.0, -1.0], 2), [2, 5]), []
+
+    def guess(speed):
+        asked.append(speed)
+        return np.tile([0.0, 0.0, 1.0], 2)
+
+    start = np.tile([0.0, 0.0, 1.0], 2)
+    usual, first = LoadSolver(), LoadSolver(guess_first=True)
+    assert usual.solve(problem, start, guess) and not asked
+    assert first.solve(problem, start, guess) and len(asked) == 1 and first.unguessed == 0
+    assert first.solve(problem, start, lambda speed: None) and first.unguessed == 1
+    np.testing.assert_array_equal(first.forces, start)

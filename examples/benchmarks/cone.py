@@ -1,4 +1,4 @@
-"""Contact problems with Coulomb friction: time and residual beside Pinocchio's PGS and ADMM, and clarabel.
+"""Contact problems with Coulomb friction: time and residual beside ProxQP, Pinocchio's PGS and ADMM, and clarabel.
 
 Random problems of three kinds, 1 to 64 contacts each:
 
@@ -11,8 +11,11 @@ calls; ratios are medians of those to pincontact's cold solve of the same proble
 of Coulomb's law, F = P_K(F - (u + mu |u_t| n)), computed outside of all solvers. Clarabel is given the convex problem
 that is left without mu |u_t|, and its residual is that of this one.
 
+"proxqp alone" is `contact_solver="proxqp"` without the stages that take over where its programs find nothing.
+
     python examples/benchmarks/cone.py [--contacts 1 2 4 ...] [--count 20] [--csv FILE]
     python examples/benchmarks/cone.py --robustness 100000      cold solves of random problems; lists what failed
+    python examples/benchmarks/cone.py --robustness 10000 --proxqp      the same by ProxQP's programs alone
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ import statistics
 import sys
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -142,13 +145,18 @@ def residual(problem: Problem, forces: np.ndarray, coulomb: bool = True) -> floa
 # -------------------------------------------------------------------------------------------------------- solvers
 
 
+def programs_alone() -> ContactSolver:
+    """ProxQP's programs with no other solver behind them; Newton's method finishes and judges, as always."""
+    return ContactSolver(stages=("qp",), contact_solver="proxqp")
+
+
 class Pincontact:
     """pincontact's solver, cold or with the solution of a problem whose b is off by 1e-3, as if other forces acted."""
 
-    def __init__(self, warm: bool):
+    def __init__(self, warm: bool, programs: bool = False):
         self.warm = warm
-        self.name = f"pincontact, {'warm' if warm else 'cold'}"
-        self.solver = ContactSolver()
+        self.name = f"{'proxqp alone' if programs else 'pincontact'}, {'warm' if warm else 'cold'}"
+        self.solver = programs_alone() if programs else ContactSolver()
 
     def prepare(self, problem: Problem) -> Callable[[], np.ndarray]:
         delassus, b, mu = problem
@@ -255,7 +263,8 @@ def least_time(call: Callable[[], np.ndarray]) -> tuple[float, np.ndarray]:
 
 def compare(contacts: tuple[int, ...], count: int, seed: int) -> list[dict[str, object]]:
     """One row for each kind, number of contacts and solver; printed as they come."""
-    solvers: list[Any] = [Pincontact(False), Pincontact(True), Pinocchio("PGS"), Pinocchio("ADMM")]
+    solvers: list[Any] = [Pincontact(False), Pincontact(True), Pincontact(False, True), Pincontact(True, True)]
+    solvers += [Pinocchio("PGS"), Pinocchio("ADMM")]
     try:
         import clarabel  # noqa: F401
 
@@ -330,18 +339,60 @@ def held_starts(contacts: tuple[int, ...], count: int, seed: int) -> None:
             )
 
 
+def random_problems(count: int, seed: int) -> Iterator[tuple[int, str, Problem]]:
+    """Number, kind and problem 0 to count - 1 of a seed, each its own."""
+    for k in range(count):
+        rng = np.random.default_rng([seed, k])
+        n = int(rng.choice(ROBUSTNESS_CONTACTS))
+        kind = KINDS[k % len(KINDS)]
+        yield k, kind.__name__, kind(rng, n)
+
+
+def program_shares(count: int, seed: int) -> int:
+    """Cold solves of random problems by ProxQP's programs alone; prints what they solved and at what cost.
+
+    A problem counts as redundant if its matrix has not full rank: then forces are not unique.
+    """
+    solver = programs_alone()
+    solved: dict[bool, list[bool]] = {False: [], True: []}
+    programs, iterations, residuals, times = [], [], [], []
+    for k, kind, problem in random_problems(count, seed):
+        redundant = bool(np.linalg.matrix_rank(without_units(problem)[0], hermitian=True) < len(problem[1]))
+        before = solver.program_counts
+        solver.forget()
+        began = time.perf_counter()
+        solved[redundant].append(solver.solve(*problem))
+        times.append(1e6 * (time.perf_counter() - began))
+        if not solved[redundant][-1]:
+            print(f"problem {k}: {kind}, {len(problem[2])} contacts, residual {solver.residual:.1e}", flush=True)
+            continue
+        after = solver.program_counts
+        programs.append(after["qp"] - before["qp"])
+        iterations.append(after["qp_iterations"] - before["qp_iterations"])
+        residuals.append(solver.residual)
+    for name, some in (
+        ("all", solved[False] + solved[True]),
+        ("full rank", solved[False]),
+        ("redundant", solved[True]),
+    ):
+        share = 100.0 * sum(some) / max(len(some), 1)
+        print(f"{name}: {sum(some)} of {len(some)} solved by programs alone, {share:.3f} %")
+    print(
+        f"of those solved: {statistics.mean(programs):.2f} programs and {statistics.mean(iterations):.1f} iterations "
+        f"on average, largest residual {max(residuals):.1e}; all: {statistics.median(times):.0f} us at the median"
+    )
+    return sum(some.count(False) for some in solved.values())
+
+
 def robustness(count: int, seed: int) -> int:
-    """Cold solves of problem 0 to count - 1 of a seed, each its own; prints failures and statistics."""
+    """Cold solves of random problems; prints failures and statistics."""
     decided: dict[int, Counter[str]] = defaultdict(Counter)
     times: dict[int, list[float]] = defaultdict(list)
     failures = 0
     worst = 0.0
     solver = ContactSolver()
-    for k in range(count):
-        rng = np.random.default_rng([seed, k])
-        n = int(rng.choice(ROBUSTNESS_CONTACTS))
-        kind = KINDS[k % len(KINDS)]
-        problem = kind(rng, n)
+    for k, kind, problem in random_problems(count, seed):
+        n = len(problem[2])
         solver.forget()
         began = time.perf_counter()
         solved = solver.solve(*problem)
@@ -351,7 +402,7 @@ def robustness(count: int, seed: int) -> int:
             worst = max(worst, solver.residual)
         else:
             failures += 1
-            print(f"problem {k}: {kind.__name__}, {n} contacts, residual {solver.residual:.1e}", flush=True)
+            print(f"problem {k}: {kind}, {n} contacts, residual {solver.residual:.1e}", flush=True)
     for n in sorted(times):
         ordered = sorted(times[n])
         print(
@@ -369,7 +420,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--csv", help="also write the table to this file")
     parser.add_argument("--robustness", type=int, metavar="N", help="solve N random problems cold instead")
+    parser.add_argument("--proxqp", action="store_true", help="of these N what ProxQP's programs solve alone")
     arguments = parser.parse_args()
+    if arguments.proxqp:
+        if not arguments.robustness:
+            parser.error("--proxqp needs --robustness N")
+        # it is no failure that others would take over
+        program_shares(arguments.robustness, arguments.seed)
+        return
     if arguments.robustness:
         sys.exit(1 if robustness(arguments.robustness, arguments.seed) else 0)
     rows = compare(tuple(arguments.contacts), arguments.count, arguments.seed)

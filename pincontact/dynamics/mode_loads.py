@@ -67,12 +67,15 @@ class LoadedCones:
     @property
     def program_counts(self) -> dict[str, int]:
         """What ProxQP did for them, see `ContactSolver.program_counts`."""
-        return self.solver.program_counts if self.cone_problems else NO_PROGRAMS
+        if not self.cone_problems:
+            return NO_PROGRAMS
+        counts = self.solver.program_counts
+        return counts | {"qp_failures": counts["qp_failures"] + self.loads.unguessed}
 
     @cached_property
     def loads(self) -> LoadSolver:
         """Made when the first problem with loads is posed."""
-        return LoadSolver()
+        return LoadSolver(guess_first=self._contact_solver == "proxqp")
 
     def _solve_with_loads(
         self, problem: ModeProblem, closed: list[int], held: list[int], resisting: list[int]

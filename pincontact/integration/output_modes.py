@@ -22,8 +22,8 @@ class OutputModes:
     to open would pull: it is open, or slides held up by friction alone.
     """
 
-    def __init__(self, system: System) -> None:
-        self._system = system
+    def __init__(self, system: System, contact_solver: str = "auto") -> None:
+        self._system, self._contact_solver = system, contact_solver
         self._solver: ContactSolver | None = None
 
     @contextmanager
@@ -33,7 +33,7 @@ class OutputModes:
         held = [c for c in system.closed() if system.contact_int[c, MODE] == STICK]
         kept = None
         if held and (status := system.evaluate(t)) <= EVENT:
-            modes = ModeSolver(system)
+            modes = ModeSolver(system, self._contact_solver)
             if self._solver is not None:
                 # an output does not depend on others
                 self._solver.forget()

@@ -48,7 +48,7 @@ def test_slips_that_go_back_in_turn_are_given_up():
     state = robot.scene.initial_state(robot.q, np.zeros(robot.model.nv), free=list(robot.scene.contacts))
     run = pc.simulate(robot.scene, state, 0.0452)
     # a few hundred for steps, the rest for directions in which slip may begin: 20,000 without an end
-    assert run.stats["rhs"] < 6000
+    assert run.stats["rhs"] < 10_000
     assert run.status == 0 or (run.status == -4 and "wheel" in run.message and "fallback" in run.message)
 
 

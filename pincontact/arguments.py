@@ -53,6 +53,20 @@ def check_positive(**numbers: Any) -> None:
             raise ArgumentError(f"{name} must be positive and finite, got {value!r}")
 
 
+def time_step(dt: float | None, step: float | None) -> float | None:
+    """The step of time in s that a call is given by one of its two names, `dt` or `step`, or None for neither.
+
+    Raises ArgumentError for both at once, and for what is not positive and finite.
+    """
+    if dt is not None and step is not None:
+        raise ArgumentError(f"step is another name of dt: give one of them, got dt={dt!r} and step={step!r}")
+    name, value = ("dt", dt) if step is None else ("step", step)
+    if value is None:
+        return None
+    check_positive(**{name: value})
+    return real(value)
+
+
 def check_tolerance(tolerance: Any) -> None:
     """Raise ArgumentError for what is no positive number."""
     if not (is_number(tolerance) and tolerance > 0.0):

@@ -12,7 +12,6 @@ import numpy as np
 
 from .arguments import NOT_REAL, is_count, real_array
 from .errors import ArgumentError, MissingExtraError, SingularContactError, SolverError
-from .integration.moreau import DEFAULT_STEP
 from .scene import Scene
 from .state import State, check_state
 from .stepper import Stepper
@@ -60,12 +59,14 @@ class ContactEnv(gymnasium.Env):
         `terminate(stepper)` says whether the episode is over.
     start : callable, optional
         `start(rng)` is the State in which an episode starts, given a `numpy.random.Generator` that `reset` seeds.
-    dt : float
-        Step in s.
+    dt : float, optional
+        Step in s, 1e-3 if not given.
     substeps : int
         Steps an action.
     max_episode_steps : int, optional
         Actions an episode.
+    step : float, optional
+        Another name of dt.
 
     Raises
     ------
@@ -108,23 +109,25 @@ class ContactEnv(gymnasium.Env):
         observe: Callable[[Stepper], np.ndarray] = positions_and_velocities,
         terminate: Callable[[Stepper], bool] | None = None,
         start: Callable[[np.random.Generator], State] | None = None,
-        dt: float = DEFAULT_STEP,
+        dt: float | None = None,
         substeps: int = 10,
         max_episode_steps: int | None = None,
+        *,
+        step: float | None = None,
     ) -> None:
         if not isinstance(joints, Iterable):
             raise ArgumentError(f"joints must be names of joints, got {joints!r}")
         joints = [joints] if isinstance(joints, str) else list(joints)
         # what environments like this one are made from
         self._given = (scene, state, joints, reward, torque_limits, observe, terminate, start)
-        self._steps_given = (dt, substeps, max_episode_steps)
         for name, count in (("substeps", substeps), ("max_episode_steps", max_episode_steps)):
             if not (is_count(count) or (count is None and name == "max_episode_steps")):
                 raise ArgumentError(f"{name} must be a whole number, at least 1, got {count!r}")
         for name, function in (("reward", reward), ("observe", observe), ("terminate", terminate), ("start", start)):
             if not (callable(function) or (function is None and name in ("terminate", "start"))):
                 raise ArgumentError(f"{name} must be callable, got {function!r}")
-        self.stepper = Stepper(scene, state, dt)
+        self.stepper = Stepper(scene, state, dt, step=step)
+        self._steps_given = (self.stepper.dt, substeps, max_episode_steps)
         self._start_state, self._start = state, start
         self._observe, self._reward, self._terminate = observe, reward, terminate
         self._substeps, self._max_episode_steps = int(substeps), max_episode_steps

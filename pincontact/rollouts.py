@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .arguments import NOT_REAL, check_positive, is_count, real_array
+from .arguments import NOT_REAL, is_count, real_array, time_step
 from .cores import available_cores
 from .errors import ArgumentError, StateError
 from .friction.solve import check_contact_solver
@@ -29,11 +29,13 @@ def rollout(
     scene: Scene,
     states: State | Sequence[State],
     torques: ArrayLike,
-    dt: float = DEFAULT_STEP,
+    dt: float | None = None,
     substeps: int = 1,
     threads: int | None = None,
     contact_solver: str = "auto",
     pd: tuple[ArrayLike, ArrayLike, ArrayLike] | None = None,
+    *,
+    step: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Simulate B starts under T rows of torques each, by the steps of `Stepper`, in parallel threads.
 
@@ -52,8 +54,8 @@ def rollout(
         The B starts, states of this scene; one state is the start of all.
     torques : array_like (B, T, nv) or (T, nv)
         Generalised forces in N and N m, each row held for `substeps` steps; (T, nv) for all starts alike.
-    dt : float
-        Step in s.
+    dt : float, optional
+        Step in s, 1e-3 if not given.
     substeps : int
         Steps per row.
     threads : int or None
@@ -63,6 +65,8 @@ def rollout(
     pd : (kp, kd, target) or None
         Implicit PD actuators as `Stepper.pd` gives them, here with a target (nq,), or one for each row of torques,
         (T, nq) or (B, T, nq).
+    step : float, optional
+        Another name of dt.
 
     Returns
     -------
@@ -94,7 +98,7 @@ def rollout(
     >>> q.shape, v.shape, status.tolist()
     ((8, 50, 6), (8, 50, 6), [0, 0, 0, 0, 0, 0, 0, 0])
     """
-    check_positive(dt=dt)
+    dt = time_step(dt, step) or DEFAULT_STEP
     for name, count in (("substeps", substeps), ("threads", 1 if threads is None else threads)):
         if not is_count(count):
             raise ArgumentError(f"{name} must be a whole number, at least 1, got {count!r}")

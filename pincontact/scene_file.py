@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from .arguments import warn_of_order
+from .arguments import time_step, warn_of_order
 from .contours import (
     CallableMotion,
     Circle,
@@ -136,11 +136,11 @@ class LoadedScene:
         Raises
         ------
         ArgumentError
-            Where neither the file nor the changes say the duration.
+            Where neither the file nor the changes say the duration, or the changes give dt by both its names.
         """
-        if "step" in changes and "dt" not in changes:
-            # the same by its other name, in place of the file's
-            changes["dt"] = changes.pop("step")
+        if "step" in changes:
+            # in place of the file's, whatever its name there
+            changes["dt"] = time_step(changes.get("dt"), changes.pop("step"))
         options = {**self.settings, **changes}
         if "duration" not in options:
             raise ArgumentError(f"{self.path}: simulation.duration is not in the file, and none was given")

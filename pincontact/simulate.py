@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .arguments import NOT_REAL, check_flag, check_positive, is_count, is_number, real_array
+from .arguments import NOT_REAL, check_flag, is_count, is_number, real_array, time_step
 from .dynamics.energy import energy_gained
 from .dynamics.joints import check_guards
 from .errors import ArgumentError, UnusableResult, sentence
@@ -204,7 +204,8 @@ def simulate(
     """
     _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps)
     _check_fallback(fallback, method)
-    dt = _time_step(dt, step, max(abs(state.t), abs(state.t + duration)) if duration > 0.0 else 0.0)
+    dt = time_step(dt, step)
+    _check_resolved(dt, max(abs(state.t), abs(state.t + duration)) if duration > 0.0 else 0.0)
     check_contact_solver(contact_solver)
     times = _output_times(t_eval, state.t, duration)
     jumps = _breakpoints(breakpoints, state.t, duration)
@@ -466,17 +467,9 @@ def _check(
         raise ArgumentError(f"max_steps must be a whole number from 1 to 1e18, got {max_steps!r}")
 
 
-def _time_step(dt: float | None, step: float | None, latest: float) -> float | None:
-    """The step of time stepping, given by either of its names, or None; for times up to `latest` in s."""
-    if dt is not None and step is not None:
-        raise ArgumentError(f"step is another name of dt: give one of them, got dt={dt!r} and step={step!r}")
-    name, value = ("dt", dt) if step is None else ("step", step)
-    if value is None:
-        return None
-    check_positive(**{name: value})
-    if value < _SHORTEST_STEP * latest:
-        raise ArgumentError(f"{name} must be longer than times near {latest:.6g} s are rounded by, got {value}")
-    return value
+def _check_resolved(dt: float | None, latest: float) -> None:
+    if dt is not None and dt < _SHORTEST_STEP * latest:
+        raise ArgumentError(f"dt must be longer than times near {latest:.6g} s are rounded by, got {dt}")
 
 
 def _check_fallback(fallback: str | None, method: str) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from .arguments import NOT_REAL, is_count, is_number, real_array
+from .arguments import NOT_REAL, is_count, real_array, time_step
 from .display import shortened
 from .dynamics.joints import joint_guards
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
@@ -38,10 +38,12 @@ class Stepper:
     scene : Scene
     state : State
         Where it starts, a state of this scene.
-    dt : float
-        Step in s.
+    dt : float, optional
+        Step in s, 1e-3 if not given.
     contact_solver : {"auto", "proxqp"}
         How Coulomb's law is solved, as for `simulate`.
+    step : float, optional
+        Another name of dt.
 
     Attributes
     ----------
@@ -63,7 +65,8 @@ class Stepper:
     Raises
     ------
     ArgumentError
-        For a dt that is not positive and finite, a state of another scene, or another contact_solver.
+        For a dt that is not positive and finite or given by both its names, a state of another scene, or another
+        contact_solver.
     StateError
         For a state whose numbers cannot be used.
     SingularContactError
@@ -90,9 +93,16 @@ class Stepper:
     True
     """
 
-    def __init__(self, scene: Scene, state: State, dt: float = DEFAULT_STEP, contact_solver: str = "auto") -> None:
-        if not (is_number(dt) and 0.0 < dt < math.inf):
-            raise ArgumentError(f"dt must be a positive number of seconds, got {dt!r}")
+    def __init__(
+        self,
+        scene: Scene,
+        state: State,
+        dt: float | None = None,
+        contact_solver: str = "auto",
+        *,
+        step: float | None = None,
+    ) -> None:
+        dt = time_step(dt, step) or DEFAULT_STEP
         check_contact_solver(contact_solver)
         check_state(scene, state)
         contacts = list(scene.contacts.values())
@@ -102,7 +112,7 @@ class Stepper:
 
     def _make(self, scene: Scene, step: MoreauStep, dt: float, contact_solver: str) -> None:
         """All but the start, by steps that are as new and only this stepper's."""
-        self.scene, self.dt, self._contact_solver = scene, float(dt), contact_solver
+        self.scene, self.dt, self._contact_solver = scene, dt, contact_solver
         self._coordinates = coordinates_of(scene.model)
         self._step = step
         self._system = system = step.system

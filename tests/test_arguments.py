@@ -2,12 +2,14 @@
 
 import inspect
 import math
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import pincontact as pc
+from pincontact.gym import ContactEnv
 
 # Whatever a number is expected for. None is left out where it means "not given".
 NO_NUMBERS = [
@@ -289,8 +291,8 @@ CASES = {
             "max_step": [*NO_NUMBERS, *NEGATIVE, 0.0, None],
             "first_step": [*NO_NUMBERS, *NEGATIVE, 0.0],
             "fixed_step": [*NO_NUMBERS, *NEGATIVE, 0.0],
-            "dt": [*NO_NUMBERS, *INFINITE, *NEGATIVE, 0.0],
-            "step": [*NO_NUMBERS, *INFINITE, *NEGATIVE, 0.0],
+            "dt": POSITIVE,
+            "step": POSITIVE,
             "max_steps": [*COUNT, None],
             "breakpoints": ["now", True, [True], ["0.0"], [1j], [math.nan], [None], [math.inf]],
             "fallback": [3, "Euler", True],
@@ -305,7 +307,12 @@ CASES = {
         },
         (),
     ),
-    "Stepper": (call_of(pc.Stepper), {}, {"dt": [*POSITIVE, None], "contact_solver": CONTACT_SOLVER}, ()),
+    "Stepper": (
+        call_of(pc.Stepper),
+        {},
+        {"dt": POSITIVE, "step": POSITIVE, "contact_solver": CONTACT_SOLVER},
+        (),
+    ),
     "Stepper.step": (
         call_of(lambda scene, state, **options: pc.Stepper(scene, state).step(**options)),
         {"tau": np.zeros(6)},
@@ -329,7 +336,8 @@ CASES = {
         {"torques": np.zeros((2, 3, 6))},
         {
             "torques": [*vectors(6), None, np.zeros((2, 5)), np.full((2, 6), True), [["0.3"] * 6], [[math.nan] * 6]],
-            "dt": [*POSITIVE, None],
+            "dt": POSITIVE,
+            "step": POSITIVE,
             "substeps": [*COUNT, None],
             "threads": COUNT,
             "contact_solver": CONTACT_SOLVER,
@@ -429,6 +437,75 @@ def test_what_is_no_number_is_refused_by_name(name):
                 pytest.fail(f"{name}: {argument} = {value!r} passes")
             expected = NAMED.get((name, argument), argument).split("|")
             assert any(part in str(caught.value) for part in expected), (argument, value, str(caught.value))
+
+
+def by_environment(scene, state, torques, **options):
+    environment = ContactEnv(scene, state, ["root"], lambda stepper, tau: 0.0, 1.0, substeps=1, **options)
+    environment.reset(seed=0)
+    return [environment.step(row)[0] for row in torques][-1]
+
+
+def by_simulate(run):
+    return np.concatenate([run.q[-1], run.v[-1]])
+
+
+def by_stepper(scene, state, torques, **options):
+    stepper = pc.Stepper(scene, state, **options)
+    return np.concatenate([rows[-1] for rows in stepper.rollout(torques)])
+
+
+# Every public call that takes a step of time, with what it makes of three steps.
+STEPPED = {
+    "simulate": lambda scene, state, torques, **options: by_simulate(
+        pc.simulate(scene, state, 0.006, method="Moreau", control=lambda t, q, v: torques[0], **options)
+    ),
+    "LoadedScene.simulate": lambda scene, state, torques, **options: by_simulate(
+        pc.LoadedScene(Path("none"), scene, state, {"duration": 0.006, "method": "Moreau", "dt": 1e-4}).simulate(
+            control=lambda t, q, v: torques[0], **options
+        )
+    ),
+    "Stepper": by_stepper,
+    "rollout": lambda *given, **options: np.concatenate([x[0, -1] for x in pc.rollout(*given, **options)[:2]]),
+    "ContactEnv": by_environment,
+}
+# What a step of time could be called otherwise; the steps without error control of event-driven methods are no `dt`.
+STEP_NAMES = {"dt", "step", "h", "time_step", "timestep", "delta_t", "stepsize", "step_size", "period"}
+
+
+def test_a_step_of_time_has_one_name_and_one_alias():
+    """Of all public functions, constructors and methods: those in the table and no other, each with both names."""
+    public = {name: getattr(pc, name) for name in pc.__all__} | {"ContactEnv": ContactEnv}
+    for name, thing in list(public.items()):
+        if isinstance(thing, type):
+            methods = {f"{name}.{method}": value for method, value in vars(thing).items() if method[0] != "_"}
+            public |= {key: value for key, value in methods.items() if inspect.isfunction(value)}
+    found = {}
+    for name, thing in public.items():
+        if callable(thing) and not (isinstance(thing, type) and issubclass(thing, Exception)):
+            names = STEP_NAMES & set(inspect.signature(thing).parameters)
+            if names:
+                found[name] = names
+    # which passes its arguments on to simulate
+    assert set(found) == set(STEPPED) - {"LoadedScene.simulate"}
+    assert all(names == {"dt", "step"} for names in found.values()), found
+
+
+@pytest.mark.parametrize("name", STEPPED)
+def test_a_step_of_time_goes_by_either_name_but_not_by_both(name):
+    """By the alias to the last bit what `dt` gives, other than the default's; both names at once are refused."""
+    call = STEPPED[name]
+    scene, state = touching(pc.Coulomb(0.3))
+    torques = np.tile([0.0, 0.5, 0.0, 0.2, 0.0, 0.0], (3, 1))
+    by_dt, by_step = (call(scene, state, torques, **{key: 2e-3}) for key in ("dt", "step"))
+    assert np.array_equal(by_dt, by_step)
+    assert not np.array_equal(by_dt, call(scene, state, torques))
+    for value in (1e-3, 2e-3):
+        with pytest.raises(pc.ArgumentError, match=f"step is another name of dt.*dt=0.002 and step={value}"):
+            call(scene, state, torques, dt=2e-3, step=value)
+    for key in ("dt", "step"):
+        for value in (0.0, -1e-3, "0.3", math.nan, math.inf, True):
+            with pytest.raises(pc.ArgumentError, match=f"^{key} must be positive"):
+                call(scene, state, torques, **{key: value})
 
 
 @pytest.mark.parametrize("number", [np.float32(0.25), np.float64(0.25), np.array(0.25)])

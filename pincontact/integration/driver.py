@@ -18,6 +18,7 @@ from ..dynamics.directions import freeze_slip
 from ..dynamics.redistribution import leaves_loads_open
 from ..dynamics.system import System
 from ..layout import (
+    DOMAIN,
     EVENT,
     FREE,
     LOCATION_FAILED,
@@ -36,6 +37,7 @@ from .jams import held_up
 from .locator import Crossing, EventLocator
 from .outputs import Outputs, no_dense_output
 from .pieces import Pieces
+from .reports import left_behind
 from .results import FINISHED, OPEN_LOADS, STEP_LIMIT, TERMINATED, Stop
 from .runge_kutta import RungeKutta
 from .steps import (
@@ -151,7 +153,16 @@ class Driver:
         except Stop as stop:
             return stop.code, stop.message
         said = f"; after {self.open_loads} changes of modes {OPEN_LOADS}" if self.open_loads else ""
-        return FINISHED, "the end of the interval was reached" + said
+        return FINISHED, "the end of the interval was reached" + said + self._left_behind(t_end)
+
+    def _left_behind(self, t: float) -> str:
+        system = self.system
+        if FREE not in system.modes.tolist():
+            return ""
+        self.rk.load(system.state)
+        if system.evaluate_kinematics(t) != OK:
+            return ""
+        return left_behind(system, system.gaps[: system.nc, 0], system.contact_real[: system.nc, DOMAIN])
 
     def _run(self, t: float, t_end: float) -> None:
         stops = [*(math.nextafter(time, -math.inf) for time in self.options.breakpoints), t_end]

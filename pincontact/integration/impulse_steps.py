@@ -15,6 +15,7 @@ from ..dynamics.evaluation import KINEMATICS_OF_ALL
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, STEPPING, entry_kernel, kernel
 from ..layout import (
+    DOMAIN,
     FREE,
     FRICTIONLESS,
     FROZEN,
@@ -32,6 +33,7 @@ from ..layout import (
     UNILATERAL,
     system_at,
 )
+from .accuracy import SHALLOW
 from .impulse_layout import step_at
 from .impulse_trial import APART_AT_END, APPROVED, CONE_LEFT, FRESH, ask, call_task, trial_step
 from .impulses import commit, commit_contact
@@ -64,8 +66,10 @@ def _begin_contact(system, step, c, largest):
     step.touch_time[c], step.load[c] = -1.0, 0.0
     for i in range(3):
         step.forces[c, i] = step.torques[c, i] = 0.0
-    # deeper than a step could have brought it there from the near side
+    # deeper than a step could have brought it there from the near side, or than has just touched
     reach = step.numbers.step_size * abs(normal) + APART_AT_END * length
+    if normal < 0.0 and system.contact_real[c, DOMAIN] >= 0.0:
+        reach = max(reach, SHALLOW * length)
     step.behind[c] = 1 if contact[MODE] == FREE and system.gaps[c, 0] < -reach else 0
     if contact[MODE] == FREE:
         return

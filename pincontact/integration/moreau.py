@@ -97,7 +97,8 @@ class MoreauStep:
     forces (nc, 3): mean force over the last step on the contour named second, N; torques (nc, 3): what resisted its
     spinning and rolling, N m;
     touch_time, edge_time (nc,): s after the step's start at which a contact closed, or opened at the end of a contour,
-    negative where it did not; start_mode (nc,): modes at its start.
+    negative where it did not; start_mode (nc,): modes at its start; start_gap, start_domain (nc,): gaps in m,
+    and ways to the nearest end of the contours' domains, at the start of the next one.
     """
 
     def __init__(self, system: RunSystem, contacts: Sequence[Contact]) -> None:
@@ -122,6 +123,7 @@ class MoreauStep:
             arrays.orientation[c] = -1.0 if contact.swapped else 1.0
         nc = system.nc
         self.forces, self.torques, self.start_mode = arrays.forces[:nc], arrays.torques[:nc], arrays.start_mode[:nc]
+        self.start_gap, self.start_domain = arrays.start_gap[:nc], arrays.start_domain[:nc]
         self.touch_time, self.edge_time = arrays.touch_time[:nc], arrays.edge_time[:nc]
         self._joint_impulse = arrays.joint_impulse[: system.nv]
         self._counts, self._numbers = arrays.counts, arrays.numbers

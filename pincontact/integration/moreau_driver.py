@@ -14,6 +14,7 @@ from ..layout import FREE, LOCATION_FAILED, MODE, OK, SINGULAR, SLIPPING, STICK
 from .events import UserEvent
 from .impulse_steps import AT_END, AT_LIMIT, GOING_ON, INNER_OUTPUT_LEFT, OUTPUT_LEFT, TRIED
 from .moreau import MoreauStep, Torque
+from .reports import left_behind
 from .results import CONTOUR_ENDS, FINISHED, FLIES_THROUGH, OPEN_LOADS, TERMINATED, Event, Stop
 from .results import STEP_LIMIT as AT_STEP_LIMIT
 from .sign_changes import resolve, with_dips, zero_between
@@ -73,7 +74,7 @@ class MoreauDriver:
             said += f"; {cones.settled} cone problems were settled with the friction of other loads, {off}"
         if left_open:
             said += f"; in {left_open} cone problems {OPEN_LOADS}"
-        return said
+        return said + left_behind(self.system, self.step.start_gap, self.step.start_domain)
 
     def _run(self, start: float, end: float) -> None:
         step = self.step

@@ -34,6 +34,7 @@ from ..layout import (
     TURNING,
     UNILATERAL,
 )
+from .accuracy import SHALLOW
 from .approach import SAFETY, time_to_cover
 from .stages import load_state
 from .steps import BOUND_SPEEDS
@@ -54,8 +55,6 @@ _TOO_FAR = 2.0
 MANY_STEPS, _THROUGH = 1_000_000, 8.0
 # Places on the way of a step that went far, and how deep, relative to the contact's length, it may have grazed there.
 _WAY_STATIONS, _GRAZES = 16, 1e-2
-# A start that is no deeper than this part of the contact's length, and gets deeper, has just touched.
-_SHALLOW = 0.05
 # Places nearer than this, relative to the contact's length, are the same.
 _SAME = 1e-6
 
@@ -173,7 +172,7 @@ class OpenContacts:
         for c in self._list():
             gap = system.gaps[c, 0]
             enters = system.contact_real[c, DOMAIN] >= 0.0 and system.basis[c, 2] @ system.slip[c] < 0.0
-            shallow = gap >= -_SHALLOW * system.contact_real[c, LENGTH]
+            shallow = gap >= -SHALLOW * system.contact_real[c, LENGTH]
             self.apart[c] = gap >= -slack(c) or (shallow and enters)
 
     def note(self, slack: Callable[[int], float] | None) -> None:

@@ -8,7 +8,18 @@ import numpy as np
 
 from ..dynamics.joints import without_inertia
 from ..dynamics.modes import ModeSolver
-from ..layout import CONDITION, LOCATION_FAILED, MASS_NOT_POSITIVE, NO_FORCE, SINGULAR, SLIPPING
+from ..dynamics.system import System
+from ..layout import (
+    CONDITION,
+    FREE,
+    LENGTH,
+    LOCATION_FAILED,
+    MASS_NOT_POSITIVE,
+    NO_FORCE,
+    SINGULAR,
+    SLIPPING,
+    UNILATERAL,
+)
 from .results import ADVICE, CHATTER, FAILURES, SINGULAR_CONTACT, STEP_TOO_SMALL, Event, Stop
 from .runge_kutta import RungeKutta
 
@@ -20,6 +31,10 @@ _DENSE_EVENTS, _DENSE_SPAN, _DENSE_TIME = 500, 1e-2, 1.0
 _CHATTER_NAMES = 3
 # Below this conditioning of the location equations, a failure is that of a contact that degenerates.
 _DEGENERATE = 1e-5
+
+
+# Open contacts deeper than this part of their length are told; ideal rolling that is let go may dip by a thousandth.
+_BEHIND = 1e-2
 
 
 class Reports:
@@ -144,3 +159,15 @@ class Reports:
         if status in (SINGULAR, LOCATION_FAILED) and system.nc:
             return int(np.argmin(np.abs(system.contact_real[: system.nc, CONDITION])))
         return None
+
+
+def left_behind(system: System, gaps: np.ndarray, ways: np.ndarray) -> str:
+    """What a run says of bodies that end inside or behind each other, where open contacts do not touch.
+
+    gaps, ways (nc,): in m, and to the nearest end of the contours' domains, at the end of the run.
+    """
+    deep = -_BEHIND * system.contact_real[: system.nc, LENGTH]
+    open_there = (system.modes == FREE) & (system.contact_int[: system.nc, UNILATERAL] != 0) & (ways >= 0.0)
+    found = np.flatnonzero(open_there & (gaps < deep)).tolist()
+    named = ", ".join(f"{system.contacts[c].name!r} (gap {gaps[c]:.3g} m)" for c in found)
+    return f"; bodies end inside or behind each other at {named}: they touch only after being apart" if found else ""

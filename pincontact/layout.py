@@ -8,9 +8,9 @@ from .workspace import INTEGERS, REALS, Layout, record
 SIZES = record(INTEGERS, "nq", "nv", "nc", "njoints", "nblocks", "nstages", "nwork", "ny")
 
 # scalars: of the last evaluation and step, then what steps are controlled by (times and steps in s);
-# DIP is the part of a margin's change over a step by which it may dip between two stages, TURNING_RATE that of the
-# slowest slip, by friction, at the accepted state, 1 / s, BAD_TORQUE the user's torque that was not finite, else 0, and
-# BAD_TIME when that was; VELOCITY_LEFT: what the last projection leaves of velocities that are to be zero
+# DIP is the part of an event function's change over a step by which it may dip between two stages, TURNING_RATE that of
+# the slowest slip, by friction, at the accepted state, 1 / s, BAD_TORQUE the user's torque that was not finite, else 0,
+# and BAD_TIME when that was; VELOCITY_LEFT: what the last projection leaves of velocities that are to be zero
 SCALARS = record(
     REALS,
     "time",
@@ -147,9 +147,9 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     SPINNING,
     ROLLING,
     ASPECT,
-    STRETCH_11,
-    STRETCH_12,
-    STRETCH_22,
+    SCALING_11,
+    SCALING_12,
+    SCALING_22,
     LENGTH,
     CONDITION,
     NORMAL_1,
@@ -208,16 +208,16 @@ CONTACT_REALS = POLYNOMIAL + POLYNOMIAL_SIZE
 ) = range(12)
 SIDE_INTS = 12
 
-# guard_int: indices in q and v, direction of motion (0 without dry friction), end at which it is held (0: at none)
-GUARD_Q, GUARD_V, GUARD_SIGN, GUARD_END = range(4)
-GUARD_INTS = 4
-# guard_real: range of the dry friction force, and of q
+# joint_int: indices in q and v, direction of motion (0 without dry friction), end at which it is held (0: at none)
+JOINT_Q, JOINT_V, JOINT_SIGN, JOINT_END = range(4)
+JOINT_INTS = 4
+# joint_real: range of the dry friction force, and of q
 LOW_FORCE, HIGH_FORCE, LOW_END, HIGH_END = range(4)
-GUARD_REALS = 4
+JOINT_REALS = 4
 
-# margins: event functions, positive while the mode holds
-NORMAL_MARGIN, FRICTION_MARGIN, GAP_MARGIN, SPEED_MARGIN, DOMAIN_MARGIN = range(5)
-MARGINS_PER_CONTACT = 5
+# event_functions: positive while the mode holds
+NORMAL_EVENT, FRICTION_EVENT, GAP_EVENT, SPEED_EVENT, DOMAIN_EVENT = range(5)
+EVENTS_PER_CONTACT = 5
 
 # modes, as reported in `track.mode`
 FREE, FRICTIONLESS, STICK, SLIPPING = -1, 0, 1, 2
@@ -280,10 +280,10 @@ SYSTEM = Layout(
     rows=(REALS, 3),  # (nc, 3, nv): basis . (J_2 - J_1)
     force=(REALS, 2, 3),  # (nc, 3): force on body 2 along the basis
     relative_acceleration=(REALS, 2, 3),  # (nc, 3): along the basis, for events
-    margins=(
+    event_functions=(
         REALS,
         2,
-        MARGINS_PER_CONTACT,
+        EVENTS_PER_CONTACT,
     ),  # (nc, 5): event functions, positive while the mode holds
     location=(REALS, 2, 4),  # (nc, 4): contact coordinates u_1 (2), u_2 (2)
     # linear algebra
@@ -327,14 +327,14 @@ SYSTEM = Layout(
     recorded_reals=(REALS, 2),  # (BLOCK, ROW_WIDTH) rows, see `recording`
     recorded_integers=(INTEGERS, 2),  # (BLOCK, ...)
     # joint coordinates with limits or dry friction, rows nc .. nc + ng of the contacts' arrays: see `dynamics.joints`
-    guard_count=(INTEGERS, 1),  # (1,): ng
-    guard_int=(INTEGERS, 2, GUARD_INTS),  # (ng, GUARD_INTS)
-    guard_real=(REALS, 2, GUARD_REALS),  # (ng, GUARD_REALS)
+    joint_count=(INTEGERS, 1),  # (1,): ng
+    joint_int=(INTEGERS, 2, JOINT_INTS),  # (ng, JOINT_INTS)
+    joint_real=(REALS, 2, JOINT_REALS),  # (ng, JOINT_REALS)
     # resistances to spinning and rolling, rows nc + ng .. nc + ng + nr: see `dynamics.resistance`
     resistance_count=(INTEGERS, 1),  # (1,): nr
     # least and largest event functions of a step's stages, and one choice among redundant forces
-    lowest=(REALS, 2, MARGINS_PER_CONTACT),  # (nc + ng + nr, MARGINS_PER_CONTACT)
-    highest=(REALS, 2, MARGINS_PER_CONTACT),  # (nc + ng + nr, MARGINS_PER_CONTACT)
+    lowest=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
+    highest=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
     # (2 (nc + ng + nr) + 1, POLYNOMIAL_SIZE): shares of a step, v_c across directions and along, see `steps`
     across=(REALS, 2),
     reference=(REALS, 2, 3),  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
@@ -345,7 +345,7 @@ SYSTEM = Layout(
     # event functions along a step: at which shares of it, the evaluations' statuses, and their values
     scan_shares=(REALS, 1),  # (SCAN_ROOM,)
     scan_status=(INTEGERS, 1),  # (SCAN_ROOM,)
-    scan_margins=(REALS, 3),  # (SCAN_ROOM, nc + ng + nr, MARGINS_PER_CONTACT)
+    scan_event_functions=(REALS, 3),  # (SCAN_ROOM, nc + ng + nr, EVENTS_PER_CONTACT)
 )
 
 # the workspace at an address that Python gives an entry kernel

@@ -14,7 +14,7 @@ import numpy as np
 
 from .arguments import NOT_REAL, check_flag, is_count, is_number, real_array, time_step
 from .dynamics.energy import energy_gained
-from .dynamics.joints import check_guards
+from .dynamics.joints import check_joint_limits
 from .errors import ArgumentError, UnusableResult, sentence
 from .friction.solve import check_contact_solver
 from .integration.discrete import read_discrete, write_discrete
@@ -268,7 +268,7 @@ def _simulate_by_events(
     cached = take_system(scene, request.energies, resistances=True)
     system = cached.system
     # time stepping brings what is beyond its limits back
-    check_guards(system.guards, state.q)
+    check_joint_limits(system.limits, state.q)
     write_discrete(system, state.discrete)
     torque = request.torque(system)
     rk = RungeKutta(system, pair, rtol, atol, torque)

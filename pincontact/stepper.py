@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from .arguments import NOT_REAL, is_count, real_array, time_step
 from .display import shortened
-from .dynamics.joints import joint_guards
+from .dynamics.joints import joint_limits
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
 from .friction.solve import check_contact_solver
 from .integration.actuators import actuators_of
@@ -106,7 +106,7 @@ class Stepper:
         check_contact_solver(contact_solver)
         check_state(scene, state)
         contacts = list(scene.contacts.values())
-        system = RunSystem(scene.model, contacts, guards=joint_guards(scene.model))
+        system = RunSystem(scene.model, contacts, limits=joint_limits(scene.model))
         self._make(scene, MoreauStep(system, contacts), dt, contact_solver)
         self.reset(state)
 

@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 
 from .contacts import AttachedContour, Contact
 from .cores import available_cores
-from .dynamics.joints import joint_guards
+from .dynamics.joints import joint_limits
 from .friction.laws import Coulomb, NoSlip, Stribeck
 from .integration.run_system import RunSystem
 from .scene import Scene
@@ -39,7 +39,7 @@ class CachedSystem:
         self._given, self._model = scene.model, scene.model.copy()
         self._contacts = list(scene.contacts.values())
         self._sides = [(side, side.placement_in_joint.copy(), _numbers(side)) for side in _sides(self._contacts)]
-        self.system = RunSystem(scene.model, self._contacts, works, joint_guards(scene.model), resistances)
+        self.system = RunSystem(scene.model, self._contacts, works, joint_limits(scene.model), resistances)
         self.system.keep()
         self._stepper: MoreauStep | None = None
 

@@ -8,9 +8,9 @@ from pincontact.contours.base import DERIVATIVE_ROWS
 from pincontact.layout import (
     CONTACT_INTS,
     CONTACT_REALS,
-    GUARD_INTS,
-    GUARD_REALS,
-    MARGINS_PER_CONTACT,
+    EVENTS_PER_CONTACT,
+    JOINT_INTS,
+    JOINT_REALS,
     SIDE_INTS,
     SYSTEM,
     TANGENTS,
@@ -26,10 +26,10 @@ def made_system(nc, ng=0, nr=0, nv=5, nq=None, rng=None):
     for name in ("sizes", "scalars", "counters"):
         system.zeros(name)
     system.sizes["nq"], system.sizes["nv"], system.sizes["nc"] = nq, nv, nc
-    system.zeros("guard_count", 1)[0], system.zeros("resistance_count", 1)[0] = ng, nr
+    system.zeros("joint_count", 1)[0], system.zeros("resistance_count", 1)[0] = ng, nr
     for name, shape in (
         ("contact_int", (n, CONTACT_INTS)), ("contact_real", (n, CONTACT_REALS)),
-        ("guard_int", (max(ng, 1), GUARD_INTS)), ("guard_real", (max(ng, 1), GUARD_REALS)),
+        ("joint_int", (max(ng, 1), JOINT_INTS)), ("joint_real", (max(ng, 1), JOINT_REALS)),
         ("row_index", (3 * n, 2)), ("permutation", (3 * n,)), ("side_int", (2 * nc, SIDE_INTS)),
         ("support", (2 * nc, nv)), ("reference", (n, 3)), ("reference_start", (n, 3)), ("reference_rate", (n, 3)),
         ("reference_slope", (2, 3 * n, nv)), ("location", (n, 4)), ("rates", (n, 4)),
@@ -43,7 +43,7 @@ def made_system(nc, ng=0, nr=0, nv=5, nq=None, rng=None):
         ("whitened_rows", (3 * n, nv)), ("whitened_forces", (3 * n, nv)),
         ("delassus", (3 * n, 3 * n + 1)), ("constraint_rows", (3 * n + 1, 3 * n + 1)), ("frames", (2 * nc, 8, 3)),
         ("jacobian", (nv, 6)), ("derivatives", (2 * nc, DERIVATIVE_ROWS, 3)), ("force", (n, 3)), ("work", (nv,)),
-        ("relative_acceleration", (n, 3)), ("margins", (n, MARGINS_PER_CONTACT)), ("acceleration", (nv,)),
+        ("relative_acceleration", (n, 3)), ("event_functions", (n, EVENTS_PER_CONTACT)), ("acceleration", (nv,)),
         ("free_acceleration", (nv,)), ("location_system", (4, 8)),
     ):  # fmt: skip
         values = system.zeros(name, *shape)

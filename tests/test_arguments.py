@@ -9,7 +9,6 @@ import pinocchio as pin
 import pytest
 
 import pincontact as pc
-from pincontact.gym import ContactEnv
 
 # Whatever a number is expected for. None is left out where it means "not given".
 NO_NUMBERS = [
@@ -439,8 +438,15 @@ def test_what_is_no_number_is_refused_by_name(name):
             assert any(part in str(caught.value) for part in expected), (argument, value, str(caught.value))
 
 
+def environment_class():
+    pytest.importorskip("gymnasium", reason="needs gymnasium: pip install pincontact[gym]")
+    from pincontact.gym import ContactEnv
+
+    return ContactEnv
+
+
 def by_environment(scene, state, torques, **options):
-    environment = ContactEnv(scene, state, ["root"], lambda stepper, tau: 0.0, 1.0, substeps=1, **options)
+    environment = environment_class()(scene, state, ["root"], lambda stepper, tau: 0.0, 1.0, substeps=1, **options)
     environment.reset(seed=0)
     return [environment.step(row)[0] for row in torques][-1]
 
@@ -474,7 +480,7 @@ STEP_NAMES = {"dt", "step", "h", "time_step", "timestep", "delta_t", "stepsize",
 
 def test_a_step_of_time_has_one_name_and_one_alias():
     """Of all public functions, constructors and methods: those in the table and no other, each with both names."""
-    public = {name: getattr(pc, name) for name in pc.__all__} | {"ContactEnv": ContactEnv}
+    public = {name: getattr(pc, name) for name in pc.__all__} | {"ContactEnv": environment_class()}
     for name, thing in list(public.items()):
         if isinstance(thing, type):
             methods = {f"{name}.{method}": value for method, value in vars(thing).items() if method[0] != "_"}

@@ -203,6 +203,9 @@ def test_options_of_a_run(capsys):
     assert main(["run", DISK, "--duration", "0.05", "--method", "Moreau", "--step", "0.01"]) == 0
     counts = {row[1]: row[0] for row in table(capsys.readouterr().out, "counts")[1:]}
     assert counts["steps"] == "5"
+    with pytest.raises(SystemExit):
+        main(["run", DISK, "--method", "Moreau", "--dt", "0.01", "--step", "0.01"])
+    assert "not allowed with argument" in capsys.readouterr().err
     few = main(["run", DISK, "--duration", "1", "--rtol", "1e-3"]), capsys.readouterr().out
     many = main(["run", DISK, "--duration", "1", "--rtol", "1e-11"]), capsys.readouterr().out
     few_steps, many_steps = (

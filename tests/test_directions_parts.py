@@ -22,14 +22,14 @@ from pincontact.layout import (
     OK,
     POLYNOMIAL,
     POLYNOMIAL_SIZE,
+    SCALING_11,
+    SCALING_12,
+    SCALING_22,
     SLIP_RATE,
     SLIP_SIGN,
     SLIPPING,
     SPAN,
     START,
-    STRETCH_11,
-    STRETCH_12,
-    STRETCH_22,
     TANGENTS,
 )
 
@@ -43,7 +43,7 @@ class Sliding:
         self.contact_int = np.full((n, CONTACT_INTS), 3, dtype=np.int64)
         self.contact_real = rng.normal(size=(n, CONTACT_REALS))
         self.contact_int[:, [TANGENTS, FROZEN, ANISOTROPIC]] = 2, 0, int(stretched)
-        self.contact_real[:, [STRETCH_11, STRETCH_12, STRETCH_22]] = 1.3, 0.2, 0.8
+        self.contact_real[:, [SCALING_11, SCALING_12, SCALING_22]] = 1.3, 0.2, 0.8
         self.shape = np.array([[1.3, 0.2], [0.2, 0.8]]) if stretched else np.eye(2)
         self.basis = np.array([turned(rng) for _ in range(n)])
         self.slip = np.zeros((n, 3))

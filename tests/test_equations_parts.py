@@ -20,45 +20,45 @@ from pincontact.layout import (
     CONTACT_INTS,
     CONTACT_REALS,
     DIRECTION_X,
-    DOMAIN_MARGIN,
+    DOMAIN_EVENT,
     EVENT,
+    EVENTS_PER_CONTACT,
     FREE,
-    FRICTION_MARGIN,
+    FRICTION_EVENT,
     FRICTIONLESS,
     FROZEN,
-    GAP_MARGIN,
-    GUARD_END,
-    GUARD_INTS,
-    GUARD_REALS,
-    GUARD_SIGN,
+    GAP_EVENT,
     HIGH_END,
     HIGH_FORCE,
+    JOINT_END,
+    JOINT_INTS,
+    JOINT_REALS,
+    JOINT_SIGN,
     LIMIT_SLACK,
     LOW_END,
     LOW_FORCE,
-    MARGINS_PER_CONTACT,
     MODE,
     MU,
     MU_NOW,
     MU_STATIC,
     NORMAL_1,
     NORMAL_2,
-    NORMAL_MARGIN,
+    NORMAL_EVENT,
     NORMAL_SIGN,
     OK,
     PATTERN,
     POLYNOMIAL,
+    SCALING_11,
+    SCALING_12,
+    SCALING_22,
     SLIP_RATE,
     SLIP_SIGN,
     SLIP_SPEED,
     SLIPPING,
     SPAN,
-    SPEED_MARGIN,
+    SPEED_EVENT,
     START,
     STICK,
-    STRETCH_11,
-    STRETCH_12,
-    STRETCH_22,
     SYSTEM,
     TANGENTS,
     UNILATERAL,
@@ -344,7 +344,7 @@ def loaded_contacts(rng, rank):
     numbers[:, MU_NOW], numbers[:, MU] = rng.uniform(0.1, 0.8, (2, 7))
     numbers[3, MU] = math.inf
     integers[0, ANISOTROPIC] = 1
-    numbers[0, [STRETCH_11, STRETCH_12, STRETCH_22]] = ELLIPSE[0, 0], ELLIPSE[0, 1], ELLIPSE[1, 1]
+    numbers[0, [SCALING_11, SCALING_12, SCALING_22]] = ELLIPSE[0, 0], ELLIPSE[0, 1], ELLIPSE[1, 1]
     return Constrained(rng, integers, numbers, rank=rank)
 
 
@@ -378,35 +378,40 @@ def test_whether_a_load_would_be_asked_for(rank, seed):
     rest = [r for r in range(count) if r not in empty]
     assert found[:, rest] == pytest.approx((operator * unit)[:, rest], abs=1e-11)
 
-    def margins(bias):
+    def event_functions(bias):
         y = rng.normal(size=count)
         multipliers = np.where(np.isin(np.arange(count), empty), 0.0, unit * ((operator * unit).T @ y))
         least = np.linalg.pinv((operator * unit)[:, rest].T, rcond=1e-9) @ (multipliers / unit)[rest]
-        system.margins[:], system.multipliers[:count], system.bias[:], out = 5.0, multipliers, bias, system.margins
+        system.event_functions[:], system.multipliers[:count], system.bias[:], out = (
+            5.0,
+            multipliers,
+            bias,
+            system.event_functions,
+        )
         status = part_of_system(unloaded)(system, count)
         # the others' event functions are not its business
         assert (out[[0, 3, 4, 5, 6]] == 5.0).all()
-        assert np.delete(out, NORMAL_MARGIN, axis=1).min() == 5.0
-        assert status == (EVENT if out[1:3, NORMAL_MARGIN].min() < 0.0 else OK)
-        return out[1:3, NORMAL_MARGIN], -(unit * ((operator * unit).T @ least))[empty]
+        assert np.delete(out, NORMAL_EVENT, axis=1).min() == 5.0
+        assert status == (EVENT if out[1:3, NORMAL_EVENT].min() < 0.0 else OK)
+        return out[1:3, NORMAL_EVENT], -(unit * ((operator * unit).T @ least))[empty]
 
     bias = -(system.rows @ system.acceleration)
     for _ in range(5):
-        found, expected = margins(bias)
+        found, expected = event_functions(bias)
         # of systems with condition numbers of up to 1e4
         assert found == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
     # what does not stay closed, or not apart, by itself
     for change, closes in ((1e-9, True), (1e-5, False), (-1e-5, False)):
         other = bias.copy()
         other[1, 2] += change
-        found, expected = margins(other)
+        found, expected = event_functions(other)
         assert (found[0] == -1.0) == (not closes)
         assert found[1] != -1.0
     # none of them, none to look at
     parts.integers[:, NORMAL_SIGN] = 1
-    system.margins[:] = 5.0
+    system.event_functions[:] = 5.0
     assert part_of_system(unloaded)(system, count) == OK
-    assert (system.margins == 5.0).all()
+    assert (system.event_functions == 5.0).all()
 
 
 @SEEDS
@@ -446,66 +451,66 @@ def right_hand_sides(system, count):
 
 @kernel
 def unloaded(system, count):
-    return least_forces.unloaded_margins(system, count)
+    return least_forces.unloaded_event_functions(system, count)
 
 
 def test_dry_friction_of_joints():
-    numbers = np.zeros(GUARD_REALS)
+    numbers = np.zeros(JOINT_REALS)
     numbers[[LOW_FORCE, HIGH_FORCE]] = -2.0, 3.0
     for mode, sign, force in ((FREE, 1, -2.0), (FREE, -1, 3.0), (FREE, 0, 0.0), (STICK, 1, 0.0)):
-        guard = np.zeros(GUARD_INTS, dtype=np.int64)
-        guard[GUARD_SIGN] = sign
-        assert part(equations.guard_force)(mode, guard, numbers) == force
+        limit = np.zeros(JOINT_INTS, dtype=np.int64)
+        limit[JOINT_SIGN] = sign
+        assert part(equations.dry_friction_force)(mode, limit, numbers) == force
 
 
 @SEEDS
-def test_margins_of_guarded_joints(seed):
+def test_event_functions_of_limited_joints(seed):
     """Moving: ways to both ends, and the speed; held: forces above the lower and below the upper bound."""
     rng = np.random.default_rng(seed)
     nc, cases = 2, list(itertools.product((FREE, FRICTIONLESS), (-1, 0, 1), (-1, 0, 1), (False, True), (False, True)))
     ng = len(cases)
     system = made_system(nc, ng, rng=rng)
-    integers, guards, numbers = system.contact_int, system.guard_int, system.guard_real
-    slip, gaps, force, margins = system.slip, system.gaps, system.force, system.margins
+    integers, limits, numbers = system.contact_int, system.joint_int, system.joint_real
+    slip, gaps, force, values = system.slip, system.gaps, system.force, system.event_functions
     numbers[:, LOW_FORCE], numbers[:, HIGH_FORCE] = -rng.random(ng), rng.random(ng)
-    expected = np.ones((nc + ng, MARGINS_PER_CONTACT))
+    expected = np.ones((nc + ng, EVENTS_PER_CONTACT))
     for g, (mode, sign, end, low, high) in enumerate(cases):
         i = nc + g
-        integers[i, MODE], guards[g, GUARD_SIGN], guards[g, GUARD_END] = mode, sign, end
+        integers[i, MODE], limits[g, JOINT_SIGN], limits[g, JOINT_END] = mode, sign, end
         numbers[g, LOW_END] = gaps[i, 0] - rng.normal() - 0.5 if low else -math.inf
         numbers[g, HIGH_END] = gaps[i, 0] + rng.normal() + 0.5 if high else math.inf
         if mode == FREE:
             if low:
-                expected[i, GAP_MARGIN] = gaps[i, 0] - numbers[g, LOW_END]
+                expected[i, GAP_EVENT] = gaps[i, 0] - numbers[g, LOW_END]
             if high:
-                expected[i, DOMAIN_MARGIN] = numbers[g, HIGH_END] - gaps[i, 0]
+                expected[i, DOMAIN_EVENT] = numbers[g, HIGH_END] - gaps[i, 0]
             if sign:
-                expected[i, SPEED_MARGIN] = sign * slip[i, 2]
+                expected[i, SPEED_EVENT] = sign * slip[i, 2]
         else:
             if end != 1:
-                expected[i, NORMAL_MARGIN] = force[i, 2] - numbers[g, LOW_FORCE]
+                expected[i, NORMAL_EVENT] = force[i, 2] - numbers[g, LOW_FORCE]
             if end != -1:
-                expected[i, FRICTION_MARGIN] = numbers[g, HIGH_FORCE] - force[i, 2]
-    margins[:nc], margins[nc:] = 1.0, 9.0
-    of_joints = part_of_system(event_functions.joint_margins)
+                expected[i, FRICTION_EVENT] = numbers[g, HIGH_FORCE] - force[i, 2]
+    values[:nc], values[nc:] = 1.0, 9.0
+    of_joints = part_of_system(event_functions.joint_event_functions)
     assert of_joints(system) == EVENT
-    assert margins == pytest.approx(expected, abs=1e-15)
+    assert values == pytest.approx(expected, abs=1e-15)
     # one by one
     for g in range(ng):
         alone = made_system(nc, 1)
         for name in ("contact_int", "slip", "gaps", "force"):
             getattr(alone, name)[nc] = getattr(system, name)[nc + g]
-        alone.guard_int[0], alone.guard_real[0] = guards[g], numbers[g]
+        alone.joint_int[0], alone.joint_real[0] = limits[g], numbers[g]
         assert of_joints(alone) == (EVENT if expected[nc + g].min() < 0.0 else OK)
 
 
 @SEEDS
 @pytest.mark.parametrize("tangents", [1, 2])
-def test_margins_of_friction(tangents, seed):
+def test_event_functions_of_friction(tangents, seed):
     """Forces of slip are against it, those of stick within the limit; and rates of the speed."""
     rng = np.random.default_rng(seed)
     system, load = made_system(2, rng=rng), rng.uniform(0.5, 2.0)
-    basis, slip, force, value = system.basis[1], system.slip[1], system.force[1], system.margins[1]
+    basis, slip, force, value = system.basis[1], system.slip[1], system.force[1], system.event_functions[1]
     relative = system.rows[1] @ system.acceleration + system.bias[1]
     sign = 1 if rng.random() < 0.5 else -1
     for mode, unilateral, normal_sign, mu in (
@@ -518,10 +523,10 @@ def test_margins_of_friction(tangents, seed):
         before = rng.normal(size=3)
         force[:], value[:] = before, 1.0
         with np.errstate(invalid="ignore"):
-            part_of_system(event_functions.friction_margins)(system, 1, load)
-        expected, after = np.ones(MARGINS_PER_CONTACT), before.copy()
+            part_of_system(event_functions.friction_event_functions)(system, 1, load)
+        expected, after = np.ones(EVENTS_PER_CONTACT), before.copy()
         if mode == STICK and mu < math.inf:
-            expected[FRICTION_MARGIN] = 1.01 * 1.5 * mu * load - np.linalg.norm(before[:tangents])
+            expected[FRICTION_EVENT] = 1.01 * 1.5 * mu * load - np.linalg.norm(before[:tangents])
         if mode == SLIPPING:
             along = (basis @ slip)[:2]
             direction = np.array([sign, 0.0]) if tangents == 1 else along / np.linalg.norm(along)
@@ -534,8 +539,8 @@ def test_margins_of_friction(tangents, seed):
                 friction, after[2] = before[2], 0.0
             after[:tangents] = -friction * direction[:tangents]
             if shares:
-                expected[FRICTION_MARGIN] = 0.3 * abs(speed) - friction
+                expected[FRICTION_EVENT] = 0.3 * abs(speed) - friction
             if tangents == 1 and mu > 0.0:
-                expected[SPEED_MARGIN] = speed
+                expected[SPEED_EVENT] = speed
         assert force == pytest.approx(after, abs=1e-13)
         assert value == pytest.approx(expected, abs=1e-13)

@@ -28,21 +28,21 @@ from pincontact.layout import (
     CONTACT_REALS,
     DIRECTION_X,
     DOMAIN,
-    DOMAIN_MARGIN,
+    DOMAIN_EVENT,
     EVENT,
+    EVENTS_PER_CONTACT,
     FREE,
-    FRICTION_MARGIN,
+    FRICTION_EVENT,
     FRICTIONLESS,
     FROZEN,
-    GAP_MARGIN,
-    GUARD_END,
-    GUARD_INTS,
-    GUARD_REALS,
-    GUARD_V,
+    GAP_EVENT,
     HIGH_FORCE,
+    JOINT_END,
+    JOINT_INTS,
+    JOINT_REALS,
+    JOINT_V,
     LIMIT_SLACK,
     LOW_FORCE,
-    MARGINS_PER_CONTACT,
     MODE,
     MU,
     MU_FAST,
@@ -50,23 +50,23 @@ from pincontact.layout import (
     MU_STATIC,
     NO_FORCE,
     NORMAL_1,
-    NORMAL_MARGIN,
+    NORMAL_EVENT,
     NORMAL_SIGN,
     OK,
     OWNER,
     PATTERN,
     POLYNOMIAL,
     ROLLING_ROW,
+    SCALING_11,
+    SCALING_12,
+    SCALING_22,
     SLIP_RATE,
     SLIP_SIGN,
     SLIPPING,
     SPAN,
-    SPEED_MARGIN,
+    SPEED_EVENT,
     SPINNING_ROW,
     STICK,
-    STRETCH_11,
-    STRETCH_12,
-    STRETCH_22,
     STRIBECK_EXPONENT,
     STRIBECK_SPEED,
     SYSTEM,
@@ -121,9 +121,9 @@ def made(seed, slides=True):
     integers[4, NORMAL_SIGN] = -1
     integers[[2, 3], ANISOTROPIC] = 1
     integers[NC + NG :, OWNER] = OWNERS
-    # what resists has rows of that; of a contact that slides they make its load one of its margins
+    # what resists has rows of that; of a contact that slides they make its load one of its event functions
     integers[OWNERS, SPINNING_ROW], integers[0, ROLLING_ROW] = 11, 13
-    numbers[:, [STRETCH_11, STRETCH_12, STRETCH_22]] = ELLIPSE[0, 0], ELLIPSE[0, 1], ELLIPSE[1, 1]
+    numbers[:, [SCALING_11, SCALING_12, SCALING_22]] = ELLIPSE[0, 0], ELLIPSE[0, 1], ELLIPSE[1, 1]
     numbers[:, MU], numbers[:, MU_STATIC], numbers[:, LIMIT_SLACK] = rng.uniform(0.1, 0.25, TOTAL), 3.0, 0.01
     numbers[7, [MU, MU_STATIC]] = math.inf
     numbers[:, DOMAIN], numbers[:, SPAN], numbers[:, NORMAL_1] = rng.uniform(0.2, 0.8, TOTAL), 1.0, 1.0
@@ -137,21 +137,21 @@ def made(seed, slides=True):
     for i in (4, 6, 12, 15):
         # one-sided speeds that grow
         slip[i] *= integers[i, SLIP_SIGN] * np.sign(basis[i, 0] @ slip[i])
-    guards, bounds = np.zeros((NG, GUARD_INTS), dtype=np.int64), np.zeros((NG, GUARD_REALS))
-    guards[:, GUARD_V], guards[:, GUARD_END] = [3, 5, 8], [-1, 0, 0]
+    limits, bounds = np.zeros((NG, JOINT_INTS), dtype=np.int64), np.zeros((NG, JOINT_REALS))
+    limits[:, JOINT_V], limits[:, JOINT_END] = [3, 5, 8], [-1, 0, 0]
     bounds[:] = -5.0, 6.0, -math.inf, math.inf
     rows = 0.15 * rng.normal(size=(TOTAL, 3, nv))
     for i in range(TOTAL):
         for row in range(3):
             rows[i, row, (2 * i + row) % nv] += 1.0
-    at = Instant(integers=integers, numbers=numbers, basis=basis, slip=slip, gaps=gaps, rows=rows, guards=guards,
+    at = Instant(integers=integers, numbers=numbers, basis=basis, slip=slip, gaps=gaps, rows=rows, limits=limits,
                  bounds=bounds, rng=rng)  # fmt: skip
     at.d = directions_of(at)
     # friction alone can only hold up what it pushes apart
     rows[7, 2] = -at.d[7] @ rows[7, :2] + 0.3 * rng.normal(size=nv)
     for g in range(NG):
         rows[NC + g], basis[NC + g] = 0.0, np.eye(3)
-        rows[NC + g, 2, guards[g, GUARD_V]] = 1.0
+        rows[NC + g, 2, limits[g, JOINT_V]] = 1.0
     at.factor = np.eye(nv) + 0.1 * np.tril(rng.normal(size=(nv, nv)))
     at.inverse = np.linalg.inv(at.factor.T @ at.factor)
     solve_backwards(at)
@@ -197,7 +197,7 @@ def solve_backwards(at):
             force[i, : integers[i, TANGENTS]] = (-friction * d)[: integers[i, TANGENTS]]
     nv = NVELOCITIES
     at.acceleration = rng.normal(size=nv)
-    at.acceleration[at.guards[[0, 2], GUARD_V]] = 0.0
+    at.acceleration[at.limits[[0, 2], JOINT_V]] = 0.0
     at.force = force
     at.free = at.acceleration - at.inverse @ np.einsum("irk,ir->k", at.rows, force)
     at.bias = rng.normal(size=(TOTAL, 3))
@@ -211,13 +211,13 @@ def solved(at, reference=None, moves=None):
     nv = NVELOCITIES
     system = made_system(NC, NG, NR, nv)
     system.contact_int[:], system.contact_real[:] = at.integers, at.numbers
-    system.guard_int[:], system.guard_real[:] = at.guards, at.bounds
+    system.joint_int[:], system.joint_real[:] = at.limits, at.bounds
     for name in ("slip", "basis", "gaps", "rows", "bias", "factor"):
         getattr(system, name)[:] = getattr(at, name)
     system.free_acceleration[:] = at.free
     for name in ("row_count", "row_rank", "lost_positivity"):
         system.counters[name] = 9
-    for array in (system.acceleration, system.force, system.margins):
+    for array in (system.acceleration, system.force, system.event_functions):
         array[:] = 9.0
     since = 0.0
     if moves is not None:
@@ -231,7 +231,8 @@ def solved(at, reference=None, moves=None):
         status = part(equations.contact_dynamics, SYSTEM)(system)
     return Instant(
         status=status, acceleration=system.acceleration, force=system.force, relative=system.relative_acceleration,
-        margins=system.margins, counters=system.counters, integers=system.contact_int, numbers=system.contact_real,
+        event_functions=system.event_functions, counters=system.counters,
+        integers=system.contact_int, numbers=system.contact_real,
         row_index=system.row_index, reference=system.reference,
     )  # fmt: skip
 
@@ -245,31 +246,31 @@ def viscous(at):
     return out
 
 
-def expected_margins(at):
-    out = np.ones((TOTAL, MARGINS_PER_CONTACT))
-    out[0, GAP_MARGIN] = at.gaps[0, 0]
-    out[1:NC, DOMAIN_MARGIN] = at.numbers[1:NC, DOMAIN]
+def expected_event_functions(at):
+    out = np.ones((TOTAL, EVENTS_PER_CONTACT))
+    out[0, GAP_EVENT] = at.gaps[0, 0]
+    out[1:NC, DOMAIN_EVENT] = at.numbers[1:NC, DOMAIN]
     for i in range(TOTAL):
         mode = at.integers[i, MODE]
         if i < NC and mode != FREE and at.integers[i, UNILATERAL]:
-            out[i, NORMAL_MARGIN] = at.force[i, 2]
+            out[i, NORMAL_EVENT] = at.force[i, 2]
         if mode == STICK and i not in (7, 13):
             owner = at.integers[i, OWNER] if i >= NC else i
             load = math.hypot(at.force[owner, 2], at.force[owner, 1] if owner == 6 else 0.0)
             tangential = at.force[i, : at.integers[i, TANGENTS]]
             if at.integers[i, ANISOTROPIC]:
                 tangential = np.linalg.solve(ELLIPSE, tangential)
-            out[i, FRICTION_MARGIN] = 1.01 * 3.0 * load - np.linalg.norm(tangential)
+            out[i, FRICTION_EVENT] = 1.01 * 3.0 * load - np.linalg.norm(tangential)
         if mode == SLIPPING and at.integers[i, TANGENTS] == 1:
-            out[i, SPEED_MARGIN] = at.d[i, 0] * (at.basis[i, 0] @ at.slip[i])
+            out[i, SPEED_EVENT] = at.d[i, 0] * (at.basis[i, 0] @ at.slip[i])
     if at.integers[4, MODE] == SLIPPING:
-        out[4, NORMAL_MARGIN] = -at.force[4, 2]
+        out[4, NORMAL_EVENT] = -at.force[4, 2]
     if at.integers[7, MODE] == SLIPPING:
-        out[7, NORMAL_MARGIN] = math.hypot(*at.force[7, :2])
+        out[7, NORMAL_EVENT] = math.hypot(*at.force[7, :2])
         normal = at.inverse @ at.rows[7, 2]
-        out[7, FRICTION_MARGIN] = -(at.d[7] @ at.rows[7, :2]) @ normal / (at.rows[7, 2] @ normal) - JAM_LIMIT
-    out[NC, NORMAL_MARGIN] = at.force[NC, 2] + 5.0
-    out[NC + 2, [NORMAL_MARGIN, FRICTION_MARGIN]] = at.force[NC + 2, 2] + 5.0, 6.0 - at.force[NC + 2, 2]
+        out[7, FRICTION_EVENT] = -(at.d[7] @ at.rows[7, :2]) @ normal / (at.rows[7, 2] @ normal) - JAM_LIMIT
+    out[NC, NORMAL_EVENT] = at.force[NC, 2] + 5.0
+    out[NC + 2, [NORMAL_EVENT, FRICTION_EVENT]] = at.force[NC + 2, 2] + 5.0, 6.0 - at.force[NC + 2, 2]
     return out
 
 
@@ -281,11 +282,11 @@ def test_forces_and_accelerations_of_all_kinds_of_items(slides, seed):
     # of systems with condition numbers of up to 1e3; on a curve a fixed point
     assert out.acceleration == pytest.approx(at.acceleration, abs=1e-10)
     assert out.force == pytest.approx(at.force + viscous(at), abs=1e-10)
-    margins = expected_margins(at)
-    assert out.margins == pytest.approx(margins, abs=1e-10)
-    assert out.status == (OK if margins.min() >= 0.0 else EVENT)
+    event_functions = expected_event_functions(at)
+    assert out.event_functions == pytest.approx(event_functions, abs=1e-10)
+    assert out.status == (OK if event_functions.min() >= 0.0 else EVENT)
     # joint coordinates that are held have none to the last bit
-    assert not out.acceleration[at.guards[[0, 2], GUARD_V]].any()
+    assert not out.acceleration[at.limits[[0, 2], JOINT_V]].any()
     assert out.counters[["row_count", "row_rank", "lost_positivity"]].tolist() == (*[len(at.constrained)] * 2, 0)
     assert sorted(map(tuple, out.row_index[: len(at.constrained)].tolist())) == sorted(at.constrained)
     assert out.integers[13, MODE] == FREE
@@ -300,7 +301,7 @@ def test_forces_and_accelerations_of_all_kinds_of_items(slides, seed):
 
 @SEEDS
 @pytest.mark.parametrize("slides", [False, True])
-def test_each_margin_below_zero_is_an_event(slides, seed):
+def test_each_event_function_below_zero_is_an_event(slides, seed):
     at = made(seed, slides)
     assert solved(at).status == OK
     changes = [(at.gaps, (0, 0), -0.1), (at.numbers, (1, DOMAIN), -0.1), (at.numbers, (2, DOMAIN), -1e-9)]
@@ -316,7 +317,7 @@ def test_each_margin_below_zero_is_an_event(slides, seed):
             solve_backwards(at)
             at.bias[4, 2] -= 5.0 * at.rows[4, 2] @ at.inverse @ at.rows[4, 2]
             out = solved(at)
-            assert (out.margins[4, NORMAL_MARGIN] < 0.0) == (out.force[4, 2] < 0.0)
+            assert (out.event_functions[4, NORMAL_EVENT] < 0.0) == (out.force[4, 2] < 0.0)
             continue
         assert solved(at).status == EVENT
         array[place] = before
@@ -407,13 +408,15 @@ def test_contacts_that_nothing_moves_have_no_forces(slides, seed):
     out = solved(at)
     assert out.acceleration == pytest.approx(at.acceleration, abs=1e-9)
     assert out.force == pytest.approx(at.force + viscous_of(at, out), abs=1e-8)
-    assert out.margins[7, FRICTION_MARGIN] == pytest.approx(expected_margins(at)[7, FRICTION_MARGIN], abs=1e-9)
+    assert out.event_functions[7, FRICTION_EVENT] == pytest.approx(
+        expected_event_functions(at)[7, FRICTION_EVENT], abs=1e-9
+    )
     if slides:
         at.rows[7, 2] = 0.0
         at.bias[7, 2] = 0.3
         out = solved(at)
         assert not out.force[7].any()
-        assert out.margins[7, FRICTION_MARGIN] == 1.0
+        assert out.event_functions[7, FRICTION_EVENT] == 1.0
 
 
 def viscous_of(at, out):
@@ -424,7 +427,7 @@ def viscous_of(at, out):
 
 
 @SEEDS
-def test_small_margins_are_no_events(seed):
+def test_small_event_functions_are_no_events(seed):
     at = made(seed)
     at.slip[[4, 6, 12, 15]] *= 0.1
     solve_backwards(at)
@@ -432,8 +435,8 @@ def test_small_margins_are_no_events(seed):
     tangential = np.linalg.norm(np.linalg.solve(ELLIPSE, force[:2]))
     at.numbers[2, MU_STATIC] = (tangential + 0.1) / (1.01 * force[2])
     out = solved(at)
-    assert out.margins[2, FRICTION_MARGIN] == pytest.approx(0.1, abs=1e-9)
-    assert 0.0 < out.margins[12, SPEED_MARGIN] < 0.5
+    assert out.event_functions[2, FRICTION_EVENT] == pytest.approx(0.1, abs=1e-9)
+    assert 0.0 < out.event_functions[12, SPEED_EVENT] < 0.5
     assert out.status == OK
 
 
@@ -459,8 +462,8 @@ def test_a_contact_that_carries_nothing(seed):
     out = solved(at)
     assert out.force[:2, 2] == pytest.approx([0.0, whole], abs=1e-9)
     assert out.acceleration == pytest.approx(at.acceleration, abs=1e-9)
-    # the least would be half of it: the margin is a load that is missing
-    assert out.margins[0, NORMAL_MARGIN] < 0.0
+    # the least would be half of it: the event function is a load that is missing
+    assert out.event_functions[0, NORMAL_EVENT] < 0.0
     assert out.status == EVENT
 
 

@@ -28,10 +28,10 @@ from pincontact.layout import (
     DOMAIN,
     FREE,
     FRICTIONLESS,
-    GUARD_END,
-    GUARD_Q,
-    GUARD_V,
     HIGH_END,
+    JOINT_END,
+    JOINT_Q,
+    JOINT_V,
     LOW_END,
     MODE,
     NOTHING_THERE,
@@ -65,7 +65,7 @@ def closed_contacts(rng, redundant):
     """Contacts that stick, slide on a curve, are open and without friction; coordinates held at each end, at none, and
     free; resistances of the first, and of the open one."""
     system = system_of(rng, 4, 4, 2, 16, 18)
-    integers, guards, bounds = system.contact_int, system.guard_int, system.guard_real
+    integers, limits, bounds = system.contact_int, system.joint_int, system.joint_real
     integers[:, MODE] = (
         STICK,
         SLIPPING,
@@ -82,11 +82,11 @@ def closed_contacts(rng, redundant):
     # only resistances go with their owners
     integers[:8, OWNER] = 2
     integers[8:, PATTERN], integers[8:, OWNER] = NO_NORMAL, [0, 2]
-    guards[:, GUARD_Q], guards[:, GUARD_V], guards[:, GUARD_END] = [3, 5, 7, 9], [2, 4, 6, 8], [-1, 1, 0, 0]
+    limits[:, JOINT_Q], limits[:, JOINT_V], limits[:, JOINT_END] = [3, 5, 7, 9], [2, 4, 6, 8], [-1, 1, 0, 0]
     bounds[:, LOW_END], bounds[:, HIGH_END] = rng.normal(size=(2, 4))
     for g in range(4):
         system.basis[4 + g], system.rows[4 + g] = np.eye(3), 0.0
-        system.rows[4 + g, 2, guards[g, GUARD_V]] = 1.0
+        system.rows[4 + g, 2, limits[g, JOINT_V]] = 1.0
     if redundant:
         # the same gap twice
         system.rows[3, 2], system.gaps[3, 0] = system.rows[0, 2], system.gaps[0, 0]
@@ -103,7 +103,7 @@ def test_corrections_are_the_least_in_the_mass_metric(redundant, seed):
     rng = np.random.default_rng(seed)
     system = closed_contacts(rng, redundant)
     q, v, factor = system.q, system.v, system.factor
-    gaps, bounds = system.gaps.copy(), system.guard_real
+    gaps, bounds = system.gaps.copy(), system.joint_real
     gaps[4:8, 0] = q[3] - bounds[0, LOW_END], q[5] - bounds[1, HIGH_END], 0.0, 0.0
     slip = system.slip.copy()
     slip[4:8, 2] = v[[2, 4, 6, 8]]

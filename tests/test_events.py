@@ -13,7 +13,7 @@ from pincontact.integration.locator import EventLocator
 from pincontact.integration.run_system import RunSystem
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.tableaux import tableau
-from pincontact.layout import DOMAIN, EVENT, NORMAL_MARGIN, OK
+from pincontact.layout import DOMAIN, EVENT, NORMAL_EVENT, OK
 
 G = 9.81
 RADIUS = 0.1
@@ -263,22 +263,22 @@ def test_what_opens_within_the_tolerance_has_not_opened(rtol, excess):
 
 
 def test_a_dip_of_the_dense_output_alone_is_none(monkeypatch):
-    """A margin that is negative between the ends of a step, but not where a true step goes, changes no mode."""
+    """An event function that is negative between the ends of a step, but not on a true step, changes no mode."""
     scene, state = rolling_in_a_bowl(0.4)
     plain = pc.simulate(scene, state, 1.0, rtol=1e-6, atol=1e-8)
-    true_margins, dipped = EventLocator._values, []
+    true_event_functions, dipped = EventLocator._values, []
 
     def dips(self, t, step, thetas):
-        margins = true_margins(self, t, step, thetas)
-        for theta, values in zip(thetas, margins):
+        event_functions = true_event_functions(self, t, step, thetas)
+        for theta, values in zip(thetas, event_functions):
             if t < 0.5 and 0.3 < theta < 0.6:
                 dipped.append(t)
-                values[0, NORMAL_MARGIN] -= 20.0 * math.sin(math.pi * (theta - 0.3) / 0.3)
-        return margins
+                values[0, NORMAL_EVENT] -= 20.0 * math.sin(math.pi * (theta - 0.3) / 0.3)
+        return event_functions
 
     monkeypatch.setattr(EventLocator, "_values", dips)
     monkeypatch.setattr(RungeKutta, "alarm", property(lambda self: True))
-    # a user's event brings every step to where its margins are looked at
+    # a user's event brings every step to where its event functions are looked at
     run = pc.simulate(scene, state, 1.0, rtol=1e-6, atol=1e-8, events=lambda t, q, v: 1.0)
     assert dipped
     assert run.status == 0, run.message
@@ -310,7 +310,7 @@ def test_what_cannot_be_evaluated_along_a_step_has_no_events(known, monkeypatch)
 
 
 def test_a_scan_finds_what_evaluations_find():
-    """All margins along a step at once, bit by bit, beyond the end of a contour too."""
+    """All event functions along a step at once, bit by bit, beyond the end of a contour too."""
     scene = ball_scene(pc.Coulomb(0.3))
     strip = scene.add_contour("strip", pc.Line((-0.05, 0.05)), placement=pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.01])))
     scene.add_contact("edge", "ball", strip, friction=None)
@@ -325,16 +325,16 @@ def test_a_scan_finds_what_evaluations_find():
     assert rk.attempt(0.0, step) == OK
     dense = rk.interpolant(0.0, step)
     shares = [0.0, 0.1, 0.35, 0.8, 1.0]
-    known, margins = system.scan(0.0, step, shares)
-    margins = margins.copy()
+    known, event_functions = system.scan(0.0, step, shares)
+    event_functions = event_functions.copy()
     assert known == [True] * 5
     beyond = []
-    for share, found in zip(shares, margins):
+    for share, found in zip(shares, event_functions):
         rk.load(dense(share))
         assert rk.evaluate(share * step) <= EVENT
         there = system.contact_real[:2, DOMAIN] >= 0.0
         beyond.append(not there[1])
-        assert found.tobytes() == system.margins[:2].tobytes()
+        assert found.tobytes() == system.event_functions[:2].tobytes()
     # the ball leaves the strip's end behind
     assert beyond == [False, False, False, True, True]
 

@@ -11,8 +11,8 @@ from pincontact.friction import ellipse
 from pincontact.friction.stribeck import stribeck
 from pincontact.layout import ANISOTROPIC, ASPECT
 
-set_stretch = from_python(ellipse.set_stretch)
-stretch_pair = from_python(ellipse.stretch_pair)
+set_friction_scaling = from_python(ellipse.set_friction_scaling)
+scale_pair = from_python(ellipse.scale_pair)
 friction_direction = from_python(ellipse.friction_direction)
 friction_length = from_python(ellipse.friction_length)
 
@@ -21,8 +21,8 @@ def stretched(aspect, x, y):
     """Integers and numbers of a contact whose first direction is (x, y), and its stretch (2, 2)."""
     integers, numbers = np.zeros(200, dtype=np.int64), np.zeros(400)
     integers[ANISOTROPIC], numbers[ASPECT] = 1, aspect
-    set_stretch(numbers, x, y)
-    matrix = np.array([stretch_pair(numbers, 1.0, 0.0), stretch_pair(numbers, 0.0, 1.0)]).T
+    set_friction_scaling(numbers, x, y)
+    matrix = np.array([scale_pair(numbers, 1.0, 0.0), scale_pair(numbers, 0.0, 1.0)]).T
     return integers, numbers, matrix
 
 

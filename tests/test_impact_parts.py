@@ -17,17 +17,17 @@ from pincontact.layout import (
     ANISOTROPIC,
     CONTACT_INTS,
     CONTACT_REALS,
-    GUARD_END,
-    GUARD_INTS,
+    JOINT_END,
+    JOINT_INTS,
     MOTION_KIND,
     MU,
     MU_FAST,
     OWNER,
     PATTERN,
+    SCALING_11,
+    SCALING_12,
+    SCALING_22,
     SIDE_INTS,
-    STRETCH_11,
-    STRETCH_12,
-    STRETCH_22,
     STRIBECK_EXPONENT,
     STRIBECK_SPEED,
     TANGENTS,
@@ -166,18 +166,18 @@ def colliding(seed, nv=26):
     integers[:, TANGENTS], integers[[0, 1, 7], UNILATERAL] = 2, 1
     integers[[2, 5, 12], TANGENTS], integers[2, PATTERN] = 1, ON_CURVE
     integers[[0, 3], ANISOTROPIC] = 1
-    numbers[:, [STRETCH_11, STRETCH_12, STRETCH_22]] = 1.2, 0.3, 0.7
+    numbers[:, [SCALING_11, SCALING_12, SCALING_22]] = 1.2, 0.3, 0.7
     numbers[:, MU] = rng.uniform(0.2, 0.4, n)
     numbers[[1, 6], MU], numbers[4, MU] = 0.0, math.inf
     integers[11:, OWNER] = 0, 2, 7
-    guards = np.zeros((3, GUARD_INTS), dtype=np.int64)
-    guards[:, GUARD_END] = 1, 0, -1
+    limits = np.zeros((3, JOINT_INTS), dtype=np.int64)
+    limits[:, JOINT_END] = 1, 0, -1
     rows = 0.1 * rng.normal(size=(n, 3, nv))
     for i in range(n):
         for row in range(3):
             rows[i, row, (2 * i + row) % nv] += 1.0
     return SimpleNamespace(
-        nv=nv, nc=8, ng=3, contact_int=integers, contact_real=numbers, guard_int=guards, rows=rows,
+        nv=nv, nc=8, ng=3, contact_int=integers, contact_real=numbers, joint_int=limits, rows=rows,
         factor=np.eye(nv) + 0.1 * np.tril(rng.normal(size=(nv, nv))), slip=rng.normal(size=(n, 3)),
         basis=np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(n)]),
         side_int=np.zeros((16, SIDE_INTS), dtype=np.int64), resisting=lambda: [11, 12, 13],

@@ -17,7 +17,7 @@ import pincontact as pc
 from pincontact.analysis.instant import Instant
 from pincontact.dynamics.impact import apply_impact
 from pincontact.friction.solve import ContactSolver
-from pincontact.layout import FREE, FRICTIONLESS, GUARD_END, MODE, SLIPPING
+from pincontact.layout import FREE, FRICTIONLESS, JOINT_END, MODE, SLIPPING
 
 LAWS = {
     "none": lambda rng: None,
@@ -163,11 +163,11 @@ def laws_hold(written):
             assert torque == pytest.approx(-length * load * change / np.linalg.norm(change), abs=1e-8 * size)
         else:
             assert np.linalg.norm(torque) <= length * load + 1e-8 * size
-    for guard in system.guards:
-        k, force = guard.index_v, system.joint_forces()[guard.index_v]
+    for limit in system.limits:
+        k, force = limit.index_v, system.joint_forces()[limit.index_v]
         speed, rate = written.instant.v[k], written.a[k]
-        low, high = guard.low_force, guard.high_force
-        at_low, at_high = guard.low_end == 0.0, guard.high_end == 0.0
+        low, high = limit.low_force, limit.high_force
+        at_low, at_high = limit.low_end == 0.0, limit.high_end == 0.0
         if abs(speed) > 1e-9 or abs(rate) > 1e-8 * size:
             assert force == pytest.approx(low if (speed if abs(speed) > 1e-9 else rate) > 0.0 else high, abs=1e-9)
             assert speed != 0.0 or (not (at_low and rate < 0.0) and not (at_high and rate > 0.0))
@@ -372,7 +372,7 @@ def test_ends_of_joints_take_part_in_impacts(end):
         state = scene.initial_state(pin.neutral(scene.model), np.zeros(nv))
         written = Written(scene, points, state, np.zeros(nv))
         system = written.system
-        system.guard_int[0, GUARD_END] = end
+        system.joint_int[0, JOINT_END] = end
         v = rng.normal(size=nv)
         v[2], v[-1] = -1.0, 3.0 * end
         system.v[:] = v

@@ -12,10 +12,10 @@ import pincontact as pc
 from pincontact.dynamics.energy import energies_at
 from pincontact.dynamics.joints import (
     END_SLACK,
-    Guard,
-    check_guards,
+    JointLimit,
+    check_joint_limits,
     interrupted_joint,
-    joint_guards,
+    joint_limits,
     joint_of,
     without_inertia,
 )
@@ -33,44 +33,44 @@ def mechanism():
     return model
 
 
-def test_guards_of_a_model():
+def test_joint_limits_of_a_model():
     """Limits of coordinates that are numbers, dry friction of all; nothing where there is neither."""
     model = mechanism()
     assert (model.nq, model.nv) == (12, 10)
-    assert joint_guards(model) == []
+    assert joint_limits(model) == []
     model.lowerPositionLimit[:], model.upperPositionLimit[:] = -0.5, 0.5
     unbounded = np.finfo(float).max
     model.lowerPositionLimit[9], model.upperPositionLimit[8] = -unbounded, unbounded
     model.upperDryFrictionLimit[[3, 8]], model.lowerDryFrictionLimit[[8, 9]] = [0.2, 0.3], [-0.4, -0.6]
     inf = math.inf
-    assert joint_guards(model) == [
-        Guard("slide", 0, 0, 0.0, 0.0, -0.5, 0.5),
-        Guard("flyer", 3, 3, 0.0, 0.2, -inf, inf),
-        Guard("hinge", 8, 7, 0.0, 0.0, -0.5, inf),
-        Guard("lift", 9, 8, -0.4, 0.3, -inf, 0.5),
-        Guard("wheel", 10, 9, -0.6, 0.0, -inf, inf),
+    assert joint_limits(model) == [
+        JointLimit("slide", 0, 0, 0.0, 0.0, -0.5, 0.5),
+        JointLimit("flyer", 3, 3, 0.0, 0.2, -inf, inf),
+        JointLimit("hinge", 8, 7, 0.0, 0.0, -0.5, inf),
+        JointLimit("lift", 9, 8, -0.4, 0.3, -inf, 0.5),
+        JointLimit("wheel", 10, 9, -0.6, 0.0, -inf, inf),
     ]
-    assert [guard.dry for guard in joint_guards(model)] == [False, True, False, True, True]
+    assert [limit.dry for limit in joint_limits(model)] == [False, True, False, True, True]
     # bounds at zero, and ranges of one value, are ranges
     model.lowerPositionLimit[0] = model.upperPositionLimit[0] = 0.25
-    assert joint_guards(model)[0] == Guard("slide", 0, 0, 0.0, 0.0, 0.25, 0.25)
+    assert joint_limits(model)[0] == JointLimit("slide", 0, 0, 0.0, 0.0, 0.25, 0.25)
     model.upperPositionLimit[0] = 0.2
     with pytest.raises(pc.ModelError, match="slide"):
-        joint_guards(model)
+        joint_limits(model)
     model.upperPositionLimit[0] = 0.5
     for low, high in ((0.1, 0.2), (-0.2, -0.1)):
         model.lowerDryFrictionLimit[8], model.upperDryFrictionLimit[8] = low, high
         with pytest.raises(pc.ModelError, match="lift"):
-            joint_guards(model)
+            joint_limits(model)
 
 
 def test_states_beyond_limits_are_named():
-    guards = [Guard("a", 1, 1, 0.0, 0.0, -0.5, 0.5), Guard("b", 2, 2, 0.0, 0.0, -math.inf, math.inf)]
+    limits = [JointLimit("a", 1, 1, 0.0, 0.0, -0.5, 0.5), JointLimit("b", 2, 2, 0.0, 0.0, -math.inf, math.inf)]
     for value in (-0.5 - 0.9 * END_SLACK, 0.0, 0.5 + 0.9 * END_SLACK):
-        check_guards(guards, np.array([9.0, value, 9.0]))
+        check_joint_limits(limits, np.array([9.0, value, 9.0]))
     for value in (-0.5 - 1.1 * END_SLACK, 0.5 + 1.1 * END_SLACK):
         with pytest.raises(pc.StateError, match=r"'a': q\[1\]"):
-            check_guards(guards, np.array([9.0, value, 9.0]))
+            check_joint_limits(limits, np.array([9.0, value, 9.0]))
 
 
 def test_joints_of_velocity_coordinates():

@@ -32,26 +32,26 @@ from pincontact.layout import (
     COUNTERS,
     DIRECTION_X,
     EVENT,
+    EVENTS_PER_CONTACT,
     FREE,
-    FRICTION_MARGIN,
+    FRICTION_EVENT,
     FRICTIONLESS,
     FROZEN,
-    GUARD_END,
-    GUARD_INTS,
-    GUARD_REALS,
-    GUARD_SIGN,
-    GUARD_V,
     HIGH_FORCE,
+    JOINT_END,
+    JOINT_INTS,
+    JOINT_REALS,
+    JOINT_SIGN,
+    JOINT_V,
     LENGTH,
     LOCATION_FAILED,
     LOW_FORCE,
-    MARGINS_PER_CONTACT,
     MODE,
     MU,
     MU_NOW,
     MU_STATIC,
     NO_FORCE,
-    NORMAL_MARGIN,
+    NORMAL_EVENT,
     NORMAL_SIGN,
     OK,
     OWNER,
@@ -87,9 +87,9 @@ class Items:
         self.contact_int[:, [TANGENTS, MODE, UNILATERAL, NORMAL_SIGN]] = 2, STICK, 1, 1
         self.contact_int[nc + ng :, PATTERN] = NO_NORMAL
         self.contact_real[:, [MU, MU_STATIC, MU_NOW]] = 0.3, 0.5, 0.2
-        self.guard_int, self.guard_real = np.zeros((ng, GUARD_INTS), np.int64), np.zeros((ng, GUARD_REALS))
-        self.guard_int[:, GUARD_V] = np.arange(ng) + 1
-        self.margins, self.force = np.ones((n, MARGINS_PER_CONTACT)), rng.normal(size=(n, 3))
+        self.joint_int, self.joint_real = np.zeros((ng, JOINT_INTS), np.int64), np.zeros((ng, JOINT_REALS))
+        self.joint_int[:, JOINT_V] = np.arange(ng) + 1
+        self.event_functions, self.force = np.ones((n, EVENTS_PER_CONTACT)), rng.normal(size=(n, 3))
         self.rows, self.bias = rng.normal(size=(n, 3, nv)), rng.normal(size=(n, 3))
         self.basis = np.array([turned(rng) for _ in range(n)])
         self.slip = rng.normal(size=(n, 3))
@@ -216,7 +216,7 @@ def test_a_part_of_viscous_friction_is_less_than_all_of_it():
     system = Items(2)
     system.force[1] = 3.0, -4.0, 100.0
     for margin, all_of_it in ((-4.9e-6, False), (-5.1e-6, True), (1.0, False)):
-        system.margins[1, FRICTION_MARGIN] = margin
+        system.event_functions[1, FRICTION_EVENT] = margin
         assert ModeSolver(system)._takes_all(1) is all_of_it
 
 
@@ -228,35 +228,35 @@ def test_coordinates_are_held_and_let_go(dry):
     system = Items(2, 3)
     solver = ModeSolver(system)
     system.contact_int[:, MODE] = FREE
-    system.guard_real[:, [LOW_FORCE, HIGH_FORCE]] = [-0.2, 0.1] if dry else [0.0, 0.0]
-    expected, guards = system.contact_int.copy(), system.guard_int.copy()
+    system.joint_real[:, [LOW_FORCE, HIGH_FORCE]] = [-0.2, 0.1] if dry else [0.0, 0.0]
+    expected, limits = system.contact_int.copy(), system.joint_int.copy()
     for end in (-1, 0, 1):
-        system.guard_int[1, GUARD_SIGN] = 1
+        system.joint_int[1, JOINT_SIGN] = 1
         solver.hold(1, end)
         expected[3, MODE] = FRICTIONLESS
-        guards[1, [GUARD_SIGN, GUARD_END]] = 0, end
-        assert (system.contact_int.tolist(), system.guard_int.tolist()) == (expected.tolist(), guards.tolist())
+        limits[1, [JOINT_SIGN, JOINT_END]] = 0, end
+        assert (system.contact_int.tolist(), system.joint_int.tolist()) == (expected.tolist(), limits.tolist())
         sign = 1 if end <= 0 else -1
         solver.release(1, sign)
         expected[3, MODE] = FREE
-        guards[1, [GUARD_SIGN, GUARD_END]] = sign if dry else 0, 0
-        assert (system.contact_int.tolist(), system.guard_int.tolist()) == (expected.tolist(), guards.tolist())
+        limits[1, [JOINT_SIGN, JOINT_END]] = sign if dry else 0, 0
+        assert (system.contact_int.tolist(), system.joint_int.tolist()) == (expected.tolist(), limits.tolist())
 
 
 def test_a_coordinate_moves_whose_force_is_beyond_a_bound():
     system = Items(4, 3)
     solver, released = ModeSolver(system), {}
     system.tau[:] = 10.0
-    system.guard_real[:, HIGH_FORCE] = 0.1
-    system.guard_int[:, GUARD_END] = 1, 0, -1
+    system.joint_real[:, HIGH_FORCE] = 0.1
+    system.joint_int[:, JOINT_END] = 1, 0, -1
     # round-off of the loads
-    system.margins[4:, [NORMAL_MARGIN, FRICTION_MARGIN]] = -0.9e-10
+    system.event_functions[4:, [NORMAL_EVENT, FRICTION_EVENT]] = -0.9e-10
     assert not solver._release_one(released)
-    system.margins[5, FRICTION_MARGIN], system.margins[6, NORMAL_MARGIN] = -1.1e-10, -0.3
+    system.event_functions[5, FRICTION_EVENT], system.event_functions[6, NORMAL_EVENT] = -1.1e-10, -0.3
     assert solver._release_one(released)
     # below its upper bound: friction cannot push enough that way
     assert released == {1: (0, -1)}
-    assert system.guard_int[1, GUARD_SIGN] == -1
+    assert system.joint_int[1, JOINT_SIGN] == -1
     assert solver._release_one(released)
     assert released == {1: (0, -1), 2: (-1, 1)}
     assert system.held() == [0]
@@ -269,11 +269,11 @@ def test_a_coordinate_moves_whose_force_is_beyond_a_bound():
     assert solver._hold_one(released)
     assert released == {1: (0, -1)}
     assert system.held() == [0, 2]
-    assert system.guard_int[2, GUARD_END] == -1
+    assert system.joint_int[2, JOINT_END] == -1
     system.acceleration[2] = 0.3
     assert solver._hold_one(released)
     assert not released
-    assert system.guard_int[1, GUARD_END] == 0
+    assert system.joint_int[1, JOINT_END] == 0
 
 
 # ---------------------------------------------------------------------------------------------- without cones
@@ -287,20 +287,20 @@ def test_normals_that_pull(monkeypatch):
     system.tau[:] = 10.0
     system.contact_int[0, MODE], system.contact_int[2, UNILATERAL] = FREE, 0
     system.contact_int[2, NORMAL_SIGN] = -1
-    system.margins[:, NORMAL_MARGIN] = -5.0, -0.9e-10, -1.1e-10, -0.2
+    system.event_functions[:, NORMAL_EVENT] = -5.0, -0.9e-10, -1.1e-10, -0.2
     decision = Decision(0)
     assert solver._change_normal(T, [0, 1, 2, 3], never, decision)
     assert system.contact_int[:, NORMAL_SIGN].tolist() == [1, 1, 1, 1]
     assert not opened.asked
-    system.margins[2, NORMAL_MARGIN] = 1.0
+    system.event_functions[2, NORMAL_EVENT] = 1.0
     assert solver._change_normal(T, [0, 1, 2, 3], never, decision)
     assert opened.asked == [(T, 3, never, decision)]
     # what is held up by more than all of its viscous friction carries a load
-    system.margins[:, NORMAL_MARGIN] = 1.0
+    system.event_functions[:, NORMAL_EVENT] = 1.0
     assert not solver._change_normal(T, [0, 1, 2, 3], never, decision)
     system.contact_int[1, [MODE, NORMAL_SIGN]] = SLIPPING, -1
     assert not solver._change_normal(T, [0, 1, 2, 3], never, decision)
-    system.margins[1, FRICTION_MARGIN] = -1.0
+    system.event_functions[1, FRICTION_EVENT] = -1.0
     assert solver._change_normal(T, [0, 1, 2, 3], never, decision)
     assert system.contact_int[1, [MODE, NORMAL_SIGN]].tolist() == [SLIPPING, 1]
 
@@ -311,10 +311,10 @@ def test_what_exceeds_its_friction_most():
     solver = ModeSolver(system)
     system.contact_int[5:, OWNER] = 2, 0
     system.contact_real[5:, MU] = 0.05
-    system.margins[:, FRICTION_MARGIN] = -0.1, -0.3, 0.2, -0.25, -9.0, -0.02, -0.01
+    system.event_functions[:, FRICTION_EVENT] = -0.1, -0.3, 0.2, -0.25, -9.0, -0.02, -0.01
     closed = [0, 1, 2, 3]
     assert solver._exceeding(closed) == 5
-    system.margins[5, FRICTION_MARGIN] = -0.014
+    system.event_functions[5, FRICTION_EVENT] = -0.014
     assert solver._exceeding(closed) == 1
     system.contact_int[1, MODE] = SLIPPING
     assert solver._exceeding(closed) == 5
@@ -325,7 +325,7 @@ def test_what_exceeds_its_friction_most():
     assert solver._exceeding(closed) is None
     system.contact_int[0, NORMAL_SIGN] = 1
     assert solver._exceeding(closed) == 6
-    system.margins[:, FRICTION_MARGIN] = 0.0
+    system.event_functions[:, FRICTION_EVENT] = 0.0
     system.contact_int[:, MODE] = STICK
     assert solver._exceeding(closed) is None
 
@@ -422,13 +422,15 @@ def test_one_change_after_the_other(monkeypatch):
     ).status == NOT_FORCES  # fmt: skip
     assert len(evaluate.asked) == 2
     # a force that pulls after slip has turned is looked at again
-    system.tau[:], system.margins[1, NORMAL_MARGIN] = 10.0, -1.1e-10
-    evaluate = Played(system, then=lambda call: system.margins.__setitem__((1, NORMAL_MARGIN), -0.9e-10 * call))
-    system.margins[1, NORMAL_MARGIN] = -1.1e-10
+    system.tau[:], system.event_functions[1, NORMAL_EVENT] = 10.0, -1.1e-10
+    evaluate = Played(system, then=lambda call: system.event_functions.__setitem__((1, NORMAL_EVENT), -0.9e-10 * call))
+    system.event_functions[1, NORMAL_EVENT] = -1.1e-10
     solver = alone(system, monkeypatch)
     assert solver._decide_without_cones(T, [0], [0, 1], evaluate).status == OK
     assert len(evaluate.asked) == 1
-    evaluate = Played(system, then=lambda call: system.margins.__setitem__((1, NORMAL_MARGIN), -1e-9 * (call == 0)))
+    evaluate = Played(
+        system, then=lambda call: system.event_functions.__setitem__((1, NORMAL_EVENT), -1e-9 * (call == 0))
+    )
     assert solver._decide_without_cones(T, [0], [0, 1], evaluate).status == OK
     assert len(evaluate.asked) == 2
     # what goes back
@@ -460,7 +462,7 @@ def test_a_contact_without_a_part_of_its_friction_opens(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("statuses", "gap", "margins", "rate", "slides"),
+    ("statuses", "gap", "event_functions", "rate", "slides"),
     [
         ((OK, EVENT), -0.1, (0.0, 0.0), 0.2, True),
         ((EVENT, OK), -0.1, (0.3, 0.2), 1e-3, True),
@@ -473,12 +475,12 @@ def test_a_contact_without_a_part_of_its_friction_opens(monkeypatch):
         ((OK, OK), -0.1, (1.0, 1.0), 0.0, False),
     ],
 )
-def test_ideal_rolling_that_would_close_again_slides(statuses, gap, margins, rate, slides, monkeypatch):
+def test_ideal_rolling_that_would_close_again_slides(statuses, gap, event_functions, rate, slides, monkeypatch):
     system = Items(3)
     solver = ModeSolver(system)
     system.contact_real[1, MU] = math.inf
-    system.margins[:] = -1.0
-    system.margins[1, [NORMAL_MARGIN, FRICTION_MARGIN]] = margins
+    system.event_functions[:] = -1.0
+    system.event_functions[1, [NORMAL_EVENT, FRICTION_EVENT]] = event_functions
     system.contact_real[1, SLIP_RATE] = rate
     gaps = saying(gap)
     monkeypatch.setattr(solver, "gap_acceleration", gaps)
@@ -510,7 +512,7 @@ def test_a_contact_kept_closed_by_a_part_of_its_friction(along, tangents, mode, 
         system.contact_real[1, VISCOUS] = viscous
         system.basis[1] = np.eye(3)
         system.slip[1] = along, 0.7, 0.1
-        system.margins[1, NORMAL_MARGIN] = margin
+        system.event_functions[1, NORMAL_EVENT] = margin
         monkeypatch.setattr(solver, "_closes_without", saying(closes))
         monkeypatch.setattr(solver, "_takes_all", saying(takes_all))
         before = system.contact_int.copy()
@@ -549,7 +551,7 @@ def test_whether_a_contact_would_close_without_its_friction(monkeypatch):
         monkeypatch.setattr(solver, "gap_acceleration", gaps)
 
         def then(call):
-            system.margins[3, NORMAL_MARGIN] = pulls[call] if call < len(pulls) else 1.0
+            system.event_functions[3, NORMAL_EVENT] = pulls[call] if call < len(pulls) else 1.0
 
         evaluate = Played(system, *statuses, then=then)
         closes = solver._closes_without(T, 1, evaluate)
@@ -758,7 +760,7 @@ def test_what_sticks_needs_no_cones(monkeypatch):
         system, solver, solved = deciding(monkeypatch, loaded)
         system.scalars["has_reference"], solver.proved = reference, True
         evaluate = Played(system)
-        decision = solver.decide(T, [0, 2], evaluate, status=status)
+        decision = solver.resolve_modes(T, [0, 2], evaluate, status=status)
         assert (decision.status, decision.started, decision.solved) == (OK, {}, False)
         assert len(evaluate.asked) == times
         assert not solved.asked
@@ -784,9 +786,9 @@ def test_what_sticks_needs_no_cones(monkeypatch):
 def test_when_cones_decide(status, beyond, holds, chosen, lost, solves, monkeypatch):
     system, solver, solved = deciding(monkeypatch, holds=holds, chosen=chosen)
     system.counters["lost_positivity"] = lost
-    system.margins[:, FRICTION_MARGIN] = 0.0, 1.0, -0.1
+    system.event_functions[:, FRICTION_EVENT] = 0.0, 1.0, -0.1
     evaluate = Played(system, status)
-    decision = solver.decide(T, [0], evaluate, beyond)
+    decision = solver.resolve_modes(T, [0], evaluate, beyond)
     if not solves:
         assert (decision.status, solved.asked) == (status, [])
         return
@@ -801,16 +803,16 @@ def test_when_cones_decide(status, beyond, holds, chosen, lost, solves, monkeypa
 def test_what_passes_is_no_longer_undecided(monkeypatch):
     system, solver, solved = deciding(monkeypatch, passing={0: 0.7}, holds=False)
     evaluate = Played(system, OK, EVENT)
-    decision = solver.decide(T, [0, 1], evaluate)
+    decision = solver.resolve_modes(T, [0, 1], evaluate)
     assert solved.asked == [(T, [1], evaluate)]
     assert len(evaluate.asked) == 2
     assert decision.started == {2: 2.0}
     system, solver, solved = deciding(monkeypatch, passing={2: 0.7})
-    decision = solver.decide(T, [1, 2], Played(system))
+    decision = solver.resolve_modes(T, [1, 2], Played(system))
     assert (decision.status, decision.started, solved.asked) == (OK, {2: 0.7}, [])
     # it slides, whatever the cones say of it
     system, solver, solved = deciding(monkeypatch, passing={1: 0.7}, holds=False)
-    decision = solver.decide(T, [0], Played(system, EVENT))
+    decision = solver.resolve_modes(T, [0], Played(system, EVENT))
     assert decision.started == {1: 0.7, 2: 2.0}
 
 
@@ -818,14 +820,14 @@ def test_what_cannot_be_evaluated_is_not_decided(monkeypatch):
     for passing, statuses in (({}, (LOCATION_FAILED,)), ({0: 0.7}, (OK, LOCATION_FAILED))):
         system, solver, solved = deciding(monkeypatch, passing=passing)
         evaluate = Played(system, *statuses)
-        decision = solver.decide(T, [0, 1], evaluate)
+        decision = solver.resolve_modes(T, [0, 1], evaluate)
         assert (decision.status, decision.started, solved.asked) == (LOCATION_FAILED, {}, [])
         assert len(evaluate.asked) == len(statuses)
 
 
 def test_which_way_of_deciding(monkeypatch):
     """Cones, unless a contact cannot open or is held up by friction, viscous friction opens what would close, or
-    redundant loads turn what begins to slip: then modes and guards are what they were, and are changed one by one."""
+    redundant loads turn what begins to slip: then modes and limits are what they were, and are changed one by one."""
 
     def tried(change=None, stays=True, aligned=True, drags=False, status=OK):
         system = Items(3, 1)
@@ -834,17 +836,17 @@ def test_which_way_of_deciding(monkeypatch):
             system.contact_int[1:3, MODE], system.contact_real[1:3, VISCOUS] = FRICTIONLESS, 0.1
         if change is not None:
             change(system)
-        before = system.contact_int.copy(), system.guard_int.copy()
+        before = system.contact_int.copy(), system.joint_int.copy()
         decision, other = Decision(status, opened=[0, 1]), Decision(9)
 
         def cones(*arguments):
             assert arguments == (T, [0], system.closed(), system.held(), [], never)
-            system.contact_int[:], system.guard_int[:] = 5, 6
+            system.contact_int[:], system.joint_int[:] = 5, 6
             return decision
 
         def one_by_one(*arguments):
             assert arguments == (T, [0], system.closed(), never)
-            assert [array.tolist() for array in before] == [system.contact_int.tolist(), system.guard_int.tolist()]
+            assert [array.tolist() for array in before] == [system.contact_int.tolist(), system.joint_int.tolist()]
             return other
 
         stay, align = saying(stays), saying(aligned)
@@ -932,8 +934,8 @@ def solved_cones(monkeypatch, forces, velocities, kinds, statuses=(OK,), holds=T
     system.contact_int[0, MODE], system.contact_int[[4, 5], MODE] = FREE, SLIPPING
     system.contact_int[10:, OWNER] = 1, 2
     system.contact_int[10:, MODE] = STICK
-    system.guard_int[:, GUARD_END] = 0, -1, 1
-    system.guard_real[:, [LOW_FORCE, HIGH_FORCE]] = -0.2, 0.3
+    system.joint_int[:, JOINT_END] = 0, -1, 1
+    system.joint_real[:, [LOW_FORCE, HIGH_FORCE]] = -0.2, 0.3
     system.contact_int[7:10, MODE] = FRICTIONLESS
     system.contact_real[6, MU] = math.inf
     solver = ModeSolver(system)
@@ -983,7 +985,7 @@ def test_modes_of_a_solution(monkeypatch):
     assert system.contact_int[:7, NORMAL_SIGN].tolist() == [1, 1, 1, 1, 0, 1, 1]
     # friction gives way along, an end away from it
     assert system.held() == [2]
-    assert system.guard_int[:, GUARD_SIGN].tolist() == [-1, 1, 0]
+    assert system.joint_int[:, JOINT_SIGN].tolist() == [-1, 1, 0]
     assert (decision.status, decision.solved, decision.residual) == (OK, True, 3e-12)
     assert solver.worst_residual == 3e-12
     assert len(evaluate.asked) == 1
@@ -993,7 +995,7 @@ def test_modes_of_a_solution(monkeypatch):
     velocities[6, 0], velocities[7, 2], velocities[8, 2] = 0.25, 0.19, 0.21
     velocities[0, :2] = velocities[9, :2] = 0.1
     system, _, decision, *_ = solved_cones(monkeypatch, forces, velocities, kinds)
-    assert system.guard_int[:, GUARD_SIGN].tolist() == [1, 0, -1]
+    assert system.joint_int[:, JOINT_SIGN].tolist() == [1, 0, -1]
     assert system.held() == [1]
     assert sorted(decision.started) == [2, 6]
     assert system.contact_int[[1, 10], MODE].tolist() == [STICK, STICK]
@@ -1126,8 +1128,8 @@ def test_cones_of_forces():
     system.contact_int[5:7, UNILATERAL], system.contact_int[6, PATTERN] = 0, ON_CURVE
     system.contact_int[6, TANGENTS] = 1
     system.force[5] = 1.0, 1.0, -2.0
-    system.guard_int[:, GUARD_END] = 0, -1, 1
-    system.guard_real[:, LOW_FORCE], system.guard_real[:, HIGH_FORCE] = [-0.2, -0.3, -0.4], [0.5, 0.6, 0.7]
+    system.joint_int[:, JOINT_END] = 0, -1, 1
+    system.joint_real[:, LOW_FORCE], system.joint_real[:, HIGH_FORCE] = [-0.2, -0.3, -0.4], [0.5, 0.6, 0.7]
     system.contact_int[7:10, MODE] = FRICTIONLESS
     system.contact_int[10:, OWNER] = 2, 5
     system.contact_int[11, TANGENTS] = 1
@@ -1316,7 +1318,7 @@ class Feet(Items):
         self.contact_int[:, MODE], self.tau[:] = SLIPPING, 1.0
         # one that is held up by friction has none to choose
         self.contact_int[n, NORMAL_SIGN] = -1
-        self.margins[n, NORMAL_MARGIN] = -9.0
+        self.event_functions[n, NORMAL_EVENT] = -9.0
 
     def __call__(self, t):
         n = self.operator.shape[1]
@@ -1326,14 +1328,16 @@ class Feet(Items):
         if np.abs(self.operator[:, loaded] @ least - self.loads).max() > 1e-9:
             return NO_FORCE
         y = np.linalg.pinv(self.operator[:, loaded].T) @ least
-        self.margins[:n, NORMAL_MARGIN] = -self.operator.T @ y
-        self.margins[:n, NORMAL_MARGIN][loaded] = least
+        self.event_functions[:n, NORMAL_EVENT] = -self.operator.T @ y
+        self.event_functions[:n, NORMAL_EVENT][loaded] = least
         return EVENT
 
 
 def test_loads_within_round_off_are_none():
     feet = Feet(np.ones((1, 2)), np.array([1.0]))
-    evaluate = Played(feet, then=lambda call: feet.margins.__setitem__((slice(2), NORMAL_MARGIN), [1.0, -0.9e-11]))
+    evaluate = Played(
+        feet, then=lambda call: feet.event_functions.__setitem__((slice(2), NORMAL_EVENT), [1.0, -0.9e-11])
+    )
     assert ModeSolver(feet)._unload(T, evaluate, None)
     assert len(evaluate.asked) == 1
 
@@ -1362,7 +1366,9 @@ def test_least_loads_that_are_not_negative(seed):
     assert found
     assert solver.redistributions == 1
     assert signs[:n] == (least > 1e-8).astype(int).tolist()
-    assert (np.where(np.array(signs[:n]) == 1, feet.margins[:n, NORMAL_MARGIN], 0.0)) == pytest.approx(least, abs=1e-6)
+    assert (np.where(np.array(signs[:n]) == 1, feet.event_functions[:n, NORMAL_EVENT], 0.0)) == pytest.approx(
+        least, abs=1e-6
+    )
     # of one whose load has ended it is known that the sign is the other one; else there is nothing to be had
     wrong = signs.index(1)
     kept = feet.contact_int[:, NORMAL_SIGN].copy()

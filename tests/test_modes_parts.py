@@ -15,23 +15,23 @@ from pincontact.layout import (
     ANISOTROPIC,
     CONTACT_INTS,
     CONTACT_REALS,
-    FRICTION_MARGIN,
-    GUARD_END,
-    GUARD_INTS,
-    GUARD_REALS,
+    FRICTION_EVENT,
     HIGH_FORCE,
+    JOINT_END,
+    JOINT_INTS,
+    JOINT_REALS,
     LOW_FORCE,
     MODE,
     MU,
     MU_NOW,
-    NORMAL_MARGIN,
+    NORMAL_EVENT,
     OWNER,
+    SCALING_11,
+    SCALING_12,
+    SCALING_22,
     SLIP_SIGN,
     SLIPPING,
     STICK,
-    STRETCH_11,
-    STRETCH_12,
-    STRETCH_22,
     TANGENTS,
     UNILATERAL,
 )
@@ -51,14 +51,14 @@ def made(rng, ideal=False):
     integers[[1, 4], TANGENTS] = 1
     integers[[0, 1], MODE], integers[1, SLIP_SIGN] = SLIPPING, -1
     integers[3, ANISOTROPIC] = 1
-    numbers[3, [STRETCH_11, STRETCH_12, STRETCH_22]] = ELLIPSE[0, 0], ELLIPSE[0, 1], ELLIPSE[1, 1]
+    numbers[3, [SCALING_11, SCALING_12, SCALING_22]] = ELLIPSE[0, 0], ELLIPSE[0, 1], ELLIPSE[1, 1]
     integers[9, TANGENTS], integers[9, MODE] = 1, SLIPPING
     integers[9, SLIP_SIGN], integers[8, OWNER], integers[9, OWNER] = 1, 2, 1
     numbers[:, MU] = numbers[:, MU_NOW] = rng.uniform(0.1, 0.4, n)
     if ideal:
         numbers[2, MU] = math.inf
-    guards, bounds = np.zeros((3, GUARD_INTS), dtype=np.int64), np.zeros((3, GUARD_REALS))
-    guards[:, GUARD_END] = 0, -1, 1
+    limits, bounds = np.zeros((3, JOINT_INTS), dtype=np.int64), np.zeros((3, JOINT_REALS))
+    limits[:, JOINT_END] = 0, -1, 1
     bounds[:, LOW_FORCE], bounds[:, HIGH_FORCE] = [-0.2, -0.3, -0.1], [0.3, 0.1, 0.2]
     rows = np.zeros((n, 3, nv))
     for i in range(n):
@@ -71,7 +71,7 @@ def made(rng, ideal=False):
         # most of them close
         bias[c, 2] = -(rows[c, 2] @ free) - rng.uniform(-0.2, 1.0)
     system = SimpleNamespace(
-        nv=nv, nc=5, ng=3, items=n, contact_int=integers, contact_real=numbers, guard_int=guards, guard_real=bounds,
+        nv=nv, nc=5, ng=3, items=n, contact_int=integers, contact_real=numbers, joint_int=limits, joint_real=bounds,
         rows=rows, factor=factor, bias=bias, free_acceleration=free, force=np.zeros((n, 3)),
         basis=np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(n)]), slip=rng.normal(size=(n, 3)),
         owner=lambda i: int(integers[i, OWNER]),
@@ -238,18 +238,18 @@ def test_contacts_alone(contacts, seed):
 def test_whether_all_forces_lie_inside_their_cones():
     """Of closed contacts, held coordinates and resistances of closed contacts, and of no others; zero is inside."""
     solver = object.__new__(ModeSolver)
-    margins = np.ones((9, 5))
+    event_functions = np.ones((9, 5))
     solver.system = SimpleNamespace(
-        nc=3, ng=3, margins=margins, closed=lambda: [0, 2], held=lambda: [1], resisting=lambda: [7]
+        nc=3, ng=3, event_functions=event_functions, closed=lambda: [0, 2], held=lambda: [1], resisting=lambda: [7]
     )
-    watched = {(i, margin) for i in (0, 2, 4, 7) for margin in (NORMAL_MARGIN, FRICTION_MARGIN)}
+    watched = {(i, margin) for i in (0, 2, 4, 7) for margin in (NORMAL_EVENT, FRICTION_EVENT)}
     assert solver._holds()
     for i in range(9):
         for margin in range(5):
             for value in (0.0, -1e-12):
-                margins[i, margin] = value
+                event_functions[i, margin] = value
                 assert solver._holds() == (value == 0.0 or (i, margin) not in watched)
-            margins[i, margin] = 1.0
+            event_functions[i, margin] = 1.0
 
 
 @SEEDS

@@ -224,7 +224,7 @@ def test_a_belt_that_turns_round_below_a_block_in_slip():
     assert abs(run.q[-1, 0] - fine.q[-1, 0]) <= 1e-7
 
 
-def test_margins_far_from_zero_shorten_no_step():
+def test_event_functions_far_from_zero_shorten_no_step():
     """A load that never comes near the limit costs no rejected step."""
     scene, state = block(pc.Coulomb(0.5))
     run = pc.simulate(scene, state, 10.0, control=along_x(lambda t: 0.05 * math.sin(30.0 * t)))

@@ -12,7 +12,7 @@ import pytest
 import pincontact as pc
 from pincontact.contacts import characteristic_length
 from pincontact.dynamics import system as system_module
-from pincontact.dynamics.joints import joint_guards
+from pincontact.dynamics.joints import joint_limits
 from pincontact.dynamics.system import FORCE_SLACK, System
 from pincontact.errors import UnusableResult
 from pincontact.geometry.patterns import NO_NORMAL
@@ -27,12 +27,12 @@ from pincontact.layout import (
     CONTACT_INTS,
     FREE,
     FRICTIONLESS,
-    GUARD_Q,
-    GUARD_SIGN,
-    GUARD_V,
     HIGH_END,
     HIGH_FORCE,
     JOINT,
+    JOINT_Q,
+    JOINT_SIGN,
+    JOINT_V,
     K1,
     K2,
     LENGTH,
@@ -52,6 +52,9 @@ from pincontact.layout import (
     PATTERN,
     ROLLING,
     ROLLING_ROW,
+    SCALING_11,
+    SCALING_12,
+    SCALING_22,
     SIDE,
     SLIP_SIGN,
     SPAN,
@@ -59,9 +62,6 @@ from pincontact.layout import (
     SPINNING_ROW,
     START_SPEED,
     STICK,
-    STRETCH_11,
-    STRETCH_12,
-    STRETCH_22,
     STRIBECK_EXPONENT,
     STRIBECK_SPEED,
     SUPPORT_SIZE,
@@ -117,12 +117,12 @@ def scene_of(laws=LAWS, motion=None):
 @pytest.fixture
 def laid_out():
     scene = scene_of()
-    guards = joint_guards(scene.model)
-    return scene, guards, RunSystem(scene.model, list(scene.contacts.values()), True, guards, True)
+    limits = joint_limits(scene.model)
+    return scene, limits, RunSystem(scene.model, list(scene.contacts.values()), True, limits, True)
 
 
 def test_sizes(laid_out):
-    scene, guards, system = laid_out
+    scene, limits, system = laid_out
     nq, nv = scene.model.nq, scene.model.nv
     sizes = system.sizes
     ny = nq + nv + 12 + NUMBER_OF_WORKS
@@ -130,10 +130,20 @@ def test_sizes(laid_out):
     assert sizes[["nwork", "ny"]].tolist() == (NUMBER_OF_WORKS, ny)
     assert (system.nq, system.nv, system.nc, system.ng, system.nr, system.items, system.ny) == (nq, nv, 3, 2, 3, 8, ny)
     assert [len(getattr(system, name)) for name in ("state", "new_state", "absolute")] == [ny] * 3
-    assert system.guard_count.tolist() == [2]
+    assert system.joint_count.tolist() == [2]
     assert system.resistance_count.tolist() == [3]
-    assert len(guards) == 2
-    for name in ("contact_int", "contact_real", "basis", "slip", "rows", "force", "margins", "reference", "location"):
+    assert len(limits) == 2
+    for name in (
+        "contact_int",
+        "contact_real",
+        "basis",
+        "slip",
+        "rows",
+        "force",
+        "event_functions",
+        "reference",
+        "location",
+    ):
         assert len(getattr(system, name)) == 8
     assert system.whitened_rows.shape == (24, nv)
     assert system.joint_table[:, 1:].tolist() == [[0, 0, 2], [2, 2, 6], [9, 8, 1]]
@@ -215,7 +225,7 @@ def test_laws(laid_out):
     assert not numbers[0, names].any()
     assert numbers[1, names].tolist() == [0.6, 0.6, 0.2, 0.6, 0.0, 2e-3, 1e-3, 0.5, 1.5]
     assert numbers[2, names].tolist() == [0.3, 0.3, 0.3, 0.4, 0.7, 0.0, 3e-3, 0.0, 0.0]
-    ellipses = numbers[:3, [ASPECT, STRETCH_11, STRETCH_12, STRETCH_22]]
+    ellipses = numbers[:3, [ASPECT, SCALING_11, SCALING_12, SCALING_22]]
     assert ellipses.tolist() == [[1.0, 1.0, 0.0, 1.0], [0.5, 1.0, 0.0, 0.5], [2.0, 1.0, 0.0, 2.0]]
     assert system.contact_int[:3, ANISOTROPIC].tolist() == [0, ALONG_BODY_2, ALONG_BODY_1]
     # resistances: about the normal first
@@ -227,7 +237,7 @@ def test_laws(laid_out):
         [1, NO_NORMAL, FREE, 1, 1, 1], [1, NO_NORMAL, FREE, 2, 1, 1], [2, NO_NORMAL, FREE, 2, 1, 1],
     ]  # fmt: skip
     assert numbers[5:, [MU, MU_FAST, MU_STATIC, MU_NOW]].tolist() == [[2e-3] * 4, [1e-3] * 4, [3e-3] * 4]
-    assert (numbers[5:, [ASPECT, STRETCH_11, STRETCH_22, SPAN, LENGTH, NORMAL_1]] == 1.0).all()
+    assert (numbers[5:, [ASPECT, SCALING_11, SCALING_22, SPAN, LENGTH, NORMAL_1]] == 1.0).all()
     assert [system.owner(i) for i in (0, 1, 2, 5, 6, 7)] == [0, 1, 2, 1, 1, 2]
 
 
@@ -236,7 +246,7 @@ def test_ellipses_along_a_contour(laid_out):
     scene, _, system = laid_out
     system.q[:] = pin.integrate(scene.model, system.q, np.linspace(0.2, -0.3, system.nv))
     system.evaluate_kinematics(0.0)
-    a, b, d = system.contact_real[2, [STRETCH_11, STRETCH_12, STRETCH_22]]
+    a, b, d = system.contact_real[2, [SCALING_11, SCALING_12, SCALING_22]]
     shape = np.array([[a, b], [b, d]])
     along = system.basis[2, :2] @ system.derivatives[4, 1]
     assert shape @ along == pytest.approx(along, rel=1e-12)
@@ -252,14 +262,14 @@ def test_resistances_above_round_off():
         assert system.resistances == found
         # one coefficient is for all directions
         assert not system.contact_int[:, ANISOTROPIC].any()
-        assert (system.contact_real[:3, [ASPECT, STRETCH_11, STRETCH_22]] == 1.0).all()
+        assert (system.contact_real[:3, [ASPECT, SCALING_11, SCALING_22]] == 1.0).all()
 
 
 def test_joint_coordinates(laid_out):
-    _, guards, system = laid_out
-    assert [guard.joint for guard in guards] == ["slide", "branch"]
-    assert system.guard_int[:, [GUARD_Q, GUARD_V]].tolist() == [[1, 1], [9, 8]]
-    bounds = system.guard_real[:, [LOW_FORCE, HIGH_FORCE, LOW_END, HIGH_END]].tolist()
+    _, limits, system = laid_out
+    assert [limit.joint for limit in limits] == ["slide", "branch"]
+    assert system.joint_int[:, [JOINT_Q, JOINT_V]].tolist() == [[1, 1], [9, 8]]
+    bounds = system.joint_real[:, [LOW_FORCE, HIGH_FORCE, LOW_END, HIGH_END]].tolist()
     assert bounds == [[-0.2, 0.3, -0.7, 0.9], [-0.1, 0.4, -math.inf, math.inf]]
     for g, velocity in enumerate((1, 8)):
         assert system.contact_int[3 + g, MODE] == FREE
@@ -271,7 +281,7 @@ def test_joint_coordinates(laid_out):
     kept = system.contact_int.copy()
     system.force[3:5] = [[9.0, 9.0, 0.7], [9.0, 9.0, -0.6]]
     for sign, friction in ((-1, 0.3), (0, 0.0), (1, -0.2)):
-        system.guard_int[:, GUARD_SIGN] = sign
+        system.joint_int[:, JOINT_SIGN] = sign
         system.contact_int[3:5, MODE] = FREE, FRICTIONLESS
         expected = np.zeros(system.nv)
         expected[[1, 8]] = friction, -0.6

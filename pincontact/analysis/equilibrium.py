@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..arguments import check_tolerance
-from ..dynamics.joints import check_guards
+from ..dynamics.joints import check_joint_limits
 from ..errors import ArgumentError, SingularContactError, SolverError
 from ..scene import Scene
 from ..state import State, check_vector
@@ -251,7 +251,7 @@ def _found(
             f"no {what} was found near this configuration: the residual is {size:.3g} after {iterations} steps "
             f"(tolerance {tolerance * scale:.3g})"
         )
-    check_guards(instant.system.guards, q)
+    check_joint_limits(instant.system.limits, q)
     tau = instant.tau + torque
     instant.tau = tau
     state = instant.state(q, v)

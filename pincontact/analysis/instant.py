@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..dynamics.energy import REST_SPEED
-from ..dynamics.joints import joint_guards
+from ..dynamics.joints import joint_limits
 from ..dynamics.units import unwhiten, whiten
 from ..errors import SingularContactError, SolverError
 from ..geometry.carriers import ORIGIN
@@ -26,17 +26,17 @@ from ..integration.transitions import Transitions
 from ..layout import (
     EVENT,
     FREE,
-    FRICTION_MARGIN,
+    FRICTION_EVENT,
     FROZEN,
-    GUARD_END,
-    GUARD_SIGN,
     HIGH_END,
+    JOINT_END,
+    JOINT_SIGN,
     LENGTH,
     LOW_END,
     MODE,
     MU_STATIC,
     NO_FORCE,
-    NORMAL_MARGIN,
+    NORMAL_EVENT,
     PATTERN,
     SLIPPING,
     STICK,
@@ -109,7 +109,7 @@ class Instant:
         check_state(scene, state)
         self.scene, self.model = scene, scene.model
         contacts = list(scene.contacts.values())
-        self.system = system = RunSystem(scene.model, contacts, guards=joint_guards(scene.model), resistances=True)
+        self.system = system = RunSystem(scene.model, contacts, limits=joint_limits(scene.model), resistances=True)
         self.tau = check_vector("tau", np.zeros(system.nv) if tau is None else tau, system.nv)
         # forces of the modes at hand are of no use where they are not decided
         self._decide = decide
@@ -163,8 +163,8 @@ class Instant:
                 rk.evaluate(self.t)
                 transitions.changes.set_from_velocities()
                 slow = self._rest_speed
-                for g, guard in enumerate(system.guards):
-                    speed = float(self.v[guard.index_v])
+                for g, limit in enumerate(system.limits):
+                    speed = float(self.v[limit.index_v])
                     transitions.modes.release(g, 0 if abs(speed) <= slow else 1 if speed > 0.0 else -1)
         except Stop as stop:
             kind = SingularContactError if stop.code == SINGULAR_CONTACT else SolverError
@@ -246,8 +246,8 @@ class Instant:
         system = self.system
         items = np.flatnonzero(system.contact_int[:, FROZEN]).tolist() + [
             system.nc + g
-            for g, guard in enumerate(system.guards)
-            if system.guard_int[g, GUARD_SIGN] != 0 and self.at_rest(float(self.v[guard.index_v]))
+            for g, limit in enumerate(system.limits)
+            if system.joint_int[g, JOINT_SIGN] != 0 and self.at_rest(float(self.v[limit.index_v]))
         ]
         return [self._names(item)[0] for item in items]
 
@@ -258,7 +258,7 @@ class Instant:
         constrained = self.constrained()
         if self.directions(constrained).redundant:
             return []
-        friction, normal = system.margins[:, FRICTION_MARGIN], system.margins[:, NORMAL_MARGIN]
+        friction, normal = system.event_functions[:, FRICTION_EVENT], system.event_functions[:, NORMAL_EVENT]
         loads = float(np.abs([system.bias_forces, self.tau]).max(initial=0.0))
         out = []
         for item in dict.fromkeys(item for item, _ in constrained):
@@ -273,7 +273,7 @@ class Instant:
         """What an item is called in messages, and whether it is a joint's coordinate."""
         system = self.system
         if system.nc <= item < system.nc + system.ng:
-            return f"joint {system.guards[item - system.nc].joint!r}", True
+            return f"joint {system.limits[item - system.nc].joint!r}", True
         return f"contact {system.contacts[system.owner(item)].name!r}", False
 
     def follow(self) -> None:
@@ -305,7 +305,7 @@ class Instant:
         """The rows among `constrained` that are rates of gaps (GC)."""
         system = self.system
         integers = system.contact_int
-        by_friction = {system.nc + g for g in system.held() if system.guard_int[g, GUARD_END] == 0}
+        by_friction = {system.nc + g for g in system.held() if system.joint_int[g, JOINT_END] == 0}
         return [
             (c, row)
             for c, row in self.constrained()
@@ -331,7 +331,7 @@ class Instant:
         if not system.nc <= item < system.nc + system.ng:
             return 0.0
         g = item - system.nc
-        return float(system.guard_real[g, LOW_END if system.guard_int[g, GUARD_END] < 0 else HIGH_END])
+        return float(system.joint_real[g, LOW_END if system.joint_int[g, JOINT_END] < 0 else HIGH_END])
 
     def biases(self, which: list[tuple[int, int]]) -> np.ndarray:
         """The part of the constrained components' rates that accelerations do not make."""
@@ -415,10 +415,10 @@ class Instant:
 
     def holds(self) -> bool:
         """Whether in the last evaluation nothing unilateral pulls and nothing that rests exceeds its friction."""
-        margins = self.system.margins
+        event_functions = self.system.event_functions
         slack = -_FORCE_ROUND_OFF * max(1.0, float(np.abs(self.system.bias_forces).max(initial=0.0)))
         return all(
-            margins[c, NORMAL_MARGIN] >= slack and margins[c, FRICTION_MARGIN] >= slack
+            event_functions[c, NORMAL_EVENT] >= slack and event_functions[c, FRICTION_EVENT] >= slack
             for c in [
                 *self.system.closed(),
                 *self.system.resisting(),

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..dynamics.friction_scaling import associated
 from ..dynamics.joints import END_SLACK
-from ..dynamics.stretches import associated
 from ..errors import StateError
 from ..geometry.patterns import ON_CURVE
 from ..layout import MODE, MU_NOW, PATTERN, SLIP_SIGN, SLIPPING, TANGENTS, UNILATERAL
@@ -38,23 +38,23 @@ def joint_loads(
     beginning, directions = np.zeros(a.size), np.zeros(a.size)
     held: list[tuple[int, float, float]] = []
     still = tolerance * max(1.0, float(np.abs(a).max(initial=0.0)))
-    for guard in instant.system.guards:
-        k, position = guard.index_v, float(instant.q[guard.index_q])
+    for limit in instant.system.limits:
+        k, position = limit.index_v, float(instant.q[limit.index_q])
         if not instant.at_rest(float(instant.v[k])):
             continue
-        at_low, at_high = position <= guard.low_end + END_SLACK, position >= guard.high_end - END_SLACK
+        at_low, at_high = position <= limit.low_end + END_SLACK, position >= limit.high_end - END_SLACK
         beyond = at_low if a[k] < -still else a[k] > still and at_high
         if beyond and not stop:
             raise StateError(
-                f"acceleration: it takes joint {guard.joint!r}, which is at an end of its way, q[{guard.index_q}] = "
+                f"acceleration: it takes joint {limit.joint!r}, which is at an end of its way, q[{limit.index_q}] = "
                 f"{position:.9g}, beyond it at {a[k]:.3g} rad/s^2 (m/s^2)"
             )
         if beyond or abs(a[k]) <= still:
-            low, high = -np.inf if at_high else guard.low_force, np.inf if at_low else guard.high_force
+            low, high = -np.inf if at_high else limit.low_force, np.inf if at_low else limit.high_force
             if low < high:
                 held.append((k, low, high))
         else:
-            beginning[k] = guard.low_force if a[k] > 0.0 else guard.high_force
+            beginning[k] = limit.low_force if a[k] > 0.0 else limit.high_force
             if beginning[k] != 0.0 or at_low or at_high:
                 directions[k] = np.sign(a[k])
     index = np.array([k for k, *_ in held], dtype=int)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..dynamics.stretches import stretch
+from ..dynamics.friction_scaling import stretch
 from ..dynamics.units import unwhiten, whiten
 from ..errors import SolverError
 from ..friction.cone_least_squares import Region
@@ -127,8 +127,8 @@ class Problem:
         """Joints that rest and stay at rest, and friction of those that begin to move, as the tasks have it; those that
         are to move beyond their ends stay there."""
         instant = self.instant
-        guards = instant.system.guards
-        speeds = np.abs(instant.v[[guard.index_v for guard in guards]])
+        limits = instant.system.limits
+        speeds = np.abs(instant.v[[limit.index_v for limit in limits]])
         if not instant.at_rest(float(speeds.min(initial=np.inf))):
             none, nowhere = np.zeros(0), np.zeros(instant.system.nv)
             return RestingJoints(np.zeros(0, dtype=int), none, none), nowhere, nowhere

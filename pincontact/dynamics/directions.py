@@ -28,7 +28,7 @@ from ..layout import (
     START,
     TANGENTS,
 )
-from .stretches import stretch
+from .friction_scaling import stretch
 from .units import whiten
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ friction is one of the loads.
 
 `contact_dynamics` is the row of steps. It reads an evaluation's kinematics (`rows`, `bias`, `basis`, `slip`, `gaps`),
 the factor of M, `free_acceleration`, and the modes; it writes `row_index`, `whitened_rows`, `multipliers`, `force`,
-`acceleration` and `margins`. Row r of the constraints is row `row_index[r, 1]` of item `row_index[r, 0]`; multiplier r
-scales the force direction r, whitened: L^-T of both makes products by M^-1 dot products.
+`acceleration` and `event_functions`. Row r of the constraints is row `row_index[r, 1]` of item `row_index[r, 0]`;
+multiplier r scales the force direction r, whitened: L^-T of both makes products by M^-1 dot products.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from ..geometry.patterns import NO_NORMAL, ON_CURVE
 from ..jit import BOOLEAN, INTEGER, inlined_kernel, kernel
 from ..layout import (
     FREE,
-    GUARD_SIGN,
-    GUARD_V,
     HIGH_FORCE,
+    JOINT_SIGN,
+    JOINT_V,
     LOW_FORCE,
     MODE,
     MU,
@@ -42,8 +42,13 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from .event_functions import contact_margins, jam_margins, joint_margins, resistance_margins
-from .least_forces import count_unloaded, is_normal_of_curve, leave_unloaded, solve_for_least, unloaded_margins
+from .event_functions import (
+    contact_event_functions,
+    jam_event_functions,
+    joint_event_functions,
+    resistance_event_functions,
+)
+from .least_forces import count_unloaded, is_normal_of_curve, leave_unloaded, solve_for_least, unloaded_event_functions
 from .linear import RANK_TOLERANCE, inner, solve_gram, unwhiten, whiten
 from .resistance import count_items, free_with_owners
 from .sliding import coefficient_at, is_held_up, resists_viscously, shares_viscous_force, slip_direction, viscous_force
@@ -80,13 +85,13 @@ def contact_dynamics(system):
     else:
         solve_sticking(system, count)
         accelerate(system, count, system.whitened_rows)
-    resistances = system.sizes.nc + system.guard_count[0]
-    status = max(joint_margins(system), contact_margins(system))
-    status = max(status, resistance_margins(system, resistances, count_items(system)))
+    resistances = system.sizes.nc + system.joint_count[0]
+    status = max(joint_event_functions(system), contact_event_functions(system))
+    status = max(status, resistance_event_functions(system, resistances, count_items(system)))
     if slipping:
         if count_unloaded(system, count) > 0:
-            status = max(status, unloaded_margins(system, count))
-        status = max(status, jam_margins(system, count))
+            status = max(status, unloaded_event_functions(system, count))
+        status = max(status, jam_event_functions(system, count))
     return status
 
 
@@ -106,11 +111,11 @@ def add_viscous_loads(system, load):
 
 
 @kernel
-def guard_force(mode, guard, numbers):
+def dry_friction_force(mode, limit, numbers):
     """Dry friction in N or N m of a joint coordinate that moves; 0 where it is held."""
-    if mode != FREE or guard[GUARD_SIGN] == 0:
+    if mode != FREE or limit[JOINT_SIGN] == 0:
         return 0.0
-    return numbers[LOW_FORCE] if guard[GUARD_SIGN] > 0 else numbers[HIGH_FORCE]
+    return numbers[LOW_FORCE] if limit[JOINT_SIGN] > 0 else numbers[HIGH_FORCE]
 
 
 @kernel
@@ -148,7 +153,7 @@ def list_constraints(system):
     """The constrained rows of all items in `row_index`, and L^-T of each in `whitened_rows`; their number, and whether
     any item slips."""
     total = count_items(system)
-    free_with_owners(system.contact_int, system.sizes.nc + system.guard_count[0], total)
+    free_with_owners(system.contact_int, system.sizes.nc + system.joint_count[0], total)
     count, slipping = list_rows(system.contact_int, total, system.row_index)
     for r in range(count):
         row = system.rows[system.row_index[r, 0], system.row_index[r, 1]]
@@ -457,7 +462,7 @@ def accelerate(system, count, directions):
         acceleration[k] = free[k] + work[k]
         if abs(acceleration[k]) <= _CANCELLED * abs(free[k]):
             acceleration[k] = 0.0
-    for g in range(system.guard_count[0]):
+    for g in range(system.joint_count[0]):
         # of the others' forces more may be left than of its own
         if system.contact_int[nc + g, MODE] != FREE:
-            acceleration[system.guard_int[g, GUARD_V]] = 0.0
+            acceleration[system.joint_int[g, JOINT_V]] = 0.0

@@ -6,7 +6,8 @@ The protocol, in the arrays of `layout.SYSTEM`. Loaded before the call: `q`, `v`
 1. the user's control and motions, where there are any (`callback.asked`): `tau`, `side_motion`;
 2. Pinocchio's algorithms (see `pinocchio_calls`): `mass`, `nle`, `jacobian`, and the joints' poses and velocities;
 3. `evaluate_contacts`: `frames`, `location`, `derivatives`, `basis`, `slip`, `gaps`, `rates`, `bias`, `rows`;
-4. `evaluate_dynamics`: `factor`, `free_acceleration`, `acceleration`, `force`, `margins`, `row_index`, `multipliers`.
+4. `evaluate_dynamics`: `factor`, `free_acceleration`, `acceleration`, `force`, `event_functions`, `row_index`,
+`multipliers`.
 
 What is valid afterwards, where the status is OK or EVENT:
 
@@ -30,7 +31,7 @@ from ..arrays import address as address_in
 from ..callback import call_by_address, call_python, separate_kernel
 from ..constraints.kinematics import constraint_rows, contact_kinematics, distance_to_ends
 from ..contours.motion import call_motion
-from ..friction.ellipse import set_stretch
+from ..friction.ellipse import set_friction_scaling
 from ..geometry.carriers import add_drive, place_on_joint, rest_in_world
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
@@ -41,15 +42,15 @@ from ..layout import (
     CHART,
     DOMAIN,
     EVENT,
+    EVENTS_PER_CONTACT,
     FREE,
-    GUARD_END,
-    GUARD_Q,
-    GUARD_V,
     HIGH_END,
     JOINT,
+    JOINT_END,
+    JOINT_Q,
+    JOINT_V,
     K1,
     LOW_END,
-    MARGINS_PER_CONTACT,
     MASS_NOT_POSITIVE,
     MODE,
     MOTION_EVALUATOR,
@@ -65,7 +66,7 @@ from ..layout import (
     system_at,
 )
 from ..workspace import integer_matrix_at, integers_at, matrix_at, reals_at
-from .equations import add_viscous_loads, contact_dynamics, guard_force, list_constraints, solve_for_rows
+from .equations import add_viscous_loads, contact_dynamics, dry_friction_force, list_constraints, solve_for_rows
 from .linear import factorize_tree, inner, unwhiten, whiten
 from .pinocchio_calls import NATIVE_COLUMNS, NATIVE_ROWS
 from .resistance import count_items, resistance_kinematics, resists
@@ -227,7 +228,7 @@ def form_rows(system, c):
     system.counters.rows_formed += 1
     if integers[ANISOTROPIC] == ALONG_BODY_1:
         tangent, basis = system.derivatives[2 * c, 1], system.basis[c]
-        set_stretch(system.contact_real[c], dot(basis[0], tangent), dot(basis[1], tangent))
+        set_friction_scaling(system.contact_real[c], dot(basis[0], tangent), dot(basis[1], tangent))
     constraint_rows(system, c)
     if resists(integers):
         resistance_kinematics(system, c)
@@ -244,11 +245,11 @@ def evaluate_dynamics(system):
     if status > EVENT:
         # neither accelerations nor event functions were written
         return status if _finite(system.free_acceleration, system.sizes.nv) else NOT_FINITE
-    margins, lowest, highest = system.margins, system.lowest, system.highest
+    event_functions, lowest, highest = system.event_functions, system.lowest, system.highest
     for c in range(count_items(system)):
-        for i in range(MARGINS_PER_CONTACT):
-            lowest[c, i] = min(lowest[c, i], margins[c, i])
-            highest[c, i] = max(highest[c, i], margins[c, i])
+        for i in range(EVENTS_PER_CONTACT):
+            lowest[c, i] = min(lowest[c, i], event_functions[c, i])
+            highest[c, i] = max(highest[c, i], event_functions[c, i])
     return status if _finite(system.acceleration, system.sizes.nv) else NOT_FINITE
 
 
@@ -259,9 +260,11 @@ def accelerate_freely(system):
     for k in range(nv):
         free[k] = system.tau[k] - system.damping[k] * system.v[k] - system.nle[k]
     add_viscous_loads(system, free)
-    for g in range(system.guard_count[0]):
-        guard = system.guard_int[g]
-        free[guard[GUARD_V]] += guard_force(system.contact_int[system.sizes.nc + g, MODE], guard, system.guard_real[g])
+    for g in range(system.joint_count[0]):
+        limit = system.joint_int[g]
+        free[limit[JOINT_V]] += dry_friction_force(
+            system.contact_int[system.sizes.nc + g, MODE], limit, system.joint_real[g]
+        )
     whiten(system.factor, system.parents, nv, free, free)
     unwhiten(system.factor, system.parents, nv, free, free)
 
@@ -269,9 +272,9 @@ def accelerate_freely(system):
 @kernel
 def read_joints(system):
     """Velocities and positions of joint coordinates with limits or dry friction, in the places of v_c and gaps."""
-    for g in range(system.guard_count[0]):
-        i, guard = system.sizes.nc + g, system.guard_int[g]
-        system.slip[i, 2], system.gaps[i, 0] = system.v[guard[GUARD_V]], system.q[guard[GUARD_Q]]
+    for g in range(system.joint_count[0]):
+        i, limit = system.sizes.nc + g, system.joint_int[g]
+        system.slip[i, 2], system.gaps[i, 0] = system.v[limit[JOINT_V]], system.q[limit[JOINT_Q]]
 
 
 @kernel
@@ -311,12 +314,12 @@ def contact_corrections(system, with_position, with_velocity):
 @kernel
 def measure_joint_gaps(system):
     """Gaps of held joint coordinates: to the end on which one rests; one that friction holds rests anywhere."""
-    for g in range(system.guard_count[0]):
-        end, i = system.guard_int[g, GUARD_END], system.sizes.nc + g
+    for g in range(system.joint_count[0]):
+        end, i = system.joint_int[g, JOINT_END], system.sizes.nc + g
         position = system.gaps[i, 0]
         system.gaps[i, 0] = 0.0
         if end != 0:
-            system.gaps[i, 0] = position - system.guard_real[g, LOW_END if end < 0 else HIGH_END]
+            system.gaps[i, 0] = position - system.joint_real[g, LOW_END if end < 0 else HIGH_END]
 
 
 @kernel

@@ -1,7 +1,7 @@
-"""Event functions of the present modes, (items, MARGINS_PER_CONTACT): positive while a mode holds, 1 where it has none.
+"""Event functions of the present modes, (items, EVENTS_PER_CONTACT): positive while a mode holds, 1 where it has none.
 
-Each function fills the rows of its items in `margins`, from the forces and accelerations just found, and returns OK, or
-EVENT where one is negative. Contacts that carry nothing have theirs in `least_forces`.
+Each function fills the rows of its items in `event_functions`, from the forces and accelerations just found, and
+returns OK, or EVENT where one is negative. Contacts that carry nothing have theirs in `least_forces`.
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ from ..geometry.patterns import ON_CURVE
 from ..jit import kernel
 from ..layout import (
     DOMAIN,
-    DOMAIN_MARGIN,
+    DOMAIN_EVENT,
     EVENT,
+    EVENTS_PER_CONTACT,
     FREE,
-    FRICTION_MARGIN,
+    FRICTION_EVENT,
     FROZEN,
-    GAP_MARGIN,
-    GUARD_END,
-    GUARD_SIGN,
+    GAP_EVENT,
     HIGH_END,
     HIGH_FORCE,
+    JOINT_END,
+    JOINT_SIGN,
     LIMIT_SLACK,
     LOW_END,
     LOW_FORCE,
-    MARGINS_PER_CONTACT,
     MODE,
     MU,
     MU_NOW,
     MU_STATIC,
-    NORMAL_MARGIN,
+    NORMAL_EVENT,
     NORMAL_SIGN,
     OK,
     OWNER,
@@ -39,7 +39,7 @@ from ..layout import (
     SLIP_RATE,
     SLIP_SPEED,
     SLIPPING,
-    SPEED_MARGIN,
+    SPEED_EVENT,
     STICK,
     TANGENTS,
     UNILATERAL,
@@ -57,61 +57,66 @@ JAM_LIMIT = 1e-6
 @kernel
 def status_of(value):
     """EVENT where one of an item's event functions is negative."""
-    for i in range(MARGINS_PER_CONTACT):
+    for i in range(EVENTS_PER_CONTACT):
         if value[i] < 0.0:
             return EVENT
     return OK
 
 
 @kernel
-def joint_margins(system):
+def joint_event_functions(system):
     """Event functions of joint coordinates with limits or dry friction.
 
     Moving: way to the lower (GAP) and to the upper end (DOMAIN), speed. Held: force above its lower (NORMAL) and below
     its upper bound (FRICTION), of which the end it rests on takes one away.
     """
     status, nc = OK, system.sizes.nc
-    for g in range(system.guard_count[0]):
-        i, guard, numbers = nc + g, system.guard_int[g], system.guard_real[g]
-        value, position, force = system.margins[i], system.gaps[i, 0], system.force[i, 2]
-        for k in range(MARGINS_PER_CONTACT):
+    for g in range(system.joint_count[0]):
+        i, limit, numbers = nc + g, system.joint_int[g], system.joint_real[g]
+        value, position, force = system.event_functions[i], system.gaps[i, 0], system.force[i, 2]
+        for k in range(EVENTS_PER_CONTACT):
             value[k] = 1.0
         if system.contact_int[i, MODE] == FREE:
             if numbers[LOW_END] > -math.inf:
-                value[GAP_MARGIN] = position - numbers[LOW_END]
+                value[GAP_EVENT] = position - numbers[LOW_END]
             if numbers[HIGH_END] < math.inf:
-                value[DOMAIN_MARGIN] = numbers[HIGH_END] - position
-            if guard[GUARD_SIGN] != 0:
-                value[SPEED_MARGIN] = guard[GUARD_SIGN] * system.slip[i, 2]
+                value[DOMAIN_EVENT] = numbers[HIGH_END] - position
+            if limit[JOINT_SIGN] != 0:
+                value[SPEED_EVENT] = limit[JOINT_SIGN] * system.slip[i, 2]
         else:
-            if guard[GUARD_END] <= 0:
-                value[NORMAL_MARGIN] = force - numbers[LOW_FORCE]
-            if guard[GUARD_END] >= 0:
-                value[FRICTION_MARGIN] = numbers[HIGH_FORCE] - force
+            if limit[JOINT_END] <= 0:
+                value[NORMAL_EVENT] = force - numbers[LOW_FORCE]
+            if limit[JOINT_END] >= 0:
+                value[FRICTION_EVENT] = numbers[HIGH_FORCE] - force
         status = max(status, status_of(value))
     return status
 
 
 @kernel
-def contact_margins(system):
+def contact_event_functions(system):
     """Event functions of contacts: gap of open ones; end of the domain, load and friction of the others.
 
     Forces of slip are completed on the way: friction, and what is viscous.
     """
     status = OK
     for c in range(system.sizes.nc):
-        integers, numbers, value, force = system.contact_int[c], system.contact_real[c], system.margins[c], system.force
-        for i in range(MARGINS_PER_CONTACT):
+        integers, numbers, value, force = (
+            system.contact_int[c],
+            system.contact_real[c],
+            system.event_functions[c],
+            system.force,
+        )
+        for i in range(EVENTS_PER_CONTACT):
             value[i] = 1.0
         if integers[MODE] == FREE:
-            value[GAP_MARGIN] = system.gaps[c, 0]
+            value[GAP_EVENT] = system.gaps[c, 0]
         else:
-            value[DOMAIN_MARGIN] = numbers[DOMAIN]
+            value[DOMAIN_EVENT] = numbers[DOMAIN]
             if integers[UNILATERAL] != 0:
-                value[NORMAL_MARGIN] = force[c, 2]
+                value[NORMAL_EVENT] = force[c, 2]
             elif integers[PATTERN] != ON_CURVE and (integers[MODE] == SLIPPING or resists(integers)):
-                value[NORMAL_MARGIN] = integers[NORMAL_SIGN] * force[c, 2]
-            friction_margins(system, c, size_of_load(system.contact_int, force, c))
+                value[NORMAL_EVENT] = integers[NORMAL_SIGN] * force[c, 2]
+            friction_event_functions(system, c, size_of_load(system.contact_int, force, c))
             if resists_viscously(integers, numbers):
                 for row in range(integers[TANGENTS]):
                     force[c, row] += viscous_force(numbers, system.basis[c, row], system.slip[c])
@@ -120,29 +125,34 @@ def contact_margins(system):
 
 
 @kernel
-def resistance_margins(system, first, total):
+def resistance_event_functions(system, first, total):
     """Event functions of the resistances to turning, items first .. total, whose loads are their contacts'."""
     status, contact_int = OK, system.contact_int
     for i in range(first, total):
-        value = system.margins[i]
-        for k in range(MARGINS_PER_CONTACT):
+        value = system.event_functions[i]
+        for k in range(EVENTS_PER_CONTACT):
             value[k] = 1.0
-        friction_margins(system, i, size_of_load(contact_int, system.force, contact_int[i, OWNER]))
+        friction_event_functions(system, i, size_of_load(contact_int, system.force, contact_int[i, OWNER]))
         status = max(status, status_of(value))
     return status
 
 
 @kernel
-def friction_margins(system, c, load):
+def friction_event_functions(system, c, load):
     """Friction of item c under a load |F_n|: complete its force in slip, fill its event functions."""
-    integers, numbers, value, force = system.contact_int[c], system.contact_real[c], system.margins[c], system.force[c]
+    integers, numbers, value, force = (
+        system.contact_int[c],
+        system.contact_real[c],
+        system.event_functions[c],
+        system.force[c],
+    )
     tangents = integers[TANGENTS]
     if integers[MODE] == STICK:
         if numbers[MU_STATIC] < math.inf:
             tangential = abs(force[0])
             if tangents == 2:
                 tangential = friction_length(integers, numbers, force[0], force[1])
-            value[FRICTION_MARGIN] = (1.0 + numbers[LIMIT_SLACK]) * numbers[MU_STATIC] * load - tangential
+            value[FRICTION_EVENT] = (1.0 + numbers[LIMIT_SLACK]) * numbers[MU_STATIC] * load - tangential
     elif integers[MODE] == SLIPPING:
         relative, direction = system.relative_acceleration[c], system.vectors[0]
         for row in range(3):
@@ -152,13 +162,13 @@ def friction_margins(system, c, load):
         if tangents == 2:
             rate += direction[1] * relative[1]
         elif integers[FROZEN] == 0 and numbers[MU] > 0.0:
-            value[SPEED_MARGIN] = speed
+            value[SPEED_EVENT] = speed
         numbers[SLIP_SPEED], numbers[SLIP_RATE] = speed, rate
         friction, shares = numbers[MU_NOW] * load, shares_viscous_force(integers)
         if is_held_up(integers, numbers):
             friction, force[2] = force[2], 0.0
         if shares:
-            value[FRICTION_MARGIN] = numbers[VISCOUS] * abs(speed) - friction
+            value[FRICTION_EVENT] = numbers[VISCOUS] * abs(speed) - friction
         elif tangents == 2:
             friction_direction(integers, numbers, direction)
         for row in range(tangents):
@@ -166,7 +176,7 @@ def friction_margins(system, c, load):
 
 
 @kernel
-def jam_margins(system, count):
+def jam_event_functions(system, count):
     """Event functions of contacts that slide, held up by friction alone: whether it still pushes the bodies apart."""
     status, nv = OK, system.sizes.nv
     for r in range(count):
@@ -174,7 +184,7 @@ def jam_margins(system, count):
         if c < system.sizes.nc and system.contact_int[c, MODE] == SLIPPING and system.contact_real[c, MU] == math.inf:
             whitened = system.whitened_rows[r]
             lift, own = inner(whitened, system.whitened_forces[r], nv), inner(whitened, whitened, nv)
-            system.margins[c, FRICTION_MARGIN] = lift / own - JAM_LIMIT if own > 0.0 else 1.0
-            if system.margins[c, FRICTION_MARGIN] < 0.0:
+            system.event_functions[c, FRICTION_EVENT] = lift / own - JAM_LIMIT if own > 0.0 else 1.0
+            if system.event_functions[c, FRICTION_EVENT] < 0.0:
                 status = EVENT
     return status

@@ -17,7 +17,7 @@ from ..friction.solve import ContactSolver
 from ..friction.stribeck import stribeck
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
-    GUARD_END,
+    JOINT_END,
     MOTION_KIND,
     MU,
     MU_FAST,
@@ -29,7 +29,7 @@ from ..layout import (
     UNILATERAL,
 )
 from .energy import ENERGY_SLACK, KEPT_ACCURACY
-from .stretches import stretch
+from .friction_scaling import stretch
 from .units import contact_rows, delassus, unit_columns, unwhiten, whiten, whitened_velocity
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ class _Problem:
             mu.append(float(system.contact_real[item, MU]))
         self.contacts = len(units)
         for g in ends:
-            sign = -float(system.guard_int[g, GUARD_END])
+            sign = -float(system.joint_int[g, JOINT_END])
             units.append(unit_columns(system, system.nc + g, (2,), sign))
             before.append(np.array([0.0, 0.0, sign * system.slip[system.nc + g, 2]]))
             rebound.append(0.0)

@@ -22,7 +22,7 @@ END_SLACK = 1e-9
 
 
 @dataclass(frozen=True)
-class Guard:
+class JointLimit:
     """A coordinate with a limit or dry friction: joint name, indices in q and v, range of the dry friction force in N
     or N m (low <= 0 <= high), range of q (infinite without a limit; always so where the configuration is no vector)."""
 
@@ -40,13 +40,13 @@ class Guard:
         return self.low_force < self.high_force
 
 
-def joint_guards(model: pin.Model) -> list[Guard]:
+def joint_limits(model: pin.Model) -> list[JointLimit]:
     """The coordinates of a model that have limits (`lowerPositionLimit`, `upperPositionLimit`, of joints whose
     configuration is a vector) or dry friction (`lowerDryFrictionLimit`, `upperDryFrictionLimit`).
 
     Raises ModelError for a range that is empty, or a friction that does not oppose motion.
     """
-    guards = []
+    limits = []
     unbounded = np.finfo(float).max
     low_forces, high_forces = model.lowerDryFrictionLimit.tolist(), model.upperDryFrictionLimit.tolist()
     low_ends, high_ends = model.lowerPositionLimit.tolist(), model.upperPositionLimit.tolist()
@@ -64,18 +64,18 @@ def joint_guards(model: pin.Model) -> list[Guard]:
                 raise ModelError(f"joint {joint!r}: dry friction from {low_force} to {high_force} does not contain 0")
             if not low_end <= high_end:
                 raise ModelError(f"joint {joint!r}: the position limits {low_end} to {high_end} are an empty range")
-            guards.append(Guard(joint, iq + k, iv + k, low_force, high_force, low_end, high_end))
-    return guards
+            limits.append(JointLimit(joint, iq + k, iv + k, low_force, high_force, low_end, high_end))
+    return limits
 
 
-def check_guards(guards: list[Guard], q: np.ndarray) -> None:
+def check_joint_limits(limits: list[JointLimit], q: np.ndarray) -> None:
     """Raises StateError for a coordinate beyond its limits, with the number."""
-    for guard in guards:
-        value = q[guard.index_q]
-        if value < guard.low_end - END_SLACK or value > guard.high_end + END_SLACK:
+    for limit in limits:
+        value = q[limit.index_q]
+        if value < limit.low_end - END_SLACK or value > limit.high_end + END_SLACK:
             raise StateError(
-                f"joint {guard.joint!r}: q[{guard.index_q}] = {value:.9g} is beyond the position limits "
-                f"[{guard.low_end:.9g}, {guard.high_end:.9g}]; start within them, or set the model's limits to infinity"
+                f"joint {limit.joint!r}: q[{limit.index_q}] = {value:.9g} is beyond the position limits "
+                f"[{limit.low_end:.9g}, {limit.high_end:.9g}]; start within them, or set the model's limits to infinity"
             )
 
 

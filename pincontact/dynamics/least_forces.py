@@ -19,13 +19,13 @@ from ..layout import (
     MODE,
     MU,
     MU_NOW,
-    NORMAL_MARGIN,
+    NORMAL_EVENT,
     NORMAL_SIGN,
     OK,
     PATTERN,
+    SCALING_11,
+    SCALING_12,
     SLIPPING,
-    STRETCH_11,
-    STRETCH_12,
     SYSTEM,
     TANGENTS,
     UNILATERAL,
@@ -67,7 +67,7 @@ def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents,
             break
         if integers[ANISOTROPIC] != 0:
             # row i of the friction ellipse's scaling
-            first, second = numbers[STRETCH_11 + i], numbers[STRETCH_12 + i]
+            first, second = numbers[SCALING_11 + i], numbers[SCALING_12 + i]
             for k in range(nv):
                 work[k] = first * rows[c, 0, k] + second * rows[c, 1, k]
         else:
@@ -151,7 +151,7 @@ def solve_for_least(system, count):
 
 
 @separate_kernel(INTEGER, SYSTEM.type, INTEGER, when=SEVERAL)
-def unloaded_margins(system, count):
+def unloaded_event_functions(system, count):
     """Event functions of contacts that carry nothing: how far from the least forces a load of theirs would be; EVENT
     where one is negative, or where such a contact does not stay closed by itself.
 
@@ -180,7 +180,7 @@ def unloaded_margins(system, count):
         free, held = system.bias[c, 2], inner(system.rows[c, 2], system.acceleration, nv)
         if abs(held + free) > _CLOSES * (abs(held) + abs(free) + 1.0):
             margin = -1.0
-        system.margins[c, NORMAL_MARGIN] = margin
+        system.event_functions[c, NORMAL_EVENT] = margin
         if margin < 0.0:
             status = EVENT
     return status

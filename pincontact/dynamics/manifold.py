@@ -252,7 +252,7 @@ def displace(blocks, q, axes, step, out):
 
 
 @kernel
-def carry(blocks, source, target, v, out):
+def transport(blocks, source, target, v, out):
     """out = velocities v (nv,) in the axes of the configuration `source`, in those of `target` (out may be v)."""
     to_parent_axes(blocks, source, v, out)
     to_joint_axes(blocks, target, out, out)

@@ -16,18 +16,18 @@ from ..geometry.patterns import ON_CURVE
 from ..layout import (
     EVENT,
     FREE,
-    FRICTION_MARGIN,
+    FRICTION_EVENT,
     FRICTIONLESS,
     FROZEN,
-    GUARD_END,
-    GUARD_SIGN,
-    GUARD_V,
     HIGH_FORCE,
+    JOINT_END,
+    JOINT_SIGN,
+    JOINT_V,
     LOW_FORCE,
     MODE,
     MU,
     NO_FORCE,
-    NORMAL_MARGIN,
+    NORMAL_EVENT,
     NORMAL_SIGN,
     OK,
     PATTERN,
@@ -40,8 +40,8 @@ from ..layout import (
 )
 from .contact_modes import Decision, drags, shares_viscous_force
 from .directions import align_slips, freeze_slip
+from .friction_scaling import opposed_slip
 from .redistribution import RedundantForces
-from .stretches import opposed_slip
 
 # Accelerations below this part of the free ones are round-off.
 _ROUND_OFF = 1e-11
@@ -58,14 +58,14 @@ class ModeChanges(RedundantForces):
 
     def release(self, g: int, sign: int) -> None:
         """Let held coordinate g move in the direction of `sign`."""
-        guard = self.system.guard_int[g]
-        dry = self.system.guard_real[g, LOW_FORCE] < self.system.guard_real[g, HIGH_FORCE]
-        guard[GUARD_SIGN], guard[GUARD_END] = sign if dry else 0, 0
+        limit = self.system.joint_int[g]
+        dry = self.system.joint_real[g, LOW_FORCE] < self.system.joint_real[g, HIGH_FORCE]
+        limit[JOINT_SIGN], limit[JOINT_END] = sign if dry else 0, 0
         self.system.contact_int[self.system.nc + g, MODE] = FREE
 
     def hold(self, g: int, end: int) -> None:
         """Hold coordinate g at its lower (-1) or upper (+1) end, or by dry friction (0)."""
-        self.system.guard_int[g, GUARD_SIGN], self.system.guard_int[g, GUARD_END] = 0, end
+        self.system.joint_int[g, JOINT_SIGN], self.system.joint_int[g, JOINT_END] = 0, end
         self.system.contact_int[self.system.nc + g, MODE] = FRICTIONLESS
 
     def _decide_without_cones(self, t: float, undecided: list[int], closed: list[int], evaluate) -> Decision:
@@ -93,7 +93,7 @@ class ModeChanges(RedundantForces):
             if back is not None:
                 integers[back, [MODE, FROZEN]] = STICK, 0
                 continue
-            if (system.margins[closed, NORMAL_MARGIN] < -self.force_round_off()).any():
+            if (system.event_functions[closed, NORMAL_EVENT] < -self.force_round_off()).any():
                 # as it has turned
                 continue
             worst = self._exceeding(closed)
@@ -102,7 +102,7 @@ class ModeChanges(RedundantForces):
                 self._stick_at_limits(t, decision, evaluate)
                 return decision
             # what slides from the same modes as before has gone back, and will again
-            seen[integers[:, : FROZEN + 1].tobytes() + system.guard_int.tobytes()] += 1
+            seen[integers[:, : FROZEN + 1].tobytes() + system.joint_int.tobytes()] += 1
             if seen.most_common(1)[0][1] > _RETURNS:
                 break
             force, owner = system.force[worst].copy(), system.owner(worst)
@@ -135,10 +135,13 @@ class ModeChanges(RedundantForces):
         """Let a held joint coordinate move whose force exceeds a bound, if there is one."""
         system = self.system
         for g in system.held():
-            low, high = system.margins[system.nc + g, NORMAL_MARGIN], system.margins[system.nc + g, FRICTION_MARGIN]
+            low, high = (
+                system.event_functions[system.nc + g, NORMAL_EVENT],
+                system.event_functions[system.nc + g, FRICTION_EVENT],
+            )
             if min(low, high) < -self.force_round_off():
                 sign = 1 if low < high else -1
-                released[g] = int(system.guard_int[g, GUARD_END]), sign
+                released[g] = int(system.joint_int[g, JOINT_END]), sign
                 self.release(g, sign)
                 return True
         return False
@@ -147,7 +150,7 @@ class ModeChanges(RedundantForces):
         """Hold a joint coordinate again that was let go and would go back, if there is one."""
         system = self.system
         for g, (end, sign) in released.items():
-            rate = sign * float(system.acceleration[system.guard_int[g, GUARD_V]])
+            rate = sign * float(system.acceleration[system.joint_int[g, JOINT_V]])
             if rate < -_ROUND_OFF * float(np.abs(system.free_acceleration).max()):
                 del released[g]
                 self.hold(g, end)
@@ -162,7 +165,7 @@ class ModeChanges(RedundantForces):
         for c in closed:
             if integers[c, MODE] == FREE:
                 continue
-            if system.margins[c, NORMAL_MARGIN] < -self.force_round_off():
+            if system.event_functions[c, NORMAL_EVENT] < -self.force_round_off():
                 if integers[c, UNILATERAL]:
                     self._open(t, c, evaluate, decision)
                 else:
@@ -194,8 +197,8 @@ class ModeChanges(RedundantForces):
             for i in (c, *(i for i in system.resisting() if system.owner(i) == c)):
                 # in N, a resistance's divided by its length
                 scale = 1.0 if i == c else float(system.contact_real[i, MU])
-                if integers[i, MODE] == STICK and system.margins[i, FRICTION_MARGIN] < excess * scale:
-                    worst, excess = i, system.margins[i, FRICTION_MARGIN] / scale
+                if integers[i, MODE] == STICK and system.event_functions[i, FRICTION_EVENT] < excess * scale:
+                    worst, excess = i, system.event_functions[i, FRICTION_EVENT] / scale
         return worst
 
     def _open(self, t: float, c: int, evaluate, decision: Decision) -> None:
@@ -209,7 +212,7 @@ class ModeChanges(RedundantForces):
         integers[MODE] = FREE
         if may_slide and evaluate(t) <= EVENT and self.gap_acceleration(t, c) < 0.0:
             freeze_slip(system, c, -force)
-            holds = evaluate(t) <= EVENT and (system.margins[c, [NORMAL_MARGIN, FRICTION_MARGIN]] >= 0.0).all()
+            holds = evaluate(t) <= EVENT and (system.event_functions[c, [NORMAL_EVENT, FRICTION_EVENT]] >= 0.0).all()
             if holds and system.contact_real[c, SLIP_RATE] > 0.0:
                 decision.started[c] = float(system.contact_real[c, SLIP_RATE])
                 return
@@ -233,7 +236,7 @@ class ModeChanges(RedundantForces):
             integers[MODE], integers[NORMAL_SIGN] = SLIPPING, -1
             if integers[TANGENTS] == 1:
                 integers[SLIP_SIGN] = 1 if system.basis[c, 0] @ system.slip[c] >= 0.0 else -1
-            if evaluate(t) <= EVENT and system.margins[c, NORMAL_MARGIN] >= 0.0 and not self._takes_all(c):
+            if evaluate(t) <= EVENT and system.event_functions[c, NORMAL_EVENT] >= 0.0 and not self._takes_all(c):
                 return True
         integers[MODE], integers[NORMAL_SIGN], integers[SLIP_SIGN] = mode, 1, sign
         evaluate(t)
@@ -243,7 +246,7 @@ class ModeChanges(RedundantForces):
         """Whether contact c is held up by more than all of its viscous friction. It starts with all of it."""
         system = self.system
         force = math.hypot(system.force[c, 0], system.force[c, 1])
-        return bool(system.margins[c, FRICTION_MARGIN] < -_AT_ALL * force)
+        return bool(system.event_functions[c, FRICTION_EVENT] < -_AT_ALL * force)
 
     def _closes_without(self, t: float, c: int, evaluate) -> bool:
         """Whether contact c would close if it and what would pull without it were let go; it is open then."""
@@ -252,7 +255,7 @@ class ModeChanges(RedundantForces):
         system.contact_int[c, MODE] = FREE
         closes = False
         while evaluate(t) <= EVENT:
-            pulls = system.margins[: system.nc, NORMAL_MARGIN] < -self.force_round_off()
+            pulls = system.event_functions[: system.nc, NORMAL_EVENT] < -self.force_round_off()
             pulls &= (system.contact_int[: system.nc, UNILATERAL] != 0) & (system.modes[: system.nc] != FREE)
             if not pulls.any():
                 closes = self.gap_acceleration(t, c) < 0.0

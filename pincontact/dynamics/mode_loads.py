@@ -15,7 +15,7 @@ from ..friction import cone
 from ..friction.loads import Disk, Loads, LoadSolver
 from ..friction.solve import NO_PROGRAMS, ContactSolver
 from ..layout import (
-    GUARD_END,
+    JOINT_END,
     MODE,
     MU,
     MU_NOW,
@@ -23,8 +23,8 @@ from ..layout import (
     TANGENTS,
 )
 from .directions import slip_direction
+from .friction_scaling import associated
 from .mode_problem import ModeProblem
-from .stretches import associated
 
 if TYPE_CHECKING:
     from .system import System
@@ -96,7 +96,7 @@ class LoadedCones:
             return ModeSolution(forces, velocities, solver.modes, float(solver.residual))
         n, size = len(closed), base.size
         normals = [3 * i + 2 for i in range(n)]
-        normals += [3 * i + 2 for i, g in enumerate(held, start=n) if system.guard_int[g, GUARD_END] != 0]
+        normals += [3 * i + 2 for i, g in enumerate(held, start=n) if system.joint_int[g, JOINT_END] != 0]
         loads = Loads(gram, base, normals)
         start, slips, limits = np.zeros(size), np.zeros(size), problem.limits.copy()
         for i, c in enumerate(closed):
@@ -115,8 +115,8 @@ class LoadedCones:
                 loads.disks.append(Disk([3 * i + j for j in range(tangents)], float(limits[i]), 3 * i + 2))
                 start[3 * i : 3 * i + 2] = _unscaled(problem.shapes, i, force[:2])
         for i, g in enumerate(held, start=n):
-            if system.guard_int[g, GUARD_END] == 0:
-                low, high = system.guard_real[g, :2]
+            if system.joint_int[g, JOINT_END] == 0:
+                low, high = system.joint_real[g, :2]
                 loads.disks.append(Disk([3 * i], radius=0.5 * (high - low)))
         for i, u in turns.items():
             owner, tangents = closed.index(system.owner(i)), int(integers[i, TANGENTS])

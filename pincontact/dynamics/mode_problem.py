@@ -15,13 +15,13 @@ import numpy as np
 
 from ..layout import (
     ANISOTROPIC,
-    GUARD_END,
+    JOINT_END,
     MODE,
     MU,
     STICK,
     TANGENTS,
 )
-from .stretches import stretch
+from .friction_scaling import stretch
 from .units import contact_rows, delassus, unit_columns, unwhiten, whiten, whitened_velocity
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ class ModeProblem:
     """A cone problem G F + b over contacts, held coordinates and resistances, in this order.
 
     gram (3n, 3n), base (3n,), limits (n,); weights (3n,): diagonal of rows that are missing, else 0; shapes: contact
-    unit -> scaling A of the friction ellipse (`stretches`), in whose coordinates its cone is round; turns: resistance
-    -> its unit.
+    unit -> scaling A of the friction ellipse (`friction_scaling`), in whose coordinates its cone is round; turns:
+    resistance -> its unit.
     """
 
     gram: np.ndarray
@@ -90,7 +90,7 @@ def mode_problem(
         units[i][:, :2] = units[i][:, :2] @ shape
     free = system.free_acceleration.copy()
     for g in held:
-        end, (low, high) = system.guard_int[g, GUARD_END], system.guard_real[g, :2]
+        end, (low, high) = system.joint_int[g, JOINT_END], system.joint_real[g, :2]
         # about its middle, friction is a disk of constant radius; at an end, what the end adds to friction only
         # pushes away from it
         middle = (low, 0.5 * (low + high), high)[end + 1]
@@ -116,8 +116,8 @@ def mode_problem(
     if weights.any():
         base[weights > 0.0] = 0.0
     for i, g in enumerate(held, start=n):
-        if system.guard_int[g, GUARD_END] == 0:
-            low, high = system.guard_real[g, :2]
+        if system.joint_int[g, JOINT_END] == 0:
+            low, high = system.joint_real[g, :2]
             base[3 * i + 2] = -0.5 * (high - low) * weights[3 * i + 2]
     return ModeProblem(gram, base, weights, np.array(mu), shapes, turns)
 

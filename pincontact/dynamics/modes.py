@@ -23,9 +23,9 @@ from ..friction import cone
 from ..layout import (
     EVENT,
     FREE,
-    FRICTION_MARGIN,
+    FRICTION_EVENT,
     FROZEN,
-    GUARD_END,
+    JOINT_END,
     MODE,
     MU,
     MU_STATIC,
@@ -67,7 +67,7 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         LoadedCones.__init__(self, system, contact_solver)
         self.worst_residual = 0.0
 
-    def decide(
+    def resolve_modes(
         self, t: float, undecided: list[int], evaluate, beyond: int | None = None, status: int | None = None
     ) -> Decision:
         """Set the modes of the undecided contacts (closed, at rest against each other, with friction) at the state.
@@ -105,7 +105,7 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
             return Decision(status, passing)
         # contacts beyond their static limit are held by sliding friction at most, the others by static friction
         self._limits = system.contact_real[:, MU_STATIC].copy()
-        exceeded = system.margins[:, FRICTION_MARGIN] < 0.0
+        exceeded = system.event_functions[:, FRICTION_EVENT] < 0.0
         if beyond is not None:
             exceeded[beyond] = True
         self._limits[exceeded] = system.contact_real[exceeded, MU]
@@ -123,15 +123,15 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         if any(not integers[c, UNILATERAL] or held_up_by_friction(system, c) for c in closed):
             return self._decide_without_cones(t, undecided, closed, evaluate)
         dragging = [c for c in closed if drags(system, c)]
-        modes, guards = integers.copy(), system.guard_int.copy()
+        modes, limits = integers.copy(), system.joint_int.copy()
         decision = self._solve_cones(t, undecided, closed, held, resisting, evaluate)
         if dragging and not self._stay_open(t, [c for c in dragging if c in decision.opened], decision, evaluate):
             # viscous friction ends where contacts open, which no cone knows
-            integers[:], system.guard_int[:] = modes, guards
+            integers[:], system.joint_int[:] = modes, limits
             return self._decide_without_cones(t, undecided, closed, evaluate)
         if not self._align(t, decision, evaluate):
             # redundant loads are others in slip: decide with those, or not at all
-            integers[:], system.guard_int[:] = modes, guards
+            integers[:], system.joint_int[:] = modes, limits
             return self._decide_without_cones(t, undecided, closed, evaluate)
         return decision
 
@@ -197,7 +197,7 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
                 freeze_slip(system, i, velocities[u, :2])
                 decision.started[i] = rate
         for i, g in enumerate(held, start=n):
-            mode, end = modes[i], int(system.guard_int[g, GUARD_END])
+            mode, end = modes[i], int(system.joint_int[g, JOINT_END])
             if end == 0 and mode == cone.SLIP and abs(velocities[i, 0]) > still:
                 self.release(g, 1 if velocities[i, 0] > 0.0 else -1)
             elif end != 0 and mode == cone.OPEN and velocities[i, 2] > still:
@@ -234,7 +234,7 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
             if system.contact_int[item, MODE] == STICK:
                 reference[item, :2] = forces[u, :2]
         for i, g in enumerate(held, start=len(closed)):
-            end, (low, high) = system.guard_int[g, GUARD_END], system.guard_real[g, :2]
+            end, (low, high) = system.joint_int[g, JOINT_END], system.joint_real[g, :2]
             extra = forces[i, 0] if end == 0 else -end * forces[i, 2]
             reference[system.nc + g, 2] = extra + (0.5 * (low + high) if end == 0 else (low if end < 0 else high))
         self._take_reference(reference)

@@ -16,15 +16,15 @@ from ..geometry.patterns import ON_CURVE
 from ..layout import (
     ANISOTROPIC,
     EVENT,
-    FRICTION_MARGIN,
+    FRICTION_EVENT,
     FRICTIONLESS,
-    GUARD_END,
     HIGH_FORCE,
+    JOINT_END,
     LOW_FORCE,
     MODE,
     MU,
     MU_STATIC,
-    NORMAL_MARGIN,
+    NORMAL_EVENT,
     NORMAL_SIGN,
     PATTERN,
     SLIPPING,
@@ -33,8 +33,8 @@ from ..layout import (
     UNILATERAL,
 )
 from .contact_modes import held_up_by_friction, shares_viscous_force
+from .friction_scaling import stretch
 from .redundant import Choice, Cone, central_force, null_space
-from .stretches import stretch
 
 if TYPE_CHECKING:
     from .system import System
@@ -173,9 +173,9 @@ class RedundantForces:
             integers[ended, NORMAL_SIGN] = 1 - integers[ended, NORMAL_SIGN]
         status = evaluate(t)
         while status <= EVENT:
-            margins = {c: float(system.margins[c, NORMAL_MARGIN]) for c in closed}
-            worst = min(closed, key=lambda c: margins[c], default=None)
-            if worst is None or margins[worst] >= -self.force_round_off():
+            event_functions = {c: float(system.event_functions[c, NORMAL_EVENT]) for c in closed}
+            worst = min(closed, key=lambda c: event_functions[c], default=None)
+            if worst is None or event_functions[worst] >= -self.force_round_off():
                 if ended is not None and integers[ended, NORMAL_SIGN] == before[ended]:
                     break
                 self.redistributions += 1
@@ -246,19 +246,21 @@ class RedundantForces:
                     limit = math.copysign(limit, system.force[owner, 2])
                 cones.append(Cone(rows[owner, 2], limit, 0.0, tangents))
         for g in system.held():
-            row, end = rows[system.nc + g, 2], system.guard_int[g, GUARD_END]
+            row, end = rows[system.nc + g, 2], system.joint_int[g, JOINT_END]
             if end <= 0:
-                cones.append(Cone(row, 1.0, -float(system.guard_real[g, LOW_FORCE])))
+                cones.append(Cone(row, 1.0, -float(system.joint_real[g, LOW_FORCE])))
             if end >= 0:
-                cones.append(Cone(row, -1.0, float(system.guard_real[g, HIGH_FORCE])))
+                cones.append(Cone(row, -1.0, float(system.joint_real[g, HIGH_FORCE])))
         return cones
 
     def _holds(self) -> bool:
         """Whether every force of the last evaluation lies inside its cone."""
         system = self.system
         active = [*system.closed(), *(system.nc + g for g in system.held()), *system.resisting()]
-        margins = system.margins.tolist()
-        return all(margins[i][NORMAL_MARGIN] >= 0.0 and margins[i][FRICTION_MARGIN] >= 0.0 for i in active)
+        event_functions = system.event_functions.tolist()
+        return all(
+            event_functions[i][NORMAL_EVENT] >= 0.0 and event_functions[i][FRICTION_EVENT] >= 0.0 for i in active
+        )
 
     def force_round_off(self) -> float:
         """Forces in N (or N m) below which a sign means nothing, from the loads on the joints."""

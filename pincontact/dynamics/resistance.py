@@ -1,6 +1,6 @@
 """Resistance to spinning and rolling: dry friction of the relative angular velocity, whose limit a contact's load sets.
 
-A resistance is an item of its own beside contacts and guarded joint coordinates, with the same arrays: its `slip` is
+A resistance is an item of its own beside contacts and limited joint coordinates, with the same arrays: its `slip` is
 omega_2 - omega_1, its basis starts with the normal (spinning) or with the tangents (rolling), its force is the torque
 on body 2, its coefficient a length. It sticks, slips or, while its contact is open, is free.
 """
@@ -23,8 +23,8 @@ _ROUND_OFF = 1e-13
 
 @kernel
 def count_items(system):
-    """Contacts, guarded joint coordinates and resistances: all that constraint rows may belong to."""
-    beyond = system.guard_count[0] + system.resistance_count[0]
+    """Contacts, limited joint coordinates and resistances: all that constraint rows may belong to."""
+    beyond = system.joint_count[0] + system.resistance_count[0]
     return system.sizes.nc + beyond
 
 

@@ -29,15 +29,16 @@ from ..layout import (
     CONTACT_INTS,
     CONTACT_REALS,
     EVALUATOR,
+    EVENTS_PER_CONTACT,
     FREE,
     FRICTIONLESS,
-    GUARD_INTS,
-    GUARD_Q,
-    GUARD_REALS,
-    GUARD_V,
     HIGH_END,
     HIGH_FORCE,
     JOINT,
+    JOINT_INTS,
+    JOINT_Q,
+    JOINT_REALS,
+    JOINT_V,
     K1,
     K2,
     KIND,
@@ -45,7 +46,6 @@ from ..layout import (
     LIMIT_SLACK,
     LOW_END,
     LOW_FORCE,
-    MARGINS_PER_CONTACT,
     MODE,
     MOTION_EVALUATOR,
     MOTION_KIND,
@@ -64,6 +64,8 @@ from ..layout import (
     POOL_SIZE,
     ROLLING,
     ROLLING_ROW,
+    SCALING_11,
+    SCALING_22,
     SIDE,
     SIDE_INTS,
     SLIP_SIGN,
@@ -71,8 +73,6 @@ from ..layout import (
     SPINNING,
     SPINNING_ROW,
     START_SPEED,
-    STRETCH_11,
-    STRETCH_22,
     STRIBECK_EXPONENT,
     STRIBECK_SPEED,
     SUPPORT_SIZE,
@@ -83,7 +83,7 @@ from ..layout import (
     VISCOUS,
 )
 from ..workspace import Workspace, address_of
-from .equations import guard_force
+from .equations import dry_friction_force
 from .evaluation import KINEMATICS_OF_ALL, evaluate_state
 from .manifold import TURNING, configuration_blocks
 from .pinocchio_calls import PinocchioCalls
@@ -91,7 +91,7 @@ from .pinocchio_calls import PinocchioCalls
 if TYPE_CHECKING:
     from ..contacts import AttachedContour, Contact
     from ..contours.motion import Motion
-    from .joints import Guard
+    from .joints import JointLimit
 
 # Friction up to this much above its limit is round-off: a contact exactly at the limit sticks.
 FORCE_SLACK = 1e-13
@@ -111,7 +111,7 @@ class System(Workspace):
         model: pin.Model,
         contacts: Sequence[Contact],
         works: bool = False,
-        guards: Sequence[Guard] = (),
+        limits: Sequence[JointLimit] = (),
         resistances: bool = False,
     ) -> None:
         compile_kernels(several=len(contacts) > 1)
@@ -120,7 +120,7 @@ class System(Workspace):
         self.contacts = list(contacts)
         self.data = model.createData()
         nq, nv, nc = model.nq, model.nv, len(self.contacts)
-        self.nq, self.nv, self.nc, self.ng = nq, nv, nc, len(guards)
+        self.nq, self.nv, self.nc, self.ng = nq, nv, nc, len(limits)
         # (contact, whether it is about the normal) of each resistance to turning
         self.resistances = _resistances(self.contacts) if resistances else []
         self.nr = len(self.resistances)
@@ -142,7 +142,7 @@ class System(Workspace):
         self.zeros("joint_table", len(blocks), 4)[:] = np.reshape(blocks, (-1, 4))
         self._map_contacts()
         self._allocate(max(self.items, 1), nv, ny)
-        self._map_guards(guards)
+        self._map_joint_limits(limits)
         self._map_resistances()
         self._map_calls()
         self.counters["charted"] = any(len(b.contour.charts) > 1 for c in self.contacts for b in (c.body1, c.body2))
@@ -245,7 +245,7 @@ class System(Workspace):
         # zero where no evaluation has solved for a force: time stepping gives that of joints with the torques
         self.zeros("force", nc, 3)
         self.scratch("relative_acceleration", nc, 3)
-        self.scratch("margins", nc, MARGINS_PER_CONTACT)
+        self.scratch("event_functions", nc, EVENTS_PER_CONTACT)
         self.zeros("location", nc, 4)
         self.zeros("factor", nv, nv)
         self.scratch("acceleration", nv)
@@ -266,27 +266,27 @@ class System(Workspace):
         self.scratch("correction_q", nv)
         self.scratch("correction_v", nv)
         self.zeros("counters")
-        self.scratch("lowest", nc, MARGINS_PER_CONTACT)
-        self.scratch("highest", nc, MARGINS_PER_CONTACT)
+        self.scratch("lowest", nc, EVENTS_PER_CONTACT)
+        self.scratch("highest", nc, EVENTS_PER_CONTACT)
         self.zeros("reference", nc, 3)
         self.scratch("reference_start", nc, 3)
         self.scratch("reference_rate", nc, 3)
         self.scratch("reference_slope", 2, rows, nv)
 
-    def _map_guards(self, guards: Sequence[Guard]) -> None:
+    def _map_joint_limits(self, limits: Sequence[JointLimit]) -> None:
         """Joint coordinates with limits or dry friction are items after the contacts, of one constraint row each."""
         nc, ng = self.nc, self.ng
-        self.zeros("guard_count", 1)[0] = ng
-        self.guards = list(guards)
-        self.zeros("guard_int", max(ng, 1), GUARD_INTS)
-        self.zeros("guard_real", max(ng, 1), GUARD_REALS)
-        for g, guard in enumerate(guards):
-            self.guard_int[g, GUARD_Q], self.guard_int[g, GUARD_V] = guard.index_q, guard.index_v
-            self.guard_real[g, LOW_FORCE], self.guard_real[g, HIGH_FORCE] = guard.low_force, guard.high_force
-            self.guard_real[g, LOW_END], self.guard_real[g, HIGH_END] = guard.low_end, guard.high_end
+        self.zeros("joint_count", 1)[0] = ng
+        self.limits = list(limits)
+        self.zeros("joint_int", max(ng, 1), JOINT_INTS)
+        self.zeros("joint_real", max(ng, 1), JOINT_REALS)
+        for g, limit in enumerate(limits):
+            self.joint_int[g, JOINT_Q], self.joint_int[g, JOINT_V] = limit.index_q, limit.index_v
+            self.joint_real[g, LOW_FORCE], self.joint_real[g, HIGH_FORCE] = limit.low_force, limit.high_force
+            self.joint_real[g, LOW_END], self.joint_real[g, HIGH_END] = limit.low_end, limit.high_end
             self.contact_int[nc + g, MODE] = FREE
             self.basis[nc + g] = np.eye(3)
-            self.rows[nc + g, 2, guard.index_v] = 1.0
+            self.rows[nc + g, 2, limit.index_v] = 1.0
 
     def _map_resistances(self) -> None:
         """Resistances to turning are rows after those of joint coordinates: see `resistance`."""
@@ -300,7 +300,7 @@ class System(Workspace):
             integers[TANGENTS] = 1 if spins else self.contact_int[c, TANGENTS]
             integers[SLIP_SIGN] = integers[NORMAL_SIGN] = 1
             numbers[[MU, MU_FAST, MU_STATIC, MU_NOW]] = law.spinning if spins else law.rolling
-            numbers[[ASPECT, STRETCH_11, STRETCH_22, SPAN, LENGTH, NORMAL_1]] = 1.0
+            numbers[[ASPECT, SCALING_11, SCALING_22, SPAN, LENGTH, NORMAL_1]] = 1.0
 
     def before_evaluation(self, torque: Callable[[float], None] | None = None) -> None:
         """Set the Python function that the kernels ask before Pinocchio's terms: none where there is nothing to ask.
@@ -453,9 +453,9 @@ class System(Workspace):
         """(nv,) forces of joint limits and dry joint friction in the last evaluation, N or N m."""
         out = np.zeros(self.nv)
         for g in range(self.ng):
-            guard, mode = self.guard_int[g], self.contact_int[self.nc + g, MODE]
-            moving = guard_force(mode, guard, self.guard_real[g])
-            out[guard[GUARD_V]] = moving if mode == FREE else self.force[self.nc + g, 2]
+            limit, mode = self.joint_int[g], self.contact_int[self.nc + g, MODE]
+            moving = dry_friction_force(mode, limit, self.joint_real[g])
+            out[limit[JOINT_V]] = moving if mode == FREE else self.force[self.nc + g, 2]
         return out
 
     def jacobians(self, side: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -505,7 +505,7 @@ def _resistances(contacts: Sequence[Contact]) -> list[tuple[int, bool]]:
 def _map_friction(contact: Contact, integers: np.ndarray, numbers: np.ndarray) -> None:
     """What the kernels know of a contact's friction law; zeros for none."""
     law = contact.friction
-    numbers[ASPECT] = numbers[STRETCH_11] = numbers[STRETCH_22] = 1.0
+    numbers[ASPECT] = numbers[SCALING_11] = numbers[SCALING_22] = 1.0
     if law is None:
         return
     # laws whose coefficient the kernels evaluate as a function of speed: Stribeck and what only derives from it
@@ -523,7 +523,7 @@ def _map_friction(contact: Contact, integers: np.ndarray, numbers: np.ndarray) -
     if law.aspect != 1.0:
         # body 2's first tangent is the basis' first vector
         integers[ANISOTROPIC] = ALONG_BODY_1 if law.along == contact.body1.name else ALONG_BODY_2
-        numbers[ASPECT] = numbers[STRETCH_22] = law.aspect
+        numbers[ASPECT] = numbers[SCALING_22] = law.aspect
 
 
 def _support(model: pin.Model, joint: int) -> list[int]:

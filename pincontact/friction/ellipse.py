@@ -10,25 +10,25 @@ from __future__ import annotations
 import math
 
 from ..jit import kernel
-from ..layout import ANISOTROPIC, ASPECT, STRETCH_11, STRETCH_12, STRETCH_22
+from ..layout import ANISOTROPIC, ASPECT, SCALING_11, SCALING_12, SCALING_22
 
 
 @kernel
-def set_stretch(numbers, x, y):
+def set_friction_scaling(numbers, x, y):
     """The stretch of a contact whose first direction is (x, y), of any length, along (t1, second)."""
     squared = x * x + y * y
     more = (numbers[ASPECT] - 1.0) / squared
-    numbers[STRETCH_11] = 1.0 + more * y * y
-    numbers[STRETCH_12] = -more * x * y
-    numbers[STRETCH_22] = 1.0 + more * x * x
+    numbers[SCALING_11] = 1.0 + more * y * y
+    numbers[SCALING_12] = -more * x * y
+    numbers[SCALING_22] = 1.0 + more * x * x
 
 
 @kernel
-def stretch_pair(numbers, first, second):
+def scale_pair(numbers, first, second):
     """A applied to (first, second)."""
     return (
-        numbers[STRETCH_11] * first + numbers[STRETCH_12] * second,
-        numbers[STRETCH_12] * first + numbers[STRETCH_22] * second,
+        numbers[SCALING_11] * first + numbers[SCALING_12] * second,
+        numbers[SCALING_12] * first + numbers[SCALING_22] * second,
     )
 
 
@@ -36,10 +36,10 @@ def stretch_pair(numbers, first, second):
 def friction_direction(integers, numbers, direction):
     """From a unit direction of slip d, in place, to what friction of coefficient 1 opposes it with: A^2 d / |A d|."""
     if integers[ANISOTROPIC] != 0:
-        first, second = stretch_pair(numbers, direction[0], direction[1])
+        first, second = scale_pair(numbers, direction[0], direction[1])
         size = math.hypot(first, second)
         if size > 0.0:
-            first, second = stretch_pair(numbers, first / size, second / size)
+            first, second = scale_pair(numbers, first / size, second / size)
             direction[0], direction[1] = first, second
 
 
@@ -47,11 +47,11 @@ def friction_direction(integers, numbers, direction):
 def friction_length(integers, numbers, first, second):
     """|A^-1 F_t|: the length of a friction force that its limit is held against."""
     if integers[ANISOTROPIC] != 0:
-        whole = numbers[STRETCH_11] * numbers[STRETCH_22] - numbers[STRETCH_12] * numbers[STRETCH_12]
+        whole = numbers[SCALING_11] * numbers[SCALING_22] - numbers[SCALING_12] * numbers[SCALING_12]
         return (
             math.hypot(
-                numbers[STRETCH_22] * first - numbers[STRETCH_12] * second,
-                numbers[STRETCH_11] * second - numbers[STRETCH_12] * first,
+                numbers[SCALING_22] * first - numbers[SCALING_12] * second,
+                numbers[SCALING_11] * second - numbers[SCALING_12] * first,
             )
             / whole
         )

@@ -59,7 +59,7 @@ class Product:
         y, residual = scaled.newton(scaled.unknowns(forces), None)
         return scaled.forces(y), residual
 
-    def settle(self, forces: np.ndarray) -> tuple[np.ndarray, float, float]:
+    def solve_with_radii(self, forces: np.ndarray) -> tuple[np.ndarray, float, float]:
         """Forces (3n,) for the radii that these have, their residual, and how far the radii are from those of the
         result, relative to the largest."""
         radii = self.radii(forces)

@@ -70,7 +70,7 @@ def _error(step, actuator):
 @kernel
 def _start_force(step, actuator, h):
     """The part of an actuator's force that does not depend on dv."""
-    v, w = step.carried_v[actuator.index_v], step.numbers.weight
+    v, w = step.transported_v[actuator.index_v], step.numbers.weight
     force = -actuator.damping * v
     if actuator.stiffness > 0.0:
         force += actuator.stiffness * (_error(step, actuator) - (2.0 * w - 0.5) * h * v)
@@ -100,7 +100,7 @@ def find_actuation(step, h, v1):
     for a in range(step.counts.actuators):
         actuator = step.actuators[a]
         k = actuator.index_v
-        gained = v1[k] - step.carried_v[k]
+        gained = v1[k] - step.transported_v[k]
         step.actuation[k] = _start_force(step, actuator, h) - _rate(step, actuator, h) * gained
 
 

@@ -45,10 +45,10 @@ from .steps import (
     AT_LIMIT,
     ATTEMPTED,
     FAILED_FACTOR,
-    MARCH,
-    MARCH_APART,
-    MARCH_ONE_ATTEMPT,
-    MARCH_ONE_STEP,
+    INTEGRATE,
+    INTEGRATE_APART,
+    INTEGRATE_ONE_ATTEMPT,
+    INTEGRATE_ONE_STEP,
     MAY_TOUCH,
     PROJECTION_FAILED,
     SLIP_ENDS,
@@ -280,10 +280,10 @@ class Driver:
     def _task(self) -> int:
         """How far the compiled steps may go on their own."""
         if self.users or self.outputs.pieces is not None:
-            return MARCH_ONE_ATTEMPT
+            return INTEGRATE_ONE_ATTEMPT
         if self.system.ng or FREE in self.system.modes.tolist():
-            return MARCH_ONE_STEP
-        return MARCH
+            return INTEGRATE_ONE_STEP
+        return INTEGRATE
 
     def _foresee(self, t: float, task: int, may_touch: bool) -> int:
         """Bound the next step by what open contacts may hit in it; how far the compiled steps may then go.
@@ -294,9 +294,9 @@ class Driver:
         scalars["max_step"] = self._max_step
         if not opened.are_any():
             return task
-        if not may_touch and task == MARCH_ONE_STEP and self.transitions.stay_apart(t):
+        if not may_touch and task == INTEGRATE_ONE_STEP and self.transitions.stay_apart(t):
             opened.is_near = False
-            return MARCH_APART
+            return INTEGRATE_APART
         longest, near = opened.begin_step(t, float(min(scalars["next_step"], scalars["max_step"], scalars["end"] - t)))
         if opened.has_moved:
             # nearest points elsewhere: the same state, located there
@@ -307,7 +307,7 @@ class Driver:
             self._finish(t)
             self.transitions.note_sides(False)
         scalars["max_step"] = max(min(self._max_step, longest), _RESTART * scalars["floor"])
-        return MARCH_ONE_ATTEMPT if near else task
+        return INTEGRATE_ONE_ATTEMPT if near else task
 
     def _restart(self, h: float) -> None:
         """Step size after a mode change; h is what it would have been."""

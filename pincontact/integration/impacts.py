@@ -156,7 +156,7 @@ class Impacts:
 
     def _joint_leaves(self, g: int) -> bool:
         system = self.system
-        speed = abs(float(system.v[system.guards[g].index_v]))
+        speed = abs(float(system.v[system.limits[g].index_v]))
         return self._leaves(system.nc + g, speed, self.joints.resolution(g))
 
     def _leaves(self, i: int, leaving: float, height: float) -> bool:

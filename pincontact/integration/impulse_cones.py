@@ -312,7 +312,7 @@ class ImpulseSolver:
     def _solve_with_given_radii(self, problem: _Problem) -> bool:
         """Solve it with friction that goes with the loads that came nearest to a solution."""
         product, mu, base = self._product(problem), problem.friction, problem.base
-        forces, residual, off = product.settle(self._nearest)
+        forces, residual, off = product.solve_with_radii(self._nearest)
         # ideal rolling has no other friction to go with
         slips = np.abs((problem.gram @ forces + base).reshape(-1, 3)[:, :2]).max(axis=1)
         slipping = np.isinf(mu) & (forces[2::3] > 0.0) & (slips > SETTLED * np.abs(base).max(initial=0.0))

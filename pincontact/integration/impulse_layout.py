@@ -8,7 +8,7 @@ import numpy as np
 
 from ..layout import CONTACT_INTS
 from ..workspace import INTEGERS, REALS, Layout, Workspace, record
-from .carrying import INERTIA_SIZE
+from .momentum_transport import INERTIA_SIZE
 
 # What steps count and choose, in four groups. Of the problem: how many joint limits and dry frictions there are, units
 # and equations; touched: whether anything touches in the step; reviews: how often its solution was looked at; rigid:
@@ -54,7 +54,7 @@ CALLS = record(INTEGERS, "run_task", "solve_cones", "assemble", "move_charts", "
 # A joint limit or the dry friction of a joint: its kind, where the coordinate is in q, v and among the limited ones;
 # bound: the limit in rad or m, or half the width of the range of friction forces in N m or N; middle: that range's.
 JOINT = np.dtype(
-    [*((name, INTEGERS) for name in ("kind", "index_q", "index_v", "guard")), ("bound", REALS), ("middle", REALS)]
+    [*((name, INTEGERS) for name in ("kind", "index_q", "index_v", "limit")), ("bound", REALS), ("middle", REALS)]
 )
 LOWER_LIMIT, UPPER_LIMIT, DRY_FRICTION = range(3)
 
@@ -99,16 +99,17 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "start_gap": (REALS, "contacts"),
     "start_mode": (INTEGERS, "contacts"),
     "start_domain": (REALS, "contacts"),
-    "start_end": (INTEGERS, "guards"),
+    "start_end": (INTEGERS, "limits"),
     # whether an open contact has passed beside its contours to their far side
     "behind": (INTEGERS, "contacts"),
     # a contact's integers and charts after the last step
     "known": (INTEGERS, "contacts", CONTACT_INTS + 2),
     # mean acceleration of the last step, in the start's axes; v_0 and this in the axes of the midpoint, and v_0 in
-    # those of the step's end; rate at which velocities turn with these axes, inertias of turning joints: see `carrying`
+    # those of the step's end; rate at which velocities turn with these axes, inertias of turning joints: see
+    # `momentum_transport`
     "trend": (REALS, "nv"),
-    "carried_v": (REALS, "nv"),
-    "carried_trend": (REALS, "nv"),
+    "transported_v": (REALS, "nv"),
+    "transported_trend": (REALS, "nv"),
     "seen_v": (REALS, "nv"),
     "turning_rate": (REALS, "nv"),
     "inertias": (REALS, "blocks", INERTIA_SIZE),
@@ -181,7 +182,7 @@ def step_workspace(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks
         "nq": nq,
         "nv": max(nv, 1),
         "contacts": max(nc, 1),
-        "guards": max(ng, 1),
+        "limits": max(ng, 1),
         "joints": max(nj, 1),
         "blocks": max(nblocks, 1),
         "units": units,

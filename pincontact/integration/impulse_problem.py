@@ -16,7 +16,7 @@ import math
 from ..callback import separate_kernel
 from ..dynamics.linear import factorize_tree, inner, solve_semidefinite, unwhiten, whiten
 from ..dynamics.resistance import drop_unturned
-from ..friction.ellipse import stretch_pair
+from ..friction.ellipse import scale_pair
 from ..geometry.carriers import ALPHA, OMEGA
 from ..jit import INTEGER, NOTHING, STEPPING, entry_kernel, kernel
 from ..layout import (
@@ -55,7 +55,7 @@ def _joint_row(step, j, nv, line):
     for i in range(nv):
         line[i] = 0.0
     line[k] = -1.0 if joint.kind == UPPER_LIMIT else 1.0
-    start = line[k] * step.carried_v[k]
+    start = line[k] * step.transported_v[k]
     return start, line[k] * step.change[k], start, 0.0
 
 
@@ -74,7 +74,7 @@ def _turn_row(system, step, u, row, nv, line):
     if step.counts.rigid == 0:
         rate = inner(line, step.turning_rate, nv)
         beyond = 0.5 * step.numbers.h * (relative_turning(system, c, axis, ALPHA) - rate)
-    start = turning + inner(line, step.carried_v, nv) - turned - beyond
+    start = turning + inner(line, step.transported_v, nv) - turned - beyond
     return start, inner(line, step.change, nv) + 2.0 * beyond, start, beyond
 
 
@@ -130,7 +130,7 @@ def _fill_row(system, step, u, row):
         step.unit_start[u, row] = opposed if unit.midpoint != 0 else start
     elif unit.touches != 0:
         restitution = step.restitution[unit.index] if unit.kind != ON_JOINT else 0.0
-        _set_impact(unit, start, inner(line, step.carried_trend, nv), restitution, step.numbers.h)
+        _set_impact(unit, start, inner(line, step.transported_trend, nv), restitution, step.numbers.h)
     whiten(system.factor, system.parents, nv, line, line)
     for j in range(m):
         equation = step.equations[j]
@@ -156,12 +156,12 @@ def fill_unit(system, step, u):
         numbers, r = system.contact_real[unit.index], 3 * u
         first, second, b = step.whitened[r], step.whitened[r + 1], step.loads
         for k in range(system.sizes.nv):
-            first[k], second[k] = stretch_pair(numbers, first[k], second[k])
+            first[k], second[k] = scale_pair(numbers, first[k], second[k])
         first, second = step.overlap[r], step.overlap[r + 1]
         for j in range(max(step.counts.equations, 1)):
-            first[j], second[j] = stretch_pair(numbers, first[j], second[j])
-        b[r], b[r + 1] = stretch_pair(numbers, b[r], b[r + 1])
-        start[u, 0], start[u, 1] = stretch_pair(numbers, start[u, 0], start[u, 1])
+            first[j], second[j] = scale_pair(numbers, first[j], second[j])
+        b[r], b[r + 1] = scale_pair(numbers, b[r], b[r + 1])
+        start[u, 0], start[u, 1] = scale_pair(numbers, start[u, 0], start[u, 1])
 
 
 @separate_kernel(NOTHING, SYSTEM.type, STEP.type, when=STEPPING)
@@ -268,7 +268,7 @@ def change_freely(system, step):
     nv, h, counts, numbers = system.sizes.nv, step.numbers.h, step.counts, step.numbers
     mass, factor, parents = system.mass, system.factor, system.parents
     damping, tau, nle = system.damping, system.tau, system.nle
-    v, change, trend = step.carried_v, step.change, step.carried_trend
+    v, change, trend = step.transported_v, step.change, step.transported_trend
     for i in range(nv):
         for j in range(i):
             factor[i, j] = mass[i, j]

@@ -19,7 +19,7 @@ from ..layout import (
     FREE,
     FRICTIONLESS,
     FROZEN,
-    GUARD_END,
+    JOINT_END,
     LENGTH,
     MODE,
     MU,
@@ -122,8 +122,8 @@ def _begin(system, step, t):
     for c in range(nc):
         _begin_contact(system, step, c, largest)
     # joints at their stops are found by the first step
-    for g in range(system.guard_count[0]):
-        system.contact_int[nc + g, MODE], system.guard_int[g, GUARD_END] = FREE, 0
+    for g in range(system.joint_count[0]):
+        system.contact_int[nc + g, MODE], system.joint_int[g, JOINT_END] = FREE, 0
     step.counts.touched = 0
     return OK
 

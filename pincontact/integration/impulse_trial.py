@@ -30,11 +30,11 @@ from ..layout import (
     UNILATERAL,
 )
 from ..workspace import square
-from .carrying import carry
 from .impulse_layout import ACCELERATION, APART, LOOKED_FOR, MEAN_VELOCITY, ON_CONTACT, ON_TURN, STEP, UNASKED, WANTED
 from .impulse_problem import OPENING
 from .impulse_review import AGAIN, may_rest
 from .impulses import advance, leave_turning_axes, predict_midpoint
+from .momentum_transport import transport
 from .results import CLOSED_APART, CONTOUR_ENDS
 from .stages import evaluate
 from .steps import PROJECT_PLACES
@@ -308,7 +308,7 @@ def trial_step(system, step, t, h, found):
                 state, trend, nq = system.stage_state, step.trend, system.sizes.nq
                 for k in range(system.sizes.nv):
                     trend[k] = (state[nq + k] - step.seen_v[k]) / h
-                carry(system.joint_table, step.inertias, state, step.start_q, trend, trend)
+                transport(system.joint_table, step.inertias, state, step.start_q, trend, trend)
                 counts.has_trend = ACCELERATION
             continue
         # A step in which bodies turn far is taken again with its own mean velocity: the implicit midpoint rule, which

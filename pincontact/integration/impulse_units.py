@@ -100,7 +100,7 @@ def gather_contacts(system, step):
             if mu == 0.0 or mu == math.inf:
                 continue
         elif mode == FREE:
-            rate = inner(system.rows[c, 2], step.carried_trend, nv) + system.bias[c, 2]
+            rate = inner(system.rows[c, 2], step.transported_trend, nv) + system.bias[c, 2]
             touching = TOUCHING * contact_real[c, LENGTH]
             instant = _touch_instant(step.start_gap[c], step.start_normal[c, 0], rate, touching, h)
             if instant < 0.0 or step.behind[c] != 0:
@@ -163,8 +163,8 @@ def gather_joints(step):
             continue
         sign = 1.0 if joint.kind == LOWER_LIMIT else -1.0
         gap = sign * (step.start_q[joint.index_q] - joint.bound)
-        speed, rate, thrown = sign * step.carried_v[k], sign * step.carried_trend[k], sign * step.mean[k]
-        held = step.start_end[joint.guard] * sign < 0.0
+        speed, rate, thrown = sign * step.transported_v[k], sign * step.transported_trend[k], sign * step.mean[k]
+        held = step.start_end[joint.limit] * sign < 0.0
         resting = held or (gap <= TOUCHING and abs(speed) * h <= TOUCHING)
         instant = _touch_instant(gap, speed, rate, TOUCHING, h)
         if instant < 0.0 and step.counts.has_trend == MEAN_VELOCITY and thrown < 0.0 and gap + h * thrown < 0.0:

@@ -19,7 +19,7 @@ from ..layout import PATTERN, SUPPORT_SIZE
 @kernel
 def rigid_velocity(system, step, c, row):
     """Component of v_c along a basis row at the start's velocity, in the midpoint's geometry."""
-    line, v0, middle = system.rows[c, row], step.carried_v, system.v
+    line, v0, middle = system.rows[c, row], step.transported_v, system.v
     value = dot(system.basis[c, row], system.slip[c])
     for k in range(system.sizes.nv):
         value += line[k] * (v0[k] - middle[k])

@@ -95,7 +95,7 @@ def impulse_work(step, nv, h, scratch):
 @kernel
 def add_viscous_impulses(system, step, v1):
     """Add viscous impulses to those of the contacts; returns their work on v_c."""
-    v0, impulse, work = step.carried_v, step.contact_impulse, 0.0
+    v0, impulse, work = step.transported_v, step.contact_impulse, 0.0
     for c in range(system.sizes.nc):
         constant = step.numbers.h * system.contact_real[c, VISCOUS]
         if constant == 0.0 or step.start_mode[c] == FREE:
@@ -131,7 +131,7 @@ def _work_on_misses(system, step):
 @kernel
 def _work_of_drives(system, step):
     """What prescribed motions do: what impulses do on the joints less what they do on v_c."""
-    nv, v0, side_int, work = system.sizes.nv, step.carried_v, system.side_int, 0.0
+    nv, v0, side_int, work = system.sizes.nv, step.transported_v, system.side_int, 0.0
     for c in range(system.sizes.nc):
         is_driven = False
         for side in range(2 * c, 2 * c + 2):
@@ -152,7 +152,7 @@ def _work_of_drives(system, step):
 @separate_kernel(NOTHING, SYSTEM.type, STEP.type, array_type(REALS, 1), REAL, array_type(REALS, 1), when=CALLED)
 def add_works(system, step, v1, viscous, works):
     """Works over the step, with that of viscous friction."""
-    nv, h, v0, tau, damping = system.sizes.nv, step.numbers.h, step.carried_v, system.tau, system.damping
+    nv, h, v0, tau, damping = system.sizes.nv, step.numbers.h, step.transported_v, system.tau, system.damping
     on_contacts, on_joints, _, _ = impulse_work(step, nv, h, system.work)
     works[FRICTION_WORK] += on_contacts + viscous + _work_on_misses(system, step)
     works[DRIVE_WORK] += _work_of_drives(system, step)

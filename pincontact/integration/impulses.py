@@ -10,8 +10,8 @@ change of velocity by them,
 
 and Signorini's and Coulomb's laws hold between P and the relative velocity at the step's end (`impulse_problem`).
 Velocities of free, planar and spherical joints are in the joint's axes, which turn. Within a step all are in the axes
-of the midpoint: v_0 is carried there from the start's, v_1 from there to the end's (see `carrying`), and what that
-changes in their rate is left out of nle and of the biases of v_c. A ball may spin as fast as it likes.
+of the midpoint: v_0 is carried there from the start's, v_1 from there to the end's (see `momentum_transport`), and what
+that changes in their rate is left out of nle and of the biases of v_c. A ball may spin as fast as it likes.
 
 Joint damping D, to which viscous friction of contacts is added, enters by the trapezoidal rule, which no step size
 makes unstable. What PD actuators add to both sides says `actuators`.
@@ -29,7 +29,7 @@ from ..callback import separate_kernel
 from ..dynamics.linear import inner, unwhiten
 from ..dynamics.manifold import displace
 from ..friction import cone
-from ..friction.ellipse import stretch_pair
+from ..friction.ellipse import scale_pair
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
 from ..jit import BOOLEAN, INTEGER, NOTHING, STEPPING, kernel
@@ -41,9 +41,9 @@ from ..layout import (
     FREE,
     FRICTIONLESS,
     FROZEN,
-    GUARD_END,
-    GUARD_Q,
     HIGH_END,
+    JOINT_END,
+    JOINT_Q,
     LENGTH,
     LOW_END,
     MODE,
@@ -64,7 +64,6 @@ from ..layout import (
 )
 from ..workspace import flat
 from .actuators import find_actuation
-from .carrying import carry, find_inertias, turning_rate
 from .impulse_equations import equation_impulses
 from .impulse_layout import (
     ACCELERATION,
@@ -81,6 +80,7 @@ from .impulse_review import DONE, review, slip_at_end
 from .impulse_units import TOUCHING
 from .impulse_velocities import add_turn_row
 from .impulse_works import add_viscous_impulses, add_works, velocity_change
+from .momentum_transport import find_inertias, transport, turning_rate
 from .stages import hand_over
 
 
@@ -90,20 +90,25 @@ def predict_midpoint(system, step):
     nq, nv, nc = system.sizes.nq, system.sizes.nv, system.sizes.nc
     counts, half = step.counts, step.numbers.ahead
     blocks, inertias, start_q, state = system.joint_table, step.inertias, step.start_q, system.stage_state
-    v, displacement, carried, carried_trend = step.start_v, step.displacement, step.carried_v, step.carried_trend
+    v, displacement, carried, transported_trend = (
+        step.start_v,
+        step.displacement,
+        step.transported_v,
+        step.transported_trend,
+    )
     location, rates = flat(step.start_location), flat(step.start_rates)
     for k in range(nv):
         displacement[k] = half * v[k]
     displace(blocks, start_q, start_q, displacement, state)
-    carry(blocks, inertias, start_q, state, v, carried)
+    transport(blocks, inertias, start_q, state, v, carried)
     moved = half != 0.5 * step.numbers.h and counts.trend_before == ACCELERATION
     if counts.passes == 0 or counts.has_trend == ACCELERATION or moved:
         # else it is what the first pass had
-        carry(blocks, inertias, start_q, state, step.trend, carried_trend)
+        transport(blocks, inertias, start_q, state, step.trend, transported_trend)
     for k in range(nv):
         state[nq + k] = carried[k]
         if counts.has_trend == ACCELERATION:
-            state[nq + k] += half * carried_trend[k]
+            state[nq + k] += half * transported_trend[k]
         elif counts.has_trend == MEAN_VELOCITY:
             state[nq + k] = step.mean[k]
     for k in range(4 * nc):
@@ -169,8 +174,8 @@ def _clear_results(system, step):
     impulse, joint_impulse, torques = step.contact_impulse, step.joint_impulse, step.torques
     for k in range(nv):
         step.displacement[k] = joint_impulse[k] = 0.0
-    for g in range(system.guard_count[0]):
-        contact_int[nc + g, MODE], system.guard_int[g, GUARD_END] = FREE, 0
+    for g in range(system.joint_count[0]):
+        contact_int[nc + g, MODE], system.joint_int[g, JOINT_END] = FREE, 0
     for c in range(nc):
         step.touch_time[c] = -1.0
         for row in range(3):
@@ -199,8 +204,8 @@ def _take_joint(system, step, unit, force):
         step.counts.touched = 1
     if step.numbers.kept * unit.shift <= 0.0:
         # it does not leave its stop again within the step
-        system.contact_int[system.sizes.nc + joint.guard, MODE] = FRICTIONLESS
-        system.guard_int[joint.guard, GUARD_END] = -int(sign)
+        system.contact_int[system.sizes.nc + joint.limit, MODE] = FRICTIONLESS
+        system.joint_int[joint.limit, JOINT_END] = -int(sign)
 
 
 @kernel
@@ -227,7 +232,7 @@ def distribute(system, step):
         if unit.kind < ON_JOINT:
             first, second = forces[3 * u], forces[3 * u + 1]
             if system.contact_int[i, ANISOTROPIC] != 0:
-                first, second = stretch_pair(system.contact_real[i], first, second)
+                first, second = scale_pair(system.contact_real[i], first, second)
             if unit.mask & 1 != 0:
                 impulse[i, 0] += first
             if unit.mask & 2 != 0:
@@ -295,7 +300,7 @@ def advance(system, step):
     gained, displacement, mean = system.work, step.displacement, step.mean
     unwhiten(factor, parents, nv, gained, gained)
     unwhiten(factor, parents, nv, displacement, displacement)
-    start_v, state, assumed, mass = step.carried_v, system.stage_state, system.v, system.mass
+    start_v, state, assumed, mass = step.transported_v, system.stage_state, system.v, system.mass
     v1 = state[nq : nq + nv]
     total = miss = speed = 0.0
     for k in range(nv):
@@ -320,13 +325,13 @@ def advance(system, step):
         add_works(system, step, v1, viscous, works)
     blocks, inertias, middle = system.joint_table, step.inertias, system.q
     displace(blocks, step.start_q, middle, displacement, state)
-    carry(blocks, inertias, middle, state, v1, v1)
-    carry(blocks, inertias, middle, state, start_v, step.seen_v)
-    for g in range(system.guard_count[0]):
+    transport(blocks, inertias, middle, state, v1, v1)
+    transport(blocks, inertias, middle, state, start_v, step.seen_v)
+    for g in range(system.joint_count[0]):
         # to the last bit; what that does to contacts is corrected with this end as a constraint
-        end = system.guard_int[g, GUARD_END]
+        end = system.joint_int[g, JOINT_END]
         if end != 0:
-            state[system.guard_int[g, GUARD_Q]] = system.guard_real[g, LOW_END if end < 0 else HIGH_END]
+            state[system.joint_int[g, JOINT_Q]] = system.joint_real[g, LOW_END if end < 0 else HIGH_END]
     location, rates = flat(system.location), flat(system.rates)
     for k in range(4 * nc):
         state[nq + nv + k] = location[k] + (h - numbers.ahead) * rates[k]
@@ -366,8 +371,8 @@ def commit(system, step, stepped):
         if stepped != 0:
             trend[k] = (stage[nq + k] - seen_v[k]) / h
         start_v[k] = stage[nq + k]
-    for g in range(system.guard_count[0]):
-        step.start_end[g] = system.guard_int[g, GUARD_END]
+    for g in range(system.joint_count[0]):
+        step.start_end[g] = system.joint_int[g, JOINT_END]
     changed = stepped == 0
     for c in range(sizes.nc):
         if commit_contact(system, step, c, stepped):

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from ..dynamics.system import System
-from ..layout import EVENT, FRICTION_MARGIN, MODE, MU, SLIPPING, STICK
+from ..layout import EVENT, FRICTION_EVENT, MODE, MU, SLIPPING, STICK
 from .mode_changes import ModeChanges
 
 
@@ -22,7 +22,7 @@ def stop_jammed(changes: ModeChanges, t: float) -> None:
     """Stop slips that friction alone would have to hold up and cannot: the force it takes grows without bound."""
     system, sliding = changes.system, held_up(changes.system)
     if sliding and changes.rk.evaluate(t) <= EVENT:
-        sliding = [c for c in sliding if system.margins[c, FRICTION_MARGIN] < 0.0]
+        sliding = [c for c in sliding if system.event_functions[c, FRICTION_EVENT] < 0.0]
     if sliding:
         stop_slips(changes, t, sliding)
 
@@ -38,4 +38,4 @@ def end_jams(changes: ModeChanges, t: float, contacts: list[int]) -> None:
     energy = changes.counted_energy()
     stop_slips(changes, t, contacts)
     changes.count_loss(energy)
-    changes.settle(t, changes.sticking(), dict.fromkeys(contacts, np.zeros(3)))
+    changes.update_modes(t, changes.sticking(), dict.fromkeys(contacts, np.zeros(3)))

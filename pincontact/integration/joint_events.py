@@ -1,4 +1,4 @@
-"""Events of guarded joint coordinates: they reach an end of their way, leave it, stick and slip by dry friction."""
+"""Events of limited joint coordinates: they reach an end of their way, leave it, stick and slip by dry friction."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 
 from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import ModeSolver
-from ..layout import DOMAIN_MARGIN, FREE, GAP_MARGIN, GUARD_END, GUARD_SIGN, MODE, NORMAL_MARGIN, SPEED_MARGIN
+from ..layout import DOMAIN_EVENT, FREE, GAP_EVENT, JOINT_END, JOINT_SIGN, MODE, NORMAL_EVENT, SPEED_EVENT
 from .accuracy import gap_accuracy, gap_resolution, rest_speed
 from .reports import Reports
 
 
 class JointEvents:
-    """What the guarded coordinates of a system do, and what has been announced of it.
+    """What the limited coordinates of a system do, and what has been announced of it.
 
     A coordinate g is held at an end of its way (-1 the lower, +1 the upper one) or by dry friction (0), or moves.
     depths: (items,) how far in m or rad moving coordinates may be beyond their ends; the event locator reads it.
@@ -47,29 +47,29 @@ class JointEvents:
         held whatever their velocities (coordinate -> end)."""
         system, stay = self.system, stay or {}
         slowest = rest_speed(system)
-        for g, guard in enumerate(system.guards):
-            position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
-            end = -1 if position <= guard.low_end + END_SLACK else int(position >= guard.high_end - END_SLACK)
+        for g, limit in enumerate(system.limits):
+            position, speed = float(system.q[limit.index_q]), float(system.v[limit.index_v])
+            end = -1 if position <= limit.low_end + END_SLACK else int(position >= limit.high_end - END_SLACK)
             if g in stay:
                 self.modes.hold(g, stay[g])
             elif abs(speed) > slowest:
                 self.modes.release(g, 1 if speed > 0.0 else -1)
-            elif end != 0 or guard.dry:
+            elif end != 0 or limit.dry:
                 self.modes.hold(g, end)
             else:
                 self.modes.release(g, 0)
 
     def held_at_ends(self) -> dict[int, int]:
         """The coordinates that are held at an end of their way, and at which."""
-        ends = {g: int(self.system.guard_int[g, GUARD_END]) for g in self.system.held()}
+        ends = {g: int(self.system.joint_int[g, JOINT_END]) for g in self.system.held()}
         return {g: end for g, end in ends.items() if end != 0}
 
     def stop_those_at_ends(self, t: float) -> bool:
         """Hold the free coordinates that are at an end of their way and move beyond it; whether there are any."""
         system, found = self.system, False
-        for g, guard in enumerate(system.guards):
-            position, speed = float(system.q[guard.index_q]), float(system.v[guard.index_v])
-            low, high = position <= guard.low_end + END_SLACK, position >= guard.high_end - END_SLACK
+        for g, limit in enumerate(system.limits):
+            position, speed = float(system.q[limit.index_q]), float(system.v[limit.index_v])
+            low, high = position <= limit.low_end + END_SLACK, position >= limit.high_end - END_SLACK
             if self.is_free(g) and ((low and speed < 0.0) or (high and speed > 0.0)):
                 self.stop(t, g, -1 if low else 1)
                 found = True
@@ -99,9 +99,9 @@ class JointEvents:
 
     def _way(self, g: int, end: int) -> float:
         """Distance in m or rad of coordinate g from an end; negative beyond it."""
-        guard = self.system.guards[g]
-        position = float(self.system.q[guard.index_q])
-        return guard.high_end - position if end > 0 else position - guard.low_end
+        limit = self.system.limits[g]
+        position = float(self.system.q[limit.index_q])
+        return limit.high_end - position if end > 0 else position - limit.low_end
 
     def watch(self, stepped: bool) -> None:
         """Look which coordinates have left their ends at the accepted state, and which are beyond.
@@ -115,7 +115,7 @@ class JointEvents:
             end = self._at_end[g]
             ways = [self._way(g, end)]
             if stepped:
-                ways.append(float(system.highest[system.nc + g, DOMAIN_MARGIN if end > 0 else GAP_MARGIN]))
+                ways.append(float(system.highest[system.nc + g, DOMAIN_EVENT if end > 0 else GAP_EVENT]))
             if max(ways) > self.accuracy(g):
                 del self._at_end[g]
         if system.ng:
@@ -126,7 +126,7 @@ class JointEvents:
         if not self.is_free(g):
             return 0.0
         end = min((-1, 1), key=lambda end: self._way(g, end))
-        way, speed = self._way(g, end), float(self.system.v[self.system.guards[g].index_v])
+        way, speed = self._way(g, end), float(self.system.v[self.system.limits[g].index_v])
         if way < 0.0 and end * speed < 0.0:
             return -way
         return float(self._depths[self.system.nc + g]) if way <= self.accuracy(g) else 0.0
@@ -134,18 +134,18 @@ class JointEvents:
     def switch(self, t: float, g: int, kind: int) -> bool:
         """Event function `kind` of coordinate g has reached zero at t; whether g strikes an end of its way."""
         system = self.system
-        if kind in (GAP_MARGIN, DOMAIN_MARGIN):
-            self.stop(t, g, -1 if kind == GAP_MARGIN else 1)
+        if kind in (GAP_EVENT, DOMAIN_EVENT):
+            self.stop(t, g, -1 if kind == GAP_EVENT else 1)
             return True
-        if kind == SPEED_MARGIN:
-            speed = float(system.v[system.guards[g].index_v])
+        if kind == SPEED_EVENT:
+            speed = float(system.v[system.limits[g].index_v])
             if abs(speed) > rest_speed(system):
                 # a short step of another's slip has carried it through zero: it slides the other way now
                 self.modes.release(g, 1 if speed > 0.0 else -1)
             else:
                 self.modes.hold(g, 0)
         else:
-            self.modes.release(g, 1 if kind == NORMAL_MARGIN else -1)
+            self.modes.release(g, 1 if kind == NORMAL_EVENT else -1)
         return False
 
     def announce_changes(self, t: float) -> None:
@@ -168,19 +168,19 @@ class JointEvents:
     def _state(self, g: int) -> tuple[bool, int]:
         """Whether coordinate g is held, and at which end (0: by friction), or in which direction it slips."""
         held = not self.is_free(g)
-        return held, int(self.system.guard_int[g, GUARD_END if held else GUARD_SIGN])
+        return held, int(self.system.joint_int[g, JOINT_END if held else JOINT_SIGN])
 
     # ---------------------------------------------------------------- motions too short to be told from rest
 
     def stops_soon(self, g: int) -> bool:
         """Whether dry friction ends the motion of coordinate g in a distance that is smaller than the error of
         positions. Needs the evaluation."""
-        guard, sign = self.system.guards[g], int(self.system.guard_int[g, GUARD_SIGN])
-        speed, rate = self.system.v[guard.index_v], sign * self.system.acceleration[guard.index_v]
-        return bool(guard.dry and sign != 0 and rate < 0.0 and speed * speed <= -2.0 * rate * self.resolution(g))
+        limit, sign = self.system.limits[g], int(self.system.joint_int[g, JOINT_SIGN])
+        speed, rate = self.system.v[limit.index_v], sign * self.system.acceleration[limit.index_v]
+        return bool(limit.dry and sign != 0 and rate < 0.0 and speed * speed <= -2.0 * rate * self.resolution(g))
 
     def returns_soon(self, g: int, end: int) -> bool:
         """Whether coordinate g comes back to the end that it leaves from no further than that. Needs the evaluation."""
-        index = self.system.guards[g].index_v
+        index = self.system.limits[g].index_v
         speed, back = self.system.v[index], end * self.system.acceleration[index]
         return bool(back > 0.0 and speed * speed <= 2.0 * back * self.resolution(g))

@@ -1,8 +1,8 @@
 """Locating an event: where in a step an event function of a mode turns negative, found on the dense output and refined
 with true steps.
 
-An event function (a row of `system.margins`: a gap, a normal force, what is left to the friction limit, a slip speed,
-the distance to the end of a contour) is positive while a mode holds.
+An event function (a row of `system.event_functions`: a gap, a normal force, what is left to the friction limit, a slip
+speed, the distance to the end of a contour) is positive while a mode holds.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..layout import DOMAIN, DOMAIN_MARGIN, GAP_MARGIN, NOTHING_THERE, OK, SCAN_ROOM, SPEED_MARGIN
+from ..layout import DOMAIN, DOMAIN_EVENT, GAP_EVENT, NOTHING_THERE, OK, SCAN_ROOM, SPEED_EVENT
 from .accuracy import gap_resolution
 from .open_contacts import OpenContacts
 from .runge_kutta import RungeKutta
@@ -52,7 +52,7 @@ class Crossing:
 
 @dataclass(frozen=True)
 class _Sample:
-    """All event functions (items, MARGINS_PER_CONTACT) at a fraction theta of the step."""
+    """All event functions (items, EVENTS_PER_CONTACT) at a fraction theta of the step."""
 
     theta: float
     values: np.ndarray
@@ -89,8 +89,8 @@ class EventLocator:
 
     @cached_property
     def _slack(self) -> np.ndarray:
-        """(items, MARGINS_PER_CONTACT) what event functions may be below zero; of gaps as `_set_slack` has it."""
-        return np.zeros_like(self.system.margins[: self.system.items])
+        """(items, EVENTS_PER_CONTACT) what event functions may be below zero; of gaps as `_set_slack` has it."""
+        return np.zeros_like(self.system.event_functions[: self.system.items])
 
     @cached_property
     def _accuracy(self) -> np.ndarray:
@@ -98,13 +98,13 @@ class EventLocator:
 
     def _set_slack(self) -> None:
         nc = self.system.nc
-        self._slack[:, GAP_MARGIN] = self._accuracy + self._depths
+        self._slack[:, GAP_EVENT] = self._accuracy + self._depths
         # the upper end of a joint coordinate
-        self._slack[nc:, DOMAIN_MARGIN] = self._slack[nc:, GAP_MARGIN]
-        self._slack[:, SPEED_MARGIN] = _SPEED_ROUND_OFF * (1.0 + float(np.abs(self.system.v).max(initial=0.0)))
+        self._slack[nc:, DOMAIN_EVENT] = self._slack[nc:, GAP_EVENT]
+        self._slack[:, SPEED_EVENT] = _SPEED_ROUND_OFF * (1.0 + float(np.abs(self.system.v).max(initial=0.0)))
 
     def _values(self, t: float, step: float, thetas: Sequence[float]) -> np.ndarray:
-        """Event functions (n, items, MARGINS_PER_CONTACT) at fractions of the step, plus what they may be below zero;
+        """Event functions (n, items, EVENTS_PER_CONTACT) at fractions of the step, plus what they may be below zero;
         there are fewer than fractions where one of them cannot be evaluated: those before it."""
         known, found = self.system.scan(t, step, thetas)
         return (found[: known.index(False)] if False in known else found) + self._slack
@@ -151,26 +151,26 @@ class EventLocator:
     # ---------------------------------------------------------------- crossings
 
     def _crossings(self, samples: np.ndarray) -> np.ndarray:
-        """(n - 1, items, MARGINS_PER_CONTACT) which event functions turn negative between two of n samples."""
+        """(n - 1, items, EVENTS_PER_CONTACT) which event functions turn negative between two of n samples."""
         before, after = samples[:-1], samples[1:]
         crosses = (after < 0.0) & (before >= 0.0)
         # what is negative at the start counts as just having crossed
         crosses[:1] |= after[:1] < 0.0
         crosses &= before != NOTHING_THERE
         # what has begun to slide by round-off in the other direction, and comes back, does not come to rest
-        crosses[:, :, SPEED_MARGIN] &= (before[:, :, SPEED_MARGIN] >= 0.0) | (
-            after[:, :, SPEED_MARGIN] < before[:, :, SPEED_MARGIN]
+        crosses[:, :, SPEED_EVENT] &= (before[:, :, SPEED_EVENT] >= 0.0) | (
+            after[:, :, SPEED_EVENT] < before[:, :, SPEED_EVENT]
         )
         nc = self.system.nc
         # what comes from behind does not touch
-        crosses[:1, :nc, GAP_MARGIN] &= (before[:1, :nc, GAP_MARGIN] >= 0.0) | self._open.apart
+        crosses[:1, :nc, GAP_EVENT] &= (before[:1, :nc, GAP_EVENT] >= 0.0) | self._open.apart
         return crosses
 
     def _ends_mode(self, t: float, step: float, crossed: tuple[int, int], left: _Sample, right: _Sample) -> bool:
         """Whether an event function that turns negative between two samples ends a mode: a gap does between points
         inside both domains only."""
         c, kind = crossed
-        if kind != GAP_MARGIN or c >= self.system.nc:
+        if kind != GAP_EVENT or c >= self.system.nc:
             return True
         theta = self._root(t, step, crossed, left, right)
         known = len(self._values(t, step, [theta])) > 0
@@ -205,7 +205,7 @@ class EventLocator:
             right = _Sample(theta, values[0])
             candidates = (right.values < 0.0) & (left.values > 0.0) & (left.values != NOTHING_THERE)
             candidates[c, kind] = False
-            candidates[list(self._open.passed), GAP_MARGIN] = False
+            candidates[list(self._open.passed), GAP_EVENT] = False
             crossed = np.argwhere(candidates)
             if not crossed.size:
                 break
@@ -247,14 +247,14 @@ class EventLocator:
             self.rk.attempt(t, h)
             return h, True
         slope = float(ends[1][c, kind] - ends[0][c, kind]) / (h - back)
-        is_way = kind == GAP_MARGIN or (kind == DOMAIN_MARGIN and c >= self.system.nc)
+        is_way = kind == GAP_EVENT or (kind == DOMAIN_EVENT and c >= self.system.nc)
         depth = float(self._depths[c]) if is_way else 0.0
         before: tuple[float, float] | None = None
         denied, value = True, 0.0
         for _ in range(_REFINEMENTS):
             if self.rk.attempt(t, h) != OK:
                 return h, True
-            value = float(self.system.margins[c, kind]) + depth
+            value = float(self.system.event_functions[c, kind]) + depth
             if before is not None and before[0] != h:
                 slope = (value - before[1]) / (h - before[0])
             before = h, value

@@ -15,7 +15,7 @@ from ..layout import (
     DIRECTION_X,
     EVENT,
     FREE,
-    FRICTION_MARGIN,
+    FRICTION_EVENT,
     FROZEN,
     LOCATION_FAILED,
     MODE,
@@ -23,7 +23,7 @@ from ..layout import (
     MU_STATIC,
     NO_FORCE,
     NORMAL_1,
-    NORMAL_MARGIN,
+    NORMAL_EVENT,
     NORMAL_SIGN,
     PATTERN,
     SLIP_SIGN,
@@ -104,9 +104,9 @@ class ModeChanges:
         else:
             integers[NORMAL_SIGN] = 1 if force[2] >= 0.0 else -1
 
-    def decide(self, t: float, undecided: list[int], beyond: int | None = None) -> Decision:
+    def resolve_modes(self, t: float, undecided: list[int], beyond: int | None = None) -> Decision:
         """Decide modes; the last evaluation is the one in them."""
-        decision = self.modes.decide(t, undecided, self.rk.evaluate, beyond)
+        decision = self.modes.resolve_modes(t, undecided, self.rk.evaluate, beyond)
         if decision.status > EVENT:
             raise self.reports.failure(t, decision.status)
         self._correct_normal_signs(t)
@@ -120,11 +120,11 @@ class ModeChanges:
             slips = integers[MODE] == SLIPPING or system.resists(c)
             if slips and not integers[UNILATERAL] and integers[PATTERN] != ON_CURVE:
                 self.rk.evaluate(t)
-                if system.margins[c, NORMAL_MARGIN] < -self.modes.force_round_off():
+                if system.event_functions[c, NORMAL_EVENT] < -self.modes.force_round_off():
                     integers[NORMAL_SIGN] *= -1
                     self.rk.evaluate(t)
 
-    def settle(
+    def update_modes(
         self,
         t: float,
         undecided: list[int],
@@ -141,7 +141,7 @@ class ModeChanges:
         """
         system, at_rest = self.system, at_rest or {}
         before, signs = system.contact_int[:, MODE].copy(), system.contact_int[:, SLIP_SIGN].copy()
-        self.decide(t, undecided, beyond)
+        self.resolve_modes(t, undecided, beyond)
         self.project(t, True, explained)
         self.rk.accept()
         for c in [*range(system.nc), *system.resisting()]:
@@ -187,9 +187,9 @@ class ModeChanges:
         if self.rk.evaluate(t) > EVENT:
             return False
         # a force that jumps, as where contacts cease to be redundant, is not one of choice
-        if system.margins[c, kind] > _JUMP * float(np.abs(system.force).max()):
+        if system.event_functions[c, kind] > _JUMP * float(np.abs(system.force).max()):
             return False
-        ended = c if kind == NORMAL_MARGIN and c < system.nc and system.contact_int[c, UNILATERAL] else None
+        ended = c if kind == NORMAL_EVENT and c < system.nc and system.contact_int[c, UNILATERAL] else None
         if not self.modes.redistribute(t, self.rk.evaluate, ended):
             return False
         self.project(t)
@@ -211,8 +211,10 @@ class ModeChanges:
         if loads[c] > 0.0:
             return c, kind
         limits = {i: float(system.contact_real[i, MU_STATIC] * loads[system.owner(i)]) for i in self.sticking()}
-        limited = [i for i, limit in limits.items() if abs(system.margins[i, FRICTION_MARGIN]) < _AT_LIMIT * limit]
-        return (max(limited, key=lambda i: loads[system.owner(i)]), FRICTION_MARGIN) if limited else (c, NORMAL_MARGIN)
+        limited = [
+            i for i, limit in limits.items() if abs(system.event_functions[i, FRICTION_EVENT]) < _AT_LIMIT * limit
+        ]
+        return (max(limited, key=lambda i: loads[system.owner(i)]), FRICTION_EVENT) if limited else (c, NORMAL_EVENT)
 
     # ---------------------------------------------------------------- the state
 

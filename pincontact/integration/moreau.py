@@ -43,7 +43,7 @@ from .steps import run_task
 
 if TYPE_CHECKING:
     from ..contacts import Contact
-    from ..dynamics.joints import Guard
+    from ..dynamics.joints import JointLimit
     from .actuators import Actuator
 
 DEFAULT_STEP = 1e-3
@@ -66,15 +66,18 @@ _ROWS_KEPT = 10_000
 Torque = Callable[[float], None]
 
 
-def joint_constraints(guards: Sequence[Guard]) -> list[tuple[int, int, int, int, float, float]]:
+def joint_constraints(limits: Sequence[JointLimit]) -> list[tuple[int, int, int, int, float, float]]:
     """Position limits and dry friction of joints, as records `impulse_layout.JOINT`."""
     found = []
-    for g, guard in enumerate(guards):
-        place = guard.index_q, guard.index_v, g
-        if guard.dry:
-            half, middle = 0.5 * (guard.high_force - guard.low_force), 0.5 * (guard.high_force + guard.low_force)
+    for g, joint_limit in enumerate(limits):
+        place = joint_limit.index_q, joint_limit.index_v, g
+        if joint_limit.dry:
+            half, middle = (
+                0.5 * (joint_limit.high_force - joint_limit.low_force),
+                0.5 * (joint_limit.high_force + joint_limit.low_force),
+            )
             found.append((DRY_FRICTION, *place, half, middle))
-        for kind, limit in ((LOWER_LIMIT, guard.low_end), (UPPER_LIMIT, guard.high_end)):
+        for kind, limit in ((LOWER_LIMIT, joint_limit.low_end), (UPPER_LIMIT, joint_limit.high_end)):
             if math.isfinite(limit):
                 found.append((kind, *place, limit, 0.0))
     return found
@@ -106,7 +109,7 @@ class MoreauStep:
         compile_kernels(several=True, stepping=True)
         self.system = system
         self._viscous = bool((system.contact_real[: system.nc, VISCOUS] > 0.0).any())
-        joints = joint_constraints(system.guards)
+        joints = joint_constraints(system.limits)
         laws = [contact.friction for contact in contacts if contact.friction is not None]
         turns = sum((law.spinning > 0.0) + (law.rolling > 0.0) for law in laws)
         self.resists_turning = turns > 0

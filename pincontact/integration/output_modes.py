@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from ..dynamics.modes import ModeSolver
-from ..layout import EVENT, FRICTION_MARGIN, MODE, NORMAL_MARGIN, STICK
+from ..layout import EVENT, FRICTION_EVENT, MODE, NORMAL_EVENT, STICK
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
@@ -38,10 +38,10 @@ class OutputModes:
                 # an output does not depend on others
                 self._solver.forget()
                 modes.solver = self._solver
-            margins, least = system.margins.tolist(), -modes.force_round_off()
-            if any(min(margins[c][NORMAL_MARGIN], margins[c][FRICTION_MARGIN]) < least for c in held):
+            event_functions, least = system.event_functions.tolist(), -modes.force_round_off()
+            if any(min(event_functions[c][NORMAL_EVENT], event_functions[c][FRICTION_EVENT]) < least for c in held):
                 kept = system.contact_int.copy(), system.contact_real.copy()
-                if modes.decide(t, held, system.evaluate, status=status).status > EVENT:
+                if modes.resolve_modes(t, held, system.evaluate, status=status).status > EVENT:
                     system.contact_int[:], system.contact_real[:] = kept
                 self._solver = modes.solver
         yield kept is not None

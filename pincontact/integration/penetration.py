@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from ..dynamics.modes import ModeSolver
-from ..layout import DOMAIN, EVENT, FREE, GAP_MARGIN, LENGTH, MODE, MU, OK, STICK, UNILATERAL
+from ..layout import DOMAIN, EVENT, FREE, GAP_EVENT, LENGTH, MODE, MU, OK, STICK, UNILATERAL
 from .accuracy import gap_accuracy, gap_rate, gap_resolution
 from .results import Event
 from .runge_kutta import RungeKutta
@@ -62,7 +62,7 @@ class Penetration:
         return (
             c in self.barely_open
             and abs(system.gaps[c, 0]) <= accuracy
-            and bool(system.highest[c, GAP_MARGIN] <= accuracy)
+            and bool(system.highest[c, GAP_EVENT] <= accuracy)
         )
 
     def tolerate(self, c: int, depth: float) -> None:
@@ -82,7 +82,7 @@ class Penetration:
                 self.barely_open.pop(c, None)
                 self.depths[c] = 0.0
                 self.contacts.discard(c)
-            elif stepped and system.highest[c, GAP_MARGIN] > accuracy:
+            elif stepped and system.highest[c, GAP_EVENT] > accuracy:
                 self.barely_open.pop(c, None)
 
     # ---------------------------------------------------------------- ideal rolling that is let go

@@ -22,7 +22,7 @@ _ARRAYS = (
     "dense",
     "contact_int",
     "contact_real",
-    "guard_int",
+    "joint_int",
     "reference",
     "reference_start",
     "reference_rate",

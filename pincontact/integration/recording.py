@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
-from ..dynamics.equations import guard_force
+from ..dynamics.equations import dry_friction_force
 from ..dynamics.resistance import count_items
 from ..jit import NOTHING, REAL, kernel
-from ..layout import CHART, CONTACT_INTS, FREE, FROZEN_COLUMNS, GUARD_V, MODE, OWNER, START, SYSTEM, TANGENTS
+from ..layout import CHART, CONTACT_INTS, FREE, FROZEN_COLUMNS, JOINT_V, MODE, OWNER, START, SYSTEM, TANGENTS
 from ..workspace import flat
 
 # Integers of a contact in a row: its own, and its two charts.
@@ -47,15 +47,15 @@ def record_row(system, t):
         row[at + nv + k] = tau[k]
     at += nv
     # the forces of limits, dry friction and resistances go with the torques, so that contact forces can be found again
-    ng, n = system.guard_count[0], count_items(system)
+    ng, n = system.joint_count[0], count_items(system)
     modes = system.contact_int
-    guards, guard_real = system.guard_int, system.guard_real
+    limits, joint_real = system.joint_int, system.joint_real
     force, reference = system.force, system.reference
     basis, rows = system.basis, system.rows
     for g in range(ng):
         mode = modes[nc + g, MODE]
         held = force[nc + g, 2] if mode != FREE else 0.0
-        row[at + guards[g, GUARD_V]] += held + guard_force(mode, guards[g], guard_real[g])
+        row[at + limits[g, JOINT_V]] += held + dry_friction_force(mode, limits[g], joint_real[g])
     for i in range(nc + ng, n):
         if modes[i, MODE] != FREE:
             for j in range(modes[i, TANGENTS]):

@@ -24,7 +24,7 @@ from .results import ADVICE, CHATTER, FAILURES, SINGULAR_CONTACT, STEP_TOO_SMALL
 from .runge_kutta import RungeKutta
 
 # Chatter: so many mode changes within this fraction of the run, or so many within this fraction of it (and at most
-# this time in s) for every contact and guarded joint coordinate. Rebounds are not counted, they end by themselves.
+# this time in s) for every contact and limited joint coordinate. Rebounds are not counted, they end by themselves.
 _CHATTER_EVENTS, _CHATTER_SPAN = 40, 1e-9
 _DENSE_EVENTS, _DENSE_SPAN, _DENSE_TIME = 500, 1e-2, 1.0
 # Contacts named in the message.
@@ -40,7 +40,7 @@ _BEHIND = 1e-2
 class Reports:
     """The events of a run, and the messages with which it stops.
 
-    An *item* is a contact (0 to nc - 1), a guarded joint coordinate (the next ng) or a contact's resistance to turning.
+    An *item* is a contact (0 to nc - 1), a limited joint coordinate (the next ng) or a contact's resistance to turning.
     span: duration of the run in s.
     """
 
@@ -82,7 +82,7 @@ class Reports:
         """Name of an item's contact, or else of its joint."""
         nc, ng = self.system.nc, self.system.ng
         if nc <= item < nc + ng:
-            return None, self.system.guards[item - nc].joint
+            return None, self.system.limits[item - nc].joint
         return self.names[self.system.owner(item)], None
 
     def _describe(self, item: int) -> str:

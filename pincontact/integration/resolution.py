@@ -1,10 +1,10 @@
-"""Whether a step resolves what decides its events: margins as smooth functions of time, seen in its stages.
+"""Whether a step resolves what decides its events: event functions as smooth functions of time, seen in its stages.
 
 Where nothing moves, no error is estimated, however much the forces change that hold it: a step may span many periods
-of a load. So the margins of a step's stages are fitted by a polynomial of low degree. What it leaves is to be small,
-against the margin's size, or against its distance from zero, where nothing is decided; else the step is too long. What
-moves the bodies limits steps long before that. Events are then looked for on the dense output, on which margins are
-exact.
+of a load. So the event functions of a step's stages are fitted by a polynomial of low degree. What it leaves is to be
+small, against its size, or against its distance from zero, where nothing is decided; else the step is too
+long. What moves the bodies limits steps long before that. Events are then looked for on the dense output, on which
+event functions are exact.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from ..dynamics.resistance import count_items
 from ..jit import NOTHING, kernel
 from ..layout import (
     ERROR_ROWS,
-    FRICTION_MARGIN,
+    EVENTS_PER_CONTACT,
+    FRICTION_EVENT,
     KEPT_ROWS,
-    MARGINS_PER_CONTACT,
     MAX_STAGES,
-    NORMAL_MARGIN,
+    NORMAL_EVENT,
     NOTHING_THERE,
     SCAN_ROOM,
     SYSTEM,
@@ -33,11 +33,11 @@ from .results import GAP_TOLERANCE
 _DEGREE = 4
 # Accuracy of the conditions of order two.
 _ORDER_TWO = 1e-9
-# What they may leave of a margin: this part of its largest size, or of its least.
+# What they may leave of an event function: this part of its largest size, or of its least.
 _RESOLVED, _FAR = 1e-2, 0.125
 # Forces below this part of the largest are round-off.
 _FORCE_ROUND_OFF = 1e-9
-# Steps this many times the least are not shortened for a margin: it jumps there.
+# Steps this many times the least are not shortened for an event function: it jumps there.
 _JUMP = 1e3
 
 
@@ -60,42 +60,42 @@ def roughness(a: np.ndarray, nodes: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def keep_margins(system, index):
-    """Keep the margins of the last evaluation as those of stage number index."""
+def keep_event_functions(system, index):
+    """Keep the event functions of the last evaluation as those of stage number index."""
     n = count_items(system)
-    kept = system.scan_margins
-    margins = system.margins
+    kept = system.scan_event_functions
+    event_functions = system.event_functions
     for c in range(n):
-        for kind in range(MARGINS_PER_CONTACT):
-            kept[SCAN_ROOM + index, c, kind] = margins[c, kind]
+        for kind in range(EVENTS_PER_CONTACT):
+            kept[SCAN_ROOM + index, c, kind] = event_functions[c, kind]
 
 
 @kernel
-def set_margins_aside(system):
-    """Keep the margins of the last evaluation, those of the next step's start."""
-    keep_margins(system, KEPT_ROWS - 1)
+def set_event_functions_aside(system):
+    """Keep the event functions of the last evaluation, those of the next step's start."""
+    keep_event_functions(system, KEPT_ROWS - 1)
 
 
 @kernel
-def take_margins_up(system):
-    """The next step's start has the margins that were set aside."""
+def take_event_functions_up(system):
+    """The next step's start has the event functions that were set aside."""
     n = count_items(system)
-    kept = system.scan_margins
+    kept = system.scan_event_functions
     for c in range(n):
-        for kind in range(MARGINS_PER_CONTACT):
+        for kind in range(EVENTS_PER_CONTACT):
             kept[SCAN_ROOM, c, kind] = kept[SCAN_ROOM + KEPT_ROWS - 1, c, kind]
 
 
 @separate_kernel(NOTHING, SYSTEM.type)
-def margin_error(system):
-    """Raise ERROR_NORM of the attempted step where one of its margins is not resolved: to 1 and more."""
+def event_function_error(system):
+    """Raise ERROR_NORM of the attempted step where one of its event functions is not resolved: to 1 and more."""
     n, scalars = count_items(system), system.scalars
     lowest, highest = system.lowest, system.highest
     worst, floor, largest_force = 0.0, -1.0, 0.0
     if scalars.step <= _JUMP * scalars.floor:
         return
     for c in range(n):
-        for kind in range(MARGINS_PER_CONTACT):
+        for kind in range(EVENTS_PER_CONTACT):
             low, high = lowest[c, kind], highest[c, kind]
             # what the best polynomial leaves is less than what the middle leaves
             if not low < high or 0.5 * math.sqrt(MAX_STAGES) * (high - low) <= _FAR * low:
@@ -105,7 +105,7 @@ def margin_error(system):
             if floor < 0.0:
                 floor, largest_force = _floor(system), _largest_force(lowest, highest, n)
             allowed = max(_RESOLVED * max(high, -low), _FAR * low)
-            is_force = kind in (NORMAL_MARGIN, FRICTION_MARGIN)
+            is_force = kind in (NORMAL_EVENT, FRICTION_EVENT)
             allowed = max(allowed, _FORCE_ROUND_OFF * largest_force if is_force else floor)
             worst = max(worst, _left(system, n, c, kind) / allowed)
     if worst > 0.0:
@@ -116,9 +116,9 @@ def margin_error(system):
 
 @kernel
 def _left(system, n, c, kind):
-    """What the best polynomial leaves of a margin in the attempted step: the norm over its stages."""
+    """What the best polynomial leaves of an event function in the attempted step: the norm over its stages."""
     sizes = system.sizes
-    kept = system.scan_margins
+    kept = system.scan_event_functions
     weights = system.weights_error
     total = 0.0
     end = sizes.nstages
@@ -146,9 +146,9 @@ def _floor(system):
 
 @kernel
 def _largest_force(lowest, highest, n):
-    """Largest size of a margin that is a force."""
+    """Largest size of an event function that is a force."""
     size = 0.0
     for c in range(n):
-        for kind in (NORMAL_MARGIN, FRICTION_MARGIN):
+        for kind in (NORMAL_EVENT, FRICTION_EVENT):
             size = max(size, max(abs(lowest[c, kind]), abs(highest[c, kind])))
     return size

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..dynamics.system import System
-from ..layout import DENSE_ROWS, EVENT, KEPT_ROWS, MARGINS_PER_CONTACT, MAX_STAGES, POLYNOMIAL_SIZE, SCAN_ROOM
+from ..layout import DENSE_ROWS, EVENT, EVENTS_PER_CONTACT, KEPT_ROWS, MAX_STAGES, POLYNOMIAL_SIZE, SCAN_ROOM
 from .steps import PROJECT, PROJECT_EVALUATED, SCAN, run_task
 
 # So many output times there is room for in every system.
@@ -34,7 +34,7 @@ class RunSystem(System):
         self.scratch("across", 2 * items + 1, POLYNOMIAL_SIZE)
         self.scratch("scan_shares", SCAN_ROOM)
         self.scratch("scan_status", SCAN_ROOM)
-        self.scratch("scan_margins", SCAN_ROOM + KEPT_ROWS, items, MARGINS_PER_CONTACT)
+        self.scratch("scan_event_functions", SCAN_ROOM + KEPT_ROWS, items, EVENTS_PER_CONTACT)
         self._few_times = self.scratch("output_times", _FEW_TIMES)
         self.output_times = _NO_TIMES
 
@@ -44,7 +44,7 @@ class RunSystem(System):
 
     def scan(self, t: float, step: float, shares: Sequence[float]) -> tuple[list[bool], np.ndarray]:
         """Event functions along the step from t that was interpolated last, at shares of it, at most SCAN_ROOM: (n,)
-        whether they could be evaluated, (n, items, MARGINS_PER_CONTACT) a view that the next scan overwrites.
+        whether they could be evaluated, (n, items, EVENTS_PER_CONTACT) a view that the next scan overwrites.
 
         The gap of an open contact is NOTHING_THERE where no nearest point was found.
         """
@@ -52,7 +52,9 @@ class RunSystem(System):
         self.scan_shares[:n] = shares
         self.counters["scan_count"] = n
         self.run(SCAN, t, step)
-        return [status <= EVENT for status in self.scan_status[:n].tolist()], self.scan_margins[:n, : self.items]
+        return [status <= EVENT for status in self.scan_status[:n].tolist()], self.scan_event_functions[
+            :n, : self.items
+        ]
 
     def project(self, t: float, evaluated: bool = False, error: float = math.inf) -> int:
         """Put (q, v) and location of `stage_state` on the constraints; returns a status of `layout`.

@@ -12,23 +12,23 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ..dynamics.directions import freeze_slip
+from ..dynamics.friction_scaling import opposed_slip
 from ..dynamics.modes import Decision
-from ..dynamics.stretches import opposed_slip
 from ..dynamics.units import whiten
 from ..layout import (
     DIRECTION_X,
     DOMAIN,
-    DOMAIN_MARGIN,
+    DOMAIN_EVENT,
     EVENT,
     FREE,
-    FRICTION_MARGIN,
+    FRICTION_EVENT,
     FROZEN,
-    GAP_MARGIN,
+    GAP_EVENT,
     MODE,
     MU,
     MU_STATIC,
     NO_FORCE,
-    NORMAL_MARGIN,
+    NORMAL_EVENT,
     OK,
     POLYNOMIAL,
     POLYNOMIAL_SIZE,
@@ -90,7 +90,7 @@ class SlipOnset:
         beyond: int | None = None,
     ) -> float:
         """Decide the modes of contacts at rest (see `ModeChanges.settle`), and start those that slip."""
-        self.changes.settle(t, undecided, at_rest, silent, beyond)
+        self.changes.update_modes(t, undecided, at_rest, silent, beyond)
         return self.start(t)
 
     # ---------------------------------------------------------------- from rest, with a finite acceleration
@@ -198,7 +198,7 @@ class SlipOnset:
         changes.project(t + tau)
         stick = system.stage_state.copy()
         acceleration = system.acceleration.copy()
-        decision = changes.decide(t + tau, changes.sticking())
+        decision = changes.resolve_modes(t + tau, changes.sticking())
         change = 0.5 * tau * (system.acceleration - acceleration)
         rk.load(stick)
         system.v[:] += change
@@ -268,9 +268,9 @@ class SlipOnset:
         touchable = np.ones(n, dtype=bool)
         touchable[: system.nc] = self.open.apart
         return bool(
-            (lowest[touchable, GAP_MARGIN] >= -(accuracy + self.depths)[touchable]).all()
-            and (lowest[:, DOMAIN_MARGIN] >= -accuracy).all()
-            and (lowest[:, [NORMAL_MARGIN, FRICTION_MARGIN]] >= -force).all()
+            (lowest[touchable, GAP_EVENT] >= -(accuracy + self.depths)[touchable]).all()
+            and (lowest[:, DOMAIN_EVENT] >= -accuracy).all()
+            and (lowest[:, [NORMAL_EVENT, FRICTION_EVENT]] >= -force).all()
         )
 
     def until_touch(self) -> float:
@@ -282,14 +282,14 @@ class SlipOnset:
             if system.contact_real[c, DOMAIN] >= 0.0 and approach > 0.0:
                 way = float(system.gaps[c, 0] + self.depths[c] + accuracy[c])
                 left = min(left, max(way, _LEAST_WAY * float(accuracy[c])) / approach)
-        for g, guard in enumerate(system.guards):
-            speed = float(system.v[guard.index_v])
+        for g, limit in enumerate(system.limits):
+            speed = float(system.v[limit.index_v])
             if self.changes.joints.is_free(g) and speed != 0.0:
-                position, reach = float(system.q[guard.index_q]), float(accuracy[system.nc + g])
-                way = (guard.high_end - position if speed > 0.0 else position - guard.low_end) + reach
+                position, reach = float(system.q[limit.index_q]), float(accuracy[system.nc + g])
+                way = (limit.high_end - position if speed > 0.0 else position - limit.low_end) + reach
                 left = min(left, max(way, _LEAST_WAY * reach) / abs(speed))
-                rate = float(system.acceleration[guard.index_v])
-                if guard.dry and rate * speed < 0.0:
+                rate = float(system.acceleration[limit.index_v])
+                if limit.dry and rate * speed < 0.0:
                     # dry friction ends its slip
                     left = min(left, max(abs(speed), rest_speed(system)) / abs(rate))
         return left

@@ -13,7 +13,7 @@ import math
 from ..arrays import REALS, array_type
 from ..callback import kernel_caller, separate_kernel
 from ..contours.charts import is_across_pole, turned_back
-from ..dynamics.equations import guard_force
+from ..dynamics.equations import dry_friction_force
 from ..dynamics.manifold import configuration_rate, move, normalize, rate_in_parent_axes, to_joint_axes, to_parent_axes
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
@@ -24,7 +24,7 @@ from ..layout import (
     DRIVE_WORK,
     FREE,
     FRICTION_WORK,
-    GUARD_V,
+    JOINT_V,
     KIND,
     MAX_STAGES,
     MODE,
@@ -104,7 +104,7 @@ def _powers(system, nv, nc, out):
 
     Torques that resist turning count with the contact forces.
     """
-    n, ng = count_items(system), system.guard_count[0]
+    n, ng = count_items(system), system.joint_count[0]
     contact_int = system.contact_int
     basis = system.basis
     slip = system.slip
@@ -125,10 +125,10 @@ def _powers(system, nv, nc, out):
                 # what is held does no work; its small v_c within a step would only feed the error estimate
                 out[FRICTION_WORK] += on_slip
             out[DRIVE_WORK] += force[c, row] * on_joints - on_slip
-    guard_int = system.guard_int
+    joint_int = system.joint_int
     for g in range(ng):
-        dry = guard_force(contact_int[nc + g, MODE], guard_int[g], system.guard_real[g])
-        out[DAMPING_WORK] += dry * v[guard_int[g, GUARD_V]]
+        dry = dry_friction_force(contact_int[nc + g, MODE], joint_int[g], system.joint_real[g])
+        out[DAMPING_WORK] += dry * v[joint_int[g, JOINT_V]]
     for k in range(nv):
         out[TORQUE_WORK] += tau[k] * v[k]
         out[DAMPING_WORK] -= damping[k] * v[k] * v[k]

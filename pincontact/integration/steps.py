@@ -16,7 +16,7 @@ from ..layout import EVENT, OK, SYSTEM, system_at
 from .approach import bound_speeds, stay_apart
 from .projection import TO_KEEP, TO_SHOW, TO_STEP_ON, project, project_places
 from .recording import BLOCK, output_done, record_row
-from .resolution import set_margins_aside, take_margins_up
+from .resolution import set_event_functions_aside, take_event_functions_up
 from .slip_at_ends import begin_next, note_end, slip_ends, time_to_stop, watch_slips
 from .stages import fill_slope, hand_over, keep_velocity
 from .step_control import FAILED_FACTOR, SLIVER, first_step, irregular, next_step
@@ -33,10 +33,10 @@ from .trial_steps import across_slip, interpolation, keep_slope, load_interpolat
     FINISH_STEP,
     RECORD,
     WRITE_OUTPUTS,
-    MARCH,
-    MARCH_ONE_STEP,
-    MARCH_ONE_ATTEMPT,
-    MARCH_APART,
+    INTEGRATE,
+    INTEGRATE_ONE_STEP,
+    INTEGRATE_ONE_ATTEMPT,
+    INTEGRATE_APART,
     PROJECT_PLACES,
     ACROSS_SLIP,
     FIRST_STEP,
@@ -45,9 +45,9 @@ from .trial_steps import across_slip, interpolation, keep_slope, load_interpolat
     BOUND_SPEEDS,
 ) = range(19)
 
-# What MARCH comes back with.
+# What INTEGRATE comes back with.
 (
-    MARCHING,
+    INTEGRATING,
     STEPPED,
     ATTEMPTED,
     SLIP_ENDS,
@@ -60,7 +60,7 @@ from .trial_steps import across_slip, interpolation, keep_slope, load_interpolat
 ) = range(10)
 # What WRITE_OUTPUTS comes back with, besides a status: there is no room for more rows.
 BLOCK_FULL = 100
-# Trial steps after which MARCH comes back all the same, for the keyboard's and the progress bar's sake.
+# Trial steps after which INTEGRATE comes back all the same, for the keyboard's and the progress bar's sake.
 _BATCH = 256
 
 
@@ -117,7 +117,7 @@ def _set_aside(system):
     """Keep the end of a step, projected and evaluated, while outputs within the step are evaluated."""
     stage_state, next_state = system.stage_state, system.next_state
     fill_slope(system, stage_state, system.next_slope)
-    set_margins_aside(system)
+    set_event_functions_aside(system)
     for i in range(system.sizes.ny):
         next_state[i] = stage_state[i]
     note_end(system)
@@ -132,7 +132,7 @@ def _take_up(system, t):
     for i in range(system.sizes.ny):
         state[i] = stage_state[i] = next_state[i]
         slope[i] = next_slope[i]
-    take_margins_up(system)
+    take_event_functions_up(system)
     hand_over(system, stage_state)
     begin_next(system)
     return _better_charts(system, t)
@@ -145,7 +145,7 @@ def _complete(system, task, t, step, error):
     scalars, counters, t_new = system.scalars, system.counters, system.scalars.next_time
     inside = scalars.next_output < t_new
     # what is not shown may be a little off, and outputs within the step need not cost the end's evaluation
-    ahead = inside and task == MARCH and project(system, t_new, True, TO_STEP_ON, error) == OK
+    ahead = inside and task == INTEGRATE and project(system, t_new, True, TO_STEP_ON, error) == OK
     if ahead:
         _set_aside(system)
     if inside:
@@ -160,7 +160,7 @@ def _complete(system, task, t, step, error):
             return PROJECTION_FAILED
         scalars.now = t_new
     else:
-        shown = task not in (MARCH, MARCH_APART) or counters.record_steps != 0 or scalars.next_output == t_new
+        shown = task not in (INTEGRATE, INTEGRATE_APART) or counters.record_steps != 0 or scalars.next_output == t_new
         if project(system, t_new, not inside, TO_KEEP if shown else TO_STEP_ON, error) != OK:
             return PROJECTION_FAILED
         accept(system)
@@ -179,13 +179,12 @@ def _complete(system, task, t, step, error):
 def integrate(system, task):
     """Steps from NOW towards END until Python is needed; what for.
 
-    MARCHING: not yet, call again; STEPPED: a step was accepted, which MARCH_ONE_STEP asks for, or END was reached, or
-    there is no room for more rows (at the call there must be some);
-    SLIP_IS_SLOW: so many steps were stiff as PATIENCE allows;
-    ATTEMPTED: a step is within its error, but neither projected nor accepted: an event function was negative, or its
-    outputs could not all be written, or MARCH_ONE_ATTEMPT asks for it; SLIP_ENDS; STEP_FAILED: rejected because of the
-    status in FAILURE; PROJECTION_FAILED; AT_FLOOR; AT_LIMIT: of attempts; MAY_TOUCH: open contacts might in the next
-    step, at which MARCH_APART ends.
+    INTEGRATING: not yet, call again; STEPPED: a step was accepted, which INTEGRATE_ONE_STEP asks for, or END was
+    reached, or there is no room for more rows (at the call there must be some); SLIP_IS_SLOW: so many steps were stiff
+    as PATIENCE allows; ATTEMPTED: a step is within its error, but neither projected nor accepted: an event function was
+    negative, or its outputs could not all be written, or INTEGRATE_ONE_ATTEMPT asks for it; SLIP_ENDS; STEP_FAILED:
+    rejected because of the status in FAILURE; PROJECTION_FAILED; AT_FLOOR; AT_LIMIT: of attempts; MAY_TOUCH: open
+    contacts might in the next step, at which INTEGRATE_APART ends.
     """
     scalars, counters = system.scalars, system.counters
     n, end, fixed = count_items(system), scalars.end, scalars.fixed_step
@@ -195,7 +194,7 @@ def integrate(system, task):
             return AT_LIMIT
         if slip_ends(system, n):
             return SLIP_ENDS
-        if task == MARCH_APART and not stay_apart(system, min(h, min(scalars.max_step, remaining))):
+        if task == INTEGRATE_APART and not stay_apart(system, min(h, min(scalars.max_step, remaining))):
             return MAY_TOUCH
         stop = time_to_stop(system, n)
         if stop < scalars.floor:
@@ -226,23 +225,24 @@ def integrate(system, task):
         t_new = end if step == remaining else t + step
         scalars.next_time = t_new
         counters.step_count += 1
-        if task == MARCH_ONE_ATTEMPT or counters.alarm != 0:
+        if task == INTEGRATE_ONE_ATTEMPT or counters.alarm != 0:
             return ATTEMPTED
         result = _complete(system, task, t, step, error)
         if result != OK:
             return result
         if counters.stiff_steps >= counters.patience and fixed == 0.0:
             return SLIP_IS_SLOW
-        if task == MARCH_ONE_STEP or t_new >= end or counters.recorded == BLOCK:
+        if task == INTEGRATE_ONE_STEP or t_new >= end or counters.recorded == BLOCK:
             return STEPPED
-    return MARCHING
+    return INTEGRATING
 
 
 @entry_kernel(INTEGER, INTEGER, REAL, REAL)
 def run_task(address, task, t, h):
     """All tasks behind one entry, since they share their parts.
 
-    Returns a status of `layout`; for the MARCH tasks, which take their times from the scalars, what they came back for.
+    Returns a status of `layout`; for the INTEGRATE tasks, which take their times from the scalars, what they came back
+    for.
     """
     return _run(system_at(address), task, t, h)
 

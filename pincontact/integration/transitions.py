@@ -15,22 +15,22 @@ from ..dynamics.energy import REST_SPEED
 from ..dynamics.modes import ModeSolver, shares_viscous_force
 from ..dynamics.system import FORCE_SLACK
 from ..layout import (
-    DOMAIN_MARGIN,
+    DOMAIN_EVENT,
     FREE,
-    FRICTION_MARGIN,
-    GAP_MARGIN,
+    FRICTION_EVENT,
+    GAP_EVENT,
     LIMIT_SLACK,
     LOCATION_FAILED,
     MASS_NOT_POSITIVE,
     MODE,
     MU,
     NO_FORCE,
-    NORMAL_MARGIN,
+    NORMAL_EVENT,
     NORMAL_SIGN,
     OK,
     SINGULAR,
     SLIPPING,
-    SPEED_MARGIN,
+    SPEED_EVENT,
     STICK,
     UNILATERAL,
 )
@@ -95,7 +95,7 @@ class Transitions:
             changes.project(t, True, explained=True)
         else:
             stop_jammed(changes, t)
-            changes.settle(t, undecided, silent=True, explained=True)
+            changes.update_modes(t, undecided, silent=True, explained=True)
         changes.count_loss(energy)
         rk.accept()
         if max(map(abs, map(sub, system.state.tolist(), start)), default=0.0) > _MOVED:
@@ -126,7 +126,7 @@ class Transitions:
             if before[c] == STICK and system.contact_int[c, MODE] == SLIPPING:
                 self.reports.announce_friction(t, c, True)
         stop_jammed(changes, t)
-        changes.settle(t, undecided)
+        changes.update_modes(t, undecided)
         changes.count_loss(energy)
         rk.accept()
         struck = self.strike(t)
@@ -168,33 +168,33 @@ class Transitions:
 
     def switch(self, t: float, c: int, kind: int) -> float:
         """Event function `kind` of item c has reached zero at t."""
-        if kind == GAP_MARGIN and c < self.system.nc:
+        if kind == GAP_EVENT and c < self.system.nc:
             return self.impacts.touch(t, c)
         self.reports.check_chatter(t, c)
         if self.system.nc <= c < self.system.nc + self.system.ng:
             return self._switch_joint(t, c, kind)
-        if kind == DOMAIN_MARGIN:
+        if kind == DOMAIN_EVENT:
             return self._reach_end(t, c)
-        if kind == SPEED_MARGIN:
+        if kind == SPEED_EVENT:
             direction = self.changes.slip_direction(c)
             self.system.contact_int[c, MODE] = STICK
             return self.onset.resolve(t, self.changes.sticking(), at_rest={c: direction})
-        if kind == FRICTION_MARGIN and shares_viscous_force(self.system, c):
+        if kind == FRICTION_EVENT and shares_viscous_force(self.system, c):
             # all of its viscous friction from here on, and a load that grows from zero
             self.modes.load(c)
             self.changes.accept_with_other_forces(t)
             return t
-        if kind == FRICTION_MARGIN and self.system.contact_int[c, MODE] == SLIPPING:
+        if kind == FRICTION_EVENT and self.system.contact_int[c, MODE] == SLIPPING:
             end_jams(self.changes, t, [c])
             return self.onset.start(t)
         if self.changes.redistribute(t, c, kind):
             return t
         c, kind = self.changes.limiting(c, kind)
-        return self._lose_load(t, c) if kind == NORMAL_MARGIN else self._reach_limit(t, c)
+        return self._lose_load(t, c) if kind == NORMAL_EVENT else self._reach_limit(t, c)
 
     def _switch_joint(self, t: float, c: int, kind: int) -> float:
-        """Event function `kind` of item c, a guarded joint coordinate, has reached zero."""
-        if kind in (NORMAL_MARGIN, FRICTION_MARGIN) and self.changes.redistribute(t, c, kind):
+        """Event function `kind` of item c, a limited joint coordinate, has reached zero."""
+        if kind in (NORMAL_EVENT, FRICTION_EVENT) and self.changes.redistribute(t, c, kind):
             return t
         if self.joints.switch(t, c - self.system.nc, kind):
             return self.impacts.stop_joints(t)

@@ -10,10 +10,10 @@ from ..dynamics.resistance import count_items
 from ..dynamics.sliding import slip_direction
 from ..geometry.small import dot
 from ..jit import BOOLEAN, INTEGER, NOTHING, REAL, kernel
-from ..layout import EVENT, FROZEN, MARGINS_PER_CONTACT, NOT_FINITE, OK, POLYNOMIAL_SIZE, SYSTEM
+from ..layout import EVENT, EVENTS_PER_CONTACT, FROZEN, NOT_FINITE, OK, POLYNOMIAL_SIZE, SYSTEM
 from ..workspace import flat
 from .dense import dense_coefficients, interpolate
-from .resolution import keep_margins, margin_error
+from .resolution import event_function_error, keep_event_functions
 from .stages import build_state, error_norm, evaluate, fill_slope, hand_over
 
 
@@ -21,7 +21,7 @@ from .stages import build_state, error_norm, evaluate, fill_slope, hand_over
 def keep_slope(system, index):
     """Slope number `index` from the last evaluation, of the state in STAGE_STATE."""
     fill_slope(system, system.stage_state, system.slopes[index])
-    keep_margins(system, index)
+    keep_event_functions(system, index)
 
 
 @separate_kernel(INTEGER, SYSTEM.type, REAL)
@@ -74,7 +74,7 @@ def trial_step(system, t, h, adaptive):
     resolution counts as an error, too (see `resolution`).
     """
     counters = system.counters
-    n = MARGINS_PER_CONTACT * count_items(system)
+    n = EVENTS_PER_CONTACT * count_items(system)
     lowest, highest = flat(system.lowest), flat(system.highest)
     for i in range(n):
         lowest[i], highest[i] = math.inf, -math.inf
@@ -82,11 +82,11 @@ def trial_step(system, t, h, adaptive):
     status = _stages(system, t, h, 1, system.sizes.nstages, adaptive)
     dip = system.scalars.dip
     for i in range(n):
-        # written such that infinite margins compare
+        # written such that infinite event functions compare
         if (1.0 + dip) * lowest[i] < dip * highest[i]:
             counters.alarm = 1
     if adaptive and status <= EVENT and system.scalars.error_norm < 1.0:
-        margin_error(system)
+        event_function_error(system)
     return status
 
 
@@ -115,13 +115,13 @@ def scan(system, t, h):
     """Event functions at SCAN_SHARES of the step from t of size h that was interpolated last: see `RunSystem.scan`."""
     n = count_items(system)
     shares, statuses = system.scan_shares, system.scan_status
-    found, margins = system.scan_margins, system.margins
+    found, event_functions = system.scan_event_functions, system.event_functions
     for i in range(system.counters.scan_count):
         load_interpolated(system, shares[i])
         statuses[i] = evaluate(system, t + shares[i] * h, 0)
         for c in range(n):
-            for kind in range(MARGINS_PER_CONTACT):
-                found[i, c, kind] = margins[c, kind]
+            for kind in range(EVENTS_PER_CONTACT):
+                found[i, c, kind] = event_functions[c, kind]
 
 
 @separate_kernel(INTEGER, SYSTEM.type, REAL, REAL)

@@ -26,7 +26,7 @@ import pinocchio as pin
 from own_process import in_own_process
 
 import pincontact as pc
-from pincontact.dynamics.joints import joint_guards
+from pincontact.dynamics.joints import joint_limits
 
 METHODS = ("Moreau", "DOP853", "RK45")
 RUNS = ("limp", "standing")
@@ -154,8 +154,8 @@ def load(folder: Path, file: str) -> Robot:
     model = pin.buildModelFromUrdf(urdf, pin.JointModelFreeFlyer()) if free else pin.buildModelFromUrdf(urdf)
     q = _posture(model, folder / file.split("/")[0] / "srdf")
     # the posture of a file, and the neutral one, may lie beyond the model's limits
-    for guard in joint_guards(model):
-        q[guard.index_q] = min(max(q[guard.index_q], guard.low_end), guard.high_end)
+    for limit in joint_limits(model):
+        q[limit.index_q] = min(max(q[limit.index_q], limit.low_end), limit.high_end)
     if file in LIGHT:
         model.armature[6 if free else 0 :] = ARMATURE
     if free:
@@ -291,8 +291,8 @@ def _disturbed(robot: Robot, q: np.ndarray, rng: np.random.Generator) -> pc.Stat
     if robot.free:
         change[:6] = 0.0
     moved = pin.integrate(model, q, change)
-    for guard in joint_guards(model):
-        moved[guard.index_q] = min(max(moved[guard.index_q], guard.low_end), guard.high_end)
+    for limit in joint_limits(model):
+        moved[limit.index_q] = min(max(moved[limit.index_q], limit.low_end), limit.high_end)
     if robot.free:
         moved[2] += DISTURBANCE
     return robot.scene.initial_state(moved, np.zeros(model.nv), free=list(robot.scene.contacts))

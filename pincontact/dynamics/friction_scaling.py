@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..layout import ANISOTROPIC, STRETCH_11, STRETCH_12, STRETCH_22
+from ..layout import ANISOTROPIC, SCALING_11, SCALING_12, SCALING_22
 
 if TYPE_CHECKING:
     from .system import System
@@ -16,7 +16,7 @@ def stretch(system: System, c: int) -> np.ndarray:
     """(2, 2) the stretch A of contact c in its basis (t1, second), as of the last evaluation."""
     if not system.contact_int[c, ANISOTROPIC]:
         return np.eye(2)
-    a, b, d = system.contact_real[c, [STRETCH_11, STRETCH_12, STRETCH_22]]
+    a, b, d = system.contact_real[c, [SCALING_11, SCALING_12, SCALING_22]]
     return np.array([[a, b], [b, d]])
 
 

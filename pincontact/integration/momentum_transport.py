@@ -82,7 +82,7 @@ def _times(row, at, x, y, z):
 @separate_kernel(
     NOTHING, array_type(INTEGERS, 2), array_type(REALS, 2), _VECTOR, _VECTOR, _VECTOR, _VECTOR, when=STEPPING
 )
-def carry(blocks, inertias, source, target, v, out):
+def transport(blocks, inertias, source, target, v, out):
     """out = velocities v (nv,) at the configuration `source`, in whose axes they are, carried to `target` (out may be
     v). Both configurations are normalised."""
     for b in range(blocks.shape[0]):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Decision:
-    """Outcome of `ModeSolver.decide`.
+    """Outcome of `ModeSolver.resolve_modes`.
 
     status: of the evaluation in the new modes; started: contacts that begin to slip, with the relative acceleration
     in m/s^2 at which they do; opened: contacts that open; residual of the cone problem, 0 where none was solved.

@@ -13,7 +13,7 @@ Projected Gauss-Seidel comes near, whatever it starts from; Newton's method for 
 round-off. With radii that are given and do not change both solve a convex problem. It has a solution whatever the
 radii, unless bodies are crushed, and that takes energy: the work F . (b + G F / 2) is the least there is, at most that
 of no forces, zero. So where friction leaves no solution, or none is found, there is one for the radii of the last
-forces (`settle`).
+forces (`solve_with_radii`).
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ class SlipOnset:
         silent: bool = False,
         beyond: int | None = None,
     ) -> float:
-        """Decide the modes of contacts at rest (see `ModeChanges.settle`), and start those that slip."""
+        """Decide the modes of contacts at rest (see `ModeChanges.update_modes`), and start those that slip."""
         self.changes.update_modes(t, undecided, at_rest, silent, beyond)
         return self.start(t)
 

@@ -156,9 +156,11 @@ class Driver:
         return FINISHED, "the end of the interval was reached" + said + self._left_behind()
 
     def _left_behind(self) -> str:
-        system, nc = self.system, self.system.nc
+        system, nc, apart = self.system, self.system.nc, self.transitions.open.apart
+        if apart.all():
+            return ""
         # steps in which these are not apart end in an evaluation of all
-        gaps = np.where(self.transitions.open.apart, 0.0, system.gaps[:nc, 0])
+        gaps = np.where(apart, 0.0, system.gaps[:nc, 0])
         return left_behind(system, gaps, system.contact_real[:nc, DOMAIN])
 
     def _run(self, t: float, t_end: float) -> None:
@@ -394,7 +396,8 @@ class Driver:
         """
         self.users.update(t)
         self.transitions.penetration.watch(stepped)
-        self.transitions.joints.watch(stepped)
+        if self.system.ng:
+            self.transitions.joints.watch(stepped)
         self.transitions.note_sides(scanned)
 
     def _announce_user_events(self, t: float, step: float, dense: Interpolant, until: float) -> None:

@@ -118,8 +118,7 @@ class JointEvents:
                 ways.append(float(system.highest[system.nc + g, DOMAIN_EVENT if end > 0 else GAP_EVENT]))
             if max(ways) > self.accuracy(g):
                 del self._at_end[g]
-        if system.ng:
-            self._depths[system.nc : system.nc + system.ng] = [self._depth(g) for g in range(system.ng)]
+        self._depths[system.nc : system.nc + system.ng] = [self._depth(g) for g in range(system.ng)]
 
     def _depth(self, g: int) -> float:
         """How far coordinate g may be beyond its ends in the next step."""

@@ -18,6 +18,8 @@ SHALLOW = 0.05
 _REST = 1e-9
 # Part of the accuracy of gaps to which hops are resolved, and round-off of gaps, relative to coordinates of unit size.
 _RESOLVED, _ROUND_OFF = 1e-6, 2e-14
+# The same part where viscous friction makes hops ever shorter: each one left out takes the root of its height in speed.
+_RESOLVED_VISCOUS = 1e-3
 
 
 def gap_accuracy(system: System) -> np.ndarray:
@@ -37,13 +39,12 @@ def gap_resolution(system: System) -> np.ndarray:
 
     Gaps are computed from the configuration to round-off, however large its error is; only what two motions are
     compared by, such as contacts that touch at the same time, is not known better than to `gap_accuracy`. With viscous
-    friction, which ends as a contact opens, hops may get shorter without end: there they are resolved no further.
+    friction, which ends as a contact opens, hops may get shorter without end: there they are resolved less far.
     """
-    accuracy = gap_accuracy(system)
-    viscous = np.zeros(system.items, dtype=bool)
-    viscous[: system.nc] = system.contact_real[: system.nc, VISCOUS] > 0.0
+    resolved = np.full(system.items, _RESOLVED)
+    resolved[: system.nc][system.contact_real[: system.nc, VISCOUS] > 0.0] = _RESOLVED_VISCOUS
     round_off = _ROUND_OFF * max(1.0, float(np.abs(system.q).max(initial=0.0)))
-    return np.where(viscous, accuracy, np.maximum(_RESOLVED * accuracy, round_off))
+    return np.maximum(resolved * gap_accuracy(system), round_off)
 
 
 def rest_speed(system: System) -> float:

@@ -124,6 +124,8 @@ class Driver:
         transitions.onset.emit = self.outputs.write_short_step
         self.options, self.progress = options, progress
         self._doubts = 0
+        # s: how long slip went on that has just begun
+        self._age = 0.0
         # what is told when to act, by a control or a drive, acts any time
         self._max_step = options.max_step
         if math.isinf(options.max_step):
@@ -225,11 +227,13 @@ class Driver:
             t, switched = self._complete(t, float(scalars["step"]), float(scalars["next_time"]))
             if switched:
                 self._restart(usual_step)
-            elif self._slides_slowly() and t < t_end:
+            if self._slides_slowly() and t < t_end:
                 t = self._slow_slip(t)
         elif why == SLIP_ENDS:
             t = self._end_slip(t)
             self._restart(usual_step)
+            if self._slides_slowly() and t < t_end:
+                t = self._slow_slip(t)
         elif why == SLIP_IS_SLOW:
             self._watch(t, True)
             self.outputs.write_asked(t)
@@ -318,6 +322,10 @@ class Driver:
         scalars["next_step"] = self.options.fixed_step or min(h, _RESTART_SEEDS * self.transitions.onset.seed)
         scalars["slowest"], scalars["last_error"] = math.inf, 0.0
         counters["stalled"] = 0
+        self._age, self.transitions.onset.age = self.transitions.onset.age, 0.0
+        if scalars["turning_rate"] * self._age > _PATIENCE * _STABLE:
+            # friction turns slip that has just begun much faster than it grows
+            counters["stiff_steps"] = counters["patience"]
         self.open_loads += leaves_loads_open(self.system)
 
     # ---------------------------------------------------------------- one step
@@ -493,6 +501,8 @@ class Driver:
         """Steps with prescribed directions of slip as long as these are longer than many stiff ones; the new time."""
         scalars, counters = self.system.scalars, self.system.counters
         span, rests, tried = 2.0 * _SLOW_STEPS * _STABLE / float(scalars["turning_rate"]), 0, True
+        # slip that has just begun changes in times like its age
+        span, self._age = max(span, self._age), 0.0
         while tried:
             shortest = _SLOW_STEPS * _STABLE / max(float(scalars["turning_rate"]), 1e-300)
             span = min(span, self._max_step, self._end - t)

@@ -59,6 +59,8 @@ _LOOKS_FOR_SLIP, _SHORTER_SEED = 3, 0.1
 _OPENING_SEED = 1e-4
 # Forces below zero, or above their limit, by less than this part of the largest one are no events while slip starts.
 _FORCE_ACCURACY = 1e-6
+# A start of slip may last until slip is so many times as fast as v is known, if it grows as it begins to.
+_SHOWN = 1e3
 # A gap that is closed already counts as so much of its accuracy.
 _LEAST_WAY = 1e-2
 
@@ -69,6 +71,7 @@ class SlipOnset:
     depths: (items,) how much deeper in m than their accuracy open contacts may be, see `penetration`.
     seed: time in s after which slip from rest is seeded: its error is of third order in it.
     longest: the longest time in s that the start of slip may take; the driver keeps it current.
+    age: how long in s slip went on that has started since this was set to zero.
     emit(t, step): writes the outputs that fall into a short step (start, size in s) taken here; the driver sets it.
     """
 
@@ -76,6 +79,7 @@ class SlipOnset:
         self.changes, self.rk, self.system = changes, changes.rk, changes.system
         self.open, self.depths = opened, depths
         self.longest = 0.0
+        self.age = 0.0
         self.emit: Callable[[float, float], None] = lambda t, step: None
         # the cube root of the relative tolerance, and no more than a hundredth of the run
         cube_root = (1e-2 * max(float(self.system.scale[0]), 1e-14)) ** (1.0 / 3.0)
@@ -103,7 +107,8 @@ class SlipOnset:
             return t
         tau = min(self.seed**1.5, self.until_touch())
         if self._starts_slowly(t, frozen):
-            took = self._follow(t, frozen, 1, self.longest, tau)
+            slowest = min(self.system.contact_real[frozen, SLIP_RATE].tolist())
+            took = self._follow(t, frozen, 1, max(self.longest, self._until_shown(slowest, 1)), tau)
             if took is not None:
                 return self._end(t, took, system.new_state)
             system.contact_real[frozen, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
@@ -158,7 +163,8 @@ class SlipOnset:
         if started and not decision.opened:
             if c in started:
                 freeze_slip(system, c, system.basis[c, :2] @ limit)
-            took = self._follow(t, started, 2, self.longest, _SHORTEST_START * tau)
+            span = max(self.longest, self._until_shown(min(decision.started.values()) / tau, 2))
+            took = self._follow(t, started, 2, span, _SHORTEST_START * tau)
             if took is not None:
                 return self._end(t, took, system.new_state)
             # not even a short start can be followed: seed the slip as close to its beginning as v_c can show it
@@ -201,9 +207,19 @@ class SlipOnset:
         decision = changes.resolve_modes(t + tau, changes.sticking())
         change = 0.5 * tau * (system.acceleration - acceleration)
         rk.load(stick)
+        energy = changes.counted_energy()
         system.v[:] += change
         rk.keep_velocity()
+        changes.count_loss(energy)
         return tau, decision, system.stage_state.copy()
+
+    def _until_shown(self, growth: float, power: int) -> float:
+        """Time in s after which v_c shows slip that grows from zero with this power of the time: slower, it would be
+        taken for slip that ends. growth: the derivative of that order of its speed, in m/s^2 or m/s^3."""
+        system = self.system
+        shown = _SHOWN * float(system.scale[1] + system.scale[0] * np.abs(system.v).max(initial=0.0))
+        lasts = float((power * shown / growth) ** (1.0 / power)) if growth > 0.0 else 0.0
+        return min(lasts, self.seed, self.until_touch())
 
     # ---------------------------------------------------------------- slow slip
 
@@ -249,6 +265,7 @@ class SlipOnset:
         changes, integers = self.changes, self.system.contact_int
         for c in np.flatnonzero(integers[:, FROZEN]).tolist():
             changes.started[c] = changes.slip_direction(c)
+            self.age = tau
         integers[:, FROZEN] = 0
         sliding = held_up(self.system)
         if not sliding:

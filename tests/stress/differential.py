@@ -47,7 +47,8 @@ MAX_STEPS = 10_000
 # What runs at default tolerances (1e-8) may differ by, in every component of q, where errors do not grow and speeds are
 # those of 1 m/s: a hundred steps' and events'. RK23 takes a hundred times as many steps.
 CLOSE = {"DOP853": 1e-6, "Sharp98": 1e-6, "RK45": 1e-6, "RK23": 1e-5}
-# Errors up to so many times that are the tolerances' where these are a hundredth and the error falls to the last part:
+# Errors that begin with up to so many times that are the tolerances' where these are a hundredth and the error falls to
+# the last part:
 # what begins with a square root, a graze or a rebound, goes with a power of them below one, and rebounds may be many.
 CONVERGING, FALLS_TO = 1e2, 0.2
 # m/s and rad/s that rebounds which end take or leave: 1 mm/s at a tenth of a metre
@@ -140,9 +141,11 @@ class Runs:
 
 
 def gain(run: pc.Trajectory, passive: bool, stepped: bool) -> float:
-    """Energy made, over the largest kinetic energy."""
+    """Energy made, over the largest kinetic energy, or what was turned over between outputs."""
     energies = run.energies()
     scale = max(float(energies.kinetic.max()), 1e-3) + float(np.abs(energies.total - energies.total[0]).max())
+    works = energies.friction_work, energies.drive_work, energies.torque_work, energies.damping_work
+    scale += sum(float(np.abs(work).max()) for work in works if work is not None)
     # what is lost is as much as the quadrature of works misses where slip all but ends
     balance = energies.balance
     found = 0.0 if stepped else float(max(balance.max(), -0.1 * balance.min()))
@@ -233,7 +236,9 @@ def judge(
         return
     finer = runs.run(motion, method=method, rtol=1e-10, atol=1e-12)
     nearer = runs.apart(finer, exact)
-    if finer.status == 0 and apart.max() < CONVERGING * close and nearer.max() < FALLS_TO * apart.max():
+    # a run that ends early tells as much as it has
+    n = nearer.size
+    if n > i and apart[i] < CONVERGING * close and nearer.max() < FALLS_TO * apart[:n].max():
         finding.undecided.append(
             f"{name}: {apart.max():.1e} apart, {nearer.max():.1e} with a hundredth of the tolerance"
         )

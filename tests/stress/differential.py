@@ -47,7 +47,7 @@ MAX_STEPS = 10_000
 # What runs at default tolerances (1e-8) may differ by, in every component of q, where errors do not grow and speeds are
 # those of 1 m/s: a hundred steps' and events'. RK23 takes a hundred times as many steps.
 CLOSE = {"DOP853": 1e-6, "Sharp98": 1e-6, "RK45": 1e-6, "RK23": 1e-5}
-# Errors that begin with up to so many times that are the tolerances' where these are a hundredth and the error falls to
+# Up to so many times what errors of the tolerances grow to is theirs where these are a hundredth and the error falls to
 # the last part:
 # what begins with a square root, a graze or a rebound, goes with a power of them below one, and rebounds may be many.
 CONVERGING, FALLS_TO = 1e2, 0.2
@@ -238,7 +238,8 @@ def judge(
     nearer = runs.apart(finer, exact)
     # a run that ends early tells as much as it has
     n = nearer.size
-    if n > i and apart[i] < CONVERGING * close and nearer.max() < FALLS_TO * apart[:n].max():
+    begins = first_over(apart, CONVERGING * np.maximum(close * growth, 10.0 * wider)) is None
+    if n > i and begins and nearer.max() < FALLS_TO * apart[:n].max():
         finding.undecided.append(
             f"{name}: {apart.max():.1e} apart, {nearer.max():.1e} with a hundredth of the tolerance"
         )

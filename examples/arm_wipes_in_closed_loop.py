@@ -89,15 +89,15 @@ def start(scene: pc.Scene) -> pc.State:
     return scene.initial_state(q, np.linalg.solve(jacobian, [*velocity, climb, 0.0, 0.0, 0.0]))
 
 
-def main(html: Path | None = None, duration: float = 2.0, step: float = 1e-3) -> dict[str, float]:
+def main(html: Path | None = None, duration: float = 2.0, dt: float = 1e-3) -> dict[str, float]:
     scene = arm()
     model = scene.model
     data, frame, axes = model.createData(), model.getFrameId("pad"), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     begin = state = start(scene)
-    stepper = pc.Stepper(scene, state, dt=step)
+    stepper = pc.Stepper(scene, state, dt=dt)
     found: pc.InverseDynamics | None = None
     torques, pressed, off, tilt, way, work, efforts, heights = [], [], 0.0, 0.0, 0.0, 0.0, 0.0, []
-    while stepper.t < duration - 0.5 * step:
+    while stepper.t < duration - 0.5 * dt:
         pin.forwardKinematics(model, data, state.q, state.v)
         pin.updateFramePlacements(model, data)
         place, twist = data.oMf[frame], pin.getFrameVelocity(model, data, frame, axes)
@@ -123,8 +123,8 @@ def main(html: Path | None = None, duration: float = 2.0, step: float = 1e-3) ->
         state = stepper.step(found.tau)
         on_surface = stepper.forces["pad"]
         pressed.append(-float(on_surface @ n))
-        way += step * float(np.linalg.norm(sliding))
-        work -= step * float(on_surface @ sliding)
+        way += dt * float(np.linalg.norm(sliding))
+        work -= dt * float(on_surface @ sliding)
         heights.append(TABLE + height(x, y))
     result = {
         "force_error": float(np.abs(np.array(pressed) - PRESS).max()),
@@ -146,9 +146,9 @@ def main(html: Path | None = None, duration: float = 2.0, step: float = 1e-3) ->
             scene,
             begin,
             duration,
-            control=lambda t, q, v: torques[min(int(t / step + 1e-6), len(torques) - 1)],
+            control=lambda t, q, v: torques[min(int(t / dt + 1e-6), len(torques) - 1)],
             method="Moreau",
-            step=step,
+            dt=dt,
         )
         print(f"wrote {pc.export_html(played, html)}")
     return result

@@ -2,12 +2,13 @@
 
 Needs Chromium (or Chrome) and Pillow, which Matplotlib brings; examples whose robots are not installed are left out.
 
-    python examples/gallery.py [FOLDER]      # pincontact/docs/figures by default
+    python examples/gallery.py [FOLDER] [--html FILE]      # pincontact/docs/figures by default
 """
 
 from __future__ import annotations
 
 import argparse
+import base64
 import importlib
 import shutil
 import subprocess
@@ -110,7 +111,21 @@ def plots(folder: Path, target: Path) -> None:
     save(Image.open(folder / "plots.png").convert("RGB"), target)
 
 
-def main(target: Path = FIGURES) -> None:
+def page_of_pictures(folder: Path, target: Path) -> Path:
+    """Write the pictures of the gallery that are in a folder into one page, and return its path."""
+    pictures = [file for file in sorted(folder.glob("*.png")) if file.stem in {*SHOWN, "plots"}]
+    figures = [
+        f'<figure><img alt="{file.stem}" src="data:image/png;base64,{base64.b64encode(file.read_bytes()).decode()}">'
+        f"<figcaption>{file.stem}</figcaption></figure>"
+        for file in pictures
+    ]
+    head = '<!doctype html><html lang="en"><meta charset="utf-8"><title>Gallery</title>'
+    style = "<style>body { display: flex; flex-wrap: wrap; font-family: sans-serif }</style>"
+    target.write_text("\n".join([head, style, *figures, "</html>\n"]), encoding="utf-8")
+    return target
+
+
+def main(target: Path = FIGURES, html: Path | None = None) -> None:
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         raise SystemExit(f"no browser found; looked for {', '.join(BROWSERS)}")
@@ -125,9 +140,13 @@ def main(target: Path = FIGURES) -> None:
                 continue
             picture(page, time, browser, folder, target / f"{title}.png")
         plots(folder, target / "plots.png")
+    if html is not None:
+        print(f"wrote {page_of_pictures(target, html)}")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, nargs="?", default=FIGURES)
-    main(parser.parse_args().folder)
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write all pictures into one HTML file")
+    arguments = parser.parse_args()
+    main(arguments.folder, arguments.html)

@@ -106,7 +106,7 @@ def drive(scene: pc.Scene, command: tuple[float, float, float], duration: float)
         return tau
 
     times = np.linspace(0.0, duration, round(60 * duration) + 1)
-    return pc.simulate(scene, state, duration, control=control, method="Moreau", step=1e-3, t_eval=times)
+    return pc.simulate(scene, state, duration, control=control, method="Moreau", dt=1e-3, t_eval=times)
 
 
 def main(html: Path | None = None, duration: float = 2.0) -> dict[str, float]:

@@ -71,7 +71,7 @@ def main(html: Path | None = None, duration: float = 2.0) -> dict[str, float]:
     state = scene.initial_state(q, max_gap=0.1)
     # feet that slide in under a load jam for a moment, friction being 1: time stepping goes through that
     run = pc.simulate(
-        scene, state, duration, method="Moreau", step=1e-3, control=lambda t, q, v: np.r_[np.zeros(6), push(t)]
+        scene, state, duration, method="Moreau", dt=1e-3, control=lambda t, q, v: np.r_[np.zeros(6), push(t)]
     )
     there, depth = in_mujoco(state, duration)
     tracks = list(run.contacts.values())

@@ -228,7 +228,6 @@ def main(duration: float = 2.0, plot: Path | None = None, html: Path | None = No
         print(f"wrote {plot}")
     if html is not None:
         print(f"wrote {pc.export_html(runs['rolling'][0], html)}")
-        print(f"wrote {html}")
     return result
 
 

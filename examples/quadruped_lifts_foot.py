@@ -127,15 +127,15 @@ def three_loads(model: pin.Model, state: pc.State, points: list[np.ndarray]) -> 
     return np.linalg.solve(rows, np.append(centre[:2], 1.0)) * pin.computeTotalMass(model) * 9.81
 
 
-def main(html: Path | None = None, duration: float = 2.0, step: float = 1e-3) -> dict[str, float]:
+def main(html: Path | None = None, duration: float = 2.0, dt: float = 1e-3) -> dict[str, float]:
     scene = quadruped()
     model, data = scene.model, scene.model.createData()
     begin = state = standing(scene)
-    stepper = pc.Stepper(scene, state, dt=step)
+    stepper = pc.Stepper(scene, state, dt=dt)
     controller = Controller(scene, state)
     others = [name for name in FEET if name != LIFTED]
     torques, cone, effort, left = [], 0.0, 0.0, 0.0
-    while stepper.t < duration - 0.5 * step:
+    while stepper.t < duration - 0.5 * dt:
         found = controller(state)
         state = stepper.step(found.tau)
         torques.append(found.tau)
@@ -175,9 +175,9 @@ def main(html: Path | None = None, duration: float = 2.0, step: float = 1e-3) ->
             scene,
             begin,
             duration,
-            control=lambda t, q, v: torques[min(int(t / step + 1e-6), len(torques) - 1)],
+            control=lambda t, q, v: torques[min(int(t / dt + 1e-6), len(torques) - 1)],
             method="Moreau",
-            step=step,
+            dt=dt,
         )
         print(f"wrote {pc.export_html(played, html)}")
     return result

@@ -1,9 +1,20 @@
-"""Where the packages of the extra `robots` keep their files."""
+"""Where the packages of the extra `robots` keep their files; run, the robots of a description and a look at one.
+
+    python examples/robot_data.py [DESCRIPTION] [--html FILE]
+
+The first URDF of the description (Go2's if none is given) swings freely from its root, without contacts.
+"""
 
 from __future__ import annotations
 
+import argparse
 from importlib import metadata
 from pathlib import Path
+from typing import Any
+
+import pinocchio as pin
+
+import pincontact as pc
 
 
 class RobotDataMissing(RuntimeError):
@@ -31,3 +42,27 @@ def _located(package: str, file: str) -> Path:
         return Path(str(metadata.distribution(package).locate_file(file)))
     except metadata.PackageNotFoundError:
         return Path(file)
+
+
+def main(description: str = "go2_description", html: Path | None = None) -> dict[str, Any]:
+    share = robot_data(description)
+    files = sorted((share / "example-robot-data" / "robots" / description).rglob("*.urdf"))
+    for file in files:
+        print(file)
+    scene = pc.Scene.from_urdf(files[0], package_dirs=share)
+    run = pc.simulate(scene, scene.initial_state(pin.neutral(scene.model)), 0.5, rtol=1e-5, atol=1e-7)
+    print(run.message)
+    if html is not None:
+        print(f"wrote {pc.export_html(run, html)}")
+    return {"files": [file.name for file in files], "status": run.status}
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("description", nargs="?", default="go2_description", help="a folder of example-robot-data")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="write a replay as an HTML file")
+    arguments = parser.parse_args()
+    try:
+        main(arguments.description, arguments.html)
+    except RobotDataMissing as error:
+        raise SystemExit(str(error)) from None

@@ -61,16 +61,16 @@ def closed_forms(model: pin.Model) -> tuple[float, float]:
     return sideways, moment / HALF_TRACK
 
 
-def main(html: Path | None = None, duration: float = 3.0, step: float = 1e-3) -> dict[str, float]:
+def main(html: Path | None = None, duration: float = 3.0, dt: float = 1e-3) -> dict[str, float]:
     scene, trusted = rover(MU), rover(TRUSTED)
     model = scene.model
     q = pin.neutral(model)
     q[2] = WHEEL
     start = state = scene.initial_state(q)
-    stepper = pc.Stepper(scene, state, dt=step)
+    stepper = pc.Stepper(scene, state, dt=dt)
     found: pc.InverseDynamics | None = None
     torques, ratios, efforts, off, limited, sliding = [], [], [], 0.0, 0, 0
-    while stepper.t < duration - 0.5 * step:
+    while stepper.t < duration - 0.5 * dt:
         speed, rate = state.v[0], state.v[5]
         forward = min(RATE * (SPEED - speed), HASTE)
         # turning follows the speed that there is
@@ -128,9 +128,9 @@ def main(html: Path | None = None, duration: float = 3.0, step: float = 1e-3) ->
             scene,
             start,
             duration,
-            control=lambda t, q, v: torques[min(int(t / step + 1e-6), len(torques) - 1)],
+            control=lambda t, q, v: torques[min(int(t / dt + 1e-6), len(torques) - 1)],
             method="Moreau",
-            step=step,
+            dt=dt,
         )
         print(f"wrote {pc.export_html(played, html)}")
     return result

@@ -50,11 +50,11 @@ def configuration_blocks(model: pin.Model) -> tuple[tuple[int, int, int, int], .
 def _find_blocks(model: pin.Model) -> list[tuple[int, int, int, int]]:
     blocks: list[tuple[int, int, int, int]] = []
 
-    def add(joint: object, idx_q: int, idx_v: int) -> None:
+    def add(joint: object, owner: str, idx_q: int, idx_v: int) -> None:
         name = joint.shortname()  # type: ignore[attr-defined]
         if name == "JointModelComposite":
             for child in joint.extract().joints:  # type: ignore[attr-defined]
-                add(child, idx_q, idx_v)
+                add(child, owner, idx_q, idx_v)
                 idx_q, idx_v = idx_q + child.nq, idx_v + child.nv
         elif name in _BLOCKS:
             blocks.append((_BLOCKS[name], idx_q, idx_v, joint.nv))  # type: ignore[attr-defined]
@@ -67,11 +67,11 @@ def _find_blocks(model: pin.Model) -> list[tuple[int, int, int, int]]:
             else:
                 blocks.append((VECTOR, idx_q, idx_v, joint.nv))  # type: ignore[attr-defined]
         else:
-            raise ModelError(f"joint type {name} has a configuration space that pincontact does not know")
+            raise ModelError(f"joint {owner!r}: type {name} has a configuration space that pincontact does not know")
 
     for i in range(1, model.njoints):
         joint = model.joints[i]
-        add(joint, joint.idx_q, joint.idx_v)
+        add(joint, str(model.names[i]), joint.idx_q, joint.idx_v)
     return blocks
 
 

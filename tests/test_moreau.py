@@ -114,6 +114,26 @@ def test_bouncing_ball(restitution):
     assert run.contacts["c"].gap.min() >= -1e-12
 
 
+@pytest.mark.parametrize("restitution", [0.3, 0.8])
+def test_rebounds_in_a_bowl_come_to_an_end(restitution):
+    """No gravity: it is the bowl's curvature that closes the contact again, and presses it from then on."""
+    speed, radius = 3.0, 1.0
+    scene = body_scene(pin.JointModelTranslation(), 1.0, gravity=(0.0, 0.0, 0.0))
+    point, bowl = scene.add_contour("point", pc.Point(), "body"), scene.add_contour("bowl", pc.Sphere(radius))
+    scene.add_contact("c", point, bowl, restitution=restitution, side=-1)
+    state = scene.initial_state([0.0, 0.0, -0.999], [speed, 0.0, -0.05], free=["c"])
+    apart = []
+    for h in (2e-3, 1e-3, 5e-4):
+        run = stepped(scene, state, 1.0, h)
+        track = run.contacts["c"]
+        assert track.mode[-1] == FRICTIONLESS
+        assert abs(track.gap[-1]) < 1e-15 and track.gap.min() > -0.1 * speed**2 / radius * h * h
+        assert track.normal_force[-1] == pytest.approx(np.sum(run.v[-1] ** 2) / radius, rel=2e-2)
+        apart.append(np.linalg.norm(run.q[-1] - pc.simulate(scene, state, 1.0).q[-1]))
+    # of first order in the step across impacts
+    assert max(apart) < 0.03 and apart[-1] < 0.6 * apart[0], apart
+
+
 def test_elastic_bounces_keep_the_energy():
     scene = ball_scene(restitution=1.0)
     run = stepped(scene, scene.initial_state(upright(0.0, 0.0, 0.6), free=["c"]), 20.0, 1e-3)

@@ -311,11 +311,16 @@ class ImpulseSolver:
 
     def _solve_with_given_radii(self, problem: _Problem) -> bool:
         """Solve it with friction that goes with the loads that came nearest to a solution."""
-        product, mu, base = self._product(problem), problem.friction, problem.base
-        forces, residual, off = product.solve_with_radii(self._nearest)
-        # ideal rolling has no other friction to go with
-        slips = np.abs((problem.gram @ forces + base).reshape(-1, 3)[:, :2]).max(axis=1)
-        slipping = np.isinf(mu) & (forces[2::3] > 0.0) & (slips > SETTLED * np.abs(base).max(initial=0.0))
+        product, mu, base, loads = self._product(problem), problem.friction, problem.base, self._nearest
+        for _ in range(problem.n):
+            forces, residual, off = product.solve_with_radii(loads)
+            # ideal rolling has no other friction to go with: what carries a load does not slip
+            slips = np.abs((problem.gram @ forces + base).reshape(-1, 3)[:, :2]).max(axis=1)
+            loaded = forces[2::3] > SETTLED * np.abs(forces).max(initial=0.0)
+            slipping = np.isinf(mu) & loaded & (slips > SETTLED * np.abs(base).max(initial=0.0))
+            if not slipping.any():
+                break
+            loads = np.where(np.repeat(slipping, 3), forces, loads)
         if not residual <= SETTLED or slipping.any():
             return False
         self.settled += 1

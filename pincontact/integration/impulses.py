@@ -161,7 +161,8 @@ def _contact_mode(system, step, u, c):
     if unit.touches != 0:
         step.touch_time[c] = unit.impulse_time
         step.counts.touched = 1
-        if rebound > 0.0:
+        # curvature, which is not in the rebound, may bring it back within the step, too
+        if rebound + (h - unit.impulse_time) * min(system.bias[c, 2], 0.0) > 0.0:
             return FREE
     # among redundant contacts one may be at its limit of friction without sliding
     return SLIPPING if slides and cone_mode != cone.STICK else rest

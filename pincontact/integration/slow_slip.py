@@ -46,7 +46,7 @@ _HALVINGS = 30
 _TRIES_OF_SEVERAL = 5
 # v_c across the prescribed direction, relative to the velocity tolerance, that is accepted between the nodes, and the
 # fraction of it that is left at the nodes.
-_ACCEPTED = 0.1
+_ACCEPTED = 0.03
 _CONVERGED = 0.05
 # Residuals that have grown by this factor will not come down any more.
 _DIVERGED = 3.0

@@ -31,15 +31,14 @@ def test_a_wrong_run_is_told():
         assert len(finding.wrong) == wrong, finding
 
 
-# Feet that begin to slip just after other events: what had begun was once lost in noise, and with it where loads end.
-@pytest.mark.parametrize(("seed", "method"), [(203628, "DOP853"), (203424, "DOP853"), (204024, "RK45")])
-def test_slip_that_begins_among_events(seed, method):
-    runs = Runs(random_motion(seed)[1])
-    run, finer = (runs.run(method=method, **options) for options in ({}, {"rtol": 1e-10, "atol": 1e-12}))
-    assert finer.status == 0, finer.message
-    # as far as it went: chatter is told
-    assert run.status in (0, -6), run.message
-    assert runs.apart(run, finer).max() < 1e-5
+def test_slip_that_begins_and_turns_among_events():
+    """Five feet: slip that begins after other events was once lost in noise; later their loads change in a ten
+    thousandth of a second as slip turns, and one that has come to zero was taken for one that opens."""
+    runs = Runs(random_motion(203628)[1])
+    run, finer = (runs.run(**options) for options in ({}, {"rtol": 1e-10, "atol": 1e-12}))
+    assert run.status == finer.status == 0
+    assert not any(event.kind == "separate" for event in run.events)
+    assert runs.apart(run, finer).max() < 1e-8
     assert differential.gain(run, runs.motion.passive, stepped=False) < 1e-9
 
 

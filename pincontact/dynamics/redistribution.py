@@ -44,6 +44,9 @@ if TYPE_CHECKING:
 _ROUND_OFF = 1e-11
 
 
+# A load that has come to zero is there within this part of the largest force: loads of slow slip change as fast as it
+# turns, and time has a round-off.
+_AT_ZERO = 1e-8
 # Relative singular values below this are those of redundant contacts, and parts of the forces that move nothing.
 _REDUNDANT, _MOVES = 1e-9, 1e-6
 
@@ -168,14 +171,16 @@ class RedundantForces:
         if ended is not None and ended not in closed:
             return False
         seen = set()
+        at_zero = max(self.force_round_off(), _AT_ZERO * float(np.abs(system.force).max()))
+        least = {c: -at_zero if c == ended else -self.force_round_off() for c in closed}
         self._take_reference(None)
         if ended is not None:
             integers[ended, NORMAL_SIGN] = 1 - integers[ended, NORMAL_SIGN]
         status = evaluate(t)
         while status <= EVENT:
-            event_functions = {c: float(system.event_functions[c, NORMAL_EVENT]) for c in closed}
-            worst = min(closed, key=lambda c: event_functions[c], default=None)
-            if worst is None or event_functions[worst] >= -self.force_round_off():
+            below = {c: float(system.event_functions[c, NORMAL_EVENT]) - least[c] for c in closed}
+            worst = min(closed, key=lambda c: below[c], default=None)
+            if worst is None or below[worst] >= 0.0:
                 if ended is not None and integers[ended, NORMAL_SIGN] == before[ended]:
                     break
                 self.redistributions += 1

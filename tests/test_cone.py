@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from calling import from_python
 
+from pincontact import linalg
 from pincontact.errors import ArgumentError, InfeasibleError, SolverError
-from pincontact.friction import elimination, newton, redundant
+from pincontact.friction import newton, redundant
 from pincontact.friction.attempt import solve_cones
 from pincontact.friction.centred import centred_forces
 from pincontact.friction.cone import CONE, RANK_TOLERANCE, cone_workspace
@@ -19,8 +20,8 @@ from pincontact.friction.solve import OPEN, SLIP, STICK, ContactSolver, solve_co
 GRAVITY = 9.81
 
 newton_step = from_python(newton.newton_step, CONE)
-factor_matrix = from_python(elimination.factor_matrix)
-least_norm = from_python(elimination.least_norm)
+factor_matrix = from_python(linalg.factor_matrix)
+least_norm = from_python(linalg.least_norm)
 move_inside = from_python(redundant.move_inside, CONE)
 
 

@@ -10,16 +10,17 @@ from test_cone_parts import problem
 from test_linear_parts import feet
 from test_load_solver import made_problem
 
+from pincontact import linalg
 from pincontact.dynamics import barrier, redundant
 from pincontact.dynamics.redundant import null_space
-from pincontact.friction import cone, elimination, solve
+from pincontact.friction import cone, solve
 from pincontact.friction.attempt import NEAR, WARM, WARM_PASSES
 from pincontact.friction.cone import KNOWN, STICK
 from pincontact.friction.feasibility import crushing_combination
 from pincontact.friction.loads import LoadSolver, ScaledLoads
 from pincontact.friction.solve import COMPLIANCES, ContactSolver
 
-least_norm = from_python(elimination.least_norm)
+least_norm = from_python(linalg.least_norm)
 gauss_seidel_pass = from_python(cone.gauss_seidel_pass)
 
 SEEDS = pytest.mark.parametrize("seed", range(4))

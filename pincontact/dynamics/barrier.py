@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from ..arrays import view
-from ..friction.elimination import dot, factor_gram, solve_gram
 from ..jit import REAL, SEVERAL, entry_kernel, kernel
+from ..linalg import factor_definite, inner, solve_definite
 
 _NEWTON_STEPS = 60
 _BACKTRACKS = 50
@@ -83,18 +83,18 @@ def _minimise(rows, start, point, pressure, hessian, scratch):
     slope, step, x, dx, after = scratch[0, :n], scratch[1, :n], scratch[2, :m], scratch[3, :m], scratch[4, :m]
     for _ in range(_NEWTON_STEPS):
         for a in range(m):
-            x[a] = start[a] + dot(rows[a], point)
+            x[a] = start[a] + inner(rows[a], point, n)
         barrier_derivatives(rows, x, point, pressure, slope, hessian)
-        factor_gram(hessian, free)
+        factor_definite(hessian, free)
         for i in range(n):
             step[i] = -slope[i] if i < free else 0.0
-        solve_gram(hessian, free, step[:free])
-        decrement = -dot(slope, step)
+        solve_definite(hessian, free, step)
+        decrement = -inner(slope, step, n)
         # so near the rim that round-off decides there is no number
         if not decrement > _CONVERGED:
             return
         for a in range(m):
-            dx[a] = dot(rows[a], step)
+            dx[a] = inner(rows[a], step, n)
         size, before, falls = TO_BOUNDARY * way_inside(x, dx), _cost(x, point, step, 0.0, pressure), False
         for _ in range(_BACKTRACKS):
             for a in range(m):

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
-from ..friction.elimination import least_norm
 from ..friction.ellipse import friction_direction
 from ..geometry.patterns import NO_NORMAL, ON_CURVE
 from ..jit import BOOLEAN, INTEGER, inlined_kernel, kernel
@@ -42,6 +41,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
+from ..linalg import RANK_TOLERANCE, inner, least_norm, solve_gram, unwhiten, whiten
 from .event_functions import (
     contact_event_functions,
     jam_event_functions,
@@ -49,7 +49,6 @@ from .event_functions import (
     resistance_event_functions,
 )
 from .least_forces import count_unloaded, is_normal_of_curve, leave_unloaded, solve_for_least, unloaded_event_functions
-from .linear import RANK_TOLERANCE, inner, solve_gram, unwhiten, whiten
 from .resistance import count_items, free_with_owners
 from .sliding import coefficient_at, is_held_up, resists_viscously, shares_viscous_force, slip_direction, viscous_force
 

@@ -65,9 +65,9 @@ from ..layout import (
     TIME_DEPENDENT,
     system_at,
 )
+from ..linalg import factorize_tree, inner, unwhiten, whiten
 from ..workspace import integer_matrix_at, integers_at, matrix_at, reals_at
 from .equations import add_viscous_loads, contact_dynamics, dry_friction_force, list_constraints, solve_for_rows
-from .linear import factorize_tree, inner, unwhiten, whiten
 from .pinocchio_calls import NATIVE_COLUMNS, NATIVE_ROWS
 from .resistance import count_items, resistance_kinematics, resists
 

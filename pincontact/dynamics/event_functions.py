@@ -45,7 +45,7 @@ from ..layout import (
     UNILATERAL,
     VISCOUS,
 )
-from .linear import inner
+from ..linalg import inner
 from .resistance import resists, size_of_load
 from .sliding import is_held_up, resists_viscously, shares_viscous_force, slip_direction, viscous_force
 

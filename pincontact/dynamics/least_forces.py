@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
-from ..friction.elimination import least_norm
 from ..geometry.patterns import ON_CURVE
 from ..jit import INTEGER, NOTHING, SEVERAL, kernel
 from ..layout import (
@@ -30,7 +29,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from .linear import RANK_TOLERANCE, inner, whiten
+from ..linalg import RANK_TOLERANCE, inner, least_norm, whiten
 
 # A contact without a load stays closed by itself where its relative acceleration, in units of what cancels in it and in
 # m/s^2, is no more than this.

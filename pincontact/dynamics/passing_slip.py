@@ -15,8 +15,8 @@ from ..layout import (
     STICK,
     TANGENTS,
 )
+from ..linalg import RANK_TOLERANCE
 from .directions import freeze_slip
-from .linear import RANK_TOLERANCE
 from .units import whitened_velocity
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _ROUNDING = 1e-13
 # What stick may take from the velocity, in the mass metric: this part of it, and this many absolute tolerances: so far
 # is slip that counts as ended from zero.
 _TAKEN, _TAKEN_TOLERANCES = 1e-3, 1e4
-# Relative size below which singular values are zero, as pivots are in `dynamics.linear`.
+# Relative size below which singular values are zero, as pivots are in `linalg`.
 _SINGULAR = math.sqrt(RANK_TOLERANCE)
 
 

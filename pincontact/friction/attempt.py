@@ -5,6 +5,7 @@ from __future__ import annotations
 from ..arrays import REALS, array_type, view
 from ..callback import separate_kernel
 from ..jit import INTEGER, REAL, entry_kernel, kernel
+from ..linalg import factor_matrix
 from .cone import (
     BY_EXACT,
     BY_GAUSS_SEIDEL,
@@ -28,7 +29,6 @@ from .cone import (
     respond,
     scale_problem,
 )
-from .elimination import factor_matrix
 from .newton import active_set_solve
 from .redundant import FACTOR
 

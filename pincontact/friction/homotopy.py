@@ -17,6 +17,7 @@ from math import sqrt
 
 from ..arrays import view
 from ..jit import INTEGER, REAL, SEVERAL, entry_kernel, kernel
+from ..linalg import least_norm
 from .cone import (
     HUGE,
     LARGEST_FRICTION,
@@ -24,7 +25,6 @@ from .cone import (
     cone_at,
     scale_problem,
 )
-from .elimination import least_norm
 
 # Part of the way to the cones' boundary that a step takes at most.
 BACK_OFF = 0.99

@@ -10,6 +10,7 @@ from math import atan2, cos, pi, sin
 from ..arrays import REALS, array_type
 from ..callback import separate_kernel
 from ..jit import CALLED, INTEGER, REAL, kernel
+from ..linalg import least_norm
 from .cone import (
     CANDIDATES,
     HUGE,
@@ -23,7 +24,6 @@ from .cone import (
     start_slip,
     turn_direction,
 )
-from .elimination import least_norm
 from .redundant import has_factors, low_rank_solve, move_inside, turn_slips
 
 # Newton stops below this residual at once; above it, when a pass no longer improves the residual.

@@ -22,8 +22,8 @@ from math import sqrt
 from ..arrays import INTEGERS, REALS, array_type
 from ..callback import separate_kernel
 from ..jit import BOOLEAN, INTEGER, SEVERAL, kernel
+from ..linalg import factor_definite, inner, largest_entry, least_norm, solve_definite, solve_lower, subtract_row
 from .cone import CONE, HUGE, LARGEST_FRICTION, RANK_TOLERANCE, SLIP, STICK
-from .elimination import dot, factor_gram, largest_entry, least_norm, solve_gram, subtract_row
 
 FACTOR, TILTED, ROWS, BENT = range(4)
 DUAL, MISSING, TARGET, NEAREST, STEP = range(5)
@@ -93,13 +93,8 @@ def tilt_factor(cone, rank, source, modes):
                 across[k] = direction[2 * i] * factor[k, 3 * i + 1] - direction[2 * i + 1] * factor[k, 3 * i]
             for k in range(rank):
                 subtract_row(gram[k, : k + 1], across[: k + 1], -arc[i] * across[k])
-    factor_gram(gram, rank)
-    for k in range(rank):
-        for j in range(k):
-            subtract_row(tilted[k], tilted[j], gram[k, j])
-        inverse = 1.0 / gram[k, k]
-        for j in range(tilted.shape[1]):
-            tilted[k, j] *= inverse
+    factor_definite(gram, rank)
+    solve_lower(gram, rank, tilted.shape[1], tilted)
     for i in range(n):
         if arc[i] > 0.0:
             d1 = direction[2 * i]
@@ -204,9 +199,9 @@ def turn_slips(cone, rank, source, mu, modes, f, refine):
     aim, arc, shift, tilted = cone.row, cone.arc, cone.shift, cone.low_rank[TILTED]
     n = mu.shape[0]
     for k in range(rank):
-        shift[k] += dot(tilted[k], aim)
+        shift[k] += inner(tilted[k], aim, 3 * n)
         if refine:
-            shift[k] -= dot(tilted[k], f)
+            shift[k] -= inner(tilted[k], f, 3 * n)
     for i in range(n):
         arc[i] = 0.0
         if modes[i] == SLIP and mu[i] > 0.0:
@@ -297,10 +292,7 @@ def orthonormal_equations(cone, rank, unknowns):
     for k in range(rank):
         for j in range(unknowns):
             rows[k, order[j]] = a[k, j] if j >= k else 0.0
-        for j in range(k):
-            subtract_row(rows[k, :unknowns], rows[j, :unknowns], gram[k, j])
-        for j in range(unknowns):
-            rows[k, j] /= gram[k, k]
+    solve_lower(gram, rank, unknowns, rows)
 
 
 @kernel
@@ -359,7 +351,7 @@ def move_inside(cone, rank, mu, modes, last):
     change = scratch[STEP]
     orthonormal_equations(cone, rank, unknowns)
     for k in range(rank):
-        target[k] = dot(rows[k, :unknowns], x[:unknowns])
+        target[k] = inner(rows[k], x, unknowns)
         y[k] = 0.0
     largest = largest_entry(target[:rank])
     slides = unknowns > 0
@@ -380,7 +372,7 @@ def move_inside(cone, rank, mu, modes, last):
         for j in range(unknowns):
             x[j] = p[j]
         for k in range(rank):
-            missing[k] = target[k] - dot(rows[k, :unknowns], p[:unknowns])
+            missing[k] = target[k] - inner(rows[k], p, unknowns)
             subtract_row(x[:unknowns], rows[k, :unknowns], -missing[k])
         if slides and largest_entry(missing[:rank]) <= ROUND_OFF * largest:
             # those without a load have none to the last bit
@@ -389,7 +381,7 @@ def move_inside(cone, rank, mu, modes, last):
             return False
         if not slides and is_inside(mu, modes, first, x):
             return True
-        ahead = dot(missing[:rank], change[:rank])
+        ahead = inner(missing, change, rank)
         if slope > 0.0 and ahead < -_OVERSHOT * slope:
             share = max(slope / (slope - ahead), _SHORTEST)
             for k in range(rank):
@@ -400,18 +392,18 @@ def move_inside(cone, rank, mu, modes, last):
         bend(rank, mu, modes, first, z, aim, margin, rows, bent)
         for k in range(rank):
             for j in range(k + 1):
-                gram[k, j] = dot(bent[k, :unknowns], rows[j, :unknowns])
+                gram[k, j] = inner(bent[k], rows[j], unknowns)
             gram[k, k] += _SLIGHT if slides else _DAMPING
             change[k] = missing[k]
-        factor_gram(gram, rank)
-        solve_gram(gram, rank, change)
+        factor_definite(gram, rank)
+        solve_definite(gram, rank, change)
         for k in range(rank):
             y[k] += change[k]
-        slope = dot(missing[:rank], change[:rank])
+        slope = inner(missing, change, rank)
     for j in range(unknowns):
         z[j] = nearest[j]
     for k in range(rank):
-        subtract_row(z[:unknowns], rows[k, :unknowns], dot(rows[k, :unknowns], nearest[:unknowns]) - target[k])
+        subtract_row(z[:unknowns], rows[k, :unknowns], inner(rows[k], nearest, unknowns) - target[k])
     if is_inside(mu, modes, first, z):
         for j in range(unknowns):
             x[j] = z[j]

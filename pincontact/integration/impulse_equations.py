@@ -10,11 +10,10 @@ import math
 
 from ..callback import separate_kernel
 from ..dynamics.least_forces import unit_of_force
-from ..dynamics.linear import inner, whiten
-from ..friction.elimination import factor_gram, solve_gram
 from ..geometry.patterns import ON_CURVE
 from ..jit import NOTHING, STEPPING, kernel
 from ..layout import MU, PATTERN, SYSTEM, TANGENTS, UNILATERAL
+from ..linalg import factor_definite, inner, solve_definite, whiten
 from .impulse_layout import STEP
 from .impulse_velocities import free_gain, start_velocity
 
@@ -116,8 +115,8 @@ def _least_impulses(factor, unit, n, gram, impulse):
         if factor[i, i] == 0.0:
             # says nothing
             gram[i, i], impulse[i] = 1.0, 0.0
-    factor_gram(gram, n)
-    solve_gram(gram, n, impulse[:n])
+    factor_definite(gram, n)
+    solve_definite(gram, n, impulse)
     for e in range(n - 1, -1, -1):
         value = 0.0
         for j in range(e + 1):

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
-from ..dynamics.linear import factorize_tree, inner, solve_semidefinite, unwhiten, whiten
 from ..dynamics.resistance import drop_unturned
 from ..friction.ellipse import scale_pair
 from ..geometry.carriers import ALPHA, OMEGA
@@ -31,6 +30,7 @@ from ..layout import (
     VISCOUS,
     system_at,
 )
+from ..linalg import factorize_tree, inner, solve_gram, unwhiten, whiten
 from ..workspace import square
 from .actuators import add_actuators, end_weight
 from .impulse_equations import gather_equations
@@ -176,7 +176,7 @@ def keep_within_reach(system, step):
     n = step.counts.units
     units, overlap, start_mode = step.units, step.overlap, step.start_mode
     delassus, b = square(step.delassus, 3 * n), step.loads
-    operator, x = system.delassus, system.multipliers
+    nv, rows, x = system.sizes.nv, system.whitened_rows, system.multipliers
     # all of b, and where that leaves more than gaps explain, second order alone; what is left goes to the second column
     for whole in range(1, -1, -1):
         count, independent, largest, scale = 0, 0, 0.0, 0.0
@@ -186,12 +186,13 @@ def keep_within_reach(system, step):
             largest, scale = max(largest, abs(overlap[count, 0]) if held else 0.0), max(scale, abs(b[count]))
             if held and delassus[count, count] > 0.0:
                 independent += 1
-            for j in range(count + 1):
-                operator[count, j] = delassus[count, j] if held and (j == count or operator[j, j] > 0.0) else 0.0
+            for k in range(nv):
+                rows[count, k] = step.whitened[count, k] if held else 0.0
             count += 1
         if count <= 3 or largest <= _WITHIN_ROUND_OFF * scale:
             return
-        if solve_semidefinite(operator, count, system.permutation, x, system.constraint_rows) == independent:
+        rank = solve_gram(rows, count, nv, system.delassus, system.permutation, x, system.constraint_rows)
+        if rank == independent:
             return
         most = 0.0
         for r in range(count):

@@ -10,7 +10,6 @@ import math
 from ..arrays import as_array
 from ..callback import call_python, kernel_caller, separate_kernel
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
-from ..dynamics.linear import inner
 from ..friction import cone
 from ..friction.attempt import AFRESH, USUAL
 from ..jit import INTEGER, REAL, STEPPING, kernel
@@ -29,6 +28,7 @@ from ..layout import (
     TOO_LONG,
     UNILATERAL,
 )
+from ..linalg import inner
 from ..workspace import square
 from .impulse_layout import ACCELERATION, APART, LOOKED_FOR, MEAN_VELOCITY, ON_CONTACT, ON_TURN, STEP, UNASKED, WANTED
 from .impulse_problem import OPENING

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
-from ..dynamics.linear import inner
 from ..dynamics.sliding import coefficient_at
 from ..geometry.small import dot
 from ..jit import NOTHING, STEPPING, kernel
@@ -28,6 +27,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
+from ..linalg import inner
 from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, MEAN_VELOCITY, ON_CONTACT, ON_JOINT, ON_LOADED, ON_TURN, STEP
 
 # A contact nearer than this, relative to its length, is touching: round-off of positions, with room to spare.

@@ -9,11 +9,11 @@ impulses change the kinetic energy of just these velocities. counts.rigid says w
 from __future__ import annotations
 
 from ..constraints.kinematics import add_rotation_row
-from ..dynamics.linear import inner
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
 from ..jit import kernel
 from ..layout import PATTERN, SUPPORT_SIZE
+from ..linalg import inner
 
 
 @kernel

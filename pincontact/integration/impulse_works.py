@@ -6,7 +6,6 @@ import math
 
 from ..arrays import REALS, array_type
 from ..callback import separate_kernel
-from ..dynamics.linear import inner
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
 from ..jit import CALLED, NOTHING, REAL, kernel
@@ -24,6 +23,7 @@ from ..layout import (
     UNILATERAL,
     VISCOUS,
 )
+from ..linalg import inner
 from .impulse_layout import DRY_FRICTION, ON_JOINT, ON_TURN, STEP
 from .impulse_velocities import free_gain, rigid_velocity, start_velocity
 

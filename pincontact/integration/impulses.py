@@ -26,7 +26,6 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
-from ..dynamics.linear import inner, unwhiten
 from ..dynamics.manifold import displace
 from ..friction import cone
 from ..friction.ellipse import scale_pair
@@ -62,6 +61,7 @@ from ..layout import (
     SYSTEM,
     UNILATERAL,
 )
+from ..linalg import inner, unwhiten
 from ..workspace import flat
 from .actuators import find_actuation
 from .impulse_equations import equation_impulses

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
-from ..dynamics.linear import inner, whiten
 from ..dynamics.resistance import count_items
 from ..geometry.small import dot
 from ..jit import NOTHING, kernel
@@ -25,6 +24,7 @@ from ..layout import (
     SYSTEM,
     TANGENTS,
 )
+from ..linalg import inner, whiten
 
 # No step goes further than this fraction of the way to the end of slip.
 _STOP_FRACTION = 0.8

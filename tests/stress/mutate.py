@@ -208,7 +208,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "0.0 -> 0.5",
     ): "the sign of a regular matrix is 1 or -1",
     (
-        "pincontact/friction/elimination.py", "least_norm",
+        "pincontact/linalg.py", "least_norm",
         "for k in range(n - 1, -1, -1):",
         "1 -> 2",
     ): "the last row has nothing right of its diagonal; other ends of the range are noticed",
@@ -295,7 +295,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "tangential += np.where(finite, self.mu, 0.0) * speed * self.forces[:, 2]", "0.0 -> 0.5",
     ): "what is not finite is left out of the sum in the next line",
     (
-        "pincontact/dynamics/linear.py", "solve_gram", "pivot, best = rank, -1.0", "1.0 -> 1.5",
+        "pincontact/linalg.py", "_take_pivot", "pivot, best = rank, -1.0", "1.0 -> 1.5",
     ): "less than any square, as is any negative number",
 }  # fmt: skip
 

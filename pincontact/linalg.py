@@ -1,0 +1,387 @@
+"""Dense linear algebra of the kernels, in place and without allocation: one factorisation of each kind.
+
+`factorize_tree`: Cholesky's of a kinematic tree's mass matrix; `factor_definite`: of any positive definite one;
+`solve_gram`: with pivots, of products of rows that may depend on each other; `factor_matrix`: of a semidefinite matrix,
+as a product of narrow factors; `least_norm`: elimination with complete pivoting of any consistent system.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from .arrays import INTEGERS, REALS, array_type
+from .callback import separate_kernel
+from .jit import INTEGER, REAL, kernel
+
+# A pivot below this fraction of its row's diagonal counts as zero: redundant constraints.
+RANK_TOLERANCE = 1e-11
+
+
+# --------------------------------------------------------------------------------------------------------- vectors
+
+
+@kernel
+def inner(a, b, n):
+    """Product of the first n numbers of two vectors, in four sums that need not wait for each other."""
+    first, second, third, fourth = 0.0, 0.0, 0.0, 0.0
+    whole = n - n % 4
+    for k in range(0, whole, 4):
+        first += a[k] * b[k]
+        second += a[k + 1] * b[k + 1]
+        third += a[k + 2] * b[k + 2]
+        fourth += a[k + 3] * b[k + 3]
+    for k in range(whole, n):
+        first += a[k] * b[k]
+    return (first + second) + (third + fourth)
+
+
+@kernel
+def largest_entry(x):
+    """Largest |x_j|; four at a time, which do not wait for each other."""
+    n = x.shape[0]
+    first, second, third, fourth = 0.0, 0.0, 0.0, 0.0
+    whole = n - n % 4
+    for j in range(0, whole, 4):
+        first = max(first, abs(x[j]))
+        second = max(second, abs(x[j + 1]))
+        third = max(third, abs(x[j + 2]))
+        fourth = max(fourth, abs(x[j + 3]))
+    for j in range(whole, n):
+        first = max(first, abs(x[j]))
+    return max(max(first, second), max(third, fourth))
+
+
+@kernel
+def subtract_row(x, y, factor):
+    """x -= factor y, with views as arguments: indices that start at zero can be done several at a time."""
+    for j in range(x.shape[0]):
+        x[j] -= factor * y[j]
+
+
+# -------------------------------------------------------------------------------------- positive definite matrices
+
+
+@kernel
+def factorize_tree(matrix, parents, n, factor):
+    """Lower factor L with L^T L = matrix, a symmetric positive matrix of which the lower triangle is given.
+
+    parents (n,): a row's parent is another before it, or -1; a row has entries left of its diagonal at its chain of
+    parents only, in the matrix and so in L (the mass matrix of a kinematic tree: Featherstone, Rigid Body Dynamics
+    Algorithms, Sec. 6.5). Others are not touched. False if the matrix is not positive. Works in place.
+    """
+    for k in range(n):
+        factor[k, k] = matrix[k, k]
+        i = parents[k]
+        while i >= 0:
+            factor[k, i] = matrix[k, i]
+            i = parents[i]
+    for k in range(n - 1, -1, -1):
+        row = factor[k]
+        if not row[k] > 0.0:
+            return False
+        row[k] = sqrt(row[k])
+        inverse = 1.0 / row[k]
+        i = parents[k]
+        while i >= 0:
+            row[i] *= inverse
+            i = parents[i]
+        i = parents[k]
+        while i >= 0:
+            target, share = factor[i], row[i]
+            j = i
+            while j >= 0:
+                target[j] -= share * row[j]
+                j = parents[j]
+            i = parents[i]
+    return True
+
+
+@kernel
+def whiten(factor, parents, n, right, out):
+    """out = L^-T right, so that products of whitened vectors are products by the inverse matrix (may be in place)."""
+    for k in range(n):
+        out[k] = right[k]
+    for k in range(n - 1, -1, -1):
+        # constraint rows are zero but for the joints that move the contact
+        if out[k] == 0.0:
+            continue
+        row = factor[k]
+        value = out[k] / row[k]
+        out[k] = value
+        i = parents[k]
+        while i >= 0:
+            out[i] -= row[i] * value
+            i = parents[i]
+
+
+@kernel
+def unwhiten(factor, parents, n, right, out):
+    """out = L^-1 right (may be in place)."""
+    for k in range(n):
+        row, value = factor[k], right[k]
+        i = parents[k]
+        while i >= 0:
+            value -= row[i] * out[i]
+            i = parents[i]
+        out[k] = value / row[k]
+
+
+@kernel
+def factor_definite(matrix, n):
+    """Cholesky factor of a positive definite matrix (n, n), of which the lower triangle is read and overwritten."""
+    for i in range(n):
+        for j in range(i + 1):
+            total = matrix[i, j] - inner(matrix[i], matrix[j], j)
+            matrix[i, j] = sqrt(total) if i == j else total / matrix[j, j]
+
+
+@kernel
+def solve_definite(factor, n, x):
+    """Solve with a matrix (n, n) of which `factor_definite` has left the factor; x (n,) is overwritten."""
+    for i in range(n):
+        x[i] = (x[i] - inner(factor[i], x, i)) / factor[i, i]
+    for i in range(n - 1, -1, -1):
+        x[i] /= factor[i, i]
+        subtract_row(x[:i], factor[i], x[i])
+
+
+@kernel
+def solve_lower(factor, n, columns, rows):
+    """rows (n, columns) = L^-1 rows, L the factor that `factor_definite` has left."""
+    for k in range(n):
+        row = rows[k, :columns]
+        for j in range(k):
+            subtract_row(row, rows[j], factor[k, j])
+        inverse = 1.0 / factor[k, k]
+        for j in range(columns):
+            row[j] *= inverse
+
+
+# ------------------------------------------------------------------------------------------- singular systems
+
+
+@kernel
+def solve_gram(rows, m, n, lower, permutation, x, scratch):
+    """Least-norm solution of the consistent system (R R^T) x = b, R the rows (m, n); returns its rank.
+
+    x (m,): b in, solution out; lower (m, m + 1), permutation (m,) int and scratch (m, m + 1) are overwritten.
+    Cholesky with pivoting, R R^T = P L L^T P^T with L of full column rank r; only the columns of R R^T that are needed
+    are formed, so the cost is linear in m where r stays small. Where r < m the solution of least norm is
+    L (L^T L)^-2 L^T b in pivoted order. Row i of L is row permutation[i] of lower.
+    """
+    for i in range(m):
+        permutation[i] = i
+        lower[i, m - 1] = lower[i, m] = inner(rows[i], rows[i], n)
+    rank = 0
+    while rank < m and _take_pivot(lower, permutation, rank, m):
+        p = permutation[rank]
+        own = lower[p]
+        for i in range(rank + 1, m):
+            other = permutation[i]
+            line = lower[other]
+            value = (inner(rows[p], rows[other], n) - inner(own, line, rank)) / own[rank]
+            line[rank] = value
+            line[m] -= value * value
+        rank += 1
+    y = scratch[:m, m]
+    for i in range(m):
+        y[i] = x[permutation[i]]
+    if rank == m:
+        _solve_lower(lower, permutation, m, y)
+    else:
+        _solve_trapezoid(lower, permutation, m, rank, scratch, y)
+    for i in range(m):
+        x[permutation[i]] = y[i]
+    return rank
+
+
+@kernel
+def _take_pivot(lower, permutation, rank, m):
+    """Bring the row with the largest pivot, relative to its diagonal, to place `rank`; False where none is left.
+
+    What is left of each row's diagonal stands in column m, the diagonal itself in column m - 1, which the factor needs
+    for the last row only.
+    """
+    pivot, best = rank, -1.0
+    for i in range(rank, m):
+        p = permutation[i]
+        ratio = lower[p, m] / lower[p, m - 1] if lower[p, m - 1] > 0.0 else 0.0
+        if ratio > best:
+            best, pivot = ratio, i
+    if not best > RANK_TOLERANCE:
+        return False
+    p = permutation[pivot]
+    permutation[pivot] = permutation[rank]
+    permutation[rank] = p
+    lower[p, rank] = sqrt(lower[p, m])
+    return True
+
+
+@kernel
+def _solve_lower(lower, permutation, m, y):
+    """y = (L L^T)^-1 y, y (m,) in pivoted order."""
+    for i in range(m):
+        row, value = lower[permutation[i]], y[i]
+        for k in range(i):
+            value -= row[k] * y[k]
+        y[i] = value / row[i]
+    for i in range(m - 1, -1, -1):
+        row = lower[permutation[i]]
+        value = y[i] / row[i]
+        y[i] = value
+        for k in range(i):
+            y[k] -= row[k] * value
+
+
+@kernel
+def _solve_trapezoid(lower, permutation, m, rank, gram, y):
+    """y = L (L^T L)^-2 L^T y for the m x rank trapezoid L, y (m,) in pivoted order; gram (rank, rank): scratch."""
+    for i in range(rank):
+        value = 0.0
+        for k in range(i, m):
+            value += lower[permutation[k], i] * y[k]
+        y[i] = value
+        for j in range(i + 1):
+            value = 0.0
+            for k in range(i, m):
+                value += lower[permutation[k], i] * lower[permutation[k], j]
+            gram[i, j] = value
+    factor_definite(gram, rank)
+    solve_definite(gram, rank, y)
+    solve_definite(gram, rank, y)
+    for i in range(m - 1, -1, -1):
+        row, value = lower[permutation[i]], 0.0
+        for k in range(min(i + 1, rank)):
+            value += row[k] * y[k]
+        y[i] = value
+
+
+@kernel
+def factor_matrix(g, factor, rest, tolerance):
+    """Rows (r, 3n) of L^T in factor, largest pivots first; returns r, or 0 if it is more than half of 3n.
+
+    Cholesky's factor with diagonal pivoting of g (3n, 3n), positive semidefinite, up to pivots of `tolerance` times the
+    largest; rest (3n,): scratch.
+    """
+    rows = g.shape[0]
+    for j in range(rows):
+        rest[j] = g[j, j]
+    largest = 0.0
+    for k in range(rows // 2 + 1):
+        pivot = 0.0
+        p = 0
+        for j in range(rows):
+            if rest[j] > pivot:
+                pivot = rest[j]
+                p = j
+        largest = max(largest, pivot)
+        if not pivot > tolerance * largest:
+            return k
+        row = factor[k]
+        source = g[p]
+        for j in range(rows):
+            row[j] = source[j]
+        for i in range(k):
+            subtract_row(row, factor[i], factor[i, p])
+        inverse = 1.0 / sqrt(pivot)
+        for j in range(rows):
+            row[j] *= inverse
+            rest[j] -= row[j] * row[j]
+        rest[p] = 0.0
+    return 0
+
+
+_MATRIX, _VECTOR = array_type(REALS, 2), array_type(REALS, 1)
+
+
+@separate_kernel(INTEGER, _MATRIX, _VECTOR, INTEGER, INTEGER, _VECTOR, _MATRIX, array_type(INTEGERS, 1), REAL)
+def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
+    """x (n,) of least norm with a x = rhs for a consistent system that may be singular; returns the rank.
+
+    Elimination with complete pivoting, stopped at the first pivot below tolerance times the largest, then least
+    norm in the row space; tolerance 0 says that a is regular, and rows alone are exchanged. a (>= rows, >= n) and
+    rhs (rows,) are overwritten: where the rank is below n, the first rows of a, as many as the rank, are then unit
+    upper trapezoidal, its columns in the order of order (n,), and gram (> rank, >= n) has the Cholesky factor of their
+    products. Where it is n, and tolerance positive, a[0, 0] then has the sign of the determinant, and for
+    its size the last pivot relative to the largest.
+    """
+    if n == 2 and rows == 2:
+        # one contact that slips: what complete pivoting would come to
+        largest = max(abs(a[0, 0]), abs(a[0, 1]), abs(a[1, 0]), abs(a[1, 1]))
+        determinant = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+        if abs(determinant) > tolerance * largest * largest:
+            x[0] = (rhs[0] * a[1, 1] - a[0, 1] * rhs[1]) / determinant
+            x[1] = (a[0, 0] * rhs[1] - rhs[0] * a[1, 0]) / determinant
+            a[0, 0] = determinant / (largest * largest)
+            return 2
+    for j in range(n):
+        order[j] = j
+    largest = 0.0
+    pivot = 0.0
+    sign = 1.0
+    rank = 0
+    for k in range(min(rows, n)):
+        pivot = -1.0
+        p = k
+        q = k
+        for i in range(k, rows):
+            size = largest_entry(a[i, k:n]) if tolerance > 0.0 else abs(a[i, k])
+            if size > pivot:
+                pivot = size
+                p = i
+        if tolerance > 0.0:
+            while q < n - 1 and abs(a[p, q]) != pivot:
+                q += 1
+        if k == 0:
+            largest = pivot
+        if not pivot > tolerance * largest:
+            break
+        rank += 1
+        if ((p != k) != (q != k)) != (a[p, q] < 0.0):
+            sign = -sign
+        if p != k:
+            for j in range(n):
+                swap = a[k, j]
+                a[k, j] = a[p, j]
+                a[p, j] = swap
+            swap = rhs[k]
+            rhs[k] = rhs[p]
+            rhs[p] = swap
+        if q != k:
+            for i in range(rows):
+                swap = a[i, k]
+                a[i, k] = a[i, q]
+                a[i, q] = swap
+            swapped = order[k]
+            order[k] = order[q]
+            order[q] = swapped
+        inverse = 1.0 / a[k, k]
+        for j in range(k, n):
+            a[k, j] *= inverse
+        rhs[k] *= inverse
+        for i in range(k + 1, rows):
+            factor = a[i, k]
+            if factor != 0.0:
+                subtract_row(a[i, k:n], a[k, k:n], factor)
+                rhs[i] -= factor * rhs[k]
+
+    if rank == n:
+        for k in range(n - 1, -1, -1):
+            rhs[k] -= inner(a[k, k + 1 : n], rhs[k + 1 : n], n - k - 1)
+        for j in range(n):
+            x[order[j]] = rhs[j]
+        a[0, 0] = sign * pivot / largest
+        return rank
+    for i in range(rank):
+        for j in range(i + 1):
+            gram[i, j] = inner(a[i, i:n], a[j, i:n], n - i)
+    factor_definite(gram, rank)
+    solve_definite(gram, rank, rhs)
+    combined = gram[rank]
+    for j in range(n):
+        combined[j] = 0.0
+    for k in range(rank):
+        subtract_row(combined[k:n], a[k, k:n], -rhs[k])
+    for j in range(n):
+        x[order[j]] = combined[j]
+    return rank

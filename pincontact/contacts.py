@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import pinocchio as pin
 
 from .arguments import NOT_REAL, real_array
 from .contours.base import Contour
-from .errors import ArgumentError
+from .errors import ArgumentError, ContactError, ContourError, ModelError
 from .friction.laws import FrictionLaw
 from .geometry.patterns import Pattern
 
@@ -160,6 +161,40 @@ def _listed(argument: str, given: Contours) -> list[AttachedContour | str]:
 
 def _name(given: AttachedContour | str) -> str:
     return given if isinstance(given, str) else given.name
+
+
+def check_name(name: Any, error: type[ContactError]) -> None:
+    """The error unless a name is a string."""
+    if not isinstance(name, str):
+        raise error(f"a name must be a string, got {name!r}")
+
+
+def check_placement(contour: str, placement: Any) -> None:
+    """ContourError unless a contour's placement is a finite pose."""
+    if not isinstance(placement, pin.SE3) or not np.isfinite(placement.homogeneous).all():
+        raise ContourError(f"contour {contour!r}: placement must be a finite pinocchio SE3, got {placement!r}")
+    rotation = placement.rotation
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9) or np.linalg.det(rotation) < 0.0:
+        raise ContourError(f"contour {contour!r}: the placement's rotation is not a rotation matrix")
+
+
+def place_on_joint(model: pin.Model, contour: str, frame: str, placement: pin.SE3) -> tuple[int, pin.SE3]:
+    """The joint that carries a contour, and its placement there, from its placement in a frame of that name: a body's
+    where a joint has the same name, as is common in URDFs; ModelError where there is none."""
+    if not isinstance(frame, str):
+        raise ModelError(f"contour {contour!r}: frame must be the name of a frame, got {frame!r}")
+    if not model.existFrame(frame):
+        if model.existJointName(frame):
+            return int(model.getJointId(frame)), placement
+        names = [f.name for f in model.frames]
+        close = difflib.get_close_matches(frame, names, n=3)
+        hint = f"; did you mean {' or '.join(close)}?" if close else f"; frames: {', '.join(names[:20])}"
+        raise ModelError(f"contour {contour!r}: the model has no frame {frame!r}{hint}")
+    for kind in (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT, pin.FrameType.OP_FRAME):
+        if model.existFrame(frame, kind):
+            carrier = model.frames[model.getFrameId(frame, kind)]
+            return int(carrier.parentJoint), carrier.placement * placement
+    raise ModelError(f"contour {contour!r}: frame {frame!r} is of a kind that cannot carry a contour")
 
 
 def check_friction(contact: str, law: FrictionLaw, one: AttachedContour, two: AttachedContour, found: Pattern) -> None:

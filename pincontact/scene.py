@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Collection, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
 
 from .arguments import is_number
 from .collision import contours_from_collision
-from .contacts import Assembly, AttachedContour, Contact, Contours, check_friction, check_location, in_pairs
+from .contacts import (
+    Assembly,
+    AttachedContour,
+    Contact,
+    Contours,
+    check_friction,
+    check_location,
+    check_name,
+    check_placement,
+    in_pairs,
+    place_on_joint,
+)
 from .contours import Contour
 from .contours.motion import Motion
 from .display import html_table, shortened
-from .dynamics.joints import interrupted_joint
+from .dynamics.joints import check_model
 from .errors import ArgumentError, ContactError, ContourError, ModelError, PatternError
 from .friction.laws import FrictionLaw
 from .geometry.patterns import candidate_patterns, find_pattern
@@ -78,21 +88,7 @@ class Scene(Assembly):
         for name, shapes in (("visual_model", visual_model), ("collision_model", collision_model)):
             if shapes is not None and not isinstance(shapes, pin.GeometryModel):
                 raise ModelError(f"{name} must be a pinocchio GeometryModel or None, got {type(shapes).__name__}")
-        mimics = [name for name, joint in zip(model.names, model.joints) if "Mimic" in joint.shortname()]
-        if mimics:
-            raise ModelError(
-                f"joints that mimic others have no dynamics in Pinocchio: {', '.join(mimics)}; lock them or "
-                "let them be joints of their own"
-            )
-        interrupted = interrupted_joint(model)
-        if interrupted is not None:
-            joint, parent, between = interrupted
-            raise ModelError(
-                f"joint {joint!r}, below {parent!r}, was added after {between!r}, which is not: Pinocchio's mass "
-                f"matrix is wrong for such an order; add all joints below {parent!r} directly after it (depth first)"
-            )
-        if any(frame.name == "universe" for frame in list(model.frames)[1:]) or "universe" in list(model.names)[1:]:
-            raise ModelError("the model has a joint or frame named 'universe', which is the name of the world")
+        check_model(model)
         self.model = model
         self.visual_model = visual_model
         self.collision_model = collision_model
@@ -271,33 +267,17 @@ class Scene(Assembly):
         ModelError
             For a frame that the model does not have.
         """
-        _check_name(name, ContourError)
+        check_name(name, ContourError)
         if name in self.contours:
             raise ContourError(f"there is already a contour named {name!r}")
         if not isinstance(contour, Contour):
             raise ContourError(f"contour {name!r}: expected a contour such as Circle(0.3), got {contour!r}")
-        if not isinstance(frame, str):
-            raise ModelError(f"contour {name!r}: frame must be the name of a frame, got {frame!r}")
-        of_joint = not self.model.existFrame(frame) and self.model.existJointName(frame)
-        if not (of_joint or self.model.existFrame(frame)):
-            names = [f.name for f in self.model.frames]
-            close = difflib.get_close_matches(frame, names, n=3)
-            hint = f"; did you mean {' or '.join(close)}?" if close else f"; frames: {', '.join(names[:20])}"
-            raise ModelError(f"contour {name!r}: the model has no frame {frame!r}{hint}")
         if placement is None:
             placement = pin.SE3.Identity()
-        if not isinstance(placement, pin.SE3) or not np.isfinite(placement.homogeneous).all():
-            raise ContourError(f"contour {name!r}: placement must be a finite pinocchio SE3, got {placement!r}")
-        rotation = placement.rotation
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-9) or np.linalg.det(rotation) < 0.0:
-            raise ContourError(f"contour {name!r}: the placement's rotation is not a rotation matrix")
+        check_placement(name, placement)
         if motion is not None and not isinstance(motion, Motion):
             raise ContourError(f"contour {name!r}: motion must be None or a Motion, got {motion!r}")
-        if of_joint:
-            joint, in_joint = int(self.model.getJointId(frame)), placement
-        else:
-            carrier = self.model.frames[self._frame_id(name, frame)]
-            joint, in_joint = int(carrier.parentJoint), carrier.placement * placement
+        joint, in_joint = place_on_joint(self.model, name, frame, placement)
         attached = AttachedContour(name, contour, frame, placement, motion, joint, in_joint)
         self.contours[name] = attached
         return attached
@@ -403,7 +383,7 @@ class Scene(Assembly):
         PatternError
             Where the contours form no pattern, or not the one asked for.
         """
-        _check_name(name, ArgumentError)
+        check_name(name, ArgumentError)
         if name in self.contacts:
             raise ArgumentError(f"there is already a contact named {name!r}")
         a, b = self._contour(name, first), self._contour(name, second)
@@ -536,15 +516,6 @@ class Scene(Assembly):
         """
         return propose_pairs(self, distance, q, within)
 
-    def _frame_id(self, contour: str, frame: str) -> int:
-        """Index of a frame by name; a body's where a joint has the same name, as is common in URDFs."""
-        for kind in (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT, pin.FrameType.OP_FRAME):
-            if self.model.existFrame(frame, kind):
-                return int(self.model.getFrameId(frame, kind))
-        if frame == "universe":
-            return 0
-        raise ModelError(f"contour {contour!r}: frame {frame!r} is of a kind that cannot carry a contour")
-
     def _contour(self, contact: str, given: AttachedContour | str) -> AttachedContour:
         key = given.name if isinstance(given, AttachedContour) else given
         if not isinstance(key, str) or key not in self.contours:
@@ -618,8 +589,3 @@ class Scene(Assembly):
         (0.1, 0.001)
         """
         return find_state(self, q, v, t, free, max_gap)
-
-
-def _check_name(name: Any, error: type[ContactError]) -> None:
-    if not isinstance(name, str):
-        raise error(f"a name must be a string, got {name!r}")

@@ -91,6 +91,25 @@ def without_inertia(model: pin.Model, data: pin.Data, q: np.ndarray) -> str:
     )
 
 
+def check_model(model: pin.Model) -> None:
+    """ModelError for joints that mimic others or were not added depth first, and for a second frame "universe"."""
+    mimics = [name for name, joint in zip(model.names, model.joints) if "Mimic" in joint.shortname()]
+    if mimics:
+        raise ModelError(
+            f"joints that mimic others have no dynamics in Pinocchio: {', '.join(mimics)}; lock them or "
+            "let them be joints of their own"
+        )
+    interrupted = interrupted_joint(model)
+    if interrupted is not None:
+        joint, parent, between = interrupted
+        raise ModelError(
+            f"joint {joint!r}, below {parent!r}, was added after {between!r}, which is not: Pinocchio's mass "
+            f"matrix is wrong for such an order; add all joints below {parent!r} directly after it (depth first)"
+        )
+    if any(frame.name == "universe" for frame in list(model.frames)[1:]) or "universe" in list(model.names)[1:]:
+        raise ModelError("the model has a joint or frame named 'universe', which is the name of the world")
+
+
 def interrupted_joint(model: pin.Model) -> tuple[str, str, str] | None:
     """A joint, one that it is below, and one between them in the model's order that is not: Pinocchio's algorithms take
     the joints below another for those that follow it. None where no order is broken."""

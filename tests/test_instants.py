@@ -127,7 +127,7 @@ def laws_hold(written):
             assert not force[:2].any()
             continue
         dry = force[:2] + law.viscous * speed
-        stretch = np.eye(2)
+        stretch, turned = np.eye(2), 0.0
         aspect = law.aspect
         if aspect != 1.0:
             # the first direction is the first tangent of body 2, which is t1
@@ -137,6 +137,8 @@ def laws_hold(written):
             coefficient = float(law.coefficient(np.linalg.norm(speed)))
         elif np.linalg.norm(along[:2]) > 1e-8 * size:
             direction = stretch @ along[:2]
+            # accelerations are known to round-off of what forces make, and small ones have less of a direction
+            turned = 1e-11 * size / np.linalg.norm(along[:2])
             coefficient = law.onset
         else:
             if law.sticking < math.inf:
@@ -146,7 +148,7 @@ def laws_hold(written):
             assert abs(normal) <= ACCURACY * size
             continue
         expected = -coefficient * normal * stretch @ direction / np.linalg.norm(direction)
-        assert dry == pytest.approx(expected, abs=1e-8 * size)
+        assert dry == pytest.approx(expected, abs=1e-8 * size + turned * np.abs(expected).max())
         assert (mode == SLIPPING) or np.abs(expected).max() < 1e-8 * size
     for k in system.resisting():
         owner = system.owner(k)

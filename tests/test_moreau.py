@@ -114,6 +114,27 @@ def test_bouncing_ball(restitution):
     assert run.contacts["c"].gap.min() >= -1e-12
 
 
+@pytest.mark.parametrize("friction", [pc.NoSlip(), pc.Coulomb(0.5), pc.Coulomb(0.5, spinning=0.01, rolling=0.01)])
+@pytest.mark.parametrize("turns", [False, True])
+def test_what_friction_alone_holds_stays(turns, friction):
+    """One degree of freedom, pulled away from the ground at an angle within that of friction: rest is a solution as
+    lifting is, and stays, in both kinds of methods; beyond the angle of friction it lifts."""
+    for angle, rests in ((0.2, True), (0.6, friction == pc.NoSlip())):
+        pull = np.array([0.0, math.cos(angle), math.sin(angle)])
+        joint = pin.JointModelRX() if turns else pin.JointModelPrismaticUnaligned(pull)
+        scene = body_scene(joint, 1.0, gravity=(0.0, 0.0, 0.0))
+        # a lever that moves along the pull as the joint turns
+        place = pin.SE3(np.eye(3), np.array([0.0, pull[2], -pull[1]]) if turns else np.zeros(3))
+        ball = scene.add_contour("ball", pc.Sphere(0.1), "body", place)
+        level = pin.SE3(np.eye(3), place.translation - [0.0, 0.0, 0.1])
+        scene.add_contact("c", ball, scene.add_contour("ground", pc.Plane(), placement=level), friction=friction)
+        state = scene.initial_state(np.zeros(1), np.zeros(1))
+        pulled = {"control": lambda t, q, v: [5.0]}
+        for run in (pc.simulate(scene, state, 0.1, **pulled), stepped(scene, state, 0.1, 1e-3, **pulled)):
+            assert run.status == 0, run.message
+            assert np.abs(run.q).max() < 1e-12 if rests else abs(run.q[-1, 0]) > 1e-3
+
+
 @pytest.mark.parametrize("restitution", [0.3, 0.8])
 def test_rebounds_in_a_bowl_come_to_an_end(restitution):
     """No gravity: it is the bowl's curvature that closes the contact again, and presses it from then on."""

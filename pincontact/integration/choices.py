@@ -76,6 +76,8 @@ class _Unknowns:
         self.units, self.known = units, np.zeros(size)
         self.rows: list[int] = []
         self.cones: list[Cone] = []
+        # tangents of ideal rolling: whatever forces
+        self.free: list[int] = []
         self.sticks = self.slides = False
         columns: list[np.ndarray] = []
         scale = 1.0 / np.sqrt(units.gram.diagonal().reshape(-1, 3).mean(axis=1))
@@ -108,6 +110,7 @@ class _Unknowns:
                     tangents.append(self._add(columns, whole[k + i], k + i))
                     lengths.append(1.0)
             if not (tangents and math.isfinite(mu)):
+                self.free += tangents
                 tangents, mu = [], 1.0
             self.sticks = self.sticks or bool(tangents)
             if parent >= 0:
@@ -162,6 +165,7 @@ class _Unknowns:
                 # into the dual cone, the normal part alone: it lifts what slides
                 length = math.sqrt(sum(w[t] ** 2 for t in tangents))
                 w[normal] = max(w[normal], _FURTHER * factor * length if tangents else 0.0)
+            w[self.free] = 0.0
             w -= self.null @ (self.null.T @ w)
             size = float(np.abs(w).max())
             if not size > 0.0:
@@ -170,7 +174,7 @@ class _Unknowns:
                 w[normal] >= (factor * math.sqrt(sum(w[t] ** 2 for t in tangents)) if tangents else -_NONE * size)
                 for normal, tangents, factor in held
             )
-            if inside:
+            if inside and np.abs(w[self.free]).max(initial=0.0) <= _NONE * size:
                 return bool(w @ self.x < 0.0)
         return False
 

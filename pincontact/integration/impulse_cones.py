@@ -144,9 +144,13 @@ class ImpulseSolver:
         solver.address(problem.n)
         held = problem.units["held"] != 0
         before = solver.kept()
-        # what is to carry nothing in slip may be needed to hold
-        for closed in (SLIP, OPEN) if (held & (before[0] == OPEN)).any() else (SLIP,):
-            modes = np.where(held & ((before[0] == SLIP) | (before[0] == closed)), STICK, before[0])
+        opened = held & (before[0] == OPEN)
+        # what is to carry nothing in slip may be needed to hold, and to resist turning again
+        parents, turns = problem.units["parent"], problem.units["kind"] == ON_TURN
+        turns &= (parents >= 0) & opened[parents] & ~self._turning(problem)
+        for closed in (SLIP, OPEN) if opened.any() else (SLIP,):
+            rests = held & ((before[0] == SLIP) | (before[0] == closed))
+            modes = np.where(rests | (turns if closed == OPEN else False), STICK, before[0])
             if self._holds(problem, modes, before, held):
                 return
         solver.warm_start(*before)
@@ -169,7 +173,21 @@ class ImpulseSolver:
         velocities = problem.gram @ found + problem.base
         velocities[np.repeat(modes == STICK, 3)] = 0.0
         self.solver.residual = residual = self._solve_near(problem, modes, found, velocities)
-        return residual <= self.solver.tolerance and not (held & (self.solver.modes == SLIP)).any()
+        together = not residual <= self.solver.tolerance
+        if together:
+            if not (problem.units["parent"] >= 0).any():
+                return False
+            # what resists turning has other loads now
+            product = self._product(problem)
+            found, residual = product.refine(found)
+            if not residual <= PRODUCT_TOLERANCE:
+                return False
+            self._take(product, found, residual)
+        if (held & (self.solver.modes == SLIP)).any():
+            return False
+        if together:
+            self._counts["coupled"] = TOGETHER
+        return True
 
     def _choose(self, problem: _Problem) -> None:
         """Replace redundant forces that depend on the last ones by those that the rule has."""
@@ -218,10 +236,14 @@ class ImpulseSolver:
         if not np.isin(self._arrays.start_mode[contacts], _AT_REST).all():
             return
         velocities[:, :2] = self._arrays.unit_start[: problem.n]
-        moves = np.abs(velocities).max(axis=1) * self._numbers["h"] > OPENING
-        moves[units["kind"] < ON_JOINT] = False
+        moves = (units["kind"] >= ON_JOINT) & self._turning(problem)
         modes = np.where(moves | (problem.friction == 0.0), SLIP, STICK)
         self.solver.warm_start(modes, np.zeros(3 * problem.n), velocities.ravel())
+
+    def _turning(self, problem: _Problem) -> np.ndarray:
+        """(n,) which units slide or turn at the step's start."""
+        start: np.ndarray = self._arrays.unit_start[: problem.n]
+        return np.abs(start).max(axis=1) * self._numbers["h"] > OPENING
 
     def _search_hard(self, problem: _Problem) -> bool:
         """What the quick searches did not solve: with a little compliance in the contacts, since with redundant ones b

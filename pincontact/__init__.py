@@ -28,8 +28,9 @@ from .friction.centred import centred_forces
 from .friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
 from .friction.solve import ContactSolution, solve_contacts
 from .integration.results import Event
+from .loaded_scene import LoadedScene
 from .scene import Scene
-from .scene_file import LoadedScene, load_scene
+from .scene_file import load_scene
 from .simulate import simulate
 from .state import State
 from .trajectory import ContactTrack, Trajectory

@@ -20,7 +20,8 @@ from .display import MODE_NAMES
 from .errors import ContactError
 from .friction.laws import Coulomb, FrictionLaw, Stribeck
 from .layout import FREE
-from .scene_file import LoadedScene, load_scene
+from .loaded_scene import LoadedScene
+from .scene_file import load_scene
 from .simulate import simulate
 
 if TYPE_CHECKING:

@@ -23,7 +23,6 @@ import math
 import os
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -32,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from .arguments import time_step, warn_of_order
+from .arguments import warn_of_order
 from .contours import (
     CallableMotion,
     Circle,
@@ -63,6 +62,7 @@ from .contours import (
 from .errors import ArgumentError, MissingExtraError, SceneFileError
 from .expressions import CONSTANTS, FUNCTIONS, compiled, evaluate
 from .friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
+from .loaded_scene import LoadedScene
 from .scene import Scene
 from .scene_tables import (
     Converter,
@@ -92,87 +92,9 @@ from .scene_tables import (
 
 if TYPE_CHECKING:
     from .state import State
-    from .trajectory import Trajectory
 
 # Names that formulas use themselves.
 _VARIABLES = ("u", "u1", "u2", "s", "x", "y", "t")
-
-
-@dataclass(frozen=True, eq=False)
-class LoadedScene:
-    """What a scene file describes.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    scene : Scene
-    state : State
-        Ready for `simulate`.
-    settings : dict
-        The options of `simulate` that the file gives, outputs excepted.
-    outputs : int or tuple of float, optional
-        Number of equally spaced output times, or the times in s themselves; every step, if not given.
-    """
-
-    path: Path
-    scene: Scene
-    state: State
-    settings: dict[str, Any]
-    outputs: int | tuple[float, ...] | None = None
-
-    def options(self, **changes: Any) -> dict[str, Any]:
-        """Keyword arguments for `simulate`: the file's, with changes; t_eval follows from outputs and duration.
-
-        Parameters
-        ----------
-        **changes : dict
-            Arguments of `simulate`.
-
-        Returns
-        -------
-        dict
-
-        Raises
-        ------
-        ArgumentError
-            Where neither the file nor the changes say the duration, or the changes give dt by both its names.
-        """
-        if "step" in changes:
-            # in place of the file's, whatever its name there
-            changes["dt"] = time_step(changes.get("dt"), changes.pop("step"))
-        options = {**self.settings, **changes}
-        if "duration" not in options:
-            raise ArgumentError(f"{self.path}: simulation.duration is not in the file, and none was given")
-        if "t_eval" not in options and self.outputs is not None:
-            start, duration = self.state.t, options["duration"]
-            if isinstance(self.outputs, int):
-                options["t_eval"] = np.linspace(start, start + duration, self.outputs)
-            else:
-                # a shorter run than the file's keeps the outputs it reaches
-                options["t_eval"] = [t for t in self.outputs if "duration" not in changes or t <= start + duration]
-        return options
-
-    def simulate(self, **changes: Any) -> Trajectory:
-        """Run the scene with the file's settings.
-
-        Parameters
-        ----------
-        **changes : dict
-            Arguments of `pincontact.simulate` that replace the file's.
-
-        Returns
-        -------
-        Trajectory
-
-        Raises
-        ------
-        ArgumentError, StateError
-            As `pincontact.simulate` does, and where neither the file nor the changes say the duration.
-        """
-        from .simulate import simulate
-
-        return simulate(self.scene, self.state, **self.options(**changes))
 
 
 def load_scene(path: str | os.PathLike[str]) -> LoadedScene:

@@ -22,7 +22,7 @@ from pincontact import log
 from pincontact.__main__ import main
 from pincontact.contours.base import as_written
 from pincontact.errors import sentence
-from pincontact.simulate import PlainBar
+from pincontact.progress import PlainBar
 from pincontact.view.plots import plot
 
 ROOT = Path(__file__).parents[1]

@@ -25,9 +25,10 @@ import numpy as np
 from ..cores import available_cores
 from ..errors import ArgumentError, SolverError
 from ..jit import compile_kernels
+from ..loaded_scene import LoadedScene
+from ..progress import PlainBar
 from ..scene import Scene
-from ..scene_file import LoadedScene
-from ..simulate import PlainBar, simulate
+from ..simulate import simulate
 from ..state import State
 from ..trajectory import Trajectory
 from .fingerprint import fingerprint

@@ -220,8 +220,9 @@ def integrate(system, task):
         if fixed == 0.0:
             proposal = next_step(step, error, scalars.last_error, scalars.error_order, False)
             scalars.last_error = error
-        # a step cut short for an output or a stop says nothing against the larger one
-        scalars.next_step = proposal if step == h else max(proposal, min(h, 10.0 * step))
+        # a step cut short for an output says nothing against a larger one, one before a stop not even against the same
+        larger = h if step == stop else min(h, 10.0 * step)
+        scalars.next_step = proposal if step == h else max(proposal, larger)
         t_new = end if step == remaining else t + step
         scalars.next_time = t_new
         counters.step_count += 1

@@ -31,11 +31,11 @@ def _root(function: Callable[[float], float], start: float, end: float) -> float
     return math.inf
 
 
-# a stretch of a motion: when it begins, and positions (n,) or (n, k) at times (n,)
-FrictionScaling = tuple[float, Callable[[np.ndarray], np.ndarray]]
+# a piece of a motion: when it begins, and positions (n,) or (n, k) at times (n,)
+Piece = tuple[float, Callable[[np.ndarray], np.ndarray]]
 
 
-def _joined(stretches: list[FrictionScaling], times: np.ndarray) -> np.ndarray:
+def _joined(stretches: list[Piece], times: np.ndarray) -> np.ndarray:
     """Positions at times that are in several stretches."""
     starts = [start for start, _ in stretches]
     which = np.maximum(np.searchsorted(starts, times, side="right") - 1, 0)
@@ -51,8 +51,8 @@ def forced_block() -> Problem:
     feet = [Shape("point", (), "block", (x, y, -0.05)) for x in (-0.2, 0.2) for y in (-0.1, 0.1)]
     a, b = push / (mass * rate), mu * G
 
-    def stretches() -> list[FrictionScaling]:
-        found: list[FrictionScaling] = []
+    def stretches() -> list[Piece]:
+        found: list[Piece] = []
         t0 = x0 = 0.0
         while t0 < duration:
             # at rest until the push exceeds what friction holds, which is in the first or the third quarter of a period
@@ -112,7 +112,7 @@ def belt() -> Problem:
 
 def _on_belt(
     mass: float, heavy: float, stiffness: float, grip: float, push: float, rate: float, speed: float, duration: float
-) -> list[FrictionScaling]:
+) -> list[Piece]:
     """Stretches of the mass (x, 0, 0), which starts at x = 0 with the speed of the belt."""
     t0, x0, v0, belt = 0.0, 0.0, speed, speed
     sign, found = 0.0, []

@@ -314,8 +314,9 @@ def test_breakpoints_show_what_no_step_sees(method, inclusive):
         assert run.status == 0, run.message
         speed = (force - hold) * (off - on)
         way = 0.5 * speed * (off - on) + speed**2 / (2.0 * hold)
-        # time stepping with steps of 1 ms is of first order in the last one
-        assert abs(run.q[-1, 0] - way) <= (2e-6 if method == "Moreau" else 1e-11)
+        # time stepping with steps of 1 ms is of first order in the last one; the others follow a parabola exactly, but
+        # for the last linear step, which leaves out a twentieth of what steps may, 1e-7 m/s in RK23
+        assert abs(run.q[-1, 0] - way) <= {"Moreau": 2e-6, "RK23": 5e-9}.get(method, 1e-11)
         assert abs(run.q[0, 0]) <= 1e-12 and run.t.tolist() == [on, 10.0]
         if method != "Moreau":
             times = {e.kind: e.time for e in run.events}

@@ -29,6 +29,7 @@ from ..layout import (
     START_SPEED,
     START_TOLERANCE,
     STICK,
+    STOP_ERROR,
 )
 from .contradictions import projection_failure
 from .dense import Interpolant
@@ -40,6 +41,7 @@ from .pieces import Pieces
 from .reports import left_behind
 from .results import FINISHED, OPEN_LOADS, STEP_LIMIT, TERMINATED, Stop
 from .runge_kutta import RungeKutta
+from .slip_at_ends import LEFT_OUT
 from .steps import (
     AT_FLOOR,
     AT_LIMIT,
@@ -527,13 +529,18 @@ class Driver:
         """One linear step to the end of slip (its error is the square of a short time), then stick or not."""
         rk, system = self.rk, self.system
         speed, rate = system.contact_real[:, START_SPEED], system.contact_real[:, START_RATE]
-        stopping = np.flatnonzero(np.isfinite(speed) & (rate < 0.0))
-        allowed = system.contact_real[stopping, START_TOLERANCE]
-        c = int(stopping[np.argmin(speed[stopping] / allowed)])
-        scalars = system.scalars
+        allowed, error = system.contact_real[:, START_TOLERANCE], system.contact_real[:, STOP_ERROR]
+        stopping = np.isfinite(speed) & (rate < 0.0)
+        straight = stopping & (error <= LEFT_OUT * allowed)
+        c = int(np.argmin(np.where(straight if straight.any() else stopping, speed / allowed, math.inf)))
+        scalars, way = system.scalars, float(speed[c] / -rate[c])
         # at loose tolerances a slip that counts as over may have a long way to go: no further than a step
-        left = min(float(speed[c] / -rate[c]), scalars["next_step"], scalars["max_step"], scalars["end"] - t)
+        left = min(way, scalars["next_step"], scalars["max_step"], scalars["end"] - t)
         left = float(min(left, scalars["next_output"] - t, self.transitions.onset.until_touch()))
+        if straight[c] and left < way:
+            # something else comes first
+            system.contact_real[:, STOP_ERROR] = math.inf
+            return t
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
         reach = _TOGETHER * 2.0 ** int(system.counters["stalled"]) * system.contact_real[:, START_TOLERANCE]
         with np.errstate(invalid="ignore"):

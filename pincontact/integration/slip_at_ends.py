@@ -21,6 +21,7 @@ from ..layout import (
     START_RATE,
     START_SPEED,
     START_TOLERANCE,
+    STOP_ERROR,
     SYSTEM,
     TANGENTS,
 )
@@ -28,9 +29,10 @@ from ..linalg import inner, whiten
 
 # No step goes further than this fraction of the way to the end of slip.
 _STOP_FRACTION = 0.8
-# Slip has ended once its speed is down to the error that steps are allowed to make in it, where its direction is noise;
-# the rest is one linear step, whose error is of second order in the time left. Where steps no longer get anywhere near
-# the end, the speed that counts as ended is doubled at every trial step, so many times at most.
+# Slip has ended once its speed is down to the error that steps are allowed to make in it, where its direction is noise,
+# or once one linear step to its end leaves out no more than a part of that error. Where steps no longer get anywhere
+# near the end, the speed that counts as ended is doubled at every trial step, so many times at most.
+LEFT_OUT = 0.05
 _STOP_DOUBLINGS = 10
 _PROGRESS = 0.9
 # Growth by which a slip has got away from its slowest point.
@@ -54,10 +56,12 @@ def note_end(system):
         contact, number, basis = system.contact_int[c], system.contact_real[c], system.basis[c]
         for i in range(3):
             number[NEXT_NORMAL_X + i] = basis[2, i]
+        before, rate = number[START_SPEED], number[START_RATE]
         number[START_SPEED] = math.inf
         if contact[MODE] != SLIPPING or contact[TANGENTS] != 2 or contact[FROZEN] != 0 or not number[MU] > 0.0:
             continue
         number[START_SPEED], number[START_RATE] = number[SLIP_SPEED], number[SLIP_RATE]
+        number[STOP_ERROR] = _stop_error(system, c, before, rate)
         turning = max(turning, _turning_rate(system, c, n))
         allowed = _SMALLEST_STOP_SPEED
         for row in range(3):
@@ -67,6 +71,22 @@ def note_end(system):
             allowed = max(allowed, value)
         number[START_TOLERANCE] = allowed
     system.scalars.turning_rate = turning
+
+
+@kernel
+def _stop_error(system, c, before, rate_before):
+    """What one linear step to the end of slip c leaves out, in m/s (of positions, in m), from its speed and rate at the
+    start of the last step."""
+    number, h = system.contact_real[c], system.scalars.step
+    speed, rate = number[START_SPEED], number[START_RATE]
+    if not (before < math.inf and h > 0.0 and rate < 0.0 and speed > 0.0):
+        return math.inf
+    left = speed / -rate
+    # what the rate changes by over h goes with the square of the time, and slip turns as it slows down
+    missed = abs(speed - before - rate_before * h) * (left / h) ** 2
+    basis, slip, along = system.basis[c], system.slip[c], system.relative_acceleration[c]
+    turned = abs(dot(basis[0], slip) * along[1] - dot(basis[1], slip) * along[0]) / speed * left
+    return max(max(missed, turned), 0.5 * speed * left)
 
 
 @kernel
@@ -127,8 +147,10 @@ def slip_ends(system, n):
     """Whether a slip is as good as over."""
     for c in range(n):
         number = system.contact_real[c]
-        allowed = number[START_TOLERANCE] * 2.0**system.counters.stalled
-        if number[START_RATE] < 0.0 and number[START_SPEED] < math.inf and number[START_SPEED] <= allowed:
+        speed, allowed = number[START_SPEED], number[START_TOLERANCE]
+        if not (number[START_RATE] < 0.0 and speed < math.inf):
+            continue
+        if speed <= allowed * 2.0**system.counters.stalled or number[STOP_ERROR] <= LEFT_OUT * allowed:
             return True
     return False
 

@@ -366,7 +366,7 @@ class OpenContacts:
         found = nearest.candidate
         if found is None or self._is_present(c, found):
             return False
-        if system.contact_real[c, DOMAIN] >= 0.0 and 0.0 <= system.gaps[c, 0] <= found.gap:
+        if system.contact_real[c, DOMAIN] >= 0.0 and 0.0 <= system.gaps[c, 0] <= abs(found.gap):
             # where it is followed is nearer than what was found
             return False
         first = system.nq + system.nv + 4 * c

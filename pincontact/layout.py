@@ -292,7 +292,7 @@ SYSTEM = Layout(
     factor=(REALS, 2),  # (nv, nv) Cholesky factor of the mass matrix
     acceleration=(REALS, 1),  # (nv,)
     free_acceleration=(REALS, 1),  # (nv,)
-    constraint_rows=(REALS, 2),  # (rows, rows + 1), rows = 3 nc + ng
+    constraint_rows=(REALS, 2),  # (3 nc, 3 nc + 1)
     whitened_rows=(REALS, 2),  # (3 nc, nv): L^-T rows^T, transposed
     whitened_forces=(REALS, 2),  # (3 nc, nv): the same for the force directions
     delassus=(REALS, 2),  # (3 nc, 3 nc + 1)

@@ -150,7 +150,7 @@ class ImpulseSolver:
         turns &= (parents >= 0) & opened[parents] & ~self._turning(problem)
         for closed in (SLIP, OPEN) if opened.any() else (SLIP,):
             rests = held & ((before[0] == SLIP) | (before[0] == closed))
-            modes = np.where(rests | (turns if closed == OPEN else False), STICK, before[0])
+            modes = np.where(rests | (turns & (closed == OPEN)), STICK, before[0])
             if self._holds(problem, modes, before, held):
                 return
         solver.warm_start(*before)

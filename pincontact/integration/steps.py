@@ -220,7 +220,8 @@ def integrate(system, task):
         if fixed == 0.0:
             proposal = next_step(step, error, scalars.last_error, scalars.error_order, False)
             scalars.last_error = error
-        # a step cut short for an output says nothing against a larger one, one before a stop not even against the same
+        # a step cut short for an output lets the next one grow tenfold; one cut by the end of slip tells nothing of the
+        # steps that follow that
         larger = h if step == stop else min(h, 10.0 * step)
         scalars.next_step = proposal if step == h else max(proposal, larger)
         t_new = end if step == remaining else t + step

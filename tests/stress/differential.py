@@ -47,8 +47,8 @@ MAX_STEPS = 10_000
 # What runs at default tolerances (1e-8) may differ by, in every component of q, where errors do not grow and speeds are
 # those of 1 m/s: a hundred steps' and events'. RK23 takes a hundred times as many steps.
 CLOSE = {"DOP853": 1e-6, "Sharp98": 1e-6, "RK45": 1e-6, "RK23": 1e-5}
-# Up to so many times what errors of the tolerances grow to is theirs where these are a hundredth and the error falls to
-# the last part:
+# An error of up to so many times what errors of the tolerances grow to counts as theirs if, with a hundredth of the
+# tolerances, it falls to the last part:
 # what begins with a square root, a graze or a rebound, goes with a power of them below one, and rebounds may be many.
 CONVERGING, FALLS_TO = 1e2, 0.2
 # m/s and rad/s that rebounds which end take or leave: 1 mm/s at a tenth of a metre

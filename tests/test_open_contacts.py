@@ -38,11 +38,11 @@ def body(shape):
     return model
 
 
-def scene_of(shape, ground, placement=None, motion=None, **options):
+def scene_of(shape, ground, placement=None, motion=None, order=("shape", "ground"), **options):
     scene = pc.Scene(body(shape))
     scene.add_contour("shape", shape, frame="body")
     scene.add_contour("ground", ground, placement=placement, motion=motion)
-    scene.add_contact("c", "shape", "ground", **options)
+    scene.add_contact("c", *order, **options)
     return scene
 
 
@@ -87,10 +87,11 @@ def wave_gap(x, z, radius):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("radius", [0.0, 0.05])
 @pytest.mark.parametrize("domain", [None, ((-5.0, 5.0), (-5.0, 5.0))])
-def test_drops_on_waves(method, radius, domain):
+@pytest.mark.parametrize("order", [("shape", "ground"), ("ground", "shape")], ids=lambda order: order[0])
+def test_drops_on_waves(method, radius, domain, order):
     """From 0.6 m, over five places of the waves, from where other places are near at first."""
     for x in np.linspace(0.01, 0.49, 5):
-        scene = scene_of(pc.Sphere(radius) if radius else pc.Point(), waves(domain))
+        scene = scene_of(pc.Sphere(radius) if radius else pc.Point(), waves(domain), order=order)
         run = run_of(scene, start(scene, (x, 0.0, 0.6)), 0.45, method)
         assert run.status == 0, run.message
         across = np.linspace(-radius, radius, 20_001)

@@ -188,6 +188,25 @@ def test_nearest_points_of_balls(ground, shape):
         assert found.elsewhere >= min(beyond - 0.03, exact + neighbourhood) - 2.0 * fine
 
 
+@pytest.mark.parametrize("kind", ["waves", "bowl"])
+def test_nearest_points_of_a_ball_and_a_wide_ground_in_either_order(kind):
+    """The distance of the centre from the ground, whichever body is named first and however near the ball is."""
+    heights = {"waves": lambda x, y: 0.05 * np.sin(2.0 * x + 0.5 * y), "bowl": lambda x, y: 0.3 * x * x + 0.2 * y * y}
+    field = pc.HeightField(heights[kind], domain=((-9.0, 9.0), (-9.0, 9.0)))
+    rng, radius = np.random.default_rng(17), 0.04
+    for gap in (0.0, 1e-9, 1e-4, 0.01, 0.1, 0.4):
+        foot = field.evaluate(rng.uniform(-1.0, 1.0, 2))
+        normal = np.cross(foot[1], foot[2])
+        centre = foot[0] + (gap + radius) * normal / np.linalg.norm(normal)
+        ball = pin.SE3(pin.Quaternion(turned(rng.integers(1000))).matrix(), centre)
+        for first, second, relative in ((pc.Sphere(radius), field, ball), (field, pc.Sphere(radius), ball.inverse())):
+            q = pin.SE3ToXYZQUAT(MOVED * relative)
+            found = NearestSearch(system_of(first, second, q, placement=MOVED), 0, 0.0).search(0.0)
+            # the radii of curvature of both grounds are larger than these gaps: no other point is as near
+            assert found.candidate.gap == pytest.approx(gap, abs=1e-12)
+            assert found.distance <= gap + 1e-12
+
+
 def test_nearest_points_of_a_ring_beside_a_torus():
     ring, torus = pc.Circle(0.08), pc.Torus(0.6, 0.2)
     q = [0.5, 0.4, 0.5, *turned(5)]
@@ -217,7 +236,7 @@ def test_how_far_a_search_may_look_without_finding_others():
     assert NearestSearch(system_of(pc.Point(), torus, far), 0, 0.0).bend == pytest.approx(0.2, rel=1e-9)
     flat = pc.HeightField(lambda x, y: 0.1 * x, domain=((-1.0, 1.0), (-1.0, 1.0)))
     assert NearestSearch(system_of(pc.Point(), flat, far), 0, 0.0).bend == 100.0
-    system = system_of(pc.Cylinder(0.1), torus, far)
+    system = system_of(pc.Cylinder(0.1), pc.HeightField(lambda x, y: 0.1 * x), far)
     with pytest.raises(ValueError, match="unbounded"):
         NearestSearch(system, 0, 0.0)
 

@@ -23,13 +23,15 @@ from .search import Candidate, refine
 # Cells of a curve and along each parameter of a surface to begin with, how often they are divided, and how many are.
 _CURVE_CELLS, _SURFACE_CELLS = 128, 24
 _DIVISIONS, _MOST_CELLS = 12, 4096
-# Samples of body 1, which is taken as a whole.
+# Samples of the contour that is taken as a whole.
 _WHOLE_CURVE, _WHOLE_SURFACE = 192, (48, 24)
 # What tangents within a cell are longer by than the longest that was seen.
 _LONGER = 1.2
 # Starts of Newton's method, and cells that are resolved, relative to the distance and to the radius of curvature.
 _STARTS = 6
 _FINE, _FINEST = 0.05, 0.05
+# Steps of Newton's method from the best samples to the points of their contour that are nearest to the other one's.
+_FOOT_STEPS = 4
 # Radius of the neighbourhood of a nearest point that has no other one, in radii of curvature.
 _NEIGHBOURHOOD = 0.5
 # Radii of curvature beyond this, in m, count as this.
@@ -53,7 +55,7 @@ class Whole:
     centre (3,), extent: of a ball around it, in m; rounding: radius of a ball whose centre stands for it."""
 
     def __init__(self, contour: Contour, t: float) -> None:
-        self.rounding = 0.0
+        self.contour, self.rounding = contour, 0.0
         self.parameters, self.points, self.radius = np.zeros((1, 2)), np.zeros((1, 3)), 0.0
         if isinstance(contour, Sphere):
             self.rounding = contour.shape[0]
@@ -66,6 +68,11 @@ class Whole:
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         self.centre = 0.5 * (low + high)
         self.extent = float(np.linalg.norm(self.points - self.centre, axis=1).max()) + self.radius
+
+    @property
+    def size(self) -> float:
+        """Radius in m of a ball around all of it."""
+        return self.extent + self.rounding
 
 
 def bend(contour: Contour, t: float) -> float:
@@ -95,60 +102,64 @@ def _window(contour: Contour) -> float:
 class NearestSearch:
     """Searches the nearest points of one contact of a system (`dynamics.system`), which is in any state.
 
-    bend: least radius of curvature of both contours, in m. Raises ValueError where body 1 has no finite extent.
+    The contour of less extent is taken as a whole; the other one is divided into cells.
+
+    whole, divided: these contours; bend: least radius of curvature of both, in m. Raises ValueError where neither
+    contour is bounded.
     """
 
     def __init__(self, system: Workspace, c: int, t: float) -> None:
         self.system, self.c = system, c
-        contact = system.contacts[c]
-        self.one: Contour = contact.body1.contour
-        self.two: Contour = contact.body2.contour
-        if not all(math.isfinite(low) and math.isfinite(high) for low, high in self.one.domain):
-            raise ValueError("body 1 is unbounded.")
-        self.whole = Whole(self.one, t)
-        own, other, extent = bend(self.one, t), bend(self.two, t), self.whole.extent + self.whole.rounding
+        contours = system.contacts[c].body1.contour, system.contacts[c].body2.contour
+        bounded = [all(math.isfinite(low) and math.isfinite(high) for low, high in own.domain) for own in contours]
+        wholes = {side: Whole(contours[side], t) for side in (0, 1) if bounded[side]}
+        if not wholes:
+            raise ValueError("both contours are unbounded.")
+        self._side = min(wholes, key=lambda side: wholes[side].size)
+        self.whole, self.divided = wholes[self._side], contours[1 - self._side]
+        own, other = bend(contours[self._side], t), bend(self.divided, t)
         self.bend = min(own, other, _LARGEST)
         if len(self.whole.points) == 1:
             # of points and balls nothing else can come near than what is; in a hollow, what is left of its radius
-            self.bend = min(max(other - extent, 0.5 * min(own, other)), _LARGEST)
+            self.bend = min(max(other - self.whole.size, 0.5 * min(own, other)), _LARGEST)
         self._single = system.alone(c)
 
     def pose(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rotation of body 1's contour in the frame of body 2's, and its centre there, as last evaluated."""
-        one, two = self.system.frames[2 * self.c], self.system.frames[2 * self.c + 1]
-        rotation = two[:3].T @ one[:3]
-        return rotation, two[:3].T @ (one[ORIGIN] - two[ORIGIN]) + rotation @ self.whole.centre
+        """Rotation of the whole contour's frame in that of the divided one, and its centre there, as last evaluated."""
+        own, other = self.system.frames[2 * self.c + self._side], self._frame()
+        rotation = other[:3].T @ own[:3]
+        return rotation, other[:3].T @ (own[ORIGIN] - other[ORIGIN]) + rotation @ self.whole.centre
+
+    def _frame(self) -> np.ndarray:
+        """The divided contour's frame, as last evaluated."""
+        return self.system.frames[2 * self.c + 1 - self._side]
 
     def search(self, t: float) -> Nearest:
         """The nearest points at the system's (q, v)."""
-        if self.one.time_dependent:
-            self.whole = Whole(self.one, t)
+        if self.whole.contour.time_dependent:
+            self.whole = Whole(self.whole.contour, t)
         whole, (rotation, centre) = self.whole, self.pose()
         neighbourhood = _NEIGHBOURHOOD * self.bend
         parameters, points, reaches = self._patch(t, centre, neighbourhood)
-        pair = np.zeros(len(points), dtype=int)
-        if len(whole.points) == 1:
-            distances = np.linalg.norm(points - centre, axis=1)
-        else:
-            turned = (whole.points - whole.centre) @ rotation.T + centre
-            distances, pair = scipy.spatial.cKDTree(turned).query(points)
+        opposite = (whole.points - whole.centre) @ rotation.T + centre
+        distances, pair = scipy.spatial.cKDTree(opposite).query(points)
         distances = distances - whole.rounding
         least = np.maximum(distances - reaches - whole.radius, 0.0)
         # what is inside a ball that stands for a contour is as far from it as its surface
-        found = self._candidate(t, parameters, points, distances, pair, neighbourhood)
+        found, point = self._candidate(t, parameters, points, distances, pair, opposite[pair], neighbourhood)
         distance = float(least.min())
         if found is None:
             return Nearest(None, distance, distance)
-        two = self.system.frames[2 * self.c + 1]
-        at = two[:3].T @ (found.point - two[ORIGIN])
+        frame = self._frame()
+        at = frame[:3].T @ (point - frame[ORIGIN])
         away = np.linalg.norm(points - at, axis=1) > neighbourhood + reaches
         elsewhere = min(float(least[away].min(initial=math.inf)), float(distances.min()) + neighbourhood)
         return Nearest(found, distance, elsewhere)
 
     def _patch(self, t: float, centre: np.ndarray, beyond: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Cells of body 2 that may be nearest to body 1, or farther than that by `beyond` in m: parameters (n, 2),
-        points (n, 3) in its frame, and radii (n,)."""
-        contour, extent = self.two, self.whole.extent
+        """Cells of the divided contour that may be nearest to the whole one, or farther than that by `beyond` in m:
+        parameters (n, 2), points (n, 3) in its frame, and radii (n,)."""
+        contour, extent = self.divided, self.whole.extent
         counts = (_CURVE_CELLS,) if contour.dimension == 1 else (_SURFACE_CELLS,) * 2
         centres, half = _cells(self._box(t, centre, beyond), counts)
         values = _values(contour, centres, t)
@@ -174,10 +185,10 @@ class NearestSearch:
         return centres, points, reaches
 
     def _box(self, t: float, centre: np.ndarray, beyond: float) -> list[tuple[float, float]]:
-        """The part of body 2's domain that what is near must be in."""
-        contour = self.two
+        """The part of the divided contour's domain that what is near must be in."""
+        contour, side = self.divided, 1 - self._side
         flat = isinstance(contour, (Plane, HeightField))
-        around = centre[:2].copy() if flat else self.system.location[self.c, 2:4].copy()
+        around = centre[:2].copy() if flat else self.system.location[self.c, 2 * side : 2 * side + 2].copy()
         for a, (low, high) in enumerate(contour.domain):
             around[a] = min(max(around[a], low), high)
         values = contour.evaluate(around[: contour.dimension], t)
@@ -198,39 +209,61 @@ class NearestSearch:
         points: np.ndarray,
         distances: np.ndarray,
         pair: np.ndarray,
+        opposite: np.ndarray,
         apart: float,
-    ) -> Candidate | None:
-        """The nearest of the stationary points to which Newton's method leads from the best samples."""
+    ) -> tuple[Candidate | None, np.ndarray]:
+        """The nearest of the stationary points to which Newton's method leads from the best samples, and the divided
+        contour's point (3,) in the world."""
         system, single, c = self.system, self._single, self.c
         single.q[:], single.v[:] = system.q, system.v
         single.contact_int[0, MODE], single.contact_int[0, SIDE] = FRICTIONLESS, system.contact_int[c, SIDE]
         single.contact_int[0, DETERMINANT_SIGN] = 0
         side = int(system.contact_int[c, SIDE])
-        order = np.argsort(distances)
-        left, best, shortest = order, None, math.inf
+        left, best, shortest = np.argsort(distances), None, math.inf
+        own, other = slice(2 * self._side, 2 * self._side + 2), slice(2 - 2 * self._side, 4 - 2 * self._side)
+        point = np.zeros(3)
         for _ in range(_STARTS):
             if not left.size:
                 break
             first = left[0]
             left = left[np.linalg.norm(points[left] - points[first], axis=1) > apart]
             start = np.zeros(4)
-            start[2:] = parameters[first]
-            if isinstance(self.one, Sphere):
-                start[:2] = self._facing(points[first])
+            start[other], foot = self._foot(parameters[first], opposite[first], t)
+            if isinstance(self.whole.contour, Sphere):
+                start[own] = self._facing(foot)
             else:
-                start[:2] = self.whole.parameters[pair[first]]
+                start[own] = self.whole.parameters[pair[first]]
             found = refine(single, t, start, 1, set())
-            if found is None or (found.side not in (0, side) and self.one.dimension > 0):
+            if found is None or (found.side not in (0, side) and system.contacts[c].body1.contour.dimension > 0):
                 continue
-            difference = single.frames[1, ORIGIN] + single.derivatives[1, 0]
-            difference = difference - single.frames[0, ORIGIN] - single.derivatives[0, 0]
-            length = float(np.linalg.norm(difference))
+            touching = single.frames[:, ORIGIN] + single.derivatives[:2, 0]
+            length = float(np.linalg.norm(touching[1] - touching[0]))
             if length < shortest:
-                best, shortest = found, length
-        return best
+                best, shortest, point = found, length, touching[1 - self._side]
+        return best, point
+
+    def _foot(self, u: np.ndarray, target: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters (2,) of the divided contour near u and its point (3,), both nearer to a target (3,) in its frame:
+        Newton's method, in which a surface's curvature counts where it keeps steps short."""
+        contour, k = self.divided, self.divided.dimension
+        low, high = np.array(contour.domain).reshape(k, 2).T
+        u, least = u.copy(), math.inf
+        found, point = u, np.zeros(3)
+        for _ in range(_FOOT_STEPS):
+            values = contour.evaluate(u[:k], t)
+            away = target - values[0]
+            if not away @ away < least:
+                break
+            found, point, least = u.copy(), values[0], float(away @ away)
+            bent = -(values[3:6] @ away)[[[0, 1], [1, 2]]][:k, :k]
+            stretches, axes = np.linalg.eigh(bent)
+            hessian = values[1 : 1 + k] @ values[1 : 1 + k].T + (axes * np.maximum(stretches, 0.0)) @ axes.T
+            step = np.linalg.lstsq(hessian, values[1 : 1 + k] @ away)[0]
+            u[:k] = np.clip(u[:k] + step, low, high)
+        return found, point
 
     def _facing(self, point: np.ndarray) -> tuple[float, float]:
-        """Parameters of the ball that is body 1 at which it faces a point in body 2's frame."""
+        """Parameters of the ball that is the whole contour at which it faces a point in the divided one's frame."""
         rotation, centre = self.pose()
         x, y, z = rotation.T @ (point - centre)
         return math.atan2(y, x), math.atan2(z, math.hypot(x, y))

@@ -77,8 +77,8 @@ class _Open:
             with suppress(ValueError):
                 self.search = NearestSearch(system, c, t)
         if self.search is not None:
-            self.whole, self.near = self.search.whole, _NEAR * self.search.bend
-        elif all(math.isfinite(low) and math.isfinite(high) for low, high in one.domain):
+            self.near = _NEAR * self.search.bend
+        if all(math.isfinite(low) and math.isfinite(high) for low, high in one.domain):
             self.whole = Whole(one, t)
         form = system.contact_int[c, CLOSED_FORM]
         if form in (POINT_ON_SPHERE, SPHERE_ON_SPHERE):

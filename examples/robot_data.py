@@ -12,6 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pinocchio as pin
 
 import pincontact as pc
@@ -50,7 +51,9 @@ def main(description: str = "go2_description", html: Path | None = None) -> dict
     for file in files:
         print(file)
     scene = pc.Scene.from_urdf(files[0], package_dirs=share)
-    run = pc.simulate(scene, scene.initial_state(pin.neutral(scene.model)), 0.5, rtol=1e-5, atol=1e-7)
+    # knees that cannot be straight are as straight as they can
+    q = np.clip(pin.neutral(scene.model), scene.model.lowerPositionLimit, scene.model.upperPositionLimit)
+    run = pc.simulate(scene, scene.initial_state(q), 0.5, rtol=1e-5, atol=1e-7)
     print(run.message)
     if html is not None:
         print(f"wrote {pc.export_html(run, html)}")

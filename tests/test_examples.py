@@ -293,6 +293,8 @@ def test_examples_call_a_step_of_time_dt():
 
 def test_robot_data_lists_and_draws_a_description(tmp_path, capsys):
     needs("example-robot-data")
+    # as it is without arguments: a robot whose knees cannot be straight
+    assert run_example("robot_data") == {"files": ["go2.urdf"], "status": 0}
     page = tmp_path / "arm.html"
     found = run_example("robot_data", description="double_pendulum_description", html=page)
     assert "double_pendulum.urdf" in found["files"] and found["status"] == 0

@@ -111,6 +111,26 @@ def test_random_states(kind):
     assert outcomes["nearest"] > 1
 
 
+def test_a_program_that_fails_proves_nothing(monkeypatch):
+    """A point within all limits is looked for then, and what is nearest from there."""
+    assert check_case(random_case("arm", 818)) == "nearest"
+    case = random_case("arm", 0)
+    expected, solve_as_ever, calls = solve(case, unreachable="nearest"), ConeLeastSquares.solve, []
+
+    def fails_first(self, *problem):
+        calls.append(problem)
+        return None if len(calls) <= failures else solve_as_ever(self, *problem)
+
+    monkeypatch.setattr(ConeLeastSquares, "solve", fails_first)
+    failures = 1
+    np.testing.assert_allclose(solve(case, unreachable="nearest").acceleration, expected.acceleration, atol=1e-9)
+    calls.clear()
+    failures = 100
+    with pytest.raises(pc.SolverError, match="nor a reason why") as told:
+        solve(case, unreachable="nearest")
+    assert not isinstance(told.value, pc.InfeasibleError)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_nearest_and_least_against_slsqp(seed):
     """The arm: nothing is nearer within cones and limits, and no efforts are less that make the same accelerations."""

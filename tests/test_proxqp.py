@@ -251,14 +251,19 @@ def test_a_stepper_uses_it_and_a_later_run_of_the_scene_does_not():
     assert pc.simulate(scene, state, 0.01, method="Moreau").stats["qp"] == 0
 
 
+def example(name):
+    file = Path(__file__).parent.parent / "examples" / f"{name}.py"
+    specification = importlib.util.spec_from_file_location(name, file)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
 @pytest.mark.parametrize(
     "method, duration, options", [("Moreau", 0.8, {"step": 1e-3}), ("DOP853", 0.7, {"rtol": 1e-9})]
 )
 def test_a_quadruped_slips_as_it_does_otherwise(method, duration, options):
-    file = Path(__file__).parent.parent / "examples" / "quadruped.py"
-    specification = importlib.util.spec_from_file_location("quadruped", file)
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
+    module = example("quadruped")
     scene = module.quadruped()
     state = module.standing(scene)
     holding = pc.inverse_dynamics(scene, state).tau
@@ -280,6 +285,19 @@ def test_a_quadruped_slips_as_it_does_otherwise(method, duration, options):
     assert run.stats["qp_failures"] == 0
     assert run.stats["cone_problems"] <= run.stats["qp"] <= 1.1 * run.stats["cone_problems"]
     assert usual.stats["qp"] == 0
+
+
+def test_of_several_solutions_of_an_impact_it_finds_the_usual_one():
+    """A bicycle that has fallen: the rear wheel touches, and the front one may stay or be thrown off."""
+    module = example("bicycle")
+    scene = module.bicycle()
+    usual, run = (
+        pc.simulate(scene, module.running(scene, 3.0, 0.05), 3.7, rtol=1e-9, contact_solver=name)
+        for name in ("auto", "proxqp")
+    )
+    assert run.success and run.stats["qp"] > run.stats["cone_problems"] > 0
+    assert [(event.kind, event.contact) for event in run.events] == [(e.kind, e.contact) for e in usual.events]
+    np.testing.assert_allclose(run.q[-1], usual.q[-1], rtol=0.0, atol=1e-9)
 
 
 WITH_FRICTION = [

@@ -245,10 +245,22 @@ def inverse_dynamics(
             options,
         )
         return _within_limits(program, wanted, not (acceleration is None or isinstance(acceleration, Mapping)))
+    return _without_limits(scene, state, acceleration, actuation, {} if forces is None else forces, tolerance)
+
+
+def _without_limits(
+    scene: Scene,
+    state: State,
+    acceleration: ArrayLike | None,
+    actuation: ArrayLike | Sequence[str] | None,
+    forces: Mapping[str, ArrayLike],
+    tolerance: float,
+) -> InverseDynamics:
+    """`inverse_dynamics` as one linear least-squares problem; arguments as there."""
     instant = Instant(scene, state, decide=False)
-    system, model = instant.system, scene.model
-    given = check_forces(scene, {} if forces is None else forces)
-    matrix = actuation_matrix(model, actuation)
+    system = instant.system
+    given = check_forces(scene, forces)
+    matrix = actuation_matrix(scene.model, actuation)
     instant.evaluate()
     constrained = instant.constrained()
     bias = instant.biases(constrained)

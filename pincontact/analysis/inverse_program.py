@@ -170,7 +170,10 @@ class InverseProgram:
         """The nearest accelerations, their distance, and why there is one."""
         nearest = self._reach.solve(level.matrix, level.right, region, guess)
         if nearest is None:
-            raise self._nothing(problem, level, region)
+            # from a point inside, if there is one
+            nearest = self._reach.solve(level.matrix, level.right, region, self._inside(problem, level, region))
+        if nearest is None:
+            raise SolverError("inverse dynamics: ProxQP did not find the nearest accelerations within the limits")
         unit = float(np.linalg.norm(level.matrix @ nearest.y - level.right))
         shortfall = level.scale * unit
         self._reached = shortfall <= options.tolerance * level.size
@@ -217,19 +220,21 @@ class InverseProgram:
         solution = self._forces.solve(rows, aim - forces, region, np.zeros(free.shape[1]))
         return point if solution is None else point + free @ solution.y
 
-    def _nothing(self, problem: Problem, level: _Tasks, region: Region) -> SolverError:
-        """The error where nothing is admissible whatever the accelerations, with its certificate."""
+    def _inside(self, problem: Problem, level: _Tasks, region: Region) -> np.ndarray:
+        """A point of the region; InfeasibleError where nothing is admissible whatever the accelerations."""
         elastic = region.elastic()
         n, total = region.rows.shape[1], elastic.rows.shape[1]
         matrix = np.hstack([np.zeros((total - n, n)), np.eye(total - n)])
         found = self._elastic.solve(matrix, np.zeros(total - n), elastic, np.zeros(total))
         if found is None:
-            return SolverError("inverse dynamics: ProxQP found neither forces within the limits nor a reason why")
+            raise SolverError("inverse dynamics: ProxQP found neither forces within the limits nor a reason why")
+        if region.contains(found.y[:n]):
+            return found.y[:n]
         on_cones, on_rows = multipliers_of_elastic(found, len(region.rows))
         task = np.zeros(problem.span.shape[1])
         at = problem.start + problem.basis @ level.point
         certificate = certificate_of(problem, on_cones, on_rows, task, at)
-        return InfeasibleError(
+        raise InfeasibleError(
             f"inverse dynamics: no forces within the limits keep these contacts, whatever the accelerations, for "
             f"{certificate}",
             certificate,

@@ -463,7 +463,10 @@ class ContactSolver:
         if space.programs is None:
             space.programs = ConePrograms(space.contacts)
         before = space.forces.copy()
-        warm = bool(space.counts[KNOWN]) and self.programs_first and not afresh
+        warm = self.programs_first and (afresh or bool(space.counts[KNOWN]))
+        if warm and afresh:
+            # as Newton's method does: from all at rest
+            space.forces[:] = -np.linalg.lstsq(delassus, b)[0]
         task = CLASSIFY_NEAR if self.nearest and not afresh else CLASSIFY
 
         def finish() -> bool:

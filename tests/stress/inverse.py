@@ -129,7 +129,7 @@ def main(count: int, seed: int) -> int:
         print(f"{kind}: {number} {outcome}")
     for what, number in compared.items():
         print(f"{what}: {number} compared with clarabel, greater by {worst[what]:.1e} at most, relatively")
-        failures += worst[what] > 1e-5
+        failures += int(worst[what] > 1e-5)
     if clarabel is None:
         print("clarabel is not installed (pip install pincontact[bench]): optimality was not compared")
     print(f"{failures} failures, {time.perf_counter() - begin:.0f} s")

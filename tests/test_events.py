@@ -134,6 +134,58 @@ def test_impact_with_friction_of_a_ball():
         assert run.contacts["c"].mode[-1] == mode
 
 
+def struck_block(law, lean, speed):
+    """A point mass on the floor with a ball of its own, at which another ball of the same mass comes at 2 m/s along
+    (sin lean, 0, cos lean) when the block slides at a speed along x: the block's velocity after, by each method."""
+    model = pin.Model()
+    for name in ("block", "hammer"):
+        joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+        model.addBodyFrame(name, joint, pin.SE3.Identity(), 0)
+    model.gravity.setZero()
+    scene = pc.Scene(model)
+    foot, floor = scene.add_contour("foot", pc.Point(), frame="block"), scene.add_contour("floor", pc.Plane())
+    head, hammer = (scene.add_contour(name, pc.Sphere(0.1), frame=name) for name in ("block", "hammer"))
+    scene.add_contact("c", foot, floor, friction=law)
+    scene.add_contact("hit", hammer, head)
+    away = np.array([math.sin(lean), 0.0, math.cos(lean)])
+    block = np.array([speed, 0.0, 0.0])
+    v = np.concatenate([block, block - 2.0 * away])
+    state = scene.initial_state(np.concatenate([np.zeros(3), (0.2 + 2e-2) * away]), v, free=["hit"])
+    runs = [
+        pc.simulate(scene, state, 0.011, method=method, dt=dt) for method, dt in (("DOP853", None), ("Moreau", 1e-3))
+    ]
+    assert all([event.kind for event in run.events][:1] == ["touch"] for run in runs)
+    return [run.v[-1, :3] for run in runs]
+
+
+def pushed(mu, lean, speed):
+    """The same: the impulses J of the balls and N of the floor, with friction mu N against the slip after, where the
+    balls do not part along `lean` and the block does not leave the floor."""
+    # the block's velocity is speed - J sin + mu N, with N = J cos; along the line the hammer keeps that
+    across, along = math.cos(lean), math.sin(lean)
+    impulse = 2.0 / (1.0 + along * (along - mu * across))
+    return speed - impulse * (along - mu * across)
+
+
+def test_coefficients_in_an_impact_are_those_before():
+    """What rested holds up to mu_static, and slips with mu if it does not hold; what slid has the coefficient of its
+    speed before, though it is ten times as fast after."""
+    stribeck = pc.Stribeck(0.2, 0.6, 0.05)
+    for law, lean, speed, mu in (
+        (pc.Coulomb(0.2, mu_static=0.6), 0.4, 0.0, None),
+        (pc.Coulomb(0.2, mu_static=0.6), 0.7, 0.0, 0.2),
+        (stribeck, 0.4, 0.0, None),
+        (stribeck, 0.7, 0.0, 0.6),
+        (pc.Coulomb(0.2, mu_static=0.6), 0.4, -0.03, 0.2),
+        (stribeck, 0.7, -0.03, float(stribeck.coefficient(0.03))),
+    ):
+        expected = 0.0 if mu is None else pushed(mu, lean, speed)
+        # the line through both centres turns within a time step
+        for velocity, accuracy in zip(struck_block(law, lean, speed), (1e-9, 1e-3)):
+            assert velocity == pytest.approx([expected, 0.0, 0.0], abs=accuracy)
+
+
 def test_disk_leaves_a_sphere_and_flies_on():
     """After the contact has opened the body falls freely: energy and angular momentum in its axes are kept."""
     scene, state = build("disk_on_sphere_detach", native=True)

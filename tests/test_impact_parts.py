@@ -11,6 +11,7 @@ import pytest
 from pincontact.dynamics import impact
 from pincontact.dynamics.energy import KEPT_ACCURACY
 from pincontact.dynamics.units import delassus
+from pincontact.friction import cone
 from pincontact.friction.solve import ContactSolver
 from pincontact.geometry.patterns import ON_CURVE
 from pincontact.layout import (
@@ -108,7 +109,7 @@ class Answering:
 
     def solve(self, gram, b, mu, afresh):
         self.asked.append(b.copy())
-        self.forces = self.answer(b, len(self.asked))
+        self.forces, self.modes = self.answer(b, len(self.asked)), np.full(len(mu), cone.STICK)
         return self.forces is not None
 
 
@@ -117,7 +118,8 @@ def carrying(mu=0.4):
     problem = object.__new__(impact._Problem)
     problem.before, problem.start = np.zeros(6), np.zeros(4)
     problem.stack = problem.reduced = np.vstack([np.eye(6)[[0, 1, 2, 3]]])
-    problem.rebound, problem.mu = np.zeros(2), np.array([mu, 0.02])
+    problem.rebound, problem.holding = np.zeros(2), np.array([mu, 0.02])
+    problem.sliding = problem.holding
     problem.loaded, problem.carried = {}, {1: 0}
     problem.weights = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.5])
     problem.gram = np.eye(6)
@@ -217,7 +219,7 @@ def test_units_and_equations_of_an_impact(seed):
     assert problem.stack == pytest.approx(stack.reshape(27, -1).T, abs=1e-13)
     assert problem.before == pytest.approx(before.ravel(), abs=1e-14)
     mu = system.contact_real[:, MU]
-    assert problem.mu == pytest.approx([mu[0], 0.0, mu[2], mu[3], mu[5], mu[11], mu[12], 0.0, 0.0])
+    assert problem.sliding == pytest.approx([mu[0], 0.0, mu[2], mu[3], mu[5], mu[11], mu[12], 0.0, 0.0])
     approach = np.minimum(velocity[:2, 2], 0.0)
     assert problem.rebound == pytest.approx([0.5 * approach[0], 0.25 * approach[1]] + [0.0] * 7)
     # which impulses are the loads of what
@@ -346,8 +348,7 @@ def test_ideal_rolling_that_contradicts_itself_by_round_off():
     """Large coefficients in place of infinite ones, where there are any; others stay what they are."""
     for mu, expected in (([0.4, 0.3], [[0.4, 0.3]]), ([math.inf, 0.3], [[math.inf, 0.3], [1e4, 0.3], [1e2, 0.3]])):
         problem, solver = carrying(), Refusing(len(expected) if len(expected) > 1 else 0)
-        problem.mu = np.array(mu)
-        assert problem._solve_cones(solver, np.zeros(6)) is (len(expected) > 1)
+        assert problem._solve_cones(solver, np.zeros(6), np.array(mu)) is (len(expected) > 1)
         assert solver.asked == expected
 
 

@@ -8,20 +8,25 @@ joints' ways take part as normals, without restitution. Dry joint friction is a 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..friction.cone import SLIP
 from ..friction.solve import ContactSolver
 from ..friction.stribeck import stribeck
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
     JOINT_END,
+    MODE,
     MOTION_KIND,
     MU,
     MU_FAST,
+    MU_STATIC,
     PATTERN,
+    STICK,
     STRIBECK_EXPONENT,
     STRIBECK_SPEED,
     TANGENTS,
@@ -57,17 +62,23 @@ class Impact:
 
 
 def apply_impact(
-    system: System, solver: ContactSolver, closed: list[int], ends: list[int], restitution: dict[int, float]
+    system: System,
+    solver: ContactSolver,
+    closed: list[int],
+    ends: list[int],
+    restitution: dict[int, float],
+    struck: Collection[int] = (),
 ) -> Impact | None:
     """Change the system's v by the impulses of an impact; None if no impulses satisfy the laws.
 
     Uses rows, v_c and the factor of M of the last evaluation. closed: contacts that take part; ends: guarded joint
     coordinates that are held at an end; restitution: contact -> coefficient, applied to the approach speed of v_c, 0
-    for others, and lowered where it would create energy (`energy`). Tangential impulses obey Coulomb's law with the
-    final slip velocity, and the
-    coefficient of the speed before.
+    for others, and lowered where it would create energy (`energy`); struck: contacts that were open before.
+
+    Tangential impulses obey Coulomb's law with the final slip velocity. The coefficient is that of the speed of slip
+    before; what was at rest holds up to that of sticking, and has that of sliding if it does not hold.
     """
-    problem = _Problem(system, closed, ends, restitution)
+    problem = _Problem(system, closed, ends, restitution, struck)
     kept, low, high = 1.0, 0.0, 1.0
     while True:
         y = problem.solve(solver, kept)
@@ -96,18 +107,27 @@ def apply_impact(
 class _Problem:
     """Units and equations of one impact, in whitened changes of velocity y = L (v+ - v-)."""
 
-    def __init__(self, system: System, closed: list[int], ends: list[int], restitution: dict[int, float]) -> None:
+    def __init__(
+        self,
+        system: System,
+        closed: list[int],
+        ends: list[int],
+        restitution: dict[int, float],
+        struck: Collection[int] = (),
+    ) -> None:
         integers = system.contact_int
         velocity = {c: system.basis[c] @ system.slip[c] for c in closed}
         equations: list[tuple[int, int]] = []
         units: list[np.ndarray] = []
-        before, rebound, mu = [], [], []
+        before, rebound, mu, sliding = [], [], [], []
         # unit -> rows among the equations that carry its normal impulse
         self.loaded: dict[int, list[int]] = {}
         places_of: dict[int, int] = {}
         normals_of: dict[int, list[int]] = {}
         for c in closed:
             rows, limit = contact_rows(integers[c, TANGENTS]), _coefficient(system, c)
+            rested = integers[c, MODE] == STICK and c not in struck
+            holding = float(system.contact_real[c, MU_STATIC]) if rested else limit
             if integers[c, UNILATERAL]:
                 columns, before_c = unit_columns(system, c, rows if limit > 0.0 else (2,)), velocity[c].copy()
                 # elliptic cones are round in other coordinates
@@ -117,7 +137,8 @@ class _Problem:
                 units.append(columns)
                 before.append(before_c * (np.abs(columns).max(axis=0, initial=0.0) > 0.0))
                 rebound.append(restitution.get(c, 0.0) * min(velocity[c][2], 0.0))
-                mu.append(limit)
+                mu.append(holding)
+                sliding.append(limit)
                 continue
             normals = [1, 2] if integers[c, PATTERN] == ON_CURVE else [2]
             tangents = [row for row in rows if row not in normals]
@@ -133,7 +154,8 @@ class _Problem:
                 units.append(columns)
                 before.append(before_c)
                 rebound.append(0.0)
-                mu.append(limit)
+                mu.append(holding)
+                sliding.append(limit)
         # unit of a resistance to turning -> unit that carries its contact's normal impulse
         self.carried: dict[int, int] = {}
         for item in system.resisting():
@@ -149,6 +171,7 @@ class _Problem:
             before.append((system.basis[item] @ system.slip[item]) * np.isin(range(3), tangents))
             rebound.append(0.0)
             mu.append(float(system.contact_real[item, MU]))
+            sliding.append(mu[-1])
         self.contacts = len(units)
         for g in ends:
             sign = -float(system.joint_int[g, JOINT_END])
@@ -156,9 +179,10 @@ class _Problem:
             before.append(np.array([0.0, 0.0, sign * system.slip[system.nc + g, 2]]))
             rebound.append(0.0)
             mu.append(0.0)
+            sliding.append(0.0)
         self.stack = np.hstack(units) if units else np.zeros((system.nv, 0))
         self.before = np.array(before).reshape(-1)
-        self.rebound, self.mu = np.array(rebound), np.array(mu)
+        self.rebound, self.holding, self.sliding = np.array(rebound), np.array(mu), np.array(sliding)
         self.forces = np.zeros(3 * len(units))
         sides = system.side_int[[2 * c + side for c in closed for side in range(2)]]
         self.driven = bool(sides[:, [MOTION_KIND, TIME_DEPENDENT]].any())
@@ -177,13 +201,17 @@ class _Problem:
         b = self.before + self.stack.T @ self.start
         b[2::3] += kept * self.rebound
         b[self.weights > 0.0] = 0.0
-        loads = np.zeros(len(self.mu))
+        mu, loads = self.holding.copy(), np.zeros(len(self.holding))
         for iteration in range(_LOAD_ITERATIONS):
             for u in (*self.loaded, *self.carried):
                 b[3 * u + 2] = -self.weights[3 * u + 2] * loads[u]
-            if self.mu.size:
-                if not self._solve_cones(solver, b):
+            if mu.size:
+                if not self._solve_cones(solver, b, mu):
                     return None
+                slips = (solver.modes == SLIP) & (mu > self.sliding)
+                if slips.any():
+                    mu[slips] = self.sliding[slips]
+                    continue
                 self.forces = np.where(self.weights > 0.0, 0.0, solver.forces)
             y = self.start + self.reduced @ self.forces
             change, size = 0.0, float(np.abs(self.forces).max(initial=0.0))
@@ -198,13 +226,11 @@ class _Problem:
                 return y
         return None
 
-    def _solve_cones(self, solver: ContactSolver, b: np.ndarray) -> bool:
-        ideal = np.isinf(self.mu)
-        return solver.solve(self.gram, b, self.mu, afresh=True) or (
+    def _solve_cones(self, solver: ContactSolver, b: np.ndarray, mu: np.ndarray) -> bool:
+        ideal = np.isinf(mu)
+        return solver.solve(self.gram, b, mu, afresh=True) or (
             bool(ideal.any())
-            and any(
-                solver.solve(self.gram, b, np.where(ideal, large, self.mu), afresh=True) for large in _LARGE_FRICTION
-            )
+            and any(solver.solve(self.gram, b, np.where(ideal, large, mu), afresh=True) for large in _LARGE_FRICTION)
         )
 
     def work(self, y: np.ndarray) -> tuple[float, float, float]:

@@ -84,7 +84,7 @@ class Impacts:
         closed, ends = system.closed(), self.joints.held_at_ends()
         deep = any(c in self.penetration.contacts for c in closed)
         energy = sum(changes.energies()) if deep else 0.0
-        impact = apply_impact(system, changes.modes.solver, closed, list(ends), restitution)
+        impact = apply_impact(system, changes.modes.solver, closed, list(ends), restitution, {*touching, *near})
         if impact is None:
             names = ", ".join(repr(self.reports.names[i]) for i in touching or closed) or "a joint's limit"
             raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}; {ADVICE}")

@@ -35,7 +35,7 @@ from ..workspace import square
 from .actuators import add_actuators, end_weight
 from .impulse_equations import gather_equations
 from .impulse_layout import APART, DRY_FRICTION, ON_JOINT, ON_TURN, STEP, UPPER_LIMIT, step_at
-from .impulse_units import gather_contacts, gather_joints, gather_turns
+from .impulse_units import gather_contacts, gather_joints, gather_turns, set_impact_friction
 from .impulse_velocities import add_turn_row, free_gain, relative_turning, rigid_velocity, start_velocity
 
 # What slides or opens by less in a step, relative to the contact's length, does not: round-off of velocities. In rad,
@@ -150,6 +150,8 @@ def fill_unit(system, step, u):
         unit.midpoint = 0
     for row in range(3):
         _fill_row(system, step, u, row)
+    if step.counts.touched != 0 and unit.kind < ON_TURN:
+        set_impact_friction(system, step, u)
     if unit.kind == ON_TURN and unit.mask == 3 and not rigid:
         unit.midpoint = 1 if math.hypot(start[u, 0], start[u, 1]) * step.numbers.h > OPENING else 0
     elif unit.kind < ON_JOINT and system.contact_int[unit.index, ANISOTROPIC] != 0:

@@ -125,6 +125,17 @@ def gather_contacts(system, step):
 
 
 @kernel
+def set_impact_friction(system, step, u):
+    """In a step with impacts the coefficient of unit u, of a contact, is that of its slip before, and what slid does
+    not hold as what was at rest."""
+    unit, start = step.units[u], step.unit_start[u]
+    numbers = system.contact_real[unit.index]
+    unit.sticking_again = 0.0
+    if numbers[STRIBECK_SPEED] > 0.0 and step.start_mode[unit.index] != STICK:
+        step.friction[u] = unit.sliding = coefficient_at(numbers, math.hypot(start[0], start[1]))
+
+
+@kernel
 def gather_turns(system, step):
     """Units that resist spinning and rolling, of the contacts that take part."""
     contact_int, contact_real, units = system.contact_int, system.contact_real, step.units

@@ -101,6 +101,18 @@ def test_of_two_solutions_all_ways_take_the_same():
         assert run.contacts["c0"].mode[1] == -1
 
 
+@pytest.mark.parametrize("seed", [405760, 409024])
+def test_what_can_stay_closed_does(seed):
+    """Ideal rolling that might open as well: as the dry friction of a joint turns back, which a drive makes pass zero,
+    and in time steps as a joint leaves its end, so that other units than in the last step take part."""
+    finding = check(seed)
+    assert not finding.wrong, finding
+    motion = random_motion(seed)[1]
+    for run in (Runs(motion).run(), Runs(motion).stepped(5e-4)):
+        # long after the event
+        assert min(event.time for event in run.events if event.kind == "separate") > 0.07
+
+
 def test_forces_on_the_rim_of_their_cones_end_no_run_with_an_exception():
     """Feet of whose redundant forces none lies inside the cones, but for round-off: there is no central one."""
     run = Runs(random_motion(1140)[1]).run()

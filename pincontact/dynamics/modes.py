@@ -103,6 +103,10 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         ):
             # without an event every force lies inside its cone
             return Decision(status, passing)
+        if beyond is None and positive:
+            status = self._let_joints_go(t, evaluate)
+            if status <= EVENT:
+                return Decision(status, passing)
         # contacts beyond their static limit are held by sliding friction at most, the others by static friction
         self._limits = system.contact_real[:, MU_STATIC].copy()
         exceeded = system.event_functions[:, FRICTION_EVENT] < 0.0
@@ -113,6 +117,26 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         decision.started.update(passing)
         decision.started = {c: a for c, a in decision.started.items() if integers[c, MODE] == SLIPPING}
         return decision
+
+    def _let_joints_go(self, t: float, evaluate) -> int:
+        """Let held joint coordinates go, one after the other, whose forces exceed their bounds; the status, if no
+        contact has to change then. Otherwise modes are what they were, and evaluated."""
+        system = self.system
+        modes, limits = system.contact_int.copy(), system.joint_int.copy()
+        released: dict[int, tuple[int, int]] = {}
+        status = NO_FORCE
+        for _ in range(2 * len(system.held())):
+            if not (self._hold_one(released) or self._release_one(released)):
+                if status == OK or (status == EVENT and self._holds()):
+                    return status
+                break
+            status = evaluate(t)
+            if status > EVENT:
+                break
+        if released:
+            system.contact_int[:], system.joint_int[:] = modes, limits
+            evaluate(t)
+        return NO_FORCE
 
     def _solve(self, t: float, undecided: list[int], evaluate) -> Decision:
         """The cone problem over all closed contacts, held coordinates and resistances to turning; what slides enters

@@ -94,7 +94,7 @@ cone_at = CONE.at
 # last problem; how often there was something to begin from; in how many directions the last solution's forces may
 # change, and whether they depend on those that it was begun from; whether all states of a single contact were tried;
 # how often each of the deciders did.
-PASSES, KNOWN, DECIDED, TRIED, CHOICES, FOLLOWS, SEARCHED, TIMES = range(8)
+PASSES, KNOWN, OWNERS, DECIDED, TRIED, CHOICES, FOLLOWS, SEARCHED, TIMES = range(9)
 DECIDERS = ("warm", "exact", "sweeps", "path", "qp")
 BY_WARM, BY_EXACT, BY_GAUSS_SEIDEL, BY_HOMOTOPY, BY_QP = range(len(DECIDERS))
 UNDECIDED = -1

@@ -47,6 +47,7 @@ from .cone import (
     HUGE,
     KNOWN,
     OPEN,
+    OWNERS,
     PASSES,
     SLIP,
     STICK,
@@ -271,8 +272,11 @@ class ContactSolver:
         """The address of the `cone_workspace` for problems of this size, for kernels that call the solver."""
         return self._workspace(contacts).address
 
-    def warm_start(self, modes: np.ndarray, forces: np.ndarray, velocities: np.ndarray) -> None:
-        """Begin the next problem of this size from these modes (n,), forces and velocities (3n,) or (n, 3)."""
+    def warm_start(
+        self, modes: np.ndarray, forces: np.ndarray, velocities: np.ndarray, owners: int | None = None
+    ) -> None:
+        """Begin the next problem of this size from these modes (n,), forces and velocities (3n,) or (n, 3); owners:
+        whose they are, for callers that tell problems apart, None for those of the last problem."""
         space = self._space
         contacts = len(modes)
         if space.contacts != contacts:
@@ -286,15 +290,16 @@ class ContactSolver:
             space.forces[:] = forces.reshape(-1)
             space.velocities[:] = velocities.reshape(-1)
         space.counts[KNOWN] = 1
+        if owners is not None:
+            space.counts[OWNERS] = owners
 
-    def is_warm(self, contacts: int) -> bool:
-        """Whether problems of this size begin from a last solution."""
-        space = self._spaces.get(contacts)
-        return space is not None and bool(space.counts[KNOWN])
-
-    def warm_starts(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """The last solution of every size, as `warm_start` takes it; views."""
-        return [(space.modes, space.forces, space.velocities) for space in self._spaces.values() if space.counts[KNOWN]]
+    def warm_starts(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, int]]:
+        """The last solution of every size, as `warm_start` takes it; copies."""
+        return [
+            (space.modes.copy(), space.forces.copy(), space.velocities.copy(), int(space.counts[OWNERS]))
+            for space in self._spaces.values()
+            if space.counts[KNOWN]
+        ]
 
     def kept(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Modes, forces and velocities of the last problem, copies, as `warm_start` takes them."""

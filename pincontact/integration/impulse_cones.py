@@ -90,16 +90,25 @@ class ImpulseSolver:
         self.settled_off = 0.0
         self._share_tables()
 
-    def kept(self) -> list[tuple[np.ndarray, ...]]:
+    def kept(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, int]]:
         """Copies of the warm starts, for `restore`."""
-        return [tuple(part.copy() for part in solution) for solution in self.solver.warm_starts()]
+        return self.solver.warm_starts()
 
-    def restore(self, kept: list[tuple[np.ndarray, ...]]) -> None:
+    def restore(self, kept: list[tuple[np.ndarray, np.ndarray, np.ndarray, int]]) -> None:
         """Take the warm starts of another solver."""
         self.solver.forget()
-        for modes, forces, velocities in kept:
-            self.solver.warm_start(modes, forces, velocities)
+        for solution in kept:
+            self.solver.warm_start(*solution)
         self._share_tables()
+
+    def makes_room(self) -> bool:
+        """Whether there was no table yet for problems of the assembled one's size, which compiled code tries first."""
+        n = self._counts["units"].item()
+        if self._arrays.cone_tables[n] != 0:
+            return False
+        self.solver.address(n)
+        self._share_tables()
+        return True
 
     def solve(self) -> bool:
         """Solve the assembled problem; its solution is where `impulses.advance` looks for it."""
@@ -215,30 +224,13 @@ class ImpulseSolver:
         counts = self._counts
         if counts["coupled"] == APART:
             touched = bool(counts["touched"])
-            if self.solver.is_warm(problem.n):
-                # the usual ways have been tried
-                solved = self.solver.search(*problem.cones, afresh=touched)
-            else:
-                self._stay_as_before(problem)
-                solved = self.solver.solve(*problem.cones, afresh=touched)
-                self._share_tables()
-            if solved or self._stay(problem):
+            # the usual ways have been tried
+            if self.solver.search(*problem.cones, afresh=touched) or self._stay(problem):
                 return True
             if not np.isin(problem.units["kind"], (ON_LOADED, ON_TURN)).any():
                 return False
             counts["coupled"] = TOGETHER
         return self._solve_together(problem)
-
-    def _stay_as_before(self, problem: _Problem) -> None:
-        """Let the first problem of a size begin with all contacts at rest, if all were at the start of the step."""
-        units, velocities = problem.units, np.zeros((problem.n, 3))
-        contacts = units["index"][units["kind"] < ON_JOINT]
-        if not np.isin(self._arrays.start_mode[contacts], _AT_REST).all():
-            return
-        velocities[:, :2] = self._arrays.unit_start[: problem.n]
-        moves = (units["kind"] >= ON_JOINT) & self._turning(problem)
-        modes = np.where(moves | (problem.friction == 0.0), SLIP, STICK)
-        self.solver.warm_start(modes, np.zeros(3 * problem.n), velocities.ravel())
 
     def _turning(self, problem: _Problem) -> np.ndarray:
         """(n,) which units slide or turn at the step's start."""

@@ -16,6 +16,7 @@ from ..jit import INTEGER, REAL, STEPPING, kernel
 from ..layout import (
     DOMAIN,
     FREE,
+    FRICTIONLESS,
     LENGTH,
     LOCATION_FAILED,
     MODE,
@@ -30,7 +31,18 @@ from ..layout import (
 )
 from ..linalg import inner
 from ..workspace import square
-from .impulse_layout import ACCELERATION, APART, LOOKED_FOR, MEAN_VELOCITY, ON_CONTACT, ON_TURN, STEP, UNASKED, WANTED
+from .impulse_layout import (
+    ACCELERATION,
+    APART,
+    LOOKED_FOR,
+    MEAN_VELOCITY,
+    ON_CONTACT,
+    ON_JOINT,
+    ON_TURN,
+    STEP,
+    UNASKED,
+    WANTED,
+)
 from .impulse_problem import OPENING
 from .impulse_review import AGAIN, may_rest
 from .impulses import advance, leave_turning_axes, predict_midpoint
@@ -39,10 +51,13 @@ from .results import CLOSED_APART, CONTOUR_ENDS
 from .stages import evaluate
 from .steps import PROJECT_PLACES
 
+# Numbers that are far apart for lists that are not the same.
+_LARGE_PRIME = 1_000_003
 # What it comes back with, besides a status: a cone problem is to be solved.
 CONE_LEFT = 100
-# What has become of the cone problem that the last call left, if it left one; or the trial step is to be accepted.
-FRESH, SOLVED, UNSOLVED, APPROVED = range(4)
+# What has become of the cone problem that the last call left, if it left one: solved or not, or there is room now for
+# one of its size; or the trial step is to be accepted.
+FRESH, SOLVED, UNSOLVED, APPROVED, WITH_ROOM = range(5)
 
 # A step is taken again where the velocity at its midpoint was off by this fraction, at most so many times; corrections
 # that leave it off by the last have not converged.
@@ -86,6 +101,42 @@ def _take_solution(step, found):
 
 
 @kernel
+def _owners(step, n):
+    """A number for the contacts and joints that the n units belong to, in their order: other units, another number."""
+    owners = 1
+    for u in range(n):
+        unit = step.units[u]
+        kind, index = unit.kind, unit.index
+        if kind == ON_JOINT:
+            joint = step.joints[index]
+            kind, index = 4 + joint.kind, joint.index_v
+        # a turn about the normal and one across it, and what has no axis
+        owners = owners * _LARGE_PRIME + (index * 8 + kind) * 3 + unit.axis
+    return owners
+
+
+@kernel
+def _begin_anew(step, n, known):
+    """Let the problem of the n units, which are not those of the last problem of this size, begin with nothing, or
+    where all contacts are at rest at the start of the step with these at rest."""
+    known.counts[cone.KNOWN] = 0
+    for u in range(n):
+        unit, start = step.units[u], step.unit_start[u]
+        if unit.kind < ON_JOINT:
+            mode = step.start_mode[unit.index]
+            if mode != STICK and mode != FRICTIONLESS:
+                return
+            slides = False
+        else:
+            slides = math.hypot(start[0], start[1]) * step.numbers.h > OPENING
+        known.modes[u] = cone.SLIP if slides or step.friction[u] == 0.0 else cone.STICK
+        for k in range(3):
+            known.forces[3 * u + k] = 0.0
+            known.velocities[3 * u + k] = start[k] if k < 2 else 0.0
+    known.counts[cone.KNOWN] = 1
+
+
+@kernel
 def _solve(step, n):
     """Solve the assembled problem of n units in the usual ways; False leaves it to Python."""
     counts, numbers = step.counts, step.numbers
@@ -96,8 +147,10 @@ def _solve(step, n):
     # of several solutions of an impact the one that the past has no part in
     afresh = counts.cone_task >= USUAL and counts.touched != 0
     task = USUAL + AFRESH if afresh else counts.cone_task
-    if not afresh and known.counts[cone.KNOWN] == 0:
-        return False
+    owners = _owners(step, n)
+    if not afresh and (known.counts[cone.KNOWN] == 0 or known.counts[cone.OWNERS] != owners):
+        _begin_anew(step, n, known)
+    known.counts[cone.OWNERS] = owners
     residual = _call_cones(
         step.calls.solve_cones,
         as_array(square(step.delassus, 3 * n)),
@@ -206,6 +259,8 @@ def _impulses(system, step, found):
         status = _call_on_step(step.calls.assemble, system, step)
         if status != OK:
             return status
+    elif found == WITH_ROOM:
+        found = FRESH
     while True:
         n = counts.units
         if found == UNSOLVED:

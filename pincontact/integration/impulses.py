@@ -266,18 +266,20 @@ def distribute(system, step):
 
 @kernel
 def _note_loads(system, step):
-    """Normal forces of contacts on which something in the next step depends, and their directions."""
-    impulse, load, h = step.contact_impulse, step.load, step.numbers.h
+    """Normal forces of contacts on which something in the next step depends, and their directions. Impulses of impacts
+    are none: with them what resists turning could throw a contact off that stays closed."""
+    impulse, load = step.contact_impulse, step.load
+    per_impulse = 1.0 / step.numbers.h if step.counts.touched == 0 else 0.0
     for c in range(system.sizes.nc):
         contact, numbers = system.contact_int[c], system.contact_real[c]
         bilateral = contact[UNILATERAL] == 0
         if not (bilateral or numbers[SPINNING] > 0.0 or numbers[ROLLING] > 0.0):
             continue
         normal, second = impulse[c, 2], impulse[c, 1]
-        load[c] = abs(normal) / h
+        load[c] = abs(normal) * per_impulse
         if contact[PATTERN] == ON_CURVE:
             length = math.hypot(normal, second)
-            load[c] = length / h
+            load[c] = length * per_impulse
             if length > 0.0:
                 numbers[NORMAL_1], numbers[NORMAL_2] = normal / length, second / length
         elif bilateral and normal != 0.0:

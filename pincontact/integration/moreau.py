@@ -35,7 +35,7 @@ from .impulse_cones import ImpulseSolver
 from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, ON_JOINT, UPPER_LIMIT, step_workspace
 from .impulse_problem import assemble
 from .impulse_steps import ACCEPT, BEGIN, GOING_ON, INTEGRATE, RELOCATE, STEP, TRY, run_steps
-from .impulse_trial import APPROVED, CONE_LEFT, FRESH, SOLVED, UNSOLVED
+from .impulse_trial import APPROVED, CONE_LEFT, FRESH, SOLVED, UNSOLVED, WITH_ROOM
 from .open_contacts import MANY_STEPS, OpenContacts
 from .results import CLOSED_APART, CONTOUR_ENDS, CONTRADICTION, FAILURES, FLIES_THROUGH, Stop
 from .run_system import RunSystem
@@ -177,7 +177,10 @@ class MoreauStep:
         """A task of `run_steps`, with the cone problems that it leaves. Raises what `System.check_callbacks` does."""
         result = run_steps(self.system.address, self.step_arrays.address, task, found, t, h)
         while result == CONE_LEFT:
-            solved = SOLVED if self.cones.solve() else UNSOLVED
+            if self.cones.makes_room():
+                solved = WITH_ROOM
+            else:
+                solved = SOLVED if self.cones.solve() else UNSOLVED
             result = run_steps(self.system.address, self.step_arrays.address, task, solved, t, h)
         if self.system.asks:
             self.system.check_callbacks()

@@ -150,7 +150,7 @@ def fill_unit(system, step, u):
         unit.midpoint = 0
     for row in range(3):
         _fill_row(system, step, u, row)
-    if step.counts.touched != 0 and unit.kind < ON_TURN:
+    if step.counts.touched != 0 and unit.kind < ON_JOINT:
         set_impact_friction(system, step, u)
     if unit.kind == ON_TURN and unit.mask == 3 and not rigid:
         unit.midpoint = 1 if math.hypot(start[u, 0], start[u, 1]) * step.numbers.h > OPENING else 0

@@ -90,6 +90,10 @@ class _Unknowns:
             mode, k, mu, parent = units.modes[u], 3 * u, float(units.friction[u]), int(units.parents[u])
             if mode == OPEN or (parent >= 0 and parent != u and parent not in places):
                 continue
+            if mode == SLIP and math.isinf(mu):
+                # friction alone holds it: it carries no load
+                self.slides, self.known[k : k + 2] = True, units.forces[u, :2]
+                continue
             if parent == u:
                 places[u] = self._add(columns, whole[k + 2], k + 2)
                 lengths.append(1.0)

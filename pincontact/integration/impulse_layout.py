@@ -159,6 +159,9 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "joint_impulse": (REALS, "nv"),
     "touch_time": (REALS, "contacts"),
     "edge_time": (REALS, "contacts"),
+    # modes and state before what touches is put together, see `impulse_trial`
+    "impact_mode": (INTEGERS, "contacts"),
+    "impact_state": (REALS, "state"),
     "forces": (REALS, "contacts", 3),
     "torques": (REALS, "contacts", 3),
     # the user's torques, while an output has others
@@ -181,6 +184,7 @@ def step_workspace(nq: int, nv: int, nc: int, ng: int, nj: int, nt: int, nblocks
     sizes = {
         "nq": nq,
         "nv": max(nv, 1),
+        "state": nq + nv + 4 * nc,
         "contacts": max(nc, 1),
         "limits": max(ng, 1),
         "joints": max(nj, 1),

@@ -20,6 +20,7 @@ from ..layout import (
     LENGTH,
     LOCATION_FAILED,
     MODE,
+    MU,
     NO_FORCE,
     NOT_FINITE,
     OK,
@@ -48,7 +49,7 @@ from .impulse_review import AGAIN, may_rest
 from .impulses import advance, leave_turning_axes, predict_midpoint
 from .momentum_transport import transport
 from .results import CLOSED_APART, CONTOUR_ENDS
-from .stages import evaluate
+from .stages import evaluate, hand_over
 from .steps import PROJECT_PLACES
 
 # Numbers that are far apart for lists that are not the same.
@@ -70,6 +71,8 @@ APART_AT_END = 1e-6
 # Rows whose Gram determinant, of rows scaled to unit length, is larger are independent for `choices`, too: their least
 # singular value is above 1e-5, that of forces at their limits of friction above 1e-5 / sqrt(2).
 _INDEPENDENT = 1e-9
+# A gap below this, relative to the contact's length, is zero.
+_ON_SURFACE = 1e-13
 # Nearer to an end of its domain (in its units) a point is at it.
 _AT_END = 1e-12
 
@@ -285,6 +288,44 @@ def _impulses(system, step, found):
 
 
 @kernel
+def _may_be_wedged(system, step):
+    """Whether two contacts or more take part in an impact that may not slip, and the evaluated state is not on all of
+    them."""
+    count, apart = 0, False
+    for c in range(system.sizes.nc):
+        numbers = system.contact_real[c]
+        if numbers[MU] == math.inf and (step.touch_time[c] >= 0.0 or step.start_mode[c] != FREE):
+            count += 1
+            apart = apart or abs(system.gaps[c, 0]) > _ON_SURFACE * numbers[LENGTH]
+    return count > 1 and apart
+
+
+@kernel
+def _close_touching(system, step, t):
+    """Put the state of an impact on the contacts that it closes, if there is such a state.
+
+    Points of a body that touch a little above or below the surface could be wedged: forces between them, which no
+    motion of the body feels, would press against it.
+    """
+    contact_int, modes, nq, nv = system.contact_int, step.impact_mode, system.sizes.nq, system.sizes.nv
+    state, before = system.stage_state, step.impact_state
+    for k in range(before.shape[0]):
+        before[k] = state[k]
+    for c in range(system.sizes.nc):
+        modes[c] = contact_int[c, MODE]
+        if step.touch_time[c] >= 0.0 and modes[c] == FREE:
+            contact_int[c, MODE] = FRICTIONLESS
+    status = call_task(step.calls.run_task, system, PROJECT_PLACES, t, 0.0)
+    for c in range(system.sizes.nc):
+        contact_int[c, MODE] = modes[c]
+    for k in range(before.shape[0]):
+        # velocities stay what they were
+        if status != OK or nq <= k < nq + nv:
+            state[k] = before[k]
+    hand_over(system, state)
+
+
+@kernel
 def _pass(system, step, t, found):
     """Midpoint, cone problem and end of the step from t; a status, or CONE_LEFT."""
     counts, numbers = step.counts, step.numbers
@@ -296,6 +337,9 @@ def _pass(system, step, t, found):
         # but for impacts the passes of a trial step differ in the midpoint's velocity only
         moved = counts.passes == 0 or numbers.ahead != 0.5 * numbers.h
         status = evaluate(system, middle, KINEMATICS_OF_ALL if moved else VELOCITIES_OF_ALL)
+        if status == OK and counts.passes != 0 and counts.touched != 0 and _may_be_wedged(system, step):
+            _close_touching(system, step, middle)
+            status = evaluate(system, middle, KINEMATICS_OF_ALL)
         if status != OK:
             return status
         leave_turning_axes(system, step)

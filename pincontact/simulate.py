@@ -218,11 +218,11 @@ def simulate(
         raise ArgumentError(f"control must be callable as control(t, q, v), got {control!r}")
     if not isinstance(method, str):
         raise ArgumentError(f"method must be a name such as 'DOP853', got {method!r}")
+    pair = None if method == "Moreau" else tableau(method)
     if dt is not None and "Moreau" not in (method, fallback):
         raise ArgumentError(f"dt is for method 'Moreau'; method {method!r} takes fixed_step or max_step")
     if dense_output and "Moreau" in (method, fallback):
         raise ArgumentError("dense_output is for the event-driven methods, such as 'DOP853', without a fallback")
-    pair = None if method == "Moreau" else tableau(method)
     if pair is not None and fixed_step is None and rtol > pair.coarsest:
         raise ArgumentError(
             f"rtol must be at most {pair.coarsest:g} for method {method!r}, whose error estimate does not hold for "
@@ -549,6 +549,8 @@ def _torque(control: Control, system: System) -> Torque:
         except BaseException:
             system.blame(f"t = {t:.9g} s: control")
             raise
+        if found is None:
+            raise UnusableResult(f"t = {t:.9g} s: control returned None, not an array of shape {shape}")
         if type(found) is not np.ndarray or found.dtype is not real:
             found = numbers(t, found)
         if found.shape != shape:

@@ -211,6 +211,8 @@ def test_one_name_for_a_time_step(tmp_path, capsys):
         pc.simulate(scene, state, 0.05, method="Moreau", dt=0.1, step=0.2)
     with pytest.raises(pc.ArgumentError, match=r"dt is for method 'Moreau'"):
         pc.simulate(scene, state, 0.05, dt=0.1)
+    with pytest.raises(pc.ArgumentError, match=r"unknown method 'moreau'.*Moreau"):
+        pc.simulate(scene, state, 0.05, method="moreau", dt=0.1)
     text = (ROOT / "examples" / "scenes" / "clattering_capsule.toml").read_text(encoding="utf-8")
     urdf = (ROOT / "urdf").as_posix()
     text = text.replace("../../urdf", urdf)

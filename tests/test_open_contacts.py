@@ -463,3 +463,37 @@ def test_starts_inside(depth, speed, told, options):
     assert ("'c' (gap -" in run.message) == told, run.message
     fallen = radius - depth + speed * duration - 0.5 * 9.81 * duration**2
     assert run.q[-1, 0] == pytest.approx(fallen if told else radius, abs=1e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("order", [("shape", "ground"), ("ground", "shape")], ids=lambda order: order[0])
+@pytest.mark.parametrize("shape", [pc.Sphere(0.1), pc.Ellipsoid(0.1, 0.08, 0.1), pc.Circle(0.1)], ids=lambda c: c.name)
+def test_what_starts_beside_a_plate_lands_on_it(shape, order, method):
+    """Thrown from beside its edge, where only the plate's continuation has a point opposite: the nearest one counts."""
+    plate = pc.Plane(domain=((-0.5, 0.5), (-0.5, 0.5)))
+    scene = scene_of(shape, plate, order=order, restitution=0.6)
+    # about x, so that a ring stands upright
+    q = [-0.6, 0.0, 0.4, math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)]
+    state = scene.initial_state(q, [1.0, 0, 0, 0, 0, 0], free=["c"])
+    lowest = 0.08 if isinstance(shape, pc.Ellipsoid) else 0.1
+    run = run_of(scene, state, 0.4, method)
+    assert run.status == 0, run.message
+    assert run.contacts["c"].gap[0] == pytest.approx(0.4 - lowest, abs=1e-12)
+    assert touches(run) == [pytest.approx(fall(0.4 - lowest), abs=ACCURACY[method])]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_rods_that_pass_through_parallel_do_not_touch(method):
+    """Their common normal turns round then, and with it the sign of their gap, 0.26 m apart."""
+    model = body(pc.Sphere(0.1))
+    model.gravity.setZero()
+    scene, rod = pc.Scene(model), pc.Line((-0.3, 0.3))
+    scene.add_contact("c", scene.add_contour("a", rod), scene.add_contour("b", rod, frame="body"), restitution=1.0)
+    turn = pin.Quaternion(pin.rpy.rpyToMatrix(0.02, 0.03, 0.5)).coeffs()
+    state = scene.initial_state([0, 0, 0.3, *turn], [0, 0, -0.05, 0, 0, -1.0], free=["c"])
+    run = run_of(scene, state, 3.0, method)
+    assert run.status == 0 and not touches(run)
+    np.testing.assert_allclose(run.v[-1, 3:], [0.0, 0.0, -1.0], rtol=0.0, atol=1e-7)
+    np.testing.assert_allclose(np.linalg.norm(run.v[-1, :3]), 0.05, rtol=0.0, atol=1e-7)
+    # which side the bodies are on is not known any more, and that is told
+    assert "inside or behind each other" in run.message

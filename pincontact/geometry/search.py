@@ -103,11 +103,15 @@ def find_candidates(system: Workspace, t: float, guess: np.ndarray, beyond: bool
             if candidate is not None and not any(_is_same(candidate, c, system) for c in found):
                 found.append(candidate)
     if not found and beyond:
-        for start in _seeds(system, t, guess):
-            candidate = refine(system, t, start, 1, statuses, inside=False)
-            if candidate is not None:
-                found = [candidate]
-                break
+        form = int(system.contact_int[0, CLOSED_FORM])
+        if form != NO_CLOSED_FORM:
+            starts = [(np.where(np.isnan(guess), 0.0, guess), branch) for branch in BRANCHES[form]]
+        else:
+            starts = [(seed, 1) for seed in _seeds(system, t, guess)]
+        for start, branch in starts:
+            candidate = refine(system, t, start, branch, statuses, inside=False)
+            if candidate is not None and not any(_is_same(candidate, c, system) for c in found):
+                found.append(candidate)
     if not found and SINGULAR in statuses:
         raise SingularContactError(
             f"contact {contact.name!r}: the location equations are singular wherever {contact.first.name!r} and "

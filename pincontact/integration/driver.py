@@ -338,7 +338,7 @@ class Driver:
         dense: Interpolant | None = None
         opened = self.transitions.open
         if opened.is_near and not opened.may_stand(t_new, step):
-            self._unmake()
+            self._unmake(t)
             return t, False
         asked = self.users.may_cross(t, step)
         if rk.alarm or asked or opened.is_near or self.outputs.need_dense(t_new):
@@ -363,7 +363,7 @@ class Driver:
     def _reject(self, t: float, step: float) -> tuple[float, bool]:
         """Try a shorter step where the trial step has no dense output, as where one of its stages fails."""
         scalars = self.system.scalars
-        self._unmake()
+        self._unmake(t)
         if self.options.fixed_step:
             if not held_up(self.system):
                 raise no_dense_output(t)
@@ -371,10 +371,12 @@ class Driver:
         scalars["next_step"] = FAILED_FACTOR * step
         return t, False
 
-    def _unmake(self) -> None:
-        """Count the trial step as rejected."""
+    def _unmake(self, t: float) -> None:
+        """Count the trial step as rejected; open contacts are looked at in the state at t again."""
         self.system.counters["step_count"] -= 1
         self.system.counters["rejected_count"] += 1
+        if self.transitions.open.are_any() and self.rk.evaluate_start(t) > EVENT:
+            raise self.transitions.reports.failure(t, LOCATION_FAILED)
 
     def _end_jams(self, t: float) -> float:
         """Where no step succeeds, end the slips that friction alone holds up, if there are any; the new time."""

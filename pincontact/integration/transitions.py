@@ -14,11 +14,13 @@ import numpy as np
 from ..dynamics.energy import REST_SPEED
 from ..dynamics.modes import ModeSolver, shares_viscous_force
 from ..dynamics.system import FORCE_SLACK
+from ..geometry.patterns import CROSSING_CURVES
 from ..layout import (
     DOMAIN_EVENT,
     FREE,
     FRICTION_EVENT,
     GAP_EVENT,
+    LENGTH,
     LIMIT_SLACK,
     LOCATION_FAILED,
     MASS_NOT_POSITIVE,
@@ -28,6 +30,7 @@ from ..layout import (
     NORMAL_EVENT,
     NORMAL_SIGN,
     OK,
+    PATTERN,
     SINGULAR,
     SLIPPING,
     SPEED_EVENT,
@@ -50,6 +53,8 @@ from .slip_onset import SlipOnset
 _MOVED = 1e-9
 # A motion that jumps at a breakpoint moves bodies by no more than so many times the error of gaps.
 _JUMP_REACHES = 10.0
+# A gap that is larger, relative to the contact's length, has not come to zero as it changes sign.
+_APART = 1e-2
 # What is added to the slack of a limit of friction that was reached without slip, as a factor, and where that ends.
 _SLACK_GROWTH, _LARGEST_SLACK = 4.0, 1e-10
 
@@ -169,6 +174,10 @@ class Transitions:
     def switch(self, t: float, c: int, kind: int) -> float:
         """Event function `kind` of item c has reached zero at t."""
         if kind == GAP_EVENT and c < self.system.nc:
+            if self._turns_round(c):
+                self.open.passed.add(c)
+                self.changes.accept_with_other_forces(t)
+                return t
             return self.impacts.touch(t, c)
         self.reports.check_chatter(t, c)
         if self.system.nc <= c < self.system.nc + self.system.ng:
@@ -191,6 +200,13 @@ class Transitions:
             return t
         c, kind = self.changes.limiting(c, kind)
         return self._lose_load(t, c) if kind == NORMAL_EVENT else self._reach_limit(t, c)
+
+    def _turns_round(self, c: int) -> bool:
+        """Whether the gap of contact c, between two curves, has changed sign without coming to zero: as these become
+        parallel their common normal turns round."""
+        integers, numbers = self.system.contact_int[c], self.system.contact_real[c]
+        crossing = integers[PATTERN] == CROSSING_CURVES
+        return bool(crossing and abs(self.system.gaps[c, 0]) > _APART * numbers[LENGTH])
 
     def _switch_joint(self, t: float, c: int, kind: int) -> float:
         """Event function `kind` of item c, a limited joint coordinate, has reached zero."""

@@ -137,6 +137,8 @@ class Driver:
                 self._max_step = _WATCH_EVENTS
         # how often modes were entered in which the motion depends on loads that nothing decides
         self.open_loads = 0
+        # whether a trial step has been rejected since the accepted state was evaluated
+        self._thrown = False
         # time (s), state and discrete part of the contacts of the last state that the run came to, where it is kept
         self.good: tuple[float, np.ndarray, np.ndarray] | None = None
 
@@ -212,7 +214,11 @@ class Driver:
         scalars["now"] = t
         self.outputs.flush()
         self._keep_good(t)
-        why = self.system.run(self._foresee(t, self._task(), why == MAY_TOUCH))
+        counters, task = self.system.counters, self._foresee(t, self._task(), why == MAY_TOUCH)
+        rejected = int(counters["rejected_count"])
+        why = self.system.run(task)
+        if why == STEP_FAILED or (why == MAY_TOUCH and counters["rejected_count"] > rejected):
+            self._thrown = True
         t = float(scalars["now"])
         self._keep_good(t)
         return t, why
@@ -299,6 +305,11 @@ class Driver:
         scalars["max_step"] = self._max_step
         if not opened.are_any():
             return task
+        if self._thrown:
+            # the last evaluation was within a trial step that has been rejected
+            self._thrown = False
+            if self.rk.evaluate_start(t) > EVENT:
+                raise self.transitions.reports.failure(t, LOCATION_FAILED)
         if not may_touch and task == INTEGRATE_ONE_STEP and self.transitions.stay_apart(t):
             opened.is_near = False
             return INTEGRATE_APART
@@ -338,7 +349,7 @@ class Driver:
         dense: Interpolant | None = None
         opened = self.transitions.open
         if opened.is_near and not opened.may_stand(t_new, step):
-            self._unmake(t)
+            self._unmake()
             return t, False
         asked = self.users.may_cross(t, step)
         if rk.alarm or asked or opened.is_near or self.outputs.need_dense(t_new):
@@ -363,7 +374,7 @@ class Driver:
     def _reject(self, t: float, step: float) -> tuple[float, bool]:
         """Try a shorter step where the trial step has no dense output, as where one of its stages fails."""
         scalars = self.system.scalars
-        self._unmake(t)
+        self._unmake()
         if self.options.fixed_step:
             if not held_up(self.system):
                 raise no_dense_output(t)
@@ -371,12 +382,11 @@ class Driver:
         scalars["next_step"] = FAILED_FACTOR * step
         return t, False
 
-    def _unmake(self, t: float) -> None:
-        """Count the trial step as rejected; open contacts are looked at in the state at t again."""
+    def _unmake(self) -> None:
+        """Count the trial step as rejected."""
         self.system.counters["step_count"] -= 1
         self.system.counters["rejected_count"] += 1
-        if self.transitions.open.are_any() and self.rk.evaluate_start(t) > EVENT:
-            raise self.transitions.reports.failure(t, LOCATION_FAILED)
+        self._thrown = True
 
     def _end_jams(self, t: float) -> float:
         """Where no step succeeds, end the slips that friction alone holds up, if there are any; the new time."""

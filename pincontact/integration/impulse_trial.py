@@ -52,8 +52,8 @@ from .results import CLOSED_APART, CONTOUR_ENDS
 from .stages import evaluate, hand_over
 from .steps import PROJECT_PLACES
 
-# Numbers that are far apart for lists that are not the same.
-_LARGE_PRIME = 1_000_003
+# A polynomial of these over the entries tells lists apart: its base, and the prime modulo which it is taken.
+_BASE, _PRIME = 1_000_003, 2_147_483_647
 # What it comes back with, besides a status: a cone problem is to be solved.
 CONE_LEFT = 100
 # What has become of the cone problem that the last call left, if it left one: solved or not, or there is room now for
@@ -114,7 +114,7 @@ def _owners(step, n):
             joint = step.joints[index]
             kind, index = 4 + joint.kind, joint.index_v
         # a turn about the normal and one across it, and what has no axis
-        owners = owners * _LARGE_PRIME + (index * 8 + kind) * 3 + unit.axis
+        owners = (owners * _BASE + (index * 8 + kind) * 3 + unit.axis) % _PRIME
     return owners
 
 

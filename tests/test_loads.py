@@ -284,3 +284,35 @@ def test_loads_that_constraints_leave_open(seed):
     # tolerances, over impacts
     assert runs.apart(run, tight).max() < 1e-5
     assert run.stats["open_loads"] > 0 and "rigid bodies leave open" in run.message
+
+
+@pytest.mark.parametrize("held", ["dry", "limit"])
+@pytest.mark.parametrize("seed", range(4))
+def test_held_joints_share_the_load_of_what_slides(held, seed):
+    """A foot slides on the floor below a vertical joint that dry friction, or the end of its way, holds, too: rigid
+    bodies leave open which of them carries the weight. Both kinds of methods take the same share, and tell."""
+    rng = np.random.default_rng(seed)
+    model, limit = pin.Model(), rng.uniform(0.5, 4.0)
+    slider = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slider")
+    model.appendBodyToJoint(slider, pin.Inertia(rng.uniform(0.5, 2.0), np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    column = model.addJoint(slider, pin.JointModelPZ(), pin.SE3.Identity(), "column")
+    mass = rng.uniform(0.5, 2.0)
+    model.appendBodyToJoint(column, pin.Inertia(mass, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("foot", column, pin.SE3.Identity(), 0)
+    if held == "dry":
+        model.upperDryFrictionLimit[1], model.lowerDryFrictionLimit[1] = limit, -limit
+    else:
+        model.lowerPositionLimit[1] = 0.0
+    scene, mu = pc.Scene(model), rng.uniform(0.1, 0.3)
+    foot, floor = scene.add_contour("foot", pc.Point(), "foot"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("foot", foot, floor, pc.Coulomb(mu), pattern="P-S")
+    state = scene.initial_state([0.0, 0.0], [3.0, 0.0])
+    run = pc.simulate(scene, state, 0.3)
+    load = run.contacts["foot"].normal_force[-1]
+    assert 0.0 < load < mass * GRAVITY + limit + 1e-9
+    stepped = [pc.simulate(scene, state, 0.3, method="Moreau", dt=dt) for dt in (1e-3, 2e-3)]
+    for one in (run, *stepped):
+        assert one.status == 0 and "rigid bodies leave open" in one.message
+        # the share is found to the square root of round-off: it is where a slope vanishes
+        assert one.v[-1] == pytest.approx(run.v[-1], abs=1e-7)
+        assert one.contacts["foot"].normal_force[-1] == pytest.approx(load, rel=1e-7)

@@ -34,6 +34,8 @@ from ..linalg import RANK_TOLERANCE, inner, least_norm, whiten
 # A contact without a load stays closed by itself where its relative acceleration, in units of what cancels in it and in
 # m/s^2, is no more than this.
 _CLOSES = 1e-8
+# Mobility along a row, relative to the largest of its contact, that is round-off: no joint moves the bodies along it.
+IMMOBILE = 1e-24
 
 
 @kernel
@@ -45,7 +47,8 @@ def is_normal_of_curve(contact_int, c, row):
 @kernel
 def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents, nv, work):
     """What a multiplier is measured in where forces are redundant: a contact's force is as large as its length times
-    the root of its mobility, the mean of J M^-1 J^T over its directions.
+    the root of its mobility, the mean of J M^-1 J^T over its directions. Those that the contact has not, or along which
+    no joint moves it, count as the largest.
 
     So do the equations of cone problems, without units: redundant loads are the same in both. own: n M^-1 n^T.
     """
@@ -54,28 +57,29 @@ def unit_of_force(contact_int, contact_real, c, row, own, rows, factor, parents,
     on_curve = is_normal_of_curve(contact_int, c, row)
     if not on_curve and (row != 2 or integers[MODE] == FRICTIONLESS or tangents == 0):
         return own
-    total, largest = own, own
+    total, largest, missing = own, own, 0
     for i in range(2):
         if on_curve:
             # the other normal and the tangent: the same whichever normals are taken
             whiten(factor, parents, nv, rows[c, (row + 1 + i) % 3], work)
-            total += inner(work, work, nv)
+        elif i >= tangents:
+            missing += 1
             continue
-        if i >= tangents:
-            total += largest
-            break
-        if integers[ANISOTROPIC] != 0:
-            # row i of the friction ellipse's scaling
-            first, second = numbers[SCALING_11 + i], numbers[SCALING_12 + i]
-            for k in range(nv):
-                work[k] = first * rows[c, 0, k] + second * rows[c, 1, k]
         else:
-            for k in range(nv):
-                work[k] = rows[c, i, k]
-        whiten(factor, parents, nv, work, work)
+            if integers[ANISOTROPIC] != 0:
+                # row i of the friction ellipse's scaling
+                first, second = numbers[SCALING_11 + i], numbers[SCALING_12 + i]
+                for k in range(nv):
+                    work[k] = first * rows[c, 0, k] + second * rows[c, 1, k]
+            else:
+                for k in range(nv):
+                    work[k] = rows[c, i, k]
+            whiten(factor, parents, nv, work, work)
         size = inner(work, work, nv)
+        missing += size <= IMMOBILE * own
         total += size
         largest = max(largest, size)
+    total += missing * largest
     force = 1.0
     if integers[MODE] == SLIPPING and numbers[MU] < math.inf:
         force += numbers[MU_NOW] * numbers[MU_NOW]

@@ -53,14 +53,14 @@ _REDUNDANT, _MOVES = 1e-9, 1e-6
 
 def leaves_loads_open(system: System) -> bool:
     """Whether the motion depends on how redundant contacts share loads, in the last evaluation, and no rule decides it:
-    some slide while others stick, or torques resist turning."""
+    some slide while others stick, joints are held, or torques resist turning."""
     count = int(system.counters["row_count"])
     if count == system.counters["row_rank"]:
         return False
     modes, rough = system.contact_int[:, MODE], system.contact_real[:, MU] > 0.0
     closed, resisting = system.closed(), system.resisting()
     slides = any(modes[i] == SLIPPING and rough[i] for i in [*closed, *resisting])
-    if not slides or not (resisting or any(modes[c] == STICK and rough[c] for c in closed)):
+    if not slides or not (resisting or system.held() or any(modes[c] == STICK and rough[c] for c in closed)):
         return False
     rows, directions = system.whitened_rows[:count], system.whitened_forces[:count]
     _, singular, right = np.linalg.svd(rows @ directions.T)

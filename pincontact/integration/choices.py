@@ -90,6 +90,9 @@ class _Unknowns:
             mode, k, mu, parent = units.modes[u], 3 * u, float(units.friction[u]), int(units.parents[u])
             if mode == OPEN or (parent >= 0 and parent != u and parent not in places):
                 continue
+            if parent < 0:
+                # the load that fills up its cone
+                self.known[k + 2] = units.loads[u]
             if mode == SLIP and math.isinf(mu):
                 # friction alone holds it: it carries no load
                 self.slides, self.known[k : k + 2] = True, units.forces[u, :2]
@@ -120,7 +123,12 @@ class _Unknowns:
             if parent >= 0:
                 self.cones.append(Cone(places[parent], mu, 0.0, tuple(tangents)))
             elif tangents:
-                self.cones.append(Cone(0, 0.0, mu * float(units.loads[u]), tuple(tangents)))
+                radius = mu * float(units.loads[u])
+                if len(tangents) == 1:
+                    # both ends, as of held joints in event-driven runs
+                    self.cones += [Cone(tangents[0], sign, radius) for sign in (1.0, -1.0)]
+                else:
+                    self.cones.append(Cone(0, 0.0, radius, tuple(tangents)))
         self.expand = np.array(columns).T
         self.unit = scale[[row // 3 for row in self.rows]] / np.array(lengths)
 
@@ -136,8 +144,6 @@ class _Unknowns:
         if len(rows) <= 1 or alone.any():
             # what slides held up by friction alone has no load
             return False
-        if null_space(self.expand.T @ units.directions).shape[1] == 0:
-            return False
         scale = self.unit
         wanted = -scale * (units.base + units.gram @ self.known)[rows]
         operator = scale[:, None] * (units.gram @ self.expand)[rows] * scale
@@ -145,6 +151,8 @@ class _Unknowns:
         rank = int(np.sum(singular > _RANK * singular[0]))
         self.x = np.linalg.lstsq(operator, wanted, rcond=_RANK)[0]
         self.null = right[rank:].T
+        if self.null.shape[1] == 0:
+            return False
         left = np.abs(operator @ self.x - wanted).max()
         return bool(left <= _LEFT * np.abs(units.base).max() * scale.max())
 
@@ -183,14 +191,19 @@ class _Unknowns:
         return False
 
     def central(self) -> np.ndarray | None:
-        """(3n,) forces in the middle of what the cones admit."""
-        found = central_force(self.unit * self.x, null_space(self.expand.T @ self.units.directions), self.cones)
-        return None if found is None else self._whole(found.forces)
+        """(3n,) forces in the middle of what the cones admit: of those that move nothing, else of all that the
+        constraints leave open."""
+        forces = self.unit * self.x
+        for null in (null_space(self.expand.T @ self.units.directions), self.unit[:, None] * self.null):
+            found = central_force(forces, null, self.cones)
+            if found is not None:
+                return self._whole(found.forces)
+        return None
 
     def least(self) -> np.ndarray | None:
         """(3n,) the least forces of which no load is negative (Lawson, Hanson, Solving Least Squares Problems, LDP)."""
         x, null = self.x, self.null
-        loads = [cone.normal for cone in self.cones if cone.factor > 0.0]
+        loads = [cone.normal for cone in self.cones if cone.factor > 0.0 and cone.offset == 0.0]
         if x[loads].min(initial=0.0) < -_NONE * np.abs(x).max():
             multipliers, left = scipy.optimize.nnls(
                 np.vstack([null[loads].T, -x[loads]]), np.append(np.zeros(null.shape[1]), 1.0)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
+from ..dynamics.least_forces import IMMOBILE
 from ..dynamics.resistance import drop_unturned
 from ..friction.ellipse import scale_pair
 from ..geometry.carriers import ALPHA, OMEGA
@@ -228,7 +229,7 @@ def _complete_unit(unit, start, delassus, b, r):
         b[r] += start[0]
         b[r + 1] += start[1]
     for k in range(r, r + 3):
-        if delassus[k, k] == 0.0:
+        if delassus[k, k] <= IMMOBILE * weight:
             # no joint moves the bodies along it: no impulse, whatever the round-off in b asks for
             delassus[k, k], b[k] = weight, 0.0
 

@@ -231,8 +231,8 @@ def _leaves_choice(step, n):
     """Whether there is a choice among the forces of the n units that moves the bodies, since some of them slide, and
     that is not yet what the rule has it, since it depends on the last forces.
 
-    Where others stick, or torques resist turning, the rule leaves loads open: that is counted, and with such torques
-    the choice is left as it is.
+    Where others stick, joints are held, or torques resist turning, rigid bodies leave loads open: that is counted, and
+    with such torques the choice is left as it is.
     """
     address = step.cone_tables[n]
     if address == 0 or step.counts.coupled != APART:
@@ -240,16 +240,18 @@ def _leaves_choice(step, n):
     known = cone.cone_at(address).counts
     if known[cone.CHOICES] == 0:
         return False
-    slides = sticks = turns = rests = False
+    slides = holds = turns = rests = False
     for u in range(n):
-        kind, slips = step.units[u].kind, step.cone_modes[u] == cone.SLIP
+        kind, slips, sticks = step.units[u].kind, step.cone_modes[u] == cone.SLIP, step.cone_modes[u] == cone.STICK
         on_contact = kind == ON_CONTACT and step.friction[u] > 0.0
         turns = turns or (kind == ON_TURN and slips)
         rests = rests or (kind == ON_TURN and not slips)
         slides = slides or (on_contact and slips)
-        sticks = sticks or (on_contact and step.cone_modes[u] == cone.STICK)
+        # dry friction at rest; a limit has no friction: what is held there slips
+        joint_held = kind == ON_JOINT and (sticks or (slips and step.friction[u] == 0.0))
+        holds = holds or (on_contact and sticks) or joint_held
     resists = turns or rests
-    if (slides and (sticks or resists)) or (turns and sticks):
+    if (slides and (holds or resists)) or (turns and holds):
         step.counts.open_loads += 1
     return slides and not resists and known[cone.FOLLOWS] != 0
 

@@ -34,14 +34,16 @@ from ..layout import (
     NORMAL_SIGN,
     OWNER,
     PATTERN,
+    ROLLING_ROW,
     SLIP_SPEED,
     SLIPPING,
+    SPINNING_ROW,
     STICK,
     SYSTEM,
     TANGENTS,
     UNILATERAL,
 )
-from ..linalg import RANK_TOLERANCE, inner, least_norm, solve_gram, unwhiten, whiten
+from ..linalg import RANK_TOLERANCE, inner, least_norm, solve_gram, subtract_row, unwhiten, whiten
 from .event_functions import (
     contact_event_functions,
     jam_event_functions,
@@ -62,6 +64,8 @@ _NORMAL_FOUND = 1e-6
 _CANCELLED = 4e-15
 # A slip operator whose pivot falls below this fraction of its frictionless value has lost positivity (Painleve).
 PAINLEVE_LIMIT = 1e-9
+# Whose has, see `loses_positivity`.
+NOTHING_LOST, CURVES_LOST, CONTACT_LOST = range(3)
 # The operator of several contacts has lost it where their determinant is negative, and its last pivot larger than this
 # part of the largest: of nearly redundant ones the least unevenness decides which sign it has.
 COMMON_LIMIT = 1e-3
@@ -247,15 +251,17 @@ def solve_slipping(system, count):
 
     A fixed point where points slip on curves: |F_n| = l . F_n with l the unit normal force, which is corrected.
     """
-    change = 0.0
+    change, lost = 0.0, NOTHING_LOST
     for _ in range(_NORMAL_ITERATIONS):
         friction_directions(system, count)
-        if not solve_linear_slip(system, count):
+        assemble_slip(system, count)
+        lost = loses_positivity(system, count)
+        if lost == CONTACT_LOST or not solve_linear_slip(system, count):
             return False
         change = update_normal_shares(system, count)
         if change <= _NORMAL_CHANGE:
             break
-    return change <= _NORMAL_FOUND and not curves_lose_positivity(system, count)
+    return change <= _NORMAL_FOUND and lost == NOTHING_LOST
 
 
 @kernel
@@ -317,23 +323,30 @@ def add_friction(system, count, i, c):
 
 
 @inlined_kernel
-def solve_linear_slip(system, count):
-    """Multipliers for the force directions of `friction_directions`; False where there are none (Painleve)."""
-    nv, counters, operator = system.sizes.nv, system.counters, system.delassus
-    whitened, directions = system.whitened_rows, system.whitened_forces
-    right_hand_sides(system, count, directions)
+def assemble_slip(system, count):
+    """The unsymmetric operator of slip (count, count) in `delassus`; its last column is the diagonal without friction,
+    or -1 for contacts that carry nothing."""
+    nv, operator, whitened, directions = system.sizes.nv, system.delassus, system.whitened_rows, system.whitened_forces
     for i in range(count):
         for j in range(count):
             operator[i, j] = inner(whitened[i], directions[j], nv)
         operator[i, count] = inner(whitened[i], whitened[i], nv)
     leave_unloaded(system, count)
+
+
+@inlined_kernel
+def solve_linear_slip(system, count):
+    """Multipliers for the force directions of `friction_directions` by the operator of these; False where there are
+    none."""
+    counters, operator = system.counters, system.delassus
+    right_hand_sides(system, count, system.whitened_forces)
     rank = solve_slip(system, count)
     if rank < 0:
         return False
     counters.row_rank = rank
     counters.lost_positivity = 1 if rank == count and operator[0, 0] < -COMMON_LIMIT else 0
     if rank < count:
-        right_hand_sides(system, count, directions)
+        right_hand_sides(system, count, system.whitened_forces)
         solve_for_least(system, count)
     add_reference(system, count)
     return True
@@ -342,27 +355,22 @@ def solve_linear_slip(system, count):
 @inlined_kernel
 def solve_slip(system, n):
     """Solve the unsymmetric system (n, n) of slip in `delassus` for the multipliers, from the right-hand sides in their
-    place; returns its rank.
+    place; returns its rank, -1 where it has none.
 
-    -1 where a contact's own operator has lost positivity, against its frictionless value in the last column of
-    the system: no force, or two (Painleve); see `curves_lose_positivity` for points on curves. So it has of several
-    where their determinant, positive without friction, is negative, which is for the caller to look at: it is
-    operator[0, 0] then, where the rank is n. Where that value is zero nothing moves along the normal, whatever pushes:
+    Where the diagonal without friction, in the last column, is zero nothing moves along the normal, whatever pushes:
     the multiplier is left out, and so zero, as among redundant ones. -1 there marks a contact that carries nothing.
+    Several contacts have lost positivity where their determinant, positive without friction, is negative, which is for
+    the caller to look at: it is operator[0, 0] then, where the rank is n.
     """
-    operator, x, scratch, row_index = system.delassus, system.multipliers, system.constraint_rows, system.row_index
+    operator, x, scratch = system.delassus, system.multipliers, system.constraint_rows
     right, moving = system.right_side, 0
     for i in range(n):
-        own = operator[i, n]
-        if own == 0.0:
+        if operator[i, n] == 0.0:
             x[i] = 0.0
             for j in range(n):
                 operator[j, i] = 0.0
-            continue
-        moving += 1
-        carries = not own < 0.0 and not is_normal_of_curve(system.contact_int, row_index[i, 0], row_index[i, 1])
-        if carries and not operator[i, i] > PAINLEVE_LIMIT * own:
-            return -1
+        else:
+            moving += 1
     if n == 1 or moving == 0:
         if moving == 1:
             x[0] = x[0] / operator[0, 0] if operator[0, n] > 0.0 else 0.0
@@ -373,6 +381,66 @@ def solve_slip(system, n):
     return rank if rank > 0 else -1
 
 
+# ------------------------------------------------------------------------------------------------ positivity (Painleve)
+
+
+@kernel
+def slips(system, c):
+    """Whether friction goes with the normal force of item c: it slips, or what resists its turning does."""
+    integers = system.contact_int
+    spinning, rolling = integers[c, SPINNING_ROW], integers[c, ROLLING_ROW]
+    turns = (spinning > 0 and integers[spinning, MODE] == SLIPPING) or (
+        rolling > 0 and integers[rolling, MODE] == SLIPPING
+    )
+    return integers[c, MODE] == SLIPPING or turns
+
+
+@kernel
+def hold_others(system, n):
+    """Eliminate from the operator of slip the rows that do not slip, as if these were held, into `constraint_rows`.
+
+    In its last column is the diagonal without friction, as in `delassus`; in `right_side`, for the first of the two
+    normals of a point on a curve, the product of both.
+    """
+    operator, left, right, whitened = system.delassus, system.constraint_rows, system.right_side, system.whitened_rows
+    for r in range(n):
+        for j in range(n + 1):
+            left[r, j] = operator[r, j]
+        pair = r + 1 < n and slides_on_curve(system, r)
+        right[r] = inner(whitened[r], whitened[r + 1], system.sizes.nv) if pair else 0.0
+    for p in range(n):
+        pivot = left[p, p]
+        if slips(system, system.row_index[p, 0]) or not pivot > RANK_TOLERANCE * operator[p, p]:
+            continue
+        for r in range(n):
+            if slides_on_curve(system, r):
+                right[r] -= left[r, p] * left[r + 1, p] / pivot
+            left[r, n] -= left[r, p] * left[r, p] / pivot
+        for r in range(n):
+            if r != p:
+                subtract_row(left[r, :n], left[p, :n], left[r, p] / pivot)
+
+
+@kernel
+def loses_positivity(system, n):
+    """Whether the operator of a contact that slips has lost positivity: there is no force then, or there are two.
+
+    It is the contact's own where all that does not slip is held, as it would be by joints, against what it is without
+    friction. Where that is next to nothing its normal force is one of redundant ones, and the least unevenness decides
+    which sign it has. CURVES_LOST where only points on curves have lost theirs: see `curve_loses_positivity`.
+    """
+    hold_others(system, n)
+    operator, left, lost = system.delassus, system.constraint_rows, NOTHING_LOST
+    for r in range(n):
+        c, own = system.row_index[r, 0], left[r, n]
+        if is_normal_of_curve(system.contact_int, c, system.row_index[r, 1]):
+            if slides_on_curve(system, r) and curve_loses_positivity(system, r, n):
+                lost = CURVES_LOST
+        elif own > COMMON_LIMIT * operator[r, n] and not left[r, r] > PAINLEVE_LIMIT * own and slips(system, c):
+            return CONTACT_LOST
+    return lost
+
+
 @kernel
 def slides_on_curve(system, r):
     """Whether rows r and r + 1 are the two normals of a point that slips on a spatial curve."""
@@ -381,34 +449,26 @@ def slides_on_curve(system, r):
 
 
 @kernel
-def curves_lose_positivity(system, count):
-    """Whether the own operator of a point on a curve, of both its normals, has lost positivity, as in `solve_slip`.
+def curve_loses_positivity(system, r, n):
+    """Whether that of a point on a curve has, of both its normals, the rows r and r + 1 of `hold_others`.
 
     Its determinant is that of the frictionless one times 1 - mu l . k, k = G_nn^-1 G_nt, whichever normals are taken;
     where all motions are in one plane with the tangent, its trace is.
     """
-    nv = system.sizes.nv
-    for r in range(count - 1):
-        if not slides_on_curve(system, r):
-            continue
-        own, forces = system.whitened_rows[r : r + 2], system.whitened_forces[r : r + 2]
-        trace, size, moves_in_plane = plane_of_normals(own, nv)
-        left = inner(own[0], forces[0], nv) + inner(own[1], forces[1], nv)
-        if not moves_in_plane:
-            left = inner(own[0], forces[0], nv) * inner(own[1], forces[1], nv)
-            left -= inner(own[0], forces[1], nv) * inner(own[1], forces[0], nv)
-        if trace > 0.0 and not left > PAINLEVE_LIMIT * (trace if moves_in_plane else size):
-            return True
-    return False
+    left, both = system.constraint_rows, system.right_side[r]
+    trace, size = left[r, n] + left[r + 1, n], left[r, n] * left[r + 1, n] - both * both
+    if not trace > COMMON_LIMIT * (system.delassus[r, n] + system.delassus[r + 1, n]):
+        return False
+    if is_plane(trace, size):
+        return not left[r, r] + left[r + 1, r + 1] > PAINLEVE_LIMIT * trace
+    determinant = left[r, r] * left[r + 1, r + 1] - left[r, r + 1] * left[r + 1, r]
+    return not determinant > PAINLEVE_LIMIT * size
 
 
 @kernel
-def plane_of_normals(own, nv):
-    """Trace and determinant of the operator of two normals, own (2, nv) whitened, and whether all motions along them
-    are in one plane."""
-    first, second, both = inner(own[0], own[0], nv), inner(own[1], own[1], nv), inner(own[0], own[1], nv)
-    size = first * second - both * both
-    return first + second, size, not size > RANK_TOLERANCE * (first + second) ** 2
+def is_plane(trace, determinant):
+    """Whether all motions along two normals, whose operator has this trace and determinant, are in one plane."""
+    return not determinant > RANK_TOLERANCE * trace**2
 
 
 @kernel
@@ -424,9 +484,9 @@ def update_normal_shares(system, count):
             continue
         first, second = system.multipliers[r], system.multipliers[r + 1]
         own = system.whitened_rows[r : r + 2]
-        _, _, moves_in_plane = plane_of_normals(own, nv)
-        if moves_in_plane:
-            larger = own[0] if inner(own[0], own[0], nv) >= inner(own[1], own[1], nv) else own[1]
+        one, two, both = inner(own[0], own[0], nv), inner(own[1], own[1], nv), inner(own[0], own[1], nv)
+        if is_plane(one + two, one * two - both * both):
+            larger = own[0] if one >= two else own[1]
             one, two = inner(own[0], larger, nv), inner(own[1], larger, nv)
             along = first * one + second * two
             first, second = along * one, along * two

@@ -80,6 +80,8 @@ class ModeChanges(RedundantForces):
         seen: Counter[bytes] = Counter()
         for _ in range(_CHANGES * (len(closed) + system.ng + system.nr) + _CHANGES):
             decision.status = evaluate(t)
+            if decision.status == NO_FORCE and self._open_jammed(t, closed, evaluate, decision):
+                continue
             if decision.status > EVENT:
                 return decision
             if (
@@ -218,6 +220,20 @@ class ModeChanges(RedundantForces):
                 return
             integers[[MODE, FROZEN]] = FREE, 0
         decision.opened.append(c)
+
+    def _open_jammed(self, t: float, closed: list[int], evaluate, decision: Decision) -> bool:
+        """Let a contact go that slides and whose force would pull it in by more than it pushes it out, if one stays
+        apart without."""
+        integers = self.system.contact_int
+        for c in closed:
+            if integers[c, MODE] != SLIPPING or not integers[c, UNILATERAL]:
+                continue
+            integers[c, MODE] = FREE
+            if evaluate(t) <= EVENT and self.gap_acceleration(t, c) >= 0.0:
+                decision.opened.append(c)
+                return True
+            integers[c, MODE] = SLIPPING
+        return False
 
     def share(self, t: float, c: int, evaluate) -> bool:
         """Keep contact c, whose normal force would pull, closed without one, by a part of its viscous friction; False

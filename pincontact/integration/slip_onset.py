@@ -33,6 +33,7 @@ from ..layout import (
     POLYNOMIAL,
     POLYNOMIAL_SIZE,
     SLIP_RATE,
+    SLIPPING,
     START_SPEED,
     STICK,
     TANGENTS,
@@ -108,7 +109,7 @@ class SlipOnset:
         tau = min(self.seed**1.5, self.until_touch())
         if self._starts_slowly(t, frozen):
             slowest = min(self.system.contact_real[frozen, SLIP_RATE].tolist())
-            took = self._follow(t, frozen, 1, max(self.longest, self._until_shown(slowest, 1)), tau)
+            took = self._follow(t, dict.fromkeys(frozen, 1), max(self.longest, self._until_shown(slowest, 1)), tau)
             if took is not None:
                 return self._end(t, took, system.new_state)
             system.contact_real[frozen, POLYNOMIAL : POLYNOMIAL + POLYNOMIAL_SIZE] = 0.0
@@ -164,7 +165,7 @@ class SlipOnset:
             if c in started:
                 freeze_slip(system, c, system.basis[c, :2] @ limit)
             span = max(self.longest, self._until_shown(min(decision.started.values()) / tau, 2))
-            took = self._follow(t, started, 2, span, _SHORTEST_START * tau)
+            took = self._follow(t, dict.fromkeys(started, 2), span, _SHORTEST_START * tau)
             if took is not None:
                 return self._end(t, took, system.new_state)
             # not even a short start can be followed: seed the slip as close to its beginning as v_c can show it
@@ -229,10 +230,10 @@ class SlipOnset:
         rk, system = self.rk, self.system
         rk.load(system.state)
         rk.evaluate(t)
-        slipping = [c for c in range(system.items) if system.contact_real[c, START_SPEED] < math.inf]
+        slipping = self._turning()
         for c in slipping:
             freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
-        took = self._follow(t, slipping, 0, span, shortest)
+        took = self._follow(t, dict.fromkeys(slipping, 0), span, shortest)
         system.contact_int[:, FROZEN] = 0
         if took is not None:
             rk.load(system.new_state)
@@ -253,9 +254,23 @@ class SlipOnset:
             tau *= FAILED_FACTOR
         raise self.changes.reports.failure(t, NO_FORCE)
 
-    def _follow(self, t: float, contacts: list[int], power: int, span: float, shortest: float) -> float | None:
-        """A step with prescribed directions of slip; see `SlowSlip`."""
-        return SlowSlip(self.rk, contacts, power, self._is_uneventful).follow(t, span, shortest)
+    def _follow(self, t: float, powers: dict[int, int], span: float, shortest: float) -> float | None:
+        """A step with prescribed directions of slip, and of what slides already; see `SlowSlip`."""
+        system = self.system
+        beside = [c for c in self._turning() if not system.contact_int[c, FROZEN]]
+        for c in beside:
+            freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
+        took = SlowSlip(self.rk, dict.fromkeys(beside, 0) | powers, self._is_uneventful).follow(t, span, shortest)
+        if took is None and beside:
+            system.contact_int[beside, FROZEN] = 0
+            took = SlowSlip(self.rk, powers, self._is_uneventful).follow(t, span, shortest)
+        return took
+
+    def _turning(self) -> list[int]:
+        """What slides in a direction that it may change."""
+        system = self.system
+        sliding = system.contact_real[: system.items, START_SPEED] < math.inf
+        return [c for c in np.flatnonzero(sliding).tolist() if system.contact_int[c, MODE] == SLIPPING]
 
     def _end(self, t: float, tau: float, state: np.ndarray) -> float:
         """Accept the state after a step of size tau; slip has a direction of its own from there on."""

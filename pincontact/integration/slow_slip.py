@@ -48,22 +48,29 @@ _TRIES_OF_SEVERAL = 5
 # fraction of it that is left at the nodes.
 _ACCEPTED = 0.03
 _CONVERGED = 0.05
+# The same relative to slip that has grown from rest.
+_ALIGNED = 0.1
 # Residuals that have grown by this factor will not come down any more.
 _DIVERGED = 3.0
 
 
 @dataclass(frozen=True)
 class SlowSlip:
-    """Slip with prescribed directions: of these contacts (or resistances), from the state at t on.
+    """Slip with prescribed directions, from the state at t on.
 
-    power: v_c grows with this power of the time; 2 out of stick at its limit, 1 from rest, 0 where it is there already.
-    uneventful(): whether nothing else happens in the last trial step, from its event functions.
+    powers: of these contacts (or resistances) v_c grows with this power of the time; 2 out of stick at its limit, 1
+    from rest, 0 where it is there already. uneventful(): whether nothing else happens in the last trial step, from its
+    event functions.
     """
 
     rk: RungeKutta
-    contacts: list[int]
-    power: int
+    powers: dict[int, int]
     uneventful: Callable[[], bool]
+
+    @property
+    def contacts(self) -> list[int]:
+        """The contacts, in order."""
+        return list(self.powers)
 
     def follow(self, t: float, span: float, shortest: float) -> float | None:
         """Move the accepted state at t on; returns how long in s that took, None if it failed.
@@ -74,7 +81,7 @@ class SlowSlip:
         """
         system = self.rk.system
         tolerance = system.scale[1] + system.scale[0] * float(np.abs(system.v).max(initial=0.0))
-        several = self.power > 0 and len(self.contacts) > 1
+        several = sum(power > 0 for power in self.powers.values()) > 1
         for _ in range(_TRIES_OF_SEVERAL if several else _HALVINGS):
             if span < shortest:
                 return None
@@ -95,7 +102,7 @@ class SlowSlip:
         jacobian: np.ndarray | None = None
         largest = _DIVERGED * float(np.abs(residual).max())
         for _ in range(_ITERATIONS):
-            if np.abs(residual).max() <= _CONVERGED * tolerance:
+            if self._aligned(residual, speeds, _CONVERGED, tolerance):
                 break
             if jacobian is None:
                 # slip that does not turn needs none
@@ -117,15 +124,26 @@ class SlowSlip:
         else:
             return False
         between = self._across(t, span, coefficients, _CHECKS)
-        # slip that is there has to stay faster than the tolerance; what grows from rest only has to grow
-        least = tolerance if self.power == 0 else 0.0
+        if between is None:
+            return False
+        # slip that is there has to stay faster than the tolerance; what grows from rest has to grow
+        least = np.where(np.array([*self.powers.values()]) == 0, tolerance, 0.0)
+        slowest = np.minimum(self._of_each(speeds).min(axis=1), self._of_each(between[1]).min(axis=1))
         # the last trial step has left the state at the end of the span in new_state
-        return (
-            between is not None
-            and float(np.abs(between[0]).max()) <= tolerance
-            and min(speeds.min(), between[1].min()) > least
-            and self.rk.error < 1.0
-        )
+        return bool((slowest > least).all()) and self._aligned(*between, 1.0, tolerance) and self.rk.error < 1.0
+
+    def _of_each(self, values: np.ndarray) -> np.ndarray:
+        """(contacts, shares) numbers of each contact."""
+        return values.reshape(len(self.powers), -1)
+
+    def _aligned(self, across: np.ndarray, along: np.ndarray, part: float, tolerance: float) -> bool:
+        """Whether v_c is across the directions by no more than a part of the tolerance, or, where it has grown from
+        rest, of its own size: it goes on in the direction that it shows."""
+        allowed = np.full(len(self.powers), tolerance)
+        grown = np.array([*self.powers.values()]) > 0
+        slowest = np.abs(self._of_each(along)).min(axis=1)
+        allowed[grown] = np.minimum(tolerance, _ALIGNED * slowest[grown])
+        return bool((np.abs(self._of_each(across)).max(axis=1) <= part * allowed).all())
 
     def _jacobian(self, t: float, span: float, residual: np.ndarray, speeds: np.ndarray) -> np.ndarray | None:
         """An approximation to the derivative of `residual` by the coefficients; None where an evaluation fails.
@@ -135,7 +153,6 @@ class SlowSlip:
         """
         n = POLYNOMIAL_SIZE
         s = np.array(_NODES)
-        pulled = [s ** (j + 1 - self.power) / (j + 1) for j in range(n)]
         out = np.zeros((len(residual), len(residual)))
         for i in range(len(self.contacts)):
             turn = np.zeros(len(residual))
@@ -143,7 +160,8 @@ class SlowSlip:
             moved = self._across(t, span, turn, _NODES)
             if moved is None:
                 return None
-            for m in range(len(self.contacts)):
+            for m, power in enumerate(self.powers.values()):
+                pulled = [s ** (j + 1 - power) / (j + 1) for j in range(n)]
                 block = slice(n * m, n * (m + 1))
                 change = (moved[0] - residual)[block] / _PERTURBATION
                 own = speeds[block] if m == i else np.zeros(n)
@@ -155,7 +173,7 @@ class SlowSlip:
     def _across(
         self, t: float, span: float, coefficients: np.ndarray, shares: tuple[float, ...]
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """v_c across and along the prescribed directions at shares of the span, divided by the shares' power."""
+        """v_c across and along the prescribed directions at shares of the span, divided by the shares' powers."""
         system, contacts = self.rk.system, np.array(self.contacts)
         columns = slice(POLYNOMIAL, POLYNOMIAL + POLYNOMIAL_SIZE)
         system.contact_real[contacts, columns] = coefficients.reshape(len(contacts), -1)
@@ -163,7 +181,7 @@ class SlowSlip:
         if system.run(ACROSS_SLIP, t, span) > EVENT:
             return None
         count = np.count_nonzero(shares)
-        grown = np.array(shares[:count]) ** self.power
+        grown = np.array(shares[:count]) ** np.array([*self.powers.values()])[:, None]
         across, along = (system.across[first + contacts, :count] / grown for first in (1, 1 + system.items))
         return across.ravel(), along.ravel()
 

@@ -1048,6 +1048,49 @@ def test_a_scaled_mesh_from_triangles_is_scaled_once():
     assert drawn == pytest.approx(shape.vertices(), abs=1e-6)
 
 
+COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>{asset}</asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="pa" count="9">1 2 3 4 5 6 7 8 10</float_array><technique_common>
+<accessor source="#pa" count="3" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles></mesh></geometry>
+</library_geometries><library_visual_scenes><visual_scene id="w"><node>{node}</node></visual_scene>
+</library_visual_scenes><scene><instance_visual_scene url="#w"/></scene></COLLADA>"""
+PART = '<instance_geometry url="#g"/>'
+
+
+@pytest.mark.parametrize("node", [PART, f"<node>{PART}</node>"], ids=["merged by meshcat", "triangles"])
+@pytest.mark.parametrize(
+    ("asset", "seen"),
+    [
+        ("", (1, 2, 3)),
+        ("<up_axis>Z_UP</up_axis>", (1, 2, 3)),
+        # "Y_UP: right x, up y, in z; Z_UP: right x, up z, in -y" (Collada 1.4.1, sec. up_axis); X_UP: -y, x, z
+        ("<up_axis>Y_UP</up_axis>", (1, -3, 2)),
+        ("<up_axis>X_UP</up_axis>", (-2, -3, 1)),
+        (
+            "<contributor><authoring_tool>VCGLib | MeshLab</authoring_tool></contributor><up_axis>Y_UP</up_axis>",
+            (1, 2, 3),
+        ),
+    ],
+    ids=["unsaid", "z", "y", "x", "MeshLab"],
+)
+def test_collada_files_stand_upright(tmp_path, asset, seen, node):
+    (tmp_path / "part.dae").write_text(COLLADA.format(asset=asset, node=node))
+    link = '<link name="l"><visual><geometry><mesh filename="part.dae" scale="2 2 2"/></geometry></visual></link>'
+    (tmp_path / "r.urdf").write_text(f'<robot name="r">{link}</robot>')
+    scene = pc.Scene.from_urdf(tmp_path / "r.urdf")
+    before = scene.visual_model.geometryObjects[0].placement.copy()
+    drawing = Drawing()
+    draw_robot(drawing, scene.model, scene.visual_model, lambda item: "/part")
+    (placed,) = (c for c in drawing.commands if c["type"] == "set_transform")
+    assert np.array([1.0, 2.0, 3.0, 1.0]) @ np.reshape(placed["matrix"], (4, 4)) == pytest.approx(
+        [*(2 * np.array(seen)), 1]
+    )
+    assert scene.visual_model.geometryObjects[0].placement == before
+
+
 def test_events_of_joints_are_named(run):
     stop = SimpleNamespace(time=1.0, contact=None, kind="limit", joint="elbow")
     info = page_info(compose(run, 30.0, 1.0, 3000, None, None, ()), changed(run, events=[stop]), 1.0)

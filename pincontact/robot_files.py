@@ -101,7 +101,7 @@ def _urdf_remarks(file: str, root: ElementTree.Element) -> dict[str, list[str]]:
         if kind == "planar" and any(_floats(direction)[:2]):
             raise ModelError(
                 f"{file}: joint {name}: its plane is normal to {direction!r} (1 0 0 where no axis is given), and "
-                'Pinocchio takes z for every planar joint: write <axis xyz="0 0 1"/>, and turn the joint by its <origin>'
+                'Pinocchio takes z for all planar joints: write <axis xyz="0 0 1"/>, and turn the joint by its <origin>'
             )
         ends = limit is not None and bool({"lower", "upper"} & set(limit.attrib))
         if kind in ("floating", "planar"):

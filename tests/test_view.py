@@ -915,6 +915,41 @@ def test_single_plots_draw_into_given_axes(run, pyplot):
     assert set(lines(grid[0])) == {"kinetic", "potential", "total", "friction work"}
 
 
+def test_motion_is_plotted_as_lengths_and_angles(pyplot):
+    model = pin.Model()
+    joints = {
+        "free": pin.JointModelFreeFlyer(),
+        "ball": pin.JointModelSpherical(),
+        "flat": pin.JointModelPlanar(),
+        "wheel": pin.JointModelRUBX(),
+        "slide": pin.JointModelTranslation(),
+        "hinge": pin.JointModelRX(),
+    }
+    for name, joint in joints.items():
+        model.addJoint(0, joint, pin.SE3.Identity(), name)
+    t = np.linspace(0.0, 2.0, 81)
+    axis = np.array([2.0, -1.0, 2.0]) / 3.0
+    # each turns by 5 rad a second, so more than once
+    turns = [pin.Quaternion(pin.exp3(5.0 * time * axis)).coeffs() for time in t]
+    flip = [(-1) ** k * turn for k, turn in enumerate(turns)]
+    pair = np.column_stack([np.cos(5.0 * t), np.sin(5.0 * t)])
+    q = np.column_stack([t, 2 * t, 3 * t, turns, flip, t, -t, pair, pair, t, t * t, 4 * t, 0.5 * t])
+    v = np.tile(np.arange(model.nv), (len(t), 1))
+    moved = SimpleNamespace(t=t, q=q, v=v, scene=SimpleNamespace(model=model))
+    drawn = {line.get_label(): line.get_ydata() for line in plots.motion(moved).lines}
+    expected = {f"free {name}": k * t for name, k in zip("xyz", (1, 2, 3))}
+    for joint in ("free", "ball"):
+        expected |= {f"{joint} rotation vector {name}": 5.0 * t * axis[k] for k, name in enumerate("xyz")}
+    expected |= {"flat x": t, "flat y": -t, "flat angle": 5.0 * t, "wheel": 5.0 * t, "hinge": 0.5 * t}
+    expected |= {"slide.0": t, "slide.1": t * t, "slide.2": 4 * t}
+    assert drawn.keys() == expected.keys()
+    for name, values in expected.items():
+        # round-off of logarithms near half turns
+        assert drawn[name] == pytest.approx(values, abs=1e-7), name
+    rates = [line.get_label() for line in plots.motion(moved, velocities=True).lines]
+    assert rates[:6] == ["free.vx", "free.vy", "free.vz", "free.wx", "free.wy", "free.wz"] and rates[-1] == "hinge"
+
+
 def test_plot_arguments(run, pyplot):
     with pytest.raises(ArgumentError, match="unknown kind of plot 'power'"):
         plots.plot(run, ["power"])

@@ -47,7 +47,7 @@ async function redrawWithImages() {
 let further = 1;
 function fitCamera() {
   const pane = element("meshcat-pane");
-  const free = 2 * element("bar").offsetTop / pane.clientHeight - 1;
+  const free = 2 * element("bar").getBoundingClientRect().top / pane.clientHeight - 1;
   const wanted = Math.max(1, info.aspect / (pane.clientWidth / pane.clientHeight), info.height / Math.max(free, 0.2));
   viewer.camera.position.multiplyScalar(wanted / further);
   further = wanted;
@@ -150,7 +150,7 @@ function show(time) {
 
 const canvas = element("plots").querySelector("canvas");
 const picture = document.createElement("canvas");
-const margin = { left: 46, right: 8, top: 8, bottom: 22 };
+const margin = { left: 46, right: 8, top: 22, bottom: 22 };
 let scale = 1;
 
 function number(value) { return Number(value.toPrecision(3)).toString(); }
@@ -178,7 +178,7 @@ function drawPlots() {
     pen.fillText(number(info.start + (info.duration * k) / 4), margin.left + (wide * k) / 4, height - 6);
   }
   pen.textAlign = "left";
-  pen.fillText("force [N] over t [s]; friction dotted, its limit dashed", margin.left + 4, margin.top + 10);
+  pen.fillText("force [N] over t [s]; friction dotted, its limit dashed", margin.left, 12);
   const line = (values, color, dash) => {
     pen.beginPath();
     pen.setLineDash(dash);

@@ -48,8 +48,9 @@ def _summary(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, (Mapping, list, tuple)):
-        return f"[{shortened(map(str, value)) if value else ''}]"
-    return repr(value) if value is None or isinstance(value, (bool, int, str)) else type(value).__name__
+        return f"[{shortened(map(_summary, value)) if value else ''}]"
+    text = repr(value)
+    return text if len(text) <= _CHARACTERS else type(value).__name__
 
 
 def html_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

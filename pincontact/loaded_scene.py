@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .arguments import time_step
+from .display import Summary
 from .errors import ArgumentError
 from .scene import Scene
 from .state import State
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
     from .trajectory import Trajectory
 
 
-@dataclass(frozen=True, eq=False)
-class LoadedScene:
+@dataclass(frozen=True, eq=False, repr=False)
+class LoadedScene(Summary):
     """What a scene file describes.
 
     Attributes

@@ -88,8 +88,11 @@ function labelTicks() {
     label.textContent = info.contacts.length > 1 && contact ? contact + " " + kind : kind;
     label.style.left = (100 * (time - info.start)) / info.duration + "%";
     ticks.appendChild(label);
-    const box = label.getBoundingClientRect();
-    if (box.left < free) label.remove(); else free = box.right + 6;
+    const { left, right } = label.getBoundingClientRect(), ends = ticks.getBoundingClientRect();
+    // centred on its mark, but within the slider
+    const shift = Math.max(0, ends.left - left) - Math.max(0, right - ends.right);
+    label.style.marginLeft = shift + "px";
+    if (left + shift < free) label.remove(); else free = right + shift + 6;
   }
 }
 

@@ -22,7 +22,7 @@ _PAGE = """<!DOCTYPE html>
   body { margin: 0; font: 13px/1.45 system-ui, sans-serif; color: #1d2733; }
   #meshcat-pane { width: 100vw; height: 100vh; height: 100dvh; overflow: hidden; }
   .panel { background: rgba(255, 255, 255, 0.86); border-radius: 6px; padding: 4px 10px; pointer-events: auto; }
-  #meshcat-pane .dg.main .close-button { background: rgba(255, 255, 255, 0.86); color: inherit; }
+  body > .dg.main .close-button { background: rgba(255, 255, 255, 0.86); color: #1d2733; text-shadow: none; }
   #contacts { position: absolute; z-index: 2; left: 12px; top: 12px; max-width: calc(100vw - 44px); max-height: 45vh;
               overflow: auto; }
   #contacts summary { cursor: pointer; }
@@ -56,7 +56,7 @@ _PAGE = """<!DOCTYPE html>
     #contacts td.number { min-width: 5em; }
     #contacts .on { display: none; }
     #plots canvas { width: calc(100vw - 44px); height: 22vh; }
-    #meshcat-pane .dg.main { display: none; }
+    body > .dg.main { display: none; }
     #clock { min-width: 7em; flex: 1; }
   }
 </style>

@@ -196,8 +196,9 @@ def motion(run: Trajectory, ax: Axes | None = None, velocities: bool = False) ->
         lines = {name: values[:, k] for k, name in enumerate(velocity_names(model))}
     else:
         lines = lengths_and_angles(model, values)
-    for label, line in lines.items():
-        ax.plot(run.t, line, label=label)
+    for number, (label, line) in enumerate(lines.items()):
+        # Matplotlib has ten colours
+        ax.plot(run.t, line, ("-", "--", ":", "-.")[number // 10 % 4], label=label)
     return _finish(ax, "v [m/s, rad/s]" if velocities else "q [m, rad]", legend=len(lines) <= _LEGEND_ROWS)
 
 

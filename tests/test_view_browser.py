@@ -138,7 +138,7 @@ def test_page_plays_in_a_browser(tmp_path):
         axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
         assert axis == pytest.approx(expected.rotation[:, 2], abs=1e-3)
         assert state["clock"] == f"t = {time:.3f} s"
-    assert [state["mode"] for state in seen] == ["slip", "stick", "free", "stick"]
+    assert [state["mode"] for state in seen] == ["slip", "stick", "open", "stick"]
     assert [state["arrow"] for state in seen] == [True, True, False, True]
     assert [state["stick"] for state in seen if state["arrow"]] == [False, True, True]
     counts = [state["trace"] for state in seen]

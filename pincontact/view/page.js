@@ -135,10 +135,10 @@ function show(time) {
   let closed = 0;
   for (const row of rows) {
     const mode = row.contact.mode[frame];
-    const free = mode === info.free;
-    if (!free) closed += 1;
-    // Many free contacts would fill the screen with zeros.
-    row.row.style.display = free && rows.length > 4 ? "none" : "";
+    const open = mode === info.open;
+    if (!open) closed += 1;
+    // Many open contacts would fill the screen with zeros.
+    row.row.style.display = open && rows.length > 4 ? "none" : "";
     row.word.textContent = info.modes[mode].name;
     row.swatch.style.background = info.modes[mode].color;
     row.normal.textContent = "N = " + row.contact.normal[frame].toPrecision(4) + " N";
@@ -252,7 +252,7 @@ const ready = unpack().then(() => {
   viewer.gui.close();
   applySpeed();
   // A long list would hide the scene; its heading says how many are closed.
-  element("contacts").open = rows.filter((row) => row.contact.mode[0] !== info.free).length <= 6;
+  element("contacts").open = rows.filter((row) => row.contact.mode[0] !== info.open).length <= 6;
   element("plots").open = window.innerWidth > 900 && rows.length > 0;
   // The camera has just been placed; a window that changed its size before has moved none.
   further = 1;

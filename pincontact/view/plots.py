@@ -15,12 +15,13 @@ import numpy as np
 import pinocchio as pin
 
 from ..analysis.linearize import velocity_names
+from ..display import MODE_NAMES
 from ..dynamics.joints import joint_of
 from ..dynamics.manifold import FREE_FLYER, PLANAR_BLOCK, QUATERNION, VECTOR, configuration_blocks
 from ..errors import ArgumentError, MissingExtraError
 from ..layout import FREE
 from .palette import MODE_COLORS, contact_color
-from .sampling import MODE_NAMES, friction_limit
+from .sampling import friction_limit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -124,7 +125,7 @@ def mode_bands(
     alpha: float = 0.13,
     legend: bool = True,
 ) -> Axes:
-    """Shade the times of each mode of one contact: green stick, red slip, blue frictionless, grey free.
+    """Shade the times of each mode of one contact: green stick, red slip, blue frictionless, grey open.
 
     Parameters
     ----------

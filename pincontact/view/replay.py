@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..arguments import check_positive
+from ..display import MODE_NAMES
 from ..errors import ArgumentError, MissingExtraError, TrajectoryError
 from ..layout import FREE
 from .drawing import Command, Drawing, color_number
 from .palette import MODE_COLORS, contact_color
 from .robot import geometry_reach
 from .sampling import (
-    MODE_NAMES,
     ContactFrames,
     configurations,
     contact_frames,
@@ -81,7 +81,7 @@ def replay(
     follow : str, optional
         Name of a contact, contour or frame which the camera stays with.
     show : collection of str
-        What to draw, any of "robot", "contours", "points", "traces", "forces", and on request "frames" and
+        What to draw: "robot", "contours", "points", "traces" and "forces", if not given; on request also "frames" and
         "dual_frames", the contact frames (e_1 red, e_2 green, e_3 blue) and their duals (paler), and "cones", circular
         friction cones.
     max_frames : int
@@ -416,7 +416,7 @@ def page_info(picture: Picture, run: Any, speed: float) -> dict[str, Any]:
         "speed": float(speed),
         "aspect": _ASPECT,
         "height": _FREE_HEIGHT,
-        "free": FREE,
+        "open": FREE,
         "contacts": contacts,
         "events": [[float(e.time), e.contact or e.joint or "", e.kind] for e in run.events],
         "modes": {

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..display import MODE_NAMES
 from ..geometry.frames import dual_basis
 from ..layout import FRICTIONLESS, SLIPPING, STICK
 from . import arrows, meshes
@@ -14,7 +15,6 @@ from .outlines import contour_meshes, contour_opacity, shades
 from .palette import MODE_COLORS
 from .robot import draw_robot, shown_by
 from .sampling import (
-    MODE_NAMES,
     ContactFrames,
     configurations,
     contact_frames,

@@ -1049,6 +1049,28 @@ def test_contact_point_is_where_the_bodies_touch_however_far_apart_the_rows_are(
     assert found.point[:, :2] == pytest.approx(np.column_stack([0 * times, 3.0 * times]), abs=1e-9)
 
 
+def test_traces_are_as_smooth_as_the_motion(monkeypatch):
+    # a ball rolls and spins about the vertical, 40 rad/s each: its contact point goes round it within few of its frames
+    scene = pc.Scene.from_urdf(Path(__file__).parent.parent / "urdf" / "ball.urdf", floating_base=True)
+    ball, floor = scene.add_contour("ball", Sphere(0.1), "ball"), scene.add_contour("floor", Plane())
+    scene.add_contact("c", ball, floor, pc.NoSlip())
+    run = pc.simulate(scene, scene.initial_state([0, 0, 0.1, 0, 0, 0, 1], [4.0, 0, 0, 0, 40.0, 40.0]), 1.0)
+    drawn = []
+    monkeypatch.setattr(meshes, "tube", lambda points, *_: drawn.append(points) or meshes.ellipsoid(np.ones(3)))
+    compose(run, 30.0, 1.0, 3000, None, None, ("traces",))
+    assert len(drawn) == 2
+    for points in drawn:
+        steps = np.diff(points, axis=0)
+        steps /= np.linalg.norm(steps, axis=1)[:, None]
+        turns = np.arccos(np.clip(np.einsum("ij,ij->i", steps[1:], steps[:-1]), -1.0, 1.0))
+        # a turn of the body by a tenth of a radian between samples, and what `simplify` leaves out
+        assert turns.max() < 0.3
+    # rolling, the ways on both bodies are equally long
+    assert [np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for points in drawn] == pytest.approx(
+        [4.0, 4.0], rel=0.01
+    )
+
+
 def test_location_is_broken_where_the_chart_changes(run, pyplot):
     track = run.contacts[CONTACT]
     charts = track.charts.copy()

@@ -16,7 +16,8 @@ from fake_run import END, HOP_END, HOP_START, SLIP_END, fake_run, placement
 
 import pincontact as pc
 from pincontact.view import export_html
-from pincontact.view.replay import MORE_PARTS, PARTS
+from pincontact.view.page import render_page
+from pincontact.view.replay import MORE_PARTS, PARTS, compose, page_info
 
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason="no Chromium found: pages are not opened, only read")
 
@@ -198,6 +199,21 @@ def test_all_parts_are_in_the_picture(browser, tmp_path, make, drawn, rows, size
     for one, other in combinations(state["boxes"], 2):
         apart = one[3] <= other[1] or other[3] <= one[1] or one[4] <= other[2] or other[4] <= one[2]
         assert apart, (one, other)
+
+
+def test_a_command_that_fails_is_told_and_the_others_are_carried_out(browser, tmp_path):
+    run = fake_run()
+    picture = compose(run, 30.0, 1.0, 3000, None, None, PARTS)
+    first, *others = picture.commands(environment=True)
+    broken = {"type": "set_object", "path": "/meshcat/broken", "object": {"geometries": [{"type": "No such"}]}}
+    page = tmp_path / "run.html"
+    page.write_text(render_page([first, broken, *others], page_info(picture, run, 1.0), "run"), encoding="utf-8")
+    browser.open(page)
+    state = browser.run(LOOK)
+    assert state["note"].count("not drawn") == 1 and "/meshcat/broken" in state["note"]
+    paths = {part for path, _ in state["seen"] for part in path.split("/")}
+    assert {"contours", "trace", "normal", "point"} <= paths
+    assert browser.run(f"{PROBE}(1.0)")["clock"] == "t = 1.000 s"
 
 
 # What a user does with a page

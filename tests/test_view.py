@@ -643,8 +643,7 @@ RING = np.column_stack([np.cos(np.arange(80) * np.pi / 40), np.sin(np.arange(80)
 @pytest.mark.parametrize(
     ("mesh", "expected"),
     [
-        (meshes.ellipsoid(np.array([1.0, 2.0, 0.5]), 80), 4.0 / 3.0 * np.pi),
-        (meshes.capsule(0.5, 2.0, 80), 0.5 * np.pi + np.pi / 6.0),
+        (meshes.sphere(0.5, 80), np.pi / 6.0),
         (arrows.unit_shaft(), np.pi),
         (arrows.unit_head(), np.pi / 3.0),
         (meshes.tube(RING, 0.1, True, 40), 2.0 * np.pi**2 * 0.01),
@@ -1056,7 +1055,7 @@ def test_traces_are_as_smooth_as_the_motion(monkeypatch):
     scene.add_contact("c", ball, floor, pc.NoSlip())
     run = pc.simulate(scene, scene.initial_state([0, 0, 0.1, 0, 0, 0, 1], [4.0, 0, 0, 0, 40.0, 40.0]), 1.0)
     drawn = []
-    monkeypatch.setattr(meshes, "tube", lambda points, *_: drawn.append(points) or meshes.ellipsoid(np.ones(3)))
+    monkeypatch.setattr(meshes, "tube", lambda points, *_: drawn.append(points) or meshes.sphere(1.0))
     compose(run, 30.0, 1.0, 3000, None, None, ("traces",))
     assert len(drawn) == 2
     for points in drawn:

@@ -143,7 +143,7 @@ class Stage:
         return np.concatenate(points) if points else np.zeros((1, 3))
 
     def draw_points(self) -> None:
-        marker = meshes.ellipsoid(np.full(3, 0.025 * self.size), 20)
+        marker = meshes.sphere(0.025 * self.size)
         for name, frames in self.contacts.items():
             path = self.drawing.path("contacts", name, "point")
             self.drawing.mesh(path, marker, _POINT_COLOR, False, **_ON_TOP)

@@ -72,6 +72,21 @@ LOOK = """(() => {
   };
 })()"""
 
+# Shows or hides the nodes of a name.
+SHOW = """((part, shown) => {
+  const walk = (node) => {
+    for (const [name, child] of Object.entries(node.children)) {
+      if (name === part) {
+        if (!shown) child.was = child.object.visible;
+        child.object.visible = shown ? child.was : false;
+      } else walk(child);
+    }
+  };
+  walk(viewer.scene_tree.find(["meshcat", "pincontact"]));
+  viewer.set_dirty();
+  return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+})"""
+
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
@@ -160,11 +175,11 @@ def feet():
 @pytest.mark.parametrize(
     ("make", "drawn", "rows", "size"),
     [
-        (cart, ["visuals", "contours", "traces", "normal", "point"], 4, (800, 600)),
-        (ball, ["visuals", "contours", "traces", "normal", "friction", "point", "e1", "m3", "cone"], 1, (800, 600)),
+        (cart, ["visuals", "contours", "trace", "normal", "point"], 4, (800, 600)),
+        (ball, ["visuals", "contours", "trace", "normal", "friction", "point", "e1", "m3", "cone"], 1, (800, 600)),
         (wire, ["visuals", "contours", "trace", "normal", "point"], 1, (800, 600)),
         (feet, ["contours", "normal", "point"], 16, (800, 600)),
-        (ball, ["visuals", "contours", "traces", "normal", "friction", "point"], 1, (390, 844)),
+        (ball, ["visuals", "contours", "trace", "normal", "friction", "point"], 1, (390, 844)),
     ],
     ids=["meshes", "primitives", "wire", "32 contacts", "phone"],
 )
@@ -178,8 +193,16 @@ def test_all_parts_are_in_the_picture(browser, tmp_path, make, drawn, rows, size
     state = browser.run(LOOK)
     assert state["said"] == [] and state["note"] == ""
     paths = [path for path, _ in state["seen"]]
+    whole = browser.picture()
     for part in drawn:
         assert any(part in path.split("/") for path in paths), (part, paths)
+        # without it the picture is another one
+        browser.run(f"{SHOW}('{part}', false)")
+        changed = np.abs(browser.picture() - whole).sum(axis=2) > 30
+        browser.run(f"{SHOW}('{part}', true)")
+        # a contact point on a phone has some four pixels across
+        assert changed.sum() > 10, f"{part} is not to be seen"
+    assert (browser.picture() == whole).all()
     bodies = {item.name for item in scene.visual_model.geometryObjects}
     assert bodies <= {path.split("/")[-1] for path in paths}
     assert state["rows"] == rows

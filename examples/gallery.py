@@ -34,33 +34,38 @@ SHOWN = {
     "mujoco_ant": 1.0,
     "mecanum": 1.0,
 }
-# Without panels, with the camera near what moves, and the sun's shadows there, too.
+# Without panels, with the camera as near as it sees all that moves, and the sun's shadows there, too.
 CLOSE_UP = """(() => {
-  const drawing = viewer.scene_tree.find(["meshcat", "pincontact"]), balls = [];
+  const drawing = viewer.scene_tree.find(["meshcat", "pincontact"]), points = [], camera = viewer.camera;
   const look = (node) => {
     for (const child of node.object.children) {
       if (!child.isMesh || !child.visible) continue;
-      child.geometry.computeBoundingSphere();
-      balls.push(child.geometry.boundingSphere.clone().applyMatrix4(child.matrixWorld));
+      const at = child.geometry.attributes.position, step = Math.max(1, Math.floor(at.count / 500));
+      for (let i = 0; i < at.count; i += step) {
+        points.push(camera.position.clone().fromBufferAttribute(at, i).applyMatrix4(child.matrixWorld));
+      }
     }
     for (const [name, child] of Object.entries(node.children)) {
-      if (!["universe", "traces"].includes(name)) look(child);
+      if (child.object.visible && !["universe", "traces", "trace"].includes(name)) look(child);
     }
   };
   viewer.scene.updateMatrixWorld(true);
-  look(drawing.children.bodies);
-  const low = balls[0].center.clone(), high = low.clone();
-  for (const { center, radius } of balls) {
-    low.min(center.clone().subScalar(radius));
-    high.max(center.clone().addScalar(radius));
-  }
-  const middle = low.clone().add(high).multiplyScalar(0.5);
-  const reach = Math.max(...balls.map(({ center, radius }) => center.distanceTo(middle) + radius));
+  look(drawing);
+  const low = points[0].clone(), high = low.clone();
+  points.forEach((point) => { low.min(point); high.max(point); });
+  const middle = low.add(high).multiplyScalar(0.5);
+  const [right, up, back] = [0, 1, 2].map((k) => middle.clone().setFromMatrixColumn(camera.matrixWorld, k));
+  const slope = 0.9 * Math.tan(0.5 * camera.fov * Math.PI / 180);
+  const distance = Math.max(...points.map((point) => {
+    const away = point.sub(middle);
+    const across = Math.max(Math.abs(away.dot(right)) / camera.aspect, Math.abs(away.dot(up)));
+    return away.dot(back) + across / slope;
+  }));
   const sun = viewer.scene_tree.find(["Lights", "Sun"]).object.children[0];
   for (const object of [drawing.object, sun]) object.position.sub(object.parent.worldToLocal(middle.clone()));
   sun.target.position.sub(sun.parent.worldToLocal(middle.clone()));
   sun.target.updateMatrixWorld();
-  viewer.camera.position.setLength(reach / Math.sin(0.5 * viewer.camera.fov * Math.PI / 180));
+  camera.position.setLength(distance);
   viewer.controls.update();
   for (const panel of document.querySelectorAll(".panel, .dg")) panel.style.display = "none";
   viewer.set_dirty();

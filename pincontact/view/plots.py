@@ -196,14 +196,14 @@ def motion(run: Trajectory, ax: Axes | None = None, velocities: bool = False) ->
     elif velocities:
         lines = {name: values[:, k] for k, name in enumerate(velocity_names(model))}
     else:
-        lines = lengths_and_angles(model, values)
+        lines = _lengths_and_angles(model, values)
     for number, (label, line) in enumerate(lines.items()):
         # Matplotlib has ten colours
         ax.plot(run.t, line, ("-", "--", ":", "-.")[number // 10 % 4], label=label)
     return _finish(ax, "v [m/s, rad/s]" if velocities else "q [m, rad]", legend=len(lines) <= _LEGEND_ROWS)
 
 
-def lengths_and_angles(model: pin.Model, q: np.ndarray) -> dict[str, np.ndarray]:
+def _lengths_and_angles(model: pin.Model, q: np.ndarray) -> dict[str, np.ndarray]:
     """Configurations, (n, nq), in m and rad by label: angles count turns, orientations are rotation vectors."""
     lines: dict[str, np.ndarray] = {}
     for kind, iq, iv, count in configuration_blocks(model):

@@ -1,8 +1,9 @@
 """The pictures of the README: runs examples, opens their replays in a browser without a display, and keeps the view.
 
-Needs Chromium (or Chrome) and Pillow, which Matplotlib brings; examples whose robots are not installed are left out.
+Needs a checkout, Chromium (or Chrome) and Pillow, which Matplotlib brings; examples whose robots are not installed are
+left out.
 
-    python examples/gallery.py [FOLDER] [--html FILE]      # pincontact/docs/figures by default
+    python examples/gallery.py [NAME ...] [--folder FOLDER] [--html FILE]  # pincontact/docs/figures by default
 """
 
 from __future__ import annotations
@@ -10,31 +11,16 @@ from __future__ import annotations
 import argparse
 import base64
 import importlib
-import shutil
-import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
 FIGURES = HERE.parent / "pincontact" / "docs" / "figures"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
-FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--virtual-time-budget=3000",
-)
-# Of the window, of what is kept of it from its top left corner (without the bar), and of the pictures.
-WINDOW, KEPT, PICTURE = (900, 620), (900, 560), (450, 280)
-LARGEST = 60_000  # bytes
+WINDOW, PICTURE = (900, 560), (450, 280)
+LARGEST = 80_000  # bytes
 # The example, and the time in s at which it is shown.
 SHOWN = {
     "rover": 2.6,
@@ -48,6 +34,42 @@ SHOWN = {
     "mujoco_ant": 1.0,
     "mecanum": 1.0,
 }
+# Without panels, with the camera as near as it sees all that moves, and the sun's shadows there, too.
+CLOSE_UP = """(() => {
+  const drawing = viewer.scene_tree.find(["meshcat", "pincontact"]), points = [], camera = viewer.camera;
+  const look = (node) => {
+    for (const child of node.object.children) {
+      if (!child.isMesh || !child.visible) continue;
+      const at = child.geometry.attributes.position, step = Math.max(1, Math.floor(at.count / 500));
+      for (let i = 0; i < at.count; i += step) {
+        points.push(camera.position.clone().fromBufferAttribute(at, i).applyMatrix4(child.matrixWorld));
+      }
+    }
+    for (const [name, child] of Object.entries(node.children)) {
+      if (child.object.visible && !["universe", "traces", "trace"].includes(name)) look(child);
+    }
+  };
+  viewer.scene.updateMatrixWorld(true);
+  look(drawing);
+  const low = points[0].clone(), high = low.clone();
+  points.forEach((point) => { low.min(point); high.max(point); });
+  const middle = low.add(high).multiplyScalar(0.5);
+  const [right, up, back] = [0, 1, 2].map((k) => middle.clone().setFromMatrixColumn(camera.matrixWorld, k));
+  const slope = 0.9 * Math.tan(0.5 * camera.fov * Math.PI / 180);
+  const distance = Math.max(...points.map((point) => {
+    const away = point.sub(middle);
+    const across = Math.max(Math.abs(away.dot(right)) / camera.aspect, Math.abs(away.dot(up)));
+    return away.dot(back) + across / slope;
+  }));
+  const sun = viewer.scene_tree.find(["Lights", "Sun"]).object.children[0];
+  for (const object of [drawing.object, sun]) object.position.sub(object.parent.worldToLocal(middle.clone()));
+  sun.target.position.sub(sun.parent.worldToLocal(middle.clone()));
+  sun.target.updateMatrixWorld();
+  camera.position.setLength(distance);
+  viewer.controls.update();
+  for (const panel of document.querySelectorAll(".panel, .dg")) panel.style.display = "none";
+  viewer.set_dirty();
+})()"""
 
 
 def example(name: str) -> Any:
@@ -64,27 +86,22 @@ def replay(name: str, folder: Path) -> Path:
     return page
 
 
-def picture(page: Path, time: float, browser: str, folder: Path, target: Path) -> None:
-    """What the page shows at a time, as a small PNG."""
+def picture(page: Path, time: float, browser: Any, target: Path) -> None:
+    """What the page shows at a time, as a small PNG. browser: that of the tests."""
     from PIL import Image
 
-    view = folder / "view.png"
-    flags = [f"--window-size={WINDOW[0]},{WINDOW[1]}", f"--user-data-dir={folder / 'profile'}"]
-    subprocess.run(
-        [browser, *FLAGS, *flags, f"--screenshot={view}", f"{page.as_uri()}#t={time}"],
-        check=True,
-        capture_output=True,
-        timeout=180,
-    )
-    save(Image.open(view).convert("RGB").crop((0, 0, *KEPT)).resize(PICTURE, Image.Resampling.LANCZOS), target)
+    browser.open(page, f"#t={time}")
+    browser.run(CLOSE_UP)
+    save(Image.fromarray(browser.picture().astype("uint8")).resize(PICTURE, Image.Resampling.LANCZOS), target)
 
 
 def save(image: Any, target: Path) -> None:
     """Write a PNG with as many colours as its size allows; the few pixels of an arrow keep theirs."""
     from PIL import Image
 
-    for colors in (256, 128, 64, 32):
-        image.quantize(colors, Image.Quantize.MAXCOVERAGE).save(target, optimize=True)
+    for colors in (None, 256, 128, 64, 32):
+        fewer = image if colors is None else image.quantize(colors, Image.Quantize.MAXCOVERAGE)
+        fewer.save(target, optimize=True)
         if target.stat().st_size <= LARGEST:
             print(f"{target} ({target.stat().st_size / 1000:.0f} kB)")
             return
@@ -125,28 +142,30 @@ def page_of_pictures(folder: Path, target: Path) -> Path:
     return target
 
 
-def main(target: Path = FIGURES, html: Path | None = None) -> None:
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
-        raise SystemExit(f"no browser found; looked for {', '.join(BROWSERS)}")
+def main(target: Path = FIGURES, html: Path | None = None, names: Iterable[str] = ()) -> None:
+    sys.path.insert(0, str(HERE.parent / "tests"))
+    from browser import Browser
+
     target.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, Browser(Path(name), WINDOW) as browser:
         folder = Path(name)
-        for title, time in SHOWN.items():
+        for title in names or SHOWN:
             try:
                 page = replay(title, folder)
             except (RuntimeError, ImportError) as error:
                 print(f"left out {title}: {error}")
                 continue
-            picture(page, time, browser, folder, target / f"{title}.png")
-        plots(folder, target / "plots.png")
+            picture(page, SHOWN[title], browser, target / f"{title}.png")
+        if not names:
+            plots(folder, target / "plots.png")
     if html is not None:
         print(f"wrote {page_of_pictures(target, html)}")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path, nargs="?", default=FIGURES)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="of examples; all, if not given")
+    parser.add_argument("--folder", type=Path, default=FIGURES)
     parser.add_argument("--html", type=Path, metavar="FILE", help="write all pictures into one HTML file")
     arguments = parser.parse_args()
-    main(arguments.folder, arguments.html)
+    main(arguments.folder, arguments.html, arguments.names)

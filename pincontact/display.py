@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
 from html import escape
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +32,25 @@ def numbers(vector: np.ndarray) -> str:
     return np.array2string(
         vector, precision=4, suppress_small=True, threshold=_NUMBERS, edgeitems=_NUMBERS // 2, max_line_width=10_000
     )
+
+
+class Summary:
+    """A dataclass of results, with `repr=False`, that shows its numbers, names, and the shapes of its arrays."""
+
+    def __repr__(self) -> str:
+        shown = [field.name for field in fields(self) if field.repr]  # type: ignore[arg-type]
+        return f"{type(self).__name__}({', '.join(f'{name}={_summary(getattr(self, name))}' for name in shown)})"
+
+
+def _summary(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"array{value.shape}"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, (Mapping, list, tuple)):
+        return f"[{shortened(map(_summary, value)) if value else ''}]"
+    text = repr(value)
+    return text if len(text) <= _CHARACTERS else type(value).__name__
 
 
 def html_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

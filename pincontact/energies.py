@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .display import Summary
 from .errors import TrajectoryError
 
 
-@dataclass(frozen=True, eq=False)
-class Energies:
+@dataclass(frozen=True, eq=False, repr=False)
+class Energies(Summary):
     """Energies at every output; works are None unless the run recorded them.
 
     Works are counted from the state that the run started from, whether that is an output or not, and with what impacts

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .arguments import time_step
+from .display import Summary
 from .errors import ArgumentError
 from .scene import Scene
 from .state import State
@@ -17,8 +18,12 @@ if TYPE_CHECKING:
     from .trajectory import Trajectory
 
 
-@dataclass(frozen=True, eq=False)
-class LoadedScene:
+# Options that time stepping does not use.
+_EVENT_DRIVEN = ("rtol", "atol", "max_step", "first_step", "fixed_step")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LoadedScene(Summary):
     """What a scene file describes.
 
     Attributes
@@ -60,7 +65,11 @@ class LoadedScene:
         if "step" in changes:
             # in place of the file's, whatever its name there
             changes["dt"] = time_step(changes.get("dt"), changes.pop("step"))
-        options = {**self.settings, **changes}
+        settings = self.settings
+        if changes.get("method") == "Moreau":
+            # what the file says of steps and tolerances is for its own method
+            settings = {name: value for name, value in settings.items() if name not in _EVENT_DRIVEN}
+        options = {**settings, **changes}
         if "duration" not in options:
             raise ArgumentError(f"{self.path}: simulation.duration is not in the file, and none was given")
         if "t_eval" not in options and self.outputs is not None:

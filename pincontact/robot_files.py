@@ -95,8 +95,14 @@ def _urdf_remarks(file: str, root: ElementTree.Element) -> dict[str, list[str]]:
     for joint in root.findall("joint"):
         name, kind = repr(joint.get("name")), joint.get("type")
         axis, limit, dynamics = (joint.find(tag) for tag in ("axis", "limit", "dynamics"))
-        if axis is not None and kind not in ("fixed", "floating") and not any(_floats(axis.get("xyz", "1 0 0"))):
-            raise ModelError(f"{file}: joint {name}: its axis has no direction, got {axis.get('xyz')!r}")
+        direction = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+        if kind not in ("fixed", "floating") and not any(_floats(direction)):
+            raise ModelError(f"{file}: joint {name}: its axis has no direction, got {direction!r}")
+        if kind == "planar" and any(_floats(direction)[:2]):
+            raise ModelError(
+                f"{file}: joint {name}: its plane is normal to {direction!r} (1 0 0 where no axis is given), and "
+                'Pinocchio takes z for all planar joints: write <axis xyz="0 0 1"/>, and turn the joint by its <origin>'
+            )
         ends = limit is not None and bool({"lower", "upper"} & set(limit.attrib))
         if kind in ("floating", "planar"):
             # Pinocchio reads them for joints of one coordinate only

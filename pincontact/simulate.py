@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import sys
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -125,7 +127,8 @@ def simulate(
         In s, >= 0.
     rtol, atol : float
         Relative and absolute tolerance of every component of q (tangent to its manifold, in m and rad), of v and of the
-        location parameters.
+        location parameters. As max_step, first_step and fixed_step, of event-driven methods: a warning says so where
+        "Moreau" is given others than the defaults.
     t_eval : (n,) array_like, optional
         Times in s, in order, at which the result is wanted; every accepted step, if not given.
     method : {"DOP853", "RK45", "RK23", "Sharp98", "Moreau"}
@@ -229,6 +232,7 @@ def simulate(
             f"longer steps, got {rtol:g}; method 'DOP853' takes it"
         )
     if pair is None:
+        _warn_of_unused(rtol=rtol, atol=atol, max_step=max_step, first_step=first_step, fixed_step=fixed_step)
         # imported, and with it kernels to compile, for those who use it
         from .integration import moreau_driver  # noqa: F401
     compile_kernels()
@@ -466,6 +470,14 @@ def _check(
         raise ArgumentError(f"duration, rtol and atol must be finite, got {duration}, {rtol}, {atol}")
     if not is_count(max_steps):
         raise ArgumentError(f"max_steps must be a whole number from 1 to 1e18, got {max_steps!r}")
+
+
+def _warn_of_unused(**given: float | None) -> None:
+    """As SciPy does: options that have no effect with time stepping."""
+    defaults = inspect.signature(simulate).parameters
+    unused = [name for name, value in given.items() if value != defaults[name].default]
+    if unused:
+        warnings.warn(f"{', '.join(unused)} have no effect with method 'Moreau', whose step is dt.", stacklevel=3)
 
 
 def _check_resolved(dt: float | None, latest: float) -> None:

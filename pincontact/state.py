@@ -279,10 +279,14 @@ def find_state(
     system = RunSystem(model, contacts)
     system.q[:], system.v[:] = q, v
     candidates: dict[str, list[Candidate]] = {}
+    apart: dict[str, NoContactError] = {}
     for c, contact in enumerate(contacts):
-        found = _candidates(scene, contact, q, v, t, contact.name in free)
-        chosen = _choose(contact, found, contact.name in free, max_gap, system, t)
-        candidates[contact.name] = found
+        candidates[contact.name] = found = _candidates(scene, contact, q, v, t, contact.name in free)
+        try:
+            chosen = _choose(contact, found, contact.name in free, max_gap)
+        except NoContactError as error:
+            apart[contact.name] = error
+            continue
         integers = system.contact_int[c]
         integers[SIDE] = contact.side or chosen.side or 1
         integers[BRANCH], integers[DETERMINANT_SIGN] = chosen.branch, chosen.determinant_sign
@@ -294,6 +298,8 @@ def find_state(
             integers[MODE] = (
                 STICK if contact.friction is not None and math.isinf(contact.friction.sliding) else FRICTIONLESS
             )
+    if apart:
+        raise _together(apart)
     correction = _correct(scene, system, q, v, t)
     return State(
         scene,
@@ -325,9 +331,17 @@ def _candidates(
     return find_candidates(single, t, guess, beyond=is_free)
 
 
-def _choose(
-    contact: Contact, found: list[Candidate], is_free: bool, max_gap: float | None, system: System, t: float
-) -> Candidate:
+def _together(apart: dict[str, NoContactError]) -> NoContactError:
+    """One error for all contacts that do not touch: what the first one says, and the gaps of the others."""
+    first = next(iter(apart.values()))
+    if len(apart) == 1:
+        return first
+    gaps = {name: f"{e.gap:.6g} m" if math.isfinite(e.gap) else "no point found" for name, e in apart.items()}
+    also = ", ".join(f"{name!r} ({gap})" for name, gap in list(gaps.items())[1:])
+    return NoContactError(f"{str(first).removesuffix('.')}; nor do the contours touch of contacts {also}", first.gap)
+
+
+def _choose(contact: Contact, found: list[Candidate], is_free: bool, max_gap: float | None) -> Candidate:
     """The candidate nearest to touching, on the side asked for where the shapes tell sides apart."""
     pair = f"{contact.first.name!r} and {contact.second.name!r}"
     if not found:

@@ -3,6 +3,7 @@ there is."""
 
 import math
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -243,6 +244,42 @@ def test_what_to_do_about_gaps():
         pc.NoContactError, match=r"gap is -0\.3 m.*move q, or give add_contact side=-1 \(here it is \+1"
     ):
         scene.initial_state(at(0.0, 0.0, -0.3))
+
+
+def test_all_contacts_that_do_not_touch_are_named():
+    scene = pc.Scene.from_urdf(URDF / "ball.urdf", floating_base=True)
+    floor = scene.add_contour("floor", pc.Plane())
+    for name, height in (("low", -0.1), ("middle", 0.0), ("high", 0.1)):
+        place = pin.SE3(np.eye(3), np.array([0.0, 0.0, height]))
+        scene.add_contact(name, scene.add_contour(name, pc.Point(), "ball", place), floor)
+    beside = scene.add_contour("beside", pc.Plane(domain=((5.0, 6.0), (5.0, 6.0))))
+    scene.add_contact("beside", "low", beside)
+    with pytest.raises(
+        pc.NoContactError, match=r"'middle'.*gap is 0\.1 m.*nor .* 'high' \(0\.2 m\), 'beside' \(no point"
+    ) as told:
+        scene.initial_state(at(0.0, 0.0, 0.1))
+    assert told.value.gap == pytest.approx(0.1)
+
+
+def test_a_step_that_fails_names_the_contact_nearest_to_singular():
+    noise = np.random.default_rng(0)
+    scene = ball_on(pc.Plane(), friction=pc.NoSlip())
+    run = pc.simulate(
+        scene, scene.initial_state(at(0.0, 0.0, 0.1)), 1.0, control=lambda t, q, v: noise.normal(0.0, 1e6, 6)
+    )
+    assert run.status == -1
+    assert "'c' has the least conditioning, 1" in run.message
+
+
+def test_time_stepping_warns_of_what_it_does_not_use(scene, state):
+    for given in ({"rtol": 1e-5, "fixed_step": 1e-2}, {"atol": 1e-7}, {"max_step": 0.1}, {"first_step": 1e-3}):
+        with pytest.warns(UserWarning, match=f"{', '.join(given)} have no effect with method 'Moreau'") as told:
+            pc.simulate(scene, state, 1e-3, method="Moreau", **given)
+        assert told[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pc.simulate(scene, state, 1e-3, method="Moreau", dt=5e-4)
+        pc.simulate(scene, state, 1e-3, fallback="Moreau", rtol=1e-6)
 
 
 def test_forgotten_floating_base():

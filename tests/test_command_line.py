@@ -199,8 +199,10 @@ def test_contours_apart_are_bad_input(tmp_path, capsys):
     assert re.search(r"apart\.toml: contact 'ball': .*gap is 0\.8 m", capsys.readouterr().err)
 
 
-def test_options_of_a_run(capsys):
+def test_options_of_a_run(capsys, recwarn):
     assert main(["run", DISK, "--duration", "0.05", "--method", "Moreau", "--step", "0.01"]) == 0
+    # the file's tolerances are for its own method
+    assert "rtol" in Path(DISK).read_text(encoding="utf-8") and not recwarn
     counts = {row[1]: row[0] for row in table(capsys.readouterr().out, "counts")[1:]}
     assert counts["steps"] == "5"
     with pytest.raises(SystemExit):

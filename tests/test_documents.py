@@ -118,6 +118,47 @@ def test_documents_use_names_that_are_there(document):
     assert not [f"{owner}.{name}" for owner, name in uses if name not in attributes(kinds[owner])]
 
 
+def test_scene_files_are_described(tmp_path):
+    """The tables of keys are those of the messages about unknown ones; the file that is shown runs."""
+    text = (DOCS / "scene_files.md").read_text(encoding="utf-8")
+    path = tmp_path / "scene.toml"
+    shutil.copytree(ROOT / "urdf", tmp_path / "urdf")
+    path.write_text(re.search(r"```toml\n(.*?)```", text, re.DOTALL)[1], encoding="utf-8")
+    run = pc.load_scene(path).simulate()
+    assert run.success and run.t.size == 101
+
+    def known(table):
+        path.write_text(f'urdf = "urdf/ball.urdf"\n{table}\nodd = 1\n', encoding="utf-8")
+        with pytest.raises(pc.SceneFileError, match="odd: unknown key") as told:
+            pc.load_scene(path)
+        return set(re.findall(r"\w+", str(told.value).split("expected one of ")[1]))
+
+    tables = re.findall(r"^\| `\[([\w.]+)\]` \| (.*) \|$", text, re.MULTILINE)
+    keys = {table: set(re.findall(r"`(\w+)`", cell)) for table, cell in tables}
+    for table in ("collision", "contacts.NAME", "initial", "simulation"):
+        between = 'between = ["a", "b"]' * table.startswith("contacts")
+        assert known(f"[{table}]\n{between}") == keys[table], table
+    assert known("") == {
+        *re.findall(r"`(\w+)`", re.search(r"^\| at the top \| (.*)$", text, re.MULTILINE)[1]),
+        *("constants", "collision", "contours", "contacts", "initial", "simulation"),
+    }
+    described = set()
+    for names, cell in re.findall(r"^\| (`[A-Z].*?) \| (.*?)\s*\|$", text, re.MULTILINE):
+        for kind in re.findall(r"\w+", names):
+            own = set(re.findall(r"`(\w+)`", cell))
+            described.add(kind)
+            if issubclass(getattr(pc, kind), pc.Motion):
+                assert known(f"[contours.c]\nkind = 'Point'\n[contours.c.motion]\nkind = '{kind}'") == own | {"kind"}
+                continue
+            found = known(f"[contours.c]\nkind = '{kind}'")
+            if kind == "HeightField":
+                found |= known("[contours.c]\nkind = 'HeightField'\nz = []")
+            assert found == own | keys["contours.NAME"], kind
+    shapes = {name for name in pc.__all__ if isinstance(kind := getattr(pc, name), type)}
+    shapes = {name for name in shapes if issubclass(getattr(pc, name), (pc.Contour, pc.Motion))}
+    assert described == shapes - {"Contour", "Motion"}
+
+
 def test_reference_lists_all_public_names():
     listed = re.findall(r"^   (\w+)$", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
     missing, unknown = set(pc.__all__) - set(listed), set(listed) - set(pc.__all__)

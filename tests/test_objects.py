@@ -11,6 +11,7 @@ import re
 import subprocess
 import sys
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,25 @@ def test_objects_show_themselves_in_two_lines(slide):
     assert "and 38 more" in repr(scene) and "and 39 more" in repr(state)
     assert "slip" in repr(slide.contacts["b/f"]) and "'ball' and 'floor'" in repr(slide.contacts["b/f"])
     assert "Sphere(radius=0.1)" in repr(slide.scene.contours["ball"])
+
+
+def test_results_show_shapes_of_arrays():
+    scene, state = many_contacts()
+    ball, rolling = sliding_ball()
+    found = pc.inverse_dynamics(scene, state, np.zeros(6), cones=True)
+    steady = pc.find_equilibrium(scene, state.q)
+    results = [
+        pc.linearize(ball, replace(rolling, v=np.zeros(6))),
+        pc.simulate(ball, rolling, 0.1, energies=True).energies(),
+        pc.analyze(scene, state)["a contact with a long name 7"],
+        pc.solve_contacts(np.eye(90), np.tile([0.0, 0.0, -1.0], 30), [0.5] * 30),
+        *(found, steady),
+    ]
+    for shown in results:
+        assert len(repr(shown)) <= 600, shown
+    assert "A=array(8, 8)" in repr(results[0]) and "friction_work=array(" in repr(results[1])
+    assert "tau=array(6,)" in repr(found) and "and 38 more" in repr(found) and "_program" not in repr(found)
+    assert "state=State, " in repr(steady) and "holds=True" in repr(steady)
 
 
 def test_notebooks_show_tables(slide):

@@ -1,5 +1,6 @@
 """Robots from other files and objects: the same robot moves the same, and what is left out is said."""
 
+import math
 import warnings
 
 import numpy as np
@@ -158,6 +159,17 @@ def test_what_urdfs_say_of_joints_is_read(tmp_path, recwarn):
     assert not recwarn
 
 
+def test_planar_joints_of_urdfs_move_in_their_plane(tmp_path, recwarn):
+    # the plane's normal is z of the joint's frame, which <origin> turns to the world's -y
+    origin = '<origin xyz="0 0 1" rpy="1.5707963267948966 0 0"/>'
+    model = pc.Scene.from_urdf(urdf(tmp_path, origin, kind="planar")).model
+    data = model.createData()
+    pin.forwardKinematics(model, data, np.array([0.3, 0.2, math.cos(0.4), math.sin(0.4)]))
+    np.testing.assert_allclose(data.oMi[1].translation, [0.3, 0.0, 1.2], atol=1e-15)
+    np.testing.assert_allclose(data.oMi[1].rotation[:, 0], [math.cos(0.4), 0.0, math.sin(0.4)], atol=1e-15)
+    assert not recwarn
+
+
 MIMIC = (
     f'<link name="c">{MASS}</link><joint name="k" type="revolute"><parent link="b"/><child link="c"/>{LIMIT}'
     '<mimic joint="j" multiplier="2"/></joint>'
@@ -190,6 +202,8 @@ def test_what_urdfs_leave_out_is_named(tmp_path, changes, message):
     ("changes", "message"),
     [
         ({"axis": '<axis xyz="0 0 0"/>'}, "joint 'j': its axis has no direction"),
+        ({"kind": "planar", "joint": "", "axis": ""}, "joint 'j': its plane is normal to '1 0 0'"),
+        ({"kind": "planar", "joint": "", "axis": '<axis xyz="0 1 0"/>'}, "joint 'j': its plane is normal to '0 1 0'"),
         ({"link": MASS.replace('izz="1"', "")}, "link 'b': izz of its inertia must be a finite number, got None"),
         ({"link": MASS.replace('mass value="1"', 'mass value="nan"')}, "link 'b': value of its mass .* got 'nan'"),
         ({"link": MASS.replace('mass value="1"', 'mass value="-1"')}, "link 'b': its mass must not be negative"),

@@ -643,8 +643,7 @@ RING = np.column_stack([np.cos(np.arange(80) * np.pi / 40), np.sin(np.arange(80)
 @pytest.mark.parametrize(
     ("mesh", "expected"),
     [
-        (meshes.ellipsoid(np.array([1.0, 2.0, 0.5]), 80), 4.0 / 3.0 * np.pi),
-        (meshes.capsule(0.5, 2.0, 80), 0.5 * np.pi + np.pi / 6.0),
+        (meshes.sphere(0.5, 80), np.pi / 6.0),
         (arrows.unit_shaft(), np.pi),
         (arrows.unit_head(), np.pi / 3.0),
         (meshes.tube(RING, 0.1, True, 40), 2.0 * np.pi**2 * 0.01),
@@ -915,6 +914,41 @@ def test_single_plots_draw_into_given_axes(run, pyplot):
     assert set(lines(grid[0])) == {"kinetic", "potential", "total", "friction work"}
 
 
+def test_motion_is_plotted_as_lengths_and_angles(pyplot):
+    model = pin.Model()
+    joints = {
+        "free": pin.JointModelFreeFlyer(),
+        "ball": pin.JointModelSpherical(),
+        "flat": pin.JointModelPlanar(),
+        "wheel": pin.JointModelRUBX(),
+        "slide": pin.JointModelTranslation(),
+        "hinge": pin.JointModelRX(),
+    }
+    for name, joint in joints.items():
+        model.addJoint(0, joint, pin.SE3.Identity(), name)
+    t = np.linspace(0.0, 2.0, 81)
+    axis = np.array([2.0, -1.0, 2.0]) / 3.0
+    # each turns by 5 rad a second, so more than once
+    turns = [pin.Quaternion(pin.exp3(5.0 * time * axis)).coeffs() for time in t]
+    flip = [(-1) ** k * turn for k, turn in enumerate(turns)]
+    pair = np.column_stack([np.cos(5.0 * t), np.sin(5.0 * t)])
+    q = np.column_stack([t, 2 * t, 3 * t, turns, flip, t, -t, pair, pair, t, t * t, 4 * t, 0.5 * t])
+    v = np.tile(np.arange(model.nv), (len(t), 1))
+    moved = SimpleNamespace(t=t, q=q, v=v, scene=SimpleNamespace(model=model))
+    drawn = {line.get_label(): line.get_ydata() for line in plots.motion(moved).lines}
+    expected = {f"free {name}": k * t for name, k in zip("xyz", (1, 2, 3))}
+    for joint in ("free", "ball"):
+        expected |= {f"{joint} rotation vector {name}": 5.0 * t * axis[k] for k, name in enumerate("xyz")}
+    expected |= {"flat x": t, "flat y": -t, "flat angle": 5.0 * t, "wheel": 5.0 * t, "hinge": 0.5 * t}
+    expected |= {"slide.0": t, "slide.1": t * t, "slide.2": 4 * t}
+    assert drawn.keys() == expected.keys()
+    for name, values in expected.items():
+        # round-off of logarithms near half turns
+        assert drawn[name] == pytest.approx(values, abs=1e-7), name
+    rates = [line.get_label() for line in plots.motion(moved, velocities=True).lines]
+    assert rates[:6] == ["free.vx", "free.vy", "free.vz", "free.wx", "free.wy", "free.wz"] and rates[-1] == "hinge"
+
+
 def test_plot_arguments(run, pyplot):
     with pytest.raises(ArgumentError, match="unknown kind of plot 'power'"):
         plots.plot(run, ["power"])
@@ -1014,6 +1048,28 @@ def test_contact_point_is_where_the_bodies_touch_however_far_apart_the_rows_are(
     assert found.point[:, :2] == pytest.approx(np.column_stack([0 * times, 3.0 * times]), abs=1e-9)
 
 
+def test_traces_are_as_smooth_as_the_motion(monkeypatch):
+    # a ball rolls and spins about the vertical, 40 rad/s each: its contact point goes round it within few of its frames
+    scene = pc.Scene.from_urdf(Path(__file__).parent.parent / "urdf" / "ball.urdf", floating_base=True)
+    ball, floor = scene.add_contour("ball", Sphere(0.1), "ball"), scene.add_contour("floor", Plane())
+    scene.add_contact("c", ball, floor, pc.NoSlip())
+    run = pc.simulate(scene, scene.initial_state([0, 0, 0.1, 0, 0, 0, 1], [4.0, 0, 0, 0, 40.0, 40.0]), 1.0)
+    drawn = []
+    monkeypatch.setattr(meshes, "tube", lambda points, *_: drawn.append(points) or meshes.sphere(1.0))
+    compose(run, 30.0, 1.0, 3000, None, None, ("traces",))
+    assert len(drawn) == 2
+    for points in drawn:
+        steps = np.diff(points, axis=0)
+        steps /= np.linalg.norm(steps, axis=1)[:, None]
+        turns = np.arccos(np.clip(np.einsum("ij,ij->i", steps[1:], steps[:-1]), -1.0, 1.0))
+        # a turn of the body by a tenth of a radian between samples, and what `simplify` leaves out
+        assert turns.max() < 0.3
+    # rolling, the ways on both bodies are equally long
+    assert [np.linalg.norm(np.diff(points, axis=0), axis=1).sum() for points in drawn] == pytest.approx(
+        [4.0, 4.0], rel=0.01
+    )
+
+
 def test_location_is_broken_where_the_chart_changes(run, pyplot):
     track = run.contacts[CONTACT]
     charts = track.charts.copy()
@@ -1046,6 +1102,49 @@ def test_a_scaled_mesh_from_triangles_is_scaled_once():
     drawn = position @ np.reshape(placed["matrix"], (4, 4))[:3, :3]
     # float32
     assert drawn == pytest.approx(shape.vertices(), abs=1e-6)
+
+
+COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>{asset}</asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="pa" count="9">1 2 3 4 5 6 7 8 10</float_array><technique_common>
+<accessor source="#pa" count="3" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles></mesh></geometry>
+</library_geometries><library_visual_scenes><visual_scene id="w"><node>{node}</node></visual_scene>
+</library_visual_scenes><scene><instance_visual_scene url="#w"/></scene></COLLADA>"""
+PART = '<instance_geometry url="#g"/>'
+
+
+@pytest.mark.parametrize("node", [PART, f"<node>{PART}</node>"], ids=["merged by meshcat", "triangles"])
+@pytest.mark.parametrize(
+    ("asset", "seen"),
+    [
+        ("", (1, 2, 3)),
+        ("<up_axis>Z_UP</up_axis>", (1, 2, 3)),
+        # "Y_UP: right x, up y, in z; Z_UP: right x, up z, in -y" (Collada 1.4.1, sec. up_axis); X_UP: -y, x, z
+        ("<up_axis>Y_UP</up_axis>", (1, -3, 2)),
+        ("<up_axis>X_UP</up_axis>", (-2, -3, 1)),
+        (
+            "<contributor><authoring_tool>VCGLib | MeshLab</authoring_tool></contributor><up_axis>Y_UP</up_axis>",
+            (1, 2, 3),
+        ),
+    ],
+    ids=["unsaid", "z", "y", "x", "MeshLab"],
+)
+def test_collada_files_stand_upright(tmp_path, asset, seen, node):
+    (tmp_path / "part.dae").write_text(COLLADA.format(asset=asset, node=node))
+    link = '<link name="l"><visual><geometry><mesh filename="part.dae" scale="2 2 2"/></geometry></visual></link>'
+    (tmp_path / "r.urdf").write_text(f'<robot name="r">{link}</robot>')
+    scene = pc.Scene.from_urdf(tmp_path / "r.urdf")
+    before = scene.visual_model.geometryObjects[0].placement.copy()
+    drawing = Drawing()
+    draw_robot(drawing, scene.model, scene.visual_model, lambda item: "/part")
+    (placed,) = (c for c in drawing.commands if c["type"] == "set_transform")
+    assert np.array([1.0, 2.0, 3.0, 1.0]) @ np.reshape(placed["matrix"], (4, 4)) == pytest.approx(
+        [*(2 * np.array(seen)), 1]
+    )
+    assert scene.visual_model.geometryObjects[0].placement == before
 
 
 def test_events_of_joints_are_named(run):

@@ -5,65 +5,40 @@ Skipped where there is no Chromium; then the page has been checked as text and d
 
 from __future__ import annotations
 
-import html
-import json
-import re
-import subprocess
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser import FLAGS, PROGRAM, Browser
+from browser import PROGRAM, Browser
 from fake_run import END, HOP_END, HOP_START, SLIP_END, fake_run, placement
 
 import pincontact as pc
 from pincontact.view import export_html
-from pincontact.view.replay import MORE_PARTS, PARTS
+from pincontact.view.page import render_page
+from pincontact.view.replay import MORE_PARTS, PARTS, compose, page_info
 
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason="no Chromium found: pages are not opened, only read")
 
-# Runs after the page's own script: looks at three.js' objects at some times, and leaves what it saw in the page.
-PROBE = """
-<script>
-ready.then(() => {
-  const base = ["meshcat", "pincontact"];
-  const node = (...names) => viewer.scene_tree.find(base.concat(names)).object;
-  const seen = TIMES.map((time) => {
-    run(false);
-    seek(time);
-    viewer.scene.updateMatrixWorld();
-    const body = node("bodies", "root"), arrow = node("contacts", "rim|floor", "normal");
-    const trace = node("contacts", "rim|floor", "trace", "<object>");
-    return {
-      position: body.position.toArray(), quaternion: body.quaternion.toArray(), arrow: arrow.visible,
-      stick: node("contacts", "rim|floor", "normal", "shaft", "stick").visible,
-      trace: trace.geometry.drawRange.count, clock: element("clock").textContent,
-      mode: element("contacts").querySelector("tr").cells[1].textContent,
-    };
-  });
-  const output = document.createElement("pre");
-  output.id = "seen";
-  output.textContent = JSON.stringify(seen);
-  document.body.appendChild(output);
-});
-</script>
-"""
+# What three.js' objects are like at a time.
+PROBE = """((time) => {
+  const node = (...names) => viewer.scene_tree.find(["meshcat", "pincontact", ...names]).object;
+  run(false);
+  seek(time);
+  viewer.scene.updateMatrixWorld();
+  const body = node("bodies", "root"), trace = node("contacts", "rim|floor", "trace", "<object>");
+  return {
+    position: body.position.toArray(), quaternion: body.quaternion.toArray(),
+    arrow: node("contacts", "rim|floor", "normal").visible,
+    stick: node("contacts", "rim|floor", "normal", "shaft", "stick").visible,
+    trace: trace.geometry.drawRange.count, clock: element("clock").textContent,
+    mode: element("contacts").querySelector("tr").cells[1].textContent,
+  };
+})"""
 
-# Stands before all other scripts: what the page says to the console.
-LISTEN = """
-<script>
-const said = [];
-for (const kind of ["warn", "error"]) console[kind] = (...words) => said.push(words.join(" "));
-window.addEventListener("error", (event) => said.push(event.message));
-</script>
-"""
-
-# Which nodes under the drawing have triangles in the picture, with their colours.
-LOOK = """
-<script>
-ready.then(() => {
+# Which nodes under the drawing have triangles in the picture at the end, with their colours; and the panels.
+LOOK = """(() => {
   run(false);
   seek(info.duration);
   viewer.scene.updateMatrixWorld(true);
@@ -76,59 +51,58 @@ ready.then(() => {
   const seen = [];
   const walk = (node, path) => {
     if (!node.object.visible) return;
-    const object = node.object;
-    object.children.forEach((child) => {
+    node.object.children.forEach((child) => {
       if (child.isMesh && child.visible && child.geometry.attributes.position.count > 0 && inside(child)) {
-        seen.push([path, child.material.color.getHex(), child.geometry.drawRange.count]);
+        seen.push([path, child.material.color.getHex()]);
       }
     });
     for (const [name, child] of Object.entries(node.children)) walk(child, path + "/" + name);
   };
   walk(viewer.scene_tree.find(["meshcat", "pincontact"]), "");
-  const bar = element("time").getBoundingClientRect();
-  const output = document.createElement("pre");
-  output.id = "seen";
-  output.textContent = JSON.stringify({
-    seen, said, note: element("note").textContent, slider: [bar.width, bar.height, bar.right, bar.bottom],
-    rows: [...element("contacts").querySelectorAll("tr")].filter((row) => row.style.display !== "none").length,
-    summary: element("contacts").querySelector("summary").textContent,
-    ticks: [...element("ticks").querySelectorAll("button")].map((tick) => tick.title),
-    width: window.innerWidth, list: element("contacts").getBoundingClientRect().height,
+  const shown = (panel) => panel.getClientRects().length > 0;
+  const boxes = [...document.querySelectorAll(".panel, .dg.main")].filter(shown).map((panel) => {
+    const { left, top, right, bottom } = panel.getBoundingClientRect();
+    return [panel.id, left, top, right, bottom];
   });
-  document.body.appendChild(output);
-});
-</script>
-"""
+  const bar = slider.getBoundingClientRect();
+  return {
+    seen, said, note: element("note").textContent, slider: [bar.width, bar.height, bar.right, bar.bottom], boxes,
+    rows: [...element("contacts").querySelectorAll("tr")].filter((row) => row.style.display !== "none").length,
+    list: element("contacts").getBoundingClientRect().height,
+  };
+})()"""
+
+# Shows or hides the nodes of a name.
+SHOW = """((part, shown) => {
+  const walk = (node) => {
+    for (const [name, child] of Object.entries(node.children)) {
+      if (name === part) {
+        if (!shown) child.was = child.object.visible;
+        child.object.visible = shown ? child.was : false;
+      } else walk(child);
+    }
+  };
+  walk(viewer.scene_tree.find(["meshcat", "pincontact"]));
+  viewer.set_dirty();
+  return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+})"""
 
 
-def browse(page, folder, *flags):
-    done = subprocess.run(
-        [
-            PROGRAM,
-            *FLAGS,
-            "--window-size=800,600",
-            "--virtual-time-budget=3000",
-            f"--user-data-dir={folder}",
-            *flags,
-            page,
-        ],
-        capture_output=True,
-        text=True,
-        timeout=180,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    return done.stdout
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with Browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
 
 
-def test_page_plays_in_a_browser(tmp_path):
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    return export_html(fake_run(), tmp_path_factory.mktemp("page") / "run.html")
+
+
+def test_page_plays_in_a_browser(browser, page):
     times = [0.3, 1.0, 2.1, 2.75]
-    page = export_html(fake_run(), tmp_path / "run.html")
-    text = page.read_text(encoding="utf-8")
-    page.write_text(text.replace("</body>", PROBE.replace("TIMES", json.dumps(times)) + "</body>"), encoding="utf-8")
-    dom = browse(page.as_uri(), tmp_path / "profile", "--dump-dom")
-    found = re.search(r'<pre id="seen">(.*?)</pre>', dom, re.S)
-    assert found, "the page's script did not come to its end"
-    seen = json.loads(found.group(1))
+    browser.open(page)
+    seen = [browser.run(f"{PROBE}({time})") for time in times]
     for time, state in zip(times, seen):
         expected = placement(time)
         # 2.1 s is the top of the hop; elsewhere the frames are 1/30 s apart and interpolated along chords: w^2 h^2 / 8
@@ -138,7 +112,7 @@ def test_page_plays_in_a_browser(tmp_path):
         axis = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
         assert axis == pytest.approx(expected.rotation[:, 2], abs=1e-3)
         assert state["clock"] == f"t = {time:.3f} s"
-    assert [state["mode"] for state in seen] == ["slip", "stick", "free", "stick"]
+    assert [state["mode"] for state in seen] == ["slip", "stick", "open", "stick"]
     assert [state["arrow"] for state in seen] == [True, True, False, True]
     assert [state["stick"] for state in seen if state["arrow"]] == [False, True, True]
     counts = [state["trace"] for state in seen]
@@ -146,13 +120,10 @@ def test_page_plays_in_a_browser(tmp_path):
     assert SLIP_END < times[1] < HOP_START
 
 
-def test_page_shows_the_wheel_and_its_arrow(tmp_path):
-    image = pytest.importorskip("PIL.Image")
-    page = export_html(fake_run(), tmp_path / "run.html", follow="rim/floor")
-    picture = tmp_path / "page.png"
-    browse(page.as_uri() + "#t=1.0", tmp_path / "profile", f"--screenshot={picture}")
-    pixels = np.asarray(image.open(picture).convert("RGB"), dtype=int)
-    red, green, blue = pixels[80:520].reshape(-1, 3).T
+def test_page_shows_the_wheel_and_its_arrow(browser, tmp_path):
+    browser.resize(800, 600)
+    browser.open(export_html(fake_run(), tmp_path / "run.html", follow="rim/floor"), "#t=1.0")
+    red, green, blue = browser.picture()[80:520].reshape(-1, 3).T
     # The wheel is orange and yellow, the arrow of a sticking contact green, the floor and the sky grey and blue.
     wheel = (red > green + 20) & (green > blue + 20)
     arrow = (green > red + 40) & (green > blue + 30)
@@ -204,29 +175,34 @@ def feet():
 @pytest.mark.parametrize(
     ("make", "drawn", "rows", "size"),
     [
-        (cart, ["visuals", "contours", "traces", "normal", "point"], 4, (800, 600)),
-        (ball, ["visuals", "contours", "traces", "normal", "friction", "point", "e1", "m3", "cone"], 1, (800, 600)),
+        (cart, ["visuals", "contours", "trace", "normal", "point"], 4, (800, 600)),
+        (ball, ["visuals", "contours", "trace", "normal", "friction", "point", "e1", "m3", "cone"], 1, (800, 600)),
         (wire, ["visuals", "contours", "trace", "normal", "point"], 1, (800, 600)),
         (feet, ["contours", "normal", "point"], 16, (800, 600)),
-        (ball, ["visuals", "contours", "traces", "normal", "friction", "point"], 1, (390, 844)),
+        (ball, ["visuals", "contours", "trace", "normal", "friction", "point"], 1, (390, 844)),
     ],
     ids=["meshes", "primitives", "wire", "32 contacts", "phone"],
 )
-def test_all_parts_are_in_the_picture(tmp_path, make, drawn, rows, size):
+def test_all_parts_are_in_the_picture(browser, tmp_path, make, drawn, rows, size):
     scene, q, v = make()
     free = [name for name in scene.contacts if make is feet and int(name.split()[1]) >= 16]
     run = pc.simulate(scene, scene.initial_state(q, v, free=free), 0.2, rtol=1e-5, atol=1e-7)
     page = export_html(run, tmp_path / "run.html", show=[*PARTS, *(MORE_PARTS if "cone" in drawn else ())])
-    text = page.read_text(encoding="utf-8").replace("<body>", "<body>" + LISTEN, 1)
-    page.write_text(text.replace("</body>", LOOK + "</body>"), encoding="utf-8")
-    dom = browse(page.as_uri(), tmp_path / "profile", f"--window-size={size[0]},{size[1]}", "--dump-dom")
-    found = re.search(r'<pre id="seen">(.*?)</pre>', dom, re.S)
-    assert found, "the page's script did not come to its end"
-    state = json.loads(html.unescape(found.group(1)))
+    browser.resize(*size, touch=size[0] < 400)
+    browser.open(page)
+    state = browser.run(LOOK)
     assert state["said"] == [] and state["note"] == ""
-    paths = [path for path, _, _ in state["seen"]]
+    paths = [path for path, _ in state["seen"]]
+    whole = browser.picture()
     for part in drawn:
         assert any(part in path.split("/") for path in paths), (part, paths)
+        # without it the picture is another one
+        browser.run(f"{SHOW}('{part}', false)")
+        changed = np.abs(browser.picture() - whole).sum(axis=2) > 30
+        browser.run(f"{SHOW}('{part}', true)")
+        # a contact point on a phone has some four pixels across
+        assert changed.sum() > 10, f"{part} is not to be seen"
+    assert (browser.picture() == whole).all()
     bodies = {item.name for item in scene.visual_model.geometryObjects}
     assert bodies <= {path.split("/")[-1] for path in paths}
     assert state["rows"] == rows
@@ -234,26 +210,36 @@ def test_all_parts_are_in_the_picture(tmp_path, make, drawn, rows, size):
     assert 10 < state["list"] < 0.2 * size[1]
     width, height, right, bottom = state["slider"]
     # room for a finger, within the window
-    assert width > 150 and height >= 28 and right <= state["width"] and bottom <= size[1]
+    assert width > 150 and height >= 28 and right <= size[0] and bottom <= size[1]
     if make is cart:
-        colors = {path.split("/")[-1]: color for path, color, _ in state["seen"] if "visuals" in path}
+        colors = {path.split("/")[-1]: color for path, color in state["seen"] if "visuals" in path}
         # of the URDF; of the Collada file, whose parts meshcat cannot merge
         assert colors["cart_0"] == 0xD83319 and colors["cart_1"] == 0x193FCC
-        assert len(text.encode()) < 1.5e6
+        assert page.stat().st_size < 1.5e6
+    # panels are in the window, and none covers another
+    for name, left, top, right, bottom in state["boxes"]:
+        assert left >= 0 and top >= 0 and right <= size[0] and bottom <= size[1], name
+    for one, other in combinations(state["boxes"], 2):
+        apart = one[3] <= other[1] or other[3] <= one[1] or one[4] <= other[2] or other[4] <= one[2]
+        assert apart, (one, other)
+
+
+def test_a_command_that_fails_is_told_and_the_others_are_carried_out(browser, tmp_path):
+    run = fake_run()
+    picture = compose(run, 30.0, 1.0, 3000, None, None, PARTS)
+    first, *others = picture.commands(environment=True)
+    broken = {"type": "set_object", "path": "/meshcat/broken", "object": {"geometries": [{"type": "No such"}]}}
+    page = tmp_path / "run.html"
+    page.write_text(render_page([first, broken, *others], page_info(picture, run, 1.0), "run"), encoding="utf-8")
+    browser.open(page)
+    state = browser.run(LOOK)
+    assert state["note"].count("not drawn") == 1 and "/meshcat/broken" in state["note"]
+    paths = {part for path, _ in state["seen"] for part in path.split("/")}
+    assert {"contours", "trace", "normal", "point"} <= paths
+    assert browser.run(f"{PROBE}(1.0)")["clock"] == "t = 1.000 s"
 
 
 # What a user does with a page
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    with Browser(tmp_path_factory.mktemp("profile")) as opened:
-        yield opened
-
-
-@pytest.fixture(scope="module")
-def page(tmp_path_factory):
-    return export_html(fake_run(), tmp_path_factory.mktemp("page") / "run.html")
 
 
 def test_event_marks_have_labels_and_tooltips_and_lead_to_their_times(browser, page):

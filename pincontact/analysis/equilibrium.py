@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..arguments import check_tolerance
+from ..display import Summary
 from ..dynamics.joints import check_joint_limits
 from ..errors import ArgumentError, SingularContactError, SolverError
 from ..scene import Scene
@@ -28,8 +29,8 @@ _STALLED = 1e-9
 _LEAST_DAMPING, _MOST_DAMPING = 1e-13, 1e6
 
 
-@dataclass(frozen=True, eq=False)
-class SteadyMotion:
+@dataclass(frozen=True, eq=False, repr=False)
+class SteadyMotion(Summary):
     """An equilibrium or a steady motion, as `find_equilibrium` and `find_steady_motion` find it.
 
     Attributes

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from ..display import Summary
 from ..dynamics.units import unwhiten
 from ..friction.cone_least_squares import ConeSolution
 from .inverse_problem import Problem
@@ -15,8 +16,8 @@ from .inverse_problem import Problem
 _NEGLIGIBLE = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class FarkasCertificate:
+@dataclass(frozen=True, eq=False, repr=False)
+class FarkasCertificate(Summary):
     """Why accelerations are out of reach: a virtual velocity p under which the forces cannot do so little power.
 
     By the equations of motion p . (M a + nle + damping v - given forces) is the power of efforts, contact forces and

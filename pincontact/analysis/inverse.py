@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..arguments import NOT_REAL, check_flag, check_tolerance, real_array
+from ..display import Summary
 from ..dynamics.units import whiten
 from ..errors import ArgumentError, SolverError, StateError
 from ..geometry.patterns import ON_CURVE
@@ -72,8 +73,8 @@ class HeldTurn:
         return float(np.linalg.norm(self.torque)) <= self.limit * (1.0 + _LIMIT_SLACK)
 
 
-@dataclass(frozen=True, eq=False)
-class InverseDynamics:
+@dataclass(frozen=True, eq=False, repr=False)
+class InverseDynamics(Summary):
     """Joint torques and contact forces, as `inverse_dynamics` finds them.
 
     Attributes

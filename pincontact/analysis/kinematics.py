@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..display import Summary
 from ..dynamics.system import System
 from ..errors import SingularContactError
 from ..geometry.carriers import OMEGA, ORIGIN
@@ -36,8 +37,8 @@ class _Forces:
         return Instant(*self._at).forces()
 
 
-@dataclass(frozen=True, eq=False)
-class ContactKinematics:
+@dataclass(frozen=True, eq=False, repr=False)
+class ContactKinematics(Summary):
     """The paper's equations of one contact, and of motion, at one state, as numbers.
 
     World axes unless said, SI units. Relative quantities are of the second contour that the user named against the

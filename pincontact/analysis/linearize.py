@@ -12,6 +12,7 @@ import pinocchio as pin
 import scipy
 
 from ..arguments import check_tolerance
+from ..display import Summary
 from ..errors import ArgumentError, StateError
 from ..state import State
 from .instant import Instant, derivative
@@ -28,8 +29,8 @@ _WELL_CONDITIONED = 1e-6
 _NO_MOTION = 1e-7
 
 
-@dataclass(frozen=True, eq=False)
-class Linearization:
+@dataclass(frozen=True, eq=False, repr=False)
+class Linearization(Summary):
     """x' = A x + B dtau about a steady motion, for n independent deviations x.
 
     x holds deviations of some of the model's velocity coordinates: the first `positions` of them of the configuration

@@ -57,6 +57,7 @@ nb_output_stderr = "remove"
 autosummary_generate = True
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
+toc_object_entries_show_parents = "hide"
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
 
@@ -70,6 +71,7 @@ html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
     "header_links_before_dropdown": 7,
+    "navbar_persistent": ["search-button"],
     "secondary_sidebar_items": ["page-toc"],
 }
 html_sidebars: dict[str, list[str]] = {
@@ -82,6 +84,7 @@ def setup(app: Sphinx) -> None:
     app.add_directive("replay", Replay)
     # before numpydoc reads them
     app.connect("autodoc-process-docstring", escape_markup, priority=400)
+    app.connect("autodoc-process-bases", leave_public_bases)
     app.connect("builder-inited", make_folder)
     app.connect("build-finished", copy_replays)
 
@@ -91,6 +94,14 @@ def escape_markup(app: Sphinx, kind: str, name: str, thing: object, options: obj
     for number, line in enumerate(lines):
         if not line.lstrip().startswith((">>>", "...")):
             lines[number] = re.sub(r"\||(?<=\()\*\*|_(?=[-+]\w)", lambda found: "\\" + "\\".join(found[0]), line)
+
+
+def leave_public_bases(app: Sphinx, name: str, thing: type, options: object, bases: list[type]) -> None:
+    """Of what a class is derived from, readers know what has a page, and Python's own."""
+    known = [
+        base for base in bases if not base.__module__.startswith("pincontact") or base.__name__ in pincontact.__all__
+    ]
+    bases[:] = known or [object]
 
 
 def visit_math(translator: HTML5Translator, node: math) -> None:

@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arguments import check_flag, check_tolerance
+from ..display import Summary
 from ..errors import ArgumentError, InfeasibleError, SolverError
 from .attempt import (
     AFRESH,
@@ -113,8 +114,8 @@ class _Workspace:
         self.counts[TIMES + code] += 1
 
 
-@dataclass(frozen=True)
-class ContactSolution:
+@dataclass(frozen=True, repr=False)
+class ContactSolution(Summary):
     """Forces and relative velocities of n contacts that obey Coulomb's law; rows are (t1, t2, n).
 
     Attributes

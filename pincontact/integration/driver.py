@@ -38,8 +38,8 @@ from .jams import held_up
 from .locator import Crossing, EventLocator
 from .outputs import Outputs, no_dense_output
 from .pieces import Pieces
-from .reports import left_behind
-from .results import FINISHED, OPEN_LOADS, STEP_LIMIT, TERMINATED, Stop
+from .reports import least_conditioned, left_behind
+from .results import FINISHED, OPEN_LOADS, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
 from .runge_kutta import RungeKutta
 from .slip_at_ends import LEFT_OUT
 from .steps import (
@@ -157,7 +157,8 @@ class Driver:
         try:
             self._run(t, t_end)
         except Stop as stop:
-            return stop.code, stop.message
+            where = least_conditioned(self.system) if stop.code == STEP_TOO_SMALL else ""
+            return stop.code, stop.message + where
         said = f"; after {self.open_loads} changes of modes {OPEN_LOADS}" if self.open_loads else ""
         return FINISHED, "the end of the interval was reached" + said + self._left_behind()
 

@@ -161,6 +161,17 @@ class Reports:
         return None
 
 
+def least_conditioned(system: System) -> str:
+    """What the message of a failed step adds: the closed contact that is nearest to singular."""
+    closed = system.closed()
+    if not closed:
+        return ""
+    conditions = np.abs(system.contact_real[closed, CONDITION])
+    least = int(conditions.argmin())
+    name = system.contacts[closed[least]].name
+    return f"; of the closed contacts {name!r} has the least conditioning, {conditions[least]:.3g}"
+
+
 def left_behind(system: System, gaps: np.ndarray, ways: np.ndarray) -> str:
     """What a run says of bodies that end inside or behind each other, where open contacts do not touch.
 

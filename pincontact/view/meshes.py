@@ -52,23 +52,11 @@ def _strip(cells: int) -> np.ndarray:
     return np.concatenate([np.column_stack([low, low + 1, high]), np.column_stack([low + 1, high + 1, high])])
 
 
-def capsule(radius: float, length: float, sides: int = 32) -> Mesh:
-    """A cylinder of that length about z, centred, closed with half spheres of its radius."""
-    angle = np.linspace(-0.5 * np.pi, 0.0, sides // 4 + 1)
-    low = np.column_stack([radius * np.cos(angle), radius * np.sin(angle) - 0.5 * length])
-    mesh = lathe(np.concatenate([low, low[::-1] * (1.0, -1.0)]), sides)
-    # Smooth over the segments of the caps: the normal of a capsule points away from its core segment.
-    core = np.clip(mesh.vertices[:, 2], -0.5 * length, 0.5 * length)
-    offset = mesh.vertices - np.column_stack([np.zeros_like(core), np.zeros_like(core), core])
-    mesh.normals = offset / radius
-    return mesh
-
-
-def ellipsoid(radii: np.ndarray, sides: int = 40) -> Mesh:
-    """An ellipsoid with these three half axes; equal ones make a sphere."""
-    unit = capsule(1.0, 0.0, sides)
-    normals = unit.vertices / radii
-    return Mesh(unit.vertices * radii, unit.faces, normals / np.linalg.norm(normals, axis=1, keepdims=True))
+def sphere(radius: float, sides: int = 20) -> Mesh:
+    """A ball about the origin; its normals are as smooth as it."""
+    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, sides // 2 + 1)
+    mesh = lathe(np.column_stack([np.cos(angle), np.sin(angle)]), sides)
+    return Mesh(radius * mesh.vertices, mesh.faces, mesh.vertices)
 
 
 def tube(points: np.ndarray, radius: float, closed: bool, sides: int = 8) -> Mesh:

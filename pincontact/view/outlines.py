@@ -45,7 +45,7 @@ def contour_meshes(
     centre = 0.5 * (near.min(axis=0) + near.max(axis=0))
     radius = float(np.linalg.norm(near - centre, axis=1).max()) + 2.5 * size
     if contour.dimension == 0:
-        return {"point": meshes.ellipsoid(np.full(3, 2.5 * line), 20)}
+        return {"point": meshes.sphere(2.5 * line)}
     domain = meshes.drawn_domain(contour, centre, radius, t)
     if contour.dimension == 1:
         closed = bool(contour.periodic[0])

@@ -47,7 +47,7 @@ async function redrawWithImages() {
 let further = 1;
 function fitCamera() {
   const pane = element("meshcat-pane");
-  const free = 2 * element("bar").offsetTop / pane.clientHeight - 1;
+  const free = 2 * element("bar").getBoundingClientRect().top / pane.clientHeight - 1;
   const wanted = Math.max(1, info.aspect / (pane.clientWidth / pane.clientHeight), info.height / Math.max(free, 0.2));
   viewer.camera.position.multiplyScalar(wanted / further);
   further = wanted;
@@ -88,8 +88,11 @@ function labelTicks() {
     label.textContent = info.contacts.length > 1 && contact ? contact + " " + kind : kind;
     label.style.left = (100 * (time - info.start)) / info.duration + "%";
     ticks.appendChild(label);
-    const box = label.getBoundingClientRect();
-    if (box.left < free) label.remove(); else free = box.right + 6;
+    const { left, right } = label.getBoundingClientRect(), ends = ticks.getBoundingClientRect();
+    // centred on its mark, but within the slider
+    const shift = Math.max(0, ends.left - left) - Math.max(0, right - ends.right);
+    label.style.marginLeft = shift + "px";
+    if (left + shift < free) label.remove(); else free = right + shift + 6;
   }
 }
 
@@ -132,10 +135,10 @@ function show(time) {
   let closed = 0;
   for (const row of rows) {
     const mode = row.contact.mode[frame];
-    const free = mode === info.free;
-    if (!free) closed += 1;
-    // Many free contacts would fill the screen with zeros.
-    row.row.style.display = free && rows.length > 4 ? "none" : "";
+    const open = mode === info.open;
+    if (!open) closed += 1;
+    // Many open contacts would fill the screen with zeros.
+    row.row.style.display = open && rows.length > 4 ? "none" : "";
     row.word.textContent = info.modes[mode].name;
     row.swatch.style.background = info.modes[mode].color;
     row.normal.textContent = "N = " + row.contact.normal[frame].toPrecision(4) + " N";
@@ -150,7 +153,7 @@ function show(time) {
 
 const canvas = element("plots").querySelector("canvas");
 const picture = document.createElement("canvas");
-const margin = { left: 46, right: 8, top: 8, bottom: 22 };
+const margin = { left: 46, right: 8, top: 22, bottom: 22 };
 let scale = 1;
 
 function number(value) { return Number(value.toPrecision(3)).toString(); }
@@ -178,7 +181,7 @@ function drawPlots() {
     pen.fillText(number(info.start + (info.duration * k) / 4), margin.left + (wide * k) / 4, height - 6);
   }
   pen.textAlign = "left";
-  pen.fillText("force [N] over t [s]; friction dotted, its limit dashed", margin.left + 4, margin.top + 10);
+  pen.fillText("force [N] over t [s]; friction dotted, its limit dashed", margin.left, 12);
   const line = (values, color, dash) => {
     pen.beginPath();
     pen.setLineDash(dash);
@@ -249,7 +252,7 @@ const ready = unpack().then(() => {
   viewer.gui.close();
   applySpeed();
   // A long list would hide the scene; its heading says how many are closed.
-  element("contacts").open = rows.filter((row) => row.contact.mode[0] !== info.free).length <= 6;
+  element("contacts").open = rows.filter((row) => row.contact.mode[0] !== info.open).length <= 6;
   element("plots").open = window.innerWidth > 900 && rows.length > 0;
   // The camera has just been placed; a window that changed its size before has moved none.
   further = 1;

@@ -21,9 +21,9 @@ _PAGE = """<!DOCTYPE html>
 <style>
   body { margin: 0; font: 13px/1.45 system-ui, sans-serif; color: #1d2733; }
   #meshcat-pane { width: 100vw; height: 100vh; height: 100dvh; overflow: hidden; }
-  .panel { position: absolute; background: rgba(255, 255, 255, 0.86); border-radius: 6px; z-index: 2; }
-  .dg.ac { z-index: 1; }
-  #contacts { left: 12px; top: 12px; padding: 4px 10px; max-width: calc(100vw - 44px); max-height: 45vh;
+  .panel { background: rgba(255, 255, 255, 0.86); border-radius: 6px; padding: 4px 10px; pointer-events: auto; }
+  body > .dg.main .close-button { background: rgba(255, 255, 255, 0.86); color: #1d2733; text-shadow: none; }
+  #contacts { position: absolute; z-index: 2; left: 12px; top: 12px; max-width: calc(100vw - 44px); max-height: 45vh;
               overflow: auto; }
   #contacts summary { cursor: pointer; }
   #contacts table { border-spacing: 8px 1px; font-variant-numeric: tabular-nums; }
@@ -31,13 +31,14 @@ _PAGE = """<!DOCTYPE html>
   #contacts td.number { text-align: right; min-width: 6.5em; }
   .swatch { display: inline-block; width: 0.75em; height: 0.75em; border-radius: 50%; margin-right: 0.4em; }
   .line { display: inline-block; width: 1em; height: 3px; margin-right: 0.4em; vertical-align: middle; }
-  #plots { right: 12px; bottom: 92px; padding: 4px 10px; }
+  #low { position: absolute; z-index: 2; left: 12px; right: 12px; bottom: 12px; pointer-events: none;
+         display: flex; flex-direction: column; gap: 8px; }
+  #plots { align-self: flex-end; }
   body.beside #meshcat-pane { width: calc(100vw - 466px); }
   body.beside #plots canvas { width: 420px; height: min(420px, 60vh); }
   #plots summary { cursor: pointer; }
   #plots canvas { display: block; width: min(420px, 40vw); height: min(260px, 36vh); cursor: crosshair; }
-  #bar { left: 12px; right: 12px; bottom: 12px; padding: 6px 12px; display: flex; flex-wrap: wrap; gap: 4px 12px;
-         align-items: center; }
+  #bar { padding: 6px 12px; display: flex; flex-wrap: wrap; gap: 4px 12px; align-items: center; }
   #bar button#play { width: 5.5em; min-height: 32px; }
   #clock { min-width: 8em; text-align: right; font-variant-numeric: tabular-nums; }
   #track { position: relative; flex: 1 1 220px; padding-top: 16px; }
@@ -47,7 +48,7 @@ _PAGE = """<!DOCTYPE html>
                   background: linear-gradient(#555, #555) center / 2px 100% no-repeat; cursor: pointer; }
   #ticks span { position: absolute; top: -2px; font-size: 11px; line-height: 14px; white-space: nowrap;
                 transform: translateX(-50%); pointer-events: none; }
-  #note { left: 12px; bottom: 92px; padding: 4px 10px; max-width: 50vw; display: none; }
+  #note { align-self: flex-start; max-width: 50vw; display: none; }
   @media (max-width: 640px) {
     #track { flex: 1 1 100%; order: -1; }
     #track input { height: 40px; }
@@ -55,7 +56,7 @@ _PAGE = """<!DOCTYPE html>
     #contacts td.number { min-width: 5em; }
     #contacts .on { display: none; }
     #plots canvas { width: calc(100vw - 44px); height: 22vh; }
-    #plots, #note { bottom: 128px; }
+    body > .dg.main { display: none; }
     #clock { min-width: 7em; flex: 1; }
   }
 </style>
@@ -63,14 +64,16 @@ _PAGE = """<!DOCTYPE html>
 <body>
 <div id="meshcat-pane"></div>
 <details id="contacts" class="panel" open><summary></summary><table></table></details>
-<details id="plots" class="panel"><summary>forces</summary><canvas></canvas></details>
+<div id="low">
 <div id="note" class="panel"></div>
+<details id="plots" class="panel"><summary>forces</summary><canvas></canvas></details>
 <div id="bar" class="panel">
   <button id="play">pause</button>
   <div id="track"><div id="ticks"></div><input id="time" type="range" min="0" value="0" aria-label="time"></div>
   <span id="clock"></span>
   <label>speed <select id="speed"></select></label>
   <label><input id="loop" type="checkbox"> repeat</label>
+</div>
 </div>
 <script>@VIEWER@</script>
 <script>

@@ -7,15 +7,21 @@ one contact; None takes all of them. Matplotlib is imported on the first call; w
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pinocchio as pin
 
+from ..analysis.linearize import velocity_names
+from ..display import MODE_NAMES
+from ..dynamics.joints import joint_of
+from ..dynamics.manifold import FREE_FLYER, PLANAR_BLOCK, QUATERNION, VECTOR, configuration_blocks
 from ..errors import ArgumentError, MissingExtraError
 from ..layout import FREE
 from .palette import MODE_COLORS, contact_color
-from .sampling import MODE_NAMES, friction_limit
+from .sampling import friction_limit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -119,7 +125,7 @@ def mode_bands(
     alpha: float = 0.13,
     legend: bool = True,
 ) -> Axes:
-    """Shade the times of each mode of one contact: green stick, red slip, blue frictionless, grey free.
+    """Shade the times of each mode of one contact: green stick, red slip, blue frictionless, grey open.
 
     Parameters
     ----------
@@ -162,6 +168,8 @@ def mode_bands(
 def motion(run: Trajectory, ax: Axes | None = None, velocities: bool = False) -> Axes:
     """Configuration or velocity over time, named after the joints.
 
+    Orientations are rotation vectors (axis times angle), continuous through whole turns; angles count turns.
+
     Parameters
     ----------
     run : Trajectory
@@ -180,20 +188,51 @@ def motion(run: Trajectory, ax: Axes | None = None, velocities: bool = False) ->
         Without Matplotlib.
     """
     ax = _axes(ax)
-    model = run.scene.model
+    model, symbol = run.scene.model, "v" if velocities else "q"
     values = np.asarray(run.v if velocities else run.q)
     if values.shape[1] != (model.nv if velocities else model.nq):
         # a run read from a file without its scene knows no joints
-        for k in range(values.shape[1]):
-            ax.plot(run.t, values[:, k], label=f"{'v' if velocities else 'q'}[{k}]")
-        return _finish(ax, "v [m/s, rad/s]" if velocities else "q [m, rad]", legend=values.shape[1] <= 14)
-    for joint in range(1, model.njoints):
-        data = model.joints[joint]
-        first, count = (data.idx_v, data.nv) if velocities else (data.idx_q, data.nq)
-        for k in range(count):
-            label = model.names[joint] if count == 1 else f"{model.names[joint]}[{k}]"
-            ax.plot(run.t, values[:, first + k], label=label)
-    return _finish(ax, "v [m/s, rad/s]" if velocities else "q [m, rad]", legend=values.shape[1] <= 14)
+        lines = {f"{symbol}[{k}]": values[:, k] for k in range(values.shape[1])}
+    elif velocities:
+        lines = {name: values[:, k] for k, name in enumerate(velocity_names(model))}
+    else:
+        lines = _lengths_and_angles(model, values)
+    for number, (label, line) in enumerate(lines.items()):
+        # Matplotlib has ten colours
+        ax.plot(run.t, line, ("-", "--", ":", "-.")[number // 10 % 4], label=label)
+    return _finish(ax, "v [m/s, rad/s]" if velocities else "q [m, rad]", legend=len(lines) <= _LEGEND_ROWS)
+
+
+def _lengths_and_angles(model: pin.Model, q: np.ndarray) -> dict[str, np.ndarray]:
+    """Configurations, (n, nq), in m and rad by label: angles count turns, orientations are rotation vectors."""
+    lines: dict[str, np.ndarray] = {}
+    for kind, iq, iv, count in configuration_blocks(model):
+        joint = joint_of(model, iv)
+        if kind == VECTOR:
+            lines |= {name: q[:, iq + k] for k, name in enumerate(velocity_names(model)[iv : iv + count])}
+            continue
+        if kind in (FREE_FLYER, PLANAR_BLOCK):
+            axes = "xyz" if kind == FREE_FLYER else "xy"
+            lines |= {f"{joint} {axis}": q[:, iq + k] for k, axis in enumerate(axes)}
+            iq += len(axes)
+        if kind in (FREE_FLYER, QUATERNION):
+            vectors = _rotation_vectors(q[:, iq : iq + 4])
+            lines |= {f"{joint} rotation vector {axis}": vectors[:, k] for k, axis in enumerate("xyz")}
+        else:
+            turn = np.unwrap(np.arctan2(q[:, iq + 1], q[:, iq]))
+            lines[f"{joint} angle" if kind == PLANAR_BLOCK else joint] = turn
+    return lines
+
+
+def _rotation_vectors(quaternions: np.ndarray) -> np.ndarray:
+    """(n, 3) axis times angle of (n, 4) quaternions (x, y, z, w), with the turns that continue the row before."""
+    vectors = np.array([pin.log3(pin.Quaternion(row).matrix()) for row in quaternions]).reshape(-1, 3)
+    for before, vector in pairwise(vectors):
+        angle = float(np.linalg.norm(vector))
+        if angle > 0.0:
+            turns = np.round((before @ vector / angle - angle) / (2.0 * np.pi))
+            vector *= 1.0 + 2.0 * np.pi * turns / angle
+    return vectors
 
 
 def forces(run: Trajectory, contact: str | None = None, ax: Axes | None = None) -> Axes:

@@ -87,7 +87,7 @@ def export_rerun(
         stage.draw_contours(with_robot=True)
         stage.draw_traces()
         drawing.write()
-        _log_contacts(drawing, picture, force_scale or fitting_force_scale(picture.contacts, picture.size))
+        _log_contacts(drawing, picture, force_scale or fitting_force_scale(picture.contacts, picture.mark))
         _log_plots(drawing, run)
         stream.flush()
     finally:
@@ -222,7 +222,7 @@ def _log_contacts(drawing: _Recording, picture: Picture, scale: float) -> None:
     for name, frames in picture.contacts.items():
         shown = frames.touching
         at = drawing.path("contacts", name, "point")
-        points = rr.Points3D.columns(positions=frames.point[shown], radii=np.full(shown.sum(), 0.025 * picture.size))
+        points = rr.Points3D.columns(positions=frames.point[shown], radii=np.full(shown.sum(), 0.025 * picture.mark))
         drawing.columns(at, picture.moments, points.partition(lengths=shown.astype(int)))
         for part, vectors in (("normal", frames.normal), ("friction", frames.friction)):
             seen = shown & vectors.any(axis=1)
@@ -230,7 +230,7 @@ def _log_contacts(drawing: _Recording, picture: Picture, scale: float) -> None:
             arrows = rr.Arrows3D.columns(
                 origins=frames.point[seen],
                 vectors=picture.sign[name] * scale * vectors[seen],
-                radii=np.full(seen.sum(), 0.017 * picture.size),
+                radii=np.full(seen.sum(), 0.017 * picture.mark),
                 colors=np.array(colors, dtype=np.uint8).reshape(-1, 4),
             )
             at = drawing.path("contacts", name, part)

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..arguments import check_positive
+from ..display import MODE_NAMES
 from ..errors import ArgumentError, MissingExtraError, TrajectoryError
 from ..layout import FREE
 from .drawing import Command, Drawing, color_number
 from .palette import MODE_COLORS, contact_color
 from .robot import geometry_reach
 from .sampling import (
-    MODE_NAMES,
     ContactFrames,
     configurations,
     contact_frames,
@@ -42,8 +42,8 @@ MORE_PARTS = ("frames", "dual_frames", "cones")
 # height, and the part of the height that is free of panels.
 _VIEW_FROM = np.array([0.506, -0.759, 0.409]) / np.linalg.norm([0.506, -0.759, 0.409])
 _FIELD_OF_VIEW, _ASPECT, _FREE_HEIGHT = 40.0, 1.3, 0.8
-# Radius of the thinnest lines as a part of the distance that they are seen from: two pixels of a page of 600.
-_THINNEST = 0.0018
+# Arrows, markers and lines are scaled with the scene, or with this part of the distance that it is seen from.
+_LEAST_MARK = 0.15
 
 
 def replay(
@@ -81,7 +81,7 @@ def replay(
     follow : str, optional
         Name of a contact, contour or frame which the camera stays with.
     show : collection of str
-        What to draw, any of "robot", "contours", "points", "traces", "forces", and on request "frames" and
+        What to draw: "robot", "contours", "points", "traces" and "forces", if not given; on request also "frames" and
         "dual_frames", the contact frames (e_1 red, e_2 green, e_3 blue) and their duals (paler), and "cones", circular
         friction cones.
     max_frames : int
@@ -181,10 +181,10 @@ class Picture:
     """A composed replay.
 
     times: (n,) of the frames, s, from 0; moments: (n,) the same in the run; placements: (n, njoints, 4, 4) of the
-    joints; size: of the scene, m; line: radius of lines, m; low, high: (3,) corners of the box that holds the motion;
-    target: (3,) what the camera looks at first;
-    distance: of the camera, m; contacts: by name; sign: +1 where arrows show the force on the second contour;
-    limits: of friction, (n,) in N, or None.
+    joints; size: of the scene, m; mark: the length that arrows, markers and lines are scaled with, m;
+    low, high: (3,) corners of the box that holds the motion; target: (3,) what the camera looks at first; distance: of
+    the camera, m; contacts: by name; sign: +1 where arrows show the force on the second contour; limits: of friction,
+    (n,) in N, or None.
     """
 
     drawing: Drawing
@@ -192,7 +192,7 @@ class Picture:
     moments: np.ndarray
     placements: np.ndarray
     size: float
-    line: float
+    mark: float
     low: np.ndarray
     high: np.ndarray
     target: np.ndarray
@@ -205,7 +205,7 @@ class Picture:
     def stage(self, run: Any, drawing: Drawing | None = None) -> Stage:
         """What draws the run's parts, into the picture's own drawing if no other is given."""
         drawing = self.drawing if drawing is None else drawing
-        return Stage(drawing, run, self.moments, self.times, self.placements, self.contacts, self.size, self.line)
+        return Stage(drawing, run, self.moments, self.times, self.placements, self.contacts, self.size, self.mark)
 
     def commands(self, environment: bool, repetitions: int = 1, time_scale: float = 1.0) -> list[dict[str, Any]]:
         """All commands. environment: set background, light and camera, too; time_scale: stretches the replay."""
@@ -251,7 +251,7 @@ def compose(
     if "traces" in parts:
         stage.draw_traces()
     if "forces" in parts:
-        stage.draw_forces(force_scale or fitting_force_scale(picture.contacts, picture.size), picture.sign)
+        stage.draw_forces(force_scale or fitting_force_scale(picture.contacts, picture.mark), picture.sign)
     if "cones" in parts:
         stage.draw_cones(picture.sign)
     for part in ("frames", "dual_frames"):
@@ -289,8 +289,7 @@ def frame(run: Any, fps: float, speed: float, max_frames: int, follow: str | Non
 
     # A run of no length is shown as a picture that lasts for one frame.
     times = moments - moments[0] if moments[-1] > moments[0] else np.array([0.0, 1.0 / fps])
-    # Lines are as wide as the eye needs from where the camera stands.
-    line = max(0.012 * size, _THINNEST * distance)
+    mark = max(size, _LEAST_MARK * distance)
     sign = {name: _arrow_sign(contact) for name, contact in scene.contacts.items()}
     limits = {name: _limits(run, name, moments, contacts[name]) for name in contacts}
     return Picture(
@@ -299,7 +298,7 @@ def frame(run: Any, fps: float, speed: float, max_frames: int, follow: str | Non
         moments,
         placements,
         size,
-        line,
+        mark,
         low,
         high,
         target,
@@ -319,7 +318,7 @@ def _limits(run: Any, name: str, moments: np.ndarray, frames: ContactFrames) -> 
 
 
 def scene_size(scene: Any, placements: np.ndarray, contacts: dict[str, ContactFrames]) -> float:
-    """A length in m that markers, arrows and lines are scaled with: that of the largest thing that moves."""
+    """A length in m, that of the largest thing that moves."""
     model = scene.model
     lengths = [
         contour.contour.size
@@ -380,15 +379,15 @@ def fitting_distance(centres: np.ndarray, radii: np.ndarray) -> float:
     return float((centres @ _VIEW_FROM + np.maximum(across, along)).max())
 
 
-def fitting_force_scale(contacts: dict[str, ContactFrames], size: float) -> float:
-    """Metres per newton that make large forces about as long as the scene's size.
+def fitting_force_scale(contacts: dict[str, ContactFrames], length: float) -> float:
+    """Metres per newton that make large forces about that long, in m.
 
     The 95th percentile decides, so that one impact does not shrink everything else.
     """
     forces = [np.linalg.norm(c.normal + c.friction, axis=1)[c.touching] for c in contacts.values()]
     magnitudes = np.concatenate(forces) if forces else np.zeros(0)
     magnitudes = magnitudes[magnitudes > 0.0]
-    return 0.9 * size / float(np.percentile(magnitudes, 95.0)) if len(magnitudes) else size
+    return 0.9 * length / float(np.percentile(magnitudes, 95.0)) if len(magnitudes) else length
 
 
 def page_info(picture: Picture, run: Any, speed: float) -> dict[str, Any]:
@@ -416,7 +415,7 @@ def page_info(picture: Picture, run: Any, speed: float) -> dict[str, Any]:
         "speed": float(speed),
         "aspect": _ASPECT,
         "height": _FREE_HEIGHT,
-        "free": FREE,
+        "open": FREE,
         "contacts": contacts,
         "events": [[float(e.time), e.contact or e.joint or "", e.kind] for e in run.events],
         "modes": {

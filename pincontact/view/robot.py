@@ -14,6 +14,12 @@ from .drawing import Drawing
 
 # m: shapes that reach further are taken as unbounded.
 _UNBOUNDED = 1e6
+# Rotations that take the axes of a Collada file to those of Z_UP. MeshLab writes Y_UP whatever the axes are.
+_UPRIGHT = {
+    "X_UP": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
+    "Y_UP": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+}
+_IGNORES_AXES = "MeshLab"
 
 
 class _Recorder:
@@ -51,9 +57,16 @@ def draw_robot(
 
     # meshcat's viewer merges the parts of a Collada file, and fails or misplaces them where it cannot: these are drawn
     # from the triangles that Pinocchio has loaded.
-    files = {item.name: item.meshPath for item in visual.geometryObjects if _is_collada(item)}
-    merges = {file: _merges(file) for file in set(files.values())}
-    plain = {name for name, file in files.items() if not merges[file]}
+    visual = visual.copy()
+    files = {item.meshPath for item in visual.geometryObjects if _is_collada(item)}
+    read = {file: _read_collada(file) for file in files}
+    plain = set()
+    for item in filter(_is_collada, visual.geometryObjects):
+        merges, upright = read[item.meshPath]
+        # Pinocchio leaves out which axis is up.
+        item.placement = item.placement * pin.SE3(upright, np.zeros(3))
+        if not merges:
+            plain.add(item.name)
     recorder = _Recorder()
     visualizer = Visualizer(model, None, visual)
     visualizer.initViewer(meshcat.Visualizer.view_into(recorder, meshcat.path.Path()))
@@ -76,19 +89,23 @@ def draw_robot(
     drawing.commands += recorder.commands
 
 
-def _merges(path: str) -> bool:
+def _read_collada(path: str) -> tuple[bool, np.ndarray]:
     """Whether meshcat's viewer makes one mesh of a Collada file: all its parts have the same kinds of data at their
-    vertices, and none hangs below another."""
-    kinds, inside = set(), 0
+    vertices, and none hangs below another. And the rotation, (3, 3), that makes it upright."""
+    kinds, inside, nested = set(), 0, False
+    up, tool = "", ""
     for event, element in ElementTree.iterparse(path, events=("start", "end")):
         tag = element.tag.rsplit("}", 1)[-1]
         if tag == "node":
             inside += 1 if event == "start" else -1
-            if inside > 1:
-                return False
+            nested = nested or inside > 1
         elif event == "end" and tag in ("triangles", "polylist", "polygons"):
             kinds.add(frozenset((i.get("semantic"), i.get("set")) for i in element if i.tag.endswith("input")))
-    return len(kinds) <= 1
+        elif event == "end" and tag == "up_axis":
+            up = (element.text or "").strip()
+        elif event == "end" and tag == "authoring_tool":
+            tool = element.text or ""
+    return len(kinds) <= 1 and not nested, _UPRIGHT.get("" if _IGNORES_AXES in tool else up, np.eye(3))
 
 
 def _is_collada(geometry: pin.GeometryObject) -> bool:

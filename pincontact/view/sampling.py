@@ -15,10 +15,8 @@ from ..errors import ArgumentError
 from ..geometry.carriers import ORIGIN
 from ..geometry.frames import contact_frame
 from ..integration.discrete import write_discrete
-from ..layout import FREE, FRICTIONLESS, OK, PATTERN, SLIPPING, STICK
+from ..layout import FREE, OK, PATTERN, SLIPPING
 from .arrows import continuous
-
-MODE_NAMES = {FREE: "free", FRICTIONLESS: "frictionless", STICK: "stick", SLIPPING: "slip"}
 
 
 @dataclass
@@ -26,7 +24,7 @@ class ContactFrames:
     """One contact at the times of the frames.
 
     mode: (n,) ints; point: (n, 3) world, m; normal, friction: (n, 3) the two parts of the force on the second
-    contour, world, N; frame: (n, 3, 3) contact frames, where they were asked for. While the contact is free the forces
+    contour, world, N; frame: (n, 3, 3) contact frames, where they were asked for. While the contact is open the forces
     are zero and the point stays on body 1 where it was.
     """
 
@@ -192,7 +190,7 @@ def contact_frames(
 
     The contact point, and the contact frame if `axes` asks for it, are located anew at each time; the location
     parameters of the run's rows, interpolated, are only where the search starts. Forces are interpolated by monotone
-    cubics, each phase of contact by itself: no component overshoots the recorded ones or leaks into a free phase.
+    cubics, each phase of contact by itself: no component overshoots the recorded ones or leaks into an open phase.
     """
     from scipy.interpolate import PchipInterpolator
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..display import MODE_NAMES
 from ..geometry.frames import dual_basis
 from ..layout import FRICTIONLESS, SLIPPING, STICK
 from . import arrows, meshes
@@ -14,7 +15,6 @@ from .outlines import contour_meshes, contour_opacity, shades
 from .palette import MODE_COLORS
 from .robot import draw_robot, shown_by
 from .sampling import (
-    MODE_NAMES,
     ContactFrames,
     configurations,
     contact_frames,
@@ -51,11 +51,11 @@ class Stage:
         placements: np.ndarray,
         contacts: dict[str, ContactFrames],
         size: float,
-        line: float,
+        mark: float,
     ) -> None:
         self.drawing, self.run, self.scene, self.model = drawing, run, run.scene, run.scene.model
         self.moments, self.times, self.placements = moments, times, placements
-        self.contacts, self.size, self.line = contacts, size, line
+        self.contacts, self.size, self.mark, self.line = contacts, size, mark, 0.012 * mark
 
     def body(self, joint: int, *names: str) -> str:
         return self.drawing.path("bodies", str(self.model.names[joint]), *names)
@@ -143,10 +143,10 @@ class Stage:
         return np.concatenate(points) if points else np.zeros((1, 3))
 
     def draw_points(self) -> None:
-        marker = meshes.ellipsoid(np.full(3, 0.025 * self.size), 20)
+        marker = meshes.sphere(0.03 * self.mark)
         for name, frames in self.contacts.items():
             path = self.drawing.path("contacts", name, "point")
-            self.drawing.mesh(path, marker, _POINT_COLOR, False, **_ON_TOP)
+            self.drawing.mesh(path, marker, _POINT_COLOR, False, **{**_ON_TOP, "renderOrder": 11})
             self.drawing.animate(path, "position", "vector3", self.times, frames.point)
             self.drawing.animate_visibility(path, self.times, frames.touching)
 
@@ -194,7 +194,7 @@ class Stage:
         self.drawing.animate(f"{path}/<object>", "geometry[drawRange].count", "number", self.times, drawn)
 
     def draw_forces(self, scale: float, sign: dict[str, float]) -> None:
-        head = 0.13 * self.size
+        head = 0.13 * self.mark
         for name, frames in self.contacts.items():
             for part, vectors in (("normal", frames.normal), ("friction", frames.friction)):
                 modes = [m for m in (FRICTIONLESS, STICK, SLIPPING) if (frames.mode == m).any()]
@@ -211,7 +211,9 @@ class Stage:
             if dual:
                 axes = np.array([dual_basis(np.ascontiguousarray(frame)) for frame in axes])
             for j in range(3):
-                arrow = arrows.place_arrow(frames.point, 0.6 * self.size * axes[:, :, j], 0.08 * self.size)
+                # thin ones on thick ones, which they hide where a frame is orthogonal
+                head = (0.05 if dual else 0.1) * self.mark
+                arrow = arrows.place_arrow(frames.point, 0.6 * self.mark * axes[:, :, j], head)
                 path = self.drawing.path("contacts", name, f"{'m' if dual else 'e'}{j + 1}")
                 color = np.where(np.arange(3) == j, 0.85, 0.55 if dual else 0.1)
                 self._place(path, arrow, frames.touching)
@@ -225,15 +227,15 @@ class Stage:
             law = contact.friction
             if law is None or not np.isfinite(law.sticking) or law.aspect != 1.0 or contact.pattern.constraints == 2:
                 continue
-            height = 0.8 * self.size / np.hypot(1.0, law.sticking)
-            arrow = arrows.place_arrow(frames.point, sign[name] * _unit(frames.normal), self.size)
+            height = 0.8 * self.mark / np.hypot(1.0, law.sticking)
+            arrow = arrows.place_arrow(frames.point, sign[name] * _unit(frames.normal), self.mark)
             path = self.drawing.path("contacts", name, "cone")
             if not arrow.visible.any():
                 continue
             self.drawing.animate_placement(path, self.times, arrow.tail, arrow.quaternion)
             self.drawing.animate_visibility(path, self.times, arrow.visible & frames.touching)
             shape = meshes.lathe(np.array([[0.0, 0.0], [law.sticking * height, height]]), 40)
-            self.drawing.mesh(path, shape, (0.95, 0.75, 0.2, 0.35), False, depthWrite=False)
+            self.drawing.mesh(path, shape, (0.95, 0.75, 0.2, 0.35), False, **{**_ON_TOP, "renderOrder": 9})
 
     def _arrow(self, path: str, arrow: arrows.Arrow, frames: ContactFrames, modes: list[int]) -> None:
         self._place(path, arrow, frames.touching)

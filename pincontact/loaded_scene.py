@@ -11,6 +11,7 @@ import numpy as np
 from .arguments import time_step
 from .errors import ArgumentError
 from .scene import Scene
+from .simulate import simulate
 from .state import State
 
 if TYPE_CHECKING:
@@ -89,6 +90,4 @@ class LoadedScene:
         ArgumentError, StateError
             As `pincontact.simulate` does, and where neither the file nor the changes say the duration.
         """
-        from .simulate import simulate
-
         return simulate(self.scene, self.state, **self.options(**changes))

@@ -9,7 +9,7 @@ import argparse
 import os
 import sys
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +25,9 @@ from .scene_file import load_scene
 from .simulate import simulate
 
 if TYPE_CHECKING:
-    from .contacts import Contact
+    from .contacts import AttachedContour, Contact
+    from .state import Correction, State
+    from .tracks import ContactTrack
     from .trajectory import Trajectory
 
 DONE, NOT_FINISHED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -83,12 +85,13 @@ def _versions() -> str:
     return f"pincontact {__version__} (pinocchio {pin.__version__}, numba {numba_version}, numpy {np.__version__})"
 
 
-def _table(title: str, heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    """A titled table with columns as wide as they need be; numbers with six digits."""
-    cells = [heads, *([_cell(value) for value in row] for row in rows)]
-    if len(cells) == 1:
+def _table(title: str, rows: Iterable[Mapping[str, Any]]) -> None:
+    """A titled table, by heads of columns that are as wide as they need be; numbers with six digits."""
+    listed = list(rows)
+    if not listed:
         return
-    widths = [max(len(row[i]) for row in cells) for i in range(len(heads))]
+    cells = [list(listed[0]), *([_cell(value) for value in row.values()] for row in listed)]
+    widths = [max(map(len, column)) for column in zip(*cells)]
     print(f"\n{title}")
     for row in cells:
         print("  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip())
@@ -137,37 +140,35 @@ def _summary(loaded: LoadedScene, run: Trajectory) -> None:
     rate = f", {simulated / wall:.4g} x real time" if wall > 0.0 else ""
     print(f"{loaded.path}: {simulated:.6g} s simulated in {wall:.4g} s{rate}")
     print(f"status {run.status}: {run.message}")
-    _table("counts", ["number", "of"], ((value, key) for key, value in stats.items() if key != "wall_time"))
+    _table("counts", ({"number": value, "of": key} for key, value in stats.items() if key != "wall_time"))
     shown = run.events[:_EVENTS_SHOWN]
-    _table("events", ["t [s]", "contact", "kind"], ((e.time, e.contact or "-", e.kind) for e in shown))
+    _table("events", ({"t [s]": e.time, "contact": e.contact or "-", "kind": e.kind} for e in shown))
     if len(run.events) > len(shown):
         rest = Counter(event.kind for event in run.events[len(shown) :])
         print(f"  and {', '.join(f'{count} x {kind}' for kind, count in rest.items())}")
     if not run.t.size:
         return
-    _table("contacts", ["name", "modes", "normal force [N]", "largest slip [m/s]"], map(_contact_row, _tracks(run)))
-    _table("worst residuals", ["of", "relative"], ((k, f"{v.max():.1e}") for k, v in run.residuals().items()))
+    _table("contacts", (_contact_row(name, track) for name, track in run.contacts.items()))
+    _residuals("worst residuals", run)
     energies = run.energies()
-    rows = [("kinetic", energies.kinetic), ("potential", energies.potential), ("total", energies.total)]
+    rows = {"kinetic": energies.kinetic, "potential": energies.potential, "total": energies.total}
     if energies.friction_work is not None:
-        rows += [("friction work", energies.friction_work), ("balance", energies.balance)]
-    _table("energies [J]", ["of", "first", "last"], ((name, values[0], values[-1]) for name, values in rows))
+        rows |= {"friction work": energies.friction_work, "balance": energies.balance}
+    _table("energies [J]", ({"of": name, "first": e[0], "last": e[-1]} for name, e in rows.items()))
 
 
-def _tracks(run: Trajectory) -> Iterable[tuple[str, Any]]:
-    return ((name, run.contacts[name]) for name in run.contacts)
+def _residuals(title: str, run: Trajectory) -> None:
+    _table(title, ({"of": kind, "relative": f"{values.max():.1e}"} for kind, values in run.residuals().items()))
 
 
-def _contact_row(entry: tuple[str, Any]) -> Sequence[Any]:
-    name, track = entry
+def _contact_row(name: str, track: ContactTrack) -> dict[str, Any]:
     modes = Counter(int(mode) for mode in track.mode)
     shares = ", ".join(
         f"{MODE_NAMES[mode]} {100.0 * count / track.mode.size:.0f} %" for mode, count in modes.most_common()
     )
-    closed = track.mode != FREE
-    slip = np.linalg.norm(track.slip_velocity[closed], axis=1)
-    force = track.normal_force
-    return name, shares, f"{force.min():.6g} to {force.max():.6g}", float(slip.max(initial=0.0))
+    slip = float(np.linalg.norm(track.slip_velocity[track.mode != FREE], axis=1).max(initial=0.0))
+    force = f"{track.normal_force.min():.6g} to {track.normal_force.max():.6g}"
+    return {"name": name, "modes": shares, "normal force [N]": force, "largest slip [m/s]": slip}
 
 
 # ---------------------------------------------------------------------------------------------------- info
@@ -180,69 +181,54 @@ def _info(loaded: LoadedScene) -> int:
         f"{loaded.path}: {model.name}, nq {model.nq}, nv {model.nv}, {len(scene.contours)} contours, "
         f"{len(scene.contacts)} contacts"
     )
+    joints = zip(model.names, model.joints, model.parents, model.inertias)
     _table(
         "bodies",
-        ["joint", "type", "parent", "q", "v", "mass [kg]"],
         (
-            (
-                model.names[j],
-                model.joints[j].shortname(),
-                model.names[model.parents[j]],
-                _range(model.joints[j].idx_q, model.joints[j].nq),
-                _range(model.joints[j].idx_v, model.joints[j].nv),
-                model.inertias[j].mass,
-            )
-            for j in range(1, model.njoints)
+            {
+                "joint": name,
+                "type": joint.shortname(),
+                "parent": model.names[parent],
+                "q": _range(joint.idx_q, joint.nq),
+                "v": _range(joint.idx_v, joint.nv),
+                "mass [kg]": inertia.mass,
+            }
+            for name, joint, parent, inertia in list(joints)[1:]
         ),
     )
-    _table(
-        "contours",
-        ["name", "kind", "frame", "parameters", "domain"],
-        ((c.name, c.contour.name, c.frame, c.contour.dimension, c.contour.domain) for c in scene.contours.values()),
-    )
-    _table(
-        "contacts",
-        ["name", "first", "second", "pattern", "m", "k", "GC", "VC", "friction", "bilateral"],
-        ((c.name, c.first.name, c.second.name, *_pattern(c), c.bilateral) for c in scene.contacts.values()),
-    )
+    _table("contours", (_contour_row(c) for c in scene.contours.values()))
+    _table("contacts", (_contact_data(c) for c in scene.contacts.values()))
     if scene.contacts:
         print(
             "\n  m equations, k location parameters, GC = m - k geometric and VC velocity constraints where it sticks"
         )
     given = state.correction
     if given is not None and scene.contacts:
-        _table(
-            "initial state as given",
-            ["contact", "gap [m]", "normal v_c [m/s]", "tangential v_c [m/s]", "contact points found"],
-            (
-                (name, given.gaps[name], *given.slips[name], len((state.candidates or {}).get(name, ())))
-                for name in given.gaps
-            ),
-        )
+        _table("initial state as given", (_given_row(state, given, name) for name in given.gaps))
         print(f"\n  made consistent by at most {given.dq:.3g} in q (m, rad) and {given.dv:.3g} in v (m/s, rad/s)")
     # what the friction laws decide at the start takes one evaluation: a run without duration
     start = simulate(scene, state, 0.0)
     if start.t.size:
-        _table(
-            "initial state",
-            ["contact", "location of first", "of second", "mode", "conditioning", "normal force [N]"],
-            (
-                (
-                    name,
-                    *state.location_of(name),
-                    MODE_NAMES[int(track.mode[0])],
-                    track.conditioning[0],
-                    track.normal_force[0],
-                )
-                for name, track in _tracks(start)
-            ),
-        )
+        _table("initial state", (_start_row(name, track.at(0)) for name, track in start.contacts.items()))
         if scene.contacts:
-            _table("residuals", ["of", "relative"], ((k, f"{v.max():.1e}") for k, v in start.residuals().items()))
+            _residuals("residuals", start)
     if not start.success:
         print(f"pincontact: {loaded.path}: status {start.status}: {start.message}", file=sys.stderr)
         return NOT_FINISHED
     return DONE
+
+
+def _given_row(state: State, given: Correction, name: str) -> dict[str, Any]:
+    normal, tangential = given.slips[name]
+    speeds = {"normal v_c [m/s]": normal, "tangential v_c [m/s]": tangential}
+    found = len((state.candidates or {}).get(name, ()))
+    return {"contact": name, "gap [m]": given.gaps[name], **speeds, "contact points found": found}
+
+
+def _start_row(name: str, contact: ContactTrack) -> dict[str, Any]:
+    places = {"location of first": contact.location_first, "of second": contact.location_second}
+    force = {"conditioning": contact.conditioning, "normal force [N]": contact.normal_force}
+    return {"contact": name, **places, "mode": MODE_NAMES[int(contact.mode)], **force}
 
 
 def _range(start: int, size: int) -> str:
@@ -250,10 +236,17 @@ def _range(start: int, size: int) -> str:
     return str(start) if size == 1 else f"{start}:{start + size}"
 
 
-def _pattern(contact: Contact) -> Sequence[Any]:
-    pattern = contact.pattern
-    numbers = pattern.equations, pattern.parameters, pattern.constraints, pattern.tangents
-    return pattern.name, *numbers, _friction(contact.friction)
+def _contour_row(attached: AttachedContour) -> dict[str, Any]:
+    contour = attached.contour
+    kind = {"name": attached.name, "kind": contour.name, "frame": attached.frame}
+    return {**kind, "parameters": contour.dimension, "domain": contour.domain}
+
+
+def _contact_data(contact: Contact) -> dict[str, Any]:
+    pattern, named = contact.pattern, {"name": contact.name, "first": contact.first.name, "second": contact.second.name}
+    numbers = {"m": pattern.equations, "k": pattern.parameters, "GC": pattern.constraints, "VC": pattern.tangents}
+    law = {"friction": _friction(contact.friction), "bilateral": contact.bilateral}
+    return {**named, "pattern": pattern.name, **numbers, **law}
 
 
 def _friction(law: FrictionLaw | None) -> str:

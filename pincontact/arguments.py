@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import ArgumentError
+from .errors import ArgumentError, ContactError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -88,6 +88,14 @@ def real_array(value: ArrayLike) -> np.ndarray:
         # NumPy would read numbers out of text, drop imaginary parts, and take truth values for 0 and 1
         raise TypeError(f"an array of {array.dtype}.")
     return np.array(array, dtype=float)
+
+
+def reals(what: str, value: Any, error: type[ContactError] = ArgumentError) -> np.ndarray:
+    """`real_array`, or the error that says what the value must be: "q must be 7 numbers"."""
+    try:
+        return real_array(value)
+    except NOT_REAL:
+        raise error(f"{what}, got {value!r}") from None
 
 
 def warn_of_order(what: str, quaternion: ArrayLike, stacklevel: int) -> None:

@@ -6,6 +6,7 @@ import difflib
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -139,15 +140,12 @@ Contours = AttachedContour | str | Iterable[AttachedContour | str]
 def in_pairs(firsts: Contours, seconds: Contours) -> list[tuple[str, AttachedContour | str, AttachedContour | str]]:
     """Name of the contact and its contours, for as many of both, or for one and many."""
     first, second = _listed("firsts", firsts), _listed("seconds", seconds)
-    if len(first) == 1:
-        first *= len(second)
-    elif len(second) == 1:
-        second *= len(first)
-    if len(first) != len(second):
+    if len(first) != len(second) and 1 not in (len(first), len(second)):
         raise ArgumentError(
             f"firsts and seconds must be as many, or one of them one alone, got {len(first)} and {len(second)} contours"
         )
-    return [(f"{_name(one)}-{_name(two)}", one, two) for one, two in zip(first, second)]
+    pairs = zip(first, second) if len(first) == len(second) else product(first, second)
+    return [(f"{_name(one)}-{_name(two)}", one, two) for one, two in pairs]
 
 
 def _listed(argument: str, given: Contours) -> list[AttachedContour | str]:

@@ -210,9 +210,8 @@ def _take_pivot(lower, permutation, rank, m):
             best, pivot = ratio, i
     if not best > RANK_TOLERANCE:
         return False
-    p = permutation[pivot]
-    permutation[pivot] = permutation[rank]
-    permutation[rank] = p
+    permutation[rank], permutation[pivot] = permutation[pivot], permutation[rank]
+    p = permutation[rank]
     lower[p, rank] = sqrt(lower[p, m])
     return True
 
@@ -341,20 +340,12 @@ def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
             sign = -sign
         if p != k:
             for j in range(n):
-                swap = a[k, j]
-                a[k, j] = a[p, j]
-                a[p, j] = swap
-            swap = rhs[k]
-            rhs[k] = rhs[p]
-            rhs[p] = swap
+                a[k, j], a[p, j] = a[p, j], a[k, j]
+            rhs[k], rhs[p] = rhs[p], rhs[k]
         if q != k:
             for i in range(rows):
-                swap = a[i, k]
-                a[i, k] = a[i, q]
-                a[i, q] = swap
-            swapped = order[k]
-            order[k] = order[q]
-            order[q] = swapped
+                a[i, k], a[i, q] = a[i, q], a[i, k]
+            order[k], order[q] = order[q], order[k]
         inverse = 1.0 / a[k, k]
         for j in range(k, n):
             a[k, j] *= inverse

@@ -12,6 +12,7 @@ from .arguments import time_step
 from .display import Summary
 from .errors import ArgumentError
 from .scene import Scene
+from .simulate import simulate
 from .state import State
 
 if TYPE_CHECKING:
@@ -98,6 +99,4 @@ class LoadedScene(Summary):
         ArgumentError, StateError
             As `pincontact.simulate` does, and where neither the file nor the changes say the duration.
         """
-        from .simulate import simulate
-
         return simulate(self.scene, self.state, **self.options(**changes))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
 
@@ -39,11 +40,9 @@ class Record:
         # works are counted from there on, whatever the outputs
         counts = system.sizes["nwork"] > 0
         self._total_at_start = np.array(sum(energies_at(system.model, start.q, start.v))) if counts else None
-        nq, nv, nc = system.nq, system.nv, system.nc
-        # t, q, v, tau, works, location, frozen directions' columns, redundant forces chosen, resistances to turning
-        turns = 3 * nc if system.nr else 0
-        self._widths = (1, nq, nv, nv, int(system.sizes["nwork"]), 4 * nc, FROZEN_COLUMNS * nc, 3 * nc, turns)
-        system.counters["row_width"] = width = sum(self._widths)
+        nc = system.nc
+        self._row = _row_of(system.nq, system.nv, nc, int(system.sizes["nwork"]), nc if system.nr else 0)
+        system.counters["row_width"] = width = self._row.itemsize // 8
         if width not in system.row_blocks:
             reals = np.empty((BLOCK, width))
             whole = np.empty((BLOCK, max(nc, 1) * INTEGERS_PER_CONTACT), dtype=np.int64)
@@ -76,23 +75,25 @@ class Record:
         self.flush(always=True)
         blocks = self._blocks or [(self._reals[:0].copy(), self._integers[:0].copy())]
         values, integers = blocks[0] if len(blocks) == 1 else (np.concatenate(parts) for parts in zip(*blocks))
-        system, at = self.system, 1 + self._widths[1]
-        swapped = [contact.swapped for contact in system.contacts]
-        t, q, v = values[:, 0].copy(), values[:, 1:at].copy(), values[:, at : at + self._widths[2]].copy()
-        rest = partial(
-            _unpack,
-            values,
-            integers,
-            self._widths,
-            swapped,
-            self.with_torques,
-            self._resistances,
-            self._total_at_start,
-        )
-        if self.steps_by is not None and system.nc:
-            works = self._widths[4] > 0
-            rest = partial(_with_output_modes, rest, scene, system.contacts, works, self.steps_by, t, q, v)
+        columns = values.view(self._row)[:, 0]
+        t, q, v = (columns[name].copy() for name in ("t", "q", "v"))
+        contacts = self.system.contacts
+        swapped = [contact.swapped for contact in contacts]
+        rest = partial(_unpack, columns, integers, swapped, self.with_torques, self._resistances, self._total_at_start)
+        if self.steps_by is not None and contacts:
+            works = self._row["works"].shape[0] > 0
+            rest = partial(_with_output_modes, rest, scene, contacts, works, self.steps_by, t, q, v)
         return t, q, v, rest
+
+
+@cache
+def _row_of(nq: int, nv: int, nc: int, nwork: int, turning: int) -> np.dtype[np.void]:
+    """A row of numbers as `record_row` writes it."""
+    of_joints = [("t", float), ("q", float, (nq,)), ("v", float, (nv,)), ("torques", float, (nv,))]
+    works = ("works", float, (nwork,))
+    of_contacts = {"location": (nc, 4), "frozen": (nc, FROZEN_COLUMNS), "references": (nc, 3)}
+    shapes = {**of_contacts, "resistances": (turning, 3)}
+    return np.dtype([*of_joints, works, *((name, float, shape) for name, shape in shapes.items())])
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,67 +101,60 @@ class Recorded:
     """What a run keeps of every output besides t, q and v, to rebuild everything else from.
 
     location (n, nc, 4); discrete (n, nc, DISCRETE_COLUMNS), see `State`; directions (n, nc, 3) prescribed slip
-    directions; works (n, NUMBER_OF_WORKS) and total energy at the run's start in J; torques (n, nv) of the user and on
-    joints; resistances (n, nc, 3) torques in N m on the second contours; references: output -> redundant forces chosen
-    there (nc, 3). None for what was not recorded.
+    directions; works (n, NUMBER_OF_WORKS) in J; torques (n, nv) of the user and on joints; resistances (n, nc, 3)
+    torques in N m on the second contours; total energy at the run's start in J; references: output -> redundant forces
+    chosen there (nc, 3). None for what was not recorded.
     """
 
     location: np.ndarray
     discrete: np.ndarray
     directions: np.ndarray
     works: np.ndarray | None
-    total_at_start: np.ndarray | None
     torques: np.ndarray | None
     resistances: np.ndarray | None
+    total_at_start: np.ndarray | None
     references: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Those that are there."""
+        return {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
 
     def rows(self, which: np.ndarray) -> Recorded:
         """These outputs, in this order."""
-        return Recorded(
-            self.location[which],
-            self.discrete[which],
-            self.directions[which],
-            None if self.works is None else self.works[which],
-            self.total_at_start,
-            None if self.torques is None else self.torques[which],
-            None if self.resistances is None else self.resistances[which],
-            {new: self.references[old] for new, old in enumerate(which.tolist()) if old in self.references},
-        )
+        chosen = {name: array[which] for name, array in self.arrays().items() if name in _PER_OUTPUT}
+        references = {new: self.references[old] for new, old in enumerate(which.tolist()) if old in self.references}
+        return replace(self, **chosen, references=references)
+
+
+_PER_OUTPUT = ("location", "discrete", "directions", "works", "torques", "resistances")
 
 
 def _unpack(
-    values: np.ndarray,
+    columns: np.ndarray,
     integers: np.ndarray,
-    widths: tuple[int, ...],
     swapped: list[bool],
     with_torques: bool,
     of_steps: list[np.ndarray],
     total_at_start: np.ndarray | None,
 ) -> Recorded:
-    """The columns of rows `values` (n, sum of widths) and of the contacts' integers.
+    """What rows (n,) of numbers and the contacts' integers hold.
 
     of_steps: torques that resist turning, (nc, 3) a row, where they are not in the rows.
     """
-    n, nc = len(values), len(swapped)
-    ends = np.cumsum(widths)
-    t = values[:, 0]
-    parts = [values[:, end - width : end].copy() for width, end in zip(widths[3:], ends[3:])]
-    torques, works, location, frozen, references, resistances = parts
+    n, nc = columns.size, len(swapped)
     whole = integers[:, : nc * INTEGERS_PER_CONTACT].reshape(n, nc, INTEGERS_PER_CONTACT)
-    if of_steps:
-        resistances = np.array(of_steps)
-    elif widths[-1]:
-        orientation = np.array([-1.0 if second_first else 1.0 for second_first in swapped])
-        resistances = orientation[:, None] * resistances.reshape(n, nc, 3)
-    references = references.reshape(n, nc, 3)
+    turning = np.array(of_steps) if of_steps else None
+    if columns["resistances"].shape[1]:
+        turning = np.where(swapped, -1.0, 1.0)[:, None] * columns["resistances"]
+    references = columns["references"]
     return Recorded(
-        location.reshape(n, nc, 4),
+        columns["location"],
         discrete_part(whole[:, :, :CONTACT_INTS], whole[:, :, CONTACT_INTS:]),
-        frozen_directions(whole, frozen.reshape(n, nc, FROZEN_COLUMNS), t),
-        works if works.shape[1] else None,
+        frozen_directions(whole, columns["frozen"], columns["t"]),
+        columns["works"] if columns["works"].shape[1] else None,
+        columns["torques"] if with_torques else None,
+        turning,
         total_at_start,
-        torques if with_torques else None,
-        resistances if resistances.shape[1] else None,
         {int(i): references[i] for i in np.flatnonzero(references.any(axis=(1, 2)))},
     )
 
@@ -186,12 +180,13 @@ def _with_output_modes(
     modes = OutputModes(system, contact_solver)
     for i in resting:
         load_output(system, recorded, i, q[i], v[i])
-        with modes.at(float(t[i])) as others:
-            if others:
-                recorded.discrete[i] = read_discrete(system)
-                recorded.directions[i] = present_directions(system)
-            if system.scalars["has_reference"]:
-                recorded.references[i] = system.reference[: system.nc].copy()
+        kept = system.contact_int.copy(), system.contact_real.copy()
+        if modes.resolve(float(t[i])):
+            recorded.discrete[i] = read_discrete(system)
+            recorded.directions[i] = present_directions(system)
+        if system.scalars["has_reference"]:
+            recorded.references[i] = system.reference[: system.nc].copy()
+        system.contact_int[:], system.contact_real[:] = kept
     if cached is not None:
         put_back(scene, cached)
     return recorded
@@ -200,31 +195,21 @@ def _with_output_modes(
 def joined(one: Recorded, kept: int, two: Recorded, first: int, works: np.ndarray | None) -> Recorded:
     """The first `kept` rows of one and those of the other from `first` on, whose works begin at `works` (J)."""
 
-    def rows(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def rows(name: str) -> np.ndarray | None:
+        a, b = getattr(one, name), getattr(two, name)
+        if a is None and b is None:
+            return None
+        shape = (b if a is None else a).shape[1:]
+        a, b = (np.zeros((len(of.discrete), *shape)) if x is None else x for x, of in ((a, one), (b, two)))
         return np.concatenate([a[:kept], b[first:]])
 
-    def present(a: np.ndarray | None, b: np.ndarray | None) -> np.ndarray | None:
-        if a is None or b is None:
-            given = a if a is not None else b
-            if given is None:
-                return None
-            a, b = (x if x is not None else np.zeros((n, *given.shape[1:])) for x, n in zip((a, b), counts))
-        return rows(a, b)
-
-    counts = len(one.discrete), len(two.discrete)
+    if two.works is not None:
+        two = replace(two, works=None if works is None else two.works + works)
+    both: dict[str, Any] = {name: rows(name) for name in _PER_OUTPUT if name != "works"}
+    done = None if one.works is None or two.works is None else rows("works")
     references = {i: x for i, x in one.references.items() if i < kept}
     references |= {kept + i - first: x for i, x in two.references.items() if i >= first}
-    done = None if works is None or one.works is None or two.works is None else rows(one.works, two.works + works)
-    return Recorded(
-        rows(one.location, two.location),
-        rows(one.discrete, two.discrete),
-        rows(one.directions, two.directions),
-        done,
-        one.total_at_start,
-        present(one.torques, two.torques),
-        present(one.resistances, two.resistances),
-        references,
-    )
+    return replace(one, **both, works=done, references=references)
 
 
 def load_output(system: RunSystem, recorded: Recorded, i: int, q: np.ndarray, v: np.ndarray) -> None:

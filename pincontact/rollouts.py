@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .arguments import NOT_REAL, is_count, real_array, time_step
+from .arguments import is_count, time_step
 from .cores import available_cores
 from .errors import ArgumentError, StateError
 from .friction.solve import check_contact_solver
@@ -17,12 +17,15 @@ from .integration.moreau import DEFAULT_STEP
 from .integration.results import FAILURES, FINISHED
 from .layout import OK
 from .scene import Scene
-from .state import State, check_state, coordinates_of
+from .state import State, check_finite, check_rows, check_state, coordinates_of
 from .stepper import Stepper
 from .system_cache import put_back, take_system
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+
+# shapes of rows, all starts alike or each its own
+_ROWS = {3: "(B, T, {})", 2: "(T, {})"}
 
 
 def rollout(
@@ -171,7 +174,7 @@ def _starts(scene: Scene, states: Any, torques: ArrayLike) -> tuple[list[State],
     starts = [states] if isinstance(states, State) else list(states)
     for state in starts:
         check_state(scene, state, coordinates)
-    rows = _rows("torques", torques, scene.model.nv)
+    rows = check_finite("torques", check_rows("torques", torques, scene.model.nv, _ROWS))
     if rows.ndim == 2:
         rows = np.broadcast_to(rows, (len(starts), *rows.shape))
     if isinstance(states, State):
@@ -179,22 +182,6 @@ def _starts(scene: Scene, states: Any, torques: ArrayLike) -> tuple[list[State],
     if len(rows) != len(starts):
         raise StateError(f"torques are for {len(rows)} starts, there are {len(starts)} states")
     return starts, rows
-
-
-def _rows(name: str, given: Any, columns: int) -> np.ndarray:
-    """Finite rows (B, T, columns) or (T, columns), not copied where they are such already."""
-    array = given
-    if type(array) is not np.ndarray or array.dtype != np.float64:
-        try:
-            array = real_array(given)
-        except NOT_REAL:
-            raise StateError(f"{name} must be numbers in rows of {columns}, got {given!r}") from None
-    if array.ndim not in (2, 3) or array.shape[-1] != columns:
-        raise StateError(f"{name} must have shape (B, T, {columns}) or (T, {columns}), got {array.shape}")
-    if not np.isfinite(array).all():
-        index = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
-        raise StateError(f"{name}{list(index)} is {array[index]}")
-    return array
 
 
 def _actuators(pd: Any, nq: int, b: int, t: int) -> tuple[tuple[Any, Any, Any] | None, np.ndarray | None]:
@@ -206,7 +193,7 @@ def _actuators(pd: Any, nq: int, b: int, t: int) -> tuple[tuple[Any, Any, Any] |
     kp, kd, target = pd
     if np.ndim(target) < 2:
         return (kp, kd, target), None
-    targets = _rows("target", target, nq)
+    targets = check_finite("target", check_rows("target", target, nq, _ROWS))
     if targets.shape not in ((t, nq), (b, t, nq)):
         raise StateError(f"target must have shape ({nq},), {(t, nq)} or {(b, t, nq)}, got {targets.shape}")
     targets = np.broadcast_to(targets, (b, t, nq))

@@ -32,35 +32,9 @@ import numpy as np
 import pinocchio as pin
 
 from .arguments import warn_of_order
-from .contours import (
-    CallableMotion,
-    Circle,
-    Cone,
-    ConstantTwist,
-    Contour,
-    Cycloid,
-    Cylinder,
-    Ellipse,
-    Ellipsoid,
-    FourierCurve,
-    HarmonicMotion,
-    HeightField,
-    Helix,
-    Line,
-    Motion,
-    ParametricCurve,
-    ParametricSurface,
-    Plane,
-    Point,
-    Sphere,
-    SplineCurve,
-    SplineMotion,
-    SplineSurface,
-    SurfaceOfRevolution,
-    Torus,
-)
+from .contours import CallableMotion, Contour, HeightField, Motion
 from .errors import ArgumentError, MissingExtraError, SceneFileError
-from .expressions import CONSTANTS, FUNCTIONS, compiled, evaluate
+from .expressions import CONSTANTS, FUNCTIONS, compiled
 from .friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
 from .loaded_scene import LoadedScene
 from .scene import Scene
@@ -87,8 +61,10 @@ from .scene_tables import (
     as_text,
     as_texts,
     as_vector,
+    listed,
     suggestion,
 )
+from .simulate import simulate
 
 if TYPE_CHECKING:
     from .state import State
@@ -186,24 +162,23 @@ def _read_constants(table: Table) -> None:
         table.constants[name] = table.get(name, as_number)
 
 
-_MODEL = ("urdf", "mjcf", "sdf", "package_dirs", "floating_base", "gravity")
+_ROBOTS = {"urdf": Scene.from_urdf, "mjcf": Scene.from_mjcf, "sdf": Scene.from_sdf}
+_MODEL = (*_ROBOTS, "package_dirs", "floating_base", "gravity")
 
 
 def _read_model(root: Table) -> Scene:
     folder = root.file.resolve().parent
     packages = [str(folder / part) for part in root.get("package_dirs", as_texts, [])]
-    kinds = [kind for kind in ("urdf", "mjcf", "sdf") if kind in root.content] or ["urdf"]
-    if len(kinds) > 1:
-        raise root.error(kinds[1], f"the model is given by {kinds[0]} already")
-    kind = kinds[0]
+    kind, *others = [kind for kind in _ROBOTS if kind in root.content] or ["urdf"]
+    if others:
+        raise root.error(others[0], f"the model is given by {kind} already")
     robot = folder / root.get(kind, as_text)
     options: dict[str, Any] = {"floating_base": root.get("floating_base", as_flag, False), "package_dirs": packages}
     if kind == "mjcf":
         if options["floating_base"]:
             raise root.error("floating_base", "a base that moves has a <freejoint> in its MJCF file")
         options = {}
-    make = {"urdf": Scene.from_urdf, "mjcf": Scene.from_mjcf, "sdf": Scene.from_sdf}[kind]
-    scene: Scene = root.attempt(kind, make, robot, **options)
+    scene: Scene = root.attempt(kind, _ROBOTS[kind], robot, **options)
     gravity = root.get("gravity", as_vector(3), None)
     if gravity is not None:
         scene.model.gravity.linear = np.array(gravity)
@@ -214,111 +189,83 @@ def _read_model(root: Table) -> Scene:
 
 
 def _read_collision(table: Table, scene: Scene) -> None:
-    options = {"links": table.get("links", as_texts, None), "kinds": table.get("kinds", as_texts, None)}
-    table.allow(*options)
-    given = {key: value for key, value in options.items() if value is not None}
+    table.allow("links", "kinds")
+    given = {key: table.get(key, as_texts) for key in table.content}
     table.attempt("", scene.add_contours_from_collision, **given)
 
 
-_CONTOURS: dict[type[Contour], dict[str, Converter]] = {
-    Point: {},
-    Line: {"domain": as_interval},
-    Circle: {"radius": as_number, "domain": as_interval},
-    Ellipse: {"a": as_number, "b": as_number, "domain": as_interval},
-    Helix: {"radius": as_number, "pitch": as_number, "domain": as_interval},
-    Cycloid: {"radius": as_number, "domain": as_interval},
-    FourierCurve: {"cosine": as_array, "sine": as_array},
-    SplineCurve: {"points": as_array, "periodic": as_flag, "degree": as_integer, "parameters": as_numbers},
-    ParametricCurve: {
-        "f": as_formulas(3, "u", "t"),
-        "domain": as_interval,
-        "periodic": as_flag,
-        "time_domain": as_interval,
-    },
-    Plane: {"domain": as_rectangle},
-    Sphere: {"radius": as_number},
-    Ellipsoid: {"a": as_number, "b": as_number, "c": as_number},
-    Cylinder: {"radius": as_number, "domain": as_rectangle},
-    Cone: {"half_angle": as_number, "domain": as_rectangle},
-    Torus: {"major": as_number, "minor": as_number},
-    SurfaceOfRevolution: {"profile": as_profile, "domain": as_interval, "periodic": as_flag},
-    SplineSurface: {"points": as_array, "periodic": as_flags, "degree": as_integer, "parameters": as_array},
-    ParametricSurface: {
-        "f": as_formulas(3, "u1", "u2", "t"),
-        "domain": as_rectangle,
-        "periodic": as_flags,
-        "time_domain": as_interval,
-    },
+# How arguments of these types are read; others are numbers, in lists or not.
+_BY_TYPE: dict[str, Converter] = {
+    "float": as_number,
+    "int": as_integer,
+    "bool": as_flag,
+    "str": as_text,
+    "tuple[float, float]": as_interval,
+    "tuple[bool, bool]": as_flags,
+    "tuple[tuple[float, float], tuple[float, float]]": as_rectangle,
+    "Domain": as_rectangle,
 }
-# A height field is a function of x and y, or a grid; each is its own set of parameters.
-_HEIGHT_FUNCTION: dict[str, Converter] = {"f": as_height, "domain": as_rectangle, "time_domain": as_interval}
-_HEIGHT_GRID: dict[str, Converter] = {"x": as_numbers, "y": as_numbers, "z": as_array, "degree": as_integer}
-
-_MOTIONS: dict[type[Motion], dict[str, Converter]] = {
-    ConstantTwist: {"angular": as_vector(3), "linear": as_vector(3), "center": as_vector(3)},
-    HarmonicMotion: {
-        "amplitude": as_vector(3),
-        "frequency": as_number,
-        "phase": as_number,
-        "axis": as_vector(3),
-        "angle": as_number,
-        "turn_frequency": as_number,
-        "turn_phase": as_number,
-        "center": as_vector(3),
-    },
-    SplineMotion: {"times": as_numbers, "poses": as_poses, "periodic": as_flag},
+# And these by their names.
+_BY_NAME: dict[str, Converter] = {
+    "ParametricCurve.f": as_formulas(3, "u", "t"),
+    "ParametricSurface.f": as_formulas(3, "u1", "u2", "t"),
+    "HeightField.f": as_height,
+    "SurfaceOfRevolution.profile": as_profile,
+    "SplineMotion.poses": as_poses,
 }
 
 
-def _of_kind(table: Table, kinds: Mapping[str, Any]) -> str:
-    kind = table.get("kind", as_text)
-    if kind not in kinds:
-        raise table.error("kind", f"there is no {kind!r}; {suggestion(kind, set(kinds))}")
-    return kind
+def _keys(call: Callable[..., Any], *left_out: str) -> dict[str, Converter]:
+    """The arguments of a call that a table may have as keys, and how their values are read."""
+    found = {}
+    for name, parameter in inspect.signature(call).parameters.items():
+        convert = _BY_TYPE.get(parameter.annotation.removesuffix(" | None"), as_array)
+        if parameter.default == math.inf:
+            convert = as_number_or_infinity
+        if name not in left_out:
+            found[name] = _BY_NAME.get(f"{call.__name__}.{name}", convert)
+    return found
 
 
-def _constructed(table: Table, kind: type, parameters: Mapping[str, Converter]) -> Any:
-    """An object of a class from the keys that its constructor names."""
-    signature = inspect.signature(kind).parameters
-    options = {
-        name: table.get(name, convert)
-        for name, convert in parameters.items()
-        if name in table.content or signature[name].default is inspect.Parameter.empty
-    }
-    return table.attempt("", kind, **options)
+def _kinds(base: type) -> dict[str, Any]:
+    """The public classes of this kind."""
+    contours = vars(import_module(".contours", __package__))
+    found = {name: contours[name] for name in contours["__all__"]}
+    return {name: kind for name, kind in found.items() if isinstance(kind, type) and base in kind.__mro__[1:]}
 
 
-_PLACEMENT = ("xyz", "rpy", "quaternion")
+def _of_kind(table: Table, base: type) -> Any:
+    kinds = _kinds(base)
+    name = table.get("kind", as_text)
+    if name not in kinds:
+        raise table.error("kind", f"there is no {name!r}; {suggestion(name, set(kinds))}")
+    return kinds[name]
+
+
+def _constructed(table: Table, kind: type, *others: str) -> Any:
+    """An object of a class from the keys that its constructor names; others: what else the table may have."""
+    keys = _keys(kind, "derivatives")
+    signature: Mapping[str, inspect.Parameter] = inspect.signature(kind).parameters
+    required = {name for name in keys if signature[name].default is inspect.Parameter.empty}
+    if kind is HeightField:
+        # a function of x and y, or a grid, whose x is the first argument
+        grid = {"f": as_array, **{name: keys[name] for name in ("y", "z", "degree")}}
+        function = {name: keys[name] for name in ("f", "domain", "time_domain")}
+        keys, required = (grid, {"f", "y", "z"}) if "z" in table.content else (function, {"f"})
+    called = {name: "x" if name == "f" and "z" in keys else name for name in keys}
+    table.allow("kind", *others, *called.values())
+    given = {name: key for name, key in called.items() if key in table.content or name in required}
+    return table.attempt("", kind, **{name: table.get(key, keys[name]) for name, key in given.items()})
 
 
 def _read_contour(table: Table, scene: Scene) -> None:
-    kinds = {kind.__name__: kind for kind in _CONTOURS}
-    name = _of_kind(table, {**kinds, "HeightField": None})
-    if name == "HeightField":
-        parameters = _HEIGHT_GRID if "z" in table.content else _HEIGHT_FUNCTION
-    else:
-        parameters = _CONTOURS[kinds[name]]
-    table.allow("kind", "frame", *_PLACEMENT, "motion", *parameters)
+    kind = _of_kind(table, Contour)
+    contour = _constructed(table, kind, "frame", "xyz", "rpy", "quaternion", "motion")
     frame = table.get("frame", as_text, "universe")
     placement = _read_placement(table)
     drive = table.table("motion")
     motion = None if drive is None else _read_motion(drive)
-    contour = (
-        _height_field(table, parameters) if name == "HeightField" else _constructed(table, kinds[name], parameters)
-    )
     table.attempt("", scene.add_contour, table.name, contour, frame, placement, motion)
-
-
-def _height_field(table: Table, parameters: Mapping[str, Converter]) -> Contour:
-    optional = ("domain", "degree", "time_domain")
-    options = {
-        name: table.get(name, convert)
-        for name, convert in parameters.items()
-        if name in table.content or name not in optional
-    }
-    # the constructor's first argument is the function, or the grid's x
-    first = options.pop(next(iter(parameters)))
-    return table.attempt("", HeightField, first, **options)
 
 
 def _read_placement(table: Table) -> pin.SE3:
@@ -330,11 +277,10 @@ def _read_placement(table: Table) -> pin.SE3:
 
 
 def _read_motion(table: Table) -> Motion:
-    kinds = {kind.__name__: kind for kind in _MOTIONS}
-    kind = _of_kind(table, {**kinds, "CallableMotion": None})
-    if kind != "CallableMotion":
-        table.allow("kind", *_MOTIONS[kinds[kind]])
-        return _constructed(table, kinds[kind], _MOTIONS[kinds[kind]])
+    kind = _of_kind(table, Motion)
+    if kind is not CallableMotion:
+        motion: Motion = _constructed(table, kind)
+        return motion
     table.allow("kind", "xyz", "rpy", "time_domain")
     zero = compiled(["0", "0", "0"], ("t",))
     position, angles = (table.get(key, as_formulas(3, "t"), zero) for key in ("xyz", "rpy"))
@@ -354,42 +300,38 @@ def _moving_pose(position: Callable[..., Any], angles: Callable[..., Any]) -> Ca
 # ---------------------------------------------------------------------------------------------------- contacts
 
 
-_LAW_NUMBERS = ("speed", "exponent", "viscous", "spinning", "rolling")
+_FRICTION = (
+    '"none", "no slip", a coefficient, or {mu = .., mu_static = ..} (numbers or pairs of them) with any of speed, '
+    "exponent, viscous, spinning, rolling and along"
+)
 
 
 def _friction(value: Any, constants: Mapping[str, float]) -> FrictionLaw | None:
-    expected = (
-        '"none", "no slip", a coefficient, or {mu = .., mu_static = ..} (numbers or pairs of them) with any of speed, '
-        "exponent, viscous, spinning, rolling and along"
-    )
-    if isinstance(value, dict):
-        if not {"mu"} <= set(value) <= {"mu", "mu_static", "along", *_LAW_NUMBERS}:
-            raise Mismatch(expected)
-        options: dict[str, Any] = {key: as_number(value[key], constants) for key in _LAW_NUMBERS if key in value}
-        if "along" in value:
-            options["along"] = as_text(value["along"], constants)
-        if _is_no_slip(value["mu"]):
-            if not set(value) <= {"mu", "spinning", "rolling"}:
-                raise Mismatch('mu = "no slip" with spinning and rolling at most')
-            return NoSlip(**options)
-        options |= {key: _coefficient(value[key], constants) for key in ("mu", "mu_static") if key in value}
-        if "speed" in value:
-            if "mu_static" not in value:
-                raise Mismatch("mu_static, too, where friction depends on speed")
-            return Stribeck(**options)
-        if "exponent" in value:
-            raise Mismatch("speed, too, where there is an exponent")
-        return Coulomb(**options)
-    if isinstance(value, str):
-        if value.lower() in ("none", "frictionless"):
-            return None
-        if _is_no_slip(value):
-            return NoSlip()
-        try:
-            return Coulomb(evaluate(value, constants))
-        except ArgumentError:
-            raise Mismatch(expected) from None
-    return Coulomb(as_number(value, constants))
+    if isinstance(value, str) and value.lower() in ("none", "frictionless"):
+        return None
+    given = value if isinstance(value, dict) else {"mu": value}
+    if "mu" not in given:
+        raise Mismatch(_FRICTION)
+    if _is_no_slip(given["mu"]):
+        if not set(given) <= {"mu", "spinning", "rolling"}:
+            raise Mismatch('mu = "no slip" with spinning and rolling at most')
+        return NoSlip(**{key: as_number(number, constants) for key, number in given.items() if key != "mu"})
+    kind = Stribeck if "speed" in given else Coulomb
+    if "exponent" in given and kind is Coulomb:
+        raise Mismatch("speed, too, where there is an exponent")
+    if kind is Stribeck and "mu_static" not in given:
+        raise Mismatch("mu_static, too, where friction depends on speed")
+    if not set(given) <= set(inspect.signature(kind).parameters):
+        raise Mismatch(_FRICTION)
+    convert = {"along": as_text, "mu": _coefficient, "mu_static": _coefficient}
+    try:
+        options = {key: convert.get(key, as_number)(entry, constants) for key, entry in given.items()}
+    except ArgumentError:
+        if isinstance(value, str):
+            raise Mismatch(_FRICTION) from None
+        raise
+    law: FrictionLaw = kind(**options)
+    return law
 
 
 def _is_no_slip(value: Any) -> bool:
@@ -402,33 +344,33 @@ def _coefficient(value: Any, constants: Mapping[str, float]) -> Any:
 
 def _location(value: Any, constants: Mapping[str, float]) -> tuple[Any, Any]:
     """A guess for each contour; an empty list where there is none."""
-    if not isinstance(value, list) or len(value) != 2:
-        raise Mismatch("[guess for the first contour, guess for the second], a number, a list, or [] each")
-    parts = [as_numbers(part if isinstance(part, list) else [part], constants) or None for part in value]
+    guesses = listed(value, "[guess for the first contour, guess for the second], a number, a list, or [] each", 2)
+    parts = [as_numbers(part if isinstance(part, list) else [part], constants) or None for part in guesses]
     return parts[0], parts[1]
 
 
 def _pair(value: Any, constants: Mapping[str, float]) -> list[str]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise Mismatch("the names of two contours")
-    return as_texts(value, constants)
+    return as_texts(listed(value, "the names of two contours", 2), constants)
 
 
 def _read_contact(table: Table, scene: Scene) -> None:
-    table.allow("between", "friction", "bilateral", "pattern", "location", "side", "restitution")
+    table.allow("between", *_OF_CONTACT)
     first, second = table.get("between", _pair)
     for name in (first, second):
         if name not in scene.contours:
             raise table.error("between", f"there is no contour {name!r}; {suggestion(name, set(scene.contours))}")
-    options: dict[str, Any] = {
-        "friction": table.get("friction", _friction, None),
-        "bilateral": table.get("bilateral", as_flag, False),
-        "pattern": table.get("pattern", as_text, None),
-        "location": table.get("location", _location, None),
-        "side": table.get("side", as_side, None),
-        "restitution": table.get("restitution", as_number, 0.0),
-    }
+    options = {key: table.get(key, convert) for key, convert in _OF_CONTACT.items() if key in table.content}
     table.attempt("", scene.add_contact, table.name, first, second, **options)
+
+
+_OF_CONTACT: dict[str, Converter] = {
+    "friction": _friction,
+    "bilateral": as_flag,
+    "pattern": as_text,
+    "location": _location,
+    "side": as_side,
+    "restitution": as_number,
+}
 
 
 # ---------------------------------------------------------------------------------------------------- the state
@@ -440,18 +382,18 @@ def _joint_q(joint: Any, value: Any, constants: Mapping[str, float]) -> np.ndarr
         if joint.nq != 7:
             raise Mismatch(f"{joint.nq} numbers, a placement is for a free joint")
         return pin.SE3ToXYZQUAT(as_pose(value, constants))
-    numbers = as_numbers(value if isinstance(value, list) else [value], constants)
-    if len(numbers) == 1 and (joint.nq, joint.nv) == (2, 1):
-        return np.array([math.cos(numbers[0]), math.sin(numbers[0])])
-    if len(numbers) != joint.nq:
-        raise Mismatch(f"{joint.nq} numbers for a joint of type {joint.shortname()}")
-    return np.array(numbers)
+    if (joint.nq, joint.nv) == (2, 1) and not (isinstance(value, list) and len(value) != 1):
+        (angle,) = _joint_v(joint, value, constants)
+        return np.array([math.cos(angle), math.sin(angle)])
+    return _joint_v(joint, value, constants, joint.nq)
 
 
-def _joint_v(joint: Any, value: Any, constants: Mapping[str, float]) -> np.ndarray:
+def _joint_v(joint: Any, value: Any, constants: Mapping[str, float], size: int | None = None) -> np.ndarray:
+    """A joint's part of v, or so many numbers."""
+    size = joint.nv if size is None else size
     numbers = as_numbers(value if isinstance(value, list) else [value], constants)
-    if len(numbers) != joint.nv:
-        raise Mismatch(f"{joint.nv} numbers for a joint of type {joint.shortname()}")
+    if len(numbers) != size:
+        raise Mismatch(f"{size} numbers for a joint of type {joint.shortname()}")
     return np.array(numbers)
 
 
@@ -485,23 +427,7 @@ def _read_initial(table: Table | None, scene: Scene, root: Table) -> State:
 
 # ---------------------------------------------------------------------------------------------------- the run
 
-_SETTINGS: dict[str, Converter] = {
-    "duration": as_number,
-    "rtol": as_number,
-    "atol": as_number,
-    "method": as_text,
-    "energies": as_flag,
-    "max_step": as_number_or_infinity,
-    "first_step": as_number,
-    "fixed_step": as_number,
-    "dt": as_number,
-    "step": as_number,
-    "max_steps": as_integer,
-    "dense_output": as_flag,
-    "fallback": as_text,
-    "contact_solver": as_text,
-    "breakpoints": as_numbers,
-}
+_SETTINGS = _keys(simulate, "scene", "state", "t_eval", "control", "events", "progress")
 
 
 def _outputs(value: Any, constants: Mapping[str, float]) -> int | tuple[float, ...]:
@@ -516,10 +442,9 @@ def _read_simulation(table: Table | None) -> tuple[dict[str, Any], int | tuple[f
     if table is None:
         return {}, None
     table.allow("outputs", *_SETTINGS)
-    settings = {key: table.get(key, convert, None) for key, convert in _SETTINGS.items()}
-    outputs = table.get("outputs", _outputs, None)
-    if settings["dt"] is not None and settings["step"] is not None:
+    settings = {key: table.get(key, convert) for key, convert in _SETTINGS.items() if key in table.content}
+    if "dt" in settings and "step" in settings:
         raise table.error("step", "it is another name of dt, which is given, too")
-    settings["dt"] = settings.pop("step") if settings["dt"] is None else settings["dt"]
-    settings.pop("step", None)
-    return {key: value for key, value in settings.items() if value is not None}, outputs
+    if "step" in settings:
+        settings["dt"] = settings.pop("step")
+    return settings, table.get("outputs", _outputs, None)

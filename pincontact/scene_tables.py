@@ -135,17 +135,20 @@ def as_text(value: Any, _: Mapping[str, float]) -> str:
 
 
 def as_texts(value: Any, _: Mapping[str, float]) -> list[str]:
-    if isinstance(value, str):
-        return [value]
-    if not isinstance(value, list) or not all(isinstance(entry, str) for entry in value):
-        raise Mismatch("a list of texts")
-    return value
+    return [value] if isinstance(value, str) else listed(value, "a list of texts", kind=str)
 
 
 def as_numbers(value: Any, constants: Mapping[str, float]) -> list[float]:
-    if not isinstance(value, list):
-        raise Mismatch("a list of numbers")
-    return [as_number(entry, constants) for entry in value]
+    return [as_number(entry, constants) for entry in listed(value, "a list of numbers")]
+
+
+def listed(value: Any, what: str, count: int | None = None, kind: type = object) -> list[Any]:
+    """A list, of so many entries of this kind."""
+    if not isinstance(value, list) or len(value) != (len(value) if count is None else count):
+        raise Mismatch(what)
+    if not all(isinstance(entry, kind) for entry in value):
+        raise Mismatch(what)
+    return value
 
 
 def as_array(value: Any, constants: Mapping[str, float]) -> Any:
@@ -155,29 +158,24 @@ def as_array(value: Any, constants: Mapping[str, float]) -> Any:
 
 def as_vector(count: int) -> Converter:
     def convert(value: Any, constants: Mapping[str, float]) -> list[float]:
-        if not isinstance(value, list) or len(value) != count:
-            raise Mismatch(f"{count} numbers")
-        return as_numbers(value, constants)
+        return as_numbers(listed(value, f"{count} numbers", count), constants)
 
     return convert
 
 
 def as_interval(value: Any, constants: Mapping[str, float]) -> tuple[float, float]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise Mismatch("[low, high]")
-    return as_number_or_infinity(value[0], constants), as_number_or_infinity(value[1], constants)
+    low, high = (as_number_or_infinity(end, constants) for end in listed(value, "[low, high]", 2))
+    return low, high
 
 
 def as_rectangle(value: Any, constants: Mapping[str, float]) -> tuple[Any, Any]:
-    if not isinstance(value, list) or len(value) != 2 or not all(isinstance(part, list) for part in value):
-        raise Mismatch("[[low, high], [low, high]]")
-    return as_interval(value[0], constants), as_interval(value[1], constants)
+    first, second = (as_interval(part, constants) for part in listed(value, "[[low, high], [low, high]]", 2, list))
+    return first, second
 
 
 def as_flags(value: Any, _: Mapping[str, float]) -> tuple[bool, bool]:
-    if not isinstance(value, list) or len(value) != 2 or not all(isinstance(part, bool) for part in value):
-        raise Mismatch("two of true and false")
-    return value[0], value[1]
+    first, second = listed(value, "two of true and false", 2, bool)
+    return first, second
 
 
 def as_formulas(count: int, *variables: str) -> Converter:
@@ -234,6 +232,4 @@ def as_pose(value: Any, constants: Mapping[str, float]) -> pin.SE3:
 
 
 def as_poses(value: Any, constants: Mapping[str, float]) -> list[pin.SE3]:
-    if not isinstance(value, list):
-        raise Mismatch("a list of placements")
-    return [as_pose(entry, constants) for entry in value]
+    return [as_pose(entry, constants) for entry in listed(value, "a list of placements")]

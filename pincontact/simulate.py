@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .arguments import NOT_REAL, check_flag, is_count, is_number, real_array, time_step
+from .arguments import check_flag, is_count, is_number, reals, time_step
 from .dynamics.energy import energy_gained
 from .dynamics.joints import check_joint_limits
 from .errors import ArgumentError, UnusableResult, sentence
@@ -35,12 +35,13 @@ from .integration.runge_kutta import RungeKutta, Torque
 from .integration.tableaux import Tableau, tableau
 from .integration.transitions import Transitions
 from .jit import compile_kernels
-from .progress import ProgressBar
+from .progress import progress_bar
+from .records import Record
 from .scene import Scene
 from .solution import DenseOutput
 from .state import State, check_state
 from .system_cache import put_back, take_system
-from .trajectory import Record, Trajectory
+from .trajectory import Trajectory
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -54,8 +55,7 @@ _SHORTEST_STEP = float(np.finfo(float).eps)
 _FALLS_BACK = (STEP_TOO_SMALL, NO_CONTACT_FORCE, CHATTER, MODEL_FAILED)
 # Gain of energy, see `energy_gained`, of which a run of time stepping tells.
 _TOLD_GAIN = 1e-3
-# So many numbers take less time as a list than as an array.
-_SHORT = 50
+_BAR = "{l_bar}{bar}| {n:.3g}/{total:.3g} s [{elapsed}]"
 
 Control = Callable[[float, np.ndarray, np.ndarray], "ArrayLike"]
 EventFunction = Callable[[float, np.ndarray, np.ndarray], float]
@@ -66,7 +66,7 @@ class _Request:
     """A run that is asked for, checked: where it starts, how long it lasts, and its options as in `simulate`.
 
     users: events of the user; times: of outputs in s, or None for every step; breakpoints: in order, inside the run;
-    began: the time on the clock in s.
+    began: the clock's time in s.
     """
 
     scene: Scene
@@ -80,12 +80,28 @@ class _Request:
     control: Control | None
     energies: bool
     progress: bool
-    began: float
     contact_solver: str
+    began: float
 
     def torque(self, system: System) -> Torque | None:
         """What asks the control for a system's torques."""
         return None if self.control is None else _torque(self.control, system)
+
+    def run(self, driver: Driver | MoreauDriver, result: Callable[[int, str], Trajectory]) -> Trajectory:
+        """Run a driver; result(code, message): the trajectory so far. What users' functions raise is passed on, with
+        that."""
+        start = self.state.t
+        with progress_bar(self.progress, self.duration, unit="s", bar_format=_BAR) as bar:
+            driver.progress = (lambda t: bar.update(t - start - bar.n)) if self.progress else None
+            try:
+                code, message = driver.run(start, start + self.duration)
+            except BaseException as error:
+                run = result(CONTROL_FAILED, driver.system.tell(error))
+                if driver.system.is_own(error):
+                    return run
+                _attach(error, run)
+                raise
+            return result(code, message)
 
 
 def simulate(
@@ -206,17 +222,28 @@ def simulate(
     >>> run.status, round(float(np.linalg.norm(run.v[-1, :3])), 6)
     (0, 0.714286)
     """
-    _check(scene, state, duration, rtol, atol, max_step, first_step, fixed_step, max_steps)
-    _check_fallback(fallback, method)
+    began = time.perf_counter()
+    check_state(scene, state)
+    _check_numbers(duration=duration, rtol=rtol, atol=atol, max_step=max_step)
+    _check_numbers(**{name: h for name, h in (("first_step", first_step), ("fixed_step", fixed_step)) if h is not None})
+    if math.isinf(max(duration, rtol, atol)):
+        raise ArgumentError(f"duration, rtol and atol must be finite, got {duration}, {rtol}, {atol}")
+    if not is_count(max_steps):
+        raise ArgumentError(f"max_steps must be a whole number from 1 to 1e18, got {max_steps!r}")
+    if fallback not in (None, "Moreau"):
+        raise ArgumentError(f"fallback must be 'Moreau' or None, got {fallback!r}")
+    if fallback is not None and method == "Moreau":
+        raise ArgumentError("fallback is for the event-driven methods, such as 'DOP853'; method 'Moreau' has none")
     dt = time_step(dt, step)
-    _check_resolved(dt, max(abs(state.t), abs(state.t + duration)) if duration > 0.0 else 0.0)
+    latest = max(abs(state.t), abs(state.t + duration)) if duration > 0.0 else 0.0
+    if dt is not None and dt < _SHORTEST_STEP * latest:
+        raise ArgumentError(f"dt must be longer than times near {latest:.6g} s are rounded by, got {dt}")
     check_contact_solver(contact_solver)
-    times = _output_times(t_eval, state.t, duration)
-    jumps = _breakpoints(breakpoints, state.t, duration)
+    times = _output_times(t_eval, state.t, state.t + duration)
+    jumps = _breakpoints(breakpoints, state.t, state.t + duration)
     users = UserEvent.wrap(events)
-    check_flag("progress", progress)
-    check_flag("energies", energies)
-    check_flag("dense_output", dense_output)
+    for name, flag in (("progress", progress), ("energies", energies), ("dense_output", dense_output)):
+        check_flag(name, flag)
     if control is not None and not callable(control):
         raise ArgumentError(f"control must be callable as control(t, q, v), got {control!r}")
     if not isinstance(method, str):
@@ -233,35 +260,12 @@ def simulate(
         )
     if pair is None:
         _warn_of_unused(rtol=rtol, atol=atol, max_step=max_step, first_step=first_step, fixed_step=fixed_step)
-        # imported, and with it kernels to compile, for those who use it
-        from .integration import moreau_driver  # noqa: F401
-    compile_kernels()
-    request = _Request(
-        scene,
-        state,
-        duration,
-        dt,
-        max_steps,
-        users,
-        times,
-        jumps,
-        control,
-        energies,
-        progress,
-        time.perf_counter(),
-        contact_solver,
-    )
+    given = (dt, max_steps, users, times, jumps, control, energies, progress, contact_solver, began)
+    request = _Request(scene, state, duration, *given)
     if pair is None:
         return _simulate_moreau(request)
-    options = Options(
-        times,
-        max_step,
-        max_steps,
-        fixed_step,
-        first_step,
-        jumps,
-        discrete=read_discrete if fallback is not None else None,
-    )
+    discrete = read_discrete if fallback is not None else None
+    options = Options(times, max_step, max_steps, fixed_step, first_step, jumps, discrete)
     return _simulate_by_events(request, pair, rtol, atol, options, dense_output)
 
 
@@ -269,6 +273,7 @@ def _simulate_by_events(
     request: _Request, pair: Tableau, rtol: float, atol: float, options: Options, dense_output: bool
 ) -> Trajectory:
     """The run of an event-driven method; with `options.discrete` time stepping goes on where it could not."""
+    compile_kernels()
     scene, state, duration = request.scene, request.state, request.duration
     cached = take_system(scene, request.energies, resistances=True)
     system = cached.system
@@ -286,32 +291,29 @@ def _simulate_by_events(
         dense = DenseOutput(scene, state, options.pieces, with_torques)
     restitution = [contact.restitution for contact in scene.contacts.values()]
     transitions = Transitions(rk, list(scene.contacts), restitution, duration, request.contact_solver)
-    with ProgressBar(request.progress, state.t, duration) as bar:
-        show = bar.update if request.progress else None
-        driver = Driver(rk, transitions, request.users, record.add, record.flush, options, show)
+    driver = Driver(rk, transitions, request.users, record.add, record.flush, options)
 
-        def result(code: int, message: str) -> Trajectory:
-            modes = transitions.modes
-            stats = {
-                "rhs": rk.evaluations,
-                "steps": driver.steps,
-                "rejected": driver.rejected,
-                "outputs": len(record),
-                **_counts(system),
-                "cone_problems": modes.cone_problems,
-                **modes.program_counts,
-                "cone_residual": modes.worst_residual,
-                "redistributions": modes.redistributions,
-                "open_loads": driver.open_loads,
-                "wall_time": time.perf_counter() - request.began,
-            }
-            return Trajectory.from_record(scene, record, transitions.reports.events, code, message, stats, dense)
+    def result(code: int, message: str) -> Trajectory:
+        modes = transitions.modes
+        stats = {
+            "rhs": rk.evaluations,
+            "steps": driver.steps,
+            "rejected": driver.rejected,
+            "outputs": len(record),
+            **_counts(system),
+            "cone_problems": modes.cone_problems,
+            **modes.program_counts,
+            "cone_residual": modes.worst_residual,
+            "redistributions": modes.redistributions,
+            "open_loads": driver.open_loads,
+            "wall_time": time.perf_counter() - request.began,
+        }
+        return Trajectory(scene, *record.rows(scene), transitions.reports.events, code, message, stats, dense)
 
-        run = _run(driver, state.t, duration, result)
-    if run.success:
-        if dense is None:
-            put_back(scene, cached)
-    elif options.discrete is not None and run.status in _FALLS_BACK:
+    run = request.run(driver, result)
+    if run.success and dense is None:
+        put_back(scene, cached)
+    if options.discrete is not None and run.status in _FALLS_BACK:
         return _fall_back(run, driver, request)
     return run
 
@@ -322,10 +324,8 @@ def _fall_back(run: Trajectory, driver: Driver, request: _Request) -> Trajectory
     t, good, discrete = driver.good or (state.t, None, state.discrete)
     start, works = state, None
     if good is not None:
-        system = driver.system
-        ends = np.cumsum([system.nq, system.nv, 4 * system.nc])
-        q, v, location, works = np.split(good, ends)
-        start = State(scene, q, v, t, location.reshape(-1, 4), discrete)
+        q, v, location, works = driver.system.parts(good)
+        start = State(scene, q, v, t, location, discrete)
     event = Event(t, None, "fallback", start.q.copy(), start.v.copy())
     rest = replace(
         request,
@@ -340,18 +340,18 @@ def _fall_back(run: Trajectory, driver: Driver, request: _Request) -> Trajectory
 
 def _simulate_moreau(request: _Request, finish: Callable[[Trajectory], Trajectory] = lambda run: run) -> Trajectory:
     """The run of method "Moreau"; finish: what is made of it."""
+    # imported, and with it kernels to compile, for those who use it
     from .integration.moreau import DEFAULT_STEP
     from .integration.moreau_driver import MoreauDriver
     from .integration.stages import load_state
 
-    scene, state, duration = request.scene, request.state, request.duration
+    compile_kernels()
+    scene, state = request.scene, request.state
     cached = take_system(scene, request.energies, resistances=False)
     system = cached.system
     write_discrete(system, state.discrete)
     torque = request.torque(system)
-    end = system.nq + system.nv
-    system.state[: system.nq], system.state[system.nq : end] = state.q, state.v
-    system.state[end : end + 4 * system.nc] = state.location.ravel()
+    system.put_state(system.state, state.q, state.v, state.location)
     stepper = cached.stepper()
     stepper.cones.choose(request.contact_solver)
     with_torques = torque is not None or stepper.acts_on_joints
@@ -367,61 +367,31 @@ def _simulate_moreau(request: _Request, finish: Callable[[Trajectory], Trajector
         if tau is not None:
             system.tau[:] = tau
 
-    with ProgressBar(request.progress, state.t, duration) as bar:
-        driver = MoreauDriver(
-            stepper,
-            request.users,
-            add,
-            record.flush,
-            DEFAULT_STEP if request.dt is None else request.dt,
-            request.times,
-            request.max_steps,
-            torque,
-            bar.update if request.progress else None,
-            request.breakpoints,
-        )
+    size = DEFAULT_STEP if request.dt is None else request.dt
+    outputs = request.times, request.max_steps, torque, request.breakpoints
+    driver = MoreauDriver(stepper, request.users, add, record.flush, size, *outputs)
 
-        def result(code: int, message: str) -> Trajectory:
-            if request.times is None and not len(record):
-                # as in the other methods: a run that cannot begin has the state that it was to begin from
-                system.stage_state[:] = system.state
-                load_state(system.address)
-                add(state.t)
-            stats = {
-                "steps": driver.steps,
-                "outputs": len(record),
-                **_counts(system),
-                **stepper.stats,
-                "wall_time": time.perf_counter() - request.began,
-            }
-            run = Trajectory.from_record(scene, record, driver.events, code, message, stats)
-            if system.is_passive:
-                stats["energy_gained"] = gained = energy_gained(scene.model, run.q, run.v)
-                if gained > _TOLD_GAIN:
-                    remark = f"; the energy has grown by {gained:.2g} of the largest, which shorter steps lessen"
-                    run.message = sentence(message + remark)
-            return finish(run)
+    def result(code: int, message: str) -> Trajectory:
+        if request.times is None and not len(record):
+            # as in the other methods: a run that cannot begin has the state that it was to begin from
+            system.stage_state[:] = system.state
+            load_state(system.address)
+            add(state.t)
+        wall_time = time.perf_counter() - request.began
+        done = {"steps": driver.steps, "outputs": len(record)}
+        stats = {**done, **_counts(system), **stepper.stats, "wall_time": wall_time}
+        run = Trajectory(scene, *record.rows(scene), driver.events, code, message, stats)
+        if system.is_passive:
+            stats["energy_gained"] = gained = energy_gained(scene.model, run.q, run.v)
+            if gained > _TOLD_GAIN:
+                remark = f"; the energy has grown by {gained:.2g} of the largest, which shorter steps lessen"
+                run.message = sentence(message + remark)
+        return finish(run)
 
-        run = _run(driver, state.t, duration, result)
+    run = request.run(driver, result)
     if run.success:
         put_back(scene, cached)
     return run
-
-
-def _run(
-    driver: Driver | MoreauDriver, t: float, duration: float, result: Callable[[int, str], Trajectory]
-) -> Trajectory:
-    """Run a driver from t (s); result(code, message): the trajectory so far. What users' functions raise is passed on,
-    with that."""
-    try:
-        code, message = driver.run(t, t + duration)
-    except BaseException as error:
-        run = result(CONTROL_FAILED, driver.system.tell(error))
-        if driver.system.is_own(error):
-            return run
-        _attach(error, run)
-        raise
-    return result(code, message)
 
 
 def _attach(error: BaseException, run: Trajectory) -> None:
@@ -435,41 +405,27 @@ def _attach(error: BaseException, run: Trajectory) -> None:
             error.add_note(f"pincontact: the run up to there is not kept, {type(error).__name__}.run is something else")
 
 
+# counts of a run's evaluations, and their names among a system's counters
+_COUNTS = {
+    "pinocchio": "evaluation_count",
+    "newton": "newton_count",
+    "closed_form": "closed_count",
+    "contact_rows": "rows_formed",
+    "drives": "drives_evaluated",
+}
+
+
 def _counts(system: System) -> dict[str, int]:
-    """What evaluations have done so far."""
-    counters = dict(zip(system.counters.dtype.names, system.counters.item()))
-    return {
-        "pinocchio": counters["evaluation_count"],
-        "newton": counters["newton_count"],
-        "closed_form": counters["closed_count"],
-        "contact_rows": counters["rows_formed"],
-        "drives": counters["drives_evaluated"],
-    }
+    return {name: int(system.counters[key]) for name, key in _COUNTS.items()}
 
 
-def _check(
-    scene: Scene,
-    state: State,
-    duration: float,
-    rtol: float,
-    atol: float,
-    max_step: float,
-    first_step: float | None,
-    fixed_step: float | None,
-    max_steps: int,
-) -> None:
-    check_state(scene, state)
-    needed = (("duration", duration), ("rtol", rtol), ("atol", atol), ("max_step", max_step))
-    optional = (("first_step", first_step), ("fixed_step", fixed_step))
-    for name, value in (*needed, *((name, value) for name, value in optional if value is not None)):
+def _check_numbers(**numbers: Any) -> None:
+    """ArgumentError for what is no number or not positive; a duration and a relative tolerance may be zero."""
+    for name, value in numbers.items():
         if not is_number(value):
             raise ArgumentError(f"{name} must be a number, got {value!r}")
         if not value > 0.0 and (value < 0.0 or name not in ("duration", "rtol")):
             raise ArgumentError(f"{name} must be positive, got {value}")
-    if not math.isfinite(duration) or math.isinf(rtol) or math.isinf(atol):
-        raise ArgumentError(f"duration, rtol and atol must be finite, got {duration}, {rtol}, {atol}")
-    if not is_count(max_steps):
-        raise ArgumentError(f"max_steps must be a whole number from 1 to 1e18, got {max_steps!r}")
 
 
 def _warn_of_unused(**given: float | None) -> None:
@@ -480,58 +436,33 @@ def _warn_of_unused(**given: float | None) -> None:
         warnings.warn(f"{', '.join(unused)} have no effect with method 'Moreau', whose step is dt.", stacklevel=3)
 
 
-def _check_resolved(dt: float | None, latest: float) -> None:
-    if dt is not None and dt < _SHORTEST_STEP * latest:
-        raise ArgumentError(f"dt must be longer than times near {latest:.6g} s are rounded by, got {dt}")
-
-
-def _check_fallback(fallback: str | None, method: str) -> None:
-    if fallback not in (None, "Moreau"):
-        raise ArgumentError(f"fallback must be 'Moreau' or None, got {fallback!r}")
-    if fallback is not None and method == "Moreau":
-        raise ArgumentError("fallback is for the event-driven methods, such as 'DOP853'; method 'Moreau' has none")
-
-
-def _output_times(t_eval: ArrayLike | None, t: float, duration: float) -> np.ndarray | None:
+def _output_times(t_eval: ArrayLike | None, t: float, end: float) -> np.ndarray | None:
     if t_eval is None:
         return None
-    try:
-        times = real_array(t_eval)
-    except NOT_REAL:
-        raise ArgumentError(f"t_eval must be times in s, got {t_eval!r}") from None
-    if times.ndim != 1:
-        times = times.reshape(-1)
-    # the end may be off by round-off, as from linspace
-    end = t + duration
-    slack = 1e-12 * max(abs(t), abs(end), duration)
-    ordered = (times[1:] >= times[:-1]).all() if times.size > _SHORT else _is_ordered(times.tolist())
-    if times.size and t <= times[0] and times[-1] <= end and ordered:
+    times = reals("t_eval must be times in s", t_eval).reshape(-1)
+    if not times.size:
+        return times
+    # not where there are entries that are not numbers
+    ordered = bool((times[1:] >= times[:-1]).all())
+    if ordered and t <= times[0] and times[-1] <= end:
         return times
     if not np.isfinite(times).all():
         raise ArgumentError("t_eval has entries that are not finite")
-    if times.size and (times.min() < t - slack or times.max() > t + duration + slack):
-        raise ArgumentError(f"t_eval must lie in [{t}, {t + duration}], got [{times.min()}, {times.max()}]")
+    # the end may be off by round-off, as from linspace
+    slack = 1e-12 * max(abs(t), abs(end), end - t)
+    if times.min() < t - slack or times.max() > end + slack:
+        raise ArgumentError(f"t_eval must lie in [{t}, {end}], got [{times.min()}, {times.max()}]")
     if not ordered:
         raise ArgumentError("t_eval must not decrease")
-    return np.minimum(np.maximum(times, t), t + duration)
+    return np.clip(times, t, end)
 
 
-def _breakpoints(given: ArrayLike | None, t: float, duration: float) -> list[float]:
+def _breakpoints(given: ArrayLike | None, t: float, end: float) -> list[float]:
     """Times inside the run, in order and once each."""
-    if given is None:
-        return []
-    try:
-        times = real_array(given).reshape(-1)
-    except NOT_REAL:
-        raise ArgumentError(f"breakpoints must be times in s, got {given!r}") from None
+    times = reals("breakpoints must be times in s", () if given is None else given).reshape(-1)
     if not np.isfinite(times).all():
         raise ArgumentError(f"breakpoints must be finite, got {given!r}")
-    return [time for time in np.unique(times).tolist() if t < time < t + duration]
-
-
-def _is_ordered(times: list[float]) -> bool:
-    # NaN, which sorting may leave where it is, is in the sum
-    return sorted(times) == times and not math.isnan(sum(times))
+    return [time for time in np.unique(times).tolist() if t < time < end]
 
 
 def _torque(control: Control, system: System) -> Torque:
@@ -543,17 +474,22 @@ def _torque(control: Control, system: System) -> Torque:
     # made once, and local to the function: a call costs what the control costs
     q, v, tau, shape = system.q.view(), system.v.view(), system.tau, (system.nv,)
     q.flags.writeable = v.flags.writeable = False
-    real, asarray = np.dtype(float), np.asarray
+    real = np.dtype(float)
+
+    def unusable(t: float, what: str) -> UnusableResult:
+        return UnusableResult(f"t = {t:.9g} s: control returned {what}")
 
     def numbers(t: float, found: Any) -> np.ndarray:
+        if found is None:
+            raise unusable(t, f"None, not an array of shape {shape}")
         try:
-            array = asarray(found)
+            array = np.asarray(found)
             if array.dtype.kind != "c":
-                return asarray(array, dtype=float)
+                return np.asarray(array, dtype=float)
         except (TypeError, ValueError) as error:
-            raise UnusableResult(f"t = {t:.9g} s: control returned {found!r}: {error}") from None
+            raise unusable(t, f"{found!r}: {error}") from None
         # the conversion would drop imaginary parts
-        raise UnusableResult(f"t = {t:.9g} s: control returned complex numbers: {array.tolist()}")
+        raise unusable(t, f"complex numbers: {array.tolist()}")
 
     def ask(t: float) -> None:
         try:
@@ -561,12 +497,10 @@ def _torque(control: Control, system: System) -> Torque:
         except BaseException:
             system.blame(f"t = {t:.9g} s: control")
             raise
-        if found is None:
-            raise UnusableResult(f"t = {t:.9g} s: control returned None, not an array of shape {shape}")
         if type(found) is not np.ndarray or found.dtype is not real:
             found = numbers(t, found)
         if found.shape != shape:
-            raise UnusableResult(f"t = {t:.9g} s: control returned an array of shape {found.shape}, not {shape}")
+            raise unusable(t, f"an array of shape {found.shape}, not {shape}")
         tau[:] = found
 
     return ask

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .arguments import NOT_REAL, real_array
+from .arguments import reals
 from .display import shortened
 from .errors import ArgumentError, SolverError
 from .integration.pieces import Pieces
@@ -95,10 +95,7 @@ class DenseOutput:
         return Sample(self._scene, sorted_t[back], q[back], v[back], unpack().rows(back), np.ndim(t) == 0)
 
     def _check(self, t: float | np.ndarray) -> np.ndarray:
-        try:
-            times = real_array(t)
-        except NOT_REAL:
-            raise ArgumentError(f"t must be times in s, got {t!r}") from None
+        times = reals("t must be times in s", t)
         if times.ndim > 1:
             raise ArgumentError(f"t must be a time or times (n,), got an array of shape {times.shape}")
         times = times.reshape(-1)

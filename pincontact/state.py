@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from .arguments import NOT_REAL, is_number, real_array, warn_of_order
+from .arguments import is_number, reals, warn_of_order
 from .contacts import Assembly, Contact, characteristic_length
 from .display import MODE_NAMES, html_table, numbers, shortened
 from .dynamics.joints import joint_of, without_inertia
@@ -72,10 +72,10 @@ class Correction:
         Largest component of the change of velocity, in m/s and rad/s.
     """
 
-    gaps: dict[str, float]
-    slips: dict[str, tuple[float, float]]
-    dq: float
-    dv: float
+    gaps: dict[str, float] = field(default_factory=dict)
+    slips: dict[str, tuple[float, float]] = field(default_factory=dict)
+    dq: float = 0.0
+    dv: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,15 +218,28 @@ def check_vector(name: str, value: ArrayLike, size: int) -> np.ndarray:
         plain = np.array(value)
         if math.isfinite(sum(plain.tolist())):
             return plain
-    try:
-        array = real_array(value).reshape(-1)
-    except NOT_REAL:
-        raise StateError(f"{name} must be {size} numbers, got {value!r}") from None
+    array = reals(f"{name} must be {size} numbers", value, StateError).reshape(-1)
     if array.size != size:
         raise StateError(f"{name} must have {size} entries, got {array.size}")
+    return check_finite(name, array)
+
+
+def check_finite(name: str, array: np.ndarray) -> np.ndarray:
+    """The array, or a StateError that names the first of its numbers that is not finite."""
     if not np.isfinite(array).all():
-        index = int(np.argmin(np.isfinite(array)))
-        raise StateError(f"{name}[{index}] is {array[index]}")
+        index = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
+        raise StateError(f"{name}{list(index)} is {array[index]}")
+    return array
+
+
+def check_rows(name: str, value: ArrayLike, columns: int, shapes: dict[int, str]) -> np.ndarray:
+    """Rows of numbers, not copied where they are floats already, or a StateError; shapes: "(n, {})" by dimension."""
+    plain = isinstance(value, np.ndarray) and value.dtype is _FLOAT
+    array = value if plain else reals(f"{name} must be numbers in rows of {columns}", value, StateError)
+    assert isinstance(array, np.ndarray)
+    if array.ndim not in shapes or array.shape[-1] != columns:
+        wanted = " or ".join(shapes.values()).format(*[columns] * len(shapes))
+        raise StateError(f"{name} must have shape {wanted}, got {array.shape}")
     return array
 
 
@@ -247,6 +260,18 @@ def check_configuration(coordinates: Coordinates, q: ArrayLike) -> np.ndarray:
         if norm != 1.0:
             array[start : start + size] /= norm
     return array
+
+
+def state_of(
+    scene: Assembly,
+    system: System,
+    t: float,
+    correction: Correction | None = None,
+    candidates: dict[str, list[Candidate]] | None = None,
+) -> State:
+    """The state that is in a system."""
+    location = system.location[: system.nc].copy()
+    return State(scene, system.q.copy(), system.v.copy(), t, location, read_discrete(system), correction, candidates)
 
 
 def find_state(
@@ -292,25 +317,12 @@ def find_state(
         integers[BRANCH], integers[DETERMINANT_SIGN] = chosen.branch, chosen.determinant_sign
         system.location[c] = chosen.location
         system.side_int[2 * c : 2 * c + 2, CHART] = chosen.charts
-        if contact.name in free:
-            integers[MODE] = FREE
-        else:
-            integers[MODE] = (
-                STICK if contact.friction is not None and math.isinf(contact.friction.sliding) else FRICTIONLESS
-            )
+        ideal = contact.friction is not None and math.isinf(contact.friction.sliding)
+        integers[MODE] = FREE if contact.name in free else STICK if ideal else FRICTIONLESS
     if apart:
         raise _together(apart)
     correction = _correct(scene, system, q, v, t)
-    return State(
-        scene,
-        system.q.copy(),
-        system.v.copy(),
-        float(t),
-        system.location[: system.nc].copy(),
-        read_discrete(system),
-        correction,
-        candidates,
-    )
+    return state_of(scene, system, t, correction, candidates)
 
 
 def _candidates(
@@ -351,7 +363,7 @@ def _choose(contact: Contact, found: list[Candidate], is_free: bool, max_gap: fl
         )
     fitting = [c for c in found if contact.side is None or c.side in (0, contact.side)] or found
     chosen = fitting[0]
-    limit = max_gap if max_gap is not None else _GAP_FRACTION * _gap_length(contact)
+    limit = max_gap if max_gap is not None else _GAP_FRACTION * characteristic_length(contact)
     if not is_free and abs(chosen.gap) > limit:
         raise NoContactError(
             f"contact {contact.name!r}: {pair} do not touch: the gap is {chosen.gap:.6g} m, more than the "
@@ -374,10 +386,6 @@ def _cure(contact: Contact, found: list[Candidate], chosen: Candidate, limit: fl
     return f"move q, or to start open pass free=[{contact.name!r}]"
 
 
-def _gap_length(contact: Contact) -> float:
-    return characteristic_length(contact)
-
-
 def _correct(scene: Assembly, system: RunSystem, q: np.ndarray, v: np.ndarray, t: float) -> Correction:
     """Project (q, v) of the system onto the constraints; reports the change."""
     names = [c.name for c in system.contacts]
@@ -390,14 +398,9 @@ def _correct(scene: Assembly, system: RunSystem, q: np.ndarray, v: np.ndarray, t
     gaps, slips = {}, {}
     for c, name in enumerate(names):
         gaps[name] = float(np.hypot(*system.gaps[c]) if system.gaps[c, 1] else system.gaps[c, 0])
-        along = system.basis[c] @ system.slip[c]
-        normal = float(along[2])
-        slips[name] = (normal, float(np.hypot(along[0], along[1])))
-    system.stage_state[: system.nq] = q
-    system.stage_state[system.nq : system.nq + system.nv] = v
-    system.stage_state[system.nq + system.nv : system.nq + system.nv + 4 * system.nc] = system.location[
-        : system.nc
-    ].ravel()
+        first, second, normal = (system.basis[c] @ system.slip[c]).tolist()
+        slips[name] = normal, math.hypot(first, second)
+    system.put_state(system.stage_state, q, v, system.location[: system.nc])
     if system.project(t) != OK:
         contradicting = contradiction(system, t)
         if contradicting:

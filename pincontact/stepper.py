@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from .arguments import NOT_REAL, is_count, real_array, time_step
+from .arguments import is_count, time_step
 from .display import shortened
 from .dynamics.joints import joint_limits
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
@@ -19,7 +19,7 @@ from .integration.moreau import DEFAULT_STEP, MoreauStep
 from .integration.run_system import RunSystem
 from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
-from .state import State, check_state, check_vector, coordinates_of
+from .state import State, check_finite, check_rows, check_state, check_vector, coordinates_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -117,9 +117,8 @@ class Stepper:
         self._step = step
         self._system = system = step.system
         self._step.cones.choose(contact_solver)
-        nq, nv, nc = system.nq, system.nv, system.nc
-        self.q, self.v = (_locked(part) for part in (system.state[:nq], system.state[nq : nq + nv]))
-        self._location = _locked(system.state[nq + nv : nq + nv + 4 * nc].reshape(nc, 4))
+        nv = system.nv
+        self.q, self.v, self._location, _ = (_locked(part) for part in system.parts(system.state))
         self._discrete_buffer = discrete = read_discrete(system)
         self._shown = discrete_views(discrete, *self._step.known)
         self._written = views_of_system(discrete, system)
@@ -169,10 +168,8 @@ class Stepper:
     def _begin(self, state: State) -> int:
         """Start from a state that has been checked; a status of `layout`."""
         system = self._system
-        nq, nv = system.nq, system.nv
         # a state of this very stepper may be made of views of what is written here: of the same parts
-        system.state[:nq], system.state[nq : nq + nv] = state.q, state.v
-        system.state[nq + nv : nq + nv + state.location.size] = state.location.ravel()
+        system.put_state(system.state, state.q, state.v, state.location)
         self._discrete_buffer[:] = state.discrete
         for source, target in self._written:
             target[...] = source
@@ -302,7 +299,7 @@ class Stepper:
         ArgumentError, SingularContactError, SolverError
             As `step` does. The stepper is then where the last step that could be made has ended, at `t`.
         """
-        rows = self._check_rows(torques)
+        rows = check_rows("torques", torques, self._shape[0], {2: "(n, {})"})
         count = _check_count(count)
         if not len(rows):
             return np.empty((0, self.q.size)), np.empty((0, self.v.size))
@@ -310,11 +307,9 @@ class Stepper:
             status, q, v = self._step.advance_by_rows(rows, count)
         finally:
             self._show_modes()
-        if status == NOT_FINITE and not np.isfinite(rows).all():
-            i, j = np.argwhere(~np.isfinite(rows))[0]
-            raise StateError(f"torques[{i}, {j}] is {rows[i, j]}")
         if status == NOT_FINITE:
-            check_vector("target", self.target, self.target.size)
+            check_finite("torques", rows)
+            check_finite("target", self.target)
         self._raise_for(status)
         return q, v
 
@@ -330,19 +325,6 @@ class Stepper:
             return check_vector("tau", tau, self._shape[0])
         # entries that are not finite make accelerations that are not, which costs nothing to notice
         return tau
-
-    def _check_rows(self, torques: ArrayLike) -> np.ndarray:
-        nv = self._shape[0]
-        if type(torques) is np.ndarray and torques.dtype == np.float64:
-            rows = torques
-        else:
-            try:
-                rows = real_array(torques)
-            except NOT_REAL:
-                raise StateError(f"torques must be numbers in rows of {nv}, got {torques!r}") from None
-        if rows.ndim != 2 or rows.shape[1] != nv:
-            raise StateError(f"torques must have shape (n, {nv}), got {rows.shape}")
-        return rows
 
     def _raise_for(self, status: int) -> None:
         if status == OK:

@@ -9,11 +9,10 @@ write to. All its arrays are then what they were when new, so that a run cannot 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
-from .contacts import AttachedContour, Contact
+from .contacts import Contact
 from .cores import available_cores
 from .dynamics.joints import joint_limits
 from .friction.laws import Coulomb, NoSlip, Stribeck
@@ -37,8 +36,7 @@ class CachedSystem:
     def __init__(self, scene: Scene, works: bool, resistances: bool) -> None:
         self.options = works, resistances
         self._given, self._model = scene.model, scene.model.copy()
-        self._contacts = list(scene.contacts.values())
-        self._sides = [(side, side.placement_in_joint.copy(), _numbers(side)) for side in _sides(self._contacts)]
+        self._contacts, self._parts = _made_of(scene)
         self.system = RunSystem(scene.model, self._contacts, works, joint_limits(scene.model), resistances)
         self.system.keep()
         self._stepper: MoreauStep | None = None
@@ -55,17 +53,8 @@ class CachedSystem:
 
     def fits(self, scene: Scene) -> bool:
         """Whether a new system would be the same."""
-        contacts = self._contacts
-        return (
-            scene.model is self._given
-            and scene.model == self._model
-            and len(scene.contacts) == len(contacts)
-            and all(now is then for now, then in zip(scene.contacts.values(), contacts))
-            and all(
-                side.placement_in_joint == placement and _numbers(side) == numbers
-                for side, placement, numbers in self._sides
-            )
-        )
+        same = scene.model is self._given and scene.model == self._model
+        return same and _made_of(scene) == (self._contacts, self._parts)
 
 
 def take_system(scene: Scene, works: bool, resistances: bool) -> CachedSystem:
@@ -92,16 +81,12 @@ def put_back(scene: Scene, cached: CachedSystem) -> None:
         kept.append(cached)
 
 
-def _sides(contacts: list[Contact]) -> Iterator[AttachedContour]:
+def _made_of(scene: Scene) -> tuple[list[Contact], list[tuple[Any, ...]]]:
+    """What a system is made of besides the model: the contacts, and copies of what can be written to in them."""
+    contacts, parts = list(scene.contacts.values()), []
     for contact in contacts:
-        yield contact.first
-        yield contact.second
-
-
-def _numbers(side: AttachedContour) -> tuple[Any, ...]:
-    """What can be written to of a contour and its motion."""
-    pool, motion = side.contour.pool, side.motion
-    shape = pool.tobytes() if pool.size else b""
-    if motion is None:
-        return (shape,)
-    return shape, motion.kind, motion.parameters.tobytes(), motion.pool.tobytes()
+        for side in (contact.first, contact.second):
+            pool, motion = side.contour.pool, side.motion
+            numbers = None if motion is None else (motion.kind, motion.parameters.tobytes(), motion.pool.tobytes())
+            parts.append((side.placement_in_joint.copy(), pool.tobytes() if pool.size else b"", numbers))
+    return contacts, parts

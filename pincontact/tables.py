@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pinocchio as pin
     import xarray
 
-    from .trajectory import Trajectory
+    from .tracks import Run
 
 _AXES = ("x", "y", "z")
 # name in a track -> names of its further dimensions, unit, what it is
@@ -43,7 +43,7 @@ def required(package: str, what: str) -> Any:
         raise MissingExtraError(f"{what} needs {package}: pip install pincontact[data] ({error})") from error
 
 
-def run_to_xarray(run: Trajectory) -> xarray.Dataset:
+def run_to_xarray(run: Run) -> xarray.Dataset:
     """See `Trajectory.to_xarray`."""
     package = required("xarray", "a Dataset")
     names = list(run.contacts)
@@ -65,7 +65,7 @@ def run_to_xarray(run: Trajectory) -> xarray.Dataset:
     for key, (inner, unit, text) in _OF_CONTACTS.items() if names else ():
         columns = [getattr(run.contacts[name], key) for name in names]
         if "parameter" in inner:
-            columns = [_padded(values, 2) for values in columns]
+            columns = [np.pad(a, ((0, 0), (0, 2 - a.shape[1])), constant_values=np.nan) for a in columns]
         attributes = {"long_name": text} | ({"units": unit} if unit else {})
         variables[key] = (("t", "contact", *inner), np.stack(columns, axis=1), attributes)
     energies = None if _is_bare(run) else run.energies()
@@ -75,7 +75,7 @@ def run_to_xarray(run: Trajectory) -> xarray.Dataset:
     return package.Dataset(variables, coordinates, {"status": run.status, "message": run.message})
 
 
-def run_to_pandas(run: Trajectory) -> pandas.DataFrame:
+def run_to_pandas(run: Run) -> pandas.DataFrame:
     """See `Trajectory.to_pandas`."""
     package = required("pandas", "a DataFrame")
     columns: dict[str, np.ndarray] = {}
@@ -94,12 +94,12 @@ def run_to_pandas(run: Trajectory) -> pandas.DataFrame:
     return package.DataFrame(columns, index=package.Index(run.t, name="t"))
 
 
-def _is_bare(run: Trajectory) -> bool:
+def _is_bare(run: Run) -> bool:
     """Whether the run was read from a file without its scene."""
     return run.scene.model.nq != run.q.shape[1]
 
 
-def _coordinate_names(run: Trajectory, kind: str) -> list[str]:
+def _coordinate_names(run: Run, kind: str) -> list[str]:
     """Names of the entries of q or v: the joint's, with an index where it has several."""
     if _is_bare(run):
         return [str(i) for i in range((run.q if kind == "q" else run.v).shape[1])]
@@ -109,9 +109,3 @@ def _coordinate_names(run: Trajectory, kind: str) -> list[str]:
         size = joint.nq if kind == "q" else joint.nv
         names += [name] if size == 1 else [f"{name}[{i}]" for i in range(size)]
     return names
-
-
-def _padded(values: np.ndarray, columns: int) -> np.ndarray:
-    out = np.full((len(values), columns), np.nan)
-    out[:, : values.shape[1]] = values
-    return out

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, Protocol
 
 import numpy as np
 
 from .contacts import AttachedContour, Contact, characteristic_length
 from .display import MODE_NAMES, html_table
+from .energies import Energies
 from .errors import ArgumentError, TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
+from .integration.results import Event
 from .integration.run_system import RunSystem
 from .layout import (
     CHART,
@@ -25,6 +28,8 @@ from .scene import Scene
 
 # Outputs whose contacts are evaluated before they are put together: some MB.
 _CHUNK = 1024
+# Arrays of evaluated outputs that have a row for each side of a contact.
+_OF_SIDES = ("shapes", "frames", "charts")
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +173,25 @@ class ContactTrack:
         }
 
 
+class Run(Protocol):
+    """What tables and plots are made of: a `Trajectory`."""
+
+    scene: Scene
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    status: int
+    message: str
+    events: list[Event]
+
+    @property
+    def contacts(self) -> Mapping[str, ContactTrack]: ...
+
+    def energies(self) -> Energies: ...
+
+    def residuals(self) -> dict[str, np.ndarray]: ...
+
+
 def evaluate_tracks(
     scene: Scene, t: np.ndarray, q: np.ndarray, v: np.ndarray, recorded: Recorded
 ) -> tuple[dict[str, ContactTrack], dict[str, dict[str, np.ndarray]]]:
@@ -178,150 +202,123 @@ def evaluate_tracks(
     tracks = {c.name: _empty_track(c, n) for c in contacts}
     residuals = {c.name: {kind: np.zeros(n) for kind in ("C1", "C2", "GC", "VC")} for c in contacts}
     for start in range(0, n if contacts else 0, _CHUNK):
-        outputs = _evaluate_outputs(system, t, q, v, recorded, range(start, min(start + _CHUNK, n)))
+        rows, outputs = _evaluate_outputs(system, t, q, v, recorded, range(start, min(start + _CHUNK, n)))
         for c, contact in enumerate(contacts):
-            _fill_track(outputs, c, contact, tracks[contact.name])
+            # what belongs to this contact, and to the sides of both bodies
+            at: dict[bool, Any] = {True: slice(2 * c, 2 * c + 2), False: c}
+            own = {name: array[:, at[name in _OF_SIDES]] for name, array in outputs.items()}
+            _fill_track(rows, own, contact, tracks[contact.name])
             if resistances is not None:
-                tracks[contact.name].torque[outputs.rows] = resistances[outputs.rows, c]
-            _fill_residuals(outputs, c, contact, residuals[contact.name])
+                tracks[contact.name].torque[rows] = resistances[rows, c]
+            _fill_residuals(rows, own, contact, residuals[contact.name])
     return tracks, residuals
-
-
-class _Outputs(NamedTuple):
-    """What evaluations at m outputs leave of the contacts, in the arrays of `System`, a row for each.
-
-    rows (m,): which outputs they are; shapes (m, 2 nc, 3, 3): points and first derivatives, in world axes; frames (m,
-    2 nc, 5, 3): rotation, place and velocity of what carries them; the rest (m, nc, ...), of sides (m, 2 nc).
-    """
-
-    rows: np.ndarray
-    location: np.ndarray
-    rates: np.ndarray
-    shapes: np.ndarray
-    frames: np.ndarray
-    basis: np.ndarray
-    slip: np.ndarray
-    gaps: np.ndarray
-    force: np.ndarray
-    modes: np.ndarray
-    conditioning: np.ndarray
-    charts: np.ndarray
 
 
 def _evaluate_outputs(
     system: RunSystem, t: np.ndarray, q: np.ndarray, v: np.ndarray, recorded: Recorded, wanted: range
-) -> _Outputs:
-    """Of the wanted outputs, those that can be evaluated."""
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Which of the wanted outputs can be evaluated, (m,), and what that leaves of the contacts in the arrays of
+    `System`, a row for each.
+
+    shapes (m, 2 nc, 3, 3): points and first derivatives, in world axes; frames (m, 2 nc, 5, 3): rotation, place and
+    velocity of what carries them; the rest (m, nc, ...), of sides (m, 2 nc).
+    """
     nc = system.nc
-    views = (
-        system.location[:nc],
-        system.rates[:nc],
-        system.derivatives[: 2 * nc, :3],
-        system.frames[: 2 * nc, :5],
-        system.basis[:nc],
-        system.slip[:nc],
-        system.gaps[:nc],
-        system.force[:nc],
-        system.modes,
-        system.contact_real[:nc, CONDITION],
-        system.side_int[: 2 * nc, CHART],
-    )
-    values = [np.empty((len(wanted), *view.shape), view.dtype) for view in views]
+    views = {
+        "location": system.location[:nc],
+        "rates": system.rates[:nc],
+        "shapes": system.derivatives[: 2 * nc, :3],
+        "frames": system.frames[: 2 * nc, :5],
+        "basis": system.basis[:nc],
+        "slip": system.slip[:nc],
+        "gaps": system.gaps[:nc],
+        "force": system.force[:nc],
+        "modes": system.modes,
+        "conditioning": system.contact_real[:nc, CONDITION],
+        "charts": system.side_int[: 2 * nc, CHART],
+    }
+    values = {name: np.empty((len(wanted), *view.shape), view.dtype) for name, view in views.items()}
     rows: list[int] = []
     for i in wanted:
         load_output(system, recorded, i, q[i], v[i])
         system.scalars["has_reference"] = float(i in recorded.references)
         system.reference[:nc] = recorded.references.get(i, 0.0)
         if system.evaluate(float(t[i])) <= EVENT:
-            for array, view in zip(values, views):
-                array[len(rows)] = view
+            for name, view in views.items():
+                values[name][len(rows)] = view
             rows.append(i)
-    return _Outputs(np.array(rows, dtype=np.int64), *(array[: len(rows)] for array in values))
+    return np.array(rows, dtype=np.int64), {name: array[: len(rows)] for name, array in values.items()}
 
 
 def _empty_track(contact: Contact, n: int) -> ContactTrack:
+    """A track in which nothing is known."""
     k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
     first, second = (k2, k1) if contact.swapped else (k1, k2)
-
-    def nan(*shape: int) -> np.ndarray:
-        return np.full((n, *shape), np.nan)
-
+    parameters = {"location": k1 + k2, "location_first": first, "location_second": second, "rates": k1 + k2}
+    unknown: dict[str, tuple[int, ...]] = {name: (count,) for name, count in parameters.items()}
+    unknown |= {"point": (3,), "frame": (3, 3), "dual_frame": (3, 3), "slip_velocity": (3,)}
+    unknown |= {"gap": (), "conditioning": ()}
+    none: dict[str, tuple[int, ...]] = {"force": (3,), "multipliers": (3,), "torque": (3,)}
+    none |= {"normal_force": (), "tangential_force": ()}
     return ContactTrack(
-        nan(k1 + k2),
-        nan(first),
-        nan(second),
-        nan(k1 + k2),
-        np.zeros((n, 2), dtype=np.int64),
-        nan(3),
-        nan(3, 3),
-        nan(3, 3),
-        np.zeros((n, 3)),
-        np.zeros((n, 3)),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros((n, 3)),
-        nan(3),
-        np.full(n, FREE),
-        nan(),
-        nan(),
-        (contact.first.name, contact.second.name),
+        **{name: np.full((n, *shape), np.nan) for name, shape in unknown.items()},
+        **{name: np.zeros((n, *shape)) for name, shape in none.items()},
+        charts=np.zeros((n, 2), dtype=np.int64),
+        mode=np.full(n, FREE),
+        contours=(contact.first.name, contact.second.name),
     )
 
 
-def _fill_track(outputs: _Outputs, c: int, contact: Contact, track: ContactTrack) -> None:
-    rows, one, two = outputs.rows, 2 * c, 2 * c + 1
+def _fill_track(rows: np.ndarray, outputs: dict[str, np.ndarray], contact: Contact, track: ContactTrack) -> None:
+    """Rows of a track from what outputs leave of its contact."""
     k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
-    u1, u2 = outputs.location[:, c, :k1], outputs.location[:, c, 2 : 2 + k2]
-    track.mode[rows] = modes = outputs.modes[:, c]
-    track.location[rows] = np.hstack([u1, u2])
-    track.location_first[rows], track.location_second[rows] = (u2, u1) if contact.swapped else (u1, u2)
-    there = outputs.gaps[:, c, 0] != NOTHING_THERE
-    track.rates[rows[there]] = np.hstack([outputs.rates[there, c, :k1], outputs.rates[there, c, 2 : 2 + k2]])
-    track.charts[rows] = outputs.charts[:, one : two + 1]
-    first, second, carrier, basis = (
-        outputs.shapes[:, one],
-        outputs.shapes[:, two],
-        outputs.frames[:, two],
-        outputs.basis[:, c],
-    )
-    track.point[rows] = carrier[:, 3] + second[:, 0]
-    frame = contact_frame(contact.pattern.code, first, second, carrier[:, 0:3, 2], basis)
-    track.frame[rows], track.dual_frame[rows] = frame, dual_basis(frame)
     sign = -1.0 if contact.swapped else 1.0
-    gaps = outputs.gaps[:, c]
+    kept = np.r_[0:k1, 2 : 2 + k2]
+    track.mode[rows] = modes = outputs["modes"]
+    track.location[rows] = location = outputs["location"][:, kept]
+    u1, u2 = location[:, :k1], location[:, k1:]
+    track.location_first[rows], track.location_second[rows] = (u2, u1) if contact.swapped else (u1, u2)
+    gaps, basis = outputs["gaps"], outputs["basis"]
+    there = gaps[:, 0] != NOTHING_THERE
+    track.rates[rows[there]] = outputs["rates"][there][:, kept]
+    track.charts[rows] = outputs["charts"]
+    first, second = outputs["shapes"][:, 0], outputs["shapes"][:, 1]
+    carrier = outputs["frames"][:, 1]
+    track.point[rows] = carrier[:, 3] + second[:, 0]
+    track.frame[rows] = frame = contact_frame(contact.pattern.code, first, second, carrier[:, 0:3, 2], basis)
+    track.dual_frame[rows] = dual_basis(frame)
     track.gap[rows] = gaps[:, 0] if contact.pattern.constraints == 1 else np.hypot(gaps[:, 0], gaps[:, 1])
-    track.conditioning[rows] = np.abs(outputs.conditioning[:, c])
-    track.slip_velocity[rows] = sign * outputs.slip[:, c]
+    track.conditioning[rows] = np.abs(outputs["conditioning"])
+    track.slip_velocity[rows] = sign * outputs["slip"]
     closed = modes != FREE
-    along = outputs.force[closed, c]
-    force = sign * np.einsum("nij,ni->nj", basis[closed], along)
-    rows = rows[closed]
-    track.force[rows] = force
+    rows, along = rows[closed], outputs["force"][closed]
+    track.force[rows] = force = sign * np.einsum("nij,ni->nj", basis[closed], along)
     track.multipliers[rows] = np.einsum("nij,ni->nj", frame[closed], force)
+    normal, tangential = along[:, 2], np.hypot(along[:, 0], along[:, 1])
     if contact.pattern.constraints == 2:
         normal, tangential = np.hypot(along[:, 1], along[:, 2]), np.abs(along[:, 0])
-    else:
-        normal, tangential = along[:, 2], np.hypot(along[:, 0], along[:, 1])
     track.normal_force[rows], track.tangential_force[rows] = normal, tangential
 
 
-def _fill_residuals(outputs: _Outputs, c: int, contact: Contact, residuals: dict[str, np.ndarray]) -> None:
-    closed = outputs.modes[:, c] != FREE
-    rows, modes = outputs.rows[closed], outputs.modes[closed, c]
-    first, second = outputs.shapes[closed, 2 * c], outputs.shapes[closed, 2 * c + 1]
-    carriers, basis = outputs.frames[closed, 2 * c : 2 * c + 2], outputs.basis[closed, c]
+def _fill_residuals(
+    rows: np.ndarray, outputs: dict[str, np.ndarray], contact: Contact, residuals: dict[str, np.ndarray]
+) -> None:
+    """Residuals of a contact where it is closed."""
+    closed = outputs["modes"] != FREE
+    rows, outputs = rows[closed], {name: array[closed] for name, array in outputs.items()}
+    first, second = outputs["shapes"][:, 0], outputs["shapes"][:, 1]
+    carriers, basis = outputs["frames"], outputs["basis"]
     length = characteristic_length(contact)
     difference = (carriers[:, 1, 3] - carriers[:, 0, 3]) + (second[:, 0] - first[:, 0])
     residuals["C1"][rows] = np.linalg.norm(difference, axis=1) / length
-    residuals["GC"][rows] = np.abs(outputs.gaps[closed, c]).max(axis=1) / length
+    residuals["GC"][rows] = np.abs(outputs["gaps"]).max(axis=1) / length
     k1 = contact.body1.contour.dimension
     if k1 > 0 and contact.pattern.name != "3C-3C":
         tangents = first[:, 1 : 1 + k1]
         across = np.abs(np.einsum("nai,ni->na", tangents, basis[:, 2])) / np.linalg.norm(tangents, axis=2)
         residuals["C2"][rows] = across.max(axis=1)
-    components = np.abs(np.einsum("nij,nj->ni", basis, outputs.slip[closed, c]))
-    normals = slice(2 if contact.pattern.constraints == 1 else 1, 3)
-    worst = components[:, normals].max(axis=1)
+    components = np.abs(np.einsum("nij,nj->ni", basis, outputs["slip"]))
+    worst = components[:, 3 - contact.pattern.constraints :].max(axis=1)
     held = components[:, : contact.pattern.tangents].max(axis=1, initial=0.0)
     speeds = np.linalg.norm(carriers[:, :, 4], axis=2).max(axis=1, initial=1.0)
-    residuals["VC"][rows] = np.where(modes == STICK, np.maximum(worst, held), worst) / speeds
+    residuals["VC"][rows] = np.where(outputs["modes"] == STICK, np.maximum(worst, held), worst) / speeds

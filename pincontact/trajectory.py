@@ -6,8 +6,8 @@ import json
 import os
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from .dynamics.energy import energies_at
 from .energies import Energies
 from .errors import TrajectoryError, sentence
 from .integration.results import Event
-from .records import Record, Recorded, joined
+from .records import Recorded, joined
 from .scene import Scene
 from .solution import DenseOutput, Sample
 from .state import Correction, State
@@ -39,24 +39,11 @@ _LARGEST_STATS = ("cone_residual", "wall_time")
 _EVENTS_SHOWN = 20
 
 
-class _Tracks(Mapping[str, ContactTrack]):
-    """Contact tracks by name, computed when first asked for."""
+class _Tracks(dict[str, ContactTrack]):
+    """Contact tracks by name."""
 
-    def __init__(self, run: Trajectory) -> None:
-        self._run = run
-
-    def __getitem__(self, name: str) -> ContactTrack:
-        tracks = self._run._all_tracks()
-        if name not in tracks:
-            raise TrajectoryError(f"unknown contact {name!r}; contacts: {', '.join(tracks) or 'none'}")
-        return tracks[name]
-
-    def __iter__(self) -> Iterator[str]:
-        # a run that was read from a file has tracks, and perhaps no scene
-        return iter(self._run.scene.contacts if self._run._tracks is None else self._run._tracks)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
+    def __missing__(self, name: str) -> ContactTrack:
+        raise TrajectoryError(f"unknown contact {name!r}; contacts: {', '.join(self) or 'none'}")
 
 
 class Trajectory:
@@ -71,8 +58,6 @@ class Trajectory:
         Configurations, in m and rad.
     v : (n, nv) array
         Velocities, in m/s and rad/s.
-    contacts : mapping of str to ContactTrack
-        Evaluated when first asked for.
     events : list of Event
         In their order.
     status : int
@@ -114,39 +99,7 @@ class Trajectory:
         self.scene = scene
         self.t, self.q, self.v = t, q, v
         self.status, self.message, self.events, self.stats = status, sentence(message), events, stats
-        self._unpack: Callable[[], Recorded] | None = recorded
-        self._tracks: dict[str, ContactTrack] | None = None
-        self._residuals: dict[str, dict[str, np.ndarray]] = {}
-        self.contacts: Mapping[str, ContactTrack] = _Tracks(self)
-        self._dense = dense
-
-    @classmethod
-    def from_record(
-        cls,
-        scene: Scene,
-        record: Record,
-        events: list[Event],
-        status: int,
-        message: str,
-        stats: dict[str, Any],
-        dense: DenseOutput | None = None,
-    ) -> Trajectory:
-        """From the rows of a run, however many there are; `simulate` calls it.
-
-        Parameters
-        ----------
-        scene : Scene
-        record : Record
-        events, status, message, stats
-            As the attributes.
-        dense : DenseOutput, optional
-            For `sol`.
-
-        Returns
-        -------
-        Trajectory
-        """
-        return cls(scene, *record.rows(scene), events, status, message, stats, dense)
+        self._unpack, self._dense = recorded, dense
 
     def __getstate__(self) -> dict[str, Any]:
         # the interpolants belong to the memory of the run
@@ -196,14 +149,21 @@ class Trajectory:
 
     @property
     def _recorded(self) -> Recorded:
-        """Unpacked when first asked for: a run that only goes on needs none of it."""
-        unpack, parts = self._unpack, self.__dict__
-        if unpack is not None:
-            # threads that ask at the same time get what the first of them has found
-            parts.setdefault("_found", unpack())
-            # and with it go the rows as they were written
-            self._unpack = None
-        return parts["_found"]  # type: ignore[no-any-return]
+        """Unpacked when first asked for: a run that only goes on needs none of it. Threads that ask at the same time
+        get what the first of them has found."""
+        parts = self.__dict__
+        found: Recorded = parts["_found"] if "_found" in parts else parts.setdefault("_found", self._unpack())
+        return found
+
+    @cached_property
+    def _evaluated(self) -> tuple[dict[str, ContactTrack], dict[str, dict[str, np.ndarray]]]:
+        """Tracks and residuals by contact."""
+        return evaluate_tracks(self.scene, self.t, self.q, self.v, self._recorded)
+
+    @cached_property
+    def contacts(self) -> Mapping[str, ContactTrack]:
+        """Contact tracks by name, evaluated when first asked for."""
+        return _Tracks(self._evaluated[0])
 
     @property
     def success(self) -> bool:
@@ -273,15 +233,10 @@ class Trajectory:
         -------
         State
         """
-        return State(
-            self.scene,
-            self.q[index].copy(),
-            self.v[index].copy(),
-            float(self.t[index]),
-            self._recorded.location[index].copy(),
-            self._recorded.discrete[index].copy(),
-            Correction({}, {}, 0.0, 0.0),
-        )
+        recorded = self._recorded
+        arrays = (self.q, self.v, recorded.location, recorded.discrete)
+        q, v, location, discrete = (array[index].copy() for array in arrays)
+        return State(self.scene, q, v, float(self.t[index]), location, discrete, Correction())
 
     # ------------------------------------------------------------------ contacts
 
@@ -327,11 +282,6 @@ class Trajectory:
             )
         return model
 
-    def _all_tracks(self) -> dict[str, ContactTrack]:
-        if self._tracks is None:
-            self._tracks, self._residuals = evaluate_tracks(self.scene, self.t, self.q, self.v, self._recorded)
-        return self._tracks
-
     def residuals(self) -> dict[str, np.ndarray]:
         """Worst constraint residual of all closed contacts at every output.
 
@@ -341,12 +291,8 @@ class Trajectory:
             Without units. "C1": distance of the points r_1 and r_2, and "GC": the gap, both relative to the contact's
             length; "C2": e_3 . tangents of body 1; "VC": constrained components of v_c relative to the speeds.
         """
-        self._all_tracks()
-        n = self.t.size
-        return {
-            kind: np.max([r[kind] for r in self._residuals.values()], axis=0) if self._residuals else np.zeros(n)
-            for kind in ("C1", "C2", "GC", "VC")
-        }
+        by_contact, zero = self._evaluated[1].values(), np.zeros(self.t.size)
+        return {kind: np.max([zero, *(r[kind] for r in by_contact)], axis=0) for kind in ("C1", "C2", "GC", "VC")}
 
     # ------------------------------------------------------------------ energies
 
@@ -391,25 +337,14 @@ class Trajectory:
             The file that was written.
         """
         file_path = _with_suffix(path)
-        tracks, recorded = self._all_tracks(), self._recorded
-        arrays: dict[str, np.ndarray] = {
-            "t": self.t,
-            "q": self.q,
-            "v": self.v,
-            "location": recorded.location,
-            "discrete": recorded.discrete,
-            "directions": recorded.directions,
-        }
-        optional = {key: getattr(recorded, key) for key in ("works", "total_at_start", "torques", "resistances")}
-        arrays |= {key: value for key, value in optional.items() if value is not None}
+        (tracks, residuals), events = self._evaluated, self.events
+        arrays = {"t": self.t, "q": self.q, "v": self.v, **self._recorded.arrays()}
         # not the scene's names: a run that was read without its scene has its tracks all the same
         for i, name in enumerate(tracks):
-            for key, value in tracks[name].arrays().items():
-                arrays[f"track{i}.{key}"] = value
-            for key, value in self._residuals[name].items():
-                arrays[f"residual{i}.{key}"] = value
-        arrays["event_q"] = np.array([e.q for e in self.events]).reshape(len(self.events), self.q.shape[1])
-        arrays["event_v"] = np.array([e.v for e in self.events]).reshape(len(self.events), self.v.shape[1])
+            arrays |= {f"track{i}.{key}": value for key, value in tracks[name].arrays().items()}
+            arrays |= {f"residual{i}.{key}": value for key, value in residuals[name].items()}
+        arrays["event_q"] = np.array([e.q for e in events]).reshape(len(events), self.q.shape[1])
+        arrays["event_v"] = np.array([e.v for e in events]).reshape(len(events), self.v.shape[1])
         header = {
             "format": _FORMAT,
             "status": self.status,
@@ -452,33 +387,19 @@ class Trajectory:
             if header["format"] != _FORMAT:
                 raise TrajectoryError(f"{os.fspath(path)}: format {header['format']} is not {_FORMAT}")
             names = header["contacts"]
-            events = [
-                Event(time, contact, kind, q, v, index, *joint)
-                for (time, contact, kind, index, *joint), q, v in zip(
-                    header["events"], arrays["event_q"], arrays["event_v"]
-                )
-            ]
-            run = cls(
-                scene if scene is not None else Scene(pin.Model()),
-                arrays["t"],
-                arrays["q"],
-                arrays["v"],
-                partial(
-                    Recorded,
-                    *(arrays[key] for key in ("location", "discrete", "directions")),
-                    *(arrays.get(key) for key in ("works", "total_at_start", "torques", "resistances")),
-                ),
-                events,
-                header["status"],
-                header["message"],
-                header["stats"],
-            )
             contours = header.get("contours", [("", "")] * len(names))
-            run._tracks = {
+            states = zip(header["events"], arrays["event_q"], arrays["event_v"])
+            events = [Event(t, contact, kind, q, v, *rest) for (t, contact, kind, *rest), q, v in states]
+            found = scene if scene is not None else Scene(pin.Model())
+            required, optional = ("location", "discrete", "directions"), ("works", "torques", "resistances")
+            kept = [arrays[key] for key in required] + [arrays.get(key) for key in (*optional, "total_at_start")]
+            recorded, end = partial(Recorded, *kept), (header["status"], header["message"], header["stats"])
+            run = cls(found, arrays["t"], arrays["q"], arrays["v"], recorded, events, *end)
+            tracks = {
                 name: ContactTrack(**_part(arrays, f"track{i}."), contours=tuple(contours[i]))
                 for i, name in enumerate(names)
             }
-            run._residuals = {name: _part(arrays, f"residual{i}.") for i, name in enumerate(names)}
+            run._evaluated = tracks, {name: _part(arrays, f"residual{i}.") for i, name in enumerate(names)}
         except (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile, zlib.error) as error:
             raise TrajectoryError(f"{os.fspath(path)} is not a stored trajectory: {error}") from error
         if scene is not None and list(scene.contacts) != names:

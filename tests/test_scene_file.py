@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 import pincontact as pc
 from pincontact.expressions import FUNCTIONS, compiled, evaluate
-from pincontact.scene_file import _SETTINGS
 
 ROOT = Path(__file__).parent.parent
 URDF, SCENES = ROOT / "urdf", sorted((ROOT / "examples" / "scenes").glob("*.toml"))
@@ -119,9 +118,30 @@ def test_rattleback_turns_back():
     assert other.v[:, 5].min() > 4.0
 
 
-def test_every_option_of_simulate_can_be_written():
-    given = {"scene", "state", "t_eval", "control", "events", "progress"}
-    assert set(_SETTINGS) == set(inspect.signature(pc.simulate).parameters) - given
+def test_every_option_of_simulate_can_be_written(tmp_path):
+    given = {
+        "duration": 0.5,
+        "rtol": 1e-7,
+        "atol": 1e-9,
+        "method": "RK45",
+        "energies": True,
+        "max_step": math.inf,
+        "first_step": 1e-3,
+        "fixed_step": 1e-2,
+        "dt": 2e-3,
+        "max_steps": 500,
+        "breakpoints": [0.1, 0.2],
+        "fallback": "Moreau",
+        "contact_solver": "proxqp",
+        "dense_output": False,
+    }
+    others = {"scene", "state", "t_eval", "control", "events", "progress", "step"}
+    assert set(given) == set(inspect.signature(pc.simulate).parameters) - others
+    lines = "\n".join(
+        f"{key} = {str(value).lower() if value in (True, False) else repr(value)}" for key, value in given.items()
+    )
+    assert load(tmp_path, MINIMAL.replace("duration = 0.5", lines)).settings == given
+    assert load(tmp_path, MINIMAL + "step = 2e-3").settings == {"duration": 0.5, "dt": 2e-3}
 
 
 def test_yaml_is_the_same(tmp_path):

@@ -14,7 +14,7 @@ from ..dynamics.joints import check_joint_limits
 from ..errors import ArgumentError, SingularContactError, SolverError
 from ..scene import Scene
 from ..state import State, check_vector
-from .instant import ABOVE_NOISE, FIRST_STEP, Instant, derivative
+from .instant import ABOVE_NOISE, FIRST_STEP, Instant, jacobian
 from .inverse import actuation_matrix
 from .symmetry import find_symmetries
 
@@ -128,26 +128,7 @@ def find_equilibrium(
     >>> float(rest.state.q[2].round(9)), float(rest.forces["bead/wire"][2].round(9)), rest.holds
     (-0.5, 0.981, True)
     """
-    _check(scene, conditions, tolerance)
-    guess = scene.initial_state(q0, None, t)
-    instant = Instant(scene, guess, tau, decide=False)
-    holding = np.zeros((instant.system.nv, 0)) if actuation is None else actuation_matrix(scene.model, actuation)
-    normals = instant.holonomic()
-    nv = instant.system.nv
-    rest = np.zeros(nv)
-    instant.v = rest
-
-    def residual(x: np.ndarray) -> np.ndarray:
-        q = instant.moved(x[:nv])
-        a = instant.evaluate(q, rest, instant.tau + holding @ x[nv:])
-        extra = [] if conditions is None else [_numbers("conditions", conditions(q.copy()))]
-        return np.concatenate([instant.gaps(normals) / instant.length, a, *extra])
-
-    steps = np.concatenate([np.full(nv, FIRST_STEP * instant.length), np.ones(holding.shape[1])])
-    x, iterations = _solve(residual, np.zeros(nv + holding.shape[1]), steps, instant.follow)
-    return _found(
-        instant, "equilibrium", residual, x, instant.moved(x[:nv]), rest, holding @ x[nv:], iterations, tolerance
-    )
+    return _search(scene, (q0, None, t), tau, actuation, conditions, tolerance, moves=False)
 
 
 def find_steady_motion(
@@ -192,71 +173,73 @@ def find_steady_motion(
         For bad numbers, for a motion beyond a joint's limits, and where a prescribed motion keeps every motion from
         being steady.
     """
-    _check(scene, conditions, tolerance)
-    guess = scene.initial_state(q0, v0, t)
-    instant = Instant(scene, guess, tau, decide=False)
-    symmetries = find_symmetries(instant)
-    holding = np.zeros((instant.system.nv, 0)) if actuation is None else actuation_matrix(scene.model, actuation)
-    normals, constrained = instant.holonomic(), instant.constrained()
-    nv, s = instant.system.nv, symmetries.count
-
-    def residual(x: np.ndarray) -> np.ndarray:
-        q, v = instant.moved(x[:nv]), instant.v + x[nv : 2 * nv]
-        a = instant.evaluate(q, v, instant.tau + holding @ x[2 * nv + s :])
-        share = x[2 * nv : 2 * nv + s]
-        extra = [] if conditions is None else [_numbers("conditions", conditions(q.copy(), v.copy()))]
-        return np.concatenate(
-            [
-                instant.gaps(normals) / instant.length,
-                instant.velocities(constrained),
-                v - symmetries.velocity(q, share),
-                a - symmetries.acceleration(v, share),
-                *extra,
-            ]
-        )
-
-    combination, _ = symmetries.fit(instant.q, instant.v, instant.evaluate())
-    start = np.concatenate([np.zeros(2 * nv), combination, np.zeros(holding.shape[1])])
-    speed = max(1.0, float(np.abs(instant.v).max(initial=0.0)))
-    steps = np.concatenate(
-        [np.full(nv, FIRST_STEP * instant.length), np.full(nv + s, FIRST_STEP * speed), np.ones(holding.shape[1])]
-    )
-    x, iterations = _solve(residual, start, steps, instant.follow)
-    q, v = instant.moved(x[:nv]), instant.v + x[nv : 2 * nv]
-    return _found(instant, "steady motion", residual, x, q, v, holding @ x[2 * nv + s :], iterations, tolerance)
+    return _search(scene, (q0, v0, t), tau, actuation, conditions, tolerance, moves=True)
 
 
-def _check(scene: Any, conditions: Any, tolerance: Any) -> None:
+def _search(
+    scene: Scene,
+    start: tuple[ArrayLike, ArrayLike | None, float],
+    tau: ArrayLike | None,
+    actuation: ArrayLike | Sequence[str] | None,
+    conditions: Callable[..., ArrayLike] | None,
+    tolerance: float,
+    moves: bool,
+) -> SteadyMotion:
+    """The steady motion nearest to a start (q, v, t), or the equilibrium, where nothing moves.
+
+    Unknown are changes of q and v, the shares of symmetries in the motion, and torques of the actuation.
+    """
     if not isinstance(scene, Scene):
         raise ArgumentError(f"the first argument must be a Scene, got {type(scene).__name__}")
     if conditions is not None and not callable(conditions):
         raise ArgumentError(f"conditions must be a function, got {conditions!r}")
     check_tolerance(tolerance)
+    instant = Instant(scene, scene.initial_state(*start), tau, decide=False)
+    nv, length = instant.system.nv, instant.length
+    symmetries = find_symmetries(instant) if moves else None
+    if not moves:
+        instant.v = np.zeros(nv)
+    holding = np.zeros((nv, 0)) if actuation is None else actuation_matrix(scene.model, actuation)
+    normals, constrained = instant.holonomic(), instant.constrained()
+    sizes = nv, nv if moves else 0, symmetries.count if symmetries is not None else 0, holding.shape[1]
 
+    def split(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """q, v, shares of the symmetries and torques of the actuation."""
+        dq, dv, share, effort = np.split(x, np.cumsum(sizes[:-1]))
+        return instant.moved(dq), instant.v + dv if moves else instant.v, share, holding @ effort
 
-def _found(
-    instant: Instant,
-    what: str,
-    residual: Callable[[np.ndarray], np.ndarray],
-    x: np.ndarray,
-    q: np.ndarray,
-    v: np.ndarray,
-    torque: np.ndarray,
-    iterations: int,
-    tolerance: float,
-) -> SteadyMotion:
+    def residual(x: np.ndarray) -> np.ndarray:
+        q, v, share, torque = split(x)
+        a = instant.evaluate(q, v, instant.tau + torque)
+        parts = [instant.gaps(normals) / length]
+        if symmetries is not None:
+            parts += [instant.velocities(constrained), v - symmetries.velocity(q, share)]
+            a = a - symmetries.acceleration(v, share)
+        parts.append(a)
+        if conditions is not None:
+            given = (q.copy(), v.copy()) if moves else (q.copy(),)
+            parts.append(_numbers("conditions", conditions(*given)))
+        return np.concatenate(parts)
+
+    speed = max(1.0, float(np.abs(instant.v).max(initial=0.0)))
+    steps = np.repeat([FIRST_STEP * length, FIRST_STEP * speed, FIRST_STEP * speed, 1.0], sizes)
+    x = np.zeros(sum(sizes))
+    if symmetries is not None:
+        x[2 * nv : 2 * nv + sizes[2]], _ = symmetries.fit(instant.q, instant.v, instant.evaluate())
+    x, iterations = _solve(residual, x, steps, instant.follow)
     size = float(np.abs(residual(x)).max(initial=0.0))
-    scale = max(1.0, float(np.abs(instant.system.free_acceleration).max(initial=0.0)))
-    if not size <= tolerance * scale:
+    most = tolerance * max(1.0, float(np.abs(instant.system.free_acceleration).max(initial=0.0)))
+    if not size <= most:
+        what = "steady motion" if moves else "equilibrium"
         raise SolverError(
             f"no {what} was found near this configuration: the residual is {size:.3g} after {iterations} steps "
-            f"(tolerance {tolerance * scale:.3g})"
+            f"(tolerance {most:.3g})"
         )
+    q, v, _, torque = split(x)
     check_joint_limits(instant.system.limits, q)
-    tau = instant.tau + torque
-    instant.tau = tau
+    instant.tau = instant.tau + torque
     state = instant.state(q, v)
-    return SteadyMotion(state, tau, instant.forces(), size, instant.holds(), iterations)
+    return SteadyMotion(state, instant.tau, instant.forces(), size, instant.holds(), iterations)
 
 
 def _solve(
@@ -273,10 +256,9 @@ def _solve(
     for iteration in range(_STEPS):
         if size == 0.0:
             return x, iteration
-        columns = [_column(residual, x, unit, step) for unit, step in zip(np.eye(x.size), steps)]
-        noise = float(np.linalg.norm([error for _, error in columns]))
-        u, values, vectors = np.linalg.svd(np.column_stack([column for column, _ in columns]), full_matrices=False)
-        if not values[0] > ABOVE_NOISE * noise:
+        matrix, errors = jacobian(lambda dx: residual(x + dx), np.eye(x.size), steps)  # noqa: B023
+        u, values, vectors = np.linalg.svd(matrix, full_matrices=False)
+        if not values[0] > ABOVE_NOISE * float(np.linalg.norm(errors)):
             return x, iteration
         kept = values > _FLAT * values[0]
         u, values, vectors = u[:, kept], values[kept], vectors[kept]
@@ -303,15 +285,9 @@ def _solve(
     return x, _STEPS
 
 
-def _column(
-    residual: Callable[[np.ndarray], np.ndarray], x: np.ndarray, unit: np.ndarray, step: float
-) -> tuple[np.ndarray, float]:
-    return derivative(lambda h: residual(x + h * unit), step)
-
-
 def _numbers(name: str, value: Any) -> np.ndarray:
     try:
-        array = np.atleast_1d(np.asarray(value, dtype=float)).ravel()
+        array = np.asarray(value, dtype=float).ravel()
     except (TypeError, ValueError):
         raise ArgumentError(f"{name} must return numbers, got {value!r}") from None
     return check_vector(name, array, array.size)

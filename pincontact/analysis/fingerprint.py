@@ -5,11 +5,10 @@ from __future__ import annotations
 import ast
 import hashlib
 import inspect
+import io
+import pickle
 import textwrap
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
-from functools import partial
-from types import CodeType, FunctionType
+from types import CellType, CodeType, FunctionType
 from typing import Any
 
 import numpy as np
@@ -20,55 +19,53 @@ def fingerprint(function: Any) -> str:
 
     Comments, blank lines and other modules do not count.
     """
-    digest = hashlib.sha256()
-    for part in _described(function, set()):
-        digest.update(part.encode())
-    return digest.hexdigest()[:16]
+    pickled = io.BytesIO()
+    _Descriptions(pickled).dump(function)
+    return hashlib.sha256(pickled.getvalue()).hexdigest()[:16]
 
 
-def _described(value: Any, seen: set[int]) -> Iterator[str]:
-    if id(value) in seen:
-        return
-    if isinstance(value, FunctionType):
-        seen.add(id(value))
-        yield _code(value)
-        yield from _described(value.__defaults__ or (), seen)
-        yield from _described(value.__kwdefaults__ or {}, seen)
-        for cell in value.__closure__ or ():
-            with suppress(ValueError):
-                yield from _described(cell.cell_contents, seen)
-        for name in sorted(_names(value.__code__)):
-            used = value.__globals__.get(name)
-            own = getattr(used, "__module__", None) == value.__module__
-            if own or isinstance(used, (bool, int, float, str, tuple, np.ndarray)):
-                yield name
-                yield from _described(used, seen)
-    elif isinstance(value, partial):
-        for part in (value.func, value.args, value.keywords):
-            yield from _described(part, seen)
-    elif isinstance(value, type):
-        seen.add(id(value))
-        yield _code(value)
-    elif inspect.ismethod(value):
-        yield from _described(value.__func__, seen)
-        yield from _described(value.__self__, seen)
-    elif isinstance(value, Mapping):
-        for name in value:
-            yield repr(name)
-            yield from _described(value[name], seen)
-    elif isinstance(value, (list, tuple)):
-        for entry in value:
-            yield from _described(entry, seen)
-    elif isinstance(value, np.ndarray):
-        yield f"{value.shape}{value.dtype}{hashlib.sha256(value.tobytes()).hexdigest()}"
-    elif value is None or isinstance(value, (bool, int, float, complex, str, bytes)):
-        yield repr(value)
-    elif hasattr(value, "__dict__"):
-        seen.add(id(value))
-        yield from _described(type(value), seen)
-        yield from _described(vars(value), seen)
-    else:
-        yield type(value).__qualname__
+class _Descriptions(pickle.Pickler):
+    """Pickles values with the code of functions and classes in place of their names."""
+
+    def __init__(self, file: io.BytesIO) -> None:
+        super().__init__(file, protocol=4)
+        # two equal values are the same object in one process and not in another: nothing is told of that
+        self.fast = True
+        self._seen: set[Any] = set()
+
+    def persistent_id(self, value: Any) -> Any:
+        if isinstance(value, (set, frozenset)):
+            # the order of texts in them changes from process to process
+            return sorted(map(repr, value))
+        if not isinstance(value, (FunctionType, type)):
+            return None
+        if value in self._seen:
+            return value.__qualname__
+        self._seen.add(value)
+        return (_code(value), *(_enclosed(value) if isinstance(value, FunctionType) else ()))
+
+    def reducer_override(self, value: Any) -> Any:
+        try:
+            return value.__reduce_ex__(4)
+        except TypeError:
+            # what cannot be stored, such as a lock
+            return str, (type(value).__qualname__,)
+
+
+def _enclosed(function: FunctionType) -> list[Any]:
+    """Values that a function brings with it, and those of its module that it uses."""
+    cells = [cell.cell_contents for cell in function.__closure__ or () if cell != _EMPTY]
+    out = [function.__defaults__, function.__kwdefaults__, *cells]
+    for name in sorted(_names(function.__code__)):
+        used = function.__globals__.get(name)
+        own = getattr(used, "__module__", None) == function.__module__
+        if own or isinstance(used, (bool, int, float, str, tuple, np.ndarray)):
+            out += [name, used]
+    return out
+
+
+# a variable that has no value yet
+_EMPTY = CellType()
 
 
 def _names(code: CodeType) -> set[str]:
@@ -76,7 +73,7 @@ def _names(code: CodeType) -> set[str]:
     return set(code.co_names).union(*(_names(constant) for constant in inner))
 
 
-def _code(value: Any) -> str:
+def _code(value: Any) -> Any:
     """Source without comments and layout; the compiled code where there is no source."""
     try:
         return ast.dump(ast.parse(textwrap.dedent(inspect.getsource(value))))
@@ -85,10 +82,6 @@ def _code(value: Any) -> str:
         return repr(value) if code is None else _compiled(code)
 
 
-def _compiled(code: CodeType) -> str:
-    constants = [
-        # the order of a set of texts changes from process to process
-        _compiled(c) if isinstance(c, CodeType) else repr(sorted(c, key=repr) if isinstance(c, frozenset) else c)
-        for c in code.co_consts
-    ]
-    return f"{code.co_code.hex()}{constants}{code.co_names}"
+def _compiled(code: CodeType) -> list[Any]:
+    constants = [_compiled(c) if isinstance(c, CodeType) else c for c in code.co_consts]
+    return [code.co_code, constants, code.co_names]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +11,13 @@ import numpy as np
 import pinocchio as pin
 
 from ..dynamics.energy import REST_SPEED
-from ..dynamics.joints import joint_limits
+from ..dynamics.joints import JointLimit, joint_limits
 from ..dynamics.units import unwhiten, whiten
 from ..errors import SingularContactError, SolverError
 from ..geometry.carriers import ORIGIN
 from ..geometry.chart_changes import move_charts
 from ..geometry.patterns import ON_CURVE
-from ..integration.discrete import read_discrete, write_discrete
+from ..integration.discrete import write_discrete
 from ..integration.results import FAILURES, SINGULAR_CONTACT, Stop
 from ..integration.run_system import RunSystem
 from ..integration.runge_kutta import RungeKutta
@@ -43,7 +43,7 @@ from ..layout import (
     STRIBECK_SPEED,
     TANGENTS,
 )
-from ..state import Correction, State, check_state, check_vector
+from ..state import Correction, State, check_state, check_vector, state_of
 from .ranks import Directions
 
 if TYPE_CHECKING:
@@ -93,6 +93,19 @@ def derivative(f: Callable[[float], np.ndarray], step: float, levels: int = _LEV
     return best, least
 
 
+def jacobian(
+    f: Callable[[np.ndarray], np.ndarray],
+    directions: np.ndarray,
+    steps: Sequence[float] | np.ndarray,
+    levels: int = _LEVELS,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of f at zero along directions (n, k), one a column, and their k estimated errors; steps: the first
+    ones of differences along each. See `derivative`."""
+    found = [derivative(lambda h, x=x: f(h * x), step, levels) for x, step in zip(directions.T, steps)]  # type: ignore[misc]
+    columns, errors = [column for column, _ in found], np.array([error for _, error in found])
+    return np.stack(columns, axis=-1) if columns else np.zeros((f(np.zeros(len(directions))).size, 0)), errors
+
+
 class Instant:
     """The equations of motion near a state of a scene; arrays in the order of Pinocchio's velocity coordinates.
 
@@ -126,14 +139,10 @@ class Instant:
         check_state(self.scene, state)
         self._take(state, False)
         system = self.system
-        creeping = [
-            c
-            for c in system.closed()
-            if system.contact_int[c, MODE] == SLIPPING
-            and state.discrete[c, 0] == STICK
-            and float(np.linalg.norm(self._slip(np.array([c])))) <= REST_SPEED
-        ]
-        if creeping:
+        closed = np.array(system.closed(), dtype=int)
+        closed = closed[(system.contact_int[closed, MODE] == SLIPPING) & (state.discrete[closed, 0] == STICK)]
+        creeping = closed[np.linalg.norm(self._slip(closed), axis=1) <= REST_SPEED]
+        if creeping.size:
             system.contact_int[creeping, MODE] = STICK
             self.evaluate()
 
@@ -203,36 +212,33 @@ class Instant:
         """The configuration moved along a tangent direction (nv,)."""
         return pin.integrate(self.model, self.q if q is None else q, direction)
 
-    def step_along(
-        self,
-        dq: np.ndarray | None = None,
-        dv: np.ndarray | None = None,
-        q: np.ndarray | None = None,
-        v: np.ndarray | None = None,
-    ) -> float:
-        """First step of differences along directions (nv,) of the configuration, in m and rad, and of the velocity,
+    def varied(self, change: np.ndarray, q: np.ndarray | None = None, v: np.ndarray | None = None) -> np.ndarray:
+        """Accelerations where a change (2 nv,) has moved (q, v), by default the state's own."""
+        dq, dv = np.split(change, 2)
+        return self.evaluate(self.moved(dq, q), (self.v if v is None else v) + dv)
+
+    def step_along(self, change: np.ndarray, q: np.ndarray | None = None, v: np.ndarray | None = None) -> float:
+        """First step of differences along a change (2 nv,) of the configuration, in m and rad, and of the velocity,
         from (q, v), by default the state's own.
 
         Accelerations are quadratic in v but for slip, whose direction turns, and whose friction changes, within a
         change of v_c of its own size.
         """
-        q, v = self.q if q is None else q, self.v if v is None else v
-        along_q, along_v = (np.zeros(self.system.nv) if x is None else x for x in (dq, dv))
-        fastest = max(1.0, float(np.abs(v).max(initial=0.0)))
-        lengths = float(np.abs(along_q).max(initial=0.0)) / self.length
-        step = FIRST_STEP / max(lengths, float(np.abs(along_v).max(initial=0.0)) / fastest, 1e-300)
+        largest = np.abs(change.reshape(2, -1)).max(axis=1, initial=0.0)
+        fastest = max(1.0, float(np.abs(self.v if v is None else v).max(initial=0.0)))
+        step = FIRST_STEP / max(*(largest / [self.length, fastest]).tolist(), 1e-300)
         sliding = np.flatnonzero(self.system.contact_int[:, MODE] == SLIPPING)
         if not sliding.size:
             return step
         probe, slips = _PROBE * step, []
         for h in (-probe, probe):
-            self.evaluate(self.moved(h * along_q, q), v + h * along_v)
+            self.varied(h * change, q, v)
             slips.append(self._slip(sliding))
-        change = np.linalg.norm(slips[1] - slips[0], axis=1) / (2.0 * probe)
+        rate = np.linalg.norm(slips[1] - slips[0], axis=1) / (2.0 * probe)
         size = np.linalg.norm(0.5 * (slips[0] + slips[1]), axis=1)
         stribeck = self.system.contact_real[sliding, STRIBECK_SPEED]
         size = np.minimum(size, np.where(stribeck > 0.0, stribeck, math.inf))
-        return float(min(step, FIRST_STEP * (size / np.maximum(change, 1e-300)).min()))
+        return float(min(step, FIRST_STEP * (size / np.maximum(rate, 1e-300)).min()))
 
     def _slip(self, items: np.ndarray) -> np.ndarray:
         """(len(items), 2) tangential components of v_c, or of omega, that friction sees, of the last evaluation."""
@@ -244,46 +250,43 @@ class Instant:
     def starting(self) -> list[str]:
         """What begins to slip, to turn against its resistance or to move against its dry friction at this state."""
         system = self.system
-        items = np.flatnonzero(system.contact_int[:, FROZEN]).tolist() + [
-            system.nc + g
-            for g, limit in enumerate(system.limits)
-            if system.joint_int[g, JOINT_SIGN] != 0 and self.at_rest(float(self.v[limit.index_v]))
-        ]
-        return [self._names(item)[0] for item in items]
+        moving = [abs(float(self.v[limit.index_v])) > self._rest_speed for limit in system.limits]
+        signs = system.joint_int[: system.ng, JOINT_SIGN]
+        items = np.flatnonzero(system.contact_int[:, FROZEN]).tolist()
+        items += [system.nc + g for g in range(system.ng) if signs[g] != 0 and not moving[g]]
+        return [self._name(item) for item in items]
 
     def at_limit(self) -> list[str]:
         """What rests with friction just at its limit: it would move for one sign of a deviation. Nothing where forces
         are redundant, of which others might bear."""
-        system = self.system
-        constrained = self.constrained()
+        system, constrained = self.system, self.constrained()
         if self.directions(constrained).redundant:
             return []
         friction, normal = system.event_functions[:, FRICTION_EVENT], system.event_functions[:, NORMAL_EVENT]
-        loads = float(np.abs([system.bias_forces, self.tau]).max(initial=0.0))
-        out = []
-        for item in dict.fromkeys(item for item, _ in constrained):
-            name, joint = self._names(item)
-            sticks = system.contact_int[item, MODE] == STICK and math.isfinite(system.contact_real[item, MU_STATIC])
-            margin = min(friction[item], normal[item]) if joint else friction[item] if sticks else math.inf
-            if margin < _FORCE_ROUND_OFF * loads:
-                out.append(name)
-        return out
+        sticks = (system.contact_int[:, MODE] == STICK) & np.isfinite(system.contact_real[:, MU_STATIC])
+        margins, joints = np.where(sticks, friction, math.inf), slice(system.nc, system.nc + system.ng)
+        margins[joints] = np.minimum(friction, normal)[joints]
+        least = _FORCE_ROUND_OFF * float(np.abs([system.bias_forces, self.tau]).max(initial=0.0))
+        return [self._name(i) for i in dict.fromkeys(item for item, _ in constrained) if margins[i] < least]
 
-    def _names(self, item: int) -> tuple[str, bool]:
-        """What an item is called in messages, and whether it is a joint's coordinate."""
-        system = self.system
-        if system.nc <= item < system.nc + system.ng:
-            return f"joint {system.limits[item - system.nc].joint!r}", True
-        return f"contact {system.contacts[system.owner(item)].name!r}", False
+    def _name(self, item: int) -> str:
+        """What an item is called in messages."""
+        limit = self._limit(item)
+        if limit is not None:
+            return f"joint {limit.joint!r}"
+        return f"contact {self.system.contacts[self.system.owner(item)].name!r}"
+
+    def _limit(self, item: int) -> JointLimit | None:
+        """The limited joint coordinate that is this item."""
+        g = item - self.system.nc
+        return self.system.limits[g] if 0 <= g < self.system.ng else None
 
     def follow(self) -> None:
         """Look for contact points from those of the last evaluation on, in charts that suit them."""
-        system = self.system
-        start = system.nq + system.nv
-        here = slice(start, start + 4 * system.nc)
-        system.state[here] = system.location[: system.nc].ravel()
-        move_charts(system.address)
-        self._location = system.state[here].reshape(system.nc, 4).copy()
+        location = self.system.parts(self.system.state)[2]
+        location[:] = self.system.location[: self.system.nc]
+        move_charts(self.system.address)
+        self._location = location.copy()
 
     # ---------------------------------------------------------------- constraints
 
@@ -304,12 +307,10 @@ class Instant:
     def holonomic(self) -> list[tuple[int, int]]:
         """The rows among `constrained` that are rates of gaps (GC)."""
         system = self.system
-        integers = system.contact_int
         by_friction = {system.nc + g for g in system.held() if system.joint_int[g, JOINT_END] == 0}
+        on_curves = set(np.flatnonzero(system.contact_int[:, PATTERN] == ON_CURVE).tolist())
         return [
-            (c, row)
-            for c, row in self.constrained()
-            if c not in by_friction and (row == 2 or (row == 1 and integers[c, PATTERN] == ON_CURVE))
+            (c, row) for c, row in self.constrained() if c not in by_friction and row >= (1 if c in on_curves else 2)
         ]
 
     def rows(self, which: list[tuple[int, int]]) -> np.ndarray:
@@ -327,11 +328,10 @@ class Instant:
 
     def _end(self, item: int) -> float:
         """Where a joint coordinate that is held at an end has it; 0 for contacts."""
-        system = self.system
-        if not system.nc <= item < system.nc + system.ng:
+        if self._limit(item) is None:
             return 0.0
-        g = item - system.nc
-        return float(system.joint_real[g, LOW_END if system.joint_int[g, JOINT_END] < 0 else HIGH_END])
+        g = item - self.system.nc
+        return float(self.system.joint_real[g, LOW_END if self.system.joint_int[g, JOINT_END] < 0 else HIGH_END])
 
     def biases(self, which: list[tuple[int, int]]) -> np.ndarray:
         """The part of the constrained components' rates that accelerations do not make."""
@@ -356,7 +356,7 @@ class Instant:
     def row_size(self, item: int) -> float:
         """What the size of an item's rows, in the metric of the mass matrix, could be if nothing in them cancelled."""
         system = self.system
-        if system.nc <= item < system.nc + system.ng:
+        if self._limit(item) is not None:
             return float(np.linalg.norm(whiten(system, system.rows[item, 2])))
         c = system.owner(item)
         size = 0.0
@@ -408,23 +408,16 @@ class Instant:
     def points(self) -> dict[str, np.ndarray]:
         """Contact -> contact point (3,), world, of the last evaluation."""
         system = self.system
-        return {
-            contact.name: system.frames[2 * c + 1, 3] + system.derivatives[2 * c + 1, 0]
-            for c, contact in enumerate(system.contacts)
-        }
+        points = system.frames[1::2, ORIGIN] + system.derivatives[1::2, 0]
+        return {contact.name: point for contact, point in zip(system.contacts, points)}
 
     def holds(self) -> bool:
         """Whether in the last evaluation nothing unilateral pulls and nothing that rests exceeds its friction."""
-        event_functions = self.system.event_functions
-        slack = -_FORCE_ROUND_OFF * max(1.0, float(np.abs(self.system.bias_forces).max(initial=0.0)))
-        return all(
-            event_functions[c, NORMAL_EVENT] >= slack and event_functions[c, FRICTION_EVENT] >= slack
-            for c in [
-                *self.system.closed(),
-                *self.system.resisting(),
-                *(self.system.nc + g for g in self.system.held()),
-            ]
-        )
+        system = self.system
+        items = [*system.closed(), *system.resisting(), *(system.nc + g for g in system.held())]
+        margins = system.event_functions[items][:, [NORMAL_EVENT, FRICTION_EVENT]]
+        slack = _FORCE_ROUND_OFF * max(1.0, float(np.abs(system.bias_forces).max(initial=0.0)))
+        return bool((margins >= -slack).all())
 
     def driven(self) -> bool:
         """Whether anything depends on time explicitly."""
@@ -437,13 +430,4 @@ class Instant:
     def state(self, q: np.ndarray, v: np.ndarray) -> State:
         """The state at (q, v), contact points followed from this one's."""
         self.evaluate(q, v)
-        system = self.system
-        return State(
-            self.scene,
-            system.q.copy(),
-            system.v.copy(),
-            self.t,
-            system.location[: system.nc].copy(),
-            read_discrete(system),
-            Correction({}, {}, 0.0, 0.0),
-        )
+        return state_of(self.scene, self.system, self.t, Correction())

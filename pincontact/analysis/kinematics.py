@@ -217,11 +217,8 @@ def _one(system: System, c: int, mass: np.ndarray, generalized: np.ndarray, forc
     linear, angular = zip(*(system.jacobians(side, point) for side, point in ((one, points[0]), (two, points[1]))))
     # the paper's order of bodies is not always the user's
     sign = -1.0 if contact.swapped else 1.0
-    relative, velocity, difference = (
-        sign * (linear[1] - linear[0]),
-        sign * system.slip[c],
-        sign * (points[0] - points[1]),
-    )
+    relative, velocity = sign * (linear[1] - linear[0]), sign * system.slip[c]
+    difference = sign * (points[0] - points[1])
 
     # C1: components of r_first - r_second along axes of the world, or of the plane that body 2 carries
     axes = frame2[0:3, 0:2].T if pattern == PLANAR else np.eye(3)
@@ -238,17 +235,20 @@ def _one(system: System, c: int, mass: np.ndarray, generalized: np.ndarray, forc
 
     # C2: the normal of body 2 against the unit tangents of body 1
     if pattern in (ON_SURFACE, PLANAR):
-        e3 = frame[:, 2]
-        e3_by_u2, e3_rate = _normal_derivatives(pattern, second, frame2, plane_normal, k2)
+        e3, moved = frame[:, 2], [_tangent_rate(frame2, second, a) for a in range(k2)]
+        # e_3 is along second[1] x other
+        other, by_u = (second[2], second[4:6]) if pattern == ON_SURFACE else (plane_normal, np.zeros((1, 3)))
+        other_rate = moved[1] if pattern == ON_SURFACE else np.cross(frame2[OMEGA], plane_normal)
+        e3_by_u2 = [_normal_rate(second[1], second[3 + b], other, by_u[b]) for b in range(k2)]
+        e3_rate = _normal_rate(second[1], moved[0], other, other_rate)
         for a in range(k1):
-            size = np.linalg.norm(first[1 + a])
-            tau = first[1 + a] / size
-            across = (e3 - tau * (tau @ e3)) / size
+            tangent = first[1 + a]
+            tau = tangent / np.linalg.norm(tangent)
             f.append(float(e3 @ tau))
             f_q.append(np.cross(tau, e3) @ (angular[0] - angular[1]))
-            by_p.append([float(across @ first[3 + a + b]) for b in range(k1)] + [float(tau @ d) for d in e3_by_u2])
-            tau_rate = np.cross(frame1[OMEGA], first[1 + a]) + first[7 + a]
-            rates.append(float(across @ tau_rate + tau @ e3_rate))
+            by_u1 = [float(e3 @ _unit_rate(tangent, first[3 + a + b])) for b in range(k1)]
+            by_p.append(by_u1 + [float(tau @ change) for change in e3_by_u2])
+            rates.append(float(e3 @ _unit_rate(tangent, _tangent_rate(frame1, first, a)) + tau @ e3_rate))
 
     f_q_array = np.array(f_q).reshape(len(f), system.nv)
     rows = dual.T @ relative
@@ -278,26 +278,22 @@ def _one(system: System, c: int, mass: np.ndarray, generalized: np.ndarray, forc
     )
 
 
-def _normal_derivatives(
-    pattern: int, second: np.ndarray, frame2: np.ndarray, plane_normal: np.ndarray, k2: int
-) -> tuple[list[np.ndarray], np.ndarray]:
-    """d e_3 / d u_2, and the rate of e_3 at fixed u_2."""
-    tangent_rates = [np.cross(frame2[OMEGA], second[1 + a]) + second[7 + a] for a in range(k2)]
-    if pattern == ON_SURFACE:
-        normal = np.cross(second[1], second[2])
-        by_u = [np.cross(second[3 + b], second[2]) + np.cross(second[1], second[4 + b]) for b in range(2)]
-        rate = np.cross(tangent_rates[0], second[2]) + np.cross(second[1], tangent_rates[1])
-    else:
-        normal = np.cross(second[1], plane_normal)
-        by_u = [np.cross(second[3], plane_normal)]
-        rate = np.cross(tangent_rates[0], plane_normal) + np.cross(second[1], np.cross(frame2[OMEGA], plane_normal))
-    size = np.linalg.norm(normal)
-    unit = normal / size
+def _unit_rate(vector: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Rate of a vector's direction."""
+    size = np.linalg.norm(vector)
+    unit = vector / size
+    return np.asarray((rate - unit * (unit @ rate)) / size)
 
-    def across(vector: np.ndarray) -> np.ndarray:
-        return (vector - unit * (unit @ vector)) / size
 
-    return [across(b) for b in by_u], across(rate)
+def _normal_rate(a: np.ndarray, a_rate: np.ndarray, b: np.ndarray, b_rate: np.ndarray) -> np.ndarray:
+    """Rate of the direction of a x b."""
+    return _unit_rate(np.cross(a, b), np.cross(a_rate, b) + np.cross(a, b_rate))
+
+
+def _tangent_rate(frame: np.ndarray, derivatives: np.ndarray, a: int, rates: np.ndarray | None = None) -> np.ndarray:
+    """Rate of a side's tangent f_a in world axes, at rates (k,) of its parameters, or where they stay."""
+    rate = np.cross(frame[OMEGA], derivatives[1 + a]) + derivatives[7 + a]
+    return rate if rates is None else rate + rates @ derivatives[3 + a : 3 + a + len(rates)]
 
 
 def _component_bias(
@@ -314,23 +310,13 @@ def _component_bias(
     """Rate of v_c^j = m^j . v_c without joint acceleration: m^j . gamma + m^j' . v_c, with m' = -m E'^T m."""
     basis = system.basis[c]
     frame1, frame2 = system.frames[2 * c], system.frames[2 * c + 1]
-    u1, u2 = system.rates[c, 0:2], system.rates[c, 2:4]
-
-    def tangent_rate(frame_: np.ndarray, derivatives: np.ndarray, a: int, k: int, rates: np.ndarray) -> np.ndarray:
-        moving = sum((derivatives[3 + a + b] * rates[b] for b in range(k)), np.zeros(3))
-        return np.cross(frame_[OMEGA], derivatives[1 + a]) + derivatives[7 + a] + moving
-
-    def unit_rate(vector: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        size = np.linalg.norm(vector)
-        unit = vector / size
-        return (rate - unit * (unit @ rate)) / size
-
-    rate1 = tangent_rate(frame2, second, 0, k2, u2)
-    e1_rate = unit_rate(second[1], rate1)
+    u1, u2 = system.rates[c, :k1], system.rates[c, 2 : 2 + k2]
+    rate1 = _tangent_rate(frame2, second, 0, u2)
+    e1_rate = _unit_rate(second[1], rate1)
     if pattern == ON_SURFACE:
-        rate2, other = tangent_rate(frame2, second, 1, k2, u2), second[2]
+        rate2, other = _tangent_rate(frame2, second, 1, u2), second[2]
     elif pattern == CROSSING_CURVES:
-        rate2, other = tangent_rate(frame1, first, 0, k1, u1), first[1]
+        rate2, other = _tangent_rate(frame1, first, 0, u1), first[1]
     elif pattern == PLANAR:
         other = frame[:, 1]
         rate2 = np.cross(frame2[OMEGA], other)
@@ -340,11 +326,11 @@ def _component_bias(
         normal_rates = {row: np.cross(turn, basis[row]) for row in (1, 2)}
         e1, axis = frame[:, 0], curve_normal_axis(frame[:, 0])
         raw, raw_rate = axis - e1 * (e1 @ axis), -e1_rate * (e1 @ axis) - e1 * (e1_rate @ axis)
-        e2_rate = unit_rate(raw, raw_rate)
+        e2_rate = _unit_rate(raw, raw_rate)
         e3_rate = np.cross(e1_rate, frame[:, 1]) + np.cross(e1, e2_rate)
         return _in_dual(system, c, dual, np.column_stack([e1_rate, e2_rate, e3_rate]), normal_rates)
-    e3_rate = unit_rate(np.cross(second[1], other), np.cross(rate1, other) + np.cross(second[1], rate2))
-    frame_rate = np.column_stack([e1_rate, unit_rate(other, rate2), e3_rate])
+    e3_rate = _normal_rate(second[1], rate1, other, rate2)
+    frame_rate = np.column_stack([e1_rate, _unit_rate(other, rate2), e3_rate])
     sign = 1.0 if basis[2] @ frame[:, 2] > 0.0 else -1.0
     return _in_dual(system, c, dual, frame_rate, {2: sign * e3_rate})
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from ..arguments import check_tolerance
 from ..display import Summary
 from ..errors import ArgumentError, StateError
 from ..state import State
-from .instant import Instant, derivative
+from .instant import Instant, jacobian
 from .symmetry import find_symmetries
 
 if TYPE_CHECKING:
@@ -125,17 +125,17 @@ class Linearization(Summary):
         project = np.zeros((len(kept), self.A.shape[0]))
         project[:, kept] = np.eye(len(kept))
         project[:, dropped] = -np.linalg.solve(basis[dropped].T, basis[kept].T).T
-        return Linearization(
-            (project @ self.A)[:, kept],
-            project @ self.B,
-            self.indices[kept],
-            sum(i < self.positions for i in kept),
-            [self.names[i] for i in kept],
-            self.dq_dx[:, kept],
-            self.dv_dx[:, kept],
-            np.zeros((len(kept), 0)),
-            max(self.error, float(np.abs(project @ self.A @ basis).max(initial=0.0))),
-            self.defect,
+        return replace(
+            self,
+            A=(project @ self.A)[:, kept],
+            B=project @ self.B,
+            indices=self.indices[kept],
+            positions=sum(i < self.positions for i in kept),
+            names=[self.names[i] for i in kept],
+            dq_dx=self.dq_dx[:, kept],
+            dv_dx=self.dv_dx[:, kept],
+            symmetries=np.zeros((len(kept), 0)),
+            error=max(self.error, float(np.abs(project @ self.A @ basis).max(initial=0.0))),
         )
 
 
@@ -231,33 +231,21 @@ def linearize(
     z = np.linalg.solve(z[configuration].T, z.T).T
     velocity = _independent(w, wanted)
     w = np.linalg.solve(w[velocity].T, w.T).T
-    error = 0.0
-    turning, pull = np.zeros((len(constrained), z.shape[1])), np.zeros((nv, z.shape[1]))
-    for k in range(z.shape[1]):
-        along = z[:, k]
+    unit, load = np.eye(nv), max(1.0, float(np.abs(instant.system.bias_forces).max(initial=0.0)))
 
-        def varied(h: float, along: np.ndarray = along) -> np.ndarray:
-            acceleration = instant.evaluate(instant.moved(h * along))
-            return np.concatenate([instant.velocities(constrained), acceleration])
+    def varied(change: np.ndarray) -> np.ndarray:
+        acceleration = instant.varied(change)
+        return np.concatenate([instant.velocities(constrained), acceleration])
 
-        change, off = derivative(varied, instant.step_along(along))
-        turning[:, k], pull[:, k] = change[: len(constrained)], change[len(constrained) :]
-        error = max(error, off)
+    changes = scipy.linalg.block_diag(z, unit)
+    flow, errors = jacobian(varied, changes, [instant.step_along(change) for change in changes.T])
+    turning, pull = np.vsplit(flow[:, : z.shape[1]], [len(constrained)])
+    drag = flow[len(constrained) :, z.shape[1] :]
+    torque, noise = jacobian(lambda dtau: instant.evaluate(tau=instant.tau + dtau), unit, [0.1 * load] * nv)
+    error = float(np.concatenate([errors, noise]).max(initial=0.0))
     instant.evaluate()
     g = -instant.least_change(constrained, turning)
     g -= w @ g[velocity]
-    drag = np.zeros((nv, nv))
-    for k in range(nv):
-        unit = np.eye(nv)[k]
-        step = instant.step_along(dv=unit)
-        drag[:, k], off = derivative(lambda h, unit=unit: instant.evaluate(v=v + h * unit), step)  # type: ignore[misc]
-        error = max(error, off)
-    torque = np.zeros((nv, nv))
-    load = max(1.0, float(np.abs(instant.system.bias_forces).max(initial=0.0)))
-    for k in range(nv):
-        unit = np.eye(nv)[k]
-        torque[:, k], off = derivative(lambda h, unit=unit: instant.evaluate(tau=instant.tau + h * unit), 0.1 * load)  # type: ignore[misc]
-        error = max(error, off)
 
     dq_dx = np.hstack([z, np.zeros((nv, w.shape[1]))])
     dv_dx = np.hstack([g, w])
@@ -311,19 +299,13 @@ def _coordinate(model: pin.Model, entry: str | int) -> int:
 
 def _independent(basis: np.ndarray, wanted: Sequence[int]) -> list[int]:
     """As many rows of a basis (n, k) as it has columns, independent: those wanted first, then the best conditioned."""
-    k = basis.shape[1]
     chosen: list[int] = []
-    rest = basis.copy()
-
-    def take(row: int) -> None:
-        nonlocal rest
-        unit = rest[row] / np.linalg.norm(rest[row])
-        rest = rest - np.outer(rest @ unit, unit)
-        chosen.append(row)
-
-    for row in wanted:
-        if len(chosen) < k and np.linalg.norm(rest[row]) > _WELL_CONDITIONED:
-            take(row)
-    while len(chosen) < k:
-        take(int(np.argmax(np.linalg.norm(rest, axis=1))))
+    rest, waiting = basis.copy(), list(wanted)
+    while len(chosen) < basis.shape[1]:
+        sizes = np.linalg.norm(rest, axis=1)
+        row = waiting.pop(0) if waiting else int(np.argmax(sizes))
+        if sizes[row] > _WELL_CONDITIONED:
+            unit = rest[row] / sizes[row]
+            rest -= np.outer(rest @ unit, unit)
+            chosen.append(row)
     return sorted(chosen)

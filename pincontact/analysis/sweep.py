@@ -9,11 +9,13 @@ import math
 import multiprocessing
 import os
 import pickle
-import sys
+import signal
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -22,17 +24,18 @@ from typing import Any
 
 import numpy as np
 
+from .. import __version__
 from ..cores import available_cores
 from ..errors import ArgumentError, SolverError
 from ..jit import compile_kernels
 from ..loaded_scene import LoadedScene
-from ..progress import PlainBar
+from ..progress import progress_bar
 from ..scene import Scene
 from ..simulate import simulate
 from ..state import State
 from ..trajectory import Trajectory
 from .fingerprint import fingerprint
-from .sweep_file import FORMAT, Row, RowFile
+from .sweep_file import FORMAT, Row, open_rows
 from .sweep_table import SweepTable, flat_row
 
 # How many runs may wait in an executor whose number of workers is not known: enough for a large cluster.
@@ -135,23 +138,26 @@ def sweep(
     if workers is not None and (executor is not None or isinstance(workers, bool) or workers < 0):
         what = "cannot be given with an executor" if executor is not None else f"must be 0 or more, got {workers!r}"
         raise ArgumentError(f"workers {what}")
-    folder = None
     if runs is not None:
         Path(runs).mkdir(parents=True, exist_ok=True)
-        folder = str(Path(runs).resolve())
+        runs = str(Path(runs).resolve())
+    began = time.perf_counter()
     keys = [_key(sample) for sample in samples]
     header = {
         "sweep": FORMAT,
         "names": list(samples[0]) if samples else [],
         "build": _title(build),
         "fingerprint": fingerprint(build) + ("" if measure is None else fingerprint(measure)),
-        "version": _version(),
+        "version": __version__,
     }
-    if file is None:
-        return _Sweep(build, measure, folder, samples, keys, grid, None, {}).run(executor, workers, progress)
-    with RowFile(Path(file), header, resume) as store:
-        done = {key: row for key, row in store.rows.items() if not (retry and row["error"])}
-        return _Sweep(build, measure, folder, samples, keys, grid, store, done).run(executor, workers, progress)
+    with open_rows(None if file is None else Path(file), header, resume) as (stored, write):
+        done = {key: stored[key] for key in keys if key in stored and not (retry and stored[key]["error"])}
+        # a set of parameters that is given twice is run once
+        waiting = {key: sample for key, sample in zip(keys, samples) if key not in done}
+        with progress_bar(progress, len(done) + len(waiting), initial=len(done), unit="run") as bar:
+            _Sweep(build, measure, runs, waiting, done, write, bar).run(executor, workers)
+    names = tuple(samples[0]) if samples else tuple(grid or ())
+    return SweepTable([flat_row(done[key]) for key in keys], names, grid, time.perf_counter() - began)
 
 
 # ---------------------------------------------------------------------------------------------------- parameters
@@ -159,7 +165,8 @@ def sweep(
 
 def _samples(parameters: Any, names: Sequence[str] | None) -> tuple[list[Row], dict[str, list[Any]] | None]:
     """The sets of parameters as plain data, and the grid's axes."""
-    if names is not None and not (isinstance(parameters, np.ndarray) and parameters.dtype.names is None):
+    is_array = isinstance(parameters, np.ndarray)
+    if names is not None and not (is_array and parameters.dtype.names is None):
         raise ArgumentError("names are for parameters given as an array (n, k)")
     if isinstance(parameters, Mapping):
         axes = {}
@@ -168,23 +175,19 @@ def _samples(parameters: Any, names: Sequence[str] | None) -> tuple[list[Row], d
                 raise ArgumentError(f"parameter {name!r} must be a sequence of values, got {values!r}")
             axes[_name(name)] = [_plain(value, f"parameter {name!r}") for value in values]
         return [dict(zip(axes, values)) for values in itertools.product(*axes.values())], axes
-    if isinstance(parameters, np.ndarray):
-        if parameters.dtype.names is not None:
-            names, rows = parameters.dtype.names, parameters.reshape(-1).tolist()
-        elif parameters.ndim != 2 or names is None or len(names) != parameters.shape[1]:
+    if is_array:
+        names = parameters.dtype.names or names
+        rows = parameters.reshape(-1) if parameters.dtype.names else parameters
+        if parameters.dtype.names is None and (rows.ndim != 2 or names is None or len(names) != rows.shape[1]):
             count = "no names" if names is None else f"{len(names)} names"
             raise ArgumentError(
                 f"parameters as an array must be structured, or (n, k) with k names; got {parameters.shape}, {count}"
             )
-        else:
-            rows = parameters.tolist()
-        parameters = [dict(zip(names, row)) for row in rows]
-    samples = []
-    try:
-        entries = list(parameters)
-    except TypeError:
-        raise ArgumentError(f"parameters must be a dict, a list of dicts or an array, got {parameters!r}") from None
-    for i, entry in enumerate(entries):
+        parameters = [dict(zip(names or (), row)) for row in rows.tolist()]
+    if not isinstance(parameters, Iterable):
+        raise ArgumentError(f"parameters must be a dict, a list of dicts or an array, got {parameters!r}")
+    samples: list[Row] = []
+    for i, entry in enumerate(parameters):
         if not isinstance(entry, Mapping):
             raise ArgumentError(f"parameters[{i}] must be a dict, got {entry!r}")
         samples.append({_name(name): _plain(value, f"parameters[{i}][{name!r}]") for name, value in entry.items()})
@@ -201,12 +204,10 @@ def _name(name: Any) -> str:
 
 def _plain(value: Any, what: str) -> Any:
     """Numbers, texts, None and lists of these, as JSON keeps them."""
-    if isinstance(value, np.generic):
-        value = value.item()
+    if isinstance(value, (np.generic, np.ndarray)):
+        value = value.tolist()
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
-    if isinstance(value, np.ndarray):
-        value = value.tolist()
     if isinstance(value, (list, tuple)):
         return [_plain(entry, what) for entry in value]
     raise ArgumentError(f"{what} must be a number, a text, None or a sequence of these, got {value!r}")
@@ -289,88 +290,64 @@ def _checked_figures(figures: Any, what: str) -> Figures:
 # ---------------------------------------------------------------------------------------------------- all runs
 
 
+@dataclass
 class _Sweep:
-    """The runs of one call, and where their rows go."""
+    """The runs of one call: waiting, sets of parameters by key, become rows in `done`, which `write` stores."""
 
-    def __init__(
-        self,
-        build: Callable[..., Any],
-        measure: Callable[[Trajectory], Mapping[str, Any]] | None,
-        folder: str | None,
-        samples: list[Row],
-        keys: list[str],
-        grid: dict[str, list[Any]] | None,
-        store: RowFile | None,
-        done: dict[str, Row],
-    ) -> None:
-        self._build, self._measure, self._folder = build, measure, folder
-        self._samples, self._keys, self._grid = samples, keys, grid
-        wanted = set(keys)
-        self._store, self._done = store, {key: row for key, row in done.items() if key in wanted}
-        # a set of parameters that is given twice is run once
-        self._waiting = {key: sample for key, sample in zip(keys, samples) if key not in self._done}
-        self._progress: Callable[[], None] = lambda: None
+    build: Callable[..., Any]
+    measure: Callable[[Trajectory], Mapping[str, Any]] | None
+    folder: str | None
+    waiting: dict[str, Row]
+    done: dict[str, Row]
+    write: Callable[[Row], None]
+    bar: Any
 
-    def run(self, executor: Executor | None, workers: int | None, progress: bool) -> SweepTable:
-        began = time.perf_counter()
-        bar = _bar(len(self._done), len(self._done) + len(self._waiting)) if progress else None
-        if bar is not None:
-            self._progress = partial(bar.update, 1)
-        try:
-            if self._waiting:
-                if executor is not None:
-                    lost = self._on(executor, list(self._waiting), _QUEUE)
-                    if lost:
-                        raise SolverError(
-                            f"the executor broke with {len(lost)} runs under way; the rows so far are kept"
-                        )
-                elif workers == 0:
-                    for key in self._waiting:
-                        self._keep(_perform(*self._task(key)))
-                else:
-                    self._in_processes(min(workers or available_cores(), len(self._waiting)))
-        finally:
-            if bar is not None:
-                bar.close()
-        rows = [flat_row(self._done[key]) for key in self._keys]
-        names = tuple(self._samples[0]) if self._samples else tuple(self._grid or ())
-        return SweepTable(rows, names, self._grid, time.perf_counter() - began)
+    def run(self, executor: Executor | None, workers: int | None) -> None:
+        if not self.waiting:
+            return
+        if executor is not None:
+            lost = self._on(executor, list(self.waiting), _QUEUE)
+            if lost:
+                raise SolverError(f"the executor broke with {len(lost)} runs under way; the rows so far are kept")
+        elif workers == 0:
+            for key in self.waiting:
+                self._keep(_perform(*self._task(key)))
+        else:
+            self._in_processes(min(workers or available_cores(), len(self.waiting)))
 
     def _task(self, key: str) -> tuple[Any, ...]:
-        return self._build, self._measure, self._folder, key, self._waiting[key]
+        return self.build, self.measure, self.folder, key, self.waiting[key]
 
     def _keep(self, row: Row) -> None:
-        if self._store is not None:
-            self._store.append(row)
-        self._done[row["key"]] = row
-        self._progress()
+        self.write(row)
+        self.done[row["key"]] = row
+        self.bar.update(1)
 
     def _on(self, executor: Executor, keys: list[str], queue: int) -> list[str]:
         """Run on an executor; returns the keys that were under way when it broke."""
         pending: dict[Future[Row], str] = {}
-        waiting = iter(keys)
-        lost: list[str] = []
+        waiting = deque(keys)
         # waiting on all of them at each turn would cost their number squared
         finished: SimpleQueue[Future[Row]] = SimpleQueue()
+        lost: list[str] = []
         try:
             while True:
-                try:
-                    for key in itertools.islice(waiting, queue - len(pending)):
-                        lost.append(key)
-                        future = executor.submit(_perform, *self._task(key))
-                        pending[future] = lost.pop()
-                        future.add_done_callback(finished.put)
-                except BrokenExecutor:
-                    waiting = iter(())
+                while waiting and not lost and len(pending) < queue:
+                    try:
+                        future = executor.submit(_perform, *self._task(waiting[0]))
+                    except BrokenExecutor:
+                        lost.append(waiting[0])
+                        break
+                    pending[future] = waiting.popleft()
+                    future.add_done_callback(finished.put)
                 if not pending:
-                    break
+                    return lost
                 future = finished.get()
                 key = pending.pop(future)
                 try:
                     self._keep(future.result())
                 except BrokenExecutor:
                     lost.append(key)
-                    waiting = iter(())
                 except Exception as failure:
                     # the executor's own trouble: a function that cannot travel, a worker that was lost
                     self._keep(self._failure(key, f"{type(failure).__name__}: {failure}"))
@@ -378,36 +355,49 @@ class _Sweep:
             for future in pending:
                 future.cancel()
             raise
-        return lost
 
     def _failure(self, key: str, error: str) -> Row:
-        return {"key": key, "parameters": self._waiting[key], "figures": {}, "error": error, "seconds": math.nan}
+        return {"key": key, "parameters": self.waiting[key], "figures": {}, "error": error, "seconds": math.nan}
 
     def _in_processes(self, workers: int) -> None:
         """Run in processes of our own; a run that takes its process down is found by running it alone."""
-        _check_travels(self._build, "build")
-        _check_travels(self._measure, "measure")
+        for what, function in (("build", self.build), ("measure", self.measure)):
+            try:
+                pickle.dumps(function)
+            except Exception as error:
+                raise ArgumentError(
+                    f"{what} cannot be sent to other processes ({error}): it must be a function of a module, not a "
+                    "lambda or a function within another; or pass workers=0, or an executor that can send it"
+                ) from None
         # kernels are compiled here once, those of method "Moreau" too, and not by every worker
         import_module("..integration.moreau", __package__)
         compile_kernels(several=True, stepping=True)
-        keys = list(self._waiting)
-        while keys:
+        while keys := self._missing(self.waiting):
             suspects = self._pool(workers, keys, _QUEUE_PER_WORKER * workers)
             while suspects:
                 # one of them did it: one by one, it shows itself
-                culprit = self._pool(1, suspects, 1)
-                for key in culprit:
+                for key in self._pool(1, suspects, 1):
                     self._keep(self._failure(key, "BrokenProcessPool: the run ended its process (crash, no memory)"))
-                suspects = [key for key in suspects if key not in self._done]
-            keys = [key for key in keys if key not in self._done]
+                suspects = self._missing(suspects)
+
+    def _missing(self, keys: Iterable[str]) -> list[str]:
+        return [key for key in keys if key not in self.done]
 
     def _pool(self, workers: int, keys: list[str], queue: int) -> list[str]:
         """Run in new processes; returns the keys that were under way when one of them ended by itself."""
-        # forked children of a process with threads (BLAS, a notebook) may hang
-        context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupts)
+        # forked children of a process with threads (BLAS, a notebook) may hang. Ctrl-C is for the process that sweeps
+        context, ignored = multiprocessing.get_context("spawn"), (signal.SIGINT, signal.SIG_IGN)
+        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=signal.signal, initargs=ignored)
         try:
-            self._wait_for_start(pool)
+            try:
+                missing = pool.submit(_arrives, pickle.dumps((self.build, self.measure))).result()
+            except BrokenExecutor as error:
+                raise SolverError(
+                    "the worker processes ended before they had started: a script that sweeps needs "
+                    'if __name__ == "__main__": around its own work, since its workers import it'
+                ) from error
+            if missing:
+                raise ArgumentError(f"build cannot be imported by worker processes ({missing}): put it in a module")
             return self._on(pool, keys, queue)
         except BaseException:
             for process in list((pool._processes or {}).values()):
@@ -415,24 +405,6 @@ class _Sweep:
             raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
-
-    def _wait_for_start(self, pool: ProcessPoolExecutor) -> None:
-        try:
-            missing = pool.submit(_arrives, pickle.dumps((self._build, self._measure))).result()
-        except BrokenExecutor as error:
-            raise SolverError(
-                "the worker processes ended before they had started: a script that sweeps needs "
-                'if __name__ == "__main__": around its own work, since its workers import it'
-            ) from error
-        if missing:
-            raise ArgumentError(f"build cannot be imported by worker processes ({missing}): put it in a module")
-
-
-def _ignore_interrupts() -> None:
-    """Ctrl-C is for the process that sweeps; it ends its workers itself."""
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _arrives(functions: bytes) -> str:
@@ -442,39 +414,6 @@ def _arrives(functions: bytes) -> str:
     except Exception as error:
         return f"{type(error).__name__}: {error}"
     return ""
-
-
-def _check_travels(function: Any, what: str) -> None:
-    try:
-        pickle.dumps(function)
-    except Exception as error:
-        raise ArgumentError(
-            f"{what} cannot be sent to other processes ({error}): it must be a function of a module, not a lambda or a "
-            "function within another; or pass workers=0, or an executor that can send it"
-        ) from None
-    inner = function.func if isinstance(function, partial) else function
-    main = sys.modules.get("__main__")
-    if getattr(inner, "__module__", "") == "__main__" and not hasattr(main, "__file__"):
-        raise ArgumentError(
-            f"{what} was defined interactively and cannot be imported by other processes: put it in a module, or pass "
-            "workers=0"
-        )
-
-
-def _bar(done: int, total: int) -> Any:
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        bar = PlainBar(total)
-        bar.update(done)
-        return bar
-    return tqdm(total=total, initial=done, unit="run")
-
-
-def _version() -> str:
-    from .. import __version__
-
-    return __version__
 
 
 def _title(function: Any) -> str:

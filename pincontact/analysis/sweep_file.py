@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import os
 import time
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -22,68 +23,55 @@ _SYNC_SECONDS = 1.0
 Row = dict[str, Any]
 
 
-class RowFile:
-    """A file of rows, appended to by one process at a time; its first line says what sweep it belongs to."""
+@contextmanager
+def open_rows(
+    path: Path | None, header: Row, resume: bool | str
+) -> Iterator[tuple[dict[str, Row], Callable[[Row], None]]]:
+    """The rows by key that a file, if there is one, holds already, and what appends a row: for one process at a time.
 
-    def __init__(self, path: Path, header: Row, resume: bool | str) -> None:
-        self.path, self._header, self._resume = path, header, resume
-        self.rows: dict[str, Row] = {}
-        self._file: IO[bytes] | None = None
-        self._synced = 0.0
+    header: the first line, which says what sweep the file belongs to. resume: as for `sweep`.
+    """
+    if path is None:
+        yield {}, lambda row: None
+        return
+    try:
+        # not truncated by opening it: another sweep may be at it
+        file = open(path, "a+b")  # noqa: SIM115
+    except OSError as error:
+        raise ArgumentError(f"file: {path} cannot be written: {error}") from error
+    synced = 0.0
 
-    def __enter__(self) -> RowFile:
-        try:
-            # not truncated by opening it: another sweep may be at it
-            self._file = open(self.path, "a+b")
-        except OSError as error:
-            raise ArgumentError(f"file: {self.path} cannot be written: {error}") from error
-        try:
-            _lock(self._file, self.path)
-            self._begin()
-        except BaseException:
-            self._file.close()
-            raise
-        return self
+    def write(entry: Row) -> None:
+        nonlocal synced
+        file.write(json.dumps(entry).encode() + b"\n")
+        file.flush()
+        if time.monotonic() - synced > _SYNC_SECONDS:
+            synced = time.monotonic()
+            os.fsync(file.fileno())
 
-    def __exit__(self, *_: object) -> None:
-        if self._file is not None:
-            self._file.close()
+    with file:
+        _lock(file, path)
+        old, rows, end = read_rows(path) if file.tell() > 0 else ({}, {}, 0)
+        if old and resume is not False:
+            if resume is True:
+                _compare(path, old, header)
+            # what a crash has cut short
+            file.truncate(end)
+        else:
+            rows = {}
+            file.truncate(0)
+            write(header)
+        yield rows, write
 
-    def _begin(self) -> None:
-        assert self._file is not None
-        if self._file.tell() > 0:
-            header, rows, end = read_rows(self.path)
-            if header and self._resume is not False:
-                if self._resume is True:
-                    self._compare(header)
-                self.rows = rows
-                # what a crash has cut short
-                self._file.truncate(end)
-                return
-            self._file.truncate(0)
-        self._write(self._header)
 
-    def _compare(self, header: Row) -> None:
-        what = {"names": "the parameters' names", "fingerprint": "build or measure", "version": "the package's version"}
-        for key, text in what.items():
-            old, new = header.get(key), self._header[key]
-            if old != new and not (key == "names" and not new):
-                raise ArgumentError(
-                    f"file: {self.path} holds {header['build']} and {text} have changed since (from {old} to {new}); "
-                    "take another file, resume=False to begin anew or resume='anyway' to keep its rows"
-                )
-
-    def append(self, row: Row) -> None:
-        self._write(row)
-
-    def _write(self, entry: Row) -> None:
-        assert self._file is not None
-        self._file.write(json.dumps(entry).encode() + b"\n")
-        self._file.flush()
-        now = time.monotonic()
-        if now - self._synced > _SYNC_SECONDS:
-            self._synced = now
-            os.fsync(self._file.fileno())
+def _compare(path: Path, old: Row, new: Row) -> None:
+    what = {"names": "the parameters' names", "fingerprint": "build or measure", "version": "the package's version"}
+    for key, text in what.items():
+        if old.get(key) != new[key] and not (key == "names" and not new[key]):
+            raise ArgumentError(
+                f"file: {path} holds {old['build']} and {text} have changed since (from {old.get(key)} to {new[key]}); "
+                "take another file, resume=False to begin anew or resume='anyway' to keep its rows"
+            )
 
 
 def _lock(file: IO[bytes], path: Path) -> None:

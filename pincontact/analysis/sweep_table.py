@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -192,20 +193,15 @@ class SweepTable(Sequence[Row]):
 def _column(values: list[Any]) -> np.ndarray:
     """An array of the narrowest kind that holds the values, None being NaN among numbers and "" among texts."""
     present = [value for value in values if value is not None]
-    if all(isinstance(value, str) for value in present) and present:
-        return np.array(["" if value is None else value for value in values])
-    if all(isinstance(value, bool) for value in present) and len(present) == len(values):
-        return np.array(values, dtype=bool)
-    try:
-        arrays = [np.asarray(value) for value in present]
-        kinds = {array.dtype.kind for array in arrays}
-        if kinds <= set("biuf") and len({array.shape for array in arrays}) <= 1:
-            whole = kinds <= set("biu") and len(present) == len(values)
-            blank = np.full(arrays[0].shape if arrays else (), math.nan)
-            full = [blank if value is None else np.asarray(value) for value in values]
-            return np.array(full, dtype=np.int64 if whole else float).reshape(len(values), *blank.shape)
-    except (ValueError, OverflowError):
-        pass
+    whole = len(present) == len(values)
+    if present and all(isinstance(value, str) for value in present):
+        return np.array([value or "" for value in values])
+    with suppress(ValueError, OverflowError):
+        blank = np.full(np.shape(present[0]) if present else (), math.nan)
+        found = np.array([blank if value is None else value for value in values])
+        if found.dtype.kind in "biuf":
+            kind = bool if found.dtype.kind == "b" else np.int64 if found.dtype.kind in "iu" and whole else float
+            return found.astype(kind).reshape(len(values), *blank.shape)
     out = np.empty(len(values), dtype=object)
     out[:] = values
     return out

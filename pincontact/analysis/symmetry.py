@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import SingularContactError, SolverError, StateError
-from .instant import ABOVE_NOISE, Instant, derivative
+from .instant import ABOVE_NOISE, Instant, derivative, jacobian
 
 # Random states at which a symmetry must hold, and how far they are from the given one.
 _SAMPLES = 3
@@ -44,20 +44,13 @@ class Brackets:
     """
 
     def __init__(self, model: pin.Model) -> None:
-        nv = model.nv
-        self.constants = np.zeros((nv, nv, nv))
-        q = pin.neutral(model)
-        for j, unit in enumerate(np.eye(nv)):
-            rate, _ = derivative(lambda h, x=unit: pin.dIntegrate(model, q, h * x, pin.ArgumentPosition.ARG0), 0.5)  # type: ignore[misc]
-            self.constants[:, j, :] = -np.round(rate)
+        q, unit = pin.neutral(model), np.eye(model.nv)
+        rates, _ = jacobian(lambda x: pin.dIntegrate(model, q, x, pin.ArgumentPosition.ARG0), unit, [0.5] * model.nv)
+        self.constants = -np.round(rates).swapaxes(1, 2)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """(nv, nv) matrix of y -> [x, y]."""
         return np.einsum("ijk,j->ik", self.constants, x)
-
-    def twisting(self) -> np.ndarray:
-        """Indices of the coordinates that do not commute with all others."""
-        return np.flatnonzero(np.abs(self.constants).sum(axis=(0, 1)))
 
 
 @dataclass(frozen=True)
@@ -121,8 +114,8 @@ def find_symmetries(instant: Instant) -> Symmetries:
     model, nv = instant.model, instant.system.nv
     rng = np.random.default_rng(20070815)
     brackets = Brackets(model)
-    # where the group commutes the right part is the left one
-    rights = brackets.twisting()
+    # of the coordinates that do not commute with all others: elsewhere the right part is the left one
+    rights = np.flatnonzero(np.abs(brackets.constants).sum(axis=(0, 1)))
     blocks: list[np.ndarray] = []
     noise = 0.0
     spread = _SPREAD
@@ -171,27 +164,17 @@ def _defects(
     normals, speeds = instant.rows(holonomic), instant.velocities(holonomic)
     scale = max(1.0, float(np.abs(a).max(initial=0.0)))
     transport = pin.dIntegrate(model, instant.q, pin.difference(model, instant.q, q), pin.ArgumentPosition.ARG0)
-    columns, errors = [], [0.0]
-    for index in range(nv + rights.size):
-        dv, expected = np.zeros(nv), np.zeros(nv)
-        if index < nv:
-            dq = transport[:, index]
-        else:
-            dq = np.zeros(nv)
-            dq[rights[index - nv]] = 1.0
-            dv, expected = brackets(v) @ dq, brackets(a) @ dq
-        step = instant.step_along(dq, dv, q, v)
+    turned = np.eye(nv)[:, rights]
+    dq = np.hstack([transport, turned])
+    dv, expected = (np.hstack([np.zeros((nv, nv)), brackets(x) @ turned]) for x in (v, a))
 
-        def moved(h: float, dq: np.ndarray = dq, dv: np.ndarray = dv) -> np.ndarray:
-            return instant.evaluate(instant.moved(h * dq, q), v + h * dv)
-
-        change, error = derivative(moved, step, _LEVELS)
-        errors.append(error / scale)
-        columns.append(np.concatenate([normals @ dq, (change - expected) / scale]))
-    aging = np.zeros(nv)
+    changes = np.vstack([dq, dv])
+    steps = [instant.step_along(change, q, v) for change in changes.T]
+    change, errors = jacobian(lambda x: instant.varied(x, q, v), changes, steps, _LEVELS)
+    aging, error = np.zeros(nv), 0.0
     if instant.driven():
         aging, error = derivative(lambda h: instant.evaluate(q, v, t=instant.t + h), _TIME_STEP)
-        errors.append(error / scale)
     # what of the normal velocities the drives make
-    columns.append(np.concatenate([speeds - normals @ v, aging / scale]))
-    return np.column_stack(columns), float(np.linalg.norm(errors))
+    by_time = np.concatenate([speeds - normals @ v, aging / scale])
+    block = np.vstack([normals @ dq, (change - expected) / scale])
+    return np.column_stack([block, by_time]), float(np.linalg.norm([*errors, error])) / scale

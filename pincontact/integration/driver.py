@@ -106,7 +106,7 @@ class Driver:
     """Integrates one system from the state in `system.state`.
 
     record(t): called for outputs outside compiled steps, with the state in the system. flush(): makes room for the rows
-    that compiled steps write. progress(t): called now and then, or None.
+    that compiled steps write. progress(t): an attribute that is called now and then, or None.
     """
 
     def __init__(
@@ -117,14 +117,14 @@ class Driver:
         record: Callable[[float], None],
         flush: Callable[[], None],
         options: Options,
-        progress: Callable[[float], None] | None = None,
     ) -> None:
         self.rk, self.system, self.transitions = rk, rk.system, transitions
         self.locator = EventLocator(rk, transitions.penetration.depths, transitions.open)
         self.users = UserEvents(rk, users)
         self.outputs = Outputs(rk, record, flush, options.t_eval, options.pieces)
         transitions.onset.emit = self.outputs.write_short_step
-        self.options, self.progress = options, progress
+        self.options = options
+        self.progress: Callable[[float], None] | None = None
         self._doubts = 0
         # s: how long slip went on that has just begun
         self._age = 0.0

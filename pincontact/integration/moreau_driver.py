@@ -28,7 +28,7 @@ class MoreauDriver:
     """A run of constant steps, with outputs and users' events.
 
     record(t): called for outputs outside compiled steps, with the state in the system. flush(): makes room for rows
-    that compiled steps write. torque: see `MoreauStep.ask`; progress(t): called now and then, or None.
+    that compiled steps write. torque: see `MoreauStep.ask`; progress(t): an attribute, called now and then, or None.
     t_eval: output times in s, None for every step. breakpoints: times in s, in order within the run, at which steps
     end.
     """
@@ -43,13 +43,13 @@ class MoreauDriver:
         t_eval: np.ndarray | None,
         max_steps: int,
         torque: Torque | None,
-        progress: Callable[[float], None] | None,
         breakpoints: Sequence[float] = (),
     ) -> None:
         self.breakpoints, self._earlier_steps = breakpoints, 0
         self.step, self.system, self.users = step, step.system, users
         self.record, self.flush, self.size, self.max_steps = record, flush, size, max_steps
-        self.torque, self.progress = torque, progress
+        self.torque = torque
+        self.progress: Callable[[float], None] | None = None
         self.events: list[Event] = []
         self.system.set_output_times(t_eval)
 

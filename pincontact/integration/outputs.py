@@ -6,12 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..layout import OK
-from .contradictions import projection_failure
-from .pieces import Pieces
+from .pieces import Pieces, write_outputs
 from .results import STEP_TOO_SMALL, Stop
 from .runge_kutta import RungeKutta
-from .steps import BLOCK_FULL, WRITE_OUTPUTS
 
 
 def no_dense_output(t: float) -> Stop:
@@ -70,12 +67,7 @@ class Outputs:
 
     def write_until(self, until: float) -> None:
         """Write the output times up to `until` in the step that was interpolated last."""
-        status = BLOCK_FULL
-        while status == BLOCK_FULL:
-            self.flush()
-            status = self.system.run(WRITE_OUTPUTS, until)
-        if status != OK:
-            raise projection_failure(self.system, until)
+        write_outputs(self.system, until, self.flush)
 
     def write_short_step(self, t: float, step: float) -> None:
         """Write the output times in the last trial step, from t, whatever its size in s."""

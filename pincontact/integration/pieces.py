@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..layout import CHART, OK
+from ..layout import OK
 from .contradictions import projection_failure
 from .steps import BLOCK_FULL, WRITE_OUTPUTS
 
@@ -27,19 +27,19 @@ _ARRAYS = (
     "reference_start",
     "reference_rate",
     "reference_slope",
+    "side_int",
 )
 _SCALARS = ("has_reference", "reference_moves", "reference_time")
 
 
 class Piece(NamedTuple):
     """The interpolant of the step of this size (s) from `start`, which is followed up to `end`, and what else
-    evaluations in it depend on: arrays by name, charts of the contacts' sides, scalars by name."""
+    evaluations in it depend on: arrays and scalars by name."""
 
     start: float
     end: float
     size: float
     arrays: dict[str, np.ndarray]
-    charts: np.ndarray
     scalars: dict[str, float]
 
 
@@ -76,9 +76,8 @@ class Pieces:
             for name, values in last.arrays.items():
                 if np.array_equal(arrays[name], values):
                     arrays[name] = values
-        charts = system.side_int[:, CHART].copy()
         scalars = {name: float(system.scalars[name]) for name in _SCALARS}
-        self._pieces.append(Piece(start, end, size, arrays, charts, scalars))
+        self._pieces.append(Piece(start, end, size, arrays, scalars))
         self._ends.append(end)
 
     def keep_line(self, start: float, end: float, rate: np.ndarray) -> None:
@@ -104,7 +103,6 @@ class Pieces:
         system = self.system
         for name, values in piece.arrays.items():
             getattr(system, name)[...] = values
-        system.side_int[:, CHART] = piece.charts
         for name, value in piece.scalars.items():
             system.scalars[name] = value
         system.scalars["dense_start"], system.scalars["dense_step"] = piece.start, piece.size
@@ -117,11 +115,15 @@ class Pieces:
             self._record(times[i : i + 1], flush)
 
     def _record(self, times: np.ndarray, flush: Callable[[], None]) -> None:
-        system = self.system
-        system.set_output_times(times)
-        status = BLOCK_FULL
-        while status == BLOCK_FULL:
-            flush()
-            status = system.run(WRITE_OUTPUTS, float(times[-1]))
-        if status != OK:
-            raise projection_failure(system, float(system.scalars["next_output"]))
+        self.system.set_output_times(times)
+        write_outputs(self.system, float(times[-1]), flush)
+
+
+def write_outputs(system: RunSystem, until: float, flush: Callable[[], None]) -> None:
+    """Write the outputs up to a time (s) from the interpolant at hand; flush(): makes room for more rows."""
+    status = BLOCK_FULL
+    while status == BLOCK_FULL:
+        flush()
+        status = system.run(WRITE_OUTPUTS, until)
+    if status != OK:
+        raise projection_failure(system, float(system.scalars["next_output"]))

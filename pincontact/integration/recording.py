@@ -22,74 +22,56 @@ def record_row(system, t):
     """Write the state in (Q, V, LOCATION) at t as the next row: t, q, v, tau, works, location, frozen directions,
     redundant forces where they were chosen, torques on body 2 that resist turning where there may be any.
     """
-    sizes, counters = system.sizes, system.counters
+    sizes, index = system.sizes, system.counters.recorded
     nq, nv, nc, nwork = sizes.nq, sizes.nv, sizes.nc, sizes.nwork
-    index = counters.recorded
-    row = system.recorded_reals[index]
-    whole = system.recorded_integers[index]
-    q, v, tau, location = (
-        system.q,
-        system.v,
-        system.tau,
-        flat(system.location),
-    )
-    state = system.stage_state
-    contact_int = system.contact_int
-    contact_real = system.contact_real
-    side_int = system.side_int
-    row[0] = t
-    at = 1
-    for k in range(nq):
-        row[at + k] = q[k]
-    at += nq
-    for k in range(nv):
-        row[at + k] = v[k]
-        row[at + nv + k] = tau[k]
-    at += nv
-    # the forces of limits, dry friction and resistances go with the torques, so that contact forces can be found again
+    row, whole = system.recorded_reals[index], system.recorded_integers[index]
+    modes, force, rows = system.contact_int, system.force, system.rows
     ng, n = system.joint_count[0], count_items(system)
-    modes = system.contact_int
-    limits, joint_real = system.joint_int, system.joint_real
-    force, reference = system.force, system.reference
-    basis, rows = system.basis, system.rows
+    row[0] = t
+    at = _put(row, 1, system.q, nq)
+    at = _put(row, at, system.v, nv)
+    torque = row[at:]
+    at = _put(row, at, system.tau, nv)
+    # the forces of limits, dry friction and resistances go with the torques, so that contact forces can be found again
     for g in range(ng):
-        mode = modes[nc + g, MODE]
+        mode, limit = modes[nc + g, MODE], system.joint_int[g]
         held = force[nc + g, 2] if mode != FREE else 0.0
-        row[at + limits[g, JOINT_V]] += held + dry_friction_force(mode, limits[g], joint_real[g])
+        torque[limit[JOINT_V]] += held + dry_friction_force(mode, limit, system.joint_real[g])
     for i in range(nc + ng, n):
         if modes[i, MODE] != FREE:
             for j in range(modes[i, TANGENTS]):
                 for k in range(nv):
-                    row[at + k] += rows[i, j, k] * force[i, j]
-    at += nv
-    for k in range(nwork):
-        row[at + k] = state[sizes.ny - nwork + k]
-    at += nwork
-    for k in range(4 * nc):
-        row[at + k] = location[k]
-    at += 4 * nc
+                    torque[k] += rows[i, j, k] * force[i, j]
+    at = _put(row, at, system.stage_state[sizes.ny - nwork :], nwork)
+    at = _put(row, at, flat(system.location), 4 * nc)
     for c in range(nc):
-        for k in range(FROZEN_COLUMNS):
-            row[at + k] = contact_real[c, START + k]
-        at += FROZEN_COLUMNS
-        for k in range(CONTACT_INTS):
-            whole[c * INTEGERS_PER_CONTACT + k] = contact_int[c, k]
+        at = _put(row, at, system.contact_real[c, START:], FROZEN_COLUMNS)
+        charts = _put(whole, c * INTEGERS_PER_CONTACT, modes[c], CONTACT_INTS)
         for k in range(2):
-            whole[c * INTEGERS_PER_CONTACT + CONTACT_INTS + k] = side_int[2 * c + k, CHART]
+            whole[charts + k] = system.side_int[2 * c + k, CHART]
     chosen = system.scalars.has_reference
     for c in range(nc):
         for k in range(3):
-            row[at + k] = chosen * reference[c, k]
-        at += 3
+            row[at + 3 * c + k] = chosen * system.reference[c, k]
+    at += 3 * nc
     if n > nc + ng:
+        turning = row[at:]
         for k in range(3 * nc):
-            row[at + k] = 0.0
-    for i in range(nc + ng, n):
-        if modes[i, MODE] != FREE:
-            for j in range(modes[i, TANGENTS]):
-                for k in range(3):
-                    row[at + 3 * modes[i, OWNER] + k] += force[i, j] * basis[i, j, k]
-    counters.recorded = index + 1
+            turning[k] = 0.0
+        for i in range(nc + ng, n):
+            if modes[i, MODE] != FREE:
+                for j in range(modes[i, TANGENTS]):
+                    for k in range(3):
+                        turning[3 * modes[i, OWNER] + k] += force[i, j] * system.basis[i, j, k]
+    system.counters.recorded = index + 1
+
+
+@kernel
+def _put(row, at, values, count):
+    """Write so many values into a row; returns where the next ones begin."""
+    for k in range(count):
+        row[at + k] = values[k]
+    return at + count
 
 
 @kernel

@@ -38,6 +38,16 @@ class RunSystem(System):
         self._few_times = self.scratch("output_times", _FEW_TIMES)
         self.output_times = _NO_TIMES
 
+    def parts(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """q, v, contact coordinates (nc, 4) and works of a state; views."""
+        nq, to, end = self.nq, self.nq + self.nv, self.nq + self.nv + 4 * self.nc
+        return state[:nq], state[nq:to], state[to:end].reshape(self.nc, 4), state[end:]
+
+    def put_state(self, state: np.ndarray, q: np.ndarray, v: np.ndarray | float, location: np.ndarray) -> None:
+        """Write these into a state."""
+        for part, value in zip(self.parts(state), (q, v, location)):
+            part[:] = value
+
     def run(self, task: int, t: float = 0.0, h: float = 0.0) -> int:
         """A task of `steps.run_task`; returns what it does, raises what `check_callbacks` does."""
         return self.checked(run_task(self.address, task, t, h))

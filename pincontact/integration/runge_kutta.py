@@ -109,9 +109,8 @@ class RungeKutta:
     def begin_at(self, q: np.ndarray, v: np.ndarray, location: np.ndarray) -> None:
         """Make (q, v) and the contact coordinates (nc, 4) the state at the step's start, and the next one evaluated."""
         system = self.system
-        end = system.nq + system.nv
-        system.stage_state[: system.nq], system.stage_state[system.nq :] = q, 0.0
-        system.stage_state[end : end + 4 * system.nc] = location.ravel()
+        system.stage_state[:] = 0.0
+        system.put_state(system.stage_state, q, 0.0, location)
         load_state(system.address)
         # to the last bit: there and back again would round
         system.v[:] = v

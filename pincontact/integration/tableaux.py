@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
+import pickle
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from typing import Any
@@ -13,6 +16,7 @@ import numpy as np
 import scipy
 
 from ..errors import ArgumentError
+from ..jit import cache_directory
 from ..layout import DENSE_ROWS, ERROR_ROWS, MAX_STAGES
 from ..workspace import address_of
 from . import sharp98
@@ -226,4 +230,17 @@ def tableau(method: str) -> Tableau:
     """The tableau of a method's name; ArgumentError for an unknown one."""
     if method not in _TABLEAUX:
         raise ArgumentError(f"unknown method {method!r}; one of {', '.join(_TABLEAUX)}, Moreau")
-    return _TABLEAUX[method]()
+    # kept on disk: importing SciPy's integrators takes a sixth of the time in which a first run starts
+    file = cache_directory(_dop853) / f"{method}, SciPy {scipy.__version__}"
+    try:
+        kept: Tableau = pickle.loads(file.read_bytes())
+        return kept
+    except Exception:
+        # not there yet, or what a crash or a full disk has left
+        made = _TABLEAUX[method]()
+    with suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_name(f"{file.name}.{os.getpid()}")
+        part.write_bytes(pickle.dumps(made))
+        part.replace(file)
+    return made

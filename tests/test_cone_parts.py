@@ -214,11 +214,11 @@ def test_a_contact_without_friction_slips_even_at_rest():
 
 def test_directions_turn_by_an_arc():
     direction = np.array([1.0, 0.0, 0.6, 0.8])
-    turn_direction(direction, 1, 3.0, 4.0)
+    assert turn_direction(direction, 1, 3.0, 4.0) == 0.75
     # by atan(arc / radius), to the left
     turned = math.atan2(0.8, 0.6) + math.atan2(3.0, 4.0)
     assert direction == pytest.approx([1.0, 0.0, math.cos(turned), math.sin(turned)], abs=1e-15)
-    turn_direction(direction, 0, 3.0, 0.0)
+    assert turn_direction(direction, 0, 3.0, 0.0) == 0.0
     assert direction[:2].tolist() == [1.0, 0.0]
 
 

@@ -255,6 +255,44 @@ def test_a_quadruped_falls_on_a_floor():
     assert min(run.contacts[name].gap.min() for name in names) > -1e-3
 
 
+def test_a_humanoid_stands_on_a_floor():
+    """Talos, declared in two lines: the lower corners of its soles' boxes, on which stiff joints hold it."""
+    try:
+        share = Path(metadata.distribution("example-robot-data").locate_file("cmeel.prefix/share"))
+    except metadata.PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed: no humanoid stands")
+    folder = share / "example-robot-data" / "robots" / "talos_data"
+    with warnings.catch_warnings():
+        # joints that mimic others, and meshes
+        warnings.simplefilter("ignore")
+        scene = pc.Scene.from_urdf(folder / "robots" / "talos_reduced_box.urdf", floating_base=True, package_dirs=share)
+        scene.add_contours_from_collision(kinds="corners")
+    model = scene.model
+    pin.loadReferenceConfigurations(model, str(folder / "srdf" / "talos.srdf"), False)
+    q = np.array(model.referenceConfigurations["half_sitting"])
+    scene.add_contour("floor", pc.Plane())
+    contacts = scene.add_contacts(*scene.propose_contacts(0.01, q), friction=pc.Coulomb(0.6))
+    soles = {f"leg_{side}_6_link_0_corner_{x}x{y}y-z" for side in ("left", "right") for x in "+-" for y in "+-"}
+    assert {contact.first.name for contact in contacts} == soles
+    state = scene.initial_state(q)
+    stepper, joints = pc.Stepper(scene, state, dt=1e-3), np.arange(model.nv) >= 6
+    stepper.pd(1e4 * joints, 1e3 * joints, state.q)
+
+    def ankles(q):
+        data = model.createData()
+        pin.forwardKinematics(model, data, q)
+        return np.array([data.oMi[model.getJointId(f"leg_{side}_6_joint")].homogeneous for side in ("left", "right")])
+
+    stepper.step(np.zeros(model.nv), 2000)
+    assert (stepper.modes == 1).all()
+    # it sways at some 10 / s and is damped nearly critically: two seconds later it rests, and carries its weight
+    assert np.abs(stepper.v).max() < 1e-3
+    carried = -sum(stepper.forces.values())
+    np.testing.assert_allclose(carried, [0.0, 0.0, 9.81 * pin.computeTotalMass(model)], rtol=0.0, atol=0.5)
+    # soles do not creep
+    np.testing.assert_allclose(ankles(stepper.q), ankles(state.q), rtol=0.0, atol=1e-9)
+
+
 def humanoid():
     """A trunk with two legs of two links and feet of four corners; a ball in the way. Shapes of the links overlap."""
     model = pin.Model()

@@ -1,12 +1,15 @@
 """The sequence of ProxQP programs as the solver of Coulomb's law: its rates, its solutions, and runs that use it."""
 
 import importlib.util
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import reference
+from test_moreau import block_scene
 
 import pincontact as pc
 from pincontact.friction.loads import Loads, LoadSolver
@@ -170,11 +173,54 @@ def test_a_failed_sequence_leaves_everything_as_it_was_and_others_take_over():
     assert solver.program_counts == {"qp": 0, "qp_iterations": 0, "qp_failures": 0}
 
 
-def test_the_same_problem_gives_the_same_bits():
-    problem = dense(np.random.default_rng(8), 8, 20)
-    first, second = alone(), alone()
-    assert first.solve(*problem) and second.solve(*problem)
-    assert first.forces.tobytes() == second.forces.tobytes()
+def _note(ways, forces):
+    ways.append(forces.tobytes())
+
+
+class Inaccurate:
+    """ProxQP with results that differ by as much as they do with the place of its factors in memory."""
+
+    def __init__(self, qp, seed):
+        self._qp, self._rng = qp, np.random.default_rng(seed)
+        self.update, self.solve = qp.update, qp.solve
+
+    @property
+    def results(self):
+        x, z = np.array(self._qp.results.x), np.array(self._qp.results.z)
+        x += 3e-9 * np.abs(x).max() * self._rng.normal(size=x.size)
+        return SimpleNamespace(x=x, z=z * (1.0 + 1e-4 * self._rng.normal(size=z.size)), info=self._qp.results.info)
+
+
+@pytest.mark.parametrize("make", [feet, lambda rng, contacts: dense(rng, contacts, 3 * contacts)])
+def test_the_same_problem_gives_the_same_bits_whatever_digits_proxqp_has(make):
+    """Redundant contacts, too, in whose null space next to nothing decides."""
+    rng = np.random.default_rng(8)
+    for contacts in (4, 8):
+        problem, found = make(rng, contacts), set()
+        for seed in range(20):
+            forces, ways, programs = np.zeros(3 * contacts), [], ConePrograms(contacts)
+            programs._qp = Inaccurate(programs._qp, seed)
+            programs.solve(*problem, forces, False, partial(_note, ways, forces), programs=4)
+            found.add(tuple(ways))
+        assert len(found) == 1
+        assert len(set(ways)) > 6
+
+
+def test_steppers_go_on_alike_wherever_in_memory():
+    """Feet that stick and slip, of which some steps have several solutions: the last bit of a program decides."""
+    scene, state = block_scene(0.3)
+    torques = np.random.default_rng(0).normal(size=(90, 6))
+    stepper = pc.Stepper(scene, state, contact_solver="proxqp")
+    stepper.rollout(torques[:60])
+    # memory is given out in multiples of 16 bytes, of which vector instructions take four at once
+    twins, padding = [], []
+    for i in range(8):
+        padding.append(np.zeros(2 * i + 1))
+        twins.append(stepper.copy())
+        twins[-1].step(torques[60])
+    ends = {twin.rollout(torques[61:])[1].tobytes() for twin in twins}
+    assert len(ends) == 1
+    assert stepper._step.stats["qp"] > 60
 
 
 def test_other_names_are_refused():
@@ -220,9 +266,9 @@ def test_a_block_on_four_feet_moves_as_it_does_otherwise(method, duration, heigh
     usual, run = runs["auto"], runs["proxqp"]
     assert run.success and usual.success
     np.testing.assert_allclose(run.t, usual.t, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(run.q, usual.q, rtol=0.0, atol=1e-9)
-    # how feet that slide share the load is found to 1e-9 from the last step's directions, which are a step old
-    np.testing.assert_allclose(run.v, usual.v, rtol=0.0, atol=5e-9)
+    np.testing.assert_allclose(run.q, usual.q, rtol=0.0, atol=1e-12)
+    # how feet that slide share the load is a matter of choice, made to round-off in both
+    np.testing.assert_allclose(run.v, usual.v, rtol=0.0, atol=1e-12)
     stats = run.stats
     assert usual.stats["qp"] == usual.stats["qp_iterations"] == 0
     assert stats["qp_failures"] == 0

@@ -272,14 +272,14 @@ def classify(mu, f, u, modes):
 
 @kernel
 def turn_direction(direction, i, arc, radius):
-    """Turn the direction in row i by an arc."""
-    if radius > 0.0:
-        d1 = direction[2 * i]
-        d2 = direction[2 * i + 1]
-        turn = arc / radius
-        norm = sqrt(1.0 + turn * turn)
-        direction[2 * i] = (d1 - turn * d2) / norm
-        direction[2 * i + 1] = (d2 + turn * d1) / norm
+    """Turn the direction in row i by an arc; returns the angle's tangent."""
+    turn = arc / radius if radius > 0.0 else 0.0
+    d1 = direction[2 * i]
+    d2 = direction[2 * i + 1]
+    norm = sqrt(1.0 + turn * turn)
+    direction[2 * i] = (d1 - turn * d2) / norm
+    direction[2 * i + 1] = (d2 + turn * d1) / norm
+    return abs(turn)
 
 
 @kernel

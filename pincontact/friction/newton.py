@@ -30,9 +30,12 @@ from .redundant import has_factors, low_rank_solve, move_inside, turn_slips
 ROUND_OFF = 1e-14
 # A slip speed this far below zero (scaled) turns slip into stick; less is round-off on a redundant contact.
 SPEED_TOLERANCE = 1e-12
+# Redundant forces are chosen once more where slips have turned by more than this (rad) since: at once if that is less
+# than this part of the turn before, else when all is solved and so many passes are left.
+SETTLED, SETTLING, SPARE = 1e-11, 0.5, 3
 # Relative changes of the forces above this are a new choice among redundant forces, below it a refinement.
 REFINEMENT = 1e-2
-# A pass that leaves more than this part of the residual does not converge any more.
+# A refinement that leaves more than this part of the residual does not converge any more.
 STALLED = 0.5
 # Directions tried in the scan for a single contact's slip; the function scanned has four zeros at most.
 SCAN = 64
@@ -95,7 +98,8 @@ def newton_step(cone, g, c, mu, modes, f, u, refine, near, start, rank):
     Unknown are f at sticking contacts and, at slipping ones, the length of the force and its turning (as an arc).
     With refine false the forces solved for have least norm; with refine true their change has. near: where these leave
     the cones they are moved inside, near to start (3n,). rank: of the matrix factors in `redundant`, or 0.
-    Returns how many directions there are in which the forces may change, and whether they were moved.
+    Returns how many directions there are in which the forces may change, whether they were moved, and the largest
+    tangent of an angle by which slips have turned.
     """
     direction, length, speed, sine, cosine = cone.direction, cone.length, cone.speed, cone.sine, cone.cosine
     x, aim, first, arc = cone.x, cone.row, cone.first, cone.arc
@@ -111,7 +115,7 @@ def newton_step(cone, g, c, mu, modes, f, u, refine, near, start, rank):
     if first[n] == 0:
         for k in range(3 * n):
             f[k] = 0.0
-        return first[n], False
+        return first[n], False, 0.0
 
     source = u if refine else c
     factored = has_factors(rank, first[n], mu, modes, length, speed, sine)
@@ -146,16 +150,18 @@ def newton_step(cone, g, c, mu, modes, f, u, refine, near, start, rank):
         turn_slips(cone, rank, source, mu, modes, f, refine)
     for k in range(3 * n):
         f[k] = aim[k]
+    turned = 0.0
     for i in range(n):
         if modes[i] == SLIP:
             k = 3 * i
             row = first[i]
             if mu[i] > 0.0:
-                turn_direction(direction, i, arc[i] if factored else x[row + 1], sine[i] * length[i] + speed[i])
+                along = arc[i] if factored else x[row + 1]
+                turned = max(turned, turn_direction(direction, i, along, sine[i] * length[i] + speed[i]))
             length[i] = x[row]
             f[k] = -sine[i] * length[i] * direction[2 * i]
             f[k + 1] = -sine[i] * length[i] * direction[2 * i + 1]
-    return free, moved
+    return free, moved, turned
 
 
 @kernel
@@ -324,7 +330,7 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
         slipping = False
         for i in range(n):
             slipping = slipping or modes[i] == SLIP
-        refine = attempts == 1 or near == 1
+        given = refine = attempts == 1 or near == 1
         if slipping or refine:
             respond(g, c, f, u, size, cone.x)
         start_slips(cone, mu, modes, f, u)
@@ -333,9 +339,10 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
         again = False
         # whether forces are not those of least norm in the present modes
         follows = refine
+        turned, last_turn = 0.0, HUGE
         for k in range(passes):
             before = residual
-            open_directions, moved = newton_step(cone, g, c, mu, modes, f, u, refine, near > 0, start, rank)
+            open_directions, moved, turn = newton_step(cone, g, c, mu, modes, f, u, refine, near > 0, start, rank)
             follows = (follows and refine) or moved
             if near > 0 and open_directions == 0:
                 # nothing to choose
@@ -345,8 +352,13 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
                     break
             respond(g, c, f, u, size, cone.x)
             residual = natural_map_residual(mu, f, u, size)
-            stalled = residual > STALLED * before
-            if residual <= ROUND_OFF:
+            stalled = refine and residual > STALLED * before
+            # whether the choice was made for slips in other directions
+            turned = turned + turn if refine else turn
+            stale = not given and open_directions > 0 and turned > SETTLED and k + SPARE < passes
+            stale = stale and (residual <= ROUND_OFF or turned <= SETTLING * last_turn)
+            last_turn = turned
+            if residual <= ROUND_OFF and not stale:
                 return residual, k + 1, attempts, open_directions, follows
             if not residual < HUGE:
                 break
@@ -357,9 +369,9 @@ def active_set_solve(cone, g, c, mu, modes, f, u, passes, tolerance, near, touch
             if attempts == 0 and changes > 0 and open_directions > 0 and not (near > 0 and residual <= tolerance):
                 again = True
                 break
-            if changes == 0 and stalled and refine:
+            if changes == 0 and stalled:
                 break
-            refine = attempts == 1 or near > 0 or (changes == 0 and residual < REFINEMENT)
+            refine = given or (not stale and (near > 0 or (changes == 0 and residual < REFINEMENT)))
         if residual <= tolerance:
             return residual, passes, attempts, open_directions, follows
         if near > 0 or closed:

@@ -21,8 +21,9 @@ was the best of all values tried.
 Four things make the sequence converge in practice.
 
     facets      ProxQP takes linear constraints: each disk is the square around it that touches it in the direction of
-                the last force. The disk's curvature times its multiplier, slip speed over radius, is in the Hessian,
-                so that the forces turn as they do in Newton's method for the disks (sequential quadratic programming).
+                the last force, bounds of the components along and across. The disk's curvature times its multiplier,
+                slip speed over radius, is in the Hessian, so that the forces turn as they do in Newton's method for the
+                disks (sequential quadratic programming).
     proximal    A term that pulls to the last forces makes singular matrices definite and far steps shorter, as the
                 damping of a Levenberg-Marquardt method does. It shrinks with the natural-map residual of these
                 (`cone.natural_map_residual`), to a size that only matters where forces are redundant.
@@ -30,6 +31,10 @@ Four things make the sequence converge in practice.
                 it is made, and more again where it does not.
     series      From the second beginning on, changes in one direction are summed as a geometric series (Aitken). Its
                 limit is behind where the changes grow: a fixed point that the sequence alone would leave.
+
+Of ProxQP's results only that counts which bounds are reached; the forces are computed again from these. In directions
+of redundant forces, where only the proximal term decides, its accuracy says little, and its last digits depend on where
+in memory its factors happen to be. So the same problem gives the same bits.
 
 Nothing of this has to converge to the end: after each program Newton's method (`newton`) is tried from its forces, in
 the modes that these and their velocities suggest. What it ends at is the solution if its natural-map residual is within
@@ -53,6 +58,7 @@ import numpy as np
 
 from ..arrays import view
 from ..jit import REAL, SEVERAL, entry_kernel, kernel
+from ..linalg import factor_definite, inner, solve_definite
 from .cone import HUGE, LARGEST_FRICTION, natural_map_residual, respond, scale_problem
 
 # Programs per beginning, and the beginnings: how much of the normal forces that contacts would have alone, the proximal
@@ -69,14 +75,19 @@ BACKWARDS, LESS, MORE, LEAST_STEP = -0.2, 0.6, 1.2, 0.1
 REACH = 30.0
 # Scaled forces beyond this have left for infinity, where no solution is.
 ESCAPED = 1e6
-# ProxQP's accuracy, and binary digits of the forces that are passed on: its last ones depend on where in memory it is.
+# ProxQP's accuracy, and binary digits of the forces that are passed on: where force and multiplier of a bound are zero,
+# either answer may come, and they agree to fewer digits than all.
 ACCURACY, GRAIN_BITS = 1e-6, 26
+# Corrections of the bounds that it has found, and multipliers of the wrong sign that are round-off: those of redundant
+# forces are as small as its accuracy.
+CORRECTIONS, PULLS = 10, 1e-14
 # A degenerate program can keep ProxQP busy for seconds; one that needs more than this is better left.
 ITERATIONS = 100
-# Rows of `_vectors` (7, 3n): b, forces and velocities without units; the unit of the forces; the last program's forces,
-# the last change, and scratch. Entries of `_state`: residual of the forces, relaxation, largest force found, and what
-# belongs to the beginning.
-C, F, U, UNIT, FOUND, CHANGE, SCRATCH = range(7)
+# Rows of `_vectors` (8, 3n): b, forces and velocities without units; the unit of the forces; the last program's forces
+# and multipliers, the last change, scratch. Of `_scalars` (4, n): scale, scratch, directions of the squares. Entries of
+# `_state`: residual of the forces, relaxation, largest force found, and what belongs to the beginning.
+C, F, U, UNIT, FOUND, MULTIPLIERS, CHANGE, SCRATCH = range(8)
+SCALE, SIZE, ALONG = range(3)
 RESIDUAL, STEP, LARGEST, PULL, ONWARDS = range(5)
 
 
@@ -92,12 +103,12 @@ class ConePrograms:
         rows = 3 * contacts
         self.programs = self.iterations = self.failures = 0
         self._scaled = np.eye(rows)
-        self._vectors = np.zeros((7, rows))
-        self._scalars = np.zeros((2, contacts))
+        self._vectors = np.zeros((8, rows))
+        self._scalars = np.zeros((4, contacts))
         self._state = np.zeros(5)
-        self._hessian, self._gradient = np.eye(rows), np.zeros(rows)
-        self._facets, self._lower, self._upper = np.zeros((rows, rows)), np.zeros(rows), np.full(rows, 1e20)
-        self._qp: Any = proxqp.dense.QP(rows, 0, rows)
+        self._hessian, self._factor, self._gradient = np.eye(rows), np.eye(rows), np.zeros(rows)
+        self._lower, self._upper = np.zeros(rows), np.full(rows, 1e20)
+        self._qp: Any = proxqp.dense.QP(rows, 0, 0, box_constraints=True)
         settings = self._qp.settings
         settings.eps_abs = ACCURACY
         settings.eps_rel = 0.0
@@ -105,7 +116,7 @@ class ConePrograms:
         # Starting from the previous result is slower and fails more often: another facet is active.
         settings.initial_guess = proxqp.InitialGuess.EQUALITY_CONSTRAINED_INITIAL_GUESS
         settings.compute_preconditioner = False
-        self._qp.init(self._hessian, self._gradient, None, None, self._facets, self._lower, self._upper)
+        self._qp.init(self._hessian, self._gradient, None, None, None, None, None, self._lower, self._upper)
 
     @property
     def counts(self) -> tuple[int, int, int]:
@@ -146,25 +157,23 @@ class ConePrograms:
 
     def _solve_program(self, mu: np.ndarray, forces: np.ndarray) -> bool:
         """Put the forces of the program around the last ones into forces (3n,); False if they are not finite."""
-        write_program(
-            mu, self._scaled, self._vectors, self._state,
-            self._hessian, self._gradient, self._facets, self._lower, self._upper,
-        )  # fmt: skip
+        program = self._hessian, self._gradient, self._lower, self._upper
+        write_program(mu, self._scaled, self._vectors, self._scalars, self._state, *program)
         qp = self._qp
-        qp.update(H=self._hessian, g=self._gradient, C=self._facets, l=self._lower, u=self._upper)
+        qp.update(H=self._hessian, g=self._gradient, l_box=self._lower, u_box=self._upper)
         qp.solve()
         self.programs += 1
         self.iterations += int(qp.results.info.iter)
-        self._vectors[FOUND] = qp.results.x
-        round_forces(forces, self._vectors, self._state)
+        self._vectors[FOUND], self._vectors[MULTIPLIERS] = qp.results.x, qp.results.z
+        take_forces(forces, self._vectors, self._scalars, self._state, *program, self._factor)
         return bool(self._state[LARGEST] <= ESCAPED)
 
 
 @kernel
 def weigh(g, mu, vectors, scalars, state):
     """Velocities and residual of the forces in the vectors."""
-    respond(g, vectors[C], vectors[F], vectors[U], scalars[1], vectors[SCRATCH])
-    state[RESIDUAL] = natural_map_residual(mu, vectors[F], vectors[U], scalars[1])
+    respond(g, vectors[C], vectors[F], vectors[U], scalars[SIZE], vectors[SCRATCH])
+    state[RESIDUAL] = natural_map_residual(mu, vectors[F], vectors[U], scalars[SIZE])
 
 
 @kernel
@@ -189,15 +198,15 @@ def begin_programs(delassus, b, mu, forces, share, pull, onwards, scaled, vector
 
     share: below zero they are forces (3n,), else that much of the normal forces that contacts would have alone.
     pull, onwards: see `BEGINNINGS`.
-    scaled (3n, 3n), vectors (7, 3n), scalars (2, n), state (5,): output, see `ConePrograms`.
+    scaled (3n, 3n), vectors (8, 3n), scalars (4, n), state (5,): output, see `ConePrograms`.
     """
     delassus, b, mu, forces = view(delassus), view(b), view(mu), view(forces)
     g, vectors, scalars, state = view(scaled), view(vectors), view(scalars), view(state)
     n = mu.shape[0]
-    largest = scale_problem(delassus, b, n, g, vectors[C], scalars[0], vectors[SCRATCH])
+    largest = scale_problem(delassus, b, n, g, vectors[C], scalars[SCALE], vectors[SCRATCH])
     for i in range(n):
         for k in range(3 * i, 3 * i + 3):
-            vectors[UNIT, k] = scalars[0, i] * largest
+            vectors[UNIT, k] = scalars[SCALE, i] * largest
             vectors[F, k] = forces[k] / vectors[UNIT, k] if share < 0.0 else 0.0
             vectors[CHANGE, k] = 0.0
         k = 3 * i + 2
@@ -207,70 +216,121 @@ def begin_programs(delassus, b, mu, forces, share, pull, onwards, scaled, vector
     weigh(g, mu, vectors, scalars, state)
 
 
+@kernel
+def turn_pairs(scalars, x, backwards):
+    """Components of each contact (3n,) along and across its direction in place of the first two, or backwards."""
+    for i in range(scalars.shape[1]):
+        k = 3 * i
+        d1 = scalars[ALONG, i]
+        d2 = -scalars[ALONG + 1, i] if backwards else scalars[ALONG + 1, i]
+        first = x[k]
+        x[k] = d1 * first + d2 * x[k + 1]
+        x[k + 1] = d1 * x[k + 1] - d2 * first
+
+
 @entry_kernel(
-    REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[::1], REAL[:, ::1], REAL[::1], REAL[:, ::1], REAL[::1], REAL[::1],
+    REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[::1], REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1],
     when=SEVERAL,
 )  # fmt: skip
-def write_program(mu, scaled, vectors, state, hessian, gradient, facets, lower, upper):
-    """The program around forces f and velocities u: min x' H x / 2 + g' x with lower <= facets x <= upper.
+def write_program(mu, scaled, vectors, scalars, state, hessian, gradient, lower, upper):
+    """The program around forces f and velocities u: min x' H x / 2 + g' x with lower <= x <= upper.
 
-    Three rows for each contact: along the last force, across it, and the normal force, which is not negative.
-    hessian (3n, 3n), gradient (3n,), facets (3n, 3n; zero outside the contacts' blocks), lower, upper (3n,): output.
+    Three variables for each contact: the force along the last one's direction in the tangent plane, across it, and the
+    normal force, which is not negative.
+    hessian (3n, 3n), gradient, lower, upper (3n,), and the directions in scalars: output.
     """
-    mu, g, vectors, state = view(mu), view(scaled), view(vectors), view(state)
-    hessian, gradient, facets, lower, upper = view(hessian), view(gradient), view(facets), view(lower), view(upper)
-    c = vectors[C]
+    mu, g, vectors, scalars, state = view(mu), view(scaled), view(vectors), view(scalars), view(state)
+    hessian, gradient, lower, upper = view(hessian), view(gradient), view(lower), view(upper)
     f = vectors[F]
     u = vectors[U]
+    n = mu.shape[0]
     proximal = max(state[PULL] * min(state[RESIDUAL], 1.0), LEAST_PROXIMAL)
-    for r in range(c.shape[0]):
-        for j in range(c.shape[0]):
-            hessian[r, j] = g[r, j]
-        hessian[r, r] += proximal
-        gradient[r] = c[r] - proximal * f[r]
-    for i in range(mu.shape[0]):
+    for i in range(n):
         k = 3 * i
-        radius = min(mu[i], LARGEST_FRICTION) * max(f[k + 2], 0.0)
         d1 = -f[k]
         d2 = -f[k + 1]
-        length = sqrt(d1 * d1 + d2 * d2)
-        if length == 0.0:
+        if d1 == 0.0 and d2 == 0.0:
             d1 = u[k]
             d2 = u[k + 1]
         norm = sqrt(d1 * d1 + d2 * d2)
-        d1 = d1 / norm if norm > 0.0 else 1.0
-        d2 = d2 / norm if norm > 0.0 else 0.0
+        scalars[ALONG, i] = d1 / norm if norm > 0.0 else 1.0
+        scalars[ALONG + 1, i] = d2 / norm if norm > 0.0 else 0.0
+    for k in range(3 * n):
+        for j in range(3 * n):
+            hessian[k, j] = g[k, j]
+        hessian[k, k] += proximal
+        gradient[k] = vectors[C, k] - proximal * f[k]
+        turn_pairs(scalars, hessian[k], False)
+    turn_pairs(scalars, gradient, False)
+    for i in range(n):
+        k = 3 * i
+        d1 = scalars[ALONG, i]
+        d2 = scalars[ALONG + 1, i]
+        for j in range(3 * n):
+            first = hessian[k, j]
+            hessian[k, j] = d1 * first + d2 * hessian[k + 1, j]
+            hessian[k + 1, j] = d1 * hessian[k + 1, j] - d2 * first
+        length = sqrt(f[k] * f[k] + f[k + 1] * f[k + 1])
         if length > 0.0:
-            curvature = min(max(d1 * u[k] + d2 * u[k + 1], 0.0) / length, CURVATURE)
-            hessian[k, k] += curvature * d2 * d2
-            hessian[k, k + 1] -= curvature * d1 * d2
-            hessian[k + 1, k] -= curvature * d1 * d2
-            hessian[k + 1, k + 1] += curvature * d1 * d1
-        facets[k, k] = d1
-        facets[k, k + 1] = d2
-        facets[k + 1, k] = -d2
-        facets[k + 1, k + 1] = d1
-        facets[k + 2, k + 2] = 1.0
-        for r in range(k, k + 2):
-            lower[r] = -radius
-            upper[r] = radius
+            hessian[k + 1, k + 1] += min(max(d1 * u[k] + d2 * u[k + 1], 0.0) / length, CURVATURE)
+        upper[k] = upper[k + 1] = min(mu[i], LARGEST_FRICTION) * max(f[k + 2], 0.0)
+        lower[k] = lower[k + 1] = -upper[k]
 
 
-@entry_kernel(REAL[::1], REAL[:, ::1], REAL[::1], when=SEVERAL)
-def round_forces(forces, vectors, state):
-    """Forces (3n,) with units of what a program has found, without the digits in which its results differ."""
-    forces, vectors, state = view(forces), view(vectors), view(state)
+@entry_kernel(
+    REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[::1], REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL[:, ::1],
+    when=SEVERAL,
+)  # fmt: skip
+def take_forces(forces, vectors, scalars, state, hessian, gradient, lower, upper, factor):
+    """Forces (3n,) with units from the bounds that a program's result has reached; factor (3n, 3n): scratch.
+
+    A bound is reached where its multiplier is larger than what is left to it. The other variables follow from these;
+    where they leave their bounds, or a bound would have to pull, that is corrected.
+    """
+    forces, vectors, scalars, state = view(forces), view(vectors), view(scalars), view(state)
+    hessian, gradient, lower, upper = view(hessian), view(gradient), view(lower), view(upper)
+    factor = view(factor)
     found = vectors[FOUND]
+    reached = vectors[MULTIPLIERS]
+    x = vectors[SCRATCH]
+    rows = found.shape[0]
+    for k in range(rows):
+        multiplier = reached[k]
+        reached[k] = 1.0 if multiplier >= upper[k] - found[k] else (-1.0 if -multiplier >= found[k] - lower[k] else 0.0)
+    for _ in range(CORRECTIONS):
+        for k in range(rows):
+            x[k] = -gradient[k] if reached[k] == 0.0 else (upper[k] if reached[k] > 0.0 else lower[k])
+        for k in range(rows):
+            for j in range(rows):
+                apart = reached[k] != 0.0 or reached[j] != 0.0
+                factor[k, j] = (1.0 if j == k else 0.0) if apart else hessian[k, j]
+                if reached[k] == 0.0 and reached[j] != 0.0:
+                    x[k] -= hessian[k, j] * x[j]
+        factor_definite(factor, rows)
+        solve_definite(factor, rows, x)
+        changed = False
+        for k in range(rows):
+            bound = reached[k]
+            if bound != 0.0 and bound * (gradient[k] + inner(hessian[k], x, rows)) > PULLS:
+                reached[k] = 0.0
+            elif bound == 0.0 and not lower[k] <= x[k] <= upper[k]:
+                reached[k] = 1.0 if x[k] > upper[k] else -1.0
+            changed = changed or bound != reached[k]
+        if not changed:
+            break
     largest = 0.0
-    for k in range(found.shape[0]):
-        if not abs(found[k]) < HUGE:
+    for k in range(rows):
+        found[k] = min(max(x[k], lower[k]), upper[k])
+        if not abs(x[k]) < HUGE:
             state[LARGEST] = HUGE
             return
         largest = max(largest, abs(found[k]))
     state[LARGEST] = largest
     grain = ldexp(1.0, frexp(largest)[1] - GRAIN_BITS)
-    for k in range(found.shape[0]):
+    for k in range(rows):
         found[k] = grain * floor(found[k] / grain + 0.5)
+    turn_pairs(scalars, found, True)
+    for k in range(rows):
         forces[k] = found[k] * vectors[UNIT, k]
 
 

@@ -10,8 +10,7 @@ natural map (`cone`) accepts or refuses them. The suggestions come from, cheapes
     qp      a sequence of ProxQP programs (`proxqp`); before all others where the caller asks for it
 
 The first two are one call of compiled code (`attempt`), which other kernels can make, too. A single contact needs no
-search: all of its states can be tried (`exact`). All but ProxQP compute the same to the bit
-from the same problem and warm start; its forces are rounded to fewer digits before Newton has them.
+search: all of its states can be tried (`exact`). The same problem and warm start give the same bits.
 """
 
 from __future__ import annotations
@@ -448,7 +447,7 @@ class ContactSolver:
     def _compliant_homotopy(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Modes from the homotopy of contacts with a trace of compliance: of a singular matrix it may be lost in
         round-off."""
-        before = space.modes.copy(), space.forces.copy(), space.velocities.copy()
+        before = self.kept()
         unit = np.diag(np.repeat(np.diag(delassus).reshape(-1, 3).mean(axis=1), 3))
         task = NEAR if self.nearest else WARM
         for share in COMPLIANCES:
@@ -468,11 +467,12 @@ class ContactSolver:
             return False
         if space.programs is None:
             space.programs = ConePrograms(space.contacts)
-        before = space.forces.copy()
+        before = self.kept()
         warm = self.programs_first and (afresh or bool(space.counts[KNOWN]))
         if warm and afresh:
-            # as Newton's method does: from all at rest
-            space.forces[:] = -np.linalg.lstsq(delassus, b)[0]
+            # as Newton's method does: from the least forces of all at rest
+            space.modes[:] = STICK
+            solve_cones(delassus, b, np.full(space.contacts, np.inf), space.address, WARM, 1, np.inf, 0, 1)
         task = CLASSIFY_NEAR if self.nearest and not afresh else CLASSIFY
 
         def finish() -> bool:
@@ -484,7 +484,7 @@ class ContactSolver:
         programs = QUICK_PROGRAMS if self.quick else PROGRAMS
         if space.programs.solve(delassus, b, mu, space.forces, warm, finish, programs):
             return True
-        space.forces[:] = before
+        space.modes[:], space.forces[:], space.velocities[:] = before
         return False
 
     def solution(self, mu: np.ndarray) -> ContactSolution:

@@ -198,17 +198,14 @@ def curves(rng, n=3):
     return Constrained(rng, integers, numbers)
 
 
-@SEEDS
-@pytest.mark.parametrize("in_plane", [False, True])
-def test_motions_along_two_normals(in_plane, seed):
-    own = np.random.default_rng(seed).normal(size=(2, 5))
-    if in_plane:
-        own[1] = -0.7 * own[0]
-    trace, determinant, found = part(equations.plane_of_normals)(own, 4)
-    gram = own[:, :4] @ own[:, :4].T
-    assert trace == pytest.approx(np.trace(gram), rel=1e-14)
-    assert determinant == pytest.approx(np.linalg.det(gram), abs=1e-13 * trace**2)
-    assert found == in_plane
+@kernel
+def positivity(system, n):
+    equations.assemble_slip(system, n)
+    return equations.loses_positivity(system, n)
+
+
+def lost_by(system, count):
+    return part_of_system(positivity)(system, count)
 
 
 @pytest.mark.parametrize("in_plane", [False, True])
@@ -219,52 +216,65 @@ def test_how_little_of_a_curves_operator_is_left(in_plane):
     system.row_index[:2] = [0, 2], [0, 1]
     for unit in (0.1, 10.0):
         own = unit * np.array([[1.0, 0.0], [0.0, 0.0 if in_plane else 1.0]])
-        for share, lost in ((1.2e-9, False), (0.8e-9, True)):
+        for share, lost in ((1.2e-9, equations.NOTHING_LOST), (0.8e-9, equations.CURVES_LOST)):
             system.whitened_rows[:2], system.whitened_forces[:2] = own, np.array([[share], [1.0]]) * own
-            assert part_of_system(equations.curves_lose_positivity)(system, 2) == lost
+            assert lost_by(system, 2) == lost
 
 
 def test_the_least_angle_between_normals_that_counts():
     """Their sine squared is 1e-11 times the trace squared, which is 4 for units."""
     for sine, in_plane in ((5e-6, True), (8e-6, False)):
-        own = np.array([[1.0, 0.0], [math.sqrt(1.0 - sine**2), sine]])
-        assert part(equations.plane_of_normals)(own, 2)[2] == in_plane
+        assert part(equations.is_plane)(2.0, sine**2) == in_plane
 
 
 @SEEDS
 @pytest.mark.parametrize("in_plane", [False, True])
 def test_operators_of_curves_that_lose_positivity(in_plane, seed):
-    """Against the determinant of the operator of both normals, or its trace."""
+    """Against the determinant of the operator of both normals, or its trace, in the motions that what sticks leaves."""
     rng, lost = np.random.default_rng(seed), 0
-    loses = part_of_system(equations.curves_lose_positivity)
     for _ in range(40):
         parts = curves(rng)
         whitened, forces = parts.whitened, parts.forces
+        held = len(whitened) - 4
         if in_plane:
-            for row in (2, 4):
+            for row in (held, held + 2):
                 whitened[row + 1] = rng.normal() * whitened[row]
         sizes = np.linalg.norm(whitened, axis=1, keepdims=True)
         forces[:] = whitened + 0.8 * sizes * rng.normal(size=whitened.shape)
+        forces[:held] = whitened[:held]
+        free = np.eye(7) - np.linalg.pinv(whitened[:held]) @ whitened[:held]
         expected = False
-        for row in (2, 4):
+        for row in (held, held + 2):
             own, pushed = whitened[row : row + 2], forces[row : row + 2]
             size = np.trace if in_plane else np.linalg.det
-            expected = expected or bool(size(own @ pushed.T) <= 0.0)
-        assert loses(parts.system, parts.count) == expected
+            expected = expected or bool(size(own @ free @ pushed.T) <= 0.0)
+        assert (lost_by(parts.system, parts.count) == equations.CURVES_LOST) == expected
         lost += expected
     assert 0 < lost < 40
-    # what sticks, and what nothing moves, has nothing to lose
-    whitened[2:6] = 0.0
-    forces[:] = -whitened
-    assert not loses(parts.system, parts.count)
-    parts.index[:4], whitened[:4] = [[0, 2], [0, 1], [1, 2], [1, 1]], rng.normal(size=(4, 7))
-    parts.integers[:, MODE] = STICK
-    parts.integers[0, MODE] = SLIPPING
-    forces[:4] = -whitened[:4]
-    assert not loses(parts.system, 4)
-    parts.integers[1, MODE] = SLIPPING
-    forces[[0, 1, 3]] = whitened[[0, 1, 3]]
-    assert loses(parts.system, 4)
+    # what nothing moves has nothing to lose
+    whitened[held:] = forces[held:] = 0.0
+    assert lost_by(parts.system, parts.count) == equations.NOTHING_LOST
+
+
+@SEEDS
+def test_operators_of_what_slips_beside_what_is_held(seed):
+    """Against its own where only what the others leave can move: it may have lost it there alone, or only without."""
+    rng, found = np.random.default_rng(seed), set()
+    for _ in range(800):
+        integers, numbers = items(3)
+        integers[:, MODE], integers[:, PATTERN], integers[:, TANGENTS] = [STICK, SLIPPING, FRICTIONLESS], ON_SURFACE, 2
+        parts = Constrained(rng, integers, numbers)
+        whitened, forces = parts.whitened, parts.forces
+        row = int(np.flatnonzero(parts.index[:, 0] == 1)[0])
+        forces[:] = whitened
+        forces[row] += 1.5 * np.linalg.norm(whitened[row]) * rng.normal(size=7) / math.sqrt(7.0)
+        others = np.delete(whitened, row, axis=0)
+        free = np.eye(7) - np.linalg.pinv(others) @ others
+        alone, beside = whitened[row] @ forces[row], whitened[row] @ free @ forces[row]
+        lost = lost_by(parts.system, parts.count)
+        assert (lost == equations.CONTACT_LOST) == (beside <= 0.0)
+        found.add((bool(alone <= 0.0), bool(beside <= 0.0)))
+    assert len(found) == 4
 
 
 @SEEDS

@@ -448,7 +448,8 @@ def test_what_ends_the_fixed_point_of_curves(monkeypatch):
     ):  # fmt: skip
         at, asked = made(1), []
         monkeypatch.setattr(equations, "update_normal_shares", lambda *given, c=change, a=asked: a.append(1) or c)
-        monkeypatch.setattr(equations, "curves_lose_positivity", lambda *given, lost=lost: lost)
+        kind = equations.CURVES_LOST if lost else equations.NOTHING_LOST
+        monkeypatch.setattr(equations, "loses_positivity", lambda *given, kind=kind: kind)
         assert (solved(at).status == NO_FORCE) == (status == NO_FORCE)
         assert len(asked) == rounds
 
@@ -480,15 +481,24 @@ def test_points_on_curves_without_forces():
     assert solved(at).status == NO_FORCE
 
 
+def slips(at, c):
+    """Whether friction goes with the normal force of an item."""
+    resists = [i for i in range(NC + NG, TOTAL) if OWNERS[i - NC - NG] == c]
+    return any(at.integers[i, MODE] == SLIPPING for i in (c, *resists))
+
+
 def test_slip_that_jams():
     """Friction pulls a sliding contact in by more than its normal force pushes it out (Painleve)."""
     at = made(2)
     # without the torque that goes with its load, too
     at.integers[12, MODE] = STICK
-    normal = at.inverse @ at.rows[3, 2]
     d = ELLIPSE @ ELLIPSE @ at.d[3] / np.linalg.norm(ELLIPSE @ at.d[3])
     for i in range(2):
         at.rows[3, i] += at.rows[3, 2] * d[i]
+    # in the motions that what does not slip leaves
+    held = np.array([at.rows[c, row] for c, row in at.constrained if not slips(at, c)])
+    normal = at.inverse @ at.rows[3, 2]
+    normal -= at.inverse @ held.T @ np.linalg.solve(held @ at.inverse @ held.T, held @ normal)
     pull = d @ at.rows[3, :2] @ normal / (at.rows[3, 2] @ normal)
     assert pull > 0.0
     for share, status in ((0.9, OK), (1.0 - 1e-10, NO_FORCE), (1.1, NO_FORCE)):
@@ -504,10 +514,10 @@ def test_slip_that_jams():
 
 
 def slip_system(operator, own, x, on_curve=False):
-    """What the solver of slip's equations returns, and x."""
+    """What the solver of slip's equations returns, and x; -1 where a contact's operator has lost positivity."""
     n = len(own)
     made = made_system(n)
-    made.contact_int[:, PATTERN] = ON_CURVE if on_curve else ON_SURFACE
+    made.contact_int[:, PATTERN], made.contact_int[:, MODE] = ON_CURVE if on_curve else ON_SURFACE, SLIPPING
     made.row_index[:n] = [(i, 1 + i % 2) for i in range(n)]
     made.multipliers[:n], made.delassus[:n, :n], made.delassus[:n, n] = x, operator, own
     rank = part(slip_solver, SYSTEM)(made, n)
@@ -516,7 +526,8 @@ def slip_system(operator, own, x, on_curve=False):
 
 @kernel
 def slip_solver(system, n):
-    return equations.solve_slip(system, n)
+    lost = equations.loses_positivity(system, n)
+    return -1 if lost == equations.CONTACT_LOST else equations.solve_slip(system, n)
 
 
 @SEEDS

@@ -316,3 +316,59 @@ def test_held_joints_share_the_load_of_what_slides(held, seed):
         # the share is found to the square root of round-off: it is where a slope vanishes
         assert one.v[-1] == pytest.approx(run.v[-1], abs=1e-7)
         assert one.contacts["foot"].normal_force[-1] == pytest.approx(load, rel=1e-7)
+
+
+# ---------------------------------------------------------------- jams beside what is held
+
+
+def body_that_turns_about_a_point(seed, pivot):
+    """A body that turns about a point of the floor, a joint or a contact that never slips, and slides on a foot."""
+    rng = np.random.default_rng(seed)
+    com = np.r_[rng.uniform(-0.3, 0.3, 2), rng.uniform(0.2, 0.6)]
+    turned = pin.Quaternion(rng.normal(size=4)).normalized().matrix()
+    # moments of inertia of point masses: any of these is one of a body
+    spread = 10 ** rng.uniform(-2.5, -1.0, 3)
+    inertia = turned @ np.diag(spread.sum() - spread) @ turned.T
+    foot, mu, turning = np.r_[rng.uniform(-0.4, 0.4, 2), 0.0], rng.uniform(0.5, 3.0), 3.0 * rng.choice([-1.0, 1.0])
+    model = pin.Model()
+    kind = pin.JointModelSpherical() if pivot == "joint" else pin.JointModelFreeFlyer()
+    joint = model.addJoint(0, kind, pin.SE3.Identity(), "body")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, com, inertia), pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    if pivot == "contact":
+        scene.add_contact("pivot", scene.add_contour("pivot", pc.Point(), "body"), floor, pc.NoSlip(), bilateral=True)
+    point = scene.add_contour("foot", pc.Point(), "body", placement=pin.SE3(np.eye(3), foot))
+    scene.add_contact("foot", point, floor, pc.Coulomb(mu))
+    v = np.zeros(model.nv)
+    v[-1] = turning
+    # n^T M^-1 (n - mu d) of the foot, where the body is free and where it turns about the point
+    n, d = np.array([0.0, 0.0, 1.0]), np.cross([0.0, 0.0, turning], foot)
+    push, values = n - mu * d / np.linalg.norm(d), []
+    about = inertia + com @ com * np.eye(3) - np.outer(com, com)
+    for arm, moments, moves in ((foot - com, inertia, 1.0), (foot, about, 0.0)):
+        values.append(moves + np.cross(arm, n) @ np.linalg.solve(moments, np.cross(arm, push)))
+    return scene, scene.initial_state(pin.neutral(model), v), values
+
+
+def test_held_contacts_keep_from_jamming_as_joints_do():
+    """Friction jams a foot (Painleve), or does not, by how the body can move beside what holds it: the same whether
+    that is a joint or a contact. With jams that there are only without, and only with it."""
+    kinds = {(True, False): 0, (False, True): 0}
+    for seed in range(3000):
+        *_, (alone, held) = body_that_turns_about_a_point(seed, "joint")
+        kind = (alone < -0.05, held < -0.05)
+        if kinds.get(kind, 6) >= 6 or min(abs(alone), abs(held)) < 0.05:
+            continue
+        kinds[kind] += 1
+        scene, state, _ = body_that_turns_about_a_point(seed, "joint")
+        by_joint = pc.simulate(scene, state, 0.05)
+        scene, state, _ = body_that_turns_about_a_point(seed, "contact")
+        by_contact = pc.simulate(scene, state, 0.05)
+        assert by_contact.status == by_joint.status, (seed, by_joint.message, by_contact.message)
+        if by_joint.status == 0:
+            one, two = by_joint.q[-1], by_contact.q[-1, 3:]
+            # a tenth of the tolerance
+            assert two * np.sign(one @ two) == pytest.approx(one, abs=1e-9), seed
+    assert min(kinds.values()) == 6, kinds

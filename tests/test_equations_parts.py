@@ -274,6 +274,15 @@ def test_operators_of_what_slips_beside_what_is_held(seed):
         lost = lost_by(parts.system, parts.count)
         assert (lost == equations.CONTACT_LOST) == (beside <= 0.0)
         found.add((bool(alone <= 0.0), bool(beside <= 0.0)))
+        # what the others hold but for a thousandth of its mobility is one of redundant forces
+        part_left = free @ whitened[row]
+        for share, exempt in ((9e-4, True), (1.1e-3, False)):
+            rest = math.sqrt(share / (1.0 - share)) * np.linalg.norm(whitened[row] - part_left)
+            near = whitened[row] - part_left + rest * part_left / np.linalg.norm(part_left)
+            kept = whitened[row].copy(), forces[row].copy()
+            whitened[row], forces[row] = near, near - 2.0 * rest * part_left / np.linalg.norm(part_left)
+            assert (lost_by(parts.system, parts.count) == equations.NOTHING_LOST) == exempt
+            whitened[row], forces[row] = kept
     assert len(found) == 4
 
 

@@ -101,7 +101,7 @@ def test_no_step_leaves_the_cone_without_a_direction():
 # ------------------------------------------------------------------------------------------------ equations
 
 
-def on_path(rng, n, saxce):
+def on_path(rng, n):
     """A point x = (f, t) in the cones, the problem in circular cones, and y there as a function of x."""
     a, c, _ = problem(rng, n)
     r = rng.normal(size=3 * n)
@@ -114,7 +114,7 @@ def on_path(rng, n, saxce):
     def y_of(x):
         t = x[-1]
         y = a @ x[:-1] + c + t * r
-        y[2::3] += saxce * (1.0 - t) * np.sqrt(y[::3] ** 2 + y[1::3] ** 2 + t**2)
+        y[2::3] += (1.0 - t) * np.sqrt(y[::3] ** 2 + y[1::3] ** 2 + t**2)
         return y
 
     return a, c, r, x, y_of
@@ -128,22 +128,18 @@ def products(x, y):
     return np.array(out)
 
 
-SAXCE = pytest.mark.parametrize("saxce", [0.0, 1.0])
-
-
-@SAXCE
 @SEEDS
-def test_residuals_of_the_paths_equations(seed, saxce):
+def test_residuals_of_the_paths_equations(seed):
     rng = np.random.default_rng(seed)
-    a, c, r, x, y_of = on_path(rng, 3, saxce)
+    a, c, r, x, y_of = on_path(rng, 3)
     exact = y_of(x)
     for off in (0.0, 1.0):
         y = exact + off * rng.normal(size=9)
         h, gap = np.zeros(9), np.zeros(9)
-        worst = homotopy_residual(a, c, r, saxce, x, y, h, gap)
+        worst = homotopy_residual(a, c, r, x, y, h, gap)
         assert h == pytest.approx(products(x, y), rel=1e-13, abs=1e-12)
         expected = a @ x[:-1] + c + x[-1] * r - y
-        expected[2::3] += saxce * (1.0 - x[-1]) * np.sqrt(y[::3] ** 2 + y[1::3] ** 2 + x[-1] ** 2)
+        expected[2::3] += (1.0 - x[-1]) * np.sqrt(y[::3] ** 2 + y[1::3] ** 2 + x[-1] ** 2)
         assert gap == pytest.approx(expected, abs=1e-11)
         # relative to t
         assert worst == pytest.approx(max(np.abs(h).max(), np.abs(expected).max()) / x[-1], rel=1e-10)
@@ -153,39 +149,38 @@ def test_the_gap_counts_beyond_round_off():
     """Where f o y = t e holds to the bit, what is missing in y counts, but not the last digits of large terms."""
     a, c, r = np.diag([1.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.zeros(3)
     x, y, h, gap = np.array([0.0, 0.0, 1.0, 1.0]), np.array([0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3)
-    assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) == pytest.approx(0.0, abs=1e-13)
+    assert homotopy_residual(a, c, r, x, y, h, gap) == pytest.approx(0.0, abs=1e-13)
     c[2] = 1.5
-    assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) == pytest.approx(0.5, rel=1e-13)
+    assert homotopy_residual(a, c, r, x, y, h, gap) == pytest.approx(0.5, rel=1e-13)
     c[2] = 0.5
-    assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) == pytest.approx(0.5, rel=1e-13)
+    assert homotopy_residual(a, c, r, x, y, h, gap) == pytest.approx(0.5, rel=1e-13)
     # 1e4 of a load against as much of a force: the sum is exact to 1e-12
     a[2, 2], c[2] = 1e4, 1.0 - 1e4 + 1e-11
-    assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) <= 0.0
+    assert homotopy_residual(a, c, r, x, y, h, gap) <= 0.0
     a[2, 2], r[2], c[2] = 0.0, 1e4, 1.0 - 1e4 + 1e-9
-    assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) == pytest.approx(1e-9, rel=1e-2)
+    assert homotopy_residual(a, c, r, x, y, h, gap) == pytest.approx(1e-9, rel=1e-2)
 
 
 def test_outside_of_the_cones_there_is_no_path():
-    a, c, r, x, y_of = on_path(np.random.default_rng(0), 2, 1.0)
+    a, c, r, x, y_of = on_path(np.random.default_rng(0), 2)
     y, h, gap = y_of(x), np.zeros(6), np.zeros(6)
-    assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) < HUGE
+    assert homotopy_residual(a, c, r, x, y, h, gap) < HUGE
     for place in range(2):
         for array in (x, y):
             kept = array[3 * place + 2]
             array[3 * place + 2] = 0.99 * math.hypot(*array[3 * place : 3 * place + 2])
-            assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) == HUGE
+            assert homotopy_residual(a, c, r, x, y, h, gap) == HUGE
             array[3 * place + 2] = kept
     for t in (0.0, -0.1):
         x[-1] = t
-        assert homotopy_residual(a, c, r, 1.0, x, y, h, gap) == HUGE
+        assert homotopy_residual(a, c, r, x, y, h, gap) == HUGE
 
 
-@SAXCE
 @SEEDS
-def test_derivatives_of_the_paths_equations(seed, saxce):
+def test_derivatives_of_the_paths_equations(seed):
     """Against central differences of the equations, y as a function of x."""
     rng = np.random.default_rng(seed)
-    a, _, r, x, y_of = on_path(rng, 3, saxce)
+    a, _, r, x, y_of = on_path(rng, 3)
     step = 1e-5
     unit = np.eye(10)
     slopes = np.array([(y_of(x + step * d) - y_of(x - step * d)) / (2.0 * step) for d in unit]).T
@@ -195,28 +190,28 @@ def test_derivatives_of_the_paths_equations(seed, saxce):
     # step^2 times third derivatives, and round-off over step
     accuracy = 1e-7 * np.abs(derivative).max()
     border, system = rng.normal(size=10), np.full((10, 10), 5.0)
-    homotopy_matrix(a, r, saxce, x, y_of(x), border, system)
+    homotopy_matrix(a, r, x, y_of(x), border, system)
     assert system[:9] == pytest.approx(derivative, abs=accuracy)
     # lengths count t by its logarithm
     assert system[9] == pytest.approx([*border[:9], border[9] / x[9] ** 2], rel=1e-14)
     change, slope = rng.normal(size=10), np.zeros(9)
-    homotopy_slope(a, r, saxce, x, y_of(x), change, slope)
+    homotopy_slope(a, r, x, y_of(x), change, slope)
     assert slope == pytest.approx(slopes @ change, abs=accuracy)
     # gaps that are there already are closed with the change
     rest = 1e-4 * rng.normal(size=9)
     closed = rest.copy()
-    homotopy_slope(a, r, saxce, x, y_of(x), np.zeros(10), closed)
+    homotopy_slope(a, r, x, y_of(x), np.zeros(10), closed)
     turn = np.zeros(9)
     y, t = y_of(x), x[-1]
     for k in (0, 3, 6):
         turn[k + 2] = y[k : k + 2] @ rest[k : k + 2] / math.sqrt(y[k : k + 2] @ y[k : k + 2] + t * t)
-    assert closed == pytest.approx(rest + saxce * (1.0 - t) * turn, abs=1e-15)
+    assert closed == pytest.approx(rest + (1.0 - t) * turn, abs=1e-15)
 
 
 # ------------------------------------------------------------------------------------------------ the path
 
 
-def point(delassus, b, mu, size, forces, t, saxce):
+def point(delassus, b, mu, size, forces, t):
     """The residual of the path's equations at forces (3n,), in the units of the module, and the part of the way that
     these are inside their cones."""
     n = len(mu)
@@ -231,23 +226,22 @@ def point(delassus, b, mu, size, forces, t, saxce):
     e = np.tile([0.0, 0.0, 1.0], n)
     r = e - c - a @ e
     y = a @ f + c + t * r
-    y[2::3] += saxce * (1.0 - t) * np.sqrt(y[::3] ** 2 + y[1::3] ** 2 + t**2)
+    y[2::3] += (1.0 - t) * np.sqrt(y[::3] ** 2 + y[1::3] ** 2 + t**2)
     inside = min(depth(k) for k in [*f.reshape(n, 3), *y.reshape(n, 3)])
     return np.abs(products(np.append(f, t), y)).max() / t, inside, f
 
 
-@SAXCE
 @pytest.mark.parametrize("size", [0.1, 1.0, 10.0])
 @SEEDS
-def test_what_is_returned_lies_on_the_path(seed, size, saxce):
+def test_what_is_returned_lies_on_the_path(seed, size):
     rng = np.random.default_rng(seed)
     n, tube = 3, 1e-3
     delassus, b, mu = problem(rng, n)
     delassus, b = 1e-3 * delassus, 50.0 * b
     mu[0] = (0.0, math.inf, 0.5)[seed]
     memory = cone_workspace(n)
-    assert homotopy.follow_homotopy(delassus, b, mu, memory.address, 1.0, tube, size, saxce, 0) == 1.0
-    residual, inside, f = point(delassus, b, mu, size, memory.forces, 1.0, saxce)
+    assert homotopy.follow_homotopy(delassus, b, mu, memory.address, 1.0, tube, size, 0) == 1.0
+    residual, inside, f = point(delassus, b, mu, size, memory.forces, 1.0)
     assert f == pytest.approx(np.tile([0.0, 0.0, 1.0], n), abs=1e-13)
     # f = y = e
     assert (residual, inside) == (pytest.approx(0.0, abs=1e-13), pytest.approx(1.0, rel=1e-12))
@@ -256,10 +250,9 @@ def test_what_is_returned_lies_on_the_path(seed, size, saxce):
         reached = 1.0
         while reached > stop:
             before = reached
-            reached = homotopy.follow_homotopy(delassus, b, mu, memory.address, stop, tube, size, saxce, 1)
-            assert reached < before or saxce == 1.0
+            reached = homotopy.follow_homotopy(delassus, b, mu, memory.address, stop, tube, size, 1)
             steps += 1
-            residual, inside, f = point(delassus, b, mu, size, memory.forces, reached, saxce)
+            residual, inside, f = point(delassus, b, mu, size, memory.forces, reached)
             # as near as the tube is wide, and what a gap as wide times the forces adds
             assert residual <= tube * (1.0 + 3.0 * np.abs(f).max())
             assert inside > 0.0
@@ -270,7 +263,7 @@ def test_what_is_returned_lies_on_the_path(seed, size, saxce):
     assert steps <= ({0.1: 23, 1.0: 31, 10.0: 51} if mu[0] > 1e3 else {0.1: 11, 1.0: 9, 10.0: 16})[size]
     # a call that has nothing to do leaves things as they are
     forces = memory.forces.copy()
-    assert homotopy.follow_homotopy(delassus, b, mu, memory.address, 0.5, tube, size, saxce, 9) == reached
+    assert homotopy.follow_homotopy(delassus, b, mu, memory.address, 0.5, tube, size, 9) == reached
     assert memory.forces == pytest.approx(forces, rel=1e-14)
 
 
@@ -281,8 +274,8 @@ def test_the_path_leaves_contacts_without_friction_without_tangential_forces(see
     delassus, b, mu = problem(rng, 4)
     mu[rng.integers(2)], mu[2] = 0.0, 0.0
     memory = cone_workspace(4)
-    homotopy.follow_homotopy(delassus, b, mu, memory.address, 1.0, 0.01, 1.0, 1.0, 0)
-    assert homotopy.follow_homotopy(delassus, b, mu, memory.address, 1e-9, 0.01, 1.0, 1.0, 300) <= 1e-9
+    homotopy.follow_homotopy(delassus, b, mu, memory.address, 1.0, 0.01, 1.0, 0)
+    assert homotopy.follow_homotopy(delassus, b, mu, memory.address, 1e-9, 0.01, 1.0, 300) <= 1e-9
     f = memory.forces.reshape(4, 3)
     smooth = mu == 0.0
     assert not f[smooth, :2].any()
@@ -300,9 +293,9 @@ def test_the_path_ends_at_a_solution(seed):
     n = 4
     delassus, b, mu = problem(rng, n)
     memory = cone_workspace(n)
-    homotopy.follow_homotopy(delassus, b, mu, memory.address, 1.0, 0.01, 1.0, 1.0, 0)
+    homotopy.follow_homotopy(delassus, b, mu, memory.address, 1.0, 0.01, 1.0, 0)
     for stop in (1e-3, 1e-6, 1e-9):
-        assert homotopy.follow_homotopy(delassus, b, mu, memory.address, stop, 0.01, 1.0, 1.0, 200) <= stop
+        assert homotopy.follow_homotopy(delassus, b, mu, memory.address, stop, 0.01, 1.0, 200) <= stop
         f = memory.forces.reshape(n, 3)
         u = (delassus @ memory.forces + b).reshape(n, 3)
         size = 1.0 + np.abs(f).max()
@@ -316,8 +309,8 @@ def test_the_path_ends_at_a_solution(seed):
 def test_a_path_without_end_leaves_for_infinity():
     memory = cone_workspace(1)
     args = np.diag([1.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0]), np.ones(1), memory.address
-    homotopy.follow_homotopy(*args, 1.0, 0.01, 1.0, 1.0, 0)
-    assert homotopy.follow_homotopy(*args, 1e-9, 0.01, 1.0, 1.0, 500) == HUGE
+    homotopy.follow_homotopy(*args, 1.0, 0.01, 1.0, 0)
+    assert homotopy.follow_homotopy(*args, 1e-9, 0.01, 1.0, 500) == HUGE
 
 
 def test_errors_are_corrected_as_newtons_method_does():
@@ -327,13 +320,13 @@ def test_errors_are_corrected_as_newtons_method_does():
     delassus, b, mu = problem(rng, 2)
     memory = cone_workspace(2)
     start = delassus, b, mu, memory.address
-    homotopy.follow_homotopy(*start, 1.0, 1e-3, 1.0, 1.0, 0)
-    homotopy.follow_homotopy(*start, 0.3, 1e-9, 1.0, 1.0, 100)
+    homotopy.follow_homotopy(*start, 1.0, 1e-3, 1.0, 0)
+    homotopy.follow_homotopy(*start, 0.3, 1e-9, 1.0, 100)
     kept = memory.homotopy.copy()
     for place in range(6):
         memory.homotopy[:] = kept
         memory.homotopy[6, place] += 1e-6
         # a step as good as none
         memory.homotopy[5, 0] = 1e-7
-        homotopy.follow_homotopy(*start, 1e-3, 1e-9, 1.0, 1.0, 1)
+        homotopy.follow_homotopy(*start, 1e-3, 1e-9, 1.0, 1)
         assert memory.homotopy[5, 0] == pytest.approx(1e-7 * homotopy.LONGER[1], rel=1e-12)

@@ -7,8 +7,8 @@ import pytest
 from calling import from_python
 
 from pincontact import linalg
-from pincontact.dynamics import barrier
-from pincontact.dynamics.redundant import Cone, central_force, null_space
+from pincontact.friction import barrier
+from pincontact.friction.centred import Cone, central_force, null_space
 
 inner = from_python(linalg.inner)
 factorize_tree = from_python(linalg.factorize_tree)

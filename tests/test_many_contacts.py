@@ -12,7 +12,7 @@ from test_closed_forms import block_scene as inclined_block
 from test_moreau import ball_scene, body_scene, joint_scene, upright
 
 import pincontact as pc
-from pincontact.dynamics.redundant import Cone, central_force, null_space
+from pincontact.friction.centred import Cone, central_force, null_space
 
 G = 9.81
 TIGHT = {"rtol": 1e-11, "atol": 1e-13}

@@ -17,7 +17,7 @@ from test_moreau import block_scene, double_pendulum
 from test_stepper import bouncing
 
 import pincontact as pc
-from pincontact.dynamics.redundant import null_space
+from pincontact.friction.centred import null_space
 from pincontact.integration import impulse_cones
 from pincontact.integration.impulse_layout import STEP, step_workspace
 from pincontact.integration.impulse_trial import may_be_redundant

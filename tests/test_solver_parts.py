@@ -11,8 +11,8 @@ from test_linear_parts import feet
 from test_load_solver import made_problem
 
 from pincontact import linalg
-from pincontact.dynamics import barrier, redundant
-from pincontact.dynamics.redundant import null_space
+from pincontact.friction import barrier, centred
+from pincontact.friction.centred import null_space
 from pincontact.friction import cone, solve
 from pincontact.friction.attempt import NEAR, WARM, WARM_PASSES
 from pincontact.friction.cone import KNOWN, STICK
@@ -220,13 +220,13 @@ def test_minima_of_barriers(pressure, seed):
     null = null_space(directions)
     null = null / np.abs(null).max()
     unit = np.linalg.norm(inside)
-    barriers = redundant._Barriers(cones, inside / unit, null, unit)
+    barriers = centred._Barriers(cones, inside / unit, null, unit)
     z = 0.3 * rng.normal(size=null.shape[1])
     start = np.append(z, 0.2 - barriers.values(z).min())
     if pressure == 0.0:
         # a given enlargement stays
         start[-1] = max(start[-1], 0.1)
-    point = redundant._minimise(barriers, start, pressure)
+    point = centred._minimise(barriers, start, pressure)
     gradient, hessian = np.zeros_like(point), np.zeros((point.size, point.size))
     barrier.barrier_derivatives(barriers.flat, barriers.at(point).ravel(), point, pressure, gradient, hessian)
     assert hessian[:-1, :-1] == pytest.approx(np.tril(barriers.curvature(point) + np.eye(point.size - 1)), rel=1e-10)
@@ -248,7 +248,7 @@ def test_steps_towards_a_point(seed):
     rng = np.random.default_rng(seed)
     directions, cones, inside = feet(rng, 4, 0.6)
     null = null_space(directions)
-    barriers = redundant._Barriers(cones, inside, null / np.abs(null).max(), 1.0)
+    barriers = centred._Barriers(cones, inside, null / np.abs(null).max(), 1.0)
     point = np.append(np.zeros(null.shape[1]), 0.1)
     # all cones are enlarged by the last number
     assert barriers.at(point) == pytest.approx(barriers.at(0.0 * point) + np.array([0.1, 0.0, 0.0]), rel=1e-14)

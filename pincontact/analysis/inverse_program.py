@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..dynamics.redundant import Cone, central_force
+from ..friction.centred import Cone, central_force
 from ..errors import InfeasibleError, SolverError
 from ..friction.cone_least_squares import ConeLeastSquares, ConeSolution, Region
 from ..layout import TANGENTS, UNILATERAL

@@ -169,7 +169,7 @@ def right_hand_sides(system, count, directions):
     """multipliers = -(row . a_free + bias): what the forces have to make up, less what the reference forces do.
 
     Of redundant forces those of the least distance from the reference are taken. It is zero unless it was chosen
-    otherwise (see `redundant`), and may move with time and the loads.
+    otherwise (see `redistribution`), and may move with time and the loads.
     """
     x, row_index, scalars = system.multipliers, system.row_index, system.scalars
     for r in range(count):

@@ -80,7 +80,7 @@ def cone_step(x1, x2, xn, d1, d2, dn):
 
 
 @kernel
-def homotopy_residual(a, c, r, saxce, x, y, h, gap):
+def homotopy_residual(a, c, r, x, y, h, gap):
     """Residuals of the path's equations at x = (f, t) and y (3n,); returns the largest relative to t, or `HUGE`.
 
     h (3n,) = f o y - t e and gap (3n,) = G f + ... - y (module docstring): output; a (3n, 3n), c, r (3n,): the problem
@@ -104,14 +104,14 @@ def homotopy_residual(a, c, r, saxce, x, y, h, gap):
                 total += term
                 absolute += abs(term)
             if q == k + 2:
-                total += saxce * (1.0 - t) * sqrt(y[k] ** 2 + y[k + 1] ** 2 + t * t)
+                total += (1.0 - t) * sqrt(y[k] ** 2 + y[k + 1] ** 2 + t * t)
             gap[q] = total - y[q]
             worst = max(worst, abs(h[q]), abs(gap[q]) - ROUND_OFF * absolute)
     return worst / t
 
 
 @kernel
-def homotopy_matrix(a, r, saxce, x, y, border, system):
+def homotopy_matrix(a, r, x, y, border, system):
     """system (3n + 1, 3n + 1) is the derivative of f o y - t e by x = (f, t), y in step, and the border as last row."""
     rows = y.shape[0]
     t = x[rows]
@@ -119,7 +119,7 @@ def homotopy_matrix(a, r, saxce, x, y, border, system):
         f1, f2, fn = x[k], x[k + 1], x[k + 2]
         y1, y2, yn = y[k], y[k + 1], y[k + 2]
         root = sqrt(y1 * y1 + y2 * y2 + t * t)
-        grow = saxce * (1.0 - t) / root
+        grow = (1.0 - t) / root
         for j in range(rows + 1):
             if j < rows:
                 d1 = a[k, j]
@@ -128,7 +128,7 @@ def homotopy_matrix(a, r, saxce, x, y, border, system):
             else:
                 d1 = r[k]
                 d2 = r[k + 1]
-                dn = r[k + 2] - saxce * root + grow * (y1 * d1 + y2 * d2 + t)
+                dn = r[k + 2] - root + grow * (y1 * d1 + y2 * d2 + t)
             system[k, j] = fn * d1 + f1 * dn
             system[k + 1, j] = fn * d2 + f2 * dn
             system[k + 2, j] = f1 * d1 + f2 * d2 + fn * dn
@@ -146,7 +146,7 @@ def homotopy_matrix(a, r, saxce, x, y, border, system):
 
 
 @kernel
-def homotopy_slope(a, r, saxce, x, y, change, slope):
+def homotopy_slope(a, r, x, y, change, slope):
     """The change of y (3n,) that goes with a change (3n + 1,) of x = (f, t), added to slope (3n,)."""
     rows = y.shape[0]
     t = x[rows]
@@ -158,7 +158,7 @@ def homotopy_slope(a, r, saxce, x, y, change, slope):
             slope[q] += total
         root = sqrt(y[k] ** 2 + y[k + 1] ** 2 + t * t)
         turn = (y[k] * slope[k] + y[k + 1] * slope[k + 1] + t * change[rows]) / root
-        slope[k + 2] += saxce * ((1.0 - t) * turn - root * change[rows])
+        slope[k + 2] += (1.0 - t) * turn - root * change[rows]
 
 
 @kernel
@@ -187,7 +187,7 @@ def circular_problem(delassus, b, mu, size, cone):
 
 
 @kernel
-def correct_point(tube, saxce, cone):
+def correct_point(tube, cone):
     """Newton's corrections of the point ahead (x and y of the point after the next step), across the tangent; returns
     how many it took into the tube, -1 where these are not enough."""
     rows = cone.forces.shape[0]
@@ -197,22 +197,22 @@ def correct_point(tube, saxce, cone):
     tangent, ahead, change, rhs = point[1], point[2], point[3], point[4]
     y_ahead = point[7][:rows]
     for correction in range(CORRECTIONS):
-        error = homotopy_residual(g, c, r, saxce, ahead, y_ahead, h, gap)
+        error = homotopy_residual(g, c, r, ahead, y_ahead, h, gap)
         if error <= tube:
             return correction
         if not error < HUGE or correction == CORRECTIONS - 1:
             break
-        homotopy_matrix(g, r, saxce, ahead, y_ahead, tangent, system)
+        homotopy_matrix(g, r, ahead, y_ahead, tangent, system)
         for k in range(0, rows, 3):
             root = sqrt(y_ahead[k] ** 2 + y_ahead[k + 1] ** 2 + ahead[rows] ** 2)
             turn = (y_ahead[k] * gap[k] + y_ahead[k + 1] * gap[k + 1]) / root
-            change_n = gap[k + 2] + saxce * (1.0 - ahead[rows]) * turn
+            change_n = gap[k + 2] + (1.0 - ahead[rows]) * turn
             rhs[k] = -h[k] - ahead[k + 2] * gap[k] - ahead[k] * change_n
             rhs[k + 1] = -h[k + 1] - ahead[k + 2] * gap[k + 1] - ahead[k + 1] * change_n
             rhs[k + 2] = -h[k + 2] - ahead[k] * gap[k] - ahead[k + 1] * gap[k + 1] - ahead[k + 2] * change_n
         rhs[rows] = 0.0
         least_norm(system, rhs, rows + 1, rows + 1, change, cone.gram, cone.order, 0.0)
-        homotopy_slope(g, r, saxce, ahead, y_ahead, change, gap)
+        homotopy_slope(g, r, ahead, y_ahead, change, gap)
         for k in range(rows + 1):
             ahead[k] += change[k]
         for k in range(rows):
@@ -220,17 +220,16 @@ def correct_point(tube, saxce, cone):
     return -1
 
 
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, REAL, REAL, REAL, REAL, INTEGER, when=SEVERAL)
-def follow_homotopy(delassus, b, mu, address, target, tube, size, saxce, steps):
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, REAL, REAL, REAL, INTEGER, when=SEVERAL)
+def follow_homotopy(delassus, b, mu, address, target, tube, size, steps):
     """Forces (3n,) in the workspace where the path (module docstring) is down to t = target; returns the t reached.
 
     A target of 1 starts it; later calls go on, at most `steps` further. What is returned above the target was the end:
     the steps are used up, or became too short; `HUGE` says that the forces grow without bound.
 
     delassus, b, mu, address: as for `solve_cones`; tube: width round the path in which a point counts as on it,
-    relative to t (in a narrow one the steps are too short to get onto another branch); size: of b, where f = y = e;
-    saxce: 1, or 0 to leave De Saxce's term out, which makes the problem convex. All but target and steps as in the
-    first call.
+    relative to t (in a narrow one the steps are too short to get onto another branch); size: of b, where f = y = e. All but target
+    and steps as in the first call.
     """
     cone = cone_at(address)
     delassus, b, mu = view(delassus), view(b), view(mu)
@@ -262,7 +261,7 @@ def follow_homotopy(delassus, b, mu, address, target, tube, size, saxce, steps):
     for _ in range(steps):
         if x[rows] <= target or x[rows] > 1.0:
             break
-        homotopy_matrix(g, r, saxce, x, y, tangent, system)
+        homotopy_matrix(g, r, x, y, tangent, system)
         for k in range(rows):
             rhs[k] = 0.0
         rhs[rows] = 1.0
@@ -279,7 +278,7 @@ def follow_homotopy(delassus, b, mu, address, target, tube, size, saxce, steps):
         # How far along it the cones are left.
         for k in range(rows):
             slope[k] = 0.0
-        homotopy_slope(g, r, saxce, x, y, tangent, slope)
+        homotopy_slope(g, r, x, y, tangent, slope)
         t = x[rows]
         step = 1e10
         for k in range(0, rows, 3):
@@ -295,7 +294,7 @@ def follow_homotopy(delassus, b, mu, address, target, tube, size, saxce, steps):
                 ahead[k] = x[k] + step * tangent[k]
             for k in range(rows):
                 y_ahead[k] = y[k] + step * slope[k]
-            corrections = correct_point(tube, saxce, cone)
+            corrections = correct_point(tube, cone)
             if corrections >= 0:
                 accepted = True
                 longest = step * LONGER[corrections]

@@ -415,10 +415,10 @@ class ContactSolver:
         escapes = 0
         for tube, size in PATH_STARTS[:1] if self.quick else PATH_STARTS:
             self.path_count += 1
-            follow_homotopy(*problem, space.address, 1.0, tube, size, 1.0, 0)
+            follow_homotopy(*problem, space.address, 1.0, tube, size, 0)
             good: np.ndarray | None = None
             for stop in PATH_STOPS:
-                reached = follow_homotopy(*problem, space.address, stop, tube, size, 1.0, steps)
+                reached = follow_homotopy(*problem, space.address, stop, tube, size, steps)
                 tried = space.forces.copy()
                 least = self.residual
                 self.residual = np.inf

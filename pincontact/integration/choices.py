@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from ..dynamics.redundant import Cone, central_force, null_space
+from ..friction.centred import Cone, central_force, null_space
 from ..friction.cone import OPEN, SLIP
 
 # Relative singular values below this are those of redundant contacts.

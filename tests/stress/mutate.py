@@ -173,11 +173,6 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "0.0 -> 0.5",
     ): "where the sweeps begin: they end at the same solution",
     (
-        "pincontact/friction/centred.py", "centred_forces",
-        "if not (inside.all() and (off <= 1e-3 * AT_REST * terms[rows].max()).all()):",
-        "* -> /",
-    ): "a tolerance",
-    (
         "pincontact/friction/attempt.py", "attempt",
         "rank = factor_matrix(g, cone.low_rank[FACTOR], cone.rhs, RANK_TOLERANCE) if n > 1 else 0",
         "1 -> 2",
@@ -223,7 +218,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "0.0 -> 0.5",
     ): "a tangent has no constant",
     (
-        "pincontact/dynamics/redundant.py", "_minimise",
+        "pincontact/friction/centred.py", "_minimise",
         "if within and cost(point + size * step, after) <= before - 0.1 * size * decrement:",
         "0.1 -> 0.15000000000000002",
     ): "what part of the foreseen fall a step must have: the same minimum is found",
@@ -238,7 +233,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "2 -> 3",
     ): "what rounding is measured by",
     (
-        "pincontact/dynamics/redundant.py", "_enter",
+        "pincontact/friction/centred.py", "_enter",
         "within = (2.0 * count + max(size * (_LARGEST - size), 0.0)) / pressure",
         "* -> /",
     ): "a bound that is far from tight: when the search for a point inside is given up",
@@ -285,11 +280,6 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
     (
         "pincontact/friction/redundant.py", "move_inside", "for j in range(k + 1):", "1 -> 2",
     ): "what is above the diagonal is not read",
-    (
-        "pincontact/friction/centred.py", "centred_forces",
-        "scale = np.repeat(np.sqrt(3.0 / np.maximum(np.diagonal(block).reshape(-1, 3).sum(axis=1), TINY)), 3)",
-        "/ -> *",
-    ): "units in which a change by round-off is least",
     (
         "pincontact/friction/solve.py", "complementarity",
         "tangential += np.where(finite, self.mu, 0.0) * speed * self.forces[:, 2]", "0.0 -> 0.5",

@@ -1,4 +1,4 @@
-"""Newton's method on the logarithmic barriers of cones, of which `redundant` makes central forces."""
+"""Newton's method on the logarithmic barriers of cones, of which `centred` makes central forces."""
 
 from __future__ import annotations
 

@@ -249,7 +249,6 @@ def test_what_is_returned_lies_on_the_path(seed, size):
     for stop in (0.5, 1e-2, 1e-4):
         reached = 1.0
         while reached > stop:
-            before = reached
             reached = homotopy.follow_homotopy(delassus, b, mu, memory.address, stop, tube, size, 1)
             steps += 1
             residual, inside, f = point(delassus, b, mu, size, memory.forces, reached)

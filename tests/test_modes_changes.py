@@ -21,9 +21,9 @@ from pincontact.dynamics import contact_modes, equations, mode_changes, modes, r
 from pincontact.dynamics.mode_loads import ModeSolution
 from pincontact.dynamics.mode_problem import ModeProblem, all_stick, mode_problem
 from pincontact.dynamics.modes import Decision, ModeSolver
-from pincontact.friction.centred import Choice, Cone
 from pincontact.dynamics.system import System
 from pincontact.friction import cone
+from pincontact.friction.centred import Choice, Cone
 from pincontact.geometry.patterns import NO_NORMAL, ON_CURVE, ON_SURFACE
 from pincontact.layout import (
     ANISOTROPIC,

@@ -11,10 +11,9 @@ from test_linear_parts import feet
 from test_load_solver import made_problem
 
 from pincontact import linalg
-from pincontact.friction import barrier, centred
-from pincontact.friction.centred import null_space
-from pincontact.friction import cone, solve
+from pincontact.friction import barrier, centred, cone, solve
 from pincontact.friction.attempt import NEAR, WARM, WARM_PASSES
+from pincontact.friction.centred import null_space
 from pincontact.friction.cone import KNOWN, STICK
 from pincontact.friction.feasibility import crushing_combination
 from pincontact.friction.loads import LoadSolver, ScaledLoads

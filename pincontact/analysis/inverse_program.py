@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..friction.centred import Cone, central_force
 from ..errors import InfeasibleError, SolverError
+from ..friction.centred import Cone, central_force
 from ..friction.cone_least_squares import ConeLeastSquares, ConeSolution, Region
 from ..layout import TANGENTS, UNILATERAL
 from .farkas import FarkasCertificate, certificate_of, multipliers_of_elastic

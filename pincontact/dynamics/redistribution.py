@@ -1,8 +1,8 @@
 """The choice among redundant forces of an evaluation: inside all cones, or the least loads of what slides.
 
-Forces of least norm are what evaluations find. Where these leave their cones, the central ones (`friction.centred`) are taken,
-and evaluations follow these as loads change. Where everything slides, loads are what is chosen: the least ones that
-are not negative.
+Forces of least norm are what evaluations find. Where these leave their cones, the central ones (`friction.centred`)
+are taken, and evaluations follow these as loads change. Where everything slides, loads are what is chosen: the least
+ones that are not negative.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..friction.centred import Choice, Cone, central_force, null_space
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
     ANISOTROPIC,
@@ -34,7 +35,6 @@ from ..layout import (
 )
 from .contact_modes import held_up_by_friction, shares_viscous_force
 from .friction_scaling import stretch
-from ..friction.centred import Choice, Cone, central_force, null_space
 
 if TYPE_CHECKING:
     from .system import System

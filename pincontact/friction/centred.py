@@ -213,7 +213,8 @@ def centred_forces(
     that the velocities stay. The new forces are the most central ones: they maximise the sum of log(mu^2 F_n^2 -
     |F_t|^2) less half the square of their distance from the forces of least norm, in units of these, which bounds what
     contacts that press against each other could add to themselves. They are unique, change smoothly with the problem,
-    and hold on under changes that would take forces of least norm out of the cones. Where no forces lie inside the cones (all are about to slip) the solution is returned as it is.
+    and hold on under changes that would take forces of least norm out of the cones. Where no forces lie inside the
+    cones (all are about to slip) the solution is returned as it is.
 
     Parameters
     ----------

@@ -228,8 +228,8 @@ def follow_homotopy(delassus, b, mu, address, target, tube, size, steps):
     the steps are used up, or became too short; `HUGE` says that the forces grow without bound.
 
     delassus, b, mu, address: as for `solve_cones`; tube: width round the path in which a point counts as on it,
-    relative to t (in a narrow one the steps are too short to get onto another branch); size: of b, where f = y = e. All but target
-    and steps as in the first call.
+    relative to t (in a narrow one the steps are too short to get onto another branch); size: of b, where f = y = e.
+    All but target and steps as in the first call.
     """
     cone = cone_at(address)
     delassus, b, mu = view(delassus), view(b), view(mu)

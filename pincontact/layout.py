@@ -33,8 +33,6 @@ SCALARS = record(
     "dense_start",
     "dense_step",
     "has_reference",
-    "reference_moves",
-    "reference_time",
     "dip",
     "turning_rate",
     "bad_torque",
@@ -340,9 +338,8 @@ SYSTEM = Layout(
     # (2 (nc + ng + nr) + 1, POLYNOMIAL_SIZE): shares of a step, v_c across directions and along, see `steps`
     across=(REALS, 2),
     reference=(REALS, 2, 3),  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
-    # where the reference follows loads and time: see `equations`
-    reference_start=(REALS, 2, 3),  # (nc + ng + nr, 3) at zero loads and REFERENCE_TIME
-    reference_rate=(REALS, 2, 3),  # (nc + ng + nr, 3)
+    # how the reference follows the loads: see `equations`
+    reference_start=(REALS, 2, 3),  # (nc + ng + nr, 3) at zero loads
     reference_slope=(REALS, 3),  # (2, 3 (nc + ng + nr), nv)
     # event functions along a step: at which shares of it, the evaluations' statuses, and their values
     scan_shares=(REALS, 1),  # (SCAN_ROOM,)

@@ -242,7 +242,7 @@ def _evaluate_outputs(
     for i in wanted:
         load_output(system, recorded, i, q[i], v[i])
         system.scalars["has_reference"] = float(i in recorded.references)
-        system.reference[:nc] = recorded.references.get(i, 0.0)
+        system.reference_start[:nc], system.reference_slope[:] = recorded.references.get(i, 0.0), 0.0
         if system.evaluate(float(t[i])) <= EVENT:
             for name, view in views.items():
                 values[name][len(rows)] = view

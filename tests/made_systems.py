@@ -31,7 +31,7 @@ def made_system(nc, ng=0, nr=0, nv=5, nq=None, rng=None):
         ("contact_int", (n, CONTACT_INTS)), ("contact_real", (n, CONTACT_REALS)),
         ("joint_int", (max(ng, 1), JOINT_INTS)), ("joint_real", (max(ng, 1), JOINT_REALS)),
         ("row_index", (3 * n, 2)), ("permutation", (3 * n,)), ("side_int", (2 * nc, SIDE_INTS)),
-        ("support", (2 * nc, nv)), ("reference", (n, 3)), ("reference_start", (n, 3)), ("reference_rate", (n, 3)),
+        ("support", (2 * nc, nv)), ("reference", (n, 3)), ("reference_start", (n, 3)),
         ("reference_slope", (2, 3 * n, nv)), ("location", (n, 4)), ("rates", (n, 4)),
     ):  # fmt: skip
         system.zeros(name, *shape)

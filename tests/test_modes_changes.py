@@ -19,7 +19,7 @@ from test_modes_parts import CONTACTS, ELLIPSE, HELD, RESISTING, made
 
 from pincontact.dynamics import contact_modes, equations, mode_changes, modes, redistribution
 from pincontact.dynamics.mode_loads import ModeSolution
-from pincontact.dynamics.mode_problem import ModeProblem, all_stick, mode_problem
+from pincontact.dynamics.mode_problem import ModeProblem, mode_problem
 from pincontact.dynamics.modes import Decision, ModeSolver
 from pincontact.dynamics.system import System
 from pincontact.friction import cone
@@ -100,7 +100,7 @@ class Items:
         self.scale = np.array([1e-8, 1e-10])
         self.counters, self.scalars = record_of(COUNTERS), record_of(SCALARS)
         self.reference = rng.normal(size=(n, 3))
-        self.reference_start, self.reference_rate = rng.normal(size=(2, n, 3))
+        self.reference_start = rng.normal(size=(n, 3))
         self.reference_slope = rng.normal(size=(2, 3 * n, nv))
         self.row_index = np.zeros((3 * n, 2), np.int64)
         self.whitened_rows = self.whitened_forces = np.zeros((3 * n, nv))
@@ -907,26 +907,6 @@ def test_slip_turns_with_loads_that_are_chosen_anew(monkeypatch):
 # ---------------------------------------------------------------------------------------------- solutions of cones
 
 
-def test_whether_all_rows_are_those_of_cones():
-    """All contacts closed and sticking, undecided or ideal, in round cones of two tangents, and nothing else."""
-    system = Items(3, 1, 1)
-    solver = ModeSolver(system)
-    system.contact_real[2, MU] = math.inf
-    system.counters["row_count"] = 6
-    assert all_stick(solver.system, [0, 2], [0], [], [])
-    assert not all_stick(solver.system, [0, 2], [2], [], [])
-    assert not all_stick(solver.system, [0, 2], [0], [0], [])
-    assert not all_stick(solver.system, [0, 2], [0], [], [4])
-    for count in (5, 7):
-        system.counters["row_count"] = count
-        assert not all_stick(solver.system, [0, 2], [0], [], [])
-    system.counters["row_count"] = 6
-    system.contact_int[0, ANISOTROPIC] = 1
-    assert not all_stick(solver.system, [0, 2], [0], [], [])
-    system.contact_int[0, ANISOTROPIC], system.contact_int[2, MODE] = 0, SLIPPING
-    assert not all_stick(solver.system, [0, 2], [0], [], [])
-
-
 def solved_cones(monkeypatch, forces, velocities, kinds, statuses=(OK,), holds=True, chosen=True):
     """Contacts 1 .. 6 of seven, of which 1, 2, 3 are undecided and 6 is ideal; joint coordinates at no end, at the
     lower and at the upper one; two resistances."""
@@ -940,9 +920,8 @@ def solved_cones(monkeypatch, forces, velocities, kinds, statuses=(OK,), holds=T
     system.contact_real[6, MU] = math.inf
     solver = ModeSolver(system)
     solver._limits[:] = system.contact_real[:, MU]
-    problem = ModeProblem(
-        np.eye(33), np.full(33, -2e12), np.zeros(33), np.ones(11), {1: ELLIPSE.copy()}, {10: 9, 11: 10}
-    )
+    shapes, turns, rows = {1: ELLIPSE.copy()}, {10: 9, 11: 10}, np.ones((2, 11))
+    problem = ModeProblem(np.eye(33), np.full(33, -2e12), np.zeros(33), np.ones(11), *rows, shapes, turns)
     monkeypatch.setattr(modes, "mode_problem", saying(problem))
     solution = saying(ModeSolution(forces.copy(), velocities.copy(), np.array(kinds), 3e-12))
     monkeypatch.setattr(solver, "_solve_with_loads", solution)
@@ -1045,9 +1024,8 @@ def test_what_gives_way_has_sliding_friction(monkeypatch):
         limits.append(solver._limits.tolist())
         return ModeSolution(zero.copy(), zero.copy(), np.array(answers[len(limits) - 1]), 0.0)
 
-    posed = saying(ModeProblem(zero, np.ones(12), zero, zero))
-    monkeypatch.setattr(modes, "problem_of_sticking", posed)
-    monkeypatch.setattr(modes, "all_stick", saying(True))
+    posed = saying(ModeProblem(zero, np.ones(12), zero, zero, zero, zero, {}, {}))
+    monkeypatch.setattr(modes, "mode_problem", posed)
     monkeypatch.setattr(solver, "_solve_with_loads", solve)
     solver._solve_cones(T, [0, 1, 2], [0, 1, 2, 3], [], [], Played(system))
     # with the limits that the slip found so far has left
@@ -1065,6 +1043,7 @@ def test_a_solution_as_the_choice_of_forces(seed):
     rng = np.random.default_rng(seed)
     system, solver = made(rng)
     system.reference, system.scalars = np.ones((10, 3)), record_of(SCALARS, 1.0)
+    system.reference_start, system.reference_slope = np.ones((10, 3)), np.ones((2, 30, 5))
     forces = rng.normal(size=(8, 3))
     asked = []
     # coordinates come after the contacts, of which only some are closed, and resistances after those
@@ -1074,7 +1053,9 @@ def test_a_solution_as_the_choice_of_forces(seed):
     expected[5:8, 2] = 0.05 + forces[3, 0], -0.3 + forces[4, 2], 0.2 - forces[5, 2]
     expected[8, :2] = forces[6, :2]
     assert system.reference == pytest.approx(expected, abs=1e-14)
-    assert system.scalars[["has_reference", "reference_moves"]].tolist() == (1.0, 0.0)
+    assert (system.reference_start == system.reference).all()
+    assert not system.reference_slope.any()
+    assert system.scalars["has_reference"] == 1.0
     assert asked == [T]
 
 
@@ -1155,20 +1136,19 @@ def test_cones_of_forces():
     assert len(ModeSolver(system)._cones(np.array(listed))) == len(expected) - 1
 
 
-def reference_at(system, index, time, loads):
+def reference_at(system, index, loads):
     """The reference that an evaluation takes, from its kernel."""
     made = made_system(system.nc, system.ng, system.nr, system.nv)
-    for name in ("reference_start", "reference_rate", "reference_slope"):
+    for name in ("reference_start", "reference_slope"):
         getattr(made, name)[:] = getattr(system, name)
     made.row_index[: len(index)], made.multipliers[: len(index)] = index, loads
-    made.scalars["time"], made.scalars["reference_time"] = time, system.scalars["reference_time"]
     part(equations.move_reference, SYSTEM)(made, len(index))
     return made.reference[index[:, 0], index[:, 1]]
 
 
 @SEEDS
 def test_a_choice_is_followed_along_its_tangent(seed):
-    """In stick with the loads; in slip, after the first, with time as since the last one."""
+    """With the loads."""
     rng = np.random.default_rng(seed)
     system = Items(3, nv=5, seed=seed)
     solver = ModeSolver(system)
@@ -1181,34 +1161,20 @@ def test_a_choice_is_followed_along_its_tangent(seed):
     operator = whitened @ (whitened.T @ span)
     slope = null @ rng.normal(size=(null.shape[1], span.shape[1]))
     loads = -(rows @ system.free_acceleration + system.bias[index[:, 0], index[:, 1]])
-    first = Choice(rng.normal(size=6), slope, span)
-    solver._follow(0.3, index, first, operator, False)
-    assert system.scalars[["has_reference", "reference_moves", "reference_time"]].tolist() == (1.0, 1.0, 0.3)
-    assert not system.reference.any()
-    for time in (0.3, 0.9):
-        assert reference_at(system, index, time, loads) == pytest.approx(first.forces, abs=1e-11)
+    choice = Choice(rng.normal(size=6), slope, span)
+    solver._follow(index, choice, operator)
+    assert system.scalars["has_reference"] == 1.0
+    assert reference_at(system, index, loads) == pytest.approx(choice.forces, abs=1e-11)
     change = rng.normal(size=span.shape[1])
-    moved = reference_at(system, index, 0.4, loads + operator @ change)
-    assert moved == pytest.approx(first.forces + slope @ change, abs=1e-10)
-    # slip: along the tangent at first, and at the same time
-    second = Choice(rng.normal(size=6), slope, span)
-    for time in (0.2, 0.3):
-        solver._follow(0.3, index, first, operator, False)
-        solver._follow(time, index, second, operator, True)
-        moved = reference_at(system, index, 0.8, loads + operator @ change)
-        assert moved == pytest.approx(second.forces + slope @ change, abs=1e-10)
-    solver._follow(0.3, index, first, operator, True)
-    solver._follow(0.5, index, second, operator, True)
-    expected = second.forces + 0.1 * (second.forces - first.forces) / 0.2
-    assert reference_at(system, index, 0.6, loads + operator @ change) == pytest.approx(expected, abs=1e-12)
-    # not with other rows
-    others = index[::-1].copy()
-    solver._follow(0.7, others, first, operator[::-1], True)
-    assert not system.reference_rate.any()
+    moved = reference_at(system, index, loads + operator @ change)
+    assert moved == pytest.approx(choice.forces + slope @ change, abs=1e-10)
     solver._take_reference(None)
-    assert system.scalars[["has_reference", "reference_moves"]].tolist() == (0.0, 0.0)
-    solver._follow(0.9, others, first, operator[::-1], True)
-    assert not system.reference_rate.any()
+    assert system.scalars["has_reference"] == 0.0
+    # one that stays
+    forces = rng.normal(size=system.reference.shape)
+    solver._take_reference(forces)
+    assert system.reference.tolist() == forces.tolist()
+    assert reference_at(system, index, loads) == pytest.approx(forces[index[:, 0], index[:, 1]], abs=1e-15)
 
 
 def redundant():
@@ -1226,7 +1192,7 @@ def redundant():
 
 
 def test_redundant_forces_are_chosen_anew(monkeypatch):
-    """The central ones are those in the middle; what does not hold leaves everything as it was."""
+    """The central ones are those in the middle."""
     system, solver = redundant()
     system.free_acceleration[:] = -4.0, 0.0
     system.bias[:] = 0.0
@@ -1234,23 +1200,12 @@ def test_redundant_forces_are_chosen_anew(monkeypatch):
     assert solver.redistribute(T, Played(system, EVENT))
     assert (solver.redistributions, solver.redundant) == (1, True)
     # Newton's last step is that by which the cost falls by 1e-9
-    assert reference_at(system, system.row_index[:2], T, np.array([4.0, 4.0])) == pytest.approx([2.0, 2.0], abs=1e-4)
-    numbers = np.zeros(len(SCALARS.names))
-    # the same, one by one and by name
-    kept, system.scalars = system.scalars.tolist(), numbers.view(SCALARS)[0]
-    numbers[:] = kept
+    assert reference_at(system, system.row_index[:2], np.array([4.0, 4.0])) == pytest.approx([2.0, 2.0], abs=1e-4)
     for holds, status in ((False, OK), (True, NO_FORCE)):
-        arrays = system.reference, system.reference_start, system.reference_rate, system.reference_slope, numbers
-        for array in arrays:
-            array += 0.125
-        before, last = [array.tolist() for array in arrays], solver._last
         monkeypatch.setattr(solver, "_holds", saying(holds))
         evaluate = Played(system, status)
         assert not solver.redistribute(T, evaluate)
-        assert [array.tolist() for array in arrays] == before
-        assert solver._last is last
-        # the last evaluation is one with what there was
-        assert len(evaluate.asked) == 2
+        assert len(evaluate.asked) == 1
         assert solver.redistributions == 1
 
 

@@ -8,9 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pincontact.dynamics.mode_problem import mode_problem, problem_of_sticking
+from pincontact.dynamics.mode_problem import mode_problem
 from pincontact.dynamics.modes import ModeSolver
 from pincontact.friction import cone
+from pincontact.friction.loads import LARGE_FRICTION
 from pincontact.layout import (
     ANISOTROPIC,
     CONTACT_INTS,
@@ -67,6 +68,8 @@ def made(rng, ideal=False):
             rows[i, row, (3 * i + row) % nv] += 1.0
     factor = np.eye(nv) + 0.1 * np.tril(rng.normal(size=(nv, nv)))
     bias, free = 0.1 * rng.normal(size=(n, 3)), rng.normal(size=nv)
+    # that of a joint coordinate is its acceleration
+    bias[5:8] = 0.0
     for c in CONTACTS:
         # most of them close
         bias[c, 2] = -(rows[c, 2] @ free) - rng.uniform(-0.2, 1.0)
@@ -128,13 +131,6 @@ def test_cone_problems_are_those_of_the_motion(seed):
     assert velocities[missing] == pytest.approx(alone.reshape(-1, 3)[missing], abs=1e-12)
 
 
-def counted(solver, monkeypatch):
-    """What the cone solver is asked from now on."""
-    tried, solve = [], solver.solve
-    monkeypatch.setattr(solver, "solve", lambda *problem: tried.append(problem) or solve(*problem))
-    return tried
-
-
 def on_disk(aim, radius):
     length = np.linalg.norm(aim)
     return aim * min(1.0, radius / length) if length > 0.0 else aim
@@ -142,23 +138,19 @@ def on_disk(aim, radius):
 
 @SEEDS
 @pytest.mark.parametrize("ideal", [False, True])
-def test_solutions_follow_the_laws_of_what_slides_and_what_rests(ideal, seed, monkeypatch):
+def test_solutions_follow_the_laws_of_what_slides_and_what_rests(ideal, seed):
     rng = np.random.default_rng([1, seed])
     system, solver = made(rng, ideal)
     problem = mode_problem(system, solver._limits, CONTACTS, [3, 4], HELD, RESISTING)
     if ideal:
         problem.limits[2] = math.inf
-    tried = counted(solver.solver, monkeypatch)
     solution = solver._solve_with_loads(problem, CONTACTS, HELD, RESISTING)
     assert solution is not None
     assert solution.residual <= 1e-9
-    # one, and of a fixed point those that lead to it: by half at least each time
-    assert solver.cone_problems == 1 + (len(tried) if ideal else 0)
-    assert len(tried) <= 45
+    assert solver.cone_problems == 1
     forces, modes = solution.forces, solution.modes
     velocities = (problem.gram @ forces.ravel() + problem.base).reshape(-1, 3)
-    # of fixed points 1e-10, else round-off
-    close = 1e-7 if ideal else 1e-9
+    close = 1e-9
     missing = problem.weights.reshape(-1, 3) > 0.0
     assert solution.velocities[~missing] == pytest.approx(velocities[~missing], abs=close)
     normal = forces[:, 2]
@@ -178,8 +170,10 @@ def test_solutions_follow_the_laws_of_what_slides_and_what_rests(ideal, seed, mo
         assert forces[i, :count] == pytest.approx(on_disk(aim, max(radius, 0.0)), abs=close)
         if radius > 1e-9 and np.linalg.norm(velocities[i, :count]) > 1e-6:
             assert modes[i] == cone.SLIP
-    if ideal and normal[2] > 1e-6:
-        assert np.abs(velocities[2, :2]).max() < close
+    if ideal:
+        # that slips at most which friction holds up, with next to no load
+        pull = np.linalg.norm(forces[2, :2])
+        assert np.abs(velocities[2, :2]).max() < close or normal[2] <= 1.001 * pull / LARGE_FRICTION
     elif not ideal:
         assert not forces[2, :2].any()
     for i in range(5):
@@ -204,10 +198,14 @@ def test_solutions_begin_from_the_last_forces(seed, monkeypatch):
     expected[3, :2] = np.linalg.solve(ELLIPSE, system.force[3, :2])
     expected[4, :2], expected[8, :2] = system.force[4, :2], system.force[8, :2]
     assert start.reshape(-1, 3) == pytest.approx(expected, abs=1e-14)
-    assert loads.normals == [2, 5, 8, 11, 14, 20, 23]
-    assert sorted(loads.drag) == [2, 5]
-    assert [disk.rows for disk in loads.disks] == [[9, 10], [12], [15], [24, 25]]
-    assert [disk.normal for disk in loads.disks] == [11, 14, None, 8]
+    assert np.flatnonzero(loads.normal).tolist() == [0, 1, 2, 3, 4, 6, 7]
+    assert np.flatnonzero((loads.drag != np.eye(30)).any(axis=0)).tolist() == [2, 5]
+    discs = np.flatnonzero(loads.mu * loads.tangents)
+    assert discs.tolist() == [3, 4, 5, 8]
+    assert loads.tangents[discs].tolist() == [2.0, 1.0, 1.0, 2.0]
+    carriers = [np.flatnonzero(loads.radius_rows[2 * i]).tolist() for i in discs]
+    assert carriers == [[11], [14], [], [8]]
+    assert loads.radius_base[10] == 0.25
 
 
 @SEEDS
@@ -250,28 +248,3 @@ def test_whether_all_forces_lie_inside_their_cones():
                 event_functions[i, margin] = value
                 assert solver._holds() == (value == 0.0 or (i, margin) not in watched)
             event_functions[i, margin] = 1.0
-
-
-@SEEDS
-def test_the_problem_of_what_all_sticks(seed):
-    """From the rows of the last evaluation, normals first: the same as in general; what nothing moves stands alone."""
-    rng = np.random.default_rng([4, seed])
-    system, solver = made(rng)
-    system.contact_int[:, ANISOTROPIC], system.contact_int[:, TANGENTS] = 0, 2
-    contacts = [0, 2, 3]
-    system.rows *= 0.2
-    system.rows[2, 1] = 0.0
-    system.whitened_rows = np.zeros((30, system.nv))
-    for i, c in enumerate(contacts):
-        for k, row in enumerate((2, 0, 1)):
-            system.whitened_rows[3 * i + k] = np.linalg.solve(system.factor.T, system.rows[c, row])
-    found, general = (
-        problem_of_sticking(system, solver._limits, contacts),
-        mode_problem(system, solver._limits, contacts, contacts, [], []),
-    )
-    assert found.gram == pytest.approx(general.gram, abs=1e-13)
-    assert found.base == pytest.approx(general.base, abs=1e-13)
-    assert found.weights == pytest.approx(general.weights, abs=1e-13)
-    assert found.base[4] == 0.0
-    assert found.weights[4] > 0.0
-    assert found.limits.tolist() == general.limits.tolist() == solver._limits[contacts].tolist()

@@ -386,7 +386,9 @@ def test_outputs_of_time_stepping_are_solved_by_programs_too(monkeypatch):
 
 def test_problems_with_loads_begin_from_the_programs_guess():
     """Two loads that do not touch each other; only a start with both pressed has them in the first place."""
-    problem, asked = Loads(np.eye(6), np.tile([0.0, 0.0, -1.0], 2), [2, 5]), []
+    both, none = np.ones(2), np.zeros(2)
+    problem = Loads(np.eye(6), np.tile([0.0, 0.0, -1.0], 2), both, none, none, np.zeros(4), np.zeros((4, 6)))
+    asked = []
 
     def guess(speed):
         asked.append(speed)

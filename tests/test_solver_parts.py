@@ -107,7 +107,7 @@ def test_sweeps_after_other_stages(seed):
 
 def test_nothing_to_solve():
     fresh = LoadSolver()
-    assert (fresh.residual, fresh.proved, fresh.forces.size, fresh.slid) == (0.0, False, 0, [])
+    assert (fresh.residual, fresh.proved, fresh.forces.size) == (0.0, False, 0)
     found = solve.solve_contacts(np.zeros((0, 0)), np.zeros(0), 0.3)
     assert (found.residual, found.iterations, found.qp_count, found.decided_by) == (0.0, 0, 0, "exact")
     assert found.forces.shape == found.velocities.shape == (0, 3)
@@ -158,7 +158,7 @@ def test_sweeps_of_soft_contacts(seed):
 
 @SEEDS
 def test_units_of_loads(seed):
-    made = made_problem(np.random.default_rng(seed))[0]
+    made = made_problem(np.random.default_rng(seed))[0].posed()
     for factor in (1e-3, 1e4):
         made.base *= factor
         scaled = ScaledLoads(made)
@@ -228,7 +228,18 @@ def test_minima_of_barriers(pressure, seed):
     point = centred._minimise(barriers, start, pressure)
     gradient, hessian = np.zeros_like(point), np.zeros((point.size, point.size))
     barrier.barrier_derivatives(barriers.flat, barriers.at(point).ravel(), point, pressure, gradient, hessian)
-    assert hessian[:-1, :-1] == pytest.approx(np.tril(barriers.curvature(point) + np.eye(point.size - 1)), rel=1e-10)
+    along = rng.normal(size=(len(directions), 2))
+    curvature, change = barriers.curvature(point, along)
+    assert hessian[:-1, :-1] == pytest.approx(np.tril(curvature + np.eye(point.size - 1)), rel=1e-10)
+    for column, direction in zip(change.T, along.T):
+        slopes = []
+        for step in (1e-6, -1e-6):
+            moved, slope = centred._Barriers(cones, inside / unit + step * direction, null, unit), gradient.copy()
+            barrier.barrier_derivatives(moved.flat, moved.at(point).ravel(), point, pressure, slope, hessian.copy())
+            slopes.append(slope[:-1])
+        # the square of the step, and round-off over it
+        accuracy = 1e-6 * np.abs(curvature).max()
+        assert column == pytest.approx((slopes[0] - slopes[1]) / 2e-6, rel=1e-5, abs=accuracy)
     assert depth_of(barriers, point) > 0.0
     if pressure == 0.0:
         assert point[-1] == start[-1]

@@ -5,8 +5,7 @@ import pytest
 from thrown_boxes import thrown_box
 
 import pincontact as pc
-from pincontact.friction.loads import TOLERANCE
-from pincontact.friction.product import SETTLED, Product
+from pincontact.friction.loads import SETTLED, TOLERANCE, Loads
 
 
 @pytest.mark.parametrize("block", range(6))
@@ -41,7 +40,7 @@ def random_product(rng):
             rows[3 * i + 2] = 0.0
     # velocities that some motion has, so that another one parts all contacts
     base = rows @ rng.normal(size=nv)
-    return Product(rows @ rows.T, base, normal, tangents, mu, np.zeros(2 * n), slope.reshape(2 * n, -1))
+    return Loads(rows @ rows.T, base, normal, tangents, mu, np.zeros(2 * n), slope.reshape(2 * n, -1))
 
 
 def laws_violated(product, forces, radii):

@@ -169,23 +169,21 @@ def right_hand_sides(system, count, directions):
     """multipliers = -(row . a_free + bias): what the forces have to make up, less what the reference forces do.
 
     Of redundant forces those of the least distance from the reference are taken. It is zero unless it was chosen
-    otherwise (see `redistribution`), and may move with time and the loads.
+    otherwise (see `redistribution`), and may move with the loads.
     """
     x, row_index, scalars = system.multipliers, system.row_index, system.scalars
     for r in range(count):
         c, row = row_index[r, 0], row_index[r, 1]
         x[r] = -(inner(system.rows[c, row], system.free_acceleration, system.sizes.nv) + system.bias[c, row])
     if scalars.has_reference != 0.0:
-        if scalars.reference_moves != 0.0:
-            move_reference(system, count)
+        move_reference(system, count)
         take_reference(system, count, directions)
 
 
 @kernel
 def move_reference(system, count):
-    """reference = start + rate time + slope[1] slope[0]^T x, x (count,) the right-hand sides in `multipliers`."""
+    """reference = start + slope[1] slope[0]^T x, x (count,) the right-hand sides in `multipliers`."""
     nv, slope, row_index, work = system.sizes.nv, system.reference_slope, system.row_index, system.work
-    time = system.scalars.time - system.scalars.reference_time
     for k in range(nv):
         work[k] = 0.0
     for r in range(count):
@@ -194,8 +192,7 @@ def move_reference(system, count):
             work[k] += place[k] * system.multipliers[r]
     for r in range(count):
         c, row = row_index[r, 0], row_index[r, 1]
-        start = system.reference_start[c, row] + system.reference_rate[c, row] * time
-        system.reference[c, row] = start + inner(slope[1, 3 * c + row], work, nv)
+        system.reference[c, row] = system.reference_start[c, row] + inner(slope[1, 3 * c + row], work, nv)
 
 
 @kernel

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..friction.cone import SLIP
+from ..friction.loads import LARGE_FRICTION, TOLERANCE, Loads
 from ..friction.solve import ContactSolver
 from ..friction.stribeck import stribeck
 from ..geometry.patterns import ON_CURVE
@@ -34,21 +35,15 @@ from ..layout import (
     UNILATERAL,
 )
 from .energy import ENERGY_SLACK, KEPT_ACCURACY
-from .friction_scaling import stretch
-from .units import contact_rows, delassus, unit_columns, unwhiten, whiten, whitened_velocity
+from .units import Units, contact_rows, delassus, unwhiten, whiten, whitened_velocity
 
 if TYPE_CHECKING:
     from .system import System
 
 # Equations that combine to less than this, relative to their size, are redundant.
 _REDUNDANT = 1e-9
-# Fixed point on normal impulses that are loads of others: its iterations, and the change, as a part of the largest
-# impulse, at which it ends; cone problems are solved to about a tenth of that.
-_LOAD_ITERATIONS = 100
-_LOAD_CHANGE = 1e-10
-_UNDAMPED = 12
 # Coefficients that stand in for infinite ones where redundant contacts' ideal rolling contradicts itself by round-off.
-_LARGE_FRICTION = (1e4, 1e2)
+_LARGE_FRICTION = (LARGE_FRICTION, 1e2)
 
 
 @dataclass(frozen=True)
@@ -116,78 +111,60 @@ class _Problem:
         struck: Collection[int] = (),
     ) -> None:
         integers = system.contact_int
-        velocity = {c: system.basis[c] @ system.slip[c] for c in closed}
+
+        def relative(item: int, rows: list[int]) -> np.ndarray:
+            # of joint coordinates the third number is the velocity itself
+            on_joint = system.nc <= item < system.nc + system.ng
+            return system.slip[item, rows] if on_joint else system.basis[item, rows] @ system.slip[item]
+
+        units = Units(system, relative)
         equations: list[tuple[int, int]] = []
-        units: list[np.ndarray] = []
-        before, rebound, mu, sliding = [], [], [], []
         # unit -> rows among the equations that carry its normal impulse
         self.loaded: dict[int, list[int]] = {}
-        places_of: dict[int, int] = {}
+        # contacts -> their units, or places of their normals among the equations; unit -> coefficient of sliding
+        unit_of: dict[int, int] = {}
         normals_of: dict[int, list[int]] = {}
+        sliding: dict[int, float] = {}
         for c in closed:
             rows, limit = contact_rows(integers[c, TANGENTS]), _coefficient(system, c)
             rested = integers[c, MODE] == STICK and c not in struck
             holding = float(system.contact_real[c, MU_STATIC]) if rested else limit
             if integers[c, UNILATERAL]:
-                columns, before_c = unit_columns(system, c, rows if limit > 0.0 else (2,)), velocity[c].copy()
-                # elliptic cones are round in other coordinates
-                shape = stretch(system, c)
-                columns[:, :2], before_c[:2] = columns[:, :2] @ shape, shape @ before_c[:2]
-                places_of[c] = len(units)
-                units.append(columns)
-                before.append(before_c * (np.abs(columns).max(axis=0, initial=0.0) > 0.0))
-                rebound.append(restitution.get(c, 0.0) * min(velocity[c][2], 0.0))
-                mu.append(holding)
-                sliding.append(limit)
+                unit_of[c] = units.add(c, rows if limit > 0.0 else (2,), holding)
+                sliding[unit_of[c]] = limit
                 continue
             normals = [1, 2] if integers[c, PATTERN] == ON_CURVE else [2]
             tangents = [row for row in rows if row not in normals]
-            stuck = normals + (tangents if math.isinf(limit) else [])
-            places = normals_of[c] = list(range(len(equations), len(equations) + len(normals)))
-            equations += [(c, row) for row in stuck]
+            normals_of[c] = list(range(len(equations), len(equations) + len(normals)))
+            equations += [(c, row) for row in normals + (tangents if math.isinf(limit) else [])]
             if 0.0 < limit < math.inf:
-                self.loaded[len(units)] = places
-                columns, before_c = unit_columns(system, c, tangents), velocity[c] * np.isin(range(3), tangents)
-                if len(tangents) == 2:
-                    shape = stretch(system, c)
-                    columns[:, :2], before_c[:2] = columns[:, :2] @ shape, shape @ before_c[:2]
-                units.append(columns)
-                before.append(before_c)
-                rebound.append(0.0)
-                mu.append(holding)
-                sliding.append(limit)
+                u = units.add(c, tangents, holding)
+                self.loaded[u], sliding[u] = normals_of[c], limit
         # unit of a resistance to turning -> unit that carries its contact's normal impulse
         self.carried: dict[int, int] = {}
         for item in system.resisting():
             c = system.owner(item)
-            if c not in closed:
-                continue
-            if integers[c, UNILATERAL]:
-                self.carried[len(units)] = places_of[c]
-            else:
-                self.loaded[len(units)] = normals_of[c]
-            tangents = list(range(integers[item, TANGENTS]))
-            units.append(unit_columns(system, item, tangents))
-            before.append((system.basis[item] @ system.slip[item]) * np.isin(range(3), tangents))
-            rebound.append(0.0)
-            mu.append(float(system.contact_real[item, MU]))
-            sliding.append(mu[-1])
-        self.contacts = len(units)
+            if c in closed:
+                u = units.add(item, range(integers[item, TANGENTS]), float(system.contact_real[item, MU]))
+                if integers[c, UNILATERAL]:
+                    self.carried[u] = unit_of[c]
+                else:
+                    self.loaded[u] = normals_of[c]
+        self.contacts = len(units.mu)
         for g in ends:
-            sign = -float(system.joint_int[g, JOINT_END])
-            units.append(unit_columns(system, system.nc + g, (2,), sign))
-            before.append(np.array([0.0, 0.0, sign * system.slip[system.nc + g, 2]]))
-            rebound.append(0.0)
-            mu.append(0.0)
-            sliding.append(0.0)
-        self.stack = np.hstack(units) if units else np.zeros((system.nv, 0))
-        self.before = np.array(before).reshape(-1)
-        self.rebound, self.holding, self.sliding = np.array(rebound), np.array(mu), np.array(sliding)
-        self.forces = np.zeros(3 * len(units))
+            units.add(system.nc + g, (2,), 0.0, -float(system.joint_int[g, JOINT_END]))
+        self.stack, self.before = units.stack, np.array(units.start).reshape(-1)
+        self.holding = np.array(units.mu)
+        self.rebound, self.sliding = np.zeros(self.holding.size), self.holding.copy()
+        for c, u in unit_of.items():
+            self.rebound[u] = restitution.get(c, 0.0) * min(self.before[3 * u + 2], 0.0)
+        for u, limit in sliding.items():
+            self.sliding[u] = limit
+        self.forces = np.zeros(self.before.size)
         sides = system.side_int[[2 * c + side for c in closed for side in range(2)]]
         self.driven = bool(sides[:, [MOTION_KIND, TIME_DEPENDENT]].any())
         self.equations = np.array([whiten(system, system.rows[c, row]) for c, row in equations]).reshape(-1, system.nv)
-        wanted = -np.array([velocity[c][row] for c, row in equations])
+        wanted = -np.array([relative(c, [row])[0] for c, row in equations])
         self.start = np.linalg.lstsq(self.equations, wanted, rcond=_REDUNDANT)[0] if equations else np.zeros(system.nv)
         span = np.linalg.svd(self.equations, full_matrices=False) if equations else None
         self.reduced = self.stack
@@ -195,36 +172,52 @@ class _Problem:
             basis = span[2][span[1] > _REDUNDANT * span[1][0]]
             self.reduced = self.stack - basis.T @ (basis @ self.stack)
         self.gram, self.weights = delassus(self.reduced)
+        self.loads = self._with_loads(units) if self.loaded or self.carried else None
+
+    def _with_loads(self, units: Units) -> Loads:
+        """The problem with the loads of its units as functions of the impulses, but for b."""
+        n, size, normal, tangents = (
+            self.holding.size,
+            self.before.size,
+            np.array(units.normal),
+            np.array(units.tangents),
+        )
+        base, rows = np.zeros((n, 2)), np.zeros((n, 2, size))
+        rows[np.arange(n), 0, 3 * np.arange(n) + 2] = normal
+        for u, carrier in self.carried.items():
+            rows[u, 0, 3 * carrier + 2] = 1.0
+        if self.loaded:
+            # impulses of equations, of redundant ones the least
+            impulses = np.linalg.pinv(self.equations.T, rcond=_REDUNDANT)
+            for u, places in self.loaded.items():
+                base[u, : len(places)] = impulses[places] @ self.start
+                rows[u, : len(places)] = impulses[places] @ (self.reduced - self.stack)
+        return Loads(self.gram, self.before, normal, tangents, self.holding, base.ravel(), rows.reshape(2 * n, size))
 
     def solve(self, solver: ContactSolver, kept: float) -> np.ndarray | None:
         """y with `kept` of the restitution, or None."""
         b = self.before + self.stack.T @ self.start
         b[2::3] += kept * self.rebound
         b[self.weights > 0.0] = 0.0
-        mu, loads = self.holding.copy(), np.zeros(len(self.holding))
-        for iteration in range(_LOAD_ITERATIONS):
-            for u in (*self.loaded, *self.carried):
-                b[3 * u + 2] = -self.weights[3 * u + 2] * loads[u]
-            if mu.size:
+        mu = self.holding.copy()
+        while mu.size:
+            if self.loads is None:
                 if not self._solve_cones(solver, b, mu):
                     return None
-                slips = (solver.modes == SLIP) & (mu > self.sliding)
-                if slips.any():
-                    mu[slips] = self.sliding[slips]
-                    continue
-                self.forces = np.where(self.weights > 0.0, 0.0, solver.forces)
-            y = self.start + self.reduced @ self.forces
-            change, size = 0.0, float(np.abs(self.forces).max(initial=0.0))
-            found = {u: float(self.forces[3 * carrier + 2]) for u, carrier in self.carried.items()}
-            if self.loaded:
-                impulses = np.linalg.lstsq(self.equations.T, y - self.stack @ self.forces, rcond=_REDUNDANT)[0]
-                found |= {u: float(np.linalg.norm(impulses[places])) for u, places in self.loaded.items()}
-            for u, load in found.items():
-                change, size = max(change, abs(load - loads[u])), max(size, load)
-                loads[u] = load if iteration < _UNDAMPED else 0.5 * (load + loads[u])
-            if change <= _LOAD_CHANGE * size:
-                return y
-        return None
+                self.forces, modes = np.where(self.weights > 0.0, 0.0, solver.forces), solver.modes
+            else:
+                loads, nothing = replace(self.loads, base=b, mu=mu), np.zeros(b.size)
+                self.forces, residual = loads.refine(nothing)
+                if not residual <= TOLERANCE:
+                    self.forces, residual = loads.solve(nothing)
+                if not residual <= TOLERANCE:
+                    return None
+                modes = loads.modes(self.forces)
+            slips = (modes == SLIP) & (mu > self.sliding)
+            if not slips.any():
+                break
+            mu[slips] = self.sliding[slips]
+        return self.start + self.reduced @ self.forces
 
     def _solve_cones(self, solver: ContactSolver, b: np.ndarray, mu: np.ndarray) -> bool:
         ideal = np.isinf(mu)

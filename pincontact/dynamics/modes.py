@@ -41,7 +41,7 @@ from .contact_modes import Decision, drags, held_up_by_friction, rest_mode, shar
 from .directions import align_slips, freeze_slip
 from .mode_changes import ModeChanges
 from .mode_loads import LoadedCones
-from .mode_problem import all_stick, mode_problem, problem_of_sticking
+from .mode_problem import mode_problem
 from .passing_slip import PassingSlip
 
 if TYPE_CHECKING:
@@ -120,7 +120,10 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
 
     def _let_joints_go(self, t: float, evaluate) -> int:
         """Let held joint coordinates go, one after the other, whose forces exceed their bounds; the status, if no
-        contact has to change then. Otherwise modes are what they were, and evaluated."""
+        contact has to change then. Otherwise modes are what they were, and evaluated.
+
+        Of redundant contacts a cone problem may let one slip with a joint, though others would hold.
+        """
         system = self.system
         modes, limits = system.contact_int.copy(), system.joint_int.copy()
         released: dict[int, tuple[int, int]] = {}
@@ -177,10 +180,7 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         decision = Decision(OK, solved=True)
         n = len(closed)
         while True:
-            if all_stick(system, closed, undecided, held, resisting):
-                problem = problem_of_sticking(system, self._limits, closed)
-            else:
-                problem = mode_problem(system, self._limits, closed, undecided, held, resisting)
+            problem = mode_problem(system, self._limits, closed, undecided, held, resisting)
             solution = self._solve_with_loads(problem, closed, held, resisting)
             if solution is None:
                 decision.status = NO_FORCE

@@ -78,8 +78,6 @@ class RedundantForces:
         self.system = system
         self.redistributions = 0
         self.redundant = False
-        # time, constraint rows and forces of the last choice
-        self._last: tuple[float, np.ndarray, np.ndarray] | None = None
 
     def redistribute(self, t: float, evaluate, ended: int | None = None) -> bool:
         """Choose other ones among redundant forces, such that all lie inside their cones; False where none do.
@@ -117,29 +115,11 @@ class RedundantForces:
         cones = self._cones(index)
         for null in choices:
             found = central_force(forces, null, cones)
-            if found is not None and self._takes(t, evaluate, index, found, slipping):
-                return True
-        return False
-
-    def _takes(self, t: float, evaluate, index: np.ndarray, choice: Choice, slipping: bool) -> bool:
-        """Take the choice for the reference, if then all forces lie inside their cones; whether they do."""
-        system, count = self.system, len(index)
-        arrays = system.reference, system.reference_start, system.reference_rate, system.reference_slope
-        kinds = "has_reference", "reference_moves", "reference_time"
-        before, last = [array.copy() for array in arrays], self._last
-        scalars = [system.scalars[kind] for kind in kinds]
-        directions = system.whitened_forces[:count] if slipping else system.whitened_rows[:count]
-        operator = system.whitened_rows[:count] @ (directions.T @ choice.span)
-        self._follow(t, index, choice, operator, slipping)
-        if evaluate(t) <= EVENT and self._holds():
-            self.redistributions += 1
-            return True
-        for array, values in zip(arrays, before):
-            array[:] = values
-        for kind, value in zip(kinds, scalars):
-            system.scalars[kind] = value
-        self._last = last
-        evaluate(t)
+            if found is not None:
+                self._follow(index, found, rows @ (directions.T @ found.span))
+                if evaluate(t) <= EVENT and self._holds():
+                    self.redistributions += 1
+                    return True
         return False
 
     def _load_all(self) -> bool:
@@ -195,27 +175,18 @@ class RedundantForces:
         evaluate(t)
         return False
 
-    def _follow(self, t: float, index: np.ndarray, choice: Choice, operator: np.ndarray, slipping: bool) -> None:
-        """Take the choice for the reference, and let that move as the choice will.
+    def _follow(self, index: np.ndarray, choice: Choice, operator: np.ndarray) -> None:
+        """Take the choice for the reference, and let that move with the loads as the choice will.
 
-        index (count, 2): the constraint rows; operator (count, r): what forces along `choice.span` do to them. What
-        slips changes directions of forces, too: there the tangent along loads is good for a first guess only, and
-        after that the rate is the one since the last choice.
+        index (count, 2): the constraint rows; operator (count, r): what forces along `choice.span` do to them.
         """
         system = self.system
         c, row = index[:, 0], index[:, 1]
-        last = self._last
-        self._take_reference(np.zeros_like(system.reference))
-        system.scalars["reference_moves"], system.scalars["reference_time"] = 1.0, t
-        system.reference_start[:] = system.reference_rate[:] = system.reference_slope[:] = 0.0
-        self._last = t, index, choice.forces
-        if slipping and last is not None and last[0] < t and np.array_equal(last[1], index):
-            system.reference_start[c, row] = choice.forces
-            system.reference_rate[c, row] = (choice.forces - last[2]) / (t - last[0])
-            return
         loads = -(np.einsum("rk,k->r", system.rows[c, row], system.free_acceleration) + system.bias[c, row])
         across = np.linalg.pinv(operator)
-        system.reference_start[c, row] = choice.forces - choice.slope @ (across @ loads)
+        reference = np.zeros_like(system.reference)
+        reference[c, row] = choice.forces - choice.slope @ (across @ loads)
+        self._take_reference(reference)
         rank = choice.span.shape[1]
         system.reference_slope[0, 3 * c + row, :rank] = across.T
         system.reference_slope[1, 3 * c + row, :rank] = choice.slope
@@ -224,10 +195,9 @@ class RedundantForces:
         """Choose redundant forces nearest to these (nc + ng + nr, 3), or None: nearest to zero."""
         system = self.system
         system.scalars["has_reference"] = 0.0 if reference is None else 1.0
-        system.scalars["reference_moves"] = 0.0
-        self._last = None
         if reference is not None:
-            system.reference[:] = reference
+            system.reference[:] = system.reference_start[:] = reference
+            system.reference_slope[:] = 0.0
 
     def _cones(self, index: np.ndarray) -> list[Cone]:
         """The cones of the forces in the constraint rows `index` (count, 2)."""

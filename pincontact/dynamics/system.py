@@ -269,9 +269,8 @@ class System(Workspace):
         self.scratch("lowest", nc, EVENTS_PER_CONTACT)
         self.scratch("highest", nc, EVENTS_PER_CONTACT)
         self.zeros("reference", nc, 3)
-        self.scratch("reference_start", nc, 3)
-        self.scratch("reference_rate", nc, 3)
-        self.scratch("reference_slope", 2, rows, nv)
+        self.zeros("reference_start", nc, 3)
+        self.zeros("reference_slope", 2, rows, nv)
 
     def _map_joint_limits(self, limits: Sequence[JointLimit]) -> None:
         """Joint coordinates with limits or dry friction are items after the contacts, of one constraint row each."""

@@ -1,15 +1,18 @@
-"""The cone problem's matrices from whitened constraint rows, for modes and for impacts.
+"""Cone problems of an evaluated state, for modes and for impacts, from its units one after the other.
 
 A unit is one cone: three columns L^-T row^T in the order (t1, t2, n), zero where the unit has no such row.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
+
+from ..layout import ANISOTROPIC
+from .friction_scaling import stretch
 
 if TYPE_CHECKING:
     from .system import System
@@ -42,12 +45,44 @@ def whitened_velocity(system: System, v: np.ndarray) -> np.ndarray:
     return np.tril(system.factor) @ v
 
 
-def unit_columns(system: System, index: int, rows: Sequence[int], sign: float = 1.0) -> np.ndarray:
-    """(nv, 3) the unit of contact `index` (or of joint coordinate `index` - nc), with these of its rows only."""
-    columns = whiten(system, system.rows[index].T)
-    for row in {0, 1, 2}.difference(rows):
-        columns[:, row] = 0.0
-    return columns if sign == 1.0 else sign * columns
+class Units:
+    """Units of contacts, joint coordinates and resistances to turning.
+
+    relative(item, rows): what moves along these rows of an item without forces, velocities or accelerations. Of each
+    unit: columns (nv, 3); start (3,), what moves along it; mu; normal and tangents, how many rows it has of either;
+    shapes: unit -> scaling of its friction ellipse (`friction_scaling`), in whose coordinates its cone is round.
+    """
+
+    def __init__(self, system: System, relative: Callable[[int, list[int]], np.ndarray]) -> None:
+        self.system, self.relative = system, relative
+        self.columns: list[np.ndarray] = []
+        self.start: list[np.ndarray] = []
+        self.mu: list[float] = []
+        self.normal: list[float] = []
+        self.tangents: list[float] = []
+        self.shapes: dict[int, np.ndarray] = {}
+
+    def add(self, item: int, rows: Sequence[int], mu: float, sign: float = 1.0, places: Sequence[int] = ()) -> int:
+        """Add a unit of these rows of an item, turned round by a sign of -1; returns which one it is. places: which
+        rows of the unit they are, if others."""
+        system, unit, rows, places = self.system, len(self.mu), list(rows), list(places or rows)
+        columns, start = np.zeros((system.nv, 3)), np.zeros(3)
+        columns[:, places] = sign * whiten(system, system.rows[item, rows].T)
+        start[places] = sign * self.relative(item, rows)
+        if item < system.nc and system.contact_int[item, ANISOTROPIC]:
+            self.shapes[unit] = shape = stretch(system, item)
+            columns[:, :2], start[:2] = columns[:, :2] @ shape, shape @ start[:2]
+        self.columns.append(columns)
+        self.start.append(start)
+        self.mu.append(mu)
+        self.normal.append(float(places.count(2)))
+        self.tangents.append(float(len(places) - places.count(2)))
+        return unit
+
+    @property
+    def stack(self) -> np.ndarray:
+        """(nv, 3n) the columns of all units."""
+        return np.hstack(self.columns) if self.columns else np.zeros((self.system.nv, 0))
 
 
 def contact_rows(tangents: int) -> tuple[int, ...]:

@@ -102,11 +102,11 @@ def central_force(forces: np.ndarray, null: np.ndarray, cones: list[Cone]) -> Ch
         z = found
     point = _minimise(barriers, np.append(z, 0.0))
     z = point[:-1]
-    hessian = barriers.curvature(point) + np.eye(z.size)
+    curvature, change = barriers.curvature(point, span)
     # the unit changes along, too
-    change = barriers.curvature_along(point, span) - np.outer(2.0 * z, span.T @ (least / unit))
+    change -= np.outer(2.0 * z, span.T @ (least / unit))
     try:
-        response = np.linalg.solve(hessian, change)
+        response = np.linalg.solve(curvature + np.eye(z.size), change)
     except np.linalg.LinAlgError:
         # on the rim, but for round-off
         return None
@@ -176,24 +176,18 @@ class _Barriers:
         way = way_inside(self.at(point).ravel(), self.flat @ step)
         return point + min(1.0, TO_BOUNDARY * way) * step
 
-    def curvature(self, point: np.ndarray) -> np.ndarray:
-        """(k, k) Hessian by z of the sum of barriers at a point inside."""
-        curved = (_curvatures(self.at(point)) @ self.rows).reshape(self.flat.shape)
-        return (self.flat.T @ curved)[:-1, :-1]
-
-    def curvature_along(self, point: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """(k, r) change of the gradient by z for forces that change along the directions (n, r)."""
-        curved = (_curvatures(self.at(point)) @ (self.parts @ directions)).reshape(-1, directions.shape[1])
-        return self.flat[:, :-1].T @ curved
-
-
-def _curvatures(x: np.ndarray) -> np.ndarray:
-    """(m, 3, 3) Hessians of the barriers in (s, t1, t2)."""
-    length = np.hypot(x[:, 1], x[:, 2])
-    # s^2 - |t|^2 without the cancellation near the boundary
-    inside = (x[:, 0] - length) * (x[:, 0] + length)
-    slopes = -2.0 * (_SIGNS * x) / inside[:, None]
-    return slopes[:, :, None] * slopes[:, None, :] - (2.0 / inside)[:, None, None] * np.diag(_SIGNS)
+    def curvature(self, point: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(k, k) Hessian by z of the sum of barriers at a point inside, and (k, r) change of the gradient for forces
+        that change along the directions (n, r)."""
+        x, k = self.at(point), point.size - 1
+        length = np.hypot(x[:, 1], x[:, 2])
+        # s^2 - |t|^2 without the cancellation near the boundary
+        inside = (x[:, 0] - length) * (x[:, 0] + length)
+        slopes = -2.0 * (_SIGNS * x) / inside[:, None]
+        bent = slopes[:, :, None] * slopes[:, None, :] - (2.0 / inside)[:, None, None] * np.diag(_SIGNS)
+        rows = np.concatenate([self.rows[:, :, :k], self.parts @ directions], axis=2)
+        curved = self.flat[:, :k].T @ (bent @ rows).reshape(len(self.flat), -1)
+        return curved[:, :k], curved[:, k:]
 
 
 def _minimise(barriers: _Barriers, point: np.ndarray, pressure: float = 0.0) -> np.ndarray:

@@ -108,7 +108,7 @@ def cone_workspace(contacts: int) -> Workspace:
     space.zeros("modes", contacts)[:] = STICK
     space.zeros("forces", rows)
     space.scratch("velocities", rows)
-    space.zeros("counts", COUNTS_LENGTH)
+    space.zeros("counts", COUNTS_LENGTH)[DECIDED] = UNDECIDED
     space.scratch("reached", 1)
     space.scratch("scaled", rows, rows)
     space.scratch("system", rows + 1, rows + 1)

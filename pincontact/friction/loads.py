@@ -1,118 +1,194 @@
-"""Contact problems some of whose contacts slide already, and whose torques resist turning in proportion to loads.
+"""Contacts some of which slide already, and discs whose radii follow from the forces, as one generalised equation.
 
-Unknowns are normal forces, N >= 0, w >= 0, N w = 0 with w the relative acceleration, and forces on disks, whose radius
-is given or a multiple of one of the normal forces. The friction of what slides has a known direction and goes with its
-normal force: F = N (n - mu d). So the operator, A = J_n M^-1 (J_n - mu d J_t)^T where everything slides, is not
-symmetric, and need not be of any definiteness: there may be several solutions, or none (Painleve).
+Unknowns are the forces of n units with rows (t1, t2, n), and u = G F + b. A unit is a contact, with a normal force
+N >= 0, u_n >= 0, N u_n = 0, or has none. It may have a disc for its tangential force T, of radius
 
-With P_+ and P_D the projections on what is not negative and on a disk, solutions are the zeros of
+    mu |a + B F|,    a (2,) and B (2, 3n) constant:
 
-    N - P_+(N - w)     and     T - P_D(T - w_t).
+mu N for a contact, a length times the contact's N for its resistance to turning, mu times the force of eliminated
+equations for a bilateral contact, a number for dry friction. The friction of what slides already has a known direction
+and goes with its normal force, F = N (n - mu d): then the operator, J_n M^-1 (J_n - mu d J_t)^T where everything
+slides, is not symmetric, and need not be of any definiteness: there may be several solutions, or none (Painleve).
 
-Newton's method finds them from near by (Alart, Curnier, Comput. Methods Appl. Mech. Engrg. 92, 1991). What is near is
-suggested by the present forces, by the symmetric cone problem in which what slides has so large a velocity along its
-direction that it can do nothing else, and, of few contacts, by each choice of those that carry a load. Where more
+With the projections on N >= 0 and on the discs, F is a solution where it is the projection of F - u in all units at
+once. Newton's method finds it from near by (Alart, Curnier, Comput. Methods Appl. Mech. Engrg. 92, 1991), and ends at
+round-off. Where nothing slides, projected Gauss-Seidel comes near, whatever it starts from. Else what is near is
+suggested by the present forces; by the symmetric cone problem in which what slides has so large a velocity along its
+direction that it can do nothing else; and, of few contacts, by each choice of those that carry a load. Where more
 contacts stick than bodies can feel, as four wheels on a floor, full steps may go to and fro between two choices of what
 sticks: steps that are halved until the residual falls then get there.
+
+With radii that are given and do not change the problem is convex. It has a solution whatever the radii, unless bodies
+are crushed, and that takes energy: the work F . (b + G F / 2) is the least there is, at most that of no forces, zero.
+So where friction leaves no solution, or none is found, there is one for the radii of the last forces
+(`solve_with_radii`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+
+from ..jit import CALLED, INTEGER, REAL, entry_kernel
+from .cone import OPEN, SLIP, STICK
 
 # Residual, in units of the largest acceleration without forces, up to which a zero is one.
 TOLERANCE = 1e-10
 _NEWTON_STEPS = 40
 # How often one is halved, and by which part of its linear forecast the square of what has to vanish then falls.
 _HALVINGS, _FALL = 12, 1e-3
+# Coefficient that stands in for an infinite one: what has to slip then is held up by friction with next to no load.
+LARGE_FRICTION = 1e4
 # Below this fraction of what it is without friction, a contact's own operator has lost positivity.
 _POSITIVE = 1e-9
 # Relative singular values below this are those of redundant contacts.
 _RANK = 1e-11
 # Nearly redundant contacts, whose smallest singular value is below this part of the largest, may have any determinant.
 _LOST = 1e-3
-# Normal forces whose choices of loaded ones are all tried, without and with disks.
-_TRIED, _TRIED_WITH_DISKS = 10, 6
+# Normal forces whose choices of loaded ones are all tried, without and with discs.
+_TRIED, _TRIED_WITH_DISCS = 10, 6
 # Velocities of what slides, in units of the largest acceleration without forces, in the symmetric problem.
 _SPEEDS = (1e3, 1e6)
-
-
-@dataclass
-class Disk:
-    """|F| <= factor N[normal], of the forces in these rows of the problem; where `normal` is None, |F| <= radius, or
-    with a load (a (k,), B (k, m)) |F| <= factor |a + B forces|, of all forces."""
-
-    rows: list[int]
-    factor: float = 0.0
-    normal: int | None = None
-    radius: float = 0.0
-    load: tuple[np.ndarray, np.ndarray] | None = None
+# Sweeps before every try of Newton's method; with given radii, which need no more than patience.
+_SWEEPS, _SETTLING = (20, 100, 500, 2500), (100, 1000, 5000)
+# Residual up to which forces of given radii are taken.
+SETTLED = 1e-6
 
 
 @dataclass
 class Loads:
-    """The problem u = gram F + base over n units of three rows.
-
-    normals: rows with F >= 0, u >= 0, F u = 0; drag: normal row -> (m,) forces in all rows that go with a unit of it;
-    disks: what else is unknown. Forces in other rows are zero.
-    """
+    """The problem. gram (3n, 3n), base (3n,); normal (n,): which units have a normal force; tangents (n,): how many
+    tangential ones, 0, 1 or 2; mu (n,); radius_base (2n,), radius_rows (2n, 3n): a and B, by twos; drag (3n, 3n): whole
+    forces for a unit of each, where friction goes with what causes it, else None. Other rows have no force of their
+    own. All are C-contiguous float64."""
 
     gram: np.ndarray
     base: np.ndarray
-    normals: list[int]
-    drag: dict[int, np.ndarray] = field(default_factory=dict)
-    disks: list[Disk] = field(default_factory=list)
+    normal: np.ndarray
+    tangents: np.ndarray
+    mu: np.ndarray
+    radius_base: np.ndarray
+    radius_rows: np.ndarray
+    drag: np.ndarray | None = None
+
+    def solve(self, forces: np.ndarray) -> tuple[np.ndarray, float]:
+        """Forces (3n,) from those given, and their residual: above `TOLERANCE` that is no solution."""
+        return self._sweep(forces, _SWEEPS)
+
+    def refine(self, forces: np.ndarray) -> tuple[np.ndarray, float]:
+        """The solution (3n,) that Newton's method comes to from forces near to it, and its residual."""
+        scaled = ScaledLoads(self)
+        y, residual = scaled.newton(scaled.unknowns(forces))
+        return scaled.forces(y), residual
+
+    def solve_with_radii(self, forces: np.ndarray) -> tuple[np.ndarray, float, float]:
+        """Forces (3n,) for the radii that these have, their residual, and how far the radii are from those of the
+        result, relative to the largest."""
+        radii = self.radii(forces)
+        given = replace(
+            self,
+            mu=np.ones_like(self.mu),
+            radius_base=np.stack([radii, np.zeros_like(radii)], axis=1).ravel(),
+            radius_rows=np.zeros_like(self.radius_rows),
+        )
+        found, residual = given._sweep(forces, _SETTLING)
+        off = np.abs(self.radii(found) - radii).max(initial=0.0) / (float(radii.max(initial=0.0)) or 1.0)
+        return found, residual, float(off)
+
+    def radii(self, forces: np.ndarray) -> np.ndarray:
+        """(n,) of the discs at forces (3n,)."""
+        loads = np.linalg.norm((self.radius_base + self.radius_rows @ forces).reshape(-1, 2), axis=1)
+        return self.coefficients * loads
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """(n,) finite ones."""
+        return np.where(np.isinf(self.mu), LARGE_FRICTION, self.mu)
+
+    def modes(self, forces: np.ndarray) -> np.ndarray:
+        """(n,) OPEN: no normal force, or no radius where there is none; SLIP: on the disc's rim; else STICK."""
+        velocities, radii = self.gram @ forces + self.base, self.radii(forces)
+        modes = np.full(self.mu.size, STICK)
+        for i, count in enumerate(self.tangents.astype(int)):
+            k = 3 * i
+            if (forces[k + 2] if self.normal[i] else radii[i]) <= 0.0:
+                modes[i] = OPEN
+                continue
+            weight = float(self.gram.diagonal()[k : k + 3].max()) or 1.0
+            aim = forces[k : k + count] - velocities[k : k + count] / weight
+            if self.mu[i] == 0.0 or float(np.linalg.norm(aim)) > radii[i] * (1.0 + TOLERANCE):
+                modes[i] = SLIP
+        return modes
+
+    def _sweep(self, forces: np.ndarray, rounds: tuple[int, ...]) -> tuple[np.ndarray, float]:
+        """The best of what sweeps and Newton's method come to, and its residual."""
+        scaled, mu = ScaledLoads(self), self.coefficients
+        drag = np.eye(self.base.size) if self.drag is None else self.drag
+        # velocities for a unit of each, and radii
+        response, radius_rows = np.ascontiguousarray((self.gram @ drag).T), self.radius_rows @ drag
+        f = np.zeros_like(forces)
+        f[scaled.rows] = forces[scaled.rows]
+        best, least = f.copy(), math.inf
+        for sweeps in rounds:
+            u = f @ response + self.base
+            gauss_seidel_loads(response, self.normal, self.tangents, mu, self.radius_base, radius_rows, f, u, sweeps)
+            if not np.isfinite(f).all():
+                break
+            y, residual = scaled.newton(scaled.unknowns(f))
+            swept = scaled.residual(scaled.unknowns(f))
+            if residual <= TOLERANCE:
+                return scaled.forces(y), residual
+            if swept <= least:
+                best, least = f.copy(), swept
+        return drag @ best, least
 
 
 class LoadSolver:
-    """Solves such problems. After `solve` returned True, `forces` (m,) and `velocities` (m,) are a solution; after it
-    returned False, `proved` says whether there is none, or none was found.
+    """Solves problems some of whose contacts slide. After `solve` returned True, `forces` (3n,) and `velocities` (3n,)
+    are a solution; after it returned False, `proved` says whether there is none, or none was found.
 
     guess_first: begin from what `guess` finds, and from the last forces where that leads nowhere. unguessed: how often
     it did not, of problems begun so.
-    pressed: for each of the normals, whether it carries a load; slid: for each disk, whether the force is on its rim.
     """
 
     def __init__(self, guess_first: bool = False) -> None:
         self.guess_first, self.unguessed = guess_first, 0
         self.forces = self.velocities = np.zeros(0)
-        self.pressed = np.zeros(0, dtype=bool)
-        self.slid: list[bool] = []
         self.residual = 0.0
         self.proved = False
 
     def solve(self, problem: Loads, forces: np.ndarray, guess: Callable[[float], np.ndarray | None]) -> bool:
-        """Solve it from forces (m,), those of `guess`(velocity of what slides), and from all choices of few loads."""
+        """Solve it from forces (3n,), those of `guess`(velocity of what slides), and from all choices of few loads."""
         scaled = ScaledLoads(problem)
         self.proved = lost = False
-        for start, loaded, halved in self._starts(scaled, forces, guess):
+        for start, loaded, halved in self._starts(problem, scaled, forces, guess):
             y, residual = scaled.newton(start, loaded, halved)
             if residual <= TOLERANCE and scaled.is_lost(y):
                 lost = True
             elif residual <= TOLERANCE:
                 self.forces = scaled.forces(y)
+                # loads of redundant contacts may be round-off
+                small = TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
+                self.forces[scaled.rows[scaled.normals[y[scaled.normals] <= small]]] = 0.0
                 self.velocities = problem.gram @ self.forces + problem.base
                 self.velocities[np.abs(self.velocities) <= TOLERANCE * scaled.largest] = 0.0
-                self.pressed, self.slid = scaled.modes(y)
                 self.residual = residual
                 return True
         # every choice of loads is one linear system, and none of them has a solution
-        self.proved = not lost and not problem.disks and len(problem.normals) <= _TRIED
+        self.proved = not lost and not scaled.discs and scaled.normals.size <= _TRIED
         return False
 
     def _starts(
-        self, scaled: ScaledLoads, forces: np.ndarray, guess: Callable[[float], np.ndarray | None]
+        self, problem: Loads, scaled: ScaledLoads, forces: np.ndarray, guess: Callable[[float], np.ndarray | None]
     ) -> Iterator[tuple[np.ndarray, np.ndarray | None, bool]]:
         """Forces to begin from, which normals are loaded where that is prescribed, and whether steps are halved."""
         present = scaled.unknowns(forces)
         if not self.guess_first:
             yield present, None, False
-        count, disks = len(scaled.problem.normals), bool(scaled.problem.disks)
         for speed in _SPEEDS:
             found = guess(speed * scaled.largest)
             if found is not None:
@@ -120,74 +196,69 @@ class LoadSolver:
         if self.guess_first:
             self.unguessed += 1
             yield present, None, False
-        if count <= (_TRIED_WITH_DISKS if disks else _TRIED):
+        count = scaled.normals.size
+        if count <= (_TRIED_WITH_DISCS if scaled.discs else _TRIED):
             # what is closed stays closed, if it can
             for number in range(count, -1, -1):
                 for chosen in combinations(range(count), number):
                     loaded = np.zeros(count, dtype=bool)
                     loaded[list(chosen)] = True
-                    yield np.zeros(scaled.base.size), loaded, False
-        if disks:
+                    yield np.zeros(present.size), loaded, False
+        if scaled.discs:
+            yield scaled.unknowns(problem.solve(np.nan_to_num(forces))[0]), None, False
             yield present, None, True
-            yield np.where(np.arange(present.size) < count, present, 0.0), None, True
             yield np.zeros(present.size), None, True
 
 
 class ScaledLoads:
-    """The problem in unknowns y without units: normal forces first, then those of disks."""
+    """The problem in unknowns y without units: normal forces and those of discs, in the order of their rows."""
 
     def __init__(self, problem: Loads) -> None:
-        self.problem = problem
-        normals, m = problem.normals, problem.base.size
-        rows = [*normals, *(row for disk in problem.disks for row in disk.rows)]
+        m = problem.base.size
+        sticks = np.where(problem.mu > 0.0, problem.tangents, 0.0)
+        present = np.column_stack([sticks > 0.0, sticks > 1.0, problem.normal > 0.0])
+        self.rows = np.flatnonzero(present)
+        places = np.cumsum(present) - 1
+        self.normals = places[2::3][present[:, 2]]
         diagonal = problem.gram.diagonal().reshape(-1, 3).mean(axis=1)
         scale = np.repeat(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 3)
-        self.rows, self.scale = rows, scale[rows]
-        self.expand = np.zeros((m, len(rows)))
-        self.expand[rows, np.arange(len(rows))] = 1.0
-        for k, row in enumerate(normals):
-            if row in problem.drag:
-                self.expand[:, k] += problem.drag[row]
+        self.scale = scale[self.rows]
         self.largest = float(np.abs(problem.base).max(initial=0.0)) or 1.0
-        unit = float(np.abs(scale[rows] * problem.base[rows]).max(initial=0.0)) or 1.0
-        self.expand *= self.scale
-        self.unit = unit
-        self.operator = self.scale[:, None] * (problem.gram @ self.expand)[rows]
-        self.base = self.scale * problem.base[rows] / unit
-        own = problem.gram.diagonal()[normals] * self.scale[: len(normals)] ** 2
-        count = len(normals)
-        self.passive = self.operator.diagonal()[:count] <= _POSITIVE * own
-        self.disks: list[_ScaledDisk] = []
-        at = count
-        for disk in problem.disks:
-            places = np.arange(at, at + len(disk.rows))
-            at += len(disk.rows)
-            own = self.scale[places[0]]
-            if disk.normal is not None:
-                k = normals.index(disk.normal)
-                self.disks.append(_ScaledDisk(places, disk.factor * self.scale[k] / own, k))
-            elif disk.load is not None:
-                load = disk.load[0] / unit, disk.load[1] @ self.expand
-                self.disks.append(_ScaledDisk(places, disk.factor / own, None, load))
-            else:
-                self.disks.append(_ScaledDisk(places, disk.radius / (own * unit), None))
+        self.unit = unit = float(np.abs(scale * problem.base)[self.rows].max(initial=0.0)) or 1.0
+        self.expand = (np.eye(m) if problem.drag is None else problem.drag)[:, self.rows] * self.scale
+        self.operator = self.scale[:, None] * (problem.gram @ self.expand)[self.rows]
+        self.base = self.scale * problem.base[self.rows] / unit
+        own = (problem.gram.diagonal() * scale**2)[self.rows][self.normals]
+        self.passive = self.operator.diagonal()[self.normals] <= _POSITIVE * own
+        self.discs: list[_Disc] = []
+        for i in np.flatnonzero(sticks):
+            pair = slice(2 * i, 2 * i + 2)
+            self.discs.append(
+                _Disc(
+                    np.arange(places[3 * i], places[3 * i] + int(sticks[i])),
+                    float(problem.coefficients[i]) / scale[3 * i],
+                    problem.radius_base[pair] / unit,
+                    problem.radius_rows[pair] @ self.expand,
+                    bool(problem.normal[i] > 0.0 and problem.radius_rows[2 * i, 3 * i + 2] == 1.0),
+                )
+            )
 
     def forces(self, y: np.ndarray) -> np.ndarray:
-        """(m,) forces of unknowns."""
+        """(3n,) forces of unknowns."""
         return self.unit * (self.expand @ y)
 
     def unknowns(self, forces: np.ndarray) -> np.ndarray:
-        """The unknowns in forces (m,) along the problem's rows."""
+        """The unknowns in forces (3n,) along the problem's rows."""
         return np.nan_to_num(forces[self.rows] / (self.scale * self.unit))
 
-    def newton(self, y: np.ndarray, loaded: np.ndarray | None, halved: bool = False) -> tuple[np.ndarray, float]:
+    def newton(self, y: np.ndarray, loaded: np.ndarray | None = None, halved: bool = False) -> tuple[np.ndarray, float]:
         """The zero that Newton's method comes to from there, and its residual, infinite where that is no solution.
 
         loaded: which normal forces are to be there, or None; halved: whether steps are halved until values fall.
         """
         best, least = y, math.inf
         for step in range(_NEWTON_STEPS):
-            values, jacobian = self._equations(y, loaded)
+            values, jacobian = self.equations(y, loaded)
             if not np.isfinite(values).all():
                 break
             residual = _relative(values, y)
@@ -200,40 +271,38 @@ class ScaledLoads:
             change = -np.linalg.lstsq(jacobian, values, rcond=_RANK)[0]
             part, size = 1.0, float(values @ values)
             for _ in range(_HALVINGS if halved else 0):
-                there, _ = self._equations(y + part * change, loaded)
+                there, _ = self.equations(y + part * change, loaded)
                 if there @ there < (1.0 - _FALL * part) * size:
                     break
                 part *= 0.5
             y = y + part * change
-            if loaded is not None and not self.disks and step == 1:
+            if loaded is not None and not self.discs and step == 1:
                 break
         return best, least if self._admissible(best) else math.inf
 
     def residual(self, y: np.ndarray) -> float:
         """How far the unknowns are from a zero."""
-        return _relative(self._equations(y, None)[0], y)
+        return _relative(self.equations(y)[0], y)
 
     def is_lost(self, y: np.ndarray) -> bool:
         """Whether the operator of what is loaded at a zero has lost positivity: its determinant, positive without
         friction, is negative. From this zero compliances lead away, and as a rule there are others."""
-        jacobian = self._equations(y, None)[1]
+        jacobian = self.equations(y)[1]
         sizes = np.linalg.norm(jacobian, axis=1)
         jacobian = jacobian / np.where(sizes > 0.0, sizes, 1.0)[:, None]
         singular = np.linalg.svd(jacobian, compute_uv=False)
         return bool(singular.size and singular[-1] > _LOST * singular[0] and np.linalg.slogdet(jacobian)[0] < 0.0)
 
-    def _equations(self, y: np.ndarray, loaded: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    def equations(self, y: np.ndarray, loaded: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """What has to vanish, and its derivative; loaded: see `newton`."""
-        count, n = len(self.problem.normals), self.base.size
-        identity = np.eye(n)
-        w = self.operator @ y + self.base
-        press = y[:count] - w[:count] > 0.0 if loaded is None else loaded
-        values = np.where(press, w[:count], y[:count])
-        jacobian = np.where(np.append(press, np.ones(n - count, dtype=bool))[:, None], self.operator, identity)
-        values = np.append(values, w[count:])
-        for disk in self.disks:
-            places = disk.places
-            radius = disk.radius(y, press)
+        identity, w = np.eye(y.size), self.operator @ y + self.base
+        values, jacobian = w.copy(), self.operator.copy()
+        pressed = (y - w)[self.normals] > 0.0 if loaded is None else loaded
+        open_ones = self.normals[~pressed]
+        values[open_ones], jacobian[open_ones] = y[open_ones], identity[open_ones]
+        for disc in self.discs:
+            places = disc.places
+            radius, slope = disc.radius(y)
             p = y[places] - w[places]
             size = float(np.sqrt(p @ p))
             if size <= radius:
@@ -242,26 +311,14 @@ class ScaledLoads:
             values[places] = y[places] - radius * along
             turn = radius / size * (np.eye(places.size) - np.outer(along, along))
             jacobian[places] = identity[places] - turn @ (identity[places] - self.operator[places])
-            slope = disk.slope(y)
-            if slope is not None:
-                jacobian[places] -= np.outer(along, slope)
+            jacobian[places] -= np.outer(along, slope)
         return values, jacobian
-
-    def modes(self, y: np.ndarray) -> tuple[np.ndarray, list[bool]]:
-        """Which normals carry a load, and on which disks the force is on the rim."""
-        w = self.operator @ y + self.base
-        count = len(self.problem.normals)
-        # what redundant contacts carry may be round-off
-        pressed = y[:count] - w[:count] > TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
-        sizes = [float(np.linalg.norm(y[disk.places] - w[disk.places])) for disk in self.disks]
-        return pressed, [size > disk.radius(y, pressed) for size, disk in zip(sizes, self.disks)]
 
     def _admissible(self, y: np.ndarray) -> bool:
         """Whether nothing pulls or closes; a contact whose own force would not part the bodies carries nothing."""
-        count = len(self.problem.normals)
         small = TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
-        w = self.operator[:count] @ y + self.base[:count]
-        return bool((y[:count] >= -small).all() and (w >= -small).all() and (y[:count][self.passive] <= small).all())
+        loads, w = y[self.normals], (self.operator @ y + self.base)[self.normals]
+        return bool((loads >= -small).all() and (w >= -small).all() and (loads[self.passive] <= small).all())
 
 
 def _relative(values: np.ndarray, y: np.ndarray) -> float:
@@ -269,32 +326,60 @@ def _relative(values: np.ndarray, y: np.ndarray) -> float:
 
 
 @dataclass
-class _ScaledDisk:
-    """A disk in unknowns: its places among them, its factor, the unknown that is its normal force, its load."""
+class _Disc:
+    """A disc in unknowns: its places among them, its factor, a and B; own: its load is the unit's normal force, of
+    which there is none below zero."""
 
     places: np.ndarray
     factor: float
-    normal: int | None
-    load: tuple[np.ndarray, np.ndarray] | None = None
+    base: np.ndarray
+    rows: np.ndarray
+    own: bool
 
-    def radius(self, y: np.ndarray, pressed: np.ndarray) -> float:
-        """At the unknowns y."""
-        if self.load is not None:
-            return self.factor * float(np.linalg.norm(self.load[0] + self.load[1] @ y))
-        if self.normal is None:
-            return self.factor
-        if math.isinf(self.factor):
-            return math.inf if pressed[self.normal] else 0.0
-        return self.factor * max(float(y[self.normal]), 0.0)
+    def radius(self, y: np.ndarray) -> tuple[float, np.ndarray]:
+        """At the unknowns y, and its derivative (unknowns,)."""
+        load = self.base + self.rows @ y
+        length = max(float(load[0]), 0.0) if self.own else math.hypot(*load)
+        return self.factor * length, (self.factor / length if length > 0.0 else 0.0) * (load @ self.rows)
 
-    def slope(self, y: np.ndarray) -> np.ndarray | None:
-        """(n,) derivative of the radius, None where it is constant."""
-        if self.load is not None:
-            there = self.load[0] + self.load[1] @ y
-            length = float(np.linalg.norm(there))
-            return self.factor / length * (there @ self.load[1]) if length > 0.0 else None
-        if self.normal is None or not (y[self.normal] > 0.0 and math.isfinite(self.factor)):
-            return None
-        slope = np.zeros(y.size)
-        slope[self.normal] = self.factor
-        return slope
+
+@entry_kernel(
+    REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL[::1], REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, when=CALLED
+)  # fmt: skip
+def gauss_seidel_loads(response, normal, tangents, mu, radius_base, radius_rows, f, u, sweeps):
+    """Passes of projected Gauss-Seidel over all units; f (3n,) and u = response^T f + base (3n,) are updated."""
+    n, rows = mu.shape[0], f.shape[0]
+    for _ in range(sweeps):
+        for i in range(n):
+            k = 3 * i
+            if normal[i] > 0.0 and response[k + 2, k + 2] > 0.0:
+                change = max(f[k + 2] - u[k + 2] / response[k + 2, k + 2], 0.0) - f[k + 2]
+                if change != 0.0:
+                    f[k + 2] += change
+                    for j in range(rows):
+                        u[j] += change * response[k + 2, j]
+            if tangents[i] == 0.0:
+                continue
+            two = tangents[i] > 1.0
+            stiffness = response[k, k]
+            if two:
+                half = 0.5 * (response[k, k] - response[k + 1, k + 1])
+                stiffness = 0.5 * (response[k, k] + response[k + 1, k + 1])
+                stiffness += math.sqrt(half * half + response[k, k + 1] ** 2)
+            if stiffness <= 0.0:
+                continue
+            first, second = radius_base[2 * i], radius_base[2 * i + 1]
+            for j in range(rows):
+                first += radius_rows[2 * i, j] * f[j]
+                second += radius_rows[2 * i + 1, j] * f[j]
+            radius = mu[i] * math.hypot(first, second)
+            p1 = f[k] - u[k] / stiffness
+            p2 = f[k + 1] - u[k + 1] / stiffness if two else 0.0
+            length = math.hypot(p1, p2)
+            shrink = radius / length if length > radius else 1.0
+            change1 = shrink * p1 - f[k]
+            change2 = shrink * p2 - f[k + 1] if two else 0.0
+            f[k] += change1
+            f[k + 1] += change2
+            for j in range(rows):
+                u[j] += change1 * response[k, j] + change2 * response[k + 1, j]

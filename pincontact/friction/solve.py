@@ -23,6 +23,7 @@ import numpy.typing as npt
 from ..arguments import check_flag, check_tolerance
 from ..display import Summary
 from ..errors import ArgumentError, InfeasibleError, SolverError
+from ..workspace import Workspace
 from .attempt import (
     AFRESH,
     CLASSIFY,
@@ -88,29 +89,6 @@ STAGES = ("sweeps", "path", "qp")
 CONTACT_SOLVERS = ("auto", "proxqp")
 # Counts of ProxQP where it had nothing to do.
 NO_PROGRAMS = {"qp": 0, "qp_iterations": 0, "qp_failures": 0}
-
-
-class _Workspace:
-    """Buffers, warm start and helper solvers for problems of one size."""
-
-    def __init__(self, contacts: int):
-        self.contacts = contacts
-        self.space = cone_workspace(contacts)
-        self.address = self.space.address
-        self.modes = self.space.modes
-        self.forces = self.space.forces
-        self.velocities = self.space.velocities
-        self.counts = self.space.counts
-        self.counts[DECIDED] = UNDECIDED
-        self.reached = self.space.reached
-        self.programs: ConePrograms | None = None
-
-    def decide(self, stage: str) -> None:
-        """Count a problem that a stage outside of the kernel has solved."""
-        code = DECIDERS.index(stage)
-        self.counts[KNOWN] = 1
-        self.counts[DECIDED] = code
-        self.counts[TIMES + code] += 1
 
 
 @dataclass(frozen=True, repr=False)
@@ -212,7 +190,9 @@ class ContactSolver:
         self.certificate: np.ndarray | None = None
         self.path_count = 0
         self._qp_before = 0
-        self._spaces: dict[int, _Workspace] = {}
+        # by the number of contacts
+        self._spaces: dict[int, Workspace] = {}
+        self._sequences: dict[int, ConePrograms] = {}
         self._space = self._workspace(1)
 
     def choose(self, contact_solver: str) -> None:
@@ -250,7 +230,7 @@ class ContactSolver:
     @property
     def program_counts(self) -> dict[str, int]:
         """What ProxQP did, as `Trajectory.stats` has it: programs, their iterations, and problems that they left."""
-        counts = [space.programs.counts for space in self._spaces.values() if space.programs is not None]
+        counts = [programs.counts for programs in self._sequences.values()]
         return {name: sum(found) for name, found in zip(NO_PROGRAMS, zip(*counts))} if counts else dict(NO_PROGRAMS)
 
     @property
@@ -258,10 +238,10 @@ class ContactSolver:
         """Programs that ProxQP was given."""
         return self.program_counts["qp"]
 
-    def _workspace(self, contacts: int) -> _Workspace:
+    def _workspace(self, contacts: int) -> Workspace:
         space = self._spaces.get(contacts)
         if space is None:
-            space = self._spaces[contacts] = _Workspace(contacts)
+            space = self._spaces[contacts] = cone_workspace(contacts)
         self._space = space
         self.modes = space.modes
         self.forces = space.forces
@@ -277,10 +257,7 @@ class ContactSolver:
     ) -> None:
         """Begin the next problem of this size from these modes (n,), forces and velocities (3n,) or (n, 3); owners:
         whose they are, for callers that tell problems apart, None for those of the last problem."""
-        space = self._space
-        contacts = len(modes)
-        if space.contacts != contacts:
-            space = self._workspace(contacts)
+        space = self._workspace(len(modes))
         space.modes[:] = modes
         try:
             space.forces[:] = forces
@@ -324,9 +301,9 @@ class ContactSolver:
         self.forget()
         self.residual, self.jammed, self.certificate = 0.0, False, None
         self.path_count = self._qp_before = 0
+        for programs in self._sequences.values():
+            programs.renew()
         for space in self._spaces.values():
-            if space.programs is not None:
-                space.programs.renew()
             space.counts[:] = 0
             space.counts[DECIDED] = UNDECIDED
 
@@ -336,9 +313,7 @@ class ContactSolver:
         afresh: of several solutions not the one nearest to the last, but what Newton's method finds from all at rest,
         else the path, which knows no order of contacts.
         """
-        space = self._space
-        if space.contacts != mu.shape[0]:
-            space = self._workspace(mu.shape[0])
+        space = self._workspace(mu.shape[0])
         task = USUAL + AFRESH if afresh and not self.programs_first else self.task
         self.residual = residual = solve_cones(delassus, b, mu, space.address, task, 0, self.tolerance, 0, 0)
         return residual <= self.tolerance or self.search(delassus, b, mu, afresh)
@@ -353,9 +328,7 @@ class ContactSolver:
         Only then are results taken that are within the tolerance, but not as good as a start aims at, and, last of all,
         contacts given a trace of compliance.
         """
-        space = self._space
-        if space.contacts != mu.shape[0]:
-            space = self._workspace(mu.shape[0])
+        space = self._workspace(mu.shape[0])
         problem = delassus, b, mu
         self._qp_before = self.qp_count
         self.certificate, self.jammed = None, False
@@ -374,32 +347,38 @@ class ContactSolver:
             else:
                 solved = self._programs(space, *problem, afresh)
             if solved:
-                space.decide(stage)
+                self._decide(stage)
                 return True
             if self.jammed and not (afresh and self.certificate is None):
                 break
         if "sweeps" in self.stages and swept <= self.tolerance and self._gauss_seidel(space, *problem, self.tolerance):
-            space.decide("sweeps")
+            self._decide("sweeps")
             return True
         if "path" in self.stages and not (self.quick or self.jammed) and self._compliant_homotopy(space, *problem):
-            space.decide("path")
+            self._decide("path")
             return True
         return False
 
+    def _decide(self, stage: str) -> None:
+        """Count a problem that a stage outside of the kernel has solved."""
+        code, counts = DECIDERS.index(stage), self._space.counts
+        counts[KNOWN], counts[DECIDED] = 1, code
+        counts[TIMES + code] += 1
+
     def _gauss_seidel(
-        self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, tolerance: float
+        self, space: Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, tolerance: float
     ) -> bool:
         """Modes from projected Gauss-Seidel, from the last forces if there are any."""
         if not space.counts[KNOWN]:
             space.forces[:] = 0.0
-        sweeps = SWEEPS + SWEEPS_PER_CONTACT * space.contacts
+        sweeps = SWEEPS + SWEEPS_PER_CONTACT * space.modes.size
         task = CLASSIFY_NEAR if self.nearest else CLASSIFY
         self.residual = solve_cones(
             delassus, b, mu, space.address, task, SWEEP_NEWTON_PASSES, tolerance, sweeps, SWEEP_ROUNDS
         )
         return self.residual <= tolerance
 
-    def _newton(self, space: _Workspace, problem: tuple[np.ndarray, np.ndarray, np.ndarray], tolerance: float) -> bool:
+    def _newton(self, space: Workspace, problem: tuple[np.ndarray, np.ndarray, np.ndarray], tolerance: float) -> bool:
         """Newton's method from the workspace's forces; True if accepted."""
         residual = np.inf
         if np.isfinite(space.forces).all():
@@ -407,7 +386,7 @@ class ContactSolver:
         self.residual = residual if residual <= tolerance else min(self.residual, residual)
         return residual <= tolerance
 
-    def _homotopy(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+    def _homotopy(self, space: Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Modes from the homotopy, tried again and again on its way down, from one beginning after the other."""
         problem = delassus, b, mu
         before = space.forces.copy()
@@ -444,7 +423,7 @@ class ContactSolver:
                     return False
         return False
 
-    def _compliant_homotopy(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
+    def _compliant_homotopy(self, space: Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray) -> bool:
         """Modes from the homotopy of contacts with a trace of compliance: of a singular matrix it may be lost in
         round-off."""
         before = self.kept()
@@ -461,18 +440,19 @@ class ContactSolver:
                 break
         return False
 
-    def _programs(self, space: _Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool) -> bool:
+    def _programs(self, space: Workspace, delassus: np.ndarray, b: np.ndarray, mu: np.ndarray, afresh: bool) -> bool:
         """Modes from a sequence of ProxQP programs, from the last forces if these are to be kept to."""
         if self.quick and not self.programs_first:
             return False
-        if space.programs is None:
-            space.programs = ConePrograms(space.contacts)
+        contacts = space.modes.size
+        if contacts not in self._sequences:
+            self._sequences[contacts] = ConePrograms(contacts)
         before = self.kept()
         warm = self.programs_first and (afresh or bool(space.counts[KNOWN]))
         if warm and afresh:
             # as Newton's method does: from the least forces of all at rest
             space.modes[:] = STICK
-            solve_cones(delassus, b, np.full(space.contacts, np.inf), space.address, WARM, 1, np.inf, 0, 1)
+            solve_cones(delassus, b, np.full(contacts, np.inf), space.address, WARM, 1, np.inf, 0, 1)
         task = CLASSIFY_NEAR if self.nearest and not afresh else CLASSIFY
 
         def finish() -> bool:
@@ -482,7 +462,7 @@ class ContactSolver:
             return self.residual <= self.tolerance
 
         programs = QUICK_PROGRAMS if self.quick else PROGRAMS
-        if space.programs.solve(delassus, b, mu, space.forces, warm, finish, programs):
+        if self._sequences[contacts].solve(delassus, b, mu, space.forces, warm, finish, programs):
             return True
         space.modes[:], space.forces[:], space.velocities[:] = before
         return False

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..friction.attempt import NEAR, WARM_PASSES, solve_cones
 from ..friction.cone import OPEN, SLIP, STICK
-from ..friction.loads import TOLERANCE as PRODUCT_TOLERANCE
-from ..friction.product import SETTLED, Product
+from ..friction.loads import SETTLED, Loads
+from ..friction.loads import TOLERANCE as LOAD_TOLERANCE
 from ..friction.solve import ContactSolver
 from ..layout import FRICTIONLESS
 from ..layout import STICK as STICKING
@@ -187,11 +187,11 @@ class ImpulseSolver:
             if not (problem.units["parent"] >= 0).any():
                 return False
             # what resists turning has other loads now
-            product = self._product(problem)
-            found, residual = product.refine(found)
-            if not residual <= PRODUCT_TOLERANCE:
+            coupled = self._loads(problem)
+            found, residual = coupled.refine(found)
+            if not residual <= LOAD_TOLERANCE:
                 return False
-            self._take(product, found, residual)
+            self._take(coupled, found, residual)
         if (held & (self.solver.modes == SLIP)).any():
             return False
         if together:
@@ -277,7 +277,7 @@ class ImpulseSolver:
         diagonal[:] = stiff
         return False
 
-    def _product(self, problem: _Problem) -> Product:
+    def _loads(self, problem: _Problem) -> Loads:
         """The problem with the loads that it takes as given as functions of the forces."""
         arrays, n, units = self._arrays, problem.n, problem.units
         load, slope = np.zeros((n, 2)), np.zeros((n, 2, 3 * n))
@@ -305,29 +305,29 @@ class ImpulseSolver:
         base = np.where(real.ravel(), problem.base, 0.0)
         normal, tangents = real[:, 2].astype(float), real[:, :2].sum(axis=1).astype(float)
         loads = load.ravel(), slope.reshape(2 * n, 3 * n)
-        return Product(problem.gram, base, normal, tangents, problem.friction.copy(), *loads)
+        return Loads(problem.gram, base, normal, tangents, problem.friction.copy(), *loads)
 
     def _solve_together(self, problem: _Problem) -> bool:
         """Solve the problem for forces and loads at once."""
-        product = self._product(problem)
-        forces, residual = product.solve(self.solver.start(problem.n))
-        if not residual <= PRODUCT_TOLERANCE:
+        coupled = self._loads(problem)
+        forces, residual = coupled.solve(self.solver.start(problem.n))
+        if not residual <= LOAD_TOLERANCE:
             self._nearest = forces
             return False
-        chosen = chosen_forces(problem.with_solution(product.modes(forces), forces))
+        chosen = chosen_forces(problem.with_solution(coupled.modes(forces), forces))
         if chosen is not None:
             # what slides turns a little
-            chosen, accuracy = product.refine(chosen)
-            if accuracy <= PRODUCT_TOLERANCE:
+            chosen, accuracy = coupled.refine(chosen)
+            if accuracy <= LOAD_TOLERANCE:
                 forces, residual = chosen, accuracy
-        self._take(product, forces, residual)
+        self._take(coupled, forces, residual)
         return True
 
     def _solve_with_given_radii(self, problem: _Problem) -> bool:
         """Solve it with friction that goes with the loads that came nearest to a solution."""
-        product, mu, base, loads = self._product(problem), problem.friction, problem.base, self._nearest
+        coupled, mu, base, loads = self._loads(problem), problem.friction, problem.base, self._nearest
         for _ in range(problem.n):
-            forces, residual, off = product.solve_with_radii(loads)
+            forces, residual, off = coupled.solve_with_radii(loads)
             # ideal rolling has no other friction to go with: what carries a load does not slip
             slips = np.abs((problem.gram @ forces + base).reshape(-1, 3)[:, :2]).max(axis=1)
             loaded = forces[2::3] > SETTLED * np.abs(forces).max(initial=0.0)
@@ -339,14 +339,14 @@ class ImpulseSolver:
             return False
         self.settled += 1
         self.settled_off = max(self.settled_off, off)
-        self._take(product, forces, residual)
+        self._take(coupled, forces, residual)
         return True
 
-    def _take(self, product: Product, forces: np.ndarray, residual: float) -> None:
+    def _take(self, coupled: Loads, forces: np.ndarray, residual: float) -> None:
         """Let the solver have these forces as its own."""
-        modes, velocities = product.modes(forces), product.gram @ forces + product.base
+        modes, velocities = coupled.modes(forces), coupled.gram @ forces + coupled.base
         forces[2::3] = np.where(
-            product.normal > 0.0, forces[2::3], product.radii(forces) / np.where(product.mu > 0.0, product.mu, 1.0)
+            coupled.normal > 0.0, forces[2::3], coupled.radii(forces) / np.where(coupled.mu > 0.0, coupled.mu, 1.0)
         )
         self.solver.warm_start(modes, forces, velocities)
         self.solver.residual = residual

@@ -86,7 +86,7 @@ def review(step, nv, h, scratch):
     Slip is opposed along the mean of its velocities at both ends only while it goes on; a contact at rest that starts
     to slip does so with the sliding coefficient, and one whose slip turns back comes to rest first, if that of sticking
     holds it; loads that the problem takes as given are a fixed point, which is iterated a few times, then found
-    together with the forces (see `friction.product`); and restitution is lowered where, together with friction, it
+    together with the forces (see `friction.loads`); and restitution is lowered where, together with friction, it
     would create energy. scratch: (nv,).
     """
     counts, n, units = step.counts, step.counts.units, step.units

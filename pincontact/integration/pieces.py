@@ -25,11 +25,10 @@ _ARRAYS = (
     "joint_int",
     "reference",
     "reference_start",
-    "reference_rate",
     "reference_slope",
     "side_int",
 )
-_SCALARS = ("has_reference", "reference_moves", "reference_time")
+_SCALARS = ("has_reference",)
 
 
 class Piece(NamedTuple):
@@ -106,11 +105,11 @@ class Pieces:
         for name, value in piece.scalars.items():
             system.scalars[name] = value
         system.scalars["dense_start"], system.scalars["dense_step"] = piece.start, piece.size
-        if not piece.scalars["reference_moves"]:
+        if not piece.scalars["has_reference"]:
             self._record(times, flush)
             return
         for i, t in enumerate(times.tolist()):
-            # redundant forces follow loads and time: an evaluation there chooses those of t
+            # redundant forces follow the loads: an evaluation there chooses those of t
             system.scan(piece.start, piece.size, [(t - piece.start) / piece.size])
             self._record(times[i : i + 1], flush)
 

@@ -158,7 +158,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "pincontact/dynamics/system.py", "_map_calls", 'callback["model"] = calls.native[0, 1]', "index 0 -> 1",
     ): "an address, for compiled code alone; what is found there is checked with every model",
     (
-        "pincontact/friction/product.py", "modes",
+        "pincontact/friction/loads.py", "modes",
         "if self.mu[i] == 0.0 or float(np.linalg.norm(aim)) > radii[i] * (1.0 + TOLERANCE):",
         "* -> /",
     ): "a tolerance, on one side of the limit or the other",

@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from pincontact.friction import product
-from pincontact.friction.cone import LARGEST_FRICTION, OPEN, SLIP, STICK
-from pincontact.friction.loads import TOLERANCE
-from pincontact.friction.product import Product, gauss_seidel_product
+from pincontact.friction import loads
+from pincontact.friction.cone import OPEN, SLIP, STICK
+from pincontact.friction.loads import LARGE_FRICTION, TOLERANCE, Loads, ScaledLoads, gauss_seidel_loads
 
 SEEDS = pytest.mark.parametrize("seed", range(6))
 
@@ -35,7 +34,7 @@ def made_problem(rng, given=False):
         radius_rows[8:10], radius_base[8:10] = 0.1 * rng.normal(size=(2, 3 * n)), rng.normal(size=2)
     base = scales * rng.normal(size=3 * n)
     base[2:9:3] -= 1.0 * scales[2:9:3]
-    return Product(gram, base, normal, tangents, mu, radius_base, radius_rows)
+    return Loads(gram, base, normal, tangents, mu, radius_base, radius_rows)
 
 
 def radii_at(problem, forces):
@@ -63,6 +62,10 @@ def follows_the_laws(problem, forces, radii, accuracy):
         slips = np.linalg.norm(u_t) > accuracy or problem.mu[i] == 0.0
         modes.append(OPEN if is_open else SLIP if slips else STICK)
     return modes
+
+
+def radii_of(problem):
+    return problem.radius_base, problem.radius_rows
 
 
 @SEEDS
@@ -144,54 +147,78 @@ def test_a_sweep_goes_from_unit_to_unit(given, seed):
         if stiffness == 0.0:
             continue
         load = problem.radius_base[2 * i : 2 * i + 2] + problem.radius_rows[2 * i : 2 * i + 2] @ expected
-        radius = min(problem.mu[i], LARGEST_FRICTION) * np.linalg.norm(load)
+        radius = min(problem.mu[i], LARGE_FRICTION) * np.linalg.norm(load)
         p = expected[block] - (problem.gram[block] @ expected + problem.base[block]) / stiffness
         expected[block] = p * min(1.0, radius / np.linalg.norm(p))
     f, u = start.copy(), problem.gram @ start + problem.base
-    arrays = problem.gram, problem.normal, problem.tangents, problem.mu, problem.radius_base, problem.radius_rows
-    gauss_seidel_product(*arrays, f, u, 1)
+    arrays = (
+        problem.gram,
+        problem.normal,
+        problem.tangents,
+        problem.coefficients,
+        problem.radius_base,
+        problem.radius_rows,
+    )
+    gauss_seidel_loads(*arrays, f, u, 1)
     assert f == pytest.approx(expected, abs=1e-12)
     assert u == pytest.approx(problem.gram @ f + problem.base, abs=1e-12)
     twice, u = start.copy(), problem.gram @ start + problem.base
-    gauss_seidel_product(*arrays, twice, u, 2)
-    gauss_seidel_product(*arrays, f, u.copy() * 0.0 + problem.gram @ f + problem.base, 1)
+    gauss_seidel_loads(*arrays, twice, u, 2)
+    gauss_seidel_loads(*arrays, f, u.copy() * 0.0 + problem.gram @ f + problem.base, 1)
     assert twice == pytest.approx(f, abs=1e-12)
 
 
 @SEEDS
 def test_a_disc_of_the_own_normal_force_is_told_apart(seed):
     problem = made_problem(np.random.default_rng([3, seed]))
-    disks = problem._loads().disks
-    assert [disk.rows for disk in disks] == [[0, 1], [3], [9, 10], [12, 13], [15]]
-    assert [disk.normal for disk in disks] == [2, 5, None, None, None]
-    assert [disk.factor for disk in disks] == [0.8, 0.3, 0.2, 0.5, 1.0]
-    for disk, i in zip(disks, (0, 1, 3, 4, 5)):
-        assert disk.load[0].tolist() == problem.radius_base[2 * i : 2 * i + 2].tolist()
-        assert disk.load[1].tolist() == problem.radius_rows[2 * i : 2 * i + 2].tolist()
-    assert problem._loads().normals == [2, 5, 8]
+    scaled = ScaledLoads(problem)
+    # unknowns in the order of rows: of the first contact 0, 1 and 2, of the second 3 and 5, of the third 8
+    assert scaled.rows.tolist() == [0, 1, 2, 3, 5, 8, 9, 10, 12, 13, 15]
+    assert scaled.normals.tolist() == [2, 4, 5]
+    assert [disc.places.tolist() for disc in scaled.discs] == [[0, 1], [3], [6, 7], [8, 9], [10]]
+    assert [disc.own for disc in scaled.discs] == [True, True, False, False, False]
+    forces = np.random.default_rng([4, seed]).uniform(0.5, 1.0, 21)
+    forces[np.setdiff1d(np.arange(21), scaled.rows)] = 0.0
+    y, units = scaled.unknowns(forces), scaled.scale * scaled.unit
+    for disc, i in zip(scaled.discs, (0, 1, 3, 4, 5)):
+        radius, slope = disc.radius(y)
+        assert radius * units[disc.places[0]] == pytest.approx(problem.radii(forces)[i], rel=1e-12)
+        turned = [disc.radius(y + 1e-6 * d)[0] - disc.radius(y - 1e-6 * d)[0] for d in np.eye(y.size)]
+        # by the square of the difference
+        assert slope == pytest.approx(np.array(turned) / 2e-6, abs=1e-8)
+    # below zero there is no load, and so no radius
+    y[2] = -1.0
+    assert scaled.discs[0].radius(y)[0] == 0.0 and not scaled.discs[0].radius(y)[1].any()
     # no friction, no disc; and a load that is another's is not its own
     problem.mu[0], problem.radius_rows[2] = 0.0, problem.radius_rows[6]
-    disks = problem._loads().disks
-    assert [disk.rows for disk in disks] == [[3], [9, 10], [12, 13], [15]]
-    assert disks[0].normal is None
+    discs = ScaledLoads(problem).discs
+    assert [disc.places.tolist() for disc in discs] == [[1], [4, 5], [6, 7], [8]]
+    assert not discs[0].own
 
 
 def test_where_nothing_is_found_the_best_is_kept(monkeypatch):
     """Forces of the least residual that sweeps have come to; what is not finite is none."""
     problem = made_problem(np.random.default_rng(4))
     start = np.random.default_rng(5).normal(size=21)
-    monkeypatch.setattr(product.ScaledLoads, "newton", lambda scaled, y, guess: (y, 1.0))
-    far, near = (problem._search(start, rounds) for rounds in ((1,), (1, 3, 30)))
+    monkeypatch.setattr(loads.ScaledLoads, "newton", lambda scaled, y: (y, 1.0))
+    far, near = (problem._sweep(start, rounds) for rounds in ((1,), (1, 3, 30)))
     assert 0.0 < near[1] < far[1]
     # one sweep, three and thirty, from where no other unit has a force: each goes on from the last
-    arrays = problem.gram, problem.normal, problem.tangents, problem.mu, problem.radius_base, problem.radius_rows
+    arrays = (
+        problem.gram,
+        problem.normal,
+        problem.tangents,
+        problem.coefficients,
+        problem.radius_base,
+        problem.radius_rows,
+    )
     for (found, _), sweeps in ((far, 1), (near, 34)):
         f = start.copy()
         f[[4, 6, 7, 11, 14, 16, 17, 18, 19, 20]] = 0.0
-        gauss_seidel_product(*arrays, f, problem.gram @ f + problem.base, sweeps)
+        gauss_seidel_loads(*arrays, f, problem.gram @ f + problem.base, sweeps)
         assert found == pytest.approx(f, abs=1e-12)
     problem.base[2] = -math.inf
     with np.errstate(all="ignore"):
-        best, least = problem._search(start, (1, 3))
+        best, least = problem._sweep(start, (1, 3))
     assert np.isfinite(best).all()
     assert least == math.inf

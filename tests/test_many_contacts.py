@@ -638,10 +638,11 @@ def test_dry_joint_between_contacts_and_limits():
     floor = scene.add_contour("floor", pc.Plane())
     scene.add_contact("c", scene.add_contour("tip", pc.Point(), "body"), floor)
     run = simulated(scene, scene.initial_state([0.0]), 2.0, control=lambda t, q, v: np.array([8.0 * t]), **TIGHT)
-    # held by both until friction and pull lift the weight: the contact opens first, then friction gives way
+    # held by both until friction and pull lift the weight: then the contact has no load, and friction is at its limit,
+    # at one time, so that round-off decides which is first
     lifts = (G + 3.0) / 8.0
-    assert kinds(run)[-1] == "slip"
-    assert abs(run.events[-1].time - lifts) <= 1e-9
+    assert sorted(kinds(run)) == ["separate", "slip"]
+    assert max(abs(event.time - lifts) for event in run.events) <= 1e-9
     after = run.t[-1] - lifts
     assert run.q[-1, 0] == pytest.approx(8.0 * after**3 / 6.0, abs=1e-8)
 

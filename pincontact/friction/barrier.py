@@ -92,6 +92,9 @@ def _minimise(rows, start, point, pressure, hessian, scratch):
         decrement = -inner(slope, step, n)
         # so near the rim that round-off decides there is no number
         if not decrement > _CONVERGED:
+            # the last step leaves the square of itself
+            for i in range(n if decrement > 0.0 else 0):
+                point[i] += step[i]
             return
         for a in range(m):
             dx[a] = inner(rows[a], step, n)

@@ -11,6 +11,7 @@ from inverse_cases import by_pinocchio, check_case, random_case, solve, tasks
 from scipy.optimize import minimize
 
 import pincontact as pc
+from pincontact.analysis.inverse_program import _null as null_directions
 from pincontact.friction import cone_least_squares
 from pincontact.friction.cone_least_squares import ConeLeastSquares, Region
 
@@ -98,6 +99,56 @@ def test_facets_alone_come_to_the_same(monkeypatch):
         # within the facets' distance from the cones, by the objective's curvature
         np.testing.assert_allclose(refined.y, exact.y, rtol=0.0, atol=1e-2)
     assert solved > 3
+
+
+def test_what_all_solutions_share():
+    """The nearest to a point among all least-squares solutions, in two levels as `inverse_dynamics` has them, against
+    one sum of both squares with a small weight: no solution is lost or added.
+
+    The first level presses onto a ray of a cone, an apex and a row's end, or onto nothing, at random.
+    """
+    counts: Counter[str] = Counter()
+    for seed in range(80):
+        rng = np.random.default_rng(seed)
+        n = 10
+        region, target = random_region(rng, n, cones=4, rows=4), 3.0 * rng.normal(size=n)
+        # the others far enough to be seldom at their limits in the first level, and often in the second
+        region.apexes[2:, 0] += 3.0
+        region.low[1:], region.high[1:] = -3.0, 3.0
+        inside = ConeLeastSquares().solve(np.eye(n), np.zeros(n), region, np.zeros(n))
+        if inside is None:
+            continue
+        # d . t - s <= 0 in the first cone, -s <= 0 in the second, and the first row's upper end
+        angle, pressed = rng.uniform(0.0, 2.0 * np.pi), rng.random(3) < 0.5
+        ray = np.array([-1.0, np.cos(angle), np.sin(angle)])
+        onto = np.array([ray @ region.cones[0], -region.cones[1, 0], region.rows[0]])[pressed]
+        ends = np.array([-ray @ region.apexes[0], region.apexes[1, 0], region.high[0]])[pressed]
+        other = rng.normal(size=(1, n))
+        matrix, right = np.vstack([onto, other]), np.append(ends + rng.uniform(0.5, 2.0), other @ inside.y)
+        first = ConeLeastSquares().solve(matrix, right, region, np.zeros(n))
+        if first is None:
+            continue
+        null = null_directions(np.vstack([matrix, region.shared(first)]))
+        inner = region.restricted(first.y, null, keep=True)
+        second = ConeLeastSquares().solve(null, target - first.y, inner, np.zeros(null.shape[1]))
+        assert second is not None, seed
+        y = first.y + null @ second.y
+        assert region.contains(y, 1e-6), seed
+        np.testing.assert_allclose(matrix @ y, matrix @ first.y, rtol=0.0, atol=1e-8)
+        # the sum's solution is nearer by a part that falls with the square of the weight
+        far, apart = float(np.sum((y - target) ** 2)), math.inf
+        for weight in (1e-3, 1e-4):
+            both = np.vstack([matrix, weight * np.eye(n)])
+            sums = ConeLeastSquares().solve(both, np.append(right, weight * target), region, y)
+            if sums is not None:
+                apart = min(apart, abs(far - float(np.sum((sums.y - target) ** 2))))
+        if apart == math.inf:
+            continue  # badly scaled, for ProxQP
+        assert apart < 1e-2 * (1.0 + far), seed
+        if null.shape[1]:
+            counts.update(np.flatnonzero(pressed).tolist() if pressed.any() else ["none"])
+            counts["second"] += int(np.abs(second.cones).max() > 1e-6 or np.abs(second.rows).max() > 1e-6)
+    assert min(counts[kind] for kind in (0, 1, 2, "none", "second")) >= 3, counts
 
 
 # ---------------------------------------------------------------------------------- random states

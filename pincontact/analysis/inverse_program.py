@@ -147,15 +147,14 @@ class InverseProgram:
         if solution is None:
             nearest, shortfall, certificate = self._nearest(problem, level, region, guess, options)
             point = nearest.y
-            region, shared = region.face(nearest)
-            null = _null(np.vstack([level.matrix, shared]))
+            if certificate is not None:
+                null = _null(np.vstack([level.matrix, region.shared(nearest)]))
             inner = region.restricted(point, null, keep=True)
             solution = self._efforts.solve(rows @ null, -(rest + rows @ point), inner, np.zeros(null.shape[1]))
             if solution is None:
                 raise SolverError("inverse dynamics: ProxQP did not find the least efforts")
         point = point + null @ solution.y
-        inner, shared = inner.face(solution)
-        free = _null(np.vstack([rows @ null, shared]))
+        free = _null(np.vstack([rows @ null, inner.shared(solution)]))
         if free.shape[1]:
             inner = inner.restricted(solution.y, free, keep=True)
             point = self._choose_forces(problem, options.redundant, point, null @ free, inner)

@@ -37,8 +37,9 @@ _ACCURACY, _TIGHT, _WITHIN, _ACTIVE = 1e-6, 1e-8, 1e-7, 1e-5
 _ITERATIONS, _PENALTY, _IMPOSSIBLE = 200, 1e-3, 1e-9
 # Newton's method: its regularisation, steps, guesses of what is active, and what counts as solved.
 _REGULAR, _STEPS, _GUESSES, _SOLVED = 1e-9, 10, 8, 1e-11
-# Multipliers larger than this part of the largest say what all solutions have in common.
-_MULTIPLIED = 1e-7
+# Multipliers larger than this part of the largest say what all solutions have in common, and larger than what Newton's
+# method leaves of one that is zero.
+_MULTIPLIED, _KNOWN = 1e-7, 1e-9
 # Cones this near to their apex are at it.
 _APEX = 1e-7
 _UNBOUNDED, _ROUND_OFF = 1e20, 1e-13
@@ -64,20 +65,16 @@ class Region:
             low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
         return Region(_without_round_off(self.cones @ basis), apexes, _without_round_off(self.rows @ basis), low, high)
 
-    def face(self, solution: ConeSolution) -> tuple[Region, np.ndarray]:
-        """What of the region all solutions of a problem share, given one: the region where rows (r, n) have the value
-        that they have in all, and these rows.
+    def shared(self, solution: ConeSolution) -> np.ndarray:
+        """Rows (r, n) that have the same value in all solutions of a problem, given one.
 
         What is multiplied does no work in any solution: rows are at their bounds, and forces on an edge of a cone that
-        is one ray, or at its apex. Cones would have no interior there; those are half-spaces, s >= 0, instead.
+        is one ray, or at its apex.
         """
         x = self.apexes + self.cones @ solution.y
-        if not (solution.cones.any() or solution.rows.any()):
-            return self, np.zeros((0, solution.y.size))
         largest = max(np.abs(solution.cones).max(initial=0.0), np.abs(solution.rows).max(initial=0.0))
-        size = max(float(largest), _ACTIVE)
-        pressed = -solution.cones[:, 0] > _MULTIPLIED * size
-        at_rows = np.abs(solution.rows) > _MULTIPLIED * size
+        clearly = max(_MULTIPLIED * float(largest), _KNOWN if solution.exact else 10.0 * _TIGHT)
+        pressed, at_rows = -solution.cones[:, 0] > clearly, np.abs(solution.rows) > clearly
         lengths = np.hypot(x[:, 1], x[:, 2])
         fixed = [self.rows[at_rows]]
         for i in np.flatnonzero(pressed):
@@ -85,10 +82,7 @@ class Region:
                 fixed.append(self.cones[i])
             else:
                 fixed.append(self.cones[i, 1:] - np.outer(x[i, 1:] / lengths[i], self.cones[i, 0]))
-        cones, apexes = self.cones.copy(), self.apexes.copy()
-        cones[pressed, 1:], apexes[pressed, 1:] = 0.0, 0.0
-        low, high = np.where(at_rows, -np.inf, self.low), np.where(at_rows, np.inf, self.high)
-        return Region(cones, apexes, self.rows, low, high), np.vstack(fixed)
+        return np.vstack(fixed)
 
     def elastic(self) -> Region:
         """The region in the variables (y, w): each cone is wider by its w, each row by its own."""

@@ -403,6 +403,26 @@ def test_choices_of_redundant_forces():
         np.testing.assert_allclose(again.forces[name], force, rtol=0.0, atol=1e-9)
 
 
+def test_choices_among_the_forces_of_a_run():
+    """The run's accelerations need no efforts, whatever is chosen; the sum of what is redundant is the run's."""
+    scene, state = rover(0.9, 1.5)
+    run, k = pc.simulate(scene, state, 0.2), -1
+    model = scene.model
+    tau = -model.damping * run.v[k]
+    a = pin.aba(model, model.createData(), run.q[k], run.v[k], tau, run.external_forces(k))
+    axle = pin.Quaternion(run.q[k, 3:7]).matrix()[:, 1]
+    total = sum(run.contacts[name].force[k] @ axle for name in ("left", "right"))
+    sideways = {}
+    for redundant in ("least", "centred"):
+        found = pc.inverse_dynamics(scene, run.state(k), a, cones=True, redundant=redundant)
+        np.testing.assert_allclose(found.efforts, 0.0, atol=1e-7)
+        np.testing.assert_allclose(found.acceleration, a, rtol=0.0, atol=1e-7)
+        sideways[redundant] = np.array([found.forces[name] @ axle for name in ("left", "right")])
+        assert sideways[redundant].sum() == pytest.approx(total, abs=1e-7)
+    assert np.diff(sideways["least"])[0] == pytest.approx(0.0, abs=1e-9)
+    assert abs(np.diff(sideways["centred"])[0]) > 0.1 * abs(total)
+
+
 # ---------------------------------------------------------------------------------- arguments
 
 

@@ -140,7 +140,7 @@ class Trajectory:
             np.concatenate([self.t[:kept], rest.t[first:]]),
             np.concatenate([self.q[:kept], rest.q[first:]]),
             np.concatenate([self.v[:kept], rest.v[first:]]),
-            lambda: joined(self._recorded, kept, rest._recorded, first, works),
+            partial(_joined, self, kept, rest, first, works),
             [*(e for e in self.events if e.time <= t), event, *rest.events],
             rest.status,
             f"{rest.message.removesuffix('.')}; by time stepping from t = {t:.9g} s on, since at {self.message}",
@@ -472,6 +472,11 @@ class Trajectory:
         from .view.plots import plot
 
         return plot(self, kinds, axes)
+
+
+def _joined(one: Trajectory, kept: int, two: Trajectory, first: int, works: np.ndarray | None) -> Recorded:
+    """What two runs have recorded, the second from where the first is left."""
+    return joined(one._recorded, kept, two._recorded, first, works)
 
 
 def _with_suffix(path: str | os.PathLike[str]) -> Path:

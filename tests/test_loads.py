@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from itertools import combinations
 
 import numpy as np
@@ -176,6 +177,9 @@ def test_fallback_joins_two_parts(outputs, monkeypatch, tmp_path):
     (event,) = [e for e in run.events if e.kind == "fallback"]
     assert 0.3 < event.time < 0.36
     assert (np.diff(run.t) > 0.0).all()
+    # before its tracks are asked for, too
+    again = pickle.loads(pickle.dumps(run))
+    np.testing.assert_array_equal(again.contacts["foot 1"].force, run.contacts["foot 1"].force)
     if outputs is not None:
         assert run.t == pytest.approx(outputs, abs=0.0)
     for values in (run.q, run.v, run.contacts["foot 1"].force, run.contacts["foot 1"].mode):

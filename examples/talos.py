@@ -100,7 +100,9 @@ def main(html: Path | None = None, duration: float = 3.0) -> dict[str, float]:
         "weight_error": float(abs(sum(track.normal_force[0] for track in tracks) / weight - 1.0)),
         "least_load": float(min(track.normal_force.min() for track in tracks)),
         "corner_speed": float(max(np.linalg.norm(track.slip_velocity, axis=1).max() for track in tracks)),
-        "all_stick": float(all((track.mode == 1).all() for track in tracks)),
+        "all_stick": float(
+            all((track.mode == 1).all() for track in tracks) and not any(event.contact for event in run.events)
+        ),
     }
     print(
         f"{run.message} The centre of mass moves forward by {1e3 * result['moved']:.2f} mm; the centre of pressure "

@@ -50,8 +50,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Decision", "ModeSolver", "rest_mode", "shares_viscous_force"]
 
-# Relative accelerations below this fraction of the free ones are round-off: no slip.
-_STILL = 1e-13
+# Relative accelerations below this fraction of the free ones are round-off: no slip; or below so many residuals.
+_STILL, _KNOWN = 1e-13, 10.0
 # So often the directions of slip that begins, and what of redundant loads is carried where, are brought together.
 _ROUNDS = 4
 
@@ -197,7 +197,8 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         velocities, forces, modes = solution.velocities, solution.forces, solution.modes
         for i, shape in shapes.items():
             velocities[i, :2], forces[i, :2] = np.linalg.solve(shape, velocities[i, :2]), shape @ forces[i, :2]
-        still = _STILL * max(map(abs, base.tolist()))
+        # as far as they are known
+        still = max(_STILL, _KNOWN * solution.residual) * max(map(abs, base.tolist()))
         for i, c in enumerate(closed):
             mode = modes[i]
             # among redundant contacts one may carry nothing without leaving

@@ -252,7 +252,4 @@ def _arguments(
     moments = (0.0, *(float(point[-1]) for point in points)) if program.times else (0.0,)
     numbers["size"] = next((size for size in (half_diagonal(contour, t) for t in moments) if size > 0.0), 0.0)
     numbers["planar"] = k == 1 and program.constants[2] == 0.0
-    if k == 1 and program.error > 0.0 and not program.time_dependent:
-        # a fit of zeros is zero
-        numbers["planar"] = all(contour.point(u)[2] == 0.0 for u in contour.samples(200))
     return {**numbers, "fit_error": program.error}

@@ -27,7 +27,7 @@ INSTRUCTION_SIZE = 5  # opcode, offset of a, offset of b, constant c, constant d
 
 # Linear instructions, then SINCOS (two slots), then functions of two arguments, then of one.
 LINEAR, AFFINE, SINCOS = range(3)
-MULTIPLY, DIVIDE, POWER, ATAN2, HYPOT = range(3, 8)
+MULTIPLY, ATAN2 = 3, 4
 (
     SQUARE,
     INVERSE,
@@ -46,7 +46,7 @@ MULTIPLY, DIVIDE, POWER, ATAN2, HYPOT = range(3, 8)
     ASINH,
     ACOSH,
     ATANH,
-) = range(8, 25)
+) = range(5, 22)
 # Of a formula before it is a tape: a variable, and sine and cosine, which one instruction computes together.
 VARIABLE, SIN, COS = -1, -2, -3
 
@@ -161,26 +161,11 @@ def function_of_two(op, x, y):
     """f, f_x, f_y, f_xx, f_xy, f_yy of the function `op` at (x, y)."""
     if op == MULTIPLY:
         return x * y, y, x, 0.0, 1.0, 0.0
-    if op == DIVIDE:
-        inverse = 1.0 / y
-        f = x / y
-        f_y = -f * inverse
-        return f, inverse, f_y, 0.0, -inverse * inverse, -2.0 * f_y * inverse
-    if op == ATAN2:
-        scale = 1.0 / (x * x + y * y)
-        f_x, f_y = y * scale, -x * scale
-        f_xx = -2.0 * x * f_x * scale
-        return math.atan2(x, y), f_x, f_y, f_xx, (x * x - y * y) * scale * scale, -f_xx
-    if op == HYPOT:
-        f = math.hypot(x, y)
-        f_x, f_y = x / f, y / f
-        return f, f_x, f_y, f_y * f_y / f, -f_x * f_y / f, f_x * f_x / f
-    # POWER, x > 0.
-    f = x**y
-    log_x = math.log(x)
-    f_x = y * f / x
-    f_y = f * log_x
-    return f, f_x, f_y, (y - 1.0) * f_x / x, f / x + f_x * log_x, f_y * log_x
+    # ATAN2
+    scale = 1.0 / (x * x + y * y)
+    f_x, f_y = y * scale, -x * scale
+    f_xx = -2.0 * x * f_x * scale
+    return math.atan2(x, y), f_x, f_y, f_xx, (x * x - y * y) * scale * scale, -f_xx
 
 
 @kernel

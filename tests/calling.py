@@ -63,7 +63,7 @@ def _as_kernels_have_them(typing_context, arguments):
             item = builder.extract_value(values[0], i)
             if kind is not given:
                 data, shape = parts_of(context, builder, given, item)
-                item = make_view(context, builder, kind, data, shape, None)
+                item = make_view(context, builder, kind, data, shape)
             items.append(item)
         return context.make_tuple(builder, signature.return_type, items)
 

@@ -1,7 +1,6 @@
 """Numbers of contours and motions as users give them: splines, profiles, tapes, twists, and what is known of them."""
 
 import functools
-import itertools
 import math
 
 import numpy as np
@@ -503,8 +502,7 @@ def test_pieces_of_different_sizes_meet_or_are_named(axis, order):
             along = max((x, y)[axis] - 0.25, 0.0)
             return np.array([1.0, x**3 * y**2 - x * y + size * (along**order if along > 0.0 else 0.0)])
 
-        boxes = itertools.product(*(itertools.pairwise(line.tolist()) for line in lines))
-        pieces = {tuple(itertools.chain(*box)): solve @ fits._data(f, None, list(box), nodes) for box in boxes}
+        pieces = {ends: solve @ fits._data(f, None, ends, nodes) for ends in fits._boxes(lines)}
         fits._check_joints("test", lines, (False, False), fits._assembled(lines, pieces), 8.0)
 
     checked(0.0)

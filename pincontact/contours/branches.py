@@ -9,7 +9,7 @@ is not smooth.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -36,8 +36,6 @@ _FAR = 1e6
 _MOST_PATHS = 64
 # Nor is one with branches followed further than this many bounds: a fit then shows what it is like.
 _MOST_WORK = 1500
-# Times for which a formula need not be good are searched this often, for the rest is likely to be unused.
-_LATER_ROUNDS = 50
 # Beside the end of a quantity's domain, so far from it, it has no value on one side.
 _BESIDE = 1e-6
 # Where in a box its path is looked at: not in the middle, where thresholds like to be.
@@ -127,9 +125,8 @@ class _Search:
     edges:      boxes on which paths change, tiny ones or those left over
     work:       operations that were bounded; those at points cost a quarter of it
     single:     no second path has been found, but at early times
-    known_times: those of the domain
+    known_times: those of the domain; boxes may also be of times after them or, early ones, before them
     times:      first and last time for which the first path is good
-    outside:    boxes are of times before or after those of the domain now
     """
 
     def __init__(self, formula: Formula, domain: Sequence[tuple[float, float]], all_times: bool) -> None:
@@ -137,65 +134,64 @@ class _Search:
         low, high = np.array(domain, dtype=float).T
         self.size = np.where(np.isfinite(high - low), high - low, _UNBOUNDED)
         self.start, self.end = low + _TINY * self.size, high - _TINY * self.size
-        self.boxes = self._boxes(1)
+        self.time = self.variables.find("t")
+        self.known_times = float(low[self.time]), float(high[self.time])
+        self.all_times = all_times and self.time >= 0
+        n = len(self.variables)
+        fields = [("low", float, (n,)), ("high", float, (n,)), ("trust", float), ("branching", bool), ("hint", int)]
+        self.boxes = np.zeros(3 if self.all_times else 1, fields)
+        self.boxes["low"], self.boxes["high"] = self.start, self.end
+        if self.all_times:
+            # those of the domain, and all before and after them
+            self.start[self.time], self.end[self.time] = -math.inf, math.inf
+            self.boxes["low"][1:, self.time], self.boxes["high"][1:, self.time] = zip(
+                (-math.inf, self.known_times[0]), (self.known_times[1], math.inf)
+            )
         self.paths: list[Path] = []
         self.cells: list[tuple[int, np.ndarray, np.ndarray]] = []
         self.edges: list[tuple[np.ndarray, np.ndarray]] = []
         self.cuts: list[np.ndarray] = []
         self.work = 0
-        self.single, self.outside = True, False
+        self.single = True
         self.times = (-math.inf, math.inf)
-        self.time = self.variables.find("t")
-        self.all_times = all_times and self.time >= 0
-        self.known_times = float(low[self.time]), float(high[self.time])
-
-    def _boxes(self, count: int) -> np.ndarray:
-        """So many boxes, each the whole domain."""
-        n = len(self.variables)
-        fields = [("low", float, (n,)), ("high", float, (n,)), ("trust", float), ("branching", bool), ("hint", int)]
-        boxes = np.zeros(count, fields)
-        boxes["low"], boxes["high"] = self.start, self.end
-        return boxes
 
     def run(self) -> None:
         """Examine the domain, and all times where that is asked for."""
-        self._search(_ROUNDS)
-        self.edges += [(box["low"], box["high"]) for box in self.boxes[self.boxes["branching"]]]
+        for _ in range(_ROUNDS):
+            if len(self.boxes) and (self.single or self.work <= _MOST_WORK):
+                self._search()
+        left = self.boxes[self.boxes["branching"]]
+        early = self._is_early(left["high"])
+        self._end_early(left["high"][early])
+        self.edges += [(box["low"], box["high"]) for box in left[~early]]
         self.single = self.single and not self.edges
-        if self.time < 0 or not (self.single and self.paths[0].checks):
-            return
-        if not self.all_times:
+        if self.time >= 0 and not self.all_times and self.paths[0].checks:
             self.times = self.known_times
-            return
-        first, last = self.known_times
-        self.outside = True
-        self.start[self.time], self.end[self.time] = -math.inf, math.inf
-        self.boxes = self._boxes(2)
-        self.boxes["high"][0, self.time], self.boxes["low"][1, self.time] = first, last
-        self._search(_LATER_ROUNDS)
-        self._end_early(self.boxes["high"][self.boxes["branching"]])
+
+    def _is_early(self, high: np.ndarray) -> np.ndarray:
+        """Whether boxes with these upper ends are of times before those of the domain."""
+        if not self.all_times:
+            return np.zeros(len(high), dtype=bool)
+        early: np.ndarray = high[:, self.time] <= self.known_times[0]
+        return early
 
     def _end_early(self, high: np.ndarray) -> None:
         """The first path is not known to be good at early times in boxes with these upper ends."""
-        ends = high[high[:, self.time] <= self.known_times[0], self.time]
+        ends = high[self._is_early(high), self.time]
         self.times = max([self.times[0], *ends.tolist()]), self.times[1]
 
-    def _search(self, rounds: int) -> None:
-        """Examine boxes until none is left, or for long enough."""
-        for _ in range(rounds):
-            if not len(self.boxes) or (not self.single and self.work > _MOST_WORK):
-                return
-            # the most suspicious boxes, of which one is wrong if any is, and the largest ones
-            size = np.minimum((self.boxes["high"] - self.boxes["low"]) / self.size, 1e300).max(axis=1)
-            chosen = np.zeros(len(size), dtype=bool)
-            for order in (np.argsort(self.boxes["trust"], kind="stable"), np.argsort(-size, kind="stable")):
-                chosen[order[: _BATCH // 2]] = True
-            batch, self.boxes = self.boxes[chosen], self.boxes[~chosen]
-            inside = _between(batch["low"], batch["high"], _INSIDE)
-            path_of = self._path_of(inside, batch["hint"])
-            for number in np.unique(path_of):
-                mine = path_of == number
-                self._examine(int(number), batch[mine], inside[mine])
+    def _search(self) -> None:
+        """Examine the most suspicious boxes, of which one is wrong if any is, and the largest ones."""
+        size = np.minimum((self.boxes["high"] - self.boxes["low"]) / self.size, 1e300).max(axis=1)
+        chosen = np.zeros(len(size), dtype=bool)
+        for order in (np.argsort(self.boxes["trust"], kind="stable"), np.argsort(-size, kind="stable")):
+            chosen[order[: _BATCH // 2]] = True
+        batch, self.boxes = self.boxes[chosen], self.boxes[~chosen]
+        inside = _between(batch["low"], batch["high"], _INSIDE)
+        path_of = self._path_of(inside, batch["hint"])
+        for number in np.unique(path_of):
+            mine = path_of == number
+            self._examine(int(number), batch[mine], inside[mine])
 
     def _path_of(self, points: np.ndarray, hint: np.ndarray) -> np.ndarray:
         """The number of the path at each point; paths that are met for the first time are added."""
@@ -219,9 +215,8 @@ class _Search:
     def _examine(self, number: int, boxes: np.ndarray, inside: np.ndarray) -> None:
         """Prove what a path does on boxes at whose points it holds, or cut them."""
         path, low, high = self.paths[number], boxes["low"], boxes["high"]
-        early = np.zeros(len(low), dtype=bool)
-        if self.outside:
-            early = high[:, self.time] <= self.known_times[0]
+        early = self._is_early(high)
+        outside = early | (low[:, self.time] >= self.known_times[1]) if self.all_times else early
         if number > 0:
             self.single = self.single and bool(early.all())
         if not path.checks:
@@ -233,11 +228,10 @@ class _Search:
         branching = ((least < 0.0) & (kinds == COMPARISON)).any(axis=0)
         risky = (least <= 0.0) & (kinds == RISK) & ~early
         broken = risky & (there <= 0.0)
-        if self.outside:
-            # what has no value is no other shape
-            ending = np.array([is_end(check[0], check[3]) for check in path.checks])[:, None]
-            risky &= ~(broken & ending & (there < 0.0)).any(axis=0)
-            broken &= risky
+        # what has no value at times outside is no other shape
+        ending = np.array([is_end(check[0], check[3]) for check in path.checks])[:, None]
+        risky &= ~(broken & ending & (there < 0.0) & outside).any(axis=0)
+        broken &= risky
         if broken.any():
             check, box = np.argwhere(broken)[0]
             self._refuse(path.checks[check], inside[box])
@@ -265,7 +259,7 @@ class _Search:
             elif branching[box]:
                 self.edges.append((low[box], high[box]))
                 self.single = False
-            elif not (self.outside and self._is_end(path, path.checks[worst[box]], inside[box])):
+            elif not (outside[box] and self._is_end(path, path.checks[worst[box]], inside[box])):
                 self._refuse(path.checks[worst[box]], inside[box])
         nearest = np.where(np.isinf(low), -high, low)[every, axis]
         done |= ~tiny & np.isinf((high - low)[every, axis]) & (nearest >= _FAR)
@@ -316,20 +310,18 @@ class _Search:
         low, high = self._widened(boxes[:, 0], boxes[:, 1])
         sides = [np.zeros((0, 2, len(self.variables)))]
         for check in (check for check, kind in zip(path.checks, path.kinds) if kind == CUT):
-            order = path.graph.reachable([check[1]])
             for axis in range(len(self.variables)):
                 # From one side of the cut to the other: the sign of the angle's first argument.
                 a = _between(low, high, _INSIDE)
                 b = a.copy()
                 a[:, axis], b[:, axis] = low[:, axis], high[:, axis]
-                sign = path.values(a, order)[check[1]].lo
-                across = sign * path.values(b, order)[check[1]].lo < 0.0
-                a, b, sign = a[across], b[across], sign[across]
-                for _ in range(_HALVINGS):
-                    middle = 0.5 * (a + b)
-                    same = (path.values(middle, order)[check[1]].lo * sign > 0.0)[:, None]
-                    a, b = np.where(same, middle, a), np.where(same, b, middle)
-                sides.append(np.stack([a, b], axis=1))
+                sign = path.values(a, path.order)[check[1]].lo
+                across = sign * path.values(b, path.order)[check[1]].lo < 0.0
+
+                def same(points: np.ndarray, check: Check = check, sign: np.ndarray = sign[across]) -> np.ndarray:
+                    return path.values(points, path.order)[check[1]].lo * sign > 0.0
+
+                sides.append(np.stack(_halved(a[across], b[across], same), axis=1))
         pairs = np.concatenate(sides)
         k = self.formula.parameters
         contour = Contour(traced, k, pool=tape.pool)
@@ -365,13 +357,8 @@ class _Search:
         a[axis] = max(low[axis] - tiny, self.start[axis])
         b[axis] = min(high[axis] + tiny, self.end[axis])
         path = self.paths[self._path_of(a[None], np.zeros(1, dtype=int))[0]]
-        rounding = np.finfo(float).eps * self.size[axis]
-        while b[axis] - a[axis] > rounding:
-            point = np.where(np.arange(len(a)) == axis, 0.5 * (a[axis] + b[axis]), a)
-            if np.array_equal(point, a) or np.array_equal(point, b):
-                break
-            a, b = (point, b) if path.holds(point[None])[0] else (a, point)
-        return float(b[axis]) if abs(b[axis]) > rounding else 0.0
+        end = float(_halved(a[None], b[None], path.holds)[1][0, axis])
+        return end if abs(end) > np.finfo(float).eps * self.size[axis] else 0.0
 
     def places(self) -> np.ndarray:
         """Points (k, n) on every path, and on both sides of where they change, in a finite domain."""
@@ -401,6 +388,15 @@ def _between(low: np.ndarray, high: np.ndarray, part: float) -> np.ndarray:
         beyond = np.where(np.isinf(high), 2.0 * np.maximum(low, 0.0) + 1.0, 2.0 * np.minimum(high, 0.0) - 1.0)
         beyond = np.where(np.isinf(low) & np.isinf(high), 20.0 * off, beyond + off)
     return np.where(np.isinf(low) | np.isinf(high), beyond, between)
+
+
+def _halved(a: np.ndarray, b: np.ndarray, same: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Points (m, n) on both sides of where it changes which points are the same as those of a, brought together."""
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (a + b)
+        kept = same(middle)[:, None]
+        a, b = np.where(kept, middle, a), np.where(kept, b, middle)
+    return a, b
 
 
 def _beside_root(low: float, high: float, line: tuple[float, float, float, float], tiny: float, middle: float) -> float:

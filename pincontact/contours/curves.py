@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import ContourError
 from ..jit import kernel
 from ..workspace import matrix_at, reals_at
-from .base import ALL, CIRCLE, ELLIPSE, TURN, Contour
+from .base import ALL, ELLIPSE, TURN, Contour
 from .checks import array, finite, in_space, interval, positive
 from .evaluation import contour_kernel
 from .sizes import DERIVATIVE_ROWS
@@ -33,6 +33,22 @@ def arc(owner: str, name: str, domain: Any) -> tuple[tuple[float, float], bool]:
         raise ContourError(f"{owner}: {name} must not exceed one turn, got {high - low} rad")
     # up to the rounding of multiples of pi
     return (low, high), abs(high - low - 2.0 * math.pi) <= _WHOLE - 2.0 * math.pi
+
+
+def _round(owner: str, a: float, b: float, domain: Any) -> dict[str, Any]:
+    """What `Contour` is to be given for a circle or an ellipse."""
+    limits, closed = arc(owner, "domain", domain)
+    return {
+        "evaluator": round_curve,
+        "dimension": 1,
+        "shape": (a, b, 0.0),
+        "domain": (limits,),
+        "periodic": (closed,),
+        "planar": True,
+        "size": max(a, b),
+        "convex_side": int(closed),
+        "kind": ELLIPSE,
+    }
 
 
 class Line(Contour):
@@ -85,18 +101,7 @@ class Circle(Contour):
 
     def __init__(self, radius: float, domain: tuple[float, float] | None = None) -> None:
         (radius,) = positive("Circle", radius=radius)
-        limits, closed = arc("Circle", "domain", domain)
-        super().__init__(
-            round_curve,
-            1,
-            shape=(radius, radius, 0.0),
-            domain=(limits,),
-            periodic=(closed,),
-            planar=True,
-            size=radius,
-            convex_side=int(closed),
-            kind=CIRCLE,
-        )
+        super().__init__(**_round("Circle", radius, radius, domain))
 
 
 class Ellipse(Contour):
@@ -123,18 +128,7 @@ class Ellipse(Contour):
 
     def __init__(self, a: float, b: float, domain: tuple[float, float] | None = None) -> None:
         a, b = positive("Ellipse", a=a, b=b)
-        limits, closed = arc("Ellipse", "domain", domain)
-        super().__init__(
-            round_curve,
-            1,
-            shape=(a, b, 0.0),
-            domain=(limits,),
-            periodic=(closed,),
-            planar=True,
-            size=max(a, b),
-            convex_side=int(closed),
-            kind=ELLIPSE,
-        )
+        super().__init__(**_round("Ellipse", a, b, domain))
 
 
 class Helix(Contour):

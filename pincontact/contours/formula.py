@@ -96,7 +96,7 @@ def spread(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
 
 
 def trials(domain: Sequence[tuple[float, float]]) -> np.ndarray:
-    """Values (n, k) of parameters in the domain, at which formulas are tried."""
+    """Reproducible random values (n, k) of parameters in the domain, at which formulas are tried."""
     low = [a if math.isfinite(a) else (b - REACH if math.isfinite(b) else -REACH) for a, b in domain]
     high = [b if math.isfinite(b) else (a + REACH if math.isfinite(a) else REACH) for a, b in domain]
-    return spread(np.array(low), np.array(high), _TRIALS)
+    return np.random.default_rng(20240229).uniform(low, high, (_TRIALS, len(domain)))

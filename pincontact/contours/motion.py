@@ -289,7 +289,7 @@ class SplineMotion(Motion):
         if periodic:
             placements += placements[:1]
         t = array(owner, "times", times, len(placements))
-        values = np.array([_coordinates(pose) for pose in placements])
+        values = np.array([_coordinates(pose) for pose in placements]).reshape(-1, 7)
         _connect(values[:, 3:])
         overlaps = _overlaps(values[:, 3:])
         i = int(np.argmin(overlaps)) if len(overlaps) else 0

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import ContourError
 from .base import ALL, F_1, F_2, Contour, F, half_diagonal
-from .checks import flag, flags, interval
+from .checks import flag, flags, interval, pair
 from .formula import Formula, takes_time, trials
 from .program import Program, compiled
 from .splines import height_grid, height_spline
@@ -217,10 +217,7 @@ def _times(owner: str, given: Any) -> tuple[float, float] | None:
 
 
 def _rectangle(owner: str, domain: Any) -> tuple[tuple[float, float], ...]:
-    try:
-        first, second = domain
-    except (TypeError, ValueError):
-        raise ContourError(f"{owner}: domain must be ((low, high), (low, high)), got {domain!r}") from None
+    first, second = pair(owner, "domain", domain, "(low, high)")
     return interval(owner, "domain[0]", first), interval(owner, "domain[1]", second)
 
 

@@ -65,15 +65,14 @@ def compiled(
         _check_seams(formula, program, domain, periodic, points)
     program.times = tuple(timed) if program.time_dependent else ()
     contour = Contour(program.evaluator, formula.parameters, pool=program.pool)
-    for point, value in zip(points, expected):
-        found = contour.evaluate(point[: formula.parameters], *point[formula.parameters :])[:, : formula.outputs]
-        shown = ", ".join(f"{number:.6g}" for number in point)
-        _compare(formula.owner, f"f({shown})", found[F], value, np.abs(expected).max(), _AGREEMENT)
-        if derivatives is not None:
-            given = formula.derivatives(derivatives, *point.tolist())
-            rows = list(ROWS[formula.variables][1:])
-            size = max(np.abs(given).max(), np.abs(expected).max())
-            _compare(formula.owner, f"a derivative at ({shown})", found[rows], given, size, _DERIVATIVE_AGREEMENT)
+    k = formula.parameters
+    found = np.array([contour.evaluate(point[:k], *point[k:])[:, : formula.outputs] for point in points])
+    size = max(np.abs(expected).max(), 1e-300)
+    _compare(formula.owner, "f", points, found[:, [F]], expected[:, None], _AGREEMENT * size)
+    if derivatives is not None:
+        given = np.array([formula.derivatives(derivatives, *point.tolist()) for point in points])
+        rows, size = list(ROWS[formula.variables][1:]), max(size, np.abs(given).max())
+        _compare(formula.owner, "a derivative", points, found[:, rows], given, _DERIVATIVE_AGREEMENT * size)
     return program
 
 
@@ -101,14 +100,17 @@ def _fitted(
     return Program(fitted, result.pool, timed, result.constants, result.error)
 
 
-def _compare(owner: str, what: str, found: np.ndarray, expected: np.ndarray, size: float, tolerance: float) -> None:
-    """ContourError naming both numbers if they differ by more than `tolerance` of `size`."""
-    difference = np.abs(found - expected)
-    if not (difference <= tolerance * max(size, 1e-300)).all():
-        worst = np.unravel_index(int(np.argmax(np.nan_to_num(difference, nan=np.inf))), difference.shape)
+def _compare(
+    owner: str, what: str, points: np.ndarray, found: np.ndarray, expected: np.ndarray, tolerance: float
+) -> None:
+    """ContourError naming both numbers if they differ by more than the tolerance somewhere."""
+    difference = np.nan_to_num(np.abs(found - expected), nan=np.inf)
+    if difference.max() > tolerance:
+        worst = np.unravel_index(int(np.argmax(difference)), difference.shape)
         raise ContourError(
-            f"{owner}: {what}: the formula as compiled gives {float(found[worst])!r}, the user's function "
-            f"{float(expected[worst])!r} (entry {[int(i) for i in worst]})"
+            f"{owner}: {what} at ({', '.join(f'{number:.6g}' for number in points[worst[0]])}): the formula as "
+            f"compiled gives {float(found[worst])!r}, the user's function {float(expected[worst])!r} "
+            f"(entry {[int(i) for i in worst[1:]]})"
         )
 
 

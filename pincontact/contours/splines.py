@@ -47,9 +47,13 @@ def spline(
     )
 
 
-def chords(points: np.ndarray) -> np.ndarray:
-    """Chord lengths accumulated along points (n, d)."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+def chords(owner: str, points: np.ndarray) -> np.ndarray:
+    """Chord lengths accumulated along points (n, d). Raises ContourError where two coincide."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if not (steps > 0.0).all():
+        i = int(np.argmin(steps))
+        raise ContourError(f"{owner}: points {i} and {i + 1} coincide at {points[i].tolist()}")
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def spline_pool(curve: scipy.interpolate.BSpline, periodic: bool) -> np.ndarray:
@@ -113,10 +117,7 @@ class SplineCurve(Contour):
             if periodic:
                 through = np.concatenate([through, through[:1]])
             if parameters is None:
-                u = chords(through)
-                if not (np.diff(u) > 0.0).all():
-                    i = int(np.argmin(np.diff(u)))
-                    raise ContourError(f"{owner}: points {i} and {i + 1} coincide at {through[i]}")
+                u = chords(owner, through)
             else:
                 u = array(owner, "parameters", parameters, len(through))
             curve = spline(owner, u, through, degree, periodic)

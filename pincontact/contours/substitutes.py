@@ -208,22 +208,10 @@ for _names, _symbolic in _ELEMENTARY:
                 SUBSTITUTES[_plain] = _lift(_symbolic, _plain)
 
 
-class _Module(types.ModuleType):
-    """A module whose functions know symbols."""
-
-    def __init__(self, module: types.ModuleType, memo: dict[Any, Any]) -> None:
-        super().__init__(module.__name__)
-        self.__dict__["_origin"] = (module, memo)
-
-    def __getattr__(self, name: str) -> Any:
-        module, memo = self.__dict__["_origin"]
-        return replaced(getattr(module, name), memo)
-
-
 def replaced(value: Any, memo: dict[Any, Any]) -> Any:
     """`value` as it should look to code that runs on symbols; `memo` keeps what was already replaced."""
     if isinstance(value, types.ModuleType):
-        return memo.setdefault(value, _Module(value, memo))
+        return memo.setdefault(value, _Instance(value, memo))
     try:
         if value in SUBSTITUTES:
             return SUBSTITUTES[value]
@@ -248,7 +236,7 @@ def replaced(value: Any, memo: dict[Any, Any]) -> Any:
 
 
 class _Instance:
-    """An object whose methods know symbols; what is assigned to it does not reach the original."""
+    """A module or object whose functions know symbols; what is assigned to it does not reach the original."""
 
     def __init__(self, origin: Any, memo: dict[Any, Any]) -> None:
         self.__dict__["_origin"] = (origin, memo)

@@ -9,12 +9,11 @@ from ..errors import ContourError
 from ..jit import kernel
 from ..workspace import matrix_at, reals_at
 from .base import ALL, ELLIPSOID, PLANE, SPHERE, TURN, Contour
-from .checks import interval, positive
+from .checks import interval, pair, positive
 from .curves import arc
 from .evaluation import contour_kernel
 from .sizes import DERIVATIVE_ROWS
 
-_HALF_TURN = (-0.5 * math.pi, 0.5 * math.pi)
 # A contact comes to an end so far from an apex, m, since u1' and the curvature grow without bound towards it.
 _APEX = 1e-6
 # (low, high) of both parameters, None for all of one.
@@ -23,11 +22,7 @@ Domain = tuple[tuple[float, float] | None, tuple[float, float] | None] | None
 
 def _pair(owner: str, domain: Domain) -> tuple[Any, Any]:
     """Both parts of the domain of a surface, each (low, high) or None; none means None for both."""
-    try:
-        first, second = (None, None) if domain is None else domain
-    except (TypeError, ValueError):
-        raise ContourError(f"{owner}: domain must be a pair of (low, high) or None, got {domain!r}") from None
-    return first, second
+    return (None, None) if domain is None else pair(owner, "domain", domain, "(low, high) or None")
 
 
 def _along(owner: str, name: str, given: Any) -> tuple[float, float]:
@@ -87,18 +82,7 @@ class Sphere(Contour):
 
     def __init__(self, radius: float) -> None:
         (radius,) = positive("Sphere", radius=radius)
-        super().__init__(
-            ellipsoid,
-            2,
-            shape=(radius, radius, radius),
-            domain=(TURN, _HALF_TURN),
-            periodic=(True, False),
-            limits=(ALL, ALL),
-            charts=(0, 1),
-            size=radius,
-            convex_side=1,
-            kind=SPHERE,
-        )
+        super().__init__(shape=(radius, radius, radius), size=radius, kind=SPHERE, **_OVAL)
 
 
 class Ellipsoid(Contour):
@@ -125,18 +109,7 @@ class Ellipsoid(Contour):
 
     def __init__(self, a: float, b: float, c: float) -> None:
         a, b, c = positive("Ellipsoid", a=a, b=b, c=c)
-        super().__init__(
-            ellipsoid,
-            2,
-            shape=(a, b, c),
-            domain=(TURN, _HALF_TURN),
-            periodic=(True, False),
-            limits=(ALL, ALL),
-            charts=(0, 1),
-            size=max(a, b, c),
-            convex_side=1,
-            kind=ELLIPSOID,
-        )
+        super().__init__(shape=(a, b, c), size=max(a, b, c), kind=ELLIPSOID, **_OVAL)
 
 
 class Cylinder(Contour):
@@ -312,6 +285,18 @@ def ellipsoid(chart, shape, pool, pool_size, u1, u2, t, out):
         b,
     )
     return 0
+
+
+# What balls and ellipsoids have in common.
+_OVAL: dict[str, Any] = {
+    "evaluator": ellipsoid,
+    "dimension": 2,
+    "domain": (TURN, (-0.5 * math.pi, 0.5 * math.pi)),
+    "periodic": (True, False),
+    "limits": (ALL, ALL),
+    "charts": (0, 1),
+    "convex_side": 1,
+}
 
 
 @contour_kernel

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 
-from ..arrays import address
 from ..callback import separate_kernel
 from ..contours.evaluation import call_contour
 from ..geometry.carriers import OMEGA, ORIGIN, point_bias, point_velocity
@@ -69,6 +68,7 @@ from ..layout import (
     SYSTEM,
     TIME_DEPENDENT,
 )
+from ..workspace import reals_at
 
 # rows of the scratch array `vectors` after those of `geometry.location`; NORMAL_RATE: n', see `acceleration_bias`
 _A, _B, _C, _D, NORMAL_RATE = range(FREE_VECTORS, FREE_VECTORS + 5)
@@ -85,13 +85,12 @@ def shape_in_world(system, c, body):
     call_contour(
         integers[EVALUATOR],
         integers[CHART],
-        address(system.side_shape[side]),
-        integers[POOL_ADDRESS],
-        integers[POOL_SIZE],
+        system.side_shape[side],
+        reals_at(integers[POOL_ADDRESS], integers[POOL_SIZE]),
         system.location[c, 2 * body],
         system.location[c, 2 * body + 1],
         system.scalars.time,
-        address(local),
+        local,
     )
     rotation = system.frames[side, 0:3]
     rotate(rotation, local[0], world[0])

@@ -54,7 +54,8 @@ def flag(owner: str, name: str, value: Any) -> bool:
 def pair(owner: str, name: str, given: Any, what: str) -> tuple[Any, Any]:
     """Both parts of what is said of both parameters of a surface."""
     try:
-        first, second = given
+        # of two letters neither says anything
+        first, second = () if isinstance(given, (str, bytes)) else given
     except (TypeError, ValueError):
         raise ContourError(f"{owner}: {name} must be a pair of {what}, got {given!r}") from None
     return first, second

@@ -18,7 +18,6 @@ from numpy.polynomial import chebyshev
 
 from ..errors import ContourError
 from ..jit import kernel
-from ..workspace import matrix_at, reals_at
 from .base import ALL, F_1, F_11, REVOLUTION, TURN, Contour, F
 from .charts import ENDS, HAND, TRACED
 from .checks import array, flag, interval
@@ -26,7 +25,6 @@ from .evaluation import contour_kernel
 from .formula import Formula
 from .piecewise import Direction, chebyshev_nodes, fitted, pack, piecewise
 from .program import compiled
-from .sizes import DERIVATIVE_ROWS, SHAPE_SIZE
 from .splines import chords, spline, spline_pool
 from .surfaces import put_revolved
 from .tape import tape, traced
@@ -274,15 +272,13 @@ def revolution_source(chart, shape, pool, u1, u2):
 
 
 @contour_kernel
-def revolution(chart, shape, pool, pool_size, u1, u2, t, out):
-    numbers, table, f = reals_at(shape, SHAPE_SIZE), reals_at(pool, pool_size), matrix_at(out, DERIVATIVE_ROWS, 3)
-    start, argument, is_tape = revolution_source(chart, numbers, table, u1, u2)
+def revolution(chart, shape, pool, u1, u2, t, out):
+    start, argument, is_tape = revolution_source(chart, shape, pool, u1, u2)
     if is_tape:
-        tape(table[start:], argument, u2, t, f)
+        tape(pool[start:], argument, u2, t, out)
     else:
-        piecewise(table[start:], argument, u2, t, f)
-    revolve(chart, numbers, table, u1, u2, f)
-    return 0
+        piecewise(pool[start:], argument, u2, t, out)
+    revolve(chart, shape, pool, u1, u2, out)
 
 
 @kernel

@@ -8,12 +8,10 @@ import numpy as np
 import scipy
 
 from ..errors import ContourError
-from ..workspace import matrix_at, reals_at
 from .base import Contour
 from .checks import array, flag, flags, in_space
 from .evaluation import contour_kernel
 from .piecewise import Direction, chebyshev_nodes, fitted, pack, piecewise
-from .sizes import DERIVATIVE_ROWS
 from .surfaces import put_plane
 
 if TYPE_CHECKING:
@@ -237,9 +235,7 @@ def height_grid(owner: str, x: Any, y: Any, z: Any, degree: int) -> tuple[np.nda
 
 
 @contour_kernel
-def height_spline(chart, shape, pool, pool_size, u1, u2, t, out):
+def height_spline(chart, shape, pool, u1, u2, t, out):
     """(u1, u2, z), whose column z is a spline."""
-    f = matrix_at(out, DERIVATIVE_ROWS, 3)
-    put_plane(f, u1, u2)
-    piecewise(reals_at(pool, pool_size), u1, u2, t, f)
-    return 0
+    put_plane(out, u1, u2)
+    piecewise(pool, u1, u2, t, out)

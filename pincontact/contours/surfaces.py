@@ -7,12 +7,10 @@ from typing import Any
 
 from ..errors import ContourError
 from ..jit import kernel
-from ..workspace import matrix_at, reals_at
 from .base import ALL, ELLIPSOID, PLANE, SPHERE, TURN, Contour
 from .checks import interval, pair, positive
 from .curves import arc
 from .evaluation import contour_kernel
-from .sizes import DERIVATIVE_ROWS
 
 # A contact comes to an end so far from an apex, m, since u1' and the curvature grow without bound towards it.
 _APEX = 1e-6
@@ -227,13 +225,10 @@ class Torus(Contour):
 
 
 @contour_kernel
-def plane(chart, shape, pool, pool_size, u1, u2, t, out):
-    f = matrix_at(out, DERIVATIVE_ROWS, 3)
-    f[0, 2] = 0.0
-    put_plane(f, u1, u2)
-    for row in range(1, 6):
-        f[row, 2] = 0.0
-    return 0
+def plane(chart, shape, pool, u1, u2, t, out):
+    put_plane(out, u1, u2)
+    for row in range(6):
+        out[row, 2] = 0.0
 
 
 @kernel
@@ -263,15 +258,14 @@ def put_revolved(out, turn, c, s, r, z, r_2, z_2, r_22, z_22, a, b):
 
 
 @contour_kernel
-def ellipsoid(chart, shape, pool, pool_size, u1, u2, t, out):
+def ellipsoid(chart, shape, pool, u1, u2, t, out):
     """An ellipse with semi-axes 1 and c, turned about its second axis and stretched by a and b."""
-    axes = reals_at(shape, 3)
-    a, b, c = axes[0], axes[1], axes[2]
+    a, b, c = shape[0], shape[1], shape[2]
     if chart == 1:
         a, b, c = b, c, a
     c2, s2 = math.cos(u2), math.sin(u2)
     put_revolved(
-        matrix_at(out, DERIVATIVE_ROWS, 3),
+        out,
         chart,
         math.cos(u1),
         math.sin(u1),
@@ -284,7 +278,6 @@ def ellipsoid(chart, shape, pool, pool_size, u1, u2, t, out):
         a,
         b,
     )
-    return 0
 
 
 # What balls and ellipsoids have in common.
@@ -300,22 +293,14 @@ _OVAL: dict[str, Any] = {
 
 
 @contour_kernel
-def straight_profile(chart, shape, pool, pool_size, u1, u2, t, out):
+def straight_profile(chart, shape, pool, u1, u2, t, out):
     """The profile r = r_0 + slope u2, z = climb u2, turned about z: a cylinder or a cone."""
-    numbers = reals_at(shape, 3)
-    slope, climb = numbers[1], numbers[2]
-    r, z = numbers[0] + slope * u2, climb * u2
-    put_revolved(
-        matrix_at(out, DERIVATIVE_ROWS, 3), 0, math.cos(u1), math.sin(u1), r, z, slope, climb, 0.0, 0.0, 1.0, 1.0
-    )
-    return 0
+    slope, climb = shape[1], shape[2]
+    r, z = shape[0] + slope * u2, climb * u2
+    put_revolved(out, 0, math.cos(u1), math.sin(u1), r, z, slope, climb, 0.0, 0.0, 1.0, 1.0)
 
 
 @contour_kernel
-def torus(chart, shape, pool, pool_size, u1, u2, t, out):
-    radii = reals_at(shape, 2)
-    r, z = radii[1] * math.cos(u2), radii[1] * math.sin(u2)
-    put_revolved(
-        matrix_at(out, DERIVATIVE_ROWS, 3), 0, math.cos(u1), math.sin(u1), radii[0] + r, z, -z, r, -r, -z, 1.0, 1.0
-    )
-    return 0
+def torus(chart, shape, pool, u1, u2, t, out):
+    r, z = shape[1] * math.cos(u2), shape[1] * math.sin(u2)
+    put_revolved(out, 0, math.cos(u1), math.sin(u1), shape[0] + r, z, -z, r, -r, -z, 1.0, 1.0)

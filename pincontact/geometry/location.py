@@ -133,20 +133,20 @@ def solve_location(k1, k2, equations):
     parameters.
     """
     metric, sides, row, below = equations[_METRIC], equations[SIDES], equations[_BODY_1], equations[_BODY_1 + 1]
+    m11, m12, m22, side, row_1, row_3 = metric[0], metric[1], metric[2], sides[1], row[1], row[3]
     if k2 == 1:
-        # with one more parameter that nothing depends on
-        metric[1], metric[2], sides[1], row[1], row[3] = 0.0, 1.0, 0.0, 0.0, 0.0
-    m11, m12, m22 = metric[0], metric[1], metric[2]
+        # as with a second parameter that nothing depends on
+        m12, m22, side, row_1, row_3 = 0.0, 1.0, 0.0, 0.0, 0.0
     # u_2 = p - x u_1, or p - x u_11 - y u_12
-    regular, p1, p2 = _solve_two(m11, m12, m12, m22, sides[0], sides[1])
+    regular, p1, p2 = _solve_two(m11, m12, m12, m22, sides[0], side)
     if regular == 0.0:
         return 0.0
     if k1 == 0:
         sides[2], sides[3] = p1, p2
         return regular
-    _, x1, x2 = _solve_two(m11, m12, m12, m22, row[0], row[1])
-    first = row[4] - row[2] * x1 - row[3] * x2
-    right = sides[2] - row[2] * p1 - row[3] * p2
+    _, x1, x2 = _solve_two(m11, m12, m12, m22, row[0], row_1)
+    first = row[4] - row[2] * x1 - row_3 * x2
+    right = sides[2] - row[2] * p1 - row_3 * p2
     if k1 == 1:
         if first == 0.0:
             return 0.0

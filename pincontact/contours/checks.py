@@ -55,7 +55,7 @@ def pair(owner: str, name: str, given: Any, what: str) -> tuple[Any, Any]:
     """Both parts of what is said of both parameters of a surface."""
     try:
         # of two letters neither says anything
-        first, second = () if isinstance(given, (str, bytes)) else given
+        first, second = given if not isinstance(given, (str, bytes)) else list(given)[2:]
     except (TypeError, ValueError):
         raise ContourError(f"{owner}: {name} must be a pair of {what}, got {given!r}") from None
     return first, second

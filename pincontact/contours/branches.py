@@ -36,6 +36,8 @@ _FAR = 1e6
 _MOST_PATHS = 64
 # Nor is one with branches followed further than this many bounds: a fit then shows what it is like.
 _MOST_WORK = 1500
+# Times for which a formula need not be good are searched this often, for the rest is likely to be unused.
+_LATER_ROUNDS = 50
 # Beside the end of a quantity's domain, so far from it, it has no value on one side.
 _BESIDE = 1e-6
 # Where in a box its path is looked at: not in the middle, where thresholds like to be.
@@ -125,7 +127,8 @@ class _Search:
     edges:      boxes on which paths change, tiny ones or those left over
     work:       operations that were bounded; those at points cost a quarter of it
     single:     no second path has been found, but at early times
-    known_times: those of the domain; boxes may also be of times after them or, early ones, before them
+    time:       the time's number among the variables, -1 without one
+    known_times: those of the domain, of which boxes are first, then of early ones before them and of those after them
     times:      first and last time for which the first path is good
     """
 
@@ -137,16 +140,6 @@ class _Search:
         self.time = self.variables.find("t")
         self.known_times = float(low[self.time]), float(high[self.time])
         self.all_times = all_times and self.time >= 0
-        n = len(self.variables)
-        fields = [("low", float, (n,)), ("high", float, (n,)), ("trust", float), ("branching", bool), ("hint", int)]
-        self.boxes = np.zeros(3 if self.all_times else 1, fields)
-        self.boxes["low"], self.boxes["high"] = self.start, self.end
-        if self.all_times:
-            # those of the domain, and all before and after them
-            self.start[self.time], self.end[self.time] = -math.inf, math.inf
-            self.boxes["low"][1:, self.time], self.boxes["high"][1:, self.time] = zip(
-                (-math.inf, self.known_times[0]), (self.known_times[1], math.inf)
-            )
         self.paths: list[Path] = []
         self.cells: list[tuple[int, np.ndarray, np.ndarray]] = []
         self.edges: list[tuple[np.ndarray, np.ndarray]] = []
@@ -157,21 +150,21 @@ class _Search:
 
     def run(self) -> None:
         """Examine the domain, and all times where that is asked for."""
-        for _ in range(_ROUNDS):
-            if len(self.boxes) and (self.single or self.work <= _MOST_WORK):
-                self._search()
-        left = self.boxes[self.boxes["branching"]]
-        early = self._is_early(left["high"])
-        self._end_early(left["high"][early])
-        self.edges += [(box["low"], box["high"]) for box in left[~early]]
+        left = self._search(self.start[None], self.end[None], _ROUNDS)
+        self.edges += list(zip(left["low"], left["high"]))
         self.single = self.single and not self.edges
-        if self.time >= 0 and not self.all_times and self.paths[0].checks:
+        if self.time < 0 or not (self.single and self.paths[0].checks):
+            return
+        if not self.all_times:
             self.times = self.known_times
+            return
+        low, high = np.tile(self.start, (2, 1)), np.tile(self.end, (2, 1))
+        high[0, self.time], low[1, self.time] = self.known_times
+        low[0, self.time], high[1, self.time] = self.start[self.time], self.end[self.time] = -math.inf, math.inf
+        self._end_early(self._search(low, high, _LATER_ROUNDS)["high"])
 
     def _is_early(self, high: np.ndarray) -> np.ndarray:
-        """Whether boxes with these upper ends are of times before those of the domain."""
-        if not self.all_times:
-            return np.zeros(len(high), dtype=bool)
+        """Whether boxes with these upper ends are of times before those of the domain; without time none is."""
         early: np.ndarray = high[:, self.time] <= self.known_times[0]
         return early
 
@@ -180,18 +173,27 @@ class _Search:
         ends = high[self._is_early(high), self.time]
         self.times = max([self.times[0], *ends.tolist()]), self.times[1]
 
-    def _search(self) -> None:
-        """Examine the most suspicious boxes, of which one is wrong if any is, and the largest ones."""
-        size = np.minimum((self.boxes["high"] - self.boxes["low"]) / self.size, 1e300).max(axis=1)
-        chosen = np.zeros(len(size), dtype=bool)
-        for order in (np.argsort(self.boxes["trust"], kind="stable"), np.argsort(-size, kind="stable")):
-            chosen[order[: _BATCH // 2]] = True
-        batch, self.boxes = self.boxes[chosen], self.boxes[~chosen]
-        inside = _between(batch["low"], batch["high"], _INSIDE)
-        path_of = self._path_of(inside, batch["hint"])
-        for number in np.unique(path_of):
-            mine = path_of == number
-            self._examine(int(number), batch[mine], inside[mine])
+    def _search(self, low: np.ndarray, high: np.ndarray, rounds: int) -> np.ndarray:
+        """Examine boxes until none is left, or for long enough; those left on which a comparison has both outcomes."""
+        ends = (low.shape[1],)
+        fields = [("low", float, ends), ("high", float, ends), ("trust", float), ("branching", bool), ("hint", int)]
+        self.boxes = np.zeros(len(low), fields)
+        self.boxes["low"], self.boxes["high"] = low, high
+        for _ in range(rounds):
+            if not len(self.boxes) or (not self.single and self.work > _MOST_WORK):
+                break
+            # the most suspicious boxes, of which one is wrong if any is, and the largest ones
+            size = np.minimum((self.boxes["high"] - self.boxes["low"]) / self.size, 1e300).max(axis=1)
+            chosen = np.zeros(len(size), dtype=bool)
+            for order in (np.argsort(self.boxes["trust"], kind="stable"), np.argsort(-size, kind="stable")):
+                chosen[order[: _BATCH // 2]] = True
+            batch, self.boxes = self.boxes[chosen], self.boxes[~chosen]
+            inside = _between(batch["low"], batch["high"], _INSIDE)
+            path_of = self._path_of(inside, batch["hint"])
+            for number in np.unique(path_of):
+                mine = path_of == number
+                self._examine(int(number), batch[mine], inside[mine])
+        return self.boxes[self.boxes["branching"]]
 
     def _path_of(self, points: np.ndarray, hint: np.ndarray) -> np.ndarray:
         """The number of the path at each point; paths that are met for the first time are added."""
@@ -216,7 +218,7 @@ class _Search:
         """Prove what a path does on boxes at whose points it holds, or cut them."""
         path, low, high = self.paths[number], boxes["low"], boxes["high"]
         early = self._is_early(high)
-        outside = early | (low[:, self.time] >= self.known_times[1]) if self.all_times else early
+        outside = early | (low[:, self.time] >= self.known_times[1])
         if number > 0:
             self.single = self.single and bool(early.all())
         if not path.checks:

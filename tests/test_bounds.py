@@ -84,7 +84,7 @@ def test_whole_powers_of_either_sign():
     assert ends(interval(-2.0, 4.0).power(0.5)) == (0.0, 2.0)
 
 
-@pytest.mark.parametrize("op", [tape.MULTIPLY, tape.ATAN2])
+@pytest.mark.parametrize("op", [tape.MULTIPLY, tape.DIVIDE, tape.ATAN2])
 def test_bounds_of_two_variables_close_in_on_the_value(op):
     """They hold for all points of a box, and what they add to that shrinks with it."""
     generator = np.random.default_rng(4)

@@ -615,7 +615,7 @@ def test_bounds_hold_for_every_operation():
                 for bounds, number in ((value, f), (slope, f_x)):
                     slack = 1e-12 * (1.0 + abs(number))
                     assert bounds.lo[0] - slack <= number <= bounds.hi[0] + slack, (op, c, low, high, x)
-    for op in (MULTIPLY, ATAN2):
+    for op in range(MULTIPLY, ATAN2 + 1):
         for _ in range(100):
             box = np.sort(generator.uniform(-2.0, 2.0, (2, 2)) * generator.choice([0.1, 1.0]), axis=1)
             with np.errstate(all="ignore"):

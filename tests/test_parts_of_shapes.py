@@ -365,6 +365,7 @@ ONE = {
 }
 TWO = {
     tape.MULTIPLY: lambda x, y: x * y,
+    tape.DIVIDE: lambda x, y: x / y,
     tape.ATAN2: lambda x, y: math.atan2(x, y),
 }
 

@@ -179,6 +179,10 @@ def _of_two(op: int, x: Interval, y: Interval) -> tuple[Interval, Interval, Inte
     """Bounds of the function `op`, and of its derivatives by x and y."""
     if op == ops.MULTIPLY:
         return x * y, y, x
+    if op == ops.DIVIDE:
+        inverse = y.inverse()
+        value = x * inverse
+        return value, inverse, (value * inverse).affine(-1.0)
     # ATAN2 is largest and least at corners, unless its cut is within
     corners = [np.arctan2(a, b) for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
     cut = _away(ops.ATAN2, 0.0, x, y) <= 0.0

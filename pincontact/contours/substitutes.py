@@ -55,7 +55,7 @@ def _quotient(x: Any, y: Any) -> Any:
     if not isinstance(y, Symbol):
         return x.affine(1.0 / y, 0.0)
     if isinstance(x, Symbol):
-        return 1.0 if x.index == y.index else x * y.one(ops.INVERSE, 1.0)
+        return 1.0 if x.index == y.index else x.graph.symbol(ops.DIVIDE, x.index, y.index)
     return 0.0 if x == 0.0 else y.one(ops.INVERSE, x)
 
 

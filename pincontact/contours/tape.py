@@ -25,7 +25,7 @@ INSTRUCTION_SIZE = 5  # opcode, offset of a, offset of b, constant c, constant d
 
 # Linear instructions, then SINCOS (two slots), then functions of two arguments, then of one.
 LINEAR, AFFINE, SINCOS = range(3)
-MULTIPLY, ATAN2 = 3, 4
+MULTIPLY, DIVIDE, ATAN2 = range(3, 6)
 (
     SQUARE,
     INVERSE,
@@ -44,7 +44,7 @@ MULTIPLY, ATAN2 = 3, 4
     ASINH,
     ACOSH,
     ATANH,
-) = range(5, 22)
+) = range(6, 23)
 # Of a formula before it is a tape: a variable, and sine and cosine, which one instruction computes together.
 VARIABLE, SIN, COS = -1, -2, -3
 
@@ -159,6 +159,11 @@ def function_of_two(op, x, y):
     """f, f_x, f_y, f_xx, f_xy, f_yy of the function `op` at (x, y)."""
     if op == MULTIPLY:
         return x * y, y, x, 0.0, 1.0, 0.0
+    if op == DIVIDE:
+        inverse = 1.0 / y
+        f = x / y
+        f_y = -f * inverse
+        return f, inverse, f_y, 0.0, -inverse * inverse, -2.0 * f_y * inverse
     # ATAN2
     scale = 1.0 / (x * x + y * y)
     f_x, f_y = y * scale, -x * scale

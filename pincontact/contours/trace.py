@@ -158,7 +158,9 @@ def _program(
 
 
 def _risk(node: Node) -> Check | None:
-    """Where an operation is not smooth, by the arguments that decide it."""
+    """Where an operation is not smooth, by the arguments that decide it: those of others would only mislead."""
+    if node.op == ops.DIVIDE:
+        return ops.INVERSE, node.y, node.y, 0.0
     if node.op == ops.ATAN2:
         return ORIGIN, node.x, node.y, 0.0
     return (node.op, node.x, node.x, node.c) if is_risky(node.op, node.c) else None

@@ -121,7 +121,8 @@ def _solve_two(a, b, c, d, x, y):
     determinant = a * d - b * c
     if determinant == 0.0:
         return 0.0, 0.0, 0.0
-    return determinant, (d * x - b * y) / determinant, (a * y - c * x) / determinant
+    scale = 1.0 / determinant
+    return determinant, scale * (d * x - b * y), scale * (a * y - c * x)
 
 
 @kernel

@@ -102,6 +102,17 @@ def test_a_sign_moves_into_a_sum_and_nothing_else_does():
         assert point_of(lambda u: -(0.7 * u + 0.3), u) == -(0.7 * u + 0.3)
 
 
+def test_quotients_are_one_instruction_that_rounds_as_the_users_code_does():
+    """The product with an inverse rounds twice."""
+
+    def quotient(u):
+        return (0.7 * u + 0.3) / (u * u + 1.0)
+
+    assert instructions(lambda u, v: u / v, "uv", 1) == 1
+    for u in np.random.default_rng(2).uniform(-9.0, 9.0, 50):
+        assert point_of(quotient, u) == quotient(u)
+
+
 @pytest.mark.parametrize(("value", "wanted"), [(0.0, 2.0), (0.5, 1.0), (-0.5, 1.0), (1.0, 1.0)])
 def test_what_is_not_zero_is_true(value, wanted):
     assert Path(lambda u: 1.0 if u else 2.0, "u", 1, [value]).tape().constants == (wanted,)

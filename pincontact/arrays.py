@@ -1,9 +1,9 @@
 """Arrays of compiled kernels: an address and extents.
 
 numba's own arrays count references, may be indexed from their end and are seven words or more, which every call passes
-on. Those of kernels are two or three words: memory that somebody else owns, C-contiguous unless a column was taken.
-Indices are not negative; slices have no step and begin inside. The checked build has numba's arrays, and its bounds
-checks, in their place.
+on. Those of kernels are an address and the extents: C-contiguous memory that somebody else owns. Indices are not
+negative; slices are of the last index that is given, have no step and begin inside. The checked build has numba's
+arrays, and its bounds checks, in their place.
 """
 
 from __future__ import annotations
@@ -33,22 +33,18 @@ _WORD = ir.IntType(64)
 
 
 class View(types.Type):
-    """numba's type of such arrays. item: numba's type of an element, a number or a record; strided: whether there are
-    gaps between rows."""
+    """numba's type of such arrays. item: numba's type of an element, a number or a record."""
 
-    def __init__(self, item: Any, ndim: int, strided: bool = False):
-        self.item, self.ndim, self.strided = item, ndim, strided
-        super().__init__(f"View({item}, {ndim}, {strided})")
+    def __init__(self, item: Any, ndim: int):
+        self.item, self.ndim = item, ndim
+        super().__init__(f"View({item}, {ndim})")
 
 
 @register_model(View)
 class _ViewModel(models.StructModel):
     def __init__(self, manager: Any, view: View):
         extents = types.UniTuple(types.int64, view.ndim)
-        members = [("data", types.CPointer(view.item)), ("shape", extents)]
-        if view.strided:
-            members.append(("strides", extents))
-        super().__init__(manager, view, members)
+        super().__init__(manager, view, [("data", types.CPointer(view.item)), ("shape", extents)])
 
 
 make_attribute_wrapper(View, "shape", "shape")
@@ -68,30 +64,23 @@ def array_type(item: np.dtype[Any], dimensions: int) -> Any:
     return types.Array(item_type(item), dimensions, "C") if CHECKED else View(item_type(item), dimensions)
 
 
-def make_view(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any], strides: list[Any] | None) -> Any:
-    """LLVM's value of an array of that type: pointer to its first element, extents, strides in elements."""
+def make_view(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
+    """LLVM's value of an array of that type: pointer to its first element, extents."""
     if isinstance(kind, types.Array):
-        return _numba_array(context, builder, kind, data, shape, strides)
+        # numba's own; imported when code is generated: it costs as much as the rest of the package
+        from numba.np.arrayobj import make_array, populate_array
+
+        size = context.get_constant(types.intp, kind.dtype.bitwidth // 8)
+        steps = [builder.mul(stride, size) for stride in _strides(builder, shape)]
+        array = make_array(kind)(context, builder)
+        # its references are not counted
+        populate_array(array, data=data, shape=shape, strides=steps, itemsize=size, meminfo=None)
+        return array._getvalue()
     value = ir.Constant(context.get_value_type(kind), ir.Undefined)
     value = builder.insert_value(value, data, 0)
     for i, extent in enumerate(shape):
         value = builder.insert_value(value, extent, (1, i))
-    if kind.strided:
-        for i, stride in enumerate(strides or _strides(builder, shape)):
-            value = builder.insert_value(value, stride, (2, i))
     return value
-
-
-def _numba_array(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any], strides: list[Any] | None) -> Any:
-    """numba's own array of memory whose references are not counted."""
-    # imported when code is generated: it costs as much as the rest of the package
-    from numba.np.arrayobj import make_array, populate_array
-
-    size = context.get_constant(types.intp, kind.dtype.bitwidth // 8)
-    steps = [builder.mul(stride, size) for stride in strides or _strides(builder, shape)]
-    array = make_array(kind)(context, builder)
-    populate_array(array, data=data, shape=shape, strides=steps, itemsize=size, meminfo=None)
-    return array._getvalue()
 
 
 def _strides(builder: Any, shape: list[Any]) -> list[Any]:
@@ -102,17 +91,10 @@ def _strides(builder: Any, shape: list[Any]) -> list[Any]:
     return strides
 
 
-def _shape_of(builder: Any, kind: View, value: Any) -> tuple[list[Any], list[Any]]:
-    shape = [builder.extract_value(value, (1, i)) for i in range(kind.ndim)]
-    if not kind.strided:
-        return shape, _strides(builder, shape)
-    return shape, [builder.extract_value(value, (2, i)) for i in range(kind.ndim)]
-
-
 def parts_of(context: Any, builder: Any, kind: Any, value: Any) -> tuple[Any, list[Any]]:
     """Pointer to the first element, and extents, of an array of kernels or numba's."""
     if isinstance(kind, View):
-        return builder.extract_value(value, 0), _shape_of(builder, kind, value)[0]
+        return builder.extract_value(value, 0), [builder.extract_value(value, (1, i)) for i in range(kind.ndim)]
     array = context.make_array(kind)(context, builder, value)
     return array.data, [builder.extract_value(array.shape, i) for i in range(kind.ndim)]
 
@@ -124,15 +106,14 @@ def _items(index: Any) -> list[Any]:
 def _found(view: View, index: Any) -> Any:
     """Type of what an index leads to, None if it is none of ours."""
     items = _items(index)
-    if len(items) > view.ndim or not all(isinstance(item, (types.Integer, types.SliceType)) for item in items):
-        return None
     slices = [i for i, item in enumerate(items) if isinstance(item, types.SliceType)]
+    # without gaps where only the first dimension that is left has been cut
+    if len(items) > view.ndim or slices not in ([], [len(items) - 1]):
+        return None
+    if not all(isinstance(item, (types.Integer, types.SliceType)) for item in items):
+        return None
     ndim = view.ndim - len(items) + len(slices)
-    if ndim == 0:
-        return view.item
-    # contiguous where only the first dimension that is left has been cut
-    whole = not slices or slices == [len(items) - 1]
-    return View(view.item, ndim, view.strided or not whole)
+    return View(view.item, ndim) if ndim else view.item
 
 
 @type_callable(operator.getitem)
@@ -165,46 +146,38 @@ def _len(context: Any, builder: Any, signature: Any, values: Any) -> Any:
     return builder.extract_value(values[0], (1, 0))
 
 
-def _element(
-    context: Any, builder: Any, view: View, value: Any, index: Any, given: Any
-) -> tuple[Any, list[Any], list[Any]]:
-    """Pointer to what an index leads to, and the extents and strides that are left."""
+def _element(context: Any, builder: Any, view: View, value: Any, index: Any, given: Any) -> tuple[Any, list[Any]]:
+    """Pointer to what an index leads to, and the extents that are left."""
     kinds = _items(index)
     parts = (
         [builder.extract_value(given, i) for i in range(len(kinds))] if isinstance(index, types.BaseTuple) else [given]
     )
-    shape, strides = _shape_of(builder, view, value)
-    offset, extents, steps = ir.Constant(_WORD, 0), [], []
-    for i in range(view.ndim):
-        if i >= len(kinds):
-            extents.append(shape[i])
-            steps.append(strides[i])
-            continue
-        start = parts[i]
-        if isinstance(kinds[i], types.SliceType):
-            cut = context.make_helper(builder, kinds[i], start)
+    data, shape = parts_of(context, builder, view, value)
+    offset, extents = ir.Constant(_WORD, 0), shape[len(kinds) :]
+    for kind, start, extent, stride in zip(kinds, parts, shape, _strides(builder, shape)):
+        if isinstance(kind, types.SliceType):
+            cut = context.make_helper(builder, kind, start)
             start = cut.start
-            stop = builder.select(builder.icmp_signed("<", cut.stop, shape[i]), cut.stop, shape[i])
-            extents.append(builder.sub(stop, start, flags=("nsw",)))
-            steps.append(strides[i])
+            stop = builder.select(builder.icmp_signed("<", cut.stop, extent), cut.stop, extent)
+            extents = [builder.sub(stop, start, flags=("nsw",)), *extents]
         else:
-            start = context.cast(builder, start, kinds[i], types.int64)
-        offset = builder.add(offset, builder.mul(start, strides[i], flags=("nsw",)), flags=("nsw",))
-    return builder.gep(builder.extract_value(value, 0), [offset], inbounds=True), extents, steps
+            start = context.cast(builder, start, kind, types.int64)
+        offset = builder.add(offset, builder.mul(start, stride, flags=("nsw",)), flags=("nsw",))
+    return builder.gep(data, [offset], inbounds=True), extents
 
 
 def _getitem(context: Any, builder: Any, signature: Any, values: Any) -> Any:
     (view, index), kind = signature.args, signature.return_type
-    pointer, extents, steps = _element(context, builder, view, values[0], index, values[1])
+    pointer, extents = _element(context, builder, view, values[0], index, values[1])
     if not isinstance(kind, View):
         # a number, or where a record is
         return context.unpack_value(builder, kind, pointer)
-    return make_view(context, builder, kind, pointer, extents, steps if kind.strided else None)
+    return make_view(context, builder, kind, pointer, extents)
 
 
 def _setitem(context: Any, builder: Any, signature: Any, values: Any) -> Any:
     view, index, given = signature.args
-    pointer, _, _ = _element(context, builder, view, values[0], index, values[1])
+    pointer, _ = _element(context, builder, view, values[0], index, values[1])
     builder.store(context.cast(builder, values[2], given, view.item), pointer)
     return context.get_dummy_value()
 
@@ -219,7 +192,7 @@ def _matrix(typing_context, array, n, m):
     def generate(context, builder, signature, values):
         data, _ = parts_of(context, builder, array, values[0])
         shape = [context.cast(builder, v, k, types.int64) for v, k in zip(values[1:], signature.args[1:])]
-        return make_view(context, builder, signature.return_type, data, shape, None)
+        return make_view(context, builder, signature.return_type, data, shape)
 
     return View(array.item, 2)(array, n, m), generate
 
@@ -267,22 +240,17 @@ if numba.config.DISABLE_JIT or CHECKED:
         view, as_array = numba.extending.register_jitable(view), numba.extending.register_jitable(as_array)
 else:
 
-    @intrinsic
-    def view(typing_context, array):
-        """numba's C-contiguous array as one of kernels."""
+    def _conversion(kind_of: Any) -> Any:
+        @intrinsic
+        def convert(typing_context, array):
+            def generate(context, builder, signature, values):
+                data, shape = parts_of(context, builder, array, values[0])
+                return make_view(context, builder, signature.return_type, data, shape)
 
-        def generate(context, builder, signature, values):
-            data, shape = parts_of(context, builder, array, values[0])
-            return make_view(context, builder, signature.return_type, data, shape, None)
+            return kind_of(array)(array), generate
 
-        return View(array.dtype, array.ndim)(array), generate
+        return convert
 
-    @intrinsic
-    def as_array(typing_context, array):
-        """An array of kernels as numba's, for calls by address."""
-
-        def generate(context, builder, signature, values):
-            data, shape = parts_of(context, builder, array, values[0])
-            return _numba_array(context, builder, signature.return_type, data, shape, None)
-
-        return types.Array(array.item, array.ndim, "C")(array), generate
+    # numba's C-contiguous array as one of kernels, and one of kernels as numba's, for calls by address
+    view = _conversion(lambda array: View(array.dtype, array.ndim))
+    as_array = _conversion(lambda array: types.Array(array.item, array.ndim, "C"))

@@ -240,16 +240,18 @@ def cache_directory(function: Any) -> Path:
     return _CACHE / source_hash(function.__code__.co_filename)
 
 
-def entry_kernel(*arguments: Any, when: int = ALWAYS) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def entry_kernel(
+    *arguments: Any, when: int = ALWAYS, from_python: bool = True
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """A routine called from Python with arguments of these numba types; compiled once and cached on disk.
 
-    when: see ALWAYS.
+    when: see ALWAYS. from_python: not only by its address.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         directory = cache_directory(function)
         with _compiling(directory):
-            compiled = njit(cache=True, **KERNEL_OPTIONS)(function)
+            compiled = njit(cache=True, no_cpython_wrapper=not from_python, **KERNEL_OPTIONS)(function)
         entry = Entry(compiled, arguments, directory, when)
         ENTRIES.append(entry)
         return compiled if numba.config.DISABLE_JIT else _announced(entry)

@@ -169,6 +169,8 @@ def solve_gram(rows, m, n, lower, permutation, x, scratch):
     are formed, so the cost is linear in m where r stays small. Where r < m the solution of least norm is
     L (L^T L)^-2 L^T b in pivoted order. Row i of L is row permutation[i] of lower.
     """
+    if m == 0:
+        return 0
     for i in range(m):
         permutation[i] = i
         lower[i, m - 1] = lower[i, m] = inner(rows[i], rows[i], n)
@@ -183,7 +185,8 @@ def solve_gram(rows, m, n, lower, permutation, x, scratch):
             line[rank] = value
             line[m] -= value * value
         rank += 1
-    y = scratch[:m, m]
+    # the rank is lower where the other rows of scratch are needed
+    y = scratch[m - 1]
     for i in range(m):
         y[i] = x[permutation[i]]
     if rank == m:

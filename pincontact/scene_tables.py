@@ -138,10 +138,6 @@ def as_texts(value: Any, _: Mapping[str, float]) -> list[str]:
     return [value] if isinstance(value, str) else listed(value, "a list of texts", kind=str)
 
 
-def as_numbers(value: Any, constants: Mapping[str, float]) -> list[float]:
-    return [as_number(entry, constants) for entry in listed(value, "a list of numbers")]
-
-
 def listed(value: Any, what: str, count: int | None = None, kind: type = object) -> list[Any]:
     """A list, of so many entries of this kind."""
     if not isinstance(value, list) or len(value) != (len(value) if count is None else count):
@@ -151,31 +147,24 @@ def listed(value: Any, what: str, count: int | None = None, kind: type = object)
     return value
 
 
+def as_list(what: str, convert: Converter, count: int | None = None, kind: type = object) -> Converter:
+    """A list, of so many entries of this kind, each converted."""
+    return lambda value, constants: [convert(entry, constants) for entry in listed(value, what, count, kind)]
+
+
+as_numbers = as_list("a list of numbers", as_number)
+as_interval = as_list("[low, high]", as_number_or_infinity, 2)
+as_rectangle = as_list("[[low, high], [low, high]]", as_interval, 2, list)
+as_flags = as_list("two of true and false", as_flag, 2, bool)
+
+
 def as_array(value: Any, constants: Mapping[str, float]) -> Any:
     """Numbers in lists in lists."""
     return [as_array(entry, constants) for entry in value] if isinstance(value, list) else as_number(value, constants)
 
 
 def as_vector(count: int) -> Converter:
-    def convert(value: Any, constants: Mapping[str, float]) -> list[float]:
-        return as_numbers(listed(value, f"{count} numbers", count), constants)
-
-    return convert
-
-
-def as_interval(value: Any, constants: Mapping[str, float]) -> tuple[float, float]:
-    low, high = (as_number_or_infinity(end, constants) for end in listed(value, "[low, high]", 2))
-    return low, high
-
-
-def as_rectangle(value: Any, constants: Mapping[str, float]) -> tuple[Any, Any]:
-    first, second = (as_interval(part, constants) for part in listed(value, "[[low, high], [low, high]]", 2, list))
-    return first, second
-
-
-def as_flags(value: Any, _: Mapping[str, float]) -> tuple[bool, bool]:
-    first, second = listed(value, "two of true and false", 2, bool)
-    return first, second
+    return as_list(f"{count} numbers", as_number, count)
 
 
 def as_formulas(count: int, *variables: str) -> Converter:
@@ -231,5 +220,4 @@ def as_pose(value: Any, constants: Mapping[str, float]) -> pin.SE3:
     return pin.SE3(as_rotation(value, constants), translation)
 
 
-def as_poses(value: Any, constants: Mapping[str, float]) -> list[pin.SE3]:
-    return [as_pose(entry, constants) for entry in listed(value, "a list of placements")]
+as_poses = as_list("a list of placements", as_pose)

@@ -107,7 +107,7 @@ def _attribute(context: Any, builder: Any, kind: WorkspaceType, value: Any, name
     if not dimensions:
         return builder.inttoptr(words[0], context.get_value_type(kind_of_array))
     pointer = builder.inttoptr(words[0], context.get_data_type(item_type(item)).as_pointer())
-    return make_view(context, builder, kind_of_array, pointer, words[1:], None)
+    return make_view(context, builder, kind_of_array, pointer, words[1:])
 
 
 def _at_address(dimensions: int, item: np.dtype[Any]) -> Any:
@@ -130,7 +130,7 @@ def _at_address(dimensions: int, item: np.dtype[Any]) -> Any:
     def typed() -> Any:
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
             pointer = builder.inttoptr(values[0], context.get_data_type(item_type(item)).as_pointer())
-            return make_view(context, builder, kind, pointer, list(values[1:]), None)
+            return make_view(context, builder, kind, pointer, list(values[1:]))
 
         return kind(*(types.int64,) * (1 + dimensions)), generate
 
@@ -163,7 +163,7 @@ else:
             size = shape[0]
             for extent in shape[1:]:
                 size = builder.mul(size, extent)
-            return make_view(context, builder, signature.return_type, data, [size], None)
+            return make_view(context, builder, signature.return_type, data, [size])
 
         return array_type(REALS, 1)(array), generate
 
@@ -173,7 +173,7 @@ else:
 
         def generate(context, builder, signature, values):
             data, _ = parts_of(context, builder, array, values[0])
-            return make_view(context, builder, signature.return_type, data, [values[1], values[1]], None)
+            return make_view(context, builder, signature.return_type, data, [values[1], values[1]])
 
         return array_type(REALS, 2)(array, types.int64), generate
 

@@ -12,6 +12,9 @@ from numba import types
 from numba.extending import intrinsic
 
 from pincontact.arrays import View, make_view, parts_of
+from pincontact.contours.graph import Untraceable
+from pincontact.contours.tape import COUNT
+from pincontact.contours.trace import Path
 from pincontact.jit import CHECKED, KERNEL_OPTIONS
 from pincontact.workspace import Layout, _by_name
 
@@ -60,7 +63,7 @@ def _as_kernels_have_them(typing_context, arguments):
             item = builder.extract_value(values[0], i)
             if kind is not given:
                 data, shape = parts_of(context, builder, given, item)
-                item = make_view(context, builder, kind, data, shape, None)
+                item = make_view(context, builder, kind, data, shape)
             items.append(item)
         return context.make_tuple(builder, signature.return_type, items)
 
@@ -75,3 +78,16 @@ def _kernel_type(given: Any) -> Any:
 def record_of(kind: np.dtype[Any], value: float = 0) -> Any:
     """A record with the same number in all fields, as workspaces have it."""
     return _by_name(np.full((), value, kind))
+
+
+def traced_tape(function: Callable[..., Any], variables: str, outputs: int) -> Any:
+    """The tape of a function that takes no decisions. Raises Untraceable for others."""
+    path = Path(function, variables, outputs, [0.6] * len(variables))
+    if path.reason or path.graph.comparisons:
+        raise Untraceable(path.reason or "it takes decisions")
+    return path.tape()
+
+
+def instructions(function: Callable[..., Any], variables: str, outputs: int) -> int:
+    """How many instructions its tape has."""
+    return int(traced_tape(function, variables, outputs).pool[COUNT])

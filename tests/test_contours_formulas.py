@@ -7,6 +7,7 @@ from math import cos, sin
 import numba
 import numpy as np
 import pytest
+from calling import instructions, traced_tape
 from scipy.special import j0, j1, jv
 from test_contours import ROUNDING, grid, reference
 
@@ -23,10 +24,10 @@ from pincontact.contours.base import (
     F_TT,
     F,
 )
+from pincontact.contours.graph import Untraceable
 from pincontact.contours.piecewise import fitted
 from pincontact.contours.splines import height_spline
-from pincontact.contours.tape import traced
-from pincontact.contours.trace import Untraceable, trace
+from pincontact.contours.tape import COUNT, traced
 from pincontact.errors import ContourError
 
 CURVE_IN_TIME = {(0, 0): F, (1, 0): F_1, (2, 0): F_11, (0, 1): F_T, (1, 1): F_1T, (0, 2): F_TT}
@@ -281,7 +282,7 @@ def test_random_formulas():
     for _ in range(60):
         text = ", ".join(expression(generator, 3) for _ in range(3))
         real = eval(f"lambda u, v, t: ({text})", dict(vars(math)))
-        tape = trace(real, "uvt", 3)
+        tape = traced_tape(real, "uvt", 3)
         names = {name: getattr(np, name) for name in ("sin", "cos", "exp", "sqrt", "tanh", "log")}
         exact = eval(f"lambda u, v, t: ({text})", names)
         surface = pc.Contour(traced, 2, pool=tape.pool, time_dependent=tape.time_dependent)
@@ -289,7 +290,7 @@ def test_random_formulas():
         expected = reference(exact, point, SURFACE_IN_TIME, radius=0.02, nodes=12)
         # Depth three: conditioning of nested functions multiplies rounding by tens.
         check(surface.evaluate(point[:2], point[2]), expected, SURFACE_IN_TIME, 1e-13)
-        used += tape.instructions > 5
+        used += tape.pool[COUNT] > 5
     assert used > 30
 
 
@@ -384,12 +385,12 @@ def test_time_that_does_not_matter_is_dropped():
 
 
 def test_common_parts_are_computed_once():
-    tape = trace(lambda u, v: (math.cos(u) * math.cos(v), math.sin(u) * math.cos(v), math.sin(v)), "uv", 3)
-    assert tape.instructions == 4  # one sine-cosine pair for u, one for v, two products
-    assert trace(lambda u: (u, 2 * u + 0 * math.sin(u), (u - u) + 1), "u", 3).instructions == 1
-    assert trace(lambda u: (math.sin(u + 1), math.sin(1 + u), -math.sin(u + 1)), "u", 3).instructions == 3
-    assert trace(lambda u: (u * 1.0, u**1, u + 0.0), "u", 3).instructions == 0
-    assert trace(lambda u: (1, 2, 3.5), "u", 3).constants == (1.0, 2.0, 3.5)
+    tape = traced_tape(lambda u, v: (math.cos(u) * math.cos(v), math.sin(u) * math.cos(v), math.sin(v)), "uv", 3)
+    assert tape.pool[COUNT] == 4  # one sine-cosine pair for u, one for v, two products
+    assert instructions(lambda u: (u, 2 * u + 0 * math.sin(u), (u - u) + 1), "u", 3) == 1
+    assert instructions(lambda u: (math.sin(u + 1), math.sin(1 + u), -math.sin(u + 1)), "u", 3) == 3
+    assert instructions(lambda u: (u * 1.0, u**1, u + 0.0), "u", 3) == 0
+    assert traced_tape(lambda u: (1, 2, 3.5), "u", 3).constants == (1.0, 2.0, 3.5)
 
 
 @pytest.mark.parametrize(
@@ -413,7 +414,7 @@ def test_common_parts_are_computed_once():
 )
 def test_what_cannot_be_traced_is_noticed(function):
     with pytest.raises(Untraceable):
-        trace(function, "u", 3)
+        traced_tape(function, "u", 3)
 
 
 # Fits.

@@ -291,10 +291,10 @@ def curve(function, domain=D, **options):
         (lambda x: (x * x) ** 0.5, "square root"),
         (lambda x: math.sqrt(x * x - 0.6 * x + 0.09), "u = 0.3.*square root"),
         (lambda x: np.linalg.norm(np.array([x, 0.0 * x])), "square root"),
-        (lambda x: math.hypot(x, 0.0), "length of a vector"),
-        (lambda x: math.hypot(x - 0.3, x * x - 0.09), "u = 0.3.*length of a vector"),
+        (lambda x: math.hypot(x, 0.0), "square root"),
+        (lambda x: math.hypot(x - 0.3, x * x - 0.09), "u = 0.3.*square root"),
         (lambda x: (x * x) ** 1.5, "a power"),
-        (lambda x: (x * x) ** (0.5 + 0.1 * x), "a power"),
+        (lambda x: (x * x) ** (0.5 + 0.1 * x), "logarithm"),
         (lambda x: 1.0 / (x - 0.7), "denominator"),
         (lambda x: math.sin(x - 0.1) / (x - 0.1), "denominator"),
         (lambda x: (x - 0.2) ** -2, "a power"),
@@ -516,8 +516,8 @@ def test_kinks_at_later_times_are_refused():
 def test_surfaces_with_kinks_are_refused():
     box = ((-1.0, 1.0), (-1.0, 1.0))
     for f, domain, message in (
-        (lambda x, y: math.hypot(x, y), None, "length of a vector"),
-        (lambda x, y: math.hypot(x - 50.3, y + 7.0), None, "u1 = 50.3, u2 = -7: .*length of a vector"),
+        (lambda x, y: math.hypot(x, y), None, "square root"),
+        (lambda x, y: math.hypot(x - 50.3, y + 7.0), None, "u1 = 50.3, u2 = -7: .*square root"),
         (lambda x, y: math.sqrt((x - y) ** 2), None, "square root"),
         (lambda x, y: math.sqrt(x * x - 2.0 * x * y + y * y), box, "square root"),
         (lambda x, y: 1.0 / (1.0 + 0.5 * math.sin(x) + 0.5 * math.cos(y)), None, "denominator"),
@@ -615,19 +615,17 @@ def test_bounds_hold_for_every_operation():
                 for bounds, number in ((value, f), (slope, f_x)):
                     slack = 1e-12 * (1.0 + abs(number))
                     assert bounds.lo[0] - slack <= number <= bounds.hi[0] + slack, (op, c, low, high, x)
-    for op in range(MULTIPLY, ATAN2 + 2):
+    for op in range(MULTIPLY, ATAN2 + 1):
         for _ in range(100):
             box = np.sort(generator.uniform(-2.0, 2.0, (2, 2)) * generator.choice([0.1, 1.0]), axis=1)
             with np.errstate(all="ignore"):
                 bounds = _of_two(op, *(Interval(np.array([a]), np.array([b])) for a, b in box))
             for x, y in generator.uniform(box[:, 0], box[:, 1], (20, 2)).tolist():
-                if op == MULTIPLY + 2 and x <= 0.0:
-                    continue
                 found = (function_of_two.py_func if hasattr(function_of_two, "py_func") else function_of_two)(op, x, y)
                 for interval, number in zip(bounds, found):
                     slack = 1e-12 * (1.0 + abs(number))
                     assert interval.lo[0] - slack <= number <= interval.hi[0] + slack, (op, box, x, y)
-    assert len(FAULTS) > 10
+    assert len(FAULTS) >= 10
 
 
 # Charts.

@@ -11,6 +11,7 @@ from test_parts_of_geometry import MOVED, UNKNOWN, free_body, system_of, turned
 
 import pincontact as pc
 from pincontact.contours.base import F
+from pincontact.contours.charts import convert_chart
 from pincontact.errors import PatternError
 from pincontact.geometry.nearest import NearestSearch
 from pincontact.geometry.patterns import find_pattern
@@ -35,7 +36,11 @@ def test_a_complete_guess_names_one_of_the_solutions_in_closed_form(shape, groun
     every = find_candidates(system, 0.0, UNKNOWN)
     assert len(every) == (4 if isinstance(ground, pc.Sphere) and shape.dimension else 2)
     for wanted in every:
+        # parameters of the first charts
         guess = wanted.location + 0.01
+        for side, contour in enumerate((shape, ground)):
+            u = guess[2 * side : 2 * side + 2]
+            u[:] = convert_chart(contour.kind, contour.shape_row(), wanted.charts[side], *u, 0)
         (found,) = find_candidates(system, 0.0, guess)
         assert found.branch == wanted.branch
         assert found.point == pytest.approx(wanted.point, abs=1e-9)

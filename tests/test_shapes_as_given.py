@@ -1,21 +1,20 @@
 """Numbers of contours and motions as users give them: splines, profiles, tapes, twists, and what is known of them."""
 
 import functools
-import itertools
 import math
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from calling import instructions
 from scipy.interpolate import BSpline
 
 import pincontact.contours as pc
-from pincontact.contours import branches, checks, fits, piecewise, revolution, substitutes, trace
+from pincontact.contours import branches, checks, fits, piecewise, revolution, substitutes, tape
 from pincontact.contours.base import Contour
 from pincontact.contours.branches import _beside_root, _Search, survey
 from pincontact.contours.formula import Formula
 from pincontact.contours.piecewise import fitted
-from pincontact.contours.program import _seam
 from pincontact.contours.tape import traced
 from pincontact.contours.trace import Path
 from pincontact.errors import ContourError
@@ -88,27 +87,35 @@ def test_cuts_beside_roots_that_are_anywhere():
 def point_of(function, u):
     path = Path(function, "u", 1, [u])
     assert path.reason == ""
-    return Contour(traced, 1, pool=path.tape("u").pool).point(u)[0]
+    return Contour(traced, 1, pool=path.tape().pool).point(u)[0]
 
 
 def test_a_sign_moves_into_a_sum_and_nothing_else_does():
-    def instructions(function):
-        return trace.trace(function, "uv", 1).instructions
-
     # exact, and one instruction less
-    assert instructions(lambda u, v: -(2.0 * u + 1.0)) == 1
-    assert instructions(lambda u, v: -(2.0 * u + 3.0 * v)) == 1
+    assert instructions(lambda u, v: -(2.0 * u + 1.0), "uv", 1) == 1
+    assert instructions(lambda u, v: -(2.0 * u + 3.0 * v), "uv", 1) == 1
     # other factors would round otherwise than the user's code does
-    assert instructions(lambda u, v: 0.1 * (0.7 * u + 0.3)) == 2
-    assert instructions(lambda u, v: 0.1 * (0.7 * u + 0.3 * v)) == 2
+    assert instructions(lambda u, v: 0.1 * (0.7 * u + 0.3), "uv", 1) == 2
+    assert instructions(lambda u, v: 0.1 * (0.7 * u + 0.3 * v), "uv", 1) == 2
     for u in np.random.default_rng(1).uniform(-9.0, 9.0, 50):
         assert point_of(lambda u: 0.1 * (0.7 * u + 0.3), u) == 0.1 * (0.7 * u + 0.3)
         assert point_of(lambda u: -(0.7 * u + 0.3), u) == -(0.7 * u + 0.3)
 
 
+def test_quotients_are_one_instruction_that_rounds_as_the_users_code_does():
+    """The product with an inverse rounds twice."""
+
+    def quotient(u):
+        return (0.7 * u + 0.3) / (u * u + 1.0)
+
+    assert instructions(lambda u, v: u / v, "uv", 1) == 1
+    for u in np.random.default_rng(2).uniform(-9.0, 9.0, 50):
+        assert point_of(quotient, u) == quotient(u)
+
+
 @pytest.mark.parametrize(("value", "wanted"), [(0.0, 2.0), (0.5, 1.0), (-0.5, 1.0), (1.0, 1.0)])
 def test_what_is_not_zero_is_true(value, wanted):
-    assert Path(lambda u: 1.0 if u else 2.0, "u", 1, [value]).tape("u").constants == (wanted,)
+    assert Path(lambda u: 1.0 if u else 2.0, "u", 1, [value]).tape().constants == (wanted,)
 
 
 def test_python_functions_of_numpy_are_left_as_they_are():
@@ -310,18 +317,6 @@ def test_surfaces_in_time_are_not_fitted(times):
         pc.ParametricSurface(lambda u, v, t: (u, v, math.gamma(u + 3.0 + t)), ((0.0, 1.0),) * 2, time_domain=times)
 
 
-def test_seams_are_looked_at_within_the_times_that_are_tried():
-    points = np.array([[0.1, 0.2, 0.3], [0.8, 4.0, 2.9]])
-    both = Formula("test", lambda u, v, t: (u, v, t), 2)
-    for domain in ((0.0, 5.0), (0.0, math.inf), (-math.inf, 5.0), (-math.inf, math.inf)):
-        along = np.array([point.copy() for point in _seam(both, [(0.0, 1.0), domain], 0, points)])
-        assert np.isfinite(along).all()
-        # times by less than one of seven steps later
-        assert 0.3 <= along[:, 2].min() <= along[:, 2].max() < 2.9 + 2.6 / 7
-        wanted = domain if np.isfinite(domain).all() else (0.2, 4.0)
-        assert (along[:, 1].min(), along[:, 1].max()) == pytest.approx(wanted)
-
-
 # Places.
 
 
@@ -377,7 +372,7 @@ def test_powers_and_quotients_of_all_sorts():
             for u in (0.4, 1.7):
                 # a power of a number is an exponential
                 assert point_of(function, u) == pytest.approx(function(u), rel=4e-16)
-    assert [Path(lambda u, c=c: u**c, "u", 1, [0.4]).tape("u").instructions for c in POWERS] == [
+    assert [Path(lambda u, c=c: u**c, "u", 1, [0.4]).tape().pool[tape.COUNT] for c in POWERS] == [
         *[0, 1, 1, 0],
         *[1] * 6,
     ]
@@ -387,11 +382,11 @@ def test_powers_and_quotients_of_all_sorts():
         (lambda u: u**0.5, math.sqrt),
         (lambda u: u**2, lambda u: u * u),
     ):
-        pools = [Path(f, "u", 1, [0.4]).tape("u").pool for f in (power, same)]
+        pools = [Path(f, "u", 1, [0.4]).tape().pool for f in (power, same)]
         assert pools[0].tolist() == pools[1].tolist()
     for base in (0.0, -2.0):
         assert "not smooth" in Path(lambda u, base=base: base**u, "u", 1, [0.4]).reason
-    assert Path(lambda u: 1.0**u, "u", 1, [0.4]).tape("u").constants == (1.0,)
+    assert Path(lambda u: 1.0**u, "u", 1, [0.4]).tape().constants == (1.0,)
 
 
 def ellipse_of(k, sense, n=4):
@@ -444,7 +439,7 @@ def test_what_cannot_be_proved_for_ever_is_proved_far_enough(domain):
     """The difference of two terms that grow without bounds has none in a box without ends."""
     search = searched(lambda u: math.sqrt(u**4 - u**2 + 1.0), (domain,))
     assert search.single
-    assert len(search.low) == 0
+    assert len(search.boxes) == 0
     assert len(search.cells) < 200
     assert min(low[0] for _, low, _ in search.cells) == search.start[0]
     assert max(high[0] for *_, high in search.cells) == search.end[0]
@@ -518,8 +513,7 @@ def test_pieces_of_different_sizes_meet_or_are_named(axis, order):
             along = max((x, y)[axis] - 0.25, 0.0)
             return np.array([1.0, x**3 * y**2 - x * y + size * (along**order if along > 0.0 else 0.0)])
 
-        boxes = itertools.product(*(itertools.pairwise(line.tolist()) for line in lines))
-        pieces = {tuple(itertools.chain(*box)): solve @ fits._data(f, None, list(box), nodes) for box in boxes}
+        pieces = {ends: solve @ fits._data(f, None, ends, nodes) for ends in fits._boxes(lines)}
         fits._check_joints("test", lines, (False, False), fits._assembled(lines, pieces), 8.0)
 
     checked(0.0)

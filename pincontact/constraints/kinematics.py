@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 
-from ..arrays import address
 from ..callback import separate_kernel
 from ..contours.evaluation import call_contour
 from ..geometry.carriers import OMEGA, ORIGIN, point_bias, point_velocity
@@ -37,8 +36,8 @@ from ..geometry.location import (
     nearest_on_sphere,
     point_to_plane,
     rate_equations,
-    raw_normal,
     round_on_plane,
+    second_factor,
     second_row,
     solve_location,
     tangent_at_fixed_u,
@@ -69,6 +68,7 @@ from ..layout import (
     SYSTEM,
     TIME_DEPENDENT,
 )
+from ..workspace import reals_at
 
 # rows of the scratch array `vectors` after those of `geometry.location`; NORMAL_RATE: n', see `acceleration_bias`
 _A, _B, _C, _D, NORMAL_RATE = range(FREE_VECTORS, FREE_VECTORS + 5)
@@ -85,13 +85,12 @@ def shape_in_world(system, c, body):
     call_contour(
         integers[EVALUATOR],
         integers[CHART],
-        address(system.side_shape[side]),
-        integers[POOL_ADDRESS],
-        integers[POOL_SIZE],
+        system.side_shape[side],
+        reals_at(integers[POOL_ADDRESS], integers[POOL_SIZE]),
         system.location[c, 2 * body],
         system.location[c, 2 * body + 1],
         system.scalars.time,
-        address(local),
+        local,
     )
     rotation = system.frames[side, 0:3]
     rotate(rotation, local[0], world[0])
@@ -117,8 +116,10 @@ def measure(system, c):
     for i in range(3):
         apart = frames[two, ORIGIN, i] - frames[one, ORIGIN, i]
         vectors[DIFFERENCE, i] = apart + (derivatives[two, 0, i] - derivatives[one, 0, i])
+        vectors[PLANE_NORMAL, i] = frames[two, i, 2]
     pattern = system.contact_int[c, PATTERN]
-    raw_normal(pattern, derivatives[one], derivatives[two], frames[two], vectors[NORMAL], vectors[PLANE_NORMAL])
+    if pattern != ON_CURVE:
+        cross(derivatives[two, 1], second_factor(pattern, derivatives[one], derivatives[two], vectors), vectors[NORMAL])
 
 
 @kernel
@@ -318,14 +319,13 @@ def turn_normal(system, c, tangent_rate):
     pattern, vectors, n = system.contact_int[c, PATTERN], system.vectors, system.basis[c, 2]
     first, second, frame2 = system.derivatives[2 * c], system.derivatives[2 * c + 1], system.frames[2 * c + 1]
     normal_rate, other_rate = vectors[NORMAL_RATE], vectors[_B]
+    factor = second_factor(pattern, first, second, vectors)
+    cross(tangent_rate, factor, normal_rate)
     if pattern == ON_SURFACE:
-        cross(tangent_rate, second[2], normal_rate)
         total_tangent_rate(system, c, 1, 1, other_rate)
     elif pattern == PLANAR:
-        cross(tangent_rate, vectors[PLANE_NORMAL], normal_rate)
-        cross(frame2[OMEGA], vectors[PLANE_NORMAL], other_rate)
+        cross(frame2[OMEGA], factor, other_rate)
     else:
-        cross(tangent_rate, first[1], normal_rate)
         total_tangent_rate(system, c, 0, 0, other_rate)
     add_cross(second[1], other_rate, normal_rate)
     # n' = -side (1 - n n^T) N' / |N|

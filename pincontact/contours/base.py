@@ -27,7 +27,7 @@ F, F_1, F_2, F_11, F_12, F_22, F_T, F_1T, F_2T, F_TT = range(DERIVATIVE_ROWS)
 
 # Shapes that compiled code tells apart: those with a closed form of the contact coordinates (see `geometry.location`)
 # or with several charts (see `charts`). All others are OTHER.
-OTHER, POINT, CIRCLE, ELLIPSE, PLANE, SPHERE, ELLIPSOID, REVOLUTION = range(8)
+OTHER, POINT, ELLIPSE, PLANE, SPHERE, ELLIPSOID, REVOLUTION = range(7)
 
 ALL = (-np.inf, np.inf)
 TURN = (-np.pi, np.pi)
@@ -39,8 +39,21 @@ _FROM_SHAPE: Any = None
 Window = Sequence[Sequence[float] | None] | np.ndarray | None
 
 
+class Written:
+    """An object that is shown as it was written, see `as_written`."""
+
+    def __new__(cls, *given: Any, **named: Any) -> Any:
+        made = super().__new__(cls)
+        made.__dict__["_written"] = as_written(cls, given, named)
+        return made
+
+    def __repr__(self) -> str:
+        written: str = self.__dict__["_written"]
+        return written
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Contour:
+class Contour(Written):
     """A shape that can touch another, in its own frame; base class of all contours.
 
     Users make one of the subclasses. A new kind of contour is a subclass that hands its numbers, and a kernel that
@@ -108,11 +121,6 @@ class Contour:
     kind: int = OTHER
     lengths: bool = False
 
-    def __new__(cls, *given: Any, **named: Any) -> Contour:
-        made = super().__new__(cls)
-        object.__setattr__(made, "_written", as_written(cls, given, named))
-        return made
-
     def __post_init__(self) -> None:
         if not self.domain:
             self._set(domain=(ALL,) * self.dimension)
@@ -130,14 +138,10 @@ class Contour:
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
-    def __repr__(self) -> str:
-        written: str = self.__dict__["_written"]
-        return written
-
     def _repr_html_(self) -> str:
         return f"<code>{escape(repr(self))}</code>"
 
-    def evaluate(self, u: Sequence[float] | float = (), t: float = 0.0, chart: int = 0) -> np.ndarray:
+    def evaluate(self, u: Sequence[float] | np.ndarray | float = (), t: float = 0.0, chart: int = 0) -> np.ndarray:
         """f and its derivatives at one parameter value.
 
         Parameters
@@ -310,7 +314,7 @@ class Contour:
         if self.dimension != 1:
             raise ContourError(f"{self.name} is not a curve: it has {self.dimension} parameters")
         (axis,) = self._axes(n, window, closed=True)
-        return np.array([self.point(u, t) for u in axis])
+        return self.evaluate_many(axis[:, None], t)[:, F]
 
     def mesh(self, n: int | Sequence[int] = 40, window: Window = None, t: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Triangles of a surface; seams of parameters that wrap around are closed.
@@ -338,9 +342,8 @@ class Contour:
         """
         if self.dimension != 2:
             raise ContourError(f"{self.name} is not a surface: it has {self.dimension} parameters")
-        axes = self._axes(n, window, closed=False)
-        vertices = np.array([self.point((a, b), t) for a in axes[0] for b in axes[1]])
-        n1, n2 = len(axes[0]), len(axes[1])
+        vertices = self.evaluate_many(self.samples(n, window), t)[:, F]
+        n1, n2 = (len(axis) for axis in self._axes(n, window, closed=False))
         first = np.arange(n1 if self._wraps(0, window) else n1 - 1)
         second = np.arange(n2 if self._wraps(1, window) else n2 - 1)
         i, j = (grid.ravel() for grid in np.meshgrid(first, second, indexing="ij"))
@@ -411,7 +414,7 @@ def half_diagonal(contour: Contour, t: float = 0.0) -> float:
     """Half the diagonal of the box around a contour of finite domain, else infinity."""
     if not np.isfinite(contour.domain).all():
         return np.inf
-    points = np.array([contour.point(u, t) for u in contour.samples(12 if contour.dimension == 2 else 64)])
+    points = contour.evaluate_many(contour.samples(12 if contour.dimension == 2 else 64), t)[:, F]
     return 0.5 * float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
@@ -424,7 +427,7 @@ def turning(contour: Contour) -> int:
         return 0
     low, high = contour.domain[0]
     n = 720
-    rows = np.array([contour.evaluate(u) for u in np.linspace(low, high, n, endpoint=False)])
+    rows = contour.evaluate_many(contour.samples(n))
     first, second = rows[:, F_1], rows[:, F_11]
     bend = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     speed = first[:, 0] ** 2 + first[:, 1] ** 2

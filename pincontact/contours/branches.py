@@ -9,7 +9,7 @@ is not smooth.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -17,10 +17,10 @@ import numpy as np
 
 from ..errors import ContourError
 from .base import Contour
-from .enclosures import FAULTS, Check, Interval, is_end, margins, values
+from .enclosures import FAULTS, Check, is_end
 from .formula import Formula
 from .tape import traced
-from .trace import Path, Tape
+from .trace import COMPARISON, CUT, RISK, Path, Program
 
 # Boxes no wider than this part of the domain are not cut again; so far from its ends a formula may do what it likes.
 _TINY = 1e-9
@@ -68,7 +68,7 @@ class Survey:
     places:  (k, n) points on all paths and next to where they change
     """
 
-    tape: Tape | None
+    tape: Program | None
     times: tuple[float, float]
     reason: str
     breaks: list[list[float]]
@@ -84,36 +84,6 @@ def place(variables: str, point: np.ndarray) -> str:
     """A point, for messages."""
     # what is zero up to rounding is shown as zero
     return ", ".join(f"{name} = {round(float(value), 12):.6g}" for name, value in zip(names(variables), point))
-
-
-class _Followed:
-    """A path with what decides where it holds and where it is smooth.
-
-    checks: comparisons, then operations that may not be smooth, then angles that may jump
-    """
-
-    def __init__(self, path: Path, variables: str) -> None:
-        self.path = path
-        comparisons = list(dict.fromkeys(path.comparisons))
-        self.checks: list[Check] = [*comparisons, *path.risks, *path.cuts]
-        self.kinds = np.repeat([0, 1, 2], [len(comparisons), len(path.risks), len(path.cuts)])
-        self.variables = variables
-        self.nodes = path.graph.nodes
-        self.order = path.graph.reachable([index for check in self.checks for index in check[1:3]])
-        self.decisive = path.graph.reachable([check[1] for check in comparisons])
-
-    def holds(self, points: np.ndarray) -> np.ndarray:
-        """Whether it is the function's path at points (m, n)."""
-        found = self.values(points, self.decisive)
-        out = np.ones(len(points), dtype=bool)
-        for _, index, _, sign in self.checks[: int((self.kinds == 0).sum())]:
-            out &= sign * found[index].lo >= 0.0
-        return out
-
-    def values(self, points: np.ndarray, order: list[int]) -> dict[int, Interval]:
-        """Nodes at points (m, n)."""
-        box = {name: Interval(points[:, i], points[:, i]) for i, name in enumerate(self.variables)}
-        return values(self.nodes, order, box, {})
 
 
 def survey(formula: Formula, domain: Sequence[tuple[float, float]], all_times: bool) -> Survey:
@@ -133,15 +103,13 @@ def survey(formula: Formula, domain: Sequence[tuple[float, float]], all_times: b
     except _TooManyPaths:
         reason = f"it has more than {_MOST_PATHS} branches"
         return Survey(None, search.times, reason, [[] for _ in domain], nowhere)
-    followed, breaks = search.paths[0], search.breaks()
-    if search.single and not followed.path.reason:
-        tape = followed.path.tape(variables)
+    path, breaks = search.paths[0], search.breaks()
+    if search.single and not path.reason:
+        tape = path.tape()
         search.check_cuts(tape)
         return Survey(tape, search.times, "", breaks, nowhere)
     where = [f"{name} = {places[0]:.6g}" for name, places in zip(names(variables), breaks) if places]
-    reason = followed.path.reason
-    if not search.single and not reason:
-        reason = "it branches" + (f" at {', '.join(where)}" if where else "")
+    reason = path.reason or "it branches" + (f" at {', '.join(where)}" if where else "")
     return Survey(None, search.times, reason, breaks, search.places())
 
 
@@ -152,17 +120,16 @@ class _TooManyPaths(Exception):
 class _Search:
     """Boxes that are still to be examined, and what was found.
 
-    low, high:  (m, n) ends of the boxes
-    trust:      (m,) margin at a point of the box that they were cut from; the least are the most suspicious
-    branching:  (m,) whether a comparison may have both outcomes
-    hint:       (m,) the path of the box that they were cut from
+    boxes:      (m,) records: ends low (n,) and high (n,), trust: margin at a point of the box that it was cut from, the
+                least are the most suspicious, branching: whether a comparison may have both outcomes, hint: the path of
+                the box that it was cut from
     cells:      boxes (low, high) on which a path holds, with its number
     edges:      boxes on which paths change, tiny ones or those left over
     work:       operations that were bounded; those at points cost a quarter of it
     single:     no second path has been found, but at early times
-    known_times: those of the domain
+    time:       the time's number among the variables, -1 without one
+    known_times: those of the domain, of which boxes are first, then of early ones before them and of those after them
     times:      first and last time for which the first path is good
-    outside:    boxes are of times before or after those of the domain now
     """
 
     def __init__(self, formula: Formula, domain: Sequence[tuple[float, float]], all_times: bool) -> None:
@@ -170,130 +137,120 @@ class _Search:
         low, high = np.array(domain, dtype=float).T
         self.size = np.where(np.isfinite(high - low), high - low, _UNBOUNDED)
         self.start, self.end = low + _TINY * self.size, high - _TINY * self.size
-        self.low, self.high = self.start[None], self.end[None]
-        self.trust, self.branching, self.hint = np.zeros(1), np.zeros(1, dtype=bool), np.zeros(1, dtype=int)
-        self.paths: list[_Followed] = []
+        self.time = self.variables.find("t")
+        self.known_times = float(low[self.time]), float(high[self.time])
+        self.all_times = all_times and self.time >= 0
+        self.paths: list[Path] = []
         self.cells: list[tuple[int, np.ndarray, np.ndarray]] = []
         self.edges: list[tuple[np.ndarray, np.ndarray]] = []
         self.cuts: list[np.ndarray] = []
         self.work = 0
-        self.single, self.outside = True, False
+        self.single = True
         self.times = (-math.inf, math.inf)
-        self.time = self.variables.find("t")
-        self.all_times = all_times and self.time >= 0
-        self.known_times = float(low[self.time]), float(high[self.time])
-
-    @property
-    def inside(self) -> np.ndarray:
-        """A point of each box."""
-        return _between(self.low, self.high, _INSIDE)
 
     def run(self) -> None:
         """Examine the domain, and all times where that is asked for."""
-        self._search(_ROUNDS)
-        self.edges += [(self.low[i], self.high[i]) for i in np.flatnonzero(self.branching)]
+        left = self._search(self.start[None], self.end[None], _ROUNDS)
+        self.edges += list(zip(left["low"], left["high"]))
         self.single = self.single and not self.edges
         if self.time < 0 or not (self.single and self.paths[0].checks):
             return
         if not self.all_times:
             self.times = self.known_times
             return
-        first, last = self.known_times
-        self.outside = True
-        self.low, self.high = np.tile(self.start, (2, 1)), np.tile(self.end, (2, 1))
-        self.low[:, self.time], self.high[:, self.time] = (-math.inf, last), (first, math.inf)
-        self.start[self.time], self.end[self.time] = -math.inf, math.inf
-        self.trust, self.branching, self.hint = np.zeros(2), np.zeros(2, dtype=bool), np.zeros(2, dtype=int)
-        self._search(_LATER_ROUNDS)
-        self._end_early(self.high[self.branching])
+        low, high = np.tile(self.start, (2, 1)), np.tile(self.end, (2, 1))
+        high[0, self.time], low[1, self.time] = self.known_times
+        low[0, self.time], high[1, self.time] = self.start[self.time], self.end[self.time] = -math.inf, math.inf
+        self._end_early(self._search(low, high, _LATER_ROUNDS)["high"])
+
+    def _is_early(self, high: np.ndarray) -> np.ndarray:
+        """Whether boxes with these upper ends are of times before those of the domain; without time none is."""
+        early: np.ndarray = high[:, self.time] <= self.known_times[0]
+        return early
 
     def _end_early(self, high: np.ndarray) -> None:
         """The first path is not known to be good at early times in boxes with these upper ends."""
-        ends = high[high[:, self.time] <= self.known_times[0], self.time]
+        ends = high[self._is_early(high), self.time]
         self.times = max([self.times[0], *ends.tolist()]), self.times[1]
 
-    def _search(self, rounds: int) -> None:
-        """Examine boxes until none is left, or for long enough."""
+    def _search(self, low: np.ndarray, high: np.ndarray, rounds: int) -> np.ndarray:
+        """Examine boxes until none is left, or for long enough; those left on which a comparison has both outcomes."""
+        ends = (low.shape[1],)
+        fields = [("low", float, ends), ("high", float, ends), ("trust", float), ("branching", bool), ("hint", int)]
+        self.boxes = np.zeros(len(low), fields)
+        self.boxes["low"], self.boxes["high"] = low, high
         for _ in range(rounds):
-            if not len(self.low):
-                return
-            if not self.single and self.work > _MOST_WORK:
-                return
+            if not len(self.boxes) or (not self.single and self.work > _MOST_WORK):
+                break
             # the most suspicious boxes, of which one is wrong if any is, and the largest ones
-            size = np.minimum((self.high - self.low) / self.size, 1e300).max(axis=1)
+            size = np.minimum((self.boxes["high"] - self.boxes["low"]) / self.size, 1e300).max(axis=1)
             chosen = np.zeros(len(size), dtype=bool)
-            for order in (np.argsort(self.trust, kind="stable"), np.argsort(-size, kind="stable")):
+            for order in (np.argsort(self.boxes["trust"], kind="stable"), np.argsort(-size, kind="stable")):
                 chosen[order[: _BATCH // 2]] = True
-            batch, rest = np.flatnonzero(chosen), ~chosen
-            low, high, inside, hint = self.low[batch], self.high[batch], self.inside[batch], self.hint[batch]
-            self.low, self.high, self.trust, self.branching, self.hint = (
-                column[rest] for column in (self.low, self.high, self.trust, self.branching, self.hint)
-            )
-            path_of = self._path_of(inside, hint)
+            batch, self.boxes = self.boxes[chosen], self.boxes[~chosen]
+            inside = _between(batch["low"], batch["high"], _INSIDE)
+            path_of = self._path_of(inside, batch["hint"])
             for number in np.unique(path_of):
                 mine = path_of == number
-                self._examine(int(number), low[mine], high[mine], inside[mine])
+                self._examine(int(number), batch[mine], inside[mine])
+        return self.boxes[self.boxes["branching"]]
 
     def _path_of(self, points: np.ndarray, hint: np.ndarray) -> np.ndarray:
         """The number of the path at each point; paths that are met for the first time are added."""
         out = np.full(len(points), -1)
         for among in (lambda number: hint == number, lambda number: True):
-            for number, followed in enumerate(self.paths):
+            for number, path in enumerate(self.paths):
                 open_ = np.flatnonzero((out < 0) & among(number))
                 if open_.size:
-                    self.work += len(followed.decisive) // 4
-                    out[open_[followed.holds(points[open_])]] = number
+                    self.work += len(path.decisive) // 4
+                    out[open_[path.holds(points[open_])]] = number
         while (out < 0).any():
             if len(self.paths) == _MOST_PATHS:
                 raise _TooManyPaths
             first = int(np.argmax(out < 0))
             path = Path(self.formula.function, self.variables, self.formula.outputs, points[first].tolist())
-            self.paths.append(_Followed(path, self.variables))
+            self.paths.append(path)
             open_ = np.flatnonzero(out < 0)
-            out[open_[self.paths[-1].holds(points[open_])]] = out[first] = len(self.paths) - 1
+            out[open_[path.holds(points[open_])]] = out[first] = len(self.paths) - 1
         return out
 
-    def _examine(self, number: int, low: np.ndarray, high: np.ndarray, inside: np.ndarray) -> None:
+    def _examine(self, number: int, boxes: np.ndarray, inside: np.ndarray) -> None:
         """Prove what a path does on boxes at whose points it holds, or cut them."""
-        followed = self.paths[number]
-        early = np.zeros(len(low), dtype=bool)
-        if self.outside:
-            early = high[:, self.time] <= self.known_times[0]
+        path, low, high = self.paths[number], boxes["low"], boxes["high"]
+        early = self._is_early(high)
+        outside = early | (low[:, self.time] >= self.known_times[1])
         if number > 0:
             self.single = self.single and bool(early.all())
-        if not followed.checks:
+        if not path.checks:
             self.cells += [(number, a, b) for a, b in zip(low, high)]
             return
-        self.work += len(followed.order)
-        least, there, slopes = margins(
-            followed.nodes, followed.order, followed.checks, self.variables, *self._widened(low, high), inside
-        )
-        kinds = followed.kinds[:, None]
-        branching = ((least < 0.0) & (kinds == 0)).any(axis=0)
-        risky = (least <= 0.0) & (kinds == 1) & ~early
+        self.work += len(path.order)
+        least, there, slopes = path.margins(path.checks, *self._widened(low, high), inside)
+        kinds = path.kinds[:, None]
+        branching = ((least < 0.0) & (kinds == COMPARISON)).any(axis=0)
+        risky = (least <= 0.0) & (kinds == RISK) & ~early
         broken = risky & (there <= 0.0)
-        if self.outside:
-            # what has no value is no other shape
-            ending = np.array([is_end(check[0], check[3]) for check in followed.checks])[:, None]
-            risky &= ~(broken & ending & (there < 0.0)).any(axis=0)
-            broken &= risky
+        # what has no value at times outside is no other shape
+        ending = np.array([is_end(check[0], check[3]) for check in path.checks])[:, None]
+        risky &= ~(broken & ending & (there < 0.0) & outside).any(axis=0)
+        broken &= risky
         if broken.any():
             check, box = np.argwhere(broken)[0]
-            self._refuse(followed.checks[check], inside[box])
-        open_ = (least < 0.0) & (kinds == 0) | risky | (least <= 0.0) & (kinds == 2)
+            self._refuse(path.checks[check], inside[box])
+        open_ = (least < 0.0) & (kinds == COMPARISON) | risky | (least <= 0.0) & (kinds == CUT)
         # the check whose margin is least says along which variable a box is cut
         trust = np.where(open_, np.nan_to_num(there, nan=0.0), np.inf)
-        boxes = np.arange(len(low))
+        every = np.arange(len(low))
         worst = np.argmin(trust, axis=0)
         with np.errstate(invalid="ignore"):
-            along = np.abs(slopes[worst, boxes]).max(axis=-1).sum(axis=-1) * (high - low)
+            along = np.abs(slopes[worst, every]).max(axis=-1).sum(axis=-1) * (high - low)
         along = np.minimum(np.nan_to_num(along, nan=0.0), 1e300) * ((high - low) > _TINY * self.size)
         # of variables that matter without bounds, the one that is widest
         along = np.where(along >= 1e300, 1e300 * np.minimum((high - low) / self.size, 1e3), along)
         axis = np.argmax(along, axis=1)
         # angles may jump where f does not: a look at some of these places is enough
-        cut = open_.any(axis=0) & ~(open_ & (kinds < 2)).any(axis=0)
-        cut &= ((high - low)[boxes, axis] <= _CUT_WIDTH * self.size[axis]) | (len(self.cuts) >= _CUTS)
+        cut = open_.any(axis=0) & ~(open_ & (kinds != CUT)).any(axis=0)
+        cut &= ((high - low)[every, axis] <= _CUT_WIDTH * self.size[axis]) | (len(self.cuts) >= _CUTS)
         if number == 0:
             self.cuts += [np.stack(box) for box in zip(low[cut], high[cut])]
         done = cut | ~open_.any(axis=0)
@@ -304,41 +261,40 @@ class _Search:
             elif branching[box]:
                 self.edges.append((low[box], high[box]))
                 self.single = False
-            elif not (self.outside and self._is_end(followed, followed.checks[worst[box]], inside[box])):
-                self._refuse(followed.checks[worst[box]], inside[box])
-        nearest = np.where(np.isinf(low), -high, low)[boxes, axis]
-        far = np.isinf((high - low)[boxes, axis]) & (nearest >= _FAR)
-        self.cells += [(number, a, b) for a, b in zip(low[done | far], high[done | far])]
+            elif not (outside[box] and self._is_end(path, path.checks[worst[box]], inside[box])):
+                self._refuse(path.checks[worst[box]], inside[box])
+        nearest = np.where(np.isinf(low), -high, low)[every, axis]
+        done |= ~tiny & np.isinf((high - low)[every, axis]) & (nearest >= _FAR)
+        self.cells += [(number, a, b) for a, b in zip(low[done], high[done])]
         if number > 0:
-            self._end_early(high[(done | far) & early])
-        left = np.flatnonzero(~(done | far | tiny))
+            self._end_early(high[done & early])
+        left = np.flatnonzero(~(done | tiny))
         middle = _between(low[left], high[left], 0.5)[np.arange(len(left)), axis[left]]
         for i, box in enumerate(left):
             k, j = worst[box], axis[box]
-            if kinds[k] == 0 and (np.delete(along[box], j) == 0.0).all():
+            if kinds[k] == COMPARISON and (np.delete(along[box], j) == 0.0).all():
                 # next to the only place where the comparison's outcome changes, as far as its slope is known
-                slope = np.sort(slopes[k, box, j, 0] * followed.checks[k][3])
+                slope = np.sort(slopes[k, box, j, 0] * path.checks[k][3])
                 line = (inside[box, j], there[k, box], *slope.tolist())
                 middle[i] = _beside_root(low[box, j], high[box, j], line, _TINY * self.size[j], middle[i])
-        for upper in (False, True):
-            ends = (low[left].copy(), high[left].copy())
-            ends[0 if upper else 1][np.arange(len(left)), axis[left]] = middle
-            self.low, self.high = np.concatenate([self.low, ends[0]]), np.concatenate([self.high, ends[1]])
-            self.trust = np.concatenate([self.trust, trust[worst[left], left]])
-            self.branching = np.concatenate([self.branching, branching[left]])
-            self.hint = np.concatenate([self.hint, np.full(len(left), number)])
+        parts = boxes[left]
+        parts["trust"], parts["branching"], parts["hint"] = trust[worst[left], left], branching[left], number
+        for end in ("high", "low"):
+            part = parts.copy()
+            part[end][np.arange(len(left)), axis[left]] = middle
+            self.boxes = np.concatenate([self.boxes, part])
 
     def _widened(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A little more than the boxes: what happens at an end must not fall between two of them."""
         more = 0.25 * _TINY * self.size
         return np.maximum(low - more, self.start), np.minimum(high + more, self.end)
 
-    def _is_end(self, followed: _Followed, check: Check, point: np.ndarray) -> bool:
+    def _is_end(self, path: Path, check: Check, point: np.ndarray) -> bool:
         """Whether the function has no value on one side of a point."""
         if not is_end(check[0], check[3]):
             return False
         around = np.array([point + _BESIDE * np.array(signs) for signs in product((-1.0, 1.0), repeat=len(point))])
-        _, there, _ = margins(followed.nodes, followed.order, [check], self.variables, around, around, around)
+        _, there, _ = path.margins([check], around, around, around)
         return bool((there < 0.0).any())
 
     def _refuse(self, check: Check, point: np.ndarray) -> None:
@@ -347,39 +303,31 @@ class _Search:
         hint = "; if that is no time of interest, say so by time_domain=(first, last)" if self.all_times else ""
         raise ContourError(f"{self.owner}: not smooth near {where}: f takes {fault}{hint}")
 
-    def check_cuts(self, tape: Tape) -> None:
+    def check_cuts(self, tape: Program) -> None:
         """Refuse a formula that jumps, or whose derivatives do, where an angle of it jumps by a turn."""
         if not self.cuts:
             return
-        followed = self.paths[0]
+        path = self.paths[0]
         boxes = np.array(self.cuts[:_CUTS])
         low, high = self._widened(boxes[:, 0], boxes[:, 1])
         sides = [np.zeros((0, 2, len(self.variables)))]
-        for check in (check for check, kind in zip(followed.checks, followed.kinds) if kind == 2):
-            order = followed.path.graph.reachable([check[1]])
+        for check in (check for check, kind in zip(path.checks, path.kinds) if kind == CUT):
             for axis in range(len(self.variables)):
                 # From one side of the cut to the other: the sign of the angle's first argument.
                 a = _between(low, high, _INSIDE)
                 b = a.copy()
                 a[:, axis], b[:, axis] = low[:, axis], high[:, axis]
-                sign = followed.values(a, order)[check[1]].lo
-                across = sign * followed.values(b, order)[check[1]].lo < 0.0
-                a, b, sign = a[across], b[across], sign[across]
-                for _ in range(_HALVINGS):
-                    middle = 0.5 * (a + b)
-                    same = (followed.values(middle, order)[check[1]].lo * sign > 0.0)[:, None]
-                    a, b = np.where(same, middle, a), np.where(same, b, middle)
-                sides.append(np.stack([a, b], axis=1))
+                sign = path.values(a, path.order)[check[1]].lo
+                across = sign * path.values(b, path.order)[check[1]].lo < 0.0
+
+                def same(points: np.ndarray, check: Check = check, sign: np.ndarray = sign[across]) -> np.ndarray:
+                    return path.values(points, path.order)[check[1]].lo * sign > 0.0
+
+                sides.append(np.stack(_halved(a[across], b[across], same), axis=1))
         pairs = np.concatenate(sides)
-        parameters = self.variables.replace("t", "")
-        contour = Contour(traced, len(parameters), pool=tape.pool)
-        times = pairs[..., -1] if "t" in self.variables else np.zeros(pairs.shape[:2])
-        rows = np.array(
-            [
-                [contour.evaluate(p[: len(parameters)], float(t)) for p, t in zip(pair, pair_times)]
-                for pair, pair_times in zip(pairs, times)
-            ]
-        )
+        k = self.formula.parameters
+        contour = Contour(traced, k, pool=tape.pool)
+        rows = np.array([[contour.evaluate(p[:k], *p[k:]) for p in pair] for pair in pairs])
         valid = np.isfinite(rows).all(axis=(1, 2, 3))  # not beyond the end of what has a value for a time only
         for pair, (before, after) in zip(pairs[valid], rows[valid]):
             jump = np.abs(after - before).max(axis=1)
@@ -410,14 +358,9 @@ class _Search:
         b = a.copy()
         a[axis] = max(low[axis] - tiny, self.start[axis])
         b[axis] = min(high[axis] + tiny, self.end[axis])
-        followed = self.paths[self._path_of(a[None], np.zeros(1, dtype=int))[0]]
-        rounding = np.finfo(float).eps * self.size[axis]
-        while b[axis] - a[axis] > rounding:
-            point = np.where(np.arange(len(a)) == axis, 0.5 * (a[axis] + b[axis]), a)
-            if np.array_equal(point, a) or np.array_equal(point, b):
-                break
-            a, b = (point, b) if followed.holds(point[None])[0] else (a, point)
-        return float(b[axis]) if abs(b[axis]) > rounding else 0.0
+        path = self.paths[self._path_of(a[None], np.zeros(1, dtype=int))[0]]
+        end = float(_halved(a[None], b[None], path.holds)[1][0, axis])
+        return end if abs(end) > np.finfo(float).eps * self.size[axis] else 0.0
 
     def places(self) -> np.ndarray:
         """Points (k, n) on every path, and on both sides of where they change, in a finite domain."""
@@ -447,6 +390,15 @@ def _between(low: np.ndarray, high: np.ndarray, part: float) -> np.ndarray:
         beyond = np.where(np.isinf(high), 2.0 * np.maximum(low, 0.0) + 1.0, 2.0 * np.minimum(high, 0.0) - 1.0)
         beyond = np.where(np.isinf(low) & np.isinf(high), 20.0 * off, beyond + off)
     return np.where(np.isinf(low) | np.isinf(high), beyond, between)
+
+
+def _halved(a: np.ndarray, b: np.ndarray, same: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Points (m, n) on both sides of where it changes which points are the same as those of a, brought together."""
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (a + b)
+        kept = same(middle)[:, None]
+        a, b = np.where(kept, middle, a), np.where(kept, b, middle)
+    return a, b
 
 
 def _beside_root(low: float, high: float, line: tuple[float, float, float, float], tiny: float, middle: float) -> float:

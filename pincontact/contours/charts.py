@@ -11,13 +11,20 @@ import math
 from ..jit import kernel
 from .base import ELLIPSOID, REVOLUTION, SPHERE
 
-# Shape parameters of a surface of revolution: sign of the azimuth, ends of the profile, distances from a pole at which
-# the cap chart is entered and left, which ends are poles, and whether the profile is a tape (or piecewise polynomials).
-HAND, LOW, HIGH, ENTER, LEAVE, LOW_POLE, HIGH_POLE, TRACED = range(8)
+# Shape parameters of a surface of revolution: sign of the azimuth, both ends of the profile, whether they are poles,
+# distances from a pole at which the cap chart is entered and left, and whether the profile is a tape (or piecewise
+# polynomials). Chart 1 + end is the cap at that end.
+HAND, ENDS, POLES, ENTER, LEAVE, TRACED = 0, 1, 3, 5, 6, 7
 
 # A latitude is left where its cosine falls below this; the other chart's cosine is then at least sqrt(3)/2, which
 # is the hysteresis.
 _POLAR = 0.5
+
+
+@kernel
+def from_end(shape, end, u2):
+    """How far inside an end (0 low, 1 high) of a surface of revolution's profile u2 is."""
+    return (1.0 - 2.0 * end) * (u2 - shape[ENDS + end])
 
 
 @kernel
@@ -27,10 +34,9 @@ def preferred_chart(kind, chart, shape, u1, u2):
         return 1 - chart if math.cos(u2) < _POLAR else chart
     if kind == REVOLUTION:
         if chart == 0:
-            if shape[LOW_POLE] != 0.0 and u2 - shape[LOW] < shape[ENTER]:
-                return 1
-            if shape[HIGH_POLE] != 0.0 and shape[HIGH] - u2 < shape[ENTER]:
-                return 2
+            for end in range(2):
+                if shape[POLES + end] != 0.0 and from_end(shape, end, u2) < shape[ENTER]:
+                    return 1 + end
         elif u1 * u1 + u2 * u2 > shape[LEAVE] * shape[LEAVE]:
             return 0
     return chart
@@ -42,7 +48,9 @@ def is_across_pole(kind, chart, shape, u2):
     if kind in (SPHERE, ELLIPSOID):
         return math.cos(u2) < 0.0
     if kind == REVOLUTION and chart == 0:
-        return (shape[LOW_POLE] != 0.0 and u2 < shape[LOW]) or (shape[HIGH_POLE] != 0.0 and u2 > shape[HIGH])
+        for end in range(2):
+            if shape[POLES + end] != 0.0 and from_end(shape, end, u2) < 0.0:
+                return True
     return False
 
 
@@ -52,7 +60,7 @@ def turned_back(kind, chart, shape, u1, u2):
     if is_across_pole(kind, chart, shape, u2):
         middle = 0.5 * math.pi
         if kind == REVOLUTION:
-            middle = shape[LOW] if u2 < shape[LOW] else shape[HIGH]
+            middle = shape[ENDS] if u2 < shape[ENDS] else shape[ENDS + 1]
         u1, u2 = u1 + math.pi, 2.0 * middle - u2
     if kind in (SPHERE, ELLIPSOID):
         u2 -= 2.0 * math.pi * round(u2 / (2.0 * math.pi))
@@ -78,13 +86,10 @@ def convert_chart(kind, shape, chart, u1, u2, new_chart):
         return math.atan2(y, x), math.atan2(z, math.hypot(x, y))
     if kind == REVOLUTION:
         if chart != 0:
-            # The cap at the low end turns the other way round its pole.
-            turn = -1.0 if chart == 1 else 1.0
-            distance = math.hypot(u1, u2)
-            u1 = math.atan2(turn * u2, u1)
-            u2 = shape[LOW] + distance if chart == 1 else shape[HIGH] - distance
+            # the cap at the low end turns the other way round its pole
+            inwards, distance = 3.0 - 2.0 * chart, math.hypot(u1, u2)
+            u1, u2 = math.atan2(-inwards * u2, u1), shape[ENDS + chart - 1] + inwards * distance
         if new_chart != 0:
-            turn = -1.0 if new_chart == 1 else 1.0
-            distance = u2 - shape[LOW] if new_chart == 1 else shape[HIGH] - u2
-            u1, u2 = distance * math.cos(u1), turn * distance * math.sin(u1)
+            inwards, distance = 3.0 - 2.0 * new_chart, from_end(shape, new_chart - 1, u2)
+            u1, u2 = distance * math.cos(u1), -inwards * distance * math.sin(u1)
     return u1, u2

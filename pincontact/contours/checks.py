@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -52,11 +51,20 @@ def flag(owner: str, name: str, value: Any) -> bool:
     raise ContourError(f"{owner}: {name} must be True or False, got {value!r}")
 
 
+def pair(owner: str, name: str, given: Any, what: str) -> tuple[Any, Any]:
+    """Both parts of what is said of both parameters of a surface."""
+    try:
+        # of two letters neither says anything
+        first, second = given if not isinstance(given, (str, bytes)) else list(given)[2:]
+    except (TypeError, ValueError):
+        raise ContourError(f"{owner}: {name} must be a pair of {what}, got {given!r}") from None
+    return first, second
+
+
 def flags(owner: str, name: str, values: Any) -> tuple[bool, bool]:
-    """Two of them, one for each parameter of a surface."""
-    if isinstance(values, (str, bytes)) or not isinstance(values, (Sequence, np.ndarray)) or len(values) != 2:
-        raise ContourError(f"{owner}: {name} must be a pair of booleans, got {values!r}")
-    return flag(owner, f"{name}[0]", values[0]), flag(owner, f"{name}[1]", values[1])
+    """Two truth values, one for each parameter of a surface."""
+    first, second = pair(owner, name, values, "booleans")
+    return flag(owner, f"{name}[0]", first), flag(owner, f"{name}[1]", second)
 
 
 def array(owner: str, name: str, given: Any, *shape: int | None) -> np.ndarray:

@@ -9,11 +9,9 @@ import numpy as np
 
 from ..errors import ContourError
 from ..jit import kernel
-from ..workspace import matrix_at, reals_at
-from .base import ALL, CIRCLE, ELLIPSE, TURN, Contour
+from .base import ALL, ELLIPSE, TURN, Contour
 from .checks import array, finite, in_space, interval, positive
 from .evaluation import contour_kernel
-from .sizes import DERIVATIVE_ROWS
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -33,6 +31,22 @@ def arc(owner: str, name: str, domain: Any) -> tuple[tuple[float, float], bool]:
         raise ContourError(f"{owner}: {name} must not exceed one turn, got {high - low} rad")
     # up to the rounding of multiples of pi
     return (low, high), abs(high - low - 2.0 * math.pi) <= _WHOLE - 2.0 * math.pi
+
+
+def _round(owner: str, a: float, b: float, domain: Any) -> dict[str, Any]:
+    """What `Contour` is to be given for a circle or an ellipse."""
+    limits, closed = arc(owner, "domain", domain)
+    return {
+        "evaluator": round_curve,
+        "dimension": 1,
+        "shape": (a, b, 0.0),
+        "domain": (limits,),
+        "periodic": (closed,),
+        "planar": True,
+        "size": max(a, b),
+        "convex_side": int(closed),
+        "kind": ELLIPSE,
+    }
 
 
 class Line(Contour):
@@ -85,18 +99,7 @@ class Circle(Contour):
 
     def __init__(self, radius: float, domain: tuple[float, float] | None = None) -> None:
         (radius,) = positive("Circle", radius=radius)
-        limits, closed = arc("Circle", "domain", domain)
-        super().__init__(
-            round_curve,
-            1,
-            shape=(radius, radius, 0.0),
-            domain=(limits,),
-            periodic=(closed,),
-            planar=True,
-            size=radius,
-            convex_side=int(closed),
-            kind=CIRCLE,
-        )
+        super().__init__(**_round("Circle", radius, radius, domain))
 
 
 class Ellipse(Contour):
@@ -123,18 +126,7 @@ class Ellipse(Contour):
 
     def __init__(self, a: float, b: float, domain: tuple[float, float] | None = None) -> None:
         a, b = positive("Ellipse", a=a, b=b)
-        limits, closed = arc("Ellipse", "domain", domain)
-        super().__init__(
-            round_curve,
-            1,
-            shape=(a, b, 0.0),
-            domain=(limits,),
-            periodic=(closed,),
-            planar=True,
-            size=max(a, b),
-            convex_side=int(closed),
-            kind=ELLIPSE,
-        )
+        super().__init__(**_round("Ellipse", a, b, domain))
 
 
 class Helix(Contour):
@@ -254,46 +246,40 @@ def put_curve(out, x, y, z, x_1, y_1, z_1, x_11, y_11, z_11):
 
 
 @contour_kernel
-def line(chart, shape, pool, pool_size, u1, u2, t, out):
-    put_curve(matrix_at(out, DERIVATIVE_ROWS, 3), u1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    return 0
+def line(chart, shape, pool, u1, u2, t, out):
+    put_curve(out, u1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @contour_kernel
-def round_curve(chart, shape, pool, pool_size, u1, u2, t, out):
+def round_curve(chart, shape, pool, u1, u2, t, out):
     """(a cos u, b sin u, climb u)."""
-    numbers = reals_at(shape, 3)
-    a, b, climb = numbers[0], numbers[1], numbers[2]
+    a, b, climb = shape[0], shape[1], shape[2]
     c, s = math.cos(u1), math.sin(u1)
-    put_curve(matrix_at(out, DERIVATIVE_ROWS, 3), a * c, b * s, climb * u1, -a * s, b * c, climb, -a * c, -b * s, 0.0)
-    return 0
+    put_curve(out, a * c, b * s, climb * u1, -a * s, b * c, climb, -a * c, -b * s, 0.0)
 
 
 @contour_kernel
-def cycloid(chart, shape, pool, pool_size, u1, u2, t, out):
-    a = reals_at(shape, 1)[0]
+def cycloid(chart, shape, pool, u1, u2, t, out):
+    a = shape[0]
     c, s = math.cos(u1), math.sin(u1)
     # 1 - cos u and 1 + cos u without cancellation
     half_s, half_c = math.sin(0.5 * u1), math.cos(0.5 * u1)
     y, x_1 = 2.0 * a * half_s * half_s, 2.0 * a * half_c * half_c
-    put_curve(matrix_at(out, DERIVATIVE_ROWS, 3), a * (u1 + s), y, 0.0, x_1, a * s, 0.0, -a * s, a * c, 0.0)
-    return 0
+    put_curve(out, a * (u1 + s), y, 0.0, x_1, a * s, 0.0, -a * s, a * c, 0.0)
 
 
 @contour_kernel
-def fourier(chart, shape, pool, pool_size, u1, u2, t, out):
+def fourier(chart, shape, pool, u1, u2, t, out):
     """Coefficients (cosine, sine) of each order in turn; the angle is advanced by complex multiplication."""
-    f, table = matrix_at(out, DERIVATIVE_ROWS, 3), reals_at(pool, pool_size)
     for i in range(3):
-        f[0, i], f[1, i], f[3, i] = 0.0, 0.0, 0.0
+        out[0, i], out[1, i], out[3, i] = 0.0, 0.0, 0.0
     c, s = math.cos(u1), math.sin(u1)
     c_k, s_k = 1.0, 0.0
-    for k in range(int(reals_at(shape, 1)[0])):
+    for k in range(int(shape[0])):
         for i in range(3):
-            a, b = table[6 * k + i], table[6 * k + 3 + i]
+            a, b = pool[6 * k + i], pool[6 * k + 3 + i]
             value = a * c_k + b * s_k
-            f[0, i] += value
-            f[1, i] += k * (b * c_k - a * s_k)
-            f[3, i] -= k * k * value
+            out[0, i] += value
+            out[1, i] += k * (b * c_k - a * s_k)
+            out[3, i] -= k * k * value
         c_k, s_k = c_k * c - s_k * s, s_k * c + c_k * s
-    return 0

@@ -142,11 +142,9 @@ _RULES = {
 # What is wrong where `_away` is not positive.
 FAULTS = {
     **{op: rule.fault for op, rule in _RULES.items() if rule.fault},
-    ops.POWER: f"a power {_FALLS} zero",
     ops.POWER_CONSTANT: f"a power {_FALLS} zero",
     ops.INVERSE: "a quotient whose denominator vanishes",
     ops.TAN: "the tangent of an angle that reaches a quarter turn",
-    ops.HYPOT: "the length of a vector that vanishes",
     ORIGIN: "the angle of a vector that vanishes",
 }
 
@@ -185,22 +183,13 @@ def _of_two(op: int, x: Interval, y: Interval) -> tuple[Interval, Interval, Inte
         inverse = y.inverse()
         value = x * inverse
         return value, inverse, (value * inverse).affine(-1.0)
-    if op == ops.POWER:
-        log, by_log = _of_one(ops.LOG, 0.0, x)
-        value = (log * y).rising(np.exp)
-        return value, value * y * by_log, value * log
-    square = x.square() + y.square()
-    if op == ops.HYPOT:
-        value = square.rising(np.sqrt)
-        inverse = value.inverse()
-        return value, x * inverse, y * inverse
     # ATAN2 is largest and least at corners, unless its cut is within
     corners = [np.arctan2(a, b) for a in (x.lo, x.hi) for b in (y.lo, y.hi)]
     cut = _away(ops.ATAN2, 0.0, x, y) <= 0.0
     value = Interval(
         np.where(cut, -math.pi, np.minimum.reduce(corners)), np.where(cut, math.pi, np.maximum.reduce(corners))
     )
-    inverse = square.inverse()
+    inverse = (x.square() + y.square()).inverse()
     return value, y * inverse, (x * inverse).affine(-1.0)
 
 
@@ -211,18 +200,16 @@ def _away(op: int, c: float, x: Interval, y: Interval) -> np.ndarray:
     if op in _RULES:
         low, high = _RULES[op].domain
         return np.minimum(x.lo - low, high - x.hi) if high < np.inf else x.lo - low
-    if op == ops.POWER_CONSTANT and c != round(c) and c >= 2.0:
-        # twice differentiable at zero
-        return np.where(x.lo == 0.0, np.finfo(float).tiny, x.lo)
-    if op == ops.POWER or (op == ops.POWER_CONSTANT and c != round(c)):
-        return x.lo
+    if op == ops.POWER_CONSTANT and c != round(c):
+        # twice differentiable at zero from 2 on
+        return np.where((x.lo == 0.0) & (c >= 2.0), np.finfo(float).tiny, x.lo)
     if op in (ops.INVERSE, ops.POWER_CONSTANT):
         return x.distance
     if op == ops.TAN:
         return x.cosine().distance
     if op == ops.ATAN2:
         return np.maximum(y.lo, x.distance)
-    return np.maximum(x.distance, y.distance)  # HYPOT, ORIGIN
+    return np.maximum(x.distance, y.distance)  # ORIGIN
 
 
 def is_risky(op: int, c: float) -> bool:
@@ -236,7 +223,7 @@ def is_end(op: int, c: float) -> bool:
     """Whether the function `op` with constant c has no value beyond where it is not smooth."""
     if op == ops.POWER_CONSTANT:
         return c != round(c)
-    return op == ops.POWER or (op in _RULES and bool(_RULES[op].fault))
+    return op in _RULES and bool(_RULES[op].fault)
 
 
 # A check: operation, nodes of its arguments (the same twice if it has one) and constant.
@@ -244,12 +231,18 @@ Check = tuple[int, int, int, float]
 
 
 def values(
-    nodes: Sequence[Node], order: Sequence[int], box: dict[str, Interval], known: dict[int, Interval]
+    nodes: Sequence[Node],
+    order: Sequence[int],
+    variables: str,
+    points: np.ndarray,
+    known: dict[int, Interval] | None = None,
 ) -> dict[int, Interval]:
-    """Bounds of the nodes of a graph by their numbers, in an order in which arguments come first unless known."""
+    """The nodes of a graph at points (m, n), by their numbers; in `order` arguments come first, unless known."""
+    nothing = Interval(*np.zeros((2, 0, len(points))))
     with np.errstate(all="ignore"):
-        enclosed = _enclosed(nodes, order, box, {}, known={index: (value, {}) for index, value in known.items()})
-    return {index: value for index, (value, _) in enclosed.items()}
+        start = {index: (value, nothing) for index, value in (known or {}).items()}
+        found = _enclosed(nodes, order, variables, Interval(points.T, points.T), nothing, start)
+    return {index: value for index, (value, _) in found.items()}
 
 
 def margins(
@@ -267,65 +260,57 @@ def margins(
     boxes (k, m), those at the points (k, m), NaN where the quantity is not finite, and bounds of the slopes of the
     checks' first and second arguments (k, m, n, 2, 2), low before high.
     """
+    at_points = values(nodes, order, variables, inside)
     with np.errstate(all="ignore"):
-        points = {name: Interval(inside[:, i], inside[:, i]) for i, name in enumerate(variables)}
-        at_points = values(nodes, order, points, {})
-        box = {name: Interval(low[:, i], high[:, i]) for i, name in enumerate(variables)}
-        reach = {
-            name: Interval(low[:, i] - inside[:, i], high[:, i] - inside[:, i]) for i, name in enumerate(variables)
-        }
-        enclosed = _enclosed(nodes, order, box, reach, at_points)
-        least, there, slopes = [], [], []
-        for op, a, b, c in checks:
-            least.append(_away(op, c, enclosed[a][0], enclosed[b][0]))
-            here = _away(op, c, at_points[a], at_points[b])
-            there.append(np.where(np.isfinite(here), here, np.nan))
-            by_variable = [[enclosed[argument][1][name] for argument in (a, b)] for name in variables]
-            slopes.append([[(slope.lo, slope.hi) for slope in arguments] for arguments in by_variable])
-    return np.array(least), np.array(there), np.moveaxis(np.array(slopes), -1, 1)
+        reach = Interval((low - inside).T, (high - inside).T)
+        enclosed = _enclosed(nodes, order, variables, Interval(low.T, high.T), reach, {}, at_points)
+        least = np.array([_away(op, c, enclosed[a][0], enclosed[b][0]) for op, a, b, c in checks])
+        there = np.array([_away(op, c, at_points[a], at_points[b]) for op, a, b, c in checks])
+    slopes = np.array(
+        [[(enclosed[argument][1].lo, enclosed[argument][1].hi) for argument in check[1:3]] for check in checks]
+    )
+    return least, np.where(np.isfinite(there), there, np.nan), slopes.transpose(0, 4, 3, 1, 2)
 
 
 def _enclosed(
     nodes: Sequence[Node],
     order: Sequence[int],
-    box: dict[str, Interval],
-    reach: dict[str, Interval],
+    variables: str,
+    box: Interval,
+    reach: Interval,
+    out: dict[int, tuple[Interval, Interval]],
     at_points: dict[int, Interval] | None = None,
-    known: dict[int, tuple[Interval, dict[str, Interval]]] | None = None,
-) -> dict[int, tuple[Interval, dict[str, Interval]]]:
-    """Bounds of nodes and of their derivatives by the variables in `reach`: how far the box goes from its point.
+) -> dict[int, tuple[Interval, Interval]]:
+    """Bounds (m,) of nodes over a box (n, m), and of their derivatives by as many variables as `reach` (n, m) has: how
+    far the box goes from its point. Added to `out`.
 
     With the values at the points, bounds are sharpened by the mean value theorem: their excess is quadratic in the
     size of the box then.
     """
-    out = known or {}
     for index in order:
         node = nodes[index]
         if node.op == ops.VARIABLE:
-            value = box[node.name]
-            one, zero = np.ones_like(value.lo), np.zeros_like(value.lo)
-            slopes = {name: Interval(*[one if name == node.name else zero] * 2) for name in reach}
-            out[index] = value, slopes
+            i = variables.index(node.name)
+            own = np.zeros(reach.lo.shape)
+            own[i : i + 1] = 1.0
+            out[index] = Interval(box.lo[i], box.hi[i]), Interval(own, own)
             continue
         x, x_slopes = out[node.x]
         if node.op == ops.AFFINE:
-            value = x.affine(node.c, node.d)
-            slopes = {name: slope.affine(node.c) for name, slope in x_slopes.items()}
+            value, slopes = x.affine(node.c, node.d), x_slopes.affine(node.c)
         elif node.op == ops.LINEAR:
             y, y_slopes = out[node.y]
             value = x.affine(node.c) + y.affine(node.d)
-            slopes = {name: x_slopes[name].affine(node.c) + y_slopes[name].affine(node.d) for name in reach}
+            slopes = x_slopes.affine(node.c) + y_slopes.affine(node.d)
         elif node.y >= 0:
             y, y_slopes = out[node.y]
             value, by_x, by_y = _of_two(node.op, x, y)
-            slopes = {name: by_x * x_slopes[name] + by_y * y_slopes[name] for name in reach}
+            slopes = by_x * x_slopes + by_y * y_slopes
         else:
             value, slope = _of_one(node.op, node.c, x)
-            slopes = {name: slope * x_slopes[name] for name in reach}
+            slopes = slope * x_slopes
         if at_points is not None:
-            mean = at_points[index]
-            for name, offset in reach.items():
-                mean = mean + slopes[name] * offset
-            value = value.meets(mean)
+            change = slopes * reach
+            value = value.meets(at_points[index] + Interval(change.lo.sum(axis=0), change.hi.sum(axis=0)))
         out[index] = value, slopes
     return out

@@ -1,16 +1,16 @@
-"""Evaluation of contours in compiled code: one entry kernel for each shape, called by its address.
+"""Evaluation of contours in compiled code: one kernel for each shape, called by its address.
 
 Such a kernel has the parameters
 
-    chart                which of the contour's charts u1 and u2 belong to
-    shape                address of the contour's SHAPE_SIZE shape parameters
-    pool, pool_size      address of its further numbers, and how many there are
-    u1, u2, t            parameters and time in s
-    out                  address of the (10, 3) rows that it fills, in the contour's frame
+    chart      which of the contour's charts u1 and u2 belong to
+    shape      (SHAPE_SIZE,) the contour's shape parameters
+    pool       (n,) its further numbers
+    u1, u2, t  parameters and time in s
+    out        (10, 3) rows that it fills, in the contour's frame
 
 It writes the rows of f and of its first and second derivatives by the parameters that the contour has; those by time
-only if the contour depends on time: they stay zero otherwise. It returns 0. Each is compiled, once, when the first
-contour of its shape is evaluated.
+only if the contour depends on time: they stay zero otherwise. Each is compiled, once, when the first contour of its
+shape is evaluated.
 """
 
 from __future__ import annotations
@@ -20,18 +20,19 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import address, view
+from ..arrays import REALS, array_type, view
 from ..callback import kernel_address, kernel_caller
-from ..jit import CALLED, INTEGER, REAL, entry_kernel
+from ..jit import CALLED, INTEGER, NOTHING, REAL, entry_kernel
 
-_ARGUMENTS = (INTEGER, INTEGER, INTEGER, INTEGER, REAL, REAL, REAL, INTEGER)
-# `call_contour(evaluator, chart, shape, pool, pool_size, u1, u2, t, out)`: the kernel at address `evaluator`.
-call_contour = kernel_caller(INTEGER, *_ARGUMENTS)
+_NUMBERS, _ROWS = array_type(REALS, 1), array_type(REALS, 2)
+_ARGUMENTS = (INTEGER, _NUMBERS, _NUMBERS, REAL, REAL, REAL, _ROWS)
+# `call_contour(evaluator, chart, shape, pool, u1, u2, t, out)`: the kernel at address `evaluator`.
+call_contour = kernel_caller(NOTHING, *_ARGUMENTS)
 
 
 def contour_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Decorator of a kernel that evaluates a shape, with the parameters above."""
-    return entry_kernel(*_ARGUMENTS, when=CALLED)(function)
+    return entry_kernel(*_ARGUMENTS, when=CALLED, from_python=False)(function)
 
 
 def evaluate_contour(
@@ -44,5 +45,4 @@ def evaluate_contour(
 @entry_kernel(INTEGER, INTEGER, REAL[::1], REAL[::1], REAL[:, ::1], REAL, REAL[:, :, ::1], when=CALLED)
 def _evaluate_many(evaluator, chart, shape, pool, u, t, out):
     for i in range(u.shape[0]):
-        at = address(view(out)[i])
-        call_contour(evaluator, chart, address(view(shape)), address(view(pool)), pool.size, u[i, 0], u[i, 1], t, at)
+        call_contour(evaluator, chart, view(shape), view(pool), u[i, 0], u[i, 1], t, view(out)[i])

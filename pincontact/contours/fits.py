@@ -5,11 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from functools import reduce
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
 from ..errors import ContourError
+from .formula import spread
 from .piecewise import Direction, chebyshev_nodes, pack
 
 # More pieces with a lower degree keep second derivatives better than fewer with a higher one.
@@ -23,9 +26,6 @@ _RESOLVED = 2e-15
 # narrower than their distance may be missed in a function that cannot be looked into.
 _CHECKED = {1: 2000, 2: 50 * 50}
 _CHECKED_PER_PIECE = 4
-# The points are the additive recurrence of the golden ratio, or of its generalisation to two dimensions: even, and
-# never where halving puts an end of a piece.
-_GOLDEN = {1: 1.6180339887498949, 2: 1.3247179572447460}
 # How far it may be off there, relative to the function's size: a resolved piece is at most a few times its last
 # coefficients off.
 _VERIFIED = 5e-14
@@ -40,18 +40,21 @@ _ENDS = tuple(
 # Where a function changes to another path closer to another such place than this part of the domain, no piece begins:
 # second derivatives of short pieces are poor, and what happens there is seen at the points that are looked at.
 _SHORTEST = 1e-3
+# (low, high) of a piece along each direction.
+Ends = tuple[tuple[float, float], ...]
 
 
-class Fit:
+class Fit(NamedTuple):
     """A fit and how good it is.
 
-    pool:   as `piecewise` reads it
-    error:  largest deviation from the function at points between the nodes, in the function's unit
+    pool:       as `piecewise` reads it
+    error:      largest deviation from the function at points between the nodes, in the function's unit
+    constants:  0 for each output that vanishes everywhere, else None
     """
 
-    def __init__(self, pool: np.ndarray, error: float) -> None:
-        self.pool = pool
-        self.error = error
+    pool: np.ndarray
+    error: float
+    constants: tuple[float | None, ...]
 
 
 def fit(
@@ -73,34 +76,29 @@ def fit(
     Raises ContourError naming the place where refinement does not help, or where neighbouring pieces do not meet in
     value and two derivatives: a kink, a jump or noise.
     """
-    dimension = len(domain)
-    solve, nodes = _solver(dimension, derivatives is not None)
+    n = len(domain)
+    solve, nodes = _solver(n, derivatives is not None)
     lines = [_first_breaks(ends, known) for ends, known in zip(domain, breaks)]
-    pieces: dict[tuple[float, ...], np.ndarray] = {}
+    pieces: dict[Ends, np.ndarray] = {}
     seen: dict[tuple[float, ...], np.ndarray] = {}
     while True:
-        boxes = list(itertools.product(*(range(len(b) - 1) for b in lines)))
-        split: list[set[int]] = [set() for _ in domain]
-        worst = 0.0
-        for box in boxes:
-            ends = [(b[i], b[i + 1]) for b, i in zip(lines, box)]
-            key = tuple(itertools.chain(*ends))
-            if key not in pieces:
-                pieces[key] = solve @ _data(function, derivatives, ends, nodes)
+        boxes = _boxes(lines)
+        for ends in boxes:
+            if ends not in pieces:
+                pieces[ends] = solve @ _data(function, derivatives, ends, nodes)
         scale = max(np.abs(piece).max() for piece in pieces.values())
         coefficients = _assembled(lines, pieces)
-        for box in boxes:
-            ends = [(b[i], b[i + 1]) for b, i in zip(lines, box)]
-            piece = pieces[tuple(itertools.chain(*ends))].reshape((*[_DEGREE + 1] * dimension, -1))
-            for axis in range(dimension):
-                tail = np.abs(np.take(piece, (-2, -1), axis=axis)).max()
-                if tail > _RESOLVED * scale:
-                    split[axis].add(box[axis])
-                    if tail > worst:
-                        worst, place = tail, [0.5 * (low + high) for low, high in ends]
+        split: list[set[int]] = [set() for _ in domain]
+        worst = 0.0
+        for axis in range(n):
+            tails = np.abs(np.take(coefficients, (-2, -1), axis=2 * axis + 1))
+            tails = tails.max(axis=tuple(k for k in range(2 * n + 1) if k % 2 or k == 2 * n))
+            split[axis].update(np.nonzero(tails > _RESOLVED * scale)[axis].tolist())
+            if tails.max() > worst:
+                worst, place = tails.max(), np.mean(boxes[int(np.argmax(tails))], axis=1)
         if not any(split):
             # all pieces are resolved as far as their nodes can see
-            points, at = _points(lines, places)
+            points, at = _points(lines, boxes, places)
             arguments = [tuple(point) for point in points.tolist()]
             for point in arguments:
                 if point not in seen:
@@ -108,16 +106,14 @@ def fit(
             expected = np.array([seen[point] for point in arguments])
             off = np.abs(_values(lines, coefficients, points, at) - expected).max(axis=1)
             error = float(off.max())
-            for i in np.flatnonzero(~(off <= _VERIFIED * scale)):
-                for axis in range(dimension):
-                    split[axis].add(int(at[i, axis]))
-                if off[i] > worst:
-                    worst, place = off[i], list(arguments[i])
+            worst, place = error, points[int(np.argmax(off))]
+            for axis in range(n):
+                split[axis].update(at[~(off <= _VERIFIED * scale), axis].tolist())
         if not any(split):
             break
         narrow = any(b[i + 1] - b[i] < 2.0 * _NARROWEST * (b[-1] - b[0]) for b, s in zip(lines, split) for i in s)
         lines = [_refined(b, chosen) for b, chosen in zip(lines, split)]
-        if narrow or math.prod(len(b) - 1 for b in lines) > _MOST_PIECES[dimension]:
+        if narrow or math.prod(len(b) - 1 for b in lines) > _MOST_PIECES[n]:
             shown = ", ".join(f"{value:.6g}" for value in place)
             raise ContourError(
                 f"{owner}: the function cannot be traced, and fitting it leaves an error of {worst:.1e} near "
@@ -125,8 +121,9 @@ def fit(
             )
     _check_joints(owner, lines, periodic, coefficients, scale)
     directions = [Direction.chebyshev(b, _DEGREE, bool(p)) for b, p in zip(lines, periodic)]
-    shape = [direction.functions for direction in directions]
-    return Fit(pack(directions, coefficients.reshape(*shape, -1), time=time), error)
+    flat = coefficients.reshape(*(direction.functions for direction in directions), -1)
+    constants = tuple(None if column.any() else 0.0 for column in np.moveaxis(flat, -1, 0))
+    return Fit(pack(directions, flat, time=time), error, constants)
 
 
 def _first_breaks(ends: tuple[float, float], known: Sequence[float]) -> np.ndarray:
@@ -138,26 +135,26 @@ def _first_breaks(ends: tuple[float, float], known: Sequence[float]) -> np.ndarr
     return np.array([low, *inner, high]) if inner.size else np.linspace(low, high, 3)
 
 
-def _assembled(lines: list[np.ndarray], pieces: dict[tuple[float, ...], np.ndarray]) -> np.ndarray:
+def _boxes(lines: list[np.ndarray]) -> list[Ends]:
+    """Ends of all pieces, the last argument running fastest."""
+    return list(itertools.product(*(itertools.pairwise(b.tolist()) for b in lines)))
+
+
+def _assembled(lines: list[np.ndarray], pieces: dict[Ends, np.ndarray]) -> np.ndarray:
     """Coefficients (pieces of the first argument, its polynomials, the same of the second one, components)."""
-    boxes = itertools.product(*(list(itertools.pairwise(b.tolist())) for b in lines))
-    table = np.array([pieces[tuple(itertools.chain(*box))] for box in boxes])
-    counts = [len(b) - 1 for b in lines]
-    table = table.reshape(*counts, *[_DEGREE + 1] * len(lines), -1)
-    return table if len(lines) == 1 else np.moveaxis(table, 2, 1)
-
-
-def _points(lines: list[np.ndarray], places: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Points (k, n) at which a fit is compared with its function, and the pieces that they are in."""
     n = len(lines)
-    low, high = np.array([b[0] for b in lines]), np.array([b[-1] for b in lines])
-    steps = np.arange(1, _CHECKED[n] + 1)[:, None] / _GOLDEN[n] ** np.arange(1, n + 1) % 1.0
-    points = [low + (high - low) * steps]
+    table = np.array([pieces[ends] for ends in _boxes(lines)])
+    table = table.reshape(*(len(b) - 1 for b in lines), *[_DEGREE + 1] * n, -1)
+    return table if n == 1 else np.moveaxis(table, 2, 1)
+
+
+def _points(lines: list[np.ndarray], boxes: list[Ends], places: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Points (k, n) at which a fit is compared with its function, and the pieces that they are in."""
+    n, ends = len(lines), np.array(boxes)
+    points = [spread(np.array([b[0] for b in lines]), np.array([b[-1] for b in lines]), _CHECKED[n])]
     generator = np.random.default_rng(7)
-    corners = np.stack(np.meshgrid(*(b[:-1] for b in lines), indexing="ij"), axis=-1).reshape(-1, n)
-    sizes = np.stack(np.meshgrid(*(np.diff(b) for b in lines), indexing="ij"), axis=-1).reshape(-1, n)
     for _ in range(_CHECKED_PER_PIECE):
-        points.append(corners + sizes * generator.random(sizes.shape))
+        points.append(generator.uniform(ends[..., 0], ends[..., 1]))
     if places is not None:
         points.append(places)
     every = np.concatenate(points)
@@ -218,27 +215,19 @@ def _refined(breaks: np.ndarray, chosen: set[int]) -> np.ndarray:
     return np.sort(np.concatenate([breaks, middles]))
 
 
-def _derivative_orders(dimension: int) -> list[tuple[int, ...]]:
-    """Orders of the value, the first and the second derivatives along each direction."""
-    if dimension == 1:
-        return [(0,), (1,), (2,)]
-    return [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
+def _derivative_orders(n: int) -> list[tuple[int, ...]]:
+    """Orders of the value, the first and the second derivatives along each of n directions."""
+    orders = [order for order in itertools.product(range(2, -1, -1), repeat=n) if sum(order) <= 2]
+    return sorted(orders, key=sum)
 
 
-def _solver(dimension: int, with_derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
+def _solver(n: int, with_derivatives: bool) -> tuple[np.ndarray, np.ndarray]:
     """Matrix from the data of one piece to its coefficients, and the nodes of the data in (-1, 1)."""
     nodes = chebyshev_nodes(_DEGREE)
-    identity = np.eye(_DEGREE + 1)
-    tables = [
-        np.stack([chebyshev.chebval(nodes, chebyshev.chebder(c, order) if order else c) for c in identity], axis=1)
-        for order in range(3)
-    ]
+    tables = [chebyshev.chebval(nodes, chebyshev.chebder(np.eye(_DEGREE + 1), order)).T for order in range(3)]
     rows = []
-    for orders in _derivative_orders(dimension) if with_derivatives else [(0,) * dimension]:
-        block = np.ones((1, 1))
-        for order in orders:
-            block = np.kron(block, tables[order])
-        rows.append(_weight(sum(orders)) * block)
+    for orders in _derivative_orders(n) if with_derivatives else [(0,) * n]:
+        rows.append(_weight(sum(orders)) * reduce(np.kron, [tables[order] for order in orders]))
     return np.linalg.pinv(np.concatenate(rows), rcond=1e-14), nodes
 
 
@@ -253,7 +242,7 @@ def _weight(order: int) -> float:
 def _data(
     function: Callable[..., np.ndarray],
     derivatives: Callable[..., np.ndarray] | None,
-    ends: list[tuple[float, float]],
+    ends: Ends,
     nodes: np.ndarray,
 ) -> np.ndarray:
     grids = [0.5 * (low + high) + 0.5 * (high - low) * nodes for low, high in ends]

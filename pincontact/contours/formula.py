@@ -14,6 +14,8 @@ from ..errors import ContourError
 # How many parameter values a formula is tried at, and how far along an infinite domain and in time.
 _TRIALS = 25
 REACH = 3.0
+# Additive recurrences of the golden ratio and its generalisations, x^(n + 1) = x + 1 for n parameters, spread evenly.
+_GOLDEN = {1: 1.6180339887498949, 2: 1.3247179572447460, 3: 1.2207440846057596}
 
 
 class Formula:
@@ -86,9 +88,15 @@ def takes_time(owner: str, function: Callable[..., Any], parameters: int) -> boo
     return False
 
 
+def spread(low: np.ndarray, high: np.ndarray, count: int) -> np.ndarray:
+    """Points (count, n), evenly spread between low and high (n,), on no lattice and never where halving puts one."""
+    n = len(low)
+    steps = np.arange(1, count + 1)[:, None] / _GOLDEN[n] ** np.arange(1, n + 1) % 1.0
+    return low + (high - low) * steps
+
+
 def trials(domain: Sequence[tuple[float, float]]) -> np.ndarray:
-    """Reproducible random values (n, k) of parameters in the domain."""
+    """Reproducible random values (n, k) of parameters in the domain, at which formulas are tried."""
     low = [a if math.isfinite(a) else (b - REACH if math.isfinite(b) else -REACH) for a, b in domain]
     high = [b if math.isfinite(b) else (a + REACH if math.isfinite(a) else REACH) for a, b in domain]
-    generator = np.random.default_rng(20240229)
-    return np.array(low) + (np.array(high) - np.array(low)) * generator.random((_TRIALS, len(domain)))
+    return np.random.default_rng(20240229).uniform(low, high, (_TRIALS, len(domain)))

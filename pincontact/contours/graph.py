@@ -6,12 +6,12 @@ and the graph keeps the sign that was found.
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from . import tape as ops
 from .enclosures import SIGN, Check, Interval, values
@@ -29,13 +29,13 @@ class Graph:
     leak:         what took the number of a symbol out of the graph, empty if nothing did
     """
 
-    def __init__(self, point: dict[str, float] | None = None) -> None:
-        """point: values of the variables that decide comparisons, None if there are to be none."""
+    def __init__(self, variables: str, point: Sequence[float]) -> None:
+        """point: values of the variables, which decide comparisons."""
         self.nodes: list[Node] = []
         self.comparisons: list[Check] = []
         self.leak = ""
         self._known: dict[Node, int] = {}
-        self._point = point
+        self._variables, self._point = variables, np.array([point], dtype=float)
         self._values: dict[int, Interval] = {}
 
     def symbol(self, op: int, x: int = -1, y: int = -1, c: float = 0.0, d: float = 0.0, name: str = "") -> Symbol:
@@ -46,20 +46,11 @@ class Graph:
             self.nodes.append(node)
         return Symbol(self, self._known[node])
 
-    def number(self, index: int, what: str) -> float:
-        """The value of a node at the point. Raises Untraceable saying what needs it where there is no point."""
-        if self._point is None:
-            raise Untraceable(f"{what} needs the number of a parameter")
+    def number(self, index: int) -> float:
+        """The value of a node at the point."""
         missing = [i for i in self.reachable([index]) if i not in self._values]
-        box = {name: Interval(np.array([x]), np.array([x])) for name, x in self._point.items()}
-        self._values.update(values(self.nodes, missing, box, self._values))
+        self._values.update(values(self.nodes, missing, self._variables, self._point, self._values))
         return float(self._values[index].lo[0])
-
-    def decided(self, index: int, what: str) -> float:
-        """A value whose sign the path depends on from here."""
-        value = self.number(index, what)
-        self.comparisons.append((SIGN, index, index, math.copysign(1.0, value)))
-        return value
 
     def _scaled(self, index: int) -> tuple[float, int]:
         """The node as factor times another node, where it is one."""
@@ -113,13 +104,6 @@ class Graph:
         return sorted(seen)
 
 
-def _refuse(what: str) -> Callable[..., Any]:
-    def refused(self: Symbol, *_: Any) -> Any:
-        raise Untraceable(f"{what} needs the number of a parameter")
-
-    return refused
-
-
 def as_number(value: Any) -> Any:
     """A symbol as it is, anything else as a float."""
     if isinstance(value, Symbol):
@@ -132,20 +116,8 @@ def as_number(value: Any) -> Any:
         raise Untraceable(f"{type(value).__name__} where a number was expected") from None
 
 
-def _operator(method: Callable[[Symbol, Any], Any]) -> Callable[[Symbol, Any], Any]:
-    """An arithmetic operator whose other operand is a number or a symbol; arrays take the operation over."""
-
-    @functools.wraps(method)
-    def operator(self: Symbol, other: Any) -> Any:
-        if isinstance(other, np.ndarray) and other.ndim:
-            return NotImplemented
-        return method(self, as_number(other))
-
-    return operator
-
-
-class Symbol:
-    """A number that is not known yet; arithmetic on it extends its graph."""
+class Symbol(NDArrayOperatorsMixin):
+    """A number that is not known yet; NumPy's functions of it, which Python's operators call, extend its graph."""
 
     __slots__ = ("graph", "index")
 
@@ -157,159 +129,43 @@ class Symbol:
         """The function `op` of this symbol."""
         return self.graph.symbol(op, self.index, c=constant)
 
-    def _sum(self, other: Any, sign: float) -> Any:
-        if isinstance(other, Symbol):
-            return self.graph.linear(self.index, other.index, 1.0, sign)
-        return self.graph.affine(self.index, 1.0, sign * other)
+    def affine(self, factor: float, shift: float) -> Any:
+        """factor times this symbol + shift."""
+        return self.graph.affine(self.index, factor, shift)
 
-    @_operator
-    def __add__(self, other: Any) -> Any:
-        return self._sum(other, 1.0)
-
-    __radd__ = __add__
-
-    @_operator
-    def __sub__(self, other: Any) -> Any:
-        return self._sum(other, -1.0)
-
-    @_operator
-    def __rsub__(self, other: Any) -> Any:
-        return self.graph.affine(self.index, -1.0, other)
-
-    @_operator
-    def __mul__(self, other: Any) -> Any:
-        if isinstance(other, Symbol):
-            return self.graph.multiply(self.index, other.index)
-        return self.graph.affine(self.index, other, 0.0)
-
-    __rmul__ = __mul__
-
-    @_operator
-    def __truediv__(self, other: Any) -> Any:
-        if not isinstance(other, Symbol):
-            return self.graph.affine(self.index, 1.0 / other, 0.0)
-        return 1.0 if other.index == self.index else two(ops.DIVIDE, self, other)
-
-    @_operator
-    def __rtruediv__(self, other: Any) -> Any:
-        return 0.0 if other == 0.0 else self.one(ops.INVERSE, other)
-
-    @_operator
-    def __pow__(self, other: Any) -> Any:
-        if isinstance(other, Symbol):
-            return two(ops.POWER, self, other)
-        if other == 0.0:
-            return 1.0
-        if other == 1.0:
-            return self
-        if other == 2.0:
-            return self.graph.multiply(self.index, self.index)
-        if other == 0.5:
-            return self.one(ops.SQRT)
-        if other == -1.0:
-            return self.one(ops.INVERSE, 1.0)
-        return self.one(ops.POWER_CONSTANT, other)
-
-    @_operator
-    def __rpow__(self, other: Any) -> Any:
-        if not other > 0.0:
-            raise Untraceable(f"{other} to the power of a parameter is not smooth")
-        exponent = self * math.log(other)
-        return exponent.one(ops.EXP) if isinstance(exponent, Symbol) else 1.0
-
-    def __neg__(self) -> Any:
-        return self.graph.affine(self.index, -1.0, 0.0)
-
-    def __pos__(self) -> Symbol:
-        return self
-
-    def decided(self, what: str) -> float:
+    def decided(self) -> float:
         """Its value, whose sign the path depends on from here."""
-        return self.graph.decided(self.index, what)
+        value = self.graph.number(self.index)
+        self.graph.comparisons.append((SIGN, self.index, self.index, math.copysign(1.0, value)))
+        return value
 
     def whole(self, shift: float = 0.0) -> int:
         """The whole number below it, plus the shift; the path depends on it from here."""
         shifted = self + shift
-        below = math.floor(self.graph.number(shifted.index, "rounding"))
+        below = math.floor(self.graph.number(shifted.index))
         for rest in (shifted - below, (below + 1) - shifted):
-            rest.decided("rounding")
+            rest.decided()
         return below
 
-    def __abs__(self) -> Any:
-        return -self if self.decided("an absolute value") < 0.0 else self
-
-    def __floor__(self) -> int:
-        return self.whole()
-
-    def __ceil__(self) -> int:
-        return -(-self).whole()
-
-    def __trunc__(self) -> int:
-        return self.__ceil__() if self.decided("rounding") < 0.0 else self.__floor__()
-
-    __int__ = __trunc__
+    def __int__(self) -> int:
+        return -(-self).whole() if self.decided() < 0.0 else self.whole()
 
     def __round__(self, digits: int | None = None) -> Any:
         scale = 10.0 ** (digits or 0)
         nearest = (scale * self).whole(0.5)
         return nearest if digits is None else nearest / scale
 
-    @_operator
-    def __floordiv__(self, other: Any) -> Any:
-        return _quotient(self, other)
-
-    @_operator
-    def __rfloordiv__(self, other: Any) -> Any:
-        return _quotient(other, self)
-
-    @_operator
-    def __mod__(self, other: Any) -> Any:
-        return self - other * _quotient(self, other)
-
-    @_operator
-    def __rmod__(self, other: Any) -> Any:
-        return other - self * _quotient(other, self)
-
-    @_operator
-    def __divmod__(self, other: Any) -> Any:
-        return self // other, self % other
-
-    @_operator
-    def __rdivmod__(self, other: Any) -> Any:
-        return other // self, other % self
-
-    def _difference(self, other: Any) -> float:
-        """The difference, whose sign the path depends on from here."""
-        difference = self - as_number(other)
-        return difference.decided("a comparison") if isinstance(difference, Symbol) else difference
-
-    def __lt__(self, other: Any) -> bool:
-        return self._difference(other) < 0.0
-
-    def __le__(self, other: Any) -> bool:
-        return self._difference(other) <= 0.0
-
-    def __gt__(self, other: Any) -> bool:
-        return self._difference(other) > 0.0
-
-    def __ge__(self, other: Any) -> bool:
-        return self._difference(other) >= 0.0
-
-    def __eq__(self, other: Any) -> bool:
-        return self._difference(other) == 0.0
-
-    def __ne__(self, other: Any) -> bool:
-        return self._difference(other) != 0.0
-
     def __bool__(self) -> bool:
-        return self.decided("a branch") != 0.0
+        return self.decided() != 0.0
 
     def __float__(self) -> float:
-        number = self.graph.number(self.index, "a call into compiled code")
-        self.graph.leak = self.graph.leak or "a call into compiled code needs the number of a parameter"
-        return number
+        self.graph.leak = "a call into compiled code needs the number of a parameter"
+        return self.graph.number(self.index)
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **keywords: Any) -> Any:
+        # of x += y, whose result is another symbol
+        if isinstance(keywords.get("out", [None])[0], Symbol):
+            del keywords["out"]
         if method == "__call__" and not keywords and ufunc in SUBSTITUTES:
             return SUBSTITUTES[ufunc](*inputs)
         if method != "__call__" or any(holds_symbols(value) for value in inputs):
@@ -318,25 +174,6 @@ class Symbol:
 
     def __hash__(self) -> int:
         return hash((id(self.graph), self.index))
-
-    __complex__ = _refuse("a complex number")
-    __index__ = _refuse("an index")
-
-
-def _quotient(x: Any, y: Any) -> float:
-    """The whole number below x / y, of which one is a symbol."""
-    ratio = x / y
-    return float(math.floor(ratio))
-
-
-def two(op: int, x: Any, y: Any) -> Any:
-    """The function `op` of two arguments of which one at least is a symbol."""
-    graph, anchor = (x.graph, x.index) if isinstance(x, Symbol) else (y.graph, y.index)
-    # A constant is a multiple, by zero, of what the other argument is.
-    left, right = (
-        value if isinstance(value, Symbol) else graph.symbol(ops.AFFINE, anchor, d=value) for value in (x, y)
-    )
-    return graph.symbol(op, left.index, right.index)
 
 
 def holds_symbols(value: Any) -> bool:

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..arrays import view
+from ..arrays import address_of
 from ..callback import kernel_caller
 from ..errors import ContourError, UnusableResult
 from ..jit import CALLED, INTEGER, REAL, entry_kernel, kernel
 from ..workspace import reals_at
-from .base import as_written
+from .base import Written
 from .checks import array, finite, flag, interval
 from .fits import fit
 from .piecewise import piecewise
@@ -37,11 +37,13 @@ _SPLINE_SCRATCH = 70
 # Of the quaternions of neighbouring poses, their product without sign: half a turn apart it is zero, and nothing tells
 # which way to turn.
 _LEAST_OVERLAP = 0.1
+# So many times are looked at for the signs of a function's quaternions; in between they are those of the nearest one.
+_SIGN_TIMES = 2000
 # Derivatives are wrong if they are off by this part of their size: wrong axes or signs, no digits.
 _WRONG = 1e-2
 
 
-class Motion:
+class Motion(Written):
     """A placement as a function of time; base class of all motions.
 
     Parameters
@@ -77,15 +79,6 @@ class Motion:
             )
         super().__setattr__(name, value)
 
-    def __new__(cls, *given: Any, **named: Any) -> Motion:
-        made = super().__new__(cls)
-        made.__dict__["_written"] = as_written(cls, given, named)
-        return made
-
-    def __repr__(self) -> str:
-        written: str = self.__dict__["_written"]
-        return written
-
     def __init__(self, parameters: Sequence[float] = (), pool: np.ndarray | None = None) -> None:
         self.parameters = np.zeros(MOTION_PARAMETERS)
         self.parameters[: len(parameters)] = parameters
@@ -114,7 +107,8 @@ class Motion:
         """
         if out is None:
             out = np.zeros(MOTION_SIZE)
-        fill_motion(self.kind, self.parameters, self.pool, float(t), out)
+        pool = self.pool
+        motion_at(self.kind, address_of(self.parameters), address_of(pool), pool.size, float(t), address_of(out))
         return out
 
     def placement(self, t: float) -> pin.SE3:
@@ -295,17 +289,15 @@ class SplineMotion(Motion):
         if periodic:
             placements += placements[:1]
         t = array(owner, "times", times, len(placements))
-        values = np.array([_coordinates(pose) for pose in placements])
-        for i in range(1, len(values)):
-            overlap = float(values[i, 3:] @ values[i - 1, 3:])
-            # Quaternions of opposite sign are the same rotation; a spline needs the near one.
-            if overlap < 0.0:
-                values[i, 3:] = -values[i, 3:]
-            if abs(overlap) < _LEAST_OVERLAP:
-                raise ContourError(
-                    f"{owner}: poses {i - 1} and {i} are {2.0 * math.acos(abs(overlap)):.3f} rad apart; add a pose "
-                    "between them to say which way to turn"
-                )
+        values = np.array([_coordinates(pose) for pose in placements]).reshape(-1, 7)
+        _connect(values[:, 3:])
+        overlaps = _overlaps(values[:, 3:])
+        i = int(np.argmin(overlaps)) if len(overlaps) else 0
+        if len(overlaps) and overlaps[i] < _LEAST_OVERLAP:
+            raise ContourError(
+                f"{owner}: poses {i} and {i + 1} are {2.0 * math.acos(overlaps[i]):.3f} rad apart; add a pose between "
+                "them to say which way to turn"
+            )
         if periodic and values[-1, 3:] @ values[0, 3:] < 0.0:
             # An odd number of turns: the quaternion closes after two rounds only.
             again = values[1:].copy()
@@ -374,9 +366,8 @@ class CallableMotion(Motion):
             return
         if time_domain is None:
             raise ContourError(f"{owner}: a function that returns a pose only needs time_domain=(first, last)")
-        previous = _coordinates(_placement(owner, f"f({first})", sample))[3:]
-        signs = _QuaternionBranch(lambda t: _coordinates(_placement(owner, f"f({t})", f(t))), first, last, previous)
-        result = fit(owner, signs, [(first, last)], (False,))
+        pose = _continued(lambda t: _coordinates(_placement(owner, f"f({t})", f(t))), first, last)
+        result = fit(owner, pose, [(first, last)], (False,))
         self.kind = MOTION_SPLINE
         self.fit_error = result.error
         super().__init__((), _motion_pool(result.pool))
@@ -425,33 +416,29 @@ def _named_failure(owner: str, f: Callable[[float], Any]) -> Callable[[float], A
     return named
 
 
-class _QuaternionBranch:
-    """Coordinates of a pose with the quaternion's sign continued from the first time.
+def _overlaps(quaternions: np.ndarray) -> np.ndarray:
+    """Products of neighbouring quaternions (n, 4)."""
+    return np.einsum("ij,ij->i", quaternions[1:], quaternions[:-1])
 
-    Signs are chosen once on a fine grid of times; a value in between takes the sign of its nearest neighbour.
-    """
 
-    _GRID = 2000
+def _connect(quaternions: np.ndarray) -> None:
+    """Choose the signs of quaternions (n, 4), of which both are the same rotation, so that neighbours are near."""
+    quaternions[1:] *= np.cumprod(np.where(_overlaps(quaternions) < 0.0, -1.0, 1.0))[:, None]
 
-    def __init__(
-        self, coordinates: Callable[[float], np.ndarray], first: float, last: float, start: np.ndarray
-    ) -> None:
-        self._coordinates = coordinates
-        self._times = np.linspace(first, last, self._GRID)
-        self._quaternions = np.empty((self._GRID, 4))
-        previous = start
-        for i, t in enumerate(self._times):
-            q = coordinates(float(t))[3:]
-            if q @ previous < 0.0:
-                q = -q
-            self._quaternions[i] = previous = q
 
-    def __call__(self, t: float) -> np.ndarray:
-        values = self._coordinates(t)
-        near = self._quaternions[np.abs(self._times - t).argmin()]
-        if values[3:] @ near < 0.0:
+def _continued(coordinates: Callable[[float], np.ndarray], first: float, last: float) -> Callable[[float], np.ndarray]:
+    """Coordinates of a pose with the quaternion's sign continued from the first time."""
+    times = np.linspace(first, last, _SIGN_TIMES)
+    grid = np.array([coordinates(float(t))[3:] for t in times])
+    _connect(grid)
+
+    def continued(t: float) -> np.ndarray:
+        values = coordinates(t)
+        if values[3:] @ grid[np.abs(times - t).argmin()] < 0.0:
             values[3:] *= -1.0
         return values
+
+    return continued
 
 
 def _fill_row(t: float, result: Any, out: np.ndarray) -> None:
@@ -487,9 +474,8 @@ def _placement(owner: str, name: str, given: Any) -> pin.SE3:
 
 def _coordinates(pose: pin.SE3) -> np.ndarray:
     """Position and quaternion (x, y, z, w)."""
-    quaternion = pin.Quaternion(pose.rotation)
-    quaternion.normalize()
-    return np.concatenate([pose.translation, quaternion.coeffs()])
+    coordinates: np.ndarray = pin.SE3ToXYZQUAT(pose)
+    return coordinates
 
 
 def _motion_pool(polynomials: np.ndarray) -> np.ndarray:
@@ -497,15 +483,11 @@ def _motion_pool(polynomials: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _turn_about(axis, angle, out):
-    """Rotation matrix (9) about a unit axis."""
-    c, s = math.cos(angle), math.sin(angle)
-    half = math.sin(0.5 * angle)
-    v = 2.0 * half * half  # 1 - cos, without cancellation
-    x, y, z = axis[0], axis[1], axis[2]
-    out[0], out[1], out[2] = c + v * x * x, v * x * y - s * z, v * x * z + s * y
-    out[3], out[4], out[5] = v * x * y + s * z, c + v * y * y, v * y * z - s * x
-    out[6], out[7], out[8] = v * x * z - s * y, v * y * z + s * x, c + v * z * z
+def _rotation(x, y, z, w, s, out):
+    """Rotation matrix (9) of a quaternion; s: 2 by the square of its length."""
+    out[0], out[1], out[2] = 1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)
+    out[3], out[4], out[5] = s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)
+    out[6], out[7], out[8] = s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)
 
 
 @kernel
@@ -521,7 +503,8 @@ def _fixed_axis(kind, p, t, out):
         angle, angle_t = p[_ANGLE] * math.sin(turn), p[_ANGLE] * turn_rate * math.cos(turn)
         angle_tt = -turn_rate * turn_rate * angle
     axis = p[_AXIS : _AXIS + 3]
-    _turn_about(axis, angle, out)
+    sine = math.sin(0.5 * angle)
+    _rotation(axis[0] * sine, axis[1] * sine, axis[2] * sine, math.cos(0.5 * angle), 2.0, out)
     # The axis goes through `center`, so that the origin, -center from it, moves on a circle.
     x = -(out[0] * p[_CENTER] + out[1] * p[_CENTER + 1] + out[2] * p[_CENTER + 2])
     y = -(out[3] * p[_CENTER] + out[4] * p[_CENTER + 1] + out[5] * p[_CENTER + 2])
@@ -556,9 +539,7 @@ def _spline_motion(pool, t, out):
     # since that is real.
     s = 2.0 / (x * x + y * y + z * z + w * w)
     shrink = -s * (x * x_t + y * y_t + z * z_t + w * w_t)
-    out[0], out[1], out[2] = 1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)
-    out[3], out[4], out[5] = s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)
-    out[6], out[7], out[8] = s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)
+    _rotation(x, y, z, w, s, out)
     out[15] = s * (x_t * w - w_t * x + z_t * y - y_t * z)
     out[16] = s * (y_t * w - w_t * y + x_t * z - z_t * x)
     out[17] = s * (z_t * w - w_t * z + y_t * x - x_t * y)
@@ -591,9 +572,3 @@ def motion_at(kind, parameters, pool, pool_size, t, out):
     given, rest = reals_at(parameters, MOTION_PARAMETERS), reals_at(pool, pool_size)
     evaluate_motion(kind, given, rest, t, reals_at(out, MOTION_SIZE))
     return 0
-
-
-@entry_kernel(INTEGER, REAL[::1], REAL[::1], REAL, REAL[::1], when=CALLED)
-def fill_motion(kind, parameters, pool, t, out):
-    """`evaluate_motion` for callers in Python."""
-    evaluate_motion(kind, view(parameters), view(pool), t, view(out))

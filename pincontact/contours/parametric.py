@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import ContourError
 from .base import ALL, F_1, F_2, Contour, F, half_diagonal
-from .checks import flag, flags, interval
+from .checks import flag, flags, interval, pair
 from .formula import Formula, takes_time, trials
 from .program import Program, compiled
 from .splines import height_grid, height_spline
@@ -217,10 +217,7 @@ def _times(owner: str, given: Any) -> tuple[float, float] | None:
 
 
 def _rectangle(owner: str, domain: Any) -> tuple[tuple[float, float], ...]:
-    try:
-        first, second = domain
-    except (TypeError, ValueError):
-        raise ContourError(f"{owner}: domain must be ((low, high), (low, high)), got {domain!r}") from None
+    first, second = pair(owner, "domain", domain, "(low, high)")
     return interval(owner, "domain[0]", first), interval(owner, "domain[1]", second)
 
 
@@ -252,7 +249,4 @@ def _arguments(
     moments = (0.0, *(float(point[-1]) for point in points)) if program.times else (0.0,)
     numbers["size"] = next((size for size in (half_diagonal(contour, t) for t in moments) if size > 0.0), 0.0)
     numbers["planar"] = k == 1 and program.constants[2] == 0.0
-    if k == 1 and program.error > 0.0 and not program.time_dependent:
-        # a fit of zeros is zero
-        numbers["planar"] = all(contour.point(u)[2] == 0.0 for u in contour.samples(200))
     return {**numbers, "fit_error": program.error}

@@ -8,6 +8,7 @@ smooth at the pole. Near the pole g and k are Chebyshev fits in d^2; beyond it t
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -17,15 +18,13 @@ from numpy.polynomial import chebyshev
 
 from ..errors import ContourError
 from ..jit import kernel
-from ..workspace import matrix_at, reals_at
 from .base import ALL, F_1, F_11, REVOLUTION, TURN, Contour, F
-from .charts import HAND, HIGH, LOW, TRACED
+from .charts import ENDS, HAND, TRACED
 from .checks import array, flag, interval
 from .evaluation import contour_kernel
 from .formula import Formula
 from .piecewise import Direction, chebyshev_nodes, fitted, pack, piecewise
 from .program import compiled
-from .sizes import DERIVATIVE_ROWS, SHAPE_SIZE
 from .splines import chords, spline, spline_pool
 from .surfaces import put_revolved
 from .tape import tape, traced
@@ -33,9 +32,8 @@ from .tape import tape, traced
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-# Pool: profile's offset, then for each end the offset of (g, k) and the d^2 up to which they hold.
-PROFILE, LOW_CAP, LOW_REACH, HIGH_CAP, HIGH_REACH = range(5)
-POOL_HEADER = 5
+# Pool: offset of (g, k) at both ends, the d^2 up to which they hold, then the profile.
+_CAPS, _REACHES, _PROFILE = 0, 2, 4
 
 
 # The cap chart is entered this part of the profile away from the pole, and left at LEAVE_FACTOR times that.
@@ -109,7 +107,7 @@ class SurfaceOfRevolution(Contour):
             evaluator, error = fitted, 0.0
         curve = Contour(evaluator, 1, pool=pool, size=math.inf)
         samples = np.linspace(low, high, _PROFILE_SAMPLES)
-        rows = np.array([curve.evaluate(s) for s in samples])[:, [F, F_1, F_11], :2]
+        rows = curve.evaluate_many(samples[:, None])[:, [F, F_1, F_11], :2]
         smooth = np.isfinite(rows).all(axis=(1, 2))
         if not smooth.all():
             raise ContourError(
@@ -130,28 +128,16 @@ class SurfaceOfRevolution(Contour):
             caps.append(_cap(owner, curve, (low, high)[end], 1.0 - 2.0 * end, reach, size) if pole else None)
         hand = _outward(rows, samples)
         enter = _ENTER * (high - low)
-        low_pole, high_pole = poles
+        # where the profile meets the axis charts 1 and 2 go on, so there is no end
+        limits = (-math.inf if poles[0] or periodic else low, math.inf if poles[1] or periodic else high)
         super().__init__(
             revolution,
             2,
-            shape=(
-                hand,
-                low,
-                high,
-                enter,
-                _LEAVE_FACTOR * enter,
-                float(low_pole),
-                float(high_pole),
-                float(evaluator is traced),
-            ),
+            shape=(hand, low, high, *map(float, poles), enter, _LEAVE_FACTOR * enter, float(evaluator is traced)),
             pool=_assemble(pool, caps),
             domain=(TURN, (low, high)),
             periodic=(True, periodic),
-            # where the profile meets the axis charts 1 and 2 go on, so there is no end
-            limits=(
-                ALL,
-                (-math.inf if low_pole or periodic else low, math.inf if high_pole or periodic else high),
-            ),
+            limits=(ALL, limits),
             charts=(0, *(chart for chart, pole in zip((1, 2), poles) if pole)),
             size=max(float(r.max()), 0.5 * float(np.ptp(rows[:, 0, 1]))),
             convex_side=_convex(rows, hand) if sum(poles) != 1 and not periodic else 0,
@@ -179,15 +165,11 @@ def _spline_profile(
     if (points[:, 0] < 0.0).any():
         i = int(np.argmin(points[:, 0]))
         raise ContourError(f"{owner}: profile[{i}] is on the other side of the axis, r = {points[i, 0]}")
-    s = chords(points)
-    if not (np.diff(s) > 0.0).all():
-        i = int(np.argmin(np.diff(s)))
-        raise ContourError(f"{owner}: profile points {i} and {i + 1} coincide at {points[i].tolist()}")
-    touches = [not periodic and points[end, 0] <= 1e-12 * np.abs(points).max() for end in (0, -1)]
-    points[[end for end, touch in zip((0, -1), touches) if touch], 0] = 0.0
     if periodic:
         points = np.concatenate([points, points[:1]])
-        s = chords(points)
+    s = chords(f"{owner} (profile)", points)
+    touches = [not periodic and points[end, 0] <= 1e-12 * np.abs(points).max() for end in (0, -1)]
+    points[[end for end, touch in zip((0, -1), touches) if touch], 0] = 0.0
     mirrored = np.column_stack([-points[:, 0], points[:, 1]])
     high = s[-1]
     sites, values = s, points
@@ -212,40 +194,32 @@ def _cap(owner: str, curve: Contour, end: float, towards: float, reach: float, s
             f"{owner}: the surface has an apex at s = {end}: the profile meets the axis with slope "
             f"dz/dr = {z_1 / r_1}, not 0; end the domain before it"
         )
-    best = (math.inf, _CAP_DEGREE, reach)
-    for part in _CAP_REACHES:
-        length = part * reach
-        values = _around_pole(curve, end, towards, length)
-        for degree in range(1, _CAP_DEGREE + 1):
-            error = _cap_fit(values, length, degree)[1]
-            # Every degree beyond the first that fits to rounding only adds noise to the derivatives.
-            if error < 0.5 * best[0]:
-                best = error, degree, length
-            if best[0] <= _CAP_ROUNDING * size:
-                break
+    best = (math.inf, reach, np.zeros((0, 2)))
+    for part, degree in itertools.product(_CAP_REACHES, range(1, _CAP_DEGREE + 1)):
+        coefficients, error = _cap_fit(curve, end, towards, part * reach, degree)
+        # Every degree beyond the first that fits to rounding only adds noise to the derivatives.
+        if error < 0.5 * best[0]:
+            best = error, part * reach, coefficients
         if best[0] <= _CAP_ROUNDING * size:
             break
-    error, degree, length = best
+    error, length, coefficients = best
     if not error <= _CAP_ERROR * size:
         raise ContourError(
             f"{owner}: not smooth where the profile meets the axis at s = {end}: r must be odd and z even in the "
             f"distance from there; the best such functions miss it by {error:.1e} m"
         )
-    coefficients = _cap_fit(_around_pole(curve, end, towards, length), length, degree)[0]
-    return pack([Direction.chebyshev(np.array([0.0, length**2]), degree)], coefficients), (_CAP_KEPT * length) ** 2
+    direction = Direction.chebyshev(np.array([0.0, length**2]), len(coefficients) - 1)
+    return pack([direction], coefficients), (_CAP_KEPT * length) ** 2
 
 
 # Where a cap is fitted, in d^2 relative to its reach.
 _CAP_NODES = 0.5 + 0.5 * chebyshev_nodes(5 * _CAP_DEGREE)
 
 
-def _around_pole(curve: Contour, end: float, towards: float, length: float) -> np.ndarray:
-    return np.array([curve.point(end + towards * d)[:2] for d in length * np.sqrt(_CAP_NODES)])
-
-
-def _cap_fit(values: np.ndarray, length: float, degree: int) -> tuple[np.ndarray, float]:
+def _cap_fit(curve: Contour, end: float, towards: float, length: float, degree: int) -> tuple[np.ndarray, float]:
     """Chebyshev coefficients (degree + 1, 2) of (g, k) that fit (r, z), and the largest deviation."""
     d = length * np.sqrt(_CAP_NODES)[:, None]
+    values = curve.evaluate_many(end + towards * d)[:, F, :2]
     powers = chebyshev.chebvander(2.0 * _CAP_NODES - 1.0, degree)
     # Fitting r = d g instead of g keeps the rounding of r near the pole from being divided by d.
     g = np.linalg.lstsq(d / length * powers, values[:, 0] / length, rcond=None)[0]
@@ -255,14 +229,12 @@ def _cap_fit(values: np.ndarray, length: float, degree: int) -> tuple[np.ndarray
 
 
 def _assemble(profile_pool: np.ndarray, caps: list[tuple[np.ndarray, float] | None]) -> np.ndarray:
-    header = np.zeros(POOL_HEADER)
+    header = np.zeros(_PROFILE)
     parts = [header, profile_pool]
-    header[PROFILE] = POOL_HEADER
-    for cap, offset, reach in zip(caps, (LOW_CAP, HIGH_CAP), (LOW_REACH, HIGH_REACH)):
+    for end, cap in enumerate(caps):
         if cap is not None:
-            header[offset] = sum(part.size for part in parts)
+            header[_CAPS + end], header[_REACHES + end] = sum(part.size for part in parts), cap[1]
             parts.append(cap[0])
-            header[reach] = cap[1]
     return np.concatenate(parts)
 
 
@@ -292,27 +264,21 @@ def revolution_source(chart, shape, pool, u1, u2):
     """
     traced = shape[TRACED] != 0.0
     if chart == 0:
-        return int(pool[PROFILE]), u2, traced
-    w = u1 * u1 + u2 * u2
-    if chart == 1:
-        if w <= pool[LOW_REACH]:
-            return int(pool[LOW_CAP]), w, False
-        return int(pool[PROFILE]), shape[LOW] + math.sqrt(w), traced
-    if w <= pool[HIGH_REACH]:
-        return int(pool[HIGH_CAP]), w, False
-    return int(pool[PROFILE]), shape[HIGH] - math.sqrt(w), traced
+        return _PROFILE, u2, traced
+    w, end = u1 * u1 + u2 * u2, chart - 1
+    if w <= pool[_REACHES + end]:
+        return int(pool[_CAPS + end]), w, False
+    return _PROFILE, shape[ENDS + end] + (1.0 - 2.0 * end) * math.sqrt(w), traced
 
 
 @contour_kernel
-def revolution(chart, shape, pool, pool_size, u1, u2, t, out):
-    numbers, table, f = reals_at(shape, SHAPE_SIZE), reals_at(pool, pool_size), matrix_at(out, DERIVATIVE_ROWS, 3)
-    start, argument, is_tape = revolution_source(chart, numbers, table, u1, u2)
+def revolution(chart, shape, pool, u1, u2, t, out):
+    start, argument, is_tape = revolution_source(chart, shape, pool, u1, u2)
     if is_tape:
-        tape(table[start:], argument, u2, t, f)
+        tape(pool[start:], argument, u2, t, out)
     else:
-        piecewise(table[start:], argument, u2, t, f)
-    revolve(chart, numbers, table, u1, u2, f)
-    return 0
+        piecewise(pool[start:], argument, u2, t, out)
+    revolve(chart, shape, pool, u1, u2, out)
 
 
 @kernel
@@ -321,17 +287,16 @@ def revolve(chart, shape, pool, u1, u2, out):
 
     That is found, with its derivatives, in columns 0 and 1 of the rows F, F_1, F_11 of out, which this fills.
     """
-    hand = shape[HAND]
+    hand, towards = shape[HAND], 3.0 - 2.0 * chart
     g, g_w, g_ww = out[0, 0], out[1, 0], out[3, 0]
     k, k_w, k_ww = out[0, 1], out[1, 1], out[3, 1]
     if chart == 0:
         put_revolved(out, 0, math.cos(u1), math.sin(u1), g, k, g_w, k_w, g_ww, k_ww, 1.0, hand)
         return
     w = u1 * u1 + u2 * u2
-    if w > (pool[LOW_REACH] if chart == 1 else pool[HIGH_REACH]):
+    if w > pool[_REACHES + chart - 1]:
         # This is the profile (r, z)(s): by d first, with r = d g, then by w, with dw = 2 d dd.
         d = math.sqrt(w)
-        towards = 1.0 if chart == 1 else -1.0
         g /= d
         g_d = (towards * g_w - g) / d
         g_w = 0.5 * g_d / d
@@ -341,7 +306,7 @@ def revolve(chart, shape, pool, u1, u2, out):
         k_ww = 0.25 * (k_ww - k_d / d) / w
     a, b = u1, u2
     # The cap at the low end turns the other way round its pole.
-    hand = -hand if chart == 1 else hand
+    hand *= -towards
     cross = 2.0 * a * b * g_w
     aa, bb = 4.0 * a * a * g_ww, 4.0 * b * b * g_ww
     out[0, 0], out[0, 1], out[0, 2] = a * g, hand * b * g, k

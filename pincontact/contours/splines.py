@@ -8,12 +8,10 @@ import numpy as np
 import scipy
 
 from ..errors import ContourError
-from ..workspace import matrix_at, reals_at
 from .base import Contour
 from .checks import array, flag, flags, in_space
 from .evaluation import contour_kernel
 from .piecewise import Direction, chebyshev_nodes, fitted, pack, piecewise
-from .sizes import DERIVATIVE_ROWS
 from .surfaces import put_plane
 
 if TYPE_CHECKING:
@@ -47,9 +45,13 @@ def spline(
     )
 
 
-def chords(points: np.ndarray) -> np.ndarray:
-    """Chord lengths accumulated along points (n, d)."""
-    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+def chords(owner: str, points: np.ndarray) -> np.ndarray:
+    """Chord lengths accumulated along points (n, d). Raises ContourError where two coincide."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if not (steps > 0.0).all():
+        i = int(np.argmin(steps))
+        raise ContourError(f"{owner}: points {i} and {i + 1} coincide at {points[i].tolist()}")
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def spline_pool(curve: scipy.interpolate.BSpline, periodic: bool) -> np.ndarray:
@@ -113,10 +115,7 @@ class SplineCurve(Contour):
             if periodic:
                 through = np.concatenate([through, through[:1]])
             if parameters is None:
-                u = chords(through)
-                if not (np.diff(u) > 0.0).all():
-                    i = int(np.argmin(np.diff(u)))
-                    raise ContourError(f"{owner}: points {i} and {i + 1} coincide at {through[i]}")
+                u = chords(owner, through)
             else:
                 u = array(owner, "parameters", parameters, len(through))
             curve = spline(owner, u, through, degree, periodic)
@@ -236,9 +235,7 @@ def height_grid(owner: str, x: Any, y: Any, z: Any, degree: int) -> tuple[np.nda
 
 
 @contour_kernel
-def height_spline(chart, shape, pool, pool_size, u1, u2, t, out):
+def height_spline(chart, shape, pool, u1, u2, t, out):
     """(u1, u2, z), whose column z is a spline."""
-    f = matrix_at(out, DERIVATIVE_ROWS, 3)
-    put_plane(f, u1, u2)
-    piecewise(reals_at(pool, pool_size), u1, u2, t, f)
-    return 0
+    put_plane(out, u1, u2)
+    piecewise(pool, u1, u2, t, out)

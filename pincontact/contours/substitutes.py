@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from . import tape as ops
-from .graph import SUBSTITUTES, Symbol, Untraceable, as_number, holds_symbols, two
+from .graph import SUBSTITUTES, Symbol, Untraceable, as_number, holds_symbols
 
 
 def _lift(symbolic: Callable[..., Any], plain: Callable[..., Any]) -> Callable[..., Any]:
@@ -38,10 +38,49 @@ def _lift(symbolic: Callable[..., Any], plain: Callable[..., Any]) -> Callable[.
     return function
 
 
-def _hypot(*arguments: Any) -> Any:
-    if len(arguments) == 2:
-        return two(ops.HYPOT, *arguments)
-    return sum(value * value for value in arguments) ** 0.5
+def _sum(x: Any, y: Any, sign: float = 1.0) -> Any:
+    """x + sign y."""
+    if isinstance(x, Symbol) and isinstance(y, Symbol):
+        return x.graph.linear(x.index, y.index, 1.0, sign)
+    return x.affine(1.0, sign * y) if isinstance(x, Symbol) else y.affine(sign, x)
+
+
+def _product(x: Any, y: Any) -> Any:
+    if isinstance(x, Symbol) and isinstance(y, Symbol):
+        return x.graph.multiply(x.index, y.index)
+    return x.affine(y, 0.0) if isinstance(x, Symbol) else y.affine(x, 0.0)
+
+
+def _quotient(x: Any, y: Any) -> Any:
+    if not isinstance(y, Symbol):
+        return x.affine(1.0 / y, 0.0)
+    if isinstance(x, Symbol):
+        return 1.0 if x.index == y.index else x.graph.symbol(ops.DIVIDE, x.index, y.index)
+    return 0.0 if x == 0.0 else y.one(ops.INVERSE, x)
+
+
+def _power(x: Any, y: Any) -> Any:
+    if isinstance(y, Symbol):
+        if not isinstance(x, Symbol) and not x > 0.0:
+            raise Untraceable(f"{x} to the power of a parameter is not smooth")
+        exponent = y * (x.one(ops.LOG) if isinstance(x, Symbol) else math.log(x))
+        return exponent.one(ops.EXP) if isinstance(exponent, Symbol) else 1.0
+    # those that have an instruction of their own, or need none
+    known = {0.0: lambda: 1.0, 1.0: lambda: x, 2.0: lambda: x * x, 0.5: lambda: x.one(ops.SQRT), -1.0: lambda: 1.0 / x}
+    return known[y]() if y in known else x.one(ops.POWER_CONSTANT, y)
+
+
+def _angle(y: Any, x: Any) -> Any:
+    graph, anchor = (x.graph, x.index) if isinstance(x, Symbol) else (y.graph, y.index)
+    # A constant is a multiple, by zero, of what the other argument is.
+    first, second = (
+        value if isinstance(value, Symbol) else graph.symbol(ops.AFFINE, anchor, d=value) for value in (y, x)
+    )
+    return graph.symbol(ops.ATAN2, first.index, second.index)
+
+
+def _length(*parts: Any) -> Any:
+    return sum(part * part for part in parts) ** 0.5
 
 
 def _log(x: Any, base: Any = math.e) -> Any:
@@ -50,10 +89,29 @@ def _log(x: Any, base: Any = math.e) -> Any:
     return x / base
 
 
+def _difference(x: Any, y: Any) -> float:
+    """The difference, whose sign the path depends on from here if it is a symbol."""
+    difference = x - y
+    return difference.decided() if isinstance(difference, Symbol) else difference
+
+
 _DEGREE = math.pi / 180.0
 
-# Functions of one symbol, under their names in `math` and in NumPy.
+# Functions of which one argument at least is a symbol, under their names in `math` and in NumPy.
 _ELEMENTARY: list[tuple[str, Callable[..., Any]]] = [
+    ("add", _sum),
+    ("subtract", lambda x, y: _sum(x, y, -1.0)),
+    ("multiply", _product),
+    ("divide true_divide", _quotient),
+    ("pow power float_power", _power),
+    ("negative", lambda x: x.affine(-1.0, 0.0)),
+    ("positive", lambda x: x),
+    ("less", lambda x, y: _difference(x, y) < 0.0),
+    ("less_equal", lambda x, y: _difference(x, y) <= 0.0),
+    ("greater", lambda x, y: _difference(x, y) > 0.0),
+    ("greater_equal", lambda x, y: _difference(x, y) >= 0.0),
+    ("equal", lambda x, y: _difference(x, y) == 0.0),
+    ("not_equal", lambda x, y: _difference(x, y) != 0.0),
     ("sin", lambda x: x.one(ops.SIN)),
     ("cos", lambda x: x.one(ops.COS)),
     ("tan", lambda x: x.one(ops.TAN)),
@@ -71,36 +129,30 @@ _ELEMENTARY: list[tuple[str, Callable[..., Any]]] = [
     ("expm1", lambda x: x.one(ops.EXPM1)),
     ("log", _log),
     ("log1p", lambda x: x.one(ops.LOG1P)),
-    ("log2", lambda x: x.one(ops.LOG) / math.log(2.0)),
-    ("log10", lambda x: x.one(ops.LOG) / math.log(10.0)),
-    ("sqrt", lambda x: x.one(ops.SQRT)),
+    ("log2", lambda x: _log(x, 2.0)),
+    ("log10", lambda x: _log(x, 10.0)),
+    ("sqrt", lambda x: x**0.5),
     ("square", lambda x: x * x),
     ("reciprocal", lambda x: 1.0 / x),
-    ("fabs abs absolute", abs),
+    ("fabs abs absolute", lambda x: -x if x.decided() < 0.0 else x),
     ("sign", lambda x: 1.0 if x > 0.0 else -1.0),
     ("copysign", lambda x, y: abs(x) if y > 0.0 else -abs(x)),
     ("maximum fmax", lambda x, y: x if x > y else y),
     ("minimum fmin", lambda x, y: x if x < y else y),
     ("clip", lambda x, low, high: low if x < low else high if x > high else x),
     ("heaviside", lambda x, middle: 1.0 if x > 0.0 else 0.0),
-    ("floor", math.floor),
-    ("ceil", math.ceil),
-    ("trunc fix", math.trunc),
+    ("floor", Symbol.whole),
+    ("ceil", lambda x: -(-x).whole()),
+    ("trunc fix", int),
     ("rint", round),
-    ("mod", lambda x, y: x % y),
-    ("fmod", lambda x, y: x - y * math.trunc(x / y)),
-    ("floor_divide", lambda x, y: x // y),
-    ("negative", lambda x: -x),
-    ("positive", lambda x: x),
+    ("floor_divide", lambda x, y: float(np.floor(x / y))),
+    ("mod", lambda x, y: x - y * (x // y)),
+    ("divmod", lambda x, y: (x // y, x % y)),
+    ("fmod", lambda x, y: x - y * int(x / y)),
     ("radians deg2rad", lambda x: x * _DEGREE),
     ("degrees rad2deg", lambda x: x / _DEGREE),
-    ("atan2 arctan2", functools.partial(two, ops.ATAN2)),
-    ("hypot", _hypot),
-    ("pow power float_power", lambda x, y: x**y),
-    ("add", lambda x, y: x + y),
-    ("subtract", lambda x, y: x - y),
-    ("multiply", lambda x, y: x * y),
-    ("divide true_divide", lambda x, y: x / y),
+    ("atan2 arctan2", _angle),
+    ("hypot", _length),
 ]
 
 
@@ -118,10 +170,10 @@ def _norm(value: Any, *arguments: Any, **keywords: Any) -> Any:
         return np.linalg.norm(value, *arguments, **keywords)
     if arguments or keywords:
         raise Untraceable("np.linalg.norm of a parameter with options")
-    return sum(part * part for part in np.asarray(value, dtype=object).ravel()) ** 0.5
+    return _length(*np.asarray(value, dtype=object).ravel())
 
 
-def _sum(values: Any) -> Any:
+def _fsum(values: Any) -> Any:
     return sum(values) if any(isinstance(value, Symbol) for value in values) else math.fsum(values)
 
 
@@ -145,7 +197,7 @@ SUBSTITUTES |= {
     np.empty: _filled(0.0),
     np.linalg.norm: _norm,
     np.float64: _Float,
-    math.fsum: _sum,
+    math.fsum: _fsum,
     float: _Float,
 }
 for _names, _symbolic in _ELEMENTARY:
@@ -156,22 +208,10 @@ for _names, _symbolic in _ELEMENTARY:
                 SUBSTITUTES[_plain] = _lift(_symbolic, _plain)
 
 
-class _Module(types.ModuleType):
-    """A module whose functions know symbols."""
-
-    def __init__(self, module: types.ModuleType, memo: dict[Any, Any]) -> None:
-        super().__init__(module.__name__)
-        self.__dict__["_origin"] = (module, memo)
-
-    def __getattr__(self, name: str) -> Any:
-        module, memo = self.__dict__["_origin"]
-        return replaced(getattr(module, name), memo)
-
-
 def replaced(value: Any, memo: dict[Any, Any]) -> Any:
     """`value` as it should look to code that runs on symbols; `memo` keeps what was already replaced."""
     if isinstance(value, types.ModuleType):
-        return memo.setdefault(value, _Module(value, memo))
+        return memo.setdefault(value, _Instance(value, memo))
     try:
         if value in SUBSTITUTES:
             return SUBSTITUTES[value]
@@ -196,7 +236,7 @@ def replaced(value: Any, memo: dict[Any, Any]) -> Any:
 
 
 class _Instance:
-    """An object whose methods know symbols; what is assigned to it does not reach the original."""
+    """A module or object whose functions know symbols; what is assigned to it does not reach the original."""
 
     def __init__(self, origin: Any, memo: dict[Any, Any]) -> None:
         self.__dict__["_origin"] = (origin, memo)

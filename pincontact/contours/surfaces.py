@@ -7,14 +7,11 @@ from typing import Any
 
 from ..errors import ContourError
 from ..jit import kernel
-from ..workspace import matrix_at, reals_at
 from .base import ALL, ELLIPSOID, PLANE, SPHERE, TURN, Contour
-from .checks import interval, positive
+from .checks import interval, pair, positive
 from .curves import arc
 from .evaluation import contour_kernel
-from .sizes import DERIVATIVE_ROWS
 
-_HALF_TURN = (-0.5 * math.pi, 0.5 * math.pi)
 # A contact comes to an end so far from an apex, m, since u1' and the curvature grow without bound towards it.
 _APEX = 1e-6
 # (low, high) of both parameters, None for all of one.
@@ -23,11 +20,7 @@ Domain = tuple[tuple[float, float] | None, tuple[float, float] | None] | None
 
 def _pair(owner: str, domain: Domain) -> tuple[Any, Any]:
     """Both parts of the domain of a surface, each (low, high) or None; none means None for both."""
-    try:
-        first, second = (None, None) if domain is None else domain
-    except (TypeError, ValueError):
-        raise ContourError(f"{owner}: domain must be a pair of (low, high) or None, got {domain!r}") from None
-    return first, second
+    return (None, None) if domain is None else pair(owner, "domain", domain, "(low, high) or None")
 
 
 def _along(owner: str, name: str, given: Any) -> tuple[float, float]:
@@ -87,18 +80,7 @@ class Sphere(Contour):
 
     def __init__(self, radius: float) -> None:
         (radius,) = positive("Sphere", radius=radius)
-        super().__init__(
-            ellipsoid,
-            2,
-            shape=(radius, radius, radius),
-            domain=(TURN, _HALF_TURN),
-            periodic=(True, False),
-            limits=(ALL, ALL),
-            charts=(0, 1),
-            size=radius,
-            convex_side=1,
-            kind=SPHERE,
-        )
+        super().__init__(shape=(radius, radius, radius), size=radius, kind=SPHERE, **_OVAL)
 
 
 class Ellipsoid(Contour):
@@ -125,18 +107,7 @@ class Ellipsoid(Contour):
 
     def __init__(self, a: float, b: float, c: float) -> None:
         a, b, c = positive("Ellipsoid", a=a, b=b, c=c)
-        super().__init__(
-            ellipsoid,
-            2,
-            shape=(a, b, c),
-            domain=(TURN, _HALF_TURN),
-            periodic=(True, False),
-            limits=(ALL, ALL),
-            charts=(0, 1),
-            size=max(a, b, c),
-            convex_side=1,
-            kind=ELLIPSOID,
-        )
+        super().__init__(shape=(a, b, c), size=max(a, b, c), kind=ELLIPSOID, **_OVAL)
 
 
 class Cylinder(Contour):
@@ -254,13 +225,10 @@ class Torus(Contour):
 
 
 @contour_kernel
-def plane(chart, shape, pool, pool_size, u1, u2, t, out):
-    f = matrix_at(out, DERIVATIVE_ROWS, 3)
-    f[0, 2] = 0.0
-    put_plane(f, u1, u2)
-    for row in range(1, 6):
-        f[row, 2] = 0.0
-    return 0
+def plane(chart, shape, pool, u1, u2, t, out):
+    put_plane(out, u1, u2)
+    for row in range(6):
+        out[row, 2] = 0.0
 
 
 @kernel
@@ -290,15 +258,14 @@ def put_revolved(out, turn, c, s, r, z, r_2, z_2, r_22, z_22, a, b):
 
 
 @contour_kernel
-def ellipsoid(chart, shape, pool, pool_size, u1, u2, t, out):
+def ellipsoid(chart, shape, pool, u1, u2, t, out):
     """An ellipse with semi-axes 1 and c, turned about its second axis and stretched by a and b."""
-    axes = reals_at(shape, 3)
-    a, b, c = axes[0], axes[1], axes[2]
+    a, b, c = shape[0], shape[1], shape[2]
     if chart == 1:
         a, b, c = b, c, a
     c2, s2 = math.cos(u2), math.sin(u2)
     put_revolved(
-        matrix_at(out, DERIVATIVE_ROWS, 3),
+        out,
         chart,
         math.cos(u1),
         math.sin(u1),
@@ -311,26 +278,29 @@ def ellipsoid(chart, shape, pool, pool_size, u1, u2, t, out):
         a,
         b,
     )
-    return 0
+
+
+# What balls and ellipsoids have in common.
+_OVAL: dict[str, Any] = {
+    "evaluator": ellipsoid,
+    "dimension": 2,
+    "domain": (TURN, (-0.5 * math.pi, 0.5 * math.pi)),
+    "periodic": (True, False),
+    "limits": (ALL, ALL),
+    "charts": (0, 1),
+    "convex_side": 1,
+}
 
 
 @contour_kernel
-def straight_profile(chart, shape, pool, pool_size, u1, u2, t, out):
+def straight_profile(chart, shape, pool, u1, u2, t, out):
     """The profile r = r_0 + slope u2, z = climb u2, turned about z: a cylinder or a cone."""
-    numbers = reals_at(shape, 3)
-    slope, climb = numbers[1], numbers[2]
-    r, z = numbers[0] + slope * u2, climb * u2
-    put_revolved(
-        matrix_at(out, DERIVATIVE_ROWS, 3), 0, math.cos(u1), math.sin(u1), r, z, slope, climb, 0.0, 0.0, 1.0, 1.0
-    )
-    return 0
+    slope, climb = shape[1], shape[2]
+    r, z = shape[0] + slope * u2, climb * u2
+    put_revolved(out, 0, math.cos(u1), math.sin(u1), r, z, slope, climb, 0.0, 0.0, 1.0, 1.0)
 
 
 @contour_kernel
-def torus(chart, shape, pool, pool_size, u1, u2, t, out):
-    radii = reals_at(shape, 2)
-    r, z = radii[1] * math.cos(u2), radii[1] * math.sin(u2)
-    put_revolved(
-        matrix_at(out, DERIVATIVE_ROWS, 3), 0, math.cos(u1), math.sin(u1), radii[0] + r, z, -z, r, -r, -z, 1.0, 1.0
-    )
-    return 0
+def torus(chart, shape, pool, u1, u2, t, out):
+    r, z = shape[1] * math.cos(u2), shape[1] * math.sin(u2)
+    put_revolved(out, 0, math.cos(u1), math.sin(u1), shape[0] + r, z, -z, r, -r, -z, 1.0, 1.0)

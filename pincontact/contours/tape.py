@@ -11,10 +11,8 @@ import math
 from typing import NamedTuple
 
 from ..jit import kernel
-from ..workspace import matrix_at, reals_at
 from .evaluation import contour_kernel
 from .periods import wrapped
-from .sizes import DERIVATIVE_ROWS
 
 # Header of a tape: offsets into its pool.
 COUNT, VARIABLES, WIDTH, SCRATCH, OUTPUTS = range(5)
@@ -27,7 +25,7 @@ INSTRUCTION_SIZE = 5  # opcode, offset of a, offset of b, constant c, constant d
 
 # Linear instructions, then SINCOS (two slots), then functions of two arguments, then of one.
 LINEAR, AFFINE, SINCOS = range(3)
-MULTIPLY, DIVIDE, POWER, ATAN2, HYPOT = range(3, 8)
+MULTIPLY, DIVIDE, ATAN2 = range(3, 6)
 (
     SQUARE,
     INVERSE,
@@ -46,7 +44,7 @@ MULTIPLY, DIVIDE, POWER, ATAN2, HYPOT = range(3, 8)
     ASINH,
     ACOSH,
     ATANH,
-) = range(8, 25)
+) = range(6, 23)
 # Of a formula before it is a tape: a variable, and sine and cosine, which one instruction computes together.
 VARIABLE, SIN, COS = -1, -2, -3
 
@@ -166,21 +164,11 @@ def function_of_two(op, x, y):
         f = x / y
         f_y = -f * inverse
         return f, inverse, f_y, 0.0, -inverse * inverse, -2.0 * f_y * inverse
-    if op == ATAN2:
-        scale = 1.0 / (x * x + y * y)
-        f_x, f_y = y * scale, -x * scale
-        f_xx = -2.0 * x * f_x * scale
-        return math.atan2(x, y), f_x, f_y, f_xx, (x * x - y * y) * scale * scale, -f_xx
-    if op == HYPOT:
-        f = math.hypot(x, y)
-        f_x, f_y = x / f, y / f
-        return f, f_x, f_y, f_y * f_y / f, -f_x * f_y / f, f_x * f_x / f
-    # POWER, x > 0.
-    f = x**y
-    log_x = math.log(x)
-    f_x = y * f / x
-    f_y = f * log_x
-    return f, f_x, f_y, (y - 1.0) * f_x / x, f / x + f_x * log_x, f_y * log_x
+    # ATAN2
+    scale = 1.0 / (x * x + y * y)
+    f_x, f_y = y * scale, -x * scale
+    f_xx = -2.0 * x * f_x * scale
+    return math.atan2(x, y), f_x, f_y, f_xx, (x * x - y * y) * scale * scale, -f_xx
 
 
 @kernel
@@ -254,7 +242,6 @@ def tape(pool, u1, u2, t, out):
 
 
 @contour_kernel
-def traced(chart, shape, pool, pool_size, u1, u2, t, out):
+def traced(chart, shape, pool, u1, u2, t, out):
     """Evaluates contours whose pool is a tape."""
-    tape(reals_at(pool, pool_size), u1, u2, t, matrix_at(out, DERIVATIVE_ROWS, 3))
-    return 0
+    tape(pool, u1, u2, t, out)

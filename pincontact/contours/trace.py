@@ -15,10 +15,10 @@ import numpy as np
 
 from . import tape as ops
 from .base import F_1, F_1T, F_2, F_2T, F_11, F_12, F_22, F_T, F_TT, F
-from .enclosures import ORIGIN, Check, is_risky
+from .enclosures import ORIGIN, Check, Interval, is_risky, margins, values
 from .graph import Graph, Symbol, Untraceable
 from .substitutes import replaced
-from .tape import COS, SIN, VARIABLE, Node
+from .tape import COS, SIN, VARIABLE, Node, traced
 
 # What a slot's entries are, by the variables of the tape: rows of the derivative array.
 ROWS = {
@@ -28,41 +28,45 @@ ROWS = {
     "uvt": (F, F_1, F_2, F_T, F_11, F_12, F_1T, F_22, F_2T, F_TT),
 }
 
+# Kinds of checks.
+COMPARISON, RISK, CUT = range(3)
 
-@dataclass(frozen=True)
-class Tape:
-    """A traced function.
 
-    pool:            the tape as the kernels read it (writable: it holds its own scratch area)
-    time_dependent:  whether t occurs in it
-    constants:       for each output its value if it does not depend on any variable, else None
+@dataclass
+class Program:
+    """What became of a formula.
+
+    evaluator:       kernel of the contour that evaluates it
+    pool:            what that reads (writable: a tape holds its own scratch area)
+    time_dependent:  t occurs in it
+    constants:       for each output its value if it depends on no variable, else None
+    error:           of the fit in the formula's unit, 0 for a tape
+    times:           (first, last) time in s at which it is tried; none where t does not occur
     """
 
+    evaluator: Any
     pool: np.ndarray
     time_dependent: bool
     constants: tuple[float | None, ...]
-
-    @property
-    def instructions(self) -> int:
-        """How many instructions it has."""
-        return int(self.pool[ops.COUNT])
+    error: float = 0.0
+    times: tuple[tuple[float, float], ...] = ()
 
 
 class Path:
     """What a function does at one point, and wherever else its comparisons have the same outcome.
 
-    graph:        its expressions
-    reason:       why there is no tape, empty if there is one
-    comparisons:  the signs that its comparisons found
-    risks:        the operations of its tape that are not smooth for all arguments
-    cuts:         the angles of its tape, which jump by a turn at their cut
+    graph:     its expressions
+    reason:    why there is no tape, empty if there is one
+    checks:    what decides where it holds and where it is smooth
+    kinds:     of these: COMPARISON, RISK (an operation of its tape that is not smooth for all arguments) or CUT (an
+               angle of its tape, which jumps by a turn there)
+    order:     nodes that the checks depend on
+    decisive:  nodes that the comparisons depend on
     """
 
-    def __init__(
-        self, function: Callable[..., Any], variables: str, outputs: int, at: Sequence[float] | None = None
-    ) -> None:
-        self.graph = Graph(None if at is None else dict(zip(variables, at)))
-        self.reason = ""
+    def __init__(self, function: Callable[..., Any], variables: str, outputs: int, at: Sequence[float]) -> None:
+        self.graph = Graph(variables, at)
+        self.variables, self.reason = variables, ""
         self._components: list[Any] = []
         arguments = [self.graph.symbol(VARIABLE, name=name) for name in variables]
         try:
@@ -73,32 +77,50 @@ class Path:
             self.reason = str(reason)
         except Exception as error:  # whatever the user's code raises on a symbol means the same
             self.reason = f"{type(error).__name__}: {error}"
-        roots = [part.index for part in self._components if isinstance(part, Symbol)]
-        self._order = self.graph.reachable(roots)
-        used = [] if self.reason else [self.graph.nodes[index] for index in self._order]
-        self.comparisons: list[Check] = self.graph.comparisons
-        self.risks: list[Check] = [check for node in used if (check := _risk(node)) is not None]
-        self.cuts: list[Check] = [(ops.ATAN2, node.x, node.y, 0.0) for node in used if node.op == ops.ATAN2]
+        reachable = self.graph.reachable
+        self._used = reachable(part.index for part in self._components if isinstance(part, Symbol))
+        used = [] if self.reason else [self.graph.nodes[index] for index in self._used]
+        comparisons = list(dict.fromkeys(self.graph.comparisons))
+        risks = [check for node in used if (check := _risk(node)) is not None]
+        cuts: list[Check] = [(ops.ATAN2, node.x, node.y, 0.0) for node in used if node.op == ops.ATAN2]
+        self.checks = [*comparisons, *risks, *cuts]
+        self.kinds = np.repeat([COMPARISON, RISK, CUT], [len(comparisons), len(risks), len(cuts)])
+        self.order = reachable(index for check in self.checks for index in check[1:3])
+        self.decisive = reachable(check[1] for check in comparisons)
 
-    def tape(self, variables: str) -> Tape:
-        """The tape of this path. Raises `Untraceable` with the reason where there is none."""
-        if self.reason:
-            raise Untraceable(self.reason)
+    def values(self, points: np.ndarray, order: list[int]) -> dict[int, Interval]:
+        """Nodes at points (m, n)."""
+        return values(self.graph.nodes, order, self.variables, points)
+
+    def margins(
+        self, checks: Sequence[Check], low: np.ndarray, high: np.ndarray, inside: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """See `enclosures.margins`, of some of the checks."""
+        return margins(self.graph.nodes, self.order, checks, self.variables, low, high, inside)
+
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """Whether it is the function's path at points (m, n)."""
+        found = self.values(points, self.decisive)
+        out = np.ones(len(points), dtype=bool)
+        for (_, index, _, sign), kind in zip(self.checks, self.kinds):
+            if kind == COMPARISON:
+                out &= sign * found[index].lo >= 0.0
+        return out
+
+    def tape(self) -> Program:
+        """The tape of this path, which has no reason against it."""
         nodes = self.graph.nodes
-        timed = any(nodes[index].name == "t" for index in self._order)
-        variables = variables if timed else variables.replace("t", "")
-        slots, program, count = _program(nodes, self._order, variables)
+        timed = any(nodes[index].name == "t" for index in self._used)
+        variables = self.variables if timed else self.variables.replace("t", "")
+        slots, program, count = _program(nodes, self._used, variables)
         rows = ROWS[variables]
         width, n = len(rows), len(variables)
         scratch = ops.INSTRUCTIONS + ops.INSTRUCTION_SIZE * len(program)
         pool = np.zeros(scratch + count * width)
         pool[: ops.RESULTS] = len(program), n, width, scratch, len(self._components)
-        constants: list[float | None] = []
         for i, part in enumerate(self._components):
-            traced = isinstance(part, Symbol)
-            result = (scratch + width * slots[part.index], 0.0) if traced else (-1.0, part)
+            result = (scratch + width * slots[part.index], 0.0) if isinstance(part, Symbol) else (-1.0, part)
             pool[ops.RESULTS + 2 * i : ops.RESULTS + 2 * i + 2] = result
-            constants.append(None if traced else part)
         pool[ops.ROWS : ops.ROWS + width] = rows
         pool[ops.TIMES : ops.TIMES + 2] = -math.inf, math.inf
         for i, (op, a, b, c, d) in enumerate(program):
@@ -106,7 +128,8 @@ class Path:
             pool[at : at + ops.INSTRUCTION_SIZE] = op, scratch + width * a, scratch + width * b, c, d
         for i in range(n):
             pool[scratch + width * i + 1 + i] = 1.0
-        return Tape(pool, timed, tuple(constants))
+        constants = tuple(None if isinstance(part, Symbol) else part for part in self._components)
+        return Program(traced, pool, timed, constants)
 
 
 def _program(
@@ -138,20 +161,9 @@ def _risk(node: Node) -> Check | None:
     """Where an operation is not smooth, by the arguments that decide it: those of others would only mislead."""
     if node.op == ops.DIVIDE:
         return ops.INVERSE, node.y, node.y, 0.0
-    if node.op == ops.POWER:
-        return ops.POWER, node.x, node.x, 0.0
-    if node.op in (ops.ATAN2, ops.HYPOT):
-        return ORIGIN if node.op == ops.ATAN2 else ops.HYPOT, node.x, node.y, 0.0
+    if node.op == ops.ATAN2:
+        return ORIGIN, node.x, node.y, 0.0
     return (node.op, node.x, node.x, node.c) if is_risky(node.op, node.c) else None
-
-
-def trace(function: Callable[..., Any], variables: str, outputs: int) -> Tape:
-    """The tape of function(*variables) -> `outputs` numbers, which compares none of them.
-
-    variables: "u", "ut", "uv" or "uvt".
-    Raises `Untraceable` with the reason where the function does not follow from elementary operations.
-    """
-    return Path(function, variables, outputs).tape(variables)
 
 
 def _components(result: Any, outputs: int) -> list[Any]:

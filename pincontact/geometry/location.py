@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from ..contours.base import CIRCLE, ELLIPSE, ELLIPSOID, PLANE, POINT, SPHERE
+from ..contours.base import ELLIPSE, ELLIPSOID, PLANE, POINT, SPHERE
 from ..jit import kernel
 from ..layout import K1, K2, LENGTH, PATTERN
 from .carriers import OMEGA, ORIGIN
@@ -37,7 +37,7 @@ def closed_form(kind1: int, kind2: int) -> int:
     """Which closed form gives the contact coordinates of two kinds of contours, if any."""
     if kind2 == PLANE and kind1 == POINT:
         return POINT_ON_PLANE
-    if kind2 == PLANE and kind1 in (CIRCLE, ELLIPSE, SPHERE, ELLIPSOID):
+    if kind2 == PLANE and kind1 in (ELLIPSE, SPHERE, ELLIPSOID):
         return ROUND_ON_PLANE
     if kind2 == SPHERE and kind1 in (POINT, SPHERE):
         return POINT_ON_SPHERE if kind1 == POINT else SPHERE_ON_SPHERE
@@ -51,16 +51,13 @@ def second_row(a, b):
 
 
 @kernel
-def raw_normal(pattern, first, second, frame2, out, k_axis):
-    """N, the unnormalised normal e_1 x e_2 of Definition 5; k_axis receives the plane's normal of planar patterns."""
+def second_factor(pattern, first, second, vectors):
+    """s of the unnormalised normal N = t x s (e_1 x e_2 of Definition 5), where t is body 2's first tangent."""
     if pattern == ON_SURFACE:
-        cross(second[1], second[2], out)
-    elif pattern == PLANAR:
-        for i in range(3):
-            k_axis[i] = frame2[i, 2]
-        cross(second[1], k_axis, out)
-    elif pattern == CROSSING_CURVES:
-        cross(second[1], first[1], out)
+        return second[2]
+    if pattern == PLANAR:
+        return vectors[PLANE_NORMAL]
+    return first[1]
 
 
 # Rows of the scratch array `vectors` that belong to the contact under evaluation: r_2 - r_1, N, and the plane's normal
@@ -88,13 +85,11 @@ def location_jacobian(system, c):
         return
     # dN / du_2
     turned, other = vectors[_RATE], vectors[_NORMAL_RATE]
-    if pattern == ON_SURFACE:
-        cross(second[3], second[2], turned)
-        add_cross(tangent, second[4], turned)
-        cross(second[4], second[2], other)
-        add_cross(tangent, second[5], other)
-    elif pattern == PLANAR:
-        cross(second[3], vectors[PLANE_NORMAL], turned)
+    if pattern != CROSSING_CURVES:
+        for b in range(k2):
+            cross(second[3 + b], second_factor(pattern, first, second, vectors), vectors[_RATE + b])
+            if pattern == ON_SURFACE:
+                add_cross(tangent, second[4 + b], vectors[_RATE + b])
     for a in range(k1):
         along, row = first[1 + a], equations[_BODY_1 + a]
         row[0] = -dot(tangent, along)
@@ -121,6 +116,16 @@ def location_residual(system, c):
 
 
 @kernel
+def _solve_two(a, b, c, d, x, y):
+    """The determinant of [[a, b], [c, d]], and the solution of (x, y), zeros where there is none."""
+    determinant = a * d - b * c
+    if determinant == 0.0:
+        return 0.0, 0.0, 0.0
+    scale = 1.0 / determinant
+    return determinant, scale * (d * x - b * y), scale * (a * y - c * x)
+
+
+@kernel
 def solve_location(k1, k2, equations):
     """The solution of J p = right-hand sides, in their place. Returns det J; 0 leaves them as they are.
 
@@ -128,52 +133,35 @@ def solve_location(k1, k2, equations):
     of curvature, and singular only where body 1 is at its focus; what is left has as many unknowns as body 1 has
     parameters.
     """
-    metric, sides, row = equations[_METRIC], equations[SIDES], equations[_BODY_1]
+    metric, sides, row, below = equations[_METRIC], equations[SIDES], equations[_BODY_1], equations[_BODY_1 + 1]
+    m11, m12, m22, side, row_1, row_3 = metric[0], metric[1], metric[2], sides[1], row[1], row[3]
     if k2 == 1:
-        regular = metric[0]
-        if regular == 0.0:
-            return 0.0
-        p = sides[0] / regular
-        if k1 == 0:
-            sides[2] = p
-            return regular
-        x = row[0] / regular
-        rest = row[4] - row[2] * x
-        if rest == 0.0:
-            return 0.0
-        u = (sides[2] - row[2] * p) / rest
-        sides[0], sides[2] = u, p - x * u
-        # its columns are in the other order
-        return -regular * rest
-    regular = metric[0] * metric[2] - metric[1] * metric[1]
+        # as with a second parameter that nothing depends on
+        m12, m22, side, row_1, row_3 = 0.0, 1.0, 0.0, 0.0, 0.0
+    # u_2 = p - x u_1, or p - x u_11 - y u_12
+    regular, p1, p2 = _solve_two(m11, m12, m12, m22, sides[0], side)
     if regular == 0.0:
         return 0.0
-    scale = 1.0 / regular
-    a, b, d = scale * metric[2], -scale * metric[1], scale * metric[0]
-    # u_2 = p - x u_1, or p - x u_11 - y u_12
-    p1, p2 = a * sides[0] + b * sides[1], b * sides[0] + d * sides[1]
     if k1 == 0:
         sides[2], sides[3] = p1, p2
         return regular
-    x1, x2 = a * row[0] + b * row[1], b * row[0] + d * row[1]
-    first = row[4] - row[2] * x1 - row[3] * x2
-    right = sides[2] - row[2] * p1 - row[3] * p2
+    _, x1, x2 = _solve_two(m11, m12, m12, m22, row[0], row_1)
+    first = row[4] - row[2] * x1 - row_3 * x2
+    right = sides[2] - row[2] * p1 - row_3 * p2
     if k1 == 1:
         if first == 0.0:
             return 0.0
         u = right / first
         sides[0], sides[2], sides[3] = u, p1 - x1 * u, p2 - x2 * u
-        return regular * first
-    below = equations[_BODY_1 + 1]
-    y1, y2 = a * below[0] + b * below[1], b * below[0] + d * below[1]
+        # of two curves the columns are in the other order
+        return regular * first if k2 == 2 else -regular * first
+    _, y1, y2 = _solve_two(m11, m12, m12, m22, below[0], below[1])
     second = row[5] - row[2] * y1 - row[3] * y2
     third = below[4] - below[2] * x1 - below[3] * x2
     fourth = below[5] - below[2] * y1 - below[3] * y2
-    other = sides[3] - below[2] * p1 - below[3] * p2
-    rest = first * fourth - second * third
+    rest, u, v = _solve_two(first, second, third, fourth, right, sides[3] - below[2] * p1 - below[3] * p2)
     if rest == 0.0:
         return 0.0
-    u, v = (fourth * right - second * other) / rest, (first * other - third * right) / rest
     sides[0], sides[1] = u, v
     sides[2], sides[3] = p1 - x1 * u - y1 * v, p2 - x2 * u - y2 * v
     return regular * rest
@@ -194,7 +182,7 @@ def rate_equations(system, c):
     first, second = system.derivatives[2 * c], system.derivatives[2 * c + 1]
     frame1, frame2, slip = system.frames[2 * c], system.frames[2 * c + 1], system.slip[c]
     vectors, sides = system.vectors, system.location_system[SIDES]
-    rate, normal_rate, plane_normal = vectors[_RATE], vectors[_NORMAL_RATE], vectors[PLANE_NORMAL]
+    rate, normal_rate = vectors[_RATE], vectors[_NORMAL_RATE]
     for a in range(k2):
         tangent_at_fixed_u(frame2, second, a, rate)
         sides[a] = -dot(second[1 + a], slip) - dot(rate, vectors[DIFFERENCE])
@@ -202,13 +190,13 @@ def rate_equations(system, c):
         tangent_at_fixed_u(frame1, first, 0, rate)
         sides[2] = -dot(first[1], slip) - dot(rate, vectors[DIFFERENCE])
     elif k1 > 0:
+        factor = second_factor(pattern, first, second, vectors)
         tangent_at_fixed_u(frame2, second, 0, rate)
+        cross(rate, factor, normal_rate)
         if pattern == ON_SURFACE:
-            cross(rate, second[2], normal_rate)
             tangent_at_fixed_u(frame2, second, 1, rate)
         else:
-            cross(rate, plane_normal, normal_rate)
-            cross(frame2[OMEGA], plane_normal, rate)
+            cross(frame2[OMEGA], factor, rate)
         add_cross(second[1], rate, normal_rate)
         for a in range(k1):
             tangent_at_fixed_u(frame1, first, a, rate)
@@ -250,11 +238,10 @@ def round_on_plane(kind, chart, shape, frame1, frame2, branch, location, scratch
     for i in range(3):
         direction[i] = branch * frame2[i, 2]
     rotate_back(frame1[0:3], direction, local)
-    if kind in (ELLIPSE, ELLIPSOID):
-        # the parameter circle's or sphere's point is proportional to (a n_x, b n_y, c n_z)
-        for i in range(2 if kind == ELLIPSE else 3):
-            local[i] *= shape[i]
-    if kind in (SPHERE, ELLIPSOID):
+    # the parameter circle's or sphere's point is proportional to (a n_x, b n_y, c n_z)
+    for i in range(3):
+        local[i] *= shape[i]
+    if kind != ELLIPSE:
         _set_angles(chart, local, location[0:2])
         return True
     if local[0] == 0.0 and local[1] == 0.0:

@@ -18,7 +18,7 @@ from ..workspace import Workspace
 from .carriers import ORIGIN
 from .location import NO_CLOSED_FORM
 from .patterns import CROSSING_CURVES
-from .search import Candidate, refine
+from .search import Candidate, evaluated, grid, refine, spaced
 
 # Cells of a curve and along each parameter of a surface to begin with, how often they are divided, and how many are.
 _CURVE_CELLS, _SURFACE_CELLS = 128, 24
@@ -62,7 +62,7 @@ class Whole:
         elif contour.dimension > 0:
             counts = (_WHOLE_CURVE,) if contour.dimension == 1 else _WHOLE_SURFACE
             centres, half = _cells(contour.domain, counts)
-            values = _values(contour, centres, t)
+            values = evaluated(contour, centres, t)
             self.parameters, self.points = centres, values[:, 0]
             self.radius = float(_reaches(values, half).max())
         low, high = self.points.min(axis=0), self.points.max(axis=0)
@@ -83,14 +83,12 @@ def bend(contour: Contour, t: float) -> float:
         return contour.shape[0]
     box = [(max(low, -_window(contour)), min(high, _window(contour))) for low, high in contour.domain]
     centres, _ = _cells(box, (_CURVE_CELLS,) if contour.dimension == 1 else (_SURFACE_CELLS,) * 2)
-    values = _values(contour, centres, t)
+    values = evaluated(contour, centres, t)
     sharpest = np.zeros(len(values))
     for first, second in ((1, 3), (2, 5))[: contour.dimension]:
-        squared = np.einsum("ni,ni->n", values[:, first], values[:, first])
-        across = values[:, second] - values[:, first] * (
-            np.einsum("ni,ni->n", values[:, first], values[:, second]) / np.maximum(squared, 1e-300)
-        ).reshape(-1, 1)
-        sharpest = np.maximum(sharpest, np.linalg.norm(across, axis=1) / np.maximum(squared, 1e-300))
+        across = np.linalg.norm(np.cross(values[:, first], values[:, second]), axis=1)
+        speed = np.maximum(np.linalg.norm(values[:, first], axis=1), 1e-100)
+        sharpest = np.maximum(sharpest, across / speed**3)
     curvature = float(np.quantile(sharpest, _SHARPEST))
     return 1.0 / curvature if curvature > 0.0 else math.inf
 
@@ -162,7 +160,7 @@ class NearestSearch:
         contour, extent = self.divided, self.whole.extent
         counts = (_CURVE_CELLS,) if contour.dimension == 1 else (_SURFACE_CELLS,) * 2
         centres, half = _cells(self._box(t, centre, beyond), counts)
-        values = _values(contour, centres, t)
+        values = evaluated(contour, centres, t)
         longest = [_LONGER * np.linalg.norm(values[:, 1 + a], axis=1).max() for a in range(contour.dimension)]
         halves = np.tile(half, (len(centres), 1))
         points = values[:, 0]
@@ -177,7 +175,7 @@ class NearestSearch:
             if not coarse.any() or len(centres) + 3 * coarse.sum() > _MOST_CELLS:
                 break
             parts = _divided(centres[coarse], halves[coarse], contour.dimension)
-            fresh = _values(contour, parts[0], t)[:, 0]
+            fresh = evaluated(contour, parts[0], t)[:, 0]
             centres = np.concatenate([centres[~coarse], parts[0]])
             halves = np.concatenate([halves[~coarse], parts[1]])
             points = np.concatenate([points[~coarse], fresh])
@@ -219,14 +217,10 @@ class NearestSearch:
         single.contact_int[0, MODE], single.contact_int[0, SIDE] = FRICTIONLESS, system.contact_int[c, SIDE]
         single.contact_int[0, DETERMINANT_SIGN] = 0
         side = int(system.contact_int[c, SIDE])
-        left, best, shortest = np.argsort(distances), None, math.inf
+        best, shortest = None, math.inf
         own, other = slice(2 * self._side, 2 * self._side + 2), slice(2 - 2 * self._side, 4 - 2 * self._side)
         point = np.zeros(3)
-        for _ in range(_STARTS):
-            if not left.size:
-                break
-            first = left[0]
-            left = left[np.linalg.norm(points[left] - points[first], axis=1) > apart]
+        for first in spaced(points, np.argsort(distances), apart, _STARTS):
             start = np.zeros(4)
             start[other], foot = self._foot(parameters[first], opposite[first], t)
             if isinstance(self.whole.contour, Sphere):
@@ -281,22 +275,12 @@ def _cells(box: list[tuple[float, float]] | tuple[tuple[float, float], ...], cou
     for a, (low, high) in enumerate(box):
         half[a] = 0.5 * (high - low) / counts[a]
         axes.append(low + half[a] * (2.0 * np.arange(counts[a]) + 1.0))
-    if len(axes) == 1:
-        return np.column_stack([axes[0], np.zeros_like(axes[0])]), half
-    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2), half
+    return grid(axes), half
 
 
 def _divided(centres: np.ndarray, halves: np.ndarray, dimension: int) -> tuple[np.ndarray, np.ndarray]:
-    smaller = 0.5 * halves
-    signs = [(-1, 0), (1, 0)] if dimension == 1 else [(-1, -1), (-1, 1), (1, -1), (1, 1)]
-    return (
-        np.concatenate([centres + smaller * np.array(sign) for sign in signs]),
-        np.concatenate([smaller] * len(signs)),
-    )
-
-
-def _values(contour: Contour, parameters: np.ndarray, t: float) -> np.ndarray:
-    return contour.evaluate_many(parameters[:, : contour.dimension], t)
+    smaller, signs = 0.5 * halves, grid([np.array([-1.0, 1.0])] * dimension)
+    return np.concatenate([centres + smaller * sign for sign in signs]), np.tile(smaller, (len(signs), 1))
 
 
 def _reaches(values: np.ndarray, half: np.ndarray) -> np.ndarray:

@@ -57,13 +57,9 @@ def moves_in_plane(model: pin.Model, body1: Carried, body2: Carried) -> bool:
         if body1.contour.dimension == 0:
             carried = _jacobian(model, data, body2, pose1)[3:]
             carried -= np.outer(normal, normal @ carried)
-            if np.abs(carried).max(initial=0.0) > _TOLERANCE and not _carried_by(model, body2.joint, body1.joint):
+            if np.abs(carried).max(initial=0.0) > _TOLERANCE and body2.joint not in list(model.supports[body1.joint]):
                 return False
     return True
-
-
-def _carried_by(model: pin.Model, ancestor: int, joint: int) -> bool:
-    return ancestor in list(model.supports[joint])
 
 
 def pose_of(data: pin.Data, body: Carried, t: float) -> pin.SE3:

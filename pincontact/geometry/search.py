@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -76,42 +77,24 @@ def find_candidates(system: Workspace, t: float, guess: np.ndarray, beyond: bool
     """
     contact = system.contacts[0]
     k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
-    known = np.concatenate([guess[:k1], guess[2 : 2 + k2]])
+    complete = bool(np.isfinite([*guess[:k1], *guess[2 : 2 + k2]]).all())
     statuses: set[int] = set()
     system.contact_int[0, DETERMINANT_SIGN] = 0
-    if system.contact_int[0, CLOSED_FORM] != NO_CLOSED_FORM:
+    form = int(system.contact_int[0, CLOSED_FORM])
+    if form != NO_CLOSED_FORM:
         start = np.where(np.isnan(guess), 0.0, guess)
-        form = int(system.contact_int[0, CLOSED_FORM])
-        found = [c for c in (refine(system, t, start, branch, statuses) for branch in BRANCHES[form]) if c is not None]
-        if np.isfinite(known).all() and len(found) > 1:
-            if form == ROUND_ON_PLANE:
-                # the guess of body 1 names the branch
-                found.sort(key=lambda c: float(np.abs(c.location[:k1] - guess[:k1]).max()))
-                return found[:1]
-            # the one to which Newton leads from there
-            system.contact_int[0, CLOSED_FORM] = NO_CLOSED_FORM
-            near = refine(system, t, guess, 1, statuses)
-            system.contact_int[0, CLOSED_FORM] = form
-            if near is not None:
-                return [c for c in found if _is_same(c, near, system)]
-    elif np.isfinite(known).all():
-        found = [c for c in (refine(system, t, guess, 1, statuses),) if c is not None]
+        starts = [(start, branch) for branch in BRANCHES[form]]
     else:
-        found = []
-        for start in _seeds(system, t, guess):
-            candidate = refine(system, t, start, 1, statuses)
+        starts = [(start, 1) for start in ([guess] if complete else _seeds(system, t, guess))]
+    found: list[Candidate] = []
+    for inside in (True, False):
+        for start, branch in starts if inside or (beyond and not found) else []:
+            candidate = refine(system, t, start, branch, statuses, inside)
             if candidate is not None and not any(_is_same(candidate, c, system) for c in found):
                 found.append(candidate)
-    if not found and beyond:
-        form = int(system.contact_int[0, CLOSED_FORM])
-        if form != NO_CLOSED_FORM:
-            starts = [(np.where(np.isnan(guess), 0.0, guess), branch) for branch in BRANCHES[form]]
-        else:
-            starts = [(seed, 1) for seed in _seeds(system, t, guess)]
-        for start, branch in starts:
-            candidate = refine(system, t, start, branch, statuses, inside=False)
-            if candidate is not None and not any(_is_same(candidate, c, system) for c in found):
-                found.append(candidate)
+    if complete and found:
+        # of a formula's solutions, the guess names one
+        found = [min(found, key=lambda c: _moved(system, c, guess, t))]
     if not found and SINGULAR in statuses:
         raise SingularContactError(
             f"contact {contact.name!r}: the location equations are singular wherever {contact.first.name!r} and "
@@ -119,6 +102,16 @@ def find_candidates(system: Workspace, t: float, guess: np.ndarray, beyond: bool
             abs(float(system.contact_real[0, CONDITION])),
         )
     return sorted(found, key=lambda c: abs(c.gap))
+
+
+def _moved(system: Workspace, found: Candidate, guess: np.ndarray, t: float) -> float:
+    """How far in m both contact points are on their contours from where a guess has them."""
+    way, contact = 0.0, system.contacts[0]
+    for side, contour in enumerate((contact.body1.contour, contact.body2.contour)):
+        own = slice(2 * side, 2 * side + contour.dimension)
+        point = contour.point(found.location[own], t, found.charts[side])
+        way += float(np.linalg.norm(point - contour.point(guess[own], t)))
+    return way
 
 
 def _is_same(a: Candidate, b: Candidate, system: Workspace) -> bool:
@@ -256,15 +249,20 @@ def _seeds(system: Workspace, t: float, guess: np.ndarray) -> list[np.ndarray]:
     where = np.hstack([first[1][ones], second[1][twos]])
     parameters = np.hstack([first[0][ones], second[0][twos]])
     for weight in _WEIGHTS:
-        left = np.argsort((distances + weight * length * misaligned).ravel())
-        for _ in range(_SEEDS // len(_WEIGHTS)):
-            if not left.size:
-                break
-            best = left[0]
-            seeds.append(parameters[best])
-            # seeds apart from each other, or all would fall into one basin
-            left = left[np.linalg.norm(where[left] - where[best], axis=1) > _APART * length]
+        order = np.argsort((distances + weight * length * misaligned).ravel())
+        # apart from each other, or all would fall into one basin
+        seeds += [parameters[i] for i in spaced(where, order, _APART * length, _SEEDS // len(_WEIGHTS))]
     return seeds
+
+
+def spaced(points: np.ndarray, order: np.ndarray, distance: float, count: int) -> Iterator[int]:
+    """The first points in this order, at most so many, each farther than that from those before."""
+    for _ in range(count):
+        if not order.size:
+            return
+        first = int(order[0])
+        yield first
+        order = order[np.linalg.norm(points[order] - points[first], axis=1) > distance]
 
 
 def _within(contour: Contour, a: int, t: float, window: float) -> tuple[float, float, int]:
@@ -308,12 +306,8 @@ def _sample(
             count = max(count, wanted) if contour.dimension == 1 else count
         inset = _INSET * (high - low)
         axes.append(np.linspace(low + inset, high - inset, count))
-    grid = np.zeros((1, 2))
-    if contour.dimension == 1:
-        grid = np.column_stack([axes[0], np.zeros_like(axes[0])])
-    elif contour.dimension == 2:
-        grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
-    values = contour.evaluate_many(grid[:, : contour.dimension], t)
+    parameters = grid(axes)
+    values = evaluated(contour, parameters, t)
     rotation = pose.rotation
     points = values[:, 0] @ rotation.T + pose.translation
     tangents = [_unit(values[:, 1 + a] @ rotation.T) for a in range(contour.dimension)]
@@ -322,7 +316,20 @@ def _sample(
         normals = np.cross(tangents[0], tangents[1])
     elif contour.dimension == 1:
         normals = np.cross(tangents[0], rotation[:, 2])
-    return grid, points, _unit(normals), tangents
+    return parameters, points, _unit(normals), tangents
+
+
+def grid(axes: list[np.ndarray]) -> np.ndarray:
+    """All points (n, 2) of a contour's parameters with values (n_1,), (n_2,) of each, zeros for those it has not."""
+    out = np.zeros((math.prod(len(axis) for axis in axes), 2))
+    for a, values in enumerate(np.meshgrid(*axes, indexing="ij")):
+        out[:, a] = values.ravel()
+    return out
+
+
+def evaluated(contour: Contour, parameters: np.ndarray, t: float) -> np.ndarray:
+    """f and its derivatives (n, 10, 3) at parameters (n, 2), zeros for those that the contour has not."""
+    return contour.evaluate_many(parameters[:, : contour.dimension], t)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -574,7 +574,8 @@ class Scene(Assembly):
         -----
         UserWarning
             Of a quaternion (1, 0, 0, 0), which is the identity where the real part comes first, and half a turn about x
-            here; (-1, 0, 0, 0) is the same half turn without a warning.
+            here; (-1, 0, 0, 0) is the same half turn without a warning. Of contacts that cannot all be closed, as four
+            legs of which one is short: gaps are left then, which runs keep.
 
         Examples
         --------

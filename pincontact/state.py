@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -49,6 +50,9 @@ if TYPE_CHECKING:
 # How far a quaternion's norm may be from 1 before it is taken for a mistake.
 _NORM_TOLERANCE = 1e-6
 _GAP_FRACTION = 0.05
+# Gaps that are left where contacts contradict each other are told beyond this part of a contact's length, which is
+# more than what files round.
+_GAP_LEFT = 1e-5
 _FLOAT = np.dtype(float)
 # Inertia that is left to a joint once all others are free, as part of what it moves, below which it is round-off.
 _NO_INERTIA = 1e-10
@@ -353,6 +357,19 @@ def _together(apart: dict[str, NoContactError]) -> NoContactError:
     return NoContactError(f"{str(first).removesuffix('.')}; nor do the contours touch of contacts {also}", first.gap)
 
 
+def _warn_of_gaps(system: RunSystem, t: float) -> None:
+    """Of more closed contacts than a body can have at once; a run would keep the gaps that a projection leaves."""
+    system.evaluate_kinematics(t)
+    gaps = [(system.contacts[c], float(np.hypot(*system.gaps[c]))) for c in system.closed()]
+    left = {contact.name: gap for contact, gap in gaps if gap > _GAP_LEFT * characteristic_length(contact)}
+    if left:
+        warnings.warn(
+            f"contacts {shortened(left)} cannot all be closed at once: gaps of up to {max(left.values()):.2g} m are "
+            "left, and runs keep them; start those open (free=) that do not touch.",
+            stacklevel=5,
+        )
+
+
 def _choose(contact: Contact, found: list[Candidate], is_free: bool, max_gap: float | None) -> Candidate:
     """The candidate nearest to touching, on the side asked for where the shapes tell sides apart."""
     pair = f"{contact.first.name!r} and {contact.second.name!r}"
@@ -410,5 +427,6 @@ def _correct(scene: Assembly, system: RunSystem, q: np.ndarray, v: np.ndarray, t
             f"{system.gaps[: system.nc, 0].tolist()} m",
             max((abs(g) for g in gaps.values()), default=math.nan),
         )
+    _warn_of_gaps(system, t)
     dq = pin.difference(scene.model, q, system.q)
     return Correction(gaps, slips, float(np.abs(dq).max(initial=0.0)), float(np.abs(system.v - v).max(initial=0.0)))

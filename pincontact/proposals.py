@@ -1,4 +1,4 @@
-"""Pairs of contours near each other that can keep a regular point contact, found by coal's broadphase."""
+"""Pairs of contours near each other that can keep a regular point contact, by the distances of their shapes."""
 
 from __future__ import annotations
 

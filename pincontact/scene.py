@@ -575,7 +575,7 @@ class Scene(Assembly):
         UserWarning
             Of a quaternion (1, 0, 0, 0), which is the identity where the real part comes first, and half a turn about x
             here; (-1, 0, 0, 0) is the same half turn without a warning. Of contacts that cannot all be closed, as four
-            legs of which one is short: gaps are left then, which runs keep.
+            legs of which one is short: gaps are left then.
 
         Examples
         --------

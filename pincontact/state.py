@@ -28,6 +28,7 @@ from .errors import ArgumentError, ModelError, NoContactError, SingularContactEr
 from .geometry.search import Candidate, find_candidates
 from .integration.contradictions import contradiction
 from .integration.discrete import DISCRETE_COLUMNS, read_discrete
+from .integration.impulse_trial import APART_AT_END
 from .integration.run_system import RunSystem
 from .layout import (
     BRANCH,
@@ -50,9 +51,6 @@ if TYPE_CHECKING:
 # How far a quaternion's norm may be from 1 before it is taken for a mistake.
 _NORM_TOLERANCE = 1e-6
 _GAP_FRACTION = 0.05
-# Gaps that are left where contacts contradict each other are told beyond this part of a contact's length, which is
-# more than what files round.
-_GAP_LEFT = 1e-5
 _FLOAT = np.dtype(float)
 # Inertia that is left to a joint once all others are free, as part of what it moves, below which it is round-off.
 _NO_INERTIA = 1e-10
@@ -358,14 +356,14 @@ def _together(apart: dict[str, NoContactError]) -> NoContactError:
 
 
 def _warn_of_gaps(system: RunSystem, t: float) -> None:
-    """Of more closed contacts than a body can have at once; a run would keep the gaps that a projection leaves."""
+    """Of more closed contacts than a body can have at once: the projection leaves gaps."""
     system.evaluate_kinematics(t)
     gaps = [(system.contacts[c], float(np.hypot(*system.gaps[c]))) for c in system.closed()]
-    left = {contact.name: gap for contact, gap in gaps if gap > _GAP_LEFT * characteristic_length(contact)}
+    left = {contact.name: gap for contact, gap in gaps if gap > APART_AT_END * characteristic_length(contact)}
     if left:
         warnings.warn(
             f"contacts {shortened(left)} cannot all be closed at once: gaps of up to {max(left.values()):.2g} m are "
-            "left, and runs keep them; start those open (free=) that do not touch.",
+            "left, which event-driven runs keep and time stepping refuses; start those open (free=) that do not touch.",
             stacklevel=5,
         )
 

@@ -235,7 +235,8 @@ def test_page_info_is_what_the_bar_shows(page, run):
     # five digits are kept
     assert contact["normal"][30] == pytest.approx(MASS * GRAVITY, rel=1e-5)
     assert contact["friction"][3] == pytest.approx(MU * MASS * GRAVITY, rel=1e-5)
-    assert contact["normal"][63] == 0.0
+    assert contact["limit"][3] == contact["limit"][30] == pytest.approx(MU * MASS * GRAVITY, rel=1e-5)
+    assert contact["normal"][63] == contact["limit"][63] == 0.0
     assert info["events"][1] == [HOP_START, CONTACT, "separate"] and info["events"][3] == [2.5, "", "user"]
 
 

@@ -46,7 +46,7 @@ def fingertip_above(model: pin.Model, frame: int, wanted: pin.SE3) -> np.ndarray
             return q
         jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
         q += np.linalg.lstsq(pin.Jlog6(wanted.actInv(data.oMf[frame])) @ jacobian, error, rcond=None)[0]
-    raise ArithmeticError(f"the fingertip cannot reach {wanted.translation}: {np.linalg.norm(error):.1e} are left")
+    raise ArithmeticError(f"the fingertip cannot reach {wanted.translation}: {np.linalg.norm(error):.1e} are left.")
 
 
 def main(html: Path | None = None, duration: float = 2.5) -> dict[str, float]:

@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except KeyboardInterrupt:
-        print("pincontact: interrupted", file=sys.stderr)
+        print("pincontact: interrupted.", file=sys.stderr)
         return INTERRUPTED
     except (ContactError, OSError) as error:
         text = " ".join(str(error).split())

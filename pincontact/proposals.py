@@ -1,4 +1,4 @@
-"""Pairs of contours near each other that can keep a regular point contact, found by coal's broadphase."""
+"""Pairs of contours near each other that can keep a regular point contact, by the distances of their shapes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from .arguments import check_flag, check_positive
 from .contacts import Assembly, AttachedContour
-from .contours import Circle, Contour, Cylinder, Ellipsoid, Line, Plane, Point, Sphere
+from .contours import Circle, Contour, Cylinder, Ellipsoid, Line, Plane, Point, Sphere, Torus
 from .geometry.patterns import PLANAR, candidate_patterns, find_pattern
 from .geometry.planar import moves_in_plane
 from .state import check_configuration, coordinates_of
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # Points, curves and patches get this radius or half thickness in m: next to nothing, and not zero, for coal's volumes.
 _THIN = 1e-9
-# Straight contours, or a rim and a plane, whose directions differ by less (rad) touch along a line or nowhere alone.
+# Straight contours, or a rim or tyre and a plane, touch along a line or nowhere alone if they differ by less, in rad.
 _PARALLEL = 1e-3
 _ROUND = (Sphere, Ellipsoid)
 # Pairs without a regular point contact in space, however they lie.
@@ -80,7 +80,12 @@ def _solid(contour: Contour) -> tuple[coal.ShapeBase, pin.SE3] | None:
         return coal.Ellipsoid(*contour.shape), pin.SE3.Identity()
     if isinstance(contour, Circle):
         return coal.Cylinder(contour.size, 2.0 * _THIN), pin.SE3.Identity()
-    if isinstance(contour, Plane) and np.isinf(contour.domain).all():
+    if isinstance(contour, Torus):
+        major, minor = contour.shape
+        hull = coal.Cylinder(major, 2.0 * _THIN)
+        hull.setSweptSphereRadius(minor)
+        return hull, pin.SE3.Identity()
+    if _is_endless(contour):
         return coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), pin.SE3.Identity()
     if not isinstance(contour, (Line, Plane, Cylinder)) or not np.isfinite(contour.domain).all():
         return None
@@ -91,6 +96,11 @@ def _solid(contour: Contour) -> tuple[coal.ShapeBase, pin.SE3] | None:
     extent, centre = np.full(3, 2.0 * _THIN), np.zeros(3)
     extent[: len(length)], centre[: len(length)] = length, middle
     return coal.Box(*extent), pin.SE3(np.eye(3), centre)
+
+
+def _is_endless(contour: Contour) -> bool:
+    """Whether it is a plane without ends."""
+    return isinstance(contour, Plane) and bool(np.isinf(contour.domain).all())
 
 
 def _held_together(model: pin.Model) -> set[tuple[int, int]]:
@@ -147,15 +157,18 @@ def _is_regular(model: pin.Model, a: AttachedContour, b: AttachedContour, place_
     kinds = {type(a.contour), type(b.contour)}
     if find_pattern("", one.contour, two.contour, None, planar).code == PLANAR:
         return kinds != {Line}
+    if Torus in kinds and not (_is_endless(a.contour) or _is_endless(b.contour)):
+        # coal has its convex hull, which is as far from a half-space, but has no hole for other things to be in
+        return False
     if isinstance(a.contour, _ROUND) or isinstance(b.contour, _ROUND):
         return True
     if kinds in _FLAT:
         return False
-    if kinds in ({Circle, Plane}, {Line}, {Line, Cylinder}, {Cylinder}):
+    if kinds in ({Circle, Plane}, {Torus, Plane}, {Line}, {Line, Cylinder}, {Cylinder}):
         return float(np.linalg.norm(np.cross(_direction(a, place_a), _direction(b, place_b)))) > math.sin(_PARALLEL)
     return True
 
 
 def _direction(attached: AttachedContour, place: pin.SE3) -> np.ndarray:
-    """Of a line, or the axis of a cylinder, rim or plane."""
+    """Of a line, or the axis of a cylinder, rim, tyre or plane."""
     return place.rotation[:, 0 if isinstance(attached.contour, Line) else 2]

@@ -175,7 +175,10 @@ def _floats(text: str) -> list[float]:
 def _urdf_shapes(
     model: pin.Model, root: ElementTree.Element, tag: str, folders: list[str]
 ) -> tuple[pin.GeometryModel, list[str]]:
-    """The shapes of a URDF of one kind, and those whose meshes cannot be read: they do not matter to the motion."""
+    """The shapes of a URDF of one kind, and those that cannot be read: they do not matter to the motion.
+
+    What is not read is taken out of the file's elements: behind it the parser finds no more shapes of the link.
+    """
     kind = pin.GeometryType.VISUAL if tag == "visual" else pin.GeometryType.COLLISION
 
     def build(owner: pin.Model, robot: ElementTree.Element) -> pin.GeometryModel:
@@ -183,23 +186,26 @@ def _urdf_shapes(
         return pin.buildGeomFromUrdfString(owner, text, kind, package_dirs=folders)
 
     try:
-        return build(model, root), []
+        shapes = build(model, root)
+        if shapes.ngeoms == len(root.findall(f"link/{tag}")):
+            return shapes, []
     except (ValueError, RuntimeError, IndexError):
         pass
     unread = []
-    for link in root.iter("link"):
+    for link in root.findall("link"):
         for shape in link.findall(tag):
-            mesh = shape.find("geometry/mesh")
-            if mesh is None:
-                continue
             # Pinocchio alone knows where it looks for a file, and what it can read
-            lone = ElementTree.Element("robot", name="r")
+            lone = ElementTree.Element("robot", root.attrib)
             ElementTree.SubElement(lone, "link", name="l").append(shape)
             try:
-                build(pin.buildModelFromXML(ElementTree.tostring(lone, encoding="unicode")), lone)
+                if build(pin.buildModelFromXML(ElementTree.tostring(lone, encoding="unicode")), lone).ngeoms:
+                    continue
             except (ValueError, RuntimeError, IndexError):
-                link.remove(shape)
-                unread.append(f"{tag} of link {link.get('name')!r} (mesh {mesh.get('filename')})")
+                pass
+            link.remove(shape)
+            mesh, kinds = shape.find("geometry/mesh"), [f"<{kind.tag}>" for kind in shape.findall("geometry/*")]
+            what = " ".join(kinds) or "no geometry" if mesh is None else f"mesh {mesh.get('filename')}"
+            unread.append(f"{tag} of link {link.get('name')!r} ({what})")
     try:
         return build(model, root), unread
     except (ValueError, RuntimeError, IndexError) as error:

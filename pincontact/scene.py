@@ -483,9 +483,9 @@ class Scene(Assembly):
     ) -> tuple[list[str], list[str]]:
         """Pairs of contours near each other that can keep a regular point contact, for `add_contacts`.
 
-        Points, spheres, ellipsoids, planes, rectangles, circles (as disks), and lines and cylinders with ends. Left out
-        are contours of one robot (what hangs from one joint of the world), of the world and a base that cannot
-        translate, pairs that have a contact, flat on flat, curve on rim, and what is parallel at q.
+        Points, spheres, ellipsoids, planes, rectangles, circles (as disks), tori on planes, and lines and cylinders
+        with ends. Left out are contours of one robot (what hangs from one joint of the world), of the world and a base
+        that cannot translate, pairs that have a contact, flat on flat, curve on rim, and what is parallel at q.
 
         Parameters
         ----------
@@ -574,7 +574,8 @@ class Scene(Assembly):
         -----
         UserWarning
             Of a quaternion (1, 0, 0, 0), which is the identity where the real part comes first, and half a turn about x
-            here; (-1, 0, 0, 0) is the same half turn without a warning.
+            here; (-1, 0, 0, 0) is the same half turn without a warning. Of contacts that cannot all be closed, as four
+            legs of which one is short: gaps are left then.
 
         Examples
         --------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -27,6 +28,7 @@ from .errors import ArgumentError, ModelError, NoContactError, SingularContactEr
 from .geometry.search import Candidate, find_candidates
 from .integration.contradictions import contradiction
 from .integration.discrete import DISCRETE_COLUMNS, read_discrete
+from .integration.impulse_trial import APART_AT_END
 from .integration.run_system import RunSystem
 from .layout import (
     BRANCH,
@@ -353,6 +355,19 @@ def _together(apart: dict[str, NoContactError]) -> NoContactError:
     return NoContactError(f"{str(first).removesuffix('.')}; nor do the contours touch of contacts {also}", first.gap)
 
 
+def _warn_of_gaps(system: RunSystem, t: float) -> None:
+    """Of more closed contacts than a body can have at once: the projection leaves gaps."""
+    system.evaluate_kinematics(t)
+    gaps = [(system.contacts[c], float(np.hypot(*system.gaps[c]))) for c in system.closed()]
+    left = {contact.name: gap for contact, gap in gaps if gap > APART_AT_END * characteristic_length(contact)}
+    if left:
+        warnings.warn(
+            f"contacts {shortened(left)} cannot all be closed at once: gaps of up to {max(left.values()):.2g} m are "
+            "left, which event-driven runs keep and time stepping refuses; start those open (free=) that do not touch.",
+            stacklevel=5,
+        )
+
+
 def _choose(contact: Contact, found: list[Candidate], is_free: bool, max_gap: float | None) -> Candidate:
     """The candidate nearest to touching, on the side asked for where the shapes tell sides apart."""
     pair = f"{contact.first.name!r} and {contact.second.name!r}"
@@ -410,5 +425,6 @@ def _correct(scene: Assembly, system: RunSystem, q: np.ndarray, v: np.ndarray, t
             f"{system.gaps[: system.nc, 0].tolist()} m",
             max((abs(g) for g in gaps.values()), default=math.nan),
         )
+    _warn_of_gaps(system, t)
     dq = pin.difference(scene.model, q, system.q)
     return Correction(gaps, slips, float(np.abs(dq).max(initial=0.0)), float(np.abs(system.v - v).max(initial=0.0)))

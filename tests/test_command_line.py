@@ -231,7 +231,7 @@ def test_interrupt(capsys, monkeypatch):
 
     monkeypatch.setattr("pincontact.__main__.load_scene", interrupted)
     assert main(["info", DISK]) == 130
-    assert capsys.readouterr().err == "pincontact: interrupted\n"
+    assert capsys.readouterr().err == "pincontact: interrupted.\n"
 
 
 def test_usage_is_bad_input(capsys):

@@ -1,6 +1,8 @@
-"""Velocity constraints that cannot be met together are told, with the contacts' names, in every method."""
+"""Constraints that cannot be met together are told, with the contacts' names: velocities in every method, gaps at the
+start."""
 
 import math
+import warnings
 
 import numpy as np
 import pinocchio as pin
@@ -65,3 +67,44 @@ def test_redundant_but_consistent_contacts_go_on(seed, method):
     run = pc.simulate(scene, scene.initial_state(q), 0.3, **METHODS[method])
     assert run.status == 0, run.message
     assert run.residuals()["VC"].max() <= 1e-12
+
+
+def table(short):
+    """On four round feet, one of which is short by so much."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "table")
+    model.appendBodyToJoint(joint, pin.Inertia.FromBox(2.0, 0.6, 0.4, 0.2), pin.SE3.Identity())
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    for k, (x, y) in enumerate(((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2))):
+        centre = pin.SE3(np.eye(3), np.array([x, y, short * (k == 0) - 0.08]))
+        foot = scene.add_contour(f"foot {k}", pc.Sphere(0.02), "table", centre)
+        scene.add_contact(f"foot {k}", foot, floor, friction=pc.Coulomb(0.5))
+    return scene, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0])
+
+
+def test_gaps_that_are_left_are_told():
+    """A table on four legs of which one is short: the nearest that all four come to the floor is a quarter of that."""
+    short = 4e-4
+    scene, q = table(short)
+    with pytest.warns(UserWarning, match=r"contacts foot 0, .* cannot all be closed.* 0.0001 m are left") as told:
+        state = scene.initial_state(q)
+    assert len(told) == 1 and told[0].filename == __file__
+    gaps = [pc.analyze(scene, state)[f"foot {k}"].f for k in range(4)]
+    np.testing.assert_allclose([np.abs(f).max() for f in gaps], short / 4.0, rtol=1e-3)
+    # it stands on three
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene.initial_state(q, free=["foot 0"])
+
+
+@pytest.mark.parametrize("part", [0.5, 2.0])
+def test_gaps_are_told_that_time_stepping_refuses(part):
+    """From a millionth of a foot's radius on, 20 mm."""
+    scene, q = table(4.0 * part * 1e-6 * 0.02)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        state = scene.initial_state(q)
+    assert len(told) == (part > 1.0)
+    run = pc.simulate(scene, state, 0.01, method="Moreau", dt=1e-3)
+    assert run.status == (-9 if told else 0)

@@ -118,6 +118,29 @@ def test_documents_use_names_that_are_there(document):
     assert not [f"{owner}.{name}" for owner, name in uses if name not in attributes(kinds[owner])]
 
 
+def keywords():
+    """Names of the arguments of all public functions and methods."""
+    from pincontact import gym
+
+    found = {"type"}  # an attribute of MuJoCo's files
+    for thing in [*(getattr(pc, name) for name in pc.__all__), gym.ContactEnv]:
+        methods = [method for name, method in vars(thing).items() if name[0] != "_"] if isinstance(thing, type) else []
+        for call in filter(callable, [thing, *(getattr(method, "__func__", method) for method in methods)]):
+            found |= set(inspect.signature(call).parameters)
+    return found
+
+
+@pytest.mark.parametrize("document", [DOCUMENTS[0], *DOCUMENTS[2:]], ids=lambda path: path.name)
+def test_documents_use_arguments_that_are_there(document):
+    """What stands before a `=` in inline code, as `redundant=` or `method="Moreau"`, but in elements of a file."""
+    pytest.importorskip("gymnasium", reason="needs gymnasium: pip install pincontact[gym]")
+    text = re.sub(r"```.*?```", "", document.read_text(encoding="utf-8"), flags=re.DOTALL)
+    named = {
+        name for code in re.findall(r"`([^<`\n][^`\n]*)`", text) for name in re.findall(r"(?:^|[(, ])(\w+)=(?!=)", code)
+    }
+    assert named <= keywords()
+
+
 def test_scene_files_are_described(tmp_path):
     """The tables of keys are those of the messages about unknown ones; the file that is shown runs."""
     text = (DOCS / "scene_files.md").read_text(encoding="utf-8")
@@ -160,7 +183,10 @@ def test_scene_files_are_described(tmp_path):
 
 
 def test_reference_lists_all_public_names():
-    listed = re.findall(r"^   (\w+)$", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
+    text = (DOCS / "api.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^   (\w+)$", text, re.MULTILINE)
+    # of an extra's module
+    assert "\n   gym.ContactEnv\n" in text
     missing, unknown = set(pc.__all__) - set(listed), set(listed) - set(pc.__all__)
     assert not missing and not unknown
     assert len(listed) == len(set(listed))

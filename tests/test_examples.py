@@ -111,10 +111,29 @@ def test_paper_section6():
     assert found["sliding_apart"] > 0.1 and 1.0 < found["sticks_at"] < 2.0
 
 
-def test_paper_section6_is_drawn(tmp_path):
-    pytest.importorskip("matplotlib", reason="Matplotlib is in the extra `plot`")
+def test_paper_section6_is_drawn(tmp_path, monkeypatch):
+    """Contact coordinates above, lengths of both traces below; the paper's dots lie on the package's lines."""
+    pyplot = pytest.importorskip("matplotlib.pyplot", reason="Matplotlib is in the extra `plot`")
+    drawn = []
+    monkeypatch.setattr(pyplot, "close", drawn.append)
     run_example("paper_section6", duration=0.2, plot=tmp_path / "section6.png")
     assert (tmp_path / "section6.png").stat().st_size > 10_000
+    monkeypatch.undo()
+    (figure,) = drawn
+    titles = [ax.get_title() for ax in figure.axes]
+    assert [title.split(";")[0] for title in titles[:2]] == ["rolling", "sliding"]
+    for ax, count in zip(figure.axes, (3, 3, 2, 2)):
+        lines, dots = (
+            [line for line in ax.lines if (line.get_linestyle() == "None") == dotted] for dotted in (False, True)
+        )
+        assert len(lines) == len(dots) == count
+        for line, dot in zip(lines, dots):
+            at = [list(line.get_xdata()).index(time) for time in dot.get_xdata()]
+            # both are integrated at 1e-11
+            assert line.get_ydata()[at] == pytest.approx(dot.get_ydata(), abs=1e-8)
+    rolling, sliding = ([line.get_ydata()[-1] for line in ax.lines[:2]] for ax in figure.axes[2:])
+    assert rolling[0] == pytest.approx(rolling[1], abs=1e-9) and abs(sliding[0] - sliding[1]) > 1e-2
+    pyplot.close(figure)
 
 
 def test_ball_in_bowl():

@@ -287,6 +287,32 @@ def test_a_ball_that_is_pulled_at_its_rim_rolls_as_fast_as_friction_lets_it():
         pc.inverse_dynamics(scene, state, wanted, actuation=torques, cones=True)
 
 
+def test_a_motor_that_is_too_weak_is_named():
+    """It pushes a rolling ball of mass m on a rail: 7/5 m a of force for a. The nearest is what its limit makes."""
+    model = pin.Model()
+    along = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "along")
+    up = model.addJoint(along, pin.JointModelPZ(), pin.SE3.Identity(), "up")
+    spin = model.addJoint(up, pin.JointModelRY(), pin.SE3.Identity(), "spin")
+    mass, limit, wanted = 2.0, 5.0, 4.0
+    model.appendBodyToJoint(spin, pin.Inertia.FromSphere(mass, 0.1), pin.SE3.Identity())
+    model.effortLimit[:] = limit
+    scene = pc.Scene(model)
+    scene.add_contour("ball", pc.Sphere(0.1), "spin")
+    scene.add_contour("floor", pc.Plane())
+    scene.add_contact("c", "ball", "floor", pc.Coulomb(0.5))
+    state = scene.initial_state([0.0, 0.1, 0.0])
+    options = {"actuation": ["along"], "cones": True, "effort_limits": True}
+    found = pc.inverse_dynamics(scene, state, {"along": [wanted]}, unreachable="nearest", **options)
+    reached = limit / (1.4 * mass)
+    assert found.acceleration[0] == pytest.approx(reached, rel=1e-9)
+    assert found.efforts == pytest.approx([limit], rel=1e-9)
+    assert found.shortfall == pytest.approx(wanted - reached, rel=1e-9)
+    assert found.certificate.joints == ("along",) and not found.certificate.contacts
+    with pytest.raises(pc.InfeasibleError, match=r"out of reach, by .* for the limit of joint 'along'\.$") as told:
+        pc.inverse_dynamics(scene, state, {"along": [wanted]}, **options)
+    assert told.value.certificate.wanted < told.value.certificate.least
+
+
 def test_the_aim_of_an_elliptic_cone():
     """Driven diagonally, over twice as much friction across: the nearest point of an ellipse, by its normal."""
     along, across, g = 0.2, 0.4, 9.81

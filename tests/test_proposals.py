@@ -119,6 +119,28 @@ def test_what_is_parallel_is_left_out(kinds):
     assert scene.propose_contacts(0.3, q) == (["c0"], ["c1"])
 
 
+def test_a_tyre_stands_on_a_floor():
+    """Its gap is that of the centre circle's lowest point, less the tube's radius; flat on the floor, and with what may
+    be in its hole, it is not proposed."""
+    major, minor, height = 0.16, 0.03, 0.2
+    scene = pc.Scene(free_bodies(2))
+    scene.add_contour("tyre", pc.Torus(major, minor), "j0")
+    scene.add_contour("ball", pc.Sphere(0.05), "j1")
+    scene.add_contour("floor", pc.Plane())
+    scene.add_contour("step", pc.Plane(domain=((-1.0, 1.0), (-1.0, 1.0))))
+    q = pin.neutral(scene.model)
+    q[2], q[9] = height, 1.0
+    for tilt in (0.3, 1.0, 0.5 * math.pi):
+        q[3:7] = pin.Quaternion(pin.exp3(np.array([tilt, 0.0, 0.0]))).coeffs()
+        gap = height - major * math.sin(tilt) - minor
+        # coal's own accuracy is 1e-6
+        assert scene.propose_contacts(gap - 1e-5, q) == ([], [])
+        assert scene.propose_contacts(gap + 1e-5, q) == (["tyre"], ["floor"])
+    q[2], q[9] = 0.0, 0.0
+    q[3:7] = 0.0, 0.0, 0.0, 1.0
+    assert scene.propose_contacts(0.1, q) == (["ball", "ball"], ["floor", "step"])
+
+
 def chain(root):
     model = pin.Model()
     parent = 0
@@ -164,11 +186,11 @@ def test_planar_mechanisms_have_planar_pairs():
 
 def test_other_contours_are_named():
     scene = pc.Scene(free_bodies(1))
-    scene.add_contour("ring", pc.Torus(0.3, 0.1), "j0")
+    scene.add_contour("cap", pc.Cone(0.4), "j0")
     scene.add_contour("ball", pc.Sphere(0.1), "j0")
     for name, contour in (("rail", pc.Line()), ("strip", pc.Plane(domain=((-1.0, 1.0), None))), ("floor", pc.Plane())):
         scene.add_contour(name, contour)
-    with pytest.warns(UserWarning, match=r"ring \(Torus.*rail \(Line.*strip \(Plane") as caught:
+    with pytest.warns(UserWarning, match=r"cap \(Cone.*rail \(Line.*strip \(Plane") as caught:
         assert scene.propose_contacts(0.1) == (["ball"], ["floor"])
     assert caught[0].filename == __file__
     assert pc.Scene(free_bodies(1)).propose_contacts(0.1) == ([], [])

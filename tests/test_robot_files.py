@@ -254,6 +254,37 @@ def test_meshes_that_are_missing_are_named(tmp_path, tag):
             scene.add_contours_from_collision()
 
 
+@pytest.mark.parametrize("tag", ["visual", "collision"])
+def test_shapes_that_the_parser_does_not_know_are_named(tmp_path, tag):
+    """Capsules are known from version 1.2 on. Other shapes of the link stay, also those that come later."""
+    paint = '<material name="paint"/>'
+    before, odd, after, other = (
+        f"<{kind}><geometry>{shape}</geometry>{paint if kind == 'visual' else ''}</{kind}>"
+        for kind, shape in (
+            (tag, '<sphere radius="0.1"/>'),
+            (tag, '<capsule radius="0.1" length="0.2"/>'),
+            (tag, '<box size="1 1 1"/>'),
+            ("collision" if tag == "visual" else "visual", '<sphere radius="0.2"/>'),
+        )
+    )
+    # a colour that is defined elsewhere
+    more = paint.replace("/>", '><color rgba="1 0 0 1"/></material>')
+    path = urdf(tmp_path, link=MASS + before + odd + after + other, more=more)
+    with pytest.warns(UserWarning, match=rf"could not be read: {tag} of link 'b' \(<capsule>\)\.$"):
+        scene = pc.Scene.from_urdf(path)
+    models = {"visual": scene.visual_model, "collision": scene.collision_model}
+    kinds = {name: [type(item.geometry).__name__ for item in shapes.geometryObjects] for name, shapes in models.items()}
+    assert kinds.pop(tag) == ["Sphere", "Box"] and list(kinds.values()) == [["Sphere"]]
+    path.write_text(path.read_text().replace('<robot name="r"', '<robot name="r" version="1.2"'))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        newer = pc.Scene.from_urdf(path)
+    shapes = newer.visual_model if tag == "visual" else newer.collision_model
+    assert [type(item.geometry).__name__ for item in shapes.geometryObjects] == ["Sphere", "Capsule", "Box"]
+    with pytest.warns(UserWarning, match=rf"{tag} of link 'b' \(no geometry\)"):
+        pc.Scene.from_urdf(urdf(tmp_path, link=f"{MASS}<{tag}/>{other}", more=more))
+
+
 def test_links_whose_only_mesh_is_missing(tmp_path):
     shape = '<collision><geometry><mesh filename="lost.stl"/></geometry></collision>'
     with pytest.warns(UserWarning, match=r"lost\.stl"):

@@ -29,6 +29,16 @@ def test_no_cone_problem_where_nothing_is_undecided(stats, name):
     assert stats[name]["cone_problems"] == stats[name]["qp"] == 0
 
 
+@pytest.mark.parametrize("name", NOTHING_UNDECIDED)
+def test_no_program_where_nothing_is_undecided(stats, name, monkeypatch):
+    """Nor if programs are asked for: all counts are the same."""
+    simulate = pc.simulate
+    monkeypatch.setattr(pc, "simulate", lambda *given, **options: simulate(*given, **options, contact_solver="proxqp"))
+    counts, usual = CASES[name]().stats, dict(stats[name])
+    assert counts["qp"] == 0
+    assert {**counts, "wall_time": 0.0} == {**usual, "wall_time": 0.0}
+
+
 def test_no_newton_for_closed_forms(stats):
     for name in ("disk, frictionless", "ball slips, then rolls", "ball on a heaving plate"):
         assert stats[name]["newton"] == 0

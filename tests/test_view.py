@@ -235,7 +235,8 @@ def test_page_info_is_what_the_bar_shows(page, run):
     # five digits are kept
     assert contact["normal"][30] == pytest.approx(MASS * GRAVITY, rel=1e-5)
     assert contact["friction"][3] == pytest.approx(MU * MASS * GRAVITY, rel=1e-5)
-    assert contact["normal"][63] == 0.0
+    assert contact["limit"][3] == contact["limit"][30] == pytest.approx(MU * MASS * GRAVITY, rel=1e-5)
+    assert contact["normal"][63] == contact["limit"][63] == 0.0
     assert info["events"][1] == [HOP_START, CONTACT, "separate"] and info["events"][3] == [2.5, "", "user"]
 
 
@@ -1009,7 +1010,7 @@ def test_several_contacts_have_a_strip_of_modes_each_and_one_legend_of_styles(ru
 def test_a_contact_has_one_colour_everywhere(run, pyplot):
     both = changed(run, contacts={"other": run.contacts[CONTACT], CONTACT: run.contacts[CONTACT]})
     both.scene = changed(run.scene, contacts={name: run.scene.contacts[CONTACT] for name in both.contacts})
-    for kind in (plots.forces, plots.slip):
+    for kind in (plots.forces, plots.slip, plots.location):
         (alone,) = {line.get_color() for line in kind(both, CONTACT).get_lines()}
         assert alone == contact_color(1) != contact_color(0)
     assert plots.slip(both).child_axes[0].get_yticklabels()[1].get_color() == contact_color(1)
@@ -1017,14 +1018,56 @@ def test_a_contact_has_one_colour_everywhere(run, pyplot):
     assert [contact["color"] for contact in info["contacts"]] == [contact_color(0), contact_color(1)]
 
 
-def test_legends_cover_nothing(run, pyplot):
-    figure = plots.plot(run)
+def repeated(run, count):
+    """A run of so many contacts, all the same."""
+    names = [f"contact {number}" for number in range(count)]
+    scene = changed(run.scene, contacts=dict.fromkeys(names, run.scene.contacts[CONTACT]))
+    return changed(run, scene=scene, contacts=dict.fromkeys(names, run.contacts[CONTACT]))
+
+
+@pytest.mark.parametrize("count", [1, 8])
+def test_legends_cover_nothing(run, pyplot, count):
+    figure = plots.plot(repeated(run, count))
     figure.canvas.draw()
-    for ax in figure.axes:
-        legend = ax.get_legend()
-        if legend is not None:
-            # beside the axes
-            assert legend.get_window_extent().x0 >= ax.get_window_extent().x1
+    # with labels, titles and strips, but without what legends add
+    boxes = [ax.get_window_extent() for ax in figure.axes] + [
+        text.get_window_extent() for ax in figure.axes for text in (ax.title, ax.xaxis.label, ax.yaxis.label)
+    ]
+    legends = [ax.get_legend().get_window_extent() for ax in figure.axes if ax.get_legend() is not None]
+    assert len(legends) == len(plots.KINDS)
+    for number, legend in enumerate(legends):
+        assert not any(legend.overlaps(box) for box in [*boxes, *legends[:number]])
+        assert figure.bbox.x0 <= legend.x0 and legend.x1 <= figure.bbox.x1
+
+
+def test_modes_of_eight_contacts_are_readable(run, pyplot):
+    ax = plots.slip(repeated(run, 8))
+    ax.figure.canvas.draw()
+    (strips,) = ax.child_axes
+    names = [label.get_window_extent() for label in strips.get_yticklabels()]
+    assert len(names) == 8 and len(strips.patches) == 32
+    for above, below in pairwise(names):
+        assert above.y0 >= below.y1
+    # four phases of each, at eight heights
+    assert len({round(patch.get_y(), 6) for patch in strips.patches}) == 8
+    # a strip is some points high, and above the plot
+    assert strips.get_window_extent().height / 8 > 10.0 and strips.get_window_extent().y0 > ax.get_window_extent().y1
+
+
+def test_residuals_are_written_out(rolled, pyplot):
+    run, _ = rolled
+    written = {
+        "C1": "C1: distance of the points",
+        "C2": "C2: tangents out of the plane",
+        "GC": "GC: gap (geometric constraint)",
+        "VC": "VC: slip (velocity constraint)",
+    }
+    shown, residuals = lines(plots.residuals(run)), run.residuals()
+    assert list(shown) == [written[name] for name in residuals] and residuals.keys() == written.keys()
+    for name, label in written.items():
+        seen = np.isfinite(shown[label])
+        np.testing.assert_array_equal(shown[label][seen], residuals[name][seen])
+        assert (residuals[name][~seen] == 0.0).all()
 
 
 def test_a_page_stores_equal_objects_once():

@@ -17,6 +17,7 @@ from fake_run import END, HOP_END, HOP_START, SLIP_END, fake_run, placement
 import pincontact as pc
 from pincontact.view import export_html
 from pincontact.view.page import render_page
+from pincontact.view.palette import contact_color
 from pincontact.view.replay import MORE_PARTS, PARTS, compose, page_info
 
 pytestmark = pytest.mark.skipif(PROGRAM is None, reason="no Chromium found: pages are not opened, only read")
@@ -327,6 +328,22 @@ def test_plots_and_animation_have_one_time(browser, page):
         )
         > 300
     )
+
+
+def test_plots_show_forces_and_their_limit_in_the_colour_of_the_contact(browser, page):
+    browser.resize(1200, 700)
+    browser.open(page, "#t=0")
+    lines = browser.run(
+        """(() => {
+          const kind = CanvasRenderingContext2D.prototype, stroke = kind.stroke, found = [];
+          kind.stroke = function () { found.push([this.strokeStyle, this.getLineDash()]); stroke.call(this); };
+          drawPlots();
+          kind.stroke = stroke;
+          return found;
+        })()"""
+    )
+    # normal force, friction and its limit
+    assert [dashes for color, dashes in lines if color == contact_color(0)] == [[], [2, 3], [7, 4]]
 
 
 @pytest.mark.parametrize("size", [(1000, 600), (640, 480), (390, 844)], ids=["desktop", "small", "phone"])

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -407,10 +407,8 @@ def location(run: Run, contact: str | None = None, ax: Axes | None = None) -> Ax
         for side, values in zip(sides, (track.location_first, track.location_second)):
             for k in range(values.shape[1]):
                 whole = np.where(changed, np.nan, values[:, k])
-                style: dict[str, Any] = (
-                    {} if len(tracks) == 1 else {"color": _color(run, name), "linestyle": next(styles)}
-                )
-                ax.plot(run.t, whole, label=_label(name, f"{side} u{k + 1}", tracks), **style)
+                label = _label(name, f"{side} u{k + 1}", tracks)
+                ax.plot(run.t, whole, next(styles), color=_color(run, name), label=label)
     return _finish(ax, "location [m, rad]")
 
 

@@ -1,4 +1,4 @@
-"""Pairs of contours near each other that can keep a regular point contact, by the distances of their shapes."""
+"""Pairs of contours near each other that can keep a regular point contact, found by coal's broadphase."""
 
 from __future__ import annotations
 
@@ -133,16 +133,31 @@ def _near(
     """Placements of the shapes in the world, and which of the pairs are no further apart than this."""
     endless = [isinstance(item.geometry, coal.Halfspace) for item in shapes.geometryObjects]
     for i, j in pairs:
-        if not (endless[i] and endless[j]):
+        # trees of bounding boxes miss half-spaces, which have none
+        if not (endless[i] or endless[j]):
             shapes.addCollisionPair(pin.CollisionPair(i, j))
     data, geometry = model.createData(), shapes.createData()
-    pin.computeDistances(model, data, shapes, geometry, q)
-    found = [
-        (int(pair.first), int(pair.second))
-        for pair, result in zip(shapes.collisionPairs, geometry.distanceResults)
-        if result.min_distance <= distance
-    ]
-    return [pin.SE3(pose) for pose in geometry.oMg], sorted(found)
+    for request in geometry.collisionRequests:
+        request.security_margin = distance
+    pin.updateGeometryPlacements(model, data, shapes, geometry, q)
+    placed = [pin.SE3(pose) for pose in geometry.oMg]
+    found = set()
+    if len(shapes.collisionPairs):
+        manager = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(model, shapes, geometry)
+        pin.computeCollisions(model, data, manager, q)
+        found = {
+            (int(pair.first), int(pair.second))
+            for pair, result in zip(shapes.collisionPairs, geometry.collisionResults)
+            if result.isCollision()
+        }
+    poses = [coal.Transform3s(pose.rotation, pose.translation) for pose in placed]
+    solids = [item.geometry for item in shapes.geometryObjects]
+    for i, j in pairs:
+        if endless[i] != endless[j]:
+            request, result = coal.DistanceRequest(), coal.DistanceResult()
+            if coal.distance(solids[i], poses[i], solids[j], poses[j], request, result) <= distance:
+                found.add((i, j))
+    return placed, sorted(found)
 
 
 def _in_order(first: Contour, second: Contour) -> tuple[Contour, Contour]:

@@ -87,7 +87,8 @@ def test_the_same_as_outputs_and_without_gaps(case, method):
     if case != "bounces":
         np.testing.assert_allclose(sample.v, run.v, atol=3e-5)
     same = np.abs(sample.q - run.q).max(axis=1) < 1e-14
-    assert same.mean() > 0.6
+    # between bounces there are two steps or three, of which one ends at an event
+    assert same.mean() > (0.3 if case == "bounces" else 0.6)
     for name, track in run.contacts.items():
         for key in ("force", "location", "point", "slip_velocity", "mode"):
             # forces of some 10 N, after round-off has been through a solution

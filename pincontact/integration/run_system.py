@@ -31,10 +31,14 @@ class RunSystem(System):
         self.scratch("dense", DENSE_ROWS, ny)
         self.zeros("scale", 2)
         self.zeros("absolute", ny)
-        self.scratch("across", 2 * items + 1, POLYNOMIAL_SIZE)
+        self.scratch("across", 2 * items + 1, 2 * POLYNOMIAL_SIZE - 1)
         self.scratch("scan_shares", SCAN_ROOM)
         self.scratch("scan_status", SCAN_ROOM)
         self.scratch("scan_event_functions", SCAN_ROOM + KEPT_ROWS, items, EVENTS_PER_CONTACT)
+        self.zeros("slack", items, EVENTS_PER_CONTACT)
+        self.scratch("bracket", 4)
+        # see `accuracy.set_accuracy`
+        self.gap_accuracy = self.lowest_hops = np.zeros(self.items)
         self._few_times = self.scratch("output_times", _FEW_TIMES)
         self.output_times = _NO_TIMES
 
@@ -53,8 +57,9 @@ class RunSystem(System):
         return self.checked(run_task(self.address, task, t, h))
 
     def scan(self, t: float, step: float, shares: Sequence[float]) -> tuple[list[bool], np.ndarray]:
-        """Event functions along the step from t that was interpolated last, at shares of it, at most SCAN_ROOM: (n,)
-        whether they could be evaluated, (n, items, EVENTS_PER_CONTACT) a view that the next scan overwrites.
+        """Event functions plus `slack` along the step from t that was interpolated last, at shares of it, at most
+        SCAN_ROOM: (n,) whether they could be evaluated, (n, items, EVENTS_PER_CONTACT) a view that the next one
+        overwrites.
 
         The gap of an open contact is NOTHING_THERE where no nearest point was found.
         """

@@ -14,7 +14,14 @@ from ..layout import EVENT, EVENTS_PER_CONTACT, FROZEN, NOT_FINITE, OK, POLYNOMI
 from ..workspace import flat
 from .dense import dense_coefficients, interpolate
 from .resolution import event_function_error, keep_event_functions
+from .sign_changes import ACCURACY
 from .stages import build_state, error_norm, evaluate, fill_slope, hand_over
+
+# How near to a zero of an event function is looked for it, as a part of the step, from where true steps go on; halvings
+# of the part of a step in which a mode may hold that was entered on its boundary; looks for a zero, at most.
+_ZERO, _BISECTIONS, _LOOKS = ACCURACY, 40, 128
+# What stands for infinite values.
+_HUGE = 1e100
 
 
 @kernel
@@ -113,23 +120,80 @@ def load_interpolated(system, theta):
 @separate_kernel(NOTHING, SYSTEM.type, REAL, REAL)
 def scan(system, t, h):
     """Event functions at SCAN_SHARES of the step from t of size h that was interpolated last: see `RunSystem.scan`."""
-    n = count_items(system)
-    shares, statuses = system.scan_shares, system.scan_status
-    found, event_functions = system.scan_event_functions, system.event_functions
     for i in range(system.counters.scan_count):
-        load_interpolated(system, shares[i])
-        statuses[i] = evaluate(system, t + shares[i] * h, 0)
-        for c in range(n):
-            for kind in range(EVENTS_PER_CONTACT):
-                found[i, c, kind] = event_functions[c, kind]
+        _look(system, t, h, i)
+
+
+@kernel
+def _look(system, t, h, i):
+    """Event functions plus slack at share number i."""
+    share, found = system.scan_shares[i], system.scan_event_functions
+    load_interpolated(system, share)
+    system.scan_status[i] = evaluate(system, t + share * h, 0)
+    for c in range(count_items(system)):
+        for kind in range(EVENTS_PER_CONTACT):
+            found[i, c, kind] = system.event_functions[c, kind] + system.slack[c, kind]
+
+
+@kernel
+def _sought(system, t, h, share):
+    """The event function whose zero is sought; where it cannot be evaluated is beyond the zero."""
+    system.scan_shares[0] = share
+    _look(system, t, h, 0)
+    if system.scan_status[0] > EVENT:
+        return -1.0
+    found = system.scan_event_functions[0, system.counters.sought_item, system.counters.sought_kind]
+    return max(-_HUGE, min(found, _HUGE))
+
+
+@separate_kernel(NOTHING, SYSTEM.type, REAL, REAL)
+def find_zero(system, t, h):
+    """Where an event function turns negative, between the shares of the step in BRACKET; what was looked at last is
+    there.
+
+    By inverse quadratic interpolation or bisection (Chandrupatla, Adv. Eng. Software 28 (1997) 145).
+    """
+    low, before, high, after = system.bracket[0], system.bracket[1], system.bracket[2], system.bracket[3]
+    for _ in range(_BISECTIONS):
+        if before > 0.0:
+            break
+        # the mode was entered on its boundary: look for the part where it holds first
+        share = low + 0.5 * (high - low)
+        value = _sought(system, t, h, share)
+        if value > 0.0:
+            low, before = share, value
+        else:
+            high, after = share, value
+    # a is the last place, b is behind the zero if a is before it, c is the place before
+    a, value_a, b, value_b = high, max(after, -_HUGE), low, min(before, _HUGE)
+    share = value_a / (value_a - value_b) if before > 0.0 else 1.0
+    for _ in range(_LOOKS if before > 0.0 else 0):
+        x = a + share * (b - a)
+        value = _sought(system, t, h, x)
+        c, value_c = a, value_a
+        if (value < 0.0) != (value_a < 0.0):
+            c, value_c, b, value_b = b, value_b, a, value_a
+        a, value_a = x, value
+        least = _ZERO / abs(b - a) if b != a else 1.0
+        if least > 0.5 or value == 0.0:
+            break
+        share, xi, phi = 0.5, (a - b) / (c - b), (value_a - value_b) / (value_c - value_b)
+        if phi * phi < xi and (1.0 - phi) ** 2 < 1.0 - xi:
+            share = value_a / (value_b - value_a) * value_c / (value_b - value_c)
+            share += (c - a) / (b - a) * value_a / (value_c - value_a) * value_b / (value_c - value_b)
+        share = max(least, min(1.0 - least, share))
+    if not before > 0.0:
+        _sought(system, t, h, low)
+    elif abs(value_b) < abs(value_a):
+        _sought(system, t, h, b)
 
 
 @separate_kernel(INTEGER, SYSTEM.type, REAL, REAL)
 def across_slip(system, t, h):
     """How well prescribed slip directions hold in a step of size h from the state at t, which is tried; a status.
 
-    ACROSS is filled with v_c across the direction at the shares of the step in its first row, up to a zero, and then
-    with v_c along it.
+    ACROSS is filled with v_c across the direction at the shares of the step in its first row, and then with v_c along
+    it.
     """
     n = count_items(system)
     status = start(system, t)
@@ -140,10 +204,8 @@ def across_slip(system, t, h):
     if status > EVENT:
         return status
     across, direction = system.across, system.vectors[0]
-    for k in range(POLYNOMIAL_SIZE):
+    for k in range(2 * POLYNOMIAL_SIZE - 1):
         share = across[0, k]
-        if share == 0.0:
-            break
         load_interpolated(system, share)
         status = evaluate(system, t + share * h, KINEMATICS_OF_ALL)
         if status > EVENT:

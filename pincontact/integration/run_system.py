@@ -36,10 +36,11 @@ class RunSystem(System):
         self.scratch("scan_status", SCAN_ROOM)
         self.scratch("scan_event_functions", SCAN_ROOM + KEPT_ROWS, items, EVENTS_PER_CONTACT)
         self.zeros("slack", items, EVENTS_PER_CONTACT)
-        self.scratch("bracket", 4)
+        self.scratch("bracket", 6)
         # see `accuracy.set_accuracy`
         self.gap_accuracy = self.lowest_hops = np.zeros(self.items)
         self._few_times = self.scratch("output_times", _FEW_TIMES)
+        self._few_at = self.table[self.layout.places["output_times"], 0].item()
         self.output_times = _NO_TIMES
 
     def parts(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -84,7 +85,7 @@ class RunSystem(System):
         if given.size <= _FEW_TIMES:
             # an array's address takes longer to find than these to copy
             self._few_times[: given.size] = given
-            self.output_times = self._few_times[: given.size]
+            self.put("output_times", self._few_times[: given.size], self._few_at)
         else:
             self.put("output_times", np.ascontiguousarray(given))
         counters["output_count"], counters["outputs_done"], counters["record_steps"] = given.size, 0, times is None

@@ -348,9 +348,9 @@ SYSTEM = Layout(
     scan_shares=(REALS, 1),  # (SCAN_ROOM,)
     scan_status=(INTEGERS, 1),  # (SCAN_ROOM,)
     scan_event_functions=(REALS, 3),  # (SCAN_ROOM, nc + ng + nr, EVENTS_PER_CONTACT)
-    # what event functions may be below zero, and a share of the step with a value before a zero, and behind it
+    # what event functions may be below zero, and shares of a step with values around a zero: see `narrow`
     slack=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
-    bracket=(REALS, 1),  # (4,)
+    bracket=(REALS, 1),  # (6,)
 )
 
 # the workspace at an address that Python gives an entry kernel

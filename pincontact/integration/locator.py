@@ -46,6 +46,8 @@ _SLOPE_OVER = 1e-4
 _FURTHEST = 1.1
 # Looks for what crosses before the first crossing that was found, beyond one for each event function.
 _ROUNDS = 4
+# Event functions that are negative by this part of what they were cross zero at the same time.
+_AT_ONCE = 1e-12
 # An event function that is this part of its largest size away from zero wherever steps went to make it zero has no zero
 # there.
 _NEXT_TO_NOTHING = 1e-6
@@ -93,9 +95,10 @@ class EventLocator:
         for i in np.flatnonzero(crosses.any(axis=(1, 2))).tolist():
             left, right = (_Sample(places[k], values[k]) for k in (i, i + 1))
             crossed = [(c, kind) for c, kind in np.argwhere(crosses[i]).tolist()]
-            crossed = [pair for pair in crossed if self._ends_mode(t, step, pair, left, right)]
+            roots: dict[tuple[int, int], _Sample] = {}
+            crossed = [pair for pair in crossed if self._ends_mode(t, step, pair, left, right, roots)]
             if crossed:
-                return self._earliest(t, step, np.array(crossed), left, right)
+                return self._earliest(t, step, np.array(crossed), left, right, roots)
         return None
 
     # ---------------------------------------------------------------- values
@@ -176,13 +179,21 @@ class EventLocator:
         crosses[:1, :nc, GAP_EVENT] &= (before[:1, :nc, GAP_EVENT] >= 0.0) | self._open.apart
         return crosses
 
-    def _ends_mode(self, t: float, step: float, crossed: tuple[int, int], left: _Sample, right: _Sample) -> bool:
+    def _ends_mode(
+        self,
+        t: float,
+        step: float,
+        crossed: tuple[int, int],
+        left: _Sample,
+        right: _Sample,
+        roots: dict[tuple[int, int], _Sample],
+    ) -> bool:
         """Whether an event function that turns negative between two samples ends a mode: a gap does between points
-        inside both domains only."""
+        inside both domains only. roots: is added to what that takes."""
         c, kind = crossed
         if kind != GAP_EVENT or c >= self.system.nc:
             return True
-        root = self._root(t, step, crossed, left, right)
+        root = roots[crossed] = self._root(t, step, crossed, left, right)
         known = not np.isnan(root.values).any()
         if known and self._open.are_apart(c, t + root.theta * step):
             # where it is followed is not where it is nearest
@@ -192,13 +203,23 @@ class EventLocator:
             self._open.passed.add(c)
         return inside
 
-    def _earliest(self, t: float, step: float, crossed: np.ndarray, left: _Sample, right: _Sample) -> Crossing:
-        """First of the event functions `crossed` (n, 2) that turn negative between two samples.
+    def _earliest(
+        self,
+        t: float,
+        step: float,
+        crossed: np.ndarray,
+        left: _Sample,
+        right: _Sample,
+        roots: dict[tuple[int, int], _Sample],
+    ) -> Crossing:
+        """First of the event functions `crossed` (n, 2) that turn negative between two samples; roots: that are known.
 
         The root of one is the next sample, at which most others are seen to cross later, and some to have been negative
         in between.
         """
         found: Crossing | None = None
+        # what has come down to that is zero there, too, as far as zeros are told apart
+        at_once = _AT_ONCE * np.nan_to_num(left.values, posinf=0.0)
         for _ in range(crossed.shape[0] + _ROUNDS):
             first = 0
             if len(crossed) > 1:
@@ -207,11 +228,11 @@ class EventLocator:
                 with np.errstate(invalid="ignore", divide="ignore"):
                     first = int(np.argmin(np.nan_to_num(before / (before - after), nan=1.0, posinf=1.0)))
             c, kind = crossed[first].tolist()
-            root = self._root(t, step, (c, kind), left, right)
+            root = roots.get((c, kind)) or self._root(t, step, (c, kind), left, right)
             if found is not None and root.theta >= found.theta:
                 break
-            found, right = Crossing(root.theta, c, kind), root
-            candidates = (right.values < 0.0) & (left.values > 0.0) & (left.values != NOTHING_THERE)
+            found, right, roots = Crossing(root.theta, c, kind), root, {}
+            candidates = (right.values < -at_once) & (left.values > 0.0) & (left.values != NOTHING_THERE)
             candidates[c, kind] = False
             candidates[list(self._open.passed), GAP_EVENT] = False
             crossed = np.argwhere(candidates)
@@ -224,7 +245,7 @@ class EventLocator:
         """Where an event function turns negative between two samples; its values are NaN where there are none."""
         system = self.system
         system.counters["sought_item"], system.counters["sought_kind"] = crossed
-        system.bracket[:] = left.theta, left.values[crossed], right.theta, right.values[crossed]
+        system.bracket[:4] = left.theta, left.values[crossed], right.theta, right.values[crossed]
         system.run(FIND_ZERO, t, step)
         known = system.scan_status[0] <= EVENT
         values = system.scan_event_functions[0, : system.items].copy()

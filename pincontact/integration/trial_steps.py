@@ -14,14 +14,11 @@ from ..layout import EVENT, EVENTS_PER_CONTACT, FROZEN, NOT_FINITE, OK, POLYNOMI
 from ..workspace import flat
 from .dense import dense_coefficients, interpolate
 from .resolution import event_function_error, keep_event_functions
-from .sign_changes import ACCURACY
+from .sign_changes import ACCURACY, LOOKS_FOR_ZERO, begin_bracket, narrow, zero_in
 from .stages import build_state, error_norm, evaluate, fill_slope, hand_over
 
-# How near to a zero of an event function is looked for it, as a part of the step, from where true steps go on; halvings
-# of the part of a step in which a mode may hold that was entered on its boundary; looks for a zero, at most.
-_ZERO, _BISECTIONS, _LOOKS = ACCURACY, 40, 128
-# What stands for infinite values.
-_HUGE = 1e100
+# Halvings of the part of a step in which a mode may hold that was entered on its boundary.
+_BISECTIONS = 40
 
 
 @kernel
@@ -142,18 +139,15 @@ def _sought(system, t, h, share):
     _look(system, t, h, 0)
     if system.scan_status[0] > EVENT:
         return -1.0
-    found = system.scan_event_functions[0, system.counters.sought_item, system.counters.sought_kind]
-    return max(-_HUGE, min(found, _HUGE))
+    return system.scan_event_functions[0, system.counters.sought_item, system.counters.sought_kind]
 
 
 @separate_kernel(NOTHING, SYSTEM.type, REAL, REAL)
 def find_zero(system, t, h):
-    """Where an event function turns negative, between the shares of the step in BRACKET; what was looked at last is
-    there.
-
-    By inverse quadratic interpolation or bisection (Chandrupatla, Adv. Eng. Software 28 (1997) 145).
-    """
-    low, before, high, after = system.bracket[0], system.bracket[1], system.bracket[2], system.bracket[3]
+    """Where an event function turns negative, between the first two shares of the step in BRACKET; the values there, or
+    as near before or behind it as is told apart, are those of the first share of a scan."""
+    bracket = system.bracket
+    low, before, high, after = bracket[0], bracket[1], bracket[2], bracket[3]
     for _ in range(_BISECTIONS):
         if before > 0.0:
             break
@@ -164,28 +158,17 @@ def find_zero(system, t, h):
             low, before = share, value
         else:
             high, after = share, value
-    # a is the last place, b is behind the zero if a is before it, c is the place before
-    a, value_a, b, value_b = high, max(after, -_HUGE), low, min(before, _HUGE)
-    share = value_a / (value_a - value_b) if before > 0.0 else 1.0
-    for _ in range(_LOOKS if before > 0.0 else 0):
-        x = a + share * (b - a)
-        value = _sought(system, t, h, x)
-        c, value_c = a, value_a
-        if (value < 0.0) != (value_a < 0.0):
-            c, value_c, b, value_b = b, value_b, a, value_a
-        a, value_a = x, value
-        least = _ZERO / abs(b - a) if b != a else 1.0
-        if least > 0.5 or value == 0.0:
-            break
-        share, xi, phi = 0.5, (a - b) / (c - b), (value_a - value_b) / (value_c - value_b)
-        if phi * phi < xi and (1.0 - phi) ** 2 < 1.0 - xi:
-            share = value_a / (value_b - value_a) * value_c / (value_b - value_c)
-            share += (c - a) / (b - a) * value_a / (value_c - value_a) * value_b / (value_c - value_b)
-        share = max(least, min(1.0 - least, share))
-    if not before > 0.0:
-        _sought(system, t, h, low)
-    elif abs(value_b) < abs(value_a):
-        _sought(system, t, h, b)
+    found = low
+    if before > 0.0:
+        begin_bracket(bracket, low, before)
+        share = narrow(bracket, high, after, ACCURACY)
+        for _ in range(LOOKS_FOR_ZERO):
+            if math.isnan(share):
+                break
+            share = narrow(bracket, share, _sought(system, t, h, share), ACCURACY)
+        found = zero_in(bracket)
+    if system.scan_shares[0] != found:
+        _sought(system, t, h, found)
 
 
 @separate_kernel(INTEGER, SYSTEM.type, REAL, REAL)

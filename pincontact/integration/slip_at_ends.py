@@ -95,18 +95,19 @@ def _foretell_stop(system, c, before, rate_before):
     basis, slip, along = system.basis[c], system.slip[c], system.relative_acceleration[c]
     turned = abs(dot(basis[0], slip) * along[1] - dot(basis[1], slip) * along[0]) / speed * left
     number[STOP_ERROR] = max(max(missed, turned), 0.5 * speed * left)
-    root = rate * rate - 2.0 * (rate - rate_before) / h * speed
-    if not root > 0.0:
-        return
     # on the parabola that the rates give, whose second derivative is that half a step ago
-    way = 2.0 * speed / (math.sqrt(root) - rate)
+    square = rate * rate - 2.0 * (rate - rate_before) / h * speed
+    if not square > 0.0:
+        return
+    last_rate = math.sqrt(square)
+    way = 2.0 * speed / (last_rate - rate)
     part = way / h
     if part < _SHORT:
         error = abs(speed - before - 0.5 * h * (rate + rate_before)) * part * part * (2.0 * part + 3.0) + turned
         # no nearer than one linear step may go
         near = way - math.sqrt(LEFT_OUT * number[START_TOLERANCE] / -rate)
-        near = min(near, way * (1.0 - _LEAST_LEFT - _FORETOLD * error / speed))
-        number[STOP_TIME] = max(_STOP_FRACTION * way, near)
+        near = min(near, (1.0 - _LEAST_LEFT) * way - _FORETOLD * error / last_rate)
+        number[STOP_TIME] = max(_STOP_FRACTION * min(way, left), near)
 
 
 @kernel

@@ -10,7 +10,7 @@ from calling import from_python
 
 import pincontact as pc
 from pincontact.integration import sign_changes
-from pincontact.integration.locator import EventLocator, _Sample
+from pincontact.integration.locator import EventLocator, _Sample, _Stretch
 from pincontact.integration.sign_changes import zero_between
 from pincontact.layout import NORMAL_EVENT
 
@@ -176,7 +176,7 @@ class Pressed:
                 self.pull = function
                 left, right = (_Sample(share, locator._values(t, step, [share])[0]) for share in (low, high))
                 before = locator.rk.evaluations
-                root = locator._root(t, step, (0, NORMAL_EVENT), left, right)
+                root = locator._root(_Stretch(t, step, left, right), (0, NORMAL_EVENT))
                 # the last look is the one at the zero
                 assert locator.system.scalars["time"] == t + root.theta * step
                 return root.theta, float(root.values[0, NORMAL_EVENT]), locator.rk.evaluations - before

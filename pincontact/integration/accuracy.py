@@ -45,7 +45,7 @@ def gap_resolution(system: RunSystem) -> np.ndarray:
     Gaps are computed from the configuration to round-off, however large its error is; only what two motions are
     compared by, such as contacts that touch at the same time, is not known better than to `gap_accuracy`.
     """
-    return np.maximum(system.lowest_hops, _ROUND_OFF * max(1.0, *map(abs, system.q.tolist())))
+    return np.maximum(system.lowest_hops, _ROUND_OFF * max(map(abs, [1.0, *system.q.tolist()])))
 
 
 def rest_speed(system: System) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -72,6 +72,18 @@ class _Sample:
     values: np.ndarray
 
 
+@dataclass(frozen=True)
+class _Stretch:
+    """What is between two samples of the step from t of size `step`; roots: the samples at zeros that are known there,
+    by event function."""
+
+    t: float
+    step: float
+    left: _Sample
+    right: _Sample
+    roots: dict[tuple[int, int], _Sample] = field(default_factory=dict)
+
+
 class EventLocator:
     """Finds the first crossing in the trial step that its integrator has interpolated last, from t and of size step.
 
@@ -94,11 +106,11 @@ class EventLocator:
         crosses = self._crossings(values)
         for i in np.flatnonzero(crosses.any(axis=(1, 2))).tolist():
             left, right = (_Sample(places[k], values[k]) for k in (i, i + 1))
+            stretch = _Stretch(t, step, left, right)
             crossed = [(c, kind) for c, kind in np.argwhere(crosses[i]).tolist()]
-            roots: dict[tuple[int, int], _Sample] = {}
-            crossed = [pair for pair in crossed if self._ends_mode(t, step, pair, left, right, roots)]
+            crossed = [pair for pair in crossed if self._ends_mode(stretch, pair)]
             if crossed:
-                return self._earliest(t, step, np.array(crossed), left, right, roots)
+                return self._earliest(stretch, np.array(crossed))
         return None
 
     # ---------------------------------------------------------------- values
@@ -179,23 +191,15 @@ class EventLocator:
         crosses[:1, :nc, GAP_EVENT] &= (before[:1, :nc, GAP_EVENT] >= 0.0) | self._open.apart
         return crosses
 
-    def _ends_mode(
-        self,
-        t: float,
-        step: float,
-        crossed: tuple[int, int],
-        left: _Sample,
-        right: _Sample,
-        roots: dict[tuple[int, int], _Sample],
-    ) -> bool:
-        """Whether an event function that turns negative between two samples ends a mode: a gap does between points
-        inside both domains only. roots: is added to what that takes."""
+    def _ends_mode(self, stretch: _Stretch, crossed: tuple[int, int]) -> bool:
+        """Whether an event function that turns negative there ends a mode: a gap does between points inside both
+        domains only."""
         c, kind = crossed
         if kind != GAP_EVENT or c >= self.system.nc:
             return True
-        root = roots[crossed] = self._root(t, step, crossed, left, right)
+        root = self._root(stretch, crossed)
         known = not np.isnan(root.values).any()
-        if known and self._open.are_apart(c, t + root.theta * step):
+        if known and self._open.are_apart(c, stretch.t + root.theta * stretch.step):
             # where it is followed is not where it is nearest
             return False
         inside = bool(known and self.system.contact_real[c, DOMAIN] >= 0.0)
@@ -203,36 +207,28 @@ class EventLocator:
             self._open.passed.add(c)
         return inside
 
-    def _earliest(
-        self,
-        t: float,
-        step: float,
-        crossed: np.ndarray,
-        left: _Sample,
-        right: _Sample,
-        roots: dict[tuple[int, int], _Sample],
-    ) -> Crossing:
-        """First of the event functions `crossed` (n, 2) that turn negative between two samples; roots: that are known.
+    def _earliest(self, stretch: _Stretch, crossed: np.ndarray) -> Crossing:
+        """First of the event functions `crossed` (n, 2) that turn negative there.
 
         The root of one is the next sample, at which most others are seen to cross later, and some to have been negative
         in between.
         """
-        found: Crossing | None = None
+        found, left = None, stretch.left
         # what has come down to that is zero there, too, as far as zeros are told apart
         at_once = _AT_ONCE * np.nan_to_num(left.values, posinf=0.0)
         for _ in range(crossed.shape[0] + _ROUNDS):
             first = 0
             if len(crossed) > 1:
-                before, after = (sample.values[crossed[:, 0], crossed[:, 1]] for sample in (left, right))
+                before, after = (sample.values[crossed[:, 0], crossed[:, 1]] for sample in (left, stretch.right))
                 # the one that is first on straight lines; what is infinite or zero at both ends counts as last
                 with np.errstate(invalid="ignore", divide="ignore"):
                     first = int(np.argmin(np.nan_to_num(before / (before - after), nan=1.0, posinf=1.0)))
             c, kind = crossed[first].tolist()
-            root = roots.get((c, kind)) or self._root(t, step, (c, kind), left, right)
+            root = self._root(stretch, (c, kind))
             if found is not None and root.theta >= found.theta:
                 break
-            found, right, roots = Crossing(root.theta, c, kind), root, {}
-            candidates = (right.values < -at_once) & (left.values > 0.0) & (left.values != NOTHING_THERE)
+            found, stretch = Crossing(root.theta, c, kind), _Stretch(stretch.t, stretch.step, left, root)
+            candidates = (root.values < -at_once) & (left.values > 0.0) & (left.values != NOTHING_THERE)
             candidates[c, kind] = False
             candidates[list(self._open.passed), GAP_EVENT] = False
             crossed = np.argwhere(candidates)
@@ -241,15 +237,18 @@ class EventLocator:
         assert found is not None
         return found
 
-    def _root(self, t: float, step: float, crossed: tuple[int, int], left: _Sample, right: _Sample) -> _Sample:
-        """Where an event function turns negative between two samples; its values are NaN where there are none."""
-        system = self.system
-        system.counters["sought_item"], system.counters["sought_kind"] = crossed
-        system.bracket[:4] = left.theta, left.values[crossed], right.theta, right.values[crossed]
-        system.run(FIND_ZERO, t, step)
-        known = system.scan_status[0] <= EVENT
-        values = system.scan_event_functions[0, : system.items].copy()
-        return _Sample(float(system.scan_shares[0]), values if known else np.full_like(values, math.nan))
+    def _root(self, stretch: _Stretch, crossed: tuple[int, int]) -> _Sample:
+        """Where an event function turns negative there; its values are NaN where there are none."""
+        if crossed not in stretch.roots:
+            system, left, right = self.system, stretch.left, stretch.right
+            system.counters["sought_item"], system.counters["sought_kind"] = crossed
+            system.bracket[:4] = left.theta, left.values[crossed], right.theta, right.values[crossed]
+            system.run(FIND_ZERO, stretch.t, stretch.step)
+            values = system.scan_event_functions[0, : system.items].copy()
+            if system.scan_status[0] > EVENT:
+                values[:] = math.nan
+            stretch.roots[crossed] = _Sample(float(system.scan_shares[0]), values)
+        return stretch.roots[crossed]
 
     # ---------------------------------------------------------------- true steps
 

@@ -30,6 +30,7 @@ _ROUGHNESS = np.linalg.qr(np.vander(_PLACES, _DEGREE + 1), mode="complete")[0][:
 
 Samples = list[tuple[float, float]]
 
+
 @kernel
 def begin_bracket(bracket, place, value):
     """The first place at which a function is known that changes its sign behind it."""

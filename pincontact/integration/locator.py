@@ -46,6 +46,8 @@ _SLOPE_OVER = 1e-4
 _FURTHEST = 1.1
 # Looks for what crosses before the first crossing that was found, beyond one for each event function.
 _ROUNDS = 4
+# Ways are zero that are this part of what open gaps may be below it.
+_CLOSE = 0.1
 # Event functions that are negative by this part of what they were cross zero at the same time.
 _AT_ONCE = 1e-12
 # An event function that is this part of its largest size away from zero wherever steps went to make it zero has no zero
@@ -270,6 +272,11 @@ class EventLocator:
         slope = float(ends[1][c, kind] - ends[0][c, kind]) / (h - back)
         is_way = kind == GAP_EVENT or (kind == DOMAIN_EVENT and c >= self.system.nc)
         depth = float(self._depths[c]) if is_way else 0.0
+        # ways were looked for where they are below zero by what open gaps may be, and are refined to zero
+        below = float(self.system.slack[c, kind]) - depth
+        if slope < 0.0:
+            h = max(h - (float(ends[1][c, kind]) - below) / slope, back)
+        zero = _CLOSE * below
         before: tuple[float, float] | None = None
         # forces decide modes, and where they do the motion has no jump
         is_force = kind in (NORMAL_EVENT, FRICTION_EVENT)
@@ -282,15 +289,15 @@ class EventLocator:
                 slope = (value - before[1]) / (h - before[0])
             before = h, value
             round_off = self._round_off(c, kind)
-            denied = denied and value > round_off
+            denied = denied and value > max(round_off, zero)
             change = -value / slope if slope != 0.0 else 0.0
-            close = is_force and abs(value) <= round_off and abs(change) <= stands
+            close = abs(value) <= (round_off if is_force else zero) and abs(change) <= stands
             if close or abs(change) <= _REFINED * step or not 0.0 < h + change <= _FURTHEST * step:
                 break
             h += change
         else:
             self.rk.attempt(t, h)
-        if denied or value < -self._round_off(c, kind):
+        if denied or value < -max(self._round_off(c, kind), zero):
             # outputs were written up to there; a function that jumps has no zero for secants
             h = crossing.theta * step
             self.rk.attempt(t, h)

@@ -11,6 +11,7 @@ from calling import from_python
 import pincontact as pc
 from pincontact.integration import sign_changes
 from pincontact.integration.locator import EventLocator, _Sample, _Stretch
+from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.sign_changes import zero_between
 from pincontact.layout import NORMAL_EVENT
 
@@ -236,3 +237,46 @@ def test_event_functions_that_jump_along_a_step(monkeypatch):
             assert value == (low if abs(low) <= abs(high) else high)
 
     Pressed(monkeypatch).look(script)
+
+
+# ---------------------------------------------------------------- true steps
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-10])
+def test_true_steps_to_a_touch(monkeypatch, rtol):
+    """A ball bounces: parabolas, which steps and their dense output follow to round-off, so that one true step is
+    enough for each touch, or two."""
+    height, g, kept = 0.2, 9.81, 0.6
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "place")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    sphere, plane = scene.add_contour("sphere", pc.Sphere(0.05), "ball"), scene.add_contour("plane", pc.Plane())
+    scene.add_contact("c", sphere, plane, restitution=kept)
+    state = scene.initial_state([0.0, 0.0, 0.05 + height], np.zeros(3), free=["c"])
+    refine, attempt = EventLocator.refine, RungeKutta.attempt
+    taken, counting = [], []
+
+    def counted_refine(locator, t, step, crossing):
+        counting.append(0)
+        result = refine(locator, t, step, crossing)
+        taken.append(counting.pop())
+        return result
+
+    def counted_attempt(rk, t, h):
+        if counting:
+            counting[-1] += 1
+        return attempt(rk, t, h)
+
+    monkeypatch.setattr(EventLocator, "refine", counted_refine)
+    monkeypatch.setattr(RungeKutta, "attempt", counted_attempt)
+    run = pc.simulate(scene, state, 0.75, rtol=rtol, atol=1e-2 * rtol)
+    times = [event.time for event in run.events if event.kind == "touch"]
+    fall = math.sqrt(2.0 * height / g)
+    expected = [fall * (1.0 + 2.0 * sum(kept**k for k in range(1, n + 1))) for n in range(len(times))]
+    assert len(times) >= 5 and len(taken) == len(times)
+    # a gap that is zero to a tenth of what open gaps may be below it (see `accuracy`), over the speed of the lowest hop
+    slowest = g * fall * kept ** len(times)
+    np.testing.assert_allclose(times, expected, rtol=0.0, atol=len(times) * max(1e-13, 1e-7 * rtol / slowest))
+    assert max(taken) <= 2

@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from calling import from_python
+from test_zeros import Looked, particle
 
 import pincontact as pc
 from pincontact.integration import slip_at_ends
@@ -16,20 +16,10 @@ MU, G = 0.4, 9.81
 FRACTION = slip_at_ends._STOP_FRACTION
 
 
-def particle(v):
+def sliding(v):
     """1 kg that slides on a plane."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "place")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("mass", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
-    point, plane = scene.add_contour("point", pc.Point(), "mass"), scene.add_contour("plane", pc.Plane())
-    scene.add_contact("c", point, plane, friction=pc.Coulomb(MU))
+    scene = particle(friction=pc.Coulomb(MU))
     return scene, scene.initial_state(np.zeros(3), v)
-
-
-class Looked(Exception):
-    """Ends a run in which all has been seen."""
 
 
 @pytest.fixture
@@ -44,7 +34,7 @@ def foretell(monkeypatch):
 
     monkeypatch.setattr(Driver, "_run", keep)
     with pytest.raises(Looked):
-        pc.simulate(*particle([1.0, 0.0, 0.0]), 1.0)
+        pc.simulate(*sliding([1.0, 0.0, 0.0]), 1.0)
     (system,) = systems
     foretold = from_python(slip_at_ends._foretell_stop, SYSTEM)
 
@@ -138,7 +128,7 @@ def test_a_slip_that_ends_on_a_parabola(bend, rtol):
     v = 2.0
     end = 2.0 * v / (MU * G + math.sqrt((MU * G) ** 2 - 2.0 * bend * v))
     way = v * end - 0.5 * MU * G * end**2 + bend * end**3 / 6.0
-    scene, state = particle([v, 0.0, 0.0])
+    scene, state = sliding([v, 0.0, 0.0])
     run = pc.simulate(
         scene, state, end + 0.05, control=lambda t, q, v: np.array([bend * min(t, end), 0.0, 0.0]), rtol=rtol, atol=rtol
     )

@@ -145,6 +145,18 @@ def test_compiled_as_in_python():
 # ---------------------------------------------------------------- along a step
 
 
+def particle(**options):
+    """1 kg above a plane, or on it."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "place")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("mass", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    point, plane = scene.add_contour("point", pc.Point(), "mass"), scene.add_contour("plane", pc.Plane())
+    scene.add_contact("c", point, plane, **options)
+    return scene
+
+
 class Looked(Exception):
     """Ends a run in which all has been seen."""
 
@@ -156,14 +168,8 @@ class Pressed:
     """
 
     def __init__(self, monkeypatch):
-        model = pin.Model()
-        joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "place")
-        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
-        model.addBodyFrame("mass", joint, pin.SE3.Identity(), 0)
-        model.gravity = pin.Motion.Zero()
-        self.scene = pc.Scene(model)
-        point, plane = self.scene.add_contour("point", pc.Point(), "mass"), self.scene.add_contour("plane", pc.Plane())
-        self.scene.add_contact("c", point, plane)
+        self.scene = particle()
+        self.scene.model.gravity = pin.Motion.Zero()
         self.monkeypatch, self.pull = monkeypatch, lambda t: 1.0 - 2.0 * t
 
     def look(self, script):
@@ -244,17 +250,11 @@ def test_event_functions_that_jump_along_a_step(monkeypatch):
 
 @pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-10])
 def test_true_steps_to_a_touch(monkeypatch, rtol):
-    """A ball bounces: parabolas, which steps and their dense output follow to round-off, so that one true step is
+    """A point bounces: parabolas, which steps and their dense output follow to round-off, so that one true step is
     enough for each touch."""
     height, g, kept = 0.2, 9.81, 0.6
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "place")
-    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
-    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
-    scene = pc.Scene(model)
-    sphere, plane = scene.add_contour("sphere", pc.Sphere(0.05), "ball"), scene.add_contour("plane", pc.Plane())
-    scene.add_contact("c", sphere, plane, restitution=kept)
-    state = scene.initial_state([0.0, 0.0, 0.05 + height], np.zeros(3), free=["c"])
+    scene = particle(restitution=kept)
+    state = scene.initial_state([0.0, 0.0, height], np.zeros(3), free=["c"])
     refine, attempt = EventLocator.refine, RungeKutta.attempt
     taken, counting = [], []
 

@@ -217,7 +217,7 @@ class EventLocator:
         """
         found, left = None, stretch.left
         # what has come down to that is zero there, too, as far as zeros are told apart
-        at_once = _AT_ONCE * np.nan_to_num(left.values, posinf=0.0)
+        at_once = _AT_ONCE * np.where(left.values < NOTHING_THERE, left.values, 0.0)
         for _ in range(crossed.shape[0] + _ROUNDS):
             first = 0
             if len(crossed) > 1:

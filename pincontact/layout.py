@@ -70,6 +70,8 @@ COUNTERS = record(
     "row_rank",
     "parent_axes",
     "scan_count",
+    "sought_item",
+    "sought_kind",
     "lost_positivity",
 )
 
@@ -131,7 +133,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 # DOMAIN is the distance of the contact coordinates from the nearest end of their domain, negative outside;
 # LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart, NEXT_NORMAL that of the
 # state about to be accepted; START_SPEED and _RATE are those of 3D slip there, infinite where there is none, STOP_ERROR
-# is that of velocities in m/s if the way to its end is one linear step.
+# is that of velocities in m/s if the way to its end is one linear step, and STOP_TIME in s what steps may go of it.
 # A frozen slip direction is DIRECTION + p(s) ACROSS with p of the coefficients POLYNOMIAL.. in s = (t - START) / SPAN;
 # vectors in world axes.
 (
@@ -175,6 +177,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     START_RATE,
     START_TOLERANCE,
     STOP_ERROR,
+    STOP_TIME,
     START,
     SPAN,
     DIRECTION_X,
@@ -184,7 +187,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(49)
+) = range(50)
 POLYNOMIAL_SIZE = 5
 # from START on
 FROZEN_COLUMNS = 8 + POLYNOMIAL_SIZE
@@ -335,7 +338,7 @@ SYSTEM = Layout(
     # least and largest event functions of a step's stages, and one choice among redundant forces
     lowest=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
     highest=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
-    # (2 (nc + ng + nr) + 1, POLYNOMIAL_SIZE): shares of a step, v_c across directions and along, see `steps`
+    # (2 (nc + ng + nr) + 1, 2 POLYNOMIAL_SIZE - 1): shares of a step, v_c across directions and along, see `steps`
     across=(REALS, 2),
     reference=(REALS, 2, 3),  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
     # how the reference follows the loads: see `equations`
@@ -345,6 +348,9 @@ SYSTEM = Layout(
     scan_shares=(REALS, 1),  # (SCAN_ROOM,)
     scan_status=(INTEGERS, 1),  # (SCAN_ROOM,)
     scan_event_functions=(REALS, 3),  # (SCAN_ROOM, nc + ng + nr, EVENTS_PER_CONTACT)
+    # what event functions may be below zero, and shares of a step with values around a zero: see `narrow`
+    slack=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
+    bracket=(REALS, 1),  # (6,)
 )
 
 # the workspace at an address that Python gives an entry kernel

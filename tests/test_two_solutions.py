@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,6 @@ from random_motions import random_motion
 
 import pincontact as pc
 from pincontact.friction.solve import OPEN, STICK, ContactSolver
-from pincontact.integration.sign_changes import zero_between
 
 METHODS = ({}, {"method": "Moreau", "step": 1e-3}, {"method": "Moreau", "step": 1e-4})
 # The point of the hinged bar is this far below and beside its hinge.
@@ -112,11 +110,3 @@ def test_what_others_throw_off_is_announced():
     run = Runs(random_motion(50212)[1]).run()
     happened = [(event.kind, event.contact) for event in run.events if 0.0 < event.time < 0.05]
     assert happened == [("limit", None), ("separate", "c0"), ("touch", "c1"), ("touch", "c0"), ("separate", "c1")]
-
-
-def test_zeros_of_what_jumps():
-    """Brent's method takes more steps than it is given where a function comes near to zero, flatly, and jumps."""
-    for power in (0, 3, 21):
-        value = lambda x, power=power: (0.3 - x) ** power if x < 0.3 else -math.inf  # noqa: E731
-        assert zero_between(value, 0.0, 1.0, 1e-15) == pytest.approx(0.3, abs=2e-15)
-    assert zero_between(lambda x: math.cos(x) - x, 0.0, 1.0, 1e-15) == pytest.approx(0.7390851332151607, abs=1e-15)

@@ -114,6 +114,6 @@ class PassingSlip:
         """How far the velocity is from what it was, how large that was, and how far it may be for errors of steps to
         explain it: in the mass metric of the last evaluation, in which half a square is an energy."""
         system = self.system
-        size = float(np.linalg.norm(whitened_velocity(system, before)))
-        change = float(np.linalg.norm(whitened_velocity(system, system.v - before)))
+        moved = whitened_velocity(system, np.column_stack([system.v - before, before]))
+        change, size = np.sqrt((moved * moved).sum(axis=0)).tolist()
         return change, size, self._negligible(size)

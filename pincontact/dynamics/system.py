@@ -333,6 +333,8 @@ class System(Workspace):
 
     def _to_be_asked(self, torque: Callable[[float], None] | None) -> Callable[[], bool]:
         drives = [(name, motion, self.side_motion[side]) for side, name, motion in self.python_drives]
+        if torque is not None and not drives:
+            return self.callback_of(torque)
 
         def ask(t: float) -> None:
             if torque is not None:

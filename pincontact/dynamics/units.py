@@ -6,6 +6,7 @@ A unit is one cone: three columns L^-T row^T in the order (t1, t2, n), zero wher
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,8 +42,15 @@ def _solved(upper: np.ndarray, right: np.ndarray, transposed: bool) -> np.ndarra
 
 
 def whitened_velocity(system: System, v: np.ndarray) -> np.ndarray:
-    """L v: half of its square is the kinetic energy of v. BLAS's own for triangles starts threads, too."""
-    return np.tril(system.factor) @ v
+    """L v, for v (nv,) or columns (nv, n), half of whose square is the kinetic energy of v. BLAS's own for triangles
+    starts threads, too."""
+    return np.where(_lower(system.nv), system.factor, 0.0) @ v
+
+
+@cache
+def _lower(n: int) -> np.ndarray:
+    """(n, n) where a lower triangle is."""
+    return np.tri(n, dtype=bool)
 
 
 class Units:

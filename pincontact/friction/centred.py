@@ -117,7 +117,7 @@ def _enter(barriers: _Barriers, z: np.ndarray, values: np.ndarray) -> np.ndarray
     """A point inside all cones (phase one), from one of these distances inside; None where there is none."""
     count = values.size
     # as far outside as the others are inside: the steps to come are of that size
-    start = max(float(np.median(np.abs(values))), 10.0 * INSIDE) - float(values.min())
+    start = max(sorted(map(abs, values.tolist()))[count // 2], 10.0 * INSIDE) - float(values.min())
     point = np.append(z, start)
     pressure = 2.0 * count / start
     before: np.ndarray | None = None

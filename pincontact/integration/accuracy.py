@@ -11,6 +11,7 @@ from .results import GAP_TOLERANCE
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
+    from .run_system import RunSystem
 
 # A start that is no deeper than this part of the contact's length, and gets deeper, has just touched.
 SHALLOW = 0.05
@@ -22,29 +23,29 @@ _RESOLVED, _ROUND_OFF = 1e-6, 2e-14
 _RESOLVED_VISCOUS = 1e-3
 
 
-def gap_accuracy(system: System) -> np.ndarray:
-    """(items,) errors of gaps in m, and of the distances of joint coordinates from their ends, in m or rad.
+def set_accuracy(system: RunSystem) -> None:
+    """From the tolerances of a run: the errors of gaps in m, and of the distances of joint coordinates from their ends,
+    in m or rad, and how low hops are that are none.
 
     They are GAP_TOLERANCE times the tolerance of positions, at the contact's length; joint coordinates are of unit
-    size.
+    size. With viscous friction, which ends as a contact opens, hops may get shorter without end: there they are
+    resolved less far.
     """
-    lengths = np.ones(system.items)
+    lengths, resolved = np.ones(system.items), np.full(system.items, _RESOLVED)
     lengths[: system.nc] = system.contact_real[: system.nc, LENGTH]
+    resolved[: system.nc][system.contact_real[: system.nc, VISCOUS] > 0.0] = _RESOLVED_VISCOUS
     relative, absolute = system.scale
-    return GAP_TOLERANCE * (absolute + relative * lengths)
+    system.gap_accuracy = GAP_TOLERANCE * (absolute + relative * lengths)
+    system.lowest_hops = resolved * system.gap_accuracy
 
 
-def gap_resolution(system: System) -> np.ndarray:
+def gap_resolution(system: RunSystem) -> np.ndarray:
     """(items,) how low hops are that are none, and how far open gaps may be below zero, in m or rad.
 
     Gaps are computed from the configuration to round-off, however large its error is; only what two motions are
-    compared by, such as contacts that touch at the same time, is not known better than to `gap_accuracy`. With viscous
-    friction, which ends as a contact opens, hops may get shorter without end: there they are resolved less far.
+    compared by, such as contacts that touch at the same time, is not known better than to `gap_accuracy`.
     """
-    resolved = np.full(system.items, _RESOLVED)
-    resolved[: system.nc][system.contact_real[: system.nc, VISCOUS] > 0.0] = _RESOLVED_VISCOUS
-    round_off = _ROUND_OFF * max(1.0, float(np.abs(system.q).max(initial=0.0)))
-    return np.maximum(resolved * gap_accuracy(system), round_off)
+    return np.maximum(system.lowest_hops, _ROUND_OFF * max(map(abs, [1.0, *system.q.tolist()])))
 
 
 def rest_speed(system: System) -> float:

@@ -332,11 +332,13 @@ class Driver:
         if counters["failure"] != OK:
             # what has cut steps short are the modes that were left
             h, counters["failure"] = self.transitions.onset.seed, OK
-        h = max(h, _RESTART * float(scalars["floor"]))
-        scalars["next_step"] = self.options.fixed_step or min(h, _RESTART_SEEDS * self.transitions.onset.seed)
+        self._age, self.transitions.onset.age = self.transitions.onset.age, 0.0
+        if self._age > 0.0:
+            # slip that has just begun changes in times like its age
+            h = min(h, max(self._age, _RESTART_SEEDS * self.transitions.onset.seed))
+        scalars["next_step"] = self.options.fixed_step or max(h, _RESTART * float(scalars["floor"]))
         scalars["slowest"], scalars["last_error"] = math.inf, 0.0
         counters["stalled"] = 0
-        self._age, self.transitions.onset.age = self.transitions.onset.age, 0.0
         if scalars["turning_rate"] * self._age > _PATIENCE * _STABLE:
             # friction turns slip that has just begun much faster than it grows
             counters["stiff_steps"] = counters["patience"]

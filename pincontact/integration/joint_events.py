@@ -7,8 +7,9 @@ import numpy as np
 from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import ModeSolver
 from ..layout import DOMAIN_EVENT, FREE, GAP_EVENT, JOINT_END, JOINT_SIGN, MODE, NORMAL_EVENT, SPEED_EVENT
-from .accuracy import gap_accuracy, gap_resolution, rest_speed
+from .accuracy import gap_resolution, rest_speed
 from .reports import Reports
+from .run_system import RunSystem
 
 
 class JointEvents:
@@ -18,8 +19,8 @@ class JointEvents:
     depths: (items,) how far in m or rad moving coordinates may be beyond their ends; the event locator reads it.
     """
 
-    def __init__(self, modes: ModeSolver, reports: Reports, depths: np.ndarray) -> None:
-        self.system, self.modes, self.reports, self._depths = modes.system, modes, reports, depths
+    def __init__(self, system: RunSystem, modes: ModeSolver, reports: Reports, depths: np.ndarray) -> None:
+        self.system, self.modes, self.reports, self._depths = system, modes, reports, depths
         # at which end a coordinate has been, if it was no further from it since than positions are known
         self._at_end: dict[int, int] = {}
         # of every coordinate: see `_state`
@@ -36,7 +37,7 @@ class JointEvents:
 
     def accuracy(self, g: int) -> float:
         """Error in m or rad of the distance of coordinate g from its ends."""
-        return float(gap_accuracy(self.system)[self.system.nc + g])
+        return float(self.system.gap_accuracy[self.system.nc + g])
 
     def resolution(self, g: int) -> float:
         """Way in m or rad below which a motion of coordinate g is none."""

@@ -9,31 +9,47 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..layout import DOMAIN, DOMAIN_EVENT, GAP_EVENT, NOTHING_THERE, OK, SCAN_ROOM, SPEED_EVENT
+from ..layout import (
+    DOMAIN,
+    DOMAIN_EVENT,
+    EVENT,
+    FRICTION_EVENT,
+    GAP_EVENT,
+    NORMAL_EVENT,
+    NOTHING_THERE,
+    OK,
+    SCAN_ROOM,
+    SPEED_EVENT,
+)
 from .accuracy import gap_resolution
 from .open_contacts import OpenContacts
 from .runge_kutta import RungeKutta
-from .sign_changes import ACCURACY, look_below_zero, zero_between
+from .sign_changes import look_below_zero
+from .steps import FIND_ZERO
 
 # Samples of the dense output between which a sign change is looked for, all those of one scan: irregular, lest they all
 # be zeros of a sine.
 _PLACES = (0.0, 0.1137, 0.2419, 0.3871, 0.5093, 0.6361, 0.7493, 0.8829, 1.0)
 assert len(_PLACES) == SCAN_ROOM
-# Steps that refine an event's time, and the change of time (relative to the step) that ends them.
+# Steps that refine an event's time, and the change of time (relative to the step) that ends them, or by which the state
+# moves by this part of its tolerance.
 _REFINEMENTS = 8
 _REFINED = 1e-14
+_STANDS = 1e-2
 # The slope at an event is taken over this part of the step before it, and no further back than half the way to it.
 _SLOPE_OVER = 1e-4
 # No step to an event goes further beyond the step in which it was seen.
 _FURTHEST = 1.1
-_BISECTIONS = 40
 # Looks for what crosses before the first crossing that was found, beyond one for each event function.
 _ROUNDS = 4
+# Ways are zero that are this part of what open gaps may be below it.
+_CLOSE = 0.1
+# Event functions that are negative by this part of what they were cross zero at the same time.
+_AT_ONCE = 1e-12
 # An event function that is this part of its largest size away from zero wherever steps went to make it zero has no zero
 # there.
 _NEXT_TO_NOTHING = 1e-6
@@ -58,6 +74,18 @@ class _Sample:
     values: np.ndarray
 
 
+@dataclass(frozen=True)
+class _Stretch:
+    """What is between two samples of the step from t of size `step`; roots: the samples at zeros that are known there,
+    by event function."""
+
+    t: float
+    step: float
+    left: _Sample
+    right: _Sample
+    roots: dict[tuple[int, int], _Sample] = field(default_factory=dict)
+
+
 class EventLocator:
     """Finds the first crossing in the trial step that its integrator has interpolated last, from t and of size step.
 
@@ -72,48 +100,45 @@ class EventLocator:
     def first(self, t: float, step: float) -> Crossing | None:
         """The earliest crossing; None where the alarm was false."""
         self._set_slack()
-        samples = [_Sample(theta, values) for theta, values in zip(_PLACES, self._values(t, step, _PLACES))]
-        if len(samples) < 2:
+        values = self._values(t, step, _PLACES)
+        places = _PLACES[: len(values)]
+        if len(places) < 2:
             return None
-        samples = self._with_lowest(t, step, samples)
-        crosses = self._crossings(np.array([sample.values for sample in samples]))
-        for i in np.flatnonzero(crosses.any(axis=(1, 2))):
-            left, right = samples[i], samples[i + 1]
+        places, values = self._with_lowest(t, step, places, values)
+        crosses = self._crossings(values)
+        for i in np.flatnonzero(crosses.any(axis=(1, 2))).tolist():
+            left, right = (_Sample(places[k], values[k]) for k in (i, i + 1))
+            stretch = _Stretch(t, step, left, right)
             crossed = [(c, kind) for c, kind in np.argwhere(crosses[i]).tolist()]
-            crossed = [pair for pair in crossed if self._ends_mode(t, step, pair, left, right)]
+            crossed = [pair for pair in crossed if self._ends_mode(stretch, pair)]
             if crossed:
-                return self._earliest(t, step, np.array(crossed), left, right)
+                return self._earliest(stretch, np.array(crossed))
         return None
 
     # ---------------------------------------------------------------- values
 
-    @cached_property
-    def _slack(self) -> np.ndarray:
-        """(items, EVENTS_PER_CONTACT) what event functions may be below zero; of gaps as `_set_slack` has it."""
-        return np.zeros_like(self.system.event_functions[: self.system.items])
-
-    @cached_property
-    def _accuracy(self) -> np.ndarray:
-        return gap_resolution(self.system)
-
     def _set_slack(self) -> None:
-        nc = self.system.nc
-        self._slack[:, GAP_EVENT] = self._accuracy + self._depths
+        """What event functions may be below zero."""
+        system, nc = self.system, self.system.nc
+        n, slack = system.items, system.slack
+        slack[:n, GAP_EVENT] = gap_resolution(system) + self._depths
         # the upper end of a joint coordinate
-        self._slack[nc:, DOMAIN_EVENT] = self._slack[nc:, GAP_EVENT]
-        self._slack[:, SPEED_EVENT] = _SPEED_ROUND_OFF * (1.0 + float(np.abs(self.system.v).max(initial=0.0)))
+        slack[nc:n, DOMAIN_EVENT] = slack[nc:n, GAP_EVENT]
+        slack[:n, SPEED_EVENT] = _SPEED_ROUND_OFF * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
 
     def _values(self, t: float, step: float, thetas: Sequence[float]) -> np.ndarray:
         """Event functions (n, items, EVENTS_PER_CONTACT) at fractions of the step, plus what they may be below zero;
         there are fewer than fractions where one of them cannot be evaluated: those before it."""
         known, found = self.system.scan(t, step, thetas)
-        return (found[: known.index(False)] if False in known else found) + self._slack
+        return (found[: known.index(False)] if False in known else found).copy()
 
-    def _with_lowest(self, t: float, step: float, samples: list[_Sample]) -> list[_Sample]:
-        """The samples, and the lowest points of event functions between them, if they are negative there."""
-        if len(samples) < 3:
-            return samples
-        values = np.array([sample.values for sample in samples])
+    def _with_lowest(
+        self, t: float, step: float, places: tuple[float, ...], values: np.ndarray
+    ) -> tuple[tuple[float, ...], np.ndarray]:
+        """The samples at these places, and the lowest points of event functions between them, if they are negative
+        there."""
+        if len(places) < 3:
+            return places, values
         left, middle, right = values[:-2], values[1:-1], values[2:]
         higher = np.maximum(left, right)
         # a parabola's valley is no deeper than half the change between samples; infinite values compare
@@ -122,19 +147,21 @@ class EventLocator:
         # one that lies between the first two samples, or the last two, has its lowest one at an end of the step
         for i, end in ((0, left), (-1, right)):
             valleys[i] |= (end[i] >= 0.0) & (end[i] < middle[i]) & (1.5 * end[i] < 0.5 * higher[i])
-        found: dict[float, _Sample] = {}
+        if not valleys.any():
+            return places, values
+        samples = dict(zip(places, values))
         for i, c, kind in np.argwhere(valleys).tolist():
-            points = [(sample.theta, float(sample.values[c, kind])) for sample in samples[i : i + 3]]
+            points = [(place, float(samples[place][c, kind])) for place in places[i : i + 3]]
             looked: dict[float, np.ndarray] = {}
-            lowest = look_below_zero(self._function(t, step, (c, kind), math.inf, looked), points)
+            lowest = look_below_zero(self._function(t, step, (c, kind), looked), points)
             if lowest is not None and lowest[1] < 0.0:
-                found[lowest[0]] = _Sample(lowest[0], looked[lowest[0]])
-        return sorted([*samples, *found.values()], key=lambda sample: sample.theta)
+                samples[lowest[0]] = looked[lowest[0]]
+        return tuple(sorted(samples)), np.array([samples[place] for place in sorted(samples)])
 
     def _function(
-        self, t: float, step: float, which: tuple[int, int], missing: float, known: dict[float, np.ndarray]
+        self, t: float, step: float, which: tuple[int, int], known: dict[float, np.ndarray]
     ) -> Callable[[float], float]:
-        """One event function of fractions of the step, `missing` where it cannot be evaluated; known: values of all by
+        """One event function of fractions of the step, infinite where it cannot be evaluated; known: values of all by
         fraction, which is added to.
 
         Each fraction is asked for once: a control that answers otherwise the next time (noise) has no root to be found.
@@ -143,7 +170,7 @@ class EventLocator:
         def value(theta: float) -> float:
             if theta not in known:
                 values = self._values(t, step, [theta])
-                known[theta] = values[0] if len(values) else np.full_like(self._slack, missing)
+                known[theta] = values[0] if len(values) else np.full_like(self.system.slack, math.inf)
             return float(known[theta][which])
 
         return value
@@ -166,15 +193,15 @@ class EventLocator:
         crosses[:1, :nc, GAP_EVENT] &= (before[:1, :nc, GAP_EVENT] >= 0.0) | self._open.apart
         return crosses
 
-    def _ends_mode(self, t: float, step: float, crossed: tuple[int, int], left: _Sample, right: _Sample) -> bool:
-        """Whether an event function that turns negative between two samples ends a mode: a gap does between points
-        inside both domains only."""
+    def _ends_mode(self, stretch: _Stretch, crossed: tuple[int, int]) -> bool:
+        """Whether an event function that turns negative there ends a mode: a gap does between points inside both
+        domains only."""
         c, kind = crossed
         if kind != GAP_EVENT or c >= self.system.nc:
             return True
-        theta = self._root(t, step, crossed, left, right)
-        known = len(self._values(t, step, [theta])) > 0
-        if known and self._open.are_apart(c, t + theta * step):
+        root = self._root(stretch, crossed)
+        known = not np.isnan(root.values).any()
+        if known and self._open.are_apart(c, stretch.t + root.theta * stretch.step):
             # where it is followed is not where it is nearest
             return False
         inside = bool(known and self.system.contact_real[c, DOMAIN] >= 0.0)
@@ -182,28 +209,28 @@ class EventLocator:
             self._open.passed.add(c)
         return inside
 
-    def _earliest(self, t: float, step: float, crossed: np.ndarray, left: _Sample, right: _Sample) -> Crossing:
-        """First of the event functions `crossed` (n, 2) that turn negative between two samples.
+    def _earliest(self, stretch: _Stretch, crossed: np.ndarray) -> Crossing:
+        """First of the event functions `crossed` (n, 2) that turn negative there.
 
         The root of one is the next sample, at which most others are seen to cross later, and some to have been negative
         in between.
         """
-        found: Crossing | None = None
+        found, left = None, stretch.left
+        # what has come down to that is zero there, too, as far as zeros are told apart
+        at_once = _AT_ONCE * np.where(left.values < NOTHING_THERE, left.values, 0.0)
         for _ in range(crossed.shape[0] + _ROUNDS):
-            before, after = (sample.values[crossed[:, 0], crossed[:, 1]] for sample in (left, right))
-            # the one that is first on straight lines; what is infinite or zero at both ends counts as last
-            with np.errstate(invalid="ignore", divide="ignore"):
-                places = np.nan_to_num(before / (before - after), nan=1.0, posinf=1.0)
-            c, kind = crossed[int(np.argmin(places))].tolist()
-            theta = self._root(t, step, (c, kind), left, right)
-            if found is not None and theta >= found.theta:
+            first = 0
+            if len(crossed) > 1:
+                before, after = (sample.values[crossed[:, 0], crossed[:, 1]] for sample in (left, stretch.right))
+                # the one that is first on straight lines; what is infinite or zero at both ends counts as last
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    first = int(np.argmin(np.nan_to_num(before / (before - after), nan=1.0, posinf=1.0)))
+            c, kind = crossed[first].tolist()
+            root = self._root(stretch, (c, kind))
+            if found is not None and root.theta >= found.theta:
                 break
-            found = Crossing(theta, c, kind)
-            values = self._values(t, step, [theta])
-            if not len(values):
-                break
-            right = _Sample(theta, values[0])
-            candidates = (right.values < 0.0) & (left.values > 0.0) & (left.values != NOTHING_THERE)
+            found, stretch = Crossing(root.theta, c, kind), _Stretch(stretch.t, stretch.step, left, root)
+            candidates = (root.values < -at_once) & (left.values > 0.0) & (left.values != NOTHING_THERE)
             candidates[c, kind] = False
             candidates[list(self._open.passed), GAP_EVENT] = False
             crossed = np.argwhere(candidates)
@@ -212,22 +239,18 @@ class EventLocator:
         assert found is not None
         return found
 
-    def _root(self, t: float, step: float, crossed: tuple[int, int], left: _Sample, right: _Sample) -> float:
-        """Where an event function turns negative between two samples."""
-        # what cannot be evaluated counts as beyond the root
-        value = self._function(t, step, crossed, -1.0, {sample.theta: sample.values for sample in (left, right)})
-        low = left.theta
-        if left.values[crossed] <= 0.0:
-            # the mode was entered on its boundary: look for the part where it holds first
-            probe = right.theta
-            for _ in range(_BISECTIONS):
-                probe = low + 0.5 * (probe - low)
-                if value(probe) > 0.0:
-                    break
-            else:
-                return low
-            low = probe
-        return zero_between(value, low, right.theta, ACCURACY)
+    def _root(self, stretch: _Stretch, crossed: tuple[int, int]) -> _Sample:
+        """Where an event function turns negative there; its values are NaN where there are none."""
+        if crossed not in stretch.roots:
+            system, left, right = self.system, stretch.left, stretch.right
+            system.counters["sought_item"], system.counters["sought_kind"] = crossed
+            system.bracket[:4] = left.theta, left.values[crossed], right.theta, right.values[crossed]
+            system.run(FIND_ZERO, stretch.t, stretch.step)
+            values = system.scan_event_functions[0, : system.items].copy()
+            if system.scan_status[0] > EVENT:
+                values[:] = math.nan
+            stretch.roots[crossed] = _Sample(float(system.scan_shares[0]), values)
+        return stretch.roots[crossed]
 
     # ---------------------------------------------------------------- true steps
 
@@ -249,8 +272,15 @@ class EventLocator:
         slope = float(ends[1][c, kind] - ends[0][c, kind]) / (h - back)
         is_way = kind == GAP_EVENT or (kind == DOMAIN_EVENT and c >= self.system.nc)
         depth = float(self._depths[c]) if is_way else 0.0
+        # ways were looked for where they are below zero by what open gaps may be, and are refined to zero
+        below = float(self.system.slack[c, kind]) - depth
+        if slope < 0.0:
+            h = max(h - (float(ends[1][c, kind]) - below) / slope, back)
+        zero = _CLOSE * below
         before: tuple[float, float] | None = None
-        denied, value = True, 0.0
+        # forces decide modes, and where they do the motion has no jump
+        is_force = kind in (NORMAL_EVENT, FRICTION_EVENT)
+        denied, value, stands = True, 0.0, self._time_to_move()
         for _ in range(_REFINEMENTS):
             if self.rk.attempt(t, h) != OK:
                 return h, True
@@ -258,18 +288,28 @@ class EventLocator:
             if before is not None and before[0] != h:
                 slope = (value - before[1]) / (h - before[0])
             before = h, value
-            denied = denied and value > self._round_off(c, kind)
+            round_off = self._round_off(c, kind)
+            denied = denied and value > max(round_off, zero)
             change = -value / slope if slope != 0.0 else 0.0
-            if abs(change) <= _REFINED * step or not 0.0 < h + change <= _FURTHEST * step:
+            close = abs(value) <= (round_off if is_force else zero) and abs(change) <= stands
+            if close or abs(change) <= _REFINED * step or not 0.0 < h + change <= _FURTHEST * step:
                 break
             h += change
         else:
             self.rk.attempt(t, h)
-        if denied or value < -self._round_off(c, kind):
+        if denied or value < -max(self._round_off(c, kind), zero):
             # outputs were written up to there; a function that jumps has no zero for secants
             h = crossing.theta * step
             self.rk.attempt(t, h)
         return h, not denied
+
+    def _time_to_move(self) -> float:
+        """Time in s in which the state at the step's start moves by `_STANDS` of its tolerance."""
+        system = self.system
+        counted = system.absolute > 0.0
+        allowed = system.absolute + system.scale[0] * np.abs(system.state)
+        rate = float(np.abs(system.slopes[0][counted] / allowed[counted]).max(initial=0.0))
+        return _STANDS / rate if rate > 0.0 else math.inf
 
     def _round_off(self, c: int, kind: int) -> float:
         """What is next to nothing in an event function, against its sizes in the last trial step."""

@@ -44,6 +44,8 @@ _JUMP = 1e-6
 # Event functions of friction below this part of the limit, and loads below this part of the largest, are zero where no
 # choice among redundant forces can raise them.
 _AT_LIMIT = 1e-6
+# Part of the relative tolerance within which the last redundant forces that hold are those at the limit.
+_AS_GOOD_AS_AT_LIMIT = 0.1
 
 
 class ModeChanges:
@@ -192,6 +194,8 @@ class ModeChanges:
         ended = c if kind == NORMAL_EVENT and c < system.nc and system.contact_int[c, UNILATERAL] else None
         if not self.modes.redistribute(t, self.rk.evaluate, ended):
             return False
+        if kind == FRICTION_EVENT and c in self.at_limit(_AS_GOOD_AS_AT_LIMIT * float(system.scale[0])):
+            return False
         self.project(t)
         self.rk.accept()
         return True
@@ -206,15 +210,24 @@ class ModeChanges:
         system = self.system
         if not self.modes.redundant or c >= system.nc or not system.contact_int[c, UNILATERAL]:
             return c, kind
-        loads = np.abs(system.force[: system.nc, 2])
-        loads[loads <= _AT_LIMIT * loads.max(initial=0.0)] = 0.0
+        loads = self._loads()
         if loads[c] > 0.0:
             return c, kind
-        limits = {i: float(system.contact_real[i, MU_STATIC] * loads[system.owner(i)]) for i in self.sticking()}
-        limited = [
-            i for i, limit in limits.items() if abs(system.event_functions[i, FRICTION_EVENT]) < _AT_LIMIT * limit
-        ]
+        limited = self.at_limit()
         return (max(limited, key=lambda i: loads[system.owner(i)]), FRICTION_EVENT) if limited else (c, NORMAL_EVENT)
+
+    def at_limit(self, within: float = _AT_LIMIT) -> list[int]:
+        """The items that stick at the limit of their friction, but for this part of it."""
+        system, loads = self.system, self._loads()
+        limits = {i: system.contact_real.item(i, MU_STATIC) * loads.item(system.owner(i)) for i in self.sticking()}
+        left = system.event_functions[:, FRICTION_EVENT].tolist()
+        return [i for i, limit in limits.items() if abs(left[i]) < within * limit]
+
+    def _loads(self) -> np.ndarray:
+        """(nc,) normal forces in N of all contacts, zero where they are next to nothing."""
+        loads = np.abs(self.system.force[: self.system.nc, 2])
+        loads[loads <= _AT_LIMIT * loads.max(initial=0.0)] = 0.0
+        return loads
 
     # ---------------------------------------------------------------- the state
 

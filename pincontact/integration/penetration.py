@@ -13,7 +13,7 @@ import numpy as np
 
 from ..dynamics.modes import ModeSolver
 from ..layout import DOMAIN, EVENT, FREE, GAP_EVENT, LENGTH, MODE, MU, OK, STICK, UNILATERAL
-from .accuracy import gap_accuracy, gap_rate, gap_resolution
+from .accuracy import gap_rate, gap_resolution
 from .results import Event
 from .runge_kutta import RungeKutta
 
@@ -40,7 +40,7 @@ class Penetration:
 
     def accuracy(self, c: int) -> float:
         """Error in m of the gap of contact c."""
-        return float(gap_accuracy(self._rk.system)[c])
+        return float(self._rk.system.gap_accuracy[c])
 
     def resolution(self, c: int) -> float:
         """Height in m below which a hop of contact c is none."""

@@ -31,11 +31,16 @@ class RunSystem(System):
         self.scratch("dense", DENSE_ROWS, ny)
         self.zeros("scale", 2)
         self.zeros("absolute", ny)
-        self.scratch("across", 2 * items + 1, POLYNOMIAL_SIZE)
+        self.scratch("across", 2 * items + 1, 2 * POLYNOMIAL_SIZE - 1)
         self.scratch("scan_shares", SCAN_ROOM)
         self.scratch("scan_status", SCAN_ROOM)
         self.scratch("scan_event_functions", SCAN_ROOM + KEPT_ROWS, items, EVENTS_PER_CONTACT)
+        self.zeros("slack", items, EVENTS_PER_CONTACT)
+        self.scratch("bracket", 6)
+        # see `accuracy.set_accuracy`
+        self.gap_accuracy = self.lowest_hops = np.zeros(self.items)
         self._few_times = self.scratch("output_times", _FEW_TIMES)
+        self._few_at = self.table[self.layout.places["output_times"], 0].item()
         self.output_times = _NO_TIMES
 
     def parts(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -53,8 +58,9 @@ class RunSystem(System):
         return self.checked(run_task(self.address, task, t, h))
 
     def scan(self, t: float, step: float, shares: Sequence[float]) -> tuple[list[bool], np.ndarray]:
-        """Event functions along the step from t that was interpolated last, at shares of it, at most SCAN_ROOM: (n,)
-        whether they could be evaluated, (n, items, EVENTS_PER_CONTACT) a view that the next scan overwrites.
+        """Event functions plus `slack` along the step from t that was interpolated last, at shares of it, at most
+        SCAN_ROOM: (n,) whether they could be evaluated, (n, items, EVENTS_PER_CONTACT) a view that the next one
+        overwrites.
 
         The gap of an open contact is NOTHING_THERE where no nearest point was found.
         """
@@ -79,7 +85,7 @@ class RunSystem(System):
         if given.size <= _FEW_TIMES:
             # an array's address takes longer to find than these to copy
             self._few_times[: given.size] = given
-            self.output_times = self._few_times[: given.size]
+            self.put("output_times", self._few_times[: given.size], self._few_at)
         else:
             self.put("output_times", np.ascontiguousarray(given))
         counters["output_count"], counters["outputs_done"], counters["record_steps"] = given.size, 0, times is None

@@ -10,6 +10,7 @@ from ..layout import (
     EVENT,
     OK,
 )
+from .accuracy import set_accuracy
 from .dense import Interpolant
 from .stages import load_state
 from .steps import ACCEPT, FINISH_STEP, FIRST_STEP, INTERPOLATION_STAGES, KEEP_VELOCITY, START, TRIAL_STEP
@@ -51,6 +52,7 @@ class RungeKutta:
         system.scalars["dip"] = _DIP * method.widest**2
         system.counters["parent_axes"] = system.turns
         system.scale[0], system.scale[1] = rtol, atol
+        set_accuracy(system)
         system.absolute.fill(atol)
         # no error is estimated in parameters that nothing depends on
         system.absolute[system.unfollowed] = 0.0

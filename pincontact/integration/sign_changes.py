@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
-import scipy
+
+from ..jit import kernel
 
 # Places in an interval at which a function is sampled, irregular, lest they all be zeros of a sine.
 _PLACES = (0.0, 0.1137, 0.2419, 0.3871, 0.5647, 0.7219, 0.8629, 1.0)
@@ -19,28 +21,67 @@ _HALVINGS = 6
 _HUGE = 1e100
 # Looks at the lowest point between two samples.
 _LOOKS = 3
-# Zeros of event functions in a step, as a part of it.
+# Zeros of event functions in a step, as a part of it; looks for a zero, at most; round-off of places.
 ACCURACY = 1e-15
+LOOKS_FOR_ZERO = 128
+_ROUND_OFF = 2.2e-16
 
 _ROUGHNESS = np.linalg.qr(np.vander(_PLACES, _DEGREE + 1), mode="complete")[0][:, _DEGREE + 1 :].T
 
 Samples = list[tuple[float, float]]
 
-_ROUND_OFF = 8.9e-16
+
+@kernel
+def begin_bracket(bracket, place, value):
+    """The first place at which a function is known that changes its sign behind it."""
+    for i in range(3):
+        bracket[2 * i], bracket[2 * i + 1] = place, max(-_HUGE, min(value, _HUGE))
+
+
+@kernel
+def narrow(bracket, place, value, accuracy):
+    """Take the value of a function at a place into the bracket of a zero; where to look next, NaN where that is known.
+
+    bracket: places and values (a, f(a), b, f(b), c, f(c)): of the last look, of one on the other side of the zero, and
+    of the one before. By inverse quadratic interpolation where that is safe, else by bisection (Chandrupatla, Adv. Eng.
+    Software 28 (1997) 145). Infinite values tell no more than their sign.
+    """
+    value = max(-_HUGE, min(value, _HUGE))
+    bracket[4], bracket[5] = bracket[0], bracket[1]
+    if (value < 0.0) != (bracket[1] < 0.0):
+        bracket[4], bracket[5], bracket[2], bracket[3] = bracket[2], bracket[3], bracket[0], bracket[1]
+    bracket[0], bracket[1] = place, value
+    a, value_a, b, value_b, c, value_c = bracket[0], bracket[1], bracket[2], bracket[3], bracket[4], bracket[5]
+    width, least = abs(b - a), accuracy + _ROUND_OFF * abs(a)
+    if value == 0.0 or width <= 2.0 * least:
+        return math.nan
+    share = 0.5
+    if b == c:
+        share = value_a / (value_a - value_b)
+    else:
+        xi, phi = (a - b) / (c - b), (value_a - value_b) / (value_c - value_b)
+        if phi * phi < xi and (1.0 - phi) ** 2 < 1.0 - xi:
+            share = value_a / (value_b - value_a) * value_c / (value_b - value_c)
+            share += (c - a) / (b - a) * value_a / (value_c - value_a) * value_b / (value_c - value_b)
+    return a + max(least / width, min(1.0 - least / width, share)) * (b - a)
+
+
+@kernel
+def zero_in(bracket):
+    """The place in a bracket, on either side of the zero, whose value is nearer to zero."""
+    return bracket[0] if abs(bracket[1]) <= abs(bracket[3]) else bracket[2]
 
 
 def zero_between(value: Callable[[float], float], low: float, high: float, accuracy: float) -> float:
-    """Where a function that has opposite signs at low and high is zero, or jumps across zero.
-
-    By Brent's method; by bisection where jumps are more than it takes. Infinite values tell no more than their sign.
-    """
-
-    def bounded(place: float) -> float:
-        return max(-_HUGE, min(value(place), _HUGE))
-
-    limits = {"xtol": accuracy, "rtol": _ROUND_OFF}
-    root, report = scipy.optimize.brentq(bounded, low, high, full_output=True, disp=False, **limits)
-    return float(root if report.converged else scipy.optimize.bisect(bounded, low, high, **limits))
+    """Where a function that has opposite signs at low and high is zero, or jumps across zero."""
+    bracket, place = [0.0] * 6, high
+    begin_bracket(bracket, low, value(low))
+    for _ in range(LOOKS_FOR_ZERO):
+        place = narrow(bracket, place, value(place), accuracy)
+        if math.isnan(place):
+            break
+    found: float = zero_in(bracket)
+    return found
 
 
 def resolve(value: Callable[[float], float], at_start: float, at_end: float) -> Samples:

@@ -22,13 +22,17 @@ from ..layout import (
     START_SPEED,
     START_TOLERANCE,
     STOP_ERROR,
+    STOP_TIME,
     SYSTEM,
     TANGENTS,
 )
 from ..linalg import inner, whiten
 
-# No step goes further than this fraction of the way to the end of slip.
+# No step goes further than this fraction of the way to the end of slip, or than all of it but this many times the error
+# with which that is foretold, and this fraction; that where the way is shorter than this part of the last step, so that
+# the error of a step leaves slip its direction.
 _STOP_FRACTION = 0.8
+_FORETOLD, _LEAST_LEFT, _SHORT = 4.0, 1e-3, 0.3
 # Slip has ended once its speed is down to the error that steps are allowed to make in it, where its direction is noise,
 # or once one linear step to its end leaves out no more than a part of that error. Where steps no longer get anywhere
 # near the end, the speed that counts as ended is doubled at every trial step, so many times at most.
@@ -61,7 +65,6 @@ def note_end(system):
         if contact[MODE] != SLIPPING or contact[TANGENTS] != 2 or contact[FROZEN] != 0 or not number[MU] > 0.0:
             continue
         number[START_SPEED], number[START_RATE] = number[SLIP_SPEED], number[SLIP_RATE]
-        number[STOP_ERROR] = _stop_error(system, c, before, rate)
         turning = max(turning, _turning_rate(system, c, n))
         allowed = _SMALLEST_STOP_SPEED
         for row in range(3):
@@ -70,23 +73,41 @@ def note_end(system):
                 value += abs(line[k]) * (absolute + relative * abs(v[k]))
             allowed = max(allowed, value)
         number[START_TOLERANCE] = allowed
+        _foretell_stop(system, c, before, rate)
     system.scalars.turning_rate = turning
 
 
 @kernel
-def _stop_error(system, c, before, rate_before):
-    """What one linear step to the end of slip c leaves out, in m/s (of positions, in m), from its speed and rate at the
-    start of the last step."""
+def _foretell_stop(system, c, before, rate_before):
+    """STOP_ERROR, what one linear step to the end of slip c leaves out, in m/s (of positions, in m), and STOP_TIME, how
+    long in s a step may be before that end, from its speed and rate now and at the start of the last step."""
     number, h = system.contact_real[c], system.scalars.step
     speed, rate = number[START_SPEED], number[START_RATE]
-    if not (before < math.inf and h > 0.0 and rate < 0.0 and speed > 0.0):
-        return math.inf
+    number[STOP_ERROR] = number[STOP_TIME] = math.inf
+    if not (rate < 0.0 and speed > 0.0):
+        return
     left = speed / -rate
+    number[STOP_TIME] = _STOP_FRACTION * left
+    if not (before < math.inf and h > 0.0):
+        return
     # what the rate changes by over h goes with the square of the time, and slip turns as it slows down
     missed = abs(speed - before - rate_before * h) * (left / h) ** 2
     basis, slip, along = system.basis[c], system.slip[c], system.relative_acceleration[c]
     turned = abs(dot(basis[0], slip) * along[1] - dot(basis[1], slip) * along[0]) / speed * left
-    return max(max(missed, turned), 0.5 * speed * left)
+    number[STOP_ERROR] = max(max(missed, turned), 0.5 * speed * left)
+    # on the parabola that the rates give, whose second derivative is that half a step ago
+    square = rate * rate - 2.0 * (rate - rate_before) / h * speed
+    if not square > 0.0:
+        return
+    last_rate = math.sqrt(square)
+    way = 2.0 * speed / (last_rate - rate)
+    part = way / h
+    if part < _SHORT:
+        error = abs(speed - before - 0.5 * h * (rate + rate_before)) * part * part * (2.0 * part + 3.0) + turned
+        # no nearer than one linear step may go
+        near = way - math.sqrt(LEFT_OUT * number[START_TOLERANCE] / -rate)
+        near = min(near, (1.0 - _LEAST_LEFT) * way - _FORETOLD * error / last_rate)
+        number[STOP_TIME] = max(_STOP_FRACTION * min(way, left), near)
 
 
 @kernel
@@ -162,5 +183,5 @@ def time_to_stop(system, n):
     for c in range(n):
         number = system.contact_real[c]
         if number[START_SPEED] < math.inf and number[START_RATE] < 0.0:
-            least = min(least, _STOP_FRACTION * number[START_SPEED] / -number[START_RATE])
+            least = min(least, number[STOP_TIME])
     return least

@@ -38,7 +38,7 @@ from ..layout import (
     STICK,
     TANGENTS,
 )
-from .accuracy import gap_accuracy, gap_rate, rest_speed
+from .accuracy import gap_rate, rest_speed
 from .jams import held_up, stop_slips
 from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
@@ -137,9 +137,10 @@ class SlipOnset:
     def leave_stick(self, t: float, c: int) -> float:
         """Contact c has reached its friction limit, which for ideal rolling, where mu is without bound, is F_n = 0.
 
-        With one tangent the slip's sign is known. With two its direction is not: stick runs on for a short time tau,
-        and the cone problem there tells who slips and where to. From there `slow_slip` follows the direction; where it
-        cannot, slip is a_t tau / 2 after tau, since the relative acceleration grows from zero: an error of order tau^3.
+        With one tangent the slip's sign is known. With two its direction is followed by `slow_slip`. Those at their
+        limits slip, against the friction that stick asks for. Where that cannot be followed, stick runs on for a short
+        time tau, and the cone problem there tells who slips and where to. Where that cannot, either, slip is a_t tau /
+        2 after tau, since the relative acceleration grows from zero: an error of order tau^3.
         """
         system, changes = self.system, self.changes
         if system.contact_int[c, TANGENTS] == 1:
@@ -153,9 +154,14 @@ class SlipOnset:
         changes.project(t)
         self.rk.accept()
         # the friction that stick asks for at its limit is against the slip to come
-        limit = opposed_slip(system, c, system.force[c, :2]) @ system.basis[c, :2]
+        limits = {i: self._limit(i) for i in {c, *changes.at_limit()}}
         start_q, start_v = system.q.copy(), system.v.copy()
-        tau, decision, seeded = self._find_slip(t)
+        took = self._follow_limits(t, limits)
+        if took is not None:
+            for i in limits:
+                changes.reports.announce_at(t, i, changes.reports.friction_event(i, True), start_q, start_v)
+            return self._end(t, took, system.new_state)
+        tau, decision, seeded = self._find_slip(t, c)
         for item in decision.started:
             changes.reports.announce_at(t, item, changes.reports.friction_event(item, True), start_q, start_v)
         for item in decision.opened:
@@ -163,7 +169,7 @@ class SlipOnset:
         started = [i for i in decision.started if system.contact_int[i, FROZEN]]
         if started and not decision.opened:
             if c in started:
-                freeze_slip(system, c, system.basis[c, :2] @ limit)
+                freeze_slip(system, c, system.basis[c, :2] @ limits[c])
             span = max(self.longest, self._until_shown(min(decision.started.values()) / tau, 2))
             took = self._follow(t, dict.fromkeys(started, 2), span, _SHORTEST_START * tau)
             if took is not None:
@@ -171,30 +177,57 @@ class SlipOnset:
             # not even a short start can be followed: seed the slip as close to its beginning as v_c can show it
             system.contact_int[started, MODE] = STICK
             changes.evaluate_accepted(t)
-            tau, _, seeded = self._run_on(t, _SHORT_SEED * tau)
+            tau, _, seeded = self._run_on(t, c, _SHORT_SEED * tau)
         return self._end(t, tau, seeded)
 
-    def _find_slip(self, t: float) -> tuple[float, Decision, np.ndarray]:
+    def _limit(self, c: int) -> np.ndarray:
+        """(3,) direction in world axes of a slip against which the friction of item c is."""
+        direction: np.ndarray = opposed_slip(self.system, c, self.system.force[c, :2]) @ self.system.basis[c, :2]
+        return direction
+
+    def _follow_limits(self, t: float, limits: Mapping[int, np.ndarray]) -> float | None:
+        """Follow the slip of items at their limits in these directions; how long in s, None where that did not do and
+        nothing has changed."""
+        system, items = self.system, [*limits]
+        numbers, modes = system.contact_real[items], system.contact_int.copy()
+        known = (numbers[:, MU] == numbers[:, MU_STATIC]) & np.isfinite(numbers[:, MU]) & (modes[items, TANGENTS] == 2)
+        counters = system.counters
+        # in a shorter time slip may not show; redundant forces are others in slip
+        if self.longest < self.seed or not known.all() or counters["row_rank"] < counters["row_count"]:
+            return None
+        for c, direction in limits.items():
+            freeze_slip(system, c, system.basis[c, :2] @ direction)
+        took = self._follow(
+            t, dict.fromkeys(items, 2), min(self.longest, self.until_touch()), _SHORTEST_START * self.seed
+        )
+        if took is None:
+            system.contact_int[:] = modes
+            self.changes.evaluate_accepted(t)
+        return took
+
+    def _find_slip(self, t: float, c: int) -> tuple[float, Decision, np.ndarray]:
         """Let stick run on from the accepted state until something slips or opens; see `_run_on`."""
         system = self.system
         # the step that led here resolves what decides; a seed that is longer may pass a load by
         tau = min(self.seed, self.until_touch(), self.longest if self.longest > 0.0 else math.inf)
         modes = system.contact_int.copy()
-        tau, decision, seeded = self._run_on(t, tau)
+        tau, decision, seeded = self._run_on(t, c, tau)
         factors = [_SHORTER_SEED] * _LOOKS_FOR_SLIP
         while factors and not (decision.started or decision.opened):
             # the limit may have been exceeded in between
-            tau, decision, seeded = self._run_on(t, factors.pop() * tau, modes)
+            tau, decision, seeded = self._run_on(t, c, factors.pop() * tau, modes)
         if decision.opened:
             # a jump of the forces (Painleve) opens contacts at once, not when slip would show
-            tau, decision, seeded = self._run_on(t, _OPENING_SEED * tau, modes)
+            tau, decision, seeded = self._run_on(t, c, _OPENING_SEED * tau, modes)
         return tau, decision, seeded
 
-    def _run_on(self, t: float, tau: float, modes: np.ndarray | None = None) -> tuple[float, Decision, np.ndarray]:
+    def _run_on(
+        self, t: float, c: int, tau: float, modes: np.ndarray | None = None
+    ) -> tuple[float, Decision, np.ndarray]:
         """Stick runs on from the accepted state for tau, or less (see `_trial_step`), where the modes are decided anew.
 
-        modes: integers of the items to start with, where they are not the present ones. Returns how long, the decision,
-        and the state there with the slip velocity a_t tau / 2 added.
+        c: an item that is at its limit. modes: integers of the items to start with, where they are not the present
+        ones. Returns how long, the decision, and the state there with the slip velocity a_t tau / 2 added.
         """
         rk, system, changes = self.rk, self.system, self.changes
         if modes is not None:
@@ -205,7 +238,7 @@ class SlipOnset:
         changes.project(t + tau)
         stick = system.stage_state.copy()
         acceleration = system.acceleration.copy()
-        decision = changes.resolve_modes(t + tau, changes.sticking())
+        decision = changes.resolve_modes(t + tau, changes.sticking(), c)
         change = 0.5 * tau * (system.acceleration - acceleration)
         rk.load(stick)
         energy = changes.counted_energy()
@@ -295,7 +328,7 @@ class SlipOnset:
         """Whether nothing opened, closed or began to slip in the last trial step, within the errors of gaps and
         forces."""
         system, n = self.system, self.system.items
-        lowest, accuracy = system.lowest[:n], gap_accuracy(system)
+        lowest, accuracy = system.lowest[:n], system.gap_accuracy
         force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
         touchable = np.ones(n, dtype=bool)
         touchable[: system.nc] = self.open.apart
@@ -307,7 +340,7 @@ class SlipOnset:
 
     def until_touch(self) -> float:
         """Time in s that gaps of open contacts, and ways of joints to their ends, last at their present rates."""
-        system, accuracy = self.system, gap_accuracy(self.system)
+        system, accuracy = self.system, self.system.gap_accuracy
         left = math.inf
         for c in np.flatnonzero((system.modes == FREE) & self.open.apart).tolist():
             approach = -gap_rate(system, c)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 # Fractions of the span at which v_c is made parallel to the direction, and others at which that is checked.
 _NODES = (0.2, 0.45, 0.7, 0.9, 1.0)
-_CHECKS = (0.32, 0.58, 0.8, 0.96, 0.0)
+_CHECKS = (0.32, 0.58, 0.8, 0.96)
 _PERTURBATION = 1e-4
 _ITERATIONS = 8
 _HALVINGS = 30
@@ -95,18 +95,19 @@ class SlowSlip:
     def _collocate(self, t: float, span: float, tolerance: float) -> bool:
         """Broyden's iteration on the polynomials' coefficients; whether v_c ends up along the direction everywhere."""
         coefficients = np.zeros(POLYNOMIAL_SIZE * len(self.contacts))
-        first = self._across(t, span, coefficients, _NODES)
-        if first is None:
+        found = self._across(t, span, coefficients)
+        # what directions change is little against what makes steps inaccurate
+        if found is None or not self.rk.error < 1.0:
             return False
-        residual, speeds = first
+        residual = found[0][:, :POLYNOMIAL_SIZE].ravel()
         jacobian: np.ndarray | None = None
         largest = _DIVERGED * float(np.abs(residual).max())
         for _ in range(_ITERATIONS):
-            if self._aligned(residual, speeds, _CONVERGED, tolerance):
+            if self._aligned(*found, tolerance) or self._aligned(*found, tolerance, _CONVERGED, POLYNOMIAL_SIZE):
                 break
             if jacobian is None:
                 # slip that does not turn needs none
-                jacobian = self._jacobian(t, span, residual, speeds)
+                jacobian = self._jacobian(t, span, residual, found[1][:, :POLYNOMIAL_SIZE])
                 if jacobian is None:
                     return False
             try:
@@ -116,34 +117,29 @@ class SlowSlip:
             coefficients += step
             if not np.abs(coefficients).max() < 1.0:
                 return False
-            found = self._across(t, span, coefficients, _NODES)
-            if found is None or not np.abs(found[0]).max() <= largest:
+            found = self._across(t, span, coefficients)
+            if found is None or not np.abs(found[0][:, :POLYNOMIAL_SIZE]).max() <= largest:
                 return False
-            jacobian += np.outer(found[0] - residual - jacobian @ step, step) / (step @ step)
-            residual, speeds = found
+            before, residual = residual, found[0][:, :POLYNOMIAL_SIZE].ravel()
+            jacobian += np.outer(residual - before - jacobian @ step, step) / (step @ step)
         else:
-            return False
-        between = self._across(t, span, coefficients, _CHECKS)
-        if between is None:
             return False
         # slip that is there has to stay faster than the tolerance; what grows from rest has to grow
         least = np.where(np.array([*self.powers.values()]) == 0, tolerance, 0.0)
-        slowest = np.minimum(self._of_each(speeds).min(axis=1), self._of_each(between[1]).min(axis=1))
         # the last trial step has left the state at the end of the span in new_state
-        return bool((slowest > least).all()) and self._aligned(*between, 1.0, tolerance) and self.rk.error < 1.0
+        return bool((found[1].min(axis=1) > least).all()) and self._aligned(*found, tolerance) and self.rk.error < 1.0
 
-    def _of_each(self, values: np.ndarray) -> np.ndarray:
-        """(contacts, shares) numbers of each contact."""
-        return values.reshape(len(self.powers), -1)
-
-    def _aligned(self, across: np.ndarray, along: np.ndarray, part: float, tolerance: float) -> bool:
+    def _aligned(
+        self, across: np.ndarray, along: np.ndarray, tolerance: float, part: float = 1.0, count: int | None = None
+    ) -> bool:
         """Whether v_c is across the directions by no more than a part of the tolerance, or, where it has grown from
-        rest, of its own size: it goes on in the direction that it shows."""
+        rest, of its own size: it goes on in the direction that it shows. count: of shares, where not at all."""
+        across, along = across[:, :count], along[:, :count]
         allowed = np.full(len(self.powers), tolerance)
         grown = np.array([*self.powers.values()]) > 0
-        slowest = np.abs(self._of_each(along)).min(axis=1)
+        slowest = np.abs(along).min(axis=1)
         allowed[grown] = np.minimum(tolerance, _ALIGNED * slowest[grown])
-        return bool((np.abs(self._of_each(across)).max(axis=1) <= part * allowed).all())
+        return bool((np.abs(across).max(axis=1) <= part * allowed).all())
 
     def _jacobian(self, t: float, span: float, residual: np.ndarray, speeds: np.ndarray) -> np.ndarray | None:
         """An approximation to the derivative of `residual` by the coefficients; None where an evaluation fails.
@@ -157,33 +153,31 @@ class SlowSlip:
         for i in range(len(self.contacts)):
             turn = np.zeros(len(residual))
             turn[n * i] = _PERTURBATION
-            moved = self._across(t, span, turn, _NODES)
+            moved = self._across(t, span, turn)
             if moved is None:
                 return None
             for m, power in enumerate(self.powers.values()):
                 pulled = [s ** (j + 1 - power) / (j + 1) for j in range(n)]
                 block = slice(n * m, n * (m + 1))
-                change = (moved[0] - residual)[block] / _PERTURBATION
-                own = speeds[block] if m == i else np.zeros(n)
+                change = (moved[0][m, :n] - residual[block]) / _PERTURBATION
+                own = speeds[m] if m == i else np.zeros(n)
                 pull = float(pulled[0] @ (change + own) / (pulled[0] @ pulled[0]))
                 for j in range(n):
                     out[block, n * i + j] = pull * pulled[j] - own * s**j
         return out
 
-    def _across(
-        self, t: float, span: float, coefficients: np.ndarray, shares: tuple[float, ...]
-    ) -> tuple[np.ndarray, np.ndarray] | None:
-        """v_c across and along the prescribed directions at shares of the span, divided by the shares' powers."""
+    def _across(self, t: float, span: float, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """(contacts, shares) v_c across and along the prescribed directions at the nodes and then between them, divided
+        by the shares' powers."""
         system, contacts = self.rk.system, np.array(self.contacts)
         columns = slice(POLYNOMIAL, POLYNOMIAL + POLYNOMIAL_SIZE)
         system.contact_real[contacts, columns] = coefficients.reshape(len(contacts), -1)
-        system.across[0] = shares
+        system.across[0] = shares = np.array(_NODES + _CHECKS)
         if system.run(ACROSS_SLIP, t, span) > EVENT:
             return None
-        count = np.count_nonzero(shares)
-        grown = np.array(shares[:count]) ** np.array([*self.powers.values()])[:, None]
-        across, along = (system.across[first + contacts, :count] / grown for first in (1, 1 + system.items))
-        return across.ravel(), along.ravel()
+        grown = shares ** np.array([*self.powers.values()])[:, None]
+        across, along = (system.across[first + contacts] / grown for first in (1, 1 + system.items))
+        return across, along
 
 
 def frozen_directions(integers: np.ndarray, columns: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from .resolution import set_event_functions_aside, take_event_functions_up
 from .slip_at_ends import begin_next, note_end, slip_ends, time_to_stop, watch_slips
 from .stages import fill_slope, hand_over, keep_velocity
 from .step_control import FAILED_FACTOR, SLIVER, first_step, irregular, next_step
-from .trial_steps import across_slip, interpolation, keep_slope, load_interpolated, scan, start, trial_step
+from .trial_steps import across_slip, find_zero, interpolation, keep_slope, load_interpolated, scan, start, trial_step
 
 # What `run_task` does.
 (
@@ -43,7 +43,8 @@ from .trial_steps import across_slip, interpolation, keep_slope, load_interpolat
     KEEP_VELOCITY,
     SCAN,
     BOUND_SPEEDS,
-) = range(19)
+    FIND_ZERO,
+) = range(20)
 
 # What INTEGRATE comes back with.
 (
@@ -279,6 +280,9 @@ def _run(system, task, t, h):
         return OK
     if task == SCAN:
         scan(system, t, h)
+        return OK
+    if task == FIND_ZERO:
+        find_zero(system, t, h)
         return OK
     if task == BOUND_SPEEDS:
         bound_speeds(system)

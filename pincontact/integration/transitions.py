@@ -74,7 +74,7 @@ class Transitions:
         self.reports = Reports(rk, self.modes, names, span)
         self.open = OpenContacts(rk.system)
         self.penetration = Penetration(rk, self.modes)
-        self.joints = JointEvents(self.modes, self.reports, self.penetration.depths)
+        self.joints = JointEvents(rk.system, self.modes, self.reports, self.penetration.depths)
         self.changes = ModeChanges(rk, self.modes, self.reports, self.joints)
         self.onset = SlipOnset(self.changes, self.open, self.penetration.depths, span)
         self.impacts = Impacts(self.onset, self.penetration, restitution)

@@ -1,0 +1,145 @@
+"""The end of slip in three dimensions is foretold, and approached without passing it."""
+
+import math
+
+import numpy as np
+import pytest
+from calling import from_python
+from test_zeros import Looked, particle
+
+import pincontact as pc
+from pincontact.integration import slip_at_ends
+from pincontact.integration.driver import Driver
+from pincontact.layout import START_RATE, START_SPEED, START_TOLERANCE, STOP_ERROR, STOP_TIME, SYSTEM
+
+MU, G = 0.4, 9.81
+FRACTION = slip_at_ends._STOP_FRACTION
+
+
+def sliding(v):
+    """1 kg that slides on a plane."""
+    scene = particle(friction=pc.Coulomb(MU))
+    return scene, scene.initial_state(np.zeros(3), v)
+
+
+@pytest.fixture
+def foretell(monkeypatch):
+    """foretell(h, speed, rate, before, rate_before, tolerance, turning): STOP_TIME and STOP_ERROR of a slip of these
+    speeds and rates now and a step of h ago; turning: acceleration across the slip in m/s^2."""
+    systems = []
+
+    def keep(driver, t, end):
+        systems.append(driver.system)
+        raise Looked
+
+    monkeypatch.setattr(Driver, "_run", keep)
+    with pytest.raises(Looked):
+        pc.simulate(*sliding([1.0, 0.0, 0.0]), 1.0)
+    (system,) = systems
+    foretold = from_python(slip_at_ends._foretell_stop, SYSTEM)
+
+    def call(h, speed, rate, before, rate_before, tolerance=1e-10, turning=0.0):
+        numbers = system.contact_real[0]
+        numbers[[START_SPEED, START_RATE, START_TOLERANCE]] = speed, rate, tolerance
+        system.scalars["step"] = h
+        system.basis[0] = np.eye(3)
+        system.slip[0], system.relative_acceleration[0] = (speed, 0.0, 0.0), (rate, turning, 0.0)
+        foretold(system, 0, before, rate_before)
+        return float(numbers[STOP_TIME]), float(numbers[STOP_ERROR])
+
+    return call
+
+
+def test_parabolas_are_foretold_to_their_end(foretell):
+    """What slows down on a parabola, or a straight line, is stepped to a thousandth before its end; to where one linear
+    step is good enough, where that is further away."""
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        # speed (T - t) (r + b (T - t)): r > 0 its rate at the end T
+        end, r, b = 10.0 ** rng.uniform(-3, 0), 10.0 ** rng.uniform(-1, 1), rng.uniform(-0.4, 1.0)
+        b *= r / end
+        h = end * 10.0 ** rng.uniform(0.6, 2.0)
+        if r + 2.0 * b * (end + h) <= 0.0:
+            continue
+        speed, rate = end * (r + b * end), -(r + 2.0 * b * end)
+        before, rate_before = (end + h) * (r + b * (end + h)), -(r + 2.0 * b * (end + h))
+        # cancellation in what is told of the error
+        rounded = 4.0 * 1e-15 * before / r
+        time, _ = foretell(h, speed, rate, before, rate_before)
+        linear = math.sqrt(slip_at_ends.LEFT_OUT * 1e-10 / -rate)
+        expected = min(0.999 * end, end - linear)
+        assert time == pytest.approx(max(expected, FRACTION * min(end, speed / -rate)), rel=1e-9, abs=rounded)
+        assert time < end
+
+
+def test_what_is_foretold_is_not_past_the_end(foretell):
+    """Cubic speeds, also such as hardly come to rest: as far as the first zero, and no further; nearer to it than a
+    fixed fraction of the way as a rule."""
+    rng = np.random.default_rng(1)
+    near = []
+    for _ in range(4000):
+        h = 10.0 ** rng.uniform(-3, 0)
+        rate, speed = -(10.0 ** rng.uniform(-1, 1)), 10.0 ** rng.uniform(-4, -0.5)
+        speed *= -rate * h
+        b, c = rng.normal() * -rate / h, rng.normal() * -rate / h**2 * 10.0 ** rng.uniform(-4, 0)
+        if rng.random() < 0.3:
+            # the parabola just touches zero, or just does not
+            b = 0.5 * rate**2 / speed * 0.5 * (1.0 + rng.normal() * 1e-2)
+        slowing = np.polynomial.Polynomial([speed, rate, b, c])
+        past, slope = slowing(-h), slowing.deriv()
+        if past <= 0.0 or any(slope(np.linspace(-h, 0.0, 9)) > 0.0):
+            continue
+        end = min((z.real for z in slowing.roots() if abs(z.imag) < 1e-12 * abs(z) and z.real > 0.0), default=math.inf)
+        time, _ = foretell(h, speed, rate, past, slope(-h))
+        assert time > 0.0
+        # what curves down by more than the last step tells may end sooner than a fraction of the line
+        assert time < end or time <= FRACTION * speed / -rate, (h, speed, rate, b, c)
+        near.append(time / end)
+    assert np.quantile(near, 0.5) > FRACTION
+
+
+def test_nothing_is_foretold_of_what_does_not_slow_down(foretell):
+    infinite = math.inf, math.inf
+    assert foretell(0.1, 1.0, 0.0, 1.0, 0.0) == infinite
+    assert foretell(0.1, 1.0, 2.0, 0.8, 2.0) == infinite
+    assert foretell(0.1, 0.0, -1.0, 0.1, -1.0) == infinite
+    # without a step before it, as the slip has just begun: a fraction of the straight line
+    assert foretell(0.1, 1e-3, -2.0, math.inf, 0.0) == (pytest.approx(FRACTION * 5e-4), math.inf)
+    assert foretell(0.0, 1e-3, -2.0, 1e-3, -2.0) == (pytest.approx(FRACTION * 5e-4), math.inf)
+    # on its parabola it never ends: the same, and what a linear step leaves out is known
+    time, error = foretell(1.0, 0.1, -1.0, 0.1 + 1.0 + 5.0, -11.0)
+    assert time == pytest.approx(FRACTION * 0.1) and error == pytest.approx(0.05)
+    # a long way is not foretold
+    time, _ = foretell(1.0, 1.0, -1.0, 2.0, -1.0)
+    assert time == pytest.approx(FRACTION)
+    # it turns by as much as it has speed
+    time, _ = foretell(0.1, 1e-3, -1.0, 0.101, -1.0, turning=1.0)
+    assert time == pytest.approx(FRACTION * 1e-3)
+    # and slows down ever faster: a fraction of the shorter way
+    time, _ = foretell(0.2, 0.02, -1.0, 0.02 + 0.2 - 5.0 * 0.2**2 / 2.0, 0.0, turning=1.0)
+    assert time == pytest.approx(FRACTION * (math.sqrt(1.0 + 10.0 * 0.02) - 1.0) / 5.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("bend", [0.0, 1.5, -3.0])
+@pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-11])
+def test_a_slip_that_ends_on_a_parabola(bend, rtol):
+    """1 kg that slides against a force which grows with time: speed v - (mu g) t + bend t^2 / 2; and of whose last
+    stretch steps take all but a thousandth at a time."""
+    v = 2.0
+    end = 2.0 * v / (MU * G + math.sqrt((MU * G) ** 2 - 2.0 * bend * v))
+    way = v * end - 0.5 * MU * G * end**2 + bend * end**3 / 6.0
+    scene, state = sliding([v, 0.0, 0.0])
+    run = pc.simulate(
+        scene, state, end + 0.05, control=lambda t, q, v: np.array([bend * min(t, end), 0.0, 0.0]), rtol=rtol, atol=rtol
+    )
+    assert run.status == 0
+    (event,) = run.events
+    assert event.kind == "stick"
+    # speeds are known to some tolerances of them, and slip ends at MU G or so
+    assert event.time == pytest.approx(end, abs=4.0 * rtol)
+    assert run.q[-1, 0] == pytest.approx(way, abs=20.0 * rtol)
+    assert (np.diff(run.q[:, 0]) >= -1e-15).all()
+    assert run.stats["rejected"] == 0
+    left = end - run.t[run.t < event.time - 1e-9 * end]
+    # from there the parabola is short against the last step: a few steps, not one for every factor of five
+    assert np.sum(left < 0.1 * end) <= 4

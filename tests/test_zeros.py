@@ -1,0 +1,282 @@
+"""Zeros of event functions: the root finder alone, and along a step of the dense output."""
+
+import itertools
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from calling import from_python
+
+import pincontact as pc
+from pincontact.integration import sign_changes
+from pincontact.integration.locator import EventLocator, _Sample, _Stretch
+from pincontact.integration.runge_kutta import RungeKutta
+from pincontact.integration.sign_changes import zero_between
+from pincontact.layout import NORMAL_EVENT
+
+ACCURACY = 1e-15
+# a bracket is as narrow as that where the search ends, and either end is the zero
+WIDTH = 2.0 * (ACCURACY + 2.2e-16)
+# bisection alone takes 49 from a width of 1; interpolation that gets nowhere at most doubles that
+MOST_LOOKS = 98
+
+
+def searched(function, low, high):
+    """The zero, and where was looked, both ends first."""
+    places = []
+
+    def value(x):
+        places.append(x)
+        return function(x)
+
+    return zero_between(value, low, high, ACCURACY), places
+
+
+# function, zero, looks (both ends count): as many as secants and parabolas take from there
+SMOOTH = {
+    "line": (lambda x: 0.3 - x, 0.3, 4),
+    "cosine": (lambda x: math.cos(x) - x, 0.7390851332151607, 7),
+    "exponential": (lambda x: 1.0 - math.exp(4.0 * (x - 0.9)), 0.9, 9),
+    "square root": (lambda x: math.sqrt(0.5) - math.sqrt(x), 0.5, 5),
+    "tiny": (lambda x: 1e-300 * (0.25 - x * x), 0.5, 9),
+    "huge": (lambda x: 1e90 * (0.25 - x * x), 0.5, 9),
+    "rises": (lambda x: x - 0.7, 0.7, 4),
+    "falls fast at the end": (lambda x: 1.0 - x**40, 1.0, 4),
+}
+
+
+@pytest.mark.parametrize("case", SMOOTH)
+def test_zeros_of_smooth_functions(case):
+    function, zero, looks = SMOOTH[case]
+    found, places = searched(function, 0.0, 1.0)
+    # the functions themselves have a round-off of some 1e-16 over their slopes, which are 1 or steeper
+    assert found == pytest.approx(zero, abs=WIDTH)
+    assert len(places) <= looks
+    assert min(places) == 0.0 and max(places) == 1.0
+
+
+JUMPS = {
+    "step": lambda x: 1.0 if x < 0.3 else -1.0,
+    "uneven step": lambda x: 1e-8 if x < 0.3 else -1e8,
+    "from zero": lambda x: 0.3 - x if x < 0.3 else -math.inf,
+    "flat, then a jump": lambda x: (0.3 - x) ** 21 if x < 0.3 else -math.inf,
+    "infinite on both sides": lambda x: math.inf if x < 0.3 else -math.inf,
+    "pole": lambda x: 1.0 / (0.3 - x) if x != 0.3 else math.inf,
+    "square root of what is left": lambda x: math.sqrt(0.3 - x) if x < 0.3 else -math.sqrt(x - 0.3),
+    "cube": lambda x: (0.3 - x) ** 3,
+    "flat": lambda x: (0.3 - x) ** 21,
+    "flat on one side": lambda x: (0.3 - x) ** 9 if x < 0.3 else 0.3 - x,
+}
+
+
+@pytest.mark.parametrize("case", JUMPS)
+def test_zeros_of_what_jumps_or_is_flat(case):
+    found, places = searched(JUMPS[case], 0.0, 1.0)
+    assert found == pytest.approx(0.3, abs=WIDTH) or JUMPS[case](found) == 0.0
+    assert len(places) <= MOST_LOOKS
+    assert min(places) == 0.0 and max(places) == 1.0
+
+
+def test_zeros_at_the_ends():
+    """What is zero at an end has its zero there, and what is as narrow as zeros are told apart is not divided."""
+    for function, low, high, zero in [
+        (lambda x: x, 0.0, 1.0, 0.0),
+        (lambda x: 1.0 - x, 0.0, 1.0, 1.0),
+        (lambda x: -x, 0.0, 1.0, 0.0),
+        (lambda x: 0.5 - x, 0.5, 0.5 + 1e-15, 0.5),
+        (lambda x: 1e-3 - x, 0.0, 1e-3, 1e-3),
+    ]:
+        found, places = searched(function, low, high)
+        assert found == pytest.approx(zero, abs=WIDTH)
+        assert all(low <= place <= high for place in places) and len(places) <= 5
+
+
+def test_the_bracket_holds_a_sign_change_and_shrinks():
+    """Random cubics, and the same with a jump: every look is inside the bracket, whose ends differ in sign and only
+    come closer; looks are fewer than bisection takes on the average."""
+    rng = np.random.default_rng(0)
+    counts = []
+    for i in range(200):
+        zero, (a, b) = rng.uniform(0.02, 0.98), rng.uniform(-2.4, 2.4, 2)
+        jump = 10.0 ** rng.uniform(-6, 1) if i % 4 == 0 else 0.0
+
+        def function(x, zero=zero, a=a, b=b, jump=jump):
+            return (zero - x) * (5.0 + a * x + b * x * x) - (jump if x > zero else 0.0)
+
+        bracket, place = [0.0] * 6, 1.0
+        sign_changes.begin_bracket(bracket, 0.0, function(0.0))
+        low, high, count = 0.0, 1.0, 0
+        while not math.isnan(place):
+            assert low <= place <= high
+            value, count = function(place), count + 1
+            place = sign_changes.narrow(bracket, place, value, ACCURACY)
+            assert (bracket[1] < 0.0) != (bracket[3] < 0.0)
+            ends = sorted((bracket[0], bracket[2]))
+            assert low <= ends[0] < ends[1] <= high
+            low, high = ends
+        assert sign_changes.zero_in(bracket) == pytest.approx(zero, abs=WIDTH)
+        counts.append(count)
+    assert max(counts) <= MOST_LOOKS and np.median(counts) <= 8
+
+
+def test_compiled_as_in_python():
+    compiled = from_python(sign_changes.narrow)
+    for function in (
+        lambda x: math.cos(x) - x,
+        *(JUMPS[case] for case in ("cube", "step", "from zero", "infinite on both sides")),
+    ):
+        brackets = [0.0] * 6, np.zeros(6)
+        for bracket in brackets:
+            sign_changes.begin_bracket(bracket, 0.0, function(0.0))
+        places = [1.0, 1.0]
+        for _ in range(MOST_LOOKS):
+            places = [
+                narrow(bracket, place, function(place), ACCURACY)
+                for narrow, bracket, place in zip((sign_changes.narrow, compiled), brackets, places)
+            ]
+            # as exact as a contraction of products may leave it
+            np.testing.assert_allclose(brackets[1], brackets[0], rtol=1e-14)
+            if math.isnan(places[0]):
+                break
+        assert np.isnan(places).all()
+
+
+# ---------------------------------------------------------------- along a step
+
+
+def particle(**options):
+    """1 kg above a plane, or on it."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), "place")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("mass", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    point, plane = scene.add_contour("point", pc.Point(), "mass"), scene.add_contour("plane", pc.Plane())
+    scene.add_contact("c", point, plane, **options)
+    return scene
+
+
+class Looked(Exception):
+    """Ends a run in which all has been seen."""
+
+
+class Pressed:
+    """A mass without weight is pressed on a plane by a force of time, which is the event function, for a step of 1 s.
+
+    find(function, low, high): where that turns negative, its value there, and how many evaluations that took.
+    """
+
+    def __init__(self, monkeypatch):
+        self.scene = particle()
+        self.scene.model.gravity = pin.Motion.Zero()
+        self.monkeypatch, self.pull = monkeypatch, lambda t: 1.0 - 2.0 * t
+
+    def look(self, script):
+        """Call script(find) within the first trial step, from 0 to 1."""
+
+        def first(locator, t, step):
+            assert (t, step) == (0.0, 1.0)
+            locator._set_slack()
+
+            def find(function, low=0.0, high=1.0):
+                self.pull = function
+                left, right = (_Sample(share, locator._values(t, step, [share])[0]) for share in (low, high))
+                before = locator.rk.evaluations
+                root = locator._root(_Stretch(t, step, left, right), (0, NORMAL_EVENT))
+                # the last look is the one at the zero
+                assert locator.system.scalars["time"] == t + root.theta * step
+                return root.theta, float(root.values[0, NORMAL_EVENT]), locator.rk.evaluations - before
+
+            script(find)
+            raise Looked
+
+        self.monkeypatch.setattr(EventLocator, "first", first)
+        state = self.scene.initial_state(np.zeros(3), np.zeros(3))
+        with pytest.raises(Looked):
+            pc.simulate(
+                self.scene, state, 1.0, control=lambda t, q, v: [0.0, 0.0, -self.pull(t)], fixed_step=1.0, max_step=2.0
+            )
+
+
+def test_zeros_along_a_step(monkeypatch):
+    def script(find):
+        for (function, zero, looks), (low, high) in itertools.product(SMOOTH.values(), [(0.0, 1.0), (0.1, 1.0)]):
+            if not function(low) > 0.0 > function(high) or not 1e-3 < function(low) < 1e3:
+                # forces of the size of 1 N that turn negative
+                continue
+            share, value, count = find(function, low, high)
+            assert share == pytest.approx(zero, abs=WIDTH) and value == pytest.approx(function(share), abs=1e-15)
+            # the ends are known, and the zero may be at the look before the last
+            assert count <= looks
+
+    Pressed(monkeypatch).look(script)
+
+
+def test_a_mode_that_is_entered_on_its_boundary_holds_first(monkeypatch):
+    """Zero, or below, at the step's start: the part where the mode holds is looked for, and its end found; where there
+    is none it ends at once."""
+
+    def script(find):
+        # sin vanishes at 0 and, to round-off, at the end of a half wave
+        share, value, count = find(lambda t: math.sin(4.0 * t))
+        assert share == pytest.approx(math.pi / 4.0, abs=WIDTH) and abs(value) < 1e-14 and count <= 10
+        share, _, _ = find(lambda t: t * (0.4 - t))
+        assert share == pytest.approx(0.4, abs=WIDTH)
+        share, value, count = find(lambda t: -t)
+        assert share == 0.0 and value == 0.0 and count <= 41
+        share, value, count = find(lambda t: -1.0)
+        assert share == 0.0 and value == -1.0 and count <= 41
+        # zero on and on, then negative: what is zero does not hold
+        share, value, _ = find(lambda t: min(0.0, 0.6 - t))
+        assert share == 0.0
+
+    Pressed(monkeypatch).look(script)
+
+
+def test_event_functions_that_jump_along_a_step(monkeypatch):
+    def script(find):
+        for low, high in [(1.0, -1.0), (1e-6, -1e3), (1e3, -1e-6)]:
+            share, value, count = find(lambda t, low=low, high=high: low if t < 0.3 else high)
+            assert share == pytest.approx(0.3, abs=WIDTH) and count <= MOST_LOOKS
+            # the side that is nearer to zero
+            assert value == (low if abs(low) <= abs(high) else high)
+
+    Pressed(monkeypatch).look(script)
+
+
+# ---------------------------------------------------------------- true steps
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-10])
+def test_true_steps_to_a_touch(monkeypatch, rtol):
+    """A point bounces: parabolas, which steps and their dense output follow to round-off, so that one true step is
+    enough for each touch."""
+    height, g, kept = 0.2, 9.81, 0.6
+    scene = particle(restitution=kept)
+    state = scene.initial_state([0.0, 0.0, height], np.zeros(3), free=["c"])
+    refine, attempt = EventLocator.refine, RungeKutta.attempt
+    taken, counting = [], []
+
+    def counted_refine(locator, t, step, crossing):
+        counting.append(0)
+        result = refine(locator, t, step, crossing)
+        taken.append(counting.pop())
+        return result
+
+    def counted_attempt(rk, t, h):
+        if counting:
+            counting[-1] += 1
+        return attempt(rk, t, h)
+
+    monkeypatch.setattr(EventLocator, "refine", counted_refine)
+    monkeypatch.setattr(RungeKutta, "attempt", counted_attempt)
+    run = pc.simulate(scene, state, 0.75, rtol=rtol, atol=1e-2 * rtol)
+    times = [event.time for event in run.events if event.kind == "touch"]
+    fall = math.sqrt(2.0 * height / g)
+    expected = [fall * (1.0 + 2.0 * sum(kept**k for k in range(1, n + 1))) for n in range(len(times))]
+    assert len(times) >= 5 and len(taken) == len(times)
+    # a gap that is zero to a tenth of what open gaps may be below it (see `accuracy`), over the speed of the lowest hop
+    slowest = g * fall * kept ** len(times)
+    np.testing.assert_allclose(times, expected, rtol=0.0, atol=len(times) * max(1e-13, 1e-7 * rtol / slowest))
+    assert taken == [1] * len(times)

@@ -213,6 +213,14 @@ class Workspace:
         self._at = 0
         self._piece, self._cut_off = _NOTHING, 0
 
+    if CHECKED:
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            # kernels would go on reading the array that was there
+            if name != "layout" and name in self.layout.arrays:
+                raise AttributeError(f"{name} is an array of kernels: put it.")
+            super().__setattr__(name, value)
+
     def put(self, name: str, array: np.ndarray, address: int = 0) -> np.ndarray:
         """Place an array under its name; it is kept alive as long as this workspace is. address: its own, if known."""
         self._place(name, array, address_of(array) if CHECKED or not address else address)
@@ -241,9 +249,9 @@ class Workspace:
         return array
 
     def _place(self, name: str, array: np.ndarray, address: int) -> None:
-        inner = self.layout.inner[name]
-        if array.shape[array.ndim - len(inner) :] != inner:
-            raise ValueError(f"{name} is declared with {inner} as its last extents, got {array.shape}.")
+        inner, dimensions = self.layout.inner[name], self.layout.arrays[name][1]
+        if array.ndim != dimensions or array.shape[array.ndim - len(inner) :] != inner:
+            raise ValueError(f"{name} is declared with {dimensions} extents, {inner} the last, got {array.shape}.")
         self.__dict__[name] = _by_name(array)
         self.table[self.layout.places[name], : 1 + array.ndim] = (address, *array.shape)
 

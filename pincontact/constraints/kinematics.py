@@ -31,13 +31,13 @@ from ..geometry.location import (
     SIDES,
     SINGULAR_LIMIT,
     conditioning,
+    cross_second,
     location_jacobian,
     location_residual,
     nearest_on_sphere,
     point_to_plane,
     rate_equations,
     round_on_plane,
-    second_factor,
     second_row,
     solve_location,
     tangent_at_fixed_u,
@@ -119,7 +119,7 @@ def measure(system, c):
         vectors[PLANE_NORMAL, i] = frames[two, i, 2]
     pattern = system.contact_int[c, PATTERN]
     if pattern != ON_CURVE:
-        cross(derivatives[two, 1], second_factor(pattern, derivatives[one], derivatives[two], vectors), vectors[NORMAL])
+        cross_second(pattern, derivatives[one], derivatives[two], vectors, derivatives[two, 1], vectors[NORMAL])
 
 
 @kernel
@@ -319,12 +319,11 @@ def turn_normal(system, c, tangent_rate):
     pattern, vectors, n = system.contact_int[c, PATTERN], system.vectors, system.basis[c, 2]
     first, second, frame2 = system.derivatives[2 * c], system.derivatives[2 * c + 1], system.frames[2 * c + 1]
     normal_rate, other_rate = vectors[NORMAL_RATE], vectors[_B]
-    factor = second_factor(pattern, first, second, vectors)
-    cross(tangent_rate, factor, normal_rate)
+    cross_second(pattern, first, second, vectors, tangent_rate, normal_rate)
     if pattern == ON_SURFACE:
         total_tangent_rate(system, c, 1, 1, other_rate)
     elif pattern == PLANAR:
-        cross(frame2[OMEGA], factor, other_rate)
+        cross(frame2[OMEGA], vectors[PLANE_NORMAL], other_rate)
     else:
         total_tangent_rate(system, c, 0, 0, other_rate)
     add_cross(second[1], other_rate, normal_rate)

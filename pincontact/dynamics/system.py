@@ -152,7 +152,8 @@ class System(Workspace):
         self.put("mass", data.M.T)
         self.zeros("parents", max(model.nv, 1))[: model.nv] = list(data.parents_fromRow)[: model.nv]
         self.bias_forces = self.put("nle", self.pinocchio.bias_forces)
-        self.put("jacobian", data.J.T)
+        # of one degree of freedom Pinocchio gives a vector
+        self.put("jacobian", data.J.reshape(6, -1).T)
         addresses = self.zeros("joint_addresses", model.njoints, 4)
         for j in range(1, model.njoints):
             pose = data.oMi[j]

@@ -51,13 +51,14 @@ def second_row(a, b):
 
 
 @kernel
-def second_factor(pattern, first, second, vectors):
-    """s of the unnormalised normal N = t x s (e_1 x e_2 of Definition 5), where t is body 2's first tangent."""
+def cross_second(pattern, first, second, vectors, x, out):
+    """out = x x s, of the unnormalised normal N = t x s (e_1 x e_2 of Definition 5), t body 2's first tangent."""
     if pattern == ON_SURFACE:
-        return second[2]
-    if pattern == PLANAR:
-        return vectors[PLANE_NORMAL]
-    return first[1]
+        cross(x, second[2], out)
+    elif pattern == PLANAR:
+        cross(x, vectors[PLANE_NORMAL], out)
+    else:
+        cross(x, first[1], out)
 
 
 # Rows of the scratch array `vectors` that belong to the contact under evaluation: r_2 - r_1, N, and the plane's normal
@@ -87,7 +88,7 @@ def location_jacobian(system, c):
     turned, other = vectors[_RATE], vectors[_NORMAL_RATE]
     if pattern != CROSSING_CURVES:
         for b in range(k2):
-            cross(second[3 + b], second_factor(pattern, first, second, vectors), vectors[_RATE + b])
+            cross_second(pattern, first, second, vectors, second[3 + b], vectors[_RATE + b])
             if pattern == ON_SURFACE:
                 add_cross(tangent, second[4 + b], vectors[_RATE + b])
     for a in range(k1):
@@ -190,13 +191,12 @@ def rate_equations(system, c):
         tangent_at_fixed_u(frame1, first, 0, rate)
         sides[2] = -dot(first[1], slip) - dot(rate, vectors[DIFFERENCE])
     elif k1 > 0:
-        factor = second_factor(pattern, first, second, vectors)
         tangent_at_fixed_u(frame2, second, 0, rate)
-        cross(rate, factor, normal_rate)
+        cross_second(pattern, first, second, vectors, rate, normal_rate)
         if pattern == ON_SURFACE:
             tangent_at_fixed_u(frame2, second, 1, rate)
         else:
-            cross(frame2[OMEGA], factor, rate)
+            cross(frame2[OMEGA], vectors[PLANE_NORMAL], rate)
         add_cross(second[1], rate, normal_rate)
         for a in range(k1):
             tangent_at_fixed_u(frame1, first, a, rate)

@@ -41,7 +41,7 @@ class RunSystem(System):
         self.gap_accuracy = self.lowest_hops = np.zeros(self.items)
         self._few_times = self.scratch("output_times", _FEW_TIMES)
         self._few_at = self.table[self.layout.places["output_times"], 0].item()
-        self.output_times = _NO_TIMES
+        self.put("output_times", self._few_times[:0], self._few_at)
 
     def parts(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """q, v, contact coordinates (nc, 4) and works of a state; views."""

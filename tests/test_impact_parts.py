@@ -103,13 +103,17 @@ def test_work_of_impulses(seed):
 def carrying(mu=0.4):
     """A contact and its resistance, whose third row is missing."""
     problem = object.__new__(impact._Problem)
-    problem.before, problem.start = np.zeros(6), np.zeros(4)
+    problem.system = SimpleNamespace(owner=lambda item: 0)
+    problem.impossible = False
+    problem.units, problem.normals, problem.radii, problem.slides, problem.lifted = {0: 0, 1: 1}, {}, {}, {}, {}
+    problem.before, problem.start, problem.base = np.zeros(6), np.zeros(4), np.zeros(6)
     problem.stack = problem.reduced = np.vstack([np.eye(6)[[0, 1, 2, 3]]])
-    problem.rebound, problem.holding = np.zeros(2), np.array([mu, 0.02])
-    problem.sliding = problem.holding
-    problem.loaded, problem.carried = {}, {1: 0}
+    problem.rebound, problem.mu = np.zeros(2), np.array([mu, 0.02])
+    problem.normal, problem.tangents = np.array([1.0, 0.0]), np.array([2.0, 2.0])
+    problem.sliding = problem.mu
     problem.weights = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.5])
     problem.gram = np.eye(6)
+    problem.posed = problem.loads()
     return problem
 
 
@@ -117,14 +121,13 @@ def carrying(mu=0.4):
 def test_resistances_get_the_load_of_their_contacts(rests):
     """What is missing in the normal direction is the load; below its length times that, turning ends."""
     problem = carrying()
-    problem.before[2], problem.rebound[0] = -1.0, -0.5
-    problem.before[3] = -0.01 if rests else -0.3
-    problem.loads = problem._with_loads(SimpleNamespace(normal=[1.0, 0.0], tangents=[2.0, 2.0]))
+    problem.base[2], problem.rebound[0] = -1.0, -0.5
+    problem.base[3] = -0.01 if rests else -0.3
     y = problem.solve(None, 0.8)
     assert y == pytest.approx([0.0, 0.0, 1.4, 0.01 if rests else 0.02 * 1.4], abs=1e-12)
     assert problem.forces[4:].tolist() == [0.0, 0.0]
     # no load
-    problem.before[2] = problem.rebound[0] = 1.0
+    problem.base[2] = problem.rebound[0] = 1.0
     assert problem.solve(None, 1.0) == pytest.approx(np.zeros(4), abs=1e-12)
 
 
@@ -199,8 +202,16 @@ def test_units_and_equations_of_an_impact(seed):
     approach = np.minimum(velocity[:2, 2], 0.0)
     assert problem.rebound == pytest.approx([0.5 * approach[0], 0.25 * approach[1]] + [0.0] * 7)
     # which impulses are the loads of what
-    assert problem.loaded == {2: [0, 1], 3: [2], 4: [6], 6: [0, 1]}
-    assert problem.carried == {5: 0}
+    assert problem.normals == {2: [0, 1], 3: [2], 4: [3], 5: [6], 6: [7]}
+    forces = np.random.default_rng(seed).normal(size=27)
+    y = problem.start + problem.reduced @ forces
+    impulses = np.linalg.lstsq(problem.equations.T, y - problem.stack @ forces)[0]
+    loads = problem.posed.radius_base + problem.posed.radius_rows @ forces
+    expected = np.zeros((9, 2))
+    expected[[0, 1, 5, 7, 8], 0] = forces[[2, 5, 2, 23, 26]]
+    expected[2] = expected[6] = impulses[[0, 1]]
+    expected[[3, 4], 0] = impulses[[2, 6]]
+    assert loads.reshape(-1, 2) == pytest.approx(expected, abs=1e-12)
     assert problem.contacts == 7
     equations = np.array([system.rows[c, row] for c, row in EQUATIONS]) @ whiten.T
     assert problem.equations == pytest.approx(equations, abs=1e-13)

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 
 from pincontact.friction import loads
 from pincontact.friction.cone import OPEN, SLIP, STICK
-from pincontact.friction.loads import LARGE_FRICTION, TOLERANCE, Loads, ScaledLoads, gauss_seidel_loads
+from pincontact.friction.loads import LARGE_FRICTION, TOLERANCE, Loads, ScaledLoads, _Chosen, gauss_seidel_loads
 
 SEEDS = pytest.mark.parametrize("seed", range(6))
 
 
-def made_problem(rng, given=False):
+def made_problem(rng, given=False, slides=()):
     """Units of all kinds: contacts with two tangents, with one and with none, a resistance to turning of the first
     contact's load, a bilateral contact whose load is a combination of forces, dry friction, and no force at all.
-    given: radii are numbers."""
+    given: radii are numbers; slides: which of them have a direction of slip."""
     n = 7
     factor = np.eye(3 * n) + 0.25 * rng.normal(size=(3 * n, 3 * n)) / math.sqrt(n)
     scales = np.repeat(10.0 ** rng.uniform(-0.5, 0.5, n), 3)
@@ -34,7 +36,11 @@ def made_problem(rng, given=False):
         radius_rows[8:10], radius_base[8:10] = 0.1 * rng.normal(size=(2, 3 * n)), rng.normal(size=2)
     base = scales * rng.normal(size=3 * n)
     base[2:9:3] -= 1.0 * scales[2:9:3]
-    return Loads(gram, base, normal, tangents, mu, radius_base, radius_rows)
+    directions = np.zeros((n, 2))
+    for i in slides:
+        directions[i, : int(tangents[i])] = on_circle = rng.normal(size=int(tangents[i]))
+        directions[i] /= np.linalg.norm(on_circle)
+    return Loads(gram, base, normal, tangents, mu, radius_base, radius_rows, directions=directions.ravel())
 
 
 def radii_at(problem, forces):
@@ -85,6 +91,65 @@ def test_solutions_follow_the_laws(seed):
     assert again == pytest.approx(forces, abs=1e-8)
 
 
+@SEEDS
+@pytest.mark.parametrize("slides", [(4,), (3, 4, 5)])
+def test_what_slides_goes_on_along_its_direction(slides, seed):
+    """Whatever the signs of the loads: friction has the length of their norm, against the slip."""
+    problem = made_problem(np.random.default_rng([7, seed]), slides=slides)
+    # low enough that every load decides alone
+    problem.mu[4] = 0.1
+    forces, residual = problem.solve(np.zeros(problem.base.size))
+    assert residual <= TOLERANCE
+    radii = radii_at(problem, forces)
+    for i in slides:
+        direction = problem.directions[2 * i : 2 * i + 2]
+        assert forces[3 * i : 3 * i + 2] == pytest.approx(-radii[i] * direction, abs=1e-9)
+        assert problem.modes(forces)[i] == (SLIP if radii[i] > 0.0 else OPEN)
+    # with it, all else obeys its law; what slides is pushed along
+    u = problem.gram @ forces + problem.base
+    pushed = replace(problem, base=problem.base.copy())
+    for i in slides:
+        pushed.base[3 * i : 3 * i + 2] += problem.directions[2 * i : 2 * i + 2] - u[3 * i : 3 * i + 2]
+    follows_the_laws(pushed, forces, radii, 1e-8)
+    again, residual = problem.refine(forces + 1e-3 * np.random.default_rng(seed).normal(size=forces.size))
+    assert residual <= TOLERANCE
+    assert again == pytest.approx(forces, abs=1e-8)
+
+
+@SEEDS
+def test_derivatives_of_what_has_to_vanish(seed):
+    """Against differences, whose error is that of second derivatives: 1e-6 squared, over 1e-6."""
+    rng = np.random.default_rng([8, seed])
+    scaled = ScaledLoads(made_problem(rng, slides=(4,)))
+    y = rng.normal(size=scaled.rows.size)
+    columns = [scaled.equations(y + 1e-6 * d)[0] - scaled.equations(y - 1e-6 * d)[0] for d in np.eye(y.size)]
+    assert scaled.equations(y)[1] == pytest.approx(np.array(columns).T / 2e-6, abs=1e-7)
+
+
+@SEEDS
+def test_signs_of_loads_may_be_chosen(seed):
+    """Friction of known direction under a load of known sign: linear; where the load has the other one, no solution."""
+    rng = np.random.default_rng([9, seed])
+    problem = made_problem(rng, slides=(4,))
+    # that of dry friction, of the others none; a load of one number
+    problem.mu[[0, 1, 3]], problem.radius_rows[9], problem.radius_base[9] = 0.0, 0.0, 0.0
+    problem.mu[4] = 0.1
+    scaled = ScaledLoads(problem)
+    assert [disc.direction.any() for disc in scaled.signed] == [True]
+    assert (scaled.curved, scaled.choices) == (True, 4)
+    found = []
+    for signs in ((1.0,), (-1.0,)):
+        for loaded in product((True, False), repeat=3):
+            y, residual = scaled.newton(np.zeros(scaled.rows.size), _Chosen(np.array(loaded), signs))
+            if residual <= TOLERANCE:
+                forces = scaled.forces(y)
+                load = problem.radius_base[8] + problem.radius_rows[8] @ forces
+                assert math.copysign(1.0, load) == signs[0]
+                found.append(forces)
+    assert len(found) == 1
+    assert problem.solve(np.zeros(21))[0] == pytest.approx(found[0], abs=1e-8)
+
+
 def test_all_modes_occur():
     found = set()
     for seed in range(12):
@@ -129,7 +194,7 @@ def test_a_sweep_goes_from_unit_to_unit(given, seed):
     """Each unit's forces as if the others' stayed: the normal one exactly, those of a disc by the block's largest
     eigenvalue. Velocities are those of the forces."""
     rng = np.random.default_rng([2, seed])
-    problem = made_problem(rng, given)
+    problem = made_problem(rng, given, slides=(4,) if seed % 2 else ())
     problem.mu[3] = math.inf
     if seed == 0:
         # nothing moves along these
@@ -150,6 +215,8 @@ def test_a_sweep_goes_from_unit_to_unit(given, seed):
         radius = min(problem.mu[i], LARGE_FRICTION) * np.linalg.norm(load)
         p = expected[block] - (problem.gram[block] @ expected + problem.base[block]) / stiffness
         expected[block] = p * min(1.0, radius / np.linalg.norm(p))
+        if problem.along[2 * i : 2 * i + 2].any():
+            expected[block] = -radius * problem.along[2 * i : 2 * i + count]
     f, u = start.copy(), problem.gram @ start + problem.base
     arrays = (
         problem.gram,
@@ -158,6 +225,7 @@ def test_a_sweep_goes_from_unit_to_unit(given, seed):
         problem.coefficients,
         problem.radius_base,
         problem.radius_rows,
+        problem.along,
     )
     gauss_seidel_loads(*arrays, f, u, 1)
     assert f == pytest.approx(expected, abs=1e-12)
@@ -211,6 +279,7 @@ def test_where_nothing_is_found_the_best_is_kept(monkeypatch):
         problem.coefficients,
         problem.radius_base,
         problem.radius_rows,
+        problem.along,
     )
     for (found, _), sweeps in ((far, 1), (near, 34)):
         f = start.copy()

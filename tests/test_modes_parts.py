@@ -1,4 +1,4 @@
-"""Parts of the choice of modes, each alone, on systems of random rows: cone problems and their solutions by loads."""
+"""Parts of the choice of modes, each alone, on systems of random rows: contact problems and their solutions."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pincontact.dynamics.mode_problem import mode_problem
+from pincontact.dynamics.directions import slip_direction
 from pincontact.dynamics.modes import ModeSolver
 from pincontact.friction import cone
 from pincontact.friction.loads import LARGE_FRICTION
+from pincontact.geometry.patterns import ON_CURVE
 from pincontact.layout import (
     ANISOTROPIC,
     CONTACT_INTS,
     CONTACT_REALS,
     FRICTION_EVENT,
+    FRICTIONLESS,
     HIGH_FORCE,
     JOINT_END,
     JOINT_INTS,
@@ -27,6 +29,7 @@ from pincontact.layout import (
     MU_NOW,
     NORMAL_EVENT,
     OWNER,
+    PATTERN,
     SCALING_11,
     SCALING_12,
     SCALING_22,
@@ -38,14 +41,14 @@ from pincontact.layout import (
 )
 
 SEEDS = pytest.mark.parametrize("seed", range(6))
-# contacts: two that slide (one along one tangent), three undecided ones, of which one is anisotropic, one with one
-# tangent; held: at no end, at the lower and at the upper one; resistances to turning of two contacts
+# contacts: two that slide (one along one tangent), one without friction, or ideal, and two that may stick, of which one
+# is anisotropic, one has one tangent; held: at no end, at the lower and at the upper one; resistances to turning of two
 CONTACTS, HELD, RESISTING = [0, 1, 2, 3, 4], [0, 1, 2], [8, 9]
 ELLIPSE = np.array([[1.2, 0.3], [0.3, 0.7]])
 
 
-def made(rng, ideal=False):
-    """A system after an evaluation, and its solver: rows of 24 velocities in all."""
+def made(rng, ideal=False, bilateral=()):
+    """A system after an evaluation, and its solver: rows of 24 velocities in all. bilateral: which contacts are."""
     n, nv = 10, 24
     integers, numbers = np.zeros((n, CONTACT_INTS), dtype=np.int64), np.zeros((n, CONTACT_REALS))
     integers[:, TANGENTS], integers[:, UNILATERAL], integers[:, MODE] = 2, 1, STICK
@@ -56,8 +59,10 @@ def made(rng, ideal=False):
     integers[9, TANGENTS], integers[9, MODE] = 1, SLIPPING
     integers[9, SLIP_SIGN], integers[8, OWNER], integers[9, OWNER] = 1, 2, 1
     numbers[:, MU] = numbers[:, MU_NOW] = rng.uniform(0.1, 0.4, n)
-    if ideal:
-        numbers[2, MU] = math.inf
+    integers[list(bilateral), UNILATERAL] = 0
+    numbers[2, MU] = numbers[2, MU_NOW] = math.inf if ideal else 0.0
+    if not ideal:
+        integers[2, MODE] = FRICTIONLESS
     limits, bounds = np.zeros((3, JOINT_INTS), dtype=np.int64), np.zeros((3, JOINT_REALS))
     limits[:, JOINT_END] = 0, -1, 1
     bounds[:, LOW_FORCE], bounds[:, HIGH_FORCE] = [-0.2, -0.3, -0.1], [0.3, 0.1, 0.2]
@@ -77,58 +82,66 @@ def made(rng, ideal=False):
         nv=nv, nc=5, ng=3, items=n, contact_int=integers, contact_real=numbers, joint_int=limits, joint_real=bounds,
         rows=rows, factor=factor, bias=bias, free_acceleration=free, force=np.zeros((n, 3)),
         basis=np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(n)]), slip=rng.normal(size=(n, 3)),
-        owner=lambda i: int(integers[i, OWNER]),
+        owner=lambda i: int(integers[i, OWNER]) if i > 7 else i, resisting=lambda: RESISTING,
     )  # fmt: skip
     solver = ModeSolver(system)
     solver._limits[:] = numbers[:, MU] * 1.2
     return system, solver
 
 
-def actual_forces(system, forces, shapes):
-    """(n, 3) forces along the rows of all items, from those of the problem's units."""
-    out = np.zeros((10, 3))
-    for i, c in enumerate(CONTACTS):
-        out[c] = forces[i]
-        if i in shapes:
-            out[c, :2] = shapes[i] @ forces[i, :2]
-        if system.contact_int[c, TANGENTS] == 1:
-            out[c, 1] = 0.0
-    out[5, 2] = 0.05 + forces[5, 0]
-    out[6, 2], out[7, 2] = -0.3 + forces[6, 2], 0.2 - forces[7, 2]
-    out[8, :2], out[9, 0] = forces[8, :2], forces[9, 0]
-    return out
+def motion(system, forces):
+    """(n, 3) relative accelerations along all rows under forces (n, 3) of all items."""
+    inverse = np.linalg.inv(system.factor.T @ system.factor)
+    acceleration = system.free_acceleration + inverse @ np.einsum("irk,ir->k", system.rows, forces)
+    return system.rows @ acceleration + system.bias
+
+
+BILATERAL = pytest.mark.parametrize("bilateral", [(), (1, 4), (0, 2, 3)])
+
+
+def rows_of(system, item):
+    """Rows along which an item has forces that a unit knows."""
+    if 5 <= item <= 7:
+        return [2]
+    tangents = list(range(int(system.contact_int[item, TANGENTS])))
+    if item in RESISTING:
+        return tangents
+    friction = system.contact_real[item, MU] > 0.0
+    return (tangents if friction else []) + [2]
 
 
 @SEEDS
-def test_cone_problems_are_those_of_the_motion(seed):
-    """Velocities of the units are accelerations that their forces make; what has no row stands alone."""
+@BILATERAL
+@pytest.mark.parametrize("ideal", [False, True])
+def test_problems_are_those_of_the_motion(ideal, bilateral, seed):
+    """Velocities of the units are accelerations that their forces make, together with those of the equations."""
     rng = np.random.default_rng(seed)
-    system, solver = made(rng, ideal=bool(seed % 2))
-    problem = mode_problem(system, solver._limits, CONTACTS, [3, 4], HELD, RESISTING)
-    assert problem.turns == {8: 8, 9: 9}
-    assert list(problem.shapes) == [3]
-    assert problem.shapes[3] == pytest.approx(ELLIPSE)
-    limits = solver._limits
-    ideal = limits[2] if seed % 2 else 0.0
-    assert problem.limits == pytest.approx([0.0, 0.0, ideal, limits[3], limits[4], 1.0, 0.0, 0.0, 1.0, 1.0])
-    forces = rng.normal(size=(10, 3))
-    inverse = np.linalg.inv(system.factor.T @ system.factor)
-    actual = actual_forces(system, forces, problem.shapes)
-    acceleration = system.free_acceleration + inverse @ np.einsum("irk,ir->k", system.rows, actual)
-    relative = system.rows @ acceleration + system.bias
-    velocities = (problem.gram @ forces.ravel() + problem.base).reshape(-1, 3)
-    missing = problem.weights.reshape(-1, 3) > 0.0
-    expected = np.zeros((10, 3), dtype=bool)
-    expected[[1, 4], 1] = expected[5, 1:] = expected[[6, 7], :2] = expected[[8, 9], 2] = expected[9, 1] = True
-    assert (missing == expected).all()
-    relative[3, :2] = ELLIPSE @ relative[3, :2]
-    for g, (column, sign) in enumerate(((0, 1.0), (2, 1.0), (2, -1.0))):
-        relative[5 + g, column] = sign * (system.rows[5 + g, 2] @ acceleration)
-    assert velocities[~missing] == pytest.approx(relative[~missing], abs=1e-12)
-    # a load of the middle of its range, and no other
-    alone = problem.weights * forces.ravel()
-    alone[17] -= 0.25 * problem.weights[17]
-    assert velocities[missing] == pytest.approx(alone.reshape(-1, 3)[missing], abs=1e-12)
+    system, solver = made(rng, ideal, bilateral)
+    problem = solver._pose(CONTACTS, HELD)
+    items = [i for i in (0, 1, 2, 3, 4, 8, 9, 5, 6, 7) if i != 2 or i not in bilateral]
+    assert list(problem.units) == items
+    assert list(problem.normals) == sorted(bilateral)
+    assert list(problem.shapes) == [problem.units[3]]
+    assert problem.shapes[problem.units[3]] == pytest.approx(ELLIPSE)
+    wanted = np.where(system.contact_int[:, MODE] == SLIPPING, system.contact_real[:, MU_NOW], solver._limits)
+    wanted[5:8] = 1.0, 0.0, 0.0
+    assert problem.mu == pytest.approx(wanted[items])
+    units = rng.normal(size=problem.base.size)
+    forces = problem.of_items(units, True)
+    forces[5:8, 2] += 0.05, -0.3, 0.2
+    relative = motion(system, forces)
+    velocities = problem.of_items(problem.gram @ units + problem.base, False)
+    for item in items:
+        rows = [row for row in rows_of(system, item) if row != 2 or item not in bilateral]
+        assert velocities[item, rows] == pytest.approx(relative[item, rows], abs=1e-11)
+    for c in bilateral:
+        assert relative[c, 2] == pytest.approx(0.0, abs=1e-11)
+        if c == 2 and ideal:
+            assert relative[c] == pytest.approx(np.zeros(3), abs=1e-11)
+    # there and back
+    missing = problem.weights > 0.0
+    assert problem.of_units(problem.of_items(units, True))[~missing] == pytest.approx(units[~missing], abs=1e-13)
+    assert missing.sum() == sum(3 - len([r for r in rows_of(system, i) if r != 2 or i not in bilateral]) for i in items)
 
 
 def on_disk(aim, radius):
@@ -137,100 +150,217 @@ def on_disk(aim, radius):
 
 
 @SEEDS
+@BILATERAL
 @pytest.mark.parametrize("ideal", [False, True])
-def test_solutions_follow_the_laws_of_what_slides_and_what_rests(ideal, seed):
+def test_solutions_follow_the_laws_of_what_slides_and_what_rests(ideal, bilateral, seed):
     rng = np.random.default_rng([1, seed])
-    system, solver = made(rng, ideal)
-    problem = mode_problem(system, solver._limits, CONTACTS, [3, 4], HELD, RESISTING)
-    if ideal:
-        problem.limits[2] = math.inf
-    solution = solver._solve_with_loads(problem, CONTACTS, HELD, RESISTING)
+    system, solver = made(rng, ideal, bilateral)
+    problem = solver._pose(CONTACTS, HELD)
+    assert not problem.is_cone
+    solution = solver._solve_posed(problem, HELD)
     assert solution is not None
     assert solution.residual <= 1e-9
     assert solver.cone_problems == 1
     forces, modes = solution.forces, solution.modes
-    velocities = (problem.gram @ forces.ravel() + problem.base).reshape(-1, 3)
-    close = 1e-9
-    missing = problem.weights.reshape(-1, 3) > 0.0
-    assert solution.velocities[~missing] == pytest.approx(velocities[~missing], abs=close)
+    relative, close = motion(system, forces), 1e-9
     normal = forces[:, 2]
-    for i in (*range(5), 6, 7):
-        assert normal[i] >= -close
-        assert velocities[i, 2] >= -close
-        assert normal[i] * velocities[i, 2] == pytest.approx(0.0, abs=close)
+    for c in CONTACTS:
+        if c in bilateral:
+            assert relative[c, 2] == pytest.approx(0.0, abs=close)
+            continue
+        assert min(normal[c], relative[c, 2]) == pytest.approx(0.0, abs=close)
+    load = np.abs(normal)
     along = (system.basis[0, :2] @ system.slip[0]) / np.linalg.norm(system.basis[0, :2] @ system.slip[0])
     mu = system.contact_real[:, MU_NOW]
-    assert forces[0, :2] == pytest.approx(-mu[0] * normal[0] * along, abs=close)
-    assert forces[1, :2] == pytest.approx([mu[1] * normal[1], 0.0], abs=close)
-    assert forces[9, :2] == pytest.approx([-mu[9] * normal[1], 0.0], abs=close)
-    disks = [(3, 2, problem.limits[3] * normal[3]), (4, 1, problem.limits[4] * normal[4]), (5, 1, 0.25)]
-    disks.append((8, 2, solver._limits[8] * normal[2]))
-    for i, count, radius in disks:
-        aim = forces[i, :count] - velocities[i, :count]
-        assert forces[i, :count] == pytest.approx(on_disk(aim, max(radius, 0.0)), abs=close)
-        if radius > 1e-9 and np.linalg.norm(velocities[i, :count]) > 1e-6:
-            assert modes[i] == cone.SLIP
-    if ideal:
+    assert forces[0, :2] == pytest.approx(-mu[0] * load[0] * along, abs=close)
+    assert forces[1, :2] == pytest.approx([mu[1] * load[1], 0.0], abs=close)
+    assert forces[9, :2] == pytest.approx([-mu[9] * load[1], 0.0], abs=close)
+    # an ellipse in the coordinates in which it is round
+    round_force, round_slip = np.linalg.solve(ELLIPSE, forces[3, :2]), ELLIPSE @ relative[3, :2]
+    discs = [
+        (3, round_force, round_slip, solver._limits[3] * load[3]),
+        (4, forces[4, :1], relative[4, :1], solver._limits[4] * load[4]),
+        (5, forces[5, 2:] - 0.05, relative[5, 2:], 0.25),
+        (8, forces[8, :2], relative[8, :2], solver._limits[8] * load[2]),
+    ]
+    for item, force, slip, radius in discs:
+        assert force == pytest.approx(on_disk(force - slip, radius), abs=close)
+        if radius > 1e-9 and np.linalg.norm(slip) > 1e-6:
+            assert modes[item] == cone.SLIP
+    # ends only push
+    assert min(normal[6] + 0.3, relative[6, 2]) == pytest.approx(0.0, abs=close)
+    assert min(0.2 - normal[7], -relative[7, 2]) == pytest.approx(0.0, abs=close)
+    if ideal and 2 in bilateral:
+        assert relative[2] == pytest.approx(np.zeros(3), abs=close)
+    elif ideal:
         # that slips at most which friction holds up, with next to no load
         pull = np.linalg.norm(forces[2, :2])
-        assert np.abs(velocities[2, :2]).max() < close or normal[2] <= 1.001 * pull / LARGE_FRICTION
-    elif not ideal:
+        assert np.abs(relative[2, :2]).max() < close or normal[2] <= 1.001 * pull / LARGE_FRICTION
+    else:
         assert not forces[2, :2].any()
-    for i in range(5):
+    for c in CONTACTS:
         # ideal rolling may slide without a load
-        if not (ideal and i == 2):
-            assert (modes[i] == cone.OPEN) == (normal[i] <= 1e-12)
+        if c not in bilateral and not (ideal and c == 2):
+            assert (modes[c] == cone.OPEN) == (normal[c] <= 1e-12)
+
+
+@SEEDS
+@pytest.mark.parametrize("tangents", [1, 2])
+def test_what_friction_holds_up_goes_with_its_friction(tangents, seed):
+    """Ideal rolling that slides has no normal force: friction against its slip keeps it closed, or it opens."""
+    rng = np.random.default_rng([4, seed, tangents])
+    system, solver = made(rng, ideal=True)
+    system.contact_int[2, [MODE, TANGENTS, SLIP_SIGN]] = SLIPPING, tangents, 1
+    # it turns the bodies such that it lifts
+    direction = slip_direction(system, 2)
+    system.rows[2, 2] -= 0.5 * direction @ system.rows[2, :2]
+    solution = solver._solve_posed(solver._pose([2], []), [])
+    relative = motion(system, solution.forces)
+    pull = -solution.forces[2, :2] @ direction
+    assert solution.forces[2] == pytest.approx([*(-pull * direction), 0.0], abs=1e-12)
+    assert min(pull, relative[2, 2]) == pytest.approx(0.0, abs=1e-9)
+    assert solution.modes[2] == (cone.OPEN if pull == 0.0 else cone.STICK)
 
 
 @SEEDS
 def test_solutions_begin_from_the_last_forces(seed, monkeypatch):
     """In the coordinates in which cones are round; what pulls begins from none. What slides goes with the loads."""
     rng = np.random.default_rng([2, seed])
-    system, solver = made(rng)
+    system, solver = made(rng, bilateral=(4,))
     system.force = rng.normal(size=(10, 3))
-    problem = mode_problem(system, solver._limits, CONTACTS, [3, 4], HELD, RESISTING)
+    problem = solver._pose(CONTACTS, HELD)
     asked = []
     monkeypatch.setattr(solver.loads, "solve", lambda loads, start, guess: asked.append((loads, start)))
-    assert solver._solve_with_loads(problem, CONTACTS, HELD, RESISTING) is None
+    assert solver._solve_posed(problem, HELD) is None
     (loads, start) = asked[0]
-    expected = np.zeros((10, 3))
-    expected[:5, 2] = np.maximum(system.force[:5, 2], 0.0)
-    expected[3, :2] = np.linalg.solve(ELLIPSE, system.force[3, :2])
-    expected[4, :2], expected[8, :2] = system.force[4, :2], system.force[8, :2]
-    assert start.reshape(-1, 3) == pytest.approx(expected, abs=1e-14)
-    assert np.flatnonzero(loads.normal).tolist() == [0, 1, 2, 3, 4, 6, 7]
+    start = dict(zip(problem.units, start.reshape(-1, 3)))
+    for c in range(4):
+        assert start[c][2] == max(system.force[c, 2], 0.0)
+    assert start[3][:2] == pytest.approx(np.linalg.solve(ELLIPSE, system.force[3, :2]), abs=1e-14)
+    assert start[4].tolist() == [system.force[4, 0], 0.0, 0.0]
+    assert start[8].tolist() == [*system.force[8, :2], 0.0]
+    assert start[5].tolist() == pytest.approx([system.force[5, 2] - 0.05, 0.0, 0.0])
+    places = problem.units
+    assert np.flatnonzero(loads.normal).tolist() == sorted(places[i] for i in (0, 1, 2, 3, 6, 7))
     assert np.flatnonzero((loads.drag != np.eye(30)).any(axis=0)).tolist() == [2, 5]
     discs = np.flatnonzero(loads.mu * loads.tangents)
-    assert discs.tolist() == [3, 4, 5, 8]
-    assert loads.tangents[discs].tolist() == [2.0, 1.0, 1.0, 2.0]
-    carriers = [np.flatnonzero(loads.radius_rows[2 * i]).tolist() for i in discs]
-    assert carriers == [[11], [14], [], [8]]
-    assert loads.radius_base[10] == 0.25
+    assert sorted(discs.tolist()) == sorted(places[i] for i in (3, 4, 5, 8, 9))
+    carriers = {i: np.flatnonzero(loads.radius_rows[2 * places[i]]).tolist() for i in (3, 5, 8, 9)}
+    assert carriers == {3: [11], 5: [], 8: [8], 9: [5]}
+    assert loads.radius_base[2 * places[5]] == 0.25
+    # of what slides already only the turning has a disc
+    assert np.flatnonzero(loads.along).tolist() == [2 * places[9]]
 
 
 @SEEDS
-@pytest.mark.parametrize("contacts", [[0], [0, 2], [1, 3, 4]])
-def test_contacts_alone(contacts, seed):
-    rng = np.random.default_rng([3, seed, len(contacts)])
+def test_guesses_are_symmetric_problems(seed, monkeypatch):
+    """What slides has a velocity along, and its friction a limit; discs have the radii of the present loads."""
+    rng = np.random.default_rng([5, seed])
     system, solver = made(rng)
-    problem = mode_problem(system, solver._limits, contacts, [c for c in contacts if c > 1], [], [])
-    assert problem.gram.shape == (3 * len(contacts),) * 2
-    solution = solver._solve_with_loads(problem, contacts, [], [])
-    forces, velocities = solution.forces, (problem.gram @ solution.forces.ravel() + problem.base).reshape(-1, 3)
-    for i, c in enumerate(contacts):
-        normal, mu = forces[i, 2], system.contact_real[c, MU_NOW]
-        assert min(normal, velocities[i, 2]) == pytest.approx(0.0, abs=1e-9)
+    system.force = rng.normal(size=(10, 3))
+    system.force[[1, 2], 2] = 1.5, 2.5
+    problem = solver._pose(CONTACTS, HELD)
+    guesses, asked = [], []
+
+    class Asked:
+        forces = object()
+
+        def solve(self, gram, b, limits):
+            asked.append((gram, b, limits))
+            return len(asked) < 2
+
+    solver.__dict__["solver"] = Asked()
+    monkeypatch.setattr(solver.loads, "solve", lambda loads, start, guess: guesses.append(guess))
+    solver._solve_posed(problem, HELD)
+    assert guesses[0](7.0) is Asked.forces
+    assert guesses[0](7.0) is None
+    gram, b, limits = asked[0]
+    expected, places = problem.base.copy(), problem.units
+    along = system.basis[0, :2] @ system.slip[0]
+    expected[:2] += 7.0 * along / np.linalg.norm(along)
+    expected[3] -= 7.0
+    expected[3 * places[9]] += 7.0
+    for item, radius in ((8, solver._limits[8] * 2.5), (9, system.contact_real[9, MU_NOW] * 1.5), (5, 0.25)):
+        row = 3 * places[item] + 2
+        expected[row] = -radius * problem.weights[row]
+    assert gram is problem.gram
+    assert b == pytest.approx(expected, abs=1e-12)
+    wanted = problem.mu.copy()
+    wanted[[places[i] for i in (5, 8, 9)]] = 1.0
+    assert limits == pytest.approx(wanted, abs=1e-15)
+
+
+@SEEDS
+@pytest.mark.parametrize("contacts", [[0], [0, 2], [1, 3, 4], [3, 4]])
+@BILATERAL
+def test_contacts_alone(bilateral, contacts, seed):
+    rng = np.random.default_rng([3, seed, len(contacts)])
+    system, solver = made(rng, bilateral=bilateral)
+    system.resisting = list
+    problem = solver._pose(contacts, [])
+    slides = min(contacts) < 2 or (bilateral and not {3, 4}.isdisjoint({*bilateral} & {*contacts}))
+    assert problem.is_cone == (not slides)
+    solution = solver._solve_posed(problem, [])
+    forces, relative = solution.forces, motion(system, solution.forces)
+    for c in contacts:
+        normal, mu = forces[c, 2], system.contact_real[c, MU_NOW]
+        if c in bilateral:
+            assert relative[c, 2] == pytest.approx(0.0, abs=1e-9)
+        else:
+            assert min(normal, relative[c, 2]) == pytest.approx(0.0, abs=1e-9)
         if c < 2:
             along = np.array([-1.0, 0.0])
             if c == 0:
                 along = system.basis[0, :2] @ system.slip[0]
                 along /= np.linalg.norm(along)
-            assert forces[i, :2] == pytest.approx(-mu * normal * along, abs=1e-9)
-        else:
+            assert forces[c, :2] == pytest.approx(-mu * abs(normal) * along, abs=1e-9)
+        elif c > 2:
             count = int(system.contact_int[c, TANGENTS])
-            aim = forces[i, :count] - velocities[i, :count]
-            wanted = on_disk(aim, problem.limits[i] * normal)
-            assert forces[i, :count] == pytest.approx(wanted, abs=1e-9)
+            shape = ELLIPSE if c == 3 else np.eye(1)
+            force, slip = np.linalg.solve(shape, forces[c, :count]), shape @ relative[c, :count]
+            wanted = on_disk(force - slip, solver._limits[c] * abs(normal))
+            assert force == pytest.approx(wanted, abs=1e-9)
+
+
+@SEEDS
+@pytest.mark.parametrize("mode", [SLIPPING, STICK])
+def test_friction_on_curves_goes_with_both_normals(mode, seed):
+    rng = np.random.default_rng([6, seed])
+    system, solver = made(rng, bilateral=(1,))
+    system.contact_int[1, [PATTERN, MODE]], system.resisting = [ON_CURVE, mode], list
+    solution = solver._solve_posed(solver._pose([1, 3], []), [])
+    forces, relative = solution.forces, motion(system, solution.forces)
+    assert relative[1, 1:] == pytest.approx([0.0, 0.0], abs=1e-9)
+    load = math.hypot(*forces[1, 1:])
+    assert load > 0.0
+    if mode == SLIPPING:
+        assert forces[1, 0] == pytest.approx(system.contact_real[1, MU_NOW] * load, abs=1e-9)
+    else:
+        aim = forces[1, :1] - relative[1, :1]
+        assert forces[1, :1] == pytest.approx(on_disk(aim, solver._limits[1] * load), abs=1e-9)
+
+
+@pytest.mark.parametrize("gap", [-0.3, 0.0, 0.3])
+def test_what_equations_decide(gap):
+    """A contact whose normal is a combination of bilateral contacts' moves with these, whatever its force: it opens,
+    rests, or no force keeps it from closing."""
+    system, solver = made(np.random.default_rng(7), bilateral=(2, 4))
+    system.rows[3, 2] = 0.3 * system.rows[4, 2] + 0.7 * system.rows[2, 2]
+    system.bias[3, 2] = 0.3 * system.bias[4, 2] + 0.7 * system.bias[2, 2] + gap
+    problem = solver._pose([2, 3, 4], [])
+    normal = 3 * problem.units[3] + 2
+    assert not problem.reduced[:, normal].any()
+    # no round-off
+    assert problem.base[normal] == (pytest.approx(gap, abs=1e-12) if gap else 0.0)
+    system.resisting = list
+    solution = solver._solve_posed(solver._pose([2, 3, 4], []), [])
+    if gap < 0.0:
+        assert solution is None
+        assert solver.proved
+        return
+    assert solution.forces[3] == pytest.approx(np.zeros(3), abs=1e-15)
+    assert solution.modes[3] == cone.OPEN
+    assert solution.velocities[3, 2] == pytest.approx(gap, abs=1e-12)
 
 
 def test_whether_all_forces_lie_inside_their_cones():

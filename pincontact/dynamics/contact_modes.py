@@ -6,11 +6,16 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from ..geometry.patterns import ON_CURVE
 from ..layout import (
     FRICTIONLESS,
     MODE,
     MU,
+    NORMAL_1,
     NORMAL_SIGN,
+    PATTERN,
     SLIPPING,
     STICK,
     UNILATERAL,
@@ -59,3 +64,17 @@ def drags(system: System, c: int) -> bool:
 def rest_mode(mu: float) -> int:
     """The mode of a closed contact that does not slide."""
     return FRICTIONLESS if mu == 0.0 else STICK
+
+
+def set_normal(system: System, c: int, force: np.ndarray, least: float = 0.0) -> None:
+    """Give contact c, if it is bilateral, the sign, on a curve the direction, of the normal force among these (3,), if
+    that exceeds `least` in N."""
+    integers, numbers = system.contact_int[c], system.contact_real[c]
+    on_curve = integers[PATTERN] == ON_CURVE
+    size = math.hypot(force[1], force[2]) if on_curve else abs(force[2])
+    if integers[UNILATERAL] or not size > least:
+        return
+    if on_curve:
+        numbers[NORMAL_1 : NORMAL_1 + 2] = force[2] / size, force[1] / size
+    else:
+        integers[NORMAL_SIGN] = 1 if force[2] > 0.0 else -1

@@ -7,7 +7,6 @@ joints' ways take part as normals, without restitution. Dry joint friction is a 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -15,10 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..friction.cone import SLIP
-from ..friction.loads import LARGE_FRICTION, TOLERANCE, Loads
+from ..friction.loads import LARGE_FRICTION, TOLERANCE
 from ..friction.solve import ContactSolver
 from ..friction.stribeck import stribeck
-from ..geometry.patterns import ON_CURVE
 from ..layout import (
     JOINT_END,
     MODE,
@@ -26,22 +24,18 @@ from ..layout import (
     MU,
     MU_FAST,
     MU_STATIC,
-    PATTERN,
     STICK,
     STRIBECK_EXPONENT,
     STRIBECK_SPEED,
     TANGENTS,
     TIME_DEPENDENT,
-    UNILATERAL,
 )
 from .energy import ENERGY_SLACK, KEPT_ACCURACY
-from .units import Units, contact_rows, delassus, unwhiten, whiten, whitened_velocity
+from .units import ContactProblem, unwhiten, whitened_velocity
 
 if TYPE_CHECKING:
     from .system import System
 
-# Equations that combine to less than this, relative to their size, are redundant.
-_REDUNDANT = 1e-9
 # Coefficients that stand in for infinite ones where redundant contacts' ideal rolling contradicts itself by round-off.
 _LARGE_FRICTION = (LARGE_FRICTION, 1e2)
 
@@ -99,8 +93,8 @@ def apply_impact(
     return Impact(contacts, drives, joints, kept)
 
 
-class _Problem:
-    """Units and equations of one impact, in whitened changes of velocity y = L (v+ - v-)."""
+class _Problem(ContactProblem):
+    """The problem of one impact, in whitened changes of velocity y = L (v+ - v-)."""
 
     def __init__(
         self,
@@ -117,96 +111,41 @@ class _Problem:
             on_joint = system.nc <= item < system.nc + system.ng
             return system.slip[item, rows] if on_joint else system.basis[item, rows] @ system.slip[item]
 
-        units = Units(system, relative)
-        equations: list[tuple[int, int]] = []
-        # unit -> rows among the equations that carry its normal impulse
-        self.loaded: dict[int, list[int]] = {}
-        # contacts -> their units, or places of their normals among the equations; unit -> coefficient of sliding
-        unit_of: dict[int, int] = {}
-        normals_of: dict[int, list[int]] = {}
-        sliding: dict[int, float] = {}
-        for c in closed:
-            rows, limit = contact_rows(integers[c, TANGENTS]), _coefficient(system, c)
-            rested = integers[c, MODE] == STICK and c not in struck
-            holding = float(system.contact_real[c, MU_STATIC]) if rested else limit
-            if integers[c, UNILATERAL]:
-                unit_of[c] = units.add(c, rows if limit > 0.0 else (2,), holding)
-                sliding[unit_of[c]] = limit
-                continue
-            normals = [1, 2] if integers[c, PATTERN] == ON_CURVE else [2]
-            tangents = [row for row in rows if row not in normals]
-            normals_of[c] = list(range(len(equations), len(equations) + len(normals)))
-            equations += [(c, row) for row in normals + (tangents if math.isinf(limit) else [])]
-            if 0.0 < limit < math.inf:
-                u = units.add(c, tangents, holding)
-                self.loaded[u], sliding[u] = normals_of[c], limit
-        # unit of a resistance to turning -> unit that carries its contact's normal impulse
-        self.carried: dict[int, int] = {}
-        for item in system.resisting():
-            c = system.owner(item)
-            if c in closed:
-                u = units.add(item, range(integers[item, TANGENTS]), float(system.contact_real[item, MU]))
-                if integers[c, UNILATERAL]:
-                    self.carried[u] = unit_of[c]
-                else:
-                    self.loaded[u] = normals_of[c]
-        self.contacts = len(units.mu)
+        super().__init__(system, relative)
+        mu = system.contact_real[:, MU].copy()
+        mu[closed] = [_coefficient(system, c) for c in closed]
+        holding = mu.copy()
+        rested = [c for c in closed if integers[c, MODE] == STICK and c not in struck]
+        holding[rested] = system.contact_real[rested, MU_STATIC]
+        self.add_contacts(closed, holding)
+        self.contacts = len(self.units)
         for g in ends:
-            units.add(system.nc + g, (2,), 0.0, -float(system.joint_int[g, JOINT_END]))
-        self.stack, self.before = units.stack, np.array(units.start).reshape(-1)
-        self.holding = np.array(units.mu)
-        self.rebound, self.sliding = np.zeros(self.holding.size), self.holding.copy()
-        for c, u in unit_of.items():
-            self.rebound[u] = restitution.get(c, 0.0) * min(self.before[3 * u + 2], 0.0)
-        for u, limit in sliding.items():
-            self.sliding[u] = limit
+            self.add(system.nc + g, (2,), 0.0, -float(system.joint_int[g, JOINT_END]))
+        self.assemble()
+        self.sliding = np.where(np.arange(self.mu.size) < self.contacts, mu[list(self.units)], 0.0)
+        self.rebound = np.zeros(self.mu.size)
+        for c, u in self.units.items():
+            if self.normal[u] and c < system.nc:
+                self.rebound[u] = restitution.get(c, 0.0) * min(self.before[3 * u + 2], 0.0)
         self.forces = np.zeros(self.before.size)
         sides = system.side_int[[2 * c + side for c in closed for side in range(2)]]
         self.driven = bool(sides[:, [MOTION_KIND, TIME_DEPENDENT]].any())
-        self.equations = np.array([whiten(system, system.rows[c, row]) for c, row in equations]).reshape(-1, system.nv)
-        wanted = -np.array([relative(c, [row])[0] for c, row in equations])
-        self.start = np.linalg.lstsq(self.equations, wanted, rcond=_REDUNDANT)[0] if equations else np.zeros(system.nv)
-        span = np.linalg.svd(self.equations, full_matrices=False) if equations else None
-        self.reduced = self.stack
-        if span is not None:
-            basis = span[2][span[1] > _REDUNDANT * span[1][0]]
-            self.reduced = self.stack - basis.T @ (basis @ self.stack)
-        self.gram, self.weights = delassus(self.reduced)
-        self.loads = self._with_loads(units) if self.loaded or self.carried else None
-
-    def _with_loads(self, units: Units) -> Loads:
-        """The problem with the loads of its units as functions of the impulses, but for b."""
-        n, size, normal, tangents = (
-            self.holding.size,
-            self.before.size,
-            np.array(units.normal),
-            np.array(units.tangents),
-        )
-        base, rows = np.zeros((n, 2)), np.zeros((n, 2, size))
-        rows[np.arange(n), 0, 3 * np.arange(n) + 2] = normal
-        for u, carrier in self.carried.items():
-            rows[u, 0, 3 * carrier + 2] = 1.0
-        if self.loaded:
-            # impulses of equations, of redundant ones the least
-            impulses = np.linalg.pinv(self.equations.T, rcond=_REDUNDANT)
-            for u, places in self.loaded.items():
-                base[u, : len(places)] = impulses[places] @ self.start
-                rows[u, : len(places)] = impulses[places] @ (self.reduced - self.stack)
-        return Loads(self.gram, self.before, normal, tangents, self.holding, base.ravel(), rows.reshape(2 * n, size))
+        self.posed = None if self.is_cone else self.loads()
 
     def solve(self, solver: ContactSolver, kept: float) -> np.ndarray | None:
         """y with `kept` of the restitution, or None."""
-        b = self.before + self.stack.T @ self.start
+        b = self.base.copy()
         b[2::3] += kept * self.rebound
-        b[self.weights > 0.0] = 0.0
-        mu = self.holding.copy()
+        mu = self.mu.copy()
         while mu.size:
-            if self.loads is None:
+            if self.impossible:
+                return None
+            if self.posed is None:
                 if not self._solve_cones(solver, b, mu):
                     return None
                 self.forces, modes = np.where(self.weights > 0.0, 0.0, solver.forces), solver.modes
             else:
-                loads, nothing = replace(self.loads, base=b, mu=mu), np.zeros(b.size)
+                loads, nothing = replace(self.posed, base=b, mu=mu), np.zeros(b.size)
                 self.forces, residual = loads.refine(nothing)
                 if not residual <= TOLERANCE:
                     self.forces, residual = loads.solve(nothing)

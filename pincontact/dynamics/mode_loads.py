@@ -1,43 +1,48 @@
-"""Cone problems in which sliding friction and the limits of resistances to turning are multiples of the loads.
+"""The contact problem at acceleration level, in which sliding friction is a multiple of the loads, and its solution.
 
-Where nothing slides, the cone problem is the whole problem. Else it is one of loads and discs (`friction.loads`).
+Of contacts, held coordinates and resistances. Where nothing slides and no load is another unit's, it is a cone problem,
+F in K_mu, u = G F + b, u + mu |u_t| n in the dual cone, complementary (`friction.cone`). Else it is one of loads and
+discs (`friction.loads`).
 """
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..friction.loads import Loads, LoadSolver
+from ..friction.cone import OPEN, STICK
+from ..friction.loads import LARGE_FRICTION, LoadSolver
 from ..friction.solve import NO_PROGRAMS, ContactSolver
 from ..layout import (
+    JOINT_END,
     MODE,
-    MU,
     MU_NOW,
     SLIPPING,
 )
+from .contact_modes import held_up_by_friction
 from .directions import slip_direction
-from .friction_scaling import associated
-from .mode_problem import ModeProblem
+from .units import ContactProblem, unwhiten, whiten
 
 if TYPE_CHECKING:
     from .system import System
 
 
 class ModeSolution(NamedTuple):
-    """Forces (n, 3) and relative accelerations (n, 3) of a cone problem's units, and their modes (n,)."""
+    """Forces and relative accelerations (items, 3) along the rows of items, modes (items,) of their units, residual;
+    largest: the largest acceleration without forces."""
 
     forces: np.ndarray
     velocities: np.ndarray
     modes: np.ndarray
     residual: float
+    largest: float
 
 
 class LoadedCones:
-    """Solves cone problems of modes with the friction of what slides and the limits of resistances as multiples of the
-    loads; keeps the solvers' buffers.
+    """Solves contact problems of accelerations; keeps the solvers' buffers.
 
     cone_problems: how many were posed; proved: whether there are no forces where the last search found none.
     """
@@ -69,68 +74,93 @@ class LoadedCones:
         """Made when the first problem with loads is posed."""
         return LoadSolver(guess_first=self._contact_solver == "proxqp")
 
-    def _solve_with_loads(
-        self, problem: ModeProblem, closed: list[int], held: list[int], resisting: list[int]
-    ) -> ModeSolution | None:
-        """Its solution, with the friction of what slides and the limits of resistances as multiples of the loads; None
-        where there is none, or none was found."""
+    def _pose(self, closed: list[int], held: list[int]) -> ContactProblem:
+        """The problem of the last evaluation. What sticks holds up to `_limits`; what slides goes on as it does."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
-        gram, base, turns = problem.gram, problem.base, problem.turns
-        sliding = [i for i, c in enumerate(closed) if integers[c, MODE] == SLIPPING and numbers[c, MU] > 0.0]
+        slides = integers[:, MODE] == SLIPPING
+        mu = np.where(slides, numbers[:, MU_NOW], self._limits)
+        lifted = [c for c in closed if held_up_by_friction(system, c)]
+        mu[lifted] = LARGE_FRICTION
+        joints, free = [system.nc + g for g in held], system.free_acceleration
+        if held:
+            free = free + unwhiten(system, whiten(system, self._push(held) @ system.rows[joints, 2]))
+        problem = ContactProblem(system, lambda i, rows: system.rows[i, rows] @ free + system.bias[i, rows])
+        problem.add_contacts(closed, mu)
+        for item, u in problem.units.items():
+            if slides[item] and mu[item] > 0.0:
+                shape, direction = problem.shapes.get(u, np.eye(2)), slip_direction(system, item)
+                if item in lifted:
+                    problem.lifted[u] = -np.linalg.solve(shape, direction)
+                else:
+                    along = shape @ direction
+                    problem.slides[u] = along / (float(np.linalg.norm(along)) or 1.0)
+        for g in held:
+            # about its middle, friction is a disc of constant radius; at an end, what the end adds to friction only
+            # pushes away from it
+            end, (low, high) = int(system.joint_int[g, JOINT_END]), system.joint_real[g, :2]
+            if end == 0:
+                problem.radii[problem.add(system.nc + g, (2,), 1.0, places=(0,))] = 0.5 * (high - low)
+            else:
+                problem.add(system.nc + g, (2,), 0.0, -end)
+        problem.assemble()
+        return problem
+
+    def _push(self, held: list[int]) -> np.ndarray:
+        """(held,) forces of held coordinates that their units are measured from: the middle of the range of their dry
+        friction, or what it has at their end."""
+        low, high = self.system.joint_real[held, :2].T
+        end = self.system.joint_int[held, JOINT_END]
+        return np.where(end == 0, 0.5 * (low + high), np.where(end < 0, low, high))
+
+    def _solve_posed(self, problem: ContactProblem, held: list[int]) -> ModeSolution | None:
+        """Its solution; None where there is none, or none was found."""
+        system = self.system
         self.cone_problems += 1
-        if not sliding and not turns:
+        if problem.impossible:
+            self.proved = True
+            return None
+        joints, push = [system.nc + g for g in held], self._push(held)
+        radii = np.zeros(problem.mu.size)
+        radii[list(problem.radii)] = list(problem.radii.values())
+        if problem.is_cone:
             solver = self.solver
-            if not solver.solve(gram, base, problem.limits):
+            if not solver.solve(*problem.cone_problem(problem.base, radii)):
                 self.proved = solver.certificate is not None
                 return None
-            forces, velocities = solver.forces.reshape(-1, 3).copy(), solver.velocities.reshape(-1, 3).copy()
-            return ModeSolution(forces, velocities, solver.modes, float(solver.residual))
-        n, size = len(closed), base.size
-        units, limits = size // 3, problem.limits.copy()
-        mu = problem.limits.copy()
-        radius_base, radius_rows, drag = np.zeros(2 * units), np.zeros((2 * units, size)), np.eye(size)
-        start, slips = np.zeros(size), np.zeros(size)
-        for i, c in enumerate(closed):
-            start[3 * i + 2] = max(float(system.force[c, 2]), 0.0)
-            radius_rows[2 * i, 3 * i + 2] = 1.0
-            if i in sliding:
-                direction = slip_direction(system, c)
-                pull = _unscaled(problem.shapes, i, associated(system, c, direction))
-                drag[3 * i : 3 * i + 2, 3 * i + 2] = -numbers[c, MU_NOW] * pull
-                slips[3 * i : 3 * i + 2] = problem.shapes[i] @ direction if i in problem.shapes else direction
-                mu[i], limits[i] = 0.0, numbers[c, MU_NOW]
-            elif mu[i] > 0.0:
-                start[3 * i : 3 * i + 2] = _unscaled(problem.shapes, i, system.force[c, :2])
-        for i, g in enumerate(held, start=n):
-            low, high = system.joint_real[g, :2]
-            radius_base[2 * i] = 0.5 * (high - low)
-        for i, u in turns.items():
-            owner = 3 * closed.index(system.owner(i)) + 2
-            if integers[i, MODE] == SLIPPING:
-                slips[3 * u : 3 * u + 2] = direction = slip_direction(system, i)
-                drag[3 * u : 3 * u + 2, owner], mu[u] = -numbers[i, MU_NOW] * direction, 0.0
-            else:
-                mu[u], radius_rows[2 * u, owner] = self._limits[i], 1.0
-                start[3 * u : 3 * u + 2] = system.force[i, :2]
+            forces, velocities, modes = solver.forces, solver.velocities, solver.modes
+            residual = float(solver.residual)
+        else:
+            loads, found = problem.loads(), self.loads
+            present = system.force.copy()
+            present[joints, 2] -= push
+            start = problem.of_units(present)
+            start[2::3] = np.maximum(start[2::3], 0.0)
+            for u in problem.lifted:
+                start[3 * u + 2] = math.hypot(*start[3 * u : 3 * u + 2])
 
-        def guess(speed: float) -> np.ndarray | None:
-            """Forces of the symmetric problem in which what slides has that velocity, and turns have these loads."""
-            pushed = base + speed * slips
-            for i, u in turns.items():
-                load = start[3 * closed.index(system.owner(i)) + 2]
-                pushed[3 * u + 2] = -float(numbers[i, MU]) * load * problem.weights[3 * u + 2]
-            return self.solver.forces if self.solver.solve(gram, pushed, limits) else None
+            def guess(speed: float) -> np.ndarray | None:
+                """Forces of the symmetric problem in which what slides has that velocity, and discs their present
+                radii."""
+                pushed = problem.base.copy()
+                for u, direction in problem.slides.items():
+                    pushed[3 * u : 3 * u + 2] += speed * direction
+                for u, pull in problem.lifted.items():
+                    pushed[3 * u : 3 * u + 2] -= speed * pull
+                posed = problem.cone_problem(pushed, loads.radii(start))
+                return self.solver.forces if self.solver.solve(*posed) else None
 
-        loads = Loads(gram, base, problem.normal, problem.tangents, mu, radius_base, radius_rows, drag)
-        found = self.loads
-        if not found.solve(loads, start, guess):
-            self.proved = found.proved
-            return None
-        modes = loads.modes(found.forces)
-        return ModeSolution(found.forces.reshape(-1, 3), found.velocities.reshape(-1, 3), modes, found.residual)
-
-
-def _unscaled(shapes: dict[int, np.ndarray], i: int, force: np.ndarray) -> np.ndarray:
-    """A tangential force (2,) in the coordinates in which the cone of unit i is round."""
-    return np.linalg.solve(shapes[i], force) if i in shapes else force
+            if not found.solve(loads, start, guess):
+                self.proved = found.proved
+                return None
+            forces, velocities, residual = found.forces, found.velocities, found.residual
+            modes = loads.modes(forces)
+        of_items = np.full(system.items, STICK)
+        of_items[list(problem.units)] = modes
+        for item, u in problem.units.items():
+            if u in problem.lifted:
+                of_items[item] = STICK if forces[3 * u : 3 * u + 2].any() else OPEN
+        actual = problem.of_items(forces, True)
+        actual[joints, 2] += push
+        largest = float(np.abs(problem.base).max(initial=0.0))
+        return ModeSolution(actual, problem.of_items(velocities, False), of_items, residual, largest)

@@ -6,15 +6,15 @@ complementarity at acceleration level. They are resolved in this order:
 1. What cannot stick slides on (`passing_slip`).
 2. Everything undecided sticks: if all forces lie inside their cones (of redundant ones, those of one choice:
    `redistribution`), that is the solution.
-3. The cone problem (`mode_problem`), with the friction of what slides in proportion to the loads (`mode_loads`). Slip
-   that begins is turned to where it goes under the loads of the evaluation.
-4. Where laws are no cones (bilateral contacts, viscous friction that ends as contacts open), one change of mode after
-   the other (`mode_changes`).
+3. The contact problem (`mode_loads`), with the friction of what slides in proportion to the loads: a cone problem, or
+   one of loads and discs, where contacts are bilateral, slide, resist turning or are held up by friction. Slip that
+   begins is turned to where it goes under the loads of the evaluation.
+4. Viscous friction that ends as contacts open is no cone: what opens against it is held up by a part of it, if it would
+   close without it, and the contact problem is solved again.
 """
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,11 +37,10 @@ from ..layout import (
     STICK,
     UNILATERAL,
 )
-from .contact_modes import Decision, drags, held_up_by_friction, rest_mode, shares_viscous_force
+from .contact_modes import Decision, drags, held_up_by_friction, rest_mode, set_normal, shares_viscous_force
 from .directions import align_slips, freeze_slip
-from .mode_changes import ModeChanges
+from .mode_changes import _ROUND_OFF, ModeChanges
 from .mode_loads import LoadedCones
-from .mode_problem import mode_problem
 from .passing_slip import PassingSlip
 
 if TYPE_CHECKING:
@@ -113,7 +112,7 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         if beyond is not None:
             exceeded[beyond] = True
         self._limits[exceeded] = system.contact_real[exceeded, MU]
-        decision = self._solve(t, undecided, evaluate)
+        decision = self._solve(t, evaluate)
         decision.started.update(passing)
         decision.started = {c: a for c, a in decision.started.items() if integers[c, MODE] == SLIPPING}
         return decision
@@ -130,7 +129,7 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         status = NO_FORCE
         for _ in range(2 * len(system.held())):
             if not (self._hold_one(released) or self._release_one(released)):
-                if status == OK or (status == EVENT and self._holds()):
+                if status == OK or (status == EVENT and (self._holds() or self.redistribute(t, evaluate))):
                     return status
                 break
             status = evaluate(t)
@@ -141,96 +140,110 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
             evaluate(t)
         return NO_FORCE
 
-    def _solve(self, t: float, undecided: list[int], evaluate) -> Decision:
-        """The cone problem over all closed contacts, held coordinates and resistances to turning; what slides enters
-        as known forces, resistances at rest as disks whose radius follows from the load."""
+    def _solve(self, t: float, evaluate) -> Decision:
+        """The contact problem, once more with a part of the viscous friction of what it opens against that friction.
+        Where that does not do, it opens, and touches again."""
         system = self.system
         integers = system.contact_int
-        closed, held, resisting = system.closed(), system.held(), system.resisting()
-        if any(not integers[c, UNILATERAL] or held_up_by_friction(system, c) for c in closed):
-            return self._decide_without_cones(t, undecided, closed, evaluate)
-        dragging = [c for c in closed if drags(system, c)]
-        modes, limits = integers.copy(), system.joint_int.copy()
-        decision = self._solve_cones(t, undecided, closed, held, resisting, evaluate)
-        if dragging and not self._stay_open(t, [c for c in dragging if c in decision.opened], decision, evaluate):
-            # viscous friction ends where contacts open, which no cone knows
+        start, limits = integers.copy(), system.joint_int.copy()
+        modes, seen, shares = start, set[bytes](), True
+        while True:
+            dragging = [c for c in system.closed() if drags(system, c)]
+            sharing = [c for c in dragging if shares_viscous_force(system, c)]
+            decision = self._solve_contacts(t, evaluate)
+            closing, full = self._contradicted(t, dragging, sharing, decision, evaluate) if shares else ([], [])
+            if not closing and not full and (decision.status <= EVENT or not seen):
+                break
+            seen.add(modes.tobytes())
             integers[:], system.joint_int[:] = modes, limits
-            return self._decide_without_cones(t, undecided, closed, evaluate)
+            for c in full:
+                self.load(c)
+            for c in closing:
+                self._hold_by_share(c)
+            if decision.status > EVENT or integers.tobytes() in seen:
+                integers[:], shares = start, False
+                seen.clear()
+            modes = integers.copy()
+            evaluate(t)
         if not self._align(t, decision, evaluate):
-            # redundant loads are others in slip: decide with those, or not at all
-            integers[:], system.joint_int[:] = modes, limits
-            return self._decide_without_cones(t, undecided, closed, evaluate)
+            decision.status = NO_FORCE
         return decision
 
-    def _stay_open(self, t: float, opened: list[int], decision: Decision, evaluate) -> bool:
-        """Whether the last evaluation, in the modes of this decision, leaves contacts open that it has opened."""
+    def _contradicted(
+        self, t: float, dragging: list[int], sharing: list[int], decision: Decision, evaluate
+    ) -> tuple[list[int], list[int]]:
+        """Of contacts with viscous friction, and those that a part of it holds up: what would close again once its
+        friction has ended, and what needs more than all of it."""
         if decision.status > EVENT:
-            return False
-        stay = all(self.gap_acceleration(t, c) >= 0.0 for c in opened)
-        if opened:
+            return [], []
+        full = [c for c in sharing if c not in decision.opened and self._takes_all(c)]
+        closing = [c for c in dragging if c in decision.opened and c not in sharing]
+        if closing:
+            closing = [c for c in closing if self.gap_acceleration(t, c) < 0.0]
+            # with forces, since gaps are looked at without
             evaluate(t)
-        return stay
+        return closing, full
 
-    def _solve_cones(
-        self, t: float, undecided: list[int], closed: list[int], held: list[int], resisting: list[int], evaluate
-    ) -> Decision:
-        """`_solve` where nothing else decides than cones."""
+    def _solve_contacts(self, t: float, evaluate) -> Decision:
+        """The modes of the contact problem's solution: of all closed contacts, held coordinates and resistances."""
         system = self.system
         integers, numbers = system.contact_int, system.contact_real
+        closed, held = system.closed(), system.held()
+        items = [*closed, *system.resisting()]
         decision = Decision(OK, solved=True)
-        n = len(closed)
         while True:
-            problem = mode_problem(system, self._limits, closed, undecided, held, resisting)
-            solution = self._solve_with_loads(problem, closed, held, resisting)
+            solution = self._solve_posed(self._pose(closed, held), held)
             if solution is None:
                 decision.status = NO_FORCE
                 return decision
             # what gives way has sliding friction from then on, which may change all the rest
-            begun = [c for i, c in enumerate(closed) if c in undecided and solution.modes[i] == cone.SLIP]
-            begun = [c for c in begun if self._limits[c] > numbers[c, MU]]
+            begun = [i for i in items if integers[i, MODE] == STICK and solution.modes[i] == cone.SLIP]
+            begun = [i for i in begun if self._limits[i] > numbers[i, MU]]
             if not begun:
                 break
             self._limits[begun] = numbers[begun, MU]
-        base, shapes, turns = problem.base, problem.shapes, problem.turns
         decision.residual = solution.residual
         self.worst_residual = max(self.worst_residual, decision.residual)
-        velocities, forces, modes = solution.velocities, solution.forces, solution.modes
-        for i, shape in shapes.items():
-            velocities[i, :2], forces[i, :2] = np.linalg.solve(shape, velocities[i, :2]), shape @ forces[i, :2]
+        velocities, kinds = solution.velocities, solution.modes
         # as far as they are known
-        still = max(_STILL, _KNOWN * solution.residual) * max(map(abs, base.tolist()))
-        for i, c in enumerate(closed):
-            mode = modes[i]
+        still = max(_STILL, _KNOWN * solution.residual) * solution.largest
+        for c in closed:
             # among redundant contacts one may carry nothing without leaving
-            if mode == cone.OPEN and velocities[i, 2] > still:
-                integers[c, MODE] = FREE
-                decision.opened.append(c)
-                continue
-            if mode == cone.OPEN and integers[c, MODE] == SLIPPING:
-                integers[c, NORMAL_SIGN] = 0
-            if c in undecided or (mode == cone.SLIP and math.isinf(numbers[c, MU])):
-                rate = float(np.hypot(velocities[i, 0], velocities[i, 1]))
-                if mode == cone.STICK or rate <= still:
-                    # among redundant contacts one may be at its limit of friction without sliding
-                    integers[c, MODE] = STICK
-                else:
-                    freeze_slip(system, c, velocities[i, :2])
-                    decision.started[c] = rate
-        for i, u in turns.items():
-            rate = float(np.hypot(velocities[u, 0], velocities[u, 1]))
-            if i in undecided and modes[u] != cone.STICK and rate > still:
-                freeze_slip(system, i, velocities[u, :2])
+            if kinds[c] == cone.OPEN and integers[c, UNILATERAL]:
+                if velocities[c, 2] > still:
+                    integers[c, MODE], integers[c, NORMAL_SIGN] = FREE, 1
+                    decision.opened.append(c)
+                elif integers[c, MODE] == SLIPPING and not held_up_by_friction(system, c):
+                    integers[c, NORMAL_SIGN] = 0
+            elif not integers[c, UNILATERAL]:
+                set_normal(system, c, solution.forces[c], self.force_round_off())
+        for i in items:
+            rate = float(np.hypot(velocities[i, 0], velocities[i, 1]))
+            # among redundant contacts one may be at its limit of friction without sliding
+            if integers[i, MODE] == STICK and kinds[i] != cone.STICK and rate > still:
+                freeze_slip(system, i, velocities[i, :2])
                 decision.started[i] = rate
-        for i, g in enumerate(held, start=n):
-            mode, end = modes[i], int(system.joint_int[g, JOINT_END])
-            if end == 0 and mode == cone.SLIP and abs(velocities[i, 0]) > still:
-                self.release(g, 1 if velocities[i, 0] > 0.0 else -1)
-            elif end != 0 and mode == cone.OPEN and velocities[i, 2] > still:
+        for g in held:
+            item, end = system.nc + g, int(system.joint_int[g, JOINT_END])
+            rate = velocities[item, 2]
+            if end == 0 and kinds[item] == cone.SLIP and abs(rate) > still:
+                self.release(g, 1 if rate > 0.0 else -1)
+            elif end != 0 and kinds[item] == cone.OPEN and -end * rate > still:
                 self.release(g, -end)
         decision.status = evaluate(t)
-        if decision.status <= EVENT and not self._holds() and not self.redistribute(t, evaluate):
-            self._keep_solution(t, closed, held, turns, forces, evaluate)
+        if decision.status <= EVENT and not self._holds():
+            chosen = self.redistribute(t, evaluate)
+            # with other loads, what begins to slip might go back
+            if not chosen or not self._goes_on(decision):
+                self._keep_solution(t, solution.forces, evaluate)
         return decision
+
+    def _goes_on(self, decision: Decision) -> bool:
+        """Whether what begins to slip does so under the loads of the last evaluation."""
+        system = self.system
+        started = [i for i in decision.started if system.contact_int[i, MODE] == SLIPPING]
+        least = -_ROUND_OFF * float(np.abs(system.free_acceleration).max(initial=0.0))
+        return bool((system.contact_real[started, SLIP_RATE] >= least).all())
 
     def _align(self, t: float, decision: Decision, evaluate) -> bool:
         """Turn slip that begins to where it goes under the loads of the last evaluation, and evaluate in it; False
@@ -245,22 +258,14 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
             if not aligned or self._holds() or not self.redistribute(t, evaluate):
                 break
         decision.started.update((c, float(self.system.contact_real[c, SLIP_RATE])) for c in started)
-        return aligned
+        return aligned and self._goes_on(decision)
 
-    def _keep_solution(
-        self, t: float, closed: list[int], held: list[int], turns: dict[int, int], forces: np.ndarray, evaluate
-    ) -> None:
-        """Take the cone solver's forces, on the rim of their cones, for the choice among redundant ones."""
-        system = self.system
-        reference = np.zeros_like(system.reference)
-        for i, c in enumerate(closed):
-            reference[c] = forces[i]
-        for item, u in turns.items():
-            if system.contact_int[item, MODE] == STICK:
-                reference[item, :2] = forces[u, :2]
-        for i, g in enumerate(held, start=len(closed)):
-            end, (low, high) = system.joint_int[g, JOINT_END], system.joint_real[g, :2]
-            extra = forces[i, 0] if end == 0 else -end * forces[i, 2]
-            reference[system.nc + g, 2] = extra + (0.5 * (low + high) if end == 0 else (low if end < 0 else high))
+    def _keep_solution(self, t: float, forces: np.ndarray, evaluate) -> None:
+        """Take the solution's forces (items, 3), on the rim of their cones, for the choice among redundant ones."""
+        system, reference = self.system, forces.copy()
+        reference[[i for i in system.resisting() if system.contact_int[i, MODE] == SLIPPING]] = 0.0
+        lifted = [c for c in system.closed() if held_up_by_friction(system, c)]
+        # what evaluations scale there is friction
+        reference[lifted, 2] = np.linalg.norm(forces[lifted, :2], axis=1)
         self._take_reference(reference)
         evaluate(t)

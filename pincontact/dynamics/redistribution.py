@@ -112,7 +112,7 @@ class RedundantForces:
         for r, (c, row) in enumerate(index):
             if row == 2 and c < system.nc and held_up_by_friction(system, c):
                 forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
-        cones = self._cones(index)
+        cones, before = self._cones(index), self._reference()
         for null in choices:
             found = central_force(forces, null, cones)
             if found is not None:
@@ -120,6 +120,8 @@ class RedundantForces:
                 if evaluate(t) <= EVENT and self._holds():
                     self.redistributions += 1
                     return True
+                self._take_back(before)
+                evaluate(t)
         return False
 
     def _load_all(self) -> bool:
@@ -146,8 +148,8 @@ class RedundantForces:
         """
         system = self.system
         integers = system.contact_int
-        before = integers[:, NORMAL_SIGN].copy()
-        closed = [c for c in system.closed() if integers[c, UNILATERAL] and not shares_viscous_force(system, c)]
+        before, reference = integers[:, NORMAL_SIGN].copy(), self._reference()
+        closed = [c for c in system.closed() if not shares_viscous_force(system, c)]
         if ended is not None and ended not in closed:
             return False
         seen = set()
@@ -169,9 +171,11 @@ class RedundantForces:
             if state in seen:
                 break
             seen.add(state)
-            integers[worst, NORMAL_SIGN] = 1 - integers[worst, NORMAL_SIGN]
+            # a bilateral one has a load of the other sign
+            integers[worst, NORMAL_SIGN] = integers[worst, UNILATERAL] - integers[worst, NORMAL_SIGN]
             status = evaluate(t)
         integers[:, NORMAL_SIGN] = before
+        self._take_back(reference)
         evaluate(t)
         return False
 
@@ -198,6 +202,18 @@ class RedundantForces:
         if reference is not None:
             system.reference[:] = system.reference_start[:] = reference
             system.reference_slope[:] = 0.0
+
+    def _reference(self) -> tuple[float, list[np.ndarray]]:
+        """The choice that evaluations follow, see `_take_back`."""
+        system = self.system
+        arrays = (system.reference, system.reference_start, system.reference_slope)
+        return float(system.scalars["has_reference"]), [array.copy() for array in arrays]
+
+    def _take_back(self, reference: tuple[float, list[np.ndarray]]) -> None:
+        system = self.system
+        system.scalars["has_reference"] = reference[0]
+        for array, values in zip((system.reference, system.reference_start, system.reference_slope), reference[1]):
+            array[:] = values
 
     def _cones(self, index: np.ndarray) -> list[Cone]:
         """The cones of the forces in the constraint rows `index` (count, 2)."""

@@ -29,7 +29,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -63,8 +64,9 @@ SETTLED = 1e-6
 class Loads:
     """The problem. gram (3n, 3n), base (3n,); normal (n,): which units have a normal force; tangents (n,): how many
     tangential ones, 0, 1 or 2; mu (n,); radius_base (2n,), radius_rows (2n, 3n): a and B, by twos; drag (3n, 3n): whole
-    forces for a unit of each, where friction goes with what causes it, else None. Other rows have no force of their
-    own. All are C-contiguous float64."""
+    forces for a unit of each, where friction goes with what causes it, else None; directions (2n,): of slip, by twos,
+    where it has one already, which forces on the rims of discs oppose, else zero, or None. Other rows have no force of
+    their own. All are C-contiguous float64."""
 
     gram: np.ndarray
     base: np.ndarray
@@ -74,6 +76,7 @@ class Loads:
     radius_base: np.ndarray
     radius_rows: np.ndarray
     drag: np.ndarray | None = None
+    directions: np.ndarray | None = None
 
     def solve(self, forces: np.ndarray) -> tuple[np.ndarray, float]:
         """Forces (3n,) from those given, and their residual: above `TOLERANCE` that is no solution."""
@@ -109,6 +112,11 @@ class Loads:
         """(n,) finite ones."""
         return np.where(np.isinf(self.mu), LARGE_FRICTION, self.mu)
 
+    @property
+    def along(self) -> np.ndarray:
+        """(2n,) `directions`, zero where there are none."""
+        return np.zeros(2 * self.mu.size) if self.directions is None else self.directions
+
     def modes(self, forces: np.ndarray) -> np.ndarray:
         """(n,) OPEN: no normal force, or no radius where there is none; SLIP: on the disc's rim; else STICK."""
         velocities, radii = self.gram @ forces + self.base, self.radii(forces)
@@ -120,7 +128,8 @@ class Loads:
                 continue
             weight = float(self.gram.diagonal()[k : k + 3].max()) or 1.0
             aim = forces[k : k + count] - velocities[k : k + count] / weight
-            if self.mu[i] == 0.0 or float(np.linalg.norm(aim)) > radii[i] * (1.0 + TOLERANCE):
+            slides = self.mu[i] == 0.0 or self.along[2 * i : 2 * i + 2].any()
+            if slides or float(np.linalg.norm(aim)) > radii[i] * (1.0 + TOLERANCE):
                 modes[i] = SLIP
         return modes
 
@@ -135,7 +144,9 @@ class Loads:
         best, least = f.copy(), math.inf
         for sweeps in rounds:
             u = f @ response + self.base
-            gauss_seidel_loads(response, self.normal, self.tangents, mu, self.radius_base, radius_rows, f, u, sweeps)
+            gauss_seidel_loads(
+                response, self.normal, self.tangents, mu, self.radius_base, radius_rows, self.along, f, u, sweeps
+            )
             if not np.isfinite(f).all():
                 break
             y, residual = scaled.newton(scaled.unknowns(f))
@@ -165,27 +176,27 @@ class LoadSolver:
         """Solve it from forces (3n,), those of `guess`(velocity of what slides), and from all choices of few loads."""
         scaled = ScaledLoads(problem)
         self.proved = lost = False
-        for start, loaded, halved in self._starts(problem, scaled, forces, guess):
-            y, residual = scaled.newton(start, loaded, halved)
+        for start, chosen, halved in self._starts(problem, scaled, forces, guess):
+            y, residual = scaled.newton(start, chosen, halved)
             if residual <= TOLERANCE and scaled.is_lost(y):
                 lost = True
             elif residual <= TOLERANCE:
-                self.forces = scaled.forces(y)
                 # loads of redundant contacts may be round-off
                 small = TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
-                self.forces[scaled.rows[scaled.normals[y[scaled.normals] <= small]]] = 0.0
+                y[scaled.normals[y[scaled.normals] <= small]] = 0.0
+                self.forces = scaled.forces(y)
                 self.velocities = problem.gram @ self.forces + problem.base
                 self.velocities[np.abs(self.velocities) <= TOLERANCE * scaled.largest] = 0.0
                 self.residual = residual
                 return True
         # every choice of loads is one linear system, and none of them has a solution
-        self.proved = not lost and not scaled.discs and scaled.normals.size <= _TRIED
+        self.proved = not lost and not scaled.curved and scaled.choices <= _TRIED
         return False
 
     def _starts(
         self, problem: Loads, scaled: ScaledLoads, forces: np.ndarray, guess: Callable[[float], np.ndarray | None]
-    ) -> Iterator[tuple[np.ndarray, np.ndarray | None, bool]]:
-        """Forces to begin from, which normals are loaded where that is prescribed, and whether steps are halved."""
+    ) -> Iterator[tuple[np.ndarray, _Chosen | None, bool]]:
+        """Forces to begin from, loads that are prescribed, if they are, and whether steps are halved."""
         present = scaled.unknowns(forces)
         if not self.guess_first:
             yield present, None, False
@@ -196,18 +207,26 @@ class LoadSolver:
         if self.guess_first:
             self.unguessed += 1
             yield present, None, False
-        count = scaled.normals.size
-        if count <= (_TRIED_WITH_DISCS if scaled.discs else _TRIED):
+        if scaled.choices <= (_TRIED_WITH_DISCS if scaled.curved else _TRIED):
+            count = scaled.normals.size
             # what is closed stays closed, if it can
             for number in range(count, -1, -1):
-                for chosen in combinations(range(count), number):
+                for places in combinations(range(count), number):
                     loaded = np.zeros(count, dtype=bool)
-                    loaded[list(chosen)] = True
-                    yield np.zeros(present.size), loaded, False
+                    loaded[list(places)] = True
+                    for signs in product((1.0, -1.0), repeat=scaled.choices - count):
+                        yield np.zeros(present.size), _Chosen(loaded, signs), False
         if scaled.discs:
             yield scaled.unknowns(problem.solve(np.nan_to_num(forces))[0]), None, False
             yield present, None, True
             yield np.zeros(present.size), None, True
+
+
+class _Chosen(NamedTuple):
+    """Which normal forces are there, and the signs of the loads of the discs in `ScaledLoads.signed`."""
+
+    loaded: np.ndarray
+    signs: tuple[float, ...]
 
 
 class ScaledLoads:
@@ -240,8 +259,16 @@ class ScaledLoads:
                     problem.radius_base[pair] / unit,
                     problem.radius_rows[pair] @ self.expand,
                     bool(problem.normal[i] > 0.0 and problem.radius_rows[2 * i, 3 * i + 2] == 1.0),
+                    problem.along[pair][: int(sticks[i])],
                 )
             )
+
+        # friction of known direction is linear in a load of known sign
+        self.signed = [
+            disc for disc in self.discs if disc.direction.any() and not disc.base[1] and not disc.rows[1].any()
+        ]
+        self.curved = len(self.discs) > len(self.signed)
+        self.choices = self.normals.size + len(self.signed)
 
     def forces(self, y: np.ndarray) -> np.ndarray:
         """(3n,) forces of unknowns."""
@@ -251,14 +278,14 @@ class ScaledLoads:
         """The unknowns in forces (3n,) along the problem's rows."""
         return np.nan_to_num(forces[self.rows] / (self.scale * self.unit))
 
-    def newton(self, y: np.ndarray, loaded: np.ndarray | None = None, halved: bool = False) -> tuple[np.ndarray, float]:
+    def newton(self, y: np.ndarray, chosen: _Chosen | None = None, halved: bool = False) -> tuple[np.ndarray, float]:
         """The zero that Newton's method comes to from there, and its residual, infinite where that is no solution.
 
-        loaded: which normal forces are to be there, or None; halved: whether steps are halved until values fall.
+        chosen: loads that are prescribed; halved: whether steps are halved until values fall.
         """
         best, least = y, math.inf
         for step in range(_NEWTON_STEPS):
-            values, jacobian = self.equations(y, loaded)
+            values, jacobian = self.equations(y, chosen)
             if not np.isfinite(values).all():
                 break
             residual = _relative(values, y)
@@ -269,16 +296,16 @@ class ScaledLoads:
             elif least <= TOLERANCE:
                 break
             change = -np.linalg.lstsq(jacobian, values, rcond=_RANK)[0]
-            part, size = 1.0, float(values @ values)
+            part, size = 1.0, float(values @ values) if halved else 0.0
             for _ in range(_HALVINGS if halved else 0):
-                there, _ = self.equations(y + part * change, loaded)
+                there, _ = self.equations(y + part * change, chosen)
                 if there @ there < (1.0 - _FALL * part) * size:
                     break
                 part *= 0.5
             y = y + part * change
-            if loaded is not None and not self.discs and step == 1:
+            if chosen is not None and not self.curved and step == 1:
                 break
-        return best, least if self._admissible(best) else math.inf
+        return best, least if self._admissible(best, chosen) else math.inf
 
     def residual(self, y: np.ndarray) -> float:
         """How far the unknowns are from a zero."""
@@ -293,16 +320,21 @@ class ScaledLoads:
         singular = np.linalg.svd(jacobian, compute_uv=False)
         return bool(singular.size and singular[-1] > _LOST * singular[0] and np.linalg.slogdet(jacobian)[0] < 0.0)
 
-    def equations(self, y: np.ndarray, loaded: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """What has to vanish, and its derivative; loaded: see `newton`."""
+    def equations(self, y: np.ndarray, chosen: _Chosen | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """What has to vanish, and its derivative; chosen: see `newton`."""
         identity, w = np.eye(y.size), self.operator @ y + self.base
         values, jacobian = w.copy(), self.operator.copy()
-        pressed = (y - w)[self.normals] > 0.0 if loaded is None else loaded
+        pressed = (y - w)[self.normals] > 0.0 if chosen is None else chosen.loaded
         open_ones = self.normals[~pressed]
         values[open_ones], jacobian[open_ones] = y[open_ones], identity[open_ones]
+        signs = {} if chosen is None else dict(zip(map(id, self.signed), chosen.signs))
         for disc in self.discs:
             places = disc.places
-            radius, slope = disc.radius(y)
+            radius, slope = disc.radius(y, signs.get(id(disc)))
+            if disc.direction.any():
+                values[places] = y[places] + radius * disc.direction
+                jacobian[places] = identity[places] + np.outer(disc.direction, slope)
+                continue
             p = y[places] - w[places]
             size = float(np.sqrt(p @ p))
             if size <= radius:
@@ -314,11 +346,13 @@ class ScaledLoads:
             jacobian[places] -= np.outer(along, slope)
         return values, jacobian
 
-    def _admissible(self, y: np.ndarray) -> bool:
+    def _admissible(self, y: np.ndarray, chosen: _Chosen | None) -> bool:
         """Whether nothing pulls or closes; a contact whose own force would not part the bodies carries nothing."""
         small = TOLERANCE * (1.0 + float(np.abs(y).max(initial=0.0)))
         loads, w = y[self.normals], (self.operator @ y + self.base)[self.normals]
-        return bool((loads >= -small).all() and (w >= -small).all() and (loads[self.passive] <= small).all())
+        signs = () if chosen is None else chosen.signs
+        agree = all(disc.radius(y, sign)[0] >= -small for disc, sign in zip(self.signed, signs))
+        return bool(agree and (loads >= -small).all() and (w >= -small).all() and (loads[self.passive] <= small).all())
 
 
 def _relative(values: np.ndarray, y: np.ndarray) -> float:
@@ -328,25 +362,29 @@ def _relative(values: np.ndarray, y: np.ndarray) -> float:
 @dataclass
 class _Disc:
     """A disc in unknowns: its places among them, its factor, a and B; own: its load is the unit's normal force, of
-    which there is none below zero."""
+    which there is none below zero; direction: that of slip, zero where it has none."""
 
     places: np.ndarray
     factor: float
     base: np.ndarray
     rows: np.ndarray
     own: bool
+    direction: np.ndarray
 
-    def radius(self, y: np.ndarray) -> tuple[float, np.ndarray]:
-        """At the unknowns y, and its derivative (unknowns,)."""
+    def radius(self, y: np.ndarray, sign: float | None = None) -> tuple[float, np.ndarray]:
+        """At the unknowns y, and its derivative (unknowns,); sign: that of the load, if it is prescribed."""
         load = self.base + self.rows @ y
+        if sign is not None:
+            return self.factor * sign * float(load[0]), self.factor * sign * self.rows[0]
         length = max(float(load[0]), 0.0) if self.own else math.hypot(*load)
         return self.factor * length, (self.factor / length if length > 0.0 else 0.0) * (load @ self.rows)
 
 
 @entry_kernel(
-    REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL[::1], REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, when=CALLED
+    REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL[::1], REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], INTEGER,
+    when=CALLED,
 )  # fmt: skip
-def gauss_seidel_loads(response, normal, tangents, mu, radius_base, radius_rows, f, u, sweeps):
+def gauss_seidel_loads(response, normal, tangents, mu, radius_base, radius_rows, along, f, u, sweeps):
     """Passes of projected Gauss-Seidel over all units; f (3n,) and u = response^T f + base (3n,) are updated."""
     n, rows = mu.shape[0], f.shape[0]
     for _ in range(sweeps):
@@ -377,6 +415,8 @@ def gauss_seidel_loads(response, normal, tangents, mu, radius_base, radius_rows,
             p2 = f[k + 1] - u[k + 1] / stiffness if two else 0.0
             length = math.hypot(p1, p2)
             shrink = radius / length if length > radius else 1.0
+            if along[2 * i] != 0.0 or along[2 * i + 1] != 0.0:
+                p1, p2, shrink = along[2 * i], along[2 * i + 1], -radius
             change1 = shrink * p1 - f[k]
             change2 = shrink * p2 - f[k + 1] if two else 0.0
             f[k] += change1

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ..dynamics.contact_modes import set_normal
 from ..dynamics.energy import energies_at
 from ..dynamics.modes import Decision, ModeSolver, rest_mode, shares_viscous_force
-from ..geometry.patterns import ON_CURVE
 from ..layout import (
     DIRECTION_X,
     EVENT,
@@ -22,10 +22,8 @@ from ..layout import (
     MU,
     MU_STATIC,
     NO_FORCE,
-    NORMAL_1,
     NORMAL_EVENT,
     NORMAL_SIGN,
-    PATTERN,
     SLIP_SIGN,
     SLIPPING,
     STICK,
@@ -89,42 +87,18 @@ class ModeChanges:
             if speed > slowest:
                 integers[MODE] = SLIPPING
                 integers[SLIP_SIGN] = 1 if along[0] >= 0.0 else -1
-                self.guess_normal(system.owner(c))
+                # as in the last evaluation
+                set_normal(system, system.owner(c), system.force[system.owner(c)])
             elif math.isfinite(mu):
                 undecided.append(c)
         return undecided
-
-    def guess_normal(self, c: int) -> None:
-        """Sign (or direction) of a bilateral contact's normal force as in the last evaluation."""
-        integers, numbers, force = self.system.contact_int[c], self.system.contact_real[c], self.system.force[c]
-        if integers[UNILATERAL]:
-            return
-        if integers[PATTERN] == ON_CURVE:
-            size = math.hypot(force[1], force[2])
-            if size > 0.0:
-                numbers[NORMAL_1 : NORMAL_1 + 2] = force[2] / size, force[1] / size
-        else:
-            integers[NORMAL_SIGN] = 1 if force[2] >= 0.0 else -1
 
     def resolve_modes(self, t: float, undecided: list[int], beyond: int | None = None) -> Decision:
         """Decide modes; the last evaluation is the one in them."""
         decision = self.modes.resolve_modes(t, undecided, self.rk.evaluate, beyond)
         if decision.status > EVENT:
             raise self.reports.failure(t, decision.status)
-        self._correct_normal_signs(t)
         return decision
-
-    def _correct_normal_signs(self, t: float) -> None:
-        """Flip the assumed sign of a sliding bilateral contact's normal force where it came out the other way."""
-        system = self.system
-        for c in system.closed():
-            integers = system.contact_int[c]
-            slips = integers[MODE] == SLIPPING or system.resists(c)
-            if slips and not integers[UNILATERAL] and integers[PATTERN] != ON_CURVE:
-                self.rk.evaluate(t)
-                if system.event_functions[c, NORMAL_EVENT] < -self.modes.force_round_off():
-                    integers[NORMAL_SIGN] *= -1
-                    self.rk.evaluate(t)
 
     def update_modes(
         self,

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from ..dynamics.contact_modes import set_normal
 from ..dynamics.directions import freeze_slip
 from ..dynamics.friction_scaling import opposed_slip
 from ..dynamics.modes import Decision
@@ -144,7 +145,7 @@ class SlipOnset:
         """
         system, changes = self.system, self.changes
         if system.contact_int[c, TANGENTS] == 1:
-            changes.guess_normal(system.owner(c))
+            set_normal(system, system.owner(c), system.force[system.owner(c)])
             freeze_slip(system, c, -system.force[c, :1])
             changes.reports.announce_friction(t, c, True)
             return self.resolve(t, changes.sticking())

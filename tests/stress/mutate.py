@@ -132,14 +132,6 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "cones.append(Cone(normal, mu, 0.0, tangents) if tangents else Cone(normal, 1.0, 0.0))", "1.0 -> 1.5",
     ): "the logarithm of a multiple has the same derivatives",
     (
-        "pincontact/dynamics/mode_problem.py", "mode_problem",
-        "base[3 * i + 2] = -0.5 * (high - low) * weights[3 * i + 2]",
-        "index 2 -> 1",
-    ): "the rows that a unit misses have the same weight",
-    (
-        "pincontact/dynamics/mode_changes.py", "_decide_without_cones", "decision.started[worst] = 0.0", "0.0 -> 0.5",
-    ): "a place for the rate, which takes it before anybody looks",
-    (
         "pincontact/contours/motion.py", "_spline_motion", "piecewise(pool[_SPLINE_SCRATCH:], t, 0.0, 0.0, rows)",
         "0.0 -> 0.5",
     ): "a spline of one variable does not read the others",
@@ -159,7 +151,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
     ): "an address, for compiled code alone; what is found there is checked with every model",
     (
         "pincontact/friction/loads.py", "modes",
-        "if self.mu[i] == 0.0 or float(np.linalg.norm(aim)) > radii[i] * (1.0 + TOLERANCE):",
+        "if slides or float(np.linalg.norm(aim)) > radii[i] * (1.0 + TOLERANCE):",
         "* -> /",
     ): "a tolerance, on one side of the limit or the other",
     (
@@ -194,7 +186,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
     ): "a path that has turned back never comes to its end",
     (
         "pincontact/friction/loads.py", "newton",
-        "if loaded is not None and not self.disks and step == 1:",
+        "if chosen is not None and not self.curved and step == 1:",
         "1 -> 2",
     ): "the equations are linear then: a second step changes nothing but rounding",
     (

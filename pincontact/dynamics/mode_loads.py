@@ -123,9 +123,10 @@ class LoadedCones:
         joints, push = [system.nc + g for g in held], self._push(held)
         radii = np.zeros(problem.mu.size)
         radii[list(problem.radii)] = list(problem.radii.values())
+        cones = problem.cone_problem(problem.base, radii)
         if problem.is_cone:
             solver = self.solver
-            if not solver.solve(*problem.cone_problem(problem.base, radii)):
+            if not solver.solve(*cones):
                 self.proved = solver.certificate is not None
                 return None
             forces, velocities, modes = solver.forces, solver.velocities, solver.modes
@@ -162,5 +163,6 @@ class LoadedCones:
                 of_items[item] = STICK if forces[3 * u : 3 * u + 2].any() else OPEN
         actual = problem.of_items(forces, True)
         actual[joints, 2] += push
-        largest = float(np.abs(problem.base).max(initial=0.0))
+        # dry friction, too, is known to this part of what it does
+        largest = float(np.abs(cones[1]).max(initial=0.0))
         return ModeSolution(actual, problem.of_items(velocities, False), of_items, residual, largest)

@@ -43,6 +43,12 @@ def made_problem(rng, given=False, slides=()):
     return Loads(gram, base, normal, tangents, mu, radius_base, radius_rows, directions=directions.ravel())
 
 
+def swept(problem):
+    """What `gauss_seidel_loads` is given of a problem."""
+    one, two = (problem.gram, problem.normal, problem.tangents), (problem.radius_base, problem.radius_rows)
+    return *one, problem.coefficients, *two, problem.along
+
+
 def radii_at(problem, forces):
     load = (problem.radius_base + problem.radius_rows @ forces).reshape(-1, 2)
     return [mu * math.hypot(*pair) for mu, pair in zip(problem.mu, load)]
@@ -218,15 +224,7 @@ def test_a_sweep_goes_from_unit_to_unit(given, seed):
         if problem.along[2 * i : 2 * i + 2].any():
             expected[block] = -radius * problem.along[2 * i : 2 * i + count]
     f, u = start.copy(), problem.gram @ start + problem.base
-    arrays = (
-        problem.gram,
-        problem.normal,
-        problem.tangents,
-        problem.coefficients,
-        problem.radius_base,
-        problem.radius_rows,
-        problem.along,
-    )
+    arrays = swept(problem)
     gauss_seidel_loads(*arrays, f, u, 1)
     assert f == pytest.approx(expected, abs=1e-12)
     assert u == pytest.approx(problem.gram @ f + problem.base, abs=1e-12)
@@ -272,15 +270,7 @@ def test_where_nothing_is_found_the_best_is_kept(monkeypatch):
     far, near = (problem._sweep(start, rounds) for rounds in ((1,), (1, 3, 30)))
     assert 0.0 < near[1] < far[1]
     # one sweep, three and thirty, from where no other unit has a force: each goes on from the last
-    arrays = (
-        problem.gram,
-        problem.normal,
-        problem.tangents,
-        problem.coefficients,
-        problem.radius_base,
-        problem.radius_rows,
-        problem.along,
-    )
+    arrays = swept(problem)
     for (found, _), sweeps in ((far, 1), (near, 34)):
         f = start.copy()
         f[[4, 6, 7, 11, 14, 16, 17, 18, 19, 20]] = 0.0

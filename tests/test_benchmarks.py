@@ -13,14 +13,17 @@ import numpy as np
 import pytest
 
 import pincontact as pc
+from pincontact.dynamics.pinocchio_calls import PinocchioCalls
 
 BENCHMARKS = Path(__file__).parents[1] / "examples" / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 
 import breakdown  # noqa: E402
 import cone  # noqa: E402
+import cost  # noqa: E402
 import real_time  # noqa: E402
 import rollouts  # noqa: E402
+import timing  # noqa: E402
 import work_precision  # noqa: E402
 from peers import problem as numbers  # noqa: E402
 from peers import with_pincontact, with_pinocchio  # noqa: E402
@@ -278,3 +281,14 @@ def test_programs_take_no_help_from_other_stages():
         solver.forget()
         assert solver.solve(*problem)
     assert solver.decided == {"warm": 0, "exact": 0, "qp": 10}
+
+
+def test_cost_of_robots(monkeypatch, capsys):
+    """Each takes longer than Pinocchio's part alone."""
+    monkeypatch.setattr(timing, "BATCHES", 3)
+    rows = []
+    cost.robots(lambda *row: rows.append(row))
+    assert len(rows) == 4 and all(0.0 < aba < spent for _, spent, aba, _ in rows)
+    if PinocchioCalls(cost.free_body(), cost.free_body().createData(), np.zeros(7), np.zeros(6)).native is not None:
+        parts = [float(line.split()[-2]) for line in capsys.readouterr().out.splitlines()[2:]]
+        assert len(parts) == 4 and all(0.0 < part < spent for part, (_, spent, _, _) in zip(parts, rows))

@@ -23,6 +23,7 @@ from timing import by_turns, free_body
 import pincontact as pc
 from pincontact.dynamics.system import System
 from pincontact.integration.discrete import write_discrete
+from pincontact.integration.run_system import RunSystem
 from pincontact.layout import MODE, MU, STICK
 
 _RUNS = 15
@@ -185,7 +186,7 @@ def humanoid() -> tuple[pin.Model, list[str]]:
     return model, frames
 
 
-def standing(model: pin.Model, frames: list[str]) -> System:
+def standing(model: pin.Model, frames: list[str]) -> RunSystem:
     """A system whose frames' origins stick to planes of the world through them."""
     rng = np.random.default_rng(3)
     q = pin.integrate(model, pin.neutral(model), 0.2 * rng.standard_normal(model.nv))
@@ -198,7 +199,7 @@ def standing(model: pin.Model, frames: list[str]) -> System:
         floor = scene.add_contour(f"floor{i}", pc.Plane(), placement=pin.SE3(np.eye(3), where.copy()))
         scene.add_contact(f"contact{i}", foot, floor, friction=pc.NoSlip())
     state = scene.initial_state(q, np.zeros(model.nv))
-    system = System(model, list(scene.contacts.values()))
+    system = RunSystem(model, list(scene.contacts.values()))
     write_discrete(system, state.discrete)
     system.q[:], system.v[:], system.location[: system.nc] = state.q, state.v, state.location
     system.contact_int[: system.nc, MODE], system.contact_real[: system.nc, MU] = STICK, math.inf

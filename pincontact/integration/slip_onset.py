@@ -201,10 +201,21 @@ class SlipOnset:
         took = self._follow(
             t, dict.fromkeys(items, 2), min(self.longest, self.until_touch()), _SHORTEST_START * self.seed
         )
-        if took is None:
+        if took is None or not self._shows(t + took, items):
             system.contact_int[:] = modes
             self.changes.evaluate_accepted(t)
+            return None
         return took
+
+    def _shows(self, t: float, items: list[int]) -> bool:
+        """Whether slips are there at the end of the last trial step: no slower than what counts as rest, where v_c has
+        no direction to go on with."""
+        system = self.system
+        self.rk.load(system.new_state)
+        if self.rk.evaluate(t) > EVENT:
+            return False
+        along = np.einsum("nij,nj->ni", system.basis[items, :2], system.slip[items])
+        return bool(np.linalg.norm(along, axis=1).min() > rest_speed(system))
 
     def _find_slip(self, t: float, c: int) -> tuple[float, Decision, np.ndarray]:
         """Let stick run on from the accepted state until something slips or opens; see `_run_on`."""

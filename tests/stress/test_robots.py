@@ -11,7 +11,7 @@ import pincontact as pc
 
 FOLDER = robots.robots_folder()
 # joints of G1 and Z1 rattled for ever, in dry friction and at limits; ANYmal's feet begin to slip one beside the other
-LIMP = ("anymal_b", "anymal_c", "g1_29dof_rev_1_0", "quadruped", "borinot_flying_arm_2", "finger_edu", "z1")
+LIMP = ("anymal_b", "anymal_c", "g1_29dof_rev_1_0", "quadruped", "borinot_flying_arm_2", "finger_edu", "z1", "solo12")
 STANDING = ("a1", "solo12", "xarm7")
 
 

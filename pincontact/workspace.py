@@ -216,8 +216,8 @@ class Workspace:
     if CHECKED:
 
         def __setattr__(self, name: str, value: Any) -> None:
-            # kernels would go on reading the array that was there
-            if name != "layout" and name in self.layout.arrays:
+            # kernels would go on reading the array that was there; `array += 1` assigns the same one
+            if name != "layout" and name in self.layout.arrays and value is not self.__dict__.get(name):
                 raise AttributeError(f"{name} is an array of kernels: put it.")
             super().__setattr__(name, value)
 

@@ -88,3 +88,29 @@ workspace = Workspace(Layout("test", a=(REALS, 1), b=(INTEGERS, 1), c=(REALS, 1)
 print(workspace.scratch("a", 2), workspace.scratch("b", 1)[0] < -2**32, workspace.zeros("c", 2))
 """
     assert in_checked_build(tmp_path, script).stdout == "[nan nan] True [0. 0.]\n"
+
+
+def test_an_array_of_kernels_is_put(tmp_path):
+    """Assigned it would be another one for Python than for kernels. What changes it in place may."""
+    script = """
+import numpy as np
+from pincontact.workspace import REALS, Layout, Workspace
+workspace = Workspace(Layout("test", a=(REALS, 2, 3)))
+workspace.zeros("a", 2, 3)
+workspace.a += 1.0
+assert workspace.a.sum() == 6.0
+try:
+    workspace.a = np.zeros((2, 3))
+except AttributeError as error:
+    print(error)
+for other in (np.zeros(3), np.zeros((2, 4))):
+    try:
+        workspace.put("a", other)
+    except ValueError as error:
+        print(error)
+workspace.put("a", np.zeros((5, 3)))
+"""
+    done = in_checked_build(tmp_path, script)
+    assert done.returncode == 0, done.stderr
+    told = "a is declared with 2 extents, (3,) the last, got"
+    assert done.stdout.splitlines() == ["a is an array of kernels: put it.", f"{told} (3,).", f"{told} (2, 4)."]

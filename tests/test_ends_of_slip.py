@@ -143,3 +143,17 @@ def test_a_slip_that_ends_on_a_parabola(bend, rtol):
     left = end - run.t[run.t < event.time - 1e-9 * end]
     # from there the parabola is short against the last step: a few steps, not one for every factor of five
     assert np.sum(left < 0.1 * end) <= 4
+
+
+def test_slip_that_shows_is_followed_from_its_limit():
+    """A pull that grows and turns: what is alone at its limit slips against its friction, and no modes are searched."""
+    scene = particle(friction=pc.Coulomb(MU))
+
+    def control(t, q, v):
+        return MU * G * (0.5 + t) * np.array([math.cos(t), math.sin(t), 0.0])
+
+    run = pc.simulate(scene, scene.initial_state(np.zeros(3), np.zeros(3)), 0.6, control=control)
+    assert run.status == 0, run.message
+    (event,) = run.events
+    assert event.kind == "slip" and event.time == pytest.approx(0.5, abs=1e-9)
+    assert run.stats["cone_problems"] == 0

@@ -128,19 +128,23 @@ def test_what_all_solutions_share():
         first = ConeLeastSquares().solve(matrix, right, region, np.zeros(n))
         if first is None:
             continue
-        null = null_directions(np.vstack([matrix, region.shared(first)]))
+        common = np.vstack([matrix, region.shared(first)])
+        null = null_directions(common)
         inner = region.restricted(first.y, null, keep=True)
         second = ConeLeastSquares().solve(null, target - first.y, inner, np.zeros(null.shape[1]))
         assert second is not None, seed
         y = first.y + null @ second.y
         assert region.contains(y, 1e-6), seed
-        np.testing.assert_allclose(matrix @ y, matrix @ first.y, rtol=0.0, atol=1e-8)
-        # the sum's solution is nearer by a part that falls with the square of the weight
+        # directions count as null below 1e-9 of the largest
+        moved = 1e-9 * np.linalg.norm(common, 2) * np.linalg.norm(second.y)
+        np.testing.assert_allclose(matrix @ y, matrix @ first.y, rtol=0.0, atol=moved + 1e-9)
+        # the sum's solution is nearer by a part that falls with the square of the weight; one that Newton's method did
+        # not finish is known to ProxQP's accuracy over that square, which says nothing
         far, apart = float(np.sum((y - target) ** 2)), math.inf
-        for weight in (1e-3, 1e-4):
+        for weight in (1e-2, 1e-3, 1e-4):
             both = np.vstack([matrix, weight * np.eye(n)])
             sums = ConeLeastSquares().solve(both, np.append(right, weight * target), region, y)
-            if sums is not None:
+            if sums is not None and sums.exact:
                 apart = min(apart, abs(far - float(np.sum((sums.y - target) ** 2))))
         if apart == math.inf:
             continue  # badly scaled, for ProxQP
@@ -235,15 +239,19 @@ def test_nearest_and_least_against_slsqp(seed):
 def test_warm_starts_change_nothing():
     """A sequence of wanted accelerations, from the last call's programs or each by itself; and few programs a call."""
     case = random_case("quadruped", 3)
-    last, calls = None, 40
+    last, calls, programs = None, 40, 0
     for k in range(calls):
         case.wanted["root_joint"] = np.array([math.sin(0.05 * k), 0.3, -0.2, 0.1, math.cos(0.05 * k), 0.0])
         last = solve(case, unreachable="nearest", warm=last)
         alone = solve(case, unreachable="nearest")
+        programs += sum(last.programs.values())
+        # the least efforts are always asked for, the nearest accelerations only where those wanted are out of reach
+        assert alone.programs["efforts"] > 0
+        assert (alone.programs["accelerations"] > 0) >= (alone.certificate is not None)
         scale = 1.0 + np.abs(alone.efforts).max()
         np.testing.assert_allclose(last.efforts, alone.efforts, rtol=0.0, atol=1e-6 * scale)
         np.testing.assert_allclose(last.acceleration, alone.acceleration, rtol=0.0, atol=1e-5 * scale)
-    assert last._program.programs < 4 * calls
+    assert calls <= programs < 4 * calls
 
 
 def test_vectors_that_can_be_reached_are_as_without_limits():

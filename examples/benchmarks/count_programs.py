@@ -3,7 +3,8 @@
 Runs examples, the README's scripts, scene files and the reference scenes of the tests with friction, each with
 contact_solver="auto" and "proxqp", and prints a table from `run.stats`: cone problems, ProxQP programs, iterations and
 problems that these left, apart for runs between events (accelerations and impacts when modes change) and time stepping
-(a problem a step). Least squares of `inverse_dynamics` are not counted: they are the same with either.
+(a problem a step). A second table has the programs of `inverse_dynamics` by what they were for, which are the same with
+either contact solver.
 
     python examples/benchmarks/count_programs.py [names that are run, such as rover README]
 """
@@ -28,13 +29,16 @@ import pincontact as pc
 ROOT = Path(__file__).resolve().parents[2]
 STATISTICS = ("cone_problems", "qp", "qp_iterations", "qp_failures")
 PURPOSES = {True: "steps", False: "changes of modes"}
+INVERSE = "inverse dynamics"
+LEVELS = ("accelerations", "efforts", "forces", "certificate")
 
 
 @contextlib.contextmanager
 def choice(contact_solver: str) -> Iterator[dict[str, Counter[str]]]:
-    """Let `pc.simulate` use this contact solver, and add up its statistics by what problems are for."""
-    counts: dict[str, Counter[str]] = {purpose: Counter() for purpose in PURPOSES.values()}
-    simulate = pc.simulate
+    """Let `pc.simulate` use this contact solver, and add up its statistics by what problems are for, and those of
+    `pc.inverse_dynamics`."""
+    counts: dict[str, Counter[str]] = {purpose: Counter() for purpose in (*PURPOSES.values(), INVERSE)}
+    simulate, inverse_dynamics = pc.simulate, pc.inverse_dynamics
 
     def counted(*given: Any, **options: Any) -> pc.Trajectory:
         run = simulate(*given, **{"contact_solver": contact_solver} | options)
@@ -44,11 +48,17 @@ def choice(contact_solver: str) -> Iterator[dict[str, Counter[str]]]:
             count[name] += run.stats[name]
         return run
 
-    pc.simulate = counted
+    def counted_inverse(*given: Any, **options: Any) -> pc.InverseDynamics:
+        found = inverse_dynamics(*given, **options)
+        if found.programs:
+            counts[INVERSE].update(found.programs | {"calls": 1})
+        return found
+
+    pc.simulate, pc.inverse_dynamics = counted, counted_inverse
     try:
         yield counts
     finally:
-        pc.simulate = simulate
+        pc.simulate, pc.inverse_dynamics = simulate, inverse_dynamics
 
 
 def example(path: Path) -> Callable[[], object]:
@@ -112,20 +122,27 @@ def main(names: list[str] | None = None) -> dict[tuple[str, str, str], Counter[s
                     known[name]()
                 except (Exception, SystemExit) as error:
                     print(f"{name} does not run here: {error}", file=sys.stderr)
+            inverse = counts.pop(INVERSE)
+            if inverse["calls"] and contact_solver == "auto":
+                found[name, contact_solver, INVERSE] = inverse
             for purpose, count in counts.items():
                 found[name, contact_solver, purpose] = count
                 total.setdefault((contact_solver, purpose), Counter()).update(count)
                 if count["cone_problems"]:
-                    print_row(name, contact_solver, purpose, count)
+                    print_row((name, f'`"{contact_solver}"`', purpose), count, ("runs", *STATISTICS))
     for (contact_solver, purpose), count in total.items():
-        print_row("all", contact_solver, purpose, count)
+        print_row(("all", f'`"{contact_solver}"`', purpose), count, ("runs", *STATISTICS))
+    print(f"\n| source | calls of inverse dynamics | programs for {' | '.join(LEVELS)} |")
+    print("|---|" + "---:|" * (1 + len(LEVELS)))
+    for (name, _, purpose), count in found.items():
+        if purpose == INVERSE:
+            print_row((name,), count, ("calls", *LEVELS))
     return found
 
 
-def print_row(name: str, contact_solver: str, purpose: str, count: Counter[str]) -> None:
-    """One row of the table."""
-    numbers = " | ".join(str(count[key]) for key in ("runs", *STATISTICS))
-    print(f'| {name} | `"{contact_solver}"` | {purpose} | {numbers} |', flush=True)
+def print_row(titles: tuple[str, ...], count: Counter[str], keys: tuple[str, ...]) -> None:
+    """One row of a table."""
+    print("| " + " | ".join([*titles, *(str(count[key]) for key in keys)]) + " |", flush=True)
 
 
 if __name__ == "__main__":

@@ -14,8 +14,8 @@ from ..dynamics.joints import check_joint_limits
 from ..errors import ArgumentError, SingularContactError, SolverError
 from ..scene import Scene
 from ..state import State, check_vector
+from .actuation import actuation_matrix
 from .instant import ABOVE_NOISE, FIRST_STEP, Instant, jacobian
-from .inverse import actuation_matrix
 from .symmetry import find_symmetries
 
 if TYPE_CHECKING:

@@ -43,7 +43,7 @@ from ..layout import (
     STRIBECK_SPEED,
     TANGENTS,
 )
-from ..state import Correction, State, check_state, check_vector, state_of
+from ..state import Correction, State, check_state, check_vector, coordinates_of, state_of
 from .ranks import Directions
 
 if TYPE_CHECKING:
@@ -121,6 +121,7 @@ class Instant:
     def __init__(self, scene: Scene, state: State, tau: Any | None = None, decide: bool = True) -> None:
         check_state(scene, state)
         self.scene, self.model = scene, scene.model
+        self._coordinates = coordinates_of(scene.model)
         contacts = list(scene.contacts.values())
         self.system = system = RunSystem(scene.model, contacts, limits=joint_limits(scene.model), resistances=True)
         self.tau = check_vector("tau", np.zeros(system.nv) if tau is None else tau, system.nv)
@@ -136,14 +137,15 @@ class Instant:
 
         Contacts that stick in the state, as the last step of time stepping left it, do so here, too, where they creep.
         """
-        check_state(self.scene, state)
+        check_state(self.scene, state, self._coordinates)
         self._take(state, False)
-        system = self.system
-        closed = np.array(system.closed(), dtype=int)
-        closed = closed[(system.contact_int[closed, MODE] == SLIPPING) & (state.discrete[closed, 0] == STICK)]
-        creeping = closed[np.linalg.norm(self._slip(closed), axis=1) <= REST_SPEED]
+        modes = self.system.contact_int[: self.system.nc, MODE]
+        started = np.flatnonzero((modes == SLIPPING) & (state.discrete[:, 0] == STICK))
+        if not started.size:
+            return
+        creeping = started[np.linalg.norm(self._slip(started), axis=1) <= REST_SPEED]
         if creeping.size:
-            system.contact_int[creeping, MODE] = STICK
+            modes[creeping] = STICK
             self.evaluate()
 
     def _take(self, state: State, decide: bool) -> None:

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
-from ..arguments import NOT_REAL, check_flag, check_tolerance, real_array
+from ..arguments import check_flag, check_tolerance
 from ..display import Summary
 from ..dynamics.units import whiten
 from ..errors import ArgumentError, SolverError, StateError
 from ..geometry.patterns import ON_CURVE
 from ..layout import MODE, MU_STATIC, PATTERN, ROLLING_ROW, SLIPPING, STICK
 from ..state import check_vector
+from .actuation import actuation_matrix
 from .farkas import FarkasCertificate
 from .forces import check_forces
 from .instant import Instant
@@ -100,6 +100,10 @@ class InverseDynamics(Summary):
         weight * error^2, of what could be reached without limits.
     certificate : FarkasCertificate or None
         Why they are out of reach.
+    programs : dict of str to int
+        How many quadratic programs ProxQP solved in this call, for the nearest "accelerations", the least "efforts",
+        redundant "forces" and the "certificate" that nothing is admissible. Empty for calls without limits, named
+        accelerations or a choice of forces.
     """
 
     tau: np.ndarray
@@ -112,6 +116,7 @@ class InverseDynamics(Summary):
     held: tuple[HeldTurn, ...] = ()
     shortfall: float = 0.0
     certificate: FarkasCertificate | None = None
+    programs: dict[str, int] = field(default_factory=dict)
     _program: InverseProgram | None = field(default=None, repr=False)
 
 
@@ -241,7 +246,7 @@ def inverse_dynamics(
         tasks = program.tasks.read(acceleration, weights, program.instant.q, program.instant.v)
         wanted = Wanted(
             tasks,
-            actuation_matrix(scene.model, actuation),
+            program.actuation(actuation),
             check_forces(scene, {} if forces is None else forces),
             options,
         )
@@ -327,14 +332,14 @@ def _within_limits(program: InverseProgram, wanted: Wanted, vector: bool) -> Inv
         opening = opening_contacts(instant, wanted.given)
         constrained = [item for item in instant.constrained() if instant.system.owner(item[0]) not in opening]
         _check_kept(instant, constrained, wanted.tasks.wanted, options.tolerance)
-    found = program.solve(wanted)
+    before, found = program.programs, program.solve(wanted)
     problem, system = found.problem, instant.system
     residual = problem.residual(found.u)
     joint_forces = system.joint_forces() + problem.beginning
     joint_forces[problem.resting.index] += found.holding
     acting, torques, held = _contact_forces(instant, problem.items, found.components, problem.shares, wanted.given)
     return InverseDynamics(
-        wanted.actuation @ found.efforts,
+        wanted.actuation.matrix @ found.efforts,
         found.efforts,
         problem.acceleration(found.u),
         acting,
@@ -344,6 +349,7 @@ def _within_limits(program: InverseProgram, wanted: Wanted, vector: bool) -> Inv
         held,
         found.shortfall,
         found.certificate,
+        {name: count - before[name] for name, count in program.programs.items()},
         program,
     )
 
@@ -372,30 +378,26 @@ def _contact_forces(
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], tuple[HeldTurn, ...]]:
     """Forces and torques on second contours, and the turns that are held, from components of forces."""
     system = instant.system
-    signs = {contact.name: -1.0 if contact.swapped else 1.0 for contact in system.contacts}
-    # the given ones stay as they are: no component is theirs
-    acting = {name: np.zeros(3) for name in signs} | given
-    torques = {name: np.zeros(3) for name in signs}
-    by_item = {item: np.zeros(3) for item in system.resisting()}
-    names = [contact.name for contact in system.contacts]
+    # along the bases of items
+    local = np.zeros((system.items, 3))
     for k, (c, row) in enumerate(solved):
-        name = names[system.owner(c)]
         if not system.nr and system.contact_int[c, MODE] != SLIPPING:
-            acting[name] += signs[name] * components[k] * system.basis[c, row]
+            local[c, row] += components[k]
             continue
         for item, unit in unit_forces(instant, c, row, shares[k]).items():
-            part = signs[name] * components[k] * (system.basis[item].T @ unit)
-            if item < system.nc:
-                acting[name] = acting[name] + part
-            else:
-                torques[name] = torques[name] + part
-                by_item[item] += part
-    held = tuple(
-        _held_turn(instant, item, torque, acting)
-        for item, torque in by_item.items()
-        if system.contact_int[item, MODE] == STICK and system.contacts[system.owner(item)].name not in given
-    )
-    return acting, torques, held
+            local[item] += components[k] * unit
+    acting, torques, held = {}, {contact.name: np.zeros(3) for contact in system.contacts}, []
+    for c, contact in enumerate(system.contacts):
+        sign = -1.0 if contact.swapped else 1.0
+        acting[contact.name] = given.get(contact.name, sign * (local[c] @ system.basis[c]))
+    for item in system.resisting():
+        contact = system.contacts[system.owner(item)]
+        sign = -1.0 if contact.swapped else 1.0
+        torque = sign * (local[item] @ system.basis[item])
+        torques[contact.name] += torque
+        if system.contact_int[item, MODE] == STICK and contact.name not in given:
+            held.append(_held_turn(instant, item, torque, acting))
+    return acting, torques, tuple(held)
 
 
 def _held_turn(instant: Instant, item: int, torque: np.ndarray, forces: dict[str, np.ndarray]) -> HeldTurn:
@@ -406,31 +408,6 @@ def _held_turn(instant: Instant, item: int, torque: np.ndarray, forces: dict[str
     load = float(np.hypot(force[1], force[2]) if system.contact_int[c, PATTERN] == ON_CURVE else abs(force[2]))
     kind = "rolling" if system.contact_int[c, ROLLING_ROW] == item else "spinning"
     return HeldTurn(name, kind, torque, float(system.contact_real[item, MU_STATIC]) * load)
-
-
-def actuation_matrix(model: pin.Model, actuation: ArrayLike | Sequence[str] | None) -> np.ndarray:
-    """(nv, na): how efforts act on the velocity coordinates; from a matrix, joint names or None (see above)."""
-    nv = model.nv
-    if isinstance(actuation, str):
-        actuation = [actuation]
-    if actuation is None:
-        start = 6 if model.njoints > 1 and model.joints[1].shortname() == "JointModelFreeFlyer" else 0
-        return np.eye(nv)[:, start:]
-    if isinstance(actuation, Sequence) and all(isinstance(name, str) for name in actuation):
-        picked: list[int] = []
-        for name in actuation:
-            if not model.existJointName(name):
-                raise ArgumentError(f"actuation: unknown joint {name!r}; joints: {', '.join(list(model.names)[1:])}")
-            joint = model.joints[model.getJointId(name)]
-            picked.extend(range(joint.idx_v, joint.idx_v + joint.nv))
-        return np.eye(nv)[:, picked]
-    try:
-        matrix = real_array(actuation)
-    except NOT_REAL:
-        raise ArgumentError(f"actuation must be a matrix ({nv}, na) or joint names, got {actuation!r}") from None
-    if matrix.ndim != 2 or matrix.shape[0] != nv or not np.isfinite(matrix).all():
-        raise ArgumentError(f"actuation must be a finite matrix ({nv}, na) or joint names, got shape {matrix.shape}")
-    return matrix
 
 
 def _solve(

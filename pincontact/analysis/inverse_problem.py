@@ -20,6 +20,7 @@ from ..errors import SolverError
 from ..friction.cone_least_squares import Region
 from ..geometry.patterns import ON_CURVE
 from ..layout import ANISOTROPIC, MODE, MU_STATIC, PATTERN, SLIPPING, STICK, TANGENTS, UNILATERAL
+from .actuation import Actuation
 from .instant import Instant
 from .inverse_loads import RestingJoints, joint_loads, unit_forces
 from .ranks import Directions
@@ -50,10 +51,10 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """What a call asks for: tasks, the actuation matrix (nv, na), and given contact forces."""
+    """What a call asks for: tasks, actuation, and given contact forces."""
 
     tasks: Tasks
-    actuation: np.ndarray
+    actuation: Actuation
     given: dict[str, np.ndarray]
     options: Options
 
@@ -140,9 +141,9 @@ class Problem:
     def _equate(self, wanted: Wanted) -> None:
         """Columns of the equations of motion, units, and the solutions."""
         instant, system = self.instant, self.instant.system
-        nv, na = system.nv, wanted.actuation.shape[1]
+        nv, na = wanted.actuation.matrix.shape
         columns = np.zeros((nv, na + len(self.items) + self.resting.index.size))
-        columns[:, :na] = wanted.actuation
+        columns[:, :na] = wanted.actuation.matrix
         for k, (c, row) in enumerate(self.items):
             if system.contact_int[c, MODE] != SLIPPING and not system.nr:
                 columns[:, na + k] = system.rows[c, row]
@@ -205,15 +206,12 @@ class Problem:
         rows = np.array([row for row, _, _ in self._rows]).reshape(len(self._rows), size)
         low, high = np.array([(low, high) for _, low, high in self._rows]).reshape(-1, 2).T
         if options.effort_limits:
-            limits = self.instant.model.effortLimit
-            limited = np.flatnonzero(np.isfinite(limits) & wanted.actuation.any(axis=1))
-            of_efforts = np.zeros((limited.size, size))
-            of_efforts[:, self.efforts] = wanted.actuation[limited]
-            lengths = np.linalg.norm(of_efforts, axis=1)
-            ends = limits[limited] / (self.load * lengths)
-            rows = np.vstack([rows, of_efforts / lengths[:, None]])
-            low, high = np.concatenate([low, -ends]), np.concatenate([high, ends])
-            self.owners += [("joint", k) for k in limited.tolist()]
+            actuation = wanted.actuation
+            of_efforts, most = np.zeros((actuation.limited.size, size)), actuation.ends / self.load
+            of_efforts[:, self.efforts] = actuation.rows
+            rows = np.concatenate([rows, of_efforts])
+            low, high = np.concatenate([low, -most]), np.concatenate([high, most])
+            self.owners += [("joint", k) for k in actuation.limited.tolist()]
         stacked = np.array(cones).reshape(len(cones), 3, size)
         return Region(stacked, np.zeros((len(cones), 3)), rows, low, high)
 

@@ -21,6 +21,7 @@ from ..errors import InfeasibleError, SolverError
 from ..friction.centred import Cone, central_force
 from ..friction.cone_least_squares import ConeLeastSquares, ConeSolution, Region
 from ..layout import TANGENTS, UNILATERAL
+from .actuation import Actuation, read_actuation
 from .farkas import FarkasCertificate, certificate_of, multipliers_of_elastic
 from .instant import Instant
 from .inverse_loads import shares_of
@@ -28,6 +29,10 @@ from .inverse_problem import Options, Problem, Wanted
 from .tasks import TaskReader
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike
+
     from ..scene import Scene
     from ..state import State
 
@@ -62,22 +67,31 @@ class InverseProgram:
         self.instant.move_to(state)
         self.tasks = TaskReader(scene.model)
         self._contacts = list(scene.contacts.values())
-        self._reach, self._efforts, self._forces, self._elastic = (ConeLeastSquares() for _ in range(4))
+        self._levels = {name: ConeLeastSquares() for name in ("accelerations", "efforts", "forces", "certificate")}
+        self._reach, self._efforts, self._forces, self._elastic = self._levels.values()
         self._reached = True
         self._last: np.ndarray | None = None
         # by item and row, of the last call and of the one before
         self._last_forces: dict[tuple[int, int], float] = {}
         self._before: dict[tuple[int, int], float] = {}
         self._sizes: dict[int, float] = {}
+        self._all_joints: Actuation | None = None
+
+    def actuation(self, given: ArrayLike | Sequence[str] | None) -> Actuation:
+        """See `read_actuation`."""
+        if given is not None:
+            return read_actuation(self.instant.model, given)
+        self._all_joints = self._all_joints or read_actuation(self.instant.model, None)
+        return self._all_joints
 
     def fits(self, scene: Scene) -> bool:
         """Whether it was made for this scene with these contacts."""
         return self.instant.scene is scene and self._contacts == list(scene.contacts.values())
 
     @property
-    def programs(self) -> int:
-        """How many quadratic programs ProxQP has solved."""
-        return sum(level.programs for level in (self._reach, self._efforts, self._forces, self._elastic))
+    def programs(self) -> dict[str, int]:
+        """How many quadratic programs ProxQP has solved, by what they were for."""
+        return {name: level.programs for name, level in self._levels.items()}
 
     def solve(self, wanted: Wanted) -> Solved:
         """At the state of `instant`.
@@ -135,16 +149,16 @@ class InverseProgram:
 
     def _solve(self, problem: Problem, wanted: Wanted) -> Solved:
         options, start, basis = wanted.options, problem.start, problem.basis
-        region = problem.region.restricted(start, basis)
         level = _Tasks(problem, wanted)
         last = self._last
         guess = np.zeros(basis.shape[1]) if last is None or last.size != start.size else basis.T @ (last - start)
         rows, rest = basis[problem.efforts], start[problem.efforts]
         point, null, shortfall, certificate, solution = level.point, level.null, 0.0, None, None
-        inner = region.restricted(point, null)
+        inner = problem.region.restricted(start + basis @ point, basis @ null)
         if self._reached:
             solution = self._efforts.solve(rows @ null, -(rest + rows @ point), inner, null.T @ guess)
         if solution is None:
+            region = problem.region.restricted(start, basis)
             nearest, shortfall, certificate = self._nearest(problem, level, region, guess, options)
             point = nearest.y
             if certificate is not None:
@@ -154,7 +168,9 @@ class InverseProgram:
             if solution is None:
                 raise SolverError("inverse dynamics: ProxQP did not find the least efforts")
         point = point + null @ solution.y
-        free = _null(np.vstack([rows @ null, inner.shared(solution)]))
+        free = _null(rows @ null)
+        if free.shape[1]:
+            free = _null(np.vstack([rows @ null, inner.shared(solution)]))
         if free.shape[1]:
             inner = inner.restricted(solution.y, free, keep=True)
             point = self._choose_forces(problem, options.redundant, point, null @ free, inner)

@@ -179,12 +179,14 @@ class ConeLeastSquares:
         directions = self._directions
         used = np.asarray(directions.any(axis=2))
         # d . t - s, zero where there is no direction
-        facets = np.einsum("mdi,min->mdn", directions, region.cones[:, 1:]) - used[..., None] * region.cones[:, :1]
-        room = region.apexes[:, :1] - np.einsum("mdi,mi->md", directions, region.apexes[:, 1:])
+        facets = directions @ region.cones[:, 1:] - used[..., None] * region.cones[:, :1]
+        room = region.apexes[:, :1] - (directions @ region.apexes[:, 1:, None])[..., 0]
         count = m * _DIRECTIONS
-        rows = np.vstack([facets.reshape(count, n), region.rows])
-        low = np.concatenate([np.full(count, -_UNBOUNDED), np.maximum(region.low, -_UNBOUNDED)])
-        high = np.concatenate([np.where(used, room, _UNBOUNDED).ravel(), np.minimum(region.high, _UNBOUNDED)])
+        rows = np.concatenate([facets.reshape(count, n), region.rows])
+        low, high = np.full(count + k, -_UNBOUNDED), np.full(count + k, _UNBOUNDED)
+        high[:count][used.ravel()] = room[used]
+        np.maximum(region.low, -_UNBOUNDED, out=low[count:])
+        np.minimum(region.high, _UNBOUNDED, out=high[count:])
         if self._size != (n, count + k):
             self._qp = proxqp.dense.QP(n, 0, count + k)
             settings = self._qp.settings
@@ -208,7 +210,7 @@ class ConeLeastSquares:
         on_facets = np.maximum(self._duals[:count], 0.0).reshape(m, _DIRECTIONS)
         cones = np.empty((m, 3))
         cones[:, 0] = -on_facets.sum(axis=1)
-        cones[:, 1:] = np.einsum("md,mdi->mi", on_facets, directions)
+        cones[:, 1:] = (on_facets[:, None] @ directions)[:, 0]
         return ConeSolution(np.array(results.x), cones, self._duals[count:].copy())
 
     def _touch(self, region: Region, y: np.ndarray, beyond: float) -> None:
@@ -279,29 +281,33 @@ def _solve_active(
     cones, apexes = region.cones[edge], region.apexes[edge]
     tangents = cones[:, 1:]
     system, residual = np.zeros((size, size)), np.empty(size)
-    system.flat[:: size + 1] = -_REGULAR
+    system[:n, :n] = hessian
     system[:n, n : n + count], system[n : n + count, :n] = fixed.T, fixed
-    last = np.inf
+    regular = np.repeat([_REGULAR, -_REGULAR], [n, size - n])
+    system.flat[:: size + 1] += regular
+    d, last = np.zeros((0, 2)), np.inf
     for _ in range(_STEPS):
-        x = apexes + cones @ y
-        lengths = np.hypot(x[:, 1], x[:, 2])
-        if not lengths.all():
-            return None
-        d = x[:, 1:] / lengths[:, None]
-        slopes = np.einsum("mi,min->mn", d, tangents) - cones[:, 0]
-        system[:n, n + count :], system[n + count :, :n] = slopes.T, slopes
+        if edge.size:
+            x = apexes + cones @ y
+            lengths = np.hypot(x[:, 1], x[:, 2])
+            if not lengths.all():
+                return None
+            d = x[:, 1:] / lengths[:, None]
+            slopes = np.einsum("mi,min->mn", d, tangents) - cones[:, 0]
+            system[:n, n + count :], system[n + count :, :n] = slopes.T, slopes
+            residual[n + count :] = lengths - x[:, 0]
         residual[:n] = hessian @ y + gradient + system[:n, n:] @ multipliers
         residual[n : n + count] = fixed @ y - aim
-        residual[n + count :] = lengths - x[:, 0]
-        error = float(np.abs(residual).max())
+        error = max(abs(value) for value in residual.tolist())
         # as far as round-off: certificates may be small
         if error <= 1e-16 * scale or not error < 0.5 * last:
             break
         last = error
-        across = d[:, :1] * tangents[:, 1] - d[:, 1:] * tangents[:, 0]
-        curvature = np.maximum(multipliers[count:], 0.0) / lengths
-        system[:n, :n] = hessian + (across.T * curvature) @ across
-        system.flat[: n * size : size + 1] += _REGULAR
+        if edge.size:
+            across = d[:, :1] * tangents[:, 1] - d[:, 1:] * tangents[:, 0]
+            curvature = np.maximum(multipliers[count:], 0.0) / lengths
+            system[:n, :n] = hessian + (across.T * curvature) @ across
+            system.flat[: n * size : size + 1] += _REGULAR
         step = np.linalg.solve(system, residual)
         y, multipliers = y - step[:n], multipliers - step[n:]
     if not error <= 10.0 * _SOLVED * scale:

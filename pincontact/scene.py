@@ -566,7 +566,7 @@ class Scene(Assembly):
         ModelError
             For a joint that moves no inertia, or is of a type that is not known.
         NoContactError
-            Where contours do not touch; it has the gap.
+            Where contours do not touch, or not all at once, as four legs of which one is short; it has the gap.
         SingularContactError
             Where the location equations are singular.
 
@@ -574,8 +574,7 @@ class Scene(Assembly):
         -----
         UserWarning
             Of a quaternion (1, 0, 0, 0), which is the identity where the real part comes first, and half a turn about x
-            here; (-1, 0, 0, 0) is the same half turn without a warning. Of contacts that cannot all be closed, as four
-            legs of which one is short: gaps are left then.
+            here; (-1, 0, 0, 0) is the same half turn without a warning.
 
         Examples
         --------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -355,16 +354,17 @@ def _together(apart: dict[str, NoContactError]) -> NoContactError:
     return NoContactError(f"{str(first).removesuffix('.')}; nor do the contours touch of contacts {also}", first.gap)
 
 
-def _warn_of_gaps(system: RunSystem, t: float) -> None:
-    """Of more closed contacts than a body can have at once: the projection leaves gaps."""
+def _refuse_gaps(system: RunSystem, t: float) -> None:
+    """Of more closed contacts than a body can have at once the projection leaves gaps, which would be kept."""
     system.evaluate_kinematics(t)
     gaps = [(system.contacts[c], float(np.hypot(*system.gaps[c]))) for c in system.closed()]
     left = {contact.name: gap for contact, gap in gaps if gap > APART_AT_END * characteristic_length(contact)}
     if left:
-        warnings.warn(
-            f"contacts {shortened(left)} cannot all be closed at once: gaps of up to {max(left.values()):.2g} m are "
-            "left, which event-driven runs keep and time stepping refuses; start those open (free=) that do not touch.",
-            stacklevel=5,
+        largest = max(left.values())
+        raise NoContactError(
+            f"contacts {shortened(left)} cannot all be closed at once: near this configuration gaps of up to "
+            f"{largest:.2g} m are left; start those open (free=) that do not touch",
+            largest,
         )
 
 
@@ -425,6 +425,6 @@ def _correct(scene: Assembly, system: RunSystem, q: np.ndarray, v: np.ndarray, t
             f"{system.gaps[: system.nc, 0].tolist()} m",
             max((abs(g) for g in gaps.values()), default=math.nan),
         )
-    _warn_of_gaps(system, t)
+    _refuse_gaps(system, t)
     dq = pin.difference(scene.model, q, system.q)
     return Correction(gaps, slips, float(np.abs(dq).max(initial=0.0)), float(np.abs(system.v - v).max(initial=0.0)))

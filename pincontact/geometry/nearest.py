@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -68,6 +69,11 @@ class Whole:
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         self.centre = 0.5 * (low + high)
         self.extent = float(np.linalg.norm(self.points - self.centre, axis=1).max()) + self.radius
+
+    @cached_property
+    def tree(self) -> scipy.spatial.cKDTree:
+        """Finds the samples nearest to points in the contour's frame."""
+        return scipy.spatial.cKDTree(self.points)
 
     @property
     def size(self) -> float:
@@ -139,12 +145,12 @@ class NearestSearch:
         whole, (rotation, centre) = self.whole, self.pose()
         neighbourhood = _NEIGHBOURHOOD * self.bend
         parameters, points, reaches = self._patch(t, centre, neighbourhood)
-        opposite = (whole.points - whole.centre) @ rotation.T + centre
-        distances, pair = scipy.spatial.cKDTree(opposite).query(points)
+        distances, pair = whole.tree.query((points - centre) @ rotation + whole.centre)
         distances = distances - whole.rounding
         least = np.maximum(distances - reaches - whole.radius, 0.0)
         # what is inside a ball that stands for a contour is as far from it as its surface
-        found, point = self._candidate(t, parameters, points, distances, pair, opposite[pair], neighbourhood)
+        opposite = (whole.points[pair] - whole.centre) @ rotation.T + centre
+        found, point = self._candidate(t, parameters, points, distances, pair, opposite, neighbourhood)
         distance = float(least.min())
         if found is None:
             return Nearest(None, distance, distance)

@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 the run could not finish, 2 bad input (said in one line on
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections import Counter
@@ -18,7 +19,7 @@ import pinocchio as pin
 
 from .display import MODE_NAMES
 from .errors import ContactError
-from .friction.laws import Coulomb, FrictionLaw, Stribeck
+from .friction.laws import FrictionLaw
 from .layout import FREE
 from .loaded_scene import LoadedScene
 from .scene_file import load_scene
@@ -249,26 +250,25 @@ def _contact_data(contact: Contact) -> dict[str, Any]:
     return {**named, "pattern": pattern.name, **numbers, **law}
 
 
+# How parameters of friction laws are called, where not by their names, and their units.
+_LABELS = {"mu_static": "static"}
+_UNITS = {"speed": " m/s", "viscous": " N s/m", "spinning": " m", "rolling": " m"}
+
+
 def _friction(law: FrictionLaw | None) -> str:
     if law is None:
         return "none"
-    parts = ["no slip"]
-    if isinstance(law, (Coulomb, Stribeck)):
-        parts = [f"mu {_coefficient(law.mu)}"]
-        if law.mu_static is not None:
-            parts.append(f"static {_coefficient(law.mu_static)}")
-        if isinstance(law, Stribeck):
-            parts.append(f"Stribeck {law.speed:g} m/s")
-        if law.viscous > 0.0:
-            parts.append(f"viscous {law.viscous:g} N s/m")
-    parts += [
-        f"{name} {length:g} m" for name, length in vars(law).items() if name in ("spinning", "rolling") and length
-    ]
-    return ", ".join(parts)
+    parts = ["no slip"] if math.isinf(law.sliding) else []
+    given = {name: value for name, value in vars(law).items() if name == "mu" or value not in (None, 0.0)}
+    parts += [f"{_LABELS.get(name, name)} {_number(value)}{_UNITS.get(name, '')}" for name, value in given.items()]
+    return ", ".join(parts) or type(law).__name__
 
 
-def _coefficient(mu: float | tuple[float, float]) -> str:
-    return " x ".join(f"{value:g}" for value in (mu if isinstance(mu, tuple) else (mu,)))
+def _number(value: float | tuple[float, float] | str) -> str:
+    """A number, two of two directions, or a contour's name."""
+    if isinstance(value, str):
+        return repr(value)
+    return " x ".join(f"{number:g}" for number in (value if isinstance(value, tuple) else (value,)))
 
 
 if __name__ == "__main__":

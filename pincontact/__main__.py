@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from .display import MODE_NAMES
+from .display import EVENTS_SHOWN, MODE_NAMES
 from .errors import ContactError
 from .friction.laws import FrictionLaw
 from .layout import FREE
@@ -31,9 +31,8 @@ if TYPE_CHECKING:
     from .tracks import ContactTrack
     from .trajectory import Trajectory
 
+# Exit codes; the last one is that of shells.
 DONE, NOT_FINISHED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-
-_EVENTS_SHOWN = 20
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -142,7 +141,7 @@ def _summary(loaded: LoadedScene, run: Trajectory) -> None:
     print(f"{loaded.path}: {simulated:.6g} s simulated in {wall:.4g} s{rate}")
     print(f"status {run.status}: {run.message}")
     _table("counts", ({"number": value, "of": key} for key, value in stats.items() if key != "wall_time"))
-    shown = run.events[:_EVENTS_SHOWN]
+    shown = run.events[:EVENTS_SHOWN]
     _table("events", ({"t [s]": e.time, "contact": e.contact or "-", "kind": e.kind} for e in shown))
     if len(run.events) > len(shown):
         rest = Counter(event.kind for event in run.events[len(shown) :])

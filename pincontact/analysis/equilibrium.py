@@ -21,6 +21,7 @@ from .symmetry import find_symmetries
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+# Steps of the search at most: damped ones are many where the residual is flat.
 _STEPS = 200
 # Directions in which the residual changes by less than this fraction of the largest change are left alone.
 _FLAT = 1e-8

@@ -14,7 +14,7 @@ _PLACES = (0.0, 0.1137, 0.2419, 0.3871, 0.5647, 0.7219, 0.8629, 1.0)
 # Degree of the polynomial by which it is resolved, and what that may leave: a part of the largest value, or of the
 # least.
 _DEGREE = 3
-_RESOLVED, _FAR = 1e-2, 0.125
+RESOLVED, FAR = 1e-2, 0.125
 # Halvings of the interval: a jump is looked at no closer.
 _HALVINGS = 6
 # What stands for infinite values.
@@ -111,7 +111,7 @@ def _add_samples(
         least = 0.0
     with np.errstate(invalid="ignore", over="ignore"):
         rough = float(np.linalg.norm(_ROUGHNESS @ values))
-    if halvings == 0 or not rough > max(_RESOLVED * largest, _FAR * least):
+    if halvings == 0 or not rough > max(RESOLVED * largest, FAR * least):
         samples += [*inner, right]
         return
     middle = low + 0.5 * width

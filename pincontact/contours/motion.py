@@ -290,7 +290,7 @@ class SplineMotion(Motion):
             placements += placements[:1]
         t = array(owner, "times", times, len(placements))
         values = np.array([_coordinates(pose) for pose in placements]).reshape(-1, 7)
-        _connect(values[:, 3:])
+        values[:, 3:] = connected(values[:, 3:])
         overlaps = _overlaps(values[:, 3:])
         i = int(np.argmin(overlaps)) if len(overlaps) else 0
         if len(overlaps) and overlaps[i] < _LEAST_OVERLAP:
@@ -421,16 +421,16 @@ def _overlaps(quaternions: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", quaternions[1:], quaternions[:-1])
 
 
-def _connect(quaternions: np.ndarray) -> None:
-    """Choose the signs of quaternions (n, 4), of which both are the same rotation, so that neighbours are near."""
-    quaternions[1:] *= np.cumprod(np.where(_overlaps(quaternions) < 0.0, -1.0, 1.0))[:, None]
+def connected(quaternions: np.ndarray) -> np.ndarray:
+    """The same rotations (n, 4) with signs such that neighbours have a non-negative product."""
+    signs = np.cumprod(np.where(_overlaps(quaternions) < 0.0, -1.0, 1.0))
+    return quaternions * np.concatenate([[1.0], signs])[:, None]
 
 
 def _continued(coordinates: Callable[[float], np.ndarray], first: float, last: float) -> Callable[[float], np.ndarray]:
     """Coordinates of a pose with the quaternion's sign continued from the first time."""
     times = np.linspace(first, last, _SIGN_TIMES)
-    grid = np.array([coordinates(float(t))[3:] for t in times])
-    _connect(grid)
+    grid = connected(np.array([coordinates(float(t))[3:] for t in times]))
 
     def continued(t: float) -> np.ndarray:
         values = coordinates(t)

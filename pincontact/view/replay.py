@@ -11,8 +11,9 @@ import numpy as np
 
 from ..arguments import check_positive
 from ..display import MODE_NAMES
-from ..errors import ArgumentError, MissingExtraError, TrajectoryError
+from ..errors import ArgumentError, MissingExtraError
 from ..layout import FREE
+from ..tracks import model_of
 from .drawing import Command, Drawing, color_number
 from .palette import MODE_COLORS, contact_color
 from .robot import geometry_reach
@@ -265,14 +266,8 @@ def frame(run: Any, fps: float, speed: float, max_frames: int, follow: str | Non
     if not hasattr(run, "scene"):
         raise ArgumentError(f"a run is needed, got {type(run).__name__}")
     scene = run.scene
-    model = scene.model
-    t = np.asarray(run.t, dtype=float)
-    moments = frame_times(t, fps, speed, max_frames)
-    if np.shape(run.q)[1] != model.nq:
-        raise TrajectoryError(
-            f"the run has configurations of {np.shape(run.q)[1]} numbers and its scene's model needs {model.nq}; a run "
-            "read from a file has to be given its scene: Trajectory.load(path, scene)"
-        )
+    moments = frame_times(np.asarray(run.t, dtype=float), fps, speed, max_frames)
+    model = model_of(run)
     q = configurations(run, moments)
     placements = joint_placements(model, q)
     contacts = {name: contact_frames(run, name, moments, q, placements, axes) for name in scene.contacts}

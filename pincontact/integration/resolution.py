@@ -14,15 +14,14 @@ import math
 import numpy as np
 
 from ..callback import separate_kernel
+from ..dynamics.event_functions import FORCE_EVENTS
 from ..dynamics.resistance import count_items
 from ..jit import NOTHING, kernel
 from ..layout import (
     ERROR_ROWS,
     EVENTS_PER_CONTACT,
-    FRICTION_EVENT,
     KEPT_ROWS,
     MAX_STAGES,
-    NORMAL_EVENT,
     NOTHING_THERE,
     SCAN_ROOM,
     SYSTEM,
@@ -104,7 +103,7 @@ def event_function_error(system):
             if floor < 0.0:
                 floor, largest_force = _floor(system), _largest_force(lowest, highest, n)
             allowed = max(RESOLVED * max(high, -low), FAR * low)
-            is_force = kind in (NORMAL_EVENT, FRICTION_EVENT)
+            is_force = kind in FORCE_EVENTS
             allowed = max(allowed, FORCE_ROUND_OFF * largest_force if is_force else floor)
             worst = max(worst, _left(system, n, c, kind) / allowed)
     if worst > 0.0:
@@ -148,6 +147,6 @@ def _largest_force(lowest, highest, n):
     """Largest size of an event function that is a force."""
     size = 0.0
     for c in range(n):
-        for kind in (NORMAL_EVENT, FRICTION_EVENT):
+        for kind in FORCE_EVENTS:
             size = max(size, max(abs(lowest[c, kind]), abs(highest[c, kind])))
     return size

@@ -27,6 +27,8 @@ _STEPS = 200
 _FLAT = 1e-8
 # Below this a residual that hardly shrinks is rounding.
 _STALLED = 1e-9
+# Nor is a step felt that is less than this part of the unknowns.
+_UNFELT = 1e-15
 _LEAST_DAMPING, _MOST_DAMPING = 1e-13, 1e6
 
 
@@ -281,7 +283,7 @@ def _solve(
         accepted()
         damping = damping / 10.0 if damping > _LEAST_DAMPING else 0.0
         # rounding is reached where steps are no longer felt, or help no longer
-        if stalled or float(np.abs(step).max()) <= 1e-15 * max(1.0, float(np.abs(x).max())):
+        if stalled or float(np.abs(step).max()) <= _UNFELT * max(1.0, float(np.abs(x).max())):
             return x, iteration + 1
     return x, _STEPS
 

@@ -59,7 +59,8 @@ FIRST_STEP = 0.1
 ABOVE_NOISE = 10.0
 # The part of a step of differences over which it is found how fast slip changes along it.
 _PROBE = 1e-5
-_PROJECTIONS = 20
+# Projections of a configuration at most, until gaps are less than this part of the natural length.
+_PROJECTIONS, _CLOSED = 20, 1e-13
 
 
 def derivative(f: Callable[[float], np.ndarray], step: float, levels: int = _LEVELS) -> tuple[np.ndarray, float]:
@@ -344,7 +345,7 @@ class Instant:
         for _ in range(_PROJECTIONS):
             self.evaluate(q, v)
             gaps = self.gaps(holonomic)
-            if np.abs(gaps).max(initial=0.0) <= 1e-13 * self.length:
+            if np.abs(gaps).max(initial=0.0) <= _CLOSED * self.length:
                 break
             q = self.moved(-self._shortest_change(holonomic, gaps), q)
         else:

@@ -41,6 +41,8 @@ _LEAST_OVERLAP = 0.1
 _SIGN_TIMES = 2000
 # Derivatives are wrong if they are off by this part of their size: wrong axes or signs, no digits.
 _WRONG = 1e-2
+# Half the time in s over which differences are taken for that, and what rounding leaves of them, in m/s, rad/s and so on.
+_DIFFERENCE, _DIFFERENCE_ERROR = 1e-5, 1e-4
 
 
 class Motion(Written):
@@ -386,7 +388,7 @@ class CallableMotion(Motion):
 
     def _check(self, t: float) -> None:
         """Compare the derivatives with differences of the pose: catches wrong axes and signs, not digits."""
-        h = 1e-5
+        h = _DIFFERENCE
         before, here, after = self.evaluate(t - h), self.evaluate(t), self.evaluate(t + h)
         turn = after[:9].reshape(3, 3) @ before[:9].reshape(3, 3).T
         changes = [after[9:12] - before[9:12], pin.log3(turn), after[12:18] - before[12:18]]
@@ -394,7 +396,7 @@ class CallableMotion(Motion):
         names = np.repeat(["velocity", "angular velocity", "acceleration", "angular acceleration"], 3)
         for i, (found, value) in enumerate(zip(here[12:], expected)):
             size = np.abs(expected[3 * (i // 3) : 3 * (i // 3) + 3]).max()
-            if not abs(found - value) <= _WRONG * size + 1e-4:
+            if not abs(found - value) <= _WRONG * size + _DIFFERENCE_ERROR:
                 raise ContourError(
                     f"CallableMotion: {names[i]}[{i % 3}] of f({t}) is {found}, but differences give {value} "
                     "(carrier axes, acceleration as second derivative of the position)"

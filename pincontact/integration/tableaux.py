@@ -79,6 +79,8 @@ class Tableau:
 
 # Step, over the time in which a motion changes, at which a free interpolant's errors of two orders are weighed.
 _FURTHER_STEP = 0.1
+# Conditions of order that combine to less than this part of the largest are the same one.
+_RANK = 1e-10
 
 # Size of the error estimate of Sharp98, and the coarsest tolerance for which it holds: with these, runs through poles
 # and mode changes end with errors of a hundredth of the tolerance, at worst of twice the tolerance. At coarser ones
@@ -154,10 +156,10 @@ def free_dense(a: np.ndarray, order: int, further: int = 1) -> np.ndarray:
     error, wanted = size[:, None] * matrix[n:], size[:, None] * right[n:]
     matrix, right = matrix[:n], right[:n]
     _, singular, basis = np.linalg.svd(matrix)
-    rank = int(np.sum(singular > 1e-10 * singular[0]))
-    weights = np.linalg.lstsq(matrix, right, rcond=1e-10)[0]
+    rank = int(np.sum(singular > _RANK * singular[0]))
+    weights = np.linalg.lstsq(matrix, right, rcond=_RANK)[0]
     free = basis[rank:].T
-    weights += free @ np.linalg.lstsq(error @ free, wanted - error @ weights, rcond=1e-10)[0]
+    weights += free @ np.linalg.lstsq(error @ free, wanted - error @ weights, rcond=_RANK)[0]
     return np.column_stack([weights.T, np.zeros(order + further)])
 
 

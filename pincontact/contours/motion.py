@@ -41,7 +41,7 @@ _LEAST_OVERLAP = 0.1
 _SIGN_TIMES = 2000
 # Derivatives are wrong if they are off by this part of their size: wrong axes or signs, no digits.
 _WRONG = 1e-2
-# Half the time in s over which differences are taken for that, and what rounding leaves of them, in m/s, rad/s and so on.
+# Half the time in s over which differences are taken for that, and what rounding leaves of them, in m/s and rad/s.
 _DIFFERENCE, _DIFFERENCE_ERROR = 1e-5, 1e-4
 
 

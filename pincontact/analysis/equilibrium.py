@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..arguments import check_tolerance
+from ..arguments import check_tolerance, reals
 from ..display import Summary
 from ..dynamics.joints import check_joint_limits
 from ..errors import ArgumentError, SingularContactError, SolverError
 from ..scene import Scene
-from ..state import State, check_vector
+from ..state import State, check_finite
 from .instant import ABOVE_NOISE, FIRST_STEP, Instant, jacobian
 from .inverse import actuation_matrix
 from .symmetry import find_symmetries
@@ -221,7 +221,8 @@ def _search(
         parts.append(a)
         if conditions is not None:
             given = (q.copy(), v.copy()) if moves else (q.copy(),)
-            parts.append(_numbers("conditions", conditions(*given)))
+            found = reals("conditions must return numbers", conditions(*given)).ravel()
+            parts.append(check_finite("conditions", found))
         return np.concatenate(parts)
 
     speed = max(1.0, float(np.abs(instant.v).max(initial=0.0)))
@@ -286,11 +287,3 @@ def _solve(
         if stalled or float(np.abs(step).max()) <= _UNFELT * max(1.0, float(np.abs(x).max())):
             return x, iteration + 1
     return x, _STEPS
-
-
-def _numbers(name: str, value: Any) -> np.ndarray:
-    try:
-        array = np.asarray(value, dtype=float).ravel()
-    except (TypeError, ValueError):
-        raise ArgumentError(f"{name} must return numbers, got {value!r}") from None
-    return check_vector(name, array, array.size)

@@ -365,13 +365,18 @@ def fitting_distance(centres: np.ndarray, radii: np.ndarray) -> float:
 
     centres: (n, 3) from the point that it looks at; radii: (n,), both in m.
     """
-    right = np.cross([0.0, 0.0, 1.0], _VIEW_FROM)
-    right /= np.linalg.norm(right)
-    upwards = np.cross(_VIEW_FROM, right)
+    right, upwards = _across(_VIEW_FROM)
     slope = np.tan(0.5 * np.radians(_FIELD_OF_VIEW))
     across = (np.abs(centres @ right) + radii) / (_ASPECT * slope)
     along = (np.abs(centres @ upwards) + radii) / (_FREE_HEIGHT * slope)
     return float((centres @ _VIEW_FROM + np.maximum(across, along)).max())
+
+
+def _across(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """To the right and upwards, as seen against a unit direction."""
+    right = np.cross([0.0, 0.0, 1.0], direction)
+    right /= np.linalg.norm(right)
+    return right, np.cross(direction, right)
 
 
 def fitting_force_scale(contacts: dict[str, ContactFrames], length: float) -> float:
@@ -468,9 +473,7 @@ def _set_environment(drawing: Drawing, picture: Picture) -> None:
     towards /= np.linalg.norm(towards)
     reach = float(np.abs(corners).max()) * np.sqrt(3.0) + picture.size
     # three.js orients the camera with its own vertical, which is the world's z here.
-    right = np.cross([0.0, 0.0, 1.0], towards)
-    right /= np.linalg.norm(right)
-    upwards = np.cross(towards, right)
+    right, upwards = _across(towards)
     x, y = corners @ right, corners @ upwards
     margin = 0.5 * picture.size
     sun = {

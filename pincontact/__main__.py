@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 the run could not finish, 2 bad input (said in one line on
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections import Counter
@@ -16,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from .display import MODE_NAMES
+from .display import EVENTS_SHOWN, MODE_NAMES
 from .errors import ContactError
-from .friction.laws import Coulomb, FrictionLaw, Stribeck
+from .friction.laws import FrictionLaw
 from .layout import FREE
 from .loaded_scene import LoadedScene
 from .scene_file import load_scene
@@ -30,9 +31,8 @@ if TYPE_CHECKING:
     from .tracks import ContactTrack
     from .trajectory import Trajectory
 
+# Exit codes; the last one is that of shells.
 DONE, NOT_FINISHED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-
-_EVENTS_SHOWN = 20
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -141,7 +141,7 @@ def _summary(loaded: LoadedScene, run: Trajectory) -> None:
     print(f"{loaded.path}: {simulated:.6g} s simulated in {wall:.4g} s{rate}")
     print(f"status {run.status}: {run.message}")
     _table("counts", ({"number": value, "of": key} for key, value in stats.items() if key != "wall_time"))
-    shown = run.events[:_EVENTS_SHOWN]
+    shown = run.events[:EVENTS_SHOWN]
     _table("events", ({"t [s]": e.time, "contact": e.contact or "-", "kind": e.kind} for e in shown))
     if len(run.events) > len(shown):
         rest = Counter(event.kind for event in run.events[len(shown) :])
@@ -249,26 +249,25 @@ def _contact_data(contact: Contact) -> dict[str, Any]:
     return {**named, "pattern": pattern.name, **numbers, **law}
 
 
+# How parameters of friction laws are called, where not by their names, and their units.
+_LABELS = {"mu_static": "static"}
+_UNITS = {"speed": " m/s", "viscous": " N s/m", "spinning": " m", "rolling": " m"}
+
+
 def _friction(law: FrictionLaw | None) -> str:
     if law is None:
         return "none"
-    parts = ["no slip"]
-    if isinstance(law, (Coulomb, Stribeck)):
-        parts = [f"mu {_coefficient(law.mu)}"]
-        if law.mu_static is not None:
-            parts.append(f"static {_coefficient(law.mu_static)}")
-        if isinstance(law, Stribeck):
-            parts.append(f"Stribeck {law.speed:g} m/s")
-        if law.viscous > 0.0:
-            parts.append(f"viscous {law.viscous:g} N s/m")
-    parts += [
-        f"{name} {length:g} m" for name, length in vars(law).items() if name in ("spinning", "rolling") and length
-    ]
-    return ", ".join(parts)
+    parts = ["no slip"] if math.isinf(law.sliding) else []
+    given = {name: value for name, value in vars(law).items() if name == "mu" or value not in (None, 0.0)}
+    parts += [f"{_LABELS.get(name, name)} {_number(value)}{_UNITS.get(name, '')}" for name, value in given.items()]
+    return ", ".join(parts) or type(law).__name__
 
 
-def _coefficient(mu: float | tuple[float, float]) -> str:
-    return " x ".join(f"{value:g}" for value in (mu if isinstance(mu, tuple) else (mu,)))
+def _number(value: float | tuple[float, float] | str) -> str:
+    """A number, two of two directions, or a contour's name."""
+    if isinstance(value, str):
+        return repr(value)
+    return " x ".join(f"{number:g}" for number in (value if isinstance(value, tuple) else (value,)))
 
 
 if __name__ == "__main__":

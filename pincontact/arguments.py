@@ -14,6 +14,7 @@ from .errors import ArgumentError, ContactError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+# Counts have to fit into 64 bits, also when multiplied by a few.
 _LARGEST_COUNT = 10**18
 # What `real` and `real_array` raise.
 NOT_REAL = (TypeError, ValueError, OverflowError)

@@ -15,6 +15,8 @@ MODE_NAMES = {FREE: "open", FRICTIONLESS: "frictionless", STICK: "stick", SLIPPI
 
 # So many characters of names, and so many numbers of a vector, stand in a `repr`.
 _CHARACTERS, _NUMBERS = 70, 14
+# Rows of a run's table of events.
+EVENTS_SHOWN = 20
 
 
 def shortened(names: Iterable[str]) -> str:

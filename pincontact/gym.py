@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from .arguments import NOT_REAL, is_count, real_array
+from .arguments import NOT_REAL, is_count, real_array, reals
 from .errors import ArgumentError, MissingExtraError, SingularContactError, SolverError
 from .scene import Scene
 from .state import State, check_state
@@ -245,10 +245,7 @@ class ContactEnv(gymnasium.Env):
         return np.array(self._observe(self.stepper), dtype=np.float64)
 
     def _checked(self, action: Any) -> np.ndarray:
-        try:
-            parts = real_array(action)
-        except NOT_REAL:
-            raise ArgumentError(f"an action must be an array of numbers, got {action!r}") from None
+        parts = reals("an action must be an array of numbers", action)
         if parts.shape != self.action_space.shape:
             raise ArgumentError(f"an action must have shape {self.action_space.shape}, got {parts.shape}")
         if not np.isfinite(parts).all():

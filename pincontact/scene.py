@@ -360,7 +360,7 @@ class Scene(Assembly):
         first, second : AttachedContour or str
             Attached contours or their names, in any order; reported forces act on the second.
         friction : FrictionLaw, optional
-            Such as Coulomb(mu), Stribeck(mu, mu_static, speed) or NoSlip(); frictionless, if not given.
+            Such as Coulomb(mu); frictionless, if not given.
         bilateral : bool
             Whether the contact never opens; that of a point on a spatial curve never does.
         pattern : str, optional
@@ -391,7 +391,7 @@ class Scene(Assembly):
             raise ArgumentError(f"contact {name!r}: contour {a.name!r} cannot touch itself")
         if friction is not None and not isinstance(friction, FrictionLaw):
             raise ArgumentError(
-                f"contact {name!r}: friction must be None, Coulomb(mu), Stribeck(..) or NoSlip(), got {friction!r}"
+                f"contact {name!r}: friction must be None or a law such as Coulomb(mu), got {friction!r}"
             )
         if not isinstance(bilateral, (bool, np.bool_)):
             raise ArgumentError(f"contact {name!r}: bilateral must be True or False, got {bilateral!r}")

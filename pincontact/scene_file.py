@@ -35,7 +35,7 @@ from .arguments import warn_of_order
 from .contours import CallableMotion, Contour, HeightField, Motion
 from .errors import ArgumentError, MissingExtraError, SceneFileError
 from .expressions import CONSTANTS, FUNCTIONS, compiled
-from .friction.laws import Coulomb, FrictionLaw, NoSlip, Stribeck
+from .friction.laws import LAWS, FrictionLaw, NoSlip
 from .loaded_scene import LoadedScene
 from .scene import Scene
 from .scene_tables import (
@@ -316,13 +316,16 @@ def _friction(value: Any, constants: Mapping[str, float]) -> FrictionLaw | None:
         if not set(given) <= {"mu", "spinning", "rolling"}:
             raise Mismatch('mu = "no slip" with spinning and rolling at most')
         return NoSlip(**{key: as_number(number, constants) for key, number in given.items() if key != "mu"})
-    kind = Stribeck if "speed" in given else Coulomb
-    if "exponent" in given and kind is Coulomb:
-        raise Mismatch("speed, too, where there is an exponent")
-    if kind is Stribeck and "mu_static" not in given:
-        raise Mismatch("mu_static, too, where friction depends on speed")
-    if not set(given) <= set(inspect.signature(kind).parameters):
+    # the first law that takes all keys
+    for kind in LAWS:
+        takes = inspect.signature(kind).parameters
+        if set(given) <= set(takes):
+            break
+    else:
         raise Mismatch(_FRICTION)
+    missing = [key for key, taken in takes.items() if taken.default is taken.empty and key not in given]
+    if missing:
+        raise Mismatch(f"{' and '.join(missing)}, too, where there is {' and '.join(list(given)[1:])}")
     convert = {"along": as_text, "mu": _coefficient, "mu_static": _coefficient}
     try:
         options = {key: convert.get(key, as_number)(entry, constants) for key, entry in given.items()}

@@ -38,7 +38,7 @@ from .jit import compile_kernels
 from .progress import progress_bar
 from .records import Record
 from .scene import Scene
-from .solution import DenseOutput
+from .solution import DenseOutput, time_slack
 from .state import State, check_state
 from .system_cache import put_back, take_system
 from .trajectory import Trajectory
@@ -448,8 +448,7 @@ def _output_times(t_eval: ArrayLike | None, t: float, end: float) -> np.ndarray 
         return times
     if not np.isfinite(times).all():
         raise ArgumentError("t_eval has entries that are not finite")
-    # the end may be off by round-off, as from linspace
-    slack = 1e-12 * max(abs(t), abs(end), end - t)
+    slack = time_slack(t, end)
     if times.min() < t - slack or times.max() > end + slack:
         raise ArgumentError(f"t_eval must lie in [{t}, {end}], got [{times.min()}, {times.max()}]")
     if not ordered:

@@ -22,6 +22,11 @@ from .tracks import ContactTrack, evaluate_tracks
 _ROUND_OFF = 1e-12
 
 
+def time_slack(first: float, last: float) -> float:
+    """By how much in s times may be outside a run from first to last: that much is their round-off."""
+    return _ROUND_OFF * max(abs(first), abs(last))
+
+
 class Sample:
     """A run at one time, or at several: what `Trajectory.sol` returns.
 
@@ -104,7 +109,7 @@ class DenseOutput:
         if not len(self._pieces):
             raise ArgumentError("the run has made no step: there is no time at which it could be evaluated")
         low, high = self._pieces.range
-        slack = _ROUND_OFF * max(abs(low), abs(high))
+        slack = time_slack(low, high)
         if times.size and (times.min() < low - slack or times.max() > high + slack):
             raise ArgumentError(f"t must lie in [{low:.9g}, {high:.9g}], got {t!r}")
         clipped: np.ndarray = np.clip(times, low, high)

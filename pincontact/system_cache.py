@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 from .contacts import Contact
 from .cores import available_cores
 from .dynamics.joints import joint_limits
-from .friction.laws import Coulomb, NoSlip, Stribeck
+from .friction.laws import LAWS
 from .integration.run_system import RunSystem
 from .scene import Scene
 
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 # by works and resistances; not in the scene, whose copies must not share it. What is done to a deque is done at once,
 # also where other threads do it
 _cache: WeakKeyDictionary[Scene, dict[tuple[bool, bool], deque[CachedSystem]]] = WeakKeyDictionary()
-# laws that cannot be written to
-_CONSTANT_LAWS = (type(None), Coulomb, Stribeck, NoSlip)
 
 
 class CachedSystem:
@@ -76,7 +74,7 @@ def put_back(scene: Scene, cached: CachedSystem) -> None:
     """Keep it for the scene's next run; nobody may use its system any more."""
     # nothing of the user's is kept alive
     cached.system.before_evaluation()
-    if all(type(contact.friction) in _CONSTANT_LAWS for contact in cached.system.contacts):
+    if all(contact.friction is None or type(contact.friction) in LAWS for contact in cached.system.contacts):
         kept = _cache.setdefault(scene, {}).setdefault(cached.options, deque(maxlen=available_cores()))
         kept.append(cached)
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .errors import MissingExtraError
+from .tracks import is_bare
 
 if TYPE_CHECKING:
     import pandas
@@ -68,7 +69,7 @@ def run_to_xarray(run: Run) -> xarray.Dataset:
             columns = [np.pad(a, ((0, 0), (0, 2 - a.shape[1])), constant_values=np.nan) for a in columns]
         attributes = {"long_name": text} | ({"units": unit} if unit else {})
         variables[key] = (("t", "contact", *inner), np.stack(columns, axis=1), attributes)
-    energies = None if _is_bare(run) else run.energies()
+    energies = None if is_bare(run) else run.energies()
     for key, values in vars(energies).items() if energies is not None else ():
         if isinstance(values, np.ndarray):
             variables[key] = (("t",), values, {"units": "J"})
@@ -94,14 +95,9 @@ def run_to_pandas(run: Run) -> pandas.DataFrame:
     return package.DataFrame(columns, index=package.Index(run.t, name="t"))
 
 
-def _is_bare(run: Run) -> bool:
-    """Whether the run was read from a file without its scene."""
-    return run.scene.model.nq != run.q.shape[1]
-
-
 def _coordinate_names(run: Run, kind: str) -> list[str]:
     """Names of the entries of q or v: the joint's, with an index where it has several."""
-    if _is_bare(run):
+    if is_bare(run):
         return [str(i) for i in range((run.q if kind == "q" else run.v).shape[1])]
     model: pin.Model = run.scene.model
     names = []

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+import pinocchio as pin
 
 from .contacts import AttachedContour, Contact, characteristic_length
 from .display import MODE_NAMES, html_table
@@ -190,6 +191,21 @@ class Run(Protocol):
     def energies(self) -> Energies: ...
 
     def residuals(self) -> dict[str, np.ndarray]: ...
+
+
+def is_bare(run: Run) -> bool:
+    """Whether the run was read from a file without its scene."""
+    return bool(np.shape(run.q)[1] != run.scene.model.nq)
+
+
+def model_of(run: Run) -> pin.Model:
+    """The model of a run's scene; TrajectoryError for one without its scene."""
+    if is_bare(run):
+        raise TrajectoryError(
+            f"the run has configurations of {np.shape(run.q)[1]} numbers and its scene's model needs "
+            f"{run.scene.model.nq}; a run read from a file has to be given its scene: Trajectory.load(path, scene)"
+        )
+    return run.scene.model
 
 
 def evaluate_tracks(

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from .arguments import is_number
-from .display import html_table, shortened
+from .display import EVENTS_SHOWN, html_table, shortened
 from .dynamics.energy import energies_at
 from .energies import Energies
 from .errors import TrajectoryError, sentence
@@ -24,7 +24,7 @@ from .records import Recorded, joined
 from .scene import Scene
 from .solution import DenseOutput, Sample
 from .state import Correction, State
-from .tracks import ContactTrack, evaluate_tracks
+from .tracks import ContactTrack, evaluate_tracks, model_of
 
 if TYPE_CHECKING:
     import pandas
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 _FORMAT = 1
 # Of two runs in a row these counts are the larger one, others their sum.
 _LARGEST_STATS = ("cone_residual", "wall_time")
-# Rows of the table of events that a notebook shows.
-_EVENTS_SHOWN = 20
 
 
 class _Tracks(dict[str, ContactTrack]):
@@ -184,7 +182,7 @@ class Trajectory:
             ("contacts", shortened(self.contacts)),
             ("stats", ", ".join(f"{key} {value:.6g}" for key, value in self.stats.items() if is_number(value))),
         ]
-        shown = [(f"{e.time:.9g}", e.contact or e.joint or "", e.kind) for e in self.events[:_EVENTS_SHOWN]]
+        shown = [(f"{e.time:.9g}", e.contact or e.joint or "", e.kind) for e in self.events[:EVENTS_SHOWN]]
         rest = len(self.events) - len(shown)
         if rest:
             shown.append(("...", "", f"{rest} more"))
@@ -263,7 +261,7 @@ class Trajectory:
         """
         from .analysis.forces import joint_forces
 
-        model = self._model()
+        model = model_of(self)
         data = model.createData()
         pin.forwardKinematics(model, data, self.q[index])
         tracks = {name: self.contacts[name] for name in self.scene.contacts}
@@ -271,16 +269,6 @@ class Trajectory:
         forces = {name: track.force[index] for name, track in tracks.items()}
         torques = {name: track.torque[index] for name, track in tracks.items()}
         return joint_forces(model, data, self.scene.contacts.values(), points, forces, torques)
-
-    def _model(self) -> pin.Model:
-        """The scene's model. Raises TrajectoryError where a bare scene stands in for it (see `load`)."""
-        model = self.scene.model
-        if self.q.shape[1] != model.nq:
-            raise TrajectoryError(
-                f"the run has configurations of {self.q.shape[1]} numbers and its scene's model needs {model.nq}; a "
-                "run read from a file has to be given its scene: Trajectory.load(path, scene)"
-            )
-        return model
 
     def residuals(self) -> dict[str, np.ndarray]:
         """Worst constraint residual of all closed contacts at every output.
@@ -308,7 +296,7 @@ class Trajectory:
         TrajectoryError
             For a run that was read from a file without its scene.
         """
-        model, recorded = self._model(), self._recorded
+        model, recorded = model_of(self), self._recorded
         data = model.createData()
         found = np.array([energies_at(model, q, v, data) for q, v in zip(self.q, self.v)]).reshape(-1, 2)
         kinetic, potential = found.T

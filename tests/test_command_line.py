@@ -151,7 +151,7 @@ def test_info(capsys):
     [
         ("{mu = 0.3, mu_static = 0.4, viscous = 2}", "mu 0.3, static 0.4, viscous 2 N s/m"),
         ("{mu = [0.3, 0.5]}", "mu 0.3 x 0.5"),
-        ("{mu = 0.1, mu_static = 0.2, speed = 0.01}", "mu 0.1, static 0.2, Stribeck 0.01 m/s"),
+        ("{mu = 0.1, mu_static = 0.2, speed = 0.01}", "mu 0.1, static 0.2, speed 0.01 m/s, exponent 2"),
         ("{mu = 0.1, rolling = 1e-3}", "mu 0.1, rolling 0.001 m"),
         ("{mu = 'no slip', spinning = 1e-3}", "no slip, spinning 0.001 m"),
     ],

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import pincontact as pc
 from pincontact.dynamics import impact
 from pincontact.dynamics.energy import KEPT_ACCURACY
 from pincontact.dynamics.units import delassus
@@ -21,14 +22,12 @@ from pincontact.layout import (
     JOINT_INTS,
     MOTION_KIND,
     MU,
-    MU_FAST,
     OWNER,
     PATTERN,
     SCALING_11,
     SCALING_12,
     SCALING_22,
     SIDE_INTS,
-    STRIBECK_EXPONENT,
     STRIBECK_SPEED,
     TANGENTS,
     TIME_DEPENDENT,
@@ -286,7 +285,8 @@ def test_impulses_obey_the_laws_of_all_units(kept, seed):
 def test_coefficients_at_the_speed_before():
     system = colliding(2)
     assert impact._coefficient(system, 3) == system.contact_real[3, MU]
-    system.contact_real[:, [MU, MU_FAST, STRIBECK_SPEED, STRIBECK_EXPONENT]] = 0.6, 0.2, 0.5, 2.0
+    system.contact_real[:, STRIBECK_SPEED] = 0.5
+    system.contacts = [SimpleNamespace(friction=pc.Stribeck(0.2, 0.6, 0.5))] * 6
     for c, tangents in ((3, 2), (5, 1)):
         speed = np.linalg.norm(velocities_of(system)[c, :tangents])
         expected = 0.2 + 0.4 * math.exp(-((speed / 0.5) ** 2))

@@ -152,6 +152,19 @@ def test_constant_laws_of_users_are_evaluated():
     assert np.linalg.norm(force[:2]) == pytest.approx(0.2 * 9.81, rel=1e-13)
 
 
+class Renamed(Stribeck):
+    """The package's curve by another name."""
+
+
+def test_laws_that_only_derive_from_a_curve_have_it():
+    speed, law = 0.03, Renamed(0.1, 0.3, 0.02, 1.5)
+    scene = sliding_point(law)
+    force = pc.analyze(scene, scene.initial_state(np.zeros(3), [speed, 0.0, 0.0]))["foot"].force
+    # of 1 kg; a few ulp
+    expected = 9.81 * (0.1 + 0.2 * math.exp(-((speed / 0.02) ** 1.5)))
+    assert np.linalg.norm(force[:2]) == pytest.approx(expected, rel=1e-13)
+
+
 @pytest.mark.parametrize(
     "law", [OwnCurve(), OwnStribeck(0.1, 0.3, 0.02), OwnOnset()], ids=["curve", "Stribeck", "onset"]
 )

@@ -418,7 +418,11 @@ def test_outputs_follow_the_duration(tmp_path):
         ("friction = 0.4", "friction = 'sticky'", r"contacts\.touch\.friction: expected \"none\""),
         ("friction = 0.4", "friction = {mu = 1, static = 2}", r"contacts\.touch\.friction: expected \"none\""),
         ("friction = 0.4", "friction = {mu = 1, speed = 2}", r"contacts\.touch\.friction: expected mu_static, too"),
-        ("friction = 0.4", "friction = {mu = 1, exponent = 2}", r"contacts\.touch\.friction: expected speed, too"),
+        (
+            "friction = 0.4",
+            "friction = {mu = 1, exponent = 2}",
+            r"contacts\.touch\.friction: expected mu_static and speed, too",
+        ),
         ("friction = 0.4", "friction = {mu = [1, 2, 3]}", r"contacts\.touch\.friction: expected 2 numbers"),
         ("friction = 0.4", "friction = {mu = 'no slip', viscous = 1}", r"contacts\.touch\.friction: expected mu = .no"),
         (

@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from made_tableaux import free_dense, rooted_trees, sharp98_estimate
 
-from pincontact.integration.tableaux import rooted_trees, tableau
+from pincontact.integration.tableaux import tableau
 
 THETAS = np.array([0.1, 0.35, 0.6, 0.85])
 
@@ -75,10 +76,41 @@ def test_order_conditions(name, order):
         assert defects(pair, pair.a[end], order + 1, 1.0) > 1e-3
 
 
+@pytest.mark.parametrize("name", ["RK23", "RK45", "DOP853"])
+def test_pairs_are_those_of_scipy(name):
+    from scipy import integrate
+
+    pair, theirs = tableau(name), getattr(integrate, name)
+    n = theirs.n_stages
+    assert (pair.stages, pair.order, pair.error_order) == (n, theirs.order, theirs.error_estimator_order)
+    assert (pair.a[:n, : theirs.A.shape[1]] == theirs.A).all() and (pair.a[n, :n] == theirs.B).all()
+    assert (pair.c[:n] == theirs.C).all() and pair.c[n] == 1.0
+    if name == "DOP853":
+        assert (pair.a[n + 1 :] == theirs.A_EXTRA).all() and (pair.c[n + 1 :] == theirs.C_EXTRA).all()
+        assert (pair.errors[:, : n + 1] == [theirs.E5, theirs.E3]).all()
+        # Hairer's form: the difference, the slopes at both ends, and four combinations of all stages
+        ends = np.zeros((3, n + 5))
+        ends[0, -1], ends[1, -1], ends[2, -1] = 1.0, -1.0, 2.0
+        ends[1, 0], ends[2, 0], ends[2, n] = 1.0, -1.0, -1.0
+        assert (pair.dense[:3] == ends).all() and (pair.dense[3:, :-1] == theirs.D).all()
+    else:
+        assert (pair.errors[0] == theirs.E).all() and (pair.dense[:, :-1] == theirs.P.T).all()
+
+
+@pytest.mark.parametrize(("name", "further"), [("DOP853", 1), ("Sharp98", 2)])
+def test_free_interpolants_are_made_so(name, further):
+    pair = tableau(name)
+    given = pair.free_dense if name == "DOP853" else pair.dense
+    n = pair.stages + 1
+    # equations with singular values down to 1e-10 of the largest, solved by whatever LAPACK there is
+    np.testing.assert_allclose(given, free_dense(pair.a[:n, :n], 6, further), rtol=0.0, atol=1e-9)
+
+
 def test_estimate_of_sharp98():
     """A difference of two solutions of orders 9 and 6, from slopes known before the step's end is evaluated; a jump of
     the slope at any place in the step shows in it."""
     pair = tableau("Sharp98")
+    np.testing.assert_allclose(pair.errors[0], sharp98_estimate(pair.c), rtol=1e-13)
     estimate = pair.errors[0] / np.abs(pair.errors[0]).max()
     assert max(defects(pair, estimate, vertices, 0.0) for vertices in range(1, 7)) < 1e-13
     assert defects(pair, estimate, 7, 0.0) > 1e-3

@@ -12,7 +12,7 @@ import pincontact as pc
 from pincontact.integration import sign_changes
 from pincontact.integration.locator import EventLocator, _Sample, _Stretch
 from pincontact.integration.runge_kutta import RungeKutta
-from pincontact.integration.sign_changes import zero_between
+from pincontact.integration.sign_changes import asked_once, crossing_between, zero_between
 from pincontact.layout import NORMAL_EVENT
 
 ACCURACY = 1e-15
@@ -90,6 +90,31 @@ def test_zeros_at_the_ends():
         found, places = searched(function, low, high)
         assert found == pytest.approx(zero, abs=WIDTH)
         assert all(low <= place <= high for place in places) and len(places) <= 5
+
+
+def test_functions_are_asked_once():
+    """What answers otherwise the next time has one answer for each place; those that are known are not asked for."""
+    rng, places = np.random.default_rng(0), []
+
+    def noise(x):
+        places.append(x)
+        return rng.normal()
+
+    function = asked_once(noise, {0.0: 1.5, 1.0: -2.5})
+    answers = [function(x) for x in (0.0, 0.5, 1.0, 0.5, 0.25, 0.5)]
+    assert (answers[0], answers[2]) == (1.5, -2.5)
+    assert answers[1] == answers[3] == answers[5] != answers[4]
+    assert places == [0.5, 0.25]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "found"),
+    [(1.0, -1.0, 0.3), (1.0, 0.0, 0.9), (1.0, -math.inf, 0.9), (math.inf, -1.0, 0.9), (-math.inf, math.inf, 0.9)],
+)
+def test_crossings_of_what_is_infinite_or_zero_at_the_end(before, after, found):
+    """Infinite values do not say where between them a function crosses zero: it has at the end."""
+    place = crossing_between(lambda x: before if x < 0.3 else after, 0.1, 0.9, ACCURACY)
+    assert place == pytest.approx(found, abs=WIDTH)
 
 
 def test_the_bracket_holds_a_sign_change_and_shrinks():

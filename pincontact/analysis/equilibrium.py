@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..arguments import check_tolerance
+from ..arguments import check_tolerance, reals
 from ..display import Summary
 from ..dynamics.joints import check_joint_limits
 from ..errors import ArgumentError, SingularContactError, SolverError
 from ..scene import Scene
-from ..state import State, check_vector
+from ..state import State, check_finite
 from .actuation import actuation_matrix
 from .instant import ABOVE_NOISE, FIRST_STEP, Instant, jacobian
 from .symmetry import find_symmetries
@@ -21,11 +21,14 @@ from .symmetry import find_symmetries
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+# Steps of the search at most: damped ones are many where the residual is flat.
 _STEPS = 200
 # Directions in which the residual changes by less than this fraction of the largest change are left alone.
 _FLAT = 1e-8
 # Below this a residual that hardly shrinks is rounding.
 _STALLED = 1e-9
+# Nor is a step felt that is less than this part of the unknowns.
+_UNFELT = 1e-15
 _LEAST_DAMPING, _MOST_DAMPING = 1e-13, 1e6
 
 
@@ -218,7 +221,8 @@ def _search(
         parts.append(a)
         if conditions is not None:
             given = (q.copy(), v.copy()) if moves else (q.copy(),)
-            parts.append(_numbers("conditions", conditions(*given)))
+            found = reals("conditions must return numbers", conditions(*given)).ravel()
+            parts.append(check_finite("conditions", found))
         return np.concatenate(parts)
 
     speed = max(1.0, float(np.abs(instant.v).max(initial=0.0)))
@@ -280,14 +284,6 @@ def _solve(
         accepted()
         damping = damping / 10.0 if damping > _LEAST_DAMPING else 0.0
         # rounding is reached where steps are no longer felt, or help no longer
-        if stalled or float(np.abs(step).max()) <= 1e-15 * max(1.0, float(np.abs(x).max())):
+        if stalled or float(np.abs(step).max()) <= _UNFELT * max(1.0, float(np.abs(x).max())):
             return x, iteration + 1
     return x, _STEPS
-
-
-def _numbers(name: str, value: Any) -> np.ndarray:
-    try:
-        array = np.asarray(value, dtype=float).ravel()
-    except (TypeError, ValueError):
-        raise ArgumentError(f"{name} must return numbers, got {value!r}") from None
-    return check_vector(name, array, array.size)

@@ -17,7 +17,9 @@ from ..errors import SingularContactError, SolverError
 from ..geometry.carriers import ORIGIN
 from ..geometry.chart_changes import move_charts
 from ..geometry.patterns import ON_CURVE
+from ..integration.accuracy import REST
 from ..integration.discrete import write_discrete
+from ..integration.resolution import FORCE_ROUND_OFF
 from ..integration.results import FAILURES, SINGULAR_CONTACT, Stop
 from ..integration.run_system import RunSystem
 from ..integration.runge_kutta import RungeKutta
@@ -55,13 +57,10 @@ _LEVELS = 7
 FIRST_STEP = 0.1
 # Differences that are all below so many times their estimated errors are round-off: nothing changes.
 ABOVE_NOISE = 10.0
-# Forces below this fraction of the loads have no sign.
-_FORCE_ROUND_OFF = 1e-9
-# Joint velocities below this, absolute and relative to the largest, count as rest.
-_AT_REST = 1e-9
 # The part of a step of differences over which it is found how fast slip changes along it.
 _PROBE = 1e-5
-_PROJECTIONS = 20
+# Projections of a configuration at most, until gaps are less than this part of the natural length.
+_PROJECTIONS, _CLOSED = 20, 1e-13
 
 
 def derivative(f: Callable[[float], np.ndarray], step: float, levels: int = _LEVELS) -> tuple[np.ndarray, float]:
@@ -187,7 +186,7 @@ class Instant:
 
     @property
     def _rest_speed(self) -> float:
-        return _AT_REST * (1.0 + float(np.abs(self.v).max(initial=0.0)))
+        return REST * (1.0 + float(np.abs(self.v).max(initial=0.0)))
 
     # ---------------------------------------------------------------- evaluation
 
@@ -268,7 +267,7 @@ class Instant:
         sticks = (system.contact_int[:, MODE] == STICK) & np.isfinite(system.contact_real[:, MU_STATIC])
         margins, joints = np.where(sticks, friction, math.inf), slice(system.nc, system.nc + system.ng)
         margins[joints] = np.minimum(friction, normal)[joints]
-        least = _FORCE_ROUND_OFF * float(np.abs([system.bias_forces, self.tau]).max(initial=0.0))
+        least = FORCE_ROUND_OFF * float(np.abs([system.bias_forces, self.tau]).max(initial=0.0))
         return [self._name(i) for i in dict.fromkeys(item for item, _ in constrained) if margins[i] < least]
 
     def _name(self, item: int) -> str:
@@ -348,7 +347,7 @@ class Instant:
         for _ in range(_PROJECTIONS):
             self.evaluate(q, v)
             gaps = self.gaps(holonomic)
-            if np.abs(gaps).max(initial=0.0) <= 1e-13 * self.length:
+            if np.abs(gaps).max(initial=0.0) <= _CLOSED * self.length:
                 break
             q = self.moved(-self._shortest_change(holonomic, gaps), q)
         else:
@@ -418,7 +417,7 @@ class Instant:
         system = self.system
         items = [*system.closed(), *system.resisting(), *(system.nc + g for g in system.held())]
         margins = system.event_functions[items][:, [NORMAL_EVENT, FRICTION_EVENT]]
-        slack = _FORCE_ROUND_OFF * max(1.0, float(np.abs(system.bias_forces).max(initial=0.0)))
+        slack = FORCE_ROUND_OFF * max(1.0, float(np.abs(system.bias_forces).max(initial=0.0)))
         return bool((margins >= -slack).all())
 
     def driven(self) -> bool:

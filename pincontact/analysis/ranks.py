@@ -12,10 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-# Directions of unit size that combine to less than this are dependent.
-RANK_TOLERANCE = 1e-9
-# Rows of a contact are known to this part of their size.
-PRECISION = 1e-13
+from ..constraints.kinematics import ROW_ROUND_OFF
+from ..dynamics.units import REDUNDANT
 
 
 class Directions:
@@ -24,10 +22,10 @@ class Directions:
     precision: to which part of their sizes they are known.
     """
 
-    def __init__(self, columns: np.ndarray, sizes: np.ndarray, precision: float = PRECISION) -> None:
+    def __init__(self, columns: np.ndarray, sizes: np.ndarray, precision: float = ROW_ROUND_OFF) -> None:
         self._sizes = np.where(sizes > 0.0, sizes, 1.0)
         left, values, right = np.linalg.svd(columns / self._sizes)
-        rank = int((values > max(RANK_TOLERANCE, precision)).sum())
+        rank = int((values > max(REDUNDANT, precision)).sum())
         self._left, self._values, self._right = left[:, :rank], values[:rank], right[:rank].T
         # (n, n - rank) orthonormal: what is orthogonal to all of them
         self.complement = left[:, rank:]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from ..arguments import NOT_REAL, real_array
+from ..arguments import reals
 from ..errors import ArgumentError, StateError
 from ..state import check_vector
 
@@ -85,10 +85,7 @@ class TaskReader:
 
 def _weights(what: str, given: npt.ArrayLike, size: int) -> np.ndarray:
     """(size,) weights from one number or as many."""
-    try:
-        array = real_array(given)
-    except NOT_REAL:
-        raise ArgumentError(f"{what} must be numbers, got {given!r}") from None
+    array = reals(f"{what} must be numbers", given)
     if array.shape not in ((), (size,)):
         raise StateError(f"{what} must be one number or {size}, got shape {array.shape}")
     if not (np.isfinite(array) & (array >= 0.0)).all():

@@ -72,9 +72,10 @@ from ..workspace import reals_at
 
 # rows of the scratch array `vectors` after those of `geometry.location`; NORMAL_RATE: n', see `acceleration_bias`
 _A, _B, _C, _D, NORMAL_RATE = range(FREE_VECTORS, FREE_VECTORS + 5)
-# Rows with a larger entry are not looked at; others are round-off where they are below this part of their terms.
+# Rows with a larger entry are not looked at for round-off.
 _SMALL_ROW = 1e-9
-_ROW_ROUND_OFF = 1e-13
+# What rounding leaves of a contact's row whose terms cancel, as a part of these, with a margin.
+ROW_ROUND_OFF = 1e-13
 
 
 @kernel
@@ -418,7 +419,7 @@ def drop_round_off(system, c, number):
             entry = system.jacobian[system.support[side, index]]
             for i in range(3):
                 size = max(size, max(abs(entry[i]), reach * abs(entry[3 + i])))
-    if largest <= _ROW_ROUND_OFF * size:
+    if largest <= ROW_ROUND_OFF * size:
         for k in range(system.sizes.nv):
             row[k] = 0.0
 

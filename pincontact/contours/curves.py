@@ -16,6 +16,7 @@ from .evaluation import contour_kernel
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+# A domain in rad that is longer than a turn by no more than round-off is a whole one.
 _WHOLE = 2.0 * math.pi * (1.0 + 1e-14)
 # A contact comes to an end so far from a cusp, rad, since u' grows without bound towards it. What is left of the arch
 # is of the order of its square.

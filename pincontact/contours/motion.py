@@ -41,6 +41,8 @@ _LEAST_OVERLAP = 0.1
 _SIGN_TIMES = 2000
 # Derivatives are wrong if they are off by this part of their size: wrong axes or signs, no digits.
 _WRONG = 1e-2
+# Half the time in s over which differences are taken for that, and what rounding leaves of them, in m/s and rad/s.
+_DIFFERENCE, _DIFFERENCE_ERROR = 1e-5, 1e-4
 
 
 class Motion(Written):
@@ -290,7 +292,7 @@ class SplineMotion(Motion):
             placements += placements[:1]
         t = array(owner, "times", times, len(placements))
         values = np.array([_coordinates(pose) for pose in placements]).reshape(-1, 7)
-        _connect(values[:, 3:])
+        values[:, 3:] = connected(values[:, 3:])
         overlaps = _overlaps(values[:, 3:])
         i = int(np.argmin(overlaps)) if len(overlaps) else 0
         if len(overlaps) and overlaps[i] < _LEAST_OVERLAP:
@@ -386,7 +388,7 @@ class CallableMotion(Motion):
 
     def _check(self, t: float) -> None:
         """Compare the derivatives with differences of the pose: catches wrong axes and signs, not digits."""
-        h = 1e-5
+        h = _DIFFERENCE
         before, here, after = self.evaluate(t - h), self.evaluate(t), self.evaluate(t + h)
         turn = after[:9].reshape(3, 3) @ before[:9].reshape(3, 3).T
         changes = [after[9:12] - before[9:12], pin.log3(turn), after[12:18] - before[12:18]]
@@ -394,7 +396,7 @@ class CallableMotion(Motion):
         names = np.repeat(["velocity", "angular velocity", "acceleration", "angular acceleration"], 3)
         for i, (found, value) in enumerate(zip(here[12:], expected)):
             size = np.abs(expected[3 * (i // 3) : 3 * (i // 3) + 3]).max()
-            if not abs(found - value) <= _WRONG * size + 1e-4:
+            if not abs(found - value) <= _WRONG * size + _DIFFERENCE_ERROR:
                 raise ContourError(
                     f"CallableMotion: {names[i]}[{i % 3}] of f({t}) is {found}, but differences give {value} "
                     "(carrier axes, acceleration as second derivative of the position)"
@@ -421,16 +423,16 @@ def _overlaps(quaternions: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", quaternions[1:], quaternions[:-1])
 
 
-def _connect(quaternions: np.ndarray) -> None:
-    """Choose the signs of quaternions (n, 4), of which both are the same rotation, so that neighbours are near."""
-    quaternions[1:] *= np.cumprod(np.where(_overlaps(quaternions) < 0.0, -1.0, 1.0))[:, None]
+def connected(quaternions: np.ndarray) -> np.ndarray:
+    """The same rotations (n, 4) with signs such that neighbours have a non-negative product."""
+    signs = np.cumprod(np.where(_overlaps(quaternions) < 0.0, -1.0, 1.0))
+    return quaternions * np.concatenate([[1.0], signs])[:, None]
 
 
 def _continued(coordinates: Callable[[float], np.ndarray], first: float, last: float) -> Callable[[float], np.ndarray]:
     """Coordinates of a pose with the quaternion's sign continued from the first time."""
     times = np.linspace(first, last, _SIGN_TIMES)
-    grid = np.array([coordinates(float(t))[3:] for t in times])
-    _connect(grid)
+    grid = connected(np.array([coordinates(float(t))[3:] for t in times]))
 
     def continued(t: float) -> np.ndarray:
         values = coordinates(t)

@@ -36,6 +36,14 @@ if TYPE_CHECKING:
 _CAPS, _REACHES, _PROFILE = 0, 2, 4
 
 
+# A profile whose end is nearer to the axis than this part of its size meets it: rounding of the user's sines.
+_ON_AXIS = 1e-12
+# It meets it tangentially where r grows by less than this part of its size over the cap, and in an apex where its slope
+# dz/dr is larger than this.
+_TANGENTIAL, _APEX = 1e-6, 1e-9
+# A body with less than this part of the volume that its profile could bound is a disk, which has no outside. A surface
+# is convex if its curvatures are, up to this part of the largest.
+_FLAT, _BENT = 1e-6, 1e-12
 # The cap chart is entered this part of the profile away from the pole, and left at LEAVE_FACTOR times that.
 _ENTER = 0.25
 _LEAVE_FACTOR = 1.6
@@ -116,7 +124,7 @@ class SurfaceOfRevolution(Contour):
             )
         size = float(np.abs(rows[:, 0]).max())
         r = rows[:, 0, 0]
-        poles = [not periodic and abs(r[end]) <= 1e-12 * size for end in (0, -1)]
+        poles = [not periodic and abs(r[end]) <= _ON_AXIS * size for end in (0, -1)]
         off_axis = r > 0.0
         off_axis[[end for end, pole in zip((0, -1), poles) if pole]] = True
         if not off_axis.all():
@@ -168,7 +176,7 @@ def _spline_profile(
     if periodic:
         points = np.concatenate([points, points[:1]])
     s = chords(f"{owner} (profile)", points)
-    touches = [not periodic and points[end, 0] <= 1e-12 * np.abs(points).max() for end in (0, -1)]
+    touches = [not periodic and points[end, 0] <= _ON_AXIS * np.abs(points).max() for end in (0, -1)]
     points[[end for end, touch in zip((0, -1), touches) if touch], 0] = 0.0
     mirrored = np.column_stack([-points[:, 0], points[:, 1]])
     high = s[-1]
@@ -187,9 +195,9 @@ def _spline_profile(
 def _cap(owner: str, curve: Contour, end: float, towards: float, reach: float, size: float) -> tuple[np.ndarray, float]:
     """Pool of (g, k) as functions of d^2 around the pole at s = end, and the d^2 up to which they hold."""
     r_1, z_1 = curve.evaluate(end)[F_1, :2]
-    if not abs(r_1) * reach > 1e-6 * size:
+    if not abs(r_1) * reach > _TANGENTIAL * size:
         raise ContourError(f"{owner}: the profile reaches the axis tangentially at s = {end}: dr/ds = {r_1}")
-    if abs(z_1) > 1e-9 * abs(r_1):
+    if abs(z_1) > _APEX * abs(r_1):
         raise ContourError(
             f"{owner}: the surface has an apex at s = {end}: the profile meets the axis with slope "
             f"dz/dr = {z_1 / r_1}, not 0; end the domain before it"
@@ -243,7 +251,7 @@ def _outward(rows: np.ndarray, s: np.ndarray) -> float:
     r, z_1, r_1 = rows[:, 0, 0], rows[:, 1, 1], rows[:, 1, 0]
     volume = float(np.trapezoid(r * r * z_1, s))
     scale = float(np.trapezoid(r * r * np.hypot(r_1, z_1), s))
-    if abs(volume) > 1e-6 * scale:
+    if abs(volume) > _FLAT * scale:
         return math.copysign(1.0, volume)
     return -math.copysign(1.0, float(r_1.sum()))
 
@@ -253,7 +261,7 @@ def _convex(rows: np.ndarray, hand: float) -> int:
     (r, _), (r_1, z_1), (r_11, z_11) = (rows[:, i].T for i in range(3))
     along, around = hand * (z_1 * r_11 - r_1 * z_11), -hand * z_1 * r
     scale = np.abs(along).max() + np.abs(around).max()
-    return 1 if max(along.max(), around.max()) <= 1e-12 * scale else 0
+    return 1 if max(along.max(), around.max()) <= _BENT * scale else 0
 
 
 @kernel

@@ -54,6 +54,18 @@ from .sliding import is_held_up, resists_viscously, shares_viscous_force, slip_d
 JAM_LIMIT = 1e-6
 
 
+# Those that are forces, in N or N m; all others are ways in m or rad, or their speeds.
+FORCE_EVENTS = (NORMAL_EVENT, FRICTION_EVENT)
+
+
+@kernel
+def cleared(value):
+    """An item's event functions, none of which ends its mode."""
+    for i in range(EVENTS_PER_CONTACT):
+        value[i] = 1.0
+    return value
+
+
 @kernel
 def status_of(value):
     """EVENT where one of an item's event functions is negative."""
@@ -73,9 +85,7 @@ def joint_event_functions(system):
     status, nc = OK, system.sizes.nc
     for g in range(system.joint_count[0]):
         i, limit, numbers = nc + g, system.joint_int[g], system.joint_real[g]
-        value, position, force = system.event_functions[i], system.gaps[i, 0], system.force[i, 2]
-        for k in range(EVENTS_PER_CONTACT):
-            value[k] = 1.0
+        value, position, force = cleared(system.event_functions[i]), system.gaps[i, 0], system.force[i, 2]
         if system.contact_int[i, MODE] == FREE:
             if numbers[LOW_END] > -math.inf:
                 value[GAP_EVENT] = position - numbers[LOW_END]
@@ -103,11 +113,9 @@ def contact_event_functions(system):
         integers, numbers, value, force = (
             system.contact_int[c],
             system.contact_real[c],
-            system.event_functions[c],
+            cleared(system.event_functions[c]),
             system.force,
         )
-        for i in range(EVENTS_PER_CONTACT):
-            value[i] = 1.0
         if integers[MODE] == FREE:
             value[GAP_EVENT] = system.gaps[c, 0]
         else:
@@ -129,9 +137,7 @@ def resistance_event_functions(system, first, total):
     """Event functions of the resistances to turning, items first .. total, whose loads are their contacts'."""
     status, contact_int = OK, system.contact_int
     for i in range(first, total):
-        value = system.event_functions[i]
-        for k in range(EVENTS_PER_CONTACT):
-            value[k] = 1.0
+        value = cleared(system.event_functions[i])
         friction_event_functions(system, i, size_of_load(contact_int, system.force, contact_int[i, OWNER]))
         status = max(status, status_of(value))
     return status

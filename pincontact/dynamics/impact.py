@@ -16,16 +16,13 @@ import numpy as np
 from ..friction.cone import SLIP
 from ..friction.loads import LARGE_FRICTION, TOLERANCE
 from ..friction.solve import ContactSolver
-from ..friction.stribeck import stribeck
 from ..layout import (
     JOINT_END,
     MODE,
     MOTION_KIND,
     MU,
-    MU_FAST,
     MU_STATIC,
     STICK,
-    STRIBECK_EXPONENT,
     STRIBECK_SPEED,
     TANGENTS,
     TIME_DEPENDENT,
@@ -180,4 +177,6 @@ def _coefficient(system: System, c: int) -> float:
     if numbers[STRIBECK_SPEED] == 0.0:
         return float(numbers[MU])
     speed = float(np.linalg.norm(system.basis[c, : system.contact_int[c, TANGENTS]] @ system.slip[c]))
-    return stribeck(numbers[MU], numbers[MU_FAST], numbers[STRIBECK_SPEED], numbers[STRIBECK_EXPONENT], speed)
+    law = system.contacts[c].friction
+    assert law is not None
+    return float(law.coefficient(speed))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..constraints.kinematics import ROW_ROUND_OFF
 from ..layout import (
     EVENT,
     FRICTIONLESS,
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 # Stick that leaves more than this part of the relative acceleration that it has to end cannot be: its rows vanish, or
 # other constraints take their place. Exact solutions leave round-off, such ones all of it.
 _UNHELD = 1e-6
-# Rounding of a row per m of its arms, with a margin.
-_ROUNDING = 1e-13
 # What stick may take from the velocity, in the mass metric: this part of it, and this many absolute tolerances: so far
 # is slip that counts as ended from zero.
 _TAKEN, _TAKEN_TOLERANCES = 1e-3, 1e4
@@ -86,7 +85,7 @@ class PassingSlip:
             rate = (sizes @ np.abs(system.free_acceleration) + np.abs(system.bias[c])).max() + turning
             # and not by round-off of rows that are zero
             most = np.abs(system.free_acceleration).max() + np.abs(system.v).max() ** 2
-            rounding = _ROUNDING * max(system.contact_real[c, LENGTH], 1.0) * most
+            rounding = ROW_ROUND_OFF * max(system.contact_real[c, LENGTH], 1.0) * most
             if np.abs(left).max() > max(_UNHELD * rate, rounding):
                 return c
         index, whitened = system.row_index[:count], system.whitened_rows[:count]

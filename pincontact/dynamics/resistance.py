@@ -10,15 +10,12 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
-from ..constraints.kinematics import NORMAL_RATE, add_rotation_row
+from ..constraints.kinematics import NORMAL_RATE, ROW_ROUND_OFF, add_rotation_row
 from ..geometry.carriers import ALPHA, OMEGA
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
 from ..jit import CALLED, INTEGER, NOTHING, kernel
 from ..layout import FREE, MODE, OWNER, PATTERN, ROLLING_ROW, SPINNING_ROW, SUPPORT_SIZE, SYSTEM, TANGENTS
-
-# Angular velocities per unit of a joint's below this are round-off.
-_ROUND_OFF = 1e-13
 
 
 @kernel
@@ -55,7 +52,7 @@ def drop_unturned(row, nv):
     """Zero a row (nv,) of an angular velocity, sums of two cosines, of which only round-off is left: no joint turns the
     bodies about its axis."""
     for k in range(nv):
-        if abs(row[k]) > _ROUND_OFF:
+        if abs(row[k]) > ROW_ROUND_OFF:
             return
     for k in range(nv):
         row[k] = 0.0

@@ -14,7 +14,6 @@ from ..contacts import characteristic_length
 from ..contours.motion import MOTION_CALLABLE, MOTION_NONE, MOTION_TWIST, motion_at
 from ..contours.sizes import DERIVATIVE_ROWS, MOTION_PARAMETERS, MOTION_SIZE, SHAPE_SIZE
 from ..errors import FrictionError, UnusableResult
-from ..friction.laws import FrictionLaw, Stribeck
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import NO_CLOSED_FORM, closed_form
 from ..geometry.patterns import NO_NORMAL
@@ -73,8 +72,6 @@ from ..layout import (
     SPINNING,
     SPINNING_ROW,
     START_SPEED,
-    STRIBECK_EXPONENT,
-    STRIBECK_SPEED,
     SUPPORT_SIZE,
     SYSTEM,
     TANGENTS,
@@ -510,9 +507,9 @@ def _map_friction(contact: Contact, integers: np.ndarray, numbers: np.ndarray) -
     numbers[ASPECT] = numbers[SCALING_11] = numbers[SCALING_22] = 1.0
     if law is None:
         return
-    # laws whose coefficient the kernels evaluate as a function of speed: Stribeck and what only derives from it
-    curve = Stribeck if isinstance(law, Stribeck) else FrictionLaw
-    if type(law).coefficient is not curve.coefficient or (curve is FrictionLaw and law.onset != law.sliding):
+    # kernels compute the coefficient of the class that says by which curve
+    curve, known = law.curve, next(kind for kind in type(law).__mro__ if "curve" in vars(kind))
+    if type(law).coefficient is not vars(known).get("coefficient") or (not curve and law.onset != law.sliding):
         raise FrictionError(
             f"contact {contact.name!r}: no kernel computes the coefficient of {type(law).__name__}, which depends on "
             "slip speed"
@@ -520,8 +517,8 @@ def _map_friction(contact: Contact, integers: np.ndarray, numbers: np.ndarray) -
     numbers[MU] = numbers[MU_NOW] = law.onset
     numbers[MU_FAST], numbers[MU_STATIC] = law.sliding, law.sticking
     numbers[VISCOUS], numbers[SPINNING], numbers[ROLLING] = law.viscous, law.spinning, law.rolling
-    if isinstance(law, Stribeck):
-        numbers[STRIBECK_SPEED], numbers[STRIBECK_EXPONENT] = law.speed, law.exponent
+    for column, number in curve.items():
+        numbers[column] = number
     if law.aspect != 1.0:
         # body 2's first tangent is the basis' first vector
         integers[ANISOTROPIC] = ALONG_BODY_1 if law.along == contact.body1.name else ALONG_BODY_2

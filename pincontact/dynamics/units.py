@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .system import System
 
 # Equations that combine to less than this, relative to their size, are redundant, and of units what they leave of less.
-_REDUNDANT = 1e-9
+REDUNDANT = 1e-9
 
 
 def whiten(system: System, row: np.ndarray) -> np.ndarray:
@@ -140,17 +140,17 @@ class ContactProblem:
         self.equations = np.array([whiten(system, system.rows[c, row]) for c, row in equations]).reshape(-1, nv)
         if equations:
             left, singular, right = np.linalg.svd(self.equations, full_matrices=False)
-            kept = singular > _REDUNDANT * singular[0]
+            kept = singular > REDUNDANT * singular[0]
             basis = right[kept]
             self.multipliers = left[:, kept] / singular[kept] @ basis
             self.start = -np.array([self.relative(c, [row])[0] for c, row in equations]) @ self.multipliers
             self.base += self.stack.T @ self.start
             self.reduced = self.stack - basis.T @ (basis @ self.stack)
             # what equations decide is what they leave to round-off
-            decided = np.linalg.norm(self.reduced, axis=0) <= _REDUNDANT * np.linalg.norm(self.stack, axis=0)
+            decided = np.linalg.norm(self.reduced, axis=0) <= REDUNDANT * np.linalg.norm(self.stack, axis=0)
             self.reduced[:, decided] = 0.0
             terms = np.abs(self.before) + np.abs(self.stack).T @ np.abs(self.start)
-            self.base[decided & (np.abs(self.base) <= _REDUNDANT * terms)] = 0.0
+            self.base[decided & (np.abs(self.base) <= REDUNDANT * terms)] = 0.0
             self.impossible = bool((self.base[2::3] < 0.0)[decided[2::3]].any())
         self.gram, self.weights = delassus(self.reduced)
 

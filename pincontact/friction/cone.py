@@ -47,6 +47,8 @@ RANK_TOLERANCE = 1e-12
 # Directions in which a single contact may slip, at most.
 CANDIDATES = 12
 HUGE = 1e300
+# Scaled forces beyond this have left for infinity, where no solution is.
+ESCAPED = 1e6
 # Outside this range a cone is too flat or too steep to tell modes by; Newton uses the true coefficient.
 LEAST_FRICTION, LARGEST_FRICTION = 1e-6, 1e2
 

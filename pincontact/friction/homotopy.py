@@ -19,6 +19,7 @@ from ..arrays import view
 from ..jit import INTEGER, REAL, SEVERAL, entry_kernel, kernel
 from ..linalg import least_norm
 from .cone import (
+    ESCAPED,
     HUGE,
     LARGEST_FRICTION,
     LEAST_FRICTION,
@@ -32,8 +33,6 @@ CORRECTIONS = 5
 # The first step, in units of f and of the logarithm of t; how much longer the next may be than one that took so many
 # corrections; how much shorter the next try than one that took too many.
 FIRST_STEP, LONGER, SHORTER = 0.1, (4.0, 2.5, 1.5, 1.0, 0.7), 0.4
-# Scaled forces beyond this have left for infinity, where no solution is.
-ESCAPED = 1e6
 # Steps below the first, or below the round-off of x, lead nowhere.
 SHORTEST_STEP, ROUND_OFF_STEP = 1e-8, 1e-13
 # Of the terms that cancel in y.

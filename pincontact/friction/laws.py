@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ..arguments import NOT_REAL, real
 from ..errors import FrictionError
+from ..layout import STRIBECK_EXPONENT, STRIBECK_SPEED
 from .stribeck import stribeck
 
 # Static coefficients of two directions are in the proportion of the sliding ones, to round-off of what users type.
@@ -118,6 +119,14 @@ class FrictionLaw(ABC):
         """
         return np.full(np.shape(speed), self.sliding)
 
+    @property
+    def curve(self) -> dict[int, float]:
+        """What kernels know of a coefficient that depends on slip speed, by column of `contact_real`; empty for others.
+
+        `STRIBECK_SPEED` is the speed in m/s over which the coefficient changes, whatever the curve.
+        """
+        return {}
+
     def _set_resistances(self) -> None:
         """Check and convert the parameters that all laws share."""
         owner = type(self).__name__
@@ -127,27 +136,47 @@ class FrictionLaw(ABC):
             raise FrictionError(f"{owner}: along must be the name of a contour, got {self.along!r}")
 
 
-def _set_coefficients(law: Any) -> None:
-    """Check and convert mu and mu_static of a law that has them."""
-    owner = type(law).__name__
-    mu = _coefficient(owner, "mu", law.mu)
-    object.__setattr__(law, "mu", mu)
-    if law.along is not None and not isinstance(mu, tuple):
-        raise FrictionError(f"{owner}: along={law.along!r} needs mu=(along, across), got mu={mu}")
-    if law.mu_static is None:
-        return
-    static = _coefficient(owner, "mu_static", law.mu_static)
-    object.__setattr__(law, "mu_static", static)
-    if isinstance(mu, tuple) != isinstance(static, tuple):
-        raise FrictionError(f"{owner}: mu and mu_static must both be numbers or both be pairs, got {mu} and {static}")
-    if not isclose(_first(static) * _last(mu), _last(static) * _first(mu), rel_tol=_PROPORTION):
-        raise FrictionError(f"{owner}: mu_static must be in the proportion of mu, got {static} and {mu}")
-    if _first(static) < _first(mu):
-        raise FrictionError(f"{owner}: mu_static must not be below mu, got {static} < {mu}")
+class _Dry(FrictionLaw):
+    """Friction with a coefficient of sliding and one of sticking, which may be those of two directions."""
+
+    mu: Coefficient
+    mu_static: Coefficient | None
+
+    def _set_coefficients(self) -> None:
+        """Check and convert mu and mu_static."""
+        owner = type(self).__name__
+        mu = _coefficient(owner, "mu", self.mu)
+        object.__setattr__(self, "mu", mu)
+        if self.along is not None and not isinstance(mu, tuple):
+            raise FrictionError(f"{owner}: along={self.along!r} needs mu=(along, across), got mu={mu}")
+        if self.mu_static is None:
+            return
+        static = _coefficient(owner, "mu_static", self.mu_static)
+        object.__setattr__(self, "mu_static", static)
+        if isinstance(mu, tuple) != isinstance(static, tuple):
+            raise FrictionError(
+                f"{owner}: mu and mu_static must both be numbers or both be pairs, got {mu} and {static}"
+            )
+        if not isclose(_first(static) * _last(mu), _last(static) * _first(mu), rel_tol=_PROPORTION):
+            raise FrictionError(f"{owner}: mu_static must be in the proportion of mu, got {static} and {mu}")
+        if _first(static) < _first(mu):
+            raise FrictionError(f"{owner}: mu_static must not be below mu, got {static} < {mu}")
+
+    @property
+    def sliding(self) -> float:
+        return _first(self.mu)
+
+    @property
+    def sticking(self) -> float:
+        return _first(self.mu if self.mu_static is None else self.mu_static)
+
+    @property
+    def aspect(self) -> float:
+        return _last(self.mu) / _first(self.mu) if isinstance(self.mu, tuple) else 1.0
 
 
 @dataclass(frozen=True)
-class Coulomb(FrictionLaw):
+class Coulomb(_Dry):
     """Dry friction (Sec. 5.3): stick while |F_t| <= mu_static F_n, else F_t = -mu F_n v_t / |v_t|.
 
     mu = (mu_1, mu_2), both positive, is friction of two directions, along a tangent and across it: stick while
@@ -195,23 +224,11 @@ class Coulomb(FrictionLaw):
 
     def __post_init__(self) -> None:
         self._set_resistances()
-        _set_coefficients(self)
-
-    @property
-    def sliding(self) -> float:
-        return _first(self.mu)
-
-    @property
-    def sticking(self) -> float:
-        return self.sliding if self.mu_static is None else _first(self.mu_static)
-
-    @property
-    def aspect(self) -> float:
-        return _last(self.mu) / _first(self.mu) if isinstance(self.mu, tuple) else 1.0
+        self._set_coefficients()
 
 
 @dataclass(frozen=True)
-class Stribeck(FrictionLaw):
+class Stribeck(_Dry):
     """Dry friction that falls from mu_static to mu as slip gets faster (Bo and Pavelescu's form of Stribeck's curve).
 
     Slip at speed s is opposed by F_n (mu + (mu_static - mu) exp(-(s / speed)^exponent)): slip starts with the force
@@ -255,7 +272,7 @@ class Stribeck(FrictionLaw):
         self._set_resistances()
         if self.mu_static is None:
             raise FrictionError("Stribeck: mu_static must be a number, got None")
-        _set_coefficients(self)
+        self._set_coefficients()
         for name in ("speed", "exponent"):
             object.__setattr__(self, name, _number("Stribeck", name, getattr(self, name)))
         if self.speed == 0.0:
@@ -264,20 +281,12 @@ class Stribeck(FrictionLaw):
             raise FrictionError(f"Stribeck: exponent must lie in {list(_EXPONENTS)}, got {self.exponent}")
 
     @property
-    def sliding(self) -> float:
-        return _first(self.mu)
-
-    @property
-    def sticking(self) -> float:
-        return _first(self.mu_static)
-
-    @property
     def onset(self) -> float:
         return self.sticking
 
     @property
-    def aspect(self) -> float:
-        return _last(self.mu) / _first(self.mu) if isinstance(self.mu, tuple) else 1.0
+    def curve(self) -> dict[int, float]:
+        return {STRIBECK_SPEED: self.speed, STRIBECK_EXPONENT: self.exponent}
 
     def coefficient(self, speed: npt.ArrayLike) -> np.ndarray:
         law = np.vectorize(stribeck, otypes=[float])
@@ -319,3 +328,7 @@ class NoSlip(FrictionLaw):
     @property
     def sliding(self) -> float:
         return inf
+
+
+# All laws of the package; they cannot be written to.
+LAWS: tuple[type[FrictionLaw], ...] = (Coulomb, Stribeck, NoSlip)

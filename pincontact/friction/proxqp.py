@@ -59,7 +59,7 @@ import numpy as np
 from ..arrays import view
 from ..jit import REAL, SEVERAL, entry_kernel, kernel
 from ..linalg import factor_definite, inner, solve_definite
-from .cone import HUGE, LARGEST_FRICTION, natural_map_residual, respond, scale_problem
+from .cone import ESCAPED, HUGE, LARGEST_FRICTION, natural_map_residual, respond, scale_problem
 
 # Programs per beginning, and the beginnings: how much of the normal forces that contacts would have alone, the proximal
 # term per residual, and from which cosine of two changes on they count as a series (2: never).
@@ -73,8 +73,6 @@ CURVATURE = 1e3
 # the least; and how many times the last change a series may sum to.
 BACKWARDS, LESS, MORE, LEAST_STEP = -0.2, 0.6, 1.2, 0.1
 REACH = 30.0
-# Scaled forces beyond this have left for infinity, where no solution is.
-ESCAPED = 1e6
 # ProxQP's accuracy, and binary digits of the forces that are passed on: where force and multiplier of a bound are zero,
 # either answer may come, and they agree to fewer digits than all.
 ACCURACY, GRAIN_BITS = 1e-6, 26

@@ -17,6 +17,7 @@ from .carriers import OMEGA, ORIGIN
 from .patterns import CROSSING_CURVES, ON_SURFACE, PLANAR
 from .small import add_cross, cross, dot, norm, rotate_back
 
+# Steps of Newton's method, which needs one or two from a start nearby.
 NEWTON_LIMIT = 30
 # A Newton step below this (relative to the parameter's natural length) leaves an error below round-off: it is squared.
 NEWTON_STEP = 1e-8

@@ -20,6 +20,7 @@ from .location import BRANCHES, NO_CLOSED_FORM, ROUND_ON_PLANE
 from .patterns import CROSSING_CURVES, ON_CURVE
 from .planar import pose_of
 
+# Samples of a curve, of an unbounded contour along a parameter at most, and along both parameters of a surface.
 _CURVE_SAMPLES, _MOST_SAMPLES = 241, 4001
 _SURFACE_SAMPLES = (61, 31)
 # So many starts, a third for each of these weights of alignment against distance, apart from each other by this part of
@@ -34,7 +35,7 @@ _LEAST_WINDOW = 1e-3
 # taken for at least this part of a window per unit of the parameter.
 _SPACING, _SLOWEST = 0.25, 1e-3
 # Two candidates closer than this (relative to the contact's length) are one.
-_SAME = 1e-6
+SAME = 1e-6
 # Newton may run into a pole, where a tangent vanishes and every equation with it; unit tangents tell. Relative.
 _SOLVED = 1e-6
 
@@ -116,7 +117,7 @@ def _moved(system: Workspace, found: Candidate, guess: np.ndarray, t: float) -> 
 
 def _is_same(a: Candidate, b: Candidate, system: Workspace) -> bool:
     length = system.contact_real[0, LENGTH]
-    return abs(a.gap - b.gap) < _SAME * length and bool(np.linalg.norm(a.point - b.point) < _SAME * length)
+    return abs(a.gap - b.gap) < SAME * length and bool(np.linalg.norm(a.point - b.point) < SAME * length)
 
 
 def refine(

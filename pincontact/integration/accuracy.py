@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 # A start that is no deeper than this part of the contact's length, and gets deeper, has just touched.
 SHALLOW = 0.05
-# Slip slower than this (m/s, absolute and relative to the largest velocity) counts as rest where modes are set anew.
-_REST = 1e-9
+# What is slower than this (m/s or rad/s, absolute and relative to the largest velocity) is at rest where modes are set.
+REST = 1e-9
 # Part of the accuracy of gaps to which hops are resolved, and round-off of gaps, relative to coordinates of unit size.
 _RESOLVED, _ROUND_OFF = 1e-6, 2e-14
 # The same part where viscous friction makes hops ever shorter: each one left out takes the root of its height in speed.
@@ -50,7 +50,7 @@ def gap_resolution(system: RunSystem) -> np.ndarray:
 
 def rest_speed(system: System) -> float:
     """Slip slower than this, in m/s, counts as rest."""
-    return _REST * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
+    return REST * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
 
 
 def gap_rate(system: System, c: int) -> float:

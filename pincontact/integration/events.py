@@ -14,7 +14,7 @@ from ..arguments import is_number
 from ..errors import ArgumentError, UnusableResult
 from .dense import Interpolant
 from .runge_kutta import RungeKutta
-from .sign_changes import ACCURACY, Samples, resolve, with_dips, zero_between
+from .sign_changes import ACCURACY, Samples, asked_once, crossing_between, resolve, with_dips
 
 if TYPE_CHECKING:
     from .run_system import RunSystem
@@ -115,9 +115,7 @@ class UserEvents:
             value = self._in_step(event, t, step, dense)
             for (low, before), (high, after) in pairwise(self._samples(event, value)):
                 if event.crosses(before, after):
-                    at_end = after == 0.0 or math.isinf(before) or math.isinf(after)
-                    root = high if at_end else zero_between(value, low, high, ACCURACY)
-                    found.append((root, event))
+                    found.append((crossing_between(value, low, high, ACCURACY), event))
         return sorted(found, key=lambda crossing: crossing[0])
 
     def _comes_near(self, event: UserEvent, value: Callable[[float], float]) -> bool:
@@ -130,17 +128,13 @@ class UserEvents:
     def _in_step(
         self, event: UserEvent, t: float, step: float, state_at: Callable[[float], np.ndarray]
     ) -> Callable[[float], float]:
-        """A function of fractions of a step, asked once for each: one that answers otherwise the next time (noise) has
-        no root to be found."""
-        known = {0.0: event.value, 1.0: self._at_end[event.index]}
+        """A function of fractions of a step."""
 
         def value(theta: float) -> float:
-            if theta not in known:
-                self.rk.load(state_at(theta))
-                known[theta] = event.value_at(t + theta * step, self.rk.system)
-            return known[theta]
+            self.rk.load(state_at(theta))
+            return event.value_at(t + theta * step, self.rk.system)
 
-        return value
+        return asked_once(value, {0.0: event.value, 1.0: self._at_end[event.index]})
 
     def _samples(self, event: UserEvent, value: Callable[[float], float]) -> Samples:
         return with_dips(value, resolve(value, event.value, self._at_end[event.index]))

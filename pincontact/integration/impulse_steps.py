@@ -33,13 +33,13 @@ from ..layout import (
     UNILATERAL,
     system_at,
 )
-from .accuracy import SHALLOW
+from .accuracy import REST, SHALLOW
 from .impulse_layout import step_at
 from .impulse_trial import APART_AT_END, APPROVED, CONE_LEFT, FRESH, ask, call_task, trial_step
 from .impulses import commit, commit_contact
 from .recording import BLOCK, output_done
 from .stages import evaluate, hand_over
-from .step_control import SLIVER
+from .step_control import BATCH, SLIVER
 from .steps import RECORD
 
 # What `run_steps` does.
@@ -49,10 +49,6 @@ RELOCATE, BEGIN, ACCEPT, TRY, STEP, INTEGRATE = range(6)
 # the trial step.
 GOING_ON, AT_END, AT_LIMIT, TRIED, OUTPUT_LEFT, INNER_OUTPUT_LEFT = range(CONE_LEFT + 1, CONE_LEFT + 7)
 
-# Steps after which INTEGRATE comes back all the same, for the keyboard's and the progress bar's sake.
-_BATCH = 256
-# Slip slower than this (m/s, relative to the largest velocity or 1) counts as rest where a run starts.
-_REST = 1e-9
 
 _call_on_system = kernel_caller(INTEGER, SYSTEM.type)
 
@@ -79,7 +75,7 @@ def _begin_contact(system, step, c, largest):
         return
     speed = abs(first) if contact[TANGENTS] == 1 else math.hypot(first, second)
     contact[FROZEN] = 0
-    if speed > _REST * largest and 0.0 < mu < math.inf:
+    if speed > REST * largest and 0.0 < mu < math.inf:
         contact[MODE] = SLIPPING
     else:
         contact[MODE] = FRICTIONLESS if mu == 0.0 else STICK
@@ -211,7 +207,7 @@ def _run(system, step, task, found, t, h):
         status = _begin(system, step, t)
         if status != OK:
             return status
-    for _ in range(_BATCH):
+    for _ in range(BATCH):
         t_new, inside = t, False
         if task in (STEP, INTEGRATE):
             # steps are counted, so that their rounding does not add up

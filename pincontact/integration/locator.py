@@ -13,13 +13,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..dynamics.event_functions import FORCE_EVENTS
 from ..layout import (
     DOMAIN,
     DOMAIN_EVENT,
     EVENT,
-    FRICTION_EVENT,
     GAP_EVENT,
-    NORMAL_EVENT,
     NOTHING_THERE,
     OK,
     SCAN_ROOM,
@@ -279,7 +278,7 @@ class EventLocator:
         zero = _CLOSE * below
         before: tuple[float, float] | None = None
         # forces decide modes, and where they do the motion has no jump
-        is_force = kind in (NORMAL_EVENT, FRICTION_EVENT)
+        is_force = kind in FORCE_EVENTS
         denied, value, stands = True, 0.0, self._time_to_move()
         for _ in range(_REFINEMENTS):
             if self.rk.attempt(t, h) != OK:

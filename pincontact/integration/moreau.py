@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from ..dynamics.joints import JointLimit
     from .actuators import Actuator
 
+# Step in s where none is given: impacts and stick-slip of bodies of some cm to m are resolved.
 DEFAULT_STEP = 1e-3
 
 # Motion in one step (rad or m) from which on a failure is put down to steps that are too long.

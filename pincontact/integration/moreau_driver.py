@@ -17,7 +17,7 @@ from .moreau import MoreauStep, Torque
 from .reports import left_behind
 from .results import CONTOUR_ENDS, FINISHED, FLIES_THROUGH, OPEN_LOADS, TERMINATED, Event, Stop
 from .results import STEP_LIMIT as AT_STEP_LIMIT
-from .sign_changes import resolve, with_dips, zero_between
+from .sign_changes import asked_once, crossing_between, resolve, with_dips
 from .step_control import SLIVER
 
 # Accuracy of the time of a user's event, relative to the step.
@@ -239,18 +239,19 @@ class MoreauDriver:
         found: list[tuple[float, int]] = []
         looked = False
         for event, after in zip(users, values):
-            on_the_way = self._cached(event, after, partial(self._value_between, event, ends, t, t_new))
+            ends_known = {0.0: event.value, 1.0: after}
+            on_the_way = asked_once(partial(self._value_between, event, ends, t, t_new), dict(ends_known))
             samples = with_dips(on_the_way, resolve(on_the_way, event.value, after))
             turns = sum((low < 0.0) != (high < 0.0) or high == 0.0 for (_, low), (_, high) in pairwise(samples))
             if turns == 0:
                 continue
             looked = True
-            stepped = self._cached(event, after, partial(self._value_after, event, t, t_new))
+            stepped = asked_once(partial(self._value_after, event, t, t_new), ends_known)
             # one zero lies between the ends; of several, those which shorter steps find there, too
             places = [0.0, 1.0] if turns == 1 and event.crosses(event.value, after) else [s for s, _ in samples]
             for low, high in pairwise(places):
                 if event.crosses(stepped(low), stepped(high)):
-                    found.append((t + self._root(stepped, low, high) * (t_new - t), event.index))
+                    found.append((t + crossing_between(stepped, low, high, _EVENT_ACCURACY) * (t_new - t), event.index))
         for when, i in sorted(found):
             self._try_step(t, when)
             self._announce(when, None, "user", i)
@@ -267,18 +268,6 @@ class MoreauDriver:
         for event, value in zip(users, values):
             event.value = value
 
-    @staticmethod
-    def _cached(event: UserEvent, after: float, value: Callable[[float], float]) -> Callable[[float], float]:
-        """A function of fractions of a step, with the values that are known at both ends, asked once for each place."""
-        known = {0.0: event.value, 1.0: after}
-
-        def cached(place: float) -> float:
-            if place not in known:
-                known[place] = value(place)
-            return known[place]
-
-        return cached
-
     def _value_between(
         self, event: UserEvent, ends: list[tuple[np.ndarray, np.ndarray]], t: float, t_new: float, place: float
     ) -> float:
@@ -291,9 +280,3 @@ class MoreauDriver:
         when = t + place * (t_new - t)
         self._try_step(t, when)
         return event.value_at(when, self.system)
-
-    @staticmethod
-    def _root(value: Callable[[float], float], low: float, high: float) -> float:
-        if value(high) == 0.0 or math.isinf(value(low)) or math.isinf(value(high)):
-            return high
-        return zero_between(value, low, high, _EVENT_ACCURACY)

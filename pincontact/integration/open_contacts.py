@@ -15,6 +15,7 @@ from ..contours.base import F_T, F_TT, PLANE
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
 from ..geometry.nearest import Nearest, NearestSearch, Whole, is_searched
+from ..geometry.search import SAME
 from ..layout import (
     APPROACH_SPEED,
     BENDING,
@@ -55,8 +56,6 @@ _TOO_FAR = 2.0
 MANY_STEPS, _THROUGH = 1_000_000, 8.0
 # Places on the way of a step that went far, and how deep, relative to the contact's length, it may have grazed there.
 _WAY_STATIONS, _GRAZES = 16, 1e-2
-# Places nearer than this, relative to the contact's length, are the same.
-_SAME = 1e-6
 
 
 class _Open:
@@ -384,7 +383,7 @@ class OpenContacts:
 
     def _is_present(self, c: int, found: Candidate) -> bool:
         """Whether a candidate is where contact c is."""
-        system, same = self.system, _SAME * self.system.contact_real[c, LENGTH]
+        system, same = self.system, SAME * self.system.contact_real[c, LENGTH]
         if not abs(system.gaps[c, 0] - found.gap) < same:
             # elsewhere, or on another side of body 1
             return False

@@ -10,6 +10,7 @@ from ..layout import EVENT, LOCATION_FAILED, OK, SYSTEM
 from .results import CLOSED_APART, CONTRADICTION
 from .stages import correct_state, evaluate
 
+# Corrections at most; they fall quadratically, from a start that is not on its constraints, too.
 _PROJECTIONS = 12
 # What a state is projected for.
 TO_KEEP, TO_STEP_ON, TO_SHOW = range(3)

@@ -14,29 +14,27 @@ import math
 import numpy as np
 
 from ..callback import separate_kernel
+from ..dynamics.event_functions import FORCE_EVENTS
 from ..dynamics.resistance import count_items
 from ..jit import NOTHING, kernel
 from ..layout import (
     ERROR_ROWS,
     EVENTS_PER_CONTACT,
-    FRICTION_EVENT,
     KEPT_ROWS,
     MAX_STAGES,
-    NORMAL_EVENT,
     NOTHING_THERE,
     SCAN_ROOM,
     SYSTEM,
 )
 from .results import GAP_TOLERANCE
+from .sign_changes import FAR, RESOLVED
 
 # Degree of the polynomials where there are stages enough.
 _DEGREE = 4
 # Accuracy of the conditions of order two.
 _ORDER_TWO = 1e-9
-# What they may leave of an event function: this part of its largest size, or of its least.
-_RESOLVED, _FAR = 1e-2, 0.125
-# Forces below this part of the largest are round-off.
-_FORCE_ROUND_OFF = 1e-9
+# Forces below this part of the largest, or of the loads, are round-off and have no sign.
+FORCE_ROUND_OFF = 1e-9
 # Steps this many times the least are not shortened for an event function: it jumps there.
 _JUMP = 1e3
 
@@ -98,15 +96,15 @@ def event_function_error(system):
         for kind in range(EVENTS_PER_CONTACT):
             low, high = lowest[c, kind], highest[c, kind]
             # what the best polynomial leaves is less than what the middle leaves
-            if not low < high or 0.5 * math.sqrt(MAX_STAGES) * (high - low) <= _FAR * low:
+            if not low < high or 0.5 * math.sqrt(MAX_STAGES) * (high - low) <= FAR * low:
                 continue
             if low == -math.inf or high >= NOTHING_THERE:
                 continue
             if floor < 0.0:
                 floor, largest_force = _floor(system), _largest_force(lowest, highest, n)
-            allowed = max(_RESOLVED * max(high, -low), _FAR * low)
-            is_force = kind in (NORMAL_EVENT, FRICTION_EVENT)
-            allowed = max(allowed, _FORCE_ROUND_OFF * largest_force if is_force else floor)
+            allowed = max(RESOLVED * max(high, -low), FAR * low)
+            is_force = kind in FORCE_EVENTS
+            allowed = max(allowed, FORCE_ROUND_OFF * largest_force if is_force else floor)
             worst = max(worst, _left(system, n, c, kind) / allowed)
     if worst > 0.0:
         # errors of polynomials fall with another power of the step than those of the state
@@ -149,6 +147,6 @@ def _largest_force(lowest, highest, n):
     """Largest size of an event function that is a force."""
     size = 0.0
     for c in range(n):
-        for kind in (NORMAL_EVENT, FRICTION_EVENT):
+        for kind in FORCE_EVENTS:
             size = max(size, max(abs(lowest[c, kind]), abs(highest[c, kind])))
     return size

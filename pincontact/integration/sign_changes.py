@@ -14,7 +14,7 @@ _PLACES = (0.0, 0.1137, 0.2419, 0.3871, 0.5647, 0.7219, 0.8629, 1.0)
 # Degree of the polynomial by which it is resolved, and what that may leave: a part of the largest value, or of the
 # least.
 _DEGREE = 3
-_RESOLVED, _FAR = 1e-2, 0.125
+RESOLVED, FAR = 1e-2, 0.125
 # Halvings of the interval: a jump is looked at no closer.
 _HALVINGS = 6
 # What stands for infinite values.
@@ -72,6 +72,18 @@ def zero_in(bracket):
     return bracket[0] if abs(bracket[1]) <= abs(bracket[3]) else bracket[2]
 
 
+def asked_once(value: Callable[[float], float], known: dict[float, float]) -> Callable[[float], float]:
+    """The function, asked once for each place besides those with known values: one that answers otherwise the next time
+    (noise) has no root to be found."""
+
+    def asked(place: float) -> float:
+        if place not in known:
+            known[place] = value(place)
+        return known[place]
+
+    return asked
+
+
 def zero_between(value: Callable[[float], float], low: float, high: float, accuracy: float) -> float:
     """Where a function that has opposite signs at low and high is zero, or jumps across zero."""
     bracket, place = [0.0] * 6, high
@@ -82,6 +94,12 @@ def zero_between(value: Callable[[float], float], low: float, high: float, accur
             break
     found: float = zero_in(bracket)
     return found
+
+
+def crossing_between(value: Callable[[float], float], low: float, high: float, accuracy: float) -> float:
+    """`zero_between` of a function that is `asked_once`: at high where it is zero there, or infinite at an end."""
+    before, after = value(low), value(high)
+    return high if after == 0.0 or math.isinf(before) or math.isinf(after) else zero_between(value, low, high, accuracy)
 
 
 def resolve(value: Callable[[float], float], at_start: float, at_end: float) -> Samples:
@@ -111,7 +129,7 @@ def _add_samples(
         least = 0.0
     with np.errstate(invalid="ignore", over="ignore"):
         rough = float(np.linalg.norm(_ROUGHNESS @ values))
-    if halvings == 0 or not rough > max(_RESOLVED * largest, _FAR * least):
+    if halvings == 0 or not rough > max(RESOLVED * largest, FAR * least):
         samples += [*inner, right]
         return
     middle = low + 0.5 * width

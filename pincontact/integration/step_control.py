@@ -26,6 +26,8 @@ _SMALL_STEP = 1e-6
 _FIRST_FRACTION = 0.5
 # Steps that end within this fraction of a step from the end, or from an output time, end there.
 SLIVER = 1e-9
+# Trial steps after which compiled steps come back all the same, for the keyboard's and the progress bar's sake.
+BATCH = 256
 # After a rejection by a failed evaluation the step shrinks by this factor.
 FAILED_FACTOR = 0.25
 # Steps of the longest size that is allowed differ by up to this part, in the sequence of the golden ratio.

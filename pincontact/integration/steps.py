@@ -19,7 +19,7 @@ from .recording import BLOCK, output_done, record_row
 from .resolution import set_event_functions_aside, take_event_functions_up
 from .slip_at_ends import begin_next, note_end, slip_ends, time_to_stop, watch_slips
 from .stages import fill_slope, hand_over, keep_velocity
-from .step_control import FAILED_FACTOR, SLIVER, first_step, irregular, next_step
+from .step_control import BATCH, FAILED_FACTOR, SLIVER, first_step, irregular, next_step
 from .trial_steps import across_slip, find_zero, interpolation, keep_slope, load_interpolated, scan, start, trial_step
 
 # What `run_task` does.
@@ -61,8 +61,6 @@ from .trial_steps import across_slip, find_zero, interpolation, keep_slope, load
 ) = range(10)
 # What WRITE_OUTPUTS comes back with, besides a status: there is no room for more rows.
 BLOCK_FULL = 100
-# Trial steps after which INTEGRATE comes back all the same, for the keyboard's and the progress bar's sake.
-_BATCH = 256
 
 
 @separate_kernel(INTEGER, SYSTEM.type, REAL, BOOLEAN)
@@ -189,7 +187,7 @@ def integrate(system, task):
     """
     scalars, counters = system.scalars, system.counters
     n, end, fixed = count_items(system), scalars.end, scalars.fixed_step
-    for _ in range(_BATCH):
+    for _ in range(BATCH):
         t, h, remaining = scalars.now, scalars.next_step, scalars.end - scalars.now
         if counters.step_count + counters.rejected_count >= counters.attempt_limit:
             return AT_LIMIT

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..contours.motion import connected
 from .meshes import Mesh, lathe
 
 # Proportions of an arrow that is long enough for its full head.
@@ -37,14 +38,7 @@ def rotation_from_z(directions: np.ndarray) -> np.ndarray:
     opposite = norm < 1e-150
     quaternion[opposite] = (1.0, 0.0, 0.0, 0.0)
     norm[opposite] = 1.0
-    return continuous(quaternion / norm[:, None])
-
-
-def continuous(quaternion: np.ndarray) -> np.ndarray:
-    """The same rotations with signs such that consecutive quaternions have a non-negative product. (n, 4)"""
-    product = np.einsum("ij,ij->i", quaternion[1:], quaternion[:-1])
-    sign = np.concatenate([[1.0], np.cumprod(np.where(product < 0.0, -1.0, 1.0))])
-    return quaternion * sign[:, None]
+    return connected(quaternion / norm[:, None])
 
 
 @dataclass

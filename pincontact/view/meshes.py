@@ -10,6 +10,8 @@ import numpy as np
 from ..contours.base import F_1, F_2, Contour, F
 
 _FULL_TURN = 2.0 * np.pi
+# How far lines may be from what they stand for, as a part of the scene's size: less than a pixel.
+SIMPLIFIED = 5e-4
 
 
 @dataclass
@@ -206,7 +208,7 @@ def smooth_polyline(contour: Contour, domain: np.ndarray, size: float, t: float 
         if count > 8000 or (turn <= 0.12 * length[:-1] * length[1:]).all():
             break
         count = 2 * count - 1
-    kept = simplify(points, 5e-4 * size, np.inf)
+    kept = simplify(points, SIMPLIFIED * size, np.inf)
     # The end may have been dropped as too close to the last point kept.
     return points[np.append(kept[:-1], len(points) - 1)] if len(kept) > 2 else points[[0, -1]]
 

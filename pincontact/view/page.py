@@ -12,82 +12,6 @@ from typing import Any
 
 from ..errors import MissingExtraError
 
-_PAGE = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>@TITLE@</title>
-<style>
-  body { margin: 0; font: 13px/1.45 system-ui, sans-serif; color: #1d2733; }
-  #meshcat-pane { width: 100vw; height: 100vh; height: 100dvh; overflow: hidden; }
-  .panel { background: rgba(255, 255, 255, 0.86); border-radius: 6px; padding: 4px 10px; pointer-events: auto; }
-  body > .dg.main .close-button { background: rgba(255, 255, 255, 0.86); color: #1d2733; text-shadow: none; }
-  #contacts { position: absolute; z-index: 2; left: 12px; top: 12px; max-width: calc(100vw - 44px); max-height: 45vh;
-              overflow: auto; }
-  #contacts summary { cursor: pointer; }
-  #contacts table { border-spacing: 8px 1px; font-variant-numeric: tabular-nums; }
-  #contacts th { text-align: left; font-weight: 600; }
-  #contacts td.number { text-align: right; min-width: 6.5em; }
-  .swatch { display: inline-block; width: 0.75em; height: 0.75em; border-radius: 50%; margin-right: 0.4em; }
-  .line { display: inline-block; width: 1em; height: 3px; margin-right: 0.4em; vertical-align: middle; }
-  #low { position: absolute; z-index: 2; left: 12px; right: 12px; bottom: 12px; pointer-events: none;
-         display: flex; flex-direction: column; gap: 8px; }
-  #plots { align-self: flex-end; }
-  body.beside #meshcat-pane { width: calc(100vw - 466px); }
-  body.beside #plots canvas { width: 420px; height: min(420px, 60vh); }
-  #plots summary { cursor: pointer; }
-  #plots canvas { display: block; width: min(420px, 40vw); height: min(260px, 36vh); cursor: crosshair; }
-  #bar { padding: 6px 12px; display: flex; flex-wrap: wrap; gap: 4px 12px; align-items: center; }
-  #bar button#play { width: 5.5em; min-height: 32px; }
-  #clock { min-width: 8em; text-align: right; font-variant-numeric: tabular-nums; }
-  #track { position: relative; flex: 1 1 220px; padding-top: 16px; }
-  #track input { width: 100%; margin: 0; display: block; height: 28px; touch-action: none; }
-  #ticks { position: absolute; left: 8px; right: 8px; top: 0; height: 18px; }
-  #ticks button { position: absolute; top: 12px; width: 12px; height: 12px; margin: 0 0 0 -6px; padding: 0; border: 0;
-                  background: linear-gradient(#555, #555) center / 2px 100% no-repeat; cursor: pointer; }
-  #ticks span { position: absolute; top: -2px; font-size: 11px; line-height: 14px; white-space: nowrap;
-                transform: translateX(-50%); pointer-events: none; }
-  #note { align-self: flex-start; max-width: 50vw; display: none; }
-  @media (max-width: 640px) {
-    #track { flex: 1 1 100%; order: -1; }
-    #track input { height: 40px; }
-    #contacts { max-height: 26vh; font-size: 12px; }
-    #contacts td.number { min-width: 5em; }
-    #contacts .on { display: none; }
-    #plots canvas { width: calc(100vw - 44px); height: 22vh; }
-    body > .dg.main { display: none; }
-    #clock { min-width: 7em; flex: 1; }
-  }
-</style>
-</head>
-<body>
-<div id="meshcat-pane"></div>
-<details id="contacts" class="panel" open><summary></summary><table></table></details>
-<div id="low">
-<div id="note" class="panel"></div>
-<details id="plots" class="panel"><summary>forces</summary><canvas></canvas></details>
-<div id="bar" class="panel">
-  <button id="play">pause</button>
-  <div id="track"><div id="ticks"></div><input id="time" type="range" min="0" value="0" aria-label="time"></div>
-  <span id="clock"></span>
-  <label>speed <select id="speed"></select></label>
-  <label><input id="loop" type="checkbox"> repeat</label>
-</div>
-</div>
-<script>@VIEWER@</script>
-<script>
-"use strict";
-const info = @INFO@;
-// Where in the packed bytes each command lies; what several commands have in common is there once.
-const commands = @COMMANDS@;
-const packed = "@PACKED@";
-</script>
-<script>@SCRIPT@</script>
-</body>
-</html>
-"""
-
 
 def viewer_script() -> str:
     """The viewer that comes with meshcat, as one script; read without importing meshcat.
@@ -102,6 +26,11 @@ def viewer_script() -> str:
         return path.read_text(encoding="utf-8")
     except OSError as error:
         raise MissingExtraError(f"this installation of meshcat has no viewer script: {error}") from error
+
+
+def _own(name: str) -> str:
+    """A file beside this one."""
+    return (Path(__file__).parent / name).read_text(encoding="utf-8")
 
 
 def _script_safe(text: str) -> str:
@@ -149,9 +78,9 @@ def render_page(commands: list[dict[str, Any]], info: dict[str, Any], title: str
         "@INFO@": _script_safe(json.dumps(info, allow_nan=False, separators=(",", ":"))),
         "@COMMANDS@": json.dumps(places, separators=(",", ":")),
         "@PACKED@": base64.b64encode(packed).decode("ascii"),
-        "@SCRIPT@": _script_safe((Path(__file__).parent / "page.js").read_text(encoding="utf-8")),
+        "@SCRIPT@": _script_safe(_own("page.js")),
     }
-    page = _PAGE
+    page = _own("page.htm")
     # A part's text is never searched for the next one's mark.
     pieces = []
     for mark, text in parts.items():

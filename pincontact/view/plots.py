@@ -20,6 +20,7 @@ from ..dynamics.joints import joint_of
 from ..dynamics.manifold import FREE_FLYER, PLANAR_BLOCK, QUATERNION, VECTOR, configuration_blocks
 from ..errors import ArgumentError, MissingExtraError
 from ..layout import FREE
+from ..tracks import is_bare
 from .palette import MODE_COLORS, contact_color
 from .sampling import friction_limit
 
@@ -189,8 +190,8 @@ def motion(run: Run, ax: Axes | None = None, velocities: bool = False) -> Axes:
     ax = _axes(ax)
     model, symbol = run.scene.model, "v" if velocities else "q"
     values = np.asarray(run.v if velocities else run.q)
-    if values.shape[1] != (model.nv if velocities else model.nq):
-        # a run read from a file without its scene knows no joints
+    if is_bare(run):
+        # without its scene it knows no joints
         lines = {f"{symbol}[{k}]": values[:, k] for k in range(values.shape[1])}
     elif velocities:
         lines = {name: values[:, k] for k, name in enumerate(velocity_names(model))}
@@ -507,7 +508,7 @@ def plot(
     chosen = [kinds] if isinstance(kinds, str) else kinds
     if chosen is None:
         chosen = [kind for kind in KINDS if run.contacts or kind not in _CONTACT_KINDS]
-        if run.q.shape[1] != run.scene.model.nq:
+        if is_bare(run):
             chosen.remove("energy")
     for kind in chosen:
         if kind not in KINDS:

@@ -12,9 +12,9 @@ from ..errors import MissingExtraError
 from .drawing import Drawing
 from .meshes import Mesh, lathe
 from .palette import MODE_COLORS, contact_color
+from .plots import limit
 from .replay import Picture, fitting_force_scale, frame
 from .robot import geometry_color
-from .sampling import friction_limit
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -253,11 +253,11 @@ def _log_plots(drawing: _Recording, run: Trajectory) -> None:
     for number, (name, track) in enumerate(run.contacts.items()):
         color = contact_color(number)
         speed = np.linalg.norm(track.slip_velocity, axis=1)
-        limit = friction_limit(run.scene.contacts[name].friction, track.mode, track.normal_force, np.nan_to_num(speed))
         curve(track.normal_force, "forces", name, "normal", color=color)
         curve(track.tangential_force, "forces", name, "friction", color=color)
-        if limit is not None:
-            curve(limit, "forces", name, "limit", color=color)
+        largest = limit(run, name)
+        if largest is not None:
+            curve(largest, "forces", name, "limit", color=color)
         curve(speed, "slip_speed", name, color=color)
         curve(track.gap, "gap", name, color=color)
         curve(track.mode, "mode", name, color=color)

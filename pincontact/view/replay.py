@@ -11,8 +11,9 @@ import numpy as np
 
 from ..arguments import check_positive
 from ..display import MODE_NAMES
-from ..errors import ArgumentError, MissingExtraError, TrajectoryError
+from ..errors import ArgumentError, MissingExtraError
 from ..layout import FREE
+from ..tracks import model_of
 from .drawing import Command, Drawing, color_number
 from .palette import MODE_COLORS, contact_color
 from .robot import geometry_reach
@@ -265,14 +266,8 @@ def frame(run: Any, fps: float, speed: float, max_frames: int, follow: str | Non
     if not hasattr(run, "scene"):
         raise ArgumentError(f"a run is needed, got {type(run).__name__}")
     scene = run.scene
-    model = scene.model
-    t = np.asarray(run.t, dtype=float)
-    moments = frame_times(t, fps, speed, max_frames)
-    if np.shape(run.q)[1] != model.nq:
-        raise TrajectoryError(
-            f"the run has configurations of {np.shape(run.q)[1]} numbers and its scene's model needs {model.nq}; a run "
-            "read from a file has to be given its scene: Trajectory.load(path, scene)"
-        )
+    moments = frame_times(np.asarray(run.t, dtype=float), fps, speed, max_frames)
+    model = model_of(run)
     q = configurations(run, moments)
     placements = joint_placements(model, q)
     contacts = {name: contact_frames(run, name, moments, q, placements, axes) for name in scene.contacts}
@@ -370,13 +365,18 @@ def fitting_distance(centres: np.ndarray, radii: np.ndarray) -> float:
 
     centres: (n, 3) from the point that it looks at; radii: (n,), both in m.
     """
-    right = np.cross([0.0, 0.0, 1.0], _VIEW_FROM)
-    right /= np.linalg.norm(right)
-    upwards = np.cross(_VIEW_FROM, right)
+    right, upwards = _across(_VIEW_FROM)
     slope = np.tan(0.5 * np.radians(_FIELD_OF_VIEW))
     across = (np.abs(centres @ right) + radii) / (_ASPECT * slope)
     along = (np.abs(centres @ upwards) + radii) / (_FREE_HEIGHT * slope)
     return float((centres @ _VIEW_FROM + np.maximum(across, along)).max())
+
+
+def _across(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """To the right and upwards, as seen against a unit direction."""
+    right = np.cross([0.0, 0.0, 1.0], direction)
+    right /= np.linalg.norm(right)
+    return right, np.cross(direction, right)
 
 
 def fitting_force_scale(contacts: dict[str, ContactFrames], length: float) -> float:
@@ -473,9 +473,7 @@ def _set_environment(drawing: Drawing, picture: Picture) -> None:
     towards /= np.linalg.norm(towards)
     reach = float(np.abs(corners).max()) * np.sqrt(3.0) + picture.size
     # three.js orients the camera with its own vertical, which is the world's z here.
-    right = np.cross([0.0, 0.0, 1.0], towards)
-    right /= np.linalg.norm(right)
-    upwards = np.cross(towards, right)
+    right, upwards = _across(towards)
     x, y = corners @ right, corners @ upwards
     margin = 0.5 * picture.size
     sun = {

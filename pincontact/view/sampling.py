@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 
 from ..arguments import check_positive, is_number
+from ..contours.motion import connected
 from ..dynamics.system import System
 from ..errors import ArgumentError
 from ..geometry.carriers import ORIGIN
 from ..geometry.frames import contact_frame
 from ..integration.discrete import write_discrete
 from ..layout import FREE, OK, PATTERN, SLIPPING
-from .arrows import continuous
 
 
 @dataclass
@@ -148,7 +148,7 @@ def joint_placements(model: pin.Model, q: np.ndarray) -> np.ndarray:
 
 def quaternions(rotations: np.ndarray) -> np.ndarray:
     """(n, 4) unit quaternions (x, y, z, w) of (n, 3, 3) rotations, sign-continuous."""
-    return continuous(np.array([pin.Quaternion(R).coeffs() for R in rotations]))
+    return connected(np.array([pin.Quaternion(R).coeffs() for R in rotations]))
 
 
 def split_force(contact: Any, track: Any) -> tuple[np.ndarray, np.ndarray]:

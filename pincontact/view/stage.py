@@ -178,7 +178,7 @@ class Stage:
     def _trace(self, path: str, points: np.ndarray, touching: np.ndarray, moments: np.ndarray) -> None:
         tubes, indices, until = [], 0, []
         for phase in np.split(np.arange(len(points)), 1 + np.flatnonzero(touching[1:] != touching[:-1])):
-            kept = phase[meshes.simplify(points[phase], 5e-4 * self.size, 0.2 * self.size)]
+            kept = phase[meshes.simplify(points[phase], meshes.SIMPLIFIED * self.size, 0.2 * self.size)]
             if not touching[phase[0]] or len(kept) < 2:
                 continue
             tubes.append(meshes.tube(points[kept], 0.67 * self.line, False, _TRACE_SIDES))

@@ -24,14 +24,19 @@ RANK_TOLERANCE = 1e-11
 def inner(a, b, n):
     """Product of the first n numbers of two vectors, in four sums that need not wait for each other."""
     first, second, third, fourth = 0.0, 0.0, 0.0, 0.0
-    whole = n - n % 4
-    for k in range(0, whole, 4):
+    k = 0
+    while k + 3 < n:
         first += a[k] * b[k]
         second += a[k + 1] * b[k + 1]
         third += a[k + 2] * b[k + 2]
         fourth += a[k + 3] * b[k + 3]
-    for k in range(whole, n):
+        k += 4
+    if k + 1 < n:
         first += a[k] * b[k]
+        second += a[k + 1] * b[k + 1]
+        k += 2
+    if k < n:
+        third += a[k] * b[k]
     return (first + second) + (third + fourth)
 
 
@@ -77,21 +82,24 @@ def factorize_tree(matrix, parents, n, factor):
             i = parents[i]
     for k in range(n - 1, -1, -1):
         row = factor[k]
-        if not row[k] > 0.0:
+        pivot = row[k]
+        if not pivot > 0.0:
             return False
-        row[k] = sqrt(row[k])
-        inverse = 1.0 / row[k]
+        # rows above wait for no root
+        inverse = 1.0 / pivot
         i = parents[k]
         while i >= 0:
-            row[i] *= inverse
-            i = parents[i]
-        i = parents[k]
-        while i >= 0:
-            target, share = factor[i], row[i]
+            target, share = factor[i], row[i] * inverse
             j = i
             while j >= 0:
                 target[j] -= share * row[j]
                 j = parents[j]
+            i = parents[i]
+        row[k] = sqrt(pivot)
+        inverse = 1.0 / row[k]
+        i = parents[k]
+        while i >= 0:
+            row[i] *= inverse
             i = parents[i]
     return True
 
@@ -106,7 +114,8 @@ def whiten(factor, parents, n, right, out):
         if out[k] == 0.0:
             continue
         row = factor[k]
-        value = out[k] / row[k]
+        # the division waits for nothing
+        value = out[k] * (1.0 / row[k])
         out[k] = value
         i = parents[k]
         while i >= 0:
@@ -115,15 +124,37 @@ def whiten(factor, parents, n, right, out):
 
 
 @kernel
+def whiten_rows(factor, parents, n, rows, count):
+    """`whiten` the first rows, as many as count, in place; side by side, as they need not wait for each other."""
+    for k in range(n - 1, -1, -1):
+        row = factor[k]
+        inverse = 1.0 / row[k]
+        for r in range(count):
+            out = rows[r]
+            if out[k] == 0.0:
+                continue
+            value = out[k] * inverse
+            out[k] = value
+            i = parents[k]
+            while i >= 0:
+                out[i] -= row[i] * value
+                i = parents[i]
+
+
+@kernel
 def unwhiten(factor, parents, n, right, out):
     """out = L^-1 right (may be in place)."""
     for k in range(n):
         row, value = factor[k], right[k]
-        i = parents[k]
+        last = i = parents[k]
         while i >= 0:
-            value -= row[i] * out[i]
             i = parents[i]
-        out[k] = value / row[k]
+            if i >= 0:
+                value -= row[i] * out[i]
+        if last >= 0:
+            # the others need not wait for it
+            value -= row[last] * out[last]
+        out[k] = value * (1.0 / row[k])
 
 
 @kernel
@@ -173,17 +204,21 @@ def solve_gram(rows, m, n, lower, permutation, x, scratch):
         return 0
     for i in range(m):
         permutation[i] = i
-        lower[i, m - 1] = lower[i, m] = inner(rows[i], rows[i], n)
+        diagonal = inner(rows[i], rows[i], n)
+        lower[i, m - 1], lower[i, m] = (1.0 / diagonal, 1.0) if diagonal > 0.0 else (0.0, 0.0)
     rank = 0
-    while rank < m and _take_pivot(lower, permutation, rank, m):
+    while rank < m:
+        inverse = _take_pivot(lower, permutation, rank, m)
+        if inverse == 0.0:
+            break
         p = permutation[rank]
         own = lower[p]
         for i in range(rank + 1, m):
             other = permutation[i]
             line = lower[other]
-            value = (inner(rows[p], rows[other], n) - inner(own, line, rank)) / own[rank]
+            value = (inner(rows[p], rows[other], n) - inner(own, line, rank)) * inverse
+            line[m] -= value * value * line[m - 1]
             line[rank] = value
-            line[m] -= value * value
         rank += 1
     # the rank is lower where the other rows of scratch are needed
     y = scratch[m - 1]
@@ -200,23 +235,24 @@ def solve_gram(rows, m, n, lower, permutation, x, scratch):
 
 @kernel
 def _take_pivot(lower, permutation, rank, m):
-    """Bring the row with the largest pivot, relative to its diagonal, to place `rank`; False where none is left.
+    """Bring the row with the largest pivot, relative to its diagonal, to place `rank`; returns the inverse of its root,
+    0 where none is left.
 
-    What is left of each row's diagonal stands in column m, the diagonal itself in column m - 1, which the factor needs
-    for the last row only.
+    Which part of each row's diagonal is left stands in column m, the diagonal's inverse in column m - 1, which the
+    factor needs for the last row only.
     """
-    pivot, best = rank, -1.0
+    pivot, best = rank, RANK_TOLERANCE
     for i in range(rank, m):
-        p = permutation[i]
-        ratio = lower[p, m] / lower[p, m - 1] if lower[p, m - 1] > 0.0 else 0.0
-        if ratio > best:
-            best, pivot = ratio, i
+        left = lower[permutation[i], m]
+        if left > best:
+            best, pivot = left, i
     if not best > RANK_TOLERANCE:
-        return False
+        return 0.0
     permutation[rank], permutation[pivot] = permutation[pivot], permutation[rank]
     p = permutation[rank]
-    lower[p, rank] = sqrt(lower[p, m])
-    return True
+    inverse = sqrt(lower[p, m - 1] / best)
+    lower[p, rank] = 1.0 / inverse
+    return inverse
 
 
 @kernel
@@ -226,10 +262,10 @@ def _solve_lower(lower, permutation, m, y):
         row, value = lower[permutation[i]], y[i]
         for k in range(i):
             value -= row[k] * y[k]
-        y[i] = value / row[i]
+        y[i] = value * (1.0 / row[i])
     for i in range(m - 1, -1, -1):
         row = lower[permutation[i]]
-        value = y[i] / row[i]
+        value = y[i] * (1.0 / row[i])
         y[i] = value
         for k in range(i):
             y[k] -= row[k] * value

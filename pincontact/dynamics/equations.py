@@ -43,7 +43,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from ..linalg import RANK_TOLERANCE, inner, least_norm, solve_gram, subtract_row, unwhiten, whiten
+from ..linalg import RANK_TOLERANCE, inner, least_norm, solve_gram, subtract_row, unwhiten, whiten, whiten_rows
 from .event_functions import (
     contact_event_functions,
     jam_event_functions,
@@ -158,9 +158,12 @@ def list_constraints(system):
     total = count_items(system)
     free_with_owners(system.contact_int, system.sizes.nc + system.joint_count[0], total)
     count, slipping = list_rows(system.contact_int, total, system.row_index)
+    nv, whitened = system.sizes.nv, system.whitened_rows
     for r in range(count):
         row = system.rows[system.row_index[r, 0], system.row_index[r, 1]]
-        whiten(system.factor, system.parents, system.sizes.nv, row, system.whitened_rows[r])
+        for k in range(nv):
+            whitened[r, k] = row[k]
+    whiten_rows(system.factor, system.parents, nv, whitened, count)
     return count, slipping
 
 

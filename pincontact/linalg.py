@@ -11,7 +11,7 @@ from math import sqrt
 
 from .arrays import INTEGERS, REALS, array_type
 from .callback import separate_kernel
-from .jit import INTEGER, REAL, kernel
+from .jit import INTEGER, REAL, inlined_kernel, kernel
 
 # A pivot below this fraction of its row's diagonal counts as zero: redundant constraints.
 RANK_TOLERANCE = 1e-11
@@ -233,7 +233,7 @@ def solve_gram(rows, m, n, lower, permutation, x, scratch):
     return rank
 
 
-@kernel
+@inlined_kernel
 def _take_pivot(lower, permutation, rank, m):
     """Bring the row with the largest pivot, relative to its diagonal, to place `rank`; returns the inverse of its root,
     0 where none is left.
@@ -255,7 +255,7 @@ def _take_pivot(lower, permutation, rank, m):
     return inverse
 
 
-@kernel
+@inlined_kernel
 def _solve_lower(lower, permutation, m, y):
     """y = (L L^T)^-1 y, y (m,) in pivoted order."""
     for i in range(m):

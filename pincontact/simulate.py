@@ -458,7 +458,9 @@ def _output_times(t_eval: ArrayLike | None, t: float, end: float) -> np.ndarray 
 
 def _breakpoints(given: ArrayLike | None, t: float, end: float) -> list[float]:
     """Times inside the run, in order and once each."""
-    times = reals("breakpoints must be times in s", () if given is None else given).reshape(-1)
+    if given is None:
+        return []
+    times = reals("breakpoints must be times in s", given).reshape(-1)
     if not np.isfinite(times).all():
         raise ArgumentError(f"breakpoints must be finite, got {given!r}")
     return [time for time in np.unique(times).tolist() if t < time < end]

@@ -75,8 +75,10 @@ def put_back(scene: Scene, cached: CachedSystem) -> None:
     # nothing of the user's is kept alive
     cached.system.before_evaluation()
     if all(contact.friction is None or type(contact.friction) in LAWS for contact in cached.system.contacts):
-        kept = _cache.setdefault(scene, {}).setdefault(cached.options, deque(maxlen=available_cores()))
-        kept.append(cached)
+        kept = _cache.setdefault(scene, {})
+        if cached.options not in kept:
+            kept.setdefault(cached.options, deque(maxlen=available_cores()))
+        kept[cached.options].append(cached)
 
 
 def _made_of(scene: Scene) -> tuple[list[Contact], list[tuple[Any, ...]]]:

@@ -130,7 +130,8 @@ class System(Workspace):
         # whether velocities differ between the axes of joints and of their parents
         self.turns = any(block[0] in TURNING for block in blocks)
         sizes[()] = nq, nv, nc, model.njoints, len(blocks), 0, nwork, ny
-        self.zeros("scalars")
+        # read at every call of a user's function: a field of a record takes as long as the call
+        self._time = self.zeros("scalars")["time"]
         self.zeros("q", nq)
         self.zeros("v", nv)
         self.q[:] = pin.neutral(model)
@@ -366,11 +367,11 @@ class System(Workspace):
     def callback_of(self, ask: Callable[[float], None]) -> Callable[[], bool]:
         """ask(t) at the kernels' time, as they call it. What it raises must not pass through compiled code: it gives
         False, and is raised by `check_callbacks`."""
-        scalars = self.scalars
+        time = self._time
 
         def function() -> bool:
             try:
-                ask(scalars["time"].item())
+                ask(time.item())
             except BaseException as error:
                 if self._callback_error is None:
                     self._callback_error = error

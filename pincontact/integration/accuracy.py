@@ -23,18 +23,26 @@ _RESOLVED, _ROUND_OFF = 1e-6, 2e-14
 _RESOLVED_VISCOUS = 1e-3
 
 
-def set_accuracy(system: RunSystem) -> None:
-    """From the tolerances of a run: the errors of gaps in m, and of the distances of joint coordinates from their ends,
-    in m or rad, and how low hops are that are none.
+def sizes_of_gaps(system: System) -> tuple[np.ndarray, np.ndarray]:
+    """(items,) lengths in m that gaps are compared with, joint coordinates with 1, and to which part of the accuracy of
+    gaps hops are resolved.
 
-    They are GAP_TOLERANCE times the tolerance of positions, at the contact's length; joint coordinates are of unit
-    size. With viscous friction, which ends as a contact opens, hops may get shorter without end: there they are
-    resolved less far.
+    With viscous friction, which ends as a contact opens, hops may get shorter without end: there they are resolved less
+    far.
     """
     lengths, resolved = np.ones(system.items), np.full(system.items, _RESOLVED)
     lengths[: system.nc] = system.contact_real[: system.nc, LENGTH]
     resolved[: system.nc][system.contact_real[: system.nc, VISCOUS] > 0.0] = _RESOLVED_VISCOUS
-    relative, absolute = system.scale
+    return lengths, resolved
+
+
+def set_accuracy(system: RunSystem, relative: float, absolute: float) -> None:
+    """From the tolerances of a run: the errors of gaps in m, and of the distances of joint coordinates from their ends,
+    in m or rad, and how low hops are that are none.
+
+    They are GAP_TOLERANCE times the tolerance of positions.
+    """
+    lengths, resolved = system.gap_sizes
     system.gap_accuracy = GAP_TOLERANCE * (absolute + relative * lengths)
     system.lowest_hops = resolved * system.gap_accuracy
 

@@ -169,7 +169,7 @@ class OpenContacts:
         self.hasty = 0
         self.has_moved = self.is_near = False
         self._controlled: list[int] = []
-        self._gravity = float(np.linalg.norm(system.model.gravity.linear))
+        self._gravity = math.hypot(*system.gravity.tolist())
         self._absolute = system.absolute.copy()
 
     # ---------------------------------------------------------------- sides

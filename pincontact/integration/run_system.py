@@ -10,6 +10,7 @@ import numpy as np
 
 from ..dynamics.system import System
 from ..layout import DENSE_ROWS, EVENT, EVENTS_PER_CONTACT, KEPT_ROWS, MAX_STAGES, POLYNOMIAL_SIZE, SCAN_ROOM
+from .accuracy import sizes_of_gaps
 from .steps import PROJECT, PROJECT_EVALUATED, SCAN, run_task
 
 # So many output times there is room for in every system.
@@ -38,6 +39,7 @@ class RunSystem(System):
         self.zeros("slack", items, EVENTS_PER_CONTACT)
         self.scratch("bracket", 6)
         # see `accuracy.set_accuracy`
+        self.gap_sizes = sizes_of_gaps(self)
         self.gap_accuracy = self.lowest_hops = np.zeros(self.items)
         self._few_times = self.scratch("output_times", _FEW_TIMES)
         self._few_at = self.table[self.layout.places["output_times"], 0].item()

@@ -52,7 +52,7 @@ class RungeKutta:
         system.scalars["dip"] = _DIP * method.widest**2
         system.counters["parent_axes"] = system.turns
         system.scale[0], system.scale[1] = rtol, atol
-        set_accuracy(system)
+        set_accuracy(system, rtol, atol)
         system.absolute.fill(atol)
         # no error is estimated in parameters that nothing depends on
         system.absolute[system.unfollowed] = 0.0

@@ -136,7 +136,7 @@ def _powers(system, nv, nc, out):
 
 @separate_kernel(NOTHING, SYSTEM.type, INTEGER)
 def build_state(system, index):
-    """State number `index` of the step: y + h sum_j a_ij k_j; index = number of stages gives the new state."""
+    """State number `index` of the step: y + h sum_j a_ij k_j; index > 0, the number of stages gives the new state."""
     sizes = system.sizes
     ny = sizes.ny
     state, out = system.state, system.stage_state
@@ -144,9 +144,10 @@ def build_state(system, index):
     weights = system.coefficients[index]
     scalars = system.scalars
     step = scalars.step
+    weight, slope = weights[0], slopes[0]
     for i in range(ny):
-        out[i] = 0.0
-    for j in range(index):
+        out[i] = weight * slope[i]
+    for j in range(1, index):
         weight = weights[j]
         if weight != 0.0:
             slope = slopes[j]

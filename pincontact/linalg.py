@@ -110,35 +110,30 @@ def whiten(factor, parents, n, right, out):
     for k in range(n):
         out[k] = right[k]
     for k in range(n - 1, -1, -1):
-        # constraint rows are zero but for the joints that move the contact
-        if out[k] == 0.0:
-            continue
-        row = factor[k]
-        # the division waits for nothing
-        value = out[k] * (1.0 / row[k])
-        out[k] = value
-        i = parents[k]
-        while i >= 0:
-            out[i] -= row[i] * value
-            i = parents[i]
+        _whiten_one(factor[k], parents, k, out)
 
 
 @kernel
 def whiten_rows(factor, parents, n, rows, count):
     """`whiten` the first rows, as many as count, in place; side by side, as they need not wait for each other."""
     for k in range(n - 1, -1, -1):
-        row = factor[k]
-        inverse = 1.0 / row[k]
         for r in range(count):
-            out = rows[r]
-            if out[k] == 0.0:
-                continue
-            value = out[k] * inverse
-            out[k] = value
-            i = parents[k]
-            while i >= 0:
-                out[i] -= row[i] * value
-                i = parents[i]
+            _whiten_one(factor[k], parents, k, rows[r])
+
+
+@kernel
+def _whiten_one(row, parents, k, out):
+    """Coordinate k of L^-T out, by row k of L, and what it leaves of the others."""
+    # constraint rows are zero but for the joints that move the contact
+    if out[k] == 0.0:
+        return
+    # the division waits for nothing
+    value = out[k] * (1.0 / row[k])
+    out[k] = value
+    i = parents[k]
+    while i >= 0:
+        out[i] -= row[i] * value
+        i = parents[i]
 
 
 @kernel

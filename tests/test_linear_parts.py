@@ -13,6 +13,7 @@ from pincontact.friction.centred import Cone, central_force, null_space
 inner = from_python(linalg.inner)
 factorize_tree = from_python(linalg.factorize_tree)
 whiten = from_python(linalg.whiten)
+whiten_rows = from_python(linalg.whiten_rows)
 unwhiten = from_python(linalg.unwhiten)
 solve_gram = from_python(linalg.solve_gram)
 
@@ -61,6 +62,11 @@ def test_inertias_of_trees(seed, parents):
     sparse[n // 2] = 2.0
     whiten(factor, parents, n, sparse, sparse)
     assert sparse == pytest.approx(np.linalg.solve(expected.T, 2.0 * np.eye(n)[n // 2]), abs=1e-11)
+    rows = rng.normal(size=(4, n)) * (rng.random((4, n)) < 0.7)
+    whitened = rows.copy()
+    whiten_rows(factor, parents, n, whitened, 3)
+    np.testing.assert_allclose(whitened[:3].T, np.linalg.solve(expected.T, rows[:3].T), atol=1e-11)
+    assert (whitened[3] == rows[3]).all()
     unwhiten(factor, parents, n, right, out)
     assert out == pytest.approx(np.linalg.solve(expected, right), abs=1e-11)
     unwhiten(factor, parents, n, right, right)

@@ -67,6 +67,7 @@ def test_inertias_of_trees(seed, parents):
     whiten_rows(factor, parents, n, whitened, 3)
     np.testing.assert_allclose(whitened[:3].T, np.linalg.solve(expected.T, rows[:3].T), atol=1e-11)
     assert (whitened[3] == rows[3]).all()
+    right = rng.normal(size=n)
     unwhiten(factor, parents, n, right, out)
     assert out == pytest.approx(np.linalg.solve(expected, right), abs=1e-11)
     unwhiten(factor, parents, n, right, right)

@@ -157,6 +157,51 @@ def solve_lower(factor, n, columns, rows):
             row[j] *= inverse
 
 
+# ------------------------------------------------------------------------------------------- orthonormal vectors
+
+
+@kernel
+def orthonormal_basis(vectors, count, tolerance, basis):
+    """Orthonormal rows (n, n), of which the first span the first `count` rows of vectors, but for what is below the
+    tolerance of the largest; returns how many these are. vectors (at least count + n, n): overwritten.
+
+    Gram and Schmidt with pivoting, of these vectors and then of the axes, each orthogonal to the others twice over.
+    """
+    n = basis.shape[0]
+    for i in range(n):
+        for j in range(n):
+            vectors[count + i, j] = 1.0 if i == j else 0.0
+    begin, end, rank, least = 0, count, n, 0.0
+    k = 0
+    while k < n:
+        pivot, p = least, -1
+        for i in range(begin, end):
+            size = inner(vectors[i], vectors[i], n)
+            if size > pivot:
+                pivot, p = size, i
+        if p < 0:
+            # nothing is left but what is orthogonal to all of them
+            begin, end, rank, least = count, count + n, k, 0.0
+            for i in range(begin, end):
+                for j in range(k):
+                    subtract_row(vectors[i], basis[j], inner(vectors[i], basis[j], n))
+            continue
+        if k == 0 and begin == 0:
+            least = tolerance * tolerance * pivot
+        own = basis[k]
+        for j in range(n):
+            own[j] = vectors[p, j]
+        for j in range(k):
+            subtract_row(own, basis[j], inner(own, basis[j], n))
+        inverse = 1.0 / sqrt(inner(own, own, n))
+        for j in range(n):
+            own[j] *= inverse
+        for i in range(begin, end):
+            subtract_row(vectors[i, :n], own, inner(vectors[i], own, n))
+        k += 1
+    return rank
+
+
 # ------------------------------------------------------------------------------------------- singular systems
 
 

@@ -112,7 +112,7 @@ class RedundantForces:
         for r, (c, row) in enumerate(index):
             if row == 2 and c < system.nc and held_up_by_friction(system, c):
                 forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
-        cones, before = self._cones(index), self._reference()
+        cones, before = self._cones(index), self.reference()
         for null in choices:
             found = central_force(forces, null, cones)
             if found is not None:
@@ -120,7 +120,7 @@ class RedundantForces:
                 if evaluate(t) <= EVENT and self._holds():
                     self.redistributions += 1
                     return True
-                self._take_back(before)
+                self.take_back(before)
                 evaluate(t)
         return False
 
@@ -148,7 +148,7 @@ class RedundantForces:
         """
         system = self.system
         integers = system.contact_int
-        before, reference = integers[:, NORMAL_SIGN].copy(), self._reference()
+        before, reference = integers[:, NORMAL_SIGN].copy(), self.reference()
         closed = [c for c in system.closed() if not shares_viscous_force(system, c)]
         if ended is not None and ended not in closed:
             return False
@@ -175,7 +175,7 @@ class RedundantForces:
             integers[worst, NORMAL_SIGN] = integers[worst, UNILATERAL] - integers[worst, NORMAL_SIGN]
             status = evaluate(t)
         integers[:, NORMAL_SIGN] = before
-        self._take_back(reference)
+        self.take_back(reference)
         evaluate(t)
         return False
 
@@ -187,7 +187,8 @@ class RedundantForces:
         system = self.system
         c, row = index[:, 0], index[:, 1]
         loads = -(np.einsum("rk,k->r", system.rows[c, row], system.free_acceleration) + system.bias[c, row])
-        across = np.linalg.pinv(operator)
+        # least squares
+        across = np.linalg.solve(operator.T @ operator, operator.T)
         reference = np.zeros_like(system.reference)
         reference[c, row] = choice.forces - choice.slope @ (across @ loads)
         self._take_reference(reference)
@@ -203,13 +204,13 @@ class RedundantForces:
             system.reference[:] = system.reference_start[:] = reference
             system.reference_slope[:] = 0.0
 
-    def _reference(self) -> tuple[float, list[np.ndarray]]:
-        """The choice that evaluations follow, see `_take_back`."""
+    def reference(self) -> tuple[float, list[np.ndarray]]:
+        """The choice that evaluations follow, see `take_back`."""
         system = self.system
         arrays = (system.reference, system.reference_start, system.reference_slope)
         return float(system.scalars["has_reference"]), [array.copy() for array in arrays]
 
-    def _take_back(self, reference: tuple[float, list[np.ndarray]]) -> None:
+    def take_back(self, reference: tuple[float, list[np.ndarray]]) -> None:
         system = self.system
         system.scalars["has_reference"] = reference[0]
         for array, values in zip((system.reference, system.reference_start, system.reference_slope), reference[1]):

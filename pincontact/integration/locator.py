@@ -97,11 +97,12 @@ class EventLocator:
     def __init__(self, rk: RungeKutta, depths: np.ndarray, open_contacts: OpenContacts) -> None:
         self.rk, self.system, self._depths, self._open = rk, rk.system, depths, open_contacts
 
-    def first(self, t: float, step: float) -> Crossing | None:
-        """The earliest crossing; None where the alarm was false."""
+    def first(self, t: float, step: float, begin: float = 0.0) -> Crossing | None:
+        """The earliest crossing from the fraction `begin` of the step on; None where the alarm was false."""
         self._set_slack()
-        values = self._values(t, step, _PLACES)
-        places = _PLACES[: len(values)]
+        places = tuple(begin + (1.0 - begin) * place for place in _PLACES)
+        values = self._values(t, step, places)
+        places = places[: len(values)]
         if len(places) < 2:
             return None
         places, values = self._with_lowest(t, step, places, values)

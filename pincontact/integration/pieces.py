@@ -79,6 +79,11 @@ class Pieces:
         self._pieces.append(Piece(start, end, size, arrays, scalars))
         self._ends.append(end)
 
+    def drop(self) -> None:
+        """Drop the last one again."""
+        self._pieces.pop()
+        self._ends.pop()
+
     def keep_line(self, start: float, end: float, rate: np.ndarray) -> None:
         """Keep a step from `start` to `end` in which the state changes at a constant rate."""
         dense = self.system.dense

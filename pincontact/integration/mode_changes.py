@@ -42,8 +42,6 @@ _JUMP = 1e-6
 # Event functions of friction below this part of the limit, and loads below this part of the largest, are zero where no
 # choice among redundant forces can raise them.
 _AT_LIMIT = 1e-6
-# Part of the relative tolerance within which the last redundant forces that hold are those at the limit.
-_AS_GOOD_AS_AT_LIMIT = 0.1
 
 
 class ModeChanges:
@@ -193,8 +191,8 @@ class ModeChanges:
         return self.modes.redistribute(t, self.rk.evaluate, ended)
 
     def _is_limited(self, c: int, kind: int) -> bool:
-        """Whether the last choice is as good as at the limit of item c."""
-        return kind == FRICTION_EVENT and c in self.at_limit(_AS_GOOD_AS_AT_LIMIT * float(self.system.scale[0]))
+        """Whether the last choice leaves item c at its limit, to the relative tolerance."""
+        return kind == FRICTION_EVENT and c in self.at_limit(float(self.system.scale[0]))
 
     def limiting(self, c: int, kind: int) -> tuple[int, int]:
         """The event function that ends a mode, where `kind` of contact c is zero and no other redundant forces would

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..friction.centred import Choice, Cone, central_force, null_space
+from ..friction.centred import Choice, Cones, central_force, null_space
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
     ANISOTROPIC,
@@ -216,33 +216,33 @@ class RedundantForces:
         for array, values in zip((system.reference, system.reference_start, system.reference_slope), reference[1]):
             array[:] = values
 
-    def _cones(self, index: np.ndarray) -> list[Cone]:
+    def _cones(self, index: list[tuple[int, int]]) -> Cones:
         """The cones of the forces in the constraint rows `index` (count, 2)."""
         system = self.system
-        rows = {(int(c), int(row)): r for r, (c, row) in enumerate(index)}
-        cones = []
+        rows = {item: r for r, item in enumerate(index)}
+        cones = Cones()
         for c in system.closed():
             integers, mu = system.contact_int[c], float(system.contact_real[c, MU_STATIC])
             normal, sticks = rows[c, 2], integers[MODE] == STICK and math.isfinite(mu)
             tangents = tuple(rows[c, row] for row in range(integers[TANGENTS])) if sticks else ()
             scaling = np.linalg.inv(stretch(system, c)) if tangents and integers[ANISOTROPIC] else None
-            if integers[UNILATERAL]:
-                cones.append(Cone(normal, mu, 0.0, tangents, scaling) if tangents else Cone(normal, 1.0, 0.0))
-            elif tangents and integers[PATTERN] != ON_CURVE:
-                cones.append(Cone(normal, math.copysign(mu, system.force[c, 2]), 0.0, tangents, scaling))
+            if not integers[UNILATERAL]:
+                if not tangents or integers[PATTERN] == ON_CURVE:
+                    continue
+                mu = math.copysign(mu, system.force[c, 2])
+            cones.add_contact(normal, mu, tangents, scaling)
         for i in system.resisting():
             if system.contact_int[i, MODE] == STICK:
                 owner, tangents = system.owner(i), tuple(rows[i, row] for row in range(system.contact_int[i, TANGENTS]))
                 limit = float(system.contact_real[i, MU_STATIC])
                 if not system.contact_int[owner, UNILATERAL]:
                     limit = math.copysign(limit, system.force[owner, 2])
-                cones.append(Cone(rows[owner, 2], limit, 0.0, tangents))
+                cones.add_contact(rows[owner, 2], limit, tangents)
         for g in system.held():
-            row, end = rows[system.nc + g, 2], system.joint_int[g, JOINT_END]
-            if end <= 0:
-                cones.append(Cone(row, 1.0, -float(system.joint_real[g, LOW_FORCE])))
-            if end >= 0:
-                cones.append(Cone(row, -1.0, float(system.joint_real[g, HIGH_FORCE])))
+            end, numbers = system.joint_int[g, JOINT_END], system.joint_real[g]
+            low, high = numbers.item(LOW_FORCE), numbers.item(HIGH_FORCE)
+            row = rows[system.nc + g, 2]
+            cones.add_range(row, low if end <= 0 else -math.inf, high if end >= 0 else math.inf)
         return cones
 
     def _holds(self) -> bool:

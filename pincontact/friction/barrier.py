@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from ..arrays import view
-from ..jit import INTEGER, REAL, SEVERAL, entry_kernel, kernel
+from ..jit import REAL, SEVERAL, entry_kernel, kernel
 from ..linalg import factor_definite, inner, orthonormal_basis, solve_definite, subtract_row
 
 _NEWTON_STEPS = 60
@@ -205,12 +205,9 @@ def tangent(rows, start, point, k, spanned, hessian, scratch, slope):
 
 
 @kernel
-def _centre(forces, null, parts, offsets, vectors, basis, rows, hessian, scratch, slope):
-    n, m, count = forces.shape[0], offsets.shape[0], null.shape[0]
-    for j in range(count):
-        for i in range(n):
-            vectors[j, i] = null[j, i]
-    k = orthonormal_basis(vectors, count, _RANK, basis)
+def _centre(forces, null, parts, offsets, basis, rows, hessian, scratch, slope):
+    n, m = forces.shape[0], offsets.shape[0]
+    k = orthonormal_basis(null, _RANK, basis)
     largest, size = 0.0, 0.0
     for i in range(n):
         largest = max(largest, abs(forces[i]))
@@ -256,15 +253,15 @@ def _centre(forces, null, parts, offsets, vectors, basis, rows, hessian, scratch
 _VECTOR, _MATRIX = REAL[::1], REAL[:, ::1]
 
 
-@entry_kernel(_VECTOR, _MATRIX, _MATRIX, _VECTOR, _MATRIX, _MATRIX, _MATRIX, _MATRIX, _MATRIX, _MATRIX, when=SEVERAL)
-def centre(forces, null, parts, offsets, vectors, basis, rows, hessian, scratch, slope):
+@entry_kernel(_VECTOR, _MATRIX, _MATRIX, _VECTOR, _MATRIX, _MATRIX, _MATRIX, _MATRIX, _MATRIX, when=SEVERAL)
+def centre(forces, null, parts, offsets, basis, rows, hessian, scratch, slope):
     """Move forces (n,) along the rows of null (c, n) to the analytic centre of m cones s > |t|, (s, t1, t2) = parts
     (3 m, n) forces + offsets (3 m,); returns the number k of directions among these rows, or 0 where there is none, or
     no centre.
 
     basis (n, n): orthonormal rows, the first k of them those directions; slope (n, n): in row j by how much the centre
     moves along each of these as forces grow along row k + j of the basis.
-    vectors (c + n, n), rows (3 m, n + 1), hessian (n + 1, n + 1), scratch (SCRATCH_ROWS, at least n + 1 and 3 m): are
+    null, rows (3 m, n + 1), hessian (n + 1, n + 1), scratch (SCRATCH_ROWS, at least n + 1 and 3 m): are
     overwritten.
     """
     return _centre(
@@ -272,7 +269,6 @@ def centre(forces, null, parts, offsets, vectors, basis, rows, hessian, scratch,
         view(null),
         view(parts),
         view(offsets),
-        view(vectors),
         view(basis),
         view(rows),
         view(hessian),
@@ -281,7 +277,7 @@ def centre(forces, null, parts, offsets, vectors, basis, rows, hessian, scratch,
     )
 
 
-@entry_kernel(_MATRIX, INTEGER, REAL, _MATRIX, when=SEVERAL)
-def span(vectors, count, tolerance, basis):
+@entry_kernel(_MATRIX, REAL, _MATRIX, when=SEVERAL)
+def span(vectors, tolerance, basis):
     """See `linalg.orthonormal_basis`."""
-    return orthonormal_basis(view(vectors), count, tolerance, view(basis))
+    return orthonormal_basis(view(vectors), tolerance, view(basis))

@@ -13,6 +13,8 @@ along the tangent leaves about the square of what the last left; a constant one 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -44,6 +46,27 @@ class Cone(NamedTuple):
     scaling: np.ndarray | None = None
 
 
+class Cones(list[Cone]):
+    """The cones in which redundant forces are chosen, of runs and of time steps."""
+
+    def add_contact(
+        self, normal: int, mu: float, tangents: Sequence[int] = (), scaling: np.ndarray | None = None
+    ) -> None:
+        """mu times the normal force is no less than the friction; without tangents the normal force no less than 0."""
+        self.append(Cone(normal, mu, 0.0, tuple(tangents), scaling) if tangents else Cone(normal, 1.0, 0.0))
+
+    def add_range(self, row: int, low: float, high: float) -> None:
+        """A force between two bounds, which may be infinite."""
+        self += [Cone(row, sign, size) for sign, size in ((1.0, -low), (-1.0, high)) if size < math.inf]
+
+    def add_friction(self, tangents: Sequence[int], limit: float) -> None:
+        """Friction of one or two components up to a limit."""
+        if len(tangents) == 1:
+            self.add_range(tangents[0], -limit, limit)
+        else:
+            self.append(Cone(0, 0.0, limit, tuple(tangents)))
+
+
 class Choice(NamedTuple):
     """The central forces (n,) at some loads, and how they follow these.
 
@@ -58,12 +81,11 @@ class Choice(NamedTuple):
 
 def null_space(directions: np.ndarray) -> np.ndarray:
     """(n, k) combinations of the n force directions (n, nv) that act on nothing, k may be 0."""
-    n, nv = directions.shape
+    n = len(directions)
     sizes = np.sqrt(np.einsum("ij,ij->i", directions, directions))
     sizes[sizes == 0.0] = 1.0
-    vectors, basis = np.empty((nv + n, n)), np.empty((n, n))
-    vectors[:nv] = directions.T / sizes
-    rank = span(vectors, nv, _NULL, basis)
+    basis = np.empty((n, n))
+    rank = span(np.divide(directions.T, sizes, order="C"), _NULL, basis)
     null: np.ndarray = basis[rank:].T / sizes[:, None]
     return null
 
@@ -85,9 +107,9 @@ def central_force(forces: np.ndarray, null: np.ndarray, cones: list[Cone]) -> Ch
         if scaling is not None:
             parts[3 * i + 1 : 3 * i + 3, tangents] = scaling[:, : len(tangents)]
     found, basis, slope = np.array(forces), np.empty((n, n)), np.empty((n, n))
-    vectors, rows, hessian = np.empty((k + n, n)), np.empty((offsets.size, n + 1)), np.empty((n + 1, n + 1))
+    rows, hessian = np.empty((offsets.size, n + 1)), np.empty((n + 1, n + 1))
     scratch = np.empty((SCRATCH_ROWS, max(n + 1, offsets.size)))
-    k = centre(found, np.ascontiguousarray(null.T), parts, offsets, vectors, basis, rows, hessian, scratch, slope)
+    k = centre(found, null.T.copy(), parts, offsets, basis, rows, hessian, scratch, slope)
     return Choice(found, (slope[: n - k, :k] @ basis[:k]).T, basis[k:].T) if k else None
 
 
@@ -144,9 +166,9 @@ def centred_forces(
     stuck = np.flatnonzero((speed <= _AT_REST * np.maximum(size, _AT_REST * size.max(initial=0.0))) & (friction > 0.0))
     rows = (3 * stuck[:, None] + np.arange(3)).ravel()
     values, vectors = np.linalg.eigh(matrix[np.ix_(rows, rows)])
-    cones = [
-        Cone(3 * i + 2, min(float(friction[c]), LARGEST_FRICTION), 0.0, (3 * i, 3 * i + 1)) for i, c in enumerate(stuck)
-    ]
+    cones = Cones()
+    for i, c in enumerate(stuck):
+        cones.add_contact(3 * i + 2, min(float(friction[c]), LARGEST_FRICTION), (3 * i, 3 * i + 1))
     null = null_space(vectors * np.sqrt(np.maximum(values, 0.0)))
     found = central_force(solution.forces[stuck].ravel(), null, cones)
     if found is None:

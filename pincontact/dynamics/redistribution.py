@@ -91,6 +91,7 @@ class RedundantForces:
             # of independent rows there is one choice
             return False
         index = system.row_index[:count].copy()
+        items = [(c, row) for c, row in index.tolist()]
         closed = system.closed()
         slipping = any(system.contact_int[c, MODE] == SLIPPING for c in [*closed, *system.resisting()])
         if slipping and count == len(closed):
@@ -109,10 +110,10 @@ class RedundantForces:
                 choices.append(open_forces)
         self.redundant = choices[-1].shape[1] > 0
         forces = system.force[index[:, 0], index[:, 1]]
-        for r, (c, row) in enumerate(index):
+        for r, (c, row) in enumerate(items):
             if row == 2 and c < system.nc and held_up_by_friction(system, c):
                 forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
-        cones, before = self._cones(index), self.reference()
+        cones, before = self._cones(items), self.reference()
         for null in choices:
             found = central_force(forces, null, cones)
             if found is not None:
@@ -217,7 +218,7 @@ class RedundantForces:
             array[:] = values
 
     def _cones(self, index: list[tuple[int, int]]) -> Cones:
-        """The cones of the forces in the constraint rows `index` (count, 2)."""
+        """The cones of the forces in these constraint rows, of items along their bases."""
         system = self.system
         rows = {item: r for r, item in enumerate(index)}
         cones = Cones()

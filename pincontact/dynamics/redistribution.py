@@ -117,7 +117,7 @@ class RedundantForces:
         for null in choices:
             found = central_force(forces, null, cones)
             if found is not None:
-                self._follow(index, found, rows @ (directions.T @ found.span))
+                self._follow(index, found, rows @ directions.T)
                 if evaluate(t) <= EVENT and self._holds():
                     self.redistributions += 1
                     return True
@@ -183,18 +183,17 @@ class RedundantForces:
     def _follow(self, index: np.ndarray, choice: Choice, operator: np.ndarray) -> None:
         """Take the choice for the reference, and let that move with the loads as the choice will.
 
-        index (count, 2): the constraint rows; operator (count, r): what forces along `choice.span` do to them.
+        index (count, 2): the constraint rows; operator (count, count): what forces do to them.
         """
         system = self.system
         c, row = index[:, 0], index[:, 1]
-        loads = -(np.einsum("rk,k->r", system.rows[c, row], system.free_acceleration) + system.bias[c, row])
-        # least squares
-        across = np.linalg.solve(operator.T @ operator, operator.T)
+        loads = -(system.rows[c, row] @ system.free_acceleration + system.bias[c, row])
+        along = choice.loads_along(operator)
         reference = np.zeros_like(system.reference)
-        reference[c, row] = choice.forces - choice.slope @ (across @ loads)
+        reference[c, row] = choice.forces - choice.slope @ (loads @ along)
         self._take_reference(reference)
         rank = choice.span.shape[1]
-        system.reference_slope[0, 3 * c + row, :rank] = across.T
+        system.reference_slope[0, 3 * c + row, :rank] = along
         system.reference_slope[1, 3 * c + row, :rank] = choice.slope
 
     def _take_reference(self, reference: np.ndarray | None) -> None:

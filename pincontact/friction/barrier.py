@@ -28,6 +28,8 @@ _LARGEST = 1e3
 _FIXED = 1e-9
 # Directions that others combine to but for this part are no directions of their own.
 _RANK = 1e-12
+# A null direction: unit rows that combine to less than this (the square root of the kernels' rank tolerance).
+_NULL = 3e-6
 # Rows of scratch that `centre` takes.
 SCRATCH_ROWS = 10
 
@@ -277,7 +279,42 @@ def centre(forces, null, parts, offsets, basis, rows, hessian, scratch, slope):
     )
 
 
-@entry_kernel(_MATRIX, REAL, _MATRIX, when=SEVERAL)
-def span(vectors, tolerance, basis):
-    """See `linalg.orthonormal_basis`."""
-    return orthonormal_basis(view(vectors), tolerance, view(basis))
+@kernel
+def _null_rows(directions, vectors, basis):
+    n, nv = directions.shape[0], directions.shape[1]
+    for i in range(n):
+        size = math.sqrt(inner(directions[i], directions[i], nv))
+        for j in range(nv):
+            vectors[j, i] = directions[i, j] / size if size > 0.0 else 0.0
+    rank = orthonormal_basis(vectors, _NULL, basis)
+    for i in range(n):
+        size = math.sqrt(inner(directions[i], directions[i], nv))
+        for j in range(rank, n):
+            basis[j, i] /= size if size > 0.0 else 1.0
+    return rank
+
+
+@entry_kernel(_MATRIX, _MATRIX, _MATRIX, when=SEVERAL)
+def null_rows(directions, vectors, basis):
+    """Combinations of the n directions (n, nv) that act on nothing, as rows of the basis (n, n) from the one on that is
+    returned; vectors (nv, n): overwritten."""
+    return _null_rows(view(directions), view(vectors), view(basis))
+
+
+@kernel
+def _left_inverse(matrix, gram):
+    n, m = matrix.shape[0], matrix.shape[1]
+    for i in range(m):
+        for j in range(i + 1):
+            gram[i, j] = 0.0
+            for r in range(n):
+                gram[i, j] += matrix[r, i] * matrix[r, j]
+    factor_definite(gram, m)
+    for r in range(n):
+        solve_definite(gram, m, matrix[r])
+
+
+@entry_kernel(_MATRIX, _MATRIX, when=SEVERAL)
+def left_inverse(matrix, gram):
+    """Replace a matrix (n, m) of rank m by the transpose of its left inverse; gram (m, m): overwritten."""
+    _left_inverse(view(matrix), view(gram))

@@ -22,13 +22,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import ArgumentError
-from .barrier import SCRATCH_ROWS, centre, span
+from .barrier import SCRATCH_ROWS, centre, left_inverse, null_rows
 from .cone import LARGEST_FRICTION, STICK
 from .problem import checked_problem
 from .solve import ContactSolution
 
-# A null direction: unit rows that combine to less than this (the square root of the kernels' rank tolerance).
-_NULL = 3e-6
 # Velocities relative to the terms that cancel in them.
 _AT_REST = 1e-9
 
@@ -78,16 +76,18 @@ class Choice(NamedTuple):
     slope: np.ndarray
     span: np.ndarray
 
+    def loads_along(self, operator: np.ndarray) -> np.ndarray:
+        """(m, r) the transpose of what gives y for loads (m,), which the operator (m, n) makes of forces."""
+        along: np.ndarray = operator @ self.span
+        left_inverse(along, np.empty((along.shape[1], along.shape[1])))
+        return along
+
 
 def null_space(directions: np.ndarray) -> np.ndarray:
     """(n, k) combinations of the n force directions (n, nv) that act on nothing, k may be 0."""
-    n = len(directions)
-    sizes = np.sqrt(np.einsum("ij,ij->i", directions, directions))
-    sizes[sizes == 0.0] = 1.0
+    n, nv = directions.shape
     basis = np.empty((n, n))
-    rank = span(np.divide(directions.T, sizes, order="C"), _NULL, basis)
-    null: np.ndarray = basis[rank:].T / sizes[:, None]
-    return null
+    return basis[null_rows(np.ascontiguousarray(directions), np.empty((nv, n)), basis) :].T
 
 
 def central_force(forces: np.ndarray, null: np.ndarray, cones: list[Cone]) -> Choice | None:

@@ -14,12 +14,11 @@ from ..jit import REAL, SEVERAL, entry_kernel, kernel
 from ..linalg import factor_definite, inner, orthonormal_basis, solve_definite, subtract_row
 
 _NEWTON_STEPS = 60
-_BACKTRACKS = 50
 _CONVERGED = 1e-9
 # Forces count as admissible if they are inside their cones by this fraction of the largest force.
 INSIDE = 1e-9
-# Part of the way to the nearest boundary that a step may go.
-TO_BOUNDARY = 0.95
+# Steps are shortened to this part at least.
+_SHORTEST = 1e-15
 # By how much the pressure grows that lowers the enlargement.
 _SHARPENING = 8.0
 # Size of the forces of interest, relative to those of least norm.
@@ -30,8 +29,9 @@ _FIXED = 1e-9
 _RANK = 1e-12
 # A null direction: unit rows that combine to less than this (the square root of the kernels' rank tolerance).
 _NULL = 3e-6
-# Rows of scratch that `centre` takes.
-SCRATCH_ROWS = 10
+# Rows of scratch of `centre`.
+SLOPE, CHANGE, AFTER, CONES, POINT, ALONG, START = range(7)
+SCRATCH_ROWS = 7
 
 
 @kernel
@@ -57,23 +57,6 @@ def barrier_derivatives(rows, x, n, slope, hessian):
 
 
 @kernel
-def way_inside(x, dx):
-    """Largest step along dx (3 m,) from x (3 m,) that stays inside all cones, at most 1 / `TO_BOUNDARY`."""
-    way = 1.0 / TO_BOUNDARY
-    for i in range(0, x.shape[0], 3):
-        length = math.hypot(x[i + 1], x[i + 2])
-        a = dx[i] * dx[i] - dx[i + 1] * dx[i + 1] - dx[i + 2] * dx[i + 2]
-        b = x[i] * dx[i] - x[i + 1] * dx[i + 1] - x[i + 2] * dx[i + 2]
-        c = (x[i] - length) * (x[i] + length)
-        # a w^2 + 2 b w + c = 0, the least positive root, as c / (-b + sqrt(b^2 - a c)); none where that is not
-        # positive. From inside b^2 >= a c; they are equal in cones without tangents, but for rounding.
-        below = math.sqrt(max(b * b - a * c, 0.0)) - b
-        if below > 0.0:
-            way = min(way, c / below)
-    return way
-
-
-@kernel
 def cost(x, point, k, pressure):
     """Barriers of (s, t1, t2) in x + |z|^2 / 2 + pressure times the enlargement, of a point; infinite outside."""
     total = pressure * point[k]
@@ -93,23 +76,14 @@ def place(rows, start, point, n, x):
 
 
 @kernel
-def move(rows, start, point, step, size, k, x, after, pressure):
-    """The cost at point + size step, which are left in `after` and x."""
-    for i in range(k + 1):
-        after[i] = point[i] + size * step[i]
-    place(rows, start, after, k + 1, x)
-    return cost(x, after, k, pressure)
-
-
-@kernel
 def minimise(rows, start, point, k, pressure, hessian, scratch):
-    """Newton with backtracking from a point (z, enlargement), which is overwritten, to the lowest cost; it ends where
-    the enlargement is negative. Pressure 0 keeps it fixed."""
-    m = start.shape[0]
+    """Newton with backtracking from a point (z, enlargement), which is overwritten, to the lowest cost. Pressure 0 keeps
+    the enlargement."""
     free = k + 1 if pressure > 0.0 else k
-    slope, step, after, x, dx = scratch[0], scratch[1], scratch[2], scratch[3, :m], scratch[4, :m]
+    slope, step, after, x = scratch[SLOPE], scratch[CHANGE], scratch[AFTER], scratch[CONES, : start.shape[0]]
     for _ in range(_NEWTON_STEPS):
         place(rows, start, point, k + 1, x)
+        before, size, lower = cost(x, point, k, pressure), 1.0, False
         barrier_derivatives(rows, x, free, slope, hessian)
         slope[k] = slope[k] + pressure if free > k else 0.0
         step[k] = -slope[k]
@@ -120,46 +94,35 @@ def minimise(rows, start, point, k, pressure, hessian, scratch):
         factor_definite(hessian, free)
         solve_definite(hessian, free, step)
         decrement = -inner(slope, step, free)
-        # so near the rim that round-off decides there is no number
-        if not decrement > _CONVERGED:
-            # the last step leaves the square of itself
-            for i in range(free if decrement > 0.0 else 0):
-                point[i] += step[i]
-            return
-        for a in range(m):
-            dx[a] = inner(rows[a], step, k + 1)
-        size, before, falls = TO_BOUNDARY * way_inside(x, dx), cost(x, point, k, pressure), False
-        for _ in range(_BACKTRACKS):
-            falls = move(rows, start, point, step, size, k, x, after, pressure) <= before - 0.1 * size * decrement
-            if falls:
-                break
-            size *= 0.5
-        if not falls:
-            return
-        for i in range(free):
-            point[i] = after[i]
-        if pressure > 0.0 and point[k] < -INSIDE:
+        # so near the rim that round-off decides there is no number; the last step leaves the square of itself
+        last = not decrement > _CONVERGED
+        lower = last and decrement > 0.0
+        while not lower and size > _SHORTEST and not last:
+            for i in range(k + 1):
+                after[i] = point[i] + size * step[i]
+            place(rows, start, after, k + 1, x)
+            lower = cost(x, after, k, pressure) <= before - 0.1 * size * decrement
+            size *= 1.0 if lower else 0.5
+        for i in range(free if lower else 0):
+            point[i] += size * step[i]
+        if last or not lower:
             return
 
 
 @kernel
 def enter(rows, start, point, k, hessian, scratch):
     """Move a point (z, 0) into all cones (phase one); False where there is no such point."""
-    m = start.shape[0]
-    x, dx, last, before = scratch[3, :m], scratch[4, :m], scratch[5], scratch[6]
+    x, count, lowest, size = scratch[CONES, : start.shape[0]], start.shape[0] // 3, math.inf, 0.0
     place(rows, start, point, k + 1, x)
-    lowest, size = math.inf, 0.0
-    for a in range(0, m, 3):
+    for a in range(0, 3 * count, 3):
         value = x[a] - math.hypot(x[a + 1], x[a + 2])
         lowest = min(lowest, value)
         size += abs(value)
     if lowest > INSIDE:
         return True
-    count = m // 3
     # as far outside as the others are inside: the steps to come are of that size
     point[k] = max(size / count, 10.0 * INSIDE) - lowest
     pressure = 2.0 * count / point[k]
-    followed = False
     while True:
         minimise(rows, start, point, k, pressure, hessian, scratch)
         if point[k] < -INSIDE:
@@ -172,19 +135,6 @@ def enter(rows, start, point, k, hessian, scratch):
         if not (point[k] <= within and within >= INSIDE):
             return False
         pressure *= _SHARPENING
-        for i in range(k + 1):
-            last[i], before[i] = before[i], point[i]
-        if followed:
-            # the path is straight in 1 / pressure, nearly
-            for i in range(k + 1):
-                last[i] = (point[i] - last[i]) / _SHARPENING
-            place(rows, start, point, k + 1, x)
-            for a in range(m):
-                dx[a] = inner(rows[a], last, k + 1)
-            size = min(1.0, TO_BOUNDARY * way_inside(x, dx))
-            for i in range(k + 1):
-                point[i] += size * last[i]
-        followed = True
 
 
 @kernel
@@ -192,7 +142,7 @@ def tangent(rows, start, point, k, spanned, hessian, scratch, slope):
     """slope (n - k, n - k or more): in its rows what z does, in its unit, as forces grow along each direction that does
     something; spanned (n - k,): by how much the unit does. False on the rim, where round-off decides."""
     m, rest = start.shape[0], spanned.shape[0]
-    n, x, by = k + 1 + rest, scratch[3, :m], scratch[0]
+    n, x, by = k + 1 + rest, scratch[CONES, :m], scratch[SLOPE]
     place(rows, start, point, k + 1, x)
     barrier_derivatives(rows, x, n, by, hessian)
     for j in range(rest):
@@ -221,7 +171,7 @@ def _centre(forces, null, parts, offsets, basis, rows, hessian, scratch, slope):
         unit = largest
     if k == 0 or largest == 0.0:
         return 0
-    point, along, start = scratch[7], scratch[8], scratch[9, :m]
+    point, along, start = scratch[POINT], scratch[ALONG], scratch[START, :m]
     for j in range(n):
         along[j] = inner(basis[j], forces, n) / unit
         column = j if j < k else j + 1

@@ -77,8 +77,8 @@ def place(rows, start, point, n, x):
 
 @kernel
 def minimise(rows, start, point, k, pressure, hessian, scratch):
-    """Newton with backtracking from a point (z, enlargement), which is overwritten, to the lowest cost. Pressure 0 keeps
-    the enlargement."""
+    """Newton with backtracking from a point (z, enlargement), which is overwritten, to the lowest cost. With pressure 0
+    the enlargement stays."""
     free = k + 1 if pressure > 0.0 else k
     slope, step, after, x = scratch[SLOPE], scratch[CHANGE], scratch[AFTER], scratch[CONES, : start.shape[0]]
     for _ in range(_NEWTON_STEPS):

@@ -293,6 +293,41 @@ def test_redundant_forces_are_those_of_the_run():
         assert np.count_nonzero(bends) <= 2
 
 
+@pytest.mark.parametrize("loop", [0.0, 3.0])
+def test_choices_among_forces_that_move_nothing_take_no_steps(loop):
+    """A block's corners under pushes along curves: the steps are those with so much friction that nothing is chosen,
+    and what is written within them are the forces of its time."""
+    scene, _ = sliding_block()
+    rough = pc.Scene.from_urdf(ROOT / "urdf" / "block.urdf", floating_base=True)
+    rough.add_contours_from_collision(links=["block"], kinds=["corners"])
+    floor = rough.add_contour("floor", pc.Plane())
+    for corner in scene.contacts:
+        rough.add_contact(corner, corner, floor, friction=pc.Coulomb(40.0))
+    weight = sum(inertia.mass for inertia in scene.model.inertias) * G
+    t = np.linspace(0.0, 0.95, 96)
+
+    def push(t, q, v):
+        return 0.4 * weight * t * np.array([math.cos(loop * t), math.sin(loop * t), 0, 0, 0, 0.02 + 0.01 * loop * t])
+
+    runs = []
+    for one in (scene, rough):
+        state = one.initial_state([0, 0, 0.1, 0, 0, 0, 1])
+        runs.append(pc.simulate(one, state, 0.95, control=push, t_eval=t, rtol=1e-6, atol=1e-8, dense_output=True))
+        assert runs[-1].status == 0 and not runs[-1].events
+    run, free = runs
+    assert run.stats["redistributions"] >= 1 and free.stats["redistributions"] == 0
+    # the error of forces is estimated, and their change bends the steps a little
+    assert abs(run.stats["steps"] - free.stats["steps"]) <= 1 and run.stats["rejected"] == free.stats["rejected"]
+    np.testing.assert_allclose(run.q, free.q, rtol=0.0, atol=1e-13)
+    for tracks in (run.contacts, run.sol(t).contacts):
+        total = sum(track.force_on(name) for name, track in tracks.items())
+        pushed = np.array([push(time, None, None)[:3] for time in t])
+        np.testing.assert_allclose(total, [0.0, 0.0, weight] - pushed, rtol=0.0, atol=1e-9 * weight)
+        for track in tracks.values():
+            # that of dense output, which says where forces are chosen
+            assert (track.tangential_force <= 0.4 * track.normal_force * (1.0 + 1e-6)).all()
+
+
 @pytest.mark.parametrize("angle", np.linspace(0.1, 6.1, 7))
 def test_friction_at_the_end_of_slip(angle):
     """At the very event v_c is round-off and has no direction: friction is against the slip before it all the same."""

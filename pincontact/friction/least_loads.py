@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from ..arrays import view
 from ..jit import INTEGER, REAL, SEVERAL, entry_kernel, kernel
-from ..linalg import RANK_TOLERANCE, factor_definite, largest_entry, solve_definite, subtract_row
+from ..linalg import RANK_TOLERANCE, factor_definite, inner, largest_entry, solve_definite, subtract_row
 
 # Loads are negative that are below zero by this part of the largest.
 _ROUND_OFF = 1e-13
@@ -22,20 +24,20 @@ def multipliers_of(null, held, m, scratch, gram):
     """What pushes the m loads held (m,) from where they are in START to zero, into TRIAL; whether the last one is
     independent of the others. If not, far along what changes none of them."""
     trial, last = scratch[TRIAL], m - 1
-    for slight in (0.0, RANK_TOLERANCE):
-        for i in range(m):
-            trial[i] = -scratch[START, held[i]]
-            for j in range(i + 1):
-                gram[i, j] = 0.0
-                for r in range(null.shape[0]):
-                    gram[i, j] += null[r, held[i]] * null[r, held[j]]
-        own = gram[last, last]
-        gram[last, last] += slight * own
-        factor_definite(gram, m)
-        if gram[last, last] ** 2 > RANK_TOLERANCE * own:
-            break
+    for i in range(m):
+        trial[i] = -scratch[START, held[i]]
+        for j in range(i + 1):
+            gram[i, j] = 0.0
+            for r in range(null.shape[0]):
+                gram[i, j] += null[r, held[i]] * null[r, held[j]]
+    factor_definite(gram, last)
+    own = gram[last]
+    for j in range(last):
+        own[j] = (own[j] - inner(own, gram[j], j)) / gram[j, j]
+    left, least = own[last] - inner(own, own, last), RANK_TOLERANCE * own[last]
+    own[last] = sqrt(max(left, least))
     solve_definite(gram, m, trial)
-    return slight == 0.0
+    return left > least
 
 
 @kernel

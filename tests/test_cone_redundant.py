@@ -350,3 +350,33 @@ def test_least_loads(seed):
     assert least_of(least, null, np.full(4, True)) is None
     alone = least_of(least, null, np.array([True, True, True, False]))
     assert alone == pytest.approx([0.0, 0.0, 0.0, -2.0], abs=1e-15)
+
+
+@SEEDS
+def test_where_all_slides_loads_are_least_and_turns_stay(seed):
+    """Whatever solution is given: loads nearest to zero, turns nearest to what they are; against `least_of`."""
+    rng = np.random.default_rng(seed)
+    n, rank, moved = 6, 5, 0
+    modes, mu = np.full(n, SLIP), np.full(n, 0.6)
+    is_load = np.arange(2 * n) % 2 == 0
+    for _ in range(10):
+        cone = newton_workspace(n)
+        cone.first[:] = 2 * np.arange(n + 1)
+        equations = rng.normal(size=(rank, 2 * n))
+        loads = np.where(is_load, np.maximum(rng.normal(size=2 * n), 0.0), rng.normal(size=2 * n))
+        cone.system[:rank, : 2 * n], cone.rhs[:rank] = equations, equations @ loads
+        arguments = [getattr(cone, name) for name in ("x", "gram", "order")]
+        assert least_norm(cone.system, cone.rhs, rank, 2 * n, *arguments, 1e-12) == rank
+        null = np.linalg.svd(equations)[2][rank:]
+        x = cone.x[: 2 * n]
+        x += null.T @ rng.normal(size=len(null))
+        turns = np.where(is_load, 0.0, x)
+        least = least_of(x - null.T @ (null @ (x - turns)), null, is_load)
+        if (x[is_load] >= 0.0).all():
+            continue
+        moved += 1
+        assert not move_inside(cone, rank, mu, modes, rng.normal(size=3 * n))
+        # round-off times condition numbers of up to 1e3
+        assert x == pytest.approx(least, abs=1e-11)
+        assert equations @ x == pytest.approx(equations @ loads, abs=1e-11)
+    assert moved >= 5

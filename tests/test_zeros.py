@@ -287,7 +287,7 @@ def test_true_steps_to_a_touch(monkeypatch, rtol):
 def test_what_samples_show(seed):
     """Sign changes and valleys among samples, with all that is none, against array functions."""
     rng = np.random.default_rng(seed)
-    items, nc, kinds = 4, 3, EVENTS_PER_CONTACT
+    items, nc, kinds = 40, 30, EVENTS_PER_CONTACT
     for n in (2, 3, 9):
         values = rng.choice([-2.0, -1.0, 0.0, 0.1, 0.5, 1.0, 3.0, math.inf, NOTHING_THERE], (n, items, kinds))
         values += np.where(rng.random(values.shape) < 0.5, 0.0, rng.normal(size=values.shape) * 0.01)

@@ -7,6 +7,7 @@ import pytest
 from calling import from_python
 
 from pincontact import linalg
+from pincontact.friction import barrier
 from pincontact.friction.centred import Cone, central_force, null_space
 
 inner = from_python(linalg.inner)
@@ -15,6 +16,7 @@ whiten = from_python(linalg.whiten)
 unwhiten = from_python(linalg.unwhiten)
 solve_gram = from_python(linalg.solve_gram)
 orthonormal_basis = from_python(linalg.orthonormal_basis)
+way_inside = from_python(barrier.way_inside)
 
 SEEDS = pytest.mark.parametrize("seed", range(3))
 # each coordinate's parent: a chain, a tree, separate bodies
@@ -209,3 +211,27 @@ def test_where_no_forces_lie_inside_there_is_no_choice():
     null = null_space(directions)
     assert central_force(np.r_[inside, 0.0], null, [*cones, Cone(12, 1.0, 0.0)]) is None
     assert central_force(np.r_[inside, 1.0], null, [*cones, Cone(12, 1.0, 0.0)]) is not None
+
+
+def depths(x):
+    """How far inside their cones."""
+    return x[:, 0] - np.hypot(x[:, 1], x[:, 2])
+
+
+@SEEDS
+def test_the_way_out_of_cones(seed):
+    rng = np.random.default_rng(seed)
+    for _ in range(100):
+        x, dx = rng.normal(size=(2, 2, 3))
+        x[:, 0] = np.hypot(x[:, 1], x[:, 2]) + rng.uniform(0.01, 1.0, 2)
+        if rng.random() < 0.3:
+            # one without tangents
+            x[1, 1:] = dx[1, 1:] = 0.0
+        way = way_inside(x.ravel(), dx.ravel())
+        for part in np.linspace(0.0, 0.999, 15):
+            assert depths(x + part * way * dx).min() > 0.0
+        if way < 1.0 / barrier.TO_BOUNDARY:
+            # of double roots only half the digits are left
+            assert depths(x + way * dx).min() == pytest.approx(0.0, abs=1e-6)
+        else:
+            assert way == 1.0 / barrier.TO_BOUNDARY

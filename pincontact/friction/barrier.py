@@ -17,6 +17,8 @@ _NEWTON_STEPS = 60
 _CONVERGED = 1e-9
 # Forces count as admissible if they are inside their cones by this fraction of the largest force.
 INSIDE = 1e-9
+# Part of the way to the nearest boundary that a step may go.
+TO_BOUNDARY = 0.95
 # Steps are shortened to this part at least.
 _SHORTEST = 1e-15
 # By how much the pressure grows that lowers the enlargement.
@@ -30,8 +32,8 @@ _RANK = 1e-12
 # A null direction: unit rows that combine to less than this (the square root of the kernels' rank tolerance).
 _NULL = 3e-6
 # Rows of scratch of `centre`.
-SLOPE, CHANGE, AFTER, CONES, POINT, ALONG, START = range(7)
-SCRATCH_ROWS = 7
+SLOPE, CHANGE, AFTER, CONES, WAY, POINT, ALONG, START = range(8)
+SCRATCH_ROWS = 8
 
 
 @kernel
@@ -57,6 +59,23 @@ def barrier_derivatives(rows, x, n, slope, hessian):
 
 
 @kernel
+def way_inside(x, dx):
+    """Largest step along dx (3 m,) from x (3 m,) that stays inside all cones, at most 1 / `TO_BOUNDARY`."""
+    way = 1.0 / TO_BOUNDARY
+    for i in range(0, x.shape[0], 3):
+        length = math.hypot(x[i + 1], x[i + 2])
+        a = dx[i] * dx[i] - dx[i + 1] * dx[i + 1] - dx[i + 2] * dx[i + 2]
+        b = x[i] * dx[i] - x[i + 1] * dx[i + 1] - x[i + 2] * dx[i + 2]
+        c = (x[i] - length) * (x[i] + length)
+        # a w^2 + 2 b w + c = 0, the least positive root, as c / (-b + sqrt(b^2 - a c)); none where that is not
+        # positive. From inside b^2 >= a c; they are equal in cones without tangents, but for rounding.
+        below = math.sqrt(max(b * b - a * c, 0.0)) - b
+        if below > 0.0:
+            way = min(way, c / below)
+    return way
+
+
+@kernel
 def cost(x, point, k, pressure):
     """Barriers of (s, t1, t2) in x + |z|^2 / 2 + pressure times the enlargement, of a point; infinite outside."""
     total = pressure * point[k]
@@ -77,13 +96,14 @@ def place(rows, start, point, n, x):
 
 @kernel
 def minimise(rows, start, point, k, pressure, hessian, scratch):
-    """Newton with backtracking from a point (z, enlargement), which is overwritten, to the lowest cost. With pressure 0
-    the enlargement stays."""
+    """Newton with backtracking from a point (z, enlargement), which is overwritten, to the lowest cost, or until the
+    enlargement is negative. With pressure 0 that stays."""
     free = k + 1 if pressure > 0.0 else k
-    slope, step, after, x = scratch[SLOPE], scratch[CHANGE], scratch[AFTER], scratch[CONES, : start.shape[0]]
+    slope, step, after = scratch[SLOPE], scratch[CHANGE], scratch[AFTER]
+    x, dx = scratch[CONES, : start.shape[0]], scratch[WAY, : start.shape[0]]
     for _ in range(_NEWTON_STEPS):
         place(rows, start, point, k + 1, x)
-        before, size, lower = cost(x, point, k, pressure), 1.0, False
+        before, lower = cost(x, point, k, pressure), False
         barrier_derivatives(rows, x, free, slope, hessian)
         slope[k] = slope[k] + pressure if free > k else 0.0
         step[k] = -slope[k]
@@ -97,6 +117,9 @@ def minimise(rows, start, point, k, pressure, hessian, scratch):
         # so near the rim that round-off decides there is no number; the last step leaves the square of itself
         last = not decrement > _CONVERGED
         lower = last and decrement > 0.0
+        for a in range(x.shape[0]):
+            dx[a] = inner(rows[a], step, k + 1)
+        size = 1.0 if last else TO_BOUNDARY * way_inside(x, dx)
         while not lower and size > _SHORTEST and not last:
             for i in range(k + 1):
                 after[i] = point[i] + size * step[i]
@@ -105,7 +128,7 @@ def minimise(rows, start, point, k, pressure, hessian, scratch):
             size *= 1.0 if lower else 0.5
         for i in range(free if lower else 0):
             point[i] += size * step[i]
-        if last or not lower:
+        if last or not lower or (pressure > 0.0 and point[k] < -INSIDE):
             return
 
 

@@ -183,6 +183,65 @@ def solve_lower(factor, n, columns, rows):
             row[j] *= inverse
 
 
+# ------------------------------------------------------------------------------------------- orthonormal vectors
+
+
+@kernel
+def orthonormal_basis(vectors, tolerance, basis):
+    """Orthonormal rows (n, n), of which the first span those of vectors (m, n), but for what is below the tolerance of
+    the largest; returns how many these are. vectors: overwritten. Gram and Schmidt with pivoting, twice over."""
+    n, m, least, k = basis.shape[0], vectors.shape[0], 0.0, 0
+    while k < n:
+        pivot, p = least, -1
+        for i in range(m):
+            size = inner(vectors[i], vectors[i], n)
+            if size > pivot:
+                pivot, p = size, i
+        if p < 0:
+            break
+        if k == 0:
+            least = tolerance * tolerance * pivot
+        for j in range(n):
+            basis[k, j] = vectors[p, j]
+        take_orthonormal(basis, k, n)
+        for i in range(m):
+            subtract_row(vectors[i], basis[k], inner(vectors[i], basis[k], n))
+        k += 1
+    complete_basis(basis, k, n)
+    return k
+
+
+@kernel
+def take_orthonormal(basis, k, n):
+    """Make row k of the basis orthogonal to those before it, and of unit length."""
+    own = basis[k, :n]
+    for j in range(k):
+        subtract_row(own, basis[j], inner(own, basis[j], n))
+    inverse = 1.0 / sqrt(inner(own, own, n))
+    for j in range(n):
+        own[j] *= inverse
+
+
+@kernel
+def complete_basis(basis, rank, n):
+    """Rows from `rank` on with which the first ones of the basis (n, n or more) are a whole one."""
+    for k in range(rank, n):
+        # the axis of which most is left
+        most, p = -1.0, 0
+        for i in range(n):
+            left = 1.0
+            for j in range(k):
+                left -= basis[j, i] ** 2
+            if left > most:
+                most, p = left, i
+        own = basis[k, :n]
+        for i in range(n):
+            own[i] = 1.0 if i == p else 0.0
+        for j in range(k):
+            subtract_row(own, basis[j], basis[j, p])
+        take_orthonormal(basis, k, n)
+
+
 # ------------------------------------------------------------------------------------------- singular systems
 
 

@@ -6,11 +6,13 @@ from itertools import product
 import numpy as np
 import pytest
 from calling import from_python
+from scipy.optimize import nnls
 from test_cone import newton_workspace
 
 from pincontact import linalg
 from pincontact.friction import redundant
 from pincontact.friction.cone import CONE, HUGE, LARGEST_FRICTION, OPEN, RANK_TOLERANCE, SLIP, STICK
+from pincontact.friction.least_loads import least_of
 
 least_norm = from_python(linalg.least_norm)
 largest_entry = from_python(linalg.largest_entry)
@@ -318,3 +320,63 @@ def test_what_is_moved_inside_is_near_to_the_last_forces(seed, mode):
         assert np.abs(x - expected).max() <= 0.06
         assert np.abs(x - given).max() <= np.abs(expected - given).max() + 0.03
     assert moved >= 2
+
+
+@SEEDS
+def test_least_loads(seed):
+    """Against Lawson and Hanson's least squares; or no solution, where equations ask for what is negative."""
+    rng = np.random.default_rng(seed)
+    without = 0
+    for _ in range(60):
+        n = int(rng.integers(3, 15))
+        rank = int(rng.integers(1, n))
+        rows = np.linalg.qr(rng.normal(size=(n, rank)))[0].T
+        bounded = rng.random(n) < 0.8
+        loads = np.where(bounded, np.maximum(rng.normal(size=n), 0.0), rng.normal(size=n))
+        target = rows @ loads
+        null = np.linalg.svd(rows)[2][rank:]
+        found = least_of(rows.T @ target, null, bounded)
+        # free ones are differences of two that are not negative; the equations have the weight 1e6
+        columns = np.hstack([np.eye(n), -np.eye(n)[:, ~bounded]])
+        pairs = nnls(np.vstack([1e6 * rows, np.eye(n)]) @ columns, np.append(1e6 * target, np.zeros(n)))[0]
+        # what the weights leave, times condition numbers of up to 1e4
+        assert found == pytest.approx(columns @ pairs, abs=1e-8 * max(1.0, np.abs(loads).max()))
+        assert rows @ found == pytest.approx(target, abs=1e-13 * n)
+        assert found[bounded].min(initial=0.0) >= 0.0
+        without += bool((found[bounded] == 0.0).any())
+    assert without > 20
+    # half the sum is -1
+    least, null = np.full(4, -0.5), np.linalg.svd(np.full((1, 4), 0.5))[2][1:]
+    assert least_of(least, null, np.full(4, True)) is None
+    alone = least_of(least, null, np.array([True, True, True, False]))
+    assert alone == pytest.approx([0.0, 0.0, 0.0, -2.0], abs=1e-15)
+
+
+@SEEDS
+def test_where_all_slides_loads_are_least_and_turns_stay(seed):
+    """Whatever solution is given: loads nearest to zero, turns nearest to what they are; against `least_of`."""
+    rng = np.random.default_rng(seed)
+    n, rank, moved = 6, 5, 0
+    modes, mu = np.full(n, SLIP), np.full(n, 0.6)
+    is_load = np.arange(2 * n) % 2 == 0
+    for _ in range(10):
+        cone = newton_workspace(n)
+        cone.first[:] = 2 * np.arange(n + 1)
+        equations = rng.normal(size=(rank, 2 * n))
+        loads = np.where(is_load, np.maximum(rng.normal(size=2 * n), 0.0), rng.normal(size=2 * n))
+        cone.system[:rank, : 2 * n], cone.rhs[:rank] = equations, equations @ loads
+        arguments = [getattr(cone, name) for name in ("x", "gram", "order")]
+        assert least_norm(cone.system, cone.rhs, rank, 2 * n, *arguments, 1e-12) == rank
+        null = np.linalg.svd(equations)[2][rank:]
+        x = cone.x[: 2 * n]
+        x += null.T @ rng.normal(size=len(null))
+        turns = np.where(is_load, 0.0, x)
+        least = least_of(x - null.T @ (null @ (x - turns)), null, is_load)
+        if (x[is_load] >= 0.0).all():
+            continue
+        moved += 1
+        assert not move_inside(cone, rank, mu, modes, rng.normal(size=3 * n))
+        # round-off times condition numbers of up to 1e3
+        assert x == pytest.approx(least, abs=1e-11)
+        assert equations @ x == pytest.approx(equations @ loads, abs=1e-11)
+    assert moved >= 5

@@ -293,6 +293,52 @@ def test_redundant_forces_are_those_of_the_run():
         assert np.count_nonzero(bends) <= 2
 
 
+def push_round(loop, end):
+    """A block's corners, with friction as it is and a hundred times it, under a push that grows and goes round."""
+    scene, _ = sliding_block()
+    rough = pc.Scene.from_urdf(ROOT / "urdf" / "block.urdf", floating_base=True)
+    rough.add_contours_from_collision(links=["block"], kinds=["corners"])
+    floor = rough.add_contour("floor", pc.Plane())
+    for corner in scene.contacts:
+        rough.add_contact(corner, corner, floor, friction=pc.Coulomb(40.0))
+    weight = sum(inertia.mass for inertia in scene.model.inertias) * G
+    t = np.linspace(0.0, end, 96)
+
+    def push(t, q, v):
+        return 0.4 * weight * t * np.array([math.cos(loop * t), math.sin(loop * t), 0, 0, 0, 0.02 + 0.01 * loop * t])
+
+    options = {"control": push, "t_eval": t, "rtol": 1e-6, "atol": 1e-8, "dense_output": True}
+    runs = []
+    for one in (scene, rough):
+        runs.append(pc.simulate(one, one.initial_state([0, 0, 0.1, 0, 0, 0, 1]), end, **options))
+        assert runs[-1].status == 0
+    return runs, np.array([push(time, None, None)[:3] for time in t]), weight
+
+
+def test_choices_among_forces_that_move_nothing_take_no_steps():
+    (run, rough), _, _ = push_round(3.0, 0.95)
+    assert run.stats["redistributions"] == 2 and rough.stats["redistributions"] == 0
+    assert not run.events
+    assert [run.stats[name] for name in ("steps", "rejected")] == [rough.stats[name] for name in ("steps", "rejected")]
+    np.testing.assert_allclose(run.q, rough.q, rtol=0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("loop", [8.0, 20.0])
+def test_redundant_forces_of_outputs_are_those_of_their_times(loop):
+    """Each choice goes with the loads, and is in force from when it was made."""
+    (run, _), pushed, weight = push_round(loop, 0.95)
+    assert run.stats["redistributions"] >= 10
+    for tracks in (run.contacts, run.sol(run.t).contacts):
+        stick = np.all([track.mode == 1 for track in tracks.values()], axis=0)
+        assert np.count_nonzero(stick) > 60
+        total = sum(track.force_on(name) for name, track in tracks.items())
+        wanted = [0.0, 0.0, weight] - pushed
+        np.testing.assert_allclose(total[stick], wanted[stick], rtol=0.0, atol=1e-6 * weight)
+        for track in tracks.values():
+            # the accuracy of dense output, by which the times of choices are found
+            assert (track.tangential_force <= 0.4 * track.normal_force + 1e-6 * weight).all()
+
+
 @pytest.mark.parametrize("angle", np.linspace(0.1, 6.1, 7))
 def test_friction_at_the_end_of_slip(angle):
     """At the very event v_c is round-off and has no direction: friction is against the slip before it all the same."""

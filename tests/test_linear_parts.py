@@ -16,6 +16,8 @@ whiten = from_python(linalg.whiten)
 whiten_rows = from_python(linalg.whiten_rows)
 unwhiten = from_python(linalg.unwhiten)
 solve_gram = from_python(linalg.solve_gram)
+orthonormal_basis = from_python(linalg.orthonormal_basis)
+way_inside = from_python(barrier.way_inside)
 
 SEEDS = pytest.mark.parametrize("seed", range(3))
 # each coordinate's parent: a chain, a tree, separate bodies
@@ -104,6 +106,20 @@ def test_singular_systems_get_their_least_solution(seed, n, rank):
         assert x == pytest.approx(least, abs=1e-5 * (1e-300 + np.abs(least).max(initial=0.0)))
 
 
+@pytest.mark.parametrize(("n", "count", "rank"), [(1, 1, 1), (4, 4, 4), (7, 9, 3), (7, 2, 2), (5, 3, 0), (9, 9, 8)])
+@SEEDS
+def test_bases_begin_with_what_vectors_span(seed, n, count, rank):
+    rng = np.random.default_rng([seed, n, count])
+    for smallest in (0.0, -4.0):
+        # sizes that differ: the last is orthogonal, too, though it is what large numbers leave
+        vectors = rng.normal(size=(count, rank)) * 10.0 ** np.linspace(0.0, smallest, rank) @ rng.normal(size=(rank, n))
+        basis = np.full((n, n), math.nan)
+        assert orthonormal_basis(vectors.copy(), 1e-9, basis) == rank
+        # round-off of n products
+        assert basis @ basis.T == pytest.approx(np.eye(n), abs=1e-13)
+        assert np.abs(vectors @ basis[rank:].T).max(initial=0.0) <= 1e-12 * np.abs(vectors).max()
+
+
 # ------------------------------------------------------------------------------------------------ redundant forces
 
 
@@ -164,12 +180,13 @@ def test_central_forces_are_central(seed, outside):
     for cone in cones:
         tangential = math.sqrt(sum(choice.forces[t] ** 2 for t in cone.tangents))
         assert cone.factor * choice.forces[cone.normal] + cone.offset > tangential
-    scaled = null / np.abs(null).max()
+    # distances from the forces of least norm count as they are
+    across = np.linalg.qr(null)[0]
     span = np.linalg.svd(directions.T)[2][: 17 - null.shape[1]].T
     least = span @ (span.T @ forces)
     unit = np.linalg.norm(least)
     # of a Newton that ends at a decrement of 1e-9
-    assert barrier_slope(choice.forces, cones, scaled, least, unit) == pytest.approx(np.zeros(null.shape[1]), abs=2e-3)
+    assert barrier_slope(choice.forces, cones, across, least, unit) == pytest.approx(np.zeros(null.shape[1]), abs=2e-3)
     assert choice.span @ choice.span.T == pytest.approx(span @ span.T, abs=1e-9)
     # and it follows the loads along its tangent: what that leaves is of second order
     load = rng.normal(size=choice.span.shape[1])
@@ -217,7 +234,7 @@ def test_the_way_out_of_cones(seed):
         if rng.random() < 0.3:
             # one without tangents
             x[1, 1:] = dx[1, 1:] = 0.0
-        way = barrier.way_inside(x.ravel(), dx.ravel())
+        way = way_inside(x.ravel(), dx.ravel())
         for part in np.linspace(0.0, 0.999, 15):
             assert depths(x + part * way * dx).min() > 0.0
         if way < 1.0 / barrier.TO_BOUNDARY:

@@ -10,10 +10,11 @@ from calling import from_python
 
 import pincontact as pc
 from pincontact.integration import sign_changes
+from pincontact.integration.crossings import find_crossings, find_valleys
 from pincontact.integration.locator import EventLocator, _Sample, _Stretch
 from pincontact.integration.runge_kutta import RungeKutta
 from pincontact.integration.sign_changes import asked_once, crossing_between, zero_between
-from pincontact.layout import NORMAL_EVENT
+from pincontact.layout import EVENTS_PER_CONTACT, GAP_EVENT, NORMAL_EVENT, NOTHING_THERE, SPEED_EVENT
 
 ACCURACY = 1e-15
 # a bracket is as narrow as that where the search ends, and either end is the zero
@@ -305,3 +306,31 @@ def test_true_steps_to_a_touch(monkeypatch, rtol):
     slowest = g * fall * kept ** len(times)
     np.testing.assert_allclose(times, expected, rtol=0.0, atol=len(times) * max(1e-13, 1e-7 * rtol / slowest))
     assert taken == [1] * len(times)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_samples_show(seed):
+    """Sign changes and valleys among samples, with all that is none, against array functions."""
+    rng = np.random.default_rng(seed)
+    items, nc, kinds = 40, 30, EVENTS_PER_CONTACT
+    for n in (2, 3, 9):
+        values = rng.choice([-2.0, -1.0, 0.0, 0.1, 0.5, 1.0, 3.0, math.inf, NOTHING_THERE], (n, items, kinds))
+        values += np.where(rng.random(values.shape) < 0.5, 0.0, rng.normal(size=values.shape) * 0.01)
+        apart = rng.random(nc) < 0.5
+        before, after = values[:-1], values[1:]
+        crosses = (after < 0.0) & (before >= 0.0)
+        crosses[:1] |= after[:1] < 0.0
+        crosses &= before != NOTHING_THERE
+        speed = before[..., SPEED_EVENT], after[..., SPEED_EVENT]
+        crosses[..., SPEED_EVENT] &= (speed[0] >= 0.0) | (speed[1] < speed[0])
+        crosses[:1, :nc, GAP_EVENT] &= (before[:1, :nc, GAP_EVENT] >= 0.0) | apart
+        found = np.zeros((values.size, 3), dtype=np.int64)
+        assert found[: find_crossings(values, apart, found)].tolist() == np.argwhere(crosses).tolist()
+        left, middle, right = values[:-2], values[1:-1], values[2:]
+        higher = np.maximum(left, right)
+        valleys = (middle >= 0.0) & (middle <= left) & (middle <= right) & (middle < higher)
+        valleys &= 1.5 * middle < 0.5 * higher
+        for i, end in ((0, left), (-1, right)) if n > 2 else ():
+            valleys[i] |= (end[i] >= 0.0) & (end[i] < middle[i]) & (1.5 * end[i] < 0.5 * higher[i])
+        assert found[: find_valleys(values, found)].tolist() == np.argwhere(valleys).tolist()
+        assert n < 9 or (valleys.any() and crosses[:, :, [GAP_EVENT, SPEED_EVENT]].any())

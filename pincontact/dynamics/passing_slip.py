@@ -76,18 +76,10 @@ class PassingSlip:
         if not 0.0 < speed < math.inf:
             return None
         # independent rows are held exactly
-        for c in contacts if count != system.counters["row_rank"] else ():
-            tangents = int(system.contact_int[c, TANGENTS])
-            left = system.rows[c, :tangents] @ system.acceleration + system.bias[c, :tangents]
-            # by what forces do and by what turns: either may vanish
-            sizes = np.abs(system.rows[c])
-            turning = (sizes @ np.abs(system.v)).max() ** 2 / system.contact_real[c, LENGTH]
-            rate = (sizes @ np.abs(system.free_acceleration) + np.abs(system.bias[c])).max() + turning
-            # and not by round-off of rows that are zero
-            most = np.abs(system.free_acceleration).max() + np.abs(system.v).max() ** 2
-            rounding = ROW_ROUND_OFF * max(system.contact_real[c, LENGTH], 1.0) * most
-            if np.abs(left).max() > max(_UNHELD * rate, rounding):
-                return c
+        if count != system.counters["row_rank"]:
+            unheld = self._accelerating(contacts)
+            if unheld.any():
+                return contacts[int(unheld.argmax())]
         index, whitened = system.row_index[:count], system.whitened_rows[:count]
         allowed = self._negligible(speed)
         lengths = np.sqrt(np.einsum("rk,rk->r", whitened, whitened))
@@ -103,6 +95,20 @@ class PassingSlip:
         if float(np.linalg.norm(np.linalg.lstsq(unit, wanted, rcond=_SINGULAR)[0])) <= allowed:
             return None
         return int(items[slips][np.argmax(np.abs(residual[slips]) / lengths[slips])])
+
+    def _accelerating(self, contacts: list[int]) -> np.ndarray:
+        """(n,) which of n contacts accelerate along their tangents, though these are held."""
+        system, numbers = self.system, self.system.contact_real[contacts]
+        rows, bias, lengths = system.rows[contacts], system.bias[contacts], numbers[:, LENGTH]
+        held = np.arange(3) < system.contact_int[contacts, TANGENTS][:, None]
+        left = np.where(held, np.abs(rows @ system.acceleration + bias), 0.0).max(axis=1)
+        # by what forces do and by what turns: either may vanish
+        sizes, free, speeds = np.abs(rows), np.abs(system.free_acceleration), np.abs(system.v)
+        rate = (sizes @ free + np.abs(bias)).max(axis=1) + (sizes @ speeds).max(axis=1) ** 2 / lengths
+        # and not by round-off of rows that are zero
+        rounding = ROW_ROUND_OFF * np.maximum(lengths, 1.0) * (free.max() + speeds.max() ** 2)
+        accelerating: np.ndarray = left > np.maximum(_UNHELD * rate, rounding)
+        return accelerating
 
     def _negligible(self, speed: float) -> float:
         """What constraints may take from a velocity of this size, in the mass metric of the last evaluation."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..friction.centred import Choice, Cone, central_force, null_space
+from ..friction.centred import Choice, Cones, central_force, null_space
 from ..geometry.patterns import ON_CURVE
 from ..layout import (
     ANISOTROPIC,
@@ -91,6 +91,7 @@ class RedundantForces:
             # of independent rows there is one choice
             return False
         index = system.row_index[:count].copy()
+        items = [(c, row) for c, row in index.tolist()]
         closed = system.closed()
         slipping = any(system.contact_int[c, MODE] == SLIPPING for c in [*closed, *system.resisting()])
         if slipping and count == len(closed):
@@ -109,18 +110,18 @@ class RedundantForces:
                 choices.append(open_forces)
         self.redundant = choices[-1].shape[1] > 0
         forces = system.force[index[:, 0], index[:, 1]]
-        for r, (c, row) in enumerate(index):
+        for r, (c, row) in enumerate(items):
             if row == 2 and c < system.nc and held_up_by_friction(system, c):
                 forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
-        cones, before = self._cones(index), self._reference()
+        cones, before = self._cones(items), self.reference()
         for null in choices:
             found = central_force(forces, null, cones)
             if found is not None:
-                self._follow(index, found, rows @ (directions.T @ found.span))
+                self._follow(index, found, rows @ directions.T)
                 if evaluate(t) <= EVENT and self._holds():
                     self.redistributions += 1
                     return True
-                self._take_back(before)
+                self.take_back(before)
                 evaluate(t)
         return False
 
@@ -148,7 +149,7 @@ class RedundantForces:
         """
         system = self.system
         integers = system.contact_int
-        before, reference = integers[:, NORMAL_SIGN].copy(), self._reference()
+        before, reference = integers[:, NORMAL_SIGN].copy(), self.reference()
         closed = [c for c in system.closed() if not shares_viscous_force(system, c)]
         if ended is not None and ended not in closed:
             return False
@@ -175,24 +176,24 @@ class RedundantForces:
             integers[worst, NORMAL_SIGN] = integers[worst, UNILATERAL] - integers[worst, NORMAL_SIGN]
             status = evaluate(t)
         integers[:, NORMAL_SIGN] = before
-        self._take_back(reference)
+        self.take_back(reference)
         evaluate(t)
         return False
 
     def _follow(self, index: np.ndarray, choice: Choice, operator: np.ndarray) -> None:
         """Take the choice for the reference, and let that move with the loads as the choice will.
 
-        index (count, 2): the constraint rows; operator (count, r): what forces along `choice.span` do to them.
+        index (count, 2): the constraint rows; operator (count, count): what forces do to them.
         """
         system = self.system
         c, row = index[:, 0], index[:, 1]
-        loads = -(np.einsum("rk,k->r", system.rows[c, row], system.free_acceleration) + system.bias[c, row])
-        across = np.linalg.pinv(operator)
+        loads = -(system.rows[c, row] @ system.free_acceleration + system.bias[c, row])
+        along = choice.loads_along(operator)
         reference = np.zeros_like(system.reference)
-        reference[c, row] = choice.forces - choice.slope @ (across @ loads)
+        reference[c, row] = choice.forces - choice.slope @ (loads @ along)
         self._take_reference(reference)
         rank = choice.span.shape[1]
-        system.reference_slope[0, 3 * c + row, :rank] = across.T
+        system.reference_slope[0, 3 * c + row, :rank] = along
         system.reference_slope[1, 3 * c + row, :rank] = choice.slope
 
     def _take_reference(self, reference: np.ndarray | None) -> None:
@@ -203,45 +204,45 @@ class RedundantForces:
             system.reference[:] = system.reference_start[:] = reference
             system.reference_slope[:] = 0.0
 
-    def _reference(self) -> tuple[float, list[np.ndarray]]:
-        """The choice that evaluations follow, see `_take_back`."""
+    def reference(self) -> tuple[float, list[np.ndarray]]:
+        """The choice that evaluations follow, see `take_back`."""
         system = self.system
         arrays = (system.reference, system.reference_start, system.reference_slope)
         return float(system.scalars["has_reference"]), [array.copy() for array in arrays]
 
-    def _take_back(self, reference: tuple[float, list[np.ndarray]]) -> None:
+    def take_back(self, reference: tuple[float, list[np.ndarray]]) -> None:
         system = self.system
         system.scalars["has_reference"] = reference[0]
         for array, values in zip((system.reference, system.reference_start, system.reference_slope), reference[1]):
             array[:] = values
 
-    def _cones(self, index: np.ndarray) -> list[Cone]:
-        """The cones of the forces in the constraint rows `index` (count, 2)."""
+    def _cones(self, index: list[tuple[int, int]]) -> Cones:
+        """The cones of the forces in these constraint rows, of items along their bases."""
         system = self.system
-        rows = {(int(c), int(row)): r for r, (c, row) in enumerate(index)}
-        cones = []
+        rows = {item: r for r, item in enumerate(index)}
+        cones = Cones()
         for c in system.closed():
             integers, mu = system.contact_int[c], float(system.contact_real[c, MU_STATIC])
             normal, sticks = rows[c, 2], integers[MODE] == STICK and math.isfinite(mu)
             tangents = tuple(rows[c, row] for row in range(integers[TANGENTS])) if sticks else ()
             scaling = np.linalg.inv(stretch(system, c)) if tangents and integers[ANISOTROPIC] else None
-            if integers[UNILATERAL]:
-                cones.append(Cone(normal, mu, 0.0, tangents, scaling) if tangents else Cone(normal, 1.0, 0.0))
-            elif tangents and integers[PATTERN] != ON_CURVE:
-                cones.append(Cone(normal, math.copysign(mu, system.force[c, 2]), 0.0, tangents, scaling))
+            if not integers[UNILATERAL]:
+                if not tangents or integers[PATTERN] == ON_CURVE:
+                    continue
+                mu = math.copysign(mu, system.force[c, 2])
+            cones.add_contact(normal, mu, tangents, scaling)
         for i in system.resisting():
             if system.contact_int[i, MODE] == STICK:
                 owner, tangents = system.owner(i), tuple(rows[i, row] for row in range(system.contact_int[i, TANGENTS]))
                 limit = float(system.contact_real[i, MU_STATIC])
                 if not system.contact_int[owner, UNILATERAL]:
                     limit = math.copysign(limit, system.force[owner, 2])
-                cones.append(Cone(rows[owner, 2], limit, 0.0, tangents))
+                cones.add_contact(rows[owner, 2], limit, tangents)
         for g in system.held():
-            row, end = rows[system.nc + g, 2], system.joint_int[g, JOINT_END]
-            if end <= 0:
-                cones.append(Cone(row, 1.0, -float(system.joint_real[g, LOW_FORCE])))
-            if end >= 0:
-                cones.append(Cone(row, -1.0, float(system.joint_real[g, HIGH_FORCE])))
+            end, numbers = system.joint_int[g, JOINT_END], system.joint_real[g]
+            low, high = numbers.item(LOW_FORCE), numbers.item(HIGH_FORCE)
+            row = rows[system.nc + g, 2]
+            cones.add_range(row, low if end <= 0 else -math.inf, high if end >= 0 else math.inf)
         return cones
 
     def _holds(self) -> bool:

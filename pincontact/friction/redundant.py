@@ -22,11 +22,21 @@ from math import sqrt
 from ..arrays import INTEGERS, REALS, array_type
 from ..callback import separate_kernel
 from ..jit import BOOLEAN, INTEGER, SEVERAL, kernel
-from ..linalg import factor_definite, inner, largest_entry, least_norm, solve_definite, solve_lower, subtract_row
+from ..linalg import (
+    complete_basis,
+    factor_definite,
+    inner,
+    largest_entry,
+    least_norm,
+    solve_definite,
+    solve_lower,
+    subtract_row,
+)
 from .cone import CONE, HUGE, LARGEST_FRICTION, RANK_TOLERANCE, SLIP, STICK
+from .least_loads import least_loads
 
 FACTOR, TILTED, ROWS, BENT = range(4)
-DUAL, MISSING, TARGET, NEAREST, STEP = range(5)
+DUAL, MISSING, TARGET, STEP, NEAREST = range(5)
 
 # Springs stiffer than this are left to elimination without factors: at rest a direction of slip means nothing.
 _STIFFEST = 1e6
@@ -37,8 +47,6 @@ _MARGINS = (1e-2, 1e-3, 1e-4)
 _STEPS = 10
 # Part of the dual function's largest curvature that is added where projections have none.
 _DAMPING = 1e-3
-# The same where the solution is on the cones' edges, and to be found to this part of the loads.
-_SLIGHT, ROUND_OFF = 1e-8, 1e-14
 # A step that goes beyond its best point so far that the slope there is this part of the first is shortened, at most to
 # this part.
 _OVERSHOT, _SHORTEST = 0.5, 1e-2
@@ -297,8 +305,8 @@ def orthonormal_equations(cone, rank, unknowns):
 
 @kernel
 def nearest_unknowns(cone, modes, last, slides, nearest):
-    """The unknowns that are sought near: those of the forces last (3n,), none where everything slides. Returns the sum
-    of the loads in x, and how many there are."""
+    """The unknowns that are sought near: those of the forces last (3n,), none where everything slides. Returns the mean
+    of the loads in x."""
     x, first, direction, sine, cosine = cone.x, cone.first, cone.direction, cone.sine, cone.cosine
     load = 0.0
     loads = 0
@@ -319,7 +327,28 @@ def nearest_unknowns(cone, modes, last, slides, nearest):
                 nearest[row] -= sine[i] * (direction[2 * i] * last[k] + direction[2 * i + 1] * last[k + 1])
             if first[i + 1] > row + 1:
                 nearest[row + 1] = x[row + 1]
-    return load, loads
+    return load / loads
+
+
+@kernel
+def find_least(cone, rank, modes):
+    """Move x, a solution of the orthonormal equations, to the least loads that are not negative, where everything
+    slides; False where there are none. Slips turn as far as they do in x, as nearly as may be."""
+    n, rows, bent, unknowns = modes.shape[0], cone.low_rank[ROWS], cone.low_rank[BENT], cone.first[modes.shape[0]]
+    bounded, x, scratch = cone.row[:unknowns], cone.x[:unknowns], bent[3 * n :]
+    away = scratch[NEAREST]
+    for j in range(unknowns):
+        bounded[j] = 0.0
+    for i in range(n):
+        if modes[i] == SLIP:
+            bounded[cone.first[i]] = 1.0
+    complete_basis(rows, rank, unknowns)
+    # the nearest to those, whatever the signs
+    for j in range(unknowns):
+        away[j] -= x[j]
+    for k in range(rank, unknowns):
+        subtract_row(x, rows[k], -inner(rows[k], away, unknowns))
+    return least_loads(rows[rank:unknowns], bounded, x, cone.order, bent, scratch)
 
 
 @separate_kernel(BOOLEAN, CONE.type, INTEGER, _VECTOR, _MODES, _VECTOR, when=SEVERAL)
@@ -331,8 +360,7 @@ def move_inside(cone, rank, mu, modes, last):
     R P = t is the gradient of a convex function of y, whose zero Newton's method finds (semismooth: P has kinks) in
     three or four steps, each x corrected to fulfil the equations, until it is inside. Where the cones leave no such
     margin, as little as there is of it the last forces had: they are corrected in the same way.
-    Where everything slides, the loads move the bodies: there is one rule, the least ones that are not negative, which
-    the same method finds from no forces, in cones as they are.
+    Where everything slides, the loads move the bodies: there is one rule, the least ones that are not negative.
     What is moved is x, of forces and lengths, not of their changes; rank, and a, gram, order, first, as the solution
     left them, rank below the number of unknowns. Returns whether the result depends on the last forces.
     """
@@ -353,17 +381,18 @@ def move_inside(cone, rank, mu, modes, last):
     for k in range(rank):
         target[k] = inner(rows[k], x, unknowns)
         y[k] = 0.0
-    largest = largest_entry(target[:rank])
     slides = unknowns > 0
     for i in range(n):
         slides = slides and modes[i] != STICK
-    load, loads = nearest_unknowns(cone, modes, last, slides, nearest)
+    load = nearest_unknowns(cone, modes, last, slides, nearest)
+    if slides:
+        return not find_least(cone, rank, modes)
     slope = 0.0
     for step in range(len(_AIMS) * _STEPS):
         aim = _AIMS[step // _STEPS]
         if step % _STEPS == 0:
             slope = 0.0
-        margin = 0.0 if slides else _MARGINS[step // _STEPS] * load / loads
+        margin = _MARGINS[step // _STEPS] * load
         for j in range(unknowns):
             z[j] = nearest[j]
         for k in range(rank):
@@ -374,12 +403,7 @@ def move_inside(cone, rank, mu, modes, last):
         for k in range(rank):
             missing[k] = target[k] - inner(rows[k], p, unknowns)
             subtract_row(x[:unknowns], rows[k, :unknowns], -missing[k])
-        if slides and largest_entry(missing[:rank]) <= ROUND_OFF * largest:
-            # those without a load have none to the last bit
-            for j in range(unknowns):
-                x[j] = p[j]
-            return False
-        if not slides and is_inside(mu, modes, first, x):
+        if is_inside(mu, modes, first, x):
             return True
         ahead = inner(missing, change, rank)
         if slope > 0.0 and ahead < -_OVERSHOT * slope:
@@ -393,7 +417,7 @@ def move_inside(cone, rank, mu, modes, last):
         for k in range(rank):
             for j in range(k + 1):
                 gram[k, j] = inner(bent[k], rows[j], unknowns)
-            gram[k, k] += _SLIGHT if slides else _DAMPING
+            gram[k, k] += _DAMPING
             change[k] = missing[k]
         factor_definite(gram, rank)
         solve_definite(gram, rank, change)

@@ -15,10 +15,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
-from ..friction.centred import Cone, central_force, null_space
+from ..friction.centred import Cones, central_force, null_space
 from ..friction.cone import OPEN, SLIP
+from ..friction.least_loads import least_of
 
 # Relative singular values below this are those of redundant contacts.
 _RANK = 1e-11
@@ -75,7 +75,7 @@ class _Unknowns:
         size = units.base.size
         self.units, self.known = units, np.zeros(size)
         self.rows: list[int] = []
-        self.cones: list[Cone] = []
+        self.cones = Cones()
         # tangents of ideal rolling: whatever forces
         self.free: list[int] = []
         self.sticks = self.slides = False
@@ -109,26 +109,21 @@ class _Unknowns:
                     columns[places[parent]][k : k + 2] -= mu / speed * units.velocities[u, :2]
                 if parent == u:
                     lengths[places[u]] = math.hypot(1.0, mu)
-                    self.cones.append(Cone(places[u], 1.0, 0.0))
+                    self.cones.add_contact(places[u], mu)
                 continue
             tangents = []
             for i in range(2):
                 if units.real[u, i]:
                     tangents.append(self._add(columns, whole[k + i], k + i))
                     lengths.append(1.0)
-            if not (tangents and math.isfinite(mu)):
+            if not math.isfinite(mu):
                 self.free += tangents
-                tangents, mu = [], 1.0
+                tangents = []
             self.sticks = self.sticks or bool(tangents)
             if parent >= 0:
-                self.cones.append(Cone(places[parent], mu, 0.0, tuple(tangents)))
+                self.cones.add_contact(places[parent], mu, tangents)
             elif tangents:
-                radius = mu * float(units.loads[u])
-                if len(tangents) == 1:
-                    # both ends, as of held joints in event-driven runs
-                    self.cones += [Cone(tangents[0], sign, radius) for sign in (1.0, -1.0)]
-                else:
-                    self.cones.append(Cone(0, 0.0, radius, tuple(tangents)))
+                self.cones.add_friction(tangents, mu * float(units.loads[u]))
         self.expand = np.array(columns).T
         self.unit = scale[[row // 3 for row in self.rows]] / np.array(lengths)
 
@@ -201,19 +196,10 @@ class _Unknowns:
         return None
 
     def least(self) -> np.ndarray | None:
-        """(3n,) the least forces of which no load is negative (Lawson, Hanson, Solving Least Squares Problems, LDP)."""
-        x, null = self.x, self.null
+        """(3n,) the least forces of which no load is negative."""
         loads = [cone.normal for cone in self.cones if cone.factor > 0.0 and cone.offset == 0.0]
-        if x[loads].min(initial=0.0) < -_NONE * np.abs(x).max():
-            multipliers, left = scipy.optimize.nnls(
-                np.vstack([null[loads].T, -x[loads]]), np.append(np.zeros(null.shape[1]), 1.0)
-            )
-            rest = np.vstack([null[loads].T, -x[loads]]) @ multipliers
-            rest[-1] -= 1.0
-            if left <= _NONE:
-                return None
-            x = x - null @ (rest[:-1] / rest[-1])
-        return self._whole(self.unit * np.where(np.isin(np.arange(x.size), loads), np.maximum(x, 0.0), x))
+        x = least_of(self.x, self.null.T, np.isin(np.arange(self.x.size), loads))
+        return None if x is None else self._whole(self.unit * x)
 
     def _whole(self, forces: np.ndarray) -> np.ndarray:
         return self.known + self.expand @ forces

@@ -21,9 +21,11 @@ from ..layout import (
     DOMAIN,
     EVENT,
     FREE,
+    FRICTION_EVENT,
     LOCATION_FAILED,
     MODE,
     NO_FORCE,
+    NORMAL_EVENT,
     OK,
     START_RATE,
     START_SPEED,
@@ -360,6 +362,8 @@ class Driver:
             if dense is None:
                 return self._reject(t, step)
             crossing = self.locator.first(t, step) if rk.alarm else None
+            while crossing is not None and not asked and self._keeps_motion(t, step, dense, crossing):
+                crossing = self.locator.first(t, step, crossing.theta)
             if asked:
                 self._announce_user_events(t, step, dense, math.inf if crossing is None else crossing.theta)
             if crossing is not None:
@@ -373,6 +377,21 @@ class Driver:
         self._after(t_new, True)
         self._doubts = 0
         return t_new, False
+
+    def _keeps_motion(self, t: float, step: float, dense: Interpolant, crossing: Crossing) -> bool:
+        """Whether other ones among redundant forces, which move nothing, keep all modes beyond a crossing in the trial
+        step. The step stays as it is then: its motion does not depend on when forces are chosen, as long as there are
+        some at any time, so that dense output is accurate enough for that."""
+        time = t + crossing.theta * step
+        if crossing.kind not in (NORMAL_EVENT, FRICTION_EVENT) or not self.transitions.changes.rests_on_redundant():
+            return False
+        self._write_before(time)
+        self.outputs.keep(t, time, step)
+        self.rk.load(dense(crossing.theta))
+        if self.transitions.changes.redistribute_within(time, crossing.c, crossing.kind):
+            return True
+        self.outputs.drop()
+        return False
 
     def _reject(self, t: float, step: float) -> tuple[float, bool]:
         """Try a shorter step where the trial step has no dense output, as where one of its stages fails."""

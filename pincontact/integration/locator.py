@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from ..layout import (
     SPEED_EVENT,
 )
 from .accuracy import gap_resolution
+from .crossings import find_crossings, find_valleys
 from .open_contacts import OpenContacts
 from .runge_kutta import RungeKutta
 from .sign_changes import look_below_zero
@@ -85,6 +87,13 @@ class _Stretch:
     roots: dict[tuple[int, int], _Sample] = field(default_factory=dict)
 
 
+def _zero_between(before: float, after: float) -> float:
+    """Where the straight line between two values at 0 and 1 is zero; 1 where they are infinite or the same."""
+    change = before - after
+    share = before / change if change != 0.0 else math.inf
+    return share if share < math.inf else 1.0
+
+
 class EventLocator:
     """Finds the first crossing in the trial step that its integrator has interpolated last, from t and of size step.
 
@@ -96,22 +105,21 @@ class EventLocator:
     def __init__(self, rk: RungeKutta, depths: np.ndarray, open_contacts: OpenContacts) -> None:
         self.rk, self.system, self._depths, self._open = rk, rk.system, depths, open_contacts
 
-    def first(self, t: float, step: float) -> Crossing | None:
-        """The earliest crossing; None where the alarm was false."""
+    def first(self, t: float, step: float, begin: float = 0.0) -> Crossing | None:
+        """The earliest crossing from the fraction `begin` of the step on; None where the alarm was false."""
         self._set_slack()
-        values = self._values(t, step, _PLACES)
-        places = _PLACES[: len(values)]
+        places = tuple(begin + (1.0 - begin) * place for place in _PLACES)
+        values = self._values(t, step, places)
+        places = places[: len(values)]
         if len(places) < 2:
             return None
         places, values = self._with_lowest(t, step, places, values)
-        crosses = self._crossings(values)
-        for i in np.flatnonzero(crosses.any(axis=(1, 2))).tolist():
+        for i, group in groupby(self._found(find_crossings, values, self._open.apart), lambda found: found[0]):
             left, right = (_Sample(places[k], values[k]) for k in (i, i + 1))
             stretch = _Stretch(t, step, left, right)
-            crossed = [(c, kind) for c, kind in np.argwhere(crosses[i]).tolist()]
-            crossed = [pair for pair in crossed if self._ends_mode(stretch, pair)]
+            crossed = [(c, kind) for _, c, kind in group if self._ends_mode(stretch, (c, kind))]
             if crossed:
-                return self._earliest(stretch, np.array(crossed))
+                return self._earliest(stretch, crossed)
         return None
 
     # ---------------------------------------------------------------- values
@@ -136,20 +144,11 @@ class EventLocator:
     ) -> tuple[tuple[float, ...], np.ndarray]:
         """The samples at these places, and the lowest points of event functions between them, if they are negative
         there."""
-        if len(places) < 3:
-            return places, values
-        left, middle, right = values[:-2], values[1:-1], values[2:]
-        higher = np.maximum(left, right)
-        # a parabola's valley is no deeper than half the change between samples; infinite values compare
-        valleys = (middle >= 0.0) & (middle <= left) & (middle <= right) & (middle < higher)
-        valleys &= 1.5 * middle < 0.5 * higher
-        # one that lies between the first two samples, or the last two, has its lowest one at an end of the step
-        for i, end in ((0, left), (-1, right)):
-            valleys[i] |= (end[i] >= 0.0) & (end[i] < middle[i]) & (1.5 * end[i] < 0.5 * higher[i])
-        if not valleys.any():
+        valleys = self._found(find_valleys, values)
+        if not valleys:
             return places, values
         samples = dict(zip(places, values))
-        for i, c, kind in np.argwhere(valleys).tolist():
+        for i, c, kind in valleys:
             points = [(place, float(samples[place][c, kind])) for place in places[i : i + 3]]
             looked: dict[float, np.ndarray] = {}
             lowest = look_below_zero(self._function(t, step, (c, kind), looked), points)
@@ -176,21 +175,11 @@ class EventLocator:
 
     # ---------------------------------------------------------------- crossings
 
-    def _crossings(self, samples: np.ndarray) -> np.ndarray:
-        """(n - 1, items, EVENTS_PER_CONTACT) which event functions turn negative between two of n samples."""
-        before, after = samples[:-1], samples[1:]
-        crosses = (after < 0.0) & (before >= 0.0)
-        # what is negative at the start counts as just having crossed
-        crosses[:1] |= after[:1] < 0.0
-        crosses &= before != NOTHING_THERE
-        # what has begun to slide by round-off in the other direction, and comes back, does not come to rest
-        crosses[:, :, SPEED_EVENT] &= (before[:, :, SPEED_EVENT] >= 0.0) | (
-            after[:, :, SPEED_EVENT] < before[:, :, SPEED_EVENT]
-        )
-        nc = self.system.nc
-        # what comes from behind does not touch
-        crosses[:1, :nc, GAP_EVENT] &= (before[:1, :nc, GAP_EVENT] >= 0.0) | self._open.apart
-        return crosses
+    def _found(self, find: Callable[..., int], samples: np.ndarray, *given: np.ndarray) -> list[list[int]]:
+        """What a kernel of `crossings` finds in samples: place, item, kind."""
+        places = np.empty((samples.size, 3), dtype=np.int64)
+        found: list[list[int]] = places[: find(samples, *given, places)].tolist()
+        return found
 
     def _ends_mode(self, stretch: _Stretch, crossed: tuple[int, int]) -> bool:
         """Whether an event function that turns negative there ends a mode: a gap does between points inside both
@@ -208,8 +197,8 @@ class EventLocator:
             self._open.passed.add(c)
         return inside
 
-    def _earliest(self, stretch: _Stretch, crossed: np.ndarray) -> Crossing:
-        """First of the event functions `crossed` (n, 2) that turn negative there.
+    def _earliest(self, stretch: _Stretch, crossed: list[tuple[int, int]]) -> Crossing:
+        """First of the event functions `crossed` that turn negative there.
 
         The root of one is the next sample, at which most others are seen to cross later, and some to have been negative
         in between.
@@ -217,14 +206,10 @@ class EventLocator:
         found, left = None, stretch.left
         # what has come down to that is zero there, too, as far as zeros are told apart
         at_once = _AT_ONCE * np.where(left.values < NOTHING_THERE, left.values, 0.0)
-        for _ in range(crossed.shape[0] + _ROUNDS):
-            first = 0
-            if len(crossed) > 1:
-                before, after = (sample.values[crossed[:, 0], crossed[:, 1]] for sample in (left, stretch.right))
-                # the one that is first on straight lines; what is infinite or zero at both ends counts as last
-                with np.errstate(invalid="ignore", divide="ignore"):
-                    first = int(np.argmin(np.nan_to_num(before / (before - after), nan=1.0, posinf=1.0)))
-            c, kind = crossed[first].tolist()
+        for _ in range(len(crossed) + _ROUNDS):
+            # the one that is first on straight lines
+            shares = [_zero_between(left.values[pair].item(), stretch.right.values[pair].item()) for pair in crossed]
+            c, kind = crossed[shares.index(min(shares))]
             root = self._root(stretch, (c, kind))
             if found is not None and root.theta >= found.theta:
                 break
@@ -232,8 +217,8 @@ class EventLocator:
             candidates = (root.values < -at_once) & (left.values > 0.0) & (left.values != NOTHING_THERE)
             candidates[c, kind] = False
             candidates[list(self._open.passed), GAP_EVENT] = False
-            crossed = np.argwhere(candidates)
-            if not crossed.size:
+            crossed = [(c, kind) for c, kind in np.argwhere(candidates).tolist()]
+            if not crossed:
                 break
         assert found is not None
         return found

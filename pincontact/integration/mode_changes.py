@@ -42,8 +42,6 @@ _JUMP = 1e-6
 # Event functions of friction below this part of the limit, and loads below this part of the largest, are zero where no
 # choice among redundant forces can raise them.
 _AT_LIMIT = 1e-6
-# Part of the relative tolerance within which the last redundant forces that hold are those at the limit.
-_AS_GOOD_AS_AT_LIMIT = 0.1
 
 
 class ModeChanges:
@@ -156,9 +154,33 @@ class ModeChanges:
 
     # ---------------------------------------------------------------- redundant forces
 
+    def rests_on_redundant(self) -> bool:
+        """Whether redundant forces of the modes move nothing: none slides."""
+        system = self.system
+        items = [*system.closed(), *system.resisting()]
+        redundant = system.counters["row_count"] > system.counters["row_rank"]
+        return bool(redundant and (system.contact_int[items, MODE] != SLIPPING).all())
+
     def redistribute(self, t: float, c: int, kind: int) -> bool:
         """Whether other ones among redundant forces keep all modes, of which event function `kind` of item c ends
         one."""
+        if not self._choose_others(t, c, kind) or self._is_limited(c, kind):
+            return False
+        self.project(t)
+        self.rk.accept()
+        return True
+
+    def redistribute_within(self, t: float, c: int, kind: int) -> bool:
+        """The same within a step, for forces that move nothing; without effect if not."""
+        before = self.modes.reference()
+        if self._choose_others(t, c, kind):
+            if not self._is_limited(c, kind):
+                return True
+            self.modes.take_back(before)
+        return False
+
+    def _choose_others(self, t: float, c: int, kind: int) -> bool:
+        """Choose other ones among redundant forces; see `redistribute`."""
         system = self.system
         if self.rk.evaluate(t) > EVENT:
             return False
@@ -166,13 +188,11 @@ class ModeChanges:
         if system.event_functions[c, kind] > _JUMP * float(np.abs(system.force).max()):
             return False
         ended = c if kind == NORMAL_EVENT and c < system.nc and system.contact_int[c, UNILATERAL] else None
-        if not self.modes.redistribute(t, self.rk.evaluate, ended):
-            return False
-        if kind == FRICTION_EVENT and c in self.at_limit(_AS_GOOD_AS_AT_LIMIT * float(system.scale[0])):
-            return False
-        self.project(t)
-        self.rk.accept()
-        return True
+        return self.modes.redistribute(t, self.rk.evaluate, ended)
+
+    def _is_limited(self, c: int, kind: int) -> bool:
+        """Whether the last choice leaves item c at its limit, to the relative tolerance."""
+        return kind == FRICTION_EVENT and c in self.at_limit(float(self.system.scale[0]))
 
     def limiting(self, c: int, kind: int) -> tuple[int, int]:
         """The event function that ends a mode, where `kind` of contact c is zero and no other redundant forces would

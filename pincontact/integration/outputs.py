@@ -48,6 +48,11 @@ class Outputs:
         if self.pieces is not None:
             self.pieces.keep(t, end, size)
 
+    def drop(self) -> None:
+        """Drop what was kept last, where all are kept."""
+        if self.pieces is not None:
+            self.pieces.drop()
+
     def write_state(self, t: float, at_their_times: bool = False) -> None:
         """The system's state at t has been accepted: write it, where all are, and for every output time that has come,
         as that of t or of the time that was asked for."""

@@ -79,6 +79,11 @@ class Pieces:
         self._pieces.append(Piece(start, end, size, arrays, scalars))
         self._ends.append(end)
 
+    def drop(self) -> None:
+        """Drop the last one again."""
+        self._pieces.pop()
+        self._ends.pop()
+
     def keep_line(self, start: float, end: float, rate: np.ndarray) -> None:
         """Keep a step from `start` to `end` in which the state changes at a constant rate."""
         dense = self.system.dense
@@ -105,17 +110,8 @@ class Pieces:
         for name, value in piece.scalars.items():
             system.scalars[name] = value
         system.scalars["dense_start"], system.scalars["dense_step"] = piece.start, piece.size
-        if not piece.scalars["has_reference"]:
-            self._record(times, flush)
-            return
-        for i, t in enumerate(times.tolist()):
-            # redundant forces follow the loads: an evaluation there chooses those of t
-            system.scan(piece.start, piece.size, [(t - piece.start) / piece.size])
-            self._record(times[i : i + 1], flush)
-
-    def _record(self, times: np.ndarray, flush: Callable[[], None]) -> None:
-        self.system.set_output_times(times)
-        write_outputs(self.system, float(times[-1]), flush)
+        system.set_output_times(times)
+        write_outputs(system, float(times[-1]), flush)
 
 
 def write_outputs(system: RunSystem, until: float, flush: Callable[[], None]) -> None:

@@ -70,8 +70,8 @@ def project(system, t, evaluated, purpose, error):
     beyond = count_items(system) - sizes.nc
     if sizes.nc + beyond == 0:
         return OK
-    # forces of limited joints and resistances are shown with the state
-    part = PLACES_OF_CLOSED if purpose == TO_SHOW and beyond == 0 else 0
+    # forces of limited joints and resistances are shown with the state, and redundant ones are those of its loads
+    part = PLACES_OF_CLOSED if purpose == TO_SHOW and beyond == 0 and scalars.has_reference == 0.0 else 0
     for i in range(_PROJECTIONS):
         if i > 0 or not evaluated:
             status = evaluate(system, t, part)

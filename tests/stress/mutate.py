@@ -128,8 +128,9 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "0 -> 1",
     ): "passes, sweeps and rounds are of no account to usual tasks",
     (
-        "pincontact/dynamics/redistribution.py", "_cones",
-        "cones.append(Cone(normal, mu, 0.0, tangents) if tangents else Cone(normal, 1.0, 0.0))", "1.0 -> 1.5",
+        "pincontact/friction/centred.py", "add_contact",
+        "self.append(Cone(normal, mu, 0.0, tuple(tangents), scaling) if tangents else Cone(normal, 1.0, 0.0))",
+        "1.0 -> 1.5",
     ): "the logarithm of a multiple has the same derivatives",
     (
         "pincontact/contours/motion.py", "_spline_motion", "piecewise(pool[_SPLINE_SCRATCH:], t, 0.0, 0.0, rows)",
@@ -210,8 +211,8 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "0.0 -> 0.5",
     ): "a tangent has no constant",
     (
-        "pincontact/friction/centred.py", "_minimise",
-        "if within and cost(point + size * step, after) <= before - 0.1 * size * decrement:",
+        "pincontact/friction/barrier.py", "minimise",
+        "lower = cost(x, after, k, pressure) <= before - 0.1 * size * decrement",
         "0.1 -> 0.15000000000000002",
     ): "what part of the foreseen fall a step must have: the same minimum is found",
     (
@@ -225,7 +226,7 @@ HARMLESS: dict[tuple[str, str, str, str], str] = {
         "2 -> 3",
     ): "what rounding is measured by",
     (
-        "pincontact/friction/centred.py", "_enter",
+        "pincontact/friction/barrier.py", "enter",
         "within = (2.0 * count + max(size * (_LARGEST - size), 0.0)) / pressure",
         "* -> /",
     ): "a bound that is far from tight: when the search for a point inside is given up",

@@ -559,7 +559,7 @@ class Driver:
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
         reach = _TOGETHER * 2.0 ** int(system.counters["stalled"]) * system.contact_real[:, START_TOLERANCE]
         with np.errstate(invalid="ignore"):
-            near = np.minimum(speed, np.abs(speed + rate * left)) <= reach
+            near = np.where(rate < 0.0, np.minimum(speed, np.abs(speed + rate * left)) <= reach, speed <= allowed)
         contacts = [c, *(int(i) for i in np.flatnonzero(near & np.isfinite(speed)) if i != c)]
         rk.load(system.state)
         rk.evaluate(t)

@@ -159,7 +159,7 @@ def watch_slips(system, n, accepted):
     if accepted and slowest < _PROGRESS * scalars.slowest:
         scalars.slowest = slowest
         counters.stalled = 0
-    elif near:
+    elif near and scalars.turning_rate * scalars.step <= _STIFF:
         counters.stalled = min(counters.stalled + 1, _STOP_DOUBLINGS)
 
 

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..layout import LENGTH, VISCOUS
+from ..layout import LENGTH, MODE, SLIPPING, TANGENTS, VISCOUS
 from .results import GAP_TOLERANCE
+from .slip_at_ends import STOP_DOUBLINGS
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
@@ -51,6 +52,15 @@ def gap_resolution(system: RunSystem) -> np.ndarray:
 def rest_speed(system: System) -> float:
     """Slip slower than this, in m/s, counts as rest."""
     return _REST * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
+
+
+def slow_slips(system: System) -> list[int]:
+    """Items that slide, in the last evaluation no faster than what counts as ended where steps get nowhere near it."""
+    allowed = np.abs(system.rows) @ (system.scale[1] + system.scale[0] * np.abs(system.v))
+    along = np.einsum("nij,nj->ni", system.basis[:, :2], system.slip)
+    along[system.contact_int[:, TANGENTS] == 1, 1] = 0.0
+    slow = np.linalg.norm(along, axis=1) <= 2.0**STOP_DOUBLINGS * allowed.max(axis=1)
+    return np.flatnonzero((system.contact_int[:, MODE] == SLIPPING) & slow).tolist()
 
 
 def gap_rate(system: System, c: int) -> float:

@@ -9,7 +9,7 @@ from ..dynamics.impact import apply_impact
 from ..dynamics.modes import rest_mode
 from ..layout import EVENT, FREE, MODE, MU, NO_FORCE, SLIP_RATE, SLIP_SPEED, SLIPPING, STICK, UNILATERAL
 from .accuracy import gap_rate
-from .jams import held_up, stop_jammed, stop_slips
+from .jams import may_stop, stop_jammed, stop_slips
 from .penetration import Penetration
 from .results import ADVICE, FAILURES, Stop
 from .slip_onset import SlipOnset
@@ -100,7 +100,8 @@ class Impacts:
         if self.rk.project(t, False):
             stop_jammed(changes, t)
         else:
-            stop_slips(changes, t, held_up(system))
+            stop_slips(changes, t, may_stop(system))
+            undecided = changes.set_from_velocities(after_impact=True)
         if self._end_short_motions(t, closed, ends):
             undecided = changes.set_from_velocities(after_impact=True)
         changes.count_loss(before)

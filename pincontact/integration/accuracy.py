@@ -20,6 +20,8 @@ SHALLOW = 0.05
 _REST = 1e-9
 # Part of the accuracy of gaps to which hops are resolved, and round-off of gaps, relative to coordinates of unit size.
 _RESOLVED, _ROUND_OFF = 1e-6, 2e-14
+# The speed with which they are left doubles each time that an item comes back from a hop lower than that accuracy.
+_COARSER = 4.0
 # The same part where viscous friction makes hops ever shorter: each one left out takes the root of its height in speed.
 _RESOLVED_VISCOUS = 1e-3
 
@@ -37,7 +39,18 @@ def set_accuracy(system: RunSystem) -> None:
     resolved[: system.nc][system.contact_real[: system.nc, VISCOUS] > 0.0] = _RESOLVED_VISCOUS
     relative, absolute = system.scale
     system.gap_accuracy = GAP_TOLERANCE * (absolute + relative * lengths)
-    system.lowest_hops = resolved * system.gap_accuracy
+    system.finest_hops = resolved * system.gap_accuracy
+    system.lowest_hops = system.finest_hops.copy()
+
+
+def count_hop(system: RunSystem, i: int, low: bool) -> None:
+    """Item i has come back from a hop. low: no higher than gaps are known.
+
+    Bodies that are pressed together in several places may throw each other off for ever: rest, as far as is known. So
+    what hops on and on below that is resolved less and less far.
+    """
+    coarser = min(_COARSER * system.lowest_hops[i], system.gap_accuracy[i])
+    system.lowest_hops[i] = coarser if low else system.finest_hops[i]
 
 
 def gap_resolution(system: RunSystem) -> np.ndarray:

@@ -8,7 +8,7 @@ from ..dynamics.energy import REST_SPEED
 from ..dynamics.impact import apply_impact
 from ..dynamics.modes import rest_mode
 from ..layout import EVENT, FREE, MODE, MU, NO_FORCE, SLIP_RATE, SLIP_SPEED, SLIPPING, STICK, UNILATERAL
-from .accuracy import gap_rate
+from .accuracy import count_hop, gap_rate
 from .jams import may_stop, stop_jammed, stop_slips
 from .penetration import Penetration
 from .results import ADVICE, FAILURES, Stop
@@ -38,7 +38,9 @@ class Impacts:
         rebounding = {i: self.restitution[i] for i in touching if self._rebounds(i)}
         unopened: dict[int, int] = {}
         for i in touching:
-            if i not in rebounding and penetration.has_stayed_closed(i):
+            closed = penetration.has_stayed_closed(i)
+            count_hop(system, i, closed)
+            if i not in rebounding and closed and i in penetration.barely_open:
                 # as far as gaps are known it has not opened
                 unopened[i], event = penetration.barely_open.pop(i)
                 self.reports.withdraw(event)
@@ -145,6 +147,7 @@ class Impacts:
             height = max(below - self.penetration.accuracy(i), 0.0) + lowest
             if self._leaves(i, gap_rate(system, i), height):
                 system.contact_int[i, MODE] = FREE
+                self.penetration.thrown_off.add(i)
                 if i not in touching and i not in near:
                     # thrown off by what others have struck
                     self.reports.announce(t, i, "separate")

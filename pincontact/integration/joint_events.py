@@ -7,7 +7,7 @@ import numpy as np
 from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import ModeSolver
 from ..layout import DOMAIN_EVENT, FREE, GAP_EVENT, JOINT_END, JOINT_SIGN, MODE, NORMAL_EVENT, SPEED_EVENT
-from .accuracy import gap_resolution, rest_speed
+from .accuracy import count_hop, gap_resolution, rest_speed
 from .reports import Reports
 from .run_system import RunSystem
 
@@ -79,6 +79,7 @@ class JointEvents:
     def stop(self, t: float, g: int, end: int) -> None:
         """Coordinate g has come to an end of its way, and is held there."""
         self.reports.announce(t, self.system.nc + g, "limit")
+        count_hop(self.system, self.system.nc + g, self._at_end.get(g) == end)
         self._announced[g] = True, end
         self._hold(g, end)
 

@@ -20,7 +20,7 @@ SHALLOW = 0.05
 _REST = 1e-9
 # Part of the accuracy of gaps to which hops are resolved, and round-off of gaps, relative to coordinates of unit size.
 _RESOLVED, _ROUND_OFF = 1e-6, 2e-14
-# The speed with which they are left doubles each time that an item comes back from a hop lower than that accuracy.
+# That is so many times more, speeds twice as high, where hops lower than that accuracy do not get lower.
 _COARSER = 4.0
 # The same part where viscous friction makes hops ever shorter: each one left out takes the root of its height in speed.
 _RESOLVED_VISCOUS = 1e-3
@@ -40,17 +40,20 @@ def set_accuracy(system: RunSystem) -> None:
     relative, absolute = system.scale
     system.gap_accuracy = GAP_TOLERANCE * (absolute + relative * lengths)
     system.finest_hops = resolved * system.gap_accuracy
-    system.lowest_hops = system.finest_hops.copy()
+    system.lowest_hops, system.hop_speeds = system.finest_hops.copy(), np.zeros(system.items)
 
 
-def count_hop(system: RunSystem, i: int, low: bool) -> None:
-    """Item i has come back from a hop. low: no higher than gaps are known.
+def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
+    """Item i comes back from a hop at this speed, in m/s or rad/s. low: from no higher than gaps are known.
 
     Bodies that are pressed together in several places may throw each other off for ever: rest, as far as is known. So
-    what hops on and on below that is resolved less and less far.
+    low hops that do not get lower are resolved less and less far.
     """
-    coarser = min(_COARSER * system.lowest_hops[i], system.gap_accuracy[i])
-    system.lowest_hops[i] = coarser if low else system.finest_hops[i]
+    if not low:
+        system.lowest_hops[i] = system.finest_hops[i]
+    elif speed >= system.hop_speeds[i]:
+        system.lowest_hops[i] = min(_COARSER * system.lowest_hops[i], system.gap_accuracy[i])
+    system.hop_speeds[i] = speed
 
 
 def gap_resolution(system: RunSystem) -> np.ndarray:

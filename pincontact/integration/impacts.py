@@ -39,7 +39,7 @@ class Impacts:
         unopened: dict[int, int] = {}
         for i in touching:
             closed = penetration.has_stayed_closed(i)
-            count_hop(system, i, closed)
+            count_hop(system, i, -gap_rate(system, i), closed)
             if i not in rebounding and closed and i in penetration.barely_open:
                 # as far as gaps are known it has not opened
                 unopened[i], event = penetration.barely_open.pop(i)

@@ -79,7 +79,8 @@ class JointEvents:
     def stop(self, t: float, g: int, end: int) -> None:
         """Coordinate g has come to an end of its way, and is held there."""
         self.reports.announce(t, self.system.nc + g, "limit")
-        count_hop(self.system, self.system.nc + g, self._at_end.get(g) == end)
+        speed = abs(float(self.system.v[self.system.limits[g].index_v]))
+        count_hop(self.system, self.system.nc + g, speed, self._at_end.get(g) == end)
         self._announced[g] = True, end
         self._hold(g, end)
 

@@ -203,8 +203,8 @@ class Impacts:
             slips = [c for c in system.closed() if modes[c] == SLIPPING and self._stops_soon(c)]
             left = [g for g in ends if joints.is_free(g)]
             hops = [g for g in left if joints.returns_soon(g, ends[g])]
-            # dry joints that soon stop are what throws others back onto their ends
-            stops = [g for g in range(system.ng) if left and joints.is_free(g) and joints.stops_soon(g)]
+            # dry joints that soon stop throw others back onto their ends
+            stops = [g for g in range(system.ng) if joints.is_free(g) and joints.stops_soon(g)]
             touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c)]
             if not (slips or stops or hops or touches):
                 return count > 0

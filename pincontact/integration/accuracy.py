@@ -37,7 +37,6 @@ def set_accuracy(system: RunSystem) -> None:
     lengths, resolved = np.ones(system.items), np.full(system.items, _RESOLVED)
     lengths[: system.nc] = system.contact_real[: system.nc, LENGTH]
     resolved[: system.nc][system.contact_real[: system.nc, VISCOUS] > 0.0] = _RESOLVED_VISCOUS
-    resolved[system.nc : system.nc + system.ng] = 1.0 / GAP_TOLERANCE
     relative, absolute = system.scale
     system.gap_accuracy = GAP_TOLERANCE * (absolute + relative * lengths)
     system.finest_hops = resolved * system.gap_accuracy

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..dynamics.joints import END_SLACK
@@ -174,15 +176,17 @@ class JointEvents:
 
     # ---------------------------------------------------------------- motions too short to be told from rest
 
-    def stops_soon(self, g: int) -> bool:
-        """Whether dry friction ends the motion of coordinate g in a distance that is smaller than the error of
-        positions. Needs the evaluation."""
+    def stops_soon(self, g: int, resolution: Callable[[int, float], float]) -> bool:
+        """Whether dry friction ends the motion of coordinate g in a way that is none: shorter than resolution(item,
+        speed). Needs the evaluation."""
         limit, sign = self.system.limits[g], int(self.system.joint_int[g, JOINT_SIGN])
-        speed, rate = self.system.v[limit.index_v], sign * self.system.acceleration[limit.index_v]
-        return bool(limit.dry and sign != 0 and rate < 0.0 and speed * speed <= -2.0 * rate * self.resolution(g))
+        speed, rate = abs(float(self.system.v[limit.index_v])), sign * float(self.system.acceleration[limit.index_v])
+        if not limit.dry or sign == 0 or rate >= 0.0:
+            return False
+        return speed * speed <= -2.0 * rate * resolution(self.system.nc + g, speed)
 
-    def returns_soon(self, g: int, end: int) -> bool:
+    def returns_soon(self, g: int, end: int, resolution: Callable[[int, float], float]) -> bool:
         """Whether coordinate g comes back to the end that it leaves from no further than that. Needs the evaluation."""
         index = self.system.limits[g].index_v
-        speed, back = self.system.v[index], end * self.system.acceleration[index]
-        return bool(back > 0.0 and speed * speed <= 2.0 * back * self.resolution(g))
+        speed, back = abs(float(self.system.v[index])), end * float(self.system.acceleration[index])
+        return back > 0.0 and speed * speed <= 2.0 * back * resolution(self.system.nc + g, speed)

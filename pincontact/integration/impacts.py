@@ -9,7 +9,7 @@ import numpy as np
 from ..dynamics.energy import REST_SPEED
 from ..dynamics.impact import apply_impact
 from ..dynamics.modes import rest_mode
-from ..layout import EVENT, FREE, MODE, MU, NO_FORCE, SLIP_RATE, SLIP_SPEED, SLIPPING, STICK, UNILATERAL
+from ..layout import EVENT, FREE, FRICTIONLESS, MODE, MU, NO_FORCE, SLIP_RATE, SLIP_SPEED, SLIPPING, STICK, UNILATERAL
 from .accuracy import count_hop, gap_rate, gap_resolution
 from .jams import may_stop, stop_jammed, stop_slips
 from .penetration import Penetration
@@ -104,10 +104,9 @@ class Impacts:
         before = changes.counted_energy()
         stop_jammed(changes, t)
         # what stays closed with a normal velocity (a hop that is none) stops here, which may turn slow slips
-        if self.rk.project(t, False):
+        if self._project(t):
             stop_jammed(changes, t)
         else:
-            stop_slips(changes, t, may_stop(system))
             undecided = changes.set_from_velocities(after_impact=True)
         if self._end_short_motions(t, closed, ends):
             undecided = changes.set_from_velocities(after_impact=True)
@@ -239,8 +238,21 @@ class Impacts:
                 changes.modes.hold(g, 0)
             for g in hops:
                 changes.modes.hold(g, ends[g])
-            changes.project(t, explained=True)
+            if not self._project(t):
+                changes.set_from_velocities(after_impact=True)
         return True
+
+    def _project(self, t: float) -> bool:
+        """Put the state on its constraints; False where the slips that it has leave no forces. Then those have been
+        stopped that may be, and others are to be decided anew: a hop that is none has its own slip."""
+        system, modes = self.system, self.system.contact_int[:, MODE]
+        if self.rk.project(t, False):
+            return True
+        for c in system.closed():
+            if modes[c] == SLIPPING and abs(gap_rate(system, c)) > _LEAVING_SPEED:
+                modes[c] = FRICTIONLESS
+        stop_slips(self.changes, t, may_stop(system))
+        return False
 
     def _stops_soon(self, c: int) -> bool:
         """Whether the slip of contact c ends in a distance that is shorter than positions are known to."""

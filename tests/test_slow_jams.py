@@ -40,7 +40,7 @@ def test_slow_slips_that_jam_stick(seed):
     run = pc.simulate(scene, scene.initial_state(q, [slow, 0.0, 0.0]), 0.05)
     assert run.status == 0, run.message
     # energy of a rod that turns about its tip, which stays where it was
-    x, z, pitch = run.q[-1]
+    x, _, pitch = run.q[-1]
     assert abs(x + math.cos(pitch) - math.cos(angle)) < 1e-7
     speed = math.sqrt(2.0 * G * (math.sin(angle) - math.sin(pitch)) / (1.0 + inertia))
     # the slip that has ended, as it turns the rod

@@ -1,6 +1,6 @@
-"""Slips that jam, since no forces are those of Coulomb's law in them, or no step is short enough: ideal rolling held up by
-friction alone, and what is as slow as slip that counts as ended. They are ended at once, by the least change of velocity
-that does it."""
+"""Slips that jam, since no forces in them are those of Coulomb's law, or no step is short enough: ideal rolling held up
+by friction alone, and what is as slow as slip that counts as ended. They are ended at once, by the least change of
+velocity that does it."""
 
 from __future__ import annotations
 

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..layout import LENGTH, VISCOUS
+from ..layout import LENGTH, MODE, SLIPPING, TANGENTS, VISCOUS
 from .results import GAP_TOLERANCE
+from .slip_at_ends import STOP_DOUBLINGS
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
@@ -19,6 +20,8 @@ SHALLOW = 0.05
 REST = 1e-9
 # Part of the accuracy of gaps to which hops are resolved, and round-off of gaps, relative to coordinates of unit size.
 _RESOLVED, _ROUND_OFF = 1e-6, 2e-14
+# That is so many times more, speeds twice as high, where hops lower than that accuracy do not get lower.
+_COARSER = 4.0
 # The same part where viscous friction makes hops ever shorter: each one left out takes the root of its height in speed.
 _RESOLVED_VISCOUS = 1e-3
 
@@ -44,7 +47,21 @@ def set_accuracy(system: RunSystem, relative: float, absolute: float) -> None:
     """
     lengths, resolved = system.gap_sizes
     system.gap_accuracy = GAP_TOLERANCE * (absolute + relative * lengths)
-    system.lowest_hops = resolved * system.gap_accuracy
+    system.finest_hops = resolved * system.gap_accuracy
+    system.lowest_hops, system.hop_speeds = system.finest_hops.copy(), np.zeros(system.items)
+
+
+def count_hop(system: RunSystem, i: int, speed: float, low: bool) -> None:
+    """Item i comes back from a hop at this speed, in m/s or rad/s. low: from no higher than gaps are known.
+
+    Bodies that are pressed together in several places may throw each other off for ever: rest, as far as is known. So
+    low hops that do not get lower are resolved less and less far.
+    """
+    if not low:
+        system.lowest_hops[i] = system.finest_hops[i]
+    elif speed >= system.hop_speeds[i]:
+        system.lowest_hops[i] = min(_COARSER * system.lowest_hops[i], system.gap_accuracy[i])
+    system.hop_speeds[i] = speed
 
 
 def gap_resolution(system: RunSystem) -> np.ndarray:
@@ -59,6 +76,15 @@ def gap_resolution(system: RunSystem) -> np.ndarray:
 def rest_speed(system: System) -> float:
     """Slip slower than this, in m/s, counts as rest."""
     return REST * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
+
+
+def slow_slips(system: System) -> list[int]:
+    """Items that slide, in the last evaluation no faster than what counts as ended where steps get nowhere near it."""
+    allowed = np.abs(system.rows) @ (system.scale[1] + system.scale[0] * np.abs(system.v))
+    along = np.einsum("nij,nj->ni", system.basis[:, :2], system.slip)
+    along[system.contact_int[:, TANGENTS] == 1, 1] = 0.0
+    slow = np.linalg.norm(along, axis=1) <= 2.0**STOP_DOUBLINGS * allowed.max(axis=1)
+    return np.flatnonzero((system.contact_int[:, MODE] == SLIPPING) & slow).tolist()
 
 
 def gap_rate(system: System, c: int) -> float:

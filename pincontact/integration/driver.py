@@ -36,7 +36,7 @@ from ..layout import (
 from .contradictions import projection_failure
 from .dense import Interpolant
 from .events import UserEvent, UserEvents
-from .jams import held_up
+from .jams import held_up, may_stop
 from .locator import Crossing, EventLocator
 from .outputs import Outputs, no_dense_output
 from .pieces import Pieces
@@ -411,9 +411,12 @@ class Driver:
         self._thrown = True
 
     def _end_jams(self, t: float) -> float:
-        """Where no step succeeds, end the slips that friction alone holds up, if there are any; the new time."""
-        if not held_up(self.system):
-            raise self.transitions.reports.failure(t, int(self.system.counters["failure"]))
+        """Where no step succeeds, end the slips that may be stopped, if there are any; the new time."""
+        failure = int(self.system.counters["failure"])
+        self.rk.load(self.system.state)
+        self.transitions.changes.evaluate_rows(t)
+        if not may_stop(self.system):
+            raise self.transitions.reports.failure(t, failure)
         t = self.transitions.end_jams(t)
         self._after(t)
         self._restart(self.transitions.onset.seed)
@@ -578,7 +581,7 @@ class Driver:
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
         reach = _TOGETHER * 2.0 ** int(system.counters["stalled"]) * system.contact_real[:, START_TOLERANCE]
         with np.errstate(invalid="ignore"):
-            near = np.minimum(speed, np.abs(speed + rate * left)) <= reach
+            near = np.where(rate < 0.0, np.minimum(speed, np.abs(speed + rate * left)) <= reach, speed <= allowed)
         contacts = [c, *(int(i) for i in np.flatnonzero(near & np.isfinite(speed)) if i != c)]
         rk.load(system.state)
         rk.evaluate(t)

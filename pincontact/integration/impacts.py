@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..dynamics.energy import REST_SPEED
 from ..dynamics.impact import apply_impact
 from ..dynamics.modes import rest_mode
-from ..layout import EVENT, FREE, MODE, MU, NO_FORCE, SLIP_RATE, SLIP_SPEED, SLIPPING, STICK, UNILATERAL
-from .accuracy import gap_rate
-from .jams import held_up, stop_jammed, stop_slips
+from ..layout import EVENT, FREE, FRICTIONLESS, MODE, MU, NO_FORCE, SLIP_RATE, SLIP_SPEED, SLIPPING, STICK, UNILATERAL
+from .accuracy import count_hop, gap_rate, gap_resolution
+from .jams import may_stop, stop_jammed, stop_slips
 from .penetration import Penetration
-from .results import ADVICE, FAILURES, Stop
+from .results import ADVICE, FAILURES, GAP_TOLERANCE, Stop
 from .slip_onset import SlipOnset
 
 # After an impact what leaves faster than this, in m/s, opens.
@@ -28,6 +30,8 @@ class Impacts:
         self.onset, self.penetration, self.restitution = onset, penetration, restitution
         self.changes, self.system, self.rk = onset.changes, onset.system, onset.rk
         self.joints, self.reports = self.changes.joints, self.changes.reports
+        # m/s: the fastest slip that the last impact left
+        self._rubbing = 0.0
 
     def touch(self, t: float, c: int) -> float:
         """Contact c closes: impulses on all closed contacts, then new modes from the velocities after them."""
@@ -38,7 +42,9 @@ class Impacts:
         rebounding = {i: self.restitution[i] for i in touching if self._rebounds(i)}
         unopened: dict[int, int] = {}
         for i in touching:
-            if i not in rebounding and penetration.has_stayed_closed(i):
+            closed = penetration.has_stayed_closed(i)
+            count_hop(system, i, -gap_rate(system, i), closed)
+            if i not in rebounding and closed and i in penetration.barely_open:
                 # as far as gaps are known it has not opened
                 unopened[i], event = penetration.barely_open.pop(i)
                 self.reports.withdraw(event)
@@ -91,16 +97,17 @@ class Impacts:
         self.rk.keep_velocity()
         changes.count_works(impact.contacts, impact.drives, impact.joints)
         changes.evaluate_rows(t)
+        self._rubbing = self._fastest_slip()
         self._open_leaving(t, closed, touching, near)
         self.joints.set_from_velocities({g: end for g, end in ends.items() if not self._joint_leaves(g)})
         undecided = changes.set_from_velocities(after_impact=True)
         before = changes.counted_energy()
         stop_jammed(changes, t)
         # what stays closed with a normal velocity (a hop that is none) stops here, which may turn slow slips
-        if self.rk.project(t, False):
+        if self._project(t):
             stop_jammed(changes, t)
         else:
-            stop_slips(changes, t, held_up(system))
+            undecided = changes.set_from_velocities(after_impact=True)
         if self._end_short_motions(t, closed, ends):
             undecided = changes.set_from_velocities(after_impact=True)
         changes.count_loss(before)
@@ -140,10 +147,11 @@ class Impacts:
         for i in closed:
             if not system.contact_int[i, UNILATERAL]:
                 continue
-            below, lowest = -float(system.gaps[i, 0]), self.penetration.resolution(i)
-            height = max(below - self.penetration.accuracy(i), 0.0) + lowest
-            if self._leaves(i, gap_rate(system, i), height):
+            leaving, below = gap_rate(system, i), -float(system.gaps[i, 0])
+            lowest = self._resolution(i, leaving)
+            if self._leaves(i, leaving, max(below - self.penetration.accuracy(i), 0.0) + lowest):
                 system.contact_int[i, MODE] = FREE
+                self.penetration.thrown_off.add(i)
                 if i not in touching and i not in near:
                     # thrown off by what others have struck
                     self.reports.announce(t, i, "separate")
@@ -157,7 +165,24 @@ class Impacts:
     def _joint_leaves(self, g: int) -> bool:
         system = self.system
         speed = abs(float(system.v[system.limits[g].index_v]))
-        return self._leaves(system.nc + g, speed, self.joints.resolution(g))
+        return self._leaves(system.nc + g, speed, self._resolution(system.nc + g, speed))
+
+    def _fastest_slip(self) -> float:
+        """Speed in m/s of the fastest slip of closed contacts that has dry friction."""
+        system = self.system
+        mu = system.contact_real[:, MU]
+        rough = [c for c in system.closed() if 0.0 < mu[c] < math.inf]
+        along = np.einsum("nij,nj->ni", system.basis[rough, :2], system.slip[rough])
+        return float(np.linalg.norm(along, axis=1).max(initial=0.0))
+
+    def _resolution(self, i: int, speed: float) -> float:
+        """Way in m or rad below which a motion of item i at this speed in m/s or rad/s is none.
+
+        To leave it out moves impulses by its duration, which leaves no more than that way; but where a contact slides,
+        friction goes with the impulses, and what is left of its slip goes with the root of the way.
+        """
+        way = float(gap_resolution(self.system)[i])
+        return way if self._rubbing > speed else max(way, float(self.system.gap_accuracy[i]) / GAP_TOLERANCE)
 
     def _leaves(self, i: int, leaving: float, height: float) -> bool:
         """Whether item i leaves what it has struck, at this speed in m/s: a hop lower than `height` in m is none."""
@@ -198,9 +223,9 @@ class Impacts:
                 break
             slips = [c for c in system.closed() if modes[c] == SLIPPING and self._stops_soon(c)]
             left = [g for g in ends if joints.is_free(g)]
-            hops = [g for g in left if joints.returns_soon(g, ends[g])]
-            # dry joints that soon stop are what throws others back onto their ends
-            stops = [g for g in range(system.ng) if left and joints.is_free(g) and joints.stops_soon(g)]
+            hops = [g for g in left if joints.returns_soon(g, ends[g], self._resolution)]
+            # dry joints that soon stop throw others back onto their ends
+            stops = [g for g in range(system.ng) if joints.is_free(g) and joints.stops_soon(g, self._resolution)]
             touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c)]
             if not (slips or stops or hops or touches):
                 return count > 0
@@ -213,17 +238,30 @@ class Impacts:
                 changes.modes.hold(g, 0)
             for g in hops:
                 changes.modes.hold(g, ends[g])
-            changes.project(t, explained=True)
+            if not self._project(t):
+                changes.set_from_velocities(after_impact=True)
         return True
+
+    def _project(self, t: float) -> bool:
+        """Put the state on its constraints; False where the slips that it has leave no forces. Then those have been
+        stopped that may be, and others are to be decided anew: a hop that is none has its own slip."""
+        system, modes = self.system, self.system.contact_int[:, MODE]
+        if self.rk.project(t, False):
+            return True
+        for c in system.closed():
+            if modes[c] == SLIPPING and abs(gap_rate(system, c)) > _LEAVING_SPEED:
+                modes[c] = FRICTIONLESS
+        stop_slips(self.changes, t, may_stop(system))
+        return False
 
     def _stops_soon(self, c: int) -> bool:
         """Whether the slip of contact c ends in a distance that is shorter than positions are known to."""
         speed, rate = self.system.contact_real[c, [SLIP_SPEED, SLIP_RATE]]
-        return bool(rate < 0.0 and speed * speed <= -2.0 * rate * self.penetration.resolution(c))
+        return bool(rate < 0.0 and speed * speed <= -2.0 * rate * self._resolution(c, speed))
 
     def _returns_soon(self, t: float, c: int) -> bool:
         """Whether contact c comes back from no further than gaps are known."""
         if c in self.penetration.contacts or abs(float(self.system.gaps[c, 0])) > self.penetration.accuracy(c):
             return False
         speed, back = gap_rate(self.system, c), -self.changes.modes.gap_acceleration(t, c)
-        return back > 0.0 and speed * speed <= 2.0 * back * self.penetration.resolution(c)
+        return back > 0.0 and speed * speed <= 2.0 * back * self._resolution(c, speed)

@@ -1,5 +1,6 @@
-"""Ideal rolling that slides held up by friction alone, and jams: no step is short enough, or its force grows without
-bound. Its slip is ended at once, by the least change of velocity that does it."""
+"""Slips that jam, since no forces in them are those of Coulomb's law, or no step is short enough: ideal rolling held up
+by friction alone, and what is as slow as slip that counts as ended. They are ended at once, by the least change of
+velocity that does it."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from ..dynamics.system import System
 from ..layout import EVENT, FRICTION_EVENT, MODE, MU, SLIPPING, STICK
+from .accuracy import slow_slips
 from .mode_changes import ModeChanges
 
 
@@ -16,6 +18,11 @@ def held_up(system: System) -> list[int]:
     """Contacts of ideal rolling that slide held up by friction alone."""
     modes, mu = system.modes.tolist(), system.contact_real[:, MU].tolist()
     return [c for c, mode in enumerate(modes) if mode == SLIPPING and mu[c] == math.inf]
+
+
+def may_stop(system: System) -> list[int]:
+    """What may be stopped at once where it jams: see `held_up` and `slow_slips`."""
+    return sorted({*held_up(system), *slow_slips(system)})
 
 
 def stop_jammed(changes: ModeChanges, t: float) -> None:

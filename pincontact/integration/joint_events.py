@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..dynamics.joints import END_SLACK
 from ..dynamics.modes import ModeSolver
 from ..layout import DOMAIN_EVENT, FREE, GAP_EVENT, JOINT_END, JOINT_SIGN, MODE, NORMAL_EVENT, SPEED_EVENT
-from .accuracy import gap_resolution, rest_speed
+from .accuracy import count_hop, gap_resolution, rest_speed
 from .reports import Reports
 from .run_system import RunSystem
 
@@ -79,6 +81,8 @@ class JointEvents:
     def stop(self, t: float, g: int, end: int) -> None:
         """Coordinate g has come to an end of its way, and is held there."""
         self.reports.announce(t, self.system.nc + g, "limit")
+        speed = abs(float(self.system.v[self.system.limits[g].index_v]))
+        count_hop(self.system, self.system.nc + g, speed, self._at_end.get(g) == end)
         self._announced[g] = True, end
         self._hold(g, end)
 
@@ -172,15 +176,17 @@ class JointEvents:
 
     # ---------------------------------------------------------------- motions too short to be told from rest
 
-    def stops_soon(self, g: int) -> bool:
-        """Whether dry friction ends the motion of coordinate g in a distance that is smaller than the error of
-        positions. Needs the evaluation."""
+    def stops_soon(self, g: int, resolution: Callable[[int, float], float]) -> bool:
+        """Whether dry friction ends the motion of coordinate g in a way that is none: shorter than resolution(item,
+        speed). Needs the evaluation."""
         limit, sign = self.system.limits[g], int(self.system.joint_int[g, JOINT_SIGN])
-        speed, rate = self.system.v[limit.index_v], sign * self.system.acceleration[limit.index_v]
-        return bool(limit.dry and sign != 0 and rate < 0.0 and speed * speed <= -2.0 * rate * self.resolution(g))
+        speed, rate = abs(float(self.system.v[limit.index_v])), sign * float(self.system.acceleration[limit.index_v])
+        if not limit.dry or sign == 0 or rate >= 0.0:
+            return False
+        return speed * speed <= -2.0 * rate * resolution(self.system.nc + g, speed)
 
-    def returns_soon(self, g: int, end: int) -> bool:
+    def returns_soon(self, g: int, end: int, resolution: Callable[[int, float], float]) -> bool:
         """Whether coordinate g comes back to the end that it leaves from no further than that. Needs the evaluation."""
         index = self.system.limits[g].index_v
-        speed, back = self.system.v[index], end * self.system.acceleration[index]
-        return bool(back > 0.0 and speed * speed <= 2.0 * back * self.resolution(g))
+        speed, back = abs(float(self.system.v[index])), end * float(self.system.acceleration[index])
+        return back > 0.0 and speed * speed <= 2.0 * back * resolution(self.system.nc + g, speed)

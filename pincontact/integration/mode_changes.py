@@ -30,7 +30,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from .accuracy import rest_speed
+from .accuracy import rest_speed, slow_slips
 from .joint_events import JointEvents
 from .reports import Reports
 from .results import STEP_TOO_SMALL, Stop
@@ -92,8 +92,17 @@ class ModeChanges:
         return undecided
 
     def resolve_modes(self, t: float, undecided: list[int], beyond: int | None = None) -> Decision:
-        """Decide modes; the last evaluation is the one in them."""
+        """Decide modes; the last evaluation is the one in them. Slips that leave no forces, and are as slow as what
+        counts as ended, end."""
+        modes, limits = self.system.contact_int.copy(), self.system.joint_int.copy()
         decision = self.modes.resolve_modes(t, undecided, self.rk.evaluate, beyond)
+        if decision.status == NO_FORCE:
+            self.system.contact_int[:], self.system.joint_int[:] = modes, limits
+            slow = slow_slips(self.system)
+            if slow:
+                self.system.contact_int[slow, MODE] = STICK
+                self.project(t, explained=True)
+                decision = self.modes.resolve_modes(t, self.sticking(), self.rk.evaluate, beyond)
         if decision.status > EVENT:
             raise self.reports.failure(t, decision.status)
         return decision

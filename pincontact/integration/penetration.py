@@ -29,7 +29,8 @@ class Penetration:
 
     depths (items,): how much deeper in m than the accuracy of gaps open contacts may be; the event locator reads it.
     contacts: those for which that is not zero. barely_open: mode before, and event, of contacts that have opened and
-    were no further apart since than gaps are known.
+    were no further apart since than gaps are known. thrown_off: contacts that an impact has opened, while they were no
+    further apart since.
     """
 
     def __init__(self, rk: RungeKutta, modes: ModeSolver) -> None:
@@ -37,6 +38,7 @@ class Penetration:
         self.depths = np.zeros(rk.system.items)
         self.contacts: set[int] = set()
         self.barely_open: dict[int, tuple[int, Event]] = {}
+        self.thrown_off: set[int] = set()
 
     def accuracy(self, c: int) -> float:
         """Error in m of the gap of contact c."""
@@ -60,7 +62,7 @@ class Penetration:
         included."""
         system, accuracy = self._rk.system, self.accuracy(c)
         return (
-            c in self.barely_open
+            (c in self.barely_open or c in self.thrown_off)
             and abs(system.gaps[c, 0]) <= accuracy
             and bool(system.highest[c, GAP_EVENT] <= accuracy)
         )
@@ -76,14 +78,16 @@ class Penetration:
         stepped: whether the last trial step led there in the present modes.
         """
         system = self._rk.system
-        for c in {*self.contacts, *self.barely_open}:
+        for c in {*self.contacts, *self.barely_open, *self.thrown_off}:
             accuracy = self.accuracy(c)
             if system.gaps[c, 0] > accuracy or system.contact_int[c, MODE] != FREE:
                 self.barely_open.pop(c, None)
+                self.thrown_off.discard(c)
                 self.depths[c] = 0.0
                 self.contacts.discard(c)
             elif stepped and system.highest[c, GAP_EVENT] > accuracy:
                 self.barely_open.pop(c, None)
+                self.thrown_off.discard(c)
 
     # ---------------------------------------------------------------- ideal rolling that is let go
 

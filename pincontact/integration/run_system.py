@@ -40,7 +40,7 @@ class RunSystem(System):
         self.scratch("bracket", 6)
         # see `accuracy.set_accuracy`
         self.gap_sizes = sizes_of_gaps(self)
-        self.gap_accuracy = self.lowest_hops = np.zeros(self.items)
+        self.gap_accuracy = self.finest_hops = self.lowest_hops = self.hop_speeds = np.zeros(self.items)
         self._few_times = self.scratch("output_times", _FEW_TIMES)
         self._few_at = self.table[self.layout.places["output_times"], 0].item()
         self.put("output_times", self._few_times[:0], self._few_at)

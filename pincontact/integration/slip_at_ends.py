@@ -37,7 +37,7 @@ _FORETOLD, _LEAST_LEFT, _SHORT = 4.0, 1e-3, 0.3
 # or once one linear step to its end leaves out no more than a part of that error. Where steps no longer get anywhere
 # near the end, the speed that counts as ended is doubled at every trial step, so many times at most.
 LEFT_OUT = 0.05
-_STOP_DOUBLINGS = 10
+STOP_DOUBLINGS = 10
 _PROGRESS = 0.9
 # Growth by which a slip has got away from its slowest point.
 _ESCAPE = 2.0
@@ -149,7 +149,7 @@ def watch_slips(system, n, accepted):
             least = min(least, speed)
             if number[START_RATE] < 0.0:
                 slowest = min(slowest, speed)
-                near = near or speed <= number[START_TOLERANCE] * 2.0**_STOP_DOUBLINGS
+                near = near or speed <= number[START_TOLERANCE] * 2.0**STOP_DOUBLINGS
     if slowest == math.inf:
         # a slip that grows again has passed its slowest point: that was not its end
         if accepted and least < math.inf and least > _ESCAPE * scalars.slowest:
@@ -159,8 +159,8 @@ def watch_slips(system, n, accepted):
     if accepted and slowest < _PROGRESS * scalars.slowest:
         scalars.slowest = slowest
         counters.stalled = 0
-    elif near:
-        counters.stalled = min(counters.stalled + 1, _STOP_DOUBLINGS)
+    elif near and scalars.turning_rate * scalars.step <= _STIFF:
+        counters.stalled = min(counters.stalled + 1, STOP_DOUBLINGS)
 
 
 @kernel

@@ -82,12 +82,13 @@ class SlowSlip:
         system = self.rk.system
         tolerance = system.scale[1] + system.scale[0] * float(np.abs(system.v).max(initial=0.0))
         several = sum(power > 0 for power in self.powers.values()) > 1
-        for _ in range(_TRIES_OF_SEVERAL if several else _HALVINGS):
-            if span < shortest:
-                return None
+        tries = _TRIES_OF_SEVERAL if several else _HALVINGS
+        while tries > 0 and span >= shortest:
             for c in self.contacts:
                 system.contact_real[c, [START, SPAN]] = t, span
-            if self._collocate(t, span, _ACCEPTED * tolerance) and self.uneventful():
+            if not self._collocate(t, span, _ACCEPTED * tolerance):
+                tries -= 1
+            elif self.uneventful():
                 return span
             span *= 0.5
         return None

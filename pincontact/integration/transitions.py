@@ -39,7 +39,7 @@ from ..layout import (
 )
 from .accuracy import gap_rate
 from .impacts import Impacts
-from .jams import end_jams, held_up, stop_jammed
+from .jams import end_jams, held_up, may_stop, stop_jammed
 from .joint_events import JointEvents
 from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
@@ -279,13 +279,11 @@ class Transitions:
         return self.onset.resolve(t, self.changes.sticking(), at_rest=ended)
 
     def end_jams(self, t: float) -> float:
-        """End the slips of the accepted state that friction alone holds up, since no step is short enough to follow
-        them."""
-        sliding = held_up(self.system)
+        """End the slips of the accepted state, whose rows are evaluated, that may be stopped, since no step is short
+        enough to follow them."""
+        sliding = may_stop(self.system)
         for c in sliding:
             self.reports.check_chatter(t, c)
-        self.rk.load(self.system.state)
-        self.changes.evaluate_rows(t)
         end_jams(self.changes, t, sliding)
         return self.onset.start(t)
 
@@ -302,5 +300,5 @@ class Transitions:
     def stay_apart(self, t: float) -> bool:
         """Whether compiled steps can tell how long open contacts stay apart, and nothing else is to be looked at."""
         penetration = self.penetration
-        watched = penetration.contacts or penetration.barely_open or self.system.ng
+        watched = penetration.contacts or penetration.barely_open or penetration.thrown_off or self.system.ng
         return not watched and self.open.are_plain(t)

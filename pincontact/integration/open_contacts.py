@@ -14,7 +14,7 @@ import pinocchio as pin
 from ..contours.base import F_T, F_TT, PLANE
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
-from ..geometry.nearest import Nearest, NearestSearch, Whole, is_searched
+from ..geometry.nearest import NearestSearch, Whole, is_searched
 from ..geometry.search import SAME
 from ..layout import (
     APPROACH_SPEED,
@@ -92,9 +92,9 @@ class _Open:
         # they may touch
         self.is_plain = self.search is None and math.isinf(self.near) and not self.is_driven
         numbers[FLAT] = float(self.is_plain and two.kind == PLANE)
-        # what the last search has found, and the pose at which it did
-        self.nearest = Nearest(None, -math.inf, -math.inf)
-        self.rotation, self.centre, self.time = np.eye(3), np.zeros(3), -math.inf
+        # distances that the last search has found, and the pose at which it did
+        self.distance = self.elsewhere = -math.inf
+        self.rotation, self.centre, self.time = np.eye(3), np.zeros(3), t
 
     def speed(self, system: RunSystem) -> tuple[float, float]:
         """Bounds of the speed in m/s at which points of body 1 move in the frame of body 2, and of its turning, in
@@ -126,15 +126,6 @@ class _Open:
                     speed = max(speed, float(np.linalg.norm(values[F_T])))
                     change = max(change, float(np.linalg.norm(values[F_TT])))
         return speed, _CHANGE * speed / change if change > 0.0 else math.inf
-
-    def look_around(self, t: float) -> Nearest:
-        """The nearest points at the evaluated state."""
-        search = self.search
-        assert search is not None
-        if t != self.time or self.moved(t) > 0.0:
-            self.nearest, self.time = search.search(t), t
-            self.rotation, self.centre = search.pose()
-        return self.nearest
 
     def moved(self, t: float) -> float:
         """How far in m any point of body 1 has moved in the frame of body 2 since the last search, at most."""
@@ -218,8 +209,8 @@ class OpenContacts:
             acceleration += system.contact_real.item(c, BENDING)
             distance = self._distance(known, t)
             if known.search is not None and h > time_to_cover(distance, speed, acceleration):
-                way = min(speed * h + 0.5 * acceleration * h * h, known.near)
-                if distance >= known.near or known.moved(t) + way > known.nearest.elsewhere:
+                moved, way = known.moved(t), min(speed * h + 0.5 * acceleration * h * h, known.near)
+                if moved > 0.0 and (distance >= known.near or moved + way > known.elsewhere):
                     self.find(t, c)
                     distance = self._distance(known, t)
             self._allowed[c] = allowed = max(distance, known.near)
@@ -238,7 +229,7 @@ class OpenContacts:
     def are_apart(self, c: int, t: float) -> bool:
         """Whether the last search says that the bodies of contact c cannot touch at the evaluated state."""
         known = self._open.get(c)
-        return known is not None and known.search is not None and known.nearest.distance > known.moved(t)
+        return known is not None and known.search is not None and known.distance > known.moved(t)
 
     def watches(self) -> bool:
         """Whether constant steps have to be looked at: whether any contact may be elsewhere, or be flown through."""
@@ -264,7 +255,7 @@ class OpenContacts:
             way = speed * h + 0.5 * acceleration * h * h
             if known.search is not None and way > distance:
                 lost = self.system.gaps[c, 0] >= NOTHING_THERE
-                if lost or known.moved(t) + way > known.nearest.elsewhere:
+                if lost or known.moved(t) + way > known.elsewhere:
                     self.find(t, c)
                 distance = self._distance(known, t)
             if way > max(distance, _THROUGH * known.near):
@@ -273,7 +264,7 @@ class OpenContacts:
             if way > max(distance, known.near):
                 # so far that the parabola of the gap may not tell
                 self._far[c] = self.system.state.copy()
-            certain = distance if known.search is None else known.nearest.elsewhere - known.moved(t)
+            certain = distance if known.search is None else known.elsewhere - known.moved(t)
             steps = min(steps, max(int(min(time_to_cover(max(certain, 0.0), speed, acceleration) / h, MANY_STEPS)), 1))
         return steps
 
@@ -313,7 +304,7 @@ class OpenContacts:
         """How far bodies are apart, at least, in m; zero where that is not known."""
         system, c = self.system, known.c
         if known.search is not None:
-            return max(known.nearest.distance - known.moved(t), 0.0)
+            return max(known.distance - known.moved(t), 0.0)
         if system.contact_real[c, DOMAIN] < 0.0 and system.gaps[c, 0] >= NOTHING_THERE:
             return 0.0
         return max(abs(float(system.gaps[c, 0])), 0.0)
@@ -334,8 +325,8 @@ class OpenContacts:
                 self._cut = 0.5 * step
                 return False
             lost = self.system.gaps[c, 0] >= NOTHING_THERE
-            if known.search is not None and self.apart[c] and (lost or known.moved(t) > known.nearest.elsewhere):
-                found = known.look_around(t).candidate
+            if known.search is not None and self.apart[c] and (lost or known.moved(t) > known.elsewhere):
+                found = known.search.search(t).candidate
                 if found is not None and -way < found.gap < 0.0 and not self._is_present(c, found):
                     self._cut = 0.5 * step
                     return False
@@ -365,8 +356,13 @@ class OpenContacts:
     def find(self, t: float, c: int) -> bool:
         """Look for the nearest points of contact c at the evaluated state; whether they are others than before, which
         are then in `system.state`."""
-        system = self.system
-        found = self._open[c].look_around(t).candidate
+        system, known = self.system, self._open[c]
+        search = known.search
+        assert search is not None
+        nearest = search.search(t)
+        known.rotation, known.centre = search.pose()
+        known.distance, known.elsewhere, known.time = nearest.distance, nearest.elsewhere, t
+        found = nearest.candidate
         if found is None or self._is_present(c, found):
             return False
         if system.contact_real[c, DOMAIN] >= 0.0 and 0.0 <= system.gaps[c, 0] <= abs(found.gap):

@@ -7,13 +7,11 @@ import pytest
 from calling import from_python
 from test_cone_attempt import is_solution, regular
 from test_cone_parts import problem
-from test_linear_parts import feet
 from test_load_solver import made_problem
 
 from pincontact import linalg
-from pincontact.friction import barrier, centred, cone, solve
+from pincontact.friction import barrier, cone, solve
 from pincontact.friction.attempt import NEAR, WARM, WARM_PASSES
-from pincontact.friction.centred import null_space
 from pincontact.friction.cone import KNOWN, STICK
 from pincontact.friction.feasibility import crushing_combination
 from pincontact.friction.loads import LoadSolver, ScaledLoads
@@ -21,6 +19,8 @@ from pincontact.friction.solve import COMPLIANCES, ContactSolver
 
 least_norm = from_python(linalg.least_norm)
 gauss_seidel_pass = from_python(cone.gauss_seidel_pass)
+barrier_minimum, barrier_cost = from_python(barrier.minimise), from_python(barrier.cost)
+barrier_derivatives = from_python(barrier.barrier_derivatives)
 
 SEEDS = pytest.mark.parametrize("seed", range(4))
 
@@ -215,70 +215,46 @@ def test_jaws_that_close(unit):
 def test_minima_of_barriers(pressure, seed):
     """The slope of barriers, of |z|^2 / 2 and of the pressure on the enlargement vanishes, or all cones are entered."""
     rng = np.random.default_rng(seed)
-    directions, cones, inside = feet(rng, 4, 0.6)
-    null = null_space(directions)
-    null = null / np.abs(null).max()
-    unit = np.linalg.norm(inside)
-    barriers = centred._Barriers(cones, inside / unit, null, unit)
-    z = 0.3 * rng.normal(size=null.shape[1])
-    start = np.append(z, 0.2 - barriers.values(z).min())
-    if pressure == 0.0:
-        # a given enlargement stays
-        start[-1] = max(start[-1], 0.1)
-    point = centred._minimise(barriers, start, pressure)
-    gradient, hessian = np.zeros_like(point), np.zeros((point.size, point.size))
-    barrier.barrier_derivatives(barriers.flat, barriers.at(point).ravel(), point, pressure, gradient, hessian)
-    along = rng.normal(size=(len(directions), 2))
-    curvature, change = barriers.curvature(point, along)
-    assert hessian[:-1, :-1] == pytest.approx(np.tril(curvature + np.eye(point.size - 1)), rel=1e-10)
-    for column, direction in zip(change.T, along.T):
+    k, m = 3, 4
+    rows, start = rng.normal(size=(3 * m, k + 1)), rng.normal(size=3 * m)
+    rows[:, k] = np.tile([1.0, 0.0, 0.0], m)
+    # the first cone is well inside wherever z is small, so that the others decide
+    start[0::3] += 1.0
+
+    def at(point):
+        return start + rows @ point
+
+    def depth(point):
+        x = at(point).reshape(-1, 3)
+        return float((x[:, 0] - np.hypot(x[:, 1], x[:, 2])).min())
+
+    point = np.append(0.3 * rng.normal(size=k), 0.0)
+    point[k] = max(0.2 - depth(point), 0.1)
+    before, scratch = point.copy(), np.zeros((barrier.SCRATCH_ROWS, 3 * m))
+    barrier_minimum(rows, start, point, k, pressure, np.zeros((k + 1, k + 1)), scratch)
+    assert depth(point) > 0.0
+    slope, hessian = np.zeros(k + 1), np.zeros((k + 1, k + 1))
+    barrier_derivatives(rows, at(point), k + 1, slope, hessian)
+    whole, size = slope + np.append(point[:k], pressure), 1e-6 * depth(point)
+    for i, unit in enumerate(size * np.eye(k + 1)):
+        ahead, behind = point + unit, point - unit
+        rise = barrier_cost(at(ahead), ahead, k, pressure) - barrier_cost(at(behind), behind, k, pressure)
+        # round-off of a sum of logarithms over the step
+        assert whole[i] == pytest.approx(rise / (2.0 * size), rel=1e-5, abs=1e-14 / size)
         slopes = []
-        for step in (1e-6, -1e-6):
-            moved, slope = centred._Barriers(cones, inside / unit + step * direction, null, unit), gradient.copy()
-            barrier.barrier_derivatives(moved.flat, moved.at(point).ravel(), point, pressure, slope, hessian.copy())
-            slopes.append(slope[:-1])
-        # the square of the step, and round-off over it
-        accuracy = 1e-6 * np.abs(curvature).max()
-        assert column == pytest.approx((slopes[0] - slopes[1]) / 2e-6, rel=1e-5, abs=accuracy)
-    assert depth_of(barriers, point) > 0.0
+        for moved in (ahead, behind):
+            slopes.append(np.zeros(k + 1))
+            barrier_derivatives(rows, at(moved), k + 1, slopes[-1], hessian.copy())
+        column = (slopes[0] - slopes[1])[i:] / (2.0 * size)
+        assert hessian[i:, i] == pytest.approx(column, rel=1e-5, abs=1e-6 * np.abs(hessian).max())
     if pressure == 0.0:
-        assert point[-1] == start[-1]
-        # a decrement of 1e-9
-        assert np.abs(gradient[:-1]).max() < 1e-3
+        # a given enlargement stays; a decrement of 1e-9 is left
+        assert point[k] == before[k]
+        assert np.abs(whole[:k]).max() < 1e-3
         return
-    entered = point[-1] < -1e-9
-    assert entered or np.abs(gradient).max() < 1e-3 * max(1.0, pressure)
+    assert point[k] < -1e-9 or np.abs(whole).max() < 1e-3 * max(1.0, pressure)
     # a light pressure leaves cones enlarged
-    assert entered == (pressure > 1.0)
-
-
-@SEEDS
-def test_steps_towards_a_point(seed):
-    """The whole of it, or most of the way to the nearest boundary."""
-    rng = np.random.default_rng(seed)
-    directions, cones, inside = feet(rng, 4, 0.6)
-    null = null_space(directions)
-    barriers = centred._Barriers(cones, inside, null / np.abs(null).max(), 1.0)
-    point = np.append(np.zeros(null.shape[1]), 0.1)
-    # all cones are enlarged by the last number
-    assert barriers.at(point) == pytest.approx(barriers.at(0.0 * point) + np.array([0.1, 0.0, 0.0]), rel=1e-14)
-    step = 1e-3 * rng.normal(size=point.size)
-    assert barriers.towards(point, step) == pytest.approx(point + step, rel=1e-15)
-    step *= 1e6
-    found = barriers.towards(point, step)
-    share = (found - point) @ step / (step @ step)
-    assert found == pytest.approx(point + share * step, rel=1e-12)
-    # 0.95 of it, by bisection
-    low, high = 0.0, 1.0 / 0.95
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if depth_of(barriers, point + middle * step) > 0.0 else (low, middle)
-    assert share == pytest.approx(0.95 * low, rel=1e-9)
-
-
-def depth_of(barriers, point):
-    x = barriers.at(point)
-    return (x[:, 0] - np.hypot(x[:, 1], x[:, 2])).min()
+    assert pressure > 1.0 or point[k] > 0.0
 
 
 def test_two_opposite_contacts_hold_what_a_harder_squeeze_would():

@@ -579,9 +579,11 @@ class Driver:
             system.contact_real[:, STOP_ERROR] = math.inf
             return t
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
-        reach = _TOGETHER * 2.0 ** int(system.counters["stalled"]) * system.contact_real[:, START_TOLERANCE]
+        reach, further = _TOGETHER * allowed, 2.0 ** int(system.counters["stalled"])
         with np.errstate(invalid="ignore"):
-            near = np.where(rate < 0.0, np.minimum(speed, np.abs(speed + rate * left)) <= reach, speed <= allowed)
+            ends = np.minimum(speed, np.abs(speed + rate * left)) <= further * reach
+            # slip that grows is no nearer to its end where steps get nowhere
+            near = np.where(rate < 0.0, ends, speed <= reach)
         contacts = [c, *(int(i) for i in np.flatnonzero(near & np.isfinite(speed)) if i != c)]
         rk.load(system.state)
         rk.evaluate(t)

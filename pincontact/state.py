@@ -194,6 +194,7 @@ def check_state(scene: Assembly, state: Any, coordinates: Coordinates | None = N
         shape = getattr(state, name).shape
         if shape != (len(contacts), columns):
             raise StateError(f"the state's {name} must have shape {(len(contacts), columns)}, got {shape}")
+    check_finite("location", state.location)
     for (mode, one, two), contact in zip(state.discrete[:, :3].tolist(), contacts):
         if not FREE <= mode <= SLIPPING:
             raise StateError(f"contact {contact.name!r} has no mode {mode}")

@@ -10,11 +10,16 @@ from pincontact.friction.loads import SETTLED, TOLERANCE, Loads
 
 @pytest.mark.parametrize("block", range(6))
 def test_thrown_boxes(block):
-    """None ends early, contacts and joints never do positive work, and nearly every problem has its own solution."""
-    problems = settled = 0
+    """None ends early, contacts and joints never do positive work, and nearly every problem has its own solution.
+
+    A step that is told to be too long is not when halved."""
+    problems = settled = halved = 0
     for seed in range(20 * block, 20 * block + 20):
         scene, state, step = thrown_box(seed)
         run = pc.simulate(scene, state, 1.0, method="Moreau", step=step, energies=True)
+        if run.status == -9:
+            halved, step = halved + 1, 0.5 * step
+            run = pc.simulate(scene, state, 1.0, method="Moreau", step=step, energies=True)
         assert run.status == 0, (seed, run.message)
         energies = run.energies()
         works = np.diff(energies.friction_work + energies.damping_work)
@@ -22,6 +27,7 @@ def test_thrown_boxes(block):
         assert works.max() <= step * energies.kinetic.max(), seed
         problems, settled = problems + run.stats["cone_problems"], settled + run.stats["settled"]
     assert settled <= 1e-3 * problems
+    assert halved <= 1
 
 
 def random_product(rng):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +53,8 @@ class TaskReader:
                 raise ArgumentError(f"weights: no acceleration of {name!r} is wanted")
         rows, goals, sizes, moved = [np.zeros((0, nv))], [np.zeros(0)], [np.zeros(0)], False
         for name, value in wanted.items():
+            if not isinstance(name, str) or name == self._model.names[0]:
+                raise ArgumentError(f"acceleration: the model has no joint or frame that moves named {name!r}")
             if not self._model.existJointName(name) and not moved:
                 pin.forwardKinematics(self._model, self._data, q, v, self._rest)
                 pin.computeJointJacobians(self._model, self._data)
@@ -64,16 +65,16 @@ class TaskReader:
             sizes.append(_weights(f"weights[{name!r}]", 1.0 if weights is None else weights.get(name, 1.0), goal.size))
         return Tasks(np.vstack(rows), np.concatenate(goals), np.concatenate(sizes))
 
-    def _named(self, name: Any, value: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def _named(self, name: str, value: npt.ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Rows and goals of a joint's coordinates, or of a frame: 3 numbers for its origin, 6 with its rotation."""
         model, data = self._model, self._data
         what = f"acceleration[{name!r}]"
-        if isinstance(name, str) and model.existJointName(name):
+        if model.existJointName(name):
             joint = model.joints[model.getJointId(name)]
             rows = np.zeros((joint.nv, model.nv))
             rows[:, joint.idx_v : joint.idx_v + joint.nv] = np.eye(joint.nv)
             return rows, check_vector(what, value, joint.nv)
-        if not (isinstance(name, str) and model.existFrame(name)):
+        if not model.existFrame(name):
             raise ArgumentError(f"acceleration: the model has no joint or frame {name!r}")
         frame, axes = model.getFrameId(name), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         size = 6 if np.shape(value) == (6,) else 3

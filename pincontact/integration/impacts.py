@@ -51,7 +51,9 @@ class Impacts:
             else:
                 self.reports.announce(t, i, "touch")
             modes[i] = rest_mode(system.contact_real[i, MU])
-        if not rebounding:
+        if rebounding:
+            self.reports.check_rebounds(t, c)
+        else:
             self.reports.check_chatter(t, c)
         count = len(self.reports.events)
         after = self.collide(t, touching, rebounding)

@@ -24,9 +24,11 @@ from .results import ADVICE, CHATTER, FAILURES, SINGULAR_CONTACT, STEP_TOO_SMALL
 from .runge_kutta import RungeKutta
 
 # Chatter: so many mode changes within this fraction of the run, or so many within this fraction of it (and at most
-# this time in s) for every contact and limited joint coordinate. Rebounds are not counted, they end by themselves.
+# this time in s) for every contact and limited joint coordinate. Rebounds end by themselves as a rule: of these so many
+# are too many where times are the same but for this part, in which bodies move by no more than gaps are known to.
 _CHATTER_EVENTS, _CHATTER_SPAN = 40, 1e-9
 _DENSE_EVENTS, _DENSE_SPAN, _DENSE_TIME = 500, 1e-2, 1.0
+_REBOUNDS, _INSTANT = 2000, 1e-12
 # Contacts named in the message.
 _CHATTER_NAMES = 3
 # Below this conditioning of the location equations, a failure is that of a contact that degenerates.
@@ -48,6 +50,7 @@ class Reports:
         self.rk, self.system, self.modes, self.names, self.span = rk, rk.system, modes, names, span
         self.events: list[Event] = []
         self._changes: list[tuple[float, int]] = []
+        self._rebounds: list[tuple[float, int]] = []
 
     # ---------------------------------------------------------------- events
 
@@ -93,20 +96,32 @@ class Reports:
 
     def check_chatter(self, t: float, item: int) -> None:
         """Count a mode change of an item; raises Stop where there are too many in too short a time."""
-        changes = self._changes
-        changes.append((t, item))
         dense = _DENSE_EVENTS * self.system.items
-        limits = (_CHATTER_EVENTS, _CHATTER_SPAN * self.span), (dense, min(_DENSE_SPAN * self.span, _DENSE_TIME))
+        short, long = _CHATTER_SPAN * self.span, min(_DENSE_SPAN * self.span, _DENSE_TIME)
+        self._count(self._changes, t, item, "mode changes", ((_CHATTER_EVENTS, short), (dense, long)))
+
+    def check_rebounds(self, t: float, item: int) -> None:
+        """Count a rebound of an item; raises Stop where there are too many at one time: a light body between heavy ones
+        may be thrown to and fro ever faster."""
+        limits = ((_REBOUNDS * self.system.items, _INSTANT * abs(t)),)
+        self._count(self._rebounds, t, item, "rebounds", limits)
+
+    def _count(
+        self, happened: list[tuple[float, int]], t: float, item: int, what: str, limits: tuple[tuple[int, float], ...]
+    ) -> None:
+        """Add what has happened; limits: so many are too many within so many s."""
+        happened.append((t, item))
         for count, span in limits:
-            if len(changes) > count and t - changes[-count - 1][0] <= span:
-                often = Counter(i for _, i in changes[-count:]).most_common(_CHATTER_NAMES)
+            if len(happened) > count and t - happened[-count - 1][0] <= span:
+                often = Counter(i for _, i in happened[-count:]).most_common(_CHATTER_NAMES)
                 raise Stop(
                     CHATTER,
-                    f"t = {t:.9g} s: {count} mode changes within {t - changes[-count - 1][0]:.3g} s (chatter), most of "
+                    f"t = {t:.9g} s: {count} {what} within {t - happened[-count - 1][0]:.3g} s (chatter), most of "
                     f"{', '.join(self._describe(i) for i, _ in often)}; {ADVICE}",
                 )
-        if len(changes) > 2 * dense:
-            del changes[:dense]
+        most = 2 * max(count for count, _ in limits)
+        if len(happened) > most:
+            del happened[: most // 2]
 
     def failure(self, t: float, status: int) -> Stop:
         """The Stop for the status of an evaluation or a step; it names the contact, its pattern and the number."""

@@ -1,0 +1,50 @@
+"""A light body that a heavy one presses to the floor is thrown to and fro faster than time can be told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pincontact as pc
+
+RADIUS = 0.1
+
+
+def stacked(heavy, restitution):
+    """A light ball above the floor, and a heavy one above it, both falling."""
+    model = pin.Model()
+    for name, mass in (("light", 1.0), ("heavy", heavy)):
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), f"{name} joint")
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(mass, RADIUS), pin.SE3.Identity())
+        model.addBodyFrame(name, joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    light, top = (scene.add_contour(name, pc.Sphere(RADIUS), name) for name in ("light", "heavy"))
+    scene.add_contact("below", light, floor, friction=pc.Coulomb(0.5), restitution=restitution)
+    scene.add_contact("above", light, top, friction=pc.Coulomb(0.5), restitution=restitution)
+    q = np.array([0.0, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.42, 0.0, 0.0, 0.0, 1.0])
+    return scene, scene.initial_state(q, free=["below", "above"])
+
+
+@pytest.mark.parametrize("restitution", [0.2, 0.8])
+def test_rebounds_at_one_time_end_a_run(restitution):
+    """It says so, with all that came before, and time stepping goes on where it is asked to."""
+    scene, state = stacked(1e8, restitution)
+    run = pc.simulate(scene, state, 0.3)
+    assert run.status == -6 and "rebounds" in run.message and "'above'" in run.message
+    # both have fallen 10 cm
+    assert run.t[-1] == pytest.approx(np.sqrt(2.0 * RADIUS / 9.81), rel=0.2)
+    assert np.isfinite(run.q).all()
+    on = pc.simulate(scene, state, 0.3, fallback="Moreau")
+    assert on.status == 0, on.message
+    assert [event.time for event in on.events if event.kind == "fallback"] == [run.t[-1]]
+    assert on.t[-1] == 0.3
+
+
+def test_many_rebounds_that_end_are_no_chatter():
+    """Hundreds, before the light ball is at rest below the heavy one, or beside it."""
+    scene, state = stacked(500.0, 0.5)
+    run = pc.simulate(scene, state, 0.3)
+    assert run.status == 0, run.message
+    assert sum(event.kind == "touch" for event in run.events) > 1000

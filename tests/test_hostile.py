@@ -178,6 +178,7 @@ SPOILT = {
     "q must be an array": lambda s: dataclasses.replace(s, q=None),
     "t must be finite, got inf": lambda s: dataclasses.replace(s, t=math.inf),
     "t must be finite, got '0'": lambda s: dataclasses.replace(s, t="0"),
+    "location[0, 1] is nan": lambda s: dataclasses.replace(s, location=np.array([[0.0, math.nan, 0.0, 0.0]])),
     "location must have shape (1, 4)": lambda s: dataclasses.replace(s, location=np.zeros((1, 7))),
     "discrete must have shape": lambda s: dataclasses.replace(s, discrete=s.discrete[:, :3]),
     "no mode 99": lambda s: s.discrete.__setitem__((0, 0), 99),

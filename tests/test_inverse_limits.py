@@ -1,6 +1,7 @@
 """Inverse dynamics within friction cones and limits of efforts: random states, optimality, certificates, choices."""
 
 import math
+import pickle
 from collections import Counter
 from pathlib import Path
 
@@ -252,6 +253,25 @@ def test_warm_starts_change_nothing():
         np.testing.assert_allclose(last.efforts, alone.efforts, rtol=0.0, atol=1e-6 * scale)
         np.testing.assert_allclose(last.acceleration, alone.acceleration, rtol=0.0, atol=1e-5 * scale)
     assert calls <= programs < 4 * calls
+
+
+def test_results_can_be_pickled():
+    """As results; programs do not go along."""
+    case = random_case("quadruped", 3)
+    found = solve(case, unreachable="nearest")
+    again = pickle.loads(pickle.dumps(found))
+    np.testing.assert_array_equal(again.tau, found.tau)
+    assert again.programs == found.programs and again.forces.keys() == found.forces.keys()
+    with pytest.raises(pc.ArgumentError, match="warm must be the result"):
+        solve(case, unreachable="nearest", warm=again)
+
+
+@pytest.mark.parametrize("name", [3, "universe", "nobody"])
+def test_names_of_what_moves_nothing_are_refused(name):
+    case = random_case("quadruped", 3)
+    case.wanted, case.weights = {name: [0.0, 0.0, 1.0]}, None
+    with pytest.raises(pc.ArgumentError, match="no joint or frame"):
+        solve(case)
 
 
 def test_vectors_that_can_be_reached_are_as_without_limits():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -118,6 +118,10 @@ class InverseDynamics(Summary):
     certificate: FarkasCertificate | None = None
     programs: dict[str, int] = field(default_factory=dict)
     _program: InverseProgram | None = field(default=None, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # copies in files and other processes are results, not `warm`
+        return self.__dict__ | {"_program": None}
 
 
 def inverse_dynamics(

@@ -156,7 +156,7 @@ def simulate(
         v (nv,) are read-only views of the integrator's own arrays, which the next call overwrites: copy what is kept.
     events : callable or sequence of callables, optional
         Functions g(t, q, v) whose zeros are reported, also where there are several within a step; attributes `terminal`
-        and `direction` as in SciPy's `solve_ivp`.
+        (True or False) and `direction` as in SciPy's `solve_ivp`.
     progress : bool
         Whether to show a bar.
     energies : bool

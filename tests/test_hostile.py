@@ -245,7 +245,9 @@ def test_arguments_of_simulate(scene, state, options, text):
         pc.simulate(scene, state, 0.1, **options)
 
 
-@pytest.mark.parametrize(("name", "value"), [("terminal", np.zeros(2)), ("direction", math.nan), ("direction", "up")])
+@pytest.mark.parametrize(
+    ("name", "value"), [("terminal", np.zeros(2)), ("terminal", 3), ("direction", math.nan), ("direction", "up")]
+)
 def test_attributes_of_events(scene, state, name, value):
     def event(t, q, v):
         return 1.0

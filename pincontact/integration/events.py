@@ -45,7 +45,8 @@ class UserEvent:
             if not callable(function):
                 raise ArgumentError(f"events[{i}] is not callable: {function!r}")
             terminal, direction = getattr(function, "terminal", False), getattr(function, "direction", 0.0)
-            if not (terminal is None or isinstance(terminal, (bool, np.bool_, int))):
+            # SciPy counts up to a larger number
+            if not (terminal is None or (isinstance(terminal, (bool, np.bool_, int)) and terminal in (0, 1))):
                 raise ArgumentError(f"events[{i}].terminal must be True or False, got {terminal!r}")
             if not is_number(direction):
                 raise ArgumentError(f"events[{i}].direction must be a number, got {direction!r}")

@@ -36,7 +36,8 @@ def read_actuation(model: pin.Model, given: ArrayLike | Sequence[str] | None) ->
 
 
 def actuation_matrix(model: pin.Model, actuation: ArrayLike | Sequence[str] | None) -> np.ndarray:
-    """(nv, na): how efforts act on the velocity coordinates; from a matrix, joint names or None (see above)."""
+    """(nv, na): how efforts act on the velocity coordinates; from a matrix, joint names or None (all joints but a
+    free-flying root). Raises ArgumentError."""
     nv = model.nv
     if isinstance(actuation, str):
         actuation = [actuation]

@@ -54,7 +54,7 @@ class TaskReader:
         rows, goals, sizes, moved = [np.zeros((0, nv))], [np.zeros(0)], [np.zeros(0)], False
         for name, value in wanted.items():
             if not isinstance(name, str) or name == self._model.names[0]:
-                raise ArgumentError(f"acceleration: the model has no joint or frame that moves named {name!r}")
+                raise ArgumentError(f"acceleration: the model has no joint or frame {name!r} that can move")
             if not self._model.existJointName(name) and not moved:
                 pin.forwardKinematics(self._model, self._data, q, v, self._rest)
                 pin.computeJointJacobians(self._model, self._data)

@@ -266,6 +266,23 @@ def test_results_can_be_pickled():
         solve(case, unreachable="nearest", warm=again)
 
 
+@pytest.mark.parametrize("gear", [0.5, 2.0])
+def test_limits_are_those_of_torques(gear):
+    """`effortLimit` is the joint's, whatever the lever of the effort that drives it."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.array([0.02, 0.0, 0.0]), 0.2 * np.eye(3)), pin.SE3.Identity())
+    model.effortLimit = np.array([0.3])
+    scene = pc.Scene(model)
+    found = pc.inverse_dynamics(
+        scene, scene.initial_state([0.0]), [10.0], actuation=[[gear]], effort_limits=True, unreachable="nearest"
+    )
+    np.testing.assert_allclose(found.tau, 0.3, rtol=1e-9)
+    np.testing.assert_allclose(found.efforts, 0.3 / gear, rtol=1e-9)
+    # its weight turns it down, about +y
+    np.testing.assert_allclose(found.acceleration, (0.3 + 9.81 * 0.02) / (0.2 + 0.02**2), rtol=1e-9)
+
+
 @pytest.mark.parametrize("name", [3, "universe", "nobody"])
 def test_names_of_what_moves_nothing_are_refused(name):
     case = random_case("quadruped", 3)

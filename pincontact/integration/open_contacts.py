@@ -209,8 +209,8 @@ class OpenContacts:
             acceleration += system.contact_real.item(c, BENDING)
             distance = self._distance(known, t)
             if known.search is not None and h > time_to_cover(distance, speed, acceleration):
-                moved, way = known.moved(t), min(speed * h + 0.5 * acceleration * h * h, known.near)
-                if moved > 0.0 and (distance >= known.near or moved + way > known.elsewhere):
+                moved = known.moved(t)
+                if moved > 0.0 and (distance >= known.near or moved + known.near > known.elsewhere):
                     self.find(t, c)
                     distance = self._distance(known, t)
             self._allowed[c] = allowed = max(distance, known.near)

@@ -198,7 +198,7 @@ def simulate(
     ArgumentError
         For an argument out of bounds or a state of another scene, before any work is done.
     StateError
-        For a state whose numbers cannot be used, likewise.
+        For a state whose numbers cannot be used, or whose closed contacts are apart, likewise.
 
     Notes
     -----

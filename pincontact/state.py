@@ -25,7 +25,7 @@ from .dynamics.manifold import (
 from .dynamics.system import System
 from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
 from .geometry.search import Candidate, find_candidates
-from .integration.contradictions import contradiction
+from .integration.contradictions import CLOSED_WITHIN, apart, contradiction
 from .integration.discrete import DISCRETE_COLUMNS, read_discrete
 from .integration.impulse_trial import APART_AT_END
 from .integration.run_system import RunSystem
@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 
 # How far a quaternion's norm may be from 1 before it is taken for a mistake.
 _NORM_TOLERANCE = 1e-6
-_GAP_FRACTION = 0.05
 _FLOAT = np.dtype(float)
 # Inertia that is left to a joint once all others are free, as part of what it moves, below which it is round-off.
 _NO_INERTIA = 1e-10
@@ -306,13 +305,13 @@ def find_state(
     system = RunSystem(model, contacts)
     system.q[:], system.v[:] = q, v
     candidates: dict[str, list[Candidate]] = {}
-    apart: dict[str, NoContactError] = {}
+    untouched: dict[str, NoContactError] = {}
     for c, contact in enumerate(contacts):
         candidates[contact.name] = found = _candidates(scene, contact, q, v, t, contact.name in free)
         try:
             chosen = _choose(contact, found, contact.name in free, max_gap)
         except NoContactError as error:
-            apart[contact.name] = error
+            untouched[contact.name] = error
             continue
         integers = system.contact_int[c]
         integers[SIDE] = contact.side or chosen.side or 1
@@ -321,8 +320,8 @@ def find_state(
         system.side_int[2 * c : 2 * c + 2, CHART] = chosen.charts
         ideal = contact.friction is not None and math.isinf(contact.friction.sliding)
         integers[MODE] = FREE if contact.name in free else STICK if ideal else FRICTIONLESS
-    if apart:
-        raise _together(apart)
+    if untouched:
+        raise _together(untouched)
     correction = _correct(scene, system, q, v, t)
     return state_of(scene, system, t, correction, candidates)
 
@@ -345,12 +344,12 @@ def _candidates(
     return find_candidates(single, t, guess, beyond=is_free)
 
 
-def _together(apart: dict[str, NoContactError]) -> NoContactError:
+def _together(untouched: dict[str, NoContactError]) -> NoContactError:
     """One error for all contacts that do not touch: what the first one says, and the gaps of the others."""
-    first = next(iter(apart.values()))
-    if len(apart) == 1:
+    first = next(iter(untouched.values()))
+    if len(untouched) == 1:
         return first
-    gaps = {name: f"{e.gap:.6g} m" if math.isfinite(e.gap) else "no point found" for name, e in apart.items()}
+    gaps = {name: f"{e.gap:.6g} m" if math.isfinite(e.gap) else "no point found" for name, e in untouched.items()}
     also = ", ".join(f"{name!r} ({gap})" for name, gap in list(gaps.items())[1:])
     return NoContactError(f"{str(first).removesuffix('.')}; nor do the contours touch of contacts {also}", first.gap)
 
@@ -358,8 +357,7 @@ def _together(apart: dict[str, NoContactError]) -> NoContactError:
 def _refuse_gaps(system: RunSystem, t: float) -> None:
     """Of more closed contacts than a body can have at once the projection leaves gaps, which would be kept."""
     system.evaluate_kinematics(t)
-    gaps = [(system.contacts[c], float(np.hypot(*system.gaps[c]))) for c in system.closed()]
-    left = {contact.name: gap for contact, gap in gaps if gap > APART_AT_END * characteristic_length(contact)}
+    left = apart(system, APART_AT_END)
     if left:
         largest = max(left.values())
         raise NoContactError(
@@ -379,7 +377,7 @@ def _choose(contact: Contact, found: list[Candidate], is_free: bool, max_gap: fl
         )
     fitting = [c for c in found if contact.side is None or c.side in (0, contact.side)] or found
     chosen = fitting[0]
-    limit = max_gap if max_gap is not None else _GAP_FRACTION * characteristic_length(contact)
+    limit = max_gap if max_gap is not None else CLOSED_WITHIN * characteristic_length(contact)
     if not is_free and abs(chosen.gap) > limit:
         raise NoContactError(
             f"contact {contact.name!r}: {pair} do not touch: the gap is {chosen.gap:.6g} m, more than the "

@@ -14,8 +14,10 @@ from .dynamics.joints import joint_limits
 from .errors import ArgumentError, SingularContactError, SolverError, StateError
 from .friction.solve import check_contact_solver
 from .integration.actuators import actuators_of
+from .integration.contradictions import refuse_apart
 from .integration.discrete import discrete_views, read_discrete, views_of_system
 from .integration.moreau import DEFAULT_STEP, MoreauStep
+from .integration.results import CLOSED_APART
 from .integration.run_system import RunSystem
 from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
@@ -156,7 +158,7 @@ class Stepper:
         ArgumentError
             For a state of another scene.
         StateError
-            For a state whose numbers cannot be used.
+            For a state whose numbers cannot be used, or whose closed contacts are apart.
         SingularContactError
             Where its contacts degenerate.
         SolverError
@@ -178,6 +180,8 @@ class Stepper:
         self._step.set_run(self._start, math.inf, self.dt, 0, 0, False)
         self._step.forget()
         status = self._step.begin(self._start)
+        if status == CLOSED_APART:
+            refuse_apart(system)
         self._show_modes()
         return status
 

@@ -2,6 +2,7 @@
 start."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -106,3 +107,56 @@ def test_gaps_are_refused_that_time_stepping_refuses(part):
         return
     run = pc.simulate(scene, scene.initial_state(q), 0.01, method="Moreau", dt=1e-3)
     assert run.status == 0
+
+
+BODIES = {"ball": pc.Sphere(0.1), "egg": pc.Ellipsoid(0.1, 0.12, 0.15)}
+FLOORS = {"plane": pc.Plane(), "hill": pc.Ellipsoid(3.0, 2.5, 2.0)}
+STARTS = {
+    "DOP853": lambda scene, state: pc.simulate(scene, state, 0.1),
+    "RK45": lambda scene, state: pc.simulate(scene, state, 0.1, method="RK45"),
+    "Moreau": lambda scene, state: pc.simulate(scene, state, 0.1, method="Moreau"),
+    "Stepper": pc.Stepper,
+    "rollout": lambda scene, state: pc.rollout(scene, [state], np.zeros((1, 3, 6)), 1e-3),
+    "linearize": pc.linearize,
+}
+
+
+def on_top(body, floor, bilateral, motion=None):
+    """A body at rest on top of a floor."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.diag([0.004, 0.005, 0.006])), pin.SE3.Identity())
+    scene = pc.Scene(model)
+    contours = scene.add_contour("body", BODIES[body], "body"), scene.add_contour("floor", FLOORS[floor], motion=motion)
+    scene.add_contact("foot", *contours, friction=pc.Coulomb(0.5), side=1, bilateral=bilateral)
+    height = {"ball": 0.1, "egg": 0.15}[body] + {"plane": 0.0, "hill": 2.0}[floor]
+    return scene, scene.initial_state([0.0, 0.0, height, 0.0, 0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("bilateral", [True, False])
+@pytest.mark.parametrize("floor", FLOORS)
+@pytest.mark.parametrize("body", BODIES)
+def test_states_that_were_moved_apart_are_refused(body, floor, bilateral, start):
+    """A state's q is replaced, so that a closed contact is apart: nothing is moved back, whatever v is."""
+    scene, state = on_top(body, floor, bilateral)
+    for up, speed in ((0.3, 0.0), (-0.03, -1.0), (-0.03, 1.0), (5.0, -1.0)):
+        moved = replace(state, q=state.q + np.r_[0.0, 0.0, up, np.zeros(4)], v=np.r_[0.0, 0.0, speed, np.zeros(3)])
+        with pytest.raises(pc.StateError, match=f"'foot' is closed in this state, but {abs(up):g} m apart"):
+            STARTS[start](scene, moved)
+    # what is nearer is put together
+    STARTS[start](scene, replace(state, q=state.q + np.r_[0.0, 0.0, 1e-3, np.zeros(4)]))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_motions_that_jump_apart_end_a_run(method):
+    """A floor that sinks by a radius at once, at a breakpoint: a bilateral contact cannot follow."""
+
+    def sink(t):
+        return pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.1 * (t > 0.05)])), np.zeros(6), np.zeros(6)
+
+    scene, state = on_top("ball", "plane", True, pc.CallableMotion(sink))
+    run = pc.simulate(scene, state, 0.1, breakpoints=[0.05], **METHODS[method])
+    assert run.status < 0
+    assert "'foot' 0.1 m apart at once" in run.message
+    assert run.t[-1] == pytest.approx(0.05)

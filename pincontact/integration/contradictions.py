@@ -1,17 +1,43 @@
-"""Velocity constraints that cannot be met together: the projection that promised to meet them leaves some."""
+"""Constraints that are not met: closed contacts that are apart, and velocities that contradict each other."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..dynamics.system import System
+from ..errors import StateError
 from ..geometry.patterns import ON_CURVE
-from ..layout import FREE, MODE, PATTERN, STICK, TANGENTS
+from ..layout import FREE, LENGTH, MODE, PATTERN, STICK, TANGENTS
 from .results import NO_CONTACT_FORCE, STEP_TOO_SMALL, Stop
 from .stages import load_state
 
 # Contacts are named whose velocity is off by more than this part of the largest.
 _NAMED = 1e-3
+# How far apart closed contacts may be where a motion begins, as a part of their natural length; they are put together.
+CLOSED_WITHIN = 0.05
+
+
+def apart(system: System, within: float) -> dict[str, float]:
+    """Closed contacts that are further apart than this part of their natural length, and by how many metres."""
+    gaps = {c: max(map(abs, system.gaps[c].tolist())) for c in system.closed()}
+    return {system.contacts[c].name: gap for c, gap in gaps.items() if gap > within * system.contact_real[c, LENGTH]}
+
+
+def refuse_apart(system: System) -> None:
+    """Raise StateError where closed contacts of a state with which a motion is to begin are apart: q was changed."""
+    for name, gap in apart(system, CLOSED_WITHIN).items():
+        raise StateError(
+            f"contact {name!r} is closed in this state, but {gap:.3g} m apart: make a state of other q by "
+            "scene.initial_state"
+        )
+
+
+def jump_apart(t: float, name: str, gap: float) -> Stop:
+    """The Stop where a motion jumps at t, which leaves the bodies of this closed contact apart."""
+    return Stop(
+        STEP_TOO_SMALL,
+        f"t = {t:.9g} s: a motion jumps, which moves the bodies of contact {name!r} {gap:.3g} m apart at once",
+    )
 
 
 def contradiction(system: System, t: float) -> str:

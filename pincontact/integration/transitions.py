@@ -38,6 +38,7 @@ from ..layout import (
     UNILATERAL,
 )
 from .accuracy import gap_rate
+from .contradictions import jump_apart, refuse_apart
 from .impacts import Impacts
 from .jams import end_jams, held_up, may_stop, stop_jammed
 from .joint_events import JointEvents
@@ -45,7 +46,7 @@ from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
 from .penetration import Penetration
 from .reports import Reports
-from .results import END_OF_CONTOUR, STEP_TOO_SMALL, Stop
+from .results import END_OF_CONTOUR, Stop
 from .runge_kutta import RungeKutta
 from .slip_onset import SlipOnset
 
@@ -95,6 +96,7 @@ class Transitions:
         """
         system, rk, changes = self.system, self.rk, self.changes
         status = self._evaluate(t)
+        refuse_apart(system)
         # a list takes a fraction of the time of array functions
         start, energy, given = system.state.tolist(), changes.counted_energy(), system.contact_int.tobytes()
         undecided = self._modes_from_velocities(t)
@@ -124,11 +126,7 @@ class Transitions:
         self._evaluate(t)
         for c in system.closed():
             if abs(system.gaps[c]).max() > _JUMP_REACHES * self.penetration.accuracy(c):
-                raise Stop(
-                    STEP_TOO_SMALL,
-                    f"t = {t:.9g} s: a motion jumps, which moves the bodies of contact {self.reports.names[c]!r} "
-                    f"{system.gaps[c, 0]:.3g} m apart at once",
-                )
+                raise jump_apart(t, self.reports.names[c], system.gaps[c, 0])
         energy, before = changes.counted_energy(), system.contact_int[:, MODE].copy()
         undecided = self._modes_from_velocities(t)
         for c in [*system.closed(), *system.resisting()]:

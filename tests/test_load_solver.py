@@ -357,3 +357,46 @@ def test_wheels_that_nearly_share_their_friction():
         for disk in problem.disks:
             assert np.linalg.norm(forces[disk.rows]) <= 0.7 * max(forces[disk.normal], 0.0) + 1e-8
     assert solved >= 56
+
+
+def bilateral_problem(rng):
+    """Random discs whose radii go with all forces, one of whose solutions, in which some stick, is known; and that."""
+    n = int(rng.integers(1, 4))
+    motions = rng.normal(size=(3 * n, int(rng.integers(1, 2 * n + 1))))
+    motions[2::3] = 0.0
+    gram = motions @ motions.T
+    gram[range(2, 3 * n, 3), range(2, 3 * n, 3)] = 1.0
+    mu, two_normals, sticks = rng.uniform(0.1, 2.0, n), rng.random(n) < 0.3, rng.random(n) < 0.3
+    rows = rng.normal(size=(n, 2, 3 * n))
+    rows[:, :, 2::3], rows[~two_normals, 1] = 0.0, 0.0
+    held = motions.reshape(n, 3, -1)[sticks, :2].reshape(-1, motions.shape[1])
+    v = rng.normal(size=motions.shape[1])
+    slip = (motions @ (v - np.linalg.pinv(held) @ held @ v)).reshape(n, 3)
+    forces, loads = np.zeros((n, 3)), rng.uniform(0.1, 1.0, n)
+    for i, speed in enumerate(np.linalg.norm(slip, axis=1)):
+        angle = rng.uniform(0.0, 2.0 * math.pi)
+        along = np.array([math.cos(angle), math.sin(angle)]) * rng.uniform(0.0, 0.95)
+        forces[i, :2] = mu[i] * loads[i] * (along if speed < 1e-9 else -slip[i, :2] / speed)
+    angles = np.where(two_normals, rng.uniform(0.0, 2.0 * math.pi, n), math.pi * rng.integers(0, 2, n))
+    radius_base = loads[:, None] * np.column_stack([np.cos(angles), np.sin(angles)]) - rows @ forces.ravel()
+    base = slip.ravel() - gram @ forces.ravel()
+    parts = np.zeros(n), np.full(n, 2.0), mu, radius_base.ravel(), rows.reshape(2 * n, 3 * n)
+    return Loads(gram, base, *parts), forces.ravel()
+
+
+@pytest.mark.parametrize("first", range(0, 1200, 100))
+def test_friction_and_loads_that_feed_on_each_other(first):
+    """A solution is found from nothing, wherever there is one; not always the known one, as there may be several."""
+    for seed in range(first, first + 100):
+        problem, known = bilateral_problem(np.random.default_rng(seed))
+        scaled = ScaledLoads(problem)
+        assert scaled.residual(scaled.unknowns(known)) < 1e-10
+        forces, residual = problem.solve(np.zeros(known.size))
+        assert residual < 1e-10, seed
+        slip, radii = (problem.gram @ forces + problem.base).reshape(-1, 3)[:, :2], problem.radii(forces)
+        friction = forces.reshape(-1, 3)[:, :2]
+        # friction within its disc, and against slip on its rim
+        assert (np.linalg.norm(friction, axis=1) <= radii * (1.0 + 1e-8) + 1e-10).all()
+        power = np.einsum("ij,ij->i", friction, slip)
+        off = np.abs(power + radii * np.linalg.norm(slip, axis=1))
+        assert (off <= 1e-8 * (1.0 + radii) * (1.0 + np.linalg.norm(slip, axis=1))).all()

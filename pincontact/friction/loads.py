@@ -12,11 +12,12 @@ slides, is not symmetric, and need not be of any definiteness: there may be seve
 
 With the projections on N >= 0 and on the discs, F is a solution where it is the projection of F - u in all units at
 once. Newton's method finds it from near by (Alart, Curnier, Comput. Methods Appl. Mech. Engrg. 92, 1991), and ends at
-round-off. Where nothing slides, projected Gauss-Seidel comes near, whatever it starts from. Else what is near is
-suggested by the present forces; by the symmetric cone problem in which what slides has so large a velocity along its
-direction that it can do nothing else; and, of few contacts, by each choice of those that carry a load. Where more
-contacts stick than bodies can feel, as four wheels on a floor, full steps may go to and fro between two choices of what
-sticks: steps that are halved until the residual falls then get there.
+round-off. Where nothing slides, projected Gauss-Seidel comes near, whatever it starts from, unless friction and loads
+feed on each other: then friction grows from nothing in small parts. Else what is near is suggested by the present
+forces; by the symmetric cone problem in which what slides has so large a velocity along its direction that it can do
+nothing else; and, of few contacts, by each choice of those that carry a load. Where more contacts stick than bodies can
+feel, as four wheels on a floor, full steps may go to and fro between two choices of what sticks: steps that are halved
+until the residual falls then get there.
 
 With radii that are given and do not change the problem is convex. It has a solution whatever the radii, unless bodies
 are crushed, and that takes energy: the work F . (b + G F / 2) is the least there is, at most that of no forces, zero.
@@ -56,6 +57,8 @@ _TRIED, _TRIED_WITH_DISCS = 10, 6
 _SPEEDS = (1e3, 1e6)
 # Sweeps before every try of Newton's method; with given radii, which need no more than patience.
 _SWEEPS, _SETTLING = (20, 100, 500, 2500), (100, 1000, 5000)
+# In how many parts friction is let grow where sweeps come to nothing.
+_PARTS = (20, 200)
 # Residual up to which forces of given radii are taken.
 SETTLED = 1e-6
 
@@ -155,6 +158,14 @@ class Loads:
                 return scaled.forces(y), residual
             if swept <= least:
                 best, least = f.copy(), swept
+        for parts in _PARTS:
+            y = scaled.unknowns(np.zeros_like(forces))
+            for part in range(1, parts + 1):
+                y, residual = ScaledLoads(replace(self, mu=part / parts * mu)).newton(y)
+                if not residual <= TOLERANCE:
+                    break
+            else:
+                return scaled.forces(y), residual
         return drag @ best, least
 
 

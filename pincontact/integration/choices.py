@@ -12,7 +12,7 @@ centre where something sticks.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,7 +36,8 @@ class Units:
 
     gram (3n, 3n), base (3n,), friction (n,): the problem; directions (3n, nv): gram's factor; real (n, 3): which rows
     are; parents (n,): the unit of whose normal force a multiple limits the others, -1 where loads (n,) are given;
-    modes (n,): of the solution, what is to be held at rest included; forces, velocities (n, 3).
+    modes (n,): of the solution, what is to be held at rest included; forces, velocities (n, 3). symmetric: whether gram
+    is.
     """
 
     gram: np.ndarray
@@ -49,6 +50,24 @@ class Units:
     modes: np.ndarray
     forces: np.ndarray
     velocities: np.ndarray
+    symmetric: bool = True
+
+    def with_loads(self, of: np.ndarray, base: np.ndarray, rows: np.ndarray) -> Units:
+        """The problem in which the loads of these k units, which it takes as given, are unknown: base (k,) + rows (k,
+        3n) @ forces, each an equation in the row that only fills up its unit's cone."""
+        gram, b, real, parents, k = (
+            self.gram.copy(),
+            self.base.copy(),
+            self.real.copy(),
+            self.parents.copy(),
+            3 * of + 2,
+        )
+        weights = gram[k, k]
+        gram[k] -= weights[:, None] * rows
+        b[k] = -weights * base
+        real[of, 2], parents[of] = True, of
+        directions = np.hstack([self.directions, gram[k].T])
+        return replace(self, gram=gram, base=b, directions=directions, real=real, parents=parents, symmetric=False)
 
 
 def holding_forces(units: Units) -> np.ndarray | None:
@@ -163,7 +182,7 @@ class _Unknowns:
         """Whether no forces inside the cones hold, by a motion that proves it (Farkas): all such forces would do work
         of one sign on it, and those that are needed do work of the other. Cheap, and mostly found at once near to how
         the bodies slip; False may mean anything."""
-        if any(cone.offset != 0.0 for cone in self.cones):
+        if not self.units.symmetric or any(cone.offset != 0.0 for cone in self.cones):
             return False
         w = self.unit * self.units.velocities.ravel()[self.rows]
         held = [(cone.normal, list(cone.tangents), cone.factor) for cone in self.cones]

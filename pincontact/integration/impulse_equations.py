@@ -15,7 +15,7 @@ from ..jit import NOTHING, STEPPING, kernel
 from ..layout import MU, PATTERN, SYSTEM, TANGENTS, UNILATERAL
 from ..linalg import factor_definite, inner, solve_definite, whiten
 from .impulse_layout import STEP
-from .impulse_velocities import free_gain, start_velocity
+from .impulse_velocities import beyond_rigid, free_gain, start_velocity
 
 # An equation of which less than this part is left after orthogonalisation is redundant.
 _REDUNDANT = 1e-10
@@ -25,7 +25,7 @@ _REDUNDANT = 1e-10
 def _add_equation(system, step, c, row):
     """One more equation u = 0, orthogonalised (twice, for round-off) against those before."""
     nv, e = system.sizes.nv, step.counts.equations
-    basis, factor, share = step.equations, step.equation_factor, step.equation_share
+    basis, factor, share, beyond = step.equations, step.equation_factor, step.equation_share, step.equation_beyond
     own = basis[e]
     step.equation_index[e, 0], step.equation_index[e, 1] = c, row
     whiten(system.factor, system.parents, nv, system.rows[c, row], own)
@@ -43,10 +43,13 @@ def _add_equation(system, step, c, row):
     factor[e, e] = rest if independent else 0.0
     for k in range(nv):
         own[k] = own[k] / rest if independent else 0.0
-    value = -start_velocity(system, step, c, row) - free_gain(system, step, c, row)
+    start, gain = start_velocity(system, step, c, row), free_gain(system, step, c, row)
+    value, left_out = -start - gain, -beyond_rigid(system, step, c, row, start, gain)
     for j in range(e):
         value -= factor[e, j] * share[j]
+        left_out -= factor[e, j] * beyond[j]
     share[e] = value / rest if independent else 0.0
+    beyond[e] = left_out / rest if independent else 0.0
     step.counts.equations = e + 1
 
 

@@ -129,13 +129,15 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "target": (REALS, "nq"),
     "actuation": (REALS, "nv"),
     # the cone problem: units, and of their two tangents the velocities at the start and what drives add to them; rows
-    # of units without what the equations take, L^-T rows^T, and what these take; Delassus matrix, of which the first
-    # (3 n)^2 numbers are used, b, coefficients of friction; the solver's solution
+    # of units without what the equations take, L^-T rows^T, and what these take; what rigid geometry leaves out of b,
+    # and what is then out of reach; Delassus matrix, of which the first (3 n)^2 numbers are used, b, coefficients of
+    # friction; the solver's solution
     "units": (UNIT, "units"),
     "unit_start": (REALS, "units", 2),
     "unit_driven": (REALS, "units", 2),
     "whitened": (REALS, "rows", "nv"),
     "overlap": (REALS, "rows", "equations"),
+    "beyond": (REALS, "rows", 2),
     "delassus": (REALS, "rows_squared"),
     "loads": (REALS, "rows"),
     "friction": (REALS, "units"),
@@ -145,12 +147,14 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     # by number of units the cone solver's table, 0 where there is none yet
     "cone_tables": (INTEGERS, "sizes"),
     # equations u = 0: contact and row, an orthonormal basis of their whitened rows, the rows in that basis; where they
-    # are redundant, what the square of an impulse counts; change of velocity in that basis, impulses
+    # are redundant, what the square of an impulse counts; change of velocity in that basis, what rigid geometry leaves
+    # out of it, impulses
     "equation_index": (INTEGERS, "equations", 2),
     "equations": (REALS, "equations", "nv"),
     "equation_factor": (REALS, "equations", "equations"),
     "equation_unit": (REALS, "equations"),
     "equation_share": (REALS, "equations"),
+    "equation_beyond": (REALS, "equations"),
     "equation_impulse": (REALS, "equations"),
     # results: impulses of contacts along the basis, N s, and of joint limits, dry friction, and what resists spinning
     # and rolling; s after the step's start at which a contact touched, or opened at the end of a contour, negative

@@ -37,7 +37,7 @@ from .actuators import add_actuators, end_weight
 from .impulse_equations import gather_equations
 from .impulse_layout import APART, DRY_FRICTION, ON_JOINT, ON_TURN, STEP, UPPER_LIMIT, step_at
 from .impulse_units import gather_contacts, gather_joints, gather_turns, set_impact_friction
-from .impulse_velocities import add_turn_row, free_gain, relative_turning, rigid_velocity, start_velocity
+from .impulse_velocities import add_turn_row, beyond_rigid, free_gain, relative_turning, rigid_velocity, start_velocity
 
 # What slides or opens by less in a step, relative to the contact's length, does not: round-off of velocities. In rad,
 # the same of turning.
@@ -87,9 +87,8 @@ def _contact_row(system, step, c, row, nv, line):
     for i in range(nv):
         line[i] = system.rows[c, row, i]
     start, gain = start_velocity(system, step, c, row), free_gain(system, step, c, row)
-    rigid = rigid_velocity(system, step, c, row)
-    beyond = start + gain - inner(line, step.change, nv) - rigid
-    return start, gain, rigid - beyond, beyond
+    beyond = beyond_rigid(system, step, c, row, start, gain)
+    return start, gain, rigid_velocity(system, step, c, row) - beyond, beyond
 
 
 @kernel
@@ -114,8 +113,9 @@ def _fill_row(system, step, u, row):
     if unit.mask >> row & 1 == 0:
         for k in range(nv):
             line[k] = 0.0
-        for j in range(max(m, 1)):
+        for j in range(m):
             overlap[j] = 0.0
+        step.beyond[r, 0] = 0.0
         return
     if unit.kind == ON_JOINT:
         start, gain, opposed, beyond = _joint_row(step, unit.index, nv, line)
@@ -124,8 +124,6 @@ def _fill_row(system, step, u, row):
     else:
         start, gain, opposed, beyond = _contact_row(system, step, unit.index, row, nv, line)
     b[r] = start + gain
-    if m == 0:
-        overlap[0] = beyond
     if row < 2:
         # slip is opposed along the mean of its velocities at both ends: in rigid geometry
         step.unit_start[u, row] = opposed if unit.midpoint != 0 else start
@@ -138,8 +136,10 @@ def _fill_row(system, step, u, row):
         part = inner(line, equation, nv)
         overlap[j] = part
         b[r] += part * step.equation_share[j]
+        beyond += part * step.equation_beyond[j]
         for k in range(nv):
             line[k] -= part * equation[k]
+    step.beyond[r, 0] = beyond
 
 
 @separate_kernel(NOTHING, SYSTEM.type, STEP.type, INTEGER, when=STEPPING)
@@ -160,9 +160,10 @@ def fill_unit(system, step, u):
         first, second, b = step.whitened[r], step.whitened[r + 1], step.loads
         for k in range(system.sizes.nv):
             first[k], second[k] = scale_pair(numbers, first[k], second[k])
-        first, second = step.overlap[r], step.overlap[r + 1]
-        for j in range(max(step.counts.equations, 1)):
+        first, second, beyond = step.overlap[r], step.overlap[r + 1], step.beyond
+        for j in range(step.counts.equations):
             first[j], second[j] = scale_pair(numbers, first[j], second[j])
+        beyond[r, 0], beyond[r + 1, 0] = scale_pair(numbers, beyond[r, 0], beyond[r + 1, 0])
         b[r], b[r + 1] = scale_pair(numbers, b[r], b[r + 1])
         start[u, 0], start[u, 1] = scale_pair(numbers, start[u, 0], start[u, 1])
 
@@ -172,12 +173,12 @@ def keep_within_reach(system, step):
     """Redundant contacts: take out of b what no motion of rigid bodies could follow.
 
     Gaps at the midpoint put a little of that into b where contacts move with the bodies that they are on. More of it is
-    in what second order adds to rigid geometry, in the first column of OVERLAP. What drives ask for beyond the range of
+    in what second order adds to rigid geometry, in the first column of BEYOND. What drives ask for beyond the range of
     the Delassus matrix is left: there something has to slip. Tangents of contacts that slide already take no part: they
     need not come to rest, and what changes their slip does so whatever the impulses.
     """
     n = step.counts.units
-    units, overlap, start_mode = step.units, step.overlap, step.start_mode
+    units, beyond, start_mode = step.units, step.beyond, step.start_mode
     delassus, b = square(step.delassus, 3 * n), step.loads
     nv, rows, x = system.sizes.nv, system.whitened_rows, system.multipliers
     # all of b, and where that leaves more than gaps explain, second order alone; what is left goes to the second column
@@ -185,14 +186,14 @@ def keep_within_reach(system, step):
         count, independent, largest, scale = 0, 0, 0.0, 0.0
         while count < 3 * n and units[count // 3].kind < ON_JOINT:
             held = count % 3 == 2 or start_mode[units[count // 3].index] != SLIPPING
-            x[count] = (b[count] if whole == 1 else overlap[count, 0]) if held else 0.0
-            largest, scale = max(largest, abs(overlap[count, 0]) if held else 0.0), max(scale, abs(b[count]))
+            x[count] = (b[count] if whole == 1 else beyond[count, 0]) if held else 0.0
+            largest, scale = max(largest, abs(beyond[count, 0]) if held else 0.0), max(scale, abs(b[count]))
             if held and delassus[count, count] > 0.0:
                 independent += 1
             for k in range(nv):
                 rows[count, k] = step.whitened[count, k] if held else 0.0
             count += 1
-        if count <= 3 or largest <= _WITHIN_ROUND_OFF * scale:
+        if largest <= _WITHIN_ROUND_OFF * scale:
             return
         rank = solve_gram(rows, count, nv, system.delassus, system.permutation, x, system.constraint_rows)
         if rank == independent:
@@ -200,13 +201,13 @@ def keep_within_reach(system, step):
         most = 0.0
         for r in range(count):
             held = r % 3 == 2 or start_mode[units[r // 3].index] != SLIPPING
-            wanted = b[r] if whole == 1 else overlap[r, 0]
-            overlap[r, 1] = wanted - inner(delassus[r], x, count) if held else 0.0
-            most = max(most, abs(overlap[r, 1]))
+            wanted = b[r] if whole == 1 else beyond[r, 0]
+            beyond[r, 1] = wanted - inner(delassus[r], x, count) if held else 0.0
+            most = max(most, abs(beyond[r, 1]))
         if whole == 1 and most > _OUT_OF_REACH * scale:
             continue
         for r in range(count):
-            b[r] -= overlap[r, 1]
+            b[r] -= beyond[r, 1]
         return
 
 
@@ -244,7 +245,7 @@ def _fill_units(system, step):
     for i in range(3 * n):
         for j in range(i + 1):
             delassus[i, j] = delassus[j, i] = inner(whitened[i], whitened[j], nv)
-    if step.counts.rigid == 0 and step.counts.equations == 0:
+    if step.counts.rigid == 0:
         keep_within_reach(system, step)
     for u in range(n):
         _complete_unit(step.units[u], step.unit_start[u], delassus, step.loads, 3 * u)

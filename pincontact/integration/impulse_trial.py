@@ -39,6 +39,7 @@ from .impulse_layout import (
     MEAN_VELOCITY,
     ON_CONTACT,
     ON_JOINT,
+    ON_LOADED,
     ON_TURN,
     STEP,
     UNASKED,
@@ -184,13 +185,15 @@ def _lets_go(system, step, n):
         c, mode = unit.index, step.cone_modes[u]
         unit.held = 0
         # not once more with the coefficient of sliding
-        if unit.kind != ON_CONTACT or step.friction[u] < step.sticking[c]:
+        if unit.kind >= ON_JOINT or step.friction[u] < step.sticking[c]:
             continue
         rests = step.start_mode[c] == STICK or may_rest(step, u)
         unit.held = 1 if rests else 0
         opening = OPENING * system.contact_real[c, LENGTH]
-        slides = mode == cone.SLIP and math.hypot(velocities[3 * u], velocities[3 * u + 1]) * h > opening
-        opens = mode == cone.OPEN and velocities[3 * u + 2] * h > opening
+        # what cannot open has no friction without a load
+        may_slide = mode == cone.SLIP or (mode == cone.OPEN and unit.kind == ON_LOADED)
+        slides = may_slide and math.hypot(velocities[3 * u], velocities[3 * u + 1]) * h > opening
+        opens = mode == cone.OPEN and unit.kind == ON_CONTACT and velocities[3 * u + 2] * h > opening
         goes = goes or (rests and (slides or opens))
     return goes
 

@@ -49,6 +49,14 @@ def free_gain(system, step, c, row):
 
 
 @kernel
+def beyond_rigid(system, step, c, row, start, gain):
+    """What rigid geometry leaves out of a component of v_c at the step's end, which is start and gain together."""
+    return (
+        start + gain - inner(system.rows[c, row], step.change, system.sizes.nv) - rigid_velocity(system, step, c, row)
+    )
+
+
+@kernel
 def add_turn_row(system, c, axis, factor, out):
     """out += factor times the row of the relative angular velocity of contact c about a basis vector."""
     about = system.basis[c, axis]

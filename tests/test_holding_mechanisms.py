@@ -1,0 +1,86 @@
+"""Bilateral contacts with friction of mechanisms that have fewer coordinates than the contact has directions: they hold
+by forces that no motion feels, as far as there are such forces inside the cone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pincontact as pc
+
+STEP = 2e-4
+
+
+def random_rotation(rng):
+    return pin.Quaternion(rng.normal(size=4)).normalized().matrix()
+
+
+def arm(rng, mu):
+    """A random two-link arm whose tip stays on a random plane through it: it moves in one direction only."""
+    model = pin.Model()
+    parent, place = 0, pin.SE3.Identity()
+    for k in range(2):
+        axis = rng.normal(size=3)
+        parent = model.addJoint(parent, pin.JointModelRevoluteUnaligned(axis / np.linalg.norm(axis)), place, f"j{k}")
+        model.appendBodyToJoint(
+            parent, pin.Inertia(1.0, rng.normal(size=3) * 0.1, np.diag(rng.uniform(0.005, 0.01, 3))), pin.SE3.Identity()
+        )
+        place = pin.SE3(random_rotation(rng), rng.normal(size=3) * 0.3)
+    model.addFrame(pin.Frame("tip", parent, 0, pin.SE3(np.eye(3), rng.normal(size=3) * 0.3), pin.FrameType.OP_FRAME))
+    q, data = rng.uniform(-1.0, 1.0, 2), model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    tip = data.oMf[model.getFrameId("tip")].translation
+    turned = random_rotation(rng)
+    scene = pc.Scene(model)
+    point = scene.add_contour("tip", pc.Point(), "tip")
+    plane = scene.add_contour("plane", pc.Plane(), placement=pin.SE3(turned, tip))
+    scene.add_contact("tip", point, plane, friction=pc.Coulomb(mu), bilateral=True)
+    rows = turned.T @ pin.computeFrameJacobian(model, data, q, model.getFrameId("tip"), pin.LOCAL_WORLD_ALIGNED)[:3]
+    return scene, q, rows
+
+
+def least_coefficient(scene, q, rows):
+    """The least of tangential over normal force among those that hold the arm: F + z null, z whatever."""
+    weight = pin.computeGeneralizedGravity(scene.model, scene.model.createData(), q)
+    force, null = np.linalg.lstsq(rows.T, weight, rcond=None)[0], np.linalg.svd(rows.T)[2][2]
+    # the projective line of (force, null): all its directions, those of no `force` but in the limit
+    angles = np.linspace(-0.5, 0.5, 200_001)[1:-1] * math.pi
+    all_forces = force + np.tan(angles)[:, None] * np.linalg.norm(force) * null
+    return float((np.linalg.norm(all_forces[:, :2], axis=1) / np.abs(all_forces[:, 2])).min())
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
+@pytest.mark.parametrize("seed", range(12))
+def test_rests_where_forces_inside_the_cone_hold(seed, method):
+    """With 5 % more than the least coefficient it rests, with 5 % less it slips."""
+    for part in (1.05, 0.95):
+        rng = np.random.default_rng(seed)
+        scene, q, rows = arm(rng, 1.0)
+        mu = part * least_coefficient(scene, q, rows)
+        scene, _, _ = arm(np.random.default_rng(seed), mu)
+        run = pc.simulate(scene, scene.initial_state(q), 0.01, method=method, dt=STEP if method == "Moreau" else None)
+        assert run.status == 0, run.message
+        moved = float(np.abs(run.q[-1] - q).max())
+        assert (moved < 1e-9) if part > 1.0 else (moved > 1e-7), moved
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_comes_to_rest_and_stays(seed):
+    """It slides, stops, and holds by other forces than those of its slip; time stepping is off by what is covered in
+    one step."""
+    rng = np.random.default_rng(100 + seed)
+    scene, q, rows = arm(rng, 1.0)
+    scene, _, _ = arm(np.random.default_rng(100 + seed), 1.5 * least_coefficient(scene, q, rows))
+    along = np.array([-rows[2, 1], rows[2, 0]])
+    state = scene.initial_state(q, 0.02 * along / np.linalg.norm(along))
+    exact = pc.simulate(scene, state, 0.1)
+    assert exact.status == 0
+    stopped = [event.time for event in exact.events if event.kind == "stick"]
+    run = pc.simulate(scene, state, 0.1, method="Moreau", dt=STEP)
+    assert run.status == 0, run.message
+    if len(stopped) == len(exact.events) == 1 and stopped[0] < 0.09:
+        assert np.abs(run.v[-1]).max() < 1e-12
+        assert np.abs(run.q[-1] - exact.q[-1]).max() < 0.02 * STEP

@@ -84,6 +84,18 @@ def test_rod_slides_held_up_by_friction(tangents):
     assert energies.friction_work[-1] <= -1e-3
 
 
+def test_what_resists_turning_does_so_again_after_the_slide():
+    """While there is no load nothing resists; when the slide ends there is one."""
+    run = pc.simulate(*rod_scene(pc.NoSlip(rolling=0.02), 2), 0.5, rtol=1e-10, atol=1e-12)
+    assert kinds(run) == ["slip", "stick"]
+    track = run.contacts["c"]
+    torque = np.linalg.norm(track.torque, axis=1)
+    np.testing.assert_allclose(torque, 0.02 * track.normal_force, rtol=1e-9, atol=1e-12)
+    slid = (run.t > run.events[0].time) & (run.t < run.events[1].time)
+    assert (track.normal_force[slid] == 0.0).all()
+    assert (track.normal_force[run.t > run.events[1].time] > 1.0).all()
+
+
 @pytest.mark.parametrize("tangents", [1, 2])
 def test_it_is_the_limit_of_coulombs_law(tangents):
     """What large coefficients differ by falls as 1 / mu."""

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from ..dynamics.modes import ModeSolver
-from ..layout import DOMAIN, EVENT, FREE, GAP_EVENT, LENGTH, MODE, MU, OK, STICK, UNILATERAL
+from ..layout import DOMAIN, EVENT, FREE, GAP_EVENT, LENGTH, MODE, MU, OK, UNILATERAL
 from .accuracy import gap_rate, gap_resolution
 from .results import Event
 from .runge_kutta import RungeKutta
@@ -95,10 +95,12 @@ class Penetration:
         """Whether ideal rolling whose normal force is zero in the accepted state would close if it were let go; where
         it would only dip, its dip is tolerated. tau: see `_foresee`. The accepted state's evaluation is lost.
         """
-        integers = self._rk.system.contact_int[c]
-        integers[MODE] = FREE
+        modes = self._rk.system.contact_int[:, MODE]
+        before = modes.copy()
+        modes[c] = FREE
         depth = self._foresee(t, c, tau)
-        integers[MODE] = STICK
+        # an evaluation frees what resists the turning of an open contact
+        modes[:] = before
         if depth > max(self.accuracy(c), self._deepest(c)):
             return True
         self._tolerate_dip(c, depth)

@@ -115,6 +115,27 @@ def test_a_part_of_the_friction_keeps_it_closed(case, method):
     assert shared > 0
 
 
+@pytest.mark.parametrize("case", range(12))
+def test_time_stepping_lets_a_part_of_it_act(case):
+    """Of first order, as what opens does so in a step; nothing pulls, and nothing leaves and comes back."""
+    scene, state, load, numbers, exact = skid_that_opens(case)
+    end = exact.t[-1]
+    times, errors, options = (
+        np.linspace(0.0, 0.9 * end, 10),
+        [],
+        {"method": "Moreau", "control": lambda t, q, v: load(t)},
+    )
+    for count in (100, 200, 400):
+        run = pc.simulate(scene, state, end, t_eval=times, dt=end / count, **options)
+        assert run.status == 0, run.message
+        assert [event.kind for event in run.events] in ([], ["separate"])
+        errors.append(np.abs(run.q - exact.sol(times)[:3].T).max())
+        normal = [forces(t, exact.sol(t), load, numbers)[0] for t in times]
+        np.testing.assert_allclose(run.contacts["c"].normal_force, normal, rtol=0.0, atol=0.1)
+    assert errors[2] <= 0.4 * errors[0]
+    assert errors[2] <= 1e-4
+
+
 LAWS = [
     pc.Coulomb(0.4, viscous=0.3),
     pc.Coulomb(0.0, viscous=0.5),

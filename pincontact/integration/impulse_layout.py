@@ -11,19 +11,20 @@ from ..workspace import INTEGERS, REALS, Layout, Workspace, record
 from .momentum_transport import INERTIA_SIZE
 
 # What steps count and choose, in four groups. Of the problem: how many joint limits and dry frictions there are, units
-# and equations; touched: whether anything touches in the step; reviews: how often its solution was looked at; rigid:
-# whether the laws hold for velocities in the midpoint's geometry, see `impulse_problem`; coupled, holding, choosing:
-# see below; open_loads: problems in which the rule for redundant forces leaves loads open, see
-# `impulse_steps._leaves_choice`. Of a trial step: passes over its midpoint before the present one; has_trend: what the
-# midpoint's velocity follows from, trend_before: the same in the first pass; thorough: whether its cone problems are
-# solved with all means; changed: whether anything discrete is another since the last step. Of a run: steps done, the
-# last one, and the limit; watched: whether every step is looked at before it is accepted; turns: whether anything
-# resists turning; row_count rows that steps write, rows_done so far, a row every row_steps steps, targeted: whether
-# each has a target of its own. Of the solver: problems solved in compiled code by the task cone_task, and steps that
-# had a solution in rigid geometry only. actuators: how many there are.
+# and equations; touched: whether anything touches in the step; reviews, sharings: how often its solution was looked at,
+# and how often parts of viscous friction were changed; rigid: whether the laws hold for velocities in the midpoint's
+# geometry, see `impulse_problem`; coupled, holding, choosing: see below; open_loads: problems in which the rule for
+# redundant forces leaves loads open, see `impulse_steps._leaves_choice`. Of a trial step: passes over its midpoint
+# before the present one; has_trend: what the midpoint's velocity follows from, trend_before: the same in the first
+# pass; thorough: whether its cone problems are solved with all means; changed: whether anything discrete is another
+# since the last step. Of a run: steps done, the last one, and the limit; watched: whether every step is looked at
+# before it is accepted; turns: whether anything resists turning; row_count rows that steps write, rows_done so far, a
+# row every row_steps steps, targeted: whether each has a target of its own. Of the solver: problems solved in compiled
+# code by the task cone_task, and steps that had a solution in rigid geometry only. actuators: how many there are.
 COUNTS = record(
     INTEGERS,
     *("joints", "units", "equations", "touched", "reviews", "rigid", "coupled", "holding", "choosing", "open_loads"),
+    "sharings",
     *("passes", "has_trend", "trend_before", "thorough", "changed"),
     *("steps", "last", "step_limit", "watched", "turns", "row_count", "rows_done", "row_steps", "targeted"),
     *("solved", "cone_task", "rigid_steps", "actuators"),
@@ -123,6 +124,9 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "sticking": (REALS, "contacts"),
     "orientation": (REALS, "contacts"),
     "load": (REALS, "contacts"),
+    # which part of its viscous friction acts, and the search for it: see `impulse_viscous`
+    "viscous_part": (REALS, "contacts"),
+    "viscous_search": (REALS, "contacts", 4),
     "joints": (JOINT, "joints"),
     # actuators, the configuration that they aim at, and their mean torques over the last step
     "actuators": (ACTUATOR, "nv"),

@@ -21,14 +21,11 @@ from ..geometry.carriers import ALPHA, OMEGA
 from ..jit import INTEGER, NOTHING, STEPPING, entry_kernel, kernel
 from ..layout import (
     ANISOTROPIC,
-    FREE,
     MASS_NOT_POSITIVE,
     NOT_FINITE,
     OK,
     SLIPPING,
     SYSTEM,
-    TANGENTS,
-    VISCOUS,
     system_at,
 )
 from ..linalg import factorize_tree, inner, solve_gram, unwhiten, whiten
@@ -38,6 +35,7 @@ from .impulse_equations import gather_equations
 from .impulse_layout import APART, DRY_FRICTION, ON_JOINT, ON_TURN, STEP, UPPER_LIMIT, step_at
 from .impulse_units import gather_contacts, gather_joints, gather_turns, set_impact_friction
 from .impulse_velocities import add_turn_row, beyond_rigid, free_gain, relative_turning, rigid_velocity, start_velocity
+from .impulse_viscous import add_viscous
 
 # What slides or opens by less in a step, relative to the contact's length, does not: round-off of velocities. In rad,
 # the same of turning.
@@ -251,22 +249,6 @@ def _fill_units(system, step):
         _complete_unit(step.units[u], step.unit_start[u], delassus, step.loads, 3 * u)
 
 
-@kernel
-def _add_viscous(system, step, h, change):
-    """Viscous friction of the contacts closed at the start, in the system (its lower triangle) and the loads."""
-    nv, factor, contact_int = system.sizes.nv, system.factor, system.contact_int
-    for c in range(system.sizes.nc):
-        constant = h * system.contact_real[c, VISCOUS]
-        if constant == 0.0 or step.start_mode[c] == FREE:
-            continue
-        for row in range(contact_int[c, TANGENTS]):
-            line, slip = system.rows[c, row], rigid_velocity(system, step, c, row)
-            for i in range(nv):
-                change[i] -= constant * slip * line[i]
-                for j in range(i + 1):
-                    factor[i, j] += 0.5 * constant * line[i] * line[j]
-
-
 @separate_kernel(INTEGER, SYSTEM.type, STEP.type, when=STEPPING)
 def change_freely(system, step):
     """Change of velocity without impulses, and the factor of M + (h/2) D with what actuators add; a status."""
@@ -285,7 +267,7 @@ def change_freely(system, step):
     if counts.actuators > 0:
         numbers.weight = end_weight(step, mass, h)
         add_actuators(step, h, factor, change)
-    _add_viscous(system, step, h, change)
+    add_viscous(system, step, change)
     if not factorize_tree(factor, parents, nv, factor):
         return MASS_NOT_POSITIVE
     whiten(factor, parents, nv, change, change)

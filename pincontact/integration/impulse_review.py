@@ -13,8 +13,9 @@ from .impulse_equations import normal_load
 from .impulse_layout import APART, ON_LOADED, ON_TURN, STEP, TOGETHER
 from .impulse_works import impulse_work
 
-# What `review` returns: the step is done, or the cone problem was changed and must be solved again.
-DONE, AGAIN = 0, -1
+# What `review` and `impulses.advance` return: the step is done, or the cone problem was changed and must be solved
+# again, or has to be assembled anew.
+DONE, AGAIN, ANEW = 0, -1, -2
 
 # Fixed point on the loads that cone problems take as given: relative change that ends it (those of resistance to
 # turning come from a cone problem solved to less accuracy), reviews after which loads and forces are found together,

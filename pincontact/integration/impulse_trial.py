@@ -46,7 +46,8 @@ from .impulse_layout import (
     WANTED,
 )
 from .impulse_problem import OPENING
-from .impulse_review import AGAIN, may_rest
+from .impulse_review import AGAIN, ANEW, may_rest
+from .impulse_viscous import begin_sharing
 from .impulses import advance, leave_turning_axes, predict_midpoint
 from .momentum_transport import transport
 from .results import CLOSED_APART, CONTOUR_ENDS
@@ -288,6 +289,10 @@ def _impulses(system, step, found):
             return CONE_LEFT
         found = FRESH
         status = advance(system, step)
+        if status == ANEW:
+            status = _call_on_step(step.calls.assemble, system, step)
+            if status == OK:
+                continue
         if status != AGAIN:
             return status
 
@@ -348,6 +353,7 @@ def _pass(system, step, t, found):
         if status != OK:
             return status
         leave_turning_axes(system, step)
+        begin_sharing(system, step)
         counts.rigid = counts.thorough = 0
     while True:
         status = _impulses(system, step, found)

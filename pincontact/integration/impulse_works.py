@@ -17,15 +17,13 @@ from ..layout import (
     MOTION_KIND,
     PATTERN,
     SYSTEM,
-    TANGENTS,
     TIME_DEPENDENT,
     TORQUE_WORK,
     UNILATERAL,
-    VISCOUS,
 )
 from ..linalg import inner
 from .impulse_layout import DRY_FRICTION, ON_JOINT, ON_TURN, STEP
-from .impulse_velocities import free_gain, rigid_velocity, start_velocity
+from .impulse_velocities import free_gain, start_velocity
 
 
 @kernel
@@ -90,23 +88,6 @@ def impulse_work(step, nv, h, scratch):
     accounted = step.numbers.free_change * math.sqrt(inner(scratch, scratch, nv))
     on_contacts += max(-accounted, min(meanwhile, accounted)) - meanwhile
     return on_contacts, on_joints, size, kinetic - accounted
-
-
-@kernel
-def add_viscous_impulses(system, step, v1):
-    """Add viscous impulses to those of the contacts; returns their work on v_c."""
-    v0, impulse, work = step.transported_v, step.contact_impulse, 0.0
-    for c in range(system.sizes.nc):
-        constant = step.numbers.h * system.contact_real[c, VISCOUS]
-        if constant == 0.0 or step.start_mode[c] == FREE:
-            continue
-        for row in range(system.contact_int[c, TANGENTS]):
-            mean, line = rigid_velocity(system, step, c, row), system.rows[c, row]
-            for k in range(system.sizes.nv):
-                mean += 0.5 * line[k] * (v1[k] - v0[k])
-            impulse[c, row] -= constant * mean
-            work -= constant * mean * mean
-    return work
 
 
 @kernel

@@ -76,10 +76,11 @@ from .impulse_layout import (
     UPPER_LIMIT,
 )
 from .impulse_problem import OPENING
-from .impulse_review import DONE, review, slip_at_end
+from .impulse_review import ANEW, DONE, review, slip_at_end
 from .impulse_units import TOUCHING
 from .impulse_velocities import add_turn_row
-from .impulse_works import add_viscous_impulses, add_works, velocity_change
+from .impulse_viscous import add_viscous_impulses, shares_viscous
+from .impulse_works import add_works, velocity_change
 from .momentum_transport import find_inertias, transport, turning_rate
 from .stages import hand_over
 
@@ -254,7 +255,13 @@ def distribute(system, step):
             elif unit.kind == ON_JOINT:
                 _take_joint(system, step, unit, force)
         if unit.kind < ON_JOINT:
-            system.contact_int[i, MODE] = _contact_mode(system, step, u, i)
+            contact, mode = system.contact_int[i], _contact_mode(system, step, u, i)
+            contact[MODE] = mode
+            if contact[UNILATERAL] != 0:
+                contact[NORMAL_SIGN] = 1
+                if step.viscous_part[i] < 1.0 and mode in (SLIPPING, FRICTIONLESS):
+                    # a part of its viscous friction holds it up
+                    contact[MODE], contact[NORMAL_SIGN] = SLIPPING, -1
     step.numbers.impact = moment / total if total > 0.0 else 0.5 * h
     # impulses that nearly cancel (a wedged body) at different times would throw it far: one alone moves it no further
     limit, moved = 0.25 * h * h * inner(whole, whole, nv), inner(shifted, shifted, nv)
@@ -290,7 +297,7 @@ def _note_loads(system, step):
 def advance(system, step):
     """Review the cone problem's solution and carry out the step: state, modes, impulses; hands over its end.
 
-    Returns DONE, AGAIN (solve the changed problem first) or a status of `layout`.
+    Returns DONE, AGAIN or ANEW, see `impulse_review`, or a status of `layout`.
     """
     sizes, numbers, h = system.sizes, step.numbers, step.numbers.h
     nq, nv, nc = sizes.nq, sizes.nv, sizes.nc
@@ -299,6 +306,8 @@ def advance(system, step):
     if verdict != DONE:
         return verdict
     distribute(system, step)
+    if shares_viscous(system, step):
+        return ANEW
     factor, parents, change = system.factor, system.parents, step.change
     gained, displacement, mean = system.work, step.displacement, step.mean
     unwhiten(factor, parents, nv, gained, gained)

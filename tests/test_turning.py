@@ -25,6 +25,32 @@ def kinds(run):
 # ------------------------------------------------------------------------------------------------ between events
 
 
+@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+@pytest.mark.parametrize("seed", range(12))
+def test_what_two_feet_keep_from_spinning_holds_at_both(seed, method):
+    """A bar that slides and spins on two points, and rocks about the line through them: once both stick nothing spins,
+    and resistance is of any size up to its limit."""
+    rng = np.random.default_rng(seed)
+    model, height = pin.Model(), rng.uniform(0.01, 0.03)
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "bar")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.diag([0.002, 0.01, 0.01])), pin.SE3.Identity())
+    model.addBodyFrame("bar", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    for k, x in enumerate((0.1, -0.12)):
+        foot = scene.add_contour(f"p{k}", pc.Point(), "bar", pin.SE3(np.eye(3), np.array([x, 0.0, -height])))
+        law = pc.Coulomb(rng.uniform(0.3, 0.6), spinning=rng.uniform(0.002, 0.01))
+        scene.add_contact(f"foot {k}", foot, floor, friction=law)
+    rocks, spins, along, aside = rng.normal(size=4) * [1.0, 1.5, 0.1, 0.1]
+    v = [along, rocks * height + aside, 0.0, rocks, 0.0, spins]
+    run = pc.simulate(scene, scene.initial_state([0.0, 0.0, height, 0.0, 0.0, 0.0, 1.0], v), 0.12, method=method)
+    assert run.status == 0, run.message
+    for name, track in run.contacts.items():
+        turning = [event.kind for event in run.events if event.contact == name and event.kind in ("turn", "hold")]
+        assert track.mode[-1] == 1
+        assert turning[-1:] == ["hold"], run.events
+
+
 @BILATERAL
 def test_spin_ends_at_an_event(bilateral):
     length, spin = 2e-4, 12.0

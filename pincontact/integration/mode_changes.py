@@ -79,12 +79,10 @@ class ModeChanges:
                 integers[NORMAL_SIGN] = abs(integers.item(NORMAL_SIGN))
             if mu == 0.0 or (math.isinf(mu) and not (slid and integers[UNILATERAL])):
                 continue
-            along = system.basis[c] @ system.slip[c]
-            speed = abs(along[0]) if integers[TANGENTS] == 1 else math.hypot(along[0], along[1])
             slowest = slowest if slowest > 0.0 else rest_speed(system)
-            if speed > slowest:
+            if self._speed(c) > slowest:
                 integers[MODE] = SLIPPING
-                integers[SLIP_SIGN] = 1 if along[0] >= 0.0 else -1
+                integers[SLIP_SIGN] = 1 if system.basis[c, 0] @ system.slip[c] >= 0.0 else -1
                 # as in the last evaluation
                 set_normal(system, system.owner(c), system.force[system.owner(c)])
             elif math.isfinite(mu):
@@ -126,6 +124,13 @@ class ModeChanges:
         before, signs = system.contact_int[:, MODE].copy(), system.contact_int[:, SLIP_SIGN].copy()
         self.resolve_modes(t, undecided, beyond)
         self.project(t, True, explained)
+        # what comes to rest may hold more
+        stopped = self._stopped(t, before) if at_rest else []
+        if stopped:
+            system.contact_int[stopped, MODE] = STICK
+            at_rest = {**at_rest, **dict.fromkeys(stopped, np.zeros(3))}
+            self.resolve_modes(t, self.sticking(), beyond)
+            self.project(t, True, explained)
         self.rk.accept()
         for c in [*range(system.nc), *system.resisting()]:
             mode = int(system.contact_int[c, MODE])
@@ -141,6 +146,23 @@ class ModeChanges:
             elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
                 self.reports.announce_friction(t, c, True)
         self.joints.announce_changes(t)
+
+    def _stopped(self, t: float, before: np.ndarray) -> list[int]:
+        """Items that slid in these modes, and slide still, but which others keep from it now: bodies do not turn at one
+        contact whose others stick."""
+        integers, numbers = self.system.contact_int, self.system.contact_real
+        slid = (before == SLIPPING) & (integers[:, MODE] == SLIPPING) & (integers[:, FROZEN] == 0)
+        items = np.flatnonzero(slid & np.isfinite(numbers[:, MU])).tolist()
+        if not items:
+            return []
+        self.rk.evaluate(t)
+        slowest = rest_speed(self.system)
+        return [i for i in items if self._speed(i) <= slowest]
+
+    def _speed(self, i: int) -> float:
+        """How fast item i slips in the last evaluation, in m/s or rad/s."""
+        along = self.system.basis[i] @ self.system.slip[i]
+        return abs(along[0]) if self.system.contact_int[i, TANGENTS] == 1 else math.hypot(along[0], along[1])
 
     def slip_direction(self, c: int) -> np.ndarray:
         """Unit vector, world axes, of the slip of an item that slides; zero where there is none."""

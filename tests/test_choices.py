@@ -225,3 +225,35 @@ def test_redundant_bilateral_contacts_share_in_any_order():
         ends.append(run.q[-1, 0])
     # round-off of 300 steps, of fixed points that end at 1e-12
     np.testing.assert_allclose(ends, ends[0], rtol=0.0, atol=1e-9)
+
+
+def ball_held_twice(held, pressed):
+    """A ball that slides and spins on a floor, which a bilateral and a unilateral contact keep it on at one point."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "ball")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("ball", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    contours = scene.add_contour("ball", pc.Sphere(0.1), "ball"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("held", *contours, friction=held, bilateral=True, side=1)
+    scene.add_contact("pressed", *contours, friction=pressed, side=1)
+    return scene, scene.initial_state([0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0], [1.0, 0.2, 0.0, 0.0, 0.0, 3.0])
+
+
+@pytest.mark.parametrize("step", [1e-3, 1e-4])
+@pytest.mark.parametrize("held", [pc.Coulomb(0.3), pc.Coulomb(0.0), pc.NoSlip()], ids=["rough", "smooth", "ideal"])
+@pytest.mark.parametrize("pressed", [pc.Coulomb(0.3), pc.Coulomb(0.0)], ids=["rough", "smooth"])
+def test_loads_shared_with_bilateral_contacts_are_told(held, pressed, step):
+    """What round-off leaves of rows that bilateral contacts have already has no forces; which of both carries the load
+    matters where one slides, and where their friction differs."""
+    scene, state = ball_held_twice(held, pressed)
+    exact = pc.simulate(scene, state, 0.5)
+    run = pc.simulate(scene, state, 0.5, method="Moreau", dt=step)
+    assert exact.status == run.status == 0
+    assert run.stats["energy_gained"] < 1e-12
+    assert run.stats["cone_residual"] < 1e-9
+    same = math.isinf(held.sliding) or held.sliding == pressed.sliding
+    # of second order
+    assert (np.abs(run.q[-1] - exact.q[-1]).max() < 2.0 * step**2) == same
+    slides = not math.isinf(held.sliding) and max(held.sliding, pressed.sliding) > 0.0
+    assert (run.stats["open_loads"] > 0) == ("leave open" in run.message) == slides

@@ -18,7 +18,7 @@ from .impulse_layout import STEP
 from .impulse_velocities import beyond_rigid, free_gain, start_velocity
 
 # An equation of which less than this part is left after orthogonalisation is redundant.
-_REDUNDANT = 1e-10
+REDUNDANT = 1e-10
 
 
 @kernel
@@ -39,7 +39,7 @@ def _add_equation(system, step, c, row):
             for k in range(nv):
                 own[k] -= part * basis[j, k]
     rest = math.sqrt(inner(own, own, nv))
-    independent = rest > _REDUNDANT * whole
+    independent = rest > REDUNDANT * whole
     factor[e, e] = rest if independent else 0.0
     for k in range(nv):
         own[k] = own[k] / rest if independent else 0.0

@@ -31,8 +31,8 @@ from ..layout import (
 from ..linalg import factorize_tree, inner, solve_gram, unwhiten, whiten
 from ..workspace import square
 from .actuators import add_actuators, end_weight
-from .impulse_equations import gather_equations
-from .impulse_layout import APART, DRY_FRICTION, ON_JOINT, ON_TURN, STEP, UPPER_LIMIT, step_at
+from .impulse_equations import REDUNDANT, gather_equations
+from .impulse_layout import APART, DRY_FRICTION, ON_CONTACT, ON_JOINT, ON_TURN, STEP, UPPER_LIMIT, step_at
 from .impulse_units import gather_contacts, gather_joints, gather_turns, set_impact_friction
 from .impulse_velocities import add_turn_row, beyond_rigid, free_gain, relative_turning, rigid_velocity, start_velocity
 from .impulse_viscous import add_viscous
@@ -129,6 +129,7 @@ def _fill_row(system, step, u, row):
         restitution = step.restitution[unit.index] if unit.kind != ON_JOINT else 0.0
         _set_impact(unit, start, inner(line, step.transported_trend, nv), restitution, step.numbers.h)
     whiten(system.factor, system.parents, nv, line, line)
+    whole = inner(line, line, nv)
     for j in range(m):
         equation = step.equations[j]
         part = inner(line, equation, nv)
@@ -138,6 +139,13 @@ def _fill_row(system, step, u, row):
         for k in range(nv):
             line[k] -= part * equation[k]
     step.beyond[r, 0] = beyond
+    if m > 0 and inner(line, line, nv) <= REDUNDANT * REDUNDANT * whole:
+        # the equations say it, too: what is left of it is round-off
+        b[r] = 0.0
+        for k in range(nv):
+            line[k] = 0.0
+        if row == 2 and unit.kind == ON_CONTACT:
+            unit.tied = 1
 
 
 @separate_kernel(NOTHING, SYSTEM.type, STEP.type, INTEGER, when=STEPPING)

@@ -236,8 +236,16 @@ def _leaves_choice(step, n):
     that is not yet what the rule has it, since it depends on the last forces.
 
     Where others stick, joints are held, or torques resist turning, rigid bodies leave loads open: that is counted, and
-    with such torques the choice is left as it is.
+    with such torques the choice is left as it is. So do loads that unilateral contacts share with bilateral ones, which
+    get all of them here.
     """
+    tied = slips = False
+    for u in range(n):
+        tied = tied or (step.units[u].tied != 0 and step.units[u].touches == 0)
+        slips = slips or (step.units[u].kind < ON_JOINT and step.cone_modes[u] == cone.SLIP and step.friction[u] > 0.0)
+    if tied and slips:
+        step.counts.open_loads += 1
+        return False
     address = step.cone_tables[n]
     if address == 0 or step.counts.coupled != APART:
         return False

@@ -1,6 +1,7 @@
 """Time stepping tells of energy that its errors make."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from random_motions import random_motion
 from test_moreau import ball_scene, upright
@@ -42,3 +43,23 @@ def test_energy_that_something_gives_is_not_told():
     run = pc.simulate(lift, state, 0.1, method="Moreau")
     assert run.status == 0 and "energy" not in run.message and "energy_gained" not in run.stats
     assert run.q[-1, 2] == pytest.approx(0.2, abs=1e-9)
+
+
+@pytest.mark.parametrize("mu", [0.2, 0.4, 3.0**-0.5, 0.7])
+def test_round_off_is_no_energy(mu):
+    """A block on a slope whose friction just holds it: what it moves by is 1e-16 m, and its energy is of one sign."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "block")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.004 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("block", joint, pin.SE3.Identity(), 0)
+    scene, slope = pc.Scene(model), pin.utils.rotate("y", np.arctan(mu))
+    floor = scene.add_contour("floor", pc.Plane(), placement=pin.SE3(slope, np.zeros(3)))
+    for k, (x, y) in enumerate(((0.1, 0.1), (0.1, -0.1), (-0.1, 0.0))):
+        foot = scene.add_contour(f"p{k}", pc.Point(), "block", pin.SE3(np.eye(3), np.array([x, y, -0.05])))
+        scene.add_contact(f"p{k}", foot, floor, friction=pc.Coulomb(mu))
+    state = scene.initial_state(np.r_[slope @ [0.0, 0.0, 0.05], pin.Quaternion(slope).coeffs()])
+    for step in (1e-2, 1e-3):
+        run = pc.simulate(scene, state, 1.0, method="Moreau", step=step)
+        assert run.status == 0
+        assert np.abs(run.q[-1] - state.q).max() < 1e-12
+        assert run.stats["energy_gained"] == 0.0 and "energy" not in run.message

@@ -109,6 +109,18 @@ def test_gaps_are_refused_that_time_stepping_refuses(part):
     assert run.status == 0
 
 
+@pytest.mark.parametrize("step", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("short", [1e-8, 1e-7, 1e-6, 1e-5, 1e-4])
+def test_a_short_leg_of_a_standing_table_touches_nothing(short, step):
+    """It is nearer to the floor than what falls freely gets in a step, but the others hold it."""
+    scene, q = table(short)
+    run = pc.simulate(scene, scene.initial_state(q, free=["foot 0"]), 0.1, method="Moreau", dt=step)
+    assert run.status == 0, run.message
+    assert not run.events
+    assert np.abs(run.contacts["foot 0"].gap - short).max() < 1e-12
+    assert run.residuals()["GC"].max() < 1e-12
+
+
 BODIES = {"ball": pc.Sphere(0.1), "egg": pc.Ellipsoid(0.1, 0.12, 0.15)}
 FLOORS = {"plane": pc.Plane(), "hill": pc.Ellipsoid(3.0, 2.5, 2.0)}
 STARTS = {

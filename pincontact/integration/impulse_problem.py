@@ -282,11 +282,9 @@ def change_freely(system, step):
     numbers.free_change = math.sqrt(inner(change, change, nv))
     unwhiten(factor, parents, nv, change, change)
     total = 0.0
-    # what no step has told is taken anew where an impact has moved the geometry
-    untold = counts.has_trend == 0 or (counts.trend_before == 0 and numbers.ahead != 0.5 * h)
     for k in range(nv):
         total += change[k]
-        if untold:
+        if counts.has_trend == 0:
             trend[k] = change[k] / h
     return NOT_FINITE if total - total != 0.0 else OK
 

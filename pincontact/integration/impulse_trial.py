@@ -416,18 +416,18 @@ def trial_step(system, step, t, h, found):
             status = TOO_LONG
         if status != OK:
             break
-        if before == 0 and (counts.touched != 0 or counts.trend_before == 0):
-            # The step is taken again with what it tells: the mean velocity where impacts change it, else, where there
-            # is no last step to tell it, the acceleration.
-            counts.passes, counts.has_trend = 1, MEAN_VELOCITY
-            if counts.touched != 0:
-                numbers.ahead = numbers.impact
-            else:
-                state, trend, nq = system.stage_state, step.trend, system.sizes.nq
-                for k in range(system.sizes.nv):
-                    trend[k] = (state[nq + k] - step.seen_v[k]) / h
-                transport(system.joint_table, step.inertias, state, step.start_q, trend, trend)
-                counts.has_trend = ACCELERATION
+        # The step is taken again with what it tells: where there is no last step to tell it the acceleration, without
+        # which nothing is known of what touches, and the mean velocity where impacts change it.
+        if before == 0 and counts.trend_before == 0:
+            state, trend, nq = system.stage_state, step.trend, system.sizes.nq
+            for k in range(system.sizes.nv):
+                trend[k] = (state[nq + k] - step.seen_v[k]) / h
+            transport(system.joint_table, step.inertias, state, step.start_q, trend, trend)
+            counts.passes, counts.has_trend = 1, ACCELERATION
+            continue
+        if counts.touched != 0 and counts.has_trend != MEAN_VELOCITY:
+            numbers.ahead = numbers.impact
+            counts.passes, counts.has_trend = before + 1, MEAN_VELOCITY
             continue
         # A step in which bodies turn far is taken again with its own mean velocity: the implicit midpoint rule, which
         # stays stable where the velocity foretold from the last step does not.

@@ -100,6 +100,9 @@ def gather_contacts(system, step):
             if mu == 0.0 or mu == math.inf:
                 continue
         elif mode == FREE:
+            if step.counts.has_trend == 0:
+                # whether it touches depends on what holds the bodies
+                continue
             rate = inner(system.rows[c, 2], step.transported_trend, nv) + system.bias[c, 2]
             touching = TOUCHING * contact_real[c, LENGTH]
             instant = _touch_instant(step.start_gap[c], step.start_normal[c, 0], rate, touching, h)
@@ -181,5 +184,7 @@ def gather_joints(step):
         if instant < 0.0 and step.counts.has_trend == MEAN_VELOCITY and thrown < 0.0 and gap + h * thrown < 0.0:
             # by an impact of this step
             instant = max(gap / -thrown, 0.0)
-        if resting or instant >= 0.0:
+        # as for contacts, whether it gets there depends on what holds it
+        foretold = step.counts.has_trend != 0 or gap <= TOUCHING
+        if resting or (instant >= 0.0 and foretold):
             _add_unit(step, ON_JOINT, j, 4, 0.0, -1.0 if resting else instant)

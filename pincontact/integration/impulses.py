@@ -102,9 +102,8 @@ def predict_midpoint(system, step):
         displacement[k] = half * v[k]
     displace(blocks, start_q, start_q, displacement, state)
     transport(blocks, inertias, start_q, state, v, carried)
-    moved = half != 0.5 * step.numbers.h and counts.trend_before == ACCELERATION
-    if counts.passes == 0 or counts.has_trend == ACCELERATION or moved:
-        # else it is what the first pass had
+    if counts.passes == 0 or counts.has_trend == ACCELERATION or half != 0.5 * step.numbers.h:
+        # else it is what the last pass had
         transport(blocks, inertias, start_q, state, step.trend, transported_trend)
     for k in range(nv):
         state[nq + k] = carried[k]

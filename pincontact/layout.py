@@ -231,7 +231,8 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, T
 # Memory of a Runge-Kutta step. Rows of the coefficients and of the slopes: 16 for stages and the interpolant, the last
 # one for scratch; of the error weights: two estimates of the state's error, the rest for event functions (see
 # `integration.resolution`); of the interpolant's coefficients (Sharp98 uses all, DOP853 seven, RK45 four, RK23 three);
-# of event functions that are kept behind those of a scan: of all stages from the step's start on, and of one state.
+# of event functions that are kept behind those of a scan: of all stages from the step's start on, and of one state; and
+# behind these: of the last look for a zero, and of the first zero that is known.
 MAX_STAGES = 17
 ERROR_ROWS = 14
 DENSE_ROWS = 8
@@ -243,6 +244,9 @@ NUMBER_OF_WORKS = 4
 
 # places along a step that are evaluated by one call, and the gap beyond the end of a contour, where nothing can touch
 SCAN_ROOM = 9
+LOOK_ROW = SCAN_ROOM + KEPT_ROWS
+LEFT_ROW, RIGHT_ROW = LOOK_ROW + 1, LOOK_ROW + 2
+SCAN_ROWS = RIGHT_ROW + 1
 NOTHING_THERE = 1e300
 
 
@@ -345,12 +349,14 @@ SYSTEM = Layout(
     reference_start=(REALS, 2, 3),  # (nc + ng + nr, 3) at zero loads
     reference_slope=(REALS, 3),  # (2, 3 (nc + ng + nr), nv)
     # event functions along a step: at which shares of it, the evaluations' statuses, and their values
-    scan_shares=(REALS, 1),  # (SCAN_ROOM,)
-    scan_status=(INTEGERS, 1),  # (SCAN_ROOM,)
-    scan_event_functions=(REALS, 3),  # (SCAN_ROOM, nc + ng + nr, EVENTS_PER_CONTACT)
-    # what event functions may be below zero, and shares of a step with values around a zero: see `narrow`
+    scan_shares=(REALS, 1),  # (SCAN_ROWS,)
+    scan_status=(INTEGERS, 1),  # (SCAN_ROWS,)
+    scan_event_functions=(REALS, 3),  # (SCAN_ROWS, nc + ng + nr, EVENTS_PER_CONTACT)
+    # what event functions may be below zero, and which are looked at for zeros: see `crossings`
     slack=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
-    bracket=(REALS, 1),  # (6,)
+    sought=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
+    # shares of a step with values around a zero, of a function and of a polynomial, whose coefficients follow
+    brackets=(REALS, 2, SCAN_ROOM),  # (3, SCAN_ROOM)
 )
 
 # the workspace at an address that Python gives an entry kernel

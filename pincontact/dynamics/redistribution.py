@@ -27,6 +27,7 @@ from ..layout import (
     MU_STATIC,
     NORMAL_EVENT,
     NORMAL_SIGN,
+    OK,
     PATTERN,
     SLIPPING,
     STICK,
@@ -124,6 +125,19 @@ class RedundantForces:
                 self.take_back(before)
                 evaluate(t)
         return False
+
+    def choose(self, t: float, evaluate) -> bool:
+        """Choose redundant forces of the present modes as if there had been no others; whether all forces lie inside
+        their cones."""
+        self._load_all()
+        self._take_reference(None)
+        return self._settles(evaluate(t), t, evaluate)
+
+    def _settles(self, status: int, t: float, evaluate) -> bool:
+        """Whether all forces of the last evaluation, of that status, lie inside their cones, or other ones among
+        redundant forces do."""
+        # without an event every force does
+        return status == OK or (status == EVENT and (self._holds() or self.redistribute(t, evaluate)))
 
     def _load_all(self) -> bool:
         """Let every closed contact carry a load; whether all did."""

@@ -38,7 +38,7 @@ _BISECTIONS = 40
 _ROUNDS = 4
 # Event functions that are negative by this part of what they were cross zero at the same time. What is this part of
 # their largest size in the step is zero, and so is that part of what they may be below zero.
-_AT_ONCE, _ZERO, _OF_SLACK = 1e-12, 1e-15, 1e-3
+_AT_ONCE, _ZERO, _OF_SLACK = 1e-12, 1e-14, 1e-3
 # Zero of the polynomial through the samples, as a part of the step.
 _POLYNOMIAL_ACCURACY = 1e-12
 

@@ -43,7 +43,7 @@ from .accuracy import gap_rate, rest_speed
 from .jams import held_up, stop_slips
 from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
-from .slow_slip import SlowSlip
+from .slow_slip import SlowSlip, accepted_across
 from .steps import FAILED_FACTOR
 
 # The start of slip is followed over times down to this fraction of the seed's.
@@ -189,23 +189,34 @@ class SlipOnset:
     def _follow_limits(self, t: float, limits: Mapping[int, np.ndarray]) -> float | None:
         """Follow the slip of items at their limits in these directions; how long in s, None where that did not do and
         nothing has changed."""
-        system, items = self.system, [*limits]
-        numbers, modes = system.contact_real[items], system.contact_int.copy()
+        system, items, solver = self.system, [*limits], self.changes.modes
+        numbers, modes, forces = system.contact_real[items], system.contact_int.copy(), solver.reference()
         known = (numbers[:, MU] == numbers[:, MU_STATIC]) & np.isfinite(numbers[:, MU]) & (modes[items, TANGENTS] == 2)
-        counters = system.counters
-        # in a shorter time slip may not show; redundant forces are others in slip
-        if self.longest < self.seed or not known.all() or counters["row_rank"] < counters["row_count"]:
+        # in a shorter time slip may not show
+        if self.longest < self.seed or not known.all():
             return None
         for c, direction in limits.items():
             freeze_slip(system, c, system.basis[c, :2] @ direction)
-        took = self._follow(
-            t, dict.fromkeys(items, 2), min(self.longest, self.until_touch()), _SHORTEST_START * self.seed
-        )
-        if took is None or not self._shows(t + took, items):
-            system.contact_int[:] = modes
-            self.changes.evaluate_accepted(t)
-            return None
-        return took
+        span = min(self.longest, self.until_touch())
+        redundant = system.counters["row_rank"] < system.counters["row_count"]
+        if not redundant or (solver.choose(t, self.rk.evaluate) and self._goes_straight(limits, span)):
+            took = self._follow(t, dict.fromkeys(items, 2), span, _SHORTEST_START * self.seed)
+            if took is not None and self._shows(t + took, items):
+                return took
+        system.contact_int[:] = modes
+        solver.take_back(forces)
+        self.changes.evaluate_accepted(t)
+        return None
+
+    def _goes_straight(self, limits: Mapping[int, np.ndarray], span: float) -> bool:
+        """Whether friction, and loads that are others in slip than in stick, leave these slips in their directions for
+        that time in s: redundant forces tell the directions to the root of what they are short of their limits."""
+        system, accepted = self.system, accepted_across(self.system)
+        for c, direction in limits.items():
+            along, rate = system.basis[c, :2] @ direction, system.relative_acceleration[c]
+            if not abs(along[0] * rate[1] - along[1] * rate[0]) * span <= accepted:
+                return False
+        return True
 
     def _shows(self, t: float, items: list[int]) -> bool:
         """Whether slips are there at the end of the last trial step: no slower than what counts as rest, where v_c has

@@ -203,6 +203,13 @@ class ModeChanges:
         """Whether the last choice leaves item c at its limit, to the relative tolerance."""
         return kind == FRICTION_EVENT and c in self.at_limit(float(self.system.scale[0]))
 
+    def at_known_limit(self) -> list[int]:
+        """The items that stick at the limit of their friction as far as that is known: redundant forces are brought up
+        to it to the relative tolerance."""
+        counters = self.system.counters
+        redundant = counters["row_count"] > counters["row_rank"]
+        return self.at_limit(max(_AT_LIMIT, float(self.system.scale[0])) if redundant else _AT_LIMIT)
+
     def limiting(self, c: int, kind: int) -> tuple[int, int]:
         """The event function that ends a mode, where `kind` of contact c is zero and no other redundant forces would
         do.

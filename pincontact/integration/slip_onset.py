@@ -155,7 +155,7 @@ class SlipOnset:
         changes.project(t)
         self.rk.accept()
         # the friction that stick asks for at its limit is against the slip to come
-        limits = {i: self._limit(i) for i in {c, *changes.at_limit()}}
+        limits = {i: self._limit(i) for i in {c, *changes.at_known_limit()}}
         start_q, start_v = system.q.copy(), system.v.copy()
         took = self._follow_limits(t, limits)
         if took is not None:
@@ -199,7 +199,10 @@ class SlipOnset:
             freeze_slip(system, c, system.basis[c, :2] @ direction)
         span = min(self.longest, self.until_touch())
         redundant = system.counters["row_rank"] < system.counters["row_count"]
-        if not redundant or (solver.choose(t, self.rk.evaluate) and self._goes_straight(limits, span)):
+        # what still sticks may hold what has redundant forces at its limit
+        if not redundant or (
+            not self.changes.sticking() and solver.choose(t, self.rk.evaluate) and self._goes_straight(limits, span)
+        ):
             took = self._follow(t, dict.fromkeys(items, 2), span, _SHORTEST_START * self.seed)
             if took is not None and self._shows(t + took, items):
                 return took

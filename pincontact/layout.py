@@ -132,8 +132,9 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 # LIMIT_SLACK is the part of the static limit by which friction may exceed it before stick ends.
 # DOMAIN is the distance of the contact coordinates from the nearest end of their domain, negative outside;
 # LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart, NEXT_NORMAL that of the
-# state about to be accepted; START_SPEED and _RATE are those of 3D slip there, infinite where there is none, STOP_ERROR
-# is that of velocities in m/s if the way to its end is one linear step, and STOP_TIME in s what steps may go of it.
+# state about to be accepted; START_SPEED and _RATE are those of 3D slip there, infinite where there is none, LAST_SPEED
+# and _RATE those one step before, LAST_STEP the size in s of the step that led there; STOP_ERROR is that of velocities
+# in m/s if the way to its end is one linear step, and STOP_TIME in s what steps may go of it.
 # A frozen slip direction is DIRECTION + p(s) ACROSS with p of the coefficients POLYNOMIAL.. in s = (t - START) / SPAN;
 # vectors in world axes.
 (
@@ -176,6 +177,9 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     START_SPEED,
     START_RATE,
     START_TOLERANCE,
+    LAST_SPEED,
+    LAST_RATE,
+    LAST_STEP,
     STOP_ERROR,
     STOP_TIME,
     START,
@@ -187,7 +191,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(50)
+) = range(53)
 POLYNOMIAL_SIZE = 5
 # from START on
 FROZEN_COLUMNS = 8 + POLYNOMIAL_SIZE

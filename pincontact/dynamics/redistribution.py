@@ -93,8 +93,8 @@ class RedundantForces:
             return False
         index = system.row_index[:count].copy()
         items = [(c, row) for c, row in index.tolist()]
-        closed = system.closed()
-        slipping = any(system.contact_int[c, MODE] == SLIPPING for c in [*closed, *system.resisting()])
+        closed, modes = system.closed(), system.contact_int[:, MODE].tolist()
+        slipping = any(modes[c] == SLIPPING for c in [*closed, *system.resisting()])
         if slipping and count == len(closed):
             # no force but loads to choose
             return self._unload(t, evaluate, ended)
@@ -111,7 +111,7 @@ class RedundantForces:
                 choices.append(open_forces)
         self.redundant = choices[-1].shape[1] > 0
         forces = system.force[index[:, 0], index[:, 1]]
-        for r, (c, row) in enumerate(items):
+        for r, (c, row) in enumerate(items) if slipping else ():
             if row == 2 and c < system.nc and held_up_by_friction(system, c):
                 forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
         cones, before = self._cones(items), self.reference()
@@ -236,7 +236,7 @@ class RedundantForces:
         rows = {item: r for r, item in enumerate(index)}
         cones = Cones()
         for c in system.closed():
-            integers, mu = system.contact_int[c], float(system.contact_real[c, MU_STATIC])
+            integers, mu = system.contact_int[c].tolist(), system.contact_real.item(c, MU_STATIC)
             normal, sticks = rows[c, 2], integers[MODE] == STICK and math.isfinite(mu)
             tangents = tuple(rows[c, row] for row in range(integers[TANGENTS])) if sticks else ()
             scaling = np.linalg.inv(stretch(system, c)) if tangents and integers[ANISOTROPIC] else None

@@ -221,9 +221,12 @@ class EventLocator:
         # forces decide modes, and where they do the motion has no jump
         is_force = kind in FORCE_EVENTS
         denied, value, stands = True, 0.0, self._time_to_move()
+        change, begun = 0.0, h
         for _ in range(_REFINEMENTS):
-            if self.rk.attempt(t, h) != OK:
-                return h, True
+            if change * change > stands * begun or not self._move_on(t + h, change):
+                begun = h
+                if self.rk.attempt(t, h) != OK:
+                    return h, True
             value = float(self.system.event_functions[c, kind]) + depth
             if before is not None and before[0] != h:
                 slope = (value - before[1]) / (h - before[0])
@@ -242,6 +245,16 @@ class EventLocator:
             h = crossing.theta * step
             self.rk.attempt(t, h)
         return h, not denied
+
+    def _move_on(self, t: float, change: float) -> bool:
+        """Move the end of the last trial step on along its slope, by a time in s whose square counts for nothing: to t.
+        False where there is nothing to move, or it cannot be evaluated there."""
+        if change == 0.0:
+            return False
+        system = self.system
+        system.new_state += change * system.slopes[system.sizes["nstages"]]
+        self.rk.load(system.new_state)
+        return self.rk.evaluate(t) <= EVENT
 
     def _time_to_move(self) -> float:
         """Time in s in which the state at the step's start moves by `_STANDS` of its tolerance."""

@@ -105,7 +105,9 @@ def _foretell_stop(system, c, before, rate_before):
     number[STOP_ERROR] = max(max(missed, turned), 0.5 * speed * left)
     bend = abs(rate - rate_before) / h
     near = _near_end(number, h, before, rate_before, turned, bend)
-    number[STOP_TIME] = max(number[STOP_TIME], near)
+    if near > 0.0:
+        number[STOP_TIME] = near
+        return
     # on the parabola that the rates give, whose second derivative is that half a step ago
     square = rate * rate - 2.0 * (rate - rate_before) / h * speed
     if not square > 0.0:
@@ -115,7 +117,7 @@ def _foretell_stop(system, c, before, rate_before):
     part = way / h
     if part < _SHORT:
         error = abs(speed - before - 0.5 * h * (rate + rate_before)) * part * part * (2.0 * part + 3.0) + turned
-        near = max(near, _before(number, way, error / last_rate, bend))
+        near = _before(number, way, error / last_rate, bend)
         number[STOP_TIME] = max(_STOP_FRACTION * min(way, left), near)
 
 
@@ -157,7 +159,8 @@ def _near_end(number, h, before, rate_before, turned, bend):
         if abs(change) <= _KNOWN * x:
             break
     error = abs(fifth * x * x * (x + h) * (x + h) * (x + back)) + turned + abs(change * slope)
-    return _before(number, x, error / -slope, bend)
+    near = _before(number, x, error / -slope, bend)
+    return near if near > _STOP_FRACTION * x else 0.0
 
 
 @kernel

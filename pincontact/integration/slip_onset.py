@@ -82,6 +82,8 @@ class SlipOnset:
         self.open, self.depths = opened, depths
         self.longest = 0.0
         self.age = 0.0
+        # items whose slip could not be followed from their limits the last time
+        self._lost: set[int] = set()
         self.emit: Callable[[float, float], None] = lambda t, step: None
         # the cube root of the relative tolerance, and no more than a hundredth of the run
         cube_root = (1e-2 * max(float(self.system.scale[0]), 1e-14)) ** (1.0 / 3.0)
@@ -172,7 +174,9 @@ class SlipOnset:
             if c in started:
                 freeze_slip(system, c, system.basis[c, :2] @ limits[c])
             span = max(self.longest, self._until_shown(min(decision.started.values()) / tau, 2))
-            took = self._follow(t, dict.fromkeys(started, 2), span, _SHORTEST_START * tau)
+            # what could not be followed from its limits cannot from here
+            if self._lost != set(started):
+                took = self._follow(t, dict.fromkeys(started, 2), span, _SHORTEST_START * tau)
             if took is not None:
                 return self._end(t, took, system.new_state)
             # not even a short start can be followed: seed the slip as close to its beginning as v_c can show it
@@ -192,6 +196,7 @@ class SlipOnset:
         system, items, solver = self.system, [*limits], self.changes.modes
         numbers, modes, forces = system.contact_real[items], system.contact_int.copy(), solver.reference()
         known = (numbers[:, MU] == numbers[:, MU_STATIC]) & np.isfinite(numbers[:, MU]) & (modes[items, TANGENTS] == 2)
+        self._lost.clear()
         # in a shorter time slip may not show
         if self.longest < self.seed or not known.all():
             return None
@@ -204,7 +209,9 @@ class SlipOnset:
             not self.changes.sticking() and solver.choose(t, self.rk.evaluate) and self._goes_straight(limits, span)
         ):
             took = self._follow(t, dict.fromkeys(items, 2), span, _SHORTEST_START * self.seed)
-            if took is not None and self._shows(t + took, items):
+            if took is None:
+                self._lost.update(items)
+            elif self._shows(t + took, items):
                 return took
         system.contact_int[:] = modes
         solver.take_back(forces)

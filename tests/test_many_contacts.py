@@ -104,6 +104,36 @@ def test_push_on_four_feet_slips_at_its_limit():
     assert run.v[-1, 0] == pytest.approx(0.5 * G * 0.6**2, abs=1e-8)
 
 
+@pytest.mark.parametrize("rtol", [1e-3, 1e-8])
+@pytest.mark.parametrize("direction", [0.0, 0.7])
+def test_four_feet_that_slip_alike_are_followed_from_their_limits(direction, rtol):
+    """A push to and fro through the centre of mass: all feet reach their limits at once, and no modes are searched. It
+    begins to slide at mu m g, and goes on as a particle does."""
+    mu, rate, size = 0.4, 9.0, 0.7 * G
+    scene = feet_scene(BLOCK_FEET, mu)
+    mass = sum(inertia.mass for inertia in scene.model.inertias)
+    along = np.array([math.cos(direction), math.sin(direction), 0.0, 0.0, 0.0, 0.0])
+    run = simulated(
+        scene,
+        scene.initial_state(upright(0.0, 0.0, 0.05)),
+        0.3,
+        control=lambda t, q, v: mass * size * math.sin(rate * t) * along,
+        rtol=rtol,
+        atol=1e-2 * rtol,
+    )
+    assert kinds(run) == ["slip"] * 4
+    assert run.stats["cone_problems"] == 0
+    begins = math.asin(mu * G / size) / rate
+    # to the relative tolerance by which choices of forces come up to their limit
+    assert run.events[0].time == pytest.approx(begins, abs=max(2e-9, 0.1 * rtol))
+    after = 0.3 - begins
+    swing = size / rate * math.cos(rate * begins) * after - size / rate**2 * (math.sin(rate * 0.3) - mu * G / size)
+    way = swing - 0.5 * mu * G * after**2
+    np.testing.assert_allclose(run.q[-1, :2], way * along[:2], rtol=0.0, atol=max(1e-9, 0.1 * rtol))
+    # steps, not tries: one foot that is at its limit while others hold it is not followed
+    assert run.stats["rhs"] < 400
+
+
 def test_starts_of_several_slips_are_not_tried_for_ever():
     """Four directions of one body's slip depend on each other; where spans do not do, shorter ones are not tried on.
 

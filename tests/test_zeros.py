@@ -288,6 +288,39 @@ def test_event_functions_that_jump_along_a_step(monkeypatch):
     Pressed(monkeypatch).look(script)
 
 
+def test_samples_foretell_the_zero(monkeypatch):
+    """The first crossing in a step: samples go on to one behind it, and a few looks at their polynomial's zero do."""
+    monkeypatch.setattr(RungeKutta, "alarm", property(lambda self: True))
+    first, found = EventLocator.first, {}
+
+    def counted(locator, t, step, begin=0.0):
+        before = locator.rk.evaluations
+        found[t] = first(locator, t, step, begin)
+        found["looks"] = locator.rk.evaluations - before
+        raise Looked
+
+    monkeypatch.setattr(EventLocator, "first", counted)
+    scene = particle()
+    scene.model.gravity = pin.Motion.Zero()
+    state = scene.initial_state(np.zeros(3), np.zeros(3))
+    cases = [
+        # function, zero, samples to one behind it, none at the step's last stage
+        (lambda t: math.cos(2.0 * t), 0.25 * math.pi, 8),
+        (lambda t: math.cos(5.0 * t), 0.1 * math.pi, 5),
+        (lambda t: 0.05 - t, 0.05, 3),
+        # a dip between two samples; samples then go to the end
+        (lambda t: (t - 0.56) ** 2 - 0.01**2, 0.55, 8 + 3),
+    ]
+    for pull, zero, samples in cases:
+        with pytest.raises(Looked):
+            pc.simulate(
+                scene, state, 1.0, control=lambda t, q, v, pull=pull: [0.0, 0.0, -pull(t)], fixed_step=1.0, max_step=2.0
+            )
+        assert found[0.0].theta == pytest.approx(zero, abs=1e-14)
+        assert abs(found[0.0].value) <= 1e-14
+        assert found["looks"] <= samples + 5
+
+
 # ---------------------------------------------------------------- true steps
 
 
@@ -323,6 +356,45 @@ def test_true_steps_to_a_touch(monkeypatch, rtol):
     slowest = g * fall * kept ** len(times)
     np.testing.assert_allclose(times, expected, rtol=0.0, atol=len(times) * max(1e-13, 1e-7 * rtol / slowest))
     assert taken == [1] * len(times)
+
+
+@pytest.mark.parametrize("rtol", [1e-6, 1e-8])
+def test_a_true_step_that_just_misses_is_moved_on(monkeypatch, rtol):
+    """A thrown body turns, of which the dense output knows less than steps do: one true step for its touch all the
+    same, where its gap is zero to round-off, at the time that shorter steps find."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    inertia = pin.Inertia(1.0, np.zeros(3), np.diag([0.02, 0.05, 0.06]))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    foot = scene.add_contour("foot", pc.Point(), "body", pin.SE3(np.eye(3), np.array([0.2, 0.1, -0.05])))
+    scene.add_contact("c", foot, scene.add_contour("floor", pc.Plane()))
+    state = scene.initial_state(
+        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 1.0, 3.0, -8.0, 5.0], free=["c"]
+    )  # fmt: skip
+    exact = pc.simulate(scene, state, 1.0, rtol=1e-13, atol=1e-15).events[0]
+    refine, attempt = EventLocator.refine, RungeKutta.attempt
+    attempts, moved, gaps = [], [], []
+
+    def counted_refine(locator, t, step, crossing):
+        attempts.clear()
+        result = refine(locator, t, step, crossing)
+        gaps.append(locator.system.gaps[0, 0])
+        moved.append(len(attempts) == 1 and result[0] != attempts[0])
+        return result
+
+    def counted_attempt(rk, t, h):
+        attempts.append(h)
+        return attempt(rk, t, h)
+
+    monkeypatch.setattr(EventLocator, "refine", counted_refine)
+    monkeypatch.setattr(RungeKutta, "attempt", counted_attempt)
+    event = pc.simulate(scene, state, 1.0, rtol=rtol, atol=1e-2 * rtol).events[0]
+    assert event.kind == exact.kind == "touch"
+    assert moved[0] and abs(gaps[0]) <= 1e-14
+    assert event.time == pytest.approx(exact.time, abs=rtol)
+    np.testing.assert_allclose(event.q, exact.q, rtol=0.0, atol=10.0 * rtol)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -375,13 +375,17 @@ def test_a_true_step_that_just_misses_is_moved_on(monkeypatch, rtol):
     )  # fmt: skip
     exact = pc.simulate(scene, state, 1.0, rtol=1e-13, atol=1e-15).events[0]
     refine, attempt = EventLocator.refine, RungeKutta.attempt
-    attempts, moved, gaps = [], [], []
+    attempts, moved, gaps, ends = [], [], [], []
 
     def counted_refine(locator, t, step, crossing):
         attempts.clear()
         result = refine(locator, t, step, crossing)
         gaps.append(locator.system.gaps[0, 0])
         moved.append(len(attempts) == 1 and result[0] != attempts[0])
+        ends.append(locator.system.new_state.copy())
+        # a true step of that size leads to where it is
+        attempt(locator.rk, t, result[0])
+        ends.append(locator.system.new_state.copy())
         return result
 
     def counted_attempt(rk, t, h):
@@ -393,6 +397,8 @@ def test_a_true_step_that_just_misses_is_moved_on(monkeypatch, rtol):
     event = pc.simulate(scene, state, 1.0, rtol=rtol, atol=1e-2 * rtol).events[0]
     assert event.kind == exact.kind == "touch"
     assert moved[0] and abs(gaps[0]) <= 1e-14
+    # the square of the time by which it was moved on; and the shares of others in a step's round-off
+    np.testing.assert_allclose(ends[0], ends[1], rtol=0.0, atol=1e-5 * rtol)
     assert event.time == pytest.approx(exact.time, abs=rtol)
     np.testing.assert_allclose(event.q, exact.q, rtol=0.0, atol=10.0 * rtol)
 

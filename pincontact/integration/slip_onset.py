@@ -43,7 +43,7 @@ from .accuracy import gap_rate, rest_speed
 from .jams import held_up, stop_slips
 from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
-from .slow_slip import SlowSlip, accepted_across
+from .slow_slip import SlowSlip
 from .steps import FAILED_FACTOR
 
 # The start of slip is followed over times down to this fraction of the seed's.
@@ -204,10 +204,8 @@ class SlipOnset:
             freeze_slip(system, c, system.basis[c, :2] @ direction)
         span = min(self.longest, self.until_touch())
         redundant = system.counters["row_rank"] < system.counters["row_count"]
-        # what still sticks may hold what has redundant forces at its limit
-        if not redundant or (
-            not self.changes.sticking() and solver.choose(t, self.rk.evaluate) and self._goes_straight(limits, span)
-        ):
+        # what still sticks may hold what has redundant forces at its limit, and loads are others in slip
+        if not redundant or (not self.changes.sticking() and solver.choose(t, self.rk.evaluate)):
             took = self._follow(t, dict.fromkeys(items, 2), span, _SHORTEST_START * self.seed)
             if took is None:
                 self._lost.update(items)
@@ -217,16 +215,6 @@ class SlipOnset:
         solver.take_back(forces)
         self.changes.evaluate_accepted(t)
         return None
-
-    def _goes_straight(self, limits: Mapping[int, np.ndarray], span: float) -> bool:
-        """Whether friction, and loads that are others in slip than in stick, leave these slips in their directions for
-        that time in s: redundant forces tell the directions to the root of what they are short of their limits."""
-        system, accepted = self.system, accepted_across(self.system)
-        for c, direction in limits.items():
-            along, rate = system.basis[c, :2] @ direction, system.relative_acceleration[c]
-            if not abs(along[0] * rate[1] - along[1] * rate[0]) * span <= accepted:
-                return False
-        return True
 
     def _shows(self, t: float, items: list[int]) -> bool:
         """Whether slips are there at the end of the last trial step: no slower than what counts as rest, where v_c has

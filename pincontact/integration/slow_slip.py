@@ -54,11 +54,6 @@ _ALIGNED = 0.1
 _DIVERGED = 3.0
 
 
-def accepted_across(system: System) -> float:
-    """Speed in m/s across a prescribed direction that is accepted."""
-    return _ACCEPTED * float(system.scale[1] + system.scale[0] * np.abs(system.v).max(initial=0.0))
-
-
 @dataclass(frozen=True)
 class SlowSlip:
     """Slip with prescribed directions, from the state at t on.
@@ -85,13 +80,13 @@ class SlowSlip:
         state after it, unprojected.
         """
         system = self.rk.system
-        accepted = accepted_across(system)
+        tolerance = system.scale[1] + system.scale[0] * float(np.abs(system.v).max(initial=0.0))
         several = sum(power > 0 for power in self.powers.values()) > 1
         tries = _TRIES_OF_SEVERAL if several else _HALVINGS
         while tries > 0 and span >= shortest:
             for c in self.contacts:
                 system.contact_real[c, [START, SPAN]] = t, span
-            if not self._collocate(t, span, accepted):
+            if not self._collocate(t, span, _ACCEPTED * tolerance):
                 tries -= 1
             elif self.uneventful():
                 return span

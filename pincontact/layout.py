@@ -132,8 +132,9 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 # LIMIT_SLACK is the part of the static limit by which friction may exceed it before stick ends.
 # DOMAIN is the distance of the contact coordinates from the nearest end of their domain, negative outside;
 # LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart, NEXT_NORMAL that of the
-# state about to be accepted; START_SPEED and _RATE are those of 3D slip there, infinite where there is none, STOP_ERROR
-# is that of velocities in m/s if the way to its end is one linear step, and STOP_TIME in s what steps may go of it.
+# state about to be accepted; START_SPEED and _RATE are those of 3D slip there, infinite where there is none, LAST_SPEED
+# and _RATE those one step before, LAST_STEP the size in s of the step that led there; STOP_ERROR is that of velocities
+# in m/s if the way to its end is one linear step, and STOP_TIME in s what steps may go of it.
 # A frozen slip direction is DIRECTION + p(s) ACROSS with p of the coefficients POLYNOMIAL.. in s = (t - START) / SPAN;
 # vectors in world axes.
 (
@@ -176,6 +177,9 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     START_SPEED,
     START_RATE,
     START_TOLERANCE,
+    LAST_SPEED,
+    LAST_RATE,
+    LAST_STEP,
     STOP_ERROR,
     STOP_TIME,
     START,
@@ -187,7 +191,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     ACROSS_Y,
     ACROSS_Z,
     POLYNOMIAL,
-) = range(50)
+) = range(53)
 POLYNOMIAL_SIZE = 5
 # from START on
 FROZEN_COLUMNS = 8 + POLYNOMIAL_SIZE
@@ -231,7 +235,8 @@ OK, EVENT, LOCATION_FAILED, SINGULAR, MASS_NOT_POSITIVE, NO_FORCE, NOT_FINITE, T
 # Memory of a Runge-Kutta step. Rows of the coefficients and of the slopes: 16 for stages and the interpolant, the last
 # one for scratch; of the error weights: two estimates of the state's error, the rest for event functions (see
 # `integration.resolution`); of the interpolant's coefficients (Sharp98 uses all, DOP853 seven, RK45 four, RK23 three);
-# of event functions that are kept behind those of a scan: of all stages from the step's start on, and of one state.
+# of event functions that are kept behind those of a scan: of all stages from the step's start on, and of one state; and
+# behind these: of the last look for a zero, and of the first zero that is known.
 MAX_STAGES = 17
 ERROR_ROWS = 14
 DENSE_ROWS = 8
@@ -243,6 +248,9 @@ NUMBER_OF_WORKS = 4
 
 # places along a step that are evaluated by one call, and the gap beyond the end of a contour, where nothing can touch
 SCAN_ROOM = 9
+LOOK_ROW = SCAN_ROOM + KEPT_ROWS
+LEFT_ROW, RIGHT_ROW = LOOK_ROW + 1, LOOK_ROW + 2
+SCAN_ROWS = RIGHT_ROW + 1
 NOTHING_THERE = 1e300
 
 
@@ -345,12 +353,14 @@ SYSTEM = Layout(
     reference_start=(REALS, 2, 3),  # (nc + ng + nr, 3) at zero loads
     reference_slope=(REALS, 3),  # (2, 3 (nc + ng + nr), nv)
     # event functions along a step: at which shares of it, the evaluations' statuses, and their values
-    scan_shares=(REALS, 1),  # (SCAN_ROOM,)
-    scan_status=(INTEGERS, 1),  # (SCAN_ROOM,)
-    scan_event_functions=(REALS, 3),  # (SCAN_ROOM, nc + ng + nr, EVENTS_PER_CONTACT)
-    # what event functions may be below zero, and shares of a step with values around a zero: see `narrow`
+    scan_shares=(REALS, 1),  # (SCAN_ROWS,)
+    scan_status=(INTEGERS, 1),  # (SCAN_ROWS,)
+    scan_event_functions=(REALS, 3),  # (SCAN_ROWS, nc + ng + nr, EVENTS_PER_CONTACT)
+    # what event functions may be below zero, and which are looked at for zeros: see `crossings`
     slack=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
-    bracket=(REALS, 1),  # (6,)
+    sought=(REALS, 2, EVENTS_PER_CONTACT),  # (nc + ng + nr, EVENTS_PER_CONTACT)
+    # shares of a step with values around a zero, of a function and of a polynomial, whose coefficients follow
+    brackets=(REALS, 2, SCAN_ROOM),  # (3, SCAN_ROOM)
 )
 
 # the workspace at an address that Python gives an entry kernel

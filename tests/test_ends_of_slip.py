@@ -10,7 +10,17 @@ from test_zeros import Looked, particle
 import pincontact as pc
 from pincontact.integration import slip_at_ends
 from pincontact.integration.driver import Driver
-from pincontact.layout import START_RATE, START_SPEED, START_TOLERANCE, STOP_ERROR, STOP_TIME, SYSTEM
+from pincontact.layout import (
+    LAST_RATE,
+    LAST_SPEED,
+    LAST_STEP,
+    START_RATE,
+    START_SPEED,
+    START_TOLERANCE,
+    STOP_ERROR,
+    STOP_TIME,
+    SYSTEM,
+)
 
 MU, G = 0.4, 9.81
 FRACTION = slip_at_ends._STOP_FRACTION
@@ -24,8 +34,9 @@ def sliding(v):
 
 @pytest.fixture
 def foretell(monkeypatch):
-    """foretell(h, speed, rate, before, rate_before, tolerance, turning): STOP_TIME and STOP_ERROR of a slip of these
-    speeds and rates now and a step of h ago; turning: acceleration across the slip in m/s^2."""
+    """foretell(h, speed, rate, before, rate_before, tolerance, turning, older): STOP_TIME and STOP_ERROR of a slip of
+    these speeds and rates now and a step of h ago; turning: acceleration across the slip in m/s^2; older: speed and
+    rate a step before that, and its size."""
     systems = []
 
     def keep(driver, t, end):
@@ -38,9 +49,10 @@ def foretell(monkeypatch):
     (system,) = systems
     foretold = from_python(slip_at_ends._foretell_stop, SYSTEM)
 
-    def call(h, speed, rate, before, rate_before, tolerance=1e-10, turning=0.0):
+    def call(h, speed, rate, before, rate_before, tolerance=1e-10, turning=0.0, older=(math.inf, 0.0, 0.0)):
         numbers = system.contact_real[0]
         numbers[[START_SPEED, START_RATE, START_TOLERANCE]] = speed, rate, tolerance
+        numbers[[LAST_SPEED, LAST_RATE, LAST_STEP]] = older
         system.scalars["step"] = h
         system.basis[0] = np.eye(3)
         system.slip[0], system.relative_acceleration[0] = (speed, 0.0, 0.0), (rate, turning, 0.0)
@@ -66,7 +78,8 @@ def test_parabolas_are_foretold_to_their_end(foretell):
         # cancellation in what is told of the error
         rounded = 4.0 * 1e-15 * before / r
         time, _ = foretell(h, speed, rate, before, rate_before)
-        linear = math.sqrt(slip_at_ends.LEFT_OUT * 1e-10 / -rate)
+        bend = abs(rate - rate_before) / h
+        linear = math.sqrt(slip_at_ends._MARGIN * slip_at_ends.LEFT_OUT * 1e-10 / max(-rate, bend))
         expected = min(0.999 * end, end - linear)
         assert time == pytest.approx(max(expected, FRACTION * min(end, speed / -rate)), rel=1e-9, abs=rounded)
         assert time < end
@@ -96,6 +109,50 @@ def test_what_is_foretold_is_not_past_the_end(foretell):
         assert time < end or time <= FRACTION * speed / -rate, (h, speed, rate, b, c)
         near.append(time / end)
     assert np.quantile(near, 0.5) > FRACTION
+
+
+def test_three_states_foretell_polynomials_of_degree_five(foretell):
+    """With its last term as the error: as far as that leaves, and where it is small to a thousandth before the end."""
+    rng = np.random.default_rng(2)
+    errors = []
+    for _ in range(400):
+        h, ago, end = rng.uniform(0.5, 2.0, 3)
+        # speed (T - t) times what is positive, of degree four
+        scales = 10.0 ** rng.uniform(-6, -1, 4)
+        other = np.polynomial.Polynomial([1.0, *(scales * rng.normal(size=4))])
+        speed = other * np.polynomial.Polynomial([end, -1.0])
+        places = np.linspace(-h - ago, end, 99)
+        if other(places).min() <= 0.1 or speed.deriv()(np.linspace(0.0, end, 99)).max() >= 0.0:
+            continue
+        slope = speed.deriv()
+        at, ahead = -h - ago, end + h + ago
+        time, _ = foretell(
+            h, speed(0.0), slope(0.0), speed(-h), slope(-h), older=(speed(at), slope(at), ago)
+        )  # fmt: skip
+        last = abs(speed.coef[5]) * end**2 * (end + h) ** 2 * ahead
+        error = slip_at_ends._FORETOLD * last / -slope(end)
+        expected = (1.0 - slip_at_ends._LEAST_LEFT) * end - error
+        if end <= h + ago and expected > 1.01 * FRACTION * end:
+            errors.append(error)
+            assert time == pytest.approx(expected, rel=1e-7)
+        assert time < end or time <= FRACTION * speed(0.0) / -slope(0.0)
+    assert len(errors) > 100 and max(errors) > 0.05
+
+
+def test_a_swing_that_ends_is_met_in_two_steps():
+    """1 kg against a force that swings: the step that sees the end ends a thousandth before it, and the next one leaves
+    a straight line. None passes the end, and is taken back."""
+    rate, size = 9.0, 5.0
+    scene, state = sliding([0.0, 0.0, 0.0])
+    run = pc.simulate(scene, state, 3.0, control=lambda t, q, v: np.array([size * math.sin(rate * t), 0.0, 0.0]))
+    assert run.status == 0, run.message
+    stops = [event.time for event in run.events if event.kind == "stick"]
+    assert len(stops) > 6
+    assert run.stats["rejected"] == 0
+    for stop in stops:
+        before = stop - run.t[run.t < stop - 1e-12]
+        assert np.sum(before < 0.03) <= 3
+        assert before.min() > 1e-8
 
 
 def test_nothing_is_foretold_of_what_does_not_slow_down(foretell):

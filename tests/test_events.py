@@ -8,12 +8,13 @@ import pytest
 from reference import build
 
 import pincontact as pc
+from pincontact.integration.crossings import ENDS
 from pincontact.integration.discrete import write_discrete
-from pincontact.integration.locator import EventLocator
 from pincontact.integration.run_system import RunSystem
 from pincontact.integration.runge_kutta import RungeKutta
+from pincontact.integration.steps import FIND_EARLIEST, FIND_ZERO, LOOK, SCAN_ON
 from pincontact.integration.tableaux import tableau
-from pincontact.layout import DOMAIN, EVENT, NORMAL_EVENT, OK
+from pincontact.layout import DOMAIN, EVENT, OK
 
 G = 9.81
 RADIUS = 0.1
@@ -318,20 +319,31 @@ def test_a_dip_of_the_dense_output_alone_is_none(monkeypatch):
     """An event function that is negative between the ends of a step, but not on a true step, changes no mode."""
     scene, state = rolling_in_a_bowl(0.4)
     plain = pc.simulate(scene, state, 1.0, rtol=1e-6, atol=1e-8)
-    true_event_functions, dipped = EventLocator._values, []
+    true_run, looking, dipped = RunSystem.run, [], []
 
-    def dips(self, t, step, thetas):
-        event_functions = true_event_functions(self, t, step, thetas)
-        for theta, values in zip(thetas, event_functions):
-            if t < 0.5 and 0.3 < theta < 0.6:
-                dipped.append(t)
-                values[0, NORMAL_EVENT] -= 20.0 * math.sin(math.pi * (theta - 0.3) / 0.3)
-        return event_functions
+    def dips(self, task, t=0.0, h=0.0):
+        if task in (LOOK, SCAN_ON, FIND_ZERO, FIND_EARLIEST):
+            looking.append((t, h))
+        try:
+            return true_run(self, task, t, h)
+        finally:
+            looking.clear()
 
-    monkeypatch.setattr(EventLocator, "_values", dips)
+    def lifts(t, q, v):
+        """A pull at the ball that only looks along the dense output see."""
+        force = np.zeros(6)
+        start, step = looking[-1] if looking else (t, 1.0)
+        theta = (t - start) / step
+        if looking and start < 0.5 and 0.3 < theta < 0.6:
+            dipped.append(t)
+            away = -q[:3] / np.linalg.norm(q[:3]) * 20.0 * math.sin(math.pi * (theta - 0.3) / 0.3)
+            force[:3] = pin.Quaternion(q[3:]).matrix().T @ away
+        return force
+
+    monkeypatch.setattr(RunSystem, "run", dips)
     monkeypatch.setattr(RungeKutta, "alarm", property(lambda self: True))
     # a user's event brings every step to where its event functions are looked at
-    run = pc.simulate(scene, state, 1.0, rtol=1e-6, atol=1e-8, events=lambda t, q, v: 1.0)
+    run = pc.simulate(scene, state, 1.0, control=lifts, rtol=1e-6, atol=1e-8, events=lambda t, q, v: 1.0)
     assert dipped
     assert run.status == 0, run.message
     assert run.events == []
@@ -344,14 +356,17 @@ def test_what_cannot_be_evaluated_along_a_step_has_no_events(known, monkeypatch)
     """A dense output that can be evaluated at its beginning only is searched that far."""
     scene, state = rolling_in_a_bowl(0.4)
     plain = pc.simulate(scene, state, 0.2, rtol=1e-6, atol=1e-8)
-    true_values, cut = EventLocator._values, []
+    true_run, cut = RunSystem.run, []
 
-    def short(self, t, step, thetas):
-        values = true_values(self, t, step, thetas)
-        cut.append(len(values) > known)
-        return values[:known]
+    def short(self, task, t=0.0, h=0.0):
+        found = true_run(self, task, t, h)
+        if task == SCAN_ON:
+            cut.append(self.counters["scan_count"] > known)
+            self.counters["scan_count"] = min(self.counters["scan_count"], known)
+            return ENDS
+        return found
 
-    monkeypatch.setattr(EventLocator, "_values", short)
+    monkeypatch.setattr(RunSystem, "run", short)
     monkeypatch.setattr(RungeKutta, "alarm", property(lambda self: True))
     run = pc.simulate(scene, state, 0.2, rtol=1e-6, atol=1e-8, events=lambda t, q, v: 1.0)
     assert any(cut)
@@ -361,8 +376,8 @@ def test_what_cannot_be_evaluated_along_a_step_has_no_events(known, monkeypatch)
     np.testing.assert_allclose(run.q[-1], plain.q[-1], rtol=0.0, atol=1e-5)
 
 
-def test_a_scan_finds_what_evaluations_find():
-    """All event functions along a step at once, bit by bit, beyond the end of a contour too."""
+def test_looks_find_what_evaluations_find():
+    """All event functions along a step, bit by bit, beyond the end of a contour too."""
     scene = ball_scene(pc.Coulomb(0.3))
     strip = scene.add_contour("strip", pc.Line((-0.05, 0.05)), placement=pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.01])))
     scene.add_contact("edge", "ball", strip, friction=None)
@@ -377,11 +392,11 @@ def test_a_scan_finds_what_evaluations_find():
     assert rk.attempt(0.0, step) == OK
     dense = rk.interpolant(0.0, step)
     shares = [0.0, 0.1, 0.35, 0.8, 1.0]
-    known, event_functions = system.scan(0.0, step, shares)
-    event_functions = event_functions.copy()
-    assert known == [True] * 5
     beyond = []
-    for share, found in zip(shares, event_functions):
+    for share in shares:
+        known, event_functions = system.look(0.0, step, share)
+        assert known
+        found = event_functions.copy()
         rk.load(dense(share))
         assert rk.evaluate(share * step) <= EVENT
         there = system.contact_real[:2, DOMAIN] >= 0.0

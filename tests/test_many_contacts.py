@@ -13,6 +13,7 @@ from test_moreau import ball_scene, body_scene, joint_scene, upright
 
 import pincontact as pc
 from pincontact.friction.centred import Cone, central_force, null_space
+from pincontact.integration.mode_changes import ModeChanges
 
 G = 9.81
 TIGHT = {"rtol": 1e-11, "atol": 1e-13}
@@ -102,6 +103,47 @@ def test_push_on_four_feet_slips_at_its_limit():
     # forces are known to be admissible to 1e-9 of their size
     assert abs(run.events[0].time - 0.4) <= 1e-8
     assert run.v[-1, 0] == pytest.approx(0.5 * G * 0.6**2, abs=1e-8)
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-8])
+@pytest.mark.parametrize("direction", [0.0, 0.7])
+def test_four_feet_that_slip_alike_are_followed_from_their_limits(direction, rtol):
+    """A push to and fro through the centre of mass: all feet reach their limits at once, and no modes are searched. It
+    begins to slide at mu m g, and goes on as a particle does."""
+    mu, rate, size = 0.4, 9.0, 0.7 * G
+    scene = feet_scene(BLOCK_FEET, mu)
+    mass = sum(inertia.mass for inertia in scene.model.inertias)
+    along = np.array([math.cos(direction), math.sin(direction), 0.0, 0.0, 0.0, 0.0])
+    run = simulated(
+        scene,
+        scene.initial_state(upright(0.0, 0.0, 0.05)),
+        0.3,
+        control=lambda t, q, v: mass * size * math.sin(rate * t) * along,
+        rtol=rtol,
+        atol=1e-2 * rtol,
+    )
+    assert kinds(run) == ["slip"] * 4
+    assert run.stats["cone_problems"] == 0
+    begins = math.asin(mu * G / size) / rate
+    # to the relative tolerance by which choices of forces come up to their limit
+    assert run.events[0].time == pytest.approx(begins, abs=max(2e-9, 0.1 * rtol))
+    after = 0.3 - begins
+    swing = size / rate * math.cos(rate * begins) * after - size / rate**2 * (math.sin(rate * 0.3) - mu * G / size)
+    way = swing - 0.5 * mu * G * after**2
+    np.testing.assert_allclose(run.q[-1, :2], way * along[:2], rtol=0.0, atol=max(1e-9, 0.1 * rtol))
+    assert run.stats["rhs"] < 400
+
+
+def test_a_foot_at_its_limit_that_others_hold_is_not_followed(monkeypatch):
+    """Its redundant forces tell nothing of slip; tries to follow that took 2000 evaluations."""
+    monkeypatch.setattr(ModeChanges, "at_known_limit", lambda changes: [])
+    scene = feet_scene(BLOCK_FEET, 0.4)
+    state = scene.initial_state(upright(0.0, 0.0, 0.05))
+    run = simulated(scene, state, 0.6, control=lambda t, q, v: np.array([4.0 * G * t, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    assert kinds(run) == ["slip"] * 4
+    assert abs(run.events[0].time - 0.2) <= 1e-8
+    assert run.stats["cone_problems"] > 0
+    assert run.stats["rhs"] < 600
 
 
 def test_starts_of_several_slips_are_not_tried_for_ever():

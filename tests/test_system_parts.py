@@ -35,6 +35,7 @@ from pincontact.layout import (
     JOINT_V,
     K1,
     K2,
+    LAST_SPEED,
     LENGTH,
     LIMIT_SLACK,
     LOW_END,
@@ -198,7 +199,7 @@ def test_contacts_and_their_sides(laid_out):
     assert integers[:, SLIP_SIGN].tolist() == integers[:, NORMAL_SIGN].tolist() == [1, 1, 1]
     assert numbers[:, LENGTH].tolist() == [characteristic_length(contact) for contact in contacts]
     assert numbers[:, [NORMAL_1, NORMAL_2, SPAN]].tolist() == [[1.0, 0.0, 1.0]] * 3
-    assert (system.contact_real[:, START_SPEED] == math.inf).all()
+    assert (system.contact_real[:, [START_SPEED, LAST_SPEED]] == math.inf).all()
     assert (system.contact_real[:, LIMIT_SLACK] == FORCE_SLACK).all()
     for c, contact in enumerate(contacts):
         for side, attached in enumerate((contact.body1, contact.body2)):

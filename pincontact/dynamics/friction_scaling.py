@@ -32,5 +32,7 @@ def associated(system: System, c: int, direction: np.ndarray) -> np.ndarray:
 
 def opposed_slip(system: System, c: int, force: np.ndarray) -> np.ndarray:
     """(2,) a slip direction that friction at its limit opposes with a force (2,), along (t1, second)."""
+    if not system.contact_int[c, ANISOTROPIC]:
+        return -force
     inverse = np.linalg.inv(stretch(system, c))
     return -inverse @ inverse @ force

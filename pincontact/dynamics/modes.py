@@ -95,12 +95,7 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
             if status > EVENT and status != NO_FORCE:
                 return Decision(status)
         positive = system.counters["lost_positivity"] == 0
-        if (
-            beyond is None
-            and positive
-            and (status == OK or (status == EVENT and (self._holds() or self.redistribute(t, evaluate))))
-        ):
-            # without an event every force lies inside its cone
+        if beyond is None and positive and self._settles(status, t, evaluate):
             return Decision(status, passing)
         if beyond is None and positive:
             status = self._let_joints_go(t, evaluate)
@@ -129,7 +124,7 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         status = NO_FORCE
         for _ in range(2 * len(system.held())):
             if not (self._hold_one(released) or self._release_one(released)):
-                if status == OK or (status == EVENT and (self._holds() or self.redistribute(t, evaluate))):
+                if self._settles(status, t, evaluate):
                     return status
                 break
             status = evaluate(t)

@@ -27,6 +27,7 @@ from ..layout import (
     MU_STATIC,
     NORMAL_EVENT,
     NORMAL_SIGN,
+    OK,
     PATTERN,
     SLIPPING,
     STICK,
@@ -92,8 +93,8 @@ class RedundantForces:
             return False
         index = system.row_index[:count].copy()
         items = [(c, row) for c, row in index.tolist()]
-        closed = system.closed()
-        slipping = any(system.contact_int[c, MODE] == SLIPPING for c in [*closed, *system.resisting()])
+        closed, modes = system.closed(), system.contact_int[:, MODE].tolist()
+        slipping = any(modes[c] == SLIPPING for c in [*closed, *system.resisting()])
         if slipping and count == len(closed):
             # no force but loads to choose
             return self._unload(t, evaluate, ended)
@@ -110,7 +111,7 @@ class RedundantForces:
                 choices.append(open_forces)
         self.redundant = choices[-1].shape[1] > 0
         forces = system.force[index[:, 0], index[:, 1]]
-        for r, (c, row) in enumerate(items):
+        for r, (c, row) in enumerate(items) if slipping else ():
             if row == 2 and c < system.nc and held_up_by_friction(system, c):
                 forces[r] = math.hypot(system.force[c, 0], system.force[c, 1])
         cones, before = self._cones(items), self.reference()
@@ -124,6 +125,19 @@ class RedundantForces:
                 self.take_back(before)
                 evaluate(t)
         return False
+
+    def choose(self, t: float, evaluate) -> bool:
+        """Choose redundant forces of the present modes as if there had been no others; whether all forces lie inside
+        their cones."""
+        self._load_all()
+        self._take_reference(None)
+        return self._settles(evaluate(t), t, evaluate)
+
+    def _settles(self, status: int, t: float, evaluate) -> bool:
+        """Whether all forces of the last evaluation, of that status, lie inside their cones, or other ones among
+        redundant forces do."""
+        # without an event every force does
+        return status == OK or (status == EVENT and (self._holds() or self.redistribute(t, evaluate)))
 
     def _load_all(self) -> bool:
         """Let every closed contact carry a load; whether all did."""
@@ -222,7 +236,7 @@ class RedundantForces:
         rows = {item: r for r, item in enumerate(index)}
         cones = Cones()
         for c in system.closed():
-            integers, mu = system.contact_int[c], float(system.contact_real[c, MU_STATIC])
+            integers, mu = system.contact_int[c].tolist(), system.contact_real.item(c, MU_STATIC)
             normal, sticks = rows[c, 2], integers[MODE] == STICK and math.isfinite(mu)
             tangents = tuple(rows[c, row] for row in range(integers[TANGENTS])) if sticks else ()
             scaling = np.linalg.inv(stretch(system, c)) if tangents and integers[ANISOTROPIC] else None

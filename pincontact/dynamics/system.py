@@ -41,6 +41,7 @@ from ..layout import (
     K1,
     K2,
     KIND,
+    LAST_SPEED,
     LENGTH,
     LIMIT_SLACK,
     LOW_END,
@@ -166,7 +167,7 @@ class System(Workspace):
         nc = max(self.nc, 1)
         self.zeros("contact_int", max(self.items, 1), CONTACT_INTS)
         self.zeros("contact_real", max(self.items, 1), CONTACT_REALS)
-        self.contact_real[:, START_SPEED] = np.inf
+        self.contact_real[:, [START_SPEED, LAST_SPEED]] = np.inf
         self.contact_real[:, LIMIT_SLACK] = FORCE_SLACK
         self.zeros("side_int", 2 * nc, SIDE_INTS)
         self.zeros("side_shape", 2 * nc, SHAPE_SIZE)

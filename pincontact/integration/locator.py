@@ -8,8 +8,8 @@ speed, the distance to the end of a contour) is positive while a mode holds.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
@@ -19,22 +19,25 @@ from ..layout import (
     DOMAIN,
     DOMAIN_EVENT,
     EVENT,
+    EVENTS_PER_CONTACT,
     GAP_EVENT,
-    NOTHING_THERE,
+    LEFT_ROW,
+    LOOK_ROW,
     OK,
+    RIGHT_ROW,
     SCAN_ROOM,
     SPEED_EVENT,
 )
 from .accuracy import gap_resolution
-from .crossings import find_crossings, find_valleys
+from .crossings import CROSSES, DIPS, ENDS, LEFT_OUT, NOT_SOUGHT, UNKNOWN, find_crossings, find_valleys
 from .open_contacts import OpenContacts
 from .runge_kutta import RungeKutta
 from .sign_changes import look_below_zero
-from .steps import FIND_ZERO
+from .steps import FIND_EARLIEST, FIND_ZERO, SCAN_ON
 
 # Samples of the dense output between which a sign change is looked for, all those of one scan: irregular, lest they all
 # be zeros of a sine.
-_PLACES = (0.0, 0.1137, 0.2419, 0.3871, 0.5093, 0.6361, 0.7493, 0.8829, 1.0)
+_PLACES = np.array([0.0, 0.1137, 0.2419, 0.3871, 0.5093, 0.6361, 0.7493, 0.8829, 1.0])
 assert len(_PLACES) == SCAN_ROOM
 # Steps that refine an event's time, and the change of time (relative to the step) that ends them, or by which the state
 # moves by this part of its tolerance.
@@ -45,12 +48,8 @@ _STANDS = 1e-2
 _SLOPE_OVER = 1e-4
 # No step to an event goes further beyond the step in which it was seen.
 _FURTHEST = 1.1
-# Looks for what crosses before the first crossing that was found, beyond one for each event function.
-_ROUNDS = 4
 # Ways are zero that are this part of what open gaps may be below it.
 _CLOSE = 0.1
-# Event functions that are negative by this part of what they were cross zero at the same time.
-_AT_ONCE = 1e-12
 # An event function that is this part of its largest size away from zero wherever steps went to make it zero has no zero
 # there.
 _NEXT_TO_NOTHING = 1e-6
@@ -60,38 +59,13 @@ _SPEED_ROUND_OFF = 1e-15
 
 @dataclass(frozen=True)
 class Crossing:
-    """A sign change at a fraction theta of the step: of event function `kind` of item c."""
+    """A sign change at a fraction theta of the step: of event function `kind` of item c; value: what that is there,
+    plus what it may be below zero."""
 
     theta: float
     c: int
     kind: int
-
-
-@dataclass(frozen=True)
-class _Sample:
-    """All event functions (items, EVENTS_PER_CONTACT) at a fraction theta of the step."""
-
-    theta: float
-    values: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Stretch:
-    """What is between two samples of the step from t of size `step`; roots: the samples at zeros that are known there,
-    by event function."""
-
-    t: float
-    step: float
-    left: _Sample
-    right: _Sample
-    roots: dict[tuple[int, int], _Sample] = field(default_factory=dict)
-
-
-def _zero_between(before: float, after: float) -> float:
-    """Where the straight line between two values at 0 and 1 is zero; 1 where they are infinite or the same."""
-    change = before - after
-    share = before / change if change != 0.0 else math.inf
-    return share if share < math.inf else 1.0
+    value: float
 
 
 class EventLocator:
@@ -108,18 +82,32 @@ class EventLocator:
     def first(self, t: float, step: float, begin: float = 0.0) -> Crossing | None:
         """The earliest crossing from the fraction `begin` of the step on; None where the alarm was false."""
         self._set_slack()
-        places = tuple(begin + (1.0 - begin) * place for place in _PLACES)
-        values = self._values(t, step, places)
-        places = places[: len(values)]
-        if len(places) < 2:
-            return None
-        places, values = self._with_lowest(t, step, places, values)
-        for i, group in groupby(self._found(find_crossings, values, self._open.apart), lambda found: found[0]):
-            left, right = (_Sample(places[k], values[k]) for k in (i, i + 1))
-            stretch = _Stretch(t, step, left, right)
-            crossed = [(c, kind) for _, c, kind in group if self._ends_mode(stretch, (c, kind))]
-            if crossed:
-                return self._earliest(stretch, crossed)
+        system = self.system
+        system.scan_shares[:SCAN_ROOM] = begin + (1.0 - begin) * _PLACES
+        system.counters["scan_count"] = met = 0
+        # gaps that end no mode, and the samples before
+        denied: set[tuple[float, int]] = set()
+        while not met & ENDS:
+            met = met & DIPS | system.run(SCAN_ON, t, step)
+            n = int(system.counters["scan_count"])
+            if not met & (CROSSES | DIPS) or n < 2:
+                continue
+            places, values = system.scan_shares[:n].tolist(), system.scan_event_functions[:n, : system.items]
+            if met & DIPS:
+                places, values = self._with_lowest(t, step, places, values)
+            for i, group in groupby(self._found(find_crossings, values, self._open.apart), lambda found: found[0]):
+                for row, k in ((LEFT_ROW, i), (RIGHT_ROW, i + 1)):
+                    system.scan_shares[row], system.scan_event_functions[row, : system.items] = places[k], values[k]
+                known: dict[tuple[int, int], float] = {}
+                crossed = []
+                for _, c, kind in group:
+                    if (places[i], c) not in denied or kind != GAP_EVENT:
+                        if self._ends_mode(t, step, c, kind, known):
+                            crossed.append((c, kind))
+                        else:
+                            denied.add((places[i], c))
+                if crossed:
+                    return self._earliest(t, step, crossed, known)
         return None
 
     # ---------------------------------------------------------------- values
@@ -133,28 +121,19 @@ class EventLocator:
         slack[nc:n, DOMAIN_EVENT] = slack[nc:n, GAP_EVENT]
         slack[:n, SPEED_EVENT] = _SPEED_ROUND_OFF * (1.0 + max(map(abs, system.v.tolist()), default=0.0))
 
-    def _values(self, t: float, step: float, thetas: Sequence[float]) -> np.ndarray:
-        """Event functions (n, items, EVENTS_PER_CONTACT) at fractions of the step, plus what they may be below zero;
-        there are fewer than fractions where one of them cannot be evaluated: those before it."""
-        known, found = self.system.scan(t, step, thetas)
-        return (found[: known.index(False)] if False in known else found).copy()
-
     def _with_lowest(
-        self, t: float, step: float, places: tuple[float, ...], values: np.ndarray
-    ) -> tuple[tuple[float, ...], np.ndarray]:
+        self, t: float, step: float, places: list[float], values: np.ndarray
+    ) -> tuple[list[float], np.ndarray]:
         """The samples at these places, and the lowest points of event functions between them, if they are negative
         there."""
-        valleys = self._found(find_valleys, values)
-        if not valleys:
-            return places, values
         samples = dict(zip(places, values))
-        for i, c, kind in valleys:
+        for i, c, kind in self._found(find_valleys, values):
             points = [(place, float(samples[place][c, kind])) for place in places[i : i + 3]]
             looked: dict[float, np.ndarray] = {}
             lowest = look_below_zero(self._function(t, step, (c, kind), looked), points)
             if lowest is not None and lowest[1] < 0.0:
                 samples[lowest[0]] = looked[lowest[0]]
-        return tuple(sorted(samples)), np.array([samples[place] for place in sorted(samples)])
+        return sorted(samples), np.array([samples[place] for place in sorted(samples)])
 
     def _function(
         self, t: float, step: float, which: tuple[int, int], known: dict[float, np.ndarray]
@@ -167,8 +146,8 @@ class EventLocator:
 
         def value(theta: float) -> float:
             if theta not in known:
-                values = self._values(t, step, [theta])
-                known[theta] = values[0] if len(values) else np.full_like(self.system.slack, math.inf)
+                exists, values = self.system.look(t, step, theta)
+                known[theta] = values.copy() if exists else np.full_like(values, math.inf)
             return float(known[theta][which])
 
         return value
@@ -177,64 +156,41 @@ class EventLocator:
 
     def _found(self, find: Callable[..., int], samples: np.ndarray, *given: np.ndarray) -> list[list[int]]:
         """What a kernel of `crossings` finds in samples: place, item, kind."""
+        samples = np.ascontiguousarray(samples)
         places = np.empty((samples.size, 3), dtype=np.int64)
         found: list[list[int]] = places[: find(samples, *given, places)].tolist()
         return found
 
-    def _ends_mode(self, stretch: _Stretch, crossed: tuple[int, int]) -> bool:
-        """Whether an event function that turns negative there ends a mode: a gap does between points inside both
-        domains only."""
-        c, kind = crossed
+    def _ends_mode(self, t: float, step: float, c: int, kind: int, known: dict[tuple[int, int], float]) -> bool:
+        """Whether an event function that turns negative between the samples on both sides ends a mode: a gap does
+        between points inside both domains only. known: zeros, which is added to."""
         if kind != GAP_EVENT or c >= self.system.nc:
             return True
-        root = self._root(stretch, crossed)
-        known = not np.isnan(root.values).any()
-        if known and self._open.are_apart(c, stretch.t + root.theta * stretch.step):
+        system = self.system
+        system.counters["sought_item"], system.counters["sought_kind"] = c, kind
+        system.run(FIND_ZERO, t, step)
+        known[c, kind] = theta = system.scan_shares.item(LOOK_ROW)
+        exists = bool(system.scan_status[LOOK_ROW] <= EVENT)
+        if exists and self._open.are_apart(c, t + theta * step):
             # where it is followed is not where it is nearest
             return False
-        inside = bool(known and self.system.contact_real[c, DOMAIN] >= 0.0)
+        inside = bool(exists and system.contact_real[c, DOMAIN] >= 0.0)
         if not inside:
             self._open.passed.add(c)
         return inside
 
-    def _earliest(self, stretch: _Stretch, crossed: list[tuple[int, int]]) -> Crossing:
-        """First of the event functions `crossed` that turn negative there.
-
-        The root of one is the next sample, at which most others are seen to cross later, and some to have been negative
-        in between.
-        """
-        found, left = None, stretch.left
-        # what has come down to that is zero there, too, as far as zeros are told apart
-        at_once = _AT_ONCE * np.where(left.values < NOTHING_THERE, left.values, 0.0)
-        for _ in range(len(crossed) + _ROUNDS):
-            # the one that is first on straight lines
-            shares = [_zero_between(left.values[pair].item(), stretch.right.values[pair].item()) for pair in crossed]
-            c, kind = crossed[shares.index(min(shares))]
-            root = self._root(stretch, (c, kind))
-            if found is not None and root.theta >= found.theta:
-                break
-            found, stretch = Crossing(root.theta, c, kind), _Stretch(stretch.t, stretch.step, left, root)
-            candidates = (root.values < -at_once) & (left.values > 0.0) & (left.values != NOTHING_THERE)
-            candidates[c, kind] = False
-            candidates[list(self._open.passed), GAP_EVENT] = False
-            crossed = [(c, kind) for c, kind in np.argwhere(candidates).tolist()]
-            if not crossed:
-                break
-        assert found is not None
-        return found
-
-    def _root(self, stretch: _Stretch, crossed: tuple[int, int]) -> _Sample:
-        """Where an event function turns negative there; its values are NaN where there are none."""
-        if crossed not in stretch.roots:
-            system, left, right = self.system, stretch.left, stretch.right
-            system.counters["sought_item"], system.counters["sought_kind"] = crossed
-            system.bracket[:4] = left.theta, left.values[crossed], right.theta, right.values[crossed]
-            system.run(FIND_ZERO, stretch.t, stretch.step)
-            values = system.scan_event_functions[0, : system.items].copy()
-            if system.scan_status[0] > EVENT:
-                values[:] = math.nan
-            stretch.roots[crossed] = _Sample(float(system.scan_shares[0]), values)
-        return stretch.roots[crossed]
+    def _earliest(
+        self, t: float, step: float, crossed: list[tuple[int, int]], known: dict[tuple[int, int], float]
+    ) -> Crossing:
+        """First of the event functions `crossed` that turn negative between the samples on both sides; known: zeros."""
+        system = self.system
+        system.sought[:] = NOT_SOUGHT
+        for pair in crossed:
+            system.sought[pair] = known.get(pair, UNKNOWN)
+        system.sought[list(self._open.passed), GAP_EVENT] = LEFT_OUT
+        c, kind = divmod(system.run(FIND_EARLIEST, t, step), EVENTS_PER_CONTACT)
+        value = system.scan_event_functions.item(RIGHT_ROW, c, kind)
+        return Crossing(system.scan_shares.item(RIGHT_ROW), c, kind, value)
 
     # ---------------------------------------------------------------- true steps
 
@@ -249,25 +205,28 @@ class EventLocator:
         back = max(h - _SLOPE_OVER * step, 0.5 * h)
         c, kind = crossing.c, crossing.kind
         self._set_slack()
-        ends = self._values(t, step, [back / step, h / step])
-        if len(ends) < 2:
+        exists, values = self.system.look(t, step, back / step)
+        if not exists or math.isnan(crossing.value):
             self.rk.attempt(t, h)
             return h, True
-        slope = float(ends[1][c, kind] - ends[0][c, kind]) / (h - back)
+        slope = (crossing.value - values.item(c, kind)) / (h - back)
         is_way = kind == GAP_EVENT or (kind == DOMAIN_EVENT and c >= self.system.nc)
         depth = float(self._depths[c]) if is_way else 0.0
         # ways were looked for where they are below zero by what open gaps may be, and are refined to zero
         below = float(self.system.slack[c, kind]) - depth
         if slope < 0.0:
-            h = max(h - (float(ends[1][c, kind]) - below) / slope, back)
+            h = max(h - (crossing.value - below) / slope, back)
         zero = _CLOSE * below
         before: tuple[float, float] | None = None
         # forces decide modes, and where they do the motion has no jump
         is_force = kind in FORCE_EVENTS
         denied, value, stands = True, 0.0, self._time_to_move()
+        change, begun = 0.0, h
         for _ in range(_REFINEMENTS):
-            if self.rk.attempt(t, h) != OK:
-                return h, True
+            if change * change > stands * begun or not self._move_on(t + h, change):
+                begun = h
+                if self.rk.attempt(t, h) != OK:
+                    return h, True
             value = float(self.system.event_functions[c, kind]) + depth
             if before is not None and before[0] != h:
                 slope = (value - before[1]) / (h - before[0])
@@ -286,6 +245,16 @@ class EventLocator:
             h = crossing.theta * step
             self.rk.attempt(t, h)
         return h, not denied
+
+    def _move_on(self, t: float, change: float) -> bool:
+        """Move the end of the last trial step on along its slope, by a time in s whose square counts for nothing: to t.
+        False where there is nothing to move, or it cannot be evaluated there."""
+        if change == 0.0:
+            return False
+        system = self.system
+        system.new_state += change * system.slopes[system.sizes["nstages"]]
+        self.rk.load(system.new_state)
+        return self.rk.evaluate(t) <= EVENT
 
     def _time_to_move(self) -> float:
         """Time in s in which the state at the step's start moves by `_STANDS` of its tolerance."""

@@ -188,9 +188,15 @@ class ModeChanges:
     def rests_on_redundant(self) -> bool:
         """Whether redundant forces of the modes move nothing: none slides."""
         system = self.system
-        items = [*system.closed(), *system.resisting()]
-        redundant = system.counters["row_count"] > system.counters["row_rank"]
-        return bool(redundant and (system.contact_int[items, MODE] != SLIPPING).all())
+        if not self._is_redundant():
+            return False
+        modes = system.contact_int[:, MODE].tolist()
+        return all(modes[i] != SLIPPING for i in [*system.closed(), *system.resisting()])
+
+    def _is_redundant(self) -> bool:
+        """Whether the rows of the last evaluation depend on each other."""
+        counters = self.system.counters
+        return bool(counters["row_count"] > counters["row_rank"])
 
     def redistribute(self, t: float, c: int, kind: int) -> bool:
         """Whether other ones among redundant forces keep all modes, of which event function `kind` of item c ends
@@ -224,6 +230,11 @@ class ModeChanges:
     def _is_limited(self, c: int, kind: int) -> bool:
         """Whether the last choice leaves item c at its limit, to the relative tolerance."""
         return kind == FRICTION_EVENT and c in self.at_limit(float(self.system.scale[0]))
+
+    def at_known_limit(self) -> list[int]:
+        """The items that stick at the limit of their friction as far as that is known: redundant forces are brought up
+        to it to the relative tolerance."""
+        return self.at_limit(max(_AT_LIMIT, self.system.scale.item(0)) if self._is_redundant() else _AT_LIMIT)
 
     def limiting(self, c: int, kind: int) -> tuple[int, int]:
         """The event function that ends a mode, where `kind` of contact c is zero and no other redundant forces would

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ..dynamics.system import System
-from ..layout import DENSE_ROWS, EVENT, EVENTS_PER_CONTACT, KEPT_ROWS, MAX_STAGES, POLYNOMIAL_SIZE, SCAN_ROOM
+from ..layout import DENSE_ROWS, EVENT, EVENTS_PER_CONTACT, LOOK_ROW, MAX_STAGES, POLYNOMIAL_SIZE, SCAN_ROOM, SCAN_ROWS
 from .accuracy import sizes_of_gaps
-from .steps import PROJECT, PROJECT_EVALUATED, SCAN, run_task
+from .steps import LOOK, PROJECT, PROJECT_EVALUATED, run_task
 
 # So many output times there is room for in every system.
 _FEW_TIMES = 256
@@ -33,11 +32,12 @@ class RunSystem(System):
         self.zeros("scale", 2)
         self.zeros("absolute", ny)
         self.scratch("across", 2 * items + 1, 2 * POLYNOMIAL_SIZE - 1)
-        self.scratch("scan_shares", SCAN_ROOM)
-        self.scratch("scan_status", SCAN_ROOM)
-        self.scratch("scan_event_functions", SCAN_ROOM + KEPT_ROWS, items, EVENTS_PER_CONTACT)
+        self.scratch("scan_shares", SCAN_ROWS)
+        self.scratch("scan_status", SCAN_ROWS)
+        self.scratch("scan_event_functions", SCAN_ROWS, items, EVENTS_PER_CONTACT)
         self.zeros("slack", items, EVENTS_PER_CONTACT)
-        self.scratch("bracket", 6)
+        self.scratch("sought", items, EVENTS_PER_CONTACT)
+        self.scratch("brackets", 3, SCAN_ROOM)
         # see `accuracy.set_accuracy`
         self.gap_sizes = sizes_of_gaps(self)
         self.gap_accuracy = self.finest_hops = self.lowest_hops = self.hop_speeds = np.zeros(self.items)
@@ -59,20 +59,15 @@ class RunSystem(System):
         """A task of `steps.run_task`; returns what it does, raises what `check_callbacks` does."""
         return self.checked(run_task(self.address, task, t, h))
 
-    def scan(self, t: float, step: float, shares: Sequence[float]) -> tuple[list[bool], np.ndarray]:
-        """Event functions plus `slack` along the step from t that was interpolated last, at shares of it, at most
-        SCAN_ROOM: (n,) whether they could be evaluated, (n, items, EVENTS_PER_CONTACT) a view that the next one
-        overwrites.
+    def look(self, t: float, step: float, share: float) -> tuple[bool, np.ndarray]:
+        """Event functions plus `slack` at a share of the step from t that was interpolated last: whether they could be
+        evaluated, and a view (items, EVENTS_PER_CONTACT) of a row that others overwrite.
 
         The gap of an open contact is NOTHING_THERE where no nearest point was found.
         """
-        n = len(shares)
-        self.scan_shares[:n] = shares
-        self.counters["scan_count"] = n
-        self.run(SCAN, t, step)
-        return [status <= EVENT for status in self.scan_status[:n].tolist()], self.scan_event_functions[
-            :n, : self.items
-        ]
+        self.scan_shares[LOOK_ROW] = share
+        self.run(LOOK, t, step)
+        return bool(self.scan_status[LOOK_ROW] <= EVENT), self.scan_event_functions[LOOK_ROW, : self.items]
 
     def project(self, t: float, evaluated: bool = False, error: float = math.inf) -> int:
         """Put (q, v) and location of `stage_state` on the constraints; returns a status of `layout`.

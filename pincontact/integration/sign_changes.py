@@ -18,7 +18,7 @@ RESOLVED, FAR = 1e-2, 0.125
 # Halvings of the interval: a jump is looked at no closer.
 _HALVINGS = 6
 # What stands for infinite values.
-_HUGE = 1e100
+HUGE = 1e100
 # Looks at the lowest point between two samples.
 _LOOKS = 3
 # Zeros of event functions in a step, as a part of it; looks for a zero, at most; round-off of places.
@@ -35,7 +35,7 @@ Samples = list[tuple[float, float]]
 def begin_bracket(bracket, place, value):
     """The first place at which a function is known that changes its sign behind it."""
     for i in range(3):
-        bracket[2 * i], bracket[2 * i + 1] = place, max(-_HUGE, min(value, _HUGE))
+        bracket[2 * i], bracket[2 * i + 1] = place, max(-HUGE, min(value, HUGE))
 
 
 @kernel
@@ -46,7 +46,7 @@ def narrow(bracket, place, value, accuracy):
     of the one before. By inverse quadratic interpolation where that is safe, else by bisection (Chandrupatla, Adv. Eng.
     Software 28 (1997) 145). Infinite values tell no more than their sign.
     """
-    value = max(-_HUGE, min(value, _HUGE))
+    value = max(-HUGE, min(value, HUGE))
     bracket[4], bracket[5] = bracket[0], bracket[1]
     if (value < 0.0) != (bracket[1] < 0.0):
         bracket[4], bracket[5], bracket[2], bracket[3] = bracket[2], bracket[3], bracket[0], bracket[1]

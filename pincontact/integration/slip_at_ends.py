@@ -12,6 +12,9 @@ from ..jit import NOTHING, kernel
 from ..layout import (
     FROZEN,
     LAST_NORMAL_X,
+    LAST_RATE,
+    LAST_SPEED,
+    LAST_STEP,
     MODE,
     MU,
     NEXT_NORMAL_X,
@@ -33,6 +36,10 @@ from ..linalg import inner, whiten
 # the error of a step leaves slip its direction.
 _STOP_FRACTION = 0.8
 _FORETOLD, _LEAST_LEFT, _SHORT = 4.0, 1e-3, 0.3
+# Part of what the last linear step may leave out that steps are to leave to it.
+_MARGIN = 0.1
+# Steps of Newton's method to the end of a polynomial, and the change, relative to the way, that ends them.
+_NEWTON_STEPS, _KNOWN = 8, 1e-9
 # Slip has ended once its speed is down to the error that steps are allowed to make in it, where its direction is noise,
 # or once one linear step to its end leaves out no more than a part of that error. Where steps no longer get anywhere
 # near the end, the speed that counts as ended is doubled at every trial step, so many times at most.
@@ -74,6 +81,7 @@ def note_end(system):
             allowed = max(allowed, value)
         number[START_TOLERANCE] = allowed
         _foretell_stop(system, c, before, rate)
+        number[LAST_SPEED], number[LAST_RATE], number[LAST_STEP] = before, rate, system.scalars.step
     system.scalars.turning_rate = turning
 
 
@@ -95,6 +103,11 @@ def _foretell_stop(system, c, before, rate_before):
     basis, slip, along = system.basis[c], system.slip[c], system.relative_acceleration[c]
     turned = abs(dot(basis[0], slip) * along[1] - dot(basis[1], slip) * along[0]) / speed * left
     number[STOP_ERROR] = max(max(missed, turned), 0.5 * speed * left)
+    bend = abs(rate - rate_before) / h
+    near = _near_end(number, h, before, rate_before, turned, bend)
+    if near > 0.0:
+        number[STOP_TIME] = near
+        return
     # on the parabola that the rates give, whose second derivative is that half a step ago
     square = rate * rate - 2.0 * (rate - rate_before) / h * speed
     if not square > 0.0:
@@ -104,10 +117,50 @@ def _foretell_stop(system, c, before, rate_before):
     part = way / h
     if part < _SHORT:
         error = abs(speed - before - 0.5 * h * (rate + rate_before)) * part * part * (2.0 * part + 3.0) + turned
-        # no nearer than one linear step may go
-        near = way - math.sqrt(LEFT_OUT * number[START_TOLERANCE] / -rate)
-        near = min(near, (1.0 - _LEAST_LEFT) * way - _FORETOLD * error / last_rate)
+        near = _before(number, way, error / last_rate, bend)
         number[STOP_TIME] = max(_STOP_FRACTION * min(way, left), near)
+
+
+@kernel
+def _before(number, way, error, bend):
+    """How far a step may go that ends before slip does, on a way that is known with this error, both in s; bend: how
+    fast its rate changes, in m/s^3."""
+    # no nearer than one linear step goes with a margin, which leaves out half the rate, and half the bend, times t^2
+    near = way - math.sqrt(_MARGIN * LEFT_OUT * number[START_TOLERANCE] / max(-number[START_RATE], bend))
+    return min(near, (1.0 - _LEAST_LEFT) * way - _FORETOLD * error)
+
+
+@kernel
+def _near_end(number, h, before, rate_before, turned, bend):
+    """The same on the polynomial of the speeds and rates now, h ago and a step before that, 0 where that tells nothing;
+    its last term is taken for its error. turned: a further one, in m/s; bend: see `_before`."""
+    speed, rate, back = number[START_SPEED], number[START_RATE], h + number[LAST_STEP]
+    if not (number[LAST_SPEED] < math.inf and number[LAST_STEP] > 0.0):
+        return 0.0
+    # divided differences (Newton, Hermite), each node twice
+    now, past, ago = (speed - before) / h, (before - number[LAST_SPEED]) / number[LAST_STEP], number[LAST_STEP]
+    a, b = (rate - now) / h, (now - rate_before) / h
+    c, d = (rate_before - past) / ago, (past - number[LAST_RATE]) / ago
+    third, c, d = (a - b) / h, (b - c) / back, (c - d) / ago
+    fourth, c = (third - c) / back, (c - d) / back
+    fifth = (fourth - c) / back
+    x = speed / -rate
+    for _ in range(_NEWTON_STEPS):
+        near, square = x + h, x * x * (x + h) * (x + h)
+        value = speed + x * (rate + x * (a + near * third)) + square * (fourth + (x + back) * fifth)
+        slope = rate + x * (2.0 * a + (3.0 * x + 2.0 * h) * third)
+        slope += 2.0 * x * near * (x + near) * (fourth + (x + back) * fifth) + square * fifth
+        if not slope < 0.0:
+            return 0.0
+        change = value / -slope
+        x += change
+        if not 0.0 < x <= back:
+            return 0.0
+        if abs(change) <= _KNOWN * x:
+            break
+    error = abs(fifth * x * x * (x + h) * (x + h) * (x + back)) + turned + abs(change * slope)
+    near = _before(number, x, error / -slope, bend)
+    return near if near > _STOP_FRACTION * x else 0.0
 
 
 @kernel

@@ -82,6 +82,8 @@ class SlipOnset:
         self.open, self.depths = opened, depths
         self.longest = 0.0
         self.age = 0.0
+        # items whose slip could not be followed from their limits the last time
+        self._lost: set[int] = set()
         self.emit: Callable[[float, float], None] = lambda t, step: None
         # the cube root of the relative tolerance, and no more than a hundredth of the run
         cube_root = (1e-2 * max(float(self.system.scale[0]), 1e-14)) ** (1.0 / 3.0)
@@ -155,7 +157,7 @@ class SlipOnset:
         changes.project(t)
         self.rk.accept()
         # the friction that stick asks for at its limit is against the slip to come
-        limits = {i: self._limit(i) for i in {c, *changes.at_limit()}}
+        limits = {i: self._limit(i) for i in {c, *changes.at_known_limit()}}
         start_q, start_v = system.q.copy(), system.v.copy()
         took = self._follow_limits(t, limits)
         if took is not None:
@@ -172,7 +174,9 @@ class SlipOnset:
             if c in started:
                 freeze_slip(system, c, system.basis[c, :2] @ limits[c])
             span = max(self.longest, self._until_shown(min(decision.started.values()) / tau, 2))
-            took = self._follow(t, dict.fromkeys(started, 2), span, _SHORTEST_START * tau)
+            # what could not be followed from its limits cannot from here
+            if self._lost != set(started):
+                took = self._follow(t, dict.fromkeys(started, 2), span, _SHORTEST_START * tau)
             if took is not None:
                 return self._end(t, took, system.new_state)
             # not even a short start can be followed: seed the slip as close to its beginning as v_c can show it
@@ -189,23 +193,28 @@ class SlipOnset:
     def _follow_limits(self, t: float, limits: Mapping[int, np.ndarray]) -> float | None:
         """Follow the slip of items at their limits in these directions; how long in s, None where that did not do and
         nothing has changed."""
-        system, items = self.system, [*limits]
-        numbers, modes = system.contact_real[items], system.contact_int.copy()
+        system, items, solver = self.system, [*limits], self.changes.modes
+        numbers, modes, forces = system.contact_real[items], system.contact_int.copy(), solver.reference()
         known = (numbers[:, MU] == numbers[:, MU_STATIC]) & np.isfinite(numbers[:, MU]) & (modes[items, TANGENTS] == 2)
-        counters = system.counters
-        # in a shorter time slip may not show; redundant forces are others in slip
-        if self.longest < self.seed or not known.all() or counters["row_rank"] < counters["row_count"]:
+        self._lost.clear()
+        # in a shorter time slip may not show
+        if self.longest < self.seed or not known.all():
             return None
         for c, direction in limits.items():
             freeze_slip(system, c, system.basis[c, :2] @ direction)
-        took = self._follow(
-            t, dict.fromkeys(items, 2), min(self.longest, self.until_touch()), _SHORTEST_START * self.seed
-        )
-        if took is None or not self._shows(t + took, items):
-            system.contact_int[:] = modes
-            self.changes.evaluate_accepted(t)
-            return None
-        return took
+        span = min(self.longest, self.until_touch())
+        redundant = system.counters["row_rank"] < system.counters["row_count"]
+        # what still sticks may hold what has redundant forces at its limit, and loads are others in slip
+        if not redundant or (not self.changes.sticking() and solver.choose(t, self.rk.evaluate)):
+            took = self._follow(t, dict.fromkeys(items, 2), span, _SHORTEST_START * self.seed)
+            if took is None:
+                self._lost.update(items)
+            elif self._shows(t + took, items):
+                return took
+        system.contact_int[:] = modes
+        solver.take_back(forces)
+        self.changes.evaluate_accepted(t)
+        return None
 
     def _shows(self, t: float, items: list[int]) -> bool:
         """Whether slips are there at the end of the last trial step: no slower than what counts as rest, where v_c has

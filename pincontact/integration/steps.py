@@ -14,13 +14,14 @@ from ..geometry.chart_changes import change_charts
 from ..jit import BOOLEAN, INTEGER, REAL, entry_kernel, kernel
 from ..layout import EVENT, OK, SYSTEM, system_at
 from .approach import bound_speeds, stay_apart
+from .crossings import find_earliest, find_zero, look, scan_on
 from .projection import TO_KEEP, TO_SHOW, TO_STEP_ON, project, project_places
 from .recording import BLOCK, output_done, record_row
 from .resolution import set_event_functions_aside, take_event_functions_up
 from .slip_at_ends import begin_next, note_end, slip_ends, time_to_stop, watch_slips
 from .stages import fill_slope, hand_over, keep_velocity
 from .step_control import BATCH, FAILED_FACTOR, SLIVER, first_step, irregular, next_step
-from .trial_steps import across_slip, find_zero, interpolation, keep_slope, load_interpolated, scan, start, trial_step
+from .trial_steps import across_slip, interpolation, keep_slope, load_interpolated, start, trial_step
 
 # What `run_task` does.
 (
@@ -41,10 +42,12 @@ from .trial_steps import across_slip, find_zero, interpolation, keep_slope, load
     ACROSS_SLIP,
     FIRST_STEP,
     KEEP_VELOCITY,
-    SCAN,
+    LOOK,
     BOUND_SPEEDS,
+    SCAN_ON,
     FIND_ZERO,
-) = range(20)
+    FIND_EARLIEST,
+) = range(22)
 
 # What INTEGRATE comes back with.
 (
@@ -243,7 +246,7 @@ def run_task(address, task, t, h):
     """All tasks behind one entry, since they share their parts.
 
     Returns a status of `layout`; for the INTEGRATE tasks, which take their times from the scalars, what they came back
-    for.
+    for; for SCAN_ON and FIND_EARLIEST what these find.
     """
     return _run(system_at(address), task, t, h)
 
@@ -276,12 +279,16 @@ def _run(system, task, t, h):
     if task == FIRST_STEP:
         first_step(system, t, h)
         return OK
-    if task == SCAN:
-        scan(system, t, h)
+    if task == LOOK:
+        look(system, t, h)
         return OK
+    if task == SCAN_ON:
+        return scan_on(system, t, h)
     if task == FIND_ZERO:
-        find_zero(system, t, h)
+        find_zero(system, t, h, system.counters.sought_item, system.counters.sought_kind)
         return OK
+    if task == FIND_EARLIEST:
+        return find_earliest(system, t, h)
     if task == BOUND_SPEEDS:
         bound_speeds(system)
         return OK

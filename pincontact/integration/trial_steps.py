@@ -14,11 +14,7 @@ from ..layout import EVENT, EVENTS_PER_CONTACT, FROZEN, NOT_FINITE, OK, POLYNOMI
 from ..workspace import flat
 from .dense import dense_coefficients, interpolate
 from .resolution import event_function_error, keep_event_functions
-from .sign_changes import ACCURACY, LOOKS_FOR_ZERO, begin_bracket, narrow, zero_in
 from .stages import build_state, error_norm, evaluate, fill_slope, hand_over
-
-# Halvings of the part of a step in which a mode may hold that was entered on its boundary.
-_BISECTIONS = 40
 
 
 @kernel
@@ -112,63 +108,6 @@ def load_interpolated(system, theta):
     """Hand over the state at the fraction theta of the step that was interpolated last."""
     interpolate(system.dense, system.state, system.counters.dense_nested, theta, system.stage_state)
     hand_over(system, system.stage_state)
-
-
-@separate_kernel(NOTHING, SYSTEM.type, REAL, REAL)
-def scan(system, t, h):
-    """Event functions at SCAN_SHARES of the step from t of size h that was interpolated last: see `RunSystem.scan`."""
-    for i in range(system.counters.scan_count):
-        _look(system, t, h, i)
-
-
-@kernel
-def _look(system, t, h, i):
-    """Event functions plus slack at share number i."""
-    share, found = system.scan_shares[i], system.scan_event_functions
-    load_interpolated(system, share)
-    system.scan_status[i] = evaluate(system, t + share * h, 0)
-    for c in range(count_items(system)):
-        for kind in range(EVENTS_PER_CONTACT):
-            found[i, c, kind] = system.event_functions[c, kind] + system.slack[c, kind]
-
-
-@kernel
-def _sought(system, t, h, share):
-    """The event function whose zero is sought; where it cannot be evaluated is beyond the zero."""
-    system.scan_shares[0] = share
-    _look(system, t, h, 0)
-    if system.scan_status[0] > EVENT:
-        return -1.0
-    return system.scan_event_functions[0, system.counters.sought_item, system.counters.sought_kind]
-
-
-@separate_kernel(NOTHING, SYSTEM.type, REAL, REAL)
-def find_zero(system, t, h):
-    """Where an event function turns negative, between the first two shares of the step in BRACKET; the values there, or
-    as near before or behind it as is told apart, are those of the first share of a scan."""
-    bracket = system.bracket
-    low, before, high, after = bracket[0], bracket[1], bracket[2], bracket[3]
-    for _ in range(_BISECTIONS):
-        if before > 0.0:
-            break
-        # the mode was entered on its boundary: look for the part where it holds first
-        share = low + 0.5 * (high - low)
-        value = _sought(system, t, h, share)
-        if value > 0.0:
-            low, before = share, value
-        else:
-            high, after = share, value
-    found = low
-    if before > 0.0:
-        begin_bracket(bracket, low, before)
-        share = narrow(bracket, high, after, ACCURACY)
-        for _ in range(LOOKS_FOR_ZERO):
-            if math.isnan(share):
-                break
-            share = narrow(bracket, share, _sought(system, t, h, share), ACCURACY)
-        found = zero_in(bracket)
-    if system.scan_shares[0] != found:
-        _sought(system, t, h, found)
 
 
 @separate_kernel(INTEGER, SYSTEM.type, REAL, REAL)

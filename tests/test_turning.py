@@ -91,8 +91,11 @@ def test_rolling_ends_at_an_event(law, bilateral):
     assert np.abs(run.v[rests]).max() <= 1e-13
     track = run.contacts["c"]
     axis = np.array([-math.sin(direction), math.cos(direction), 0.0])
-    expected = np.outer(np.ones(np.sum(~rests) - 1), law.rolling * MASS * G * axis)
-    np.testing.assert_allclose(track.torque[~rests][:-1], expected, rtol=0.0, atol=1e-9)
+    # slower it has a direction that is known no better than that
+    rolls = np.linalg.norm(run.v[:, :3], axis=1) > 1e-4 * speed
+    assert rolls.sum() > 5
+    expected = np.outer(np.ones(rolls.sum()), law.rolling * MASS * G * axis)
+    np.testing.assert_allclose(track.torque[rolls], expected, rtol=0.0, atol=1e-9)
     assert np.abs(run.energies().balance).max() <= run.energies().kinetic[0] * ACCURATE
 
 

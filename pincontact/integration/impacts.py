@@ -10,7 +10,7 @@ from ..dynamics.energy import REST_SPEED
 from ..dynamics.impact import apply_impact
 from ..dynamics.modes import rest_mode
 from ..layout import EVENT, FREE, FRICTIONLESS, MODE, MU, NO_FORCE, SLIP_RATE, SLIP_SPEED, SLIPPING, STICK, UNILATERAL
-from .accuracy import count_hop, gap_rate, gap_resolution
+from .accuracy import count_hop, gap_rate, gap_resolution, rest_speed
 from .jams import may_stop, stop_jammed, stop_slips
 from .penetration import Penetration
 from .results import ADVICE, FAILURES, GAP_TOLERANCE, Stop
@@ -75,15 +75,33 @@ class Impacts:
                 return self.touch(t, c)
         return self.collide(t, [], {})
 
+    def jam(self, t: float) -> float | None:
+        """Impact without collision, where forces in slip have grown without bound; the new time, None where no impulses
+        change slips."""
+        system, changes = self.system, self.changes
+        integers, limits, slips = system.contact_int.copy(), system.joint_int.copy(), system.slip.copy()
+        modes = integers[:, MODE]
+        after = self.collide(t, [], {}, jammed=True)
+        if np.abs(system.slip - slips)[modes == SLIPPING].max(initial=0.0) <= rest_speed(system):
+            system.contact_int[:], system.joint_int[:] = integers, limits
+            self.rk.load(system.state)
+            changes.evaluate_rows(t)
+            return None
+        for c in [*system.closed(), *system.resisting()]:
+            slid, slides = modes[c] == SLIPPING, bool(system.contact_int[c, MODE] == SLIPPING)
+            if slid != slides or (slides and system.slip[c] @ slips[c] <= 0.0):
+                self.reports.announce_friction(t, c, slides)
+        return after
+
     def _rebounds(self, c: int) -> bool:
         """Whether contact c comes in so fast that it leaves again."""
         return -self.restitution[c] * gap_rate(self.system, c) > REST_SPEED
 
-    def collide(self, t: float, touching: list[int], restitution: dict[int, float]) -> float:
+    def collide(self, t: float, touching: list[int], restitution: dict[int, float], jammed: bool = False) -> float:
         """Impulses on all closed contacts and ends of joints, then new modes from the velocities after them.
 
         touching: contacts that have struck, whose modes the caller announces; restitution: coefficients of those that
-        rebound.
+        rebound; jammed: see `apply_impact`.
         """
         system, changes = self.system, self.changes
         changes.started.clear()
@@ -92,7 +110,7 @@ class Impacts:
         closed, ends = system.closed(), self.joints.held_at_ends()
         deep = any(c in self.penetration.contacts for c in closed)
         energy = sum(changes.energies()) if deep else 0.0
-        impact = apply_impact(system, changes.modes.solver, closed, list(ends), restitution, {*touching, *near})
+        impact = apply_impact(system, changes.modes.solver, closed, list(ends), restitution, {*touching, *near}, jammed)
         if impact is None:
             names = ", ".join(repr(self.reports.names[i]) for i in touching or closed) or "a joint's limit"
             raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}; {ADVICE}")

@@ -134,7 +134,7 @@ class _Problem(ContactProblem):
 
         super().__init__(system, relative)
         mu = system.contact_real[:, MU].copy()
-        mu[closed] = [_coefficient(system, c) for c in closed]
+        mu[closed] = [coefficient(system, c) for c in closed]
         holding = mu.copy()
         rested = [c for c in closed if integers[c, MODE] == STICK and c not in struck]
         holding[rested] = system.contact_real[rested, MU_STATIC]
@@ -205,7 +205,7 @@ def _time_ahead(system: System, closed: list[int]) -> float:
     return _AHEAD * float(np.abs(slip).max(initial=0.0)) / largest if largest > 0.0 else 0.0
 
 
-def _coefficient(system: System, c: int) -> float:
+def coefficient(system: System, c: int) -> float:
     """Coefficient of friction of contact c at its present speed of slip."""
     numbers = system.contact_real[c]
     if numbers[STRIBECK_SPEED] == 0.0:

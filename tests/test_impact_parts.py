@@ -284,13 +284,13 @@ def test_impulses_obey_the_laws_of_all_units(kept, seed):
 
 def test_coefficients_at_the_speed_before():
     system = colliding(2)
-    assert impact._coefficient(system, 3) == system.contact_real[3, MU]
+    assert impact.coefficient(system, 3) == system.contact_real[3, MU]
     system.contact_real[:, STRIBECK_SPEED] = 0.5
     system.contacts = [SimpleNamespace(friction=pc.Stribeck(0.2, 0.6, 0.5))] * 6
     for c, tangents in ((3, 2), (5, 1)):
         speed = np.linalg.norm(velocities_of(system)[c, :tangents])
         expected = 0.2 + 0.4 * math.exp(-((speed / 0.5) ** 2))
-        assert impact._coefficient(system, c) == pytest.approx(expected, rel=1e-12)
+        assert impact.coefficient(system, c) == pytest.approx(expected, rel=1e-12)
 
 
 def test_work_on_drives_is_what_the_joints_receive_besides(monkeypatch):
@@ -345,3 +345,16 @@ def test_missing_rows_are_as_heavy_as_the_others():
     gram, weights = delassus(stack)
     assert weights == pytest.approx([0.0, 0.0, 0.04, 1.0, 1.0, 1.0], abs=1e-16)
     assert gram == pytest.approx(np.diag([0.01, 0.04, 0.04, 1.0, 1.0, 1.0]), abs=1e-16)
+
+
+@pytest.mark.parametrize("size", [(5, 4), (61, 61), (120, 40)])
+def test_large_products_are_made_in_parts(size):
+    """Columns that are missing, two of three as those of joints or whole units, and more than BLAS does alone."""
+    rng = np.random.default_rng(sum(size))
+    nv, n = size
+    stack = rng.normal(size=(nv, 3 * n)) * np.tile([0.0, 0.0, 1.0] if nv > 100 else [1.0, 0.0, 1.0], n)
+    stack[:, :3] = 0.0
+    gram, weights = delassus(stack)
+    # round-off of sums of up to 120 numbers
+    np.testing.assert_allclose(gram - np.diag(weights), stack.T @ stack, rtol=0.0, atol=1e-12 * nv)
+    np.testing.assert_array_equal(weights > 0.0, ~stack.any(axis=0))

@@ -28,6 +28,7 @@ from ..layout import (
     TIME_DEPENDENT,
 )
 from .energy import ENERGY_SLACK, KEPT_ACCURACY
+from .equations import PAINLEVE_LIMIT
 from .units import ContactProblem, unwhiten, whitened_velocity
 
 if TYPE_CHECKING:
@@ -35,6 +36,11 @@ if TYPE_CHECKING:
 
 # Coefficients that stand in for infinite ones where redundant contacts' ideal rolling contradicts itself by round-off.
 _LARGE_FRICTION = (LARGE_FRICTION, 1e2)
+# What accelerates, as a part of the slip, where an impact without collision is looked for: solvers know velocities to a
+# hundredth of that.
+_AHEAD = 1e-8
+# Friction is as much larger there as takes slip beyond where it counts as jammed.
+_BEYOND = 1.0 + 10.0 * PAINLEVE_LIMIT
 
 
 @dataclass(frozen=True)
@@ -54,18 +60,26 @@ def apply_impact(
     ends: list[int],
     restitution: dict[int, float],
     struck: Collection[int] = (),
+    jammed: bool = False,
 ) -> Impact | None:
     """Change the system's v by the impulses of an impact; None if no impulses satisfy the laws.
 
     Uses rows, v_c and the factor of M of the last evaluation. closed: contacts that take part; ends: guarded joint
     coordinates that are held at an end; restitution: contact -> coefficient, applied to the approach speed of v_c, 0
-    for others, and lowered where it would create energy (`energy`); struck: contacts that were open before.
+    for others, and lowered where it would create energy (`energy`); struck: contacts that were open before; jammed:
+    an impact without collision, which no impulses would solve, too: the one that time stepping finds, however short its
+    steps, is the solution with what accelerates in a short time, and then without it.
 
     Tangential impulses obey Coulomb's law with the final slip velocity. The coefficient is that of the speed of slip
     before; what was at rest holds up to that of sticking, and has that of sliding if it does not hold.
     """
-    problem = _Problem(system, closed, ends, restitution, struck)
+    problem = _Problem(system, closed, ends, restitution, struck, jammed)
     kept, low, high = 1.0, 0.0, 1.0
+    if jammed:
+        pushed = _Problem(system, closed, ends, restitution, struck, True, _time_ahead(system, closed))
+        if pushed.solve(solver, kept) is None:
+            return None
+        problem.near = pushed.forces
     while True:
         y = problem.solve(solver, kept)
         if y is None:
@@ -91,7 +105,12 @@ def apply_impact(
 
 
 class _Problem(ContactProblem):
-    """The problem of one impact, in whitened changes of velocity y = L (v+ - v-)."""
+    """The problem of one impact, in whitened changes of velocity y = L (v+ - v-).
+
+    near: forces of the solver's last solution, to start from; None: from none.
+    """
+
+    near: np.ndarray | None = None
 
     def __init__(
         self,
@@ -100,20 +119,27 @@ class _Problem(ContactProblem):
         ends: list[int],
         restitution: dict[int, float],
         struck: Collection[int] = (),
+        jammed: bool = False,
+        ahead: float = 0.0,
     ) -> None:
         integers = system.contact_int
 
         def relative(item: int, rows: list[int]) -> np.ndarray:
             # of joint coordinates the third number is the velocity itself
             on_joint = system.nc <= item < system.nc + system.ng
-            return system.slip[item, rows] if on_joint else system.basis[item, rows] @ system.slip[item]
+            speed = system.slip[item, rows] if on_joint else system.basis[item, rows] @ system.slip[item]
+            if ahead > 0.0:
+                speed = speed + ahead * (system.rows[item, rows] @ system.free_acceleration + system.bias[item, rows])
+            return speed
 
         super().__init__(system, relative)
         mu = system.contact_real[:, MU].copy()
-        mu[closed] = [_coefficient(system, c) for c in closed]
+        mu[closed] = [coefficient(system, c) for c in closed]
         holding = mu.copy()
         rested = [c for c in closed if integers[c, MODE] == STICK and c not in struck]
         holding[rested] = system.contact_real[rested, MU_STATIC]
+        if jammed:
+            mu, holding = _BEYOND * mu, _BEYOND * holding
         self.add_contacts(closed, holding)
         self.contacts = len(self.units)
         for g in ends:
@@ -142,10 +168,10 @@ class _Problem(ContactProblem):
                     return None
                 self.forces, modes = np.where(self.weights > 0.0, 0.0, solver.forces), solver.modes
             else:
-                loads, nothing = replace(self.posed, base=b, mu=mu), np.zeros(b.size)
-                self.forces, residual = loads.refine(nothing)
+                loads, start = replace(self.posed, base=b, mu=mu), np.zeros(b.size) if self.near is None else self.near
+                self.forces, residual = loads.refine(start)
                 if not residual <= TOLERANCE:
-                    self.forces, residual = loads.solve(nothing)
+                    self.forces, residual = loads.solve(start)
                 if not residual <= TOLERANCE:
                     return None
                 modes = loads.modes(self.forces)
@@ -157,7 +183,7 @@ class _Problem(ContactProblem):
 
     def _solve_cones(self, solver: ContactSolver, b: np.ndarray, mu: np.ndarray) -> bool:
         ideal = np.isinf(mu)
-        return solver.solve(self.gram, b, mu, afresh=True) or (
+        return solver.solve(self.gram, b, mu, afresh=self.near is None) or (
             bool(ideal.any())
             and any(solver.solve(self.gram, b, np.where(ideal, large, mu), afresh=True) for large in _LARGE_FRICTION)
         )
@@ -171,7 +197,15 @@ class _Problem(ContactProblem):
         return float(terms[:split].sum()), float(terms[split:].sum()), float(size)
 
 
-def _coefficient(system: System, c: int) -> float:
+def _time_ahead(system: System, closed: list[int]) -> float:
+    """Time in s in which contacts accelerate by a part of their slip that is small, and not lost in round-off."""
+    slip = np.einsum("cij,cj->ci", system.basis[closed], system.slip[closed])
+    rates = system.rows[closed] @ system.free_acceleration + system.bias[closed]
+    largest = float(np.abs(rates).max(initial=0.0))
+    return _AHEAD * float(np.abs(slip).max(initial=0.0)) / largest if largest > 0.0 else 0.0
+
+
+def coefficient(system: System, c: int) -> float:
     """Coefficient of friction of contact c at its present speed of slip."""
     numbers = system.contact_real[c]
     if numbers[STRIBECK_SPEED] == 0.0:

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 # Equations that combine to less than this, relative to their size, are redundant, and of units what they leave of less.
 REDUNDANT = 1e-9
+# Multiplications up to which BLAS does a product in one thread.
+_ALONE = 2**17
 
 
 def whiten(system: System, row: np.ndarray) -> np.ndarray:
@@ -228,7 +230,7 @@ def delassus(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     A missing row becomes an isolated one as heavy as the unit's real ones, since the solver scales by their mean.
     """
-    gram = stack.T @ stack
+    gram = _products(stack)
     diagonal = gram.diagonal().copy()
     if all(diagonal.tolist()):
         return gram, np.zeros(diagonal.size)
@@ -236,3 +238,17 @@ def delassus(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     weights = np.where(diagonal == 0.0, np.where(largest > 0.0, largest, 1.0), 0.0)
     gram.flat[:: len(gram) + 1] += weights
     return gram, weights
+
+
+def _products(stack: np.ndarray) -> np.ndarray:
+    """(n, n) products of n columns, many of which may be zero: those of joints have one row of three. BLAS does small
+    ones alone; for large ones it starts threads that turn idly for longer than all takes."""
+    nv, n = stack.shape
+    if nv * n * n <= _ALONE:
+        return stack.T @ stack
+    out, real = np.zeros((n, n)), np.flatnonzero(stack.any(axis=0))
+    columns = np.ascontiguousarray(stack[:, real])
+    count = max(_ALONE // (nv * max(real.size, 1)), 1)
+    for k in range(0, real.size, count):
+        out[np.ix_(real[k : k + count], real)] = columns[:, k : k + count].T @ columns
+    return out

@@ -36,7 +36,7 @@ from ..layout import (
 from .contradictions import projection_failure
 from .dense import Interpolant
 from .events import UserEvent, UserEvents
-from .jams import held_up, may_stop
+from .jams import held_up
 from .locator import Crossing, EventLocator
 from .outputs import Outputs, no_dense_output
 from .pieces import Pieces
@@ -415,9 +415,10 @@ class Driver:
         failure = int(self.system.counters["failure"])
         self.rk.load(self.system.state)
         self.transitions.changes.evaluate_rows(t)
-        if not may_stop(self.system):
+        after = self.transitions.end_jams(t)
+        if after is None:
             raise self.transitions.reports.failure(t, failure)
-        t = self.transitions.end_jams(t)
+        t = after
         self._after(t)
         self._restart(self.transitions.onset.seed)
         return t

@@ -6,11 +6,28 @@ import math
 
 import numpy as np
 
+from ..dynamics.contact_modes import held_up_by_friction
+from ..dynamics.directions import slip_direction
 from ..dynamics.energy import REST_SPEED
-from ..dynamics.impact import apply_impact
+from ..dynamics.friction_scaling import associated
+from ..dynamics.impact import apply_impact, coefficient
 from ..dynamics.modes import rest_mode
-from ..layout import EVENT, FREE, FRICTIONLESS, MODE, MU, NO_FORCE, SLIP_RATE, SLIP_SPEED, SLIPPING, STICK, UNILATERAL
-from .accuracy import count_hop, gap_rate, gap_resolution
+from ..dynamics.units import REDUNDANT, unwhiten, whiten
+from ..layout import (
+    EVENT,
+    FREE,
+    FRICTIONLESS,
+    MODE,
+    MU,
+    NO_FORCE,
+    SLIP_RATE,
+    SLIP_SPEED,
+    SLIPPING,
+    STICK,
+    TANGENTS,
+    UNILATERAL,
+)
+from .accuracy import count_hop, gap_rate, gap_resolution, rest_speed
 from .jams import may_stop, stop_jammed, stop_slips
 from .penetration import Penetration
 from .results import ADVICE, FAILURES, GAP_TOLERANCE, Stop
@@ -18,6 +35,10 @@ from .slip_onset import SlipOnset
 
 # After an impact what leaves faster than this, in m/s, opens.
 _LEAVING_SPEED = 1e-3 * REST_SPEED
+# Slip this many times faster than a hop goes on in its direction when friction of the hop's impulse is taken from it.
+_FASTER = 2.0
+# What so many times the least change of velocity would do is no hop's friction, but a jam's.
+_JAMS = 10.0
 
 
 class Impacts:
@@ -30,8 +51,8 @@ class Impacts:
         self.onset, self.penetration, self.restitution = onset, penetration, restitution
         self.changes, self.system, self.rk = onset.changes, onset.system, onset.rk
         self.joints, self.reports = self.changes.joints, self.changes.reports
-        # m/s: the fastest slip that the last impact left
-        self._rubbing = 0.0
+        # m/s: the slips that the last impact left
+        self._rubbing = np.zeros(0)
 
     def touch(self, t: float, c: int) -> float:
         """Contact c closes: impulses on all closed contacts, then new modes from the velocities after them."""
@@ -76,15 +97,33 @@ class Impacts:
                 return self.touch(t, c)
         return self.collide(t, [], {})
 
+    def jam(self, t: float) -> float | None:
+        """Impact without collision, where forces in slip have grown without bound; the new time, None where no impulses
+        change slips."""
+        system, changes = self.system, self.changes
+        integers, limits, slips = system.contact_int.copy(), system.joint_int.copy(), system.slip.copy()
+        modes = integers[:, MODE]
+        after = self.collide(t, [], {}, jammed=True)
+        if np.abs(system.slip - slips)[modes == SLIPPING].max(initial=0.0) <= rest_speed(system):
+            system.contact_int[:], system.joint_int[:] = integers, limits
+            self.rk.load(system.state)
+            changes.evaluate_rows(t)
+            return None
+        for c in [*system.closed(), *system.resisting()]:
+            slid, slides = modes[c] == SLIPPING, bool(system.contact_int[c, MODE] == SLIPPING)
+            if slid != slides or (slides and system.slip[c] @ slips[c] <= 0.0):
+                self.reports.announce_friction(t, c, slides)
+        return after
+
     def _rebounds(self, c: int) -> bool:
         """Whether contact c comes in so fast that it leaves again."""
         return -self.restitution[c] * gap_rate(self.system, c) > REST_SPEED
 
-    def collide(self, t: float, touching: list[int], restitution: dict[int, float]) -> float:
+    def collide(self, t: float, touching: list[int], restitution: dict[int, float], jammed: bool = False) -> float:
         """Impulses on all closed contacts and ends of joints, then new modes from the velocities after them.
 
         touching: contacts that have struck, whose modes the caller announces; restitution: coefficients of those that
-        rebound.
+        rebound; jammed: see `apply_impact`.
         """
         system, changes = self.system, self.changes
         changes.started.clear()
@@ -93,19 +132,20 @@ class Impacts:
         closed, ends = system.closed(), self.joints.held_at_ends()
         deep = any(c in self.penetration.contacts for c in closed)
         energy = sum(changes.energies()) if deep else 0.0
-        impact = apply_impact(system, changes.modes.solver, closed, list(ends), restitution, {*touching, *near})
+        impact = apply_impact(system, changes.modes.solver, closed, list(ends), restitution, {*touching, *near}, jammed)
         if impact is None:
             names = ", ".join(repr(self.reports.names[i]) for i in touching or closed) or "a joint's limit"
             raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}; {ADVICE}")
         self.rk.keep_velocity()
         changes.count_works(impact.contacts, impact.drives, impact.joints)
         changes.evaluate_rows(t)
-        self._rubbing = self._fastest_slip()
+        self._rubbing = self._slips()
         self._open_leaving(t, closed, touching, near)
         self.joints.set_from_velocities({g: end for g, end in ends.items() if not self._joint_leaves(g)})
         undecided = changes.set_from_velocities(after_impact=True)
         before = changes.counted_energy()
         stop_jammed(changes, t)
+        self._brake(t)
         # what stays closed with a normal velocity (a hop that is none) stops here, which may turn slow slips
         if self._project(t):
             stop_jammed(changes, t)
@@ -151,7 +191,7 @@ class Impacts:
             if not system.contact_int[i, UNILATERAL]:
                 continue
             leaving, below = gap_rate(system, i), -float(system.gaps[i, 0])
-            lowest = self._resolution(i, leaving)
+            lowest = self._resolution_of_hops(i, leaving)
             if self._leaves(i, leaving, max(below - self.penetration.accuracy(i), 0.0) + lowest):
                 system.contact_int[i, MODE] = FREE
                 self.penetration.thrown_off.add(i)
@@ -168,15 +208,16 @@ class Impacts:
     def _joint_leaves(self, g: int) -> bool:
         system = self.system
         speed = abs(float(system.v[system.limits[g].index_v]))
-        return self._leaves(system.nc + g, speed, self._resolution(system.nc + g, speed))
+        return self._leaves(system.nc + g, speed, self._resolution_of_hops(system.nc + g, speed))
 
-    def _fastest_slip(self) -> float:
-        """Speed in m/s of the fastest slip of closed contacts that has dry friction."""
+    def _slips(self) -> np.ndarray:
+        """Speeds in m/s of the slips of closed contacts that have dry friction."""
         system = self.system
         mu = system.contact_real[:, MU]
         rough = [c for c in system.closed() if 0.0 < mu[c] < math.inf]
         along = np.einsum("nij,nj->ni", system.basis[rough, :2], system.slip[rough])
-        return float(np.linalg.norm(along, axis=1).max(initial=0.0))
+        speeds: np.ndarray = np.linalg.norm(along, axis=1)
+        return speeds[speeds > rest_speed(system)]
 
     def _resolution(self, i: int, speed: float) -> float:
         """Way in m or rad below which a motion of item i at this speed in m/s or rad/s is none.
@@ -185,7 +226,47 @@ class Impacts:
         friction goes with the impulses, and what is left of its slip goes with the root of the way.
         """
         way = float(gap_resolution(self.system)[i])
-        return way if self._rubbing > speed else max(way, float(self.system.gap_accuracy[i]) / GAP_TOLERANCE)
+        resolved = self._rubbing.max(initial=0.0) > speed
+        return way if resolved else max(way, float(self.system.gap_accuracy[i]) / GAP_TOLERANCE)
+
+    def _resolution_of_hops(self, i: int, speed: float) -> float:
+        """The same of a motion that ends where it has begun: `_brake` lets friction go with the impulses that leave it
+        out, which leaves no more than that way, too, unless they end slips or turn them round."""
+        if self._rubbing.min(initial=math.inf) > _FASTER * speed:
+            return max(float(gap_resolution(self.system)[i]), float(self.system.gap_accuracy[i]) / GAP_TOLERANCE)
+        return self._resolution(i, speed)
+
+    def _brake(self, t: float) -> None:
+        """Stop what stays closed or is held, but leaves: by impulses that come with friction of what slides."""
+        system = self.system
+        # what is stopped, how fast it is, and what acts on what slides, by its place
+        rows: list[np.ndarray] = []
+        speeds: list[float] = []
+        braking: dict[int, np.ndarray] = {}
+        for i in [*system.closed(), *(system.nc + g for g in system.held()), *system.resisting()]:
+            integers, on_joint = system.contact_int[i], system.nc <= i < system.nc + system.ng
+            tangents = int(integers[TANGENTS]) if integers[MODE] == STICK and not on_joint else 0
+            normals = (2,) if i < system.nc + system.ng else ()
+            for row in sorted({*range(tangents), *normals}):
+                rows.append(system.rows[i, row])
+                speeds.append(float(system.slip[i, 2] if on_joint else system.basis[i, row] @ system.slip[i]))
+            if integers[MODE] == SLIPPING and normals and integers[UNILATERAL] and not held_up_by_friction(system, i):
+                friction = coefficient(system, i) * associated(system, i, slip_direction(system, i))
+                braking[len(rows) - 1] = rows[-1] - friction @ system.rows[i, :2]
+        if max(map(abs, speeds), default=0.0) <= rest_speed(system):
+            return
+        # one by one: BLAS starts threads for many columns, which cost more
+        normal = np.array([whiten(system, row) for row in rows]).T
+        pushed = normal.copy()
+        for k, action in braking.items():
+            pushed[:, k] = whiten(system, action)
+        change = pushed @ np.linalg.lstsq(normal.T @ pushed, -np.array(speeds), rcond=REDUNDANT)[0]
+        least = np.linalg.lstsq(normal.T, -np.array(speeds), rcond=REDUNDANT)[0]
+        if change @ change > _JAMS**2 * (least @ least):
+            return
+        system.v[:] += unwhiten(system, change)
+        self.rk.keep_velocity()
+        self.changes.evaluate_rows(t)
 
     def _leaves(self, i: int, leaving: float, height: float) -> bool:
         """Whether item i leaves what it has struck, at this speed in m/s: a hop lower than `height` in m is none."""
@@ -226,7 +307,7 @@ class Impacts:
                 break
             slips = [c for c in system.closed() if modes[c] == SLIPPING and self._stops_soon(c)]
             left = [g for g in ends if joints.is_free(g)]
-            hops = [g for g in left if joints.returns_soon(g, ends[g], self._resolution)]
+            hops = [g for g in left if joints.returns_soon(g, ends[g], self._resolution_of_hops)]
             # dry joints that soon stop throw others back onto their ends
             stops = [g for g in range(system.ng) if joints.is_free(g) and joints.stops_soon(g, self._resolution)]
             touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c)]
@@ -241,6 +322,7 @@ class Impacts:
                 changes.modes.hold(g, 0)
             for g in hops:
                 changes.modes.hold(g, ends[g])
+            self._brake(t)
             if not self._project(t):
                 changes.set_from_velocities(after_impact=True)
         return True
@@ -267,4 +349,4 @@ class Impacts:
         if c in self.penetration.contacts or abs(float(self.system.gaps[c, 0])) > self.penetration.accuracy(c):
             return False
         speed, back = gap_rate(self.system, c), -self.changes.modes.gap_acceleration(t, c)
-        return back > 0.0 and speed * speed <= 2.0 * back * self._resolution(c, speed)
+        return back > 0.0 and speed * speed <= 2.0 * back * self._resolution_of_hops(c, speed)

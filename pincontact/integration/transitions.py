@@ -276,12 +276,18 @@ class Transitions:
             self.changes.project(t)
         return self.onset.resolve(t, self.changes.sticking(), at_rest=ended)
 
-    def end_jams(self, t: float) -> float:
-        """End the slips of the accepted state, whose rows are evaluated, that may be stopped, since no step is short
-        enough to follow them."""
-        sliding = may_stop(self.system)
-        for c in sliding:
+    def end_jams(self, t: float) -> float | None:
+        """End the slips of the accepted state, whose rows are evaluated, that no step is short enough to follow: those
+        that may be stopped, or by an impact without collision; None where there are none."""
+        sliding = held_up(self.system)
+        for c in sliding or np.flatnonzero(self.system.contact_int[:, MODE] == SLIPPING).tolist():
             self.reports.check_chatter(t, c)
+        after = None if sliding else self.impacts.jam(t)
+        if after is not None:
+            return after
+        sliding = may_stop(self.system)
+        if not sliding:
+            return None
         end_jams(self.changes, t, sliding)
         return self.onset.start(t)
 

@@ -96,8 +96,10 @@ FREE = (
     "tiago_description/robots/tiago_dual",
     "tiago_pro_description/robots/tiago_pro",
 )
-# Some of these robots' joints move nothing that has inertia: their motors get some, in kg m^2.
-LIGHT, ARMATURE = ("icub_description/robots/icub", "romeo_description/urdf/romeo"), 1e-4
+# Some of these robots' joints move nothing that has inertia, the human's where the axes of three of them come into one
+# plane: their motors get some, in kg m^2.
+LIGHT = ("human_description/robots/human", "icub_description/robots/icub", "romeo_description/urdf/romeo")
+ARMATURE = 1e-4
 FIXED = (
     "allegro_hand_description/urdf/allegro_left_hand",
     "allegro_hand_description/urdf/allegro_right_hand",

@@ -10,10 +10,12 @@ import robots
 import pincontact as pc
 
 FOLDER = robots.robots_folder()
-# joints of G1 and Z1 rattled for ever, in dry friction and at limits; ANYmal's feet begin to slip one beside the other
+# joints of G1 and Z1 rattled for ever, in dry friction and at limits; ANYmal's feet begin to slip one beside the other;
+# feet of B1 jam, while others stick and slide
 LIMP = (
     "anymal_b",
     "anymal_c",
+    "b1",
     "g1_29dof_rev_1_0",
     "quadruped",
     "borinot_flying_arm_2",

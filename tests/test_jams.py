@@ -1,0 +1,102 @@
+"""Slips that jam (Painleve) in the course of a run: an impact without collision stops them, and the run goes on."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.integrate import quad
+
+import pincontact as pc
+
+G, FOOT, FOOT_FRICTION = 9.81, 0.1, 0.01
+
+
+class Pusher:
+    """A carriage pushes a rod whose tip slides ahead over a floor that sinks: as the rod gets as steep as friction,
+    tan(angle) = 1 / mu, the tip's load grows without bound.
+
+    The rod's centre of mass is in its hinge, so that only a torque loads it: the load follows from the angle alone. A
+    light foot of the carriage slides on the floor, and goes on to slide.
+    """
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        self.mu, self.length, self.inertia = rng.uniform(0.5, 2.0), rng.uniform(0.5, 1.5), rng.uniform(0.05, 0.2)
+        self.mass, self.torque, self.sinks = rng.uniform(100.0, 200.0), rng.uniform(1.0, 2.0), rng.uniform(0.02, 0.03)
+        self.steepest = math.atan(1.0 / self.mu)
+        self.angle = self.steepest - rng.uniform(0.1, 0.2)
+        self.speed = rng.uniform(12.0, 14.0)
+        model = pin.Model()
+        carriage = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "carriage")
+        model.appendBodyToJoint(carriage, pin.Inertia(self.mass, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+        hinge = model.addJoint(carriage, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+        model.appendBodyToJoint(hinge, pin.Inertia(1.0, np.zeros(3), self.inertia * np.eye(3)), pin.SE3.Identity())
+        foot = model.addJoint(carriage, pin.JointModelPZ(), pin.SE3.Identity(), "foot")
+        model.appendBodyToJoint(foot, pin.Inertia(FOOT, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+        self.mass += 1.0 + FOOT
+        self.scene = pc.Scene(model)
+        below = pin.SE3(np.eye(3), np.array([0.0, 0.0, -self.length * math.sin(self.angle)]))
+        motion = pc.ConstantTwist(linear=[0.0, 0.0, -self.sinks])
+        self.scene.add_contour("floor", pc.Plane(), placement=below, motion=motion)
+        self.scene.add_contour("tip", pc.Point(), "hinge", pin.SE3(np.eye(3), np.array([self.length, 0.0, 0.0])))
+        self.scene.add_contact("tip", "tip", "floor", pc.Coulomb(self.mu))
+        self.scene.add_contour("foot", pc.Point(), "foot")
+        self.scene.add_contact("foot", "foot", "floor", pc.Coulomb(FOOT_FRICTION))
+
+    def run(self, duration: float, **options) -> pc.Trajectory:
+        q = [0.0, self.angle, -self.length * math.sin(self.angle)]
+        state = self.scene.initial_state(q, [self.speed, self.turns(self.angle), -self.sinks])
+        torques = [0.0, self.torque, 0.0]
+        return pc.simulate(self.scene, state, duration, control=lambda t, q, v: torques, **options)
+
+    def turns(self, angle: float) -> float:
+        """Speed in rad/s at which the sinking floor lets the rod turn."""
+        return self.sinks / (self.length * math.cos(angle))
+
+    def time(self, angle: float) -> float:
+        return self.length * (math.sin(angle) - math.sin(self.angle)) / self.sinks
+
+    def slowed(self, angle: float) -> float:
+        """By how much friction has slowed the carriage, in m/s."""
+
+        def force(at: float) -> float:
+            turns = self.turns(at)
+            load = (self.torque - self.inertia * math.tan(at) * turns**2) / self.length
+            return self.mu * load / (math.cos(at) - self.mu * math.sin(at)) / turns / self.mass
+
+        return quad(force, self.angle, angle, limit=200)[0] + FOOT_FRICTION * FOOT * G / self.mass * self.time(angle)
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+def test_a_tip_whose_load_grows_without_bound_is_stopped(seed, method):
+    """The load goes with the inverse of the time that is left, and what it takes from the speed with its logarithm: all
+    that is left of that is taken at once. From then on the tip stays where it is, and the floor moves the carriage."""
+    pusher = Pusher(seed)
+    jams = pusher.time(pusher.steepest)
+    # the load has lost its sign, to round-off, where 1e-9 of it is left
+    close = 1e-8 * pusher.angle / pusher.turns(pusher.angle)
+    run = pusher.run(jams + 0.05, method=method, energies=True)
+    assert run.status == 0, run.message
+    (event,) = run.events
+    assert (event.kind, event.contact) == ("stick", "tip")
+    assert 0.0 < jams - event.time < close
+    before = run.t < jams - 1e-3
+    angles = np.arcsin(math.sin(pusher.angle) + run.t * pusher.sinks / pusher.length)
+    assert before.sum() > 3
+    for speed, angle in zip(run.v[before, 0], angles[before]):
+        # the tolerance, 1e-8, and a hundred times more for a load that grows a thousandfold
+        assert speed == pytest.approx(pusher.speed - pusher.slowed(angle), rel=1e-6)
+    stuck = run.t > event.time
+    assert stuck.sum() > 2
+    assert run.v[stuck, 0] == pytest.approx(pusher.sinks * np.tan(angles[stuck]), abs=1e-8)
+    assert run.q[stuck, 1] == pytest.approx(angles[stuck], abs=1e-8)
+    tip = run.q[stuck, 0] + pusher.length * np.cos(run.q[stuck, 1])
+    assert np.ptp(tip) < 1e-8
+    # where the tip jams there are two states, of which the first has no forces
+    assert (run.contacts["foot"].mode[run.t != event.time] == 2).all()
+    # the impulse's work is friction's
+    lost = 0.5 * pusher.mass * pusher.speed**2
+    assert np.abs(run.energies().balance).max() < 1e-6 * lost
+    assert run.energies().friction_work[-1] == pytest.approx(-lost, rel=1e-2)

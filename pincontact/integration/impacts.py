@@ -37,8 +37,6 @@ from .slip_onset import SlipOnset
 _LEAVING_SPEED = 1e-3 * REST_SPEED
 # Slip this many times faster than a hop goes on in its direction when friction of the hop's impulse is taken from it.
 _FASTER = 2.0
-# What so many times the least change of velocity would do is no hop's friction, but a jam's.
-_JAMS = 10.0
 
 
 class Impacts:
@@ -243,6 +241,7 @@ class Impacts:
         rows: list[np.ndarray] = []
         speeds: list[float] = []
         braking: dict[int, np.ndarray] = {}
+        slips: dict[int, np.ndarray] = {}
         for i in [*system.closed(), *(system.nc + g for g in system.held()), *system.resisting()]:
             integers, on_joint = system.contact_int[i], system.nc <= i < system.nc + system.ng
             tangents = int(integers[TANGENTS]) if integers[MODE] == STICK and not on_joint else 0
@@ -253,6 +252,7 @@ class Impacts:
             if integers[MODE] == SLIPPING and normals and integers[UNILATERAL] and not held_up_by_friction(system, i):
                 friction = coefficient(system, i) * associated(system, i, slip_direction(system, i))
                 braking[len(rows) - 1] = rows[-1] - friction @ system.rows[i, :2]
+                slips[i] = system.basis[i, :2] @ system.slip[i]
         if max(map(abs, speeds), default=0.0) <= rest_speed(system):
             return
         # one by one: BLAS starts threads for many columns, which cost more
@@ -261,10 +261,11 @@ class Impacts:
         for k, action in braking.items():
             pushed[:, k] = whiten(system, action)
         change = pushed @ np.linalg.lstsq(normal.T @ pushed, -np.array(speeds), rcond=REDUNDANT)[0]
-        least = np.linalg.lstsq(normal.T, -np.array(speeds), rcond=REDUNDANT)[0]
-        if change @ change > _JAMS**2 * (least @ least):
+        change = unwhiten(system, change)
+        # slips that would become others have friction of other directions
+        if any(_FASTER * np.linalg.norm(system.rows[i, :2] @ change) > np.linalg.norm(slips[i]) for i in slips):
             return
-        system.v[:] += unwhiten(system, change)
+        system.v[:] += change
         self.rk.keep_velocity()
         self.changes.evaluate_rows(t)
 

@@ -7,13 +7,14 @@ as a product of narrow factors; `least_norm`: elimination with complete pivoting
 
 from __future__ import annotations
 
-from math import sqrt
+from math import nan, sqrt
 
 from .arrays import INTEGERS, REALS, array_type
 from .callback import separate_kernel
 from .jit import INTEGER, REAL, inlined_kernel, kernel
 
-# A pivot below this fraction of its row's diagonal counts as zero: redundant constraints.
+# A pivot below this fraction of its row's diagonal counts as zero, and a singular value below that of the largest:
+# redundant constraints.
 RANK_TOLERANCE = 1e-11
 
 
@@ -154,11 +155,14 @@ def unwhiten(factor, parents, n, right, out):
 
 @kernel
 def factor_definite(matrix, n):
-    """Cholesky factor of a positive definite matrix (n, n), of which the lower triangle is read and overwritten."""
+    """Cholesky factor of a positive definite matrix (n, n), of which the lower triangle is read and overwritten; not a
+    number from the first pivot on that is not positive."""
     for i in range(n):
-        for j in range(i + 1):
-            total = matrix[i, j] - inner(matrix[i], matrix[j], j)
-            matrix[i, j] = sqrt(total) if i == j else total / matrix[j, j]
+        for j in range(i):
+            matrix[i, j] = (matrix[i, j] - inner(matrix[i], matrix[j], j)) / matrix[j, j]
+        pivot = matrix[i, i] - inner(matrix[i], matrix[i], i)
+        # Python's root has no value for it
+        matrix[i, i] = sqrt(pivot) if pivot > 0.0 else nan
 
 
 @kernel

@@ -46,6 +46,11 @@ CANCELLATION = 1e4
 RANK_TOLERANCE = 1e-12
 # Directions in which a single contact may slip, at most.
 CANDIDATES = 12
+# A slip operator whose pivot falls below this fraction of its frictionless value has lost positivity (Painleve).
+PAINLEVE_LIMIT = 1e-9
+# The operator of several contacts has lost it where their determinant is negative, and its last pivot, or smallest
+# singular value, larger than this part of the largest: of nearly redundant ones the least unevenness decides the sign.
+COMMON_LIMIT = 1e-3
 HUGE = 1e300
 # Scaled forces beyond this have left for infinity, where no solution is.
 ESCAPED = 1e6

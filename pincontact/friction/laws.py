@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ..arguments import NOT_REAL, real
 from ..errors import FrictionError
-from ..layout import STRIBECK_EXPONENT, STRIBECK_SPEED
+from ..layout import CURVE_SPEED, STRIBECK_EXPONENT
 from .stribeck import stribeck
 
 # Static coefficients of two directions are in the proportion of the sliding ones, to round-off of what users type.
@@ -123,7 +123,7 @@ class FrictionLaw(ABC):
     def curve(self) -> dict[int, float]:
         """What kernels know of a coefficient that depends on slip speed, by column of `contact_real`; empty for others.
 
-        `STRIBECK_SPEED` is the speed in m/s over which the coefficient changes, whatever the curve.
+        `CURVE_SPEED` is the speed in m/s over which the coefficient changes, whatever the curve.
         """
         return {}
 
@@ -286,7 +286,7 @@ class Stribeck(_Dry):
 
     @property
     def curve(self) -> dict[int, float]:
-        return {STRIBECK_SPEED: self.speed, STRIBECK_EXPONENT: self.exponent}
+        return {CURVE_SPEED: self.speed, STRIBECK_EXPONENT: self.exponent}
 
     def coefficient(self, speed: npt.ArrayLike) -> np.ndarray:
         law = np.vectorize(stribeck, otypes=[float])

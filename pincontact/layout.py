@@ -130,7 +130,8 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 # m/s^2: how much that speed changed in the last step that might have touched; FLAT: whether contour 2 is a plane that
 # no motion drives.
 # CURVE_SPEED is the speed in m/s over which a coefficient that depends on slip changes, 0 for constant ones;
-# STRIBECK_EXPONENT belongs to one such curve. LIMIT_SLACK is the part of the static limit by which friction may exceed it before stick ends.
+# STRIBECK_EXPONENT belongs to one such curve.
+# LIMIT_SLACK is the part of the static limit by which friction may exceed it before stick ends.
 # DOMAIN is the distance of the contact coordinates from the nearest end of their domain, negative outside;
 # LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart, NEXT_NORMAL that of the
 # state about to be accepted; START_SPEED and _RATE are those of 3D slip there, infinite where there is none, STOP_ERROR

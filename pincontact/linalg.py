@@ -387,6 +387,19 @@ def factor_matrix(g, factor, rest, tolerance):
     return 0
 
 
+@kernel
+def largest_pivot(a, rows, k, first, n):
+    """The largest |a_ij| of rows from k on and of columns from `first` on, (rows, n), with its row and its column."""
+    pivot, p, q = -1.0, k, first
+    for i in range(k, rows):
+        size = largest_entry(a[i, first:n])
+        if size > pivot:
+            pivot, p = size, i
+    while q < n - 1 and abs(a[p, q]) != pivot:
+        q += 1
+    return pivot, p, q
+
+
 _MATRIX, _VECTOR = array_type(REALS, 2), array_type(REALS, 1)
 
 
@@ -417,17 +430,7 @@ def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
     sign = 1.0
     rank = 0
     for k in range(min(rows, n)):
-        pivot = -1.0
-        p = k
-        q = k
-        for i in range(k, rows):
-            size = largest_entry(a[i, k:n]) if tolerance > 0.0 else abs(a[i, k])
-            if size > pivot:
-                pivot = size
-                p = i
-        if tolerance > 0.0:
-            while q < n - 1 and abs(a[p, q]) != pivot:
-                q += 1
+        pivot, p, q = largest_pivot(a, rows, k, k, n if tolerance > 0.0 else k + 1)
         if k == 0:
             largest = pivot
         if not pivot > tolerance * largest:

@@ -12,7 +12,7 @@ from ..arguments import check_flag, check_tolerance
 from ..display import Summary
 from ..dynamics.units import whiten
 from ..errors import ArgumentError, SolverError, StateError
-from ..friction.cone_least_squares import ConeLeastSquares, Region
+from ..friction.cone_least_squares import UNBOUNDED
 from ..geometry.patterns import ON_CURVE
 from ..layout import MODE, MU_STATIC, PATTERN, ROLLING_ROW, SLIPPING, STICK
 from ..state import check_vector
@@ -37,8 +37,10 @@ _ITERATIONS = 100
 _UNCHANGED = 1e-12
 # Torques above the limit of a resistance by less than this part of it are at it.
 _LIMIT_SLACK = 1e-9
-# How near to a bound forces are at it, relative to the loads.
-_AT_BOUND = 1e-7
+# What ProxQP's forces are known to, relative to the loads, and how near to a bound they are at it.
+_ACCURACY, _AT_BOUND = 1e-11, 1e-7
+# Its iterations, outer and inner.
+_ITERATIONS_OF_PROGRAM = 100
 _UNREACHABLE, _REDUNDANT = ("error", "nearest"), ("least", "centred", "last")
 
 
@@ -494,7 +496,9 @@ def _least_with_bounds(
     resting: RestingJoints,
     size: float,
 ) -> np.ndarray:
-    """The forces in their ranges with which the efforts are least; size: of the loads in N or N m."""
+    """The forces in their ranges with which the efforts are least, by ProxQP; size: of the loads in N or N m."""
+    from proxsuite import proxqp
+
     n = resting.index.size
     contacts = Directions(columns, sizes)
     left = contacts.complement.T
@@ -503,10 +507,21 @@ def _least_with_bounds(
     wanted = left @ np.column_stack([loads / size, -units])
     efforts = np.column_stack([driven.combine(column) for column in wanted.T])
     rest = wanted - left @ actuators @ efforts
-    rows, none = np.vstack([rest[:, 1:], np.eye(n)]), np.zeros((0, 3, n))
-    low, high = (np.concatenate([-rest[:, 0], ends / size]) for ends in (resting.low, resting.high))
-    start = np.clip(np.zeros(n), resting.low / size, resting.high / size)
-    found = ConeLeastSquares().solve(efforts[:, 1:], -efforts[:, 0], Region(none, none[..., 0], rows, low, high), start)
-    # what cannot be is told by who looks at the residual
-    forces = np.linalg.lstsq(rest[:, 1:], -rest[:, 0], rcond=None)[0] if found is None else found.y
-    return np.clip(size * forces, resting.low, resting.high)
+    low, high = (np.clip(bound / size, -UNBOUNDED, UNBOUNDED) for bound in (resting.low, resting.high))
+    qp = proxqp.dense.QP(n, rest.shape[0], n)
+    qp.settings.eps_abs, qp.settings.eps_rel = _ACCURACY, 0.0
+    # without an answer it would go on for minutes
+    qp.settings.max_iter = qp.settings.max_iter_in = _ITERATIONS_OF_PROGRAM
+    # what cannot be is left as small as can be, and told by who looks at the residual
+    qp.settings.primal_infeasibility_solving = True
+    qp.init(
+        efforts[:, 1:].T @ efforts[:, 1:],
+        efforts[:, 1:].T @ efforts[:, 0],
+        rest[:, 1:],
+        -rest[:, 0],
+        np.eye(n),
+        low,
+        high,
+    )
+    qp.solve()
+    return np.clip(size * qp.results.x, resting.low, resting.high)

@@ -234,6 +234,27 @@ def natural_map_residual(mu, f, u, size):
 
 
 @kernel
+def cone_step(x1, x2, xn, d1, d2, dn):
+    """Longest step from x, inside the cone |x_t| < x_n, along d until it leaves; at most 1e10."""
+    curvature = dn * dn - d1 * d1 - d2 * d2
+    slope = xn * dn - x1 * d1 - x2 * d2
+    tangential = sqrt(x1 * x1 + x2 * x2)
+    value = (xn - tangential) * (xn + tangential)
+    step = 1e10
+    if dn < 0.0:
+        step = min(step, -xn / dn)
+    discriminant = slope * slope - curvature * value
+    if discriminant >= 0.0:
+        root = sqrt(discriminant)
+        q = -(slope + root) if slope > 0.0 else root - slope
+        if curvature != 0.0 and q / curvature > 0.0:
+            step = min(step, q / curvature)
+        if q != 0.0 and value / q > 0.0:
+            step = min(step, value / q)
+    return step
+
+
+@kernel
 def cone_angle(mu):
     """Sine and cosine of the cone's half angle: a force on its boundary is x (-sine d, cosine)."""
     if mu < HUGE:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..arguments import NOT_REAL, real
+from ..arguments import number
 from ..errors import FrictionError
 from ..layout import CURVE_SPEED, STRIBECK_EXPONENT
 from .stribeck import stribeck
@@ -26,13 +26,10 @@ Coefficient = float | tuple[float, float]
 
 def _number(owner: str, name: str, value: Any) -> float:
     """The value as a float, or a FrictionError saying which parameter is not finite and non-negative."""
-    try:
-        number = real(value)
-    except NOT_REAL:
-        raise FrictionError(f"{owner}: {name} must be a number, got {value!r}") from None
-    if not (isfinite(number) and number >= 0.0):
-        raise FrictionError(f"{owner}: {name} must be finite and not negative, got {number}")
-    return number
+    found = number(f"{owner}: {name} must be a number", value, FrictionError)
+    if not (isfinite(found) and found >= 0.0):
+        raise FrictionError(f"{owner}: {name} must be finite and not negative, got {found}")
+    return found
 
 
 def _coefficient(owner: str, name: str, value: Any) -> Coefficient:

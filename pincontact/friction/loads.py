@@ -313,9 +313,8 @@ class ScaledLoads:
         sizes = np.linalg.norm(jacobian, axis=1)
         jacobian = jacobian / np.where(sizes > 0.0, sizes, 1.0)[:, None]
         singular = np.linalg.svd(jacobian, compute_uv=False)
-        return bool(
-            singular.size and singular[-1] > COMMON_LIMIT * singular[0] and np.linalg.slogdet(jacobian)[0] < 0.0
-        )
+        alone = singular.size and singular[-1] > COMMON_LIMIT * singular[0]
+        return bool(alone and np.linalg.slogdet(jacobian)[0] < 0.0)
 
     def equations(self, y: np.ndarray, chosen: _Chosen | None = None) -> tuple[np.ndarray, np.ndarray]:
         """What has to vanish, and its derivative; chosen: see `newton`."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..arguments import check_positive
-from ..errors import MissingExtraError
+from ..extras import required
 from .drawing import Drawing
 from .meshes import Mesh, lathe
 from .palette import MODE_COLORS, contact_color
@@ -68,14 +68,11 @@ def export_rerun(
     if force_scale is not None:
         check_positive(force_scale=force_scale)
     picture = frame(run, fps, 1.0, max_frames, None)
-    try:
-        import rerun
-    except ImportError as error:
-        raise MissingExtraError(f"recordings need rerun: pip install pincontact[rerun] ({error})") from error
+    rr = required("rerun", "recordings need rerun", "pincontact[rerun]")
     target = Path(path)
     # an error of the operating system, if there is one, before rerun turns it into another
     target.open("wb").close()
-    stream = rerun.RecordingStream("pincontact")
+    stream = rr.RecordingStream("pincontact")
     try:
         stream.save(target)
         drawing = _Recording(stream, picture.moments)

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..arguments import check_positive
 from ..display import MODE_NAMES
-from ..errors import ArgumentError, MissingExtraError
+from ..errors import ArgumentError
+from ..extras import required
 from ..layout import FREE
 from ..tracks import model_of
 from .drawing import Command, Drawing, color_number
@@ -109,11 +110,7 @@ def replay(
         raise ArgumentError(f"repetitions must be at least 1, got {repetitions}")
     own = viewer is None
     if viewer is None:
-        try:
-            import meshcat
-        except ImportError as error:
-            raise MissingExtraError(f"a replay needs meshcat: pip install meshcat ({error})") from error
-        viewer = meshcat.Visualizer()
+        viewer = required("meshcat", "a replay needs meshcat", "meshcat").Visualizer()
     drawn: meshcat.Visualizer = getattr(viewer, "viewer", viewer)
     for command in picture.commands(environment=own, repetitions=repetitions, time_scale=1.0 / speed):
         drawn.window.send(Command(command))

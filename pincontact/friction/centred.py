@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import ArgumentError
-from .barrier import SCRATCH_ROWS, centre, null_rows
+from .barrier import SCRATCH_ROWS, centre, left_inverse, null_rows
 from .cone import LARGEST_FRICTION, STICK
 from .problem import checked_problem
 from .solve import ContactSolution
@@ -78,8 +78,9 @@ class Choice(NamedTuple):
 
     def loads_along(self, operator: np.ndarray) -> np.ndarray:
         """(m, r) the transpose of what gives y for loads (m,), which the operator (m, n) makes of forces."""
-        along = operator @ self.span
-        return np.asarray(np.linalg.solve(along.T @ along, along.T).T)
+        along: np.ndarray = operator @ self.span
+        left_inverse(along, np.empty((along.shape[1], along.shape[1])))
+        return along
 
 
 def null_space(directions: np.ndarray) -> np.ndarray:

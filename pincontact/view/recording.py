@@ -15,6 +15,7 @@ from .palette import MODE_COLORS, contact_color
 from .plots import limit
 from .replay import Picture, fitting_force_scale, frame
 from .robot import geometry_color
+from .stage import Stage
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -76,7 +77,7 @@ def export_rerun(
     try:
         stream.save(target)
         drawing = _Recording(stream, picture.moments)
-        stage = picture.stage(run, drawing)
+        stage = Stage(drawing, run, picture)
         stage.move_bodies()
         if run.scene.visual_model is not None:
             for geometry in run.scene.visual_model.geometryObjects:

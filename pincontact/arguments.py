@@ -34,6 +34,14 @@ def real(value: Any) -> float:
     return float(value)
 
 
+def number(what: str, value: Any, error: type[ContactError] = ArgumentError) -> float:
+    """`real`, or the error that says what the value must be: "radius must be a number"."""
+    try:
+        return real(value)
+    except NOT_REAL:
+        raise error(f"{what}, got {value!r}") from None
+
+
 def is_number(value: Any) -> bool:
     """Whether it is a real number that a float can hold, infinity included and NaN not."""
     try:
@@ -45,6 +53,12 @@ def is_number(value: Any) -> bool:
 def is_count(value: Any) -> bool:
     """Whether it is a whole number, at least 1, that 64 bits can hold and add to."""
     return is_number(value) and 1 <= value <= _LARGEST_COUNT and int(value) == value
+
+
+def check_count(name: str, value: Any, optional: bool = False) -> None:
+    """Raise ArgumentError for what is no such number; optional: None is one, too."""
+    if not (is_count(value) or (optional and value is None)):
+        raise ArgumentError(f"{name} must be a whole number, at least 1, got {value!r}")
 
 
 def check_positive(**numbers: Any) -> None:

@@ -122,14 +122,6 @@ def _axes(normal: int, sign: float) -> np.ndarray:
     return rotation
 
 
-def _sphere(shape: Any) -> Iterator[Part]:
-    yield "sphere", "faces", Sphere(shape.radius), pin.SE3.Identity()
-
-
-def _ellipsoid(shape: Any) -> Iterator[Part]:
-    yield "ellipsoid", "faces", Ellipsoid(*shape.radii), pin.SE3.Identity()
-
-
 def _side(shape: Any) -> Part:
     domain = (None, (-shape.halfLength, shape.halfLength))
     return "cylinder", "faces", Cylinder(shape.radius, domain=domain), pin.SE3.Identity()
@@ -174,9 +166,9 @@ def _halfspace(shape: Any) -> Iterator[Part]:
     yield "plane", "faces", Plane(), pin.SE3(turn, shape.d * shape.n)
 
 
-_SHAPES: dict[str, Callable[[Any], Iterator[Part]]] = {
-    "Sphere": _sphere,
-    "Ellipsoid": _ellipsoid,
+_SHAPES: dict[str, Callable[[Any], Iterable[Part]]] = {
+    "Sphere": lambda shape: [("sphere", "faces", Sphere(shape.radius), pin.SE3.Identity())],
+    "Ellipsoid": lambda shape: [("ellipsoid", "faces", Ellipsoid(*shape.radii), pin.SE3.Identity())],
     "Cylinder": _cylinder,
     "Capsule": _capsule,
     "Box": _box,

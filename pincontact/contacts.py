@@ -109,6 +109,11 @@ class Contact:
         return self.first if self.swapped else self.second
 
 
+def in_order(first: AttachedContour, second: AttachedContour) -> tuple[AttachedContour, AttachedContour]:
+    """The paper's bodies 1 and 2: the contour with fewer parameters, the first one where both have as many."""
+    return (second, first) if first.contour.dimension > second.contour.dimension else (first, second)
+
+
 class Assembly:
     """The data of a `Scene`.
 

@@ -10,16 +10,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from .arguments import NOT_REAL, is_count, real_array, reals
-from .errors import ArgumentError, MissingExtraError, SingularContactError, SolverError
+from .arguments import NOT_REAL, check_count, real_array, reals
+from .errors import ArgumentError, SingularContactError, SolverError
+from .extras import required
 from .scene import Scene
 from .state import State, check_state
 from .stepper import Stepper
 
-try:
-    import gymnasium
-except ImportError as error:
-    raise MissingExtraError(f"environments need gymnasium: pip install pincontact[gym] ({error})") from error
+required("gymnasium", "environments need gymnasium", "pincontact[gym]")
+import gymnasium  # noqa: E402
 
 __all__ = ["ContactEnv"]
 
@@ -121,8 +120,7 @@ class ContactEnv(gymnasium.Env):
         # what environments like this one are made from
         self._given = (scene, state, joints, reward, torque_limits, observe, terminate, start)
         for name, count in (("substeps", substeps), ("max_episode_steps", max_episode_steps)):
-            if not (is_count(count) or (count is None and name == "max_episode_steps")):
-                raise ArgumentError(f"{name} must be a whole number, at least 1, got {count!r}")
+            check_count(name, count, optional=name == "max_episode_steps")
         for name, function in (("reward", reward), ("observe", observe), ("terminate", terminate), ("start", start)):
             if not (callable(function) or (function is None and name in ("terminate", "start"))):
                 raise ArgumentError(f"{name} must be callable, got {function!r}")
@@ -236,8 +234,7 @@ class ContactEnv(gymnasium.Env):
         ArgumentError
             For a count below 1.
         """
-        if not is_count(count):
-            raise ArgumentError(f"count must be a whole number, at least 1, got {count!r}")
+        check_count("count", count)
         make = [lambda: type(self)(*self._given, *self._steps_given)] * int(count)
         return gymnasium.vector.SyncVectorEnv(make, autoreset_mode=autoreset_mode)
 

@@ -129,6 +129,8 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 # open: bounds of APPROACH_SPEED in m/s, TURNING in rad/s and BENDING in m/s^2, see `integration.approach`; SPEEDING in
 # m/s^2: how much that speed changed in the last step that might have touched; FLAT: whether contour 2 is a plane that
 # no motion drives.
+# CURVE_SPEED is the speed in m/s over which a coefficient that depends on slip changes, 0 for constant ones;
+# STRIBECK_EXPONENT belongs to one such curve.
 # LIMIT_SLACK is the part of the static limit by which friction may exceed it before stick ends.
 # DOMAIN is the distance of the contact coordinates from the nearest end of their domain, negative outside;
 # LAST_NORMAL is n at the last accepted state, by which crossing curves tell their sides apart, NEXT_NORMAL that of the
@@ -143,7 +145,7 @@ ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
     LIMIT_SLACK,
     MU_FAST,
     MU_NOW,
-    STRIBECK_SPEED,
+    CURVE_SPEED,
     STRIBECK_EXPONENT,
     VISCOUS,
     SPINNING,

@@ -7,13 +7,14 @@ as a product of narrow factors; `least_norm`: elimination with complete pivoting
 
 from __future__ import annotations
 
-from math import sqrt
+from math import nan, sqrt
 
 from .arrays import INTEGERS, REALS, array_type
 from .callback import separate_kernel
 from .jit import INTEGER, REAL, inlined_kernel, kernel
 
-# A pivot below this fraction of its row's diagonal counts as zero: redundant constraints.
+# A pivot below this fraction of its row's diagonal counts as zero, and a singular value below that of the largest:
+# redundant constraints.
 RANK_TOLERANCE = 1e-11
 
 
@@ -154,11 +155,14 @@ def unwhiten(factor, parents, n, right, out):
 
 @kernel
 def factor_definite(matrix, n):
-    """Cholesky factor of a positive definite matrix (n, n), of which the lower triangle is read and overwritten."""
+    """Cholesky factor of a positive definite matrix (n, n), of which the lower triangle is read and overwritten; not a
+    number from the first pivot on that is not positive."""
     for i in range(n):
-        for j in range(i + 1):
-            total = matrix[i, j] - inner(matrix[i], matrix[j], j)
-            matrix[i, j] = sqrt(total) if i == j else total / matrix[j, j]
+        for j in range(i):
+            matrix[i, j] = (matrix[i, j] - inner(matrix[i], matrix[j], j)) / matrix[j, j]
+        pivot = matrix[i, i] - inner(matrix[i], matrix[i], i)
+        # Python's root has no value for it
+        matrix[i, i] = sqrt(pivot) if pivot > 0.0 else nan
 
 
 @kernel
@@ -383,6 +387,19 @@ def factor_matrix(g, factor, rest, tolerance):
     return 0
 
 
+@kernel
+def largest_pivot(a, rows, k, first, n):
+    """The largest |a_ij| of rows from k on and of columns from `first` on, (rows, n), with its row and its column."""
+    pivot, p, q = -1.0, k, first
+    for i in range(k, rows):
+        size = largest_entry(a[i, first:n])
+        if size > pivot:
+            pivot, p = size, i
+    while q < n - 1 and abs(a[p, q]) != pivot:
+        q += 1
+    return pivot, p, q
+
+
 _MATRIX, _VECTOR = array_type(REALS, 2), array_type(REALS, 1)
 
 
@@ -413,17 +430,7 @@ def least_norm(a, rhs, rows, n, x, gram, order, tolerance):
     sign = 1.0
     rank = 0
     for k in range(min(rows, n)):
-        pivot = -1.0
-        p = k
-        q = k
-        for i in range(k, rows):
-            size = largest_entry(a[i, k:n]) if tolerance > 0.0 else abs(a[i, k])
-            if size > pivot:
-                pivot = size
-                p = i
-        if tolerance > 0.0:
-            while q < n - 1 and abs(a[p, q]) != pivot:
-                q += 1
+        pivot, p, q = largest_pivot(a, rows, k, k, n if tolerance > 0.0 else k + 1)
         if k == 0:
             largest = pivot
         if not pivot > tolerance * largest:

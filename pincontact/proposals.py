@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from .arguments import check_flag, check_positive
-from .contacts import Assembly, AttachedContour
+from .contacts import Assembly, AttachedContour, in_order
 from .contours import Circle, Contour, Cylinder, Ellipsoid, Line, Plane, Point, Sphere, Torus
 from .geometry.patterns import PLANAR, candidate_patterns, find_pattern
 from .geometry.planar import moves_in_plane
@@ -63,7 +63,7 @@ def propose_pairs(scene: Assembly, distance: float, q: ArrayLike | None, within:
         if (min(solids[i].joint, solids[j].joint), max(solids[i].joint, solids[j].joint)) not in together
         and (within or robots[solids[i].joint] != robots[solids[j].joint])
         and frozenset((solids[i].name, solids[j].name)) not in taken
-        and candidate_patterns(*_in_order(solids[i].contour, solids[j].contour))
+        and candidate_patterns(*(solid.contour for solid in in_order(solids[i], solids[j])))
     ]
     placed, near = _near(model, shapes, pairs, configuration, distance)
     kept = [(i, j) for i, j in near if _is_regular(model, solids[i], solids[j], placed[i], placed[j])]
@@ -160,14 +160,9 @@ def _near(
     return placed, sorted(found)
 
 
-def _in_order(first: Contour, second: Contour) -> tuple[Contour, Contour]:
-    """The contour with fewer parameters first."""
-    return (second, first) if first.dimension > second.dimension else (first, second)
-
-
 def _is_regular(model: pin.Model, a: AttachedContour, b: AttachedContour, place_a: pin.SE3, place_b: pin.SE3) -> bool:
     """Whether the pair's nearest points are alone, so that it touches at a point and not along a line or an area."""
-    one, two = (b, a) if a.contour.dimension > b.contour.dimension else (a, b)
+    one, two = in_order(a, b)
     planar = len(candidate_patterns(one.contour, two.contour)) > 1 and moves_in_plane(model, one, two)
     kinds = {type(a.contour), type(b.contour)}
     if find_pattern("", one.contour, two.contour, None, planar).code == PLANAR:

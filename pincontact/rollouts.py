@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .arguments import is_count, time_step
+from .arguments import check_count, time_step
 from .cores import available_cores
 from .errors import ArgumentError, StateError
 from .friction.solve import check_contact_solver
@@ -102,9 +102,8 @@ def rollout(
     ((8, 50, 6), (8, 50, 6), [0, 0, 0, 0, 0, 0, 0, 0])
     """
     dt = time_step(dt, step) or DEFAULT_STEP
-    for name, count in (("substeps", substeps), ("threads", 1 if threads is None else threads)):
-        if not is_count(count):
-            raise ArgumentError(f"{name} must be a whole number, at least 1, got {count!r}")
+    check_count("substeps", substeps)
+    check_count("threads", threads, optional=True)
     check_contact_solver(contact_solver)
     starts, rows = _starts(scene, states, torques)
     nq, nv = scene.model.nq, scene.model.nv

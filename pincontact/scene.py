@@ -20,6 +20,7 @@ from .contacts import (
     check_location,
     check_name,
     check_placement,
+    in_order,
     in_pairs,
     place_on_joint,
 )
@@ -406,7 +407,7 @@ class Scene(Assembly):
                 f"fixed to the same body, that of {body}, and cannot move against each other"
                 + ("; a robot that is to move freely is loaded with floating_base=True" if a.joint == 0 else "")
             )
-        one, two = (b, a) if a.contour.dimension > b.contour.dimension else (a, b)
+        one, two = in_order(a, b)
         if pattern is not None and not isinstance(pattern, str):
             raise PatternError(f"contact {name!r}: pattern must be the name of a pattern or None, got {pattern!r}")
         planar = False

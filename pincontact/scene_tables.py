@@ -122,16 +122,16 @@ def as_integer(value: Any, _: Mapping[str, float]) -> int:
     return value
 
 
-def as_flag(value: Any, _: Mapping[str, float]) -> bool:
-    if not isinstance(value, bool):
-        raise Mismatch("true or false")
-    return value
+def _of_type(kind: type, what: str) -> Converter:
+    def convert(value: Any, _: Mapping[str, float]) -> Any:
+        if not isinstance(value, kind):
+            raise Mismatch(what)
+        return value
+
+    return convert
 
 
-def as_text(value: Any, _: Mapping[str, float]) -> str:
-    if not isinstance(value, str):
-        raise Mismatch("a text")
-    return value
+as_flag, as_text = _of_type(bool, "true or false"), _of_type(str, "a text")
 
 
 def as_texts(value: Any, _: Mapping[str, float]) -> list[str]:

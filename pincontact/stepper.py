@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from .arguments import is_count, time_step
+from .arguments import check_count, time_step
 from .display import shortened
 from .dynamics.joints import joint_limits
-from .errors import ArgumentError, SingularContactError, SolverError, StateError
+from .errors import SingularContactError, SolverError, StateError
 from .friction.solve import check_contact_solver
 from .integration.actuators import actuators_of
 from .integration.contradictions import refuse_apart
@@ -256,7 +256,8 @@ class Stepper:
         """
         tau = self._check_torque(tau)
         if type(count) is not int or count != 1:
-            count = _check_count(count)
+            check_count("count", count)
+            count = int(count)
         step = self._step
         self._tau[:] = tau
         try:
@@ -304,11 +305,11 @@ class Stepper:
             As `step` does. The stepper is then where the last step that could be made has ended, at `t`.
         """
         rows = check_rows("torques", torques, self._shape[0], {2: "(n, {})"})
-        count = _check_count(count)
+        check_count("count", count)
         if not len(rows):
             return np.empty((0, self.q.size)), np.empty((0, self.v.size))
         try:
-            status, q, v = self._step.advance_by_rows(rows, count)
+            status, q, v = self._step.advance_by_rows(rows, int(count))
         finally:
             self._show_modes()
         if status == NOT_FINITE:
@@ -374,12 +375,6 @@ class Stepper:
 
     def __repr__(self) -> str:
         return f"<Stepper at t = {self.t:.9g} s, dt = {self.dt:g} s, contacts: {shortened(self.forces)}>"
-
-
-def _check_count(count: Any) -> int:
-    if not is_count(count):
-        raise ArgumentError(f"count must be a whole number of steps, at least 1, got {count!r}")
-    return int(count)
 
 
 def _locked(array: np.ndarray) -> np.ndarray:

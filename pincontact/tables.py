@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import MissingExtraError
+from .extras import required
 from .tracks import is_bare
 
 if TYPE_CHECKING:
@@ -36,17 +35,9 @@ _OF_CONTACTS: dict[str, tuple[tuple[str, ...], str, str]] = {
 }
 
 
-def required(package: str, what: str) -> Any:
-    """The package, or MissingExtraError naming it and the extra that brings it."""
-    try:
-        return import_module(package)
-    except ImportError as error:
-        raise MissingExtraError(f"{what} needs {package}: pip install pincontact[data] ({error})") from error
-
-
 def run_to_xarray(run: Run) -> xarray.Dataset:
     """See `Trajectory.to_xarray`."""
-    package = required("xarray", "a Dataset")
+    package = required("xarray", "a Dataset needs xarray", "pincontact[data]")
     names = list(run.contacts)
     variables: dict[str, Any] = {
         "q": (("t", "position"), run.q, {"long_name": "configuration, as Pinocchio's"}),
@@ -78,7 +69,7 @@ def run_to_xarray(run: Run) -> xarray.Dataset:
 
 def run_to_pandas(run: Run) -> pandas.DataFrame:
     """See `Trajectory.to_pandas`."""
-    package = required("pandas", "a DataFrame")
+    package = required("pandas", "a DataFrame needs pandas", "pincontact[data]")
     columns: dict[str, np.ndarray] = {}
     for kind, rows in (("q", run.q), ("v", run.v)):
         for i, name in enumerate(_coordinate_names(run, kind)):

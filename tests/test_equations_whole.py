@@ -26,6 +26,7 @@ from pincontact.layout import (
     ANISOTROPIC,
     CONTACT_INTS,
     CONTACT_REALS,
+    CURVE_SPEED,
     DIRECTION_X,
     DOMAIN,
     DOMAIN_EVENT,
@@ -68,7 +69,6 @@ from pincontact.layout import (
     SPINNING_ROW,
     STICK,
     STRIBECK_EXPONENT,
-    STRIBECK_SPEED,
     SYSTEM,
     TANGENTS,
     UNILATERAL,
@@ -127,7 +127,7 @@ def made(seed, slides=True):
     numbers[:, MU], numbers[:, MU_STATIC], numbers[:, LIMIT_SLACK] = rng.uniform(0.1, 0.25, TOTAL), 3.0, 0.01
     numbers[7, [MU, MU_STATIC]] = math.inf
     numbers[:, DOMAIN], numbers[:, SPAN], numbers[:, NORMAL_1] = rng.uniform(0.2, 0.8, TOTAL), 1.0, 1.0
-    numbers[5, [MU_FAST, STRIBECK_SPEED, STRIBECK_EXPONENT]] = 0.05, 0.7, 2.0
+    numbers[5, [MU_FAST, CURVE_SPEED, STRIBECK_EXPONENT]] = 0.05, 0.7, 2.0
     numbers[[1, 3], VISCOUS] = 0.3
     basis = np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(TOTAL)])
     slip, gaps = rng.normal(size=(TOTAL, 3)), rng.uniform(0.1, 1.0, (TOTAL, 2))

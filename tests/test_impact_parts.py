@@ -18,6 +18,7 @@ from pincontact.layout import (
     ANISOTROPIC,
     CONTACT_INTS,
     CONTACT_REALS,
+    CURVE_SPEED,
     JOINT_END,
     JOINT_INTS,
     MOTION_KIND,
@@ -28,7 +29,6 @@ from pincontact.layout import (
     SCALING_12,
     SCALING_22,
     SIDE_INTS,
-    STRIBECK_SPEED,
     TANGENTS,
     TIME_DEPENDENT,
     UNILATERAL,
@@ -285,7 +285,7 @@ def test_impulses_obey_the_laws_of_all_units(kept, seed):
 def test_coefficients_at_the_speed_before():
     system = colliding(2)
     assert impact.coefficient(system, 3) == system.contact_real[3, MU]
-    system.contact_real[:, STRIBECK_SPEED] = 0.5
+    system.contact_real[:, CURVE_SPEED] = 0.5
     system.contacts = [SimpleNamespace(friction=pc.Stribeck(0.2, 0.6, 0.5))] * 6
     for c, tangents in ((3, 2), (5, 1)):
         speed = np.linalg.norm(velocities_of(system)[c, :tangents])

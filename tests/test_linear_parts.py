@@ -15,6 +15,7 @@ factorize_tree = from_python(linalg.factorize_tree)
 whiten = from_python(linalg.whiten)
 whiten_rows = from_python(linalg.whiten_rows)
 unwhiten = from_python(linalg.unwhiten)
+factor_definite = from_python(linalg.factor_definite)
 solve_gram = from_python(linalg.solve_gram)
 orthonormal_basis = from_python(linalg.orthonormal_basis)
 way_inside = from_python(barrier.way_inside)
@@ -28,6 +29,17 @@ TREES = ([-1, 0, 1, 2, 3, 4], [-1, 0, 1, 1, 3, 0, 5, 2], [-1, -1, 0, 1, 3, 2, -1
 def test_products_of_vectors_of_any_length(n):
     a, b = np.random.default_rng(n).normal(size=(2, n + 2))
     assert inner(a, b, n) == pytest.approx(a[:n] @ b[:n], abs=1e-14)
+
+
+@pytest.mark.parametrize("pivot", [0.0, -2.0])
+def test_what_is_not_definite_has_no_factor(pivot):
+    """Compiled or not: the first pivot that is not positive, and what follows from it, is no number."""
+    lower = np.array([[2.0, 0.0, 0.0], [0.5, 1.5, 0.0], [0.3, -0.2, 1.0]])
+    matrix = lower @ lower.T
+    matrix[1, 1] += pivot - 1.5**2
+    factor_definite(matrix, 3)
+    np.testing.assert_allclose(matrix[:, 0], lower[:, 0], rtol=1e-15)
+    assert np.isnan([matrix[1, 1], matrix[2, 1], matrix[2, 2]]).all()
 
 
 def tree_matrix(rng, parents):

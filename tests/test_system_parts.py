@@ -25,6 +25,7 @@ from pincontact.layout import (
     CHART,
     CLOSED_FORM,
     CONTACT_INTS,
+    CURVE_SPEED,
     FREE,
     FRICTIONLESS,
     HIGH_END,
@@ -64,7 +65,6 @@ from pincontact.layout import (
     START_SPEED,
     STICK,
     STRIBECK_EXPONENT,
-    STRIBECK_SPEED,
     SUPPORT_SIZE,
     TANGENTS,
     TIME_DEPENDENT,
@@ -221,7 +221,7 @@ def test_contacts_and_their_sides(laid_out):
 
 def test_laws(laid_out):
     _, _, system = laid_out
-    names = [MU, MU_NOW, MU_FAST, MU_STATIC, VISCOUS, SPINNING, ROLLING, STRIBECK_SPEED, STRIBECK_EXPONENT]
+    names = [MU, MU_NOW, MU_FAST, MU_STATIC, VISCOUS, SPINNING, ROLLING, CURVE_SPEED, STRIBECK_EXPONENT]
     numbers = system.contact_real
     assert not numbers[0, names].any()
     assert numbers[1, names].tolist() == [0.6, 0.6, 0.2, 0.6, 0.0, 2e-3, 1e-3, 0.5, 1.5]

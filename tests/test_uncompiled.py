@@ -54,6 +54,12 @@ for method, options in (("RK23", {"rtol": 1e-4}), ("Moreau", {"step": 0.005})):
     run = pc.simulate(scene, state, 0.02, method=method, t_eval=[0.0, 0.02], **options)
     assert run.status == 0, run.message
     print(*run.q[-1], *run.contacts["c"].force[-1])
+
+# where there are no velocities and no tolerances, and a run of no duration, which quotients are of zeros
+for state in (scene.initial_state([0.1001]), scene.initial_state([0.2], [1.0], free=["c"])):
+    run = pc.simulate(scene, state, 0.0)
+    assert run.status == 0, run.message
+    print(*run.q[-1], *run.contacts["c"].force[-1])
 """
 
 
@@ -68,10 +74,11 @@ def test_uncompiled_kernels(monkeypatch):
         exec(SCRIPT, {"__name__": "script"})
     # uncompiled, each view knows how long its array is
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PINCONTACT_CHECKED": "1"}
-    done = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True)
+    command = [sys.executable, "-W", "error::RuntimeWarning", "-c", SCRIPT]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     compiled, plain = numbers(output.getvalue()), numbers(done.stdout)
     # run, but not compiled: that is what a debugger steps through
-    assert [row.size for row in compiled] == [row.size for row in plain] == [10, 10, 10, 10, 4, 4]
+    assert [row.size for row in compiled] == [row.size for row in plain] == [10, 10, 10, 10, 4, 4, 4, 4]
     # the compiler may order sums otherwise: rounding, which a few dozen steps make a little larger
     np.testing.assert_allclose(np.concatenate(plain), np.concatenate(compiled), rtol=1e-10, atol=1e-11)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from ..arguments import NOT_REAL, real_array
+from ..arguments import reals
 from ..errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -52,10 +52,7 @@ def actuation_matrix(model: pin.Model, actuation: ArrayLike | Sequence[str] | No
             joint = model.joints[model.getJointId(name)]
             picked.extend(range(joint.idx_v, joint.idx_v + joint.nv))
         return np.eye(nv)[:, picked]
-    try:
-        matrix = real_array(actuation)
-    except NOT_REAL:
-        raise ArgumentError(f"actuation must be a matrix ({nv}, na) or joint names, got {actuation!r}") from None
+    matrix = reals(f"actuation must be a matrix ({nv}, na) or joint names", actuation)
     if matrix.ndim != 2 or matrix.shape[0] != nv or not np.isfinite(matrix).all():
         raise ArgumentError(f"actuation must be a finite matrix ({nv}, na) or joint names, got shape {matrix.shape}")
     return matrix

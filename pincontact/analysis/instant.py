@@ -26,6 +26,7 @@ from ..integration.runge_kutta import RungeKutta
 from ..integration.tableaux import tableau
 from ..integration.transitions import Transitions
 from ..layout import (
+    CURVE_SPEED,
     EVENT,
     FREE,
     FRICTION_EVENT,
@@ -42,7 +43,6 @@ from ..layout import (
     PATTERN,
     SLIPPING,
     STICK,
-    STRIBECK_SPEED,
     TANGENTS,
 )
 from ..state import Correction, State, check_state, check_vector, coordinates_of, state_of
@@ -237,8 +237,8 @@ class Instant:
             slips.append(self._slip(sliding))
         rate = np.linalg.norm(slips[1] - slips[0], axis=1) / (2.0 * probe)
         size = np.linalg.norm(0.5 * (slips[0] + slips[1]), axis=1)
-        stribeck = self.system.contact_real[sliding, STRIBECK_SPEED]
-        size = np.minimum(size, np.where(stribeck > 0.0, stribeck, math.inf))
+        scale = self.system.contact_real[sliding, CURVE_SPEED]
+        size = np.minimum(size, np.where(scale > 0.0, scale, math.inf))
         return float(min(step, FIRST_STEP * (size / np.maximum(rate, 1e-300)).min()))
 
     def _slip(self, items: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from ..arguments import check_flag, check_tolerance
 from ..display import Summary
 from ..dynamics.units import whiten
 from ..errors import ArgumentError, SolverError, StateError
+from ..friction.cone_least_squares import UNBOUNDED
 from ..geometry.patterns import ON_CURVE
 from ..layout import MODE, MU_STATIC, PATTERN, ROLLING_ROW, SLIPPING, STICK
 from ..state import check_vector
@@ -19,7 +20,7 @@ from .actuation import actuation_matrix
 from .farkas import FarkasCertificate
 from .forces import check_forces
 from .instant import Instant
-from .inverse_loads import RestingJoints, joint_loads, shares_of, unit_forces
+from .inverse_loads import LEAST_LOAD, RestingJoints, joint_loads, shares_of, unit_forces
 from .inverse_problem import Options, Wanted, opening_contacts
 from .inverse_program import InverseProgram
 from .ranks import Directions
@@ -36,14 +37,10 @@ _ITERATIONS = 100
 _UNCHANGED = 1e-12
 # Torques above the limit of a resistance by less than this part of it are at it.
 _LIMIT_SLACK = 1e-9
-# Smaller loads, in N or N m, are round-off.
-_NEGLIGIBLE = 1e-6
 # What ProxQP's forces are known to, relative to the loads, and how near to a bound they are at it.
 _ACCURACY, _AT_BOUND = 1e-11, 1e-7
 # Its iterations, outer and inner.
 _ITERATIONS_OF_PROGRAM = 100
-# What stands for no bound there.
-_UNBOUNDED = 1e20
 _UNREACHABLE, _REDUNDANT = ("error", "nearest"), ("least", "centred", "last")
 
 
@@ -284,7 +281,7 @@ def _without_limits(
     factor = np.tril(system.factor)
     needed = factor.T @ (factor @ (a - system.free_acceleration)) - joint_forces
     joint_forces += system.joint_forces()
-    loads = max(_NEGLIGIBLE, float(np.abs([needed, system.bias_forces]).max(initial=0.0)))
+    loads = max(LEAST_LOAD, float(np.abs([needed, system.bias_forces]).max(initial=0.0)))
     for c, contact in enumerate(system.contacts):
         if contact.name in given:
             sign = -1.0 if contact.swapped else 1.0
@@ -458,7 +455,7 @@ def _least(
     columns, actuators, loads, units = (whiten(instant.system, part) for part in (columns, actuation, needed, units))
     if not resting.index.size:
         return *_least_unbounded(columns, sizes, actuators, loads), np.zeros(0)
-    size = max(_NEGLIGIBLE, float(np.abs(needed).max(initial=0.0)))
+    size = max(LEAST_LOAD, float(np.abs(needed).max(initial=0.0)))
     holding = _least_with_bounds(columns, sizes, actuators, loads, units, resting, size)
     # exactly: what is at a bound is known, the rest is as free as contact forces are
     at_low, at_high = holding <= resting.low + _AT_BOUND * size, holding >= resting.high - _AT_BOUND * size
@@ -510,7 +507,7 @@ def _least_with_bounds(
     wanted = left @ np.column_stack([loads / size, -units])
     efforts = np.column_stack([driven.combine(column) for column in wanted.T])
     rest = wanted - left @ actuators @ efforts
-    low, high = (np.clip(bound / size, -_UNBOUNDED, _UNBOUNDED) for bound in (resting.low, resting.high))
+    low, high = (np.clip(bound / size, -UNBOUNDED, UNBOUNDED) for bound in (resting.low, resting.high))
     qp = proxqp.dense.QP(n, rest.shape[0], n)
     qp.settings.eps_abs, qp.settings.eps_rel = _ACCURACY, 0.0
     # without an answer it would go on for minutes

@@ -13,6 +13,9 @@ from ..geometry.patterns import ON_CURVE
 from ..layout import MODE, MU_NOW, PATTERN, SLIP_SIGN, SLIPPING, TANGENTS, UNILATERAL
 from .instant import Instant
 
+# Smaller loads, in N or N m, are round-off.
+LEAST_LOAD = 1e-6
+
 
 @dataclass(frozen=True)
 class RestingJoints:

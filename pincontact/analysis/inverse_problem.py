@@ -15,21 +15,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..dynamics.friction_scaling import stretch
-from ..dynamics.units import unwhiten, whiten
+from ..dynamics.units import REDUNDANT, unwhiten, whiten
 from ..errors import SolverError
 from ..friction.cone_least_squares import Region
 from ..geometry.patterns import ON_CURVE
 from ..layout import ANISOTROPIC, MODE, MU_STATIC, PATTERN, SLIPPING, STICK, TANGENTS, UNILATERAL
 from .actuation import Actuation
 from .instant import Instant
-from .inverse_loads import RestingJoints, joint_loads, unit_forces
+from .inverse_loads import LEAST_LOAD, RestingJoints, joint_loads, unit_forces
 from .ranks import Directions
 from .tasks import Tasks
 
-# Smaller loads, in N or N m, are round-off.
-_LEAST_LOAD = 1e-6
-# Equations whose part in no unknown is more than this depend on each other.
-_DEPENDENT = 1e-9
 _ROUND = np.eye(2)
 
 
@@ -160,7 +156,7 @@ class Problem:
                 known += system.rows[c].T @ (system.basis[c] @ (sign * wanted.given[contact.name]))
         self.known = known
         free = self._factor @ system.free_acceleration + whiten(system, known)
-        self.load = max(_LEAST_LOAD, float(np.abs([system.bias_forces, known]).max(initial=0.0)))
+        self.load = max(LEAST_LOAD, float(np.abs([system.bias_forces, known]).max(initial=0.0)))
         whitened = whiten(system, columns)
         self.rate = float(np.linalg.norm(free - self.origin)) or 1.0
         nz = self.span.shape[1]
@@ -170,12 +166,12 @@ class Problem:
         right = (free - self.origin) / self.rate
         q, r = np.linalg.qr(self.equations.T, mode="complete")
         diagonal = np.abs(np.diagonal(r))
-        if r.shape[0] >= nv and diagonal.min() > _DEPENDENT * diagonal.max():
+        if r.shape[0] >= nv and diagonal.min() > REDUNDANT * diagonal.max():
             self.start = q[:, :nv] @ np.linalg.solve(r[:nv].T, right)
             self.basis = q[:, nv:]
             return
         left, values, rows = np.linalg.svd(self.equations)
-        rank = int((values > _DEPENDENT * values.max(initial=0.0)).sum())
+        rank = int((values > REDUNDANT * values.max(initial=0.0)).sum())
         self.start, self.basis = rows[:rank].T @ ((left[:, :rank].T @ right) / values[:rank]), rows[rank:].T
         missing = self.rate * float(np.abs(self.equations @ self.start - right).max())
         if missing > wanted.options.tolerance * self.rate * max(1.0, float(np.abs(right).max())):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import ArgumentError, TrajectoryError
-from ..tables import required
+from ..extras import required
 from .sweep_file import Row, read_rows
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ class SweepTable(Sequence[Row]):
         MissingExtraError
             Without pandas (the extra `data`).
         """
-        package = required("pandas", "a DataFrame")
+        package = required("pandas", "a DataFrame needs pandas", "pincontact[data]")
         columns = {name: self.column(name) for name in self.columns}
         return package.DataFrame(
             {name: values if values.ndim == 1 else list(values) for name, values in columns.items()}
@@ -173,7 +173,7 @@ class SweepTable(Sequence[Row]):
         MissingExtraError
             Without xarray (the extra `data`).
         """
-        package = required("xarray", "a Dataset")
+        package = required("xarray", "a Dataset needs xarray", "pincontact[data]")
         if self.axes is None:
             axes, shaped = ["run"], self.column
             coordinates: dict[str, Any] = {}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arguments import NOT_REAL, real, real_array
+from ..arguments import NOT_REAL, number, real, real_array
 from ..errors import ContourError
 
 
@@ -14,22 +14,19 @@ def finite(owner: str, **numbers: Any) -> tuple[float, ...]:
     """The given numbers as finite floats."""
     checked = []
     for name, value in numbers.items():
-        try:
-            number = real(value)
-        except NOT_REAL:
-            raise ContourError(f"{owner}: {name} must be a number, got {value!r}") from None
-        if not np.isfinite(number):
-            raise ContourError(f"{owner}: {name} must be finite, got {number}")
-        checked.append(number)
+        found = number(f"{owner}: {name} must be a number", value, ContourError)
+        if not np.isfinite(found):
+            raise ContourError(f"{owner}: {name} must be finite, got {found}")
+        checked.append(found)
     return tuple(checked)
 
 
 def positive(owner: str, **lengths: Any) -> tuple[float, ...]:
     """The given lengths as positive finite floats."""
     checked = finite(owner, **lengths)
-    for name, number in zip(lengths, checked):
-        if not number > 0.0:
-            raise ContourError(f"{owner}: {name} must be positive and finite, got {number}")
+    for name, length in zip(lengths, checked):
+        if not length > 0.0:
+            raise ContourError(f"{owner}: {name} must be positive and finite, got {length}")
     return checked
 
 

@@ -12,7 +12,7 @@ from ..errors import ContourError
 from .base import ALL, F_1, F_2, Contour, F, half_diagonal
 from .checks import flag, flags, interval, pair
 from .formula import Formula, takes_time, trials
-from .program import Program, compiled
+from .program import compiled
 from .splines import height_grid, height_spline
 
 if TYPE_CHECKING:
@@ -73,8 +73,7 @@ class ParametricCurve(Contour):
         owner = "ParametricCurve"
         periodic = flag(owner, "periodic", periodic)
         checked = (interval(owner, "domain", domain),)
-        program = compiled(Formula(owner, f, 1), checked, (periodic,), derivatives, _times(owner, time_domain))
-        super().__init__(**_arguments(owner, program, checked, (periodic,)))
+        super().__init__(**_traced(Formula(owner, f, 1), checked, (periodic,), derivatives, time_domain))
 
 
 class ParametricSurface(Contour):
@@ -118,8 +117,7 @@ class ParametricSurface(Contour):
         owner = "ParametricSurface"
         checked = _rectangle(owner, domain)
         wraps = flags(owner, "periodic", periodic)
-        program = compiled(Formula(owner, f, 2), checked, wraps, derivatives, _times(owner, time_domain))
-        super().__init__(**_arguments(owner, program, checked, wraps))
+        super().__init__(**_traced(Formula(owner, f, 2), checked, wraps, derivatives, time_domain))
 
 
 class HeightField(Contour):
@@ -177,8 +175,7 @@ class HeightField(Contour):
             checked = (ALL, ALL) if domain is None else _rectangle(owner, domain)
             formula = Formula(owner, _lifted(f, takes_time(owner, f, 2)), 2)
             second = None if derivatives is None else _lifted_derivatives(derivatives)
-            program = compiled(formula, checked, (False, False), second, _times(owner, time_domain))
-            super().__init__(**_arguments(owner, program, checked), lengths=True)
+            super().__init__(**_traced(formula, checked, (False, False), second, time_domain), lengths=True)
             return
         if y is None or z is None:
             raise ContourError(f"{owner}: a grid needs x, y and z")
@@ -212,23 +209,22 @@ def _lifted_derivatives(derivatives: Callable[..., Any]) -> Callable[..., Any]:
     return lifted
 
 
-def _times(owner: str, given: Any) -> tuple[float, float] | None:
-    return None if given is None else interval(owner, "time_domain", given)
-
-
 def _rectangle(owner: str, domain: Any) -> tuple[tuple[float, float], ...]:
     first, second = pair(owner, "domain", domain, "(low, high)")
     return interval(owner, "domain[0]", first), interval(owner, "domain[1]", second)
 
 
-def _arguments(
-    owner: str,
-    program: Program,
+def _traced(
+    formula: Formula,
     domain: tuple[tuple[float, float], ...],
-    periodic: tuple[bool, ...] = (False, False),
+    periodic: tuple[bool, ...],
+    derivatives: Callable[..., Any] | None,
+    time_domain: Any,
 ) -> dict[str, Any]:
-    """What `Contour` is to be given for a compiled formula, which must have a tangent or a normal at some time."""
-    k = len(domain)
+    """What `Contour` is to be given for a formula, which must have a tangent or a normal at some time."""
+    owner, k = formula.owner, len(domain)
+    times = None if time_domain is None else interval(owner, "time_domain", time_domain)
+    program = compiled(formula, domain, periodic, derivatives, times)
     numbers = {
         "evaluator": program.evaluator,
         "dimension": k,

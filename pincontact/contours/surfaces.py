@@ -28,6 +28,22 @@ def _along(owner: str, name: str, given: Any) -> tuple[float, float]:
     return ALL if given is None else interval(owner, name, given)
 
 
+def _straight(
+    around: tuple[tuple[float, float], bool], along: tuple[float, float], limits: tuple[float, float]
+) -> dict[str, Any]:
+    """What `Contour` is to be given for a cylinder or a cone, besides its shape and size; around: see `arc`."""
+    angle, closed = around
+    return {
+        "evaluator": straight_profile,
+        "dimension": 2,
+        "domain": (angle, along),
+        "periodic": (closed, False),
+        "limits": (ALL if closed else angle, limits),
+        "convex_side": int(closed),
+        "lengths": True,
+    }
+
+
 class Plane(Contour):
     """f(u1, u2) = (u1, u2, 0), normal +z.
 
@@ -133,20 +149,10 @@ class Cylinder(Contour):
     """
 
     def __init__(self, radius: float, domain: Domain = None) -> None:
-        owner = "Cylinder"
-        (radius,) = positive(owner, radius=radius)
-        around, along = _pair(owner, domain)
-        angle, closed = arc(owner, "domain[0]", around)
-        super().__init__(
-            straight_profile,
-            2,
-            shape=(radius, 0.0, 1.0),
-            domain=(angle, _along(owner, "domain[1]", along)),
-            periodic=(closed, False),
-            size=radius,
-            convex_side=int(closed),
-            lengths=True,
-        )
+        (radius,) = positive("Cylinder", radius=radius)
+        around, along = _pair("Cylinder", domain)
+        turn, length = arc("Cylinder", "domain[0]", around), _along("Cylinder", "domain[1]", along)
+        super().__init__(shape=(radius, 0.0, 1.0), size=radius, **_straight(turn, length, length))
 
 
 class Cone(Contour):
@@ -178,21 +184,12 @@ class Cone(Contour):
         if not half_angle < 0.5 * math.pi:
             raise ContourError(f"{owner}: half_angle must be less than pi/2, got {half_angle}")
         around, along = _pair(owner, domain)
-        angle, closed = arc(owner, "domain[0]", around)
+        turn = arc(owner, "domain[0]", around)
         low, high = (0.0, math.inf) if along is None else interval(owner, "domain[1]", along)
         if low < 0.0:
             raise ContourError(f"{owner}: domain[1] must not go beyond the apex at 0, got {(low, high)}")
-        super().__init__(
-            straight_profile,
-            2,
-            shape=(0.0, math.sin(half_angle), math.cos(half_angle)),
-            domain=(angle, (low, high)),
-            periodic=(closed, False),
-            limits=(ALL if closed else angle, (max(low, _APEX), high)),
-            size=high,
-            convex_side=int(closed),
-            lengths=True,
-        )
+        shape = (0.0, math.sin(half_angle), math.cos(half_angle))
+        super().__init__(shape=shape, size=high, **_straight(turn, (low, high), (max(low, _APEX), high)))
 
 
 class Torus(Contour):

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 
 from ..callback import separate_kernel
+from ..friction.cone import COMMON_LIMIT, PAINLEVE_LIMIT
 from ..friction.ellipse import friction_direction
 from ..geometry.patterns import NO_NORMAL, ON_CURVE
 from ..jit import BOOLEAN, INTEGER, inlined_kernel, kernel
@@ -62,13 +63,8 @@ _NORMAL_FOUND = 1e-6
 # Accelerations that contact forces cancel down to this part are zero, so that what is held does not creep by round-off
 # times the square of a step.
 _CANCELLED = 4e-15
-# A slip operator whose pivot falls below this fraction of its frictionless value has lost positivity (Painleve).
-PAINLEVE_LIMIT = 1e-9
-# Whose has, see `loses_positivity`.
+# Whose operator has lost positivity, see `loses_positivity`.
 NOTHING_LOST, CURVES_LOST, CONTACT_LOST = range(3)
-# The operator of several contacts has lost it where their determinant is negative, and its last pivot larger than this
-# part of the largest: of nearly redundant ones the least unevenness decides which sign it has.
-COMMON_LIMIT = 1e-3
 
 
 @separate_kernel(INTEGER, SYSTEM.type)

@@ -17,13 +17,13 @@ from ..friction.cone import SLIP
 from ..friction.loads import LARGE_FRICTION, TOLERANCE
 from ..friction.solve import ContactSolver
 from ..layout import (
+    CURVE_SPEED,
     JOINT_END,
     MODE,
     MOTION_KIND,
     MU,
     MU_STATIC,
     STICK,
-    STRIBECK_SPEED,
     TANGENTS,
     TIME_DEPENDENT,
 )
@@ -208,7 +208,7 @@ def _time_ahead(system: System, closed: list[int]) -> float:
 def coefficient(system: System, c: int) -> float:
     """Coefficient of friction of contact c at its present speed of slip."""
     numbers = system.contact_real[c]
-    if numbers[STRIBECK_SPEED] == 0.0:
+    if numbers[CURVE_SPEED] == 0.0:
         return float(numbers[MU])
     speed = float(np.linalg.norm(system.basis[c, : system.contact_int[c, TANGENTS]] @ system.slip[c]))
     law = system.contacts[c].friction

@@ -36,6 +36,7 @@ from ..layout import (
 )
 from .contact_modes import held_up_by_friction, shares_viscous_force
 from .friction_scaling import stretch
+from .units import REDUNDANT
 
 if TYPE_CHECKING:
     from .system import System
@@ -48,8 +49,8 @@ _ROUND_OFF = 1e-11
 # A load that has come to zero is there within this part of the largest force: loads of slow slip change as fast as it
 # turns, and time has a round-off.
 _AT_ZERO = 1e-8
-# Relative singular values below this are those of redundant contacts, and parts of the forces that move nothing.
-_REDUNDANT, _MOVES = 1e-9, 1e-6
+# Parts of the forces that are smaller move nothing.
+_MOVES = 1e-6
 
 
 def leaves_loads_open(system: System) -> bool:
@@ -65,7 +66,7 @@ def leaves_loads_open(system: System) -> bool:
         return False
     rows, directions = system.whitened_rows[:count], system.whitened_forces[:count]
     _, singular, right = np.linalg.svd(rows @ directions.T)
-    changes = right[singular <= _REDUNDANT * singular[0]] @ directions
+    changes = right[singular <= REDUNDANT * singular[0]] @ directions
     return bool(np.abs(changes).max(initial=0.0) > _MOVES * np.abs(directions).max())
 
 

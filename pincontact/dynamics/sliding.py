@@ -13,6 +13,7 @@ from ..geometry.small import dot
 from ..jit import kernel
 from ..layout import (
     ACROSS_X,
+    CURVE_SPEED,
     DIRECTION_X,
     FREE,
     FROZEN,
@@ -28,7 +29,6 @@ from ..layout import (
     START,
     STICK,
     STRIBECK_EXPONENT,
-    STRIBECK_SPEED,
     TANGENTS,
     UNILATERAL,
     VISCOUS,
@@ -67,10 +67,8 @@ def slip_direction(integers, numbers, slip, basis, time, direction):
 @kernel
 def coefficient_at(numbers, speed):
     """Coefficient of friction of slip at a speed in m/s."""
-    if numbers[STRIBECK_SPEED] > 0.0:
-        return stribeck_kernel(
-            numbers[MU], numbers[MU_FAST], numbers[STRIBECK_SPEED], numbers[STRIBECK_EXPONENT], speed
-        )
+    if numbers[CURVE_SPEED] > 0.0:
+        return stribeck_kernel(numbers[MU], numbers[MU_FAST], numbers[CURVE_SPEED], numbers[STRIBECK_EXPONENT], speed)
     return numbers[MU]
 
 

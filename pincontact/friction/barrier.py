@@ -11,7 +11,9 @@ import math
 
 from ..arrays import view
 from ..jit import REAL, SEVERAL, entry_kernel, kernel
-from ..linalg import factor_definite, inner, orthonormal_basis, solve_definite, subtract_row
+from ..linalg import RANK_TOLERANCE, factor_definite, inner, orthonormal_basis, solve_definite, subtract_row
+from .cone import cone_step
+from .least_loads import FIXED
 
 _NEWTON_STEPS = 60
 _CONVERGED = 1e-9
@@ -25,12 +27,10 @@ _SHORTEST = 1e-15
 _SHARPENING = 8.0
 # Size of the forces of interest, relative to those of least norm.
 _LARGEST = 1e3
-# Normal forces that the choice changes by less than this part of others are not redundant.
-_FIXED = 1e-9
 # Directions that others combine to but for this part are no directions of their own.
 _RANK = 1e-12
-# A null direction: unit rows that combine to less than this (the square root of the kernels' rank tolerance).
-_NULL = 3e-6
+# A null direction: unit rows that combine to less than this.
+_NULL = math.sqrt(RANK_TOLERANCE)
 # Rows of scratch of `centre`.
 SLOPE, CHANGE, AFTER, CONES, WAY, POINT, ALONG, START = range(8)
 SCRATCH_ROWS = 8
@@ -63,15 +63,7 @@ def way_inside(x, dx):
     """Largest step along dx (3 m,) from x (3 m,) that stays inside all cones, at most 1 / `TO_BOUNDARY`."""
     way = 1.0 / TO_BOUNDARY
     for i in range(0, x.shape[0], 3):
-        length = math.hypot(x[i + 1], x[i + 2])
-        a = dx[i] * dx[i] - dx[i + 1] * dx[i + 1] - dx[i + 2] * dx[i + 2]
-        b = x[i] * dx[i] - x[i + 1] * dx[i + 1] - x[i + 2] * dx[i + 2]
-        c = (x[i] - length) * (x[i] + length)
-        # a w^2 + 2 b w + c = 0, the least positive root, as c / (-b + sqrt(b^2 - a c)); none where that is not
-        # positive. From inside b^2 >= a c; they are equal in cones without tangents, but for rounding.
-        below = math.sqrt(max(b * b - a * c, 0.0)) - b
-        if below > 0.0:
-            way = min(way, c / below)
+        way = min(way, cone_step(x[i + 1], x[i + 2], x[i], dx[i + 1], dx[i + 2], dx[i]))
     return way
 
 
@@ -206,7 +198,7 @@ def _centre(forces, null, parts, offsets, basis, rows, hessian, scratch, slope):
     for a in range(0, m, 3):
         fixed = True
         for j in range(k):
-            fixed = fixed and abs(rows[a, j]) <= _FIXED
+            fixed = fixed and abs(rows[a, j]) <= FIXED
         # left without a normal part, whatever the choice
         if fixed and start[a] <= INSIDE:
             return 0

@@ -46,6 +46,11 @@ CANCELLATION = 1e4
 RANK_TOLERANCE = 1e-12
 # Directions in which a single contact may slip, at most.
 CANDIDATES = 12
+# A slip operator whose pivot falls below this fraction of its frictionless value has lost positivity (Painleve).
+PAINLEVE_LIMIT = 1e-9
+# The operator of several contacts has lost it where their determinant is negative, and its last pivot, or smallest
+# singular value, larger than this part of the largest: of nearly redundant ones the least unevenness decides the sign.
+COMMON_LIMIT = 1e-3
 HUGE = 1e300
 # Scaled forces beyond this have left for infinity, where no solution is.
 ESCAPED = 1e6
@@ -226,6 +231,27 @@ def natural_map_residual(mu, f, u, size):
         if residual > 0.0:
             worst = max(worst, residual / min(max(size[i], FLOOR * largest), CANCELLATION))
     return worst
+
+
+@kernel
+def cone_step(x1, x2, xn, d1, d2, dn):
+    """Longest step from x, inside the cone |x_t| < x_n, along d until it leaves; at most 1e10."""
+    curvature = dn * dn - d1 * d1 - d2 * d2
+    slope = xn * dn - x1 * d1 - x2 * d2
+    tangential = sqrt(x1 * x1 + x2 * x2)
+    value = (xn - tangential) * (xn + tangential)
+    step = 1e10
+    if dn < 0.0:
+        step = min(step, -xn / dn)
+    discriminant = slope * slope - curvature * value
+    if discriminant >= 0.0:
+        root = sqrt(discriminant)
+        q = -(slope + root) if slope > 0.0 else root - slope
+        if curvature != 0.0 and q / curvature > 0.0:
+            step = min(step, q / curvature)
+        if q != 0.0 and value / q > 0.0:
+            step = min(step, value / q)
+    return step
 
 
 @kernel

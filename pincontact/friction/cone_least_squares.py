@@ -42,7 +42,8 @@ _REGULAR, _STEPS, _GUESSES, _SOLVED = 1e-9, 10, 8, 1e-11
 _MULTIPLIED, _KNOWN = 1e-7, 1e-9
 # Cones this near to their apex are at it.
 _APEX = 1e-7
-_UNBOUNDED, _ROUND_OFF = 1e20, 1e-13
+# What stands for no bound in ProxQP; entries of matrices that are next to nothing.
+UNBOUNDED, _ROUND_OFF = 1e20, 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,10 +184,10 @@ class ConeLeastSquares:
         room = region.apexes[:, :1] - (directions @ region.apexes[:, 1:, None])[..., 0]
         count = m * _DIRECTIONS
         rows = np.concatenate([facets.reshape(count, n), region.rows])
-        low, high = np.full(count + k, -_UNBOUNDED), np.full(count + k, _UNBOUNDED)
+        low, high = np.full(count + k, -UNBOUNDED), np.full(count + k, UNBOUNDED)
         high[:count][used.ravel()] = room[used]
-        np.maximum(region.low, -_UNBOUNDED, out=low[count:])
-        np.minimum(region.high, _UNBOUNDED, out=high[count:])
+        np.maximum(region.low, -UNBOUNDED, out=low[count:])
+        np.minimum(region.high, UNBOUNDED, out=high[count:])
         if self._size != (n, count + k):
             self._qp = proxqp.dense.QP(n, 0, count + k)
             settings = self._qp.settings

@@ -24,6 +24,7 @@ from .cone import (
     LARGEST_FRICTION,
     LEAST_FRICTION,
     cone_at,
+    cone_step,
     scale_problem,
 )
 
@@ -55,27 +56,6 @@ def cone_units(g, c, mu, weight):
         for r in range(k, k + 3):
             unit = max(unit, abs(weight[r] * c[r]))
     return unit if unit > 0.0 else 1.0
-
-
-@kernel
-def cone_step(x1, x2, xn, d1, d2, dn):
-    """Longest step from x, inside the cone |x_t| < x_n, along d until it leaves; at most 1e10."""
-    curvature = dn * dn - d1 * d1 - d2 * d2
-    slope = xn * dn - x1 * d1 - x2 * d2
-    tangential = sqrt(x1 * x1 + x2 * x2)
-    value = (xn - tangential) * (xn + tangential)
-    step = 1e10
-    if dn < 0.0:
-        step = min(step, -xn / dn)
-    discriminant = slope * slope - curvature * value
-    if discriminant >= 0.0:
-        root = sqrt(discriminant)
-        q = -(slope + root) if slope > 0.0 else root - slope
-        if curvature != 0.0 and q / curvature > 0.0:
-            step = min(step, q / curvature)
-        if q != 0.0 and value / q > 0.0:
-            step = min(step, value / q)
-    return step
 
 
 @kernel

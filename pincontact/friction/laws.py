@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..arguments import NOT_REAL, real
+from ..arguments import number
 from ..errors import FrictionError
-from ..layout import STRIBECK_EXPONENT, STRIBECK_SPEED
+from ..layout import CURVE_SPEED, STRIBECK_EXPONENT
 from .stribeck import stribeck
 
 # Static coefficients of two directions are in the proportion of the sliding ones, to round-off of what users type.
@@ -26,13 +26,10 @@ Coefficient = float | tuple[float, float]
 
 def _number(owner: str, name: str, value: Any) -> float:
     """The value as a float, or a FrictionError saying which parameter is not finite and non-negative."""
-    try:
-        number = real(value)
-    except NOT_REAL:
-        raise FrictionError(f"{owner}: {name} must be a number, got {value!r}") from None
-    if not (isfinite(number) and number >= 0.0):
-        raise FrictionError(f"{owner}: {name} must be finite and not negative, got {number}")
-    return number
+    found = number(f"{owner}: {name} must be a number", value, FrictionError)
+    if not (isfinite(found) and found >= 0.0):
+        raise FrictionError(f"{owner}: {name} must be finite and not negative, got {found}")
+    return found
 
 
 def _coefficient(owner: str, name: str, value: Any) -> Coefficient:
@@ -123,7 +120,7 @@ class FrictionLaw(ABC):
     def curve(self) -> dict[int, float]:
         """What kernels know of a coefficient that depends on slip speed, by column of `contact_real`; empty for others.
 
-        `STRIBECK_SPEED` is the speed in m/s over which the coefficient changes, whatever the curve.
+        `CURVE_SPEED` is the speed in m/s over which the coefficient changes, whatever the curve.
         """
         return {}
 
@@ -286,7 +283,7 @@ class Stribeck(_Dry):
 
     @property
     def curve(self) -> dict[int, float]:
-        return {STRIBECK_SPEED: self.speed, STRIBECK_EXPONENT: self.exponent}
+        return {CURVE_SPEED: self.speed, STRIBECK_EXPONENT: self.exponent}
 
     def coefficient(self, speed: npt.ArrayLike) -> np.ndarray:
         law = np.vectorize(stribeck, otypes=[float])

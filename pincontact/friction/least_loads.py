@@ -12,8 +12,8 @@ from ..linalg import RANK_TOLERANCE, factor_definite, inner, largest_entry, solv
 
 # Loads are negative that are below zero by this part of the largest.
 _ROUND_OFF = 1e-13
-# Squares of how much a load changes with all that the equations leave open, below which it does not.
-_FIXED = 1e-18
+# A load that changes by less than this part of all that the equations leave open does not.
+FIXED = 1e-9
 # Rows of scratch of `least_loads`: the least solution whatever its signs, multipliers, and what these may become.
 START, PUSH, TRIAL = range(3)
 SCRATCH_ROWS = 3
@@ -83,7 +83,7 @@ def least_loads(null, bounded, x, held, gram, scratch):
         before, m, size = m, m + 1, 0.0
         for r in range(k):
             size += null[r, p] ** 2
-        if size <= _FIXED:
+        if size <= FIXED * FIXED:
             return False
         while before != m:
             independent = multipliers_of(null, held, m, scratch, gram)

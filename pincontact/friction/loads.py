@@ -36,7 +36,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import CALLED, INTEGER, REAL, entry_kernel
-from .cone import OPEN, SLIP, STICK
+from ..linalg import RANK_TOLERANCE
+from .cone import COMMON_LIMIT, OPEN, PAINLEVE_LIMIT, SLIP, STICK
 
 # Residual, in units of the largest acceleration without forces, up to which a zero is one.
 TOLERANCE = 1e-10
@@ -45,12 +46,6 @@ _NEWTON_STEPS = 40
 _HALVINGS, _FALL = 12, 1e-3
 # Coefficient that stands in for an infinite one: what has to slip then is held up by friction with next to no load.
 LARGE_FRICTION = 1e4
-# Below this fraction of what it is without friction, a contact's own operator has lost positivity.
-_POSITIVE = 1e-9
-# Relative singular values below this are those of redundant contacts.
-_RANK = 1e-11
-# Nearly redundant contacts, whose smallest singular value is below this part of the largest, may have any determinant.
-_LOST = 1e-3
 # Normal forces whose choices of loaded ones are all tried, without and with discs.
 _TRIED, _TRIED_WITH_DISCS = 10, 6
 # Velocities of what slides, in units of the largest acceleration without forces, in the symmetric problem.
@@ -259,7 +254,7 @@ class ScaledLoads:
         self.operator = self.scale[:, None] * (problem.gram @ self.expand)[self.rows]
         self.base = self.scale * problem.base[self.rows] / unit
         own = (problem.gram.diagonal() * scale**2)[self.rows][self.normals]
-        self.passive = self.operator.diagonal()[self.normals] <= _POSITIVE * own
+        self.passive = self.operator.diagonal()[self.normals] <= PAINLEVE_LIMIT * own
         self.discs: list[_Disc] = []
         for i in np.flatnonzero(sticks):
             pair = slice(2 * i, 2 * i + 2)
@@ -306,7 +301,7 @@ class ScaledLoads:
                     break
             elif least <= TOLERANCE:
                 break
-            change = -np.linalg.lstsq(jacobian, values, rcond=_RANK)[0]
+            change = -np.linalg.lstsq(jacobian, values, rcond=RANK_TOLERANCE)[0]
             part, size = 1.0, float(values @ values) if halved else 0.0
             for _ in range(_HALVINGS if halved else 0):
                 there, _ = self.equations(y + part * change, chosen)
@@ -329,7 +324,8 @@ class ScaledLoads:
         sizes = np.linalg.norm(jacobian, axis=1)
         jacobian = jacobian / np.where(sizes > 0.0, sizes, 1.0)[:, None]
         singular = np.linalg.svd(jacobian, compute_uv=False)
-        return bool(singular.size and singular[-1] > _LOST * singular[0] and np.linalg.slogdet(jacobian)[0] < 0.0)
+        alone = singular.size and singular[-1] > COMMON_LIMIT * singular[0]
+        return bool(alone and np.linalg.slogdet(jacobian)[0] < 0.0)
 
     def equations(self, y: np.ndarray, chosen: _Chosen | None = None) -> tuple[np.ndarray, np.ndarray]:
         """What has to vanish, and its derivative; chosen: see `newton`."""

@@ -60,6 +60,7 @@ from ..arrays import view
 from ..jit import REAL, SEVERAL, entry_kernel, kernel
 from ..linalg import factor_definite, inner, solve_definite
 from .cone import ESCAPED, HUGE, LARGEST_FRICTION, natural_map_residual, respond, scale_problem
+from .cone_least_squares import UNBOUNDED
 
 # Programs per beginning, and the beginnings: how much of the normal forces that contacts would have alone, the proximal
 # term per residual, and from which cosine of two changes on they count as a series (2: never).
@@ -105,7 +106,7 @@ class ConePrograms:
         self._scalars = np.zeros((4, contacts))
         self._state = np.zeros(5)
         self._hessian, self._factor, self._gradient = np.eye(rows), np.eye(rows), np.zeros(rows)
-        self._lower, self._upper = np.zeros(rows), np.full(rows, 1e20)
+        self._lower, self._upper = np.zeros(rows), np.full(rows, UNBOUNDED)
         self._qp: Any = proxqp.dense.QP(rows, 0, 0, box_constraints=True)
         settings = self._qp.settings
         settings.eps_abs = ACCURACY

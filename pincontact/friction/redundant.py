@@ -26,7 +26,7 @@ from ..linalg import (
     complete_basis,
     factor_definite,
     inner,
-    largest_entry,
+    largest_pivot,
     least_norm,
     solve_definite,
     solve_lower,
@@ -122,28 +122,15 @@ def solve_product(rows, a, rhs, rank, unknowns, x):
     equations = 0
     largest = 0.0
     for k in range(min(rank, unknowns)):
-        pivot = -1.0
-        p = k
-        for i in range(k, rank):
-            size = largest_entry(rows[i, :unknowns])
-            if size > pivot:
-                pivot = size
-                p = i
+        pivot, p, q = largest_pivot(rows, rank, k, 0, unknowns)
         largest = max(largest, pivot)
         if not pivot > RANK_TOLERANCE * largest:
             break
         equations += 1
         if p != k:
             for j in range(unknowns):
-                swap = rows[k, j]
-                rows[k, j] = rows[p, j]
-                rows[p, j] = swap
-                swap = a[k, j]
-                a[k, j] = a[p, j]
-                a[p, j] = swap
-        q = 0
-        while q < unknowns - 1 and abs(rows[k, q]) != pivot:
-            q += 1
+                rows[k, j], rows[p, j] = rows[p, j], rows[k, j]
+                a[k, j], a[p, j] = a[p, j], a[k, j]
         pivot = rows[k, q]
         inverse = 1.0 / pivot
         for j in range(unknowns):

@@ -19,9 +19,8 @@ import numpy as np
 from ..friction.centred import Cones, central_force, null_space
 from ..friction.cone import OPEN, SLIP
 from ..friction.least_loads import least_of
+from ..linalg import RANK_TOLERANCE
 
-# Relative singular values below this are those of redundant contacts.
-_RANK = 1e-11
 # What may be left of the largest b where the equations contradict each other by no more than round-off.
 _LEFT = 1e-9
 # Loads as negative as this part of the largest are none.
@@ -162,8 +161,8 @@ class _Unknowns:
         wanted = -scale * (units.base + units.gram @ self.known)[rows]
         operator = scale[:, None] * (units.gram @ self.expand)[rows] * scale
         _, singular, right = np.linalg.svd(operator)
-        rank = int(np.sum(singular > _RANK * singular[0]))
-        self.x = np.linalg.lstsq(operator, wanted, rcond=_RANK)[0]
+        rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
+        self.x = np.linalg.lstsq(operator, wanted, rcond=RANK_TOLERANCE)[0]
         self.null = right[rank:].T
         if self.null.shape[1] == 0:
             return False

@@ -14,6 +14,7 @@ from ..dynamics.sliding import coefficient_at
 from ..geometry.small import dot
 from ..jit import NOTHING, STEPPING, kernel
 from ..layout import (
+    CURVE_SPEED,
     DOMAIN,
     FREE,
     LENGTH,
@@ -22,7 +23,6 @@ from ..layout import (
     SLIPPING,
     SPINNING,
     STICK,
-    STRIBECK_SPEED,
     SYSTEM,
     TANGENTS,
     UNILATERAL,
@@ -110,7 +110,7 @@ def gather_contacts(system, step):
                 continue
             if not _within_domains(step.start_domain[c], contact_real[c, DOMAIN], instant, ahead):
                 continue
-        if contact_real[c, STRIBECK_SPEED] > 0.0 and mode != STICK:
+        if contact_real[c, CURVE_SPEED] > 0.0 and mode != STICK:
             basis, slip = system.basis[c], system.slip[c]
             mu = coefficient_at(contact_real[c], math.hypot(dot(basis[0], slip), dot(basis[1], slip) if two else 0.0))
         u = _add_unit(step, kind, c, mask, mu, instant)
@@ -134,7 +134,7 @@ def set_impact_friction(system, step, u):
     unit, start = step.units[u], step.unit_start[u]
     numbers = system.contact_real[unit.index]
     unit.sticking_again = 0.0
-    if numbers[STRIBECK_SPEED] > 0.0 and step.start_mode[unit.index] != STICK:
+    if numbers[CURVE_SPEED] > 0.0 and step.start_mode[unit.index] != STICK:
         step.friction[u] = unit.sliding = coefficient_at(numbers, math.hypot(start[0], start[1]))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from ..callback import separate_kernel
 from ..dynamics.evaluation import PLACES_OF_ALL, PLACES_OF_CLOSED, contact_corrections
 from ..dynamics.resistance import count_items
@@ -84,7 +86,8 @@ def project(system, t, evaluated, purpose, error):
         change = correct_state(system, 1, 1)
         if _contradicts(system):
             return CONTRADICTION
-        if i == 0 and change > max(_EXPLAINED, _LEAST_EXPLAINED / system.scale[0]) * max(error, 1.0):
+        explained = max(_EXPLAINED, _LEAST_EXPLAINED / system.scale[0]) * max(error, 1.0) if error < math.inf else error
+        if i == 0 and change > explained:
             return LOCATION_FAILED
         close = change <= _CLOSE
         size, largest = scalars.correction_size, 1.0

@@ -205,7 +205,7 @@ def load_state(address):
 @separate_kernel(REAL, SYSTEM.type, INTEGER, INTEGER)
 def correct_state(system, with_position, with_velocity):
     """Apply the last corrections to STAGE_STATE: v first (its rows belong to the old q), then q; take the contact
-    coordinates found, moved along with q. Returns the largest change of q and v in tolerances.
+    coordinates found, moved along with q. Returns the largest change of q and v in tolerances, infinite without any.
     """
     sizes = system.sizes
     nq, nv, nc = sizes.nq, sizes.nv, sizes.nc
@@ -219,18 +219,24 @@ def correct_state(system, with_position, with_velocity):
     if with_velocity != 0:
         correction = system.correction_v
         for k in range(nv):
-            change = max(change, abs(correction[k]) / (absolute[nq + k] + relative * abs(v[k])))
+            change = max(change, _in_tolerances(correction[k], absolute[nq + k] + relative * abs(v[k])))
             v[k] += correction[k]
     if with_position != 0:
         moved = system.slopes[MAX_STAGES - 1]
         move(system.joint_table, q, system.correction_q, moved, q)
         for i in range(nq):
-            change = max(change, abs(moved[i]) / (absolute[i] + relative * abs(state[i])))
+            change = max(change, _in_tolerances(moved[i], absolute[i] + relative * abs(state[i])))
     for i in range(nq):
         state[i] = q[i]
     if with_position != 0 or with_velocity != 0:
         keep_velocity(system, state)
     return change
+
+
+@kernel
+def _in_tolerances(change, allowed):
+    # a quotient of zeros would be no number, and which one of two numbers is larger then depends on their order
+    return abs(change) / allowed if allowed > 0.0 else math.inf
 
 
 @kernel

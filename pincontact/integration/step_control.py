@@ -79,7 +79,7 @@ def first_step(system, t, span):
     for i in range(ny):
         moved[i] = 0.0
     size, rate = _distance(state, state, moved, absolute, relative), _distance(state, slope, moved, absolute, relative)
-    if size < 0.0:
+    if size < 0.0 or span == 0.0:
         return
     # sizes that overflow leave nothing to go by
     h = _SMALL_STEP

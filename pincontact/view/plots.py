@@ -18,7 +18,8 @@ from ..analysis.linearize import velocity_names
 from ..display import MODE_NAMES
 from ..dynamics.joints import joint_of
 from ..dynamics.manifold import FREE_FLYER, PLANAR_BLOCK, QUATERNION, VECTOR, configuration_blocks
-from ..errors import ArgumentError, MissingExtraError
+from ..errors import ArgumentError
+from ..extras import required
 from ..layout import FREE
 from ..tracks import is_bare
 from .palette import MODE_COLORS, contact_color
@@ -47,12 +48,9 @@ _NO_WORK = 1e-12
 
 
 def _pyplot() -> ModuleType:
-    try:
-        from matplotlib import pyplot
-    except ImportError as error:
-        raise MissingExtraError(
-            f"plots need matplotlib, which is not installed: pip install pincontact[plot] ({error})"
-        ) from error
+    required("matplotlib", "plots need matplotlib, which is not installed", "pincontact[plot]")
+    from matplotlib import pyplot
+
     return pyplot
 
 

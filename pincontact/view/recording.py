@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..arguments import check_positive
-from ..errors import MissingExtraError
+from ..extras import required
 from .drawing import Drawing
 from .meshes import Mesh, lathe
 from .palette import MODE_COLORS, contact_color
 from .plots import limit
 from .replay import Picture, fitting_force_scale, frame
 from .robot import geometry_color
+from .stage import Stage
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -68,18 +69,15 @@ def export_rerun(
     if force_scale is not None:
         check_positive(force_scale=force_scale)
     picture = frame(run, fps, 1.0, max_frames, None)
-    try:
-        import rerun
-    except ImportError as error:
-        raise MissingExtraError(f"recordings need rerun: pip install pincontact[rerun] ({error})") from error
+    rr = required("rerun", "recordings need rerun", "pincontact[rerun]")
     target = Path(path)
     # an error of the operating system, if there is one, before rerun turns it into another
     target.open("wb").close()
-    stream = rerun.RecordingStream("pincontact")
+    stream = rr.RecordingStream("pincontact")
     try:
         stream.save(target)
         drawing = _Recording(stream, picture.moments)
-        stage = picture.stage(run, drawing)
+        stage = Stage(drawing, run, picture)
         stage.move_bodies()
         if run.scene.visual_model is not None:
             for geometry in run.scene.visual_model.geometryObjects:

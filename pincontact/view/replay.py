@@ -11,7 +11,8 @@ import numpy as np
 
 from ..arguments import check_positive
 from ..display import MODE_NAMES
-from ..errors import ArgumentError, MissingExtraError
+from ..errors import ArgumentError
+from ..extras import required
 from ..layout import FREE
 from ..tracks import model_of
 from .drawing import Command, Drawing, color_number
@@ -109,11 +110,7 @@ def replay(
         raise ArgumentError(f"repetitions must be at least 1, got {repetitions}")
     own = viewer is None
     if viewer is None:
-        try:
-            import meshcat
-        except ImportError as error:
-            raise MissingExtraError(f"a replay needs meshcat: pip install meshcat ({error})") from error
-        viewer = meshcat.Visualizer()
+        viewer = required("meshcat", "a replay needs meshcat", "meshcat").Visualizer()
     drawn: meshcat.Visualizer = getattr(viewer, "viewer", viewer)
     for command in picture.commands(environment=own, repetitions=repetitions, time_scale=1.0 / speed):
         drawn.window.send(Command(command))
@@ -203,11 +200,6 @@ class Picture:
     sign: dict[str, float]
     limits: dict[str, np.ndarray | None]
 
-    def stage(self, run: Any, drawing: Drawing | None = None) -> Stage:
-        """What draws the run's parts, into the picture's own drawing if no other is given."""
-        drawing = self.drawing if drawing is None else drawing
-        return Stage(drawing, run, self.moments, self.times, self.placements, self.contacts, self.size, self.mark)
-
     def commands(self, environment: bool, repetitions: int = 1, time_scale: float = 1.0) -> list[dict[str, Any]]:
         """All commands. environment: set background, light and camera, too; time_scale: stretches the replay."""
         drawing = Drawing(self.drawing.root)
@@ -241,7 +233,7 @@ def compose(
     if force_scale is not None:
         check_positive(force_scale=force_scale)
     picture = frame(run, fps, speed, max_frames, follow, axes=not parts.isdisjoint(("frames", "dual_frames")))
-    stage = picture.stage(run)
+    stage = Stage(picture.drawing, run, picture)
     stage.move_bodies()
     if "robot" in parts:
         stage.draw_robot()
@@ -252,9 +244,9 @@ def compose(
     if "traces" in parts:
         stage.draw_traces()
     if "forces" in parts:
-        stage.draw_forces(force_scale or fitting_force_scale(picture.contacts, picture.mark), picture.sign)
+        stage.draw_forces(force_scale or fitting_force_scale(picture.contacts, picture.mark))
     if "cones" in parts:
-        stage.draw_cones(picture.sign)
+        stage.draw_cones()
     for part in ("frames", "dual_frames"):
         if part in parts:
             stage.draw_axes(dual=part == "dual_frames")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from .sampling import (
     turning_rate,
 )
 
+if TYPE_CHECKING:
+    from .replay import Picture
+
 ROOT = ("meshcat", "pincontact")
 
 _TRACE_COLOR = (0.10, 0.10, 0.14)
@@ -42,20 +45,11 @@ _SHOWN_SAMPLES = 24
 class Stage:
     """Draws the parts of one run."""
 
-    def __init__(
-        self,
-        drawing: Drawing,
-        run: Any,
-        moments: np.ndarray,
-        times: np.ndarray,
-        placements: np.ndarray,
-        contacts: dict[str, ContactFrames],
-        size: float,
-        mark: float,
-    ) -> None:
+    def __init__(self, drawing: Drawing, run: Any, picture: Picture) -> None:
         self.drawing, self.run, self.scene, self.model = drawing, run, run.scene, run.scene.model
-        self.moments, self.times, self.placements = moments, times, placements
-        self.contacts, self.size, self.mark, self.line = contacts, size, mark, 0.012 * mark
+        self.moments, self.times, self.placements = picture.moments, picture.times, picture.placements
+        self.contacts, self.sign = picture.contacts, picture.sign
+        self.size, self.mark, self.line = picture.size, picture.mark, 0.012 * picture.mark
 
     def body(self, joint: int, *names: str) -> str:
         return self.drawing.path("bodies", str(self.model.names[joint]), *names)
@@ -193,14 +187,14 @@ class Stage:
         drawn = np.floor(np.interp(self.moments, drawn[:, 0], drawn[:, 1]))
         self.drawing.animate(f"{path}/<object>", "geometry[drawRange].count", "number", self.times, drawn)
 
-    def draw_forces(self, scale: float, sign: dict[str, float]) -> None:
+    def draw_forces(self, scale: float) -> None:
         head = 0.13 * self.mark
         for name, frames in self.contacts.items():
             for part, vectors in (("normal", frames.normal), ("friction", frames.friction)):
                 modes = [m for m in (FRICTIONLESS, STICK, SLIPPING) if (frames.mode == m).any()]
                 if part == "friction":
                     modes = [m for m in modes if m != FRICTIONLESS]
-                arrow = arrows.place_arrow(frames.point, sign[name] * scale * vectors, head)
+                arrow = arrows.place_arrow(frames.point, self.sign[name] * scale * vectors, head)
                 if modes and arrow.visible.any():
                     self._arrow(self.drawing.path("contacts", name, part), arrow, frames, modes)
 
@@ -220,7 +214,7 @@ class Stage:
                 for piece, mesh in (("shaft", arrows.unit_shaft()), ("head", arrows.unit_head())):
                     self.drawing.mesh(f"{path}/{piece}/axis", mesh, color, False, **_ON_TOP)
 
-    def draw_cones(self, sign: dict[str, float]) -> None:
+    def draw_cones(self) -> None:
         """Circular friction cones, from the contact point towards the body on which the arrows show the force."""
         for name, frames in self.contacts.items():
             contact = self.scene.contacts[name]
@@ -228,7 +222,7 @@ class Stage:
             if law is None or not np.isfinite(law.sticking) or law.aspect != 1.0 or contact.pattern.constraints == 2:
                 continue
             height = 0.8 * self.mark / np.hypot(1.0, law.sticking)
-            arrow = arrows.place_arrow(frames.point, sign[name] * _unit(frames.normal), self.mark)
+            arrow = arrows.place_arrow(frames.point, self.sign[name] * _unit(frames.normal), self.mark)
             path = self.drawing.path("contacts", name, "cone")
             if not arrow.visible.any():
                 continue

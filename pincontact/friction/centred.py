@@ -29,6 +29,8 @@ from .solve import ContactSolution
 
 # Velocities relative to the terms that cancel in them.
 _AT_REST = 1e-9
+# A left inverse that is off by more has been lost in round-off.
+_TOLD = 1e-6
 
 
 class Cone(NamedTuple):
@@ -77,10 +79,15 @@ class Choice(NamedTuple):
     span: np.ndarray
 
     def loads_along(self, operator: np.ndarray) -> np.ndarray:
-        """(m, r) the transpose of what gives y for loads (m,), which the operator (m, n) makes of forces."""
-        along: np.ndarray = operator @ self.span
+        """(m, r) the transpose of what gives y for loads (m,), which the operator (m, n) makes of forces.
+
+        Zero where loads do not tell y.
+        """
+        made: np.ndarray = operator @ self.span
+        along = made.copy()
         left_inverse(along, np.empty((along.shape[1], along.shape[1])))
-        return along
+        told = np.abs(along.T @ made - np.eye(along.shape[1])).max(initial=0.0) <= _TOLD
+        return along if told else np.zeros_like(along)
 
 
 def null_space(directions: np.ndarray) -> np.ndarray:

@@ -54,13 +54,8 @@ class Units:
     def with_loads(self, of: np.ndarray, base: np.ndarray, rows: np.ndarray) -> Units:
         """The problem in which the loads of these k units, which it takes as given, are unknown: base (k,) + rows (k,
         3n) @ forces, each an equation in the row that only fills up its unit's cone."""
-        gram, b, real, parents, k = (
-            self.gram.copy(),
-            self.base.copy(),
-            self.real.copy(),
-            self.parents.copy(),
-            3 * of + 2,
-        )
+        gram, b, real, parents = (array.copy() for array in (self.gram, self.base, self.real, self.parents))
+        k = 3 * of + 2
         weights = gram[k, k]
         gram[k] -= weights[:, None] * rows
         b[k] = -weights * base

@@ -41,7 +41,8 @@ class Sliding:
 
     def __init__(self, rng, n, friction=0.4, stretched=False, nv=5, unit=1.0):
         self.contact_int = np.full((n, CONTACT_INTS), 3, dtype=np.int64)
-        self.contact_real = rng.normal(size=(n, CONTACT_REALS))
+        # of whatever size: the motions below do not depend on it
+        self.contact_real = np.random.default_rng(n).normal(size=(n, CONTACT_REALS))
         self.contact_int[:, [TANGENTS, FROZEN, ANISOTROPIC]] = 2, 0, int(stretched)
         self.contact_real[:, [SCALING_11, SCALING_12, SCALING_22]] = 1.3, 0.2, 0.8
         self.shape = np.array([[1.3, 0.2], [0.2, 0.8]]) if stretched else np.eye(2)

@@ -185,6 +185,5 @@ def gather_joints(step):
             # by an impact of this step
             instant = max(gap / -thrown, 0.0)
         # as for contacts, whether it gets there depends on what holds it
-        foretold = step.counts.has_trend != 0 or gap <= TOUCHING
-        if resting or (instant >= 0.0 and foretold):
+        if resting or (instant >= 0.0 and step.counts.has_trend != 0):
             _add_unit(step, ON_JOINT, j, 4, 0.0, -1.0 if resting else instant)

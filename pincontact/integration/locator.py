@@ -203,19 +203,22 @@ class EventLocator:
         """
         h = crossing.theta * step
         back = max(h - _SLOPE_OVER * step, 0.5 * h)
-        c, kind = crossing.c, crossing.kind
+        c, kind, slack = crossing.c, crossing.kind, self.system.slack
+        # as small as the step to the crossing has it
+        found = crossing.value - slack.item(c, kind)
         self._set_slack()
+        found += slack.item(c, kind)
         exists, values = self.system.look(t, step, back / step)
-        if not exists or math.isnan(crossing.value):
+        if not exists or math.isnan(found):
             self.rk.attempt(t, h)
             return h, True
-        slope = (crossing.value - values.item(c, kind)) / (h - back)
+        slope = (found - values.item(c, kind)) / (h - back)
         is_way = kind == GAP_EVENT or (kind == DOMAIN_EVENT and c >= self.system.nc)
         depth = float(self._depths[c]) if is_way else 0.0
         # ways were looked for where they are below zero by what open gaps may be, and are refined to zero
-        below = float(self.system.slack[c, kind]) - depth
+        below = slack.item(c, kind) - depth
         if slope < 0.0:
-            h = max(h - (crossing.value - below) / slope, back)
+            h = max(h - (found - below) / slope, back)
         zero = _CLOSE * below
         before: tuple[float, float] | None = None
         # forces decide modes, and where they do the motion has no jump

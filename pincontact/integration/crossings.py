@@ -37,7 +37,7 @@ _BISECTIONS = 40
 # Looks for what crosses before the first crossing that was found, beyond one for each event function.
 _ROUNDS = 4
 # Event functions that are negative by this part of what they were cross zero at the same time. What is this part of
-# what they were is zero, and so is that part of what they may be below zero.
+# their largest size in the step is zero, and so is that part of what they may be below zero.
 _AT_ONCE, _ZERO, _OF_SLACK = 1e-12, 1e-14, 1e-3
 # Zero of the polynomial through the samples, as a part of the step.
 _POLYNOMIAL_ACCURACY = 1e-12
@@ -220,7 +220,7 @@ def find_zero(system, t, h, c, kind):
             high, after = share, value
     found = low
     if before > 0.0:
-        least = _next_to_zero(system, c, kind, before)
+        least = _next_to_zero(system, c, kind)
         begin_bracket(bracket, low, before)
         share = narrow(bracket, high, after, ACCURACY)
         foreseen = _zero_of_polynomial(system, c, kind, low, high)
@@ -239,9 +239,10 @@ def find_zero(system, t, h, c, kind):
 
 
 @kernel
-def _next_to_zero(system, c, kind, before):
-    """What is zero in an event function that has fallen from a value before, as far as it is known."""
-    return max(_OF_SLACK * system.slack[c, kind], _ZERO * before if before < NOTHING_THERE else 0.0)
+def _next_to_zero(system, c, kind):
+    """What is zero in an event function, as far as it is known."""
+    size = max(abs(system.lowest[c, kind]), abs(system.highest[c, kind]))
+    return max(_OF_SLACK * system.slack[c, kind], _ZERO * size if size < NOTHING_THERE else 0.0)
 
 
 @kernel
@@ -316,8 +317,7 @@ def find_earliest(system, t, h):
                 if sought[c, kind] != LEFT_OUT:
                     # what has come down to that is zero there, too, as far as zeros are told apart
                     before = left[c, kind]
-                    zero = _next_to_zero(system, c, kind, before)
-                    at_once = max(_AT_ONCE * before if before < NOTHING_THERE else 0.0, zero)
+                    at_once = max(_AT_ONCE * before if before < NOTHING_THERE else 0.0, _next_to_zero(system, c, kind))
                     crosses = 0.0 < before != NOTHING_THERE and right[c, kind] < -at_once
                     sought[c, kind] = UNKNOWN if crosses else NOT_SOUGHT
         sought[item, what] = NOT_SOUGHT

@@ -253,7 +253,7 @@ class Impacts:
                 friction = coefficient(system, i) * associated(system, i, slip_direction(system, i))
                 braking[len(rows) - 1] = rows[-1] - friction @ system.rows[i, :2]
                 slips[i] = system.basis[i, :2] @ system.slip[i]
-        if max(map(abs, speeds), default=0.0) <= rest_speed(system):
+        if not braking or max(map(abs, speeds)) <= rest_speed(system):
             return
         # one by one: BLAS starts threads for many columns, which cost more
         normal = np.array([whiten(system, row) for row in rows]).T

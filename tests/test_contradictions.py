@@ -130,6 +130,7 @@ STARTS = {
     "Stepper": pc.Stepper,
     "rollout": lambda scene, state: pc.rollout(scene, [state], np.zeros((1, 3, 6)), 1e-3),
     "linearize": pc.linearize,
+    "inverse_dynamics": pc.inverse_dynamics,
 }
 
 

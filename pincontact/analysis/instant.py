@@ -18,6 +18,7 @@ from ..geometry.carriers import ORIGIN
 from ..geometry.chart_changes import move_charts
 from ..geometry.patterns import ON_CURVE
 from ..integration.accuracy import REST
+from ..integration.contradictions import refuse_apart
 from ..integration.discrete import write_discrete
 from ..integration.resolution import FORCE_ROUND_OFF
 from ..integration.results import FAILURES, SINGULAR_CONTACT, Stop
@@ -171,6 +172,7 @@ class Instant:
                 transitions.begin(self.t)
             else:
                 rk.evaluate(self.t)
+                refuse_apart(system)
                 transitions.changes.set_from_velocities()
                 slow = self._rest_speed
                 for g, limit in enumerate(system.limits):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pinocchio as pin
 
 from ..dynamics.contact_modes import held_up_by_friction
 from ..dynamics.directions import slip_direction
@@ -30,7 +31,7 @@ from ..layout import (
 from .accuracy import count_hop, gap_rate, gap_resolution, rest_speed
 from .jams import may_stop, stop_jammed, stop_slips
 from .penetration import Penetration
-from .results import ADVICE, FAILURES, GAP_TOLERANCE, Stop
+from .results import ADVICE, FAILURES, GAP_TOLERANCE, STEP_TOO_SMALL, Stop
 from .slip_onset import SlipOnset
 
 # After an impact what leaves faster than this, in m/s, opens.
@@ -49,6 +50,9 @@ class Impacts:
         self.onset, self.penetration, self.restitution = onset, penetration, restitution
         self.changes, self.system, self.rk = onset.changes, onset.system, onset.rk
         self.joints, self.reports = self.changes.joints, self.changes.reports
+        model = self.system.model
+        # N
+        self._weight = pin.computeTotalMass(model) * float(np.linalg.norm(model.gravity.linear))
         # m/s: the slips that the last impact left
         self._rubbing = np.zeros(0)
 
@@ -140,7 +144,7 @@ class Impacts:
         self._rubbing = self._slips()
         self._open_leaving(t, closed, touching, near)
         self.joints.set_from_velocities({g: end for g, end in ends.items() if not self._joint_leaves(g)})
-        undecided = changes.set_from_velocities(after_impact=True)
+        changes.set_from_velocities(after_impact=True)
         before = changes.counted_energy()
         stop_jammed(changes, t)
         self._brake(t)
@@ -148,12 +152,13 @@ class Impacts:
         if self._project(t):
             stop_jammed(changes, t)
         else:
-            undecided = changes.set_from_velocities(after_impact=True)
-        if self._end_short_motions(t, closed, ends):
-            undecided = changes.set_from_velocities(after_impact=True)
+            changes.set_from_velocities(after_impact=True)
+        self._end_short_motions(t, closed, ends)
         changes.count_loss(before)
         if deep:
             self._return_lift(t, energy + impact.drives)
+        # slips of the projected velocities: what had one before may be at rest now
+        undecided = changes.set_from_velocities(after_impact=True)
         return self.onset.resolve(t, undecided, silent=True)
 
     # ---------------------------------------------------------------- what takes part, and what leaves
@@ -283,19 +288,36 @@ class Impacts:
         """
         system, changes = self.system, self.changes
         kinetic, potential = changes.energies()
-        excess = min(max(kinetic + potential - energy, 0.0), kinetic)
-        if excess > 0.0:
-            system.stage_state[system.nq : system.nq + system.nv] *= math.sqrt(1.0 - excess / kinetic)
-            self.rk.load(system.stage_state)
-            # drives have velocities of their own
-            changes.project(t, explained=True)
-        changes.count_works(friction=-excess)
+        excess = kinetic + potential - energy
+        if excess <= 0.0:
+            return
+        # Drives have velocities of their own, to which the rest of v is M-orthogonal: half of them is what a projection
+        # puts back when v is halved. Slips have no say in it, and may leave no forces there.
+        modes = system.contact_int[:, MODE]
+        modes[modes == SLIPPING] = FRICTIONLESS
+        velocity = system.stage_state[system.nq : system.nq + system.nv]
+        whole = velocity.copy()
+        velocity *= 0.5
+        self.rk.load(system.stage_state)
+        changes.project(t, explained=True)
+        driven, own = 2.0 * velocity - whole, (kinetic - changes.energies()[0]) / 0.75
+        if excess > own + self._weight * float(system.gap_accuracy.max()):
+            raise Stop(
+                STEP_TOO_SMALL,
+                f"t = {t:.9g} s: to lift out what has dipped before it struck takes {excess:.3g} J, and the motion has "
+                f"{own:.3g} J; {ADVICE}",
+            )
+        kept = max(1.0 - excess / own, 0.0) if own > 0.0 else 0.0
+        velocity[:] = driven + math.sqrt(kept) * (whole - driven)
+        self.rk.load(system.stage_state)
+        changes.evaluate_rows(t)
+        changes.count_works(friction=(kept - 1.0) * own)
 
     # ---------------------------------------------------------------- motions too short to be told from rest
 
-    def _end_short_motions(self, t: float, contacts: list[int], ends: dict[int, int]) -> bool:
+    def _end_short_motions(self, t: float, contacts: list[int], ends: dict[int, int]) -> None:
         """End what an impact has begun and would end within distances shorter than positions are known to: slips, and
-        hops of what took part, contacts and ends of joints (coordinate -> end); whether there was any.
+        hops of what took part, contacts and ends of joints (coordinate -> end).
 
         Else a body that comes to rest goes on for ever: such a slip's friction tips it, and what tips falls as far
         below the ground as its touch is noticed late; and coupled joints that are pressed onto their ends throw each
@@ -303,9 +325,9 @@ class Impacts:
         """
         system, changes, joints = self.system, self.changes, self.joints
         modes = system.contact_int[:, MODE]
-        for count in range(system.items + 1):
+        for _ in range(system.items + 1):
             if self.rk.evaluate(t) > EVENT:
-                break
+                return
             slips = [c for c in system.closed() if modes[c] == SLIPPING and self._stops_soon(c)]
             left = [g for g in ends if joints.is_free(g)]
             hops = [g for g in left if joints.returns_soon(g, ends[g], self._resolution_of_hops)]
@@ -313,7 +335,7 @@ class Impacts:
             stops = [g for g in range(system.ng) if joints.is_free(g) and joints.stops_soon(g, self._resolution)]
             touches = [c for c in contacts if modes[c] == FREE and self._returns_soon(t, c)]
             if not (slips or stops or hops or touches):
-                return count > 0
+                return
             for c in touches:
                 modes[c] = rest_mode(system.contact_real[c, MU])
             if touches:
@@ -326,7 +348,6 @@ class Impacts:
             self._brake(t)
             if not self._project(t):
                 changes.set_from_velocities(after_impact=True)
-        return True
 
     def _project(self, t: float) -> bool:
         """Put the state on its constraints; False where the slips that it has leave no forces. Then those have been

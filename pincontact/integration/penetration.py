@@ -22,6 +22,9 @@ from .runge_kutta import RungeKutta
 _DEEPEST = 1e-3
 # A dip this many times deeper than was foreseen is none, and touches.
 _SLACK = 2.0
+# A dip is foreseen when its end is to this part of its depth.
+_BACK = 0.1
+_TRIALS = 10
 
 
 class Penetration:
@@ -101,7 +104,7 @@ class Penetration:
         depth = self._foresee(t, c, tau)
         # an evaluation frees what resists the turning of an open contact
         modes[:] = before
-        if depth > max(self.accuracy(c), self._deepest(c)):
+        if depth == math.inf:
             return True
         self._tolerate_dip(c, depth)
         return False
@@ -116,25 +119,28 @@ class Penetration:
             if not -self._deepest(c) <= gap < -self.accuracy(c):
                 continue
             depth = self._foresee(t, c, tau, gap, gap_rate(system, c))
-            if depth <= self._deepest(c):
+            if depth < math.inf:
                 self._tolerate_dip(c, depth)
             if rk.evaluate_start(t) > EVENT:
                 return False
         return True
 
     def _deepest(self, c: int) -> float:
-        return _DEEPEST * float(self._rk.system.contact_real[c, LENGTH])
+        """How deep in m contact c may dip."""
+        return max(_DEEPEST * float(self._rk.system.contact_real[c, LENGTH]), self.accuracy(c))
 
     def _tolerate_dip(self, c: int, depth: float) -> None:
         if depth > 0.0:
             self.tolerate(c, _SLACK * depth)
 
     def _foresee(self, t: float, c: int, tau: float, gap: float = 0.0, rate: float = 0.0) -> float:
-        """How deep in m the gap of an open contact gets from the accepted state on; infinite if it does not recover.
+        """How deep in m the gap of an open contact gets from the accepted state on; infinite if that is more than is
+        tolerated, or it does not recover.
 
-        tau: time in s over which the rate j of the gap's second derivative a is measured, to second order, since the
-        depth decides when the contact touches; gap, rate: its value in m and first derivative. From 0 and 0 it dips by
-        2 |a|^3 / (3 j^2). The accepted state's evaluation is lost.
+        tau: time in s over which the rate j of the gap's second derivative a is first measured; gap, rate: its value
+        in m and first derivative. With a constant j it dips from 0 and 0 by 2 |a|^3 / (3 j^2) and is back after
+        3 |a| / j. Trial steps over the whole dip show where it is then, and the mean of j until then. The accepted
+        state's evaluation is lost.
         """
         first = math.nan
         if self._rk.evaluate_start(t) <= EVENT:
@@ -142,20 +148,40 @@ class Penetration:
         if first >= 0.0 and rate >= 0.0:
             return max(0.0, -gap)
         jerk = math.nan
-        if tau > 0.0:
-            half, whole = (self._acceleration_after(t, c, span) for span in (0.5 * tau, tau))
-            jerk = (4.0 * half - whole - 3.0 * first) / tau
-        if not jerk > 0.0:
-            return math.inf
-        # the later root of rate + first s + jerk s^2 / 2; where there is none the gap only rises
-        root = first * first - 2.0 * jerk * rate
-        lowest = max(math.sqrt(root) - first, 0.0) / jerk if root > 0.0 else 0.0
-        return max(-(gap + lowest * (rate + lowest * (0.5 * first + lowest * jerk / 6.0))), 0.0)
+        if tau > 0.0 and self._evaluate_after(t, tau):
+            jerk = (self._modes.gap_acceleration(t + tau, c) - first) / tau
+        for _ in range(_TRIALS):
+            if not jerk > 0.0:
+                break
+            # the later root of the derivative; where there is none the gap only rises
+            root = first * first - 2.0 * jerk * rate
+            lowest = max(math.sqrt(root) - first, 0.0) / jerk if root > 0.0 else 0.0
+            foreseen = -_cubic(lowest, gap, rate, first, jerk)
+            if lowest <= 0.0 or foreseen <= 0.0:
+                return max(0.0, -gap)
+            end = 1.5 * lowest
+            if foreseen > self._deepest(c):
+                break
+            if end <= tau:
+                return foreseen
+            if not self._evaluate_after(t, end):
+                break
+            error = float(self._rk.system.gaps[c, 0]) - _cubic(end, gap, rate, first, jerk)
+            jerk += 6.0 * error / end**3
+            if abs(error) <= _BACK * foreseen:
+                found = self._evaluate_after(t, lowest)
+                return max(-float(self._rk.system.gaps[c, 0]), 0.0) if found else math.inf
+        return math.inf
 
-    def _acceleration_after(self, t: float, c: int, tau: float) -> float:
-        """Second derivative of the gap of contact c in m/s^2, tau after the accepted state; NaN where there is none."""
+    def _evaluate_after(self, t: float, tau: float) -> bool:
+        """Evaluate what a trial step from the accepted state over tau leads to; whether that is possible."""
         rk = self._rk
         if rk.attempt(t, tau) != OK:
-            return math.nan
+            return False
         rk.load(rk.system.new_state)
-        return self._modes.gap_acceleration(t + tau, c) if rk.evaluate(t + tau) <= EVENT else math.nan
+        return rk.evaluate(t + tau) <= EVENT
+
+
+def _cubic(s: float, gap: float, rate: float, acceleration: float, jerk: float) -> float:
+    """Gap after s seconds, from its value and derivatives."""
+    return gap + s * (rate + s * (0.5 * acceleration + s * jerk / 6.0))

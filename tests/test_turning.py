@@ -51,6 +51,33 @@ def test_what_two_feet_keep_from_spinning_holds_at_both(seed, method):
         assert turning[-1:] == ["hold"], run.events
 
 
+@pytest.mark.parametrize("seed", [28, 50, *range(4)])
+def test_what_a_plate_that_lands_flat_does_not_roll_is_held(seed):
+    """A plate rattles on four rolling feet until all are down: from then on it cannot roll, and resistance to it takes no
+    energy."""
+    rng = np.random.default_rng(seed)
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "plate")
+    inertia = pin.Inertia(1.0, np.zeros(3), np.diag(rng.uniform(0.003, 0.02, 3)))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.addBodyFrame("plate", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    for k, (x, y) in enumerate([(0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1), (0.1, -0.1)]):
+        foot = scene.add_contour(f"p{k}", pc.Sphere(0.02), "plate", pin.SE3(np.eye(3), np.array([x, y, -0.1])))
+        law = pc.Coulomb(rng.uniform(0.1, 0.6), rolling=rng.uniform(0.002, 0.01))
+        scene.add_contact(f"foot {k}", foot, floor, friction=law)
+    height = 0.12 + rng.uniform(0.001, 0.01)
+    turned = pin.Quaternion(pin.rpy.rpyToMatrix(*(0.05 * rng.normal(size=3)))).coeffs()
+    v = np.concatenate([0.5 * rng.normal(size=3), rng.normal(size=3)])
+    state = scene.initial_state([0.0, 0.0, height, *turned], v, free=list(scene.contacts), max_gap=1.0)
+    run = pc.simulate(scene, state, 1.0, energies=True)
+    assert run.status == 0, run.message
+    # what a run to 1e-8 leaves; resistance to rolling at a contact that does not roll made 1e-5
+    energies = run.energies()
+    assert np.abs(energies.balance).max() <= 3e-8 * energies.kinetic.max()
+
+
 @BILATERAL
 def test_spin_ends_at_an_event(bilateral):
     length, spin = 2e-4, 12.0

@@ -53,8 +53,8 @@ def test_what_two_feet_keep_from_spinning_holds_at_both(seed, method):
 
 @pytest.mark.parametrize("seed", [28, 50, *range(4)])
 def test_what_a_plate_that_lands_flat_does_not_roll_is_held(seed):
-    """A plate rattles on four rolling feet until all are down: from then on it cannot roll, and resistance to it takes no
-    energy."""
+    """A plate rattles on four rolling feet until all are down: from then on it cannot roll, and resistance to it
+    takes no energy."""
     rng = np.random.default_rng(seed)
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "plate")

@@ -140,10 +140,21 @@ def test_a_touch_after_a_dip_is_as_good_as_the_tolerance():
     assert touches[0] == pytest.approx(touches[1], abs=1e-6)
 
 
-@pytest.mark.parametrize("seed", [500380, 520600, 511680, 700068])
+@pytest.mark.parametrize("seed", [500380, 520600, 511680, 400552])
 def test_methods_agree_where_one_was_wrong(seed):
     """A mechanism that comes to rest and is held by forces no motion feels, though what rigid geometry leaves out asks
     for more than its rows reach; resistance to rolling after ideal rolling was held up by friction; viscous friction
-    that opens its contact; ideal rolling that was let go, sank in, and was lifted with more energy than it had."""
+    that opens its contact; coupled joints that stop together."""
     finding = check(seed)
     assert not finding.wrong, finding
+
+
+def test_a_dip_is_foreseen_by_its_whole_length():
+    """A tripod whose rough foot is let go: the rate of its gap's acceleration is no constant, and by its first value
+    the foot would be back from half a millimetre. It got twice as deep, and was lifted with more energy than there was.
+    """
+    _, motion = random_motion(700068)
+    run = pc.simulate(motion.scene, motion.state(), 1.1, energies=True)
+    assert run.status == 0, run.message
+    energies = run.energies()
+    assert np.abs(energies.balance).max() <= 1e-7 * energies.kinetic.max()

@@ -127,7 +127,7 @@ class ModeChanges:
         # what comes to rest may hold more
         stopped = self._stopped(t, before) if at_rest else []
         if stopped:
-            system.contact_int[stopped, MODE] = STICK
+            self._hold(stopped)
             at_rest = {**at_rest, **dict.fromkeys(stopped, np.zeros(3))}
             self.resolve_modes(t, self.sticking(), beyond)
             self.project(t, True, explained)
@@ -148,21 +148,40 @@ class ModeChanges:
         self.joints.announce_changes(t)
 
     def _stopped(self, t: float, before: np.ndarray) -> list[int]:
-        """Items that slid in these modes, and slide still, but which others keep from it now: bodies do not turn at one
-        contact whose others stick."""
-        integers, numbers = self.system.contact_int, self.system.contact_real
-        slid = (before == SLIPPING) & (integers[:, MODE] == SLIPPING) & (integers[:, FROZEN] == 0)
-        items = np.flatnonzero(slid & np.isfinite(numbers[:, MU])).tolist()
-        if not items:
+        """What moves in these modes, but is at rest: items that slid till now, and which others keep from it, and what
+        has begun to slip beside them. Empty without the former.
+
+        Bodies do not turn at one contact whose others stick, and coupled joints stop together.
+        """
+        system = self.system
+        integers, numbers, joints = system.contact_int, system.contact_real, range(system.nc, system.nc + system.ng)
+        slid = before == SLIPPING
+        slid[joints] = before[joints] == FREE
+        sliding = (integers[:, MODE] == SLIPPING) & np.isfinite(numbers[:, MU]) & ((integers[:, FROZEN] == 0) | ~slid)
+        sliding[joints] = [bool(limit.dry) and self.joints.is_free(g) for g, limit in enumerate(system.limits)]
+        if not (sliding & slid).any():
             return []
         self.rk.evaluate(t)
-        slowest = rest_speed(self.system)
-        return [i for i in items if self._speed(i) <= slowest]
+        slowest = rest_speed(system)
+        at_rest = [i for i in np.flatnonzero(sliding).tolist() if self._speed(i) <= slowest]
+        return at_rest if slid[at_rest].any() else []
+
+    def _hold(self, items: list[int]) -> None:
+        """Hold items that are at rest."""
+        system = self.system
+        for i in items:
+            if system.nc <= i < system.nc + system.ng:
+                self.modes.hold(i - system.nc, 0)
+            else:
+                system.contact_int[i, MODE] = STICK
 
     def _speed(self, i: int) -> float:
         """How fast item i slips in the last evaluation, in m/s or rad/s."""
-        along = self.system.basis[i] @ self.system.slip[i]
-        return abs(along[0]) if self.system.contact_int[i, TANGENTS] == 1 else math.hypot(along[0], along[1])
+        system = self.system
+        if system.nc <= i < system.nc + system.ng:
+            return abs(float(system.v[system.limits[i - system.nc].index_v]))
+        along = system.basis[i] @ system.slip[i]
+        return abs(along[0]) if system.contact_int[i, TANGENTS] == 1 else math.hypot(along[0], along[1])
 
     def slip_direction(self, c: int) -> np.ndarray:
         """Unit vector, world axes, of the slip of an item that slides; zero where there is none."""

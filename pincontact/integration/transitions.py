@@ -217,7 +217,8 @@ class Transitions:
             return t
         if self.joints.switch(t, c - self.system.nc, kind):
             return self.impacts.stop_joints(t)
-        return self.onset.resolve(t, self.changes.sticking())
+        ended = {c: np.zeros(3)} if kind == SPEED_EVENT else {}
+        return self.onset.resolve(t, self.changes.sticking(), at_rest=ended)
 
     def _reach_end(self, t: float, c: int) -> float:
         """The point of contact c reaches the end of a contour."""

@@ -329,6 +329,7 @@ class System(Workspace):
         callback["call_failed"] = id(False)
         callback["evaluation"] = kernel_address(evaluate_state)
         self._asked_for_drives = (self._to_be_asked(None), ()) if self.python_drives else None
+        callback["asked_for_places"] = bool(self.python_drives)
         self.before_evaluation()
 
     def _to_be_asked(self, torque: Callable[[float], None] | None) -> Callable[[], bool]:

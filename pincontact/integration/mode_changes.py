@@ -208,13 +208,8 @@ class ModeChanges:
         return True
 
     def redistribute_within(self, t: float, c: int, kind: int) -> bool:
-        """The same within a step, for forces that move nothing; without effect if not."""
-        before = self.modes.reference()
-        if self._choose_others(t, c, kind):
-            if not self._is_limited(c, kind):
-                return True
-            self.modes.take_back(before)
-        return False
+        """The same within a step, for forces that move nothing. Those that leave an item at its limit stay chosen."""
+        return self._choose_others(t, c, kind) and not self._is_limited(c, kind)
 
     def _choose_others(self, t: float, c: int, kind: int) -> bool:
         """Choose other ones among redundant forces; see `redistribute`."""

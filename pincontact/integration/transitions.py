@@ -173,8 +173,8 @@ class Transitions:
 
     # ---------------------------------------------------------------- events
 
-    def switch(self, t: float, c: int, kind: int) -> float:
-        """Event function `kind` of item c has reached zero at t."""
+    def switch(self, t: float, c: int, kind: int, chosen: bool) -> float:
+        """Event function `kind` of item c has reached zero at t. chosen: whether no other redundant forces would do."""
         if kind == GAP_EVENT and c < self.system.nc:
             if self._turns_round(c):
                 self.open.passed.add(c)
@@ -183,7 +183,7 @@ class Transitions:
             return self.impacts.touch(t, c)
         self.reports.check_chatter(t, c)
         if self.system.nc <= c < self.system.nc + self.system.ng:
-            return self._switch_joint(t, c, kind)
+            return self._switch_joint(t, c, kind, chosen)
         if kind == DOMAIN_EVENT:
             return self._reach_end(t, c)
         if kind == SPEED_EVENT:
@@ -199,7 +199,7 @@ class Transitions:
         if kind == FRICTION_EVENT and self.system.contact_int[c, MODE] == SLIPPING:
             end_jams(self.changes, t, [c])
             return self.onset.start(t)
-        if self.changes.redistribute(t, c, kind):
+        if not chosen and self.changes.redistribute(t, c, kind):
             return t
         c, kind = self.changes.limiting(c, kind)
         return self._lose_load(t, c) if kind == NORMAL_EVENT else self._reach_limit(t, c)
@@ -211,9 +211,9 @@ class Transitions:
         crossing = integers[PATTERN] == CROSSING_CURVES
         return bool(crossing and abs(self.system.gaps[c, 0]) > _APART * numbers[LENGTH])
 
-    def _switch_joint(self, t: float, c: int, kind: int) -> float:
+    def _switch_joint(self, t: float, c: int, kind: int, chosen: bool) -> float:
         """Event function `kind` of item c, a limited joint coordinate, has reached zero."""
-        if kind in (NORMAL_EVENT, FRICTION_EVENT) and self.changes.redistribute(t, c, kind):
+        if not chosen and kind in (NORMAL_EVENT, FRICTION_EVENT) and self.changes.redistribute(t, c, kind):
             return t
         if self.joints.switch(t, c - self.system.nc, kind):
             return self.impacts.stop_joints(t)

@@ -234,15 +234,11 @@ class Driver:
                 raise self.transitions.reports.failure(t, NO_FORCE)
             self._watch(t, True, False)
             self.outputs.write_asked(t)
-        elif why == ATTEMPTED:
-            t, switched = self._complete(t, float(scalars["step"]), float(scalars["next_time"]))
+        elif why in (ATTEMPTED, SLIP_ENDS):
+            step, t_new = float(scalars["step"]), float(scalars["next_time"])
+            t, switched = self._complete(t, step, t_new) if why == ATTEMPTED else (self._end_slip(t), True)
             if switched:
                 self._restart(usual_step)
-            if self._slides_slowly() and t < t_end:
-                t = self._slow_slip(t)
-        elif why == SLIP_ENDS:
-            t = self._end_slip(t)
-            self._restart(usual_step)
             if self._slides_slowly() and t < t_end:
                 t = self._slow_slip(t)
         elif why == SLIP_IS_SLOW:

@@ -256,8 +256,8 @@ class EventLocator:
         return h, not denied
 
     def _is_exact(self, t: float, step: float, h: float) -> bool:
-        """Whether the interpolant's state after h is as good as that of a true step; then it is the trial step's end, and
-        evaluated."""
+        """Whether the interpolant's state after h is as good as that of a true step; then it is the trial step's end,
+        and evaluated."""
         system = self.system
         system.scan_shares[LOOK_ROW] = h / step
         if h > step or system.run(FIND_DEFECT, t, step) != OK or not system.scalars["defect"] <= _STANDS:

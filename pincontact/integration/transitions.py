@@ -58,8 +58,6 @@ _JUMP_REACHES = 10.0
 _APART = 1e-2
 # What is added to the slack of a limit of friction that was reached without slip, as a factor, and where that ends.
 _SLACK_GROWTH, _LARGEST_SLACK = 4.0, 1e-10
-# A load that has not lasted so long, in s, after it has begun from zero, has not begun.
-_AT_ONCE = 1e-9
 
 
 class Transitions:
@@ -83,8 +81,6 @@ class Transitions:
         self.impacts = Impacts(self.onset, self.penetration, restitution)
         # closed contacts of the initial state that come in
         self._striking: list[int] = []
-        # when contacts that a part of their viscous friction held up last took all of it
-        self._filled: dict[int, float] = {}
 
     # ---------------------------------------------------------------- start and breakpoints
 
@@ -192,7 +188,6 @@ class Transitions:
             return self.onset.resolve(t, self.changes.sticking(), at_rest={c: direction})
         if kind == FRICTION_EVENT and shares_viscous_force(self.system, c):
             # all of its viscous friction from here on, and a load that grows from zero
-            self._filled[c] = t
             self.modes.load(c)
             self.changes.accept_with_other_forces(t)
             return t
@@ -238,7 +233,7 @@ class Transitions:
         if self._closes_again(t, c):
             return self.onset.leave_stick(t, c)
         # where neither a part nor all of its viscous friction holds it up, it opens
-        if t - self._filled.get(c, -math.inf) > _AT_ONCE and self.modes.share(t, c, self.rk.evaluate):
+        if self.modes.share(t, c, self.rk.evaluate):
             self.changes.accept_with_other_forces(t)
             return t
         before = int(integers[MODE])

@@ -112,8 +112,8 @@ def load_interpolated(system, theta):
 
 @separate_kernel(INTEGER, SYSTEM.type, REAL, REAL)
 def find_defect(system, t, h):
-    """DEFECT, how far off the interpolant of the step from t of size h may be at the share in LOOK_ROW, in tolerances: the
-    way there, times the most by which its rate is another than that of the motion, there and half way; a status."""
+    """DEFECT, how far off the interpolant of the step from t of size h may be at the share in LOOK_ROW, in tolerances:
+    the way there, times the most by which its rate is another than that of the motion, there and half way; a status."""
     share, relative = system.scan_shares[LOOK_ROW], system.scale[0]
     absolute, state, slope = system.absolute, system.stage_state, system.next_slope
     worst = 0.0

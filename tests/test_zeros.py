@@ -403,6 +403,45 @@ def test_a_true_step_that_just_misses_is_moved_on(monkeypatch, rtol):
     np.testing.assert_allclose(event.q, exact.q, rtol=0.0, atol=10.0 * rtol)
 
 
+def test_interpolants_that_are_as_good_as_steps_take_none(monkeypatch):
+    """Thrown bodies that turn slowly, or fast: where the interpolant's state is taken for an event it is that of a true
+    step, but for a hundredth of the tolerance, and it is taken where bodies hardly turn."""
+    rtol, rng = 1e-8, np.random.default_rng(3)
+    refine, differences, spins = EventLocator.refine, [], []
+
+    def compared(locator, t, step, crossing):
+        result = refine(locator, t, step, crossing)
+        if locator.interpolated:
+            system, end = locator.system, locator.system.new_state.copy()
+            kept = system.scalars.copy()
+            locator.rk.attempt(t, result[0])
+            allowed = system.absolute + rtol * np.abs(end)
+            differences.append(np.abs(system.new_state - end)[system.absolute > 0.0] / allowed[system.absolute > 0.0])
+            assert kept["step"] == result[0]
+            system.new_state[:] = end
+            locator.rk.load(end)
+            locator.rk.evaluate(t + result[0])
+        spins[-1].append(locator.interpolated)
+        return result
+
+    monkeypatch.setattr(EventLocator, "refine", compared)
+    for spin in np.geomspace(1e-3, 10.0, 13):
+        model = pin.Model()
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.diag([0.02, 0.05, 0.06])), pin.SE3.Identity())
+        model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+        scene = pc.Scene(model)
+        foot = scene.add_contour("foot", pc.Point(), "body", pin.SE3(np.eye(3), np.array([0.2, 0.1, -0.05])))
+        scene.add_contact("c", foot, scene.add_contour("floor", pc.Plane()))
+        v = [*rng.normal(size=3), *(spin * rng.normal(size=3))]
+        state = scene.initial_state([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], v, free=["c"])
+        spins.append([])
+        run = pc.simulate(scene, state, 2.0, rtol=rtol, atol=1e-2 * rtol)
+        assert run.events[0].kind == "touch"
+    assert spins[0][0] and not all(itertools.chain(*spins))
+    assert max(difference.max() for difference in differences) <= 1e-2
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_what_samples_show(seed):
     """Sign changes and valleys among samples, with all that is none, against array functions."""

@@ -32,6 +32,7 @@ SCALARS = record(
     "slowest",
     "dense_start",
     "dense_step",
+    "defect",
     "has_reference",
     "dip",
     "turning_rate",
@@ -75,7 +76,8 @@ COUNTERS = record(
     "lost_positivity",
 )
 
-# what kernels call by address: a Python function to be asked first, or 0, and its arguments; one or two of Pinocchio's
+# what kernels call by address: a Python function to be asked first, or 0, its arguments, and whether it is for places,
+# too; one or two of Pinocchio's
 # algorithms and theirs; the result that means failure; the evaluation; the algorithm that gives
 # places, velocities and Jacobians alone; where the rows of `PinocchioCalls.native` are, or 0, and the model, with the
 # two words that it begins with
@@ -83,6 +85,7 @@ CALLBACK = record(
     INTEGERS,
     "asked",
     "asked_with",
+    "asked_for_places",
     "called",
     "called_with",
     "called_next",

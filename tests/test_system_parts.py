@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -52,6 +53,7 @@ from pincontact.layout import (
     NUMBER_OF_WORKS,
     OWNER,
     PATTERN,
+    POLYNOMIAL_SIZE,
     ROLLING,
     ROLLING_ROW,
     SCALING_11,
@@ -72,6 +74,8 @@ from pincontact.layout import (
     VISCOUS,
 )
 from pincontact.system_cache import CachedSystem, put_back, take_system
+
+URDF = Path(__file__).resolve().parent.parent / "urdf"
 
 PLACE = pin.SE3(pin.utils.rotate("x", 0.3), np.array([0.1, 0.2, 0.3]))
 LAWS = [
@@ -441,3 +445,29 @@ def test_a_cached_system_is_taken_once():
     assert take_system(scene, False, True) is not cached
     put_back(scene, cached)
     assert take_system(scene, True, True) is not cached
+
+
+@pytest.mark.parametrize("driven", [False, True])
+def test_places_need_motions_but_no_control(driven):
+    """As slip begins v_c is looked at along a step: the control is not asked there, unless motions are, too."""
+    calls = {"control": 0, "motion": 0}
+
+    def still(t):
+        calls["motion"] += 1
+        return pin.SE3.Identity(), np.zeros(6), np.zeros(6)
+
+    def push(t, q, v):
+        calls["control"] += 1
+        return np.array([t, 0.5 * t, 0.0, 0.0, 0.0, 0.0])
+
+    scene = pc.Scene.from_urdf(URDF / "ball.urdf", floating_base=True)
+    motion = pc.CallableMotion(still) if driven else None
+    ball, floor = scene.add_contour("p", pc.Point(), "ball"), scene.add_contour("floor", pc.Plane(), motion=motion)
+    scene.add_contact("c", ball, floor, friction=pc.Coulomb(0.1))
+    state = scene.initial_state([0, 0, 0, 0, 0, 0, 1.0])
+    calls.update(control=0, motion=0)
+    run = pc.simulate(scene, state, 2.0, control=push)
+    assert [event.kind for event in run.events] == ["slip"]
+    looks = run.stats["rhs"] - calls["control"]
+    assert looks == 0 if driven else looks >= 2 * POLYNOMIAL_SIZE - 1
+    assert calls["motion"] == (calls["control"] if driven else 0)

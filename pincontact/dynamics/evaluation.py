@@ -3,7 +3,8 @@
 The protocol, in the arrays of `layout.SYSTEM`. Loaded before the call: `q`, `v`, a guess in `location`, the modes in
 `contact_int`, and `tau` unless a control fills it. `evaluate_state(address, time, part)` then calls in turn
 
-1. the user's control and motions, where there are any (`callback.asked`): `tau`, `side_motion`;
+1. the user's control and motions, where there are any (`callback.asked`): `tau`, `side_motion`; for PLACES_OF_ALL,
+   motions alone matter;
 2. Pinocchio's algorithms (see `pinocchio_calls`): `mass`, `nle`, `jacobian`, and the joints' poses and velocities;
 3. `evaluate_contacts`: `frames`, `location`, `derivatives`, `basis`, `slip`, `gaps`, `rates`, `bias`, `rows`;
 4. `evaluate_dynamics`: `factor`, `free_acceleration`, `acceleration`, `force`, `event_functions`, `row_index`,
@@ -80,7 +81,7 @@ def evaluate_state(address, time, part):
     """Pinocchio's terms and one evaluation at (q, v); a status of `layout`. part: see above, or 0 for everything."""
     system = system_at(address)
     system.scalars.time = time
-    if not ask_user(system) or not call_pinocchio(system, part):
+    if not ask_user(system, part) or not call_pinocchio(system, part):
         return NOT_FINITE
     system.counters.evaluation_count += 1
     with_rows = part in (KINEMATICS_OF_ALL, PLACES_OF_ALL, VELOCITIES_OF_ALL)
@@ -89,10 +90,11 @@ def evaluate_state(address, time, part):
 
 
 @kernel
-def ask_user(system):
-    """Call the user's control and prescribed motions, where there are any; whether all torques are finite."""
+def ask_user(system, part):
+    """Call the user's control and prescribed motions, where there are any that matter; whether all torques are
+    finite."""
     callback = system.callback
-    if callback.asked == 0:
+    if callback.asked == 0 or (part == PLACES_OF_ALL and callback.asked_for_places == 0):
         return True
     answered = call_python(callback.asked, callback.asked_with, callback.call_failed)
     return answered and torques_finite(system, system.scalars.time)

@@ -137,17 +137,25 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
 
     def _solve(self, t: float, evaluate) -> Decision:
         """The contact problem, once more with a part of the viscous friction of what it opens against that friction.
-        Where that does not do, it opens, and touches again."""
+        Where parts of several are too many, as at one edge of a body, one of them may keep the others open. Where that
+        does not do, either, all opens, and touches again."""
         system = self.system
         integers = system.contact_int
         start, limits = integers.copy(), system.joint_int.copy()
         modes, seen, shares = start, set[bytes](), True
+        # what closes again, the fastest first; all but that, which a part of its friction may keep open, too
+        parted: list[int] = []
+        apart: list[int] = []
         while True:
             dragging = [c for c in system.closed() if drags(system, c)]
             sharing = [c for c in dragging if shares_viscous_force(system, c)]
+            still_apart = [c for c in apart if integers[c, MODE] == FREE]
             decision = self._solve_contacts(t, evaluate)
+            decision.opened += still_apart
+            dragging += still_apart
             closing, full = self._contradicted(t, dragging, sharing, decision, evaluate) if shares else ([], [])
-            if not closing and not full and (decision.status <= EVENT or not seen):
+            parted = parted or closing
+            if not closing and not full and (decision.status <= EVENT or not (seen or apart)):
                 break
             seen.add(modes.tobytes())
             integers[:], system.joint_int[:] = modes, limits
@@ -156,7 +164,12 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
             for c in closing:
                 self._hold_by_share(c)
             if decision.status > EVENT or integers.tobytes() in seen:
-                integers[:], shares = start, False
+                apart = parted[1:] if not apart else []
+                integers[:], shares = start, bool(apart)
+                for c in apart:
+                    integers[c, MODE] = FREE
+                if apart:
+                    self._hold_by_share(parted[0])
                 seen.clear()
             modes = integers.copy()
             evaluate(t)
@@ -174,7 +187,9 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         full = [c for c in sharing if c not in decision.opened and self._takes_all(c)]
         closing = [c for c in dragging if c in decision.opened and c not in sharing]
         if closing:
-            closing = [c for c in closing if self.gap_acceleration(t, c) < 0.0]
+            rates = {c: self.gap_acceleration(t, c) for c in closing}
+            least = -_ROUND_OFF * float(np.abs(self.system.free_acceleration).max(initial=0.0))
+            closing = sorted((c for c in closing if rates[c] < least), key=lambda c: rates[c])
             # with forces, since gaps are looked at without
             evaluate(t)
         return closing, full

@@ -132,7 +132,8 @@ class System(Workspace):
         self.turns = any(block[0] in TURNING for block in blocks)
         sizes[()] = nq, nv, nc, model.njoints, len(blocks), 0, nwork, ny
         # read at every call of a user's function: a field of a record takes as long as the call
-        self._time = self.zeros("scalars")["time"]
+        scalars = self.zeros("scalars")
+        self._time, self._bad_torque = scalars["time"], scalars["bad_torque"]
         self.zeros("q", nq)
         self.zeros("v", nv)
         self.q[:] = pin.neutral(model)
@@ -329,6 +330,7 @@ class System(Workspace):
         callback["call_failed"] = id(False)
         callback["evaluation"] = kernel_address(evaluate_state)
         self._asked_for_drives = (self._to_be_asked(None), ()) if self.python_drives else None
+        callback["asked_for_places"] = bool(self.python_drives)
         self.before_evaluation()
 
     def _to_be_asked(self, torque: Callable[[float], None] | None) -> Callable[[], bool]:
@@ -387,7 +389,7 @@ class System(Workspace):
         error, self._callback_error = self._callback_error, None
         if error is not None:
             raise error
-        if self.scalars["bad_torque"].item() != 0.0:
+        if self._bad_torque.item() != 0.0:
             raise _bad_torque(self.scalars["bad_torque"], self.scalars["bad_time"])
 
     def check_torques(self, t: float) -> None:

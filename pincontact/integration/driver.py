@@ -234,15 +234,11 @@ class Driver:
                 raise self.transitions.reports.failure(t, NO_FORCE)
             self._watch(t, True, False)
             self.outputs.write_asked(t)
-        elif why == ATTEMPTED:
-            t, switched = self._complete(t, float(scalars["step"]), float(scalars["next_time"]))
+        elif why in (ATTEMPTED, SLIP_ENDS):
+            step, t_new = float(scalars["step"]), float(scalars["next_time"])
+            t, switched = self._complete(t, step, t_new) if why == ATTEMPTED else (self._end_slip(t), True)
             if switched:
                 self._restart(usual_step)
-            if self._slides_slowly() and t < t_end:
-                t = self._slow_slip(t)
-        elif why == SLIP_ENDS:
-            t = self._end_slip(t)
-            self._restart(usual_step)
             if self._slides_slowly() and t < t_end:
                 t = self._slow_slip(t)
         elif why == SLIP_IS_SLOW:
@@ -362,12 +358,13 @@ class Driver:
             if dense is None:
                 return self._reject(t, step)
             crossing = self.locator.first(t, step) if rk.alarm else None
-            while crossing is not None and not asked and self._keeps_motion(t, step, dense, crossing):
+            rests = crossing is not None and not asked and self.transitions.changes.rests_on_redundant()
+            while rests and crossing is not None and self._keeps_motion(t, step, dense, crossing):
                 crossing = self.locator.first(t, step, crossing.theta)
             if asked:
                 self._announce_user_events(t, step, dense, math.inf if crossing is None else crossing.theta)
             if crossing is not None:
-                return self._change_modes(t, step, crossing)
+                return self._change_modes(t, step, crossing, rests)
             if self.outputs.due(t_new):
                 self.outputs.write_until(t_new)
             rk.load(system.new_state)
@@ -383,7 +380,7 @@ class Driver:
         step. The step stays as it is then: its motion does not depend on when forces are chosen, as long as there are
         some at any time, so that dense output is accurate enough for that."""
         time = t + crossing.theta * step
-        if crossing.kind not in (NORMAL_EVENT, FRICTION_EVENT) or not self.transitions.changes.rests_on_redundant():
+        if crossing.kind not in (NORMAL_EVENT, FRICTION_EVENT):
             return False
         self._write_before(time)
         self.outputs.keep(t, time, step)
@@ -470,16 +467,19 @@ class Driver:
             if user.terminal:
                 raise Stop(TERMINATED, "a terminal event occurred")
 
-    def _change_modes(self, t: float, step: float, crossing: Crossing) -> tuple[float, bool]:
+    def _change_modes(self, t: float, step: float, crossing: Crossing, chosen: bool) -> tuple[float, bool]:
         """Step again to the crossing, so that the state there has the method's full order, and switch modes; returns
-        the new time and whether modes changed."""
+        the new time and whether modes changed. chosen: whether no other redundant forces would do."""
         rk = self.rk
         time, happens = t + crossing.theta * step, True
         self._write_before(time)
         if crossing.theta > 0.0:
             taken, happens = self.locator.refine(t, step, crossing)
             time = t + taken
-            self._keep_to(t, taken, step)
+            if self.locator.interpolated:
+                self.outputs.keep(t, time, step)
+            else:
+                self._keep_to(t, taken, step)
         rk.load(self.system.new_state if crossing.theta > 0.0 else self.system.state)
         self._project(time, False)
         if not happens and self._doubts < _DOUBTS:
@@ -491,7 +491,7 @@ class Driver:
         self._doubts = 0
         self._allow_start(time, step)
         try:
-            after = self.transitions.switch(time, crossing.c, crossing.kind)
+            after = self.transitions.switch(time, crossing.c, crossing.kind, chosen)
         except Stop:
             self.outputs.write_end(time)
             raise

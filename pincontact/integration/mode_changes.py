@@ -58,9 +58,10 @@ class ModeChanges:
 
     def sticking(self) -> list[int]:
         """Contacts and resistances that stick by Coulomb friction: a change elsewhere may upset them."""
-        integers, numbers = self.system.contact_int, self.system.contact_real
-        items = [*self.system.closed(), *self.system.resisting()]
-        return [c for c in items if integers[c, MODE] == STICK and math.isfinite(numbers[c, MU])]
+        return [c for c in [*self.system.closed(), *self.system.resisting()] if self._sticks(c)]
+
+    def _sticks(self, c: int) -> bool:
+        return self.system.contact_int.item(c, MODE) == STICK and math.isfinite(self.system.contact_real.item(c, MU))
 
     def set_from_velocities(self, after_impact: bool = False) -> list[int]:
         """Give closed contacts and their resistances the mode that their slip shows; returns those at rest whose
@@ -227,13 +228,8 @@ class ModeChanges:
         return True
 
     def redistribute_within(self, t: float, c: int, kind: int) -> bool:
-        """The same within a step, for forces that move nothing; without effect if not."""
-        before = self.modes.reference()
-        if self._choose_others(t, c, kind):
-            if not self._is_limited(c, kind):
-                return True
-            self.modes.take_back(before)
-        return False
+        """The same within a step, for forces that move nothing. Those that leave an item at its limit stay chosen."""
+        return self._choose_others(t, c, kind) and not self._is_limited(c, kind)
 
     def _choose_others(self, t: float, c: int, kind: int) -> bool:
         """Choose other ones among redundant forces; see `redistribute`."""
@@ -248,7 +244,8 @@ class ModeChanges:
 
     def _is_limited(self, c: int, kind: int) -> bool:
         """Whether the last choice leaves item c at its limit, to the relative tolerance."""
-        return kind == FRICTION_EVENT and c in self.at_limit(float(self.system.scale[0]))
+        sticks = kind == FRICTION_EVENT and self._sticks(c)
+        return sticks and bool(self.at_limit(self.system.scale.item(0), [c]))
 
     def at_known_limit(self) -> list[int]:
         """The items that stick at the limit of their friction as far as that is known: redundant forces are brought up
@@ -271,10 +268,12 @@ class ModeChanges:
         limited = self.at_limit()
         return (max(limited, key=lambda i: loads[system.owner(i)]), FRICTION_EVENT) if limited else (c, NORMAL_EVENT)
 
-    def at_limit(self, within: float = _AT_LIMIT) -> list[int]:
-        """The items that stick at the limit of their friction, but for this part of it."""
+    def at_limit(self, within: float = _AT_LIMIT, among: list[int] | None = None) -> list[int]:
+        """The items that stick at the limit of their friction, but for this part of it. among: of which, where not of
+        all."""
         system, loads = self.system, self._loads()
-        limits = {i: system.contact_real.item(i, MU_STATIC) * loads.item(system.owner(i)) for i in self.sticking()}
+        sticking = self.sticking() if among is None else among
+        limits = {i: system.contact_real.item(i, MU_STATIC) * loads.item(system.owner(i)) for i in sticking}
         left = system.event_functions[:, FRICTION_EVENT].tolist()
         return [i for i, limit in limits.items() if abs(left[i]) < within * limit]
 

@@ -58,8 +58,6 @@ _JUMP_REACHES = 10.0
 _APART = 1e-2
 # What is added to the slack of a limit of friction that was reached without slip, as a factor, and where that ends.
 _SLACK_GROWTH, _LARGEST_SLACK = 4.0, 1e-10
-# A load that has not lasted so long, in s, after it has begun from zero, has not begun.
-_AT_ONCE = 1e-9
 
 
 class Transitions:
@@ -83,8 +81,6 @@ class Transitions:
         self.impacts = Impacts(self.onset, self.penetration, restitution)
         # closed contacts of the initial state that come in
         self._striking: list[int] = []
-        # when contacts that a part of their viscous friction held up last took all of it
-        self._filled: dict[int, float] = {}
 
     # ---------------------------------------------------------------- start and breakpoints
 
@@ -173,8 +169,8 @@ class Transitions:
 
     # ---------------------------------------------------------------- events
 
-    def switch(self, t: float, c: int, kind: int) -> float:
-        """Event function `kind` of item c has reached zero at t."""
+    def switch(self, t: float, c: int, kind: int, chosen: bool) -> float:
+        """Event function `kind` of item c has reached zero at t. chosen: whether no other redundant forces would do."""
         if kind == GAP_EVENT and c < self.system.nc:
             if self._turns_round(c):
                 self.open.passed.add(c)
@@ -183,7 +179,7 @@ class Transitions:
             return self.impacts.touch(t, c)
         self.reports.check_chatter(t, c)
         if self.system.nc <= c < self.system.nc + self.system.ng:
-            return self._switch_joint(t, c, kind)
+            return self._switch_joint(t, c, kind, chosen)
         if kind == DOMAIN_EVENT:
             return self._reach_end(t, c)
         if kind == SPEED_EVENT:
@@ -192,14 +188,13 @@ class Transitions:
             return self.onset.resolve(t, self.changes.sticking(), at_rest={c: direction})
         if kind == FRICTION_EVENT and shares_viscous_force(self.system, c):
             # all of its viscous friction from here on, and a load that grows from zero
-            self._filled[c] = t
             self.modes.load(c)
             self.changes.accept_with_other_forces(t)
             return t
         if kind == FRICTION_EVENT and self.system.contact_int[c, MODE] == SLIPPING:
             end_jams(self.changes, t, [c])
             return self.onset.start(t)
-        if self.changes.redistribute(t, c, kind):
+        if not chosen and self.changes.redistribute(t, c, kind):
             return t
         c, kind = self.changes.limiting(c, kind)
         return self._lose_load(t, c) if kind == NORMAL_EVENT else self._reach_limit(t, c)
@@ -211,9 +206,9 @@ class Transitions:
         crossing = integers[PATTERN] == CROSSING_CURVES
         return bool(crossing and abs(self.system.gaps[c, 0]) > _APART * numbers[LENGTH])
 
-    def _switch_joint(self, t: float, c: int, kind: int) -> float:
+    def _switch_joint(self, t: float, c: int, kind: int, chosen: bool) -> float:
         """Event function `kind` of item c, a limited joint coordinate, has reached zero."""
-        if kind in (NORMAL_EVENT, FRICTION_EVENT) and self.changes.redistribute(t, c, kind):
+        if not chosen and kind in (NORMAL_EVENT, FRICTION_EVENT) and self.changes.redistribute(t, c, kind):
             return t
         if self.joints.switch(t, c - self.system.nc, kind):
             return self.impacts.stop_joints(t)
@@ -239,7 +234,7 @@ class Transitions:
         if self._closes_again(t, c):
             return self.onset.leave_stick(t, c)
         # where neither a part nor all of its viscous friction holds it up, it opens
-        if t - self._filled.get(c, -math.inf) > _AT_ONCE and self.modes.share(t, c, self.rk.evaluate):
+        if self.modes.share(t, c, self.rk.evaluate):
             self.changes.accept_with_other_forces(t)
             return t
         before = int(integers[MODE])

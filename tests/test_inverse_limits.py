@@ -1,5 +1,6 @@
 """Inverse dynamics within friction cones and limits of efforts: random states, optimality, certificates, choices."""
 
+import dataclasses
 import math
 import pickle
 from collections import Counter
@@ -75,6 +76,28 @@ def test_least_squares_within_cones_by_their_multipliers():
         assert np.einsum("mi,mi->", elastic.cones, region.apexes) - rows @ ends > 1e-9
         refuted += 1
     assert solved > 45 and refuted > 3
+
+
+def test_how_far_away_the_least_is_does_not_matter():
+    """Optimal by its multipliers, which are as large as the distance, and as exact."""
+    solved = exact = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(1, 12))
+        matrix, far = rng.normal(size=(n, n)), 10.0 ** rng.uniform(0.0, 5.0)
+        right, region = far * rng.normal(size=n), random_region(rng, n, cones=int(rng.integers(0, 3)))
+        found = ConeLeastSquares().solve(matrix, right, region, np.zeros(n))
+        near = ConeLeastSquares().solve(matrix, right / far, region, np.zeros(n))
+        assert (found is None) == (near is None), seed
+        if found is None:
+            continue
+        scale = max(1.0, float(np.abs(matrix.T @ right).max()))
+        left = matrix.T @ (matrix @ found.y - right) + found.rows @ region.rows
+        left += np.einsum("mi,min->n", found.cones, region.cones)
+        np.testing.assert_allclose(left, 0.0, atol=1e-6 * scale)
+        check_multipliers(region, dataclasses.replace(found, cones=found.cones / scale, rows=found.rows / scale))
+        solved, exact = solved + 1, exact + found.exact
+    assert solved > 30 and exact > 0.9 * solved, (solved, exact)
 
 
 def test_facets_alone_come_to_the_same(monkeypatch):
@@ -300,9 +323,9 @@ def test_limits_hold_however_far_away_the_wanted_accelerations_are(weightless):
             model.gravity = pin.Motion.Zero()
         q, data, nv = rng.normal(size=model.nq), model.createData(), model.nv
         mass, weight = pin.crba(model, data, q), pin.computeGeneralizedGravity(model, data, q)
-        limits = np.abs(weight) + 10.0 ** rng.uniform(-3.0, 3.0, nv)
+        limits = np.abs(weight) + 10.0 ** rng.uniform(-2.0, 3.0, nv)
         model.effortLimit[:] = limits
-        wanted = rng.normal(size=nv) * 10.0 ** rng.uniform(-4.0, 9.0)
+        wanted = rng.normal(size=nv) * 10.0 ** rng.uniform(-4.0, 10.0)
         scene = pc.Scene(model)
         found = pc.inverse_dynamics(scene, scene.initial_state(q), wanted, effort_limits=True, unreachable="nearest")
         whitening = np.linalg.inv(np.linalg.cholesky(mass))
@@ -317,6 +340,28 @@ def test_limits_hold_however_far_away_the_wanted_accelerations_are(weightless):
         assert (found.certificate is not None) == (missed > 1e-7 * np.linalg.norm(goal))
         out_of_reach += found.certificate is not None
     assert 5 < out_of_reach < 40
+
+
+def test_limits_of_joints_that_know_nothing_of_each_other():
+    """Sliders with masses, limits and wanted accelerations of all sizes: the limit of one holds beside another that is
+    to go a billion times as fast."""
+    count = 4
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        model, masses = pin.Model(), 10.0 ** rng.uniform(-1.0, 1.0, count)
+        for i, mass in enumerate(masses):
+            joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), f"slider {i}")
+            model.appendBodyToJoint(joint, pin.Inertia.FromSphere(mass, 0.1), pin.SE3.Identity())
+        limits = 10.0 ** rng.uniform(-2.0, 2.0, count)
+        model.effortLimit[:] = limits
+        wanted = rng.normal(size=count) * 10.0 ** rng.uniform(-3.0, 9.0, count)
+        scene, options = pc.Scene(model), {"effort_limits": True, "unreachable": "nearest"}
+        found = pc.inverse_dynamics(scene, scene.initial_state(np.zeros(count)), wanted, **options)
+        efforts = np.clip(masses * wanted, -limits, limits)
+        assert (np.abs(found.tau) <= limits + 1e-6 * np.abs(efforts).max()).all(), seed
+        # errors of 1e-9 beside the largest that is wanted are not told from none
+        seen = 1e-6 * np.abs(efforts).max() + 1e-9 * np.abs(wanted).max()
+        np.testing.assert_allclose(found.tau, efforts, rtol=0.0, atol=seen, err_msg=str(seed))
 
 
 def _unit(rng, n):

@@ -344,17 +344,16 @@ def test_limits_hold_however_far_away_the_wanted_accelerations_are(weightless):
 
 def test_limits_of_joints_that_know_nothing_of_each_other():
     """Sliders with masses, limits and wanted accelerations of all sizes: the limit of one holds beside another that is
-    to go a billion times as fast."""
-    count = 4
+    to go any number of times as fast."""
     for seed in range(300):
-        rng = np.random.default_rng(seed)
+        rng, count = np.random.default_rng(seed), 1 + seed % 4
         model, masses = pin.Model(), 10.0 ** rng.uniform(-1.0, 1.0, count)
         for i, mass in enumerate(masses):
             joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), f"slider {i}")
             model.appendBodyToJoint(joint, pin.Inertia.FromSphere(mass, 0.1), pin.SE3.Identity())
         limits = 10.0 ** rng.uniform(-2.0, 2.0, count)
         model.effortLimit[:] = limits
-        wanted = rng.normal(size=count) * 10.0 ** rng.uniform(-3.0, 9.0, count)
+        wanted = rng.normal(size=count) * 10.0 ** rng.uniform(-3.0, 12.0, count)
         scene, options = pc.Scene(model), {"effort_limits": True, "unreachable": "nearest"}
         found = pc.inverse_dynamics(scene, scene.initial_state(np.zeros(count)), wanted, **options)
         efforts = np.clip(masses * wanted, -limits, limits)

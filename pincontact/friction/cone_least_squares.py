@@ -289,7 +289,7 @@ def _solve_active(
     system, residual = np.zeros((size, size)), np.empty(size)
     system[:n, :n] = hessian
     system[:n, n : n + count], system[n : n + count, :n] = fixed.T, fixed
-    regular, sizes = np.repeat([_REGULAR, -_REGULAR / min(scale, 1e3)], [n, size - n]), np.repeat([scale, 1.0], [n, size - n])
+    regular, sizes = np.repeat([_REGULAR, -_REGULAR], [n, size - n]), np.repeat([scale, 1.0], [n, size - n])
     system.flat[:: size + 1] += regular
     d, last = np.zeros((0, 2)), np.inf
     for _ in range(_STEPS):

@@ -14,25 +14,28 @@ from ..arguments import is_number
 from ..errors import ArgumentError, UnusableResult
 from .dense import Interpolant
 from .runge_kutta import RungeKutta
-from .sign_changes import ACCURACY, Samples, asked_once, crossing_between, resolve, with_dips
+from .sign_changes import ACCURACY, MOST_LOOKS, Samples, asked_once, crossing_between, resolve, with_dips
 
 if TYPE_CHECKING:
     from .run_system import RunSystem
 
+# Looks at a function in a step that are few, as in all steps once there were too many in one.
+_FEW_LOOKS = 512
 # A function that gets so near to zero, against its largest value in a step, is looked at more closely.
 _NEAR = 0.05
 
 
 @dataclass
 class UserEvent:
-    """A user's function g(t, q, v), number index, with SciPy's attributes `terminal` and `direction`, and its last
-    value."""
+    """A user's function g(t, q, v), number index, with SciPy's attributes `terminal` and `direction`, its last value,
+    and the start in s of the first step that was too long to find all its zeros."""
 
     index: int
     function: Callable[[float, np.ndarray, np.ndarray], Any]
     terminal: bool
     direction: float
     value: float = 0.0
+    lost_from: float | None = None
 
     @staticmethod
     def wrap(events: Any) -> list[UserEvent]:
@@ -78,6 +81,24 @@ class UserEvent:
         rises, falls = before < 0.0 <= after, before > 0.0 >= after
         return (rises and self.direction >= 0.0) or (falls and self.direction <= 0.0)
 
+    def samples(self, value: Callable[[float], float], t: float, at_end: float) -> Samples:
+        """Values in a step that begins at t, at fractions of it, between which there is one zero at most."""
+        most = MOST_LOOKS if self.lost_from is None else _FEW_LOOKS
+        samples = resolve(value, self.value, at_end, most)
+        if self.lost_from is None and len(samples) >= most:
+            self.lost_from = t
+        return with_dips(value, samples)
+
+
+def lost_zeros(events: Sequence[UserEvent]) -> str:
+    """What is to be said of functions that vary too fast for steps."""
+    lost = [event for event in events if event.lost_from is not None]
+    return "".join(
+        f"; events[{event.index}] changes too fast to find all its zeros, from t = {event.lost_from:.9g} s on: a "
+        "smaller max_step (or dt) looks closer"
+        for event in lost
+    )
+
 
 class UserEvents:
     """Finds the zeros of the user's functions in trial steps."""
@@ -105,7 +126,7 @@ class UserEvents:
         if self.rk.method.extra == 0:
             return True
         state_at = self.rk.cubic(step)
-        found = any(self._comes_near(event, self._in_step(event, t, step, state_at)) for event in self.functions)
+        found = any(self._comes_near(event, t, step, state_at) for event in self.functions)
         self.rk.load(self.rk.system.new_state)
         return found
 
@@ -114,14 +135,18 @@ class UserEvents:
         found = []
         for event in self.functions:
             value = self._in_step(event, t, step, dense)
-            for (low, before), (high, after) in pairwise(self._samples(event, value)):
+            for (low, before), (high, after) in pairwise(event.samples(value, t, self._at_end[event.index])):
                 if event.crosses(before, after):
                     found.append((crossing_between(value, low, high, ACCURACY), event))
         return sorted(found, key=lambda crossing: crossing[0])
 
-    def _comes_near(self, event: UserEvent, value: Callable[[float], float]) -> bool:
-        """Whether a function changes its sign in the step, or comes near to zero."""
-        samples = self._samples(event, value)
+    def _comes_near(self, event: UserEvent, t: float, step: float, state_at: Callable[[float], np.ndarray]) -> bool:
+        """Whether a function changes its sign in the step, or comes near to zero, or where few looks do not tell."""
+        value = self._in_step(event, t, step, state_at)
+        samples = resolve(value, event.value, self._at_end[event.index], _FEW_LOOKS)
+        if len(samples) >= _FEW_LOOKS:
+            return True
+        samples = with_dips(value, samples)
         sizes = [abs(size) for _, size in samples]
         turns = any(before * after <= 0.0 for (_, before), (_, after) in pairwise(samples))
         return turns or min(sizes) < _NEAR * max(sizes)
@@ -136,6 +161,3 @@ class UserEvents:
             return event.value_at(t + theta * step, self.rk.system)
 
         return asked_once(value, {0.0: event.value, 1.0: self._at_end[event.index]})
-
-    def _samples(self, event: UserEvent, value: Callable[[float], float]) -> Samples:
-        return with_dips(value, resolve(value, event.value, self._at_end[event.index]))

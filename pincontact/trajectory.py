@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from .arguments import is_number
+from .arguments import is_number, output_number
 from .display import EVENTS_SHOWN, html_table, shortened
 from .dynamics.energy import energies_at
 from .energies import Energies
-from .errors import ArgumentError, TrajectoryError, sentence
+from .errors import TrajectoryError, sentence
 from .integration.results import Event
 from .records import Recorded, joined
 from .scene import Scene
@@ -236,22 +236,10 @@ class Trajectory:
         ArgumentError
             For what is no number of an output.
         """
-        index, recorded = self._output(index), self._recorded
+        index, recorded = output_number(index, self.t.size), self._recorded
         arrays = (self.q, self.v, recorded.location, recorded.discrete)
         q, v, location, discrete = (array[index].copy() for array in arrays)
         return State(self.scene, q, v, float(self.t[index]), location, discrete, Correction())
-
-    def _output(self, index: int) -> int:
-        """The number of an output, which is checked."""
-        n = self.t.size
-        if isinstance(index, (bool, np.bool_)) or not isinstance(index, (int, np.integer)):
-            raise ArgumentError(
-                f"index must be the number of an output, a whole number, got {index!r}; between outputs there is "
-                "run.sol(t), with dense_output=True"
-            )
-        if not -n <= index < n:
-            raise ArgumentError(f"index must be the number of an output, from {-n} to {n - 1}, got {index}")
-        return int(index)
 
     # ------------------------------------------------------------------ contacts
 
@@ -280,7 +268,7 @@ class Trajectory:
         """
         from .analysis.forces import joint_forces
 
-        index, model = self._output(index), model_of(self)
+        index, model = output_number(index, self.t.size), model_of(self)
         data = model.createData()
         pin.forwardKinematics(model, data, self.q[index])
         tracks = {name: self.contacts[name] for name in self.scene.contacts}

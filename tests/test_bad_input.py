@@ -536,6 +536,8 @@ def test_what_is_no_output(scene, state, index):
         run.state(index)
     with pytest.raises(pc.ArgumentError, match="index must be the number of an output"):
         run.external_forces(index)
+    with pytest.raises(pc.ArgumentError, match="index must be the number of an output"):
+        run.contacts["rim/floor"].at(index)
     assert run.state(np.int64(-1)).t == run.state(len(run.t) - 1).t == run.t[-1]
 
 

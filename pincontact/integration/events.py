@@ -67,6 +67,11 @@ class UserEvent:
         except BaseException:
             system.blame(f"t = {t:.9g} s: events[{self.index}]")
             raise
+        if isinstance(result, (bool, np.bool_)):
+            # never negative, it would never be seen to change its sign
+            raise UnusableResult(
+                f"t = {t:.9g} s: events[{self.index}] returned {result}, not a number that changes its sign"
+            )
         try:
             number = float(result)
         except (TypeError, ValueError, OverflowError) as error:
@@ -81,13 +86,14 @@ class UserEvent:
         rises, falls = before < 0.0 <= after, before > 0.0 >= after
         return (rises and self.direction >= 0.0) or (falls and self.direction <= 0.0)
 
-    def samples(self, value: Callable[[float], float], t: float, at_end: float) -> Samples:
-        """Values in a step that begins at t, at fractions of it, between which there is one zero at most."""
+    def samples(self, value: Callable[[float], float], t: float, at_end: float) -> tuple[Samples, bool]:
+        """Values in a step that begins at t, at fractions of it, and whether there is one zero at most between them."""
         most = MOST_LOOKS if self.lost_from is None else _FEW_LOOKS
         samples = resolve(value, self.value, at_end, most)
-        if self.lost_from is None and len(samples) >= most:
+        resolved = len(samples) < most
+        if self.lost_from is None and not resolved:
             self.lost_from = t
-        return with_dips(value, samples)
+        return with_dips(value, samples), resolved
 
 
 def lost_zeros(events: Sequence[UserEvent]) -> str:
@@ -135,9 +141,11 @@ class UserEvents:
         found = []
         for event in self.functions:
             value = self._in_step(event, t, step, dense)
-            for (low, before), (high, after) in pairwise(event.samples(value, t, self._at_end[event.index])):
+            samples, resolved = event.samples(value, t, self._at_end[event.index])
+            for (low, before), (high, after) in pairwise(samples):
                 if event.crosses(before, after):
-                    found.append((crossing_between(value, low, high, ACCURACY), event))
+                    # what is too fast to be seen is not looked for more closely
+                    found.append((crossing_between(value, low, high, ACCURACY) if resolved else high, event))
         return sorted(found, key=lambda crossing: crossing[0])
 
     def _comes_near(self, event: UserEvent, t: float, step: float, state_at: Callable[[float], np.ndarray]) -> bool:

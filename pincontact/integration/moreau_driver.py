@@ -248,7 +248,7 @@ class MoreauDriver:
         for event, after in zip(users, values):
             ends_known = {0.0: event.value, 1.0: after}
             on_the_way = asked_once(partial(self._value_between, event, ends, t, t_new), dict(ends_known))
-            samples = event.samples(on_the_way, t, after)
+            samples, _ = event.samples(on_the_way, t, after)
             turns = sum((low < 0.0) != (high < 0.0) or high == 0.0 for (_, low), (_, high) in pairwise(samples))
             if turns == 0:
                 continue

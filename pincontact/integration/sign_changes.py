@@ -133,13 +133,14 @@ def resolve(value: Callable[[float], float], at_start: float, at_end: float, loo
 
 def _rough(values: list[float]) -> bool:
     """Whether the values at the places are not those of a cubic."""
-    # sizes: functions may be infinite
     largest, least = max(map(abs, values)), min(map(abs, values))
     if min(values) < 0.0 < max(values):
         least = 0.0
-    with np.errstate(invalid="ignore", over="ignore"):
-        rough = float(np.linalg.norm(_ROUGHNESS @ values))
-    return rough > max(RESOLVED * largest, FAR * least)
+    if largest == 0.0 or math.isinf(largest):
+        return False
+    # in parts of the largest, lest squares overflow
+    rough = float(np.linalg.norm(_ROUGHNESS @ np.divide(values, largest)))
+    return rough > max(RESOLVED, FAR * (least / largest))
 
 
 def with_dips(value: Callable[[float], float], samples: Samples) -> Samples:

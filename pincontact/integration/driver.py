@@ -162,9 +162,8 @@ class Driver:
             where = least_conditioned(self.system) if stop.code == STEP_TOO_SMALL else ""
             return stop.code, stop.message + where + lost_zeros(self.users.functions)
         said = f"; after {self.open_loads} changes of modes {OPEN_LOADS}" if self.open_loads else ""
-        return FINISHED, "the end of the interval was reached" + said + self._left_behind() + lost_zeros(
-            self.users.functions
-        )
+        said += self._left_behind() + lost_zeros(self.users.functions)
+        return FINISHED, "the end of the interval was reached" + said
 
     def _left_behind(self) -> str:
         system, nc, apart = self.system, self.system.nc, self.transitions.open.apart

@@ -121,3 +121,15 @@ def warn_of_order(what: str, quaternion: ArrayLike, stacklevel: int) -> None:
             "half a turn is meant, (-1, 0, 0, 0) says so without this warning.",
             stacklevel=stacklevel + 1,
         )
+
+
+def output_number(index: Any, n: int) -> int:
+    """The number of one of n outputs, negative from the end; ArgumentError for anything else."""
+    if isinstance(index, (bool, np.bool_)) or not isinstance(index, (int, np.integer)):
+        raise ArgumentError(
+            f"index must be the number of an output, a whole number, got {index!r}; between outputs there is "
+            "run.sol(t), with dense_output=True"
+        )
+    if not -n <= index < n:
+        raise ArgumentError(f"index must be the number of an output, from {-n} to {n - 1}, got {index}")
+    return int(index)

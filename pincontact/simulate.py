@@ -101,6 +101,9 @@ class _Request:
                     return run
                 _attach(error, run)
                 raise
+            if start + self.duration == start and self.duration > 0.0:
+                rounded = f"times near {start:.6g} s are rounded by {np.spacing(abs(start)):.3g} s"
+                message += f"; nothing moved: {rounded}, more than the duration"
             return result(code, message)
 
 

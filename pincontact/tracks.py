@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 import pinocchio as pin
 
+from .arguments import output_number
 from .contacts import AttachedContour, Contact, characteristic_length
 from .display import MODE_NAMES, html_table
 from .energies import Energies
@@ -146,7 +147,13 @@ class ContactTrack:
         Returns
         -------
         ContactTrack
+
+        Raises
+        ------
+        ArgumentError
+            For what is no number of an output.
         """
+        index = output_number(index, len(self.mode))
         return ContactTrack(**{name: values[index] for name, values in self.arrays().items()}, contours=self.contours)
 
     def __repr__(self) -> str:

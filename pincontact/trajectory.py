@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from .arguments import is_number
+from .arguments import is_number, output_number
 from .display import EVENTS_SHOWN, html_table, shortened
 from .dynamics.energy import energies_at
 from .energies import Energies
@@ -230,8 +230,13 @@ class Trajectory:
         Returns
         -------
         State
+
+        Raises
+        ------
+        ArgumentError
+            For what is no number of an output.
         """
-        recorded = self._recorded
+        index, recorded = output_number(index, self.t.size), self._recorded
         arrays = (self.q, self.v, recorded.location, recorded.discrete)
         q, v, location, discrete = (array[index].copy() for array in arrays)
         return State(self.scene, q, v, float(self.t[index]), location, discrete, Correction())
@@ -256,12 +261,14 @@ class Trajectory:
 
         Raises
         ------
+        ArgumentError
+            For what is no number of an output.
         TrajectoryError
             For a run that was read from a file without its scene.
         """
         from .analysis.forces import joint_forces
 
-        model = model_of(self)
+        index, model = output_number(index, self.t.size), model_of(self)
         data = model.createData()
         pin.forwardKinematics(model, data, self.q[index])
         tracks = {name: self.contacts[name] for name in self.scene.contacts}

@@ -1,6 +1,7 @@
 """Bad input is answered by a typed error before any work is done; what goes wrong later ends the run and keeps what
 there is."""
 
+import dataclasses
 import math
 import re
 import warnings
@@ -526,6 +527,30 @@ def test_save_and_load(scene, state, tmp_path):
     more = pc.simulate(scene, again.state(), 0.1)
     assert more.status == 0
     assert more.t[-1] == pytest.approx(1.6)
+
+
+@pytest.mark.parametrize("index", [1.5, np.float64(1.0), True, None, "last", 10**6, -(10**6)])
+def test_what_is_no_output(scene, state, index):
+    run = pc.simulate(scene, state, 0.01)
+    with pytest.raises(pc.ArgumentError, match="index must be the number of an output"):
+        run.state(index)
+    with pytest.raises(pc.ArgumentError, match="index must be the number of an output"):
+        run.external_forces(index)
+    with pytest.raises(pc.ArgumentError, match="index must be the number of an output"):
+        run.contacts["rim/floor"].at(index)
+    assert run.state(np.int64(-1)).t == run.state(len(run.t) - 1).t == run.t[-1]
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
+def test_durations_that_times_cannot_tell(scene, state, method):
+    """Beside t = 1e17 s a second is nothing: the run ends where it began, and says so."""
+    run = pc.simulate(
+        scene, dataclasses.replace(state, t=1e17), 1.0, method=method, dt=100.0 if method == "Moreau" else None
+    )
+    assert re.search(
+        r"; nothing moved: times near 1e\+17 s are rounded by 16 s, more than the duration\.$", run.message
+    )
+    assert "nothing moved" not in pc.simulate(scene, state, 0.0).message
 
 
 def test_files_that_are_no_runs(scene, state, tmp_path):

@@ -263,6 +263,8 @@ UNUSABLE_EVENTS = [
     (lambda t, q, v: "left", "failed with ValueError"),
     (lambda t, q, v: 10**400, "failed with OverflowError"),
     (lambda t, q, v: math.nan if t > 0.05 else 1.0, "returned nan"),
+    (lambda t, q, v: t > 0.05, "returned False, not a number that changes its sign"),
+    (lambda t, q, v: v[0] >= 0.0, "returned True, not a number that changes its sign"),
 ]
 
 

@@ -1,5 +1,6 @@
 """Inverse dynamics within friction cones and limits of efforts: random states, optimality, certificates, choices."""
 
+import dataclasses
 import math
 import pickle
 from collections import Counter
@@ -9,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from inverse_cases import by_pinocchio, check_case, random_case, solve, tasks
-from scipy.optimize import minimize
+from scipy.optimize import lsq_linear, minimize
 
 import pincontact as pc
 from pincontact.analysis.inverse_program import _null as null_directions
@@ -75,6 +76,28 @@ def test_least_squares_within_cones_by_their_multipliers():
         assert np.einsum("mi,mi->", elastic.cones, region.apexes) - rows @ ends > 1e-9
         refuted += 1
     assert solved > 45 and refuted > 3
+
+
+def test_how_far_away_the_least_is_does_not_matter():
+    """Optimal by its multipliers, which are as large as the distance, and as exact."""
+    solved = exact = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        n = int(rng.integers(1, 12))
+        matrix, far = rng.normal(size=(n, n)), 10.0 ** rng.uniform(0.0, 5.0)
+        right, region = far * rng.normal(size=n), random_region(rng, n, cones=int(rng.integers(0, 3)))
+        found = ConeLeastSquares().solve(matrix, right, region, np.zeros(n))
+        near = ConeLeastSquares().solve(matrix, right / far, region, np.zeros(n))
+        assert (found is None) == (near is None), seed
+        if found is None:
+            continue
+        scale = max(1.0, float(np.abs(matrix.T @ right).max()))
+        left = matrix.T @ (matrix @ found.y - right) + found.rows @ region.rows
+        left += np.einsum("mi,min->n", found.cones, region.cones)
+        np.testing.assert_allclose(left, 0.0, atol=1e-6 * scale)
+        check_multipliers(region, dataclasses.replace(found, cones=found.cones / scale, rows=found.rows / scale))
+        solved, exact = solved + 1, exact + found.exact
+    assert solved > 30 and exact > 0.9 * solved, (solved, exact)
 
 
 def test_facets_alone_come_to_the_same(monkeypatch):
@@ -281,6 +304,90 @@ def test_limits_are_those_of_torques(gear):
     np.testing.assert_allclose(found.efforts, 0.3 / gear, rtol=1e-9)
     # its weight turns it down, about +y
     np.testing.assert_allclose(found.acceleration, (0.3 + 9.81 * 0.02) / (0.2 + 0.02**2), rtol=1e-9)
+
+
+@pytest.mark.parametrize("weightless", [False, True])
+def test_limits_hold_however_far_away_the_wanted_accelerations_are(weightless):
+    """Random arms, whose limits and wanted accelerations are of any size: nearest by SciPy's bounded least squares."""
+    out_of_reach = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        model, joint = pin.Model(), 0
+        for i in range(int(rng.integers(1, 5))):
+            kind = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ, pin.JointModelPX)[rng.integers(4)]
+            placement = pin.SE3(pin.Quaternion(*_unit(rng, 4)).matrix(), rng.normal(size=3))
+            joint = model.addJoint(joint, kind(), placement, f"joint {i}")
+            body = pin.Inertia(rng.uniform(0.5, 2.0), 0.3 * rng.normal(size=3), np.diag(rng.uniform(1.0, 1.5, 3)))
+            model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+        if weightless:
+            model.gravity = pin.Motion.Zero()
+        q, data, nv = rng.normal(size=model.nq), model.createData(), model.nv
+        mass, weight = pin.crba(model, data, q), pin.computeGeneralizedGravity(model, data, q)
+        limits = np.abs(weight) + 10.0 ** rng.uniform(-2.0, 3.0, nv)
+        model.effortLimit[:] = limits
+        wanted = rng.normal(size=nv) * 10.0 ** rng.uniform(-4.0, 10.0)
+        scene = pc.Scene(model)
+        found = pc.inverse_dynamics(scene, scene.initial_state(q), wanted, effort_limits=True, unreachable="nearest")
+        whitening = np.linalg.inv(np.linalg.cholesky(mass))
+        goal = whitening @ (weight + mass @ wanted)
+        nearest = lsq_linear(whitening, goal, (-limits, limits), method="bvls", tol=1e-14, max_iter=1000).x
+        missed = float(np.linalg.norm(whitening @ nearest - goal))
+        # to 1e-7 of the loads, which are up to ten times as large as efforts
+        np.testing.assert_allclose(found.tau, nearest, rtol=0.0, atol=1e-6 * np.abs(nearest).max())
+        assert (np.abs(found.tau) <= limits + 1e-6 * np.abs(nearest).max()).all()
+        assert found.shortfall == pytest.approx(missed, rel=1e-6, abs=1e-8 * np.linalg.norm(goal))
+        assert found.missed == pytest.approx(missed, rel=1e-6, abs=1e-8 * np.linalg.norm(goal))
+        assert (found.certificate is not None) == (missed > 1e-7 * np.linalg.norm(goal))
+        out_of_reach += found.certificate is not None
+    assert 5 < out_of_reach < 40
+
+
+def test_limits_of_joints_that_know_nothing_of_each_other():
+    """Sliders with masses, limits and wanted accelerations of all sizes: the limit of one holds beside another that is
+    to go any number of times as fast."""
+    for seed in range(300):
+        rng, count = np.random.default_rng(seed), 1 + seed % 4
+        model, masses = pin.Model(), 10.0 ** rng.uniform(-1.0, 1.0, count)
+        for i, mass in enumerate(masses):
+            joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), f"slider {i}")
+            model.appendBodyToJoint(joint, pin.Inertia.FromSphere(mass, 0.1), pin.SE3.Identity())
+        limits = 10.0 ** rng.uniform(-2.0, 2.0, count)
+        model.effortLimit[:] = limits
+        wanted = rng.normal(size=count) * 10.0 ** rng.uniform(-3.0, 12.0, count)
+        scene, options = pc.Scene(model), {"effort_limits": True, "unreachable": "nearest"}
+        found = pc.inverse_dynamics(scene, scene.initial_state(np.zeros(count)), wanted, **options)
+        efforts = np.clip(masses * wanted, -limits, limits)
+        assert (np.abs(found.tau) <= limits + 1e-6 * np.abs(efforts).max()).all(), seed
+        # errors of 1e-9 beside the largest that is wanted are not told from none
+        seen = 1e-6 * np.abs(efforts).max() + 1e-9 * np.abs(wanted).max()
+        np.testing.assert_allclose(found.tau, efforts, rtol=0.0, atol=seen, err_msg=str(seed))
+
+
+def _unit(rng, n):
+    direction = rng.normal(size=n)
+    return direction / np.linalg.norm(direction)
+
+
+def test_how_much_contacts_forbid_is_told():
+    """A resting ball is to go downwards at 3 m/s^2 (with weight 4), or to turn at 2 rad/s^2 without rolling: it does
+    what is nearest. Nothing is missed where nothing is forbidden."""
+    scene, state = puck(pc.NoSlip())
+    found = pc.inverse_dynamics(scene, state, {"root_joint": [0, 0, -3.0, 0, 0, 0]}, weights={"root_joint": 4.0})
+    assert found.missed == pytest.approx(6.0, rel=1e-12) and found.shortfall == 0.0
+    # least (r w)^2 + (w - 2)^2
+    anything = {"actuation": np.eye(6)}
+    found = pc.inverse_dynamics(scene, state, {"root_joint": [0, 0, 0, 0, 2.0, 0]}, **anything)
+    assert found.acceleration[4] == pytest.approx(2.0 / 1.01, rel=1e-9)
+    assert found.missed == pytest.approx(2.0 * math.sqrt(0.01 / 1.01), rel=1e-9) and found.certificate is None
+    found = pc.inverse_dynamics(scene, state, {"root_joint": [0.2, 0, 0, 0, 2.0, 0]}, **anything)
+    assert found.missed == pytest.approx(0.0, abs=1e-9)
+    # nothing drives it
+    found = pc.inverse_dynamics(scene, state, {"root_joint": [0.2, 0, 0, 0, 2.0, 0]})
+    assert found.missed == pytest.approx(math.hypot(0.2, 2.0), rel=1e-9) and found.shortfall == 0.0
+    # a vector, in the norm of the mass matrix
+    mass = scene.model.inertias[1].mass
+    found = pc.inverse_dynamics(scene, state, [0, 0, -3.0, 0, 0, 0], unreachable="nearest")
+    assert found.missed == pytest.approx(3.0 * math.sqrt(mass), rel=1e-9)
 
 
 @pytest.mark.parametrize("name", [3, "universe", "nobody"])

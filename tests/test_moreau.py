@@ -865,3 +865,20 @@ def test_all_zeros_of_an_event_within_a_step(seed):
     np.testing.assert_allclose(times[1], [low, high], rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(times[2], [top - near, top + near], rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(times[3], 1e-4 + np.arange(87) / 174.0, rtol=0.0, atol=1e-9)
+
+
+def test_a_coin_that_falls_flat_is_not_told_to_take_shorter_steps():
+    """A rim that comes to lie on a plane is no point contact; the message has the conditioning, which tells."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "coin")
+    body = pin.Inertia(0.01, np.zeros(3), np.diag([1e-6, 1e-6, 2e-6]))
+    model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+    scene = pc.Scene(model)
+    rim, floor = scene.add_contour("rim", pc.Circle(0.02), "coin"), scene.add_contour("floor", pc.Plane())
+    scene.add_contact("rim/floor", rim, floor, friction=pc.Coulomb(0.3))
+    tilted = pin.Quaternion(pin.utils.rotate("x", 0.1)).coeffs()
+    state = scene.initial_state([0, 0, 0.02 * np.sin(0.1), *tilted])
+    for dt in (1e-3, 1e-4):
+        run = pc.simulate(scene, state, 1.0, method="Moreau", dt=dt)
+        assert run.status == -9
+        assert "'rim/floor' has the least conditioning" in run.message and "shorter steps do not help" in run.message

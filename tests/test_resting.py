@@ -1,6 +1,7 @@
 """What decides while nothing moves: loads and drives of random frequency, amplitude and phase, against closed forms."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -8,6 +9,7 @@ import pytest
 from scipy.optimize import brentq
 
 import pincontact as pc
+from pincontact.integration import events
 from pincontact.integration.resolution import roughness
 from pincontact.integration.sign_changes import resolve, with_dips
 from pincontact.integration.tableaux import tableau
@@ -263,6 +265,54 @@ def test_all_zeros_within_steps(case):
     np.testing.assert_allclose([e.time for e in run.events], expected, rtol=0.0, atol=1e-9)
 
 
+ALL_METHODS = ("DOP853", "RK45", "RK23", "Sharp98", "Moreau")
+
+
+@pytest.mark.parametrize("method", ALL_METHODS)
+def test_functions_that_are_faster_than_steps(method):
+    """Sines and a square wave of time alone, thousands of zeros in one step; and marks on a way that is rolled."""
+    scene, state = ball(pc.Coulomb(0.4))
+    omega, phase, beat = 1e4, 0.3, 1.3e3
+    functions = [
+        lambda t, q, v: math.sin(omega * t + phase),
+        lambda t, q, v: math.copysign(1.0, math.cos(beat * t)),
+        lambda t, q, v: math.sin(math.pi * (q[0] / 1e-3 - 0.5)),
+    ]
+    start = scene.initial_state(state.q, [0.6, 0, 0, 0, 6.0, 0])
+    for at_start, speed in ((state, 0.0), (start, 0.6)):
+        run = pc.simulate(scene, at_start, 0.2, events=functions, method=method)
+        assert run.status == 0 and run.message.endswith("was reached."), run.message
+        expected = (
+            (math.pi * np.arange(1, 1000) - phase) / omega,
+            math.pi * (np.arange(1000) + 0.5) / beat,
+            1e-3 * (np.arange(1000) + 0.5) / speed if speed else np.array([np.inf]),
+        )
+        for index, times in enumerate(expected):
+            found = [e.time for e in run.events if e.index == index]
+            # rolling is straight; steps of 1e-15
+            np.testing.assert_allclose(found, times[times <= 0.2], rtol=0.0, atol=1e-9 if index == 2 else 1e-12)
+
+
+@pytest.mark.parametrize("method", ALL_METHODS)
+def test_functions_that_are_too_fast_are_told(method, monkeypatch):
+    """A sine, and noise; looks are bounded, also in all later steps."""
+    monkeypatch.setattr(events, "MOST_LOOKS", 2000)
+    scene, state = ball(pc.Coulomb(0.4))
+    rng, calls = np.random.default_rng(0), []
+
+    def noise(t, q, v):
+        calls.append(t)
+        return 1.0 + 0.9 * rng.random()
+
+    run = pc.simulate(
+        scene, state, 0.02, events=[lambda t, q, v: t - 0.01, lambda t, q, v: math.sin(1e9 * t)], method=method
+    )
+    assert run.status == 0 and "; events[1] changes too fast" in run.message and "events[0]" not in run.message
+    assert abs(next(e.time for e in run.events if e.index == 0) - 0.01) <= 1e-15
+    run = pc.simulate(scene, state, 0.02 if method == "Moreau" else 2.0, events=noise, method=method)
+    assert run.status == 0 and not run.events and len(calls) < 4000 + 1000 * (run.stats["steps"] + 1)
+
+
 def test_direction_and_terminal_within_a_step():
     scene, state = ball()
     function = lambda t, q, v: math.sin(20.0 * t + 1.0)  # noqa: E731
@@ -273,6 +323,34 @@ def test_direction_and_terminal_within_a_step():
     function.terminal = True
     run = pc.simulate(scene, state, 2.0, events=function)
     assert run.status == 1 and abs(run.t[-1] - (2.0 * math.pi - 1.0) / 20.0) <= 1e-12
+
+
+def test_sign_changes_of_fast_sines_and_jumps():
+    """As many as there are, with some looks for each; a jump takes few."""
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        omega, phase, calls = 10.0 ** rng.uniform(2.0, 4.0), rng.uniform(0.0, 2.0 * math.pi), []
+
+        def sine(s):
+            calls.append(s)  # noqa: B023
+            return math.sin(omega * s + phase)  # noqa: B023
+
+        values = [value for _, value in resolve(sine, sine(0.0), sine(1.0))]
+        changes = math.floor((omega + phase) / math.pi) - math.floor(phase / math.pi)
+        assert sum(low * high < 0.0 for low, high in pairwise(values)) == changes
+        assert len(calls) < 40 * (changes + 1)
+    for _ in range(50):
+        # not two between neighbouring looks
+        count = int(rng.integers(1, 5))
+        places, calls = (np.arange(count) + rng.uniform(0.2, 0.5, count)) / count, []
+
+        def steps(s):
+            calls.append(s)  # noqa: B023
+            return (-1.0) ** np.searchsorted(places, s)  # noqa: B023
+
+        values = [value for _, value in resolve(steps, steps(0.0), steps(1.0))]
+        assert sum(low * high < 0.0 for low, high in pairwise(values)) == count
+        assert len(calls) < 250 * count
 
 
 def test_sign_changes_of_random_sines():

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arguments import check_flag, check_tolerance
 from ..display import Summary
-from ..dynamics.units import whiten
+from ..dynamics.units import whiten, whitened_velocity
 from ..errors import ArgumentError, SolverError, StateError
 from ..friction.cone_least_squares import UNBOUNDED
 from ..geometry.patterns import ON_CURVE
@@ -92,9 +92,11 @@ class InverseDynamics(Summary):
         Dry friction of joints and what the ends of their ways carry, in N and N m.
     held : tuple of HeldTurn
         Of `torques` those of resistances that are at rest, each with the limit that it was not made to obey.
+    missed : float
+        By how much the accelerations wanted are missed, because of contacts, ends of joints, actuators or limits: the
+        root of the sum of weight * error^2, for a vector without weights in the norm of the mass matrix.
     shortfall : float
-        By how much the accelerations wanted are missed, where limits put them out of reach: the root of the sum of
-        weight * error^2, of what could be reached without limits.
+        The part of this that limits are the reason for: by how much what could be reached without them is missed.
     certificate : FarkasCertificate or None
         Why they are out of reach.
     programs : dict of str to int
@@ -111,6 +113,7 @@ class InverseDynamics(Summary):
     residual: float
     joint_forces: np.ndarray
     held: tuple[HeldTurn, ...] = ()
+    missed: float = 0.0
     shortfall: float = 0.0
     certificate: FarkasCertificate | None = None
     programs: dict[str, int] = field(default_factory=dict)
@@ -170,7 +173,8 @@ def inverse_dynamics(
     acceleration : (nv,) array_like, mapping or None
         Wanted. A vector must keep the closed contacts closed and rolling, unless `unreachable="nearest"`. A mapping
         has for names of joints the accelerations of their coordinates (a free flyer's are in body axes), and for names
-        of other frames that of the frame's origin (3,), or of that and the frame's rotation (6,), both in world axes.
+        of other frames that of the frame's origin (3,), or of that and the frame's rotation (6,), both in world axes;
+        where contacts forbid these, the nearest are found, and `missed` of the result says how near.
         None: the one nearest zero, in the norm of the mass matrix (going on at constant velocity as far as the contacts
         let it).
     actuation : (nv, na) array_like, sequence of str or None
@@ -271,8 +275,10 @@ def _without_limits(
     instant.evaluate()
     constrained = instant.constrained()
     bias = instant.biases(constrained)
+    missed = 0.0
     if acceleration is None:
         a = -instant.least_change(constrained, bias)
+        missed = float(np.linalg.norm(whitened_velocity(system, a)))
     else:
         a = check_vector("acceleration", acceleration, system.nv)
         _check_kept(instant, constrained, a, tolerance)
@@ -308,7 +314,7 @@ def _without_limits(
             f"(tolerance {tolerance * loads:.3g})"
         )
     acting, torques, held = _contact_forces(instant, solved, components, shares, given)
-    return InverseDynamics(matrix @ efforts, efforts, a, acting, torques, residual, joint_forces, held)
+    return InverseDynamics(matrix @ efforts, efforts, a, acting, torques, residual, joint_forces, held, missed)
 
 
 def _program(scene: Scene, state: State, warm: InverseDynamics | None) -> InverseProgram:
@@ -348,6 +354,7 @@ def _within_limits(program: InverseProgram, wanted: Wanted, vector: bool) -> Inv
         residual,
         joint_forces,
         held,
+        problem.missed(found.u, wanted.tasks),
         found.shortfall,
         found.certificate,
         {name: count - before[name] for name, count in program.programs.items()},

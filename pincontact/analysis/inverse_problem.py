@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..dynamics.friction_scaling import stretch
-from ..dynamics.units import REDUNDANT, unwhiten, whiten
+from ..dynamics.units import REDUNDANT, unwhiten, whiten, whitened_velocity
 from ..errors import SolverError
 from ..friction.cone_least_squares import Region
 from ..geometry.patterns import ON_CURVE
@@ -27,6 +27,8 @@ from .ranks import Directions
 from .tasks import Tasks
 
 _ROUND = np.eye(2)
+# Limits hold to 1e-7 of the units. Answers are in units that are not larger by more than this.
+_SMALL = 0.1
 
 
 @dataclass(frozen=True)
@@ -73,9 +75,10 @@ class Problem:
     shares: of normal components, see `shares_of`; for others it is `sign`. unlimited: contacts whose cones are left
     out. sizes: sizes of the rows of items, which are kept from call to call.
     items: (item, row) of each component of force. origin (nv,), span (nv, nz): a_0 and Z, whitened. load, rate: what a
-    unit of force is in N, and one of z. efforts, components, holding: slices of u. start (n,), basis (n, p): see the
-    module. region: in u; owners: of its cones and rows, ("contact", its number) or
-    ("joint", its index in v).
+    unit of force is in N, and one of z in N / sqrt(kg): at least least_load and least_rate, those of what acts, and as
+    large as what is wanted or, where limits let that be a small part only, as an `answer` that was found, in `units`.
+    efforts, components, holding: slices of u. start (n,), basis (n, p): see the module. region: in u; owners: of its
+    cones and rows, ("contact", its number) or ("joint", its index in v).
     """
 
     def __init__(
@@ -86,6 +89,7 @@ class Problem:
         sign: float,
         unlimited: list[int],
         sizes: dict[int, float],
+        answer: np.ndarray | None = None,
     ) -> None:
         self.instant, system = instant, instant.system
         self._factor = np.tril(system.factor)
@@ -104,7 +108,7 @@ class Problem:
             columns = whiten(system, np.vstack([rows, held]).T)
             lengths = np.append(lengths, np.linalg.norm(columns[:, len(rows) :], axis=0))
             self._keep(Directions(columns, lengths), np.append(bias, np.zeros(len(held))))
-        self._equate(wanted)
+        self._equate(wanted, answer)
         self.owners: list[tuple[str, int]] = []
         self.region = self._limits(wanted, unlimited)
 
@@ -134,7 +138,15 @@ class Problem:
         a = unwhiten(instant.system, self.origin + self.span @ z)
         return joint_loads(instant, a, wanted.options.tolerance, stop=True)
 
-    def _equate(self, wanted: Wanted) -> None:
+    def _of_wanted(self, tasks: Tasks) -> np.ndarray:
+        """z (nz, n) that tasks want in any case: that of all coordinates, or the least of each row."""
+        rows, goal = self.goal(tasks)
+        if tasks.rows is None:
+            return (rows.T @ goal)[:, None]
+        squares = (rows * rows).sum(axis=1)
+        return rows.T * np.divide(goal, squares, out=np.zeros_like(goal), where=squares > 0.0)
+
+    def _equate(self, wanted: Wanted, answer: np.ndarray | None) -> None:
         """Columns of the equations of motion, units, and the solutions."""
         instant, system = self.instant, self.instant.system
         nv, na = wanted.actuation.matrix.shape
@@ -156,10 +168,16 @@ class Problem:
                 known += system.rows[c].T @ (system.basis[c] @ (sign * wanted.given[contact.name]))
         self.known = known
         free = self._factor @ system.free_acceleration + whiten(system, known)
-        self.load = max(LEAST_LOAD, float(np.abs([system.bias_forces, known]).max(initial=0.0)))
-        whitened = whiten(system, columns)
-        self.rate = float(np.linalg.norm(free - self.origin)) or 1.0
-        nz = self.span.shape[1]
+        whitened, nz = whiten(system, columns), self.span.shape[1]
+        self.least_load = max(LEAST_LOAD, float(np.abs([system.bias_forces, known]).max(initial=0.0)))
+        self.least_rate = max(LEAST_LOAD / self._factor.max(), float(np.linalg.norm(free - self.origin)))
+        if answer is None:
+            made = self._of_wanted(wanted.tasks)
+            load, rate = np.abs(self._factor.T @ self.span @ made), np.linalg.norm(made, axis=0)
+        else:
+            load, rate = np.abs(answer[nz:]), np.linalg.norm(answer[:nz])
+        self.load = max(self.least_load, float(load.max(initial=0.0)))
+        self.rate = max(self.least_rate, float(rate.max(initial=0.0)))
         self.efforts, self.components = slice(nz, nz + na), slice(nz + na, nz + na + len(self.items))
         self.holding = slice(nz + na + len(self.items), nz + columns.shape[1])
         self.equations = np.hstack([self.span, whitened * (-self.load / self.rate)])
@@ -253,9 +271,26 @@ class Problem:
 
     # ---------------------------------------------------------------- results
 
+    @property
+    def units(self) -> np.ndarray:
+        """(n,) of u in N / sqrt(kg), N and N m."""
+        return np.repeat([self.rate, self.load], [self.efforts.start, self.start.size - self.efforts.start])
+
+    def small(self, answer: np.ndarray) -> bool:
+        """Whether an answer with units (n,) is a small part of the problem's units, which may be smaller."""
+        nz = self.span.shape[1]
+        load, rate = float(np.abs(answer[nz:]).max(initial=0.0)), float(np.linalg.norm(answer[:nz]))
+        return max(load, self.least_load) < _SMALL * self.load or max(rate, self.least_rate) < _SMALL * self.rate
+
     def acceleration(self, u: np.ndarray) -> np.ndarray:
         """(nv,) that u (n,) means."""
         return unwhiten(self.instant.system, self.origin + self.rate * (self.span @ u[: self.span.shape[1]]))
+
+    def missed(self, u: np.ndarray, tasks: Tasks) -> float:
+        """By how much u (n,) misses the tasks: root of the sum of weight * error^2."""
+        if tasks.rows is None or tasks.weights is None:
+            return float(np.linalg.norm(whitened_velocity(self.instant.system, self.acceleration(u) - tasks.wanted)))
+        return float(np.linalg.norm(np.sqrt(tasks.weights) * (tasks.rows @ self.acceleration(u) - tasks.wanted)))
 
     def residual(self, u: np.ndarray) -> float:
         """The largest entry of what u leaves of the equations of motion, in N and N m."""

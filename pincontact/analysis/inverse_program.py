@@ -108,7 +108,7 @@ class InverseProgram:
             and (system.contact_int[c, TANGENTS] > 0 or system.resists(c))
         ]
         if not two_sided:
-            return self._solve(Problem(self.instant, wanted, {}, 1.0, [], self._sizes), wanted)
+            return self._solve_in_units(wanted, {}, 1.0, [])
         # cones about |F_n| are not convex: they are taken about the direction that F_n has without them
         best: Solved | None = None
         failure = SolverError("the nearest accelerations are others")
@@ -134,8 +134,8 @@ class InverseProgram:
         instant, unlimited = self.instant, two_sided
         shares: dict[tuple[int, int], float] = {}
         for _ in range(_ROUNDS):
-            problem = Problem(instant, wanted, shares, sign, unlimited, self._sizes)
-            found = self._solve(problem, wanted)
+            found = self._solve_in_units(wanted, shares, sign, unlimited)
+            problem = found.problem
             again = shares_of(instant, problem.items, found.components)
             if not unlimited and np.abs(again - problem.shares).max(initial=0.0) <= _SETTLED:
                 return found
@@ -147,11 +147,24 @@ class InverseProgram:
 
     # ---------------------------------------------------------------- levels
 
+    def _solve_in_units(
+        self, wanted: Wanted, shares: dict[tuple[int, int], float], sign: float, unlimited: list[int]
+    ) -> Solved:
+        """Once more in units of its own size where an answer is a small part of what was wanted."""
+        answer: np.ndarray | None = None
+        while True:
+            problem = Problem(self.instant, wanted, shares, sign, unlimited, self._sizes, answer)
+            found = self._solve(problem, wanted)
+            answer = self._last = problem.units * found.u
+            if not problem.small(answer):
+                return found
+
     def _solve(self, problem: Problem, wanted: Wanted) -> Solved:
         options, start, basis = wanted.options, problem.start, problem.basis
         level = _Tasks(problem, wanted)
         last = self._last
-        guess = np.zeros(basis.shape[1]) if last is None or last.size != start.size else basis.T @ (last - start)
+        known = last is not None and last.size == start.size
+        guess = basis.T @ (last / problem.units - start) if known else np.zeros(basis.shape[1])
         rows, rest = basis[problem.efforts], start[problem.efforts]
         point, null, shortfall, certificate, solution = level.point, level.null, 0.0, None, None
         inner = problem.region.restricted(start + basis @ point, basis @ null)
@@ -174,10 +187,9 @@ class InverseProgram:
         if free.shape[1]:
             inner = inner.restricted(solution.y, free, keep=True)
             point = self._choose_forces(problem, options.redundant, point, null @ free, inner)
-        self._last = start + basis @ point
-        components = problem.load * self._last[problem.components]
-        self._last_forces = dict(zip(problem.items, components.tolist()))
-        return Solved(problem, self._last, shortfall, certificate)
+        found = Solved(problem, start + basis @ point, shortfall, certificate)
+        self._last_forces = dict(zip(problem.items, found.components.tolist()))
+        return found
 
     def _nearest(
         self, problem: Problem, level: _Tasks, region: Region, guess: np.ndarray, options: Options
@@ -195,7 +207,7 @@ class InverseProgram:
         if self._reached:
             return nearest, 0.0, None
         scale = 1.0
-        if not nearest.exact:
+        if not nearest.exact and unit < 1.0:
             # multipliers are as large as the distance; in units of it they are known better
             again = self._reach.solve(level.matrix / unit, level.right / unit, region, nearest.y)
             if again is not None:

@@ -155,9 +155,11 @@ class ConeLeastSquares:
         scale = max(1.0, float(np.abs(gradient).max(initial=0.0)))
         y, accuracy = guess, _ACCURACY
         for _ in range(_PROGRAMS):
-            found = self._solve_program(hessian, gradient, region, y, accuracy)
+            # of size one, as multipliers are, however far away the least is
+            found = self._solve_program(hessian / scale, gradient / scale, region, y, accuracy)
             if found is None:
                 return None
+            found = ConeSolution(found.y, scale * found.cones, scale * found.rows)
             exact = _finish(hessian, gradient, region, found, scale)
             if exact is not None:
                 self._touch(region, exact.y, -_WITHIN)
@@ -192,6 +194,8 @@ class ConeLeastSquares:
             self._qp = proxqp.dense.QP(n, 0, count + k)
             settings = self._qp.settings
             settings.eps_rel, settings.eps_primal_inf, settings.default_mu_in = 0.0, _IMPOSSIBLE, _PENALTY
+            # squares are bounded
+            settings.eps_dual_inf = 0.0
             settings.max_iter = settings.max_iter_in = _ITERATIONS
             settings.compute_preconditioner = False
             settings.initial_guess = proxqp.InitialGuess.WARM_START
@@ -235,7 +239,8 @@ def _finish(
     hessian: np.ndarray, gradient: np.ndarray, region: Region, found: ConeSolution, scale: float
 ) -> ConeSolution | None:
     """The solution to round-off, from one that ProxQP has found; None where Newton's method does not come to it."""
-    slack = 1e2 * _SOLVED * scale
+    slack = 1e2 * _SOLVED
+    pushed = slack * scale
     sides = np.where(np.abs(found.rows) > _ACTIVE * scale, np.sign(found.rows), 0.0)
     pressed = -found.cones[:, 0] > _ACTIVE * scale
     x = region.apexes + region.cones @ found.y
@@ -247,8 +252,8 @@ def _finish(
         # what is left is active, too; what would have to pull is not
         outside, value = region.outside(solution.y)[0], region.rows @ solution.y
         left, low, high = outside > slack, value < region.low - slack, value > region.high + slack
-        pulls = solution.rows * sides < -slack
-        loose = pressed & (np.hypot(solution.cones[:, 1], solution.cones[:, 2]) > slack - solution.cones[:, 0])
+        pulls = solution.rows * sides < -pushed
+        loose = pressed & (np.hypot(solution.cones[:, 1], solution.cones[:, 2]) > pushed - solution.cones[:, 0])
         if not (left.any() or low.any() or high.any() or pulls.any() or loose.any()):
             return solution
         if (loose & at_apex).any():
@@ -284,7 +289,7 @@ def _solve_active(
     system, residual = np.zeros((size, size)), np.empty(size)
     system[:n, :n] = hessian
     system[:n, n : n + count], system[n : n + count, :n] = fixed.T, fixed
-    regular = np.repeat([_REGULAR, -_REGULAR], [n, size - n])
+    regular, sizes = np.repeat([_REGULAR, -_REGULAR], [n, size - n]), np.repeat([scale, 1.0], [n, size - n])
     system.flat[:: size + 1] += regular
     d, last = np.zeros((0, 2)), np.inf
     for _ in range(_STEPS):
@@ -299,9 +304,9 @@ def _solve_active(
             residual[n + count :] = lengths - x[:, 0]
         residual[:n] = hessian @ y + gradient + system[:n, n:] @ multipliers
         residual[n : n + count] = fixed @ y - aim
-        error = max(abs(value) for value in residual.tolist())
+        error = max(abs(value) for value in (residual / sizes).tolist())
         # as far as round-off: certificates may be small
-        if error <= 1e-16 * scale or not error < 0.5 * last:
+        if error <= 1e-16 or not error < 0.5 * last:
             break
         last = error
         if edge.size:
@@ -311,7 +316,7 @@ def _solve_active(
             system.flat[: n * size : size + 1] += _REGULAR
         step = np.linalg.solve(system, residual)
         y, multipliers = y - step[:n], multipliers - step[n:]
-    if not error <= 10.0 * _SOLVED * scale:
+    if not error <= 10.0 * _SOLVED:
         return None
     rows, on_cones = np.zeros(len(region.rows)), np.zeros((len(region.cones), 3))
     rows[at_rows] = multipliers[: at_rows.size]

@@ -35,7 +35,7 @@ from ..layout import (
 )
 from .contradictions import projection_failure
 from .dense import Interpolant
-from .events import UserEvent, UserEvents
+from .events import UserEvent, UserEvents, lost_zeros
 from .jams import held_up
 from .locator import Crossing, EventLocator
 from .outputs import Outputs, no_dense_output
@@ -160,9 +160,10 @@ class Driver:
             self._run(t, t_end)
         except Stop as stop:
             where = least_conditioned(self.system) if stop.code == STEP_TOO_SMALL else ""
-            return stop.code, stop.message + where
+            return stop.code, stop.message + where + lost_zeros(self.users.functions)
         said = f"; after {self.open_loads} changes of modes {OPEN_LOADS}" if self.open_loads else ""
-        return FINISHED, "the end of the interval was reached" + said + self._left_behind()
+        said += self._left_behind() + lost_zeros(self.users.functions)
+        return FINISHED, "the end of the interval was reached" + said
 
     def _left_behind(self) -> str:
         system, nc, apart = self.system, self.system.nc, self.transitions.open.apart

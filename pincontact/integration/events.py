@@ -14,25 +14,28 @@ from ..arguments import is_number
 from ..errors import ArgumentError, UnusableResult
 from .dense import Interpolant
 from .runge_kutta import RungeKutta
-from .sign_changes import ACCURACY, Samples, asked_once, crossing_between, resolve, with_dips
+from .sign_changes import ACCURACY, MOST_LOOKS, Samples, asked_once, crossing_between, resolve, with_dips
 
 if TYPE_CHECKING:
     from .run_system import RunSystem
 
+# Looks at a function in a step that are few, as in all steps once there were too many in one.
+_FEW_LOOKS = 512
 # A function that gets so near to zero, against its largest value in a step, is looked at more closely.
 _NEAR = 0.05
 
 
 @dataclass
 class UserEvent:
-    """A user's function g(t, q, v), number index, with SciPy's attributes `terminal` and `direction`, and its last
-    value."""
+    """A user's function g(t, q, v), number index, with SciPy's attributes `terminal` and `direction`, its last value,
+    and the start in s of the first step that was too long to find all its zeros."""
 
     index: int
     function: Callable[[float, np.ndarray, np.ndarray], Any]
     terminal: bool
     direction: float
     value: float = 0.0
+    lost_from: float | None = None
 
     @staticmethod
     def wrap(events: Any) -> list[UserEvent]:
@@ -64,6 +67,11 @@ class UserEvent:
         except BaseException:
             system.blame(f"t = {t:.9g} s: events[{self.index}]")
             raise
+        if isinstance(result, (bool, np.bool_)):
+            # never negative, it would never be seen to change its sign
+            raise UnusableResult(
+                f"t = {t:.9g} s: events[{self.index}] returned {result}, not a number that changes its sign"
+            )
         try:
             number = float(result)
         except (TypeError, ValueError, OverflowError) as error:
@@ -77,6 +85,25 @@ class UserEvent:
         """Whether the function goes through zero in its direction from one value to another."""
         rises, falls = before < 0.0 <= after, before > 0.0 >= after
         return (rises and self.direction >= 0.0) or (falls and self.direction <= 0.0)
+
+    def samples(self, value: Callable[[float], float], t: float, at_end: float) -> tuple[Samples, bool]:
+        """Values in a step that begins at t, at fractions of it, and whether there is one zero at most between them."""
+        most = MOST_LOOKS if self.lost_from is None else _FEW_LOOKS
+        samples = resolve(value, self.value, at_end, most)
+        resolved = len(samples) < most
+        if self.lost_from is None and not resolved:
+            self.lost_from = t
+        return with_dips(value, samples), resolved
+
+
+def lost_zeros(events: Sequence[UserEvent]) -> str:
+    """What is to be said of functions that vary too fast for steps."""
+    lost = [event for event in events if event.lost_from is not None]
+    return "".join(
+        f"; events[{event.index}] changes too fast to find all its zeros, from t = {event.lost_from:.9g} s on: a "
+        "smaller max_step (or dt) looks closer"
+        for event in lost
+    )
 
 
 class UserEvents:
@@ -105,7 +132,7 @@ class UserEvents:
         if self.rk.method.extra == 0:
             return True
         state_at = self.rk.cubic(step)
-        found = any(self._comes_near(event, self._in_step(event, t, step, state_at)) for event in self.functions)
+        found = any(self._comes_near(event, t, step, state_at) for event in self.functions)
         self.rk.load(self.rk.system.new_state)
         return found
 
@@ -114,14 +141,20 @@ class UserEvents:
         found = []
         for event in self.functions:
             value = self._in_step(event, t, step, dense)
-            for (low, before), (high, after) in pairwise(self._samples(event, value)):
+            samples, resolved = event.samples(value, t, self._at_end[event.index])
+            for (low, before), (high, after) in pairwise(samples):
                 if event.crosses(before, after):
-                    found.append((crossing_between(value, low, high, ACCURACY), event))
+                    # what is too fast to be seen is not looked for more closely
+                    found.append((crossing_between(value, low, high, ACCURACY) if resolved else high, event))
         return sorted(found, key=lambda crossing: crossing[0])
 
-    def _comes_near(self, event: UserEvent, value: Callable[[float], float]) -> bool:
-        """Whether a function changes its sign in the step, or comes near to zero."""
-        samples = self._samples(event, value)
+    def _comes_near(self, event: UserEvent, t: float, step: float, state_at: Callable[[float], np.ndarray]) -> bool:
+        """Whether a function changes its sign in the step, or comes near to zero, or where few looks do not tell."""
+        value = self._in_step(event, t, step, state_at)
+        samples = resolve(value, event.value, self._at_end[event.index], _FEW_LOOKS)
+        if len(samples) >= _FEW_LOOKS:
+            return True
+        samples = with_dips(value, samples)
         sizes = [abs(size) for _, size in samples]
         turns = any(before * after <= 0.0 for (_, before), (_, after) in pairwise(samples))
         return turns or min(sizes) < _NEAR * max(sizes)
@@ -136,6 +169,3 @@ class UserEvents:
             return event.value_at(t + theta * step, self.rk.system)
 
         return asked_once(value, {0.0: event.value, 1.0: self._at_end[event.index]})
-
-    def _samples(self, event: UserEvent, value: Callable[[float], float]) -> Samples:
-        return with_dips(value, resolve(value, event.value, self._at_end[event.index]))

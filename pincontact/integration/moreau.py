@@ -37,6 +37,7 @@ from .impulse_problem import assemble
 from .impulse_steps import ACCEPT, BEGIN, GOING_ON, INTEGRATE, RELOCATE, STEP, TRY, run_steps
 from .impulse_trial import APPROVED, CONE_LEFT, FRESH, SOLVED, UNSOLVED, WITH_ROOM
 from .open_contacts import MANY_STEPS, OpenContacts
+from .reports import least_conditioned
 from .results import CLOSED_APART, CONTOUR_ENDS, CONTRADICTION, FAILURES, FLIES_THROUGH, Stop
 from .run_system import RunSystem
 from .steps import run_task
@@ -376,6 +377,7 @@ class MoreauStep:
             gaps = np.where(system.modes != FREE, np.abs(system.gaps[: system.nc, 0]), 0.0)
             c = int(np.argmax(gaps))
             where, number = f"contact {system.contacts[c].name!r}: ", f" by {gaps[c]:.3g} m"
+            number += f"{least_conditioned(system)}; near 0 bodies touch along a line, where shorter steps do not help"
         elif status == NO_FORCE:
             units = self.step_arrays.units[: self._counts["units"]]
             contacts = dict.fromkeys(units["index"][units["kind"] != ON_JOINT].tolist())

@@ -12,13 +12,13 @@ import pinocchio as pin
 
 from ..layout import FREE, LOCATION_FAILED, MODE, OK, SINGULAR, SLIPPING, STICK
 from .contradictions import CLOSED_WITHIN, apart, jump_apart, refuse_apart
-from .events import UserEvent
+from .events import UserEvent, lost_zeros
 from .impulse_steps import AT_END, AT_LIMIT, GOING_ON, INNER_OUTPUT_LEFT, OUTPUT_LEFT, TRIED
 from .moreau import MoreauStep, Torque
 from .reports import left_behind
 from .results import CLOSED_APART, CONTOUR_ENDS, FINISHED, FLIES_THROUGH, OPEN_LOADS, TERMINATED, Event, Stop
 from .results import STEP_LIMIT as AT_STEP_LIMIT
-from .sign_changes import asked_once, crossing_between, resolve, with_dips
+from .sign_changes import asked_once, crossing_between
 from .step_control import SLIVER
 
 # Accuracy of the time of a user's event, relative to the step.
@@ -60,7 +60,7 @@ class MoreauDriver:
         try:
             self._run(t, t_end)
         except Stop as stop:
-            return stop.code, stop.message
+            return stop.code, stop.message + lost_zeros(self.users)
         finally:
             # nothing of the user's is kept
             self.step.ask(None)
@@ -75,7 +75,7 @@ class MoreauDriver:
             said += f"; {cones.settled} cone problems were settled with the friction of other loads, {off}"
         if left_open:
             said += f"; in {left_open} cone problems {OPEN_LOADS}"
-        return said + left_behind(self.system, self.step.start_gap, self.step.start_domain)
+        return said + left_behind(self.system, self.step.start_gap, self.step.start_domain) + lost_zeros(self.users)
 
     def _run(self, start: float, end: float) -> None:
         step = self.step
@@ -248,7 +248,7 @@ class MoreauDriver:
         for event, after in zip(users, values):
             ends_known = {0.0: event.value, 1.0: after}
             on_the_way = asked_once(partial(self._value_between, event, ends, t, t_new), dict(ends_known))
-            samples = with_dips(on_the_way, resolve(on_the_way, event.value, after))
+            samples, _ = event.samples(on_the_way, t, after)
             turns = sum((low < 0.0) != (high < 0.0) or high == 0.0 for (_, low), (_, high) in pairwise(samples))
             if turns == 0:
                 continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -15,8 +16,10 @@ _PLACES = (0.0, 0.1137, 0.2419, 0.3871, 0.5647, 0.7219, 0.8629, 1.0)
 # least.
 _DEGREE = 3
 RESOLVED, FAR = 1e-2, 0.125
-# Halvings of the interval: a jump is looked at no closer.
+# Halvings in a row of which one half is smooth: a jump is looked at no closer.
 _HALVINGS = 6
+# Looks at a function in an interval, at most: about a second.
+MOST_LOOKS = 65536
 # What stands for infinite values.
 HUGE = 1e100
 # Looks at the lowest point between two samples.
@@ -102,40 +105,42 @@ def crossing_between(value: Callable[[float], float], low: float, high: float, a
     return high if after == 0.0 or math.isinf(before) or math.isinf(after) else zero_between(value, low, high, accuracy)
 
 
-def resolve(value: Callable[[float], float], at_start: float, at_end: float) -> Samples:
+def resolve(value: Callable[[float], float], at_start: float, at_end: float, looks: int = MOST_LOOKS) -> Samples:
     """(place, value) in order, from 0 to 1, so close that a cubic between them is as good as the function.
 
-    at_start, at_end: its values there.
+    at_start, at_end: its values there. Fewer where it jumps, which leaves one of two halves smooth; and where it takes
+    more looks: there are at least that many samples then.
     """
-    samples = [(0.0, at_start)]
-    _add_samples(value, (0.0, at_start), (1.0, at_end), _HALVINGS, samples)
-    return samples
+    samples = {0.0: at_start, 1.0: at_end}
+
+    def look(low: float, high: float) -> bool:
+        """Sample an interval; whether a cubic is not as good as the function there."""
+        inner = [low + (high - low) * place for place in _PLACES[1:-1]]
+        samples.update((place, value(place)) for place in inner)
+        return _rough([samples[place] for place in (low, *inner, high)])
+
+    # intervals in which it is rough, with the halvings that are left where that is a jump
+    rough = deque([(0.0, 1.0, _HALVINGS)] if look(0.0, 1.0) else [])
+    while rough and len(samples) < looks:
+        low, high, left = rough.popleft()
+        middle = 0.5 * (low + high)
+        samples[middle] = value(middle)
+        halves = [half for half in ((low, middle), (middle, high)) if look(*half)]
+        left = _HALVINGS if len(halves) == 2 else left - 1
+        rough += [(*half, left) for half in halves if left > 0]
+    return sorted(samples.items())
 
 
-def _add_samples(
-    value: Callable[[float], float],
-    left: tuple[float, float],
-    right: tuple[float, float],
-    halvings: int,
-    samples: Samples,
-) -> None:
-    """Append samples behind `left` up to `right`."""
-    low, width = left[0], right[0] - left[0]
-    inner = [(low + width * place, value(low + width * place)) for place in _PLACES[1:-1]]
-    values = [left[1], *(sample[1] for sample in inner), right[1]]
-    # sizes: functions may be infinite
+def _rough(values: list[float]) -> bool:
+    """Whether the values at the places are not those of a cubic."""
     largest, least = max(map(abs, values)), min(map(abs, values))
     if min(values) < 0.0 < max(values):
         least = 0.0
-    with np.errstate(invalid="ignore", over="ignore"):
-        rough = float(np.linalg.norm(_ROUGHNESS @ values))
-    if halvings == 0 or not rough > max(RESOLVED * largest, FAR * least):
-        samples += [*inner, right]
-        return
-    middle = low + 0.5 * width
-    half = middle, value(middle)
-    _add_samples(value, left, half, halvings - 1, samples)
-    _add_samples(value, half, right, halvings - 1, samples)
+    if largest == 0.0 or math.isinf(largest):
+        return False
+    # in parts of the largest, lest squares overflow
+    rough = float(np.linalg.norm(_ROUGHNESS @ np.divide(values, largest)))
+    return rough > max(RESOLVED, FAR * (least / largest))
 
 
 def with_dips(value: Callable[[float], float], samples: Samples) -> Samples:

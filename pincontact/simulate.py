@@ -51,6 +51,8 @@ if TYPE_CHECKING:
 
 # Time steps are at least so long, relative to the latest time: shorter ones would not move it on.
 _SHORTEST_STEP = float(np.finfo(float).eps)
+# Rounding of times, relative to the duration, of which a run tells: more than the default tolerance.
+_LARGEST_ROUNDING = 1e-8
 # What ends a run whose motion may go on all the same.
 _FALLS_BACK = (STEP_TOO_SMALL, NO_CONTACT_FORCE, CHATTER, MODEL_FAILED)
 # Gain of energy, see `energy_gained`, of which a run of time stepping tells.
@@ -101,9 +103,9 @@ class _Request:
                     return run
                 _attach(error, run)
                 raise
-            if start + self.duration == start and self.duration > 0.0:
-                rounded = f"times near {start:.6g} s are rounded by {np.spacing(abs(start)):.3g} s"
-                message += f"; nothing moved: {rounded}, more than the duration"
+            rounded = float(np.spacing(max(abs(start), abs(start + self.duration))))
+            if rounded > _LARGEST_ROUNDING * self.duration > 0.0:
+                message += f"; times near {start:.6g} s are rounded by {rounded:.3g} s, of {self.duration:.3g} s"
             return result(code, message)
 
 

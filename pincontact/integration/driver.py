@@ -338,6 +338,9 @@ class Driver:
         if self._age > 0.0:
             # slip that has just begun changes in times like its age
             h = min(h, max(self._age, _RESTART_SEEDS * self.transitions.onset.seed))
+        if scalars["turning_rate"] > 0.0:
+            # longer explicit steps are not stable
+            h = min(h, _STABLE / float(scalars["turning_rate"]))
         scalars["next_step"] = self.options.fixed_step or max(h, _RESTART * float(scalars["floor"]))
         scalars["slowest"], scalars["last_error"] = math.inf, 0.0
         counters["stalled"] = 0
@@ -559,9 +562,16 @@ class Driver:
                 span = (after - t) * (1.0 if rests > 0 else _SLOW_GROWTH)
                 t = after
                 self._after(t)
-                tried = t < self._end and counters["step_count"] < counters["attempt_limit"]
+                limited = t >= self._end or counters["step_count"] >= counters["attempt_limit"]
+                tried = not (limited or self._slip_ends())
         counters["stiff_steps"] = 0
         return t
+
+    def _slip_ends(self) -> bool:
+        """Whether a slip ends in one linear step."""
+        numbers = self.system.contact_real
+        stopping = np.isfinite(numbers[:, START_SPEED]) & (numbers[:, START_RATE] < 0.0)
+        return bool((stopping & (numbers[:, STOP_ERROR] <= LEFT_OUT * numbers[:, START_TOLERANCE])).any())
 
     def _end_slip(self, t: float) -> float:
         """One linear step to the end of slip (its error is the square of a short time), then stick or not."""

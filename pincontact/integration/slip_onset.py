@@ -21,10 +21,12 @@ from ..layout import (
     DOMAIN,
     DOMAIN_EVENT,
     EVENT,
+    EVENTS_PER_CONTACT,
     FREE,
     FRICTION_EVENT,
     FROZEN,
     GAP_EVENT,
+    LEFT_ROW,
     MODE,
     MU,
     MU_STATIC,
@@ -33,6 +35,7 @@ from ..layout import (
     OK,
     POLYNOMIAL,
     POLYNOMIAL_SIZE,
+    RIGHT_ROW,
     SLIP_RATE,
     SLIPPING,
     START_SPEED,
@@ -40,11 +43,12 @@ from ..layout import (
     TANGENTS,
 )
 from .accuracy import gap_rate, rest_speed
+from .crossings import LEFT_OUT, NOT_SOUGHT, UNKNOWN
 from .jams import held_up, stop_slips
 from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
-from .slow_slip import SlowSlip
-from .steps import FAILED_FACTOR
+from .slow_slip import SHORTER, SlowSlip
+from .steps import FAILED_FACTOR, FIND_EARLIEST
 
 # The start of slip is followed over times down to this fraction of the seed's.
 _SHORTEST_START = 1e-3
@@ -63,6 +67,8 @@ _OPENING_SEED = 1e-4
 _FORCE_ACCURACY = 1e-6
 # A start of slip may last until slip is so many times as fast as v is known, if it grows as it begins to.
 _SHOWN = 1e3
+# Steps that an event is foreseen in end after this part of the way to it, so that it is found in the next one.
+_UP_TO_EVENT = 0.999
 # A gap that is closed already counts as so much of its accuracy.
 _LEAST_WAY = 1e-2
 
@@ -314,10 +320,10 @@ class SlipOnset:
         beside = [c for c in self._turning() if not system.contact_int[c, FROZEN]]
         for c in beside:
             freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
-        took = SlowSlip(self.rk, dict.fromkeys(beside, 0) | powers, self._is_uneventful).follow(t, span, shortest)
+        took = SlowSlip(self.rk, dict.fromkeys(beside, 0) | powers, self._until_event).follow(t, span, shortest)
         if took is None and beside:
             system.contact_int[beside, FROZEN] = 0
-            took = SlowSlip(self.rk, powers, self._is_uneventful).follow(t, span, shortest)
+            took = SlowSlip(self.rk, powers, self._until_event).follow(t, span, shortest)
         return took
 
     def _turning(self) -> list[int]:
@@ -345,19 +351,30 @@ class SlipOnset:
         self.rk.accept()
         return t
 
-    def _is_uneventful(self) -> bool:
-        """Whether nothing opened, closed or began to slip in the last trial step, within the errors of gaps and
-        forces."""
+    def _until_event(self, t: float, step: float) -> float:
+        """The part of the last trial step, which has been interpolated, in which nothing opens, closes or begins to
+        slip, within the errors of gaps and forces; 1 where that is all of it."""
         system, n = self.system, self.system.items
-        lowest, accuracy = system.lowest[:n], system.gap_accuracy
-        force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
+        allowed = np.full((n, EVENTS_PER_CONTACT), math.inf)
         touchable = np.ones(n, dtype=bool)
         touchable[: system.nc] = self.open.apart
-        return bool(
-            (lowest[touchable, GAP_EVENT] >= -(accuracy + self.depths)[touchable]).all()
-            and (lowest[:, DOMAIN_EVENT] >= -accuracy).all()
-            and (lowest[:, [NORMAL_EVENT, FRICTION_EVENT]] >= -force).all()
-        )
+        allowed[touchable, GAP_EVENT] = (system.gap_accuracy + self.depths)[touchable]
+        allowed[:, DOMAIN_EVENT] = system.gap_accuracy
+        force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
+        allowed[:, [NORMAL_EVENT, FRICTION_EVENT]] = force
+        if (system.lowest[:n] >= -allowed).all():
+            return 1.0
+        for row, share in ((LEFT_ROW, 0.0), (RIGHT_ROW, 1.0)):
+            exists, values = system.look(t, step, share)
+            if not exists:
+                return SHORTER
+            system.scan_shares[row], system.scan_event_functions[row, :n] = share, values
+        left, right = (system.scan_event_functions[row, :n] for row in (LEFT_ROW, RIGHT_ROW))
+        crosses = np.where((left > 0.0) & (right < 0.0), UNKNOWN, NOT_SOUGHT)
+        system.sought[:n] = np.where(np.isinf(allowed), LEFT_OUT, crosses)
+        if system.run(FIND_EARLIEST, t, step) < 0:
+            return SHORTER
+        return _UP_TO_EVENT * system.scan_shares.item(RIGHT_ROW)
 
     def until_touch(self) -> float:
         """Time in s that gaps of open contacts, and ways of joints to their ends, last at their present rates."""

@@ -66,8 +66,8 @@ from .transitions import Transitions
 # the least length of a step with a prescribed direction, in stiff ones that cost as much and last this time over that
 # in which friction turns the slip; how much longer the next one is tried, and after how many of the same length where
 # longer ones have failed: those that took less than the last factor of what was asked for.
-_PATIENCE, _LONGEST_PATIENCE = 24, 3072
-_SLOW_STEPS, _STABLE = 20.0, 4.0
+_PATIENCE, _LONGEST_PATIENCE = 12, 3072
+_SLOW_STEPS, _STABLE = 8.0, 4.0
 _SLOW_GROWTH, _SLOW_RESTS, _SLOW_CUT = 4.0, 6, 0.9
 _FLOOR = 8.0 * float(np.finfo(float).eps)
 # No step after a mode change, or where bodies are near, is shorter than so many times the least; none after a mode
@@ -237,11 +237,12 @@ class Driver:
         elif why == ATTEMPTED:
             t, switched = self._complete(t, float(scalars["step"]), float(scalars["next_time"]))
             if switched:
+                t = self._switch_pending(t, usual_step)
                 self._restart(usual_step)
             if self._slides_slowly() and t < t_end:
                 t = self._slow_slip(t)
         elif why == SLIP_ENDS:
-            t = self._end_slip(t)
+            t = self._switch_pending(self._end_slip(t), usual_step)
             self._restart(usual_step)
             if self._slides_slowly() and t < t_end:
                 t = self._slow_slip(t)
@@ -255,6 +256,21 @@ class Driver:
             t = self._end_jams(t)
         elif why == PROJECTION_FAILED:
             raise projection_failure(self.system, float(scalars["next_time"]))
+        return t
+
+    def _switch_pending(self, t: float, step: float) -> float:
+        """Change modes where a step of `SlipOnset` has ended at an event, as long as one does; the new time.
+
+        step: size in s of the steps that this interrupts.
+        """
+        onset = self.transitions.onset
+        while onset.pending is not None and t < self._end:
+            (item, kind), onset.pending = onset.pending, None
+            self.rk.load(self.system.state)
+            self._project(t, False)
+            self._allow_start(t, max(step, 2.0 * onset.seed))
+            t = self.transitions.switch(t, item, kind)
+            self._after(t)
         return t
 
     def _keep_good(self, t: float) -> None:
@@ -563,8 +579,12 @@ class Driver:
                 t = after
                 self._after(t)
                 limited = t >= self._end or counters["step_count"] >= counters["attempt_limit"]
-                tried = not (limited or self._slip_ends())
+                tried = not (limited or self._slip_ends() or self.transitions.onset.pending)
         counters["stiff_steps"] = 0
+        if self.transitions.onset.pending is not None:
+            usual = float(scalars["next_step"])
+            t = self._switch_pending(t, usual)
+            self._restart(usual)
         return t
 
     def _slip_ends(self) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..dynamics.contact_modes import set_normal
 from ..dynamics.directions import freeze_slip
+from ..dynamics.event_functions import FORCE_EVENTS
 from ..dynamics.friction_scaling import opposed_slip
 from ..dynamics.modes import Decision
 from ..dynamics.units import whiten
@@ -67,7 +68,7 @@ _OPENING_SEED = 1e-4
 _FORCE_ACCURACY = 1e-6
 # A start of slip may last until slip is so many times as fast as v is known, if it grows as it begins to.
 _SHOWN = 1e3
-# Steps that an event is foreseen in end after this part of the way to it, so that it is found in the next one.
+# Steps that a touch or an end is foreseen in go this part of the way to it, so that it is found in the next one.
 _UP_TO_EVENT = 0.999
 # A gap that is closed already counts as so much of its accuracy.
 _LEAST_WAY = 1e-2
@@ -88,6 +89,9 @@ class SlipOnset:
         self.open, self.depths = opened, depths
         self.longest = 0.0
         self.age = 0.0
+        # the event that the last step met at its end: item and kind
+        self.pending: tuple[int, int] | None = None
+        self._foreseen = (math.nan, 0, 0)
         # items whose slip could not be followed from their limits the last time
         self._lost: set[int] = set()
         self.emit: Callable[[float, float], None] = lambda t, step: None
@@ -316,7 +320,7 @@ class SlipOnset:
 
     def _follow(self, t: float, powers: dict[int, int], span: float, shortest: float) -> float | None:
         """A step with prescribed directions of slip, and of what slides already; see `SlowSlip`."""
-        system = self.system
+        system, self.pending, self._foreseen = self.system, None, (math.nan, 0, 0)
         beside = [c for c in self._turning() if not system.contact_int[c, FROZEN]]
         for c in beside:
             freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
@@ -363,6 +367,8 @@ class SlipOnset:
         force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
         allowed[:, [NORMAL_EVENT, FRICTION_EVENT]] = force
         if (system.lowest[:n] >= -allowed).all():
+            foreseen, item, kind = self._foreseen
+            self.pending = (item, kind) if step == foreseen and kind in FORCE_EVENTS else None
             return 1.0
         for row, share in ((LEFT_ROW, 0.0), (RIGHT_ROW, 1.0)):
             exists, values = system.look(t, step, share)
@@ -372,9 +378,15 @@ class SlipOnset:
         left, right = (system.scan_event_functions[row, :n] for row in (LEFT_ROW, RIGHT_ROW))
         crosses = np.where((left > 0.0) & (right < 0.0), UNKNOWN, NOT_SOUGHT)
         system.sought[:n] = np.where(np.isinf(allowed), LEFT_OUT, crosses)
-        if system.run(FIND_EARLIEST, t, step) < 0:
+        found = system.run(FIND_EARLIEST, t, step)
+        if found < 0:
             return SHORTER
-        return _UP_TO_EVENT * system.scan_shares.item(RIGHT_ROW)
+        item, kind = divmod(found, EVENTS_PER_CONTACT)
+        part = system.scan_shares.item(RIGHT_ROW)
+        if kind not in FORCE_EVENTS:
+            part *= _UP_TO_EVENT
+        self._foreseen = part * step, item, kind
+        return part
 
     def until_touch(self) -> float:
         """Time in s that gaps of open contacts, and ways of joints to their ends, last at their present rates."""

@@ -54,7 +54,7 @@ _CONVERGED = 0.05
 # The same relative to slip that has grown from rest.
 _ALIGNED = 0.1
 # What a span is shortened to that cannot be followed.
-SHORTER = 0.5
+SHORTER, _SMALLEST_PART = 0.5, 0.01
 # A span that slip ends in is shortened to this part of the way to its end.
 _STOP_FRACTION = 0.8
 # Residuals that have grown by this factor will not come down any more.
@@ -121,7 +121,7 @@ class SlowSlip:
         found = self._across(t, span, coefficients)
         # what directions change is little against what makes steps inaccurate
         if found is None or not self.rk.error < 1.0:
-            return SHORTER
+            return SHORTER if found is None else self._within_error()
         start = coefficients.copy()
         residual = found[0][:, :POLYNOMIAL_SIZE].ravel()
         jacobian: np.ndarray | None = None
@@ -153,6 +153,11 @@ class SlowSlip:
             return part
         # the last trial step has left the state at the end of the span in new_state
         return 1.0 if self._aligned(*found, tolerance) and self.rk.error < 1.0 else SHORTER
+
+    def _within_error(self) -> float:
+        """The part of the span after which the last trial step's error is as small as it has to be."""
+        order = float(self.rk.system.scalars["error_order"])
+        return max(_SMALLEST_PART, SHORTER * self.rk.error ** (-1.0 / (order + 1.0)))
 
     def _until_end(self, along: np.ndarray, tolerance: float) -> float:
         """The part of the span in which slips go on, from v_c along the directions: those that are there have to stay

@@ -66,8 +66,8 @@ from .transitions import Transitions
 # the least length of a step with a prescribed direction, in stiff ones that cost as much and last this time over that
 # in which friction turns the slip; how much longer the next one is tried, and after how many of the same length where
 # longer ones have failed: those that took less than the last factor of what was asked for.
-_PATIENCE, _LONGEST_PATIENCE = 12, 3072
-_SLOW_STEPS, _STABLE = 8.0, 4.0
+_PATIENCE, _LONGEST_PATIENCE = 24, 3072
+_SLOW_STEPS, _STABLE = 20.0, 4.0
 _SLOW_GROWTH, _SLOW_RESTS, _SLOW_CUT = 4.0, 6, 0.9
 _FLOOR = 8.0 * float(np.finfo(float).eps)
 # No step after a mode change, or where bodies are near, is shorter than so many times the least; none after a mode
@@ -268,7 +268,7 @@ class Driver:
             (item, kind), onset.pending = onset.pending, None
             self.rk.load(self.system.state)
             self._project(t, False)
-            self._allow_start(t, max(step, 2.0 * onset.seed))
+            self._allow_start(t, max(step, float(self.system.scalars["step"])))
             t = self.transitions.switch(t, item, kind)
             self._after(t)
         return t

@@ -39,8 +39,10 @@ from ..layout import (
     RIGHT_ROW,
     SLIP_RATE,
     SLIPPING,
+    START_RATE,
     START_SPEED,
     STICK,
+    STOP_TIME,
     TANGENTS,
 )
 from .accuracy import gap_rate, rest_speed
@@ -70,6 +72,8 @@ _FORCE_ACCURACY = 1e-6
 _SHOWN = 1e3
 # Steps that a touch or an end is foreseen in go this part of the way to it, so that it is found in the next one.
 _UP_TO_EVENT = 0.999
+# Slip this part of v, or of 1 m/s, and slower has no direction that is known to a percent.
+_ROUND_OFF = 1e-13
 # A gap that is closed already counts as so much of its accuracy.
 _LEAST_WAY = 1e-2
 
@@ -227,14 +231,15 @@ class SlipOnset:
         return None
 
     def _shows(self, t: float, items: list[int]) -> bool:
-        """Whether slips are there at the end of the last trial step: no slower than what counts as rest, where v_c has
-        no direction to go on with."""
+        """Whether slips are there at the end of the last trial step, so that v_c has a direction to go on with: no
+        slower than what counts as rest, or, where the next event is at hand, than round-off leaves a direction."""
         system = self.system
         self.rk.load(system.new_state)
         if self.rk.evaluate(t) > EVENT:
             return False
         along = np.einsum("nij,nj->ni", system.basis[items, :2], system.slip[items])
-        return bool(np.linalg.norm(along, axis=1).min() > rest_speed(system))
+        slowest = rest_speed(system) if self.pending is None else _ROUND_OFF * (1.0 + np.abs(system.v).max())
+        return bool(np.linalg.norm(along, axis=1).min() > slowest)
 
     def _find_slip(self, t: float, c: int) -> tuple[float, Decision, np.ndarray]:
         """Let stick run on from the accepted state until something slips or opens; see `_run_on`."""
@@ -296,6 +301,9 @@ class SlipOnset:
         rk.evaluate(t)
         slipping = self._turning()
         for c in slipping:
+            if system.contact_real[c, START_RATE] < 0.0:
+                # like any step, before it comes to rest
+                span = min(span, system.contact_real.item(c, STOP_TIME))
             freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
         took = self._follow(t, dict.fromkeys(slipping, 0), span, shortest)
         system.contact_int[:, FROZEN] = 0

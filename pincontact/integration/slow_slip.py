@@ -27,9 +27,7 @@ from ..layout import (
     POLYNOMIAL_SIZE,
     SPAN,
     START,
-    START_RATE,
     START_SPEED,
-    STOP_TIME,
 )
 from .steps import ACROSS_SLIP
 
@@ -88,10 +86,6 @@ class SlowSlip:
         """
         system = self.rk.system
         tolerance = system.scale[1] + system.scale[0] * float(np.abs(system.v).max(initial=0.0))
-        for c, power in self.powers.items():
-            # like any step, before what slides comes to rest
-            if power == 0 and system.contact_real[c, START_RATE] < 0.0:
-                span = min(span, float(system.contact_real[c, STOP_TIME]))
         several = sum(power > 0 for power in self.powers.values()) > 1
         tries = _TRIES_OF_SEVERAL if several else _HALVINGS
         coefficients = np.zeros((len(self.contacts), POLYNOMIAL_SIZE))
@@ -146,8 +140,9 @@ class SlowSlip:
         else:
             found = None
         if found is None:
+            turned = float(np.abs(coefficients).max())
             coefficients[:] = start
-            return SHORTER
+            return max(_SMALLEST_PART, SHORTER / max(turned, 1.0))
         part = self._until_end(found[1], tolerance)
         if part < 1.0:
             return part

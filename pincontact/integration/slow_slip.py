@@ -154,13 +154,19 @@ class SlowSlip:
         order = float(self.rk.system.scalars["error_order"])
         return max(_SMALLEST_PART, SHORTER * self.rk.error ** (-1.0 / (order + 1.0)))
 
+    def _is_there(self, tolerance: float) -> np.ndarray:
+        """(contacts,) whether slips are there already, and faster than the tolerance."""
+        speeds = self.rk.system.contact_real[self.contacts, START_SPEED]
+        there: np.ndarray = (np.array([*self.powers.values()]) == 0) & (speeds > tolerance)
+        return there
+
     def _until_end(self, along: np.ndarray, tolerance: float) -> float:
         """The part of the span in which slips go on, from v_c along the directions: those that are there have to stay
-        faster than the tolerance, what grows from rest has to grow. 1 where that is all of it."""
+        faster than the tolerance, the others have to grow. 1 where that is all of it."""
         shares, order = np.array([0.0, *_NODES, *_CHECKS]), np.argsort(_NODES + _CHECKS) + 1
         part = 1.0
-        for c, power, speeds in zip(self.contacts, self.powers.values(), along):
-            if power > 0:
+        for c, there, speeds in zip(self.contacts, self._is_there(tolerance), along):
+            if not there:
                 part = part if speeds.min() > 0.0 else min(part, SHORTER)
                 continue
             left = np.array([self.rk.system.contact_real[c, START_SPEED], *speeds]) - tolerance
@@ -169,7 +175,7 @@ class SlowSlip:
                 if left[after] <= 0.0:
                     way = shares[after] - shares[before]
                     end = shares[before] + way * left[before] / (left[before] - left[after])
-                    part = min(part, _STOP_FRACTION * max(end, 0.0))
+                    part = min(part, float(_STOP_FRACTION * end))
                     break
                 before = after
         return part
@@ -181,7 +187,7 @@ class SlowSlip:
         rest, of its own size: it goes on in the direction that it shows. count: of shares, where not at all."""
         across, along = across[:, :count], along[:, :count]
         allowed = np.full(len(self.powers), tolerance)
-        grown = np.array([*self.powers.values()]) > 0
+        grown = ~self._is_there(tolerance)
         slowest = np.abs(along).min(axis=1)
         allowed[grown] = np.minimum(tolerance, _ALIGNED * slowest[grown])
         return bool((np.abs(across).max(axis=1) <= part * allowed).all())

@@ -173,11 +173,13 @@ class SlipOnset:
         # the friction that stick asks for at its limit is against the slip to come
         limits = {i: self._limit(i) for i in {c, *changes.at_known_limit()}}
         start_q, start_v = system.q.copy(), system.v.copy()
-        took = self._follow_limits(t, limits)
-        if took is not None:
-            for i in limits:
-                changes.reports.announce_at(t, i, changes.reports.friction_event(i, True), start_q, start_v)
-            return self._end(t, took, system.new_state)
+        # what is next to its limit may be due a little later
+        for slipping in (limits, {c: limits[c]}) if len(limits) > 1 else (limits,):
+            took = self._follow_limits(t, slipping)
+            if took is not None:
+                for i in slipping:
+                    changes.reports.announce_at(t, i, changes.reports.friction_event(i, True), start_q, start_v)
+                return self._end(t, took, system.new_state)
         tau, decision, seeded = self._find_slip(t, c)
         for item in decision.started:
             changes.reports.announce_at(t, item, changes.reports.friction_event(item, True), start_q, start_v)

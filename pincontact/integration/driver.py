@@ -9,14 +9,12 @@ changes the modes (`_change_modes`). What is accepted is written (`_after`; `out
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
 from ..dynamics.directions import freeze_slip
 from ..dynamics.redistribution import leaves_loads_open
-from ..dynamics.system import System
 from ..layout import (
     DOMAIN,
     EVENT,
@@ -33,13 +31,14 @@ from ..layout import (
     STICK,
     STOP_ERROR,
 )
+from .accuracy import slip_is_ending
 from .contradictions import projection_failure
 from .dense import Interpolant
 from .events import UserEvent, UserEvents
 from .jams import held_up
 from .locator import Crossing, EventLocator
+from .options import Options
 from .outputs import Outputs, no_dense_output
-from .pieces import Pieces
 from .reports import least_conditioned, left_behind
 from .results import FINISHED, OPEN_LOADS, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
 from .runge_kutta import RungeKutta
@@ -83,25 +82,6 @@ _TOGETHER = 8.0
 _WATCH = 0.1
 # The same for functions of the user's that are looked for zeros.
 _WATCH_EVENTS = 1.0
-
-
-@dataclass
-class Options:
-    """Step-size and output options of a run.
-
-    t_eval: output times in s, None for every accepted step; breakpoints: times in s, in order within the run, at which
-    steps end and modes are decided anew; discrete: of a system, the discrete part of its contacts; None where
-    `Driver.good` is not to be kept; pieces: keeps the interpolants of all steps, None where they are not wanted.
-    """
-
-    t_eval: np.ndarray | None = None
-    max_step: float = math.inf
-    max_steps: int = 1_000_000
-    fixed_step: float | None = None
-    first_step: float | None = None
-    breakpoints: Sequence[float] = ()
-    discrete: Callable[[System], np.ndarray] | None = None
-    pieces: Pieces | None = None
 
 
 class Driver:
@@ -181,6 +161,9 @@ class Driver:
                 jump, self._end = math.nextafter(self._end, math.inf), stops.pop(0)
                 t = self._pass_jump(max(t, jump))
                 continue
+            if self.transitions.onset.pending is not None:
+                t = self._go_on(t, float(self.system.scalars["next_step"]))
+                continue
             t, why = self._step(t, why)
             t = self._respond(t, t_end, why)
             if self.progress is not None:
@@ -237,13 +220,11 @@ class Driver:
         elif why == ATTEMPTED:
             t, switched = self._complete(t, float(scalars["step"]), float(scalars["next_time"]))
             if switched:
-                t = self._switch_pending(t, usual_step)
-                self._restart(usual_step)
+                t = self._go_on(t, usual_step)
             if self._slides_slowly() and t < t_end:
                 t = self._slow_slip(t)
         elif why == SLIP_ENDS:
-            t = self._switch_pending(self._end_slip(t), usual_step)
-            self._restart(usual_step)
+            t = self._go_on(self._end_slip(t), usual_step)
             if self._slides_slowly() and t < t_end:
                 t = self._slow_slip(t)
         elif why == SLIP_IS_SLOW:
@@ -258,11 +239,9 @@ class Driver:
             raise projection_failure(self.system, float(scalars["next_time"]))
         return t
 
-    def _switch_pending(self, t: float, step: float) -> float:
-        """Change modes where a step of `SlipOnset` has ended at an event, as long as one does; the new time.
-
-        step: size in s of the steps that this interrupts.
-        """
+    def _go_on(self, t: float, step: float) -> float:
+        """Go on from a mode change, which interrupts steps of this size in s, and from the next where slip begins up to
+        it; the new time."""
         onset = self.transitions.onset
         while onset.pending is not None and t < self._end:
             (item, kind), onset.pending = onset.pending, None
@@ -271,6 +250,7 @@ class Driver:
             self._allow_start(t, max(step, float(self.system.scalars["step"])))
             t = self.transitions.switch(t, item, kind)
             self._after(t)
+        self._restart(step)
         return t
 
     def _keep_good(self, t: float) -> None:
@@ -284,7 +264,7 @@ class Driver:
 
     def _pass_jump(self, t: float) -> float:
         """Go on from the breakpoint t in s, behind what jumps there; the new time."""
-        after = math.nextafter(t, math.inf)
+        after, self.transitions.onset.pending = math.nextafter(t, math.inf), None
         self._allow_start(after, self.options.fixed_step or math.inf)
         after = self.transitions.pass_jump(after)
         self._finish(after)
@@ -579,19 +559,9 @@ class Driver:
                 t = after
                 self._after(t)
                 limited = t >= self._end or counters["step_count"] >= counters["attempt_limit"]
-                tried = not (limited or self._slip_ends() or self.transitions.onset.pending)
+                tried = not (limited or slip_is_ending(self.system) or self.transitions.onset.pending)
         counters["stiff_steps"] = 0
-        if self.transitions.onset.pending is not None:
-            usual = float(scalars["next_step"])
-            t = self._switch_pending(t, usual)
-            self._restart(usual)
         return t
-
-    def _slip_ends(self) -> bool:
-        """Whether a slip ends in one linear step."""
-        numbers = self.system.contact_real
-        stopping = np.isfinite(numbers[:, START_SPEED]) & (numbers[:, START_RATE] < 0.0)
-        return bool((stopping & (numbers[:, STOP_ERROR] <= LEFT_OUT * numbers[:, START_TOLERANCE])).any())
 
     def _end_slip(self, t: float) -> float:
         """One linear step to the end of slip (its error is the square of a short time), then stick or not."""

@@ -227,6 +227,7 @@ class SlipOnset:
                 self._lost.update(items)
             elif self._shows(t + took, items):
                 return took
+            self.pending = None
         system.contact_int[:] = modes
         solver.take_back(forces)
         self.changes.evaluate_accepted(t)
@@ -315,6 +316,7 @@ class SlipOnset:
             if rk.evaluate(t + took) <= EVENT:
                 system.contact_int[slipping, FROZEN] = 1
                 return self._end(t, took, system.new_state)
+        self.pending = None
         self.changes.evaluate_accepted(t)
         return None
 

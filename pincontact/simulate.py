@@ -20,8 +20,9 @@ from .dynamics.joints import check_joint_limits
 from .errors import ArgumentError, UnusableResult, sentence
 from .friction.solve import check_contact_solver
 from .integration.discrete import read_discrete, write_discrete
-from .integration.driver import Driver, Options
+from .integration.driver import Driver
 from .integration.events import UserEvent
+from .integration.options import Options
 from .integration.pieces import Pieces
 from .integration.results import (
     CHATTER,

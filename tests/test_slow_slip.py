@@ -177,6 +177,22 @@ def test_slip_ends_late_in_time(start):
     assert math.hypot(*run.q[-1, :2]) == pytest.approx(0.5 * stops, abs=1e-10 + MU * G * (20.0 * math.ulp(start)) ** 2)
 
 
+def pulled(pulls, duration, **options):
+    """A run of blocks side by side on the floor, from rest; pulls: name -> force in N of the time."""
+    model = pin.Model()
+    for name in pulls:
+        joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), name)
+        model.appendBodyToJoint(joint, pin.Inertia(MASS, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
+        model.addBodyFrame(name, joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    floor = scene.add_contour("floor", pc.Plane())
+    for name in pulls:
+        scene.add_contact(name, scene.add_contour(name, pc.Point(), name), floor, friction=pc.Coulomb(MU))
+    rest = scene.initial_state(np.zeros(model.nq), np.zeros(model.nv))
+    control = lambda t, q, v: np.concatenate([pull(t) for pull in pulls.values()])  # noqa: E731
+    return pc.simulate(scene, rest, duration, control=control, **options)
+
+
 @pytest.mark.parametrize("rtol", [1e-6, 1e-8])
 def test_slip_that_begins_beside_a_slow_one(rtol):
     """One block creeps, in a direction that turns, where another's slip begins: each moves as it does alone."""
@@ -188,22 +204,40 @@ def test_slip_that_begins_beside_a_slow_one(rtol):
         turned = 1.0 - 0.5 * t
         return MU * MASS * G * (0.5 + t) * np.array([math.cos(turned), math.sin(turned), 0.0])
 
-    def moved(**pulls):
-        model = pin.Model()
-        for name in pulls:
-            joint = model.addJoint(0, pin.JointModelTranslation(), pin.SE3.Identity(), name)
-            model.appendBodyToJoint(joint, pin.Inertia(MASS, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
-            model.addBodyFrame(name, joint, pin.SE3.Identity(), 0)
-        scene = pc.Scene(model)
-        floor = scene.add_contour("floor", pc.Plane())
-        for name in pulls:
-            scene.add_contact(name, scene.add_contour(name, pc.Point(), name), floor, friction=pc.Coulomb(MU))
-        rest = scene.initial_state(np.zeros(model.nq), np.zeros(model.nv))
-        control = lambda t, q, v: np.concatenate([pull(t) for pull in pulls.values()])  # noqa: E731
-        return pc.simulate(scene, rest, 0.52, control=control, rtol=rtol, atol=1e-2 * rtol)
-
-    together = moved(one=creeps, other=gives_way)
-    alone = [moved(one=creeps), moved(other=gives_way)]
+    options = {"rtol": rtol, "atol": 1e-2 * rtol}
+    together = pulled({"one": creeps, "other": gives_way}, 0.52, **options)
+    alone = [pulled({"one": creeps}, 0.52, **options), pulled({"other": gives_way}, 0.52, **options)]
     assert together.status == 0, together.message
     # of 5e-6 m, errors of two runs; a start that is cut short by the other's stiffness is off by 2e-8
     assert together.q[-1] == pytest.approx(np.concatenate([run.q[-1] for run in alone]), abs=1e-11)
+
+
+@pytest.mark.parametrize("rtol", [1e-6, 1e-8])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Sharp98"])
+@pytest.mark.parametrize("seed", [*range(8), 16])
+def test_slips_that_begin_one_after_another(seed, method, rtol):
+    """Four blocks give way within 1e-6 to 1e-3 s of each other, under random pulls that turn and grow: each when its
+    own pull is that strong and as it does alone, however slow the others' slips are by then, at no more cost."""
+    rng = np.random.default_rng(seed)
+    starts = rng.permutation(0.05 + np.cumsum(10.0 ** rng.uniform(-6.0, -3.0, 4)))
+
+    def pull(start, angle, turning, growth):
+        def force(t):
+            turned, size = angle + turning * (t - start), MU * MASS * G * (1.0 + growth * (t - start))
+            return size * np.array([math.cos(turned), math.sin(turned), 0.0])
+
+        return force
+
+    pulls = {f"b{i}": pull(start, *rng.uniform([0.0, -3.0, 0.2], [6.28, 3.0, 2.0])) for i, start in enumerate(starts)}
+    options = {"method": method, "rtol": rtol, "atol": 1e-2 * rtol}
+    together = pulled(pulls, 0.1, **options)
+    alone = [pulled({name: force}, 0.1, **options) for name, force in pulls.items()]
+    assert together.status == 0, together.message
+    assert sorted((event.contact, event.kind) for event in together.events) == [(name, "slip") for name in pulls]
+    began = {event.contact: event.time for event in together.events}
+    # margins are round-off of forces, over how fast they shrink
+    assert [began[name] for name in pulls] == pytest.approx(starts, rel=0.0, abs=1e-11)
+    # of 1e-4 m, a fiftieth of the tolerance
+    ends = np.concatenate([run.q[-1] for run in alone])
+    assert together.q[-1] == pytest.approx(ends, rel=0.0, abs=2e-2 * options["atol"])
+    assert together.stats["rhs"] <= 1.2 * sum(run.stats["rhs"] for run in alone)

@@ -6,9 +6,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..layout import LENGTH, MODE, SLIPPING, TANGENTS, VISCOUS
+from ..layout import (
+    LENGTH,
+    MODE,
+    SLIPPING,
+    START_RATE,
+    START_SPEED,
+    START_TOLERANCE,
+    STOP_ERROR,
+    TANGENTS,
+    VISCOUS,
+)
 from .results import GAP_TOLERANCE
-from .slip_at_ends import STOP_DOUBLINGS
+from .slip_at_ends import LEFT_OUT, STOP_DOUBLINGS
 
 if TYPE_CHECKING:
     from ..dynamics.system import System
@@ -85,6 +95,13 @@ def slow_slips(system: System) -> list[int]:
     along[system.contact_int[:, TANGENTS] == 1, 1] = 0.0
     slow = np.linalg.norm(along, axis=1) <= 2.0**STOP_DOUBLINGS * allowed.max(axis=1)
     return np.flatnonzero((system.contact_int[:, MODE] == SLIPPING) & slow).tolist()
+
+
+def slip_is_ending(system: System) -> bool:
+    """Whether a slip of the accepted state ends in one linear step."""
+    numbers = system.contact_real
+    stopping = np.isfinite(numbers[:, START_SPEED]) & (numbers[:, START_RATE] < 0.0)
+    return bool((stopping & (numbers[:, STOP_ERROR] <= LEFT_OUT * numbers[:, START_TOLERANCE])).any())
 
 
 def gap_rate(system: System, c: int) -> float:

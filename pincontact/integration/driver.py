@@ -9,14 +9,12 @@ changes the modes (`_change_modes`). What is accepted is written (`_after`; `out
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
 from ..dynamics.directions import freeze_slip
 from ..dynamics.redistribution import leaves_loads_open
-from ..dynamics.system import System
 from ..layout import (
     DOMAIN,
     EVENT,
@@ -33,13 +31,14 @@ from ..layout import (
     STICK,
     STOP_ERROR,
 )
+from .accuracy import slip_is_ending
 from .contradictions import projection_failure
 from .dense import Interpolant
 from .events import UserEvent, UserEvents, lost_zeros
 from .jams import held_up
 from .locator import Crossing, EventLocator
+from .options import Options
 from .outputs import Outputs, no_dense_output
-from .pieces import Pieces
 from .reports import least_conditioned, left_behind
 from .results import FINISHED, OPEN_LOADS, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
 from .runge_kutta import RungeKutta
@@ -83,25 +82,6 @@ _TOGETHER = 8.0
 _WATCH = 0.1
 # The same for functions of the user's that are looked for zeros.
 _WATCH_EVENTS = 1.0
-
-
-@dataclass
-class Options:
-    """Step-size and output options of a run.
-
-    t_eval: output times in s, None for every accepted step; breakpoints: times in s, in order within the run, at which
-    steps end and modes are decided anew; discrete: of a system, the discrete part of its contacts; None where
-    `Driver.good` is not to be kept; pieces: keeps the interpolants of all steps, None where they are not wanted.
-    """
-
-    t_eval: np.ndarray | None = None
-    max_step: float = math.inf
-    max_steps: int = 1_000_000
-    fixed_step: float | None = None
-    first_step: float | None = None
-    breakpoints: Sequence[float] = ()
-    discrete: Callable[[System], np.ndarray] | None = None
-    pieces: Pieces | None = None
 
 
 class Driver:
@@ -182,6 +162,9 @@ class Driver:
                 jump, self._end = math.nextafter(self._end, math.inf), stops.pop(0)
                 t = self._pass_jump(max(t, jump))
                 continue
+            if self.transitions.onset.pending is not None:
+                t = self._go_on(t, float(self.system.scalars["next_step"]))
+                continue
             t, why = self._step(t, why)
             t = self._respond(t, t_end, why)
             if self.progress is not None:
@@ -239,7 +222,7 @@ class Driver:
             step, t_new = float(scalars["step"]), float(scalars["next_time"])
             t, switched = self._complete(t, step, t_new) if why == ATTEMPTED else (self._end_slip(t), True)
             if switched:
-                self._restart(usual_step)
+                t = self._go_on(t, usual_step)
             if self._slides_slowly() and t < t_end:
                 t = self._slow_slip(t)
         elif why == SLIP_IS_SLOW:
@@ -254,6 +237,20 @@ class Driver:
             raise projection_failure(self.system, float(scalars["next_time"]))
         return t
 
+    def _go_on(self, t: float, step: float) -> float:
+        """Go on from a mode change, which interrupts steps of this size in s, and from the next where slip begins up to
+        it; the new time."""
+        onset = self.transitions.onset
+        while onset.pending is not None and t < self._end:
+            (item, kind), onset.pending = onset.pending, None
+            self.rk.load(self.system.state)
+            self._project(t, False)
+            self._allow_start(t, max(step, float(self.system.scalars["step"])))
+            t = self.transitions.switch(t, item, kind)
+            self._after(t)
+        self._restart(step)
+        return t
+
     def _keep_good(self, t: float) -> None:
         """Keep the accepted state as the last good one, where that is asked for."""
         if self.options.discrete is not None:
@@ -265,7 +262,7 @@ class Driver:
 
     def _pass_jump(self, t: float) -> float:
         """Go on from the breakpoint t in s, behind what jumps there; the new time."""
-        after = math.nextafter(t, math.inf)
+        after, self.transitions.onset.pending = math.nextafter(t, math.inf), None
         self._allow_start(after, self.options.fixed_step or math.inf)
         after = self.transitions.pass_jump(after)
         self._finish(after)
@@ -335,6 +332,9 @@ class Driver:
         if self._age > 0.0:
             # slip that has just begun changes in times like its age
             h = min(h, max(self._age, _RESTART_SEEDS * self.transitions.onset.seed))
+        if scalars["turning_rate"] > 0.0:
+            # longer explicit steps are not stable
+            h = min(h, _STABLE / float(scalars["turning_rate"]))
         scalars["next_step"] = self.options.fixed_step or max(h, _RESTART * float(scalars["floor"]))
         scalars["slowest"], scalars["last_error"] = math.inf, 0.0
         counters["stalled"] = 0
@@ -560,7 +560,8 @@ class Driver:
                 span = (after - t) * (1.0 if rests > 0 else _SLOW_GROWTH)
                 t = after
                 self._after(t)
-                tried = t < self._end and counters["step_count"] < counters["attempt_limit"]
+                limited = t >= self._end or counters["step_count"] >= counters["attempt_limit"]
+                tried = not (limited or slip_is_ending(self.system) or self.transitions.onset.pending)
         counters["stiff_steps"] = 0
         return t
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..dynamics.contact_modes import set_normal
 from ..dynamics.directions import freeze_slip
+from ..dynamics.event_functions import FORCE_EVENTS
 from ..dynamics.friction_scaling import opposed_slip
 from ..dynamics.modes import Decision
 from ..dynamics.units import whiten
@@ -21,10 +22,12 @@ from ..layout import (
     DOMAIN,
     DOMAIN_EVENT,
     EVENT,
+    EVENTS_PER_CONTACT,
     FREE,
     FRICTION_EVENT,
     FROZEN,
     GAP_EVENT,
+    LEFT_ROW,
     MODE,
     MU,
     MU_STATIC,
@@ -33,18 +36,22 @@ from ..layout import (
     OK,
     POLYNOMIAL,
     POLYNOMIAL_SIZE,
+    RIGHT_ROW,
     SLIP_RATE,
     SLIPPING,
+    START_RATE,
     START_SPEED,
     STICK,
+    STOP_TIME,
     TANGENTS,
 )
 from .accuracy import gap_rate, rest_speed
+from .crossings import LEFT_OUT, NOT_SOUGHT, UNKNOWN
 from .jams import held_up, stop_slips
 from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
-from .slow_slip import SlowSlip
-from .steps import FAILED_FACTOR
+from .slow_slip import SHORTER, SlowSlip
+from .steps import FAILED_FACTOR, FIND_EARLIEST
 
 # The start of slip is followed over times down to this fraction of the seed's.
 _SHORTEST_START = 1e-3
@@ -63,6 +70,10 @@ _OPENING_SEED = 1e-4
 _FORCE_ACCURACY = 1e-6
 # A start of slip may last until slip is so many times as fast as v is known, if it grows as it begins to.
 _SHOWN = 1e3
+# Steps that a touch or an end is foreseen in go this part of the way to it, so that it is found in the next one.
+_UP_TO_EVENT = 0.999
+# Slip this part of v, or of 1 m/s, and slower has no direction that is known to a percent.
+_ROUND_OFF = 1e-13
 # A gap that is closed already counts as so much of its accuracy.
 _LEAST_WAY = 1e-2
 
@@ -82,6 +93,9 @@ class SlipOnset:
         self.open, self.depths = opened, depths
         self.longest = 0.0
         self.age = 0.0
+        # the event that the last step met at its end: item and kind
+        self.pending: tuple[int, int] | None = None
+        self._foreseen = (math.nan, 0, 0)
         # items whose slip could not be followed from their limits the last time
         self._lost: set[int] = set()
         self.emit: Callable[[float, float], None] = lambda t, step: None
@@ -159,11 +173,13 @@ class SlipOnset:
         # the friction that stick asks for at its limit is against the slip to come
         limits = {i: self._limit(i) for i in {c, *changes.at_known_limit()}}
         start_q, start_v = system.q.copy(), system.v.copy()
-        took = self._follow_limits(t, limits)
-        if took is not None:
-            for i in limits:
-                changes.reports.announce_at(t, i, changes.reports.friction_event(i, True), start_q, start_v)
-            return self._end(t, took, system.new_state)
+        # what is next to its limit may be due a little later
+        for slipping in (limits, {c: limits[c]}) if len(limits) > 1 else (limits,):
+            took = self._follow_limits(t, slipping)
+            if took is not None:
+                for i in slipping:
+                    changes.reports.announce_at(t, i, changes.reports.friction_event(i, True), start_q, start_v)
+                return self._end(t, took, system.new_state)
         tau, decision, seeded = self._find_slip(t, c)
         for item in decision.started:
             changes.reports.announce_at(t, item, changes.reports.friction_event(item, True), start_q, start_v)
@@ -211,20 +227,22 @@ class SlipOnset:
                 self._lost.update(items)
             elif self._shows(t + took, items):
                 return took
+            self.pending = None
         system.contact_int[:] = modes
         solver.take_back(forces)
         self.changes.evaluate_accepted(t)
         return None
 
     def _shows(self, t: float, items: list[int]) -> bool:
-        """Whether slips are there at the end of the last trial step: no slower than what counts as rest, where v_c has
-        no direction to go on with."""
+        """Whether slips are there at the end of the last trial step, so that v_c has a direction to go on with: no
+        slower than what counts as rest, or, where the next event is at hand, than round-off leaves a direction."""
         system = self.system
         self.rk.load(system.new_state)
         if self.rk.evaluate(t) > EVENT:
             return False
         along = np.einsum("nij,nj->ni", system.basis[items, :2], system.slip[items])
-        return bool(np.linalg.norm(along, axis=1).min() > rest_speed(system))
+        slowest = rest_speed(system) if self.pending is None else _ROUND_OFF * (1.0 + np.abs(system.v).max())
+        return bool(np.linalg.norm(along, axis=1).min() > slowest)
 
     def _find_slip(self, t: float, c: int) -> tuple[float, Decision, np.ndarray]:
         """Let stick run on from the accepted state until something slips or opens; see `_run_on`."""
@@ -286,6 +304,9 @@ class SlipOnset:
         rk.evaluate(t)
         slipping = self._turning()
         for c in slipping:
+            if system.contact_real[c, START_RATE] < 0.0:
+                # like any step, before it comes to rest
+                span = min(span, system.contact_real.item(c, STOP_TIME))
             freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
         took = self._follow(t, dict.fromkeys(slipping, 0), span, shortest)
         system.contact_int[:, FROZEN] = 0
@@ -295,6 +316,7 @@ class SlipOnset:
             if rk.evaluate(t + took) <= EVENT:
                 system.contact_int[slipping, FROZEN] = 1
                 return self._end(t, took, system.new_state)
+        self.pending = None
         self.changes.evaluate_accepted(t)
         return None
 
@@ -310,14 +332,14 @@ class SlipOnset:
 
     def _follow(self, t: float, powers: dict[int, int], span: float, shortest: float) -> float | None:
         """A step with prescribed directions of slip, and of what slides already; see `SlowSlip`."""
-        system = self.system
+        system, self.pending, self._foreseen = self.system, None, (math.nan, 0, 0)
         beside = [c for c in self._turning() if not system.contact_int[c, FROZEN]]
         for c in beside:
             freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
-        took = SlowSlip(self.rk, dict.fromkeys(beside, 0) | powers, self._is_uneventful).follow(t, span, shortest)
+        took = SlowSlip(self.rk, dict.fromkeys(beside, 0) | powers, self._until_event).follow(t, span, shortest)
         if took is None and beside:
             system.contact_int[beside, FROZEN] = 0
-            took = SlowSlip(self.rk, powers, self._is_uneventful).follow(t, span, shortest)
+            took = SlowSlip(self.rk, powers, self._until_event).follow(t, span, shortest)
         return took
 
     def _turning(self) -> list[int]:
@@ -345,19 +367,38 @@ class SlipOnset:
         self.rk.accept()
         return t
 
-    def _is_uneventful(self) -> bool:
-        """Whether nothing opened, closed or began to slip in the last trial step, within the errors of gaps and
-        forces."""
+    def _until_event(self, t: float, step: float) -> float:
+        """The part of the last trial step, which has been interpolated, in which nothing opens, closes or begins to
+        slip, within the errors of gaps and forces; 1 where that is all of it."""
         system, n = self.system, self.system.items
-        lowest, accuracy = system.lowest[:n], system.gap_accuracy
-        force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
+        allowed = np.full((n, EVENTS_PER_CONTACT), math.inf)
         touchable = np.ones(n, dtype=bool)
         touchable[: system.nc] = self.open.apart
-        return bool(
-            (lowest[touchable, GAP_EVENT] >= -(accuracy + self.depths)[touchable]).all()
-            and (lowest[:, DOMAIN_EVENT] >= -accuracy).all()
-            and (lowest[:, [NORMAL_EVENT, FRICTION_EVENT]] >= -force).all()
-        )
+        allowed[touchable, GAP_EVENT] = (system.gap_accuracy + self.depths)[touchable]
+        allowed[:, DOMAIN_EVENT] = system.gap_accuracy
+        force = _FORCE_ACCURACY * float(np.abs(system.force[:n]).max(initial=0.0))
+        allowed[:, [NORMAL_EVENT, FRICTION_EVENT]] = force
+        if (system.lowest[:n] >= -allowed).all():
+            foreseen, item, kind = self._foreseen
+            self.pending = (item, kind) if step == foreseen and kind in FORCE_EVENTS else None
+            return 1.0
+        for row, share in ((LEFT_ROW, 0.0), (RIGHT_ROW, 1.0)):
+            exists, values = system.look(t, step, share)
+            if not exists:
+                return SHORTER
+            system.scan_shares[row], system.scan_event_functions[row, :n] = share, values
+        left, right = (system.scan_event_functions[row, :n] for row in (LEFT_ROW, RIGHT_ROW))
+        crosses = np.where((left > 0.0) & (right < 0.0), UNKNOWN, NOT_SOUGHT)
+        system.sought[:n] = np.where(np.isinf(allowed), LEFT_OUT, crosses)
+        found = system.run(FIND_EARLIEST, t, step)
+        if found < 0:
+            return SHORTER
+        item, kind = divmod(found, EVENTS_PER_CONTACT)
+        part = system.scan_shares.item(RIGHT_ROW)
+        if kind not in FORCE_EVENTS:
+            part *= _UP_TO_EVENT
+        self._foreseen = part * step, item, kind
+        return part
 
     def until_touch(self) -> float:
         """Time in s that gaps of open contacts, and ways of joints to their ends, last at their present rates."""

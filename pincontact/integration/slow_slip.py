@@ -27,6 +27,7 @@ from ..layout import (
     POLYNOMIAL_SIZE,
     SPAN,
     START,
+    START_SPEED,
 )
 from .steps import ACROSS_SLIP
 
@@ -50,6 +51,10 @@ _ACCEPTED = 0.03
 _CONVERGED = 0.05
 # The same relative to slip that has grown from rest.
 _ALIGNED = 0.1
+# What a span is shortened to that cannot be followed.
+SHORTER, _SMALLEST_PART = 0.5, 0.01
+# A span that slip ends in is shortened to this part of the way to its end.
+_STOP_FRACTION = 0.8
 # Residuals that have grown by this factor will not come down any more.
 _DIVERGED = 3.0
 
@@ -59,13 +64,13 @@ class SlowSlip:
     """Slip with prescribed directions, from the state at t on.
 
     powers: of these contacts (or resistances) v_c grows with this power of the time; 2 out of stick at its limit, 1
-    from rest, 0 where it is there already. uneventful(): whether nothing else happens in the last trial step, from its
-    event functions.
+    from rest, 0 where it is there already. until_event(t, step): the part of the last trial step, which has been
+    interpolated, in which nothing else happens, 1 where that is all of it.
     """
 
     rk: RungeKutta
     powers: dict[int, int]
-    uneventful: Callable[[], bool]
+    until_event: Callable[[float, float], float]
 
     @property
     def contacts(self) -> list[int]:
@@ -75,7 +80,7 @@ class SlowSlip:
     def follow(self, t: float, span: float, shortest: float) -> float | None:
         """Move the accepted state at t on; returns how long in s that took, None if it failed.
 
-        The contacts are in slip with frozen directions. span: longest time in s to try; it is halved until the
+        The contacts are in slip with frozen directions. span: longest time in s to try; it is shortened until the
         direction polynomial is accurate and uneventful, not below `shortest`. On success `system.new_state` is the
         state after it, unprojected.
         """
@@ -83,23 +88,35 @@ class SlowSlip:
         tolerance = system.scale[1] + system.scale[0] * float(np.abs(system.v).max(initial=0.0))
         several = sum(power > 0 for power in self.powers.values()) > 1
         tries = _TRIES_OF_SEVERAL if several else _HALVINGS
+        coefficients = np.zeros((len(self.contacts), POLYNOMIAL_SIZE))
+        pulls: np.ndarray | None = None
         while tries > 0 and span >= shortest:
             for c in self.contacts:
                 system.contact_real[c, [START, SPAN]] = t, span
-            if not self._collocate(t, span, _ACCEPTED * tolerance):
+            if pulls is None:
+                pulls = self._pulls(t)
+                if pulls is None:
+                    return None
+            part = self._collocate(t, span, _ACCEPTED * tolerance, pulls, coefficients)
+            if part < 1.0:
                 tries -= 1
-            elif self.uneventful():
-                return span
-            span *= 0.5
+            else:
+                part = self.until_event(t, span)
+                if part == 1.0:
+                    return span
+            span *= part
+            # the same directions in a shorter time
+            coefficients *= part ** np.arange(POLYNOMIAL_SIZE)
         return None
 
-    def _collocate(self, t: float, span: float, tolerance: float) -> bool:
-        """Broyden's iteration on the polynomials' coefficients; whether v_c ends up along the direction everywhere."""
-        coefficients = np.zeros(POLYNOMIAL_SIZE * len(self.contacts))
+    def _collocate(self, t: float, span: float, tolerance: float, pulls: np.ndarray, coefficients: np.ndarray) -> float:
+        """Broyden's iteration on the polynomials' coefficients, from those given, which become the best ones; the part
+        of the span that is to be tried next, 1 where v_c ends up along the direction everywhere."""
         found = self._across(t, span, coefficients)
         # what directions change is little against what makes steps inaccurate
         if found is None or not self.rk.error < 1.0:
-            return False
+            return SHORTER if found is None else self._within_error()
+        start = coefficients.copy()
         residual = found[0][:, :POLYNOMIAL_SIZE].ravel()
         jacobian: np.ndarray | None = None
         largest = _DIVERGED * float(np.abs(residual).max())
@@ -107,28 +124,61 @@ class SlowSlip:
             if self._aligned(*found, tolerance) or self._aligned(*found, tolerance, _CONVERGED, POLYNOMIAL_SIZE):
                 break
             if jacobian is None:
-                # slip that does not turn needs none
-                jacobian = self._jacobian(t, span, residual, found[1][:, :POLYNOMIAL_SIZE])
-                if jacobian is None:
-                    return False
+                jacobian = self._jacobian(span * pulls, found[1][:, :POLYNOMIAL_SIZE])
             try:
                 step = -np.linalg.solve(jacobian, residual)
             except np.linalg.LinAlgError:
-                return False
-            coefficients += step
-            if not np.abs(coefficients).max() < 1.0:
-                return False
-            found = self._across(t, span, coefficients)
+                found = None
+                break
+            coefficients += step.reshape(coefficients.shape)
+            found = self._across(t, span, coefficients) if np.abs(coefficients).max() < 1.0 else None
             if found is None or not np.abs(found[0][:, :POLYNOMIAL_SIZE]).max() <= largest:
-                return False
+                found = None
+                break
             before, residual = residual, found[0][:, :POLYNOMIAL_SIZE].ravel()
             jacobian += np.outer(residual - before - jacobian @ step, step) / (step @ step)
         else:
-            return False
-        # slip that is there has to stay faster than the tolerance; what grows from rest has to grow
-        least = np.where(np.array([*self.powers.values()]) == 0, tolerance, 0.0)
+            found = None
+        if found is None:
+            turned = float(np.abs(coefficients).max())
+            coefficients[:] = start
+            return max(_SMALLEST_PART, SHORTER / max(turned, 1.0))
+        part = self._until_end(found[1], tolerance)
+        if part < 1.0:
+            return part
         # the last trial step has left the state at the end of the span in new_state
-        return bool((found[1].min(axis=1) > least).all()) and self._aligned(*found, tolerance) and self.rk.error < 1.0
+        return 1.0 if self._aligned(*found, tolerance) and self.rk.error < 1.0 else SHORTER
+
+    def _within_error(self) -> float:
+        """The part of the span after which the last trial step's error is as small as it has to be."""
+        order = float(self.rk.system.scalars["error_order"])
+        return max(_SMALLEST_PART, SHORTER * self.rk.error ** (-1.0 / (order + 1.0)))
+
+    def _is_there(self, tolerance: float) -> np.ndarray:
+        """(contacts,) whether slips are there already, and faster than the tolerance."""
+        speeds = self.rk.system.contact_real[self.contacts, START_SPEED]
+        there: np.ndarray = (np.array([*self.powers.values()]) == 0) & (speeds > tolerance)
+        return there
+
+    def _until_end(self, along: np.ndarray, tolerance: float) -> float:
+        """The part of the span in which slips go on, from v_c along the directions: those that are there have to stay
+        faster than the tolerance, the others have to grow. 1 where that is all of it."""
+        shares, order = np.array([0.0, *_NODES, *_CHECKS]), np.argsort(_NODES + _CHECKS) + 1
+        part = 1.0
+        for c, there, speeds in zip(self.contacts, self._is_there(tolerance), along):
+            if not there:
+                part = part if speeds.min() > 0.0 else min(part, SHORTER)
+                continue
+            left = np.array([self.rk.system.contact_real[c, START_SPEED], *speeds]) - tolerance
+            before = 0
+            for after in order.tolist():
+                if left[after] <= 0.0:
+                    way = shares[after] - shares[before]
+                    end = shares[before] + way * left[before] / (left[before] - left[after])
+                    part = min(part, float(_STOP_FRACTION * end))
+                    break
+                before = after
+        return part
 
     def _aligned(
         self, across: np.ndarray, along: np.ndarray, tolerance: float, part: float = 1.0, count: int | None = None
@@ -137,42 +187,54 @@ class SlowSlip:
         rest, of its own size: it goes on in the direction that it shows. count: of shares, where not at all."""
         across, along = across[:, :count], along[:, :count]
         allowed = np.full(len(self.powers), tolerance)
-        grown = np.array([*self.powers.values()]) > 0
+        grown = ~self._is_there(tolerance)
         slowest = np.abs(along).min(axis=1)
         allowed[grown] = np.minimum(tolerance, _ALIGNED * slowest[grown])
         return bool((np.abs(across).max(axis=1) <= part * allowed).all())
 
-    def _jacobian(self, t: float, span: float, residual: np.ndarray, speeds: np.ndarray) -> np.ndarray | None:
-        """An approximation to the derivative of `residual` by the coefficients; None where an evaluation fails.
-
-        A turn by p s^j leaves -a p s^(j+1) / (j+1) of v_c across the direction, as friction pulls aside from then on,
-        and itself turns the direction against v_c. Each contact's a follows from one turn of j = 0.
-        """
-        n = POLYNOMIAL_SIZE
-        s = np.array(_NODES)
-        out = np.zeros((len(residual), len(residual)))
-        for i in range(len(self.contacts)):
-            turn = np.zeros(len(residual))
-            turn[n * i] = _PERTURBATION
-            moved = self._across(t, span, turn)
-            if moved is None:
+    def _pulls(self, t: float) -> np.ndarray | None:
+        """(contacts, contacts) what the acceleration of each in m/s^2 across its direction changes by as that of
+        another turns by 1 rad, in the accepted state at t; None where that cannot be evaluated."""
+        rk, system, contacts = self.rk, self.rk.system, self.contacts
+        rk.load(system.state)
+        columns: list[np.ndarray] = []
+        before = np.zeros(len(contacts))
+        directions = [system.basis[c, :2] @ system.contact_real[c, DIRECTION_X : DIRECTION_X + 3] for c in contacts]
+        for turned in (None, *contacts):
+            system.contact_real[contacts, POLYNOMIAL] = 0.0
+            if turned is not None:
+                system.contact_real[turned, POLYNOMIAL] = _PERTURBATION
+            if rk.evaluate(t) > EVENT:
                 return None
-            for m, power in enumerate(self.powers.values()):
-                pulled = [s ** (j + 1 - power) / (j + 1) for j in range(n)]
-                block = slice(n * m, n * (m + 1))
-                change = (moved[0][m, :n] - residual[block]) / _PERTURBATION
-                own = speeds[m] if m == i else np.zeros(n)
-                pull = float(pulled[0] @ (change + own) / (pulled[0] @ pulled[0]))
-                for j in range(n):
-                    out[block, n * i + j] = pull * pulled[j] - own * s**j
-        return out
+            along = system.relative_acceleration[contacts]
+            across = np.array([x * a[1] - y * a[0] for (x, y), a in zip(directions, along)])
+            if turned is None:
+                before = across
+            else:
+                columns.append((across - before) / _PERTURBATION)
+        return np.array(columns).T
+
+    def _jacobian(self, pulls: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+        """An approximation to the derivative of v_c across the directions at the nodes by the coefficients.
+
+        pulls: (contacts, contacts) in m/s, speeds: (contacts, nodes) along the directions. A turn by p s^j leaves
+        a p s^(j+1) / (j+1) of v_c across the direction, as friction pulls aside from then on, and itself turns the
+        direction against v_c.
+        """
+        n, k = POLYNOMIAL_SIZE, len(self.contacts)
+        s, orders = np.array(_NODES)[:, None], np.arange(n)
+        out = np.zeros((k, n, k, n))
+        for m, power in enumerate(self.powers.values()):
+            out[m] = pulls[m][None, :, None] * (s ** (orders + 1 - power) / (orders + 1))[:, None, :]
+            out[m, :, m] -= speeds[m][:, None] * s**orders
+        return out.reshape(k * n, k * n)
 
     def _across(self, t: float, span: float, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """(contacts, shares) v_c across and along the prescribed directions at the nodes and then between them, divided
         by the shares' powers."""
         system, contacts = self.rk.system, np.array(self.contacts)
         columns = slice(POLYNOMIAL, POLYNOMIAL + POLYNOMIAL_SIZE)
-        system.contact_real[contacts, columns] = coefficients.reshape(len(contacts), -1)
+        system.contact_real[contacts, columns] = coefficients
         system.across[0] = shares = np.array(_NODES + _CHECKS)
         if system.run(ACROSS_SLIP, t, span) > EVENT:
             return None

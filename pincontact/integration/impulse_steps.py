@@ -61,7 +61,7 @@ def _begin_contact(system, step, c, largest):
     contact, mu, length = system.contact_int[c], system.contact_real[c, MU], system.contact_real[c, LENGTH]
     basis, slip = system.basis[c], system.slip[c]
     first, second, normal = dot(basis[0], slip), dot(basis[1], slip), dot(basis[2], slip)
-    step.touch_time[c], step.load[c] = -1.0, 0.0
+    step.touch_time[c], step.load[c], step.start_domain[c] = -1.0, 0.0, 0.0
     for i in range(3):
         step.forces[c, i] = step.torques[c, i] = 0.0
     # deeper than a step could have brought it there from the near side, or than has just touched
@@ -100,8 +100,6 @@ def _relocate(system, step, t):
     status = _evaluate_start(system, t)
     for c in range(system.sizes.nc):
         if status == OK and system.contact_int[c, MODE] == FREE:
-            # wherever the last ones were
-            step.behind[c] = 0
             commit_contact(system, step, c, 0)
     return status
 

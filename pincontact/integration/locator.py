@@ -171,13 +171,11 @@ class EventLocator:
         system.run(FIND_ZERO, t, step)
         known[c, kind] = theta = system.scan_shares.item(LOOK_ROW)
         exists = bool(system.scan_status[LOOK_ROW] <= EVENT)
-        if exists and self._open.are_apart(c, t + theta * step):
-            # where it is followed is not where it is nearest
-            return False
-        inside = bool(exists and system.contact_real[c, DOMAIN] >= 0.0)
-        if not inside:
+        # where bodies are apart, it is followed where it is not nearest
+        touches = exists and system.contact_real[c, DOMAIN] >= 0.0 and not self._open.are_apart(c, t + theta * step)
+        if not touches:
             self._open.passed.add(c)
-        return inside
+        return touches
 
     def _earliest(
         self, t: float, step: float, crossed: list[tuple[int, int]], known: dict[tuple[int, int], float]

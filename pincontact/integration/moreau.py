@@ -300,6 +300,7 @@ class MoreauStep:
             return MANY_STEPS
         size = self._numbers["step_size"].item()
         t = self._numbers["run_start"].item() + self.steps * size
+        self._open.apart[:] = self.step_arrays.behind[: self.system.nc] == 0
         steps = self._open.look(t, size, self.touch_time >= 0.0)
         if self._open.has_moved:
             self._open.has_moved = False

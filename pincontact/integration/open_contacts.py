@@ -144,7 +144,8 @@ class OpenContacts:
 
     apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
     hasty: the contact for which `look` has last found the step too long.
-    passed: contacts whose gap fell through zero beyond an end of a contour in the last step, or was not seen to.
+    passed: contacts whose gap fell through zero in the last step where they do not touch: beyond an end of a contour, or
+    where they are not nearest, or it was not seen to.
     """
 
     def __init__(self, system: RunSystem) -> None:
@@ -258,10 +259,11 @@ class OpenContacts:
                 if lost or known.moved(t) + way > known.elsewhere:
                     self.find(t, c)
                 distance = self._distance(known, t)
-            if way > max(distance, _THROUGH * known.near):
+            # what is behind a contour goes through it
+            if self.apart[c] and way > max(distance, _THROUGH * known.near):
                 self.hasty = c
                 return 0
-            if way > max(distance, known.near):
+            if self.apart[c] and way > max(distance, known.near):
                 # so far that the parabola of the gap may not tell
                 self._far[c] = self.system.state.copy()
             certain = distance if known.search is None else known.elsewhere - known.moved(t)
@@ -277,7 +279,7 @@ class OpenContacts:
         long."""
         far, self._far = self._far, {}
         system, nq = self.system, self.system.nq
-        far = {c: before for c, before in far.items() if system.modes[c] == FREE and self.apart[c] and not touched[c]}
+        far = {c: before for c, before in far.items() if system.modes[c] == FREE and not touched[c]}
         if not far:
             return False
         end, through = system.state.copy(), False

@@ -284,8 +284,8 @@ class Driver:
         scalars["end"], scalars["max_step"] = self._end, self._max_step
         scalars["fixed_step"] = options.fixed_step or 0.0
         scalars["next_step"] = options.fixed_step or options.first_step or self.rk.first_step(t, self._end - t)
-        scalars["floor"] = _FLOOR * max(abs(t), abs(self._end))
-        scalars["slowest"] = math.inf
+        scalars["floor"], scalars["slowest"] = _FLOOR * max(abs(t), abs(self._end)), math.inf
+        self._thrown = True
         counters["attempt_limit"] = options.max_steps
         counters["stalled"] = counters["stiff_steps"] = 0
         counters["patience"] = _PATIENCE
@@ -309,7 +309,7 @@ class Driver:
         if not opened.are_any():
             return task
         if self._thrown:
-            # the last evaluation was within a trial step that has been rejected
+            # the last evaluation was of a state that is not accepted
             self._thrown = False
             if self.rk.evaluate_start(t) > EVENT:
                 raise self.transitions.reports.failure(t, LOCATION_FAILED)

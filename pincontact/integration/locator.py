@@ -169,13 +169,11 @@ class EventLocator:
         system = self.system
         system.counters["sought_item"], system.counters["sought_kind"] = c, kind
         system.run(FIND_ZERO, t, step)
-        known[c, kind] = theta = system.scan_shares.item(LOOK_ROW)
-        exists = bool(system.scan_status[LOOK_ROW] <= EVENT)
-        # where bodies are apart, it is followed where it is not nearest
-        touches = exists and system.contact_real[c, DOMAIN] >= 0.0 and not self._open.are_apart(c, t + theta * step)
-        if not touches:
+        known[c, kind] = system.scan_shares.item(LOOK_ROW)
+        inside = bool(system.scan_status[LOOK_ROW] <= EVENT and system.contact_real[c, DOMAIN] >= 0.0)
+        if not inside:
             self._open.passed.add(c)
-        return touches
+        return inside
 
     def _earliest(
         self, t: float, step: float, crossed: list[tuple[int, int]], known: dict[tuple[int, int], float]

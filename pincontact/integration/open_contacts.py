@@ -144,8 +144,7 @@ class OpenContacts:
 
     apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
     hasty: the contact for which `look` has last found the step too long.
-    passed: contacts whose gap fell through zero in the last step where they do not touch: beyond an end of a contour, or
-    where they are not nearest, or it was not seen to.
+    passed: contacts whose gap fell through zero beyond an end of a contour in the last step, or was not seen to.
     """
 
     def __init__(self, system: RunSystem) -> None:
@@ -226,11 +225,6 @@ class OpenContacts:
         longest, self._cut = min(longest, self._cut), math.inf
         self.is_near = near
         return longest, near
-
-    def are_apart(self, c: int, t: float) -> bool:
-        """Whether the last search says that the bodies of contact c cannot touch at the evaluated state."""
-        known = self._open.get(c)
-        return known is not None and known.search is not None and known.distance > known.moved(t)
 
     def watches(self) -> bool:
         """Whether constant steps have to be looked at: whether any contact may be elsewhere, or be flown through."""

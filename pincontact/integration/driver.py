@@ -285,7 +285,6 @@ class Driver:
         scalars["fixed_step"] = options.fixed_step or 0.0
         scalars["next_step"] = options.fixed_step or options.first_step or self.rk.first_step(t, self._end - t)
         scalars["floor"], scalars["slowest"] = _FLOOR * max(abs(t), abs(self._end)), math.inf
-        self._thrown = True
         counters["attempt_limit"] = options.max_steps
         counters["stalled"] = counters["stiff_steps"] = 0
         counters["patience"] = _PATIENCE

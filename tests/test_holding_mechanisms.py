@@ -78,6 +78,21 @@ def test_rests_where_forces_inside_the_cone_hold(seed, method):
         assert (moved < 1e-9) if part > 1.0 else (moved > 1e-7), moved
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_what_slips_goes_on_though_it_might_jam(seed):
+    """With friction that feeds on its own load there may also be forces that stop it at once, in steps of any size: the
+    fixed point of the load leads away from those with which it slips."""
+    scene, q, rows = arm(np.random.default_rng(seed), 1.0)
+    scene, _, _ = arm(np.random.default_rng(seed), 0.95 * least_coefficient(scene, q, rows))
+    state = scene.initial_state(q)
+    for step in (1e-3, 1e-6):
+        run = pc.simulate(scene, state, 10.0 * step, method="Moreau", dt=step)
+        exact = pc.simulate(scene, state, 10.0 * step)
+        assert run.status == exact.status == 0, (run.message, exact.message)
+        # the second order of 10 steps of 1 ms
+        assert np.abs(run.v[-1] - exact.v[-1]).max() < 1e-3 * np.abs(exact.v[-1]).max()
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_comes_to_rest_and_stays(seed):
     """It slides, stops, and holds by other forces than those of its slip; time stepping is off by what is covered in

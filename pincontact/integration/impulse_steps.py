@@ -34,12 +34,10 @@ from ..layout import (
     system_at,
 )
 from .accuracy import REST, SHALLOW
-from .contradictions import CLOSED_WITHIN
 from .impulse_layout import step_at
 from .impulse_trial import APART_AT_END, APPROVED, CONE_LEFT, FRESH, ask, call_task, trial_step
 from .impulses import commit, commit_contact
 from .recording import BLOCK, output_done
-from .results import CLOSED_APART
 from .stages import evaluate, hand_over
 from .step_control import BATCH, SLIVER
 from .steps import RECORD
@@ -106,16 +104,11 @@ def _relocate(system, step, t):
 
 @kernel
 def _begin(system, step, t):
-    """Make STATE what is to be accepted; closed contacts get the mode that their v_c shows. A status of `layout`, or
-    CLOSED_APART."""
+    """Make STATE what is to be accepted; closed contacts get the mode that their v_c shows. A status of `layout`."""
     nv, nc = system.sizes.nv, system.sizes.nc
     status = _evaluate_start(system, t)
     if status != OK:
         return status
-    for c in range(nc):
-        gap = max(abs(system.gaps[c, 0]), abs(system.gaps[c, 1]))
-        if system.contact_int[c, MODE] != FREE and gap > CLOSED_WITHIN * system.contact_real[c, LENGTH]:
-            return CLOSED_APART
     largest = 1.0
     for k in range(nv):
         largest = max(largest, abs(system.v[k]))

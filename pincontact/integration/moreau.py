@@ -30,7 +30,7 @@ from ..layout import (
     UNILATERAL,
     VISCOUS,
 )
-from .contradictions import contradiction
+from .contradictions import apart, contradiction
 from .impulse_cones import ImpulseSolver
 from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, ON_JOINT, UPPER_LIMIT, step_workspace
 from .impulse_problem import assemble
@@ -102,7 +102,8 @@ class MoreauStep:
     spinning and rolling, N m;
     touch_time, edge_time (nc,): s after the step's start at which a contact closed, or opened at the end of a contour,
     negative where it did not; start_mode (nc,): modes at its start; start_gap, start_domain (nc,): gaps in m,
-    and ways to the nearest end of the contours' domains, at the start of the next one.
+    and ways to the nearest end of the contours' domains, at the start of the next one. apart: closed contacts that were
+    apart when the motion began, and by how many metres.
     """
 
     def __init__(self, system: RunSystem, contacts: Sequence[Contact]) -> None:
@@ -188,9 +189,13 @@ class MoreauStep:
         return result
 
     def begin(self, t: float) -> int:
-        """Start from `system.state`; closed contacts get the mode that their v_c shows. Returns a status."""
+        """Start from `system.state`; closed contacts get the mode that their v_c shows. Returns a status; sets
+        `apart`."""
         self._open.forget_way()
-        return self._run(BEGIN, t)
+        closed = self.system.closed()
+        status = self._run(BEGIN, t)
+        self.apart = apart(self.system, closed) if status == OK else {}
+        return status
 
     def try_step(self, t: float, h: float) -> int:
         """A step of size h from the start at t; returns a status of `layout`."""

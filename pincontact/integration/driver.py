@@ -316,9 +316,9 @@ class Driver:
             opened.is_near = False
             return INTEGRATE_APART
         longest, near = opened.begin_step(t, float(min(scalars["next_step"], scalars["max_step"], scalars["end"] - t)))
-        if opened.has_moved:
+        if opened.relocated:
             # nearest points elsewhere: the same state, located there
-            opened.has_moved = False
+            opened.relocated.clear()
             self.rk.load(self.system.state)
             if self.rk.evaluate_start(t) > EVENT:
                 raise self.transitions.reports.failure(t, LOCATION_FAILED)

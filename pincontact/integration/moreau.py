@@ -305,10 +305,13 @@ class MoreauStep:
             return MANY_STEPS
         size = self._numbers["step_size"].item()
         t = self._numbers["run_start"].item() + self.steps * size
-        self._open.apart[:] = self.step_arrays.behind[: self.system.nc] == 0
+        behind = self.step_arrays.behind
+        self._open.apart[:] = behind[: self.system.nc] == 0
         steps = self._open.look(t, size, self.touch_time >= 0.0)
-        if self._open.has_moved:
-            self._open.has_moved = False
+        if self._open.relocated:
+            # where the gap is below zero it has not been positive
+            behind[list(self._open.relocated)] = 1
+            self._open.relocated.clear()
             self._run(RELOCATE, t)
         return steps
 

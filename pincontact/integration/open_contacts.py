@@ -144,6 +144,7 @@ class OpenContacts:
 
     apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
     hasty: the contact for which `look` has last found the step too long.
+    relocated: contacts that were found to be nearest elsewhere; others take that down, and clear it.
     passed: contacts whose gap fell through zero beyond an end of a contour in the last step, or was not seen to.
     """
 
@@ -158,7 +159,8 @@ class OpenContacts:
         # states from which a step went far for what is near, by contact
         self._far: dict[int, np.ndarray] = {}
         self.hasty = 0
-        self.has_moved = self.is_near = False
+        self.relocated: set[int] = set()
+        self.is_near = False
         self._controlled: list[int] = []
         self._gravity = math.hypot(*system.gravity.tolist())
         self._absolute = system.absolute.copy()
@@ -370,7 +372,7 @@ class OpenContacts:
         integers = system.contact_int[c]
         integers[BRANCH], integers[DETERMINANT_SIGN] = found.branch, found.determinant_sign
         system.side_int[2 * c : 2 * c + 2, CHART] = found.charts
-        self.has_moved = True
+        self.relocated.add(c)
         return True
 
     def _is_present(self, c: int, found: Candidate) -> bool:

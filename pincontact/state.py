@@ -357,7 +357,7 @@ def _together(untouched: dict[str, NoContactError]) -> NoContactError:
 def _refuse_gaps(system: RunSystem, t: float) -> None:
     """Of more closed contacts than a body can have at once the projection leaves gaps, which would be kept."""
     system.evaluate_kinematics(t)
-    left = apart(system, APART_AT_END)
+    left = apart(system, system.closed(), APART_AT_END)
     if left:
         largest = max(left.values())
         raise NoContactError(

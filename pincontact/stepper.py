@@ -17,7 +17,6 @@ from .integration.actuators import actuators_of
 from .integration.contradictions import refuse_apart
 from .integration.discrete import discrete_views, read_discrete, views_of_system
 from .integration.moreau import DEFAULT_STEP, MoreauStep
-from .integration.results import CLOSED_APART
 from .integration.run_system import RunSystem
 from .layout import LOCATION_FAILED, NOT_FINITE, OK, SINGULAR
 from .scene import Scene
@@ -180,8 +179,7 @@ class Stepper:
         self._step.set_run(self._start, math.inf, self.dt, 0, 0, False)
         self._step.forget()
         status = self._step.begin(self._start)
-        if status == CLOSED_APART:
-            refuse_apart(system)
+        refuse_apart(self._step.apart)
         self._show_modes()
         return status
 

@@ -193,3 +193,67 @@ def test_both_methods_tell_the_same_ends(seed):
         differences.append(np.linalg.norm(run.q[-1, :3] - exact.q[-1, :3]))
     # a step's weight, for the rest of the time, and the time at which a run ends
     assert differences[-1] < 30.0 * 1e-3
+
+
+def passer_by(seed):
+    """A body in a random steady field that passes an end of a contour, from any side: scene, start, how long to run."""
+    rng = np.random.default_rng(seed)
+    kind = ["table", "field", "barrel", "wire", "arch", "field"][seed % 6]
+    planar, radius = kind in ("wire", "arch"), rng.uniform(0.03, 0.1)
+    half, wave, phase = rng.uniform(0.15, 0.4, 2), rng.uniform(2.0, 8.0, 2), rng.uniform(0.0, 6.0, 2)
+    height = rng.uniform(0.01, 0.06)
+    domain = ((-half[0], half[0]), (-half[1], half[1]))
+    ground = {
+        "table": lambda: pc.Plane(domain),
+        "field": lambda: pc.HeightField(
+            lambda x, y: height * math.sin(wave[0] * x + phase[0]) * math.cos(wave[1] * y + phase[1]), domain=domain
+        ),
+        "barrel": lambda: pc.Cylinder(half[0], (None, domain[1])),
+        "wire": lambda: pc.Line(domain[0]),
+        "arch": lambda: pc.ParametricCurve(lambda u: (u, height * math.sin(wave[0] * u + phase[0]), 0.0), domain[0]),
+    }[kind]()
+    balls = [pc.Circle(radius)] if planar else [pc.Sphere(radius), pc.Ellipsoid(radius, 0.8 * radius, 0.6 * radius)]
+    shape = [pc.Point(), *balls][rng.integers(1 + len(balls))]
+    if planar:
+        model = pin.Model()
+        joint = model.addJoint(0, pin.JointModelPlanar(), pin.SE3.Identity(), "body")
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3)), pin.SE3.Identity())
+        model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    else:
+        model = free_body("body", inertia=(0.01, 0.01, 0.01))
+    scene = pc.Scene(model)
+    scene.add_contour("shape", shape, "body")
+    scene.add_contour("ground", ground)
+    scene.add_contact("c", "shape", "ground", side=1 if isinstance(shape, pc.Point) or kind == "wire" else None)
+    field, v = rng.normal(size=3), rng.normal(size=3) * rng.choice([0.5, 1.5])
+    field *= rng.uniform(1.0, 10.0) / np.linalg.norm(field)
+    # where it is near the end, and when
+    near = np.array([rng.choice([-1.0, 1.0]) * rng.uniform(0.7, 1.15), rng.uniform(-1.0, 1.0)]) * half
+    off = rng.uniform(-0.1, 0.1) + (half[0] * rng.choice([1.0, 0.5, -0.5]) if kind == "barrel" else 0.0)
+    place = np.array([near[0], off, 0.0] if planar else [*near, off])
+    when, spin = rng.uniform(0.1, 0.5), rng.normal(size=3) * rng.choice([0.0, 2.0])
+    if planar:
+        field[2] = v[2] = 0.0
+    model.gravity.linear = field
+    place, v = place - v * when + 0.5 * field * when**2, v - field * when
+    duration = when + rng.uniform(0.1, 0.5)
+    if planar:
+        return scene, scene.initial_state([*place[:2], 1.0, 0.0], [*v[:2], spin[0]], free=["c"], max_gap=10.0), duration
+    turn = pin.exp3(rng.normal(size=3))
+    q = [*place, *pin.Quaternion(turn).coeffs()]
+    return scene, scene.initial_state(q, [*(turn.T @ v), *spin], free=["c"], max_gap=10.0), duration
+
+
+@pytest.mark.parametrize("seed", [*range(12), 26, 98, 101, 104, 121, 157, 171, 206, 218, 235])
+def test_what_gets_behind_a_contour_touches_it_as_in_exact_runs(seed):
+    """From the side, from below and from above: what has got behind it beside its end does not touch it from there,
+    also where its nearest points are looked for anew."""
+    scene, start, duration = passer_by(seed)
+    exact = pc.simulate(scene, start, duration, rtol=1e-10, atol=1e-12, max_step=2e-2)
+    run = stepped(scene, start, duration, 1e-3)
+    assert run.status == exact.status == 0, (run.message, exact.message)
+    touched = [[event.time for event in r.events if event.kind == "touch"] for r in (run, exact)]
+    assert len(touched[0]) == len(touched[1])
+    np.testing.assert_allclose(*touched, rtol=0.0, atol=1e-3)
+    # the step of an impact is of first order
+    assert np.abs(run.q[-1] - exact.q[-1]).max() < 5e-3

@@ -1,5 +1,5 @@
-"""Bilateral contacts with friction of mechanisms that have fewer coordinates than the contact has directions: they hold
-by forces that no motion feels, as far as there are such forces inside the cone."""
+"""Contacts of mechanisms that have fewer coordinates than the contact has directions: they hold by forces that no
+motion feels, as far as there are such forces inside the cone."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ def random_rotation(rng):
     return pin.Quaternion(rng.normal(size=4)).normalized().matrix()
 
 
-def arm(rng, mu):
-    """A random two-link arm whose tip stays on a random plane through it: it moves in one direction only."""
+def arm_model(rng, links):
+    """A random arm with a frame "tip", and q."""
     model = pin.Model()
     parent, place = 0, pin.SE3.Identity()
-    for k in range(2):
+    for k in range(links):
         axis = rng.normal(size=3)
         parent = model.addJoint(parent, pin.JointModelRevoluteUnaligned(axis / np.linalg.norm(axis)), place, f"j{k}")
         model.appendBodyToJoint(
@@ -30,16 +30,27 @@ def arm(rng, mu):
         )
         place = pin.SE3(random_rotation(rng), rng.normal(size=3) * 0.3)
     model.addFrame(pin.Frame("tip", parent, 0, pin.SE3(np.eye(3), rng.normal(size=3) * 0.3), pin.FrameType.OP_FRAME))
-    q, data = rng.uniform(-1.0, 1.0, 2), model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    tip = data.oMf[model.getFrameId("tip")].translation
+    return model, rng.uniform(-1.0, 1.0, links)
+
+
+def tip_of(model, q):
+    """Place (3,) of the tip, and its Jacobian (6, nv) in world axes."""
+    data = model.createData()
+    jacobian = pin.computeFrameJacobian(model, data, q, model.getFrameId("tip"), pin.LOCAL_WORLD_ALIGNED)
+    pin.updateFramePlacements(model, data)
+    return data.oMf[model.getFrameId("tip")].translation, jacobian
+
+
+def arm(rng, mu):
+    """A random two-link arm whose tip stays on a random plane through it: it moves in one direction only."""
+    model, q = arm_model(rng, 2)
+    tip, jacobian = tip_of(model, q)
     turned = random_rotation(rng)
     scene = pc.Scene(model)
     point = scene.add_contour("tip", pc.Point(), "tip")
     plane = scene.add_contour("plane", pc.Plane(), placement=pin.SE3(turned, tip))
     scene.add_contact("tip", point, plane, friction=pc.Coulomb(mu), bilateral=True)
-    rows = turned.T @ pin.computeFrameJacobian(model, data, q, model.getFrameId("tip"), pin.LOCAL_WORLD_ALIGNED)[:3]
-    return scene, q, rows
+    return scene, q, turned.T @ jacobian[:3]
 
 
 def least_coefficient(scene, q, rows):
@@ -67,6 +78,21 @@ def test_rests_where_forces_inside_the_cone_hold(seed, method):
         assert (moved < 1e-9) if part > 1.0 else (moved > 1e-7), moved
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_what_slips_goes_on_though_it_might_jam(seed):
+    """With friction that feeds on its own load there may also be forces that stop it at once, in steps of any size: the
+    fixed point of the load leads away from those with which it slips."""
+    scene, q, rows = arm(np.random.default_rng(seed), 1.0)
+    scene, _, _ = arm(np.random.default_rng(seed), 0.95 * least_coefficient(scene, q, rows))
+    state = scene.initial_state(q)
+    for step in (1e-3, 1e-6):
+        run = pc.simulate(scene, state, 10.0 * step, method="Moreau", dt=step)
+        exact = pc.simulate(scene, state, 10.0 * step)
+        assert run.status == exact.status == 0, (run.message, exact.message)
+        # the second order of 10 steps of 1 ms
+        assert np.abs(run.v[-1] - exact.v[-1]).max() < 1e-3 * np.abs(exact.v[-1]).max()
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_comes_to_rest_and_stays(seed):
     """It slides, stops, and holds by other forces than those of its slip; time stepping is off by what is covered in
@@ -84,3 +110,58 @@ def test_comes_to_rest_and_stays(seed):
     if len(stopped) == len(exact.events) == 1 and stopped[0] < 0.09:
         assert np.abs(run.v[-1]).max() < 1e-12
         assert np.abs(run.q[-1] - exact.q[-1]).max() < 0.02 * STEP
+
+
+RADIUS = 0.02
+
+
+def striker(seed, length):
+    """A random three-link arm whose tip, a ball that rolls ideally and resists rolling, strikes a plane in 0.1 ms:
+    scene, start, rows (5, 3) of contact and rolling, whose forces are five for three coordinates, and what would stop
+    it, (3,)."""
+    rng = np.random.default_rng(seed)
+    model, q = arm_model(rng, 3)
+    model.gravity.linear = np.zeros(3)
+    tip, jacobian = tip_of(model, q)
+    turned = random_rotation(rng)
+    foot = -RADIUS * turned[:, 2]
+    rows = turned.T @ (jacobian[:3] - pin.skew(foot) @ jacobian[3:])
+    v = rng.normal(size=3)
+    v *= -0.3 / (rows[2] @ v)
+    scene = pc.Scene(model)
+    ball = scene.add_contour("ball", pc.Sphere(RADIUS), "tip")
+    plane = scene.add_contour("plane", pc.Plane(), placement=pin.SE3(turned, tip + foot))
+    scene.add_contact("c", ball, plane, friction=pc.NoSlip(rolling=length))
+    momentum = pin.computeMinverse(model, model.createData(), q)
+    momentum = np.linalg.solve(np.triu(momentum) + np.triu(momentum, 1).T, -v)
+    return (
+        scene,
+        scene.initial_state(q - 1e-4 * v, v, free=["c"]),
+        np.vstack([rows, turned.T[:2] @ jacobian[3:]]),
+        momentum,
+    )
+
+
+def least_length(rows, momentum):
+    """The least of the torque against rolling over the normal force, among the impulses that stop the arm."""
+    force, null = np.linalg.lstsq(rows.T, momentum, rcond=None)[0], np.linalg.svd(rows.T)[2][3:]
+    size, least = np.linalg.norm(force), math.inf
+    distances = size * np.tan(np.linspace(0.0, 0.5 * math.pi, 2001)[:-1])
+    for turn in np.linspace(0.0, 2.0 * math.pi, 721):
+        forces = force + distances[:, None] * (math.cos(turn) * null[0] + math.sin(turn) * null[1])
+        pressed = forces[forces[:, 2] > 0.0]
+        ratios = np.linalg.norm(pressed[:, 3:], axis=1) / pressed[:, 2]
+        least = min(least, float(ratios.min(initial=math.inf)))
+    return least
+
+
+@pytest.mark.parametrize("seed", [0, 3, 9, 11, 13, 14, 16, 20, 24, 25, 34, 38, 58, 68])
+def test_ideal_rolling_that_strikes_does_not_slip_where_it_can_be_held(seed):
+    """Resistance to rolling wedges it: with 10 % more than the least length the arm stops, with 10 % less it slips."""
+    least = least_length(*striker(seed, 1.0)[2:])
+    for part in (1.1, 0.9):
+        scene, state, _, _ = striker(seed, part * least)
+        run = pc.simulate(scene, state, 2e-3, method="Moreau", dt=STEP)
+        assert run.status == 0, run.message
+        moves = float(np.abs(run.v[-1]).max())
+        assert (moves < 1e-12) if part > 1.0 else (moves > 1e-3), moves

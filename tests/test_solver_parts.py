@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
+import scipy
 from calling import from_python
 from test_cone_attempt import is_solution, regular
 from test_cone_parts import problem
@@ -12,6 +15,7 @@ from test_load_solver import made_problem
 from pincontact import linalg
 from pincontact.friction import barrier, cone, solve
 from pincontact.friction.attempt import NEAR, WARM, WARM_PASSES
+from pincontact.friction.centred import Cone, Cones, central_force
 from pincontact.friction.cone import KNOWN, STICK
 from pincontact.friction.feasibility import crushing_combination
 from pincontact.friction.loads import LoadSolver, ScaledLoads
@@ -213,7 +217,8 @@ def test_jaws_that_close(unit):
 @SEEDS
 @pytest.mark.parametrize("pressure", [0.5, 40.0, 0.0])
 def test_minima_of_barriers(pressure, seed):
-    """The slope of barriers, of |z|^2 / 2 and of the pressure on the enlargement vanishes, or all cones are entered."""
+    """The slope of barriers, of the square of z and of the pressure on the enlargement vanishes, or all cones are
+    entered."""
     rng = np.random.default_rng(seed)
     k, m = 3, 4
     rows, start = rng.normal(size=(3 * m, k + 1)), rng.normal(size=3 * m)
@@ -235,7 +240,9 @@ def test_minima_of_barriers(pressure, seed):
     assert depth(point) > 0.0
     slope, hessian = np.zeros(k + 1), np.zeros((k + 1, k + 1))
     barrier_derivatives(rows, at(point), k + 1, slope, hessian)
-    whole, size = slope + np.append(point[:k], pressure), 1e-6 * depth(point)
+    # forces a thousand times as large as the least are of interest
+    weight = 1e-6 if pressure > 0.0 else 1.0
+    whole, size = slope + np.append(weight * point[:k], pressure), 1e-6 * depth(point)
     for i, unit in enumerate(size * np.eye(k + 1)):
         ahead, behind = point + unit, point - unit
         rise = barrier_cost(at(ahead), ahead, k, pressure) - barrier_cost(at(behind), behind, k, pressure)
@@ -255,6 +262,29 @@ def test_minima_of_barriers(pressure, seed):
     assert point[k] < -1e-9 or np.abs(whole).max() < 1e-3 * max(1.0, pressure)
     # a light pressure leaves cones enlarged
     assert pressure > 1.0 or point[k] > 0.0
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_forces_far_from_the_least_are_found(seed):
+    """A load that only a press along a self-stress holds, 30 to 1000 times as hard: the cone widens slowly along it."""
+    rng = np.random.default_rng(seed)
+    forces = np.array([10.0 ** rng.uniform(-1.0, 1.0), *rng.normal(size=2), *10.0 ** rng.uniform(-1.5, 0.0, 2)])
+    null = np.array([1.0, *rng.normal(size=2), *rng.uniform(0.1, 0.6, 2) * 0.01])
+    cones = Cones()
+    cones.append(Cone(0, 1.0, 0.0))
+    cones.append(Cone(0, 0.01, 0.0, (3, 4)))
+
+    def inside(z):
+        f = forces + z * null
+        return 0.01 * f[0] - math.hypot(f[3], f[4])
+
+    needed = scipy.optimize.brentq(inside, 0.0, 1e6) * np.linalg.norm(null) / np.linalg.norm(forces)
+    found = central_force(forces, null[:, None], cones)
+    assert needed > 1000.0 or found is not None
+    if found is not None:
+        change = found.forces - forces
+        assert 0.01 * found.forces[0] > math.hypot(*found.forces[3:])
+        np.testing.assert_allclose(change, change[0] * null, rtol=0.0, atol=1e-9 * abs(change[0]))
 
 
 def test_two_opposite_contacts_hold_what_a_harder_squeeze_would():

@@ -18,7 +18,7 @@ from ..geometry.carriers import ORIGIN
 from ..geometry.chart_changes import move_charts
 from ..geometry.patterns import ON_CURVE
 from ..integration.accuracy import REST
-from ..integration.contradictions import refuse_apart
+from ..integration.contradictions import apart, refuse_apart
 from ..integration.discrete import write_discrete
 from ..integration.resolution import FORCE_ROUND_OFF
 from ..integration.results import FAILURES, SINGULAR_CONTACT, Stop
@@ -172,7 +172,7 @@ class Instant:
                 transitions.begin(self.t)
             else:
                 rk.evaluate(self.t)
-                refuse_apart(system)
+                refuse_apart(apart(system, system.closed()))
                 transitions.changes.set_from_velocities()
                 slow = self._rest_speed
                 for g, limit in enumerate(system.limits):

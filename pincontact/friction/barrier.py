@@ -68,15 +68,22 @@ def way_inside(x, dx):
 
 
 @kernel
+def stiffness(pressure):
+    """Weight of the square: on the way into the cones, under pressure, one that holds back no forces of interest."""
+    return 1.0 if pressure == 0.0 else _LARGEST**-2
+
+
+@kernel
 def cost(x, point, k, pressure):
-    """Barriers of (s, t1, t2) in x + |z|^2 / 2 + pressure times the enlargement, of a point; infinite outside."""
+    """Barriers of (s, t1, t2) in x + `stiffness` |z|^2 / 2 + pressure times the enlargement, of a point; infinite
+    outside."""
     total = pressure * point[k]
     for a in range(0, x.shape[0], 3):
         length = math.hypot(x[a + 1], x[a + 2])
         if not x[a] > length:
             return math.inf
         total -= math.log((x[a] - length) * (x[a] + length))
-    return total + 0.5 * inner(point, point, k)
+    return total + 0.5 * stiffness(pressure) * inner(point, point, k)
 
 
 @kernel
@@ -90,7 +97,7 @@ def place(rows, start, point, n, x):
 def minimise(rows, start, point, k, pressure, hessian, scratch):
     """Newton with backtracking from a point (z, enlargement), which is overwritten, to the lowest cost, or until the
     enlargement is negative. With pressure 0 that stays."""
-    free = k + 1 if pressure > 0.0 else k
+    free, weight = k + 1 if pressure > 0.0 else k, stiffness(pressure)
     slope, step, after = scratch[SLOPE], scratch[CHANGE], scratch[AFTER]
     x, dx = scratch[CONES, : start.shape[0]], scratch[WAY, : start.shape[0]]
     for _ in range(_NEWTON_STEPS):
@@ -100,8 +107,8 @@ def minimise(rows, start, point, k, pressure, hessian, scratch):
         slope[k] = slope[k] + pressure if free > k else 0.0
         step[k] = -slope[k]
         for i in range(k):
-            slope[i] += point[i]
-            hessian[i, i] += 1.0
+            slope[i] += weight * point[i]
+            hessian[i, i] += weight
             step[i] = -slope[i]
         factor_definite(hessian, free)
         solve_definite(hessian, free, step)
@@ -146,7 +153,7 @@ def enter(rows, start, point, k, hessian, scratch):
         # the least enlargement is lower by no more than the number of logarithms (and the square's part in the
         # balance, for forces of interest) over the pressure
         size = math.sqrt(inner(point, point, k))
-        within = (2.0 * count + max(size * (_LARGEST - size), 0.0)) / pressure
+        within = (2.0 * count + stiffness(pressure) * max(size * (_LARGEST - size), 0.0)) / pressure
         if not (point[k] <= within and within >= INSIDE):
             return False
         pressure *= _SHARPENING

@@ -178,8 +178,13 @@ class _Unknowns:
         the bodies slip; False may mean anything."""
         if not self.units.symmetric or any(cone.offset != 0.0 for cone in self.cones):
             return False
-        w = self.unit * self.units.velocities.ravel()[self.rows]
-        held = [(cone.normal, list(cone.tangents), cone.factor) for cone in self.cones]
+        unit = self.unit
+        w = unit * self.units.velocities.ravel()[self.rows]
+        # what resists turning has another unit than its load
+        held = [
+            (cone.normal, list(cone.tangents), cone.factor * unit[cone.normal] / unit[[*cone.tangents, cone.normal][0]])
+            for cone in self.cones
+        ]
         for _ in range(_TRIES):
             for normal, tangents, factor in held:
                 # into the dual cone, the normal part alone: it lifts what slides

@@ -17,15 +17,15 @@ _NAMED = 1e-3
 CLOSED_WITHIN = 0.05
 
 
-def apart(system: System, within: float) -> dict[str, float]:
-    """Closed contacts that are further apart than this part of their natural length, and by how many metres."""
-    gaps = {c: max(map(abs, system.gaps[c].tolist())) for c in system.closed()}
+def apart(system: System, closed: list[int], within: float = CLOSED_WITHIN) -> dict[str, float]:
+    """Contacts of these that are further apart than this part of their natural length, and by how many metres."""
+    gaps = {c: max(map(abs, system.gaps[c].tolist())) for c in closed}
     return {system.contacts[c].name: gap for c, gap in gaps.items() if gap > within * system.contact_real[c, LENGTH]}
 
 
-def refuse_apart(system: System) -> None:
-    """Raise StateError where closed contacts of a state with which a motion is to begin are apart: q was changed."""
-    for name, gap in apart(system, CLOSED_WITHIN).items():
+def refuse_apart(found: dict[str, float]) -> None:
+    """Raise StateError where closed contacts of a state with which a motion is to begin are `apart`: q was changed."""
+    for name, gap in found.items():
         raise StateError(
             f"contact {name!r} is closed in this state, but {gap:.3g} m apart: make a state of other q by "
             "scene.initial_state"

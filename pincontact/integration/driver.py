@@ -246,7 +246,7 @@ class Driver:
             self.rk.load(self.system.state)
             self._project(t, False)
             self._allow_start(t, max(step, float(self.system.scalars["step"])))
-            t = self.transitions.switch(t, item, kind)
+            t = self.transitions.switch(t, item, kind, False)
             self._after(t)
         self._restart(step)
         return t
@@ -278,8 +278,7 @@ class Driver:
         scalars["end"], scalars["max_step"] = self._end, self._max_step
         scalars["fixed_step"] = options.fixed_step or 0.0
         scalars["next_step"] = options.fixed_step or options.first_step or self.rk.first_step(t, self._end - t)
-        scalars["floor"] = _FLOOR * max(abs(t), abs(self._end))
-        scalars["slowest"] = math.inf
+        scalars["floor"], scalars["slowest"] = _FLOOR * max(abs(t), abs(self._end)), math.inf
         counters["attempt_limit"] = options.max_steps
         counters["stalled"] = counters["stiff_steps"] = 0
         counters["patience"] = _PATIENCE
@@ -303,7 +302,7 @@ class Driver:
         if not opened.are_any():
             return task
         if self._thrown:
-            # the last evaluation was within a trial step that has been rejected
+            # the last evaluation was of a state that is not accepted
             self._thrown = False
             if self.rk.evaluate_start(t) > EVENT:
                 raise self.transitions.reports.failure(t, LOCATION_FAILED)
@@ -311,9 +310,9 @@ class Driver:
             opened.is_near = False
             return INTEGRATE_APART
         longest, near = opened.begin_step(t, float(min(scalars["next_step"], scalars["max_step"], scalars["end"] - t)))
-        if opened.has_moved:
+        if opened.relocated:
             # nearest points elsewhere: the same state, located there
-            opened.has_moved = False
+            opened.relocated.clear()
             self.rk.load(self.system.state)
             if self.rk.evaluate_start(t) > EVENT:
                 raise self.transitions.reports.failure(t, LOCATION_FAILED)

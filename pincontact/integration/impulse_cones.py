@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import islice, product
 
@@ -157,13 +158,14 @@ class ImpulseSolver:
         solver.address(problem.n)
         held = problem.units["held"] != 0
         before = solver.kept()
-        opened = held & (before[0] == OPEN)
-        # what is to carry nothing in slip may be needed to hold, and to resist turning again
-        parents, turns = problem.units["parent"], problem.units["kind"] == ON_TURN
-        turns &= (parents >= 0) & opened[parents] & ~self._turning(problem)
-        for closed in (SLIP, OPEN) if opened.any() else (SLIP,):
-            rests = held & ((before[0] == SLIP) | (before[0] == closed))
-            modes = np.where(rests | (turns & (closed == OPEN)), STICK, before[0])
+        rests, opened = held & (before[0] == SLIP), held & (before[0] == OPEN)
+        # what resists turning may be needed to hold, and where it was to carry nothing in slip, again; what turns comes
+        # to rest in impacts only
+        parents, units = problem.units["parent"], problem.units
+        turns = (units["kind"] == ON_TURN) & (parents >= 0) & held[parents]
+        turns &= ~self._turning(problem) | (units["touches"][parents] != 0)
+        for sticks in (rests, rests | turns, rests | opened | turns):
+            modes = np.where(sticks, STICK, before[0])
             if self._holds(problem, modes, before, held):
                 return
         solver.warm_start(*before)
@@ -190,7 +192,7 @@ class ImpulseSolver:
         velocities = problem.gram @ found + problem.base
         velocities[np.repeat(modes == STICK, 3)] = 0.0
         self.solver.residual = residual = self._solve_near(problem, modes, found, velocities)
-        together = not residual <= self.solver.tolerance
+        together = self._counts["coupled"] == TOGETHER or not residual <= self.solver.tolerance
         if together:
             if not (problem.units["parent"] >= 0).any():
                 return False
@@ -339,8 +341,12 @@ class ImpulseSolver:
 
     def _solve_together(self, problem: _Problem) -> bool:
         """Solve the problem for forces and loads at once."""
-        coupled = self._loads(problem)
-        forces, residual = coupled.solve(self.solver.start(problem.n))
+        coupled, residual = self._loads(problem), math.inf
+        if self._counts["reviews"]:
+            # what slides goes on, though it might jam: the solution nearest to where the fixed point began
+            forces, residual = coupled.refine(self._arrays.first_forces[: 3 * problem.n])
+        if not residual <= LOAD_TOLERANCE:
+            forces, residual = coupled.solve(self.solver.start(problem.n))
         if not residual <= LOAD_TOLERANCE:
             self._nearest = forces
             return False

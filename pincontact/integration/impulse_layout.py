@@ -137,7 +137,7 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     # the cone problem: units, and of their two tangents the velocities at the start and what drives add to them; rows
     # of units without what the equations take, L^-T rows^T, and what these take; what rigid geometry leaves out of b,
     # and what is then out of reach; Delassus matrix, of which the first (3 n)^2 numbers are used, b, coefficients of
-    # friction; the solver's solution
+    # friction; the solver's solution, and the forces of the first one of these units
     "units": (UNIT, "units"),
     "unit_start": (REALS, "units", 2),
     "unit_driven": (REALS, "units", 2),
@@ -150,6 +150,7 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "cone_forces": (REALS, "rows"),
     "cone_velocities": (REALS, "rows"),
     "cone_modes": (INTEGERS, "units"),
+    "first_forces": (REALS, "rows"),
     # by number of units the cone solver's table, 0 where there is none yet
     "cone_tables": (INTEGERS, "sizes"),
     # equations u = 0: contact and row, an orthonormal basis of their whitened rows, the rows in that basis; where they

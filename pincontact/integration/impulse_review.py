@@ -93,6 +93,10 @@ def review(step, nv, h, scratch):
     counts, n, units = step.counts, step.counts.units, step.units
     modes, friction = step.cone_modes, step.friction
     b, delassus = step.loads, square(step.delassus, 3 * n)
+    if counts.reviews == 0:
+        # those of the last step's loads
+        for k in range(3 * n):
+            step.first_forces[k] = step.cone_forces[k]
     counts.reviews += 1
     bounces = changes_load = stops = False
     for u in range(n):

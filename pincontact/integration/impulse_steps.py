@@ -34,12 +34,10 @@ from ..layout import (
     system_at,
 )
 from .accuracy import REST, SHALLOW
-from .contradictions import CLOSED_WITHIN
 from .impulse_layout import step_at
 from .impulse_trial import APART_AT_END, APPROVED, CONE_LEFT, FRESH, ask, call_task, trial_step
 from .impulses import commit, commit_contact
 from .recording import BLOCK, output_done
-from .results import CLOSED_APART
 from .stages import evaluate, hand_over
 from .step_control import BATCH, SLIVER
 from .steps import RECORD
@@ -61,7 +59,7 @@ def _begin_contact(system, step, c, largest):
     contact, mu, length = system.contact_int[c], system.contact_real[c, MU], system.contact_real[c, LENGTH]
     basis, slip = system.basis[c], system.slip[c]
     first, second, normal = dot(basis[0], slip), dot(basis[1], slip), dot(basis[2], slip)
-    step.touch_time[c], step.load[c] = -1.0, 0.0
+    step.touch_time[c], step.load[c], step.start_domain[c] = -1.0, 0.0, 0.0
     for i in range(3):
         step.forces[c, i] = step.torques[c, i] = 0.0
     # deeper than a step could have brought it there from the near side, or than has just touched
@@ -100,24 +98,17 @@ def _relocate(system, step, t):
     status = _evaluate_start(system, t)
     for c in range(system.sizes.nc):
         if status == OK and system.contact_int[c, MODE] == FREE:
-            # wherever the last ones were
-            step.behind[c] = 0
             commit_contact(system, step, c, 0)
     return status
 
 
 @kernel
 def _begin(system, step, t):
-    """Make STATE what is to be accepted; closed contacts get the mode that their v_c shows. A status of `layout`, or
-    CLOSED_APART."""
+    """Make STATE what is to be accepted; closed contacts get the mode that their v_c shows. A status of `layout`."""
     nv, nc = system.sizes.nv, system.sizes.nc
     status = _evaluate_start(system, t)
     if status != OK:
         return status
-    for c in range(nc):
-        gap = max(abs(system.gaps[c, 0]), abs(system.gaps[c, 1]))
-        if system.contact_int[c, MODE] != FREE and gap > CLOSED_WITHIN * system.contact_real[c, LENGTH]:
-            return CLOSED_APART
     largest = 1.0
     for k in range(nv):
         largest = max(largest, abs(system.v[k]))

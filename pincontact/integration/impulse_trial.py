@@ -179,7 +179,7 @@ def _solve(step, n):
 @kernel
 def _lets_go(system, step, n):
     """Whether the solution of the n units lets a contact slip or open that was at rest, or slip that comes to rest in
-    the step as its slip turns back; marks them."""
+    the step as its slip turns back, or that must not slip as it touches; marks them."""
     h, velocities, goes = step.numbers.h, step.cone_velocities, False
     for u in range(n):
         unit = step.units[u]
@@ -189,13 +189,14 @@ def _lets_go(system, step, n):
         if unit.kind >= ON_JOINT or step.friction[u] < step.sticking[c]:
             continue
         rests = step.start_mode[c] == STICK or may_rest(step, u)
-        unit.held = 1 if rests else 0
         opening = OPENING * system.contact_real[c, LENGTH]
         # what cannot open has no friction without a load
         may_slide = mode == cone.SLIP or (mode == cone.OPEN and unit.kind == ON_LOADED)
         slides = may_slide and math.hypot(velocities[3 * u], velocities[3 * u + 1]) * h > opening
         opens = mode == cone.OPEN and unit.kind == ON_CONTACT and velocities[3 * u + 2] * h > opening
-        goes = goes or (rests and (slides or opens))
+        rolls = slides and unit.touches != 0 and step.friction[u] == math.inf
+        unit.held = 1 if rests or rolls else 0
+        goes = goes or (rests and (slides or opens)) or rolls
     return goes
 
 
@@ -286,7 +287,7 @@ def _impulses(system, step, found):
             counts.holding, counts.choosing = UNASKED, 0
             if n > 0 and (counts.coupled != APART or not _solve(step, n)):
                 return CONE_LEFT
-        if counts.holding == UNASKED and counts.coupled == APART and _lets_go(system, step, n):
+        if counts.holding == UNASKED and _lets_go(system, step, n):
             # whatever is not redundant cannot be chosen to hold
             redundant = may_be_redundant(step, system.sizes.nv, n, system.delassus, system.permutation)
             counts.holding = WANTED if redundant else LOOKED_FOR

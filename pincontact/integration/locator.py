@@ -171,12 +171,8 @@ class EventLocator:
         system = self.system
         system.counters["sought_item"], system.counters["sought_kind"] = c, kind
         system.run(FIND_ZERO, t, step)
-        known[c, kind] = theta = system.scan_shares.item(LOOK_ROW)
-        exists = bool(system.scan_status[LOOK_ROW] <= EVENT)
-        if exists and self._open.are_apart(c, t + theta * step):
-            # where it is followed is not where it is nearest
-            return False
-        inside = bool(exists and system.contact_real[c, DOMAIN] >= 0.0)
+        known[c, kind] = system.scan_shares.item(LOOK_ROW)
+        inside = bool(system.scan_status[LOOK_ROW] <= EVENT and system.contact_real[c, DOMAIN] >= 0.0)
         if not inside:
             self._open.passed.add(c)
         return inside

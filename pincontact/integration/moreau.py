@@ -30,7 +30,7 @@ from ..layout import (
     UNILATERAL,
     VISCOUS,
 )
-from .contradictions import contradiction
+from .contradictions import apart, contradiction
 from .impulse_cones import ImpulseSolver
 from .impulse_layout import DRY_FRICTION, LOWER_LIMIT, ON_JOINT, UPPER_LIMIT, step_workspace
 from .impulse_problem import assemble
@@ -103,7 +103,8 @@ class MoreauStep:
     spinning and rolling, N m;
     touch_time, edge_time (nc,): s after the step's start at which a contact closed, or opened at the end of a contour,
     negative where it did not; start_mode (nc,): modes at its start; start_gap, start_domain (nc,): gaps in m,
-    and ways to the nearest end of the contours' domains, at the start of the next one.
+    and ways to the nearest end of the contours' domains, at the start of the next one. apart: closed contacts that were
+    apart when the motion began, and by how many metres.
     """
 
     def __init__(self, system: RunSystem, contacts: Sequence[Contact]) -> None:
@@ -189,9 +190,13 @@ class MoreauStep:
         return result
 
     def begin(self, t: float) -> int:
-        """Start from `system.state`; closed contacts get the mode that their v_c shows. Returns a status."""
+        """Start from `system.state`; closed contacts get the mode that their v_c shows. Returns a status; sets
+        `apart`."""
         self._open.forget_way()
-        return self._run(BEGIN, t)
+        closed = self.system.closed()
+        status = self._run(BEGIN, t)
+        self.apart = apart(self.system, closed) if status == OK else {}
+        return status
 
     def try_step(self, t: float, h: float) -> int:
         """A step of size h from the start at t; returns a status of `layout`."""
@@ -301,9 +306,13 @@ class MoreauStep:
             return MANY_STEPS
         size = self._numbers["step_size"].item()
         t = self._numbers["run_start"].item() + self.steps * size
+        behind = self.step_arrays.behind
+        self._open.apart[:] = behind[: self.system.nc] == 0
         steps = self._open.look(t, size, self.touch_time >= 0.0)
-        if self._open.has_moved:
-            self._open.has_moved = False
+        if self._open.relocated:
+            # where the gap is below zero it has not been positive
+            behind[list(self._open.relocated)] = 1
+            self._open.relocated.clear()
             self._run(RELOCATE, t)
         return steps
 

@@ -11,12 +11,12 @@ import numpy as np
 import pinocchio as pin
 
 from ..layout import FREE, LOCATION_FAILED, MODE, OK, SINGULAR, SLIPPING, STICK
-from .contradictions import CLOSED_WITHIN, apart, jump_apart, refuse_apart
+from .contradictions import jump_apart, refuse_apart
 from .events import UserEvent, lost_zeros
 from .impulse_steps import AT_END, AT_LIMIT, GOING_ON, INNER_OUTPUT_LEFT, OUTPUT_LEFT, TRIED
 from .moreau import MoreauStep, Torque
 from .reports import left_behind
-from .results import CLOSED_APART, CONTOUR_ENDS, FINISHED, FLIES_THROUGH, OPEN_LOADS, TERMINATED, Event, Stop
+from .results import CONTOUR_ENDS, FINISHED, FLIES_THROUGH, OPEN_LOADS, TERMINATED, Event, Stop
 from .results import STEP_LIMIT as AT_STEP_LIMIT
 from .sign_changes import asked_once, crossing_between
 from .step_control import SLIVER
@@ -80,10 +80,8 @@ class MoreauDriver:
     def _run(self, start: float, end: float) -> None:
         step = self.step
         self._plan(start, end)
-        status = step.begin(start)
-        if status == CLOSED_APART:
-            refuse_apart(self.system)
-        self._check(status, start)
+        self._check(step.begin(start), start)
+        refuse_apart(step.apart)
         for event in self.users:
             event.value = event.value_at(start, self.system)
         self._output(start)
@@ -97,10 +95,9 @@ class MoreauDriver:
             step.steps = 0
             start = math.nextafter(jump, math.inf)
             before = self.system.modes.copy()
-            status = step.begin(start)
-            if status == CLOSED_APART:
-                raise jump_apart(jump, *next(iter(apart(self.system, CLOSED_WITHIN).items())))
-            self._check(status, start)
+            self._check(step.begin(start), start)
+            for name, gap in step.apart.items():
+                raise jump_apart(jump, name, gap)
             for c, contact in enumerate(self.system.contacts):
                 if before[c] == STICK and self.system.contact_int[c, MODE] == SLIPPING:
                     self._announce(jump, contact.name, "slip")

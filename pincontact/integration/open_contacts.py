@@ -144,6 +144,7 @@ class OpenContacts:
 
     apart: (nc,) whether a contact touches when its gap comes down through zero: since its bodies have been apart.
     hasty: the contact for which `look` has last found the step too long.
+    relocated: contacts that were found to be nearest elsewhere; others take that down, and clear it.
     passed: contacts whose gap fell through zero beyond an end of a contour in the last step, or was not seen to.
     """
 
@@ -158,7 +159,8 @@ class OpenContacts:
         # states from which a step went far for what is near, by contact
         self._far: dict[int, np.ndarray] = {}
         self.hasty = 0
-        self.has_moved = self.is_near = False
+        self.relocated: set[int] = set()
+        self.is_near = False
         self._controlled: list[int] = []
         self._gravity = math.hypot(*system.gravity.tolist())
         self._absolute = system.absolute.copy()
@@ -226,11 +228,6 @@ class OpenContacts:
         self.is_near = near
         return longest, near
 
-    def are_apart(self, c: int, t: float) -> bool:
-        """Whether the last search says that the bodies of contact c cannot touch at the evaluated state."""
-        known = self._open.get(c)
-        return known is not None and known.search is not None and known.distance > known.moved(t)
-
     def watches(self) -> bool:
         """Whether constant steps have to be looked at: whether any contact may be elsewhere, or be flown through."""
         integers = self.system.contact_int[: self.system.nc]
@@ -258,10 +255,11 @@ class OpenContacts:
                 if lost or known.moved(t) + way > known.elsewhere:
                     self.find(t, c)
                 distance = self._distance(known, t)
-            if way > max(distance, _THROUGH * known.near):
+            # what is behind a contour goes through it
+            if self.apart[c] and way > max(distance, _THROUGH * known.near):
                 self.hasty = c
                 return 0
-            if way > max(distance, known.near):
+            if self.apart[c] and way > max(distance, known.near):
                 # so far that the parabola of the gap may not tell
                 self._far[c] = self.system.state.copy()
             certain = distance if known.search is None else known.elsewhere - known.moved(t)
@@ -277,7 +275,7 @@ class OpenContacts:
         long."""
         far, self._far = self._far, {}
         system, nq = self.system, self.system.nq
-        far = {c: before for c, before in far.items() if system.modes[c] == FREE and self.apart[c] and not touched[c]}
+        far = {c: before for c, before in far.items() if system.modes[c] == FREE and not touched[c]}
         if not far:
             return False
         end, through = system.state.copy(), False
@@ -374,7 +372,7 @@ class OpenContacts:
         integers = system.contact_int[c]
         integers[BRANCH], integers[DETERMINANT_SIGN] = found.branch, found.determinant_sign
         system.side_int[2 * c : 2 * c + 2, CHART] = found.charts
-        self.has_moved = True
+        self.relocated.add(c)
         return True
 
     def _is_present(self, c: int, found: Candidate) -> bool:

@@ -38,7 +38,7 @@ from ..layout import (
     UNILATERAL,
 )
 from .accuracy import gap_rate
-from .contradictions import jump_apart, refuse_apart
+from .contradictions import apart, jump_apart, refuse_apart
 from .impacts import Impacts
 from .jams import end_jams, held_up, may_stop, stop_jammed
 from .joint_events import JointEvents
@@ -92,7 +92,7 @@ class Transitions:
         """
         system, rk, changes = self.system, self.rk, self.changes
         status = self._evaluate(t)
-        refuse_apart(system)
+        refuse_apart(apart(system, system.closed()))
         # a list takes a fraction of the time of array functions
         start, energy, given = system.state.tolist(), changes.counted_energy(), system.contact_int.tobytes()
         undecided = self._modes_from_velocities(t)

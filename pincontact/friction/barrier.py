@@ -187,11 +187,14 @@ def _centre(forces, null, parts, offsets, basis, rows, hessian, scratch, slope):
         largest = max(largest, abs(forces[i]))
     for j in range(k, n):
         size += inner(basis[j], forces, n) ** 2
-    # about the least norm, in its units: the centre then is one of the loads alone, whatever was chosen before
+    # about the least norm, in its units: the centre then is one of the loads alone, whatever was chosen before; where
+    # that is next to nothing, bounds of forces are of interest, too
+    for a in range(m):
+        size += (offsets[a] / _LARGEST) ** 2
     unit = math.sqrt(size)
     if unit <= INSIDE * largest:
         unit = largest
-    if k == 0 or largest == 0.0:
+    if k == 0 or unit == 0.0:
         return 0
     point, along, start = scratch[POINT], scratch[ALONG], scratch[START, :m]
     for j in range(n):

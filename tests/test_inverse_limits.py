@@ -150,7 +150,9 @@ def test_what_all_solutions_share():
         other = rng.normal(size=(1, n))
         matrix, right = np.vstack([onto, other]), np.append(ends + rng.uniform(0.5, 2.0), other @ inside.y)
         first = ConeLeastSquares().solve(matrix, right, region, np.zeros(n))
-        if first is None:
+        # one that Newton's method did not finish says little of what solutions share
+        if first is None or not first.exact:
+            counts["unfinished"] += 1
             continue
         common = np.vstack([matrix, region.shared(first)])
         null = null_directions(common)
@@ -177,6 +179,8 @@ def test_what_all_solutions_share():
             counts.update(np.flatnonzero(pressed).tolist() if pressed.any() else ["none"])
             counts["second"] += int(np.abs(second.cones).max() > 1e-6 or np.abs(second.rows).max() > 1e-6)
     assert min(counts[kind] for kind in (0, 1, 2, "none", "second")) >= 3, counts
+    # twelve or thirteen, by the alignment of memory
+    assert counts["unfinished"] <= 16, counts
 
 
 # ---------------------------------------------------------------------------------- random states

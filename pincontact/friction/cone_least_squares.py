@@ -138,7 +138,7 @@ class ConeLeastSquares:
     def __init__(self) -> None:
         self.programs = self.iterations = 0
         self._qp: Any = None
-        self._size = (-1, -1)
+        self._size, self._impossible = (-1, -1), False
         self._directions = np.zeros((0, _DIRECTIONS, 2))
         self._duals = np.zeros(0)
 
@@ -176,6 +176,17 @@ class ConeLeastSquares:
     def _solve_program(
         self, hessian: np.ndarray, gradient: np.ndarray, region: Region, guess: np.ndarray, accuracy: float
     ) -> ConeSolution | None:
+        warm = self._size != (-1, -1)
+        found = self._run_program(hessian, gradient, region, guess, accuracy)
+        if found is None and warm and not self._impossible:
+            # with the penalties of a problem before, ProxQP may go to and fro
+            self._size = (-1, -1)
+            found = self._run_program(hessian, gradient, region, guess, accuracy)
+        return found
+
+    def _run_program(
+        self, hessian: np.ndarray, gradient: np.ndarray, region: Region, guess: np.ndarray, accuracy: float
+    ) -> ConeSolution | None:
         from proxsuite import proxqp
 
         n, m, k = gradient.size, len(region.cones), len(region.rows)
@@ -208,6 +219,7 @@ class ConeLeastSquares:
         results = self._qp.results
         self.programs += 1
         self.iterations += int(results.info.iter)
+        self._impossible = results.info.status == proxqp.QPSolverOutput.PROXQP_PRIMAL_INFEASIBLE
         if results.info.status != proxqp.QPSolverOutput.PROXQP_SOLVED:
             self._duals = np.zeros(count + k)
             return None

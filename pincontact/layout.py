@@ -32,7 +32,6 @@ SCALARS = record(
     "slowest",
     "dense_start",
     "dense_step",
-    "defect",
     "has_reference",
     "dip",
     "turning_rate",

@@ -55,19 +55,6 @@ def interpolate(dense, start, nested, theta, out):
         out[i] += start[i]
 
 
-@kernel
-def interpolated_rate(dense, nested, theta, i):
-    """The derivative of component i by theta."""
-    value = rate = 0.0
-    for row in range(dense.shape[0] - 1, -1, -1):
-        turned = nested != 0 and row % 2 == 1
-        factor, grows = (1.0 - theta, -1.0) if turned else (theta, 1.0)
-        value += dense[row, i]
-        rate = rate * factor + value * grows
-        value *= factor
-    return rate
-
-
 @entry_kernel(REAL[:, ::1], REAL[::1], INTEGER, REAL, REAL[::1])
 def fill_interpolated(dense, start, nested, theta, out):
     """`interpolate` for callers in Python."""

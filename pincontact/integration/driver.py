@@ -476,10 +476,7 @@ class Driver:
         if crossing.theta > 0.0:
             taken, happens = self.locator.refine(t, step, crossing)
             time = t + taken
-            if self.locator.interpolated:
-                self.outputs.keep(t, time, step)
-            else:
-                self._keep_to(t, taken, step)
+            self._keep_to(t, taken, step)
         rk.load(self.system.new_state if crossing.theta > 0.0 else self.system.state)
         self._project(time, False)
         if not happens and self._doubts < _DOUBTS:

@@ -33,7 +33,7 @@ from .crossings import CROSSES, DIPS, ENDS, LEFT_OUT, NOT_SOUGHT, UNKNOWN, find_
 from .open_contacts import OpenContacts
 from .runge_kutta import RungeKutta
 from .sign_changes import look_below_zero
-from .steps import FIND_DEFECT, FIND_EARLIEST, FIND_ZERO, SCAN_ON
+from .steps import FIND_EARLIEST, FIND_ZERO, SCAN_ON
 
 # Samples of the dense output between which a sign change is looked for, all those of one scan: irregular, lest they all
 # be zeros of a sine.
@@ -74,12 +74,10 @@ class EventLocator:
     depths: (items,) how much deeper in m or rad than their resolution open contacts, and joints beyond their ends, may
     be; others change it. open_contacts: which contacts may touch; is told whose gaps fall through zero beyond an end of
     a contour.
-    interpolated: whether what was refined last is the interpolant's state, not that of a true step.
     """
 
     def __init__(self, rk: RungeKutta, depths: np.ndarray, open_contacts: OpenContacts) -> None:
         self.rk, self.system, self._depths, self._open = rk, rk.system, depths, open_contacts
-        self.interpolated = False
 
     def first(self, t: float, step: float, begin: float = 0.0) -> Crossing | None:
         """The earliest crossing from the fraction `begin` of the step on; None where the alarm was false."""
@@ -197,7 +195,7 @@ class EventLocator:
         and whether there is a crossing: at loose tolerances the dense output may dip where the motion does not.
 
         The state that the trial step leaves is of the method's full order; only where to stop came from the dense
-        output. Where that is as good as the step, its states are taken for those of trial steps.
+        output.
         """
         h = crossing.theta * step
         back = max(h - _SLOPE_OVER * step, 0.5 * h)
@@ -208,7 +206,6 @@ class EventLocator:
         found += slack.item(c, kind)
         exists, values = self.system.look(t, step, back / step)
         if not exists or math.isnan(found):
-            self.interpolated = False
             self.rk.attempt(t, h)
             return h, True
         slope = (found - values.item(c, kind)) / (h - back)
@@ -219,19 +216,16 @@ class EventLocator:
         if slope < 0.0:
             h = max(h - (found - below) / slope, back)
         zero = _CLOSE * below
-        reached = self.interpolated = self._is_exact(t, step, h)
-        furthest = step if self.interpolated else _FURTHEST * step
         before: tuple[float, float] | None = None
         # forces decide modes, and where they do the motion has no jump
         is_force = kind in FORCE_EVENTS
         denied, value, stands = True, 0.0, self._time_to_move()
         change, begun = 0.0, h
         for _ in range(_REFINEMENTS):
-            if not reached and (change * change > stands * begun or not self._move_on(t + h, change)):
+            if change * change > stands * begun or not self._move_on(t + h, change):
                 begun = h
-                if not self._end_at(t, step, h):
+                if self.rk.attempt(t, h) != OK:
                     return h, True
-            reached = False
             value = float(self.system.event_functions[c, kind]) + depth
             if before is not None and before[0] != h:
                 slope = (value - before[1]) / (h - before[0])
@@ -240,43 +234,21 @@ class EventLocator:
             denied = denied and value > max(round_off, zero)
             change = -value / slope if slope != 0.0 else 0.0
             close = abs(value) <= (round_off if is_force else zero) and abs(change) <= stands
-            if close or abs(change) <= _REFINED * step or not 0.0 < h + change <= furthest:
+            if close or abs(change) <= _REFINED * step or not 0.0 < h + change <= _FURTHEST * step:
                 break
             h += change
         else:
-            self._end_at(t, step, h)
+            self.rk.attempt(t, h)
         if denied or value < -max(self._round_off(c, kind), zero):
             # outputs were written up to there; a function that jumps has no zero for secants
             h = crossing.theta * step
-            self._end_at(t, step, h)
+            self.rk.attempt(t, h)
         return h, not denied
-
-    def _is_exact(self, t: float, step: float, h: float) -> bool:
-        """Whether the interpolant's state after h is as good as that of a true step; then it is the trial step's end,
-        and evaluated."""
-        system = self.system
-        system.scan_shares[LOOK_ROW] = h / step
-        if h > step or system.run(FIND_DEFECT, t, step) != OK or not system.scalars["defect"] <= _STANDS:
-            return False
-        self._keep_end(h)
-        return True
-
-    def _keep_end(self, h: float) -> None:
-        """Make the interpolant's state that was looked at last the end of a trial step of size h."""
-        self.system.new_state[:], self.system.scalars["step"] = self.system.stage_state, h
-
-    def _end_at(self, t: float, step: float, h: float) -> bool:
-        """Make the state after h the end of the trial step, and evaluate it; whether that succeeded."""
-        if not self.interpolated:
-            return self.rk.attempt(t, h) == OK
-        exists, _ = self.system.look(t, step, h / step)
-        self._keep_end(h)
-        return exists
 
     def _move_on(self, t: float, change: float) -> bool:
         """Move the end of the last trial step on along its slope, by a time in s whose square counts for nothing: to t.
         False where there is nothing to move, or it cannot be evaluated there."""
-        if change == 0.0 or self.interpolated:
+        if change == 0.0:
             return False
         system = self.system
         system.new_state += change * system.slopes[system.sizes["nstages"]]

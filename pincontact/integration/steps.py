@@ -21,7 +21,7 @@ from .resolution import set_event_functions_aside, take_event_functions_up
 from .slip_at_ends import begin_next, note_end, slip_ends, time_to_stop, watch_slips
 from .stages import fill_slope, hand_over, keep_velocity
 from .step_control import BATCH, FAILED_FACTOR, SLIVER, first_step, irregular, next_step
-from .trial_steps import across_slip, find_defect, interpolation, keep_slope, load_interpolated, start, trial_step
+from .trial_steps import across_slip, interpolation, keep_slope, load_interpolated, start, trial_step
 
 # What `run_task` does.
 (
@@ -47,8 +47,7 @@ from .trial_steps import across_slip, find_defect, interpolation, keep_slope, lo
     SCAN_ON,
     FIND_ZERO,
     FIND_EARLIEST,
-    FIND_DEFECT,
-) = range(23)
+) = range(22)
 
 # What INTEGRATE comes back with.
 (
@@ -290,8 +289,6 @@ def _run(system, task, t, h):
         return OK
     if task == FIND_EARLIEST:
         return find_earliest(system, t, h)
-    if task == FIND_DEFECT:
-        return find_defect(system, t, h)
     if task == BOUND_SPEEDS:
         bound_speeds(system)
         return OK

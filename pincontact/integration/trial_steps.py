@@ -10,9 +10,9 @@ from ..dynamics.resistance import count_items
 from ..dynamics.sliding import slip_direction
 from ..geometry.small import dot
 from ..jit import BOOLEAN, INTEGER, NOTHING, REAL, kernel
-from ..layout import EVENT, EVENTS_PER_CONTACT, FROZEN, LOOK_ROW, NOT_FINITE, OK, POLYNOMIAL_SIZE, SYSTEM
+from ..layout import EVENT, EVENTS_PER_CONTACT, FROZEN, NOT_FINITE, OK, POLYNOMIAL_SIZE, SYSTEM
 from ..workspace import flat
-from .dense import dense_coefficients, interpolate, interpolated_rate
+from .dense import dense_coefficients, interpolate
 from .resolution import event_function_error, keep_event_functions
 from .stages import build_state, error_norm, evaluate, fill_slope, hand_over
 
@@ -108,30 +108,6 @@ def load_interpolated(system, theta):
     """Hand over the state at the fraction theta of the step that was interpolated last."""
     interpolate(system.dense, system.state, system.counters.dense_nested, theta, system.stage_state)
     hand_over(system, system.stage_state)
-
-
-@separate_kernel(INTEGER, SYSTEM.type, REAL, REAL)
-def find_defect(system, t, h):
-    """DEFECT, how far off the interpolant of the step from t of size h may be at the share in LOOK_ROW, in tolerances:
-    the way there, times the most by which its rate is another than that of the motion, there and half way; a status."""
-    share, relative = system.scan_shares[LOOK_ROW], system.scale[0]
-    absolute, state, slope = system.absolute, system.stage_state, system.next_slope
-    worst = 0.0
-    for part in (0.5, 1.0):
-        place = part * share
-        load_interpolated(system, place)
-        status = evaluate(system, t + place * h, 0)
-        if status > EVENT:
-            return status
-        fill_slope(system, state, slope)
-        for i in range(system.sizes.ny):
-            if absolute[i] > 0.0:
-                rate = interpolated_rate(system.dense, system.counters.dense_nested, place, i)
-                off = abs(h * slope[i] - rate) / (absolute[i] + relative * abs(state[i]))
-                # a rate that is no number counts
-                worst = worst if off <= worst else off
-    system.scalars.defect = share * worst
-    return OK
 
 
 @separate_kernel(INTEGER, SYSTEM.type, REAL, REAL)

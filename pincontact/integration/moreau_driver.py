@@ -84,7 +84,7 @@ class MoreauDriver:
         refuse_apart(step.apart)
         for event in self.users:
             event.value = event.value_at(start, self.system)
-        self._output(start)
+        self.output(start)
         for jump in self.breakpoints:
             # so much before it that no rounding of the step takes it for a whole one, and gets there
             self._run_until(start, max(start, jump - 2.0 * SLIVER * self.size))
@@ -118,7 +118,7 @@ class MoreauDriver:
                 self._user_events(t, t_new)
                 self._report(t, t_new)
             elif why == OUTPUT_LEFT:
-                self._output(end if i == count else t, asked=True)
+                self.output(end if i == count else t, asked=True)
             elif why == INNER_OUTPUT_LEFT:
                 self._record(float(self._next_output), asked=True)
                 self.system.output_done()
@@ -180,7 +180,7 @@ class MoreauDriver:
             step.accept(inside)
             step.steps += 1
         self._announce(inside, name, "edge")
-        self._output(inside)
+        self.output(inside)
         return step.describe(CONTOUR_ENDS, inside)
 
     def _report(self, t: float, t_new: float) -> None:
@@ -214,7 +214,7 @@ class MoreauDriver:
     def _next_output(self) -> float:
         return float(self.system.scalars["next_output"])
 
-    def _output(self, t: float, asked: bool = False) -> None:
+    def output(self, t: float, asked: bool = False) -> None:
         """Record the state at t, once for every output time that falls on it; asked: torques are set for it."""
         if self.system.counters["record_steps"]:
             self._record(t, asked)
@@ -264,7 +264,7 @@ class MoreauDriver:
                 self.step.accept(when)
                 self.step.steps += 1
                 if self.system.counters["record_steps"]:
-                    self._output(when)
+                    self.output(when)
                 raise Stop(TERMINATED, "a terminal event occurred")
         if looked:
             # shorter steps have taken its place

@@ -167,7 +167,12 @@ def _contact_row(name: str, track: ContactTrack) -> dict[str, Any]:
         f"{MODE_NAMES[mode]} {100.0 * count / track.mode.size:.0f} %" for mode, count in modes.most_common()
     )
     slip = float(np.fmax.reduce(np.linalg.norm(track.slip_velocity[track.mode != FREE], axis=1), initial=0.0))
-    return {"name": name, "modes": shares, "normal force [N]": known_range(track.normal_force, ".6g"), "largest slip [m/s]": slip}
+    return {
+        "name": name,
+        "modes": shares,
+        "normal force [N]": known_range(track.normal_force, ".6g"),
+        "largest slip [m/s]": slip,
+    }
 
 
 # ---------------------------------------------------------------------------------------------------- info

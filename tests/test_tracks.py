@@ -7,6 +7,7 @@ from random_contacts import EIGHTH_ORDER, START, RandomContact
 from test_inverse import SHAPES
 
 import pincontact as pc
+from pincontact.tracks import evaluate_tracks
 
 RADIUS, SPEED = 0.3, 0.6
 STEP = 1e-3
@@ -113,3 +114,8 @@ def test_what_a_control_that_fails_at_once_leaves(method, outputs):
         np.testing.assert_array_equal(track.normal_force, force)
         assert ("not known" in repr(track)) == (height == 0.0)
         assert max(run.residuals()["GC"]) < 1e-15
+        # where the contact is not known either, its mode is
+        lost, _ = evaluate_tracks(scene, run.t, run.q * np.nan, run.v, run._recorded)
+        np.testing.assert_array_equal(lost["c"].mode, track.mode)
+        np.testing.assert_array_equal(np.isnan(lost["c"].point), [[True] * 3])
+        np.testing.assert_array_equal(lost["c"].force, [[force] * 3])

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pinocchio as pin
 
-from .display import EVENTS_SHOWN, MODE_NAMES
+from .display import EVENTS_SHOWN, MODE_NAMES, known_range
 from .errors import ContactError
 from .friction.laws import FrictionLaw
 from .layout import FREE
@@ -166,9 +166,13 @@ def _contact_row(name: str, track: ContactTrack) -> dict[str, Any]:
     shares = ", ".join(
         f"{MODE_NAMES[mode]} {100.0 * count / track.mode.size:.0f} %" for mode, count in modes.most_common()
     )
-    slip = float(np.linalg.norm(track.slip_velocity[track.mode != FREE], axis=1).max(initial=0.0))
-    force = f"{track.normal_force.min():.6g} to {track.normal_force.max():.6g}"
-    return {"name": name, "modes": shares, "normal force [N]": force, "largest slip [m/s]": slip}
+    slip = float(np.fmax.reduce(np.linalg.norm(track.slip_velocity[track.mode != FREE], axis=1), initial=0.0))
+    return {
+        "name": name,
+        "modes": shares,
+        "normal force [N]": known_range(track.normal_force, ".6g"),
+        "largest slip [m/s]": slip,
+    }
 
 
 # ---------------------------------------------------------------------------------------------------- info

@@ -36,6 +36,12 @@ def numbers(vector: np.ndarray) -> str:
     )
 
 
+def known_range(values: np.ndarray, form: str, unit: str = "") -> str:
+    """From the least of the values that are known to the largest, in a format."""
+    known = values[np.isfinite(values)]
+    return f"{known.min():{form}} to {known.max():{form}}{unit}" if known.size else "not known"
+
+
 class Summary:
     """A dataclass of results, with `repr=False`, that shows its numbers, names, and the shapes of its arrays."""
 

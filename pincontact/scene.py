@@ -255,7 +255,8 @@ class Scene(Assembly):
         placement : pin.SE3, optional
             Pose of the contour in the frame, the identity if not given.
         motion : Motion, optional
-            A further pose as a function of time: a prescribed motion of the contour against its frame.
+            A further pose as a function of time: a prescribed motion of the contour against its frame, as `placement`
+            has it; that is what axes and centres of the motion refer to.
 
         Returns
         -------

@@ -378,11 +378,11 @@ def _simulate_moreau(request: _Request, finish: Callable[[Trajectory], Trajector
     driver = MoreauDriver(stepper, request.users, add, record.flush, size, *outputs)
 
     def result(code: int, message: str) -> Trajectory:
-        if request.times is None and not len(record):
+        if not len(record):
             # as in the other methods: a run that cannot begin has the state that it was to begin from
             system.stage_state[:] = system.state
             load_state(system.address)
-            add(state.t)
+            driver.output(state.t, asked=True)
         wall_time = time.perf_counter() - request.began
         done = {"steps": driver.steps, "outputs": len(record)}
         stats = {**done, **_counts(system), **stepper.stats, "wall_time": wall_time}

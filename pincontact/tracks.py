@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from .arguments import output_number
 from .contacts import AttachedContour, Contact, characteristic_length
-from .display import MODE_NAMES, html_table
+from .display import MODE_NAMES, html_table, known_range
 from .energies import Energies
 from .errors import ArgumentError, TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
@@ -23,6 +23,7 @@ from .layout import (
     EVENT,
     FREE,
     NOTHING_THERE,
+    OK,
     STICK,
 )
 from .records import Recorded, load_output
@@ -58,7 +59,8 @@ class ContactTrack:
     dual_frame : (n, 3, 3) array
         m^1, m^2, m^3 as columns (Eq. 26).
     force : (n, 3) array
-        On the second contour named by the user.
+        On the second contour named by the user; NaN, with all that follows from it, where a closed contact's is not
+        known, as where a control was not finite.
     multipliers : (n, 3) array
         Components of that force in the dual frame, F_j = e_j . F (Prop. 6).
     normal_force : (n,) array
@@ -176,8 +178,8 @@ class ContactTrack:
         return {
             "outputs": f"{n} output{'s' * (n > 1)}",
             "modes": ", ".join(shares),
-            "normal force": f"{force.min():.4g} to {force.max():.4g} N",
-            "slip": f"slip up to {slip[closed].max(initial=0.0):.4g} m/s",
+            "normal force": known_range(force, ".4g", " N"),
+            "slip": f"slip up to {np.fmax.reduce(slip[closed], initial=0.0):.4g} m/s",
         }
 
 
@@ -222,7 +224,7 @@ def evaluate_tracks(
     contacts = list(scene.contacts.values())
     system = RunSystem(scene.model, contacts)
     n, resistances = t.size, recorded.resistances
-    tracks = {c.name: _empty_track(c, n) for c in contacts}
+    tracks = {contact.name: _empty_track(contact, recorded.discrete[:, c, 0]) for c, contact in enumerate(contacts)}
     residuals = {c.name: {kind: np.zeros(n) for kind in ("C1", "C2", "GC", "VC")} for c in contacts}
     for start in range(0, n if contacts else 0, _CHUNK):
         rows, outputs = _evaluate_outputs(system, t, q, v, recorded, range(start, min(start + _CHUNK, n)))
@@ -233,7 +235,7 @@ def evaluate_tracks(
             _fill_track(rows, own, contact, tracks[contact.name])
             if resistances is not None:
                 tracks[contact.name].torque[rows] = resistances[rows, c]
-            _fill_residuals(rows, own, contact, residuals[contact.name])
+            _fill_residuals(rows, own, contact, tracks[contact.name].mode, residuals[contact.name])
     return tracks, residuals
 
 
@@ -256,7 +258,6 @@ def _evaluate_outputs(
         "slip": system.slip[:nc],
         "gaps": system.gaps[:nc],
         "force": system.force[:nc],
-        "modes": system.modes,
         "conditioning": system.contact_real[:nc, CONDITION],
         "charts": system.side_int[: 2 * nc, CHART],
     }
@@ -266,15 +267,18 @@ def _evaluate_outputs(
         load_output(system, recorded, i, q[i], v[i])
         system.scalars["has_reference"] = float(i in recorded.references)
         system.reference_start[:nc], system.reference_slope[:] = recorded.references.get(i, 0.0), 0.0
-        if system.evaluate(float(t[i])) <= EVENT:
+        known = system.evaluate(float(t[i])) <= EVENT
+        # where nothing tells what acts, as torques that are not finite, where contacts are may be known
+        if known or system.evaluate_kinematics(float(t[i])) == OK:
             for name, view in views.items():
-                values[name][len(rows)] = view
+                values[name][len(rows)] = view if known or name != "force" else np.nan
             rows.append(i)
     return np.array(rows, dtype=np.int64), {name: array[: len(rows)] for name, array in values.items()}
 
 
-def _empty_track(contact: Contact, n: int) -> ContactTrack:
-    """A track in which nothing is known."""
+def _empty_track(contact: Contact, modes: np.ndarray) -> ContactTrack:
+    """A track of which nothing is known but the modes (n,)."""
+    n = modes.size
     k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
     first, second = (k2, k1) if contact.swapped else (k1, k2)
     parameters = {"location": k1 + k2, "location_first": first, "location_second": second, "rates": k1 + k2}
@@ -283,13 +287,16 @@ def _empty_track(contact: Contact, n: int) -> ContactTrack:
     unknown |= {"gap": (), "conditioning": ()}
     none: dict[str, tuple[int, ...]] = {"force": (3,), "multipliers": (3,), "torque": (3,)}
     none |= {"normal_force": (), "tangential_force": ()}
-    return ContactTrack(
+    track = ContactTrack(
         **{name: np.full((n, *shape), np.nan) for name, shape in unknown.items()},
         **{name: np.zeros((n, *shape)) for name, shape in none.items()},
         charts=np.zeros((n, 2), dtype=np.int64),
-        mode=np.full(n, FREE),
+        mode=modes.copy(),
         contours=(contact.first.name, contact.second.name),
     )
+    for name in ("force", "multipliers", "normal_force", "tangential_force"):
+        getattr(track, name)[modes != FREE] = np.nan
+    return track
 
 
 def _fill_track(rows: np.ndarray, outputs: dict[str, np.ndarray], contact: Contact, track: ContactTrack) -> None:
@@ -297,7 +304,7 @@ def _fill_track(rows: np.ndarray, outputs: dict[str, np.ndarray], contact: Conta
     k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
     sign = -1.0 if contact.swapped else 1.0
     kept = np.r_[0:k1, 2 : 2 + k2]
-    track.mode[rows] = modes = outputs["modes"]
+    modes = track.mode[rows]
     track.location[rows] = location = outputs["location"][:, kept]
     u1, u2 = location[:, :k1], location[:, k1:]
     track.location_first[rows], track.location_second[rows] = (u2, u1) if contact.swapped else (u1, u2)
@@ -324,10 +331,14 @@ def _fill_track(rows: np.ndarray, outputs: dict[str, np.ndarray], contact: Conta
 
 
 def _fill_residuals(
-    rows: np.ndarray, outputs: dict[str, np.ndarray], contact: Contact, residuals: dict[str, np.ndarray]
+    rows: np.ndarray,
+    outputs: dict[str, np.ndarray],
+    contact: Contact,
+    modes: np.ndarray,
+    residuals: dict[str, np.ndarray],
 ) -> None:
-    """Residuals of a contact where it is closed."""
-    closed = outputs["modes"] != FREE
+    """Residuals of a contact where it is closed; modes (n,): of all outputs."""
+    closed = modes[rows] != FREE
     rows, outputs = rows[closed], {name: array[closed] for name, array in outputs.items()}
     first, second = outputs["shapes"][:, 0], outputs["shapes"][:, 1]
     carriers, basis = outputs["frames"], outputs["basis"]
@@ -344,4 +355,4 @@ def _fill_residuals(
     worst = components[:, 3 - contact.pattern.constraints :].max(axis=1)
     held = components[:, : contact.pattern.tangents].max(axis=1, initial=0.0)
     speeds = np.linalg.norm(carriers[:, :, 4], axis=2).max(axis=1, initial=1.0)
-    residuals["VC"][rows] = np.where(outputs["modes"] == STICK, np.maximum(worst, held), worst) / speeds
+    residuals["VC"][rows] = np.where(modes[rows] == STICK, np.maximum(worst, held), worst) / speeds

@@ -7,6 +7,7 @@ from random_contacts import EIGHTH_ORDER, START, RandomContact
 from test_inverse import SHAPES
 
 import pincontact as pc
+from pincontact.tracks import evaluate_tracks
 
 RADIUS, SPEED = 0.3, 0.6
 STEP = 1e-3
@@ -90,3 +91,31 @@ def test_open_contacts_without_nearest_points():
     assert pc.analyze(scene, run.state(0))["c"].gap == pytest.approx(0.375)
     with pytest.raises(pc.SingularContactError, match="'c' is open and has no nearest points"):
         pc.analyze(scene, run.state(1))
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Moreau"])
+@pytest.mark.parametrize("outputs", [None, [0.0, 0.1]])
+def test_what_a_control_that_fails_at_once_leaves(method, outputs):
+    """The contact is where it is, and its force is not known; an open one has none."""
+    scene = wheel(pc.Coulomb(0.5))
+    upright = pin.Quaternion(pin.utils.rotate("x", 0.5 * np.pi)).coeffs()
+    for height, free, force in ((0.0, (), np.nan), (0.05, ("c",), 0.0)):
+        state = scene.initial_state([0.2, 0, RADIUS + height, *upright], [SPEED, 0, 0, 0, 0, 0], free=free)
+        options = {"method": method, "t_eval": outputs}
+        run = pc.simulate(scene, state, 0.2, control=lambda t, q, v: np.full(6, np.nan), **options)
+        track = run.contacts["c"]
+        assert run.status == -5 and run.t.tolist() == [0.0]
+        # round-off of the rotation
+        np.testing.assert_allclose(track.point, [[0.2, 0.0, 0.0]], rtol=0.0, atol=1e-15)
+        np.testing.assert_allclose(track.gap, height, rtol=0.0, atol=1e-15)
+        np.testing.assert_allclose(np.abs(track.slip_velocity), [[SPEED, 0.0, 0.0]], rtol=0.0, atol=1e-15)
+        assert (track.mode[0] >= 0) == (height == 0.0)
+        np.testing.assert_array_equal(track.force, [[force] * 3])
+        np.testing.assert_array_equal(track.normal_force, force)
+        assert ("not known" in repr(track)) == (height == 0.0)
+        assert max(run.residuals()["GC"]) < 1e-15
+        # where the contact is not known either, its mode is
+        lost, _ = evaluate_tracks(scene, run.t, run.q * np.nan, run.v, run._recorded)
+        np.testing.assert_array_equal(lost["c"].mode, track.mode)
+        np.testing.assert_array_equal(np.isnan(lost["c"].point), [[True] * 3])
+        np.testing.assert_array_equal(lost["c"].force, [[force] * 3])

@@ -58,6 +58,9 @@ JOINT = np.dtype(
     [*((name, INTEGERS) for name in ("kind", "index_q", "index_v", "limit")), ("bound", REALS), ("middle", REALS)]
 )
 LOWER_LIMIT, UPPER_LIMIT, DRY_FRICTION = range(3)
+# What a limited coordinate does: it rests at the lower end of its way, moves down or up under dry friction, moves with
+# none, rests at the upper end, is held by dry friction.
+JOINT_AT_LOW, JOINT_SLIDES_DOWN, JOINT_MOVES, JOINT_SLIDES_UP, JOINT_AT_HIGH, JOINT_STICKS = range(-2, 4)
 
 # An implicit PD actuator: where its coordinate is in q and v, whether q has cosine and sine of it there; gains in
 # N m/rad and N m s/rad, or N/m and N s/m.
@@ -103,6 +106,11 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "start_mode": (INTEGERS, "contacts"),
     "start_domain": (REALS, "contacts"),
     "start_end": (INTEGERS, "limits"),
+    # what limited coordinates do at the step's start, and after the trial step, see JOINT_MOVES; s after the step's
+    # start at which one came to an end of its way, negative where it did not
+    "start_joint": (INTEGERS, "limits"),
+    "joint_state": (INTEGERS, "limits"),
+    "limit_time": (REALS, "limits"),
     # whether an open contact has passed beside its contours to their far side
     "behind": (INTEGERS, "contacts"),
     # a contact's integers and charts after the last step

@@ -21,6 +21,7 @@ from ..geometry.carriers import ALPHA, OMEGA
 from ..jit import INTEGER, NOTHING, STEPPING, entry_kernel, kernel
 from ..layout import (
     ANISOTROPIC,
+    LENGTH,
     MASS_NOT_POSITIVE,
     NOT_FINITE,
     OK,
@@ -40,6 +41,8 @@ from .impulse_viscous import add_viscous
 # What slides or opens by less in a step, relative to the contact's length, does not: round-off of velocities. In rad,
 # the same of turning.
 OPENING = 1e-12
+# Mobility, relative to the unit's, of what slides whatever the forces.
+_NO_MOBILITY = 1e-9
 # Relative to b, this is round-off.
 _WITHIN_ROUND_OFF = 1e-14
 # By this part of b redundant contacts contradict each other at most where gaps at the midpoint make them do so.
@@ -218,9 +221,9 @@ def keep_within_reach(system, step):
 
 
 @kernel
-def _complete_unit(unit, start, delassus, b, r):
+def _complete_unit(unit, mu, start, delassus, b, r, least):
     """Rows that only fill up the cone of a unit, whose first row is r, its given load, its rebound, and the mean of
-    slip over the step."""
+    slip over the step; least: what moves along a row by more, m/s or rad/s, moves."""
     # as heavy as the real ones, since the solver scales by the mean
     weight = max(delassus[r, r], max(delassus[r + 1, r + 1], delassus[r + 2, r + 2]))
     if weight == 0.0:
@@ -237,8 +240,13 @@ def _complete_unit(unit, start, delassus, b, r):
         b[r + 1] += start[1]
     for k in range(r, r + 3):
         if delassus[k, k] <= IMMOBILE * weight:
-            # no joint moves the bodies along it: no impulse, whatever the round-off in b asks for
-            delassus[k, k], b[k] = weight, 0.0
+            # no joint moves the bodies along it
+            if k < r + 2 and abs(b[k]) > least and mu < math.inf:
+                # drives do: friction acts, and changes nothing of that slip
+                delassus[k, k] = _NO_MOBILITY * weight
+            else:
+                # no impulse, whatever the round-off in b asks for
+                delassus[k, k], b[k] = weight, 0.0
 
 
 @kernel
@@ -254,7 +262,10 @@ def _fill_units(system, step):
     if step.counts.rigid == 0:
         keep_within_reach(system, step)
     for u in range(n):
-        _complete_unit(step.units[u], step.unit_start[u], delassus, step.loads, 3 * u)
+        unit = step.units[u]
+        length = system.contact_real[unit.index, LENGTH] if unit.kind < ON_JOINT else 1.0
+        least = OPENING * length / step.numbers.h
+        _complete_unit(unit, step.friction[u], step.unit_start[u], delassus, step.loads, 3 * u, least)
 
 
 @separate_kernel(INTEGER, SYSTEM.type, STEP.type, when=STEPPING)

@@ -34,8 +34,8 @@ from ..layout import (
     system_at,
 )
 from .accuracy import REST, SHALLOW
-from .impulse_layout import step_at
-from .impulse_trial import APART_AT_END, APPROVED, CONE_LEFT, FRESH, ask, call_task, trial_step
+from .impulse_layout import JOINT_MOVES, step_at
+from .impulse_trial import APART_AT_END, APPROVED, CONE_LEFT, FRESH, ask, call_task, find_joint_states, trial_step
 from .impulses import commit, commit_contact
 from .recording import BLOCK, output_done
 from .stages import evaluate, hand_over
@@ -118,6 +118,8 @@ def _begin(system, step, t):
     # joints at their stops are found by the first step
     for g in range(system.joint_count[0]):
         system.contact_int[nc + g, MODE], system.joint_int[g, JOINT_END] = FREE, 0
+        step.joint_state[g], step.limit_time[g] = JOINT_MOVES, -1.0
+    find_joint_states(system, step)
     step.counts.touched = 0
     return OK
 
@@ -137,8 +139,11 @@ def _accept(system, step, t, stepped):
 
 @kernel
 def _happens(system, step):
-    """Whether a contact has another mode after the trial step, or touched in it."""
+    """Whether a contact has another mode after the trial step, or touched in it, or a limited coordinate does what it
+    did not before."""
     happens = False
+    for g in range(system.joint_count[0]):
+        happens = happens or step.start_joint[g] != step.joint_state[g]
     for c in range(system.sizes.nc):
         happens = happens or step.touch_time[c] >= 0.0 or step.start_mode[c] != system.contact_int[c, MODE]
     return happens

@@ -10,6 +10,7 @@ import math
 from ..arrays import as_array
 from ..callback import call_python, kernel_caller, separate_kernel
 from ..dynamics.evaluation import KINEMATICS_OF_ALL, VELOCITIES_OF_ALL, torques_finite
+from ..dynamics.joints import END_SLACK
 from ..friction import cone
 from ..friction.attempt import AFRESH, USUAL
 from ..jit import INTEGER, REAL, STEPPING, kernel
@@ -17,8 +18,15 @@ from ..layout import (
     DOMAIN,
     FREE,
     FRICTIONLESS,
+    HIGH_END,
+    HIGH_FORCE,
+    JOINT_END,
+    JOINT_Q,
+    JOINT_V,
     LENGTH,
     LOCATION_FAILED,
+    LOW_END,
+    LOW_FORCE,
     MODE,
     MU,
     NO_FORCE,
@@ -35,6 +43,11 @@ from ..workspace import square
 from .impulse_layout import (
     ACCELERATION,
     APART,
+    JOINT_AT_HIGH,
+    JOINT_AT_LOW,
+    JOINT_SLIDES_DOWN,
+    JOINT_SLIDES_UP,
+    JOINT_STICKS,
     LOOKED_FOR,
     MEAN_VELOCITY,
     ON_CONTACT,
@@ -400,6 +413,24 @@ def _review_end(system, step, h):
     return status
 
 
+@kernel
+def find_joint_states(system, step):
+    """What limited coordinates do at STAGE_STATE, where nothing has said that they stick."""
+    state, nq, slowest = system.stage_state, system.sizes.nq, OPENING / step.numbers.step_size
+    for g in range(system.joint_count[0]):
+        joint, numbers = system.joint_int[g], system.joint_real[g]
+        position, speed, end = state[joint[JOINT_Q]], state[nq + joint[JOINT_V]], joint[JOINT_END]
+        if end == 0 and abs(speed) <= slowest:
+            # without load, too
+            end = -1 if position <= numbers[LOW_END] + END_SLACK else 0
+            end = 1 if position >= numbers[HIGH_END] - END_SLACK else end
+        if end != 0:
+            step.joint_state[g] = JOINT_AT_LOW if end < 0 else JOINT_AT_HIGH
+        elif numbers[LOW_FORCE] < numbers[HIGH_FORCE] and step.joint_state[g] != JOINT_STICKS:
+            slides = JOINT_SLIDES_DOWN if speed < 0.0 else JOINT_SLIDES_UP
+            step.joint_state[g] = slides if abs(speed) > slowest else JOINT_STICKS
+
+
 @separate_kernel(INTEGER, SYSTEM.type, STEP.type, REAL, REAL, INTEGER, when=STEPPING)
 def trial_step(system, step, t, h, found):
     """A step of size h from the start at t; a status, or CONE_LEFT."""
@@ -443,4 +474,5 @@ def trial_step(system, step, t, h, found):
     if status != OK:
         return status
     status = call_task(step.calls.run_task, system, PROJECT_PLACES, t + h, 0.0)
+    find_joint_states(system, step)
     return status if status != OK else _review_end(system, step, h)

@@ -68,6 +68,8 @@ from .impulse_equations import equation_impulses
 from .impulse_layout import (
     ACCELERATION,
     DRY_FRICTION,
+    JOINT_MOVES,
+    JOINT_STICKS,
     MEAN_VELOCITY,
     ON_JOINT,
     ON_LOADED,
@@ -177,6 +179,7 @@ def _clear_results(system, step):
         step.displacement[k] = joint_impulse[k] = 0.0
     for g in range(system.joint_count[0]):
         contact_int[nc + g, MODE], system.joint_int[g, JOINT_END] = FREE, 0
+        step.joint_state[g], step.limit_time[g] = JOINT_MOVES, -1.0
     for c in range(nc):
         step.touch_time[c] = -1.0
         for row in range(3):
@@ -194,15 +197,18 @@ def _clear_results(system, step):
 
 
 @kernel
-def _take_joint(system, step, unit, force):
-    """Impulse of a joint limit or of dry friction, and whether the joint is held at its end."""
+def _take_joint(system, step, unit, force, mode):
+    """Impulse of a joint limit or of dry friction, and whether the joint is held by it; mode: of the solution."""
     joint = step.joints[unit.index]
     sign = -1.0 if joint.kind == UPPER_LIMIT else 1.0
     step.joint_impulse[joint.index_v] += sign * force
+    if joint.kind == DRY_FRICTION and mode == cone.STICK:
+        step.joint_state[joint.limit] = JOINT_STICKS
     if joint.kind == DRY_FRICTION or not force > 0.0:
         return
     if unit.touches != 0:
         step.counts.touched = 1
+        step.limit_time[joint.limit] = unit.impulse_time
     if step.numbers.kept * unit.shift <= 0.0:
         # it does not leave its stop again within the step
         system.contact_int[system.sizes.nc + joint.limit, MODE] = FRICTIONLESS
@@ -252,7 +258,7 @@ def distribute(system, step):
             if unit.kind == ON_TURN:
                 _take_turn(system, step, i, unit.axis + row, force)
             elif unit.kind == ON_JOINT:
-                _take_joint(system, step, unit, force)
+                _take_joint(system, step, unit, force, step.cone_modes[u])
         if unit.kind < ON_JOINT:
             contact, mode = system.contact_int[i], _contact_mode(system, step, u, i)
             contact[MODE] = mode
@@ -384,7 +390,7 @@ def commit(system, step, stepped):
             trend[k] = (stage[nq + k] - seen_v[k]) / h
         start_v[k] = stage[nq + k]
     for g in range(system.joint_count[0]):
-        step.start_end[g] = system.joint_int[g, JOINT_END]
+        step.start_end[g], step.start_joint[g] = system.joint_int[g, JOINT_END], step.joint_state[g]
     changed = stepped == 0
     for c in range(sizes.nc):
         if commit_contact(system, step, c, stepped):

@@ -13,6 +13,7 @@ import pinocchio as pin
 from ..layout import FREE, LOCATION_FAILED, MODE, OK, SINGULAR, SLIPPING, STICK
 from .contradictions import jump_apart, refuse_apart
 from .events import UserEvent, lost_zeros
+from .impulse_layout import JOINT_AT_HIGH, JOINT_AT_LOW, JOINT_STICKS
 from .impulse_steps import AT_END, AT_LIMIT, GOING_ON, INNER_OUTPUT_LEFT, OUTPUT_LEFT, TRIED
 from .moreau import MoreauStep, Torque
 from .reports import left_behind
@@ -84,7 +85,7 @@ class MoreauDriver:
         refuse_apart(step.apart)
         for event in self.users:
             event.value = event.value_at(start, self.system)
-        self._output(start)
+        self.output(start)
         for jump in self.breakpoints:
             # so much before it that no rounding of the step takes it for a whole one, and gets there
             self._run_until(start, max(start, jump - 2.0 * SLIVER * self.size))
@@ -118,7 +119,7 @@ class MoreauDriver:
                 self._user_events(t, t_new)
                 self._report(t, t_new)
             elif why == OUTPUT_LEFT:
-                self._output(end if i == count else t, asked=True)
+                self.output(end if i == count else t, asked=True)
             elif why == INNER_OUTPUT_LEFT:
                 self._record(float(self._next_output), asked=True)
                 self.system.output_done()
@@ -180,33 +181,39 @@ class MoreauDriver:
             step.accept(inside)
             step.steps += 1
         self._announce(inside, name, "edge")
-        self._output(inside)
+        self.output(inside)
         return step.describe(CONTOUR_ENDS, inside)
 
     def _report(self, t: float, t_new: float) -> None:
-        """What happened to the contacts in the trial step."""
+        """What happened to the contacts and joints in the trial step."""
         step, names = self.step, [c.name for c in self.system.contacts]
-        found: list[tuple[float, str, str]] = []
+        found: list[tuple[float, str | None, str, str | None]] = []
         for c, name in enumerate(names):
             before, after = int(step.start_mode[c]), int(self.system.contact_int[c, MODE])
             edge = float(step.edge_time[c])
             if step.touch_time[c] >= 0.0:
-                found.append((t + float(step.touch_time[c]), name, "touch"))
+                found.append((t + float(step.touch_time[c]), name, "touch", None))
             if edge >= 0.0:
-                found.append((t + max(edge, float(step.touch_time[c])), name, "edge"))
+                found.append((t + max(edge, float(step.touch_time[c])), name, "edge", None))
             elif step.touch_time[c] >= 0.0:
                 continue
             elif before != FREE and after == FREE:
-                found.append((t_new, name, "separate"))
+                found.append((t_new, name, "separate", None))
             elif before == STICK and after == SLIPPING:
-                found.append((t_new, name, "slip"))
+                found.append((t_new, name, "slip", None))
             elif before == SLIPPING and after == STICK:
-                found.append((t_new, name, "stick"))
-        for when, name, kind in sorted(found, key=lambda entry: entry[0]):
-            self._announce(when, name, kind)
+                found.append((t_new, name, "stick", None))
+        for g, limit in enumerate(self.system.limits):
+            when, kind = t_new, _joint_event(int(step.start_joint[g]), int(step.joint_state[g]))
+            if kind == "limit" and step.limit_time[g] >= 0.0:
+                when = t + float(step.limit_time[g])
+            if kind:
+                found.append((when, None, kind, limit.joint))
+        for when, contact, kind, joint in sorted(found, key=lambda entry: entry[0]):
+            self._announce(when, contact, kind, joint=joint)
 
-    def _announce(self, t: float, contact: str | None, kind: str, index: int = -1) -> None:
-        self.events.append(Event(t, contact, kind, self.system.q.copy(), self.system.v.copy(), index))
+    def _announce(self, t: float, contact: str | None, kind: str, index: int = -1, joint: str | None = None) -> None:
+        self.events.append(Event(t, contact, kind, self.system.q.copy(), self.system.v.copy(), index, joint))
 
     # ---------------------------------------------------------------- outputs
 
@@ -214,7 +221,7 @@ class MoreauDriver:
     def _next_output(self) -> float:
         return float(self.system.scalars["next_output"])
 
-    def _output(self, t: float, asked: bool = False) -> None:
+    def output(self, t: float, asked: bool = False) -> None:
         """Record the state at t, once for every output time that falls on it; asked: torques are set for it."""
         if self.system.counters["record_steps"]:
             self._record(t, asked)
@@ -264,7 +271,7 @@ class MoreauDriver:
                 self.step.accept(when)
                 self.step.steps += 1
                 if self.system.counters["record_steps"]:
-                    self._output(when)
+                    self.output(when)
                 raise Stop(TERMINATED, "a terminal event occurred")
         if looked:
             # shorter steps have taken its place
@@ -284,3 +291,18 @@ class MoreauDriver:
         when = t + place * (t_new - t)
         self._try_step(t, when)
         return event.value_at(when, self.system)
+
+
+def _joint_event(before: int, after: int) -> str:
+    """What happened to a limited coordinate in a step, see `impulse_layout.JOINT_MOVES`; "" for nothing."""
+    ends = (JOINT_AT_LOW, JOINT_AT_HIGH)
+    if before == after:
+        return ""
+    if after in ends:
+        return "limit"
+    if after == JOINT_STICKS:
+        return "stick"
+    if before in ends:
+        return "release"
+    # from rest, or the other way
+    return "slip"

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..friction.cone import SLIP
+from ..friction.choices import Units, holding_loads
+from ..friction.cone import SLIP, STICK
 from ..friction.loads import LARGE_FRICTION, TOLERANCE
 from ..friction.solve import ContactSolver
 from ..layout import (
@@ -23,10 +24,10 @@ from ..layout import (
     MOTION_KIND,
     MU,
     MU_STATIC,
-    STICK,
     TANGENTS,
     TIME_DEPENDENT,
 )
+from ..layout import STICK as STICKING
 from .energy import ENERGY_SLACK, KEPT_ACCURACY
 from .equations import PAINLEVE_LIMIT
 from .units import ContactProblem, unwhiten, whitened_velocity
@@ -136,7 +137,7 @@ class _Problem(ContactProblem):
         mu = system.contact_real[:, MU].copy()
         mu[closed] = [coefficient(system, c) for c in closed]
         holding = mu.copy()
-        rested = [c for c in closed if integers[c, MODE] == STICK and c not in struck]
+        rested = [c for c in closed if integers[c, MODE] == STICKING and c not in struck]
         holding[rested] = system.contact_real[rested, MU_STATIC]
         if jammed:
             mu, holding = _BEYOND * mu, _BEYOND * holding
@@ -175,11 +176,31 @@ class _Problem(ContactProblem):
                 if not residual <= TOLERANCE:
                     return None
                 modes = loads.modes(self.forces)
+            modes = self._hold(b, mu, modes)
             slips = (modes == SLIP) & (mu > self.sliding)
             if not slips.any():
                 break
             mu[slips] = self.sliding[slips]
         return self.start + self.reduced @ self.forces
+
+    def _hold(self, b: np.ndarray, mu: np.ndarray, modes: np.ndarray) -> np.ndarray:
+        """Modes (n,) after ideal rolling that slips by impulses `forces` is held by others instead, if there are any:
+        what resists its turning may be needed for that, too."""
+        velocities = (self.gram @ self.forces + b).reshape(-1, 3)
+        rolls = np.isinf(mu) & (modes == SLIP)
+        held = rolls & (np.abs(velocities[:, :2]).max(axis=1) > TOLERANCE * np.abs(b).max(initial=0.0))
+        if not held.any():
+            return modes
+        coupled, parents = replace(self.loads(), base=b, mu=mu), self.parents()
+        turns = (self.normal == 0.0) & (parents >= 0) & held[parents]
+        problem = self.gram, b, mu, self.reduced.T, self.weights.reshape(-1, 3) == 0.0, parents, np.zeros(mu.size)
+        for sticks in (rolls, rolls | turns):
+            units = Units(*problem, np.where(sticks, STICK, modes), self.forces.reshape(-1, 3), velocities)
+            found = holding_loads(units, coupled, held, parents < 0)
+            if found is not None:
+                self.forces = found[0]
+                return coupled.modes(self.forces)
+        return modes
 
     def _solve_cones(self, solver: ContactSolver, b: np.ndarray, mu: np.ndarray) -> bool:
         ideal = np.isinf(mu)

@@ -45,7 +45,7 @@ UNASKED, WANTED, LOOKED_FOR = range(3)
 # of its steps. cone_tolerance: what is asked of cone problems, and the largest residual of any.
 NUMBERS = record(
     REALS,
-    *("h", "ahead", "impact", "kept", "kept_low", "kept_high", "free_change", "miss", "weight"),
+    *("h", "ahead", "impact", "kept", "kept_low", "kept_high", "free_change", "miss", "made", "weight"),
     *("run_start", "run_end", "step_size", "cone_tolerance", "cone_residual"),
 )
 # What steps call by address: kernels, and a Python function that sets the torques, or 0, its arguments and the result

@@ -32,6 +32,7 @@ from ..layout import (
 )
 from ..linalg import inner
 from ..workspace import square
+from .accuracy import APART_AT_END
 from .impulse_layout import (
     ACCELERATION,
     APART,
@@ -67,9 +68,6 @@ FRESH, SOLVED, UNSOLVED, APPROVED, WITH_ROOM = range(5)
 _FAR = 0.06
 _CORRECTIONS = 8
 _LOST = 0.08
-# The last correction of gaps leaves so much of them, relative to the contact's length, only where the constraints
-# contradict each other.
-APART_AT_END = 1e-6
 # Rows whose Gram determinant, of rows scaled to unit length, is larger are independent for `choices`, too: their least
 # singular value is above 1e-5, that of forces at their limits of friction above 1e-5 / sqrt(2).
 _INDEPENDENT = 1e-9

@@ -35,7 +35,7 @@ _SIGNS_TRIED = 16
 
 @dataclass(frozen=True)
 class Units:
-    """A cone problem of n units (see `impulse_problem`) and what is known of its solution.
+    """A cone problem of n units, of a time step or an impact, and what is known of its solution.
 
     gram (3n, 3n), base (3n,), friction (n,): the problem; directions (3n, nv): gram's factor; real (n, 3): which rows
     are; parents (n,): the unit of whose normal force a multiple limits the others, -1 where loads (n,) are given;

@@ -25,9 +25,9 @@ from .dynamics.manifold import (
 from .dynamics.system import System
 from .errors import ArgumentError, ModelError, NoContactError, SingularContactError, StateError
 from .geometry.search import Candidate, find_candidates
+from .integration.accuracy import APART_AT_END
 from .integration.contradictions import CLOSED_WITHIN, apart, contradiction
 from .integration.discrete import DISCRETE_COLUMNS, read_discrete
-from .integration.impulse_trial import APART_AT_END
 from .integration.run_system import RunSystem
 from .layout import (
     BRANCH,

@@ -13,8 +13,8 @@ from test_dead_centres import random_crank
 from test_loads import body_on_feet, normal_problem
 
 import pincontact as pc
+from pincontact.friction.choices import Units, chosen_forces, holding_forces
 from pincontact.friction.cone import SLIP, STICK
-from pincontact.integration.choices import Units, chosen_forces, holding_forces
 
 GRAVITY, SIDES = 9.81, 64
 

@@ -465,6 +465,33 @@ def test_starts_inside(depth, speed, told, options):
     assert run.q[-1, 0] == pytest.approx(fallen if told else radius, abs=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(24))
+def test_starts_slightly_inside_touch_in_every_method(seed):
+    """At rest by up to the gap below which bodies touch, 1e-6 of the length; where they come in, by up to 0.1 mm."""
+    rng = np.random.default_rng(seed)
+    shapes = pc.Sphere(0.1), pc.Ellipsoid(0.1, 0.08, 0.06), pc.Circle(0.1), pc.Torus(0.1, 0.03)
+    grounds = (pc.Plane(), None), (pc.Sphere(2.0), -2.0), (waves(None), None)
+    ground, level = grounds[rng.integers(3)]
+    placement = None if level is None else pin.SE3(np.eye(3), np.array([0.0, 0.0, level]))
+    friction = [pc.Coulomb(0.5), pc.NoSlip(), None][rng.integers(3)]
+    scene = scene_of(shapes[seed % 4], ground, placement, friction=friction)
+    turn = pin.Quaternion(pin.exp3(rng.normal(size=3))).coeffs()
+    q = scene.initial_state([*0.2 * rng.normal(size=2), 0.12, *turn], np.zeros(6), max_gap=0.5).q
+    rests = seed % 3 == 0
+    q[2] -= 10.0 ** rng.uniform(-11.0, -7.5 if rests else -4.0)
+    v = np.zeros(6) if rests else np.r_[0.5 * rng.normal(size=3), 2.0 * rng.normal(size=3)]
+    state = scene.initial_state(q, v, free=["c"], max_gap=0.5)
+    runs = [pc.simulate(scene, state, 0.05, **options) for options in ({}, {"method": "Moreau", "dt": 2.5e-4})]
+    assert [run.status for run in runs] == [0, 0]
+    first, second = (touches(run)[:1] for run in runs)
+    assert len(first) == len(second)
+    if rests:
+        assert first == [0.0]
+    # the step of an impact is of first order, and g / 2 times 0.05^2 what nothing holds falls by
+    np.testing.assert_allclose(first, second, rtol=0.0, atol=5e-4)
+    assert np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 2e-3
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("order", [("shape", "ground"), ("ground", "shape")], ids=lambda order: order[0])
 @pytest.mark.parametrize("shape", [pc.Sphere(0.1), pc.Ellipsoid(0.1, 0.08, 0.1), pc.Circle(0.1)], ids=lambda c: c.name)

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..friction.cone import SLIP
+from ..friction.choices import Units, holding_loads
+from ..friction.cone import SLIP, STICK
 from ..friction.loads import LARGE_FRICTION, TOLERANCE
 from ..friction.solve import ContactSolver
 from ..layout import (
@@ -23,10 +24,10 @@ from ..layout import (
     MOTION_KIND,
     MU,
     MU_STATIC,
-    STICK,
     TANGENTS,
     TIME_DEPENDENT,
 )
+from ..layout import STICK as STICKING
 from .energy import ENERGY_SLACK, KEPT_ACCURACY
 from .equations import PAINLEVE_LIMIT
 from .units import ContactProblem, unwhiten, whitened_velocity
@@ -136,7 +137,7 @@ class _Problem(ContactProblem):
         mu = system.contact_real[:, MU].copy()
         mu[closed] = [coefficient(system, c) for c in closed]
         holding = mu.copy()
-        rested = [c for c in closed if integers[c, MODE] == STICK and c not in struck]
+        rested = [c for c in closed if integers[c, MODE] == STICKING and c not in struck]
         holding[rested] = system.contact_real[rested, MU_STATIC]
         if jammed:
             mu, holding = _BEYOND * mu, _BEYOND * holding
@@ -163,23 +164,50 @@ class _Problem(ContactProblem):
         while mu.size:
             if self.impossible:
                 return None
-            if self.posed is None:
-                if not self._solve_cones(solver, b, mu):
-                    return None
-                self.forces, modes = np.where(self.weights > 0.0, 0.0, solver.forces), solver.modes
-            else:
-                loads, start = replace(self.posed, base=b, mu=mu), np.zeros(b.size) if self.near is None else self.near
-                self.forces, residual = loads.refine(start)
-                if not residual <= TOLERANCE:
-                    self.forces, residual = loads.solve(start)
-                if not residual <= TOLERANCE:
-                    return None
-                modes = loads.modes(self.forces)
+            modes = self._hold(b, mu, self._search(solver, b, mu))
+            if modes is None:
+                return None
             slips = (modes == SLIP) & (mu > self.sliding)
             if not slips.any():
                 break
             mu[slips] = self.sliding[slips]
         return self.start + self.reduced @ self.forces
+
+    def _search(self, solver: ContactSolver, b: np.ndarray, mu: np.ndarray) -> np.ndarray | None:
+        """Modes (n,) of a solution, whose impulses are `forces` then, or None."""
+        if self.posed is None:
+            if not self._solve_cones(solver, b, mu):
+                return None
+            self.forces = np.where(self.weights > 0.0, 0.0, solver.forces)
+            return solver.modes
+        loads, start = replace(self.posed, base=b, mu=mu), np.zeros(b.size) if self.near is None else self.near
+        self.forces, residual = loads.refine(start)
+        if not residual <= TOLERANCE:
+            self.forces, residual = loads.solve(start)
+        return loads.modes(self.forces) if residual <= TOLERANCE else None
+
+    def _hold(self, b: np.ndarray, mu: np.ndarray, modes: np.ndarray | None) -> np.ndarray | None:
+        """Modes (n,) after ideal rolling that slips, or for which no impulses were found, is held, if it can be: what
+        resists its turning may be needed for that, too."""
+        ideal, size = np.isinf(mu), TOLERANCE * float(np.abs(b).max(initial=0.0))
+        if modes is None:
+            self.forces, held, before = np.zeros(b.size), ideal, np.where(mu > 0.0, STICK, SLIP)
+        else:
+            slips = np.abs(self.gram @ self.forces + b).reshape(-1, 3)[:, :2].max(axis=1, initial=0.0) > size
+            held, before = ideal & (modes == SLIP) & slips, modes
+        if not held.any():
+            return modes
+        coupled, parents = replace(self.loads(), base=b, mu=mu), self.parents()
+        turns = (self.normal == 0.0) & (parents >= 0) & held[parents]
+        problem = self.gram, b, mu, self.reduced.T, self.weights.reshape(-1, 3) == 0.0, parents, np.zeros(mu.size)
+        present = self.forces.reshape(-1, 3), (self.gram @ self.forces + b).reshape(-1, 3)
+        for sticks in (held, held | turns):
+            units = Units(*problem, np.where(sticks, STICK, before), *present)
+            found = holding_loads(units, coupled, held, parents < 0)
+            if found is not None:
+                self.forces = found[0]
+                return coupled.modes(self.forces)
+        return modes
 
     def _solve_cones(self, solver: ContactSolver, b: np.ndarray, mu: np.ndarray) -> bool:
         ideal = np.isinf(mu)

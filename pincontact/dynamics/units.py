@@ -193,6 +193,13 @@ class ContactProblem:
         rows = radius_rows.reshape(2 * n, -1)
         return Loads(self.gram, self.base, self.normal, self.tangents, mu, radius_base.ravel(), rows, drag, directions)
 
+    def parents(self) -> np.ndarray:
+        """(n,) units whose normal forces limit the others: their own, or that of their contact; -1 where equations
+        do."""
+        owners = [self.system.owner(item) for item in self.units]
+        found = np.array([self.units.get(c, -1) for c in owners], dtype=int)
+        return np.where((found >= 0) & (self.normal[found] > 0.0), found, -1)
+
     def of_items(self, values: np.ndarray, forces: bool) -> np.ndarray:
         """(items, 3) forces or velocities along the rows of items, from those of the units (3n,)."""
         out = np.zeros((self.system.items, 3))

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 # A start that is no deeper than this part of the contact's length, and gets deeper, has just touched.
 SHALLOW = 0.05
+# The last correction of gaps leaves so much of them, relative to the contact's length, only where the constraints
+# contradict each other; bodies that are nearer touch, on whichever side they are.
+APART_AT_END = 1e-6
 # What is slower than this (m/s or rad/s, absolute and relative to the largest velocity) is at rest where modes are set.
 REST = 1e-9
 # Part of the accuracy of gaps to which hops are resolved, and round-off of gaps, relative to coordinates of unit size.

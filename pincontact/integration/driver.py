@@ -119,7 +119,7 @@ class Driver:
                 self._max_step = _WATCH_EVENTS
         # how often modes were entered in which the motion depends on loads that nothing decides
         self.open_loads = 0
-        # whether a trial step has been rejected since the accepted state was evaluated
+        # whether the last evaluation was not at the accepted state: of a rejected step, or of one that was tried first
         self._thrown = False
         # time (s), state and discrete part of the contacts of the last state that the run came to, where it is kept
         self.good: tuple[float, np.ndarray, np.ndarray] | None = None
@@ -277,11 +277,11 @@ class Driver:
         options, scalars, counters = self.options, self.system.scalars, self.system.counters
         scalars["end"], scalars["max_step"] = self._end, self._max_step
         scalars["fixed_step"] = options.fixed_step or 0.0
-        scalars["next_step"] = options.fixed_step or options.first_step or self.rk.first_step(t, self._end - t)
+        given = options.fixed_step or options.first_step
+        scalars["next_step"], self._thrown = given or self.rk.first_step(t, self._end - t), not given
         scalars["floor"], scalars["slowest"] = _FLOOR * max(abs(t), abs(self._end)), math.inf
         counters["attempt_limit"] = options.max_steps
-        counters["stalled"] = counters["stiff_steps"] = 0
-        counters["patience"] = _PATIENCE
+        counters["stalled"], counters["stiff_steps"], counters["patience"] = 0, 0, _PATIENCE
         self.open_loads += leaves_loads_open(self.system)
 
     def _task(self) -> int:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import islice, product
 
 import numpy as np
 
 from ..friction.attempt import NEAR, WARM_PASSES, solve_cones
+from ..friction.choices import Units, chosen_forces, holding_forces, holding_loads
 from ..friction.cone import OPEN, SLIP, STICK
 from ..friction.loads import SETTLED, Loads
 from ..friction.loads import TOLERANCE as LOAD_TOLERANCE
@@ -16,7 +16,6 @@ from ..friction.solve import ContactSolver
 from ..layout import FRICTIONLESS
 from ..layout import STICK as STICKING
 from ..workspace import Workspace
-from .choices import Units, chosen_forces, holding_forces
 from .impulse_layout import APART, LOOKED_FOR, ON_CONTACT, ON_JOINT, ON_LOADED, ON_TURN, TOGETHER, WANTED
 from .impulse_problem import OPENING
 
@@ -27,9 +26,6 @@ _LARGEST_FORCE = 10.0
 # How modes are looked for, quickly in every step, at length (milliseconds) where nothing else has helped; without the
 # search whose linear algebra rounds differently with the alignment of memory.
 _SEARCHES = ("sweeps", "path")
-
-# Of loads that may go either way so many choices are tried.
-_SIGNS_TRIED = 16
 
 # Modes in which contacts are at rest, or have no friction.
 _AT_REST = (STICKING, FRICTIONLESS)
@@ -183,9 +179,16 @@ class ImpulseSolver:
     def _holds(self, problem: _Problem, modes: np.ndarray, before: Solution, held: np.ndarray) -> bool:
         """Whether there are forces in these modes (n,), which are the solver's then; held (n,): what must not slip."""
         units = problem.with_solution(modes, *before[1:])
-        loaded = np.flatnonzero((problem.units["kind"] == ON_LOADED) & (modes == STICK))
-        if loaded.size:
-            return self._holds_by_loads(problem, units, loaded, held)
+        loaded = problem.units["kind"] == ON_LOADED
+        if (loaded & (modes == STICK)).any():
+            # loads that the problem takes as given, and what is held may change
+            coupled = self._loads(problem)
+            solution = holding_loads(units, coupled, held, loaded)
+            if solution is None:
+                return False
+            self._take(coupled, *solution)
+            self._counts["coupled"] = TOGETHER
+            return True
         found = holding_forces(units)
         if found is None:
             return False
@@ -207,28 +210,6 @@ class ImpulseSolver:
         if together:
             self._counts["coupled"] = TOGETHER
         return True
-
-    def _holds_by_loads(self, problem: _Problem, units: Units, loaded: np.ndarray, held: np.ndarray) -> bool:
-        """See `_holds`, where the problem takes loads as given that what is held may change: those of the k units in
-        `loaded`. A load along its present direction, or against it, limits friction by no more than there is."""
-        coupled = self._loads(problem)
-        base, rows = coupled.radius_base.reshape(-1, 2)[loaded], coupled.radius_rows.reshape(problem.n, 2, -1)[loaded]
-        present = base + rows @ units.forces.ravel()
-        size = np.linalg.norm(present, axis=1)[:, None]
-        along = np.where(size > 0.0, present / np.where(size > 0.0, size, 1.0), [1.0, 0.0])
-        for signs in islice(product((1.0, -1.0), repeat=loaded.size), _SIGNS_TRIED):
-            d = np.array(signs)[:, None] * along
-            found = holding_forces(
-                units.with_loads(loaded, np.einsum("ki,ki->k", d, base), np.einsum("ki,kij->kj", d, rows))
-            )
-            if found is None:
-                continue
-            found, residual = coupled.refine(found)
-            if residual <= LOAD_TOLERANCE and not (held & (coupled.modes(found) == SLIP)).any():
-                self._take(coupled, found, residual)
-                self._counts["coupled"] = TOGETHER
-                return True
-        return False
 
     def _choose(self, problem: _Problem) -> None:
         """Replace redundant forces that depend on the last ones by those that the rule has."""

@@ -41,11 +41,12 @@ UNASKED, WANTED, LOOKED_FOR = range(3)
 # where bodies collide, the mean time of the impulses, impact. kept: part of the restitution that is applied, and the
 # bounds between which it is looked for. free_change: norm of the change of velocity without impulses, in the metric of
 # the masses; miss: how far the midpoint's velocity was from the step's mean velocity, relative to that, in this metric.
+# made: the energy that contacts make in the step (see `impulse_works`), over the square of that mean velocity.
 # weight: of the step's end in the forces of actuators, see `actuators`. Of a run, in s: its start and end and the size
 # of its steps. cone_tolerance: what is asked of cone problems, and the largest residual of any.
 NUMBERS = record(
     REALS,
-    *("h", "ahead", "impact", "kept", "kept_low", "kept_high", "free_change", "miss", "weight"),
+    *("h", "ahead", "impact", "kept", "kept_low", "kept_high", "free_change", "miss", "made", "weight"),
     *("run_start", "run_end", "step_size", "cone_tolerance", "cone_residual"),
 )
 # What steps call by address: kernels, and a Python function that sets the torques, or 0, its arguments and the result

@@ -33,9 +33,9 @@ from ..layout import (
     UNILATERAL,
     system_at,
 )
-from .accuracy import REST, SHALLOW
+from .accuracy import APART_AT_END, REST, SHALLOW
 from .impulse_layout import JOINT_MOVES, step_at
-from .impulse_trial import APART_AT_END, APPROVED, CONE_LEFT, FRESH, ask, call_task, find_joint_states, trial_step
+from .impulse_trial import APPROVED, CONE_LEFT, FRESH, ask, call_task, find_joint_states, trial_step
 from .impulses import commit, commit_contact
 from .recording import BLOCK, output_done
 from .stages import evaluate, hand_over

@@ -40,6 +40,7 @@ from ..layout import (
 )
 from ..linalg import inner
 from ..workspace import square
+from .accuracy import APART_AT_END
 from .impulse_layout import (
     ACCELERATION,
     APART,
@@ -76,13 +77,10 @@ CONE_LEFT = 100
 FRESH, SOLVED, UNSOLVED, APPROVED, WITH_ROOM = range(5)
 
 # A step is taken again where the velocity at its midpoint was off by this fraction, at most so many times; corrections
-# that leave it off by the last have not converged.
+# that leave it off by the last have not converged. One that makes energy is off by half the part that it makes.
 _FAR = 0.06
 _CORRECTIONS = 8
 _LOST = 0.08
-# The last correction of gaps leaves so much of them, relative to the contact's length, only where the constraints
-# contradict each other.
-APART_AT_END = 1e-6
 # Rows whose Gram determinant, of rows scaled to unit length, is larger are independent for `choices`, too: their least
 # singular value is above 1e-5, that of forces at their limits of friction above 1e-5 / sqrt(2).
 _INDEPENDENT = 1e-9
@@ -471,6 +469,9 @@ def trial_step(system, step, t, h, found):
             break
         counts.passes, counts.has_trend = max(before, 1) + 1, MEAN_VELOCITY
     counts.has_trend = counts.trend_before
+    if status == OK and numbers.made > _LOST:
+        # of the energy twice that part of the velocity, which is off by as much
+        status = TOO_LONG
     if status != OK:
         return status
     status = call_task(step.calls.run_task, system, PROJECT_PLACES, t + h, 0.0)

@@ -23,7 +23,7 @@ from ..layout import (
 )
 from ..linalg import inner
 from .impulse_layout import DRY_FRICTION, ON_JOINT, ON_TURN, STEP
-from .impulse_velocities import free_gain, start_velocity
+from .impulse_velocities import free_gain, rigid_velocity, start_velocity
 
 
 @kernel
@@ -107,6 +107,22 @@ def _work_on_misses(system, step):
         else:
             twice += of_equations[e] * dot(basis[c, row], start_slip[c])
     return 0.5 * twice
+
+
+@kernel
+def energy_made(system, step):
+    """Energy in J that impulses of contacts make as geometry changes in the step, on top of their work on v_c: of first
+    order in the step's error, and none in rigid geometry."""
+    if step.counts.rigid != 0:
+        return 0.0
+    half, made = 0.5 * step.numbers.h, 0.0
+    for c in range(system.sizes.nc):
+        for row in range(3):
+            impulse = step.contact_impulse[c, row]
+            if impulse != 0.0:
+                mean = start_velocity(system, step, c, row) + half * system.bias[c, row]
+                made += impulse * (rigid_velocity(system, step, c, row) - mean)
+    return made
 
 
 @kernel

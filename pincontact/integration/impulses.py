@@ -82,7 +82,7 @@ from .impulse_review import ANEW, DONE, review, slip_at_end
 from .impulse_units import TOUCHING
 from .impulse_velocities import add_turn_row
 from .impulse_viscous import add_viscous_impulses, shares_viscous
-from .impulse_works import add_works, velocity_change
+from .impulse_works import add_works, energy_made, velocity_change
 from .momentum_transport import find_inertias, transport, turning_rate
 from .stages import hand_over
 
@@ -331,6 +331,7 @@ def advance(system, step):
     # a body that comes to rest is not fast, but neither is it far off
     speed += numbers.free_change**2
     numbers.miss = math.sqrt(miss / speed) if miss > 0.0 else 0.0
+    numbers.made = energy_made(system, step) / speed if speed > 0.0 else 0.0
     if total - total != 0.0:
         return NOT_FINITE
     if step.counts.actuators > 0:

@@ -35,7 +35,7 @@ from ..layout import (
     TURNING,
     UNILATERAL,
 )
-from .accuracy import SHALLOW
+from .accuracy import APART_AT_END, SHALLOW
 from .approach import SAFETY, time_to_cover
 from .stages import load_state
 from .steps import BOUND_SPEEDS
@@ -171,10 +171,9 @@ class OpenContacts:
         """The evaluated state is that at which a run starts; slack: what its gap may be below zero, in m."""
         system = self.system
         for c in self._list():
-            gap = system.gaps[c, 0]
             enters = system.contact_real[c, DOMAIN] >= 0.0 and system.basis[c, 2] @ system.slip[c] < 0.0
-            shallow = gap >= -SHALLOW * system.contact_real[c, LENGTH]
-            self.apart[c] = gap >= -slack(c) or (shallow and enters)
+            allowed = (SHALLOW if enters else APART_AT_END) * system.contact_real[c, LENGTH]
+            self.apart[c] = system.gaps[c, 0] >= -max(slack(c), allowed)
 
     def note(self, slack: Callable[[int], float] | None) -> None:
         """The evaluated state has been accepted. slack: as `begin` has it, None where events were looked for in the

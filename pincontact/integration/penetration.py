@@ -116,7 +116,7 @@ class Penetration:
         rolled = (integers[:, MODE] == FREE) & (integers[:, UNILATERAL] != 0) & np.isinf(numbers[:, MU])
         for c in np.flatnonzero(rolled & (numbers[:, DOMAIN] >= 0.0)).tolist():
             gap = float(system.gaps[c, 0])
-            if not -self._deepest(c) <= gap < -self.accuracy(c):
+            if not -self._deepest(c) <= gap < -self.resolution(c):
                 continue
             depth = self._foresee(t, c, tau, gap, gap_rate(system, c))
             if depth < math.inf:

@@ -35,7 +35,7 @@ FAILURES = {
     MASS_NOT_POSITIVE: (MODEL_FAILED, "the mass matrix is not positive definite"),
     NO_FORCE: (NO_CONTACT_FORCE, "no contact force satisfies Coulomb's law (Painleve), or none was found"),
     NOT_FINITE: (MODEL_FAILED, "the accelerations are not finite"),
-    TOO_LONG: (STEP_TOO_LONG, "the step is too long for this motion: bodies turn too far in it"),
+    TOO_LONG: (STEP_TOO_LONG, "the step is too long for this motion: bodies or contacts turn too far in it"),
     CONTOUR_ENDS: (END_OF_CONTOUR, "reached the end of a contour"),
     CONTRADICTION: (NO_CONTACT_FORCE, "velocity constraints cannot be met together"),
     CLOSED_APART: (STEP_TOO_LONG, "the step is too long for this motion: a closed contact ends apart"),

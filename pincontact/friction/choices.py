@@ -13,13 +13,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import islice, product
 
 import numpy as np
 
-from ..friction.centred import Cones, central_force, null_space
-from ..friction.cone import OPEN, SLIP
-from ..friction.least_loads import least_of
 from ..linalg import RANK_TOLERANCE
+from .centred import Cones, central_force, null_space
+from .cone import OPEN, SLIP, STICK
+from .least_loads import least_of
+from .loads import TOLERANCE, Loads
 
 # What may be left of the largest b where the equations contradict each other by no more than round-off.
 _LEFT = 1e-9
@@ -27,11 +29,13 @@ _LEFT = 1e-9
 _NONE = 1e-12
 # How often a motion that no forces could stop is moved into all dual cones, and by how much further than is needed.
 _TRIES, _FURTHER = 30, 1.002
+# Of loads that may go either way so many choices are tried.
+_SIGNS_TRIED = 16
 
 
 @dataclass(frozen=True)
 class Units:
-    """A cone problem of n units (see `impulse_problem`) and what is known of its solution.
+    """A cone problem of n units, of a time step or an impact, and what is known of its solution.
 
     gram (3n, 3n), base (3n,), friction (n,): the problem; directions (3n, nv): gram's factor; real (n, 3): which rows
     are; parents (n,): the unit of whose normal force a multiple limits the others, -1 where loads (n,) are given;
@@ -68,6 +72,31 @@ def holding_forces(units: Units) -> np.ndarray | None:
     """(3n,) central forces of these modes; None where there are none, or no choice."""
     unknowns = _Unknowns(units)
     return unknowns.central() if unknowns.solve() and not unknowns.moves_on() else None
+
+
+def holding_loads(units: Units, coupled: Loads, held: np.ndarray, given: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """(3n,) forces with which none of the units `held` (n,) slip, and their residual in the problem with loads as
+    functions of the forces; None where none are found in these modes.
+
+    given (n,): units whose loads the problem takes as given, and what sticks may change. One along its present
+    direction, or against it, limits friction by no more than there is.
+    """
+    loaded = np.flatnonzero(given & (units.modes == STICK))
+    base, rows = coupled.radius_base.reshape(-1, 2)[loaded], coupled.radius_rows.reshape(-1, 2, held.size * 3)[loaded]
+    present = base + rows @ units.forces.ravel()
+    size = np.linalg.norm(present, axis=1)[:, None]
+    along = np.where(size > 0.0, present / np.where(size > 0.0, size, 1.0), [1.0, 0.0])
+    for signs in islice(product((1.0, -1.0), repeat=loaded.size), _SIGNS_TRIED):
+        d = np.array(signs)[:, None] * along
+        found = holding_forces(
+            units.with_loads(loaded, np.einsum("ki,ki->k", d, base), np.einsum("ki,kij->kj", d, rows))
+        )
+        if found is None:
+            continue
+        found, residual = coupled.refine(found)
+        if residual <= TOLERANCE and not (held & (coupled.modes(found) == SLIP)).any():
+            return found, residual
+    return None
 
 
 def chosen_forces(units: Units) -> np.ndarray | None:

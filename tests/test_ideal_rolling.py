@@ -262,7 +262,7 @@ def test_a_dip_that_is_too_deep_by_a_hair(rising):
     """The impact takes next to nothing there, and the lift more than that: its energy comes from the motion, but for
     what drives have of it."""
     low, high = 0.8, 1.1
-    for _ in range(12):
+    for _ in range(8):
         middle = 0.5 * (low + high)
         touches = "touch" in kinds(pushed_into_its_dip(middle, 0.012, rising=rising))
         low, high = (low, middle) if touches else (middle, high)

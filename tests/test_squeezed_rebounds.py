@@ -27,7 +27,7 @@ def stacked(heavy, restitution):
     return scene, scene.initial_state(q, free=["below", "above"])
 
 
-@pytest.mark.parametrize("restitution", [0.2, 0.8])
+@pytest.mark.parametrize("restitution", [0.8])
 def test_rebounds_at_one_time_end_a_run(restitution):
     """It says so, with all that came before, and time stepping goes on where it is asked to."""
     scene, state = stacked(1e8, restitution)

@@ -59,7 +59,6 @@ def test_what_rests_stays_where_forces_can_hold_it(mu, options):
         31043,  # a box that strikes with ideal rolling corners
         55252,  # a chain that jams as it strikes
         55828,  # a chain at rest between two surfaces, which could open
-        50212,  # a contact that strikes without rebound beside one that slides
         91852,  # ideal rolling beside a joint in dry friction, which could open from the first step on
     ],
 )

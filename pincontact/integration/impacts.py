@@ -50,9 +50,6 @@ class Impacts:
         self.onset, self.penetration, self.restitution = onset, penetration, restitution
         self.changes, self.system, self.rk = onset.changes, onset.system, onset.rk
         self.joints, self.reports = self.changes.joints, self.changes.reports
-        model = self.system.model
-        # N
-        self._weight = pin.computeTotalMass(model) * float(np.linalg.norm(model.gravity.linear))
         # m/s: the slips that the last impact left
         self._rubbing = np.zeros(0)
 
@@ -301,7 +298,8 @@ class Impacts:
         self.rk.load(system.stage_state)
         changes.project(t, explained=True)
         driven, own = 2.0 * velocity - whole, (kinetic - changes.energies()[0]) / 0.75
-        if excess > own + self._weight * float(system.gap_accuracy.max()):
+        weight = pin.computeTotalMass(system.model) * float(np.linalg.norm(system.model.gravity.linear))
+        if excess > own + weight * float(system.gap_accuracy.max()):
             raise Stop(
                 STEP_TOO_SMALL,
                 f"t = {t:.9g} s: to lift out what has dipped before it struck takes {excess:.3g} J, and the motion has "

@@ -5,6 +5,7 @@ The second is the limit of Coulomb's law for large mu: closed forms, Coulomb run
 
 import math
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -274,6 +275,27 @@ def test_a_dip_that_is_too_deep_by_a_hair(rising):
     # round-off in energies of ten joules, and what the run leaves
     assert abs(energies.friction_work[touched]) <= 1e-10
     assert np.abs(energies.balance).max() <= 1e-10
+
+
+@pytest.mark.parametrize("bend", [-1.0, 4.0, 20.0])
+def test_dips_whose_jerk_changes_are_foreseen(monkeypatch, bend):
+    """From 0 and 0 with second derivative -1 + 10 s + bend s^2 / 2: its depth, to a hundredth, whatever the first rate
+    says."""
+    gap = np.polynomial.Polynomial([0.0, 0.0, -0.5, 10.0 / 6.0, bend * 10.0 / 24.0])
+    system = SimpleNamespace(gaps=np.zeros((1, 1)), contact_real=np.full((1, 99), 100.0), gap_accuracy=[0.0])
+    now = [0.0]
+
+    def evaluate_after(self, t, tau):
+        now[0] = tau
+        system.gaps[0, 0] = gap(tau)
+        return True
+
+    monkeypatch.setattr(Penetration, "_evaluate_after", evaluate_after)
+    foreseen = Penetration.__new__(Penetration)
+    foreseen._rk = SimpleNamespace(system=system, evaluate_start=lambda t: now.__setitem__(0, 0.0) or 0)
+    foreseen._modes = SimpleNamespace(gap_acceleration=lambda t, c: gap.deriv(2)(now[0]))
+    places = np.linspace(0.0, 0.4, 4001)
+    assert foreseen._foresee(0.0, 0, 1e-3) == pytest.approx(-gap(places).min(), rel=1e-2)
 
 
 def thrown_body(seed):

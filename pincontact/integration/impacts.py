@@ -40,6 +40,9 @@ _LEAVING_SPEED = 1e-3 * REST_SPEED
 _FASTER = 2.0
 
 
+TINY,MAX=1e-300,1e300
+
+
 class Impacts:
     """Impacts of the state that `onset` goes on from; methods return the time after them.
 
@@ -138,7 +141,7 @@ class Impacts:
         self.rk.keep_velocity()
         changes.count_works(impact.contacts, impact.drives, impact.joints)
         changes.evaluate_rows(t)
-        self._rubbing = self._slips()
+        self._rubbing = self._slips(TINY, MAX); self._wedged=self._slips(math.inf, math.inf)
         self._open_leaving(t, closed, touching, near)
         self.joints.set_from_velocities({g: end for g, end in ends.items() if not self._joint_leaves(g)})
         changes.set_from_velocities(after_impact=True)
@@ -210,11 +213,11 @@ class Impacts:
         speed = abs(float(system.v[system.limits[g].index_v]))
         return self._leaves(system.nc + g, speed, self._resolution_of_hops(system.nc + g, speed))
 
-    def _slips(self) -> np.ndarray:
-        """Speeds in m/s of the slips of closed contacts that have dry friction."""
+    def _slips(self, least: float, most: float) -> np.ndarray:
+        """Speeds in m/s of the slips of closed contacts whose coefficient of friction is in [least, most]."""
         system = self.system
         mu = system.contact_real[:, MU]
-        rough = [c for c in system.closed() if 0.0 < mu[c] < math.inf]
+        rough = [c for c in system.closed() if least <= mu[c] <= most]
         along = np.einsum("nij,nj->ni", system.basis[rough, :2], system.slip[rough])
         speeds: np.ndarray = np.linalg.norm(along, axis=1)
         return speeds[speeds > rest_speed(system)]
@@ -226,13 +229,13 @@ class Impacts:
         friction goes with the impulses, and what is left of its slip goes with the root of the way.
         """
         way = float(gap_resolution(self.system)[i])
-        resolved = self._rubbing.max(initial=0.0) > speed
+        resolved = self._rubbing.max(initial=0.0) > speed or self._wedged.size > 0
         return way if resolved else max(way, float(self.system.gap_accuracy[i]) / GAP_TOLERANCE)
 
     def _resolution_of_hops(self, i: int, speed: float) -> float:
         """The same of a motion that ends where it has begun: `_brake` lets friction go with the impulses that leave it
         out, which leaves no more than that way, too, unless they end slips or turn them round."""
-        if self._rubbing.min(initial=math.inf) > _FASTER * speed:
+        if self._rubbing.min(initial=math.inf) > _FASTER * speed and self._wedged.size == 0:
             return max(float(gap_resolution(self.system)[i]), float(self.system.gap_accuracy[i]) / GAP_TOLERANCE)
         return self._resolution(i, speed)
 

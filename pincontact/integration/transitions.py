@@ -247,7 +247,8 @@ class Transitions:
         if self.system.contact_int[c, MODE] != STICK or self.system.contact_real[c, MU] < math.inf:
             return False
         self.rk.accept()
-        closes = self.penetration.closes_again(t, c, min(self.onset.seed, self.onset.longest))
+        tau = min(self.onset.seed, self.onset.longest)
+        closes = self.penetration.closes_again(t, c, tau, self.changes.sticking())
         self.changes.evaluate_accepted(t)
         return closes
 

@@ -60,7 +60,7 @@ class Impacts:
         """Contact c closes: impulses on all closed contacts, then new modes from the velocities after them."""
         system, penetration, modes = self.system, self.penetration, self.system.contact_int[:, MODE]
         # whatever touches at the same instant, by symmetry, takes part; what dips does not, whatever its depth
-        others = [i for i in range(system.nc) if i != c and modes[i] == FREE and penetration.touches(i)]
+        others = [i for i in range(system.nc) if i != c and modes[i] == FREE and self._is_due(i)]
         others = [i for i in others if i not in penetration.contacts]
         touching = [c, *(i for i in others if gap_rate(system, i) <= _LEAVING_SPEED)]
         rebounding = {i: self.restitution[i] for i in touching if self._rebounds(i)}
@@ -116,6 +116,18 @@ class Impacts:
             if slid != slides or (slides and system.slip[c] @ slips[c] <= 0.0):
                 self.reports.announce_friction(t, c, slides)
         return after
+
+    def _is_due(self, c: int) -> bool:
+        """Whether open contact c touches now, as far as positions are known.
+
+        However gently ideal rolling comes in, all its slip ends then: that may come no earlier than leaves its way.
+        """
+        system, accuracy = self.system, self.penetration.accuracy(c)
+        if not self.penetration.touches(c) or math.isfinite(system.contact_real[c, MU]):
+            return self.penetration.touches(c)
+        slip = float(np.linalg.norm(system.basis[c, :2] @ system.slip[c]))
+        gap = abs(float(system.gaps[c, 0])) - self.penetration.resolution(c)
+        return gap * slip <= accuracy * max(-gap_rate(system, c), 0.0)
 
     def _rebounds(self, c: int) -> bool:
         """Whether contact c comes in so fast that it leaves again."""
@@ -180,7 +192,7 @@ class Impacts:
             and self.onset.open.apart[c]
             and c not in self.penetration.contacts
             and self.restitution[c] == 0.0
-            and self.penetration.touches(c)
+            and self._is_due(c)
         ]
         for c in near:
             modes[c] = rest_mode(system.contact_real[c, MU])

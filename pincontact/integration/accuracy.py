@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from ..layout import (
     LENGTH,
     MODE,
+    MU,
     SLIPPING,
     START_RATE,
     START_SPEED,
@@ -98,6 +100,18 @@ def slow_slips(system: System) -> list[int]:
     along[system.contact_int[:, TANGENTS] == 1, 1] = 0.0
     slow = np.linalg.norm(along, axis=1) <= 2.0**STOP_DOUBLINGS * allowed.max(axis=1)
     return np.flatnonzero((system.contact_int[:, MODE] == SLIPPING) & slow).tolist()
+
+
+def held_up(system: System) -> list[int]:
+    """Contacts of ideal rolling that slide held up by friction alone."""
+    modes, mu = system.modes.tolist(), system.contact_real[:, MU].tolist()
+    return [c for c, mode in enumerate(modes) if mode == SLIPPING and mu[c] == math.inf]
+
+
+def may_stop(system: System) -> list[int]:
+    """What is stopped at once where its slip jams, since no forces in it are those of Coulomb's law, or no step is
+    short enough: ideal rolling held up by friction alone, and what is as slow as slip that counts as ended."""
+    return sorted({*held_up(system), *slow_slips(system)})
 
 
 def slip_is_ending(system: System) -> bool:

@@ -31,11 +31,10 @@ from ..layout import (
     STICK,
     STOP_ERROR,
 )
-from .accuracy import slip_is_ending
+from .accuracy import held_up, slip_is_ending
 from .contradictions import projection_failure
 from .dense import Interpolant
 from .events import UserEvent, UserEvents, lost_zeros
-from .jams import held_up
 from .locator import Crossing, EventLocator
 from .options import Options
 from .outputs import Outputs, no_dense_output

@@ -28,8 +28,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from .accuracy import count_hop, gap_rate, gap_resolution, rest_speed
-from .jams import may_stop, stop_jammed, stop_slips
+from .accuracy import count_hop, gap_rate, gap_resolution, may_stop, rest_speed
 from .penetration import Penetration
 from .results import ADVICE, FAILURES, GAP_TOLERANCE, STEP_TOO_SMALL, Stop
 from .slip_onset import SlipOnset
@@ -38,9 +37,6 @@ from .slip_onset import SlipOnset
 _LEAVING_SPEED = 1e-3 * REST_SPEED
 # Slip this many times faster than a hop goes on in its direction when friction of the hop's impulse is taken from it.
 _FASTER = 2.0
-
-
-TINY,MAX=1e-300,1e300
 
 
 class Impacts:
@@ -55,6 +51,8 @@ class Impacts:
         self.joints, self.reports = self.changes.joints, self.changes.reports
         # m/s: the slips that the last impact left
         self._rubbing = np.zeros(0)
+        # and whether friction alone, of ideal rolling, holds one of them up
+        self._rubs_alone = False
 
     def touch(self, t: float, c: int) -> float:
         """Contact c closes: impulses on all closed contacts, then new modes from the velocities after them."""
@@ -153,16 +151,16 @@ class Impacts:
         self.rk.keep_velocity()
         changes.count_works(impact.contacts, impact.drives, impact.joints)
         changes.evaluate_rows(t)
-        self._rubbing = self._slips(TINY, MAX); self._wedged=self._slips(math.inf, math.inf)
+        self._rubbing, self._rubs_alone = self._slips()
         self._open_leaving(t, closed, touching, near)
         self.joints.set_from_velocities({g: end for g, end in ends.items() if not self._joint_leaves(g)})
         changes.set_from_velocities(after_impact=True)
         before = changes.counted_energy()
-        stop_jammed(changes, t)
+        changes.stop_jammed(t)
         self._brake(t)
         # what stays closed with a normal velocity (a hop that is none) stops here, which may turn slow slips
         if self._project(t):
-            stop_jammed(changes, t)
+            changes.stop_jammed(t)
         else:
             changes.set_from_velocities(after_impact=True)
         self._end_short_motions(t, closed, ends)
@@ -225,14 +223,14 @@ class Impacts:
         speed = abs(float(system.v[system.limits[g].index_v]))
         return self._leaves(system.nc + g, speed, self._resolution_of_hops(system.nc + g, speed))
 
-    def _slips(self, least: float, most: float) -> np.ndarray:
-        """Speeds in m/s of the slips of closed contacts whose coefficient of friction is in [least, most]."""
+    def _slips(self) -> tuple[np.ndarray, bool]:
+        """Speeds in m/s of the slips of closed contacts that have dry friction, and whether ideal rolling slides."""
         system = self.system
         mu = system.contact_real[:, MU]
-        rough = [c for c in system.closed() if least <= mu[c] <= most]
-        along = np.einsum("nij,nj->ni", system.basis[rough, :2], system.slip[rough])
-        speeds: np.ndarray = np.linalg.norm(along, axis=1)
-        return speeds[speeds > rest_speed(system)]
+        rough = [c for c in system.closed() if mu[c] > 0.0]
+        speeds: np.ndarray = np.linalg.norm(np.einsum("nij,nj->ni", system.basis[rough, :2], system.slip[rough]), axis=1)
+        slides, ideal = speeds > rest_speed(system), np.isinf(mu[rough])
+        return speeds[slides & ~ideal], bool((slides & ideal).any())
 
     def _resolution(self, i: int, speed: float) -> float:
         """Way in m or rad below which a motion of item i at this speed in m/s or rad/s is none.
@@ -241,13 +239,14 @@ class Impacts:
         friction goes with the impulses, and what is left of its slip goes with the root of the way.
         """
         way = float(gap_resolution(self.system)[i])
-        resolved = self._rubbing.max(initial=0.0) > speed or self._wedged.size > 0
+        resolved = self._rubs_alone or self._rubbing.max(initial=0.0) > speed
         return way if resolved else max(way, float(self.system.gap_accuracy[i]) / GAP_TOLERANCE)
 
     def _resolution_of_hops(self, i: int, speed: float) -> float:
         """The same of a motion that ends where it has begun: `_brake` lets friction go with the impulses that leave it
-        out, which leaves no more than that way, too, unless they end slips or turn them round."""
-        if self._rubbing.min(initial=math.inf) > _FASTER * speed and self._wedged.size == 0:
+        out, which leaves no more than that way, too, unless they end slips or turn them round, or friction that goes
+        with no load holds something up."""
+        if not self._rubs_alone and self._rubbing.min(initial=math.inf) > _FASTER * speed:
             return max(float(gap_resolution(self.system)[i]), float(self.system.gap_accuracy[i]) / GAP_TOLERANCE)
         return self._resolution(i, speed)
 
@@ -371,7 +370,7 @@ class Impacts:
         for c in system.closed():
             if modes[c] == SLIPPING and abs(gap_rate(system, c)) > _LEAVING_SPEED:
                 modes[c] = FRICTIONLESS
-        stop_slips(self.changes, t, may_stop(system))
+        self.changes.stop_slips(t, may_stop(system))
         return False
 
     def _stops_soon(self, c: int) -> bool:

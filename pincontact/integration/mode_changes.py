@@ -30,7 +30,7 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from .accuracy import rest_speed, slow_slips
+from .accuracy import held_up, may_stop, rest_speed
 from .joint_events import JointEvents
 from .reports import Reports
 from .results import STEP_TOO_SMALL, Stop
@@ -91,16 +91,16 @@ class ModeChanges:
         return undecided
 
     def resolve_modes(self, t: float, undecided: list[int], beyond: int | None = None) -> Decision:
-        """Decide modes; the last evaluation is the one in them. Slips that leave no forces, and are as slow as what
-        counts as ended, end."""
+        """Decide modes; the last evaluation is the one in them. Slips that leave no forces and may be stopped are."""
         modes, limits = self.system.contact_int.copy(), self.system.joint_int.copy()
         decision = self.modes.resolve_modes(t, undecided, self.rk.evaluate, beyond)
         if decision.status == NO_FORCE:
             self.system.contact_int[:], self.system.joint_int[:] = modes, limits
-            slow = slow_slips(self.system)
-            if slow:
-                self.system.contact_int[slow, MODE] = STICK
-                self.project(t, explained=True)
+            sliding = may_stop(self.system)
+            if sliding:
+                energy = self.counted_energy()
+                self.stop_slips(t, sliding)
+                self.count_loss(energy)
                 decision = self.modes.resolve_modes(t, self.sticking(), self.rk.evaluate, beyond)
         if decision.status > EVENT:
             raise self.reports.failure(t, decision.status)
@@ -202,6 +202,28 @@ class ModeChanges:
         """
         direction = self.slip_direction(c)
         return bool(direction @ ended <= 0.0 and direction @ self.started.get(c, ended) <= 0.0)
+
+    # ---------------------------------------------------------------- jams
+
+    def stop_jammed(self, t: float) -> None:
+        """Stop slips that friction alone would have to hold up and cannot: the force it takes grows without bound."""
+        sliding = held_up(self.system)
+        if sliding and self.rk.evaluate(t) <= EVENT:
+            sliding = [c for c in sliding if self.system.event_functions[c, FRICTION_EVENT] < 0.0]
+        if sliding:
+            self.stop_slips(t, sliding)
+
+    def stop_slips(self, t: float, contacts: list[int]) -> None:
+        """End slips at once, by the least change of velocity that does it."""
+        self.system.contact_int[contacts, MODE] = STICK
+        self.project(t, explained=True)
+
+    def end_jams(self, t: float, contacts: list[int]) -> None:
+        """End the slips of jammed contacts, and decide the modes that follow."""
+        energy = self.counted_energy()
+        self.stop_slips(t, contacts)
+        self.count_loss(energy)
+        self.update_modes(t, self.sticking(), dict.fromkeys(contacts, np.zeros(3)))
 
     # ---------------------------------------------------------------- redundant forces
 

@@ -45,9 +45,8 @@ from ..layout import (
     STOP_TIME,
     TANGENTS,
 )
-from .accuracy import gap_rate, rest_speed
+from .accuracy import gap_rate, held_up, rest_speed
 from .crossings import LEFT_OUT, NOT_SOUGHT, UNKNOWN
-from .jams import held_up, stop_slips
 from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
 from .slow_slip import SHORTER, SlowSlip
@@ -363,7 +362,7 @@ class SlipOnset:
             changes.project(t)
         elif not self.rk.project(t, False):
             # v_c has come out in a direction in which friction alone holds nothing up: that slip has jammed
-            stop_slips(changes, t, sliding)
+            changes.stop_slips(t, sliding)
         self.rk.accept()
         return t
 

@@ -1,6 +1,6 @@
 """Transitions: what happens at the start of a run, at a breakpoint and at an event, by the kind of event.
 
-Each kind is a part of its own: `slip_onset`, `impacts`, `joint_events`, `jams`, `penetration`. All of them decide modes
+Each kind is a part of its own: `slip_onset`, `impacts`, `joint_events`, `penetration`. All of them decide modes
 by `mode_changes` and announce events by `reports`.
 """
 
@@ -37,10 +37,9 @@ from ..layout import (
     STICK,
     UNILATERAL,
 )
-from .accuracy import gap_rate
+from .accuracy import gap_rate, held_up, may_stop
 from .contradictions import apart, jump_apart, refuse_apart
 from .impacts import Impacts
-from .jams import end_jams, held_up, may_stop, stop_jammed
 from .joint_events import JointEvents
 from .mode_changes import ModeChanges
 from .open_contacts import OpenContacts
@@ -101,7 +100,7 @@ class Transitions:
         if stands and not held_up(system):
             changes.project(t, True, explained=True)
         else:
-            stop_jammed(changes, t)
+            changes.stop_jammed(t)
             changes.update_modes(t, undecided, silent=True, explained=True)
         changes.count_loss(energy)
         rk.accept()
@@ -128,7 +127,7 @@ class Transitions:
         for c in [*system.closed(), *system.resisting()]:
             if before[c] == STICK and system.contact_int[c, MODE] == SLIPPING:
                 self.reports.announce_friction(t, c, True)
-        stop_jammed(changes, t)
+        changes.stop_jammed(t)
         changes.update_modes(t, undecided)
         changes.count_loss(energy)
         rk.accept()
@@ -192,7 +191,7 @@ class Transitions:
             self.changes.accept_with_other_forces(t)
             return t
         if kind == FRICTION_EVENT and self.system.contact_int[c, MODE] == SLIPPING:
-            end_jams(self.changes, t, [c])
+            self.changes.end_jams(t, [c])
             return self.onset.start(t)
         if not chosen and self.changes.redistribute(t, c, kind):
             return t
@@ -285,7 +284,7 @@ class Transitions:
         sliding = may_stop(self.system)
         if not sliding:
             return None
-        end_jams(self.changes, t, sliding)
+        self.changes.end_jams(t, sliding)
         return self.onset.start(t)
 
     # ---------------------------------------------------------------- accepted states

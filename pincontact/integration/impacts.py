@@ -228,7 +228,9 @@ class Impacts:
         system = self.system
         mu = system.contact_real[:, MU]
         rough = [c for c in system.closed() if mu[c] > 0.0]
-        speeds: np.ndarray = np.linalg.norm(np.einsum("nij,nj->ni", system.basis[rough, :2], system.slip[rough]), axis=1)
+        speeds: np.ndarray = np.linalg.norm(
+            np.einsum("nij,nj->ni", system.basis[rough, :2], system.slip[rough]), axis=1
+        )
         slides, ideal = speeds > rest_speed(system), np.isinf(mu[rough])
         return speeds[slides & ~ideal], bool((slides & ideal).any())
 

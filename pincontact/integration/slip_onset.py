@@ -255,8 +255,12 @@ class SlipOnset:
             # the limit may have been exceeded in between
             tau, decision, seeded = self._run_on(t, c, factors.pop() * tau, modes)
         if decision.opened:
-            # a jump of the forces (Painleve) opens contacts at once, not when slip would show
-            tau, decision, seeded = self._run_on(t, c, _OPENING_SEED * tau, modes)
+            # a jump of the forces (Painleve) opens contacts at once, not when slip would show; a load that runs out
+            # with the friction it allows does not
+            sooner = self._run_on(t, c, _OPENING_SEED * tau, modes)
+            if sooner[1].started or sooner[1].opened:
+                return sooner
+            tau, decision, seeded = self._run_on(t, c, tau, modes)
         return tau, decision, seeded
 
     def _run_on(

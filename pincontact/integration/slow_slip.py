@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -89,14 +90,11 @@ class SlowSlip:
         several = sum(power > 0 for power in self.powers.values()) > 1
         tries = _TRIES_OF_SEVERAL if several else _HALVINGS
         coefficients = np.zeros((len(self.contacts), POLYNOMIAL_SIZE))
-        pulls: np.ndarray | None = None
+        # slips that do not turn need none
+        pulls = cache(lambda: self._pulls(t))
         while tries > 0 and span >= shortest:
             for c in self.contacts:
                 system.contact_real[c, [START, SPAN]] = t, span
-            if pulls is None:
-                pulls = self._pulls(t)
-                if pulls is None:
-                    return None
             part = self._collocate(t, span, _ACCEPTED * tolerance, pulls, coefficients)
             if part < 1.0:
                 tries -= 1
@@ -109,9 +107,12 @@ class SlowSlip:
             coefficients *= part ** np.arange(POLYNOMIAL_SIZE)
         return None
 
-    def _collocate(self, t: float, span: float, tolerance: float, pulls: np.ndarray, coefficients: np.ndarray) -> float:
+    def _collocate(
+        self, t: float, span: float, tolerance: float, pulls: Callable[[], np.ndarray | None], coefficients: np.ndarray
+    ) -> float:
         """Broyden's iteration on the polynomials' coefficients, from those given, which become the best ones; the part
-        of the span that is to be tried next, 1 where v_c ends up along the direction everywhere."""
+        of the span that is to be tried next, 1 where v_c ends up along the direction everywhere. pulls: see `_pulls`.
+        """
         found = self._across(t, span, coefficients)
         # what directions change is little against what makes steps inaccurate
         if found is None or not self.rk.error < 1.0:
@@ -121,10 +122,14 @@ class SlowSlip:
         jacobian: np.ndarray | None = None
         largest = _DIVERGED * float(np.abs(residual).max())
         for _ in range(_ITERATIONS):
-            if self._aligned(*found, tolerance) or self._aligned(*found, tolerance, _CONVERGED, POLYNOMIAL_SIZE):
+            aligned = self._aligned(*found, tolerance)
+            if aligned or self._aligned(*found, tolerance, _CONVERGED, POLYNOMIAL_SIZE):
                 break
             if jacobian is None:
-                jacobian = self._jacobian(span * pulls, found[1][:, :POLYNOMIAL_SIZE])
+                turned_by = pulls()
+                if turned_by is None:
+                    return 0.0
+                jacobian = self._jacobian(span * turned_by, found[1][:, :POLYNOMIAL_SIZE])
             try:
                 step = -np.linalg.solve(jacobian, residual)
             except np.linalg.LinAlgError:
@@ -147,7 +152,7 @@ class SlowSlip:
         if part < 1.0:
             return part
         # the last trial step has left the state at the end of the span in new_state
-        return 1.0 if self._aligned(*found, tolerance) and self.rk.error < 1.0 else SHORTER
+        return 1.0 if aligned and self.rk.error < 1.0 else SHORTER
 
     def _within_error(self) -> float:
         """The part of the span after which the last trial step's error is as small as it has to be."""

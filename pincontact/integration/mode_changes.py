@@ -186,14 +186,13 @@ class ModeChanges:
 
     def slip_direction(self, c: int) -> np.ndarray:
         """Unit vector, world axes, of the slip of an item that slides; zero where there is none."""
-        system = self.system
-        along = system.basis[c, :2] @ system.slip[c]
-        if system.contact_int[c, TANGENTS] == 1:
-            along = np.array([float(system.contact_int[c, SLIP_SIGN]), 0.0])
-        elif system.contact_int[c, FROZEN]:
-            along = system.basis[c, :2] @ system.contact_real[c, DIRECTION_X : DIRECTION_X + 3]
-        speed = math.hypot(along[0], along[1])
-        return along @ system.basis[c, :2] / speed if speed > 0.0 else np.zeros(3)
+        system, integers, tangents = self.system, self.system.contact_int[c], self.system.basis[c, :2]
+        if integers[TANGENTS] == 1:
+            return float(integers[SLIP_SIGN]) * tangents[0]
+        frozen = system.contact_real[c, DIRECTION_X : DIRECTION_X + 3]
+        along = tangents @ (frozen if integers[FROZEN] else system.slip[c])
+        speed = math.hypot(*along.tolist())
+        return along @ tangents / speed if speed > 0.0 else np.zeros(3)
 
     def _goes_back(self, c: int, ended: np.ndarray) -> bool:
         """Whether item c slips on against the direction in which its slip has ended.

@@ -141,7 +141,7 @@ class ContactProblem:
     def assemble(self) -> None:
         """Eliminate the equations from the units."""
         system, nv = self.system, self.system.nv
-        self.stack = np.hstack(self._columns) if self._columns else np.zeros((nv, 0))
+        self.stack = np.concatenate(self._columns, axis=1) if self._columns else np.zeros((nv, 0))
         self.before, self.mu = np.array(self._before).reshape(-1), np.array(self._mu)
         self.normal = np.array([float(places.count(2)) for _, places, _ in self._places])
         self.tangents = np.array([float(len(places)) for _, places, _ in self._places]) - self.normal
@@ -250,8 +250,8 @@ def delassus(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     diagonal = gram.diagonal().copy()
     if all(diagonal.tolist()):
         return gram, np.zeros(diagonal.size)
-    largest = np.repeat(diagonal.reshape(-1, 3).max(axis=1, initial=0.0), 3)
-    weights = np.where(diagonal == 0.0, np.where(largest > 0.0, largest, 1.0), 0.0)
+    largest = np.repeat([max(unit) or 1.0 for unit in diagonal.reshape(-1, 3).tolist()], 3)
+    weights = np.where(diagonal == 0.0, largest, 0.0)
     gram.flat[:: len(gram) + 1] += weights
     return gram, weights
 

@@ -212,12 +212,9 @@ class Impacts:
 
     def _slips(self) -> np.ndarray:
         """Speeds in m/s of the slips of closed contacts that have dry friction."""
-        system = self.system
-        mu = system.contact_real[:, MU]
-        rough = [c for c in system.closed() if 0.0 < mu[c] < math.inf]
-        along = np.einsum("nij,nj->ni", system.basis[rough, :2], system.slip[rough])
-        speeds: np.ndarray = np.linalg.norm(along, axis=1)
-        return speeds[speeds > rest_speed(system)]
+        system, slowest = self.system, rest_speed(self.system)
+        rough = [c for c in system.closed() if 0.0 < system.contact_real.item(c, MU) < math.inf]
+        return np.array([speed for speed in map(self.changes.slip_speed, rough) if speed > slowest])
 
     def _resolution(self, i: int, speed: float) -> float:
         """Way in m or rad below which a motion of item i at this speed in m/s or rad/s is none.

@@ -81,7 +81,7 @@ class ModeChanges:
             if mu == 0.0 or (math.isinf(mu) and not (slid and integers[UNILATERAL])):
                 continue
             slowest = slowest if slowest > 0.0 else rest_speed(system)
-            if self._speed(c) > slowest:
+            if self.slip_speed(c) > slowest:
                 integers[MODE] = SLIPPING
                 integers[SLIP_SIGN] = 1 if system.basis[c, 0] @ system.slip[c] >= 0.0 else -1
                 # as in the last evaluation
@@ -164,7 +164,7 @@ class ModeChanges:
             return []
         self.rk.evaluate(t)
         slowest = rest_speed(system)
-        at_rest = [i for i in np.flatnonzero(sliding).tolist() if self._speed(i) <= slowest]
+        at_rest = [i for i in np.flatnonzero(sliding).tolist() if self.slip_speed(i) <= slowest]
         return at_rest if slid[at_rest].any() else []
 
     def _hold(self, items: list[int]) -> None:
@@ -176,7 +176,7 @@ class ModeChanges:
             else:
                 system.contact_int[i, MODE] = STICK
 
-    def _speed(self, i: int) -> float:
+    def slip_speed(self, i: int) -> float:
         """How fast item i slips in the last evaluation, in m/s or rad/s."""
         system = self.system
         if system.nc <= i < system.nc + system.ng:

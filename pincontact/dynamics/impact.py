@@ -155,7 +155,9 @@ class _Problem(ContactProblem):
                 self.rebound[u] = restitution.get(c, 0.0) * min(self.before[3 * u + 2], 0.0)
         self.forces = np.zeros(self.before.size)
         sides = [2 * c + side for c in closed for side in range(2)]
-        self.driven = any(system.side_int.item(i, MOTION_KIND) or system.side_int.item(i, TIME_DEPENDENT) for i in sides)
+        self.driven = any(
+            system.side_int.item(i, MOTION_KIND) or system.side_int.item(i, TIME_DEPENDENT) for i in sides
+        )
         self.posed = None if self.is_cone else self.loads()
 
     def solve(self, solver: ContactSolver, kept: float) -> np.ndarray | None:

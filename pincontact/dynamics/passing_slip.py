@@ -97,7 +97,7 @@ class PassingSlip:
         """What constraints may take from a velocity of this size, in the mass metric of the last evaluation."""
         rtol, atol = self.system.scale.tolist()
         # no product of BLAS: that of 10,000 numbers and more wakes its threads, which takes longer than all the rest
-        size = math.sqrt(np.square(self.system.factor).sum())
+        size = math.sqrt(np.add.reduce(np.square(self.system.factor), axis=None))
         return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * size)
 
     def taken_from(self, before: np.ndarray) -> tuple[float, float, float]:

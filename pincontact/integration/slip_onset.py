@@ -340,10 +340,10 @@ class SlipOnset:
         beside = [c for c in self._turning() if not system.contact_int[c, FROZEN]]
         for c in beside:
             freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
-        took = SlowSlip(self.rk, dict.fromkeys(beside, 0) | powers, self._until_event).follow(t, span, shortest)
+        took = SlowSlip(self.rk, t, dict.fromkeys(beside, 0) | powers, self._until_event).follow(span, shortest)
         if took is None and beside:
             system.contact_int[beside, FROZEN] = 0
-            took = SlowSlip(self.rk, powers, self._until_event).follow(t, span, shortest)
+            took = SlowSlip(self.rk, t, powers, self._until_event).follow(span, shortest)
         return took
 
     def _turning(self) -> list[int]:

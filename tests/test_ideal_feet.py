@@ -1,5 +1,5 @@
-"""Bodies on two feet in ideal rolling and one with friction, on a floor that shakes: feet slide, jam, hop and land beside
-each other. Runs at default tolerances are near runs at tight ones."""
+"""Bodies on two feet in ideal rolling and one with friction, on a floor that shakes: feet slide, jam, hop and land
+beside each other. Runs at default tolerances are near runs at tight ones."""
 
 from __future__ import annotations
 

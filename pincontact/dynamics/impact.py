@@ -137,8 +137,9 @@ class _Problem(ContactProblem):
         mu = system.contact_real[:, MU].copy()
         mu[closed] = [coefficient(system, c) for c in closed]
         holding = mu.copy()
-        rested = [c for c in closed if integers[c, MODE] == STICKING and c not in struck]
-        holding[rested] = system.contact_real[rested, MU_STATIC]
+        for c in closed:
+            if integers[c, MODE] == STICKING and c not in struck:
+                holding[c] = system.contact_real[c, MU_STATIC]
         if jammed:
             mu, holding = _BEYOND * mu, _BEYOND * holding
         self.add_contacts(closed, holding)
@@ -146,14 +147,17 @@ class _Problem(ContactProblem):
         for g in ends:
             self.add(system.nc + g, (2,), 0.0, -float(system.joint_int[g, JOINT_END]))
         self.assemble()
-        self.sliding = np.where(np.arange(self.mu.size) < self.contacts, mu[list(self.units)], 0.0)
+        self.sliding = mu[list(self.units)]
+        self.sliding[self.contacts :] = 0.0
         self.rebound = np.zeros(self.mu.size)
         for c, u in self.units.items():
             if self.normal[u] and c < system.nc:
                 self.rebound[u] = restitution.get(c, 0.0) * min(self.before[3 * u + 2], 0.0)
         self.forces = np.zeros(self.before.size)
-        sides = system.side_int[[2 * c + side for c in closed for side in range(2)]]
-        self.driven = bool(sides[:, [MOTION_KIND, TIME_DEPENDENT]].any())
+        sides = [2 * c + side for c in closed for side in range(2)]
+        self.driven = any(
+            system.side_int.item(i, MOTION_KIND) or system.side_int.item(i, TIME_DEPENDENT) for i in sides
+        )
         self.posed = None if self.is_cone else self.loads()
 
     def solve(self, solver: ContactSolver, kept: float) -> np.ndarray | None:
@@ -189,12 +193,14 @@ class _Problem(ContactProblem):
     def _hold(self, b: np.ndarray, mu: np.ndarray, modes: np.ndarray | None) -> np.ndarray | None:
         """Modes (n,) after ideal rolling that slips, or for which no impulses were found, is held, if it can be: what
         resists its turning may be needed for that, too."""
-        ideal, size = np.isinf(mu), TOLERANCE * float(np.abs(b).max(initial=0.0))
+        held = np.isinf(mu)
         if modes is None:
-            self.forces, held, before = np.zeros(b.size), ideal, np.where(mu > 0.0, STICK, SLIP)
+            self.forces, before = np.zeros(b.size), np.where(mu > 0.0, STICK, SLIP)
         else:
-            slips = np.abs(self.gram @ self.forces + b).reshape(-1, 3)[:, :2].max(axis=1, initial=0.0) > size
-            held, before = ideal & (modes == SLIP) & slips, modes
+            held, before = held & (modes == SLIP), modes
+            if held.any():
+                slips = np.abs(self.gram @ self.forces + b).reshape(-1, 3)[:, :2].max(axis=1)
+                held &= slips > TOLERANCE * float(np.abs(b).max())
         if not held.any():
             return modes
         coupled, parents = replace(self.loads(), base=b, mu=mu), self.parents()

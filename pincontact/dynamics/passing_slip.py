@@ -7,16 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..arrays import view
 from ..constraints.kinematics import ROW_ROUND_OFF
-from ..layout import (
-    EVENT,
-    FRICTIONLESS,
-    LENGTH,
-    MODE,
-    STICK,
-    TANGENTS,
-)
-from ..linalg import RANK_TOLERANCE
+from ..jit import INTEGER, REAL, entry_kernel, kernel
+from ..layout import EVENT, FRICTIONLESS, LENGTH, MODE, STICK, TANGENTS
+from ..linalg import RANK_TOLERANCE, largest_entry
 from .directions import freeze_slip
 from .units import whitened_velocity
 
@@ -77,9 +72,11 @@ class PassingSlip:
             return None
         # independent rows are held exactly
         if count != system.counters["row_rank"]:
-            unheld = self._accelerating(contacts)
-            if unheld.any():
-                return contacts[int(unheld.argmax())]
+            motion = system.acceleration, system.free_acceleration, system.v
+            for c in contacts:
+                tangents, length = system.contact_int.item(c, TANGENTS), system.contact_real.item(c, LENGTH)
+                if accelerates(system.rows[c], system.bias[c], *motion, tangents, length):
+                    return c
         index, whitened = system.row_index[:count], system.whitened_rows[:count]
         allowed = self._negligible(speed)
         lengths = np.sqrt(np.einsum("rk,rk->r", whitened, whitened))
@@ -96,31 +93,41 @@ class PassingSlip:
             return None
         return int(items[slips][np.argmax(np.abs(residual[slips]) / lengths[slips])])
 
-    def _accelerating(self, contacts: list[int]) -> np.ndarray:
-        """(n,) which of n contacts accelerate along their tangents, though these are held."""
-        system, numbers = self.system, self.system.contact_real[contacts]
-        rows, bias, lengths = system.rows[contacts], system.bias[contacts], numbers[:, LENGTH]
-        held = np.arange(3) < system.contact_int[contacts, TANGENTS][:, None]
-        left = np.where(held, np.abs(rows @ system.acceleration + bias), 0.0).max(axis=1)
-        # by what forces do and by what turns: either may vanish
-        sizes, free, speeds = np.abs(rows), np.abs(system.free_acceleration), np.abs(system.v)
-        rate = (sizes @ free + np.abs(bias)).max(axis=1) + (sizes @ speeds).max(axis=1) ** 2 / lengths
-        # and not by round-off of rows that are zero
-        rounding = ROW_ROUND_OFF * np.maximum(lengths, 1.0) * (free.max() + speeds.max() ** 2)
-        accelerating: np.ndarray = left > np.maximum(_UNHELD * rate, rounding)
-        return accelerating
-
     def _negligible(self, speed: float) -> float:
         """What constraints may take from a velocity of this size, in the mass metric of the last evaluation."""
         rtol, atol = self.system.scale.tolist()
         # no product of BLAS: that of 10,000 numbers and more wakes its threads, which takes longer than all the rest
-        size = math.sqrt(np.square(self.system.factor).sum())
+        size = math.sqrt(np.add.reduce(np.square(self.system.factor), axis=None))
         return max(max(_TAKEN, rtol) * speed, _TAKEN_TOLERANCES * atol * size)
 
     def taken_from(self, before: np.ndarray) -> tuple[float, float, float]:
         """How far the velocity is from what it was, how large that was, and how far it may be for errors of steps to
         explain it: in the mass metric of the last evaluation, in which half a square is an energy."""
         system = self.system
-        moved = whitened_velocity(system, np.column_stack([system.v - before, before]))
-        change, size = np.sqrt((moved * moved).sum(axis=0)).tolist()
-        return change, size, self._negligible(size)
+        change, size = (whitened_velocity(system, v) for v in (system.v - before, before))
+        speed = math.sqrt(size @ size)
+        return math.sqrt(change @ change), speed, self._negligible(speed)
+
+
+@kernel
+def _accelerates(rows, bias, acceleration, free, v, tangents, length):
+    left, rate, turning = 0.0, 0.0, 0.0
+    for row in range(3):
+        along, size, speed = bias[row], abs(bias[row]), 0.0
+        for k in range(v.shape[0]):
+            along += rows[row, k] * acceleration[k]
+            size += abs(rows[row, k] * free[k])
+            speed += abs(rows[row, k] * v[k])
+        if row < tangents:
+            left = max(left, abs(along))
+        rate, turning = max(rate, size), max(turning, speed)
+    # by what forces do and by what turns: either may vanish, and not by round-off of rows that are zero
+    rounding = ROW_ROUND_OFF * max(length, 1.0) * (largest_entry(free) + largest_entry(v) ** 2)
+    return left > max(_UNHELD * (rate + turning**2 / length), rounding)
+
+
+@entry_kernel(REAL[:, ::1], *(REAL[::1],) * 4, INTEGER, REAL)
+def accelerates(rows, bias, acceleration, free, v, tangents, length):
+    """Whether a contact of this length accelerates along its tangents, though these are held: rows (3, nv) and bias
+    (3,) of the last evaluation, with its accelerations and those without forces."""
+    return _accelerates(view(rows), view(bias), view(acceleration), view(free), view(v), tangents, length)

@@ -11,15 +11,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
+from ..arrays import view
 from ..friction.loads import Loads
 from ..geometry.patterns import ON_CURVE
+from ..jit import REAL, entry_kernel, kernel
 from ..layout import ANISOTROPIC, PATTERN, TANGENTS, UNILATERAL
+from ..linalg import inner
 from .friction_scaling import stretch
 
 if TYPE_CHECKING:
@@ -54,15 +56,22 @@ def _solved(upper: np.ndarray, right: np.ndarray, transposed: bool) -> np.ndarra
 
 
 def whitened_velocity(system: System, v: np.ndarray) -> np.ndarray:
-    """L v, for v (nv,) or columns (nv, n), half of whose square is the kinetic energy of v. BLAS's own for triangles
-    starts threads, too."""
-    return np.where(_lower(system.nv), system.factor, 0.0) @ v
+    """(nv,) L v, half of whose square is the kinetic energy of v. BLAS's own for triangles starts threads, too."""
+    out = np.empty(system.nv)
+    multiply_lower(system.factor, v, out)
+    return out
 
 
-@cache
-def _lower(n: int) -> np.ndarray:
-    """(n, n) where a lower triangle is."""
-    return np.tri(n, dtype=bool)
+@kernel
+def _multiply_lower(lower, x, out):
+    for i in range(x.shape[0]):
+        out[i] = inner(lower[i], x, i + 1)
+
+
+@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1])
+def multiply_lower(lower, x, out):
+    """out = the lower triangle of a matrix (n, n) times x (n,)."""
+    _multiply_lower(view(lower), view(x), view(out))
 
 
 class ContactProblem:
@@ -132,7 +141,7 @@ class ContactProblem:
     def assemble(self) -> None:
         """Eliminate the equations from the units."""
         system, nv = self.system, self.system.nv
-        self.stack = np.hstack(self._columns) if self._columns else np.zeros((nv, 0))
+        self.stack = np.concatenate(self._columns, axis=1) if self._columns else np.zeros((nv, 0))
         self.before, self.mu = np.array(self._before).reshape(-1), np.array(self._mu)
         self.normal = np.array([float(places.count(2)) for _, places, _ in self._places])
         self.tangents = np.array([float(len(places)) for _, places, _ in self._places]) - self.normal
@@ -241,8 +250,8 @@ def delassus(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     diagonal = gram.diagonal().copy()
     if all(diagonal.tolist()):
         return gram, np.zeros(diagonal.size)
-    largest = np.repeat(diagonal.reshape(-1, 3).max(axis=1, initial=0.0), 3)
-    weights = np.where(diagonal == 0.0, np.where(largest > 0.0, largest, 1.0), 0.0)
+    largest = np.repeat([max(unit) or 1.0 for unit in diagonal.reshape(-1, 3).tolist()], 3)
+    weights = np.where(diagonal == 0.0, largest, 0.0)
     gram.flat[:: len(gram) + 1] += weights
     return gram, weights
 

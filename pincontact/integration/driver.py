@@ -562,27 +562,27 @@ class Driver:
 
     def _end_slip(self, t: float) -> float:
         """One linear step to the end of slip (its error is the square of a short time), then stick or not."""
-        rk, system = self.rk, self.system
-        speed, rate = system.contact_real[:, START_SPEED], system.contact_real[:, START_RATE]
-        allowed, error = system.contact_real[:, START_TOLERANCE], system.contact_real[:, STOP_ERROR]
-        stopping = np.isfinite(speed) & (rate < 0.0)
-        straight = stopping & (error <= LEFT_OUT * allowed)
-        c = int(np.argmin(np.where(straight if straight.any() else stopping, speed / allowed, math.inf)))
-        scalars, way = system.scalars, float(speed[c] / -rate[c])
+        rk, system, scalars = self.rk, self.system, self.system.scalars
+        columns = system.contact_real[:, [START_SPEED, START_RATE, START_TOLERANCE, STOP_ERROR]].tolist()
+        slips = {i: column for i, column in enumerate(columns) if column[0] < math.inf}
+        stopping = [i for i, (_, rate, _, _) in slips.items() if rate < 0.0]
+        straight = [i for i in stopping if slips[i][3] <= LEFT_OUT * slips[i][2]]
+        c = min(straight or stopping, key=lambda i: slips[i][0] / slips[i][2])
+        way = slips[c][0] / -slips[c][1]
         # at loose tolerances a slip that counts as over may have a long way to go: no further than a step
         left = min(way, scalars["next_step"], scalars["max_step"], scalars["end"] - t)
         left = float(min(left, scalars["next_output"] - t, self.transitions.onset.until_touch()))
-        if straight[c] and left < way:
+        if straight and left < way:
             # something else comes first
             system.contact_real[:, STOP_ERROR] = math.inf
             return t
         # contacts of one body come to rest at the same instant as a rule: those go together that are near it together
-        reach, further = _TOGETHER * allowed, 2.0 ** int(system.counters["stalled"])
-        with np.errstate(invalid="ignore"):
-            ends = np.minimum(speed, np.abs(speed + rate * left)) <= further * reach
+        further, contacts = 2.0 ** int(system.counters["stalled"]), [c]
+        for i, (speed, rate, allowed, _) in slips.items():
             # slip that grows is no nearer to its end where steps get nowhere
-            near = np.where(rate < 0.0, ends, speed <= reach)
-        contacts = [c, *(int(i) for i in np.flatnonzero(near & np.isfinite(speed)) if i != c)]
+            least, reach = (min(speed, abs(speed + rate * left)), further) if rate < 0.0 else (speed, 1.0)
+            if i != c and least <= reach * _TOGETHER * allowed:
+                contacts.append(i)
         rk.load(system.state)
         rk.evaluate(t)
         ended = {i: self.transitions.changes.slip_direction(i) for i in contacts}

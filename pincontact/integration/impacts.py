@@ -123,9 +123,8 @@ class Impacts:
         system, accuracy = self.system, self.penetration.accuracy(c)
         if not self.penetration.touches(c) or math.isfinite(system.contact_real[c, MU]):
             return self.penetration.touches(c)
-        slip = float(np.linalg.norm(system.basis[c, :2] @ system.slip[c]))
         gap = abs(float(system.gaps[c, 0])) - self.penetration.resolution(c)
-        return gap * slip <= accuracy * max(-gap_rate(system, c), 0.0)
+        return gap * self.changes.slip_speed(c) <= accuracy * max(-gap_rate(system, c), 0.0)
 
     def _rebounds(self, c: int) -> bool:
         """Whether contact c comes in so fast that it leaves again."""
@@ -225,14 +224,12 @@ class Impacts:
 
     def _slips(self) -> tuple[np.ndarray, bool]:
         """Speeds in m/s of the slips of closed contacts that have dry friction, and whether ideal rolling slides."""
-        system = self.system
-        mu = system.contact_real[:, MU]
-        rough = [c for c in system.closed() if mu[c] > 0.0]
-        speeds: np.ndarray = np.linalg.norm(
-            np.einsum("nij,nj->ni", system.basis[rough, :2], system.slip[rough]), axis=1
-        )
-        slides, ideal = speeds > rest_speed(system), np.isinf(mu[rough])
-        return speeds[slides & ~ideal], bool((slides & ideal).any())
+        system, slowest = self.system, rest_speed(self.system)
+        coefficients = {c: system.contact_real.item(c, MU) for c in system.closed()}
+        speeds = {c: self.changes.slip_speed(c) for c, mu in coefficients.items() if mu > 0.0}
+        sliding = [c for c, speed in speeds.items() if speed > slowest]
+        rough = [c for c in sliding if coefficients[c] < math.inf]
+        return np.array([speeds[c] for c in rough]), len(rough) < len(sliding)
 
     def _resolution(self, i: int, speed: float) -> float:
         """Way in m or rad below which a motion of item i at this speed in m/s or rad/s is none.

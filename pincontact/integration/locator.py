@@ -81,8 +81,10 @@ class EventLocator:
 
     def first(self, t: float, step: float, begin: float = 0.0) -> Crossing | None:
         """The earliest crossing from the fraction `begin` of the step on; None where the alarm was false."""
-        self._set_slack()
         system = self.system
+        if begin == 0.0:
+            # later scans of the step go on with the same
+            self._set_slack()
         system.scan_shares[:SCAN_ROOM] = begin + (1.0 - begin) * _PLACES
         system.counters["scan_count"] = met = 0
         # gaps that end no mode, and the samples before

@@ -81,7 +81,7 @@ class ModeChanges:
             if mu == 0.0 or (math.isinf(mu) and not (slid and integers[UNILATERAL])):
                 continue
             slowest = slowest if slowest > 0.0 else rest_speed(system)
-            if self._speed(c) > slowest:
+            if self.slip_speed(c) > slowest:
                 integers[MODE] = SLIPPING
                 integers[SLIP_SIGN] = 1 if system.basis[c, 0] @ system.slip[c] >= 0.0 else -1
                 # as in the last evaluation
@@ -164,7 +164,7 @@ class ModeChanges:
             return []
         self.rk.evaluate(t)
         slowest = rest_speed(system)
-        at_rest = [i for i in np.flatnonzero(sliding).tolist() if self._speed(i) <= slowest]
+        at_rest = [i for i in np.flatnonzero(sliding).tolist() if self.slip_speed(i) <= slowest]
         return at_rest if slid[at_rest].any() else []
 
     def _hold(self, items: list[int]) -> None:
@@ -176,7 +176,7 @@ class ModeChanges:
             else:
                 system.contact_int[i, MODE] = STICK
 
-    def _speed(self, i: int) -> float:
+    def slip_speed(self, i: int) -> float:
         """How fast item i slips in the last evaluation, in m/s or rad/s."""
         system = self.system
         if system.nc <= i < system.nc + system.ng:
@@ -186,14 +186,13 @@ class ModeChanges:
 
     def slip_direction(self, c: int) -> np.ndarray:
         """Unit vector, world axes, of the slip of an item that slides; zero where there is none."""
-        system = self.system
-        along = system.basis[c, :2] @ system.slip[c]
-        if system.contact_int[c, TANGENTS] == 1:
-            along = np.array([float(system.contact_int[c, SLIP_SIGN]), 0.0])
-        elif system.contact_int[c, FROZEN]:
-            along = system.basis[c, :2] @ system.contact_real[c, DIRECTION_X : DIRECTION_X + 3]
-        speed = math.hypot(along[0], along[1])
-        return along @ system.basis[c, :2] / speed if speed > 0.0 else np.zeros(3)
+        system, integers, tangents = self.system, self.system.contact_int[c], self.system.basis[c, :2]
+        if integers[TANGENTS] == 1:
+            return float(integers[SLIP_SIGN]) * tangents[0]
+        frozen = system.contact_real[c, DIRECTION_X : DIRECTION_X + 3]
+        along = tangents @ (frozen if integers[FROZEN] else system.slip[c])
+        speed = math.hypot(*along.tolist())
+        return along @ tangents / speed if speed > 0.0 else np.zeros(3)
 
     def _goes_back(self, c: int, ended: np.ndarray) -> bool:
         """Whether item c slips on against the direction in which its slip has ended.

@@ -38,6 +38,7 @@ from ..layout import (
     POLYNOMIAL_SIZE,
     RIGHT_ROW,
     SLIP_RATE,
+    SLIP_SPEED,
     SLIPPING,
     START_RATE,
     START_SPEED,
@@ -209,12 +210,11 @@ class SlipOnset:
         """Follow the slip of items at their limits in these directions; how long in s, None where that did not do and
         nothing has changed."""
         system, items, solver = self.system, [*limits], self.changes.modes
-        numbers, modes, forces = system.contact_real[items], system.contact_int.copy(), solver.reference()
-        known = (numbers[:, MU] == numbers[:, MU_STATIC]) & np.isfinite(numbers[:, MU]) & (modes[items, TANGENTS] == 2)
         self._lost.clear()
         # in a shorter time slip may not show
-        if self.longest < self.seed or not known.all():
+        if self.longest < self.seed or not all(map(self._is_known_in_slip, items)):
             return None
+        modes, forces = system.contact_int.copy(), solver.reference()
         for c, direction in limits.items():
             freeze_slip(system, c, system.basis[c, :2] @ direction)
         span = min(self.longest, self.until_touch())
@@ -232,6 +232,11 @@ class SlipOnset:
         self.changes.evaluate_accepted(t)
         return None
 
+    def _is_known_in_slip(self, c: int) -> bool:
+        """Whether item c has, as it begins to slip, two tangents and the friction that has held it."""
+        mu, holds = self.system.contact_real[c, [MU, MU_STATIC]].tolist()
+        return bool(mu == holds < math.inf and self.system.contact_int[c, TANGENTS] == 2)
+
     def _shows(self, t: float, items: list[int]) -> bool:
         """Whether slips are there at the end of the last trial step, so that v_c has a direction to go on with: no
         slower than what counts as rest, or, where the next event is at hand, than round-off leaves a direction."""
@@ -239,9 +244,8 @@ class SlipOnset:
         self.rk.load(system.new_state)
         if self.rk.evaluate(t) > EVENT:
             return False
-        along = np.einsum("nij,nj->ni", system.basis[items, :2], system.slip[items])
         slowest = rest_speed(system) if self.pending is None else _ROUND_OFF * (1.0 + np.abs(system.v).max())
-        return bool(np.linalg.norm(along, axis=1).min() > slowest)
+        return bool(system.contact_real[items, SLIP_SPEED].min() > slowest)
 
     def _find_slip(self, t: float, c: int) -> tuple[float, Decision, np.ndarray]:
         """Let stick run on from the accepted state until something slips or opens; see `_run_on`."""
@@ -339,10 +343,10 @@ class SlipOnset:
         beside = [c for c in self._turning() if not system.contact_int[c, FROZEN]]
         for c in beside:
             freeze_slip(system, c, system.basis[c, :2] @ system.slip[c])
-        took = SlowSlip(self.rk, dict.fromkeys(beside, 0) | powers, self._until_event).follow(t, span, shortest)
+        took = SlowSlip(self.rk, t, dict.fromkeys(beside, 0) | powers, self._until_event).follow(span, shortest)
         if took is None and beside:
             system.contact_int[beside, FROZEN] = 0
-            took = SlowSlip(self.rk, powers, self._until_event).follow(t, span, shortest)
+            took = SlowSlip(self.rk, t, powers, self._until_event).follow(span, shortest)
         return took
 
     def _turning(self) -> list[int]:

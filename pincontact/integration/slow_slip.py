@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,6 +39,9 @@ if TYPE_CHECKING:
 # Fractions of the span at which v_c is made parallel to the direction, and others at which that is checked.
 _NODES = (0.2, 0.45, 0.7, 0.9, 1.0)
 _CHECKS = (0.32, 0.58, 0.8, 0.96)
+# All of them behind the start, and which is next in time.
+_SHARES = np.array([0.0, *_NODES, *_CHECKS])
+_IN_ORDER = np.argsort(_SHARES).tolist()[1:]
 _PERTURBATION = 1e-4
 _ITERATIONS = 8
 _HALVINGS = 30
@@ -61,7 +65,7 @@ _DIVERGED = 3.0
 
 @dataclass(frozen=True)
 class SlowSlip:
-    """Slip with prescribed directions, from the state at t on.
+    """Slip with prescribed directions, from the accepted state at t on.
 
     powers: of these contacts (or resistances) v_c grows with this power of the time; 2 out of stick at its limit, 1
     from rest, 0 where it is there already. until_event(t, step): the part of the last trial step, which has been
@@ -69,16 +73,17 @@ class SlowSlip:
     """
 
     rk: RungeKutta
+    t: float
     powers: dict[int, int]
     until_event: Callable[[float, float], float]
 
-    @property
+    @cached_property
     def contacts(self) -> list[int]:
         """The contacts, in order."""
         return list(self.powers)
 
-    def follow(self, t: float, span: float, shortest: float) -> float | None:
-        """Move the accepted state at t on; returns how long in s that took, None if it failed.
+    def follow(self, span: float, shortest: float) -> float | None:
+        """Move the accepted state on; returns how long in s that took, None if it failed.
 
         The contacts are in slip with frozen directions. span: longest time in s to try; it is shortened until the
         direction polynomial is accurate and uneventful, not below `shortest`. On success `system.new_state` is the
@@ -89,19 +94,14 @@ class SlowSlip:
         several = sum(power > 0 for power in self.powers.values()) > 1
         tries = _TRIES_OF_SEVERAL if several else _HALVINGS
         coefficients = np.zeros((len(self.contacts), POLYNOMIAL_SIZE))
-        pulls: np.ndarray | None = None
         while tries > 0 and span >= shortest:
             for c in self.contacts:
-                system.contact_real[c, [START, SPAN]] = t, span
-            if pulls is None:
-                pulls = self._pulls(t)
-                if pulls is None:
-                    return None
-            part = self._collocate(t, span, _ACCEPTED * tolerance, pulls, coefficients)
+                system.contact_real[c, [START, SPAN]] = self.t, span
+            part = self._collocate(span, _ACCEPTED * tolerance, coefficients)
             if part < 1.0:
                 tries -= 1
             else:
-                part = self.until_event(t, span)
+                part = self.until_event(self.t, span)
                 if part == 1.0:
                     return span
             span *= part
@@ -109,10 +109,10 @@ class SlowSlip:
             coefficients *= part ** np.arange(POLYNOMIAL_SIZE)
         return None
 
-    def _collocate(self, t: float, span: float, tolerance: float, pulls: np.ndarray, coefficients: np.ndarray) -> float:
+    def _collocate(self, span: float, tolerance: float, coefficients: np.ndarray) -> float:
         """Broyden's iteration on the polynomials' coefficients, from those given, which become the best ones; the part
         of the span that is to be tried next, 1 where v_c ends up along the direction everywhere."""
-        found = self._across(t, span, coefficients)
+        found = self._across(span, coefficients)
         # what directions change is little against what makes steps inaccurate
         if found is None or not self.rk.error < 1.0:
             return SHORTER if found is None else self._within_error()
@@ -121,17 +121,20 @@ class SlowSlip:
         jacobian: np.ndarray | None = None
         largest = _DIVERGED * float(np.abs(residual).max())
         for _ in range(_ITERATIONS):
-            if self._aligned(*found, tolerance) or self._aligned(*found, tolerance, _CONVERGED, POLYNOMIAL_SIZE):
+            aligned = self._aligned(*found, tolerance)
+            if aligned or self._aligned(*found, tolerance, _CONVERGED, POLYNOMIAL_SIZE):
                 break
             if jacobian is None:
-                jacobian = self._jacobian(span * pulls, found[1][:, :POLYNOMIAL_SIZE])
+                if self._pulls is None:
+                    return 0.0
+                jacobian = self._jacobian(span * self._pulls, found[1][:, :POLYNOMIAL_SIZE])
             try:
                 step = -np.linalg.solve(jacobian, residual)
             except np.linalg.LinAlgError:
                 found = None
                 break
             coefficients += step.reshape(coefficients.shape)
-            found = self._across(t, span, coefficients) if np.abs(coefficients).max() < 1.0 else None
+            found = self._across(span, coefficients) if np.abs(coefficients).max() < 1.0 else None
             if found is None or not np.abs(found[0][:, :POLYNOMIAL_SIZE]).max() <= largest:
                 found = None
                 break
@@ -147,7 +150,7 @@ class SlowSlip:
         if part < 1.0:
             return part
         # the last trial step has left the state at the end of the span in new_state
-        return 1.0 if self._aligned(*found, tolerance) and self.rk.error < 1.0 else SHORTER
+        return 1.0 if aligned and self.rk.error < 1.0 else SHORTER
 
     def _within_error(self) -> float:
         """The part of the span after which the last trial step's error is as small as it has to be."""
@@ -163,7 +166,6 @@ class SlowSlip:
     def _until_end(self, along: np.ndarray, tolerance: float) -> float:
         """The part of the span in which slips go on, from v_c along the directions: those that are there have to stay
         faster than the tolerance, the others have to grow. 1 where that is all of it."""
-        shares, order = np.array([0.0, *_NODES, *_CHECKS]), np.argsort(_NODES + _CHECKS) + 1
         part = 1.0
         for c, there, speeds in zip(self.contacts, self._is_there(tolerance), along):
             if not there:
@@ -171,10 +173,10 @@ class SlowSlip:
                 continue
             left = np.array([self.rk.system.contact_real[c, START_SPEED], *speeds]) - tolerance
             before = 0
-            for after in order.tolist():
+            for after in _IN_ORDER:
                 if left[after] <= 0.0:
-                    way = shares[after] - shares[before]
-                    end = shares[before] + way * left[before] / (left[before] - left[after])
+                    way = _SHARES[after] - _SHARES[before]
+                    end = _SHARES[before] + way * left[before] / (left[before] - left[after])
                     part = min(part, float(_STOP_FRACTION * end))
                     break
                 before = after
@@ -192,9 +194,11 @@ class SlowSlip:
         allowed[grown] = np.minimum(tolerance, _ALIGNED * slowest[grown])
         return bool((np.abs(across).max(axis=1) <= part * allowed).all())
 
-    def _pulls(self, t: float) -> np.ndarray | None:
+    @cached_property
+    def _pulls(self) -> np.ndarray | None:
         """(contacts, contacts) what the acceleration of each in m/s^2 across its direction changes by as that of
-        another turns by 1 rad, in the accepted state at t; None where that cannot be evaluated."""
+        another turns by 1 rad, in the accepted state; None where that cannot be evaluated. Only slips that turn ask
+        for it."""
         rk, system, contacts = self.rk, self.rk.system, self.contacts
         rk.load(system.state)
         columns: list[np.ndarray] = []
@@ -204,7 +208,7 @@ class SlowSlip:
             system.contact_real[contacts, POLYNOMIAL] = 0.0
             if turned is not None:
                 system.contact_real[turned, POLYNOMIAL] = _PERTURBATION
-            if rk.evaluate(t) > EVENT:
+            if rk.evaluate(self.t) > EVENT:
                 return None
             along = system.relative_acceleration[contacts]
             across = np.array([x * a[1] - y * a[0] for (x, y), a in zip(directions, along)])
@@ -229,14 +233,14 @@ class SlowSlip:
             out[m, :, m] -= speeds[m][:, None] * s**orders
         return out.reshape(k * n, k * n)
 
-    def _across(self, t: float, span: float, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    def _across(self, span: float, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """(contacts, shares) v_c across and along the prescribed directions at the nodes and then between them, divided
         by the shares' powers."""
         system, contacts = self.rk.system, np.array(self.contacts)
         columns = slice(POLYNOMIAL, POLYNOMIAL + POLYNOMIAL_SIZE)
         system.contact_real[contacts, columns] = coefficients
-        system.across[0] = shares = np.array(_NODES + _CHECKS)
-        if system.run(ACROSS_SLIP, t, span) > EVENT:
+        system.across[0] = shares = _SHARES[1:]
+        if system.run(ACROSS_SLIP, self.t, span) > EVENT:
             return None
         grown = shares ** np.array([*self.powers.values()])[:, None]
         across, along = (system.across[first + contacts] / grown for first in (1, 1 + system.items))

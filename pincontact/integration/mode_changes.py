@@ -151,8 +151,8 @@ class ModeChanges:
         self.joints.announce_changes(t)
 
     def _joints_at_rest(self) -> list[int]:
-        """Dry joints that come to rest in the last evaluation, as what they push does. Taken for sliding, they would push
-        on with all of their friction, which what has come to rest beside them may not hold."""
+        """Dry joints that come to rest in the last evaluation. Taken for sliding, they would push on with all of their
+        friction what has come to rest beside them, and may not hold it."""
         system, slowest = self.system, rest_speed(self.system)
         found = []
         for g, limit in enumerate(system.limits):

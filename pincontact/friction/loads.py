@@ -343,7 +343,8 @@ class ScaledLoads:
                 jacobian[places] = identity[places] + np.outer(disc.direction, slope)
                 continue
             p = y[places] - w[places]
-            size = float(np.sqrt(p @ p))
+            # no square of what diverges
+            size = math.hypot(*p.tolist())
             if size <= radius:
                 continue
             along = p / size

@@ -13,7 +13,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..dynamics.directions import freeze_slip
 from ..dynamics.redistribution import leaves_loads_open
 from ..layout import (
     DOMAIN,
@@ -233,7 +232,8 @@ class Driver:
         elif why == AT_FLOOR or (why == STEP_FAILED and self.options.fixed_step):
             t = self._end_jams(t)
         elif why == PROJECTION_FAILED:
-            raise projection_failure(self.system, float(scalars["next_time"]))
+            t_new, step = float(scalars["next_time"]), float(scalars["step"])
+            t = self._go_on(self._give_way(t_new, self.system.new_state, step), usual_step)
         return t
 
     def _go_on(self, t: float, step: float) -> float:
@@ -367,8 +367,10 @@ class Driver:
             if self.outputs.due(t_new):
                 self.outputs.write_until(t_new)
             rk.load(system.new_state)
-        self._project(t_new, dense is None)
+        closes = rk.project(t_new, dense is None, rk.error)
         self.outputs.keep(t, t_new, step)
+        if not closes:
+            return self._give_way(t_new, system.new_state, step), True
         rk.accept()
         self._after(t_new, True)
         self._doubts = 0
@@ -405,6 +407,16 @@ class Driver:
         self.system.counters["step_count"] -= 1
         self.system.counters["rejected_count"] += 1
         self._thrown = True
+
+    def _give_way(self, t: float, state: np.ndarray, step: float) -> float:
+        """Go on from a state at t, behind a step of this size, that could not be projected on the constraints; the new
+        time."""
+        failure = projection_failure(self.system, t)
+        self.rk.load(state)
+        self._allow_start(t, step)
+        after = self.transitions.let_joints_give(t, failure)
+        self._after(after)
+        return after
 
     def _end_jams(self, t: float) -> float:
         """Where no step succeeds, end the slips that may be stopped, if there are any; the new time."""
@@ -476,8 +488,10 @@ class Driver:
             taken, happens = self.locator.refine(t, step, crossing)
             time = t + taken
             self._keep_to(t, taken, step)
-        rk.load(self.system.new_state if crossing.theta > 0.0 else self.system.state)
-        self._project(time, False)
+        state = self.system.new_state if crossing.theta > 0.0 else self.system.state
+        rk.load(state)
+        if not rk.project(time, False, rk.error):
+            return self._give_way(time, state, step), True
         if not happens and self._doubts < _DOUBTS:
             # a shorter step, like any other
             self._doubts += 1
@@ -507,18 +521,6 @@ class Driver:
             raise no_dense_output(t)
         self.outputs.keep(t, t + taken, size)
         self.system.new_state[:], self.system.scalars["error_norm"] = new_state, error
-
-    def _keep_end_of_slip(self, t: float, left: float, ended: dict[int, np.ndarray]) -> None:
-        """Keep the straight line of `_end_slip`, where all steps are kept, with the directions of slip at its start: at
-        its end v_c has none."""
-        pieces, system = self.outputs.pieces, self.system
-        if pieces is None:
-            return
-        integers, numbers = system.contact_int.copy(), system.contact_real.copy()
-        for c, direction in ended.items():
-            freeze_slip(system, c, system.basis[c, :2] @ direction)
-        pieces.keep_line(t, t + left, system.slopes[0])
-        system.contact_int[:], system.contact_real[:] = integers, numbers
 
     def _write_before(self, time: float) -> None:
         """Write the outputs of the interpolated step up to the event at `time`."""
@@ -586,7 +588,7 @@ class Driver:
         rk.load(system.state)
         rk.evaluate(t)
         ended = {i: self.transitions.changes.slip_direction(i) for i in contacts}
-        self._keep_end_of_slip(t, left, ended)
+        self.outputs.keep_end_of_slip(t, left, ended)
         # v_c is round-off there and has no direction: not to be evaluated as slip
         system.contact_int[contacts, MODE] = STICK
         rk.load(system.state + left * system.slopes[0])

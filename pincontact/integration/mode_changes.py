@@ -121,7 +121,9 @@ class ModeChanges:
         did is no event. silent: announce separations only. beyond: a contact whose static friction has been exceeded.
         explained: see `project`.
         """
-        system, at_rest = self.system, at_rest or {}
+        system, ending = self.system, self._joints_at_rest()
+        at_rest = {**(at_rest or {}), **dict.fromkeys(ending, np.zeros(3))}
+        self._hold(ending)
         before, signs = system.contact_int[:, MODE].copy(), system.contact_int[:, SLIP_SIGN].copy()
         self.resolve_modes(t, undecided, beyond)
         self.project(t, True, explained)
@@ -147,6 +149,17 @@ class ModeChanges:
             elif mode == SLIPPING and (before[c] == STICK or signs[c] != system.contact_int[c, SLIP_SIGN]):
                 self.reports.announce_friction(t, c, True)
         self.joints.announce_changes(t)
+
+    def _joints_at_rest(self) -> list[int]:
+        """Dry joints that come to rest in the last evaluation. Taken for sliding, they would push on with all of their
+        friction what has come to rest beside them, and may not hold it."""
+        system, slowest = self.system, rest_speed(self.system)
+        found = []
+        for g, limit in enumerate(system.limits):
+            speed, rate = float(system.v[limit.index_v]), float(system.acceleration[limit.index_v])
+            if limit.dry and self.joints.is_free(g) and abs(speed) <= slowest and speed * rate < 0.0:
+                found.append(system.nc + g)
+        return found
 
     def _stopped(self, t: float, before: np.ndarray) -> list[int]:
         """What moves in these modes, but is at rest: items that slid till now, and which others keep from it, and what

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..dynamics.directions import freeze_slip
 from .pieces import Pieces, write_outputs
 from .results import STEP_TOO_SMALL, Stop
 from .runge_kutta import RungeKutta
@@ -52,6 +53,18 @@ class Outputs:
         """Drop what was kept last, where all are kept."""
         if self.pieces is not None:
             self.pieces.drop()
+
+    def keep_end_of_slip(self, t: float, left: float, ended: dict[int, np.ndarray]) -> None:
+        """Keep the straight line, of `left` in s from the accepted state at t, to the end of these items' slip, where
+        all steps are kept. ended: their directions at its start; at its end v_c has none."""
+        system = self.system
+        if self.pieces is None:
+            return
+        integers, numbers = system.contact_int.copy(), system.contact_real.copy()
+        for c, direction in ended.items():
+            freeze_slip(system, c, system.basis[c, :2] @ direction)
+        self.pieces.keep_line(t, t + left, system.slopes[0])
+        system.contact_int[:], system.contact_real[:] = integers, numbers
 
     def write_state(self, t: float, at_their_times: bool = False) -> None:
         """The system's state at t has been accepted: write it, where all are, and for every output time that has come,

@@ -20,6 +20,7 @@ from ..layout import (
     FREE,
     FRICTION_EVENT,
     GAP_EVENT,
+    JOINT_END,
     LENGTH,
     LIMIT_SLACK,
     LOCATION_FAILED,
@@ -286,6 +287,24 @@ class Transitions:
             return None
         self.changes.end_jams(t, sliding)
         return self.onset.start(t)
+
+    def let_joints_give(self, t: float, failure: Stop) -> float:
+        """Go on from a state that cannot be projected on constraints which depend on each other; the new time.
+
+        What such constraints leave open, up to round-off, they hold as soon as it shows, by forces without bound. Dry
+        friction of joints has a bound: these give way, as in an impact, which changes the velocity next to nothing.
+        Where that will not do `failure` is raised.
+        """
+        system, changes = self.system, self.changes
+        if all(end != 0 for end in system.joint_int[system.held(), JOINT_END].tolist()):
+            raise failure
+        before = system.v.copy()
+        after = self.impacts.collide(t, [], {})
+        changes.evaluate_accepted(after)
+        taken, _, allowed = self.modes.taken_from(before)
+        if taken > allowed:
+            raise failure
+        return after
 
     # ---------------------------------------------------------------- accepted states
 

@@ -319,7 +319,7 @@ def advance(system, step):
     unwhiten(factor, parents, nv, displacement, displacement)
     start_v, state, assumed, mass = step.transported_v, system.stage_state, system.v, system.mass
     v1 = state[nq : nq + nv]
-    total = miss = speed = 0.0
+    total = miss = speed = squares = 0.0
     for k in range(nv):
         v1[k] = start_v[k] + change[k] + gained[k]
         displacement[k] += 0.5 * h * (start_v[k] + v1[k])
@@ -328,6 +328,11 @@ def advance(system, step):
         # what moves by round-off is not far off
         speed += mass[k, k] * (mean[k] ** 2 + (OPENING / h) ** 2)
         total += v1[k]
+        squares += v1[k] * v1[k]
+    if squares == 0.0:
+        # velocities that are held fall in every step, until there is no number for their squares
+        for k in range(nv):
+            v1[k] = 0.0
     # a body that comes to rest is not fast, but neither is it far off
     speed += numbers.free_change**2
     numbers.miss = math.sqrt(miss / speed) if miss > 0.0 else 0.0

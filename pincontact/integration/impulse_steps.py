@@ -64,7 +64,7 @@ def _begin_contact(system, step, c, largest):
         step.forces[c, i] = step.torques[c, i] = 0.0
     # deeper than a step could have brought it there from the near side, or than has just touched
     reach = step.numbers.step_size * abs(normal) + APART_AT_END * length
-    if normal < 0.0 and system.contact_real[c, DOMAIN] >= 0.0:
+    if normal <= REST * largest and system.contact_real[c, DOMAIN] >= 0.0:
         reach = max(reach, SHALLOW * length)
     step.behind[c] = 1 if contact[MODE] == FREE and system.gaps[c, 0] < -reach else 0
     if contact[MODE] == FREE:

@@ -46,6 +46,8 @@ _NEWTON_STEPS = 40
 _HALVINGS, _FALL = 12, 1e-3
 # Coefficient that stands in for an infinite one: what has to slip then is held up by friction with next to no load.
 LARGE_FRICTION = 1e4
+# Coefficient with which that load is round-off.
+_INFINITE = 1e16
 # Normal forces whose choices of loaded ones are all tried, without and with discs.
 _TRIED, _TRIED_WITH_DISCS = 10, 6
 # Velocities of what slides, in units of the largest acceleration without forces, in the symmetric problem.
@@ -78,13 +80,32 @@ class Loads:
 
     def solve(self, forces: np.ndarray) -> tuple[np.ndarray, float]:
         """Forces (3n,) from those given, and their residual: above `TOLERANCE` that is no solution."""
-        return self._sweep(forces, _SWEEPS)
+        return self._unloaded(*self._sweep(forces, _SWEEPS))
 
     def refine(self, forces: np.ndarray) -> tuple[np.ndarray, float]:
         """The solution (3n,) that Newton's method comes to from forces near to it, and its residual."""
         scaled = ScaledLoads(self)
         y, residual = scaled.newton(scaled.unknowns(forces))
-        return scaled.forces(y), residual
+        return self._unloaded(scaled.forces(y), residual)
+
+    def _unloaded(self, forces: np.ndarray, residual: float) -> tuple[np.ndarray, float]:
+        """A solution without the loads by which large friction holds up what slips in spite of infinite friction."""
+        lifted = np.isinf(self.mu) & (self.normal > 0.0)
+        if not residual <= TOLERANCE or not lifted.any():
+            return forces, residual
+        lifted &= self.modes(forces) == SLIP
+        loads, start = 3 * np.flatnonzero(lifted) + 2, forces.copy()
+        # the unknown is the radius instead of the load
+        drag = np.eye(self.base.size) if self.drag is None else self.drag.copy()
+        drag[loads, loads] = 1.0 / _INFINITE
+        start[loads] = np.hypot(forces[loads - 2], forces[loads - 1])
+        scaled = ScaledLoads(replace(self, mu=np.where(lifted, _INFINITE, self.mu), drag=drag))
+        y, exact = scaled.newton(scaled.unknowns(start))
+        if not exact <= TOLERANCE:
+            return forces, residual
+        forces = scaled.forces(y)
+        forces[loads] = 0.0
+        return forces, exact
 
     def solve_with_radii(self, forces: np.ndarray) -> tuple[np.ndarray, float, float]:
         """Forces (3n,) for the radii that these have, their residual, and how far the radii are from those of the
@@ -116,13 +137,14 @@ class Loads:
         return np.zeros(2 * self.mu.size) if self.directions is None else self.directions
 
     def modes(self, forces: np.ndarray) -> np.ndarray:
-        """(n,) OPEN: no normal force, or no radius where there is none; SLIP: on the disc's rim; else STICK."""
+        """(n,) OPEN: no normal force, or no radius where there is none; SLIP: on the disc's rim, or held up by
+        friction alone; else STICK."""
         velocities, radii = self.gram @ forces + self.base, self.radii(forces)
         modes = np.full(self.mu.size, STICK)
         for i, count in enumerate(self.tangents.astype(int)):
             k = 3 * i
             if (forces[k + 2] if self.normal[i] else radii[i]) <= 0.0:
-                modes[i] = OPEN
+                modes[i] = SLIP if math.isinf(self.mu[i]) and forces[k : k + 2].any() else OPEN
                 continue
             weight = float(self.gram.diagonal()[k : k + 3].max()) or 1.0
             aim = forces[k : k + count] - velocities[k : k + count] / weight
@@ -250,10 +272,13 @@ class ScaledLoads:
         self.scale = scale[self.rows]
         self.largest = float(np.abs(problem.base).max(initial=0.0)) or 1.0
         self.unit = unit = float(np.abs(scale * problem.base)[self.rows].max(initial=0.0)) or 1.0
-        self.expand = (np.eye(m) if problem.drag is None else problem.drag)[:, self.rows] * self.scale
+        drag = np.eye(m) if problem.drag is None else problem.drag
+        self.expand = drag[:, self.rows] * self.scale
         self.operator = self.scale[:, None] * (problem.gram @ self.expand)[self.rows]
         self.base = self.scale * problem.base[self.rows] / unit
         own = (problem.gram.diagonal() * scale**2)[self.rows][self.normals]
+        share = drag.diagonal()[self.rows][self.normals]
+        own = np.where(share > 0.0, share, 1.0) * own
         self.passive = self.operator.diagonal()[self.normals] <= PAINLEVE_LIMIT * own
         self.discs: list[_Disc] = []
         for i in np.flatnonzero(sticks):

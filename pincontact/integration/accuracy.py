@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..dynamics.system import System
     from .run_system import RunSystem
 
-# A start that is no deeper than this part of the contact's length, and gets deeper, has just touched.
+# A start that is no deeper than this part of the contact's length, and does not come out, has just touched.
 SHALLOW = 0.05
 # The last correction of gaps leaves so much of them, relative to the contact's length, only where the constraints
 # contradict each other; bodies that are nearer touch, on whichever side they are.

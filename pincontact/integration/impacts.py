@@ -53,6 +53,8 @@ class Impacts:
         self._rubbing = np.zeros(0)
         # and whether friction alone, of ideal rolling, holds one of them up
         self._rubs_alone = False
+        # modes, slips, q and v before the last impact
+        self._before = (np.zeros(0, dtype=int), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
 
     def touch(self, t: float, c: int) -> float:
         """Contact c closes: impulses on all closed contacts, then new modes from the velocities after them."""
@@ -79,6 +81,7 @@ class Impacts:
             self.reports.check_chatter(t, c)
         count = len(self.reports.events)
         after = self.collide(t, touching, rebounding)
+        self._announce_others(t, touching)
         names = {event.contact for event in self.reports.events[count:]}
         for i, before in unopened.items():
             if modes[i] == FREE:
@@ -95,24 +98,23 @@ class Impacts:
         for c in opened:
             if self.onset.open.apart[c] and self.penetration.touches(c) and self._rebounds(c):
                 return self.touch(t, c)
-        return self.collide(t, [], {})
+        after = self.collide(t, [], {})
+        self._announce_others(t, [])
+        return after
 
     def jam(self, t: float) -> float | None:
         """Impact without collision, where forces in slip have grown without bound; the new time, None where no impulses
         change slips."""
         system, changes = self.system, self.changes
-        integers, limits, slips = system.contact_int.copy(), system.joint_int.copy(), system.slip.copy()
-        modes = integers[:, MODE]
+        integers, limits = system.contact_int.copy(), system.joint_int.copy()
         after = self.collide(t, [], {}, jammed=True)
+        modes, slips, _, _ = self._before
         if np.abs(system.slip - slips)[modes == SLIPPING].max(initial=0.0) <= rest_speed(system):
             system.contact_int[:], system.joint_int[:] = integers, limits
             self.rk.load(system.state)
             changes.evaluate_rows(t)
             return None
-        for c in [*system.closed(), *system.resisting()]:
-            slid, slides = modes[c] == SLIPPING, bool(system.contact_int[c, MODE] == SLIPPING)
-            if slid != slides or (slides and system.slip[c] @ slips[c] <= 0.0):
-                self.reports.announce_friction(t, c, slides)
+        self._announce_others(t, [])
         return after
 
     def _is_due(self, c: int) -> bool:
@@ -126,6 +128,16 @@ class Impacts:
         gap = abs(float(system.gaps[c, 0])) - self.penetration.resolution(c)
         return gap * self.changes.slip_speed(c) <= accuracy * max(-gap_rate(system, c), 0.0)
 
+    def _announce_others(self, t: float, touching: list[int]) -> None:
+        """Announce slips, and turning, that the last impact has begun, ended or turned round; not of what touched."""
+        system, (modes, slips, q, v) = self.system, self._before
+        for i in [*system.closed(), *system.resisting()]:
+            slid, slides = modes[i] == SLIPPING, bool(system.contact_int[i, MODE] == SLIPPING)
+            if system.owner(i) in touching or not (slid or modes[i] == STICK):
+                continue
+            if slid != slides or (slides and system.slip[i] @ slips[i] <= 0.0):
+                self.reports.announce_at(t, i, self.reports.friction_event(i, slides), q, v)
+
     def _rebounds(self, c: int) -> bool:
         """Whether contact c comes in so fast that it leaves again."""
         return -self.restitution[c] * gap_rate(self.system, c) > REST_SPEED
@@ -137,6 +149,7 @@ class Impacts:
         rebound; jammed: see `apply_impact`.
         """
         system, changes = self.system, self.changes
+        self._before = system.contact_int[:, MODE].copy(), system.slip.copy(), system.q.copy(), system.v.copy()
         changes.started.clear()
         near = self._close_near()
         changes.evaluate_rows(t)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..layout import CONTACT_INTS
+from ..layout import CONTACT_INTS, SLIPPING
 from ..workspace import INTEGERS, REALS, Layout, Workspace, record
 from .momentum_transport import INERTIA_SIZE
 
@@ -63,6 +63,11 @@ LOWER_LIMIT, UPPER_LIMIT, DRY_FRICTION = range(3)
 # none, rests at the upper end, is held by dry friction.
 JOINT_AT_LOW, JOINT_SLIDES_DOWN, JOINT_MOVES, JOINT_SLIDES_UP, JOINT_AT_HIGH, JOINT_STICKS = range(-2, 4)
 
+# Columns of what a contact resists: slip, rolling, spinning; what is closed rests in them (STICK), moves (SLIPPING), or
+# has turned round in the step.
+SLIP, ROLL, SPIN = range(3)
+TURNED_ROUND = -SLIPPING
+
 # An implicit PD actuator: where its coordinate is in q and v, whether q has cosine and sine of it there; gains in
 # N m/rad and N m s/rad, or N/m and N s/m.
 ACTUATOR = np.dtype(
@@ -106,6 +111,9 @@ _ARRAYS: dict[str, tuple[Any, ...]] = {
     "start_gap": (REALS, "contacts"),
     "start_mode": (INTEGERS, "contacts"),
     "start_domain": (REALS, "contacts"),
+    # what resisted motions do at the step's start, and after the trial step, see SLIP; 0 where there are none
+    "start_motion": (INTEGERS, "contacts", 3),
+    "motion": (INTEGERS, "contacts", 3),
     "start_end": (INTEGERS, "limits"),
     # what limited coordinates do at the step's start, and after the trial step, see JOINT_MOVES; s after the step's
     # start at which one came to an end of its way, negative where it did not

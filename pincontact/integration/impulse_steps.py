@@ -12,6 +12,7 @@ import math
 from ..callback import kernel_caller
 from ..dynamics.energy import REST_SPEED
 from ..dynamics.evaluation import KINEMATICS_OF_ALL
+from ..geometry.carriers import OMEGA
 from ..geometry.small import dot
 from ..jit import INTEGER, REAL, STEPPING, entry_kernel, kernel
 from ..layout import (
@@ -25,8 +26,10 @@ from ..layout import (
     MU,
     NOT_FINITE,
     OK,
+    ROLLING,
     SLIP_SIGN,
     SLIPPING,
+    SPINNING,
     STICK,
     SYSTEM,
     TANGENTS,
@@ -34,8 +37,9 @@ from ..layout import (
     system_at,
 )
 from .accuracy import APART_AT_END, REST, SHALLOW
-from .impulse_layout import JOINT_MOVES, step_at
+from .impulse_layout import JOINT_MOVES, ROLL, SLIP, SPIN, step_at
 from .impulse_trial import APPROVED, CONE_LEFT, FRESH, ask, call_task, find_joint_states, trial_step
+from .impulse_velocities import relative_turning
 from .impulses import commit, commit_contact
 from .recording import BLOCK, output_done
 from .stages import evaluate, hand_over
@@ -62,9 +66,10 @@ def _begin_contact(system, step, c, largest):
     step.touch_time[c], step.load[c], step.start_domain[c] = -1.0, 0.0, 0.0
     for i in range(3):
         step.forces[c, i] = step.torques[c, i] = 0.0
+        step.motion[c, i] = 0
     # deeper than a step could have brought it there from the near side, or than has just touched
     reach = step.numbers.step_size * abs(normal) + APART_AT_END * length
-    if normal < 0.0 and system.contact_real[c, DOMAIN] >= 0.0:
+    if normal <= REST * largest and system.contact_real[c, DOMAIN] >= 0.0:
         reach = max(reach, SHALLOW * length)
     step.behind[c] = 1 if contact[MODE] == FREE and system.gaps[c, 0] < -reach else 0
     if contact[MODE] == FREE:
@@ -80,6 +85,16 @@ def _begin_contact(system, step, c, largest):
     else:
         contact[MODE] = FRICTIONLESS if mu == 0.0 else STICK
     contact[SLIP_SIGN] = 1 if first >= 0.0 else -1
+    step.motion[c, SLIP] = contact[MODE]
+    two = contact[TANGENTS] == 2
+    if system.contact_real[c, ROLLING] > 0.0:
+        turning = relative_turning(system, c, 0 if two else 1, OMEGA)
+        if two:
+            turning = math.hypot(turning, relative_turning(system, c, 1, OMEGA))
+        step.motion[c, ROLL] = SLIPPING if abs(turning) > REST * largest else STICK
+    if system.contact_real[c, SPINNING] > 0.0:
+        turning = abs(relative_turning(system, c, 2, OMEGA))
+        step.motion[c, SPIN] = SLIPPING if turning > REST * largest else STICK
 
 
 @kernel
@@ -139,13 +154,15 @@ def _accept(system, step, t, stepped):
 
 @kernel
 def _happens(system, step):
-    """Whether a contact has another mode after the trial step, or touched in it, or a limited coordinate does what it
-    did not before."""
+    """Whether a contact has another mode after the trial step, or touched in it, or what it resists, or a limited
+    coordinate, does what it did not before."""
     happens = False
     for g in range(system.joint_count[0]):
         happens = happens or step.start_joint[g] != step.joint_state[g]
     for c in range(system.sizes.nc):
         happens = happens or step.touch_time[c] >= 0.0 or step.start_mode[c] != system.contact_int[c, MODE]
+        for motion in range(3):
+            happens = happens or step.start_motion[c, motion] != step.motion[c, motion]
     return happens
 
 

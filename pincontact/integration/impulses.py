@@ -74,7 +74,11 @@ from .impulse_layout import (
     ON_JOINT,
     ON_LOADED,
     ON_TURN,
+    ROLL,
+    SLIP,
+    SPIN,
     STEP,
+    TURNED_ROUND,
     UPPER_LIMIT,
 )
 from .impulse_problem import OPENING
@@ -171,6 +175,16 @@ def _contact_mode(system, step, u, c):
 
 
 @kernel
+def _motion(step, u, before, moves):
+    """What the slip or turning of unit u does after the step, see `impulse_layout.SLIP`."""
+    if not moves:
+        return STICK
+    (first, second), start = slip_at_end(step, u), step.unit_start[u]
+    back = before == SLIPPING and first * start[0] + second * start[1] < 0.0
+    return TURNED_ROUND if back else SLIPPING
+
+
+@kernel
 def _clear_results(system, step):
     """Modes and impulses without any unit, but those of equations and the constant part of dry friction."""
     nv, nc, contact_int = system.sizes.nv, system.sizes.nc, system.contact_int
@@ -184,6 +198,7 @@ def _clear_results(system, step):
         step.touch_time[c] = -1.0
         for row in range(3):
             impulse[c, row] = torques[c, row] = 0.0
+            step.motion[c, row] = 0
         contact_int[c, MODE] = FREE
         if contact_int[c, UNILATERAL] == 0:
             contact_int[c, MODE] = STICK if system.contact_real[c, MU] == math.inf else FRICTIONLESS
@@ -246,6 +261,11 @@ def distribute(system, step):
                 impulse[i, 1] += second
             if unit.mask & 4 != 0:
                 impulse[i, 2] += forces[3 * u + 2]
+        if unit.kind == ON_TURN:
+            first, second = slip_at_end(step, u)
+            turns = step.cone_modes[u] == cone.SLIP and math.hypot(first, second) * h > OPENING
+            motion = SPIN if unit.axis == 2 else ROLL
+            step.motion[i, motion] = _motion(step, u, step.start_motion[i, motion], turns)
         for row in range(3):
             if unit.mask >> row & 1 == 0:
                 continue
@@ -262,6 +282,8 @@ def distribute(system, step):
         if unit.kind < ON_JOINT:
             contact, mode = system.contact_int[i], _contact_mode(system, step, u, i)
             contact[MODE] = mode
+            if mode in (STICK, SLIPPING):
+                step.motion[i, SLIP] = _motion(step, u, step.start_motion[i, SLIP], mode == SLIPPING)
             if contact[UNILATERAL] != 0:
                 contact[NORMAL_SIGN] = 1
                 if step.viscous_part[i] < 1.0 and mode in (SLIPPING, FRICTIONLESS):
@@ -319,7 +341,7 @@ def advance(system, step):
     unwhiten(factor, parents, nv, displacement, displacement)
     start_v, state, assumed, mass = step.transported_v, system.stage_state, system.v, system.mass
     v1 = state[nq : nq + nv]
-    total = miss = speed = 0.0
+    total = miss = speed = squares = 0.0
     for k in range(nv):
         v1[k] = start_v[k] + change[k] + gained[k]
         displacement[k] += 0.5 * h * (start_v[k] + v1[k])
@@ -328,6 +350,11 @@ def advance(system, step):
         # what moves by round-off is not far off
         speed += mass[k, k] * (mean[k] ** 2 + (OPENING / h) ** 2)
         total += v1[k]
+        squares += v1[k] * v1[k]
+    if squares == 0.0:
+        # velocities that are held fall in every step, until there is no number for their squares
+        for k in range(nv):
+            v1[k] = 0.0
     # a body that comes to rest is not fast, but neither is it far off
     speed += numbers.free_change**2
     numbers.miss = math.sqrt(miss / speed) if miss > 0.0 else 0.0
@@ -416,6 +443,8 @@ def commit_contact(system, step, c, stepped):
             for i in range(3):
                 slip[i] += gained * basis[row, i]
     step.start_mode[c], step.start_gap[c] = mode, gap
+    for motion in range(3):
+        step.start_motion[c, motion] = abs(step.motion[c, motion])
     # what got to the far side beside the contours touches them after it has been on the near side only
     outside = step.behind[c] != 0 or domain < 0.0 or step.start_domain[c] < 0.0
     step.behind[c] = 1 if mode == FREE and gap < 0.0 and outside else 0

@@ -103,7 +103,8 @@ class MoreauStep:
     spinning and rolling, N m;
     touch_time, edge_time (nc,): s after the step's start at which a contact closed, or opened at the end of a contour,
     negative where it did not; start_mode (nc,): modes at its start; start_gap, start_domain (nc,): gaps in m,
-    and ways to the nearest end of the contours' domains, at the start of the next one; start_joint, joint_state,
+    and ways to the nearest end of the contours' domains, at the start of the next one; start_motion, motion (nc, 3):
+    what resisted motions did at its start and do after it, see `impulse_layout.SLIP`; start_joint, joint_state,
     limit_time (ng,): what limited coordinates did at the start and do after the last step, see
     `impulse_layout.JOINT_MOVES`, and when one came to an end of its way. apart: closed contacts that were
     apart when the motion began, and by how many metres.
@@ -132,6 +133,7 @@ class MoreauStep:
         nc = system.nc
         self.forces, self.torques, self.start_mode = arrays.forces[:nc], arrays.torques[:nc], arrays.start_mode[:nc]
         self.start_gap, self.start_domain = arrays.start_gap[:nc], arrays.start_domain[:nc]
+        self.start_motion, self.motion = arrays.start_motion[:nc], arrays.motion[:nc]
         self.touch_time, self.edge_time = arrays.touch_time[:nc], arrays.edge_time[:nc]
         ng = system.ng
         self.start_joint, self.joint_state = arrays.start_joint[:ng], arrays.joint_state[:ng]

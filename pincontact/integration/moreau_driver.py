@@ -13,7 +13,7 @@ import pinocchio as pin
 from ..layout import FREE, LOCATION_FAILED, MODE, OK, SINGULAR, SLIPPING, STICK
 from .contradictions import jump_apart, refuse_apart
 from .events import UserEvent, lost_zeros
-from .impulse_layout import JOINT_AT_HIGH, JOINT_AT_LOW, JOINT_STICKS
+from .impulse_layout import JOINT_AT_HIGH, JOINT_AT_LOW, JOINT_STICKS, SLIP
 from .impulse_steps import AT_END, AT_LIMIT, GOING_ON, INNER_OUTPUT_LEFT, OUTPUT_LEFT, TRIED
 from .moreau import MoreauStep, Torque
 from .reports import left_behind
@@ -95,13 +95,12 @@ class MoreauDriver:
             self._earlier_steps += step.steps
             step.steps = 0
             start = math.nextafter(jump, math.inf)
-            before = self.system.modes.copy()
+            before = step.start_motion.copy()
             self._check(step.begin(start), start)
             for name, gap in step.apart.items():
                 raise jump_apart(jump, name, gap)
-            for c, contact in enumerate(self.system.contacts):
-                if before[c] == STICK and self.system.contact_int[c, MODE] == SLIPPING:
-                    self._announce(jump, contact.name, "slip")
+            for c, motion in zip(*np.nonzero((before == STICK) & (step.start_motion == SLIPPING))):
+                self._announce(jump, self.system.contacts[c].name, _friction_event(motion, STICK, SLIPPING))
         self._run_until(start, end)
 
     def _run_until(self, start: float, end: float) -> None:
@@ -199,10 +198,9 @@ class MoreauDriver:
                 continue
             elif before != FREE and after == FREE:
                 found.append((t_new, name, "separate", None))
-            elif before == STICK and after == SLIPPING:
-                found.append((t_new, name, "slip", None))
-            elif before == SLIPPING and after == STICK:
-                found.append((t_new, name, "stick", None))
+            else:
+                kinds = map(_friction_event, range(3), step.start_motion[c].tolist(), step.motion[c].tolist())
+                found += [(t_new, name, kind, None) for kind in kinds if kind]
         for g, limit in enumerate(self.system.limits):
             when, kind = t_new, _joint_event(int(step.start_joint[g]), int(step.joint_state[g]))
             if kind == "limit" and step.limit_time[g] >= 0.0:
@@ -291,6 +289,15 @@ class MoreauDriver:
         when = t + place * (t_new - t)
         self._try_step(t, when)
         return event.value_at(when, self.system)
+
+
+def _friction_event(motion: int, before: int, after: int) -> str:
+    """What happened to a resisted motion in a step, see `impulse_layout.SLIP`; "" for nothing."""
+    if before == after or 0 in (before, after):
+        return ""
+    if motion == SLIP:
+        return "stick" if after == STICK else "slip"
+    return "hold" if after == STICK else "turn"
 
 
 def _joint_event(before: int, after: int) -> str:

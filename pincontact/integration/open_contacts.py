@@ -35,7 +35,7 @@ from ..layout import (
     TURNING,
     UNILATERAL,
 )
-from .accuracy import APART_AT_END, SHALLOW
+from .accuracy import APART_AT_END, SHALLOW, gap_rate, rest_speed
 from .approach import SAFETY, time_to_cover
 from .stages import load_state
 from .steps import BOUND_SPEEDS
@@ -171,8 +171,8 @@ class OpenContacts:
         """The evaluated state is that at which a run starts; slack: what its gap may be below zero, in m."""
         system = self.system
         for c in self._list():
-            enters = system.contact_real[c, DOMAIN] >= 0.0 and system.basis[c, 2] @ system.slip[c] < 0.0
-            allowed = (SHALLOW if enters else APART_AT_END) * system.contact_real[c, LENGTH]
+            leaves = system.contact_real[c, DOMAIN] < 0.0 or gap_rate(system, c) > rest_speed(system)
+            allowed = (APART_AT_END if leaves else SHALLOW) * system.contact_real[c, LENGTH]
             self.apart[c] = system.gaps[c, 0] >= -max(slack(c), allowed)
 
     def note(self, slack: Callable[[int], float] | None) -> None:

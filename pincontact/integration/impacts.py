@@ -13,7 +13,7 @@ from ..dynamics.energy import REST_SPEED
 from ..dynamics.friction_scaling import associated
 from ..dynamics.impact import apply_impact, coefficient
 from ..dynamics.modes import rest_mode
-from ..dynamics.units import REDUNDANT, unwhiten, whiten
+from ..dynamics.units import REDUNDANT, unwhiten, whiten, whitened_velocity
 from ..layout import (
     EVENT,
     FREE,
@@ -148,6 +148,9 @@ class Impacts:
             names = ", ".join(repr(self.reports.names[i]) for i in touching or closed) or "a joint's limit"
             raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}; {ADVICE}")
         self.rk.keep_velocity()
+        struck = system.v.copy()
+        if deep:
+            energy += impact.drives - changes.energies()[0]
         changes.count_works(impact.contacts, impact.drives, impact.joints)
         changes.evaluate_rows(t)
         self._rubbing, self._rubs_alone = self._slips()
@@ -165,7 +168,7 @@ class Impacts:
         self._end_short_motions(t, closed, ends)
         changes.count_loss(before)
         if deep:
-            self._return_lift(t, energy + impact.drives)
+            self._return_lift(t, energy, struck)
         # slips of the projected velocities: what had one before may be at rest now
         undecided = changes.set_from_velocities(after_impact=True)
         return self.onset.resolve(t, undecided, silent=True)
@@ -290,17 +293,13 @@ class Impacts:
         falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
         return leaving > _LEAVING_SPEED and leaving * leaving > 2.0 * falling * height
 
-    def _return_lift(self, t: float, energy: float) -> None:
+    def _return_lift(self, t: float, energy: float, struck: np.ndarray) -> None:
         """After an impact of contacts that had penetrated, and have been lifted out.
 
         The motion has what it fell too far, and gives back what the lift takes beyond what the impact took.
-        energy: in J, that of the motion before the impact, and of drives.
+        energy: in J, that before the impact, and of drives, but for the kinetic one after it; struck: v after it.
         """
         system, changes = self.system, self.changes
-        kinetic, potential = changes.energies()
-        excess = kinetic + potential - energy
-        if excess <= 0.0:
-            return
         # Drives have velocities of their own, to which the rest of v is M-orthogonal: half of them is what a projection
         # puts back when v is halved. Slips have no say in it, and may leave no forces there.
         modes = system.contact_int[:, MODE]
@@ -310,7 +309,11 @@ class Impacts:
         velocity *= 0.5
         self.rk.load(system.stage_state)
         changes.project(t, explained=True)
-        driven, own = 2.0 * velocity - whole, (kinetic - changes.energies()[0]) / 0.75
+        driven = 2.0 * velocity - whole
+        # what has ended since the impact gave up what it had beside drives, whose work is as large as their speed
+        relative = [whitened_velocity(system, v - driven) for v in (whole, struck)]
+        own, before = (0.5 * float(v @ v) for v in relative)
+        excess = changes.energies()[1] + own - before - energy
         weight = pin.computeTotalMass(system.model) * float(np.linalg.norm(system.model.gravity.linear))
         if excess > own + weight * float(system.gap_accuracy.max()):
             raise Stop(
@@ -318,7 +321,7 @@ class Impacts:
                 f"t = {t:.9g} s: to lift out what has dipped before it struck takes {excess:.3g} J, and the motion has "
                 f"{own:.3g} J; {ADVICE}",
             )
-        kept = max(1.0 - excess / own, 0.0) if own > 0.0 else 0.0
+        kept = min(max(1.0 - excess / own, 0.0), 1.0) if own > 0.0 else 0.0
         velocity[:] = driven + math.sqrt(kept) * (whole - driven)
         self.rk.load(system.stage_state)
         changes.evaluate_rows(t)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..friction.choices import Units, holding_loads
 from ..friction.cone import SLIP, STICK
-from ..friction.loads import LARGE_FRICTION, TOLERANCE
+from ..friction.loads import LoadSolver, LARGE_FRICTION, TOLERANCE
 from ..friction.solve import ContactSolver
 from ..layout import (
     CURVE_SPEED,
@@ -188,6 +188,10 @@ class _Problem(ContactProblem):
         self.forces, residual = loads.refine(start)
         if not residual <= TOLERANCE:
             self.forces, residual = loads.solve(start)
+        if not residual <= TOLERANCE:
+            found = LoadSolver()
+            if found.solve(loads, start, lambda speed: None):
+                self.forces, residual = found.forces, found.residual
         return loads.modes(self.forces) if residual <= TOLERANCE else None
 
     def _hold(self, b: np.ndarray, mu: np.ndarray, modes: np.ndarray | None) -> np.ndarray | None:

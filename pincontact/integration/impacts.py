@@ -255,9 +255,10 @@ class Impacts:
     def _brake(self, t: float) -> None:
         """Stop what stays closed or is held, but leaves: by impulses that come with friction of what slides."""
         system = self.system
-        # what is stopped, how fast it is, and what acts on what slides, by its place
+        # what is stopped, how fast it is, where the normals of contacts are among it, and what acts there if any slides
         rows: list[np.ndarray] = []
         speeds: list[float] = []
+        places: dict[int, int] = {}
         braking: dict[int, np.ndarray] = {}
         slips: dict[int, np.ndarray] = {}
         for i in [*system.closed(), *(system.nc + g for g in system.held()), *system.resisting()]:
@@ -267,10 +268,14 @@ class Impacts:
             for row in sorted({*range(tangents), *normals}):
                 rows.append(system.rows[i, row])
                 speeds.append(float(system.slip[i, 2] if on_joint else system.basis[i, row] @ system.slip[i]))
-            if integers[MODE] == SLIPPING and normals and integers[UNILATERAL] and not held_up_by_friction(system, i):
-                friction = coefficient(system, i) * associated(system, i, slip_direction(system, i))
-                braking[len(rows) - 1] = rows[-1] - friction @ system.rows[i, :2]
-                slips[i] = system.basis[i, :2] @ system.slip[i]
+            if normals:
+                places[i] = len(rows) - 1
+            owner = system.owner(i)
+            loaded = system.contact_int[owner, UNILATERAL] and not held_up_by_friction(system, owner)
+            if integers[MODE] == SLIPPING and loaded:
+                friction, k = coefficient(system, i) * associated(system, i, slip_direction(system, i)), places[owner]
+                braking[k] = braking.get(k, rows[k]) - friction @ system.rows[i, :2]
+                slips[i] = (system.basis[i, :2] @ system.slip[i])[: integers[TANGENTS]]
         if not braking or max(map(abs, speeds)) <= rest_speed(system):
             return
         # one by one: BLAS starts threads for many columns, which cost more
@@ -281,8 +286,9 @@ class Impacts:
         change = pushed @ np.linalg.lstsq(normal.T @ pushed, -np.array(speeds), rcond=REDUNDANT)[0]
         change = unwhiten(system, change)
         # slips that would become others have friction of other directions
-        if any(_FASTER * np.linalg.norm(system.rows[i, :2] @ change) > np.linalg.norm(slips[i]) for i in slips):
-            return
+        for i, slip in slips.items():
+            if _FASTER * np.linalg.norm(system.rows[i, : slip.size] @ change) > np.linalg.norm(slip):
+                return
         system.v[:] += change
         self.rk.keep_velocity()
         self.changes.evaluate_rows(t)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..friction.choices import Units, holding_loads
 from ..friction.cone import SLIP, STICK
-from ..friction.loads import LoadSolver, LARGE_FRICTION, TOLERANCE
+from ..friction.loads import LARGE_FRICTION, TOLERANCE, LoadSolver
 from ..friction.solve import ContactSolver
 from ..layout import (
     CURVE_SPEED,

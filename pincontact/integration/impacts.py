@@ -148,9 +148,7 @@ class Impacts:
             names = ", ".join(repr(self.reports.names[i]) for i in touching or closed) or "a joint's limit"
             raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}; {ADVICE}")
         self.rk.keep_velocity()
-        struck = system.v.copy()
-        if deep:
-            energy += impact.drives - changes.energies()[0]
+        struck, kinetic = system.v.copy(), changes.energies()[0] if deep else 0.0
         changes.count_works(impact.contacts, impact.drives, impact.joints)
         changes.evaluate_rows(t)
         self._rubbing, self._rubs_alone = self._slips()
@@ -168,7 +166,7 @@ class Impacts:
         self._end_short_motions(t, closed, ends)
         changes.count_loss(before)
         if deep:
-            self._return_lift(t, energy, struck)
+            self._return_lift(t, energy + impact.drives, struck, kinetic)
         # slips of the projected velocities: what had one before may be at rest now
         undecided = changes.set_from_velocities(after_impact=True)
         return self.onset.resolve(t, undecided, silent=True)
@@ -226,13 +224,23 @@ class Impacts:
         return self._leaves(system.nc + g, speed, self._resolution_of_hops(system.nc + g, speed))
 
     def _slips(self) -> tuple[np.ndarray, bool]:
-        """Speeds in m/s of the slips of closed contacts that have dry friction, and whether ideal rolling slides."""
+        """Speeds in m/s of the slips of closed contacts that have dry friction, and of hops that would end turning
+        against a resistance, and whether ideal rolling slides."""
         system, slowest = self.system, rest_speed(self.system)
         coefficients = {c: system.contact_real.item(c, MU) for c in system.closed()}
         speeds = {c: self.changes.slip_speed(c) for c, mu in coefficients.items() if mu > 0.0}
         sliding = [c for c, speed in speeds.items() if speed > slowest]
         rough = [c for c in sliding if coefficients[c] < math.inf]
-        return np.array([speeds[c] for c in rough]), len(rough) < len(sliding)
+        turning = {i: self.changes.slip_speed(i) for i in system.resisting()}
+        ending = [speed * self._hop_that_ends(i) for i, speed in turning.items() if speed > slowest]
+        return np.array([*(speeds[c] for c in rough), *ending]), len(rough) < len(sliding)
+
+    def _hop_that_ends(self, i: int) -> float:
+        """Speed in m/s of a hop whose impulse ends turning at 1 rad/s against resistance i."""
+        rows, tangents = self.system.rows, int(self.system.contact_int[i, TANGENTS])
+        normal, *turning = (whiten(self.system, row) for row in [rows[self.system.owner(i), 2], *rows[i, :tangents]])
+        braked = coefficient(self.system, i) * max(float(row @ row) for row in turning)
+        return float(normal @ normal) / braked if braked > 0.0 else math.inf
 
     def _resolution(self, i: int, speed: float) -> float:
         """Way in m or rad below which a motion of item i at this speed in m/s or rad/s is none.
@@ -299,13 +307,15 @@ class Impacts:
         falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
         return leaving > _LEAVING_SPEED and leaving * leaving > 2.0 * falling * height
 
-    def _return_lift(self, t: float, energy: float, struck: np.ndarray) -> None:
+    def _return_lift(self, t: float, energy: float, struck: np.ndarray, kinetic: float) -> None:
         """After an impact of contacts that had penetrated, and have been lifted out.
 
         The motion has what it fell too far, and gives back what the lift takes beyond what the impact took.
-        energy: in J, that before the impact, and of drives, but for the kinetic one after it; struck: v after it.
+        energy: in J, that of the motion before the impact, and of drives; struck, kinetic: v and energy after it.
         """
         system, changes = self.system, self.changes
+        ended, potential = changes.energies()
+        last = system.v.copy()
         # Drives have velocities of their own, to which the rest of v is M-orthogonal: half of them is what a projection
         # puts back when v is halved. Slips have no say in it, and may leave no forces there.
         modes = system.contact_int[:, MODE]
@@ -316,10 +326,12 @@ class Impacts:
         self.rk.load(system.stage_state)
         changes.project(t, explained=True)
         driven = 2.0 * velocity - whole
-        # what has ended since the impact gave up what it had beside drives, whose work is as large as their speed
-        relative = [whitened_velocity(system, v - driven) for v in (whole, struck)]
+        # what has ended since the impact had an energy beside drives; these have done work on it, of either sign
+        drives = 2.0 * system.v - last
+        relative = [whitened_velocity(system, v - drives) for v in (last, struck)]
         own, before = (0.5 * float(v @ v) for v in relative)
-        excess = changes.energies()[1] + own - before - energy
+        driving = ended - own - (kinetic - before)
+        excess = ended + potential - energy - driving
         weight = pin.computeTotalMass(system.model) * float(np.linalg.norm(system.model.gravity.linear))
         if excess > own + weight * float(system.gap_accuracy.max()):
             raise Stop(
@@ -331,7 +343,7 @@ class Impacts:
         velocity[:] = driven + math.sqrt(kept) * (whole - driven)
         self.rk.load(system.stage_state)
         changes.evaluate_rows(t)
-        changes.count_works(friction=(kept - 1.0) * own)
+        changes.count_works(friction=(kept - 1.0) * own - driving, drives=driving)
 
     # ---------------------------------------------------------------- motions too short to be told from rest
 

@@ -60,3 +60,16 @@ def test_load_that_runs_out_with_its_friction():
     scene, state = shaken_tripod(np.random.default_rng(40))
     run = pc.simulate(scene, state, DURATION)
     assert run.status == 0, run.message
+
+
+# Feet that strike while one has dipped leave slips of 1e-6 m/s that end there, on a floor that moves (84); friction
+# alone holds a foot up, beside one that slides or sticks (89, 156).
+@pytest.mark.parametrize(("seed", "tight", "duration"), [(84, True, 0.13), (89, True, 0.07), (156, False, 0.16)])
+def test_strikes_and_forces_that_were_refused(seed, tight, duration):
+    scene, state = shaken_tripod(np.random.default_rng(seed))
+    options = {"rtol": 1e-11, "atol": 1e-13, "max_step": DURATION / 200.0} if tight else {}
+    run = pc.simulate(scene, state, duration, t_eval=np.linspace(0.0, duration, 31), **options)
+    assert run.status == 0, run.message
+    other = pc.simulate(scene, state, duration, t_eval=run.t, rtol=1e-9, atol=1e-11)
+    # as far as the tolerances of both let a chain of impacts be known
+    np.testing.assert_allclose(run.q, other.q, atol=1e-6)

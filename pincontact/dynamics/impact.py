@@ -15,7 +15,7 @@ import numpy as np
 
 from ..friction.choices import Units, holding_loads
 from ..friction.cone import SLIP, STICK
-from ..friction.loads import LARGE_FRICTION, TOLERANCE
+from ..friction.loads import LARGE_FRICTION, TOLERANCE, LoadSolver
 from ..friction.solve import ContactSolver
 from ..layout import (
     CURVE_SPEED,
@@ -192,14 +192,18 @@ class _Problem(ContactProblem):
             self.forces, residual = loads.solve(start)
         for _ in range(_ROUNDS):
             if residual <= TOLERANCE:
-                return loads.modes(self.forces)
+                break
             # with radii that are given it is a cone problem, and its loads tell others
             gram, base, limits = self.cone_problem(b, loads.radii(start))
             if not solver.solve(gram, base, np.where(self.normal > 0.0, loads.coefficients, limits), afresh=True):
                 break
             start = np.where(self.weights > 0.0, 0.0, solver.forces)
             self.forces, residual = loads.refine(start)
-        return None
+        if not residual <= TOLERANCE:
+            found = LoadSolver()
+            if found.solve(loads, start, lambda speed: None):
+                self.forces, residual = found.forces, found.residual
+        return loads.modes(self.forces) if residual <= TOLERANCE else None
 
     def _hold(self, b: np.ndarray, mu: np.ndarray, modes: np.ndarray | None) -> np.ndarray | None:
         """Modes (n,) after ideal rolling that slips, or for which no impulses were found, is held, if it can be: what

@@ -107,8 +107,7 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         if beyond is not None:
             exceeded[beyond] = True
         self._limits[exceeded] = system.contact_real[exceeded, MU]
-        decision = self._solve(t, evaluate)
-        decision.started.update(passing)
+        decision = self._solve(t, evaluate, passing)
         decision.started = {c: a for c, a in decision.started.items() if integers[c, MODE] == SLIPPING}
         return decision
 
@@ -135,7 +134,7 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
             evaluate(t)
         return NO_FORCE
 
-    def _solve(self, t: float, evaluate) -> Decision:
+    def _solve(self, t: float, evaluate, passing: dict[int, float]) -> Decision:
         """The contact problem, once more with a part of the viscous friction of what it opens against that friction.
         Where parts of several are too many, as at one edge of a body, one of them may keep the others open. Where that
         does not do, either, all opens, and touches again."""
@@ -173,6 +172,8 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
                 seen.clear()
             modes = integers.copy()
             evaluate(t)
+        # what begins beside it turns slip that goes on from rest, too
+        decision.started = passing | decision.started
         if not self._align(t, decision, evaluate):
             decision.status = NO_FORCE
         return decision

@@ -48,6 +48,8 @@ _HALVINGS, _FALL = 12, 1e-3
 LARGE_FRICTION = 1e4
 # Coefficient with which that load is round-off.
 _INFINITE = 1e16
+# Smaller ones, by which forces come to those of that one: as friction doubles, a load that is left halves.
+_GROWING = tuple(2.0**k for k in range(14))
 # Normal forces whose choices of loaded ones are all tried, without and with discs.
 _TRIED, _TRIED_WITH_DISCS = 10, 6
 # Velocities of what slides, in units of the largest acceleration without forces, in the symmetric problem.
@@ -244,10 +246,29 @@ class LoadSolver:
                     loaded[list(places)] = True
                     for signs in product((1.0, -1.0), repeat=scaled.choices - count):
                         yield np.zeros(present.size), _Chosen(loaded, signs), False
+        if np.isinf(problem.mu).any():
+            yield scaled.unknowns(_grown(problem, forces)), None, True
         if scaled.discs:
             yield scaled.unknowns(problem.solve(np.nan_to_num(forces))[0]), None, False
             yield present, None, True
             yield np.zeros(present.size), None, True
+
+
+def _grown(problem: Loads, forces: np.ndarray) -> np.ndarray:
+    """Forces (3n,) near a solution with friction without bound, as they become while it grows; from `forces` on.
+
+    The direction of friction changes all at once where next to no load is left, and steps from afar go to and fro.
+    """
+    solver, unbounded = LoadSolver(), np.isinf(problem.mu)
+    for large in _GROWING:
+        grown = replace(problem, mu=np.where(unbounded, large, problem.mu))
+        scaled = ScaledLoads(grown)
+        y, residual = scaled.newton(scaled.unknowns(forces), halved=True)
+        if residual <= TOLERANCE and not scaled.is_lost(y):
+            forces = scaled.forces(y)
+        elif solver.solve(grown, forces, lambda speed: None):
+            forces = solver.forces
+    return forces
 
 
 class _Chosen(NamedTuple):

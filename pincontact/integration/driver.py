@@ -40,7 +40,7 @@ from .outputs import Outputs, no_dense_output
 from .reports import least_conditioned, left_behind
 from .results import FINISHED, OPEN_LOADS, STEP_LIMIT, STEP_TOO_SMALL, TERMINATED, Stop
 from .runge_kutta import RungeKutta
-from .slip_at_ends import LEFT_OUT
+from .slip_at_ends import LEFT_OUT, STOP_DOUBLINGS
 from .steps import (
     AT_FLOOR,
     AT_LIMIT,
@@ -549,6 +549,8 @@ class Driver:
             if after is None:
                 # the next steps are explicit again; the longer that fails the longer they are left alone
                 counters["patience"] = min(2 * counters["patience"], _LONGEST_PATIENCE)
+                # nor do these get nearer to the end of a slip that is as slow as they are accurate
+                counters["stalled"] = min(counters["stalled"] + 1, STOP_DOUBLINGS)
             else:
                 counters["patience"] = _PATIENCE
                 counters["step_count"] += 1

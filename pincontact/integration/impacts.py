@@ -13,7 +13,7 @@ from ..dynamics.energy import REST_SPEED
 from ..dynamics.friction_scaling import associated
 from ..dynamics.impact import apply_impact, coefficient
 from ..dynamics.modes import rest_mode
-from ..dynamics.units import REDUNDANT, unwhiten, whiten
+from ..dynamics.units import REDUNDANT, unwhiten, whiten, whitened_velocity
 from ..layout import (
     EVENT,
     FREE,
@@ -161,6 +161,7 @@ class Impacts:
             names = ", ".join(repr(self.reports.names[i]) for i in touching or closed) or "a joint's limit"
             raise Stop(FAILURES[NO_FORCE][0], f"t = {t:.9g} s: no impulses satisfy Coulomb's law at {names}; {ADVICE}")
         self.rk.keep_velocity()
+        struck, kinetic = system.v.copy(), changes.energies()[0] if deep else 0.0
         changes.count_works(impact.contacts, impact.drives, impact.joints)
         changes.evaluate_rows(t)
         self._rubbing, self._rubs_alone = self._slips()
@@ -178,7 +179,7 @@ class Impacts:
         self._end_short_motions(t, closed, ends)
         changes.count_loss(before)
         if deep:
-            self._return_lift(t, energy + impact.drives)
+            self._return_lift(t, energy + impact.drives, struck, kinetic)
         # slips of the projected velocities: what had one before may be at rest now
         undecided = changes.set_from_velocities(after_impact=True)
         return self.onset.resolve(t, undecided, silent=True)
@@ -236,13 +237,23 @@ class Impacts:
         return self._leaves(system.nc + g, speed, self._resolution_of_hops(system.nc + g, speed))
 
     def _slips(self) -> tuple[np.ndarray, bool]:
-        """Speeds in m/s of the slips of closed contacts that have dry friction, and whether ideal rolling slides."""
+        """Speeds in m/s of the slips of closed contacts that have dry friction, and of hops that would end turning
+        against a resistance, and whether ideal rolling slides."""
         system, slowest = self.system, rest_speed(self.system)
         coefficients = {c: system.contact_real.item(c, MU) for c in system.closed()}
         speeds = {c: self.changes.slip_speed(c) for c, mu in coefficients.items() if mu > 0.0}
         sliding = [c for c, speed in speeds.items() if speed > slowest]
         rough = [c for c in sliding if coefficients[c] < math.inf]
-        return np.array([speeds[c] for c in rough]), len(rough) < len(sliding)
+        turning = {i: self.changes.slip_speed(i) for i in system.resisting()}
+        ending = [speed * self._hop_that_ends(i) for i, speed in turning.items() if speed > slowest]
+        return np.array([*(speeds[c] for c in rough), *ending]), len(rough) < len(sliding)
+
+    def _hop_that_ends(self, i: int) -> float:
+        """Speed in m/s of a hop whose impulse ends turning at 1 rad/s against resistance i."""
+        rows, tangents = self.system.rows, int(self.system.contact_int[i, TANGENTS])
+        normal, *turning = (whiten(self.system, row) for row in [rows[self.system.owner(i), 2], *rows[i, :tangents]])
+        braked = coefficient(self.system, i) * max(float(row @ row) for row in turning)
+        return float(normal @ normal) / braked if braked > 0.0 else math.inf
 
     def _resolution(self, i: int, speed: float) -> float:
         """Way in m or rad below which a motion of item i at this speed in m/s or rad/s is none.
@@ -265,9 +276,10 @@ class Impacts:
     def _brake(self, t: float) -> None:
         """Stop what stays closed or is held, but leaves: by impulses that come with friction of what slides."""
         system = self.system
-        # what is stopped, how fast it is, and what acts on what slides, by its place
+        # what is stopped, how fast it is, where the normals of contacts are among it, and what acts there if any slides
         rows: list[np.ndarray] = []
         speeds: list[float] = []
+        places: dict[int, int] = {}
         braking: dict[int, np.ndarray] = {}
         slips: dict[int, np.ndarray] = {}
         for i in [*system.closed(), *(system.nc + g for g in system.held()), *system.resisting()]:
@@ -277,10 +289,14 @@ class Impacts:
             for row in sorted({*range(tangents), *normals}):
                 rows.append(system.rows[i, row])
                 speeds.append(float(system.slip[i, 2] if on_joint else system.basis[i, row] @ system.slip[i]))
-            if integers[MODE] == SLIPPING and normals and integers[UNILATERAL] and not held_up_by_friction(system, i):
-                friction = coefficient(system, i) * associated(system, i, slip_direction(system, i))
-                braking[len(rows) - 1] = rows[-1] - friction @ system.rows[i, :2]
-                slips[i] = system.basis[i, :2] @ system.slip[i]
+            if normals:
+                places[i] = len(rows) - 1
+            owner = system.owner(i)
+            loaded = system.contact_int[owner, UNILATERAL] and not held_up_by_friction(system, owner)
+            if integers[MODE] == SLIPPING and loaded:
+                friction, k = coefficient(system, i) * associated(system, i, slip_direction(system, i)), places[owner]
+                braking[k] = braking.get(k, rows[k]) - friction @ system.rows[i, :2]
+                slips[i] = (system.basis[i, :2] @ system.slip[i])[: integers[TANGENTS]]
         if not braking or max(map(abs, speeds)) <= rest_speed(system):
             return
         # one by one: BLAS starts threads for many columns, which cost more
@@ -291,8 +307,9 @@ class Impacts:
         change = pushed @ np.linalg.lstsq(normal.T @ pushed, -np.array(speeds), rcond=REDUNDANT)[0]
         change = unwhiten(system, change)
         # slips that would become others have friction of other directions
-        if any(_FASTER * np.linalg.norm(system.rows[i, :2] @ change) > np.linalg.norm(slips[i]) for i in slips):
-            return
+        for i, slip in slips.items():
+            if _FASTER * np.linalg.norm(system.rows[i, : slip.size] @ change) > np.linalg.norm(slip):
+                return
         system.v[:] += change
         self.rk.keep_velocity()
         self.changes.evaluate_rows(t)
@@ -303,17 +320,15 @@ class Impacts:
         falling = abs(float(system.rows[i, 2] @ system.free_acceleration + system.bias[i, 2]))
         return leaving > _LEAVING_SPEED and leaving * leaving > 2.0 * falling * height
 
-    def _return_lift(self, t: float, energy: float) -> None:
+    def _return_lift(self, t: float, energy: float, struck: np.ndarray, kinetic: float) -> None:
         """After an impact of contacts that had penetrated, and have been lifted out.
 
         The motion has what it fell too far, and gives back what the lift takes beyond what the impact took.
-        energy: in J, that of the motion before the impact, and of drives.
+        energy: in J, that of the motion before the impact, and of drives; struck, kinetic: v and energy after it.
         """
         system, changes = self.system, self.changes
-        kinetic, potential = changes.energies()
-        excess = kinetic + potential - energy
-        if excess <= 0.0:
-            return
+        ended, potential = changes.energies()
+        last = system.v.copy()
         # Drives have velocities of their own, to which the rest of v is M-orthogonal: half of them is what a projection
         # puts back when v is halved. Slips have no say in it, and may leave no forces there.
         modes = system.contact_int[:, MODE]
@@ -323,7 +338,13 @@ class Impacts:
         velocity *= 0.5
         self.rk.load(system.stage_state)
         changes.project(t, explained=True)
-        driven, own = 2.0 * velocity - whole, (kinetic - changes.energies()[0]) / 0.75
+        driven = 2.0 * velocity - whole
+        # what has ended since the impact had an energy beside drives; these have done work on it, of either sign
+        drives = 2.0 * system.v - last
+        relative = [whitened_velocity(system, v - drives) for v in (last, struck)]
+        own, before = (0.5 * float(v @ v) for v in relative)
+        driving = ended - own - (kinetic - before)
+        excess = ended + potential - energy - driving
         weight = pin.computeTotalMass(system.model) * float(np.linalg.norm(system.model.gravity.linear))
         if excess > own + weight * float(system.gap_accuracy.max()):
             raise Stop(
@@ -331,11 +352,11 @@ class Impacts:
                 f"t = {t:.9g} s: to lift out what has dipped before it struck takes {excess:.3g} J, and the motion has "
                 f"{own:.3g} J; {ADVICE}",
             )
-        kept = max(1.0 - excess / own, 0.0) if own > 0.0 else 0.0
+        kept = min(max(1.0 - excess / own, 0.0), 1.0) if own > 0.0 else 0.0
         velocity[:] = driven + math.sqrt(kept) * (whole - driven)
         self.rk.load(system.stage_state)
         changes.evaluate_rows(t)
-        changes.count_works(friction=(kept - 1.0) * own)
+        changes.count_works(friction=(kept - 1.0) * own - driving, drives=driving)
 
     # ---------------------------------------------------------------- motions too short to be told from rest
 

@@ -223,13 +223,15 @@ class Impacts:
         return self._leaves(system.nc + g, speed, self._resolution_of_hops(system.nc + g, speed))
 
     def _slips(self) -> tuple[np.ndarray, bool]:
-        """Speeds in m/s of the slips of closed contacts that have dry friction, and whether ideal rolling slides."""
+        """Speeds in m/s of the slips of closed contacts that have dry friction, and whether one slides whose friction
+        `_brake` does not know: of ideal rolling, or of a bilateral contact, whose impulse may turn round."""
         system, slowest = self.system, rest_speed(self.system)
         coefficients = {c: system.contact_real.item(c, MU) for c in system.closed()}
         speeds = {c: self.changes.slip_speed(c) for c, mu in coefficients.items() if mu > 0.0}
         sliding = [c for c, speed in speeds.items() if speed > slowest]
         rough = [c for c in sliding if coefficients[c] < math.inf]
-        return np.array([speeds[c] for c in rough]), len(rough) < len(sliding)
+        known = [c for c in rough if system.contact_int[c, UNILATERAL]]
+        return np.array([speeds[c] for c in rough]), len(known) < len(sliding)
 
     def _resolution(self, i: int, speed: float) -> float:
         """Way in m or rad below which a motion of item i at this speed in m/s or rad/s is none.

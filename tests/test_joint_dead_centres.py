@@ -39,8 +39,8 @@ def slotted(rng: np.random.Generator) -> tuple[pc.Scene, pc.State]:
 
 
 def passing_arm(rng: np.random.Generator) -> tuple[pc.Scene, pc.State]:
-    """Three links whose last tip sticks to a line by friction: a four-bar linkage while it holds. Its middle joint has dry
-    friction, and sets out near a dead centre."""
+    """Three links whose tip sticks to a line by friction: a four-bar linkage while it holds. Its middle joint has dry
+    friction."""
     model = pin.Model()
     model.gravity.linear = np.array([0.0, -9.81, 0.0])
     parent, place = 0, pin.SE3.Identity()

@@ -69,7 +69,7 @@ def passing_arm(rng: np.random.Generator) -> tuple[pc.Scene, pc.State]:
 
 
 @pytest.mark.parametrize(
-    "make, seed", [*((slotted, seed) for seed in (0, 1, 4, 6, 11)), *((passing_arm, seed) for seed in (0, 5, 8, 9))]
+    "make, seed", [*((slotted, seed) for seed in (0, 1, 4, 6, 11)), *((passing_arm, seed) for seed in (0, 2, 8, 9))]
 )
 def test_dry_joint_passes_its_dead_centre(make, seed):
     """It turns round and the others go on, in all methods: the dry joint slips the other way, and does not stick."""

@@ -202,7 +202,7 @@ class _Problem(ContactProblem):
         if not residual <= TOLERANCE:
             found = LoadSolver()
             if found.solve(loads, start, lambda speed: None):
-                self.forces, residual = found.forces, found.residual
+                self.forces, residual = loads.refine(found.forces)
         return loads.modes(self.forces) if residual <= TOLERANCE else None
 
     def _hold(self, b: np.ndarray, mu: np.ndarray, modes: np.ndarray | None) -> np.ndarray | None:

@@ -88,16 +88,18 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
             status = evaluate(t)
         if status > EVENT and status != NO_FORCE:
             return Decision(status)
-        passing = self._let_pass(t, undecided, evaluate)
+        # forces that leave constraints unmet are none
+        in_vain = self._held_in_vain()
+        passing = {} if in_vain else self._let_pass(t, undecided, evaluate)
         if passing:
             undecided = [c for c in undecided if c not in passing]
             status = evaluate(t)
             if status > EVENT and status != NO_FORCE:
                 return Decision(status)
-        positive = system.counters["lost_positivity"] == 0
-        if beyond is None and positive and self._settles(status, t, evaluate):
+        may_hold = beyond is None and system.counters["lost_positivity"] == 0 and not in_vain
+        if may_hold and self._settles(status, t, evaluate):
             return Decision(status, passing)
-        if beyond is None and positive:
+        if may_hold:
             status = self._let_joints_go(t, evaluate)
             if status <= EVENT:
                 return Decision(status, passing)

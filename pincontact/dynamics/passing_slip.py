@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import view
 from ..constraints.kinematics import ROW_ROUND_OFF
 from ..jit import INTEGER, REAL, entry_kernel, kernel
-from ..layout import EVENT, FRICTIONLESS, LENGTH, MODE, STICK, TANGENTS
+from ..layout import EVENT, FRICTIONLESS, JOINT_END, LENGTH, MODE, STICK, TANGENTS
 from ..linalg import RANK_TOLERANCE, largest_entry
 from .directions import freeze_slip
 from .units import whitened_velocity
@@ -77,21 +77,41 @@ class PassingSlip:
                 tangents, length = system.contact_int.item(c, TANGENTS), system.contact_real.item(c, LENGTH)
                 if accelerates(system.rows[c], system.bias[c], *motion, tangents, length):
                     return c
-        index, whitened = system.row_index[:count], system.whitened_rows[:count]
         allowed = self._negligible(speed)
-        lengths = np.sqrt(np.einsum("rk,rk->r", whitened, whitened))
+        items, row, unit, lengths = self._unit_rows()
         slip = max(float(np.abs(system.basis[c] @ system.slip[c]).max()) for c in contacts)
         # rows that are as dependent as they may be magnify what is wanted no further
-        if slip * math.sqrt(count) <= _SINGULAR * allowed * float(lengths.min()):
+        if slip * math.sqrt(count) <= _SINGULAR * allowed * float(lengths.min(initial=math.inf)):
             return None
-        items, row = index[:, 0], index[:, 1]
-        moving = (lengths > 0.0) & np.isfinite(lengths)
-        slips = np.isin(items, contacts) & (row < system.contact_int[items, TANGENTS]) & moving
-        residual = np.where(slips, np.einsum("ri,ri->r", system.basis[items, row], system.slip[items]), 0.0)
-        unit, wanted = whitened[moving] / lengths[moving, None], residual[moving] / lengths[moving]
+        slips = np.isin(items, contacts) & (row < system.contact_int[items, TANGENTS])
+        wanted = np.where(slips, np.einsum("ri,ri->r", system.basis[items, row], system.slip[items]), 0.0) / lengths
         if float(np.linalg.norm(np.linalg.lstsq(unit, wanted, rcond=_SINGULAR)[0])) <= allowed:
             return None
-        return int(items[slips][np.argmax(np.abs(residual[slips]) / lengths[slips])])
+        return int(items[slips][np.argmax(np.abs(wanted[slips]))])
+
+    def _held_in_vain(self) -> bool:
+        """Whether a joint coordinate that dry friction holds takes part in what no acceleration gives all constrained
+        rows of the last evaluation, as at its dead centre: it comes to rest there because of the place, and others go
+        on. Which of the rows the forces leave out depends on their order, so its own acceleration does not tell."""
+        system = self.system
+        joints = [system.nc + g for g in system.held() if system.joint_int[g, JOINT_END] == 0]
+        if not joints or system.counters["row_count"] == system.counters["row_rank"]:
+            return False
+        items, row, unit, lengths = self._unit_rows()
+        rows, bias, free = system.rows[items, row], system.bias[items, row], system.free_acceleration
+        wanted, size = (rows @ free + bias) / lengths, (np.abs(rows) @ np.abs(free) + np.abs(bias)) / lengths
+        missed = np.abs(wanted - unit @ np.linalg.lstsq(unit, wanted, rcond=_SINGULAR)[0])
+        return bool((missed[np.isin(items, joints)] > _UNHELD * size.max(initial=0.0)).any())
+
+    def _unit_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The constrained rows of the last evaluation that move something: items, rows of their bases, and unit vectors
+        and lengths of the whitened rows."""
+        system = self.system
+        count = int(system.counters["row_count"])
+        index, whitened = system.row_index[:count], system.whitened_rows[:count]
+        lengths = np.sqrt(np.einsum("rk,rk->r", whitened, whitened))
+        moving = (lengths > 0.0) & np.isfinite(lengths)
+        return index[moving, 0], index[moving, 1], whitened[moving] / lengths[moving, None], lengths[moving]
 
     def _negligible(self, speed: float) -> float:
         """What constraints may take from a velocity of this size, in the mass metric of the last evaluation."""

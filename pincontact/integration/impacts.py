@@ -238,15 +238,17 @@ class Impacts:
 
     def _slips(self) -> tuple[np.ndarray, bool]:
         """Speeds in m/s of the slips of closed contacts that have dry friction, and of hops that would end turning
-        against a resistance, and whether ideal rolling slides."""
+        against a resistance, and whether a contact slides whose friction `_brake` does not know: of ideal rolling, or
+        of a bilateral contact, whose impulse may turn round."""
         system, slowest = self.system, rest_speed(self.system)
         coefficients = {c: system.contact_real.item(c, MU) for c in system.closed()}
         speeds = {c: self.changes.slip_speed(c) for c, mu in coefficients.items() if mu > 0.0}
         sliding = [c for c, speed in speeds.items() if speed > slowest]
         rough = [c for c in sliding if coefficients[c] < math.inf]
+        known = [c for c in rough if system.contact_int[c, UNILATERAL]]
         turning = {i: self.changes.slip_speed(i) for i in system.resisting()}
         ending = [speed * self._hop_that_ends(i) for i, speed in turning.items() if speed > slowest]
-        return np.array([*(speeds[c] for c in rough), *ending]), len(rough) < len(sliding)
+        return np.array([*(speeds[c] for c in rough), *ending]), len(known) < len(sliding)
 
     def _hop_that_ends(self, i: int) -> float:
         """Speed in m/s of a hop whose impulse ends turning at 1 rad/s against resistance i."""

@@ -42,6 +42,8 @@ _JUMP = 1e-6
 # Event functions of friction below this part of the limit, and loads below this part of the largest, are zero where no
 # choice among redundant forces can raise them.
 _AT_LIMIT = 1e-6
+# Contacts that carry less than this part of the largest load on a joint are about to open.
+_NOTHING = 1e-7
 
 
 class ModeChanges:
@@ -254,7 +256,14 @@ class ModeChanges:
 
     def redistribute(self, t: float, c: int, kind: int) -> bool:
         """Whether other ones among redundant forces keep all modes, of which event function `kind` of item c ends
-        one."""
+        one.
+
+        What is about to lose all its load together keeps none: the choice would shrink with it, and end as often as
+        one likes.
+        """
+        carried = float(np.abs(self.system.force[: self.system.nc]).max(initial=0.0))
+        if carried < max(_NOTHING, self.system.scale.item(0)) * self.modes.largest_load():
+            return False
         if not self._choose_others(t, c, kind) or self._is_limited(c, kind):
             return False
         self.project(t)

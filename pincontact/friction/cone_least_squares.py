@@ -128,6 +128,10 @@ class ConeSolution:
     rows: np.ndarray
     exact: bool = False
 
+    def scaled(self, unit: float) -> ConeSolution:
+        """That of a problem whose squares are larger by this factor."""
+        return ConeSolution(self.y, unit * self.cones, unit * self.rows, self.exact)
+
 
 class ConeLeastSquares:
     """Solves problems that follow on each other, such as those of a control loop; see the module's docstring.
@@ -151,7 +155,10 @@ class ConeLeastSquares:
         if len(self._directions) != m:
             self._directions = np.zeros((m, _DIRECTIONS, 2))
             self._directions[:, :4] = _FIRST
-        hessian, gradient = matrix.T @ matrix, -matrix.T @ right
+        # the unit of A is anybody's choice, and tolerances are those of entries of size one
+        largest = float(np.abs(matrix).max(initial=0.0))
+        unit = largest if largest > _ROUND_OFF else 1.0
+        hessian, gradient = matrix.T @ matrix / unit**2, -matrix.T @ right / unit**2
         scale = max(1.0, float(np.abs(gradient).max(initial=0.0)))
         y, accuracy = guess, _ACCURACY
         for _ in range(_PROGRAMS):
@@ -159,15 +166,15 @@ class ConeLeastSquares:
             found = self._solve_program(hessian / scale, gradient / scale, region, y, accuracy)
             if found is None:
                 return None
-            found = ConeSolution(found.y, scale * found.cones, scale * found.rows)
+            found = found.scaled(scale)
             exact = _finish(hessian, gradient, region, found, scale)
             if exact is not None:
                 self._touch(region, exact.y, -_WITHIN)
-                return exact
+                return exact.scaled(unit**2)
             y = found.y
             left = region.outside(y)[0].max(initial=0.0)
             if left <= _WITHIN and accuracy == _TIGHT:
-                return found
+                return found.scaled(unit**2)
             self._touch(region, y, _WITHIN)
             if left <= 1e2 * _ACCURACY:
                 accuracy = _TIGHT

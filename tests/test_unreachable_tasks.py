@@ -1,5 +1,5 @@
-"""Inverse dynamics where contacts leave little of what is wanted: a cart whose wheels spin in place, slipping, while its
-contacts do not let it turn. What is left of a wanted acceleration is round-off there, next to which torques and
+"""Inverse dynamics where contacts leave little of what is wanted: a cart whose wheels spin in place, slipping, while what
+holds it does not let it turn. What is left of a wanted acceleration is round-off, next to which torques and
 accelerations of any size would count as means to it."""
 
 import math

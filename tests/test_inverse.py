@@ -99,6 +99,10 @@ def test_frames_of_one_joint(size):
     found = pc.inverse_dynamics(scene, scene.initial_state([0.0]), {"tip": wanted})
     np.testing.assert_allclose(found.acceleration, [2.0], rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(found.tau, [0.2], rtol=0.0, atol=1e-9)
+    # of joints added in Python `effortLimit` is the largest number, which limits nothing
+    with np.errstate(over="raise"):
+        limited = pc.inverse_dynamics(scene, scene.initial_state([0.0]), {"tip": wanted}, effort_limits=True)
+    np.testing.assert_allclose(limited.tau, found.tau, rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("friction", ["smooth", "rolling"])

@@ -1,6 +1,8 @@
-"""Inverse dynamics where contacts leave little of what is wanted: a cart whose wheels spin in place, slipping, while what
-holds it does not let it turn. What is left of a wanted acceleration is round-off, next to which torques and
-accelerations of any size would count as means to it."""
+"""Inverse dynamics where contacts leave little of what is wanted.
+
+A cart's wheels spin in place, slipping, and what holds it does not let it turn. What is left of a wanted acceleration
+is round-off, next to which torques and accelerations of any size would count as means to it.
+"""
 
 import math
 

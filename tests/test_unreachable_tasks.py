@@ -71,3 +71,11 @@ def test_round_off_moves_nothing(wall, cones):
             a, unique = Instant(scene, state, found.tau).evaluate(), 6 if wall else 9
             # how wall and floor share the weight is open, and with it what brakes the wheels
             np.testing.assert_allclose(a[:unique], found.acceleration[:unique], rtol=0.0, atol=1e-5)
+
+
+def test_what_newtons_method_proves_counts_wherever_proxqp_stops():
+    """Heavy loads and light wheels: ProxQP reaches its last iteration near the solution."""
+    scene, state = spinning_cart(30, True)
+    found = pc.inverse_dynamics(scene, state, {"axle 1": -20.0}, cones=True)
+    assert found.missed <= 1e-6
+    assert np.abs(found.tau).max() <= 10.0

@@ -275,6 +275,6 @@ def _limits(scene: Scene, columns: np.ndarray, given: float | np.ndarray | None)
     except NOT_REAL:
         raise ArgumentError(f"torque_limits must be a number, or {columns.size} of them, got {given!r}") from None
     if not (np.isfinite(limits).all() and (limits > 0.0).all()):
-        where = "of the model, " if given is None else ""
-        raise ArgumentError(f"torque_limits {where}must be positive and finite, got {limits.tolist()}")
+        where = " (not given: those of the model)" if given is None else ""
+        raise ArgumentError(f"torque_limits{where} must be positive and finite, got {limits.tolist()}")
     return limits

@@ -113,7 +113,8 @@ def _held_together(model: pin.Model) -> set[tuple[int, int]]:
     pairs = {(joint, joint) for joint in range(model.njoints)}
     for joint in range(1, model.njoints):
         parent, start = int(model.parents[joint]), model.idx_vs[joint]
-        jacobian = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL)
+        # Pinocchio gives a matrix of one column as a vector
+        jacobian = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL).reshape(6, model.nv)
         if parent > 0 or not jacobian[:3, start : start + model.nvs[joint]].any():
             pairs.add((parent, joint))
     return pairs

@@ -48,10 +48,11 @@ def test_no_equilibrium():
     tilted = pin.SE3(pin.utils.rotate("y", 0.2), np.zeros(3))
     scene = ball_on(pc.Plane(), None, tilted)
     q = np.r_[0.1 * tilted.rotation[:, 2], LEVEL]
-    with pytest.raises(pc.SolverError, match=r"no equilibrium was found .* the residual is 1\.9"):
+    with pytest.raises(pc.SolverError, match=r"no equilibrium was found .* the residual is 1\.9.*actuation="):
         pc.find_equilibrium(scene, q)
-    with pytest.raises(pc.NoContactError):
+    with pytest.raises(pc.NoContactError, match="leave out those that are open") as caught:
         pc.find_equilibrium(scene, [0.0, 0.0, 5.0, *LEVEL])
+    assert caught.value.gap == pytest.approx(5.0 * np.cos(0.2) - 0.1)
 
 
 @pytest.mark.parametrize(("mu", "holds"), [(0.21, True), (0.2, False)])

@@ -66,6 +66,45 @@ def test_forward_dynamics_by_pinocchio(pattern, friction):
             np.testing.assert_allclose(found, expected, rtol=0.0, atol=ROUND_OFF * scale)
 
 
+@pytest.mark.parametrize("turning", [False, True])
+@pytest.mark.parametrize("limits", [0, 1, 3])
+def test_external_forces_beside_limited_joints_and_resistances(limits, turning):
+    """Contacts are not the only ones that have rows: pin.aba makes the accelerations with them, too."""
+    scene = ball(pc.Coulomb(0.3, **({"rolling": 1e-3, "spinning": 1e-3} if turning else {})))
+    model, parent = scene.model, 1
+    for k in range(limits):
+        parent = model.addJoint(parent, pin.JointModelPX(), pin.SE3.Identity(), f"slider {k}")
+        model.appendBodyToJoint(parent, pin.Inertia(0.1, np.zeros(3), 1e-4 * np.eye(3)), pin.SE3.Identity())
+    model.lowerPositionLimit[7:], model.upperPositionLimit[7:] = -1.0, 1.0
+    moving = pc.Scene(model)
+    for name, contour in (("surface", pc.Sphere(RADIUS)), ("floor", pc.Plane())):
+        moving.add_contour(name, contour, "ball" if name == "surface" else "universe")
+    moving.add_contact("c", "surface", "floor", friction=scene.contacts["c"].friction)
+    q, v = pin.neutral(model), np.zeros(model.nv)
+    q[2], v[:6] = RADIUS, [0.1, 0.2, 0.0, 1.0, 2.0, 3.0]
+    state, tau = moving.initial_state(q, v), np.linspace(-0.1, 0.1, model.nv)
+    found = pin.aba(model, model.createData(), q, v, tau, pc.external_forces(moving, state, tau))
+    np.testing.assert_allclose(found, Instant(moving, state, tau).evaluate(), rtol=0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("size", [3, 6])
+def test_frames_of_one_joint(size):
+    """A frame on a hinge: its acceleration is that of the hinge alone."""
+    model = pin.Model()
+    hinge = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "hinge")
+    model.appendBodyToJoint(hinge, pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("tip", hinge, pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0])), 0)
+    scene = pc.Scene(model)
+    wanted = [0.0, 1.0, 0.0, 0.0, 0.0, 2.0][:size]
+    found = pc.inverse_dynamics(scene, scene.initial_state([0.0]), {"tip": wanted})
+    np.testing.assert_allclose(found.acceleration, [2.0], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(found.tau, [0.2], rtol=0.0, atol=1e-9)
+    # of joints added in Python `effortLimit` is the largest number, which limits nothing
+    with np.errstate(over="raise"):
+        limited = pc.inverse_dynamics(scene, scene.initial_state([0.0]), {"tip": wanted}, effort_limits=True)
+    np.testing.assert_allclose(limited.tau, found.tau, rtol=0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize("friction", ["smooth", "rolling"])
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_inverse_of_forward_dynamics(pattern, friction):

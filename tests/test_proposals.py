@@ -169,6 +169,17 @@ def test_neighbours_are_left_out(root):
     assert set(zip(*chain(root).propose_contacts(0.05))) == on_floor
 
 
+@pytest.mark.parametrize(("joint", "held"), [(pin.JointModelPZ(), False), (pin.JointModelRZ(), True)])
+def test_neighbours_of_one_joint(joint, held):
+    model = pin.Model()
+    model.addJoint(0, joint, pin.SE3.Identity(), "joint")
+    model.addBodyFrame("body", 1, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    scene.add_contour("ball", pc.Sphere(0.1), "body")
+    scene.add_contour("floor", pc.Plane())
+    assert scene.propose_contacts(0.2, within=True) == ([], []) if held else (["floor"], ["ball"])
+
+
 def test_planar_mechanisms_have_planar_pairs():
     """On a joint in the plane a disk touches a line and a point; two lines of the plane never cross."""
     model = pin.Model()

@@ -372,6 +372,38 @@ def test_drives_in_python_are_asked():
     assert system.tell(KeyboardInterrupt()) == "t = 2.5 s: ended by KeyboardInterrupt"
 
 
+@pytest.mark.parametrize("contacts", [1, 4])
+def test_a_drive_is_asked_once_an_evaluation(contacts):
+    """However many contacts its contour has; another contour's drive is asked, too."""
+    times = {1.0: [], 2.0: []}
+
+    def driven(speed):
+        def motion(t):
+            times[speed].append(t)
+            return pin.SE3(np.eye(3), np.array([speed * t, 0.0, 0.0])), speed * np.eye(6)[0], np.zeros(6)
+
+        return pc.CallableMotion(motion)
+
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+    model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), np.eye(3)), pin.SE3.Identity())
+    model.addBodyFrame("body", joint, pin.SE3.Identity(), 0)
+    scene = pc.Scene(model)
+    for speed in times:
+        plate = scene.add_contour(f"plate {speed}", pc.Plane(), motion=driven(speed))
+        for k in range(contacts):
+            point = scene.add_contour(f"point {k} {speed}", pc.Point(), "body")
+            scene.add_contact(f"{k} {speed}", point, plate, friction=pc.Coulomb(0.3))
+    system = System(scene.model, list(scene.contacts.values()))
+    system.q[:] = pin.neutral(model)
+    for asked in times.values():
+        asked.clear()
+    system.evaluate(0.25)
+    assert times == {1.0: [0.25], 2.0: [0.25]}
+    expected = np.repeat([1.0, 2.0], contacts)
+    np.testing.assert_allclose(system.slip[: system.nc, 0], expected, rtol=0.0, atol=1e-14)
+
+
 def test_torques_that_are_not_finite():
     scene = scene_of()
     system = System(scene.model, [])

@@ -30,7 +30,8 @@ class Actuation:
 def read_actuation(model: pin.Model, given: ArrayLike | Sequence[str] | None) -> Actuation:
     """The actuation that `actuation_matrix` reads, with the model's `effortLimit`."""
     matrix, limits = actuation_matrix(model, given), np.asarray(model.effortLimit)
-    limited = np.flatnonzero(np.isfinite(limits) & matrix.any(axis=1))
+    # the largest number is Pinocchio's default
+    limited = np.flatnonzero((limits < np.finfo(float).max) & matrix.any(axis=1))
     lengths = np.linalg.norm(matrix[limited], axis=1)
     return Actuation(matrix, limited, matrix[limited] / lengths[:, None], limits[limited] / lengths)
 

@@ -11,7 +11,7 @@ import numpy as np
 from ..arguments import check_tolerance, reals
 from ..display import Summary
 from ..dynamics.joints import check_joint_limits
-from ..errors import ArgumentError, SingularContactError, SolverError
+from ..errors import ArgumentError, NoContactError, SingularContactError, SolverError
 from ..scene import Scene
 from ..state import State, check_finite
 from .actuation import actuation_matrix
@@ -197,7 +197,15 @@ def _search(
     if conditions is not None and not callable(conditions):
         raise ArgumentError(f"conditions must be a function, got {conditions!r}")
     check_tolerance(tolerance)
-    instant = Instant(scene, scene.initial_state(*start), tau, decide=False)
+    try:
+        begin = scene.initial_state(*start)
+    except NoContactError as error:
+        text = str(error).rstrip(".")
+        raise NoContactError(
+            f"{text} (for initial_state; here all contacts of the scene are closed: leave out those that are open)",
+            error.gap,
+        ) from None
+    instant = Instant(scene, begin, tau, decide=False)
     nv, length = instant.system.nv, instant.length
     symmetries = find_symmetries(instant) if moves else None
     if not moves:
@@ -237,7 +245,7 @@ def _search(
         what = "steady motion" if moves else "equilibrium"
         raise SolverError(
             f"no {what} was found near this configuration: the residual is {size:.3g} after {iterations} steps "
-            f"(tolerance {most:.3g})"
+            f"(tolerance {most:.3g}); all contacts stay closed, and tau= or actuation= are torques that help to hold it"
         )
     q, v, _, torque = split(x)
     check_joint_limits(instant.system.limits, q)

@@ -411,7 +411,8 @@ class Instant:
     def points(self) -> dict[str, np.ndarray]:
         """Contact -> contact point (3,), world, of the last evaluation."""
         system = self.system
-        points = system.frames[1::2, ORIGIN] + system.derivatives[1::2, 0]
+        second = slice(1, 2 * system.nc, 2)
+        points = system.frames[second, ORIGIN] + system.derivatives[second, 0]
         return {contact.name: point for contact, point in zip(system.contacts, points)}
 
     def holds(self) -> bool:

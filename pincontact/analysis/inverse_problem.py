@@ -122,7 +122,11 @@ class Problem:
             return self.span, self._factor @ tasks.wanted - self.origin
         weights = np.sqrt(tasks.weights)
         whitened = whiten(system, tasks.rows.T).T
-        return weights[:, None] * (whitened @ self.span), weights * (tasks.wanted - whitened @ self.origin)
+        free = whitened @ self.span
+        # what contacts leave of a row that they take is round-off, and no direction
+        left, size = np.linalg.norm(free, axis=1), np.linalg.norm(whitened, axis=1)
+        free[left <= REDUNDANT * size.max(initial=0.0)] = 0.0
+        return weights[:, None] * free, weights * (tasks.wanted - whitened @ self.origin)
 
     def _joints(self, wanted: Wanted) -> tuple[RestingJoints, np.ndarray, np.ndarray]:
         """Joints that rest and stay at rest, and friction of those that begin to move, as the tasks have it; those that

@@ -285,7 +285,7 @@ class _Tasks:
         self.matrix = (self.rows @ problem.basis[:nz]) / self.scale
         missing = (goal - self.rows @ problem.start[:nz]) / self.scale
         left, values, right = np.linalg.svd(self.matrix)
-        rank = int((values > _NULL * values.max(initial=0.0)).sum())
+        rank = int((values > _NULL * max(1.0, values.max(initial=0.0))).sum())
         reached = left[:, :rank].T @ missing
         self.right = left[:, :rank] @ reached
         self.point, self.null = right[:rank].T @ (reached / values[:rank]), right[rank:].T

@@ -81,7 +81,9 @@ class TaskReader:
         goal = check_vector(what, value, size)
         pin.updateFramePlacement(model, data, frame)
         drift = pin.getFrameClassicalAcceleration(model, data, frame, axes).vector
-        return pin.getFrameJacobian(model, data, frame, axes)[:size], goal - drift[:size]
+        # Pinocchio gives a matrix of one column as a vector
+        jacobian = pin.getFrameJacobian(model, data, frame, axes).reshape(6, model.nv)
+        return jacobian[:size], goal - drift[:size]
 
 
 def _weights(what: str, given: npt.ArrayLike, size: int) -> np.ndarray:

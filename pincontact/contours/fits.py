@@ -66,6 +66,7 @@ def fit(
     time: bool = False,
     breaks: Sequence[Sequence[float]] = ((), ()),
     places: np.ndarray | None = None,
+    cure: str = "",
 ) -> Fit:
     """Fit function(u) or function(u1, u2) -> (n,) over a finite domain, to rounding.
 
@@ -73,6 +74,7 @@ def fit(
     with the values by least squares, so that second derivatives are as good as the ones given.
     time: the second argument is t.
     breaks: for each argument, where the function is known to change.  places: (k, 1 or 2) arguments to look at.
+    cure: what messages about a function that is not smooth end with.
     Raises ContourError naming the place where refinement does not help, or where neighbouring pieces do not meet in
     value and two derivatives: a kink, a jump or noise.
     """
@@ -117,9 +119,9 @@ def fit(
             shown = ", ".join(f"{value:.6g}" for value in place)
             raise ContourError(
                 f"{owner}: the function cannot be traced, and fitting it leaves an error of {worst:.1e} near "
-                f"({shown}); it must be twice continuously differentiable and free of noise"
+                f"({shown}); it must be twice continuously differentiable and free of noise{cure}"
             )
-    _check_joints(owner, lines, periodic, coefficients, scale)
+    _check_joints(owner, lines, periodic, coefficients, scale, cure)
     directions = [Direction.chebyshev(b, _DEGREE, bool(p)) for b, p in zip(lines, periodic)]
     flat = coefficients.reshape(*(direction.functions for direction in directions), -1)
     constants = tuple(None if column.any() else 0.0 for column in np.moveaxis(flat, -1, 0))
@@ -173,7 +175,12 @@ def _values(lines: list[np.ndarray], coefficients: np.ndarray, points: np.ndarra
 
 
 def _check_joints(
-    owner: str, lines: list[np.ndarray], periodic: Sequence[bool], coefficients: np.ndarray, scale: float
+    owner: str,
+    lines: list[np.ndarray],
+    periodic: Sequence[bool],
+    coefficients: np.ndarray,
+    scale: float,
+    cure: str,
 ) -> None:
     """ContourError where neighbouring pieces do not meet in value, first and second derivative."""
     signs = (-1.0) ** np.arange(_DEGREE + 1)
@@ -206,7 +213,7 @@ def _check_joints(
                 raise ContourError(
                     f"{owner}: {what} jumps by {float(jumps[worst]):.1e}{seam} near "
                     f"({', '.join(f'{x:.6g}' for x in where)}), where rounding makes {allowed[i]:.0e} at most; it must "
-                    "be twice continuously differentiable"
+                    f"be twice continuously differentiable{cure}"
                 )
 
 

@@ -318,8 +318,9 @@ class CallableMotion(Motion):
     f : callable
         f(t) -> (pose, velocity, acceleration): pose a `pin.SE3`, velocity (6,) and acceleration (6,) linear before
         angular, in carrier axes; the acceleration is the second derivative of the position. It is called in Python
-        once per evaluation of the dynamics. Or f(t) -> pose, with a time domain: the pose is fitted there to
-        round-off, once, and no Python runs afterwards.
+        once per evaluation of the dynamics. Accelerations may jump, as of a belt that starts and stops: pass the times
+        to `simulate` as `breakpoints`. Or f(t) -> pose, with a time domain: the pose is fitted there to round-off,
+        once, and no Python runs afterwards; it must be smooth.
     time_domain : (first, last), optional
         In s, for an f that returns poses only. Beyond it the motion goes on with constant second derivatives.
 
@@ -367,9 +368,16 @@ class CallableMotion(Motion):
             self._function = given
             return
         if time_domain is None:
-            raise ContourError(f"{owner}: a function that returns a pose only needs time_domain=(first, last)")
+            raise ContourError(
+                f"{owner}: a function that returns a pose only needs time_domain=(first, last); one that returns "
+                "(pose, velocity, acceleration) needs none"
+            )
         pose = _continued(lambda t: _coordinates(_placement(owner, f"f({t})", f(t))), first, last)
-        result = fit(owner, pose, [(first, last)], (False,))
+        cure = (
+            "; where the acceleration jumps, return (pose, velocity, acceleration) without time_domain, and give "
+            "simulate the times as breakpoints"
+        )
+        result = fit(owner, pose, [(first, last)], (False,), cure=cure)
         self.kind = MOTION_SPLINE
         self.fit_error = result.error
         super().__init__((), _motion_pool(result.pool))

@@ -334,14 +334,17 @@ class System(Workspace):
         self.before_evaluation()
 
     def _to_be_asked(self, torque: Callable[[float], None] | None) -> Callable[[], bool]:
-        drives = [(name, motion, self.side_motion[side]) for side, name, motion in self.python_drives]
+        # a motion is asked once, however many contacts its contour has
+        drives: dict[int, tuple[str, Motion, list[np.ndarray]]] = {}
+        for side, name, motion in self.python_drives:
+            drives.setdefault(id(motion), (name, motion, []))[2].append(self.side_motion[side])
         if torque is not None and not drives:
             return self.callback_of(torque)
 
         def ask(t: float) -> None:
             if torque is not None:
                 torque(t)
-            for name, motion, row in drives:
+            for name, motion, (row, *others) in drives.values():
                 try:
                     motion.evaluate(t, row)
                 except UnusableResult as error:
@@ -349,6 +352,8 @@ class System(Workspace):
                 except BaseException:
                     self.blame(f"t = {t:.9g} s: the motion of contour {name!r}")
                     raise
+                for other in others:
+                    other[:] = row
 
         return self.callback_of(ask)
 

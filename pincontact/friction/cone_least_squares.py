@@ -11,7 +11,8 @@ next problem, whose solution is near this one's as a rule.
 Directions converge slower than Newton's method does. So after each program the smooth equations of what it found to be
 active (rows at a bound, cones on their edge or at their apex) are solved to round-off: stationarity with the cones'
 curvature, regularised as in a proximal method (no rank is needed). The result counts if it lies within all cones
-and its multipliers have the right signs: these conditions are sufficient, as the problem is convex.
+and its multipliers have the right signs: these conditions are sufficient, as the problem is convex, wherever ProxQP
+has stopped.
 
 Multipliers make certificates: y is optimal, or a system has no solution (Farkas), if a combination of half-spaces says
 so; that of a cone's facets is a vector of its dual cone.
@@ -128,6 +129,10 @@ class ConeSolution:
     rows: np.ndarray
     exact: bool = False
 
+    def scaled(self, unit: float) -> ConeSolution:
+        """That of a problem whose squares are larger by this factor."""
+        return ConeSolution(self.y, unit * self.cones, unit * self.rows, self.exact)
+
 
 class ConeLeastSquares:
     """Solves problems that follow on each other, such as those of a control loop; see the module's docstring.
@@ -138,7 +143,7 @@ class ConeLeastSquares:
     def __init__(self) -> None:
         self.programs = self.iterations = 0
         self._qp: Any = None
-        self._size, self._impossible = (-1, -1), False
+        self._size, self._impossible, self._converged = (-1, -1), False, True
         self._directions = np.zeros((0, _DIRECTIONS, 2))
         self._duals = np.zeros(0)
 
@@ -151,7 +156,10 @@ class ConeLeastSquares:
         if len(self._directions) != m:
             self._directions = np.zeros((m, _DIRECTIONS, 2))
             self._directions[:, :4] = _FIRST
-        hessian, gradient = matrix.T @ matrix, -matrix.T @ right
+        # the unit of A is anybody's choice, and tolerances are those of entries of size one
+        largest = float(np.abs(matrix).max(initial=0.0))
+        unit = largest if largest > _ROUND_OFF else 1.0
+        hessian, gradient = matrix.T @ matrix / unit**2, -matrix.T @ right / unit**2
         scale = max(1.0, float(np.abs(gradient).max(initial=0.0)))
         y, accuracy = guess, _ACCURACY
         for _ in range(_PROGRAMS):
@@ -159,15 +167,17 @@ class ConeLeastSquares:
             found = self._solve_program(hessian / scale, gradient / scale, region, y, accuracy)
             if found is None:
                 return None
-            found = ConeSolution(found.y, scale * found.cones, scale * found.rows)
+            found = found.scaled(scale)
             exact = _finish(hessian, gradient, region, found, scale)
             if exact is not None:
                 self._touch(region, exact.y, -_WITHIN)
-                return exact
+                return exact.scaled(unit**2)
+            if not self._converged:
+                return None
             y = found.y
             left = region.outside(y)[0].max(initial=0.0)
             if left <= _WITHIN and accuracy == _TIGHT:
-                return found
+                return found.scaled(unit**2)
             self._touch(region, y, _WITHIN)
             if left <= 1e2 * _ACCURACY:
                 accuracy = _TIGHT
@@ -178,7 +188,7 @@ class ConeLeastSquares:
     ) -> ConeSolution | None:
         warm = self._size != (-1, -1)
         found = self._run_program(hessian, gradient, region, guess, accuracy)
-        if found is None and warm and not self._impossible:
+        if not self._converged and warm and not self._impossible:
             # with the penalties of a problem before, ProxQP may go to and fro
             self._size = (-1, -1)
             found = self._run_program(hessian, gradient, region, guess, accuracy)
@@ -220,15 +230,16 @@ class ConeLeastSquares:
         self.programs += 1
         self.iterations += int(results.info.iter)
         self._impossible = results.info.status == proxqp.QPSolverOutput.PROXQP_PRIMAL_INFEASIBLE
-        if results.info.status != proxqp.QPSolverOutput.PROXQP_SOLVED:
-            self._duals = np.zeros(count + k)
+        self._converged = results.info.status == proxqp.QPSolverOutput.PROXQP_SOLVED
+        duals = np.array(results.z)
+        self._duals = duals if self._converged else np.zeros(count + k)
+        if self._impossible or not (np.isfinite(results.x).all() and np.isfinite(duals).all()):
             return None
-        self._duals = np.array(results.z)
-        on_facets = np.maximum(self._duals[:count], 0.0).reshape(m, _DIRECTIONS)
+        on_facets = np.maximum(duals[:count], 0.0).reshape(m, _DIRECTIONS)
         cones = np.empty((m, 3))
         cones[:, 0] = -on_facets.sum(axis=1)
         cones[:, 1:] = (on_facets[:, None] @ directions)[:, 0]
-        return ConeSolution(np.array(results.x), cones, self._duals[count:].copy())
+        return ConeSolution(np.array(results.x), cones, duals[count:])
 
     def _touch(self, region: Region, y: np.ndarray, beyond: float) -> None:
         """Add facets towards y to the cones that it leaves by more than this."""

@@ -142,15 +142,15 @@ class Loads:
         """(n,) OPEN: no normal force, or no radius where there is none; SLIP: on the disc's rim, or held up by
         friction alone; else STICK."""
         velocities, radii = self.gram @ forces + self.base, self.radii(forces)
-        modes, least = np.full(self.mu.size, STICK), TOLERANCE * float(np.abs(forces).max(initial=0.0))
+        modes, least = np.full(self.mu.size, STICK), TOLERANCE * float(np.abs(self.base).max(initial=0.0))
         for i, count in enumerate(self.tangents.astype(int)):
             k = 3 * i
+            weight = float(self.gram.diagonal()[k : k + 3].max()) or 1.0
             load = forces[k + 2] if self.normal[i] else radii[i]
             if load <= 0.0:
-                held_up = math.isinf(self.mu[i]) and np.abs(forces[k : k + 2]).max() > least
+                held_up = math.isinf(self.mu[i]) and weight * np.abs(forces[k : k + 2]).max() > least
                 modes[i] = SLIP if held_up else OPEN
                 continue
-            weight = float(self.gram.diagonal()[k : k + 3].max()) or 1.0
             aim = forces[k : k + count] - velocities[k : k + count] / weight
             slides = self.mu[i] == 0.0 or self.along[2 * i : 2 * i + 2].any()
             if slides or float(np.linalg.norm(aim)) > radii[i] * (1.0 + TOLERANCE):

@@ -42,7 +42,7 @@ _JUMP = 1e-6
 # Event functions of friction below this part of the limit, and loads below this part of the largest, are zero where no
 # choice among redundant forces can raise them.
 _AT_LIMIT = 1e-6
-# Contacts that carry less than this part of the largest load on a joint are about to open.
+# Bodies that would come together, without forces, by less than this part of what accelerates them need none.
 _NOTHING = 1e-7
 
 
@@ -256,19 +256,26 @@ class ModeChanges:
 
     def redistribute(self, t: float, c: int, kind: int) -> bool:
         """Whether other ones among redundant forces keep all modes, of which event function `kind` of item c ends
-        one.
-
-        What is about to lose all its load together keeps none: the choice would shrink with it, and end as often as
-        one likes.
-        """
-        carried = float(np.abs(self.system.force[: self.system.nc]).max(initial=0.0))
-        if carried < max(_NOTHING, self.system.scale.item(0)) * self.modes.largest_load():
-            return False
+        one."""
         if not self._choose_others(t, c, kind) or self._is_limited(c, kind):
             return False
         self.project(t)
         self.rk.accept()
         return True
+
+    def unloaded(self) -> list[int]:
+        """Redundant contacts that open together: no force at all is needed to keep their bodies as near as they are.
+
+        As loads shrink to nothing, each choice among them is soon over, however often it is made anew.
+        """
+        system = self.system
+        closed = [c for c in system.closed() if system.contact_int[c, UNILATERAL]]
+        if not closed or not self._is_redundant():
+            return []
+        rows, bias = system.rows[closed, 2], system.bias[closed, 2]
+        rates, sizes = rows @ system.free_acceleration + bias, np.abs(rows) @ np.abs(system.free_acceleration)
+        nothing = rates >= -max(_NOTHING, system.scale.item(0)) * (sizes + np.abs(bias))
+        return [c for c, needs_none in zip(closed, nothing.tolist()) if needs_none]
 
     def redistribute_within(self, t: float, c: int, kind: int) -> bool:
         """The same within a step, for forces that move nothing. Those that leave an item at its limit stay chosen."""

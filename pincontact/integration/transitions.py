@@ -194,6 +194,9 @@ class Transitions:
         if kind == FRICTION_EVENT and self.system.contact_int[c, MODE] == SLIPPING:
             self.changes.end_jams(t, [c])
             return self.onset.start(t)
+        unloaded = self.changes.unloaded()
+        if self.system.owner(c) in unloaded:
+            return self._open(t, unloaded)
         if not chosen and self.changes.redistribute(t, c, kind):
             return t
         c, kind = self.changes.limiting(c, kind)
@@ -237,9 +240,14 @@ class Transitions:
         if self.modes.share(t, c, self.rk.evaluate):
             self.changes.accept_with_other_forces(t)
             return t
-        before = int(integers[MODE])
-        integers[MODE] = FREE
-        self.penetration.barely_open[c] = before, self.reports.announce(t, c, "separate")
+        return self._open(t, [c])
+
+    def _open(self, t: float, contacts: list[int]) -> float:
+        """These contacts open."""
+        modes = self.system.contact_int[:, MODE]
+        for c in contacts:
+            self.penetration.barely_open[c] = int(modes[c]), self.reports.announce(t, c, "separate")
+            modes[c] = FREE
         return self.onset.resolve(t, self.changes.sticking())
 
     def _closes_again(self, t: float, c: int) -> bool:

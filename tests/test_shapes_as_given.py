@@ -514,7 +514,7 @@ def test_pieces_of_different_sizes_meet_or_are_named(axis, order):
             return np.array([1.0, x**3 * y**2 - x * y + size * (along**order if along > 0.0 else 0.0)])
 
         pieces = {ends: solve @ fits._data(f, None, ends, nodes) for ends in fits._boxes(lines)}
-        fits._check_joints("test", lines, (False, False), fits._assembled(lines, pieces), 8.0)
+        fits._check_joints("test", lines, (False, False), fits._assembled(lines, pieces), 8.0, "")
 
     checked(0.0)
     if order == 3:

@@ -342,7 +342,7 @@ def wheels(rng):
 def test_wheels_that_nearly_share_their_friction():
     """Full steps alone go to and fro in one of six of these. A few are beyond sweeps, too."""
     solved = 0
-    for seed in range(60):
+    for seed in range(30):
         problem, start = wheels(np.random.default_rng(seed))
         solver = LoadSolver()
         if not solver.solve(problem.posed(), start, no_guess):
@@ -356,7 +356,7 @@ def test_wheels_that_nearly_share_their_friction():
         assert np.abs(forces[normals] * velocities[normals]).max() < 1e-8
         for disk in problem.disks:
             assert np.linalg.norm(forces[disk.rows]) <= 0.7 * max(forces[disk.normal], 0.0) + 1e-8
-    assert solved >= 56
+    assert solved >= 28
 
 
 def bilateral_problem(rng):

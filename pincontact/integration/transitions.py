@@ -255,8 +255,7 @@ class Transitions:
         if self.system.contact_int[c, MODE] != STICK or self.system.contact_real[c, MU] < math.inf:
             return False
         self.rk.accept()
-        tau = min(self.onset.seed, self.onset.longest)
-        closes = self.penetration.closes_again(t, c, tau, self.changes.sticking())
+        closes = self.penetration.closes_again(t, c, min(self.onset.seed, self.onset.longest))
         self.changes.evaluate_accepted(t)
         return closes
 

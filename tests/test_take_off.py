@@ -43,3 +43,33 @@ def test_all_feet_part_together(seed):
     assert len(parted) == len(scene.contacts)
     # a tenth of a millionth of the floor's acceleration is left out, which changes by as much in this time
     np.testing.assert_allclose(parted, leaves, rtol=1e-6)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+def test_feet_that_only_a_pusher_holds_do_not_part(method):
+    """Nothing moves the body off the wall, or to it, but the tip that presses it there: three feet slip together at
+    their limit of friction, mu times the push."""
+    model, joint = pin.Model(), 0
+    model.gravity.linear = np.zeros(3)
+    for name, kind in (("x", pin.JointModelPX()), ("z", pin.JointModelPZ()), ("pitch", pin.JointModelRY())):
+        joint = model.addJoint(joint, kind, pin.SE3.Identity(), name)
+    inertia = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    model.appendBodyToJoint(
+        model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "push"), inertia, pin.SE3.Identity()
+    )
+    scene, upright = pc.Scene(model), pin.utils.rotate("y", 0.5 * math.pi)
+    wall = scene.add_contour("wall", pc.Plane(), placement=pin.SE3(upright, np.zeros(3)))
+    for i, z in enumerate((-0.1, 0.0, 0.1)):
+        foot = scene.add_contour(f"foot {i}", pc.Point(), "pitch", pin.SE3(np.eye(3), np.array([-0.05, 0.0, z])))
+        scene.add_contact(f"foot {i}", foot, wall, pc.Coulomb(0.5))
+    face = scene.add_contour("face", pc.Plane(), "pitch", pin.SE3(upright, np.array([0.05, 0.0, 0.0])))
+    scene.add_contact("tip", scene.add_contour("tip", pc.Point(), "push"), face)
+    state = scene.initial_state([0.05, 0.0, 0.0, 0.1], np.zeros(4))
+    # the small torque chooses which of redundant forces is at its limit first
+    run = pc.simulate(scene, state, 0.6, control=lambda t, q, v: np.array([0.0, -30.0 * t, 0.3, -30.0]), method=method)
+    assert run.status == 0, run.message
+    slips = [event for event in run.events if event.kind == "slip"]
+    assert {event.contact for event in slips} == {"foot 0", "foot 1", "foot 2"}
+    np.testing.assert_allclose([event.time for event in slips], 0.5, atol=1e-6)
+    assert not any(event.kind == "separate" and event.time < 0.51 for event in run.events)

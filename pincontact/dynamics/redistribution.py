@@ -310,6 +310,10 @@ class RedundantForces:
         )
 
     def force_round_off(self) -> float:
-        """Forces in N (or N m) below which a sign means nothing, from the loads on the joints."""
+        """Forces in N (or N m) below which a sign means nothing."""
+        return _ROUND_OFF * self.largest_load()
+
+    def largest_load(self) -> float:
+        """The largest load on a joint, in N or N m, without constraints."""
         loads = zip(self.system.bias_forces.tolist(), self.system.tau.tolist())
-        return _ROUND_OFF * max((abs(bias) + abs(torque) for bias, torque in loads), default=0.0)
+        return max((abs(bias) + abs(torque) for bias, torque in loads), default=0.0)

@@ -264,18 +264,22 @@ class ModeChanges:
         return True
 
     def unloaded(self) -> list[int]:
-        """Redundant contacts that open together: no force at all is needed to keep their bodies as near as they are.
+        """Redundant contacts that open together: they carry next to nothing, and no force at all is needed to keep
+        their bodies as near as they are.
 
         As loads shrink to nothing, each choice among them is soon over, however often it is made anew.
         """
         system = self.system
-        closed = [c for c in system.closed() if system.contact_int[c, UNILATERAL]]
-        if not closed or not self._is_redundant():
+        if not self._is_redundant():
             return []
-        rows, bias = system.rows[closed, 2], system.bias[closed, 2]
+        least = max(_NOTHING, system.scale.item(0))
+        closed = [c for c in system.closed() if system.contact_int[c, UNILATERAL]]
+        rows, bias, forces = system.rows[closed, 2], system.bias[closed, 2], np.abs(system.force[closed])
         rates, sizes = rows @ system.free_acceleration + bias, np.abs(rows) @ np.abs(system.free_acceleration)
-        nothing = rates >= -max(_NOTHING, system.scale.item(0)) * (sizes + np.abs(bias))
-        return [c for c, needs_none in zip(closed, nothing.tolist()) if needs_none]
+        parted = rates >= -least * (sizes + np.abs(bias))
+        # redundant ones press against each other, too
+        parted &= forces.max(axis=1, initial=0.0) <= 10.0 * least * self.modes.largest_load()
+        return [c for c, parts in zip(closed, parted.tolist()) if parts]
 
     def redistribute_within(self, t: float, c: int, kind: int) -> bool:
         """The same within a step, for forces that move nothing. Those that leave an item at its limit stay chosen."""

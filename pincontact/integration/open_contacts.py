@@ -15,6 +15,7 @@ from ..contours.base import F_T, F_TT, PLANE
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
 from ..geometry.nearest import NearestSearch, Whole, is_searched
+from ..geometry.patterns import CROSSING_CURVES
 from ..geometry.search import SAME
 from ..layout import (
     APPROACH_SPEED,
@@ -31,6 +32,7 @@ from ..layout import (
     HULL_Z,
     LENGTH,
     NOTHING_THERE,
+    PATTERN,
     SPEEDING,
     TURNING,
     UNILATERAL,
@@ -372,6 +374,21 @@ class OpenContacts:
         integers[BRANCH], integers[DETERMINANT_SIGN] = found.branch, found.determinant_sign
         system.side_int[2 * c : 2 * c + 2, CHART] = found.charts
         self.relocated.add(c)
+        return True
+
+    def loses(self, t: float, c: int) -> bool:
+        """Whether contact c was not followed where its gap leapt through zero in the step to the evaluated state at t:
+        its nearest points are elsewhere, and looked for anew, or its curves became parallel."""
+        self.passed.add(c)
+        if self.system.contact_int[c, PATTERN] == CROSSING_CURVES:
+            return True
+        search = self._known(c, t).search
+        if search is None:
+            return False
+        found = search.search(t).candidate
+        if found is not None and self._is_present(c, found):
+            return found.gap > 0.0
+        self.find(t, c)
         return True
 
     def _is_present(self, c: int, found: Candidate) -> bool:

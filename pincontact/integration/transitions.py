@@ -14,14 +14,12 @@ import numpy as np
 from ..dynamics.energy import REST_SPEED
 from ..dynamics.modes import ModeSolver, shares_viscous_force
 from ..dynamics.system import FORCE_SLACK
-from ..geometry.patterns import CROSSING_CURVES
 from ..layout import (
     DOMAIN_EVENT,
     FREE,
     FRICTION_EVENT,
     GAP_EVENT,
     JOINT_END,
-    LENGTH,
     LIMIT_SLACK,
     LOCATION_FAILED,
     MASS_NOT_POSITIVE,
@@ -31,7 +29,6 @@ from ..layout import (
     NORMAL_EVENT,
     NORMAL_SIGN,
     OK,
-    PATTERN,
     SINGULAR,
     SLIPPING,
     SPEED_EVENT,
@@ -39,7 +36,7 @@ from ..layout import (
     UNILATERAL,
 )
 from .accuracy import gap_rate, held_up, may_stop
-from .contradictions import apart, jump_apart, refuse_apart
+from .contradictions import apart, has_leapt, jump_apart, jump_into, refuse_apart
 from .impacts import Impacts
 from .joint_events import JointEvents
 from .mode_changes import ModeChanges
@@ -54,8 +51,6 @@ from .slip_onset import SlipOnset
 _MOVED = 1e-9
 # A motion that jumps at a breakpoint moves bodies by no more than so many times the error of gaps.
 _JUMP_REACHES = 10.0
-# A gap that is larger, relative to the contact's length, has not come to zero as it changes sign.
-_APART = 1e-2
 # What is added to the slack of a limit of friction that was reached without slip, as a factor, and where that ends.
 _SLACK_GROWTH, _LARGEST_SLACK = 4.0, 1e-10
 
@@ -172,11 +167,7 @@ class Transitions:
     def switch(self, t: float, c: int, kind: int, chosen: bool) -> float:
         """Event function `kind` of item c has reached zero at t. chosen: whether no other redundant forces would do."""
         if kind == GAP_EVENT and c < self.system.nc:
-            if self._turns_round(c):
-                self.open.passed.add(c)
-                self.changes.accept_with_other_forces(t)
-                return t
-            return self.impacts.touch(t, c)
+            return self._leap(t, c) if has_leapt(self.system, c) else self.impacts.touch(t, c)
         self.reports.check_chatter(t, c)
         if self.system.nc <= c < self.system.nc + self.system.ng:
             return self._switch_joint(t, c, kind, chosen)
@@ -202,12 +193,14 @@ class Transitions:
         c, kind = self.changes.limiting(c, kind)
         return self._lose_load(t, c) if kind == NORMAL_EVENT else self._reach_limit(t, c)
 
-    def _turns_round(self, c: int) -> bool:
-        """Whether the gap of contact c, between two curves, has changed sign without coming to zero: as these become
-        parallel their common normal turns round."""
-        integers, numbers = self.system.contact_int[c], self.system.contact_real[c]
-        crossing = integers[PATTERN] == CROSSING_CURVES
-        return bool(crossing and abs(self.system.gaps[c, 0]) > _APART * numbers[LENGTH])
+    def _leap(self, t: float, c: int) -> float:
+        """The gap of contact c has leapt from one sign to the other, which is no touch: two curves have become
+        parallel, where their common normal turns round, or Newton's method has gone over to other stationary points.
+        Where a motion jumps, the bodies have done so."""
+        self.changes.accept_with_other_forces(t)
+        if not self.open.loses(t, c):
+            raise jump_into(t, self.reports.names[c])
+        return t
 
     def _switch_joint(self, t: float, c: int, kind: int, chosen: bool) -> float:
         """Event function `kind` of item c, a limited joint coordinate, has reached zero."""

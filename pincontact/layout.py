@@ -118,16 +118,18 @@ CALLBACK = record(
     SPINNING_ROW,
     ROLLING_ROW,
     OWNER,
-) = range(17)
-CONTACT_INTS = 17
+    WHOLE,
+) = range(18)
+CONTACT_INTS = 18
 # contact_int[ANISOTROPIC]: friction alike in all directions, or along a tangent of body 1 or body 2 and across it
 ISOTROPIC, ALONG_BODY_1, ALONG_BODY_2 = range(3)
 # contact_int[SPINNING_ROW], contact_int[ROLLING_ROW]: rows of a contact's resistances among all, 0 for none;
-# contact_int[OWNER]: of a resistance's row, its contact
+# contact_int[OWNER]: of a resistance's row, its contact; contact_int[WHOLE]: the body (0 or 1) whose contour lies in
+# the ball of HULL and EXTENT
 
 # contact_real; MU is the coefficient as slip starts, MU_FAST that of fast slip, MU_NOW that of the last evaluation;
 # coefficients of two directions are along the first, times ASPECT across it.
-# HULL_X to HULL_Z and EXTENT: centre (frame of contour 1) and radius in m of a ball in which contour 1 lies. While
+# HULL_X to HULL_Z and EXTENT: centre (frame of the contour) and radius in m of a ball in which one contour lies. While
 # open: bounds of APPROACH_SPEED in m/s, TURNING in rad/s and BENDING in m/s^2, see `integration.approach`; SPEEDING in
 # m/s^2: how much that speed changed in the last step that might have touched; FLAT: whether contour 2 is a plane that
 # no motion drives.

@@ -15,6 +15,7 @@ from .display import MODE_NAMES, html_table, known_range
 from .energies import Energies
 from .errors import ArgumentError, TrajectoryError
 from .geometry.frames import contact_frame, dual_basis
+from .integration.open_contacts import OpenContacts
 from .integration.results import Event
 from .integration.run_system import RunSystem
 from .layout import (
@@ -39,8 +40,8 @@ _OF_SIDES = ("shapes", "frames", "charts")
 class ContactTrack:
     """One contact over time, a row per output; world axes, SI units. `force_on` knows which body a force acts on.
 
-    While the contact is open, location, point and frame are those of the nearest points. k is the number of location
-    parameters, in m or rad.
+    While the contact is open, location, point and frame are those of the nearest points, and NaN, with the gap, where
+    there are none that are stationary. k is the number of location parameters, in m or rad.
 
     Attributes
     ----------
@@ -49,7 +50,7 @@ class ContactTrack:
     location_first, location_second : (n, k1 or k2) array
         The same by the user's contours.
     rates : (n, k) array
-        p*' in m/s or rad/s (Eq. 6), in the order of `location`; NaN where an open contact has no nearest points.
+        p*' in m/s or rad/s (Eq. 6), in the order of `location`.
     charts : (n, 2) array of int
         Of body 1 and body 2.
     point : (n, 3) array
@@ -263,13 +264,16 @@ def _evaluate_outputs(
     }
     values = {name: np.empty((len(wanted), *view.shape), view.dtype) for name, view in views.items()}
     rows: list[int] = []
+    opened = OpenContacts(system)
     for i in wanted:
         load_output(system, recorded, i, q[i], v[i])
         system.scalars["has_reference"] = float(i in recorded.references)
         system.reference_start[:nc], system.reference_slope[:] = recorded.references.get(i, 0.0), 0.0
-        known = system.evaluate(float(t[i])) <= EVENT
+        known = system.evaluate(time := float(t[i])) <= EVENT
+        if known and FREE in system.modes and opened.follow(time):
+            known = system.evaluate(time) <= EVENT
         # where nothing tells what acts, as torques that are not finite, where contacts are may be known
-        if known or system.evaluate_kinematics(float(t[i])) == OK:
+        if known or system.evaluate_kinematics(time) == OK:
             for name, view in views.items():
                 values[name][len(rows)] = view if known or name != "force" else np.nan
             rows.append(i)
@@ -301,6 +305,8 @@ def _empty_track(contact: Contact, modes: np.ndarray) -> ContactTrack:
 
 def _fill_track(rows: np.ndarray, outputs: dict[str, np.ndarray], contact: Contact, track: ContactTrack) -> None:
     """Rows of a track from what outputs leave of its contact."""
+    there = outputs["gaps"][:, 0] != NOTHING_THERE
+    rows, outputs = rows[there], {name: array[there] for name, array in outputs.items()}
     k1, k2 = contact.body1.contour.dimension, contact.body2.contour.dimension
     sign = -1.0 if contact.swapped else 1.0
     kept = np.r_[0:k1, 2 : 2 + k2]
@@ -309,8 +315,7 @@ def _fill_track(rows: np.ndarray, outputs: dict[str, np.ndarray], contact: Conta
     u1, u2 = location[:, :k1], location[:, k1:]
     track.location_first[rows], track.location_second[rows] = (u2, u1) if contact.swapped else (u1, u2)
     gaps, basis = outputs["gaps"], outputs["basis"]
-    there = gaps[:, 0] != NOTHING_THERE
-    track.rates[rows[there]] = outputs["rates"][there][:, kept]
+    track.rates[rows] = outputs["rates"][:, kept]
     track.charts[rows] = outputs["charts"]
     first, second = outputs["shapes"][:, 0], outputs["shapes"][:, 1]
     carrier = outputs["frames"][:, 1]

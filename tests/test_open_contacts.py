@@ -117,6 +117,97 @@ def test_drops_into_a_bowl(method):
         assert (np.linalg.norm(run.q / axes, axis=1) <= 1.0 + 2.0 * OVERLAP[method]).all()
 
 
+def random_throw(rng):
+    """A body in a bowl whose axes are all different, or in a tube, thrown and spun: shape, bowl, the bowl's rotation,
+    what is below zero inside of it, place, velocity and spin."""
+    sizes = rng.uniform(0.03, 0.12, 3)
+    shapes = [pc.Point(), pc.Sphere(sizes[0]), pc.Ellipsoid(*sizes), pc.Circle(sizes[0]), pc.Torus(0.08, 0.03)]
+    shape, axes = shapes[rng.integers(5)], rng.uniform(0.5, 1.2, 3)
+    if rng.random() < 0.7:
+        bowl, depth = pc.Ellipsoid(*axes), lambda x: np.sum((x / axes) ** 2, axis=-1) - 1.0
+    else:
+        bowl, depth = pc.Cylinder(axes[0]), lambda x: np.hypot(x[..., 0], x[..., 1]) - axes[0]
+    rotation = pin.exp3(rng.normal(size=3))
+    place, velocity = rng.uniform(-0.2, 0.2, 3), rng.choice([0.0, 0.5, 2.0]) * rng.normal(size=3)
+    return shape, bowl, rotation, depth, place, velocity, rng.choice([0.0, 3.0, 15.0]) * rng.normal(size=3)
+
+
+def first_overlap(shape, rotation, depth, place, velocity, spin, duration):
+    """When any of a body's samples, 40 along each parameter of a surface, gets out of the bowl; None if none does. Its
+    moments of inertia are all alike, so it spins steadily."""
+    counts = [40 if shape.dimension == 2 else 1000] * shape.dimension
+    axes = [np.linspace(*ends, count) for ends, count in zip(shape.domain, counts)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, shape.dimension) if axes else None
+    samples = np.zeros((1, 3)) if grid is None else shape.evaluate_many(grid, 0.0)[:, 0]
+
+    def deepest(t):
+        turned = pin.exp3(t * spin) @ samples.T if shape.dimension else samples.T
+        return depth((place + t * velocity + turned.T - [0.0, 0.0, 0.5 * G * t * t]) @ rotation).max()
+
+    times = np.linspace(0.0, duration, 1001)
+    out = [deepest(t) > 0.0 for t in times]
+    if not any(out):
+        return None
+    first = out.index(True)
+    return scipy.optimize.brentq(deepest, times[first - 1], times[first])
+
+
+@pytest.mark.parametrize("seed", [3, 4, 10, 21, 30, 32, 36])
+def test_throws_into_bowls(seed):
+    """On their way bodies pass places from where all of a bowl is as far, or no point of it is nearest."""
+    rng = np.random.default_rng(seed)
+    shape, bowl, rotation, depth, place, velocity, spin = random_throw(rng)
+    touch = first_overlap(shape, rotation, depth, place, velocity, spin, 0.6)
+    duration = 0.6 if touch is None else 1.005 * touch
+    order = ("shape", "ground") if rng.random() < 0.5 else ("ground", "shape")
+    # the bowl is inside out if it is the second surface, and touches the body from outside if it is the first
+    side = 1 if shape.dimension == 2 and order[0] == "ground" else -1
+    scene = scene_of(shape, bowl, pin.SE3(rotation, np.zeros(3)), order=order, side=side)
+    state = start(scene, place, velocity, spin)
+    ways = (
+        {},
+        {"max_step": duration / 200},
+        {"method": "RK45", "max_step": duration / 37},
+        {"method": "Moreau", "step": 1e-3},
+    )
+    for options in ways:
+        run = pc.simulate(scene, state, duration, t_eval=np.linspace(0.0, duration, 60), **options)
+        assert run.status == 0, run.message
+        found = touches(run)
+        # samples are 4 mm apart at most, which over radii of curvature of 5 cm hides 0.05 mm
+        assert (found[0] if found else None) == (touch if touch is None else pytest.approx(touch, abs=3e-4))
+        assert "inside" not in run.message
+        assert run.contacts["c"].gap.min() > -2e-4
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "RK45"}])
+def test_a_ring_rocks_across_a_trough(options):
+    """Where it rebounds at one place another one is next, which is not nearest when the step begins."""
+    scene = scene_of(pc.Circle(0.08), waves(None), restitution=0.8)
+    state = start(scene, (0.0, 0.0, 0.5), (0.3, 0.2, 0.0), (3.0, 4.0, 5.0))
+    run = pc.simulate(scene, state, 1.65, t_eval=np.linspace(0.0, 1.65, 200), **options)
+    assert run.status == 0, run.message
+    angles = np.linspace(0.0, 2.0 * np.pi, 2000)
+    circle = 0.08 * np.array([np.cos(angles), np.sin(angles), 0.0 * angles])
+    for q in run.q:
+        x, _, z = q[:3, None] + pin.Quaternion(q[3:]).toRotationMatrix() @ circle
+        assert (z - AMPLITUDE * np.sin(2.0 * np.pi * x / LENGTH)).min() > -OVERLAP["DOP853"]
+
+
+@pytest.mark.parametrize(("method", "breakpoints"), [("DOP853", ()), ("DOP853", (0.1,)), ("Moreau", (0.1,))])
+def test_a_motion_that_jumps_moves_no_body(method, breakpoints):
+    """A floor that is elsewhere from one instant to the next strikes what is in between with no speed at all."""
+
+    def motion(t):
+        return pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.3 * (t > 0.1)])), np.zeros(6), np.zeros(6)
+
+    scene = scene_of(pc.Sphere(0.05), pc.Plane(), motion=pc.CallableMotion(motion))
+    run = pc.simulate(scene, start(scene, (0.0, 0.0, 0.2)), 0.5, method=method, breakpoints=breakpoints)
+    assert run.status == -1
+    assert "'c' are inside each other at once" in run.message
+    assert run.q[-1, 2] == pytest.approx(0.2 - 0.5 * G * run.t[-1] ** 2, abs=1e-3)
+
+
 SHAPES = {
     "point": pc.Point(),
     "ball": pc.Sphere(0.06),

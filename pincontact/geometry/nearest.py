@@ -43,25 +43,33 @@ _SHARPEST = 0.9
 
 @dataclass(frozen=True)
 class Nearest:
-    """What a search has found. candidate: the nearest stationary point, None without any; distance: of any points of
-    the contours, at least; elsewhere: of any points outside the candidate's neighbourhood, at least; in m."""
+    """What a search has found. candidates: stationary points, the nearest first; distance: of any points of the
+    contours, at least; elsewhere: of any points outside the first candidate's neighbourhood, at least; in m."""
 
-    candidate: Candidate | None
+    candidates: list[Candidate]
     distance: float
     elsewhere: float
 
+    @property
+    def candidate(self) -> Candidate | None:
+        """The nearest stationary point, None without any."""
+        return self.candidates[0] if self.candidates else None
+
 
 class Whole:
-    """A contour of finite extent as samples. points (n, 3), parameters (n, 2), radius: of a sample's cell, in m;
-    centre (3,), extent: of a ball around it, in m; rounding: radius of a ball whose centre stands for it."""
+    """A contour of finite extent as samples. points (n, 3), parameters (n, 2), counts: samples along each parameter,
+    radius: of a sample's cell, in m; centre (3,), extent: of a ball around it, in m; rounding: radius of a ball whose
+    centre stands for it."""
 
     def __init__(self, contour: Contour, t: float) -> None:
         self.contour, self.rounding = contour, 0.0
+        self.counts: tuple[int, ...] = (1,)
         self.parameters, self.points, self.radius = np.zeros((1, 2)), np.zeros((1, 3)), 0.0
         if isinstance(contour, Sphere):
             self.rounding = contour.shape[0]
         elif contour.dimension > 0:
             counts = (_WHOLE_CURVE,) if contour.dimension == 1 else _WHOLE_SURFACE
+            self.counts = counts
             centres, half = _cells(contour.domain, counts)
             values = evaluated(contour, centres, t)
             self.parameters, self.points = centres, values[:, 0]
@@ -108,20 +116,19 @@ class NearestSearch:
 
     The contour of less extent is taken as a whole; the other one is divided into cells.
 
-    whole, divided: these contours; bend: least radius of curvature of both, in m. Raises ValueError where neither
-    contour is bounded.
+    whole, divided: these contours; side: of the whole one, 0 or 1; bend: least radius of curvature of both, in m.
+    Raises ValueError where neither contour is bounded.
     """
 
     def __init__(self, system: Workspace, c: int, t: float) -> None:
         self.system, self.c = system, c
         contours = system.contacts[c].body1.contour, system.contacts[c].body2.contour
-        bounded = [all(math.isfinite(low) and math.isfinite(high) for low, high in own.domain) for own in contours]
-        wholes = {side: Whole(contours[side], t) for side in (0, 1) if bounded[side]}
-        if not wholes:
+        found = least_whole(contours, t)
+        if found is None:
             raise ValueError("both contours are unbounded.")
-        self._side = min(wholes, key=lambda side: wholes[side].size)
-        self.whole, self.divided = wholes[self._side], contours[1 - self._side]
-        own, other = bend(contours[self._side], t), bend(self.divided, t)
+        self.side, self.whole = found
+        self.divided = contours[1 - self.side]
+        own, other = bend(self.whole.contour, t), bend(self.divided, t)
         self.bend = min(own, other, _LARGEST)
         if len(self.whole.points) == 1:
             # of points and balls nothing else can come near than what is; in a hollow, what is left of its radius
@@ -130,13 +137,13 @@ class NearestSearch:
 
     def pose(self) -> tuple[np.ndarray, np.ndarray]:
         """Rotation of the whole contour's frame in that of the divided one, and its centre there, as last evaluated."""
-        own, other = self.system.frames[2 * self.c + self._side], self._frame()
+        own, other = self.system.frames[2 * self.c + self.side], self._frame()
         rotation = other[:3].T @ own[:3]
         return rotation, other[:3].T @ (own[ORIGIN] - other[ORIGIN]) + rotation @ self.whole.centre
 
     def _frame(self) -> np.ndarray:
         """The divided contour's frame, as last evaluated."""
-        return self.system.frames[2 * self.c + 1 - self._side]
+        return self.system.frames[2 * self.c + 1 - self.side]
 
     def search(self, t: float) -> Nearest:
         """The nearest points at the system's (q, v)."""
@@ -148,17 +155,18 @@ class NearestSearch:
         distances, pair = whole.tree.query((points - centre) @ rotation + whole.centre)
         distances = distances - whole.rounding
         least = np.maximum(distances - reaches - whole.radius, 0.0)
-        # what is inside a ball that stands for a contour is as far from it as its surface
-        opposite = (whole.points[pair] - whole.centre) @ rotation.T + centre
-        found, point = self._candidate(t, parameters, points, distances, pair, opposite, neighbourhood)
+        starts = [(int(i), int(pair[i])) for i in spaced(points, np.argsort(distances), neighbourhood, _STARTS)]
+        if not least.all():
+            starts += self._deepest(points, neighbourhood)
+        found = self._candidates(t, parameters, starts)
         distance = float(least.min())
-        if found is None:
-            return Nearest(None, distance, distance)
+        if not found:
+            return Nearest([], distance, distance)
         frame = self._frame()
-        at = frame[:3].T @ (point - frame[ORIGIN])
+        at = frame[:3].T @ (found[0][1] - frame[ORIGIN])
         away = np.linalg.norm(points - at, axis=1) > neighbourhood + reaches
         elsewhere = min(float(least[away].min(initial=math.inf)), float(distances.min()) + neighbourhood)
-        return Nearest(found, distance, elsewhere)
+        return Nearest([candidate for candidate, _ in found], distance, elsewhere)
 
     def _patch(self, t: float, centre: np.ndarray, beyond: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Cells of the divided contour that may be nearest to the whole one, or farther than that by `beyond` in m:
@@ -190,7 +198,7 @@ class NearestSearch:
 
     def _box(self, t: float, centre: np.ndarray, beyond: float) -> list[tuple[float, float]]:
         """The part of the divided contour's domain that what is near must be in."""
-        contour, side = self.divided, 1 - self._side
+        contour, side = self.divided, 1 - self.side
         flat = isinstance(contour, (Plane, HeightField))
         around = centre[:2].copy() if flat else self.system.location[self.c, 2 * side : 2 * side + 2].copy()
         for a, (low, high) in enumerate(contour.domain):
@@ -206,67 +214,85 @@ class NearestSearch:
             box.append((low, high))
         return box
 
-    def _candidate(
-        self,
-        t: float,
-        parameters: np.ndarray,
-        points: np.ndarray,
-        distances: np.ndarray,
-        pair: np.ndarray,
-        opposite: np.ndarray,
-        apart: float,
-    ) -> tuple[Candidate | None, np.ndarray]:
-        """The nearest of the stationary points to which Newton's method leads from the best samples, and the divided
-        contour's point (3,) in the world."""
+    def _deepest(self, points: np.ndarray, most: float) -> list[tuple[int, int]]:
+        """Where bodies may be inside each other, by up to so much in m: of the divided contour's points (n, 3) and the
+        whole one's samples, pairs in which these are farther away than their neighbours."""
+        whole, (rotation, centre) = self.whole, self.pose()
+        if len(whole.points) == 1:
+            return []
+        samples = (whole.points - whole.centre) @ rotation.T + centre
+        distances, nearest = scipy.spatial.cKDTree(points).query(samples, distance_upper_bound=most)
+        field = np.where(np.isinf(distances), -math.inf, distances).reshape(whole.counts)
+        highest = np.flatnonzero((scipy.ndimage.maximum_filter(field, 3) == field).ravel() & np.isfinite(distances))
+        order = highest[np.argsort(-distances[highest])]
+        return [(int(nearest[i]), i) for i in spaced(samples, order, most, _STARTS)]
+
+    def _candidates(
+        self, t: float, parameters: np.ndarray, starts: list[tuple[int, int]]
+    ) -> list[tuple[Candidate, np.ndarray]]:
+        """Stationary points to which Newton's method leads, the nearest first, with the divided contour's points (3,)
+        in the world. starts: places in parameters (n, 2) of that, and samples of the whole one."""
+        whole, (rotation, centre) = self.whole, self.pose()
         system, single, c = self.system, self._single, self.c
         single.q[:], single.v[:] = system.q, system.v
         single.contact_int[0, MODE], single.contact_int[0, SIDE] = FRICTIONLESS, system.contact_int[c, SIDE]
         single.contact_int[0, DETERMINANT_SIGN] = 0
         side = int(system.contact_int[c, SIDE])
-        best, shortest = None, math.inf
-        own, other = slice(2 * self._side, 2 * self._side + 2), slice(2 - 2 * self._side, 4 - 2 * self._side)
-        point = np.zeros(3)
-        for first in spaced(points, np.argsort(distances), apart, _STARTS):
+        candidates: list[tuple[float, Candidate, np.ndarray]] = []
+        own, other = slice(2 * self.side, 2 * self.side + 2), slice(2 - 2 * self.side, 4 - 2 * self.side)
+        cells, samples = np.array(starts).T
+        # what is inside a ball that stands for a contour is as far from it as its surface
+        targets = (whole.points[samples] - whole.centre) @ rotation.T + centre
+        for place, foot, sample in zip(*self._feet(parameters[cells], targets, t), samples):
             start = np.zeros(4)
-            start[other], foot = self._foot(parameters[first], opposite[first], t)
-            if isinstance(self.whole.contour, Sphere):
+            start[other] = place
+            if isinstance(whole.contour, Sphere):
                 start[own] = self._facing(foot)
             else:
-                start[own] = self.whole.parameters[pair[first]]
+                start[own] = whole.parameters[sample]
             found = refine(single, t, start, 1, set())
             if found is None or (found.side not in (0, side) and system.contacts[c].body1.contour.dimension > 0):
                 continue
             touching = single.frames[:, ORIGIN] + single.derivatives[:2, 0]
-            length = float(np.linalg.norm(touching[1] - touching[0]))
-            if length < shortest:
-                best, shortest, point = found, length, touching[1 - self._side]
-        return best, point
+            candidates.append((float(np.linalg.norm(touching[1] - touching[0])), found, touching[1 - self.side]))
+        return [(found, point) for _, found, point in sorted(candidates, key=lambda each: each[0])]
 
-    def _foot(self, u: np.ndarray, target: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters (2,) of the divided contour near u and its point (3,), both nearer to a target (3,) in its frame:
-        Newton's method, in which a surface's curvature counts where it keeps steps short."""
+    def _feet(self, u: np.ndarray, targets: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters (n, 2) of the divided contour near u and their points (n, 3), nearer to targets (n, 3) in its
+        frame: Newton's method, in which a surface's curvature counts where it keeps steps short."""
         contour, k = self.divided, self.divided.dimension
         low, high = np.array(contour.domain).reshape(k, 2).T
-        u, least = u.copy(), math.inf
-        found, point = u, np.zeros(3)
+        u, least = u.copy(), np.full(len(u), math.inf)
+        found, points = u.copy(), np.zeros_like(targets)
         for _ in range(_FOOT_STEPS):
-            values = contour.evaluate(u[:k], t)
-            away = target - values[0]
-            if not away @ away < least:
+            values = evaluated(contour, u, t)
+            away = targets - values[:, 0]
+            squares = np.einsum("ni,ni->n", away, away)
+            nearer = squares < least
+            if not nearer.any():
                 break
-            found, point, least = u.copy(), values[0], float(away @ away)
-            bent = -(values[3:6] @ away)[[[0, 1], [1, 2]]][:k, :k]
+            found[nearer], points[nearer], least[nearer] = u[nearer], values[nearer, 0], squares[nearer]
+            bent = -np.einsum("nai,ni->na", values[:, 3:6], away)[:, [[0, 1], [1, 2]]][:, :k, :k]
             stretches, axes = np.linalg.eigh(bent)
-            hessian = values[1 : 1 + k] @ values[1 : 1 + k].T + (axes * np.maximum(stretches, 0.0)) @ axes.T
-            step = np.linalg.lstsq(hessian, values[1 : 1 + k] @ away)[0]
-            u[:k] = np.clip(u[:k] + step, low, high)
-        return found, point
+            tangents = values[:, 1 : 1 + k]
+            hessian = tangents @ np.swapaxes(tangents, 1, 2)
+            hessian += (axes * np.maximum(stretches, 0.0)[:, None, :]) @ np.swapaxes(axes, 1, 2)
+            step = np.linalg.pinv(hessian, hermitian=True) @ (tangents @ away[:, :, None])
+            u[:, :k] = np.clip(u[:, :k] + step[:, :, 0], low, high)
+        return found, points
 
     def _facing(self, point: np.ndarray) -> tuple[float, float]:
         """Parameters of the ball that is the whole contour at which it faces a point in the divided one's frame."""
         rotation, centre = self.pose()
         x, y, z = rotation.T @ (point - centre)
         return math.atan2(y, x), math.atan2(z, math.hypot(x, y))
+
+
+def least_whole(contours: tuple[Contour, Contour], t: float) -> tuple[int, Whole] | None:
+    """The smaller one of the contours that are bounded, and its side; None where none is."""
+    bounded = [side for side in (0, 1) if np.isfinite(contours[side].domain).all()]
+    wholes = [(side, Whole(contours[side], t)) for side in bounded]
+    return min(wholes, key=lambda found: found[1].size, default=None)
 
 
 def is_searched(system: Workspace, c: int) -> bool:

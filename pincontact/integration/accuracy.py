@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from ..dynamics.system import System
     from .run_system import RunSystem
 
-# A start that is no deeper than this part of the contact's length, and does not come out, has just touched.
+# A start that is no deeper than this part of the contact's length, and does not come out, has just touched; a gap that
+# is larger than that as it changes sign has not come to zero.
 SHALLOW = 0.05
 # The last correction of gaps leaves so much of them, relative to the contact's length, only where the constraints
 # contradict each other; bodies that are nearer touch, on whichever side they are.

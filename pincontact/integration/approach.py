@@ -24,6 +24,7 @@ from ..layout import (
     SYSTEM,
     TURNING,
     UNILATERAL,
+    WHOLE,
 )
 
 # Gravity and what changed velocities last, times this, is what may change them next.
@@ -52,11 +53,11 @@ def _velocity_at(frame, lever, i):
 
 @kernel
 def bound_speed(numbers, one, two, from_origin, normal, vectors):
-    """Bounds of how contour 1 moves in the frame of body 2, from both bodies' frames (world axes): APPROACH_SPEED of
+    """Bounds of how one contour moves in the frame of the other body, from both frames (world axes): APPROACH_SPEED of
     its points in m/s, TURNING in rad/s, and BENDING in m/s^2, how fast turning alone changes the speed.
 
-    Contour 1 lies within EXTENT of a point of its frame, or, where EXTENT is negative, is its point from_origin (3,); a
-    ball that turns about its centre stays where it is. Where contour 2 is FLAT only speed along the normal counts.
+    It lies within EXTENT of a point of its frame, or, where EXTENT is negative, is its point from_origin (3,); a ball
+    that turns about its centre stays where it is. Where the other one is FLAT only speed along the normal counts.
     """
     own, other, local, change = vectors[0], vectors[1], vectors[2], vectors[3]
     local[0], local[1], local[2] = numbers[HULL_X], numbers[HULL_Y], numbers[HULL_Z]
@@ -85,8 +86,9 @@ def bound_speeds(system):
     frames, derivatives = system.frames, system.derivatives
     for c in range(system.sizes.nc):
         if contact_int[c, MODE] == FREE and contact_int[c, UNILATERAL] != 0:
-            one, two, point = frames[2 * c], frames[2 * c + 1], derivatives[2 * c, 0]
-            bound_speed(contact_real[c], one, two, point, system.basis[c, 2], system.vectors)
+            one = 2 * c + contact_int[c, WHOLE]
+            two, point, normal = 4 * c + 1 - one, derivatives[one, 0], system.basis[c, 2]
+            bound_speed(contact_real[c], frames[one], frames[two], point, normal, system.vectors)
 
 
 @separate_kernel(BOOLEAN, SYSTEM.type, REAL)

@@ -8,6 +8,7 @@ from ..dynamics.system import System
 from ..errors import StateError
 from ..geometry.patterns import ON_CURVE
 from ..layout import FREE, LENGTH, MODE, PATTERN, STICK, TANGENTS
+from .accuracy import SHALLOW
 from .results import NO_CONTACT_FORCE, STEP_TOO_SMALL, Stop
 from .stages import load_state
 
@@ -15,8 +16,6 @@ from .stages import load_state
 _NAMED = 1e-3
 # How far apart closed contacts may be where a motion begins, as a part of their natural length; they are put together.
 CLOSED_WITHIN = 0.05
-# A gap that is larger, relative to the contact's length, has not come to zero as it changes sign.
-_LEAPS = 1e-2
 
 
 def apart(system: System, closed: list[int], within: float = CLOSED_WITHIN) -> dict[str, float]:
@@ -36,22 +35,23 @@ def refuse_apart(found: dict[str, float]) -> None:
 
 def has_leapt(system: System, c: int) -> bool:
     """Whether the gap of contact c, which has changed its sign, has done so without coming to zero."""
-    return bool(abs(system.gaps[c, 0]) > _LEAPS * system.contact_real[c, LENGTH])
+    return bool(abs(system.gaps[c, 0]) > SHALLOW * system.contact_real[c, LENGTH])
 
 
 def jump_apart(t: float, name: str, gap: float) -> Stop:
     """The Stop where a motion jumps at t, which leaves the bodies of this closed contact apart."""
-    return _jump(t, name, f"{gap:.3g} m apart")
+    return Stop(
+        STEP_TOO_SMALL,
+        f"t = {t:.9g} s: a motion jumps, which moves the bodies of contact {name!r} {gap:.3g} m apart at once",
+    )
 
 
 def jump_into(t: float, name: str) -> Stop:
-    """The Stop where a motion jumps at t, which puts the bodies of this open contact inside each other."""
-    return _jump(t, name, "inside each other")
-
-
-def _jump(t: float, name: str, where: str) -> Stop:
+    """The Stop where the bodies of this open contact are inside each other at t, without having touched."""
     return Stop(
-        STEP_TOO_SMALL, f"t = {t:.9g} s: a motion jumps, which moves the bodies of contact {name!r} {where} at once"
+        STEP_TOO_SMALL,
+        f"t = {t:.9g} s: the bodies of contact {name!r} are inside each other at once: a motion jumps, or they got "
+        "there far from where they were nearest, which a smaller max_step shows",
     )
 
 

@@ -140,15 +140,16 @@ class Driver:
             where = least_conditioned(self.system) if stop.code == STEP_TOO_SMALL else ""
             return stop.code, stop.message + where + lost_zeros(self.users.functions)
         said = f"; after {self.open_loads} changes of modes {OPEN_LOADS}" if self.open_loads else ""
-        said += self._left_behind() + lost_zeros(self.users.functions)
+        said += self._left_behind(t_end) + lost_zeros(self.users.functions)
         return FINISHED, "the end of the interval was reached" + said
 
-    def _left_behind(self) -> str:
-        system, nc, apart = self.system, self.system.nc, self.transitions.open.apart
-        if apart.all():
+    def _left_behind(self, t: float) -> str:
+        system, nc, opened = self.system, self.system.nc, self.transitions.open
+        if opened.apart.all():
             return ""
         # steps in which these are not apart end in an evaluation of all
-        gaps = np.where(apart, 0.0, system.gaps[:nc, 0])
+        opened.follow(t)
+        gaps = np.where(opened.apart, 0.0, system.gaps[:nc, 0])
         return left_behind(system, gaps, system.contact_real[:nc, DOMAIN])
 
     def _run(self, t: float, t_end: float) -> None:

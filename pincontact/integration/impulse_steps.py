@@ -71,6 +71,7 @@ def _begin_contact(system, step, c, largest):
     reach = step.numbers.step_size * abs(normal) + APART_AT_END * length
     if normal <= REST * largest and system.contact_real[c, DOMAIN] >= 0.0:
         reach = max(reach, SHALLOW * length)
+    step.start_gap[c] = system.gaps[c, 0]
     step.behind[c] = 1 if contact[MODE] == FREE and system.gaps[c, 0] < -reach else 0
     if contact[MODE] == FREE:
         return
@@ -113,6 +114,7 @@ def _relocate(system, step, t):
     status = _evaluate_start(system, t)
     for c in range(system.sizes.nc):
         if status == OK and system.contact_int[c, MODE] == FREE:
+            step.start_gap[c] = system.gaps[c, 0]
             commit_contact(system, step, c, 0)
     return status
 

@@ -29,12 +29,14 @@ from ..callback import separate_kernel
 from ..dynamics.manifold import displace
 from ..friction import cone
 from ..friction.ellipse import scale_pair
+from ..geometry.location import NO_CLOSED_FORM
 from ..geometry.patterns import ON_CURVE
 from ..geometry.small import dot
 from ..jit import BOOLEAN, INTEGER, NOTHING, STEPPING, kernel
 from ..layout import (
     ANISOTROPIC,
     CHART,
+    CLOSED_FORM,
     CONTACT_INTS,
     DOMAIN,
     FREE,
@@ -63,6 +65,7 @@ from ..layout import (
 )
 from ..linalg import inner, unwhiten
 from ..workspace import flat
+from .accuracy import APART_AT_END
 from .actuators import find_actuation
 from .impulse_equations import equation_impulses
 from .impulse_layout import (
@@ -397,6 +400,10 @@ def _report_forces(system, step):
             forces[c, i] = orientation[c] * value / h
 
 
+# A gap that changes in a step by more than this many times what its rates before and after it explain is another one.
+_LEAP = 4.0
+
+
 @separate_kernel(BOOLEAN, SYSTEM.type, STEP.type, INTEGER, when=STEPPING)
 def commit(system, step, stepped):
     """Make STAGE_STATE the next step's start, with the kinematics of its evaluation, moved on by the last corrections.
@@ -442,14 +449,19 @@ def commit_contact(system, step, c, stepped):
             gained = inner(rows[row], system.correction_v, nv)
             for i in range(3):
                 slip[i] += gained * basis[row, i]
+    rate, before = dot(basis[2], slip), step.start_gap[c]
     step.start_mode[c], step.start_gap[c] = mode, gap
     for motion in range(3):
         step.start_motion[c, motion] = abs(step.motion[c, motion])
-    # what got to the far side beside the contours touches them after it has been on the near side only
+    # what got to the far side beside the contours, or is followed there since Newton's method has gone over to other
+    # stationary points, touches after it has been on the near side only
     outside = step.behind[c] != 0 or domain < 0.0 or step.start_domain[c] < 0.0
+    if system.contact_int[c, CLOSED_FORM] == NO_CLOSED_FORM:
+        fastest = max(abs(rate), abs(step.start_normal[c, 0]))
+        outside |= before - gap > _LEAP * step.numbers.h * fastest + APART_AT_END * system.contact_real[c, LENGTH]
     step.behind[c] = 1 if mode == FREE and gap < 0.0 and outside else 0
     step.start_domain[c] = domain
-    step.start_normal[c, 0], step.start_normal[c, 1] = dot(basis[2], slip), dot(basis[1], slip)
+    step.start_normal[c, 0], step.start_normal[c, 1] = rate, dot(basis[1], slip)
     contact, known, changed = system.contact_int[c], step.known[c], False
     for i in range(CONTACT_INTS + 2):
         number = contact[i] if i < CONTACT_INTS else system.side_int[2 * c + i - CONTACT_INTS, CHART]

@@ -317,11 +317,16 @@ class MoreauStep:
         self._open.apart[:] = behind[: self.system.nc] == 0
         steps = self._open.look(t, size, self.touch_time >= 0.0)
         if self._open.relocated:
-            # where the gap is below zero it has not been positive
-            behind[list(self._open.relocated)] = 1
+            relocated = list(self._open.relocated)
+            behind[relocated] = ~self._open.apart[relocated]
             self._open.relocated.clear()
             self._run(RELOCATE, t)
         return steps
+
+    def follow(self, t: float) -> None:
+        """Look at t, the start of the next step, whether open contacts are where they are nearest."""
+        if self._looks and FREE in self.system.modes.tolist() and self._open.follow(t):
+            self._run(RELOCATE, t)
 
     def flew_through(self, t: float) -> bool:
         """Whether the last step, which ended at t, carried an open contact through what was near, unnoticed."""

@@ -60,6 +60,7 @@ class MoreauDriver:
         self.step.ask(self.torque)
         try:
             self._run(t, t_end)
+            self.step.follow(t_end)
         except Stop as stop:
             return stop.code, stop.message + lost_zeros(self.users)
         finally:

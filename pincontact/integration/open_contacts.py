@@ -14,7 +14,7 @@ import pinocchio as pin
 from ..contours.base import F_T, F_TT, PLANE
 from ..geometry.carriers import ORIGIN
 from ..geometry.location import POINT_ON_SPHERE, SPHERE_ON_SPHERE
-from ..geometry.nearest import NearestSearch, Whole, is_searched
+from ..geometry.nearest import NearestSearch, Whole, is_searched, least_whole
 from ..geometry.patterns import CROSSING_CURVES
 from ..geometry.search import SAME
 from ..layout import (
@@ -36,6 +36,7 @@ from ..layout import (
     SPEEDING,
     TURNING,
     UNILATERAL,
+    WHOLE,
 )
 from .accuracy import APART_AT_END, SHALLOW, gap_rate, rest_speed
 from .approach import SAFETY, time_to_cover
@@ -53,6 +54,11 @@ _NEAR, _TURN = 0.25, 2.0
 _INSTANTS, _CHANGE = 16, 0.75
 # A step that took bodies this many times as far as it was to is taken again.
 _TOO_FAR = 2.0
+# Contact coordinates (4,), branch, sign of the determinant, and charts of an open contact.
+_Place = tuple[np.ndarray, int, int, tuple[int, int]]
+# How far inside a stationary pair of points may be, as a multiple of how far bodies went since they were apart: where
+# one enters beside it, farther.
+_DEEPER = 4.0
 # Constant steps between two looks, at most; and how far one may go where bodies are near, in what others may: through
 # nothing that is as thick as its radius of curvature says.
 MANY_STEPS, _THROUGH = 1_000_000, 8.0
@@ -65,9 +71,11 @@ class _Open:
     move in a step where they are near each other."""
 
     def __init__(self, system: RunSystem, c: int, t: float) -> None:
-        self.c, self.contact = c, system.contacts[c]
+        self.system, self.c, self.contact = system, c, system.contacts[c]
         self.search: NearestSearch | None = None
+        # the smaller one of bounded contours, and its side
         self.whole: Whole | None = None
+        self.side = 0
         one, two = self.contact.body1.contour, self.contact.body2.contour
         self.near = math.inf
         bodies = self.contact.body1, self.contact.body2
@@ -79,15 +87,17 @@ class _Open:
                 self.search = NearestSearch(system, c, t)
         if self.search is not None:
             self.near = _NEAR * self.search.bend
-        if all(math.isfinite(low) and math.isfinite(high) for low, high in one.domain):
-            self.whole = Whole(one, t)
+        if self.search is not None:
+            self.side, self.whole = self.search.side, self.search.whole
+        elif (found := least_whole((one, two), t)) is not None:
+            self.side, self.whole = found
         form = system.contact_int[c, CLOSED_FORM]
         if form in (POINT_ON_SPHERE, SPHERE_ON_SPHERE):
             # within the other one there is nothing to fly through
             beside = form == SPHERE_ON_SPHERE and abs(int(system.contact_int[c, BRANCH])) == 1
             self.near = _NEAR * (two.size + (one.size if beside else 0.0))
         numbers = system.contact_real[c]
-        numbers[EXTENT] = -1.0
+        numbers[EXTENT], system.contact_int[c, WHOLE] = -1.0, self.side
         if self.whole is not None:
             numbers[HULL_X : HULL_Z + 1], numbers[EXTENT] = self.whole.centre, self.whole.extent
         # whether its gap tells how far the bodies are apart, at least, and nothing but their velocities does how soon
@@ -97,10 +107,13 @@ class _Open:
         # distances that the last search has found, and the pose at which it did
         self.distance = self.elsewhere = -math.inf
         self.rotation, self.centre, self.time = np.eye(3), np.zeros(3), t
+        # gap and place that `follow` has left
+        self.gap: float = math.nan
+        self.place: _Place | None = None
 
     def speed(self, system: RunSystem) -> tuple[float, float]:
-        """Bounds of the speed in m/s at which points of body 1 move in the frame of body 2, and of its turning, in
-        rad/s, from `bound_speeds`."""
+        """Bounds of the speed in m/s at which points of the smaller contour move in the frame of the other body, and of
+        its turning, in rad/s, from `bound_speeds`."""
         speed, turning = system.contact_real[self.c, APPROACH_SPEED : TURNING + 1].tolist()
         for side in self.changing:
             speed += float(np.linalg.norm(system.derivatives[side, 6]))
@@ -112,10 +125,10 @@ class _Open:
         speed = change = 0.0
         if not self.is_driven:
             return 0.0, math.inf
-        centre = system.frames[2 * self.c, ORIGIN]
+        centre = system.frames[2 * self.c + self.side, ORIGIN]
         for side, body in ((2 * self.c, self.contact.body1), (2 * self.c + 1, self.contact.body2)):
             contour, u = body.contour, system.location[self.c, 2 * (side % 2) :][: body.contour.dimension]
-            reach = float(np.linalg.norm(centre - system.frames[side, ORIGIN])) if side % 2 else 0.0
+            reach = float(np.linalg.norm(centre - system.frames[side, ORIGIN]))
             reach += self.whole.extent if self.whole is not None else 0.0
             for i in range(_INSTANTS if body.motion is not None or contour.time_dependent else 0):
                 when = t + h * (i + 0.5) / _INSTANTS
@@ -139,6 +152,20 @@ class _Open:
         rotation, centre = search.pose()
         turned = float(np.linalg.norm(rotation - self.rotation)) / math.sqrt(2.0)
         return float(np.linalg.norm(centre - self.centre)) + turned * search.whole.extent
+
+    def is_followed(self, t: float) -> bool:
+        """Whether its gap may be that of the nearest points, for all that is known from the last time."""
+        gap = float(self.system.gaps[self.c, 0])
+        return abs(gap - self.gap) <= self.moved(t) + SAME * self.system.contact_real[self.c, LENGTH]
+
+    def follow(self, t: float) -> None:
+        """Take where it is as where bodies are nearest; what the last search has found counts no more."""
+        system, c, integers = self.system, self.c, self.system.contact_int[self.c]
+        assert self.search is not None
+        self.distance = self.elsewhere = -math.inf
+        (self.rotation, self.centre), self.time, self.gap = self.search.pose(), t, float(system.gaps[c, 0])
+        charts = (int(system.side_int[2 * c, CHART]), int(system.side_int[2 * c + 1, CHART]))
+        self.place = system.location[c].copy(), int(integers[BRANCH]), int(integers[DETERMINANT_SIGN]), charts
 
 
 class OpenContacts:
@@ -252,9 +279,12 @@ class OpenContacts:
             acceleration, distance = SAFETY * self._gravity, self._distance(known, t)
             way = speed * h + 0.5 * acceleration * h * h
             if known.search is not None and way > distance:
-                lost = self.system.gaps[c, 0] >= NOTHING_THERE
+                lost = self.system.gaps[c, 0] >= NOTHING_THERE or not self.apart[c]
                 if lost or known.moved(t) + way > known.elsewhere:
-                    self.find(t, c)
+                    found = self.find(t, c)
+                    if found is not None:
+                        # it has not been elsewhere longer than in the last step
+                        self.apart[c] = found.gap > -_DEEPER * way
                 distance = self._distance(known, t)
             # what is behind a contour goes through it
             if self.apart[c] and way > max(distance, _THROUGH * known.near):
@@ -325,8 +355,8 @@ class OpenContacts:
                 return False
             lost = self.system.gaps[c, 0] >= NOTHING_THERE
             if known.search is not None and self.apart[c] and (lost or known.moved(t) > known.elsewhere):
-                found = known.search.search(t).candidate
-                if found is not None and -way < found.gap < 0.0 and not self._is_present(c, found):
+                candidates = known.search.search(t).candidates
+                if any(-_DEEPER * way < found.gap < 0.0 and not self._is_present(c, found) for found in candidates):
                     self._cut = 0.5 * step
                     return False
         return True
@@ -352,9 +382,9 @@ class OpenContacts:
 
     # ---------------------------------------------------------------- nearest points
 
-    def find(self, t: float, c: int) -> bool:
-        """Look for the nearest points of contact c at the evaluated state; whether they are others than before, which
-        are then in `system.state`."""
+    def find(self, t: float, c: int) -> Candidate | None:
+        """Look for the nearest points of contact c at the evaluated state; None where they are not others than before,
+        which are then in `system.state`."""
         system, known = self.system, self._open[c]
         search = known.search
         assert search is not None
@@ -363,18 +393,41 @@ class OpenContacts:
         known.distance, known.elsewhere, known.time = nearest.distance, nearest.elsewhere, t
         found = nearest.candidate
         if found is None or self._is_present(c, found):
-            return False
+            return None
         if system.contact_real[c, DOMAIN] >= 0.0 and 0.0 <= system.gaps[c, 0] <= abs(found.gap):
             # where it is followed is nearer than what was found
-            return False
-        first = system.nq + system.nv + 4 * c
-        system.state[first : first + 4] = found.location
-        system.location[c] = found.location
-        integers = system.contact_int[c]
-        integers[BRANCH], integers[DETERMINANT_SIGN] = found.branch, found.determinant_sign
-        system.side_int[2 * c : 2 * c + 2, CHART] = found.charts
+            return None
+        self._put(c, (found.location, found.branch, found.determinant_sign, found.charts))
         self.relocated.add(c)
-        return True
+        return found
+
+    def _put(self, c: int, place: _Place) -> None:
+        """Have contact c elsewhere."""
+        location, branch, sign, charts = place
+        system, first = self.system, self.system.nq + self.system.nv + 4 * c
+        system.state[first : first + 4] = system.location[c] = location
+        system.contact_int[c, BRANCH], system.contact_int[c, DETERMINANT_SIGN] = branch, sign
+        system.side_int[2 * c : 2 * c + 2, CHART] = charts
+
+    def follow(self, t: float) -> bool:
+        """Have open contacts, at the evaluated state, where bodies are nearest, and the kinematics evaluated there;
+        whether any were elsewhere. They are looked for where the gap, or that from where they were the last time, has
+        changed by more than the bodies have moved since."""
+        system, were_elsewhere = self.system, False
+        for c in self._list():
+            known = self._known(c, t)
+            if known.search is None:
+                continue
+            if not known.is_followed(t):
+                were_elsewhere = True
+                if known.place is not None:
+                    self._put(c, known.place)
+                    system.evaluate_kinematics(t)
+                if not known.is_followed(t) and self.find(t, c) is not None:
+                    system.evaluate_kinematics(t)
+            known.follow(t)
+        self.relocated.clear()
+        return were_elsewhere
 
     def loses(self, t: float, c: int) -> bool:
         """Whether contact c was not followed where its gap leapt through zero in the step to the evaluated state at t:

@@ -771,19 +771,19 @@ def test_forces_on_rims_are_kept(status, holds, chosen, keeps, monkeypatch):
         assert (t, function) == (T, evaluate)
         assert found == pytest.approx(forces, abs=1e-14)
     if chosen and not holds:
-        monkeypatch.setattr(ModeSolver, "_goes_on", saying(False))
+        monkeypatch.setattr(ModeSolver, "_going_back", saying([0]))
         made = solved_cones(monkeypatch, forces, np.zeros((12, 3)), kinds, (status,), holds, chosen)
         assert len(made[3].asked) == 1
 
 
-def test_whether_what_begins_to_slip_goes_on():
+def test_what_begins_to_slip_and_goes_back():
     system = Items(3)
     solver = ModeSolver(system)
     system.free_acceleration[:] = 0.0, 1.0, -10.0, 0.0, 0.0, 0.0
     system.contact_int[:, MODE] = SLIPPING, STICK, SLIPPING
     system.contact_real[:, SLIP_RATE] = -0.9e-10, -1.0, -1.1e-10
-    assert solver._goes_on(Decision(OK, {0: 1.0, 1: 1.0}))
-    assert not solver._goes_on(Decision(OK, {0: 1.0, 2: 1.0}))
+    assert solver._going_back(Decision(OK, {0: 1.0, 1: 1.0})) == []
+    assert solver._going_back(Decision(OK, {0: 1.0, 2: 1.0})) == [2]
 
 
 def test_what_gives_way_has_sliding_friction(monkeypatch):

@@ -34,9 +34,9 @@ def on_falling_floor(rng: np.random.Generator) -> tuple[pc.Scene, pc.State, floa
     return scene, state, math.asin(G / (size * omega**2)) / omega
 
 
-# in 21 to 66 and 213 the choices among redundant forces were over after microseconds; in 17 independent loads vanish
-# together; in 79 a resistance that gives way in the contact problem holds under the forces of the slip it comes to
-@pytest.mark.parametrize("seed", [0, 1, 2, 3, 6, 8, 9, 11, 13, 15, 17, 21, 26, 45, 49, 66, 79, 213])
+# in 21, 26, 45 to 213 the choices among redundant forces were over after microseconds; in 17 independent loads vanish
+# together; in 37 a resistance that gives way in the contact problem holds under the forces of the slip it comes to
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 6, 8, 9, 11, 13, 15, 17, 21, 26, 37, 45, 49, 66, 213])
 def test_all_feet_part_together(seed):
     scene, state, leaves = on_falling_floor(np.random.default_rng(seed))
     run = pc.simulate(scene, state, 1.5 * leaves)

@@ -44,7 +44,17 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from ..linalg import RANK_TOLERANCE, inner, least_norm, solve_gram, subtract_row, unwhiten, whiten, whiten_rows
+from ..linalg import (
+    RANK_TOLERANCE,
+    inner,
+    least_norm,
+    solve_factored,
+    solve_gram,
+    subtract_row,
+    unwhiten,
+    whiten,
+    whiten_rows,
+)
 from .event_functions import (
     contact_event_functions,
     jam_event_functions,
@@ -208,19 +218,22 @@ def follow_choice(system, count, directions, slides):
     """Multipliers nearest to the reference, which follows the forces that are nearest to where it starts; returns the
     rank of the rows.
 
-    What loads, turning rows and turning friction change of the forces there shows in the latter, to first order; the
-    reference makes the part of it that redundant forces have of the choice's tangent (see `redistribution`).
+    What loads, turning rows and turning friction change shows in the latter. Of this the reference takes what is along
+    the choice's span, and adds the choice's tangent (see `redistribution`): so forces stay central to first order, as
+    far as what moves nothing does not turn by itself while bounds are near.
     """
     x, row_index, rank = system.multipliers, system.row_index, 0
     for r in range(count):
         x[r] = system.reference_start[row_index[r, 0], row_index[r, 1]]
-    for _ in range(2):
+    for again in range(2):
         move_reference(system, count)
         take_reference(system, count, directions)
         if slides:
             solve_for_least(system, count)
-        else:
+        elif again == 0:
             rank = solve_for_rows(system, count)
+        else:
+            solve_factored(system.delassus, system.permutation, count, rank, x, system.constraint_rows)
         for r in range(count):
             x[r] += system.reference[row_index[r, 0], row_index[r, 1]]
     return rank

@@ -355,8 +355,8 @@ SYSTEM = Layout(
     # (2 (nc + ng + nr) + 1, 2 POLYNOMIAL_SIZE - 1): shares of a step, v_c across directions and along, see `steps`
     across=(REALS, 2),
     reference=(REALS, 2, 3),  # (nc + ng + nr, 3): force along the basis about which the least-norm solution is taken
-    # how the reference follows the loads: see `equations`
-    reference_start=(REALS, 2, 3),  # (nc + ng + nr, 3) at zero loads
+    # how the reference moves: see `equations`
+    reference_start=(REALS, 2, 3),  # (nc + ng + nr, 3) when it was chosen
     reference_slope=(REALS, 3),  # (2, 3 (nc + ng + nr), nv)
     # event functions along a step: at which shares of it, the evaluations' statuses, and their values
     scan_shares=(REALS, 1),  # (SCAN_ROWS,)

@@ -278,6 +278,13 @@ def solve_gram(rows, m, n, lower, permutation, x, scratch):
             line[m] -= value * value * line[m - 1]
             line[rank] = value
         rank += 1
+    solve_factored(lower, permutation, m, rank, x, scratch)
+    return rank
+
+
+@kernel
+def solve_factored(lower, permutation, m, rank, x, scratch):
+    """`solve_gram` for another b, with the factor, the permutation and the rank that it has left."""
     # the rank is lower where the other rows of scratch are needed
     y = scratch[m - 1]
     for i in range(m):
@@ -288,7 +295,6 @@ def solve_gram(rows, m, n, lower, permutation, x, scratch):
         _solve_trapezoid(lower, permutation, m, rank, scratch, y)
     for i in range(m):
         x[permutation[i]] = y[i]
-    return rank
 
 
 @inlined_kernel

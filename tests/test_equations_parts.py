@@ -435,34 +435,34 @@ def test_whether_a_load_would_be_asked_for(rank, seed):
 
 @SEEDS
 def test_forces_from_a_reference(seed):
-    """It follows the loads; what the multipliers have to make up is less by what it does."""
+    """It follows forces; what the multipliers have to make up is less by what it does."""
     rng = np.random.default_rng(seed)
     system, count = made_system(3, rng=rng), 4
     index = system.row_index[:count]
     index[:] = [0, 2], [1, 2], [1, 0], [2, 1]
     c, row = index.T
-    right = part_of_system(right_hand_sides)
     loads = -(system.rows[c, row] @ system.free_acceleration + system.bias[c, row])
-    right(system, count)
+    part_of_system(equations.right_hand_sides)(system, count)
     x = system.multipliers[:count]
     assert x == pytest.approx(loads, abs=1e-13)
     system.reference[:] = 7.0
     system.reference_start[:] = rng.normal(size=(3, 3))
     slope = system.reference_slope
     slope[:] = rng.normal(size=slope.shape)
-    places = 3 * c + row
-    moved = system.reference_start[c, row] + slope[1, places] @ (slope[0, places].T @ loads)
-    system.scalars["has_reference"] = 1.0
-    operator = system.whitened_rows[:count] @ system.whitened_forces[:count].T
-    right(system, count)
+    places, start, forces = 3 * c + row, system.reference_start[c, row], rng.normal(size=count)
+    moved = start + slope[1, places] @ (slope[0, places].T @ (forces - start))
+    x[:] = forces
+    part_of_system(equations.move_reference)(system, count)
     assert system.reference[c, row] == pytest.approx(moved, abs=1e-12)
     assert (system.reference == 7.0).sum() == 9 - count
+    operator = system.whitened_rows[:count] @ system.whitened_forces[:count].T
+    part_of_system(taken)(system, count)
     assert x == pytest.approx(loads - operator @ moved, abs=1e-11)
 
 
 @kernel
-def right_hand_sides(system, count):
-    equations.right_hand_sides(system, count, system.whitened_forces)
+def taken(system, count):
+    equations.take_reference(system, count, system.whitened_forces)
 
 
 @kernel

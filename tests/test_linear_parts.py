@@ -8,7 +8,7 @@ from calling import from_python
 
 from pincontact import linalg
 from pincontact.friction import barrier
-from pincontact.friction.centred import Choice, Cone, central_force, null_space
+from pincontact.friction.centred import Cone, central_force, null_space
 
 inner = from_python(linalg.inner)
 factorize_tree = from_python(linalg.factorize_tree)
@@ -254,15 +254,3 @@ def test_the_way_out_of_cones(seed):
             assert depths(x + way * dx).min() == pytest.approx(0.0, abs=1e-6)
         else:
             assert way == 1.0 / barrier.TO_BOUNDARY
-
-
-def test_loads_tell_what_makes_them():
-    """Of forces y along the span, whatever else the operator is; where it makes nothing of some y, nothing is told."""
-    rng = np.random.default_rng(3)
-    span = np.linalg.qr(rng.normal(size=(7, 3)))[0]
-    choice = Choice(np.zeros(7), np.zeros((7, 3)), span)
-    operator, y = rng.normal(size=(5, 7)), rng.normal(size=3)
-    np.testing.assert_allclose((operator @ span @ y) @ choice.loads_along(operator), y, rtol=1e-10)
-    lost = operator @ (np.eye(7) - np.outer(span[:, 1], span[:, 1]))
-    for matrix in (lost, np.zeros((5, 7))):
-        assert not choice.loads_along(matrix).any()

@@ -34,11 +34,14 @@ def on_falling_floor(rng: np.random.Generator) -> tuple[pc.Scene, pc.State, floa
     return scene, state, math.asin(G / (size * omega**2)) / omega
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 3, 6, 8, 9, 11, 13, 15])
+# in 21, 26, 45 to 213 the choices among redundant forces were over after microseconds; in 17 independent loads vanish
+# together; in 37 a resistance that gives way in the contact problem holds under the forces of the slip it comes to
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 6, 8, 9, 11, 13, 15, 17, 21, 26, 37, 45, 49, 66, 213])
 def test_all_feet_part_together(seed):
     scene, state, leaves = on_falling_floor(np.random.default_rng(seed))
     run = pc.simulate(scene, state, 1.5 * leaves)
     assert run.status == 0, run.message
+    assert run.stats["redistributions"] < 100
     parted = [event.time for event in run.events if event.kind == "separate"]
     assert len(parted) == len(scene.contacts)
     # a tenth of a millionth of the floor's acceleration is left out, which changes by as much in this time

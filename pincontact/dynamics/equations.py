@@ -44,7 +44,17 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from ..linalg import RANK_TOLERANCE, inner, least_norm, solve_gram, subtract_row, unwhiten, whiten, whiten_rows
+from ..linalg import (
+    RANK_TOLERANCE,
+    inner,
+    least_norm,
+    solve_factored,
+    solve_gram,
+    subtract_row,
+    unwhiten,
+    whiten,
+    whiten_rows,
+)
 from .event_functions import (
     contact_event_functions,
     jam_event_functions,
@@ -164,31 +174,25 @@ def list_constraints(system):
 
 
 @kernel
-def right_hand_sides(system, count, directions):
-    """multipliers = -(row . a_free + bias): what the forces have to make up, less what the reference forces do.
-
-    Of redundant forces those of the least distance from the reference are taken. It is zero unless it was chosen
-    otherwise (see `redistribution`), and may move with the loads.
-    """
-    x, row_index, scalars = system.multipliers, system.row_index, system.scalars
+def right_hand_sides(system, count):
+    """multipliers = -(row . a_free + bias): what the forces have to make up."""
+    x, row_index = system.multipliers, system.row_index
     for r in range(count):
         c, row = row_index[r, 0], row_index[r, 1]
         x[r] = -(inner(system.rows[c, row], system.free_acceleration, system.sizes.nv) + system.bias[c, row])
-    if scalars.has_reference != 0.0:
-        move_reference(system, count)
-        take_reference(system, count, directions)
 
 
 @kernel
 def move_reference(system, count):
-    """reference = start + slope[1] slope[0]^T x, x (count,) the right-hand sides in `multipliers`."""
+    """reference = start + slope[1] slope[0]^T (x - start), x (count,) the forces in `multipliers`."""
     nv, slope, row_index, work = system.sizes.nv, system.reference_slope, system.row_index, system.work
     for k in range(nv):
         work[k] = 0.0
     for r in range(count):
-        place = slope[0, 3 * row_index[r, 0] + row_index[r, 1]]
+        c, row = row_index[r, 0], row_index[r, 1]
+        change, along = system.multipliers[r] - system.reference_start[c, row], slope[0, 3 * c + row]
         for k in range(nv):
-            work[k] += place[k] * system.multipliers[r]
+            work[k] += along[k] * change
     for r in range(count):
         c, row = row_index[r, 0], row_index[r, 1]
         system.reference[c, row] = system.reference_start[c, row] + inner(slope[1, 3 * c + row], work, nv)
@@ -204,16 +208,35 @@ def take_reference(system, count, directions):
         part = system.reference[row_index[r, 0], row_index[r, 1]]
         for k in range(nv):
             work[k] += part * directions[r, k]
+    right_hand_sides(system, count)
     for r in range(count):
         system.multipliers[r] -= inner(system.whitened_rows[r], work, nv)
 
 
 @kernel
-def add_reference(system, count):
-    """Multipliers of the whole forces, from those of what the reference leaves."""
-    if system.scalars.has_reference != 0.0:
+def follow_choice(system, count, directions, slides):
+    """Multipliers nearest to the reference, which follows the forces that are nearest to where it starts; returns the
+    rank of the rows.
+
+    What loads, turning rows and turning friction change shows in the latter. Of this the reference takes what is along
+    the choice's span, and adds the choice's tangent (see `redistribution`): so forces stay central to first order, as
+    far as what moves nothing does not turn by itself while bounds are near.
+    """
+    x, row_index, rank = system.multipliers, system.row_index, 0
+    for r in range(count):
+        x[r] = system.reference_start[row_index[r, 0], row_index[r, 1]]
+    for again in range(2):
+        move_reference(system, count)
+        take_reference(system, count, directions)
+        if slides:
+            solve_for_least(system, count)
+        elif again == 0:
+            rank = solve_for_rows(system, count)
+        else:
+            solve_factored(system.delassus, system.permutation, count, rank, x, system.constraint_rows)
         for r in range(count):
-            system.multipliers[r] += system.reference[system.row_index[r, 0], system.row_index[r, 1]]
+            x[r] += system.reference[row_index[r, 0], row_index[r, 1]]
+    return rank
 
 
 # ----------------------------------------------------------------------------------------------- multipliers (Eq. 31)
@@ -221,10 +244,12 @@ def add_reference(system, count):
 
 @inlined_kernel
 def solve_sticking(system, count):
-    """Multipliers without slip: J M^-1 J^T f = -(J a_free + bias), the least from the reference if redundant."""
-    right_hand_sides(system, count, system.whitened_rows)
+    """Multipliers without slip: J M^-1 J^T f = -(J a_free + bias), the least or the chosen ones if redundant."""
+    if system.scalars.has_reference != 0.0:
+        system.counters.row_rank = follow_choice(system, count, system.whitened_rows, False)
+        return
+    right_hand_sides(system, count)
     system.counters.row_rank = solve_for_rows(system, count)
-    add_reference(system, count)
 
 
 @separate_kernel(INTEGER, SYSTEM.type, INTEGER)
@@ -335,16 +360,17 @@ def solve_linear_slip(system, count):
     """Multipliers for the force directions of `friction_directions` by the operator of these; False where there are
     none."""
     counters, operator = system.counters, system.delassus
-    right_hand_sides(system, count, system.whitened_forces)
+    right_hand_sides(system, count)
     rank = solve_slip(system, count)
     if rank < 0:
         return False
     counters.row_rank = rank
     counters.lost_positivity = 1 if rank == count and operator[0, 0] < -COMMON_LIMIT else 0
-    if rank < count:
-        right_hand_sides(system, count, system.whitened_forces)
+    if rank < count and system.scalars.has_reference != 0.0:
+        follow_choice(system, count, system.whitened_forces, True)
+    elif rank < count:
+        right_hand_sides(system, count)
         solve_for_least(system, count)
-    add_reference(system, count)
     return True
 
 

@@ -247,31 +247,39 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         if decision.status <= EVENT and not self._holds():
             chosen = self.redistribute(t, evaluate)
             # with other loads, what begins to slip might go back
-            if not chosen or not self._goes_on(decision):
+            if not chosen or self._going_back(decision):
                 self._keep_solution(t, solution.forces, evaluate)
         return decision
 
-    def _goes_on(self, decision: Decision) -> bool:
-        """Whether what begins to slip does so under the loads of the last evaluation."""
+    def _going_back(self, decision: Decision) -> list[int]:
+        """What begins to slip, but goes the other way under the loads of the last evaluation."""
         system = self.system
         started = [i for i in decision.started if system.contact_int[i, MODE] == SLIPPING]
         least = -_ROUND_OFF * float(np.abs(system.free_acceleration).max(initial=0.0))
-        return bool((system.contact_real[started, SLIP_RATE] >= least).all())
+        return [i for i in started if not system.contact_real[i, SLIP_RATE] >= least]
 
     def _align(self, t: float, decision: Decision, evaluate) -> bool:
         """Turn slip that begins to where it goes under the loads of the last evaluation, and evaluate in it; False
-        where under these loads it does not begin in these modes."""
-        started = [c for c in decision.started if self.system.contact_int[c, MODE] == SLIPPING]
-        if decision.status > EVENT or not started:
-            return True
-        aligned = False
-        for _ in range(_ROUNDS):
-            # loads that are chosen anew turn it
-            aligned = align_slips(self.system, t, started, evaluate)
-            if not aligned or self._holds() or not self.redistribute(t, evaluate):
-                break
-        decision.started.update((c, float(self.system.contact_real[c, SLIP_RATE])) for c in started)
-        return aligned and self._goes_on(decision)
+        where under these loads it does not begin in these modes. What would go back then sticks beside the others."""
+        integers, stuck = self.system.contact_int, False
+        while True:
+            started = [c for c in decision.started if integers[c, MODE] == SLIPPING]
+            if decision.status > EVENT or not started:
+                return not stuck
+            aligned = False
+            for _ in range(_ROUNDS):
+                # loads that are chosen anew turn it
+                aligned = align_slips(self.system, t, started, evaluate)
+                if not aligned or self._holds() or not self.redistribute(t, evaluate):
+                    break
+            decision.started.update((c, float(self.system.contact_real[c, SLIP_RATE])) for c in started)
+            back = self._going_back(decision) if aligned else []
+            if not back:
+                return aligned and (not stuck or self._holds())
+            stuck = True
+            integers[back, MODE], integers[back, FROZEN] = STICK, 0
+            decision.started = {c: rate for c, rate in decision.started.items() if c not in back}
+            decision.status = evaluate(t)
 
     def _keep_solution(self, t: float, forces: np.ndarray, evaluate) -> None:
         """Take the solution's forces (items, 3), on the rim of their cones, for the choice among redundant ones."""

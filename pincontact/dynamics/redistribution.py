@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..arrays import view
 from ..friction.centred import Choice, Cones, central_force, null_space
 from ..geometry.patterns import ON_CURVE
-from ..jit import INTEGER, REAL, SEVERAL, entry_kernel, kernel
 from ..layout import (
     ANISOTROPIC,
     EVENT,
@@ -36,7 +34,6 @@ from ..layout import (
     TANGENTS,
     UNILATERAL,
 )
-from ..linalg import inner
 from .contact_modes import held_up_by_friction, shares_viscous_force
 from .friction_scaling import stretch
 from .units import REDUNDANT
@@ -55,8 +52,6 @@ _AT_ZERO = 1e-8
 # Parts of the forces that are smaller move nothing.
 _MOVES = 1e-6
 
-_VECTOR, _MATRIX, _BLOCKS = REAL[::1], REAL[:, ::1], REAL[:, :, ::1]
-
 
 def leaves_loads_open(system: System) -> bool:
     """Whether the motion depends on how redundant contacts share loads, in the last evaluation, and no rule decides it:
@@ -73,45 +68,6 @@ def leaves_loads_open(system: System) -> bool:
     _, singular, right = np.linalg.svd(rows @ directions.T)
     changes = right[singular <= REDUNDANT * singular[0]] @ directions
     return bool(np.abs(changes).max(initial=0.0) > _MOVES * np.abs(directions).max())
-
-
-@kernel
-def _follow_loads(index, forces, along, slope, rows, bias, free_acceleration, start, slopes):
-    n, rank, nv = forces.shape[0], along.shape[1], free_acceleration.shape[0]
-    for item in range(start.shape[0]):
-        for row in range(3):
-            start[item, row] = 0.0
-            for k in range(nv):
-                slopes[0, 3 * item + row, k] = slopes[1, 3 * item + row, k] = 0.0
-    for r in range(n):
-        item, row = index[r, 0], index[r, 1]
-        for k in range(rank):
-            slopes[0, 3 * item + row, k], slopes[1, 3 * item + row, k] = along[r, k], slope[k, r]
-        start[item, row] += forces[r]
-        load = inner(rows[item, row], free_acceleration, nv) + bias[item, row]
-        for other in range(n):
-            made = 0.0
-            for k in range(rank):
-                made += along[r, k] * slope[k, other]
-            start[index[other, 0], index[other, 1]] += made * load
-
-
-@entry_kernel(INTEGER[:, ::1], _VECTOR, _MATRIX, _MATRIX, _BLOCKS, _MATRIX, _VECTOR, _MATRIX, _BLOCKS, when=SEVERAL)
-def follow_loads(index, forces, along, slope, rows, bias, free_acceleration, start, slopes):
-    """start (items, 3), slopes (2, 3 items, nv): the reference at zero loads, and how it follows these (see
-    `equations`), so that it is these forces (n,) now. index (n, 2): item and row of each; along (n, r), slope (r, n):
-    what loads make of the choice's variables, and these of the forces."""
-    _follow_loads(
-        view(index),
-        view(forces),
-        view(along),
-        view(slope),
-        view(rows),
-        view(bias),
-        view(free_acceleration),
-        view(start),
-        view(slopes),
-    )
 
 
 class RedundantForces:
@@ -163,7 +119,7 @@ class RedundantForces:
         for null in choices:
             found = central_force(forces, null, cones)
             if found is not None:
-                self._follow(index, found, rows @ directions.T)
+                self._follow(index, found)
                 if evaluate(t) <= EVENT and self._holds():
                     self.redistributions += 1
                     return True
@@ -239,17 +195,15 @@ class RedundantForces:
         evaluate(t)
         return False
 
-    def _follow(self, index: np.ndarray, choice: Choice, operator: np.ndarray) -> None:
-        """Take the choice for the reference, and let that move with the loads as the choice will.
-
-        index (count, 2): the constraint rows; operator (count, count): what forces do to them.
-        """
-        system, along = self.system, choice.loads_along(operator)
-        start, slopes = system.reference_start, system.reference_slope
-        acting = system.rows, system.bias, system.free_acceleration
-        slope = np.ascontiguousarray(choice.slope.T)
-        follow_loads(index, choice.forces, along, slope, *acting, start, slopes)
-        system.reference[:], system.scalars["has_reference"] = start, 1.0
+    def _follow(self, index: np.ndarray, choice: Choice) -> None:
+        """Take the choice for the reference, and let that move as the choice will. index (count, 2): the rows."""
+        system, rank = self.system, choice.span.shape[1]
+        places, slopes = 3 * index[:, 0] + index[:, 1], system.reference_slope
+        system.reference_start[:] = slopes[:] = 0.0
+        system.reference_start[index[:, 0], index[:, 1]] = choice.forces
+        # what forces change by along the span, the choice changes by, and by its tangent
+        slopes[0, places, :rank], slopes[1, places, :rank] = choice.span, choice.span + choice.slope
+        system.scalars["has_reference"] = 1.0
 
     def _take_reference(self, reference: np.ndarray | None) -> None:
         """Choose redundant forces nearest to these (nc + ng + nr, 3), or None: nearest to zero."""

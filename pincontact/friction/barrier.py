@@ -274,22 +274,3 @@ def null_rows(directions, vectors, basis):
     """Combinations of the n directions (n, nv) that act on nothing, as rows of the basis (n, n) from the one on that is
     returned; vectors (nv, n): overwritten."""
     return _null_rows(view(directions), view(vectors), view(basis))
-
-
-@kernel
-def _left_inverse(matrix, gram):
-    n, m = matrix.shape[0], matrix.shape[1]
-    for i in range(m):
-        for j in range(i + 1):
-            gram[i, j] = 0.0
-            for r in range(n):
-                gram[i, j] += matrix[r, i] * matrix[r, j]
-    factor_definite(gram, m)
-    for r in range(n):
-        solve_definite(gram, m, matrix[r])
-
-
-@entry_kernel(_MATRIX, _MATRIX, when=SEVERAL)
-def left_inverse(matrix, gram):
-    """Replace a matrix (n, m) of rank m by the transpose of its left inverse; gram (m, m): overwritten."""
-    _left_inverse(view(matrix), view(gram))

@@ -22,15 +22,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import ArgumentError
-from .barrier import SCRATCH_ROWS, centre, left_inverse, null_rows
+from .barrier import SCRATCH_ROWS, centre, null_rows
 from .cone import LARGEST_FRICTION, STICK
 from .problem import checked_problem
 from .solve import ContactSolution
 
 # Velocities relative to the terms that cancel in them.
 _AT_REST = 1e-9
-# A left inverse that is off by more has been lost in round-off.
-_TOLD = 1e-6
 
 
 class Cone(NamedTuple):
@@ -68,7 +66,7 @@ class Cones(list[Cone]):
 
 
 class Choice(NamedTuple):
-    """The central forces (n,) at some loads, and how they follow these.
+    """The central forces (n,) at some loads, and their tangent.
 
     slope (n, r): what is added to forces of least norm that change by `span` y, y (r,); it acts on nothing.
     span (n, r): orthonormal, the directions of forces of least norm.
@@ -77,17 +75,6 @@ class Choice(NamedTuple):
     forces: np.ndarray
     slope: np.ndarray
     span: np.ndarray
-
-    def loads_along(self, operator: np.ndarray) -> np.ndarray:
-        """(m, r) the transpose of what gives y for loads (m,), which the operator (m, n) makes of forces.
-
-        Zero where loads do not tell y.
-        """
-        made: np.ndarray = operator @ self.span
-        along = made.copy()
-        left_inverse(along, np.empty((along.shape[1], along.shape[1])))
-        told = np.abs(along.T @ made - np.eye(along.shape[1])).max(initial=0.0) <= _TOLD
-        return along if told else np.zeros_like(along)
 
 
 def null_space(directions: np.ndarray) -> np.ndarray:

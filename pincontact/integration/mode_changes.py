@@ -264,20 +264,19 @@ class ModeChanges:
         return True
 
     def unloaded(self) -> list[int]:
-        """Redundant contacts that open together: they carry next to nothing, and no force at all is needed to keep
-        their bodies as near as they are.
+        """Contacts that open together: they carry next to nothing, and no force at all is needed to keep their bodies
+        as near as they are.
 
-        As loads shrink to nothing, each choice among them is soon over, however often it is made anew.
+        As redundant loads shrink to nothing, each choice among them is soon over, however often it is made anew; and
+        where some open before the others, what these carry is round-off.
         """
         system = self.system
-        if not self._is_redundant():
-            return []
         least = max(_NOTHING, system.scale.item(0))
         closed = [c for c in system.closed() if system.contact_int[c, UNILATERAL]]
         rows, bias, forces = system.rows[closed, 2], system.bias[closed, 2], np.abs(system.force[closed])
         rates, sizes = rows @ system.free_acceleration + bias, np.abs(rows) @ np.abs(system.free_acceleration)
         parted = rates >= -least * (sizes + np.abs(bias))
-        # redundant ones press against each other, too
+        # bodies that are pressed together have forces of their own
         parted &= forces.max(axis=1, initial=0.0) <= 10.0 * least * self.modes.largest_load()
         return [c for c, parts in zip(closed, parted.tolist()) if parts]
 

@@ -86,9 +86,9 @@ def review(step, nv, h, scratch):
 
     Slip is opposed along the mean of its velocities at both ends only while it goes on; a contact at rest that starts
     to slip does so with the sliding coefficient, and one whose slip turns back comes to rest first, if that of sticking
-    holds it; loads that the problem takes as given are a fixed point, which is iterated a few times, then found
-    together with the forces (see `friction.loads`); and restitution is lowered where, together with friction, it
-    would create energy. scratch: (nv,).
+    holds it; and restitution is lowered where, together with friction, it would create energy. Before all this, loads
+    that the problem takes as given are a fixed point, which is iterated a few times, then found together with the
+    forces (see `friction.loads`): the last step's may let go what this one's hold. scratch: (nv,).
     """
     counts, n, units = step.counts, step.counts.units, step.units
     modes, friction = step.cone_modes, step.friction
@@ -99,6 +99,14 @@ def review(step, nv, h, scratch):
             step.first_forces[k] = step.cone_forces[k]
     counts.reviews += 1
     bounces = changes_load = stops = False
+    if counts.coupled == APART:
+        for u in range(n):
+            given = units[u].kind == ON_LOADED or units[u].kind == ON_TURN
+            changes_load = (given and _updates_load(step, u, delassus)) or changes_load
+    if changes_load:
+        if counts.reviews > _PATIENCE:
+            counts.coupled = TOGETHER
+        return AGAIN
     for u in range(n):
         if units[u].midpoint != 0:
             stops = stops or modes[u] == cone.STICK or _slips_back(step, u)
@@ -119,13 +127,8 @@ def review(step, nv, h, scratch):
             friction[u] = unit.sliding
             unit.at_rest = 0
             again = True
-        given = counts.coupled == APART and (unit.kind == ON_LOADED or unit.kind == ON_TURN)
-        if given and _updates_load(step, u, delassus):
-            again = changes_load = True
         if unit.touches != 0 and unit.shift > 0.0 and step.cone_forces[3 * u + 2] > 0.0:
             bounces = True
-    if changes_load and counts.reviews > _PATIENCE:
-        counts.coupled = TOGETHER
     if not again and not (bounces and _lowers_restitution(step, nv, h, scratch)):
         return DONE
     return AGAIN if counts.reviews < _REVIEW_LIMIT else NO_FORCE

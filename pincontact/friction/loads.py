@@ -146,7 +146,8 @@ class Loads:
         for i, count in enumerate(self.tangents.astype(int)):
             k = 3 * i
             weight = float(self.gram.diagonal()[k : k + 3].max()) or 1.0
-            load = forces[k + 2] if self.normal[i] else radii[i]
+            # a force that is round-off presses nothing together that moves apart
+            load = forces[k + 2] - velocities[k + 2] / weight if self.normal[i] else radii[i]
             if load <= 0.0:
                 held_up = math.isinf(self.mu[i]) and weight * np.abs(forces[k : k + 2]).max() > least
                 modes[i] = SLIP if held_up else OPEN

@@ -363,7 +363,7 @@ class ImpulseSolver:
         """Let the solver have these forces as its own."""
         modes, velocities = coupled.modes(forces), coupled.gram @ forces + coupled.base
         forces[2::3] = np.where(
-            coupled.normal > 0.0, forces[2::3], coupled.radii(forces) / np.where(coupled.mu > 0.0, coupled.mu, 1.0)
+            coupled.normal > 0.0, np.where(modes == OPEN, 0.0, forces[2::3]), coupled.radii(forces) / np.where(coupled.mu > 0.0, coupled.mu, 1.0)
         )
         self.solver.warm_start(modes, forces, velocities)
         self.solver.residual = residual

@@ -312,9 +312,11 @@ def _impulses(system, step, found):
             if n > 0 and (counts.coupled != APART or not _solve(step, n)):
                 return CONE_LEFT
         if counts.holding == UNASKED and _lets_go(system, step, n):
-            # whatever is not redundant cannot be chosen to hold
-            redundant = may_be_redundant(step, system.sizes.nv, n, system.delassus, system.permutation)
-            counts.holding = WANTED if redundant else LOOKED_FOR
+            # whatever is not redundant cannot be chosen to hold, but for loads that friction itself makes
+            chosen = may_be_redundant(step, system.sizes.nv, n, system.delassus, system.permutation)
+            for u in range(n):
+                chosen = chosen or (step.units[u].held != 0 and step.units[u].kind == ON_LOADED)
+            counts.holding = WANTED if chosen else LOOKED_FOR
             if counts.holding == WANTED:
                 return CONE_LEFT
         if counts.choosing == 0 and n > 0 and _leaves_choice(step, n):

@@ -7,7 +7,7 @@ import numpy as np
 from ..dynamics.system import System
 from ..errors import StateError
 from ..geometry.patterns import ON_CURVE
-from ..layout import FREE, LENGTH, MODE, PATTERN, STICK, TANGENTS
+from ..layout import LENGTH, MODE, PATTERN, STICK, TANGENTS
 from .results import NO_CONTACT_FORCE, STEP_TOO_SMALL, Stop
 from .stages import load_state
 

@@ -53,7 +53,7 @@ def chain(rng, hinges=3, static=1.0):
     return scene, scene.initial_state(q), lambda t, q, v: size * np.sin(omega * t)
 
 
-@pytest.mark.parametrize("seed", [12, 39, 54])
+@pytest.mark.parametrize("seed", [39, 54])
 def test_what_an_impact_throws_off_its_stop_leaves_it(seed):
     """Beside a bilateral contact with friction, whose load is found with the impulses: that of a stop is round-off."""
     scene, state, control = chain(np.random.default_rng(seed))

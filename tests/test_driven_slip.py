@@ -14,19 +14,28 @@ import pincontact as pc
 MU, G, SPEED, DURATION = 0.3, 9.81, 1.0, 0.3
 
 
-def _slider(motion: pc.Motion, turn: float, tip: pc.Contour, law: pc.FrictionLaw) -> tuple[pc.Scene, pc.State]:
-    """A tip that joints move along x and z only, on a plate; its contact basis is turned about the normal."""
+def _slider(
+    motion: pc.Motion, turn: float, tip: pc.Contour, law: pc.FrictionLaw, beside: bool = False
+) -> tuple[pc.Scene, pc.State]:
+    """A tip that joints move along x and z only, on a plate; its contact basis is turned about the normal. beside:
+    another body lies on a plane that it cannot leave."""
     model = pin.Model()
     joint = model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "x")
     joint = model.addJoint(joint, pin.JointModelPZ(), pin.SE3.Identity(), "z")
     model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 1e-3 * np.eye(3)), pin.SE3.Identity())
     model.addBodyFrame("slider", joint, pin.SE3.Identity(), 0)
+    if beside:
+        joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "other")
+        model.appendBodyToJoint(joint, pin.Inertia(1.0, np.zeros(3), 1e-3 * np.eye(3)), pin.SE3.Identity())
+        model.addBodyFrame("other", joint, pin.SE3.Identity(), 0)
     scene = pc.Scene(model)
     first = scene.add_contour("tip", tip, "slider")
     plate = scene.add_contour("plate", pc.Plane(), placement=pin.SE3(_turned(turn), np.zeros(3)), motion=motion)
     scene.add_contact("c", first, plate, friction=law)
     height = 0.0 if isinstance(tip, pc.Point) else tip.size
-    return scene, scene.initial_state([0.0, height], [SPEED, 0.0])
+    if beside:
+        scene.add_contact("beside", scene.add_contour("other", pc.Point(), "other"), plate, bilateral=True)
+    return scene, scene.initial_state([0.0, height, *[0.0] * beside], [SPEED, 0.0, *[0.0] * beside])
 
 
 def _turned(angle: float) -> np.ndarray:
@@ -35,12 +44,12 @@ def _turned(angle: float) -> np.ndarray:
 
 @pytest.mark.parametrize("tip", [pc.Point(), pc.Sphere(0.1)], ids=["point", "sphere"])
 @pytest.mark.parametrize("turn", [0.0, 0.6])
-@pytest.mark.parametrize("across", [1.0, -0.2, 1e-3])
-def test_slider_on_belt(across, turn, tip):
+@pytest.mark.parametrize(("across", "beside"), [(1.0, False), (-0.2, False), (1e-3, False), (1.0, True)])
+def test_slider_on_belt(across, beside, turn, tip):
     """The belt runs across the slider's way: its friction mu N u / |(u, V)| along the way is of second order in h,
-    whatever the basis."""
+    whatever the basis, and what cannot open elsewhere."""
     belt = pc.ConstantTwist(linear=_turned(-turn) @ np.array([0.0, across, 0.0]))
-    scene, state = _slider(belt, turn, tip, pc.Coulomb(MU))
+    scene, state = _slider(belt, turn, tip, pc.Coulomb(MU), beside)
     exact = solve_ivp(
         lambda t, y: [y[1], -MU * G * y[1] / math.hypot(y[1], across)],
         (0.0, DURATION),
@@ -59,7 +68,7 @@ def test_slider_on_belt(across, turn, tip):
         force = MU * G * np.column_stack([u, np.full(u.size, -across), 0.0 * u]) / np.hypot(u, across)[:, None]
         np.testing.assert_allclose(track.force, force - [0.0, 0.0, G], rtol=0.0, atol=1e-9)
     stepper = pc.Stepper(scene, state, dt=1e-4)
-    stepper.step(np.zeros(2))
+    stepper.step(np.zeros(scene.model.nv))
     # the mean over a step, in which the direction turns by mu g h / V
     np.testing.assert_allclose(stepper.forces["c"], track.force[0], rtol=0.0, atol=2e-3)
 

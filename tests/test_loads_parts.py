@@ -156,6 +156,18 @@ def test_signs_of_loads_may_be_chosen(seed):
     assert problem.solve(np.zeros(21))[0] == pytest.approx(found[0], abs=1e-8)
 
 
+@SEEDS
+def test_a_load_that_is_round_off_holds_nothing(seed):
+    """What moves away is open, whatever rounding leaves of its force."""
+    problem = made_problem(np.random.default_rng(seed))
+    problem.base[8] = 5.0
+    forces, residual = problem.solve(np.zeros(21))
+    assert residual <= TOLERANCE
+    assert (problem.gram @ forces + problem.base)[8] > 0.1
+    forces[8] = 1e-17
+    assert problem.modes(forces)[2] == OPEN
+
+
 def test_all_modes_occur():
     found = set()
     for seed in range(12):
@@ -173,14 +185,16 @@ def test_forces_of_given_radii(seed):
     problem = made_problem(rng)
     start = rng.uniform(0.0, 1.0, problem.base.size)
     radii = np.array(radii_at(problem, start))
-    forces, residual, off = problem.solve_with_radii(start)
+    forces, modes, residual, off = problem.solve_with_radii(start)
     assert residual <= TOLERANCE
-    follows_the_laws(problem, forces, radii, 1e-8)
+    forces[np.abs(forces) < 1e-15] = 0.0
+    # those of friction that goes with the given radii, not with the loads that there are
+    assert modes.tolist() == follows_the_laws(problem, forces, radii, 1e-8)
     assert off == pytest.approx(np.abs(np.array(radii_at(problem, forces)) - radii).max() / radii.max(), rel=1e-12)
     assert off > 0.0
     # a solution's radii are its own
     solution, _ = problem.solve(start)
-    settled, _, off = problem.solve_with_radii(solution)
+    settled, _, _, off = problem.solve_with_radii(solution)
     assert settled == pytest.approx(solution, abs=1e-8)
     assert off < 1e-8
     # forces take energy: no more than none would
@@ -188,10 +202,10 @@ def test_forces_of_given_radii(seed):
     assert work <= 1e-12
     # in N, where no radius is there to compare with
     problem.radius_base[:] = 0.0
-    found, _, off = problem.solve_with_radii(np.zeros_like(start))
+    found, _, _, off = problem.solve_with_radii(np.zeros_like(start))
     assert off == pytest.approx(max(radii_at(problem, found)), rel=1e-12)
     problem.mu[:] = 0.0
-    assert problem.solve_with_radii(start)[2] == 0.0
+    assert problem.solve_with_radii(start)[3] == 0.0
 
 
 @SEEDS

@@ -77,7 +77,7 @@ def test_contacts_and_resistances_together():
             solved += 1
             assert laws_violated(product, forces, product.radii(forces)) < 1e-8
         start = forces * rng.uniform(0.5, 1.5)
-        forces, residual, _ = product.solve_with_radii(start)
+        forces, _, residual, _ = product.solve_with_radii(start)
         assert residual <= SETTLED
         # a residual of 1e-6, which is larger where the operator is badly conditioned
         assert laws_violated(product, forces, product.radii(start)) < 1e-4

@@ -63,7 +63,7 @@ class PassingSlip:
         """One of these contacts that cannot stick at the last evaluation's velocity, if there is one."""
         system = self.system
         count = int(system.counters["row_count"])
-        contacts = [c for c in undecided if c < system.nc]
+        contacts = [c for c in undecided if not system.nc <= c < system.nc + system.ng]
         if not contacts or count == 0:
             return None
         moving_as = whitened_velocity(system, system.v)

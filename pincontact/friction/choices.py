@@ -68,10 +68,15 @@ class Units:
         return replace(self, gram=gram, base=b, directions=directions, real=real, parents=parents, symmetric=False)
 
 
-def holding_forces(units: Units) -> np.ndarray | None:
-    """(3n,) central forces of these modes; None where there are none, or no choice."""
+def holding_forces(units: Units, only: bool = False) -> np.ndarray | None:
+    """(3n,) central forces of these modes; None where there are none, or no choice. only: where there is no choice the
+    only ones, inside their cones or not."""
     unknowns = _Unknowns(units)
-    return unknowns.central() if unknowns.solve() and not unknowns.moves_on() else None
+    if not unknowns.solve(only):
+        return None
+    if unknowns.null.shape[1] == 0:
+        return unknowns.whole()
+    return None if unknowns.moves_on() else unknowns.central()
 
 
 def holding_loads(units: Units, coupled: Loads, held: np.ndarray, given: np.ndarray) -> tuple[np.ndarray, float] | None:
@@ -89,7 +94,7 @@ def holding_loads(units: Units, coupled: Loads, held: np.ndarray, given: np.ndar
     for signs in islice(product((1.0, -1.0), repeat=loaded.size), _SIGNS_TRIED):
         d = np.array(signs)[:, None] * along
         found = holding_forces(
-            units.with_loads(loaded, np.einsum("ki,ki->k", d, base), np.einsum("ki,kij->kj", d, rows))
+            units.with_loads(loaded, np.einsum("ki,ki->k", d, base), np.einsum("ki,kij->kj", d, rows)), only=True
         )
         if found is None:
             continue
@@ -174,8 +179,8 @@ class _Unknowns:
         self.rows.append(row)
         return len(self.rows) - 1
 
-    def solve(self) -> bool:
-        """Find the least forces of all; False where they are the only ones, or there are none."""
+    def solve(self, only: bool = False) -> bool:
+        """Find the least forces of all; False where there are none, or they are the only ones and not asked for."""
         units, rows = self.units, self.rows
         alone = np.isinf(units.friction) & (units.modes == SLIP)
         if len(rows) <= 1 or alone.any():
@@ -188,7 +193,7 @@ class _Unknowns:
         rank = int(np.sum(singular > RANK_TOLERANCE * singular[0]))
         self.x = np.linalg.lstsq(operator, wanted, rcond=RANK_TOLERANCE)[0]
         self.null = right[rank:].T
-        if self.null.shape[1] == 0:
+        if self.null.shape[1] == 0 and not only:
             return False
         left = np.abs(operator @ self.x - wanted).max()
         return bool(left <= _LEFT * np.abs(units.base).max() * scale.max())
@@ -247,6 +252,10 @@ class _Unknowns:
         loads = [cone.normal for cone in self.cones if cone.factor > 0.0 and cone.offset == 0.0]
         x = least_of(self.x, self.null.T, np.isin(np.arange(self.x.size), loads))
         return None if x is None else self._whole(self.unit * x)
+
+    def whole(self) -> np.ndarray:
+        """(3n,) the least forces of all."""
+        return self._whole(self.unit * self.x)
 
     def _whole(self, forces: np.ndarray) -> np.ndarray:
         return self.known + self.expand @ forces

@@ -109,19 +109,19 @@ class Loads:
         forces[loads] = 0.0
         return forces, exact
 
-    def solve_with_radii(self, forces: np.ndarray) -> tuple[np.ndarray, float, float]:
-        """Forces (3n,) for the radii that these have, their residual, and how far the radii are from those of the
-        result, relative to the largest."""
+    def solve_with_radii(self, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, float]:
+        """Forces (3n,) for the radii that these have, modes (n,) and residual with these radii, and how far they are
+        from those of the result, relative to the largest."""
         radii = self.radii(forces)
         given = replace(
             self,
-            mu=np.ones_like(self.mu),
+            mu=np.sign(self.mu),
             radius_base=np.stack([radii, np.zeros_like(radii)], axis=1).ravel(),
             radius_rows=np.zeros_like(self.radius_rows),
         )
         found, residual = given._sweep(forces, _SETTLING)
         off = np.abs(self.radii(found) - radii).max(initial=0.0) / (float(radii.max(initial=0.0)) or 1.0)
-        return found, residual, float(off)
+        return found, given.modes(found), residual, float(off)
 
     def radii(self, forces: np.ndarray) -> np.ndarray:
         """(n,) of the discs at forces (3n,)."""
@@ -146,7 +146,8 @@ class Loads:
         for i, count in enumerate(self.tangents.astype(int)):
             k = 3 * i
             weight = float(self.gram.diagonal()[k : k + 3].max()) or 1.0
-            load = forces[k + 2] if self.normal[i] else radii[i]
+            # a force that is round-off presses nothing together that moves apart
+            load = forces[k + 2] - velocities[k + 2] / weight if self.normal[i] else radii[i]
             if load <= 0.0:
                 held_up = math.isinf(self.mu[i]) and weight * np.abs(forces[k : k + 2]).max() > least
                 modes[i] = SLIP if held_up else OPEN

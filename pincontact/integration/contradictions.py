@@ -7,7 +7,7 @@ import numpy as np
 from ..dynamics.system import System
 from ..errors import StateError
 from ..geometry.patterns import ON_CURVE
-from ..layout import FREE, LENGTH, MODE, PATTERN, STICK, TANGENTS
+from ..layout import LENGTH, MODE, PATTERN, STICK, TANGENTS
 from .accuracy import SHALLOW
 from .results import NO_CONTACT_FORCE, STEP_TOO_SMALL, Stop
 from .stages import load_state
@@ -63,21 +63,23 @@ def contradiction(system: System, t: float) -> str:
     load_state(system.address)
     system.evaluate_kinematics(t)
     left = np.zeros(system.nc)
-    for c in range(system.nc):
-        ints, along = system.contact_int[c], system.basis[c] @ system.slip[c]
-        if ints[MODE] == FREE:
-            continue
-        held = [2, 1] if ints[PATTERN] == ON_CURVE else [2]
-        held += list(range(ints[TANGENTS])) if ints[MODE] == STICK else []
-        left[c] = np.abs(along[held]).max()
-    if not left.any():
-        # joints at their stops
+    for i in [*system.closed(), *system.resisting()]:
+        ints, along = system.contact_int[i], system.basis[i] @ system.slip[i]
+        held = list(range(ints[TANGENTS])) if ints[MODE] == STICK else []
+        if i < system.nc:
+            held += [2, 1] if ints[PATTERN] == ON_CURVE else [2]
+        c = system.owner(i)
+        left[c] = max(left[c], np.abs(along[held]).max(initial=0.0))
+    if not left.max(initial=0.0) > _NAMED * system.scalars["velocity_left"]:
+        # joints
         return (
             f"velocity constraints cannot be met together: {system.scalars['velocity_left']:.3g} (m/s or rad/s) is left"
         )
     names = [contact.name for contact, off in zip(system.contacts, left) if off > _NAMED * left.max()]
     named = ", ".join(map(repr, names))
-    return f"the velocity constraints of contacts {named} cannot be met together: {left.max():.3g} m/s is left"
+    return (
+        f"the velocity constraints of contacts {named} cannot be met together: {left.max():.3g} (m/s or rad/s) is left"
+    )
 
 
 def projection_failure(system: System, t: float) -> Stop:

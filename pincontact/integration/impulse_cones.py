@@ -344,7 +344,7 @@ class ImpulseSolver:
         """Solve it with friction that goes with the loads that came nearest to a solution."""
         coupled, mu, base, loads = self._loads(problem), problem.friction, problem.base, self._nearest
         for _ in range(problem.n):
-            forces, residual, off = coupled.solve_with_radii(loads)
+            forces, modes, residual, off = coupled.solve_with_radii(loads)
             # ideal rolling has no other friction to go with: what carries a load does not slip
             slips = np.abs((problem.gram @ forces + base).reshape(-1, 3)[:, :2]).max(axis=1)
             loaded = forces[2::3] > SETTLED * np.abs(forces).max(initial=0.0)
@@ -356,14 +356,14 @@ class ImpulseSolver:
             return False
         self.settled += 1
         self.settled_off = max(self.settled_off, off)
-        self._take(coupled, forces, residual)
+        self._take(coupled, forces, residual, modes)
         return True
 
-    def _take(self, coupled: Loads, forces: np.ndarray, residual: float) -> None:
-        """Let the solver have these forces as its own."""
-        modes, velocities = coupled.modes(forces), coupled.gram @ forces + coupled.base
-        forces[2::3] = np.where(
-            coupled.normal > 0.0, forces[2::3], coupled.radii(forces) / np.where(coupled.mu > 0.0, coupled.mu, 1.0)
-        )
+    def _take(self, coupled: Loads, forces: np.ndarray, residual: float, modes: np.ndarray | None = None) -> None:
+        """Let the solver have these forces as its own, in modes (n,) that they do not tell."""
+        modes = coupled.modes(forces) if modes is None else modes
+        velocities = coupled.gram @ forces + coupled.base
+        given = coupled.radii(forces) / np.where(coupled.mu > 0.0, coupled.mu, 1.0)
+        forces[2::3] = np.where(coupled.normal > 0.0, np.where(modes == OPEN, 0.0, forces[2::3]), given)
         self.solver.warm_start(modes, forces, velocities)
         self.solver.residual = residual

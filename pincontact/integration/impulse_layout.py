@@ -39,14 +39,15 @@ UNASKED, WANTED, LOOKED_FOR = range(3)
 
 # h: step size in s; ahead: s after the step's start at which its geometry and smooth terms are taken, the middle or,
 # where bodies collide, the mean time of the impulses, impact. kept: part of the restitution that is applied, and the
-# bounds between which it is looked for. free_change: norm of the change of velocity without impulses, in the metric of
+# bounds between which it is looked for. load_change: by how much the last review changed loads that the problem takes
+# as given, relative to their size. free_change: norm of the change of velocity without impulses, in the metric of
 # the masses; miss: how far the midpoint's velocity was from the step's mean velocity, relative to that, in this metric.
 # made: the energy that contacts make in the step (see `impulse_works`), over the square of that mean velocity.
 # weight: of the step's end in the forces of actuators, see `actuators`. Of a run, in s: its start and end and the size
 # of its steps. cone_tolerance: what is asked of cone problems, and the largest residual of any.
 NUMBERS = record(
     REALS,
-    *("h", "ahead", "impact", "kept", "kept_low", "kept_high", "free_change", "miss", "made", "weight"),
+    *("h", "ahead", "impact", "kept", "kept_low", "kept_high", "load_change", "free_change", "miss", "made", "weight"),
     *("run_start", "run_end", "step_size", "cone_tolerance", "cone_residual"),
 )
 # What steps call by address: kernels, and a Python function that sets the torques, or 0, its arguments and the result

@@ -142,8 +142,8 @@ def _fill_row(system, step, u, row):
         for k in range(nv):
             line[k] -= part * equation[k]
     step.beyond[r, 0] = beyond
-    if m > 0 and inner(line, line, nv) <= REDUNDANT * REDUNDANT * whole:
-        # the equations say it, too: what is left of it is round-off
+    if m > 0 and whole > 0.0 and inner(line, line, nv) <= REDUNDANT * REDUNDANT * whole:
+        # the equations say it, too: what is left of it is round-off (what no joint moves they say nothing of)
         b[r] = 0.0
         for k in range(nv):
             line[k] = 0.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from ..arrays import REALS, array_type
 from ..callback import separate_kernel
 from ..dynamics.energy import ENERGY_SLACK, KEPT_ACCURACY
@@ -63,8 +65,9 @@ def may_rest(step, u):
 
 
 @kernel
-def _updates_load(step, u, delassus):
-    """Whether the solution has another normal impulse for unit u than the problem took as given; it takes it then."""
+def _update_load(step, u, delassus):
+    """Let the problem take as given the normal impulse that its solution has for unit u; by which part of their sum
+    that differs from what it took, zero for round-off."""
     unit = step.units[u]
     turns = unit.kind == ON_TURN
     if turns and unit.parent >= 0:
@@ -72,12 +75,12 @@ def _updates_load(step, u, delassus):
     else:
         # what turns has one normal, and where it must not slip further equations; others have normals only
         load = normal_load(step, unit.index, 2 if turns else 0)
-    before = unit.load
-    if not abs(load - before) > (_TURN_LOAD_CHANGE if turns else _LOAD_CHANGE) * (load + before):
-        return False
+    change, both = abs(load - unit.load), load + unit.load
+    if not change > (_TURN_LOAD_CHANGE if turns else _LOAD_CHANGE) * both:
+        return 0.0
     unit.load = load
     step.loads[3 * u + 2] = -delassus[3 * u + 2, 3 * u + 2] * load
-    return True
+    return change / both
 
 
 @separate_kernel(INTEGER, STEP.type, INTEGER, REAL, array_type(REALS, 1), when=STEPPING)
@@ -86,9 +89,9 @@ def review(step, nv, h, scratch):
 
     Slip is opposed along the mean of its velocities at both ends only while it goes on; a contact at rest that starts
     to slip does so with the sliding coefficient, and one whose slip turns back comes to rest first, if that of sticking
-    holds it; loads that the problem takes as given are a fixed point, which is iterated a few times, then found
-    together with the forces (see `friction.loads`); and restitution is lowered where, together with friction, it
-    would create energy. scratch: (nv,).
+    holds it; and restitution is lowered where, together with friction, it would create energy. Before all this, loads
+    that the problem takes as given are a fixed point, which is iterated a few times, then found together with the
+    forces (see `friction.loads`): the last step's may let go what this one's hold. scratch: (nv,).
     """
     counts, n, units = step.counts, step.counts.units, step.units
     modes, friction = step.cone_modes, step.friction
@@ -98,7 +101,18 @@ def review(step, nv, h, scratch):
         for k in range(3 * n):
             step.first_forces[k] = step.cone_forces[k]
     counts.reviews += 1
-    bounces = changes_load = stops = False
+    if counts.coupled == APART:
+        change, before = 0.0, step.numbers.load_change if counts.reviews > 1 else math.inf
+        for u in range(n):
+            if units[u].kind == ON_LOADED or units[u].kind == ON_TURN:
+                change = max(change, _update_load(step, u, delassus))
+        step.numbers.load_change = change
+        if change > 0.0:
+            # what leads away from a solution may come to another one
+            if change > before or counts.reviews > _PATIENCE:
+                counts.coupled = TOGETHER
+            return AGAIN
+    bounces = stops = False
     for u in range(n):
         if units[u].midpoint != 0:
             stops = stops or modes[u] == cone.STICK or _slips_back(step, u)
@@ -119,13 +133,8 @@ def review(step, nv, h, scratch):
             friction[u] = unit.sliding
             unit.at_rest = 0
             again = True
-        given = counts.coupled == APART and (unit.kind == ON_LOADED or unit.kind == ON_TURN)
-        if given and _updates_load(step, u, delassus):
-            again = changes_load = True
         if unit.touches != 0 and unit.shift > 0.0 and step.cone_forces[3 * u + 2] > 0.0:
             bounces = True
-    if changes_load and counts.reviews > _PATIENCE:
-        counts.coupled = TOGETHER
     if not again and not (bounces and _lowers_restitution(step, nv, h, scratch)):
         return DONE
     return AGAIN if counts.reviews < _REVIEW_LIMIT else NO_FORCE

@@ -212,6 +212,17 @@ def _lets_go(system, step, n):
 
 
 @kernel
+def _slide_on(step, n):
+    """Let what came to rest within the step, to see whether it holds, slide on: whether there is any."""
+    found = False
+    for u in range(n):
+        unit = step.units[u]
+        if unit.slid != 0 and unit.at_rest != 0:
+            step.friction[u], unit.at_rest, found = unit.sliding, 0, True
+    return found
+
+
+@kernel
 def may_be_redundant(step, nv, n, factor, row_of):
     """Whether forces of the n units may be redundant. They are not where the rows are independent: the least eigenvalue
     of their Gram matrix, scaled to a unit diagonal, is at least its determinant over e. Friction that acts on nothing
@@ -293,15 +304,19 @@ def _impulses(system, step, found):
     while True:
         n = counts.units
         if found == UNSOLVED:
-            return NO_FORCE
+            if not _slide_on(step, n):
+                return NO_FORCE
+            found = FRESH
         if found == FRESH:
             counts.holding, counts.choosing = UNASKED, 0
             if n > 0 and (counts.coupled != APART or not _solve(step, n)):
                 return CONE_LEFT
         if counts.holding == UNASKED and _lets_go(system, step, n):
-            # whatever is not redundant cannot be chosen to hold
-            redundant = may_be_redundant(step, system.sizes.nv, n, system.delassus, system.permutation)
-            counts.holding = WANTED if redundant else LOOKED_FOR
+            # whatever is not redundant cannot be chosen to hold, but for loads that friction itself makes
+            chosen = may_be_redundant(step, system.sizes.nv, n, system.delassus, system.permutation)
+            for u in range(n):
+                chosen = chosen or (step.units[u].held != 0 and step.units[u].kind == ON_LOADED)
+            counts.holding = WANTED if chosen else LOOKED_FOR
             if counts.holding == WANTED:
                 return CONE_LEFT
         if counts.choosing == 0 and n > 0 and _leaves_choice(step, n):

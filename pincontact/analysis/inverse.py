@@ -18,7 +18,7 @@ from .forces import check_forces
 from .instant import Instant
 from .inverse_loads import unit_forces
 from .inverse_problem import Options, Wanted, opening_contacts
-from .inverse_program import InverseProgram
+from .inverse_program import InverseProgram, Solved
 from .tasks import Accelerations, Weights
 
 if TYPE_CHECKING:
@@ -276,7 +276,7 @@ def _found(program: InverseProgram, wanted: Wanted) -> InverseDynamics:
         )
     joint_forces = system.joint_forces() + problem.beginning
     joint_forces[problem.resting.index] += found.holding
-    acting, torques, held = _contact_forces(instant, problem.items, found.components, problem.shares, wanted.given)
+    acting, torques, held = _contact_forces(found, wanted.given)
     return InverseDynamics(
         wanted.actuation.matrix @ found.efforts,
         found.efforts,
@@ -313,22 +313,18 @@ def _check_kept(instant: Instant, wanted: Wanted) -> None:
 
 
 def _contact_forces(
-    instant: Instant,
-    solved: list[tuple[int, int]],
-    components: np.ndarray,
-    shares: np.ndarray,
-    given: dict[str, np.ndarray],
+    found: Solved, given: dict[str, np.ndarray]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], tuple[HeldTurn, ...]]:
-    """Forces and torques on second contours, and the turns that are held, from components of forces."""
-    system = instant.system
+    """Forces and torques on second contours, and the turns that are held."""
+    instant, system = found.problem.instant, found.problem.instant.system
     # along the bases of items
     local = np.zeros((system.items, 3))
-    for k, (c, row) in enumerate(solved):
+    for (c, row), component, share in zip(found.problem.items, found.components, found.problem.shares):
         if not system.nr and system.contact_int[c, MODE] != SLIPPING:
-            local[c, row] += components[k]
+            local[c, row] += component
             continue
-        for item, unit in unit_forces(instant, c, row, shares[k]).items():
-            local[item] += components[k] * unit
+        for item, unit in unit_forces(instant, c, row, share).items():
+            local[item] += component * unit
     acting, torques, held = {}, {contact.name: np.zeros(3) for contact in system.contacts}, []
     for c, contact in enumerate(system.contacts):
         sign = -1.0 if contact.swapped else 1.0

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..arrays import view
+from ..arrays import array_entry
 from ..friction.centred import Choice, Cones, central_force, null_space
 from ..geometry.patterns import ON_CURVE
-from ..jit import INTEGER, REAL, SEVERAL, entry_kernel, kernel
+from ..jit import INTEGER, REAL, SEVERAL
 from ..layout import (
     ANISOTROPIC,
     EVENT,
@@ -75,8 +75,11 @@ def leaves_loads_open(system: System) -> bool:
     return bool(np.abs(changes).max(initial=0.0) > _MOVES * np.abs(directions).max())
 
 
-@kernel
-def _follow_loads(index, forces, along, slope, rows, bias, free_acceleration, start, slopes):
+@array_entry(INTEGER[:, ::1], _VECTOR, _MATRIX, _MATRIX, _BLOCKS, _MATRIX, _VECTOR, _MATRIX, _BLOCKS, when=SEVERAL)
+def follow_loads(index, forces, along, slope, rows, bias, free_acceleration, start, slopes):
+    """start (items, 3), slopes (2, 3 items, nv): the reference at zero loads, and how it follows these (see
+    `equations`), so that it is these forces (n,) now. index (n, 2): item and row of each; along (n, r), slope (r, n):
+    what loads make of the choice's variables, and these of the forces."""
     n, rank, nv = forces.shape[0], along.shape[1], free_acceleration.shape[0]
     for item in range(start.shape[0]):
         for row in range(3):
@@ -94,24 +97,6 @@ def _follow_loads(index, forces, along, slope, rows, bias, free_acceleration, st
             for k in range(rank):
                 made += along[r, k] * slope[k, other]
             start[index[other, 0], index[other, 1]] += made * load
-
-
-@entry_kernel(INTEGER[:, ::1], _VECTOR, _MATRIX, _MATRIX, _BLOCKS, _MATRIX, _VECTOR, _MATRIX, _BLOCKS, when=SEVERAL)
-def follow_loads(index, forces, along, slope, rows, bias, free_acceleration, start, slopes):
-    """start (items, 3), slopes (2, 3 items, nv): the reference at zero loads, and how it follows these (see
-    `equations`), so that it is these forces (n,) now. index (n, 2): item and row of each; along (n, r), slope (r, n):
-    what loads make of the choice's variables, and these of the forces."""
-    _follow_loads(
-        view(index),
-        view(forces),
-        view(along),
-        view(slope),
-        view(rows),
-        view(bias),
-        view(free_acceleration),
-        view(start),
-        view(slopes),
-    )
 
 
 class RedundantForces:

@@ -8,7 +8,9 @@ arrays, and its bounds checks, in their place.
 
 from __future__ import annotations
 
+import functools
 import operator
+from collections.abc import Callable
 from typing import Any
 
 import numba
@@ -25,7 +27,7 @@ from numba.extending import (
     type_callable,
 )
 
-from .jit import CHECKED
+from .jit import ALWAYS, CHECKED, entry_kernel, kernel
 
 REALS, INTEGERS = np.dtype(np.float64), np.dtype(np.int64)
 _NUMBA: dict[np.dtype[Any], Any] = {REALS: types.float64, INTEGERS: types.int64}
@@ -254,3 +256,18 @@ else:
     # numba's C-contiguous array as one of kernels, and one of kernels as numba's, for calls by address
     view = _conversion(lambda array: View(array.dtype, array.ndim))
     as_array = _conversion(lambda array: types.Array(array.item, array.ndim, "C"))
+
+
+def array_entry(*arguments: Any, when: int = ALWAYS) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """`entry_kernel` for a kernel to which Python hands NumPy's arrays: it gets them as those of kernels."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        names = function.__code__.co_varnames[: len(arguments)]
+        given = [f"view({name})" if isinstance(of, types.Array) else name for name, of in zip(names, arguments)]
+        text = f"def {function.__name__}({', '.join(names)}):\n    return part({', '.join(given)})"
+        scope: dict[str, Any] = {"__name__": function.__module__, "part": kernel(function), "view": view}
+        # by its file numba knows where the machine code is kept
+        exec(compile(text, function.__code__.co_filename, "exec"), scope)
+        return entry_kernel(*arguments, when=when)(functools.wraps(function)(scope[function.__name__]))
+
+    return decorate

@@ -244,7 +244,7 @@ def passer_by(seed):
     return scene, scene.initial_state(q, [*(turn.T @ v), *spin], free=["c"], max_gap=10.0), duration
 
 
-@pytest.mark.parametrize("seed", [26, 98, 101, 121, 157, 171, 218, 235])
+@pytest.mark.parametrize("seed", [26, 101, 121, 157, 171, 235])
 def test_what_gets_behind_a_contour_touches_it_as_in_exact_runs(seed):
     """From the side, from below and from above: what has got behind it beside its end does not touch it from there,
     also where its nearest points are looked for anew."""

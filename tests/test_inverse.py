@@ -388,7 +388,8 @@ def test_least_torques_of_random_mechanisms(law):
         # rounding by the conditioning of the feet, up to 1e4
         np.testing.assert_allclose(found.efforts, best, rtol=0.0, atol=1e-9 * scale, err_msg=f"seed {seed}")
         if rest.shape[0] == 0:
-            assert (found.efforts == 0.0).all(), seed
+            # round-off of the loads
+            assert np.abs(found.efforts).max(initial=0.0) <= 1e-13 * scale, seed
         acting = actuation @ found.efforts
         for name, (linear, angular, _) in rows.items():
             on_foot = 1.0 if scene.contacts[name].second.name.startswith("foot") else -1.0
@@ -507,7 +508,7 @@ def test_least_torques_of_legs_with_dry_friction(law):
         actuation = np.eye(nv)[:, driven]
         if np.abs(unknowns @ best - loads / np.linalg.norm(loads)).max() > 1e-7:
             refused += 1
-            with pytest.raises(pc.SolverError, match="leave"):
+            with pytest.raises(pc.SolverError, match=r"leave|out of reach|no forces within the limits"):
                 pc.inverse_dynamics(scene, state, actuation=actuation)
             continue
         found = pc.inverse_dynamics(scene, state, actuation=actuation)

@@ -132,7 +132,7 @@ def test_what_all_solutions_share():
     The first level presses onto a ray of a cone, an apex and a row's end, or onto nothing, at random.
     """
     counts: Counter[str] = Counter()
-    for seed in range(60):
+    for seed in range(50):
         rng = np.random.default_rng(seed)
         n = 10
         region, target = random_region(rng, n, cones=4, rows=4), 3.0 * rng.normal(size=n)
@@ -181,8 +181,8 @@ def test_what_all_solutions_share():
             counts.update(np.flatnonzero(pressed).tolist() if pressed.any() else ["none"])
             counts["second"] += int(np.abs(second.cones).max() > 1e-6 or np.abs(second.rows).max() > 1e-6)
     assert min(counts[kind] for kind in (0, 1, 2, "none", "second")) >= 3, counts
-    # twelve or thirteen, by the alignment of memory
-    assert counts["unfinished"] <= 16, counts
+    # six or so, by the alignment of memory
+    assert counts["unfinished"] <= 9, counts
 
 
 # ---------------------------------------------------------------------------------- random states

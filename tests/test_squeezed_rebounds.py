@@ -27,19 +27,15 @@ def stacked(heavy, restitution):
     return scene, scene.initial_state(q, free=["below", "above"])
 
 
-@pytest.mark.parametrize("restitution", [0.8])
-def test_rebounds_at_one_time_end_a_run(restitution):
-    """It says so, with all that came before, and time stepping goes on where it is asked to."""
-    scene, state = stacked(1e8, restitution)
-    run = pc.simulate(scene, state, 0.3)
-    assert run.status == -6 and "rebounds" in run.message and "'above'" in run.message
+def test_rebounds_at_one_time_end_a_run():
+    """It says so, with all that came before, and time stepping goes on from there."""
+    scene, state = stacked(1e8, 0.8)
+    run = pc.simulate(scene, state, 0.3, fallback="Moreau")
+    assert run.status == 0 and "rebounds" in run.message and "'above'" in run.message
     # both have fallen 10 cm
-    assert run.t[-1] == pytest.approx(np.sqrt(2.0 * RADIUS / 9.81), rel=0.2)
-    assert np.isfinite(run.q).all()
-    on = pc.simulate(scene, state, 0.3, fallback="Moreau")
-    assert on.status == 0, on.message
-    assert [event.time for event in on.events if event.kind == "fallback"] == [run.t[-1]]
-    assert on.t[-1] == 0.3
+    (left,) = (event.time for event in run.events if event.kind == "fallback")
+    assert left == pytest.approx(np.sqrt(2.0 * RADIUS / 9.81), rel=0.2)
+    assert np.isfinite(run.q).all() and run.t[-1] == 0.3
 
 
 def test_many_rebounds_that_end_are_no_chatter():

@@ -68,7 +68,7 @@ def test_all_methods_take_the_same(seed):
     assert not finding.wrong and min(finding.statuses.values()) == 0, finding
 
 
-@pytest.mark.parametrize("seed", [91852, 55828, 90040])
+@pytest.mark.parametrize("seed", [91852, 90040])
 def test_runs_know_no_earlier_runs(seed):
     """The solver's tables are kept for the scene's next run, not what they held."""
     motion = random_motion(seed)[1]

@@ -448,7 +448,7 @@ def test_rates_between_changes_of_charts(shape, omega):
     """The integral of p' (Eq. 7) is the location in every chart that the contact goes through; on the floor, which has
     one, over the changes."""
     scene, state = rolling_over_poles(shape, 0.3, omega)
-    pieces, span, nodes_each = 300, 3.0, 6
+    pieces, span, nodes_each = 100, 3.0, 6
     nodes, weights = np.polynomial.legendre.leggauss(nodes_each)
     ends = np.linspace(0.0, span, pieces + 1)
     inner = ends[:-1, None] + 0.5 * (span / pieces) * (1.0 + nodes)

@@ -10,20 +10,15 @@ import numpy as np
 
 from ..arguments import check_flag, check_tolerance
 from ..display import Summary
-from ..dynamics.units import whiten, whitened_velocity
 from ..errors import ArgumentError, SolverError, StateError
-from ..friction.cone_least_squares import UNBOUNDED
 from ..geometry.patterns import ON_CURVE
 from ..layout import MODE, MU_STATIC, PATTERN, ROLLING_ROW, SLIPPING, STICK
-from ..state import check_vector
-from .actuation import actuation_matrix
 from .farkas import FarkasCertificate
 from .forces import check_forces
 from .instant import Instant
-from .inverse_loads import LEAST_LOAD, RestingJoints, joint_loads, shares_of, unit_forces
+from .inverse_loads import unit_forces
 from .inverse_problem import Options, Wanted, opening_contacts
-from .inverse_program import InverseProgram
-from .ranks import Directions
+from .inverse_program import InverseProgram, Solved
 from .tasks import Accelerations, Weights
 
 if TYPE_CHECKING:
@@ -32,15 +27,8 @@ if TYPE_CHECKING:
     from ..scene import Scene
     from ..state import State
 
-# |F_n| of contacts that cannot open is the length of their normal components: fixed point.
-_ITERATIONS = 100
-_UNCHANGED = 1e-12
 # Torques above the limit of a resistance by less than this part of it are at it.
 _LIMIT_SLACK = 1e-9
-# What ProxQP's forces are known to, relative to the loads, and how near to a bound they are at it.
-_ACCURACY, _AT_BOUND = 1e-11, 1e-7
-# Its iterations, outer and inner.
-_ITERATIONS_OF_PROGRAM = 100
 _UNREACHABLE, _REDUNDANT = ("error", "nearest"), ("least", "centred", "last")
 
 
@@ -245,76 +233,19 @@ def inverse_dynamics(
     for name, value, known in (("unreachable", unreachable, _UNREACHABLE), ("redundant", redundant, _REDUNDANT)):
         if not (isinstance(value, str) and value in known):
             raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}, got {value!r}")
-    options = Options(cones, effort_limits, unreachable, redundant, tolerance)
-    if isinstance(acceleration, Mapping) or weights is not None or warm is not None or options.limited:
-        program = _program(scene, state, warm)
-        tasks = program.tasks.read(acceleration, weights, program.instant.q, program.instant.v)
-        wanted = Wanted(
-            tasks,
-            program.actuation(actuation),
-            check_forces(scene, {} if forces is None else forces),
-            options,
-        )
-        return _within_limits(program, wanted, not (acceleration is None or isinstance(acceleration, Mapping)))
-    return _without_limits(scene, state, acceleration, actuation, {} if forces is None else forces, tolerance)
-
-
-def _without_limits(
-    scene: Scene,
-    state: State,
-    acceleration: ArrayLike | None,
-    actuation: ArrayLike | Sequence[str] | None,
-    forces: Mapping[str, ArrayLike],
-    tolerance: float,
-) -> InverseDynamics:
-    """`inverse_dynamics` as one linear least-squares problem; arguments as there."""
-    instant = Instant(scene, state, decide=False)
-    system = instant.system
-    given = check_forces(scene, forces)
-    matrix = actuation_matrix(scene.model, actuation)
-    instant.evaluate()
-    constrained = instant.constrained()
-    bias = instant.biases(constrained)
-    missed = 0.0
-    if acceleration is None:
-        a = -instant.least_change(constrained, bias)
-        missed = float(np.linalg.norm(whitened_velocity(system, a)))
-    else:
-        a = check_vector("acceleration", acceleration, system.nv)
-        _check_kept(instant, constrained, a, tolerance)
-    resting, joint_forces, _ = joint_loads(instant, a, tolerance)
-    # M a + nle + damping v, from the acceleration that the loads and moving joints' friction alone would make
-    factor = np.tril(system.factor)
-    needed = factor.T @ (factor @ (a - system.free_acceleration)) - joint_forces
-    joint_forces += system.joint_forces()
-    loads = max(LEAST_LOAD, float(np.abs([needed, system.bias_forces]).max(initial=0.0)))
-    for c, contact in enumerate(system.contacts):
-        if contact.name in given:
-            sign = -1.0 if contact.swapped else 1.0
-            needed = needed - system.rows[c].T @ (system.basis[c] @ (sign * given[contact.name]))
-    solved = [(c, row) for c, row in constrained if system.contacts[system.owner(c)].name not in given]
-    loads = max(loads, float(np.abs(needed).max(initial=0.0)))
-    solution = None
-    for start in (1.0, -1.0):
-        found = _solve(instant, solved, matrix, needed, resting, np.full(len(solved), start))
-        if found is not None and (solution is None or found[-1] < solution[-1]):
-            solution = found
-        if solution is not None and solution[-1] <= tolerance * loads:
-            break
-    if solution is None:
-        raise SolverError(
-            "inverse dynamics: no least torques agree with the sign of the normal force of a contact that slides and "
-            "cannot open; give its force"
-        )
-    efforts, components, holding, shares, residual = solution
-    joint_forces[resting.index] += holding
-    if residual > tolerance * loads:
-        raise SolverError(
-            f"inverse dynamics: the actuators and contacts leave {residual:.3g} N (N m) of the equations of motion "
-            f"(tolerance {tolerance * loads:.3g})"
-        )
-    acting, torques, held = _contact_forces(instant, solved, components, shares, given)
-    return InverseDynamics(matrix @ efforts, efforts, a, acting, torques, residual, joint_forces, held, missed)
+    named, given = isinstance(acceleration, Mapping), {} if forces is None else forces
+    limited = cones or effort_limits or unreachable != "error" or redundant != "least"
+    exact = not (named or limited or weights is not None or warm is not None)
+    program = _program(scene, state, warm)
+    wanted = Wanted(
+        program.tasks.read(acceleration, weights, program.instant.q, program.instant.v),
+        program.actuation(actuation),
+        check_forces(scene, given),
+        Options(cones, effort_limits, unreachable, redundant, tolerance, exact),
+    )
+    if not (acceleration is None or named) and unreachable == "error":
+        _check_kept(program.instant, wanted)
+    return _found(program, wanted)
 
 
 def _program(scene: Scene, state: State, warm: InverseDynamics | None) -> InverseProgram:
@@ -332,39 +263,43 @@ def _program(scene: Scene, state: State, warm: InverseDynamics | None) -> Invers
     return warm._program
 
 
-def _within_limits(program: InverseProgram, wanted: Wanted, vector: bool) -> InverseDynamics:
-    """What the program finds; vector: the wanted accelerations are one, of all coordinates."""
-    instant, options = program.instant, wanted.options
-    if vector and options.unreachable == "error":
-        opening = opening_contacts(instant, wanted.given)
-        constrained = [item for item in instant.constrained() if instant.system.owner(item[0]) not in opening]
-        _check_kept(instant, constrained, wanted.tasks.wanted, options.tolerance)
+def _found(program: InverseProgram, wanted: Wanted) -> InverseDynamics:
+    """What the program finds."""
+    instant, exact = program.instant, wanted.options.exact
     before, found = program.programs, program.solve(wanted)
     problem, system = found.problem, instant.system
-    residual = problem.residual(found.u)
+    left, allowed = problem.unbalanced(found.u, wanted.tasks), wanted.options.tolerance * problem.load
+    if exact and left > allowed:
+        raise SolverError(
+            f"inverse dynamics: the actuators and contacts leave {left:.3g} N (N m) of the equations of motion "
+            f"(tolerance {allowed:.3g})"
+        )
     joint_forces = system.joint_forces() + problem.beginning
     joint_forces[problem.resting.index] += found.holding
-    acting, torques, held = _contact_forces(instant, problem.items, found.components, problem.shares, wanted.given)
+    acting, torques, held = _contact_forces(found, wanted.given)
     return InverseDynamics(
         wanted.actuation.matrix @ found.efforts,
         found.efforts,
         problem.acceleration(found.u),
         acting,
         torques,
-        residual,
+        problem.residual(found.u),
         joint_forces,
         held,
         problem.missed(found.u, wanted.tasks),
         found.shortfall,
         found.certificate,
-        {name: count - before[name] for name, count in program.programs.items()},
-        program,
+        {} if exact else {name: count - before[name] for name, count in program.programs.items()},
+        None if exact else program,
     )
 
 
-def _check_kept(instant: Instant, constrained: list[tuple[int, int]], a: np.ndarray, tolerance: float) -> None:
-    """Raise StateError for an acceleration (nv,) that breaks the contacts."""
-    system, bias = instant.system, instant.biases(constrained)
+def _check_kept(instant: Instant, wanted: Wanted) -> None:
+    """Raise StateError for accelerations of all coordinates that break the contacts."""
+    system, a, tolerance = instant.system, wanted.tasks.wanted, wanted.options.tolerance
+    opening = opening_contacts(instant, wanted.given)
+    constrained = [item for item in instant.constrained() if system.owner(item[0]) not in opening]
+    bias = instant.biases(constrained)
     scale = max(1.0, float(np.abs(a).max(initial=0.0)), float(np.abs(bias).max(initial=0.0)))
     defects = instant.rows(constrained) @ a + bias
     if constrained and np.abs(defects).max() > tolerance * scale:
@@ -378,22 +313,18 @@ def _check_kept(instant: Instant, constrained: list[tuple[int, int]], a: np.ndar
 
 
 def _contact_forces(
-    instant: Instant,
-    solved: list[tuple[int, int]],
-    components: np.ndarray,
-    shares: np.ndarray,
-    given: dict[str, np.ndarray],
+    found: Solved, given: dict[str, np.ndarray]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], tuple[HeldTurn, ...]]:
-    """Forces and torques on second contours, and the turns that are held, from components of forces."""
-    system = instant.system
+    """Forces and torques on second contours, and the turns that are held."""
+    instant, system = found.problem.instant, found.problem.instant.system
     # along the bases of items
     local = np.zeros((system.items, 3))
-    for k, (c, row) in enumerate(solved):
+    for (c, row), component, share in zip(found.problem.items, found.components, found.problem.shares):
         if not system.nr and system.contact_int[c, MODE] != SLIPPING:
-            local[c, row] += components[k]
+            local[c, row] += component
             continue
-        for item, unit in unit_forces(instant, c, row, shares[k]).items():
-            local[item] += components[k] * unit
+        for item, unit in unit_forces(instant, c, row, share).items():
+            local[item] += component * unit
     acting, torques, held = {}, {contact.name: np.zeros(3) for contact in system.contacts}, []
     for c, contact in enumerate(system.contacts):
         sign = -1.0 if contact.swapped else 1.0
@@ -416,119 +347,3 @@ def _held_turn(instant: Instant, item: int, torque: np.ndarray, forces: dict[str
     load = float(np.hypot(force[1], force[2]) if system.contact_int[c, PATTERN] == ON_CURVE else abs(force[2]))
     kind = "rolling" if system.contact_int[c, ROLLING_ROW] == item else "spinning"
     return HeldTurn(name, kind, torque, float(system.contact_real[item, MU_STATIC]) * load)
-
-
-def _solve(
-    instant: Instant,
-    solved: list[tuple[int, int]],
-    actuation: np.ndarray,
-    needed: np.ndarray,
-    resting: RestingJoints,
-    shares: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float] | None:
-    """Efforts, force components, forces that hold resting joints, shares (see `shares_of`) and the largest residual;
-    None where shares do not settle."""
-    columns, sizes = np.zeros((needed.size, len(solved))), np.zeros(len(solved))
-    size_of = {item: instant.row_size(item) for item in [*instant.system.closed(), *instant.system.resisting()]}
-    for _ in range(_ITERATIONS):
-        for k, (c, row) in enumerate(solved):
-            units = unit_forces(instant, c, row, shares[k])
-            columns[:, k] = sum(instant.system.rows[item].T @ unit for item, unit in units.items())
-            sizes[k] = sum(size_of[item] * np.linalg.norm(unit) for item, unit in units.items())
-        efforts, components, holding = _least(instant, actuation, columns, sizes, needed, resting)
-        new = shares_of(instant, solved, components)
-        if np.abs(new - shares).max(initial=0.0) <= _UNCHANGED:
-            left = actuation @ efforts + columns @ components - needed
-            left[resting.index] += holding
-            return efforts, components, holding, shares, float(np.abs(left).max(initial=0.0))
-        shares = new
-    return None
-
-
-def _least(
-    instant: Instant,
-    actuation: np.ndarray,
-    columns: np.ndarray,
-    sizes: np.ndarray,
-    needed: np.ndarray,
-    resting: RestingJoints,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Least efforts, then least force components, with actuation efforts + columns components + holding = needed, and
-    the forces `holding` of resting joints within their ranges.
-
-    sizes: see `Directions`, of the columns.
-    """
-    units = np.eye(needed.size)[:, resting.index]
-    columns, actuators, loads, units = (whiten(instant.system, part) for part in (columns, actuation, needed, units))
-    if not resting.index.size:
-        return *_least_unbounded(columns, sizes, actuators, loads), np.zeros(0)
-    size = max(LEAST_LOAD, float(np.abs(needed).max(initial=0.0)))
-    holding = _least_with_bounds(columns, sizes, actuators, loads, units, resting, size)
-    # exactly: what is at a bound is known, the rest is as free as contact forces are
-    at_low, at_high = holding <= resting.low + _AT_BOUND * size, holding >= resting.high - _AT_BOUND * size
-    exact = np.where(at_low, resting.low, np.where(at_high, resting.high, 0.0))
-    free = ~(at_low | at_high)
-    efforts, components = _least_unbounded(
-        np.hstack([columns, units[:, free]]),
-        np.concatenate([sizes, np.linalg.norm(units[:, free], axis=0)]),
-        actuators,
-        loads - units @ exact,
-    )
-    components, exact[free] = components[: sizes.size], components[sizes.size :]
-    left = actuators @ efforts + columns @ components + units @ exact - loads
-    if resting.within(exact, _UNCHANGED * size) and np.linalg.norm(left) <= _AT_BOUND * np.linalg.norm(loads):
-        return efforts, components, exact
-    # forces that are redundant with the contacts' would leave their range
-    return *_least_unbounded(columns, sizes, actuators, loads - units @ holding), holding
-
-
-def _least_unbounded(
-    columns: np.ndarray, sizes: np.ndarray, actuators: np.ndarray, loads: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Least efforts, then least force components, with actuators efforts + columns components = loads."""
-    contacts = Directions(columns, sizes)
-    # what contacts cannot take
-    left = contacts.complement.T
-    driven = Directions(left @ actuators, np.linalg.norm(actuators, axis=0), contacts.complement_precision)
-    efforts = driven.combine(left @ loads)
-    return efforts, contacts.combine(loads - actuators @ efforts)
-
-
-def _least_with_bounds(
-    columns: np.ndarray,
-    sizes: np.ndarray,
-    actuators: np.ndarray,
-    loads: np.ndarray,
-    units: np.ndarray,
-    resting: RestingJoints,
-    size: float,
-) -> np.ndarray:
-    """The forces in their ranges with which the efforts are least, by ProxQP; size: of the loads in N or N m."""
-    from proxsuite import proxqp
-
-    n = resting.index.size
-    contacts = Directions(columns, sizes)
-    left = contacts.complement.T
-    driven = Directions(left @ actuators, np.linalg.norm(actuators, axis=0), contacts.complement_precision)
-    # efforts and what they leave are linear in the forces
-    wanted = left @ np.column_stack([loads / size, -units])
-    efforts = np.column_stack([driven.combine(column) for column in wanted.T])
-    rest = wanted - left @ actuators @ efforts
-    low, high = (np.clip(bound / size, -UNBOUNDED, UNBOUNDED) for bound in (resting.low, resting.high))
-    qp = proxqp.dense.QP(n, rest.shape[0], n)
-    qp.settings.eps_abs, qp.settings.eps_rel = _ACCURACY, 0.0
-    # without an answer it would go on for minutes
-    qp.settings.max_iter = qp.settings.max_iter_in = _ITERATIONS_OF_PROGRAM
-    # what cannot be is left as small as can be, and told by who looks at the residual
-    qp.settings.primal_infeasibility_solving = True
-    qp.init(
-        efforts[:, 1:].T @ efforts[:, 1:],
-        efforts[:, 1:].T @ efforts[:, 0],
-        rest[:, 1:],
-        -rest[:, 0],
-        np.eye(n),
-        low,
-        high,
-    )
-    qp.solve()
-    return np.clip(size * qp.results.x, resting.low, resting.high)

@@ -26,9 +26,6 @@ class RestingJoints:
     low: np.ndarray
     high: np.ndarray
 
-    def within(self, forces: np.ndarray, slack: float) -> bool:
-        return bool((forces >= self.low - slack).all() and (forces <= self.high + slack).all())
-
 
 def joint_loads(
     instant: Instant, a: np.ndarray, tolerance: float, stop: bool = False

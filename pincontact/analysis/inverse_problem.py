@@ -33,18 +33,14 @@ _SMALL = 0.1
 
 @dataclass(frozen=True)
 class Options:
-    """Those of `inverse_dynamics` with these names."""
+    """Those of `inverse_dynamics` with these names; exact: accelerations that are not reached are an error."""
 
     cones: bool
     effort_limits: bool
     unreachable: str
     redundant: str
     tolerance: float
-
-    @property
-    def limited(self) -> bool:
-        """Whether any of them asks for more than least efforts and forces."""
-        return self.cones or self.effort_limits or self.unreachable != "error" or self.redundant != "least"
+    exact: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +136,7 @@ class Problem:
         rows, goal = self.goal(wanted.tasks)
         z = np.linalg.lstsq(rows, goal, rcond=None)[0]
         a = unwhiten(instant.system, self.origin + self.span @ z)
-        return joint_loads(instant, a, wanted.options.tolerance, stop=True)
+        return joint_loads(instant, a, wanted.options.tolerance, stop=not wanted.options.exact)
 
     def _of_wanted(self, tasks: Tasks) -> np.ndarray:
         """z (nz, n) that tasks want in any case: that of all coordinates, or the least of each row."""
@@ -295,6 +291,11 @@ class Problem:
         if tasks.rows is None or tasks.weights is None:
             return float(np.linalg.norm(whitened_velocity(self.instant.system, self.acceleration(u) - tasks.wanted)))
         return float(np.linalg.norm(np.sqrt(tasks.weights) * (tasks.rows @ self.acceleration(u) - tasks.wanted)))
+
+    def unbalanced(self, u: np.ndarray, tasks: Tasks) -> float:
+        """The largest entry, in N and N m, of what u (n,) lacks for all accelerations wanted, where tasks are these."""
+        lacking = self._of_wanted(tasks).sum(axis=1) - self.rate * u[: self.span.shape[1]]
+        return float(np.abs(self._factor.T @ (self.span @ lacking)).max(initial=0.0))
 
     def residual(self, u: np.ndarray) -> float:
         """The largest entry of what u leaves of the equations of motion, in N and N m."""

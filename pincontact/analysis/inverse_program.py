@@ -50,6 +50,9 @@ class Solved:
         self, problem: Problem, u: np.ndarray, shortfall: float, certificate: FarkasCertificate | None
     ) -> None:
         self.problem, self.shortfall, self.certificate = problem, shortfall, certificate
+        low, high = problem.resting.low / problem.load, problem.resting.high / problem.load
+        # exactly, where the program is content with round-off
+        u[problem.holding] = np.clip(u[problem.holding], low, high)
         self.u = u
         self.efforts = problem.load * u[problem.efforts]
         self.components = problem.load * u[problem.components]

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import REALS, array_type, view
+from ..arrays import REALS, array_entry, array_type
 from ..callback import kernel_address, kernel_caller
 from ..jit import CALLED, INTEGER, NOTHING, REAL, entry_kernel
 
@@ -42,7 +42,7 @@ def evaluate_contour(
     _evaluate_many(kernel_address(evaluator), chart, shape, pool, u, t, out)
 
 
-@entry_kernel(INTEGER, INTEGER, REAL[::1], REAL[::1], REAL[:, ::1], REAL, REAL[:, :, ::1], when=CALLED)
+@array_entry(INTEGER, INTEGER, REAL[::1], REAL[::1], REAL[:, ::1], REAL, REAL[:, :, ::1], when=CALLED)
 def _evaluate_many(evaluator, chart, shape, pool, u, t, out):
     for i in range(u.shape[0]):
-        call_contour(evaluator, chart, view(shape), view(pool), u[i, 0], u[i, 1], t, view(out)[i])
+        call_contour(evaluator, chart, shape, pool, u[i, 0], u[i, 1], t, out[i])

@@ -249,10 +249,3 @@ def displace(blocks, q, axes, step, out):
             ct, st = math.cos(turn), math.sin(turn)
             out[first], out[first + 1] = c * ct - s * st, s * ct + c * st
     normalize(blocks, out, out)
-
-
-@kernel
-def transport(blocks, source, target, v, out):
-    """out = velocities v (nv,) in the axes of the configuration `source`, in those of `target` (out may be v)."""
-    to_parent_axes(blocks, source, v, out)
-    to_joint_axes(blocks, target, out, out)

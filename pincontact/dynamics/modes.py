@@ -39,9 +39,9 @@ from ..layout import (
 )
 from .contact_modes import Decision, drags, held_up_by_friction, rest_mode, set_normal, shares_viscous_force
 from .directions import align_slips, freeze_slip
-from .mode_changes import _ROUND_OFF, ModeChanges
 from .mode_loads import LoadedCones
 from .passing_slip import PassingSlip
+from .single_mode_changes import ROUND_OFF, SingleModeChanges
 
 if TYPE_CHECKING:
     from .system import System
@@ -55,14 +55,14 @@ _STILL, _KNOWN = 1e-13, 10.0
 _ROUNDS = 4
 
 
-class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
+class ModeSolver(SingleModeChanges, PassingSlip, LoadedCones):
     """Resolves the modes of all contacts at a state; keeps the cone solver's buffers and counts what it did.
 
     contact_solver: see `ContactSolver`. worst_residual: the largest of the cone problems'.
     """
 
     def __init__(self, system: System, contact_solver: str = "auto") -> None:
-        ModeChanges.__init__(self, system)
+        SingleModeChanges.__init__(self, system)
         LoadedCones.__init__(self, system, contact_solver)
         self.worst_residual = 0.0
 
@@ -191,7 +191,7 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         closing = [c for c in dragging if c in decision.opened and c not in sharing]
         if closing:
             rates = {c: self.gap_acceleration(t, c) for c in closing}
-            least = -_ROUND_OFF * float(np.abs(self.system.free_acceleration).max(initial=0.0))
+            least = -ROUND_OFF * float(np.abs(self.system.free_acceleration).max(initial=0.0))
             closing = sorted((c for c in closing if rates[c] < least), key=lambda c: rates[c])
             # with forces, since gaps are looked at without
             evaluate(t)
@@ -255,7 +255,7 @@ class ModeSolver(ModeChanges, PassingSlip, LoadedCones):
         """What begins to slip, but goes the other way under the loads of the last evaluation."""
         system = self.system
         started = [i for i in decision.started if system.contact_int[i, MODE] == SLIPPING]
-        least = -_ROUND_OFF * float(np.abs(system.free_acceleration).max(initial=0.0))
+        least = -ROUND_OFF * float(np.abs(system.free_acceleration).max(initial=0.0))
         return [i for i in started if not system.contact_real[i, SLIP_RATE] >= least]
 
     def _align(self, t: float, decision: Decision, evaluate) -> bool:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..arrays import view
+from ..arrays import array_entry
 from ..constraints.kinematics import ROW_ROUND_OFF
-from ..jit import INTEGER, REAL, entry_kernel, kernel
+from ..jit import INTEGER, REAL
 from ..layout import EVENT, FRICTIONLESS, JOINT_END, LENGTH, MODE, STICK, TANGENTS
 from ..linalg import RANK_TOLERANCE, largest_entry
 from .directions import freeze_slip
@@ -129,8 +129,10 @@ class PassingSlip:
         return math.sqrt(change @ change), speed, self._negligible(speed)
 
 
-@kernel
-def _accelerates(rows, bias, acceleration, free, v, tangents, length):
+@array_entry(REAL[:, ::1], *(REAL[::1],) * 4, INTEGER, REAL)
+def accelerates(rows, bias, acceleration, free, v, tangents, length):
+    """Whether a contact of this length accelerates along its tangents, though these are held: rows (3, nv) and bias
+    (3,) of the last evaluation, with its accelerations and those without forces."""
     left, rate, turning = 0.0, 0.0, 0.0
     for row in range(3):
         along, size, speed = bias[row], abs(bias[row]), 0.0
@@ -144,10 +146,3 @@ def _accelerates(rows, bias, acceleration, free, v, tangents, length):
     # by what forces do and by what turns: either may vanish, and not by round-off of rows that are zero
     rounding = ROW_ROUND_OFF * max(length, 1.0) * (largest_entry(free) + largest_entry(v) ** 2)
     return left > max(_UNHELD * (rate + turning**2 / length), rounding)
-
-
-@entry_kernel(REAL[:, ::1], *(REAL[::1],) * 4, INTEGER, REAL)
-def accelerates(rows, bias, acceleration, free, v, tangents, length):
-    """Whether a contact of this length accelerates along its tangents, though these are held: rows (3, nv) and bias
-    (3,) of the last evaluation, with its accelerations and those without forces."""
-    return _accelerates(view(rows), view(bias), view(acceleration), view(free), view(v), tangents, length)

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from ..arrays import view
+from ..arrays import array_entry
 from ..friction.loads import Loads
 from ..geometry.patterns import ON_CURVE
-from ..jit import REAL, entry_kernel, kernel
+from ..jit import REAL
 from ..layout import ANISOTROPIC, PATTERN, TANGENTS, UNILATERAL
 from ..linalg import inner
 from .friction_scaling import stretch
@@ -62,16 +62,11 @@ def whitened_velocity(system: System, v: np.ndarray) -> np.ndarray:
     return out
 
 
-@kernel
-def _multiply_lower(lower, x, out):
-    for i in range(x.shape[0]):
-        out[i] = inner(lower[i], x, i + 1)
-
-
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1])
+@array_entry(REAL[:, ::1], REAL[::1], REAL[::1])
 def multiply_lower(lower, x, out):
     """out = the lower triangle of a matrix (n, n) times x (n,)."""
-    _multiply_lower(view(lower), view(x), view(out))
+    for i in range(x.shape[0]):
+        out[i] = inner(lower[i], x, i + 1)
 
 
 class ContactProblem:

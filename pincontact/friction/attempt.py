@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ..arrays import REALS, array_type, view
+from ..arrays import REALS, array_entry, array_type
 from ..callback import separate_kernel
-from ..jit import INTEGER, REAL, entry_kernel, kernel
+from ..jit import INTEGER, REAL, kernel
 from ..linalg import factor_matrix
 from .cone import (
     BY_EXACT,
@@ -150,7 +150,7 @@ def usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance):
     return residual
 
 
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, INTEGER, INTEGER, REAL, INTEGER, INTEGER)
+@array_entry(REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, INTEGER, INTEGER, REAL, INTEGER, INTEGER)
 def solve_cones(delassus, b, mu, address, task, passes, tolerance, sweeps, rounds):
     """Forces and velocities of n contacts from what is known of them; returns the residual.
 
@@ -168,12 +168,7 @@ def solve_cones(delassus, b, mu, address, task, passes, tolerance, sweeps, round
                  nothing did, HUGE is returned, and the residual is in "reached".
     On success (residual <= tolerance) modes, forces and velocities are written, otherwise (but for AFRESH) none is.
     """
-    return _solve(view(delassus), view(b), view(mu), cone_at(address), task, passes, tolerance, sweeps, rounds)
-
-
-@kernel
-def _solve(delassus, b, mu, cone, task, passes, tolerance, sweeps, rounds):
-    # a part: what an entry kernel calls itself is compiled once more for those that are called by parts
+    cone = cone_at(address)
     if task >= USUAL:
         nearest, sweeping, afresh = (task & NEAREST) != 0, (task & SWEEPING) != 0, (task & AFRESH) != 0
         return usual_attempts(delassus, b, mu, cone, nearest, sweeping, afresh, tolerance)

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 
-from ..arrays import view
-from ..jit import REAL, SEVERAL, entry_kernel, kernel
+from ..arrays import array_entry
+from ..jit import REAL, SEVERAL, kernel
 from ..linalg import RANK_TOLERANCE, factor_definite, inner, orthonormal_basis, solve_definite, subtract_row
 from .cone import cone_step
 from .least_loads import FIXED
@@ -178,8 +178,20 @@ def tangent(rows, start, point, k, spanned, hessian, scratch, slope):
     return hessian[k - 1, k - 1] > 0.0
 
 
-@kernel
-def _centre(forces, null, parts, offsets, basis, rows, hessian, scratch, slope):
+_VECTOR, _MATRIX = REAL[::1], REAL[:, ::1]
+
+
+@array_entry(_VECTOR, _MATRIX, _MATRIX, _VECTOR, _MATRIX, _MATRIX, _MATRIX, _MATRIX, _MATRIX, when=SEVERAL)
+def centre(forces, null, parts, offsets, basis, rows, hessian, scratch, slope):
+    """Move forces (n,) along the rows of null (c, n) to the analytic centre of m cones s > |t|, (s, t1, t2) = parts
+    (3 m, n) forces + offsets (3 m,); returns the number k of directions among these rows, or 0 where there is none, or
+    no centre.
+
+    basis (n, n): orthonormal rows, the first k of them those directions; slope (n, n): in row j by how much the centre
+    moves along each of these as forces grow along row k + j of the basis.
+    null, rows (3 m, n + 1), hessian (n + 1, n + 1), scratch (SCRATCH_ROWS, at least n + 1 and 3 m): are
+    overwritten.
+    """
     n, m = forces.shape[0], offsets.shape[0]
     k = orthonormal_basis(null, _RANK, basis)
     largest, size = 0.0, 0.0
@@ -227,35 +239,10 @@ def _centre(forces, null, parts, offsets, basis, rows, hessian, scratch, slope):
     return k
 
 
-_VECTOR, _MATRIX = REAL[::1], REAL[:, ::1]
-
-
-@entry_kernel(_VECTOR, _MATRIX, _MATRIX, _VECTOR, _MATRIX, _MATRIX, _MATRIX, _MATRIX, _MATRIX, when=SEVERAL)
-def centre(forces, null, parts, offsets, basis, rows, hessian, scratch, slope):
-    """Move forces (n,) along the rows of null (c, n) to the analytic centre of m cones s > |t|, (s, t1, t2) = parts
-    (3 m, n) forces + offsets (3 m,); returns the number k of directions among these rows, or 0 where there is none, or
-    no centre.
-
-    basis (n, n): orthonormal rows, the first k of them those directions; slope (n, n): in row j by how much the centre
-    moves along each of these as forces grow along row k + j of the basis.
-    null, rows (3 m, n + 1), hessian (n + 1, n + 1), scratch (SCRATCH_ROWS, at least n + 1 and 3 m): are
-    overwritten.
-    """
-    return _centre(
-        view(forces),
-        view(null),
-        view(parts),
-        view(offsets),
-        view(basis),
-        view(rows),
-        view(hessian),
-        view(scratch),
-        view(slope),
-    )
-
-
-@kernel
-def _null_rows(directions, vectors, basis):
+@array_entry(_MATRIX, _MATRIX, _MATRIX, when=SEVERAL)
+def null_rows(directions, vectors, basis):
+    """Combinations of the n directions (n, nv) that act on nothing, as rows of the basis (n, n) from the one on that is
+    returned; vectors (nv, n): overwritten."""
     n, nv = directions.shape[0], directions.shape[1]
     for i in range(n):
         size = math.sqrt(inner(directions[i], directions[i], nv))
@@ -267,10 +254,3 @@ def _null_rows(directions, vectors, basis):
         for j in range(rank, n):
             basis[j, i] /= size if size > 0.0 else 1.0
     return rank
-
-
-@entry_kernel(_MATRIX, _MATRIX, _MATRIX, when=SEVERAL)
-def null_rows(directions, vectors, basis):
-    """Combinations of the n directions (n, nv) that act on nothing, as rows of the basis (n, n) from the one on that is
-    returned; vectors (nv, n): overwritten."""
-    return _null_rows(view(directions), view(vectors), view(basis))

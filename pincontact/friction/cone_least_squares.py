@@ -262,7 +262,7 @@ def _finish(
     hessian: np.ndarray, gradient: np.ndarray, region: Region, found: ConeSolution, scale: float
 ) -> ConeSolution | None:
     """The solution to round-off, from one that ProxQP has found; None where Newton's method does not come to it."""
-    slack = 1e2 * _SOLVED
+    slack = _SOLVED
     pushed = slack * scale
     sides = np.where(np.abs(found.rows) > _ACTIVE * scale, np.sign(found.rows), 0.0)
     pressed = -found.cones[:, 0] > _ACTIVE * scale

@@ -15,8 +15,8 @@ from __future__ import annotations
 
 from math import sqrt
 
-from ..arrays import view
-from ..jit import INTEGER, REAL, SEVERAL, entry_kernel, kernel
+from ..arrays import array_entry
+from ..jit import INTEGER, REAL, SEVERAL, kernel
 from ..linalg import least_norm
 from .cone import (
     ESCAPED,
@@ -199,7 +199,7 @@ def correct_point(tube, cone):
     return -1
 
 
-@entry_kernel(REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, REAL, REAL, REAL, INTEGER, when=SEVERAL)
+@array_entry(REAL[:, ::1], REAL[::1], REAL[::1], INTEGER, REAL, REAL, REAL, INTEGER, when=SEVERAL)
 def follow_homotopy(delassus, b, mu, address, target, tube, size, steps):
     """Forces (3n,) in the workspace where the path (module docstring) is down to t = target; returns the t reached.
 
@@ -211,7 +211,6 @@ def follow_homotopy(delassus, b, mu, address, target, tube, size, steps):
     All but target and steps as in the first call.
     """
     cone = cone_at(address)
-    delassus, b, mu = view(delassus), view(b), view(mu)
     n = mu.shape[0]
     rows = 3 * n
     g = cone.scaled

@@ -6,8 +6,8 @@ from math import sqrt
 
 import numpy as np
 
-from ..arrays import view
-from ..jit import INTEGER, REAL, SEVERAL, entry_kernel, kernel
+from ..arrays import array_entry
+from ..jit import INTEGER, REAL, SEVERAL, kernel
 from ..linalg import RANK_TOLERANCE, factor_definite, inner, largest_entry, solve_definite, subtract_row
 
 # Loads are negative that are below zero by this part of the largest.
@@ -106,9 +106,9 @@ def least_loads(null, bounded, x, held, gram, scratch):
 _VECTOR, _MATRIX = REAL[::1], REAL[:, ::1]
 
 
-@entry_kernel(_MATRIX, _VECTOR, _VECTOR, INTEGER[::1], _MATRIX, _MATRIX, when=SEVERAL)
+@array_entry(_MATRIX, _VECTOR, _VECTOR, INTEGER[::1], _MATRIX, _MATRIX, when=SEVERAL)
 def _move(null, bounded, x, held, gram, scratch):
-    return least_loads(view(null), view(bounded), view(x), view(held), view(gram), view(scratch))
+    return least_loads(null, bounded, x, held, gram, scratch)
 
 
 def least_of(least: np.ndarray, null: np.ndarray, bounded: np.ndarray) -> np.ndarray | None:

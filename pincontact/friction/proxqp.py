@@ -56,8 +56,8 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import view
-from ..jit import REAL, SEVERAL, entry_kernel, kernel
+from ..arrays import array_entry
+from ..jit import REAL, SEVERAL, kernel
 from ..linalg import factor_definite, inner, solve_definite
 from .cone import ESCAPED, HUGE, LARGEST_FRICTION, natural_map_residual, respond, scale_problem
 from .cone_least_squares import UNBOUNDED
@@ -188,7 +188,7 @@ def into_cones(mu, f):
             f[k + 1] *= radius / length
 
 
-@entry_kernel(
+@array_entry(
     REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL, REAL, REAL, REAL[:, ::1], REAL[:, ::1], REAL[:, ::1],
     REAL[::1], when=SEVERAL,
 )  # fmt: skip
@@ -199,8 +199,7 @@ def begin_programs(delassus, b, mu, forces, share, pull, onwards, scaled, vector
     pull, onwards: see `BEGINNINGS`.
     scaled (3n, 3n), vectors (8, 3n), scalars (4, n), state (5,): output, see `ConePrograms`.
     """
-    delassus, b, mu, forces = view(delassus), view(b), view(mu), view(forces)
-    g, vectors, scalars, state = view(scaled), view(vectors), view(scalars), view(state)
+    g = scaled
     n = mu.shape[0]
     largest = scale_problem(delassus, b, n, g, vectors[C], scalars[SCALE], vectors[SCRATCH])
     for i in range(n):
@@ -212,7 +211,7 @@ def begin_programs(delassus, b, mu, forces, share, pull, onwards, scaled, vector
         if share >= 0.0 and g[k, k] > 0.0:
             vectors[F, k] = share * max(-vectors[C, k], 0.0) / g[k, k]
     state[STEP], state[PULL], state[ONWARDS] = 1.0, pull, onwards
-    weigh(g, mu, vectors, scalars, state)
+    weigh(scaled, mu, vectors, scalars, state)
 
 
 @kernel
@@ -227,7 +226,7 @@ def turn_pairs(scalars, x, backwards):
         x[k + 1] = d1 * x[k + 1] - d2 * first
 
 
-@entry_kernel(
+@array_entry(
     REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[::1], REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1],
     when=SEVERAL,
 )  # fmt: skip
@@ -238,8 +237,7 @@ def write_program(mu, scaled, vectors, scalars, state, hessian, gradient, lower,
     normal force, which is not negative.
     hessian (3n, 3n), gradient, lower, upper (3n,), and the directions in scalars: output.
     """
-    mu, g, vectors, scalars, state = view(mu), view(scaled), view(vectors), view(scalars), view(state)
-    hessian, gradient, lower, upper = view(hessian), view(gradient), view(lower), view(upper)
+    g = scaled
     f = vectors[F]
     u = vectors[U]
     n = mu.shape[0]
@@ -276,7 +274,7 @@ def write_program(mu, scaled, vectors, scalars, state, hessian, gradient, lower,
         lower[k] = lower[k + 1] = -upper[k]
 
 
-@entry_kernel(
+@array_entry(
     REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[::1], REAL[:, ::1], REAL[::1], REAL[::1], REAL[::1], REAL[:, ::1],
     when=SEVERAL,
 )  # fmt: skip
@@ -286,9 +284,6 @@ def take_forces(forces, vectors, scalars, state, hessian, gradient, lower, upper
     A bound is reached where its multiplier is larger than what is left to it. The other variables follow from these;
     where they leave their bounds, or a bound would have to pull, that is corrected.
     """
-    forces, vectors, scalars, state = view(forces), view(vectors), view(scalars), view(state)
-    hessian, gradient, lower, upper = view(hessian), view(gradient), view(lower), view(upper)
-    factor = view(factor)
     found = vectors[FOUND]
     reached = vectors[MULTIPLIERS]
     x = vectors[SCRATCH]
@@ -333,12 +328,10 @@ def take_forces(forces, vectors, scalars, state, hessian, gradient, lower, upper
         forces[k] = found[k] * vectors[UNIT, k]
 
 
-@entry_kernel(REAL[::1], REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[::1], when=SEVERAL)
+@array_entry(REAL[::1], REAL[::1], REAL[:, ::1], REAL[:, ::1], REAL[:, ::1], REAL[::1], when=SEVERAL)
 def relax_forces(mu, forces, scaled, vectors, scalars, state):
     """Go on from the last forces towards those of the program, moved into the cones: all the way, part of it, or to
     the limit of the series."""
-    mu, forces, g = view(mu), view(forces), view(scaled)
-    vectors, scalars, state = view(vectors), view(scalars), view(state)
     if not state[LARGEST] <= ESCAPED:
         return
     f = vectors[F]
@@ -369,4 +362,4 @@ def relax_forces(mu, forces, scaled, vectors, scalars, state):
     into_cones(mu, f)
     for k in range(f.shape[0]):
         forces[k] = f[k] * vectors[UNIT, k]
-    weigh(g, mu, vectors, scalars, state)
+    weigh(scaled, mu, vectors, scalars, state)

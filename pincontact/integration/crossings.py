@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import math
 
-from ..arrays import view
+from ..arrays import array_entry
 from ..callback import separate_kernel
 from ..dynamics.resistance import count_items
-from ..jit import BOOLEAN, INTEGER, NOTHING, REAL, entry_kernel, kernel
+from ..jit import BOOLEAN, INTEGER, NOTHING, REAL, kernel
 from ..layout import (
     EVENT,
     EVENTS_PER_CONTACT,
@@ -69,8 +69,14 @@ def has_valley(left, middle, right, first, last):
     return last and 0.0 <= right < middle and 1.5 * right < 0.5 * higher
 
 
-@kernel
-def _find_crossings(samples, apart, found):
+_SAMPLES, _PLACES = REAL[:, :, ::1], INTEGER[:, ::1]
+
+
+@array_entry(_SAMPLES, BOOLEAN[::1], _PLACES)
+def find_crossings(samples, apart, found):
+    """Event functions (items, EVENTS_PER_CONTACT) that turn negative between two of n samples (n, items, ...): rows of
+    the first one's place, the item and the kind, in order, into found; how many. apart (nc,): contacts whose gaps are
+    known to have been positive."""
     count = 0
     for i in range(samples.shape[0] - 1):
         for c in range(samples.shape[1]):
@@ -83,8 +89,10 @@ def _find_crossings(samples, apart, found):
     return count
 
 
-@kernel
-def _find_valleys(samples, found):
+@array_entry(_SAMPLES, _PLACES)
+def find_valleys(samples, found):
+    """The same for those that may have been below zero between three samples, of which the first one's place is
+    found."""
     count, n = 0, samples.shape[0]
     for i in range(n - 2):
         for c in range(samples.shape[1]):
@@ -94,24 +102,6 @@ def _find_valleys(samples, found):
                     found[count, 0], found[count, 1], found[count, 2] = i, c, kind
                     count += 1
     return count
-
-
-_SAMPLES, _PLACES = REAL[:, :, ::1], INTEGER[:, ::1]
-
-
-@entry_kernel(_SAMPLES, BOOLEAN[::1], _PLACES)
-def find_crossings(samples, apart, found):
-    """Event functions (items, EVENTS_PER_CONTACT) that turn negative between two of n samples (n, items, ...): rows of
-    the first one's place, the item and the kind, in order, into found; how many. apart (nc,): contacts whose gaps are
-    known to have been positive."""
-    return _find_crossings(view(samples), view(apart), view(found))
-
-
-@entry_kernel(_SAMPLES, _PLACES)
-def find_valleys(samples, found):
-    """The same for those that may have been below zero between three samples, of which the first one's place is
-    found."""
-    return _find_valleys(view(samples), view(found))
 
 
 # ---------------------------------------------------------------- along a step

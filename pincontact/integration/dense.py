@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..arrays import view
+from ..arrays import array_entry
 from ..callback import separate_kernel
-from ..jit import INTEGER, NOTHING, REAL, entry_kernel, kernel
+from ..jit import INTEGER, NOTHING, REAL, kernel
 from ..layout import DENSE_ROWS, MAX_STAGES, SYSTEM
 
 if TYPE_CHECKING:
@@ -55,10 +55,10 @@ def interpolate(dense, start, nested, theta, out):
         out[i] += start[i]
 
 
-@entry_kernel(REAL[:, ::1], REAL[::1], INTEGER, REAL, REAL[::1])
+@array_entry(REAL[:, ::1], REAL[::1], INTEGER, REAL, REAL[::1])
 def fill_interpolated(dense, start, nested, theta, out):
     """`interpolate` for callers in Python."""
-    interpolate(view(dense), view(start), nested, theta, view(out))
+    interpolate(dense, start, nested, theta, out)
 
 
 class Interpolant:

@@ -28,12 +28,12 @@ from .contact_modes import drags, shares_viscous_force
 from .redistribution import RedundantForces
 
 # Accelerations below this part of the free ones are round-off.
-_ROUND_OFF = 1e-11
+ROUND_OFF = 1e-11
 # Viscous friction by which a contact is held up is all of it to so much.
 _AT_ALL = 1e-6
 
 
-class ModeChanges(RedundantForces):
+class SingleModeChanges(RedundantForces):
     """Changes single modes of contacts and joint coordinates."""
 
     def release(self, g: int, sign: int) -> None:
@@ -68,7 +68,7 @@ class ModeChanges(RedundantForces):
         system = self.system
         for g, (end, sign) in released.items():
             rate = sign * float(system.acceleration[system.joint_int[g, JOINT_V]])
-            if rate < -_ROUND_OFF * float(np.abs(system.free_acceleration).max()):
+            if rate < -ROUND_OFF * float(np.abs(system.free_acceleration).max()):
                 del released[g]
                 self.hold(g, end)
                 return True

@@ -63,7 +63,9 @@ class PassingSlip:
         """One of these contacts that cannot stick at the last evaluation's velocity, if there is one."""
         system = self.system
         count = int(system.counters["row_count"])
-        contacts = [c for c in undecided if not system.nc <= c < system.nc + system.ng]
+        # resistances to what drives alone turn, too: no joint holds that
+        first = system.nc + system.ng
+        contacts = [c for c in undecided if c < system.nc or (c >= first and not system.rows[c].any())]
         if not contacts or count == 0:
             return None
         moving_as = whitened_velocity(system, system.v)

@@ -94,10 +94,13 @@ def joint_event_functions(system):
             if limit[JOINT_SIGN] != 0:
                 value[SPEED_EVENT] = limit[JOINT_SIGN] * system.slip[i, 2]
         else:
+            low, high, slack = numbers[LOW_FORCE], numbers[HIGH_FORCE], 0.0
+            if limit[JOINT_END] == 0:
+                slack = system.contact_real[i, LIMIT_SLACK] * (high - low)
             if limit[JOINT_END] <= 0:
-                value[NORMAL_EVENT] = force - numbers[LOW_FORCE]
+                value[NORMAL_EVENT] = force - low + slack
             if limit[JOINT_END] >= 0:
-                value[FRICTION_EVENT] = numbers[HIGH_FORCE] - force
+                value[FRICTION_EVENT] = high - force + slack
         status = max(status, status_of(value))
     return status
 

@@ -209,7 +209,10 @@ class Transitions:
         if self.joints.switch(t, c - self.system.nc, kind):
             return self.impacts.stop_joints(t)
         ended = {c: np.zeros(3)} if kind == SPEED_EVENT else {}
-        return self.onset.resolve(t, self.changes.sticking(), at_rest=ended)
+        after = self.onset.resolve(t, self.changes.sticking(), at_rest=ended)
+        if not ended:
+            self._set_slack(c, c - self.system.nc in self.system.held())
+        return after
 
     def _reach_end(self, t: float, c: int) -> float:
         """The point of contact c reaches the end of a contour."""
@@ -255,13 +258,14 @@ class Transitions:
     def _reach_limit(self, t: float, c: int) -> float:
         """The friction of item c has reached its limit in stick."""
         after = self.onset.leave_stick(t, c)
-        numbers = self.system.contact_real[c]
-        if self.system.contact_int[c, MODE] == STICK:
-            # rounding has it that it sticks all the same: it is not asked again before that shows
-            numbers[LIMIT_SLACK] = min(_SLACK_GROWTH * numbers[LIMIT_SLACK], _LARGEST_SLACK)
-        else:
-            numbers[LIMIT_SLACK] = FORCE_SLACK
+        self._set_slack(c, self.system.contact_int[c, MODE] == STICK)
         return after
+
+    def _set_slack(self, c: int, sticks: bool) -> None:
+        """The friction of item c has reached its limit. Where rounding has it that it sticks all the same, it is not
+        asked again before that shows."""
+        numbers = self.system.contact_real[c]
+        numbers[LIMIT_SLACK] = min(_SLACK_GROWTH * numbers[LIMIT_SLACK], _LARGEST_SLACK) if sticks else FORCE_SLACK
 
     def come_to_rest(self, t: float, ended: dict[int, np.ndarray]) -> float:
         """The slip of these contacts has ended, in these directions: each sticks, or slides on."""

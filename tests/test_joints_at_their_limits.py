@@ -1,4 +1,4 @@
-"""Joints that are held with all the dry friction they have, as by the least torques: rounding has them slip and rest."""
+"""Joints that are held with all the dry friction they have, as by the least torques: rounding has them slip, rest."""
 
 import numpy as np
 import pinocchio as pin

@@ -358,3 +358,17 @@ def test_windows_of_endless_parameters_are_measured_along_them(slope):
     assert flat[:2] == pytest.approx((-10.0, 10.0))
     # as many samples per metre, up to the rounding of their number
     assert count == pytest.approx(flat[2] * np.hypot(1.0, slope), abs=3.0)
+
+
+def test_what_is_inside_between_places_that_are_not():
+    """A ring lies across a trough: both its sides are above, and its lowest place, between two places that cut the
+    ground, is below it."""
+    wave = pc.HeightField(lambda x, y: 0.05 * math.sin(4.0 * math.pi * x), domain=((-5.0, 5.0), (-5.0, 5.0)))
+    tilt, lowest = 0.55, -1.091
+    rotation = pin.exp3(np.array([0.0, -tilt, 0.0])) @ pin.exp3(np.array([0.0, 0.0, math.pi]))
+    ground = 0.05 * math.sin(4.0 * math.pi * lowest)
+    place = [lowest + 0.08 * math.cos(tilt), 0.0, ground - 0.0054 + 0.08 * math.sin(tilt)]
+    system = system_of(pc.Circle(0.08), wave, np.array([*place, *pin.Quaternion(rotation).coeffs()]))
+    gaps = [found.gap for found in NearestSearch(system, 0, 0.0).search(0.0).candidates]
+    # its point under the surface, seen along the normal
+    assert min(gaps) == pytest.approx(-0.0054, abs=5e-4)

@@ -281,7 +281,7 @@ class OpenContacts:
             if known.search is not None and way > distance:
                 lost = self.system.gaps[c, 0] >= NOTHING_THERE or not self.apart[c]
                 if lost or known.moved(t) + way > known.elsewhere:
-                    found = self.find(t, c)
+                    found = self.find(t, c, way)
                     if found is not None:
                         # it has not been elsewhere longer than in the last step
                         self.apart[c] = found.gap > -_DEEPER * way
@@ -382,19 +382,21 @@ class OpenContacts:
 
     # ---------------------------------------------------------------- nearest points
 
-    def find(self, t: float, c: int) -> Candidate | None:
+    def find(self, t: float, c: int, entered: float = 0.0) -> Candidate | None:
         """Look for the nearest points of contact c at the evaluated state; None where they are not others than before,
-        which are then in `system.state`."""
+        which are then in `system.state`. entered: by how much in m bodies may have got inside each other; where they
+        have, is nearest."""
         system, known = self.system, self._open[c]
         search = known.search
         assert search is not None
         nearest = search.search(t)
         known.rotation, known.centre = search.pose()
         known.distance, known.elsewhere, known.time = nearest.distance, nearest.elsewhere, t
-        found = nearest.candidate
+        inside = [found for found in nearest.candidates if -entered < found.gap < 0.0]
+        found = min(inside, key=lambda each: each.gap) if inside else nearest.candidate
         if found is None or self._is_present(c, found):
             return None
-        if system.contact_real[c, DOMAIN] >= 0.0 and 0.0 <= system.gaps[c, 0] <= abs(found.gap):
+        if not inside and system.contact_real[c, DOMAIN] >= 0.0 and 0.0 <= system.gaps[c, 0] <= abs(found.gap):
             # where it is followed is nearer than what was found
             return None
         self._put(c, (found.location, found.branch, found.determinant_sign, found.charts))

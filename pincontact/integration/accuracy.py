@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from ..dynamics.system import System
     from .run_system import RunSystem
 
-# A start that is no deeper than this part of the contact's length, and does not come out, has just touched; a gap that
-# is larger than that as it changes sign has not come to zero.
-SHALLOW = 0.05
+# A start that is no deeper than this part of the contact's length, and does not come out, has just touched. A gap that
+# is larger than that part as it changes sign has leapt: touches are located to 4e-5 of it in the coarsest runs.
+SHALLOW, LEAPS = 0.05, 1e-3
 # The last correction of gaps leaves so much of them, relative to the contact's length, only where the constraints
 # contradict each other; bodies that are nearer touch, on whichever side they are.
 APART_AT_END = 1e-6

@@ -8,7 +8,6 @@ from ..dynamics.system import System
 from ..errors import StateError
 from ..geometry.patterns import ON_CURVE
 from ..layout import LENGTH, MODE, PATTERN, STICK, TANGENTS
-from .accuracy import SHALLOW
 from .results import NO_CONTACT_FORCE, STEP_TOO_SMALL, Stop
 from .stages import load_state
 
@@ -31,11 +30,6 @@ def refuse_apart(found: dict[str, float]) -> None:
             f"contact {name!r} is closed in this state, but {gap:.3g} m apart: make a state of other q by "
             "scene.initial_state"
         )
-
-
-def has_leapt(system: System, c: int) -> bool:
-    """Whether the gap of contact c, which has changed its sign, has done so without coming to zero."""
-    return bool(abs(system.gaps[c, 0]) > SHALLOW * system.contact_real[c, LENGTH])
 
 
 def jump_apart(t: float, name: str, gap: float) -> Stop:

@@ -10,8 +10,9 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
-from ..layout import FREE, LOCATION_FAILED, MODE, OK, SINGULAR, SLIPPING, STICK
-from .contradictions import has_leapt, jump_apart, jump_into, refuse_apart
+from ..layout import FREE, LENGTH, LOCATION_FAILED, MODE, OK, SINGULAR, SLIPPING, STICK
+from .accuracy import LEAPS
+from .contradictions import jump_apart, jump_into, refuse_apart
 from .events import UserEvent, lost_zeros
 from .impulse_layout import JOINT_AT_HIGH, JOINT_AT_LOW, JOINT_STICKS, SLIP
 from .impulse_steps import AT_END, AT_LIMIT, GOING_ON, INNER_OUTPUT_LEFT, OUTPUT_LEFT, TRIED
@@ -100,9 +101,10 @@ class MoreauDriver:
             self._check(step.begin(start), start)
             for name, gap in step.apart.items():
                 raise jump_apart(jump, name, gap)
-            for c in np.flatnonzero(outside & (step.start_gap < 0.0) & (step.start_domain >= 0.0)).tolist():
-                if has_leapt(self.system, c):
-                    raise jump_into(jump, self.system.contacts[c].name)
+            step.follow(start)
+            inside = step.start_gap < -LEAPS * self.system.contact_real[: self.system.nc, LENGTH]
+            for c in np.flatnonzero(outside & inside & (step.start_domain >= 0.0)).tolist():
+                raise jump_into(jump, self.system.contacts[c].name)
             for c, motion in zip(*np.nonzero((before == STICK) & (step.start_motion == SLIPPING))):
                 self._announce(jump, self.system.contacts[c].name, _friction_event(motion, STICK, SLIPPING))
         self._run_until(start, end)

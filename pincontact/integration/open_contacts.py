@@ -38,7 +38,7 @@ from ..layout import (
     UNILATERAL,
     WHOLE,
 )
-from .accuracy import APART_AT_END, SHALLOW, gap_rate, rest_speed
+from .accuracy import APART_AT_END, LEAPS, SHALLOW, gap_rate, rest_speed
 from .approach import SAFETY, time_to_cover
 from .stages import load_state
 from .steps import BOUND_SPEEDS
@@ -181,6 +181,8 @@ class OpenContacts:
         self.system = system
         self.apart = np.ones(system.nc, dtype=bool)
         self.passed: set[int] = set()
+        # those that were inside at the start, and have not come out since
+        self._shallow: set[int] = set()
         self._open: dict[int, _Open] = {}
         self._speeds: dict[int, float] = {}
         self._allowed: dict[int, float] = {}
@@ -203,6 +205,8 @@ class OpenContacts:
             leaves = system.contact_real[c, DOMAIN] < 0.0 or gap_rate(system, c) > rest_speed(system)
             allowed = (APART_AT_END if leaves else SHALLOW) * system.contact_real[c, LENGTH]
             self.apart[c] = system.gaps[c, 0] >= -max(slack(c), allowed)
+            if system.gaps[c, 0] < 0.0 and self.apart[c]:
+                self._shallow.add(c)
 
     def note(self, slack: Callable[[int], float] | None) -> None:
         """The evaluated state has been accepted. slack: as `begin` has it, None where events were looked for in the
@@ -212,6 +216,7 @@ class OpenContacts:
             gap = system.gaps.item(c, 0)
             if mode != FREE or 0.0 <= gap < NOTHING_THERE:
                 self.apart[c] = True
+                self._shallow.discard(c)
             elif c in self.passed or (slack is not None and gap < -slack(c)):
                 self.apart[c] = False
         self.passed.clear()
@@ -430,6 +435,12 @@ class OpenContacts:
             known.follow(t)
         self.relocated.clear()
         return were_elsewhere
+
+    def has_leapt(self, c: int, slack: float) -> bool:
+        """Whether the gap of contact c, which has changed its sign, has done so without coming to zero, or to what it
+        may be below it, in m."""
+        allowed = SHALLOW if c in self._shallow else LEAPS
+        return bool(abs(self.system.gaps[c, 0]) > slack + allowed * self.system.contact_real[c, LENGTH])
 
     def loses(self, t: float, c: int) -> bool:
         """Whether contact c was not followed where its gap leapt through zero in the step to the evaluated state at t:

@@ -36,7 +36,7 @@ from ..layout import (
     UNILATERAL,
 )
 from .accuracy import gap_rate, held_up, may_stop
-from .contradictions import apart, has_leapt, jump_apart, jump_into, refuse_apart
+from .contradictions import apart, jump_apart, jump_into, refuse_apart
 from .impacts import Impacts
 from .joint_events import JointEvents
 from .mode_changes import ModeChanges
@@ -167,7 +167,8 @@ class Transitions:
     def switch(self, t: float, c: int, kind: int, chosen: bool) -> float:
         """Event function `kind` of item c has reached zero at t. chosen: whether no other redundant forces would do."""
         if kind == GAP_EVENT and c < self.system.nc:
-            return self._leap(t, c) if has_leapt(self.system, c) else self.impacts.touch(t, c)
+            leaps = self.open.has_leapt(c, self.penetration.slack(c))
+            return self._leap(t, c) if leaps else self.impacts.touch(t, c)
         self.reports.check_chatter(t, c)
         if self.system.nc <= c < self.system.nc + self.system.ng:
             return self._switch_joint(t, c, kind, chosen)

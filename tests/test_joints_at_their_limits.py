@@ -24,7 +24,7 @@ def random_arm(rng):
     return model, limits
 
 
-@pytest.mark.parametrize("seed", [5, 22, 36, 159])
+@pytest.mark.parametrize("seed", [5, 22, 225, 245, 268])
 def test_joints_at_the_limit_of_their_friction(seed):
     """Half of them are drawn slowly from rest; the others stay where they are."""
     rng = np.random.default_rng(seed)
